@@ -7,12 +7,12 @@ use crate::dynamics::outline::outline;
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::numbers::instances::{
-    CotangentFunction, RealFunction, ScalarFunction, cotangent_pointer, fill, real_pointer, scalar_pointer,
-    scalar_pointer_of_cost,
+    COST_SCALARS, COTANGENTS, CotangentFunction, DIAGNOSED, REALS, RealFunction, SCALARS, ScalarFunction, cotangent_pointer,
+    diagnosis_pointer, fill, real_pointer, scalar_pointer, scalar_pointer_of_cost,
 };
 use crate::numbers::kernels::Vectorized;
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Cotangent, CotangentPack, Counted, Lanes, Real, Scalar, Single};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Counted, Lanes, Real, Scalar};
 use std::any::{Any, type_name};
 use std::fmt;
 use std::marker::PhantomData;
@@ -126,9 +126,7 @@ impl<T: Task + 'static> AnyTask for T {
         fill(slot, Jvp::<T>::pointer::<f64>);
     }
     fn diagnose(&self, slot: &mut dyn Any) {
-        let _found = fill(slot, Diagnose::<T>::pointer::<Single<f32>>)
-            || fill(slot, Diagnose::<T>::pointer::<Single<f64>>)
-            || fill(slot, Diagnose::<T>::pointer::<f64>);
+        diagnosis_pointer::<Diagnose<T>>(slot);
     }
     fn observe(&self, slot: &mut dyn Any) {
         scalar_pointer::<Observe<T>>(slot);
@@ -239,16 +237,24 @@ function!(
     }
 );
 
-/// Calls a generic function of the task in `$object`.
+/// Calls a generic function of the task in `$object`. `$scalar` is the type that must be in `$set`.
 macro_rules! call {
-    ($object:expr, $method:ident: $pointer:ty, $($argument:expr),+) => {{
+    ($object:expr, $method:ident: $pointer:ty [$scalar:ty] in $set:expr, $($argument:expr),+) => {{
         let mut slot: Option<$pointer> = None;
         $object.$method(&mut slot);
-        let Some(pointer) = slot else {
-            panic!("a `DynTask` has no function {} for this scalar; call the task itself", type_name::<$pointer>())
-        };
+        let Some(pointer) = slot else { missing($object.name(), stringify!($method), type_name::<$scalar>(), $set) };
         pointer($object.as_any(), $($argument),+)
     }};
+}
+
+/// Panics: a task behind a pointer has no instance of a method for this scalar.
+#[cold]
+fn missing(task: &str, method: &str, scalar: &str, set: &str) -> ! {
+    panic!(
+        "`DynTask` of {task}: `{method}` has no instance for {scalar}, only for {set}. Use one of these, or call `{method}` of \
+         the task without `DynTask`. A system around a `DynSystem` needs a `vjp` of its own, because default derivatives use \
+         other scalars"
+    )
 }
 
 impl System for DynSystem {
@@ -273,20 +279,20 @@ impl System for DynSystem {
     }
 
     fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
-        call!(self.0, step: StepOf<T>, inputs, next);
+        call!(self.0, step: StepOf<T> [T] in SCALARS, inputs, next);
     }
 
     fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
-        call!(self.0, vjp: VjpOf<R, C>, inputs, next_bar, cotangents);
+        call!(self.0, vjp: VjpOf<R, C> [(R, C)] in COTANGENTS, inputs, next_bar, cotangents);
     }
 
     fn jvp<R: Real>(&self, inputs: Inputs<'_, R>, tangents: Tangents<'_, R>, next_tan: &mut [R]) {
-        call!(self.0, jvp: JvpOf<R>, inputs, tangents, next_tan);
+        call!(self.0, jvp: JvpOf<R> [R] in "`f64`", inputs, tangents, next_tan);
     }
 
     fn diagnose<R: Real>(&self, inputs: Inputs<'_, R>) -> Option<Cause> {
         let mut cause = None;
-        call!(self.0, diagnose: DiagnoseOf<R>, inputs, &mut cause);
+        call!(self.0, diagnose: DiagnoseOf<R> [R] in DIAGNOSED, inputs, &mut cause);
         cause
     }
 }
@@ -315,16 +321,16 @@ impl Task for DynTask {
     }
 
     fn observe<T: Scalar>(&self, inputs: Inputs<'_, T>, y: &mut [T]) {
-        call!(self.0.0, observe: ObserveOf<T>, inputs, y);
+        call!(self.0.0, observe: ObserveOf<T> [T] in SCALARS, inputs, y);
     }
 
     fn observe_vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, y_bar: &[C], cotangents: Cotangents<'_, C>) {
-        call!(self.0.0, observe_vjp: ObserveVjpOf<R, C>, inputs, y_bar, cotangents);
+        call!(self.0.0, observe_vjp: ObserveVjpOf<R, C> [(R, C)] in "`Lanes<F, 8>` with `CotangentPack<_, 1>`, and `Counted` with `Counted`", inputs, y_bar, cotangents);
     }
 
     fn running_cost<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &[T]) -> T {
         let mut cost = T::zero();
-        call!(self.0.0, running_cost: RunningCostOf<T>, inputs, next, &mut cost);
+        call!(self.0.0, running_cost: RunningCostOf<T> [T] in COST_SCALARS, inputs, next, &mut cost);
         cost
     }
 
@@ -335,16 +341,16 @@ impl Task for DynTask {
         cotangents: Cotangents<'_, R>,
         next_bar: &mut [R],
     ) {
-        call!(self.0.0, running_cost_gradient: RunningCostGradientOf<R>, inputs, next, cotangents, next_bar);
+        call!(self.0.0, running_cost_gradient: RunningCostGradientOf<R> [R] in REALS, inputs, next, cotangents, next_bar);
     }
 
     fn terminal_cost<T: Scalar>(&self, x: &[T], p: &[T]) -> T {
         let mut cost = T::zero();
-        call!(self.0.0, terminal_cost: TerminalCostOf<T>, x, p, &mut cost);
+        call!(self.0.0, terminal_cost: TerminalCostOf<T> [T] in COST_SCALARS, x, p, &mut cost);
         cost
     }
 
     fn terminal_cost_gradient<R: Real>(&self, x: &[R], p: &[R], x_bar: &mut [R], p_bar: Option<&mut [R]>) {
-        call!(self.0.0, terminal_cost_gradient: TerminalCostGradientOf<R>, x, p, x_bar, p_bar);
+        call!(self.0.0, terminal_cost_gradient: TerminalCostGradientOf<R> [R] in REALS, x, p, x_bar, p_bar);
     }
 }

@@ -44,6 +44,10 @@ macro_rules! fill_scalars {
     ($slot:expr, $function:ty: $($scalar:ty),+) => { $(fill($slot, <$function>::pointer::<$scalar>))||+ };
 }
 
+/// Scalars of [`scalar_pointer`], for messages.
+pub(crate) const SCALARS: &str = "`Lanes<f32, 8>`, `Lanes<f64, 8>`, `f64`, `Dual64`, `Counted`, `Dual<f64, 4>` and, with the \
+                                  feature `double-double`, `Dual<DoubleDouble, 1>`";
+
 /// Writes the function pointer to `slot`, an `Option<G::Pointer<T>>` for the scalar `T` of the
 /// caller.
 ///
@@ -58,10 +62,16 @@ pub(crate) fn scalar_pointer<G: ScalarFunction>(slot: &mut dyn Any) -> bool {
     found
 }
 
+/// Scalars that [`scalar_pointer_of_cost`] adds, for messages.
+pub(crate) const COST_SCALARS: &str = "those of steps and `Dual<Dual<f64, 4>, 4>`";
+
 /// Extends [`scalar_pointer`] by the scalar of second derivatives.
 pub(crate) fn scalar_pointer_of_cost<G: ScalarFunction>(slot: &mut dyn Any) -> bool {
     scalar_pointer::<G>(slot) || fill_scalars!(slot, G: Dual<Dual<f64, CHUNK>, CHUNK>)
 }
+
+/// Scalars that [`scalar_pointer_of_effect`] adds, for messages.
+pub(crate) const EFFECT_SCALARS: &str = "`Single<F>`, and `Dual<R, 4>` and `Reverse<R>` of these without derivatives";
 
 /// Extends [`scalar_pointer`] by the scalars of default derivatives and diagnoses.
 pub(crate) fn scalar_pointer_of_effect<G: ScalarFunction>(slot: &mut dyn Any) -> bool {
@@ -72,6 +82,10 @@ pub(crate) fn scalar_pointer_of_effect<G: ScalarFunction>(slot: &mut dyn Any) ->
         || fill_scalars!(slot, G: Dual<Single<f32>, CHUNK>, Dual<Single<f64>, CHUNK>)
         || fill_scalars!(slot, G: Reverse<Single<f32>>, Reverse<Single<f64>>)
 }
+
+/// Scalars and cotangents of [`cotangent_pointer`], for messages.
+pub(crate) const COTANGENTS: &str = "`Lanes<F, 8>` with `CotangentPack<_, 1>` or `CotangentPack<_, 2>`, `f64` with \
+                                     `CotangentPack<f64, 1>`, and `Counted` with `Counted`";
 
 /// Writes the function pointer to `slot`, an `Option<G::Pointer<R, C>>` for the types `R` and `C`
 /// of the caller.
@@ -86,6 +100,20 @@ pub(crate) fn cotangent_pointer<G: CotangentFunction>(slot: &mut dyn Any) {
         || among!(Lanes<f32, 8>: Pack<Lanes<f32, 8>, 1>, Lanes<f64, 8>: Pack<Lanes<f64, 8>, 1>)
         || among!(f64: Pack<f64, 1>, Counted: Counted);
 }
+
+/// Scalars of [`diagnosis_pointer`], for messages.
+pub(crate) const DIAGNOSED: &str = "`Single<f32>`, `Single<f64>` and `f64`";
+
+/// Writes the function pointer to `slot`, an `Option<G::Pointer<R>>` for the scalar `R` of the
+/// caller.
+///
+/// Leaves `None` unless `R` is the scalar of a diagnosis.
+pub(crate) fn diagnosis_pointer<G: RealFunction>(slot: &mut dyn Any) {
+    let _found = fill(slot, G::pointer::<Single<f32>>) || fill(slot, G::pointer::<Single<f64>>) || fill(slot, G::pointer::<f64>);
+}
+
+/// Scalars of [`real_pointer`], for messages.
+pub(crate) const REALS: &str = "`Lanes<f32, 8>`, `Lanes<f64, 8>`, `f64` and `Counted`";
 
 /// Writes the function pointer to `slot`, an `Option<G::Pointer<R>>` for the scalar `R` of the
 /// caller.

@@ -35,29 +35,37 @@ impl TrainedParam {
     /// positive numbers.
     ///
     /// # Panics
-    /// If the initial value is not positive.
+    /// If the initial value is not positive and finite.
     #[track_caller]
-    pub const fn log(index: usize, initial: f64) -> Self {
+    pub fn log(index: usize, initial: f64) -> Self {
         Self::above(index, initial, 0.0)
     }
 
     /// Trains `p[index] = low + exp(r)`, from a value above the bound.
     ///
     /// # Panics
-    /// If the initial value is not above the bound.
+    /// If the initial value is not above the bound, or either is not finite.
     #[track_caller]
-    pub const fn above(index: usize, initial: f64, low: f64) -> Self {
-        assert!(initial > low, "a parameter with a lower bound needs an initial value above it");
+    pub fn above(index: usize, initial: f64, low: f64) -> Self {
+        assert!(
+            low.is_finite() && low < initial && initial.is_finite(),
+            "p[{index}] is trained above {low} from an initial value of {initial}; pass a finite initial value above the bound, \
+             or use `TrainedParam::linear` for any value"
+        );
         Self { index, initial, scale: Scale::Above { low } }
     }
 
     /// Trains `p[index] = low + (high - low) / (1 + exp(-r))`, from a value between the bounds.
     ///
     /// # Panics
-    /// If the initial value is not strictly between the bounds.
+    /// If the initial value is not strictly between the bounds, or a bound is not finite.
     #[track_caller]
-    pub const fn bounded(index: usize, initial: f64, low: f64, high: f64) -> Self {
-        assert!(low < initial && initial < high, "a bounded parameter needs an initial value strictly between its bounds");
+    pub fn bounded(index: usize, initial: f64, low: f64, high: f64) -> Self {
+        assert!(
+            low.is_finite() && low < initial && initial < high && high.is_finite(),
+            "p[{index}] is trained between {low} and {high} from an initial value of {initial}; pass finite bounds and an \
+             initial value strictly between them, or use `TrainedParam::above` for a lower bound alone"
+        );
         Self { index, initial, scale: Scale::Bounded { low, high } }
     }
 
@@ -142,13 +150,23 @@ impl TrainedParam {
 #[derive(Clone, Debug, PartialEq)]
 pub struct WithParams<P> {
     policy: P,
+    /// All trained entries: those of `policy`, then those added.
     params: Vec<TrainedParam>,
 }
 
 impl<P: Policy> WithParams<P> {
-    /// Trains `params` together with `policy`.
+    /// Trains `params` together with `policy`, and with the trained entries of `policy`.
+    ///
+    /// # Panics
+    /// If an entry of `p` is trained twice.
+    #[track_caller]
     pub fn new(policy: P, params: impl Into<Vec<TrainedParam>>) -> Self {
-        Self { policy, params: params.into() }
+        let params = [policy.trained_params(), &params.into()].concat();
+        for (i, TrainedParam { index, .. }) in params.iter().enumerate() {
+            let twice = params[..i].iter().any(|before| before.index == *index);
+            assert!(!twice, "p[{index}] is trained twice; pass one `TrainedParam` for each trained entry of p");
+        }
+        Self { policy, params }
     }
 
     /// The policy.
@@ -156,13 +174,19 @@ impl<P: Policy> WithParams<P> {
         &self.policy
     }
 
-    /// Values of the trained entries of `p`, from `θ`.
+    /// Values of the trained entries of `p`, from `θ`, in the order of
+    /// [`trained_params`](Policy::trained_params).
     pub fn values<F: Float>(&self, theta: &[F]) -> Vec<f64> {
-        let trained = &theta[self.policy.param_count()..];
+        let trained = &theta[self.first()..];
         self.params.iter().zip(trained).map(|(param, r)| param.value(r.as_())).collect()
     }
 
-    /// The parameters of the policy alone.
+    /// Index in `θ` of the first trained entry.
+    fn first(&self) -> usize {
+        self.policy.param_count() - self.policy.trained_params().len()
+    }
+
+    /// The parameters of the policy without the added entries.
     fn own<'a, T>(&self, theta: &'a [T]) -> &'a [T] {
         &theta[..self.policy.param_count()]
     }
@@ -182,7 +206,7 @@ impl<P: Policy> Policy for WithParams<P> {
     }
 
     fn param_count(&self) -> usize {
-        self.policy.param_count() + self.params.len()
+        self.first() + self.params.len()
     }
 
     fn trained_params(&self) -> &[TrainedParam] {
@@ -190,9 +214,9 @@ impl<P: Policy> Policy for WithParams<P> {
     }
 
     fn init(&self, rng: &mut Rng, theta: &mut [f64]) {
-        let (own, trained) = theta.split_at_mut(self.policy.param_count());
+        let (own, added) = theta.split_at_mut(self.policy.param_count());
         self.policy.init(rng, own);
-        for (r, param) in trained.iter_mut().zip(&self.params) {
+        for (r, param) in added.iter_mut().zip(&self.params[self.policy.trained_params().len()..]) {
             *r = param.initial();
         }
     }
@@ -202,12 +226,14 @@ impl<P: Policy> Policy for WithParams<P> {
     }
 
     fn tensors(&self) -> Vec<Tensor> {
-        let (own, all) = (self.policy.param_count(), self.param_count());
         let mut tensors = self.policy.tensors();
         if self.params.is_empty() {
             return tensors;
         }
-        tensors.push(Tensor { name: "trained_params".into(), shape: vec![self.params.len()], range: own..all });
+        // One tensor holds all trained entries, in place of that of `policy`.
+        let trained = self.first()..self.param_count();
+        tensors.retain(|tensor| tensor.range.start < trained.start);
+        tensors.push(Tensor { name: "trained_params".into(), shape: vec![self.params.len()], range: trained });
         tensors
     }
 

@@ -148,3 +148,63 @@ fn norms_and_gradients_beyond_the_range_of_f32_are_exact_to_1e_4() {
     assert!((gradient.norm().get() / f64::from(f32::MAX) / expected - 1.0).abs() < 1e-4, "{}", gradient.norm());
     assert_eq!(gradient.to_vec(), [f32::INFINITY]);
 }
+
+/// `φ = 2e38 x` over components that do not change: each component of λ is `2e38 scale`.
+struct Steep<const STATES: usize, const CONTROLS: usize>;
+
+impl<const STATES: usize, const CONTROLS: usize> System for Steep<STATES, CONTROLS> {
+    fn state_dim(&self) -> usize {
+        STATES
+    }
+    fn control_dim(&self) -> usize {
+        CONTROLS
+    }
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
+        next.copy_from_slice(x);
+        for (next, &u) in next.iter_mut().zip(u) {
+            *next += u * 1e-30;
+        }
+    }
+}
+
+impl<const STATES: usize, const CONTROLS: usize> Task for Steep<STATES, CONTROLS> {
+    type System = Self;
+    fn system(&self) -> &Self {
+        self
+    }
+    fn horizon(&self) -> usize {
+        3
+    }
+    fn start(&self, _: &mut Rng, start: Start<'_>) {
+        start.x.fill(1e-10);
+    }
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
+        x.iter().fold(T::zero(), |sum, &x| sum + x * 2e38)
+    }
+}
+
+/// Norms of R in f32 for one sample at 1e-10.
+fn steep_norms<const STATES: usize, const CONTROLS: usize>() -> Vec<f64> {
+    let (task, policy) = (Steep::<STATES, CONTROLS>, Linear::new(STATES, CONTROLS));
+    let weights = Weights::<f32>::new(&policy, vec![0.0; STATES * CONTROLS]);
+    let mut rollout = Rollout::new(&task, &policy, 1);
+    rollout.start(&[1e-10; STATES]);
+    rollout.run(&task, &policy, &weights).expect("the rollout is finite");
+    let mut adjoint = Adjoint::new(&task, &policy, &rollout, &[Flow::REGULAR]).keep_norms();
+    adjoint.run(&task, &policy, &weights, &rollout, 1.0).expect("every component of the adjoint is finite");
+    adjoint.norms(0).to_vec()
+}
+
+#[test]
+fn finite_components_whose_sum_overflows_f32_are_no_divergence() {
+    for (t, norm) in steep_norms::<4, 1>().into_iter().enumerate() {
+        assert!((norm / 4e38 - 1.0).abs() < 1e-6, "step {t}: {norm:e}");
+    }
+}
+
+#[test]
+fn the_adjoint_of_a_system_without_controls_is_rescaled() {
+    for (t, norm) in steep_norms::<1, 0>().into_iter().enumerate() {
+        assert!((norm / 2e38 - 1.0).abs() < 1e-6, "step {t}: {norm:e}");
+    }
+}

@@ -11,7 +11,7 @@ use rand::RngExt;
 
 /// Two coupled components with a drawn stiffness and goal, a table of pushes, and `CONTROLS`
 /// controls.
-struct Tracking<const CONTROLS: usize> {
+pub struct Tracking<const CONTROLS: usize> {
     fault: Fault,
 }
 
@@ -135,7 +135,7 @@ impl<const CONTROLS: usize> Task for Tracking<CONTROLS> {
     }
 }
 
-fn tracking<const CONTROLS: usize>() -> Tracking<CONTROLS> {
+pub fn tracking<const CONTROLS: usize>() -> Tracking<CONTROLS> {
     Tracking { fault: Fault::None }
 }
 
@@ -262,14 +262,12 @@ forwarding_task!(
     }
 );
 
-fn gradients<T: Task, P: Policy>(task: &T, policy: &P, workers: usize, budget: Option<u64>) -> Vec<u64> {
+/// Bits of the loss and of the gradients of M and R.
+pub fn gradients<T: Task, P: Policy>(task: &T, policy: &P, workers: usize) -> Vec<u64> {
     let weights = Weights::<f64>::init(policy, &mut stream(0, Purpose::Policy, 0));
     let starts: Vec<f64> = initial_states(task, 0, Purpose::Train, 21);
     let flows = [Flow::MODIFIED, Flow::REGULAR];
-    let mut batch = match budget {
-        None => Batch::new(task, policy, 21, &flows, workers),
-        Some(budget) => Batch::within(task, policy, 21, &flows, workers, budget).expect("a sufficient budget"),
-    };
+    let mut batch = Batch::new(task, policy, 21, &flows, workers);
     let loss = batch.run(task, policy, &weights, &starts).expect("finite");
     let gradients = batch.gradients().iter().flat_map(Gradient::to_vec);
     std::iter::once(loss).chain(gradients).map(f64::to_bits).collect()
@@ -278,7 +276,7 @@ fn gradients<T: Task, P: Policy>(task: &T, policy: &P, workers: usize, budget: O
 #[test]
 fn observing_the_whole_state_gives_the_bits_of_no_observation() {
     let policy = Mlp::new([2, 7, 1]);
-    assert_eq!(gradients(&Copied(tracking()), &policy, 1, None), gradients(&Plain(tracking()), &policy, 1, None));
+    assert_eq!(gradients(&Copied(tracking()), &policy, 1), gradients(&Plain(tracking()), &policy, 1));
 }
 
 #[test]
@@ -288,9 +286,9 @@ fn bits_do_not_depend_on_workers_and_stored_bytes_are_exact() {
 }
 
 fn check_bits_and_bytes(policy: &impl Policy) {
-    let one = gradients(&tracking::<1>(), policy, 1, None);
+    let one = gradients(&tracking::<1>(), policy, 1);
     for workers in [2, 3] {
-        assert_eq!(gradients(&tracking::<1>(), policy, workers, None), one);
+        assert_eq!(gradients(&tracking::<1>(), policy, workers), one);
     }
     let (task, flows) = (tracking::<1>(), [Flow::MODIFIED, Flow::REGULAR]);
     for schedule in [Schedule::store_all(9), Schedule::new(9, 129, 1)] {

@@ -12,4 +12,6 @@ mod gradients;
 mod identities;
 mod inputs;
 mod memory;
+mod no_controls;
 mod reverse_mode;
+mod trained_params;

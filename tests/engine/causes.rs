@@ -5,8 +5,8 @@ use physgrad::tasks::{
     QuantumSystem, Renormalized, Strang, Tabulated, Upright,
 };
 use physgrad::{
-    Actuated, AnyIntegrator, Cause, Delay, DynTask, Effect, Forced, ForcedSystem, ImplicitMidpoint, Inputs, Integrated, Named,
-    OdeInputs, Scalar, Substeps, System, Task,
+    Actuated, AnyIntegrator, Cause, CotangentPack, Cotangents, Delay, Dual, DynEffect, DynSystem, DynTask, Effect, Forced,
+    ForcedSystem, ImplicitMidpoint, Inputs, Integrated, Lanes, Named, OdeInputs, Real, Scalar, Substeps, System, Task,
 };
 
 /// Effect whose force is infinite at a state of ones.
@@ -105,4 +105,82 @@ impl Effect<Overflows> for AddsState {
 fn a_non_finite_state_is_not_attributed_to_an_effect() {
     let system = Forced { system: Overflows, effects: AddsState };
     assert_eq!(cause(&Substeps { system, count: 4 }), None);
+}
+
+/// Effect of a user with an infinite force.
+#[derive(Clone, Debug)]
+struct Explosion;
+
+impl Effect<QuantumSystem> for Explosion {
+    fn add_forces<T: Scalar>(&self, _model: &QuantumSystem, _inputs: OdeInputs<'_, T>, forces: &mut [T]) {
+        forces[0] += f64::INFINITY;
+    }
+}
+
+#[test]
+fn effects_of_users_have_the_names_of_their_types_behind_pointers() {
+    let model = QuantumSystem { grid: 7, ..QuantumSystem::default() };
+    let cause_of = |effect: DynEffect<QuantumSystem>| {
+        let listed = vec![QuantumEffect::from(Cubic::default()), QuantumEffect::from(effect.clone())];
+        let causes = [cause(&Forced { system: model, effects: effect }), cause(&Forced { system: model, effects: listed })];
+        assert_eq!(causes[0], causes[1]);
+        causes[0]
+    };
+    assert_eq!(cause_of(DynEffect::new(Explosion)), Some(Cause::Effect("Explosion")));
+    assert_eq!(cause_of(DynEffect::new(Cubic::default())), None);
+    // Names within the pointer.
+    assert_eq!(cause_of(DynEffect::new((Cubic::default(), OVERFLOWING))), Some(Cause::Effect("Cubic")));
+    assert_eq!(cause_of(DynEffect::new(Named { name: "boom", effect: Explosion })), Some(Cause::Effect("boom")));
+}
+
+/// System of a task behind a pointer, with default derivatives, which use reverse mode.
+struct Around(DynSystem);
+
+impl System for Around {
+    fn state_dim(&self) -> usize {
+        self.0.state_dim()
+    }
+    fn control_dim(&self) -> usize {
+        self.0.control_dim()
+    }
+    fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
+        self.0.step(inputs, next);
+    }
+}
+
+/// Returns the message of the panic of `call`.
+fn panic_of(call: impl FnOnce()) -> String {
+    *std::panic::catch_unwind(std::panic::AssertUnwindSafe(call))
+        .expect_err("the call panics")
+        .downcast::<String>()
+        .expect("a formatted message")
+}
+
+#[test]
+fn a_scalar_outside_of_the_set_of_a_pointer_panics_with_scalar_set_and_advice() {
+    let task = DynTask::new(Upright::double_pendulum());
+    let message = panic_of(|| {
+        let x = [Dual::<f64, 3>::constant(0.1); 4];
+        task.system().step(Inputs::new(&x, &[Dual::constant(0.0)]), &mut [Dual::constant(0.0); 4]);
+    });
+    for part in ["`DynTask` of ", "Upright", "`step` has no instance for", "Dual<f64, 3>", "`Dual<f64, 4>`", "call `step` of"] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
+    let message = panic_of(|| {
+        let number = Lanes::<f64, 8>::splat(0.1);
+        let (mut x_bar, mut u_bar) = ([CotangentPack([number]); 4], [CotangentPack([number])]);
+        let around = Around(DynTask::new(Upright::double_pendulum()).system().clone());
+        around.vjp(Inputs::new(&[number; 4], &[number]), &x_bar.clone(), Cotangents::of(&mut x_bar, &mut u_bar));
+    });
+    assert!(message.contains("Dual<") && message.contains("needs a `vjp` of its own"), "{message}");
+
+    let model = QuantumSystem { grid: 7, ..QuantumSystem::default() };
+    let message = panic_of(|| {
+        let x = [Dual::<f64, 3>::constant(0.1); 14];
+        let inputs = OdeInputs { x: &x, u: &x[..1], p: &[], t: x[0] };
+        DynEffect::new(Explosion).add_forces(&model, inputs, &mut [Dual::constant(0.0); 7]);
+    });
+    for part in ["`DynEffect` of Explosion", "`add_forces` has no instance for", "Dual<f64, 3>", "`Dual<f64, 4>`", "without"] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
 }

@@ -90,7 +90,8 @@ impl<A: Actuator, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, A, R, C> 
         let mut end = state.len();
         let mut out_bar: Controls<C> = SmallVec::from_slice(next_bar.out);
         let mut before_bar: Controls<C> = smallvec![C::null(); m];
-        for (i, (actuator, given)) in chain.iter().zip(given.chunks_exact(m)).enumerate().rev() {
+        for (i, actuator) in chain.iter().enumerate().rev() {
+            let given = &given[i * m..][..m];
             let begin = end - actuator.state_dim(m);
             let cotangents = OutputCotangents { state: &next_bar.state[begin..end], out: &out_bar };
             let here = state_bar.as_deref_mut().map(|state_bar| &mut state_bar[begin..end]);

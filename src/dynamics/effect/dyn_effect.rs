@@ -1,11 +1,14 @@
 //! [`DynEffect`]: any effect behind a pointer.
 
 use super::list::{AddForces, Vjp};
-use super::{Effect, default_effect_vjp, is_finite};
+use super::{Effect, default_effect_vjp};
 use crate::dynamics::inputs::{Cotangents, OdeInputs};
 use crate::dynamics::number::{Numbers, Varied};
 use crate::dynamics::outline::outline;
-use crate::numbers::instances::{CotangentFunction, ScalarFunction, cotangent_pointer, scalar_pointer_of_effect};
+use crate::numbers::instances::{
+    CotangentFunction, EFFECT_SCALARS, RealFunction, SCALARS, ScalarFunction, cotangent_pointer, diagnosis_pointer,
+    scalar_pointer_of_effect,
+};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use std::any::{Any, type_name};
@@ -63,6 +66,8 @@ trait AnyEffect<B>: Debug + Send + Sync {
     fn add_forces(&self, slot: &mut dyn Any);
     /// Writes the pointer of [`Reverse`] for the scalar and the cotangent of `slot`.
     fn vjp(&self, slot: &mut dyn Any);
+    /// Writes the pointer of [`Diagnose`] for the scalar of `slot`.
+    fn diagnose(&self, slot: &mut dyn Any);
 }
 
 impl<B: 'static, E: Effect<B> + 'static> AnyEffect<B> for E {
@@ -90,12 +95,17 @@ impl<B: 'static, E: Effect<B> + 'static> AnyEffect<B> for E {
     fn vjp(&self, slot: &mut dyn Any) {
         cotangent_pointer::<Reverse<E, B>>(slot);
     }
+    fn diagnose(&self, slot: &mut dyn Any) {
+        diagnosis_pointer::<Diagnose<E, B>>(slot);
+    }
 }
 
 /// Pointer to [`Effect::add_forces`]. The first argument is the effect.
 type AddForcesOf<B, T> = fn(&dyn Any, &B, OdeInputs<'_, T>, &mut [T]);
 /// Pointer to [`Effect::vjp`]. The first argument is the effect.
 type VjpOf<B, R, C> = fn(&dyn Any, &B, OdeInputs<'_, R>, &[C], Cotangents<'_, C>);
+/// Pointer to [`Effect::diagnose`]. The first argument is the effect.
+type DiagnoseOf<B, R> = fn(&dyn Any, &B, OdeInputs<'_, R>, usize) -> Option<&'static str>;
 
 /// Outlined [`Effect::add_forces`] of the effect `E`.
 struct Forces<E, B>(PhantomData<(E, B)>);
@@ -121,6 +131,20 @@ impl<B: 'static, E: Effect<B> + 'static> CotangentFunction for Reverse<E, B> {
         |effect, model, inputs, forces_bar, cotangents| {
             let effect = effect.downcast_ref::<E>().expect("the effect that returned the pointer");
             outline::<R>(Vjp { effect, model, inputs, forces_bar, cotangents });
+        }
+    }
+}
+
+/// [`Effect::diagnose`] of the effect `E`.
+struct Diagnose<E, B>(PhantomData<(E, B)>);
+
+impl<B: 'static, E: Effect<B> + 'static> RealFunction for Diagnose<E, B> {
+    type Pointer<R: Real> = DiagnoseOf<B, R>;
+
+    fn pointer<R: Real>() -> Self::Pointer<R> {
+        |effect, model, inputs, forces| {
+            let effect = effect.downcast_ref::<E>().expect("the effect that returned the pointer");
+            effect.diagnose(model, inputs, forces)
         }
     }
 }
@@ -151,7 +175,14 @@ impl<B: 'static> Effect<B> for DynEffect<B> {
     fn add_forces<T: Scalar>(&self, model: &B, inputs: OdeInputs<'_, T>, forces: &mut [T]) {
         let mut slot: Option<AddForcesOf<B, T>> = None;
         self.0.add_forces(&mut slot);
-        let Some(add_forces) = slot else { panic!("a `DynEffect` has no forces for the scalar {}", type_name::<T>()) };
+        let Some(add_forces) = slot else {
+            panic!(
+                "`DynEffect` of {:?}: `add_forces` has no instance for {}, only for {SCALARS}, {EFFECT_SCALARS}. Use one of \
+                 these, or the effect without `DynEffect`",
+                self.0,
+                type_name::<T>()
+            )
+        };
         add_forces(self.0.as_any(), model, inputs, forces);
     }
 
@@ -171,6 +202,8 @@ impl<B: 'static> Effect<B> for DynEffect<B> {
     }
 
     fn diagnose<R: Real>(&self, model: &B, inputs: OdeInputs<'_, R>, forces: usize) -> Option<&'static str> {
-        if is_finite(self, model, inputs, forces) { None } else { Some("an effect of the user") }
+        let mut slot: Option<DiagnoseOf<B, R>> = None;
+        self.0.diagnose(&mut slot);
+        slot.and_then(|diagnose| diagnose(self.0.as_any(), model, inputs, forces))
     }
 }

@@ -168,7 +168,7 @@ macro_rules! any_effect {
             fn diagnose<R: crate::numbers::scalar::Real>(&self, model: &$model, inputs: crate::dynamics::inputs::OdeInputs<'_, R>, forces: usize) -> Option<&'static str> {
                 let name = match self {
                     $(Self::$effect(_) => stringify!($effect),)+
-                    Self::Other(_) => "Other",
+                    Self::Other(effect) => return crate::dynamics::effect::Effect::<$model>::diagnose(effect, model, inputs, forces),
                 };
                 if crate::dynamics::effect::is_finite(self, model, inputs, forces) { None } else { Some(name) }
             }

@@ -10,7 +10,6 @@ use super::{Flow, Pass};
 use crate::engine::rollout::{Lane, WIDTH};
 use crate::numbers::extended::{exponent_of, scaled};
 use crate::numbers::scalar::{CotangentPack, Float, Real};
-use crate::numbers::zip::zip;
 
 /// Exponents of all samples, for `K` flows.
 #[derive(Debug)]
@@ -64,9 +63,9 @@ impl<F: Float, const K: usize> Exponents<F, K> {
         u_bar: &mut [CotangentPack<Lane<F>, K>],
     ) -> Result<(), NonFinite> {
         let Pass { rollout, scale, .. } = *pass;
-        let cotangents =
-            zip(lambda.chunks_exact_mut(rollout.state_dim), u_bar.chunks_exact_mut(rollout.control_dim + rollout.memory_dim));
-        for ((lambda, u_bar), block) in zip(cotangents, &mut self.blocks).take(rollout.samples.div_ceil(WIDTH)) {
+        let (n, outputs) = (rollout.state_dim, rollout.control_dim + rollout.memory_dim);
+        for (index, block) in self.blocks.iter_mut().enumerate().take(rollout.samples.div_ceil(WIDTH)) {
+            let (lambda, u_bar) = (&mut lambda[index * n..][..n], &mut u_bar[index * outputs..][..outputs]);
             for (k, flow) in flows.into_iter().enumerate() {
                 for lane in 0..WIDTH {
                     block.rescale(flow, (k, lane), scale, lambda, u_bar)?;
@@ -185,9 +184,14 @@ impl<F: Float, const K: usize> BlockExponents<F, K> {
     ) -> Result<(), NonFinite> {
         // Sums in the order of `reverse_step`, so that both sizes are bitwise equal. The decision
         // is therefore independent of other samples.
-        let size = u_bar.iter().chain(&*lambda).fold(F::zero(), |size, bar| size + bar.0[k].lane(lane).abs());
+        let sizes = || u_bar.iter().chain(&*lambda).map(|bar| bar.0[k].lane(lane).abs());
+        let mut size = sizes().fold(F::zero(), |sum, size| sum + size);
         if !size.as_().is_finite() {
-            return Err(NonFinite);
+            if sizes().any(|size| !size.as_().is_finite()) {
+                return Err(NonFinite);
+            }
+            // The sum of finite numbers overflows. The largest of them gives an exponent.
+            size = sizes().fold(F::zero(), |largest, size| if size > largest { size } else { largest });
         }
         // The adjoint of S covers one step, so it cannot explode or vanish.
         let carries = [flow.physics, flow.control, flow.memory].iter().any(|&weight| weight != 0.0);
