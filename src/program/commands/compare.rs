@@ -1,9 +1,12 @@
 //! `physgrad compare`: one training configuration with several fields and seeds, side by side.
 
 use crate::Field;
+use crate::numbers::text::short;
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::{Folder, SETTINGS};
-use crate::program::platform::terminal::{counted, print_result};
+use crate::program::platform::json::{print_json, rows};
+use crate::program::platform::table::Table;
+use crate::program::platform::terminal::{counted, print_message, print_text};
 use crate::program::runs::run::threads;
 use crate::program::runs::statistics::{self, Outcome, best, by_field, curves, field_label, quantile, sorted};
 use crate::program::runs::sweep::{Comparison, check_distinct, check_options, check_sessions, sweep};
@@ -14,8 +17,7 @@ use crate::program::settings::FieldName;
 use crate::program::tasks::Scene;
 use crate::report::{Curve, Drawing, Series, comparison, field_color, settings};
 use anyhow::{Result, bail};
-use comfy_table::Table;
-use comfy_table::presets::UTF8_FULL_CONDENSED;
+use serde_json::json;
 use std::path::PathBuf;
 use toml::Value;
 
@@ -24,6 +26,9 @@ use toml::Value;
 ///
 /// `--set KEY=VALUE,VALUE` and a section `[sweep]` train every combination of values.
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  physgrad compare cart_pole --fields R,M,S,C --seeds 3 -o runs/fields\n  physgrad compare cart_pole --set training.learning_rate=0.001,0.01 --fields C\n  physgrad compare a.toml b.toml --fields C"
+)]
 #[command(mut_arg("field", |arg| arg.hide(true)))]
 pub struct Compare {
     /// A task or another preset (see `physgrad scene`), or the path of a scene; several scenes are
@@ -42,11 +47,17 @@ pub struct Compare {
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
     /// Folder for the results; runs already in it are resumed [default: a new one in `runs`]
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+    /// Require that --out holds runs of this comparison, and resume them
+    #[arg(long, requires = "out")]
+    pub resume: bool,
     /// Print only warnings and errors
-    #[arg(long)]
+    #[arg(short, long)]
     pub quiet: bool,
+    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Runs the command.
@@ -62,6 +73,11 @@ pub fn compare(args: &Compare) -> Result<()> {
         check_options(&args.fields, args.seeds, case.scene.epochs)?;
     }
     threads(args.threads)?;
+    if !args.quiet
+        && let Some(note) = cases.iter().find_map(|case| case.scene.large_batch())
+    {
+        print_message(&note);
+    }
     check_sessions(cases.iter().map(|case| &case.scene), &args.fields)?;
     let folder = Folder::named(args.out.as_deref(), &format!("compare-{}", names.join("-")))?;
     if folder.has(SETTINGS) {
@@ -74,14 +90,19 @@ pub fn compare(args: &Compare) -> Result<()> {
         let inner = if one { Folder::clone(&folder) } else { Folder::at(folder.file(name)) };
         comparisons.push(Comparison::plan(name, scene, &args.fields, args.seeds, &inner)?);
     }
+    if args.resume && !comparisons.iter().any(Comparison::has_runs) {
+        bail!("there is no run to resume in {}; omit --resume to start", folder.path().display());
+    }
     let swept = sweep(&mut comparisons, args.quiet)?;
     if swept.interrupted {
-        let _ = print_result(&format!("interrupted; to resume, repeat the command with --out {}", folder.path().display()));
+        let text = format!("interrupted; to resume, repeat the command with --out {}", folder.path().display());
+        let _ = if args.json { Ok(print_message(&text)) } else { print_text(&text) };
         return swept.into_result();
     }
     let finished: Vec<Finished> =
         cases.iter().zip(&comparisons).map(|(case, comparison)| Finished { case, runs: comparison.outcomes() }).collect();
-    folder.write("summary.csv", summary(&finished)?)?;
+    let runs = summary(&finished)?;
+    folder.write("summary.csv", &runs)?;
     let title = format!("{}, {}", names.join(", "), counted(args.seeds as usize, "seed"));
     let mut files = vec!["summary.csv"];
     if finished.len() <= MAX_CURVES {
@@ -93,9 +114,11 @@ pub fn compare(args: &Compare) -> Result<()> {
         files.push("sweep.svg");
     }
     files.push(if one { "all runs in runs/" } else { "one folder per case" });
-    if !args.quiet {
-        print_result(&format!("{}{}", table(&finished), lowest(&finished)))?;
-        print_result(&format!("results in {}: {}", folder.path().display(), files.join(", ")))?;
+    if args.json {
+        print_json(&json!({ "folder": folder.path(), "runs": rows(&runs)? }))?;
+    } else if !args.quiet {
+        print_text(&format!("{}\n{}{}", table(&finished), statistics::TABLE_NOTE, lowest(&finished)))?;
+        print_text(&format!("results in {}: {}", folder.path().display(), files.join(", ")))?;
     }
     swept.into_result()
 }
@@ -227,19 +250,20 @@ fn lowest(cases: &[Finished]) -> String {
     let all =
         cases.iter().flat_map(|finished| fields(finished).into_iter().map(|(loss, field)| (loss, &finished.case.name, field)));
     match all.filter(|(loss, ..)| !loss.is_nan()).min_by(|a, b| a.0.total_cmp(&b.0)) {
-        Some((loss, case, field)) if cases.len() > 1 => format!("\nlowest median final test loss: {case}, {field}: {loss:.4}"),
+        Some((loss, case, field)) if cases.len() > 1 => {
+            format!("\nlowest median final test loss: {case}, {field}: {}", short(loss))
+        }
         _ => String::new(),
     }
 }
 
 fn table(cases: &[Finished]) -> Table {
-    let mut table = Table::new();
     let several = cases.len() > 1;
     let header = ["case"].into_iter().chain(statistics::TABLE_HEADER).skip(usize::from(!several));
-    table.load_style(UTF8_FULL_CONDENSED).set_header(header);
+    let mut table = Table::new(header).optional(&statistics::OPTIONAL);
     for Finished { case, runs } in cases {
         for row in statistics::table(runs) {
-            table.add_row([case.name.clone()].into_iter().chain(row).skip(usize::from(!several)));
+            table.row([case.name.replace('+', " ")].into_iter().chain(row).skip(usize::from(!several)));
         }
     }
     table

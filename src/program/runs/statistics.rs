@@ -1,5 +1,6 @@
 //! Statistics over runs with several seeds: medians, quantiles and learning curves.
 
+use crate::numbers::text::short;
 use crate::report::{Curve, Point, field_color};
 use crate::{Field, Record};
 
@@ -55,8 +56,15 @@ pub fn curves(runs: &[Outcome], loss: fn(&Record) -> f64) -> Vec<Curve> {
     by_field(runs).map(curve).collect()
 }
 
-pub const TABLE_HEADER: [&str; 8] =
-    ["field", "seeds", "failed", "median final test loss", "lowest", "highest", "median best", "median seconds"];
+/// Header of [`table`].
+pub const TABLE_HEADER: [&str; 8] = ["field", "seeds", "failed", "test loss", "lowest", "highest", "best", "seconds"];
+
+/// Columns that a narrow terminal omits.
+pub const OPTIONAL: [&str; 6] = ["best", "seeds", "failed", "highest", "lowest", "seconds"];
+
+/// Explanation of the table.
+pub const TABLE_NOTE: &str =
+    "test loss of the last epoch: median, lowest and highest over the seeds; medians of best loss and seconds";
 
 /// One row per field, with medians over the seeds. NaN ranks above every number.
 pub fn table(runs: &[Outcome]) -> Vec<[String; 8]> {
@@ -67,10 +75,10 @@ pub fn table(runs: &[Outcome]) -> Vec<[String; 8]> {
             field.to_string(),
             runs.len().to_string(),
             runs.iter().filter(|run| run.failed).count().to_string(),
-            format!("{:.3e}", quantile(&last, 0.5)),
-            format!("{:.3e}", last[0]),
-            format!("{:.3e}", last[last.len() - 1]),
-            format!("{:.3e}", median(&|run| best(run.records))),
+            short(quantile(&last, 0.5)),
+            short(last[0]),
+            short(last[last.len() - 1]),
+            short(median(&|run| best(run.records))),
             format!("{:.1}", median(&|run| run.seconds())),
         ]
     };
