@@ -137,7 +137,7 @@ pub use program::program;
 pub use train::field::{Field, GradientCombiner, SignAgreement, UnknownField};
 pub use train::optim::{Clip, Optimizer, OptimizerKind};
 pub use train::{
-    CheckpointError, Decay, Record, Report, Session, Skip, TrainError, Trainer, Training, differences, vector_field,
+    CheckpointError, Decay, Record, Report, Session, Skip, TrainError, Trainer, Training, Warning, differences, vector_field,
 };
 
 /// Imports for a file that defines a system and trains a controller for it.

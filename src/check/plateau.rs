@@ -7,6 +7,7 @@ use crate::engine::any::AnyTask;
 use crate::engine::batch::Batch;
 use crate::engine::divergence::Divergence;
 use crate::numbers::rng::{Purpose, stream};
+use crate::numbers::text::rough;
 use crate::policy::{Policy, Weights};
 use std::fmt;
 
@@ -41,13 +42,14 @@ impl Plateau {
 impl fmt::Display for Plateau {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { loss, gradient, lowest_nearby, gradient_nearby } = self;
-        let numbers = format!("a gradient of {gradient:.1e}, and up to {gradient_nearby:.1e} at parameters {AWAY} away");
+        let (here, nearby) = (rough(*gradient), rough(*gradient_nearby));
+        let numbers = format!("a gradient of {here}, and up to {nearby} at parameters {AWAY} away");
         if self.is_stuck() {
             write!(
                 f,
-                "a plateau: {numbers}, where the loss is lower by {:.1e}. The gradient here is rounding. Start from other \
+                "a plateau: {numbers}, where the loss is lower by {}. The gradient here is rounding. Start from other \
                  parameters, with output weights that are not zero, or from other initial states",
-                loss - lowest_nearby
+                rough(loss - lowest_nearby)
             )
         } else if *gradient == 0.0 && *gradient_nearby == 0.0 {
             write!(f, "flat: {numbers}")

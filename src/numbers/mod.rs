@@ -9,6 +9,7 @@
 //! - [`kernels`]: matrix products and elementwise operations, dispatched by instruction set at run
 //!   time; tanh, sine and cosine. Contains the only unsafe code of the library.
 //! - [`rng`]: seeded random streams.
+//! - [`text`]: numbers in messages and tables.
 //! - [`aligned`], [`pool`]: buffers. [`zip`]: an iterator that is always inlined.
 //!
 //! Imports no other module of the crate; every other module may import it. Start reading in
@@ -25,4 +26,5 @@ pub(crate) mod reverse_mode;
 pub mod rng;
 pub(crate) mod scalar;
 pub(crate) mod tape;
+pub(crate) mod text;
 pub(crate) mod zip;

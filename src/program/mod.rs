@@ -6,7 +6,7 @@
 //! Layers. Each imports only layers with smaller numbers; `tests/layout.rs` lists the allowed
 //! imports:
 //!
-//! 1. `platform`: files, folders, locks, signals, threads, terminal, CSV.
+//! 1. `platform`: files, folders, locks, signals, tables, threads, terminal, CSV, JSON.
 //! 2. `settings`: sections of a scene, errors in settings.
 //! 3. `operations`: computations on any task, generic over the policy.
 //! 4. `tasks`: built-in tasks; `Scene`, independent of the type of its task.
@@ -28,10 +28,10 @@ mod settings;
 mod tasks;
 
 use anyhow::Result;
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use commands::{
-    accuracy, animate, check, compare, effects, eval, explain, export, identify, new, optimize, paper, print, report, robust,
-    stress, train,
+    accuracy, animate, check, compare, completions, effects, eval, explain, export, identify, new, optimize, paper, print,
+    report, robust, stress, train,
 };
 use platform::signals;
 use platform::terminal::print_message;
@@ -75,6 +75,7 @@ enum Command {
     Accuracy(accuracy::Accuracy),
     Stress(stress::Stress),
     Effects(effects::Effects),
+    Completions(completions::Completions),
     #[cfg(feature = "fuzz")]
     #[command(hide = true)]
     Fuzz(commands::fuzz::Fuzz),
@@ -198,6 +199,7 @@ fn execute(command: &Command) -> Result<()> {
         Command::Schema(args) => print::schema(args),
         Command::Explain(args) => explain::explain(args),
         Command::Effects(args) => effects::effects(args),
+        Command::Completions(args) => completions::completions(args, Arguments::command()),
         #[cfg(feature = "fuzz")]
         Command::Fuzz(args) => commands::fuzz::fuzz(args),
     }
@@ -212,5 +214,37 @@ fn default_run() -> Command {
         resume: false,
         save_every: run::SAVE_EVERY.as_secs_f64(),
         quiet: false,
+        json: false,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_command_has_examples_and_the_program_parses_them() {
+        for command in Arguments::command().get_subcommands().filter(|command| !command.is_hide_set()) {
+            let name = command.get_name();
+            let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+            let examples: Vec<&str> = help.lines().filter_map(|line| line.strip_prefix("  ")).collect();
+            assert!(!examples.is_empty(), "{name} has no example");
+            for example in examples {
+                assert!(example.starts_with(&format!("physgrad {name}")), "{example}");
+                let parsed = Arguments::try_parse_from(example.split(' '));
+                assert!(parsed.is_ok(), "{example}: {}", parsed.expect_err("an error"));
+            }
+        }
+    }
+
+    #[test]
+    fn out_and_quiet_have_the_short_options_o_and_q_in_every_command() {
+        for command in Arguments::command().get_subcommands() {
+            for (long, short) in [("out", 'o'), ("quiet", 'q')] {
+                let option = command.get_arguments().find(|argument| argument.get_long() == Some(long));
+                let found = option.map_or(Some(short), clap::Arg::get_short);
+                assert_eq!(found, Some(short), "--{long} of {}", command.get_name());
+            }
+        }
+    }
 }

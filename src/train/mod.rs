@@ -25,6 +25,7 @@ pub use checkpoint::{CheckpointError, differences};
 pub use decay::Decay;
 pub use record::{Record, Skip};
 pub use session::Session;
+pub use warnings::Warning;
 
 use crate::dynamics::task::Task;
 use crate::engine::initial_states::initial_states;

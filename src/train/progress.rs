@@ -1,7 +1,6 @@
 //! [`Progress`]: the training loop, independent of the types of task, policy and field.
 
 use super::record::{Means, Record, Skip, Step};
-use super::warnings::KINDS;
 use super::{TrainError, Training};
 use crate::engine::adjoint::Flow;
 use crate::engine::any::AnyTask;
@@ -91,7 +90,7 @@ pub(super) struct Progress<F: Float> {
     /// Non-finite numbers in the last evaluation of the training set and of the test set.
     pub(super) diverged: [Option<Divergence>; 2],
     /// Kinds of warnings that were returned.
-    pub(super) warned: [bool; KINDS],
+    pub(super) warned: Vec<&'static str>,
     flows: Vec<Flow>,
     pub(super) batch: Batch<F>,
     evaluation: Evaluation<F>,
@@ -134,7 +133,7 @@ impl<F: Float> Progress<F> {
             before: Snapshot { theta: weights.theta().to_vec(), optimizer: optimizer.clone(), skipped_in_a_row: 0 },
             epoch: None,
             diverged: [None; 2],
-            warned: [false; KINDS],
+            warned: Vec::new(),
             optimizer,
             order: (0..train.len() / n).collect(),
             starts: Vec::with_capacity(samples * n),

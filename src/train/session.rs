@@ -2,6 +2,7 @@
 
 use super::checkpoint;
 use super::progress::{Progress, Trained};
+use super::warnings::Warning;
 use super::{CheckpointError, Record, Report, Skip, TrainError, Training};
 use crate::dynamics::task::Task;
 use crate::engine::divergence::Divergence;
@@ -98,6 +99,11 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     ///
     /// Empty within an epoch. [`Trainer::run`](crate::Trainer::run) prints them.
     pub fn warnings(&mut self) -> Vec<String> {
+        self.progress.new_warnings(self.task.horizon()).iter().map(Warning::to_string).collect()
+    }
+
+    /// All [`warnings`](Self::warnings) about the last epoch, also of kinds that earlier epochs had.
+    pub fn epoch_warnings(&self) -> Vec<Warning> {
         self.progress.warnings(self.task.horizon())
     }
 

@@ -3,22 +3,47 @@
 use super::progress::Progress;
 use super::record::Skip;
 use crate::numbers::scalar::Float;
-use std::mem::replace;
+use std::fmt;
 
-/// Number of kinds of warnings.
-pub(super) const KINDS: usize = 7;
+/// Warning about an epoch. Its text is the epoch and the cause.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Warning {
+    /// Number of the epoch, from 1.
+    pub epoch: usize,
+    /// Kind of the cause. Causes of one kind differ in numbers between epochs.
+    pub kind: &'static str,
+    /// Cause and remedy.
+    pub cause: String,
+}
+
+impl fmt::Display for Warning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "epoch {}: {}", self.epoch, self.cause)
+    }
+}
+
+/// Kinds of warnings, in the order of their reports.
+const KINDS: [&str; 7] =
+    ["some skipped", "all skipped", "training loss", "test loss", "growth of R", "growth of M", "field of 0"];
 
 impl<F: Float> Progress<F> {
-    /// Returns the warnings about the last epoch of kinds that no earlier call returned. Warnings
-    /// contain numbers that differ between epochs, so their texts cannot be compared.
-    pub(super) fn warnings(&mut self, horizon: usize) -> Vec<String> {
+    /// Warnings about the last epoch of kinds that no earlier call returned.
+    pub(super) fn new_warnings(&mut self, horizon: usize) -> Vec<Warning> {
+        let mut warnings = self.warnings(horizon);
+        warnings.retain(|warning| !self.warned.contains(&warning.kind));
+        self.warned.extend(warnings.iter().map(|warning| warning.kind));
+        warnings
+    }
+
+    /// All warnings about the last epoch.
+    pub(super) fn warnings(&self, horizon: usize) -> Vec<Warning> {
         let updates = self.updates_per_epoch();
         let Some(record) = self.records.last().filter(|_| self.epoch.is_none()) else { return Vec::new() };
         let [some_skipped, all_skipped] = skipped(&self.skips, updates);
         let [train, test] = self.diverged;
         let loss = |set, divergence| format!("the {set} loss is not finite ({divergence})");
         let [regular, modified, zero] = record.gradient_warnings(horizon, F::EPSILON);
-        let texts: [Option<String>; KINDS] = [
+        let causes: [Option<String>; KINDS.len()] = [
             some_skipped,
             all_skipped,
             train.map(|divergence| loss("training", divergence)),
@@ -27,8 +52,8 @@ impl<F: Float> Progress<F> {
             modified,
             zero,
         ];
-        let new = texts.into_iter().zip(&mut self.warned).filter_map(|(text, warned)| text.filter(|_| !replace(warned, true)));
-        new.map(|text| format!("epoch {}: {text}", record.epoch)).collect()
+        let warning = |(kind, cause): (&'static str, Option<String>)| Some(Warning { epoch: record.epoch, kind, cause: cause? });
+        KINDS.into_iter().zip(causes).filter_map(warning).collect()
     }
 }
 

@@ -6,17 +6,20 @@ mod gradients;
 mod outputs;
 mod row;
 
+use crate::numbers::text::{rough, short};
 use crate::program::operations::simulation::{Job, Simulated};
 use crate::program::platform::folder::Folder;
-use crate::program::platform::terminal::{print_message, print_result};
+use crate::program::platform::json::{self, print_json};
+use crate::program::platform::terminal::{print_message, print_result, print_text, progress_bar};
 use crate::program::scenes::overrides::{Overrides, hide_training};
 use crate::program::scenes::presets;
 use crate::program::scenes::source::SceneSource;
 use crate::program::settings::Precision;
 use crate::program::tasks::Scene;
 use anyhow::{Context, Result, bail};
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use row::{Errors, Row, Setting};
+use serde_json::json;
 use std::path::PathBuf;
 use toml::Value;
 
@@ -27,6 +30,9 @@ use toml::Value;
 /// many steps. The policy has the initial parameters of the scene, with a nonzero output layer. A
 /// rollout has eight samples and runs on one thread.
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  physgrad accuracy my_scene.toml --target 1e-4\n  physgrad accuracy cart_pole --target 0.01 --metric r\n  physgrad accuracy cart_pole --gradients"
+)]
 #[command(mut_args(hide_training))]
 pub struct Accuracy {
     /// A task, a preset (see `physgrad scene`), or the path of a scene
@@ -48,11 +54,14 @@ pub struct Accuracy {
           default_values_t = [10, 32, 100, 316, 1000, 3162, 10_000, 31_623, 100_000])]
     pub horizons: Vec<usize>,
     /// Folder for the results [default: a new one in `runs`]
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Print only the results
-    #[arg(long)]
+    #[arg(short, long)]
     pub quiet: bool,
+    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Error measure of `--target`.
@@ -120,7 +129,7 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     let study = Study { scene, given, source };
     if args.gradients {
         let horizons = gradients::parse(&args.horizons)?;
-        return gradients::gradients(&study, &name, &*folder()?, &horizons, args.quiet);
+        return gradients::gradients(&study, &name, &*folder()?, &horizons, [args.quiet, args.json]);
     }
     let refined = Setting { method: "native", substeps: 2, precision: Precision::F64 };
     refined.of(&study.source).context("accuracy varies the time step, which this task does not support; choose another task")?;
@@ -157,9 +166,14 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
         .collect();
     let folder = folder()?;
     let conserved = conserved.map(|conserved| conserved.name);
-    outputs::write(&folder, &name, &check, conserved, &rows)?;
-    print_result(&outputs::summary(&rows, &check, conserved))?;
-    print_result(&format!("results in {}: accuracy.csv, accuracy.svg, accuracy.md", folder.path().display()))?;
+    let list = outputs::write(&folder, &name, &check, conserved, &rows)?;
+    if args.json {
+        let cheapest = args.target.and_then(|target| cheapest(rows.iter(), args.metric, target));
+        let cheapest = cheapest.map(|(row, error)| json!({ "setting": row.setting.name(), "error": error }));
+        return print_json(&json!({ "folder": folder.path(), "settings": json::rows(&list)?, "cheapest": cheapest }));
+    }
+    print_text(&outputs::summary(&rows, &check, conserved))?;
+    print_text(&format!("results in {}: accuracy.csv, accuracy.svg, accuracy.md", folder.path().display()))?;
     let Some(target) = args.target else { return Ok(()) };
     let scenes = study.scenes(&rows, args.metric, target)?;
     if !scenes.is_empty() {
@@ -167,19 +181,14 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
         for (method, scene) in scenes {
             inner.write(&format!("{method}.toml"), scene.table.to_string())?;
         }
-        print_result(&format!("scenes with the cheapest setting of each method are in {}", inner.path().display()))?;
+        print_text(&format!("scenes with the cheapest setting of each method are in {}", inner.path().display()))?;
     }
     name_cheapest(&rows, args.metric, target)
 }
 
 /// Progress bar with the given number of steps.
 fn bar(steps: usize, quiet: bool) -> ProgressBar {
-    let bar = ProgressBar::new(steps as u64);
-    if quiet {
-        bar.set_draw_target(indicatif::ProgressDrawTarget::hidden());
-    }
-    bar.set_style(ProgressStyle::with_template("{bar:30} {msg}  elapsed {elapsed}, ETA {eta}").expect("a fixed template"));
-    bar
+    progress_bar(steps, "{bar:20} {msg}  {elapsed}, ETA {eta}", quiet)
 }
 
 /// Scene whose integrator and precision are varied.
@@ -253,15 +262,15 @@ fn cheapest<'a>(rows: impl Iterator<Item = &'a Row>, metric: Metric, target: f64
 fn name_cheapest(rows: &[Row], metric: Metric, target: f64) -> Result<()> {
     let finite = || rows.iter().filter_map(|row| Some((row, metric.read(row.errors.as_ref().ok()?))));
     if let Some((row, error)) = cheapest(rows.iter(), metric, target) {
-        print_result(&format!(
-            "\nthe cheapest setting with an error of the {} of at most {target:e} is {}: error {error:.1e}, {:.3} µs per step \
-             and sample; its lines in a scene file:\n\n{}",
+        print_text(&format!(
+            "\nthe cheapest setting with an error of the {} of at most {target:e} is {}: error {}, {} µs per step \
+             and sample; its lines in a scene file:\n",
             metric.name(),
             row.setting.name(),
-            metric.time(row) * 1e6,
-            row.setting.lines()
+            rough(error),
+            short(metric.time(row) * 1e6),
         ))?;
-        return Ok(());
+        return print_result(&row.setting.lines());
     }
     let best = finite().min_by(|a, b| a.1.total_cmp(&b.1));
     let Some((row, error)) = best else {
@@ -274,8 +283,9 @@ fn name_cheapest(rows: &[Row], metric: Metric, target: f64) -> Result<()> {
         Precision::F64 => "use more substeps than those tried here, or choose a larger target",
     };
     bail!(
-        "--target {target:e}: no setting reaches this error of the {}; the most accurate is {}, with {error:.1e}: {advice}",
+        "--target {target:e}: no setting reaches this error of the {}; the most accurate is {}, with {}: {advice}",
         metric.name(),
-        row.setting.name()
+        row.setting.name(),
+        rough(error)
     )
 }

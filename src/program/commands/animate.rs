@@ -10,6 +10,7 @@ use std::path::PathBuf;
 
 /// Animate a trained policy, from an initial state of the test set.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  physgrad animate runs/one --sample 7")]
 pub struct Animate {
     /// Folder of a run or of a comparison; for a comparison, animate every run, with one scale per
     /// scene
@@ -18,7 +19,7 @@ pub struct Animate {
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub sample: usize,
     /// Print only warnings and errors
-    #[arg(long)]
+    #[arg(short, long)]
     pub quiet: bool,
 }
 

@@ -2,11 +2,13 @@
 
 use crate::check::Stability;
 use crate::program::operations::checks::{Amplification, Results};
-use crate::program::platform::terminal::print_result;
+use crate::program::platform::json::print_json;
+use crate::program::platform::terminal::print_text;
 use crate::program::scenes::presets;
 use crate::program::scenes::source::SceneSource;
 use crate::program::tasks::{self, Scene};
 use anyhow::{Result, bail};
+use serde_json::json;
 use toml::Value;
 
 /// Check the gradients of systems, policies and whole rollouts against dual numbers.
@@ -14,10 +16,14 @@ use toml::Value;
 /// For a named task or scene, also check the stability of the time step in states of test rollouts,
 /// and the slope of the loss at the initial parameters.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  physgrad check\n  physgrad check my_scene.toml")]
 pub struct Check {
     /// A task, a preset (see `physgrad scene`), or the path of a scene
     /// [default: all tasks, and each task of the paper with effects]
     pub scene: Option<String>,
+    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Runs the command.
@@ -28,16 +34,21 @@ pub fn check(args: &Check) -> Result<()> {
         scene.check(&variant, &mut results);
     }
     let (table, failures) = results.finish();
-    print_result(&table.to_string())?;
-    print_result("errors in f64 against dual numbers, relative to the largest component")?;
+    let mut notes = Vec::new();
     if let Some(name) = &args.scene {
         let source = presets::source(name)?;
         let scene = source.scene()?;
-        print_result(&stability(&scene, source)?)?;
-        print_result(&match scene.plateau() {
+        notes.push(stability(&scene, source)?);
+        notes.push(match scene.plateau() {
             Ok(plateau) => format!("loss at the initial parameters: {plateau}"),
             Err(divergence) => format!("loss at the initial parameters: {divergence}"),
-        })?;
+        });
+    }
+    if args.json {
+        print_json(&json!({ "checks": table.objects(), "notes": notes, "failures": failures }))?;
+    } else {
+        print_text(&format!("{table}\nerrors in f64 against dual numbers, relative to the largest component"))?;
+        notes.iter().try_for_each(|note| print_text(note))?;
     }
     if failures.is_empty() {
         return Ok(());

@@ -3,9 +3,13 @@
 mod sweep;
 
 use crate::program::platform::folder::{Folder, SETTINGS};
-use crate::program::platform::terminal::{counted, print_result};
+use crate::program::platform::json::{print_json, rows};
+use crate::program::platform::table::Table;
+use crate::program::platform::terminal::{counted, print_message, print_text};
 use crate::program::runs::run::threads;
-use crate::program::runs::statistics::{InScene, MAX_DASHED, curves, curves_of_scenes, table_header, table_of_scenes};
+use crate::program::runs::statistics::{
+    InScene, MAX_DASHED, OPTIONAL, TABLE_NOTE, curves, curves_of_scenes, table_header, table_of_scenes,
+};
 use crate::program::runs::sweep::{Comparison, check_distinct, check_options, check_sessions, sweep};
 use crate::program::scenes::overrides::{Overrides, take_several};
 use crate::program::scenes::presets;
@@ -14,8 +18,7 @@ use crate::program::settings::FieldName;
 use crate::program::tasks::Scene;
 use crate::report::{Abscissa, Case, Drawing, comparison, study};
 use anyhow::{Result, bail};
-use comfy_table::Table;
-use comfy_table::presets::UTF8_FULL_CONDENSED;
+use serde_json::json;
 use std::path::PathBuf;
 
 /// Train with several fields and seeds, and compare the results; in one scene or in several, which
@@ -23,6 +26,9 @@ use std::path::PathBuf;
 ///
 /// `--set KEY=VALUE,VALUE` and a section `[sweep]` train every combination of values.
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  physgrad compare cart_pole --fields R,M,S,C --seeds 3 -o runs/fields\n  physgrad compare cart_pole --set training.learning_rate=0.001,0.01 --fields C\n  physgrad compare a.toml b.toml --fields C"
+)]
 #[command(mut_arg("field", |arg| arg.hide(true)))]
 pub struct Compare {
     /// A task or another preset (see `physgrad scene`), or the path of a scene; several scenes are
@@ -41,11 +47,17 @@ pub struct Compare {
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
     /// Folder for the results; runs already in it are resumed [default: a new one in `runs`]
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+    /// Require that --out holds runs of this comparison, and resume them
+    #[arg(long, requires = "out")]
+    pub resume: bool,
     /// Print only warnings and errors
-    #[arg(long)]
+    #[arg(short, long)]
     pub quiet: bool,
+    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Runs the command.
@@ -61,6 +73,11 @@ pub fn compare(args: &Compare) -> Result<()> {
         check_options(&args.fields, args.seeds, point.scene.epochs)?;
     }
     threads(args.threads)?;
+    if !args.quiet
+        && let Some(note) = points.iter().find_map(|point| point.scene.large_batch())
+    {
+        print_message(&note);
+    }
     check_sessions(points.iter().map(|point| &point.scene), &args.fields)?;
     let folder = Folder::named(args.out.as_deref(), &format!("compare-{}", names.join("-")))?;
     if folder.has(SETTINGS) {
@@ -73,9 +90,13 @@ pub fn compare(args: &Compare) -> Result<()> {
         let inner = if one { Folder::clone(&folder) } else { Folder::at(folder.file(name)) };
         comparisons.push(Comparison::plan(name, scene, &args.fields, args.seeds, &inner)?);
     }
+    if args.resume && !comparisons.iter().any(Comparison::has_runs) {
+        bail!("there is no run to resume in {}; omit --resume to start", folder.path().display());
+    }
     let swept = sweep(&mut comparisons, args.quiet)?;
     if swept.interrupted {
-        let _ = print_result(&format!("interrupted; to resume, repeat the command with --out {}", folder.path().display()));
+        let text = format!("interrupted; to resume, repeat the command with --out {}", folder.path().display());
+        let _ = if args.json { Ok(print_message(&text)) } else { print_text(&text) };
         return swept.into_result();
     }
     let scenes: Vec<InScene> = points
@@ -83,7 +104,8 @@ pub fn compare(args: &Compare) -> Result<()> {
         .zip(&comparisons)
         .map(|(point, comparison)| InScene { name: &point.name, runs: comparison.outcomes() })
         .collect();
-    folder.write("summary.csv", sweep::summary(&points, &scenes)?)?;
+    let runs = sweep::summary(&points, &scenes)?;
+    folder.write("summary.csv", &runs)?;
     let title = format!("{}, {}", names.join(", "), counted(args.seeds as usize, "seed"));
     let mut files = vec!["summary.csv"];
     if scenes.len() <= MAX_PANELS {
@@ -96,9 +118,13 @@ pub fn compare(args: &Compare) -> Result<()> {
         files.push("sweep.svg");
     }
     files.push(if one { "all runs in runs/" } else { "one folder per scene" });
-    if !args.quiet {
-        print_result(&format!("{}{}", table(&scenes), sweep::lowest(&scenes)))?;
-        print_result(&format!("results in {}: {}", folder.path().display(), files.join(", ")))?;
+    if args.json {
+        print_json(&json!({ "folder": folder.path(), "runs": rows(&runs)? }))?;
+    } else if !args.quiet {
+        let mut table = Table::new(table_header(&scenes)).optional(&OPTIONAL);
+        table_of_scenes(&scenes).into_iter().for_each(|row| table.row(row));
+        print_text(&format!("{table}\n{TABLE_NOTE}{}", sweep::lowest(&scenes)))?;
+        print_text(&format!("results in {}: {}", folder.path().display(), files.join(", ")))?;
     }
     swept.into_result()
 }
@@ -158,11 +184,4 @@ fn picture(title: &str, scenes: &[InScene], one_task: bool) -> Drawing {
     let rows = scenes.chunks(columns).enumerate();
     let rows = rows.flat_map(|(i, scenes)| [Abscissa::Epoch, Abscissa::Seconds].map(|x| row(x, i * columns, scenes)));
     study(title, &rows.collect::<Vec<_>>())
-}
-
-fn table(scenes: &[InScene]) -> Table {
-    let mut table = Table::new();
-    table.load_style(UTF8_FULL_CONDENSED).set_header(table_header(scenes));
-    table.add_rows(table_of_scenes(scenes));
-    table
 }

@@ -1,21 +1,29 @@
 //! `physgrad effects`: the reference page of all effects.
 
 use crate::Ops;
-use crate::program::platform::terminal::{did_you_mean, print_result};
+use crate::program::platform::json::print_json;
+use crate::program::platform::terminal::{did_you_mean, print_result, wrapped};
 use crate::program::settings::{ACTUATORS, Info};
 use crate::program::tasks::{self, AnyTaskSpec};
 use anyhow::{Result, bail};
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::fmt::Write;
 use toml::Table;
 
 /// Print the reference page of all effects, in Markdown: equation, parameters with units and
 /// defaults, derivative, cost.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  physgrad effects steady_wind")]
 pub struct Effects {
     /// An effect or a part of the actuator [default: the whole page]
     pub effect: Option<String>,
+    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    #[arg(long)]
+    pub json: bool,
 }
+
+/// Width of a paragraph.
+const WIDTH: usize = 100;
 
 const HEAD: &str = "\
 # Effects
@@ -36,6 +44,9 @@ jumps at a point, and the value of one side is used.
 
 /// Runs the command.
 pub fn effects(args: &Effects) -> Result<()> {
+    if args.json {
+        return print_json(&json!({ "effects": objects(args.effect.as_deref())? }));
+    }
     let page = page()?;
     let Some(name) = &args.effect else { return print_result(page.trim_end()) };
     let entries = page.split("\n### ").skip(1);
@@ -50,16 +61,34 @@ pub fn effects(args: &Effects) -> Result<()> {
     found.into_iter().try_for_each(|entry| print_result(&format!("### {}", entry.trim_end())))
 }
 
+/// One object per effect and task, or only those of one name.
+fn objects(name: Option<&str>) -> Result<Vec<Value>> {
+    let all = tasks::all().iter().flat_map(|&task| task.effects().into_iter().map(move |info| (task, "effects", info)));
+    let actuators = ACTUATORS.iter().map(|&info| (tasks::all()[0], "actuator", info));
+    let chosen = all.chain(actuators).filter(|(.., info)| name.is_none_or(|name| name == info.name));
+    let object = |(task, section, info): (&'static dyn AnyTaskSpec, &str, Info)| {
+        let [step, vjp] = cost(task, section, info.name)?.map(|ops| ops.total());
+        let schema = task.schema()["properties"][section]["properties"][info.name].clone();
+        let Info { name, equation, derivative } = info;
+        Ok(json!({
+            "name": name, "task": task.name(), "section": section, "equation": equation, "derivative": derivative,
+            "step": step, "vjp": vjp, "schema": schema,
+        }))
+    };
+    chosen.map(object).collect()
+}
+
 fn page() -> Result<String> {
     let mut page = HEAD.to_owned();
     for &kind in tasks::all().iter().filter(|kind| !kind.effects().is_empty()) {
-        let intro = wrapped(&format!("{} {}", sentence(kind.about()), symbols(kind.name())));
+        let intro = wrapped(&format!("{} {}", sentence(kind.about()), symbols(kind.name())), WIDTH);
         let _ = writeln!(page, "\n## {}\n\n{intro}\n", kind.name());
         section(&mut page, kind, "effects", &kind.effects())?;
     }
     let actuators = wrapped(
         "Available in every task, except `delay` and `lag` in `quantum`. They map the policy's control u to the control u' that \
          the physics receives, in this order. Their state starts at 0. Costs are for cart_pole, which has one control.",
+        WIDTH,
     );
     let _ = writeln!(page, "\n## Actuators\n\n{actuators}\n");
     section(&mut page, tasks::all()[0], "actuator", &ACTUATORS)?;
@@ -80,7 +109,7 @@ fn section(page: &mut String, kind: &'static dyn AnyTaskSpec, section: &str, inf
         let (equation, note) = info.equation.split_once("; ").unwrap_or((info.equation, ""));
         let _ = writeln!(page, "\n### {}\n\n```text\n{}\n```\n", info.name, lines(equation));
         let note = if note.is_empty() { String::new() } else { format!("{} ", sentence(note)) };
-        let costs = wrapped(&format!("{note}Derivative: {}. Step: {step}. VJP: {vjp}.", info.derivative));
+        let costs = wrapped(&format!("{note}Derivative: {}. Step: {step}. VJP: {vjp}.", info.derivative), WIDTH);
         let _ = writeln!(page, "{costs}\n");
         parameters(page, &of(info)["properties"]);
     }
@@ -116,25 +145,6 @@ fn lines(equations: &str) -> String {
 fn sentence(text: &str) -> String {
     let mut letters = text.chars();
     letters.next().map_or_else(String::new, |first| format!("{}{}.", first.to_uppercase(), letters.as_str()))
-}
-
-/// Breaks a paragraph into lines of at most 100 columns.
-fn wrapped(text: &str) -> String {
-    let (mut lines, mut width) = (String::new(), 0);
-    for word in text.split(' ') {
-        let count = word.chars().count();
-        if width == 0 {
-            width = count;
-        } else if width + 1 + count > 100 {
-            lines.push('\n');
-            width = count;
-        } else {
-            lines.push(' ');
-            width += 1 + count;
-        }
-        lines += word;
-    }
-    lines
 }
 
 /// Schema description as one line, with `|` escaped for Markdown tables.

@@ -1,11 +1,14 @@
 //! `physgrad eval`: losses of trained policies from new initial states, with their worst rollouts.
 
+use crate::numbers::text::{rough, short};
 use crate::program::operations::evaluation::AnyEvaluation;
 use crate::program::operations::session::Epoch;
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::Folder;
+use crate::program::platform::json::{print_json, rows};
 use crate::program::platform::parallel;
-use crate::program::platform::terminal::print_result;
+use crate::program::platform::table::Table;
+use crate::program::platform::terminal::print_text;
 use crate::program::runs::outputs;
 use crate::program::runs::trained::Trained;
 use crate::program::scenes::overrides::Overrides;
@@ -14,14 +17,16 @@ use crate::program::tasks::Scene;
 use crate::report::quantile::{quantile, sorted};
 use crate::report::{Animation, distribution};
 use anyhow::{Context, Result, bail};
-use comfy_table::Table;
-use comfy_table::presets::UTF8_FULL_CONDENSED;
+use serde_json::json;
 use std::path::PathBuf;
 
 /// Evaluate trained policies on new initial states: losses, and the worst rollouts.
 ///
 /// The initial states differ from those of every training and test set.
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  physgrad eval runs/one --samples 4096\n  physgrad eval runs/one runs/two --scene cart_pole_windy"
+)]
 pub struct Eval {
     /// Folders of trained runs of one task
     #[arg(required = true, value_name = "RUN")]
@@ -48,8 +53,11 @@ pub struct Eval {
     #[arg(long, value_name = "K", default_value_t = 3)]
     pub worst: usize,
     /// Folder for the results [default: a new one in `runs`]
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Losses of one policy.
@@ -80,7 +88,8 @@ pub fn eval(args: &Eval) -> Result<()> {
 
     let folder = Folder::named(args.out.as_deref(), "eval")?;
     folder.write("losses.csv", losses_csv(&results)?)?;
-    folder.write("summary.csv", csv(SUMMARY, results.iter().map(Evaluated::summary))?)?;
+    let summary = csv(SUMMARY, results.iter().map(Evaluated::summary))?;
+    folder.write("summary.csv", &summary)?;
     folder.write("losses.svg", picture(&title(args, &policies), &results))?;
     for (i, (pair, result)) in pairs.iter().zip(&results).enumerate() {
         let (scene, evaluation, samples) = (pair.1, evaluation(pair)?, result.worst(args.worst));
@@ -96,8 +105,11 @@ pub fn eval(args: &Eval) -> Result<()> {
             )?;
         }
     }
+    if args.json {
+        return print_json(&json!({ "folder": folder.path(), "runs": rows(&summary)? }));
+    }
     let files = "losses.svg, losses.csv, summary.csv, worst.csv and animations of the worst rollouts";
-    print_result(&format!("{}\nresults in {}: {files}", table(args, &results), folder.path().display()))
+    print_text(&format!("{}\nresults in {}: {files}", table(args, &results), folder.path().display()))
 }
 
 /// Scene in which a policy is evaluated. It has the policy section and the precision of the run.
@@ -212,14 +224,14 @@ fn picture(title: &str, results: &[Evaluated]) -> String {
 }
 
 fn table(args: &Eval, results: &[Evaluated]) -> String {
-    let mut table = Table::new();
-    table.load_style(UTF8_FULL_CONDENSED).set_header(["run", "mean", "5 %", "median", "95 %", "worst", "diverged"]);
+    let header = ["run", "mean", "5 %", "median", "95 %", "worst", "diverged"];
+    let mut table = Table::new(header).optional(&["diverged", "95 %", "5 %"]);
     for result in results {
         let ([mean, error], quantiles) = (result.mean(), result.quantiles());
         let worst = result.losses[result.worst(1)[0]];
-        let row = [quantiles[0], quantiles[2], quantiles[4], worst].map(|x| format!("{x:.4}"));
-        let first = [result.name.clone(), format!("{mean:.4} ± {error:.4}")];
-        table.add_row(first.into_iter().chain(row).chain([result.diverged().to_string()]));
+        let row = [quantiles[0], quantiles[2], quantiles[4], worst].map(short);
+        let first = [result.name.clone(), format!("{} ± {}", short(mean), rough(error))];
+        table.row(first.into_iter().chain(row).chain([result.diverged().to_string()]));
     }
     format!("{table}\nlosses of {} rollouts, seed {}; mean ± standard error, without diverged rollouts", args.samples, args.seed)
 }

@@ -1,31 +1,34 @@
 //! `physgrad explain`: equations, operation counts and memory of a scene.
 
 use crate::program::operations::costs::SAMPLES;
-use crate::program::platform::terminal::print_result;
+use crate::program::platform::json::print_json;
+use crate::program::platform::table::Table;
+use crate::program::platform::terminal::{print_result, print_text};
 use crate::program::scenes::overrides::{Overrides, hide_training};
 use crate::program::scenes::presets;
 use crate::program::settings::{ACTUATORS, Info, OPTIONAL};
 use crate::program::tasks::Scene;
 use crate::{Field, OpCount, Ops};
 use anyhow::Result;
-use comfy_table::presets::UTF8_FULL_CONDENSED;
-use comfy_table::{ContentArrangement, Table};
+use serde_json::{Value, json};
 
 /// List the present and absent effects of a scene; count operations by effect, of costs and of
 /// observations, and stored bytes.
 ///
 /// All numbers are counts, not timings, so they are equal on every machine.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  physgrad explain cart_pole --set effects.steady_wind.speed=4")]
 #[command(mut_args(hide_training))]
 pub struct Explain {
     /// A task, a preset (see `physgrad scene`), or the path of a scene
     pub scene: String,
     #[command(flatten)]
     pub overrides: Overrides,
+    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    #[arg(long)]
+    pub json: bool,
 }
 
-/// Largest width of a table, in characters.
-const WIDTH: u16 = 130;
 /// Time steps of the shorter of the two rollouts whose memory is counted.
 const FEW_STEPS: usize = 8;
 
@@ -34,23 +37,34 @@ pub fn explain(args: &Explain) -> Result<()> {
     let mut source = presets::source(&args.scene)?;
     args.overrides.apply(&mut source)?;
     let scene = source.scene()?;
-    print_result(&format!("{}: {}\n", args.scene, scene.task.about()))?;
+    if args.json {
+        return print_json(&json!({
+            "scene": args.scene,
+            "task": scene.task.name(),
+            "states": scene.state_names(),
+            "controls": scene.control_names(),
+            "effects": effects(&scene).objects(),
+            "operations": with_parts(operations(&scene)?.objects()),
+            "memory": bytes(&scene)?.objects(),
+        }));
+    }
+    print_text(&format!("{}: {}\n", args.scene, scene.task.about()))?;
     let states = scene.state_names();
-    print_result(&format!("state, {} components: {}", states.len(), names(&states)))?;
+    print_text(&format!("state, {} components: {}", states.len(), names(&states)))?;
     let controls = scene.control_names();
-    print_result(&format!(
+    print_text(&format!(
         "control, {} component{}: {}\n",
         controls.len(),
         if controls.len() == 1 { "" } else { "s" },
         names(&controls)
     ))?;
     print_result(&effects(&scene).to_string())?;
-    print_result(
-        "\noperations per step and sample: of the step, of its VJP to state and control (R, M), of its VJP to the control (N, S)",
+    print_text(
+        "\noperations per step and sample: of the step, of its VJP to state and control (R, M), of its VJP to the control (N, S)\n\
+         add: with subtractions; func: sine, tanh and others; the count of an effect is the whole minus the scene without it",
     )?;
-    print_result("the count of an effect is the whole minus the scene without it")?;
     print_result(&operations(&scene)?.to_string())?;
-    print_result(&format!(
+    print_text(&format!(
         "\nmemory per sample in {}, and allocations per step of a block of {SAMPLES} samples after the first run",
         scene.precision.name()
     ))?;
@@ -66,13 +80,6 @@ fn names(names: &[String]) -> String {
     }
 }
 
-fn table(header: &[&str]) -> Table {
-    let mut table = Table::new();
-    table.load_style(UTF8_FULL_CONDENSED).set_header(header);
-    table.set_content_arrangement(ContentArrangement::Dynamic).set_width(WIDTH);
-    table
-}
-
 /// Section and documentation of every effect and actuator available in a scene.
 fn parts(scene: &Scene) -> Vec<(&'static str, Info)> {
     let sections = [scene.task.effects(), ACTUATORS.to_vec()];
@@ -85,12 +92,12 @@ fn is_present(scene: &Scene, section: &str, name: &str) -> bool {
 
 /// Table of the effects and actuators: those present, then those absent.
 fn effects(scene: &Scene) -> Table {
-    let mut table = table(&["", "effect", "equation", "derivative"]);
+    let mut table = Table::new(["state", "effect", "equation", "derivative"]).optional(&["derivative"]);
     let parts = parts(scene);
     for present in [true, false] {
         for (section, info) in parts.iter().filter(|(section, info)| is_present(scene, section, info.name) == present) {
             let key = format!("{section}.{}", info.name);
-            table.add_row([if present { "present" } else { "absent" }, &key, info.equation, info.derivative]);
+            table.row([if present { "present" } else { "absent" }, &*key, info.equation, info.derivative]);
         }
     }
     table
@@ -100,6 +107,9 @@ fn effects(scene: &Scene) -> Table {
 fn numbers(cost: &OpCount) -> [[i64; 8]; 3] {
     [cost.step, cost.vjp, cost.vjp_control].map(by_kind)
 }
+
+/// Titles of the counts of [`by_kind`].
+const KINDS: [&str; 8] = ["all", "add", "neg", "mul", "div", "root", "func", "cmp"];
 
 /// The total, then the count of each kind.
 fn by_kind(counts: Ops) -> [i64; 8] {
@@ -114,12 +124,12 @@ fn by_kind(counts: Ops) -> [i64; 8] {
 /// chained actuators share operations, which the counts of both include. The row "counted twice"
 /// shows these operations.
 fn operations(scene: &Scene) -> Result<Table> {
-    let kinds = ["all", "add, subtract", "negate", "multiply", "divide", "root", "function", "compare"];
-    let mut table = table(&[&["", "pass"][..], &kinds].concat());
+    let mut table =
+        Table::new([&["part", "pass"][..], &KINDS].concat()).optional(&["mul", "add", "func", "div", "cmp", "neg", "root"]);
     let mut add_rows = |name: &str, passes: &[&str], numbers: &[[i64; 8]]| {
         for (i, (pass, numbers)) in passes.iter().zip(numbers).enumerate() {
             let names = [if i == 0 { name } else { "" }, pass].map(str::to_owned);
-            table.add_row(names.into_iter().chain(numbers.map(|count| count.to_string())));
+            table.row(names.into_iter().chain(numbers.map(|count| count.to_string())));
         }
     };
     let mut rows = |name: &str, numbers: [[i64; 8]; 3]| add_rows(name, &["step", "VJP", "VJP to control"], &numbers);
@@ -155,6 +165,18 @@ fn operations(scene: &Scene) -> Result<Table> {
     Ok(table)
 }
 
+/// Copies the name of a part, which only its first row has, to its other rows.
+fn with_parts(mut rows: Value) -> Value {
+    let mut part = Value::Null;
+    for row in rows.as_array_mut().into_iter().flatten() {
+        if row["part"].is_null() {
+            row["part"] = part.clone();
+        }
+        part = row["part"].clone();
+    }
+    rows
+}
+
 fn difference(a: [[i64; 8]; 3], b: [[i64; 8]; 3]) -> [[i64; 8]; 3] {
     std::array::from_fn(|pass| std::array::from_fn(|kind| a[pass][kind] - b[pass][kind]))
 }
@@ -162,7 +184,7 @@ fn difference(a: [[i64; 8]; 3], b: [[i64; 8]; 3]) -> [[i64; 8]; 3] {
 /// Table of the bytes per sample of a rollout in evaluation mode, and with the adjoint of each
 /// field: per step and constant. The last column counts the allocations per step.
 fn bytes(scene: &Scene) -> Result<Table> {
-    let mut table = table(&["", "bytes per step", "constant", "whole rollout", "allocations per step"]);
+    let mut table = Table::new(["field", "bytes per step", "constant", "whole rollout", "allocations per step"]);
     let steps = scene.horizon;
     let with_horizon = |horizon: usize| {
         let mut table = scene.table.clone();
@@ -176,7 +198,7 @@ fn bytes(scene: &Scene) -> Result<Table> {
         let per_step = (long.bytes - short.bytes) / (FEW_STEPS * SAMPLES);
         let constant = short.bytes / SAMPLES - per_step * FEW_STEPS;
         let allocations = long.allocations.zip(short.allocations).map(|(long, short)| (long - short) / FEW_STEPS as u64);
-        table.add_row([
+        table.row([
             name.to_owned(),
             per_step.to_string(),
             constant.to_string(),

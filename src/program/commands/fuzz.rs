@@ -9,7 +9,6 @@ use crate::program::platform::terminal::print_result;
 use crate::rng::{Purpose, stream};
 use crate::stress::Finding;
 use anyhow::{Result, bail};
-use comfy_table::presets::UTF8_FULL_CONDENSED;
 use inputs::KINDS;
 use std::cell::RefCell;
 use std::fs;
@@ -141,7 +140,7 @@ pub fn fuzz(args: &Fuzz) -> Result<()> {
     if let Some(bytes) = peak_of_process() {
         findings.push(Finding::at_most("peak memory of the process, MB", bytes * 1e-6, MAX_MEMORY * 1e-6));
     }
-    print_result(&format!("{} inputs\n{}", args.inputs, table(&findings, UTF8_FULL_CONDENSED)))?;
+    print_result(&format!("{} inputs\n{}", args.inputs, table(&findings)))?;
     if !passes(&findings) {
         bail!("some inputs fail their limits; `physgrad fuzz --first NUMBER --inputs 1` repeats one of them");
     }

@@ -5,18 +5,20 @@ mod picture;
 
 use crate::Number;
 use crate::identify::{Fit, Options, Segment};
+use crate::numbers::text::{digits, rough, short};
 use crate::program::commands::report::identification::{self, FIT, IDENTIFIED, TRAJECTORIES, VALIDATION, WARNING};
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::{Folder, REPORT};
-use crate::program::platform::terminal::print_result;
+use crate::program::platform::json::{object, print_json, rows};
+use crate::program::platform::table::Table;
+use crate::program::platform::terminal::print_text;
 use crate::program::runs::run::threads;
 use crate::program::scenes::overrides::{Overrides, hide_training};
 use crate::program::scenes::presets;
 use crate::program::tasks::Scene;
 use anyhow::{Context, Result, bail};
-use comfy_table::Table;
-use comfy_table::presets::UTF8_FULL_CONDENSED;
 use data::Measured;
+use serde_json::json;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -28,6 +30,7 @@ const JUMP: f64 = 1e-3;
 /// Writes a report, the fitted scene, the numbers with their standard errors, and measured beside
 /// simulated trajectories.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  physgrad identify pendulum.toml --data measured.csv --noise theta_1=0.003,omega_1=0.1")]
 #[command(mut_args(hide_training))]
 pub struct Identify {
     /// Preset or path of a scene; its section [fit] lists the unknown numbers
@@ -53,8 +56,11 @@ pub struct Identify {
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
     /// Folder for the results [default: a new one in `runs`]
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Runs the command.
@@ -106,9 +112,12 @@ pub fn identify(args: &Identify) -> Result<()> {
     warnings.iter().for_each(|warning| text += &format!("\n{WARNING}: {warning}"));
 
     folder.write("scene.toml", found.table.to_string())?;
-    folder.write(IDENTIFIED, numbers(&fit, &scene)?)?;
+    let identified = numbers(&fit, &scene)?;
+    folder.write(IDENTIFIED, &identified)?;
+    let listed = warnings.clone();
     let warnings = warnings.into_iter().map(|warning| [WARNING.to_owned(), warning]);
-    let facts = facts(&fit, seconds).into_iter().map(|(name, value)| [name.to_owned(), value]);
+    let all_facts = facts(&fit, seconds);
+    let facts = all_facts.iter().map(|(name, value)| [(*name).to_owned(), value.clone()]);
     folder.write(FIT, csv(["name", "value"], facts.chain(warnings))?)?;
     folder.write(TRAJECTORIES, measured.beside(&fitted, &fit, &scene)?)?;
     if let Some(validation) = &validation {
@@ -117,7 +126,15 @@ pub fn identify(args: &Identify) -> Result<()> {
     folder.write("identified.svg", picture::picture(&fitted, &segments, &fit, &scene))?;
     folder.write(REPORT, identification::page(&Folder::existing(folder.path())?)?)?;
     let results = folder.path().display();
-    print_result(&format!(
+    if args.json {
+        return print_json(&json!({
+            "folder": folder.path(),
+            "numbers": rows(&identified)?,
+            "fit": object(all_facts.iter().map(|(name, value)| (*name, value.as_str()))),
+            "warnings": listed,
+        }));
+    }
+    print_text(&format!(
         "{text}\nresults in {results}: report.html, scene.toml (with the fitted numbers), {IDENTIFIED}, {FIT}, {TRAJECTORIES}, identified.svg"
     ))
 }
@@ -128,7 +145,7 @@ fn facts(fit: &Fit, seconds: f64) -> Vec<(&'static str, String)> {
         ("segments", fit.states.len().to_string()),
         ("measurements", fit.measurements.to_string()),
         ("unknowns with initial states", fit.unknowns.to_string()),
-        ("χ²", format!("{:.6e}", fit.chi_squared)),
+        ("χ²", digits(fit.chi_squared, 7)),
         ("BIC", format!("{:.1}", fit.bic())),
         ("iterations", fit.iterations.to_string()),
         ("simulations", fit.simulations.to_string()),
@@ -148,8 +165,8 @@ fn warnings(fit: &Fit) -> Vec<String> {
     }
     if fit.jump > JUMP {
         warnings.push(format!(
-            "the simulated states jump by {:.1e} times the noise between windows; try other initial values or another --window",
-            fit.jump
+            "the simulated states jump by {} times the noise between windows; try other initial values or another --window",
+            rough(fit.jump)
         ));
     }
     warnings
@@ -199,11 +216,10 @@ fn numbers(fit: &Fit, scene: &Scene) -> Result<Vec<u8>> {
 }
 
 fn table(fit: &Fit, scene: &Scene) -> Table {
-    let mut table = Table::new();
-    table.load_style(UTF8_FULL_CONDENSED).set_header(["number", "start", "value", "standard error"]);
+    let mut table = Table::new(["number", "start", "value", "standard error"]);
     for (i, start) in starts(fit, scene).into_iter().enumerate() {
-        let [start, value, error] = [start, fit.values[i], fit.errors[i]].map(|number| format!("{number:.5e}"));
-        table.add_row([fit.names[i].clone(), start, value, error]);
+        let [start, value, error] = [digits(start, 6), digits(fit.values[i], 6), rough(fit.errors[i])];
+        table.row([fit.names[i].clone(), start, value, error]);
     }
     table
 }
@@ -216,6 +232,6 @@ fn residuals(fit: &Fit, segments: &[Segment], scene: &Scene) -> String {
         (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
     };
     let names = scene.state_names();
-    let parts: Vec<String> = names.iter().enumerate().map(|(i, name)| format!("{name} {:.3e}", rms(i))).collect();
+    let parts: Vec<String> = names.iter().enumerate().map(|(i, name)| format!("{name} {}", short(rms(i)))).collect();
     format!("root mean square of the residuals: {}", parts.join(", "))
 }

@@ -6,6 +6,7 @@ pub mod accuracy;
 pub mod animate;
 pub mod check;
 pub mod compare;
+pub mod completions;
 pub mod effects;
 pub mod eval;
 pub mod explain;

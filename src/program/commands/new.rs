@@ -15,6 +15,7 @@ const EXAMPLE_TASK: &str = "\"ball_beam\"";
 
 /// Write a crate with a task of your own: a commented system, a scene and a gradient check.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  physgrad new swing_boat")]
 pub struct New {
     /// Name of the task and of its folder: lower case letters, digits and underscores
     pub name: String,

@@ -1,11 +1,14 @@
 //! `physgrad optimize`: controls that minimize the loss of a scene from single initial states.
 
+use crate::numbers::text::digits;
 use crate::optimize::{Initial, Options, Plan};
 use crate::program::operations::trajectory::Trajectory;
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::{Folder, TRAJECTORY};
+use crate::program::platform::json::{print_json, rows};
 use crate::program::platform::parallel;
-use crate::program::platform::terminal::{print_message, print_result};
+use crate::program::platform::table::Table;
+use crate::program::platform::terminal::{print_message, print_text};
 use crate::program::runs::run::threads;
 use crate::program::runs::{outputs, saved};
 use crate::program::scenes::overrides::{Overrides, hide_training};
@@ -13,8 +16,7 @@ use crate::program::scenes::presets;
 use crate::program::tasks::Scene;
 use crate::report::{Dash, Series, fitted};
 use anyhow::{Context, Result, bail};
-use comfy_table::Table;
-use comfy_table::presets::UTF8_FULL_CONDENSED;
+use serde_json::json;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -22,6 +24,9 @@ use std::time::Instant;
 ///
 /// Writes controls and states, feedback gains along them, animations and a picture.
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  physgrad optimize cart_pole_1 --bound=-20:20 --starts 3\n  physgrad optimize --from runs/one"
+)]
 #[command(mut_args(hide_training))]
 pub struct Optimize {
     /// Task, preset or path of a scene
@@ -45,11 +50,14 @@ pub struct Optimize {
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
     /// Folder for the results [default: a new one in `runs`]
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Print only warnings and errors
-    #[arg(long)]
+    #[arg(short, long)]
     pub quiet: bool,
+    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Largest number of initial states with an animation, and in the picture.
@@ -80,7 +88,7 @@ pub fn optimize(args: &Optimize) -> Result<()> {
         let plan = scene.optimize(&start.states[0], &start.params, initial, &options);
         let plan = plan.with_context(|| format!("initial state {i}"))?;
         if !args.quiet {
-            print_message(&format!("initial state {i}: cost {:.6} after {} iterations", plan.cost, plan.iterations()));
+            print_message(&format!("initial state {i}: cost {} after {} iterations", digits(plan.cost, 6), plan.iterations()));
         }
         Ok(plan)
     });
@@ -90,7 +98,8 @@ pub fn optimize(args: &Optimize) -> Result<()> {
     let optimized: Vec<Trajectory> = plans.iter().map(trajectory).collect();
     let folder = Folder::named(args.out.as_deref(), &format!("optimize-{name}"))?;
     folder.write("scene.toml", scene.table.to_string())?;
-    folder.write("optimized.csv", summary(&plans)?)?;
+    let costs = summary(&plans)?;
+    folder.write("optimized.csv", &costs)?;
     folder.write(TRAJECTORY, outputs::trajectories(&scene, optimized.iter().enumerate())?)?;
     folder.write("gains.csv", gains(&plans, &scene)?)?;
     let initial = if args.from.is_some() { &starts[..] } else { &[] };
@@ -98,11 +107,14 @@ pub fn optimize(args: &Optimize) -> Result<()> {
     for (i, rollout) in optimized.iter().enumerate().take(SHOWN) {
         folder.write(&format!("animation-{i}.svg"), scene.animation(rollout).to_svg())?;
     }
+    if args.json {
+        return print_json(&json!({ "folder": folder.path(), "seconds": seconds, "plans": rows(&costs)? }));
+    }
     if args.quiet {
         return Ok(());
     }
     let results = folder.path().display();
-    print_result(&format!(
+    print_text(&format!(
         "{}\n{} steps, {seconds:.1} s\nresults in {results}: {TRAJECTORY}, gains.csv, optimized.csv, optimized.svg, \
          animation-*.svg, scene.toml",
         table(&plans),
@@ -189,11 +201,10 @@ fn gains(plans: &[Plan], scene: &Scene) -> Result<Vec<u8>> {
 }
 
 fn table(plans: &[Plan]) -> Table {
-    let mut table = Table::new();
-    table.load_style(UTF8_FULL_CONDENSED).set_header(["initial state", "initial cost", "cost", "iterations", "end"]);
+    let mut table = Table::new(["initial state", "initial cost", "cost", "iterations", "end"]);
     for (i, plan) in plans.iter().enumerate() {
-        let [initial, cost] = [plan.costs[0], plan.cost].map(|cost| format!("{cost:.6}"));
-        table.add_row([i.to_string(), initial, cost, plan.iterations().to_string(), plan.stop.to_string()]);
+        let [initial, cost] = [plan.costs[0], plan.cost].map(|cost| digits(cost, 6));
+        table.row([i.to_string(), initial, cost, plan.iterations().to_string(), plan.stop.to_string()]);
     }
     table
 }

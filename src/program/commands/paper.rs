@@ -5,19 +5,23 @@ mod fig2;
 mod study;
 
 use crate::program::platform::folder::Folder;
+use crate::program::platform::json::print_json;
 use crate::program::platform::signals;
-use crate::program::platform::terminal::print_result;
+use crate::program::platform::table::Table;
+use crate::program::platform::terminal::print_text;
 use crate::program::runs::run::threads;
 use crate::program::runs::sweep::{check_distinct, check_options};
 use crate::program::settings::{ClipName, FieldName};
 use crate::report::Drawing;
 use anyhow::{Result, bail};
 use clap::ValueEnum;
+use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use study::{FIG3, FIG4, FIG5};
 
 /// Reproduce a figure of the paper, with several seeds: picture, numbers and table.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  physgrad paper fig4 --quick\n  physgrad paper all --seeds 8 -o runs/paper")]
 pub struct Paper {
     /// Figure to reproduce
     #[arg(value_enum)]
@@ -29,7 +33,7 @@ pub struct Paper {
     pub threads: Option<usize>,
     /// Folder for the results; runs already in it are resumed [default: runs/paper, or
     /// runs/paper-quick with --quick]
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR")]
     pub out: Option<PathBuf>,
 }
 
@@ -52,8 +56,11 @@ pub struct Options {
     #[arg(long)]
     pub quick: bool,
     /// Print only warnings and errors
-    #[arg(long)]
+    #[arg(short, long)]
     pub quiet: bool,
+    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    #[arg(long)]
+    pub json: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -91,25 +98,25 @@ pub struct FinishedFigure {
     pub drawing: Drawing,
     /// Plotted numbers.
     pub csv: Vec<u8>,
-    /// Summary as a Markdown table.
-    pub table: String,
+    /// Summary.
+    pub table: Table,
+    /// Note below the table. May be empty.
+    pub note: &'static str,
 }
 
 impl FinishedFigure {
-    /// Writes `<name>.svg`, `.png`, `.csv` and `.md`, and prints the table.
-    pub fn write(&self, name: &str, folder: &Folder, options: &Options) -> Result<()> {
+    /// Writes `<name>.svg`, `.png`, `.csv` and `.md`, and prints the table. Returns the table as JSON.
+    pub fn write(&self, name: &str, folder: &Folder, options: &Options) -> Result<Value> {
         folder.write(&format!("{name}.svg"), self.drawing.to_svg())?;
         folder.write(&format!("{name}.png"), self.drawing.to_png())?;
         folder.write(&format!("{name}.csv"), &self.csv)?;
-        folder.write(&format!("{name}.md"), format!("{}\n", self.table.trim_end()))?;
-        if !options.quiet {
+        let note = if self.note.is_empty() { String::new() } else { format!("\n\n{}", self.note) };
+        folder.write(&format!("{name}.md"), format!("{}{note}\n", self.table.markdown()))?;
+        if !options.quiet && !options.json {
             let path = folder.path().display();
-            print_result(&format!(
-                "{}\n{name}.svg, {name}.png, {name}.csv and {name}.md are in {path}\n",
-                self.table.trim_end()
-            ))?;
+            print_text(&format!("{}{note}\n{name}.svg, {name}.png, {name}.csv and {name}.md are in {path}\n", self.table))?;
         }
-        Ok(())
+        Ok(json!({ "name": name, "table": self.table.objects() }))
     }
 }
 
@@ -123,7 +130,7 @@ pub fn paper(args: &Paper) -> Result<()> {
     let folder = Folder::at(args.out.as_deref().unwrap_or(Path::new(default))).lock()?;
     let write = |figure: Figure, finished: Result<FinishedFigure>| finished?.write(&figure.name(), &folder, options);
     // Puts the figure with the longest computing time last.
-    let figures: [(Figure, &dyn Fn() -> Result<()>); 5] = [
+    let figures: [(Figure, &dyn Fn() -> Result<Value>); 5] = [
         (Figure::Fig1, &|| write(Figure::Fig1, fig1::fig1(options.quick))),
         (Figure::Fig2, &|| write(Figure::Fig2, fig2::fig2(options.quick))),
         (Figure::Fig4, &|| FIG4.run(options, &folder)),
@@ -131,11 +138,17 @@ pub fn paper(args: &Paper) -> Result<()> {
         (Figure::Fig5, &|| FIG5.run(options, &folder)),
     ];
     // Continues with the other figures after an error.
-    let mut errors = Vec::new();
+    let (mut found, mut errors) = (Vec::new(), Vec::new());
     for (figure, make) in figures {
         if [figure, Figure::All].contains(&args.figure) && signals::received().is_none() {
-            errors.extend(make().err().map(|error| format!("{}: {error:#}", figure.name())));
+            match make() {
+                Ok(table) => found.push(table),
+                Err(error) => errors.push(format!("{}: {error:#}", figure.name())),
+            }
         }
+    }
+    if options.json {
+        print_json(&json!({ "folder": folder.path(), "figures": found }))?;
     }
     if errors.is_empty() { Ok(()) } else { bail!("{}", errors.join("\n")) }
 }
@@ -153,7 +166,7 @@ mod tests {
         let csv = std::str::from_utf8(&figure.csv).expect("CSV is text");
         assert_eq!(csv.lines().next(), Some(header));
         assert!(csv.lines().count() > 100 && !csv.contains("NaN"));
-        assert!(figure.table.lines().count() >= 4);
+        assert!(figure.table.markdown().lines().count() >= 4);
     }
 
     #[test]

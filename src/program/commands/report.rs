@@ -19,11 +19,12 @@ use std::path::PathBuf;
 /// For runs: results, curves, gradients, animation and settings. For an identification: numbers,
 /// measured and simulated states, and residuals.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  physgrad report runs/fields")]
 pub struct Report {
     /// Folder of a run, a comparison or an identification
     pub folder: PathBuf,
     /// Print only warnings and errors
-    #[arg(long)]
+    #[arg(short, long)]
     pub quiet: bool,
 }
 

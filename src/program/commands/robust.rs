@@ -1,20 +1,25 @@
 //! `physgrad robust`: losses of trained policies over a grid of settings.
 
+use crate::numbers::text::short;
 use crate::program::operations::session::Epoch;
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::Folder;
+use crate::program::platform::json::{print_json, rows as objects};
 use crate::program::platform::parallel;
-use crate::program::platform::terminal::print_result;
+use crate::program::platform::table::Table;
+use crate::program::platform::terminal::print_text;
 use crate::program::runs::trained::Trained;
 use crate::report::quantile::quantile;
 use crate::report::{Series, robustness};
 use anyhow::{Context, Result, bail};
-use comfy_table::Table;
-use comfy_table::presets::UTF8_FULL_CONDENSED;
+use serde_json::json;
 use std::path::PathBuf;
 
 /// Evaluate trained policies over a grid of one or two settings.
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  physgrad robust runs/one --grid system.cart_mass=0.5:2:7\n  physgrad robust runs/one runs/two --grid system.cart_mass=0.5:2:4 --grid system.gravity=8:11:4"
+)]
 pub struct Robust {
     /// Folders of trained runs of one task
     #[arg(required = true)]
@@ -32,8 +37,11 @@ pub struct Robust {
     #[arg(long, value_name = "S", default_value_t = 1)]
     pub seed: u64,
     /// Folder for the results [default: a new one in `runs`]
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// A setting and its values.
@@ -95,9 +103,13 @@ pub fn robust(args: &Robust) -> Result<()> {
     let cells = parallel::map(&points, |(run, at)| evaluate(&runs[*run], *run, at, args));
     let cells = cells.into_iter().collect::<Result<Vec<_>>>()?;
     let folder = Folder::named(args.out.as_deref(), "robust")?;
-    folder.write("robust.csv", table_csv(args, &runs, &cells)?)?;
+    let points = table_csv(args, &runs, &cells)?;
+    folder.write("robust.csv", &points)?;
     folder.write("robust.svg", picture(args, &runs, &cells))?;
-    print_result(&format!("{}\nresults in {}: robust.csv, robust.svg", table(args, &runs, &cells), folder.path().display()))
+    if args.json {
+        return print_json(&json!({ "folder": folder.path(), "points": objects(&points)? }));
+    }
+    print_text(&format!("{}\nresults in {}: robust.csv, robust.svg", table(args, &runs, &cells), folder.path().display()))
 }
 
 /// Evaluates a policy at one grid point.
@@ -135,13 +147,13 @@ fn table_csv(args: &Robust, runs: &[Trained], cells: &[Cell]) -> Result<Vec<u8>>
 
 /// Median losses: one row per grid point, one column per run.
 fn table(args: &Robust, runs: &[Trained], cells: &[Cell]) -> String {
-    let mut table = Table::new();
     let keys = args.grid.iter().map(|axis| axis.key.clone());
-    table.load_style(UTF8_FULL_CONDENSED).set_header(keys.chain(runs.iter().map(|run| run.name.clone())));
+    let names: Vec<&str> = runs.iter().map(|run| &*run.name).collect();
+    let mut table = Table::new(keys.chain(names.iter().map(ToString::to_string))).optional(&names[1..]);
     let points = cells.len() / runs.len();
     for (point, cell) in cells.iter().take(points).enumerate() {
-        let medians = (0..runs.len()).map(|run| format!("{:.4}", cells[run * points + point].quantiles[1]));
-        table.add_row(cell.at.iter().map(|value| format!("{value:.4}")).chain(medians));
+        let medians = (0..runs.len()).map(|run| short(cells[run * points + point].quantiles[1]));
+        table.row(cell.at.iter().map(|&value| short(value)).chain(medians));
     }
     format!("{table}\nmedian loss of {} rollouts", args.samples)
 }
@@ -163,7 +175,7 @@ fn picture(args: &Robust, runs: &[Trained], cells: &[Cell]) -> String {
             let band = own.iter().map(|cell| (cell.quantiles[0], cell.quantiles[2])).collect();
             Series { band, ..Series::new(&*run.name, COLORS[i % COLORS.len()], line) }
         };
-        let title = second.map_or_else(String::new, |value| format!("{} = {value:.3}", args.grid[1].key));
+        let title = second.map_or_else(String::new, |value| format!("{} = {}", args.grid[1].key, short(value)));
         (title, runs.iter().enumerate().map(series).collect())
     };
     let title = format!("{}: median loss and quartiles of {} rollouts", runs[0].scene.task.name(), args.samples);

@@ -1,18 +1,21 @@
 //! `physgrad runs`: saved runs, with their losses.
 
+use crate::numbers::text::short;
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::{Folder, RUNS};
-use crate::program::platform::terminal::{counted, print_result};
+use crate::program::platform::json::{print_json, rows};
+use crate::program::platform::table::Table;
+use crate::program::platform::terminal::{counted, print_message, print_text};
 use crate::program::runs::listed::{Listed, below};
 use crate::report::{Curve, Dash, comparison};
 use anyhow::Result;
-use comfy_table::Table;
-use comfy_table::presets::UTF8_FULL_CONDENSED;
+use serde_json::json;
 use std::path::PathBuf;
 use std::time::Duration;
 
 /// List saved runs with their losses, and compare them.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  physgrad runs --sort loss\n  physgrad runs --task cart_pole --tag baseline -o runs/listed")]
 pub struct Runs {
     /// Folders to search, with their subfolders
     #[arg(value_name = "DIR", default_value = RUNS)]
@@ -27,8 +30,11 @@ pub struct Runs {
     #[arg(long, value_enum, default_value_t = Order::Path)]
     pub sort: Order,
     /// Write runs.csv and the learning curves curves.svg to this folder
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Order of the listed runs.
@@ -56,13 +62,19 @@ pub fn runs(args: &Runs) -> Result<()> {
         Order::Loss => runs.sort_by(|a, b| a.best().is_nan().cmp(&b.best().is_nan()).then(a.best().total_cmp(&b.best()))),
         Order::Age => runs.sort_by_key(|run| std::cmp::Reverse(run.saved)),
     }
-    print_result(&format!("{}\n{}", table(&runs), counted(runs.len(), "run")))?;
+    let list = csv(CSV, runs.iter().map(row))?;
+    if args.json {
+        print_json(&json!({ "runs": rows(&list)? }))?;
+    } else {
+        print_text(&format!("{}\n{}", table(&runs), counted(runs.len(), "run")))?;
+    }
     let Some(out) = &args.out else { return Ok(()) };
     let folder = Folder::named(Some(out), "")?;
-    folder.write("runs.csv", csv(CSV, runs.iter().map(row))?)?;
+    folder.write("runs.csv", list)?;
     let title = counted(runs.len(), "run");
     folder.write("curves.svg", comparison(&title, &curves(runs)).to_svg())?;
-    print_result(&format!("results in {}: runs.csv, curves.svg", folder.path().display()))
+    let text = format!("results in {}: runs.csv, curves.svg", folder.path().display());
+    if args.json { Ok(print_message(&text)) } else { print_text(&text) }
 }
 
 /// Okabe-Ito colours of the runs.
@@ -97,14 +109,13 @@ fn row(run: &Listed) -> [String; 9] {
 }
 
 fn table(runs: &[Listed]) -> Table {
-    let mut table = Table::new();
     let header = ["run", "task", "field", "seed", "epochs", "test loss", "best", "age", "tags"];
-    table.load_style(UTF8_FULL_CONDENSED).set_header(header);
+    let mut table = Table::new(header).optional(&["epochs", "field", "seed", "task", "tags", "age"]);
     for run in runs {
         let [path, task, field, seed, done, total, _, _, tags] = row(run);
         let epochs = if done == total { done } else { format!("{done} of {total}") };
         let age = run.saved.elapsed().map_or_else(|_| "0 s".into(), age);
-        table.add_row([path, task, field, seed, epochs, format!("{:.4}", run.last()), format!("{:.4}", run.best()), age, tags]);
+        table.row([path, task, field, seed, epochs, short(run.last()), short(run.best()), age, tags]);
     }
     table
 }

@@ -2,17 +2,18 @@
 
 mod reproducible;
 
+use crate::program::platform::json::print_json;
 use crate::program::platform::parallel;
-use crate::program::platform::terminal::print_result;
+use crate::program::platform::table::Table;
+use crate::program::platform::terminal::{print_result, print_text, progress_bar};
 use crate::stress::{self, Case, Finding};
 use anyhow::{Result, bail};
-use comfy_table::presets::{ASCII_MARKDOWN, UTF8_FULL_CONDENSED};
-use comfy_table::{Table, TableStyle};
-use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::json;
 use std::time::Instant;
 
 /// Run the hard cases: long horizons, stiffness, chaos, singular geometry, overflow.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  physgrad stress --list\n  physgrad stress chaos contact")]
 pub struct Stress {
     /// Cases to run, by name or prefix [default: all]
     pub cases: Vec<String>,
@@ -22,6 +23,9 @@ pub struct Stress {
     /// Print Markdown, as in docs/stability.md
     #[arg(long)]
     markdown: bool,
+    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Runs the command.
@@ -30,12 +34,9 @@ pub fn stress(args: &Stress) -> Result<()> {
     if args.list {
         let lines: Vec<String> =
             cases.iter().map(|case| format!("{}: {}\n    passes when: {}", case.name, case.about, case.criterion)).collect();
-        print_result(&lines.join("\n"))?;
-        return Ok(());
+        return print_text(&lines.join("\n"));
     }
-    let bar = ProgressBar::new(cases.len() as u64);
-    let style = ProgressStyle::with_template("{bar:30} {pos}/{len} cases  {msg}  elapsed {elapsed}");
-    bar.set_style(style.expect("a fixed template"));
+    let bar = progress_bar(cases.len(), "{bar:20} {pos}/{len} cases  {msg}  {elapsed}", false);
     bar.tick();
     let run = |case: &Case| {
         let begin = Instant::now();
@@ -46,19 +47,29 @@ pub fn stress(args: &Stress) -> Result<()> {
     };
     let results: Vec<(Vec<Finding>, f64)> = parallel::map(&cases, run);
     bar.finish_and_clear();
-    let format = if args.markdown { markdown } else { text };
     if args.markdown {
         print_result(HEAD)?;
     }
-    for (case, (findings, seconds)) in cases.iter().zip(&results) {
-        print_result(&format(case, findings, *seconds))?;
+    if args.json {
+        let found = cases.iter().zip(&results).map(|(case, (findings, seconds))| {
+            let pass = passes(findings);
+            let findings = findings.iter().map(|Finding { what, measured, limit, pass }| {
+                json!({ "what": what, "measured": measured, "required": limit, "pass": pass })
+            });
+            let findings = findings.collect::<Vec<_>>();
+            json!({ "name": case.name, "pass": pass, "seconds": seconds, "findings": findings })
+        });
+        print_json(&json!({ "cases": found.collect::<Vec<_>>() }))?;
+    }
+    for (case, (findings, seconds)) in cases.iter().zip(&results).filter(|_| !args.json) {
+        if args.markdown { print_result(&markdown(case, findings)) } else { print_text(&text(case, findings, *seconds)) }?;
     }
     let failed: Vec<&str> =
         cases.iter().zip(&results).filter(|(_, (found, _))| !passes(found)).map(|(case, _)| case.name).collect();
     if !failed.is_empty() {
         bail!("{} of {} cases failed: {}", failed.len(), cases.len(), failed.join(", "));
     }
-    if !args.markdown {
+    if !args.markdown && !args.json {
         print_result(&format!("{} of {} cases pass", cases.len(), cases.len()))?;
     }
     Ok(())
@@ -79,16 +90,15 @@ pub fn passes(findings: &[Finding]) -> bool {
     !findings.is_empty() && findings.iter().all(|finding| finding.pass)
 }
 
-pub fn table(findings: &[Finding], style: TableStyle) -> Table {
-    let mut table = Table::new();
-    table.load_style(style).set_header(["", "measured", "required", ""]);
+pub fn table(findings: &[Finding]) -> Table {
+    let mut table = Table::new(["", "measured", "required", ""]);
     for Finding { what, measured, limit, pass } in findings {
         let verdict = match (limit.is_empty(), pass) {
             (true, _) => "",
             (_, true) => "pass",
             (_, false) => "FAIL",
         };
-        table.add_row([what, measured, limit, verdict]);
+        table.row([what, measured, limit, verdict]);
     }
     table
 }
@@ -96,13 +106,13 @@ pub fn table(findings: &[Finding], style: TableStyle) -> Table {
 fn text(case: &Case, findings: &[Finding], seconds: f64) -> String {
     let Case { name, about, criterion, .. } = case;
     let verdict = if passes(findings) { "pass" } else { "FAIL" };
-    let table = table(findings, UTF8_FULL_CONDENSED);
+    let table = table(findings);
     format!("{name}: {verdict} ({seconds:.1} s)\n  {about}\n  passes when: {criterion}\n{table}\n")
 }
 
-fn markdown(case: &Case, findings: &[Finding], _seconds: f64) -> String {
+fn markdown(case: &Case, findings: &[Finding]) -> String {
     let Case { name, about, criterion, explanation, .. } = case;
-    format!("\n## {name}\n\n{about}.\n\nPasses when: {criterion}.\n\n{}\n\n{explanation}.", table(findings, ASCII_MARKDOWN))
+    format!("\n## {name}\n\n{about}.\n\nPasses when: {criterion}.\n\n{}\n\n{explanation}.", table(findings).markdown())
 }
 
 /// Head of the Markdown page.

@@ -1,8 +1,9 @@
 //! `physgrad train`: one training run with progress output.
 
-use crate::differences;
+use crate::numbers::text::{digits, short};
 use crate::program::platform::folder::Folder;
-use crate::program::platform::terminal::{counted, print_message, print_result};
+use crate::program::platform::json::print_json;
+use crate::program::platform::terminal::{counted, print_message, print_result, print_text};
 use crate::program::runs::metrics;
 use crate::program::runs::progress::Progress;
 use crate::program::runs::run::{self, End, Finished, NoUpdate, SAVE_EVERY, threads};
@@ -11,12 +12,18 @@ use crate::program::runs::statistics::best;
 use crate::program::scenes::overrides::Overrides;
 use crate::program::scenes::presets;
 use crate::program::tasks::Scene;
+use crate::{Record, differences};
 use anyhow::{Context, Result, bail};
+use serde_json::json;
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Duration;
 
 /// Train a policy on a task.
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  physgrad train cart_pole --field C --epochs 300 -o runs/one\n  physgrad train cart_pole --resume --epochs 600 -o runs/one\n  physgrad train my_scene.toml --set training.learning_rate=0.003 --without gusty_wind"
+)]
 pub struct Train {
     /// A task or another preset (see `physgrad scene`), or the path of a scene; optional with
     /// --resume
@@ -27,8 +34,9 @@ pub struct Train {
     /// Number of threads [default: RAYON_NUM_THREADS, or all cores]; results do not depend on it
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
-    /// Folder for the results [default: a new one in `runs`]
-    #[arg(long, value_name = "DIR")]
+    /// Folder for the results; an earlier run in it is moved, unless --resume is given [default: a
+    /// new one in `runs`]
+    #[arg(short, long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Resume the run in --out, up to --epochs in total
     #[arg(long, requires = "out")]
@@ -38,8 +46,11 @@ pub struct Train {
     #[arg(long, value_name = "SECONDS", default_value_t = SAVE_EVERY.as_secs_f64(), value_parser = seconds)]
     pub save_every: f64,
     /// Print only warnings and errors
-    #[arg(long)]
+    #[arg(short, long)]
     pub quiet: bool,
+    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Runs the command.
@@ -76,11 +87,19 @@ pub fn train(args: &Train) -> Result<()> {
             if workers == 1 { "" } else { "s" }
         ));
     }
+    if !args.quiet
+        && let Some(note) = scene.large_batch()
+    {
+        print_message(&note);
+    }
     let save_every = Duration::from_secs_f64(args.save_every);
     let finished = run::run(&folder, &scene, run, args.resume, save_every, &mut progress)?;
-    progress.bar.finish_and_clear();
-    let text = if args.quiet { String::new() } else { summary(&folder, &scene, &finished) };
-    let printed = if text.is_empty() { Ok(()) } else { print_result(&text) };
+    progress.finish();
+    let printed = match (args.json, args.quiet) {
+        (true, _) => print_json(&object(&folder, &scene, &finished)),
+        (false, true) => Ok(()),
+        (false, false) => print_text(&summary(&folder, &scene, &finished)),
+    };
     let results = folder.path().display();
     match finished.end {
         End::Complete => printed,
@@ -89,7 +108,8 @@ pub fn train(args: &Train) -> Result<()> {
             let command = format!("physgrad train --resume --out {results}");
             // Ignores errors: the terminal may be closed, and the signal determines the exit
             // status.
-            let _ = print_result(&format!("interrupted after epoch {done}; to resume: {command}"));
+            let text = format!("interrupted after epoch {done}; to resume:\n{command}");
+            let _ = if args.json { Ok(print_message(&text)) } else { print_result(&text) };
             Ok(())
         }
         End::NoUpdate(error) => {
@@ -130,26 +150,47 @@ fn check_scene(folder: &Folder, scene: &Scene, file: &str, overrides: &Overrides
     Ok(())
 }
 
+/// Result of `--json`.
+fn object(folder: &Folder, scene: &Scene, Finished { records, numbers, end }: &Finished) -> serde_json::Value {
+    let last = |loss: fn(&Record) -> f64| records.last().map(loss);
+    json!({
+        "folder": folder.path(),
+        "task": scene.task.name(),
+        "field": scene.field.0.letter(),
+        "seed": scene.seed,
+        "epochs": records.len(),
+        "end": match end {
+            End::Complete => "complete",
+            End::Interrupted => "interrupted",
+            End::Failed(_) => "failed",
+            End::NoUpdate(_) => "no update",
+        },
+        "train_loss": last(|record| record.train_loss),
+        "test_loss": last(|record| record.test_loss),
+        "best_test_loss": best(records),
+        "seconds": records.iter().map(|record| record.seconds).sum::<f64>(),
+        "skipped": records.iter().map(|record| record.skipped).sum::<usize>(),
+        "numbers": numbers.iter().cloned().collect::<BTreeMap<_, _>>(),
+    })
+}
+
 fn summary(folder: &Folder, scene: &Scene, Finished { records, numbers, .. }: &Finished) -> String {
     let mut text = String::new();
     if let Some(last) = records.last() {
         let seconds: f64 = records.iter().map(|r| r.seconds).sum();
-        let (train, test, best) = (last.train_loss, last.test_loss, best(records));
+        let [train, test, best] = [last.train_loss, last.test_loss, best(records)].map(short);
         let epochs = counted(records.len(), "epoch");
-        text += &format!("{epochs} in {seconds:.1} s: training loss {train:.3e}, test loss {test:.3e} (best {best:.3e})\n");
+        text += &format!("{epochs} in {seconds:.1} s: training loss {train}, test loss {test} (best {best})\n");
         let skipped: usize = records.iter().map(|r| r.skipped).sum();
         if skipped > 0 {
             text += &format!("skipped because a number was non-finite: {}\n", counted(skipped, "update"));
-        }
-        for warning in last.warnings(scene.horizon, scene.precision.epsilon()) {
-            text += &format!("warning: unreliable gradients: {warning}\n");
         }
     }
     if records.is_empty() {
         text += "no epoch: the policy is untrained\n";
     }
     for (name, value) in numbers {
-        text += &format!("trained: {name} = {value:.6}\n");
+        text += &format!("trained: {name} = {}\n", digits(*value, 6));
     }
     text += &format!("results in {}:\n", folder.path().display());
     text += "  learning_curve.svg, animation.svg   pictures\n";

@@ -1,13 +1,13 @@
 //! Gradient checks of a task and its policy, collected in a table.
 
 use crate::check::{self, Failure, Passed, Plateau, Stability};
+use crate::numbers::text::rough;
 use crate::program::operations::trajectory::rollouts;
+use crate::program::platform::table::Table;
+use crate::program::platform::terminal::progress_bar;
 use crate::rng::{Purpose, stream};
 use crate::{Divergence, DynTask, Flow, Inputs, Policy, System, Task, Weights, initial_states};
-use comfy_table::Table;
-use comfy_table::presets::UTF8_FULL_CONDENSED;
 use indicatif::ProgressBar;
-use std::time::Duration;
 
 /// Adds the checks of one task and policy to the results.
 pub fn check(task: &DynTask, policy: &impl Policy, variant: &str, results: &mut Results) {
@@ -72,10 +72,8 @@ pub struct Results {
 
 impl Results {
     pub fn new() -> Self {
-        let mut table = Table::new();
-        table.load_style(UTF8_FULL_CONDENSED).set_header(["task", "checked", "compared", "worst error", "allowed", ""]);
-        let spinner = ProgressBar::new_spinner();
-        spinner.enable_steady_tick(Duration::from_millis(100));
+        let table = Table::new(["task", "checked", "compared", "worst error", "allowed", "result"]).optional(&["compared"]);
+        let spinner = progress_bar(0, "{spinner} {msg}", false);
         Self { task: "", dims: None, table, failures: Vec::new(), spinner }
     }
 
@@ -96,12 +94,12 @@ impl Results {
         let task = self.task;
         self.spinner.set_message(format!("{task}, {name}"));
         let (compared, worst, allowed, verdict) = match check() {
-            Ok(p) => (p.compared.to_string(), format!("{:.1e}", p.worst), format!("{:.0e}", p.allowed), "ok"),
+            Ok(p) => (p.compared.to_string(), rough(p.worst), format!("{:.0e}", p.allowed), "ok"),
             Err(failure) => {
                 self.failures.push(format!("{task}, {name}: {failure}"));
                 (String::new(), String::new(), String::new(), "FAILED")
             }
         };
-        self.table.add_row([task, name, &compared, &worst, &allowed, verdict]);
+        self.table.row([task, name, &compared, &worst, &allowed, verdict]);
     }
 }

@@ -6,7 +6,7 @@ use crate::program::operations::onnx;
 use crate::program::operations::policy_file::{self, About};
 use crate::program::operations::trajectory::{self, Trajectory};
 use crate::program::settings::Precision;
-use crate::{CheckpointError, DynTask, Field, Float, Policy, Record, Session, Task, TrainError, Trainer, Training};
+use crate::{CheckpointError, DynTask, Field, Float, Policy, Record, Session, Task, TrainError, Trainer, Training, Warning};
 use anyhow::Result;
 use std::ops::Range;
 
@@ -31,8 +31,8 @@ pub trait AnyRun {
     fn is_done(&self) -> bool;
     /// Records of the completed epochs.
     fn records(&self) -> &[Record];
-    /// Warnings about the last epoch. Omits the kinds of warnings that an earlier call returned.
-    fn warnings(&mut self) -> Vec<String>;
+    /// Warnings about the last epoch. Empty within an epoch.
+    fn warnings(&self) -> Vec<Warning>;
     /// Serializes the run. Only a run with the same label can restore it.
     fn checkpoint(&self, label: &str) -> Vec<u8>;
     /// Restores a checkpoint that was serialized with this label.
@@ -71,8 +71,8 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
         Session::records(self)
     }
 
-    fn warnings(&mut self) -> Vec<String> {
-        Session::warnings(self)
+    fn warnings(&self) -> Vec<Warning> {
+        Session::epoch_warnings(self)
     }
 
     fn checkpoint(&self, label: &str) -> Vec<u8> {

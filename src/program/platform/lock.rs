@@ -204,7 +204,10 @@ impl Locked {
         let cannot =
             || format!("cannot rename the folder {} of the earlier run; choose another folder with --out", path.display());
         files::rename(&whole, &aside).with_context(cannot)?;
-        print_message(&format!("moved the earlier run in {} to {}", path.display(), aside.display()));
+        let (from, aside) = (path.display(), aside.display());
+        print_message(&format!(
+            "moved the earlier run in {from} to {aside}; to resume it: physgrad train --resume --out {aside}"
+        ));
         // The lock moved with the folder. Another process may lock the new folder first.
         Folder::at(&whole).create()?;
         Folder::at(&path).lock()?.without_run()

@@ -1,11 +1,13 @@
-//! Files, folders and their locks, CSV, signals, threads, terminal.
+//! Files, folders and their locks, CSV, JSON, signals, tables, threads, terminal.
 //!
 //! Imports no other part of the program. Start with `folder`.
 
 pub mod csv;
 pub mod files;
 pub mod folder;
+pub mod json;
 pub mod lock;
 pub mod parallel;
 pub mod signals;
+pub mod table;
 pub mod terminal;

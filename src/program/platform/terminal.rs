@@ -1,9 +1,35 @@
-//! Terminal output: results and messages.
+//! Terminal output: results, messages and progress bars.
+//!
+//! The environment variable `COLUMNS` replaces the width of the terminal. Without it, output that
+//! is not a terminal has no width: lines are as long as their contents.
 
 use anyhow::{Context, Result};
-use std::io::{ErrorKind, Write};
+use console::Term;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle, TermLike};
+use std::io::{self, ErrorKind, Write};
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
 
-/// Prints the result of a command to standard output.
+/// Smallest width that output is fitted to.
+const NARROWEST: usize = 40;
+
+/// Width of standard output in columns. None without a terminal.
+pub fn width() -> Option<usize> {
+    width_of_term(&Term::stdout())
+}
+
+fn width_of_term(term: &Term) -> Option<usize> {
+    let columns = std::env::var("COLUMNS").ok().and_then(|columns| columns.parse::<usize>().ok());
+    let columns = columns.or_else(|| term.size_checked().map(|(_, columns)| usize::from(columns)));
+    columns.filter(|&columns| columns > 0).map(|columns| columns.max(NARROWEST))
+}
+
+/// Number of columns of a text on one line.
+pub fn width_of(text: &str) -> usize {
+    console::measure_text_width(text)
+}
+
+/// Prints the result of a command to standard output, unchanged.
 ///
 /// # Errors
 /// The text cannot be written. A pipe that its reader closes, for example `head`, is not an error.
@@ -14,9 +40,126 @@ pub fn print_result(text: &str) -> Result<()> {
     }
 }
 
-/// Prints a message to standard error. Ignores write errors.
+/// Prints sentences of a result to standard output, broken at the width of the terminal.
+///
+/// # Errors
+/// As [`print_result`].
+pub fn print_text(text: &str) -> Result<()> {
+    print_result(&fitted(text, width()))
+}
+
+/// Prints a message to standard error, above the progress bar if there is one. Breaks lines at the
+/// width of the terminal. Ignores write errors.
 pub fn print_message(text: &str) {
-    let _ = writeln!(std::io::stderr(), "{text}");
+    let term = Term::stderr();
+    let text = fitted(text, width_of_term(&term));
+    // The terminal may have echoed `^C` to the current line.
+    let start = if term.is_term() { "\r" } else { "" };
+    let write = || _ = writeln!(std::io::stderr(), "{start}{text}");
+    let bar = BAR.lock().unwrap_or_else(PoisonError::into_inner).clone();
+    match bar.filter(|bar| !bar.is_hidden() && !bar.is_finished()) {
+        Some(bar) => bar.suspend(write),
+        None => write(),
+    }
+}
+
+/// The last progress bar of the process.
+static BAR: Mutex<Option<ProgressBar>> = Mutex::new(None);
+
+/// Progress bar of `steps` steps; of an unknown number if 0. Hidden if quiet or without a terminal.
+pub fn progress_bar(steps: usize, template: &str, quiet: bool) -> ProgressBar {
+    let bar = if steps == 0 { ProgressBar::new_spinner() } else { ProgressBar::new(steps as u64) };
+    let term = Term::stderr();
+    let is_visible = !quiet && term.is_term();
+    bar.set_draw_target(match is_visible {
+        true => ProgressDrawTarget::term_like_with_hz(Box::new(BarLine(term)), 20),
+        false => ProgressDrawTarget::hidden(),
+    });
+    bar.set_style(ProgressStyle::with_template(template).expect("a fixed template"));
+    if steps == 0 {
+        bar.enable_steady_tick(Duration::from_millis(100));
+    }
+    *BAR.lock().unwrap_or_else(PoisonError::into_inner) = Some(bar.clone());
+    bar
+}
+
+/// Columns right of a progress bar, for the echo of `^C`. A line that wraps would not be erased.
+const MARGIN: usize = 4;
+
+/// Width of the line of a progress bar.
+pub fn bar_width() -> usize {
+    width_of_term(&Term::stderr()).map_or(usize::MAX, |columns| columns - MARGIN)
+}
+
+/// Terminal whose progress bars leave a margin.
+#[derive(Debug)]
+struct BarLine(Term);
+
+impl TermLike for BarLine {
+    fn width(&self) -> u16 {
+        u16::try_from(bar_width()).unwrap_or(u16::MAX)
+    }
+
+    fn move_cursor_up(&self, lines: usize) -> io::Result<()> {
+        self.0.move_cursor_up(lines)
+    }
+
+    fn move_cursor_down(&self, lines: usize) -> io::Result<()> {
+        self.0.move_cursor_down(lines)
+    }
+
+    fn move_cursor_right(&self, columns: usize) -> io::Result<()> {
+        self.0.move_cursor_right(columns)
+    }
+
+    fn move_cursor_left(&self, columns: usize) -> io::Result<()> {
+        self.0.move_cursor_left(columns)
+    }
+
+    fn write_line(&self, text: &str) -> io::Result<()> {
+        self.0.write_line(text)
+    }
+
+    fn write_str(&self, text: &str) -> io::Result<()> {
+        self.0.write_str(text)
+    }
+
+    fn clear_line(&self) -> io::Result<()> {
+        self.0.clear_line()
+    }
+
+    fn flush(&self) -> io::Result<()> {
+        self.0.flush()
+    }
+}
+
+/// Breaks lines of sentences between words, at the width. Leaves lines of tables unchanged.
+fn fitted(text: &str, width: Option<usize>) -> String {
+    let Some(width) = width else { return text.to_owned() };
+    let is_table = |line: &str| line.starts_with(['│', '┌', '╞', '└', '├', '|']);
+    let line = |line: &str| if is_table(line) { line.to_owned() } else { wrapped(line, width) };
+    text.split('\n').map(line).collect::<Vec<_>>().join("\n")
+}
+
+/// Breaks a paragraph between words into lines of at most `width` columns, each with the
+/// indentation of the first.
+pub fn wrapped(text: &str, width: usize) -> String {
+    let indent = text.len() - text.trim_start_matches(' ').len();
+    let mut lines = text[..indent].to_owned();
+    let mut at = indent;
+    for (i, word) in text[indent..].split(' ').enumerate() {
+        let count = width_of(word);
+        if i > 0 && at + 1 + count > width {
+            lines = format!("{}\n{}", lines.trim_end_matches(' '), &text[..indent]);
+            at = indent;
+        } else if i > 0 {
+            lines.push(' ');
+            at += 1;
+        }
+        lines += word;
+        at += count;
+    }
+    lines
 }
 
 /// Count with its noun, in the regular plural if needed.
@@ -44,6 +187,20 @@ mod tests {
         assert_eq!(did_you_mean("cartpole", names), "; did you mean `cart_pole`?");
         assert_eq!(did_you_mean("quantom", names), "; did you mean `quantum`?");
         assert_eq!(did_you_mean("rocket", names), "");
+    }
+
+    #[test]
+    fn a_paragraph_breaks_between_words_and_keeps_its_indentation() {
+        assert_eq!(wrapped("one two three", 9), "one two\nthree");
+        assert_eq!(wrapped("  one  two three", 10), "  one  two\n  three");
+        assert_eq!(wrapped("unbreakable", 4), "unbreakable");
+    }
+
+    #[test]
+    fn sentences_are_fitted_and_tables_are_not() {
+        let text = "one two three\n│ one two three │\n\n  four five six";
+        assert_eq!(fitted(text, Some(9)), "one two\nthree\n│ one two three │\n\n  four\n  five\n  six");
+        assert_eq!(fitted(text, None), text);
     }
 
     #[test]

@@ -11,9 +11,10 @@ use crate::program::runs::outputs;
 use crate::program::runs::saved;
 use crate::program::settings::LogFormat;
 use crate::program::tasks::Scene;
-use crate::{Record, TrainError};
+use crate::{Record, TrainError, Warning};
 use anyhow::{Result, bail};
 use std::fmt;
+use std::sync::Once;
 use std::time::{Duration, Instant};
 
 /// Default time between two checkpoints.
@@ -31,8 +32,7 @@ pub trait Observer {
 #[derive(Clone, Copy)]
 pub struct EpochEvent<'a> {
     pub record: &'a Record,
-    /// Warnings of kinds that no earlier epoch of the process had.
-    pub warnings: &'a [String],
+    pub warnings: &'a [Warning],
 }
 
 /// Records of a run, and its end.
@@ -219,7 +219,9 @@ impl Saver<'_> {
     fn try_to_save(&mut self, run: &dyn AnyRun) -> Result<()> {
         if !self.signal_seen && signals::received().is_some() {
             self.signal_seen = true;
-            print_message("\nfinishing the epoch and saving; a second signal stops immediately");
+            // Parallel runs share one message.
+            static REPORTED: Once = Once::new();
+            REPORTED.call_once(|| print_message("finishing the epoch and saving; a second signal stops immediately"));
         }
         if let Err(error) = self.save(run) {
             if self.folder.is_gone() {

@@ -1,5 +1,6 @@
 //! Statistics over runs with several seeds: tables and learning curves.
 
+use crate::numbers::text::short;
 use crate::report::quantile::{quantile, sorted};
 use crate::report::{Curve, Dash, Point, field_color};
 use crate::{Field, Record};
@@ -87,14 +88,22 @@ pub fn table_header(scenes: &[InScene]) -> Vec<&'static str> {
 
 /// One row per scene and field, with medians over the seeds. NaN ranks above every number.
 pub fn table_of_scenes(scenes: &[InScene]) -> Vec<Vec<String>> {
+    // The name of a point of a sweep breaks between its settings.
     let row = |name: &str, row: [String; 8]| {
-        [name.to_owned()].into_iter().chain(row).skip(usize::from(scenes.len() < 2)).collect::<Vec<_>>()
+        [name.replace('+', " ")].into_iter().chain(row).skip(usize::from(scenes.len() < 2)).collect::<Vec<_>>()
     };
     scenes.iter().flat_map(|scene| table(&scene.runs).into_iter().map(|cells| row(scene.name, cells))).collect()
 }
 
-const TABLE_HEADER: [&str; 8] =
-    ["field", "seeds", "failed", "median final test loss", "lowest", "highest", "median best", "median seconds"];
+/// Header of [`table`].
+const TABLE_HEADER: [&str; 8] = ["field", "seeds", "failed", "test loss", "lowest", "highest", "best", "seconds"];
+
+/// Columns that a narrow terminal omits.
+pub const OPTIONAL: [&str; 6] = ["best", "seeds", "failed", "highest", "lowest", "seconds"];
+
+/// Explanation of the table.
+pub const TABLE_NOTE: &str =
+    "test loss of the last epoch: median, lowest and highest over the seeds; medians of best loss and seconds";
 
 /// One row per field, with medians over the seeds. NaN ranks above every number.
 fn table(runs: &[Outcome]) -> Vec<[String; 8]> {
@@ -105,10 +114,10 @@ fn table(runs: &[Outcome]) -> Vec<[String; 8]> {
             field.to_string(),
             runs.len().to_string(),
             runs.iter().filter(|run| run.failed).count().to_string(),
-            format!("{:.3e}", quantile(&last, 0.5)),
-            format!("{:.3e}", last[0]),
-            format!("{:.3e}", last[last.len() - 1]),
-            format!("{:.3e}", median(&|run| best(run.records))),
+            short(quantile(&last, 0.5)),
+            short(last[0]),
+            short(last[last.len() - 1]),
+            short(median(&|run| best(run.records))),
             format!("{:.1}", median(&|run| run.seconds())),
         ]
     };

@@ -1,5 +1,6 @@
 //! Sweeps: many runs in parallel, one thread per run. Resumes runs that are in their folders.
 
+use crate::numbers::text::short;
 use crate::program::platform::folder::{Folder, RUNS};
 use crate::program::platform::parallel;
 use crate::program::platform::terminal::print_message;
@@ -73,6 +74,11 @@ impl Comparison {
             Ok(Run { field: field.0, seed, folder, scene, records: Vec::new(), failed: false })
         };
         Ok(Self { runs: pairs.map(run).collect::<Result<_>>()?, label: label.to_owned() })
+    }
+
+    /// Returns whether the folder of some run contains a run.
+    pub fn has_runs(&self) -> bool {
+        self.runs.iter().any(|run| saved::has_run(&run.folder))
     }
 
     /// Outcomes of all runs, grouped by field.
@@ -153,11 +159,11 @@ impl SweepOutcome {
 /// Before training: a folder contains a run with other settings. After training: some runs could
 /// not start or could not be saved.
 pub fn sweep(comparisons: &mut [Comparison], quiet: bool) -> Result<SweepOutcome> {
-    let mut runs = Vec::new();
+    let (mut runs, mut resumed) = (Vec::new(), 0);
     for comparison in &*comparisons {
         for run in &comparison.runs {
             // Reports a run with other settings before writing anything.
-            run.resumes()?;
+            resumed += usize::from(run.resumes()?);
             runs.push((run, comparison.label(run)));
         }
     }
@@ -166,13 +172,16 @@ pub fn sweep(comparisons: &mut [Comparison], quiet: bool) -> Result<SweepOutcome
     if !quiet {
         let task = runs.first().map_or("no task", |(run, ..)| run.scene.task.name());
         print_message(&format!("{task}: {} runs, {total} epochs in total, {} threads", runs.len(), rayon::current_num_threads()));
+        if resumed > 0 {
+            print_message(&format!("resuming {resumed} of these runs from their folders"));
+        }
     }
     let finished: Vec<Result<Finished>> = parallel::map(&runs, |(run, label)| {
         let mut observer = SharedProgress { progress: &progress, label };
         run.run(&mut observer)
     });
     if let Ok(progress) = progress.lock() {
-        progress.bar.finish_and_clear();
+        progress.finish();
     }
 
     let labels: Vec<String> = runs.into_iter().map(|(_, label)| label).collect();
@@ -217,7 +226,7 @@ impl Observer for SharedProgress<'_> {
 
     fn epoch(&mut self, event: EpochEvent) {
         if let Ok(mut progress) = self.progress.lock() {
-            progress.advance(format!("{}: test {:.3e}", self.label, event.record.test_loss));
+            progress.advance(vec![format!("test {}", short(event.record.test_loss)), self.label.to_owned()]);
             progress.warn(&format!("{}, ", self.label), event);
         }
     }

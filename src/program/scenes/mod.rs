@@ -5,5 +5,6 @@
 
 pub mod overrides;
 pub mod presets;
+mod ranges;
 pub mod source;
 pub mod sweep;

@@ -2,6 +2,7 @@
 
 use crate::program::platform::folder::Folder;
 use crate::program::platform::terminal::did_you_mean;
+use crate::program::scenes::ranges::with_range;
 use crate::program::scenes::sweep::Sweep;
 use crate::program::settings::config_error::ConfigError;
 use crate::program::settings::{OPTIONAL, VERSION};
@@ -256,7 +257,8 @@ impl SceneSource {
             // Replaces the version in the settings of a saved run: this version creates the scene.
             settings.insert("physgrad".into(), env!("CARGO_PKG_VERSION").into());
         }
-        spec.scene(settings).map_err(|error| suggest(spec, explain_foreign_effect(spec, error)))
+        let checked = spec.scene(settings.clone());
+        checked.map_err(|error| with_range(spec, settings, suggest(spec, explain_foreign_effect(spec, error))))
     }
 
     /// Option or line that set a key or, for an absent key, its section.

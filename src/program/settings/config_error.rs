@@ -26,6 +26,9 @@ const RENAMED_KEYS: [(&str, &str); 4] = [
 /// Values of earlier versions: key, old value, new value.
 const RENAMED_VALUES: [(&str, &str, &str); 2] = [("loss.mode", "final", "terminal"), ("loss.mode", "continuous", "running")];
 
+/// Allowed values of a count whose range is unknown.
+pub const WHOLE_NUMBER: &str = "a whole number, 0 or more";
+
 impl ConfigError {
     pub fn new(key: impl Into<String>, what: impl Into<String>) -> Self {
         Self { key: key.into(), what: what.into() }
@@ -56,7 +59,7 @@ impl ConfigError {
         let starts = ["invalid type: ", "invalid value: ", "invalid length ", "unknown variant "];
         let found = starts.iter().find_map(|start| found.strip_prefix(start)).unwrap_or(found);
         let expected = match expected {
-            "usize" | "u64" => "a whole number, 0 or more",
+            "usize" | "u64" => WHOLE_NUMBER,
             "f64" => "a number",
             "a sequence" => "a list",
             "an array of length 2" => "a list of 2",

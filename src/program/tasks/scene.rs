@@ -288,6 +288,18 @@ impl Scene {
         }
     }
 
+    /// Note about a mini-batch that is larger than the training set. None otherwise.
+    pub fn large_batch(&self) -> Option<String> {
+        let count = |key: &str| self.table.get("training")?.get(key)?.as_integer();
+        let (batch, samples) = (count("batch")?, count("train_samples")?);
+        (batch > samples).then(|| {
+            format!(
+                "note: `training.batch` is {batch}, but `training.train_samples` is {samples}: each epoch has one update, with \
+                 all samples"
+            )
+        })
+    }
+
     /// Copy with another field and seed.
     pub fn with(&self, field: FieldName, seed: u64) -> Result<Self, ConfigError> {
         let mut table = self.table.clone();

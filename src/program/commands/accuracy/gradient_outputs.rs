@@ -1,18 +1,19 @@
 //! Output files of `physgrad accuracy --gradients`: CSV, charts and tables.
 
+use crate::numbers::text::rough;
 use crate::program::commands::accuracy::derivatives::{Checkpoint, Derivative, Horizon};
-use crate::program::commands::accuracy::outputs::right_aligned;
 use crate::program::operations::gradients::GradientMethod;
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::Folder;
+use crate::program::platform::json::rows;
+use crate::program::platform::table::Table;
 use crate::program::settings::Precision;
 use crate::report::{Dash, Series, Work, work_precision};
 use anyhow::Result;
-use comfy_table::presets::{ASCII_MARKDOWN, UTF8_FULL_CONDENSED};
-use comfy_table::{Table, TableStyle};
+use serde_json::{Value, json};
 
 fn small(x: f64) -> String {
-    if x.is_nan() { "-".into() } else { format!("{x:.1e}") }
+    if x.is_nan() { "-".into() } else { rough(x) }
 }
 
 fn percent(share: Option<f64>) -> String {
@@ -20,24 +21,24 @@ fn percent(share: Option<f64>) -> String {
 }
 
 fn time([low, median, high]: [f64; 3]) -> String {
-    if median.is_nan() { "-".into() } else { format!("{:.3} ms ±{:.0} %", median * 1e3, 50.0 * (high - low) / median) }
+    if median.is_nan() { "-".into() } else { format!("{:.3} ±{:.0} %", median * 1e3, 50.0 * (high - low) / median) }
 }
 
 fn megabytes(bytes: usize) -> String {
-    format!("{:.3} MB", bytes as f64 * 1e-6)
+    format!("{:.3}", bytes as f64 * 1e-6)
 }
 
-fn table(style: TableStyle, header: &[&str], rows: Vec<Vec<String>>) -> Table {
-    let mut table = Table::new();
-    table.load_style(style).set_header(header).add_rows(rows);
-    right_aligned(table)
+fn table(header: &[&str], optional: &[&str], rows: impl Iterator<Item = Vec<String>>) -> Table {
+    let mut table = Table::new(header.iter().copied()).optional(optional);
+    rows.for_each(|row| table.row(row));
+    table
 }
 
-const METHODS: [&str; 8] = ["method", "f32: error", "signs as in f64", "time", "memory", "f64: error", "time", "memory"];
-const CHECKPOINTS: [&str; 4] = ["budget", "peak memory", "time", "bits"];
-const HORIZONS: [&str; 6] = ["horizon", "norm of R", "f32: error", "correct signs", "f64: error", "correct signs"];
+const METHODS: [&str; 8] = ["method", "f32 error", "f32 signs", "f32 ms", "f32 MB", "f64 error", "f64 ms", "f64 MB"];
+const CHECKPOINTS: [&str; 4] = ["budget, MB", "peak memory, MB", "time, ms", "bits"];
+const HORIZONS: [&str; 6] = ["horizon", "norm of R", "f32 error", "f32 signs", "f64 error", "f64 signs"];
 
-fn tables(style: TableStyle, methods: &[Derivative], checkpoints: &[Checkpoint], along: &[Horizon]) -> [Table; 3] {
+fn tables(methods: &[Derivative], checkpoints: &[Checkpoint], along: &[Horizon]) -> [Table; 3] {
     let error = |row: &Derivative| match (&row.error, row.method) {
         (_, GradientMethod::Forward) => "-".into(),
         (Ok(error), _) => small(*error),
@@ -77,9 +78,13 @@ fn tables(style: TableStyle, methods: &[Derivative], checkpoints: &[Checkpoint],
         head.into_iter().chain(row.found.iter().flat_map(cells)).collect()
     };
     [
-        table(style, &METHODS, names.iter().map(cells).collect()),
-        table(style, &CHECKPOINTS, checkpoints.iter().map(checkpoint).collect()),
-        table(style, &HORIZONS, along.iter().map(horizon).collect()),
+        table(
+            &METHODS,
+            &["f32 error", "f32 ms", "f64 error", "f64 ms", "f32 MB", "f64 MB", "f32 signs"],
+            names.iter().map(cells),
+        ),
+        table(&CHECKPOINTS, &[], checkpoints.iter().map(checkpoint)),
+        table(&HORIZONS, &[], along.iter().map(horizon)),
     ]
 }
 
@@ -99,32 +104,39 @@ fn trusted(along: &[Horizon], which: usize) -> String {
     }
 }
 
-/// Writes all files. Returns the text for the terminal.
+/// Writes all files. Returns the text for the terminal, and the object of `--json`.
 pub fn write(
     folder: &Folder,
     name: &str,
     methods: &[Derivative],
     checkpoints: &[Checkpoint],
     along: &[Horizon],
-) -> Result<String> {
-    folder.write("gradients.csv", methods_csv(methods)?)?;
-    folder.write("checkpoints.csv", checkpoints_csv(checkpoints)?)?;
-    folder.write("horizons.csv", horizons_csv(along)?)?;
+) -> Result<(String, Value)> {
+    let lists = [methods_csv(methods)?, checkpoints_csv(checkpoints)?, horizons_csv(along)?];
+    for (file, list) in ["gradients.csv", "checkpoints.csv", "horizons.csv"].into_iter().zip(&lists) {
+        folder.write(file, list)?;
+    }
+    let [methods_list, checkpoints_list, horizons_list] = lists.map(|list| rows(&list));
+    let object = json!({
+        "folder": folder.path(), "methods": methods_list?, "checkpoints": checkpoints_list?, "horizons": horizons_list?,
+    });
     folder.write("gradients.svg", diagrams(name, methods, along).to_svg().as_bytes())?;
     let horizon = checkpoints.first().map_or(0, |row| row.horizon);
-    let text = |[methods, checkpoints, horizons]: [Table; 3]| {
+    let text = |[methods, checkpoints, horizons]: [String; 3]| {
         format!(
-            "Errors at eight parameters, relative to double-double. Times of the whole gradient on one thread.\n\n{methods}\n\n\
+            "Errors at eight parameters, relative to double-double. Signs: those equal to f64. Times of the whole gradient on one \
+             thread.\n\n{methods}\n\n\
              Reverse pass of R through {horizon} steps, with checkpoints:\n\n{checkpoints}\n\nError of R by horizon, \
-             relative to f64: in f32, and in f64 from initial states perturbed by one rounding:\n\n{horizons}\n\n{}.\n{}.",
+             relative to f64, and correct signs: in f32, and in f64 from initial states perturbed by one rounding:\n\n{horizons}\n\n{}.\n{}.",
             trusted(along, 0),
             trusted(along, 1)
         )
     };
-    let markdown = text(tables(ASCII_MARKDOWN, methods, checkpoints, along));
+    let tables = tables(methods, checkpoints, along);
+    let markdown = text(tables.each_ref().map(Table::markdown));
     folder
         .write("gradients.md", format!("# Costs of gradients: {name}\n\n![errors](gradients.svg)\n\n{markdown}\n").as_bytes())?;
-    Ok(text(tables(UTF8_FULL_CONDENSED, methods, checkpoints, along)))
+    Ok((text(tables.map(|table| table.to_string())), object))
 }
 
 fn milliseconds([low, median, high]: [f64; 3]) -> [String; 3] {

@@ -6,8 +6,9 @@ use crate::program::commands::accuracy::gradient_outputs::write;
 use crate::program::commands::accuracy::{Study, bar};
 use crate::program::operations::gradients::{Derived, GradientMethod, REFERENCES, chosen};
 use crate::program::platform::folder::Folder;
+use crate::program::platform::json::print_json;
 use crate::program::platform::parallel;
-use crate::program::platform::terminal::{print_message, print_result};
+use crate::program::platform::terminal::{print_message, print_text};
 use crate::program::settings::Precision;
 use crate::program::tasks::Scene;
 use crate::{Field, GradientCombiner, SignAgreement};
@@ -35,7 +36,7 @@ const fn reverse(field: Field, budget: Option<u64>) -> GradientMethod {
 }
 
 /// Measures methods, budgets and horizons, and writes the results.
-pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize], quiet: bool) -> Result<()> {
+pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize], [quiet, json]: [bool; 2]) -> Result<()> {
     let fields = [Field::regular(), Field::modified(), Field::stopped(), Field::combined()];
     let exact = fields.map(|field| reverse(field, None));
     let both = exact
@@ -102,9 +103,12 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
     let checkpoints = checkpoints(study, &bar)?;
     let horizons = along(study, horizons, &bar)?;
     bar.finish_and_clear();
-    let text = write(folder, name, &derivatives, &checkpoints, &horizons)?;
-    print_result(&text)?;
-    print_result(&format!(
+    let (text, object) = write(folder, name, &derivatives, &checkpoints, &horizons)?;
+    if json {
+        return print_json(&object);
+    }
+    print_text(&text)?;
+    print_text(&format!(
         "results in {}: gradients.csv, horizons.csv, checkpoints.csv, gradients.svg, gradients.md",
         folder.path().display()
     ))?;

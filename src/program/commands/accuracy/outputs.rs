@@ -1,13 +1,13 @@
 //! Output files of `physgrad accuracy`: CSV, charts and a table.
 
+use crate::numbers::text::rough;
 use crate::program::commands::accuracy::ROUNDS;
 use crate::program::commands::accuracy::row::{Errors, Row};
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::Folder;
+use crate::program::platform::table::Table;
 use crate::report::{Dash, Series, Work, work_precision};
 use anyhow::Result;
-use comfy_table::presets::{ASCII_MARKDOWN, UTF8_FULL_CONDENSED};
-use comfy_table::{CellAlignment, Table, TableStyle};
 
 /// Okabe-Ito colours, grey and brown.
 const COLORS: [&str; 10] =
@@ -35,11 +35,13 @@ const HEADER: [&str; 19] = [
     "gradient_us_highest",
 ];
 
-/// Writes all files.
-pub fn write(folder: &Folder, name: &str, check: &Errors, conserved: Option<&str>, rows: &[Row]) -> Result<()> {
-    folder.write("accuracy.csv", csv(HEADER, rows.iter().map(record))?)?;
+/// Writes all files. Returns the contents of `accuracy.csv`.
+pub fn write(folder: &Folder, name: &str, check: &Errors, conserved: Option<&str>, rows: &[Row]) -> Result<Vec<u8>> {
+    let list = csv(HEADER, rows.iter().map(record))?;
+    folder.write("accuracy.csv", &list)?;
     folder.write("accuracy.svg", diagrams(name, rows).to_svg().as_bytes())?;
-    folder.write("accuracy.md", markdown(name, check, conserved, rows).as_bytes())
+    folder.write("accuracy.md", markdown(name, check, conserved, rows).as_bytes())?;
+    Ok(list)
 }
 
 fn record(row: &Row) -> Vec<String> {
@@ -102,12 +104,12 @@ fn diagrams(name: &str, rows: &[Row]) -> crate::report::Drawing {
 const COLUMNS: [&str; 7] = ["setting", "trajectory", "loss", "R", "signs of R", "M", "signs of M"];
 const COSTS: [&str; 3] = ["operations", "forward, µs", "with gradients, µs"];
 
-fn table(style: TableStyle, conserved: Option<&str>, rows: &mut dyn Iterator<Item = &Row>) -> Table {
-    let mut table = Table::new();
+fn table(conserved: Option<&str>, rows: &mut dyn Iterator<Item = &Row>) -> Table {
     let drift = conserved.map(|name| format!("drift of the {name}"));
     let header: Vec<String> = COLUMNS.map(String::from).into_iter().chain(drift).chain(COSTS.map(String::from)).collect();
-    table.load_style(style).set_header(header);
-    let error = |error: f64| if error.is_nan() { "-".to_owned() } else { format!("{error:.1e}") };
+    let most_important = ["R", "with gradients, µs", "loss", "signs of R", "operations", "M", "signs of M"];
+    let mut table = Table::new(header).optional(&most_important);
+    let error = |error: f64| if error.is_nan() { "-".to_owned() } else { rough(error) };
     for row in rows {
         let time = |[low, median, high]: [f64; 3]| match (high - low) / median {
             spread if spread.is_nan() => "-".to_owned(),
@@ -123,18 +125,7 @@ fn table(style: TableStyle, conserved: Option<&str>, rows: &mut dyn Iterator<Ite
         }
         cells.extend(conserved.map(|_| error(row.drift)));
         cells.extend([row.operations.to_string(), time(row.seconds[0]), time(row.seconds[1])]);
-        table.add_row(cells);
-    }
-    right_aligned(table)
-}
-
-/// Right-aligns all columns except the first.
-pub fn right_aligned(mut table: Table) -> Table {
-    let columns = table.column_count();
-    for column in 1..columns {
-        if let Some(column) = table.column_mut(column) {
-            column.set_cell_alignment(CellAlignment::Right);
-        }
+        table.row(cells);
     }
     table
 }
@@ -144,7 +135,7 @@ fn floors(rows: &[Row]) -> String {
     let of = |precision: &str| {
         let errors = rows.iter().filter(|row| row.setting.precision.name() == precision);
         let least = errors.filter_map(|row| Some((row, row.errors.as_ref().ok()?.trajectory))).min_by(|a, b| a.1.total_cmp(&b.1));
-        least.map(|(row, error)| format!("{error:.1e} in {precision} ({} x{})", row.setting.method, row.setting.substeps))
+        least.map(|(row, error)| format!("{} in {precision} ({} x{})", rough(error), row.setting.method, row.setting.substeps))
     };
     let found: Vec<String> = ["f32", "f64"].into_iter().filter_map(of).collect();
     format!("The smallest errors of the trajectory are {}.", found.join(" and "))
@@ -154,9 +145,11 @@ fn about(rows: &[Row], check: &Errors) -> String {
     floors(rows)
         + " "
         + &format!(
-            "The reference differs from one with half as many steps by {:.1e} in the trajectory, {:.1e} in the gradient of R and \
-         {:.1e} in the gradient of M. Smaller errors are below its resolution.",
-            check.trajectory, check.gradients[0], check.gradients[1]
+            "The reference differs from one with half as many steps by {} in the trajectory, {} in the gradient of R and \
+         {} in the gradient of M. Smaller errors are below its resolution.",
+            rough(check.trajectory),
+            rough(check.gradients[0]),
+            rough(check.gradients[1])
         )
 }
 
@@ -166,7 +159,7 @@ fn markdown(name: &str, check: &Errors, conserved: Option<&str>, rows: &[Row]) -
          system and of its VJP, without the policy. Times are microseconds per step and sample, with half the spread of the \
          rounds. {}\n\n![error by cost](accuracy.svg)\n\n{}\n",
         about(rows, check),
-        table(ASCII_MARKDOWN, conserved, &mut rows.iter())
+        table(conserved, &mut rows.iter()).markdown()
     )
 }
 
@@ -182,7 +175,7 @@ pub fn summary(rows: &[Row], check: &Errors, conserved: Option<&str>) -> String 
     let mut text = format!(
         "Pareto-optimal settings in time and trajectory error, out of {}; errors are relative to the reference:\n{}\n{}",
         rows.len(),
-        table(UTF8_FULL_CONDENSED, conserved, &mut front.into_iter()),
+        table(conserved, &mut front.into_iter()),
         about(rows, check)
     );
     if diverged > 0 {

@@ -2,6 +2,7 @@
 
 use super::SweepPoint;
 use crate::Field;
+use crate::numbers::text::short;
 use crate::program::platform::csv::csv;
 use crate::program::runs::statistics::{InScene, Outcome, best, by_field, field_label};
 use crate::report::quantile::{quantile, sorted};
@@ -80,7 +81,7 @@ pub fn lowest(scenes: &[InScene]) -> String {
     let all = scenes.iter().flat_map(|scene| by_field(&scene.runs).map(|(field, runs)| (median(runs), scene.name, field)));
     match all.filter(|(loss, ..)| !loss.is_nan()).min_by(|a, b| a.0.total_cmp(&b.0)) {
         Some((loss, scene, field)) if scenes.len() > 1 => {
-            format!("\nlowest median final test loss: {scene}, {field}: {loss:.4}")
+            format!("\nlowest median final test loss: {scene}, {field}: {}", short(loss))
         }
         _ => String::new(),
     }

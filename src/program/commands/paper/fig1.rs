@@ -1,14 +1,15 @@
 //! Figure 1: loss, R and M over the two parameters of a quadratic policy.
 
 use crate::Field;
+use crate::numbers::text::rough;
 use crate::policy::Quadratic;
 use crate::program::commands::paper::FinishedFigure;
+use crate::program::platform::table::Table;
 use crate::report::quantile::{quantile, sorted};
 use crate::report::{Map, Plane, maps};
 use crate::tasks::Reach;
 use crate::vector_field::{self, Sample};
 use anyhow::Result;
-use std::fmt::Write;
 
 /// Half the range of each parameter, which is centered at 0.
 const HALF_WIDTH: f64 = 4.0;
@@ -40,7 +41,7 @@ pub fn fig1(quick: bool) -> Result<FinishedFigure> {
         ],
         &[],
     );
-    Ok(FinishedFigure { drawing, csv: fine.csv()?, table: fine.table() })
+    Ok(FinishedFigure { drawing, csv: fine.csv()?, table: fine.table(), note: "" })
 }
 
 /// Samples of R and M at the same parameters.
@@ -67,20 +68,22 @@ impl Fields {
         Ok(csv.into_inner()?)
     }
 
-    fn table(&self) -> String {
+    fn table(&self) -> Table {
         // |x_4 - y|. R and M are proportional to it.
         let miss = |s: &Sample| (2.0 * s.loss).sqrt();
-        let mut table = "| over θ | min | median | max | orders of magnitude |\n|---|---|---|---|---|\n".to_string();
+        let mut table = Table::new(["over θ", "min", "median", "max", "orders of magnitude"]);
         for (name, values) in [
             ("loss", self.regular.iter().map(|s| s.loss).collect::<Vec<f64>>()),
-            ("\\|R\\|", self.regular.iter().map(Sample::norm).collect()),
-            ("\\|M\\|", self.modified.iter().map(Sample::norm).collect()),
-            ("\\|R\\| / \\|x₄ - y\\|", self.regular.iter().map(|s| s.norm() / miss(s)).collect()),
-            ("\\|M\\| / \\|x₄ - y\\|", self.modified.iter().map(|s| s.norm() / miss(s)).collect()),
+            ("|R|", self.regular.iter().map(Sample::norm).collect()),
+            ("|M|", self.modified.iter().map(Sample::norm).collect()),
+            ("|R| / |x₄ - y|", self.regular.iter().map(|s| s.norm() / miss(s)).collect()),
+            ("|M| / |x₄ - y|", self.modified.iter().map(|s| s.norm() / miss(s)).collect()),
         ] {
             let values = sorted(values.into_iter());
             let [min, median, max] = [0.0, 0.5, 1.0].map(|q| quantile(&values, q));
-            let _ = writeln!(table, "| {name} | {min:.1e} | {median:.1e} | {max:.1e} | {:.1} |", (max / min).log10());
+            let decades = (max / min).log10();
+            let [min, median, max] = [min, median, max].map(rough);
+            table.row([name.to_owned(), min, median, max, format!("{decades:.1}")]);
         }
         table
     }

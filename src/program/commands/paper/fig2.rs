@@ -1,12 +1,13 @@
 //! Figure 2: Adam on a gradient, on the gradient with a rotation added, and on their combination.
 
+use crate::numbers::text::rough;
 use crate::policy::Constant;
 use crate::program::commands::paper::FinishedFigure;
+use crate::program::platform::table::Table;
 use crate::report::{Map, Plane, field_color, maps};
 use crate::tasks::Bowl;
 use crate::vector_field::{self, LEARNING_RATE, Rotated, START, Sample};
 use anyhow::Result;
-use std::fmt::Write;
 
 /// Half the range of each parameter, which is centered at 0.
 const HALF_WIDTH: f64 = 4.0;
@@ -21,7 +22,7 @@ pub fn fig2(quick: bool) -> Result<FinishedFigure> {
     let plane = Plane { labels: ["θ₁", "θ₂"], half_width: HALF_WIDTH, decades: [-1, 2], values: "norm of the vector" };
     let mut csv = csv::Writer::from_writer(Vec::new());
     csv.write_record(["method", "iteration", "theta_1", "theta_2", "loss"])?;
-    let mut table = "| Adam along the | last loss | distance to the minimum |\n|---|---|---|\n".to_string();
+    let mut table = Table::new(["Adam along the", "last loss", "distance to the minimum"]);
     let (mut panels, mut runs) = (Vec::new(), Vec::new());
     let colors = [field_color("R"), field_color("M"), field_color("C")];
     for (i, (name, field)) in Rotated::figure().into_iter().enumerate() {
@@ -31,7 +32,8 @@ pub fn fig2(quick: bool) -> Result<FinishedFigure> {
         }
         let last = path[path.len() - 1];
         // The minimum is at the origin.
-        let _ = writeln!(table, "| {name} | {:.1e} | {:.1e} |", last.loss, last.theta[0].hypot(last.theta[1]));
+        let [loss, distance] = [last.loss, last.theta[0].hypot(last.theta[1])].map(rough);
+        table.row([name.to_owned(), loss, distance]);
         let norms = vector_field::sample(&task, &policy, &field, &vector_field::grid(HALF_WIDTH, cells))?;
         let directions = vector_field::sample(&task, &policy, &field, &vector_field::grid(HALF_WIDTH, arrows))?;
         panels.push(Map {
@@ -44,5 +46,5 @@ pub fn fig2(quick: bool) -> Result<FinishedFigure> {
         });
         runs.push((LETTERS[i], colors[i], path.iter().map(|s| s.loss).collect()));
     }
-    Ok(FinishedFigure { drawing: maps(&plane, &panels, &runs), csv: csv.into_inner()?, table })
+    Ok(FinishedFigure { drawing: maps(&plane, &panels, &runs), csv: csv.into_inner()?, table, note: "" })
 }

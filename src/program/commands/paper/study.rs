@@ -1,10 +1,12 @@
 //! Figures 3 to 5: learning curves of several fields, for several values of one setting.
 
 use crate::Record;
+use crate::numbers::text::short;
 use crate::program::commands::paper::{FinishedFigure, Options};
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::Folder;
-use crate::program::platform::terminal::print_result;
+use crate::program::platform::table::Table;
+use crate::program::platform::terminal::print_message;
 use crate::program::runs::statistics::{Outcome, best, by_field, curves, trailing_mean};
 use crate::program::runs::sweep::{Comparison, sweep};
 use crate::program::scenes::{overrides, presets};
@@ -12,8 +14,7 @@ use crate::program::settings::ClipName;
 use crate::report::quantile::{quantile, sorted};
 use crate::report::{self, Abscissa, Case, Curve, Drawing};
 use anyhow::Result;
-use comfy_table::Table;
-use comfy_table::presets::ASCII_MARKDOWN;
+use serde_json::Value as Json;
 use toml::Value;
 
 /// Window of the moving average in epochs, as in the paper.
@@ -78,22 +79,22 @@ struct Cell<'a> {
 }
 
 impl Study {
-    /// Trains all runs and writes the figure.
-    pub fn run(&self, options: &Options, folder: &Folder) -> Result<()> {
+    /// Trains all runs and writes the figure. Returns its table, null if a signal ended the training.
+    pub fn run(&self, options: &Options, folder: &Folder) -> Result<Json> {
         let cells = || options.clip.iter().flat_map(|&clip| self.values.iter().map(move |&value| (value, clip)));
         let plans = cells().map(|(value, clip)| self.plan(value, clip, options, folder));
         let mut comparisons = plans.collect::<Result<Vec<_>>>()?;
         let swept = sweep(&mut comparisons, options.quiet)?;
         if swept.interrupted {
-            let _ = print_result(&format!("interrupted; to resume in {}, repeat the same command", folder.path().display()));
-            return swept.into_result();
+            print_message(&format!("interrupted; to resume in {}, repeat the same command", folder.path().display()));
+            return swept.into_result().map(|()| Json::Null);
         }
         let outcomes = comparisons.iter().map(Comparison::outcomes);
         let cells: Vec<Cell> = cells().zip(outcomes).map(|((value, clip), runs)| Cell { value, clip, runs }).collect();
-        let table = format!("{}\n\n{NOTE}", self.table(&cells));
-        let finished = FinishedFigure { drawing: self.drawing(options, &cells), csv: self.csv(&cells)?, table };
-        finished.write(self.name, folder, options)?;
-        swept.into_result()
+        let drawing = self.drawing(options, &cells);
+        let finished = FinishedFigure { drawing, csv: self.csv(&cells)?, table: self.table(&cells), note: NOTE };
+        let table = finished.write(self.name, folder, options)?;
+        swept.into_result().map(|()| table)
     }
 
     fn panel(&self, value: &str) -> String {
@@ -158,22 +159,21 @@ impl Study {
         csv(header.into_iter().chain(["seconds", "skipped", "diverged"]), rows)
     }
 
-    /// Markdown table of final losses over the seeds.
+    /// Table of final losses over the seeds.
     fn table(&self, cells: &[Cell]) -> Table {
-        let mut table = Table::new();
         let header = ["case", "clip", "field", "seeds", "median final test loss", "quartiles", "median best", "failed"];
-        table.load_style(ASCII_MARKDOWN).set_header(header);
+        let mut table = Table::new(header).optional(&["median best", "failed", "seeds"]);
         for (cell, (field, runs)) in cells.iter().flat_map(|cell| by_field(&cell.runs).map(move |runs| (cell, runs))) {
             let last = sorted(runs.iter().map(|run| run.last(|r| r.test_loss)));
             let lowest = sorted(runs.iter().map(|run| best(run.records)));
-            table.add_row([
+            table.row([
                 self.panel(cell.value),
                 cell.clip.name().to_owned(),
                 field.letter().to_owned(),
                 runs.len().to_string(),
-                format!("{:.3e}", quantile(&last, 0.5)),
-                format!("{:.3e} to {:.3e}", quantile(&last, 0.25), quantile(&last, 0.75)),
-                format!("{:.3e}", quantile(&lowest, 0.5)),
+                short(quantile(&last, 0.5)),
+                format!("{} to {}", short(quantile(&last, 0.25)), short(quantile(&last, 0.75))),
+                short(quantile(&lowest, 0.5)),
                 runs.iter().filter(|run| run.failed).count().to_string(),
             ]);
         }

@@ -1,5 +1,6 @@
 //! Page about an identification, from the files that `physgrad identify` writes.
 
+use crate::numbers::text::short;
 use crate::program::commands::report::figure::Figure;
 use crate::program::commands::report::page::{document, figures, section, table};
 use crate::program::platform::folder::Folder;
@@ -62,7 +63,7 @@ fn rows(folder: &Folder, name: &str) -> Result<Vec<Vec<String>>> {
 
 /// A number with four digits. Other text stays.
 fn rounded(cell: &str) -> String {
-    cell.parse::<f64>().map_or_else(|_| cell.to_owned(), |x| if x.is_finite() { format!("{x:.3e}") } else { "unknown".into() })
+    cell.parse::<f64>().map_or_else(|_| cell.to_owned(), |x| if x.is_finite() { short(x) } else { "unknown".into() })
 }
 
 /// A measured and a simulated state component at a time.
@@ -120,7 +121,7 @@ fn compared(title: &str, trajectories: &Trajectories) -> Markup {
     let header: Vec<String> =
         ["segment"].map(String::from).into_iter().chain(measured.iter().map(|&i| components[i].clone())).collect();
     let row = |(name, all): &(String, Vec<Vec<Sample>>)| -> Vec<String> {
-        let cells = measured.iter().map(|&i| if all[i].is_empty() { String::new() } else { format!("{:.3e}", rms(&all[i])) });
+        let cells = measured.iter().map(|&i| if all[i].is_empty() { String::new() } else { short(rms(&all[i])) });
         [name.clone()].into_iter().chain(cells).collect()
     };
     let rows: Vec<Vec<String>> = segments.iter().map(row).collect();

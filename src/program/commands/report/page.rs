@@ -1,5 +1,6 @@
 //! HTML page: a single document that embeds style, script, charts and animations.
 
+use crate::numbers::text::short;
 use crate::program::commands::report::figure::Figure;
 use crate::program::commands::report::inspected::{Inspected, InspectedScene};
 use crate::program::commands::report::{diagnostics, learning};
@@ -164,9 +165,9 @@ fn result(run: &Inspected) -> Markup {
     let row = [
         if records.len() < run.epochs { format!("{} of {}", records.len(), run.epochs) } else { records.len().to_string() },
         format!("{:.1}", run.outcome().seconds()),
-        format!("{:.3e}", last.train_loss),
-        format!("{:.3e}", last.test_loss),
-        format!("{:.3e}", best(records)),
+        short(last.train_loss),
+        short(last.test_loss),
+        short(best(records)),
         skipped.to_string(),
     ];
     html! {

@@ -1,0 +1,55 @@
+//! Numbers in messages and tables.
+
+/// A number with four significant digits, for losses and other results.
+#[cfg(any(feature = "program", test))]
+pub(crate) fn short(x: f64) -> String {
+    digits(x, 4)
+}
+
+/// A number with two significant digits, for errors and other magnitudes.
+pub(crate) fn rough(x: f64) -> String {
+    digits(x, 2)
+}
+
+/// A number with this many significant digits, rounded to nearest. Integers of up to five digits
+/// are not shortened. Numbers below 1e-3 and from 1e5 on have an exponent.
+pub(crate) fn digits(x: f64, count: usize) -> String {
+    if x == 0.0 {
+        return "0".into();
+    }
+    if !x.is_finite() {
+        return x.to_string();
+    }
+    let scientific = format!("{x:.*e}", count - 1);
+    // Reads the exponent after rounding: 0.00099996 becomes 0.001000.
+    let exponent = scientific.split_once('e').and_then(|(_, exponent)| exponent.parse::<i32>().ok());
+    match exponent {
+        Some(exponent) if (-3..5).contains(&exponent) => {
+            format!("{x:.*}", usize::try_from(count as i32 - 1 - exponent).unwrap_or(0))
+        }
+        _ => scientific,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_number_is_plain_from_1e_minus_3_to_1e5_and_scientific_elsewhere() {
+        let plain = [0.001, 0.5322, 1.507, -12.34, 99_999.0].map(short);
+        assert_eq!(plain, ["0.001000", "0.5322", "1.507", "-12.34", "99999"]);
+        assert_eq!([0.000_999_4, 1e5, -3e-7, 1.5e14].map(short), ["9.994e-4", "1.000e5", "-3.000e-7", "1.500e14"]);
+        assert_eq!([0.0054, 0.0996, 999.6].map(rough), ["0.0054", "0.10", "1000"]);
+    }
+
+    #[test]
+    fn rounding_to_the_next_decade_keeps_the_number_of_digits() {
+        assert_eq!([0.000_999_96, 0.099_999, 9.9999, 99_999.6].map(short), ["0.001000", "0.1000", "10.00", "1.000e5"]);
+    }
+
+    #[test]
+    fn zero_and_non_finite_numbers_have_no_digits() {
+        assert_eq!([0.0, -0.0, f64::NAN, f64::INFINITY, -f64::INFINITY].map(short), ["0", "0", "NaN", "inf", "-inf"]);
+    }
+}

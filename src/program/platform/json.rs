@@ -1,0 +1,62 @@
+//! Results as JSON (option `--json`): one object on standard output.
+
+use super::terminal::print_result;
+use anyhow::Result;
+use serde_json::{Map, Value};
+
+/// Columns of text. A name such as `1` stays text.
+const TEXT: [&str; 12] =
+    ["run", "case", "field", "name", "task", "tags", "method", "precision", "stop", "clip", "setting", "checked"];
+
+/// Prints an object.
+///
+/// # Errors
+/// As [`print_result`].
+pub fn print_json(object: &Value) -> Result<()> {
+    print_result(&serde_json::to_string_pretty(object)?)
+}
+
+/// Rows of a CSV file, as objects whose keys are the columns.
+///
+/// # Errors
+/// The text is not CSV.
+pub fn rows(csv: &[u8]) -> Result<Value> {
+    let mut csv = csv::Reader::from_reader(csv);
+    let header = csv.headers()?.clone();
+    let object = |row: csv::StringRecord| object(header.iter().zip(row.iter()));
+    csv.records().map(|row| Ok(object(row?))).collect()
+}
+
+/// Object of cells by their columns. Numbers and `true` and `false` are values; empty cells and
+/// non-finite numbers are null.
+pub fn object<'a>(cells: impl IntoIterator<Item = (&'a str, &'a str)>) -> Value {
+    let value = |column: &str, cell: &str| match cell {
+        "" => Value::Null,
+        "true" | "false" => Value::Bool(cell == "true"),
+        _ if TEXT.contains(&column) => cell.into(),
+        _ => match (cell.parse::<i64>(), cell.parse::<f64>()) {
+            (Ok(whole), _) => whole.into(),
+            // JSON has no NaN and no infinity: they become null.
+            (_, Ok(number)) => number.into(),
+            _ => cell.into(),
+        },
+    };
+    let entries = cells.into_iter().map(|(column, cell)| (column.to_owned(), value(column, cell)));
+    Value::Object(entries.collect::<Map<_, _>>())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn cells_become_numbers_text_and_null() {
+        let found = rows(b"run,seed,loss,failed\n7,3,0.5,true\nb,4,NaN,false\n").expect("CSV");
+        let expected = json!([
+            { "run": "7", "seed": 3, "loss": 0.5, "failed": true },
+            { "run": "b", "seed": 4, "loss": null, "failed": false },
+        ]);
+        assert_eq!(found, expected);
+    }
+}

@@ -1,0 +1,25 @@
+//! Ranges in errors of settings that are no whole number.
+
+use crate::program::settings::config_error::{ConfigError, WHOLE_NUMBER};
+use crate::program::tasks::AnyTaskSpec;
+use toml::{Table, Value};
+
+/// Replaces the range of the type by the range of the setting, if a setting should be a whole
+/// number.
+///
+/// Validates the largest number in its place: the error of this number names the range.
+pub fn with_range(spec: &'static dyn AnyTaskSpec, mut settings: Table, mut error: ConfigError) -> ConfigError {
+    let Some(found) = error.what.strip_suffix(WHOLE_NUMBER).map(str::to_owned) else { return error };
+    let (sections, name) = error.key.rsplit_once('.').unwrap_or(("", &error.key));
+    let mut names = sections.split('.').filter(|name| !name.is_empty());
+    let section = names.try_fold(&mut settings, |table, name| table.get_mut(name)?.as_table_mut());
+    let Some(section) = section.filter(|section| section.contains_key(name)) else { return error };
+    section.insert(name.to_owned(), Value::Integer(i64::MAX));
+    if let Err(of_largest) = spec.scene(settings)
+        && of_largest.key == error.key
+        && let Some((_, range)) = of_largest.what.split_once("; allowed: ")
+    {
+        error.what = format!("{found}a whole number, {range}");
+    }
+    error
+}
