@@ -3,6 +3,7 @@
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::LazyLock;
 
 /// Packages of the environment: readers of the files that the program writes.
 const PACKAGES: [&str; 4] = ["numpy", "onnxruntime", "safetensors", "tensorboard"];
@@ -14,7 +15,9 @@ const PACKAGES: [&str; 4] = ["numpy", "onnxruntime", "safetensors", "tensorboard
 /// # Panics
 /// If the script fails.
 pub fn run(script: &str, args: &[&Path]) -> Option<String> {
-    let python = interpreter().map_err(|reason| println!("skipped {script}: {reason}")).ok()?;
+    // A failed installation is not repeated.
+    static INTERPRETER: LazyLock<Result<PathBuf, String>> = LazyLock::new(interpreter);
+    let python = INTERPRETER.as_ref().map_err(|reason| println!("skipped {script}: {reason}")).ok()?;
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/program").join(script);
     let output = Command::new(python).arg(&script).args(args).output().expect("Python starts");
     let text = String::from_utf8_lossy(&output.stdout).into_owned();

@@ -79,7 +79,7 @@ impl<F: Float> Builder<'_, F> {
         let kernel = find(&layer.kernel).with_context(|| format!("the policy has no tensor {}", layer.kernel))?;
         let outputs = kernel.shape[kernel.shape.len() - 1];
         let bias = layer.bias.as_ref().and_then(find);
-        // Unused dimensions of a convolution have the length 1.
+        // One row per number that an output reads, one column per output.
         let weights = self.parameters(&kernel, vec![kernel.range.len() / outputs, outputs]);
         let bias = bias.map(|bias| self.parameters(&bias, bias.shape.clone()));
         let (value, positions) = match layer.kind {
