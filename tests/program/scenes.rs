@@ -149,15 +149,18 @@ fn a_resampled_run_resumes_with_equal_bits_and_a_decay_fixes_the_number_of_epoch
 fn discount_truncation_and_cut_change_r_and_their_neutral_values_do_not() {
     let dir = TempDir::new().expect("a folder");
     let file = write(&dir, "scene = 1\ntask = \"cart_pole\"\nepochs = 1\n");
+    // In 25 steps, the adjoint of R does not grow.
     let trained = |field: &str, setting: &str| {
         let out = dir.path().join(format!("{field}_{setting}"));
-        train_scene(&file, &out, &[&SMALL[..], &["--field", field, "--set", setting]].concat()).assert().success();
+        train_scene(&file, &out, &[&SMALL[..], &["--field", field, "--set", setting, "--set", "horizon=100"]].concat())
+            .assert()
+            .success();
         policy(&out)
     };
     let (regular, stopped) = (trained("R", "training.discount=1"), trained("S", "training.discount=1"));
     assert!(trained("R", "training.discount=0") == stopped, "R without any path differs from S");
     let mut different = vec![regular.clone(), stopped];
-    for (key, neutral, value) in [("discount", "1", "0.9"), ("truncation", "100", "10"), ("cut", "300", "0.1")] {
+    for (key, neutral, value) in [("discount", "1", "0.9"), ("truncation", "100", "10"), ("cut", "300", "0.001")] {
         let of = |value: &str| trained("R", &format!("training.{key}={value}"));
         assert!(of(neutral) == regular, "{key} of {neutral} changes R");
         different.push(of(value));
