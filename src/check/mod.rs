@@ -102,10 +102,13 @@ pub enum Failure {
 impl fmt::Display for Mismatch {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { what, index, expected, found, error, allowed, case } = self;
-        write!(
-            f,
-            "{what}[{index}] is {found:e}, expected {expected:e}: relative error {error:.1e}, allowed {allowed:.0e} (case {case})"
-        )
+        write!(f, "{what}[{index}] is {found:e}, expected {expected:e}: ")?;
+        // Only bitwise comparisons allow no error.
+        if *allowed == 0.0 {
+            write!(f, "both must be equal, but differ by {error:.1e} (case {case})")
+        } else {
+            write!(f, "relative error {error:.1e}, allowed {allowed:.0e} (case {case})")
+        }
     }
 }
 

@@ -141,8 +141,10 @@ pub type Act<'a> = &'a dyn Fn(&[Dual64], &[Dual64], usize, &mut [Dual64]);
 /// `(∂N/∂x)ᵀ u_bar` per column.
 pub fn policy_input_gradient(act: Act, (n, m): (usize, usize), theta: &[f64], x: &[f64], u_bar: &[f64]) -> Vec<f64> {
     let theta = constants(theta);
-    let columns = x.chunks_exact(n).zip(u_bar.chunks_exact(m)).enumerate();
-    columns.flat_map(|(c, (x, u_bar))| pulled_back(x, u_bar, &|x, u| act(&theta, x, c, u))).collect()
+    columns((n, m), x, u_bar)
+        .enumerate()
+        .flat_map(|(c, (x, u_bar))| pulled_back(x, u_bar, &|x, u| act(&theta, x, c, u)))
+        .collect()
 }
 
 /// `(∂f/∂inputs)ᵀ bar`, one forward pass per input.
@@ -170,7 +172,13 @@ fn policy_slope(
         act(&theta, &constants(x), c, &mut u);
         inner(&u, u_bar)
     };
-    x.chunks_exact(n).zip(u_bar.chunks_exact(m)).enumerate().map(slope).collect()
+    columns((n, m), x, u_bar).enumerate().map(slope).collect()
+}
+
+/// Inputs and cotangents of the outputs of each column. Without inputs and outputs, there are none.
+fn columns<'a>((n, m): (usize, usize), x: &'a [f64], u_bar: &'a [f64]) -> impl Iterator<Item = (&'a [f64], &'a [f64])> {
+    let count = x.len().checked_div(n).or(u_bar.len().checked_div(m)).unwrap_or(0);
+    (0..count).map(move |c| (&x[c * n..][..n], &u_bar[c * m..][..m]))
 }
 
 fn constants(values: &[f64]) -> Vec<Dual64> {

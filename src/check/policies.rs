@@ -73,8 +73,8 @@ fn check(policy: &dyn crate::policy::AnyPolicy<f64>, act: Act, by_duals: oracle:
         }
         let [expected, from_nans] = [0.0, f64::NAN].map(|initial| {
             let mut u = vec![initial; total * m];
-            for (c, (x, u)) in x.chunks_exact(n).zip(u.chunks_exact_mut(m)).enumerate() {
-                act(weights.theta(), x, c, u);
+            for c in 0..total {
+                act(weights.theta(), &x[c * n..][..n], c, &mut u[c * m..][..m]);
             }
             u
         });

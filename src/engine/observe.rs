@@ -58,7 +58,8 @@ impl<T: Task, F: Float> Vectorized for Forward<'_, T, F> {
     fn run<const FMA: bool>(self) {
         let Self { task, inputs, y } = self;
         let dim = task.observation_dim().unwrap_or(0);
-        for (block, y) in y.chunks_exact_mut(dim).enumerate() {
+        // Without components, there are no blocks.
+        for (block, y) in y.chunks_exact_mut(dim.max(1)).enumerate() {
             task.observe(of_block(task, inputs, block), y);
         }
     }

@@ -79,7 +79,7 @@ impl<F: Float> Rollout<F> {
     /// Allocates `samples` rollouts with a tape.
     ///
     /// # Panics
-    /// If `samples` or the horizon is 0. If the shapes of task and policy differ, or the policy
+    /// If `samples`, the horizon or the number of states is 0. If the shapes of task and policy differ, or the policy
     /// trains a parameter that the task lacks.
     pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize) -> Self {
         Self::with_steps(task, policy, samples, task.horizon())
@@ -99,6 +99,7 @@ impl<F: Float> Rollout<F> {
         let (n, m) = (task.state_dim(), task.control_dim());
         assert!(samples > 0, "a rollout needs at least one sample");
         assert!(task.horizon() > 0, "a rollout needs a horizon of at least one step");
+        assert!(n > 0, "a rollout needs a system with at least one state component");
         let observed = task.observed_dim();
         assert_eq!(
             policy.observation_dim(),

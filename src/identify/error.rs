@@ -26,6 +26,31 @@ pub enum IdentifyError {
         /// Length expected.
         expected: usize,
     },
+    /// A segment has no samples.
+    #[error("segment {segment} has no samples; remove it")]
+    Empty {
+        /// Index of the segment.
+        segment: usize,
+    },
+    /// An initial state is exact by the options, but not measured.
+    #[error(
+        "segment {segment}: component {component} of the first sample is missing, but the options declare the first sample \
+         exact; begin at a complete sample, or set `free_starts`"
+    )]
+    MissingStart {
+        /// Index of the segment.
+        segment: usize,
+        /// Component of the state.
+        component: usize,
+    },
+    /// A standard deviation of the noise is not a positive number.
+    #[error("the noise of state component {component} is {noise}; allowed: positive finite numbers")]
+    Noise {
+        /// Component of the state.
+        component: usize,
+        /// Standard deviation.
+        noise: f64,
+    },
     /// An initial value is not within its bounds, or an index is out of range.
     #[error("unknown `{name}`: start {start} with bounds {min} to {max}, entry {index} of {params} parameters")]
     Unknown {

@@ -40,8 +40,8 @@ pub struct Options {
     pub noise: Option<Vec<f64>>,
     /// Whether the initial state of each segment is unknown. Otherwise it is the first sample.
     pub free_starts: bool,
-    /// Length of the windows of multiple shooting, in steps. `None`: single shooting of whole
-    /// segments.
+    /// Length of the windows of multiple shooting, in steps, at least 1. `None`: single shooting of
+    /// whole segments.
     pub window: Option<usize>,
     /// Largest number of iterations per weight of continuity.
     pub max_iterations: usize,

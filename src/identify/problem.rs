@@ -54,6 +54,10 @@ impl<'a> Problem<'a> {
         if unknowns.is_empty() && !options.free_starts {
             return Err(IdentifyError::NothingUnknown);
         }
+        let noise = options.noise.iter().flatten().copied().enumerate();
+        if let Some((component, noise)) = { noise }.find(|(_, noise)| !(*noise > 0.0 && noise.is_finite())) {
+            return Err(IdentifyError::Noise { component, noise });
+        }
         for (segment, Segment { x, u, p }) in segments.iter().enumerate() {
             let shape = |what, found, expected| IdentifyError::Shape { segment, what, found, expected };
             if let Some(row) = x.iter().find(|row| row.len() != n) {
@@ -67,6 +71,10 @@ impl<'a> Problem<'a> {
             }
             if let Some(noise) = options.noise.as_ref().filter(|noise| noise.len() != n) {
                 return Err(shape("the list of noise levels", noise.len(), n));
+            }
+            let first = x.first().ok_or(IdentifyError::Empty { segment })?;
+            if let (false, Some(component)) = (options.free_starts, first.iter().position(|y| !y.is_finite())) {
+                return Err(IdentifyError::MissingStart { segment, component });
             }
         }
         for Unknown { name, index, start, min, max } in unknowns {
@@ -121,8 +129,9 @@ impl<'a> Problem<'a> {
             let last = segment.x.len().saturating_sub(1);
             let p = self.parameters(index, &values);
             let mut start = vec![0.0; self.model.sizes()[0]];
-            for first in (0..last.max(1)).step_by(length.unwrap_or(last).max(1)) {
-                let steps = length.unwrap_or(last).min(last - first);
+            let length = length.unwrap_or(last).max(1);
+            for first in (0..last.max(1)).step_by(length) {
+                let steps = length.min(last - first);
                 start.iter_mut().zip(&segment.x[first]).filter(|(_, y)| y.is_finite()).for_each(|(x, y)| *x = *y);
                 let window = Window { segment: index, first, steps, start, is_free: self.free_starts || first > 0 };
                 let states = self.run(&window, &p).simulate(self.model);

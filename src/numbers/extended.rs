@@ -106,7 +106,9 @@ impl fmt::Display for ExtendedF64 {
         }
         let log = self.log10();
         let sign = if self.mantissa < 0.0 { "-" } else { "" };
-        write!(f, "{sign}{:.5}e{}", 10f64.powf(log - log.floor()), log.floor())
+        let rounded = (1e5 * 10f64.powf(log - log.floor())).round() / 1e5;
+        let (digits, exponent) = if rounded < 10.0 { (rounded, log.floor()) } else { (1.0, log.floor() + 1.0) };
+        write!(f, "{sign}{digits:.5}e{exponent}")
     }
 }
 
@@ -185,5 +187,15 @@ mod tests {
         }
         assert_eq!((scaled(1.0f32, -200), scaled(-1.0f32, 200)), (0.0, f32::NEG_INFINITY));
         assert_eq!((scaled_with_sign(-1.0f32, -200), scaled_with_sign(0.0f32, -200)), (-f32::from_bits(1), 0.0));
+    }
+
+    #[test]
+    fn a_mantissa_that_rounds_to_ten_is_printed_as_one() {
+        // Powers of two whose decimal mantissa is 9.999995 or more.
+        let rounds_up = |exponent: &i32| (f64::from(*exponent) * std::f64::consts::LOG10_2).fract() > 9.999_995_5f64.log10();
+        let exponent = (1000..100_000_000).find(rounds_up).expect("fractions of multiples of log10(2) are dense");
+        let decimal = (f64::from(exponent) * std::f64::consts::LOG10_2).ceil();
+        assert_eq!(ExtendedF64::new(1.0, exponent).to_string(), format!("1.00000e{decimal}"));
+        assert_eq!(ExtendedF64::new(-1.0, exponent).to_string(), format!("-1.00000e{decimal}"));
     }
 }

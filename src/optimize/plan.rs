@@ -61,7 +61,7 @@ impl Plan {
 
     /// Number of steps.
     pub fn horizon(&self) -> usize {
-        self.u.len().checked_div(self.control_dim).unwrap_or_default()
+        self.x.len() / self.state_dim - 1
     }
 
     /// State at step `t`, from 0 to the horizon.

@@ -21,6 +21,10 @@ pub enum Activation {
     Gelu,
 }
 
+/// Bound on |z| in the tanh of [`Activation::Gelu`]. Beyond it, the tanh is ±1 in f64, and z² and z³
+/// may overflow.
+const GELU_SATURATED: f64 = 100.0;
+
 impl Activation {
     /// `√(2/π)` and the coefficient of z³ in [`Activation::Gelu`].
     pub(crate) const GELU: (f64, f64) = (0.797_884_560_802_865_4, 0.044_715);
@@ -30,9 +34,13 @@ impl Activation {
     pub(crate) fn value<T: Scalar>(self, z: T) -> T {
         match self {
             Self::Tanh => z.tanh(),
-            Self::Relu => z.max(0.0),
+            // `select_lt` returns its last argument for NaN, which `max` would replace by 0.
+            Self::Relu => T::select_lt(z, T::from(f64::INFINITY), z.max(0.0), z),
             Self::Silu => z * ((z * 0.5).tanh() * 0.5 + 0.5),
-            Self::Gelu => z * 0.5 * (((z + z * z * z * Self::GELU.1) * Self::GELU.0).tanh() + 1.0),
+            Self::Gelu => {
+                let inner = z.clamp(-GELU_SATURATED, GELU_SATURATED);
+                z * 0.5 * (((inner + inner * inner * inner * Self::GELU.1) * Self::GELU.0).tanh() + 1.0)
+            }
         }
     }
 
@@ -53,10 +61,13 @@ impl Activation {
                 (h, sigma + h * (one - sigma))
             }
             Self::Gelu => {
-                let (c, cube) = (F::from_f64(Self::GELU.0), F::from_f64(Self::GELU.1));
-                let t = ((z + z * z * z * cube) * c).layer_tanh::<FMA>();
-                let inner = c * (one + F::from_f64(3.0) * cube * z * z);
-                (z * half * (t + one), half * (t + one) + half * z * (one - t * t) * inner)
+                let (c, cube, end) = (F::from_f64(Self::GELU.0), F::from_f64(Self::GELU.1), F::from_f64(GELU_SATURATED));
+                // NaN propagates, since comparisons with NaN are false.
+                let x = if z < -end { -end } else { z };
+                let x = if x > end { end } else { x };
+                let t = ((x + x * x * x * cube) * c).layer_tanh::<FMA>();
+                let inner = c * (one + F::from_f64(3.0) * cube * x * x);
+                (z * half * (t + one), half * (t + one) + half * x * (one - t * t) * inner)
             }
         }
     }
@@ -77,4 +88,38 @@ pub(super) fn activate<F: Float>(level: SimdLevel, f: Activation, values: &mut [
         }
     }
     dispatch(level, Work(f, values, slopes, columns));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::numbers::scalar::Dual;
+
+    const ALL: [Activation; 4] = [Activation::Tanh, Activation::Relu, Activation::Silu, Activation::Gelu];
+
+    #[test]
+    fn values_and_slopes_of_layers_are_those_of_single_units() {
+        for f in ALL {
+            for z in [-1e200, -150.0, -100.0, -3.0, -0.5, -0.0, 0.0, 0.5, 3.0, 100.0, 150.0, 1e200] {
+                let unit = f.value(Dual::<f64, 1>::variable(z, 0));
+                for (value, slope) in [f.with_slope::<f64, true>(z), f.with_slope::<f64, false>(z)] {
+                    let near = |found: f64, expected: f64| (found - expected).abs() <= 1e-14 * expected.abs().max(1.0);
+                    assert!(near(value, unit.value) && near(value, f.value(z)), "{f:?} of {z}: {value}, {unit:?}");
+                    assert!(near(slope, unit.tangents[0]), "slope of {f:?} at {z}: {slope}, {unit:?}");
+                }
+                let (value, slope) = f.with_slope::<f32, true>((z as f32).clamp(f32::MIN, f32::MAX));
+                assert!(value.is_finite() && slope.is_finite(), "{f:?} of {z} in f32: {value}, {slope}");
+            }
+        }
+    }
+
+    #[test]
+    fn nan_stays_nan_on_every_path() {
+        for f in ALL {
+            let unit = f.value(Dual::<f64, 1>::variable(f64::NAN, 0));
+            assert!(f.value(f64::NAN).is_nan() && unit.value.is_nan(), "{f:?}: {unit:?}");
+            assert!(f.with_slope::<f64, true>(f64::NAN).0.is_nan() && f.with_slope::<f64, false>(f64::NAN).0.is_nan(), "{f:?}");
+            assert!(f.with_slope::<f32, true>(f32::NAN).0.is_nan() && f.with_slope::<f32, false>(f32::NAN).0.is_nan(), "{f:?}");
+        }
+    }
 }

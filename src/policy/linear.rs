@@ -47,9 +47,9 @@ impl Policy for Linear {
 
     fn act<T: Scalar>(&self, theta: &[T], Observed { y, .. }: Observed<'_, T>, Action { u, .. }: Action<'_, T>) {
         let (gain, bias) = theta.split_at(self.control_dim * self.observation_dim);
-        for (i, (u, row)) in zip(u.iter_mut(), gain.chunks_exact(self.observation_dim)).enumerate() {
+        for (i, u) in u.iter_mut().enumerate() {
             *u = if self.bias { bias[i] } else { T::zero() };
-            for (&k, &x) in zip(row.iter(), y) {
+            for (&k, &x) in zip(gain[i * y.len()..][..y.len()].iter(), y) {
                 *u += k * x;
             }
         }
@@ -61,8 +61,8 @@ impl Policy for Linear {
         for c in pass.at.iter() {
             let x_bar = &mut x_bar[c * n..][..n];
             x_bar.fill(F::zero());
-            for (&u_bar, row) in zip(u_bar[c * m..][..m].iter(), pass.packed.chunks_exact(n)) {
-                add_scaled(x_bar, row, u_bar);
+            for (i, &u_bar) in u_bar[c * m..][..m].iter().enumerate() {
+                add_scaled(x_bar, &pass.packed[i * n..][..n], u_bar);
             }
         }
     }
@@ -72,8 +72,8 @@ impl Policy for Linear {
         let (gain_bar, bias_bar) = theta_bar.split_at_mut(m * n);
         for c in pass.at.iter() {
             let weight = record.weight.map_or(F::one(), |w| w[c]);
-            for (i, (&u_bar, row)) in zip(record.u_bar[c * m..][..m].iter(), gain_bar.chunks_exact_mut(n)).enumerate() {
-                add_scaled(row, &pass.x[c * n..][..n], weight * u_bar);
+            for (i, &u_bar) in record.u_bar[c * m..][..m].iter().enumerate() {
+                add_scaled(&mut gain_bar[i * n..][..n], &pass.x[c * n..][..n], weight * u_bar);
                 if self.bias {
                     bias_bar[i] += weight * u_bar;
                 }

@@ -211,6 +211,10 @@ fn check_cost_names_the_wrong_method_and_output() {
     names(Fault::CostOfParams, "running_cost_gradient: p_bar");
     names(Fault::Unwritten, "observe leaves a component unwritten: y");
     names(Fault::Overwrites, "terminal_cost_gradient, second call that adds: x_bar");
+    let message = |fault: Fault| check::try_cost(&Tracking::<1> { fault }).expect_err("a mismatch").to_string();
+    assert!(message(Fault::CostOfState).contains(": relative error "));
+    let bitwise = message(Fault::Unwritten);
+    assert!(bitwise.contains(": both must be equal, but differ by ") && !bitwise.contains("relative"), "{bitwise}");
 }
 
 #[test]

@@ -1,6 +1,6 @@
-//! Systems without controls.
+//! Systems without controls, and tasks without observations.
 
-use physgrad::policy::{Constant, Linear, TrainedParam, WithParams};
+use physgrad::policy::{Constant, Linear, OpenLoop, TrainedParam, WithParams};
 use physgrad::rng::Rng;
 use physgrad::{
     Actuated, AnyActuator, Delay, Field, Inputs, Lag, Limit, LimitKind, Scalar, Start, System, Task, Trainer, Training, check,
@@ -79,4 +79,47 @@ fn chains_of_actuators_on_systems_without_controls_are_the_identity() {
         assert_eq!(next, alone);
         check::task(&Measured(system), &Constant::new(1, 0));
     }
+}
+
+/// `x' = x + u/10`, controlled without observations.
+struct Blind;
+
+impl System for Blind {
+    fn state_dim(&self) -> usize {
+        1
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
+        next[0] = x[0] + u[0] * 0.1;
+    }
+}
+
+impl Task for Blind {
+    type System = Self;
+    fn system(&self) -> &Self {
+        self
+    }
+    fn horizon(&self) -> usize {
+        5
+    }
+    fn observation_dim(&self) -> Option<usize> {
+        Some(0)
+    }
+    fn observe<T: Scalar>(&self, _inputs: Inputs<'_, T>, _y: &mut [T]) {}
+    fn start(&self, _: &mut Rng, start: Start<'_>) {
+        start.x.fill(1.0);
+    }
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
+        x[0] * x[0]
+    }
+}
+
+#[test]
+fn policies_without_observations_are_trained() {
+    check::policy(&Linear::with_bias(0, 2));
+    check::task(&Blind, &Linear::with_bias(0, 1));
+    check::task(&Blind, &Constant::new(0, 1));
+    check::task(&Blind, &OpenLoop::new(0, 1, 5));
 }

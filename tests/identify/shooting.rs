@@ -34,7 +34,7 @@ fn measured(mut x: Vec<Vec<f64>>, p: &[f64]) -> Segment {
     Segment { x, u: Vec::new(), p: p.to_vec() }
 }
 
-/// Fits from initial values that are 30 % off, alternately too large and too small.
+/// Fits from initial values that are the true values times 1.3 and divided by 1.3, in turn.
 fn fit(system: &Pendulum, segment: &Segment, window: Option<usize>) -> Fit {
     let start = |i: usize, truth: f64| if i.is_multiple_of(2) { truth * 1.3 } else { truth / 1.3 };
     let unknown = |(index, &truth): (usize, &f64)| Unknown {

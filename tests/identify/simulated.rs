@@ -207,7 +207,28 @@ fn wrong_data_are_refused() {
     let mut empty = good.clone();
     empty.x.iter_mut().for_each(|row| row.fill(f64::NAN));
     assert!(error(empty, &unknowns(1.0)).starts_with("0 measurements cannot determine 4 unknowns"));
-    let mut wild = good;
+    let mut wild = good.clone();
     wild.x[0][1] = 1e200;
     assert!(error(wild, &unknowns(1.0)).contains("diverges at step"));
+
+    let with = |segments: &[Segment], options: Options| {
+        identify(&pendulum(), segments, &unknowns(1.0), &options).expect_err("an error").to_string()
+    };
+    let empty = Segment { x: Vec::new(), ..good.clone() };
+    assert_eq!(with(&[good.clone(), empty], Options::default()), "segment 1 has no samples; remove it");
+    let mut late = good.clone();
+    late.x[0][1] = f64::NAN;
+    assert!(with(&[late], exact).starts_with("segment 0: component 1 of the first sample is missing"));
+    for noise in [0.0, -0.1, f64::NAN, f64::INFINITY] {
+        let error = with(std::slice::from_ref(&good), Options { noise: Some(vec![0.1, noise]), ..Options::default() });
+        assert_eq!(error, format!("the noise of state component 1 is {noise}; allowed: positive finite numbers"));
+    }
+}
+
+#[test]
+fn windows_have_at_least_one_step() {
+    let rng = &mut stream(7, Purpose::Check, 0);
+    let segment = simulated(rng, &pendulum(), [1.0, 0.0], 50, NOISE);
+    let of = |window: usize| fit(std::slice::from_ref(&segment), 1.1, &Options { window: Some(window), ..Options::default() });
+    assert_eq!(of(0), of(1));
 }

@@ -104,3 +104,39 @@ fn errors_name_the_cost_with_a_non_finite_value_or_derivative() {
         assert!(run(true).unwrap_err().to_string().contains(place));
     }
 }
+
+/// `x' = x/2` without controls, over five steps.
+struct Uncontrolled;
+
+impl System for Uncontrolled {
+    fn state_dim(&self) -> usize {
+        1
+    }
+    fn control_dim(&self) -> usize {
+        0
+    }
+    fn step<T: Scalar>(&self, Inputs { x, .. }: Inputs<'_, T>, next: &mut [T]) {
+        next[0] = x[0] * 0.5;
+    }
+}
+
+impl Task for Uncontrolled {
+    type System = Self;
+    fn system(&self) -> &Self {
+        self
+    }
+    fn horizon(&self) -> usize {
+        5
+    }
+    fn start(&self, _: &mut Rng, _: Start<'_>) {}
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
+        x[0] * x[0]
+    }
+}
+
+#[test]
+fn the_plan_of_a_system_without_controls_is_its_rollout() {
+    let plan = optimize(&Uncontrolled, &[1.0], &[], Initial::Zeros, &Options::default()).expect("a finite rollout");
+    assert_eq!((plan.horizon(), plan.state(5), plan.cost), (5, &[1.0 / 32.0][..], 1.0 / 1024.0));
+    assert!(plan.converged() && plan.u.is_empty() && plan.control(4).is_empty());
+}

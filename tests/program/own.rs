@@ -165,6 +165,28 @@ fn a_new_crate_has_the_name_of_the_task_and_overwrites_nothing() {
     assert!(refused("swing_boat").contains("cannot create the folder swing_boat"));
     assert!(refused("slider").contains("built-in task"));
     assert!(refused("Swing-Boat").contains("lower case letters"));
+    for (name, reason) in [
+        ("self", "is a keyword of Rust"),
+        ("crate", "is a keyword of Rust"),
+        ("super", "is a keyword of Rust"),
+        ("try", "is a keyword of Rust"),
+        ("test", "is a crate of Rust or a folder of Cargo"),
+        ("std", "is a crate of Rust or a folder of Cargo"),
+        ("core", "is a crate of Rust or a folder of Cargo"),
+        ("serde", "is a dependency of the new crate"),
+        ("physgrad", "is a dependency of the new crate"),
+        // Types of the source of the new crate.
+        ("system", "its type would be `System`"),
+        ("mlp", "its type would be `Mlp`"),
+        ("exit_code", "its type would be `ExitCode`"),
+    ] {
+        let error = refused(name);
+        assert!(error.contains(&format!("`{name}` is no name of a task")) && error.contains(reason), "{error}");
+        assert!(error.contains(&format!("for instance `{name}_task`")) && !dir.path().join(name).exists(), "{error}");
+    }
+    assert!(refused("Self").contains("allowed: lower case letters"));
+    // Words of comments are no types.
+    new(&["moment"], dir.path()).assert().success();
 }
 
 /// Builds all dependencies, which takes minutes: `cargo test --release --test program --

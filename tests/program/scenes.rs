@@ -146,19 +146,28 @@ fn a_resampled_run_resumes_with_equal_bits_and_a_decay_fixes_the_number_of_epoch
 }
 
 #[test]
-fn discount_and_truncation_change_the_training_and_neutral_values_do_not() {
+fn discount_truncation_and_cut_change_r_and_their_neutral_values_do_not() {
     let dir = TempDir::new().expect("a folder");
     let file = write(&dir, "scene = 1\ntask = \"cart_pole\"\nepochs = 1\n");
-    let trained = |name: &str, setting: &str| {
-        let out = dir.path().join(name);
-        train_scene(&file, &out, &[&SMALL[..], &["--field", "R", "--set", setting]].concat()).assert().success();
+    // In 25 steps, the adjoint of R does not grow.
+    let trained = |field: &str, setting: &str| {
+        let out = dir.path().join(format!("{field}_{setting}"));
+        train_scene(&file, &out, &[&SMALL[..], &["--field", field, "--set", setting, "--set", "horizon=100"]].concat())
+            .assert()
+            .success();
         policy(&out)
     };
-    let plain = trained("plain", "training.discount=1");
-    assert!(trained("whole", "training.truncation=100") == plain);
-    assert!(trained("uncut", "training.cut=300") == plain);
-    assert!(trained("discounted", "training.discount=0.9") != plain);
-    assert!(trained("truncated", "training.truncation=10") != plain);
+    let (regular, stopped) = (trained("R", "training.discount=1"), trained("S", "training.discount=1"));
+    assert!(trained("R", "training.discount=0") == stopped, "R without any path differs from S");
+    let mut different = vec![regular.clone(), stopped];
+    for (key, neutral, value) in [("discount", "1", "0.9"), ("truncation", "100", "10"), ("cut", "300", "0.001")] {
+        let of = |value: &str| trained("R", &format!("training.{key}={value}"));
+        assert!(of(neutral) == regular, "{key} of {neutral} changes R");
+        different.push(of(value));
+    }
+    for (i, policy) in different.iter().enumerate() {
+        assert!(!different[..i].contains(policy), "trainings {i} and an earlier one are equal");
+    }
 }
 
 /// First lines of a cart-pole scene.

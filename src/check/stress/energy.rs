@@ -1,5 +1,6 @@
 //! Stress case: energy over long free motion.
 
+use super::steps::larger;
 use super::{Case, Finding};
 use crate::dynamics::inputs::{Inputs, OdeInputs};
 use crate::dynamics::integrator::{Integrated, Integrator, RungeKutta, SemiImplicit};
@@ -103,10 +104,7 @@ fn drift<O: Ode>(ode: O, start: &[f64], first_angle: usize, energy: &dyn Fn(&[f6
     for _ in 0..10_000 {
         step(&system, Inputs::new(&x, &[0.0]), &mut next);
         std::mem::swap(&mut x, &mut next);
-        let change = (energy(&x) - before).abs();
-        // Stores a NaN change too. All later changes are then NaN, because the state stays
-        // non-finite.
-        largest = if change <= largest { largest } else { change };
+        largest = larger(largest, (energy(&x) - before).abs());
     }
     largest / scale(start.len(), first_angle, energy)
 }
@@ -125,17 +123,42 @@ fn tenths<I: Integrator>(integrator: I, steps: usize) -> Tenths {
     let system = Integrated { ode: Pendulum, integrator, dt: 1e-2 };
     let (mut x, mut next) = (START, START);
     let before = pendulum_energy(&x);
+    tenths_of(steps, |_| {
+        step(&system, Inputs::new(&x, &[0.0]), &mut next);
+        std::mem::swap(&mut x, &mut next);
+        pendulum_energy(&x) - before
+    })
+}
+
+/// Statistics of the energy errors of steps 0, 1, ... . A NaN error makes the trend NaN, and the
+/// growth infinite or NaN, so neither meets its bound.
+fn tenths_of(steps: usize, mut error: impl FnMut(usize) -> f64) -> Tenths {
     let (mut low, mut high): (f64, f64) = (0.0, 0.0);
     let (mut sums, mut largest) = ([0.0; 10], [0.0_f64; 10]);
     for t in 0..steps {
-        step(&system, Inputs::new(&x, &[0.0]), &mut next);
-        std::mem::swap(&mut x, &mut next);
-        let (error, tenth) = (pendulum_energy(&x) - before, 10 * t / steps);
+        let (error, tenth) = (error(t), 10 * t / steps);
         (low, high) = (low.min(error), high.max(error));
         sums[tenth] += error;
-        largest[tenth] = largest[tenth].max(error.abs());
+        largest[tenth] = larger(largest[tenth], error.abs());
     }
     let amplitude = 0.5 * (high - low);
     let trend = (sums[9] - sums[0]).abs() / (0.1 * steps as f64) / amplitude;
     Tenths { trend, growth: largest[9] / largest[0], amplitude: amplitude / scale(START.len(), 0, &pendulum_energy) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_nan_energy_fails_the_bounds_of_trend_and_growth() {
+        // Two periods in each tenth.
+        let oscillation = |t: usize| (2.0 * PI * t as f64 / 50.0).sin();
+        let finite = tenths_of(1000, oscillation);
+        assert!(finite.trend <= 0.1 && finite.growth <= 1.01, "{} {}", finite.trend, finite.growth);
+        for nan_from in [0, 950] {
+            let Tenths { trend, growth, .. } = tenths_of(1000, |t| if t < nan_from { oscillation(t) } else { f64::NAN });
+            assert!(!(trend <= 0.1) && !(growth <= 1.01), "NaN from step {nan_from}: {trend} {growth}");
+        }
+    }
 }

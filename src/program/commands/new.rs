@@ -13,6 +13,18 @@ const EXAMPLE_TYPE: &str = "BallBeam";
 /// Quoted name of the task in [`EXAMPLE`], which a new crate renames.
 const EXAMPLE_TASK: &str = "\"ball_beam\"";
 
+/// Names that no crate with a dependency on physgrad can have, with the reason.
+const RESERVED: [(&str, &str); 3] = [
+    (
+        "abstract as async await become box break const continue crate do dyn else enum extern false final fn for gen if impl \
+         in let loop macro match mod move mut override priv pub ref return self static struct super trait true try type \
+         typeof unsafe unsized use virtual where while yield",
+        "is a keyword of Rust",
+    ),
+    ("alloc build core deps examples incremental proc_macro std test", "is a crate of Rust or a folder of Cargo"),
+    ("physgrad rand schemars serde", "is a dependency of the new crate"),
+];
+
 /// Write a crate with a task of your own: a commented system, a scene and a gradient check.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  physgrad new swing_boat")]
@@ -30,6 +42,16 @@ pub fn new(args: &New) -> Result<()> {
     let valid = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
     if !name.starts_with(|c: char| c.is_ascii_lowercase()) || !name.chars().all(valid) {
         bail!("`{name}` is no name of a task; allowed: lower case letters, digits and underscores, a letter first");
+    }
+    if let Some((_, reason)) = RESERVED.iter().find(|(names, _)| names.split_whitespace().any(|reserved| reserved == name)) {
+        bail!("`{name}` is no name of a task: it {reason}. Choose another name, for instance `{name}_task`");
+    }
+    let type_name = type_name(name);
+    if uses(EXAMPLE, &type_name) || uses(TEST, &type_name) {
+        bail!(
+            "`{name}` is no name of a task: its type would be `{type_name}`, which the new crate already uses. Choose another \
+             name, for instance `{name}_task`"
+        );
     }
     if tasks::all().iter().any(|task| task.name() == name) {
         bail!("`{name}` is a built-in task; choose another name");
@@ -83,10 +105,22 @@ opt-level = 1
 opt-level = 3
 "#;
 
+/// Type of the task `name`: `SwingBoat` for `swing_boat`.
+fn type_name(name: &str) -> String {
+    let words = name.split('_').filter(|word| !word.is_empty());
+    words.map(|word| word[..1].to_uppercase() + &word[1..]).collect()
+}
+
+/// Returns whether a source uses the name of a type other than that of its task. Ignores comments.
+fn uses(source: &str, type_name: &str) -> bool {
+    let code = source.lines().filter(|line| !line.trim_start().starts_with("//"));
+    let mut words = code.flat_map(|line| line.split(|c: char| !c.is_alphanumeric() && c != '_'));
+    type_name != EXAMPLE_TYPE && words.any(|word| word == type_name)
+}
+
 /// Source of the new crate: the renamed example, and a test of its gradients.
 fn source(name: &str) -> String {
-    let words = name.split('_').filter(|word| !word.is_empty());
-    let type_name: String = words.map(|word| word[..1].to_uppercase() + &word[1..]).collect();
+    let type_name = type_name(name);
     // Omits the header, which contains the command of the example.
     let body = EXAMPLE.split_once("\n\n").map_or(EXAMPLE, |(_, body)| body);
     let body = body.replace(EXAMPLE_TYPE, &type_name).replace(EXAMPLE_TASK, &format!("{name:?}"));
