@@ -215,8 +215,7 @@ mod tests {
 
     fn picture() -> String {
         let rows = [vec![panel("one", 0), panel("two", 1)], vec![panel("", 0), panel("", 1)], vec![panel("", 0), panel("", 1)]];
-        let entries = legend(rows.iter().flatten());
-        log_figure("title", &rows, entries).to_svg()
+        log_figure("title", &rows).to_svg()
     }
 
     #[test]
