@@ -5,7 +5,7 @@ mod sweep;
 use crate::program::platform::folder::{Folder, SETTINGS};
 use crate::program::platform::json::{print_json, rows};
 use crate::program::platform::table::Table;
-use crate::program::platform::terminal::{counted, print_message, print_text};
+use crate::program::platform::terminal::{counted, print_message, print_note, print_text};
 use crate::program::runs::run::threads;
 use crate::program::runs::statistics::{
     InScene, MAX_DASHED, OPTIONAL, TABLE_NOTE, curves, curves_of_scenes, table_header, table_of_scenes,
@@ -96,7 +96,7 @@ pub fn compare(args: &Compare) -> Result<()> {
     let swept = sweep(&mut comparisons, args.quiet)?;
     if swept.interrupted {
         let text = format!("interrupted; to resume, repeat the command with --out {}", folder.path().display());
-        let _ = if args.json { Ok(print_message(&text)) } else { print_text(&text) };
+        let _ = print_note(&text, args.json);
         return swept.into_result();
     }
     let scenes: Vec<InScene> = points

@@ -5,7 +5,7 @@ use crate::program::platform::csv::csv;
 use crate::program::platform::folder::{Folder, RUNS};
 use crate::program::platform::json::{print_json, rows};
 use crate::program::platform::table::Table;
-use crate::program::platform::terminal::{counted, print_message, print_text};
+use crate::program::platform::terminal::{counted, print_note, print_text};
 use crate::program::runs::listed::{Listed, below};
 use crate::report::{Curve, Dash, comparison};
 use anyhow::Result;
@@ -74,7 +74,7 @@ pub fn runs(args: &Runs) -> Result<()> {
     let title = counted(runs.len(), "run");
     folder.write("curves.svg", comparison(&title, &curves(runs)).to_svg())?;
     let text = format!("results in {}: runs.csv, curves.svg", folder.path().display());
-    if args.json { Ok(print_message(&text)) } else { print_text(&text) }
+    print_note(&text, args.json)
 }
 
 /// Okabe-Ito colours of the runs.

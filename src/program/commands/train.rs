@@ -3,7 +3,7 @@
 use crate::numbers::text::{digits, short};
 use crate::program::platform::folder::Folder;
 use crate::program::platform::json::print_json;
-use crate::program::platform::terminal::{counted, print_message, print_result, print_text};
+use crate::program::platform::terminal::{counted, print_message, print_note, print_text};
 use crate::program::runs::metrics;
 use crate::program::runs::progress::Progress;
 use crate::program::runs::run::{self, End, Finished, NoUpdate, SAVE_EVERY, threads};
@@ -109,7 +109,7 @@ pub fn train(args: &Train) -> Result<()> {
             // Ignores errors: the terminal may be closed, and the signal determines the exit
             // status.
             let text = format!("interrupted after epoch {done}; to resume:\n{command}");
-            let _ = if args.json { Ok(print_message(&text)) } else { print_result(&text) };
+            let _ = print_note(&text, args.json);
             Ok(())
         }
         End::NoUpdate(error) => {

@@ -63,6 +63,19 @@ pub fn print_message(text: &str) {
     }
 }
 
+/// Prints sentences that are no part of a result object: to standard error with `--json`, to
+/// standard output otherwise.
+///
+/// # Errors
+/// As [`print_result`].
+pub fn print_note(text: &str, json: bool) -> Result<()> {
+    if !json {
+        return print_text(text);
+    }
+    print_message(text);
+    Ok(())
+}
+
 /// The last progress bar of the process.
 static BAR: Mutex<Option<ProgressBar>> = Mutex::new(None);
 

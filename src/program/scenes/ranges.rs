@@ -8,8 +8,9 @@ use toml::{Table, Value};
 /// number.
 ///
 /// Validates the largest number in its place: the error of this number names the range.
-pub fn with_range(spec: &'static dyn AnyTaskSpec, mut settings: Table, mut error: ConfigError) -> ConfigError {
+pub fn with_range(spec: &'static dyn AnyTaskSpec, settings: impl Fn() -> Table, mut error: ConfigError) -> ConfigError {
     let Some(found) = error.what.strip_suffix(WHOLE_NUMBER).map(str::to_owned) else { return error };
+    let mut settings = settings();
     let (sections, name) = error.key.rsplit_once('.').unwrap_or(("", &error.key));
     let mut names = sections.split('.').filter(|name| !name.is_empty());
     let section = names.try_fold(&mut settings, |table, name| table.get_mut(name)?.as_table_mut());

@@ -251,14 +251,18 @@ impl SceneSource {
         };
         let spec = tasks::all().iter().copied().find(|spec| task.as_str() == Some(spec.name()));
         let spec = spec.ok_or_else(|| ConfigError::new("task", format!("is {task}; allowed: {}", names())))?;
-        let mut settings = spec.defaults();
-        overlay(&mut settings, &self.table);
-        if settings.get("physgrad").is_some_and(Value::is_str) {
-            // Replaces the version in the settings of a saved run: this version creates the scene.
-            settings.insert("physgrad".into(), env!("CARGO_PKG_VERSION").into());
-        }
-        let checked = spec.scene(settings.clone());
-        checked.map_err(|error| with_range(spec, settings, suggest(spec, explain_foreign_effect(spec, error))))
+        let settings = || {
+            let mut settings = spec.defaults();
+            overlay(&mut settings, &self.table);
+            if settings.get("physgrad").is_some_and(Value::is_str) {
+                // Replaces the version in the settings of a saved run: this version creates the
+                // scene.
+                settings.insert("physgrad".into(), env!("CARGO_PKG_VERSION").into());
+            }
+            settings
+        };
+        let explained = |error| suggest(spec, explain_foreign_effect(spec, error));
+        spec.scene(settings()).map_err(|error| with_range(spec, settings, explained(error)))
     }
 
     /// Option or line that set a key or, for an absent key, its section.

@@ -6,7 +6,7 @@ use crate::program::commands::paper::{FinishedFigure, Options};
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::Folder;
 use crate::program::platform::table::Table;
-use crate::program::platform::terminal::print_message;
+use crate::program::platform::terminal::print_note;
 use crate::program::runs::statistics::{Outcome, best, by_field, curves, trailing_mean};
 use crate::program::runs::sweep::{Comparison, sweep};
 use crate::program::scenes::{overrides, presets};
@@ -86,7 +86,8 @@ impl Study {
         let mut comparisons = plans.collect::<Result<Vec<_>>>()?;
         let swept = sweep(&mut comparisons, options.quiet)?;
         if swept.interrupted {
-            print_message(&format!("interrupted; to resume in {}, repeat the same command", folder.path().display()));
+            let text = format!("interrupted; to resume in {}, repeat the same command", folder.path().display());
+            let _ = print_note(&text, options.json);
             return swept.into_result().map(|()| Json::Null);
         }
         let outcomes = comparisons.iter().map(Comparison::outcomes);
