@@ -1,6 +1,6 @@
 //! Learning curves: the loss of one run, and the losses of several methods against effort.
 
-use super::log_figure::{Panel, legend, log_figure};
+use super::log_figure::{Panel, log_figure};
 use super::quantile::{quantile, sorted};
 use super::series::{cleaned, drawable, thinned};
 use super::{Dash, Drawing, Series};
@@ -56,7 +56,7 @@ pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) ->
         |label, color, points: &[(f64, f64)]| Series::new(label, color, thinned(cleaned(points.to_vec(), &drawable), |p| p.1));
     let series = vec![series("train", "#0072B2", train), series("test", "#D55E00", test)];
     let panel = Panel { title: String::new(), x_label: "epoch".into(), log_x: false, y_label: "loss".into(), y_axis: 0, series };
-    draw(title, &[vec![panel]])
+    log_figure(title, &[vec![panel]])
 }
 
 /// Draws the test losses of several methods against epochs and against wall time.
@@ -127,11 +127,7 @@ pub fn study(title: &str, rows: &[Vec<Case>]) -> Drawing {
     };
     let statistic = statistic(rows.iter().flatten().flat_map(|case| &case.curves).map(|curve| curve.runs.len()));
     let title = if statistic.is_empty() { title.into() } else { format!("{title}: {statistic}") };
-    draw(&title, &rows.iter().map(|row| row.iter().map(panel).collect()).collect::<Vec<_>>())
-}
-
-fn draw(title: &str, rows: &[Vec<Panel>]) -> Drawing {
-    log_figure(title, rows, legend(rows.iter().flatten()))
+    log_figure(&title, &rows.iter().map(|row| row.iter().map(panel).collect()).collect::<Vec<_>>())
 }
 
 /// Name of the statistic of curves with these numbers of seeds. Empty for single seeds.

@@ -1,6 +1,6 @@
 //! Distributions of losses.
 
-use super::log_figure::{Panel, legend, log_figure};
+use super::log_figure::{Panel, log_figure};
 use super::series::{drawable, thinned_to};
 use super::{Drawing, Series};
 
@@ -22,6 +22,5 @@ pub fn distribution(title: &str, policies: Vec<(String, &'static str, Vec<f64>)>
         y_axis: 0,
         series: policies.into_iter().map(series).collect(),
     };
-    let entries = legend([&panel].into_iter());
-    log_figure(title, &[vec![panel]], entries)
+    log_figure(title, &[vec![panel]])
 }

@@ -54,7 +54,12 @@ const LETTER: f64 = 6.2;
 ///
 /// The legend is to the right of all panels, so it covers no data. A panel omits the tick
 /// labels and the label of its y axis if its left neighbour shows equal ones.
-pub fn log_figure(title: &str, rows: &[Vec<Panel>], legend: Vec<LegendEntry>) -> Drawing {
+pub fn log_figure(title: &str, rows: &[Vec<Panel>]) -> Drawing {
+    log_figure_with(title, rows, legend(rows.iter().flatten()))
+}
+
+/// Renders rows of panels as [`log_figure`] does, with these legend entries.
+pub fn log_figure_with(title: &str, rows: &[Vec<Panel>], legend: Vec<LegendEntry>) -> Drawing {
     let panels = || rows.iter().flatten();
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0).max(1);
     let axes: Vec<LogAxis> = (0..=panels().map(|panel| panel.y_axis).max().unwrap_or(0))

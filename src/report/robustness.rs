@@ -1,6 +1,6 @@
 //! Losses over the values of a setting.
 
-use super::log_figure::{Panel, legend, log_figure};
+use super::log_figure::{Panel, log_figure};
 use super::series::drawable;
 use super::{Drawing, Series};
 
@@ -21,7 +21,5 @@ pub fn robustness(title: &str, setting: &str, panels: Vec<(String, Vec<Series>)>
         y_axis: 0,
         series: series.into_iter().map(shown).collect(),
     };
-    let row: Vec<Panel> = panels.into_iter().map(panel).collect();
-    let entries = legend(row.iter());
-    log_figure(title, &[row], entries)
+    log_figure(title, &[panels.into_iter().map(panel).collect()])
 }

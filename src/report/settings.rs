@@ -1,6 +1,6 @@
 //! Final losses over settings.
 
-use super::log_figure::{Panel, legend, log_figure};
+use super::log_figure::{Panel, log_figure};
 use super::series::drawable;
 use super::{Drawing, Series};
 
@@ -30,7 +30,5 @@ pub fn settings(title: &str, panels: Vec<(String, Vec<Series>)>) -> Drawing {
             series: series.into_iter().map(shown).collect(),
         }
     };
-    let row: Vec<Panel> = panels.into_iter().map(panel).collect();
-    let entries = legend(row.iter());
-    log_figure(title, &[row], entries)
+    log_figure(title, &[panels.into_iter().map(panel).collect()])
 }

@@ -1,6 +1,6 @@
 //! Work-precision diagrams: error against work, on logarithmic axes.
 
-use super::log_figure::{Panel, entry, legend, log_figure};
+use super::log_figure::{Panel, entry, legend, log_figure_with};
 use super::series::drawable;
 use super::{Dash, Drawing, Series};
 
@@ -35,7 +35,7 @@ pub fn work_precision(title: &str, dashes: &[(&str, Dash)], diagrams: Vec<Work>)
         entries.iter_mut().for_each(|entry| entry.dasharray = None);
         entries.extend(dashes.iter().map(|&(name, dash)| entry(&Series::new(name, INK, Vec::new()).dash(dash))));
     }
-    log_figure(title, &[row], entries)
+    log_figure_with(title, &[row], entries)
 }
 
 /// Removes the points that a logarithmic axis cannot show, with their bars.
