@@ -237,7 +237,7 @@ pub(crate) fn step_param_vjp<S: System, R: Real, C: Cotangent<R>>(
     next_bar: &[C],
     p_bar: Option<&mut [C]>,
 ) {
-    let step = |[x, u, p]: [&[ParamDual]; 3], next: &mut [ParamDual]| {
+    let step = |_: usize, [x, u, p]: [&[ParamDual]; 3], next: &mut [ParamDual]| {
         outline::step(system, Inputs { x, u, p, t: inputs.t }, next);
     };
     param_vjp(&step, inputs.lists(), next_bar, p_bar);

@@ -111,9 +111,10 @@ fn dual_rate<O: Ode>(ode: &O, inputs: OdeInputs<'_, ParamDual>, rate: &mut [Para
 /// Adds the cotangents of all parameters of a rate, by dual numbers. Used if physical numbers vary,
 /// because analytic VJPs may omit their cotangents.
 fn rate_param_vjp<O: Ode, R: Real, C: Cotangent<R>>(ode: &O, inputs: OdeInputs<'_, R>, rate_bar: &[C], p_bar: Option<&mut [C]>) {
-    // The time is equal in all lanes.
-    let t = ParamDual::from(inputs.t.lane(0).to_f64());
-    let rate = |[x, u, p]: [&[ParamDual]; 3], rate: &mut [ParamDual]| dual_rate(ode, Inputs { x, u, p, t }, rate);
+    // The stages of adaptive steps have different times in different lanes.
+    let rate = |lane: usize, [x, u, p]: [&[ParamDual]; 3], rate: &mut [ParamDual]| {
+        dual_rate(ode, Inputs { x, u, p, t: ParamDual::from(inputs.t.lane(lane).to_f64()) }, rate);
+    };
     param_vjp(&rate, inputs.lists(), rate_bar, p_bar);
 }
 

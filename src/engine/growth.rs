@@ -56,7 +56,7 @@ pub(crate) struct Meter {
     /// Largest growth of a range that ends at the current step.
     running: f64,
     worst_window: f64,
-    /// Growth since the last cut of the adjoint.
+    /// Growth since the last cut of the adjoint, or since it last became 0.
     since_cut: f64,
 }
 
@@ -71,12 +71,13 @@ impl Meter {
         }
         let decades = 0.5 * (after.log10() - before.log10()) + f64::from(exponent) * std::f64::consts::LOG10_2;
         self.along += decades;
-        self.since_cut += decades;
+        // Later growth must not add to -∞.
+        self.since_cut = if after == 0.0 { 0.0 } else { self.since_cut + decades };
         self.running = (self.running + decades).max(0.0);
         self.worst_window = self.worst_window.max(self.running);
     }
 
-    /// Growth since the last cut.
+    /// Growth since the last cut, or since the adjoint last became 0.
     pub(crate) fn since_cut(&self) -> f64 {
         self.since_cut
     }

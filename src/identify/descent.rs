@@ -48,8 +48,8 @@ pub(super) fn minimize(problem: &Problem<'_>, point: &mut Point, continuity: f64
         quiet = match decrease {
             Some(decrease) if decrease > stop.tolerance => 0,
             Some(_) => quiet + 1,
-            // No step decreases the objective: a minimum up to rounding.
-            None => return true,
+            // No step decreases the objective: a minimum up to rounding, if the derivatives are finite.
+            None => return linearized.iter().flatten().all(Linearized::is_finite),
         };
         if quiet >= 2 {
             return true;

@@ -22,6 +22,13 @@ pub(super) struct Linearized {
     pub jump: DMatrix<f64>,
 }
 
+impl Linearized {
+    /// Returns whether all residuals and derivatives are finite.
+    pub fn is_finite(&self) -> bool {
+        self.samples.iter().chain(&self.jump).all(|number| number.is_finite())
+    }
+}
+
 /// Triangular equations of a segment.
 pub(super) struct Eliminated {
     /// Rows for each δs_k, with columns `[δs_k | δs_{k+1} | δq | 1]`.

@@ -6,6 +6,14 @@ pub enum IdentifyError {
     /// Neither parameters nor initial states are free.
     #[error("neither parameters nor initial states are unknown; name at least one parameter")]
     NothingUnknown,
+    /// An entry of the parameters is unknown twice.
+    #[error("`{}` and `{}` are both entry {index} of the parameters; name each entry once", names[0], names[1])]
+    Twice {
+        /// Names of the two unknowns.
+        names: [String; 2],
+        /// Index in `p`.
+        index: usize,
+    },
     /// There are fewer measurements than unknowns.
     #[error("{measurements} measurements cannot determine {unknowns} unknowns; use more samples or fewer unknowns")]
     TooFewMeasurements {

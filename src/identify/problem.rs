@@ -77,11 +77,14 @@ impl<'a> Problem<'a> {
                 return Err(IdentifyError::MissingStart { segment, component });
             }
         }
-        for Unknown { name, index, start, min, max } in unknowns {
+        for (i, Unknown { name, index, start, min, max }) in unknowns.iter().enumerate() {
             let is_inside = start.is_finite() && min <= start && start <= max && *index < params;
             if !is_inside {
                 let (name, start, min, max, index) = (name.clone(), *start, *min, *max, *index);
                 return Err(IdentifyError::Unknown { name, start, min, max, index, params });
+            }
+            if let Some(before) = unknowns[..i].iter().find(|before| before.index == *index) {
+                return Err(IdentifyError::Twice { names: [before.name.clone(), name.clone()], index: *index });
             }
         }
         let per_noise = options.noise.as_ref().map_or_else(|| vec![1.0; n], |noise| noise.iter().map(|s| 1.0 / s).collect());

@@ -86,7 +86,8 @@ impl Mul<f64> for ExtendedF64 {
     type Output = Self;
 
     fn mul(self, factor: f64) -> Self {
-        Self::new(self.mantissa * factor, self.exponent)
+        let [(a, i), (b, j)] = [self.mantissa, factor].map(split);
+        Self::new(a * b, self.exponent.saturating_add(i + j))
     }
 }
 
@@ -94,7 +95,8 @@ impl Div<f64> for ExtendedF64 {
     type Output = Self;
 
     fn div(self, divisor: f64) -> Self {
-        Self::new(self.mantissa / divisor, self.exponent)
+        let [(a, i), (b, j)] = [self.mantissa, divisor].map(split);
+        Self::new(a / b, self.exponent.saturating_add(i - j))
     }
 }
 
@@ -110,6 +112,15 @@ impl fmt::Display for ExtendedF64 {
         let (digits, exponent) = if rounded < 10.0 { (rounded, log.floor()) } else { (1.0, log.floor() + 1.0) };
         write!(f, "{sign}{digits:.5}e{exponent}")
     }
+}
+
+/// Splits a finite, nonzero number into a mantissa, of absolute value 1 to 2, and a binary exponent.
+fn split(x: f64) -> (f64, i32) {
+    if x == 0.0 || !x.is_finite() {
+        return (x, 0);
+    }
+    let exponent = exponent_of(x);
+    (times_power_of_two(x, -exponent), exponent)
 }
 
 /// Binary exponent of a finite, nonzero number: `⌊log2 |x|⌋`.
@@ -160,6 +171,18 @@ pub(crate) fn scaled_with_sign<F: Float>(x: F, exponent: i32) -> F {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn products_and_quotients_have_the_extended_range() {
+        let large = ExtendedF64::from(1e200) * 1e200;
+        assert_eq!(large.to_string(), "1.00000e400");
+        assert_eq!((ExtendedF64::from(1e-200) / 1e200).to_string(), "1.00000e-400");
+        assert!(((large / 1e200).get() / 1e200 - 1.0).abs() < 1e-15);
+        for (a, b) in [(3.0, 0.0), (0.0, 3.0), (f64::INFINITY, 2.0), (1.5, -f64::INFINITY), (0.1, 0.7), (-1e-300, 3e290)] {
+            assert_eq!((ExtendedF64::from(a) * b).get().to_bits(), (a * b).to_bits(), "{a} {b}");
+            assert_eq!((ExtendedF64::from(a) / b).get().to_bits(), (a / b).to_bits(), "{a} {b}");
+        }
+    }
 
     #[test]
     fn sums_quotients_and_logarithms_are_right_up_to_2_to_the_power_4001() {

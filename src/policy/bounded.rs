@@ -17,11 +17,14 @@ impl<P: Policy> Bounded<P> {
     /// Bounds each control of `policy`.
     ///
     /// # Panics
-    /// If there is not one positive bound per control.
+    /// If there is not one positive bound per control. If the policy has neither observations nor a
+    /// memory.
     #[track_caller]
     pub fn new(policy: P, bounds: impl Into<Vec<f64>>) -> Self {
         let bounds = bounds.into();
         let controls = policy.control_dim();
+        let inputs = policy.observation_dim() + policy.memory_dim();
+        assert!(inputs > 0, "a bounded policy needs at least one observed component or memory component; add one");
         assert_eq!(bounds.len(), controls, "the policy has {controls} controls, but there are {} bounds", bounds.len());
         assert!(bounds.iter().all(|&b| b > 0.0 && b.is_finite()), "bounds of controls are positive numbers, not {bounds:?}");
         Self { policy, bounds }

@@ -28,6 +28,14 @@ pub(super) struct Shape {
     controls: usize,
 }
 
+impl Shape {
+    #[track_caller]
+    fn new(observations: usize, units: usize, controls: usize) -> Self {
+        assert!(units > 0, "a recurrent policy needs at least one unit; use `policy::Linear` for feedback without memory");
+        Self { observations, units, controls }
+    }
+}
+
 /// Equations of a recurrent policy for one column, or for one block of columns in lanes.
 trait Cell {
     /// Numbers per unit that the forward pass stores. The next memory is the last one.

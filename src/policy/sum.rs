@@ -17,12 +17,13 @@ impl<A: Policy, B: Policy> Sum<A, B> {
     ///
     /// # Panics
     /// If their observations or controls differ in number, or if a policy has a memory or trained
-    /// parameters of the system.
+    /// parameters of the system. If there are no observations.
     #[track_caller]
     pub fn new(first: A, second: B) -> Self {
         let dims = [first.observation_dim(), first.control_dim()];
         let other = [second.observation_dim(), second.control_dim()];
         assert_eq!(dims, other, "both policies of a sum need equal numbers of observations and controls");
+        assert!(dims[0] > 0, "the policies of a sum need at least one observed component; observe one");
         let excluded = first.memory_dim() + second.memory_dim() + first.trained_params().len() + second.trained_params().len();
         assert_eq!(excluded, 0, "a policy with a memory or trained parameters cannot be part of a sum");
         Self(first, second)

@@ -7,6 +7,7 @@ mod operations;
 mod adjoint_norms;
 mod counts;
 mod derivative_calls;
+mod extremes;
 mod flows;
 mod gradients;
 mod identities;

@@ -6,6 +6,7 @@ mod causes;
 mod checkpoints;
 mod determinism;
 mod divergence;
+mod empty;
 mod memory;
 mod schedule;
 mod training;

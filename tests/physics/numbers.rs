@@ -1,11 +1,15 @@
 //! Physical numbers that vary between samples or are trained.
 
+use physgrad::policy::Constant;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{
     Bumpers, CartDamping, CartPole, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind,
     PoleDamping, SteadyWind,
 };
-use physgrad::{Choice, Cotangents, Forced, Inputs, Number, OpCount, System, check, initial_states};
+use physgrad::{
+    Adaptive, Adjoint, Choice, Cotangents, Flow, Forced, Inputs, Integrated, Number, OpCount, Rollout, System, Weights, check,
+    initial_states,
+};
 
 const RANGE: Number = Number::Uniform { low: 0.5, high: 1.5 };
 
@@ -77,6 +81,34 @@ fn derivatives_by_numbers_agree_with_differences() {
 }
 
 /// Compares a system whose numbers are parameters with one whose numbers are fixed.
+/// Samples take adaptive steps of different sizes, so they evaluate the gusts at different times.
+#[test]
+fn derivatives_by_numbers_of_adaptive_steps_are_independent_of_other_samples() {
+    let effects = GustyWind { speed: Number::Uniform { low: 5.0, high: 15.0 }, ..GustyWind::default() };
+    let ode = Forced { system: CartPoleSystem::default(), effects };
+    let integrator = Adaptive { rtol: 1e-9, atol: 1e-9, ..Adaptive::default() };
+    let task = CartPole { horizon: 4, ..CartPole::with_system(Integrated { ode, integrator, dt: 0.5 }) };
+    let mut starts: Vec<f64> = initial_states(&task, 0, Purpose::Train, 8);
+    let each = starts.len() / 8;
+    // Poles that spin faster need smaller steps.
+    starts.chunks_exact_mut(each).enumerate().for_each(|(sample, start)| start[3] = 3.0 * sample as f64);
+    let policy = Constant::new(4, 1);
+    let weights = Weights::new(&policy, vec![0.0]);
+    let gradients = |starts: &[f64]| -> Vec<Vec<f64>> {
+        let samples = starts.len() / each;
+        let mut rollout = Rollout::new(&task, &policy, samples);
+        rollout.start(starts);
+        rollout.run(&task, &policy, &weights).expect("finite");
+        let mut adjoint = Adjoint::new(&task, &policy, &rollout, &[Flow::REGULAR]).keep_start_gradients();
+        adjoint.run(&task, &policy, &weights, &rollout, 1.0).expect("finite");
+        (0..samples).map(|sample| adjoint.start_gradient(0, sample).to_vec()).collect()
+    };
+    let together = gradients(&starts);
+    for (alone, together) in starts.chunks_exact(each).zip(together) {
+        assert_eq!(gradients(alone), [together]);
+    }
+}
+
 #[test]
 fn steps_with_numbers_as_parameters_equal_steps_with_fixed_numbers() {
     let x = [0.4, -0.3, 0.5, 1.1, -0.7, 0.6];

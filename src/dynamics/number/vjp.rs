@@ -6,8 +6,8 @@ use num_dual::Dual64;
 /// Scalar of [`param_vjp`].
 pub(crate) type ParamDual = Dual64;
 
-/// Function of state, control and parameters that writes outputs.
-type Differentiable<'a> = &'a dyn Fn([&[ParamDual]; 3], &mut [ParamDual]);
+/// Function of a lane, with its state, control and parameters, that writes outputs.
+type Differentiable<'a> = &'a dyn Fn(usize, [&[ParamDual]; 3], &mut [ParamDual]);
 
 /// Adds the product of `output_bars` and the derivative of `function` with respect to its
 /// parameters to `p_bar`.
@@ -31,7 +31,7 @@ pub(crate) fn param_vjp<R: Real, C: Cotangent<R>>(
             inputs.map(|list| list.iter().map(|value| ParamDual::from_re(value.lane(lane).to_f64())).collect::<Vec<_>>());
         for i in 0..params {
             p[i].eps = 1.0;
-            function([&x, &u, &p], &mut outputs);
+            function(lane, [&x, &u, &p], &mut outputs);
             p[i].eps = 0.0;
             for (slope, output) in slopes[i * output_bars.len()..].iter_mut().zip(&outputs) {
                 slope.set_lane(lane, R::Real::from_f64(output.eps));

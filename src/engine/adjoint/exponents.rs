@@ -98,6 +98,13 @@ impl<F: Float, const K: usize> Exponents<F, K> {
         }
     }
 
+    /// Sets the exponent of one flow and sample to 0. The caller replaces its cotangents.
+    pub(super) fn restart(&mut self, k: usize, sample: usize, scale: F) {
+        self.blocks[sample / WIDTH].set(k, sample % WIDTH, 0, scale);
+        self.any = self.blocks.iter().any(BlockExponents::any);
+        self.update_low();
+    }
+
     /// Updates [`any_low`](Self::any_low).
     pub(super) fn update_low(&mut self) {
         self.low = self.blocks.iter().any(BlockExponents::any_low);

@@ -5,12 +5,14 @@ use super::exponents::{BlockExponents, Exponents};
 use super::{Flow, Pass};
 use crate::engine::growth::Meter;
 use crate::engine::rollout::{Lane, Rollout, WIDTH};
-use crate::numbers::extended::times_power_of_two;
+use crate::numbers::extended::{exponent_of, times_power_of_two};
 use crate::numbers::scalar::{CotangentPack, Float, Real};
 use crate::numbers::zip::zip;
 use std::ops::Range;
 
-/// Records the norm of λ at step `t` in each row of `norms`, in f64: squares of f32 overflow early.
+/// Records the norm of λ at step `t` in each row of `norms`, in f64.
+///
+/// A power of two scales the components, because their squares may be out of range.
 pub(super) fn record_norms<F: Float, const K: usize>(
     lambda: &[CotangentPack<Lane<F>, K>],
     exponents: &Exponents<F, K>,
@@ -25,8 +27,11 @@ pub(super) fn record_norms<F: Float, const K: usize>(
         block.iter().map(move |c| times_power_of_two(c.0[k].lane(sample % WIDTH).as_(), exponent))
     };
     for (k, norms) in norms.iter_mut().enumerate() {
-        let squares: f64 = (0..rollout.samples).flat_map(|sample| of_sample(k, sample)).map(|x: f64| x * x).sum();
-        norms[t] = (squares / rollout.samples as f64).sqrt() / scale.as_();
+        let all = || (0..rollout.samples).flat_map(|sample| of_sample(k, sample));
+        let nonzero = |x: &f64| *x != 0.0 && x.is_finite();
+        let largest = all().filter(nonzero).map(exponent_of).max().unwrap_or(0);
+        let squares: f64 = all().map(|x| times_power_of_two(x, -largest)).map(|x| x * x).sum();
+        norms[t] = times_power_of_two((squares / rollout.samples as f64).sqrt(), largest) / scale.as_();
     }
 }
 

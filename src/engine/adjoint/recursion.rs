@@ -304,14 +304,22 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         self.exponents.update_low();
     }
 
-    /// Measures growth and norms after step `t`, and cuts adjoints that have grown. After step 0,
-    /// completes the gradients by the initial states.
+    /// Measures growth and norms after step `t`, and restarts adjoints that are truncated or have
+    /// grown. After step 0, completes the gradients by the initial states.
     fn after_step(&mut self, pass: &Pass<'_, F>, flows: [Flow; K], t: usize, norms: &mut [Vec<f64>]) {
         if pass.measured {
             self.growth.after(pass.rollout, &self.lambda, &self.exponents, flows, t);
-            for (k, flow) in flows.into_iter().enumerate() {
-                if let Some(decades) = flow.cut {
-                    self.cut(pass, k, decades, t);
+        }
+        for (k, flow) in flows.into_iter().enumerate() {
+            // Without exponents, a truncated λ is exact already.
+            let truncated = self.exponents.any && flow.at(t) != flow;
+            if !truncated && flow.cut.is_none() {
+                continue;
+            }
+            for sample in 0..pass.rollout.samples {
+                let grown = flow.cut.is_some_and(|decades| self.growth.reset_if_grown(k, sample, decades));
+                if grown || truncated && self.exponents.of(k, sample) != 0 {
+                    self.restart(pass, k, sample, t);
                 }
             }
         }
@@ -321,30 +329,24 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         }
     }
 
-    /// Sets `λ ← ∂l/∂x_t` and `μ ← 0` in samples whose adjoint has grown by more than `decades`.
-    fn cut(&mut self, pass: &Pass<'_, F>, k: usize, decades: f64, t: usize) {
-        let Pass { task, rollout, .. } = *pass;
+    /// Sets `λ ← ∂l/∂x_t`, `μ ← 0` and the exponent to 0 for one flow and sample.
+    ///
+    /// A large exponent of the adjoint before would let the cost gradients underflow.
+    #[cold]
+    fn restart(&mut self, pass: &Pass<'_, F>, k: usize, sample: usize, t: usize) {
+        let Pass { task, rollout, scale, .. } = *pass;
         let (n, m, outputs) = (rollout.state_dim, rollout.control_dim, rollout.control_dim + rollout.memory_dim);
-        for sample in 0..rollout.samples {
-            if !self.growth.reset_if_grown(k, sample, decades) {
-                continue;
-            }
-            let (block, lane) = (sample / WIDTH, sample % WIDTH);
-            self.cost.clear();
-            let (cotangents, next_bar) = self.cost.requests();
-            task.running_cost_gradient(
-                rollout.inputs_of(t, block),
-                &rollout.states_at(t + 1)[block * n..][..n],
-                cotangents,
-                next_bar,
-            );
-            let inject = self.exponents.blocks[block].inject.0[k].lane(lane);
-            for (lambda, cost) in zip(self.lambda[block * n..][..n].iter_mut(), &self.cost.x) {
-                lambda.0[k].set_lane(lane, inject * cost.lane(lane));
-            }
-            for memory_bar in &mut self.u_bar[block * outputs..][m..outputs] {
-                memory_bar.0[k].set_lane(lane, F::zero());
-            }
+        let (block, lane) = (sample / WIDTH, sample % WIDTH);
+        self.cost.clear();
+        let (cotangents, next_bar) = self.cost.requests();
+        let next = &rollout.states_at(t + 1)[block * n..][..n];
+        task.running_cost_gradient(rollout.inputs_of(t, block), next, cotangents, next_bar);
+        self.exponents.restart(k, sample, scale);
+        for (lambda, cost) in zip(self.lambda[block * n..][..n].iter_mut(), &self.cost.x) {
+            lambda.0[k].set_lane(lane, scale * cost.lane(lane));
+        }
+        for memory_bar in &mut self.u_bar[block * outputs..][m..outputs] {
+            memory_bar.0[k].set_lane(lane, F::zero());
         }
     }
 

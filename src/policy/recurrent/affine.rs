@@ -58,7 +58,8 @@ impl Affine {
     /// Adds `factor·v z_barᵀ` to the gradient of the weights, and `factor·z_bar` to that of the
     /// bias.
     pub(super) fn add_gradient<F: Float>(self, v: impl Iterator<Item = F>, z_bar: &[F], factor: F, theta_bar: &mut [F]) {
-        let rows = theta_bar[self.first..self.end()].chunks_exact_mut(self.outputs);
+        // Without outputs, there are no rows.
+        let rows = theta_bar[self.first..self.end()].chunks_exact_mut(self.outputs.max(1));
         for (v, row) in v.chain([F::one()]).zip(rows) {
             let scaled = factor * v;
             for (sum, &bar) in zip(row.iter_mut(), z_bar) {

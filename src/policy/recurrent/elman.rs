@@ -14,8 +14,12 @@ pub struct Elman(pub(super) Shape);
 
 impl Elman {
     /// A network with `observations` inputs, `units` hidden units and `controls` outputs.
+    ///
+    /// # Panics
+    /// If `units` is 0.
+    #[track_caller]
     pub fn new(observations: usize, units: usize, controls: usize) -> Self {
-        Self(Shape { observations, units, controls })
+        Self(Shape::new(observations, units, controls))
     }
 
     /// The maps to the memory and to the control.

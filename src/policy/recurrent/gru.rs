@@ -28,8 +28,12 @@ pub struct Gru(pub(super) Shape);
 
 impl Gru {
     /// A network with `observations` inputs, a memory of `units` numbers and `controls` outputs.
+    ///
+    /// # Panics
+    /// If `units` is 0.
+    #[track_caller]
     pub fn new(observations: usize, units: usize, controls: usize) -> Self {
-        Self(Shape { observations, units, controls })
+        Self(Shape::new(observations, units, controls))
     }
 
     /// The maps to the update gate, the reset gate, the candidate and the control.

@@ -1,0 +1,49 @@
+//! Derivatives that are not finite are no convergence. Names of unknowns are unique entries of p.
+
+use physgrad::identify::{Fit, IdentifyError, Options, Segment, Unknown, identify};
+use physgrad::{Inputs, Scalar, System};
+
+/// `x' = x/2 + √p`.
+struct Root;
+
+impl System for Root {
+    fn state_dim(&self) -> usize {
+        1
+    }
+    fn control_dim(&self) -> usize {
+        0
+    }
+    fn param_dim(&self) -> usize {
+        1
+    }
+    fn step<T: Scalar>(&self, Inputs { x, p, .. }: Inputs<'_, T>, next: &mut [T]) {
+        next[0] = x[0] * 0.5 + p[0].sqrt();
+    }
+}
+
+/// Fits 20 states with p = 0.09.
+fn fit(unknowns: &[Unknown]) -> Result<Fit, IdentifyError> {
+    let states = std::iter::successors(Some(1.0), |x| Some(0.5 * x + 0.3));
+    let segment = Segment { x: states.map(|x| vec![x]).take(20).collect(), u: Vec::new(), p: vec![0.0] };
+    identify(&Root, &[segment], unknowns, &Options::default())
+}
+
+fn unknown(start: f64) -> Unknown {
+    Unknown { name: "p".into(), index: 0, start, min: 0.0, max: 1.0 }
+}
+
+/// The derivative of √p at p = 0 is infinite, so no step is possible.
+#[test]
+fn a_fit_without_finite_derivatives_has_not_converged() {
+    let stuck = fit(&[unknown(0.0)]).expect("finite simulations");
+    assert!(!stuck.converged && stuck.values == [0.0], "{stuck:?}");
+    let found = fit(&[unknown(0.12)]).expect("valid data");
+    assert!(found.converged && (found.values[0] - 0.09).abs() < 1e-6, "{found:?}");
+}
+
+#[test]
+fn an_entry_of_p_is_unknown_once() {
+    let twice = [unknown(0.5), Unknown { name: "q".into(), ..unknown(0.2) }];
+    let error = fit(&twice).expect_err("one entry with two names");
+    assert_eq!(error, IdentifyError::Twice { names: ["p".into(), "q".into()], index: 0 });
+}
