@@ -11,7 +11,7 @@
 //! 3. `operations`: computations on any task, generic over the policy.
 //! 4. `tasks`: built-in tasks; `Scene`, independent of the type of its task.
 //! 5. `scenes`: scene files, presets, overrides.
-//! 6. `runs`: training, resuming, sweeps, output files.
+//! 6. `runs`: training, resuming, comparisons, output files.
 //! 7. `commands`: the commands; `print` contains `scene` and `schema`.
 //!
 //! Start with `commands/train` and `tasks/scene`.

@@ -6,11 +6,11 @@ use crate::program::platform::folder::{Folder, SETTINGS};
 use crate::program::platform::json::{print_json, rows};
 use crate::program::platform::table::Table;
 use crate::program::platform::terminal::{counted, print_message, print_note, print_text};
+use crate::program::runs::comparison::{Comparison, check_distinct, check_options, check_sessions, train_all};
 use crate::program::runs::run::threads;
 use crate::program::runs::statistics::{
     InScene, MAX_DASHED, OPTIONAL, TABLE_NOTE, curves, curves_of_scenes, table_header, table_of_scenes,
 };
-use crate::program::runs::sweep::{Comparison, check_distinct, check_options, check_sessions, sweep};
 use crate::program::scenes::overrides::{Overrides, take_several};
 use crate::program::scenes::presets;
 use crate::program::scenes::sweep::Point;
@@ -93,11 +93,11 @@ pub fn compare(args: &Compare) -> Result<()> {
     if args.resume && !comparisons.iter().any(Comparison::has_runs) {
         bail!("there is no run to resume in {}; omit --resume to start", folder.path().display());
     }
-    let swept = sweep(&mut comparisons, args.quiet)?;
-    if swept.interrupted {
+    let ended = train_all(&mut comparisons, args.quiet)?;
+    if ended.interrupted {
         let text = format!("interrupted; to resume, repeat the command with --out {}", folder.path().display());
         let _ = print_note(&text, args.json);
-        return swept.into_result();
+        return ended.into_result();
     }
     let scenes: Vec<InScene> = points
         .iter()
@@ -126,7 +126,7 @@ pub fn compare(args: &Compare) -> Result<()> {
         print_text(&format!("{table}\n{TABLE_NOTE}{}", sweep::lowest(&scenes)))?;
         print_text(&format!("results in {}: {}", folder.path().display(), files.join(", ")))?;
     }
-    swept.into_result()
+    ended.into_result()
 }
 
 /// A scene at one point of its sweep.

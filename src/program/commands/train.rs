@@ -199,6 +199,7 @@ fn summary(folder: &Folder, scene: &Scene, Finished { records, numbers, .. }: &F
         text += &format!("  {:<36}metrics, for other tools\n", metrics::file(format));
     }
     text += "  policy.safetensors                  the trained policy\n";
+    text += "  best_policy.safetensors             the policy with the lowest test loss\n";
     if !numbers.is_empty() {
         text += "  numbers.csv                         the trained numbers\n";
     }

@@ -1,7 +1,8 @@
-//! Runs in folders: training, resuming, sweeps, output files, statistics.
+//! Runs in folders: training, resuming, comparisons, output files, statistics.
 //!
 //! Imports all parts of the program except `commands`. Start with `run`.
 
+pub mod comparison;
 pub mod listed;
 pub mod metrics;
 pub mod outputs;
@@ -9,6 +10,5 @@ pub mod progress;
 pub mod run;
 pub mod saved;
 pub mod statistics;
-pub mod sweep;
 pub mod tensorboard;
 pub mod trained;

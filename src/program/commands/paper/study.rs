@@ -7,8 +7,8 @@ use crate::program::platform::csv::csv;
 use crate::program::platform::folder::Folder;
 use crate::program::platform::table::Table;
 use crate::program::platform::terminal::print_note;
+use crate::program::runs::comparison::{Comparison, train_all};
 use crate::program::runs::statistics::{Outcome, best, by_field, curves, trailing_mean};
-use crate::program::runs::sweep::{Comparison, sweep};
 use crate::program::scenes::{overrides, presets};
 use crate::program::settings::ClipName;
 use crate::report::quantile::{quantile, sorted};
@@ -84,18 +84,18 @@ impl Study {
         let cells = || options.clip.iter().flat_map(|&clip| self.values.iter().map(move |&value| (value, clip)));
         let plans = cells().map(|(value, clip)| self.plan(value, clip, options, folder));
         let mut comparisons = plans.collect::<Result<Vec<_>>>()?;
-        let swept = sweep(&mut comparisons, options.quiet)?;
-        if swept.interrupted {
+        let ended = train_all(&mut comparisons, options.quiet)?;
+        if ended.interrupted {
             let text = format!("interrupted; to resume in {}, repeat the same command", folder.path().display());
             let _ = print_note(&text, options.json);
-            return swept.into_result().map(|()| Json::Null);
+            return ended.into_result().map(|()| Json::Null);
         }
         let outcomes = comparisons.iter().map(Comparison::outcomes);
         let cells: Vec<Cell> = cells().zip(outcomes).map(|((value, clip), runs)| Cell { value, clip, runs }).collect();
         let drawing = self.drawing(options, &cells);
         let finished = FinishedFigure { drawing, csv: self.csv(&cells)?, table: self.table(&cells), note: NOTE };
         let table = finished.write(self.name, folder, options)?;
-        swept.into_result().map(|()| table)
+        ended.into_result().map(|()| table)
     }
 
     fn panel(&self, value: &str) -> String {

@@ -1,4 +1,4 @@
-//! Sweeps: many runs in parallel, one thread per run. Resumes runs that are in their folders.
+//! Comparisons: many runs in parallel, one thread per run. Resumes runs that are in their folders.
 
 use crate::numbers::text::short;
 use crate::program::platform::folder::{Folder, RUNS};
@@ -18,7 +18,7 @@ use std::sync::Mutex;
 /// Runs of one training configuration with several fields and seeds.
 pub struct Comparison {
     runs: Vec<Run>,
-    /// Prefix of messages, which distinguishes the comparisons of a sweep. May be empty.
+    /// Prefix of messages, which distinguishes several comparisons. May be empty.
     label: String,
 }
 
@@ -128,8 +128,8 @@ pub fn check_sessions<'a>(bases: impl Iterator<Item = &'a Scene>, fields: &[Fiel
     Ok(())
 }
 
-/// Outcome of a sweep.
-pub struct SweepOutcome {
+/// End of all runs.
+pub struct Ended {
     pub interrupted: bool,
     /// One message per failed run.
     failed: Vec<String>,
@@ -138,7 +138,7 @@ pub struct SweepOutcome {
     runs: usize,
 }
 
-impl SweepOutcome {
+impl Ended {
     /// Returns an error that lists the runs that failed or applied no update.
     pub fn into_result(self) -> Result<()> {
         if !self.failed.is_empty() {
@@ -158,7 +158,7 @@ impl SweepOutcome {
 /// # Errors
 /// Before training: a folder contains a run with other settings. After training: some runs could
 /// not start or could not be saved.
-pub fn sweep(comparisons: &mut [Comparison], quiet: bool) -> Result<SweepOutcome> {
+pub fn train_all(comparisons: &mut [Comparison], quiet: bool) -> Result<Ended> {
     let (mut runs, mut resumed) = (Vec::new(), 0);
     for comparison in &*comparisons {
         for run in &comparison.runs {
@@ -185,7 +185,7 @@ pub fn sweep(comparisons: &mut [Comparison], quiet: bool) -> Result<SweepOutcome
     }
 
     let labels: Vec<String> = runs.into_iter().map(|(_, label)| label).collect();
-    let mut outcome = SweepOutcome { interrupted: false, failed: Vec::new(), no_update: Vec::new(), runs: labels.len() };
+    let mut outcome = Ended { interrupted: false, failed: Vec::new(), no_update: Vec::new(), runs: labels.len() };
     let mut errors = Vec::new();
     let all = comparisons.iter_mut().flat_map(|comparison| &mut comparison.runs);
     for ((run, finished), label) in all.zip(finished).zip(labels) {
