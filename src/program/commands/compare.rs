@@ -2,6 +2,7 @@
 
 mod sweep;
 
+use crate::program::commands::animate::{Animate, animate};
 use crate::program::platform::folder::{Folder, SETTINGS};
 use crate::program::platform::json::{print_json, rows};
 use crate::program::platform::table::Table;
@@ -112,6 +113,8 @@ pub fn compare(args: &Compare) -> Result<()> {
         let one_task = points.iter().all(|point| point.scene.task.name() == points[0].scene.task.name());
         folder.write("curves.svg", picture(&title, &scenes, one_task).to_svg())?;
         files.push("curves.svg");
+        // Each run drew its animation with a scale of its own.
+        animate(&Animate { folder: folder.path().into(), sample: 0, quiet: true })?;
     }
     if let Some(picture) = sweep::picture(&title, &points, &scenes) {
         folder.write("sweep.svg", picture.to_svg())?;

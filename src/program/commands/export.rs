@@ -13,6 +13,7 @@ use std::path::{Path, PathBuf};
 ///
 /// The model maps a batch of observations to the controls that the policy computes in a rollout.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  physgrad export runs/one --onnx policy.onnx")]
 pub struct Export {
     /// Folder of a run
     #[arg(value_name = "RUN")]
@@ -24,7 +25,7 @@ pub struct Export {
     #[arg(long, value_enum, default_value_t = Epoch::Last)]
     pub epoch: Epoch,
     /// Print only warnings and errors
-    #[arg(long)]
+    #[arg(short, long)]
     pub quiet: bool,
 }
 
