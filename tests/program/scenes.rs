@@ -114,7 +114,8 @@ fn absent_settings_have_the_defaults_of_the_task() {
         .assert()
         .success();
     assert!(compare.join("runs/R-0/run.toml").exists());
-    let checks = physgrad(&["check"]).arg(&file).output().expect("the command runs");
+    let mut check = physgrad(&["check", "my_scene.toml"]);
+    let checks = check.current_dir(dir.path()).output().expect("the command runs");
     assert!(String::from_utf8_lossy(&checks.stdout).contains("my_scene.toml: system"));
 }
 

@@ -12,6 +12,9 @@ const COLUMN: usize = 60;
 /// Width of a column of text from which its lines have several words, in characters.
 const WORDS: usize = 24;
 
+/// Width from which a word may be broken, for example a path, in characters.
+const WORD: usize = 30;
+
 /// Header and rows.
 ///
 /// Columns of numbers are aligned to the right. In a terminal of known width, a table that is too
@@ -118,12 +121,13 @@ impl Table {
         if self.is_numeric(column) { narrowest } else { self.widest(column).min(narrowest.max(WORDS)) }
     }
 
-    /// Width of the longest word of a column. Numbers are not broken.
+    /// Width of the longest word of a column, up to [`WORD`]. Numbers are not broken.
     fn narrowest(&self, column: usize) -> usize {
         let words = self.header[column].split(' ').map(terminal::width_of).max().unwrap_or(0);
         let numeric = self.is_numeric(column);
         let cells = self.cells(column).flat_map(|cell| if numeric { vec![cell] } else { cell.split([' ', '\n']).collect() });
-        cells.map(terminal::width_of).max().unwrap_or(0).max(words)
+        let longest = cells.map(terminal::width_of).max().unwrap_or(0).max(words);
+        if numeric { longest } else { longest.min(WORD) }
     }
 
     /// Returns whether every cell is a number or a placeholder of a number.
