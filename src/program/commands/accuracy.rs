@@ -23,8 +23,9 @@ use serde_json::json;
 use std::path::PathBuf;
 use toml::Value;
 
-/// Simulate a scene with every integrator, step size and precision; report times, operations,
-/// memory, and the errors of trajectory, loss and gradients.
+/// Simulate a scene with every integrator, step size and precision, and report errors and times.
+///
+/// Errors are those of trajectory, loss and gradients. Operations and memory are counts.
 ///
 /// The reference is a run in f64 with a high-order method and small steps, checked against half as
 /// many steps. The policy has the initial parameters of the scene, with a nonzero output layer. A

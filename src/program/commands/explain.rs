@@ -12,8 +12,9 @@ use crate::{Field, OpCount, Ops};
 use anyhow::Result;
 use serde_json::{Value, json};
 
-/// List the present and absent effects of a scene; count operations by effect, of costs and of
-/// observations, and stored bytes.
+/// List the present and absent effects of a scene, and count operations and stored bytes.
+///
+/// Counts of operations are by effect, and of costs and observations.
 ///
 /// All numbers are counts, not timings, so they are equal on every machine.
 #[derive(Debug, clap::Args)]

@@ -13,7 +13,7 @@ use std::time::Instant;
 
 /// Run the hard cases: long horizons, stiffness, chaos, singular geometry, overflow.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  physgrad stress --list\n  physgrad stress chaos contact")]
+#[command(after_help = "Examples:\n  physgrad stress --list\n  physgrad stress double_pendulum contact")]
 pub struct Stress {
     /// Cases to run, by name or prefix [default: all]
     pub cases: Vec<String>,

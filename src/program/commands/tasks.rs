@@ -9,7 +9,7 @@ use crate::program::tasks::{self, AnyTaskSpec};
 use anyhow::{Result, bail};
 use serde_json::{Value, json};
 
-/// List the tasks with all settings and their defaults; of a named task, with their meanings.
+/// List the tasks with their settings and defaults; for a named task, also meanings.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  physgrad tasks\n  physgrad tasks cart_pole")]
 pub struct Tasks {
