@@ -32,7 +32,7 @@ pub fn of_epochs(runs: &[Inspected]) -> Vec<Figure> {
             Figure::new(
                 "Agreement of M and R",
                 Chart::linear(EPOCH, "cosine", [-1.0, 1.0], by_epoch(|r| r.cosine.unwrap_or(f64::NAN))),
-                "Cosine of the angle between the gradients M and R, from which C is computed. At 1 their directions are equal. \
+                "Cosine of the angle between the vectors M and R, from which C is computed. At 1 their directions are equal. \
                  At 0 or below, backpropagation through the network gives R a direction that does not agree with M.",
             )
             .keys(keys()),
@@ -136,9 +136,10 @@ pub fn of_comparison(runs: &[Inspected]) -> Vec<Figure> {
     ]
 }
 
-const GROWTH: &str = "Norm of the derivative of the later cost by the state at each step, through physics and network (R) or \
-                      through the physics alone (M); root mean square over test rollouts. The reverse pass runs from right to \
-                      left: a line that rises by powers of ten shows an exploding adjoint, a falling line a vanishing adjoint.";
+const GROWTH: &str = "Norm of the derivative of later costs with respect to the state at each step, through physics and network \
+                      (R) or through the physics alone (M); root mean square over test rollouts. The reverse pass runs from \
+                      right to left: a line that rises by powers of ten shows an exploding adjoint, a falling line a \
+                      vanishing adjoint.";
 
 /// Notes on divergences that truncate or remove a line.
 fn diverged(growths: &[AdjointNorms], when: &str) -> Vec<String> {
