@@ -49,8 +49,8 @@ pub fn new(args: &New) -> Result<()> {
     let type_name = type_name(name);
     if uses(EXAMPLE, &type_name) || uses(TEST, &type_name) {
         bail!(
-            "`{name}` cannot be the name of a task: its type would be `{type_name}`, which the new crate already uses. Choose another \
-             name, for instance `{name}_task`"
+            "`{name}` cannot be the name of a task: its type would be `{type_name}`, which the new crate already uses. Choose \
+             another name, for instance `{name}_task`"
         );
     }
     if tasks::all().iter().any(|task| task.name() == name) {
