@@ -1,4 +1,4 @@
-//! Identifies the physical numbers of a measured pendulum of one to three arms, chooses the
+//! Identifies the physical numbers of a measured pendulum of one to three arms. Chooses the
 //! friction by an information criterion, and validates it on segments that were not fitted.
 //!
 //! Run: `cargo run --release --example identify -- [measured.csv] [scipy.csv]`
@@ -12,8 +12,8 @@ use physgrad::{Integrated, Number, RungeKutta};
 use std::error::Error;
 use std::time::Instant;
 
-/// Published numbers by number of arms, for each arm: mass, kg, distance of the center of mass from
-/// the joint, m, length, m, and moment of inertia, kg m².
+/// Published numbers of each arm, by number of arms. Columns: mass in kg, distance of the center of
+/// mass from the joint in m, length in m, moment of inertia in kg m².
 const PUBLISHED: [&[[f64; 4]]; 3] = [
     &[[0.14758, 0.14775, 0.0, 1.0912e-4]],
     &[[0.093844, 0.108565, 0.172719, 4.3753e-4], [0.137596, 0.116779, 0.0, 1.26883e-3]],
@@ -68,8 +68,8 @@ struct Model {
 impl Model {
     /// Initial values are `factor` times too large or too small, in turn.
     ///
-    /// Free swings determine masses, inertias and frictions up to a common factor, and one more
-    /// combination: the masses and the last inertia keep their published values.
+    /// Free swings do not determine a common factor of masses, inertias and frictions, nor one more
+    /// combination. The masses and the last inertia therefore keep their published values.
     fn new(arms: usize, kinds: [bool; 3], factor: f64) -> Self {
         let arm = Arm {
             mass: VARIES,

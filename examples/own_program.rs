@@ -57,7 +57,7 @@ impl System for BallBeam {
     }
 }
 
-/// Roll to the middle of the beam and rest there.
+/// The ball rolls to the middle of the beam and rests there.
 #[rustfmt::skip]
 impl Task for BallBeam {
     type System = Self;

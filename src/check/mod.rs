@@ -217,8 +217,8 @@ pub fn try_system_at<S: System>(
 ///
 /// The reference is the same rollout in dual numbers, with the paths that the flow omits detached.
 /// The check compares the loss, directional derivatives along random directions, and single
-/// components. It compares all components of at most 64 parameters, otherwise 16 random ones. The
-/// same rule selects components of the gradient with respect to initial states and parameters p.
+/// components. It compares all components of at most 64 parameters, otherwise 16 random ones. This
+/// rule also selects components of the gradient with respect to initial states and parameters p.
 /// The gradient of a flow computed alone must agree with its gradient computed together with M.
 ///
 /// # Panics

@@ -74,7 +74,7 @@ fn each_column<R: Real, C, const N: usize>(
 ) {
     let lengths = inputs.map(<[R]>::len);
     let all: SmallVec<[R; REVERSE_ABOVE]> = inputs.into_iter().flatten().copied().collect();
-    // Differentiate with respect to all lists from the first to the last requested list.
+    // Differentiates with respect to all lists from the first to the last requested list.
     let requested = |k: &usize| cotangents[*k].is_some();
     let first = (0..N).find(requested).unwrap_or(N);
     let last = (0..N).rfind(requested).map_or(first, |k| k + 1);

@@ -55,8 +55,8 @@ impl fmt::Debug for DynTask {
     }
 }
 
-/// Object-safe [`Task`]. A method with a `slot` writes a function pointer to the slot: the generic
-/// function of the same name, for the scalar type of the slot.
+/// Object-safe [`Task`]. A method with a `slot` writes a pointer to the generic function of this
+/// name to the slot. The type of the slot determines the scalar of the function.
 trait AnyTask: Send + Sync {
     fn name(&self) -> &'static str;
     fn as_any(&self) -> &dyn Any;

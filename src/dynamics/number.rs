@@ -114,7 +114,7 @@ impl Number {
     }
 
     /// Returns a typical value: the constant, the median of a distribution, the initial value, or
-    /// the middle entry of a choice (the second of two middle entries).
+    /// the middle entry of a choice. Among two middle entries, returns the second.
     #[inline(always)]
     pub fn nominal(&self) -> f64 {
         match *self {

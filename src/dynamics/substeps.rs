@@ -96,7 +96,7 @@ impl<S: System> System for Substeps<S> {
     }
 
     fn diagnose<R: Real>(&self, inputs: Inputs<'_, R>) -> Option<Cause> {
-        // Stop at the first non-finite state: a diagnosis requires a finite one.
+        // Stops at the first non-finite state: a diagnosis requires a finite one.
         let is_finite = |(_, state): &(usize, &[R])| state.iter().all(Real::is_finite);
         let states = self.states(inputs);
         let mut finite = states.chunks_exact(inputs.x.len()).enumerate().take_while(is_finite);

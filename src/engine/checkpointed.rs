@@ -250,7 +250,7 @@ impl<F: Float> Checkpointed<F> {
         weights: &Weights<F>,
         index: usize,
     ) -> Result<(), Divergence> {
-        // Discard checkpoints after this segment.
+        // Discards checkpoints after this segment.
         self.kept.truncate(self.kept.partition_point(|&kept| kept <= index));
         let slot = self.kept.len() - 1;
         let from = self.kept[slot];

@@ -20,8 +20,10 @@ pub(super) struct Stop {
     pub max_iterations: usize,
 }
 
-/// Minimizes χ² plus `continuity²` times the squared jumps between windows. Returns whether the
-/// tolerance ended the iterations.
+/// Minimizes χ² plus `continuity²` times the squared jumps between windows.
+///
+/// Returns whether the iterations converged: the tolerance ended them, or no step decreases the
+/// objective and all derivatives are finite.
 pub(super) fn minimize(problem: &Problem<'_>, point: &mut Point, continuity: f64, stop: Stop, counts: &mut Counts) -> bool {
     let objective = |point: &Point, counts: &mut Counts| {
         counts.simulations += 1;
@@ -48,7 +50,8 @@ pub(super) fn minimize(problem: &Problem<'_>, point: &mut Point, continuity: f64
         quiet = match decrease {
             Some(decrease) if decrease > stop.tolerance => 0,
             Some(_) => quiet + 1,
-            // No step decreases the objective: a minimum up to rounding, if the derivatives are finite.
+            // No step decreases the objective: a minimum up to rounding, if the derivatives are
+            // finite.
             None => return linearized.iter().flatten().all(Linearized::is_finite),
         };
         if quiet >= 2 {
@@ -69,7 +72,7 @@ fn step(problem: &Problem<'_>, point: &Point, linearized: &[Vec<Linearized>], we
     let slopes = gradient(&equations);
     let stays = |i: usize| limits(i)[0] >= 0.0 && slopes[i] > 0.0 || limits(i)[1] <= 0.0 && slopes[i] < 0.0;
     let mut fixed: Vec<Option<f64>> = (0..params).map(|i| stays(i).then_some(0.0)).collect();
-    // Steps beyond a bound end there. The other parameters adapt to that.
+    // Steps beyond a bound end at the bound. Solves again for the other parameters.
     let step = loop {
         let step = solve(&equations, &fixed, &norms, weights.damping)?;
         let beyond: Vec<usize> = (0..params).filter(|&i| !(limits(i)[0]..=limits(i)[1]).contains(&step[i])).collect();
@@ -84,7 +87,7 @@ fn step(problem: &Problem<'_>, point: &Point, linearized: &[Vec<Linearized>], we
     let mut next = Point { values, windows: point.windows.clone() };
     let mut windows = next.windows.iter_mut();
     for segment in &segments {
-        // The segment comes first: its end must not consume a window.
+        // `zip` takes the segment first, so its end consumes no window of the next segment.
         for (step, window) in segment.starts(&taken)?.iter().zip(windows.by_ref()) {
             window.start.iter_mut().zip(step.iter()).for_each(|(x, step)| *x += step);
         }

@@ -67,7 +67,7 @@ impl Eliminated {
                 all[(i, own + i)] = -1.0;
                 all.row_mut(i).scale_mut(weights.continuity * weights.per_noise[i]);
             }
-            // One more sample than there are: states without samples are damped, too.
+            // Adds the weight of one sample, so that states without samples are damped too.
             for i in 0..own {
                 all[(first + i, i)] = weights.damping.sqrt() * samples.column(i).norm().hypot(weights.per_noise[i]);
             }

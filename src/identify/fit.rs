@@ -85,7 +85,8 @@ pub struct Fit {
     pub measurements: usize,
     /// Number of unknowns, with the initial states.
     pub unknowns: usize,
-    /// Whether the last iterations ended by the tolerance, with finite derivatives.
+    /// Whether the last iterations ended by the tolerance, or at a minimum up to rounding with
+    /// finite derivatives.
     pub converged: bool,
     /// Number of iterations.
     pub iterations: usize,

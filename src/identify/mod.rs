@@ -12,8 +12,8 @@
 //! (multiple shooting; Bock 1981, doi:10.1007/978-3-642-68220-9_8). Jumps between windows enter χ²
 //! with a weight that grows until they vanish up to rounding.
 //!
-//! The loop is our own, because crates for least squares know neither bounds nor the block
-//! structure of many initial states.
+//! This module implements the iterations, because crates for least squares support neither bounds
+//! nor the block structure of many initial states.
 //!
 //! Imports `numbers` and `dynamics`. Start reading in `fit.rs`.
 

@@ -120,8 +120,9 @@ impl<'a> Problem<'a> {
         self.unknowns.len() + if self.free_starts { self.segments.len() * self.model.sizes()[0] } else { 0 }
     }
 
-    /// Initial values. Splits the segments into windows of this length, or none. The initial state
-    /// of a window is measured. Missing components continue the simulation of the window before.
+    /// Initial values. Splits the segments into windows of this length. `None`: one window per
+    /// segment. A window starts at the measured state. Components without a measurement continue
+    /// the simulation of the previous window.
     ///
     /// # Errors
     /// A simulation or its squared residuals are not finite.

@@ -4,8 +4,8 @@ use super::elimination::gradient;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 /// Smallest eigenvalue of the scaled information matrix, relative to the largest. Below it, the
-/// data do not determine the combination of parameters. Its square root is the rounding of
-/// Jacobians, about 1e-7 after long simulations.
+/// data do not determine the combination of parameters. The square root of this ratio, 1e-6,
+/// exceeds the relative rounding error of Jacobians, about 1e-7 after long simulations.
 const DETERMINED: f64 = 1e-12;
 
 /// Smallest component of an eigenvector that is named in a combination.
@@ -14,7 +14,8 @@ const NAMED: f64 = 1e-3;
 pub(super) struct Statistics {
     /// Standard errors at unit noise; infinite for undetermined parameters.
     pub errors: Vec<f64>,
-    /// Standard errors from the scatter between segments; infinite for undetermined parameters.
+    /// Standard errors from the scatter between segments. Infinite for undetermined parameters, and
+    /// unless there are more segments than parameters.
     pub robust_errors: Vec<f64>,
     pub correlations: Vec<Vec<f64>>,
     /// Names of the parameters in each undetermined combination.

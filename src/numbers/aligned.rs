@@ -51,7 +51,8 @@ impl<F> Aligned<F> {
 
 impl<F: Clone> Clone for Aligned<F> {
     fn clone(&self) -> Self {
-        // The copy may have another alignment: move the numbers to its first aligned entry.
+        // Moves the numbers to the first aligned entry, because the copy may have another
+        // alignment.
         let (mut storage, len) = (self.storage.clone(), self.len);
         let begin = Self::line(&storage, len);
         if begin >= self.begin {
@@ -85,7 +86,7 @@ mod tests {
     fn forty_clones_of_five_numbers_are_equal_and_aligned_to_64_bytes() {
         let mut numbers = Aligned::<f64>::zeros(5);
         numbers.copy_from_slice(&[1.0, 2.0, 3.0, 4.0, 5.0]);
-        // Store all clones, so that their addresses differ.
+        // Stores all clones, so that their addresses differ.
         let clones: Vec<(Aligned<f64>, Vec<u8>)> = (0..40).map(|i| (numbers.clone(), vec![0; 16 * i])).collect();
         for (clone, _) in &clones {
             assert_eq!(clone[..], [1.0, 2.0, 3.0, 4.0, 5.0]);

@@ -114,7 +114,8 @@ impl fmt::Display for ExtendedF64 {
     }
 }
 
-/// Splits a finite, nonzero number into a mantissa, of absolute value 1 to 2, and a binary exponent.
+/// Splits a finite, nonzero number into a mantissa, of absolute value 1 to 2, and a binary
+/// exponent.
 fn split(x: f64) -> (f64, i32) {
     if x == 0.0 || !x.is_finite() {
         return (x, 0);

@@ -15,7 +15,7 @@
 //!
 //! - [`Options`], [`Initial`]: settings and initial controls.
 //! - [`Plan`]: controls, states, gains, cost and gradient. [`Stop`]: the reason for termination.
-//! - [`Tracking`]: the task to follow a plan by a trained policy.
+//! - [`Tracking`]: a task whose policy learns to follow a plan.
 //!
 //! # Limits
 //! The minimum is local. A stationary initial trajectory, such as that of a pendulum that hangs at

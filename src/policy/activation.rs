@@ -21,8 +21,8 @@ pub enum Activation {
     Gelu,
 }
 
-/// Bound on |z| in the tanh of [`Activation::Gelu`]. Beyond it, the tanh is ±1 in f64, and z² and z³
-/// may overflow.
+/// Bound on |z| in the tanh of [`Activation::Gelu`]. Beyond it, the tanh is ±1 in f64, and z² and
+/// z³ may overflow.
 const GELU_SATURATED: f64 = 100.0;
 
 impl Activation {

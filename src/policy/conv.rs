@@ -207,7 +207,7 @@ impl Policy for Conv {
         let lens = [one.input(), one.output(), two.output()];
         let (h1, h2, input) = (places.block[1], places.block[2], places.block[0]);
         for at in at.blocks(BLOCK) {
-            // The columns of one time step are far apart: gather, evaluate, scatter.
+            // Gathers and scatters the columns, because those of one time step are far apart.
             let (block, all) = tape.split_at_mut(places.all[1]);
             for (column, c) in zip(block[input..].chunks_exact_mut(lens[0]), at.iter()) {
                 for (position, x) in zip(column.chunks_exact_mut(one.slot), x[c * n..][..n].chunks_exact(CHANNELS)) {
@@ -305,7 +305,7 @@ impl Policy for Conv {
                 let mut input = &all_inputs[columns.start * l.input()..columns.end * l.input()];
                 let mut bar = &all_bars[columns.start * l.output()..columns.end * l.output()];
                 if let Some(weight) = weight {
-                    // Scale the smaller factor.
+                    // Scales the smaller factor.
                     let smaller = l.input().min(l.output());
                     let factor = if l.output() <= l.input() { &mut bar } else { &mut input };
                     elementwise::scale(level, factor, &weight[columns], smaller, scaled);

@@ -161,7 +161,7 @@ impl Policy for Mlp {
             // Glorot and Bengio 2010: uniform within sqrt(6 / (fan_in + fan_out)).
             let limit = (6.0 / (l.inputs + l.outputs) as f64).sqrt();
             for weight in &mut theta[l.theta..][..l.inputs * l.outputs] {
-                // Always draw, so that `zero_init_output` does not affect later draws from `rng`.
+                // Always draws, so that `zero_init_output` does not affect later draws from `rng`.
                 let draw = rng.random_range(-limit..limit);
                 *weight = if self.zero_init_output && index == last { 0.0 } else { draw };
             }
@@ -358,7 +358,7 @@ impl Policy for Mlp {
                 let mut bar = &bar[columns.start * bar_len..columns.end * bar_len];
                 let mut input = &input[columns.start * l.ld_in..columns.end * l.ld_in];
                 if let Some(weight) = weight {
-                    // Scale the smaller factor.
+                    // Scales the smaller factor.
                     let (factor, len) = if bar_len <= l.ld_in { (&mut bar, bar_len) } else { (&mut input, l.ld_in) };
                     elementwise::scale(level, factor, &weight[columns], len, scaled);
                     *factor = scaled;

@@ -3,8 +3,8 @@
 use super::Activation;
 use serde::Serialize;
 
-/// A layer of a feedforward policy. The observation is the input of the first layer, and the control
-/// is the output of the last one.
+/// A layer of a feedforward policy. The observation is the input of the first layer, and the
+/// control is the output of the last one.
 ///
 /// Numbers between layers are vectors. A convolution reads its input position by position, with the
 /// channels of a position adjacent, and writes its output in the same order.

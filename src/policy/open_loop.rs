@@ -7,8 +7,8 @@ use crate::numbers::scalar::{Float, Scalar};
 /// Sequence of controls `u_t = θ[t]`, independent of the observation; `θ` is `[step][control]`.
 ///
 /// Training optimizes the sequence itself: direct single shooting. The controls do not depend on
-/// the observation, so flow R equals M, and N equals S. [`optimize`](crate::optimize) is the
-/// second-order method for one initial state.
+/// the observation, so flow R equals M, and N equals S. [`optimize`](crate::optimize) contains a
+/// method with second derivatives of the costs, for one initial state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OpenLoop {
     observation_dim: usize,

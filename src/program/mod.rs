@@ -16,7 +16,8 @@
 //!
 //! Start with `commands/train` and `tasks/scene`.
 
-// `println!` panics on a closed pipe. `terminal::print_result` and `terminal::print_message` do not.
+// `println!` panics on a closed pipe. `terminal::print_result` and `terminal::print_message` do
+// not.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 mod commands;

@@ -108,8 +108,8 @@ pub struct Animation {
 }
 
 impl Animation {
-    /// Gives animations of one system the same scale: the union of their views, and for channels
-    /// with the same index and name the union of their ranges.
+    /// Gives animations of one system the same scale. The view is the union of their views. The
+    /// range of a channel is the union of the ranges of all channels with this name.
     pub fn share_scale(animations: &mut [&mut Self]) {
         let corner = |pick: fn(f64, f64) -> f64, of: fn(&Self) -> [f64; 2]| {
             animations.iter().map(|animation| of(animation)).reduce(|a, b| [pick(a[0], b[0]), pick(a[1], b[1])])

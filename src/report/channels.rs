@@ -12,12 +12,15 @@ pub struct Channel {
     pub values: Vec<f64>,
     /// CSS colour.
     pub color: &'static str,
-    /// Lowest and highest value of the band; None for those of the values.
+    /// Lowest and highest value of the band; None for the extremes of the values.
     pub range: Option<[f64; 2]>,
 }
 
 impl Channel {
-    /// Creates one channel per column of the rows. All rows have a value for each name.
+    /// Creates one channel per column of the rows.
+    ///
+    /// # Panics
+    /// Panics if a row has fewer values than there are names.
     pub fn columns(names: Vec<String>, rows: &[Vec<f64>], color: &'static str) -> Vec<Self> {
         let values = |i: usize| rows.iter().map(|row| row[i]).collect();
         names.into_iter().enumerate().map(|(i, name)| Self { name, values: values(i), color, range: None }).collect()

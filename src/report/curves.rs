@@ -61,7 +61,7 @@ pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) ->
 
 /// Draws the test losses of several methods against epochs and against wall time.
 ///
-/// - Bold line: median over the seeds. A single bad seed does not shift it.
+/// - Bold line: median over the seeds, which is robust to single outliers.
 /// - Band: first to third quartile of four or more seeds, or the range of two or three seeds.
 /// - Thin lines: single seeds. One seed has a bold line only.
 ///

@@ -4,8 +4,11 @@ use super::log_figure::{Panel, log_figure};
 use super::series::{drawable, thinned_to};
 use super::{Drawing, Series};
 
-/// Draws ascending losses against the share of rollouts with at most this loss, in %. Omits losses
-/// that a logarithmic axis cannot show, as those of diverged rollouts: their line ends early.
+/// Draws losses against the share of rollouts with at most this loss, in %. Each policy has a
+/// label, a CSS colour and its losses in ascending order.
+///
+/// Omits losses that a logarithmic axis cannot show, for example those of diverged rollouts. A line
+/// with diverged rollouts therefore ends before 100 %.
 pub fn distribution(title: &str, policies: Vec<(String, &'static str, Vec<f64>)>) -> Drawing {
     /// Largest number of points of a line.
     const POINTS: usize = 250;

@@ -5,7 +5,7 @@ use kuva::prelude::*;
 
 /// Width of a line, and of a thin line, in pixels.
 const WIDTHS: [f64; 2] = [1.8, 0.8];
-/// Additional width for each line that covers the line, in pixels.
+/// Additional width of a line for each later line that coincides with it, in pixels.
 const CASING: f64 = 2.4;
 /// Share of white in the colour of a thin line.
 const PALE: f64 = 0.45;

@@ -3,7 +3,7 @@
 //! Contents:
 //!
 //! - Charts: [`learning_curve`], [`comparison`], [`study`], [`robustness`], [`distribution`],
-//!   [`settings()`], [`fitted`] and   [`work_precision`], and [`Chart`] for interactive pages.
+//!   [`settings()`], [`fitted`] and [`work_precision`], and [`Chart`] for interactive pages.
 //! - Maps of a plane: [`maps`].
 //! - Animations: [`cart_pole()`], [`guidance()`], [`quantum()`], [`mechanics()`],
 //!   [`channels_over_time`], or [`Animation`] for other systems.

@@ -4,8 +4,7 @@ use super::log_figure::{Panel, log_figure};
 use super::series::drawable;
 use super::{Drawing, Series};
 
-/// Smallest ratio between two positive values of a setting that an axis shows by a logarithmic
-/// scale.
+/// Smallest ratio of the largest to the smallest value of a setting with a logarithmic axis.
 const LOG_RATIO: f64 = 10.0;
 
 /// Draws final losses against settings: one panel per setting, one line with a band per method.

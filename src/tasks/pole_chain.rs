@@ -23,7 +23,8 @@ use factor::{factor, solve};
 /// ```text
 /// M ẍ + Σ_k p_k cos θ_k α_k                        = u + Σ_k p_k sin θ_k ω_k²
 /// p_j cos θ_j ẍ + Σ_k I_jk cos(θ_j - θ_k) α_k      = p_j g sin θ_j - Σ_k I_jk sin(θ_j - θ_k) ω_k²
-/// p_k  = m l (1 + 2 (n - k)),   I_jj = m l² (4/3 + 4 (n - j)),   I_jk = m l² (2 + 4 (n - k)) for j < k
+/// p_k  = m l (1 + 2 (n - k))
+/// I_jj = m l² (4/3 + 4 (n - j)),   I_jk = m l² (2 + 4 (n - k)) for j < k
 /// ```
 ///
 /// The mass matrix is symmetric and positive definite, even for a massless cart. Cholesky's method

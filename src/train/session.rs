@@ -102,7 +102,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
         self.progress.new_warnings(self.task.horizon()).iter().map(Warning::to_string).collect()
     }
 
-    /// All [`warnings`](Self::warnings) about the last epoch, also of kinds that earlier epochs had.
+    /// All [`warnings`](Self::warnings) about the last epoch, also of kinds that earlier epochs
+    /// had.
     pub fn epoch_warnings(&self) -> Vec<Warning> {
         self.progress.warnings(self.task.horizon())
     }

@@ -5,7 +5,7 @@ use super::record::Skip;
 use crate::numbers::scalar::Float;
 use std::fmt;
 
-/// Warning about an epoch. Its text is the epoch and the cause.
+/// Warning about an epoch. The text consists of the epoch and the cause.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Warning {
     /// Number of the epoch, from 1.

@@ -181,7 +181,7 @@ fn a_new_crate_has_the_name_of_the_task_and_overwrites_nothing() {
         ("exit_code", "its type would be `ExitCode`"),
     ] {
         let error = refused(name);
-        assert!(error.contains(&format!("`{name}` is no name of a task")) && error.contains(reason), "{error}");
+        assert!(error.contains(&format!("`{name}` cannot be the name of a task")) && error.contains(reason), "{error}");
         assert!(error.contains(&format!("for instance `{name}_task`")) && !dir.path().join(name).exists(), "{error}");
     }
     assert!(refused("Self").contains("allowed: lower case letters"));

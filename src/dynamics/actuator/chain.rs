@@ -75,7 +75,7 @@ impl<A: Actuator, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, A, R, C> 
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         let Self { chain, state, u, next_bar, mut state_bar, u_bar } = self;
-        // Recompute the input of every actuator; the output of the last is not needed.
+        // Recomputes the input of every actuator; the output of the last is not needed.
         let m = u.len();
         let mut given: SmallVec<[R; 4 * STACK]> = SmallVec::from_slice(u);
         let mut begin = 0;

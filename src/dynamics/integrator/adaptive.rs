@@ -38,8 +38,8 @@ impl Default for Adaptive {
     }
 }
 
-/// Weights of the error estimate, the difference of the fifth- and fourth-order results: six for
-/// the stages, one for the rate at the end of the step.
+/// Weights of the error estimate, the difference of the fifth- and fourth-order results. Six are
+/// for the stages, the last one is for the rate at the end of the step.
 const ERROR: [f64; 7] = [
     -0.001_780_011_052_225_777,
     -0.000_816_434_459_656_746_9,

@@ -186,7 +186,7 @@ impl Integrator for ImplicitMidpoint {
         }
         ode.rate(halfway(dt, inputs).with_x(&middle), &mut rate);
         let residual = (0..x.len()).map(|i| (next[i] - x[i] - h * rate[i]).lane(0).to_f64().abs());
-        // Report a NaN residual as infinite.
+        // Reports a NaN residual as infinite.
         let largest = residual.fold(0.0, |largest, r| if r.is_nan() { f64::INFINITY } else { r.max(largest) });
         R::any_lt(R::zero(), to_go).then_some(largest)
     }

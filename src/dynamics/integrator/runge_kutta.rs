@@ -15,7 +15,8 @@ const MAX_STAGES: usize = 7;
 /// Integration, VI.4; Sanz-Serna 2016, doi:10.1137/151002769):
 ///
 /// ```text
-/// k̄_i = h (b_i x̄' + Σ_{j>i} a_ji ȳ_j),   ȳ_i = (∂f/∂x)ᵀ k̄_i,   ū += (∂f/∂u)ᵀ k̄_i,   x̄ = x̄' + Σ_i ȳ_i
+/// k̄_i = h (b_i x̄' + Σ_{j>i} a_ji ȳ_j),   ȳ_i = (∂f/∂x)ᵀ k̄_i
+/// ū += (∂f/∂u)ᵀ k̄_i,   x̄ = x̄' + Σ_i ȳ_i
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RungeKutta(&'static Tableau);

@@ -331,7 +331,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
 
     /// Sets `λ ← ∂l/∂x_t`, `μ ← 0` and the exponent to 0 for one flow and sample.
     ///
-    /// A large exponent of the adjoint before would let the cost gradients underflow.
+    /// With the previous exponent, if it is large, the cost gradients would underflow.
     #[cold]
     fn restart(&mut self, pass: &Pass<'_, F>, k: usize, sample: usize, t: usize) {
         let Pass { task, rollout, scale, .. } = *pass;

@@ -88,7 +88,7 @@ unsafe fn panels<R: Register, const MAX: usize, const NR: usize>(p: Product<'_, 
     let mut row = 0;
     while row < p.rows {
         let registers = match (p.rows - row) / R::WIDTH {
-            // Split four registers as 2 + 2, which is faster than 3 + 1.
+            // Splits four registers as 2 + 2, which is faster than 3 + 1.
             4 if MAX == 3 => 2,
             left => left.min(MAX),
         };

@@ -32,7 +32,7 @@ pub fn tanh_32<const FMA: bool>(x: f32) -> f32 {
     let q = fma_32::<FMA>(q, x2, 2.268_434_6e-3);
     let q = fma_32::<FMA>(q, x2, 4.893_525e-3);
     let ratio = bounded * p / q;
-    // Return small arguments unchanged, and exactly ±1 for large ones.
+    // Returns small arguments unchanged, and exactly ±1 for large ones.
     let inner = if x.abs() < 4e-4 { x } else { ratio };
     if x.abs() >= SATURATED { 1f32.copysign(x) } else { inner }
 }

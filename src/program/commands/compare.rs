@@ -22,8 +22,9 @@ use anyhow::{Result, bail};
 use serde_json::json;
 use std::path::PathBuf;
 
-/// Train with several fields and seeds, and compare the results; in one scene or in several, which
-/// may differ in integrator or precision.
+/// Train with several fields and seeds, in one scene or several, and compare the results.
+///
+/// Scenes may differ in any setting, for example in integrator or precision.
 ///
 /// `--set KEY=VALUE,VALUE` and a section `[sweep]` train every combination of values.
 #[derive(Debug, clap::Args)]
@@ -113,7 +114,7 @@ pub fn compare(args: &Compare) -> Result<()> {
         let one_task = points.iter().all(|point| point.scene.task.name() == points[0].scene.task.name());
         folder.write("curves.svg", picture(&title, &scenes, one_task).to_svg())?;
         files.push("curves.svg");
-        // Each run drew its animation with a scale of its own.
+        // Redraws the animations of the runs with a common scale.
         animate(&Animate { folder: folder.path().into(), sample: 0, quiet: true })?;
     }
     if let Some(picture) = sweep::picture(&title, &points, &scenes) {
@@ -163,11 +164,12 @@ fn sweep_points(name: &str, args: &Compare) -> Result<Vec<SweepPoint>> {
 /// Largest number of scenes whose learning curves are drawn.
 const MAX_PANELS: usize = 8;
 
-/// Panels side by side, if every scene has its own.
+/// Largest number of panels in a row, if every scene has a panel.
 const COLUMNS: usize = 4;
 
-/// Test losses of all scenes. Draws up to three scenes in one panel with dashes, and more scenes in
-/// one panel each. Panels of one task share the range of their y axes.
+/// Test losses of all scenes, against epochs and against time. Up to three scenes share the panels
+/// and differ in dashes. More scenes have panels of their own, which share the range of their y
+/// axes if all scenes have one task.
 fn picture(title: &str, scenes: &[InScene], one_task: bool) -> Drawing {
     if scenes.len() <= MAX_DASHED {
         return comparison(title, &curves_of_scenes(scenes, |r| r.test_loss));

@@ -22,7 +22,7 @@ pub struct Effects {
     pub json: bool,
 }
 
-/// Width of a paragraph.
+/// Width of a paragraph, in characters.
 const WIDTH: usize = 100;
 
 const HEAD: &str = "\

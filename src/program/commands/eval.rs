@@ -31,7 +31,8 @@ pub struct Eval {
     /// Folders of trained runs of one task
     #[arg(required = true, value_name = "RUN")]
     pub runs: Vec<PathBuf>,
-    /// Scene of the evaluation: a task, a preset, or the path of a scene [default: that of each run]
+    /// Scene of the evaluation: a task, a preset, or the path of a scene [default: that of each
+    /// run]
     #[arg(long, value_name = "SCENE")]
     pub scene: Option<String>,
     /// Change or add a setting of the scene, for example system.cart_mass=2
@@ -194,7 +195,7 @@ fn losses_csv(results: &[Evaluated]) -> Result<Vec<u8>> {
     csv(["run", "sample", "loss"], rows)
 }
 
-/// Writes `worst.csv` with the trajectories of the samples, and one animation each.
+/// Writes `worst.csv` with the trajectories of the samples, and an animation of each sample.
 fn write_worst(folder: &Folder, scene: &Scene, evaluation: &dyn AnyEvaluation, samples: &[usize]) -> Result<()> {
     if samples.is_empty() {
         return Ok(());

@@ -139,7 +139,7 @@ pub fn identify(args: &Identify) -> Result<()> {
     ))
 }
 
-/// Size and end of the fit.
+/// Sizes, χ², BIC and effort of the fit, by name.
 fn facts(fit: &Fit, seconds: f64) -> Vec<(&'static str, String)> {
     vec![
         ("segments", fit.states.len().to_string()),

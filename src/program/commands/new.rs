@@ -41,16 +41,16 @@ pub fn new(args: &New) -> Result<()> {
     let name = &args.name;
     let valid = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
     if !name.starts_with(|c: char| c.is_ascii_lowercase()) || !name.chars().all(valid) {
-        bail!("`{name}` is no name of a task; allowed: lower case letters, digits and underscores, a letter first");
+        bail!("`{name}` cannot be the name of a task; allowed: lower case letters, digits and underscores, a letter first");
     }
     if let Some((_, reason)) = RESERVED.iter().find(|(names, _)| names.split_whitespace().any(|reserved| reserved == name)) {
-        bail!("`{name}` is no name of a task: it {reason}. Choose another name, for instance `{name}_task`");
+        bail!("`{name}` cannot be the name of a task: it {reason}. Choose another name, for instance `{name}_task`");
     }
     let type_name = type_name(name);
     if uses(EXAMPLE, &type_name) || uses(TEST, &type_name) {
         bail!(
-            "`{name}` is no name of a task: its type would be `{type_name}`, which the new crate already uses. Choose another \
-             name, for instance `{name}_task`"
+            "`{name}` cannot be the name of a task: its type would be `{type_name}`, which the new crate already uses. Choose \
+             another name, for instance `{name}_task`"
         );
     }
     if tasks::all().iter().any(|task| task.name() == name) {

@@ -34,7 +34,8 @@ pub struct Optimize {
     pub scene: Option<String>,
     #[command(flatten)]
     pub overrides: Overrides,
-    /// Folder of a trained run: take its scene, and start at the controls of its policy instead of 0
+    /// Folder of a trained run: take its scene, and start at the controls of its policy instead of
+    /// 0
     #[arg(long, value_name = "RUN", conflicts_with_all = ["field", "epochs", "seed", "precision", "policy", "tag", "set", "without"])]
     pub from: Option<PathBuf>,
     /// Bounds of the controls, as in force=-10:10, or -10:10 for all controls; may be repeated

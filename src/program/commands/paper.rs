@@ -105,7 +105,8 @@ pub struct FinishedFigure {
 }
 
 impl FinishedFigure {
-    /// Writes `<name>.svg`, `.png`, `.csv` and `.md`, and prints the table. Returns the table as JSON.
+    /// Writes `<name>.svg`, `.png`, `.csv` and `.md`, and prints the table. Returns the table as
+    /// JSON.
     pub fn write(&self, name: &str, folder: &Folder, options: &Options) -> Result<Value> {
         folder.write(&format!("{name}.svg"), self.drawing.to_svg())?;
         folder.write(&format!("{name}.png"), self.drawing.to_png())?;
@@ -157,8 +158,8 @@ pub fn paper(args: &Paper) -> Result<()> {
 mod tests {
     use super::*;
 
-    /// Checks an SVG of valid XML below 500 kB, a CSV of more than 100 lines without NaN, and a
-    /// table of at least 4 lines.
+    /// Checks the figure: the SVG is valid XML below 500 kB. The CSV has more than 100 lines
+    /// without NaN. The table has at least 4 lines.
     fn check(header: &str, figure: &FinishedFigure) {
         let svg = figure.drawing.to_svg();
         roxmltree::Document::parse(&svg).expect("an SVG is XML");

@@ -15,8 +15,8 @@ pub struct Stored {
     pub allocations: Option<u64>,
 }
 
-/// Measures a rollout of [`SAMPLES`] samples and the adjoint of a field. Without a field, measures a
-/// rollout in evaluation mode.
+/// Measures a rollout of [`SAMPLES`] samples and the adjoint of a field. Without a field, measures
+/// a rollout in evaluation mode.
 pub fn stored(task: &DynTask, policy: &impl Policy, precision: Precision, field: Option<Field>) -> Stored {
     match precision {
         Precision::F32 => measure::<f32>(task, policy, field),

@@ -23,8 +23,8 @@ struct Evaluation<P, F> {
     seed: u64,
 }
 
-/// Prepares rollouts of the policy. `theta` has its parameters, without the trained numbers, which
-/// have their initial values.
+/// Prepares rollouts of the policy. `theta` has its parameters, without the trained numbers.
+/// Trained numbers have their initial values.
 ///
 /// # Errors
 /// The policy has another number of parameters.
@@ -81,7 +81,8 @@ fn losses<F: Float>(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, weights: &
     for starts in starts.chunks(BLOCK * task.start_dim()) {
         match run(starts) {
             Ok(costs) => losses.extend(costs),
-            // A divergence ends the whole rollout: repeat it sample by sample.
+            // Repeats the rollout sample by sample, because a divergence ends the rollout of a
+            // block.
             Err(_) => {
                 losses.extend(starts.chunks(task.start_dim()).map(|start| each(start, &mut |start| run(start).ok())));
             }

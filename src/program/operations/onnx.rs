@@ -1,7 +1,8 @@
 //! ONNX models of policies: a batch of observations to a batch of controls.
 //!
-//! Every operator has an f64 implementation in ONNX Runtime, so a model has the precision of its
-//! run. The operator `Conv` has none: a convolution is a matrix product of its windows.
+//! Every operator in the model has an f64 implementation in ONNX Runtime, so a model has the
+//! precision of its run. The operator `Conv` has no f64 implementation. A convolution is therefore
+//! a matrix product of its windows.
 
 mod messages;
 
@@ -19,8 +20,9 @@ use prost::Message;
 pub const INPUT: &str = "observation";
 pub const OUTPUT: &str = "control";
 
-/// Version of the operators, and the version of the format that introduced it.
+/// Version of the operators.
 const OPERATORS: i64 = 13;
+/// First version of the format with these operators.
 const FORMAT: i64 = 7;
 
 /// Serializes the policy with the parameters `theta`. Trained numbers of the system are not part of
@@ -143,7 +145,8 @@ impl<F: Float> Builder<'_, F> {
         output
     }
 
-    /// Changes the shape. A length 0 is that of the input, and -1 the remaining one.
+    /// Changes the shape. A length of 0 keeps the length of the input. -1 stands for the remaining
+    /// length.
     fn reshape(&mut self, input: String, shape: Vec<i64>) -> String {
         let shape = self.integers("shape", vec![shape.len()], shape);
         self.node("Reshape", vec![input, shape], None)

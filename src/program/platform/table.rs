@@ -9,10 +9,10 @@ use std::fmt;
 /// Largest width of a column whose lines are not limited by a terminal, in characters.
 const COLUMN: usize = 60;
 
-/// Width of a column of text from which its lines have several words, in characters.
+/// Smallest width at which lines of a column of text have several words, in characters.
 const WORDS: usize = 24;
 
-/// Width from which a word may be broken, for example a path, in characters.
+/// Largest width of a word, for example a path, that is not broken, in characters.
 const WORD: usize = 30;
 
 /// Header and rows.
@@ -115,7 +115,7 @@ impl Table {
         lines.map(terminal::width_of).max().unwrap_or(0)
     }
 
-    /// Width from which a column is readable: whole numbers, lines of several words.
+    /// Smallest width at which a column is readable: whole numbers, or lines of several words.
     fn least(&self, column: usize) -> usize {
         let narrowest = self.narrowest(column);
         if self.is_numeric(column) { narrowest } else { self.widest(column).min(narrowest.max(WORDS)) }

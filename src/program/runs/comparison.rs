@@ -118,7 +118,7 @@ pub fn check_distinct<'a>(option: &str, names: impl Iterator<Item = &'a str>) ->
 /// Checks that each scene and field can open a session.
 ///
 /// # Errors
-/// A setting is unusable; the memory budget may be too small, for example.
+/// A setting is unusable, for example a memory budget that is too small.
 pub fn check_sessions<'a>(bases: impl Iterator<Item = &'a Scene>, fields: &[FieldName]) -> Result<()> {
     for base in bases {
         for &field in fields {

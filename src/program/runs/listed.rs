@@ -28,7 +28,7 @@ pub struct Listed {
 /// # Errors
 /// The folder, or the files of a run in it, cannot be read.
 pub fn below(folder: &Folder) -> Result<Vec<Listed>> {
-    /// Depth of the runs of a comparison of several scenes, in a folder of comparisons.
+    /// Number of levels of folders: folder of comparisons, comparison, scene, `runs`, run.
     const DEPTH: usize = 5;
     let (mut level, mut runs) = (vec![folder.clone()], Vec::new());
     for _ in 0..DEPTH {

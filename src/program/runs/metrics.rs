@@ -29,8 +29,8 @@ struct Log {
 }
 
 impl Metrics {
-    /// Replaces the files by files with the completed epochs. Files of other formats than
-    /// `metrics.csv` exist only if `formats` lists them.
+    /// Writes `metrics.csv` and the files of `formats`, with the completed epochs. Replaces earlier
+    /// files.
     pub fn create(folder: &Folder, formats: &[LogFormat], done: &[Record]) -> Result<Self> {
         let formats = LogFormat::ALL.into_iter().filter(|format| formats.contains(format)).map(Format::Other);
         let ends = wall_times(done);
@@ -111,7 +111,7 @@ fn now() -> f64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |time| time.as_secs_f64())
 }
 
-/// Times at the ends of the epochs, as if the last one ended now and there was no pause.
+/// Estimated times at the ends of the epochs: the last epoch ends now, without pauses before it.
 fn wall_times(done: &[Record]) -> Vec<f64> {
     let mut end = now();
     let mut times: Vec<f64> = Vec::with_capacity(done.len());

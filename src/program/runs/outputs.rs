@@ -18,9 +18,8 @@ pub fn numbers(numbers: &[(String, f64)]) -> Result<Vec<u8>> {
 }
 
 /// `trajectory.csv`: one row per rollout and step, for rollouts with the indices of their initial
-/// states. A row holds the state before the step, the
-/// parameters of the rollout, the controls of the policy, and the controls that an actuator
-/// applies. The last state has no controls.
+/// states. A row holds the state before the step, the parameters of the rollout, the controls of
+/// the policy, and the controls that an actuator applies. The last state has no controls.
 pub fn trajectories<'a>(scene: &Scene, rollouts: impl IntoIterator<Item = (usize, &'a Trajectory)>) -> Result<Vec<u8>> {
     let names = ["sample", "step", "time"].map(String::from).into_iter();
     let (states, params) = (scene.state_names(), scene.param_names());

@@ -61,7 +61,7 @@ impl Progress {
     pub fn advance(&mut self, parts: Vec<String>) {
         let wide = bar_width() >= WIDE;
         let digits = self.bar.length().unwrap_or(0).to_string().len();
-        // Widths of the template, of both numbers of epochs and of both times.
+        // Widths of the bar, the fixed text, both numbers of epochs, and the times.
         let rest = if wide { 30 + 29 + 2 * digits + 8 } else { 8 + 16 + 2 * digits + 4 };
         self.bar.set_message(joined(&parts, bar_width().saturating_sub(rest)));
         self.bar.inc(1);

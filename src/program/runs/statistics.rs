@@ -66,7 +66,7 @@ pub struct InScene<'a> {
     pub runs: Vec<Outcome<'a>>,
 }
 
-/// Largest number of scenes that one chart tells apart by dashes.
+/// Largest number of scenes in one chart, with different dashes.
 pub const MAX_DASHED: usize = 3;
 
 /// Curves of all scenes, one per scene and field: colours of the fields, and dashes of the scenes.

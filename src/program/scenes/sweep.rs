@@ -62,8 +62,9 @@ impl Sweep {
     /// draw. A single empty point if the sweep varies nothing.
     ///
     /// # Errors
-    /// A list of values is empty or no list. A distribution is invalid. Two parts have the same
-    /// key. There are more than 10,000 points.
+    /// The values of a key are an empty list or not a list. A distribution is invalid. Two parts
+    /// have the same key. Entries of the list have different keys. There are more than 10,000
+    /// points.
     pub fn points(&self) -> Result<Vec<Point>> {
         let (list, random) = (self.list_points()?, self.random_points()?);
         let mut points = vec![Point::default()];
@@ -128,7 +129,8 @@ impl Sweep {
 
 impl Point {
     /// Name of the point: the last parts of its keys, with their values, as in
-    /// `batch=8+widths=64x64`. Empty for an empty point.
+    /// `batch=8+widths=64x64`. Contains whole keys where the last parts coincide. Empty for an
+    /// empty point.
     pub fn name(&self) -> String {
         let value = |value: &Value| match value {
             Value::Float(x) => x.to_string(),

@@ -327,7 +327,7 @@ impl Scene {
     }
 
     /// One line per effect and per setting that differs from the default of its task or effect.
-    /// Skips the keys in `but`.
+    /// Skips the keys in `but`, and the keys `tags` and `log`.
     fn differences(&self, but: &[&str]) -> String {
         let mut lines = vec![format!("task = {:?}", self.task.name())];
         // Default settings with the same effects, each with its default parameters.
@@ -344,7 +344,7 @@ impl Scene {
             flat(&self.table).into_iter().filter(|setting| !defaults.contains(setting) && !but.contains(&&*setting.0));
         let differences = differences.filter(|(key, _)| ![INITIAL_POLICY, "tags", "log"].contains(&&**key));
         lines.extend(differences.map(|(key, value)| format!("{key} = {value}")));
-        // The contents matter, and the path does not.
+        // Identifies the policy file by its contents, not by its path.
         lines.extend(self.initial_policy.iter().map(|bytes| format!("{INITIAL_POLICY} = CRC-32C {:08x}", CRC.checksum(bytes))));
         lines.join("\n")
     }

@@ -8,13 +8,13 @@ const INK: &str = "#4A4F57";
 const CURSOR: &str = "#56B4E9";
 const ZERO: &str = "#D5D8DC";
 
-/// Font size of the labels, and mean width of a letter, in pixels.
+/// Mean width of a letter of a label, in pixels.
 const LETTER: f64 = 7.2;
 /// Height of the scale of lengths, in pixels.
 const SCALE: f64 = 30.0;
 /// Height of the time axis with its label, in pixels.
 const TIME: f64 = 42.0;
-/// Height of a band, in pixels: of one channel up to four, and of more.
+/// Height of a band, in pixels: first with at most four channels, then with more.
 const BANDS: [f64; 2] = [58.0, 44.0];
 /// Height that channels take from the largest view, in pixels.
 pub const TAKEN: f64 = 180.0;
@@ -22,7 +22,7 @@ pub const TAKEN: f64 = 180.0;
 const SIDES: [f64; 2] = [150.0, 20.0];
 /// Largest number of letters of a channel's name.
 const NAME: usize = 13;
-/// Largest number of frames of the dots.
+/// Largest number of frames of the cursor and the dots.
 const MAX_FRAMES: usize = 250;
 
 /// Parts below the view, in pixels from the lower left corner of the picture.
@@ -130,7 +130,7 @@ impl<'a> Below<'a> {
     }
 }
 
-/// Bar of a round length of about a tenth of the largest view, with its length.
+/// Bar of a round length, 30 to 75 pixels wide, with its length as label.
 fn length(unit: &str, scale: f64, y: f64) -> [Shape; 4] {
     let length = round_up(60.0 / scale / 2.0);
     let (left, right) = (SIDES[1], SIDES[1] + length * scale);

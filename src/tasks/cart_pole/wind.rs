@@ -15,7 +15,8 @@ use std::f64::consts::TAU;
 ///
 /// ```text
 /// cart:   F   = cart_drag |w - ẋ| (w - ẋ)
-/// pole i: D_i = pole_drag |v_i| v_i,   v_i = (w - ẋ) cos θ_i - l ω_i,   F += D_i cos θ_i,   τ_i = l D_i
+/// pole i: D_i = pole_drag |v_i| v_i,   v_i = (w - ẋ) cos θ_i - l ω_i
+///         F  += D_i cos θ_i,           τ_i = l D_i
 /// ```
 ///
 /// w is the wind speed. v_i is the speed of the air across the pole, at its middle. Flow along a
@@ -27,12 +28,13 @@ use std::f64::consts::TAU;
 /// the pole at the speed `W - s ω`, with `W = (w - ẋ) cos θ_i`:
 ///
 /// ```text
-/// D = c/2l ∫ |W - s ω| (W - s ω) ds,   τ = c/2l ∫ s |W - s ω| (W - s ω) ds,   s from 0 to 2l, c = pole_drag
+/// D = c/2l ∫ |W - s ω| (W - s ω) ds,   τ = c/2l ∫ s |W - s ω| (W - s ω) ds
+/// with s from 0 to 2l, c = pole_drag
 ///
-///                        strips                                 here
-/// no spin, ω = 0 :       D = c |W| W,          τ = l D          the same
-/// no wind, W = 0 :       D = -4/3 c l² |ω| ω,  τ = -2 c l³ |ω| ω    D = -c l² |ω| ω,  τ = -c l³ |ω| ω
-/// slow spin, l ω « W :   dτ/dω = -8/3 c l² |W|                  dτ/dω = -2 c l² |W|
+///                       strips                                here
+/// no spin, ω = 0 :      D = c |W| W,          τ = l D             the same
+/// no wind, W = 0 :      D = -4/3 c l² |ω| ω,  τ = -2 c l³ |ω| ω   D = -c l² |ω| ω, τ = -c l³ |ω| ω
+/// slow spin, l ω « W :  dτ/dω = -8/3 c l² |W|                     dτ/dω = -2 c l² |W|
 /// ```
 ///
 /// The two differ because the mean of squared speeds is not the square of the mean speed. For a
@@ -40,7 +42,7 @@ use std::f64::consts::TAU;
 /// quarters. In a wind that is fast compared with `l ω`, the damping of the spin is also three
 /// quarters of that of strip theory.
 ///
-/// Example with the defaults, 5 rad/s in still air and l = 0.5 m: the torque is 0.04 N m here and
+/// Example: the defaults, 5 rad/s in still air, and l = 0.5 m. The torque is 0.04 N m here, and
 /// 0.08 N m by strip theory. The torque of gravity is at most 0.49 N m. The difference matters
 /// where air alone slows a spinning pole.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

@@ -15,8 +15,8 @@ struct Impact<T> {
 }
 
 impl<T: Scalar> Impact<T> {
-    /// Returns the first root of `g + v t + a t²/2` at which the gap closes, for a gap of width g
-    /// and speed v under the acceleration a. The closing speed is `s = sqrt(v² - 2 a g)`.
+    /// Returns the first root of `g + v t + a t²/2` at which the gap closes. The gap has the width
+    /// g, the speed v and the acceleration a. The closing speed is `s = sqrt(v² - 2 a g)`.
     ///
     /// ```text
     /// closing, v ≤ 0 : t = 2 g / (s - v)      if s is real and not 0

@@ -62,7 +62,7 @@ impl System for TwoBodies {
 
         let gap = Gap { width: x[1] - x[0] - self.contact_distance, speed: x[3] - x[2] };
         let (free, after) = (gap.free(-push, dt), self.contact.advance(gap, -push, first * second / total, self.dt));
-        // Split the change due to contact by the other body's mass share, which preserves the
+        // Splits the change due to contact by the other body's mass share, which preserves the
         // center of mass.
         let (wider, faster) = (after.width - free.width, after.speed - free.speed);
         let (share, other) = (T::from(first / total), T::from(second / total));

@@ -187,7 +187,7 @@ impl ForcedSystem for GuidanceSystem {
 
     #[inline(always)]
     fn forced_step<E: Effect<Self>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]) {
-        // Store the accelerations in the second half of the next state.
+        // Stores the accelerations in the second half of the next state.
         let half = 2 * self.agents();
         self.accelerate(effects, inputs.continuous(self.dt), &mut next[half..2 * half]);
         let x = inputs.x;

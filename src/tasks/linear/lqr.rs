@@ -59,8 +59,8 @@ impl Lqr {
         Ok(Self { start: vec![0.0; n], spread: 1.0, horizon: 100, plant, state_cost, control_cost, optimum })
     }
 
-    /// Creates a task with a stable plant: a mass of 1 kg, a spring of 1 N/m and a damper of
-    /// 0.4 N s/m, in semi-implicit steps of 0.1 s. The running cost per second is
+    /// Creates a task with a stable plant, in semi-implicit steps of 0.1 s. The plant is a mass of
+    /// 1 kg on a spring of 1 N/m, with a damper of 0.4 N s/m. The running cost per second is
     /// `(|x|² + u²)/2`.
     pub fn spring() -> Self {
         let (dt, stiffness, damping) = (0.1, 1.0, 0.4);

@@ -20,7 +20,7 @@ fn row(i: usize) -> usize {
 #[inline(always)]
 pub(in crate::tasks) fn factor<T: Scalar>(matrix: &mut [T], n: usize) {
     for i in 0..n {
-        // Compute the entries of L D first.
+        // Computes the entries of L D first.
         for j in 0..i {
             let mut entry = matrix[row(i) + j];
             for k in 0..j {

@@ -10,7 +10,8 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 /// [`QuantumSystem`] with the diagonal Padé approximant of fourth order. With `z = dt H`:
 ///
 /// ```text
-/// exp(-iz) ≈ (1 - i z/2 - z²/12) (1 + i z/2 - z²/12)⁻¹ = C(z - √3) C(z + √3),   C(y) = (1 - i y/3) (1 + i y/3)⁻¹
+/// exp(-iz) ≈ (1 - i z/2 - z²/12) (1 + i z/2 - z²/12)⁻¹ = C(z - √3) C(z + √3)
+/// C(y) = (1 - i y/3) (1 + i y/3)⁻¹
 /// A∓ = I + i dt/3 (H ∓ √3/dt)
 /// χ = 2 A₋⁻¹ ψ - ψ,  ψ' = 2 A₊⁻¹ χ - χ
 /// ```
@@ -143,7 +144,7 @@ impl ForcedSystem for Pade {
             }
             return;
         }
-        // Recompute the solutions, because the forward pass does not store them.
+        // Recomputes the solutions, because the forward pass does not store them.
         let (mut y_minus, mut chi, mut y_plus) = (PerPoint::new(), PerPoint::new(), PerPoint::new());
         y_minus.resize(model.grid, [R::zero(); 2]);
         let y_minus = &mut y_minus[..];

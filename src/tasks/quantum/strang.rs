@@ -176,7 +176,7 @@ impl ForcedSystem for Strang {
             }
             return;
         }
-        // Recompute the intermediate waves a and b, because the forward pass does not store them.
+        // Recomputes the intermediate waves a and b, because the forward pass does not store them.
         let (mut a, mut b) = (PerPoint::new(), PerPoint::new());
         a.resize(model.grid, [R::zero(); 2]);
         b.resize(model.grid, [R::zero(); 2]);

@@ -27,9 +27,9 @@ pub(super) fn place(j: usize) -> f64 {
 
 /// Particle in a box with a linear potential: Schrödinger's equation by Crank-Nicolson.
 ///
-/// State `[Re ψ_1, Im ψ_1, Re ψ_2, …]`, shape (grid, 2) row-major, at the points `x_j = j dx`,
-/// `j = 1 .. grid`. ψ is 0 at the walls, `j = 0` and `j = grid + 1`. The norm is `Σ_j |ψ_j|² = 1`,
-/// without dx. Control `[c]`, the slope of the potential.
+/// State `[Re ψ_1, Im ψ_1, Re ψ_2, …]`, shape (grid, 2) row-major. The grid points are `x_j = j dx`
+/// with `j = 1 .. grid`. ψ is 0 at the walls, `j = 0` and `j = grid + 1`. The norm is
+/// `Σ_j |ψ_j|² = 1`, without dx. Control `[c]`, the slope of the potential.
 ///
 /// ```text
 /// H = -D₂ + diag(V_j)                 D₂: second difference over dx², dx = length / (grid + 1)
@@ -273,7 +273,7 @@ impl ForcedSystem for QuantumSystem {
             }
             return;
         }
-        // Recompute the solution, because the forward pass does not store it.
+        // Recomputes the solution, because the forward pass does not store it.
         let mut y = PerPoint::new();
         y.resize(self.grid, [R::zero(); 2]);
         let y = &mut y[..];

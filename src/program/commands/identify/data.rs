@@ -28,11 +28,12 @@ enum Column {
 }
 
 impl Measured {
-    /// Reads a file, for example `trajectory.csv` of a run. Steps without a sample are missing. A
-    /// control stays constant until its next value, and is 0 before the first.
+    /// Reads a file, for example `trajectory.csv` of a run. States of steps without a sample are
+    /// NaN. A control stays constant until its next value, and is 0 before the first.
     ///
     /// # Errors
-    /// Names the line, and the columns or times that are allowed.
+    /// The file cannot be read, has no samples, no column `t` or an unknown column. A time is not
+    /// on the time grid of the scene.
     pub fn read(path: &Path, scene: &Scene) -> Result<Self> {
         let name = path.display();
         let (states, controls, dt) = (scene.state_names(), scene.control_names(), scene.dt());

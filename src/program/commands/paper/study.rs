@@ -79,7 +79,8 @@ struct Cell<'a> {
 }
 
 impl Study {
-    /// Trains all runs and writes the figure. Returns its table, null if a signal ended the training.
+    /// Trains all runs and writes the figure. Returns its table, or null if a signal ended the
+    /// training.
     pub fn run(&self, options: &Options, folder: &Folder) -> Result<Json> {
         let cells = || options.clip.iter().flat_map(|&clip| self.values.iter().map(move |&value| (value, clip)));
         let plans = cells().map(|(value, clip)| self.plan(value, clip, options, folder));

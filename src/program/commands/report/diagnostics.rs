@@ -32,7 +32,7 @@ pub fn of_epochs(runs: &[Inspected]) -> Vec<Figure> {
             Figure::new(
                 "Agreement of M and R",
                 Chart::linear(EPOCH, "cosine", [-1.0, 1.0], by_epoch(|r| r.cosine.unwrap_or(f64::NAN))),
-                "Cosine of the angle between the gradients M and R, from which C is computed. At 1 their directions are equal. \
+                "Cosine of the angle between the vectors M and R, from which C is computed. At 1 their directions are equal. \
                  At 0 or below, backpropagation through the network gives R a direction that does not agree with M.",
             )
             .keys(keys()),
@@ -71,10 +71,10 @@ fn growth_by_epoch(runs: &[Inspected]) -> Figure {
     Figure::new(
         "Growth by epoch",
         Chart::linear(EPOCH, "growth along a rollout (decades)", range, series),
-        "Powers of ten by which the adjoints of the field's flows grow in the reverse pass through a rollout, in the first \
-         applied update of every epoch, averaged over its samples; 0 is balanced. If R exceeds 7 in f32, or 16 in f64, its \
-         signs at early steps are unreliable. With R far below 0, later costs barely affect the gradient of early steps. M \
-         above 3 shows a plant that is unstable without its policy.",
+        "Powers of ten by which the adjoints of the field's flows grow in the reverse pass through a rollout; 0 is balanced. \
+         Each value is the mean over the samples of the first applied update of its epoch. If R exceeds 7 in f32, or 16 in \
+         f64, its signs at early steps are unreliable. With R far below 0, later costs barely affect the gradient of early \
+         steps. M above 3 shows a plant that is unstable without its policy.",
     )
     .notes(warnings.flatten().collect())
 }
@@ -136,9 +136,10 @@ pub fn of_comparison(runs: &[Inspected]) -> Vec<Figure> {
     ]
 }
 
-const GROWTH: &str = "Norm of the derivative of the later cost by the state at each step, through physics and network (R) or \
-                      through the physics alone (M); root mean square over test rollouts. The reverse pass runs from right to \
-                      left: a line that rises by powers of ten shows an exploding adjoint, a falling line a vanishing adjoint.";
+const GROWTH: &str = "Norm of the derivative of later costs with respect to the state at each step, through physics and network \
+                      (R) or through the physics alone (M). Its root mean square over the test rollouts is drawn. The \
+                      reverse pass runs from right to left: a line that rises by powers of ten shows an exploding adjoint, \
+                      a falling line a vanishing adjoint.";
 
 /// Notes on divergences that truncate or remove a line.
 fn diverged(growths: &[AdjointNorms], when: &str) -> Vec<String> {

@@ -10,7 +10,7 @@ use maud::{Markup, html};
 
 /// Numbers with errors and correlations. Present in every folder of an identification.
 pub const IDENTIFIED: &str = "identified.csv";
-/// Size and end of the fit, and warnings.
+/// Sizes, χ², BIC and effort of the fit, and warnings.
 pub const FIT: &str = "fit.csv";
 /// Measured beside simulated states of the fitted segments.
 pub const TRAJECTORIES: &str = "trajectories.csv";

@@ -88,7 +88,7 @@ pub fn document(title: &str, folder: &str, version: &str, note: &str, trouble: &
             head {
                 meta charset="utf-8";
                 meta name="viewport" content="width=device-width, initial-scale=1";
-                // Forbids network requests, whatever a settings file or an animation contains.
+                // Forbids network requests by the contents of settings files and animations.
                 meta http-equiv="Content-Security-Policy"
                     content="default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:";
                 title { (title) " (" (folder) ")" }
@@ -188,7 +188,7 @@ fn animations(runs: &[&Inspected]) -> Markup {
         } } }
         p.note {
             "One rollout from an initial state of the test set, under the saved policy."
-            @if runs.len() > 1 { " Lengths and ranges of the animations are equal." }
+            @if runs.len() > 1 { " All animations have the same scale and ranges." }
         }
     }
 }

@@ -36,7 +36,7 @@ pub struct SliderSettings {
 enum Scheme {
     /// Speed before the step: oscillates where `dt μ g` exceeds twice the smoothing.
     Explicit,
-    /// Speed after the step: stable whatever the smoothing.
+    /// Speed after the step: stable for any smoothing.
     Implicit,
 }
 
