@@ -134,7 +134,8 @@ pub use numbers::scalar::{Cotangent, CotangentPack, Counted, Dual, Float, Lanes,
 pub use policy::{Policy, Weights};
 #[cfg(feature = "program")]
 pub use program::program;
-pub use train::field::{Field, GradientCombiner, SignAgreement, UnknownField};
+pub use train::combination::Combination;
+pub use train::field::{Field, GradientCombiner, UnknownField};
 pub use train::optim::{Clip, Optimizer, OptimizerKind};
 pub use train::{
     CheckpointError, Decay, Record, Report, Session, Skip, TrainError, Trainer, Training, Warning, differences, vector_field,

@@ -34,9 +34,9 @@ pub struct Point {
     pub value: f64,
 }
 
-/// Colour of a vector field by its letter; grey for an unknown letter.
+/// Colour of a vector field by its letters; grey for unknown letters.
 ///
-/// The colours are from the colour-blind safe palette of Okabe and Ito.
+/// Colours of R, M, N, S, C and P are from the colour-blind safe palette of Okabe and Ito.
 pub fn field_color(letter: &str) -> &'static str {
     match letter {
         "R" => "#0072B2",
@@ -44,6 +44,10 @@ pub fn field_color(letter: &str) -> &'static str {
         "S" => "#009E73",
         "C" => "#CC79A7",
         "N" => "#E69F00",
+        "P" => "#56B4E9",
+        "F" => "#999933",
+        "MR" => "#882255",
+        "RM" => "#6A51A3",
         _ => "#666666",
     }
 }

@@ -3,12 +3,13 @@
 use crate::engine::adjoint::Flow;
 use crate::engine::gradient::Gradient;
 use crate::numbers::scalar::Float;
+use crate::train::combination::Combination;
 use std::fmt;
 use std::str::FromStr;
 
 /// Vector field over the parameters: the gradient of one [`Flow`], or a composition of two.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Field<C = SignAgreement> {
+pub enum Field<C = Combination> {
     /// Gradient of one flow.
     Flow(Flow),
     /// Composition of two gradients of the same rollout.
@@ -23,6 +24,7 @@ pub enum Field<C = SignAgreement> {
 }
 
 /// Composes two gradients into one vector. Implement it to train with a custom field.
+/// [`Combination`] contains the rules of the library.
 ///
 /// ```
 /// use physgrad::{GradientCombiner, Field, Float, Flow};
@@ -50,34 +52,12 @@ pub trait GradientCombiner: Sync + Send {
     fn name(&self) -> &str;
     /// Writes the composition into `out`. All three slices have one element per parameter.
     fn combine<F: Float>(&self, first: &[F], second: &[F], out: &mut [F]);
-    /// Returns true if `combine` uses only the signs of `second`.
+    /// Returns true if a positive factor of `second` does not change the result of `combine`.
     ///
     /// The exponents of the two gradients ([`Gradient::exponent`]) may then differ. Otherwise both
     /// are brought to the larger exponent before the composition.
-    fn by_signs_of_second(&self) -> bool {
+    fn ignores_size_of_second(&self) -> bool {
         false
-    }
-}
-
-/// Components of the first gradient whose sign is that of the second; 0 elsewhere.
-///
-/// M and R yield the combined gradient C of the paper.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct SignAgreement;
-
-impl GradientCombiner for SignAgreement {
-    fn name(&self) -> &str {
-        "combined"
-    }
-    fn combine<F: Float>(&self, first: &[F], second: &[F], out: &mut [F]) {
-        let zero = F::zero();
-        for ((out, &m), &r) in out.iter_mut().zip(first).zip(second) {
-            // `signum` would give 0 a sign.
-            *out = if (m > zero && r > zero) || (m < zero && r < zero) { m } else { zero };
-        }
-    }
-    fn by_signs_of_second(&self) -> bool {
-        true
     }
 }
 
@@ -100,10 +80,41 @@ impl Field {
     }
     /// C: M where M and R agree in sign.
     pub const fn combined() -> Self {
-        Self::Composed { first: Flow::MODIFIED, second: Flow::REGULAR, by: SignAgreement }
+        Self::of(Combination::SignAgreement)
     }
-    /// All fields of the paper.
-    pub const ALL: [Self; 5] = [Self::combined(), Self::regular(), Self::modified(), Self::network(), Self::stopped()];
+    /// P: M without the component that opposes R.
+    pub const fn projected() -> Self {
+        Self::of(Combination::Projection)
+    }
+    /// F: direction of equal angles to M and R.
+    pub const fn conflict_free() -> Self {
+        Self::of(Combination::ConflictFree)
+    }
+    /// MR: absolute values of M with the signs of R.
+    pub const fn modified_signed() -> Self {
+        Self::of(Combination::SignsOfSecond)
+    }
+    /// RM: R with the norm of M.
+    pub const fn regular_scaled() -> Self {
+        Self::of(Combination::NormOfFirst)
+    }
+    /// Combines M and R by this rule.
+    const fn of(by: Combination) -> Self {
+        Self::Composed { first: Flow::MODIFIED, second: Flow::REGULAR, by }
+    }
+
+    /// All fields: those of the paper, then the other combinations of M and R.
+    pub const ALL: [Self; 9] = [
+        Self::combined(),
+        Self::regular(),
+        Self::modified(),
+        Self::network(),
+        Self::stopped(),
+        Self::projected(),
+        Self::conflict_free(),
+        Self::modified_signed(),
+        Self::regular_scaled(),
+    ];
 }
 
 impl<C: GradientCombiner> Field<C> {
@@ -157,7 +168,7 @@ impl<C: GradientCombiner> Field<C> {
             (Self::Flow(_), [gradient]) => out.copy_from(gradient),
             (Self::Composed { by, .. }, [first, second]) => {
                 let exponent = first.exponent().max(second.exponent());
-                if by.by_signs_of_second() || first.exponent() == second.exponent() {
+                if by.ignores_size_of_second() || first.exponent() == second.exponent() {
                     by.combine(first.values(), second.values(), out.values_mut(first.exponent()));
                 } else {
                     let [first, second] = [first, second].map(|gradient| gradient.clone().with_exponent(exponent));
@@ -170,14 +181,11 @@ impl<C: GradientCombiner> Field<C> {
 }
 
 impl Field {
-    /// Letter used in the paper.
+    /// Letters of the field, for legends: those of the paper, or P, F, MR and RM.
     pub fn letter(&self) -> &'static str {
-        match self.name() {
-            "regular" => "R",
-            "modified" => "M",
-            "network" => "N",
-            "stopped" => "S",
-            _ => "C",
+        match self {
+            Self::Flow(flow) => flow.letter(),
+            Self::Composed { by, .. } => by.letter(),
         }
     }
 }
@@ -198,9 +206,12 @@ impl FromStr for Field {
     }
 }
 
-/// Error for a name that matches no field of the paper.
+/// Error for a name that matches no field.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("unknown field `{0}`; expected combined, regular, modified, network or stopped (C, R, M, N, S)")]
+#[error(
+    "unknown field `{0}`; expected combined, regular, modified, network, stopped, projected, conflict_free, modified_signed or \
+     regular_scaled (C, R, M, N, S, P, F, MR, RM)"
+)]
 pub struct UnknownField(String);
 
 /// Object-safe [`Field`] for one precision.

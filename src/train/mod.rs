@@ -4,6 +4,7 @@
 //! - [`Session`]: a training in progress, one epoch at a time, with checkpoints.
 //! - [`Training`]: settings. [`Decay`]: learning rates. [`Record`]: results of one epoch.
 //! - [`Field`] and [`GradientCombiner`]: the vector field that the optimizer follows.
+//! - [`Combination`]: rules that combine M and R.
 //! - [`OptimizerKind`] and [`Clip`]: update rules, and clipping of the field.
 //! - [`vector_field`]: the two-parameter examples of the paper.
 //!
@@ -12,6 +13,7 @@
 //! own updates.
 
 mod checkpoint;
+pub(crate) mod combination;
 mod decay;
 pub(crate) mod field;
 pub(crate) mod optim;
@@ -33,7 +35,8 @@ use crate::engine::schedule::MemoryError;
 use crate::numbers::rng::{Purpose, stream};
 use crate::numbers::scalar::Float;
 use crate::policy::{Policy, Weights};
-use crate::train::field::{Field, GradientCombiner, SignAgreement};
+use crate::train::combination::Combination;
+use crate::train::field::{Field, GradientCombiner};
 use crate::train::optim::{Clip, OptimizerKind};
 use std::io::Write as _;
 use std::marker::PhantomData;
@@ -167,7 +170,7 @@ pub enum TrainError {
 /// # Ok::<(), physgrad::TrainError>(())
 /// ```
 #[derive(Clone, Debug)]
-pub struct Trainer<T, P, F = f32, C = SignAgreement> {
+pub struct Trainer<T, P, F = f32, C = Combination> {
     task: T,
     policy: P,
     field: Field<C>,

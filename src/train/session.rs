@@ -9,11 +9,12 @@ use crate::engine::divergence::Divergence;
 use crate::engine::schedule::Schedule;
 use crate::numbers::scalar::Float;
 use crate::policy::{Policy, Weights};
-use crate::train::field::{Field, GradientCombiner, SignAgreement};
+use crate::train::combination::Combination;
+use crate::train::field::{Field, GradientCombiner};
 
 /// A training in progress. [`Trainer::session`](crate::Trainer::session) creates it.
 #[derive(Debug)]
-pub struct Session<T, P, F: Float, C = SignAgreement> {
+pub struct Session<T, P, F: Float, C = Combination> {
     task: T,
     policy: P,
     field: Field<C>,

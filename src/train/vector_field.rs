@@ -19,7 +19,8 @@ use crate::engine::initial_states::initial_states;
 use crate::numbers::rng::Purpose;
 use crate::numbers::scalar::Float;
 use crate::policy::{Policy, Weights};
-use crate::train::field::{Field, GradientCombiner, SignAgreement};
+use crate::train::combination::Combination;
+use crate::train::field::{Field, GradientCombiner};
 use crate::train::optim::Optimizer;
 
 /// Vector field at one point.
@@ -194,7 +195,7 @@ impl GradientCombiner for Rotated {
         let strength = F::from_f64(self.strength);
         let rotated = [first[0] - strength * first[1], first[1] + strength * first[0]];
         if self.combined {
-            SignAgreement.combine(&rotated, second, out);
+            Combination::SignAgreement.combine(&rotated, second, out);
         } else {
             out.copy_from_slice(&rotated);
         }

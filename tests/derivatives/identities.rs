@@ -1,9 +1,10 @@
 //! Identities between the four flows, sign agreement of two flows, and names of fields.
 
+use approx::assert_relative_eq;
 use physgrad::policy::{Action, Mlp, Observed};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{CartPole, LossMode};
-use physgrad::{Batch, Field, Flow, GradientCombiner, Inputs, Policy, Scalar, SignAgreement, Start, System, Task, Weights};
+use physgrad::{Batch, Combination, Field, Flow, GradientCombiner, Inputs, Policy, Scalar, Start, System, Task, Weights};
 use rand::RngExt;
 
 /// Returns the gradients of R, M, N and S of one mini-batch.
@@ -144,7 +145,7 @@ fn with_a_terminal_loss_s_is_less_than_a_tenth_of_r() {
 fn sign_agreement_keeps_components_of_equal_sign_and_sets_others_to_0() {
     let combine = |a: &[f64], b: &[f64]| {
         let mut out = vec![f64::NAN; a.len()];
-        SignAgreement.combine(a, b, &mut out);
+        Combination::SignAgreement.combine(a, b, &mut out);
         out
     };
     let mut rng = stream(4, Purpose::Check, 0);
@@ -161,6 +162,92 @@ fn sign_agreement_keeps_components_of_equal_sign_and_sets_others_to_0() {
     let nan = f64::NAN;
     assert_eq!(combine(&[0.0, -0.0, 1.0, 1.0, nan, -2.0], &[1.0, -1.0, 0.0, nan, 1.0, -1e-300]), [0.0, 0.0, 0.0, 0.0, 0.0, -2.0]);
     assert_eq!(combine(&[1.0, -1.0], &[f64::INFINITY, f64::INFINITY]), [1.0, 0.0]);
+}
+
+/// Two seeded vectors with values in -1 .. 1, and the combinations of multiples of them.
+fn combined(by: Combination, [a, b]: [f64; 2]) -> [Vec<f64>; 3] {
+    let mut rng = stream(5, Purpose::Check, 0);
+    let mut drawn = |factor: f64| (0..1000).map(|_| factor * rng.random_range(-1.0..1.0)).collect::<Vec<f64>>();
+    let (m, r) = (drawn(a), drawn(b));
+    let mut out = vec![f64::NAN; m.len()];
+    by.combine(&m, &r, &mut out);
+    [m, r, out]
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// Bound on the relative error of sums of 1000 products in any order: 1000 roundings.
+const SUMS: f64 = 1000.0 * f64::EPSILON;
+
+#[test]
+fn projection_of_m_is_orthogonal_to_an_opposed_r_and_m_otherwise() {
+    let [m, r, out] = combined(Combination::Projection, [1.0, 3.0]);
+    let minus: Vec<f64> = r.iter().map(|r| -r).collect();
+    let mut other = vec![f64::NAN; m.len()];
+    Combination::Projection.combine(&m, &minus, &mut other);
+    let (kept, projected, opposed) = if dot(&m, &r) > 0.0 { (out, other, minus) } else { (other, out, r) };
+    assert!(kept == m, "M changes although it agrees with R");
+    let norms = dot(&m, &m).sqrt() * dot(&opposed, &opposed).sqrt();
+    assert!(dot(&m, &opposed) < -0.01 * norms / 1000.0, "the vectors are not opposed");
+    assert!(dot(&projected, &opposed).abs() < SUMS * norms);
+    // The removed part is parallel to R.
+    let removed: Vec<f64> = m.iter().zip(&projected).map(|(m, p)| m - p).collect();
+    assert_relative_eq!(
+        dot(&removed, &opposed).abs(),
+        (dot(&removed, &removed) * dot(&opposed, &opposed)).sqrt(),
+        max_relative = 1e-9
+    );
+}
+
+#[test]
+fn the_conflict_free_field_has_equal_angles_to_m_and_r_and_the_length_of_both_projections() {
+    for factors in [[1.0, 1.0], [1.0, 1e6], [1e-3, 2.0], [-1.0, 5.0]] {
+        let [m, r, out] = combined(Combination::ConflictFree, factors);
+        let cosine = |g: &[f64]| dot(&out, g) / (dot(&out, &out) * dot(g, g)).sqrt();
+        assert_relative_eq!(cosine(&m), cosine(&r), max_relative = 1e-9);
+        assert!(cosine(&m) > 0.0);
+        // ConFIG: the length is the sum of the projections of both gradients.
+        let length = dot(&out, &out).sqrt();
+        assert_relative_eq!(length, (dot(&m, &out) + dot(&r, &out)) / length, max_relative = 1e-12);
+    }
+}
+
+#[test]
+fn exchanged_sizes_and_signs_are_those_of_m_and_r() {
+    let [m, r, out] = combined(Combination::SignsOfSecond, [1.0, 1e-200]);
+    for ((out, m), r) in out.iter().zip(&m).zip(&r) {
+        assert_eq!((out.abs(), *out > 0.0), (m.abs(), *r > 0.0));
+    }
+    let [m, r, out] = combined(Combination::NormOfFirst, [1.0, 1e100]);
+    assert_relative_eq!(dot(&out, &out), dot(&m, &m), max_relative = 1e-12);
+    assert_relative_eq!(dot(&out, &r), (dot(&out, &out) * dot(&r, &r)).sqrt(), max_relative = 1e-12);
+}
+
+#[test]
+fn combinations_that_ignore_the_size_of_r_keep_their_bits_for_powers_of_two() {
+    for by in Combination::ALL {
+        let [_, _, once] = combined(by, [1.0, 1.0]);
+        let [_, _, scaled] = combined(by, [1.0, 2.0_f64.powi(300)]);
+        assert_eq!(once == scaled, by.ignores_size_of_second(), "{by:?}");
+    }
+}
+
+#[test]
+fn combinations_of_equal_gradients_are_multiples_of_them_and_those_of_zeros_are_finite() {
+    let (g, zero) = ([0.5, -2.0], [0.0, 0.0]);
+    for by in Combination::ALL {
+        let mut out = [f64::NAN; 2];
+        by.combine(&g, &g, &mut out);
+        // ConFIG adds the lengths of both gradients.
+        let length = if by == Combination::ConflictFree { 2.0 } else { 1.0 };
+        assert_relative_eq!(out.as_slice(), g.map(|g| g * length).as_slice(), max_relative = 1e-15);
+        for (a, b) in [(g, zero), (zero, g), (zero, zero)] {
+            by.combine(&a, &b, &mut out);
+            assert!(out.iter().all(|v| v.is_finite()), "{by:?} of {a:?} and {b:?} is {out:?}");
+        }
+    }
 }
 
 #[test]

@@ -147,7 +147,7 @@ fn a_resampled_run_resumes_with_equal_bits_and_a_decay_fixes_the_number_of_epoch
 }
 
 #[test]
-fn discount_truncation_and_cut_change_r_and_their_neutral_values_do_not() {
+fn discount_control_truncation_and_cut_change_r_and_their_neutral_values_do_not() {
     let dir = TempDir::new().expect("a folder");
     let file = write(&dir, "scene = 1\ntask = \"cart_pole\"\nepochs = 1\n");
     // In 25 steps, the adjoint of R does not grow.
@@ -160,8 +160,11 @@ fn discount_truncation_and_cut_change_r_and_their_neutral_values_do_not() {
     };
     let (regular, stopped) = (trained("R", "training.discount=1"), trained("S", "training.discount=1"));
     assert!(trained("R", "training.discount=0") == stopped, "R without any path differs from S");
+    assert!(trained("R", "training.control=0") == trained("M", "training.control=1"), "R without observations differs from M");
     let mut different = vec![regular.clone(), stopped];
-    for (key, neutral, value) in [("discount", "1", "0.9"), ("truncation", "100", "10"), ("cut", "300", "0.001")] {
+    for (key, neutral, value) in
+        [("discount", "1", "0.9"), ("control", "1", "0.9"), ("truncation", "100", "10"), ("cut", "300", "0.001")]
+    {
         let of = |value: &str| trained("R", &format!("training.{key}={value}"));
         assert!(of(neutral) == regular, "{key} of {neutral} changes R");
         different.push(of(value));

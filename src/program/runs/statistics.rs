@@ -42,6 +42,11 @@ pub fn by_field<'a, 'r>(runs: &'a [Outcome<'r>]) -> impl Iterator<Item = (Field,
     runs.chunk_by(|a, b| a.field == b.field).map(|runs| (runs[0].field, runs))
 }
 
+/// Position of a field in tables and legends, by its letters.
+pub fn position(letter: &str) -> Option<usize> {
+    ["R", "M", "S", "C", "N", "P", "F", "MR", "RM"].iter().position(|other| *other == letter)
+}
+
 /// Legend entry of a field.
 pub fn field_label(field: Field) -> String {
     format!("{} ({field})", field.letter())

@@ -33,6 +33,8 @@ pub struct TrainingSettings {
     pub warm_up: usize,
     /// Weight of all paths of the adjoint, per step. Below 1, it discounts effects on later costs.
     pub discount: f64,
+    /// Factor of the path through the observation. Interpolates field R between M (0) and R (1).
+    pub control: f64,
     /// Steps between truncations of the adjoint; never by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub truncation: Option<usize>,
@@ -68,6 +70,7 @@ impl Default for TrainingSettings {
             decay_end: None,
             warm_up,
             discount: 1.0,
+            control: 1.0,
             truncation: None,
             cut: None,
             clip: ClipName::None,
@@ -98,6 +101,7 @@ impl TrainingSettings {
         allowed("training.learning_rate", rate, rate > 0.0 && rate <= 1e6, "a positive number up to 1e6")?;
         count("training.warm_up", self.warm_up, 0..=1_000_000_000)?;
         allowed("training.discount", self.discount, (0.0..=1.0).contains(&self.discount), "0 to 1")?;
+        allowed("training.control", self.control, (0.0..=1.0).contains(&self.control), "0 to 1")?;
         if let Some(steps) = self.truncation {
             count("training.truncation", steps, 1..=1_000_000_000)?;
         }
@@ -130,9 +134,12 @@ impl TrainingSettings {
         self.memory.as_deref().and_then(bytes)
     }
 
-    /// The field, with discount, truncation and cut of all its flows.
+    /// The field, with discount, control, truncation and cut of all its flows.
     pub fn weighted(&self, field: Field) -> Field {
-        field.with_flows(|flow| Flow { truncation: self.truncation, cut: self.cut, ..flow.discounted(self.discount) })
+        field.with_flows(|flow| {
+            let flow = flow.discounted(self.discount);
+            Flow { control: flow.control * self.control, truncation: self.truncation, cut: self.cut, ..flow }
+        })
     }
 
     /// Settings of the library's trainer.
@@ -188,9 +195,11 @@ mod tests {
     use crate::{Field, Flow};
 
     #[test]
-    fn discount_truncation_and_cut_apply_to_both_flows_of_c() {
-        let settings = TrainingSettings { discount: 0.5, truncation: Some(8), cut: Some(2.0), ..TrainingSettings::default() };
-        let expected = [Flow::MODIFIED, Flow::REGULAR].map(|flow| flow.discounted(0.5).truncated(8).cut(2.0));
+    fn discount_control_truncation_and_cut_apply_to_both_flows_of_c() {
+        let settings =
+            TrainingSettings { discount: 0.5, control: 0.25, truncation: Some(8), cut: Some(2.0), ..TrainingSettings::default() };
+        let expected = [Flow::MODIFIED, Flow::REGULAR]
+            .map(|flow| Flow { control: 0.125 * flow.control, ..flow.discounted(0.5).truncated(8).cut(2.0) });
         assert_eq!(settings.weighted(Field::combined()).flows(), expected);
         assert_eq!(TrainingSettings::default().weighted(Field::combined()), Field::combined());
     }

@@ -11,7 +11,7 @@ use crate::program::platform::parallel;
 use crate::program::platform::terminal::{print_message, print_text};
 use crate::program::settings::Precision;
 use crate::program::tasks::Scene;
-use crate::{Field, GradientCombiner, SignAgreement};
+use crate::{Combination, Field, GradientCombiner};
 use anyhow::{Result, bail};
 use indicatif::ProgressBar;
 use toml::Value;
@@ -58,7 +58,7 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
     bar.set_message("double-double reference");
     let [r, m, s] = study.scene.refer(&|| bar.inc(1));
     let mut c = vec![0.0; r.len()];
-    SignAgreement.combine(&m, &r, &mut c);
+    Combination::SignAgreement.combine(&m, &r, &mut c);
     let right = |method: &GradientMethod| match method {
         GradientMethod::Reverse { field, .. } => match field.letter() {
             "M" => &m,

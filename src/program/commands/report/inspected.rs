@@ -7,7 +7,7 @@ use crate::program::platform::parallel;
 use crate::program::platform::terminal::counted;
 use crate::program::runs::saved;
 use crate::program::runs::saved::SceneRuns;
-use crate::program::runs::statistics::{InScene, Outcome};
+use crate::program::runs::statistics::{InScene, Outcome, position};
 use crate::program::tasks::Scene;
 use crate::report::Animation;
 use crate::{Field, Record, differences};
@@ -104,7 +104,7 @@ fn inspect(folders: &[Folder]) -> Result<Vec<Inspected>> {
         check_comparable(&runs[0], run)?;
     }
     // Sorts the fields in the default order of `compare`.
-    runs.sort_by_key(|(_, scene)| ("RMSCN".find(scene.field.0.letter()), scene.seed));
+    runs.sort_by_key(|(_, scene)| (position(scene.field.0.letter()), scene.seed));
     let first = |i: usize| i == 0 || runs[i - 1].1.field != runs[i].1.field;
     let all: Vec<(usize, &(&Folder, Scene))> = runs.iter().enumerate().collect();
     parallel::map(&all, |&(i, (folder, scene))| open(folder, scene, first(i))).into_iter().collect()

@@ -6,7 +6,7 @@ use crate::program::commands::report::inspected::{Inspected, InspectedScene};
 use crate::program::commands::report::{diagnostics, learning};
 use crate::program::operations::adjoint_norms::SAMPLES;
 use crate::program::platform::terminal::counted;
-use crate::program::runs::statistics::{self, InScene, best, field_label};
+use crate::program::runs::statistics::{self, InScene, best, field_label, position};
 use crate::program::tasks::scene::flat;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use toml::Value;
@@ -14,7 +14,8 @@ use toml::Value;
 /// Explanation of the letters of the fields.
 const FIELDS: &str = "Fields: R is the exact gradient, backpropagated through physics and network. M is backpropagated through the \
                       physics only, N through the network only, S through neither. C, the combined field, is M where M and R have \
-                      the same sign, and zero elsewhere.";
+                      the same sign, and zero elsewhere. Other combinations of M and R: P is M without the component that opposes \
+                      R, F has equal angles to both, MR has the sizes of M and the signs of R, RM is R with the norm of M.";
 
 /// Page about one run.
 pub fn run(folder: &str, run: &Inspected) -> String {
@@ -39,7 +40,7 @@ pub fn comparison(folder: &str, scenes: &[InspectedScene]) -> String {
     let outcomes: Vec<InScene> = scenes.iter().map(InspectedScene::outcomes).collect();
     let by_field = || outcomes.iter().flat_map(|scene| statistics::by_field(&scene.runs));
     let mut letters: Vec<&str> = by_field().map(|(field, _)| field.letter()).collect();
-    letters.sort_by_key(|letter| "RMSCN".find(letter));
+    letters.sort_by_key(|letter| position(letter));
     letters.dedup();
     let seeds = by_field().map(|(_, runs)| runs.len()).max().unwrap_or(0);
     let names: Vec<&str> = scenes.iter().map(|scene| if scenes.len() > 1 { &*scene.name } else { scene.runs[0].task }).collect();
