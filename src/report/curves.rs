@@ -34,17 +34,20 @@ pub struct Point {
     pub value: f64,
 }
 
+/// Colours of lines without a colour of their own: the palette of Okabe and Ito without yellow.
+pub const PALETTE: [&str; 7] = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000"];
+
 /// Colour of a vector field by its letters; grey for unknown letters.
 ///
-/// Colours of R, M, N, S, C and P are from the colour-blind safe palette of Okabe and Ito.
+/// Those of R, M, S, C, N and P are from [`PALETTE`], which is safe for colour-blind readers.
 pub fn field_color(letter: &str) -> &'static str {
     match letter {
-        "R" => "#0072B2",
-        "M" => "#D55E00",
-        "S" => "#009E73",
-        "C" => "#CC79A7",
-        "N" => "#E69F00",
-        "P" => "#56B4E9",
+        "R" => PALETTE[0],
+        "M" => PALETTE[1],
+        "S" => PALETTE[2],
+        "C" => PALETTE[3],
+        "N" => PALETTE[4],
+        "P" => PALETTE[5],
         "F" => "#999933",
         "MR" => "#882255",
         "RM" => "#6A51A3",

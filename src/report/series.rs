@@ -69,6 +69,14 @@ impl Series {
         Self { dash, ..self }
     }
 
+    /// Omits points without a band, and points that a logarithmic axis cannot show.
+    pub(super) fn with_drawable_band(mut self) -> Self {
+        let points = self.line.into_iter().zip(self.band);
+        let points = points.filter(|((_, y), (low, high))| [*y, *low, *high].into_iter().all(drawable));
+        (self.line, self.band) = points.unzip();
+        self
+    }
+
     /// True if the lines coincide in at least half of the points, up to a relative difference of
     /// 0.1 %.
     pub(super) fn coincides(&self, other: &Self) -> bool {

@@ -1,7 +1,6 @@
 //! Final losses over settings.
 
 use super::log_figure::{Panel, log_figure};
-use super::series::drawable;
 use super::{Drawing, Series};
 
 /// Smallest ratio of the largest to the smallest value of a setting with a logarithmic axis.
@@ -11,12 +10,6 @@ const LOG_RATIO: f64 = 10.0;
 /// Omits points that a logarithmic axis cannot show. The axis of a setting is logarithmic if its
 /// values are positive and span a factor of ten.
 pub fn settings(title: &str, panels: Vec<(String, Vec<Series>)>) -> Drawing {
-    let shown = |mut series: Series| {
-        let points = series.line.into_iter().zip(series.band);
-        let points = points.filter(|((_, y), (low, high))| [*y, *low, *high].into_iter().all(drawable));
-        (series.line, series.band) = points.unzip();
-        series
-    };
     let panel = |(setting, series): (String, Vec<Series>)| {
         let values = || series.iter().flat_map(|series| &series.line).map(|&(x, _)| x);
         let (low, high) = (values().fold(f64::INFINITY, f64::min), values().fold(0.0, f64::max));
@@ -26,7 +19,7 @@ pub fn settings(title: &str, panels: Vec<(String, Vec<Series>)>) -> Drawing {
             log_x: low > 0.0 && high >= LOG_RATIO * low,
             y_label: "final test loss".into(),
             y_axis: 0,
-            series: series.into_iter().map(shown).collect(),
+            series: series.into_iter().map(Series::with_drawable_band).collect(),
         }
     };
     log_figure(title, &[panels.into_iter().map(panel).collect()])

@@ -38,12 +38,18 @@ pub fn work_precision(title: &str, dashes: &[(&str, Dash)], diagrams: Vec<Work>)
     log_figure_with(title, &[row], entries)
 }
 
-/// Removes the points that a logarithmic axis cannot show, with their bars.
+/// Removes the points that a logarithmic axis cannot show, with their bars. A bar with an end that
+/// the axis cannot show shrinks to its point.
 fn omit(series: &mut Series) {
     let shown: Vec<bool> = series.line.iter().map(|&(x, y)| drawable(x) && drawable(y)).collect();
     let (mut points, mut bars) = (shown.iter(), shown.iter());
     series.line.retain(|_| points.next() == Some(&true));
-    series.spread.retain(|&(low, high)| bars.next() == Some(&true) && drawable(low) && drawable(high));
+    series.spread.retain(|_| bars.next() == Some(&true));
+    for (bar, &(x, _)) in series.spread.iter_mut().zip(&series.line) {
+        if !(drawable(bar.0) && drawable(bar.1)) {
+            *bar = (x, x);
+        }
+    }
 }
 
 #[cfg(test)]
@@ -52,11 +58,11 @@ mod tests {
 
     #[test]
     fn a_bar_extends_from_the_lowest_to_the_highest_time() {
-        let spread = vec![(1.0, 4.0), (0.0, 1.0)];
-        let series = Series { spread, ..Series::new("a", "#123456", vec![(2.0, 1e-3), (3.0, f64::NAN)]) };
+        let spread = vec![(0.0, 1.0), (0.0, 7.0), (1.0, 4.0)];
+        let series = Series { spread, ..Series::new("a", "#123456", vec![(3.0, f64::NAN), (5.0, 1e-2), (2.0, 1e-3)]) };
         let mut shown = series.clone();
         omit(&mut shown);
-        assert_eq!((&shown.line[..], &shown.spread[..]), (&[(2.0, 1e-3)][..], &[(1.0, 4.0)][..]));
+        assert_eq!((&shown.line[..], &shown.spread[..]), (&[(5.0, 1e-2), (2.0, 1e-3)][..], &[(5.0, 5.0), (1.0, 4.0)][..]));
         let picture = work_precision("a", &[], vec![Work { x_label: "x", y_label: "y", series: vec![series] }]).to_svg();
         let document = roxmltree::Document::parse(&picture).expect("an SVG is XML");
         let bars = document.descendants().filter(|node| node.has_tag_name("path") && node.attribute("stroke") == Some("#123456"));

@@ -15,7 +15,7 @@ use crate::program::scenes::overrides::Overrides;
 use crate::program::scenes::presets;
 use crate::program::tasks::Scene;
 use crate::report::quantile::{quantile, sorted};
-use crate::report::{Animation, distribution};
+use crate::report::{Animation, PALETTE, distribution};
 use anyhow::{Context, Result, bail};
 use serde_json::json;
 use std::path::PathBuf;
@@ -215,12 +215,10 @@ fn title(args: &Eval, policies: &[Trained]) -> String {
     format!("{scene}: losses of {} rollouts", args.samples)
 }
 
-/// Okabe-Ito colours of the runs.
-const COLORS: [&str; 7] = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000"];
-
 fn picture(title: &str, results: &[Evaluated]) -> String {
-    let line =
-        |(i, result): (usize, &Evaluated)| (result.name.clone(), COLORS[i % COLORS.len()], sorted(result.losses.iter().copied()));
+    let line = |(i, result): (usize, &Evaluated)| {
+        (result.name.clone(), PALETTE[i % PALETTE.len()], sorted(result.losses.iter().copied()))
+    };
     distribution(title, results.iter().enumerate().map(line).collect()).to_svg()
 }
 

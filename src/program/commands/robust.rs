@@ -9,8 +9,8 @@ use crate::program::platform::parallel;
 use crate::program::platform::table::Table;
 use crate::program::platform::terminal::print_text;
 use crate::program::runs::trained::Trained;
-use crate::report::quantile::quantile;
-use crate::report::{Series, robustness};
+use crate::report::quantile::{quantile, sorted};
+use crate::report::{PALETTE, Series, robustness};
 use anyhow::{Context, Result, bail};
 use serde_json::json;
 use std::path::PathBuf;
@@ -119,9 +119,9 @@ fn evaluate(policy: &Trained, run: usize, at: &[f64], args: &Robust) -> Result<C
         source.fix(&axis.key, value)?;
     }
     let scene = source.scene().with_context(|| format!("--grid {}", args.grid[0].key))?;
-    let mut losses = scene.evaluation(&policy.theta, args.seed)?.losses(args.samples);
+    let losses = scene.evaluation(&policy.theta, args.seed)?.losses(args.samples);
     let diverged = losses.iter().filter(|loss| !loss.is_finite()).count();
-    losses.sort_by(f64::total_cmp);
+    let losses = sorted(losses.into_iter());
     Ok(Cell { run, at: at.to_vec(), quantiles: SHARES.map(|share| quantile(&losses, share)), diverged })
 }
 
@@ -158,9 +158,6 @@ fn table(args: &Robust, runs: &[Trained], cells: &[Cell]) -> String {
     format!("{table}\nmedian loss of {} rollouts", args.samples)
 }
 
-/// Okabe-Ito colours of the runs.
-const COLORS: [&str; 7] = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000"];
-
 /// One panel per value of the second setting, one line per run: the median, with a band from the
 /// first to the third quartile.
 fn picture(args: &Robust, runs: &[Trained], cells: &[Cell]) -> String {
@@ -173,7 +170,7 @@ fn picture(args: &Robust, runs: &[Trained], cells: &[Cell]) -> String {
             let own: Vec<&Cell> = cells.iter().filter(|cell| cell.run == i && cell.at.get(1).copied() == second).collect();
             let line = own.iter().map(|cell| (cell.at[0], cell.quantiles[1])).collect();
             let band = own.iter().map(|cell| (cell.quantiles[0], cell.quantiles[2])).collect();
-            Series { band, ..Series::new(&*run.name, COLORS[i % COLORS.len()], line) }
+            Series { band, ..Series::new(&*run.name, PALETTE[i % PALETTE.len()], line) }
         };
         let title = second.map_or_else(String::new, |value| format!("{} = {}", args.grid[1].key, short(value)));
         (title, runs.iter().enumerate().map(series).collect())

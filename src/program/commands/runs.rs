@@ -7,7 +7,7 @@ use crate::program::platform::json::{print_json, rows};
 use crate::program::platform::table::Table;
 use crate::program::platform::terminal::{counted, print_note, print_text};
 use crate::program::runs::listed::{Listed, below};
-use crate::report::{Curve, Dash, comparison};
+use crate::report::{Curve, Dash, PALETTE, comparison};
 use anyhow::Result;
 use serde_json::json;
 use std::path::PathBuf;
@@ -77,15 +77,12 @@ pub fn runs(args: &Runs) -> Result<()> {
     print_note(&text, args.json)
 }
 
-/// Okabe-Ito colours of the runs.
-const COLORS: [&str; 7] = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000"];
-
 /// One curve per run.
 fn curves(runs: Vec<Listed>) -> Vec<Curve> {
     let curve = |(i, run): (usize, Listed)| Curve {
         label: run.folder.path().display().to_string(),
-        color: COLORS[i % COLORS.len()],
-        dash: Dash::ALL[i / COLORS.len() % Dash::ALL.len()],
+        color: PALETTE[i % PALETTE.len()],
+        dash: Dash::ALL[i / PALETTE.len() % Dash::ALL.len()],
         runs: vec![run.losses],
     };
     runs.into_iter().enumerate().map(curve).collect()

@@ -5,8 +5,8 @@ use anyhow::Result;
 use serde_json::{Map, Value};
 
 /// Columns of text. A name such as `1` stays text.
-const TEXT: [&str; 12] =
-    ["run", "case", "field", "name", "task", "tags", "method", "precision", "stop", "clip", "setting", "checked"];
+const TEXT: [&str; 13] =
+    ["run", "scene", "case", "field", "name", "task", "tags", "method", "precision", "stop", "clip", "setting", "checked"];
 
 /// Prints an object.
 ///
@@ -32,8 +32,8 @@ pub fn rows(csv: &[u8]) -> Result<Value> {
 pub fn object<'a>(cells: impl IntoIterator<Item = (&'a str, &'a str)>) -> Value {
     let value = |column: &str, cell: &str| match cell {
         "" => Value::Null,
-        "true" | "false" => Value::Bool(cell == "true"),
         _ if TEXT.contains(&column) => cell.into(),
+        "true" | "false" => Value::Bool(cell == "true"),
         _ => match (cell.parse::<i64>(), cell.parse::<f64>()) {
             (Ok(whole), _) => whole.into(),
             // JSON has no NaN and no infinity: they become null.
@@ -52,9 +52,10 @@ mod tests {
 
     #[test]
     fn cells_become_numbers_text_and_null() {
-        let found = rows(b"run,seed,loss,failed\n7,3,0.5,true\nb,4,NaN,false\n").expect("CSV");
+        let found = rows(b"run,seed,loss,failed\n7,3,0.5,true\ntrue,5,1e3,false\nb,4,NaN,false\n").expect("CSV");
         let expected = json!([
             { "run": "7", "seed": 3, "loss": 0.5, "failed": true },
+            { "run": "true", "seed": 5, "loss": 1000.0, "failed": false },
             { "run": "b", "seed": 4, "loss": null, "failed": false },
         ]);
         assert_eq!(found, expected);
