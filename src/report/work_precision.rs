@@ -66,7 +66,7 @@ mod tests {
         let picture = work_precision("a", &[], vec![Work { x_label: "x", y_label: "y", series: vec![series] }]).to_svg();
         let document = roxmltree::Document::parse(&picture).expect("an SVG is XML");
         let bars = document.descendants().filter(|node| node.has_tag_name("path") && node.attribute("stroke") == Some("#123456"));
-        assert_eq!(bars.count(), 1, "one bar beside the dot");
+        assert_eq!(bars.count(), 2, "the line and one bar");
     }
 
     #[test]
