@@ -103,6 +103,8 @@ impl Field {
         Self::Composed { first: Flow::MODIFIED, second: Flow::REGULAR, by }
     }
 
+    /// All fields of the paper.
+    pub const PAPER: [Self; 5] = [Self::combined(), Self::regular(), Self::modified(), Self::network(), Self::stopped()];
     /// All fields: those of the paper, then the other combinations of M and R.
     pub const ALL: [Self; 9] = [
         Self::combined(),

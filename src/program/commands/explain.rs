@@ -208,7 +208,7 @@ fn bytes(scene: &Scene) -> Result<Table> {
         ]);
     };
     row("evaluation", None);
-    for field in Field::ALL {
+    for field in Field::PAPER {
         row(&field.to_string(), Some(field));
     }
     Ok(table)
