@@ -1,0 +1,16 @@
+//! Scenes, policies and runs for other programs: the commands of `physgrad` as functions.
+//!
+//! The Python bindings are a thin layer over this module. Errors are the messages that the program
+//! prints. An error that is a [`Divergence`](crate::Divergence) or a
+//! [`TrainError`](crate::TrainError) can be downcast.
+//! ```
+//! use physgrad::program::api::Scene;
+//!
+//! let scene = Scene::open("cart_pole", [("system.poles".into(), 2.into()), ("epochs".into(), 1.into())])?;
+//! assert_eq!((scene.name(), scene.state_names().len()), ("cart_pole", 6));
+//! # Ok::<(), anyhow::Error>(())
+//! ```
+
+mod scene;
+
+pub use scene::Scene;
