@@ -11,6 +11,11 @@
 //! # Ok::<(), anyhow::Error>(())
 //! ```
 
+mod policy;
+mod run;
 mod scene;
 
+pub use crate::program::runs::run::{EpochEvent, Observer};
+pub use policy::{Policy, Precise, Rollouts};
+pub use run::Run;
 pub use scene::Scene;

@@ -15,7 +15,7 @@ const OPTION: &str = "settings";
 /// A validated scene: task, physics, loss, policy and training.
 #[derive(Clone)]
 pub struct Scene {
-    source: SceneSource,
+    pub(super) source: SceneSource,
     pub(super) scene: tasks::Scene,
 }
 
@@ -36,7 +36,11 @@ impl Scene {
     /// # Errors
     /// A setting is unknown or out of range.
     pub fn with(&self, settings: impl IntoIterator<Item = (String, Value)>) -> Result<Self> {
-        Self::changed(self.source.clone(), settings)
+        let changed = Self::changed(self.source.clone(), settings)?;
+        Ok(match self.scene.initial_policy() {
+            Some(bytes) => Self { scene: changed.scene.starting_from(bytes.to_vec()), ..changed },
+            None => changed,
+        })
     }
 
     fn changed(mut source: SceneSource, settings: impl IntoIterator<Item = (String, Value)>) -> Result<Self> {
