@@ -5,6 +5,9 @@
 
 mod arrays;
 mod errors;
+mod optimize;
+mod policy;
+mod run;
 mod settings;
 mod task;
 
@@ -15,5 +18,11 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add("Divergence", module.py().get_type::<errors::Divergence>())?;
     module.add_class::<task::Task>()?;
+    module.add_class::<policy::Policy>()?;
+    module.add_class::<run::Run>()?;
+    module.add_function(wrap_pyfunction!(optimize::optimize, module)?)?;
+    module.add_function(wrap_pyfunction!(policy::rollout, module)?)?;
+    module.add_function(wrap_pyfunction!(policy::losses, module)?)?;
+    module.add_function(wrap_pyfunction!(policy::gradients, module)?)?;
     Ok(())
 }
