@@ -5,7 +5,7 @@ arrays, with their derivatives. `train` trains a policy. `rollout`, `losses` and
 policies. `optimize` computes the best controls from one initial state.
 """
 
-from ._core import Divergence, Policy, Run, Task, __version__, gradients, losses, optimize, rollout
+from ._core import Divergence, Policy, Run, Task, __version__, check, gradients, identify, losses, optimize, rollout
 
 __all__ = [
     "Divergence",
@@ -13,7 +13,9 @@ __all__ = [
     "Policy",
     "Run",
     "Task",
+    "check",
     "gradients",
+    "identify",
     "load",
     "losses",
     "optimize",

@@ -79,6 +79,11 @@ impl<'py, F: Number> Argument<'py, F> {
         Ok(array)
     }
 
+    /// Shape of the array.
+    pub fn shape(&self) -> &[usize] {
+        self.0.shape()
+    }
+
     /// The numbers, row by row.
     pub fn slice(&self) -> &[F] {
         self.0.as_slice().expect("the array is contiguous")

@@ -5,6 +5,7 @@
 
 mod arrays;
 mod errors;
+mod identify;
 mod optimize;
 mod policy;
 mod run;
@@ -20,6 +21,8 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<task::Task>()?;
     module.add_class::<policy::Policy>()?;
     module.add_class::<run::Run>()?;
+    module.add_function(wrap_pyfunction!(identify::identify, module)?)?;
+    module.add_function(wrap_pyfunction!(identify::check, module)?)?;
     module.add_function(wrap_pyfunction!(optimize::optimize, module)?)?;
     module.add_function(wrap_pyfunction!(policy::rollout, module)?)?;
     module.add_function(wrap_pyfunction!(policy::losses, module)?)?;

@@ -1,5 +1,7 @@
 //! [`Scene`]: task, physics, loss, policy and training.
 
+use crate::identify::{Fit, IdentifyError, Options, Segment};
+use crate::program::operations::checks::Results;
 use crate::program::scenes::presets;
 use crate::program::scenes::source::SceneSource;
 use crate::program::settings::Precision;
@@ -108,6 +110,24 @@ impl Scene {
     /// [`initial_states`].
     pub fn starts<F: Float>(&self, seed: u64, purpose: Purpose, samples: usize) -> Vec<F> {
         initial_states(&self.task(), seed, purpose, samples)
+    }
+
+    /// Fits the trained numbers of the scene to measured segments, as `physgrad identify` does.
+    ///
+    /// # Errors
+    /// The scene trains no number, or the segments do not fit the system.
+    pub fn identify(&self, segments: &[Segment], options: &Options) -> Result<Fit, IdentifyError> {
+        self.scene.identify(segments, options)
+    }
+
+    /// Checks the derivatives of system, policy and rollout against dual numbers, as `physgrad check`
+    /// does. Returns a table of all checks, and one message per failure.
+    pub fn check(&self) -> (String, Vec<String>) {
+        let mut results = Results::new();
+        results.begin(self.name());
+        self.scene.check("scene", &mut results);
+        let (table, failures) = results.finish();
+        (table.to_string(), failures)
     }
 
     /// Numbers of states, controls and parameters of a sample.
