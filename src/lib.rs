@@ -123,6 +123,7 @@ pub use engine::gradient::Gradient;
 pub use engine::growth::Growth;
 pub use engine::initial_states::initial_states;
 pub use engine::rollout::Rollout;
+pub use engine::rows;
 pub use engine::schedule::{MemoryError, Schedule};
 pub use numbers::extended::ExtendedF64;
 #[doc(hidden)]

@@ -21,7 +21,7 @@ const LIBRARY: [Edges; 10] = [
 ];
 
 /// Modules of the program in `src/program`.
-const PROGRAM: [Edges; 7] = [
+const PROGRAM: [Edges; 8] = [
     ("platform", &[]),
     ("settings", &[]),
     ("operations", &["platform", "settings"]),
@@ -29,6 +29,7 @@ const PROGRAM: [Edges; 7] = [
     ("scenes", &["platform", "settings", "operations", "tasks"]),
     ("runs", &["platform", "settings", "operations", "tasks", "scenes"]),
     ("commands", &["platform", "settings", "operations", "tasks", "scenes", "runs"]),
+    ("api", &["platform", "settings", "operations", "tasks", "scenes", "runs", "commands"]),
 ];
 
 fn source() -> PathBuf {

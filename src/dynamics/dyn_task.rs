@@ -123,7 +123,9 @@ impl<T: Task + 'static> AnyTask for T {
         cotangent_pointer::<Vjp<T>>(slot);
     }
     fn jvp(&self, slot: &mut dyn Any) {
-        fill(slot, Jvp::<T>::pointer::<f64>);
+        let _found = fill(slot, Jvp::<T>::pointer::<f64>)
+            || fill(slot, Jvp::<T>::pointer::<Lanes<f32, 8>>)
+            || fill(slot, Jvp::<T>::pointer::<Lanes<f64, 8>>);
     }
     fn diagnose(&self, slot: &mut dyn Any) {
         diagnosis_pointer::<Diagnose<T>>(slot);
@@ -287,7 +289,7 @@ impl System for DynSystem {
     }
 
     fn jvp<R: Real>(&self, inputs: Inputs<'_, R>, tangents: Tangents<'_, R>, next_tan: &mut [R]) {
-        call!(self.0, jvp: JvpOf<R> [R] in "`f64`", inputs, tangents, next_tan);
+        call!(self.0, jvp: JvpOf<R> [R] in "`f64` and `Lanes<F, 8>`", inputs, tangents, next_tan);
     }
 
     fn diagnose<R: Real>(&self, inputs: Inputs<'_, R>) -> Option<Cause> {

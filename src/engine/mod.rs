@@ -8,6 +8,7 @@
 //! - [`schedule`], [`checkpointed`]: recomputation of steps from checkpoints.
 //! - [`batch`]: mini-batches and data sets, split over threads.
 //! - [`gradient`], [`growth`], [`divergence`]: results and errors of the passes.
+//! - [`rows`]: steps and costs of many samples as arrays, outside of rollouts.
 //! - [`any`]: object-safe tasks and systems. [`parallel`]: threads.
 //!
 //! Imports `numbers`, `dynamics` and `policy`, but no concrete task. Read `rollout.rs` first.
@@ -23,4 +24,5 @@ pub(crate) mod initial_states;
 pub(crate) mod observe;
 pub(crate) mod parallel;
 pub(crate) mod rollout;
+pub mod rows;
 pub(crate) mod schedule;

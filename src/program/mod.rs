@@ -13,6 +13,7 @@
 //! 5. `scenes`: scene files, presets, overrides.
 //! 6. `runs`: training, resuming, comparisons, output files.
 //! 7. `commands`: the commands; `print` contains `scene` and `schema`.
+//! 8. `api`: scenes, policies and runs for other programs, for example the Python bindings.
 //!
 //! Start with `commands/train` and `tasks/scene`.
 
@@ -20,6 +21,7 @@
 // not.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
+pub mod api;
 mod commands;
 mod operations;
 mod platform;

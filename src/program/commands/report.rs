@@ -31,12 +31,16 @@ pub struct Report {
 /// Runs the command.
 pub fn report(args: &Report) -> Result<()> {
     let folder = Folder::existing(&args.folder)?;
-    let html = if folder.has(identification::IDENTIFIED) { identification::page(&folder)? } else { of_runs(&folder)? };
-    folder.write(REPORT, html)?;
+    folder.write(REPORT, html(&folder)?)?;
     if !args.quiet {
         print_result(&folder.file(REPORT).display().to_string())?;
     }
     Ok(())
+}
+
+/// The page about the run, the comparison or the identification in the folder.
+pub fn html(folder: &Folder) -> Result<String> {
+    if folder.has(identification::IDENTIFIED) { identification::page(folder) } else { of_runs(folder) }
 }
 
 /// The page about the run or the comparison in the folder.

@@ -57,7 +57,7 @@ pub struct Train {
 pub fn train(args: &Train) -> Result<()> {
     let workers = threads(args.threads)?;
     // Reports invalid settings before writing anything.
-    let (scene, run, folder) = match (&args.out, args.resume) {
+    let (scene, mut run, folder) = match (&args.out, args.resume) {
         (Some(out), true) => {
             let folder = Folder::existing(out)?.lock()?;
             let scene = resumed(&folder, &args.overrides)?;
@@ -93,7 +93,7 @@ pub fn train(args: &Train) -> Result<()> {
         print_message(&note);
     }
     let save_every = Duration::from_secs_f64(args.save_every);
-    let finished = run::run(&folder, &scene, run, args.resume, save_every, &mut progress)?;
+    let finished = run::run(&folder, &scene, &mut *run, args.resume, save_every, &mut progress)?;
     progress.finish();
     let printed = match (args.json, args.quiet) {
         (true, _) => print_json(&object(&folder, &scene, &finished)),

@@ -7,6 +7,7 @@ pub mod adjoint_norms;
 pub mod checks;
 pub mod costs;
 pub mod evaluation;
+pub mod fields;
 pub mod gradients;
 pub mod identification;
 pub mod memory;

@@ -20,7 +20,7 @@ pub enum Epoch {
 }
 
 /// Object-safe part of a [`Session`].
-pub trait AnyRun {
+pub trait AnyRun: Send {
     /// Runs to the end of the epoch, or to the first update after which `pause` returns true.
     ///
     /// Returns the record of the epoch, or None if paused.

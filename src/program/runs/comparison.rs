@@ -52,7 +52,7 @@ impl Run {
         let resume = self.resumes()?;
         let folder = if resume { folder } else { folder.without_run()? };
         // One thread per run: the parallel runs occupy all cores.
-        run::run(&folder, &self.scene, self.scene.open(1)?, resume, SAVE_EVERY, observer)
+        run::run(&folder, &self.scene, &mut *self.scene.open(1)?, resume, SAVE_EVERY, observer)
     }
 
     fn outcome(&self) -> Outcome<'_> {

@@ -26,12 +26,23 @@ pub trait Observer {
     fn resumed(&mut self, _epochs: usize) {}
     /// An epoch is complete.
     fn epoch(&mut self, event: EpochEvent);
+    /// Time between two calls of [`is_stopped`](Self::is_stopped) within an epoch. None calls it
+    /// between epochs only.
+    fn poll_every(&self) -> Option<Duration> {
+        None
+    }
+    /// Returns true to end the run after the current update. The thread that trains calls it.
+    fn is_stopped(&mut self) -> bool {
+        false
+    }
 }
 
 /// Result of an epoch, with its warnings.
 #[derive(Clone, Copy)]
 pub struct EpochEvent<'a> {
+    /// Results of the epoch.
     pub record: &'a Record,
+    /// Warnings about the epoch.
     pub warnings: &'a [Warning],
 }
 
@@ -99,14 +110,14 @@ pub fn threads(requested: Option<usize>) -> Result<usize> {
 pub fn run(
     folder: &Locked,
     scene: &Scene,
-    mut run: Box<dyn AnyRun>,
+    run: &mut dyn AnyRun,
     resume: bool,
     save_every: Duration,
     observer: &mut dyn Observer,
 ) -> Result<Finished> {
     let identity = scene.identity();
     if resume {
-        saved::restore(folder, scene, &mut *run)?;
+        saved::restore(folder, scene, run)?;
         let done = run.records().len();
         if done > scene.epochs {
             bail!(
@@ -117,51 +128,56 @@ pub fn run(
         }
         observer.resumed(done);
     }
-    folder.clean()?;
-    // A folder with settings contains a run. A run without a checkpoint is before its first epoch.
-    saved::write_settings(folder, scene)?;
-    let mut saver = Saver {
-        folder,
-        identity: &identity,
-        logs: &scene.logs,
-        metrics: None,
-        save_every,
-        last: Instant::now(),
-        signal_seen: false,
-    };
-    saver.save(&*run)?;
+    let mut saver = Saver::begin(folder, scene, &identity, save_every)?;
+    saver.save(run)?;
+    let failure = train(run, Some(&mut saver), observer)?;
+    saver.end(scene, run)?;
+    Ok(finished(scene, run, failure))
+}
 
-    let mut failure = None;
+/// Trains the session of a scene without a folder.
+pub fn in_memory(scene: &Scene, run: &mut dyn AnyRun, observer: &mut dyn Observer) -> Finished {
+    let failure = train(run, None, observer).expect("a training without a folder writes no file");
+    finished(scene, run, failure)
+}
+
+/// Saves the session of a scene in the folder, as [`run`] does after its last epoch.
+pub fn save(folder: &Locked, scene: &Scene, run: &dyn AnyRun) -> Result<()> {
+    Saver::begin(folder, scene, &scene.identity(), SAVE_EVERY)?.end(scene, run)
+}
+
+/// Trains up to the last epoch, a failure, a signal or a stop by the observer. Returns the failure.
+///
+/// # Errors
+/// The folder was removed or replaced.
+fn train(run: &mut dyn AnyRun, mut saver: Option<&mut Saver>, observer: &mut dyn Observer) -> Result<Option<TrainError>> {
     let mut within_epoch = false;
-    while !run.is_done() && (within_epoch || signals::received().is_none()) {
-        match run.advance(&|| saver.is_due()) {
+    while !run.is_done() && (within_epoch || signals::received().is_none()) && !observer.is_stopped() {
+        let (begin, poll) = (Instant::now(), observer.poll_every());
+        let due = saver.as_deref();
+        let pause = || due.is_some_and(Saver::is_due) || poll.is_some_and(|poll| begin.elapsed() >= poll);
+        match run.advance(&pause) {
             Ok(record) => {
                 within_epoch = record.is_none();
-                if let Some(record) = record {
+                if let (Some(record), Some(saver)) = (record, &mut saver) {
                     saver.append(record);
                 }
             }
-            Err(error) => {
-                failure = Some(error);
-                break;
-            }
+            Err(error) => return Ok(Some(error)),
         }
         let warnings = run.warnings();
         if let Some(record) = run.records().last().filter(|_| !within_epoch) {
             observer.epoch(EpochEvent { record, warnings: &warnings });
         }
-        if saver.is_due() {
-            saver.try_to_save(&*run)?;
+        if let Some(saver) = saver.as_deref_mut().filter(|saver| saver.is_due()) {
+            saver.try_to_save(run)?;
         }
     }
-    saver.save(&*run)?;
-    let names = scene.param_names();
-    let numbers: Vec<_> = run.trained(Epoch::Last).into_iter().map(|(i, value)| (names[i].clone(), value)).collect();
-    write_outputs(folder, scene, &*run)?;
-    if !numbers.is_empty() {
-        folder.write(NUMBERS, outputs::numbers(&numbers)?)?;
-    }
-    folder.check()?;
+    Ok(None)
+}
+
+/// Records and end of a run.
+fn finished(scene: &Scene, run: &dyn AnyRun, failure: Option<TrainError>) -> Finished {
     let records = run.records().to_vec();
     let end = match failure {
         None if !run.is_done() => End::Interrupted,
@@ -170,7 +186,13 @@ pub fn run(
         Some(error) if run.updates() == 0 => End::NoUpdate(Some(error)),
         Some(error) => End::Failed(error),
     };
-    Ok(Finished { records, numbers, end })
+    Finished { records, numbers: numbers(scene, run), end }
+}
+
+/// Names and values of the trained numbers.
+fn numbers(scene: &Scene, run: &dyn AnyRun) -> Vec<(String, f64)> {
+    let names = scene.param_names();
+    run.trained(Epoch::Last).into_iter().map(|(i, value)| (names[i].clone(), value)).collect()
 }
 
 /// Writes checkpoints and metrics of a run.
@@ -188,7 +210,27 @@ struct Saver<'a> {
     signal_seen: bool,
 }
 
-impl Saver<'_> {
+impl<'a> Saver<'a> {
+    /// Writes the settings. A folder with settings contains a run. A run without a checkpoint is
+    /// before its first epoch.
+    fn begin(folder: &'a Locked, scene: &'a Scene, identity: &'a str, save_every: Duration) -> Result<Self> {
+        folder.clean()?;
+        saved::write_settings(folder, scene)?;
+        let (logs, last) = (&scene.logs[..], Instant::now());
+        Ok(Self { folder, identity, logs, metrics: None, save_every, last, signal_seen: false })
+    }
+
+    /// Saves the run and writes its output files.
+    fn end(&mut self, scene: &Scene, run: &dyn AnyRun) -> Result<()> {
+        self.save(run)?;
+        write_outputs(self.folder, scene, run)?;
+        let numbers = numbers(scene, run);
+        if !numbers.is_empty() {
+            self.folder.write(NUMBERS, outputs::numbers(&numbers)?)?;
+        }
+        self.folder.check()
+    }
+
     fn is_due(&self) -> bool {
         self.last.elapsed() >= self.save_every || (!self.signal_seen && signals::received().is_some())
     }

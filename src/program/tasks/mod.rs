@@ -22,7 +22,7 @@ mod settings;
 pub use own::{Own, ProgramTask};
 pub use own_effect::{AnyEffectSpec, OwnEffect, ProgramEffect, SceneEffects};
 pub use policy::{MlpSettings, PolicySpec};
-pub use scene::Scene;
+pub use scene::{DynPolicy, Scene};
 pub use schema::schema;
 pub use settings::Settings;
 

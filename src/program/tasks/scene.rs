@@ -6,6 +6,7 @@
 use crate::check::Plateau;
 use crate::identify::{Fit, IdentifyError, Options, Segment};
 use crate::optimize::{self, Initial, OptimizeError, Plan};
+use crate::policy::AnyPolicy;
 use crate::program::operations::checks::{Amplification, Results};
 use crate::program::operations::costs::Stored;
 use crate::program::operations::evaluation::AnyEvaluation;
@@ -19,7 +20,7 @@ use crate::program::settings::config_error::ConfigError;
 use crate::program::settings::{FieldName, LogFormat, OPTIONAL, Precision};
 use crate::program::tasks::{AnyTaskSpec, Conserved, Settings, TaskSpec};
 use crate::report::{Animation, Channel};
-use crate::{Divergence, Field, Number, System, Task, TaskOpCount};
+use crate::{Divergence, DynTask, Field, Number, System, Task, TaskOpCount};
 use anyhow::{Context, Result};
 use std::ops::Deref;
 use std::sync::Arc;
@@ -54,8 +55,16 @@ pub struct Scene {
     settings: Arc<dyn AnySettings>,
 }
 
+/// Object-safe policy of either precision.
+pub trait DynPolicy: AnyPolicy<f32> + AnyPolicy<f64> {}
+impl<P: AnyPolicy<f32> + AnyPolicy<f64>> DynPolicy for P {}
+
 /// Object-safe operations on the settings of a task.
 pub trait AnySettings: Send + Sync {
+    /// The task.
+    fn task(&self) -> DynTask;
+    /// The policy, with the trained numbers of the system.
+    fn policy(&self) -> Arc<dyn DynPolicy>;
     /// Opens a run before its first epoch. It starts from the parameters in the bytes of a policy
     /// file, or from random ones.
     fn open_from(&self, initial: Option<&[u8]>, workers: usize) -> Result<Box<dyn AnyRun>>;
@@ -108,6 +117,14 @@ pub trait AnySettings: Send + Sync {
 }
 
 impl<K: TaskSpec> AnySettings for Settings<K> {
+    fn task(&self) -> DynTask {
+        Settings::task(self)
+    }
+
+    fn policy(&self) -> Arc<dyn DynPolicy> {
+        Arc::new(self.task_and_policy().1)
+    }
+
     fn open_from(&self, initial: Option<&[u8]>, workers: usize) -> Result<Box<dyn AnyRun>> {
         let training = self.training.training(self.epochs, self.seed, workers);
         let (task, policy) = self.task_and_policy();

@@ -290,7 +290,7 @@ fn use_folder(path: &Path) -> Result<()> {
     animate::animate(&Animate { folder: path.to_owned(), sample: 0, quiet: true })?;
     let folder = Folder::existing(path)?.lock()?;
     let scene = resumed(&folder, &Overrides { epochs: Some(3), ..Overrides::default() })?;
-    let opened = scene.open(1)?;
-    run::run(&folder, &scene, opened, true, Duration::from_secs(60), &mut Unobserved)?;
+    let mut opened = scene.open(1)?;
+    run::run(&folder, &scene, &mut *opened, true, Duration::from_secs(60), &mut Unobserved)?;
     Ok(())
 }

@@ -1,0 +1,79 @@
+"""Differentiable physics: gradients of long simulations, and neural controllers trained with them.
+
+`task` opens a built-in task or a scene file. Its methods evaluate steps, observations and costs on
+arrays, with their derivatives. `train` trains a policy. `rollout`, `losses` and `gradients` evaluate
+policies. `optimize` computes the best controls from one initial state.
+"""
+
+from ._core import Divergence, Policy, Run, Task, __version__, check, gradients, identify, losses, optimize, rollout
+
+__all__ = [
+    "Divergence",
+    "Mlp",
+    "Policy",
+    "Run",
+    "Task",
+    "check",
+    "gradients",
+    "identify",
+    "load",
+    "losses",
+    "optimize",
+    "rollout",
+    "scene",
+    "task",
+    "train",
+]
+
+
+def task(name, **settings):
+    """Opens a preset by name, for example "cart_pole", or a scene file by its path.
+
+    Keyword arguments are settings of the section `system`, as in `poles=4`. The arguments
+    `horizon`, `precision`, `field`, `epochs` and `seed` are settings outside of sections. `effects`,
+    `actuator`, `integrator`, `loss`, `policy`, `training` and `system` accept a dict of their
+    settings. `settings` accepts a dict of dotted keys, as in `settings={"system.poles": 4}`.
+
+    Raises `ValueError` with the key and its allowed values if a setting is invalid.
+    """
+    return Task(str(name), **settings)
+
+
+def scene(path, **settings):
+    """Opens a scene file, for example "windy.toml". Arguments are those of `task`."""
+    return Task(str(path), **settings)
+
+
+def Mlp(task, widths=(100, 100), seed=0, **settings):
+    """A multilayer perceptron with hidden layers of these widths and random parameters.
+
+    Other keyword arguments are settings of the section `policy`, as in `activation="relu"`.
+    """
+    return Policy(task, seed=seed, widths=list(widths), **settings)
+
+
+def train(task, policy=None, *, callback=None, out=None, threads=None, **settings):
+    """Trains a policy, and returns the `Run`. Without a policy, that of the task is trained.
+
+    Keyword arguments outside of sections are `field`, `epochs` and `seed`; others are settings of
+    the section `training`, as in `learning_rate=3e-4`. `callback` receives the record of every
+    epoch, a dict. With a folder `out`, the run is saved there, as by `physgrad train`. The argument
+    `policy` is not changed: `run.policy` is the trained policy.
+
+    After Ctrl-C, `KeyboardInterrupt` has the attribute `run`. `run.train()` continues. The exception
+    `Divergence` has this attribute too.
+    """
+    run = Run(task, policy, threads=threads, **settings)
+    if out is not None:
+        run.save(out)
+    try:
+        run.train(callback)
+    except (KeyboardInterrupt, Divergence) as error:
+        error.run = run
+        raise
+    return run
+
+
+def load(folder):
+    """Opens the run in a folder, at its last checkpoint. `run.train(epochs=600)` continues it."""
+    return Run.load(folder)

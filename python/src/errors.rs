@@ -1,0 +1,69 @@
+//! Errors of the library as Python exceptions.
+
+use physgrad::{TrainError, Variable};
+use pyo3::create_exception;
+use pyo3::exceptions::{PyArithmeticError, PyOSError, PyRuntimeError, PyValueError};
+use pyo3::prelude::*;
+
+create_exception!(
+    physgrad,
+    Divergence,
+    PyArithmeticError,
+    "A number is not finite.\n\nAttributes: `step`, `sample`, `component` (ints or None) and `variable` (\"state\", \"control\",\n\
+     \"memory\", \"cost\" or \"gradient\")."
+);
+
+/// Converts an error in settings or arguments: a divergence, an error of the file system, or
+/// `ValueError`.
+pub fn value_error(error: anyhow::Error) -> PyErr {
+    convert(error, PyValueError::new_err)
+}
+
+/// Converts an error during a computation: a divergence, an error of the file system, or
+/// `RuntimeError`.
+pub fn runtime_error(error: anyhow::Error) -> PyErr {
+    convert(error, PyRuntimeError::new_err)
+}
+
+fn convert(error: anyhow::Error, other: fn(String) -> PyErr) -> PyErr {
+    let text = format!("{error:#}");
+    let diverged = error.chain().find_map(|cause| match cause.downcast_ref::<TrainError>() {
+        Some(TrainError::Diverged { last, .. }) => Some(last.divergence),
+        _ => cause.downcast_ref::<physgrad::Divergence>().copied(),
+    });
+    if let Some(diverged) = diverged {
+        return divergence(diverged, text);
+    }
+    if error.chain().any(|cause| cause.is::<std::io::Error>()) {
+        return PyOSError::new_err(text);
+    }
+    other(text)
+}
+
+/// The exception `Divergence`, with the place as attributes.
+pub fn divergence(diverged: physgrad::Divergence, text: String) -> PyErr {
+    use physgrad::Divergence as Place;
+    let name = |variable| match variable {
+        Variable::State => "state",
+        Variable::Control => "control",
+        Variable::Memory => "memory",
+    };
+    let (step, sample, component, variable) = match diverged {
+        Place::Forward { variable, step, sample, component, .. } | Place::Cotangent { variable, step, sample, component, .. } => {
+            (Some(step), Some(sample), Some(component), name(variable))
+        }
+        Place::Cost { sample } => (None, Some(sample), None, "cost"),
+        Place::Gradient { parameter, .. } | Place::Field { parameter, .. } => (None, None, Some(parameter), "gradient"),
+    };
+    Python::attach(|py| {
+        let error = Divergence::new_err(text);
+        let value = error.value(py);
+        let set = || -> PyResult<()> {
+            value.setattr("step", step)?;
+            value.setattr("sample", sample)?;
+            value.setattr("component", component)?;
+            value.setattr("variable", variable)
+        };
+        set().map_or_else(|failed| failed, |()| error)
+    })
+}

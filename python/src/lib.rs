@@ -1,0 +1,31 @@
+//! Python bindings of physgrad: the module `physgrad._core`.
+//!
+//! Classes and functions convert arguments and call `physgrad::program::api` and `physgrad::rows`.
+//! `physgrad/__init__.py` names the public ones.
+
+mod arrays;
+mod errors;
+mod identify;
+mod optimize;
+mod policy;
+mod run;
+mod settings;
+mod task;
+
+use pyo3::prelude::*;
+
+#[pymodule]
+fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    module.add("Divergence", module.py().get_type::<errors::Divergence>())?;
+    module.add_class::<task::Task>()?;
+    module.add_class::<policy::Policy>()?;
+    module.add_class::<run::Run>()?;
+    module.add_function(wrap_pyfunction!(identify::identify, module)?)?;
+    module.add_function(wrap_pyfunction!(identify::check, module)?)?;
+    module.add_function(wrap_pyfunction!(optimize::optimize, module)?)?;
+    module.add_function(wrap_pyfunction!(policy::rollout, module)?)?;
+    module.add_function(wrap_pyfunction!(policy::losses, module)?)?;
+    module.add_function(wrap_pyfunction!(policy::gradients, module)?)?;
+    Ok(())
+}

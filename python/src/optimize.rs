@@ -1,0 +1,49 @@
+//! `optimize`: controls that minimize the loss from one initial state.
+
+use crate::arrays::{any_shape, array};
+use crate::task::Task;
+use numpy::IntoPyArray;
+use physgrad::optimize::{Initial, Options, optimize as minimize};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+/// Optimizes the controls from one initial state `start`, (start_dim,), as `physgrad optimize` does,
+/// in f64.
+///
+/// `bounds` has the low and high bound of each control, (m, 2). Returns a dict: controls "u", (T, m),
+/// states "x", (T+1, n), "gains" of the feedback u_t + K_t (x - x_t), (T, m, n), "cost", "costs" of
+/// all iterations, "iterations", "gradient_norm", "converged" and "stop". Raises `ValueError` if the
+/// rollout without control diverges.
+#[pyfunction]
+#[pyo3(signature = (task, start, bounds=None, iterations=None))]
+pub fn optimize<'py>(
+    py: Python<'py>,
+    task: &Task,
+    start: &Bound<'py, PyAny>,
+    bounds: Option<Vec<[f64; 2]>>,
+    iterations: Option<usize>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let [n, m, params] = task.scene.dims();
+    let start = any_shape::<f64>("start", start)?;
+    if start.slice().len() != n + params {
+        return Err(PyValueError::new_err(format!("`start` has {} numbers; expected {}", start.slice().len(), n + params)));
+    }
+    let mut options = Options { bounds, ..Options::default() };
+    options.max_iterations = iterations.unwrap_or(options.max_iterations);
+    let (x0, p) = start.slice().split_at(n);
+    let problem = task.scene.task();
+    let plan = py.detach(|| minimize(&problem, x0, p, Initial::Zeros, &options));
+    let plan = plan.map_err(|error| PyValueError::new_err(error.to_string()))?;
+    let (horizon, result) = (plan.horizon(), PyDict::new(py));
+    result.set_item("cost", plan.cost)?;
+    result.set_item("iterations", plan.iterations())?;
+    result.set_item("gradient_norm", plan.gradient_norm())?;
+    result.set_item("converged", plan.converged())?;
+    result.set_item("stop", plan.stop.to_string())?;
+    result.set_item("costs", plan.costs.into_pyarray(py))?;
+    result.set_item("u", array(py, plan.u, &[horizon, m])?)?;
+    result.set_item("x", array(py, plan.x, &[horizon + 1, n])?)?;
+    result.set_item("gains", array(py, plan.gains, &[horizon, m, n])?)?;
+    Ok(result)
+}

@@ -1,0 +1,161 @@
+//! [`Policy`]: a policy with its parameters.
+
+use crate::arrays::{Argument, any_shape, array, is_f32, with_precision};
+use crate::errors::{runtime_error, value_error};
+use crate::settings::keywords;
+use crate::task::{TOP, Task};
+use numpy::{IntoPyArray, PyArray1};
+use physgrad::Field;
+use physgrad::program::api;
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple};
+use std::path::PathBuf;
+use std::sync::{Mutex, MutexGuard};
+
+/// The policy of a task, with its parameters θ.
+///
+/// `Policy(task, seed=0, **settings)` has random parameters, those of a training with this seed.
+/// Keyword arguments are settings of the section `policy`. `physgrad.Mlp` names the widths.
+#[pyclass(frozen, module = "physgrad")]
+pub struct Policy(Mutex<api::Policy>);
+
+impl Policy {
+    pub fn new(policy: api::Policy) -> Self {
+        Self(Mutex::new(policy))
+    }
+
+    pub fn lock(&self) -> MutexGuard<'_, api::Policy> {
+        self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+    }
+}
+
+#[pymethods]
+impl Policy {
+    #[new]
+    #[pyo3(signature = (task, seed=0, **settings))]
+    fn random(task: &Task, seed: u64, settings: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        let scene = task.scene.with(keywords(settings, "policy", &TOP)?).map_err(value_error)?;
+        Ok(Self::new(api::Policy::new(&scene, seed)))
+    }
+
+    /// The parameters θ, float64. A copy; assign to it to replace all parameters. The last entries
+    /// are the trained numbers of the task.
+    #[getter]
+    fn theta<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        self.lock().theta().to_vec().into_pyarray(py)
+    }
+
+    #[setter]
+    fn set_theta(&self, theta: &Bound<'_, PyAny>) -> PyResult<()> {
+        let theta = any_shape::<f64>("theta", theta)?.slice().to_vec();
+        self.lock().set_theta(theta).map_err(value_error)
+    }
+
+    /// Controls, (B, m), for observations `y`, (B, observation_dim). Only for policies without a
+    /// memory.
+    fn __call__<'py>(&self, py: Python<'py>, y: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+        let policy = self.lock().clone();
+        let scene = policy.scene();
+        with_precision!(is_f32(y), F => {
+            let (y, rows) = Argument::<F>::first("y", y, scene.observation_names().len())?;
+            let y = y.slice();
+            let u = py.detach(|| policy.act(y)).map_err(value_error)?;
+            Ok(array(py, u, &[rows, scene.dims()[1]])?.into_any())
+        })
+    }
+
+    /// Writes a policy file in the safetensors format.
+    fn save(&self, path: PathBuf) -> PyResult<()> {
+        let bytes = self.lock().safetensors().map_err(runtime_error)?;
+        std::fs::write(&path, bytes).map_err(|error| with_path(PyErr::from(error), &path))
+    }
+
+    /// Reads the parameters of a policy file, which must be of a policy with equal shapes.
+    fn load(&self, path: PathBuf) -> PyResult<()> {
+        let bytes = std::fs::read(&path).map_err(|error| with_path(PyErr::from(error), &path))?;
+        let scene = self.lock().scene().clone();
+        let read = api::Policy::read(&scene, &bytes).map_err(|error| value_error(error.context(path.display().to_string())))?;
+        *self.lock() = read;
+        Ok(())
+    }
+
+    fn __len__(&self) -> usize {
+        self.lock().theta().len()
+    }
+
+    fn __repr__(&self) -> String {
+        let policy = self.lock();
+        format!("<physgrad.Policy of {}: {} parameters>", policy.scene().name(), policy.theta().len())
+    }
+}
+
+/// An error of the file system with the path in its message.
+pub fn with_path(error: PyErr, path: &std::path::Path) -> PyErr {
+    Python::attach(|py| PyErr::from_type(error.get_type(py), format!("{}: {}", path.display(), error.value(py))))
+}
+
+/// Rollouts of a policy from initial states `starts`, (B, start_dim).
+///
+/// Returns the states, (B, T+1, n), the initial state first, and the controls, (B, T, m), in the
+/// dtype of `starts`. Raises `Divergence` if a number is not finite.
+#[pyfunction]
+pub fn rollout<'py>(py: Python<'py>, task: &Task, policy: &Policy, starts: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyTuple>> {
+    let policy = policy.lock().clone();
+    let [n, m, params] = task.scene.dims();
+    with_precision!(is_f32(starts), F => {
+        let (starts, b) = Argument::<F>::first("starts", starts, n + params)?;
+        let starts = starts.slice();
+        let found = py.detach(|| policy.rollouts(&task.scene, starts)).map_err(value_error)?;
+        let horizon = task.scene.horizon();
+        let x = array(py, found.states, &[b, horizon + 1, n])?.into_any();
+        PyTuple::new(py, [x, array(py, found.controls, &[b, horizon, m])?.into_any()])
+    })
+}
+
+/// Losses, (B,), of rollouts from initial states `starts`, (B, start_dim): the sum of the running
+/// costs and the terminal cost. Raises `Divergence` if a number is not finite.
+#[pyfunction]
+pub fn losses<'py>(py: Python<'py>, task: &Task, policy: &Policy, starts: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+    let policy = policy.lock().clone();
+    let [n, _, params] = task.scene.dims();
+    with_precision!(is_f32(starts), F => {
+        let (starts, b) = Argument::<F>::first("starts", starts, n + params)?;
+        let starts = starts.slice();
+        let losses = py.detach(|| policy.losses(&task.scene, starts)).map_err(value_error)?;
+        Ok(array(py, losses, &[b])?.into_any())
+    })
+}
+
+/// Vector fields of the mean loss of rollouts from `starts`, (B, start_dim), from one forward pass.
+///
+/// Returns a dict from the names in `fields` to vectors over the parameters. Fields are "R", "M",
+/// "N", "S" and "C". R is the gradient of the mean loss. Raises `Divergence` if a number is not
+/// finite.
+#[pyfunction]
+#[pyo3(signature = (task, policy, starts, fields=vec!["R".into(), "M".into(), "S".into(), "C".into()]))]
+pub fn gradients<'py>(
+    py: Python<'py>,
+    task: &Task,
+    policy: &Policy,
+    starts: &Bound<'py, PyAny>,
+    fields: Vec<String>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let policy = policy.lock().clone();
+    let [n, _, params] = task.scene.dims();
+    let parse = |name: &String| name.parse::<Field>().map_err(|error| PyValueError::new_err(error.to_string()));
+    let chosen = fields.iter().map(parse).collect::<PyResult<Vec<Field>>>()?;
+    with_precision!(is_f32(starts), F => {
+        let (starts, b) = Argument::<F>::first("starts", starts, n + params)?;
+        if b == 0 {
+            return Err(PyValueError::new_err("`starts` has no rows; a mean loss needs at least one"));
+        }
+        let starts = starts.slice();
+        let vectors = py.detach(|| policy.gradients(&task.scene, starts, &chosen)).map_err(value_error)?;
+        let dict = PyDict::new(py);
+        for (name, vector) in fields.into_iter().zip(vectors) {
+            dict.set_item(name, vector.into_pyarray(py))?;
+        }
+        Ok(dict)
+    })
+}

@@ -1,0 +1,199 @@
+//! [`Run`]: a training.
+
+use crate::arrays::dict_of_vectors;
+use crate::errors::{runtime_error, value_error};
+use crate::policy::{Policy, with_path};
+use crate::settings::keywords;
+use crate::task::{TOP, Task};
+use physgrad::Record;
+use physgrad::program::api::{self, EpochEvent, Observer};
+use pyo3::exceptions::{PyRuntimeError, PyRuntimeWarning};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::path::PathBuf;
+use std::sync::{Mutex, MutexGuard};
+use std::time::Duration;
+
+/// A training of a policy. `physgrad.train` creates and trains it, `physgrad.load` opens the folder
+/// of a run.
+///
+/// `Run(task, policy=None, threads=None, **settings)` is a training before its first epoch. Settings
+/// outside of sections, as `field`, `epochs` and `seed`, are keyword arguments. Other keyword
+/// arguments are settings of the section `training`, as in `learning_rate=3e-4`.
+#[pyclass(frozen, module = "physgrad")]
+pub struct Run(Mutex<api::Run>);
+
+impl Run {
+    fn lock(&self) -> PyResult<MutexGuard<'_, api::Run>> {
+        use std::sync::TryLockError;
+        match self.0.try_lock() {
+            Ok(run) => Ok(run),
+            Err(TryLockError::Poisoned(poisoned)) => Ok(poisoned.into_inner()),
+            Err(TryLockError::WouldBlock) => Err(PyRuntimeError::new_err(
+                "the run is training in another call; wait for its end, or use the callback's argument",
+            )),
+        }
+    }
+}
+
+#[pymethods]
+impl Run {
+    #[new]
+    #[pyo3(signature = (task, policy=None, threads=None, **settings))]
+    fn new(task: &Task, policy: Option<&Policy>, threads: Option<usize>, settings: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        let scene = task.scene.with(keywords(settings, "training", &TOP)?).map_err(value_error)?;
+        let policy = policy.map(|policy| policy.lock().clone());
+        api::Run::new(&scene, policy.as_ref(), threads).map(|run| Self(Mutex::new(run))).map_err(value_error)
+    }
+
+    /// Opens the run in a folder, at its last checkpoint.
+    #[staticmethod]
+    fn load(folder: PathBuf) -> PyResult<Self> {
+        api::Run::load(&folder).map(|run| Self(Mutex::new(run))).map_err(value_error)
+    }
+
+    /// Trains up to the last epoch.
+    ///
+    /// Calls `callback` with the record of every epoch, a dict. `epochs` changes the total number of
+    /// epochs. Ctrl-C raises `KeyboardInterrupt` after the current update. The next call of `train`
+    /// continues, with the bits of an uninterrupted training. A run with a folder saves there every
+    /// few seconds and at the end. Raises `Divergence` if too many updates in a row are skipped.
+    #[pyo3(signature = (callback=None, epochs=None))]
+    fn train(&self, py: Python<'_>, callback: Option<Py<PyAny>>, epochs: Option<u64>) -> PyResult<()> {
+        let mut run = self.lock()?;
+        let run = &mut *run;
+        if let Some(epochs) = epochs {
+            py.detach(|| run.set_epochs(epochs)).map_err(value_error)?;
+        }
+        let mut watcher = Watcher { callback, error: None, warned: Vec::new() };
+        let observer = &mut watcher;
+        let outcome = py.detach(move || run.train(observer));
+        match watcher.error {
+            Some(error) => Err(error),
+            None => outcome.map(drop).map_err(runtime_error),
+        }
+    }
+
+    /// Numbers of every epoch, a dict of float64 arrays: "epoch", "loss", "train_loss", "test_loss",
+    /// "grad_norm", "cosine", "kept", "skipped", "seconds", "growth_R" and "growth_M" (decades over a
+    /// rollout). Missing numbers are NaN.
+    #[getter]
+    fn history<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let run = self.lock()?;
+        let column =
+            |(i, name): (usize, &&str)| ((*name).to_owned(), run.records().iter().map(|record| row(record)[i]).collect());
+        dict_of_vectors(py, COLUMNS.iter().enumerate().map(column))
+    }
+
+    /// The policy after the last completed epoch.
+    #[getter]
+    fn policy(&self) -> PyResult<Policy> {
+        self.lock()?.policy(false).map(Policy::new).map_err(runtime_error)
+    }
+
+    /// The policy after the epoch with the lowest test loss.
+    #[getter]
+    fn best_policy(&self) -> PyResult<Policy> {
+        self.lock()?.policy(true).map(Policy::new).map_err(runtime_error)
+    }
+
+    /// The task with all settings of the run.
+    #[getter]
+    fn task(&self) -> PyResult<Task> {
+        Ok(Task::new(self.lock()?.scene().clone()))
+    }
+
+    /// True after the last epoch.
+    #[getter]
+    fn is_done(&self) -> PyResult<bool> {
+        Ok(self.lock()?.is_done())
+    }
+
+    /// Folder of the run, or None.
+    #[getter]
+    fn folder(&self) -> PyResult<Option<PathBuf>> {
+        Ok(self.lock()?.folder().map(ToOwned::to_owned))
+    }
+
+    /// Writes the run to a folder, in the format of the program, and continues there. An earlier run
+    /// in the folder is moved.
+    fn save(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {
+        let mut run = self.lock()?;
+        let run = &mut *run;
+        py.detach(move || run.save(&folder)).map_err(runtime_error)
+    }
+
+    /// Writes the page of `physgrad report` to an HTML file. The run needs a folder: see `save`.
+    fn report(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
+        let mut run = self.lock()?;
+        let run = &mut *run;
+        let html = py.detach(move || run.report()).map_err(runtime_error)?;
+        std::fs::write(&path, html).map_err(|error| with_path(PyErr::from(error), &path))
+    }
+
+    fn __repr__(&self) -> PyResult<String> {
+        let run = self.lock()?;
+        Ok(format!("<physgrad.Run of {}: {} epochs>", run.scene().name(), run.records().len()))
+    }
+}
+
+/// Names of the numbers of a record.
+const COLUMNS: [&str; 11] =
+    ["epoch", "loss", "train_loss", "test_loss", "grad_norm", "cosine", "kept", "skipped", "seconds", "growth_R", "growth_M"];
+
+/// Numbers of a record, in the order of [`COLUMNS`].
+fn row(record: &Record) -> [f64; 11] {
+    let [growth_r, growth_m] =
+        [record.regular_growth, record.modified_growth].map(|growth| growth.map_or(f64::NAN, |growth| growth.along));
+    let (cosine, kept) = (record.cosine.unwrap_or(f64::NAN), record.kept.unwrap_or(f64::NAN));
+    let (epoch, skipped, norm) = (record.epoch as f64, record.skipped as f64, record.grad_norm.get());
+    [epoch, record.loss, record.train_loss, record.test_loss, norm, cosine, kept, skipped, record.seconds, growth_r, growth_m]
+}
+
+/// Time between two checks for signals.
+const POLL: Duration = Duration::from_millis(100);
+
+/// Calls the callback and checks for signals. Stops the run after an exception.
+struct Watcher {
+    callback: Option<Py<PyAny>>,
+    error: Option<PyErr>,
+    /// Kinds of warnings that were reported.
+    warned: Vec<&'static str>,
+}
+
+impl Watcher {
+    fn report(&mut self, py: Python<'_>, event: EpochEvent<'_>) -> PyResult<()> {
+        for warning in event.warnings.iter().filter(|warning| !self.warned.contains(&warning.kind)) {
+            let text = std::ffi::CString::new(warning.to_string()).unwrap_or_default();
+            PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &text, 1)?;
+        }
+        self.warned.extend(event.warnings.iter().map(|warning| warning.kind));
+        let Some(callback) = &self.callback else { return Ok(()) };
+        let record = PyDict::new(py);
+        for (name, value) in COLUMNS.into_iter().zip(row(event.record)) {
+            match name {
+                "epoch" | "skipped" => record.set_item(name, value as u64)?,
+                _ => record.set_item(name, value)?,
+            }
+        }
+        callback.call1(py, (record,)).map(drop)
+    }
+}
+
+impl Observer for Watcher {
+    fn epoch(&mut self, event: EpochEvent<'_>) {
+        let outcome = Python::attach(|py| self.report(py, event));
+        self.error = self.error.take().or(outcome.err());
+    }
+
+    fn poll_every(&self) -> Option<Duration> {
+        Some(POLL)
+    }
+
+    fn is_stopped(&mut self) -> bool {
+        if self.error.is_none() {
+            self.error = Python::attach(|py| py.check_signals()).err();
+        }
+        self.error.is_some()
+    }
+}

@@ -1,0 +1,421 @@
+//! [`Task`]: a scene, and its steps, observations and costs on arrays.
+
+use crate::arrays::{Argument, Number, array, is_f32, with_precision, zeros};
+use crate::errors::value_error;
+use crate::settings::{keywords, table_to_python};
+use physgrad::program::api::Scene;
+use physgrad::rng::Purpose;
+use physgrad::{DynTask, Inputs, Tangents, Task as _, rows};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple};
+
+/// Settings outside of all sections.
+pub const TOP: [&str; 6] = ["horizon", "precision", "field", "epochs", "seed", "tags"];
+
+/// A task: system, horizon, costs and the distribution of initial states. `physgrad.task` creates
+/// it.
+///
+/// Array methods accept B samples at once, one per row, in float32 or float64: the dtype of `x`.
+/// Arrays of float32 are evaluated in f32, all others in f64. Other strides, dtypes and lists are
+/// copied first. `t` is the number of the step, equal for all rows. `p` has the parameters of each
+/// sample, (B, param_dim), and may be omitted if param_dim is 0. Units are those of the task; see
+/// `physgrad tasks NAME`.
+#[pyclass(frozen, module = "physgrad")]
+pub struct Task {
+    pub scene: Scene,
+    task: DynTask,
+    n: usize,
+    m: usize,
+    params: usize,
+}
+
+impl Task {
+    pub fn new(scene: Scene) -> Self {
+        let [n, m, params] = scene.dims();
+        Self { task: scene.task(), scene, n, m, params }
+    }
+
+    fn observed(&self) -> usize {
+        self.task.observation_dim().unwrap_or(self.n)
+    }
+
+    /// Parameters of all rows.
+    fn params<'py, F: Number>(&self, py: Python<'py>, p: Option<&Bound<'py, PyAny>>, rows: usize) -> PyResult<Argument<'py, F>> {
+        match p {
+            Some(p) => Argument::matrix("p", p, rows, self.params),
+            None if self.params == 0 => Argument::matrix("p", array::<F>(py, Vec::new(), &[rows, 0])?.as_any(), rows, 0),
+            None => {
+                let names = self.scene.param_names().join(", ");
+                let (count, name) = (self.params, self.scene.name());
+                Err(PyValueError::new_err(format!(
+                    "{name} has {count} parameters ({names}); pass `p` of shape ({rows}, {count})"
+                )))
+            }
+        }
+    }
+}
+
+#[pymethods]
+impl Task {
+    /// Opens a preset or a scene file. See `physgrad.task`.
+    #[new]
+    #[pyo3(signature = (name, **settings))]
+    fn open(name: &str, settings: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        let settings = keywords(settings, "system", &TOP)?;
+        Scene::open(name, settings).map(Self::new).map_err(value_error)
+    }
+
+    /// Copy with other settings, given as in `physgrad.task`.
+    #[pyo3(signature = (**settings))]
+    fn replace(&self, settings: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        let settings = keywords(settings, "system", &TOP)?;
+        self.scene.with(settings).map(Self::new).map_err(value_error)
+    }
+
+    fn __repr__(&self) -> String {
+        let (name, horizon) = (self.scene.name(), self.scene.horizon());
+        format!("<physgrad.Task {name}: {} states, {} controls, {horizon} steps>", self.n, self.m)
+    }
+
+    /// Name of the task.
+    #[getter]
+    fn name(&self) -> &'static str {
+        self.scene.name()
+    }
+
+    /// Number n of components of the state.
+    #[getter]
+    fn state_dim(&self) -> usize {
+        self.n
+    }
+
+    /// Number m of components of the control.
+    #[getter]
+    fn control_dim(&self) -> usize {
+        self.m
+    }
+
+    /// Number of parameters of a sample.
+    #[getter]
+    fn param_dim(&self) -> usize {
+        self.params
+    }
+
+    /// Number of components that a policy observes.
+    #[getter]
+    fn observation_dim(&self) -> usize {
+        self.observed()
+    }
+
+    /// Length of a row of `starts`: state_dim + param_dim.
+    #[getter]
+    fn start_dim(&self) -> usize {
+        self.n + self.params
+    }
+
+    /// Number T of steps of a rollout.
+    #[getter]
+    fn horizon(&self) -> usize {
+        self.scene.horizon()
+    }
+
+    /// Time step, s.
+    #[getter]
+    fn dt(&self) -> f64 {
+        self.scene.dt()
+    }
+
+    /// Precision of trainings: "float32" or "float64".
+    #[getter]
+    fn dtype(&self) -> &'static str {
+        if self.scene.is_f64() { "float64" } else { "float32" }
+    }
+
+    /// Names of the components of the state.
+    #[getter]
+    fn state_names(&self) -> Vec<String> {
+        self.scene.state_names()
+    }
+
+    /// Names of the components of the control.
+    #[getter]
+    fn control_names(&self) -> Vec<String> {
+        self.scene.control_names()
+    }
+
+    /// Names of the parameters of a sample.
+    #[getter]
+    fn param_names(&self) -> Vec<String> {
+        self.scene.param_names()
+    }
+
+    /// Names of the components that a policy observes.
+    #[getter]
+    fn observation_names(&self) -> Vec<String> {
+        self.scene.observation_names()
+    }
+
+    /// All settings of the scene, defaults included, as nested dicts. A copy.
+    #[getter]
+    fn settings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        table_to_python(py, self.scene.settings())
+    }
+
+    /// Draws initial states, (count, state_dim + param_dim).
+    ///
+    /// A row has the state, then the parameters of the sample: `x, p = starts[:, :n], starts[:, n:]`.
+    /// Row i depends only on `seed` and i. `split` selects the random streams: "new" for states that
+    /// no training uses, "train" and "test" for the data sets of a training with this seed. `dtype`
+    /// is "float32" or "float64", by default that of the task.
+    #[pyo3(signature = (count, seed=0, split="new", dtype=None))]
+    fn starts<'py>(
+        &self,
+        py: Python<'py>,
+        count: usize,
+        seed: u64,
+        split: &str,
+        dtype: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let purpose = match split {
+            "new" => Purpose::Evaluate,
+            "train" => Purpose::Train,
+            "test" => Purpose::Test,
+            _ => return Err(PyValueError::new_err(format!("`split` is {split:?}; allowed: \"new\", \"train\", \"test\""))),
+        };
+        let is_f32 = match dtype {
+            None => !self.scene.is_f64(),
+            Some(dtype) => {
+                let name = py.import("numpy")?.call_method1("dtype", (dtype,))?.getattr("name")?.extract::<String>()?;
+                match &*name {
+                    "float32" => true,
+                    "float64" => false,
+                    _ => return Err(PyValueError::new_err(format!("`dtype` is {name}; allowed: float32, float64"))),
+                }
+            }
+        };
+        with_precision!(is_f32, F => {
+            let starts = py.detach(|| self.scene.starts::<F>(seed, purpose, count));
+            Ok(array(py, starts, &[count, self.n + self.params])?.into_any())
+        })
+    }
+
+    /// Next states, (B, n), of states `x`, (B, n), and controls `u`, (B, m).
+    #[pyo3(signature = (x, u, p=None, t=0))]
+    fn step<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        u: &Bound<'py, PyAny>,
+        p: Option<&Bound<'py, PyAny>>,
+        t: usize,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        with_precision!(is_f32(x), F => {
+            let (x, b) = Argument::<F>::first("x", x, self.n)?;
+            let (u, p) = (Argument::<F>::matrix("u", u, b, self.m)?, self.params::<F>(py, p, b)?);
+            let mut next = zeros(&[b, self.n]);
+            let (x, u, p) = (x.slice(), u.slice(), p.slice());
+            py.detach(|| rows::step(&self.task, Inputs { x, u, p, t }, &mut next));
+            Ok(array(py, next, &[b, self.n])?.into_any())
+        })
+    }
+
+    /// Products of `next_bar`, (B, n), with the transposed Jacobians of `step`.
+    ///
+    /// Returns `(x_bar, u_bar, p_bar)`, of the shapes of x, u and p.
+    #[pyo3(signature = (x, u, next_bar, p=None, t=0))]
+    fn step_vjp<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        u: &Bound<'py, PyAny>,
+        next_bar: &Bound<'py, PyAny>,
+        p: Option<&Bound<'py, PyAny>>,
+        t: usize,
+    ) -> PyResult<Bound<'py, PyTuple>> {
+        with_precision!(is_f32(x), F => {
+            let (x, b) = Argument::<F>::first("x", x, self.n)?;
+            let (u, p) = (Argument::<F>::matrix("u", u, b, self.m)?, self.params::<F>(py, p, b)?);
+            let next_bar = Argument::<F>::matrix("next_bar", next_bar, b, self.n)?;
+            let (mut x_bar, mut u_bar, mut p_bar) = (zeros(&[b, self.n]), zeros(&[b, self.m]), zeros(&[b, self.params]));
+            let (x, u, p, next_bar) = (x.slice(), u.slice(), p.slice(), next_bar.slice());
+            let bars = [&mut x_bar[..], &mut u_bar, &mut p_bar];
+            py.detach(|| rows::step_vjp(&self.task, Inputs { x, u, p, t }, next_bar, bars));
+            tuple(py, [(x_bar, b, self.n), (u_bar, b, self.m), (p_bar, b, self.params)])
+        })
+    }
+
+    /// Products of the Jacobians of `step` with tangents: (B, n).
+    ///
+    /// `x_tan`, `u_tan` and `p_tan` have the shapes of x, u and p. None is a zero tangent.
+    #[pyo3(signature = (x, u, x_tan=None, u_tan=None, p=None, p_tan=None, t=0))]
+    fn step_jvp<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        u: &Bound<'py, PyAny>,
+        x_tan: Option<&Bound<'py, PyAny>>,
+        u_tan: Option<&Bound<'py, PyAny>>,
+        p: Option<&Bound<'py, PyAny>>,
+        p_tan: Option<&Bound<'py, PyAny>>,
+        t: usize,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        with_precision!(is_f32(x), F => {
+            let (x, b) = Argument::<F>::first("x", x, self.n)?;
+            let (u, p) = (Argument::<F>::matrix("u", u, b, self.m)?, self.params::<F>(py, p, b)?);
+            let read = |name, tangent: Option<&Bound<'py, PyAny>>, width| {
+                tangent.map(|tangent| Argument::<F>::matrix(name, tangent, b, width)).transpose()
+            };
+            let tangents = [read("x_tan", x_tan, self.n)?, read("u_tan", u_tan, self.m)?, read("p_tan", p_tan, self.params)?];
+            let [x_tan, u_tan, p_tan] = tangents.each_ref().map(|tangent| tangent.as_ref().map(Argument::slice));
+            let mut next_tan = zeros(&[b, self.n]);
+            let (x, u, p) = (x.slice(), u.slice(), p.slice());
+            let tangents = Tangents { x: x_tan, u: u_tan, p: p_tan };
+            py.detach(|| rows::step_jvp(&self.task, Inputs { x, u, p, t }, tangents, &mut next_tan));
+            Ok(array(py, next_tan, &[b, self.n])?.into_any())
+        })
+    }
+
+    /// Observations, (B, observation_dim), of states `x`, (B, n).
+    #[pyo3(signature = (x, p=None, t=0))]
+    fn observe<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        p: Option<&Bound<'py, PyAny>>,
+        t: usize,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        with_precision!(is_f32(x), F => {
+            let (x, b) = Argument::<F>::first("x", x, self.n)?;
+            let p = self.params::<F>(py, p, b)?;
+            let mut y = zeros(&[b, self.observed()]);
+            let (x, p) = (x.slice(), p.slice());
+            py.detach(|| rows::observe(&self.task, Inputs { x, u: &[], p, t }, &mut y));
+            Ok(array(py, y, &[b, self.observed()])?.into_any())
+        })
+    }
+
+    /// Products of `y_bar`, (B, observation_dim), with the transposed Jacobians of `observe`.
+    ///
+    /// Returns `(x_bar, p_bar)`, of the shapes of x and p.
+    #[pyo3(signature = (x, y_bar, p=None, t=0))]
+    fn observe_vjp<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        y_bar: &Bound<'py, PyAny>,
+        p: Option<&Bound<'py, PyAny>>,
+        t: usize,
+    ) -> PyResult<Bound<'py, PyTuple>> {
+        with_precision!(is_f32(x), F => {
+            let (x, b) = Argument::<F>::first("x", x, self.n)?;
+            let p = self.params::<F>(py, p, b)?;
+            let y_bar = Argument::<F>::matrix("y_bar", y_bar, b, self.observed())?;
+            let (mut x_bar, mut p_bar) = (zeros(&[b, self.n]), zeros(&[b, self.params]));
+            let (x, p, y_bar) = (x.slice(), p.slice(), y_bar.slice());
+            let bars = [&mut x_bar[..], &mut p_bar];
+            py.detach(|| rows::observe_vjp(&self.task, Inputs { x, u: &[], p, t }, y_bar, bars));
+            tuple(py, [(x_bar, b, self.n), (p_bar, b, self.params)])
+        })
+    }
+
+    /// Running costs, (B,), of steps from `x`, (B, n), with `u`, (B, m), to `next`, (B, n).
+    #[pyo3(signature = (x, u, next, p=None, t=0))]
+    fn running_cost<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        u: &Bound<'py, PyAny>,
+        next: &Bound<'py, PyAny>,
+        p: Option<&Bound<'py, PyAny>>,
+        t: usize,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        with_precision!(is_f32(x), F => {
+            let (x, b) = Argument::<F>::first("x", x, self.n)?;
+            let (u, p) = (Argument::<F>::matrix("u", u, b, self.m)?, self.params::<F>(py, p, b)?);
+            let next = Argument::<F>::matrix("next", next, b, self.n)?;
+            let mut cost = zeros(&[b]);
+            let (x, u, p, next) = (x.slice(), u.slice(), p.slice(), next.slice());
+            py.detach(|| rows::running_cost(&self.task, Inputs { x, u, p, t }, next, &mut cost));
+            Ok(array(py, cost, &[b])?.into_any())
+        })
+    }
+
+    /// Gradients of the running costs, multiplied by `cost_bar`, (B,).
+    ///
+    /// Returns `(x_bar, u_bar, next_bar, p_bar)`, of the shapes of x, u, next and p.
+    #[pyo3(signature = (x, u, next, cost_bar, p=None, t=0))]
+    fn running_cost_vjp<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        u: &Bound<'py, PyAny>,
+        next: &Bound<'py, PyAny>,
+        cost_bar: &Bound<'py, PyAny>,
+        p: Option<&Bound<'py, PyAny>>,
+        t: usize,
+    ) -> PyResult<Bound<'py, PyTuple>> {
+        with_precision!(is_f32(x), F => {
+            let (x, b) = Argument::<F>::first("x", x, self.n)?;
+            let (u, p) = (Argument::<F>::matrix("u", u, b, self.m)?, self.params::<F>(py, p, b)?);
+            let next = Argument::<F>::matrix("next", next, b, self.n)?;
+            let cost_bar = Argument::<F>::vector("cost_bar", cost_bar, b)?;
+            let (mut x_bar, mut u_bar) = (zeros(&[b, self.n]), zeros(&[b, self.m]));
+            let (mut next_bar, mut p_bar) = (zeros(&[b, self.n]), zeros(&[b, self.params]));
+            let (x, u, p, next, cost_bar) = (x.slice(), u.slice(), p.slice(), next.slice(), cost_bar.slice());
+            let bars = [&mut x_bar[..], &mut u_bar, &mut next_bar, &mut p_bar];
+            py.detach(|| rows::running_cost_vjp(&self.task, Inputs { x, u, p, t }, next, cost_bar, bars));
+            tuple(py, [(x_bar, b, self.n), (u_bar, b, self.m), (next_bar, b, self.n), (p_bar, b, self.params)])
+        })
+    }
+
+    /// Terminal costs, (B,), of the last states `x`, (B, n).
+    #[pyo3(signature = (x, p=None))]
+    fn terminal_cost<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        p: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        with_precision!(is_f32(x), F => {
+            let (x, b) = Argument::<F>::first("x", x, self.n)?;
+            let p = self.params::<F>(py, p, b)?;
+            let mut cost = zeros(&[b]);
+            let (x, p) = (x.slice(), p.slice());
+            py.detach(|| rows::terminal_cost(&self.task, x, p, &mut cost));
+            Ok(array(py, cost, &[b])?.into_any())
+        })
+    }
+
+    /// Gradients of the terminal costs, multiplied by `cost_bar`, (B,).
+    ///
+    /// Returns `(x_bar, p_bar)`, of the shapes of x and p.
+    #[pyo3(signature = (x, cost_bar, p=None))]
+    fn terminal_cost_vjp<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        cost_bar: &Bound<'py, PyAny>,
+        p: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyTuple>> {
+        with_precision!(is_f32(x), F => {
+            let (x, b) = Argument::<F>::first("x", x, self.n)?;
+            let p = self.params::<F>(py, p, b)?;
+            let cost_bar = Argument::<F>::vector("cost_bar", cost_bar, b)?;
+            let (mut x_bar, mut p_bar) = (zeros(&[b, self.n]), zeros(&[b, self.params]));
+            let (x, p, cost_bar) = (x.slice(), p.slice(), cost_bar.slice());
+            let bars = [&mut x_bar[..], &mut p_bar];
+            py.detach(|| rows::terminal_cost_vjp(&self.task, x, p, cost_bar, bars));
+            tuple(py, [(x_bar, b, self.n), (p_bar, b, self.params)])
+        })
+    }
+}
+
+/// A tuple of matrices: numbers, rows and width of each.
+fn tuple<'py, F: Number, const K: usize>(
+    py: Python<'py>,
+    matrices: [(Vec<F>, usize, usize); K],
+) -> PyResult<Bound<'py, PyTuple>> {
+    let arrays = matrices.map(|(numbers, rows, width)| array(py, numbers, &[rows, width]));
+    PyTuple::new(py, arrays.into_iter().collect::<PyResult<Vec<_>>>()?)
+}

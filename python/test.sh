@@ -1,0 +1,37 @@
+#!/usr/bin/env bash
+# Builds the wheel, installs it in a new virtual environment and runs the tests. Skips with a
+# message if Python or a package index is missing. PHYSGRAD_PYTHON_ALL=1 also installs PyTorch and
+# Stable-Baselines3.
+set -euo pipefail
+cd "$(dirname "$0")"
+
+skip() { echo "skipped the Python bindings: $1"; exit 0; }
+
+python=${PYTHON:-python3}
+"$python" -c 'import sys; sys.exit(sys.version_info < (3, 10))' 2>/dev/null || skip "there is no Python 3.10 or newer; set PYTHON"
+"$python" -c 'import ensurepip, venv' 2>/dev/null || skip "$python has no module venv"
+
+target=$(cargo metadata --format-version 1 --no-deps | "$python" -c 'import json, sys; print(json.load(sys.stdin)["target_directory"])')
+venv=$target/python-venv
+rm -rf "$venv"
+"$python" -m venv "$venv"
+pip() { "$venv/bin/python" -m pip --quiet --disable-pip-version-check "$@"; }
+pip install 'maturin>=1.9,<2' numpy pytest || skip "pip cannot install packages"
+# Tests of missing packages skip with a reason.
+pip install gymnasium jax || echo "gymnasium or jax is missing: their tests are skipped"
+if [ "${PHYSGRAD_PYTHON_ALL:-0}" = 1 ]; then
+    pip install torch stable-baselines3
+fi
+
+export PYO3_PYTHON=$venv/bin/python
+wheels=$target/wheels
+rm -rf "$wheels"
+# The command line of the tests is the release binary, if it exists.
+"$venv/bin/maturin" build --release --interpreter "$venv/bin/python" --out "$wheels"
+pip install --force-reinstall --no-deps "$wheels"/physgrad-*.whl
+if [ -x "$target/release/physgrad" ]; then
+    export PHYSGRAD=$target/release/physgrad
+fi
+# `--import-mode=importlib` does not add this folder to the search path. The installed package is
+# tested, not the folder `physgrad`, which has no compiled module.
+"$venv/bin/pytest" -q --import-mode=importlib --rootdir tests -c pyproject.toml tests

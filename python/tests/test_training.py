@@ -1,0 +1,193 @@
+"""Trainings, gradients and rollouts against identities and the program."""
+
+import os
+import shutil
+
+import subprocess
+import sys
+import threading
+import time
+
+
+import numpy as np
+import pytest
+
+import physgrad as pg
+
+FAST = {"train_samples": 16, "test_samples": 16}
+
+
+def small(**settings):
+    return pg.task("cart_pole", poles=1, horizon=20, precision="f64", **settings)
+
+
+def policy_of(task, seed=1):
+    policy = pg.Mlp(task, [8], seed=seed, zero_init_output=False)
+    return policy
+
+
+def test_regular_gradient_equals_differences_and_chained_steps():
+    task = small()
+    policy, starts = policy_of(task), task.starts(8, seed=2)
+    gradient, theta, h = pg.gradients(task, policy, starts, fields=["R"])["R"], policy.theta, 1e-6
+    direction = np.random.default_rng(0).normal(size=theta.size)
+    ends = []
+    for sign in (1, -1):
+        policy.theta = theta + sign * h * direction
+        ends.append(pg.losses(task, policy, starts).mean())
+    assert np.isclose(gradient @ direction, (ends[0] - ends[1]) / (2 * h), rtol=1e-5)
+
+
+def test_combined_has_the_values_of_modified_where_signs_agree():
+    task = small()
+    found = pg.gradients(task, policy_of(task), task.starts(40, seed=2), fields=["R", "M", "N", "S", "C"])
+    agree = np.sign(found["R"]) * np.sign(found["M"]) > 0
+    assert np.array_equal(found["C"], np.where(agree, found["M"], 0)) and 0 < agree.mean() <= 1
+    again = pg.gradients(task, policy_of(task), task.starts(40, seed=2), fields=["S"])
+    np.testing.assert_allclose(again["S"], found["S"], rtol=1e-12)
+
+
+def test_rollouts_repeat_step_and_policy_and_sum_costs():
+    task = small()
+    policy, starts = policy_of(task), task.starts(40, seed=2)
+    x, u = pg.rollout(task, policy, starts)
+    assert x.shape == (40, 21, 4) and u.shape == (40, 20, 1)
+    cost = np.zeros(40)
+    for t in range(20):
+        np.testing.assert_allclose(policy(x[:, t]), u[:, t], rtol=1e-12, atol=1e-12)
+        assert np.array_equal(task.step(x[:, t], u[:, t], t=t), x[:, t + 1])
+        cost += task.running_cost(x[:, t], u[:, t], x[:, t + 1], t=t)
+    np.testing.assert_allclose(cost + task.terminal_cost(x[:, -1]), pg.losses(task, policy, starts), rtol=1e-12)
+
+
+def test_history_has_the_losses_of_the_policy():
+    task = small()
+    records = []
+    run = pg.train(task, policy_of(task), field="M", epochs=3, seed=1, callback=records.append, **FAST)
+    assert run.is_done and [record["epoch"] for record in records] == [1, 2, 3]
+    test = task.starts(16, seed=1, split="test")
+    assert np.isclose(pg.losses(task, run.policy, test).mean(), run.history["test_loss"][-1], rtol=1e-12)
+    assert np.isclose(pg.losses(task, run.best_policy, test).mean(), run.history["test_loss"].min(), rtol=1e-12)
+
+
+def program():
+    path = os.environ.get("PHYSGRAD", shutil.which("physgrad"))
+    return path or pytest.skip("the program is missing; set PHYSGRAD to its path")
+
+
+def test_policy_file_has_the_bytes_of_the_program(tmp_path):
+    task = pg.task("cart_pole", poles=2)
+    run = pg.train(task, pg.Mlp(task, [16, 16], seed=4), field="C", epochs=3, seed=4, out=tmp_path / "python", **FAST)
+    settings = ["system.poles=2", "policy.widths=[16,16]", "training.train_samples=16", "training.test_samples=16"]
+    options = [option for setting in settings for option in ("--set", setting)]
+    arguments = ["train", "cart_pole", "--field", "C", "--epochs", "3", "--seed", "4", "-q", "-o", str(tmp_path / "program")]
+    subprocess.run([program(), *arguments, *options], check=True)
+    for name in ("policy.safetensors", "best_policy.safetensors", "run.toml"):
+        assert (tmp_path / "python" / name).read_bytes() == (tmp_path / "program" / name).read_bytes()
+    run.policy.save(tmp_path / "p.safetensors")
+    assert (tmp_path / "p.safetensors").read_bytes() == (tmp_path / "program" / "policy.safetensors").read_bytes()
+
+
+def test_runs_are_saved_loaded_continued_and_reported(tmp_path):
+    task = pg.task("cart_pole", poles=1)
+    whole = pg.train(task, epochs=4, seed=1, **FAST)
+    pg.train(task, epochs=2, seed=1, out=tmp_path / "run", **FAST)
+    run = pg.load(tmp_path / "run")
+    run.train(epochs=4)
+    assert np.array_equal(run.policy.theta, whole.policy.theta) and len(run.history["epoch"]) == 4
+    assert len(pg.load(tmp_path / "run").history["epoch"]) == 4
+    run.report(tmp_path / "page.html")
+    assert "<html" in (tmp_path / "page.html").read_text()
+    with pytest.raises(RuntimeError, match="no folder"):
+        whole.report(tmp_path / "none.html")
+    fresh = pg.Policy(task, seed=9)
+    fresh.load(tmp_path / "run" / "policy.safetensors")
+    assert np.array_equal(fresh.theta, run.policy.theta)
+
+
+def test_training_starts_from_a_trained_policy():
+    task = small()
+    first = pg.train(task, field="C", epochs=2, seed=1, **FAST)
+    zero = pg.train(task, first.policy, epochs=1, seed=1, learning_rate=1e-12, **FAST)
+    assert np.isclose(zero.history["test_loss"][0], first.history["test_loss"][-1], rtol=1e-6)
+
+
+def test_exceptions_of_callbacks_stop_the_run_and_it_continues():
+    task, seen = pg.task("cart_pole", poles=1), []
+
+    def callback(record):
+        seen.append(record["epoch"])
+        if len(seen) == 2:
+            raise KeyError("stop")
+
+    run = pg.Run(task, epochs=4, seed=1, **FAST)
+    with pytest.raises(KeyError):
+        run.train(callback)
+    run.train()
+    whole = pg.train(task, epochs=4, seed=1, **FAST)
+    assert seen == [1, 2] and np.array_equal(run.policy.theta, whole.policy.theta)
+
+
+INTERRUPTED = """
+import os, signal, threading, physgrad as pg
+threading.Timer(1.0, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+try:
+    pg.train(pg.task("cart_pole"), epochs=100000, seed=1)
+except KeyboardInterrupt as error:
+    run = error.run
+    done = len(run.history["epoch"])
+    run.train(epochs=done + 1)
+    print("continued", len(run.history["epoch"]) == done + 1)
+"""
+
+
+def test_ctrl_c_raises_keyboard_interrupt_and_the_run_continues():
+    done = subprocess.run([sys.executable, "-c", INTERRUPTED], capture_output=True, text=True, timeout=120)
+    assert done.stdout == "continued True\n", done.stderr
+
+
+def test_other_threads_run_during_a_training():
+    count, stop = 0, threading.Event()
+
+    def counting():
+        nonlocal count
+        while not stop.is_set():
+            count += 1
+            time.sleep(0.001)
+
+    thread = threading.Thread(target=counting)
+    thread.start()
+    pg.train(pg.task("cart_pole"), epochs=1, seed=1, train_samples=64, test_samples=64)
+    stop.set()
+    thread.join()
+    assert count > 3
+
+
+def test_divergence_has_its_place():
+    task = pg.task("cart_pole", poles=1, horizon=200, dt=10.0)
+    policy = pg.Mlp(task, [8], seed=1, zero_init_output=False)
+    policy.theta = policy.theta * 1e30
+    with pytest.raises(pg.Divergence, match="not finite") as caught:
+        pg.rollout(task, policy, task.starts(4))
+    error = caught.value
+    assert error.variable in ("state", "control", "cost") and 0 <= error.sample < 4
+
+
+def test_plans_lower_the_cost_and_respect_bounds():
+    task = pg.task("cart_pole", poles=1, horizon=30)
+    plan = pg.optimize(task, task.starts(1, seed=2)[0], bounds=[[-5, 5]], iterations=30)
+    assert plan["cost"] < plan["costs"][0] and abs(plan["u"]).max() <= 5
+    assert plan["x"].shape == (31, 4) and plan["u"].shape == (30, 1) and plan["gains"].shape == (30, 1, 4)
+
+
+def test_memory_does_not_grow():
+    resource = pytest.importorskip("resource")
+    task = pg.task("cart_pole")
+    x = task.starts(1024)
+    u = np.zeros((1024, task.control_dim), "f4")
+    for _ in range(50):
+        task.step_vjp(x, u, x)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for _ in range(500):
+        task.step_vjp(x, u, x)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 5000

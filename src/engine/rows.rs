@@ -1,0 +1,320 @@
+//! Steps, observations and costs of many samples, and their derivatives, on row-major arrays.
+//!
+//! One row is one sample. All arrays of a call have equally many rows, which are contiguous. The
+//! functions evaluate eight rows at a time in SIMD lanes. With the feature `parallel`, threads share
+//! large arrays. A row has the bits of a rollout of this sample.
+//!
+//! [`Inputs::t`](crate::Inputs) is the number of the step, equal for all rows. `p` is empty for a
+//! task without parameters. Outputs are overwritten. An empty slice in place of a cotangent requests
+//! nothing.
+//! ```
+//! use physgrad::{Inputs, initial_states, rng::Purpose, rows, tasks::CartPole};
+//!
+//! let task = CartPole::new(1);
+//! let x: Vec<f32> = initial_states(&task, 0, Purpose::Train, 100);
+//! let u = vec![0.5; 100];
+//! let mut next = vec![0.0; x.len()];
+//! rows::step(&task, Inputs::new(&x, &u), &mut next);
+//!
+//! // The gradient of the sum of all next positions, with respect to the controls.
+//! let next_bar: Vec<f32> = (0..x.len()).map(|i| if i % 4 == 0 { 1.0 } else { 0.0 }).collect();
+//! let (mut x_bar, mut u_bar) = (vec![0.0; x.len()], vec![0.0; 100]);
+//! rows::step_vjp(&task, Inputs::new(&x, &u), &next_bar, [&mut x_bar, &mut u_bar, &mut []]);
+//! ```
+//!
+//! # Panics
+//! All functions panic if the length of an array is not that of its rows.
+
+use crate::dynamics::inputs::{Cotangents, Inputs, Tangents};
+use crate::dynamics::outline::One;
+use crate::dynamics::system::System;
+use crate::dynamics::task::Task;
+use crate::engine::parallel::for_each;
+use crate::engine::rollout::{Lane, WIDTH};
+use crate::numbers::scalar::{CotangentPack, Float, Real, Scalar};
+use smallvec::SmallVec;
+
+/// Number of rows per thread: a multiple of [`WIDTH`], large enough to outweigh waking a thread.
+const CHUNK: usize = 512;
+
+/// Writes the next states, `[row][state]`.
+pub fn step<F: Float>(task: &impl Task, inputs: Inputs<'_, F>, next: &mut [F]) {
+    let rows = rows(task, &inputs);
+    check("next", next, rows, task.system().state_dim());
+    for_blocks(rows, [inputs.x, inputs.u, inputs.p], [next], |[x, u, p], [next]| {
+        task.system().step(Inputs { x, u, p, t: inputs.t }, next);
+    });
+}
+
+/// Writes the products of `next_bar` with the transposed Jacobians of the step: cotangents of
+/// `[x, u, p]`.
+pub fn step_vjp<F: Float>(task: &impl Task, inputs: Inputs<'_, F>, next_bar: &[F], cotangents: [&mut [F]; 3]) {
+    let rows = rows(task, &inputs);
+    check("next_bar", next_bar, rows, task.system().state_dim());
+    check_cotangents(task, rows, &cotangents);
+    for_blocks(rows, [inputs.x, inputs.u, inputs.p, next_bar], cotangents, |[x, u, p, next_bar], bars| {
+        let mut packs = [pack(bars[0]), pack(bars[1]), pack(bars[2])];
+        let [x_bar, u_bar, p_bar] = packs.each_mut().map(|pack| requested(pack));
+        let cotangents = Cotangents { x: x_bar, u: u_bar, p: p_bar };
+        task.system().vjp(Inputs { x, u, p, t: inputs.t }, &pack(next_bar), cotangents);
+        for (bar, pack) in bars.into_iter().zip(&packs) {
+            unpack(pack, bar);
+        }
+    });
+}
+
+/// Writes the products of the Jacobians of the step with the tangents. `None` is a zero tangent.
+pub fn step_jvp<F: Float>(task: &impl Task, inputs: Inputs<'_, F>, tangents: Tangents<'_, F>, next_tan: &mut [F]) {
+    let rows = rows(task, &inputs);
+    let system = task.system();
+    check("next_tan", next_tan, rows, system.state_dim());
+    let directions = [(tangents.x, system.state_dim()), (tangents.u, system.control_dim()), (tangents.p, task.param_dim())];
+    let [x_tan, u_tan, p_tan] = directions.map(|(tangent, dim)| {
+        tangent.inspect(|tangent| check("tangent", tangent, rows, dim));
+        tangent.unwrap_or(&[])
+    });
+    let arrays = [inputs.x, inputs.u, inputs.p, x_tan, u_tan, p_tan];
+    for_blocks(rows, arrays, [next_tan], |[x, u, p, x_tan, u_tan, p_tan], [next_tan]| {
+        let [x_tan, u_tan, p_tan] = [x_tan, u_tan, p_tan].map(|tangent| (!tangent.is_empty()).then_some(tangent));
+        system.jvp(Inputs { x, u, p, t: inputs.t }, Tangents { x: x_tan, u: u_tan, p: p_tan }, next_tan);
+    });
+}
+
+/// Writes the observations, `[row][component]`. Ignores the controls, which may be empty.
+pub fn observe<F: Float>(task: &impl Task, inputs: Inputs<'_, F>, y: &mut [F]) {
+    let inputs = Inputs { u: &[], ..inputs };
+    let rows = rows(task, &inputs);
+    check("y", y, rows, observed_dim(task));
+    if task.observation_dim().is_none() {
+        return y.copy_from_slice(inputs.x);
+    }
+    for_blocks(rows, [inputs.x, inputs.p], [y], |[x, p], [y]| task.observe(Inputs { x, u: &[], p, t: inputs.t }, y));
+}
+
+/// Writes the products of `y_bar` with the transposed Jacobians of the observation: cotangents of
+/// `[x, p]`.
+pub fn observe_vjp<F: Float>(task: &impl Task, inputs: Inputs<'_, F>, y_bar: &[F], [x_bar, p_bar]: [&mut [F]; 2]) {
+    let inputs = Inputs { u: &[], ..inputs };
+    let rows = rows(task, &inputs);
+    check("y_bar", y_bar, rows, observed_dim(task));
+    check("x_bar", x_bar, rows, task.system().state_dim());
+    check_requested("p_bar", p_bar, rows, task.param_dim());
+    if task.observation_dim().is_none() {
+        p_bar.fill(F::zero());
+        return x_bar.copy_from_slice(y_bar);
+    }
+    for_blocks(rows, [inputs.x, inputs.p, y_bar], [x_bar, p_bar], |[x, p, y_bar], bars| {
+        let mut packs = [pack(bars[0]), pack(bars[1])];
+        let [x_bar, p_bar] = packs.each_mut().map(|pack| requested(pack));
+        task.observe_vjp(Inputs { x, u: &[], p, t: inputs.t }, &pack(y_bar), Cotangents { x: x_bar, u: None, p: p_bar });
+        for (bar, pack) in bars.into_iter().zip(&packs) {
+            unpack(pack, bar);
+        }
+    });
+}
+
+/// Writes the running cost of the step to `next` for each row.
+pub fn running_cost<F: Float>(task: &impl Task, inputs: Inputs<'_, F>, next: &[F], cost: &mut [F]) {
+    let rows = rows(task, &inputs);
+    check("next", next, rows, task.system().state_dim());
+    check("cost", cost, rows, 1);
+    for_blocks(rows, [inputs.x, inputs.u, inputs.p, next], [cost], |[x, u, p, next], [cost]| {
+        cost[0] = task.running_cost(Inputs { x, u, p, t: inputs.t }, next);
+    });
+}
+
+/// Writes the gradients of the running costs, multiplied by `cost_bar` of each row: cotangents of
+/// `[x, u, next, p]`.
+pub fn running_cost_vjp<F: Float>(
+    task: &impl Task,
+    inputs: Inputs<'_, F>,
+    next: &[F],
+    cost_bar: &[F],
+    [x_bar, u_bar, next_bar, p_bar]: [&mut [F]; 4],
+) {
+    let rows = rows(task, &inputs);
+    let n = task.system().state_dim();
+    check("next", next, rows, n);
+    check("cost_bar", cost_bar, rows, 1);
+    check("next_bar", next_bar, rows, n);
+    check_cotangents(task, rows, &[&mut *x_bar, &mut *u_bar, &mut *p_bar]);
+    let arrays = [inputs.x, inputs.u, inputs.p, next, cost_bar];
+    for_blocks(rows, arrays, [x_bar, u_bar, next_bar, p_bar], |[x, u, p, next, cost_bar], [x_bar, u_bar, next_bar, p_bar]| {
+        let cotangents = Cotangents { x: requested(x_bar), u: requested(u_bar), p: requested(p_bar) };
+        task.running_cost_gradient(Inputs { x, u, p, t: inputs.t }, next, cotangents, next_bar);
+        for bar in [x_bar, u_bar, next_bar, p_bar] {
+            scale(bar, cost_bar[0]);
+        }
+    });
+}
+
+/// Writes the terminal cost of each row.
+pub fn terminal_cost<F: Float>(task: &impl Task, x: &[F], p: &[F], cost: &mut [F]) {
+    let rows = rows(task, &Inputs { x, u: &[], p, t: 0 });
+    check("cost", cost, rows, 1);
+    for_blocks(rows, [x, p], [cost], |[x, p], [cost]| cost[0] = task.terminal_cost(x, p));
+}
+
+/// Writes the gradients of the terminal costs, multiplied by `cost_bar` of each row: cotangents of
+/// `[x, p]`.
+pub fn terminal_cost_vjp<F: Float>(task: &impl Task, x: &[F], p: &[F], cost_bar: &[F], [x_bar, p_bar]: [&mut [F]; 2]) {
+    let rows = rows(task, &Inputs { x, u: &[], p, t: 0 });
+    check("cost_bar", cost_bar, rows, 1);
+    check("x_bar", x_bar, rows, task.system().state_dim());
+    check_requested("p_bar", p_bar, rows, task.param_dim());
+    for_blocks(rows, [x, p, cost_bar], [x_bar, p_bar], |[x, p, cost_bar], [x_bar, p_bar]| {
+        task.terminal_cost_gradient(x, p, x_bar, requested(p_bar));
+        for bar in [x_bar, p_bar] {
+            scale(bar, cost_bar[0]);
+        }
+    });
+}
+
+/// Number of rows of the inputs. Controls may be absent.
+#[track_caller]
+fn rows<F>(task: &impl Task, inputs: &Inputs<'_, F>) -> usize {
+    let n = task.system().state_dim();
+    let rows = inputs.x.len() / n;
+    check("x", inputs.x, rows, n);
+    check_requested("u", inputs.u, rows, task.system().control_dim());
+    check("p", inputs.p, rows, task.param_dim());
+    rows
+}
+
+fn observed_dim(task: &impl Task) -> usize {
+    task.observation_dim().unwrap_or(task.system().state_dim())
+}
+
+#[track_caller]
+fn check<F>(name: &str, array: &[F], rows: usize, dim: usize) {
+    assert_eq!(array.len(), rows * dim, "`{name}` has {} numbers; expected {rows} rows of {dim} numbers", array.len());
+}
+
+/// Checks an array that may be empty.
+#[track_caller]
+fn check_requested<F>(name: &str, array: &[F], rows: usize, dim: usize) {
+    if !array.is_empty() {
+        check(name, array, rows, dim);
+    }
+}
+
+#[track_caller]
+fn check_cotangents<F>(task: &impl Task, rows: usize, [x, u, p]: &[&mut [F]; 3]) {
+    check_requested("x_bar", x, rows, task.system().state_dim());
+    check_requested("u_bar", u, rows, task.system().control_dim());
+    check_requested("p_bar", p, rows, task.param_dim());
+}
+
+/// The buffer, unless it is empty.
+fn requested<T>(buffer: &mut [T]) -> Option<&mut [T]> {
+    (!buffer.is_empty()).then_some(buffer)
+}
+
+type Packs<F> = SmallVec<[One<Lane<F>>; 32]>;
+
+fn pack<F: Float>(values: &[Lane<F>]) -> Packs<F> {
+    values.iter().map(|&value| CotangentPack([value])).collect()
+}
+
+fn unpack<F: Float>(packs: &Packs<F>, values: &mut [Lane<F>]) {
+    for (value, CotangentPack([pack])) in values.iter_mut().zip(packs) {
+        *value = *pack;
+    }
+}
+
+fn scale<F: Float>(values: &mut [Lane<F>], factor: Lane<F>) {
+    values.iter_mut().for_each(|value| *value *= factor);
+}
+
+/// Calls `work` for each block of [`WIDTH`] rows, with the lanes of the inputs and outputs. Outputs
+/// are 0 before the call.
+fn for_blocks<F: Float, const I: usize, const O: usize>(
+    rows: usize,
+    inputs: [&[F]; I],
+    outputs: [&mut [F]; O],
+    work: impl Fn([&[Lane<F>]; I], [&mut [Lane<F>]; O]) + Sync,
+) {
+    if rows == 0 {
+        return;
+    }
+    let (widths, output_widths) = (inputs.map(|array| array.len() / rows), outputs.each_ref().map(|array| array.len() / rows));
+    let mut rest = outputs;
+    let mut chunks: SmallVec<[_; 1]> = (0..rows)
+        .step_by(CHUNK)
+        .map(|first| {
+            let count = CHUNK.min(rows - first);
+            let inputs: [_; I] = std::array::from_fn(|i| &inputs[i][first * widths[i]..][..count * widths[i]]);
+            let outputs: [_; O] = std::array::from_fn(|i| {
+                let (now, later) = std::mem::take(&mut rest[i]).split_at_mut(count * output_widths[i]);
+                rest[i] = later;
+                now
+            });
+            (count, inputs, outputs)
+        })
+        .collect();
+    for_each(&mut chunks, &|_, (count, inputs, outputs)| blocks(*count, *inputs, outputs, &work));
+}
+
+/// [`for_blocks`] of one thread.
+fn blocks<F: Float, const I: usize, const O: usize>(
+    rows: usize,
+    inputs: [&[F]; I],
+    outputs: &mut [&mut [F]; O],
+    work: &impl Fn([&[Lane<F>]; I], [&mut [Lane<F>]; O]),
+) {
+    let lanes = |len: usize| vec![Lane::<F>::zero(); len / rows];
+    let mut input_lanes = inputs.map(|array| lanes(array.len()));
+    let mut output_lanes = outputs.each_ref().map(|array| lanes(array.len()));
+    for first in (0..rows).step_by(WIDTH) {
+        for (array, lanes) in inputs.iter().zip(&mut input_lanes) {
+            let width = lanes.len();
+            for lane in 0..WIDTH {
+                // Unused lanes repeat the last row, so they add no non-finite numbers.
+                let row = (first + lane).min(rows - 1);
+                for (number, &value) in lanes.iter_mut().zip(&array[row * width..]) {
+                    number.set_lane(lane, value);
+                }
+            }
+        }
+        output_lanes.iter_mut().for_each(|lanes| lanes.fill(Lane::zero()));
+        work(input_lanes.each_ref().map(Vec::as_slice), output_lanes.each_mut().map(Vec::as_mut_slice));
+        for (array, lanes) in outputs.iter_mut().zip(&output_lanes) {
+            let width = lanes.len();
+            for lane in 0..WIDTH.min(rows - first) {
+                for (value, number) in array[(first + lane) * width..].iter_mut().zip(lanes) {
+                    *value = number.lane(lane);
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::DynTask;
+    use crate::numbers::rng::Purpose;
+    use crate::tasks::CartPole;
+
+    #[test]
+    fn rows_have_the_bits_of_single_rows_and_derivatives_are_transposed() {
+        let task = DynTask::new(CartPole::new(1));
+        let samples = 1100;
+        let x: Vec<f64> = crate::initial_states(&task, 0, Purpose::Train, samples);
+        let u: Vec<f64> = (0..samples).map(|i| i as f64 * 0.01 - 5.0).collect();
+        let inputs = Inputs::new(&x, &u);
+        let (mut next, mut next_tan) = (vec![0.0; x.len()], vec![0.0; x.len()]);
+        step(&task, inputs, &mut next);
+        for row in [0, 8, 511, 512, samples - 1] {
+            let mut one = vec![0.0; 4];
+            step(&task, Inputs::new(&x[4 * row..][..4], &u[row..=row]), &mut one);
+            assert_eq!(one, next[4 * row..][..4], "row {row}");
+        }
+        step_jvp(&task, inputs, Tangents { x: Some(&x), u: Some(&u), p: None }, &mut next_tan);
+        let (mut x_bar, mut u_bar) = (vec![0.0; x.len()], vec![0.0; samples]);
+        step_vjp(&task, inputs, &next, [&mut x_bar, &mut u_bar, &mut []]);
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let (forward, backward) = (dot(&next, &next_tan), dot(&x, &x_bar) + dot(&u, &u_bar));
+        assert!((forward - backward).abs() < 1e-9 * forward.abs(), "{forward} {backward}");
+    }
+}

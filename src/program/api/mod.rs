@@ -1,0 +1,21 @@
+//! Scenes, policies and runs for other programs: the commands of `physgrad` as functions.
+//!
+//! The Python bindings are a thin layer over this module. Errors are the messages that the program
+//! prints. An error that is a [`Divergence`](crate::Divergence) or a
+//! [`TrainError`](crate::TrainError) can be downcast.
+//! ```
+//! use physgrad::program::api::Scene;
+//!
+//! let scene = Scene::open("cart_pole", [("system.poles".into(), 2.into()), ("epochs".into(), 1.into())])?;
+//! assert_eq!((scene.name(), scene.state_names().len()), ("cart_pole", 6));
+//! # Ok::<(), anyhow::Error>(())
+//! ```
+
+mod policy;
+mod run;
+mod scene;
+
+pub use crate::program::runs::run::{EpochEvent, Observer};
+pub use policy::{Policy, Precise, Rollouts};
+pub use run::Run;
+pub use scene::Scene;

@@ -1,0 +1,212 @@
+//! [`Policy`]: the policy of a scene with its parameters.
+
+use super::Scene;
+use crate::any::AnyTask;
+use crate::policy::{AnyPolicy, PolicyColumns, PolicyPass};
+use crate::program::operations::{fields, policy_file};
+use crate::program::tasks::DynPolicy;
+use crate::rng::{Purpose, stream};
+use crate::{Divergence, DynTask, Field, Float, Rollout, Weights};
+use anyhow::{Result, bail};
+use std::sync::Arc;
+
+/// A precision of trainings: `f32` or `f64`.
+pub trait Precise: Float {
+    #[doc(hidden)]
+    fn policy(policy: &dyn DynPolicy) -> &dyn AnyPolicy<Self>;
+}
+
+impl Precise for f32 {
+    fn policy(policy: &dyn DynPolicy) -> &dyn AnyPolicy<f32> {
+        policy
+    }
+}
+
+impl Precise for f64 {
+    fn policy(policy: &dyn DynPolicy) -> &dyn AnyPolicy<f64> {
+        policy
+    }
+}
+
+/// The policy of a scene with its parameters θ. The last parameters are the trained numbers of the
+/// scene.
+#[derive(Clone)]
+pub struct Policy {
+    scene: Scene,
+    policy: Arc<dyn DynPolicy>,
+    theta: Vec<f64>,
+}
+
+/// States and controls of several rollouts.
+pub struct Rollouts<F> {
+    /// States, `[sample][step][component]`, the initial state first.
+    pub states: Vec<F>,
+    /// Controls, `[sample][step][component]`.
+    pub controls: Vec<F>,
+}
+
+/// Number of samples in one rollout.
+const BLOCK: usize = 32;
+
+impl Policy {
+    /// Policy with random parameters, those of a training with this seed.
+    pub fn new(scene: &Scene, seed: u64) -> Self {
+        let policy = scene.scene.policy();
+        let mut theta = vec![0.0; f64::policy(&*policy).param_count()];
+        f64::policy(&*policy).init(&mut stream(seed, Purpose::Policy, 0), &mut theta);
+        Self { scene: scene.clone(), policy, theta }
+    }
+
+    /// Policy with the parameters of a policy file.
+    ///
+    /// # Errors
+    /// The bytes are no policy file, or one of another policy.
+    pub fn read(scene: &Scene, bytes: &[u8]) -> Result<Self> {
+        let policy = scene.scene.policy();
+        let theta = policy_file::read(bytes, f64::policy(&*policy), 0)?;
+        Ok(Self { scene: scene.clone(), policy, theta })
+    }
+
+    /// Scene of the policy.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// The parameters.
+    pub fn theta(&self) -> &[f64] {
+        &self.theta
+    }
+
+    /// Replaces the parameters.
+    ///
+    /// # Errors
+    /// The number of parameters differs, or one is not finite.
+    pub fn set_theta(&mut self, theta: Vec<f64>) -> Result<()> {
+        if theta.len() != self.theta.len() {
+            bail!("`theta` has {} numbers, but the policy has {} parameters", theta.len(), self.theta.len());
+        }
+        if let Some(i) = theta.iter().position(|value| !value.is_finite()) {
+            bail!("`theta[{i}]` is {}; allowed: finite numbers", theta[i]);
+        }
+        self.theta = theta;
+        Ok(())
+    }
+
+    /// The policy file, in the precision of the scene.
+    ///
+    /// # Errors
+    /// The description of the policy cannot be serialized.
+    pub fn safetensors(&self) -> Result<Vec<u8>> {
+        let about = self.scene.scene.about();
+        if self.scene.is_f64() {
+            return policy_file::write(&about, f64::policy(&*self.policy), &self.theta);
+        }
+        policy_file::write(&about, f32::policy(&*self.policy), &self.rounded::<f32>())
+    }
+
+    /// The parameters in the precision `F`.
+    pub(super) fn rounded<F: Float>(&self) -> Vec<F> {
+        self.theta.iter().map(|&theta| F::from_f64(theta)).collect()
+    }
+
+    /// Controls, `[row][component]`, of a policy without memory for observations `y`,
+    /// `[row][component]`.
+    ///
+    /// # Errors
+    /// The policy has a memory, or `y` is not a whole number of rows.
+    pub fn act<F: Precise>(&self, y: &[F]) -> Result<Vec<F>> {
+        let policy = F::policy(&*self.policy);
+        let (width, rows) = (policy.observation_dim(), y.len() / policy.observation_dim());
+        if policy.memory_dim() > 0 {
+            bail!("the policy has a memory; use rollouts");
+        }
+        if y.len() != rows * width {
+            bail!("`y` has {} numbers; expected rows of {width}", y.len());
+        }
+        let weights = Weights::new(policy, self.rounded());
+        let mut u = vec![F::zero(); rows * policy.control_dim()];
+        for (y, u) in y.chunks(BLOCK * width).zip(u.chunks_mut(BLOCK * policy.control_dim())) {
+            let columns = y.len() / width;
+            let mut tape = crate::numbers::aligned::Aligned::zeros(policy.sizes(columns).tape);
+            policy.forward(PolicyPass::new(weights.packed(), PolicyColumns::range(0..columns), y), &mut tape, u);
+        }
+        Ok(u)
+    }
+
+    /// Checks that the policy fits a task.
+    fn check(&self, task: &Scene) -> Result<DynTask> {
+        let (policy, dyn_task) = (f64::policy(&*self.policy), task.task());
+        let any: &dyn AnyTask<f64> = &dyn_task;
+        let [found, expected] = [[policy.observation_dim(), policy.control_dim()], [any.observed_dim(), any.control_dim()]];
+        if found != expected {
+            bail!(
+                "the policy has {} observations and {} controls, but {} has {} and {}; create a policy for this task",
+                found[0],
+                found[1],
+                task.name(),
+                expected[0],
+                expected[1]
+            );
+        }
+        if let Some(param) = policy.trained_params().iter().find(|param| param.index() >= any.param_dim()) {
+            bail!("the policy trains parameter {}, but {} has {} parameters", param.index(), task.name(), any.param_dim());
+        }
+        Ok(dyn_task)
+    }
+
+    /// Rollouts from `starts`, see [`Scene::starts`].
+    ///
+    /// # Errors
+    /// The policy does not fit the task, or a [`Divergence`].
+    pub fn rollouts<F: Precise>(&self, task: &Scene, starts: &[F]) -> Result<Rollouts<F>> {
+        let (dyn_task, policy) = (self.check(task)?, F::policy(&*self.policy));
+        let any: &dyn AnyTask<F> = &dyn_task;
+        let (n, m, width) = (any.state_dim(), any.control_dim(), any.start_dim());
+        let weights = Weights::new(policy, self.rounded());
+        let (mut states, mut controls) = (Vec::new(), Vec::new());
+        for (block, starts) in starts.chunks(BLOCK * width).enumerate() {
+            let samples = starts.len() / width;
+            let mut rollout = Rollout::new(any, policy, samples);
+            rollout.start(starts);
+            rollout.run(any, policy, &weights).map_err(|divergence| divergence.offset(block * BLOCK))?;
+            for sample in 0..samples {
+                states.extend(
+                    (0..=any.horizon()).flat_map(|t| (0..n).map(move |i| (t, i))).map(|(t, i)| rollout.state(t, sample, i)),
+                );
+                controls.extend(
+                    (0..any.horizon()).flat_map(|t| (0..m).map(move |i| (t, i))).map(|(t, i)| rollout.control(t, sample, i)),
+                );
+            }
+        }
+        Ok(Rollouts { states, controls })
+    }
+
+    /// Losses of rollouts from `starts`, one per sample.
+    ///
+    /// # Errors
+    /// The policy does not fit the task, or a [`Divergence`].
+    pub fn losses<F: Precise>(&self, task: &Scene, starts: &[F]) -> Result<Vec<F>> {
+        let (dyn_task, policy) = (self.check(task)?, F::policy(&*self.policy));
+        let any: &dyn AnyTask<F> = &dyn_task;
+        let weights = Weights::new(policy, self.rounded());
+        let mut rollout = Rollout::for_evaluation(any, policy, BLOCK);
+        let mut losses = Vec::new();
+        for (block, starts) in starts.chunks(BLOCK * any.start_dim()).enumerate() {
+            rollout.start(starts);
+            let outcome: Result<(), Divergence> = rollout.run(any, policy, &weights);
+            outcome.map_err(|divergence| divergence.offset(block * BLOCK))?;
+            losses.extend((0..rollout.samples()).map(|sample| rollout.cost(sample)));
+        }
+        Ok(losses)
+    }
+
+    /// The vectors of several fields for the mean loss of rollouts from `starts`, from one forward
+    /// pass: one number per parameter and field.
+    ///
+    /// # Errors
+    /// The policy does not fit the task, or a [`Divergence`].
+    pub fn gradients<F: Precise>(&self, task: &Scene, starts: &[F], chosen: &[Field]) -> Result<Vec<Vec<F>>> {
+        let (dyn_task, policy) = (self.check(task)?, F::policy(&*self.policy));
+        Ok(fields::vectors(&dyn_task, policy, &Weights::new(policy, self.rounded()), starts, chosen)?)
+    }
+}

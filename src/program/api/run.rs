@@ -1,0 +1,151 @@
+//! [`Run`]: a training, in memory or in a folder.
+
+use super::{Policy, Scene};
+use crate::program::commands::report;
+use crate::program::operations::session::{AnyRun, Epoch};
+use crate::program::platform::folder::{Folder, SETTINGS};
+use crate::program::runs::run::{self, End, NoUpdate, Observer, SAVE_EVERY};
+use crate::program::runs::saved;
+use crate::program::scenes::source::SceneSource;
+use crate::{Record, TrainError};
+use anyhow::{Context, Result};
+use std::path::{Path, PathBuf};
+use toml::Value;
+
+/// A training. It has the bits and the files of `physgrad train`.
+pub struct Run {
+    scene: Scene,
+    run: Box<dyn AnyRun>,
+    threads: usize,
+    folder: Option<PathBuf>,
+}
+
+impl Run {
+    /// A training before its first epoch. With a policy, the training starts from its parameters,
+    /// and the scene has its section `policy`. `threads` is the number of threads, by default all;
+    /// results do not depend on it.
+    ///
+    /// # Errors
+    /// A setting is invalid, or the policy does not fit the scene.
+    pub fn new(scene: &Scene, policy: Option<&Policy>, threads: Option<usize>) -> Result<Self> {
+        let threads = threads.unwrap_or_else(rayon::current_num_threads).max(1);
+        let mut scene = scene.clone();
+        if let Some(policy) = policy {
+            let section = policy.scene().settings().get("policy").cloned().context("the scene has no section `policy`")?;
+            scene = scene.with([("policy".to_owned(), section)])?;
+            let random = Policy::new(&scene, scene.scene.seed);
+            let is_random = if scene.is_f64() {
+                random.theta() == policy.theta()
+            } else {
+                random.rounded::<f32>() == policy.rounded::<f32>()
+            };
+            // A random policy is no setting of the run, as in the program.
+            if !is_random {
+                scene.scene = scene.scene.starting_from(policy.safetensors()?);
+            }
+        }
+        Ok(Self { run: scene.scene.open(threads)?, scene, threads, folder: None })
+    }
+
+    /// Opens the run in a folder, at its last checkpoint.
+    ///
+    /// # Errors
+    /// There is no run, or another version of physgrad made it.
+    pub fn load(folder: &Path) -> Result<Self> {
+        let place = Folder::existing(folder)?;
+        let checked = saved::scene(&place)?;
+        let scene = Scene { source: SceneSource::read(&place.readable(SETTINGS)?)?, scene: checked };
+        let threads = rayon::current_num_threads().max(1);
+        let mut run = scene.scene.open(threads)?;
+        saved::restore(&place, &scene.scene, &mut *run)?;
+        Ok(Self { scene, run, threads, folder: Some(folder.to_owned()) })
+    }
+
+    /// The scene.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// Folder of the run, if it has one.
+    pub fn folder(&self) -> Option<&Path> {
+        self.folder.as_deref()
+    }
+
+    /// Records of the completed epochs.
+    pub fn records(&self) -> &[Record] {
+        self.run.records()
+    }
+
+    /// Returns true after the last epoch.
+    pub fn is_done(&self) -> bool {
+        self.run.is_done()
+    }
+
+    /// Sets the total number of epochs of a run that continues.
+    ///
+    /// # Errors
+    /// The learning rate decays over the epochs, or the run already has more.
+    pub fn set_epochs(&mut self, epochs: u64) -> Result<()> {
+        let scene = self.scene.with([("epochs".to_owned(), Value::Integer(i64::try_from(epochs)?))])?;
+        let mut run = scene.scene.open(self.threads)?;
+        run.restore(&self.run.checkpoint(&self.scene.scene.identity()), &scene.scene.identity())?;
+        (self.scene, self.run) = (scene, run);
+        Ok(())
+    }
+
+    /// Moves the run to a folder: later calls of [`train`](Self::train) save there. An earlier run in
+    /// the folder is moved.
+    ///
+    /// # Errors
+    /// The folder cannot be written to.
+    pub fn save(&mut self, folder: &Path) -> Result<()> {
+        let locked = Folder::at(folder).lock()?;
+        let is_own = self.folder.as_deref().is_some_and(|own| own == folder);
+        let locked = if is_own { locked } else { locked.without_run()? };
+        run::save(&locked, &self.scene.scene, &*self.run)?;
+        self.folder = Some(folder.to_owned());
+        Ok(())
+    }
+
+    /// Trains up to the last epoch, or until the observer stops the run. Saves the run in its folder,
+    /// if it has one. Returns whether the run is complete.
+    ///
+    /// # Errors
+    /// A file cannot be written. Training diverged: a [`TrainError`].
+    pub fn train(&mut self, observer: &mut dyn Observer) -> Result<bool> {
+        let (scene, run) = (&self.scene.scene, &mut *self.run);
+        let finished = match &self.folder {
+            Some(folder) => run::run(&Folder::at(folder).lock()?, scene, run, true, SAVE_EVERY, observer)?,
+            None => run::in_memory(scene, run, observer),
+        };
+        let name = || self.folder.as_ref().map_or_else(|| "this run".into(), |folder| folder.display().to_string());
+        match finished.end {
+            End::Complete => Ok(true),
+            End::Interrupted => Ok(false),
+            End::Failed(error) => Err(error.into()),
+            End::NoUpdate(None) => Err(NoUpdate(name()).into()),
+            End::NoUpdate(Some(error)) => {
+                let error: TrainError = error;
+                Err(error).context(NoUpdate(name()).to_string())
+            }
+        }
+    }
+
+    /// The policy after the last epoch, or after the epoch with the lowest test loss.
+    ///
+    /// # Errors
+    /// The parameters cannot be serialized.
+    pub fn policy(&self, best: bool) -> Result<Policy> {
+        let epoch = if best { Epoch::Best } else { Epoch::Last };
+        Policy::read(&self.scene, &self.run.safetensors(epoch, &self.scene.scene.about())?)
+    }
+
+    /// The page of `physgrad report`, as HTML.
+    ///
+    /// # Errors
+    /// The run has no folder, or its files cannot be read.
+    pub fn report(&self) -> Result<String> {
+        let folder = self.folder.as_deref().context("the run has no folder; save it first")?;
+        report::html(&Folder::existing(folder)?)
+    }
+}

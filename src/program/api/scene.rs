@@ -1,0 +1,138 @@
+//! [`Scene`]: task, physics, loss, policy and training.
+
+use crate::identify::{Fit, IdentifyError, Options, Segment};
+use crate::program::operations::checks::Results;
+use crate::program::scenes::presets;
+use crate::program::scenes::source::SceneSource;
+use crate::program::settings::Precision;
+use crate::program::tasks;
+use crate::rng::Purpose;
+use crate::{DynTask, Float, System, Task, initial_states};
+use anyhow::Result;
+use toml::{Table, Value};
+
+/// Source of settings in messages.
+const OPTION: &str = "settings";
+
+/// A validated scene: task, physics, loss, policy and training.
+#[derive(Clone)]
+pub struct Scene {
+    pub(super) source: SceneSource,
+    pub(super) scene: tasks::Scene,
+}
+
+impl Scene {
+    /// Opens the preset or the scene file with this name, with other values of some settings.
+    ///
+    /// Keys are dotted, for example `system.poles`. An empty table adds an effect with its default
+    /// parameters.
+    ///
+    /// # Errors
+    /// There is no such preset or file. A setting is unknown or out of range.
+    pub fn open(name: &str, settings: impl IntoIterator<Item = (String, Value)>) -> Result<Self> {
+        Self::changed(presets::source(name)?, settings)
+    }
+
+    /// Copy with other values of some settings.
+    ///
+    /// # Errors
+    /// A setting is unknown or out of range.
+    pub fn with(&self, settings: impl IntoIterator<Item = (String, Value)>) -> Result<Self> {
+        let changed = Self::changed(self.source.clone(), settings)?;
+        Ok(match self.scene.initial_policy() {
+            Some(bytes) => Self { scene: changed.scene.starting_from(bytes.to_vec()), ..changed },
+            None => changed,
+        })
+    }
+
+    fn changed(mut source: SceneSource, settings: impl IntoIterator<Item = (String, Value)>) -> Result<Self> {
+        for (key, value) in settings {
+            if value.as_table().is_some_and(Table::is_empty) {
+                source.put(&key, value, OPTION)?;
+            } else {
+                source.replace(&key, value, OPTION)?;
+            }
+        }
+        Ok(Self { scene: source.scene()?, source })
+    }
+
+    /// Name of the task.
+    pub fn name(&self) -> &'static str {
+        self.scene.task.name()
+    }
+
+    /// All settings, including defaults.
+    pub fn settings(&self) -> &Table {
+        &self.scene.table
+    }
+
+    /// Returns true if the scene computes in f64, and false for f32.
+    pub fn is_f64(&self) -> bool {
+        self.scene.precision == Precision::F64
+    }
+
+    /// The task.
+    pub fn task(&self) -> DynTask {
+        self.scene.task()
+    }
+
+    /// Time steps of a rollout.
+    pub fn horizon(&self) -> usize {
+        self.scene.horizon
+    }
+
+    /// Time step, s.
+    pub fn dt(&self) -> f64 {
+        self.scene.dt()
+    }
+
+    /// Names of the components of the state.
+    pub fn state_names(&self) -> Vec<String> {
+        self.scene.state_names()
+    }
+
+    /// Names of the components of the control.
+    pub fn control_names(&self) -> Vec<String> {
+        self.scene.control_names()
+    }
+
+    /// Names of the parameters of a rollout.
+    pub fn param_names(&self) -> Vec<String> {
+        self.scene.param_names()
+    }
+
+    /// Names of the components that the policy observes.
+    pub fn observation_names(&self) -> Vec<String> {
+        self.scene.observation_names()
+    }
+
+    /// Initial states, `[sample][component]`: the state, then the parameters of the sample. See
+    /// [`initial_states`].
+    pub fn starts<F: Float>(&self, seed: u64, purpose: Purpose, samples: usize) -> Vec<F> {
+        initial_states(&self.task(), seed, purpose, samples)
+    }
+
+    /// Fits the trained numbers of the scene to measured segments, as `physgrad identify` does.
+    ///
+    /// # Errors
+    /// The scene trains no number, or the segments do not fit the system.
+    pub fn identify(&self, segments: &[Segment], options: &Options) -> Result<Fit, IdentifyError> {
+        self.scene.identify(segments, options)
+    }
+
+    /// Checks the derivatives of system, policy and rollout against dual numbers, as `physgrad check`
+    /// does. Returns a table of all checks, and one message per failure.
+    pub fn check(&self) -> (String, Vec<String>) {
+        let mut results = Results::new();
+        results.begin(self.name());
+        self.scene.check("scene", &mut results);
+        let (table, failures) = results.finish();
+        (table.to_string(), failures)
+    }
+
+    /// Numbers of states, controls and parameters of a sample.
+    pub fn dims(&self) -> [usize; 3] {
+        let task = self.task();
+        [task.system().state_dim(), task.system().control_dim(), task.param_dim()]
+    }
+}
