@@ -157,9 +157,8 @@ class _Rows:
 
     def __init__(self, task: pg.Task, bound: np.ndarray, count: int) -> None:
         self.task, self.bound = task, bound
-        dtype = _dtype(task)
-        self.x = np.zeros((count, task.state_dim), dtype)
-        self.p = np.zeros((count, task.param_dim), dtype)
+        self.x = np.zeros((count, task.state_dim), task.dtype)
+        self.p = np.zeros((count, task.param_dim), task.dtype)
         self.t = np.full(count, task.horizon)
 
     def start(self, mask: np.ndarray, rng: np.random.Generator) -> None:
@@ -203,14 +202,9 @@ class _Rows:
         return y
 
 
-def _dtype(task: pg.Task) -> type:
-    """Precision of the scene."""
-    return np.float64 if task.settings["precision"] == "f64" else np.float32
-
-
 def _spaces(task: pg.Task) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
     """Spaces of observations and actions."""
-    observations = gymnasium.spaces.Box(-np.inf, np.inf, (task.observation_dim,), _dtype(task))
+    observations = gymnasium.spaces.Box(-np.inf, np.inf, (task.observation_dim,), np.dtype(task.dtype).type)
     return observations, gymnasium.spaces.Box(-1.0, 1.0, (task.control_dim,), np.float32)
 
 
