@@ -25,3 +25,12 @@ def task(name, **settings):
 def scene(path, **settings):
     """Opens a scene file, for example "windy.toml". Arguments are those of `task`."""
     return Task(str(path), **settings)
+
+
+def __getattr__(name):
+    """Imports `torch`, `jax` and `gym` on first use: each requires its framework."""
+    if name in ("torch", "jax", "gym"):
+        import importlib
+
+        return importlib.import_module(f"{__name__}.{name}")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

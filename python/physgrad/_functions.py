@@ -56,6 +56,15 @@ RUNNING_COST = Function("running_cost", ("x", "u", "next"), "cost", has_step=Tru
 TERMINAL_COST = Function("terminal_cost", ("x",), "cost", has_step=False)
 
 
+def lead(name: str, shapes: dict[str, tuple[int, ...]]) -> tuple[int, ...]:
+    """Common leading dimensions of arguments, which broadcast."""
+    try:
+        return np.broadcast_shapes(*(tuple(shape[:-1]) for shape in shapes.values()))
+    except ValueError:
+        found = ", ".join(f"`{label}` {tuple(shape)}" for label, shape in shapes.items())
+        raise ValueError(f"`{name}`: shapes are {found}. Their leading dimensions must be equal, 1 or absent") from None
+
+
 def _rows(arrays: list[np.ndarray | None]) -> tuple[tuple[int, ...], list[np.ndarray | None]]:
     """Merges the leading dimensions. Returns them and the arrays of shape (rows, components)."""
     lead = arrays[0].shape[:-1]

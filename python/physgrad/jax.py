@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ._functions import OBSERVE, RUNNING_COST, STEP, TERMINAL_COST, Function
+from ._functions import OBSERVE, RUNNING_COST, STEP, TERMINAL_COST, Function, lead
 
 __all__ = ["observe", "running_cost", "step", "terminal_cost"]
 
@@ -67,18 +67,18 @@ def _function(function: Function, task: Any) -> Callable[..., jax.Array]:
     count, components = len(function.inputs), function.output_shape(task)
 
     def host_call(t: Any, *arrays: Any) -> np.ndarray:
-        t, lead, arrays = _host(t, arrays)
-        output = np.empty(lead + components, arrays[0].dtype)
-        for now, rows in _steps(t, lead):
+        t, shape, arrays = _host(t, arrays)
+        output = np.empty(shape + components, arrays[0].dtype)
+        for now, rows in _steps(t, shape):
             inputs = [array[rows] for array in arrays]
             output[rows] = function.call(task, inputs[:count], *(inputs[count:] or [None]), now)
         return output
 
     def host_vjp(t: Any, output_bar: Any, *arrays: Any) -> list[np.ndarray]:
-        t, lead, arrays = _host(t, arrays)
-        output_bar = np.broadcast_to(output_bar, lead + components)
-        bars = [np.empty(shape, arrays[0].dtype) for shape in function.shapes(task, lead)]
-        for now, rows in _steps(t, lead):
+        t, shape, arrays = _host(t, arrays)
+        output_bar = np.broadcast_to(output_bar, shape + components)
+        bars = [np.empty(size, arrays[0].dtype) for size in function.shapes(task, shape)]
+        for now, rows in _steps(t, shape):
             inputs = [array[rows] for array in arrays]
             found = function.vjp(task, inputs[:count], *(inputs[count:] or [None]), now, output_bar[rows])
             for bar, part in zip(bars, found):
@@ -106,8 +106,8 @@ def _function(function: Function, task: Any) -> Callable[..., jax.Array]:
     def checked(inputs: tuple, p: Any, t: Any) -> jax.Array:
         arrays = [jnp.asarray(array) for array in (inputs if p is None else (*inputs, p))]
         _check(function.name, dims, arrays)
-        lead = jnp.broadcast_shapes(*(array.shape[:-1] for array in arrays))
-        return call(tuple(jnp.broadcast_to(array, (*lead, array.shape[-1])) for array in arrays), jnp.asarray(t))
+        shape = lead(function.name, {label: array.shape for label, array in zip(dims, arrays)})
+        return call(tuple(jnp.broadcast_to(array, (*shape, array.shape[-1])) for array in arrays), jnp.asarray(t))
 
     return checked
 
@@ -125,8 +125,8 @@ def _check(name: str, dims: dict[str, int], arrays: list[jax.Array]) -> None:
 def _host(t: Any, arrays: tuple) -> tuple[np.ndarray, tuple[int, ...], list[np.ndarray]]:
     """Broadcasts arrays of a callback: ``vmap`` inserts dimensions of length 1."""
     t, arrays = np.asarray(t), [np.asarray(array) for array in arrays]
-    lead = np.broadcast_shapes(*(array.shape[:-1] for array in arrays))
-    return t, lead, [np.broadcast_to(array, (*lead, array.shape[-1])) for array in arrays]
+    shape = np.broadcast_shapes(*(array.shape[:-1] for array in arrays))
+    return t, shape, [np.broadcast_to(array, (*shape, array.shape[-1])) for array in arrays]
 
 
 def _steps(t: np.ndarray, lead: tuple[int, ...]) -> Any:

@@ -19,7 +19,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ._functions import OBSERVE, RUNNING_COST, STEP, TERMINAL_COST, Function
+from ._functions import OBSERVE, RUNNING_COST, STEP, TERMINAL_COST, Function, lead
 
 __all__ = ["observe", "running_cost", "step", "terminal_cost"]
 
@@ -68,8 +68,8 @@ def _function(function: Function, task: Any) -> Callable[..., Tensor]:
         if p is not None:
             tensors = (*tensors, p)
         _check(function.name, dims, tensors)
-        lead = torch.broadcast_shapes(*(tensor.shape[:-1] for tensor in tensors))
-        tensors = [tensor.expand(*lead, tensor.shape[-1]) for tensor in tensors]
+        shape = lead(function.name, {label: tensor.shape for label, tensor in zip(dims, tensors)})
+        tensors = [tensor.expand(*shape, tensor.shape[-1]) for tensor in tensors]
         count = len(function.inputs)
         return operator(*tensors[:count], tensors[count] if p is not None else None, t, handle)
 

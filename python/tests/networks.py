@@ -19,7 +19,7 @@ def task(name: str) -> pg.Task:
     return pg.task(kind, **settings)
 
 
-def policy(task: pg.Task) -> pg.Mlp:
+def policy(task: pg.Task) -> "pg.Mlp":
     """An MLP with nonzero weights in all layers."""
     policy = pg.Mlp(task, [8, 6], seed=3)
     rng = np.random.default_rng(4)
