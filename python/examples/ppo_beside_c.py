@@ -29,8 +29,8 @@ class Batched(VecEnv):
     """Environments of stable-baselines3 over one vector environment of physgrad."""
 
     def __init__(self, envs: pg.gym.TaskVectorEnv) -> None:
-        super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
         self.envs, self.actions = envs, None
+        super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
 
     def reset(self) -> np.ndarray:
         return self.envs.reset(seed=self._seeds[0])[0]
@@ -113,7 +113,7 @@ def main() -> None:
     task = pg.task("cart_pole", poles=1)
     run = pg.train(task, pg.Mlp(task, [64, 64], seed=0), field="C", epochs=2 if options.quick else 100, seed=0)
     losses = run.history["test_loss"]
-    seconds = np.asarray(run.history["seconds"])
+    seconds = np.cumsum(run.history["seconds"])
     print(f"C: test loss {losses[-1]:.4f} after {seconds[-1]:.1f} s")
     curve = train_ppo(task, 5.0 if options.quick else options.seconds, 12_800 if options.quick else 5_000_000)
     print(f"PPO: test loss {curve[-1][1]:.4f} after {curve[-1][0]:.1f} s, best {min(loss for _, loss in curve):.4f}")

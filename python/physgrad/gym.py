@@ -53,7 +53,9 @@ def make(name: str, *, bound: float | Sequence[float] | None = None, **settings:
     return TaskEnv(pg.task(name, **settings), bound)
 
 
-def make_vec(name: str, num_envs: int = 1, *, bound: float | Sequence[float] | None = None, **settings: Any) -> TaskVectorEnv:
+def make_vec(
+    name: str, num_envs: int = 1, *, bound: float | Sequence[float] | None = None, **settings: Any
+) -> TaskVectorEnv:
     """Creates a vector environment. Arguments: see ``make`` and ``TaskVectorEnv``."""
     return TaskVectorEnv(pg.task(name, **settings), num_envs, bound)
 
@@ -74,10 +76,12 @@ class TaskEnv(gymnasium.Env):
 
     @property
     def state(self) -> np.ndarray:
+        """State, shape (state_dim,). A copy."""
         return self._rows.x[0].copy()
 
     @property
     def params(self) -> np.ndarray:
+        """Parameters of the episode, shape (param_dim,). A copy."""
         return self._rows.p[0].copy()
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
@@ -139,7 +143,8 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv):
         mode, rows, infos = self.metadata["autoreset_mode"], self._rows, {}
         ended = rows.t >= self.task.horizon
         if ended.any() and mode != AutoresetMode.NEXT_STEP:
-            raise RuntimeError(f"environments {np.flatnonzero(ended)}: the episode has ended or not begun. Call `reset` first")
+            which = np.flatnonzero(ended)
+            raise RuntimeError(f"environments {which}: the episode has ended or not begun. Call `reset` first")
         reward, truncated = rows.step(np.asarray(actions), ~ended)
         if mode == AutoresetMode.SAME_STEP and truncated.any():
             final, y = np.full(self.num_envs, None, object), rows.observe()

@@ -6,16 +6,18 @@ Each function of this module takes a task and returns a function of arrays::
     x = step(x, u, t=t)            # (..., n), (..., m) -> (..., n)
 
 The functions work under ``jit``, ``vmap``, ``grad``, ``vjp`` and ``lax.scan``, on the CPU. ``vmap``
-calls the physics once for all samples. Arrays are all float32, or all float64 if
-``jax_enable_x64`` is set. Leading dimensions are batch dimensions and broadcast. ``p`` are the
-parameters of the rows, shape (..., np), and ``t`` is the step number, an int or an integer array.
-Gradients are the exact derivatives of the task (reverse mode, once differentiable). Errors:
-``ValueError`` for a shape, ``TypeError`` for a dtype.
+calls the physics once for all samples. Arrays are all float32, or all float64 after
+``jax.config.update("jax_enable_x64", True)``; the context manager ``jax.enable_x64`` does not
+reach the threads that call the physics. Leading dimensions are batch dimensions and broadcast.
+``p`` are the parameters of the rows, shape (..., np), and ``t`` is the step number, an int or an
+integer array. Gradients are the exact derivatives of the task (reverse mode, once
+differentiable). Errors: ``ValueError`` for a shape, ``TypeError`` for a dtype.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -66,18 +68,18 @@ def terminal_cost(task: Any) -> Callable[..., jax.Array]:
 def _function(function: Function, task: Any) -> Callable[..., jax.Array]:
     count, components = len(function.inputs), function.output_shape(task)
 
-    def host_call(t: Any, *arrays: Any) -> np.ndarray:
-        t, shape, arrays = _host(t, arrays)
-        output = np.empty(shape + components, arrays[0].dtype)
+    def host_call(dtype: np.dtype, t: Any, *arrays: Any) -> np.ndarray:
+        t, shape, arrays = _host(dtype, t, arrays)
+        output = np.empty(shape + components, dtype)
         for now, rows in _steps(t, shape):
             inputs = [array[rows] for array in arrays]
             output[rows] = function.call(task, inputs[:count], *(inputs[count:] or [None]), now)
         return output
 
-    def host_vjp(t: Any, output_bar: Any, *arrays: Any) -> list[np.ndarray]:
-        t, shape, arrays = _host(t, arrays)
+    def host_vjp(dtype: np.dtype, t: Any, output_bar: Any, *arrays: Any) -> list[np.ndarray]:
+        t, shape, arrays = _host(dtype, t, arrays)
         output_bar = np.broadcast_to(output_bar, shape + components)
-        bars = [np.empty(size, arrays[0].dtype) for size in function.shapes(task, shape)]
+        bars = [np.empty(size, dtype) for size in function.shapes(task, shape)]
         for now, rows in _steps(t, shape):
             inputs = [array[rows] for array in arrays]
             found = function.vjp(task, inputs[:count], *(inputs[count:] or [None]), now, output_bar[rows])
@@ -87,17 +89,18 @@ def _function(function: Function, task: Any) -> Callable[..., jax.Array]:
 
     @jax.custom_vjp
     def call(arrays: tuple, t: Any) -> jax.Array:
-        output = jax.ShapeDtypeStruct(arrays[0].shape[:-1] + components, arrays[0].dtype)
-        return jax.pure_callback(host_call, output, t, *arrays, vmap_method="expand_dims")
+        dtype = arrays[0].dtype
+        output = jax.ShapeDtypeStruct(arrays[0].shape[:-1] + components, dtype)
+        return jax.pure_callback(partial(host_call, dtype), output, t, *arrays, vmap_method="expand_dims")
 
     def forward(arrays: tuple, t: Any) -> tuple:
         return call(arrays, t), (arrays, t)
 
     def backward(saved: tuple, output_bar: jax.Array) -> tuple:
         arrays, t = saved
-        shapes = function.shapes(task, arrays[0].shape[:-1])
-        outputs = [jax.ShapeDtypeStruct(shape, arrays[0].dtype) for shape in shapes]
-        bars = jax.pure_callback(host_vjp, outputs, t, output_bar, *arrays, vmap_method="expand_dims")
+        dtype = arrays[0].dtype
+        outputs = [jax.ShapeDtypeStruct(shape, dtype) for shape in function.shapes(task, arrays[0].shape[:-1])]
+        bars = jax.pure_callback(partial(host_vjp, dtype), outputs, t, output_bar, *arrays, vmap_method="expand_dims")
         return tuple(bars[: len(arrays)]), None
 
     call.defvjp(forward, backward)
@@ -122,9 +125,14 @@ def _check(name: str, dims: dict[str, int], arrays: list[jax.Array]) -> None:
             raise ValueError(f"`{name}`: `{label}` has shape {array.shape}, but its last dimension must be {size}")
 
 
-def _host(t: Any, arrays: tuple) -> tuple[np.ndarray, tuple[int, ...], list[np.ndarray]]:
+def _host(dtype: np.dtype, t: Any, arrays: tuple) -> tuple[np.ndarray, tuple[int, ...], list[np.ndarray]]:
     """Broadcasts arrays of a callback: ``vmap`` inserts dimensions of length 1."""
     t, arrays = np.asarray(t), [np.asarray(array) for array in arrays]
+    if any(array.dtype != dtype for array in arrays):
+        # Callbacks run in threads of JAX, in which a context manager has no effect.
+        raise TypeError(
+            f"JAX rounded {dtype} to {arrays[0].dtype}. Call `jax.config.update('jax_enable_x64', True)` at the start"
+        )
     shape = np.broadcast_shapes(*(array.shape[:-1] for array in arrays))
     return t, shape, [np.broadcast_to(array, (*shape, array.shape[-1])) for array in arrays]
 

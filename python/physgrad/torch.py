@@ -87,7 +87,9 @@ def _check(name: str, dims: dict[str, int], tensors: tuple[Tensor, ...]) -> None
     first = tensors[0]
     for (label, size), tensor in zip(dims.items(), tensors):
         if tensor.device.type != "cpu":
-            raise TypeError(f"`{name}`: `{label}` is on {tensor.device}, but the physics runs on the CPU. Use `{label}.cpu()`")
+            raise TypeError(
+                f"`{name}`: `{label}` is on {tensor.device}, but the physics runs on the CPU. Use `{label}.cpu()`"
+            )
         if tensor.dtype not in (torch.float32, torch.float64) or tensor.dtype != first.dtype:
             dtypes = ", ".join(f"`{label}` {tensor.dtype}" for label, tensor in zip(dims, tensors))
             raise TypeError(f"`{name}`: dtypes are {dtypes}. Use float32, or float64, for all of them")

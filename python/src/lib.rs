@@ -7,6 +7,7 @@ mod arrays;
 mod errors;
 mod settings;
 mod task;
+mod timing;
 
 use pyo3::prelude::*;
 
@@ -15,5 +16,6 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add("Divergence", module.py().get_type::<errors::Divergence>())?;
     module.add_class::<task::Task>()?;
+    module.add_function(wrap_pyfunction!(timing::step_seconds, module)?)?;
     Ok(())
 }

@@ -46,5 +46,6 @@ def flat(parts: list) -> np.ndarray:
 
 
 def relative(a: np.ndarray, b: np.ndarray) -> float:
-    """Largest difference, relative to the largest component."""
-    return float(np.abs(a - b).max() / np.abs(b).max())
+    """Largest difference, relative to the largest component. 0 if both are 0."""
+    difference = np.abs(a - b).max()
+    return float(difference / np.abs(b).max()) if difference > 0 else 0.0

@@ -17,8 +17,23 @@ from networks import SCENES, flat, policy, relative, task, weights  # noqa: E402
 
 @pytest.fixture(autouse=True)
 def double_precision():
+    jax.config.update("jax_enable_x64", True)
+    yield
+    jax.config.update("jax_enable_x64", False)
+
+
+def test_double_precision_must_be_global():
+    of = task("terminal")
+    jax.config.update("jax_enable_x64", False)
     with jax.enable_x64(True):
-        yield
+        x, u, _ = batch(of, 1000)
+        step = jax.jit(pg.jax.step(of))
+        try:
+            found = np.asarray(step(x, u))
+        except Exception as error:  # JAX wraps errors of callbacks in errors of its own.
+            assert "at the start" in str(error)
+        else:
+            assert np.array_equal(found, of.step(x, u))
 
 
 def functions(of):
