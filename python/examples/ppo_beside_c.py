@@ -40,10 +40,8 @@ class Batched(VecEnv):
 
     def step_wait(self) -> tuple:
         y, reward, _, truncated, info = self.envs.step(self.actions)
-        infos = [
-            {"TimeLimit.truncated": True, "terminal_observation": info["final_obs"][row]} if truncated[row] else {}
-            for row in range(self.num_envs)
-        ]
+        # Without "TimeLimit.truncated", PPO adds no value of later steps: the loss has none.
+        infos = [{"terminal_observation": info["final_obs"][row]} if truncated[row] else {} for row in range(self.num_envs)]
         return y, reward, truncated, infos
 
     def close(self) -> None:
