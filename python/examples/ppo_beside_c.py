@@ -74,7 +74,7 @@ def ppo_loss(agent: PPO, task: pg.Task, starts: np.ndarray, bound: float) -> flo
     return float((loss + task.terminal_cost(x, p=p)).mean())
 
 
-def train_ppo(task: pg.Task, seconds: float, steps: int, seed: int = 0, bound: float = 20.0) -> list[tuple[float, float]]:
+def train_ppo(task: pg.Task, seconds: float, steps: int, seed: int = 0, bound: float = 60.0) -> list[tuple[float, float]]:
     """Trains by PPO. Returns pairs of seconds of training, without tests, and test loss."""
     envs = pg.gym.TaskVectorEnv(task, 64, bound, AutoresetMode.SAME_STEP)
     agent = PPO(

@@ -29,19 +29,19 @@ import physgrad as pg
 __all__ = ["BOUNDS", "TaskEnv", "TaskVectorEnv", "make", "make_vec"]
 
 BOUNDS: dict[str, float] = {
-    "cart_pole": 20.0,
-    "guidance": 1.0,
-    "quantum": 1.0,
-    "lqr": 1.0,
-    "double_pendulum": 10.0,
-    "pendulum": 10.0,
-    "pole_chain": 20.0,
-    "slider": 1.0,
-    "bounce": 1.0,
-    "push": 1.0,
+    "cart_pole": 60.0,
+    "guidance": 5.0,
+    "quantum": 20.0,
+    "lqr": 50.0,
+    "double_pendulum": 30.0,
+    "pendulum": 1.0,
+    "pole_chain": 30.0,
+    "slider": 5.0,
+    "bounce": 5.0,
+    "push": 10.0,
 }
-"""Largest control by task, in units of the control, if neither ``bound`` nor the setting
-``actuator.limit.bound`` is given."""
+"""Control at action 1 by task, in units of the control, if neither ``bound`` nor the setting
+``actuator.limit.bound`` is given. Policies of short trainings use smaller controls."""
 
 
 def make(name: str, *, bound: float | Sequence[float] | None = None, **settings: Any) -> TaskEnv:
