@@ -77,3 +77,11 @@ def train(task, policy=None, *, callback=None, out=None, threads=None, **setting
 def load(folder):
     """Opens the run in a folder, at its last checkpoint. `run.train(epochs=600)` continues it."""
     return Run.load(folder)
+
+def __getattr__(name):
+    """Imports `torch`, `jax` and `gym` on first use: each requires its framework."""
+    if name in ("torch", "jax", "gym"):
+        import importlib
+
+        return importlib.import_module(f"{__name__}.{name}")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -11,6 +11,7 @@ mod policy;
 mod run;
 mod settings;
 mod task;
+mod timing;
 
 use pyo3::prelude::*;
 
@@ -27,5 +28,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(policy::rollout, module)?)?;
     module.add_function(wrap_pyfunction!(policy::losses, module)?)?;
     module.add_function(wrap_pyfunction!(policy::gradients, module)?)?;
+
+    module.add_function(wrap_pyfunction!(timing::step_seconds, module)?)?;
     Ok(())
 }

@@ -1,0 +1,129 @@
+"""Trains one task with PPO of stable-baselines3 and with field C, and draws loss against seconds.
+
+PPO sees rewards only, and field C uses derivatives of the physics. Both use networks with two
+hidden layers of 64, and the same test states.
+
+    python ppo_beside_c.py            # minutes
+    python ppo_beside_c.py --quick    # a few updates
+"""
+
+import argparse
+import time
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+import physgrad as pg
+import physgrad.gym
+from gymnasium.vector import AutoresetMode
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import VecEnv
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+
+class Batched(VecEnv):
+    """Environments of stable-baselines3 over one vector environment of physgrad."""
+
+    def __init__(self, envs: pg.gym.TaskVectorEnv) -> None:
+        self.envs, self.actions = envs, None
+        super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
+
+    def reset(self) -> np.ndarray:
+        return self.envs.reset(seed=self._seeds[0])[0]
+
+    def step_async(self, actions: np.ndarray) -> None:
+        self.actions = actions
+
+    def step_wait(self) -> tuple:
+        y, reward, _, truncated, info = self.envs.step(self.actions)
+        # Without "TimeLimit.truncated", PPO adds no value of later steps: the loss has none.
+        infos = [{"terminal_observation": info["final_obs"][row]} if truncated[row] else {} for row in range(self.num_envs)]
+        return y, reward, truncated, infos
+
+    def close(self) -> None:
+        self.envs.close()
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        return [False] * self.num_envs
+
+    def env_method(self, *args: Any, **kwargs: Any) -> list:
+        raise NotImplementedError("environments of a batch have no methods of their own")
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list:
+        return [getattr(self.envs, attr_name, None)] * self.num_envs
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        raise NotImplementedError("environments of a batch share their attributes")
+
+
+def ppo_loss(agent: PPO, task: pg.Task, starts: np.ndarray, bound: float) -> float:
+    """Mean loss of the agent, without exploration, from ``starts``."""
+    starts = starts.astype(np.float32)
+    x, p = starts[:, : task.state_dim], starts[:, task.state_dim :]
+    loss = np.zeros(len(x))
+    for t in range(task.horizon):
+        action, _ = agent.predict(task.observe(x, p=p, t=t), deterministic=True)
+        u = (action * bound).astype(np.float32)
+        following = task.step(x, u, p=p, t=t)
+        loss += task.running_cost(x, u, following, p=p, t=t)
+        x = following
+    return float((loss + task.terminal_cost(x, p=p)).mean())
+
+
+def train_ppo(task: pg.Task, seconds: float, steps: int, seed: int = 0, bound: float = 60.0) -> list[tuple[float, float]]:
+    """Trains by PPO. Returns pairs of seconds of training, without tests, and test loss."""
+    envs = pg.gym.TaskVectorEnv(task, 64, bound, AutoresetMode.SAME_STEP)
+    agent = PPO(
+        "MlpPolicy", Batched(envs), n_steps=task.horizon, batch_size=800, n_epochs=10, gamma=1.0, gae_lambda=0.95,
+        learning_rate=3e-4, policy_kwargs={"net_arch": [64, 64]}, device="cpu", seed=seed,
+    )  # fmt: skip
+    starts, curve = task.starts(256, seed=seed + 1000), []
+
+    class Measure(BaseCallback):
+        def __init__(self) -> None:
+            super().__init__()
+            self.begin, self.tested = time.perf_counter(), 0.0
+
+        def _on_step(self) -> bool:
+            return time.perf_counter() - self.begin - self.tested < seconds
+
+        def _on_rollout_end(self) -> None:
+            now = time.perf_counter()
+            curve.append((now - self.begin - self.tested, ppo_loss(agent, task, starts, bound)))
+            self.tested += time.perf_counter() - now
+
+    agent.learn(steps, callback=Measure())
+    return curve
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="a few updates")
+    parser.add_argument("--seconds", type=float, default=300.0, help="longest training by PPO")
+    parser.add_argument("--out", type=Path, default=Path("runs/python_ppo"), help="folder of the picture")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+
+    task = pg.task("cart_pole", poles=1)
+    run = pg.train(task, pg.Mlp(task, [64, 64], seed=0), field="C", epochs=2 if options.quick else 100, seed=0)
+    losses = run.history["test_loss"]
+    seconds = np.cumsum(run.history["seconds"])
+    print(f"C: test loss {losses[-1]:.4f} after {seconds[-1]:.1f} s")
+    curve = train_ppo(task, 5.0 if options.quick else options.seconds, 12_800 if options.quick else 5_000_000)
+    print(f"PPO: test loss {curve[-1][1]:.4f} after {curve[-1][0]:.1f} s, best {min(loss for _, loss in curve):.4f}")
+
+    figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
+    axes.plot(seconds, losses, color="#882D9E", label="field C")
+    axes.plot(*zip(*curve), color="#D55E00", label="PPO")
+    axes.set(xlabel="seconds of training", ylabel="test loss", xscale="log", yscale="log", title="cart_pole, one pole")
+    axes.legend()
+    figure.savefig(options.out / "ppo_beside_c.png", dpi=150)
+    print(f"picture: {options.out / 'ppo_beside_c.png'}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,72 @@
+"""Functions of a task that other frameworks differentiate: names, arguments, shapes, calls."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+
+class Function(NamedTuple):
+    """One function of a task, for rows of a batch.
+
+    Tensors in front of ``p`` are ``inputs``. The output has ``dim(task)`` components, or none if
+    ``dim`` is None: then it is one number per row.
+    """
+
+    name: str
+    inputs: tuple[str, ...]
+    output: str
+    has_step: bool
+
+    def dims(self, task: Any) -> dict[str, int]:
+        """Number of components by input name."""
+        sizes = {"x": task.state_dim, "u": task.control_dim, "next": task.state_dim}
+        return {name: sizes[name] for name in self.inputs}
+
+    def output_shape(self, task: Any) -> tuple[int, ...]:
+        """Shape of the output of one row."""
+        return {"next": (task.state_dim,), "y": (task.observation_dim,)}.get(self.output, ())
+
+    def shapes(self, task: Any, lead: tuple[int, ...]) -> list[tuple[int, ...]]:
+        """Shapes of the cotangents of the inputs and of the parameters."""
+        return [(*lead, size) for size in (*self.dims(task).values(), task.param_dim)]
+
+    def call(self, task: Any, inputs: list[np.ndarray], p: np.ndarray | None, t: int) -> np.ndarray:
+        """Evaluates the function. All arrays have the same leading dimensions."""
+        lead, rows = _rows([*inputs, p])
+        steps = {"t": t} if self.has_step else {}
+        output = getattr(task, self.name)(*rows[:-1], p=rows[-1], **steps)
+        return output.reshape(lead + self.output_shape(task))
+
+    def vjp(
+        self, task: Any, inputs: list[np.ndarray], p: np.ndarray | None, t: int, output_bar: np.ndarray
+    ) -> list[np.ndarray]:
+        """Returns the cotangents of the inputs and of the parameters."""
+        lead, rows = _rows([*inputs, p])
+        output_bar = output_bar.reshape(rows[0].shape[:1] + self.output_shape(task))
+        steps = {"t": t} if self.has_step else {}
+        bars = getattr(task, f"{self.name}_vjp")(*rows[:-1], output_bar, p=rows[-1], **steps)
+        return [bar.reshape(shape) for bar, shape in zip(bars, self.shapes(task, lead), strict=True)]
+
+
+STEP = Function("step", ("x", "u"), "next", has_step=True)
+OBSERVE = Function("observe", ("x",), "y", has_step=True)
+RUNNING_COST = Function("running_cost", ("x", "u", "next"), "cost", has_step=True)
+TERMINAL_COST = Function("terminal_cost", ("x",), "cost", has_step=False)
+
+
+def lead(name: str, shapes: dict[str, tuple[int, ...]]) -> tuple[int, ...]:
+    """Common leading dimensions of arguments, which broadcast."""
+    try:
+        return np.broadcast_shapes(*(tuple(shape[:-1]) for shape in shapes.values()))
+    except ValueError:
+        found = ", ".join(f"`{label}` {tuple(shape)}" for label, shape in shapes.items())
+        raise ValueError(f"`{name}`: shapes are {found}. Their leading dimensions must be equal, 1 or absent") from None
+
+
+def _rows(arrays: list[np.ndarray | None]) -> tuple[tuple[int, ...], list[np.ndarray | None]]:
+    """Merges the leading dimensions. Returns them and the arrays of shape (rows, components)."""
+    lead = arrays[0].shape[:-1]
+    count = int(np.prod(lead))
+    return lead, [None if array is None else array.reshape(count, array.shape[-1]) for array in arrays]

@@ -1,0 +1,237 @@
+"""Gymnasium environments over the tasks.
+
+``pg.gym.make("cart_pole", poles=1)`` returns an ``Env``, ``pg.gym.make_vec("cart_pole", 16)`` a
+``VectorEnv`` that steps all environments in one call. After ``import physgrad.gym``, the ids
+``physgrad/NAME-v0`` work with ``gymnasium.make`` and ``gymnasium.make_vec``.
+
+- An episode has ``horizon`` steps. The last step returns ``truncated``: observations contain no
+  clock, so the end is no property of the last state.
+- The reward is minus the running cost; the last one also subtracts the terminal cost. The sum of
+  the rewards of an episode is therefore minus the loss of its rollout.
+- The observation is that of a policy, without normalization.
+- The action space is the box from -1 to 1. The control is the action, clipped to the box, times
+  ``bound``.
+- ``info`` of a step is empty. There is no ``render``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+
+import physgrad as pg
+
+__all__ = ["BOUNDS", "TaskEnv", "TaskVectorEnv", "make", "make_vec"]
+
+BOUNDS: dict[str, float] = {
+    "cart_pole": 60.0,
+    "guidance": 5.0,
+    "quantum": 20.0,
+    "lqr": 50.0,
+    "double_pendulum": 30.0,
+    "pendulum": 1.0,
+    "pole_chain": 30.0,
+    "slider": 5.0,
+    "bounce": 5.0,
+    "push": 10.0,
+}
+"""Control at action 1 by task, in units of the control, if neither ``bound`` nor the setting
+``actuator.limit.bound`` is given. Policies of short trainings use smaller controls."""
+
+
+def make(name: str, *, bound: float | Sequence[float] | None = None, **settings: Any) -> TaskEnv:
+    """Creates an environment from the name of a task and its settings, as ``pg.task`` does.
+
+    ``bound`` is the control at action 1, one number or one per control, in units of the control.
+    Default: ``actuator.limit.bound``, else ``BOUNDS[name]``.
+    """
+    return TaskEnv(pg.task(name, **settings), bound)
+
+
+def make_vec(
+    name: str, num_envs: int = 1, *, bound: float | Sequence[float] | None = None, **settings: Any
+) -> TaskVectorEnv:
+    """Creates a vector environment. Arguments: see ``make`` and ``TaskVectorEnv``."""
+    return TaskVectorEnv(pg.task(name, **settings), num_envs, bound)
+
+
+class TaskEnv(gymnasium.Env):
+    """One environment over ``task``, a ``Task``. See the module for rewards and ends of episodes.
+
+    Attributes: ``task``; ``bound``, the control at action 1, shape (control_dim,); ``state``,
+    shape (state_dim,); ``params``, shape (param_dim,).
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}
+
+    def __init__(self, task: pg.Task, bound: float | Sequence[float] | None = None) -> None:
+        self.task, self.bound = task, _bound(task, bound)
+        self.observation_space, self.action_space = _spaces(task)
+        self._rows = _Rows(task, self.bound, 1)
+
+    @property
+    def state(self) -> np.ndarray:
+        """State, shape (state_dim,). A copy."""
+        return self._rows.x[0].copy()
+
+    @property
+    def params(self) -> np.ndarray:
+        """Parameters of the episode, shape (param_dim,). A copy."""
+        return self._rows.p[0].copy()
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
+        """Draws an initial state. ``options`` are ignored."""
+        super().reset(seed=seed)
+        self._rows.start(np.ones(1, bool), self.np_random)
+        return self._rows.observe()[0], {}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
+        """Applies an action, shape (control_dim,)."""
+        if self._rows.t[0] >= self.task.horizon:
+            raise RuntimeError(f"step {self._rows.t[0]}: the episode has ended or not begun. Call `reset` first")
+        reward, truncated = self._rows.step(np.asarray(action)[None], np.ones(1, bool))
+        return self._rows.observe()[0], float(reward[0]), False, bool(truncated[0]), {}
+
+
+class TaskVectorEnv(gymnasium.vector.VectorEnv):
+    """``num_envs`` environments over ``task``, stepped together. See the module and ``TaskEnv``.
+
+    ``autoreset_mode`` is that of Gymnasium. With ``NEXT_STEP``, the default, the step after the
+    last one of an episode ignores its action and returns the first observation of the next
+    episode. With ``SAME_STEP``, the last step returns it, and ``infos["final_obs"]`` holds the last
+    observations. With ``DISABLED``, call ``reset`` with ``options={"reset_mask": mask}``.
+    """
+
+    def __init__(
+        self,
+        task: pg.Task,
+        num_envs: int = 1,
+        bound: float | Sequence[float] | None = None,
+        autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
+    ) -> None:
+        self.task, self.bound, self.num_envs = task, _bound(task, bound), num_envs
+        self.single_observation_space, self.single_action_space = _spaces(task)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode(autoreset_mode)}
+        self._rows = _Rows(task, self.bound, num_envs)
+
+    @property
+    def state(self) -> np.ndarray:
+        """States, shape (num_envs, state_dim)."""
+        return self._rows.x.copy()
+
+    @property
+    def params(self) -> np.ndarray:
+        """Parameters, shape (num_envs, param_dim)."""
+        return self._rows.p.copy()
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
+        """Draws initial states, of the environments in ``options["reset_mask"]`` if given."""
+        super().reset(seed=seed)
+        mask = (options or {}).get("reset_mask", np.ones(self.num_envs, bool))
+        self._rows.start(mask, self.np_random)
+        return self._rows.observe(), {}
+
+    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
+        """Applies actions, shape (num_envs, control_dim)."""
+        mode, rows, infos = self.metadata["autoreset_mode"], self._rows, {}
+        ended = rows.t >= self.task.horizon
+        if ended.any() and mode != AutoresetMode.NEXT_STEP:
+            which = np.flatnonzero(ended)
+            raise RuntimeError(f"environments {which}: the episode has ended or not begun. Call `reset` first")
+        reward, truncated = rows.step(np.asarray(actions), ~ended)
+        if mode == AutoresetMode.SAME_STEP and truncated.any():
+            final, y = np.full(self.num_envs, None, object), rows.observe()
+            for row in np.flatnonzero(truncated):
+                final[row] = y[row]
+            infos = {"final_obs": final, "_final_obs": truncated, "final_info": {}, "_final_info": truncated}
+            ended = truncated
+        if ended.any():
+            rows.start(ended, self.np_random)
+        return rows.observe(), reward, np.zeros(self.num_envs, bool), truncated, infos
+
+
+class _Rows:
+    """States of several rollouts, which may be at different steps."""
+
+    def __init__(self, task: pg.Task, bound: np.ndarray, count: int) -> None:
+        self.task, self.bound = task, bound
+        self.x = np.zeros((count, task.state_dim), task.dtype)
+        self.p = np.zeros((count, task.param_dim), task.dtype)
+        self.t = np.full(count, task.horizon)
+
+    def start(self, mask: np.ndarray, rng: np.random.Generator) -> None:
+        """Draws initial states of the rows in ``mask``."""
+        starts = self.task.starts(int(mask.sum()), seed=int(rng.integers(2**63)))
+        self.x[mask] = starts[:, : self.task.state_dim]
+        self.p[mask] = starts[:, self.task.state_dim :]
+        self.t[mask] = 0
+
+    def step(self, actions: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Steps the rows in ``mask``. Returns rewards, 0 for other rows, and the rows that end."""
+        u = (np.clip(actions, -1.0, 1.0) * self.bound).astype(self.x.dtype)
+        cost = np.zeros(len(self.x))
+        for t in np.unique(self.t[mask]):
+            rows = mask & (self.t == t)
+            x, controls, p = self.x[rows], u[rows], self.p[rows]
+            following = self.task.step(x, controls, p=p, t=int(t))
+            cost[rows] = self.task.running_cost(x, controls, following, p=p, t=int(t))
+            self._check(following, rows, t)
+            self.x[rows] = following
+        self.t[mask] += 1
+        last = mask & (self.t == self.task.horizon)
+        if last.any():
+            cost[last] += self.task.terminal_cost(self.x[last], p=self.p[last])
+        return 0.0 - cost, last
+
+    def _check(self, following: np.ndarray, rows: np.ndarray, t: int) -> None:
+        if not np.isfinite(following).all():
+            row, component = np.argwhere(~np.isfinite(following))[0]
+            raise FloatingPointError(
+                f"environment {np.flatnonzero(rows)[row]}, step {t}: `{self.task.state_names[component]}` is not finite. "
+                "Use a smaller `bound`, or more substeps"
+            )
+
+    def observe(self) -> np.ndarray:
+        """Observations, shape (rows, observation_dim)."""
+        y = np.empty((len(self.x), self.task.observation_dim), self.x.dtype)
+        for t in np.unique(self.t):
+            rows = self.t == t
+            y[rows] = self.task.observe(self.x[rows], p=self.p[rows], t=int(t))
+        return y
+
+
+def _spaces(task: pg.Task) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
+    """Spaces of observations and actions."""
+    observations = gymnasium.spaces.Box(-np.inf, np.inf, (task.observation_dim,), np.dtype(task.dtype).type)
+    return observations, gymnasium.spaces.Box(-1.0, 1.0, (task.control_dim,), np.float32)
+
+
+def _bound(task: pg.Task, bound: float | Sequence[float] | None) -> np.ndarray:
+    """Control at action 1, shape (control_dim,)."""
+    if bound is None:
+        limit = task.settings.get("actuator", {}).get("limit", {}).get("bound")
+        bound = BOUNDS[task.name] if limit is None else limit
+    bound = np.asarray(bound, float)
+    if bound.ndim > 1 or bound.size not in (1, task.control_dim) or not (np.isfinite(bound) & (bound > 0)).all():
+        raise ValueError(f"`bound` is {bound.tolist()}: use one positive number, or {task.control_dim}, one per control")
+    return np.broadcast_to(bound, (task.control_dim,)).copy()
+
+
+def _register() -> None:
+    for name in BOUNDS:
+        gymnasium.register(
+            f"physgrad/{name}-v0",
+            entry_point="physgrad.gym:make",
+            vector_entry_point="physgrad.gym:make_vec",
+            kwargs={"name": name},
+        )
+
+
+_register()

@@ -1,0 +1,32 @@
+//! [`step_seconds`]: the time of a step in Rust, for `examples/speed.py`.
+
+use crate::arrays::{Argument, Number, is_f32, with_precision};
+use crate::task::Task;
+use physgrad::{DynTask, Inputs, rows};
+use pyo3::prelude::*;
+use std::hint::black_box;
+use std::time::Instant;
+
+/// Seconds of one step of `x`, (B, n), and `u`, (B, m), in Rust: the least of `repeats`.
+#[pyfunction]
+pub fn step_seconds(py: Python<'_>, task: &Task, x: &Bound<'_, PyAny>, u: &Bound<'_, PyAny>, repeats: usize) -> PyResult<f64> {
+    let [n, m, _] = task.scene.dims();
+    let step = task.scene.task();
+    with_precision!(is_f32(x), F => {
+        let (x, b) = Argument::<F>::first("x", x, n)?;
+        let u = Argument::<F>::matrix("u", u, b, m)?;
+        let (x, u) = (x.slice(), u.slice());
+        Ok(py.detach(|| fastest(&step, x, u, repeats)))
+    })
+}
+
+fn fastest<F: Number>(task: &DynTask, x: &[F], u: &[F], repeats: usize) -> f64 {
+    let mut next = vec![F::zero(); x.len()];
+    let time = |_| {
+        let begin = Instant::now();
+        rows::step(task, Inputs { x: black_box(x), u: black_box(u), p: &[], t: 0 }, &mut next);
+        black_box(&mut next);
+        begin.elapsed().as_secs_f64()
+    };
+    (0..repeats).map(time).fold(f64::INFINITY, f64::min)
+}

@@ -1,0 +1,50 @@
+"""Runs every example with ``--quick``."""
+
+import importlib.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+# Packages besides NumPy.
+NEEDS = {
+    "first_hour": [],
+    "which_field": ["matplotlib"],
+    "own_network_torch": ["torch"],
+    "ppo_beside_c": ["stable_baselines3", "gymnasium", "matplotlib"],
+    "speed": [],
+}
+slow = pytest.mark.skipif("PHYSGRAD_PYTHON_ALL" not in os.environ, reason="takes minutes; set PHYSGRAD_PYTHON_ALL=1")
+
+
+def test_all_examples_are_listed():
+    assert sorted(NEEDS) == sorted(path.stem for path in EXAMPLES.glob("*.py"))
+
+
+@pytest.mark.parametrize("name", NEEDS)
+def test_examples_run(name, tmp_path):
+    for package in NEEDS[name]:
+        pytest.importorskip(package, reason=f"{package} is not installed")
+    # Warnings of other packages are no errors of an example.
+    command = [sys.executable, EXAMPLES / f"{name}.py", "--quick"]
+    ran = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=600)
+    assert ran.returncode == 0, ran.stderr
+    pictures = [line.split(": ")[1] for line in ran.stdout.splitlines() if line.startswith("picture: ")]
+    assert all((tmp_path / picture).stat().st_size > 1000 for picture in pictures)
+    assert ran.stdout
+
+
+@slow
+def test_ppo_learns_one_pole():
+    """Without control, the loss is 1.9. Threshold set before the first measurement: 0.5."""
+    pytest.importorskip("stable_baselines3", reason="stable-baselines3 is not installed")
+    import physgrad as pg
+
+    spec = importlib.util.spec_from_file_location("ppo_beside_c", EXAMPLES / "ppo_beside_c.py")
+    ppo = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(ppo)
+    curve = ppo.train_ppo(pg.task("cart_pole", poles=1), seconds=600.0, steps=1_000_000)
+    assert min(loss for _, loss in curve) < 0.5

@@ -1,0 +1,134 @@
+"""Gymnasium environments."""
+
+import warnings
+
+import numpy as np
+import physgrad as pg
+import pytest
+
+gymnasium = pytest.importorskip("gymnasium", reason="Gymnasium is not installed")
+
+from gymnasium.utils.env_checker import check_env  # noqa: E402
+from gymnasium.vector import AutoresetMode  # noqa: E402
+
+
+@pytest.fixture(autouse=True)
+def warnings_are_errors():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # Observations of tasks have no bounds.
+        warnings.filterwarnings("ignore", ".*Box observation space m.*imum value is -?infinity")
+        yield
+
+
+@pytest.mark.parametrize("name", sorted(__import__("physgrad.gym").gym.BOUNDS))
+def test_all_tasks_pass_the_checks(name):
+    check_env(gymnasium.make(f"physgrad/{name}-v0").unwrapped)
+
+
+def test_the_checks_of_stable_baselines3_pass():
+    checks = pytest.importorskip("stable_baselines3.common.env_checker", reason="stable-baselines3 is not installed")
+    checks.check_env(pg.gym.make("cart_pole", poles=1))
+
+
+def rewards(env, seed, controls):
+    env.reset(seed=seed)
+    starts = env.unwrapped.state, env.unwrapped.params
+    steps = [env.step(action) for action in controls]
+    return starts, np.array([step[1] for step in steps]), steps
+
+
+@pytest.mark.parametrize("settings", [{"poles": 1}, {"poles": 2, "loss": {"mode": "running"}, "effects": {"gusty_wind": {}}}])
+def test_the_return_is_minus_the_loss(settings):
+    env = pg.gym.make("cart_pole", bound=5.0, settings={"precision": "f64"}, **settings)
+    task = env.task
+    actions = np.random.default_rng(0).uniform(-1, 1, (task.horizon, 1))
+    (x, p), found, steps = rewards(env, 3, actions)
+    x, p, loss = x[None], p[None], 0.0
+    for t, action in enumerate(actions):
+        next = task.step(x, 5.0 * action[None], p=p, t=t)
+        loss += task.running_cost(x, 5.0 * action[None], next, p=p, t=t)[0]
+        x = next
+    loss += task.terminal_cost(x, p=p)[0]
+    assert found.sum() == pytest.approx(-loss, rel=1e-12)
+    assert [step[2] for step in steps] == [False] * task.horizon
+    assert [step[3] for step in steps] == [False] * (task.horizon - 1) + [True]
+    assert np.array_equal(env.state, x[0])
+    with pytest.raises(RuntimeError, match="Call `reset`"):
+        env.step(actions[0])
+
+
+def test_actions_are_clipped_and_scaled():
+    results = []
+    for bound, action in [(10.0, 0.5), (5.0, 1.0), (5.0, 7.0)]:
+        env = pg.gym.make("cart_pole", poles=1, bound=bound)
+        env.reset(seed=0)
+        results.append(env.step(np.array([action], np.float32))[0])
+    assert np.array_equal(results[0], results[1]) and np.array_equal(results[1], results[2])
+
+
+def test_bounds_come_from_the_argument_the_actuator_or_the_table():
+    assert pg.gym.make("cart_pole").bound == pg.gym.BOUNDS["cart_pole"]
+    limited = {"settings": {"actuator.limit.bound": 7.0}}
+    assert pg.gym.make("cart_pole", **limited).bound == 7.0
+    assert pg.gym.make("cart_pole", bound=3.0, **limited).bound == 3.0
+    assert gymnasium.make("physgrad/cart_pole-v0", bound=3.0, poles=3).unwrapped.bound == 3.0
+    for bound in [-1.0, 0.0, [1.0, 2.0], np.inf]:
+        with pytest.raises(ValueError, match="`bound`"):
+            pg.gym.make("cart_pole", bound=bound)
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_vector_environments_equal_rollouts_of_the_task(mode):
+    task = pg.task("cart_pole", poles=1, horizon=4, loss={"mode": "running"})
+    envs = pg.gym.TaskVectorEnv(task, 3, 5.0, mode)
+    y, _ = envs.reset(seed=1)
+    assert y in envs.observation_space and envs.metadata["autoreset_mode"] == mode
+    rng = np.random.default_rng(0)
+    for count in range(1, 10):
+        before, actions = envs.state, rng.uniform(-1, 1, (3, 1)).astype(np.float32)
+        ends = count % 5 == 4 if mode == AutoresetMode.NEXT_STEP else count % 4 == 0
+        resets = count % 5 == 0 if mode == AutoresetMode.NEXT_STEP else ends
+        y, reward, terminated, truncated, info = envs.step(actions)
+        assert y in envs.observation_space and not terminated.any()
+        assert truncated.all() == truncated.any() == ends
+        expected = task.step(before, 5.0 * actions)
+        if mode == AutoresetMode.NEXT_STEP and resets:
+            assert not reward.any()
+        else:
+            final = np.stack(info["final_obs"]) if mode == AutoresetMode.SAME_STEP and resets else y
+            assert np.array_equal(final, task.observe(expected))
+        if resets and mode == AutoresetMode.DISABLED:
+            with pytest.raises(RuntimeError, match="Call `reset`"):
+                envs.step(actions)
+            envs.reset(options={"reset_mask": np.ones(3, bool)})
+
+
+def test_partial_resets_keep_other_environments():
+    task = pg.task("cart_pole", poles=1, horizon=4, effects={"gusty_wind": {}})
+    envs = pg.gym.TaskVectorEnv(task, 3, 5.0, AutoresetMode.DISABLED)
+    envs.reset(seed=1)
+    actions = np.zeros((3, 1), np.float32)
+    envs.step(actions)
+    before = envs.state
+    envs.reset(options={"reset_mask": np.array([False, True, False])})
+    assert np.array_equal(envs.state[[0, 2]], before[[0, 2]]) and not np.array_equal(envs.state[1], before[1])
+    # Environments are now at different steps.
+    ends = [envs.step(actions)[3] for _ in range(3)][-1]
+    assert ends.tolist() == [True, False, True]
+
+
+def test_equal_seeds_give_equal_episodes():
+    made = [gymnasium.make_vec("physgrad/guidance-v0", 5) for _ in range(2)]
+    first = [envs.reset(seed=4)[0] for envs in made]
+    assert np.array_equal(*first)
+    assert not np.array_equal(first[0], made[0].reset()[0])
+    assert np.array_equal(made[0].reset(seed=4)[0], first[0])
+
+
+def test_states_that_are_not_finite_are_named():
+    env = pg.gym.make("cart_pole", poles=1, bound=1e308, settings={"precision": "f64"})
+    env.reset(seed=0)
+    with pytest.raises(FloatingPointError, match="environment 0, step .*: `.*` is not finite. Use a smaller `bound`"):
+        for _ in range(100):
+            env.step(np.ones(1, np.float32))
