@@ -44,7 +44,8 @@ fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
                 ".physgrad.lock" | "checkpoint.bin" | "curves.svg" | "learning_curve.svg" => {}
                 _ => {
                     let bytes = fs::read(&path).expect("a file");
-                    let bytes = if name.ends_with("metrics.csv") || name == "summary.csv" { without_seconds(&bytes) } else { bytes };
+                    let bytes =
+                        if name.ends_with("metrics.csv") || name == "summary.csv" { without_seconds(&bytes) } else { bytes };
                     found.insert(path.strip_prefix(folder).expect("a path below the folder").to_owned(), bytes);
                 }
             }
@@ -98,7 +99,7 @@ fn eight_shards_with_three_kills_give_the_bytes_of_one_process() {
         let output = child.wait_with_output().expect("the process ends");
         let text = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(output.status.success(), "{text}");
-        // The last line but two: `shard 1/8: trained 13 runs; ...`.
+        // `shard 1/8: trained 13 runs; ...`
         let line = text.lines().find(|line| line.contains(": trained ")).expect("a summary");
         let count = line.split("trained ").nth(1).and_then(|rest| rest.split(' ').next());
         trained += count.and_then(|count| count.parse::<usize>().ok()).expect("a number of runs");

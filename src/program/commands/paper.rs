@@ -24,7 +24,9 @@ use study::{FIG3, FIG4, FIG5};
 
 /// Reproduce a figure of the paper, with several seeds: picture, numbers and table.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  physgrad paper fig4 --quick\n  physgrad paper all --seeds 8 -o runs/paper\n  physgrad paper fig4 --shard 3/16 -o runs/paper")]
+#[command(
+    after_help = "Examples:\n  physgrad paper fig4 --quick\n  physgrad paper all --seeds 8 -o runs/paper\n  physgrad paper fig4 --shard 3/16 -o runs/paper"
+)]
 pub struct Paper {
     /// Figure to reproduce
     #[arg(value_enum)]
