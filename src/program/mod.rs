@@ -33,7 +33,7 @@ mod tasks;
 use anyhow::Result;
 use clap::{CommandFactory, Parser, Subcommand};
 use commands::{
-    accuracy, animate, check, compare, completions, effects, eval, explain, export, identify, new, optimize, paper, print,
+    accuracy, animate, check, compare, completions, effects, eval, explain, export, identify, merge, new, optimize, paper, print,
     report, robust, stress, train,
 };
 use platform::signals;
@@ -61,6 +61,7 @@ enum Command {
     Train(train::Train),
     New(new::New),
     Compare(compare::Compare),
+    Merge(merge::Merge),
     Animate(animate::Animate),
     Report(report::Report),
     Eval(eval::Eval),
@@ -187,6 +188,7 @@ fn execute(command: &Command) -> Result<()> {
         Command::New(args) => new::new(args),
         Command::Train(args) => signals::handle().and_then(|()| train::train(args)),
         Command::Compare(args) => signals::handle().and_then(|()| compare::compare(args)),
+        Command::Merge(args) => merge::merge(args),
         Command::Animate(args) => animate::animate(args),
         Command::Paper(args) => signals::handle().and_then(|()| paper::paper(args)),
         Command::Report(args) => report::report(args),

@@ -3,7 +3,11 @@
 /// Quantile `q` in [0, 1] of ascending numbers, by linear interpolation (Hyndman and Fan, type 7).
 ///
 /// NaN stands for the loss of a failed run and ranks above every number, as [`sorted`] orders it.
+/// NaN without numbers.
 pub fn quantile(sorted: &[f64], q: f64) -> f64 {
+    if sorted.is_empty() {
+        return f64::NAN;
+    }
     let at = q * (sorted.len() - 1) as f64;
     let (below, above) = (sorted[at.floor() as usize], sorted[at.ceil() as usize]);
     // The difference of equal infinities is NaN.

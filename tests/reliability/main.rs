@@ -7,3 +7,5 @@ mod running;
 mod fuzz;
 mod interruptions;
 mod power_loss;
+#[cfg(unix)]
+mod shards;

@@ -7,18 +7,24 @@ use crate::program::platform::folder::{Folder, SETTINGS};
 use crate::program::platform::json::{print_json, rows};
 use crate::program::platform::table::Table;
 use crate::program::platform::terminal::{counted, print_message, print_note, print_text};
-use crate::program::runs::comparison::{Comparison, check_distinct, check_options, check_sessions, train_all};
+use crate::program::runs::comparison::{
+    Comparison, Ended, check_distinct, check_options, check_sessions, read_all, read_plan, train_all, train_shard, write_plan,
+};
 use crate::program::runs::run::threads;
+use crate::program::runs::shard::Shard;
 use crate::program::runs::statistics::{
     InScene, MAX_DASHED, OPTIONAL, TABLE_NOTE, curves, curves_of_scenes, table_header, table_of_scenes,
 };
 use crate::program::scenes::overrides::{Overrides, take_several};
 use crate::program::scenes::presets;
+use crate::program::scenes::source::SceneSource;
 use crate::program::scenes::sweep::Point;
 use crate::program::settings::FieldName;
 use crate::program::tasks::Scene;
+use crate::program::tasks::scene::INITIAL_POLICY;
 use crate::report::{Abscissa, Case, Drawing, comparison, study};
 use anyhow::{Result, bail};
+use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -29,7 +35,7 @@ use std::path::PathBuf;
 /// `--set KEY=VALUE,VALUE` and a section `[sweep]` train every combination of values.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Examples:\n  physgrad compare cart_pole --fields R,M,S,C --seeds 3 -o runs/fields\n  physgrad compare cart_pole --set training.learning_rate=0.001,0.01 --fields C\n  physgrad compare a.toml b.toml --fields C"
+    after_help = "Examples:\n  physgrad compare cart_pole --fields R,M,S,C --seeds 3 -o runs/fields\n  physgrad compare cart_pole --seeds 32 --shard 3/16 -o runs/fields\n  physgrad compare cart_pole --set training.learning_rate=0.001,0.01 --fields C\n  physgrad compare a.toml b.toml --fields C"
 )]
 #[command(mut_arg("field", |arg| arg.hide(true)))]
 pub struct Compare {
@@ -54,6 +60,10 @@ pub struct Compare {
     /// Require that --out holds runs of this comparison, and resume them
     #[arg(long, requires = "out")]
     pub resume: bool,
+    /// Train share K of N of the runs, then all other runs that no process holds; other shards may
+    /// train in the same folder, on any machine; then `physgrad merge` (docs/clusters.md)
+    #[arg(long, value_name = "K/N", requires = "out", conflicts_with_all = ["resume", "json"])]
+    pub shard: Option<Shard>,
     /// Print only warnings and errors
     #[arg(short, long)]
     pub quiet: bool,
@@ -81,34 +91,86 @@ pub fn compare(args: &Compare) -> Result<()> {
         print_message(&note);
     }
     check_sessions(points.iter().map(|point| &point.scene), &args.fields)?;
-    let folder = Folder::named(args.out.as_deref(), &format!("compare-{}", names.join("-")))?;
+    let folder = match (args.shard, &args.out) {
+        (Some(_), Some(out)) => Folder::at(out).share()?,
+        (_, out) => Folder::named(out.as_deref(), &format!("compare-{}", names.join("-")))?,
+    };
     if folder.has(SETTINGS) {
         bail!("{} holds a run and is not a comparison; choose another folder with --out", folder.path().display());
     }
-    let one = points.len() == 1;
-    let mut comparisons = Vec::new();
-    for SweepPoint { name, scene, .. } in &points {
-        // Several scenes have one comparison folder each, inside this folder.
-        let inner = if one { Folder::clone(&folder) } else { Folder::at(folder.file(name)) };
-        comparisons.push(Comparison::plan(name, scene, &args.fields, args.seeds, &inner)?);
-    }
+    let mut comparisons = plan(&points, &args.fields, args.seeds, &folder)?;
     if args.resume && !comparisons.iter().any(Comparison::has_runs) {
         bail!("there is no run to resume in {}; omit --resume to start", folder.path().display());
     }
-    let ended = train_all(&mut comparisons, args.quiet)?;
+    let plan = Plan::new(&names, &points, args);
+    write_plan(&folder, &plan, args.shard.is_some())?;
+    let path = folder.path().display();
+    let ended = match args.shard {
+        Some(shard) => train_shard(&comparisons, shard, args.quiet)?,
+        None => train_all(&mut comparisons, args.quiet)?,
+    };
     if ended.interrupted {
-        let text = format!("interrupted; to resume, repeat the command with --out {}", folder.path().display());
+        let text = match args.shard {
+            Some(_) => format!("interrupted; to resume in {path}, repeat the command, or start any other shard"),
+            None => format!("interrupted; to resume, repeat the command with --out {path}"),
+        };
         let _ = print_note(&text, args.json);
         return ended.into_result();
     }
+    if args.shard.is_some() {
+        if !args.quiet {
+            print_message(&format!("to make tables and pictures of all runs:\nphysgrad merge {path}"));
+        }
+        return ended.into_result();
+    }
+    write_outputs(&names, args.seeds, &points, &comparisons, &folder, Output { quiet: args.quiet, json: args.json })?;
+    ended.into_result()
+}
+
+/// Makes the tables and pictures of the comparison in the folder from its runs, without training.
+pub fn merge(folder: &Folder, output: Output) -> Result<Ended> {
+    let plan: Plan = read_plan(folder)?;
+    let points = plan.points.into_iter().map(PlannedPoint::open).collect::<Result<Vec<_>>>()?;
+    let mut comparisons = self::plan(&points, &plan.fields, plan.seeds, folder)?;
+    let ended = read_all(&mut comparisons)?;
+    write_outputs(&plan.scenes, plan.seeds, &points, &comparisons, folder, output)?;
+    Ok(ended)
+}
+
+/// Output on the terminal.
+#[derive(Clone, Copy, Debug)]
+pub struct Output {
+    pub quiet: bool,
+    pub json: bool,
+}
+
+/// Plans the runs of all points.
+fn plan(points: &[SweepPoint], fields: &[FieldName], seeds: u64, folder: &Folder) -> Result<Vec<Comparison>> {
+    let plan = |SweepPoint { name, scene, .. }: &SweepPoint| {
+        // Several scenes have one comparison folder each, inside this folder.
+        let inner = if points.len() == 1 { folder.clone() } else { Folder::at(folder.file(name)) };
+        Comparison::plan(name, scene, fields, seeds, &inner)
+    };
+    points.iter().map(plan).collect()
+}
+
+/// Writes tables and pictures.
+fn write_outputs(
+    names: &[String],
+    seeds: u64,
+    points: &[SweepPoint],
+    comparisons: &[Comparison],
+    folder: &Folder,
+    output: Output,
+) -> Result<()> {
     let scenes: Vec<InScene> = points
         .iter()
-        .zip(&comparisons)
+        .zip(comparisons)
         .map(|(point, comparison)| InScene { name: &point.name, runs: comparison.outcomes() })
         .collect();
-    let runs = sweep::summary(&points, &scenes)?;
+    let runs = sweep::summary(points, &scenes)?;
     folder.write("summary.csv", &runs)?;
-    let title = format!("{}, {}", names.join(", "), counted(args.seeds as usize, "seed"));
+    let title = format!("{}, {}", names.join(", "), counted(seeds as usize, "seed"));
     let mut files = vec!["summary.csv"];
     if scenes.len() <= MAX_PANELS {
         let one_task = points.iter().all(|point| point.scene.task.name() == points[0].scene.task.name());
@@ -117,20 +179,66 @@ pub fn compare(args: &Compare) -> Result<()> {
         // Redraws the animations of the runs with a common scale.
         animate(&Animate { folder: folder.path().into(), sample: 0, quiet: true })?;
     }
-    if let Some(picture) = sweep::picture(&title, &points, &scenes) {
+    if let Some(picture) = sweep::picture(&title, points, &scenes) {
         folder.write("sweep.svg", picture.to_svg())?;
         files.push("sweep.svg");
     }
-    files.push(if one { "all runs in runs/" } else { "one folder per scene" });
-    if args.json {
+    files.push(if points.len() == 1 { "all runs in runs/" } else { "one folder per scene" });
+    if output.json {
         print_json(&json!({ "folder": folder.path(), "runs": rows(&runs)? }))?;
-    } else if !args.quiet {
+    } else if !output.quiet {
         let mut table = Table::new(table_header(&scenes)).optional(&OPTIONAL);
         table_of_scenes(&scenes).into_iter().for_each(|row| table.row(row));
         print_text(&format!("{table}\n{TABLE_NOTE}{}", sweep::lowest(&scenes)))?;
         print_text(&format!("results in {}: {}", folder.path().display(), files.join(", ")))?;
     }
-    ended.into_result()
+    Ok(())
+}
+
+/// Contents of `comparison.toml`: the runs of a comparison, independent of scene files.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Plan {
+    /// Version of the program.
+    physgrad: String,
+    scenes: Vec<String>,
+    fields: Vec<FieldName>,
+    seeds: u64,
+    points: Vec<PlannedPoint>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct PlannedPoint {
+    name: String,
+    /// Keys and values of the sweep.
+    sweep: Vec<(String, toml::Value)>,
+    /// Text of the scene.
+    scene: String,
+}
+
+impl Plan {
+    fn new(names: &[String], points: &[SweepPoint], args: &Compare) -> Self {
+        let point = |SweepPoint { name, point, scene }: &SweepPoint| {
+            let mut table = scene.table.clone();
+            // Each run holds a copy of the policy.
+            table.remove(INITIAL_POLICY);
+            PlannedPoint { name: name.clone(), sweep: point.0.clone(), scene: table.to_string() }
+        };
+        Self {
+            physgrad: env!("CARGO_PKG_VERSION").into(),
+            scenes: names.to_vec(),
+            fields: args.fields.clone(),
+            seeds: args.seeds,
+            points: points.iter().map(point).collect(),
+        }
+    }
+}
+
+impl PlannedPoint {
+    fn open(self) -> Result<SweepPoint> {
+        let scene = SceneSource::parse(&format!("the plan of {}", self.name), &self.scene)?.scene()?;
+        Ok(SweepPoint { name: self.name, point: Point(self.sweep), scene })
+    }
 }
 
 /// A scene at one point of its sweep.

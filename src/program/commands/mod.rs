@@ -14,6 +14,7 @@ pub mod export;
 #[cfg(feature = "fuzz")]
 pub mod fuzz;
 pub mod identify;
+pub mod merge;
 pub mod new;
 pub mod optimize;
 pub mod paper;

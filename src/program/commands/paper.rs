@@ -4,24 +4,29 @@ mod fig1;
 mod fig2;
 mod study;
 
-use crate::program::platform::folder::Folder;
+use crate::program::commands::compare::Output;
+use crate::program::platform::folder::{COMPARISON, Folder};
 use crate::program::platform::json::print_json;
 use crate::program::platform::signals;
 use crate::program::platform::table::Table;
 use crate::program::platform::terminal::print_text;
 use crate::program::runs::comparison::{check_distinct, check_options};
 use crate::program::runs::run::threads;
+use crate::program::runs::shard::Shard;
 use crate::program::settings::{ClipName, FieldName};
 use crate::report::Drawing;
 use anyhow::{Result, bail};
 use clap::ValueEnum;
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use study::{FIG3, FIG4, FIG5};
 
 /// Reproduce a figure of the paper, with several seeds: picture, numbers and table.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  physgrad paper fig4 --quick\n  physgrad paper all --seeds 8 -o runs/paper")]
+#[command(
+    after_help = "Examples:\n  physgrad paper fig4 --quick\n  physgrad paper all --seeds 8 -o runs/paper\n  physgrad paper fig4 --shard 3/16 -o runs/paper"
+)]
 pub struct Paper {
     /// Figure to reproduce
     #[arg(value_enum)]
@@ -35,10 +40,15 @@ pub struct Paper {
     /// runs/paper-quick with --quick]
     #[arg(short, long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+    /// Train share K of N of the runs, then all other runs that no process holds; other shards may
+    /// train in the same folder, on any machine; then `physgrad merge` (docs/clusters.md). Shard 1
+    /// makes figures 1 and 2
+    #[arg(long, value_name = "K/N", requires = "out", conflicts_with = "json")]
+    pub shard: Option<Shard>,
 }
 
 /// Training options of figures 3, 4 and 5.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, clap::Args, Serialize, Deserialize)]
 pub struct Options {
     /// Number of seeds, counted from 0
     #[arg(long, value_name = "K", default_value_t = 3)]
@@ -57,9 +67,11 @@ pub struct Options {
     pub quick: bool,
     /// Print only warnings and errors
     #[arg(short, long)]
+    #[serde(skip)]
     pub quiet: bool,
     /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
     #[arg(long)]
+    #[serde(skip)]
     pub json: bool,
 }
 
@@ -128,15 +140,17 @@ pub fn paper(args: &Paper) -> Result<()> {
     check_distinct("--clip", options.clip.iter().map(|clip| clip.name()))?;
     threads(args.threads)?;
     let default = if options.quick { "runs/paper-quick" } else { "runs/paper" };
-    let folder = Folder::at(args.out.as_deref().unwrap_or(Path::new(default))).lock()?;
+    let folder = Folder::at(args.out.as_deref().unwrap_or(Path::new(default)));
+    let folder = if args.shard.is_some() { folder.share()? } else { folder.lock()? };
+    let first = args.shard.is_none_or(Shard::is_first);
     let write = |figure: Figure, finished: Result<FinishedFigure>| finished?.write(&figure.name(), &folder, options);
     // Puts the figure with the longest computing time last.
     let figures: [(Figure, &dyn Fn() -> Result<Value>); 5] = [
-        (Figure::Fig1, &|| write(Figure::Fig1, fig1::fig1(options.quick))),
-        (Figure::Fig2, &|| write(Figure::Fig2, fig2::fig2(options.quick))),
-        (Figure::Fig4, &|| FIG4.run(options, &folder)),
-        (Figure::Fig3, &|| FIG3.run(options, &folder)),
-        (Figure::Fig5, &|| FIG5.run(options, &folder)),
+        (Figure::Fig1, &|| if first { write(Figure::Fig1, fig1::fig1(options.quick)) } else { Ok(Value::Null) }),
+        (Figure::Fig2, &|| if first { write(Figure::Fig2, fig2::fig2(options.quick)) } else { Ok(Value::Null) }),
+        (Figure::Fig4, &|| FIG4.run(options, &folder, args.shard)),
+        (Figure::Fig3, &|| FIG3.run(options, &folder, args.shard)),
+        (Figure::Fig5, &|| FIG5.run(options, &folder, args.shard)),
     ];
     // Continues with the other figures after an error.
     let (mut found, mut errors) = (Vec::new(), Vec::new());
@@ -152,6 +166,23 @@ pub fn paper(args: &Paper) -> Result<()> {
         print_json(&json!({ "folder": folder.path(), "figures": found }))?;
     }
     if errors.is_empty() { Ok(()) } else { bail!("{}", errors.join("\n")) }
+}
+
+/// Makes the figures in the folder from their runs, without training. Returns false if the folder
+/// has no figure with runs.
+pub fn merge(folder: &Folder, output: Output) -> Result<bool> {
+    let studies = [FIG3, FIG4, FIG5].into_iter().filter(|study| study.folder(folder).has(COMPARISON));
+    let (mut found, mut errors) = (Vec::new(), Vec::new());
+    for study in studies {
+        match study.merge(folder, output) {
+            Ok(table) => found.push(table),
+            Err(error) => errors.push(format!("{}: {error:#}", study.name)),
+        }
+    }
+    if output.json {
+        print_json(&json!({ "folder": folder.path(), "figures": found }))?;
+    }
+    if errors.is_empty() { Ok(!found.is_empty()) } else { bail!("{}", errors.join("\n")) }
 }
 
 #[cfg(test)]

@@ -22,6 +22,11 @@ pub const TRAJECTORY: &str = "trajectory.csv";
 pub const ANIMATION: &str = "animation.svg";
 pub const NUMBERS: &str = "numbers.csv";
 pub const REPORT: &str = "report.html";
+/// End of a run of a comparison.
+pub const END: &str = "end.toml";
+
+/// Plan of a comparison, beside [`RUNS`].
+pub const COMPARISON: &str = "comparison.toml";
 
 /// Subfolder with the runs of a comparison.
 pub const RUNS: &str = "runs";
@@ -33,7 +38,7 @@ pub(super) const LOCK: &str = ".physgrad.lock";
 pub(super) const PREVIOUS: &str = ".previous-";
 
 /// Files that a run and its report write.
-pub(super) const RUN_FILES: [&str; 13] = [
+pub(super) const RUN_FILES: [&str; 14] = [
     SETTINGS,
     CHECKPOINT,
     METRICS,
@@ -47,11 +52,12 @@ pub(super) const RUN_FILES: [&str; 13] = [
     ANIMATION,
     NUMBERS,
     REPORT,
+    END,
 ];
 
 /// Files that only the holder of the lock writes. Other commands may write the remaining files
 /// during the run.
-pub(super) const LOCKED_FILES: [&str; 11] = [
+pub(super) const LOCKED_FILES: [&str; 12] = [
     SETTINGS,
     CHECKPOINT,
     METRICS,
@@ -63,6 +69,7 @@ pub(super) const LOCKED_FILES: [&str; 11] = [
     LEARNING_CURVE,
     TRAJECTORY,
     NUMBERS,
+    END,
 ];
 
 /// A folder that may not exist yet.
@@ -106,7 +113,7 @@ impl Folder {
     }
 
     /// Creates the folder unless it exists.
-    pub(super) fn create(&self) -> Result<()> {
+    pub fn create(&self) -> Result<()> {
         files::create_folders(&self.path).with_context(|| unwritable(&self.path))
     }
 

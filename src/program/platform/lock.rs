@@ -13,6 +13,12 @@ use std::time::Duration;
 /// Time between two attempts to get a lock.
 const RETRY_INTERVAL: Duration = Duration::from_millis(100);
 
+#[derive(Clone, Copy, PartialEq)]
+enum Mode {
+    Exclusive,
+    Shared,
+}
+
 impl Folder {
     /// Creates the folder if necessary, and locks it until the returned value is dropped or the
     /// process ends.
@@ -20,14 +26,21 @@ impl Folder {
     /// # Errors
     /// The folder cannot be written to, or another process has locked it.
     pub fn lock(self) -> Result<Locked> {
-        match self.try_lock()? {
-            Some(locked) => Ok(locked),
-            None => bail!(
-                "the folder {} is in use by {}; wait until it ends, or choose another folder with --out",
-                self.path().display(),
-                self.holder()
-            ),
-        }
+        self.try_lock()?.with_context(|| self.in_use())
+    }
+
+    /// Locks the folder as [`lock`](Folder::lock) does, but together with other processes that
+    /// call this function.
+    ///
+    /// # Errors
+    /// As [`lock`](Folder::lock), or the file system has no locks.
+    pub fn share(self) -> Result<Locked> {
+        self.try_to_hold(Mode::Shared)?.with_context(|| self.in_use())
+    }
+
+    fn in_use(&self) -> String {
+        let (path, holder) = (self.path().display(), self.holder());
+        format!("the folder {path} is in use by {holder}; wait until it ends, or choose another folder with --out")
     }
 
     /// Locks the folder as [`lock`](Folder::lock) does, but waits while another process holds the
@@ -48,7 +61,11 @@ impl Folder {
     }
 
     /// Locks the folder. Returns None if another process holds the lock.
-    fn try_lock(&self) -> Result<Option<Locked>> {
+    pub fn try_lock(&self) -> Result<Option<Locked>> {
+        self.try_to_hold(Mode::Exclusive)
+    }
+
+    fn try_to_hold(&self, mode: Mode) -> Result<Option<Locked>> {
         loop {
             self.create()?;
             let path = self.file(LOCK);
@@ -57,9 +74,17 @@ impl Folder {
             }
             let open = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
             let mut file = open.with_context(|| unwritable(self.path()))?;
-            match file.try_lock() {
+            let held = match mode {
+                Mode::Exclusive => file.try_lock(),
+                Mode::Shared => file.try_lock_shared(),
+            };
+            match held {
                 Ok(()) => {}
                 Err(TryLockError::WouldBlock) => return Ok(None),
+                Err(TryLockError::Error(error)) if error.kind() == ErrorKind::Unsupported && mode == Mode::Shared => bail!(
+                    "the file system of {} has no locks, which --shard needs; choose a folder on another file system with --out",
+                    self.path().display()
+                ),
                 Err(TryLockError::Error(error)) if error.kind() == ErrorKind::Unsupported => {
                     print_message(&format!(
                         "warning: this file system has no locks; only one process may write to {}",
@@ -71,7 +96,7 @@ impl Folder {
                 }
             }
             let command: Vec<_> = std::env::args_os().map(|part| part.to_string_lossy().into_owned()).collect();
-            let holder = format!("process {} (`{}`)", std::process::id(), command.join(" "));
+            let holder = format!("process {}{} (`{}`)", std::process::id(), on_machine(), command.join(" "));
             let write = |file: &mut File| -> io::Result<()> {
                 file.set_len(0)?;
                 file.write_all(holder.as_bytes())
@@ -212,6 +237,13 @@ impl Locked {
         Folder::at(&whole).create()?;
         Folder::at(&path).lock()?.without_run()
     }
+}
+
+/// " on NAME" with the name of this machine, because several machines may share a folder. Empty if
+/// the name is unknown.
+fn on_machine() -> String {
+    let name = fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+    if name.trim().is_empty() { String::new() } else { format!(" on {}", name.trim()) }
 }
 
 /// Returns whether this is a regular file with one name, which can be overwritten safely.

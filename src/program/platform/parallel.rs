@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};
 
-/// Maps the items in parallel. Returns the results in the order of the items.
+/// Maps the items in parallel. Starts them in their order, and returns the results in that order.
 pub fn map<I: Sync, R: Send>(items: &[I], work: impl Fn(&I) -> R + Sync) -> Vec<R> {
     let results: Vec<Mutex<Option<R>>> = items.iter().map(|_| Mutex::new(None)).collect();
     for_each(items.len(), &|i| *results[i].lock().unwrap_or_else(PoisonError::into_inner) = Some(work(&items[i])));
@@ -12,5 +12,5 @@ pub fn map<I: Sync, R: Send>(items: &[I], work: impl Fn(&I) -> R + Sync) -> Vec<
 }
 
 fn for_each(count: usize, work: &(dyn Fn(usize) + Sync)) {
-    (0..count).into_par_iter().with_max_len(1).for_each(work);
+    (0..count).par_bridge().for_each(work);
 }

@@ -9,6 +9,7 @@ pub mod outputs;
 pub mod progress;
 pub mod run;
 pub mod saved;
+pub mod shard;
 pub mod statistics;
 pub mod tensorboard;
 pub mod trained;

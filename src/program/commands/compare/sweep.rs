@@ -54,6 +54,12 @@ fn text(value: &Value) -> String {
 /// line per field. None without such a setting.
 pub fn picture(title: &str, points: &[SweepPoint], scenes: &[InScene]) -> Option<Drawing> {
     let number = |value: &Value| value.as_float().or_else(|| value.as_integer().map(|x| x as f64));
+    let mut fields: Vec<Field> = Vec::new();
+    for (field, _) in scenes.iter().flat_map(|scene| by_field(&scene.runs)) {
+        if !fields.contains(&field) {
+            fields.push(field);
+        }
+    }
     let panel = |key: &String| {
         let mut values: Vec<f64> = points.iter().filter_map(|point| number(value(point, key)?)).collect();
         values.sort_by(f64::total_cmp);
@@ -63,13 +69,13 @@ pub fn picture(title: &str, points: &[SweepPoint], scenes: &[InScene]) -> Option
             let runs = there.flat_map(|(_, scene)| &scene.runs).filter(move |run| run.field == field);
             sorted(runs.map(|run| run.last(|r| r.test_loss)))
         };
-        let series = |(field, _): (Field, &[Outcome])| {
+        let series = |&field: &Field| {
             let losses: Vec<(f64, Vec<f64>)> = values.iter().map(|&at| (at, losses(field, at))).collect();
             let line = losses.iter().map(|(at, losses)| (*at, quantile(losses, 0.5))).collect();
             let band = losses.iter().map(|(_, losses)| (quantile(losses, 0.25), quantile(losses, 0.75))).collect();
             Series { band, ..Series::new(field_label(field), field_color(field.letter()), line) }
         };
-        (values.len() > 1).then(|| (key.clone(), by_field(&scenes[0].runs).map(series).collect()))
+        (values.len() > 1).then(|| (key.clone(), fields.iter().map(series).collect()))
     };
     let panels: Vec<_> = keys(points).iter().filter_map(panel).collect();
     (!panels.is_empty()).then(|| settings(&format!("{title}: median and quartiles of the final test loss"), panels))

@@ -2,12 +2,14 @@
 
 use crate::Record;
 use crate::numbers::text::short;
+use crate::program::commands::compare::Output;
 use crate::program::commands::paper::{FinishedFigure, Options};
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::Folder;
 use crate::program::platform::table::Table;
-use crate::program::platform::terminal::print_note;
-use crate::program::runs::comparison::{Comparison, train_all};
+use crate::program::platform::terminal::{print_message, print_note};
+use crate::program::runs::comparison::{Comparison, read_all, read_plan, train_all, train_shard, write_plan};
+use crate::program::runs::shard::Shard;
 use crate::program::runs::statistics::{Outcome, best, by_field, curves, trailing_mean};
 use crate::program::scenes::{overrides, presets};
 use crate::program::settings::ClipName;
@@ -80,23 +82,63 @@ struct Cell<'a> {
 
 impl Study {
     /// Trains all runs and writes the figure. Returns its table, or null if a signal ended the
-    /// training.
-    pub fn run(&self, options: &Options, folder: &Folder) -> Result<Json> {
-        let cells = || options.clip.iter().flat_map(|&clip| self.values.iter().map(move |&value| (value, clip)));
-        let plans = cells().map(|(value, clip)| self.plan(value, clip, options, folder));
-        let mut comparisons = plans.collect::<Result<Vec<_>>>()?;
-        let ended = train_all(&mut comparisons, options.quiet)?;
+    /// training. A shard trains its runs and writes no figure.
+    pub fn run(&self, options: &Options, folder: &Folder, shard: Option<Shard>) -> Result<Json> {
+        let mut comparisons = self.comparisons(options, folder)?;
+        let own = self.folder(folder);
+        own.create()?;
+        write_plan(&own, options, shard.is_some())?;
+        let ended = match shard {
+            Some(shard) => train_shard(&comparisons, shard, options.quiet)?,
+            None => train_all(&mut comparisons, options.quiet)?,
+        };
+        let path = folder.path().display();
         if ended.interrupted {
-            let text = format!("interrupted; to resume in {}, repeat the same command", folder.path().display());
-            let _ = print_note(&text, options.json);
+            let _ = print_note(&format!("interrupted; to resume in {path}, repeat the same command"), options.json);
             return ended.into_result().map(|()| Json::Null);
         }
+        if shard.is_some() {
+            if !options.quiet {
+                print_message(&format!("to make tables and pictures of all runs:\nphysgrad merge {path}"));
+            }
+            return ended.into_result().map(|()| Json::Null);
+        }
+        let table = self.write(options, folder, &comparisons)?;
+        ended.into_result().map(|()| table)
+    }
+
+    /// Writes the figure from existing runs. Returns its table.
+    pub fn merge(&self, folder: &Folder, output: Output) -> Result<Json> {
+        let options = Options { quiet: output.quiet, json: output.json, ..read_plan(&self.folder(folder))? };
+        let mut comparisons = self.comparisons(&options, folder)?;
+        let ended = read_all(&mut comparisons)?;
+        let table = self.write(&options, folder, &comparisons)?;
+        ended.into_result().map(|()| table)
+    }
+
+    /// Folder with the runs of the figure.
+    pub fn folder(&self, folder: &Folder) -> Folder {
+        Folder::at(folder.file(self.name))
+    }
+
+    /// Values and kinds of clipping of all cells.
+    fn cells<'a>(&self, options: &'a Options) -> impl Iterator<Item = (&'static str, ClipName)> + use<'a> {
+        let values = self.values;
+        options.clip.iter().flat_map(move |&clip| values.iter().map(move |&value| (value, clip)))
+    }
+
+    /// One comparison per cell.
+    fn comparisons(&self, options: &Options, folder: &Folder) -> Result<Vec<Comparison>> {
+        self.cells(options).map(|(value, clip)| self.plan(value, clip, options, folder)).collect()
+    }
+
+    fn write(&self, options: &Options, folder: &Folder, comparisons: &[Comparison]) -> Result<Json> {
         let outcomes = comparisons.iter().map(Comparison::outcomes);
-        let cells: Vec<Cell> = cells().zip(outcomes).map(|((value, clip), runs)| Cell { value, clip, runs }).collect();
+        let cells: Vec<Cell> =
+            self.cells(options).zip(outcomes).map(|((value, clip), runs)| Cell { value, clip, runs }).collect();
         let drawing = self.drawing(options, &cells);
         let finished = FinishedFigure { drawing, csv: self.csv(&cells)?, table: self.table(&cells), note: NOTE };
-        let table = finished.write(self.name, folder, options)?;
-        ended.into_result().map(|()| table)
+        finished.write(self.name, folder, options)
     }
 
     fn panel(&self, value: &str) -> String {

@@ -1,0 +1,39 @@
+//! `physgrad merge`: tables and pictures of a comparison from its runs, without training.
+
+use crate::program::commands::compare::{self, Output};
+use crate::program::commands::paper;
+use crate::program::platform::folder::{COMPARISON, Folder};
+use anyhow::{Result, bail};
+use std::path::PathBuf;
+
+/// Make the tables and pictures of a comparison from the runs in its folder, without training.
+///
+/// Reports missing runs, and shows the others. Use it after `compare --shard` or `paper --shard`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  physgrad merge runs/fields\n  physgrad merge runs/paper -q")]
+pub struct Merge {
+    /// Folder of a comparison, or of figures of the paper
+    pub folder: PathBuf,
+    /// Print only warnings and errors
+    #[arg(short, long)]
+    pub quiet: bool,
+    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Runs the command.
+pub fn merge(args: &Merge) -> Result<()> {
+    let folder = Folder::existing(&args.folder)?;
+    let output = Output { quiet: args.quiet, json: args.json };
+    if folder.has(COMPARISON) {
+        return compare::merge(&folder, output)?.into_result();
+    }
+    if !paper::merge(&folder, output)? {
+        bail!(
+            "{} is not the folder of a comparison: it has no {COMPARISON}; create one with `compare` or `paper`",
+            folder.path().display()
+        );
+    }
+    Ok(())
+}

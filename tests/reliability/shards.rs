@@ -1,0 +1,151 @@
+//! Shards of a comparison: the runs of several processes, some of them killed, equal those of one
+//! process.
+
+use crate::running::{error_of, physgrad};
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+
+/// Options of a comparison of `fields`, with `seeds` seeds.
+fn options(fields: &str, seeds: usize, epochs: usize) -> Vec<String> {
+    let text = format!(
+        "compare cart_pole_1 --fields {fields} --seeds {seeds} --epochs {epochs} --threads 1 --set training.train_samples=8 \
+         --set training.test_samples=4 --set policy.widths=[4] --set horizon=5"
+    );
+    text.split(' ').map(String::from).collect()
+}
+
+fn shard(options: &[String], out: &Path, shard: &str) -> Child {
+    let mut command = Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));
+    command.args(options).args(["--shard", shard, "--out"]).arg(out);
+    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("the process starts")
+}
+
+/// Number of runs in the folder that have ended.
+fn ended(out: &Path) -> usize {
+    let runs = fs::read_dir(out.join("runs")).into_iter().flatten();
+    runs.filter(|run| run.as_ref().is_ok_and(|run| run.path().join("end.toml").exists())).count()
+}
+
+/// All files below the folder, without lock files and wall times: the columns `seconds`, the
+/// pictures with a time axis, and checkpoints, which contain the seconds of each epoch.
+fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(inner) = folders.pop() {
+        for entry in fs::read_dir(&inner).expect("a folder") {
+            let path = entry.expect("an entry").path();
+            let name = path.file_name().expect("a name").to_string_lossy().into_owned();
+            match &*name {
+                _ if path.is_dir() => folders.push(path),
+                ".physgrad.lock" | "checkpoint.bin" | "curves.svg" | "learning_curve.svg" => {}
+                _ => {
+                    let bytes = fs::read(&path).expect("a file");
+                    let bytes =
+                        if name.ends_with("metrics.csv") || name == "summary.csv" { without_seconds(&bytes) } else { bytes };
+                    found.insert(path.strip_prefix(folder).expect("a path below the folder").to_owned(), bytes);
+                }
+            }
+        }
+    }
+    found
+}
+
+fn without_seconds(csv: &[u8]) -> Vec<u8> {
+    let text = std::str::from_utf8(csv).expect("text");
+    let rows: Vec<Vec<&str>> = text.lines().map(|line| line.split(',').collect()).collect();
+    let column = rows[0].iter().position(|name| *name == "seconds").expect("a column of seconds");
+    let row = |row: &Vec<&str>| [&row[..column], &row[column + 1..]].concat().join(",");
+    rows.iter().map(row).collect::<Vec<_>>().join("\n").into_bytes()
+}
+
+fn assert_equal(one: &Path, other: &Path) {
+    let [one, other] = [one, other].map(files);
+    assert_eq!(one.keys().collect::<Vec<_>>(), other.keys().collect::<Vec<_>>());
+    for (path, bytes) in &one {
+        assert!(*bytes == other[path], "{} differs", path.display());
+    }
+}
+
+fn wait_until(event: &str, mut holds: impl FnMut() -> bool) {
+    let begin = Instant::now();
+    while !holds() {
+        assert!(begin.elapsed() < Duration::from_secs(240), "not within 240 s: {event}");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+#[test]
+fn eight_shards_with_three_kills_give_the_bytes_of_one_process() {
+    let dir = TempDir::new().expect("a folder");
+    let (one, many) = (dir.path().join("one"), dir.path().join("many"));
+    let options = options("R,M,S,C", 25, 2);
+    let whole: Vec<&str> = options.iter().map(String::as_str).collect();
+    physgrad(&whole).arg("--quiet").arg("--out").arg(&one).assert().success();
+
+    let start = |number: usize| shard(&options, &many, &format!("{number}/8"));
+    let mut shards: Vec<Child> = (1..=8).map(start).collect();
+    for (number, enough) in [(2, 5), (5, 20), (8, 40)] {
+        wait_until("some runs end", || ended(&many) >= enough);
+        let mut killed = std::mem::replace(&mut shards[number - 1], start(number));
+        killed.kill().expect("the process is killed");
+        killed.wait().expect("the process ends");
+    }
+    let (mut trained, mut finished) = (0, 0);
+    for child in shards {
+        let output = child.wait_with_output().expect("the process ends");
+        let text = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.success(), "{text}");
+        // `shard 1/8: trained 13 runs; ...`
+        let line = text.lines().find(|line| line.contains(": trained ")).expect("a summary");
+        let count = line.split("trained ").nth(1).and_then(|rest| rest.split(' ').next());
+        trained += count.and_then(|count| count.parse::<usize>().ok()).expect("a number of runs");
+        finished = finished.max(ended(&many));
+    }
+    assert_eq!(finished, 100);
+    assert!(trained <= 100, "no run is trained twice: {trained}");
+    physgrad(&["merge", "--quiet"]).arg(&many).assert().success();
+    assert_equal(&one, &many);
+
+    // Checkpoints continue with equal bytes.
+    for out in [&one, &many] {
+        physgrad(&["train", "--resume", "--epochs", "3", "--quiet", "--out"]).arg(out.join("runs/C-24")).assert().success();
+    }
+    assert_equal(&one.join("runs/C-24"), &many.join("runs/C-24"));
+}
+
+#[test]
+fn the_next_shard_completes_a_killed_one_and_merge_names_missing_runs() {
+    let dir = TempDir::new().expect("a folder");
+    let (one, many) = (dir.path().join("one"), dir.path().join("many"));
+    let options = options("R,C", 2, 40);
+    let whole: Vec<&str> = options.iter().map(String::as_str).collect();
+    physgrad(&whole).arg("--quiet").arg("--out").arg(&one).assert().success();
+
+    let mut killed = shard(&options, &many, "2/2");
+    wait_until("a run ends", || ended(&many) > 0);
+    // A command without --shard is refused while a shard runs.
+    assert!(error_of(physgrad(&whole).arg("--out").arg(&many)).contains("in use by process"));
+    killed.kill().expect("the process is killed");
+    killed.wait().expect("the process ends");
+    if ended(&many) < 4 {
+        let error = error_of(physgrad(&["merge"]).arg(&many));
+        let missing = 4 - ended(&many);
+        assert!(error.contains(&format!("{missing} of 4 runs are missing or not complete")), "{error}");
+        assert!(error.contains("C seed 1") || error.contains("R seed 0"), "{error}");
+        assert!(many.join("summary.csv").exists(), "tables show the other runs");
+    }
+    let output = shard(&options, &many, "1/2").wait_with_output().expect("the process ends");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    physgrad(&["merge", "--quiet"]).arg(&many).assert().success();
+    assert_equal(&one, &many);
+
+    let other = self::options("R,C", 3, 40);
+    let other: Vec<&str> = other.iter().map(String::as_str).collect();
+    let error = error_of(physgrad(&other).args(["--shard", "1/2", "--out"]).arg(&many));
+    assert!(error.contains("plan of another comparison") && error.contains("seeds = 3"), "{error}");
+    assert!(error_of(&mut physgrad(&["merge"]).arg(dir.path())).contains("is not the folder of a comparison"));
+}
