@@ -1,5 +1,5 @@
-//! Reference values of the checks: dual numbers through `act` and `step`, with the paths that a
-//! flow omits detached.
+//! Reference values of the checks: dual numbers through `act` and `step`. Paths that a flow omits
+//! are detached.
 //!
 //! N is the policy. A column is one sample at one step.
 

@@ -104,6 +104,6 @@ fn left_out(runs: &[Outcome], losses: &[fn(&Record) -> f64]) -> Vec<String> {
         (epochs(|loss| !loss.is_finite()), "because a rollout diverged"),
         (epochs(|loss| loss <= 0.0), "because a logarithmic axis has no zero"),
     ];
-    let note = |(count, why)| format!("Not shown, {why}: a loss of {}.", counted(count, "epoch"));
+    let note = |(count, why)| format!("The chart omits losses of {}, {why}.", counted(count, "epoch"));
     reasons.into_iter().filter(|&(count, _)| count > 0).map(note).collect()
 }
