@@ -22,7 +22,7 @@ print(f"{task.name}: states {task.state_names}, controls {task.control_names}, {
 
 # Trains with field C: components of M whose sign agrees with the gradient R.
 policy = pg.Mlp(task, [64, 64], seed=1)
-run = pg.train(task, policy, field="C", epochs=2 if options.quick else 100, seed=1)
+run = pg.train(task, policy, field="C", epochs=2 if options.quick else 100, seed=1, out=options.out / "run")
 losses = run.history["test_loss"]
 print(f"test loss {losses[0]:.3f} after one epoch, {losses[-1]:.4f} after {len(losses)}")
 run.report(options.out / "report.html")
