@@ -31,7 +31,8 @@ fn ended(out: &Path) -> usize {
 }
 
 /// All files below the folder, without lock files and wall times: the columns `seconds`, the
-/// pictures with a time axis, and checkpoints, which contain the seconds of each epoch.
+/// pictures with a time axis, and checkpoints, which contain the seconds of each epoch. A killed
+/// process may leave a temporary file of an unfinished write, `.NAME.new`.
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     let mut folders = vec![folder.to_owned()];
@@ -41,6 +42,7 @@ fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
             let name = path.file_name().expect("a name").to_string_lossy().into_owned();
             match &*name {
                 _ if path.is_dir() => folders.push(path),
+                _ if name.starts_with('.') && name.ends_with(".new") => {}
                 ".physgrad.lock" | "checkpoint.bin" | "curves.svg" | "learning_curve.svg" => {}
                 _ => {
                     let bytes = fs::read(&path).expect("a file");
