@@ -314,7 +314,7 @@ fn pages_state_that_a_run_failed_was_interrupted_or_has_no_epoch() {
     let page = report(&broken);
     assert!(page.contains("This run failed after 3 epochs of 40: training stopped: 11 updates in a row"));
     assert!(
-        page.contains("because a rollout diverged: a loss of 3 epochs.") && page.contains("There are no finite values to draw.")
+        page.contains("losses of 3 epochs, because a rollout diverged.") && page.contains("There are no finite values to draw.")
     );
     assert!(page.contains("Before training, a rollout diverged") && page.contains("state component 0 of sample 0"));
 
