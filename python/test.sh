@@ -33,5 +33,5 @@ if [ -x "$target/release/physgrad" ]; then
     export PHYSGRAD=$target/release/physgrad
 fi
 # `--import-mode=importlib` does not add this folder to the search path. The installed package is
-# tested, not the folder `physgrad`, which has no compiled module.
-"$venv/bin/pytest" -q --import-mode=importlib --rootdir tests -c pyproject.toml tests
+# tested, not the folder `physgrad`, which has no compiled module. Tests share `tests/networks.py`.
+PYTHONPATH=$PWD/tests "$venv/bin/pytest" -q --import-mode=importlib --rootdir tests -c pyproject.toml tests

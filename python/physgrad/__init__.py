@@ -1,8 +1,8 @@
 """Differentiable physics: gradients of long simulations, and neural controllers trained with them.
 
 `task` opens a built-in task or a scene file. Its methods evaluate steps, observations and costs on
-arrays, with their derivatives. `train` trains a policy. `rollout`, `losses` and `gradients` evaluate
-policies. `optimize` computes the best controls from one initial state.
+arrays, with their derivatives. `train` trains a policy. `rollout`, `losses` and `gradients`
+evaluate policies. `optimize` computes the best controls from one initial state.
 """
 
 from ._core import Divergence, Policy, Run, Task, __version__, check, gradients, identify, losses, optimize, rollout
@@ -30,8 +30,8 @@ def task(name, **settings):
     """Opens a preset by name, for example "cart_pole", or a scene file by its path.
 
     Keyword arguments are settings of the section `system`, as in `poles=4`. The arguments
-    `horizon`, `precision`, `field`, `epochs` and `seed` are settings outside of sections. `effects`,
-    `actuator`, `integrator`, `loss`, `policy`, `training` and `system` accept a dict of their
+    `horizon`, `precision`, `field`, `epochs` and `seed` are settings outside of sections.
+    `effects`, `actuator`, `integrator`, `loss`, `policy`, `training` and `system` accept a dict of their
     settings. `settings` accepts a dict of dotted keys, as in `settings={"system.poles": 4}`.
 
     Raises `ValueError` with the key and its allowed values if a setting is invalid.
@@ -60,8 +60,8 @@ def train(task, policy=None, *, callback=None, out=None, threads=None, **setting
     epoch, a dict. With a folder `out`, the run is saved there, as by `physgrad train`. The argument
     `policy` is not changed: `run.policy` is the trained policy.
 
-    After Ctrl-C, `KeyboardInterrupt` has the attribute `run`. `run.train()` continues. The exception
-    `Divergence` has this attribute too.
+    After Ctrl-C, `KeyboardInterrupt` has the attribute `run`. `run.train()` continues. The
+    exception `Divergence` has this attribute too.
     """
     run = Run(task, policy, threads=threads, **settings)
     if out is not None:

@@ -8,6 +8,7 @@ mod errors;
 mod identify;
 mod optimize;
 mod policy;
+mod rows;
 mod run;
 mod settings;
 mod task;

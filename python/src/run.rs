@@ -17,9 +17,9 @@ use std::time::Duration;
 /// A training of a policy. `physgrad.train` creates and trains it, `physgrad.load` opens the folder
 /// of a run.
 ///
-/// `Run(task, policy=None, threads=None, **settings)` is a training before its first epoch. Settings
-/// outside of sections, as `field`, `epochs` and `seed`, are keyword arguments. Other keyword
-/// arguments are settings of the section `training`, as in `learning_rate=3e-4`.
+/// `Run(task, policy=None, threads=None, **settings)` is a training before its first epoch.
+/// Settings outside of sections, as `field`, `epochs` and `seed`, are keyword arguments. Other
+/// keyword arguments are settings of the section `training`, as in `learning_rate=3e-4`.
 #[pyclass(frozen, module = "physgrad")]
 pub struct Run(Mutex<api::Run>);
 
@@ -54,10 +54,11 @@ impl Run {
 
     /// Trains up to the last epoch.
     ///
-    /// Calls `callback` with the record of every epoch, a dict. `epochs` changes the total number of
-    /// epochs. Ctrl-C raises `KeyboardInterrupt` after the current update. The next call of `train`
-    /// continues, with the bits of an uninterrupted training. A run with a folder saves there every
-    /// few seconds and at the end. Raises `Divergence` if too many updates in a row are skipped.
+    /// Calls `callback` with the record of every epoch, a dict. `epochs` changes the total number
+    /// of epochs. Ctrl-C raises `KeyboardInterrupt` after the current update. The next call of
+    /// `train` continues, with the bits of an uninterrupted training. A run with a folder saves
+    /// there every few seconds and at the end. Raises `Divergence` if too many updates in a row are
+    /// skipped.
     #[pyo3(signature = (callback=None, epochs=None))]
     fn train(&self, py: Python<'_>, callback: Option<Py<PyAny>>, epochs: Option<u64>) -> PyResult<()> {
         let mut run = self.lock()?;
@@ -74,9 +75,9 @@ impl Run {
         }
     }
 
-    /// Numbers of every epoch, a dict of float64 arrays: "epoch", "loss", "train_loss", "test_loss",
-    /// "grad_norm", "cosine", "kept", "skipped", "seconds", "growth_R" and "growth_M" (decades over a
-    /// rollout). Missing numbers are NaN.
+    /// Numbers of every epoch, a dict of float64 arrays: "epoch", "loss", "train_loss",
+    /// "test_loss", "grad_norm", "cosine", "kept", "skipped", "seconds", "growth_R" and "growth_M"
+    /// (decades over a rollout). Missing numbers are NaN.
     #[getter]
     fn history<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let run = self.lock()?;
@@ -115,8 +116,8 @@ impl Run {
         Ok(self.lock()?.folder().map(ToOwned::to_owned))
     }
 
-    /// Writes the run to a folder, in the format of the program, and continues there. An earlier run
-    /// in the folder is moved.
+    /// Writes the run to a folder, in the format of the program, and continues there. An earlier
+    /// run in the folder is moved.
     fn save(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {
         let mut run = self.lock()?;
         let run = &mut *run;

@@ -1,7 +1,8 @@
 //! [`Task`]: a scene, and its steps, observations and costs on arrays.
 
-use crate::arrays::{Argument, Number, array, is_f32, with_precision, zeros};
+use crate::arrays::{Argument, Number, array, is_f32, with_precision};
 use crate::errors::value_error;
+use crate::rows::Rows;
 use crate::settings::{keywords, table_to_python};
 use physgrad::program::api::Scene;
 use physgrad::rng::Purpose;
@@ -40,19 +41,29 @@ impl Task {
         self.task.observation_dim().unwrap_or(self.n)
     }
 
-    /// Parameters of all rows.
-    fn params<'py, F: Number>(&self, py: Python<'py>, p: Option<&Bound<'py, PyAny>>, rows: usize) -> PyResult<Argument<'py, F>> {
-        match p {
-            Some(p) => Argument::matrix("p", p, rows, self.params),
-            None if self.params == 0 => Argument::matrix("p", array::<F>(py, Vec::new(), &[rows, 0])?.as_any(), rows, 0),
+    /// The inputs of all rows: x, u if given, and p.
+    fn rows<'py, F: Number>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        u: Option<&Bound<'py, PyAny>>,
+        p: Option<&Bound<'py, PyAny>>,
+        t: usize,
+    ) -> PyResult<Rows<'py, F>> {
+        let (x, count) = Argument::first("x", x, self.n)?;
+        let u = u.map(|u| Argument::matrix("u", u, count, self.m)).transpose()?;
+        let p = match p {
+            Some(p) => Argument::matrix("p", p, count, self.params)?,
+            None if self.params == 0 => Argument::matrix("p", array::<F>(py, Vec::new(), &[count, 0])?.as_any(), count, 0)?,
             None => {
                 let names = self.scene.param_names().join(", ");
-                let (count, name) = (self.params, self.scene.name());
-                Err(PyValueError::new_err(format!(
-                    "{name} has {count} parameters ({names}); pass `p` of shape ({rows}, {count})"
-                )))
+                let (params, name) = (self.params, self.scene.name());
+                return Err(PyValueError::new_err(format!(
+                    "{name} has {params} parameters ({names}); pass `p` of shape ({count}, {params})"
+                )));
             }
-        }
+        };
+        Ok(Rows { count, x, u, p, t })
     }
 }
 
@@ -164,10 +175,10 @@ impl Task {
 
     /// Draws initial states, (count, state_dim + param_dim).
     ///
-    /// A row has the state, then the parameters of the sample: `x, p = starts[:, :n], starts[:, n:]`.
-    /// Row i depends only on `seed` and i. `split` selects the random streams: "new" for states that
-    /// no training uses, "train" and "test" for the data sets of a training with this seed. `dtype`
-    /// is "float32" or "float64", by default that of the task.
+    /// A row has the state, then the parameters of the sample: `x, p = starts[:, :n], starts[:,
+    /// n:]`. Row i depends only on `seed` and i. `split` selects the random streams: "new" for
+    /// states that no training uses, "train" and "test" for the data sets of a training with this
+    /// seed. `dtype` is "float32" or "float64", by default that of the task.
     #[pyo3(signature = (count, seed=0, split="new", dtype=None))]
     fn starts<'py>(
         &self,
@@ -211,12 +222,8 @@ impl Task {
         t: usize,
     ) -> PyResult<Bound<'py, PyAny>> {
         with_precision!(is_f32(x), F => {
-            let (x, b) = Argument::<F>::first("x", x, self.n)?;
-            let (u, p) = (Argument::<F>::matrix("u", u, b, self.m)?, self.params::<F>(py, p, b)?);
-            let mut next = zeros(&[b, self.n]);
-            let (x, u, p) = (x.slice(), u.slice(), p.slice());
-            py.detach(|| rows::step(&self.task, Inputs { x, u, p, t }, &mut next));
-            Ok(array(py, next, &[b, self.n])?.into_any())
+            let given = self.rows::<F>(py, x, Some(u), p, t)?;
+            given.matrix(py, self.n, |inputs, next| rows::step(&self.task, inputs, next))
         })
     }
 
@@ -234,14 +241,10 @@ impl Task {
         t: usize,
     ) -> PyResult<Bound<'py, PyTuple>> {
         with_precision!(is_f32(x), F => {
-            let (x, b) = Argument::<F>::first("x", x, self.n)?;
-            let (u, p) = (Argument::<F>::matrix("u", u, b, self.m)?, self.params::<F>(py, p, b)?);
-            let next_bar = Argument::<F>::matrix("next_bar", next_bar, b, self.n)?;
-            let (mut x_bar, mut u_bar, mut p_bar) = (zeros(&[b, self.n]), zeros(&[b, self.m]), zeros(&[b, self.params]));
-            let (x, u, p, next_bar) = (x.slice(), u.slice(), p.slice(), next_bar.slice());
-            let bars = [&mut x_bar[..], &mut u_bar, &mut p_bar];
-            py.detach(|| rows::step_vjp(&self.task, Inputs { x, u, p, t }, next_bar, bars));
-            tuple(py, [(x_bar, b, self.n), (u_bar, b, self.m), (p_bar, b, self.params)])
+            let given = self.rows::<F>(py, x, Some(u), p, t)?;
+            let next_bar = Argument::<F>::matrix("next_bar", next_bar, given.count, self.n)?;
+            let next_bar = next_bar.slice();
+            given.matrices(py, [self.n, self.m, self.params], |inputs, bars| rows::step_vjp(&self.task, inputs, next_bar, bars))
         })
     }
 
@@ -261,18 +264,14 @@ impl Task {
         t: usize,
     ) -> PyResult<Bound<'py, PyAny>> {
         with_precision!(is_f32(x), F => {
-            let (x, b) = Argument::<F>::first("x", x, self.n)?;
-            let (u, p) = (Argument::<F>::matrix("u", u, b, self.m)?, self.params::<F>(py, p, b)?);
+            let given = self.rows::<F>(py, x, Some(u), p, t)?;
             let read = |name, tangent: Option<&Bound<'py, PyAny>>, width| {
-                tangent.map(|tangent| Argument::<F>::matrix(name, tangent, b, width)).transpose()
+                tangent.map(|tangent| Argument::<F>::matrix(name, tangent, given.count, width)).transpose()
             };
             let tangents = [read("x_tan", x_tan, self.n)?, read("u_tan", u_tan, self.m)?, read("p_tan", p_tan, self.params)?];
-            let [x_tan, u_tan, p_tan] = tangents.each_ref().map(|tangent| tangent.as_ref().map(Argument::slice));
-            let mut next_tan = zeros(&[b, self.n]);
-            let (x, u, p) = (x.slice(), u.slice(), p.slice());
-            let tangents = Tangents { x: x_tan, u: u_tan, p: p_tan };
-            py.detach(|| rows::step_jvp(&self.task, Inputs { x, u, p, t }, tangents, &mut next_tan));
-            Ok(array(py, next_tan, &[b, self.n])?.into_any())
+            let [x, u, p] = tangents.each_ref().map(|tangent| tangent.as_ref().map(Argument::slice));
+            let tangents = Tangents { x, u, p };
+            given.matrix(py, self.n, |inputs, next_tan| rows::step_jvp(&self.task, inputs, tangents, next_tan))
         })
     }
 
@@ -286,12 +285,8 @@ impl Task {
         t: usize,
     ) -> PyResult<Bound<'py, PyAny>> {
         with_precision!(is_f32(x), F => {
-            let (x, b) = Argument::<F>::first("x", x, self.n)?;
-            let p = self.params::<F>(py, p, b)?;
-            let mut y = zeros(&[b, self.observed()]);
-            let (x, p) = (x.slice(), p.slice());
-            py.detach(|| rows::observe(&self.task, Inputs { x, u: &[], p, t }, &mut y));
-            Ok(array(py, y, &[b, self.observed()])?.into_any())
+            let given = self.rows::<F>(py, x, None, p, t)?;
+            given.matrix(py, self.observed(), |inputs, y| rows::observe(&self.task, inputs, y))
         })
     }
 
@@ -308,14 +303,10 @@ impl Task {
         t: usize,
     ) -> PyResult<Bound<'py, PyTuple>> {
         with_precision!(is_f32(x), F => {
-            let (x, b) = Argument::<F>::first("x", x, self.n)?;
-            let p = self.params::<F>(py, p, b)?;
-            let y_bar = Argument::<F>::matrix("y_bar", y_bar, b, self.observed())?;
-            let (mut x_bar, mut p_bar) = (zeros(&[b, self.n]), zeros(&[b, self.params]));
-            let (x, p, y_bar) = (x.slice(), p.slice(), y_bar.slice());
-            let bars = [&mut x_bar[..], &mut p_bar];
-            py.detach(|| rows::observe_vjp(&self.task, Inputs { x, u: &[], p, t }, y_bar, bars));
-            tuple(py, [(x_bar, b, self.n), (p_bar, b, self.params)])
+            let given = self.rows::<F>(py, x, None, p, t)?;
+            let y_bar = Argument::<F>::matrix("y_bar", y_bar, given.count, self.observed())?;
+            let y_bar = y_bar.slice();
+            given.matrices(py, [self.n, self.params], |inputs, bars| rows::observe_vjp(&self.task, inputs, y_bar, bars))
         })
     }
 
@@ -331,13 +322,10 @@ impl Task {
         t: usize,
     ) -> PyResult<Bound<'py, PyAny>> {
         with_precision!(is_f32(x), F => {
-            let (x, b) = Argument::<F>::first("x", x, self.n)?;
-            let (u, p) = (Argument::<F>::matrix("u", u, b, self.m)?, self.params::<F>(py, p, b)?);
-            let next = Argument::<F>::matrix("next", next, b, self.n)?;
-            let mut cost = zeros(&[b]);
-            let (x, u, p, next) = (x.slice(), u.slice(), p.slice(), next.slice());
-            py.detach(|| rows::running_cost(&self.task, Inputs { x, u, p, t }, next, &mut cost));
-            Ok(array(py, cost, &[b])?.into_any())
+            let given = self.rows::<F>(py, x, Some(u), p, t)?;
+            let next = Argument::<F>::matrix("next", next, given.count, self.n)?;
+            let next = next.slice();
+            given.vector(py, |inputs, cost| rows::running_cost(&self.task, inputs, next, cost))
         })
     }
 
@@ -356,16 +344,13 @@ impl Task {
         t: usize,
     ) -> PyResult<Bound<'py, PyTuple>> {
         with_precision!(is_f32(x), F => {
-            let (x, b) = Argument::<F>::first("x", x, self.n)?;
-            let (u, p) = (Argument::<F>::matrix("u", u, b, self.m)?, self.params::<F>(py, p, b)?);
-            let next = Argument::<F>::matrix("next", next, b, self.n)?;
-            let cost_bar = Argument::<F>::vector("cost_bar", cost_bar, b)?;
-            let (mut x_bar, mut u_bar) = (zeros(&[b, self.n]), zeros(&[b, self.m]));
-            let (mut next_bar, mut p_bar) = (zeros(&[b, self.n]), zeros(&[b, self.params]));
-            let (x, u, p, next, cost_bar) = (x.slice(), u.slice(), p.slice(), next.slice(), cost_bar.slice());
-            let bars = [&mut x_bar[..], &mut u_bar, &mut next_bar, &mut p_bar];
-            py.detach(|| rows::running_cost_vjp(&self.task, Inputs { x, u, p, t }, next, cost_bar, bars));
-            tuple(py, [(x_bar, b, self.n), (u_bar, b, self.m), (next_bar, b, self.n), (p_bar, b, self.params)])
+            let given = self.rows::<F>(py, x, Some(u), p, t)?;
+            let next = Argument::<F>::matrix("next", next, given.count, self.n)?;
+            let cost_bar = Argument::<F>::vector("cost_bar", cost_bar, given.count)?;
+            let (next, cost_bar) = (next.slice(), cost_bar.slice());
+            given.matrices(py, [self.n, self.m, self.n, self.params], |inputs, bars| {
+                rows::running_cost_vjp(&self.task, inputs, next, cost_bar, bars);
+            })
         })
     }
 
@@ -378,12 +363,8 @@ impl Task {
         p: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         with_precision!(is_f32(x), F => {
-            let (x, b) = Argument::<F>::first("x", x, self.n)?;
-            let p = self.params::<F>(py, p, b)?;
-            let mut cost = zeros(&[b]);
-            let (x, p) = (x.slice(), p.slice());
-            py.detach(|| rows::terminal_cost(&self.task, x, p, &mut cost));
-            Ok(array(py, cost, &[b])?.into_any())
+            let given = self.rows::<F>(py, x, None, p, 0)?;
+            given.vector(py, |Inputs { x, p, .. }, cost| rows::terminal_cost(&self.task, x, p, cost))
         })
     }
 
@@ -399,23 +380,12 @@ impl Task {
         p: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyTuple>> {
         with_precision!(is_f32(x), F => {
-            let (x, b) = Argument::<F>::first("x", x, self.n)?;
-            let p = self.params::<F>(py, p, b)?;
-            let cost_bar = Argument::<F>::vector("cost_bar", cost_bar, b)?;
-            let (mut x_bar, mut p_bar) = (zeros(&[b, self.n]), zeros(&[b, self.params]));
-            let (x, p, cost_bar) = (x.slice(), p.slice(), cost_bar.slice());
-            let bars = [&mut x_bar[..], &mut p_bar];
-            py.detach(|| rows::terminal_cost_vjp(&self.task, x, p, cost_bar, bars));
-            tuple(py, [(x_bar, b, self.n), (p_bar, b, self.params)])
+            let given = self.rows::<F>(py, x, None, p, 0)?;
+            let cost_bar = Argument::<F>::vector("cost_bar", cost_bar, given.count)?;
+            let cost_bar = cost_bar.slice();
+            given.matrices(py, [self.n, self.params], |Inputs { x, p, .. }, bars| {
+                rows::terminal_cost_vjp(&self.task, x, p, cost_bar, bars);
+            })
         })
     }
-}
-
-/// A tuple of matrices: numbers, rows and width of each.
-fn tuple<'py, F: Number, const K: usize>(
-    py: Python<'py>,
-    matrices: [(Vec<F>, usize, usize); K],
-) -> PyResult<Bound<'py, PyTuple>> {
-    let arrays = matrices.map(|(numbers, rows, width)| array(py, numbers, &[rows, width]));
-    PyTuple::new(py, arrays.into_iter().collect::<PyResult<Vec<_>>>()?)
 }

@@ -18,7 +18,7 @@ use crate::policy::AnyPolicy;
 use crate::policy::Weights;
 
 /// Number of samples in a group. Each group has one gradient sum, for any number of workers.
-const GROUP: usize = 4;
+pub(crate) const GROUP: usize = 4;
 /// Largest number of groups in one chunk: more samples do not fit into the cache.
 const CHUNK: usize = 8;
 /// Number of samples in one rollout of an evaluation.

@@ -1,12 +1,12 @@
 //! Steps, observations and costs of many samples, and their derivatives, on row-major arrays.
 //!
 //! One row is one sample. All arrays of a call have equally many rows, which are contiguous. The
-//! functions evaluate eight rows at a time in SIMD lanes. With the feature `parallel`, threads share
-//! large arrays. A row has the bits of a rollout of this sample.
+//! functions evaluate eight rows at a time in SIMD lanes. With the feature `parallel`, threads
+//! share large arrays. A row has the bits of a rollout of this sample.
 //!
 //! [`Inputs::t`](crate::Inputs) is the number of the step, equal for all rows. `p` is empty for a
-//! task without parameters. Outputs are overwritten. An empty slice in place of a cotangent requests
-//! nothing.
+//! task without parameters. Outputs are overwritten. An empty slice in place of a cotangent
+//! requests nothing.
 //! ```
 //! use physgrad::{Inputs, initial_states, rng::Purpose, rows, tasks::CartPole};
 //!

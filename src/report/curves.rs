@@ -39,7 +39,7 @@ pub const PALETTE: [&str; 7] = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E6
 
 /// Colour of a vector field by its letters; grey for unknown letters.
 ///
-/// Those of R, M, S, C, N and P are from [`PALETTE`], which is safe for colour-blind readers.
+/// The colours of R, M, S, C, N and P are from [`PALETTE`], which is safe for colour-blind readers.
 pub fn field_color(letter: &str) -> &'static str {
     match letter {
         "R" => PALETTE[0],

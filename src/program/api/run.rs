@@ -93,8 +93,8 @@ impl Run {
         Ok(())
     }
 
-    /// Moves the run to a folder: later calls of [`train`](Self::train) save there. An earlier run in
-    /// the folder is moved.
+    /// Moves the run to a folder: later calls of [`train`](Self::train) save there. An earlier run
+    /// in the folder is moved.
     ///
     /// # Errors
     /// The folder cannot be written to.
@@ -107,8 +107,8 @@ impl Run {
         Ok(())
     }
 
-    /// Trains up to the last epoch, or until the observer stops the run. Saves the run in its folder,
-    /// if it has one. Returns whether the run is complete.
+    /// Trains up to the last epoch, or until the observer stops the run. Saves the run in its
+    /// folder, if it has one. Returns whether the run is complete.
     ///
     /// # Errors
     /// A file cannot be written. Training diverged: a [`TrainError`].

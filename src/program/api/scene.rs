@@ -120,8 +120,8 @@ impl Scene {
         self.scene.identify(segments, options)
     }
 
-    /// Checks the derivatives of system, policy and rollout against dual numbers, as `physgrad check`
-    /// does. Returns a table of all checks, and one message per failure.
+    /// Checks the derivatives of system, policy and rollout against dual numbers, as `physgrad
+    /// check` does. Returns a table of all checks, and one message per failure.
     pub fn check(&self) -> (String, Vec<String>) {
         let mut results = Results::new();
         results.begin(self.name());

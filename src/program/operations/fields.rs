@@ -1,16 +1,15 @@
 //! Vectors of several fields from one forward pass.
 
 use crate::any::AnyTask;
+use crate::engine::batch::GROUP;
 use crate::policy::AnyPolicy;
 use crate::{Adjoint, Divergence, Field, Float, Flow, Gradient, Rollout, Weights};
 
-/// Number of samples in a group with one gradient sum, as in trainings.
-const GROUP: usize = 4;
 /// Number of samples in one rollout.
 const BLOCK: usize = 8 * GROUP;
 
-/// Vectors of the fields for the mean loss of rollouts from `starts`. Up to 32 samples have the bits
-/// of a mini-batch of a training.
+/// Vectors of the fields for the mean loss of rollouts from `starts`. Up to 32 samples have the
+/// bits of a mini-batch of a training.
 ///
 /// # Errors
 /// The first [`Divergence`].

@@ -78,7 +78,9 @@ pub fn read(bytes: &[u8], policy: &dyn AnyPolicy<f64>, seed: u64) -> Result<Vec<
     for own in tensors {
         let found = match file.tensor(&own.name) {
             Err(_) if own.name == NUMBERS => continue,
-            found => found.with_context(|| format!("it has no tensor {}, which the policy of the scene has", own.name))?,
+            found => found.with_context(|| {
+                format!("it has no tensor {}, but the policy of the scene does; use the `policy` section of its run", own.name)
+            })?,
         };
         if found.shape() != own.shape {
             bail!(
@@ -94,8 +96,8 @@ pub fn read(bytes: &[u8], policy: &dyn AnyPolicy<f64>, seed: u64) -> Result<Vec<
             Dtype::F64 => found.data().as_chunks().0.iter().map(|&bytes| f64::from_le_bytes(bytes)).collect(),
             other => bail!("its tensor {} has the type {other:?}; allowed: F32, F64", own.name),
         };
-        if let Some(value) = values.iter().find(|value| !value.is_finite()) {
-            bail!("its tensor {} contains {value}", own.name);
+        if let Some(i) = values.iter().position(|value| !value.is_finite()) {
+            bail!("its tensor {} contains {} at index {i}; allowed: finite numbers", own.name, values[i]);
         }
         theta[own.range].copy_from_slice(&values);
     }

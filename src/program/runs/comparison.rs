@@ -2,16 +2,17 @@
 //!
 //! A run that ended has a file `end.toml`. Shards skip such runs, and `merge` reads them.
 
-use crate::numbers::text::short;
+mod train_all;
+mod train_shard;
+
+pub use train_all::train_all;
+pub use train_shard::train_shard;
+
 use crate::program::platform::folder::{COMPARISON, END, Folder, RUNS};
 use crate::program::platform::lock::Locked;
 use crate::program::platform::parallel;
-use crate::program::platform::signals;
-use crate::program::platform::terminal::{counted, print_message};
-use crate::program::runs::progress::Progress;
-use crate::program::runs::run::{self, End, EpochEvent, Finished, NoUpdate, Observer, SAVE_EVERY};
+use crate::program::runs::run::{self, End, Finished, NoUpdate, Observer, SAVE_EVERY};
 use crate::program::runs::saved::{self, check_resumable};
-use crate::program::runs::shard::Shard;
 use crate::program::runs::statistics::Outcome;
 use crate::program::settings::FieldName;
 use crate::program::tasks::Scene;
@@ -20,7 +21,6 @@ use anyhow::{Context, Result, bail};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
-use std::sync::Mutex;
 
 /// Runs of one training configuration with several fields and seeds.
 pub struct Comparison {
@@ -275,56 +275,6 @@ impl Ended {
     }
 }
 
-/// Trains all runs. A run that fails at a non-finite number counts as a result, and the other runs
-/// continue.
-///
-/// # Errors
-/// Before training: a folder contains a run with other settings. After training: some runs could
-/// not start or could not be saved.
-pub fn train_all(comparisons: &mut [Comparison], quiet: bool) -> Result<Ended> {
-    let (runs, mut resumed) = (labelled(comparisons), 0);
-    for (run, _) in &runs {
-        // Reports a run with other settings before writing anything.
-        resumed += usize::from(run.resumes()?);
-    }
-    let total = runs.iter().map(|(run, ..)| run.scene.epochs).sum();
-    let progress = Mutex::new(Progress::new(total, quiet));
-    if !quiet {
-        let task = runs.first().map_or("no task", |(run, ..)| run.scene.task.name());
-        print_message(&format!("{task}: {} runs, {total} epochs in total, {} threads", runs.len(), rayon::current_num_threads()));
-        if resumed > 0 {
-            print_message(&format!("resuming {resumed} of these runs from their folders"));
-        }
-    }
-    let finished: Vec<Result<Finished>> = parallel::map(&runs, |(run, label)| {
-        let mut observer = SharedProgress { progress: &progress, label };
-        run.run(&mut observer)
-    });
-    if let Ok(progress) = progress.lock() {
-        progress.finish();
-    }
-
-    let labels: Vec<String> = runs.into_iter().map(|(_, label)| label).collect();
-    let mut outcome = Ended::of(labels.len());
-    let mut errors = Vec::new();
-    let all = comparisons.iter_mut().flat_map(|comparison| &mut comparison.runs);
-    for ((run, finished), label) in all.zip(finished).zip(labels) {
-        match finished {
-            Ok(finished) => {
-                run.records = finished.records;
-                run.end = Ending::new(run.scene.epochs, &finished.end);
-                match &run.end {
-                    Some(end) => outcome.add(label, end),
-                    None => outcome.interrupted = true,
-                }
-            }
-            Err(error) => errors.push(format!("{label}: {error:#}")),
-        }
-    }
-    check_errors(&errors, outcome.runs)?;
-    Ok(outcome)
-}
-
 /// All runs, with their names in messages.
 fn labelled(comparisons: &[Comparison]) -> Vec<(&Run, String)> {
     comparisons.iter().flat_map(|comparison| comparison.runs.iter().map(|run| (run, comparison.label(run)))).collect()
@@ -335,84 +285,6 @@ fn check_errors(errors: &[String], runs: usize) -> Result<()> {
         bail!("{} of {runs} runs could not start or be saved:\n{}", errors.len(), errors.join("\n"));
     }
     Ok(())
-}
-
-/// Trains the runs of a shard, then all other runs that have not ended and that no other process
-/// holds.
-///
-/// Visits the runs in the order of the shard, until a whole round finds no run to train. A run that
-/// a killed process left is therefore completed by every process that visits it later.
-///
-/// # Errors
-/// As [`train_all`].
-pub fn train_shard(comparisons: &[Comparison], shard: Shard, quiet: bool) -> Result<Ended> {
-    let runs = labelled(comparisons);
-    for (run, _) in &runs {
-        run.resumes()?;
-    }
-    let share = shard.share(runs.len());
-    let order: Vec<(usize, usize)> = shard.order(runs.len()).into_iter().enumerate().collect();
-    let epochs: usize = order[..share].iter().map(|&(_, run)| runs[run].0.scene.epochs).sum();
-    let progress = Mutex::new(Progress::new(epochs, quiet));
-    let threads = rayon::current_num_threads();
-    if !quiet {
-        let task = runs.first().map_or("no task", |(run, _)| run.scene.task.name());
-        print_message(&format!("{task}: shard {shard}, {share} of {} runs, {epochs} epochs, {threads} threads", runs.len()));
-    }
-    let mut outcome = Ended::of(runs.len());
-    let mut trained = 0;
-    for round in 0.. {
-        let visited: Vec<Result<Option<Finished>>> = parallel::map(&order, |&(place, run)| {
-            let (run, label) = &runs[run];
-            if signals::received().is_some() {
-                return Ok(None);
-            }
-            let (epochs, counted) = (run.scene.epochs, round == 0 && place < share);
-            let mut observer = ShardProgress { shared: SharedProgress { progress: &progress, label }, epochs, counted };
-            let finished = run.run_if_free(&mut observer);
-            if counted
-                && matches!(finished, Ok(None))
-                && let Ok(progress) = progress.lock()
-            {
-                progress.bar.dec_length(epochs as u64);
-            }
-            finished
-        });
-        let (mut found, mut errors) = (0, Vec::new());
-        for (finished, &(_, run)) in visited.into_iter().zip(&order) {
-            let (run, label) = &runs[run];
-            match finished {
-                Ok(Some(finished)) => {
-                    found += 1;
-                    if let Some(end) = Ending::new(run.scene.epochs, &finished.end) {
-                        outcome.add(label.clone(), &end);
-                    }
-                }
-                Ok(None) => {}
-                Err(error) => errors.push(format!("{label}: {error:#}")),
-            }
-        }
-        trained += found;
-        outcome.interrupted = signals::received().is_some();
-        if found == 0 || outcome.interrupted {
-            if let Ok(progress) = progress.lock() {
-                progress.finish();
-            }
-            check_errors(&errors, runs.len())?;
-            break;
-        }
-    }
-    if !quiet {
-        let mut ended = 0;
-        for (run, _) in &runs {
-            ended += usize::from(run.saved_end()?.is_some());
-        }
-        let rest = runs.len() - ended;
-        let held = if rest == 0 { String::new() } else { format!(", {rest} in use by other processes") };
-        let text = format!("shard {shard}: trained {}; {ended} of {} have ended", counted(trained, "run"), runs.len());
-        print_message(&if outcome.interrupted { text } else { text + &held });
-    }
-    Ok(outcome)
 }
 
 /// Reads the runs that ended, without training.
@@ -443,58 +315,4 @@ pub fn read_all(comparisons: &mut [Comparison]) -> Result<Ended> {
         return outcome.into_result().and(Ok(Ended::of(0)));
     }
     Ok(outcome)
-}
-
-/// Reports the epochs of all runs to a shared progress bar.
-struct SharedProgress<'a> {
-    progress: &'a Mutex<Progress>,
-    label: &'a str,
-}
-
-impl Observer for SharedProgress<'_> {
-    fn resumed(&mut self, epochs: usize) {
-        if let Ok(progress) = self.progress.lock() {
-            progress.bar.inc(epochs as u64);
-            // Excludes resumed epochs from the estimate of the remaining time.
-            progress.bar.reset_eta();
-        }
-    }
-
-    fn epoch(&mut self, event: EpochEvent) {
-        if let Ok(mut progress) = self.progress.lock() {
-            progress.advance(vec![format!("test {}", short(event.record.test_loss)), self.label.to_owned()]);
-            progress.warn(&format!("{}, ", self.label), event);
-        }
-    }
-}
-
-/// Reports the epochs of one run of a shard. The bar counts the share, then the runs beyond it.
-struct ShardProgress<'a> {
-    shared: SharedProgress<'a>,
-    /// Number of epochs of the run.
-    epochs: usize,
-    /// True if the length of the bar contains the run.
-    counted: bool,
-}
-
-impl ShardProgress<'_> {
-    fn count(&mut self) {
-        if !std::mem::replace(&mut self.counted, true)
-            && let Ok(progress) = self.shared.progress.lock()
-        {
-            progress.bar.inc_length(self.epochs as u64);
-        }
-    }
-}
-
-impl Observer for ShardProgress<'_> {
-    fn resumed(&mut self, epochs: usize) {
-        self.count();
-        self.shared.resumed(epochs);
-    }
-
-    fn epoch(&mut self, event: EpochEvent) {
-        self.count();
-        self.shared.epoch(event);
-    }
 }

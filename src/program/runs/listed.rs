@@ -49,7 +49,9 @@ impl Listed {
     fn read(folder: Folder) -> Result<Self> {
         let path = folder.readable(SETTINGS)?;
         let text = fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
-        let table: Table = text.parse().with_context(|| format!("{} is damaged", path.display()))?;
+        let table: Table = text
+            .parse()
+            .with_context(|| format!("{} is damaged; restore the file, or delete the folder of the run", path.display()))?;
         let text = |key: &str| table.get(key).and_then(Value::as_str).unwrap_or("?").to_owned();
         let number = |key: &str| table.get(key).and_then(Value::as_integer).unwrap_or(0);
         let tags = table.get("tags").and_then(Value::as_array).into_iter().flatten();
@@ -82,7 +84,7 @@ fn losses(folder: &Folder) -> Result<Vec<Point>> {
     if !folder.has(METRICS) {
         return Ok(Vec::new());
     }
-    let damaged = || format!("{} is damaged", folder.file(METRICS).display());
+    let damaged = || format!("{} is damaged; restore the file, or delete the folder of the run", folder.file(METRICS).display());
     let bytes = folder.read(METRICS)?;
     let mut rows = csv::Reader::from_reader(&*bytes);
     let header = rows.headers().with_context(damaged)?.clone();

@@ -12,8 +12,8 @@ use toml::Value;
 /// Options that replace settings of a scene.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct Overrides {
-    /// Vector field to follow: combined, regular, modified, network, stopped, projected, conflict_free, modified_signed,
-    /// regular_scaled (C, R, M, N, S, P, F, MR, RM)
+    /// Vector field to follow: combined, regular, modified, network, stopped, projected,
+    /// conflict_free, modified_signed, regular_scaled (C, R, M, N, S, P, F, MR, RM)
     #[arg(long, value_parser = |name: &str| name.parse().map(FieldName))]
     pub field: Option<FieldName>,
     /// Total number of epochs, including those before --resume
