@@ -32,6 +32,7 @@ pip install --force-reinstall --no-deps "$wheels"/physgrad-*.whl
 if [ -x "$target/release/physgrad" ]; then
     export PHYSGRAD=$target/release/physgrad
 fi
-# `--import-mode=importlib` does not add this folder to the search path. The installed package is
-# tested, not the folder `physgrad`, which has no compiled module. Tests share `tests/networks.py`.
-PYTHONPATH=$PWD/tests "$venv/bin/pytest" -q --import-mode=importlib --rootdir tests -c pyproject.toml tests
+# Runs in the folder of the tests, so that Python and its child processes import the installed
+# package, not the folder `physgrad`, which has no compiled module. The tests share `networks.py`.
+cd tests
+PYTHONPATH=$PWD "$venv/bin/pytest" -q --import-mode=importlib --rootdir . -c ../pyproject.toml .
