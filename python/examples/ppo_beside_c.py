@@ -117,8 +117,8 @@ def main() -> None:
     print(f"PPO: test loss {curve[-1][1]:.4f} after {curve[-1][0]:.1f} s, best {min(loss for _, loss in curve):.4f}")
 
     figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
-    axes.plot(seconds, losses, color="#882D9E", label="field C")
-    axes.plot(*zip(*curve), color="#D55E00", label="PPO")
+    axes.plot(seconds, losses, color="#CC79A7", label="field C")
+    axes.plot(*zip(*curve), color="#000000", label="PPO")
     axes.set(xlabel="seconds of training", ylabel="test loss", xscale="log", yscale="log", title="cart_pole, one pole")
     axes.legend()
     figure.savefig(options.out / "ppo_beside_c.png", dpi=150)

@@ -21,7 +21,8 @@ options = parser.parse_args()
 options.out.mkdir(parents=True, exist_ok=True)
 epochs, seeds = (2, [0]) if options.quick else (100, [0, 1, 2])
 
-COLORS = {"R": "#0072B2", "M": "#009E73", "S": "#E69F00", "C": "#882D9E"}
+# Colours of the fields in reports of physgrad.
+COLORS = {"R": "#0072B2", "M": "#D55E00", "S": "#009E73", "C": "#CC79A7"}
 task = pg.task("cart_pole", poles=4)
 figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
 for field, color in COLORS.items():
