@@ -22,6 +22,8 @@ pub enum Purpose {
     Evaluate = 6,
     /// Random points of a sweep over settings.
     Sweep = 7,
+    /// Resamples of a bootstrap interval.
+    Bootstrap = 8,
 }
 
 /// Returns the stream of one (seed, purpose, index).

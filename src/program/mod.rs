@@ -34,7 +34,7 @@ use anyhow::Result;
 use clap::{CommandFactory, Parser, Subcommand};
 use commands::{
     accuracy, animate, check, compare, completions, effects, eval, explain, export, identify, merge, new, optimize, paper, print,
-    report, robust, stress, train,
+    report, robust, stress, study, train,
 };
 use platform::signals;
 use platform::terminal::print_message;
@@ -61,6 +61,7 @@ enum Command {
     Train(train::Train),
     New(new::New),
     Compare(compare::Compare),
+    Study(study::Study),
     Merge(merge::Merge),
     Animate(animate::Animate),
     Report(report::Report),
@@ -188,6 +189,7 @@ fn execute(command: &Command) -> Result<()> {
         Command::New(args) => new::new(args),
         Command::Train(args) => signals::handle().and_then(|()| train::train(args)),
         Command::Compare(args) => signals::handle().and_then(|()| compare::compare(args)),
+        Command::Study(args) => signals::handle().and_then(|()| study::study(args)),
         Command::Merge(args) => merge::merge(args),
         Command::Animate(args) => animate::animate(args),
         Command::Paper(args) => signals::handle().and_then(|()| paper::paper(args)),

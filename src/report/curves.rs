@@ -1,6 +1,6 @@
 //! Learning curves: the loss of one run, and the losses of several methods against effort.
 
-use super::log_figure::{Panel, log_figure};
+use super::log_figure::{Panel, XScale, log_figure};
 use super::quantile::{quantile, sorted};
 use super::series::{cleaned, drawable, thinned};
 use super::{Dash, Drawing, Series};
@@ -62,7 +62,7 @@ pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) ->
     let series =
         |label, color, points: &[(f64, f64)]| Series::new(label, color, thinned(cleaned(points.to_vec(), &drawable), |p| p.1));
     let series = vec![series("train", "#0072B2", train), series("test", "#D55E00", test)];
-    let panel = Panel { title: String::new(), x_label: "epoch".into(), log_x: false, y_label: "loss".into(), y_axis: 0, series };
+    let panel = Panel { title: String::new(), x_label: "epoch".into(), x_scale: XScale::Linear, y_label: "loss".into(), y_axis: 0, series };
     log_figure(title, &[vec![panel]])
 }
 
@@ -127,7 +127,7 @@ pub fn study(title: &str, rows: &[Vec<Case>]) -> Drawing {
     let panel = |case: &Case| Panel {
         title: case.title.clone(),
         x_label: case.x.label().into(),
-        log_x: false,
+        x_scale: XScale::Linear,
         y_label: case.y_label.clone(),
         y_axis: case.y_axis,
         series: case.curves.iter().flat_map(|c| c.series(case.x)).collect(),

@@ -1,6 +1,6 @@
 //! Distributions of losses.
 
-use super::log_figure::{Panel, log_figure};
+use super::log_figure::{Panel, XScale, log_figure};
 use super::series::{drawable, thinned_to};
 use super::{Drawing, Series};
 
@@ -20,7 +20,7 @@ pub fn distribution(title: &str, policies: Vec<(String, &'static str, Vec<f64>)>
     let panel = Panel {
         title: String::new(),
         x_label: "share of rollouts (%)".into(),
-        log_x: false,
+        x_scale: XScale::Linear,
         y_label: "loss".into(),
         y_axis: 0,
         series: policies.into_iter().map(series).collect(),

@@ -1,6 +1,6 @@
 //! Measured and simulated trajectories, with residuals.
 
-use super::log_figure::{Panel, legend, plain, theme};
+use super::log_figure::{Panel, XScale, legend, plain, theme};
 use super::marks::marks;
 use super::series::{thinned, x_range};
 use super::{Drawing, Series};
@@ -23,7 +23,7 @@ pub fn fitted(title: &str, columns: Vec<FittedColumn>) -> Drawing {
             panels.push(Panel {
                 title: if row == 0 { name.clone() } else { String::new() },
                 x_label: if row + 1 == rows { "time (s)".into() } else { String::new() },
-                log_x: false,
+                x_scale: XScale::Linear,
                 y_label: label.clone(),
                 y_axis: 0,
                 series: series.iter().map(drawn).collect(),

@@ -7,14 +7,25 @@ use super::series::{tick_step, x_range};
 use super::{Drawing, Series};
 use kuva::prelude::*;
 
+/// Scale of an x axis.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum XScale {
+    /// From 0, or the smallest x if negative.
+    Linear,
+    /// Every x must be positive.
+    Log,
+    /// Ticks at the whole numbers from 1 to this number.
+    Numbers(usize),
+}
+
 /// One panel of a figure.
 pub struct Panel {
     /// Title above the panel; may be empty.
     pub title: String,
     /// Label of the x axis.
     pub x_label: String,
-    /// True for a logarithmic x axis; every x must then be positive.
-    pub log_x: bool,
+    /// Scale of the x axis.
+    pub x_scale: XScale,
     /// Label of the y axis.
     pub y_label: String,
     /// Panels with the same number share the range of their y axes.
@@ -28,7 +39,7 @@ impl Panel {
     fn x_axis(&self) -> Option<LogAxis> {
         let bars = |s: &Series| s.spread.iter().flat_map(|&(low, high)| [low, high]).collect::<Vec<_>>();
         let xs = self.series.iter().flat_map(|s| s.line.iter().map(|&(x, _)| x).chain(bars(s)));
-        self.log_x.then(|| LogAxis::covering(xs))
+        (self.x_scale == XScale::Log).then(|| LogAxis::covering(xs))
     }
 
     /// Unit of the x axis: a power of ten on a logarithmic axis, otherwise 1.
@@ -137,9 +148,10 @@ pub struct Shows {
 /// Layout of one panel with its axes.
 pub fn panel_layout(panel: &Panel, axis: &LogAxis, shows: Shows) -> Layout {
     let x_axis = panel.x_axis();
-    let (x_min, x_max) = match &x_axis {
-        Some(axis) => (axis.low, axis.high),
-        None => {
+    let (x_min, x_max) = match (&x_axis, panel.x_scale) {
+        (Some(axis), _) => (axis.low, axis.high),
+        (None, XScale::Numbers(count)) => (0.5, count as f64 + 0.5),
+        (None, _) => {
             let [x_min, x_max] = x_range(&panel.series);
             // Adds a margin for single dots; lines may start at the axis.
             let margin = if panel.series.iter().any(|s| s.line.len() == 1) { 0.04 * (x_max - x_min) } else { 0.0 };
@@ -159,6 +171,8 @@ pub fn panel_layout(panel: &Panel, axis: &LogAxis, shows: Shows) -> Layout {
         .with_theme(theme());
     if let Some(axis) = &x_axis {
         layout = layout.with_log_x().with_x_tick_format(axis.tick_format());
+    } else if let XScale::Numbers(_) = panel.x_scale {
+        layout = layout.with_x_tick_step(1.0).with_x_tick_format(plain());
     } else {
         layout = layout.with_x_tick_step(tick_step([x_min, x_max], &panel.series)).with_x_tick_format(plain());
     }
@@ -211,7 +225,7 @@ mod tests {
         Panel {
             title: title.into(),
             x_label: "epoch".into(),
-            log_x: false,
+            x_scale: XScale::Linear,
             y_label: format!("loss {y_axis}"),
             y_axis,
             series: vec![series("a", Dash::Solid), series("b", Dash::Dotted), Series { thin: true, ..series("c", Dash::Solid) }],

@@ -2,8 +2,9 @@
 //!
 //! Contents:
 //!
-//! - Charts: [`learning_curve`], [`comparison`], [`study`], [`robustness`], [`distribution`],
-//!   [`settings()`], [`fitted`] and [`work_precision`], and [`Chart`] for interactive pages.
+//! - Charts: [`learning_curve`], [`comparison`], [`study`], [`final_losses`], [`robustness`],
+//!   [`distribution`], [`settings()`], [`fitted`] and [`work_precision`], and [`Chart`] for
+//!   interactive pages.
 //! - Maps of a plane: [`maps`].
 //! - Animations: [`cart_pole()`], [`guidance()`], [`quantum()`], [`mechanics()`],
 //!   [`channels_over_time`], or [`Animation`] for other systems.
@@ -19,6 +20,7 @@ mod chart;
 mod curves;
 mod distribution;
 mod drawing;
+mod final_losses;
 mod fitted;
 mod guidance;
 mod log_axis;
@@ -41,6 +43,7 @@ pub use chart::{Chart, Frame};
 pub use curves::{Abscissa, Case, Curve, PALETTE, Point, comparison, field_color, learning_curve, statistic, study};
 pub use distribution::distribution;
 pub use drawing::Drawing;
+pub use final_losses::{TaskLosses, final_losses};
 pub use fitted::{FittedColumn, fitted};
 pub use guidance::{Field, guidance, guidance_in};
 pub use mechanics::{BOXES, Posture, Stage, mechanics};

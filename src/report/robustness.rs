@@ -1,6 +1,6 @@
 //! Losses over the values of a setting.
 
-use super::log_figure::{Panel, log_figure};
+use super::log_figure::{Panel, XScale, log_figure};
 use super::{Drawing, Series};
 
 /// Draws losses against a setting: one panel per title, one line with a band per policy. Omits
@@ -9,7 +9,7 @@ pub fn robustness(title: &str, setting: &str, panels: Vec<(String, Vec<Series>)>
     let panel = |(title, series): (String, Vec<Series>)| Panel {
         title,
         x_label: setting.into(),
-        log_x: false,
+        x_scale: XScale::Linear,
         y_label: "loss".into(),
         y_axis: 0,
         series: series.into_iter().map(Series::with_drawable_band).collect(),

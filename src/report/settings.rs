@@ -1,6 +1,6 @@
 //! Final losses over settings.
 
-use super::log_figure::{Panel, log_figure};
+use super::log_figure::{Panel, XScale, log_figure};
 use super::{Drawing, Series};
 
 /// Smallest ratio of the largest to the smallest value of a setting with a logarithmic axis.
@@ -16,7 +16,7 @@ pub fn settings(title: &str, panels: Vec<(String, Vec<Series>)>) -> Drawing {
         Panel {
             title: String::new(),
             x_label: setting,
-            log_x: low > 0.0 && high >= LOG_RATIO * low,
+            x_scale: if low > 0.0 && high >= LOG_RATIO * low { XScale::Log } else { XScale::Linear },
             y_label: "final test loss".into(),
             y_axis: 0,
             series: series.into_iter().map(Series::with_drawable_band).collect(),

@@ -1,6 +1,6 @@
 //! Work-precision diagrams: error against work, on logarithmic axes.
 
-use super::log_figure::{Panel, entry, legend, log_figure_with};
+use super::log_figure::{Panel, XScale, entry, legend, log_figure_with};
 use super::series::drawable;
 use super::{Dash, Drawing, Series};
 
@@ -27,7 +27,7 @@ pub fn work_precision(title: &str, dashes: &[(&str, Dash)], diagrams: Vec<Work>)
     let panel = |Work { x_label, y_label, mut series }: Work| {
         series.iter_mut().for_each(omit);
         let y_axis = labels.iter().position(|label| *label == y_label).unwrap_or(0);
-        Panel { title: String::new(), x_label: x_label.into(), log_x: true, y_label: y_label.into(), y_axis, series }
+        Panel { title: String::new(), x_label: x_label.into(), x_scale: XScale::Log, y_label: y_label.into(), y_axis, series }
     };
     let row: Vec<Panel> = diagrams.into_iter().map(panel).collect();
     let mut entries = legend(row.iter());

@@ -227,6 +227,11 @@ impl<F: Float> Progress<F> {
         Err(TrainError::Diverged { count, last: Box::new(skip) })
     }
 
+    /// Loss of the test set. A diverged loss is NaN.
+    pub(super) fn test_loss(&mut self, task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>) -> f64 {
+        self.evaluation.run(task, policy, &self.weights, &self.test).unwrap_or(f64::NAN)
+    }
+
     /// Evaluates the losses of the training and the test set. A diverged loss is NaN.
     fn evaluate(&mut self, Trained { task, policy, .. }: Trained<'_, F>) -> [f64; 2] {
         let losses = [&self.train, &self.test].map(|starts| self.evaluation.run(task, policy, &self.weights, starts));

@@ -109,6 +109,11 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
         self.progress.warnings(self.task.horizon())
     }
 
+    /// Loss of the whole test set with the current parameters; NaN if it diverges.
+    pub fn test_loss(&mut self) -> f64 {
+        self.progress.test_loss(&self.task, &self.policy)
+    }
+
     /// Number of updates applied, without skipped ones.
     pub fn updates(&self) -> u64 {
         self.progress.optimizer.steps()

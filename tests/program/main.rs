@@ -27,6 +27,7 @@ mod paper;
 mod report;
 mod scenes;
 mod shown_commands;
+mod study;
 mod sweeps;
 mod terminal;
 mod tutorials;

@@ -1,4 +1,4 @@
-//! Shards of a comparison: the runs of several processes, some of them killed, equal those of one
+//! Comparisons and studies: the runs of several processes, some of them killed, equal those of one
 //! process.
 
 use crate::running::{error_of, physgrad};
@@ -24,14 +24,15 @@ fn shard(options: &[String], out: &Path, shard: &str) -> Child {
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("the process starts")
 }
 
-/// Number of runs in the folder that have ended.
+/// Number of runs in the folder that have ended. A study has a subfolder per comparison.
 fn ended(out: &Path) -> usize {
-    let runs = fs::read_dir(out.join("runs")).into_iter().flatten();
-    runs.filter(|run| run.as_ref().is_ok_and(|run| run.path().join("end.toml").exists())).count()
+    let inside = |folder: &Path| fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    let comparisons = inside(out).chain([out.to_owned()]);
+    comparisons.flat_map(|folder| inside(&folder.join("runs")).collect::<Vec<_>>()).filter(|run| run.join("end.toml").exists()).count()
 }
 
 /// All files below the folder, without lock files and wall times: the columns `seconds`, the
-/// pictures with a time axis, and checkpoints, which contain the seconds of each epoch. A killed
+/// times of a study, the pictures with a time axis, and checkpoints, which contain the seconds of each epoch. A killed
 /// process may leave a temporary file of an unfinished write, `.NAME.new`.
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
@@ -43,7 +44,7 @@ fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
             match &*name {
                 _ if path.is_dir() => folders.push(path),
                 _ if name.starts_with('.') && name.ends_with(".new") => {}
-                ".physgrad.lock" | "checkpoint.bin" | "curves.svg" | "learning_curve.svg" => {}
+                ".physgrad.lock" | "checkpoint.bin" | "curves.svg" | "learning_curve.svg" | "times.csv" => {}
                 _ => {
                     let bytes = fs::read(&path).expect("a file");
                     let bytes =
@@ -150,4 +151,44 @@ fn the_next_shard_completes_a_killed_one_and_merge_names_missing_runs() {
     let error = error_of(physgrad(&other).args(["--shard", "1/2", "--out"]).arg(&many));
     assert!(error.contains("plan of another comparison") && error.contains("seeds = 3"), "{error}");
     assert!(error_of(physgrad(&["merge"]).arg(dir.path())).contains("is not the folder of a comparison"));
+}
+
+#[test]
+fn a_killed_study_and_two_shards_give_the_bytes_of_one_process() {
+    let dir = TempDir::new().expect("a folder");
+    let small = "set = { horizon = 5, policy.widths = [4], \"training.train_samples\" = 8, \"training.test_samples\" = 4 }";
+    let plan = format!(
+        "seeds = 5\nepochs = 20\nlearning_rates = [0.001, 0.01]\n[[task]]\nscene = \"cart_pole_1\"\n{small}\n\
+         [[task]]\nscene = \"cart_pole_2\"\n{small}\n[[method]]\nname = \"R\"\nset = {{ field = \"R\" }}\n\
+         [[method]]\nname = \"C\"\nset = {{ field = \"C\" }}\n"
+    );
+    let path = dir.path().join("plan.toml");
+    fs::write(&path, plan).expect("a file");
+    let path = path.to_str().expect("a path in UTF-8");
+    let options = ["study", path, "--threads", "1"].map(String::from);
+    let whole = options.each_ref().map(String::as_str);
+    let [one, resumed, many] = ["one", "resumed", "many"].map(|name| dir.path().join(name));
+    physgrad(&whole).arg("--quiet").arg("--out").arg(&one).assert().success();
+
+    let mut command = Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));
+    command.args(&options).arg("--out").arg(&resumed).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    let mut killed = command.spawn().expect("the process starts");
+    wait_until("three runs end", || ended(&resumed) >= 3);
+    killed.kill().expect("the process is killed");
+    killed.wait().expect("the process ends");
+    assert!(ended(&resumed) < 40, "the kill comes too late");
+    physgrad(&whole).arg("--quiet").arg("--out").arg(&resumed).assert().success();
+    assert_equal(&one, &resumed);
+
+    for child in ["1/2", "2/2"].map(|number| shard(&options, &many, number)) {
+        let output = child.wait_with_output().expect("the process ends");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    }
+    assert!(!many.join("study.csv").exists(), "shards write no tables");
+    physgrad(&["merge", "--quiet"]).arg(&many).assert().success();
+    assert_equal(&one, &many);
+
+    // A shard with other options is refused.
+    let error = error_of(physgrad(&whole).args(["--quick", "--shard", "1/2", "--out"]).arg(&many));
+    assert!(error.contains("plan of another comparison") && error.contains("epochs = 5"), "{error}");
 }

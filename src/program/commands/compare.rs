@@ -3,7 +3,7 @@
 mod sweep;
 
 use crate::program::commands::animate::{Animate, animate};
-use crate::program::platform::folder::{Folder, SETTINGS};
+use crate::program::platform::folder::{Folder, SETTINGS, STUDY};
 use crate::program::platform::json::{print_json, rows};
 use crate::program::platform::table::Table;
 use crate::program::platform::terminal::{counted, print_message, print_note, print_text};
@@ -95,36 +95,55 @@ pub fn compare(args: &Compare) -> Result<()> {
         (Some(_), Some(out)) => Folder::at(out).share()?,
         (_, out) => Folder::named(out.as_deref(), &format!("compare-{}", names.join("-")))?,
     };
-    if folder.has(SETTINGS) {
-        bail!("{} holds a run and is not a comparison; choose another folder with --out", folder.path().display());
-    }
+    check_folder(&folder, "comparison", &[(SETTINGS, "run"), (STUDY, "study")])?;
     let mut comparisons = plan(&points, &args.fields, args.seeds, &folder)?;
     if args.resume && !comparisons.iter().any(Comparison::has_runs) {
         bail!("there is no run to resume in {}; omit --resume to start", folder.path().display());
     }
     let plan = Plan::new(&names, &points, args);
     write_plan(&folder, &plan, args.shard.is_some())?;
+    let output = Output { quiet: args.quiet, json: args.json };
+    train(&mut comparisons, args.shard, &folder, output, |comparisons| {
+        write_outputs(&names, args.seeds, &points, comparisons, &folder, output)
+    })
+}
+
+/// Trains all runs, then writes their tables and pictures with `write_outputs`. A shard trains its
+/// runs and writes none.
+pub fn train(
+    comparisons: &mut [Comparison],
+    shard: Option<Shard>,
+    folder: &Folder,
+    output: Output,
+    write_outputs: impl FnOnce(&[Comparison]) -> Result<()>,
+) -> Result<()> {
     let path = folder.path().display();
-    let ended = match args.shard {
-        Some(shard) => train_shard(&comparisons, shard, args.quiet)?,
-        None => train_all(&mut comparisons, args.quiet)?,
+    let ended = match shard {
+        Some(shard) => train_shard(comparisons, shard, output.quiet)?,
+        None => train_all(comparisons, output.quiet)?,
     };
     if ended.interrupted {
-        let text = match args.shard {
+        let text = match shard {
             Some(_) => format!("interrupted; to resume in {path}, repeat the command, or start any other shard"),
             None => format!("interrupted; to resume, repeat the command with --out {path}"),
         };
-        let _ = print_note(&text, args.json);
-        return ended.into_result();
+        let _ = print_note(&text, output.json);
+    } else if shard.is_none() {
+        write_outputs(comparisons)?;
+    } else if !output.quiet {
+        print_message(&format!("to make tables and pictures of all runs:\nphysgrad merge {path}"));
     }
-    if args.shard.is_some() {
-        if !args.quiet {
-            print_message(&format!("to make tables and pictures of all runs:\nphysgrad merge {path}"));
-        }
-        return ended.into_result();
-    }
-    write_outputs(&names, args.seeds, &points, &comparisons, &folder, Output { quiet: args.quiet, json: args.json })?;
     ended.into_result()
+}
+
+/// Checks that the folder has none of these files, which show that it holds something else.
+pub fn check_folder(folder: &Folder, expected: &str, files: &[(&str, &str)]) -> Result<()> {
+    match files.iter().find(|(file, _)| folder.has(file)) {
+        Some((_, found)) => {
+            bail!("{} holds a {found} and is not a {expected}; choose another folder with --out", folder.path().display())
+        }
+        None => Ok(()),
+    }
 }
 
 /// Makes the tables and pictures of the comparison in the folder from its runs, without training.

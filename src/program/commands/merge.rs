@@ -1,18 +1,20 @@
-//! `physgrad merge`: tables and pictures of a comparison from its runs, without training.
+//! `physgrad merge`: tables and pictures of a comparison or study from its runs, without training.
 
 use crate::program::commands::compare::{self, Output};
-use crate::program::commands::paper;
-use crate::program::platform::folder::{COMPARISON, Folder};
+use crate::program::commands::{paper, study};
+use crate::program::platform::folder::{COMPARISON, Folder, STUDY};
 use anyhow::{Result, bail};
 use std::path::PathBuf;
 
-/// Make the tables and pictures of a comparison from the runs in its folder, without training.
+/// Make the tables and pictures of a comparison or study from the runs in its folder, without
+/// training.
 ///
-/// Reports missing runs, and shows the others. Use it after `compare --shard` or `paper --shard`.
+/// Reports missing runs, and shows the others. Use it after `compare`, `study` or `paper` with
+/// `--shard`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  physgrad merge runs/fields\n  physgrad merge runs/paper -q")]
 pub struct Merge {
-    /// Folder of a comparison, or of figures of the paper
+    /// Folder of a comparison, of a study, or of figures of the paper
     pub folder: PathBuf,
     /// Print only warnings and errors
     #[arg(short, long)]
@@ -29,9 +31,12 @@ pub fn merge(args: &Merge) -> Result<()> {
     if folder.has(COMPARISON) {
         return compare::merge(&folder, output)?.into_result();
     }
+    if folder.has(STUDY) {
+        return study::merge(&folder, output)?.into_result();
+    }
     if !paper::merge(&folder, output)? {
         bail!(
-            "{} is not the folder of a comparison: it has no {COMPARISON}; create one with `compare` or `paper`",
+            "{} is not the folder of a comparison: it has no {COMPARISON}; create one with `compare`, `study` or `paper`",
             folder.path().display()
         );
     }

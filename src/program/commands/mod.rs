@@ -23,5 +23,6 @@ pub mod report;
 pub mod robust;
 pub mod runs;
 pub mod stress;
+pub mod study;
 pub mod tasks;
 pub mod train;

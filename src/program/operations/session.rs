@@ -25,6 +25,8 @@ pub trait AnyRun: Send {
     ///
     /// Returns the record of the epoch, or None if paused.
     fn advance(&mut self, pause: &(dyn Fn() -> bool + Sync)) -> Result<Option<&Record>, TrainError>;
+    /// Loss of the test set with the current parameters; NaN if it diverges.
+    fn test_loss(&mut self) -> f64;
     /// Number of updates applied so far.
     fn updates(&self) -> u64;
     /// True after the last epoch.
@@ -57,6 +59,10 @@ pub trait AnyRun: Send {
 impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
     fn advance(&mut self, pause: &(dyn Fn() -> bool + Sync)) -> Result<Option<&Record>, TrainError> {
         Session::advance(self, pause)
+    }
+
+    fn test_loss(&mut self) -> f64 {
+        Session::test_loss(self)
     }
 
     fn updates(&self) -> u64 {

@@ -28,6 +28,9 @@ pub const END: &str = "end.toml";
 /// Plan of a comparison, beside [`RUNS`].
 pub const COMPARISON: &str = "comparison.toml";
 
+/// Plan of a study, beside the folders of its comparisons.
+pub const STUDY: &str = "study.toml";
+
 /// Subfolder with the runs of a comparison.
 pub const RUNS: &str = "runs";
 

@@ -142,17 +142,21 @@ fn read_toml<T: DeserializeOwned>(folder: &Folder, name: &str) -> Result<T> {
 /// # Errors
 /// `shard` is true, and the folder has the plan of another comparison.
 pub fn write_plan(folder: &Folder, plan: &impl Serialize, shard: bool) -> Result<()> {
-    let plan = toml::to_string(plan)?;
-    let saved = if folder.has(COMPARISON) { Some(folder.read(COMPARISON)?) } else { None };
+    write_plan_file(folder, COMPARISON, &toml::to_string(plan)?, shard)
+}
+
+/// Writes the plan of a comparison or a study to this file, as [`write_plan`] does.
+pub fn write_plan_file(folder: &Folder, name: &str, plan: &str, shard: bool) -> Result<()> {
+    let saved = if folder.has(name) { Some(folder.read(name)?) } else { None };
     match saved {
         Some(saved) if saved == plan.as_bytes() => Ok(()),
         Some(saved) if shard => bail!(
             "{} has the plan of another comparison; give all shards equal options, or choose another folder with --out. These lines \
              differ:\n{}",
-            folder.file(COMPARISON).display(),
-            differences(&String::from_utf8_lossy(&saved), &plan)
+            folder.file(name).display(),
+            differences(&String::from_utf8_lossy(&saved), plan)
         ),
-        _ => folder.write(COMPARISON, plan),
+        _ => folder.write(name, plan),
     }
 }
 
@@ -180,6 +184,16 @@ impl Comparison {
     /// Returns whether the folder of some run contains a run.
     pub fn has_runs(&self) -> bool {
         self.runs.iter().any(|run| saved::has_run(&run.folder))
+    }
+
+    /// Test losses of the initial policies of the runs that ended, in the order of
+    /// [`outcomes`](Self::outcomes).
+    ///
+    /// # Errors
+    /// The settings of a run cannot be read.
+    pub fn initial_losses(&self) -> Result<Vec<f64>> {
+        let loss = |run: &Run| Ok(saved::scene(&run.folder)?.open(1)?.test_loss());
+        self.runs.iter().filter(|run| run.end.is_some()).map(loss).collect()
     }
 
     /// Outcomes of the runs that ended, grouped by field.
@@ -278,6 +292,13 @@ impl Ended {
 /// All runs, with their names in messages.
 fn labelled(comparisons: &[Comparison]) -> Vec<(&Run, String)> {
     comparisons.iter().flat_map(|comparison| comparison.runs.iter().map(|run| (run, comparison.label(run)))).collect()
+}
+
+/// Names of the tasks of the runs.
+fn tasks(runs: &[(&Run, String)]) -> String {
+    let mut names: Vec<&str> = runs.iter().map(|(run, _)| run.scene.task.name()).collect();
+    names.dedup();
+    names.join(", ")
 }
 
 fn check_errors(errors: &[String], runs: usize) -> Result<()> {

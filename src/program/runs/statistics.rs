@@ -1,9 +1,11 @@
 //! Statistics over runs with several seeds: tables and learning curves.
 
 use crate::numbers::text::short;
+use crate::numbers::rng::{Purpose, stream};
 use crate::report::quantile::{quantile, sorted};
 use crate::report::{Curve, Dash, Point, field_color};
 use crate::{Field, Record};
+use rand::RngExt;
 
 /// Field, seed and records of one run.
 #[derive(Clone, Copy)]
@@ -145,9 +147,110 @@ pub fn trailing_mean(values: &[f64], window: usize) -> Vec<f64> {
     (0..values.len()).map(mean).collect()
 }
 
+/// Number of resamples of a bootstrap interval.
+const RESAMPLES: u64 = 10_000;
+
+/// Ratio of two medians with its bootstrap interval.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ratio {
+    /// Median of the first numbers divided by the median of the second ones.
+    pub value: f64,
+    /// Lower and upper end of the 95 % interval. NaN for fewer than two pairs.
+    pub interval: [f64; 2],
+}
+
+/// Ratio of the medians of pairs of losses, one pair per seed. NaN stands for the loss of a failed
+/// run and counts as infinite.
+///
+/// The interval extends from the 2.5 % to the 97.5 % quantile of the ratio over 10,000 resamples of
+/// the pairs with replacement (percentile bootstrap, Efron and Tibshirani 1993, section 13.3).
+pub fn median_ratio(pairs: &[(f64, f64)]) -> Ratio {
+    let ratio = |pairs: &mut dyn Iterator<Item = (f64, f64)>| {
+        let worst = |loss: f64| if loss.is_nan() { f64::INFINITY } else { loss };
+        let (first, second): (Vec<f64>, Vec<f64>) = pairs.map(|(a, b)| (worst(a), worst(b))).unzip();
+        let [first, second] = [first, second].map(|losses| quantile(&sorted(losses.into_iter()), 0.5));
+        first / second
+    };
+    let resample = |i: u64| {
+        let mut rng = stream(0, Purpose::Bootstrap, i);
+        ratio(&mut (0..pairs.len()).map(|_| pairs[rng.random_range(0..pairs.len())]))
+    };
+    let ratios = if pairs.len() < 2 { Vec::new() } else { sorted((0..RESAMPLES).map(resample)) };
+    Ratio { value: ratio(&mut pairs.iter().copied()), interval: [0.025, 0.975].map(|q| quantile(&ratios, q)) }
+}
+
+/// Mean of the logarithm to base 10 of the test loss over the first `duration` seconds of a
+/// training: the area under the learning curve on a logarithmic axis, divided by the duration.
+///
+/// The curve starts at the loss `initial` and connects the losses after each epoch by straight
+/// lines on the logarithmic axis. It starts at the loss of the first epoch if `initial` is not
+/// finite and positive. NaN if another loss in this time is not, or if the training ends before.
+pub fn mean_log_loss(points: &[Point], initial: f64, duration: f64) -> f64 {
+    let log = |loss: f64| if loss > 0.0 && loss.is_finite() { loss.log10() } else { f64::NAN };
+    let Some(first) = points.first() else { return f64::NAN };
+    let mut last = (0.0, if log(initial).is_nan() { log(first.value) } else { log(initial) });
+    let mut area = 0.0;
+    for point in points {
+        let (seconds, value) = (point.seconds, log(point.value));
+        // Cuts the last interval at the duration.
+        let end = seconds.min(duration);
+        let share = if seconds > last.0 { (end - last.0) / (seconds - last.0) } else { 1.0 };
+        area += (end - last.0) * (last.1 + 0.5 * share * (value - last.1));
+        if seconds >= duration {
+            return area / duration;
+        }
+        last = (seconds, value);
+    }
+    f64::NAN
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_ratio_of_medians_has_an_interval_that_covers_the_resamples() {
+        // Medians 2 and 8. Each pair has the ratio 1/4, and so has every resample.
+        let ratio = median_ratio(&[(1.0, 4.0), (2.0, 8.0), (3.0, 12.0)]);
+        assert_eq!(ratio, Ratio { value: 0.25, interval: [0.25; 2] });
+        // Of two seeds, a resample is the first one twice, the second one twice, or both, with
+        // probabilities 1/4, 1/4 and 1/2, and ratios 1, 9 and 5.
+        let ratio = median_ratio(&[(1.0, 1.0), (9.0, 1.0)]);
+        assert_eq!(ratio, Ratio { value: 5.0, interval: [1.0, 9.0] });
+        // One of 9 seeds differs. Its ratio is the median only if 5 of 9 draws choose it, which has
+        // a probability of 0.0015.
+        let mut pairs = [(2.0, 1.0); 9];
+        pairs[4].0 = 100.0;
+        assert_eq!(median_ratio(&pairs), Ratio { value: 2.0, interval: [2.0; 2] });
+    }
+
+    #[test]
+    fn failed_seeds_count_as_infinite_losses_and_one_seed_has_no_interval() {
+        let failed = median_ratio(&[(f64::NAN, 1.0), (f64::NAN, 2.0), (1.0, 3.0)]);
+        assert_eq!((failed.value, failed.interval[1]), (f64::INFINITY, f64::INFINITY));
+        assert_eq!(median_ratio(&[(1.0, f64::NAN), (2.0, f64::NAN), (3.0, 1.0)]).value, 0.0);
+        let one = median_ratio(&[(1.0, 2.0)]);
+        assert!(one.value == 0.5 && one.interval.iter().all(|end| end.is_nan()));
+        assert!(median_ratio(&[]).value.is_nan());
+    }
+
+    #[test]
+    fn the_mean_log_loss_is_the_area_under_straight_lines_on_a_log_axis() {
+        let point = |seconds: f64, value: f64| Point { epoch: 0.0, seconds, value };
+        // From 10^0 to 10^-2 within 2 s, then constant for 2 s: (2 · -1 + 2 · -2) / 4.
+        let points = [point(2.0, 1e-2), point(4.0, 1e-2)];
+        let near = |found: f64, expected: f64| assert!((found - expected).abs() < 1e-12, "{found}, expected {expected}");
+        near(mean_log_loss(&points, 1.0, 4.0), -1.5);
+        // The first second ends at 10^-1, and the first three seconds have the area -2 - 2.
+        near(mean_log_loss(&points, 1.0, 1.0), -0.5);
+        near(mean_log_loss(&points, 1.0, 3.0), -4.0 / 3.0);
+        near(mean_log_loss(&points, f64::NAN, 4.0), -2.0);
+        for (initial, duration) in [(1.0, 5.0), (f64::NAN, 5.0)] {
+            assert!(mean_log_loss(&points, initial, duration).is_nan(), "the training ends before {duration} s");
+        }
+        assert!(mean_log_loss(&[point(1.0, f64::NAN), point(2.0, 1.0)], 1.0, 2.0).is_nan());
+        near(mean_log_loss(&[point(1.0, 0.1), point(2.0, f64::NAN)], 1.0, 1.0), -0.5);
+    }
 
     #[test]
     fn curves_of_several_scenes_have_field_colours_and_scene_dashes() {

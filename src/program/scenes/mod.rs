@@ -4,6 +4,7 @@
 //! `source`.
 
 pub mod overrides;
+pub mod plan;
 pub mod presets;
 mod ranges;
 pub mod source;

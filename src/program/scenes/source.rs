@@ -24,7 +24,7 @@ const MAX_BYTES: usize = 1_000_000;
 const MAX_PARTS: usize = 8;
 
 /// Unvalidated settings of a scene file, with the overrides of the command line.
-#[derive(Clone)]
+#[derive(Clone, Debug)]
 pub struct SceneSource {
     /// Name in messages.
     name: String,
@@ -42,29 +42,21 @@ pub struct SceneSource {
 impl SceneSource {
     /// Reads the file at this path.
     pub fn read(path: &Path) -> Result<Self> {
-        let name = path.display().to_string();
-        let mut bytes = Vec::new();
-        let result = File::open(path).and_then(|file| file.take(1 + MAX_BYTES as u64).read_to_end(&mut bytes));
-        result.with_context(|| format!("cannot read {name}"))?;
-        if bytes.len() > MAX_BYTES {
-            bail!("{name} has more than {MAX_BYTES} bytes, the limit of a scene");
-        }
-        let text = std::str::from_utf8(&bytes).with_context(|| format!("{name} is not UTF-8 text"))?;
-        Ok(Self { folder: path.parent().map(Path::to_owned), ..Self::parse(&name, text)? })
+        let source = Self::parse(&path.display().to_string(), &read_text(path)?)?;
+        Ok(Self { folder: path.parent().map(Path::to_owned), ..source })
     }
 
     /// Parses the text of the file with this name.
     pub fn parse(name: &str, text: &str) -> Result<Self> {
-        let located = |error: toml::de::Error| match error.span() {
-            Some(span) => {
-                let start = text[..span.start].rfind('\n').map_or(0, |end| end + 1);
-                let snippet = text[start..].lines().next().unwrap_or_default().trim();
-                anyhow!("{name}:{}: {}: {}", line(text, span.start), error.message(), short(snippet))
-            }
-            None => anyhow!("{name} cannot be read: {}", error.message()),
-        };
-        let parsed = DeTable::parse(text).map_err(located)?;
-        let table = Table::deserialize(Deserializer::from(parsed)).map_err(located)?;
+        Self::of(name, text, parse_table(name, text)?)
+    }
+
+    /// Source of a scene that is part of another file. Messages about its settings name no line.
+    pub fn inner(name: &str, table: Table) -> Result<Self> {
+        Self::of(name, "", table)
+    }
+
+    fn of(name: &str, text: &str, table: Table) -> Result<Self> {
         let mut source =
             Self { name: name.to_owned(), table, sweep: None, folder: None, text: text.to_owned(), options: HashMap::new() };
         source.place("vary")?;
@@ -149,6 +141,11 @@ impl SceneSource {
         inner.insert(last.into(), value);
         self.options.insert(key.to_owned(), option.to_owned());
         Ok(())
+    }
+
+    /// Settings, without defaults.
+    pub fn table(&self) -> &Table {
+        &self.table
     }
 
     /// Takes the section `sweep`. Empty if absent.
@@ -272,11 +269,45 @@ impl SceneSource {
         if let Some(option) = sections.into_iter().find_map(|key| self.options.get(key)) {
             return option.clone();
         }
-        let parsed = DeTable::parse(&self.text).ok();
-        match parsed.and_then(|parsed| offset(&DeValue::Table(parsed.into_inner()), key)) {
-            Some(offset) => format!("{}:{}", self.name, line(&self.text, offset)),
-            None => self.name.clone(),
+        place(&self.name, &self.text, key)
+    }
+}
+
+/// Text of a file of settings.
+pub(super) fn read_text(path: &Path) -> Result<String> {
+    let name = path.display();
+    let mut bytes = Vec::new();
+    let result = File::open(path).and_then(|file| file.take(1 + MAX_BYTES as u64).read_to_end(&mut bytes));
+    result.with_context(|| format!("cannot read {name}"))?;
+    if bytes.len() > MAX_BYTES {
+        bail!("{name} has more than {MAX_BYTES} bytes, the limit of a file of settings");
+    }
+    String::from_utf8(bytes).with_context(|| format!("{name} is not UTF-8 text"))
+}
+
+/// Parses the text of the file with this name.
+///
+/// # Errors
+/// The text is not TOML. The message has the line.
+pub(super) fn parse_table(name: &str, text: &str) -> Result<Table> {
+    let located = |error: toml::de::Error| match error.span() {
+        Some(span) => {
+            let start = text[..span.start].rfind('\n').map_or(0, |end| end + 1);
+            let snippet = text[start..].lines().next().unwrap_or_default().trim();
+            anyhow!("{name}:{}: {}: {}", line(text, span.start), error.message(), short(snippet))
         }
+        None => anyhow!("{name} cannot be read: {}", error.message()),
+    };
+    let parsed = DeTable::parse(text).map_err(located)?;
+    Table::deserialize(Deserializer::from(parsed)).map_err(located)
+}
+
+/// File and line of a key or, for an absent key, of its section.
+pub(super) fn place(name: &str, text: &str, key: &str) -> String {
+    let parsed = DeTable::parse(text).ok();
+    match parsed.and_then(|parsed| offset(&DeValue::Table(parsed.into_inner()), key)) {
+        Some(offset) => format!("{name}:{}", line(text, offset)),
+        None => name.to_owned(),
     }
 }
 

@@ -58,6 +58,7 @@ impl ConfigError {
         }
         let starts = ["invalid type: ", "invalid value: ", "invalid length ", "unknown variant "];
         let found = starts.iter().find_map(|start| found.strip_prefix(start)).unwrap_or(found);
+        let found = if found == "sequence" { "a list" } else { found };
         let expected = match expected {
             "usize" | "u64" => WHOLE_NUMBER,
             "f64" => "a number",

@@ -75,12 +75,15 @@ impl Reading<'_> {
 impl<'de> Deserializer<'de> for Reading<'_> {
     type Error = Unreadable;
 
-    /// Used by settings that are a number or a section.
+    /// Used by settings that are a number or a section, and by values of any type.
     fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
         match self.0 {
             Value::Float(_) | Value::Integer(_) => self.deserialize_f64(visitor),
+            Value::String(_) => self.deserialize_string(visitor),
+            Value::Boolean(_) => self.deserialize_bool(visitor),
+            Value::Array(_) => self.deserialize_seq(visitor),
             Value::Table(_) => self.deserialize_map(visitor),
-            _ => Err(self.unexpected(&visitor)),
+            Value::Datetime(_) => Err(self.unexpected(&visitor)),
         }
     }
 

@@ -1,6 +1,6 @@
 //! [`train_all`]: all runs of comparisons, in one process.
 
-use super::{Comparison, Ended, Ending, check_errors, labelled};
+use super::{Comparison, Ended, Ending, check_errors, labelled, tasks};
 use crate::numbers::text::short;
 use crate::program::platform::parallel;
 use crate::program::platform::terminal::print_message;
@@ -24,8 +24,7 @@ pub fn train_all(comparisons: &mut [Comparison], quiet: bool) -> Result<Ended> {
     let total = runs.iter().map(|(run, ..)| run.scene.epochs).sum();
     let progress = Mutex::new(Progress::new(total, quiet));
     if !quiet {
-        let task = runs.first().map_or("no task", |(run, ..)| run.scene.task.name());
-        print_message(&format!("{task}: {} runs, {total} epochs in total, {} threads", runs.len(), rayon::current_num_threads()));
+        print_message(&format!("{}: {} runs, {total} epochs in total, {} threads", tasks(&runs), runs.len(), rayon::current_num_threads()));
         if resumed > 0 {
             print_message(&format!("resuming {resumed} of these runs from their folders"));
         }

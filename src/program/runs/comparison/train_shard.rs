@@ -1,7 +1,7 @@
 //! [`train_shard`]: the runs of comparisons that no other process trains.
 
 use super::train_all::SharedProgress;
-use super::{Comparison, Ended, Ending, check_errors, labelled};
+use super::{Comparison, Ended, Ending, check_errors, labelled, tasks};
 use crate::program::platform::parallel;
 use crate::program::platform::signals;
 use crate::program::platform::terminal::{counted, print_message};
@@ -30,7 +30,7 @@ pub fn train_shard(comparisons: &[Comparison], shard: Shard, quiet: bool) -> Res
     let progress = Mutex::new(Progress::new(epochs, quiet));
     let threads = rayon::current_num_threads();
     if !quiet {
-        let task = runs.first().map_or("no task", |(run, _)| run.scene.task.name());
+        let task = tasks(&runs);
         print_message(&format!("{task}: shard {shard}, {share} of {} runs, {epochs} epochs, {threads} threads", runs.len()));
     }
     let mut outcome = Ended::of(runs.len());
