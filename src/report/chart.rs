@@ -115,6 +115,9 @@ impl Chart {
         };
         // kuva draws the axes. The series follow in groups, by which a page can hide or move them.
         let mut scene = render_multiple(vec![LinePlot::new().into()], layout);
+        // A page with several charts must not have equal identifiers. Series need no clipping.
+        scene.elements.retain(|element| !matches!(element, Primitive::ClipStart { .. } | Primitive::ClipEnd));
+        scene.defs.clear();
         scene.elements.insert(0, group("class=\"axes\""));
         scene.elements.push(Primitive::GroupEnd);
         scene.elements.extend(self.marks());

@@ -62,7 +62,14 @@ pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) ->
     let series =
         |label, color, points: &[(f64, f64)]| Series::new(label, color, thinned(cleaned(points.to_vec(), &drawable), |p| p.1));
     let series = vec![series("train", "#0072B2", train), series("test", "#D55E00", test)];
-    let panel = Panel { title: String::new(), x_label: "epoch".into(), x_scale: XScale::Linear, y_label: "loss".into(), y_axis: 0, series };
+    let panel = Panel {
+        title: String::new(),
+        x_label: "epoch".into(),
+        x_scale: XScale::Linear,
+        y_label: "loss".into(),
+        y_axis: 0,
+        series,
+    };
     log_figure(title, &[vec![panel]])
 }
 

@@ -11,6 +11,7 @@ pub struct Drawing(Scene);
 impl Drawing {
     pub(super) fn of(mut scene: Scene) -> Self {
         scene.elements.iter_mut().for_each(join_cells);
+        number_clips(&mut scene);
         Self(scene)
     }
 
@@ -59,9 +60,38 @@ fn join_cells(element: &mut Primitive) {
     }
 }
 
+/// Numbers the clipped areas from 0. kuva numbers those of all pictures of a process.
+fn number_clips(scene: &mut Scene) {
+    let clips = scene.elements.iter_mut().filter_map(|element| match element {
+        Primitive::ClipStart { id, .. } => Some(id),
+        _ => None,
+    });
+    for (number, id) in clips.enumerate() {
+        let old = std::mem::replace(id, format!("clip-{number}"));
+        // Each definition has the number of its area.
+        for definition in &mut scene.defs {
+            *definition = definition.replace(&format!("id=\"{old}\""), &format!("id=\"{id}\""));
+        }
+    }
+}
+
 fn rgb(color: &Color) -> Option<[u8; 3]> {
     match *color {
         Color::Rgb(r, g, b) => Some([r, g, b]),
         _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::learning_curve;
+
+    #[test]
+    fn a_picture_does_not_depend_on_earlier_pictures_of_the_process() {
+        let picture = |loss: f64| learning_curve("title", &[(0.0, loss), (1.0, 2.0)], &[]).to_svg();
+        let first = picture(1.0);
+        assert!(picture(3.0) != first);
+        assert!(picture(1.0) == first);
+        assert!(first.contains("<clipPath id=\"clip-0\">") && first.contains("url(#clip-0)"), "{first}");
     }
 }

@@ -73,7 +73,8 @@ pub fn maps(plane: &Plane, maps: &[Map], runs: &[(&str, &'static str, Vec<f64>)]
         };
         let series = runs.iter().map(|(label, color, run)| Series::new(*label, color, line(run))).collect();
         let title = format!("({}) loss", char::from(b'a' + maps.len() as u8));
-        let panel = Panel { title, x_label: "iteration".into(), x_scale: XScale::Linear, y_label: "loss".into(), y_axis: 0, series };
+        let panel =
+            Panel { title, x_label: "iteration".into(), x_scale: XScale::Linear, y_label: "loss".into(), y_axis: 0, series };
         let axis = LogAxis::of(panel.series.iter());
         let layout = panel_layout(&panel, &axis, Shows { y_numbers: true, y_name: true, x_name: true })
             .with_y_label_offset(10.0, 0.0)

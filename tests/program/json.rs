@@ -22,7 +22,7 @@ fn documented(command: &str) -> Vec<String> {
 }
 
 /// Checks that every key of the object is in the row of the command.
-fn check(command: &str, object: &Value) {
+pub fn check(command: &str, object: &Value) {
     let documented = documented(command);
     for key in object.as_object().expect("an object").keys() {
         assert!(documented.contains(key), "docs/json.md lacks the key {key} of {command}");

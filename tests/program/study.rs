@@ -1,5 +1,6 @@
 //! Studies: plans, their errors, and results.
 
+use crate::json::check;
 use crate::markdown::root;
 use crate::numbers::{physgrad, read};
 use serde_json::Value;
@@ -48,14 +49,22 @@ fn error(dir: &TempDir, args: &str) -> String {
 #[test]
 fn errors_of_a_plan_name_the_line_and_the_allowed_values() {
     for (old, new, message) in [
-        ("seeds = 2", "sedes = 2", "plan.toml:1: `sedes` is unknown; allowed: `seeds`, `epochs`, `learning_rates`, `task`, `method`"),
+        (
+            "seeds = 2",
+            "sedes = 2",
+            "plan.toml:1: `sedes` is unknown; allowed: `seeds`, `epochs`, `learning_rates`, `task`, `method`",
+        ),
         ("seeds = 2", "seeds = 0", "plan.toml:1: `seeds` is 0; allowed: 1 to 10000"),
         ("seeds = 2", "seeds = \"two\"", "plan.toml:1: `seeds` is string \"two\"; allowed: a whole number, 0 or more"),
         ("epochs = 2", "epochs = 0", "plan.toml:2: `epochs` is 0; allowed: 1 or more"),
         ("[0.001, 0.1]", "[]", "plan.toml:3: `learning_rates` is []; allowed: one learning rate or more"),
         ("[0.001, 0.1]", "[0.1, 0.1]", "plan.toml:3: `learning_rates[1]` is 0.1; allowed: distinct learning rates"),
         ("[0.001, 0.1]", "[-0.1, 0.1]", "plan.toml:3: `training.learning_rate` is -0.1; allowed: a positive number up to 1e6"),
-        ("scene = \"cart_pole_1\"", "scen = \"cart_pole_1\"", "plan.toml:6: `task[0].scen` is unknown; allowed: `name`, `scene`, `set`"),
+        (
+            "scene = \"cart_pole_1\"",
+            "scen = \"cart_pole_1\"",
+            "plan.toml:6: `task[0].scen` is unknown; allowed: `name`, `scene`, `set`",
+        ),
         ("\"cart_pole_1\"", "\"cart_pole_l\"", "plan.toml:6: there is no preset `cart_pole_l`"),
         ("\"cart_pole_1\"", "7", "plan.toml:6: `task[0].scene` is 7; allowed: a preset, or the path of a scene"),
         ("\"scenes/mine.toml\"", "\"scenes/yours.toml\"", "plan.toml:11: cannot read plans/scenes/yours.toml"),
@@ -88,6 +97,7 @@ fn a_study_trains_every_combination_and_equals_single_runs() {
     let study = "study plans/plan.toml -o out";
     let output = physgrad(&format!("{study} --json"), dir.path()).assert().success().get_output().stdout.clone();
     let object: Value = serde_json::from_slice(&output).expect("JSON");
+    check("study", &object);
     let methods = object["methods"].as_array().expect("rows");
     let names = methods.iter().map(|row| [&row["task"], &row["method"]].map(|name| name.as_str().expect("a name")));
     let expected = ["cart_pole_1", "mine"].map(|task| ["R, clipped", "C"].map(|method| [task, method]));

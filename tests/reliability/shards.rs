@@ -28,7 +28,10 @@ fn shard(options: &[String], out: &Path, shard: &str) -> Child {
 fn ended(out: &Path) -> usize {
     let inside = |folder: &Path| fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
     let comparisons = inside(out).chain([out.to_owned()]);
-    comparisons.flat_map(|folder| inside(&folder.join("runs")).collect::<Vec<_>>()).filter(|run| run.join("end.toml").exists()).count()
+    comparisons
+        .flat_map(|folder| inside(&folder.join("runs")).collect::<Vec<_>>())
+        .filter(|run| run.join("end.toml").exists())
+        .count()
 }
 
 /// All files below the folder, without lock files and wall times: the columns `seconds`, the

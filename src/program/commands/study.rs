@@ -5,7 +5,7 @@ mod results;
 use crate::program::commands::compare::{Output, check_folder, train};
 use crate::program::platform::folder::{COMPARISON, Folder, SETTINGS, STUDY};
 use crate::program::platform::json::{print_json, rows};
-use crate::program::platform::terminal::{counted, print_message, print_text};
+use crate::program::platform::terminal::{counted, print_text};
 use crate::program::runs::comparison::{Comparison, Ended, check_sessions, read_all, write_plan_file};
 use crate::program::runs::run::threads;
 use crate::program::runs::shard::Shard;
@@ -65,9 +65,7 @@ pub fn study(args: &Study) -> Result<()> {
     let mut comparisons = comparisons(&plan, &cells, &folder)?;
     write_plan_file(&folder, STUDY, &plan.to_toml()?, args.shard.is_some())?;
     let output = Output { quiet: args.quiet, json: args.json };
-    train(&mut comparisons, args.shard, &folder, output, |comparisons| {
-        write_outputs(&plan, &cells, comparisons, &folder, output)
-    })
+    train(&mut comparisons, args.shard, &folder, output, |comparisons| write_outputs(&plan, &cells, comparisons, &folder, output))
 }
 
 /// Makes the tables and pictures of the study in the folder from its runs, without training.
@@ -103,9 +101,6 @@ fn write_outputs(plan: &Plan, cells: &[Cell], comparisons: &[Comparison], folder
     } else if !output.quiet {
         let files = "study.svg, study.csv, study.md, summary.csv, times.csv, one folder per task, method and learning rate";
         print_text(&format!("{}\n{NOTE}\nresults in {}: {files}", results.table(true), folder.path().display()))?;
-    }
-    if let Some(note) = results.note_on_ends().filter(|_| !output.quiet) {
-        print_message(&note);
     }
     Ok(())
 }

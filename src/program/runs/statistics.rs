@@ -1,7 +1,7 @@
 //! Statistics over runs with several seeds: tables and learning curves.
 
-use crate::numbers::text::short;
 use crate::numbers::rng::{Purpose, stream};
+use crate::numbers::text::short;
 use crate::report::quantile::{quantile, sorted};
 use crate::report::{Curve, Dash, Point, field_color};
 use crate::{Field, Record};

@@ -14,7 +14,7 @@ use anyhow::Result;
 /// Explanation of the table.
 pub const NOTE: &str = "test loss of the last epoch at the learning rate with the lowest median: median, lowest and highest over the \
                         seeds; ratio to the first method with a 95 % bootstrap interval; failed: not below the loss of the \
-                        untrained policy";
+                        untrained policy; (end): the smallest or largest learning rate, add rates beyond it to the plan";
 
 /// Explanation of the columns with measured times.
 const TIMED: [&str; 2] = ["loss over time", "seconds"];
@@ -140,6 +140,7 @@ impl<'a> Results<'a> {
         let mut table = Table::new(columns.iter().chain(timed_columns).copied()).optional(&optional);
         for (cell, first) in self.rows() {
             let losses = cell.losses();
+            let end = if self.is_at_end(cell.names) { " (end)" } else { "" };
             let Ratio { value, interval: [low, high] } = cell.ratio_to(first);
             let ratio = match std::ptr::eq(cell, first) {
                 true => "1".to_owned(),
@@ -149,7 +150,7 @@ impl<'a> Results<'a> {
             let mut row = vec![
                 cell.names.task.to_owned(),
                 cell.names.method.to_owned(),
-                cell.names.learning_rate.to_string(),
+                format!("{}{end}", cell.names.learning_rate),
                 short(quantile(&losses, 0.5)),
                 short(losses[0]),
                 short(losses[losses.len() - 1]),
@@ -242,26 +243,12 @@ impl<'a> Results<'a> {
         final_losses(title, best.chunk_by(|a, b| a.names.task == b.names.task).map(panel).collect())
     }
 
-    /// Names the methods whose best learning rate is the smallest or the largest one. None without
-    /// such a method.
-    pub fn note_on_ends(&self) -> Option<String> {
-        let is_end = |cell: &Measured| {
-            let others = self.cells.iter().map(|other| other.names);
-            let rates = others.filter(|other| (other.task, other.method) == (cell.names.task, cell.names.method));
-            let rates = sorted(rates.map(|names| names.learning_rate));
-            rates.len() > 1 && [rates.first(), rates.last()].contains(&Some(&cell.names.learning_rate))
-        };
-        let ends: Vec<String> = self
-            .rows()
-            .filter(|(cell, _)| is_end(cell))
-            .map(|(cell, _)| format!("{}, {} ({})", cell.names.task, cell.names.method, cell.names.learning_rate))
-            .collect();
-        (!ends.is_empty()).then(|| {
-            format!(
-                "note: the best learning rate is an end of `learning_rates`; add rates beyond it to the plan:\n{}",
-                ends.join("\n")
-            )
-        })
+    /// Returns whether the learning rate is the smallest or largest one of several rates of its task
+    /// and method.
+    fn is_at_end(&self, Names { task, method, learning_rate }: Names) -> bool {
+        let others = self.cells.iter().map(|cell| cell.names).filter(|other| (other.task, other.method) == (task, method));
+        let rates = sorted(others.map(|names| names.learning_rate));
+        rates.len() > 1 && [rates[0], rates[rates.len() - 1]].contains(&learning_rate)
     }
 }
 
@@ -318,9 +305,11 @@ mod tests {
         let expected = (-0.5 + (-1.0 + 0.2f64.log10()) / 2.0) / 2.0;
         assert!((mean - expected).abs() < 1e-12, "{times}, expected {expected}");
         let table = results.table(true).markdown();
-        assert!(table.contains("4 (4 to inf)") && table.contains("1 of 3"), "{table}");
-        let note = results.note_on_ends().expect("0.01 is the largest rate");
-        assert!(note.ends_with("task, A (0.01)"), "{note}");
+        assert!(table.contains("4.000 (4.000 to inf)") && table.contains("1 of 3"), "{table}");
+        assert!(
+            table.contains("| task | A      |    0.01 (end) |") && table.contains("| task | B      |          0.01 |"),
+            "{table}"
+        );
     }
 
     #[test]

@@ -24,7 +24,12 @@ pub fn train_all(comparisons: &mut [Comparison], quiet: bool) -> Result<Ended> {
     let total = runs.iter().map(|(run, ..)| run.scene.epochs).sum();
     let progress = Mutex::new(Progress::new(total, quiet));
     if !quiet {
-        print_message(&format!("{}: {} runs, {total} epochs in total, {} threads", tasks(&runs), runs.len(), rayon::current_num_threads()));
+        print_message(&format!(
+            "{}: {} runs, {total} epochs in total, {} threads",
+            tasks(&runs),
+            runs.len(),
+            rayon::current_num_threads()
+        ));
         if resumed > 0 {
             print_message(&format!("resuming {resumed} of these runs from their folders"));
         }
