@@ -120,6 +120,6 @@ const HEAD: &str = "\
 # Stability
 
 Numerically hard cases, their criteria, and measured values. Criteria precede the first measurement. Two quantities
-exceed the original bounds and have no bound now: the error of springs with 42 to 60 steps per contact (`contact`), and
-the f32 norm without control (`quantum_long`). `physgrad stress` and the tests run all cases. `physgrad stress
+exceed their declared bounds and are reported without a bound: the error of springs with 42 to 60 steps per contact
+(`contact`), and the f32 norm without control (`quantum_long`). `physgrad stress` and the tests run all cases. `physgrad stress
 --markdown` prints this text. The last digits depend on the processor.";
