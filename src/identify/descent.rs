@@ -111,7 +111,7 @@ fn norms(linearized: &[Vec<Linearized>], params: usize) -> Vec<f64> {
 /// Equations of the parameters without damping, for each segment.
 pub(super) fn equations(problem: &Problem<'_>, point: &Point, continuity: f64, counts: &mut Counts) -> Vec<DMatrix<f64>> {
     counts.jacobians += 1;
-    // The damping keeps initial states without influence determined.
+    // The damping determines initial states that do not affect the samples.
     let weights = Weights { per_noise: &problem.per_noise, continuity, damping: 1e-24 };
     eliminated(&problem.linearize(point), point.values.len(), weights).into_iter().map(|segment| segment.reduced).collect()
 }
