@@ -96,13 +96,31 @@ def test_runs_are_saved_loaded_continued_and_reported(tmp_path):
     run.train(epochs=4)
     assert np.array_equal(run.policy.theta, whole.policy.theta) and len(run.history["epoch"]) == 4
     assert len(pg.load(tmp_path / "run").history["epoch"]) == 4
-    run.report(tmp_path / "page.html")
-    assert "<html" in (tmp_path / "page.html").read_text()
-    with pytest.raises(RuntimeError, match="no folder"):
-        whole.report(tmp_path / "none.html")
     fresh = pg.Policy(task, seed=9)
     fresh.load(tmp_path / "run" / "policy.safetensors")
     assert np.array_equal(fresh.theta, run.policy.theta)
+
+
+def test_a_report_is_the_same_in_memory_and_in_a_folder(tmp_path):
+    start = policy_of(small())
+    for policy, done in ((None, 2), (start, 2), (None, 0)):
+        run = pg.Run(small(), policy, epochs=2, seed=1, **FAST)
+        if done:
+            run.train()
+        run.report(tmp_path / "memory.html")
+        assert run.folder is None
+        run.save(tmp_path / "run")
+        run.report(tmp_path / "folder.html")
+        memory, saved = ((tmp_path / name).read_text() for name in ("memory.html", "folder.html"))
+        assert "<html" in memory and "<b>run</b>" in saved
+        assert saved.replace("Folder <b>run</b>, made", "Made").replace(" (run)</title>", "</title>") == memory
+
+
+def test_a_report_has_the_bytes_of_the_program(tmp_path):
+    run = pg.train(small(), epochs=2, seed=1, out=tmp_path / "run", **FAST)
+    run.report(tmp_path / "page.html")
+    subprocess.run([program(), "report", "-q", str(tmp_path / "run")], check=True)
+    assert (tmp_path / "page.html").read_bytes() == (tmp_path / "run" / "report.html").read_bytes()
 
 
 def test_training_starts_from_a_trained_policy():

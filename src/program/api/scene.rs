@@ -10,7 +10,7 @@ use crate::program::settings::Precision;
 use crate::program::tasks;
 use crate::rng::Purpose;
 use crate::{DynTask, Float, System, Task, initial_states};
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use toml::{Table, Value};
 
 /// Source of settings in messages.
@@ -168,7 +168,15 @@ impl Scene {
         match policy {
             Some(policy) => {
                 policy.check(self)?;
-                self.with_policy(policy)?.scene.check("scene", Some(policy.theta()), &mut results);
+                let scene = self.with_policy(policy)?;
+                let (found, expected) = (policy.theta().len(), Policy::new(&scene, 0).theta().len());
+                if found != expected {
+                    bail!(
+                        "the policy has {found} parameters, but {} trains {expected}; create a policy for this task",
+                        self.name()
+                    );
+                }
+                scene.scene.check("scene", Some(policy.theta()), &mut results);
             }
             None => self.scene.check("scene", None, &mut results),
         }
