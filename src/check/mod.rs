@@ -268,8 +268,8 @@ pub fn try_flow<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Result<
 
 /// [`try_flow`] at the parameters `theta` of the policy, where `try_flow` draws random ones.
 ///
-/// Rollouts that amplify rounding errors more than about 1e5 times, relative to their gradient,
-/// exceed the tolerance without an error in a derivative.
+/// Rollouts that amplify rounding errors by about 1e6 exceed the tolerance of 1e-10, although all
+/// derivatives are exact.
 ///
 /// # Errors
 /// Returns the first [`Mismatch`], or [`Failure::Diverged`] if the rollouts or their gradients are
