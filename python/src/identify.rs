@@ -23,8 +23,8 @@ use toml::{Table, Value};
 ///
 /// Returns a dict: "values" and "errors" (standard errors) by name, "robust_errors", (K,), and
 /// "correlations", (K, K), of the K unknown numbers, "chi_squared", "converged", "undetermined" and
-/// "at_bound". Raises `ValueError` if no number is unknown, or the
-/// data do not fit the task. Ctrl-C raises `KeyboardInterrupt`.
+/// "at_bound". Raises `ValueError` if no number is unknown, or the data do not fit the task. Ctrl-C
+/// raises `KeyboardInterrupt`.
 #[pyfunction]
 #[pyo3(signature = (task, data, params=None, noise=None))]
 pub fn identify<'py>(
