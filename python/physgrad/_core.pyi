@@ -151,6 +151,7 @@ class _Plan(TypedDict):
     gains: NDArray[np.float64]
     """Gains of the feedback u_t + K_t (x - x_t), (T, m, n)."""
     cost: float
+    """Running costs plus terminal cost, in the units of the task."""
     costs: NDArray[np.float64]
     """Initial cost, then the cost after each iteration, (iterations + 1,)."""
     iterations: int
@@ -211,7 +212,6 @@ class _Accuracy(TypedDict):
     cheapest: _Cheapest | None
     """None without a target, or if no setting reaches it."""
 
-
 def rollout(task: Task, policy: Policy, starts: ArrayLike) -> tuple[Array, Array]: ...
 def losses(task: Task, policy: Policy, starts: ArrayLike) -> Array: ...
 def gradients(task: Task, policy: Policy, starts: ArrayLike, fields: list[str] = ...) -> dict[str, Array]: ...
@@ -234,7 +234,9 @@ def check(task: Task, policy: Policy | None = None) -> str:
     Returns a table. Raises `AssertionError` with all failures.
     """
 
-def accuracy(task: Task, target: float | None = None, metric: Literal["trajectory", "loss", "R", "M"] = "trajectory") -> _Accuracy:
+def accuracy(
+    task: Task, target: float | None = None, metric: Literal["trajectory", "loss", "R", "M"] = "trajectory"
+) -> _Accuracy:
     """Measures errors and costs of all integrators, substeps and precisions of a task.
 
     Errors are relative to a reference in f64 with small steps. `target` is the largest error of

@@ -32,9 +32,9 @@ const METRICS: [(&str, Metric); 4] =
 /// - "cheapest": the fastest setting with an error of at most `target`, or None. A dict with
 ///   "method", "substeps", "precision", "error", "seconds" and "task", the task with this setting.
 ///
-/// `metric` is the error that `target` refers to: "trajectory", "loss", "R" or "M". Ctrl-C raises
-/// `KeyboardInterrupt`. The current simulation then ends on its own thread. Raises `ValueError` if the reference diverges,
-/// or if the task does not support other time steps.
+/// `metric` is the error that `target` refers to: "trajectory", "loss", "R" or "M". Raises
+/// `ValueError` if the reference diverges, or if the task does not support other time steps. Ctrl-C
+/// raises `KeyboardInterrupt`; a simulation that has begun ends on its own thread.
 #[pyfunction]
 #[pyo3(signature = (task, target=None, metric="trajectory"))]
 pub fn accuracy<'py>(py: Python<'py>, task: &Task, target: Option<f64>, metric: &str) -> PyResult<Bound<'py, PyDict>> {

@@ -145,8 +145,7 @@ impl Scene {
     }
 
     /// Errors and costs of all integrators, numbers of substeps and precisions, as `physgrad
-    /// accuracy` measures them. Calls `begin` with a description before each part, at most some
-    /// tenths of a second apart for small tasks.
+    /// accuracy` measures them. Calls `begin` with a description before each simulation and timing.
     ///
     /// # Errors
     /// The task does not support other time steps, the reference diverges, or `begin` returns an
