@@ -48,10 +48,12 @@ struct Form {
 fn main() {
     let args: Vec<String> = std::env::args().skip(1).collect();
     let (places, count) = if args.iter().any(|a| a == "--quick") { (1, 5) } else { (9, 150_usize) };
-    println!("microseconds of a step, {BATCH} samples, one thread; through effects, by hand: ratio (lowest, highest)");
+    println!(
+        "microseconds of a step, {BATCH} samples, one thread; columns: time with effects, time by hand: ratio (lowest, highest)"
+    );
     let wanted = |task: &str| args.iter().all(|a| a.starts_with('-')) || args.iter().any(|a| a == task);
     let tables = |of: Of, name: &str, single: Vec<Vec<Form>>, double: Vec<Vec<Form>>, horizon: usize| {
-        // Scenes need fewer rounds: networks take longer and vary less.
+        // Scenes need fewer rounds: with a network, a step takes longer and its time varies less.
         let (what, count) = if of == Of::Physics { ("physics alone", count) } else { ("the scene", count.div_ceil(4)) };
         println!("\n{name}: {what}");
         table(of, single, "f32", horizon, places, count);

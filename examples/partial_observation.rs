@@ -53,7 +53,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let upright = (0..SAMPLES).filter(|&sample| state(sample, STEPS, 2).cos() > 0.95).count();
     println!("poles within 18 degrees of upright after 2 s: {upright} of {SAMPLES}");
     if let Some(last) = report.records.last() {
-        println!("test loss by R: {:.3}", last.test_loss);
+        println!("test loss after training with R: {:.3}", last.test_loss);
     }
     if let Some(path) = args.next() {
         let length = 2.0 * task.cart_pole.half_length.nominal();

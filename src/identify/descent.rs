@@ -130,7 +130,7 @@ pub(super) fn equations(
     counts: &mut Counts,
 ) -> Result<Vec<DMatrix<f64>>, IdentifyError> {
     counts.jacobians += 1;
-    // The damping keeps initial states without influence determined.
+    // The damping determines initial states that do not affect the samples.
     let weights = Weights { per_noise: &problem.per_noise, continuity, damping: 1e-24 };
     let eliminated = eliminated(&problem.linearize(point)?, point.values.len(), weights);
     Ok(eliminated.into_iter().map(|segment| segment.reduced).collect())

@@ -16,7 +16,7 @@ pub enum OptimizeError {
         found: usize,
     },
     /// No finite control lies between the bounds, or a bound is NaN.
-    #[error("the bounds of control {control} are [{low}, {high}]; allowed: low <= high, each possibly infinite, none NaN")]
+    #[error("the bounds of control {control} are [{low}, {high}]; allowed: low <= high, low < inf, high > -inf")]
     Bounds {
         /// Index of the control.
         control: usize,
@@ -49,8 +49,8 @@ pub enum OptimizeError {
     },
     /// A derivative at the finite initial trajectory is not finite.
     #[error(
-        "initial trajectory: a first or second derivative of the {} or of its step is not finite. \
-         Smooth the cost and the dynamics there, for instance roots near 0", place(*step)
+        "initial trajectory: a derivative of the {} is not finite. \
+         Smooth the cost and the dynamics there, for instance roots near 0", differentiated(*step)
     )]
     Derivative {
         /// Step of the running cost; `None` for the terminal cost.
@@ -59,6 +59,11 @@ pub enum OptimizeError {
     /// The flag of the options stopped the optimization.
     #[error("the optimization was stopped before its end; start it again")]
     Stopped,
+}
+
+/// Name of the functions with this derivative in messages.
+fn differentiated(step: Option<usize>) -> String {
+    step.map_or("terminal cost".into(), |step| format!("running cost or of the dynamics of step {step}"))
 }
 
 /// Name of a cost in messages.

@@ -70,7 +70,7 @@ pub struct Training {
     pub decay: Decay,
     /// Number of updates at the start in which the learning rate rises linearly to its full value.
     pub warm_up: usize,
-    /// Clipping of the field, before the optimizer. `docs/performance.md` compares the variants.
+    /// Clipping of the field, before the optimizer. `docs/learning.md` compares the variants.
     pub clip: Clip,
     /// Largest number of consecutive updates skipped because of a
     /// [`Divergence`](crate::Divergence). One more stops the training.

@@ -81,7 +81,7 @@ impl Task for Whole {
     }
 }
 
-/// Feedback with a memory and the time, without batched passes.
+/// Feedback that depends on a memory and on time, without batched passes.
 struct Integral;
 
 impl Policy for Integral {

@@ -33,7 +33,7 @@ fn a_summary_agrees_with_its_losses_and_with_robust_at_unchanged_settings() {
 
     let losses = column(&read(&dir, "many/losses.csv"), "loss");
     assert_eq!(losses.len(), 40);
-    assert_eq!(column(&read(&dir, "few/losses.csv"), "loss"), losses[..10], "a sample is independent of their number");
+    assert_eq!(column(&read(&dir, "few/losses.csv"), "loss"), losses[..10], "a sample does not depend on the number of samples");
     let summary = read(&dir, "many/summary.csv");
     let number = |name: &str| column(&summary, name)[0];
     let mean = losses.iter().sum::<f64>() / 40.0;
@@ -45,7 +45,7 @@ fn a_summary_agrees_with_its_losses_and_with_robust_at_unchanged_settings() {
     let grid = read(&dir, "grid/robust.csv");
     assert_eq!(column(&grid, "median")[0], number("median"), "the first grid point has the mass of the run");
 
-    // The rollouts start from the reported samples, the worst first, and from no test initial state.
+    // The rollouts start from the reported samples, the worst first. No start is in the test set.
     let worst = read(&dir, "many/worst.csv");
     let mut samples = column(&worst, "sample");
     samples.dedup();

@@ -15,8 +15,7 @@ use std::fs;
 use std::panic::{self, AssertUnwindSafe};
 use std::time::Instant;
 
-/// Longest permitted time per input, s. Inputs take milliseconds; the margin allows for a loaded
-/// machine.
+/// Longest permitted time per input, s. The margin allows for a loaded machine.
 const MAX_SECONDS: f64 = 10.0;
 
 /// Permitted memory of the process, bytes.
@@ -142,7 +141,7 @@ pub fn fuzz(args: &Fuzz) -> Result<()> {
     }
     print_result(&format!("{} inputs\n{}", args.inputs, table(&findings)))?;
     if !passes(&findings) {
-        bail!("some inputs fail their limits; `physgrad fuzz --first NUMBER --inputs 1` repeats one of them");
+        bail!("some rows of the table fail; `physgrad fuzz --first NUMBER --inputs 1` repeats an input that a row names");
     }
     Ok(())
 }

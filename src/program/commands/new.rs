@@ -70,7 +70,7 @@ pub fn new(args: &New) -> Result<()> {
         fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
     }
     print_result(&format!(
-        "created {name}: Cargo.toml, src/main.rs, scene.toml. Replace the equations in src/main.rs by yours. Then:\n\n\
+        "created {name}: Cargo.toml, src/main.rs, scene.toml. Replace the equations in src/main.rs with your own. Then:\n\n\
          cd {name}\n\
          cargo test --release                            # gradient check\n\
          cargo run --release -- train scene.toml         # training\n\

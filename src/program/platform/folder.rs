@@ -22,7 +22,7 @@ pub const TRAJECTORY: &str = "trajectory.csv";
 pub const ANIMATION: &str = "animation.svg";
 pub const NUMBERS: &str = "numbers.csv";
 pub const REPORT: &str = "report.html";
-/// End of a run of a comparison.
+/// Records how a run of a comparison ended.
 pub const END: &str = "end.toml";
 
 /// Plan of a comparison, beside [`RUNS`].
