@@ -2,10 +2,25 @@
 
 `task` opens a built-in task or a scene file. Its methods evaluate steps, observations and costs on
 arrays, with their derivatives. `train` trains a policy. `rollout`, `losses` and `gradients`
-evaluate policies. `optimize` computes the best controls from one initial state.
+evaluate policies. `optimize` computes the best controls from one initial state. `identify` fits
+physical numbers to measurements, `check` compares derivatives with dual numbers, and `accuracy`
+measures errors and costs of integrators.
 """
 
-from ._core import Divergence, Policy, Run, Task, __version__, check, gradients, identify, losses, optimize, rollout
+from ._core import (
+    Divergence,
+    Policy,
+    Run,
+    Task,
+    __version__,
+    accuracy,
+    check,
+    gradients,
+    identify,
+    losses,
+    optimize,
+    rollout,
+)
 
 __all__ = [
     "Divergence",
@@ -13,6 +28,7 @@ __all__ = [
     "Policy",
     "Run",
     "Task",
+    "accuracy",
     "check",
     "gradients",
     "identify",
@@ -77,6 +93,7 @@ def train(task, policy=None, *, callback=None, out=None, threads=None, **setting
 def load(folder):
     """Opens the run in a folder, at its last checkpoint. `run.train(epochs=600)` continues it."""
     return Run.load(folder)
+
 
 def __getattr__(name):
     """Imports `torch`, `jax` and `gym` on first use: each requires its framework."""

@@ -1,8 +1,8 @@
-"""Types of the compiled module."""
+"""Types of the compiled module. Shapes: B samples, n states, m controls, T steps."""
 
 from collections.abc import Callable
 from os import PathLike
-from typing import Any
+from typing import Any, Literal, TypedDict, type_check_only
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -117,7 +117,100 @@ class Run:
     @property
     def folder(self) -> Any: ...
     def save(self, folder: str | PathLike[str]) -> None: ...
-    def report(self, path: str | PathLike[str]) -> None: ...
+    def report(self, path: str | PathLike[str]) -> None:
+        """Writes the page of `physgrad report` to an HTML file. The run needs no folder."""
+
+@type_check_only
+class _Fit(TypedDict):
+    """Result of `identify`, for K unknown numbers. A dict."""
+
+    values: dict[str, float]
+    """Fitted numbers by dotted key, in the units of the task."""
+    errors: dict[str, float]
+    """Standard errors by dotted key."""
+    robust_errors: NDArray[np.float64]
+    """Standard errors that allow for correlated residuals, (K,)."""
+    correlations: NDArray[np.float64]
+    """Correlations of the values, (K, K)."""
+    chi_squared: float
+    """Sum of squared residuals, in units of the noise."""
+    converged: bool
+    undetermined: list[list[str]]
+    """Combinations of numbers that the data do not determine."""
+    at_bound: list[str]
+    """Numbers at one of their bounds."""
+
+@type_check_only
+class _Plan(TypedDict):
+    """Result of `optimize`. A dict."""
+
+    u: NDArray[np.float64]
+    """Controls, (T, m)."""
+    x: NDArray[np.float64]
+    """States, (T+1, n)."""
+    gains: NDArray[np.float64]
+    """Gains of the feedback u_t + K_t (x - x_t), (T, m, n)."""
+    cost: float
+    """Running costs plus terminal cost, in the units of the task."""
+    costs: NDArray[np.float64]
+    """Initial cost, then the cost after each iteration, (iterations + 1,)."""
+    iterations: int
+    gradient_norm: float
+    """Largest component of the projected gradient, cost per unit of control."""
+    converged: bool
+    stop: str
+    """Reason for the termination."""
+
+@type_check_only
+class _Settings(TypedDict):
+    """Columns with one entry per setting, S settings."""
+
+    method: list[str]
+    """Integrators; "native" for the scheme of the task."""
+    precision: list[str]
+    """Names of precisions in scenes: "f32" or "f64"."""
+    substeps: NDArray[np.int64]
+    """Physics steps per time step, (S,)."""
+    trajectory: NDArray[np.float64]
+    """Largest error of the states, relative to the largest state, (S,). NaN after a divergence."""
+    loss: NDArray[np.float64]
+    """Relative errors of the mean loss, (S,)."""
+    R: NDArray[np.float64]
+    """Relative errors of the gradient R in the Euclidean norm, (S,)."""
+    M: NDArray[np.float64]
+    """Relative errors of the field M in the Euclidean norm, (S,)."""
+    operations: NDArray[np.int64]
+    """Operations of one step and its vector-Jacobian product, per sample, (S,)."""
+    bytes: NDArray[np.float64]
+    """Bytes of a rollout and its adjoints, per step and sample, (S,)."""
+    forward_seconds: NDArray[np.float64]
+    """Median time of a forward pass, s per step and sample, (S,). NaN after a divergence."""
+    gradient_seconds: NDArray[np.float64]
+    """Median time of a forward pass with R and M, s per step and sample, (S,)."""
+
+@type_check_only
+class _Cheapest(TypedDict):
+    """The fastest setting that reaches a target."""
+
+    method: str
+    substeps: int
+    precision: str
+    error: float
+    """Relative error by the metric."""
+    seconds: float
+    """Time per step and sample, s: forward, or with gradients for the metrics "R" and "M"."""
+    task: Task
+    """The task with this setting."""
+
+@type_check_only
+class _Accuracy(TypedDict):
+    """Result of `accuracy`. A dict."""
+
+    settings: _Settings
+    reference: dict[str, float]
+    """Estimated errors of the reference: "trajectory", "loss", "R" and "M"."""
+    cheapest: _Cheapest | None
+    """None without a target, or if no setting reaches it."""
 
 def rollout(task: Task, policy: Policy, starts: ArrayLike) -> tuple[Array, Array]: ...
 def losses(task: Task, policy: Policy, starts: ArrayLike) -> Array: ...
@@ -125,13 +218,38 @@ def gradients(task: Task, policy: Policy, starts: ArrayLike, fields: list[str] =
 def identify(
     task: Task,
     data: list[tuple[ArrayLike, ArrayLike]],
-    params: dict[str, float] | None = None,
+    params: list[str] | dict[str, float | dict[str, float]] | None = None,
     noise: list[float] | None = None,
-) -> dict[str, Any]: ...
-def check(task: Task) -> str: ...
+) -> _Fit:
+    """Fits physical numbers to measured trajectories.
+
+    `data` is a list of pairs: measured states, (steps, n), NaN where missing, and controls,
+    (steps, m). `params` is a list of dotted keys, a dict with initial values, or a dict of dicts
+    with "start", "min" and "max". `noise` has the standard deviation of each state, (n,).
+    """
+
+def check(task: Task, policy: Policy | None = None) -> str:
+    """Checks derivatives against dual numbers, at the parameters of `policy` or random ones.
+
+    Returns a table. Raises `AssertionError` with all failures.
+    """
+
+def accuracy(
+    task: Task, target: float | None = None, metric: Literal["trajectory", "loss", "R", "M"] = "trajectory"
+) -> _Accuracy:
+    """Measures errors and costs of all integrators, substeps and precisions of a task.
+
+    Errors are relative to a reference in f64 with small steps. `target` is the largest error of
+    the cheapest setting, measured by `metric`.
+    """
+
 def optimize(
     task: Task,
     start: ArrayLike,
     bounds: list[list[float]] | None = None,
     iterations: int | None = None,
-) -> dict[str, Any]: ...
+) -> _Plan:
+    """Optimizes the controls from one initial state `start`, (start_dim,).
+
+    `bounds` has the low and high bound of each control, (m, 2).
+    """

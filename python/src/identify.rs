@@ -1,42 +1,51 @@
 //! `identify` and `check`: physical numbers from measurements, and checks of derivatives.
 
 use crate::arrays::{any_shape, array};
+use crate::errors::value_error;
+use crate::interrupt::interruptible;
+use crate::policy::Policy;
+use crate::settings::{Settings, value_of};
 use crate::task::Task;
 use numpy::IntoPyArray;
 use physgrad::identify::{Options, Segment};
-use pyo3::exceptions::{PyAssertionError, PyValueError};
+use pyo3::exceptions::{PyAssertionError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyString};
+use toml::{Table, Value};
 
 /// Fits physical numbers to measured trajectories, as `physgrad identify` does, in f64.
 ///
 /// `data` is a list of pairs: measured states, (steps, n), and controls, (steps, m). NaN marks a
-/// missing measurement. `params` maps dotted keys to initial values, as in
-/// `{"system.pole_mass": 0.2}`; without it, the scene names the numbers in its section `fit`.
-/// `noise` has the standard deviation of each state, (n,). Returns a dict: "values", "errors"
-/// (standard errors) and "correlations" by name, "chi_squared", "converged", "undetermined" and
-/// "at_bound". Raises `ValueError` if no number is unknown, or the data do not fit the task.
+/// missing measurement. `params` names the unknown numbers by dotted keys: a list, as in
+/// `["system.pole_mass"]`, starts at their values in the task. A dict has initial values, as in
+/// `{"system.pole_mass": 0.2}`, or dicts with "start", "min" and "max". Without `params`, the scene
+/// names the numbers in its section `fit`. `noise` has the standard deviation of each state, (n,).
+///
+/// Returns a dict: "values" and "errors" (standard errors) by name, "robust_errors", (K,), and
+/// "correlations", (K, K), of the K unknown numbers, "chi_squared", "converged", "undetermined" and
+/// "at_bound". Raises `ValueError` if no number is unknown, or the data do not fit the task. Ctrl-C
+/// raises `KeyboardInterrupt`.
 #[pyfunction]
 #[pyo3(signature = (task, data, params=None, noise=None))]
 pub fn identify<'py>(
     py: Python<'py>,
     task: &Task,
     data: Vec<(Bound<'py, PyAny>, Bound<'py, PyAny>)>,
-    params: Option<std::collections::BTreeMap<String, f64>>,
+    params: Option<&Bound<'py, PyAny>>,
     noise: Option<Vec<f64>>,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let unknown = |(key, start): (String, f64)| {
-        let start = toml::Table::from_iter([("start".to_owned(), toml::Value::Float(start))]);
-        (key, toml::Value::Table(start))
-    };
-    let scene = task.scene.with(params.into_iter().flatten().map(unknown)).map_err(crate::errors::value_error)?;
+    let unknowns = params.map_or(Ok(Vec::new()), |params| unknowns(task, params))?;
+    let scene = task.scene.with(unknowns).map_err(value_error)?;
     let [n, m, _] = scene.dims();
     let segment = |(x, u): &(Bound<'py, PyAny>, Bound<'py, PyAny>)| {
         Ok(Segment { x: rows("states", x, n)?, u: rows("controls", u, m)?, p: Vec::new() })
     };
     let segments = data.iter().map(segment).collect::<PyResult<Vec<_>>>()?;
-    let options = Options { noise, ..Options::default() };
-    let fit = py.detach(|| scene.identify(&segments, &options)).map_err(|error| PyValueError::new_err(error.to_string()))?;
+    let fit = interruptible(py, move |stop| {
+        let options = Options { noise, stop: Some(stop.clone()), ..Options::default() };
+        scene.identify(&segments, &options)
+    })?;
+    let fit = fit.map_err(|error| PyValueError::new_err(error.to_string()))?;
     if fit.names.is_empty() {
         return Err(PyValueError::new_err(
             "the task has no unknown numbers; name them in `params`, as in {\"system.pole_mass\": 0.2}",
@@ -60,6 +69,41 @@ pub fn identify<'py>(
     Ok(result)
 }
 
+/// Settings that make numbers of the task unknown.
+fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
+    if let Ok(starts) = params.cast::<PyDict>() {
+        let unknown = |(key, value): (Bound<'_, PyAny>, Bound<'_, PyAny>)| {
+            let key: String = key.extract()?;
+            let value = value_of(&key, &value)?;
+            Ok((key, if value.is_table() { value } else { starting_at(value) }))
+        };
+        return starts.iter().map(unknown).collect();
+    }
+    let unknown = |key: String| {
+        let setting = key.split('.').try_fold(None, |found: Option<&Value>, part| {
+            let table = found.map_or(Some(task.scene.settings()), Value::as_table)?;
+            table.get(part).map(Some)
+        });
+        match setting.flatten() {
+            Some(value @ (Value::Float(_) | Value::Integer(_))) => Ok((key, starting_at(value.clone()))),
+            Some(value @ Value::Table(table)) if table.contains_key("start") => Ok((key, value.clone())),
+            Some(_) => Err(PyValueError::new_err(format!(
+                "`{key}` is no single number in the task; give an initial value, as in params={{\"{key}\": 0.2}}"
+            ))),
+            None => Err(PyValueError::new_err(format!("`{key}` in `params` is no setting of the task; see `task.settings`"))),
+        }
+    };
+    if params.is_instance_of::<PyString>() {
+        return Err(PyTypeError::new_err("`params` is a str; allowed: a list of keys, or a dict with initial values"));
+    }
+    params.extract::<Vec<String>>()?.into_iter().map(unknown).collect()
+}
+
+/// Value of a setting that is unknown, with this initial value.
+fn starting_at(start: Value) -> Value {
+    Value::Table(Table::from_iter([("start".to_owned(), start)]))
+}
+
 /// Rows of a matrix.
 fn rows(name: &str, object: &Bound<'_, PyAny>, width: usize) -> PyResult<Vec<Vec<f64>>> {
     let array = any_shape::<f64>(name, object)?;
@@ -71,10 +115,18 @@ fn rows(name: &str, object: &Bound<'_, PyAny>, width: usize) -> PyResult<Vec<Vec
     }
 }
 
-/// Checks the derivatives of the task and of its policy against dual numbers, as `physgrad check`
-/// does. Returns a table. Raises `AssertionError` with all failures.
+/// Checks the derivatives of a task and a policy against dual numbers, as `physgrad check` does.
+///
+/// Compares the gradients of whole rollouts, in f64, at the parameters of `policy`. Without
+/// `policy`, the policy is that of the task, with random parameters. Rollouts that amplify rounding
+/// errors by about 1e6 fail, although all derivatives are exact.
+///
+/// Returns a table. Raises `AssertionError` with all failures, and `ValueError` if the policy does
+/// not fit the task.
 #[pyfunction]
-pub fn check(py: Python<'_>, task: &Task) -> PyResult<String> {
-    let (table, failures) = py.detach(|| task.scene.check());
+#[pyo3(signature = (task, policy=None))]
+pub fn check(py: Python<'_>, task: &Task, policy: Option<&Policy>) -> PyResult<String> {
+    let policy = policy.map(|policy| policy.lock().clone());
+    let (table, failures) = py.detach(|| task.scene.check(policy.as_ref())).map_err(value_error)?;
     if failures.is_empty() { Ok(table) } else { Err(PyAssertionError::new_err(failures.join("\n"))) }
 }

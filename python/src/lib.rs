@@ -3,9 +3,11 @@
 //! Classes and functions convert arguments and call `physgrad::program::api` and `physgrad::rows`.
 //! `physgrad/__init__.py` names the public ones.
 
+mod accuracy;
 mod arrays;
 mod errors;
 mod identify;
+mod interrupt;
 mod optimize;
 mod policy;
 mod rows;
@@ -24,6 +26,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<policy::Policy>()?;
     module.add_class::<run::Run>()?;
     module.add_function(wrap_pyfunction!(identify::identify, module)?)?;
+    module.add_function(wrap_pyfunction!(accuracy::accuracy, module)?)?;
     module.add_function(wrap_pyfunction!(identify::check, module)?)?;
     module.add_function(wrap_pyfunction!(optimize::optimize, module)?)?;
     module.add_function(wrap_pyfunction!(policy::rollout, module)?)?;

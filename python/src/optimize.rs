@@ -1,6 +1,7 @@
 //! `optimize`: controls that minimize the loss from one initial state.
 
 use crate::arrays::{any_shape, array};
+use crate::interrupt::interruptible;
 use crate::task::Task;
 use numpy::IntoPyArray;
 use physgrad::optimize::{Initial, Options, optimize as minimize};
@@ -14,7 +15,7 @@ use pyo3::types::PyDict;
 /// `bounds` has the low and high bound of each control, (m, 2). Returns a dict: controls "u", (T,
 /// m), states "x", (T+1, n), "gains" of the feedback u_t + K_t (x - x_t), (T, m, n), "cost",
 /// "costs" of all iterations, "iterations", "gradient_norm", "converged" and "stop". Raises
-/// `ValueError` if the rollout without control diverges.
+/// `ValueError` if the rollout without control diverges. Ctrl-C raises `KeyboardInterrupt`.
 #[pyfunction]
 #[pyo3(signature = (task, start, bounds=None, iterations=None))]
 pub fn optimize<'py>(
@@ -31,9 +32,12 @@ pub fn optimize<'py>(
     }
     let mut options = Options { bounds, ..Options::default() };
     options.max_iterations = iterations.unwrap_or(options.max_iterations);
-    let (x0, p) = start.slice().split_at(n);
-    let problem = task.scene.task();
-    let plan = py.detach(|| minimize(&problem, x0, p, Initial::Zeros, &options));
+    let (problem, start) = (task.scene.task(), start.slice().to_vec());
+    let plan = interruptible(py, move |stop| {
+        let options = Options { stop: Some(stop.clone()), ..options };
+        let (x0, p) = start.split_at(n);
+        minimize(&problem, x0, p, Initial::Zeros, &options)
+    })?;
     let plan = plan.map_err(|error| PyValueError::new_err(error.to_string()))?;
     let (horizon, result) = (plan.horizon(), PyDict::new(py));
     result.set_item("cost", plan.cost)?;

@@ -2,6 +2,7 @@
 
 use crate::arrays::dict_of_vectors;
 use crate::errors::{runtime_error, value_error};
+use crate::interrupt::POLL;
 use crate::policy::{Policy, with_path};
 use crate::settings::keywords;
 use crate::task::{TOP, Task};
@@ -124,7 +125,7 @@ impl Run {
         py.detach(move || run.save(&folder)).map_err(runtime_error)
     }
 
-    /// Writes the page of `physgrad report` to an HTML file. The run needs a folder: see `save`.
+    /// Writes the page of `physgrad report` to an HTML file. The run needs no folder.
     fn report(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let mut run = self.lock()?;
         let run = &mut *run;
@@ -150,9 +151,6 @@ fn row(record: &Record) -> [f64; 11] {
     let (epoch, skipped, norm) = (record.epoch as f64, record.skipped as f64, record.grad_norm.get());
     [epoch, record.loss, record.train_loss, record.test_loss, norm, cosine, kept, skipped, record.seconds, growth_r, growth_m]
 }
-
-/// Time between two checks for signals.
-const POLL: Duration = Duration::from_millis(100);
 
 /// Calls the callback and checks for signals. Stops the run after an exception.
 struct Watcher {

@@ -57,7 +57,7 @@ fn is_part(rest: &str) -> bool {
 }
 
 /// The value of a setting. Numbers of numpy are accepted.
-fn value_of(key: &str, value: &Bound<'_, PyAny>) -> PyResult<Value> {
+pub fn value_of(key: &str, value: &Bound<'_, PyAny>) -> PyResult<Value> {
     if value.is_instance_of::<PyBool>() {
         return Ok(Value::Boolean(value.extract()?));
     }

@@ -6,18 +6,60 @@ import pytest
 import physgrad as pg
 
 
-def test_a_known_number_is_identified():
-    task = pg.task("cart_pole", poles=1, horizon=40, pole_mass=0.17, precision="f64")
+def measured(pole_mass=0.17):
+    """A task, and exact measurements with this mass in kg."""
+    task = pg.task("cart_pole", poles=1, horizon=40, pole_mass=pole_mass, precision="f64")
     x, u = pg.rollout(task, pg.Mlp(task, [8], seed=1, zero_init_output=False), task.starts(4, seed=1))
-    data = [(x[i, :-1], u[i]) for i in range(4)]
+    return task, [(x[i, :-1], u[i]) for i in range(4)]
+
+
+def test_a_known_number_is_identified():
+    task, data = measured()
     fit = pg.identify(task, data, params={"system.pole_mass": 0.1})
     assert fit["converged"] and np.isclose(fit["values"]["system.pole_mass"], 0.17, rtol=1e-6)
     with pytest.raises(ValueError, match="shape"):
-        pg.identify(task, [(x[0, :, :2], u[0])], params={"system.pole_mass": 0.1})
+        pg.identify(task, [(x[:, :2], u) for x, u in data], params={"system.pole_mass": 0.1})
     with pytest.raises(ValueError):
         pg.identify(task, data)
+
+
+def test_names_start_at_the_values_of_the_task():
+    _, data = measured()
+    task = pg.task("cart_pole", poles=1, horizon=40, pole_mass=0.1, precision="f64")
+    by_name = pg.identify(task, data, params=["system.pole_mass"])
+    by_start = pg.identify(task, data, params={"system.pole_mass": 0.1})
+    bounded = pg.identify(task, data, params={"system.pole_mass": {"start": 0.1, "min": 0.05, "max": 0.12}})
+    assert by_name["values"] == by_start["values"] and np.isclose(by_name["values"]["system.pole_mass"], 0.17, rtol=1e-6)
+    assert bounded["at_bound"] == ["system.pole_mass"] and bounded["values"]["system.pole_mass"] == 0.12
+    again = pg.identify(task.replace(pole_mass={"start": 0.1}), data, params=["system.pole_mass"])
+    assert again["values"] == by_name["values"]
+
+
+def test_names_without_a_value_are_refused():
+    task, data = measured()
+    drawn = task.replace(pole_mass={"uniform": [0.1, 0.2]})
+    with pytest.raises(ValueError, match="`system.pole_mass` is no single number in the task; give an initial value"):
+        pg.identify(drawn, data, params=["system.pole_mass"])
+    with pytest.raises(ValueError, match="`system.pole_weight` in `params` is no setting of the task"):
+        pg.identify(task, data, params=["system.pole_weight"])
+    with pytest.raises(TypeError, match="`params` is a str; allowed: a list of keys"):
+        pg.identify(task, data, params="system.pole_mass")
 
 
 def test_checks_return_a_table():
     table = pg.check(pg.task("pendulum", horizon=10))
     assert "rollout" in table and "FAILED" not in table
+
+
+def test_checks_are_at_the_parameters_of_the_policy():
+    task = pg.task("cart_pole", poles=1, horizon=20)
+    policy = pg.Mlp(task, [8], seed=1, zero_init_output=False)
+    table = pg.check(task, policy)
+    assert "FAILED" not in table and table == pg.check(task, policy) != pg.check(task)
+    other = pg.Mlp(task, [8], seed=2, zero_init_output=False)
+    assert pg.check(task, other) != table
+    policy.theta = policy.theta * 1e200
+    with pytest.raises(AssertionError, match="cannot be checked"):
+        pg.check(task, policy)
+    with pytest.raises(ValueError, match="create a policy for this task"):
+        pg.check(task, pg.Mlp(pg.task("cart_pole", poles=2), [8]))

@@ -1,13 +1,12 @@
 """Trainings, gradients and rollouts against identities and the program."""
 
 import os
+import re
 import shutil
-
 import subprocess
 import sys
 import threading
 import time
-
 
 import numpy as np
 import pytest
@@ -96,13 +95,37 @@ def test_runs_are_saved_loaded_continued_and_reported(tmp_path):
     run.train(epochs=4)
     assert np.array_equal(run.policy.theta, whole.policy.theta) and len(run.history["epoch"]) == 4
     assert len(pg.load(tmp_path / "run").history["epoch"]) == 4
-    run.report(tmp_path / "page.html")
-    assert "<html" in (tmp_path / "page.html").read_text()
-    with pytest.raises(RuntimeError, match="no folder"):
-        whole.report(tmp_path / "none.html")
     fresh = pg.Policy(task, seed=9)
     fresh.load(tmp_path / "run" / "policy.safetensors")
     assert np.array_equal(fresh.theta, run.policy.theta)
+
+
+def page(path):
+    """Page of a report. Numbers of clip paths count all charts of a process."""
+    return re.sub(r"kuva-clip-\d+", "kuva-clip", path.read_text())
+
+
+def stop(_record):
+    raise InterruptedError
+
+
+@pytest.mark.parametrize("epochs", [2, 1, 0])
+def test_a_report_is_that_of_the_program_with_and_without_a_folder(tmp_path, epochs):
+    run, folder = pg.Run(small(), policy_of(small()), epochs=2, seed=1, **FAST), tmp_path / "run"
+    if epochs == 1:
+        with pytest.raises(InterruptedError):
+            run.train(stop)
+    elif epochs == 2:
+        run.train()
+    run.report(tmp_path / "memory.html")
+    assert run.folder is None and len(run.history["epoch"]) == epochs
+    run.save(folder)
+    run.report(tmp_path / "folder.html")
+    subprocess.run([program(), "report", "-q", str(folder)], check=True)
+    whole = page(folder / "report.html")
+    assert "<html" in whole and "Folder <b>run</b>" in whole and page(tmp_path / "folder.html") == whole
+    without = whole.replace("Folder <b>run</b>, made", "Made").replace(" (run)</title>", "</title>")
+    assert page(tmp_path / "memory.html") == without
 
 
 def test_training_starts_from_a_trained_policy():

@@ -263,6 +263,29 @@ fn described(flow: Flow) -> String {
 /// numbers do not evaluate the adjoint.
 #[track_caller]
 pub fn try_flow<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Result<Passed, Failure> {
+    check_flow_of(task, policy, flow, None)
+}
+
+/// [`try_flow`] at the parameters `theta` of the policy, where `try_flow` draws random ones.
+///
+/// Rollouts that amplify rounding errors by about 1e6 exceed the tolerance of 1e-10, although all
+/// derivatives are exact.
+///
+/// # Errors
+/// Returns the first [`Mismatch`], or [`Failure::Diverged`] if the rollouts or their gradients are
+/// non-finite.
+///
+/// # Panics
+/// Panics if the flow has a [`cut`](Flow::cut), or if the length of `theta` is not
+/// [`Policy::param_count`].
+#[track_caller]
+pub fn try_flow_at<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow, theta: &[f64]) -> Result<Passed, Failure> {
+    assert_eq!(theta.len(), policy.param_count(), "`theta` needs one number per parameter of the policy");
+    check_flow_of(task, policy, flow, Some(theta))
+}
+
+#[track_caller]
+fn check_flow_of<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow, theta: Option<&[f64]>) -> Result<Passed, Failure> {
     assert!(flow.cut.is_none(), "dual numbers cannot check `cut`: set `cut` to `None`");
     let slope = |theta: &[f64], starts: &[f64], tangent: &dyn Fn(usize) -> f64| {
         oracle::slope_by_duals(task, policy, theta, starts, flow, tangent)
@@ -270,7 +293,7 @@ pub fn try_flow<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Result<
     let start_slope = |theta: &[f64], starts: &[f64], tangent: &dyn Fn(usize) -> f64| {
         oracle::start_slope_by_duals(task, policy, theta, starts, flow, tangent)
     };
-    check_flow(task, policy, flow, &|theta, starts| oracle::loss(task, policy, theta, starts), [&slope, &start_slope])
+    check_flow(task, policy, theta, flow, &|theta, starts| oracle::loss(task, policy, theta, starts), [&slope, &start_slope])
 }
 
 /// Mean loss for parameters and initial states.
@@ -279,10 +302,11 @@ type Loss<'a> = &'a dyn Fn(&[f64], &[f64]) -> f64;
 /// parameter or per entry of the initial states.
 type Slope<'a> = &'a dyn Fn(&[f64], &[f64], &dyn Fn(usize) -> f64) -> f64;
 
-/// Object-safe part of [`try_flow`]; limits monomorphization.
+/// Object-safe part of [`try_flow`] and [`try_flow_at`]; limits monomorphization.
 fn check_flow(
     task: &dyn AnyTask<f64>,
     policy: &dyn AnyPolicy<f64>,
+    theta: Option<&[f64]>,
     flow: Flow,
     loss_by_duals: Loss,
     [slope, start_slope]: [Slope; 2],
@@ -298,7 +322,10 @@ fn check_flow(
             let (x, p) = start.split_at_mut(n);
             task.start(&mut rng, Start { x, p });
         }
-        let weights = finite_weights(task, policy, &starts, case)?;
+        let weights = match theta {
+            Some(theta) => Weights::new(policy, theta.to_vec()),
+            None => finite_weights(task, policy, &starts, case)?,
+        };
         let gradient = |flows: &[Flow]| {
             let mut batch = Batch::new(task, policy, SAMPLES, flows, 1);
             let loss = batch.run(task, policy, &weights, &starts);

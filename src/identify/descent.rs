@@ -1,6 +1,7 @@
 //! Iterations of Levenberg and Marquardt.
 
 use super::elimination::{Eliminated, Linearized, Weights, gradient, solve, stacked};
+use super::error::IdentifyError;
 use super::problem::{Point, Problem, map};
 use nalgebra::{DMatrix, DVector};
 
@@ -24,21 +25,31 @@ pub(super) struct Stop {
 ///
 /// Returns whether the iterations converged: the tolerance ended them, or no step decreases the
 /// objective and all derivatives are finite.
-pub(super) fn minimize(problem: &Problem<'_>, point: &mut Point, continuity: f64, stop: Stop, counts: &mut Counts) -> bool {
+///
+/// # Errors
+/// [`IdentifyError::Stopped`]
+pub(super) fn minimize(
+    problem: &Problem<'_>,
+    point: &mut Point,
+    continuity: f64,
+    stop: Stop,
+    counts: &mut Counts,
+) -> Result<bool, IdentifyError> {
     let objective = |point: &Point, counts: &mut Counts| {
         counts.simulations += 1;
-        problem.misfit(point).map_or(f64::INFINITY, |misfit| misfit.samples + continuity * continuity * misfit.jumps)
+        let misfit = problem.misfit(point)?;
+        Ok(misfit.map_or(f64::INFINITY, |misfit| misfit.samples + continuity * continuity * misfit.jumps))
     };
     let (mut damping, mut quiet) = (1e-3, 0);
-    let mut least = objective(point, counts);
+    let mut least = objective(point, counts)?;
     for _ in 0..stop.max_iterations {
         counts.iterations += 1;
         counts.jacobians += 1;
-        let linearized = problem.linearize(point);
+        let linearized = problem.linearize(point)?;
         let mut decrease = None;
         while decrease.is_none() && damping < 1e12 {
             let next = step(problem, point, &linearized, Weights { per_noise: &problem.per_noise, continuity, damping });
-            let value = next.as_ref().map_or(f64::INFINITY, |next| objective(next, counts));
+            let value = next.as_ref().map_or(Ok(f64::INFINITY), |next| objective(next, counts))?;
             if let Some(next) = next.filter(|_| value < least) {
                 decrease = Some((least - value) / least);
                 (*point, least) = (next, value);
@@ -52,13 +63,13 @@ pub(super) fn minimize(problem: &Problem<'_>, point: &mut Point, continuity: f64
             Some(_) => quiet + 1,
             // No step decreases the objective: a minimum up to rounding, if the derivatives are
             // finite.
-            None => return linearized.iter().flatten().all(Linearized::is_finite),
+            None => return Ok(linearized.iter().flatten().all(Linearized::is_finite)),
         };
         if quiet >= 2 {
-            return true;
+            return Ok(true);
         }
     }
-    false
+    Ok(false)
 }
 
 /// The point after one damped step, within the bounds. `None` for singular equations.
@@ -109,9 +120,18 @@ fn norms(linearized: &[Vec<Linearized>], params: usize) -> Vec<f64> {
 }
 
 /// Equations of the parameters without damping, for each segment.
-pub(super) fn equations(problem: &Problem<'_>, point: &Point, continuity: f64, counts: &mut Counts) -> Vec<DMatrix<f64>> {
+///
+/// # Errors
+/// [`IdentifyError::Stopped`]
+pub(super) fn equations(
+    problem: &Problem<'_>,
+    point: &Point,
+    continuity: f64,
+    counts: &mut Counts,
+) -> Result<Vec<DMatrix<f64>>, IdentifyError> {
     counts.jacobians += 1;
     // The damping determines initial states that do not affect the samples.
     let weights = Weights { per_noise: &problem.per_noise, continuity, damping: 1e-24 };
-    eliminated(&problem.linearize(point), point.values.len(), weights).into_iter().map(|segment| segment.reduced).collect()
+    let eliminated = eliminated(&problem.linearize(point)?, point.values.len(), weights);
+    Ok(eliminated.into_iter().map(|segment| segment.reduced).collect())
 }

@@ -1,6 +1,6 @@
 //! Errors of an identification.
 
-/// Reason why an identification cannot begin.
+/// Reason why an identification cannot begin, or has no result.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum IdentifyError {
     /// Neither parameters nor initial states are free.
@@ -83,4 +83,7 @@ pub enum IdentifyError {
         /// Step within the segment.
         step: usize,
     },
+    /// The flag of the options stopped the identification.
+    #[error("the identification was stopped before its end; start it again")]
+    Stopped,
 }

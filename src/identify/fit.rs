@@ -5,6 +5,8 @@ use super::error::IdentifyError;
 use super::problem::{Point, Problem};
 use super::statistics::{Statistics, statistics};
 use crate::dynamics::system::System;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 /// A measured trajectory, one row per step of the system.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -33,7 +35,7 @@ pub struct Unknown {
 }
 
 /// Options of [`identify`].
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Options {
     /// Standard deviation of the noise of each state component. `None`: equal for all, and
     /// estimated from the residuals.
@@ -47,11 +49,14 @@ pub struct Options {
     pub max_iterations: usize,
     /// Relative decrease of χ² that ends the iterations.
     pub tolerance: f64,
+    /// Flag that another thread sets to stop the identification with [`IdentifyError::Stopped`].
+    /// Read before every simulation of a window.
+    pub stop: Option<Arc<AtomicBool>>,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { noise: None, free_starts: true, window: Some(10), max_iterations: 100, tolerance: 1e-10 }
+        Self { noise: None, free_starts: true, window: Some(10), max_iterations: 100, tolerance: 1e-10, stop: None }
     }
 }
 
@@ -145,32 +150,38 @@ pub fn identify<S: System>(
     let stages = if point.windows.len() == segments.len() { 1 } else { CONTINUITY.len() };
     let (mut continuity, mut converged) = (0.0, false);
     for (i, weight) in CONTINUITY[..stages].iter().enumerate() {
-        let residual = problem.misfit(&point).map_or(1.0, |misfit| (misfit.samples / problem.measurements() as f64).sqrt());
+        let residual = problem.misfit(&point)?.map_or(1.0, |misfit| (misfit.samples / problem.measurements() as f64).sqrt());
         continuity = weight / residual.max(SMALLEST * problem.size());
         let tolerance = if i + 1 == stages { options.tolerance } else { COARSE };
         let stop = Stop { tolerance, max_iterations: options.max_iterations };
-        converged = minimize(&problem, &mut point, continuity, stop, &mut counts);
+        converged = minimize(&problem, &mut point, continuity, stop, &mut counts)?;
     }
-    Ok(result(&problem, point, continuity, converged, counts))
+    result(&problem, point, continuity, converged, counts)
 }
 
-fn result(problem: &Problem<'_>, point: Point, continuity: f64, converged: bool, mut counts: Counts) -> Fit {
+fn result(
+    problem: &Problem<'_>,
+    point: Point,
+    continuity: f64,
+    converged: bool,
+    mut counts: Counts,
+) -> Result<Fit, IdentifyError> {
     let names: Vec<String> = problem.unknowns.iter().map(|unknown| unknown.name.clone()).collect();
-    let equations = equations(problem, &point, continuity, &mut counts);
+    let equations = equations(problem, &point, continuity, &mut counts)?;
     let Statistics { errors, robust_errors, correlations, undetermined } = statistics(&equations, &names);
-    let chi_squared = problem.misfit(&point).map_or(f64::INFINITY, |misfit| misfit.samples);
+    let chi_squared = problem.misfit(&point)?.map_or(f64::INFINITY, |misfit| misfit.samples);
     let (measurements, unknowns) = (problem.measurements(), problem.count());
     let noise = if problem.noise_is_known { 1.0 } else { (chi_squared / (measurements - unknowns).max(1) as f64).sqrt() };
     let is_bound =
         |(unknown, value): (&Unknown, &f64)| (*value <= unknown.min || *value >= unknown.max).then(|| unknown.name.clone());
-    Fit {
+    Ok(Fit {
         errors: errors.into_iter().map(|error| if error.is_finite() { error * noise } else { error }).collect(),
         robust_errors,
         correlations,
         undetermined,
         at_bound: problem.unknowns.iter().zip(&point.values).filter_map(is_bound).collect(),
-        states: problem.states(&point),
-        jump: problem.largest_jump(&point),
+        states: problem.states(&point)?,
+        jump: problem.largest_jump(&point)?,
         chi_squared,
         measurements,
         unknowns,
@@ -180,5 +191,5 @@ fn result(problem: &Problem<'_>, point: Point, continuity: f64, converged: bool,
         jacobians: counts.jacobians,
         names,
         values: point.values,
-    }
+    })
 }

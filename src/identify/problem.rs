@@ -5,6 +5,7 @@ use super::error::IdentifyError;
 use super::fit::{Options, Segment, Unknown};
 use super::jacobian::{Model, Run};
 use nalgebra::DMatrix;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Consecutive steps of a segment with an initial state.
 #[derive(Clone)]
@@ -41,6 +42,7 @@ pub(super) struct Problem<'a> {
     pub per_noise: Vec<f64>,
     pub noise_is_known: bool,
     pub free_starts: bool,
+    pub stop: Option<&'a AtomicBool>,
 }
 
 impl<'a> Problem<'a> {
@@ -48,7 +50,7 @@ impl<'a> Problem<'a> {
         model: &'a dyn Model,
         segments: &'a [Segment],
         unknowns: &'a [Unknown],
-        options: &Options,
+        options: &'a Options,
     ) -> Result<Self, IdentifyError> {
         let [n, m, params] = model.sizes();
         if unknowns.is_empty() && !options.free_starts {
@@ -88,8 +90,8 @@ impl<'a> Problem<'a> {
             }
         }
         let per_noise = options.noise.as_ref().map_or_else(|| vec![1.0; n], |noise| noise.iter().map(|s| 1.0 / s).collect());
-        let (noise_is_known, free_starts) = (options.noise.is_some(), options.free_starts);
-        let problem = Self { model, segments, unknowns, per_noise, noise_is_known, free_starts };
+        let (noise_is_known, free_starts, stop) = (options.noise.is_some(), options.free_starts, options.stop.as_deref());
+        let problem = Self { model, segments, unknowns, per_noise, noise_is_known, free_starts, stop };
         let (measurements, unknowns) = (problem.measurements(), problem.count());
         if measurements < unknowns {
             return Err(IdentifyError::TooFewMeasurements { measurements, unknowns });
@@ -125,7 +127,7 @@ impl<'a> Problem<'a> {
     /// the simulation of the previous window.
     ///
     /// # Errors
-    /// A simulation or its squared residuals are not finite.
+    /// A simulation or its squared residuals are not finite. [`IdentifyError::Stopped`].
     pub fn begin(&self, length: Option<usize>) -> Result<Point, IdentifyError> {
         let values: Vec<f64> = self.unknowns.iter().map(|unknown| unknown.start).collect();
         let mut windows = Vec::new();
@@ -138,6 +140,7 @@ impl<'a> Problem<'a> {
                 let steps = length.min(last - first);
                 start.iter_mut().zip(&segment.x[first]).filter(|(_, y)| y.is_finite()).for_each(|(x, y)| *x = *y);
                 let window = Window { segment: index, first, steps, start, is_free: self.free_starts || first > 0 };
+                self.check_stop()?;
                 let states = self.run(&window, &p).simulate(self.model);
                 let mut diverged = (states.len() <= steps).then_some(first + states.len());
                 if diverged.is_none() {
@@ -183,8 +186,22 @@ impl<'a> Problem<'a> {
         }
     }
 
+    /// Returns an error after a stop by the options.
+    fn check_stop(&self) -> Result<(), IdentifyError> {
+        let stopped = self.stop.is_some_and(|stop| stop.load(Ordering::Relaxed));
+        if stopped { Err(IdentifyError::Stopped) } else { Ok(()) }
+    }
+
+    /// Results of `work` for the numbers of all windows.
+    ///
+    /// # Errors
+    /// [`IdentifyError::Stopped`]
+    fn map<R: Send>(&self, point: &Point, work: impl Fn(usize) -> R + Sync + Send) -> Result<Vec<R>, IdentifyError> {
+        map(point.windows.len(), |k| self.check_stop().map(|()| work(k))).into_iter().collect()
+    }
+
     /// Misfit of all windows. `None` if a window diverges.
-    pub fn misfit(&self, point: &Point) -> Option<Misfit> {
+    pub fn misfit(&self, point: &Point) -> Result<Option<Misfit>, IdentifyError> {
         let of_window = |k: usize| {
             let window = &point.windows[k];
             let states = self.run(window, &self.parameters(window.segment, &point.values)).simulate(self.model);
@@ -196,13 +213,13 @@ impl<'a> Problem<'a> {
             }
             Some(misfit)
         };
-        let misfits = map(point.windows.len(), of_window).into_iter().collect::<Option<Vec<Misfit>>>()?;
+        let Some(misfits) = self.map(point, of_window)?.into_iter().collect::<Option<Vec<Misfit>>>() else { return Ok(None) };
         let [samples, jumps] = [|m: &Misfit| m.samples, |m: &Misfit| m.jumps].map(|part| misfits.iter().map(part).sum::<f64>());
-        (samples + jumps).is_finite().then_some(Misfit { samples, jumps })
+        Ok((samples + jumps).is_finite().then_some(Misfit { samples, jumps }))
     }
 
     /// Largest jump between windows in units of the noise.
-    pub fn largest_jump(&self, point: &Point) -> f64 {
+    pub fn largest_jump(&self, point: &Point) -> Result<f64, IdentifyError> {
         let of_window = |k: usize| {
             let window = &point.windows[k];
             let states = self.run(window, &self.parameters(window.segment, &point.values)).simulate(self.model);
@@ -211,22 +228,23 @@ impl<'a> Problem<'a> {
                 end.iter().zip(start).zip(&self.per_noise).map(|((end, start), per_noise)| (end - start).abs() * per_noise);
             jumps.fold(0.0, f64::max)
         };
-        map(point.windows.len(), of_window).into_iter().fold(0.0, f64::max)
+        Ok(self.map(point, of_window)?.into_iter().fold(0.0, f64::max))
     }
 
     /// States of all segments. Those of the windows follow each other.
-    pub fn states(&self, point: &Point) -> Vec<Vec<Vec<f64>>> {
+    pub fn states(&self, point: &Point) -> Result<Vec<Vec<Vec<f64>>>, IdentifyError> {
         let mut states = vec![Vec::new(); self.segments.len()];
         for window in &point.windows {
+            self.check_stop()?;
             let run = self.run(window, &self.parameters(window.segment, &point.values)).simulate(self.model);
             states[window.segment].truncate(window.first);
             states[window.segment].extend(run);
         }
-        states
+        Ok(states)
     }
 
     /// Linearizes all windows, by segment.
-    pub fn linearize(&self, point: &Point) -> Vec<Vec<Linearized>> {
+    pub fn linearize(&self, point: &Point) -> Result<Vec<Vec<Linearized>>, IdentifyError> {
         let indices: Vec<usize> = self.unknowns.iter().map(|unknown| unknown.index).collect();
         let of_window = |k: usize| {
             let window = &point.windows[k];
@@ -247,10 +265,10 @@ impl<'a> Problem<'a> {
             Linearized { samples, jump }
         };
         let mut segments: Vec<Vec<Linearized>> = self.segments.iter().map(|_| Vec::new()).collect();
-        for (window, linearized) in point.windows.iter().zip(map(point.windows.len(), of_window)) {
+        for (window, linearized) in point.windows.iter().zip(self.map(point, of_window)?) {
             segments[window.segment].push(linearized);
         }
-        segments
+        Ok(segments)
     }
 }
 

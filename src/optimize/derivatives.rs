@@ -45,11 +45,12 @@ impl Problem<'_> {
     /// Expands costs and dynamics along a trajectory.
     ///
     /// # Errors
-    /// [`OptimizeError::Derivative`] if a derivative is not finite.
+    /// [`OptimizeError::Derivative`] if a derivative is not finite. [`OptimizeError::Stopped`].
     pub(super) fn expand(&self, trajectory: &Trajectory) -> Result<Expansion, OptimizeError> {
         let (n, m, steps) = (self.n, self.m, self.model.horizon());
         let not_finite = |step| OptimizeError::Derivative { step };
         let expanded = (0..steps).map(|t| {
+            self.check_stop()?;
             let step = self.expand_step(trajectory, t);
             let finite = [step.dynamics.as_slice(), step.gradient.as_slice(), step.hessian.as_slice()];
             if all_finite(finite) { Ok(step) } else { Err(not_finite(Some(t))) }
@@ -74,7 +75,7 @@ impl Problem<'_> {
     }
 
     fn expand_step(&self, trajectory: &Trajectory, t: usize) -> StepExpansion {
-        let Self { model, p, n, m } = *self;
+        let Self { model, p, n, m, .. } = *self;
         let inputs = Inputs { x: &trajectory.x[t * n..][..n], u: &trajectory.u[t * m..][..m], p, t };
         let next = &trajectory.x[(t + 1) * n..][..n];
         let all = [inputs.x, inputs.u, p].concat();

@@ -56,6 +56,9 @@ pub enum OptimizeError {
         /// Step of the running cost; `None` for the terminal cost.
         step: Option<usize>,
     },
+    /// The flag of the options stopped the optimization.
+    #[error("the optimization was stopped before its end; start it again")]
+    Stopped,
 }
 
 /// Name of the functions with this derivative in messages.

@@ -72,7 +72,8 @@ use trajectory::Problem;
 /// - a length differs from that of the task,
 /// - a lower bound is above its upper bound, or a bound is NaN,
 /// - the initial trajectory or its cost is not finite,
-/// - a derivative at the initial trajectory is not finite.
+/// - a derivative at the initial trajectory is not finite,
+/// - [`Options::stop`] is set.
 pub fn optimize<T: Task>(
     task: &T,
     x0: &[f64],
@@ -91,7 +92,7 @@ fn minimize(model: &dyn Model, x0: &[f64], p: &[f64], initial: Initial<'_>, opti
         check_length("the initial controls", "horizon times controls", model.horizon() * m, u.len())?;
     }
     let bounds = Bounds::new(options, m)?;
-    let problem = Problem { model, p, n, m };
+    let problem = Problem { model, p, n, m, stop: options.stop.as_deref() };
     let start = problem.simulate(x0, |t, x, u| {
         match initial {
             Initial::Zeros => u.fill(0.0),

@@ -1,9 +1,11 @@
 //! [`Options`] and [`Initial`]: settings and start of an optimization.
 
 use super::OptimizeError;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 /// Settings of [`optimize`](super::optimize).
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Options {
     /// Largest number of iterations. Each linearizes the trajectory once.
     pub max_iterations: usize,
@@ -17,12 +19,15 @@ pub struct Options {
     /// Bounds `[low, high]` of each control, at all steps. Infinite bounds are allowed. `None`: no
     /// bounds.
     pub bounds: Option<Vec<[f64; 2]>>,
+    /// Flag that another thread sets to stop the optimization with [`OptimizeError::Stopped`]. Read
+    /// at every step of a trajectory.
+    pub stop: Option<Arc<AtomicBool>>,
 }
 
 impl Default for Options {
     /// 200 iterations, tolerances of 1e-8 (gradient) and 1e-10 (cost), no bounds.
     fn default() -> Self {
-        Self { max_iterations: 200, gradient_tolerance: 1e-8, cost_tolerance: 1e-10, bounds: None }
+        Self { max_iterations: 200, gradient_tolerance: 1e-8, cost_tolerance: 1e-10, bounds: None, stop: None }
     }
 }
 

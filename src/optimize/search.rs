@@ -6,6 +6,7 @@ use super::derivatives::Expansion;
 use super::options::{Bounds, Options};
 use super::plan::{Plan, Stop};
 use super::trajectory::{Problem, Trajectory};
+use std::ops::ControlFlow;
 
 /// State of an optimization.
 pub(super) struct Search<'a> {
@@ -40,28 +41,32 @@ impl<'a> Search<'a> {
     ///
     /// # Errors
     /// [`OptimizeError::Derivative`] if a derivative at the initial trajectory is not finite.
+    /// [`OptimizeError::Stopped`].
     pub(super) fn run(mut self) -> Result<Plan, OptimizeError> {
         let mut expansion = self.problem.expand(&self.best)?;
         loop {
             let improved = if self.gradient_norm(&expansion) <= self.options.gradient_tolerance {
-                Err(Stop::Gradient)
+                ControlFlow::Break(Stop::Gradient)
             } else if self.small_decreases >= SMALL_DECREASES {
-                Err(Stop::Decrease)
+                ControlFlow::Break(Stop::Decrease)
             } else if self.costs.len() > self.options.max_iterations {
-                Err(Stop::Iterations)
+                ControlFlow::Break(Stop::Iterations)
             } else {
-                self.improve(&expansion)
+                self.improve(&expansion)?
             };
             match improved {
-                Ok(next) => expansion = next,
-                Err(stop) => return Ok(self.finish(expansion, stop)),
+                ControlFlow::Continue(next) => expansion = next,
+                ControlFlow::Break(stop) => return Ok(self.finish(expansion, stop)),
             }
         }
     }
 
     /// Replaces the trajectory by a better one and returns its expansion, or the reason for the
     /// termination.
-    fn improve(&mut self, expansion: &Expansion) -> Result<Expansion, Stop> {
+    ///
+    /// # Errors
+    /// [`OptimizeError::Stopped`]
+    fn improve(&mut self, expansion: &Expansion) -> Result<ControlFlow<Stop, Expansion>, OptimizeError> {
         // Decreases below the rounding error of the initial cost count as none.
         let tolerance = self.options.cost_tolerance * self.best.cost.abs() + f64::EPSILON * self.costs[0].abs();
         loop {
@@ -70,19 +75,20 @@ impl<'a> Search<'a> {
             let better = step.as_ref().and_then(|step| self.line_search(step));
             // Rejects trajectories whose derivatives are not finite.
             let expanded = better.and_then(|better| self.problem.expand(&better).ok().map(|next| (better, next)));
+            self.problem.check_stop()?;
             if let Some((better, next)) = expanded {
                 let decrease = self.best.cost - better.cost;
                 self.small_decreases = if decrease <= tolerance { self.small_decreases + 1 } else { 0 };
                 self.costs.push(better.cost);
                 self.best = better;
                 self.regularization.decrease();
-                return Ok(next);
+                return Ok(ControlFlow::Continue(next));
             }
             if step.is_some_and(|step| step.predicted(1.0) <= tolerance) {
-                return Err(Stop::Decrease);
+                return Ok(ControlFlow::Break(Stop::Decrease));
             }
             if !self.regularization.increase() {
-                return Err(Stop::NoDescent);
+                return Ok(ControlFlow::Break(Stop::NoDescent));
             }
         }
     }

@@ -3,6 +3,7 @@
 use super::OptimizeError;
 use super::model::Model;
 use crate::dynamics::inputs::Inputs;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// States, controls and cost of one rollout.
 #[derive(Clone, Debug)]
@@ -23,24 +24,34 @@ pub(super) struct Problem<'a> {
     pub(super) n: usize,
     /// Number of controls.
     pub(super) m: usize,
+    /// Flag of the options.
+    pub(super) stop: Option<&'a AtomicBool>,
 }
 
 impl Problem<'_> {
+    /// Returns an error after a stop by the options.
+    pub(super) fn check_stop(&self) -> Result<(), OptimizeError> {
+        let stopped = self.stop.is_some_and(|stop| stop.load(Ordering::Relaxed));
+        if stopped { Err(OptimizeError::Stopped) } else { Ok(()) }
+    }
+
     /// Simulates the controls that `control(t, x, u)` writes.
     ///
     /// # Errors
-    /// [`OptimizeError`] with the place of the first number that is not finite.
+    /// [`OptimizeError`] with the place of the first number that is not finite, or
+    /// [`OptimizeError::Stopped`].
     pub(super) fn simulate(
         &self,
         x0: &[f64],
         mut control: impl FnMut(usize, &[f64], &mut [f64]),
     ) -> Result<Trajectory, OptimizeError> {
-        let Self { model, p, n, m } = *self;
+        let Self { model, p, n, m, .. } = *self;
         let steps = model.horizon();
         let (mut x, mut u, mut cost) = (vec![0.0; (steps + 1) * n], vec![0.0; steps * m], 0.0);
         x[..n].copy_from_slice(x0);
         finite("state", 0, x0)?;
         for t in 0..steps {
+            self.check_stop()?;
             let (past, future) = x.split_at_mut((t + 1) * n);
             let (now, next, u) = (&past[t * n..], &mut future[..n], &mut u[t * m..][..m]);
             control(t, now, u);

@@ -4,7 +4,7 @@ use num_traits::AsPrimitive;
 use physgrad::policy::{
     Action, Activation, Bounded, Conv, Gru, Linear, Mlp, Observed, OpenLoop, PolicyPass, PolicyRecord, Sizes, Sum, Tensor,
 };
-use physgrad::rng::Rng;
+use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{CartPole, CartPoleSystem, LossMode, Quantum};
 use physgrad::{Cotangent, CotangentPack, Cotangents, Float, Flow, Inputs, Policy, Real, Scalar, Start, System, Task, check};
 use rand::RngExt;
@@ -322,6 +322,23 @@ fn rollout_checks_find_one_wrong_weight_among_more_than_1000() {
     for flow in Flow::ALL {
         let failure = check::try_flow(&task, &one_off(37), flow).expect_err("a wrong gradient");
         assert!(failure.to_string().starts_with("gradient"), "{failure}");
+    }
+}
+
+#[test]
+fn rollout_checks_are_at_the_given_parameters() {
+    let (task, conv) = (Quantum { horizon: 5, ..Quantum::new(3) }, Conv::new(32, 20));
+    let mut theta = vec![0.0; conv.param_count()];
+    conv.init(&mut stream(1, Purpose::Policy, 0), &mut theta);
+    let huge = vec![f64::MAX; theta.len()];
+    for flow in Flow::ALL {
+        let passed = check::try_flow_at(&task, &conv, flow, &theta).expect("correct gradients");
+        let others: Vec<f64> = theta.iter().map(|theta| theta * 0.5).collect();
+        assert_ne!(check::try_flow_at(&task, &conv, flow, &others).expect("correct gradients").worst, passed.worst);
+        let wrong = check::try_flow_at(&task, &one_off(37), flow, &theta).expect_err("a wrong gradient");
+        assert!(wrong.to_string().starts_with("gradient"), "{wrong}");
+        let diverged = check::try_flow_at(&task, &conv, flow, &huge);
+        assert!(matches!(diverged, Err(check::Failure::Diverged { .. })), "{diverged:?}");
     }
 }
 

@@ -2,6 +2,8 @@
 
 use physgrad::identify::{Fit, IdentifyError, Options, Segment, Unknown, identify};
 use physgrad::{Inputs, Scalar, System};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// `x' = x/2 + √p`.
 struct Root;
@@ -46,4 +48,51 @@ fn an_entry_of_p_is_unknown_once() {
     let twice = [unknown(0.5), Unknown { name: "q".into(), ..unknown(0.2) }];
     let error = fit(&twice).expect_err("one entry with two names");
     assert_eq!(error, IdentifyError::Twice { names: ["p".into(), "q".into()], index: 0 });
+}
+
+/// `x' = x/2 + p`. Sets the flag of the options at step number `at`.
+#[derive(Default)]
+struct Stopping {
+    steps: AtomicUsize,
+    at: usize,
+    stop: Arc<AtomicBool>,
+}
+
+impl System for Stopping {
+    fn state_dim(&self) -> usize {
+        1
+    }
+    fn control_dim(&self) -> usize {
+        0
+    }
+    fn param_dim(&self) -> usize {
+        1
+    }
+    fn step<T: Scalar>(&self, Inputs { x, p, .. }: Inputs<'_, T>, next: &mut [T]) {
+        if self.steps.fetch_add(1, Ordering::Relaxed) == self.at {
+            self.stop.store(true, Ordering::Relaxed);
+        }
+        next[0] = x[0] * 0.5 + p[0];
+    }
+}
+
+#[test]
+fn a_flag_stops_an_identification_before_the_next_window() {
+    let states: Vec<Vec<f64>> = std::iter::successors(Some(1.0), |x| Some(0.5 * x + 0.3)).map(|x| vec![x]).take(400).collect();
+    let run = |at: usize| {
+        let system = Stopping { at, ..Stopping::default() };
+        let options = Options { stop: Some(system.stop.clone()), ..Options::default() };
+        let segment = Segment { x: states.clone(), u: Vec::new(), p: vec![0.0] };
+        let fit = identify(&system, &[segment], &[unknown(0.5)], &options);
+        (fit, system.steps.into_inner())
+    };
+    let (whole, steps) = run(usize::MAX);
+    assert!(whole.expect("valid data").converged);
+    // The threads finish the windows of ten steps that they began, with derivatives.
+    let windows = 2 * 10 * std::thread::available_parallelism().map_or(1, usize::from);
+    for at in (0..8).map(|part| steps * part / 8) {
+        let (stopped, taken) = run(at);
+        assert_eq!(stopped, Err(IdentifyError::Stopped));
+        assert!(taken <= at + windows + 1, "{taken} steps after a stop at {at} of {steps}");
+    }
 }

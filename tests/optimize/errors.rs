@@ -3,6 +3,8 @@
 use super::problems::{Coupled, Explosive};
 use physgrad::optimize::{Initial, OptimizeError, Options, optimize};
 use physgrad::prelude::*;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 #[test]
 fn divergence_error_names_variable_step_and_component() {
@@ -139,4 +141,62 @@ fn the_plan_of_a_system_without_controls_is_its_rollout() {
     let plan = optimize(&Uncontrolled, &[1.0], &[], Initial::Zeros, &Options::default()).expect("a finite rollout");
     assert_eq!((plan.horizon(), plan.state(5), plan.cost), (5, &[1.0 / 32.0][..], 1.0 / 1024.0));
     assert!(plan.converged() && plan.u.is_empty() && plan.control(4).is_empty());
+}
+
+/// `x' = x + sin u`, over 30 steps, with the cost `u²/100 + (x - 1)⁴`. Sets the flag of the options
+/// at step number `at`.
+#[derive(Default)]
+struct Stopping {
+    steps: AtomicUsize,
+    at: usize,
+    stop: Arc<AtomicBool>,
+}
+
+impl System for Stopping {
+    fn state_dim(&self) -> usize {
+        1
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
+        if self.steps.fetch_add(1, Ordering::Relaxed) == self.at {
+            self.stop.store(true, Ordering::Relaxed);
+        }
+        next[0] = x[0] + u[0].sin();
+    }
+}
+
+impl Task for Stopping {
+    type System = Self;
+    fn system(&self) -> &Self {
+        self
+    }
+    fn horizon(&self) -> usize {
+        30
+    }
+    fn start(&self, _: &mut Rng, _: Start<'_>) {}
+    fn running_cost<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, _next: &[T]) -> T {
+        let square = (x[0] - 1.0) * (x[0] - 1.0);
+        u[0] * u[0] * 0.01 + square * square
+    }
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
+        (x[0] - 1.0) * (x[0] - 1.0)
+    }
+}
+
+#[test]
+fn a_flag_stops_an_optimization_before_the_next_step() {
+    let run = |at: usize| {
+        let task = Stopping { at, ..Stopping::default() };
+        let options = Options { stop: Some(task.stop.clone()), ..Options::default() };
+        let plan = optimize(&task, &[0.0], &[], Initial::Zeros, &options);
+        (plan, task.steps.into_inner())
+    };
+    let (whole, steps) = run(usize::MAX);
+    assert!(whole.expect("a finite rollout").iterations() > 3);
+    for at in (0..steps - 1).step_by(7) {
+        let (stopped, taken) = run(at);
+        assert_eq!((stopped, taken), (Err(OptimizeError::Stopped), at + 1));
+    }
 }

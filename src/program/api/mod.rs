@@ -15,6 +15,7 @@ mod policy;
 mod run;
 mod scene;
 
+pub use crate::program::commands::accuracy::{Errors, Measured, Metric, Row, Setting};
 pub use crate::program::runs::run::{EpochEvent, Observer};
 pub use policy::{Policy, Precise, Rollouts};
 pub use run::Run;

@@ -134,7 +134,7 @@ impl Policy {
     }
 
     /// Checks that the policy fits a task.
-    fn check(&self, task: &Scene) -> Result<DynTask> {
+    pub(super) fn check(&self, task: &Scene) -> Result<DynTask> {
         let (policy, dyn_task) = (f64::policy(&*self.policy), task.task());
         let any: &dyn AnyTask<f64> = &dyn_task;
         let [found, expected] = [[policy.observation_dim(), policy.control_dim()], [any.observed_dim(), any.control_dim()]];

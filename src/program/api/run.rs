@@ -31,8 +31,7 @@ impl Run {
         let threads = threads.unwrap_or_else(rayon::current_num_threads).max(1);
         let mut scene = scene.clone();
         if let Some(policy) = policy {
-            let section = policy.scene().settings().get("policy").cloned().context("the scene has no section `policy`")?;
-            scene = scene.with([("policy".to_owned(), section)])?;
+            scene = scene.with_policy(policy)?;
             let random = Policy::new(&scene, scene.scene.seed);
             let is_random = if scene.is_f64() {
                 random.theta() == policy.theta()
@@ -143,9 +142,9 @@ impl Run {
     /// The page of `physgrad report`, as HTML.
     ///
     /// # Errors
-    /// The run has no folder, or its files cannot be read.
+    /// The state of the run cannot be copied.
     pub fn report(&self) -> Result<String> {
-        let folder = self.folder.as_deref().context("the run has no folder; save it first")?;
-        report::html(&Folder::existing(folder)?)
+        let folder = self.folder.as_deref().map(|folder| Folder::at(folder).name());
+        report::of_run(folder.as_deref(), &self.scene.scene, &*self.run)
     }
 }

@@ -1,6 +1,8 @@
 //! [`Scene`]: task, physics, loss, policy and training.
 
+use super::Policy;
 use crate::identify::{Fit, IdentifyError, Options, Segment};
+use crate::program::commands::accuracy::{Measured, Setting, Study};
 use crate::program::operations::checks::Results;
 use crate::program::scenes::presets;
 use crate::program::scenes::source::SceneSource;
@@ -8,7 +10,7 @@ use crate::program::settings::Precision;
 use crate::program::tasks;
 use crate::rng::Purpose;
 use crate::{DynTask, Float, System, Task, initial_states};
-use anyhow::Result;
+use anyhow::{Context, Result, bail};
 use toml::{Table, Value};
 
 /// Source of settings in messages.
@@ -38,11 +40,33 @@ impl Scene {
     /// # Errors
     /// A setting is unknown or out of range.
     pub fn with(&self, settings: impl IntoIterator<Item = (String, Value)>) -> Result<Self> {
-        let changed = Self::changed(self.source.clone(), settings)?;
-        Ok(match self.scene.initial_policy() {
+        Ok(self.keep_initial_policy(Self::changed(self.source.clone(), settings)?))
+    }
+
+    /// Copy with the section `policy` of the scene of this policy.
+    ///
+    /// # Errors
+    /// The section does not suit the task.
+    pub fn with_policy(&self, policy: &Policy) -> Result<Self> {
+        let section = policy.scene().settings().get("policy").cloned().context("the scene has no section `policy`")?;
+        self.with([("policy".to_owned(), section)])
+    }
+
+    /// Copy with another integrator, number of substeps and precision.
+    ///
+    /// # Errors
+    /// The task does not support them.
+    pub fn with_setting(&self, setting: &Setting) -> Result<Self> {
+        let source = setting.source(&self.source)?;
+        Ok(self.keep_initial_policy(Self { scene: source.scene()?, source }))
+    }
+
+    /// `changed`, with the parameters that start the training of this scene.
+    fn keep_initial_policy(&self, changed: Self) -> Self {
+        match self.scene.initial_policy() {
             Some(bytes) => Self { scene: changed.scene.starting_from(bytes.to_vec()), ..changed },
             None => changed,
-        })
+        }
     }
 
     fn changed(mut source: SceneSource, settings: impl IntoIterator<Item = (String, Value)>) -> Result<Self> {
@@ -120,14 +144,43 @@ impl Scene {
         self.scene.identify(segments, options)
     }
 
+    /// Errors and costs of all integrators, numbers of substeps and precisions, as `physgrad
+    /// accuracy` measures them. Calls `begin` with a description before each simulation and timing.
+    ///
+    /// # Errors
+    /// The task does not support other time steps, the reference diverges, or `begin` returns an
+    /// error.
+    pub fn accuracy(&self, begin: &mut dyn FnMut(String) -> Result<()>) -> Result<Measured> {
+        let study = Study::new(self.source.clone())?;
+        study.measure(study.settings()?, begin)
+    }
+
     /// Checks the derivatives of system, policy and rollout against dual numbers, as `physgrad
-    /// check` does. Returns a table of all checks, and one message per failure.
-    pub fn check(&self) -> (String, Vec<String>) {
+    /// check` does. With a policy, rollouts have its parameters; otherwise random ones. Returns a
+    /// table of all checks, and one message per failure.
+    ///
+    /// # Errors
+    /// The policy does not fit the scene.
+    pub fn check(&self, policy: Option<&Policy>) -> Result<(String, Vec<String>)> {
         let mut results = Results::new();
         results.begin(self.name());
-        self.scene.check("scene", &mut results);
+        match policy {
+            Some(policy) => {
+                policy.check(self)?;
+                let scene = self.with_policy(policy)?;
+                let (found, expected) = (policy.theta().len(), Policy::new(&scene, 0).theta().len());
+                if found != expected {
+                    bail!(
+                        "the policy has {found} parameters, but {} trains {expected}; create a policy for this task",
+                        self.name()
+                    );
+                }
+                scene.scene.check("scene", Some(policy.theta()), &mut results);
+            }
+            None => self.scene.check("scene", None, &mut results),
+        }
         let (table, failures) = results.finish();
-        (table.to_string(), failures)
+        Ok((table.to_string(), failures))
     }
 
     /// Numbers of states, controls and parameters of a sample.

@@ -31,7 +31,7 @@ pub fn check(args: &Check) -> Result<()> {
     let mut results = Results::new();
     for (variant, scene) in scenes(args.scene.as_deref())? {
         results.begin(scene.task.name());
-        scene.check(&variant, &mut results);
+        scene.check(&variant, None, &mut results);
     }
     let (table, failures) = results.finish();
     let mut notes = Vec::new();

@@ -7,11 +7,13 @@ mod inspected;
 mod learning;
 mod page;
 
+use crate::program::operations::session::AnyRun;
 use crate::program::platform::folder::{Folder, REPORT};
 use crate::program::platform::terminal::print_result;
 use crate::program::runs::saved;
+use crate::program::tasks::Scene;
 use anyhow::Result;
-use inspected::InspectedScene;
+use inspected::{Inspected, InspectedScene};
 use std::path::PathBuf;
 
 /// Write an HTML page about a run, a comparison or an identification.
@@ -43,11 +45,16 @@ pub fn html(folder: &Folder) -> Result<String> {
     if folder.has(identification::IDENTIFIED) { identification::page(folder) } else { of_runs(folder) }
 }
 
+/// The page about a run in memory. `folder` is the name of its folder, if it has one.
+pub fn of_run(folder: Option<&str>, scene: &Scene, run: &dyn AnyRun) -> Result<String> {
+    Ok(page::run(folder, &Inspected::of(scene, run)?))
+}
+
 /// The page about the run or the comparison in the folder.
 fn of_runs(folder: &Folder) -> Result<String> {
     let scenes = saved::scenes(folder)?.into_iter().map(InspectedScene::read).collect::<Result<Vec<_>>>()?;
     Ok(match &scenes[..] {
-        [InspectedScene { runs, .. }] if saved::has_run(folder) => page::run(&folder.name(), &runs[0]),
+        [InspectedScene { runs, .. }] if saved::has_run(folder) => page::run(Some(&folder.name()), &runs[0]),
         _ => page::comparison(&folder.name(), &scenes),
     })
 }

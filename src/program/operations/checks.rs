@@ -9,8 +9,9 @@ use crate::rng::{Purpose, stream};
 use crate::{Divergence, DynTask, Flow, Inputs, Policy, System, Task, Weights, initial_states};
 use indicatif::ProgressBar;
 
-/// Adds the checks of one task and policy to the results.
-pub fn check(task: &DynTask, policy: &impl Policy, variant: &str, results: &mut Results) {
+/// Adds the checks of one task and policy to the results. Rollouts have the parameters `theta`, or
+/// random ones.
+pub fn check(task: &DynTask, policy: &impl Policy, theta: Option<&[f64]>, variant: &str, results: &mut Results) {
     let system = task.system();
     let (n, m) = (system.state_dim(), system.control_dim());
     results.add(&format!("{variant}: system"), || check::try_system(system).map_err(Failure::from));
@@ -19,7 +20,10 @@ pub fn check(task: &DynTask, policy: &impl Policy, variant: &str, results: &mut 
         results.add(&format!("{variant}: network"), || check::try_policy(policy).map_err(Failure::from));
     }
     for flow in Flow::ALL {
-        results.add(&format!("{variant}: rollout, {flow}"), || check::try_flow(task, policy, flow));
+        results.add(&format!("{variant}: rollout, {flow}"), || match theta {
+            Some(theta) => check::try_flow_at(task, policy, flow, theta),
+            None => check::try_flow(task, policy, flow),
+        });
     }
 }
 

@@ -68,8 +68,9 @@ pub trait AnySettings: Send + Sync {
     /// Opens a run before its first epoch. It starts from the parameters in the bytes of a policy
     /// file, or from random ones.
     fn open_from(&self, initial: Option<&[u8]>, workers: usize) -> Result<Box<dyn AnyRun>>;
-    /// Checks the gradients of system, policy and rollout. Results carry the name `variant`.
-    fn check(&self, variant: &str, results: &mut Results);
+    /// Checks the gradients of system, policy and rollout. Rollouts have the parameters `theta`, or
+    /// random ones. Results carry the name `variant`.
+    fn check(&self, variant: &str, theta: Option<&[f64]>, results: &mut Results);
     /// Largest amplification of a perturbation by a step, in states of test rollouts.
     fn amplification(&self) -> Option<Amplification>;
     /// Loss and gradient at the initial parameters and at parameters nearby.
@@ -131,9 +132,9 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
         session::open(task, policy, self.precision, self.training.weighted(self.field.0), training, initial)
     }
 
-    fn check(&self, variant: &str, results: &mut Results) {
+    fn check(&self, variant: &str, theta: Option<&[f64]>, results: &mut Results) {
         let (task, policy) = self.task_and_policy();
-        checks::check(&task, &policy, variant, results);
+        checks::check(&task, &policy, theta, variant, results);
     }
 
     fn amplification(&self) -> Option<Amplification> {

@@ -1,8 +1,8 @@
 //! Output files of `physgrad accuracy`: CSV, charts and a table.
 
 use crate::numbers::text::rough;
-use crate::program::commands::accuracy::ROUNDS;
 use crate::program::commands::accuracy::row::{Errors, Row};
+use crate::program::commands::accuracy::study::ROUNDS;
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::Folder;
 use crate::program::platform::table::Table;

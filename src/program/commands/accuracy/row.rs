@@ -15,16 +15,23 @@ pub struct Setting {
     pub method: &'static str,
     /// Number of physics steps per control step.
     pub substeps: usize,
+    /// Floating-point precision.
     pub precision: Precision,
 }
 
 impl Setting {
+    /// Name in tables.
     pub fn name(&self) -> String {
         format!("{} x{} {}", self.method, self.substeps, self.precision.name())
     }
 
     /// Creates the scene of `source` with this setting.
-    pub fn of(&self, source: &SceneSource) -> Result<Scene> {
+    pub(crate) fn of(&self, source: &SceneSource) -> Result<Scene> {
+        self.source(source)?.scene()
+    }
+
+    /// Copy of `source` with this setting.
+    pub(crate) fn source(&self, source: &SceneSource) -> Result<SceneSource> {
         let mut source = source.clone();
         source.without_section("integrator");
         source.put("precision", Value::String(self.precision.name().into()), "accuracy")?;
@@ -32,7 +39,7 @@ impl Setting {
         if self.method != "native" {
             source.put("integrator.method", Value::String(self.method.into()), "accuracy")?;
         }
-        source.scene()
+        Ok(source)
     }
 
     /// Lines of a scene file that select this setting.
@@ -70,6 +77,7 @@ pub struct Errors {
 
 /// Errors and costs of one setting.
 pub struct Row {
+    /// Integrator, number of substeps, and precision.
     pub setting: Setting,
     /// Errors, or the message of a divergence.
     pub errors: Result<Errors, String>,
@@ -85,7 +93,13 @@ pub struct Row {
 }
 
 impl Row {
-    pub fn new(setting: Setting, job: &Job, reference: &Simulated, conserved: Option<&Conserved>, rounds: &[[f64; 2]]) -> Self {
+    pub(super) fn new(
+        setting: Setting,
+        job: &Job,
+        reference: &Simulated,
+        conserved: Option<&Conserved>,
+        rounds: &[[f64; 2]],
+    ) -> Self {
         let errors = job.found.as_ref().map(|found| Errors::of(found, reference)).map_err(Clone::clone);
         let seconds = [0, 1].map(|pass| spread(rounds.iter().map(|round| round[pass]).collect()));
         let drift = conserved.map_or(f64::NAN, |conserved| conserved.drift(&job.idle));
@@ -94,7 +108,7 @@ impl Row {
 }
 
 impl Errors {
-    pub fn of(found: &Simulated, reference: &Simulated) -> Self {
+    pub(super) fn of(found: &Simulated, reference: &Simulated) -> Self {
         let largest = |x: &[f64]| x.iter().fold(0.0_f64, |largest, x| largest.max(x.abs()));
         let differences = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a - b).collect::<Vec<f64>>();
         let [r, m] = [0, 1].map(|k| compare(&found.gradients[k], &reference.gradients[k]));

@@ -49,7 +49,7 @@ pub fn page(folder: &Folder) -> Result<String> {
             (compared("Validation: segments that were not fitted", &Trajectories::read(folder, VALIDATION)?))
         }
     };
-    Ok(document("Identification", &folder.name(), env!("CARGO_PKG_VERSION"), NOTE, &warnings, &content))
+    Ok(document("Identification", Some(&folder.name()), env!("CARGO_PKG_VERSION"), NOTE, &warnings, &content))
 }
 
 /// Header and rows of a file.

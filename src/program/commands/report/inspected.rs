@@ -76,6 +76,12 @@ pub struct RolloutData {
 }
 
 impl Inspected {
+    /// Data of a run in memory, at its current state.
+    pub fn of(scene: &Scene, run: &dyn AnyRun) -> Result<Self> {
+        let identity = scene.identity();
+        inspected(scene, |copy| Ok(copy.restore(&run.checkpoint(&identity), &identity)?), true)
+    }
+
     pub fn outcome(&self) -> Outcome<'_> {
         Outcome { field: self.field, seed: self.seed, records: &self.records, failed: matches!(self.end, End::Failed(_)) }
     }
@@ -107,7 +113,8 @@ fn inspect(folders: &[Folder]) -> Result<Vec<Inspected>> {
     runs.sort_by_key(|(_, scene)| (position(scene.field.0.letter()), scene.seed));
     let first = |i: usize| i == 0 || runs[i - 1].1.field != runs[i].1.field;
     let all: Vec<(usize, &(&Folder, Scene))> = runs.iter().enumerate().collect();
-    parallel::map(&all, |&(i, (folder, scene))| open(folder, scene, first(i))).into_iter().collect()
+    let saved = |folder, scene, first| inspected(scene, |run| saved::restore(folder, scene, run), first);
+    parallel::map(&all, |&(i, (folder, scene))| saved(folder, scene, first(i))).into_iter().collect()
 }
 
 /// Checks that two runs belong to the same comparison.
@@ -130,10 +137,11 @@ fn check_comparable(first: &(&Folder, Scene), other: &(&Folder, Scene)) -> Resul
     Ok(())
 }
 
-fn open(folder: &Folder, scene: &Scene, with_rollouts: bool) -> Result<Inspected> {
+/// Data of a run that `restore` sets to its state.
+fn inspected(scene: &Scene, restore: impl FnOnce(&mut dyn AnyRun) -> Result<()>, with_rollouts: bool) -> Result<Inspected> {
     let mut run = scene.open(1)?;
     let before = with_rollouts.then(|| run.adjoint_norms());
-    saved::restore(folder, scene, &mut *run)?;
+    restore(&mut *run)?;
     let animation = || scene.animation(&run.rollouts(0..1)[0]);
     let rollouts = before.map(|before| RolloutData { before, after: run.adjoint_norms(), animation: animation() });
     Ok(Inspected {

@@ -18,7 +18,7 @@ const FIELDS: &str = "Fields: R is the exact gradient, backpropagated through ph
                       R, F has equal angles to both, MR has the sizes of M and the signs of R, RM is R with the norm of M.";
 
 /// Page about one run.
-pub fn run(folder: &str, run: &Inspected) -> String {
+pub fn run(folder: Option<&str>, run: &Inspected) -> String {
     let title = format!("{}: field {}, seed {}", run.task, field_label(run.field), run.seed);
     let trouble = run.incomplete().map(|reason| format!("This run {reason}."));
     let alone = std::slice::from_ref(run);
@@ -73,7 +73,7 @@ pub fn comparison(folder: &str, scenes: &[InspectedScene]) -> String {
             (section(&scene.title("Settings"), settings(&scene.runs.iter().collect::<Vec<_>>())))
         }
     };
-    document(&title, folder, version(&scenes[0].runs[0]), FIELDS, &trouble, &content)
+    document(&title, Some(folder), version(&scenes[0].runs[0]), FIELDS, &trouble, &content)
 }
 
 /// Version of the program that made the run.
@@ -81,8 +81,9 @@ fn version(run: &Inspected) -> &str {
     run.settings.get("physgrad").and_then(Value::as_str).unwrap_or_default()
 }
 
-/// A page with a header and this content.
-pub fn document(title: &str, folder: &str, version: &str, note: &str, trouble: &[String], content: &Markup) -> String {
+/// A page with a header and this content. `folder` is the name of the folder of the results, if they
+/// have one.
+pub fn document(title: &str, folder: Option<&str>, version: &str, note: &str, trouble: &[String], content: &Markup) -> String {
     html! {
         (DOCTYPE)
         html lang="en" {
@@ -92,13 +93,16 @@ pub fn document(title: &str, folder: &str, version: &str, note: &str, trouble: &
                 // Forbids network requests by the contents of settings files and animations.
                 meta http-equiv="Content-Security-Policy"
                     content="default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:";
-                title { (title) " (" (folder) ")" }
+                title { (title) @if let Some(folder) = folder { " (" (folder) ")" } }
                 style { (PreEscaped(include_str!("style.css"))) }
             }
             body {
                 header {
                     h1 { (title) }
-                    p { "Folder " b { (folder) } ", made by physgrad " (version) "." }
+                    p {
+                        @if let Some(folder) = folder { "Folder " b { (folder) } ", made" } @else { "Made" }
+                        " by physgrad " (version) "."
+                    }
                     p.note { (note) }
                     (troubles(trouble))
                     p.hint hidden {

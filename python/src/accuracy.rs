@@ -1,0 +1,93 @@
+//! `accuracy`: errors and costs of integrators, step sizes and precisions.
+
+use crate::errors::value_error;
+use crate::interrupt::interruptible;
+use crate::task::Task;
+use numpy::IntoPyArray;
+use physgrad::program::api::{Errors, Measured, Metric, Row};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::sync::atomic::Ordering;
+
+/// Error measures and their names in Python.
+const METRICS: [(&str, Metric); 4] =
+    [("trajectory", Metric::Trajectory), ("loss", Metric::Loss), ("R", Metric::R), ("M", Metric::M)];
+
+/// Errors and costs of all integrators, substeps and precisions, as `physgrad accuracy` measures
+/// them.
+///
+/// Simulates the task with the S settings of the program, and times them on one thread: some
+/// seconds to a minute. Errors are relative to a reference in f64 with small steps. The policy has
+/// the initial parameters of the task, with a nonzero output layer.
+///
+/// Returns a dict:
+///
+/// - "settings": a dict of columns with one entry per setting. Lists of str: "method" and
+///   "precision". Arrays, (S,): "substeps" per time step; the errors "trajectory", "loss", "R" and
+///   "M", NaN if the rollout diverges; "operations" of a step and its derivative; "bytes" per step
+///   and sample; "forward_seconds" and "gradient_seconds" per step and sample, medians.
+/// - "reference": estimates of the errors of the reference, a dict with "trajectory", "loss", "R"
+///   and "M". Smaller errors of a setting are below its resolution.
+/// - "cheapest": the fastest setting with an error of at most `target`, or None. A dict with
+///   "method", "substeps", "precision", "error", "seconds" and "task", the task with this setting.
+///
+/// `metric` is the error that `target` refers to: "trajectory", "loss", "R" or "M". Raises
+/// `ValueError` if the reference diverges, or if the task does not support other time steps. Ctrl-C
+/// raises `KeyboardInterrupt`; a simulation that has begun ends on its own thread.
+#[pyfunction]
+#[pyo3(signature = (task, target=None, metric="trajectory"))]
+pub fn accuracy<'py>(py: Python<'py>, task: &Task, target: Option<f64>, metric: &str) -> PyResult<Bound<'py, PyDict>> {
+    let Some(&(_, measure)) = METRICS.iter().find(|(name, _)| *name == metric) else {
+        let names = METRICS.map(|(name, _)| format!("\"{name}\"")).join(", ");
+        return Err(PyValueError::new_err(format!("`metric` is \"{metric}\"; allowed: {names}")));
+    };
+    if let Some(target) = target.filter(|target| target.is_nan() || *target <= 0.0) {
+        return Err(PyValueError::new_err(format!("`target` is {target}; allowed: a positive error, for example 1e-4")));
+    }
+    let scene = task.scene.clone();
+    let measured = interruptible(py, move |stop| {
+        scene.accuracy(&mut |_| if stop.load(Ordering::Relaxed) { anyhow::bail!("stopped") } else { Ok(()) })
+    })?;
+    let measured = measured.map_err(value_error)?;
+    let result = PyDict::new(py);
+    result.set_item("settings", columns(py, &measured)?)?;
+    let reference = PyDict::new(py);
+    for (name, metric) in METRICS {
+        reference.set_item(name, metric.read(&measured.reference))?;
+    }
+    result.set_item("reference", reference)?;
+    let cheapest = target.and_then(|target| measured.cheapest(measure, target));
+    let cheapest = cheapest.map(|(row, error)| {
+        let found = PyDict::new(py);
+        found.set_item("method", row.setting.method)?;
+        found.set_item("substeps", row.setting.substeps)?;
+        found.set_item("precision", row.setting.precision.name())?;
+        found.set_item("error", error)?;
+        found.set_item("seconds", measure.time(row))?;
+        found.set_item("task", Task::new(task.scene.with_setting(&row.setting).map_err(value_error)?))?;
+        PyResult::Ok(found)
+    });
+    result.set_item("cheapest", cheapest.transpose()?)?;
+    Ok(result)
+}
+
+/// Columns of all settings.
+fn columns<'py>(py: Python<'py>, Measured { rows, .. }: &Measured) -> PyResult<Bound<'py, PyDict>> {
+    let columns = PyDict::new(py);
+    let numbers = |number: &dyn Fn(&Row) -> f64| rows.iter().map(number).collect::<Vec<f64>>().into_pyarray(py);
+    let counts = |count: fn(&Row) -> i64| rows.iter().map(count).collect::<Vec<i64>>().into_pyarray(py);
+    columns.set_item("method", rows.iter().map(|row| row.setting.method).collect::<Vec<_>>())?;
+    columns.set_item("substeps", counts(|row| row.setting.substeps as i64))?;
+    columns.set_item("precision", rows.iter().map(|row| row.setting.precision.name()).collect::<Vec<_>>())?;
+    for (name, metric) in METRICS {
+        let error = |errors: &Errors| metric.read(errors);
+        columns.set_item(name, numbers(&|row| row.errors.as_ref().map_or(f64::NAN, error)))?;
+    }
+    columns.set_item("operations", counts(|row| row.operations as i64))?;
+    columns.set_item("bytes", numbers(&|row| row.bytes))?;
+    for (pass, name) in ["forward_seconds", "gradient_seconds"].into_iter().enumerate() {
+        columns.set_item(name, numbers(&|row| row.seconds[pass][1]))?;
+    }
+    Ok(columns)
+}

@@ -1,0 +1,43 @@
+//! Ctrl-C during long computations.
+
+use pyo3::prelude::*;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::thread;
+use std::time::Duration;
+
+/// Time between two checks for signals.
+pub const POLL: Duration = Duration::from_millis(100);
+
+/// Flag that asks a computation to stop.
+pub type Stop = Arc<AtomicBool>;
+
+/// Computes on another thread without the GIL, and checks for signals meanwhile.
+///
+/// # Errors
+/// A signal handler raised an exception, for example `KeyboardInterrupt`. The flag is set then, and
+/// the thread ends when `work` reads it.
+pub fn interruptible<R: Send + 'static>(py: Python<'_>, work: impl FnOnce(&Stop) -> R + Send + 'static) -> PyResult<R> {
+    let stop = Stop::default();
+    let (sender, receiver) = channel();
+    let worker = thread::spawn({
+        let stop = stop.clone();
+        // Without a receiver, nobody needs the result.
+        move || drop(sender.send(work(&stop)))
+    });
+    py.detach(move || {
+        loop {
+            match receiver.recv_timeout(POLL) {
+                Ok(result) => return Ok(result),
+                Err(RecvTimeoutError::Timeout) => {
+                    let signals = Python::attach(|py| py.check_signals());
+                    signals.inspect_err(|_| stop.store(true, Ordering::Relaxed))?;
+                }
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+        }
+        // The thread ended without a result.
+        std::panic::resume_unwind(worker.join().expect_err("a panic"))
+    })
+}

@@ -1,0 +1,185 @@
+//! Errors and costs of all settings of a scene: the computation of `physgrad accuracy`.
+
+use crate::program::commands::accuracy::row::{Errors, Row, Setting};
+use crate::program::operations::simulation::{Job, Simulated};
+use crate::program::scenes::source::SceneSource;
+use crate::program::settings::Precision;
+use crate::program::tasks::Scene;
+use anyhow::{Context, Result};
+use toml::Value;
+
+/// Numbers of physics steps per control step.
+const SUBSTEPS: [usize; 5] = [1, 2, 4, 8, 16];
+/// Number of timing rounds.
+pub const ROUNDS: usize = 5;
+/// Minimum time per round, setting and pass, s.
+const MIN_TIME: f64 = 0.003;
+
+/// Error measure of a target.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Metric {
+    /// Error of the states
+    Trajectory,
+    /// Error of the loss
+    Loss,
+    /// Error of the gradient of R
+    R,
+    /// Error of the gradient of M
+    M,
+}
+
+impl Metric {
+    /// Error of this measure, relative.
+    pub fn read(self, errors: &Errors) -> f64 {
+        match self {
+            Self::Trajectory => errors.trajectory,
+            Self::Loss => errors.loss,
+            Self::R => errors.gradients[0],
+            Self::M => errors.gradients[1],
+        }
+    }
+
+    /// Median seconds per step and sample of the pass that computes this quantity: forward, or
+    /// forward with gradients.
+    pub fn time(self, row: &Row) -> f64 {
+        row.seconds[usize::from(matches!(self, Self::R | Self::M))][1]
+    }
+
+    /// Name in messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Trajectory => "trajectory",
+            Self::Loss => "loss",
+            Self::R => "gradient of R",
+            Self::M => "gradient of M",
+        }
+    }
+}
+
+/// Errors and costs of all settings.
+pub struct Measured {
+    /// One row per method, number of substeps and precision.
+    pub rows: Vec<Row>,
+    /// Difference of the reference from a solution with half as many steps: an estimate of the
+    /// errors of the reference.
+    pub reference: Errors,
+}
+
+impl Measured {
+    /// Cheapest setting with at most this error, and its error.
+    pub fn cheapest(&self, metric: Metric, target: f64) -> Option<(&Row, f64)> {
+        cheapest(self.rows.iter(), metric, target)
+    }
+}
+
+/// Cheapest of the rows with at most this error, and its error.
+pub fn cheapest<'a>(rows: impl Iterator<Item = &'a Row>, metric: Metric, target: f64) -> Option<(&'a Row, f64)> {
+    let reached =
+        rows.filter_map(|row| Some((row, metric.read(row.errors.as_ref().ok()?)))).filter(|(_, error)| *error <= target);
+    reached.min_by(|a, b| metric.time(a.0).total_cmp(&metric.time(b.0)))
+}
+
+/// Scene whose integrator and precision are varied.
+pub struct Study {
+    /// Source of the scene with the user's overrides only.
+    pub given: SceneSource,
+    /// Validated scene of `given`.
+    pub scene: Scene,
+    /// Source of the scene with the user's overrides and a nonzero initial output layer.
+    pub source: SceneSource,
+}
+
+impl Study {
+    pub fn new(given: SceneSource) -> Result<Self> {
+        let (scene, mut source) = (given.scene()?, given.clone());
+        if scene.table.get("policy").is_some_and(|policy| policy.get("zero_init_output").is_some()) {
+            source.put("policy.zero_init_output", Value::Boolean(false), "accuracy")?;
+        }
+        Ok(Self { given, scene, source })
+    }
+
+    /// All settings: methods, numbers of substeps and precisions.
+    ///
+    /// # Errors
+    /// The task does not support other time steps.
+    pub fn settings(&self) -> Result<Vec<Setting>> {
+        let refined = Setting { method: "native", substeps: 2, precision: Precision::F64 };
+        let context = "accuracy varies the time step, which this task does not support; choose another task";
+        refined.of(&self.source).context(context)?;
+        let methods = ["native"].into_iter().chain(self.scene.task.methods().iter().map(|method| method.name()));
+        let each = methods.flat_map(|method| {
+            // Tries one number of substeps for the adaptive method, which selects its step sizes.
+            let counts = if method == "adaptive" { &SUBSTEPS[..1] } else { &SUBSTEPS };
+            counts.iter().map(move |&substeps| (method, substeps))
+        });
+        let settings = each.flat_map(|(method, substeps)| {
+            [Precision::F32, Precision::F64].map(|precision| Setting { method, substeps, precision })
+        });
+        Ok(settings.collect())
+    }
+
+    /// Number of calls of `begin` by [`measure`](Self::measure).
+    pub fn parts(settings: &[Setting]) -> usize {
+        2 + settings.len() * (1 + ROUNDS)
+    }
+
+    /// Simulates and times all settings. Calls `begin` with a description before each part.
+    ///
+    /// # Errors
+    /// The reference diverges, or `begin` returns an error.
+    pub fn measure(&self, settings: Vec<Setting>, begin: &mut dyn FnMut(String) -> Result<()>) -> Result<Measured> {
+        let (reference, check) = self.reference(begin)?;
+        let mut jobs = Vec::new();
+        for setting in &settings {
+            begin(setting.name())?;
+            jobs.push(self.job(setting)?);
+        }
+        // Interleaves the settings: other load on the machine then affects all settings.
+        let mut times = vec![Vec::new(); jobs.len()];
+        for round in 1..=ROUNDS {
+            for (job, times) in jobs.iter_mut().zip(&mut times) {
+                begin(format!("round {round} of {ROUNDS}"))?;
+                if job.found.is_ok() {
+                    times.push(job.time(MIN_TIME));
+                }
+            }
+        }
+        let conserved = self.scene.conserved();
+        let measured = settings.into_iter().zip(&jobs).zip(&times);
+        let row = |((setting, job), times): ((_, _), &Vec<_>)| Row::new(setting, job, &reference, conserved.as_ref(), times);
+        Ok(Measured { rows: measured.map(row).collect(), reference: check })
+    }
+
+    fn job(&self, setting: &Setting) -> Result<Job> {
+        Ok(setting.of(&self.source)?.prepare())
+    }
+
+    /// Reference solution, and its difference from the solution with half as many steps.
+    fn reference(&self, begin: &mut dyn FnMut(String) -> Result<()>) -> Result<(Simulated, Errors)> {
+        let (method, substeps) = self.scene.task.reference();
+        let mut run = |substeps| {
+            let setting = Setting { method, substeps, precision: Precision::F64 };
+            begin(format!("reference, {}", setting.name()))?;
+            let found = self.job(&setting)?.found;
+            found.map_err(anyhow::Error::msg).with_context(|| {
+                format!(
+                    "the reference solution ({}) diverged; choose a scene with a finite trajectory, for example a shorter \
+                     `horizon`",
+                    setting.name()
+                )
+            })
+        };
+        let (coarse, fine) = (run(substeps / 2)?, run(substeps)?);
+        let check = Errors::of(&coarse, &fine);
+        Ok((fine, check))
+    }
+
+    /// Scenes with the cheapest setting of every method that reaches the target.
+    pub fn scenes(&self, rows: &[Row], metric: Metric, target: f64) -> Result<Vec<(&'static str, Scene)>> {
+        let mut methods: Vec<&str> = rows.iter().map(|row| row.setting.method).collect();
+        methods.dedup();
+        let cheapest = |method: &str| cheapest(rows.iter().filter(|row| row.setting.method == method), metric, target);
+        let all = methods.into_iter().filter_map(cheapest);
+        all.map(|(row, _)| Ok((row.setting.method, row.setting.of(&self.given)?))).collect()
+    }
+}
