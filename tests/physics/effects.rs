@@ -10,7 +10,7 @@ use physgrad::tasks::{
 };
 use physgrad::{
     Actuated, AnyActuator, Batch, Cotangents, Delay, Effect, Float, Flow, Forced, ForcedSystem, HasModel, Inputs, Lag, Limit,
-    LimitKind, OpCount, Ops, Real, Rollout, Single, Start, System, Task, Weights, initial_states,
+    LimitKind, OpCount, Ops, Rollout, Start, System, Task, Weights, initial_states,
 };
 
 fn cart_pole(poles: usize) -> CartPoleSystem {
@@ -207,27 +207,26 @@ fn handwritten_code_has_the_same_results_to_1e_12() {
 }
 
 /// Returns all states of a trajectory under an oscillating control, and all cotangents of the
-/// reverse pass, as bits. Uses one sample and scalars.
-fn steps<R: Real, T: Task>(task: &T) -> Vec<u64> {
+/// reverse pass, as bits. Uses one sample and f64.
+fn steps<T: Task>(task: &T) -> Vec<u64> {
     let (n, m, horizon) = (task.system().state_dim(), task.system().control_dim(), task.horizon());
     let (mut x, mut p) = (vec![0.0; n], vec![0.0; task.param_dim()]);
     // `initial_states` would compile whole rollouts of each task.
     task.start(&mut stream(3, Purpose::Train, 0), Start { x: &mut x, p: &mut p });
-    let [x, p]: [Vec<R>; 2] = [x, p].map(|values| values.into_iter().map(R::from).collect());
     let mut states = vec![x];
-    let control = |t: usize| (0..m).map(|i| R::from((0.3 * t as f64 + i as f64).sin())).collect::<Vec<R>>();
+    let control = |t: usize| (0..m).map(|i| (0.3 * t as f64 + i as f64).sin()).collect::<Vec<f64>>();
     for t in 0..horizon {
-        let mut next = vec![R::zero(); n];
+        let mut next = vec![0.0; n];
         task.system().step(Inputs { x: &states[t], u: &control(t), p: &p, t }, &mut next);
         states.push(next);
     }
     let mut found = states.concat();
-    let mut bar = vec![R::zero(); n];
+    let mut bar = vec![0.0; n];
     task.terminal_cost_gradient(&states[horizon], &[], &mut bar, None);
     // The terminal cost depends on some components only. Adds a cotangent of 0.1 to all.
-    bar.iter_mut().for_each(|bar| *bar += R::from(0.1));
+    bar.iter_mut().for_each(|bar| *bar += 0.1);
     for t in (0..horizon).rev() {
-        let (mut x_bar, mut u_bar, mut u_only) = (vec![R::zero(); n], vec![R::zero(); m], vec![R::zero(); m]);
+        let (mut x_bar, mut u_bar, mut u_only) = (vec![0.0; n], vec![0.0; m], vec![0.0; m]);
         let u = control(t);
         let inputs = Inputs { x: &states[t], u: &u, p: &p, t };
         task.system().vjp(inputs, &bar, Cotangents::of(&mut x_bar, &mut u_bar));
@@ -235,14 +234,13 @@ fn steps<R: Real, T: Task>(task: &T) -> Vec<u64> {
         found.extend(x_bar.iter().chain(&u_bar).chain(&u_only));
         bar = x_bar;
     }
-    assert!(found.iter().all(|x| x.lane(0).to_f64().is_finite()));
-    found.into_iter().map(|x| x.lane(0).to_f64().to_bits()).collect()
+    assert!(found.iter().all(|x| x.is_finite()));
+    found.into_iter().map(f64::to_bits).collect()
 }
 
-/// Compares the bits of trajectories and cotangents in both precisions.
+/// Compares the bits of trajectories and cotangents.
 fn same_bits<A: Task, B: Task>(a: &A, b: &B) {
-    assert_eq!(steps::<Single<f32>, _>(a), steps::<Single<f32>, _>(b));
-    assert_eq!(steps::<f64, _>(a), steps::<f64, _>(b));
+    assert_eq!(steps(a), steps(b));
 }
 
 /// Returns mean loss, last states and the gradients of all flows of a batch of rollouts, as bits.

@@ -6,8 +6,8 @@ use physgrad::tasks::{
     Center, Drive, Evade, Flock, Friction, Guidance, GuidanceEffect, GuidanceSystem, Obstacles, Spread, Walls,
 };
 use physgrad::{
-    Actuated, Cotangent, Cotangents, Delay, Effect, Forced, Inputs, Lag, Lanes, Limit, LimitKind, Real, Single, Substeps, System,
-    check,
+    Actuated, AnyActuator, Cotangent, Cotangents, Delay, Effect, Forced, Inputs, Lag, Lanes, Limit, LimitKind, Real, Single,
+    Substeps, System, check,
 };
 use rand::RngExt;
 
@@ -93,10 +93,12 @@ fn derivatives_of_every_effect_equal_dual_numbers() {
 #[test]
 fn derivatives_with_actuators_and_substeps_equal_dual_numbers() {
     let system = || Forced { system: agents(2, 3), effects: every_effect() };
-    check_large(&Actuated { system: system(), actuator: Limit { bound: 1.5, kind: LimitKind::Smooth } });
-    check_large(&Actuated { system: system(), actuator: Lag::new(0.2, system().system.dt) });
+    let smooth = AnyActuator::Limit(Limit { bound: 1.5, kind: LimitKind::Smooth });
+    for actuator in [vec![smooth], vec![AnyActuator::Lag(Lag::new(0.2, system().system.dt))]] {
+        check_large(&Actuated { system: system(), actuator });
+    }
     check_large(&Substeps { system: agents(2, 3).herding(), count: 3 });
-    let full = Actuated { system: system(), actuator: Delay { steps: 2 } };
+    let full = Actuated { system: system(), actuator: vec![AnyActuator::Delay(Delay { steps: 2 })] };
     let (n, m) = (full.state_dim(), full.control_dim());
     assert_eq!((n, m), (4 * 5 + 2 * 4, 4));
     check::task(&Guidance { horizon: 20, ..Guidance::with_system(full) }, &Linear::with_bias(n, m));

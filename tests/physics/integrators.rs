@@ -2,7 +2,8 @@
 
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{
-    Bumpers, CartDamping, CartPoleSystem, CoupledCartPole, DryFriction, GuidanceSystem, GustyWind, PoleDamping, SteadyWind,
+    Bumpers, CartDamping, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole, DryFriction, GuidanceSystem, GustyWind,
+    PoleDamping, SteadyWind,
 };
 use physgrad::{
     Adaptive, AnyIntegrator, Cause, Cotangents, Discretized, Forced, ImplicitMidpoint, Inputs, Integrated, Integrator, Ode,
@@ -25,14 +26,25 @@ fn adaptive(rtol: f64) -> AnyIntegrator {
     AnyIntegrator::Adaptive(Adaptive { rtol, atol: 1e-3 * rtol, most: 1000 })
 }
 
-fn cart_pole() -> Forced<CartPoleSystem, (PoleDamping, CartDamping, SteadyWind)> {
-    let system = CartPoleSystem { poles: 2, ..CartPoleSystem::default() };
-    Forced { system, effects: (PoleDamping::default(), CartDamping::default(), SteadyWind::default()) }
+/// Every cart-pole has this type, which is compiled once.
+type ForcedCartPole = Forced<CartPoleModel, Vec<CartPoleEffect>>;
+
+fn cart_pole() -> ForcedCartPole {
+    let effects = vec![PoleDamping::default().into(), CartDamping::default().into(), SteadyWind::default().into()];
+    Forced { system: CartPoleModel::Uncoupled(poles(2)), effects }
 }
 
-fn coupled() -> Forced<CoupledCartPole, (PoleDamping, GustyWind)> {
-    let system = CoupledCartPole(CartPoleSystem { poles: 2, ..CartPoleSystem::default() });
-    Forced { system, effects: (PoleDamping::default(), GustyWind::default()) }
+fn coupled() -> ForcedCartPole {
+    let effects = vec![PoleDamping::default().into(), GustyWind::default().into()];
+    Forced { system: CartPoleModel::Coupled(CoupledCartPole(poles(2))), effects }
+}
+
+fn poles(poles: usize) -> CartPoleSystem {
+    CartPoleSystem { poles, ..CartPoleSystem::default() }
+}
+
+fn midpoint(tolerance: f64) -> AnyIntegrator {
+    AnyIntegrator::ImplicitMidpoint(ImplicitMidpoint { tolerance })
 }
 
 fn integrated<O: Ode, I>(ode: O, integrator: I, dt: f64) -> Integrated<O, I> {
@@ -71,13 +83,13 @@ impl Ode for ByDuals {
 
 /// Returns the state after `steps` steps over the time `span`, and the cotangents of initial state
 /// and control for a fixed final cotangent. All inputs are random and fixed.
-fn reached<O: Ode + Clone, I: Integrator>(ode: &O, integrator: &I, span: f64, steps: usize) -> (Vec<f64>, Vec<f64>) {
+fn reached<O: Ode + Clone>(ode: &O, integrator: AnyIntegrator, span: f64, steps: usize) -> (Vec<f64>, Vec<f64>) {
     let (n, m) = (ode.state_dim(), ode.control_dim());
     let mut rng = stream(3, Purpose::Test, 0);
     let x: Vec<f64> = (0..n).map(|_| rng.random_range(-1.0..1.0)).collect();
     let u: Vec<f64> = (0..m).map(|_| rng.random_range(-1.0..1.0)).collect();
     let bar: Vec<f64> = (0..n).map(|_| rng.random_range(-1.0..1.0)).collect();
-    let system = Substeps { system: integrated(ode.clone(), integrator.clone(), span / steps as f64), count: steps };
+    let system = Substeps { system: integrated(ode.clone(), integrator, span / steps as f64), count: steps };
     let (mut next, mut x_bar, mut u_bar) = (vec![0.0; n], vec![0.0; n], vec![0.0; m]);
     let p = vec![0.4; ode.param_dim()];
     let inputs = Inputs { p: &p, ..Inputs::new(&x, &u) };
@@ -95,8 +107,8 @@ fn distance(a: &[f64], b: &[f64]) -> f64 {
 ///
 /// Uses the doubling whose order is closest to `theory`, because errors of opposite sign may cancel
 /// in others.
-fn orders<O: Ode + Clone, I: Integrator>(ode: &O, integrator: &I, span: f64, theory: f64) -> [f64; 2] {
-    let (state, gradient) = reached(ode, &RungeKutta::TSIT5, span, 2000);
+fn orders<O: Ode + Clone>(ode: &O, integrator: AnyIntegrator, span: f64, theory: f64) -> [f64; 2] {
+    let (state, gradient) = reached(ode, AnyIntegrator::RungeKutta(RungeKutta::TSIT5), span, 2000);
     let coarsest = if theory < 3.0 { 128 } else { 32 };
     let errors: Vec<[f64; 2]> = [1, 2, 4, 8]
         .into_iter()
@@ -114,14 +126,14 @@ fn orders<O: Ode + Clone, I: Integrator>(ode: &O, integrator: &I, span: f64, the
 
 #[test]
 fn every_integrator_has_its_order_in_state_and_gradient() {
-    let smooth = (PoleDamping::default(), CartDamping::default());
+    let smooth: Vec<CartPoleEffect> = vec![PoleDamping::default().into(), CartDamping::default().into()];
     for (name, integrator, theory) in FIXED {
         for (task, found) in [
             // Wind drag has a discontinuous second derivative at zero relative speed.
-            ("cart-pole", orders(&Forced { system: cart_pole().system, effects: smooth }, &integrator, 1.0, theory)),
-            ("coupled", orders(&Forced { system: coupled().system, effects: smooth }, &integrator, 1.0, theory)),
-            ("guidance", orders(&GuidanceSystem::default().herding(), &integrator, 0.4, theory)),
-            ("Van der Pol", orders(&ByDuals, &integrator, 2.0, theory)),
+            ("cart-pole", orders(&Forced { effects: smooth.clone(), ..cart_pole() }, integrator, 1.0, theory)),
+            ("coupled", orders(&Forced { effects: smooth.clone(), ..coupled() }, integrator, 1.0, theory)),
+            ("guidance", orders(&GuidanceSystem::default().herding(), integrator, 0.4, theory)),
+            ("Van der Pol", orders(&ByDuals, integrator, 2.0, theory)),
         ] {
             println!("{name:<14} {task:<12} order {theory}: state {:.2}, gradient {:.2}", found[0], found[1]);
             assert!(found.iter().all(|order| (order - theory).abs() < 0.3), "{name}, {task}: {found:?}");
@@ -139,7 +151,7 @@ fn steps_of_cart_pole_and_guidance_equal_their_integrators() {
         next
     }
     let own = cart_pole();
-    let by = integrated(own, SemiImplicit, own.system.dt);
+    let by = integrated(own.clone(), AnyIntegrator::SemiImplicit(SemiImplicit), poles(2).dt);
     let pair = [step(&own), step(&by)];
     assert!(distance(&pair[0], &pair[1]) < 1e-15, "{pair:?}");
     let own = GuidanceSystem::default().herding();
@@ -150,10 +162,10 @@ fn steps_of_cart_pole_and_guidance_equal_their_integrators() {
 
 #[test]
 fn adaptive_steps_meet_their_tolerance() {
-    let (state, _) = reached(&ByDuals, &RungeKutta::TSIT5, 10.0, 20_000);
+    let (state, _) = reached(&ByDuals, AnyIntegrator::RungeKutta(RungeKutta::TSIT5), 10.0, 20_000);
     let mut before = f64::INFINITY;
     for rtol in [1e-3, 1e-5, 1e-7, 1e-9] {
-        let (found, _) = reached(&ByDuals, &Adaptive { rtol, atol: rtol, most: 10_000 }, 10.0, 1);
+        let (found, _) = reached(&ByDuals, AnyIntegrator::Adaptive(Adaptive { rtol, atol: rtol, most: 10_000 }), 10.0, 1);
         let error = distance(&found, &state);
         // The factor 100 allows for the accumulated errors of all substeps.
         assert!(error < 100.0 * rtol && error < before, "rtol {rtol:e}: {error:e}");
@@ -163,7 +175,7 @@ fn adaptive_steps_meet_their_tolerance() {
 
 #[test]
 fn adaptive_steps_beyond_the_limit_of_substeps_are_nan() {
-    let (found, _) = reached(&ByDuals, &Adaptive { rtol: 1e-9, atol: 1e-9, most: 3 }, 10.0, 1);
+    let (found, _) = reached(&ByDuals, AnyIntegrator::Adaptive(Adaptive { rtol: 1e-9, atol: 1e-9, most: 3 }), 10.0, 1);
     assert!(found.iter().all(|x| x.is_nan()), "{found:?}");
 }
 
@@ -189,17 +201,17 @@ impl Ode for Stiff {
 #[test]
 fn the_implicit_midpoint_rule_is_stable_where_rk4_is_not() {
     let ode = Stiff { rate: 1e4, square: 0.0 };
-    let (found, _) = reached(&ode, &ImplicitMidpoint::default(), 10.0, 100);
+    let (found, _) = reached(&ode, midpoint(ImplicitMidpoint::default().tolerance), 10.0, 100);
     assert!(found[0].abs() < 2.0, "{found:?}");
-    let (found, _) = reached(&ode, &RungeKutta::RK4, 10.0, 100);
+    let (found, _) = reached(&ode, AnyIntegrator::RungeKutta(RungeKutta::RK4), 10.0, 100);
     assert!(found[0].is_nan() || found[0].abs() > 1e100, "{found:?}");
 }
 
 #[test]
 fn the_adjoint_of_the_midpoint_rule_does_not_depend_on_the_tolerance_of_newton() {
-    let (_, tight) = reached(&cart_pole(), &ImplicitMidpoint { tolerance: 1e-14 }, 0.1, 1);
+    let (_, tight) = reached(&cart_pole(), midpoint(1e-14), 0.1, 1);
     for tolerance in [1e-10, 1e-6, 1e-2] {
-        let (_, loose) = reached(&cart_pole(), &ImplicitMidpoint { tolerance }, 0.1, 1);
+        let (_, loose) = reached(&cart_pole(), midpoint(tolerance), 0.1, 1);
         assert!(distance(&tight, &loose) < 1e-10, "{tolerance:e}: {:e}", distance(&tight, &loose));
     }
 }
@@ -273,10 +285,10 @@ fn energy_errors_of_symplectic_methods_do_not_grow_and_those_of_heun_do() {
 
 #[test]
 fn derivatives_of_bumpers_and_dry_friction_equal_dual_numbers_in_every_integrator() {
-    let system = CartPoleSystem { poles: 1, ..CartPoleSystem::default() };
-    let rough = Forced { system, effects: (DryFriction::default(), Bumpers::default()) };
+    let effects: Vec<CartPoleEffect> = vec![DryFriction::default().into(), Bumpers::default().into()];
+    let rough = Forced { system: CartPoleModel::Uncoupled(poles(1)), effects };
     for (_, integrator, _) in FIXED {
-        check::system(&integrated(rough, integrator, 0.01));
+        check::system(&integrated(rough.clone(), integrator, 0.01));
     }
 }
 
