@@ -15,7 +15,7 @@ target=$(cargo metadata --format-version 1 --no-deps | "$python" -c 'import json
 venv=$target/python-venv
 rm -rf "$venv"
 "$python" -m venv "$venv"
-pip() { "$venv/bin/python" -m pip --quiet --disable-pip-version-check "$@"; }
+pip() { "$venv/bin/python" -m pip --quiet --disable-pip-version-check --retries 1 "$@"; }
 pip install 'maturin>=1.9,<2' numpy pytest || skip "pip cannot install packages"
 # Tests of missing packages skip with a reason.
 pip install gymnasium jax || echo "gymnasium or jax is missing: their tests are skipped"

@@ -122,6 +122,7 @@ pub use engine::divergence::{Divergence, Variable};
 pub use engine::gradient::Gradient;
 pub use engine::growth::Growth;
 pub use engine::initial_states::initial_states;
+pub use engine::ranks::{self, Ranks};
 pub use engine::rollout::Rollout;
 pub use engine::rows;
 pub use engine::schedule::{MemoryError, Schedule};

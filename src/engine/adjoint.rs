@@ -30,7 +30,6 @@ mod step_back;
 use crate::engine::any::AnyTask;
 use crate::engine::divergence::Divergence;
 use crate::engine::gradient::Gradient;
-use crate::engine::growth::GrowthStats;
 use crate::engine::rollout::Rollout;
 use crate::numbers::scalar::Float;
 use crate::policy::AnyPolicy;
@@ -228,11 +227,11 @@ impl<F: Float> Adjoint<F> {
         self.measured || self.flows().iter().any(|flow| flow.cut.is_some())
     }
 
-    /// Adds the growth of flow `k` for each sample of the last run; 0 if not measured.
-    pub(crate) fn add_growth(&self, k: usize, samples: usize, stats: &mut GrowthStats) {
+    /// Calls `add` with the growth of flow `k` for each sample of the last run; 0 if not measured.
+    pub(crate) fn growth(&self, k: usize, samples: usize, add: &mut dyn FnMut([f64; 2])) {
         match &self.carried {
-            Carried::One(_, recursion) => recursion.growth().of(k, samples).for_each(|meter| stats.add(meter)),
-            Carried::Two(_, recursion) => recursion.growth().of(k, samples).for_each(|meter| stats.add(meter)),
+            Carried::One(_, recursion) => recursion.growth().of(k, samples).for_each(|meter| add(meter.growth())),
+            Carried::Two(_, recursion) => recursion.growth().of(k, samples).for_each(|meter| add(meter.growth())),
         }
     }
 

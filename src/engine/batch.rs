@@ -2,7 +2,8 @@
 //! samples.
 //!
 //! Results do not depend on the number of workers. Samples are independent. Gradients are summed
-//! over fixed groups of samples, and groups are summed in order.
+//! over fixed groups of samples, and groups are summed in order. Several [`Ranks`] share the groups
+//! in the same way.
 
 use crate::engine::adjoint::Flow;
 use crate::engine::any::AnyTask;
@@ -11,11 +12,14 @@ use crate::engine::divergence::Divergence;
 use crate::engine::gradient::Gradient;
 use crate::engine::growth::{Growth, GrowthStats};
 use crate::engine::parallel::for_each;
+use crate::engine::ranks::{Ranks, add_groups, gather, gather_f64, part};
 use crate::engine::rollout::Rollout;
 use crate::engine::schedule::{MemoryError, Schedule};
 use crate::numbers::scalar::Float;
 use crate::policy::AnyPolicy;
 use crate::policy::Weights;
+use std::ops::Range;
+use std::sync::Arc;
 
 /// Number of samples in a group. Each group has one gradient sum, for any number of workers.
 pub(crate) const GROUP: usize = 4;
@@ -38,6 +42,20 @@ pub struct Batch<F: Float> {
     growth: Vec<GrowthStats>,
     /// True if runs measure the growth of the adjoints.
     measured: bool,
+    /// Processes that share the samples, and the results of this process.
+    shared: Option<Box<Shared<F>>>,
+}
+
+/// Results of the samples of one rank, before the exchange.
+#[derive(Debug)]
+struct Shared<F: Float> {
+    ranks: Arc<dyn Ranks>,
+    /// Sums of the groups, `[group][flow]`.
+    groups: Vec<Vec<Gradient<F>>>,
+    /// Costs of the samples.
+    costs: Vec<f64>,
+    /// Growth of each sample for each flow, if measured.
+    growths: Vec<Vec<f64>>,
 }
 
 /// Workspace of one worker, for one chunk of consecutive groups of samples.
@@ -110,7 +128,7 @@ impl<F: Float> Batch<F> {
             Worker { rollout, groups: (0..groups).map(|_| zeros()).collect(), outcome: Ok(()) }
         }));
         let growth = vec![GrowthStats::default(); flows.len()];
-        Self { capacity: samples, workers: all, gradients: zeros(), growth, measured: false }
+        Self { capacity: samples, workers: all, gradients: zeros(), growth, measured: false, shared: None }
     }
 
     /// Returns the [`stored_bytes`](Batch::stored_bytes) of a schedule without allocating.
@@ -150,6 +168,38 @@ impl<F: Float> Batch<F> {
         self.workers[0].rollout.schedule()
     }
 
+    /// Allocates a workspace as [`new`](Batch::new) does, or [`within`](Batch::within) with a
+    /// budget, for the samples of one rank in mini-batches of up to `samples` samples.
+    ///
+    /// Every rank calls [`run`](Batch::run) with all samples. Results are bitwise those of a single
+    /// process. The budget excludes sums of groups: `param_count` numbers for each 4 samples of the
+    /// rank.
+    ///
+    /// # Errors
+    /// As [`within`](Batch::within).
+    ///
+    /// # Panics
+    /// As [`new`](Batch::new).
+    #[track_caller]
+    pub fn shared(
+        ranks: Arc<dyn Ranks>,
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
+        samples: usize,
+        flows: &[Flow],
+        workers: usize,
+        budget: Option<u64>,
+    ) -> Result<Self, MemoryError> {
+        let own = samples.div_ceil(GROUP).div_ceil(ranks.count()) * GROUP;
+        let own = own.min(samples);
+        let batch = match budget {
+            None => Self::new(task, policy, own, flows, workers),
+            Some(budget) => Self::within(task, policy, own, flows, workers, budget)?,
+        };
+        let shared = Shared { ranks, groups: Vec::new(), costs: Vec::new(), growths: vec![Vec::new(); flows.len()] };
+        Ok(Self { capacity: samples, shared: Some(Box::new(shared)), ..batch })
+    }
+
     /// Runs rollouts from `starts` (see [`initial_states`](crate::initial_states)) and their
     /// reverse passes.
     ///
@@ -177,9 +227,70 @@ impl<F: Float> Batch<F> {
             starts.len()
         );
         let scale = F::from_f64(1.0 / samples as f64);
+        self.growth.fill(GrowthStats::default());
+        let loss = match self.shared.take() {
+            None => self.run_samples(task, policy, weights, starts, scale, None)?,
+            Some(mut shared) => {
+                let loss = self.run_shared(task, policy, weights, starts, scale, &mut shared);
+                self.shared = Some(shared);
+                loss?
+            }
+        };
+        self.gradients.iter_mut().for_each(Gradient::normalize);
+        Ok(loss / samples as f64)
+    }
+
+    /// Runs the samples of this rank, and exchanges the results. Returns the sum of all costs.
+    fn run_shared(
+        &mut self,
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
+        weights: &Weights<F>,
+        starts: &[F],
+        scale: F,
+        shared: &mut Shared<F>,
+    ) -> Result<f64, Divergence> {
+        let ranks = shared.ranks.clone();
+        let n = task.start_dim();
+        let samples = starts.len() / n;
+        let own = |rank: usize| {
+            let Range { start, end } = part(samples.div_ceil(GROUP), rank, ranks.count());
+            start * GROUP..samples.min(end * GROUP)
+        };
+        let Range { start, end } = own(ranks.rank());
+        shared.clear();
+        let outcome = self.run_samples(task, policy, weights, &starts[start * n..end * n], scale, Some(shared));
+        let diverged = first_diverged(&*ranks, outcome.err().map(|d| d.offset(start)));
+        if let Some(rank) = diverged {
+            // Repeats the samples of that rank, which gives every rank the same error.
+            let Range { start, end } = own(rank);
+            shared.clear();
+            self.run_samples(task, policy, weights, &starts[start * n..end * n], scale, Some(shared))
+                .map_err(|divergence| divergence.offset(start))?;
+        }
+        add_groups(&*ranks, &shared.groups, &mut self.gradients);
+        if self.measured {
+            for (stats, growths) in self.growth.iter_mut().zip(&shared.growths) {
+                gather_f64(&*ranks, growths).as_chunks().0.iter().for_each(|&growth| stats.add(growth));
+            }
+        }
+        Ok(gather_f64(&*ranks, &shared.costs).into_iter().fold(0.0, |loss, cost| loss + cost))
+    }
+
+    /// Runs all samples in `starts` and adds their gradients, or keeps the sums of their groups in
+    /// `shared`. Returns the sum of the costs, 0 with `shared`.
+    fn run_samples(
+        &mut self,
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
+        weights: &Weights<F>,
+        starts: &[F],
+        scale: F,
+        mut shared: Option<&mut Shared<F>>,
+    ) -> Result<f64, Divergence> {
+        let n = task.start_dim();
         let chunk = self.workers[0].rollout.capacity();
         let (mut loss, mut diverged) = (0.0, None);
-        self.growth.fill(GrowthStats::default());
         for (round, starts) in starts.chunks(self.workers.len() * chunk * n).enumerate() {
             for_each(&mut self.workers, &|index, worker| {
                 let own = starts.chunks(chunk * n).nth(index).unwrap_or(&[]);
@@ -192,14 +303,13 @@ impl<F: Float> Batch<F> {
             let errors = errors.filter_map(|(i, worker)| worker.outcome.err().map(|d| d.offset(first + i * chunk)));
             diverged = diverged.into_iter().chain(errors).min_by_key(Divergence::order);
             if diverged.is_none() {
-                loss = self.add_round(active, round == 0, loss);
+                match &mut shared {
+                    None => loss = self.add_round(active, round == 0, loss),
+                    Some(shared) => shared.keep(&self.workers[..active], self.measured),
+                }
             }
         }
-        if let Some(first) = diverged {
-            return Err(first);
-        }
-        self.gradients.iter_mut().for_each(Gradient::normalize);
-        Ok(loss / samples as f64)
+        diverged.map_or(Ok(loss), Err)
     }
 
     /// Adds the gradients and growths of the first `active` workers, in the order of the samples.
@@ -218,7 +328,7 @@ impl<F: Float> Batch<F> {
         }
         if self.measured {
             for (k, stats) in self.growth.iter_mut().enumerate() {
-                workers.iter().for_each(|worker| worker.rollout.add_growth(k, stats));
+                workers.iter().for_each(|worker| worker.rollout.growth(k, &mut |growth| stats.add(growth)));
             }
         }
         let costs = workers.iter().flat_map(|w| (0..w.rollout.samples()).map(|s| w.rollout.cost(s).as_()));
@@ -241,6 +351,41 @@ impl<F: Float> Batch<F> {
     pub fn growth(&self, k: usize) -> Option<Growth> {
         self.growth[k].growth()
     }
+}
+
+impl<F: Float> Shared<F> {
+    fn clear(&mut self) {
+        self.groups.clear();
+        self.costs.clear();
+        self.growths.iter_mut().for_each(Vec::clear);
+    }
+
+    /// Appends the results of these workers.
+    fn keep(&mut self, workers: &[Worker<F>], measured: bool) {
+        for worker in workers {
+            let samples = worker.rollout.samples();
+            self.groups.extend(worker.groups.iter().take(samples.div_ceil(GROUP)).cloned());
+            self.costs.extend((0..samples).map(|s| -> f64 { worker.rollout.cost(s).as_() }));
+            if measured {
+                for (k, growths) in self.growths.iter_mut().enumerate() {
+                    worker.rollout.growth(k, &mut |growth| growths.extend(growth));
+                }
+            }
+        }
+    }
+}
+
+/// Rank with the first divergence of all ranks, if any.
+fn first_diverged(ranks: &dyn Ranks, own: Option<Divergence>) -> Option<usize> {
+    let order = own.map(|divergence| divergence.order());
+    let message: Vec<u8> = order.into_iter().flat_map(|(pass, time, sample)| order_bytes(pass, time, sample)).collect();
+    let messages = gather(ranks, &message).into_iter().enumerate();
+    messages.filter(|(_, message)| !message.is_empty()).min_by(|(_, a), (_, b)| a.cmp(b)).map(|(rank, _)| rank)
+}
+
+/// Sort key of a divergence as bytes with the same order.
+fn order_bytes(pass: u8, time: usize, sample: usize) -> impl Iterator<Item = u8> {
+    [pass].into_iter().chain((time as u64).to_be_bytes()).chain((sample as u64).to_be_bytes())
 }
 
 impl<F: Float> Worker<F> {
@@ -274,6 +419,8 @@ fn chunks(samples: usize, workers: usize) -> (usize, usize) {
 #[derive(Debug)]
 pub struct Evaluation<F: Float> {
     workers: Vec<Evaluator<F>>,
+    /// Processes that share the samples.
+    ranks: Option<Arc<dyn Ranks>>,
 }
 
 #[derive(Debug)]
@@ -289,7 +436,14 @@ impl<F: Float> Evaluation<F> {
     pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, workers: usize) -> Self {
         let evaluator =
             || Evaluator { rollout: Rollout::for_evaluation(task, policy, EVALUATED), costs: Vec::new(), outcome: Ok(()) };
-        Self { workers: (0..workers.max(1)).map(|_| evaluator()).collect() }
+        Self { workers: (0..workers.max(1)).map(|_| evaluator()).collect(), ranks: None }
+    }
+
+    /// Shares the samples of each data set among ranks. Every rank calls [`run`](Evaluation::run)
+    /// with all samples. Results are bitwise those of a single process.
+    #[must_use]
+    pub fn shared(self, ranks: Arc<dyn Ranks>) -> Self {
+        Self { ranks: Some(ranks), ..self }
     }
 
     /// Returns the mean loss of rollouts from `starts`; see
@@ -315,7 +469,39 @@ impl<F: Float> Evaluation<F> {
             "`starts` has {} numbers; expected one or more samples of {n} numbers each",
             starts.len()
         );
-        let per_worker = samples.div_ceil(EVALUATED).div_ceil(self.workers.len()) * EVALUATED;
+        let Some(ranks) = self.ranks.clone() else {
+            self.run_samples(task, policy, weights, starts)?;
+            return Ok(self.costs().sum::<f64>() / samples as f64);
+        };
+        let own = |rank: usize| part(samples, rank, ranks.count());
+        let Range { start, end } = own(ranks.rank());
+        let outcome = self.run_samples(task, policy, weights, &starts[start * n..end * n]);
+        let costs: Vec<f64> = self.costs().collect();
+        // The first rank with a divergence has the first diverged samples.
+        let failed = gather(&*ranks, &[u8::from(outcome.is_err())]);
+        if let Some(rank) = failed.iter().position(|failed| failed == &[1]) {
+            let Range { start, end } = own(rank);
+            self.run_samples(task, policy, weights, &starts[start * n..end * n]).map_err(|d| d.offset(start))?;
+        }
+        Ok(gather_f64(&*ranks, &costs).iter().sum::<f64>() / samples as f64)
+    }
+
+    /// Costs of the samples of the last run.
+    fn costs(&self) -> impl Iterator<Item = f64> {
+        self.workers.iter().flat_map(|worker| worker.costs.iter().copied())
+    }
+
+    /// Runs all samples in `starts`.
+    fn run_samples(
+        &mut self,
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
+        weights: &Weights<F>,
+        starts: &[F],
+    ) -> Result<(), Divergence> {
+        let n = task.start_dim();
+        let samples = starts.len() / n;
+        let per_worker = samples.div_ceil(EVALUATED).div_ceil(self.workers.len()).max(1) * EVALUATED;
         for_each(&mut self.workers, &|index, worker| {
             worker.costs.clear();
             let own = starts.chunks(per_worker * n).nth(index).unwrap_or(&[]);
@@ -326,9 +512,6 @@ impl<F: Float> Evaluation<F> {
                 outcome.map_err(|d| d.offset(index * per_worker + i * EVALUATED))
             });
         });
-        match self.workers.iter().find_map(|w| w.outcome.err()) {
-            Some(divergence) => Err(divergence),
-            None => Ok(self.workers.iter().flat_map(|w| &w.costs).sum::<f64>() / samples as f64),
-        }
+        self.workers.iter().find_map(|w| w.outcome.err()).map_or(Ok(()), Err)
     }
 }

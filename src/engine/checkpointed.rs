@@ -5,7 +5,6 @@ use crate::engine::adjoint::{Adjoint, Flow, Pass};
 use crate::engine::any::AnyTask;
 use crate::engine::divergence::Divergence;
 use crate::engine::gradient::Gradient;
-use crate::engine::growth::GrowthStats;
 use crate::engine::rollout::{Lane, Rollout, WIDTH};
 use crate::engine::schedule::{MemoryError, Schedule, split};
 use crate::numbers::scalar::{Float, Real, Scalar};
@@ -216,9 +215,9 @@ impl<F: Float> Checkpointed<F> {
         self.adjoint.measure(measured);
     }
 
-    /// Adds the growth of flow `k` for each sample of the last run; 0 if not measured.
-    pub(crate) fn add_growth(&self, k: usize, stats: &mut GrowthStats) {
-        self.adjoint.add_growth(k, self.rollout.samples(), stats);
+    /// Calls `add` with the growth of flow `k` for each sample of the last run; 0 if not measured.
+    pub(crate) fn growth(&self, k: usize, add: &mut dyn FnMut([f64; 2])) {
+        self.adjoint.growth(k, self.rollout.samples(), add);
     }
 
     /// Runs the forward pass. Stores checkpoints and the tape of the last segment.

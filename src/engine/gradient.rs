@@ -4,6 +4,7 @@ use crate::numbers::extended::{ExtendedF64, exponent_of, scaled, scaled_with_sig
 use crate::numbers::kernels::{SimdLevel, elementwise};
 use crate::numbers::scalar::Float;
 use crate::numbers::zip::zip;
+use std::ops::Range;
 
 /// Gradient `values · 2^exponent`. The exponent is 0 unless the values approach the limits of `F`.
 ///
@@ -110,6 +111,43 @@ impl<F: Float> Gradient<F> {
         (self.exponent, self.spread) = (other.exponent, other.spread);
         if self.spread {
             self.exponents.copy_from_slice(&other.exponents);
+        }
+    }
+
+    /// Appends the bytes of a range of values, with their exponents.
+    pub(crate) fn write_slice(&self, range: Range<usize>, bytes: &mut Vec<u8>) {
+        bytes.push(u8::from(self.spread));
+        bytes.extend(self.exponent.to_le_bytes());
+        // Every f32 is an f64.
+        let is_f32 = size_of::<F>() == size_of::<f32>();
+        for value in &self.values[range.clone()] {
+            let value: f64 = value.as_();
+            if is_f32 { bytes.extend((value as f32).to_le_bytes()) } else { bytes.extend(value.to_le_bytes()) }
+        }
+        if self.spread {
+            self.exponents[range].iter().for_each(|exponent| bytes.extend(exponent.to_le_bytes()));
+        }
+    }
+
+    /// Reads a range of values from the start of `bytes`, which [`write_slice`](Self::write_slice)
+    /// appended. Removes them from `bytes`.
+    ///
+    /// # Panics
+    /// If `bytes` is too short.
+    pub(crate) fn read_slice(&mut self, range: Range<usize>, bytes: &mut &[u8]) {
+        fn take<const N: usize>(bytes: &mut &[u8]) -> [u8; N] {
+            let (first, rest) = bytes.split_first_chunk().expect("the message of another rank is complete");
+            *bytes = rest;
+            *first
+        }
+        self.spread = take::<1>(bytes) == [1];
+        self.exponent = i32::from_le_bytes(take(bytes));
+        let is_f32 = size_of::<F>() == size_of::<f32>();
+        for value in &mut self.values[range.clone()] {
+            *value = F::from_f64(if is_f32 { f32::from_le_bytes(take(bytes)).into() } else { f64::from_le_bytes(take(bytes)) });
+        }
+        if self.spread {
+            self.exponents[range].iter_mut().for_each(|exponent| *exponent = i32::from_le_bytes(take(bytes)));
         }
     }
 

@@ -77,6 +77,11 @@ impl Meter {
         self.worst_window = self.worst_window.max(self.running);
     }
 
+    /// Growth along the rollout, and largest growth of a range of steps.
+    pub(crate) fn growth(&self) -> [f64; 2] {
+        [self.along, self.worst_window]
+    }
+
     /// Growth since the last cut, or since the adjoint last became 0.
     pub(crate) fn since_cut(&self) -> f64 {
         self.since_cut
@@ -97,10 +102,10 @@ pub(crate) struct GrowthStats {
 }
 
 impl GrowthStats {
-    pub(crate) fn add(&mut self, meter: &Meter) {
+    pub(crate) fn add(&mut self, [along, worst_window]: [f64; 2]) {
         self.samples += 1;
-        self.along += meter.along;
-        self.worst_window = self.worst_window.max(meter.worst_window);
+        self.along += along;
+        self.worst_window = self.worst_window.max(worst_window);
     }
 
     /// Mean and largest growth. `None` without samples.

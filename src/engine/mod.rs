@@ -7,6 +7,7 @@
 //! - [`observe`]: observations of all samples.
 //! - [`schedule`], [`checkpointed`]: recomputation of steps from checkpoints.
 //! - [`batch`]: mini-batches and data sets, split over threads.
+//! - [`ranks`]: mini-batches and data sets, split over processes.
 //! - [`gradient`], [`growth`], [`divergence`]: results and errors of the passes.
 //! - [`rows`]: steps and costs of many samples as arrays, outside of rollouts.
 //! - [`any`]: object-safe tasks and systems. [`parallel`]: threads.
@@ -23,6 +24,7 @@ pub(crate) mod growth;
 pub(crate) mod initial_states;
 pub(crate) mod observe;
 pub(crate) mod parallel;
+pub mod ranks;
 pub(crate) mod rollout;
 pub mod rows;
 pub(crate) mod schedule;

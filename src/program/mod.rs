@@ -36,8 +36,8 @@ use commands::{
     accuracy, animate, check, compare, completions, effects, eval, explain, export, identify, merge, new, optimize, paper, print,
     report, robust, stress, study, train,
 };
-use platform::signals;
 use platform::terminal::print_message;
+use platform::{ranks, signals};
 use runs::run;
 use scenes::overrides::Overrides;
 use std::process::ExitCode;
@@ -85,6 +85,9 @@ enum Command {
     #[command(hide = true)]
     Fuzz(commands::fuzz::Fuzz),
 }
+
+/// Exit status of an error.
+const FAILURE: u8 = 1;
 
 /// Exit status of a training run that applied no update.
 const NO_UPDATE: u8 = 3;
@@ -170,15 +173,13 @@ impl Program {
         signals::ignore_file_limits();
         let outcome = tasks::register(self.own, self.effects)
             .and_then(|()| execute(&Arguments::parse().command.unwrap_or_else(default_run)));
-        match (outcome, signals::received()) {
-            // A shell script stops at a command with the status of a signal.
-            (Ok(()), Some(signal)) => ExitCode::from(signals::exit_status(signal)),
-            (Ok(()), None) => ExitCode::SUCCESS,
-            (Err(error), _) => {
-                print_message(&format!("error: {error:#}"));
-                if error.is::<run::NoUpdate>() { ExitCode::from(NO_UPDATE) } else { ExitCode::FAILURE }
-            }
-        }
+        let failure = outcome.err().map(|error| {
+            print_message(&format!("error: {error:#}"));
+            if error.is::<run::NoUpdate>() { NO_UPDATE } else { FAILURE }
+        });
+        ranks::end(failure);
+        // A shell script stops at a command with the status of a signal.
+        ExitCode::from(failure.or(signals::received().map(signals::exit_status)).unwrap_or(0))
     }
 }
 

@@ -11,6 +11,7 @@ use crate::engine::growth::Growth;
 use crate::engine::initial_states::append_start;
 #[cfg(feature = "parallel")]
 use crate::engine::parallel::among_workers;
+use crate::engine::ranks::Ranks;
 use crate::numbers::extended::ExtendedF64;
 use crate::numbers::kernels::{SimdLevel, elementwise};
 use crate::numbers::rng::{Purpose, stream};
@@ -21,6 +22,7 @@ use crate::train::field::AnyField;
 use crate::train::optim::Optimizer;
 use rand::seq::SliceRandom;
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 use std::time::Instant;
 
 /// Task, policy and field of a training, as trait objects.
@@ -148,6 +150,20 @@ impl<F: Float> Progress<F> {
             train,
             test,
         })
+    }
+
+    /// Shares the samples of mini-batches and data sets among ranks.
+    pub(super) fn share(
+        &mut self,
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
+        ranks: &Arc<dyn Ranks>,
+    ) -> Result<(), TrainError> {
+        let Training { batch, workers, memory, .. } = self.training;
+        let samples = batch.min(self.order.len());
+        self.batch = Batch::shared(ranks.clone(), task, policy, samples, &self.flows, workers, memory)?;
+        self.evaluation = Evaluation::new(task, policy, workers).shared(ranks.clone());
+        Ok(())
     }
 
     /// Runs to the end of the epoch, or until `pause` returns true after an update. Returns whether

@@ -6,11 +6,13 @@ use super::warnings::Warning;
 use super::{CheckpointError, Record, Report, Skip, TrainError, Training};
 use crate::dynamics::task::Task;
 use crate::engine::divergence::Divergence;
+use crate::engine::ranks::Ranks;
 use crate::engine::schedule::Schedule;
 use crate::numbers::scalar::Float;
 use crate::policy::{Policy, Weights};
 use crate::train::combination::Combination;
 use crate::train::field::{Field, GradientCombiner};
+use std::sync::Arc;
 
 /// A training in progress. [`Trainer::session`](crate::Trainer::session) creates it.
 #[derive(Debug)]
@@ -38,6 +40,18 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     pub(super) fn into_report(self) -> Report<F> {
         let Progress { weights, best, records, .. } = self.progress;
         Report { weights, best: Weights::new(&self.policy, best.theta), records }
+    }
+
+    /// Shares the samples of mini-batches and data sets among ranks, each with a session of its own.
+    ///
+    /// All sessions need equal settings and states. Every rank then calls the same methods in the
+    /// same order, with an equal `pause` in [`advance`](Self::advance). Results are bitwise those of
+    /// a single process.
+    ///
+    /// # Errors
+    /// [`TrainError::Memory`] if no schedule fits the memory limit.
+    pub fn share(&mut self, ranks: &Arc<dyn Ranks>) -> Result<(), TrainError> {
+        self.progress.share(&self.task, &self.policy, ranks)
     }
 
     /// Returns true after the last epoch.

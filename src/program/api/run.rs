@@ -114,7 +114,7 @@ impl Run {
     pub fn train(&mut self, observer: &mut dyn Observer) -> Result<bool> {
         let (scene, run) = (&self.scene.scene, &mut *self.run);
         let finished = match &self.folder {
-            Some(folder) => run::run(&Folder::at(folder).lock()?, scene, run, true, SAVE_EVERY, observer)?,
+            Some(folder) => run::run(&Folder::at(folder).lock()?, scene, run, true, SAVE_EVERY, None, observer)?,
             None => run::in_memory(scene, run, observer),
         };
         let name = || self.folder.as_ref().map_or_else(|| "this run".into(), |folder| folder.display().to_string());

@@ -3,6 +3,7 @@
 use crate::numbers::text::{digits, short};
 use crate::program::platform::folder::Folder;
 use crate::program::platform::json::print_json;
+use crate::program::platform::ranks::launched;
 use crate::program::platform::terminal::{counted, print_message, print_note, print_text};
 use crate::program::runs::metrics;
 use crate::program::runs::progress::Progress;
@@ -12,11 +13,12 @@ use crate::program::runs::statistics::best;
 use crate::program::scenes::overrides::Overrides;
 use crate::program::scenes::presets;
 use crate::program::tasks::Scene;
-use crate::{Record, differences};
+use crate::{Ranks, Record, differences};
 use anyhow::{Context, Result, bail};
 use serde_json::json;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
 
 /// Train a policy on a task.
@@ -31,7 +33,8 @@ pub struct Train {
     pub scene: Option<String>,
     #[command(flatten)]
     pub overrides: Overrides,
-    /// Number of threads [default: RAYON_NUM_THREADS, or all cores]; results do not depend on it
+    /// Number of threads of each rank [default: RAYON_NUM_THREADS, or all cores]; results do not
+    /// depend on it
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
     /// Folder for the results; an earlier run in it is moved, unless --resume is given [default: a
@@ -56,6 +59,10 @@ pub struct Train {
 /// Runs the command.
 pub fn train(args: &Train) -> Result<()> {
     let workers = threads(args.threads)?;
+    let ranks = launched()?;
+    if let Some(ranks) = ranks.as_ref().filter(|ranks| ranks.rank() > 0) {
+        return follow_first(args, workers, ranks);
+    }
     // Reports invalid settings before writing anything.
     let (scene, mut run, folder) = match (&args.out, args.resume) {
         (Some(out), true) => {
@@ -78,13 +85,14 @@ pub fn train(args: &Train) -> Result<()> {
     let mut progress = Progress::new(scene.epochs, args.quiet);
     if !args.quiet {
         print_message(&format!(
-            "{} ({}): field {}, seed {}, {}, {workers} thread{}",
+            "{} ({}): field {}, seed {}, {}, {workers} thread{}{}",
             scene.task.name(),
             scene.task.about(),
             scene.field.0,
             scene.seed,
             scene.precision.name(),
-            if workers == 1 { "" } else { "s" }
+            if workers == 1 { "" } else { "s" },
+            ranks.as_ref().map_or_else(String::new, |ranks| format!(" on each of {} ranks", ranks.count()))
         ));
     }
     if !args.quiet
@@ -93,7 +101,8 @@ pub fn train(args: &Train) -> Result<()> {
         print_message(&note);
     }
     let save_every = Duration::from_secs_f64(args.save_every);
-    let finished = run::run(&folder, &scene, &mut *run, args.resume, save_every, &mut progress)?;
+    let ranks = ranks.as_ref();
+    let finished = run::run(&folder, &scene, &mut *run, args.resume, save_every, ranks, &mut progress)?;
     progress.finish();
     let printed = match (args.json, args.quiet) {
         (true, _) => print_json(&object(&folder, &scene, &finished)),
@@ -118,6 +127,16 @@ pub fn train(args: &Train) -> Result<()> {
         }
         End::Failed(error) => Err(error).with_context(|| format!("the run up to its last complete epoch is in {results}")),
     }
+}
+
+/// Takes part in the training of rank 0.
+fn follow_first(args: &Train, workers: usize, ranks: &Arc<dyn Ranks>) -> Result<()> {
+    let scene = match (&args.out, args.resume) {
+        (Some(out), true) => resumed(&Folder::existing(out)?, &args.overrides)?,
+        _ => changed(args.scene.as_deref().context("name a scene")?, &args.overrides)?,
+    };
+    let followed = run::follow(&scene, &mut *scene.open(workers)?, ranks);
+    followed.with_context(|| format!("rank {}", ranks.rank()))
 }
 
 /// Parses a number of seconds from 0 to 86400 (one day).

@@ -6,9 +6,12 @@ use crate::program::operations::onnx;
 use crate::program::operations::policy_file::{self, About};
 use crate::program::operations::trajectory::{self, Trajectory};
 use crate::program::settings::Precision;
-use crate::{CheckpointError, DynTask, Field, Float, Policy, Record, Session, Task, TrainError, Trainer, Training, Warning};
+use crate::{
+    CheckpointError, DynTask, Field, Float, Policy, Ranks, Record, Session, Task, TrainError, Trainer, Training, Warning,
+};
 use anyhow::Result;
 use std::ops::Range;
+use std::sync::Arc;
 
 /// Epoch of a run whose parameters are used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -21,6 +24,8 @@ pub enum Epoch {
 
 /// Object-safe part of a [`Session`].
 pub trait AnyRun: Send {
+    /// Shares the samples among ranks; see [`Session::share`].
+    fn share(&mut self, ranks: &Arc<dyn Ranks>) -> Result<(), TrainError>;
     /// Runs to the end of the epoch, or to the first update after which `pause` returns true.
     ///
     /// Returns the record of the epoch, or None if paused.
@@ -57,6 +62,10 @@ pub trait AnyRun: Send {
 }
 
 impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
+    fn share(&mut self, ranks: &Arc<dyn Ranks>) -> Result<(), TrainError> {
+        Session::share(self, ranks)
+    }
+
     fn advance(&mut self, pause: &(dyn Fn() -> bool + Sync)) -> Result<Option<&Record>, TrainError> {
         Session::advance(self, pause)
     }

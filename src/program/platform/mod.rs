@@ -7,7 +7,10 @@ pub mod files;
 pub mod folder;
 pub mod json;
 pub mod lock;
+#[cfg(feature = "mpi")]
+mod mpi;
 pub mod parallel;
+pub mod ranks;
 pub mod signals;
 pub mod table;
 pub mod terminal;

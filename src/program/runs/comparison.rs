@@ -101,7 +101,7 @@ impl Run {
         let resume = self.resumes()?;
         let folder = if resume { folder } else { folder.without_run()? };
         // One thread per run: the parallel runs occupy all cores.
-        let finished = run::run(&folder, &self.scene, &mut *self.scene.open(1)?, resume, SAVE_EVERY, observer)?;
+        let finished = run::run(&folder, &self.scene, &mut *self.scene.open(1)?, resume, SAVE_EVERY, None, observer)?;
         if let Some(end) = Ending::new(self.scene.epochs, &finished.end) {
             folder.write(END, toml::to_string(&end)?)?;
         }

@@ -11,10 +11,10 @@ use crate::program::runs::outputs;
 use crate::program::runs::saved;
 use crate::program::settings::LogFormat;
 use crate::program::tasks::Scene;
-use crate::{Record, TrainError, Warning};
-use anyhow::{Result, bail};
+use crate::{Ranks, Record, TrainError, Warning, ranks};
+use anyhow::{Context, Result, bail};
 use std::fmt;
-use std::sync::Once;
+use std::sync::{Arc, Once};
 use std::time::{Duration, Instant};
 
 /// Default time between two checkpoints.
@@ -35,6 +35,13 @@ pub trait Observer {
     fn is_stopped(&mut self) -> bool {
         false
     }
+}
+
+/// Observer that ignores events.
+pub struct Unobserved;
+
+impl Observer for Unobserved {
+    fn epoch(&mut self, _event: EpochEvent) {}
 }
 
 /// Result of an epoch, with its warnings.
@@ -106,13 +113,15 @@ pub fn threads(requested: Option<usize>) -> Result<usize> {
 
 /// Trains the session `run` of a scene in the folder. Resumes from the checkpoint if `resume`.
 ///
-/// Saves every `save_every`, after the current update or evaluation.
+/// Saves every `save_every`, after the current update or evaluation. With several ranks, rank 0 calls
+/// this function and the others call [`follow`].
 pub fn run(
     folder: &Locked,
     scene: &Scene,
     run: &mut dyn AnyRun,
     resume: bool,
     save_every: Duration,
+    ranks: Option<&Arc<dyn Ranks>>,
     observer: &mut dyn Observer,
 ) -> Result<Finished> {
     let identity = scene.identity();
@@ -128,16 +137,32 @@ pub fn run(
         }
         observer.resumed(done);
     }
+    if let Some(ranks) = ranks {
+        ranks::gather(&**ranks, &run.checkpoint(&identity));
+        run.share(ranks)?;
+    }
     let mut saver = Saver::begin(folder, scene, &identity, save_every)?;
     saver.save(run)?;
-    let failure = train(run, Some(&mut saver), observer)?;
+    let failure = train(run, ranks, Some(&mut saver), observer)?;
     saver.end(scene, run)?;
     Ok(finished(scene, run, failure))
 }
 
+/// Trains with rank 0, which calls [`run`], and writes nothing.
+///
+/// # Errors
+/// The settings of the ranks differ. The memory limit is too small.
+pub fn follow(scene: &Scene, run: &mut dyn AnyRun, ranks: &Arc<dyn Ranks>) -> Result<()> {
+    let state = ranks::gather(&**ranks, &[]).swap_remove(0);
+    run.restore(&state, &scene.identity()).context("the state of rank 0 does not fit this rank")?;
+    run.share(ranks)?;
+    // Rank 0 reports a failure of the training, which all ranks have.
+    train(run, Some(ranks), None, &mut Unobserved).map(drop)
+}
+
 /// Trains the session of a scene without a folder.
 pub fn in_memory(scene: &Scene, run: &mut dyn AnyRun, observer: &mut dyn Observer) -> Finished {
-    let failure = train(run, None, observer).expect("a training without a folder writes no file");
+    let failure = train(run, None, None, observer).expect("a training without a folder writes no file");
     finished(scene, run, failure)
 }
 
@@ -147,15 +172,26 @@ pub fn save(folder: &Locked, scene: &Scene, run: &dyn AnyRun) -> Result<()> {
 }
 
 /// Trains up to the last epoch, a failure, a signal or a stop by the observer. Returns the failure.
+/// A signal to one rank, or a pause of one rank, applies to all.
 ///
 /// # Errors
 /// The folder was removed or replaced.
-fn train(run: &mut dyn AnyRun, mut saver: Option<&mut Saver>, observer: &mut dyn Observer) -> Result<Option<TrainError>> {
+fn train(
+    run: &mut dyn AnyRun,
+    ranks: Option<&Arc<dyn Ranks>>,
+    mut saver: Option<&mut Saver>,
+    observer: &mut dyn Observer,
+) -> Result<Option<TrainError>> {
+    let on_any_rank = |value| ranks.map_or(value, |ranks| ranks::any(&**ranks, value));
     let mut within_epoch = false;
-    while !run.is_done() && (within_epoch || signals::received().is_none()) && !observer.is_stopped() {
+    while !run.is_done() {
+        let stops = observer.is_stopped() || (!within_epoch && signals::received().is_some());
+        if on_any_rank(stops) {
+            break;
+        }
         let (begin, poll) = (Instant::now(), observer.poll_every());
         let due = saver.as_deref();
-        let pause = || due.is_some_and(Saver::is_due) || poll.is_some_and(|poll| begin.elapsed() >= poll);
+        let pause = || on_any_rank(due.is_some_and(Saver::is_due) || poll.is_some_and(|poll| begin.elapsed() >= poll));
         match run.advance(&pause) {
             Ok(record) => {
                 within_epoch = record.is_none();

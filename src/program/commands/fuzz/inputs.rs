@@ -4,7 +4,7 @@ use crate::program::commands::animate::{self, Animate};
 use crate::program::commands::fuzz::{Kind, Outcomes, numbers_of};
 use crate::program::commands::report::{self, Report};
 use crate::program::platform::folder::{CHECKPOINT, Folder, METRICS, SETTINGS};
-use crate::program::runs::run::{self, EpochEvent, Observer};
+use crate::program::runs::run::{self, Unobserved};
 use crate::program::runs::saved::resumed;
 use crate::program::scenes::overrides::Overrides;
 use crate::program::scenes::presets;
@@ -229,13 +229,6 @@ fn checkpoint(number: u64, outcomes: &mut Outcomes) {
     });
 }
 
-/// Observer that ignores events.
-struct Unobserved;
-
-impl Observer for Unobserved {
-    fn epoch(&mut self, _event: EpochEvent) {}
-}
-
 /// Reports, animates and resumes a run folder whose scene and files may be damaged.
 fn folder(number: u64, outcomes: &mut Outcomes) {
     let rng = &mut numbers_of(number);
@@ -291,6 +284,6 @@ fn use_folder(path: &Path) -> Result<()> {
     let folder = Folder::existing(path)?.lock()?;
     let scene = resumed(&folder, &Overrides { epochs: Some(3), ..Overrides::default() })?;
     let mut opened = scene.open(1)?;
-    run::run(&folder, &scene, &mut *opened, true, Duration::from_secs(60), &mut Unobserved)?;
+    run::run(&folder, &scene, &mut *opened, true, Duration::from_secs(60), None, &mut Unobserved)?;
     Ok(())
 }

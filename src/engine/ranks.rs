@@ -1,0 +1,158 @@
+//! [`Ranks`]: processes that share the samples of each mini-batch and data set.
+//!
+//! Every rank holds the whole training and performs every update. A rank runs the rollouts of its
+//! range of samples. The ranks then exchange results: first the sums over groups of samples, to the
+//! rank that owns a slice of the parameters, then the slices of the total. The owner adds groups in
+//! their order, so the total has the bits of a single process.
+
+use crate::engine::gradient::Gradient;
+use crate::numbers::scalar::Float;
+use std::fmt::Debug;
+use std::ops::Range;
+
+/// Processes that call the same functions in the same order.
+pub trait Ranks: Debug + Send + Sync {
+    /// Number of this process, from 0.
+    fn rank(&self) -> usize;
+
+    /// Number of processes.
+    fn count(&self) -> usize;
+
+    /// Sends message r to rank r, and returns the messages to this rank, in the order of the ranks.
+    ///
+    /// Returns after every rank has called the function. `messages` has one element per rank.
+    fn exchange(&self, messages: &[&[u8]]) -> Vec<Vec<u8>>;
+}
+
+/// Sends a message to all ranks, and returns the messages of all ranks in their order.
+pub fn gather(ranks: &dyn Ranks, message: &[u8]) -> Vec<Vec<u8>> {
+    ranks.exchange(&vec![message; ranks.count()])
+}
+
+/// Returns whether `value` is true on some rank.
+pub fn any(ranks: &dyn Ranks, value: bool) -> bool {
+    gather(ranks, &[u8::from(value)]).iter().any(|message| message == &[1])
+}
+
+/// Part of a range of `count` items that belongs to a rank. The parts of all ranks are consecutive,
+/// and their lengths differ by at most 1.
+pub(crate) fn part(count: usize, rank: usize, ranks: usize) -> Range<usize> {
+    count * rank / ranks..count * (rank + 1) / ranks
+}
+
+/// Numbers of all ranks, in the order of the ranks.
+pub(crate) fn gather_f64(ranks: &dyn Ranks, own: &[f64]) -> Vec<f64> {
+    let bytes: Vec<u8> = own.iter().flat_map(|x| x.to_le_bytes()).collect();
+    gather(ranks, &bytes).concat().as_chunks().0.iter().map(|&bytes| f64::from_le_bytes(bytes)).collect()
+}
+
+/// Sums over groups of samples, one flow each: sets `totals` to the sums over the groups of all
+/// ranks, in order. `groups[g][k]` is the sum of group g for flow k.
+pub(crate) fn add_groups<F: Float>(ranks: &dyn Ranks, groups: &[Vec<Gradient<F>>], totals: &mut [Gradient<F>]) {
+    let (params, count) = (totals[0].values().len(), ranks.count());
+    let slice = |rank: usize| part(params, rank, count);
+    let messages: Vec<Vec<u8>> = (0..count)
+        .map(|rank| {
+            let mut bytes = Vec::new();
+            groups.iter().flatten().for_each(|sum| sum.write_slice(slice(rank), &mut bytes));
+            bytes
+        })
+        .collect();
+    let received = ranks.exchange(&messages.iter().map(|message| &message[..]).collect::<Vec<_>>());
+    let own = slice(ranks.rank()).len();
+    let mut sums: Vec<Gradient<F>> = totals.iter().map(|_| Gradient::zeros(own)).collect();
+    let mut group = Gradient::zeros(own);
+    let mut is_first = true;
+    for message in &received {
+        let mut rest = &message[..];
+        while !rest.is_empty() {
+            for sum in &mut sums {
+                group.read_slice(0..own, &mut rest);
+                if is_first { sum.copy_from(&group) } else { sum.add(&group) }
+            }
+            is_first = false;
+        }
+    }
+    let mut bytes = Vec::new();
+    sums.iter().for_each(|sum| sum.write_slice(0..own, &mut bytes));
+    for (rank, message) in gather(ranks, &bytes).iter().enumerate() {
+        let mut rest = &message[..];
+        totals.iter_mut().for_each(|total| total.read_slice(slice(rank), &mut rest));
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use std::sync::{Arc, Barrier, Mutex};
+
+    /// Ranks that are threads of one process.
+    #[derive(Debug)]
+    pub(crate) struct Threads {
+        rank: usize,
+        /// `[from][to]`.
+        messages: Arc<Mutex<Vec<Vec<Vec<u8>>>>>,
+        barrier: Arc<Barrier>,
+    }
+
+    impl Threads {
+        pub(crate) fn new(count: usize) -> Vec<Arc<dyn Ranks>> {
+            let messages = Arc::new(Mutex::new(vec![vec![Vec::new(); count]; count]));
+            let barrier = Arc::new(Barrier::new(count));
+            (0..count).map(|rank| Arc::new(Self { rank, messages: messages.clone(), barrier: barrier.clone() }) as _).collect()
+        }
+    }
+
+    impl Ranks for Threads {
+        fn rank(&self) -> usize {
+            self.rank
+        }
+
+        fn count(&self) -> usize {
+            self.messages.lock().expect("no panic").len()
+        }
+
+        fn exchange(&self, messages: &[&[u8]]) -> Vec<Vec<u8>> {
+            self.messages.lock().expect("no panic")[self.rank] = messages.iter().map(|message| message.to_vec()).collect();
+            self.barrier.wait();
+            let received = self.messages.lock().expect("no panic").iter().map(|row| row[self.rank].clone()).collect();
+            self.barrier.wait();
+            received
+        }
+    }
+
+    #[test]
+    fn totals_of_1_to_5_ranks_have_the_bits_of_one_loop() {
+        // Three groups have their own exponents, the others plain sums.
+        let group = |g: usize| {
+            let mut sums = vec![Gradient::<f32>::zeros(7), Gradient::zeros(7)];
+            for (k, sum) in sums.iter_mut().enumerate() {
+                let values: Vec<f32> = (0..7).map(|i| ((i * 31 + g * 17 + k * 5) as f32).sin() * 1e3).collect();
+                match g % 4 {
+                    3 => sum.add_part(&values, 200 * g as i32),
+                    _ => sum.unscaled_sum().expect("a plain sum").copy_from_slice(&values),
+                }
+            }
+            sums
+        };
+        let groups: Vec<_> = (0..12).map(group).collect();
+        let mut expected = groups[0].clone();
+        for group in &groups[1..] {
+            expected.iter_mut().zip(group).for_each(|(sum, group)| sum.add(group));
+        }
+        expected.iter_mut().for_each(Gradient::normalize);
+        for count in 1..=5 {
+            std::thread::scope(|scope| {
+                for ranks in Threads::new(count) {
+                    let (groups, expected) = (&groups, &expected);
+                    scope.spawn(move || {
+                        let mut totals = vec![Gradient::zeros(7); 2];
+                        add_groups(&*ranks, &groups[part(12, ranks.rank(), count)], &mut totals);
+                        totals.iter_mut().for_each(Gradient::normalize);
+                        assert_eq!(&totals, expected, "{count} ranks");
+                    });
+                }
+            });
+        }
+    }
+}

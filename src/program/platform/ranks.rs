@@ -1,0 +1,43 @@
+//! Ranks of a launcher such as `mpirun`. Only `mpi.rs` calls MPI (feature `mpi`).
+
+use crate::Ranks;
+#[cfg(feature = "mpi")]
+use crate::program::platform::mpi;
+use anyhow::Result;
+use std::sync::Arc;
+
+/// Variables with the number of ranks, set by Open MPI, and by MPICH and Slurm.
+const SIZES: [&str; 2] = ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE"];
+
+/// The ranks, if a launcher started this process with at least one other.
+///
+/// # Errors
+/// The program has no feature `mpi`, or MPI cannot start.
+pub fn launched() -> Result<Option<Arc<dyn Ranks>>> {
+    let size = |name: &&str| std::env::var(name).ok()?.parse::<usize>().ok();
+    match SIZES.iter().find_map(size) {
+        Some(size) if size > 1 => start().map(Some),
+        _ => Ok(None),
+    }
+}
+
+#[cfg(feature = "mpi")]
+fn start() -> Result<Arc<dyn Ranks>> {
+    mpi::start()
+}
+
+#[cfg(not(feature = "mpi"))]
+fn start() -> Result<Arc<dyn Ranks>> {
+    anyhow::bail!(
+        "MPI started several processes of this program, which was built without MPI; build it with --features mpi, or start one \
+         process"
+    )
+}
+
+/// Ends MPI, if it runs. With an error status, ends the processes of all ranks.
+pub fn end(status: Option<u8>) {
+    #[cfg(feature = "mpi")]
+    mpi::end(status);
+    #[cfg(not(feature = "mpi"))]
+    let _ = status;
+}
