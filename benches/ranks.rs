@@ -8,7 +8,7 @@
 
 mod measure;
 
-use measure::{median, rounds};
+use measure::{median, ratio, rounds};
 use physgrad::policy::{Mlp, Policy};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::CartPole;
@@ -92,13 +92,15 @@ fn main() {
     let pair = |work: &(dyn Fn(usize) -> Box<dyn FnMut() + Send> + Sync)| {
         let mut jobs = [work(0), work(1)];
         move || {
-            std::thread::scope(|scope| jobs.iter_mut().for_each(|job| drop(scope.spawn(|| job()))));
+            std::thread::scope(|scope| jobs.iter_mut().for_each(|job| drop(scope.spawn(job))));
         }
     };
     let n = starts.len() / batch;
     let run = |mut own: Batch<f32>, starts: Vec<f32>| -> Box<dyn FnMut() + Send> {
-        let (task, policy, weights) = (task.clone(), policy.clone(), weights.clone());
-        Box::new(move || drop(own.run(&task, &policy, &weights, &starts).expect("finite")))
+        let (task, policy, weights) = (task, policy.clone(), weights.clone());
+        Box::new(move || {
+            own.run(&task, &policy, &weights, &starts).expect("finite");
+        })
     };
     let alone = pair(&|rank| {
         let half = starts[rank * batch / 2 * n..][..batch / 2 * n].to_vec();
@@ -123,6 +125,7 @@ fn main() {
         cores,
     };
     println!("measured: gradient of a sample on one core {:.1} µs, {params} parameters", model.sample);
+    println!("measured: two ranks take {:.3} of the time without exchange", ratio(&times[1], &times[0]));
     println!("measured: handling of a number of a group {:.2} ns", model.number * 1e3);
     println!("parameters: latency {latency} µs, bandwidth {gbit} Gbit/s, {cores} cores per machine, one rank per machine");
     for (title, scaling) in [("strong: batch 8192", None), ("weak: batch 256 per machine", Some(256))] {

@@ -96,7 +96,7 @@ pub(crate) mod tests {
     }
 
     impl Threads {
-        pub(crate) fn new(count: usize) -> Vec<Arc<dyn Ranks>> {
+        pub(crate) fn all(count: usize) -> Vec<Arc<dyn Ranks>> {
             let messages = Arc::new(Mutex::new(vec![vec![Vec::new(); count]; count]));
             let barrier = Arc::new(Barrier::new(count));
             (0..count).map(|rank| Arc::new(Self { rank, messages: messages.clone(), barrier: barrier.clone() }) as _).collect()
@@ -143,7 +143,7 @@ pub(crate) mod tests {
         expected.iter_mut().for_each(Gradient::normalize);
         for count in 1..=5 {
             std::thread::scope(|scope| {
-                for ranks in Threads::new(count) {
+                for ranks in Threads::all(count) {
                     let (groups, expected) = (&groups, &expected);
                     scope.spawn(move || {
                         let mut totals = vec![Gradient::zeros(7); 2];
