@@ -128,6 +128,31 @@ fn ranks_skip_the_updates_that_one_process_skips() {
 }
 
 #[test]
+fn an_error_is_printed_once_and_other_settings_of_a_rank_are_refused() {
+    if !available() {
+        return;
+    }
+    let dir = TempDir::new().expect("a folder");
+    let out = dir.path().join("out");
+    let output = finish(start(3, &out, &["--set", "system.masses=1"]));
+    assert!(!output.status.success());
+    assert_eq!(text(&output).matches("error:").count(), 1, "{}", text(&output));
+
+    // One scene has more epochs, which is not part of the identity of a run.
+    let mut ranks = launcher(1);
+    for (rank, epochs) in ["2", "3"].into_iter().enumerate() {
+        if rank > 0 {
+            ranks.args([":", "-n", "1"]);
+        }
+        ranks.arg(assert_cmd::cargo::cargo_bin!("physgrad")).args(["train", "cart_pole", "--threads", "1", "--out"]);
+        ranks.arg(&out).args(SMALL).args(["--epochs", epochs]);
+    }
+    let output = ranks.output().expect("mpirun runs");
+    assert!(!output.status.success() && !out.exists());
+    assert!(text(&output).contains("rank 1: its settings differ from those of rank 0"), "{}", text(&output));
+}
+
+#[test]
 fn a_killed_rank_ends_the_run_and_another_number_of_ranks_resumes_it() {
     if !available() {
         return;

@@ -12,7 +12,7 @@ use crate::engine::divergence::Divergence;
 use crate::engine::gradient::Gradient;
 use crate::engine::growth::{Growth, GrowthStats};
 use crate::engine::parallel::for_each;
-use crate::engine::ranks::{Ranks, add_groups, gather, gather_f64, part};
+use crate::engine::ranks::{Ranks, add_groups, gather, gather_f64, samples_of};
 use crate::engine::rollout::Rollout;
 use crate::engine::schedule::{MemoryError, Schedule};
 use crate::numbers::scalar::Float;
@@ -253,10 +253,7 @@ impl<F: Float> Batch<F> {
         let ranks = shared.ranks.clone();
         let n = task.start_dim();
         let samples = starts.len() / n;
-        let own = |rank: usize| {
-            let Range { start, end } = part(samples.div_ceil(GROUP), rank, ranks.count());
-            start * GROUP..samples.min(end * GROUP)
-        };
+        let own = |rank: usize| samples_of(samples, GROUP, rank, ranks.count());
         let Range { start, end } = own(ranks.rank());
         shared.clear();
         let outcome = self.run_samples(task, policy, weights, &starts[start * n..end * n], scale, Some(shared));
@@ -473,7 +470,8 @@ impl<F: Float> Evaluation<F> {
             self.run_samples(task, policy, weights, starts)?;
             return Ok(self.costs().sum::<f64>() / samples as f64);
         };
-        let own = |rank: usize| part(samples, rank, ranks.count());
+        // Whole blocks diverge as in a single process.
+        let own = |rank: usize| samples_of(samples, EVALUATED, rank, ranks.count());
         let Range { start, end } = own(ranks.rank());
         let outcome = self.run_samples(task, policy, weights, &starts[start * n..end * n]);
         let costs: Vec<f64> = self.costs().collect();

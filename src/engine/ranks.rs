@@ -36,8 +36,14 @@ pub fn any(ranks: &dyn Ranks, value: bool) -> bool {
 
 /// Part of a range of `count` items that belongs to a rank. The parts of all ranks are consecutive,
 /// and their lengths differ by at most 1.
-pub(crate) fn part(count: usize, rank: usize, ranks: usize) -> Range<usize> {
+fn part(count: usize, rank: usize, ranks: usize) -> Range<usize> {
     count * rank / ranks..count * (rank + 1) / ranks
+}
+
+/// Samples of a rank: whole blocks of `block` samples, the last of which may be incomplete.
+pub(crate) fn samples_of(samples: usize, block: usize, rank: usize, ranks: usize) -> Range<usize> {
+    let Range { start, end } = part(samples.div_ceil(block), rank, ranks);
+    start * block..samples.min(end * block)
 }
 
 /// Numbers of all ranks, in the order of the ranks.

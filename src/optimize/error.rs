@@ -63,7 +63,7 @@ pub enum OptimizeError {
 
 /// Name of the functions with this derivative in messages.
 fn differentiated(step: Option<usize>) -> String {
-    step.map_or("terminal cost".into(), |step| format!("running cost or of the dynamics of step {step}"))
+    step.map_or("terminal cost".into(), |step| format!("running cost of step {step}, or of the dynamics in this step,"))
 }
 
 /// Name of a cost in messages.

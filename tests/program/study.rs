@@ -76,6 +76,9 @@ fn errors_of_a_plan_name_the_line_and_the_allowed_values() {
         ("field = \"C\"", "field = \"X\"", "plan.toml:19: `field`"),
         ("field = \"C\"", "seed = 3", "plan.toml:19: `seed` cannot be set: a study trains several seeds"),
         ("field = \"C\"", "task = \"push\"", "plan.toml:19: `task` cannot be set"),
+        ("field = \"C\"", "initial_policy = \"p\"", "plan.toml:19: `initial_policy` cannot be set: a study trains from random"),
+        ("name = \"C\"", "name = \"C.previous-1\"", "plan.toml:18: `method[1].name` is \"C.previous-1\"; allowed: a name of up"),
+        ("name = \"C\"", "name = \"r, Clipped\"", "plan.toml:18: two entries [[method]] have the name"),
         ("field = \"C\"", "\"training.learning_rate\" = 1", "`learning_rates` replaces it; remove one of them"),
         ("field = \"C\"", "\"system.masses\" = 1", "(task cart_pole_1, method C)"),
         ("seeds = 2", "seeds = ", "plan.toml:1: "),
@@ -120,6 +123,17 @@ fn a_study_trains_every_combination_and_equals_single_runs() {
     for label in [">cart_pole_1<", ">mine<", ">1: R, clipped<", ">2: C<", ">untrained policy<"] {
         assert_eq!(picture.matches(label).count(), 1, "{label}");
     }
+
+    // A method with other settings is refused, and the folder keeps its plan.
+    let plan = bytes("out/study.toml");
+    fs::write(dir.path().join("plans/plan.toml"), PLAN.replace("clip_limit = 0.5", "clip_limit = 0.7")).expect("a file");
+    assert!(error(&dir, study).contains("keeps its settings"));
+    assert_eq!(plan, bytes("out/study.toml"));
+    let changed = String::from_utf8(plan.clone()).expect("text").replace("clip_limit = 0.5", "clip_limit = 0.7");
+    fs::write(dir.path().join("out/study.toml"), changed).expect("a file");
+    assert!(error(&dir, "merge out").contains("keeps its settings"));
+    fs::write(dir.path().join("out/study.toml"), plan).expect("a file");
+    assert!(error(&dir, "train push --quiet -o out").contains("out holds a study"));
 
     // The scene is in the plan of the folder: merge needs no other file.
     let table = bytes("out/study.csv");

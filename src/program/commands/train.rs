@@ -1,6 +1,7 @@
 //! `physgrad train`: one training run with progress output.
 
 use crate::numbers::text::{digits, short};
+use crate::program::operations::session::AnyRun;
 use crate::program::platform::folder::Folder;
 use crate::program::platform::json::print_json;
 use crate::program::platform::ranks::launched;
@@ -13,8 +14,8 @@ use crate::program::runs::statistics::best;
 use crate::program::scenes::overrides::Overrides;
 use crate::program::scenes::presets;
 use crate::program::tasks::Scene;
-use crate::{Ranks, Record, differences};
-use anyhow::{Context, Result, bail};
+use crate::{Ranks, Record, differences, ranks};
+use anyhow::{Context, Result, anyhow, bail};
 use serde_json::json;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -60,26 +61,17 @@ pub struct Train {
 pub fn train(args: &Train) -> Result<()> {
     let workers = threads(args.threads)?;
     let ranks = launched()?;
-    if let Some(ranks) = ranks.as_ref().filter(|ranks| ranks.rank() > 0) {
-        return follow_first(args, workers, ranks);
-    }
+    let ranks = ranks.as_ref();
     // Reports invalid settings before writing anything.
-    let (scene, mut run, folder) = match (&args.out, args.resume) {
-        (Some(out), true) => {
-            let folder = Folder::existing(out)?.lock()?;
-            let scene = resumed(&folder, &args.overrides)?;
-            if let Some(name) = &args.scene {
-                check_scene(&folder, &scene, name, &args.overrides)?;
-            }
-            let run = scene.open(workers)?;
-            (scene, run, folder)
-        }
+    let (scene, mut run) = agreed(ranks, open(args, workers))?;
+    if let Some(ranks) = ranks.filter(|ranks| ranks.rank() > 0) {
+        return run::follow(&scene, &mut *run, ranks).with_context(|| format!("rank {}", ranks.rank()));
+    }
+    let folder = match (&args.out, args.resume) {
+        (Some(out), true) => Folder::existing(out)?.lock()?,
         (out, _) => {
-            let name = args.scene.as_deref().context("name a scene")?;
-            let scene = changed(name, &args.overrides)?;
-            let run = scene.open(workers)?;
-            let folder = Folder::named(out.as_deref(), &presets::short_name(name))?;
-            (scene, run, folder.without_run()?)
+            let name = presets::short_name(args.scene.as_deref().unwrap_or_default());
+            Folder::named(out.as_deref(), &name)?.without_run()?
         }
     };
     let mut progress = Progress::new(scene.epochs, args.quiet);
@@ -92,7 +84,7 @@ pub fn train(args: &Train) -> Result<()> {
             scene.seed,
             scene.precision.name(),
             if workers == 1 { "" } else { "s" },
-            ranks.as_ref().map_or_else(String::new, |ranks| format!(" on each of {} ranks", ranks.count()))
+            ranks.map_or_else(String::new, |ranks| format!(" on each of {} ranks", ranks.count()))
         ));
     }
     if !args.quiet
@@ -101,7 +93,6 @@ pub fn train(args: &Train) -> Result<()> {
         print_message(&note);
     }
     let save_every = Duration::from_secs_f64(args.save_every);
-    let ranks = ranks.as_ref();
     let finished = run::run(&folder, &scene, &mut *run, args.resume, save_every, ranks, &mut progress)?;
     progress.finish();
     let printed = match (args.json, args.quiet) {
@@ -129,14 +120,44 @@ pub fn train(args: &Train) -> Result<()> {
     }
 }
 
-/// Takes part in the training of rank 0.
-fn follow_first(args: &Train, workers: usize, ranks: &Arc<dyn Ranks>) -> Result<()> {
+/// Reads the scene, or the settings of the run to resume, and opens a session.
+fn open(args: &Train, workers: usize) -> Result<(Scene, Box<dyn AnyRun>)> {
     let scene = match (&args.out, args.resume) {
-        (Some(out), true) => resumed(&Folder::existing(out)?, &args.overrides)?,
+        (Some(out), true) => {
+            let folder = Folder::existing(out)?;
+            let scene = resumed(&folder, &args.overrides)?;
+            if let Some(name) = &args.scene {
+                check_scene(&folder, &scene, name, &args.overrides)?;
+            }
+            scene
+        }
         _ => changed(args.scene.as_deref().context("name a scene")?, &args.overrides)?,
     };
-    let followed = run::follow(&scene, &mut *scene.open(workers)?, ranks);
-    followed.with_context(|| format!("rank {}", ranks.rank()))
+    let run = scene.open(workers)?;
+    Ok((scene, run))
+}
+
+/// Checks that every rank has opened a session with equal settings.
+///
+/// # Errors
+/// On the first rank with an error, or with other settings than rank 0. Other ranks wait until that
+/// rank has ended them, so that one rank prints the error.
+fn agreed(ranks: Option<&Arc<dyn Ranks>>, opened: Result<(Scene, Box<dyn AnyRun>)>) -> Result<(Scene, Box<dyn AnyRun>)> {
+    let Some(ranks) = ranks else { return opened };
+    let settings = |(scene, _): &(Scene, _)| format!("epochs = {}\n{}", scene.epochs, scene.identity());
+    let messages = ranks::gather(&**ranks, opened.as_ref().map_or(String::new(), settings).as_bytes());
+    let failed = messages.iter().position(Vec::is_empty);
+    let unlike = || messages.iter().position(|message| *message != messages[0]);
+    match failed.or_else(unlike) {
+        None => opened,
+        Some(rank) if rank == ranks.rank() => {
+            let unlike = |_| Err(anyhow!("its settings differ from those of rank 0; give all ranks the same scene and options"));
+            opened.and_then(unlike).with_context(|| format!("rank {rank}"))
+        }
+        Some(_) => loop {
+            std::thread::park();
+        },
+    }
 }
 
 /// Parses a number of seconds from 0 to 86400 (one day).

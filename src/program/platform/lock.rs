@@ -1,6 +1,6 @@
 //! [`Locked`]: a folder with an exclusive lock, held by this process.
 
-use super::folder::{Folder, LOCK, LOCKED_FILES, PREVIOUS, RUN_FILES, RUNS, SETTINGS, unwritable};
+use super::folder::{Folder, LOCK, LOCKED_FILES, PREVIOUS, RUN_FILES, RUNS, SETTINGS, STUDY, unwritable};
 use super::terminal::print_message;
 use super::{files, signals};
 use anyhow::{Context, Result, bail};
@@ -192,6 +192,9 @@ impl Locked {
             self.entries()?.into_iter().partition(|name| RUN_FILES.contains(&files::replaced_by(name).unwrap_or(name)));
         if other.iter().any(|name| name == RUNS) {
             bail!("{} holds a comparison in its subfolder {RUNS}; choose another folder with --out", path.display());
+        }
+        if other.iter().any(|name| name == STUDY) {
+            bail!("{} holds a study; choose another folder with --out", path.display());
         }
         if !run.iter().any(|name| name == SETTINGS) {
             // A process that was killed before it wrote settings leaves at most a temporary file.

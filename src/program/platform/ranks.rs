@@ -3,7 +3,7 @@
 use crate::Ranks;
 #[cfg(feature = "mpi")]
 use crate::program::platform::mpi;
-use anyhow::Result;
+use anyhow::{Result, bail};
 use std::sync::Arc;
 
 /// Variables with the number of ranks, set by Open MPI, and by MPICH and Slurm.
@@ -12,11 +12,22 @@ const SIZES: [&str; 2] = ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE"];
 /// The ranks, if a launcher started this process with at least one other.
 ///
 /// # Errors
-/// The program has no feature `mpi`, or MPI cannot start.
+/// The program has no feature `mpi`, or MPI cannot start, or it connects other processes than the
+/// launcher started.
 pub fn launched() -> Result<Option<Arc<dyn Ranks>>> {
     let size = |name: &&str| std::env::var(name).ok()?.parse::<usize>().ok();
     match SIZES.iter().find_map(size) {
-        Some(size) if size > 1 => start().map(Some),
+        Some(size) if size > 1 => {
+            let ranks = start()?;
+            if ranks.count() != size {
+                bail!(
+                    "the launcher started {size} processes, but MPI connects {} of them; use the launcher of the MPI library that \
+                     built this program",
+                    ranks.count()
+                );
+            }
+            Ok(Some(ranks))
+        }
         _ => Ok(None),
     }
 }
@@ -28,7 +39,7 @@ fn start() -> Result<Arc<dyn Ranks>> {
 
 #[cfg(not(feature = "mpi"))]
 fn start() -> Result<Arc<dyn Ranks>> {
-    anyhow::bail!(
+    bail!(
         "MPI started several processes of this program, which was built without MPI; build it with --features mpi, or start one \
          process"
     )

@@ -118,7 +118,11 @@ impl Run {
     }
 
     /// Records of the run, from its folder.
+    ///
+    /// # Errors
+    /// The folder contains a run with other settings.
     fn saved_records(&self) -> Result<Vec<Record>> {
+        self.resumes()?;
         let scene = saved::scene(&self.folder)?;
         let mut run = scene.open(1)?;
         saved::restore(&self.folder, &scene, &mut *run)?;
@@ -184,6 +188,14 @@ impl Comparison {
     /// Returns whether the folder of some run contains a run.
     pub fn has_runs(&self) -> bool {
         self.runs.iter().any(|run| saved::has_run(&run.folder))
+    }
+
+    /// Checks that every existing run has the settings of the comparison.
+    ///
+    /// # Errors
+    /// A run has other settings.
+    pub fn check_resumable(&self) -> Result<()> {
+        self.runs.iter().try_for_each(|run| run.resumes().map(drop))
     }
 
     /// Test losses of the initial policies of the runs that ended, in the order of

@@ -160,7 +160,8 @@ pub struct Ratio {
 }
 
 /// Ratio of the medians of pairs of losses, one pair per seed. NaN stands for the loss of a failed
-/// run and counts as infinite.
+/// run and counts as infinite. The ratio of two infinite medians is NaN, which ranks above every
+/// number.
 ///
 /// The interval extends from the 2.5 % to the 97.5 % quantile of the ratio over 10,000 resamples of
 /// the pairs with replacement (percentile bootstrap, Efron and Tibshirani 1993, section 13.3).

@@ -16,6 +16,7 @@
 
 use crate::program::scenes::presets;
 use crate::program::scenes::source::{SceneSource, parse_table, place, read_text};
+use crate::program::settings::OPTIONAL;
 use crate::program::settings::config_error::{ConfigError, allowed};
 use crate::program::settings::reading::read;
 use crate::program::tasks::Scene;
@@ -29,6 +30,9 @@ use toml::{Table, Value};
 /// Largest number of combinations of a task, a method and a learning rate, and of seeds.
 const MAX: usize = 10_000;
 
+/// Largest length of a name, bytes. Folders of runs contain two names.
+const MAX_NAME: usize = 100;
+
 /// Key of the learning rate in a scene.
 const LEARNING_RATE: &str = "training.learning_rate";
 
@@ -36,7 +40,8 @@ const LEARNING_RATE: &str = "training.learning_rate";
 const QUICK: [(&str, i64); 3] = [("epochs", 5), ("training.train_samples", 64), ("training.test_samples", 64)];
 
 /// Keys that a plan cannot set, with the reason.
-const REFUSED: [(&str, &str); 4] = [
+const REFUSED: [(&str, &str); 5] = [
+    (INITIAL_POLICY, "a study trains from random parameters"),
     ("seed", "a study trains several seeds; choose their number with `seeds`"),
     ("task", "it defines the meaning of the other settings; name another `scene`"),
     ("scene", "it defines the meaning of the other settings; name another `scene`"),
@@ -128,7 +133,11 @@ impl Plan {
                 Value::Table(table) => SceneSource::inner(&format!("{name}, `{key}`"), table.clone()),
                 other => Err(anyhow!("`{key}` is {other}; allowed: a preset, or the path of a scene")),
             };
-            plan.sources.push(source.map_err(|error| anyhow!("{}: {error:#}", plan.place(&key)))?);
+            let source = source.map_err(|error| anyhow!("{}: {error:#}", plan.place(&key)))?;
+            if source.table().contains_key(INITIAL_POLICY) {
+                bail!("{}: the scene sets `{INITIAL_POLICY}`; a study trains from random parameters", plan.place(&key));
+            }
+            plan.sources.push(source);
         }
         plan.name_tasks()?;
         Ok(plan)
@@ -140,10 +149,7 @@ impl Plan {
         for (task, source) in self.contents.tasks.iter_mut().zip(&self.sources) {
             let scene = task.scene.as_str().map_or_else(|| "task".into(), presets::short_name);
             task.name.get_or_insert(scene);
-            let mut table = source.table().clone();
-            // Each run holds a copy of the policy.
-            table.remove(INITIAL_POLICY);
-            task.scene = Value::Table(table);
+            task.scene = Value::Table(source.table().clone());
         }
         let Contents { tasks, methods, .. } = &self.contents;
         self.check_names("task", tasks.iter().filter_map(|task| task.name.as_deref()))?;
@@ -155,13 +161,19 @@ impl Plan {
         let mut seen = HashSet::new();
         for (i, name) in names.enumerate() {
             let origin = self.place(&format!("{list}[{i}].name"));
-            if name.is_empty() || name.starts_with('.') || name.contains(|c: char| "/\\+:".contains(c) || c.is_control()) {
+            let is_reserved = name.starts_with('.') || name.contains(".previous-");
+            if name.is_empty()
+                || is_reserved
+                || name.len() > MAX_NAME
+                || name.contains(|c: char| "/\\+:".contains(c) || c.is_control())
+            {
                 bail!(
-                    "{origin}: `{list}[{i}].name` is {name:?}; allowed: a name without `/`, `\\`, `+` and `:`, and without a dot at \
-                     its start"
+                    "{origin}: `{list}[{i}].name` is {name:?}; allowed: a name of up to {MAX_NAME} bytes without `/`, `\\`, \
+                     `+`, `:` and `.previous-`, and without a dot at its start"
                 );
             }
-            if !seen.insert(name) {
+            // Some file systems ignore the case of names.
+            if !seen.insert(name.to_lowercase()) {
                 bail!("{origin}: two entries [[{list}]] have the name {name:?}; give them distinct names");
             }
         }
@@ -241,13 +253,9 @@ impl Plan {
     /// without quotation marks, keep their other keys.
     fn set(&self, source: &mut SceneSource, path: &str, set: &Table) -> Result<()> {
         for (key, value) in set {
-            let inner = match value {
-                Value::Table(section) if !key.contains('.') => {
-                    section.iter().map(|(inner, value)| (format!("{key}.{inner}"), value)).collect()
-                }
-                value => vec![(key.clone(), value)],
-            };
-            for (key, value) in inner {
+            let mut settings = Vec::new();
+            settings_of(key.clone(), value, &mut settings);
+            for (key, value) in settings {
                 let origin = self.place(&format!("{path}.{key}"));
                 if let Some((_, reason)) = REFUSED.iter().find(|(refused, _)| *refused == key) {
                     bail!("{origin}: `{key}` cannot be set: {reason}");
@@ -255,10 +263,25 @@ impl Plan {
                 if key == LEARNING_RATE && self.contents.learning_rates.is_some() {
                     bail!("{origin}: `{key}` is set, but `learning_rates` replaces it; remove one of them");
                 }
-                source.replace(&key, value.clone(), &origin)?;
+                match value {
+                    // An effect with its defaults, or with the settings of the scene.
+                    Value::Table(section) if section.is_empty() => source.put(&key, value.clone(), &origin)?,
+                    value => source.replace(&key, value.clone(), &origin)?,
+                }
             }
         }
         Ok(())
+    }
+}
+
+/// Appends the settings in the value of a key. The value of a section contains several settings.
+fn settings_of<'a>(key: String, value: &'a Value, settings: &mut Vec<(String, &'a Value)>) {
+    let is_section = key.split_once('.').is_none_or(|(section, name)| OPTIONAL.contains(&section) && !name.contains('.'));
+    match value {
+        Value::Table(section) if is_section && !section.is_empty() => {
+            section.iter().for_each(|(inner, value)| settings_of(format!("{key}.{inner}"), value, settings));
+        }
+        value => settings.push((key, value)),
     }
 }
 
@@ -280,5 +303,32 @@ impl Contents {
         let rates = self.learning_rates.as_ref().map_or(1, Vec::len);
         let cells = self.tasks.len().saturating_mul(self.methods.len()).saturating_mul(rates);
         allowed("task", format!("{cells} combinations of task, method and learning rate"), cells <= MAX, format!("up to {MAX}"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sections_and_dotted_keys_give_equal_settings() {
+        let settings = |text: &str| {
+            let table: Table = text.parse().expect("TOML");
+            let mut found = Vec::new();
+            table.iter().for_each(|(key, value)| settings_of(key.clone(), value, &mut found));
+            found.into_iter().map(|(key, value)| (key, value.to_string())).collect::<Vec<_>>()
+        };
+        for (texts, key, value) in [
+            (["policy.widths = [4]", "\"policy.widths\" = [4]"], "policy.widths", "[4]"),
+            (["effects.gusty_wind.speed = 3", "\"effects.gusty_wind\" = { speed = 3 }"], "effects.gusty_wind.speed", "3"),
+            (["effects = { gusty_wind.speed = 3 }", "\"effects.gusty_wind.speed\" = 3"], "effects.gusty_wind.speed", "3"),
+            (["effects.bumpers = {}", "\"effects.bumpers\" = {}"], "effects.bumpers", "{}"),
+            (["system.gravity = { a = 1 }", "\"system.gravity\" = { a = 1 }"], "system.gravity", "{ a = 1 }"),
+            (["actuator.lag.time = { a = 1 }", "\"actuator.lag\".time = { a = 1 }"], "actuator.lag.time", "{ a = 1 }"),
+        ] {
+            for text in texts {
+                assert_eq!(settings(text), [(key.to_owned(), value.to_owned())], "{text}");
+            }
+        }
     }
 }

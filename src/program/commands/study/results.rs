@@ -73,6 +73,9 @@ impl Measured<'_> {
 
     /// Ratio of the median loss to that of another method, over the seeds of both.
     fn ratio_to(&self, other: &Self) -> Ratio {
+        if std::ptr::eq(self, other) {
+            return Ratio { value: 1.0, interval: [1.0; 2] };
+        }
         let pair = |run: &Run| {
             let other = other.runs.iter().find(|other| other.outcome.seed == run.outcome.seed)?;
             Some((run.loss(), other.loss()))
