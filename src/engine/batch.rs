@@ -2,7 +2,7 @@
 //! samples.
 //!
 //! Results do not depend on the number of workers. Samples are independent. Gradients are summed
-//! over fixed groups of samples, and groups are summed in order. Several [`Ranks`] share the groups
+//! over fixed groups of samples, groups over fixed blocks, and blocks in order. Several [`Ranks`] share the blocks
 //! in the same way.
 
 use crate::engine::adjoint::Flow;
@@ -12,7 +12,7 @@ use crate::engine::divergence::Divergence;
 use crate::engine::gradient::Gradient;
 use crate::engine::growth::{Growth, GrowthStats};
 use crate::engine::parallel::for_each;
-use crate::engine::ranks::{Ranks, add_groups, gather, gather_f64, samples_of};
+use crate::engine::ranks::{Ranks, add_blocks, gather, gather_f64, samples_of};
 use crate::engine::rollout::Rollout;
 use crate::engine::schedule::{MemoryError, Schedule};
 use crate::numbers::scalar::Float;
@@ -23,6 +23,10 @@ use std::sync::Arc;
 
 /// Number of samples in a group. Each group has one gradient sum, for any number of workers.
 pub(crate) const GROUP: usize = 4;
+/// Largest number of blocks of groups. Each block has one sum over its groups. It bounds the sums that
+/// ranks exchange, and the number of ranks that share a mini-batch. Up to 128 samples, a block is a
+/// group.
+const BLOCKS: usize = 32;
 /// Largest number of groups in one chunk: more samples do not fit into the cache.
 const CHUNK: usize = 8;
 /// Number of samples in one rollout of an evaluation.
@@ -38,6 +42,8 @@ pub struct Batch<F: Float> {
     capacity: usize,
     workers: Vec<Worker<F>>,
     gradients: Vec<Gradient<F>>,
+    /// Sum of the current block for each flow. Empty if every block is a group.
+    block: Vec<Gradient<F>>,
     /// Growth of the adjoint of each flow in the last run, if measured.
     growth: Vec<GrowthStats>,
     /// True if runs measure the growth of the adjoints.
@@ -50,8 +56,10 @@ pub struct Batch<F: Float> {
 #[derive(Debug)]
 struct Shared<F: Float> {
     ranks: Arc<dyn Ranks>,
-    /// Sums of the groups, `[group][flow]`.
-    groups: Vec<Vec<Gradient<F>>>,
+    /// Sums of the blocks, `[block][flow]`.
+    blocks: Vec<Vec<Gradient<F>>>,
+    /// Number of groups in these blocks.
+    groups: usize,
     /// Costs of the samples.
     costs: Vec<f64>,
     /// Growth of each sample for each flow, if measured.
@@ -128,7 +136,8 @@ impl<F: Float> Batch<F> {
             Worker { rollout, groups: (0..groups).map(|_| zeros()).collect(), outcome: Ok(()) }
         }));
         let growth = vec![GrowthStats::default(); flows.len()];
-        Self { capacity: samples, workers: all, gradients: zeros(), growth, measured: false, shared: None }
+        let block = if block_of(samples) > 1 { zeros() } else { Vec::new() };
+        Self { capacity: samples, workers: all, gradients: zeros(), block, growth, measured: false, shared: None }
     }
 
     /// Returns the [`stored_bytes`](Batch::stored_bytes) of a schedule without allocating.
@@ -149,7 +158,8 @@ impl<F: Float> Batch<F> {
         let (workers, chunk) = chunks(samples, workers);
         let groups = chunk.div_ceil(GROUP) * (size_of::<Vec<Gradient<F>>>() + gradients);
         let worker = size_of::<Worker<F>>() + groups + Checkpointed::<F>::bytes_of(task, policy, chunk, flows, schedule);
-        workers * worker + gradients + flows.len() * size_of::<GrowthStats>()
+        let sums = if block_of(samples) > 1 { 2 * gradients } else { gradients };
+        workers * worker + sums + flows.len() * size_of::<GrowthStats>()
     }
 
     /// Bytes on the heap, independent of the number of samples in a run.
@@ -160,7 +170,7 @@ impl<F: Float> Batch<F> {
             size_of_val(&worker.groups[..]) + groups + worker.rollout.stored_bytes()
         };
         let own = size_of_val(&self.workers[..]) + size_of_val(&self.growth[..]);
-        own + self.workers.iter().map(worker).sum::<usize>() + nested(&self.gradients)
+        own + self.workers.iter().map(worker).sum::<usize>() + nested(&self.gradients) + nested(&self.block)
     }
 
     /// Schedule of every worker.
@@ -172,8 +182,8 @@ impl<F: Float> Batch<F> {
     /// budget, for the samples of one rank in mini-batches of up to `samples` samples.
     ///
     /// Every rank calls [`run`](Batch::run) with all samples. Results are bitwise those of a single
-    /// process. The budget excludes sums of groups: `param_count` numbers for each 4 samples of the
-    /// rank.
+    /// process. The budget excludes the sums of blocks: `param_count` numbers for each flow and each
+    /// of up to 32 blocks of samples.
     ///
     /// # Errors
     /// As [`within`](Batch::within).
@@ -190,13 +200,12 @@ impl<F: Float> Batch<F> {
         workers: usize,
         budget: Option<u64>,
     ) -> Result<Self, MemoryError> {
-        let own = samples.div_ceil(GROUP).div_ceil(ranks.count()) * GROUP;
-        let own = own.min(samples);
+        let own = samples.div_ceil(ranks.count()).next_multiple_of(GROUP * block_of(samples)).min(samples);
         let batch = match budget {
             None => Self::new(task, policy, own, flows, workers),
             Some(budget) => Self::within(task, policy, own, flows, workers, budget)?,
         };
-        let shared = Shared { ranks, groups: Vec::new(), costs: Vec::new(), growths: vec![Vec::new(); flows.len()] };
+        let shared = Shared { ranks, blocks: Vec::new(), groups: 0, costs: Vec::new(), growths: vec![Vec::new(); flows.len()] };
         Ok(Self { capacity: samples, shared: Some(Box::new(shared)), ..batch })
     }
 
@@ -229,7 +238,7 @@ impl<F: Float> Batch<F> {
         let scale = F::from_f64(1.0 / samples as f64);
         self.growth.fill(GrowthStats::default());
         let loss = match self.shared.take() {
-            None => self.run_samples(task, policy, weights, starts, scale, None)?,
+            None => self.run_samples(task, policy, weights, starts, scale, block_of(samples), None)?,
             Some(mut shared) => {
                 let loss = self.run_shared(task, policy, weights, starts, scale, &mut shared);
                 self.shared = Some(shared);
@@ -253,19 +262,20 @@ impl<F: Float> Batch<F> {
         let ranks = shared.ranks.clone();
         let n = task.start_dim();
         let samples = starts.len() / n;
-        let own = |rank: usize| samples_of(samples, GROUP, rank, ranks.count());
+        let block = block_of(samples);
+        let own = |rank: usize| samples_of(samples, GROUP * block, rank, ranks.count());
         let Range { start, end } = own(ranks.rank());
         shared.clear();
-        let outcome = self.run_samples(task, policy, weights, &starts[start * n..end * n], scale, Some(shared));
+        let outcome = self.run_samples(task, policy, weights, &starts[start * n..end * n], scale, block, Some(shared));
         let diverged = first_diverged(&*ranks, outcome.err().map(|d| d.offset(start)));
         if let Some(rank) = diverged {
             // Repeats the samples of that rank, which gives every rank the same error.
             let Range { start, end } = own(rank);
             shared.clear();
-            self.run_samples(task, policy, weights, &starts[start * n..end * n], scale, Some(shared))
+            self.run_samples(task, policy, weights, &starts[start * n..end * n], scale, block, Some(shared))
                 .map_err(|divergence| divergence.offset(start))?;
         }
-        add_groups(&*ranks, &shared.groups, &mut self.gradients);
+        add_blocks(&*ranks, &shared.blocks, &mut self.gradients);
         if self.measured {
             for (stats, growths) in self.growth.iter_mut().zip(&shared.growths) {
                 gather_f64(&*ranks, growths).as_chunks().0.iter().for_each(|&growth| stats.add(growth));
@@ -274,8 +284,9 @@ impl<F: Float> Batch<F> {
         Ok(gather_f64(&*ranks, &shared.costs).into_iter().fold(0.0, |loss, cost| loss + cost))
     }
 
-    /// Runs all samples in `starts` and adds their gradients, or keeps the sums of their groups in
-    /// `shared`. Returns the sum of the costs, 0 with `shared`.
+    /// Runs all samples in `starts` and adds their gradients, or keeps the sums of their blocks of
+    /// `block` groups in `shared`. Returns the sum of the costs, 0 with `shared`.
+    #[expect(clippy::too_many_arguments, reason = "the arguments of `run`, and three of its parts")]
     fn run_samples(
         &mut self,
         task: &dyn AnyTask<F>,
@@ -283,10 +294,12 @@ impl<F: Float> Batch<F> {
         weights: &Weights<F>,
         starts: &[F],
         scale: F,
+        block: usize,
         mut shared: Option<&mut Shared<F>>,
     ) -> Result<f64, Divergence> {
         let n = task.start_dim();
         let chunk = self.workers[0].rollout.capacity();
+        let groups = (starts.len() / n).div_ceil(GROUP);
         let (mut loss, mut diverged) = (0.0, None);
         for (round, starts) in starts.chunks(self.workers.len() * chunk * n).enumerate() {
             for_each(&mut self.workers, &|index, worker| {
@@ -301,8 +314,8 @@ impl<F: Float> Batch<F> {
             diverged = diverged.into_iter().chain(errors).min_by_key(Divergence::order);
             if diverged.is_none() {
                 match &mut shared {
-                    None => loss = self.add_round(active, round == 0, loss),
-                    Some(shared) => shared.keep(&self.workers[..active], self.measured),
+                    None => loss = self.add_round(active, first.div_ceil(GROUP), groups, block, loss),
+                    Some(shared) => shared.keep(&self.workers[..active], block, self.measured),
                 }
             }
         }
@@ -310,16 +323,20 @@ impl<F: Float> Batch<F> {
     }
 
     /// Adds the gradients and growths of the first `active` workers, in the order of the samples.
-    /// Returns `loss` plus the costs of these samples.
-    fn add_round(&mut self, active: usize, first: bool, loss: f64) -> f64 {
+    /// Their first group has the index `first` of `groups`. Returns `loss` plus the costs of these
+    /// samples.
+    fn add_round(&mut self, active: usize, first: usize, groups: usize, block: usize, loss: f64) -> f64 {
         let workers = &self.workers[..active];
-        for (k, gradient) in self.gradients.iter_mut().enumerate() {
-            let groups = workers.iter().flat_map(|w| w.groups.iter().take(w.rollout.samples().div_ceil(GROUP)));
-            for (g, group) in groups.enumerate() {
-                if first && g == 0 {
-                    gradient.copy_from(&group[k]);
-                } else {
-                    gradient.add(&group[k]);
+        for (k, total) in self.gradients.iter_mut().enumerate() {
+            for (g, group) in (first..).zip(workers.iter().flat_map(Worker::sums)) {
+                if block == 1 {
+                    total.set_or_add(&group[k], g == 0);
+                    continue;
+                }
+                let sum = &mut self.block[k];
+                sum.set_or_add(&group[k], g % block == 0);
+                if g % block == block - 1 || g == groups - 1 {
+                    total.set_or_add(sum, g < block);
                 }
             }
         }
@@ -352,16 +369,24 @@ impl<F: Float> Batch<F> {
 
 impl<F: Float> Shared<F> {
     fn clear(&mut self) {
-        self.groups.clear();
+        self.blocks.clear();
+        self.groups = 0;
         self.costs.clear();
         self.growths.iter_mut().for_each(Vec::clear);
     }
 
-    /// Appends the results of these workers.
-    fn keep(&mut self, workers: &[Worker<F>], measured: bool) {
+    /// Appends the results of these workers. Adds their groups to the current block, up to `block`
+    /// groups.
+    fn keep(&mut self, workers: &[Worker<F>], block: usize, measured: bool) {
         for worker in workers {
             let samples = worker.rollout.samples();
-            self.groups.extend(worker.groups.iter().take(samples.div_ceil(GROUP)).cloned());
+            for group in worker.sums() {
+                match self.blocks.last_mut().filter(|_| !self.groups.is_multiple_of(block)) {
+                    Some(sums) => sums.iter_mut().zip(group).for_each(|(sum, group)| sum.add(group)),
+                    None => self.blocks.push(group.clone()),
+                }
+                self.groups += 1;
+            }
             self.costs.extend((0..samples).map(|s| -> f64 { worker.rollout.cost(s).as_() }));
             if measured {
                 for (k, growths) in self.growths.iter_mut().enumerate() {
@@ -386,6 +411,11 @@ fn order_bytes(pass: u8, time: usize, sample: usize) -> impl Iterator<Item = u8>
 }
 
 impl<F: Float> Worker<F> {
+    /// Sums of the groups of the last run, `[group][flow]`.
+    fn sums(&self) -> &[Vec<Gradient<F>>] {
+        &self.groups[..self.rollout.samples().div_ceil(GROUP)]
+    }
+
     fn run(
         &mut self,
         task: &dyn AnyTask<F>,
@@ -399,6 +429,11 @@ impl<F: Float> Worker<F> {
         }
         self.rollout.run_unnormalized(task, policy, weights, starts, scale, GROUP, &mut self.groups)
     }
+}
+
+/// Number of groups in a block of a mini-batch.
+fn block_of(samples: usize) -> usize {
+    samples.div_ceil(GROUP).div_ceil(BLOCKS)
 }
 
 /// Returns the number of workers and the number of samples in a chunk.
@@ -511,5 +546,63 @@ impl<F: Float> Evaluation<F> {
             });
         });
         self.workers.iter().find_map(|w| w.outcome.err()).map_or(Ok(()), Err)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::engine::initial_states::initial_states;
+    use crate::engine::ranks::tests::Threads;
+    use crate::numbers::rng::{Purpose, stream};
+    use crate::policy::Mlp;
+    use crate::tasks::CartPole;
+
+    /// Losses of a batch and of an evaluation, gradients and growth.
+    type Found = (f64, f64, Vec<Gradient<f32>>, Vec<Option<Growth>>);
+
+    fn found(samples: usize, ranks: Option<Arc<dyn Ranks>>, workers: usize) -> Found {
+        let (task, policy) = (CartPole { horizon: 5, ..CartPole::new(1) }, Mlp::new([4, 6, 1]));
+        let weights = Weights::<f32>::init(&policy, &mut stream(0, Purpose::Policy, 0));
+        let starts: Vec<f32> = initial_states(&task, 0, Purpose::Train, samples);
+        let flows = [Flow::MODIFIED, Flow::REGULAR];
+        let evaluation = Evaluation::new(&task, &policy, workers);
+        let (mut batch, mut evaluation) = match ranks {
+            None => (Batch::new(&task, &policy, samples, &flows, workers), evaluation),
+            Some(ranks) => {
+                let batch = Batch::shared(ranks.clone(), &task, &policy, samples, &flows, workers, None);
+                (batch.expect("no limit"), evaluation.shared(ranks))
+            }
+        };
+        batch.measure(true);
+        let loss = batch.run(&task, &policy, &weights, &starts).expect("finite");
+        let evaluated = evaluation.run(&task, &policy, &weights, &starts).expect("finite");
+        (loss, evaluated, batch.gradients().to_vec(), (0..2).map(|k| batch.growth(k)).collect())
+    }
+
+    #[test]
+    fn ranks_and_workers_have_the_bits_of_one_worker() {
+        // Blocks of 1, 2 and 3 groups. The last block and the last group are incomplete.
+        for samples in [3, 128, 130, 269] {
+            let one = found(samples, None, 1);
+            for workers in [2, 3] {
+                assert_eq!(one, found(samples, None, workers), "{samples} samples, {workers} workers");
+            }
+            for count in [1, 2, 3, 8] {
+                std::thread::scope(|scope| {
+                    let one = &one;
+                    for ranks in Threads::all(count) {
+                        scope.spawn(move || assert_eq!(one, &found(samples, Some(ranks), 2), "{samples} samples, {count} ranks"));
+                    }
+                });
+            }
+        }
+    }
+
+    #[test]
+    fn a_batch_has_at_most_32_blocks() {
+        for (samples, block) in [(1, 1), (128, 1), (129, 2), (256, 2), (257, 3), (8192, 64)] {
+            assert_eq!(block_of(samples), block, "{samples} samples");
+        }
     }
 }

@@ -105,6 +105,11 @@ impl<F: Float> Gradient<F> {
         }
     }
 
+    /// Sets the sum to another one, or adds that one.
+    pub(crate) fn set_or_add(&mut self, other: &Self, set: bool) {
+        if set { self.copy_from(other) } else { self.add(other) }
+    }
+
     /// Copies another gradient of equal length without allocating.
     pub(crate) fn copy_from(&mut self, other: &Self) {
         self.values.copy_from_slice(&other.values);
@@ -116,6 +121,7 @@ impl<F: Float> Gradient<F> {
 
     /// Appends the bytes of a range of values, with their exponents.
     pub(crate) fn write_slice(&self, range: Range<usize>, bytes: &mut Vec<u8>) {
+        bytes.reserve(8 + range.len() * (size_of::<F>() + if self.spread { 4 } else { 0 }));
         bytes.push(u8::from(self.spread));
         bytes.extend(self.exponent.to_le_bytes());
         // Every f32 is an f64.

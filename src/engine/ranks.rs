@@ -1,8 +1,8 @@
 //! [`Ranks`]: processes that share the samples of each mini-batch and data set.
 //!
 //! Every rank holds the whole training and performs every update. A rank runs the rollouts of its
-//! range of samples. The ranks then exchange results: first the sums over groups of samples, to the
-//! rank that owns a slice of the parameters, then the slices of the total. The owner adds groups in
+//! range of samples. The ranks then exchange results: first the sums over blocks of samples, to the
+//! rank that owns a slice of the parameters, then the slices of the total. The owner adds blocks in
 //! their order, so the total has the bits of a single process.
 
 use crate::engine::gradient::Gradient;
@@ -52,29 +52,29 @@ pub(crate) fn gather_f64(ranks: &dyn Ranks, own: &[f64]) -> Vec<f64> {
     gather(ranks, &bytes).concat().as_chunks().0.iter().map(|&bytes| f64::from_le_bytes(bytes)).collect()
 }
 
-/// Sums over groups of samples, one flow each: sets `totals` to the sums over the groups of all
-/// ranks, in order. `groups[g][k]` is the sum of group g for flow k.
-pub(crate) fn add_groups<F: Float>(ranks: &dyn Ranks, groups: &[Vec<Gradient<F>>], totals: &mut [Gradient<F>]) {
+/// Sets `totals`, one per flow, to the sums over the blocks of all ranks, in order. `blocks[b][k]` is
+/// the sum of block b for flow k.
+pub(crate) fn add_blocks<F: Float>(ranks: &dyn Ranks, blocks: &[Vec<Gradient<F>>], totals: &mut [Gradient<F>]) {
     let (params, count) = (totals[0].values().len(), ranks.count());
     let slice = |rank: usize| part(params, rank, count);
     let messages: Vec<Vec<u8>> = (0..count)
         .map(|rank| {
             let mut bytes = Vec::new();
-            groups.iter().flatten().for_each(|sum| sum.write_slice(slice(rank), &mut bytes));
+            blocks.iter().flatten().for_each(|sum| sum.write_slice(slice(rank), &mut bytes));
             bytes
         })
         .collect();
     let received = ranks.exchange(&messages.iter().map(|message| &message[..]).collect::<Vec<_>>());
     let own = slice(ranks.rank()).len();
     let mut sums: Vec<Gradient<F>> = totals.iter().map(|_| Gradient::zeros(own)).collect();
-    let mut group = Gradient::zeros(own);
+    let mut block = Gradient::zeros(own);
     let mut is_first = true;
     for message in &received {
         let mut rest = &message[..];
         while !rest.is_empty() {
             for sum in &mut sums {
-                group.read_slice(0..own, &mut rest);
-                if is_first { sum.copy_from(&group) } else { sum.add(&group) }
+                block.read_slice(0..own, &mut rest);
+                sum.set_or_add(&block, is_first);
             }
             is_first = false;
         }
@@ -153,7 +153,7 @@ pub(crate) mod tests {
                     let (groups, expected) = (&groups, &expected);
                     scope.spawn(move || {
                         let mut totals = vec![Gradient::zeros(7); 2];
-                        add_groups(&*ranks, &groups[part(12, ranks.rank(), count)], &mut totals);
+                        add_blocks(&*ranks, &groups[part(12, ranks.rank(), count)], &mut totals);
                         totals.iter_mut().for_each(Gradient::normalize);
                         assert_eq!(&totals, expected, "{count} ranks");
                     });
