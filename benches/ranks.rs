@@ -18,7 +18,9 @@ use std::sync::{Arc, Barrier, Mutex};
 const FLOWS: [Flow; 2] = [Flow::MODIFIED, Flow::REGULAR];
 /// Samples whose gradients form one sum.
 const GROUP: usize = 4;
-/// Exchanges of an update: divergence, groups, total, costs, pause. Each one has two messages per
+/// Largest number of blocks of groups.
+const BLOCKS: usize = 32;
+/// Exchanges of an update: divergence, blocks, total, costs, pause. Each one has two messages per
 /// pair of ranks: the length and the contents.
 const MESSAGES: f64 = 10.0;
 
@@ -53,7 +55,7 @@ struct Model {
     params: f64,
     /// Gradient of one sample on one core.
     sample: f64,
-    /// Handling of one number of a group sum: packing, copying, unpacking, adding.
+    /// Handling of one number of a block sum: packing, copying, unpacking, adding.
     number: f64,
     latency: f64,
     /// Bytes per µs.
@@ -65,8 +67,10 @@ impl Model {
     /// Time of the gradient of a mini-batch, without and with communication.
     fn update(&self, batch: usize, machines: usize) -> [f64; 2] {
         let groups = batch.div_ceil(GROUP);
-        let own = groups.div_ceil(machines);
-        let compute = (own.div_ceil(self.cores) * GROUP) as f64 * self.sample;
+        let block = groups.div_ceil(BLOCKS);
+        // Blocks of the rank with the largest share.
+        let own = groups.div_ceil(block).div_ceil(machines);
+        let compute = ((own * block).min(groups).div_ceil(self.cores) * GROUP) as f64 * self.sample;
         if machines == 1 {
             return [compute, compute];
         }
@@ -115,7 +119,7 @@ fn main() {
     let times = rounds(20, &mut [&mut alone, &mut together]);
     let [alone, together] = [0, 1].map(|i| median(&times[i]));
     let params = policy.param_count() as f64;
-    let own = (batch / 2 / GROUP) as f64;
+    let own = (batch / GROUP).min(BLOCKS) as f64 / 2.0;
     let model = Model {
         params,
         sample: alone / (batch / 2) as f64,
@@ -126,7 +130,7 @@ fn main() {
     };
     println!("measured: gradient of a sample on one core {:.1} µs, {params} parameters", model.sample);
     println!("measured: two ranks take {:.3} of the time without exchange", ratio(&times[1], &times[0]));
-    println!("measured: handling of a number of a group {:.2} ns", model.number * 1e3);
+    println!("measured: handling of a number of a block {:.2} ns", model.number * 1e3);
     println!("parameters: latency {latency} µs, bandwidth {gbit} Gbit/s, {cores} cores per machine, one rank per machine");
     for (title, scaling) in [("strong: batch 8192", None), ("weak: batch 256 per machine", Some(256))] {
         println!("\n{title}\n  cores  machines  gradient ms  with exchange ms  efficiency");
