@@ -13,6 +13,10 @@ static WITH_EFFECTS: LazyLock<PathBuf> = LazyLock::new(|| example("scene_effect"
 fn example(name: &str) -> PathBuf {
     let mut build = std::process::Command::new(env!("CARGO"));
     build.args(["build", "--quiet", "--example", name]);
+    if cfg!(feature = "mpi") {
+        // Shares the compiled library.
+        build.args(["--features", "mpi"]);
+    }
     if !cfg!(debug_assertions) {
         build.arg("--release");
     }
