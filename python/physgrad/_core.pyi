@@ -1,4 +1,4 @@
-"""Types of the compiled module. Shapes: B samples, n states, m controls, T steps."""
+"""Types of the compiled module."""
 
 from collections.abc import Callable
 from os import PathLike
