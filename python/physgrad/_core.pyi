@@ -1,4 +1,4 @@
-"""Types of the compiled module."""
+"""Types of the compiled module. Shapes: n states, m controls, T steps."""
 
 from collections.abc import Callable
 from os import PathLike
