@@ -113,7 +113,7 @@ pub fn observe_vjp<F: Float>(task: &impl Task, inputs: Inputs<'_, F>, y_bar: &[F
     });
 }
 
-/// Writes the running cost of the step to `next` for each row.
+/// Writes to `cost` the running cost of each row, for the step that ends in `next`.
 pub fn running_cost<F: Float>(task: &impl Task, inputs: Inputs<'_, F>, next: &[F], cost: &mut [F]) {
     let rows = rows(task, &inputs);
     check("next", next, rows, task.system().state_dim());

@@ -11,8 +11,8 @@ pub struct Plan {
     pub x: Vec<f64>,
     /// Gains `K_t`, `[step][control][component]`. See [`feedback`](Plan::feedback).
     pub gains: Vec<f64>,
-    /// Gradient of the cost by the controls, `[step][control]`. At an active bound, a component
-    /// that points out of the bounds is not 0.
+    /// Gradient of the cost by the controls, `[step][control]`, without projection: at an active
+    /// bound, a component may be nonzero at the optimum.
     pub gradient: Vec<f64>,
     /// Parameters of the sample.
     pub p: Vec<f64>,

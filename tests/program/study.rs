@@ -71,7 +71,11 @@ fn errors_of_a_plan_name_the_line_and_the_allowed_values() {
         ("policy.widths = [4]", "policy.width = [4]", "plan.toml:7: `policy.width` is unknown"),
         ("name = \"C\"\n", "", "plan.toml:17: `method[1].name` is missing"),
         ("name = \"C\"", "name = \"R, clipped\"", "plan.toml:18: two entries [[method]] have the name \"R, clipped\""),
-        ("name = \"mine\"", "name = \"../mine\"", "plan.toml:10: `task[1].name` is \"../mine\"; allowed: a name without"),
+        (
+            "name = \"mine\"",
+            "name = \"../mine\"",
+            "plan.toml:10: `task[1].name` is \"../mine\"; allowed: a name of up to 100 bytes without `/`",
+        ),
         ("field = \"C\"", "training.field = \"C\"", "plan.toml:19: `training.field` is unknown"),
         ("field = \"C\"", "field = \"X\"", "plan.toml:19: `field`"),
         ("field = \"C\"", "seed = 3", "plan.toml:19: `seed` cannot be set: a study trains several seeds"),

@@ -153,7 +153,7 @@ fn the_next_shard_completes_a_killed_one_and_merge_names_missing_runs() {
     let other: Vec<&str> = other.iter().map(String::as_str).collect();
     let error = error_of(physgrad(&other).args(["--shard", "1/2", "--out"]).arg(&many));
     assert!(error.contains("plan of another comparison") && error.contains("seeds = 3"), "{error}");
-    assert!(error_of(physgrad(&["merge"]).arg(dir.path())).contains("is not the folder of a comparison"));
+    assert!(error_of(physgrad(&["merge"]).arg(dir.path())).contains("is not the folder of a comparison, a study or figures"));
 }
 
 #[test]

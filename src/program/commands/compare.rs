@@ -60,8 +60,8 @@ pub struct Compare {
     /// Require that --out holds runs of this comparison, and resume them
     #[arg(long, requires = "out")]
     pub resume: bool,
-    /// Train share K of N of the runs, then all other runs that no process holds; other shards may
-    /// train in the same folder, on any machine; then `physgrad merge` (docs/clusters.md)
+    /// Train share K of N of the runs, then all other runs that no process holds. Other shards may
+    /// train in the same folder, on any machine. Run `physgrad merge` afterwards (docs/clusters.md)
     #[arg(long, value_name = "K/N", requires = "out", conflicts_with_all = ["resume", "json"])]
     pub shard: Option<Shard>,
     /// Print only warnings and errors

@@ -36,7 +36,8 @@ pub fn merge(args: &Merge) -> Result<()> {
     }
     if !paper::merge(&folder, output)? {
         bail!(
-            "{} is not the folder of a comparison: it has no {COMPARISON}; create one with `compare`, `study` or `paper`",
+            "{} is not the folder of a comparison, a study or figures: it has no {COMPARISON}, no {STUDY} and no figure with runs; \
+             create one with `compare`, `study` or `paper`",
             folder.path().display()
         );
     }

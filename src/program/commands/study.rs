@@ -35,8 +35,8 @@ pub struct Study {
     /// Folder for the results; runs already in it are resumed [default: a new one in `runs`]
     #[arg(short, long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Train share K of N of the runs, then all other runs that no process holds; other shards may
-    /// train in the same folder, on any machine; then `physgrad merge` (docs/clusters.md)
+    /// Train share K of N of the runs, then all other runs that no process holds. Other shards may
+    /// train in the same folder, on any machine. Run `physgrad merge` afterwards (docs/clusters.md)
     #[arg(long, value_name = "K/N", requires = "out", conflicts_with = "json")]
     pub shard: Option<Shard>,
     /// Print only warnings and errors

@@ -17,7 +17,7 @@ use crate::numbers::zip::zip;
 ///
 /// ```text
 /// M ẍ + m l Σ_i (α_i cos θ_i - ω_i² sin θ_i) = F
-/// J α_i + m l ẍ cos θ_i                      = τ_i,    τ_i = m g l sin θ_i alone
+/// J α_i + m l ẍ cos θ_i                      = τ_i,    τ_i = m g l sin θ_i without effects
 /// ```
 ///
 /// The mass matrix is an arrowhead matrix, solved in O(poles): eliminating the α_i leaves one
