@@ -34,8 +34,9 @@ pub fn final_losses(title: &str, tasks: Vec<TaskLosses>) -> Drawing {
     }
     let columns = tasks.len().div_ceil(tasks.len().div_ceil(COLUMNS).max(1)).max(1);
     let mut panels: Vec<Panel> = tasks.into_iter().enumerate().map(|(i, task)| panel(i, task)).collect();
-    // Fills the last row with empty panels, which are not drawn.
-    let empty = |i: usize| panel(i, TaskLosses { task: String::new(), methods: Vec::new(), untrained: f64::NAN });
+    // Fills the last row with panels without series, which are not drawn.
+    let nothing = || TaskLosses { task: String::new(), methods: Vec::new(), untrained: f64::NAN };
+    let empty = |i: usize| Panel { series: Vec::new(), ..panel(i, nothing()) };
     panels.extend((panels.len()..panels.len().next_multiple_of(columns)).map(empty));
     let mut rows = Vec::new();
     while !panels.is_empty() {
@@ -118,7 +119,7 @@ mod tests {
             let picture = final_losses("title", (0..tasks).map(|_| losses(&[("A", &[1.0, 2.0]), ("B", &[f64::NAN])])).collect());
             let picture = picture.to_svg();
             roxmltree::Document::parse(&picture).expect("an SVG is XML");
-            assert!(!picture.contains("NaN"));
+            assert!(!picture.contains("NaN") && !picture.contains("no data"), "{tasks} tasks");
             assert_eq!(picture.matches(">task<").count(), tasks);
             let entries = [">1: A<", ">2: B<", ">untrained policy<"].map(|label| picture.matches(label).count());
             assert_eq!(entries, [1, 1, 1], "also a method without a loss that can be drawn");
