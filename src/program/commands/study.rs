@@ -63,7 +63,10 @@ pub fn study(args: &Study) -> Result<()> {
     };
     check_folder(&folder, "study", &[(SETTINGS, "run"), (COMPARISON, "comparison")])?;
     let mut comparisons = comparisons(&plan, &cells, &folder)?;
-    comparisons.iter().try_for_each(Comparison::check_resumable)?;
+    // Shards compare their plan with that of the folder.
+    if args.shard.is_none() {
+        comparisons.iter().try_for_each(Comparison::check_resumable)?;
+    }
     write_plan_file(&folder, STUDY, &plan.to_toml()?, args.shard.is_some())?;
     let output = Output { quiet: args.quiet, json: args.json };
     train(&mut comparisons, args.shard, &folder, output, |comparisons| write_outputs(&plan, &cells, comparisons, &folder, output))
