@@ -23,7 +23,7 @@ pub fn interruptible<R: Send + 'static>(py: Python<'_>, work: impl FnOnce(&Stop)
     let (sender, receiver) = channel();
     let worker = thread::spawn({
         let stop = stop.clone();
-        // Without a receiver, nobody needs the result.
+        // The receiver is gone if the call was interrupted.
         move || drop(sender.send(work(&stop)))
     });
     py.detach(move || {

@@ -1,9 +1,8 @@
-//! [`Batch`]: gradients of a mini-batch. [`Evaluation`]: loss of a data set. Workers share the
-//! samples.
+//! [`Batch`]: gradients of a mini-batch. Workers share the samples.
 //!
 //! Results do not depend on the number of workers. Samples are independent. Gradients are summed
-//! over fixed groups of samples, groups over fixed blocks, and blocks in order. Several [`Ranks`] share the blocks
-//! in the same way.
+//! over fixed groups of samples, groups over fixed blocks, and blocks in order. Several [`Ranks`]
+//! share the blocks in the same way.
 
 use crate::engine::adjoint::Flow;
 use crate::engine::any::AnyTask;
@@ -13,7 +12,6 @@ use crate::engine::gradient::Gradient;
 use crate::engine::growth::{Growth, GrowthStats};
 use crate::engine::parallel::for_each;
 use crate::engine::ranks::{Ranks, add_blocks, gather, gather_f64, samples_of};
-use crate::engine::rollout::Rollout;
 use crate::engine::schedule::{MemoryError, Schedule};
 use crate::numbers::scalar::Float;
 use crate::policy::AnyPolicy;
@@ -23,14 +21,12 @@ use std::sync::Arc;
 
 /// Number of samples in a group. Each group has one gradient sum, for any number of workers.
 pub(crate) const GROUP: usize = 4;
-/// Largest number of blocks of groups. Each block has one sum over its groups. It bounds the sums that
-/// ranks exchange, and the number of ranks that share a mini-batch. Up to 128 samples, a block is a
+/// Largest number of blocks of groups. Each block has one sum over its groups. The number bounds the
+/// sums that ranks exchange, and the ranks that share a mini-batch. Up to 128 samples, a block is a
 /// group.
 const BLOCKS: usize = 32;
 /// Largest number of groups in one chunk: more samples do not fit into the cache.
 const CHUNK: usize = 8;
-/// Number of samples in one rollout of an evaluation.
-const EVALUATED: usize = 32;
 
 /// Workspace for the gradients of mini-batches of up to a fixed size.
 ///
@@ -447,111 +443,10 @@ fn chunks(samples: usize, workers: usize) -> (usize, usize) {
     (samples.div_ceil(chunk).min(workers), chunk.min(samples))
 }
 
-/// Workspace for the loss of a data set.
-#[derive(Debug)]
-pub struct Evaluation<F: Float> {
-    workers: Vec<Evaluator<F>>,
-    /// Processes that share the samples.
-    ranks: Option<Arc<dyn Ranks>>,
-}
-
-#[derive(Debug)]
-struct Evaluator<F: Float> {
-    rollout: Rollout<F>,
-    costs: Vec<f64>,
-    outcome: Result<(), Divergence>,
-}
-
-impl<F: Float> Evaluation<F> {
-    /// Allocates a workspace for data sets of any size, split over `workers` workers (at least
-    /// one).
-    pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, workers: usize) -> Self {
-        let evaluator =
-            || Evaluator { rollout: Rollout::for_evaluation(task, policy, EVALUATED), costs: Vec::new(), outcome: Ok(()) };
-        Self { workers: (0..workers.max(1)).map(|_| evaluator()).collect(), ranks: None }
-    }
-
-    /// Shares the samples of each data set among ranks. Every rank calls [`run`](Evaluation::run)
-    /// with all samples. Results are bitwise those of a single process.
-    #[must_use]
-    pub fn shared(self, ranks: Arc<dyn Ranks>) -> Self {
-        Self { ranks: Some(ranks), ..self }
-    }
-
-    /// Returns the mean loss of rollouts from `starts`; see
-    /// [`initial_states`](crate::initial_states).
-    ///
-    /// # Errors
-    /// [`Divergence`] if a control, memory, state or cost is not finite.
-    ///
-    /// # Panics
-    /// If `starts` is empty or not a whole number of samples.
-    #[track_caller]
-    pub fn run(
-        &mut self,
-        task: &dyn AnyTask<F>,
-        policy: &dyn AnyPolicy<F>,
-        weights: &Weights<F>,
-        starts: &[F],
-    ) -> Result<f64, Divergence> {
-        let n = task.start_dim();
-        let samples = starts.len() / n;
-        assert!(
-            samples > 0 && starts.len().is_multiple_of(n),
-            "`starts` has {} numbers; expected one or more samples of {n} numbers each",
-            starts.len()
-        );
-        let Some(ranks) = self.ranks.clone() else {
-            self.run_samples(task, policy, weights, starts)?;
-            return Ok(self.costs().sum::<f64>() / samples as f64);
-        };
-        // Whole blocks diverge as in a single process.
-        let own = |rank: usize| samples_of(samples, EVALUATED, rank, ranks.count());
-        let Range { start, end } = own(ranks.rank());
-        let outcome = self.run_samples(task, policy, weights, &starts[start * n..end * n]);
-        let costs: Vec<f64> = self.costs().collect();
-        // The first rank with a divergence has the first diverged samples.
-        let failed = gather(&*ranks, &[u8::from(outcome.is_err())]);
-        if let Some(rank) = failed.iter().position(|failed| failed == &[1]) {
-            let Range { start, end } = own(rank);
-            self.run_samples(task, policy, weights, &starts[start * n..end * n]).map_err(|d| d.offset(start))?;
-        }
-        Ok(gather_f64(&*ranks, &costs).iter().sum::<f64>() / samples as f64)
-    }
-
-    /// Costs of the samples of the last run.
-    fn costs(&self) -> impl Iterator<Item = f64> {
-        self.workers.iter().flat_map(|worker| worker.costs.iter().copied())
-    }
-
-    /// Runs all samples in `starts`.
-    fn run_samples(
-        &mut self,
-        task: &dyn AnyTask<F>,
-        policy: &dyn AnyPolicy<F>,
-        weights: &Weights<F>,
-        starts: &[F],
-    ) -> Result<(), Divergence> {
-        let n = task.start_dim();
-        let samples = starts.len() / n;
-        let per_worker = samples.div_ceil(EVALUATED).div_ceil(self.workers.len()).max(1) * EVALUATED;
-        for_each(&mut self.workers, &|index, worker| {
-            worker.costs.clear();
-            let own = starts.chunks(per_worker * n).nth(index).unwrap_or(&[]);
-            worker.outcome = own.chunks(EVALUATED * n).enumerate().try_for_each(|(i, starts)| {
-                worker.rollout.start(starts);
-                let outcome = worker.rollout.run(task, policy, weights);
-                worker.costs.extend((0..worker.rollout.samples()).map(|s| worker.rollout.cost(s).as_()));
-                outcome.map_err(|d| d.offset(index * per_worker + i * EVALUATED))
-            });
-        });
-        self.workers.iter().find_map(|w| w.outcome.err()).map_or(Ok(()), Err)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::engine::evaluation::Evaluation;
     use crate::engine::initial_states::initial_states;
     use crate::engine::ranks::tests::Threads;
     use crate::numbers::rng::{Purpose, stream};

@@ -6,7 +6,7 @@
 //! - [`initial_states`]: initial states, drawn by a task from seeded streams.
 //! - [`observe`]: observations of all samples.
 //! - [`schedule`], [`checkpointed`]: recomputation of steps from checkpoints.
-//! - [`batch`]: mini-batches and data sets, split over threads.
+//! - [`batch`]: mini-batches, and [`evaluation`]: data sets, split over threads and ranks.
 //! - [`ranks`]: mini-batches and data sets, split over processes.
 //! - [`gradient`], [`growth`], [`divergence`]: results and errors of the passes.
 //! - [`rows`]: steps and costs of many samples as arrays, outside of rollouts.
@@ -19,6 +19,7 @@ pub mod any;
 pub(crate) mod batch;
 pub(crate) mod checkpointed;
 pub(crate) mod divergence;
+pub(crate) mod evaluation;
 pub(crate) mod gradient;
 pub(crate) mod growth;
 pub(crate) mod initial_states;

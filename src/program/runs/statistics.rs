@@ -214,7 +214,7 @@ mod tests {
         // Medians 2 and 8. Each pair has the ratio 1/4, and so has every resample.
         let ratio = median_ratio(&[(1.0, 4.0), (2.0, 8.0), (3.0, 12.0)]);
         assert_eq!(ratio, Ratio { value: 0.25, interval: [0.25; 2] });
-        // Of two seeds, a resample is the first one twice, the second one twice, or both, with
+        // A resample of two seeds is the first one twice, the second one twice, or both, with
         // probabilities 1/4, 1/4 and 1/2, and ratios 1, 9 and 5.
         let ratio = median_ratio(&[(1.0, 1.0), (9.0, 1.0)]);
         assert_eq!(ratio, Ratio { value: 5.0, interval: [1.0, 9.0] });

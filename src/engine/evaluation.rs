@@ -1,0 +1,119 @@
+//! [`Evaluation`]: loss of a data set, by forward passes on several workers.
+//!
+//! Several [`Ranks`] share whole rollouts of 32 samples, so results do not depend on their number.
+
+use crate::engine::any::AnyTask;
+use crate::engine::divergence::Divergence;
+use crate::engine::parallel::for_each;
+use crate::engine::ranks::{Ranks, gather, gather_f64, samples_of};
+use crate::engine::rollout::Rollout;
+use crate::numbers::scalar::Float;
+use crate::policy::AnyPolicy;
+use crate::policy::Weights;
+use std::ops::Range;
+use std::sync::Arc;
+
+/// Number of samples in one rollout of an evaluation.
+const EVALUATED: usize = 32;
+
+/// Workspace for the loss of a data set.
+#[derive(Debug)]
+pub struct Evaluation<F: Float> {
+    workers: Vec<Evaluator<F>>,
+    /// Processes that share the samples.
+    ranks: Option<Arc<dyn Ranks>>,
+}
+
+#[derive(Debug)]
+struct Evaluator<F: Float> {
+    rollout: Rollout<F>,
+    costs: Vec<f64>,
+    outcome: Result<(), Divergence>,
+}
+
+impl<F: Float> Evaluation<F> {
+    /// Allocates a workspace for data sets of any size, split over `workers` workers (at least
+    /// one).
+    pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, workers: usize) -> Self {
+        let evaluator =
+            || Evaluator { rollout: Rollout::for_evaluation(task, policy, EVALUATED), costs: Vec::new(), outcome: Ok(()) };
+        Self { workers: (0..workers.max(1)).map(|_| evaluator()).collect(), ranks: None }
+    }
+
+    /// Shares the samples of each data set among ranks. Every rank calls [`run`](Evaluation::run)
+    /// with all samples. Results are bitwise those of a single process.
+    #[must_use]
+    pub fn shared(self, ranks: Arc<dyn Ranks>) -> Self {
+        Self { ranks: Some(ranks), ..self }
+    }
+
+    /// Returns the mean loss of rollouts from `starts`; see
+    /// [`initial_states`](crate::initial_states).
+    ///
+    /// # Errors
+    /// [`Divergence`] if a control, memory, state or cost is not finite.
+    ///
+    /// # Panics
+    /// If `starts` is empty or not a whole number of samples.
+    #[track_caller]
+    pub fn run(
+        &mut self,
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
+        weights: &Weights<F>,
+        starts: &[F],
+    ) -> Result<f64, Divergence> {
+        let n = task.start_dim();
+        let samples = starts.len() / n;
+        assert!(
+            samples > 0 && starts.len().is_multiple_of(n),
+            "`starts` has {} numbers; expected one or more samples of {n} numbers each",
+            starts.len()
+        );
+        let Some(ranks) = self.ranks.clone() else {
+            self.run_samples(task, policy, weights, starts)?;
+            return Ok(self.costs().sum::<f64>() / samples as f64);
+        };
+        // Whole blocks diverge as in a single process.
+        let own = |rank: usize| samples_of(samples, EVALUATED, rank, ranks.count());
+        let Range { start, end } = own(ranks.rank());
+        let outcome = self.run_samples(task, policy, weights, &starts[start * n..end * n]);
+        let costs: Vec<f64> = self.costs().collect();
+        // The first rank with a divergence has the first diverged samples.
+        let failed = gather(&*ranks, &[u8::from(outcome.is_err())]);
+        if let Some(rank) = failed.iter().position(|failed| failed == &[1]) {
+            let Range { start, end } = own(rank);
+            self.run_samples(task, policy, weights, &starts[start * n..end * n]).map_err(|d| d.offset(start))?;
+        }
+        Ok(gather_f64(&*ranks, &costs).iter().sum::<f64>() / samples as f64)
+    }
+
+    /// Costs of the samples of the last run.
+    fn costs(&self) -> impl Iterator<Item = f64> {
+        self.workers.iter().flat_map(|worker| worker.costs.iter().copied())
+    }
+
+    /// Runs all samples in `starts`.
+    fn run_samples(
+        &mut self,
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
+        weights: &Weights<F>,
+        starts: &[F],
+    ) -> Result<(), Divergence> {
+        let n = task.start_dim();
+        let samples = starts.len() / n;
+        let per_worker = samples.div_ceil(EVALUATED).div_ceil(self.workers.len()).max(1) * EVALUATED;
+        for_each(&mut self.workers, &|index, worker| {
+            worker.costs.clear();
+            let own = starts.chunks(per_worker * n).nth(index).unwrap_or(&[]);
+            worker.outcome = own.chunks(EVALUATED * n).enumerate().try_for_each(|(i, starts)| {
+                worker.rollout.start(starts);
+                let outcome = worker.rollout.run(task, policy, weights);
+                worker.costs.extend((0..worker.rollout.samples()).map(|s| worker.rollout.cost(s).as_()));
+                outcome.map_err(|d| d.offset(index * per_worker + i * EVALUATED))
+            });
+        });
+        self.workers.iter().find_map(|w| w.outcome.err()).map_or(Ok(()), Err)
+    }
+}
