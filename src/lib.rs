@@ -141,7 +141,8 @@ pub use train::combination::Combination;
 pub use train::field::{Field, GradientCombiner, UnknownField};
 pub use train::optim::{Clip, Optimizer, OptimizerKind};
 pub use train::{
-    CheckpointError, Decay, Record, Report, Session, Skip, TrainError, Trainer, Training, Warning, differences, vector_field,
+    CheckpointError, Decay, Estimator, Record, Report, Session, Skip, Smoothing, TrainError, Trainer, Training, Warning,
+    differences, vector_field,
 };
 
 /// Imports for a file that defines a system and trains a controller for it.

@@ -77,8 +77,8 @@ impl Run {
     }
 
     /// Numbers of every epoch, a dict of float64 arrays: "epoch", "loss", "train_loss",
-    /// "test_loss", "grad_norm", "cosine", "kept", "skipped", "seconds", "growth_R" and "growth_M"
-    /// (decades over a rollout). Missing numbers are NaN.
+    /// "test_loss", "grad_norm", "cosine", "kept", "first_order", "skipped", "seconds", "growth_R"
+    /// and "growth_M" (decades over a rollout). Missing numbers are NaN.
     #[getter]
     fn history<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let run = self.lock()?;
@@ -140,16 +140,41 @@ impl Run {
 }
 
 /// Names of the numbers of a record.
-const COLUMNS: [&str; 11] =
-    ["epoch", "loss", "train_loss", "test_loss", "grad_norm", "cosine", "kept", "skipped", "seconds", "growth_R", "growth_M"];
+const COLUMNS: [&str; 12] = [
+    "epoch",
+    "loss",
+    "train_loss",
+    "test_loss",
+    "grad_norm",
+    "cosine",
+    "kept",
+    "first_order",
+    "skipped",
+    "seconds",
+    "growth_R",
+    "growth_M",
+];
 
 /// Numbers of a record, in the order of [`COLUMNS`].
-fn row(record: &Record) -> [f64; 11] {
+fn row(record: &Record) -> [f64; 12] {
     let [growth_r, growth_m] =
         [record.regular_growth, record.modified_growth].map(|growth| growth.map_or(f64::NAN, |growth| growth.along));
-    let (cosine, kept) = (record.cosine.unwrap_or(f64::NAN), record.kept.unwrap_or(f64::NAN));
+    let [cosine, kept, first_order] = [record.cosine, record.kept, record.first_order].map(|mean| mean.unwrap_or(f64::NAN));
     let (epoch, skipped, norm) = (record.epoch as f64, record.skipped as f64, record.grad_norm.get());
-    [epoch, record.loss, record.train_loss, record.test_loss, norm, cosine, kept, skipped, record.seconds, growth_r, growth_m]
+    [
+        epoch,
+        record.loss,
+        record.train_loss,
+        record.test_loss,
+        norm,
+        cosine,
+        kept,
+        first_order,
+        skipped,
+        record.seconds,
+        growth_r,
+        growth_m,
+    ]
 }
 
 /// Calls the callback and checks for signals. Stops the run after an exception.

@@ -44,6 +44,11 @@ impl ExtendedF64 {
         times_power_of_two(self.mantissa, self.exponent)
     }
 
+    /// False for NaN and infinities.
+    pub(crate) fn is_finite(self) -> bool {
+        self.mantissa.is_finite()
+    }
+
     /// Decimal logarithm of the absolute value; `-∞` for 0.
     pub fn log10(self) -> f64 {
         self.mantissa.abs().log10() + f64::from(self.exponent) * std::f64::consts::LOG10_2

@@ -24,6 +24,8 @@ pub enum Purpose {
     Sweep = 7,
     /// Resamples of a bootstrap interval.
     Bootstrap = 8,
+    /// Perturbations of the parameters in updates with smoothing.
+    Perturb = 9,
 }
 
 /// Returns the stream of one (seed, purpose, index).

@@ -5,6 +5,7 @@
 //! - [`Training`]: settings. [`Decay`]: learning rates. [`Record`]: results of one epoch.
 //! - [`Field`] and [`GradientCombiner`]: the vector field that the optimizer follows.
 //! - [`Combination`]: rules that combine M and R.
+//! - [`Smoothing`]: estimates from perturbed parameters.
 //! - [`OptimizerKind`] and [`Clip`]: update rules, and clipping of the field.
 //! - [`vector_field`]: the two-parameter examples of the paper.
 //!
@@ -20,6 +21,7 @@ pub(crate) mod optim;
 mod progress;
 mod record;
 mod session;
+mod smoothing;
 pub mod vector_field;
 mod warnings;
 
@@ -27,6 +29,7 @@ pub use checkpoint::{CheckpointError, differences};
 pub use decay::Decay;
 pub use record::{Record, Skip};
 pub use session::Session;
+pub use smoothing::{Estimator, Smoothing};
 pub use warnings::Warning;
 
 use crate::dynamics::task::Task;
@@ -70,6 +73,9 @@ pub struct Training {
     pub decay: Decay,
     /// Number of updates at the start in which the learning rate rises linearly to its full value.
     pub warm_up: usize,
+    /// Noise in the parameters, and the estimator that it serves. `None` follows the field at the
+    /// parameters.
+    pub smoothing: Option<Smoothing>,
     /// Clipping of the field, before the optimizer. `docs/learning.md` compares the variants.
     pub clip: Clip,
     /// Largest number of consecutive updates skipped because of a
@@ -97,6 +103,7 @@ impl Default for Training {
             learning_rate: 1e-3,
             decay: Decay::Constant,
             warm_up: 0,
+            smoothing: None,
             clip: Clip::None,
             max_skipped: 10,
             workers: 1,
@@ -106,7 +113,7 @@ impl Default for Training {
 }
 
 impl Training {
-    /// Checks counts, learning rate and decay.
+    /// Checks counts, learning rate, decay and smoothing.
     ///
     /// # Errors
     /// [`TrainError::Setting`] for the first invalid setting.
@@ -127,6 +134,9 @@ impl Training {
         }
         if let Some(problem) = self.decay.problem() {
             return Err(TrainError::Setting { setting: "decay", problem });
+        }
+        if let Some((setting, problem)) = self.smoothing.and_then(|smoothing| smoothing.problem()) {
+            return Err(TrainError::Setting { setting, problem });
         }
         Ok(())
     }

@@ -1,6 +1,7 @@
 //! [`Progress`]: the training loop, independent of the types of task, policy and field.
 
 use super::record::{Means, Record, Skip, Step};
+use super::smoothing::Estimates;
 use super::{TrainError, Training};
 use crate::engine::adjoint::Flow;
 use crate::engine::any::AnyTask;
@@ -97,10 +98,13 @@ pub(super) struct Progress<F: Float> {
     flows: Vec<Flow>,
     pub(super) batch: Batch<F>,
     evaluation: Evaluation<F>,
+    /// Initial states of the mini-batch.
     starts: Vec<F>,
     /// Buffer for one drawn sample.
     drawn: Vec<f64>,
-    combined: Gradient<F>,
+    pub(super) combined: Gradient<F>,
+    /// Workspace of the estimates of [`Smoothing`](super::Smoothing).
+    pub(super) estimates: Option<Estimates<F>>,
 }
 
 impl<F: Float> Progress<F> {
@@ -142,6 +146,7 @@ impl<F: Float> Progress<F> {
             starts: Vec::with_capacity(samples * n),
             drawn: vec![0.0; n],
             combined: Gradient::zeros(params),
+            estimates: training.smoothing.map(|_| Estimates::new(params)),
             // The bound limits the allocation, because `epochs` may be huge.
             records: Vec::with_capacity(training.epochs.min(100_000)),
             skips: Vec::new(),
@@ -271,22 +276,37 @@ impl<F: Float> Progress<F> {
     }
 
     /// Performs one update with mini-batch `index` of the epoch.
-    fn update(&mut self, Trained { task, policy, field }: Trained<'_, F>, index: usize) -> Result<Step, Divergence> {
-        self.select_batch(task, index);
-        let loss = self.batch.run(task, policy, &self.weights, &self.starts)?;
-        let step = self.combine(field, loss)?;
+    fn update(&mut self, trained: Trained<'_, F>, index: usize) -> Result<Step, Divergence> {
+        self.select_batch(trained.task, index);
+        let update = self.records.len() * self.updates_per_epoch() + index;
+        let step = match self.training.smoothing {
+            None => self.field(trained)?,
+            Some(smoothing) => self.estimate(trained, smoothing, update)?,
+        };
+        self.check_range(step.norm)?;
         self.training.clip.apply_knowing(&mut self.combined, step.norm);
-        let rate = self.learning_rate(index);
-        self.weights.update(policy, |theta| self.optimizer.step_at(rate, theta, self.combined.values()));
+        let rate = self.learning_rate(update);
+        self.weights.update(trained.policy, |theta| self.optimizer.step_at(rate, theta, self.combined.values()));
         Ok(step)
     }
 
-    /// Learning rate of update `index` of the epoch.
+    /// Evaluates the loss and the field of the mini-batch at the current parameters.
+    pub(super) fn field(&mut self, Trained { task, policy, field }: Trained<'_, F>) -> Result<Step, Divergence> {
+        let loss = self.batch.run(task, policy, &self.weights, &self.starts)?;
+        self.combine(field, loss)
+    }
+
+    /// Evaluates the loss of the mini-batch at the current parameters.
+    pub(super) fn loss(&mut self, Trained { task, policy, .. }: Trained<'_, F>) -> Result<Step, Divergence> {
+        let loss = self.evaluation.run(task, policy, &self.weights, &self.starts)?;
+        Ok(Step { loss, ..Step::default() })
+    }
+
+    /// Learning rate of an update, counted over the whole training.
     ///
     /// Checkpoints do not store the rate, which depends only on settings and the update number.
-    fn learning_rate(&self, index: usize) -> f64 {
+    fn learning_rate(&self, update: usize) -> f64 {
         let Training { epochs, learning_rate, decay, warm_up, .. } = self.training;
-        let update = self.records.len() * self.updates_per_epoch() + index;
         learning_rate * decay.factor(warm_up, update, epochs.saturating_mul(self.updates_per_epoch()))
     }
 
@@ -321,18 +341,23 @@ impl<F: Float> Progress<F> {
         let two = gradients.len() > 1;
         let values = self.combined.values();
         let size = if two { elementwise::moments(level, values, values).0.sqrt() } else { first_square.sqrt() };
-        let norm = ExtendedF64::new(size, self.combined.exponent());
-        // Optimizers sum the squares of many updates. The factor 1e-3 allows 1e6 summands.
-        if !size.is_finite() || self.training.clip.bound(norm.get()) > F::MAX.sqrt() * 1e-3 {
-            return Err(Divergence::Field { parameter: worst(values), norm });
-        }
         let zero = F::zero();
         Ok(Step {
             loss,
-            norm,
+            norm: ExtendedF64::new(size, self.combined.exponent()),
             cosine: two.then(|| if dot == 0.0 { 0.0 } else { dot / (first_square.sqrt() * second_square.sqrt()) }),
             kept: two.then(|| values.iter().filter(|&&g| g != zero).count() as f64 / values.len() as f64),
+            first_order: None,
         })
+    }
+
+    /// Checks that the combined vector, of this norm, is within the range of the optimizer.
+    fn check_range(&self, norm: ExtendedF64) -> Result<(), Divergence> {
+        // Optimizers sum the squares of many updates. The factor 1e-3 allows 1e6 summands.
+        if norm.is_finite() && self.training.clip.bound(norm.get()) <= F::MAX.sqrt() * 1e-3 {
+            return Ok(());
+        }
+        Err(Divergence::Field { parameter: worst(self.combined.values()), norm })
     }
 
     /// Growth of the adjoint of `flow` in the last update, if the field contains it.

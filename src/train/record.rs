@@ -24,6 +24,9 @@ pub struct Record {
     /// Mean over the applied updates of the fraction of non-zero components of a field of two
     /// flows.
     pub kept: Option<f64>,
+    /// Mean over the applied updates of the weight of the first-order estimate, with
+    /// [`Training::smoothing`](crate::Training::smoothing).
+    pub first_order: Option<f64>,
     /// Number of updates skipped because of a [`Divergence`].
     pub skipped: usize,
     /// Growth of the adjoint of R in the first applied update, if the field contains R.
@@ -85,11 +88,14 @@ pub struct Skip {
 }
 
 /// Results of one update.
+#[derive(Default)]
 pub(super) struct Step {
     pub loss: f64,
     pub norm: ExtendedF64,
     pub cosine: Option<f64>,
     pub kept: Option<f64>,
+    /// Weight of the first-order estimate.
+    pub first_order: Option<f64>,
 }
 
 /// Sums over the updates of an epoch.
@@ -100,6 +106,7 @@ pub(super) struct Means {
     norm: ExtendedF64,
     cosine: Option<f64>,
     kept: Option<f64>,
+    first_order: Option<f64>,
     /// Growth of R and M in the first applied update.
     pub growths: [Option<Growth>; 2],
 }
@@ -120,19 +127,33 @@ impl Means {
         self.norm = self.norm + step.norm;
         self.cosine = step.cosine.map(|c| c + self.cosine.unwrap_or(0.0));
         self.kept = step.kept.map(|k| k + self.kept.unwrap_or(0.0));
+        self.first_order = step.first_order.map(|w| w + self.first_order.unwrap_or(0.0));
+    }
+
+    /// Means over the updates.
+    pub fn step(&self) -> Step {
+        // NaN without applied updates.
+        let mean = |sum: f64| sum / self.updates as f64;
+        Step {
+            loss: mean(self.loss),
+            norm: self.norm / self.updates as f64,
+            cosine: self.cosine.map(mean),
+            kept: self.kept.map(mean),
+            first_order: self.first_order.map(mean),
+        }
     }
 
     pub fn record(&self, epoch: usize, train_loss: f64, test_loss: f64, skipped: usize, seconds: f64) -> Record {
-        // NaN without applied updates.
-        let mean = |sum: f64| sum / self.updates as f64;
+        let Step { loss, norm, cosine, kept, first_order } = self.step();
         Record {
             epoch,
-            loss: mean(self.loss),
+            loss,
             train_loss,
             test_loss,
-            grad_norm: self.norm / self.updates as f64,
-            cosine: self.cosine.map(mean),
-            kept: self.kept.map(mean),
+            grad_norm: norm,
+            cosine,
+            kept,
+            first_order,
             skipped,
             regular_growth: self.growths[0],
             modified_growth: self.growths[1],

@@ -9,4 +9,5 @@ mod divergence;
 mod empty;
 mod memory;
 mod schedule;
+mod smoothing;
 mod training;

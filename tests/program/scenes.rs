@@ -236,6 +236,19 @@ fn errors_in_a_file_name_the_line_and_the_allowed_values() {
         ("[training]\ndiscount = 1.5\n", "my_scene.toml:4: `training.discount` is 1.5; allowed: 0 to 1"),
         ("[training]\ntruncation = 0\n", "my_scene.toml:4: `training.truncation` is 0; allowed: 1 to 1000000000"),
         ("[training]\ncut = 0\n", "my_scene.toml:4: `training.cut` is 0; allowed: a positive number"),
+        (
+            "[training]\nestimator = \"best\"\n",
+            "my_scene.toml:4: `training.estimator` is `best`; allowed: `exact`, `first_order`, ",
+        ),
+        ("[training]\npairs = 4\n", "my_scene.toml:4: `training.pairs` is 4, but has no effect: `training.estimator` is exact"),
+        (
+            "[training]\nestimator = \"zeroth_order\"\ntolerance = 1\n",
+            "my_scene.toml:5: `training.tolerance` is 1, but has no effect: `training.estimator` is not alpha_order",
+        ),
+        (
+            "[training]\nestimator = \"inverse_variance\"\npairs = 1\n",
+            "my_scene.toml:5: `training.pairs` is 1; allowed: 2 to 100000",
+        ),
         ("[policy]\nzero_last = true\n", "my_scene.toml:4: `policy.zero_last` was renamed; write `policy.zero_init_output`"),
         ("[loss]\nmode = \"final\"\n", "my_scene.toml:4: `loss.mode` = \"final\" was renamed; write \"terminal\""),
         (

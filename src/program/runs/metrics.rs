@@ -138,7 +138,7 @@ fn json(cells: &[String; COLUMNS.len()]) -> Vec<u8> {
 }
 
 /// Names of the values.
-const COLUMNS: [&str; 13] = [
+const COLUMNS: [&str; 14] = [
     "epoch",
     "loss",
     "train_loss",
@@ -152,11 +152,12 @@ const COLUMNS: [&str; 13] = [
     "worst_window_R",
     "growth_M",
     "worst_window_M",
+    "first_order",
 ];
 
 /// Values of an epoch, in the order of [`COLUMNS`]. Absent values are empty.
-fn cells(record: &Record) -> [String; 13] {
-    let Record { epoch, loss, train_loss, test_loss, grad_norm, cosine, kept, skipped, seconds, .. } = record;
+fn cells(record: &Record) -> [String; 14] {
+    let Record { epoch, loss, train_loss, test_loss, grad_norm, cosine, kept, first_order, skipped, seconds, .. } = record;
     let growth = |growth: Option<Growth>| {
         growth.map_or_else(Default::default, |Growth { along, worst_window }| [along.to_string(), worst_window.to_string()])
     };
@@ -177,5 +178,6 @@ fn cells(record: &Record) -> [String; 13] {
         worst_r,
         growth_m,
         worst_m,
+        optional(first_order),
     ]
 }

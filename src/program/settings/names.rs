@@ -105,6 +105,16 @@ pub enum DecayName {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
+pub enum EstimatorName {
+    Exact,
+    FirstOrder,
+    ZerothOrder,
+    InverseVariance,
+    AlphaOrder,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
 pub enum ActivationName {
     Tanh,
     Relu,

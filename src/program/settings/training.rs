@@ -1,8 +1,8 @@
 //! The `training` section.
 
 use crate::program::settings::config_error::{ConfigError, allowed, count, positive};
-use crate::program::settings::{ClipName, DecayName, OptimizerName};
-use crate::{Clip, Decay, Field, Flow, Training};
+use crate::program::settings::{ClipName, DecayName, EstimatorName, OptimizerName};
+use crate::{Clip, Decay, Estimator, Field, Flow, Smoothing, Training};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -41,6 +41,17 @@ pub struct TrainingSettings {
     /// Growth in decades at which the adjoint of a sample is cut; never by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub cut: Option<f64>,
+    /// Estimator of the field: `exact` evaluates it at the parameters, the others at perturbed ones.
+    pub estimator: EstimatorName,
+    /// Standard deviation of the perturbations, 0.02 by default.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub noise: Option<f64>,
+    /// Pairs of opposite perturbations per update, 8 by default.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pairs: Option<usize>,
+    /// Accepted error of `alpha_order`, in units of the gradient, 1 by default.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tolerance: Option<f64>,
     /// Clipping of the field before the optimizer: of every component (value), or of the norm.
     pub clip: ClipName,
     /// Limit of `clip`, 1 by default.
@@ -73,6 +84,10 @@ impl Default for TrainingSettings {
             control: 1.0,
             truncation: None,
             cut: None,
+            estimator: EstimatorName::Exact,
+            noise: None,
+            pairs: None,
+            tolerance: None,
             clip: ClipName::None,
             clip_limit: None,
             memory: None,
@@ -86,6 +101,13 @@ impl TrainingSettings {
     pub fn complete(&mut self) {
         if self.clip != ClipName::None {
             self.clip_limit.get_or_insert(1.0);
+        }
+        if self.estimator != EstimatorName::Exact {
+            self.noise.get_or_insert(0.02);
+            self.pairs.get_or_insert(8);
+        }
+        if self.estimator == EstimatorName::AlphaOrder {
+            self.tolerance.get_or_insert(1.0);
         }
         if self.decay != DecayName::Constant {
             self.decay_end.get_or_insert(0.01);
@@ -118,6 +140,7 @@ impl TrainingSettings {
                 allowed("training.decay_end", end, end > 0.0 && end <= 1.0, "a positive number up to 1")?;
             }
         }
+        self.validate_smoothing()?;
         if let Some(memory) = &self.memory {
             let what = "a number of bytes such as \"64MB\", in B, kB, MB, GB, KiB, MiB or GiB";
             allowed("training.memory", format!("{memory:?}"), bytes(memory).is_some(), what)?;
@@ -127,6 +150,45 @@ impl TrainingSettings {
             (ClipName::None, Some(limit)) => Err(ConfigError::unread("training.clip_limit", limit, "`training.clip` is none")),
             (_, Some(limit)) => positive("training.clip_limit", limit),
         }
+    }
+
+    /// Rejects invalid values and unused keys of the estimators.
+    fn validate_smoothing(&self) -> Result<(), ConfigError> {
+        let exact = self.estimator == EstimatorName::Exact;
+        if let Some(noise) = self.noise {
+            if exact {
+                return Err(ConfigError::unread("training.noise", noise, "`training.estimator` is exact"));
+            }
+            positive("training.noise", noise)?;
+        }
+        if let Some(pairs) = self.pairs {
+            if exact {
+                return Err(ConfigError::unread("training.pairs", pairs, "`training.estimator` is exact"));
+            }
+            // Variances need two pairs.
+            let weighted = matches!(self.estimator, EstimatorName::InverseVariance | EstimatorName::AlphaOrder);
+            count("training.pairs", pairs, if weighted { 2 } else { 1 }..=100_000)?;
+        }
+        if let Some(tolerance) = self.tolerance {
+            if self.estimator != EstimatorName::AlphaOrder {
+                let reason = "`training.estimator` is not alpha_order";
+                return Err(ConfigError::unread("training.tolerance", tolerance, reason));
+            }
+            positive("training.tolerance", tolerance)?;
+        }
+        Ok(())
+    }
+
+    /// Estimator with its settings. None without perturbations.
+    fn smoothing(&self) -> Option<Smoothing> {
+        let estimator = match self.estimator {
+            EstimatorName::Exact => return None,
+            EstimatorName::FirstOrder => Estimator::FirstOrder,
+            EstimatorName::ZerothOrder => Estimator::ZerothOrder,
+            EstimatorName::InverseVariance => Estimator::InverseVariance,
+            EstimatorName::AlphaOrder => Estimator::AlphaOrder { tolerance: self.tolerance? },
+        };
+        Some(Smoothing { estimator, noise: self.noise?, pairs: self.pairs? })
     }
 
     /// Bound on the bytes of a mini-batch. None without a bound.
@@ -160,6 +222,7 @@ impl TrainingSettings {
                 _ => Decay::Constant,
             },
             warm_up: self.warm_up,
+            smoothing: self.smoothing(),
             clip: match (self.clip, self.clip_limit) {
                 (ClipName::Value, Some(limit)) => Clip::Value(limit),
                 (ClipName::Norm, Some(limit)) => Clip::Norm(limit),
