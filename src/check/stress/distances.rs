@@ -12,7 +12,7 @@ use crate::tasks::{Evade, Flock, Friction, GuidanceEffect, GuidanceSystem, Obsta
 
 pub(super) const CASES: &[Case] = &[Case {
     name: "guidance_distances",
-    about: "agents and an obstacle at distances from 0 to 1e8 m, including 1e-300 m; f64 and f32",
+    about: "agents and an obstacle at distances from 0 to 1e8 m in f64, including 1e-300 m, and from 0 to 1e-10 m in f32",
     criterion: "states, JVPs and VJPs are finite. Dual numbers and VJP agree to 1e-12 (f64) and 1e-5 (f32), also for \
                 position components alone. Forces have the correct direction and magnitude to 1e-12 (f64) and 1e-5 \
                 (f32). An unguarded distance has a non-finite derivative (a planted fault)",
