@@ -78,6 +78,7 @@
 //! - `program`, a default, contains everything that the `physgrad` binary needs. `program()` runs
 //!   it with tasks of your own.
 //! - `fuzz`, a default, adds the hidden command `physgrad fuzz`.
+//! - `mpi` splits mini-batches and data sets of the program over MPI processes.
 //!
 //! Set `default-features = false` for the library without these features.
 

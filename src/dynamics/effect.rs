@@ -68,8 +68,8 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
         Numbers::default()
     }
 
-    /// Numbers that vary, with their indices in `p` from `first`. Lists and wrappers of effects
-    /// override it.
+    /// Numbers that vary, with their indices in `p`, where the parameters of this effect begin at
+    /// `first`. Lists and wrappers of effects override it.
     #[doc(hidden)]
     fn varied(&self, first: usize) -> Vec<Varied> {
         let numbers = self.numbers();
@@ -152,7 +152,8 @@ pub(crate) fn default_effect_vjp<B, E: Effect<B>, R: Real, C: Cotangent<R>>(
     });
 }
 
-/// Returns whether the forces of an effect and their derivatives are finite.
+/// Returns whether the forces of an effect are finite, and their derivatives with respect to state
+/// and control.
 pub(crate) fn is_finite<B, E: Effect<B>, R: Real>(effect: &E, model: &B, inputs: OdeInputs<'_, R>, forces: usize) -> bool {
     let mut force = vec![R::zero(); forces];
     let zeros = |len: usize| vec![CotangentPack([R::zero()]); len];

@@ -88,7 +88,7 @@ impl<'a, T: Scalar> Inputs<'a, T> {
 
 /// Cotangents of the inputs. VJPs add to the requested cotangents; `None` requests no cotangent.
 ///
-/// A buffer to which nothing was added yet holds [`Cotangent::null`].
+/// Before the first addition, a buffer holds [`Cotangent::null`].
 #[derive(Debug)]
 pub struct Cotangents<'a, C> {
     /// Cotangent of the state.

@@ -56,7 +56,7 @@ pub trait Ode: Send + Sync {
         Numbers::default()
     }
 
-    /// Numbers that vary, with their indices in `params` parameters.
+    /// Numbers that vary, with their indices in `p`, of length `params`.
     #[doc(hidden)]
     fn varied(&self, params: usize) -> Vec<Varied> {
         let numbers = self.numbers();

@@ -51,8 +51,8 @@ pub trait System: Send + Sync {
     fn numbers(&self) -> Numbers<'_> {
         Numbers::default()
     }
-    /// Numbers that vary, with their indices in `params` parameters. Systems that contain others
-    /// override it.
+    /// Numbers that vary, with their indices in `p`, of length `params`. Systems that contain
+    /// others override it.
     #[doc(hidden)]
     fn varied(&self, params: usize) -> Vec<Varied> {
         let numbers = self.numbers();

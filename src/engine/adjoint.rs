@@ -51,7 +51,7 @@ pub struct Adjoint<F: Float> {
     param_dim: usize,
     /// Norms of λ, per flow and step, if recorded.
     norms: Option<Vec<Vec<f64>>>,
-    /// True if runs measure the growth of λ.
+    /// True if [`measure`](Adjoint::measure) requested the growth of λ.
     measured: bool,
     policy: PolicyAdjoint<F>,
     carried: Carried<F>,
@@ -164,8 +164,8 @@ impl<F: Float> Adjoint<F> {
     /// Gradient of the cost of `sample` with respect to its initial state and parameters p, along
     /// flow `k`.
     ///
-    /// The first `state_dim` values are derivatives by the initial state, the next `param_dim` by
-    /// p. All are multiplied by the `scale` of the last run.
+    /// The first `state_dim` values are derivatives with respect to the initial state, the next
+    /// `param_dim` with respect to p. All are multiplied by the `scale` of the last run.
     ///
     /// The flow weights only paths through state, observation and memory. The direct effects of p
     /// on steps and costs have weight 1. The effect of p on the observation has weight `control`.
@@ -210,7 +210,7 @@ impl<F: Float> Adjoint<F> {
     /// below the capacity.
     #[track_caller]
     pub fn start_gradient(&self, k: usize, sample: usize) -> &Gradient<F> {
-        let missing = "the gradients by initial states are stored only after `keep_start_gradients`";
+        let missing = "the gradients with respect to initial states are stored only after `keep_start_gradients`";
         match &self.carried {
             Carried::One(_, recursion) => recursion.starts.as_ref().expect(missing).of(k, sample),
             Carried::Two(_, recursion) => recursion.starts.as_ref().expect(missing).of(k, sample),
@@ -291,7 +291,7 @@ impl<F: Float> Adjoint<F> {
 
     /// Computes the parameter gradient `Σ_t (∂N/∂θ)ᵀ (h_t, μ)` of flow `k`, summed over `samples`.
     ///
-    /// Includes the gradient by the trained entries of p. Overwrites `theta_bar`.
+    /// Includes the gradient with respect to the trained entries of p. Overwrites `theta_bar`.
     pub fn param_gradient(
         &mut self,
         k: usize,
@@ -309,7 +309,7 @@ impl<F: Float> Adjoint<F> {
         theta_bar.normalize();
     }
 
-    /// Adds the gradient by the trained entries of `p`, after the whole recursion.
+    /// Adds the gradient with respect to the trained entries of `p`, after the whole recursion.
     pub(crate) fn add_trained_gradient(
         &self,
         k: usize,

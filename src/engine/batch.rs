@@ -282,7 +282,7 @@ impl<F: Float> Batch<F> {
 
     /// Runs all samples in `starts` and adds their gradients, or keeps the sums of their blocks of
     /// `block` groups in `shared`. Returns the sum of the costs, 0 with `shared`.
-    #[expect(clippy::too_many_arguments, reason = "the arguments of `run`, and three of its parts")]
+    #[expect(clippy::too_many_arguments, reason = "the arguments of `run`, and `scale`, `block` and `shared`")]
     fn run_samples(
         &mut self,
         task: &dyn AnyTask<F>,

@@ -74,7 +74,7 @@ impl<F: Float> Evaluation<F> {
             self.run_samples(task, policy, weights, starts)?;
             return Ok(self.costs().sum::<f64>() / samples as f64);
         };
-        // Whole blocks diverge as in a single process.
+        // A rank runs whole rollouts, so they diverge as in a single process.
         let own = |rank: usize| samples_of(samples, EVALUATED, rank, ranks.count());
         let Range { start, end } = own(ranks.rank());
         let outcome = self.run_samples(task, policy, weights, &starts[start * n..end * n]);
@@ -93,7 +93,8 @@ impl<F: Float> Evaluation<F> {
         self.workers.iter().flat_map(|worker| worker.costs.iter().copied())
     }
 
-    /// Runs all samples in `starts`.
+    /// Runs the samples in `starts`. A worker stops after its first rollout that diverges, and the
+    /// first of these divergences is returned.
     fn run_samples(
         &mut self,
         task: &dyn AnyTask<F>,

@@ -79,8 +79,8 @@ impl<F: Float> Rollout<F> {
     /// Allocates `samples` rollouts with a tape.
     ///
     /// # Panics
-    /// If `samples`, the horizon or the number of states is 0. If the shapes of task and policy
-    /// differ, or the policy trains a parameter that the task lacks.
+    /// If `samples`, the horizon or the number of state components is 0. If the shapes of task and
+    /// policy differ, or the policy trains a parameter that the task lacks.
     pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize) -> Self {
         Self::with_steps(task, policy, samples, task.horizon())
     }

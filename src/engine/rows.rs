@@ -2,11 +2,12 @@
 //!
 //! One row is one sample. All arrays of a call have equally many rows, which are contiguous. The
 //! functions evaluate eight rows at a time in SIMD lanes. With the feature `parallel`, threads
-//! share large arrays. A row has the bits of a rollout of this sample.
+//! share large arrays. The results of a row are bitwise those of a rollout of this sample.
 //!
 //! [`Inputs::t`](crate::Inputs) is the number of the step, equal for all rows. `p` is empty for a
 //! task without parameters. Outputs are overwritten. An empty slice in place of a cotangent
-//! requests nothing.
+//! requests nothing. Three cotangents are always written: `x_bar` of [`observe_vjp`] and
+//! [`terminal_cost_vjp`], and `next_bar` of [`running_cost_vjp`].
 //! ```
 //! use physgrad::{Inputs, initial_states, rng::Purpose, rows, tasks::CartPole};
 //!
@@ -34,7 +35,8 @@ use crate::engine::rollout::{Lane, WIDTH};
 use crate::numbers::scalar::{CotangentPack, Float, Real, Scalar};
 use smallvec::SmallVec;
 
-/// Number of rows per thread: a multiple of [`WIDTH`], large enough to outweigh waking a thread.
+/// Number of rows in one unit of parallel work: a multiple of [`WIDTH`], large enough to outweigh
+/// waking a thread.
 const CHUNK: usize = 512;
 
 /// Writes the next states, `[row][state]`.

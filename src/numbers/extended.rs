@@ -39,7 +39,7 @@ impl ExtendedF64 {
         Self { mantissa: times_power_of_two(mantissa, -own), exponent: whole }
     }
 
-    /// Converts to the nearest `f64`: infinite on overflow, 0 on underflow.
+    /// Converts to `f64`: infinite on overflow, rounded to a subnormal number or 0 on underflow.
     pub fn get(self) -> f64 {
         times_power_of_two(self.mantissa, self.exponent)
     }
@@ -119,8 +119,8 @@ impl fmt::Display for ExtendedF64 {
     }
 }
 
-/// Splits a finite, nonzero number into a mantissa, of absolute value 1 to 2, and a binary
-/// exponent.
+/// Splits a number into a mantissa, of absolute value 1 to 2, and a binary exponent. Zero and
+/// non-finite numbers have exponent 0.
 fn split(x: f64) -> (f64, i32) {
     if x == 0.0 || !x.is_finite() {
         return (x, 0);

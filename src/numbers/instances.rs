@@ -63,7 +63,7 @@ pub(crate) fn scalar_pointer<G: ScalarFunction>(slot: &mut dyn Any) -> bool {
 }
 
 /// Scalars that [`scalar_pointer_of_cost`] adds, for messages.
-pub(crate) const COST_SCALARS: &str = "those of steps and `Dual<Dual<f64, 4>, 4>`";
+pub(crate) const COST_SCALARS: &str = "the scalars of `step` and `Dual<Dual<f64, 4>, 4>`";
 
 /// Extends [`scalar_pointer`] by the scalar of second derivatives.
 pub(crate) fn scalar_pointer_of_cost<G: ScalarFunction>(slot: &mut dyn Any) -> bool {
@@ -71,7 +71,8 @@ pub(crate) fn scalar_pointer_of_cost<G: ScalarFunction>(slot: &mut dyn Any) -> b
 }
 
 /// Scalars that [`scalar_pointer_of_effect`] adds, for messages.
-pub(crate) const EFFECT_SCALARS: &str = "`Single<F>`, and `Dual<R, 4>` and `Reverse<R>` of these without derivatives";
+pub(crate) const EFFECT_SCALARS: &str =
+    "`Single<F>`, and `Dual<R, 4>` and `Reverse<R>` for each `R` of these scalars that has no derivatives";
 
 /// Extends [`scalar_pointer`] by the scalars of default derivatives and diagnoses.
 pub(crate) fn scalar_pointer_of_effect<G: ScalarFunction>(slot: &mut dyn Any) -> bool {

@@ -7,16 +7,16 @@ use crate::numbers::scalar::{Cotangent, Lanes, Real};
 use std::cell::{Cell, RefCell};
 use std::thread::LocalKey;
 
-/// Derivative of the result of an entry by the numbers that it depends on.
+/// Derivative of the result of an entry with respect to the numbers `a` and `b` that it depends on.
 #[derive(Clone, Copy, Debug)]
 enum Rule {
     /// `a + b`.
     Sum,
     /// `a - b`.
     Difference,
-    /// One slope: by `a`.
+    /// One slope: with respect to `a`.
     One,
-    /// Two slopes: by `a` and by `b`.
+    /// Two slopes: with respect to `a` and to `b`.
     Two,
 }
 

@@ -9,7 +9,7 @@ use serde::Serialize;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Activation {
-    /// `tanh z`, as in the paper.
+    /// `tanh z`, the activation of the source paper (ICLR 2024).
     #[default]
     Tanh,
     /// `max(z, 0)`. The derivative at 0 is 0.

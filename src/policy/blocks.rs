@@ -4,7 +4,7 @@ use super::PolicyColumns;
 use crate::numbers::scalar::{Float, Lanes, Real};
 use crate::numbers::zip::zip;
 
-/// Number of columns of a block.
+/// Largest number of columns of a block.
 pub(super) const BLOCK: usize = 8;
 
 /// One number of each column of a block.

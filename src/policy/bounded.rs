@@ -17,8 +17,8 @@ impl<P: Policy> Bounded<P> {
     /// Bounds each control of `policy`.
     ///
     /// # Panics
-    /// If there is not one positive bound per control. If the policy has neither observations nor a
-    /// memory.
+    /// If there is not one positive, finite bound per control. If the policy has neither
+    /// observations nor a memory.
     #[track_caller]
     pub fn new(policy: P, bounds: impl Into<Vec<f64>>) -> Self {
         let bounds = bounds.into();

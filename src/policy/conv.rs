@@ -7,9 +7,9 @@
 //! of an output is a contiguous slice of the input. The windows of adjacent columns form one matrix
 //! with a fixed stride.
 //!
-//! Every column has space for twice the positions of the next layer, so the stride continues across
-//! columns. Outputs of windows that span two columns are set to 0. Every position ends in a
-//! constant 1; the last one in a window multiplies the bias.
+//! A column has twice the capacity of a column of the next layer, in positions, so the stride
+//! continues across columns. Outputs of windows that span two columns are set to 0. Every position
+//! ends in a constant 1; the last one in a window multiplies the bias.
 
 mod layer;
 mod layout;
@@ -38,7 +38,7 @@ const CHANNELS: usize = 2;
 /// Two tanh convolutions and a linear output: maps an observation x (grid × 2) to one control.
 ///
 /// ```text
-/// h₁[q, f] = tanh(b₁[f] + Σ_{k,c} x[2q + k, c] W₁[k, c, f])       q < (grid - 1)/2
+/// h₁[q, f] = tanh(b₁[f] + Σ_{k,c} x[2q + k, c] W₁[k, c, f])       q ≤ (grid - 3)/2
 /// h₂[q, f] = tanh(b₂[f] + Σ_{k,c} h₁[2q + k, c] W₂[k, c, f])      k < 3, f < width, no padding
 /// u        = b₃ + Σ_{q,c} h₂[q, c] W₃[q, c]
 /// ```

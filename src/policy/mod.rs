@@ -111,8 +111,8 @@ pub trait Policy: Send + Sync {
         vec![Tensor { name: "theta".into(), shape: vec![self.param_count()], range: 0..self.param_count() }]
     }
 
-    /// Layers of the policy, for export to other programs. Default: None, for policies that are not
-    /// a sequence of layers.
+    /// Layers of the policy, for export to other programs. Default: `None`, for policies that are
+    /// not a sequence of layers.
     fn network(&self) -> Option<Vec<NetworkLayer>> {
         None
     }

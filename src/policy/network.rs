@@ -6,8 +6,8 @@ use serde::Serialize;
 /// A layer of a feedforward policy. The observation is the input of the first layer, and the
 /// control is the output of the last one.
 ///
-/// Numbers between layers are vectors. A convolution reads its input position by position, with the
-/// channels of a position adjacent, and writes its output in the same order.
+/// The output of every layer is one vector. A convolution reads its input position by position,
+/// with the channels of a position adjacent, and writes its output in the same order.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct NetworkLayer {
     /// Operation on the input.

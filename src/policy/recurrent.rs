@@ -60,7 +60,7 @@ trait Cell {
     /// Writes to `cotangents` the cotangents of the outputs of all affine maps but the last,
     /// `[map][unit]`. Adds the cotangents of the observation and the memory to `x_bar`.
     ///
-    /// `next_bar` contains the cotangents of the next memory.
+    /// `next_bar` contains the cotangents of the next memory, including those through the control.
     fn reverse<R: Real>(
         &self,
         theta: &[R::Real],

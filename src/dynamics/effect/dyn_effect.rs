@@ -47,7 +47,7 @@ impl<B> Debug for DynEffect<B> {
     }
 }
 
-/// True if both point to the same effect object.
+/// Compares pointers: effects are equal if they are one object.
 impl<B> PartialEq for DynEffect<B> {
     fn eq(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.0, &other.0)
@@ -115,7 +115,7 @@ impl<B: 'static, E: Effect<B> + 'static> ScalarFunction for Forces<E, B> {
 
     fn pointer<T: Scalar>() -> Self::Pointer<T> {
         |effect, model, inputs, forces| {
-            let effect = effect.downcast_ref::<E>().expect("the effect that returned the pointer");
+            let effect = effect.downcast_ref::<E>().expect("the argument is the effect that wrote the pointer");
             outline::<T>(AddForces { effect, model, inputs, forces });
         }
     }
@@ -129,7 +129,7 @@ impl<B: 'static, E: Effect<B> + 'static> CotangentFunction for Reverse<E, B> {
 
     fn pointer<R: Real, C: Cotangent<R>>() -> Self::Pointer<R, C> {
         |effect, model, inputs, forces_bar, cotangents| {
-            let effect = effect.downcast_ref::<E>().expect("the effect that returned the pointer");
+            let effect = effect.downcast_ref::<E>().expect("the argument is the effect that wrote the pointer");
             outline::<R>(Vjp { effect, model, inputs, forces_bar, cotangents });
         }
     }
@@ -143,7 +143,7 @@ impl<B: 'static, E: Effect<B> + 'static> RealFunction for Diagnose<E, B> {
 
     fn pointer<R: Real>() -> Self::Pointer<R> {
         |effect, model, inputs, forces| {
-            let effect = effect.downcast_ref::<E>().expect("the effect that returned the pointer");
+            let effect = effect.downcast_ref::<E>().expect("the argument is the effect that wrote the pointer");
             effect.diagnose(model, inputs, forces)
         }
     }
@@ -171,7 +171,8 @@ impl<B: 'static> Effect<B> for DynEffect<B> {
     }
 
     /// # Panics
-    /// If `T` is not a scalar of rollouts, checks, counts, diagnoses or default derivatives.
+    /// If `T` is not a scalar of rollouts, checks, counts, diagnoses, default derivatives or
+    /// references.
     fn add_forces<T: Scalar>(&self, model: &B, inputs: OdeInputs<'_, T>, forces: &mut [T]) {
         let mut slot: Option<AddForcesOf<B, T>> = None;
         self.0.add_forces(&mut slot);

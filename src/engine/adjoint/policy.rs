@@ -191,8 +191,8 @@ impl<F: Float> PolicyAdjoint<F> {
         }
     }
 
-    /// Adds `control·(∂y/∂x)ᵀ ȳ` at step `t` to λ of flow `k`, and `control·(∂y/∂p)ᵀ ȳ` to the
-    /// gradient by p, if recorded.
+    /// Adds `control·(∂y/∂x)ᵀ ȳ` at step `t` to λ of flow `k`. Adds `control·(∂y/∂p)ᵀ ȳ` to the
+    /// gradient with respect to p, if recorded.
     pub(super) fn add_inputs_bar<const K: usize>(
         &mut self,
         k: usize,

@@ -30,7 +30,7 @@ pub(super) struct Step<'a, R, const K: usize> {
     pub(super) x_bar: &'a mut [CotangentPack<R, K>],
     /// h, written.
     pub(super) u_bar: &'a mut [CotangentPack<R, K>],
-    /// Terms of the gradient by p, written if requested.
+    /// Terms of the gradient with respect to p, written if requested.
     pub(super) p_bar: Option<&'a mut [CotangentPack<R, K>]>,
     /// μ, the cotangent of the memory after the step.
     pub(super) memory_bar: &'a [CotangentPack<R, K>],
@@ -167,7 +167,7 @@ pub struct Recursion<F: Float, const K: usize> {
     pub(super) cost: CostGradient<Lane<F>>,
     pub(super) exponents: Exponents<F, K>,
     growth: GrowthMeters<K>,
-    /// Gradients by initial states and parameters, if recorded.
+    /// Gradients with respect to initial states and parameters, if recorded.
     pub(super) starts: Option<StartGradients<F, K>>,
 }
 
@@ -187,7 +187,8 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         }
     }
 
-    /// Records the gradients by initial states and parameters of up to `samples` samples.
+    /// Records the gradients with respect to initial states and parameters of up to `samples`
+    /// samples.
     pub(super) fn keep_start_gradients(&mut self, samples: usize, param_dim: usize) {
         self.starts = Some(StartGradients::new(samples, self.cost.x.len(), param_dim));
         self.cost.p = vec![Lane::null(); param_dim];
@@ -305,7 +306,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
     }
 
     /// Measures growth and norms after step `t`, and restarts adjoints that are truncated or have
-    /// grown. After step 0, completes the gradients by the initial states.
+    /// grown. After step 0, completes the gradients with respect to the initial states.
     fn after_step(&mut self, pass: &Pass<'_, F>, flows: [Flow; K], t: usize, norms: &mut [Vec<f64>]) {
         if pass.measured {
             self.growth.after(pass.rollout, &self.lambda, &self.exponents, flows, t);

@@ -1,4 +1,5 @@
-//! [`StartGradients`]: gradients by initial states and parameters, per flow and sample.
+//! [`StartGradients`]: gradients with respect to initial states and parameters, per flow and
+//! sample.
 
 use super::exponents::Exponents;
 use crate::dynamics::outline::One;
@@ -6,11 +7,11 @@ use crate::engine::gradient::Gradient;
 use crate::engine::rollout::{Lane, WIDTH};
 use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real};
 
-/// Gradients by `x_0` and p for `K` flows.
+/// Gradients with respect to `x_0` and p for `K` flows.
 ///
 /// ```text
 /// x̄_0 = λ after step 0
-/// p̄   = ∂φ/∂p + Σ_t (∂S/∂p)ᵀ λ + ∂l/∂p + control·(∂y/∂p)ᵀ ȳ
+/// p̄   = ∂φ/∂p + Σ_t [(∂S/∂p)ᵀ λ + ∂l/∂p + control·(∂y/∂p)ᵀ ȳ]
 /// ```
 #[derive(Debug)]
 pub(super) struct StartGradients<F: Float, const K: usize> {
@@ -61,7 +62,7 @@ impl<F: Float, const K: usize> StartGradients<F, K> {
         &mut self.terms[block * self.param_dim..][..self.param_dim]
     }
 
-    /// Adds the terms of one step to the gradients by p.
+    /// Adds the terms of one step to the gradients with respect to p.
     pub(super) fn add_terms(&mut self, samples: usize, exponents: &Exponents<F, K>) {
         for (sample, gradients) in self.gradients[..samples].iter_mut().enumerate() {
             let terms = &self.terms[sample / WIDTH * self.param_dim..][..self.param_dim];
@@ -73,7 +74,8 @@ impl<F: Float, const K: usize> StartGradients<F, K> {
         }
     }
 
-    /// Adds the terms of the observation of flow `k`, times `weight`, to the gradients by p.
+    /// Adds the terms of the observation of flow `k`, times `weight`, to the gradients with respect
+    /// to p.
     pub(super) fn add_observed(&mut self, k: usize, weight: f64, samples: usize, exponents: &Exponents<F, K>) {
         for (sample, gradients) in self.gradients[..samples].iter_mut().enumerate() {
             let terms = &self.observed[sample / WIDTH * self.param_dim..][..self.param_dim];

@@ -12,7 +12,7 @@ const CONSTANT: u32 = u32::MAX;
 /// Values are bit-identical to those of the scalar `R`. Operations on constants have no entry. A
 /// number plus a constant has the cotangent of the number, and therefore its index.
 ///
-/// Slopes equal those of [`Dual`](super::Dual).
+/// Slopes equal those of [`Dual`](super::Dual) up to rounding.
 #[derive(Clone, Copy, Debug)]
 pub struct Reverse<R> {
     value: R,
