@@ -15,8 +15,8 @@ use crate::numbers::rng::{Purpose, stream};
 pub fn cost<T: Task>(task: &T) -> Passed {
     try_cost(task).unwrap_or_else(|mismatch| {
         panic!(
-            "the task's derivatives are wrong: {mismatch}. Correct the named method, or remove it: dual numbers then provide its \
-             derivatives"
+            "the task's derivatives are wrong: {mismatch}. Correct the named method. A method for derivatives can also be \
+             removed: dual numbers then provide them"
         )
     })
 }

@@ -175,8 +175,8 @@ fn normal(rng: &mut Rng, len: usize) -> Vec<f64> {
 pub fn system<S: System>(system: &S) -> Passed {
     self::try_system(system).unwrap_or_else(|mismatch| {
         panic!(
-            "the system's derivatives are wrong: {mismatch}. Correct the named method, or remove it: dual numbers then provide its \
-             derivatives"
+            "the system's derivatives are wrong: {mismatch}. Correct the named method. `vjp` and `jvp` can also be removed: dual \
+             numbers then provide the derivatives"
         )
     })
 }

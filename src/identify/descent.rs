@@ -16,7 +16,7 @@ pub(super) struct Counts {
 /// Condition that ends the iterations.
 #[derive(Clone, Copy)]
 pub(super) struct Stop {
-    /// Relative decrease of the objective.
+    /// Relative decrease of the objective in each of two consecutive iterations.
     pub tolerance: f64,
     pub max_iterations: usize,
 }

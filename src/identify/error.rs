@@ -59,8 +59,11 @@ pub enum IdentifyError {
         /// Standard deviation.
         noise: f64,
     },
-    /// An initial value is not within its bounds, or an index is out of range.
-    #[error("unknown `{name}`: start {start} with bounds {min} to {max}, entry {index} of {params} parameters")]
+    /// An initial value is not finite or not within its bounds, or an index is out of range.
+    #[error(
+        "unknown `{name}`: start {start} with bounds {min} to {max}, entry {index} of {params} parameters; allowed: a finite \
+         start within the bounds, and an entry below {params}"
+    )]
     Unknown {
         /// Name of the parameter.
         name: String,

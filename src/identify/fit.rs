@@ -47,7 +47,9 @@ pub struct Options {
     pub window: Option<usize>,
     /// Largest number of iterations per weight of continuity.
     pub max_iterations: usize,
-    /// Relative decrease of χ² that ends the iterations.
+    /// Largest relative decrease of χ², with weighted jumps between windows, that counts as
+    /// converged. Two consecutive such decreases end the iterations. All weights of continuity but
+    /// the last use 1e-2 instead.
     pub tolerance: f64,
     /// Flag that another thread sets to stop the identification with [`IdentifyError::Stopped`].
     /// Read before every simulation of a window.
@@ -71,7 +73,8 @@ pub struct Fit {
     pub errors: Vec<f64>,
     /// Standard errors that allow for correlated residuals within a segment, from the scatter
     /// between segments (sandwich estimate; Liang and Zeger 1986, doi:10.1093/biomet/73.1.13).
-    /// Infinite unless there are more segments than unknown parameters.
+    /// Infinite for parameters in an undetermined combination, and unless there are more segments
+    /// than unknown parameters.
     pub robust_errors: Vec<f64>,
     /// Correlations of the values.
     pub correlations: Vec<Vec<f64>>,
@@ -95,7 +98,7 @@ pub struct Fit {
     pub converged: bool,
     /// Number of iterations.
     pub iterations: usize,
-    /// Number of simulations of all segments, without derivatives.
+    /// Number of evaluations of the objective. Each simulates all segments without derivatives.
     pub simulations: usize,
     /// Number of simulations of all segments with derivatives.
     pub jacobians: usize,

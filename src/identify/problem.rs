@@ -124,7 +124,7 @@ impl<'a> Problem<'a> {
 
     /// Initial values. Splits the segments into windows of this length. `None`: one window per
     /// segment. A window starts at the measured state. Components without a measurement continue
-    /// the simulation of the previous window.
+    /// the simulation of the previous window. In the first window of a segment, they start at 0.
     ///
     /// # Errors
     /// A simulation or its squared residuals are not finite. [`IdentifyError::Stopped`].

@@ -30,8 +30,8 @@ const CONTROL_SHARE: f64 = 1e-6;
 /// regularized Hessian by the controls is not positive definite at a step.
 ///
 /// v and V are the gradient and the Hessian of the cost-to-go after the step, v' and V' those
-/// before it. A = ∂S/∂x, B = ∂S/∂u, z = [x, u], and μ is the regularization. l is a function of z,
-/// through the next state:
+/// before it. A = ∂S/∂x, B = ∂S/∂u, z = [x, u], and μ is the regularization. l depends on z
+/// directly and through the next state:
 ///
 /// ```text
 /// q = ∂l/∂z + [A B]ᵀ v,    Q = ∂²l/∂z² + [A B]ᵀ V [A B]

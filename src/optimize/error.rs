@@ -53,7 +53,7 @@ pub enum OptimizeError {
          Smooth the cost and the dynamics there, for instance roots near 0", differentiated(*step)
     )]
     Derivative {
-        /// Step of the running cost; `None` for the terminal cost.
+        /// Step of the running cost or of the dynamics; `None` for the terminal cost.
         step: Option<usize>,
     },
     /// The flag of the options stopped the optimization.

@@ -70,7 +70,7 @@ use trajectory::Problem;
 /// # Errors
 /// [`OptimizeError`] if
 /// - a length differs from that of the task,
-/// - a lower bound is above its upper bound, or a bound is NaN,
+/// - no finite control lies between two bounds, or a bound is NaN,
 /// - the initial trajectory or its cost is not finite,
 /// - a derivative at the initial trajectory is not finite,
 /// - [`Options::stop`] is set.

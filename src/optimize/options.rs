@@ -10,7 +10,8 @@ pub struct Options {
     /// Largest number of iterations. Each linearizes the trajectory once.
     pub max_iterations: usize,
     /// Converged if no component of the projected gradient exceeds this number. Unit: cost per unit
-    /// of control. At an active bound, a component that points out of the bounds counts as 0.
+    /// of control. At an active bound, a component whose descent direction points out of the bounds
+    /// counts as 0.
     pub gradient_tolerance: f64,
     /// Converged if each of three consecutive iterations decreases the cost by at most this
     /// fraction. Also converged if the line search fails and the full step has a predicted decrease
@@ -110,7 +111,7 @@ impl Bounds {
         self.0.iter().zip(u).map(|([low, high], u)| [low - u, high - u]).collect()
     }
 
-    /// Returns a component of the gradient, or 0 if it points out of the bounds.
+    /// Returns a component of the gradient, or 0 if its descent direction points out of the bounds.
     pub(super) fn projected(&self, control: usize, u: f64, gradient: f64) -> f64 {
         let [low, high] = self.0[control];
         if (u <= low && gradient > 0.0) || (u >= high && gradient < 0.0) { 0.0 } else { gradient }

@@ -53,8 +53,8 @@ impl Plan {
         matches!(self.stop, Stop::Gradient | Stop::Decrease)
     }
 
-    /// Largest absolute component of the projected gradient. At an active bound, a component that
-    /// points out of the bounds counts as 0.
+    /// Largest absolute component of the projected gradient. At an active bound, a component whose
+    /// descent direction points out of the bounds counts as 0.
     pub fn gradient_norm(&self) -> f64 {
         self.gradient_norm
     }

@@ -81,8 +81,8 @@ pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) ->
 ///
 /// Values are interpolated at common epochs, over the range that all runs cover. The wall time of
 /// an epoch is the median over the seeds. Medians and bands exclude runs without valid points, and
-/// runs that failed or diverged early; the figure states how many remain. The title of the figure
-/// ends with the name of the statistic.
+/// runs that failed or diverged early; the figure states how many remain. With several seeds, the
+/// title ends with the name of the statistic.
 pub fn comparison(title: &str, curves: &[Curve]) -> Drawing {
     let case = |x| Case { title: String::new(), y_label: "test loss".into(), y_axis: 0, x, curves: curves.to_vec() };
     study(title, &[[Abscissa::Epoch, Abscissa::Seconds].map(case).into()])

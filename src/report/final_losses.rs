@@ -18,7 +18,7 @@ pub struct TaskLosses {
 
 /// Largest number of panels in a row.
 const COLUMNS: usize = 4;
-/// Distance of the outermost marks of a method from its number.
+/// Distance of the outermost dots of a method from its number on the x axis.
 const HALF_WIDTH: f64 = 0.25;
 
 /// Draws one panel per task, with one dot per seed and a line at the median of each method.

@@ -11,7 +11,7 @@ const CASING: f64 = 2.4;
 const PALE: f64 = 0.45;
 
 /// Creates the marks of the series in the given x and y units. From back to front: bands, thin
-/// lines, other lines.
+/// lines, other lines, error bars.
 pub fn marks(series: &[Series], unit: [f64; 2]) -> Vec<Plot> {
     let bands = series.iter().filter(|s| !s.band.is_empty()).map(|s| band(s, unit));
     let widths = widths(series);

@@ -3,7 +3,7 @@
 /// Quantile `q` in [0, 1] of ascending numbers, by linear interpolation (Hyndman and Fan, type 7).
 ///
 /// NaN stands for the loss of a failed run and ranks above every number, as [`sorted`] orders it.
-/// NaN without numbers.
+/// Returns NaN for an empty list.
 pub fn quantile(sorted: &[f64], q: f64) -> f64 {
     if sorted.is_empty() {
         return f64::NAN;

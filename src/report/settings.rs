@@ -7,8 +7,8 @@ use super::{Drawing, Series};
 const LOG_RATIO: f64 = 10.0;
 
 /// Draws final losses against settings: one panel per setting, one line with a band per method.
-/// Omits points that a logarithmic axis cannot show. The axis of a setting is logarithmic if its
-/// values are positive and span a factor of ten.
+/// Omits points without a band, and points that a logarithmic axis cannot show. The axis of a
+/// setting is logarithmic if its values are positive and span at least a factor of ten.
 pub fn settings(title: &str, panels: Vec<(String, Vec<Series>)>) -> Drawing {
     let panel = |(setting, series): (String, Vec<Series>)| {
         let values = || series.iter().flat_map(|series| &series.line).map(|&(x, _)| x);

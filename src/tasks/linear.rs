@@ -1,4 +1,4 @@
-//! Linear plants and the linear-quadratic regulator, whose optimum is known in closed form.
+//! Linear plants and the linear-quadratic regulator, whose optimum follows from Riccati's equation.
 
 mod lqr;
 mod riccati;

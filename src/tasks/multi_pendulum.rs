@@ -179,7 +179,7 @@ impl Ode for MultiPendulum {
                 torque[i - 1] += friction;
             }
         }
-        // Mass beyond each joint, which moves with the end of the arm.
+        // Mass of the arms beyond the end of each arm, which moves with this end.
         let mut beyond: Each<T> = smallvec![T::zero(); n];
         for i in (1..n).rev() {
             beyond[i - 1] = beyond[i] + arms[i].mass;

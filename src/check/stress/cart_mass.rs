@@ -81,8 +81,8 @@ fn rejected() -> Vec<Finding> {
     };
     let light = [1, 20].map(|poles| model(poles, 1e-12));
     let (lights, all_lights) = count(&light, |error| matches!(error, MassError::CartTooLight { .. }));
-    // The equations are singular for a cart of −1/4 of the pole mass. For all other finite masses
-    // below, they have solutions.
+    // The equations are singular for a massless pole, and for an upright pole on a cart of −1/4 of
+    // the pole mass. For all other finite masses below, they have unique solutions.
     let split = |cart_mass: f64, pole_mass: f64| CartPoleSystem {
         cart_mass: cart_mass.into(),
         pole_mass: pole_mass.into(),

@@ -130,8 +130,8 @@ fn norms(lqr: &Lqr, gain: &[f64]) -> [Vec<f64>; 2] {
     [0, 1].map(|k| adjoint.norms(k).to_vec())
 }
 
-/// Reports M for single initial states: the smallest cosine with `Σ_t a^{-t} x_t`, and the number
-/// of states at which M is a descent direction.
+/// Reports M for single initial states: the smallest absolute cosine with `Σ_t a^{-t} x_t`, and the
+/// number of states from which M descends.
 fn directions(lqr: &Lqr, name: &str, gain: &[f64]) -> [Finding; 2] {
     const STARTS: usize = 64;
     let n = gain.len();

@@ -135,7 +135,7 @@ fn trimmed(value: f64, decimals: usize) -> String {
     if text == "-0" { "0".into() } else { text.into() }
 }
 
-/// Escapes XML special characters.
+/// Escapes `&`, `<` and `>` in XML text.
 pub fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }

@@ -26,7 +26,7 @@ pub struct Optimum {
 /// No solution of Riccati's equation was found.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum NoOptimum {
-    /// The cost of controls is not positive definite.
+    /// R is not positive definite, or `R + Bᵀ W B` is not, as for a Q with negative eigenvalues.
     #[error("the cost R of controls is not positive definite, so no optimal control exists; use an R with positive eigenvalues")]
     Indefinite,
     /// The doubling iteration did not converge: the cost is unbounded, or the plant decays too
@@ -59,7 +59,8 @@ impl Optimum {
     /// Single steps would need thousands of iterations and accumulate their rounding errors.
     ///
     /// # Errors
-    /// Returns [`NoOptimum`] if R is not positive definite or the iteration does not converge.
+    /// Returns [`NoOptimum`] if R or `R + Bᵀ W B` is not positive definite, or if the iteration
+    /// does not converge.
     pub(super) fn of(plant: &LinearPlant, state_cost: &[f64], control_cost: &[f64]) -> Result<Self, NoOptimum> {
         let (n, m) = (plant.state_dim(), plant.control_dim());
         let (a, b) = (plant.a(), plant.b());
