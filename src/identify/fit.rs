@@ -84,10 +84,11 @@ pub struct Fit {
     pub at_bound: Vec<String>,
     /// Simulated states of each segment.
     pub states: Vec<Vec<Vec<f64>>>,
-    /// Largest jump of the simulated states between windows, in units of the noise. At 0, the
-    /// states of a segment are one simulation from its initial state.
+    /// Largest jump of the simulated states between windows, in units of the noise, or of the state
+    /// if the noise is unknown. At 0, the states of a segment are one simulation from its initial
+    /// state.
     pub jump: f64,
-    /// χ² of whole segments.
+    /// χ² of whole segments, with σ = 1 if the noise is unknown.
     pub chi_squared: f64,
     /// Number of measurements.
     pub measurements: usize,

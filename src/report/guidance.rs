@@ -15,7 +15,7 @@ const TARGET_AREA: &str = "#DDF1EA";
 
 /// Number of frames beyond which a trajectory is thinned; motion between frames is linear.
 const MAX_FRAMES: usize = 120;
-/// Number of trail segments of all agents together. Each agent has at least one segment.
+/// Largest number of trail segments of all agents together. More agents have one segment each.
 const ALL_PIECES: usize = 120;
 /// Largest number of trail segments per agent.
 const MAX_PIECES: usize = 8;

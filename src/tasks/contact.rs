@@ -48,9 +48,9 @@ pub enum Contact {
     ///
     /// Derivatives need much smaller time steps. The time of contact within a step changes the
     /// later speed by a fraction of about `stiffness dt² / m`. The derivative of that speed with
-    /// respect to position therefore has an error of about `stiffness dt / m`. Derivatives
-    /// may therefore be wrong even if many steps resolve a contact; `docs/stability.md` gives
-    /// errors. Derivatives converge only if `stiffness dt / m` is small relative to them.
+    /// respect to position therefore has an error of about `stiffness dt / m`. Derivatives may be
+    /// wrong even if many steps resolve a contact; `docs/stability.md` gives errors. Derivatives
+    /// converge only if `stiffness dt / m` is small relative to them.
     ///
     /// With damping, restitution depends on the speed, and so do the derivatives. They do not
     /// converge to those of a constant restitution at any stiffness.

@@ -33,7 +33,11 @@ impl LinearPlant {
     #[track_caller]
     pub fn new(state_dim: usize, a: Vec<f64>, b: Vec<f64>) -> Self {
         let (n, of_a, of_b) = (state_dim, a.len(), b.len());
-        assert!(n > 0 && of_a == n * n, "A for {n} state components needs {} entries, not {of_a}", n * n);
+        assert!(
+            n > 0 && of_a == n * n,
+            "A has {of_a} entries for {n} state components; allowed: {}, for at least one component",
+            n * n
+        );
         assert!(of_b > 0 && of_b.is_multiple_of(n), "B has {of_b} entries; allowed: a positive multiple of {n}");
         Self { state_dim, control_dim: of_b / n, a, b }
     }

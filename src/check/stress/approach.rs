@@ -22,7 +22,7 @@ pub(super) const CASES: &[Case] = &[Case {
                 full semi-implicit steps as unstable",
     explanation: "A spring that the steps do not resolve gains energy at every approach, and gradients include this \
                 error. `check::stability` returns the spectral radius of a step at a state. The report names remedies. \
-                Limits: training does not call it",
+                Limits: training does not call `check::stability`",
     run: guidance_close_approach,
 }];
 

@@ -18,7 +18,7 @@ pub(super) const CASES: &[Case] = &[Case {
     criterion: "at the optimum, no component of the three exceeds 1e-11. With a relative gain error of 1e-6, R and M \
                 exceed 1e-11",
     explanation: "An optimizer leaves an optimum at which its field is not 0. R vanishes at any optimum, and C where R \
-                does. M need not. For the regulator it does, because the cotangent of every control is 0 there. \
+                does. M need not vanish there. For the regulator it does, because the cotangent of every control is 0. \
                 The doubling algorithm solves the Riccati equation. Fixed-point iteration leaves rounding errors in its \
                 solution, which M amplifies above the limit. Limits: for other losses M has no such fixed point, \
                 which motivates C",

@@ -26,7 +26,8 @@ pub struct Optimum {
 /// No solution of Riccati's equation was found.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum NoOptimum {
-    /// R is not positive definite, or `R + Bᵀ W B` is not, as for a Q with negative eigenvalues.
+    /// R is not positive definite, or `R + Bᵀ W B` with the W of [`Optimum`] is not. The latter
+    /// requires a negative eigenvalue of Q.
     #[error("the cost R of controls is not positive definite, so no optimal control exists; use an R with positive eigenvalues")]
     Indefinite,
     /// The doubling iteration did not converge: the cost is unbounded, or the plant decays too
