@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Builds the wheel, installs it in a new virtual environment and runs the tests. Skips with a
 # message if Python or a package index is missing. PHYSGRAD_PYTHON_ALL=1 also installs PyTorch and
-# Stable-Baselines3.
+# Stable-Baselines3, and runs slow tests.
 set -euo pipefail
 cd "$(dirname "$0")"
 
@@ -26,7 +26,7 @@ fi
 export PYO3_PYTHON=$venv/bin/python
 wheels=$target/wheels
 rm -rf "$wheels"
-# The command line of the tests is the release binary, if it exists.
+# Builds the wheel. Tests of the program run the release binary, if it exists.
 "$venv/bin/maturin" build --release --interpreter "$venv/bin/python" --out "$wheels"
 pip install --force-reinstall --no-deps "$wheels"/physgrad-*.whl
 if [ -x "$target/release/physgrad" ]; then

@@ -1,10 +1,10 @@
 """Differentiable physics: gradients of long simulations, and neural controllers trained with them.
 
-`task` opens a built-in task or a scene file. Its methods evaluate steps, observations and costs on
+`task` opens a preset or a scene file. Methods of a `Task` evaluate steps, observations and costs on
 arrays, with their derivatives. `train` trains a policy. `rollout`, `losses` and `gradients`
-evaluate policies. `optimize` computes the best controls from one initial state. `identify` fits
-physical numbers to measurements, `check` compares derivatives with dual numbers, and `accuracy`
-measures errors and costs of integrators.
+evaluate policies. `optimize` minimizes the loss over the controls from one initial state.
+`identify` fits physical numbers to measurements, `check` compares derivatives with dual numbers,
+and `accuracy` measures errors and costs of integrators.
 """
 
 from ._core import (
@@ -46,9 +46,9 @@ def task(name, **settings):
     """Opens a preset by name, for example "cart_pole", or a scene file by its path.
 
     Keyword arguments are settings of the section `system`, as in `poles=4`. The arguments
-    `horizon`, `precision`, `field`, `epochs` and `seed` are settings outside of sections.
-    `effects`, `actuator`, `integrator`, `loss`, `policy`, `training` and `system` accept a dict of their
-    settings. `settings` accepts a dict of dotted keys, as in `settings={"system.poles": 4}`.
+    `horizon`, `precision`, `field`, `epochs`, `seed` and `tags` are settings outside of sections.
+    `effects`, `actuator`, `integrator`, `loss`, `policy`, `training` and `system` accept a dict of
+    their settings. `settings` accepts a dict of dotted keys, as in `settings={"system.poles": 4}`.
 
     Raises `ValueError` with the key and its allowed values if a setting is invalid.
     """
@@ -71,10 +71,10 @@ def Mlp(task, widths=(100, 100), seed=0, **settings):
 def train(task, policy=None, *, callback=None, out=None, threads=None, **settings):
     """Trains a policy, and returns the `Run`. Without a policy, that of the task is trained.
 
-    Keyword arguments outside of sections are `field`, `epochs` and `seed`; others are settings of
-    the section `training`, as in `learning_rate=3e-4`. `callback` receives the record of every
-    epoch, a dict. With a folder `out`, the run is saved there, as by `physgrad train`. The argument
-    `policy` is not changed: `run.policy` is the trained policy.
+    `field`, `epochs`, `seed` and other settings outside of sections are keyword arguments, as in
+    `task`. Others are settings of the section `training`, as in `learning_rate=3e-4`. `callback`
+    receives the record of every epoch, a dict. With a folder `out`, the run is saved there, as by
+    `physgrad train`. The argument `policy` is not changed: `run.policy` is the trained policy.
 
     After Ctrl-C, `KeyboardInterrupt` has the attribute `run`. `run.train()` continues. The
     exception `Divergence` has this attribute too.

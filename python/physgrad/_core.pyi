@@ -133,7 +133,7 @@ class _Fit(TypedDict):
     correlations: NDArray[np.float64]
     """Correlations of the values, (K, K)."""
     chi_squared: float
-    """Sum of squared residuals, in units of the noise."""
+    """Sum of squared residuals, in units of `noise` if given."""
     converged: bool
     undetermined: list[list[str]]
     """Combinations of numbers that the data do not determine."""
@@ -156,7 +156,7 @@ class _Plan(TypedDict):
     """Initial cost, then the cost after each iteration, (iterations + 1,)."""
     iterations: int
     gradient_norm: float
-    """Largest component of the projected gradient, cost per unit of control."""
+    """Largest absolute component of the projected gradient, cost per unit of control."""
     converged: bool
     stop: str
     """Reason for the termination."""
@@ -186,7 +186,8 @@ class _Settings(TypedDict):
     forward_seconds: NDArray[np.float64]
     """Median time of a forward pass, s per step and sample, (S,). NaN after a divergence."""
     gradient_seconds: NDArray[np.float64]
-    """Median time of a forward pass with R and M, s per step and sample, (S,)."""
+    """Median time of a forward pass with R and M, s per step and sample, (S,). NaN after a
+    divergence."""
 
 @type_check_only
 class _Cheapest(TypedDict):
@@ -251,5 +252,6 @@ def optimize(
 ) -> _Plan:
     """Optimizes the controls from one initial state `start`, (start_dim,).
 
-    `bounds` has the low and high bound of each control, (m, 2).
+    `bounds` has the low and high bound of each control, (m, 2). `iterations` is the largest number
+    of iterations, 200 by default.
     """

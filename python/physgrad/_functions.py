@@ -10,8 +10,8 @@ import numpy as np
 class Function(NamedTuple):
     """One function of a task, for rows of a batch.
 
-    Tensors in front of ``p`` are ``inputs``. The output has ``dim(task)`` components, or none if
-    ``dim`` is None: then it is one number per row.
+    Arguments before ``p`` are ``inputs``. The output is "next" (states), "y" (observations) or
+    "cost" (one number per row). With ``has_step``, the function has the argument ``t``.
     """
 
     name: str
@@ -57,7 +57,7 @@ TERMINAL_COST = Function("terminal_cost", ("x",), "cost", has_step=False)
 
 
 def lead(name: str, shapes: dict[str, tuple[int, ...]]) -> tuple[int, ...]:
-    """Common leading dimensions of arguments, which broadcast."""
+    """Returns the common leading dimensions of arguments, which broadcast."""
     try:
         return np.broadcast_shapes(*(tuple(shape[:-1]) for shape in shapes.values()))
     except ValueError:

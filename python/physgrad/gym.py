@@ -1,8 +1,9 @@
 """Gymnasium environments over the tasks.
 
 ``pg.gym.make("cart_pole", poles=1)`` returns an ``Env``, ``pg.gym.make_vec("cart_pole", 16)`` a
-``VectorEnv`` that steps all environments in one call. After ``import physgrad.gym``, the ids
-``physgrad/NAME-v0`` work with ``gymnasium.make`` and ``gymnasium.make_vec``.
+``VectorEnv``, which steps all environments with equal step numbers in one call. After
+``import physgrad.gym``, the ids ``physgrad/NAME-v0`` work with ``gymnasium.make`` and
+``gymnasium.make_vec``.
 
 - An episode has ``horizon`` steps. The last step returns ``truncated``: observations contain no
   clock, so the end is no property of the last state.
@@ -11,7 +12,8 @@
 - The observation is that of a policy, without normalization.
 - The action space is the box from -1 to 1. The control is the action, clipped to the box, times
   ``bound``.
-- ``info`` of a step is empty. There is no ``render``.
+- ``info`` of a step is empty, except in the mode ``SAME_STEP`` of a vector environment. There is no
+  ``render``.
 """
 
 from __future__ import annotations
@@ -45,10 +47,10 @@ BOUNDS: dict[str, float] = {
 
 
 def make(name: str, *, bound: float | Sequence[float] | None = None, **settings: Any) -> TaskEnv:
-    """Creates an environment from the name of a task and its settings, as ``pg.task`` does.
+    """Creates an environment over ``pg.task(name, **settings)``.
 
     ``bound`` is the control at action 1, one number or one per control, in units of the control.
-    Default: ``actuator.limit.bound``, else ``BOUNDS[name]``.
+    Default: ``actuator.limit.bound``, else the entry of the task in ``BOUNDS``.
     """
     return TaskEnv(pg.task(name, **settings), bound)
 
@@ -56,7 +58,10 @@ def make(name: str, *, bound: float | Sequence[float] | None = None, **settings:
 def make_vec(
     name: str, num_envs: int = 1, *, bound: float | Sequence[float] | None = None, **settings: Any
 ) -> TaskVectorEnv:
-    """Creates a vector environment. Arguments: see ``make`` and ``TaskVectorEnv``."""
+    """Creates ``num_envs`` environments with the mode ``NEXT_STEP``. Other arguments: see ``make``.
+
+    ``TaskVectorEnv`` accepts other modes.
+    """
     return TaskVectorEnv(pg.task(name, **settings), num_envs, bound)
 
 
@@ -123,12 +128,12 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv):
 
     @property
     def state(self) -> np.ndarray:
-        """States, shape (num_envs, state_dim)."""
+        """States, shape (num_envs, state_dim). A copy."""
         return self._rows.x.copy()
 
     @property
     def params(self) -> np.ndarray:
-        """Parameters, shape (num_envs, param_dim)."""
+        """Parameters, shape (num_envs, param_dim). A copy."""
         return self._rows.p.copy()
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:

@@ -6,9 +6,10 @@ Each function of this module takes a task and returns a function of arrays::
     x = step(x, u, t=t)            # (..., n), (..., m) -> (..., n)
 
 The functions work under ``jit``, ``vmap``, ``grad``, ``vjp`` and ``lax.scan``, on the CPU. ``vmap``
-calls the physics once for all samples. Arrays are all float32, or all float64 after
-``jax.config.update("jax_enable_x64", True)``; the context manager ``jax.enable_x64`` does not
-reach the threads that call the physics. Leading dimensions are batch dimensions and broadcast.
+calls the physics once for all samples with equal ``t``. Arrays are all float32, or all float64
+after ``jax.config.update("jax_enable_x64", True)``. The context manager ``jax.enable_x64`` has no
+effect in other threads, which may call the physics. Leading dimensions are batch dimensions and
+broadcast.
 ``p`` are the parameters of the rows, shape (..., np), and ``t`` is the step number, an int or an
 integer array. Gradients are the exact derivatives of the task (reverse mode, once
 differentiable). Errors: ``ValueError`` for a shape, ``TypeError`` for a dtype.

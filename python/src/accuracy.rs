@@ -17,9 +17,9 @@ const METRICS: [(&str, Metric); 4] =
 /// Errors and costs of all integrators, substeps and precisions, as `physgrad accuracy` measures
 /// them.
 ///
-/// Simulates the task with the S settings of the program, and times them on one thread: some
-/// seconds to a minute. Errors are relative to a reference in f64 with small steps. The policy has
-/// the initial parameters of the task, with a nonzero output layer.
+/// Simulates the task with the S settings of the program, and times them on one thread, in 5 to
+/// 30 s. Errors are relative to a reference in f64 with small steps. The policy has the initial
+/// parameters of the task, with a nonzero output layer.
 ///
 /// Returns a dict:
 ///

@@ -10,7 +10,7 @@ create_exception!(
     Divergence,
     PyArithmeticError,
     "A number is not finite.\n\nAttributes: `step`, `sample`, `component` (ints or None) and `variable` (\"state\", \"control\",\n\
-     \"memory\", \"cost\" or \"gradient\")."
+     \"memory\", \"cost\" or \"gradient\"). For \"gradient\", `component` is the index of the parameter."
 );
 
 /// Converts an error in settings or arguments: a divergence, an error of the file system, or

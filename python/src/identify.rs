@@ -20,6 +20,7 @@ use toml::{Table, Value};
 /// `["system.pole_mass"]`, starts at their values in the task. A dict has initial values, as in
 /// `{"system.pole_mass": 0.2}`, or dicts with "start", "min" and "max". Without `params`, the scene
 /// names the numbers in its section `fit`. `noise` has the standard deviation of each state, (n,).
+/// Without `noise`, it is equal for all states, and the residuals give its size.
 ///
 /// Returns a dict: "values" and "errors" (standard errors) by name, "robust_errors", (K,), and
 /// "correlations", (K, K), of the K unknown numbers, "chi_squared", "converged", "undetermined" and
@@ -117,9 +118,10 @@ fn rows(name: &str, object: &Bound<'_, PyAny>, width: usize) -> PyResult<Vec<Vec
 
 /// Checks the derivatives of a task and a policy against dual numbers, as `physgrad check` does.
 ///
-/// Compares the gradients of whole rollouts, in f64, at the parameters of `policy`. Without
-/// `policy`, the policy is that of the task, with random parameters. Rollouts that amplify rounding
-/// errors by about 1e6 fail, although all derivatives are exact.
+/// Compares the derivatives of the system and of the policy, and the gradients of whole rollouts,
+/// in f64. Rollouts have the parameters of `policy`. Without `policy`, the policy is that of the
+/// task, with random parameters. Rollouts that amplify rounding errors by about 1e6 fail, although
+/// all derivatives are exact.
 ///
 /// Returns a table. Raises `AssertionError` with all failures, and `ValueError` if the policy does
 /// not fit the task.

@@ -12,10 +12,13 @@ use pyo3::types::PyDict;
 /// Optimizes the controls from one initial state `start`, (start_dim,), as `physgrad optimize`
 /// does, in f64.
 ///
-/// `bounds` has the low and high bound of each control, (m, 2). Returns a dict: controls "u", (T,
-/// m), states "x", (T+1, n), "gains" of the feedback u_t + K_t (x - x_t), (T, m, n), "cost",
-/// "costs" of all iterations, "iterations", "gradient_norm", "converged" and "stop". Raises
-/// `ValueError` if the rollout without control diverges. Ctrl-C raises `KeyboardInterrupt`.
+/// `bounds` has the low and high bound of each control, (m, 2). `iterations` is the largest number
+/// of iterations, 200 by default. The search starts at controls of 0.
+///
+/// Returns a dict: controls "u", (T, m), states "x", (T+1, n), "gains" of the feedback
+/// u_t + K_t (x - x_t), (T, m, n), "cost", "iterations", "gradient_norm", "converged" and "stop".
+/// "costs" holds the initial cost, then the cost after each iteration. Raises `ValueError` if the
+/// rollout from the initial controls diverges. Ctrl-C raises `KeyboardInterrupt`.
 #[pyfunction]
 #[pyo3(signature = (task, start, bounds=None, iterations=None))]
 pub fn optimize<'py>(

@@ -16,7 +16,8 @@ use std::sync::{Mutex, MutexGuard};
 /// The policy of a task, with its parameters θ.
 ///
 /// `Policy(task, seed=0, **settings)` has random parameters, those of a training with this seed.
-/// Keyword arguments are settings of the section `policy`. `physgrad.Mlp` names the widths.
+/// Keyword arguments are settings of the section `policy`. `physgrad.Mlp` has an argument for the
+/// widths of the hidden layers.
 #[pyclass(frozen, module = "physgrad")]
 pub struct Policy(Mutex<api::Policy>);
 
@@ -130,8 +131,8 @@ pub fn losses<'py>(py: Python<'py>, task: &Task, policy: &Policy, starts: &Bound
 /// Vector fields of the mean loss of rollouts from `starts`, (B, start_dim), from one forward pass.
 ///
 /// Returns a dict from the names in `fields` to vectors over the parameters. Fields are "R", "M",
-/// "N", "S" and "C". R is the gradient of the mean loss. Raises `Divergence` if a number is not
-/// finite.
+/// "N", "S", "C", "P", "F", "MR" and "RM". R is the gradient of the mean loss. Raises `Divergence`
+/// if a number is not finite.
 #[pyfunction]
 #[pyo3(signature = (task, policy, starts, fields=vec!["R".into(), "M".into(), "S".into(), "C".into()]))]
 pub fn gradients<'py>(

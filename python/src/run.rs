@@ -58,8 +58,8 @@ impl Run {
     /// Calls `callback` with the record of every epoch, a dict. `epochs` changes the total number
     /// of epochs. Ctrl-C raises `KeyboardInterrupt` after the current update. The next call of
     /// `train` continues, with the bits of an uninterrupted training. A run with a folder saves
-    /// there every few seconds and at the end. Raises `Divergence` if too many updates in a row are
-    /// skipped.
+    /// there every few seconds and at the end. Raises `Divergence` if more than `max_skipped`
+    /// consecutive updates are skipped, and `RuntimeError` if the run ends without an update.
     #[pyo3(signature = (callback=None, epochs=None))]
     fn train(&self, py: Python<'_>, callback: Option<Py<PyAny>>, epochs: Option<u64>) -> PyResult<()> {
         let mut run = self.lock()?;

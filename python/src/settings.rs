@@ -14,8 +14,8 @@ const SECTIONS: [&str; 7] = ["system", "effects", "actuator", "integrator", "los
 /// A list of dotted keys and values.
 pub type Settings = Vec<(String, Value)>;
 
-/// Settings from keyword arguments. A key of `settings` is dotted, or names a section with a dict.
-/// Other keys that are no section and not in `top` belong to the section `system`.
+/// Settings from keyword arguments. The argument `settings` is a dict whose keys are dotted, or
+/// name sections with dicts. Other keys that are no section and not in `top` belong to `section`.
 pub fn keywords(kwargs: Option<&Bound<'_, PyDict>>, section: &str, top: &[&str]) -> PyResult<Settings> {
     let mut settings = Vec::new();
     for (key, value) in kwargs.into_iter().flatten() {

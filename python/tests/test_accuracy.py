@@ -25,7 +25,7 @@ def test_errors_fall_with_the_order_of_the_method(found):
         chosen = (settings["method"] == method) & (settings["precision"] == "f64")
         assert settings["substeps"][chosen].tolist() == [1, 2, 4, 8, 16]
         errors = settings["trajectory"][chosen]
-        # The rounding errors of the fourth order begin after four substeps.
+        # Omits the step from 8 to 16 substeps: rounding errors limit the accuracy of RK4 there.
         np.testing.assert_allclose(np.log2(errors[:-1] / errors[1:])[:3], order, atol=0.35)
     assert max(found["reference"].values()) < 1e-8
 

@@ -122,7 +122,7 @@ def test_vmap_is_one_call():
     of.calls.clear()
     assert np.array_equal(jax.vmap(lambda x, u, p: step(x, u, p, 2))(x, u, p), expected)
     assert of.calls == [("step", (6,))]
-    # Shared controls, and a loop of two levels.
+    # Shared controls, and two nested calls of vmap.
     both = jax.vmap(jax.vmap(lambda x, u: step(x, u, p[0], 2), in_axes=(0, None)), in_axes=(None, 0))(x, u)
     assert both.shape == (6, 6, of.state_dim)
     assert np.array_equal(both[2], of.step(x, np.broadcast_to(u[2], u.shape), p=np.broadcast_to(p[0], p.shape), t=2))

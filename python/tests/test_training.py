@@ -101,7 +101,7 @@ def test_runs_are_saved_loaded_continued_and_reported(tmp_path):
 
 
 def page(path):
-    """Page of a report. Numbers of clip paths count all charts of a process."""
+    """Page of a report without the numbers of clip paths, which count all charts of a process."""
     return re.sub(r"kuva-clip-\d+", "kuva-clip", path.read_text())
 
 
