@@ -7,7 +7,7 @@ use crate::policy::Policy;
 use crate::settings::{Settings, value_of};
 use crate::task::Task;
 use numpy::IntoPyArray;
-use physgrad::identify::{Options, Segment};
+use physgrad::identify::{IdentifyError, Options, Segment};
 use pyo3::exceptions::{PyAssertionError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
@@ -46,12 +46,14 @@ pub fn identify<'py>(
         let options = Options { noise, stop: Some(stop.clone()), ..Options::default() };
         scene.identify(&segments, &options)
     })?;
-    let fit = fit.map_err(|error| PyValueError::new_err(error.to_string()))?;
-    if fit.names.is_empty() {
-        return Err(PyValueError::new_err(
-            "the task has no unknown numbers; name them in `params`, as in {\"system.pole_mass\": 0.2}",
-        ));
-    }
+    let fit = fit.map_err(|error| {
+        PyValueError::new_err(match error {
+            IdentifyError::NothingUnknown => {
+                "the task has no unknown numbers; name them in `params`, as in {\"system.pole_mass\": 0.2}".to_owned()
+            }
+            error => error.to_string(),
+        })
+    })?;
     let by_name = |values: &[f64]| fit.names.iter().cloned().zip(values.iter().copied()).collect::<Vec<_>>();
     let (values, errors) = (PyDict::new(py), PyDict::new(py));
     for ((name, value), (_, error)) in by_name(&fit.values).into_iter().zip(by_name(&fit.errors)) {

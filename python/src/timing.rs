@@ -3,15 +3,19 @@
 use crate::arrays::{Argument, Number, is_f32, with_precision};
 use crate::task::Task;
 use physgrad::{DynTask, Inputs, rows};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::hint::black_box;
 use std::time::Instant;
 
-/// Seconds of one step of `x`, (B, n), and `u`, (B, m), in Rust: the least of `repeats`. The task
-/// has no parameters.
+/// Seconds of one step of `x`, (B, n), and `u`, (B, m), in Rust: the least of `repeats`. Raises
+/// `ValueError` if the task has parameters.
 #[pyfunction]
 pub fn step_seconds(py: Python<'_>, task: &Task, x: &Bound<'_, PyAny>, u: &Bound<'_, PyAny>, repeats: usize) -> PyResult<f64> {
-    let [n, m, _] = task.scene.dims();
+    let [n, m, params] = task.scene.dims();
+    if params > 0 {
+        return Err(PyValueError::new_err("the task has parameters; time a task without drawn numbers"));
+    }
     let step = task.scene.task();
     with_precision!(is_f32(x), F => {
         let (x, b) = Argument::<F>::first("x", x, n)?;

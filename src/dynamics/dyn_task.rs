@@ -136,7 +136,8 @@ impl<T: Task + 'static> AnyTask for T {
     fn observe_vjp(&self, slot: &mut dyn Any) {
         let _found = fill(slot, ObserveVjp::<T>::pointer::<Lanes<f32, 8>, CotangentPack<Lanes<f32, 8>, 1>>)
             || fill(slot, ObserveVjp::<T>::pointer::<Lanes<f64, 8>, CotangentPack<Lanes<f64, 8>, 1>>)
-            || fill(slot, ObserveVjp::<T>::pointer::<Counted, Counted>);
+            || fill(slot, ObserveVjp::<T>::pointer::<Counted, Counted>)
+            || fill(slot, ObserveVjp::<T>::pointer::<f64, f64>);
     }
     fn running_cost(&self, slot: &mut dyn Any) {
         scalar_pointer_of_cost::<RunningCost<T>>(slot);

@@ -84,8 +84,7 @@ pub fn step_jvp<F: Float>(task: &impl Task, inputs: Inputs<'_, F>, tangents: Tan
 
 /// Writes the observations, `[row][component]`. Ignores the controls, which may be empty.
 pub fn observe<F: Float>(task: &impl Task, inputs: Inputs<'_, F>, y: &mut [F]) {
-    let inputs = Inputs { u: &[], ..inputs };
-    let rows = rows(task, &inputs);
+    let rows = rows_without_controls(task, &inputs);
     check("y", y, rows, observed_dim(task));
     if task.observation_dim().is_none() {
         return y.copy_from_slice(inputs.x);
@@ -96,8 +95,7 @@ pub fn observe<F: Float>(task: &impl Task, inputs: Inputs<'_, F>, y: &mut [F]) {
 /// Writes the products of `y_bar` with the transposed Jacobians of the observation: cotangents of
 /// `[x, p]`.
 pub fn observe_vjp<F: Float>(task: &impl Task, inputs: Inputs<'_, F>, y_bar: &[F], [x_bar, p_bar]: [&mut [F]; 2]) {
-    let inputs = Inputs { u: &[], ..inputs };
-    let rows = rows(task, &inputs);
+    let rows = rows_without_controls(task, &inputs);
     check("y_bar", y_bar, rows, observed_dim(task));
     check("x_bar", x_bar, rows, task.system().state_dim());
     check_requested("p_bar", p_bar, rows, task.param_dim());
@@ -152,7 +150,7 @@ pub fn running_cost_vjp<F: Float>(
 
 /// Writes the terminal cost of each row.
 pub fn terminal_cost<F: Float>(task: &impl Task, x: &[F], p: &[F], cost: &mut [F]) {
-    let rows = rows(task, &Inputs { x, u: &[], p, t: 0 });
+    let rows = rows_without_controls(task, &Inputs { x, u: &[], p, t: 0 });
     check("cost", cost, rows, 1);
     for_blocks(rows, [x, p], [cost], |[x, p], [cost]| cost[0] = task.terminal_cost(x, p));
 }
@@ -160,7 +158,7 @@ pub fn terminal_cost<F: Float>(task: &impl Task, x: &[F], p: &[F], cost: &mut [F
 /// Writes the gradients of the terminal costs, multiplied by `cost_bar` of each row: cotangents of
 /// `[x, p]`.
 pub fn terminal_cost_vjp<F: Float>(task: &impl Task, x: &[F], p: &[F], cost_bar: &[F], [x_bar, p_bar]: [&mut [F]; 2]) {
-    let rows = rows(task, &Inputs { x, u: &[], p, t: 0 });
+    let rows = rows_without_controls(task, &Inputs { x, u: &[], p, t: 0 });
     check("cost_bar", cost_bar, rows, 1);
     check("x_bar", x_bar, rows, task.system().state_dim());
     check_requested("p_bar", p_bar, rows, task.param_dim());
@@ -172,13 +170,20 @@ pub fn terminal_cost_vjp<F: Float>(task: &impl Task, x: &[F], p: &[F], cost_bar:
     });
 }
 
-/// Number of rows of the inputs. Controls may be absent.
+/// Number of rows of the inputs.
 #[track_caller]
 fn rows<F>(task: &impl Task, inputs: &Inputs<'_, F>) -> usize {
+    let rows = rows_without_controls(task, inputs);
+    check("u", inputs.u, rows, task.system().control_dim());
+    rows
+}
+
+/// Number of rows of the states and parameters.
+#[track_caller]
+fn rows_without_controls<F>(task: &impl Task, inputs: &Inputs<'_, F>) -> usize {
     let n = task.system().state_dim();
     let rows = inputs.x.len() / n;
     check("x", inputs.x, rows, n);
-    check_requested("u", inputs.u, rows, task.system().control_dim());
     check("p", inputs.p, rows, task.param_dim());
     rows
 }
@@ -318,5 +323,11 @@ mod tests {
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let (forward, backward) = (dot(&next, &next_tan), dot(&x, &x_bar) + dot(&u, &u_bar));
         assert!((forward - backward).abs() < 1e-9 * forward.abs(), "{forward} {backward}");
+    }
+
+    #[test]
+    #[should_panic(expected = "`u` has 0 numbers; expected 2 rows of 1 numbers")]
+    fn a_step_without_controls_is_refused() {
+        step(&CartPole::new(1), Inputs::new(&[0.0; 8], &[]), &mut [0.0; 8]);
     }
 }

@@ -51,7 +51,8 @@ pub(super) fn minimize(
             let next = step(problem, point, &linearized, Weights { per_noise: &problem.per_noise, continuity, damping });
             let value = next.as_ref().map_or(Ok(f64::INFINITY), |next| objective(next, counts))?;
             if let Some(next) = next.filter(|_| value < least) {
-                decrease = Some((least - value) / least);
+                // 1 after an infinite objective.
+                decrease = Some(1.0 - value / least);
                 (*point, least) = (next, value);
                 damping = (damping * 0.1).max(1e-14);
             } else {

@@ -4,8 +4,8 @@
 use physgrad::policy::{Constant, Gru, Linear, Mlp, TrainedParam, WithParams};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::{
-    Batch, Checkpointed, Cotangent, Cotangents, Flow, Gradient, Inputs, Policy, Real, Rollout, Scalar, Schedule, Start, System,
-    Task, Weights, check, initial_states,
+    Batch, Checkpointed, Cotangent, Cotangents, DynTask, Flow, Gradient, Inputs, Policy, Real, Rollout, Scalar, Schedule, Start,
+    System, Task, Weights, check, initial_states,
 };
 use rand::RngExt;
 
@@ -205,6 +205,9 @@ fn check_cost_names_the_wrong_method_and_output() {
     let found = |fault: Fault| check::try_cost(&Tracking::<1> { fault }).map_err(|mismatch| mismatch.what);
     assert!(found(Fault::None).is_ok() && check::try_cost(&ByDuals(tracking::<2>())).is_ok());
     let names = |fault: Fault, name: &str| assert_eq!(found(fault), Err(name.to_owned()));
+    assert!(check::try_cost(&DynTask::new(tracking::<2>())).is_ok());
+    let boxed = check::try_cost(&DynTask::new(Tracking::<1> { fault: Fault::Observation })).map_err(|mismatch| mismatch.what);
+    assert_eq!(boxed, Err("observe_vjp: x_bar".to_owned()));
     names(Fault::Observation, "observe_vjp: x_bar");
     names(Fault::ObservationOfParams, "observe_vjp: p_bar");
     names(Fault::CostOfState, "running_cost_gradient: x_bar");

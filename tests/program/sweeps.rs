@@ -98,4 +98,10 @@ fn runs_are_listed_filtered_sorted_and_drawn() {
     // A tag does not change the identity of a run.
     succeed(&dir, "train --resume --epochs 2 --tag later --quiet --out runs/a");
     assert_eq!(listed(" --tag later"), ["a"]);
+
+    fs::write(dir.path().join("runs/deep/b/metrics.csv"), "epoch\n1\n").expect("a file");
+    assert_eq!(listed(""), ["a", "c"], "a damaged run is omitted");
+    let output = physgrad("runs", dir.path()).output().expect("the command runs");
+    let warning = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(warning.contains("warning: omitted a run: runs/deep/b/metrics.csv is damaged"), "{warning}");
 }

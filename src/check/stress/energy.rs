@@ -76,7 +76,7 @@ fn energy() -> Vec<Finding> {
         1.01,
     ));
     findings.push(Finding::info(
-        "symplectic Euler: amplitude of the error, relative to the energy between hanging and upright",
+        "symplectic Euler: amplitude of the energy error, relative to the energy difference between hanging and upright",
         format!("{:.1e}", long.amplitude),
     ));
     let explicit = tenths(RungeKutta::EULER, 10_000);

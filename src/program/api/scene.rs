@@ -9,7 +9,7 @@ use crate::program::scenes::source::SceneSource;
 use crate::program::settings::Precision;
 use crate::program::tasks;
 use crate::rng::Purpose;
-use crate::{DynTask, Float, System, Task, initial_states};
+use crate::{DynTask, Float, Number, System, Task, initial_states};
 use anyhow::{Context, Result, bail};
 use toml::{Table, Value};
 
@@ -141,6 +141,9 @@ impl Scene {
     /// # Errors
     /// The scene trains no number, or the segments do not fit the system.
     pub fn identify(&self, segments: &[Segment], options: &Options) -> Result<Fit, IdentifyError> {
+        if !self.scene.varied().iter().any(|(_, number)| matches!(number, Number::Trained { .. })) {
+            return Err(IdentifyError::NothingUnknown);
+        }
         self.scene.identify(segments, options)
     }
 

@@ -103,7 +103,8 @@ pub fn identify(args: &Identify) -> Result<()> {
     }
     text += &format!("\n{}", residuals(&fit, &segments, &scene));
     // Only the initial states of the other segments are fitted.
-    let validation = if others.is_empty() { None } else { Some(found.identify(&measured.chosen(&others), &options)?) };
+    let validating = Options { free_starts: true, ..options };
+    let validation = if others.is_empty() { None } else { Some(found.identify(&measured.chosen(&others), &validating)?) };
     if let Some(validation) = &validation {
         let residuals = residuals(validation, &measured.chosen(&others), &scene);
         text += &format!("\nvalidation with {} other segments: {residuals}", others.len());

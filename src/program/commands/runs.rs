@@ -5,7 +5,7 @@ use crate::program::platform::csv::csv;
 use crate::program::platform::folder::{Folder, RUNS};
 use crate::program::platform::json::{print_json, rows};
 use crate::program::platform::table::Table;
-use crate::program::platform::terminal::{counted, print_note, print_text};
+use crate::program::platform::terminal::{counted, print_message, print_note, print_text};
 use crate::program::runs::listed::{Listed, below};
 use crate::report::{Curve, Dash, PALETTE, comparison};
 use anyhow::Result;
@@ -52,7 +52,9 @@ pub enum Order {
 pub fn runs(args: &Runs) -> Result<()> {
     let mut runs = Vec::new();
     for path in &args.folders {
-        runs.extend(below(&Folder::existing(path)?)?);
+        let (found, damaged) = below(&Folder::existing(path)?)?;
+        runs.extend(found);
+        damaged.iter().for_each(|error| print_message(&format!("warning: omitted a run: {error:#}")));
     }
     runs.retain(|run| args.task.as_ref().is_none_or(|task| *task == run.task));
     runs.retain(|run| args.tag.as_ref().is_none_or(|tag| run.tags.contains(tag)));

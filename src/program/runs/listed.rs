@@ -23,26 +23,29 @@ pub struct Listed {
     pub saved: SystemTime,
 }
 
-/// Runs in a folder and in its subfolders, sorted by path.
+/// Runs in a folder and in its subfolders, sorted by path, and the errors of damaged runs.
 ///
 /// # Errors
-/// The folder, or the files of a run in it, cannot be read.
-pub fn below(folder: &Folder) -> Result<Vec<Listed>> {
+/// The folder cannot be read.
+pub fn below(folder: &Folder) -> Result<(Vec<Listed>, Vec<anyhow::Error>)> {
     /// Number of levels of folders: folder of comparisons, comparison, scene, `runs`, run.
     const DEPTH: usize = 5;
-    let (mut level, mut runs) = (vec![folder.clone()], Vec::new());
+    let (mut level, mut runs, mut damaged) = (vec![folder.clone()], Vec::new(), Vec::new());
     for _ in 0..DEPTH {
         let mut next = Vec::new();
         for folder in level {
             match saved::has_run(&folder) {
-                true => runs.push(Listed::read(folder)?),
+                true => match Listed::read(folder) {
+                    Ok(run) => runs.push(run),
+                    Err(error) => damaged.push(error),
+                },
                 false => next.extend(saved::folders(folder.path())?),
             }
         }
         level = next;
     }
     runs.sort_by(|a, b| a.folder.path().cmp(b.folder.path()));
-    Ok(runs)
+    Ok((runs, damaged))
 }
 
 impl Listed {
