@@ -48,7 +48,8 @@ pub use tasks::{ProgramEffect, ProgramTask, SceneEffects};
 /// Train neural controllers through long rollouts of differentiable physics; choose the vector
 /// field that the optimizer follows.
 ///
-/// Without a command: train the first task of this crate (or cart_pole) with default settings.
+/// Without a command: train cart_pole with default settings; in a program with tasks of the user,
+/// train the first of them.
 #[derive(Debug, Parser)]
 #[command(version, arg_required_else_help = false)]
 struct Arguments {

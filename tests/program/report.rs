@@ -167,7 +167,7 @@ fn the_page_of_field_m_states_why_the_cosine_is_absent() {
     let dir = TempDir::new().expect("a folder");
     train(dir.path(), &["--epochs", "2", "--field", "M"]).assert().success();
     let page = report(dir.path());
-    assert!(!page.contains("Agreement of M and R") && page.contains("recorded for the combined field (C) only"));
+    assert!(!page.contains("Agreement of M and R") && page.contains("recorded only for fields that combine two gradients"));
 }
 
 #[test]

@@ -10,7 +10,7 @@ use crate::{Divergence, DynTask, Field, Float, Rollout, Weights};
 use anyhow::{Result, bail};
 use std::sync::Arc;
 
-/// A precision of trainings: `f32` or `f64`.
+/// Precision of a training: `f32` or `f64`.
 pub trait Precise: Float {
     #[doc(hidden)]
     fn policy(policy: &dyn DynPolicy) -> &dyn AnyPolicy<Self>;

@@ -12,7 +12,7 @@ use anyhow::{Context, Result};
 use std::path::{Path, PathBuf};
 use toml::Value;
 
-/// A training. It has the bits and the files of `physgrad train`.
+/// A training. Its results are bit for bit those of `physgrad train`, and its files are the same.
 pub struct Run {
     scene: Scene,
     run: Box<dyn AnyRun>,
@@ -38,7 +38,8 @@ impl Run {
             } else {
                 random.rounded::<f32>() == policy.rounded::<f32>()
             };
-            // A random policy is no setting of the run, as in the program.
+            // The random policy of the seed is no setting of the run: `physgrad train` starts from it
+            // too.
             if !is_random {
                 scene.scene = scene.scene.starting_from(policy.safetensors()?);
             }
@@ -80,10 +81,11 @@ impl Run {
         self.run.is_done()
     }
 
-    /// Sets the total number of epochs of a run that continues.
+    /// Sets the total number of epochs of a run that continues. The number may be smaller than the
+    /// number of completed epochs.
     ///
     /// # Errors
-    /// The learning rate decays over the epochs, or the run already has more.
+    /// The learning rate decays over the epochs, or the number exceeds the range of the setting.
     pub fn set_epochs(&mut self, epochs: u64) -> Result<()> {
         let scene = self.scene.with([("epochs".to_owned(), Value::Integer(i64::try_from(epochs)?))])?;
         let mut run = scene.scene.open(self.threads)?;
@@ -96,7 +98,7 @@ impl Run {
     /// in the folder is moved.
     ///
     /// # Errors
-    /// The folder cannot be written to.
+    /// The folder cannot be written to, is in use, or contains other files.
     pub fn save(&mut self, folder: &Path) -> Result<()> {
         let locked = Folder::at(folder).lock()?;
         let is_own = self.folder.as_deref().is_some_and(|own| own == folder);
@@ -110,7 +112,8 @@ impl Run {
     /// folder, if it has one. Returns whether the run is complete.
     ///
     /// # Errors
-    /// A file cannot be written. Training diverged: a [`TrainError`].
+    /// A file cannot be written. The run in a folder has more epochs than its setting. Training
+    /// diverged: a [`TrainError`]. No update was applied.
     pub fn train(&mut self, observer: &mut dyn Observer) -> Result<bool> {
         let (scene, run) = (&self.scene.scene, &mut *self.run);
         let finished = match &self.folder {

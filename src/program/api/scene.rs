@@ -105,7 +105,7 @@ impl Scene {
         self.scene.horizon
     }
 
-    /// Time step, s.
+    /// Time step, in the unit of time of the task: s, except for `quantum`.
     pub fn dt(&self) -> f64 {
         self.scene.dt()
     }

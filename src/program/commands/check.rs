@@ -67,7 +67,7 @@ fn stability(scene: &Scene, mut halved: SceneSource) -> Result<String> {
         return Ok(format!("time step: not checked beyond {MAX_STATES} state components"));
     }
     let Some(Amplification { sample, step, stability }) = scene.amplification() else {
-        return Ok("time step: not checked, because all test rollouts diverge in their first step".into());
+        return Ok("time step: not checked, because a test rollout diverges in the first step".into());
     };
     let Stability { multiplier, component } = stability;
     let place = format!("in test rollout {sample}, step {step}");

@@ -49,7 +49,7 @@ pub struct Identify {
     /// Length of the windows of multiple shooting, in steps; 0: whole segments
     #[arg(long, value_name = "STEPS", default_value_t = 10)]
     pub window: usize,
-    /// Fit every N-th segment only, and evaluate the others with free initial states
+    /// Fit every N-th segment only, and simulate the others from fitted initial states
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub every: usize,
     /// Number of threads [default: RAYON_NUM_THREADS, or all cores]; results do not depend on it

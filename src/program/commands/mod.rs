@@ -1,6 +1,6 @@
 //! Commands of the program, one module each. `print` contains `scene` and `schema`.
 //!
-//! Imports all other parts of the program. Start reading with `train`.
+//! Imports all other parts of the program except `api`. Start reading with `train`.
 
 pub mod accuracy;
 pub mod animate;

@@ -148,7 +148,7 @@ mod tests {
 }
 ";
 
-const SCENE: &str = r#"# Settings that differ from the defaults; `cargo run --release -- tasks` lists all.
+const SCENE: &str = r#"# Settings that differ from the defaults; `cargo run --release -- tasks NAME` lists all.
 scene = 1
 task = "NAME"
 field = "regular"

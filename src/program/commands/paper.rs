@@ -41,8 +41,8 @@ pub struct Paper {
     #[arg(short, long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Train share K of N of the runs, then all other runs that no process holds. Other shards may
-    /// train in the same folder, on any machine. Run `physgrad merge` afterwards (docs/clusters.md).
-    /// Shard 1 makes figures 1 and 2
+    /// train in the same folder, on any machine. Run `physgrad merge` afterwards
+    /// (docs/clusters.md). Shard 1 makes figures 1 and 2
     #[arg(long, value_name = "K/N", requires = "out", conflicts_with = "json")]
     pub shard: Option<Shard>,
 }

@@ -36,8 +36,8 @@ pub struct Amplification {
     pub stability: Stability,
 }
 
-/// Largest amplification in states of test rollouts with initial parameters. `None` if all rollouts
-/// diverge in their first step.
+/// Largest amplification in states of test rollouts with initial parameters. `None` if a rollout
+/// diverges in the first step.
 pub fn amplification(task: &DynTask, policy: &impl Policy, seed: u64) -> Option<Amplification> {
     let weights = Weights::<f64>::init(policy, &mut stream(seed, Purpose::Policy, 0));
     let starts = initial_states(task, seed, Purpose::Test, ROLLOUTS);

@@ -8,8 +8,8 @@ use crate::{Adjoint, Divergence, Field, Float, Flow, Gradient, Rollout, Weights}
 /// Number of samples in one rollout.
 const BLOCK: usize = 8 * GROUP;
 
-/// Vectors of the fields for the mean loss of rollouts from `starts`. Up to 32 samples have the
-/// bits of a mini-batch of a training.
+/// Vectors of the fields for the mean loss of rollouts from `starts`. For up to 32 samples, the
+/// vectors are bit for bit those of a training with this mini-batch.
 ///
 /// # Errors
 /// The first [`Divergence`].

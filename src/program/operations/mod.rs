@@ -1,5 +1,6 @@
-//! Computations with a task and its policy: sessions, checks, simulations, gradients, costs,
-//! evaluation, policy files, ONNX models and identification.
+//! Computations with a task and its policy: sessions, checks, simulations, gradients, fields, norms
+//! of adjoints, costs, memory, evaluation, trajectories, policy files, ONNX models and
+//! identification.
 //!
 //! Imports `platform` and `settings`. Start with `session`.
 

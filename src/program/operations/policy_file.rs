@@ -85,7 +85,7 @@ pub fn read(bytes: &[u8], policy: &dyn AnyPolicy<f64>, seed: u64) -> Result<Vec<
         if found.shape() != own.shape {
             bail!(
                 "its tensor {} has the shape {:?}, but the policy of the scene has {:?}; use the `policy` section of its run, and \
-                 as many states and controls",
+                 as many observations and controls",
                 own.name,
                 found.shape(),
                 own.shape

@@ -1,4 +1,4 @@
-//! Simulation of a scene with one setting: results and costs.
+//! Rollout of a scene, with its adjoints: results, operations, memory and time.
 
 use crate::any::AnyTask;
 use crate::policy::AnyPolicy;

@@ -110,7 +110,7 @@ impl Folder {
         unreachable!("some number is free")
     }
 
-    /// Locks the folder at this path. Without a path, creates `runs/<name>` and locks it.
+    /// Locks the folder at this path. Without a path, locks a [`fresh`](Self::fresh) folder.
     pub fn named(path: Option<&Path>, name: &str) -> Result<Locked> {
         path.map_or_else(|| Self::fresh(name), |path| Ok(Self::at(path)))?.lock()
     }

@@ -64,8 +64,8 @@ impl Ranks for World {
             });
             [0].into_iter().chain(ends).take(lengths.len()).map(length).collect()
         };
-        // Adds an unused byte: the address of an empty vector of bytes is 1, which is MPI_IN_PLACE in
-        // Open MPI.
+        // Adds an unused byte: the address of an empty vector of bytes is 1, which is MPI_IN_PLACE
+        // in Open MPI.
         let bytes = [&messages.concat()[..], &[0]].concat();
         let mut buffer = vec![0u8; received.iter().map(|&bytes| bytes as usize).sum::<usize>() + 1];
         let (sent_starts, received_starts) = (starts(&sent), starts(&received));

@@ -1,7 +1,7 @@
 //! Terminal output: results, messages and progress bars.
 //!
 //! The environment variable `COLUMNS` replaces the width of the terminal. Without it, output that
-//! is not a terminal has no width: lines are as long as their contents.
+//! is not a terminal has no width: sentences are not broken, and tables break only long cells.
 
 use anyhow::{Context, Result};
 use console::Term;
@@ -13,7 +13,7 @@ use std::time::Duration;
 /// Smallest width that output is fitted to.
 const NARROWEST: usize = 40;
 
-/// Width of standard output in columns. None without a terminal.
+/// Width of standard output in columns. None without `COLUMNS` and without a terminal.
 pub fn width() -> Option<usize> {
     width_of_term(&Term::stdout())
 }
@@ -79,7 +79,8 @@ pub fn print_note(text: &str, json: bool) -> Result<()> {
 /// The last progress bar of the process.
 static BAR: Mutex<Option<ProgressBar>> = Mutex::new(None);
 
-/// Progress bar of `steps` steps; of an unknown number if 0. Hidden if quiet or without a terminal.
+/// Progress bar of `steps` steps, or a spinner if `steps` is 0. Hidden if quiet or without a
+/// terminal.
 pub fn progress_bar(steps: usize, template: &str, quiet: bool) -> ProgressBar {
     let bar = if steps == 0 { ProgressBar::new_spinner() } else { ProgressBar::new(steps as u64) };
     let term = Term::stderr();

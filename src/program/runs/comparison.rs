@@ -144,7 +144,7 @@ fn read_toml<T: DeserializeOwned>(folder: &Folder, name: &str) -> Result<T> {
 /// Writes the plan of a comparison, which `merge` reads.
 ///
 /// # Errors
-/// `shard` is true, and the folder has the plan of another comparison.
+/// `shard` is true, and the folder has another plan. The file cannot be read or written.
 pub fn write_plan(folder: &Folder, plan: &impl Serialize, shard: bool) -> Result<()> {
     write_plan_file(folder, COMPARISON, &toml::to_string(plan)?, shard)
 }
@@ -155,8 +155,8 @@ pub fn write_plan_file(folder: &Folder, name: &str, plan: &str, shard: bool) -> 
     match saved {
         Some(saved) if saved == plan.as_bytes() => Ok(()),
         Some(saved) if shard => bail!(
-            "{} has the plan of another comparison; give all shards equal options, or choose another folder with --out. These lines \
-             differ:\n{}",
+            "{} has the plan of another comparison or study; give all shards equal options, or choose another folder with --out. \
+             These lines differ:\n{}",
             folder.file(name).display(),
             differences(&String::from_utf8_lossy(&saved), plan)
         ),
@@ -237,7 +237,7 @@ pub fn check_options(fields: &[FieldName], seeds: u64, epochs: usize) -> Result<
 pub fn check_distinct<'a>(option: &str, names: impl Iterator<Item = &'a str>) -> Result<()> {
     let mut seen = HashSet::new();
     match names.into_iter().find(|name| !seen.insert(*name)) {
-        Some(name) => bail!("{option} names {name} twice"),
+        Some(name) => bail!("{option} names {name} twice; give each name once"),
         None => Ok(()),
     }
 }

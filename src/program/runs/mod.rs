@@ -1,6 +1,6 @@
 //! Runs in folders: training, resuming, comparisons, output files, statistics.
 //!
-//! Imports all parts of the program except `commands`. Start with `run`.
+//! Imports all parts of the program except `commands` and `api`. Start with `run`.
 
 pub mod comparison;
 pub mod listed;

@@ -24,7 +24,7 @@ struct Repeated {
     last: String,
 }
 
-/// Width of a terminal from which the elapsed time is shown.
+/// Width of the line of the bar, in columns, from which it shows the elapsed time.
 const WIDE: usize = 96;
 
 impl Progress {
@@ -71,8 +71,8 @@ impl Progress {
         }
     }
 
-    /// Prints the warnings of an epoch, even if quiet. Prints one warning of each kind, and counts
-    /// the others. `run` is a prefix that names the run.
+    /// Prints the first warning of each kind, even if quiet, and counts the others. `run` is a prefix
+    /// that names the run.
     pub fn warn(&mut self, run: &str, event: EpochEvent) {
         for warning in event.warnings {
             let last = format!("{run}epoch {}", warning.epoch);

@@ -26,8 +26,8 @@ pub trait Observer {
     fn resumed(&mut self, _epochs: usize) {}
     /// An epoch is complete.
     fn epoch(&mut self, event: EpochEvent);
-    /// Time between two calls of [`is_stopped`](Self::is_stopped) within an epoch. None calls it
-    /// between epochs only.
+    /// Time between two calls of [`is_stopped`](Self::is_stopped) within an epoch. With None, calls
+    /// follow epochs and checkpoints only.
     fn poll_every(&self) -> Option<Duration> {
         None
     }
@@ -64,7 +64,7 @@ pub struct Finished {
 /// End of a run.
 pub enum End {
     Complete,
-    /// A signal ended the run.
+    /// A signal or the observer ended the run.
     Interrupted,
     /// Training failed. The run has the state after the last complete epoch.
     Failed(TrainError),
@@ -113,8 +113,8 @@ pub fn threads(requested: Option<usize>) -> Result<usize> {
 
 /// Trains the session `run` of a scene in the folder. Resumes from the checkpoint if `resume`.
 ///
-/// Saves every `save_every`, after the current update or evaluation. With several ranks, rank 0 calls
-/// this function and the others call [`follow`].
+/// Saves every `save_every`, after the current update or evaluation. With several ranks, rank 0
+/// calls this function and the others call [`follow`].
 pub fn run(
     folder: &Locked,
     scene: &Scene,
@@ -313,7 +313,7 @@ impl<'a> Saver<'a> {
     }
 }
 
-/// Writes the policy, learning curve, trajectories and animation.
+/// Writes the last and the best policy, learning curve, trajectories and animation.
 fn write_outputs(folder: &Folder, scene: &Scene, run: &dyn AnyRun) -> Result<()> {
     let task = scene.task.name();
     let title = format!("{task}, field {}, seed {}", scene.field.0, scene.seed);

@@ -34,7 +34,7 @@ pub struct Overrides {
     /// Also write the metrics of every epoch in these formats, for other tools
     #[arg(long, value_enum, value_delimiter = ',', value_name = "FORMAT")]
     pub log: Vec<LogFormat>,
-    /// Change or add a setting, for example system.poles=4; `physgrad tasks` lists them
+    /// Change or add a setting, for example system.poles=4; `physgrad tasks TASK` lists them
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
     /// Remove an effect or a part of the actuator

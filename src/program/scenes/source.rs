@@ -172,7 +172,7 @@ impl SceneSource {
         self.put(key, value, option)
     }
 
-    /// Replaces the value of a top-level key by the value in another source.
+    /// Replaces the value of a top-level key by the value in another source, if that source has one.
     pub fn copy(&mut self, key: &str, from: &Self) {
         if let Some(value) = from.table.get(key) {
             self.table.insert(key.into(), value.clone());
@@ -214,7 +214,7 @@ impl SceneSource {
     /// Validates the scene. Absent settings get the task's defaults. Absent effects stay absent.
     ///
     /// # Errors
-    /// A setting is invalid. The scene has a sweep.
+    /// A setting is invalid. The scene has a sweep. The file of the initial policy cannot be read.
     pub fn scene(&self) -> Result<Scene> {
         if self.sweep.is_some() {
             bail!("{}: the scene has a sweep, which only `compare` trains; remove the section", self.origin("sweep"));

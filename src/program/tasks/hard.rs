@@ -1,4 +1,5 @@
-//! Tasks that are numerically hard by design. A function adds substeps and actuators to each task.
+//! Tasks that are numerically hard by design. The function `in_scene` adds substeps and actuators of
+//! a scene to each task.
 
 mod bounce;
 mod contact;
@@ -74,7 +75,7 @@ pub struct UprightLoss {
 enum Start {
     /// Angles within ±π/6 of hanging; other components within ±π/6 rad/s, m and m/s.
     Hanging,
-    /// All components within ±0.05 of upright.
+    /// Angles within ±0.05 rad of upright; other components within ±0.05 rad/s, m and m/s.
     Upright,
 }
 

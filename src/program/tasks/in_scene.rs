@@ -6,8 +6,8 @@ use crate::{
     Actuated, AnyActuator, Cotangent, Cotangents, DynSystem, DynTask, Inputs, Real, Scalar, Start, Substeps, System, Task,
 };
 
-/// The task with horizon, substeps and actuators of a scene. `system` is its physics, with the time
-/// step of a substep.
+/// The task with horizon, substeps and actuators of a scene. `system` is the physics of the task,
+/// with the time step of a substep.
 pub fn in_scene<K: TaskSpec>(settings: &Settings<K>, task: DynTask, system: DynSystem) -> DynTask {
     let count = settings.integrator.count();
     if count == 1 && settings.actuator.is_empty() && settings.horizon == task.horizon() {

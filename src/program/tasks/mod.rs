@@ -87,7 +87,7 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     /// Named settings for gradient checks.
     fn variants() -> Vec<(String, Settings<Self>)>;
 
-    /// Time step in seconds.
+    /// Time step, in the unit of time of the task: s, except for `quantum`.
     fn dt(settings: &Settings<Self>) -> f64;
     /// Names of the state components, including those that effects add.
     fn state_names(settings: &Settings<Self>) -> Vec<String>;

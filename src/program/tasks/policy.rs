@@ -14,7 +14,8 @@ pub trait PolicySpec: Section + Default {
     type Policy: Policy + Clone + 'static;
     /// Checks the ranges of all settings.
     fn validate(&self) -> Result<(), ConfigError>;
-    /// Builds the policy for these dimensions of state and control.
+    /// Builds the policy for these dimensions of observation and control. By default, a task observes
+    /// its state.
     fn build(&self, state_dim: usize, control_dim: usize) -> Self::Policy;
 }
 
@@ -31,7 +32,7 @@ pub fn trained(varied: &Varied) -> Option<TrainedParam> {
     })
 }
 
-/// Multilayer perceptron that observes the whole state.
+/// Multilayer perceptron of the observation: the whole state, unless the task has another one.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MlpSettings {

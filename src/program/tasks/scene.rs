@@ -55,7 +55,7 @@ pub struct Scene {
     settings: Arc<dyn AnySettings>,
 }
 
-/// Object-safe policy of either precision.
+/// Object-safe policy in both precisions.
 pub trait DynPolicy: AnyPolicy<f32> + AnyPolicy<f64> {}
 impl<P: AnyPolicy<f32> + AnyPolicy<f64>> DynPolicy for P {}
 
@@ -90,7 +90,7 @@ pub trait AnySettings: Send + Sync {
     /// Prepares the policy with these parameters for rollouts from new initial states. Numbers that
     /// the scene trains have their initial values.
     fn evaluation(&self, theta: &[f64], seed: u64) -> Result<Box<dyn AnyEvaluation>>;
-    /// Time step in seconds.
+    /// Time step, in the unit of time of the task: s, except for `quantum`.
     fn dt(&self) -> f64;
     /// Names of the state components.
     fn state_names(&self) -> Vec<String>;

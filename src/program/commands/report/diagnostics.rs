@@ -32,7 +32,7 @@ pub fn of_epochs(runs: &[Inspected]) -> Vec<Figure> {
             Figure::new(
                 "Agreement of M and R",
                 Chart::linear(EPOCH, "cosine", [-1.0, 1.0], by_epoch(|r| r.cosine.unwrap_or(f64::NAN))),
-                "Cosine of the angle between the vectors M and R, from which C is computed. At 1 their directions are equal. \
+                "Cosine of the angle between the vectors M and R, from which the field is computed. At 1 their directions are equal. \
                  At 0 or below, backpropagation through the network gives R a direction that does not agree with M.",
             )
             .keys(keys()),
@@ -41,8 +41,8 @@ pub fn of_epochs(runs: &[Inspected]) -> Vec<Figure> {
             Figure::new(
                 "Share of components kept",
                 Chart::linear(EPOCH, "share kept", [0.0, 1.0], by_epoch(|r| r.kept.unwrap_or(f64::NAN))),
-                "Share of parameters in which M and R have the same sign. C equals M there, and is zero elsewhere. Unrelated \
-                 gradients give one half; a share near or below it means that M and R do not agree.",
+                "Share of nonzero components of the field. C equals M where M and R have the same sign, and is zero elsewhere. \
+                 Unrelated gradients then give one half; a share near or below it means that M and R do not agree.",
             )
             .keys(keys()),
         );
@@ -83,7 +83,7 @@ fn growth_by_epoch(runs: &[Inspected]) -> Figure {
 pub fn missing(runs: &[Inspected]) -> Option<&'static str> {
     let has_one_flow = runs.iter().all(|run| run.field.flows().len() == 1);
     has_one_flow.then_some(
-        "Cosine and share kept are recorded for the combined field (C) only, which uses two gradients. These runs use one.",
+        "Cosine and share kept are recorded only for fields that combine two gradients, such as C. These runs use one.",
     )
 }
 

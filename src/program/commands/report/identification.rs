@@ -61,7 +61,7 @@ fn rows(folder: &Folder, name: &str) -> Result<Vec<Vec<String>>> {
     rows.with_context(|| format!("cannot read {}", folder.file(name).display()))
 }
 
-/// A number with four digits. Other text stays.
+/// A number with four digits; "unknown" if it is not finite. Other text stays.
 fn rounded(cell: &str) -> String {
     cell.parse::<f64>().map_or_else(|_| cell.to_owned(), |x| if x.is_finite() { short(x) } else { "unknown".into() })
 }

@@ -1,4 +1,4 @@
-//! Data of a run for the page, read from its folder.
+//! Data of a run for the page, from its folder or from memory.
 
 use crate::program::operations::adjoint_norms::AdjointNorms;
 use crate::program::operations::session::AnyRun;

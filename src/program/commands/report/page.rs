@@ -81,8 +81,8 @@ fn version(run: &Inspected) -> &str {
     run.settings.get("physgrad").and_then(Value::as_str).unwrap_or_default()
 }
 
-/// A page with a header and this content. `folder` is the name of the folder of the results, if they
-/// have one.
+/// A page with a header and this content. `folder` is the name of the folder of the results, if
+/// they have one.
 pub fn document(title: &str, folder: Option<&str>, version: &str, note: &str, trouble: &[String], content: &Markup) -> String {
     html! {
         (DOCTYPE)

@@ -16,7 +16,7 @@ pub const NOTE: &str = "test loss of the last epoch at the learning rate with th
                         seeds; ratio to the first method with a 95 % bootstrap interval; failed: not below the loss of the \
                         untrained policy; (end): the smallest or largest learning rate, add rates beyond it to the plan";
 
-/// Explanation of the columns with measured times.
+/// Titles of the columns with measured times.
 const TIMED: [&str; 2] = ["loss over time", "seconds"];
 
 /// Methods of all tasks, at their best learning rates.
@@ -246,8 +246,8 @@ impl<'a> Results<'a> {
         final_losses(title, best.chunk_by(|a, b| a.names.task == b.names.task).map(panel).collect())
     }
 
-    /// Returns whether the learning rate is the smallest or largest one of several rates of its task
-    /// and method.
+    /// Returns whether the learning rate is the smallest or largest one of several rates of its
+    /// task and method.
     fn is_at_end(&self, Names { task, method, learning_rate }: Names) -> bool {
         let others = self.cells.iter().map(|cell| cell.names).filter(|other| (other.task, other.method) == (task, method));
         let rates = sorted(others.map(|names| names.learning_rate));

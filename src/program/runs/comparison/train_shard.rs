@@ -14,11 +14,11 @@ use std::sync::Mutex;
 /// Trains the runs of a shard, then all other runs that have not ended and that no other process
 /// holds.
 ///
-/// Visits the runs in the order of the shard, until a whole round finds no run to train. A run that
-/// a killed process left is therefore completed by every process that visits it later.
+/// Visits the runs in the order of the shard, until a whole round finds no run to train. The next
+/// process that visits a run of a killed process therefore completes it.
 ///
 /// # Errors
-/// As [`train_all`].
+/// As [`train_all`](super::train_all()).
 pub fn train_shard(comparisons: &[Comparison], shard: Shard, quiet: bool) -> Result<Ended> {
     let runs = labelled(comparisons);
     for (run, _) in &runs {

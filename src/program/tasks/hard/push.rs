@@ -21,7 +21,7 @@ pub struct Push;
 pub struct PushSettings {
     /// Masses of pusher and box, kg.
     masses: [f64; 2],
-    /// Distance between the centres in contact, m.
+    /// Distance between the centers in contact, m.
     contact_distance: f64,
     /// Time step, s.
     dt: f64,

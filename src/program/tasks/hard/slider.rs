@@ -22,7 +22,7 @@ pub struct SliderSettings {
     mass: f64,
     /// Coefficient of friction.
     coefficient: f64,
-    /// Speed below which the friction law is smooth, m/s.
+    /// Speed below which the friction law is smoothed, m/s.
     smoothing: f64,
     /// Time step, s.
     dt: f64,
