@@ -6,12 +6,12 @@
 //! Layers. Each imports only layers with smaller numbers; `tests/layout.rs` lists the allowed
 //! imports:
 //!
-//! 1. `platform`: files, folders, locks, signals, tables, threads, terminal, CSV, JSON.
+//! 1. `platform`: files, folders, locks, signals, ranks, tables, threads, terminal, CSV, JSON.
 //! 2. `settings`: sections of a scene, errors in settings.
 //! 3. `operations`: computations on any task, generic over the policy.
 //! 4. `tasks`: built-in tasks; `Scene`, independent of the type of its task.
-//! 5. `scenes`: scene files, presets, overrides.
-//! 6. `runs`: training, resuming, comparisons, output files.
+//! 5. `scenes`: scene files, presets, overrides, sweeps, plans of studies.
+//! 6. `runs`: training, resuming, comparisons, output files, statistics.
 //! 7. `commands`: the commands; `print` contains `scene` and `schema`.
 //! 8. `api`: scenes, policies and runs for other programs, for example the Python bindings.
 //!

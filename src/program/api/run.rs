@@ -12,7 +12,7 @@ use anyhow::{Context, Result};
 use std::path::{Path, PathBuf};
 use toml::Value;
 
-/// A training. Its results are bit for bit those of `physgrad train`, and its files are the same.
+/// A training. Results and files are bit for bit those of `physgrad train`, except for times.
 pub struct Run {
     scene: Scene,
     run: Box<dyn AnyRun>,

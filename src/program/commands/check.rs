@@ -13,8 +13,8 @@ use toml::Value;
 
 /// Check the gradients of systems, policies and whole rollouts against dual numbers.
 ///
-/// For a named task or scene, also check the stability of the time step in states of test rollouts,
-/// and the slope of the loss at the initial parameters.
+/// For a named task or scene, also check the stability of the time step in states of test rollouts.
+/// Also check the slope of the loss at the initial parameters.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  physgrad check\n  physgrad check my_scene.toml")]
 pub struct Check {

@@ -1,4 +1,4 @@
-//! Files, folders and their locks, CSV, JSON, signals, tables, threads, terminal.
+//! Files, folders and their locks, CSV, JSON, signals, ranks of MPI, tables, threads, terminal.
 //!
 //! Imports no other part of the program. Start with `folder`.
 

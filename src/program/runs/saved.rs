@@ -127,7 +127,7 @@ pub fn check_resumable(folder: &Folder, scene: &Scene) -> Result<()> {
     let saved = self::scene(folder)?.identity();
     if scene.identity() != saved {
         bail!(
-            "a resumed run keeps its settings (`training.memory` may change, and the number of epochs only while \
+            "a resumed run keeps its settings (`tags`, `log` and `training.memory` may change, and the number of epochs only while \
              `training.decay` is constant); in {}, these differ:\n{}",
             folder.path().display(),
             differences(&saved, &scene.identity())

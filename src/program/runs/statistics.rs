@@ -181,7 +181,7 @@ pub fn median_ratio(pairs: &[(f64, f64)]) -> Ratio {
 }
 
 /// Mean of the logarithm to base 10 of the test loss over the first `duration` seconds of a
-/// training: the area under the learning curve on a logarithmic axis, divided by the duration.
+/// training. It is the area under the learning curve on a logarithmic axis, divided by the duration.
 ///
 /// The curve starts at the loss `initial` and connects the losses after each epoch by straight
 /// lines on the logarithmic axis. It starts at the loss of the first epoch if `initial` is not
@@ -214,8 +214,8 @@ mod tests {
         // Medians 2 and 8. Each pair has the ratio 1/4, and so has every resample.
         let ratio = median_ratio(&[(1.0, 4.0), (2.0, 8.0), (3.0, 12.0)]);
         assert_eq!(ratio, Ratio { value: 0.25, interval: [0.25; 2] });
-        // A resample of two seeds is the first one twice, the second one twice, or both, with
-        // probabilities 1/4, 1/4 and 1/2, and ratios 1, 9 and 5.
+        // A resample of two seeds is the first one twice, the second one twice, or both. The
+        // probabilities are 1/4, 1/4 and 1/2, the ratios 1, 9 and 5.
         let ratio = median_ratio(&[(1.0, 1.0), (9.0, 1.0)]);
         assert_eq!(ratio, Ratio { value: 5.0, interval: [1.0, 9.0] });
         // One of 9 seeds differs. Its ratio is the median only if 5 of 9 draws choose it, which has

@@ -1,4 +1,4 @@
-//! Scene files, presets, sweeps and command-line overrides.
+//! Scene files, presets, sweeps, plans of studies and command-line overrides.
 //!
 //! Errors name the line or option of a key. Imports `settings`, `tasks` and `platform`. Start with
 //! `source`.

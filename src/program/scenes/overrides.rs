@@ -86,7 +86,7 @@ impl Overrides {
     }
 }
 
-/// Hides options that only trainings use in the help text of other commands.
+/// Hides the options that only training uses from the help text of a command.
 pub fn hide_training(arg: clap::Arg) -> clap::Arg {
     let is_hidden = ["epochs", "policy", "tag", "log"].contains(&arg.get_id().as_str());
     if is_hidden { arg.hide(true) } else { arg }

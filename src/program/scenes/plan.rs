@@ -249,8 +249,8 @@ impl Plan {
         Ok(Cell { task, method, learning_rate, folder, scene })
     }
 
-    /// Sets the values of the section `path`. Sections of the scene in it, as in `policy.widths`
-    /// without quotation marks, keep their other keys.
+    /// Sets the values of the table `path` of the plan. A key without quotation marks, as in
+    /// `policy.widths = [4]`, is a table in TOML. The other keys of that section keep their values.
     fn set(&self, source: &mut SceneSource, path: &str, set: &Table) -> Result<()> {
         for (key, value) in set {
             let mut settings = Vec::new();

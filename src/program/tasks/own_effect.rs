@@ -26,7 +26,7 @@ pub trait ProgramEffect: Effect<Self::Model> + Section + Default {
     const NAME: &'static str;
     /// Equation of the added force.
     const EQUATION: &'static str;
-    /// Method of differentiation, for the tables of `explain`.
+    /// Method of differentiation, for the output of `explain` and `effects`.
     const DERIVATIVE: &'static str = "dual numbers";
 
     /// Checks the settings. Default: all values are valid.

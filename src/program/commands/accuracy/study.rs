@@ -29,7 +29,7 @@ pub enum Metric {
 }
 
 impl Metric {
-    /// Error of this measure, relative.
+    /// Relative error of this measure.
     pub fn read(self, errors: &Errors) -> f64 {
         match self {
             Self::Trajectory => errors.trajectory,

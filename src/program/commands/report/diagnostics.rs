@@ -136,8 +136,8 @@ pub fn of_comparison(runs: &[Inspected]) -> Vec<Figure> {
     ]
 }
 
-const GROWTH: &str = "Norm of the derivative of later costs with respect to the state at each step, through physics and network \
-                      (R) or through the physics alone (M). Its root mean square over the test rollouts is drawn. The \
+const GROWTH: &str = "Norm of the derivative of later costs with respect to the state at each step: through physics and network \
+                      (R), or through physics alone (M). Its root mean square over the test rollouts is drawn. The \
                       reverse pass runs from right to left: a line that rises by powers of ten shows an exploding adjoint, \
                       a falling line a vanishing adjoint.";
 

@@ -14,8 +14,8 @@ use toml::Value;
 /// Explanation of the letters of the fields.
 const FIELDS: &str = "Fields: R is the exact gradient, backpropagated through physics and network. M is backpropagated through the \
                       physics only, N through the network only, S through neither. C, the combined field, is M where M and R have \
-                      the same sign, and zero elsewhere. Other combinations of M and R: P is M without the component that opposes \
-                      R, F has equal angles to both, MR has the sizes of M and the signs of R, RM is R with the norm of M.";
+                      the same sign, and zero elsewhere. P is M without the component that opposes R. F has equal angles to M \
+                      and R. MR has the sizes of M and the signs of R. RM is R with the norm of M.";
 
 /// Page about one run.
 pub fn run(folder: Option<&str>, run: &Inspected) -> String {

@@ -292,7 +292,7 @@ mod tests {
         let rows: Vec<&str> = methods.lines().skip(1).collect();
         // One seed of three ends above the loss 1 of the untrained policy, with either method. The
         // ratio of the medians of B and A is 0.8 / 0.2. Resamples have medians of A among 0.1, 0.2
-        // and 1.5, and of B among 0.4, 0.8 and infinity, at the same seeds: ratios 4, 4 and
+        // and 1.5, and of B among 0.4, 0.8 and infinity. At the same seeds, the ratios are 4, 4 and
         // infinity.
         assert_eq!(rows[0], "task,A,0.01,3,1,0.3333333333333333,0.2,0.1,1.5,1,1,1");
         assert_eq!(rows[1], "task,B,0.01,3,1,0.3333333333333333,0.8,0.4,NaN,4,4,inf");
