@@ -38,8 +38,8 @@ impl Run {
             } else {
                 random.rounded::<f32>() == policy.rounded::<f32>()
             };
-            // The random policy of the seed is no setting of the run: `physgrad train` starts from it
-            // too.
+            // The random policy of the seed is no setting of the run: `physgrad train` starts from
+            // it too.
             if !is_random {
                 scene.scene = scene.scene.starting_from(policy.safetensors()?);
             }

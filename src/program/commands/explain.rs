@@ -182,8 +182,9 @@ fn difference(a: [[i64; 8]; 3], b: [[i64; 8]; 3]) -> [[i64; 8]; 3] {
     std::array::from_fn(|pass| std::array::from_fn(|kind| a[pass][kind] - b[pass][kind]))
 }
 
-/// Table of the bytes per sample of a rollout: in evaluation mode, and with the adjoint of each field
-/// of the paper. Bytes are per step and constant. The last column counts the allocations per step.
+/// Table of the bytes per sample of a rollout: in evaluation mode, and with the adjoint of each
+/// field of the paper. Bytes are per step and constant. The last column counts the allocations per
+/// step.
 fn bytes(scene: &Scene) -> Result<Table> {
     let mut table = Table::new(["field", "bytes per step", "constant", "whole rollout", "allocations per step"]);
     let steps = scene.horizon;

@@ -145,8 +145,8 @@ impl<F: Float> Builder<'_, F> {
         output
     }
 
-    /// Changes the shape. A length of 0 keeps the length of the input. A length of -1 stands for the
-    /// remaining length.
+    /// Changes the shape. A length of 0 keeps the length of the input. A length of -1 stands for
+    /// the remaining length.
     fn reshape(&mut self, input: String, shape: Vec<i64>) -> String {
         let shape = self.integers("shape", vec![shape.len()], shape);
         self.node("Reshape", vec![input, shape], None)

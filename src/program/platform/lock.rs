@@ -184,8 +184,8 @@ impl Locked {
     /// Renames the folder if it contains an earlier run, and creates an empty folder in its place.
     ///
     /// # Errors
-    /// The folder contains a run together with other files, a comparison, a study, or files of a run
-    /// without [`SETTINGS`]. The folder of a run is the current folder, or cannot be renamed.
+    /// The folder contains a run together with other files, a comparison, a study, or files of a
+    /// run without [`SETTINGS`]. The folder of a run is the current folder, or cannot be renamed.
     pub fn without_run(self) -> Result<Self> {
         let path = self.path().to_owned();
         let (run, other): (Vec<String>, Vec<String>) =

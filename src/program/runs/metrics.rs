@@ -111,8 +111,8 @@ fn now() -> f64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |time| time.as_secs_f64())
 }
 
-/// Estimated times since 1970 at the ends of the epochs, s. Assumes that the last epoch ends now and
-/// that the epochs follow each other without pauses.
+/// Estimated times since 1970 at the ends of the epochs, s. Assumes that the last epoch ends now
+/// and that the epochs follow each other without pauses.
 fn wall_times(done: &[Record]) -> Vec<f64> {
     let mut end = now();
     let mut times: Vec<f64> = Vec::with_capacity(done.len());

@@ -71,8 +71,8 @@ impl Progress {
         }
     }
 
-    /// Prints the first warning of each kind, even if quiet, and counts the others. `run` is a prefix
-    /// that names the run.
+    /// Prints the first warning of each kind, even if quiet, and counts the others. `run` is a
+    /// prefix that names the run.
     pub fn warn(&mut self, run: &str, event: EpochEvent) {
         for warning in event.warnings {
             let last = format!("{run}epoch {}", warning.epoch);

@@ -127,8 +127,8 @@ pub fn check_resumable(folder: &Folder, scene: &Scene) -> Result<()> {
     let saved = self::scene(folder)?.identity();
     if scene.identity() != saved {
         bail!(
-            "a resumed run keeps its settings (`tags`, `log` and `training.memory` may change, and the number of epochs only while \
-             `training.decay` is constant); in {}, these differ:\n{}",
+            "a resumed run keeps its settings (`tags`, `log` and `training.memory` may change, and the number of epochs only \
+             while `training.decay` is constant); in {}, these differ:\n{}",
             folder.path().display(),
             differences(&saved, &scene.identity())
         );

@@ -181,7 +181,8 @@ pub fn median_ratio(pairs: &[(f64, f64)]) -> Ratio {
 }
 
 /// Mean of the logarithm to base 10 of the test loss over the first `duration` seconds of a
-/// training. It is the area under the learning curve on a logarithmic axis, divided by the duration.
+/// training. It is the area under the learning curve on a logarithmic axis, divided by the
+/// duration.
 ///
 /// The curve starts at the loss `initial` and connects the losses after each epoch by straight
 /// lines on the logarithmic axis. It starts at the loss of the first epoch if `initial` is not

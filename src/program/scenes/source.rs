@@ -172,7 +172,8 @@ impl SceneSource {
         self.put(key, value, option)
     }
 
-    /// Replaces the value of a top-level key by the value in another source, if that source has one.
+    /// Replaces the value of a top-level key by the value in another source, if that source has
+    /// one.
     pub fn copy(&mut self, key: &str, from: &Self) {
         if let Some(value) = from.table.get(key) {
             self.table.insert(key.into(), value.clone());

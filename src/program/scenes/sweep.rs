@@ -62,9 +62,9 @@ impl Sweep {
     /// draw. A single empty point if the sweep varies nothing.
     ///
     /// # Errors
-    /// The values of a key are an empty list or not a list. A distribution is invalid. `samples` has
-    /// no distributions, or distributions have no `samples`. Two parts have the same key. Entries
-    /// of the list have different keys. There are more than 10,000 points.
+    /// The values of a key are an empty list or not a list. A distribution is invalid. `samples`
+    /// has no distributions, or distributions have no `samples`. Two parts have the same key.
+    /// Entries of the list have different keys. There are more than 10,000 points.
     pub fn points(&self) -> Result<Vec<Point>> {
         let (list, random) = (self.list_points()?, self.random_points()?);
         let mut points = vec![Point::default()];

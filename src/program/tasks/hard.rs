@@ -1,5 +1,5 @@
-//! Tasks that are numerically hard by design. The function `in_scene` adds substeps and actuators of
-//! a scene to each task.
+//! Tasks that are numerically hard by design. The function `in_scene` adds substeps and actuators
+//! of a scene to each task.
 
 mod bounce;
 mod contact;

@@ -14,8 +14,8 @@ pub trait PolicySpec: Section + Default {
     type Policy: Policy + Clone + 'static;
     /// Checks the ranges of all settings.
     fn validate(&self) -> Result<(), ConfigError>;
-    /// Builds the policy for these dimensions of observation and control. By default, a task observes
-    /// its state.
+    /// Builds the policy for these dimensions of observation and control. By default, a task
+    /// observes its state.
     fn build(&self, state_dim: usize, control_dim: usize) -> Self::Policy;
 }
 
