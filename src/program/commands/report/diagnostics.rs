@@ -57,7 +57,7 @@ fn growth_by_epoch(runs: &[Inspected]) -> Figure {
         let growth = |r: &Record| if flow == Flow::REGULAR { r.regular_growth } else { r.modified_growth };
         let points = run.records.iter().filter_map(|r| Some((r.epoch as f64, growth(r)?.along)));
         let series = Series::new(format!("{flow} of {}", run.name()), field_color(&flow.to_string()), points.collect());
-        // Dashes the lines of runs that train with C. Runs that train with R or M have solid lines.
+        // Dashes the lines of runs that combine two flows, such as C. Other runs have solid lines.
         if run.field.flows().len() > 1 { series.dash(Dash::Dashed) } else { series }
     };
     let both = runs.iter().flat_map(|run| [Flow::REGULAR, Flow::MODIFIED].map(|flow| line(run, flow)));
