@@ -109,7 +109,8 @@ pub fn eval(args: &Eval) -> Result<()> {
     if args.json {
         return print_json(&json!({ "folder": folder.path(), "runs": rows(&summary)? }));
     }
-    let files = "losses.svg, losses.csv, summary.csv, worst.csv and animations of the worst rollouts";
+    let worst = if args.worst > 0 { ", worst.csv and animations of the worst rollouts" } else { "" };
+    let files = format!("losses.svg, losses.csv, summary.csv{worst}");
     print_text(&format!("{}\nresults in {}: {files}", table(args, &results), folder.path().display()))
 }
 

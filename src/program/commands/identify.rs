@@ -135,8 +135,10 @@ pub fn identify(args: &Identify) -> Result<()> {
             "warnings": listed,
         }));
     }
+    let validated = if validation.is_some() { format!(", {VALIDATION}") } else { String::new() };
     print_text(&format!(
-        "{text}\nresults in {results}: report.html, scene.toml (with the fitted numbers), {IDENTIFIED}, {FIT}, {TRAJECTORIES}, identified.svg"
+        "{text}\nresults in {results}: report.html, scene.toml (with the fitted numbers), {IDENTIFIED}, {FIT}, {TRAJECTORIES}, \
+         identified.svg{validated}"
     ))
 }
 

@@ -246,8 +246,8 @@ impl TaskSpec for Quantum {
     }
 
     fn conserved(settings: &Settings<Self>) -> Option<Conserved> {
-        let norm = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>();
-        settings.effects.absorbing_edges.is_none().then(|| Conserved { name: "norm", value: Box::new(norm) })
+        let square = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>();
+        settings.effects.absorbing_edges.is_none().then(|| Conserved { name: "squared norm", value: Box::new(square) })
     }
 
     fn animation(settings: &Settings<Self>, Trajectory { states, controls, .. }: &Trajectory) -> Animation {

@@ -111,7 +111,8 @@ pub trait AnySettings: Send + Sync {
     fn applied_names(&self) -> Vec<String>;
     /// Controls that the actuator applies, for these states and controls of the policy.
     fn applied(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Vec<Vec<f64>>;
-    /// A quantity that is conserved while the control is zero, or None.
+    /// A quantity that is conserved while the control is zero. None also if numbers are drawn or
+    /// trained.
     fn conserved(&self) -> Option<Conserved>;
     /// Animation of one rollout, from the states and controls of each step.
     fn animation(&self, rollout: &Trajectory) -> Animation;
@@ -235,7 +236,8 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
     }
 
     fn conserved(&self) -> Option<Conserved> {
-        K::conserved(self)
+        // The energy has fixed numbers, but those of a sample may differ.
+        K::conserved(self).filter(|_| self.varied().is_empty())
     }
 
     fn animation(&self, rollout: &Trajectory) -> Animation {
