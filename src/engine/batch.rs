@@ -350,6 +350,11 @@ impl<F: Float> Batch<F> {
         &self.gradients
     }
 
+    /// Gradients of the last run, for changes before their combination.
+    pub(crate) fn gradients_mut(&mut self) -> &mut [Gradient<F>] {
+        &mut self.gradients
+    }
+
     /// Enables or disables the measurement of growth, which evaluates the cost gradients of each
     /// step a second time.
     pub fn measure(&mut self, measured: bool) {

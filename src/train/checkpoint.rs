@@ -30,6 +30,7 @@ struct Header {
 struct Body<'a, F: Clone> {
     theta: Cow<'a, [F]>,
     optimizer: Cow<'a, Optimizer<F>>,
+    direction: Cow<'a, [F]>,
     records: Cow<'a, [Record]>,
     skipped_in_a_row: usize,
     best: Cow<'a, Best<F>>,
@@ -121,6 +122,7 @@ impl<F: Float> Progress<F> {
         let body = Body {
             theta: Cow::Borrowed(self.weights.theta()),
             optimizer: Cow::Borrowed(&self.optimizer),
+            direction: Cow::Borrowed(&self.direction),
             records: Cow::Borrowed(&self.records),
             skipped_in_a_row: self.skipped_in_a_row,
             best: Cow::Borrowed(&self.best),
@@ -162,6 +164,7 @@ impl<F: Float> Progress<F> {
         self.validate(&body).map_err(|e| damaged(&e))?;
         self.weights.update(policy, |theta| theta.copy_from_slice(&body.theta));
         self.optimizer = body.optimizer.into_owned();
+        self.direction = body.direction.into_owned();
         self.records = body.records.into_owned();
         self.skipped_in_a_row = body.skipped_in_a_row;
         self.best = body.best.into_owned();
@@ -191,16 +194,26 @@ impl<F: Float> Progress<F> {
             if !(*seconds >= 0.0 && seconds.is_finite()) {
                 return Err(format!("its unfinished epoch has a time of {seconds} s"));
             }
-            self.validate_state(&before.theta, &before.optimizer, before.skipped_in_a_row, steps)?;
+            self.validate_state(&before.theta, &before.optimizer, &before.direction, before.skipped_in_a_row, steps)?;
             steps += means.updates() as u64;
         }
         self.validate_theta(&body.best.theta)?;
-        self.validate_state(&body.theta, &body.optimizer, body.skipped_in_a_row, steps)
+        self.validate_state(&body.theta, &body.optimizer, &body.direction, body.skipped_in_a_row, steps)
     }
 
     /// Checks the state after `steps` applied updates.
-    fn validate_state(&self, theta: &[F], optimizer: &Optimizer<F>, skipped: usize, steps: u64) -> Result<(), String> {
+    fn validate_state(
+        &self,
+        theta: &[F],
+        optimizer: &Optimizer<F>,
+        direction: &[F],
+        skipped: usize,
+        steps: u64,
+    ) -> Result<(), String> {
         self.validate_theta(theta)?;
+        if direction.len() != self.direction.len() {
+            return Err(format!("its average has {} components, but that of this run {}", direction.len(), self.direction.len()));
+        }
         if skipped > self.training.max_skipped {
             return Err(format!("{skipped} updates in a row were skipped; allowed: {}", self.training.max_skipped));
         }

@@ -73,6 +73,10 @@ pub struct Training {
     pub decay: Decay,
     /// Number of updates at the start in which the learning rate rises linearly to its full value.
     pub warm_up: usize,
+    /// Weight of the past, from 0 to below 1, in a moving average of the direction of R. Fields of
+    /// two flows combine M with this average. With 0, they combine M with the current R. More
+    /// generally, the average replaces the second gradient, and retains its norm.
+    pub average: f64,
     /// Noise in the parameters, and the estimator that it serves. `None` follows the field at the
     /// parameters.
     pub smoothing: Option<Smoothing>,
@@ -103,6 +107,7 @@ impl Default for Training {
             learning_rate: 1e-3,
             decay: Decay::Constant,
             warm_up: 0,
+            average: 0.0,
             smoothing: None,
             clip: Clip::None,
             max_skipped: 10,
@@ -113,7 +118,7 @@ impl Default for Training {
 }
 
 impl Training {
-    /// Checks counts, learning rate, decay and smoothing.
+    /// Checks counts, learning rate, decay, average and smoothing.
     ///
     /// # Errors
     /// [`TrainError::Setting`] for the first invalid setting.
@@ -134,6 +139,10 @@ impl Training {
         }
         if let Some(problem) = self.decay.problem() {
             return Err(TrainError::Setting { setting: "decay", problem });
+        }
+        if !(0.0..1.0).contains(&self.average) {
+            let problem = format!("is {}; allowed: 0 to below 1", self.average);
+            return Err(TrainError::Setting { setting: "average", problem });
         }
         if let Some((setting, problem)) = self.smoothing.and_then(|smoothing| smoothing.problem()) {
             return Err(TrainError::Setting { setting, problem });

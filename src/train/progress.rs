@@ -18,6 +18,7 @@ use crate::numbers::extended::ExtendedF64;
 use crate::numbers::kernels::{SimdLevel, elementwise};
 use crate::numbers::rng::{Purpose, stream};
 use crate::numbers::scalar::Float;
+use crate::numbers::zip::zip;
 use crate::policy::AnyPolicy;
 use crate::policy::Weights;
 use crate::train::field::AnyField;
@@ -40,6 +41,7 @@ pub(super) struct Trained<'a, F: Float> {
 pub(super) struct Snapshot<F> {
     pub(super) theta: Vec<F>,
     pub(super) optimizer: Optimizer<F>,
+    pub(super) direction: Vec<F>,
     pub(super) skipped_in_a_row: usize,
 }
 
@@ -79,6 +81,8 @@ pub(super) struct Progress<F: Float> {
     pub(super) training: Training,
     pub(super) weights: Weights<F>,
     pub(super) optimizer: Optimizer<F>,
+    /// Moving average of the direction of the second gradient. Empty without an average.
+    pub(super) direction: Vec<F>,
     pub(super) train: Vec<F>,
     pub(super) test: Vec<F>,
     order: Vec<usize>,
@@ -132,12 +136,20 @@ impl<F: Float> Progress<F> {
             Some(budget) => Batch::within(task, policy, samples, &flows, training.workers, budget)?,
         };
         let optimizer = Optimizer::new(training.rule, training.learning_rate, params);
+        let averaged = training.average > 0.0 && flows.len() > 1;
+        let direction = vec![F::zero(); if averaged { params } else { 0 }];
         Ok(Self {
             batch,
             flows,
             evaluation: Evaluation::new(task, policy, training.workers),
             best: Best { theta: weights.theta().to_vec(), loss: f64::NAN },
-            before: Snapshot { theta: weights.theta().to_vec(), optimizer: optimizer.clone(), skipped_in_a_row: 0 },
+            before: Snapshot {
+                theta: weights.theta().to_vec(),
+                optimizer: optimizer.clone(),
+                direction: direction.clone(),
+                skipped_in_a_row: 0,
+            },
+            direction,
             epoch: None,
             diverged: [None; 2],
             warned: Vec::new(),
@@ -215,6 +227,7 @@ impl<F: Float> Progress<F> {
         self.skips.clear();
         self.before.theta.copy_from_slice(self.weights.theta());
         self.before.optimizer.copy_from(&self.optimizer);
+        self.before.direction.copy_from_slice(&self.direction);
         self.before.skipped_in_a_row = self.skipped_in_a_row;
         self.order_samples();
         Epoch::default()
@@ -245,6 +258,7 @@ impl<F: Float> Progress<F> {
         let count = self.skipped_in_a_row;
         self.weights.update(policy, |theta| theta.copy_from_slice(&self.before.theta));
         self.optimizer.copy_from(&self.before.optimizer);
+        self.direction.copy_from_slice(&self.before.direction);
         self.skipped_in_a_row = self.before.skipped_in_a_row;
         Err(TrainError::Diverged { count, last: Box::new(skip) })
     }
@@ -337,8 +351,11 @@ impl<F: Float> Progress<F> {
                 return Err(Divergence::Gradient { flow, parameter: worst(gradient) });
             }
         }
-        field.combine(gradients, &mut self.combined);
-        let two = gradients.len() > 1;
+        if !self.direction.is_empty() {
+            self.average_direction(second_square.sqrt());
+        }
+        field.combine(self.batch.gradients(), &mut self.combined);
+        let two = self.flows.len() > 1;
         let values = self.combined.values();
         let size = if two { elementwise::moments(level, values, values).0.sqrt() } else { first_square.sqrt() };
         let zero = F::zero();
@@ -349,6 +366,20 @@ impl<F: Float> Progress<F> {
             kept: two.then(|| values.iter().filter(|&&g| g != zero).count() as f64 / values.len() as f64),
             first_order: None,
         })
+    }
+
+    /// Updates the moving average of the direction of the second gradient, whose values have this
+    /// norm, and replaces the gradient by the average times the norm.
+    fn average_direction(&mut self, norm: f64) {
+        let weight = self.training.average;
+        let gradient = &mut self.batch.gradients_mut()[1];
+        let exponent = gradient.exponent();
+        for (average, value) in zip(self.direction.iter_mut(), gradient.values_mut(exponent)) {
+            // A gradient of 0 has no direction.
+            let direction = if norm > 0.0 { value.as_() / norm } else { 0.0 };
+            *average = F::from_f64(weight * average.as_() + (1.0 - weight) * direction);
+            *value = F::from_f64(average.as_() * norm);
+        }
     }
 
     /// Checks that the combined vector, of this norm, is within the range of the optimizer.

@@ -1,6 +1,7 @@
 //! Rollouts, reverse passes and trainings: memory, determinism, non-finite numbers, checkpoints.
 
 mod allocation;
+mod average;
 mod bytes;
 mod causes;
 mod checkpoints;

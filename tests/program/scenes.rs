@@ -234,6 +234,7 @@ fn errors_in_a_file_name_the_line_and_the_allowed_values() {
         ("[training]\ndecay = \"cosine\"\ndecay_end = 2\n", "my_scene.toml:5: `training.decay_end` is 2; allowed: 0 to 1"),
         ("[training]\nwarm_up = -1\n", "my_scene.toml:4: `training.warm_up` is integer `-1`; allowed: a whole number"),
         ("[training]\ndiscount = 1.5\n", "my_scene.toml:4: `training.discount` is 1.5; allowed: 0 to 1"),
+        ("[training]\naverage = 1\n", "my_scene.toml:4: `training.average` is 1; allowed: 0 to below 1"),
         ("[training]\ntruncation = 0\n", "my_scene.toml:4: `training.truncation` is 0; allowed: 1 to 1000000000"),
         ("[training]\ncut = 0\n", "my_scene.toml:4: `training.cut` is 0; allowed: a positive number"),
         (

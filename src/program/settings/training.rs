@@ -41,6 +41,9 @@ pub struct TrainingSettings {
     /// Growth in decades at which the adjoint of a sample is cut; never by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub cut: Option<f64>,
+    /// Weight of the past in a moving average of the direction of R, which combinations use instead
+    /// of R. 0, the default, uses the current R.
+    pub average: f64,
     /// Estimator of the field: `exact` evaluates it at the parameters, the others at perturbed ones.
     pub estimator: EstimatorName,
     /// Standard deviation of the perturbations, 0.02 by default.
@@ -84,6 +87,7 @@ impl Default for TrainingSettings {
             control: 1.0,
             truncation: None,
             cut: None,
+            average: 0.0,
             estimator: EstimatorName::Exact,
             noise: None,
             pairs: None,
@@ -140,6 +144,7 @@ impl TrainingSettings {
                 allowed("training.decay_end", end, end > 0.0 && end <= 1.0, "a positive number up to 1")?;
             }
         }
+        allowed("training.average", self.average, (0.0..1.0).contains(&self.average), "0 to below 1")?;
         self.validate_smoothing()?;
         if let Some(memory) = &self.memory {
             let what = "a number of bytes such as \"64MB\", in B, kB, MB, GB, KiB, MiB or GiB";
@@ -222,6 +227,7 @@ impl TrainingSettings {
                 _ => Decay::Constant,
             },
             warm_up: self.warm_up,
+            average: self.average,
             smoothing: self.smoothing(),
             clip: match (self.clip, self.clip_limit) {
                 (ClipName::Value, Some(limit)) => Clip::Value(limit),
