@@ -1,4 +1,5 @@
-//! Each module imports only the modules that its list permits. These stand above it in the list.
+//! Each module imports only the modules that its entry permits. Permitted modules stand above it in
+//! the list.
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -1,4 +1,5 @@
-//! Training on several MPI ranks. Skipped without the feature `mpi` or the program `mpirun`.
+//! Training on several MPI ranks. Skipped without the feature `mpi`, or if `mpirun` cannot start
+//! two processes.
 #![cfg(unix)]
 
 #[path = "common/running.rs"]
@@ -83,7 +84,7 @@ fn signal(id: u32, name: &str) {
 fn wait_for_epochs(out: &Path, epochs: usize) {
     let begin = Instant::now();
     while !fs::read_to_string(out.join("metrics.csv")).is_ok_and(|text| text.lines().count() > epochs) {
-        assert!(begin.elapsed() < Duration::from_secs(120), "the run completes {epochs} epochs within 120 s");
+        assert!(begin.elapsed() < Duration::from_secs(120), "the run did not complete {epochs} epochs within 120 s");
         std::thread::sleep(Duration::from_millis(5));
     }
 }
@@ -103,7 +104,7 @@ fn two_and_three_ranks_give_the_bytes_of_one_process() {
             let output = finish(start(ranks, &out, &args));
             assert!(output.status.success(), "{}", text(&output));
             assert!(text(&output).contains(&format!("2 threads on each of {ranks} ranks")), "{}", text(&output));
-            assert_eq!(text(&output).matches("results in").count(), 1, "only rank 0 prints");
+            assert_eq!(text(&output).matches("results in").count(), 1, "not exactly one rank prints");
             assert!(results(&out) == results(&one), "{field}, {ranks} ranks");
         }
     }
@@ -138,7 +139,7 @@ fn an_error_is_printed_once_and_other_settings_of_a_rank_are_refused() {
     assert!(!output.status.success());
     assert_eq!(text(&output).matches("error:").count(), 1, "{}", text(&output));
 
-    // One scene has more epochs, which is not part of the identity of a run.
+    // Rank 1 has more epochs. The identity of a run does not contain the number of epochs.
     let mut ranks = launcher(1);
     for (rank, epochs) in ["2", "3"].into_iter().enumerate() {
         if rank > 0 {
@@ -166,12 +167,12 @@ fn a_killed_rank_ends_the_run_and_another_number_of_ranks_resumes_it() {
     assert!(!output.status.success());
     assert!(text(&output).contains("signal 9"), "{}", text(&output));
 
-    // A signal to one rank pauses all ranks, and rank 0 saves.
+    // A signal to one rank ends the training on all ranks, and rank 0 saves.
     let endless = start(3, &out, &["--resume", "--epochs", "1000000"]);
     wait_for_epochs(&out, 6);
     let begin = Instant::now();
     while ranks_of(&endless).len() < 3 {
-        assert!(begin.elapsed() < Duration::from_secs(60), "three ranks start within 60 s");
+        assert!(begin.elapsed() < Duration::from_secs(60), "fewer than three ranks started within 60 s");
     }
     wait_for_epochs(&out, fs::read_to_string(out.join("metrics.csv")).expect("metrics").lines().count() + 2);
     signal(ranks_of(&endless)[2], "TERM");

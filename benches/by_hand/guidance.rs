@@ -20,8 +20,8 @@ pub struct ByHand {
 /// Numbers per agent: x, y, vx, vy.
 const AGENT: usize = 4;
 
-/// Quantities of the separation r of two agents, with d = softening + |r|: r / d, |r| / d, 1 / d
-/// and r / |r|.
+/// Quantities of the separation r of two agents: r / d, |r| / d, 1 / d and r / |r|, with the
+/// distance d = softening + |r|.
 struct Gap<T> {
     share: [T; 2],
     length_share: T,

@@ -128,7 +128,7 @@ fn norms_do_not_depend_on_the_scale_of_the_loss() {
 }
 
 #[test]
-fn norms_and_gradients_beyond_the_range_of_f32_are_exact_to_1e_4() {
+fn adjoints_and_gradients_beyond_the_range_of_f32_are_exact_to_1e_4() {
     let (task, policy) = (Plant::<1>, Linear::new(1, 1));
     let weights = Weights::<f32>::new(&policy, vec![GAIN as f32]);
     let mut rollout = Rollout::new(&task, &policy, 1);
@@ -149,7 +149,8 @@ fn norms_and_gradients_beyond_the_range_of_f32_are_exact_to_1e_4() {
     assert_eq!(gradient.to_vec(), [f32::INFINITY]);
 }
 
-/// `φ = 2e38 x` over components that do not change: each component of λ is `2e38 scale`.
+/// The terminal cost is `2e38 Σ x_i`, and a step changes the state only by `1e-30 u`. Each
+/// component of λ is `2e38 scale`.
 struct Steep<const STATES: usize, const CONTROLS: usize>;
 
 impl<const STATES: usize, const CONTROLS: usize> System for Steep<STATES, CONTROLS> {

@@ -153,7 +153,7 @@ impl<const BY_HAND: bool> System for Spring<BY_HAND> {
     }
 }
 
-/// System that forwards only its step.
+/// Wrapper with the dimensions and the step of a system, and default derivatives.
 struct ByDuals<'a, S>(&'a S);
 
 impl<S: System> System for ByDuals<'_, S> {

@@ -268,6 +268,7 @@ fn an_evaluation_evaluates_no_derivative() {
 #[test]
 fn with_one_control_one_policy_call_covers_the_derivatives_of_all_steps() {
     // One call computes ∂N/∂x of all steps if any flow passes through the policy's input.
+    // Otherwise, each flow has one call for all steps.
     for (flows, physics, network) in [
         (&[Flow::REGULAR][..], both(), policy(1, 0, 1)),
         (&[Flow::MODIFIED], both(), policy(0, 1, 1)),

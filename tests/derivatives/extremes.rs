@@ -1,4 +1,4 @@
-//! Adjoints that become 0, or leave the range of the precision, before a cut or a truncation.
+//! Adjoints that become 0 or very large.
 
 use physgrad::policy::OpenLoop;
 use physgrad::rng::Rng;
@@ -57,7 +57,8 @@ fn a_cut_limits_an_adjoint_that_was_0_at_a_later_step() {
     }
 }
 
-/// The adjoint grows by 8 per step, to 2^192 and beyond the range of f32, and restarts from 0.
+/// The adjoint grows by a factor of 8 per step, to about 2^192, beyond the range of f32. Then it
+/// restarts from 0.
 #[test]
 fn adjoints_restart_from_a_truncation_or_cut_beyond_the_range_of_f32() {
     let task = Timed { factor: |_| 8.0, horizon: 128 };

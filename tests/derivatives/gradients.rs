@@ -214,7 +214,8 @@ fn check_task_finds_a_relative_error_of_1e_6_in_a_cost_gradient() {
     check::task(&WrongCost(CartPole::new(1)), &Mlp::new([4, 5, 1]));
 }
 
-/// Linear policy whose batched pass ignores the second input.
+/// Linear policy whose reverse pass sets the derivative by the second input to 0 in the first
+/// column.
 struct Forgetting(Linear);
 
 impl Policy for Forgetting {

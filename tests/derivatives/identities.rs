@@ -1,4 +1,4 @@
-//! Identities between the four flows, sign agreement of two flows, and names of fields.
+//! Identities between the four flows, combinations of two gradients, and names of fields.
 
 use approx::assert_relative_eq;
 use physgrad::policy::{Action, Mlp, Observed};
@@ -56,8 +56,8 @@ impl Policy for Blind {
 }
 
 /// Memoryless physics: the next state depends on the control only. With two controls, the reverse
-/// pass through the policy runs step by step. With one
-/// control, the pass linearizes all steps at once.
+/// pass through the policy runs step by step. With one control, one pass linearizes the policy at
+/// all steps.
 struct Forgetful<const CONTROLS: usize>;
 
 impl<const CONTROLS: usize> System for Forgetful<CONTROLS> {
@@ -164,7 +164,8 @@ fn sign_agreement_keeps_components_of_equal_sign_and_sets_others_to_0() {
     assert_eq!(combine(&[1.0, -1.0], &[f64::INFINITY, f64::INFINITY]), [1.0, 0.0]);
 }
 
-/// Two seeded vectors with values in -1 .. 1, and the combinations of multiples of them.
+/// Returns two random vectors and their combination. The components are uniform in -1 .. 1, times a
+/// or b.
 fn combined(by: Combination, [a, b]: [f64; 2]) -> [Vec<f64>; 3] {
     let mut rng = stream(5, Purpose::Check, 0);
     let mut drawn = |factor: f64| (0..1000).map(|_| factor * rng.random_range(-1.0..1.0)).collect::<Vec<f64>>();
@@ -215,7 +216,7 @@ fn the_conflict_free_field_has_equal_angles_to_m_and_r_and_the_length_of_both_pr
 }
 
 #[test]
-fn exchanged_sizes_and_signs_are_those_of_m_and_r() {
+fn sizes_come_from_m_and_signs_or_directions_from_r() {
     let [m, r, out] = combined(Combination::SignsOfSecond, [1.0, 1e-200]);
     for ((out, m), r) in out.iter().zip(&m).zip(&r) {
         assert_eq!((out.abs(), *out > 0.0), (m.abs(), *r > 0.0));

@@ -18,7 +18,7 @@ pub struct Tracking<const CONTROLS: usize> {
 #[derive(Clone, Copy, PartialEq)]
 enum Fault {
     None,
-    /// `observe_vjp` has the wrong sign.
+    /// `observe_vjp` has the wrong sign in the derivative of component 0.
     Observation,
     /// `running_cost_gradient` omits the state before the step.
     CostOfState,

@@ -81,7 +81,7 @@ impl Task for Whole {
     }
 }
 
-/// Feedback that depends on a memory and on time, without batched passes.
+/// Feedback that depends on a memory and on time, with default batched passes.
 struct Integral;
 
 impl Policy for Integral {

@@ -11,7 +11,7 @@ const N: usize = 20;
 
 /// Each pair of neighbouring states under one operation, `x'_i = f(x_i, x_{i+1})`.
 struct Pairs {
-    /// Index among all operations.
+    /// Index in [`functions`].
     operation: usize,
 }
 
@@ -108,7 +108,7 @@ fn every_lane_has_the_bits_of_a_scalar() {
     }
 }
 
-/// Copies of states, a path through a detached number, and the norm of two states.
+/// Copies of states, a detached number, the norm of two states, and a selection.
 struct Paths;
 
 impl System for Paths {

@@ -1,4 +1,4 @@
-//! Trained parameters: nested lists, initial values out of range.
+//! Trained parameters: nested lists, and refused entries.
 
 use crate::inputs::{gradients, tracking};
 use physgrad::policy::{Bounded, Constant, Linear, TrainedParam, WithParams};

@@ -90,7 +90,7 @@ impl Policy for Feedback {
     }
 }
 
-/// Number of allocations of the second and third epoch.
+/// Returns the number of allocations in the second and third epoch.
 fn allocations_after_the_first_epoch(policy: impl Policy, field: Field) -> u64 {
     let training = Training { epochs: 3, train_samples: 20, test_samples: 8, workers: 1, ..Training::default() };
     let mut session = Trainer::new(Rod, policy).field(field).training(training).session().expect("valid settings");

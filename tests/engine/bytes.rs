@@ -32,7 +32,7 @@ fn assert_exact_bytes_and_no_later_allocation<F: Float>() {
     // Three blocks of lanes: 21 states, 20 controls, one cost.
     let lanes = 3 * 8 * (21 * 6 + 20 + 1);
     let columns = SAMPLES * 20 * (6 + 1);
-    assert!(bytes > (lanes + columns) * size_of::<F>(), "the bytes include the tape of the policy");
+    assert!(bytes > (lanes + columns) * size_of::<F>(), "the bytes omit the tape of the policy");
     let run = allocated(|| {
         rollout.start(&starts);
         rollout.run(&task, &policy, &weights).expect("finite");

@@ -133,7 +133,7 @@ fn effects_of_users_have_the_names_of_their_types_behind_pointers() {
     assert_eq!(cause_of(DynEffect::new(Named { name: "boom", effect: Explosion })), Some(Cause::Effect("boom")));
 }
 
-/// System of a task behind a pointer, with default derivatives, which use reverse mode.
+/// System of a task behind a pointer, with default derivatives, which use dual numbers over lanes.
 struct Around(DynSystem);
 
 impl System for Around {

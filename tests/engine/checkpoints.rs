@@ -1,4 +1,4 @@
-//! Checkpoints with a valid checksum and invalid contents.
+//! Checkpoints with a valid checksum and damaged contents, or of another training.
 
 use physgrad::{OptimizerKind, Session, Trainer, Training, policy::Mlp, tasks::CartPole};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -18,7 +18,7 @@ fn trained(rule: &str, paused: bool) -> Small {
     let mut session = session(rule, 1e-3);
     (0..2).for_each(|_| drop(session.epoch().expect("finite").clone()));
     if paused {
-        assert!(session.advance(&|| true).expect("finite").is_none(), "an epoch has two updates");
+        assert!(session.advance(&|| true).expect("finite").is_none(), "the epoch ends after one update");
     }
     session
 }

@@ -45,7 +45,7 @@ fn gradients_do_not_depend_on_the_number_of_workers() {
     }
 }
 
-/// Chunks of 32 samples: 150 samples take three rounds of two workers.
+/// 150 samples take three rounds of two workers, in chunks of 28 samples.
 #[test]
 fn gradients_of_large_batches_do_not_depend_on_the_number_of_workers() {
     let one = gradients::<f32>(150, 1);
@@ -65,8 +65,8 @@ fn gradients_of_large_batches_do_not_depend_on_the_number_of_workers() {
     for ((whole, first), second) in whole.iter().zip(first).zip(second) {
         assert!((whole - 0.5 * (first + second)).abs() <= 1e-13 * largest);
     }
-    // Memory does not depend on the size of the batch, except for the sums of blocks, which more than
-    // 128 samples have.
+    // Beyond one round, a larger batch needs no more memory, except the sums of blocks of batches
+    // with more than 128 samples.
     let bytes = |samples: usize| Batch::<f32>::new(&task(), &policy(), samples, &[Flow::REGULAR], 2).stored_bytes();
     assert_eq!(bytes(64), bytes(128));
     assert_eq!(bytes(256), bytes(1024));
@@ -169,8 +169,8 @@ fn a_sample_does_not_depend_on_the_other_samples() {
 
 #[test]
 fn single_precision_agrees_with_double_precision_to_1e_4() {
-    // Each step adds a relative rounding error of 2^-24. 40 steps of hanging poles amplify this
-    // error little.
+    // Each operation adds a relative rounding error of up to 2^-24. 40 steps of hanging poles
+    // amplify this error little.
     let allowed = 1e-4;
     let (loss32, g32) = gradients::<f32>(8, 1);
     let (loss64, g64) = gradients::<f64>(8, 1);

@@ -97,10 +97,10 @@ fn a_cosine_decay_to_2_and_an_exponential_decay_to_0_are_refused() {
     assert_eq!(refused(Decay::Exponential { end: 0.0 }), "training.decay: ends at 0; allowed: a positive number up to 1");
 }
 
-/// Trainer on a plant that doubles its state. The adjoint of M grows by 2^13, 3.9 decades, in 13 of
-/// 14 steps. The last state is `g θ` and the gradient is `g`, with `g = 2^14 - 1 = 16383`. Each
-/// epoch has one update. After n updates the last state is `-n · 1e-3 g² = -n · 2.68e5`. This value
-/// is below -1e6 from n = 4 on: after epoch 4, and in the update of epoch 5.
+/// Trainer on a plant that doubles its state. The adjoint of M grows by 2^14, 4.2 decades, in 14
+/// steps. The last state is `g θ` and the gradient is `g`, with `g = 2^14 - 1 = 16383`. Each epoch
+/// has one update. After n updates the last state is `-n · 1e-3 g² = -n · 2.68e5`. This value is
+/// below -1e6 from n = 4 on: after epoch 4, and in the update of epoch 5.
 fn doubling() -> Trainer<Plant, Constant, f64> {
     let training = Training { epochs: 6, learning_rate: 1e-3, ..Training::default() };
     trainer(Plant { factor: 2.0, horizon: 14, weight: 1.0 }, training)

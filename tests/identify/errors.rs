@@ -1,4 +1,5 @@
-//! Derivatives that are not finite are no convergence. Names of unknowns are unique entries of p.
+//! A fit without finite derivatives does not converge. Unknowns are distinct entries of p. A flag
+//! stops an identification.
 
 use physgrad::identify::{Fit, IdentifyError, Options, Segment, Unknown, identify};
 use physgrad::{Inputs, Scalar, System};

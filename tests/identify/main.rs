@@ -1,4 +1,4 @@
-//! Identification of parameters, on simulated and on measured trajectories.
+//! Identification of parameters on simulated trajectories, and the pendulum of several arms.
 
 mod errors;
 mod pendulum;

@@ -42,8 +42,8 @@ fn one_arm_is_a_physical_pendulum() {
     assert!((rate[1] - expected).abs() < 1e-13 * expected.abs(), "{} {expected}", rate[1]);
 }
 
-/// Accelerations from the virtual power of every mass: the principle of d'Alembert, with
-/// accelerations by differences of positions.
+/// Principle of d'Alembert: the virtual power of inertia and gravity is 0 for each angle. The
+/// accelerations are second time derivatives of the positions.
 #[test]
 fn three_arms_satisfy_the_principle_of_dalembert() {
     let mut arms: Vec<Arm> = [1.0, 1.3, 0.8].map(|scale| arm(scale, false)).into();
@@ -52,7 +52,7 @@ fn three_arms_satisfy_the_principle_of_dalembert() {
     let x = [0.4, 1.7, -1.1, -2.1, 2.3, 0.9];
     let mut rate = [0.0; 6];
     ode.rate::<f64>(OdeInputs { x: &x, u: &[0.0], p: &[], t: 0.0 }, &mut rate);
-    // Velocity and acceleration of the center of arm k, from r = Σ l (sin θ, cos θ).
+    // Acceleration of the center of arm k, minus that of gravity, from r = Σ l (sin θ, cos θ).
     let length = |k: usize, j: usize| if j < k { arms[j].length.nominal() } else { arms[j].center.nominal() };
     for i in 0..3 {
         let mut power = arms[i].inertia.nominal() * rate[2 * i + 1];

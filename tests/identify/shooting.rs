@@ -64,7 +64,8 @@ fn largest_jump(system: &Pendulum, fit: &Fit, p: &[f64]) -> f64 {
     (0..fit.states[0].len() - 1).map(of_step).fold(0.0, f64::max)
 }
 
-/// Multiple shooting finds the truth within its standard errors. Single shooting does not.
+/// Checks that multiple shooting finds the true values within four standard errors, and that single
+/// shooting does not fit the data.
 fn check(system: &Pendulum, segment: &Segment) {
     let found = fit(system, segment, Options::default().window);
     let single = fit(system, segment, None);

@@ -1,4 +1,4 @@
-//! Identification on simulated data, where the truth is known.
+//! Identification on simulated data, whose true values are known.
 
 use physgrad::identify::{Fit, IdentifyError, Options, Segment, Unknown, identify};
 use physgrad::rng::{Purpose, Rng, stream};
@@ -51,7 +51,8 @@ fn fit(segments: &[Segment], factor: f64, options: &Options) -> Fit {
     identify(&pendulum(), segments, &unknowns(factor), options).expect("valid data")
 }
 
-/// Without noise, the residuals vanish and the truth returns up to the conditioning of the problem.
+/// Without noise, the residuals vanish. The fit finds the true values up to the conditioning of the
+/// problem.
 #[test]
 fn exact_data_give_the_truth() {
     let rng = &mut stream(0, Purpose::Check, 0);
@@ -65,12 +66,12 @@ fn exact_data_give_the_truth() {
     }
 }
 
-/// Coverage of the 95 % intervals: the count of 100 repetitions is binomial. It leaves 88 to 100
-/// with a probability of 0.4 % for each of four counts.
+/// Coverage of the 95 % intervals in 100 repetitions. Each of the four counts is binomial, and
+/// below 88 with a probability of 0.15 %.
 #[test]
-fn intervals_are_honest() {
+fn confidence_intervals_have_their_nominal_coverage() {
     let options = [Options { noise: Some(NOISE.into()), ..Options::default() }, Options { noise: None, ..Options::default() }];
-    // Equal noise of all components is the assumption without a given noise.
+    // Without a given noise, the fit assumes equal noise of all components.
     for (options, noise) in options.iter().zip([NOISE, [0.05; 2]]) {
         let mut covered = [0; 2];
         for repetition in 0..100 {
@@ -86,10 +87,10 @@ fn intervals_are_honest() {
     }
 }
 
-/// Noise with a correlation of 0.95 between steps, as the count of independent noise above. The
-/// estimate from 20 segments has fewer degrees of freedom: it covers a little less than 95 %.
+/// Coverage of the 95 % intervals for noise with a correlation of 0.95 between steps. Robust errors
+/// from 20 segments have few degrees of freedom, so they cover a little less than 95 %.
 #[test]
-fn correlated_noise_calls_for_robust_errors() {
+fn with_correlated_noise_only_robust_errors_have_their_coverage() {
     let (mut plain, mut robust) = ([0; 2], [0; 2]);
     for repetition in 0..100 {
         let rng = &mut stream(7, Purpose::Check, repetition);
@@ -118,7 +119,8 @@ fn correlated_noise_calls_for_robust_errors() {
     assert!(robust.iter().all(|covered| (84..=100).contains(covered)), "{robust:?}");
 }
 
-/// 20 s of a large swing, of which only the angles are measured, from a start that is 80 % off.
+/// 20 s of a large swing. Only the angles are measured, and the initial values of the fit are 80 %
+/// too large.
 #[test]
 fn long_swings_are_identified() {
     let rng = &mut stream(2, Purpose::Check, 0);
@@ -151,7 +153,7 @@ fn missing_samples_do_not_matter() {
     assert!(found.converged && (found.values[0] / TRUTH[0] - 1.0).abs() < 1e-7, "{found:?}");
 }
 
-/// Without forces, the motion does not change if all masses, inertias and frictions double.
+/// Without control, the motion does not change if all masses, inertias and frictions double.
 #[test]
 fn undetermined_combinations_are_named() {
     let arm = Arm { mass: VARIES, inertia: VARIES, viscous: VARIES, ..Arm::default() };

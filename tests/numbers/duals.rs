@@ -81,7 +81,7 @@ fn every_lane_has_the_bits_of_a_scalar() {
 
 #[test]
 fn functions_agree_with_the_standard_library() {
-    // Relative to the result, in units of its rounding.
+    // The bound is relative to the expected number, in units of ε.
     let near = |found: f64, expected: f64, bound: f64| {
         let error = (found - expected).abs() / f64::EPSILON;
         assert!(error <= bound * expected.abs(), "{found}, {expected}: {error}, {bound}");

@@ -143,8 +143,8 @@ fn the_plan_of_a_system_without_controls_is_its_rollout() {
     assert!(plan.converged() && plan.u.is_empty() && plan.control(4).is_empty());
 }
 
-/// `x' = x + sin u`, over 30 steps, with the cost `u²/100 + (x - 1)⁴`. Sets the flag of the options
-/// at step number `at`.
+/// `x' = x + sin u`, over 30 steps. The running cost is `u²/100 + (x - 1)⁴`, the terminal cost
+/// `(x - 1)²`. Sets the flag of the options at step number `at`.
 #[derive(Default)]
 struct Stopping {
     steps: AtomicUsize,

@@ -20,8 +20,9 @@ fn coupled_plant() -> Lqr {
 
 /// Returns a bound on the rounding error of one linear-quadratic solution.
 ///
-/// Each step adds errors of a few ulp per component of the state, relative to the largest state of
-/// the initial rollout or control of the plan. The factor 100 covers the constants.
+/// Each step adds errors of a few ulp per component of the state. The errors are relative to the
+/// largest state of the initial rollout or control of the plan. The factor 100 covers the
+/// constants.
 fn rounding(plan: &Plan, task: &Lqr, x0: &[f64]) -> f64 {
     let initial = optimize(task, x0, &[], Initial::Zeros, &Options { max_iterations: 0, ..Options::default() });
     let largest = initial.expect("finite").x.iter().chain(&plan.u).fold(1.0, |largest: f64, x| largest.max(x.abs()));

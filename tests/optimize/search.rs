@@ -46,7 +46,7 @@ fn warm_start_from_a_plan_needs_fewer_iterations() {
     let from_gains = optimize(&task, &x0, &[], Initial::Feedback(&feedback), &options).expect("finite");
     assert!(from_plan.converged() && from_gains.converged());
     assert!(from_plan.iterations() < from_push.iterations(), "{}, {}", from_plan.iterations(), from_push.iterations());
-    assert!(from_gains.costs[0] < from_plan.costs[0], "gains reduce the initial cost");
+    assert!(from_gains.costs[0] < from_plan.costs[0], "gains do not reduce the initial cost");
     // An optimization that starts from its own result ends before the first iteration.
     let again = optimize(&task, &SwingUp::START, &[], Initial::Controls(&cold.u), &options).expect("finite");
     assert_eq!((again.iterations(), again.stop), (0, Stop::Gradient));

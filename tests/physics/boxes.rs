@@ -14,8 +14,8 @@ pub fn dipole(grid: usize) -> QuantumSystem {
     QuantumSystem { control: ControlShape::Dipole, ..box_of(grid) }
 }
 
-/// Returns one effect of each type except tables. Centers off the middle break the symmetry, which
-/// could hide errors.
+/// Returns one effect of each built-in type except tables. Centers off the middle break the
+/// symmetry, which could hide errors.
 pub fn every_effect() -> Vec<QuantumEffect> {
     vec![
         Harmonic { center: 0.3, ..Harmonic::default() }.into(),
@@ -56,7 +56,7 @@ pub fn wave(model: &QuantumSystem, psi: impl Fn(f64) -> (f64, f64)) -> Vec<f64> 
     x.into_iter().map(|x| x / norm).collect()
 }
 
-/// Returns a Gaussian wave packet with the wave number k. Its density has the standard deviation
+/// Returns a Gaussian wave packet with the wave number k. The standard deviation of the density is
 /// `sigma`.
 pub fn packet(model: &QuantumSystem, center: f64, sigma: f64, k: f64) -> Vec<f64> {
     wave(model, |x| {

@@ -63,17 +63,22 @@ fn minus(a: [Ops; 3], b: [Ops; 3]) -> [Ops; 3] {
 fn costs_add_up<H: ForcedSystem + System + Clone, E: Effect<H::Model>>(system: &H, effects: &[E]) {
     let with = |effects: &[E]| counts(&Forced { system: system.clone(), effects: effects.to_vec() });
     let bare = counts(system);
-    assert_eq!(with(&[]), bare, "an empty list adds no operations");
-    assert_eq!(counts(&Forced { system: system.clone(), effects: () }), bare, "() adds no operations");
+    assert_eq!(with(&[]), bare, "an empty list adds operations");
+    assert_eq!(counts(&Forced { system: system.clone(), effects: () }), bare, "`()` adds operations");
     let own: Vec<_> = effects.iter().map(|effect| minus(with(std::slice::from_ref(effect)), bare)).collect();
     let mut sum = bare;
     for (i, own) in own.iter().enumerate() {
-        assert!(own[0].total() > 0, "{:?} has operations", effects[i]);
+        assert!(own[0].total() > 0, "{:?} has no operations", effects[i]);
         sum = std::array::from_fn(|k| sum[k] + own[k]);
-        assert_eq!(with(&effects[..=i]), sum, "{:?} adds the same operations to others", effects[i]);
+        assert_eq!(with(&effects[..=i]), sum, "the operations of {:?} depend on the effects before it", effects[i]);
         let mut others = effects.to_vec();
         others.remove(i);
-        assert_eq!(minus(with(effects), with(&others)), *own, "removing {:?} saves its own operations", effects[i]);
+        assert_eq!(
+            minus(with(effects), with(&others)),
+            *own,
+            "removing {:?} does not save exactly its own operations",
+            effects[i]
+        );
     }
     let mut turned = effects.to_vec();
     turned.reverse();

@@ -141,7 +141,7 @@ fn steps_and_vjps_equal_the_authors() {
     assert!(worst.iter().all(|&worst| worst <= 1e-12), "{worst:?}");
 }
 
-/// System that forwards only `step`: all derivatives come from dual numbers.
+/// System that forwards only `step`. The default JVP uses dual numbers.
 struct ByDuals(Herding);
 
 impl System for ByDuals {

@@ -218,7 +218,7 @@ fn pair_forces_have_the_documented_values_and_directions() {
     near(along(Flock::default().into(), 0, 2, 0.9), (-0.2 * 0.5 * 0.9, 0.2 * 0.5 * 0.9));
     near(along(Flock::default().into(), 0, 2, 0.4), (0.0, 0.0));
     let (left, right) = along(Flock::default().into(), 0, 2, 0.2);
-    assert!(left > 0.0 && right == -left, "evaders attract each other at 0.2, below the distance 0.5 of the effect");
+    assert!(left > 0.0 && right == -left, "evaders at 0.2, below the distance 0.5 of the effect, do not attract each other");
 }
 
 #[test]
@@ -227,7 +227,7 @@ fn obstacles_push_outwards_only_within_their_radius() {
     let push = |r: [f64; 2]| {
         let at = [1.0 + r[0], -2.0 + r[1], 3.0, 3.0];
         let forces = forces(&obstacles, &model, &[at, at].concat());
-        assert_eq!(forces[0], forces[1], "equal forces on drivers and evaders");
+        assert_eq!(forces[0], forces[1], "the forces on drivers and evaders differ");
         forces[0]
     };
     for angle in 0..12 {
@@ -282,7 +282,7 @@ fn walls_push_inwards_only_beyond_their_position() {
     let push = |x: f64, y: f64| {
         let at = [x, y, 3.0, 3.0];
         let forces = forces(&walls, &model, &[at, at].concat());
-        assert_eq!(forces[0], forces[1], "equal forces on drivers and evaders");
+        assert_eq!(forces[0], forces[1], "the forces on drivers and evaders differ");
         forces[0]
     };
     for (x, y) in [(0.0, 0.0), (3.0, 2.0), (-3.0, -2.0), (2.5, -1.5)] {

@@ -73,7 +73,7 @@ fn derivatives_of_sliders_equal_dual_numbers_at_every_smoothing() {
     }
 }
 
-/// Returns the residual `v' - v - dt u/m + dt μ g tanh(v'/ε)`, relative to rounding.
+/// Returns the residual `v' - v - dt u/m + dt μ g tanh(v'/ε)`, relative to a bound on its rounding.
 fn residual<R: Real>(slider: &SliderSystem, v: f64, u: f64) -> f64 {
     let next = step(slider, &[R::zero(), R::from(v)], R::from(u))[1].lane(0).to_f64();
     let [v, u] = [v, u].map(|number| R::from(number).lane(0).to_f64());
@@ -99,7 +99,7 @@ fn implicit_friction_solves_its_equation() {
                 assert!(double < 8.0 && single < 8.0, "{slider:?} at {v}, {u}: {double} and {single} roundings");
             }
             let forward = step(&slider, &[0.0, v], 3.0)[1];
-            assert_eq!(forward, -step(&slider, &[0.0, -v], -3.0)[1], "the step is odd in speed and force");
+            assert_eq!(forward, -step(&slider, &[0.0, -v], -3.0)[1], "the step is not odd in speed and force");
         }
     }
 }
@@ -218,7 +218,7 @@ fn a_ball_comes_to_rest_after_infinitely_many_bounces() {
     // Falls for sqrt(2 h/g), then bounces for 2 e/(1 - e) times as long.
     let rest = f64::sqrt(2.0 / 9.81) * (1.0 + 2.0 * 0.5 / (1.0 - 0.5));
     let steps = (rest / ball.dt) as usize;
-    assert!(run(&ball, &[1.0, 0.0], 0.0, steps - 4)[0] > 0.0, "the ball still bounces");
+    assert!(run(&ball, &[1.0, 0.0], 0.0, steps - 4)[0] > 0.0, "the ball is at rest too early");
     assert_eq!(run(&ball, &[1.0, 0.0], 0.0, steps + 1), [0.0, 0.0]);
     // At rest without force, the derivatives with respect to state and force are 0. A force of 15 N
     // exceeds the weight of 9.81 N, and its derivatives are those of free motion.
@@ -228,7 +228,7 @@ fn a_ball_comes_to_rest_after_infinitely_many_bounces() {
 
 #[test]
 fn derivatives_of_steps_with_0_to_4_impacts_equal_finite_differences() {
-    // Initial height and speed, and the number of impacts.
+    // Initial height and velocity, and the number of impacts.
     let impacts = [(1.0, 0.0, 0), (0.2, 0.0, 1), (0.06, 0.0, 2), (0.03, -0.2, 3), (0.02, 0.0, 4)];
     for (h, v, count) in impacts {
         let ball = BouncingBall { contact: Contact::TimeOfImpact { restitution: 0.8 }, dt: 0.33, ..BouncingBall::default() };

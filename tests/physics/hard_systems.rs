@@ -172,7 +172,7 @@ fn energy_changes_by_the_power_of_the_control() {
     }
 }
 
-/// Returns the change of energy over `steps` steps of free motion.
+/// Returns the absolute change of energy over `steps` steps of free motion.
 fn drift<S: System>(system: &S, steps: usize, energy: impl Fn(&[f64]) -> f64) -> f64 {
     let mut x = random(system.state_dim(), 7);
     let before = energy(&x);

@@ -45,8 +45,10 @@ fn derivatives_with_respect_to_varied_numbers_equal_dual_numbers() {
     check::system(&all);
 }
 
-/// Central differences, without dual numbers. For a relative change h of 1e-5, their truncation is
-/// about h² = 1e-10 and their rounding 1e-16 / h = 1e-11 of the derivative.
+/// Compares derivatives by the parameters with central differences, without dual numbers.
+///
+/// The relative change h is 1e-5. The truncation error is about h² = 1e-10, and the rounding error
+/// 1e-16 / h = 1e-11 of the derivative.
 fn assert_agrees_with_differences(system: &impl System, x: &[f64]) {
     let n = system.state_dim();
     let mut p = vec![0.4; system.param_dim()];
@@ -80,7 +82,6 @@ fn derivatives_by_numbers_agree_with_differences() {
     assert_agrees_with_differences(&Forced { system: CartPoleSystem::default(), effects: wind }, &x[..4]);
 }
 
-/// Compares a system whose numbers are parameters with one whose numbers are fixed.
 /// Samples take adaptive steps of different sizes, so they evaluate the gusts at different times.
 #[test]
 fn derivatives_by_numbers_of_adaptive_steps_are_independent_of_other_samples() {
@@ -109,6 +110,7 @@ fn derivatives_by_numbers_of_adaptive_steps_are_independent_of_other_samples() {
     }
 }
 
+/// Compares a system whose numbers are parameters with one whose numbers are fixed.
 #[test]
 fn steps_with_numbers_as_parameters_equal_steps_with_fixed_numbers() {
     let x = [0.4, -0.3, 0.5, 1.1, -0.7, 0.6];
@@ -147,7 +149,7 @@ fn fixed_and_varied_numbers_cost_the_same_operations() {
     let plain = OpCount::of(&CartPoleSystem::default());
     assert_eq!(cost.step.total() - plain.step.total(), 2, "the friction of one pole takes a product and a difference");
     let half = Forced { effects: PoleDamping { damping: RANGE }, ..fixed };
-    assert_eq!(OpCount::of(&half).step, cost.step, "a parameter replaces a constant");
+    assert_eq!(OpCount::of(&half).step, cost.step, "a parameter costs other operations than a constant");
 }
 
 /// Compares the share of draws below a threshold with its expected value.

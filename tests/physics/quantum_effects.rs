@@ -229,5 +229,5 @@ fn renormalization_changes_only_the_norm_and_has_exact_derivatives() {
     assert!((norm(&kept[..16]) - 1.0).abs() < 1e-15 && kept[16] == free[16]);
     let size = norm(&free[..16]);
     assert!(size > 1.5 && kept[..16].iter().zip(&free).all(|(kept, free)| (kept * size - free).abs() < 1e-14));
-    assert!(step(&system, &[0.0; 17], 1.0)[0].is_nan(), "renormalizing a zero wave gives NaN");
+    assert!(step(&system, &[0.0; 17], 1.0)[0].is_nan(), "renormalizing a zero wave does not give NaN");
 }

@@ -114,8 +114,8 @@ fn a_coherent_state_returns_after_a_period_with_the_phase_pi() {
     println!("overlaps after half a period and a period: {there}, {back}; phase {phase}");
     // exp(-i ω (n + 1/2) 2π/ω) = -1 for all n.
     assert!(there > 0.999 && back > 0.999 && PI - phase.abs() < 0.1);
-    // The potential u x of the control shifts the center of a trap of stiffness k by -u / 2k, and
-    // changes the energy by a constant.
+    // The potential u x of the control shifts the center of a trap of stiffness k by -u / 2k. The
+    // energy changes by a constant.
     let shifted = packet(&model, 1.0 - 0.2, sigma, 0.0);
     let after = (0..500).fold(shifted.clone(), |x, _| step(&trap, &x, 2.0 * stiffness * 0.2));
     assert!(overlap(&shifted, &after).0 > 0.999);
@@ -153,7 +153,7 @@ fn a_double_well_has_the_documented_shape_symmetry_and_tunneling() {
     let v = potential(&well, &model);
     // Points at 0.01 j: minima at 0.5 and 1.5.
     assert!(v[49].abs() < 1e-9 && v[149].abs() < 1e-9 && (v[99] - 40.0).abs() < 1e-9);
-    assert!(v.iter().all(|&v| v >= 0.0) && v.iter().rev().eq(&v), "the potential is symmetric bit for bit");
+    assert!(v.iter().all(|&v| v >= 0.0) && v.iter().rev().eq(&v), "the potential is negative, or not symmetric bit for bit");
     let curvature = (v[48] - 2.0 * v[49] + v[50]) / 0.01f64.powi(2);
     // At a small distance δ from a minimum, V = k δ² and ω = 2 sqrt(k).
     let omega = 2.0 * (curvature / 2.0).sqrt();
@@ -163,7 +163,7 @@ fn a_double_well_has_the_documented_shape_symmetry_and_tunneling() {
     let start: Vec<f64> = model.eigenstate(1).zip(model.eigenstate(3)).flat_map(|(a, b)| [0.6 * a, 0.8 * b]).collect();
     let after = densities(&run(&Forced { system: model, effects }, start.clone(), 500));
     let mirrored: Vec<f64> = after.iter().rev().copied().collect();
-    assert!(largest_difference(&after, &densities(&start)) > 1e-3, "the density changes");
+    assert!(largest_difference(&after, &densities(&start)) > 1e-3, "the density does not change");
     assert!(largest_difference(&after, &mirrored) < 1e-12);
 
     // At energies below the barrier, the particle tunnels slowly. It reaches the other well after
@@ -193,7 +193,7 @@ fn mirroring_with_the_opposite_control_is_a_symmetry_of_the_dipole_only() {
         let mirrored = mirror(&step(&dipole(grid), &mirror(&x), -u[0]));
         assert!(largest_difference(&step(&dipole(grid), &x, u[0]), &mirrored) < 1e-14);
         let mirrored = mirror(&step(&box_of(grid), &mirror(&x), -u[0]));
-        assert!(largest_difference(&step(&box_of(grid), &x, u[0]), &mirrored) > 1e-3, "a tilt lacks this symmetry");
+        assert!(largest_difference(&step(&box_of(grid), &x, u[0]), &mirrored) > 1e-3, "a tilt has this symmetry");
     }
 }
 
@@ -214,7 +214,7 @@ fn densities_of_dipole_and_tilt_converge_to_each_other_with_order_2() {
     let (coarse, fine) = (difference(4000), difference(8000));
     println!("differences of densities: {coarse:e}, {fine:e}");
     assert!(fine < 1e-6 && (3.9..4.1).contains(&(coarse / fine)));
-    assert!(difference(8) > 1e-3, "the densities differ by at least 1e-3 at the time step of the paper");
+    assert!(difference(8) > 1e-3, "the densities differ by at most 1e-3 at the time step of the paper");
 }
 
 /// Potential that is equal at all points.
@@ -279,7 +279,7 @@ fn an_attractive_condensate_has_a_soliton() {
         let start = wave(&model, |x| (1.0 / (kappa * (x - 3.0)).cosh(), 0.0));
         let bound = run(&Forced { system: model, effects: Cubic { strength: -4.0 * kappa } }, start.clone(), steps);
         let free = run(&model, start.clone(), steps);
-        assert!(overlap(&start, &free).0 < 0.7, "without the cubic term, the packet spreads");
+        assert!(overlap(&start, &free).0 < 0.7, "without the cubic term, the packet does not spread");
         let (size, phase) = overlap(&start, &bound);
         (1.0 - size, phase)
     };

@@ -73,9 +73,9 @@ fn a_saved_run_is_animated_from_any_test_state() {
         command
     };
     animate(&["--sample", "3"]).assert().success();
-    assert_ne!(animation(&run), first, "sample 3 has another animation than sample 0");
+    assert_ne!(animation(&run), first, "sample 3 has the animation of sample 0");
     animate(&[]).assert().success();
-    assert_eq!(animation(&run), first, "`train` animates sample 0");
+    assert_eq!(animation(&run), first, "`train` does not animate sample 0");
     let text = error_of(&mut animate(&["--sample", "100000"]));
     assert!(text.contains("--sample is 100000; allowed: 0 to "), "{text}");
 
@@ -161,7 +161,7 @@ fn errors_name_the_key_and_the_allowed_values() {
         for part in parts {
             assert!(text.contains(part), "{set}: {text}");
         }
-        assert!(!out.exists(), "{set}: nothing is written");
+        assert!(!out.exists(), "{set}: a refused setting creates a folder");
     }
     let text = error_of(&mut train(&out, &["--field", "sideways"]));
     assert!(text.contains("sideways") && text.contains("combined"), "{text}");
@@ -281,7 +281,7 @@ fn a_comparison_resumes_with_more_epochs_and_refuses_other_settings() {
     assert_eq!(
         fs::read_to_string(dir.path().join("summary.csv")).expect("a summary"),
         before,
-        "a refused command leaves the summary unchanged"
+        "a refused command changes the summary"
     );
 }
 

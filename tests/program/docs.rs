@@ -1,5 +1,5 @@
-//! Code in the documentation is a doctest, or equals example files that other tests compile and
-//! run.
+//! Rust code in the documentation is a doctest, or quotes files in `examples`, which `cargo test`
+//! compiles.
 
 use crate::markdown::{pages, root};
 use std::fs;
@@ -28,7 +28,7 @@ fn the_readme_quotes_the_pendulum_example_of_fewer_than_40_lines() {
     let readme = include_str!("../../README.md");
     let example = include_str!("../../examples/pendulum.rs");
     assert!(readme.contains(&format!("```rust\n{example}```")), "README.md and examples/pendulum.rs differ");
-    assert!(example.lines().count() < 40, "examples/pendulum.rs has fewer than 40 lines");
+    assert!(example.lines().count() < 40, "examples/pendulum.rs has 40 lines or more");
 }
 
 #[test]
@@ -43,7 +43,7 @@ fn scenes_md_quotes_the_own_effect_example_of_fewer_than_80_lines() {
     let page = include_str!("../../docs/scenes.md");
     let example = include_str!("../../examples/own_effect.rs");
     assert!(page.contains(&format!("```rust\n{example}```")), "docs/scenes.md and examples/own_effect.rs differ");
-    assert!(example.lines().count() < 80, "examples/own_effect.rs has fewer than 80 lines");
+    assert!(example.lines().count() < 80, "examples/own_effect.rs has 80 lines or more");
 }
 
 #[test]

@@ -33,7 +33,7 @@ fn a_summary_agrees_with_its_losses_and_with_robust_at_unchanged_settings() {
 
     let losses = column(&read(&dir, "many/losses.csv"), "loss");
     assert_eq!(losses.len(), 40);
-    assert_eq!(column(&read(&dir, "few/losses.csv"), "loss"), losses[..10], "a sample does not depend on the number of samples");
+    assert_eq!(column(&read(&dir, "few/losses.csv"), "loss"), losses[..10], "a sample depends on the number of samples");
     let summary = read(&dir, "many/summary.csv");
     let number = |name: &str| column(&summary, name)[0];
     let mean = losses.iter().sum::<f64>() / 40.0;
@@ -43,7 +43,11 @@ fn a_summary_agrees_with_its_losses_and_with_robust_at_unchanged_settings() {
     sorted.sort_by(f64::total_cmp);
     assert_eq!((number("median"), number("worst")), (0.5 * (sorted[19] + sorted[20]), sorted[39]));
     let grid = read(&dir, "grid/robust.csv");
-    assert_eq!(column(&grid, "median")[0], number("median"), "the first grid point has the mass of the run");
+    assert_eq!(
+        column(&grid, "median")[0],
+        number("median"),
+        "medians at the first grid point, which has the mass of the run, and of `eval`"
+    );
 
     // The rollouts start from the reported samples, the worst first. No start is in the test set.
     let worst = read(&dir, "many/worst.csv");

@@ -108,7 +108,7 @@ fn counts_of_parts_minus_the_overlap_add_up_to_the_whole() {
         let sum = total("system alone", pass) + parts.map(|part| total(part, pass)).into_iter().sum::<i64>();
         assert_eq!(sum - total("counted twice", pass), total("together", pass));
     }
-    assert!(total("counted twice", 1) > 0, "limit and lag share operations in the VJP");
+    assert!(total("counted twice", 1) > 0, "limit and lag share no operations in the VJP");
 }
 
 #[test]
@@ -128,7 +128,7 @@ fn reported_bytes_equal_those_of_the_library() {
     let fields = Field::PAPER.map(|field| (field.to_string(), Some(field)));
     for (name, field) in fields.into_iter().chain([("evaluation".to_owned(), None)]) {
         let (short, long) = (stored(40, field), stored(140, field));
-        assert_eq!((long - short) % (100 * samples), 0, "every step stores the same number of bytes");
+        assert_eq!((long - short) % (100 * samples), 0, "steps store different numbers of bytes");
         let (each, whole) = ((long - short) / (100 * samples), short / samples);
         assert_eq!(
             printed(&name),
@@ -136,8 +136,8 @@ fn reported_bytes_equal_those_of_the_library() {
             "{name}: bytes per step, constant and whole; no allocation"
         );
     }
-    assert_eq!(printed("evaluation")[0], 0, "evaluation stores no step");
-    assert!(printed("modified")[0] < printed("regular")[0], "M stores no input derivative of the policy");
+    assert_eq!(printed("evaluation")[0], 0, "evaluation stores steps");
+    assert!(printed("modified")[0] < printed("regular")[0], "M stores as many bytes per step as R");
 }
 
 #[test]

@@ -16,7 +16,8 @@ fn trained(dir: &TempDir, name: &str, scene: &str) -> PathBuf {
     dir.path().join(name)
 }
 
-/// Description of a policy in the header of its file: the length of the header as u64, then JSON.
+/// Returns the description of a policy from the header of its file. The file starts with the length
+/// of the header as a u64, followed by the header in JSON.
 fn about(file: &Path) -> Value {
     let bytes = fs::read(file).expect("a policy");
     let (length, rest) = bytes.split_first_chunk().expect("a length");

@@ -29,7 +29,7 @@ pub fn check(command: &str, object: &Value) {
     }
 }
 
-/// Lines of a CSV file after the header.
+/// Number of lines of a CSV file after the header.
 fn lines(path: &Path) -> usize {
     fs::read_to_string(path).expect("a table").lines().count() - 1
 }
@@ -101,7 +101,7 @@ fn descriptions_and_checks_print_one_object() {
 }
 
 #[test]
-fn accuracy_identify_and_paper_print_one_object() {
+fn accuracy_and_paper_print_one_object() {
     let dir = TempDir::new().expect("a folder");
     let tiny = ["--set", "policy.widths=[4]", "--set", "horizon=5", "--quiet"];
     let accuracy = [&["accuracy", "cart_pole", "--target", "0.1", "-o", "accuracy"][..], &tiny].concat();

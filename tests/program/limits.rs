@@ -78,7 +78,7 @@ fn two_thousand_threads_are_refused() {
     assert_says(&said, "--threads is 2000; allowed: 1 to ");
     let said = refusal(physgrad(&["train", "cart_pole", "--out"]).arg(&out).env("RAYON_NUM_THREADS", "2000"));
     assert_says(&said, "RAYON_NUM_THREADS is 2000; allowed: 1 to ");
-    assert!(!out.exists(), "nothing is written");
+    assert!(!out.exists(), "a refused command creates a folder");
 }
 
 #[test]

@@ -25,7 +25,8 @@ fn masked_crc(bytes: &[u8]) -> u32 {
     crc.rotate_left(17).wrapping_add(0xa282_ead8)
 }
 
-/// Field of a message: its number and its contents, little-endian for numbers.
+/// Field of a message: number, contents, and the contents as a part of the message. Numbers are
+/// little-endian. The part is empty for integers.
 type Field<'a> = (u64, Vec<u8>, &'a [u8]);
 
 /// Fields of a protobuf message.
@@ -56,7 +57,7 @@ fn fields(mut bytes: &[u8]) -> Vec<Field<'_>> {
     fields
 }
 
-/// An event: wall time, step, and the values of its summary.
+/// An event: wall time, step, version of the file, and the values of its summary.
 struct Event {
     wall_time: f64,
     step: u64,
@@ -120,7 +121,11 @@ fn check(run: &Path, epochs: usize) {
         }
         assert_eq!(event.step, object["epoch"].as_u64().expect("an epoch"));
         // NaN differs from itself.
-        assert_eq!(format!("{:?}", event.values), format!("{:?}", &values[1..]), "the epoch is the step");
+        assert_eq!(
+            format!("{:?}", event.values),
+            format!("{:?}", &values[1..]),
+            "an event lacks values of its row after the epoch"
+        );
     }
     let now = SystemTime::now().duration_since(UNIX_EPOCH).expect("a time").as_secs_f64();
     let times: Vec<f64> = events.iter().map(|event| event.wall_time).collect();

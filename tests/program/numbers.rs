@@ -46,7 +46,7 @@ fn a_scene_draws_masses_and_gusts_and_trains_a_damping() {
     assert!(column("effects.pole_damping.damping").iter().all(|damping| (damping - trained).abs() < 1e-7));
     let masses = column("system.cart_mass");
     assert!(masses.iter().all(|mass| (0.5..=2.0).contains(mass)));
-    assert!(masses.iter().any(|&mass| mass != masses[0]), "masses differ between samples");
+    assert!(masses.iter().any(|&mass| mass != masses[0]), "all samples have equal masses");
     assert!(column("effects.gusty_wind.gust").iter().all(|gust| [1.0, 2.0].contains(gust)));
     assert!(column("start_of_gusts").iter().all(|start| (0.0..=1.0).contains(start)));
 
@@ -132,8 +132,8 @@ fn two_policies_are_evaluated_over_a_grid_of_4_by_2_settings() {
     }
 }
 
-/// Measured pendulum of the example: the length of the first arm agrees with the published value
-/// within 1 %, the center of mass of the second arm within 2 %.
+/// Identifies the measured pendulum of the example. The length of the first arm agrees with the
+/// published value within 1 %, the center of mass of the second arm within 2 %.
 #[test]
 fn measured_trajectories_identify_length_within_1_and_center_within_2_percent() {
     let dir = TempDir::new().expect("a folder");

@@ -43,7 +43,7 @@ fn error(args: &[&str], folder: &Path) -> String {
 
 fn error_of(program: &Path, args: &[&str], folder: &Path) -> String {
     let output = Command::new(program).args(args).current_dir(folder).output().expect("the command runs");
-    assert!(!output.status.success(), "{args:?} should fail");
+    assert!(!output.status.success(), "{args:?} succeeds; expected an error");
     String::from_utf8(output.stderr).expect("text")
 }
 
@@ -56,7 +56,7 @@ fn thirteen_commands_take_the_task_of_the_user() {
     let trajectory = std::fs::read_to_string(dir.path().join("run/trajectory.csv")).expect("a trajectory");
     assert!(trajectory.starts_with(&format!("sample,step,time,{state}")), "{}", &trajectory[..200]);
     let animation = std::fs::read_to_string(dir.path().join("run/animation.svg")).expect("an animation");
-    assert!(animation.contains("roll a ball to the middle"), "the animation has the title of the task");
+    assert!(animation.contains("roll a ball to the middle"), "the animation lacks the title of the task");
 
     run(&["train", "run/run.toml", "--resume", "--epochs", "6", "--quiet", "--out", "run"]);
     assert_eq!(std::fs::read_to_string(dir.path().join("run/metrics.csv")).expect("metrics").lines().count(), 7);
@@ -99,8 +99,8 @@ fn policies_depend_on_the_mass_of_the_ball_and_not_on_the_number_of_threads() {
         std::fs::read(dir.path().join(name).join("policy.safetensors")).expect("a policy")
     };
     let one = trained("one", &["--threads", "1"]);
-    assert_eq!(one, trained("two", &["--threads", "2"]), "results do not depend on the number of threads");
-    assert_ne!(one, trained("heavy", &["--set", "system.ball=0.2"]), "a setting of the task changes the policy");
+    assert_eq!(one, trained("two", &["--threads", "2"]), "results depend on the number of threads");
+    assert_ne!(one, trained("heavy", &["--set", "system.ball=0.2"]), "a setting of the task does not change the policy");
 }
 
 #[test]
@@ -138,7 +138,11 @@ fn scenes_add_effects_of_the_user_to_built_in_and_own_tasks() {
         run(&[&["train", "puck", "--epochs", "1", "--quiet", "--out", name], more].concat());
         std::fs::read(dir.path().join(name).join("policy.safetensors")).expect("a policy")
     };
-    assert_ne!(trained("free", &[]), trained("held", &["--set", "effects.spring.stiffness=3"]), "the effect changes the policy");
+    assert_ne!(
+        trained("free", &[]),
+        trained("held", &["--set", "effects.spring.stiffness=3"]),
+        "the effect does not change the policy"
+    );
 
     let message = |setting: &str| failed(&["train", "cart_pole", "--set", setting]);
     assert!(message("effects.eddy_brake.sped=3").contains("`effects.eddy_brake.sped` is unknown; allowed: `force` or `speed`"));
@@ -189,7 +193,7 @@ fn a_new_crate_has_the_name_of_the_task_and_overwrites_nothing() {
         assert!(error.contains(&format!("for instance `{name}_task`")) && !dir.path().join(name).exists(), "{error}");
     }
     assert!(refused("Self").contains("allowed: lower case letters"));
-    // Words of comments are no types.
+    // `Moment` is only a word of a comment in the source of the new crate, so `moment` is allowed.
     new(&["moment"], dir.path()).assert().success();
 }
 

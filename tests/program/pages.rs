@@ -23,7 +23,7 @@ fn every_scene_in_scenes_md_and_the_readme_is_valid() {
     for (name, least) in [("docs/scenes.md", 3), ("README.md", 1)] {
         let page = Page::read(name);
         let scenes: Vec<_> = page.blocks("toml").collect();
-        assert!(scenes.len() >= least, "{name} has at least {least} scenes");
+        assert!(scenes.len() >= least, "{name} has fewer than {least} scenes");
         for scene in scenes {
             let file = dir.path().join("a_scene.toml");
             fs::write(&file, scene).expect("a file");

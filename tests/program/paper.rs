@@ -20,10 +20,10 @@ fn assert_figure(dir: &Path, name: &str) {
     let file = |extension: &str| dir.join(format!("{name}.{extension}"));
     let svg = read(&file("svg"));
     roxmltree::Document::parse(&svg).expect("an SVG is XML");
-    assert!(!svg.contains("no data"), "every panel has lines");
+    assert!(!svg.contains("no data"), "a panel has no data");
     assert!(fs::read(file("png")).expect("a PNG").starts_with(b"\x89PNG"));
     assert!(read(&file("csv")).lines().count() > 1);
-    assert!(read(&file("md")).starts_with('|'), "a Markdown table");
+    assert!(read(&file("md")).starts_with('|'), "the table is not in Markdown");
 }
 
 #[test]
@@ -47,7 +47,7 @@ fn figures_3_and_4_have_one_csv_row_per_run_and_one_table_row_per_case_and_field
         assert_eq!(read(&dir.path().join(format!("{figure}.csv"))).lines().count(), 1 + cases * clips * fields * seeds);
         let table = read(&dir.path().join(format!("{figure}.md")));
         assert_eq!(table.lines().filter(|line| line.starts_with('|')).count(), 2 + cases * clips * fields);
-        assert!(table.contains("medians over the seeds"), "the note below the table explains the lines");
+        assert!(table.contains("medians over the seeds"), "the note below the table does not explain the lines");
         assert!(table.contains(panel) && read(&dir.path().join(format!("{figure}.svg"))).contains(panel));
     }
 }
@@ -80,7 +80,7 @@ fn a_figure_extended_from_2_to_3_epochs_equals_a_figure_of_3_epochs() {
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(text.contains("already has 3 epochs, but `epochs` is 1"), "{text}");
     let kept = dir.path().join("once");
-    assert_eq!((read(&kept.join("fig3.svg")), read(&kept.join("fig3.md"))), once, "earlier results are unchanged");
+    assert_eq!((read(&kept.join("fig3.svg")), read(&kept.join("fig3.md"))), once, "a refused command changes earlier results");
 }
 
 #[test]

@@ -30,7 +30,7 @@ fn refusal(folder: &Path) -> String {
     error_of(physgrad(&["report"]).arg(folder))
 }
 
-/// Checks that the page loads nothing. Its only addresses are names of XML namespaces.
+/// Checks that the page loads nothing. The only addresses on the page are names of XML namespaces.
 fn assert_stands_alone(page: &str) {
     for (at, _) in page.match_indices("://") {
         let (before, after) = page.split_at(at);
@@ -145,20 +145,27 @@ fn the_page_of_a_run_has_its_settings_metrics_adjoint_norms_and_animation() {
     assert!((times[3][0] / rows.iter().map(|row| row[6]).sum::<f64>() - 1.0).abs() < 1e-4);
     let growth = diagram(&page, "Growth of the adjoint");
     assert_eq!(labels(&growth), ["R before training", "M before training", "R as trained", "M as trained"]);
-    assert!(growth.iter().all(|(_, points)| points.len() == 26 && points[25][0] == 25.0), "a norm at each of the 26 states");
-    assert_eq!(growth[0].1, growth[1].1, "R and M are equal while the output layer is zero");
+    assert!(
+        growth.iter().all(|(_, points)| points.len() == 26 && points[25][0] == 25.0),
+        "not one norm at each of the 26 states"
+    );
+    assert_eq!(growth[0].1, growth[1].1, "R and M differ while the output layer is zero");
     assert_ne!(growth[2].1, growth[3].1);
     let row = &cells(&page)[0];
-    assert!((1.0..10.0).contains(&rows[3][3]), "four digits have three places");
+    assert!(
+        (1.0..10.0).contains(&rows[3][3]),
+        "the test loss is {}; the test needs 1 to 10, with three decimal places",
+        rows[3][3]
+    );
     assert_eq!((row[0], row[3], row[5]), ("4", &*format!("{:.3}", rows[3][3]), "0"));
     assert_eq!(animations(&page), [fs::read_to_string(out.join("animation.svg")).expect("an animation")]);
     assert_eq!(between(&page, "<script>", "</script>").len(), 1, "one script");
 
-    assert!(report(&out) == page, "a second report has the same bytes");
+    assert!(report(&out) == page, "a second report has other bytes");
     train(&out, &["--epochs", "1"]).assert().success();
     assert!(
         dir.path().join("run.previous-1/report.html").exists() && !out.join("report.html").exists(),
-        "the page moves with the folder of its run"
+        "the page does not move with the folder of its run"
     );
 }
 
@@ -178,7 +185,7 @@ fn the_page_of_a_comparison_has_the_printed_table_and_curves_of_all_seeds() {
     let printed = String::from_utf8(printed).expect("text");
     let page = report(dir.path());
     assert!(page.contains("<th scope=\"row\">field</th><td>regular, combined</td>"));
-    assert!(page.contains("<th scope=\"row\">seed</th><td>9, 10</td>"), "seeds in increasing order");
+    assert!(page.contains("<th scope=\"row\">seed</th><td>9, 10</td>"), "the seeds are not in increasing order");
     assert!(page.contains("<th scope=\"row\">horizon</th><td>25</td>"));
     let rows = cells(&page);
     assert_eq!((rows[0][0], rows[1][0]), ("regular", "combined"));
@@ -191,7 +198,10 @@ fn the_page_of_a_comparison_has_the_printed_table_and_curves_of_all_seeds() {
     let medians = diagram(&page, "Test loss by epoch");
     assert_eq!(labels(&medians), ["R (regular)", "C (combined)"]);
     for (_, points) in &medians {
-        assert!(points.iter().all(|p| p.len() == 4 && p[2] <= p[1] && p[1] <= p[3]), "a median within its band: {points:?}");
+        assert!(
+            points.iter().all(|p| p.len() == 4 && p[2] <= p[1] && p[1] <= p[3]),
+            "a median is outside of its band: {points:?}"
+        );
     }
     diagram(&page, "Test loss by time");
     assert_eq!(labels(&diagram(&page, "Every run")), ["R seed 9", "R seed 10", "C seed 9", "C seed 10"]);
@@ -206,7 +216,7 @@ fn the_page_of_a_comparison_has_the_printed_table_and_curves_of_all_seeds() {
     let animated = ["R-9", "R-10", "C-9", "C-10"].map(|run| fs::read_to_string(file(run)).expect("an animation"));
     animated.iter().for_each(|animation| assert_same_scale(&animated[0], animation));
     fs::remove_file(file("C-9")).expect("the file exists");
-    assert!(report(dir.path()) == page, "the page does not need the file of an animation");
+    assert!(report(dir.path()) == page, "the page depends on the file of an animation");
 }
 
 #[test]

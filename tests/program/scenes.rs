@@ -45,7 +45,7 @@ fn every_preset_has_the_task_and_the_number_in_its_name() {
     assert!(names.len() >= 14, "{names:?}");
     for name in &names {
         let out = dir.path().join(name);
-        assert!(stdout(&["scene", name]).starts_with("# "), "the first line of {name} is a description");
+        assert!(stdout(&["scene", name]).starts_with("# "), "the first line of {name} is no description");
         let options = ["--epochs", "0", "--set", "training.train_samples=4", "--set", "training.test_samples=4"];
         train_scene(Path::new(name), &out, &options).assert().success();
         let settings = settings(&out);
@@ -74,7 +74,7 @@ fn the_presets_of_the_tasks_of_the_paper_list_all_defaults() {
         let preset: Table = stdout(&["scene", task]).parse().expect("TOML");
         assert_eq!(preset, defaults, "{task}");
     }
-    assert!(stdout(&["scene", "cart_pole"]).contains("# kg"), "the preset has comments");
+    assert!(stdout(&["scene", "cart_pole"]).contains("# kg"), "the preset has no comments");
 }
 
 #[test]
@@ -102,8 +102,8 @@ fn absent_settings_have_the_defaults_of_the_task() {
     let settings = settings(&out);
     assert_eq!(settings["system"]["cart_mass"].as_float(), Some(2.0));
     assert_eq!(settings["system"]["poles"].as_integer(), Some(2), "the default of the task");
-    assert!(!settings.contains_key("effects") && !settings.contains_key("actuator"), "absent sections are not written");
-    assert!(settings["training"].get("clip_limit").is_none(), "an unused setting is not written");
+    assert!(!settings.contains_key("effects") && !settings.contains_key("actuator"), "absent sections are written");
+    assert!(settings["training"].get("clip_limit").is_none(), "an unused setting is written");
 
     // `compare` and `check` also accept a scene file.
     let compare = dir.path().join("compare");
@@ -150,7 +150,7 @@ fn a_resampled_run_resumes_with_equal_bits_and_a_decay_fixes_the_number_of_epoch
 fn discount_control_truncation_and_cut_change_r_and_their_neutral_values_do_not() {
     let dir = TempDir::new().expect("a folder");
     let file = write(&dir, "scene = 1\ntask = \"cart_pole\"\nepochs = 1\n");
-    // In 25 steps, the adjoint of R does not grow.
+    // In the 25 steps of `SMALL`, the adjoint of R does not grow. The horizon is therefore 100.
     let trained = |field: &str, setting: &str| {
         let out = dir.path().join(format!("{field}_{setting}"));
         train_scene(&file, &out, &[&SMALL[..], &["--field", field, "--set", setting, "--set", "horizon=100"]].concat())
@@ -273,7 +273,7 @@ fn errors_in_a_file_name_the_line_and_the_allowed_values() {
         let file = write(&dir, &format!("{CART_POLE}{text}"));
         let error = error_of(&mut train_scene(&file, &out, &[]));
         assert!(error.contains(message), "{message}\n{error}");
-        assert!(!out.exists(), "nothing is written");
+        assert!(!out.exists(), "a refused scene creates a folder");
     }
     for (text, message) in [
         ("task = \"cart_pole\"\n", "my_scene.toml: `scene` is missing; a scene begins with `scene = 1`"),
@@ -378,7 +378,7 @@ fn trajectories_name_actuator_states_the_phase_of_gusts_and_applied_forces() {
     let header = text.lines().next().expect("a header");
     assert!(header.ends_with("omega_2,force_in_1,force_in_2,force_before,start_of_gusts,force,force_applied"), "{header}");
     let widths: Vec<usize> = text.lines().map(|line| line.split(',').count()).collect();
-    assert!(widths.iter().all(|&width| width == widths[0]), "every row has all columns");
+    assert!(widths.iter().all(|&width| width == widths[0]), "the rows have different numbers of columns");
 }
 
 /// Checks, at each step, Newton's second law for a block without friction, and the limit, delay and

@@ -91,7 +91,7 @@ fn errors_of_a_plan_name_the_line_and_the_allowed_values() {
         let dir = folder(&PLAN.replacen(old, new, 1));
         let found = error(&dir, "study plans/plan.toml --quiet -o out");
         assert!(found.contains(message), "{new}: {found}, expected {message}");
-        assert!(!dir.path().join("out").exists(), "{new}: an invalid plan creates no folder");
+        assert!(!dir.path().join("out").exists(), "{new}: an invalid plan creates a folder");
     }
     let found = error(&folder("[[task]]\nscene = \"push\"\n"), "study plans/plan.toml");
     assert!(found.contains("`method` is missing; add an entry [[method]]"), "{found}");
@@ -145,7 +145,7 @@ fn a_study_trains_every_combination_and_equals_single_runs() {
     fs::remove_file(dir.path().join("out/study.csv")).expect("a file");
     physgrad("merge out --quiet", dir.path()).assert().success();
     assert_eq!(table, bytes("out/study.csv"));
-    // The plan of the folder is a plan, and the runs are complete.
+    // The plan in the folder is valid, and the runs are complete.
     physgrad("study out/study.toml --quiet -o out", dir.path()).assert().success();
     assert_eq!(table, bytes("out/study.csv"));
     physgrad("report out", dir.path()).assert().success();
@@ -167,7 +167,7 @@ fn a_plan_without_learning_rates_uses_those_of_the_scenes_and_methods() {
     assert_eq!(rows.len(), 1 + 4);
     let csv = fs::read_to_string(dir.path().join("out/study.csv")).expect("a table");
     assert!(csv.contains("mine,C,0.02,2,"), "{csv}");
-    assert!(dir.path().join("out/mine+C/runs/R-0").exists(), "the method keeps the field of the scene");
+    assert!(dir.path().join("out/mine+C/runs/R-0").exists(), "the method does not keep the field of the scene");
 }
 
 #[test]
@@ -176,7 +176,7 @@ fn the_plans_of_the_repository_are_valid_and_the_guide_quotes_one() {
     let plans = fs::read_dir(root().join("examples/plans")).expect("a folder");
     for plan in plans {
         let path = plan.expect("an entry").path();
-        // A folder that holds a comparison is refused after the plan was read.
+        // The program reads the plan, then refuses a folder that holds a comparison.
         fs::write(dir.path().join("comparison.toml"), "").expect("a file");
         let path = path.to_str().expect("a path in UTF-8");
         for quick in ["", " --quick"] {

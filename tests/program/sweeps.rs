@@ -53,7 +53,7 @@ fn a_scene_with_a_sweep_is_trained_by_compare_only() {
     let values = |column: usize| rows[1..].iter().map(|row| row[column].clone()).collect::<Vec<_>>();
     assert_eq!(rows[0][..3], ["scene", "training.batch", "training.learning_rate"]);
     assert_eq!(values(1), ["4", "4", "8", "8"]);
-    assert_eq!(values(2)[..2], values(2)[2..], "each random draw meets each value of the grid");
+    assert_eq!(values(2)[..2], values(2)[2..], "random draws differ between values of the grid");
     for row in &rows[1..] {
         let settings = fs::read_to_string(dir.path().join("sweep").join(&row[0]).join("runs/C-0/run.toml")).expect("settings");
         assert!(settings.contains(&format!("batch = {}\n", row[1])), "{settings}");

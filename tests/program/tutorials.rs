@@ -75,7 +75,8 @@ fn run(page: &str) -> usize {
                         folder.push(&command[1]);
                         continue;
                     }
-                    // Plans of the repository take an hour. The tests of studies check them.
+                    // Studies take too long. The tests of studies check the plans of the
+                    // repository.
                     let Some(call) = arguments(&command).filter(|call| call.first().is_none_or(|first| first != "study")) else {
                         continue;
                     };

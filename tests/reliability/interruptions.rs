@@ -93,7 +93,7 @@ fn one_of_100_simultaneous_starts_runs_and_99_are_refused() {
     signal(&survivor, "TERM");
     assert_eq!(survivor.wait_with_output().expect("the process ends").status.code(), Some(143));
     assert_complete(&out);
-    assert_eq!(fs::read_dir(out.parent().expect("a parent")).expect("a folder").count(), 1, "no run was renamed");
+    assert_eq!(fs::read_dir(out.parent().expect("a parent")).expect("a folder").count(), 1, "a run was renamed");
 }
 
 #[test]
@@ -203,7 +203,7 @@ fn an_earlier_run_is_renamed_and_a_folder_with_foreign_files_is_refused() {
     train(&out, &["--epochs", "1"]).assert().success();
     let first = policy(&out);
     assert!(error_of(&mut train(&out, &["--threads", "0"])).contains("--threads"));
-    assert!(policy(&out) == first, "an invalid option renames no run");
+    assert!(policy(&out) == first, "an invalid option renames the run");
 
     fs::write(out.join("notes.txt"), "mine").expect("a file");
     let error = error_of(&mut again());
@@ -407,7 +407,7 @@ fn a_run_killed_within_an_epoch_resumes_there_to_the_same_bits() {
     });
     child.kill().expect("the process is killed");
     assert_eq!(child.wait().expect("the process ends").signal(), Some(9));
-    assert_eq!(metrics(&out).len(), 1, "the metrics have a header and no epoch");
+    assert_eq!(metrics(&out).len(), 1, "lines of the metrics: a header and no epoch");
     train(&out, &args).arg("--resume").assert().success();
     let whole = dir.path().join("whole");
     train(&whole, &args[..2]).args(&args[4..]).assert().success();

@@ -34,9 +34,11 @@ fn ended(out: &Path) -> usize {
         .count()
 }
 
-/// All files below the folder, without lock files and wall times: the columns `seconds`, the
-/// times of a study, the pictures with a time axis, and checkpoints, which contain the seconds of each epoch. A killed
-/// process may leave a temporary file of an unfinished write, `.NAME.new`.
+/// Returns all files below the folder, without lock files, temporary files and wall times.
+///
+/// Wall times are in the columns `seconds`, the times of a study, the pictures with a time axis,
+/// and the checkpoints. A killed process may leave a temporary file of an unfinished write,
+/// `.NAME.new`.
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     let mut folders = vec![folder.to_owned()];
@@ -112,7 +114,7 @@ fn eight_shards_with_three_kills_give_the_bytes_of_one_process() {
         finished = finished.max(ended(&many));
     }
     assert_eq!(finished, 100);
-    assert!(trained <= 100, "no run is trained twice: {trained}");
+    assert!(trained <= 100, "a run is trained twice: {trained} trainings of 100 runs");
     physgrad(&["merge", "--quiet"]).arg(&many).assert().success();
     assert_equal(&one, &many);
 
@@ -142,7 +144,7 @@ fn the_next_shard_completes_a_killed_one_and_merge_names_missing_runs() {
         let missing = 4 - ended(&many);
         assert!(error.contains(&format!("{missing} of 4 runs are missing or not complete")), "{error}");
         assert!(error.contains("C seed 1") || error.contains("R seed 0"), "{error}");
-        assert!(many.join("summary.csv").exists(), "tables show the other runs");
+        assert!(many.join("summary.csv").exists(), "merge writes no tables of the other runs");
     }
     let output = shard(&options, &many, "1/2").wait_with_output().expect("the process ends");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -187,7 +189,7 @@ fn a_killed_study_and_two_shards_give_the_bytes_of_one_process() {
         let output = child.wait_with_output().expect("the process ends");
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     }
-    assert!(!many.join("study.csv").exists(), "shards write no tables");
+    assert!(!many.join("study.csv").exists(), "a shard writes tables");
     physgrad(&["merge", "--quiet"]).arg(&many).assert().success();
     assert_equal(&one, &many);
 

@@ -71,8 +71,8 @@ impl Mechanism {
     }
 }
 
-/// Returns point masses with the mass, center and inertia of a uniform rod: a sixth of the mass at
-/// either end, and the rest in the middle.
+/// Returns point masses with the mass, center and inertia of a uniform rod. A sixth of the mass is
+/// at either end, the rest in the middle.
 pub(super) fn rod(mass: f64, half_length: f64, base: &[f64], of_poles: usize, pole: usize) -> impl Iterator<Item = Point> {
     [(1.0 / 6.0, 0.0), (4.0 / 6.0, 1.0), (1.0 / 6.0, 2.0)].into_iter().map(move |(share, place)| {
         let mut arms = base.to_vec();
