@@ -84,7 +84,7 @@
 
 #![deny(missing_docs, unsafe_op_in_unsafe_fn)]
 
-// Modules import only lower modules. `tests/layout.rs` lists the allowed imports.
+// Imports between modules have no cycles. `tests/layout.rs` lists the allowed ones.
 pub mod check;
 mod dynamics;
 mod engine;

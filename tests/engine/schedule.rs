@@ -95,7 +95,7 @@ fn schedules_recompute_the_stated_number_of_steps() {
 }
 
 #[test]
-fn two_level_segments_have_about_the_root_of_the_horizon() {
+fn two_level_segments_have_about_the_square_root_of_the_horizon() {
     let schedule = Schedule::two_level(1_000_000);
     assert_eq!((schedule.segment(), schedule.segments()), (8 * UNIT, 969));
     assert_eq!(schedule.recomputed_steps(), 968 * 8 * UNIT as u64);

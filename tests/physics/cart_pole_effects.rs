@@ -149,7 +149,10 @@ fn the_coupled_model_conserves_energy_and_the_uncoupled_model_does_not() {
     // The method is of first order: a tenth of the step gives a tenth of the drift.
     let (coarse, fine) = (drift(exact, 1e-3), drift(exact, 1e-4));
     assert!(fine < 1e-3 && (8.0..12.0).contains(&(coarse / fine)), "{coarse:e}, {fine:e}");
-    assert!(drift(simple, 1e-4) > 20.0 * fine, "the energy of the uncoupled model drifts by at most 20 times as much");
+    assert!(
+        drift(simple, 1e-4) > 20.0 * fine,
+        "the energy of the uncoupled model drifts by at most 20 times that of the coupled model"
+    );
 }
 
 #[test]

@@ -147,7 +147,7 @@ fn fixed_and_varied_numbers_cost_the_same_operations() {
     let fixed = Forced { system: CartPoleSystem::default(), effects: PoleDamping { damping: 0.1.into() } };
     let cost = OpCount::of(&fixed);
     let plain = OpCount::of(&CartPoleSystem::default());
-    assert_eq!(cost.step.total() - plain.step.total(), 2, "the friction of one pole takes a product and a difference");
+    assert_eq!(cost.step.total() - plain.step.total(), 2, "operations of the friction of one pole: a product and a difference");
     let half = Forced { effects: PoleDamping { damping: RANGE }, ..fixed };
     assert_eq!(OpCount::of(&half).step, cost.step, "a parameter costs other operations than a constant");
 }

@@ -48,7 +48,7 @@ fn halving_the_step_reduces_errors_by_the_order_of_the_method_and_doubles_operat
     }
     assert!(number(&rows["tsit5 4 f64"], "trajectory_error") < 1e-11);
     let rounding = number(&rows["tsit5 4 f32"], "trajectory_error");
-    assert!(rounding > 1e-8 && rounding < 1e-4, "the error of tsit5 in f32 is between 1e-8 and 1e-4, not {rounding:e}");
+    assert!(rounding > 1e-8 && rounding < 1e-4, "the error of tsit5 in f32 is {rounding:e}, not between 1e-8 and 1e-4");
     assert!(said.contains("the cheapest setting with an error of the trajectory of at most 1e-4 is "), "{said}");
 
     // The printed lines form a valid scene.

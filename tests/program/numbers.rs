@@ -173,7 +173,7 @@ fn measured_trajectories_identify_length_within_1_and_center_within_2_percent() 
     let exact = command.replace("found", "exact --exact-starts --window 0");
     let output = physgrad(&exact, dir.path()).assert().success().get_output().stdout.clone();
     assert!(String::from_utf8_lossy(&output).contains("validation with 2 other segments"));
-    // The fitted scene trains a controller for the measured pendulum.
+    // Trains a controller for the measured pendulum in the fitted scene.
     physgrad("train found/scene.toml --epochs 1 --set training.train_samples=8 --quiet --out run", dir.path()).assert().success();
 
     for (command, message) in [

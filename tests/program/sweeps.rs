@@ -85,7 +85,7 @@ fn runs_are_listed_filtered_sorted_and_drawn() {
         cells.map(|line| line.split_whitespace().next().expect("a path").to_owned()).collect()
     };
     assert_eq!(listed(""), ["a", "c", "deep/b"]);
-    assert_eq!(listed(" --sort loss"), ["deep/b", "a", "c"], "a run without epochs comes last");
+    assert_eq!(listed(" --sort loss"), ["deep/b", "a", "c"], "a run without epochs does not come last");
     assert_eq!(listed(" --sort age"), ["c", "deep/b", "a"]);
     assert_eq!(listed(" --tag both"), ["a", "deep/b"]);
     assert_eq!(listed(" --task push"), ["c"]);
