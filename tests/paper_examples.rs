@@ -156,8 +156,8 @@ fn adam_converges_by_gradient_and_combined_field_but_not_by_rotated_field() {
     assert!(losses[0] < 1e-20 && losses[1] > 1.0 && losses[2] < 1e-5, "{losses:?}");
 }
 
-/// Compares the largest losses of iterations 2700 to 3000, from 16 starts on a circle with the
-/// radius 2. With the combination, at least `arrivals` losses are below 1e-4.
+/// Compares the largest losses of iterations 2700 to 3000, from 16 initial parameters on a circle
+/// with the radius 2. With the combination, at least `arrivals` losses are below 1e-4.
 #[test]
 fn combined_field_reduces_the_loss_of_adam_to_a_tenth_of_that_of_rotated_field() {
     let [_, (_, rotated), (_, combined)] = Rotated::figure();

@@ -203,13 +203,13 @@ fn projection_of_m_is_orthogonal_to_an_opposed_r_and_m_otherwise() {
 }
 
 #[test]
-fn the_conflict_free_field_has_equal_angles_to_m_and_r_and_the_length_of_both_projections() {
+fn the_conflict_free_field_has_equal_angles_to_m_and_r_and_the_norm_of_both_projections() {
     for factors in [[1.0, 1.0], [1.0, 1e6], [1e-3, 2.0], [-1.0, 5.0]] {
         let [m, r, out] = combined(Combination::ConflictFree, factors);
         let cosine = |g: &[f64]| dot(&out, g) / (dot(&out, &out) * dot(g, g)).sqrt();
         assert_relative_eq!(cosine(&m), cosine(&r), max_relative = 1e-9);
         assert!(cosine(&m) > 0.0);
-        // ConFIG: the length is the sum of the projections of both gradients.
+        // ConFIG: the norm is the sum of the projections of both gradients.
         let length = dot(&out, &out).sqrt();
         assert_relative_eq!(length, (dot(&m, &out) + dot(&r, &out)) / length, max_relative = 1e-12);
     }
@@ -241,7 +241,7 @@ fn combinations_of_equal_gradients_are_multiples_of_them_and_those_of_zeros_are_
     for by in Combination::ALL {
         let mut out = [f64::NAN; 2];
         by.combine(&g, &g, &mut out);
-        // ConFIG adds the lengths of both gradients.
+        // ConFIG adds the norms of both gradients.
         let length = if by == Combination::ConflictFree { 2.0 } else { 1.0 };
         assert_relative_eq!(out.as_slice(), g.map(|g| g * length).as_slice(), max_relative = 1e-15);
         for (a, b) in [(g, zero), (zero, g), (zero, zero)] {

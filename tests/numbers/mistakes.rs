@@ -76,7 +76,7 @@ fn min_max_and_negative_powers_of_a_scalar_compile() {
     assert_eq!(errors("x[0].max(0.0) + x[0].min(x[0]) + x[0].powi(-1)", ""), "");
 }
 
-/// Types in the wrong place, with the sentence of the message.
+/// Types in the wrong place, with a part of the message of the compiler.
 #[test]
 fn types_in_the_wrong_place_are_explained() {
     for (item, sentence) in [

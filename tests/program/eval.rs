@@ -49,7 +49,8 @@ fn a_summary_agrees_with_its_losses_and_with_robust_at_unchanged_settings() {
         "medians at the first grid point, which has the mass of the run, and of `eval`"
     );
 
-    // The rollouts start from the reported samples, the worst first. No start is in the test set.
+    // The rollouts start from the reported samples, the worst first. The test set contains none of
+    // them.
     let worst = read(&dir, "many/worst.csv");
     let mut samples = column(&worst, "sample");
     samples.dedup();
