@@ -86,8 +86,8 @@ fn page() -> Result<String> {
         section(&mut page, kind, "effects", &kind.effects())?;
     }
     let actuators = wrapped(
-        "Available in every task, except `delay` and `lag` in `quantum`. They map the policy's control u to the control u' that \
-         the physics receives, in this order. Their state starts at 0. Costs are for cart_pole, which has one control.",
+        "Every task accepts actuators; `quantum` accepts only `limit`. Actuators map the policy's control u to the control u' \
+         that the physics receives, in this order. Their state starts at 0. Costs are for cart_pole, which has one control.",
         WIDTH,
     );
     let _ = writeln!(page, "\n## Actuators\n\n{actuators}\n");
