@@ -4,7 +4,7 @@
 //! Run: `cargo run --release --example identify -- [measured.csv] [scipy.csv]`
 //!
 //! `examples/data/README.md` describes the data and their source. `tests/identify/scipy_compare.py`
-//! writes `scipy.csv`, the numbers that SciPy finds. The example compares their errors with its own.
+//! writes `scipy.csv`, the numbers that SciPy finds. The example compares the errors of both fits.
 
 use physgrad::identify::{Fit, IdentifyError, Options, Segment, Unknown, identify};
 use physgrad::tasks::{Arm, MultiPendulum};
@@ -97,7 +97,7 @@ impl Model {
             for (k, (name, value, is_unknown)) in entries.into_iter().enumerate() {
                 let start = if unknowns.len() % 2 == 0 { value * factor } else { value / factor };
                 if is_unknown {
-                    // With fixed masses, only the sum of inertia and mass center² has to be positive.
+                    // With fixed masses, only the sum inertia + mass center² has to be positive.
                     let min = if name == "inertia" { f64::NEG_INFINITY } else { 0.0 };
                     unknowns.push(Unknown { name: format!("{name}_{}", i + 1), index: p.len(), start, min, max: f64::INFINITY });
                 }

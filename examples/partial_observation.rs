@@ -10,8 +10,8 @@ use physgrad::tasks::CartPoleSystem;
 use physgrad::{Clip, Rollout, Training, initial_states};
 use std::f64::consts::PI;
 
-/// Swing-up of one pole from near hanging. State [position m, velocity m/s, angle rad (0 = up), rate
-/// rad/s].
+/// Swing-up of one pole from near hanging. State [position m, velocity m/s, angle rad (0 = up),
+/// rate rad/s].
 #[derive(Clone)]
 #[rustfmt::skip]
 struct PositionsOnly { cart_pole: CartPoleSystem }
