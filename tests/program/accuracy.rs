@@ -78,6 +78,9 @@ fn diverged_settings_have_a_message_but_no_errors_and_no_times() {
 fn an_error_of_1e_minus_30_is_unreached_and_reports_the_most_accurate_setting() {
     let dir = TempDir::new().expect("a folder");
     let args = ["accuracy", "cart_pole", "--set", "policy.widths=[4]", "--set", "horizon=5", "--quiet", "--target", "1e-30"];
+    let json = physgrad(&args).arg("--json").arg("--out").arg(dir.path()).assert().code(1).get_output().stdout.clone();
+    let json: serde_json::Value = serde_json::from_slice(&json).expect("an object");
+    assert!(json["cheapest"].is_null(), "{json}");
     let said = error_of(physgrad(&args).arg("--out").arg(dir.path()));
     assert!(said.contains("no setting reaches this error of the trajectory; the most accurate is "), "{said}");
     let said = error_of(&mut physgrad(&["accuracy", "cart_pole", "--target=-1"]));

@@ -109,6 +109,7 @@ fn accuracy_and_paper_print_one_object() {
     check("accuracy", &accuracy);
     assert_eq!(accuracy["settings"].as_array().map(Vec::len), Some(lines(&dir.path().join("accuracy/accuracy.csv"))));
     assert!(accuracy["cheapest"]["error"].as_f64().is_some_and(|error| error <= 0.1), "{}", accuracy["cheapest"]);
+    assert!(dir.path().join("accuracy/scenes").is_dir(), "the scenes are written, as without --json");
     let paper = object(dir.path(), &["paper", "fig2", "--quick", "--out", "paper"]);
     check("paper", &paper);
     assert_eq!(

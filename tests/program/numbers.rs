@@ -170,9 +170,12 @@ fn measured_trajectories_identify_length_within_1_and_center_within_2_percent() 
     // The segments keep their numbers.
     assert_eq!((&*read(&dir, "found/trajectories.csv")[500][0], &*read(&dir, "found/validation.csv")[1][0]), ("2", "1"));
     // Other segments have free initial states, also if those of the fitted segments are exact.
-    let exact = command.replace("found", "exact --exact-starts --window 0");
+    let exact = command.replace("found", "exact --exact-starts --window 0 --json");
     let output = physgrad(&exact, dir.path()).assert().success().get_output().stdout.clone();
-    assert!(String::from_utf8_lossy(&output).contains("validation with 2 other segments"));
+    let object = serde_json::from_slice(&output).expect("an object");
+    super::json::check("identify", &object);
+    assert_eq!(object["numbers"].as_array().map(Vec::len), Some(rows.len() - 1));
+    assert_eq!(read(&dir, "exact/validation.csv").len(), read(&dir, "found/validation.csv").len());
     // Trains a controller for the measured pendulum in the fitted scene.
     physgrad("train found/scene.toml --epochs 1 --set training.train_samples=8 --quiet --out run", dir.path()).assert().success();
 

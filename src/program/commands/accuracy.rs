@@ -17,7 +17,7 @@ use crate::program::platform::terminal::{print_message, print_result, print_text
 use crate::program::scenes::overrides::{Overrides, hide_training};
 use crate::program::scenes::presets;
 use crate::program::settings::Precision;
-use anyhow::{Result, bail};
+use anyhow::{Result, anyhow, bail};
 use indicatif::ProgressBar;
 use serde_json::json;
 use std::path::PathBuf;
@@ -96,23 +96,32 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     let folder = folder()?;
     let conserved = conserved.map(|conserved| conserved.name);
     let list = outputs::write(&folder, &name, &reference, conserved, &rows)?;
-    if args.json {
-        let cheapest = args.target.and_then(|target| cheapest(rows.iter(), args.metric, target));
-        let cheapest = cheapest.map(|(row, error)| json!({ "setting": row.setting.name(), "error": error }));
-        return print_json(&json!({ "folder": folder.path(), "settings": json::rows(&list)?, "cheapest": cheapest }));
-    }
-    print_text(&outputs::summary(&rows, &reference, conserved))?;
-    print_text(&format!("results in {}: accuracy.csv, accuracy.svg, accuracy.md", folder.path().display()))?;
-    let Some(target) = args.target else { return Ok(()) };
-    let scenes = study.scenes(&rows, args.metric, target)?;
+    let scenes = args.target.map_or(Ok(Vec::new()), |target| study.scenes(&rows, args.metric, target))?;
+    let inner = folder.file("scenes");
     if !scenes.is_empty() {
-        let inner = Folder::at(folder.file("scenes")).lock()?;
-        for (method, scene) in scenes {
+        let inner = Folder::at(inner.clone()).lock()?;
+        for (method, scene) in &scenes {
             inner.write(&format!("{method}.toml"), scene.table.to_string())?;
         }
-        print_text(&format!("scenes with the cheapest setting of each method are in {}", inner.path().display()))?;
     }
-    name_cheapest(&rows, args.metric, target)
+    let cheapest = args.target.map(|target| (target, cheapest(rows.iter(), args.metric, target)));
+    if args.json {
+        let object = cheapest.and_then(|(_, found)| found);
+        let object = object.map(|(row, error)| json!({ "setting": row.setting.name(), "error": error }));
+        print_json(&json!({ "folder": folder.path(), "settings": json::rows(&list)?, "cheapest": object }))?;
+    } else {
+        print_text(&outputs::summary(&rows, &reference, conserved))?;
+        print_text(&format!("results in {}: accuracy.csv, accuracy.svg, accuracy.md", folder.path().display()))?;
+        if !scenes.is_empty() {
+            print_text(&format!("scenes with the cheapest setting of each method are in {}", inner.display()))?;
+        }
+    }
+    match cheapest {
+        None => Ok(()),
+        Some((target, None)) => Err(unreached(&rows, args.metric, target)),
+        Some(_) if args.json => Ok(()),
+        Some((target, Some(found))) => print_cheapest(found, args.metric, target),
+    }
 }
 
 /// Progress bar with the given number of steps.
@@ -120,34 +129,33 @@ fn bar(steps: usize, quiet: bool) -> ProgressBar {
     progress_bar(steps, "{bar:20} {msg}  {elapsed}, ETA {eta}", quiet)
 }
 
-/// Prints the cheapest setting that reaches the target.
-///
-/// # Errors
-/// No setting reaches the target. The message names the most accurate setting.
-fn name_cheapest(rows: &[Row], metric: Metric, target: f64) -> Result<()> {
-    let finite = || rows.iter().filter_map(|row| Some((row, metric.read(row.errors.as_ref().ok()?))));
-    if let Some((row, error)) = cheapest(rows.iter(), metric, target) {
-        print_text(&format!(
-            "\nthe cheapest setting with an error of the {} of at most {target:e} is {}: error {}, {} µs per step \
-             and sample; its lines in a scene file:\n",
-            metric.name(),
-            row.setting.name(),
-            rough(error),
-            short(metric.time(row) * 1e6),
-        ))?;
-        return print_result(&row.setting.lines());
-    }
-    let best = finite().min_by(|a, b| a.1.total_cmp(&b.1));
+/// Prints the cheapest setting that reaches the target, with its error.
+fn print_cheapest((row, error): (&Row, f64), metric: Metric, target: f64) -> Result<()> {
+    print_text(&format!(
+        "\nthe cheapest setting with an error of the {} of at most {target:e} is {}: error {}, {} µs per step \
+         and sample; its lines in a scene file:\n",
+        metric.name(),
+        row.setting.name(),
+        rough(error),
+        short(metric.time(row) * 1e6),
+    ))?;
+    print_result(&row.setting.lines())
+}
+
+/// Error of a target that no setting reaches. The message names the most accurate setting.
+fn unreached(rows: &[Row], metric: Metric, target: f64) -> anyhow::Error {
+    let finite = rows.iter().filter_map(|row| Some((row, metric.read(row.errors.as_ref().ok()?))));
+    let best = finite.min_by(|a, b| a.1.total_cmp(&b.1));
     let Some((row, error)) = best else {
-        bail!(
+        return anyhow!(
             "--target {target:e}: every setting diverged; choose a scene with a finite trajectory, for example a shorter `horizon`"
-        )
+        );
     };
     let advice = match row.setting.precision {
         Precision::F32 => "f32 rounding limits the accuracy; choose a larger target",
         Precision::F64 => "use more substeps than those tried here, or choose a larger target",
     };
-    bail!(
+    anyhow!(
         "--target {target:e}: no setting reaches this error of the {}; the most accurate is {}, with {}: {advice}",
         metric.name(),
         row.setting.name(),

@@ -3,7 +3,7 @@
 use crate::program::operations::costs::SAMPLES;
 use crate::program::platform::json::print_json;
 use crate::program::platform::table::Table;
-use crate::program::platform::terminal::{print_result, print_text};
+use crate::program::platform::terminal::{counted, print_result, print_text};
 use crate::program::scenes::overrides::{Overrides, hide_training};
 use crate::program::scenes::presets;
 use crate::program::settings::{ACTUATORS, Info, OPTIONAL};
@@ -51,14 +51,9 @@ pub fn explain(args: &Explain) -> Result<()> {
     }
     print_text(&format!("{}: {}\n", args.scene, scene.task.about()))?;
     let states = scene.state_names();
-    print_text(&format!("state, {} components: {}", states.len(), names(&states)))?;
+    print_text(&format!("state, {}: {}", counted(states.len(), "component"), names(&states)))?;
     let controls = scene.control_names();
-    print_text(&format!(
-        "control, {} component{}: {}\n",
-        controls.len(),
-        if controls.len() == 1 { "" } else { "s" },
-        names(&controls)
-    ))?;
+    print_text(&format!("control, {}: {}\n", counted(controls.len(), "component"), names(&controls)))?;
     print_result(&effects(&scene).to_string())?;
     print_text(
         "\noperations per step and sample: of the step, of its VJP to state and control (R, M), of its VJP to the control (N, S)\n\

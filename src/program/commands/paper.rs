@@ -179,7 +179,7 @@ pub fn merge(folder: &Folder, output: Output) -> Result<bool> {
             Err(error) => errors.push(format!("{}: {error:#}", study.name)),
         }
     }
-    if output.json {
+    if output.json && !found.is_empty() {
         print_json(&json!({ "folder": folder.path(), "figures": found }))?;
     }
     if errors.is_empty() { Ok(!found.is_empty()) } else { bail!("{}", errors.join("\n")) }

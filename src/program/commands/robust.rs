@@ -118,7 +118,7 @@ fn evaluate(policy: &Trained, run: usize, at: &[f64], args: &Robust) -> Result<C
     for (axis, &value) in args.grid.iter().zip(at) {
         source.fix(&axis.key, value)?;
     }
-    let scene = source.scene().with_context(|| format!("--grid {}", args.grid[0].key))?;
+    let scene = source.scene().context("--grid")?;
     let losses = scene.evaluation(&policy.theta, args.seed)?.losses(args.samples);
     let diverged = losses.iter().filter(|loss| !loss.is_finite()).count();
     let losses = sorted(losses.into_iter());

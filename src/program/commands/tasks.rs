@@ -54,7 +54,7 @@ pub fn tasks(args: &Tasks) -> Result<()> {
     print_text(
         "Each task is also a preset. `physgrad scene` lists all presets; `physgrad scene cart_pole` prints one as a template.
 `physgrad explain cart_pole` prints equations, operation counts and memory of a scene; docs/effects.md describes all effects.
-Change a setting with --set KEY=VALUE, for example --set policy.widths=[64,64] --set effects.pole_damping.damping=0.01.
+Change a setting with --set KEY=VALUE, for example --set 'policy.widths=[64,64]' --set effects.pole_damping.damping=0.01.
 field: combined, regular, modified, network, stopped, projected, conflict_free, modified_signed, regular_scaled;
 precision: f32, f64; training.clip: none, value, norm;
 training.optimizer: adam, sgd, momentum, rmsprop, adagrad, adadelta; loss.mode: terminal, running.",
