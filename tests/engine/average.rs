@@ -91,6 +91,6 @@ fn a_checkpoint_restores_the_average() {
 #[test]
 fn an_average_of_1_is_refused() {
     let training = Training { average: 1.0, ..Training::default() };
-    let error = Trainer::new(CartPole::new(1), Mlp::new([4, 8, 1])).training(training).session().err().expect("an error");
+    let error = Trainer::new(CartPole::new(1), Mlp::new([4, 8, 1])).training(training).session().expect_err("an error");
     assert_eq!(error.to_string(), "training.average: is 1; allowed: 0 to below 1");
 }

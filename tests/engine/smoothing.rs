@@ -69,20 +69,26 @@ fn first_order_estimates_of_a_quadratic_loss_are_its_gradient() {
 }
 
 /// Differences of a quadratic loss are exact directional derivatives, for any σ. Their expected
-/// product with ε is the gradient, since E[ε εᵀ] is the identity.
+/// product with ε is the gradient, since E[ε εᵀ] is the identity. Each update draws other ε.
 #[test]
 fn zeroth_order_estimates_of_a_quadratic_loss_are_directional_derivatives_times_directions() {
-    let gradient: Vec<f64> = {
-        let (exact, _) = after_one_update(Bowl::default(), Constant::new(2, 2), &THETA, None);
-        THETA.iter().zip(exact).map(|(before, after)| before - after).collect()
-    };
-    let (theta, record) = after_one_update(Bowl::default(), Constant::new(2, 2), &THETA, Some(Estimator::ZerothOrder));
-    assert_eq!(record.first_order, Some(0.0));
-    for i in 0..2 {
-        let term = |e: &Vec<f64>| (gradient[0] * e[0] + gradient[1] * e[1]) * e[i];
-        let estimate = perturbations(0, 2).iter().map(term).sum::<f64>() / PAIRS as f64;
-        // A loss of 2 has a rounding error of 4e-16, which σ amplifies by 10.
-        assert_relative_eq!(theta[i], THETA[i] - estimate, epsilon = 1e-13);
+    let training = Training { epochs: 3, ..training(Some(Estimator::ZerothOrder)) };
+    let trainer = Trainer::new(Bowl::default(), Constant::new(2, 2)).precision::<f64>().training(training);
+    let mut session = trainer.start_from(THETA.to_vec()).session().expect("valid settings");
+    let mut before = THETA.to_vec();
+    for update in 0..3 {
+        let record = session.epoch().expect("finite");
+        assert_eq!(record.first_order, Some(0.0));
+        let exact = after_one_update(Bowl::default(), Constant::new(2, 2), &before, None).0;
+        let gradient = [0, 1].map(|i| before[i] - exact[i]);
+        let after = session.weights().theta().to_vec();
+        for i in 0..2 {
+            let term = |e: &Vec<f64>| (gradient[0] * e[0] + gradient[1] * e[1]) * e[i];
+            let estimate = perturbations(update, 2).iter().map(term).sum::<f64>() / PAIRS as f64;
+            // Losses up to 1000 have a rounding error of 1e-13, which σ amplifies by 10.
+            assert_relative_eq!(after[i], before[i] - estimate, epsilon = 1e-11);
+        }
+        before = after;
     }
 }
 
