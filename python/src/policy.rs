@@ -128,7 +128,7 @@ pub fn losses<'py>(py: Python<'py>, task: &Task, policy: &Policy, starts: &Bound
     })
 }
 
-/// Vector fields of the mean loss of rollouts from `starts`, (B, start_dim), from one forward pass.
+/// Vector fields of the mean loss of rollouts from `starts`, (B, start_dim), with B at least 1.
 ///
 /// Returns a dict from the names in `fields` to vectors over the parameters. Fields are "R", "M",
 /// "N", "S", "C", "P", "F", "MR" and "RM". R is the gradient of the mean loss. Raises `Divergence`

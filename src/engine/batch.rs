@@ -20,7 +20,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 /// Number of samples in a group. Each group has one gradient sum, for any number of workers.
-pub(crate) const GROUP: usize = 4;
+const GROUP: usize = 4;
 /// Largest number of blocks of groups. Each block has one sum over its groups. The number bounds the
 /// sums that ranks exchange, and the ranks that share a mini-batch. Up to 128 samples, a block is a
 /// group.
@@ -46,6 +46,18 @@ pub struct Batch<F: Float> {
     measured: bool,
     /// Processes that share the samples, and the results of this process.
     shared: Option<Box<Shared<F>>>,
+}
+
+/// Task, policy and sizes of one mini-batch.
+#[derive(Clone, Copy)]
+struct MiniBatch<'a, F: Float> {
+    task: &'a dyn AnyTask<F>,
+    policy: &'a dyn AnyPolicy<F>,
+    weights: &'a Weights<F>,
+    /// Weight of a sample in the mean loss.
+    scale: F,
+    /// Number of groups in a block.
+    block: usize,
 }
 
 /// Results of the samples of one rank, before the exchange.
@@ -231,12 +243,12 @@ impl<F: Float> Batch<F> {
             "`starts` has {} numbers; expected 1 to {capacity} samples of {n} numbers each",
             starts.len()
         );
-        let scale = F::from_f64(1.0 / samples as f64);
+        let mini_batch = MiniBatch { task, policy, weights, scale: F::from_f64(1.0 / samples as f64), block: block_of(samples) };
         self.growth.fill(GrowthStats::default());
         let loss = match self.shared.take() {
-            None => self.run_samples(task, policy, weights, starts, scale, block_of(samples), None)?,
+            None => self.run_samples(mini_batch, starts, None)?,
             Some(mut shared) => {
-                let loss = self.run_shared(task, policy, weights, starts, scale, &mut shared);
+                let loss = self.run_shared(mini_batch, starts, &mut shared);
                 self.shared = Some(shared);
                 loss?
             }
@@ -246,29 +258,20 @@ impl<F: Float> Batch<F> {
     }
 
     /// Runs the samples of this rank, and exchanges the results. Returns the sum of all costs.
-    fn run_shared(
-        &mut self,
-        task: &dyn AnyTask<F>,
-        policy: &dyn AnyPolicy<F>,
-        weights: &Weights<F>,
-        starts: &[F],
-        scale: F,
-        shared: &mut Shared<F>,
-    ) -> Result<f64, Divergence> {
+    fn run_shared(&mut self, mini_batch: MiniBatch<'_, F>, starts: &[F], shared: &mut Shared<F>) -> Result<f64, Divergence> {
         let ranks = shared.ranks.clone();
-        let n = task.start_dim();
+        let n = mini_batch.task.start_dim();
         let samples = starts.len() / n;
-        let block = block_of(samples);
-        let own = |rank: usize| samples_of(samples, GROUP * block, rank, ranks.count());
+        let own = |rank: usize| samples_of(samples, GROUP * mini_batch.block, rank, ranks.count());
         let Range { start, end } = own(ranks.rank());
         shared.clear();
-        let outcome = self.run_samples(task, policy, weights, &starts[start * n..end * n], scale, block, Some(shared));
+        let outcome = self.run_samples(mini_batch, &starts[start * n..end * n], Some(shared));
         let diverged = first_diverged(&*ranks, outcome.err().map(|d| d.offset(start)));
         if let Some(rank) = diverged {
             // Repeats the samples of that rank, which gives every rank the same error.
             let Range { start, end } = own(rank);
             shared.clear();
-            self.run_samples(task, policy, weights, &starts[start * n..end * n], scale, block, Some(shared))
+            self.run_samples(mini_batch, &starts[start * n..end * n], Some(shared))
                 .map_err(|divergence| divergence.offset(start))?;
         }
         add_blocks(&*ranks, &shared.blocks, &mut self.gradients);
@@ -281,26 +284,21 @@ impl<F: Float> Batch<F> {
     }
 
     /// Runs all samples in `starts` and adds their gradients, or keeps the sums of their blocks of
-    /// `block` groups in `shared`. Returns the sum of the costs, 0 with `shared`.
-    #[expect(clippy::too_many_arguments, reason = "the arguments of `run`, and `scale`, `block` and `shared`")]
+    /// groups in `shared`. Returns the sum of the costs, 0 with `shared`.
     fn run_samples(
         &mut self,
-        task: &dyn AnyTask<F>,
-        policy: &dyn AnyPolicy<F>,
-        weights: &Weights<F>,
+        mini_batch: MiniBatch<'_, F>,
         starts: &[F],
-        scale: F,
-        block: usize,
         mut shared: Option<&mut Shared<F>>,
     ) -> Result<f64, Divergence> {
-        let n = task.start_dim();
+        let (n, block) = (mini_batch.task.start_dim(), mini_batch.block);
         let chunk = self.workers[0].rollout.capacity();
         let groups = (starts.len() / n).div_ceil(GROUP);
         let (mut loss, mut diverged) = (0.0, None);
         for (round, starts) in starts.chunks(self.workers.len() * chunk * n).enumerate() {
             for_each(&mut self.workers, &|index, worker| {
                 let own = starts.chunks(chunk * n).nth(index).unwrap_or(&[]);
-                worker.outcome = worker.run(task, policy, weights, own, scale);
+                worker.outcome = worker.run(mini_batch, own);
             });
             let active = starts.len().div_ceil(chunk * n);
             // All rounds run, so the first divergence does not depend on the number of workers.
@@ -417,14 +415,8 @@ impl<F: Float> Worker<F> {
         &self.groups[..self.rollout.samples().div_ceil(GROUP)]
     }
 
-    fn run(
-        &mut self,
-        task: &dyn AnyTask<F>,
-        policy: &dyn AnyPolicy<F>,
-        weights: &Weights<F>,
-        starts: &[F],
-        scale: F,
-    ) -> Result<(), Divergence> {
+    fn run(&mut self, mini_batch: MiniBatch<'_, F>, starts: &[F]) -> Result<(), Divergence> {
+        let MiniBatch { task, policy, weights, scale, .. } = mini_batch;
         if starts.is_empty() {
             return Ok(());
         }

@@ -200,13 +200,16 @@ impl Policy {
         Ok(losses)
     }
 
-    /// The vectors of several fields for the mean loss of rollouts from `starts`, from one forward
-    /// pass: one number per parameter and field.
+    /// The vectors of several fields for the mean loss of rollouts from `starts`: one number per
+    /// parameter and field. Two flows share one forward pass.
     ///
     /// # Errors
-    /// The policy does not fit the task, or a [`Divergence`].
+    /// The policy does not fit the task, `starts` is empty, or a [`Divergence`].
     pub fn gradients<F: Precise>(&self, task: &Scene, starts: &[F], chosen: &[Field]) -> Result<Vec<Vec<F>>> {
         let (dyn_task, policy) = (self.check(task)?, F::policy(&*self.policy));
+        if starts.is_empty() {
+            bail!("`starts` has no rows; pass at least one initial state");
+        }
         Ok(fields::vectors(&dyn_task, policy, &Weights::new(policy, self.rounded()), starts, chosen)?)
     }
 }
