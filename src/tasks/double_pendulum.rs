@@ -95,8 +95,8 @@ impl DoublePendulum {
         let (weight, second_weight) = (T::from(weight), T::from(second_weight));
         let ((s1, c1), (s2, c2)) = (x[0].sin_cos(), x[2].sin_cos());
         let between = [s1 * c2 - c1 * s2, c1 * c2 + s1 * s2];
-        let throw = coupling * between[0];
-        let torques = [weight * s1 - throw * x[3] * x[3] + u[0], second_weight * s2 + throw * x[1] * x[1]];
+        let centrifugal = coupling * between[0];
+        let torques = [weight * s1 - centrifugal * x[3] * x[3] + u[0], second_weight * s2 + centrifugal * x[1] * x[1]];
         Motion { first: [s1, c1], second: [s2, c2], between, accelerations: self.solve(between, torques) }
     }
 }
@@ -130,16 +130,16 @@ impl Ode for DoublePendulum {
         let [weight, second_weight] = self.weights();
         let (weight, second_weight) = (R::from(weight), R::from(second_weight));
         let [w, second_w] = self.solve([sin, cos], [rate_bar[1], rate_bar[3]]);
-        let (spin, second_spin) = (x[1] * x[1], x[3] * x[3]);
-        let throw = coupling * sin * R::from(2.0);
+        let (rate_squared, second_rate_squared) = (x[1] * x[1], x[3] * x[3]);
+        let centrifugal_slope = coupling * sin * R::from(2.0);
         // Cotangent of Δ: sin Δ enters the torques τ, cos Δ the matrix M.
-        let delta_bar =
-            w * (coupling * (sin * second_alpha - cos * second_spin)) + second_w * (coupling * (sin * alpha + cos * spin));
+        let delta_bar = w * (coupling * (sin * second_alpha - cos * second_rate_squared))
+            + second_w * (coupling * (sin * alpha + cos * rate_squared));
         if let Some(x_bar) = cotangents.x {
             x_bar[0] += w * (weight * first[1]) + delta_bar;
-            x_bar[1] += rate_bar[0] + second_w * (throw * x[1]);
+            x_bar[1] += rate_bar[0] + second_w * (centrifugal_slope * x[1]);
             x_bar[2] += second_w * (second_weight * second[1]) - delta_bar;
-            x_bar[3] += rate_bar[2] - w * (throw * x[3]);
+            x_bar[3] += rate_bar[2] - w * (centrifugal_slope * x[3]);
         }
         if let Some(u_bar) = cotangents.u {
             u_bar[0] += w;

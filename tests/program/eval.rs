@@ -43,11 +43,7 @@ fn a_summary_agrees_with_its_losses_and_with_robust_at_unchanged_settings() {
     sorted.sort_by(f64::total_cmp);
     assert_eq!((number("median"), number("worst")), (0.5 * (sorted[19] + sorted[20]), sorted[39]));
     let grid = read(&dir, "grid/robust.csv");
-    assert_eq!(
-        column(&grid, "median")[0],
-        number("median"),
-        "medians at the first grid point, which has the mass of the run, and of `eval`"
-    );
+    assert_eq!(column(&grid, "median")[0], number("median"), "`robust` at the mass of the run has another median than `eval`");
 
     // The rollouts start from the reported samples, the worst first. The test set contains none of
     // them.

@@ -18,10 +18,11 @@ pub(super) const CASES: &[Case] = &[Case {
                 within 10 %. 64 pairs of rollouts start one rounding apart. At half of ln(1/ε)/Λ, the adjoints of \
                 each pair have the same direction (cosine at least 0.99). At twice ln(1/ε)/Λ, the signs of 30 to 70 \
                 % of the pairs agree",
-    explanation: "In chaos, a gradient over long times is exact but useless: two rollouts one rounding apart have \
-                unrelated gradients. A wider range of exponents does not help. Beyond ln(1/ε)/Λ, here 12,400 steps, the \
-                signs of R are those of rounding errors. The warning about growth reports a similar horizon. Limits: \
-                only the sign is random; at twice the horizon all adjoints are still collinear",
+    explanation: "In chaos, a gradient over long times is exact but useless: its sign differs at \
+                random between rollouts one rounding apart. A wider range of exponents does not \
+                help. Beyond ln(1/ε)/Λ, here 12,400 steps, the signs of R are those of rounding \
+                errors. The warning about growth reports a similar horizon. Limits: adjoints stay \
+                collinear at twice the horizon; the case does not compare their norms",
     run: double_pendulum,
 }];
 

@@ -12,14 +12,16 @@ use crate::tasks::{Evade, Flock, Friction, GuidanceEffect, GuidanceSystem, Obsta
 
 pub(super) const CASES: &[Case] = &[Case {
     name: "guidance_distances",
-    about: "agents and an obstacle at distances from 0 to 1e8 m in f64, including 1e-300 m, and from 0 to 1e-10 m in f32",
+    about: "agents and an obstacle at distances from 0 to 1e8 m in f64, including 1e-300 m, and from \
+                0 to 1e-10 m in f32",
     criterion: "states, JVPs and VJPs are finite. Dual numbers and VJP agree to 1e-12 (f64) and 1e-5 (f32), also for \
                 position components alone. Forces have the correct direction and magnitude to 1e-12 (f64) and 1e-5 \
                 (f32). An unguarded distance has a non-finite derivative (a planted fault)",
-    explanation: "The norm |r| has no derivative at 0, and r² underflows at 1e-162 and overflows at 1e154. Each case \
-                yields NaN in the reverse pass of an unguarded distance. Here separations are scaled by a power of \
-                two before squaring. The derivative at 0 is that of the force, which is differentiable there. Limits: \
-                at 0 a force has no direction, and is 0",
+    explanation: "The norm |r| has no derivative at 0, and r² underflows at 1e-162 and overflows at \
+                1e154. Underflow and overflow make the derivative of an unguarded distance \
+                non-finite. Here separations are scaled by a power of two before squaring. The \
+                derivative at 0 is that of the force, which is differentiable there. Limits: at 0 a \
+                force has no direction, and is 0",
     run: guidance_distances,
 }];
 

@@ -10,11 +10,13 @@ pub(super) const CASES: &[Case] = &[Case {
     name: "dry_friction",
     about: "sliding block stopped by friction, smoothed over ε = 1e-1 to 1e-6 m/s, from v₀ = 1 m/s, with steps \
                 of 0.01 s",
-    criterion: "implicit steps are stable and never reverse the block. At 1e-6 m/s, the distance is v₀²/(2 μ g) to 1 %, \
-                after adding the error dt v₀/2 of Euler's method. The expected time to rest is v₀/(μ g) plus the delay \
-                by smoothing. The block rests within 1 + ε/(dt μ g) steps of it. The derivative of the distance by v₀ is \
-                finite, and within 2 % of v₀/(μ g) at 1e-3 m/s and below. Explicit steps oscillate exactly where \
-                `check::stability` reports instability, with the multiplier |1 - dt μ g/ε| to 1e-6",
+    criterion: "implicit steps are stable and never reverse the block. At 1e-6 m/s, the distance is \
+                v₀²/(2 μ g) to 1 %, after adding the error dt v₀/2 of Euler's method. The expected \
+                time to rest is v₀/(μ g) plus the delay by smoothing. The time to rest differs from \
+                the expected one by at most 1 + ε/(dt μ g) steps. The derivative of the distance by \
+                v₀ is finite, and within 2 % of v₀/(μ g) at 1e-3 m/s and below. Explicit steps \
+                oscillate exactly where `check::stability` reports instability, with the multiplier \
+                |1 - dt μ g/ε| to 1e-6",
     explanation: "Sharply smoothed dry friction is stiff: an explicit step overshoots rest and oscillates \
                 indefinitely, and its derivative alternates and grows. The implicit step solves for the speed after \
                 the step, and its derivative is that of the solution. Limits: smoothed friction creeps where real \

@@ -4,6 +4,7 @@ use crate::Number;
 use crate::program::settings::reading::Unreadable;
 use std::fmt::Display;
 use std::ops::RangeInclusive;
+use toml::Value;
 
 /// An invalid setting. The caller adds file and line.
 #[derive(Debug, thiserror::Error)]
@@ -78,6 +79,17 @@ impl ConfigError {
             names.for_each(|name| self.what += &format!(", `{name}`"));
         }
         self
+    }
+
+    /// Error of a setting with an invalid value, `None` if the value is unknown.
+    pub fn invalid(key: &str, value: Option<&Value>, allowed: &str) -> Self {
+        let found = match value {
+            // Omits the decimal point of a whole number.
+            Some(Value::Float(value)) => value.to_string(),
+            Some(value) => value.to_string(),
+            None => "invalid".into(),
+        };
+        Self::new(key, format!("is {found}; allowed: {allowed}"))
     }
 
     /// Error of a setting that another setting makes ineffective.

@@ -9,6 +9,7 @@ use crate::report::{Animation, Channel, channels_over_time};
 use crate::{DynTask, System, Task};
 use std::fmt::{self, Debug};
 use std::marker::PhantomData;
+use toml::Table;
 
 /// A task that the program trains, checks, compares and animates.
 ///
@@ -63,8 +64,7 @@ pub trait ProgramTask: Task + Section + Default {
         numbered("p", self.param_dim())
     }
     /// Animation of one rollout: T + 1 states, T controls and the parameters. Default: states and
-    /// controls over time. The program adds the controls to an animation with a time and without
-    /// channels.
+    /// controls over time. If `Animation::time` is positive and `channels` is empty, the program adds the controls as channels.
     fn animation(&self, states: &[Vec<f64>], controls: &[Vec<f64>], _params: &[f64]) -> Animation {
         let states = Channel::columns(self.state_names(), states, "#0072B2");
         let controls = Channel::columns(self.control_names(), controls, "#D55E00");
@@ -114,7 +114,8 @@ impl<T: ProgramTask> TaskSpec for Own<T> {
     }
 
     fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
-        let invalid = |(field, allowed)| ConfigError::new(format!("system.{field}"), format!("is not allowed: choose {allowed}"));
+        let system = Table::try_from(&settings.system).expect("settings are plain tables");
+        let invalid = |(field, allowed)| ConfigError::invalid(&format!("system.{field}"), system.get(field), allowed);
         settings.system.validate().map_err(invalid)?;
         let substeps = settings.integrator.count();
         let refined = substeps == 1 || settings.system.refined(substeps).is_some();

@@ -77,9 +77,10 @@ impl<E: ProgramEffect> AnyEffectSpec for OwnEffect<E> {
             ConfigError::new(if inner.is_empty() { key.into() } else { format!("{key}.{inner}") }, what)
         };
         let effect: E = reading::read(settings).map_err(|error| within(ConfigError::unreadable(&error)))?;
-        let invalid = |(field, allowed)| within(ConfigError::new(field, format!("is not allowed: choose {allowed}")));
+        let section = table(&effect);
+        let invalid = |(field, allowed)| within(ConfigError::invalid(field, section.get(field), allowed));
         effect.validate().map_err(invalid)?;
-        Ok(SceneEffect { key, section: table(&effect), effect: Arc::new(DynEffect::new(effect)) })
+        Ok(SceneEffect { key, section, effect: Arc::new(DynEffect::new(effect)) })
     }
 }
 
