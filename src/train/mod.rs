@@ -75,7 +75,8 @@ pub struct Training {
     pub warm_up: usize,
     /// Weight of the past, from 0 to below 1, in a moving average of the direction of R. Fields of
     /// two flows combine M with this average. With 0, they combine M with the current R. More
-    /// generally, the average replaces the second gradient, and retains its norm.
+    /// generally, the average replaces the second gradient, and retains its norm. With `smoothing`,
+    /// every evaluation at perturbed parameters updates the average.
     pub average: f64,
     /// Noise in the parameters, and the estimator that it serves. `None` follows the field at the
     /// parameters.
