@@ -28,14 +28,14 @@ const WIDTH: usize = 100;
 const HEAD: &str = "\
 # Effects
 
-Optional physics that a scene can add to its system; [scenes.md](scenes.md) gives examples. The
-command `physgrad effects` generates this page.
+Effects are optional physics that a scene adds to its system. [scenes.md](scenes.md) gives examples.
+The command `physgrad effects` generates this page.
 
-Costs are operation counts of one step of one sample, and of its VJP to state and control, in the
-task's default system. A test compares this page with the counts. An effect costs the same with and
-without other effects; chained actuators share operations. Absent effects cost nothing. Counts
-include only operations on the state, not the precomputation of constants such as a static
-potential.
+Costs are operation counts of one step of one sample, in the task's default system. The column VJP
+counts the vector-Jacobian product of this step to state and control. A test compares this page with
+the counts. An effect costs the same with and without other effects. Two actuators may share
+operations. Absent effects cost nothing. Counts exclude the precomputation of constants, such as a
+static potential.
 
 Tests compare the analytic derivatives with dual numbers; `physgrad check SCENE` does so for any
 scene. *Smoothed*: a smooth function replaces a jump in the physics. *One-sided*: the derivative
@@ -175,15 +175,18 @@ fn symbols(task: &str) -> &'static str {
     match task {
         "cart_pole" => {
             "x is the position of the cart. θ_i and ω_i are angle and angular velocity of pole i. l is `half_length`. F is the \
-             force on the cart. τ_i is the torque on pole i. Costs are for 2 poles."
+             force on the cart. τ_i is the torque on pole i. D_i is the drag of pole i, and v_i the speed of the air across it. δ \
+             is the depth of contact. Costs are for 2 poles."
         }
         "guidance" => {
-            "D_j and E_k are the positions of drivers and evaders. a is an acceleration. d is the distance plus `softening`. \
-             Costs are for 2 drivers and 4 evaders."
+            "D_j and E_k are the positions of driver j and evader k. (x, y), v and a are position, velocity and acceleration of \
+             an agent. d is `softening` plus the distance between two agents, or between an agent and the center of an \
+             obstacle. Costs are for 2 drivers and 4 evaders."
         }
         "quantum" => {
-            "V is the potential. ξ is the position, from the middle of the box. ħ = 1 and m = 1/2. A scene has at most one \
-             static potential: `harmonic`, `barrier` or `double_well`. Costs are for 32 grid points."
+            "V is the potential. ξ is the position, from the middle of the box. ψ_j is the wave at grid point j, dx the spacing \
+             of the grid, and dt the time step. Units: ħ = 1, and the mass is 1/2. A scene has at most one static potential: \
+             `harmonic`, `barrier` or `double_well`. Costs are for 32 grid points."
         }
         _ => "",
     }

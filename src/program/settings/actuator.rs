@@ -36,8 +36,12 @@ pub const ACTUATORS: [Info; 3] = [
         equation: "u' = bound tanh(u / bound), or u clipped at ±bound",
         derivative: "analytic; smoothed or one-sided",
     },
-    Info { name: "delay", equation: "u'_t = u_{t-steps}; adds the delayed controls to the state", derivative: "analytic" },
-    Info { name: "lag", equation: "df/dt = (u - f) / time, u' = f; adds f to the state", derivative: "analytic" },
+    Info { name: "delay", equation: "u'_t = u_{t-steps}; the state contains the delayed controls", derivative: "analytic" },
+    Info {
+        name: "lag",
+        equation: "df/dt = (u - f) / time, u' = f; the state contains f, the lagged control",
+        derivative: "analytic",
+    },
 ];
 
 impl ActuatorSettings {
