@@ -94,6 +94,11 @@ fn two_policies_are_evaluated_in_another_scene_and_errors_name_the_scene() {
     assert!(dir.path().join("heavy/2-seed2/worst_1.svg").exists());
     let message = error(&dir, "eval seed1 --scene cart_pole_2");
     assert!(message.contains("use a scene with as many observations and controls"), "{message}");
+    // Both policies have 48 parameters.
+    let herd = "--set system.drivers=1 --set system.evaders=5 --set policy.widths=[] --set policy.bias=false";
+    succeed(&dir, &format!("train guidance {SMALL} {herd} --epochs 1 --quiet --out herd"));
+    let message = error(&dir, "eval herd --set system.drivers=2 --set system.evaders=1");
+    assert!(message.contains("24 observations and 2 controls, but this scene has 12 and 4"), "{message}");
     let message = error(&dir, "eval seed1 --scene guidance");
     assert!(message.contains("name a scene of cart_pole"), "{message}");
 }

@@ -80,7 +80,7 @@ pub fn eval(args: &Eval) -> Result<()> {
     let scenes = policies.iter().map(|policy| scene(args, policy)).collect::<Result<Vec<Scene>>>()?;
     let pairs: Vec<(&Trained, &Scene)> = policies.iter().zip(&scenes).collect();
     let evaluation = |(policy, scene): &(&Trained, &Scene)| {
-        scene.evaluation(&policy.theta, args.seed).with_context(|| format!("cannot evaluate {}", policy.name))
+        policy.evaluation(scene, args.seed).with_context(|| format!("cannot evaluate {}", policy.name))
     };
     let losses = parallel::map(&pairs, |pair| Ok(evaluation(pair)?.losses(args.samples)));
     let losses = losses.into_iter().collect::<Result<Vec<_>>>()?;

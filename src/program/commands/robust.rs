@@ -119,7 +119,7 @@ fn evaluate(policy: &Trained, run: usize, at: &[f64], args: &Robust) -> Result<C
         source.fix(&axis.key, value)?;
     }
     let scene = source.scene().context("--grid")?;
-    let losses = scene.evaluation(&policy.theta, args.seed)?.losses(args.samples);
+    let losses = policy.evaluation(&scene, args.seed)?.losses(args.samples);
     let diverged = losses.iter().filter(|loss| !loss.is_finite()).count();
     let losses = sorted(losses.into_iter());
     Ok(Cell { run, at: at.to_vec(), quantiles: SHARES.map(|share| quantile(&losses, share)), diverged })

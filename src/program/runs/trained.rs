@@ -1,5 +1,7 @@
 //! [`Trained`]: the policy of a saved run, with the scene in which it is evaluated.
 
+use crate::policy::AnyPolicy;
+use crate::program::operations::evaluation::AnyEvaluation;
 use crate::program::operations::session::Epoch;
 use crate::program::platform::folder::{Folder, SETTINGS};
 use crate::program::runs::saved;
@@ -42,6 +44,28 @@ impl Trained {
             );
         }
         Ok(runs)
+    }
+
+    /// Prepares rollouts of the policy in a scene.
+    ///
+    /// # Errors
+    /// The scene has another number of observations, controls or parameters.
+    pub fn evaluation(&self, scene: &Scene, seed: u64) -> Result<Box<dyn AnyEvaluation>> {
+        let [own, other] = [&self.scene, scene].map(|scene| {
+            let policy = scene.policy();
+            [AnyPolicy::<f64>::observation_dim(&*policy), AnyPolicy::<f64>::control_dim(&*policy)]
+        });
+        if own != other {
+            bail!(
+                "the policy has {} observations and {} controls, but this scene has {} and {}; \
+                 use a scene with as many observations and controls",
+                own[0],
+                own[1],
+                other[0],
+                other[1]
+            );
+        }
+        scene.evaluation(&self.theta, seed)
     }
 
     fn load(name: String, folder: &Folder, epoch: Epoch) -> Result<Self> {

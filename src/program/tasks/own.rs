@@ -64,7 +64,8 @@ pub trait ProgramTask: Task + Section + Default {
         numbered("p", self.param_dim())
     }
     /// Animation of one rollout: T + 1 states, T controls and the parameters. Default: states and
-    /// controls over time. If `Animation::time` is positive and `channels` is empty, the program adds the controls as channels.
+    /// controls over time. If `Animation::time` is positive and `channels` is empty, the program
+    /// adds the controls as channels.
     fn animation(&self, states: &[Vec<f64>], controls: &[Vec<f64>], _params: &[f64]) -> Animation {
         let states = Channel::columns(self.state_names(), states, "#0072B2");
         let controls = Channel::columns(self.control_names(), controls, "#D55E00");
