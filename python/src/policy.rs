@@ -128,7 +128,8 @@ pub fn losses<'py>(py: Python<'py>, task: &Task, policy: &Policy, starts: &Bound
     })
 }
 
-/// Vector fields of the mean loss of rollouts from `starts`, (B, start_dim), with B at least 1.
+/// Vector fields of the mean loss of rollouts from `starts`, (B, start_dim) with B at least 1, from
+/// one forward pass.
 ///
 /// Returns a dict from the names in `fields` to vectors over the parameters. Fields are "R", "M",
 /// "N", "S", "C", "P", "F", "MR" and "RM". R is the gradient of the mean loss. Raises `Divergence`

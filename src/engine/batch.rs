@@ -20,7 +20,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 /// Number of samples in a group. Each group has one gradient sum, for any number of workers.
-const GROUP: usize = 4;
+pub(crate) const GROUP: usize = 4;
 /// Largest number of blocks of groups. Each block has one sum over its groups. The number bounds the
 /// sums that ranks exchange, and the ranks that share a mini-batch. Up to 128 samples, a block is a
 /// group.

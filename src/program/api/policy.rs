@@ -200,8 +200,8 @@ impl Policy {
         Ok(losses)
     }
 
-    /// The vectors of several fields for the mean loss of rollouts from `starts`: one number per
-    /// parameter and field. Two flows share one forward pass.
+    /// The vectors of several fields for the mean loss of rollouts from `starts`, from one forward
+    /// pass: one number per parameter and field.
     ///
     /// # Errors
     /// The policy does not fit the task, `starts` is empty, or a [`Divergence`].
