@@ -13,14 +13,13 @@ use crate::tasks::{GuidanceEffect, GuidanceSystem, Spread, Walls};
 
 pub(super) const CASES: &[Case] = &[Case {
     name: "guidance_close_approach",
-    about: "two agents in a walled field without friction, with repulsion or attraction so strong that dt² k = \
-                4.4 at distance 0",
-    criterion: "with explicit Euler, `check::stability` reports instability. The multiplier is 1 + \
-                dt sqrt(2k) for repulsion and sqrt(1 + 2 dt² k) for attraction, to 1 %. All 1000 \
-                states are finite. The energy at least doubles. Semi-implicit Euler with 128 \
-                substeps and the implicit midpoint rule with 16: the energy changes by at most 10 % \
-                over 10,000 steps. With attraction, semi-implicit quarter steps and full implicit \
-                steps are reported as stable, full semi-implicit steps as unstable",
+    about: "two agents in a walled field without friction, with repulsion or attraction of stiffness k, so strong \
+                that dt² k = 4.4 at distance 0",
+    criterion: "with explicit Euler, `check::stability` reports instability. The multiplier is 1 + dt sqrt(2k) for \
+                repulsion and sqrt(1 + 2 dt² k) for attraction, to 1 %. All 1000 states are finite. The energy at \
+                least doubles. With 128 substeps of semi-implicit Euler, or 16 of the implicit midpoint rule, the \
+                energy changes by at most 10 % over 10,000 steps. With attraction, semi-implicit quarter steps and \
+                full implicit steps are reported as stable, full semi-implicit steps as unstable",
     explanation: "A spring that the steps do not resolve gains energy at every approach, and \
                 gradients include this error. `check::stability` returns the spectral radius of a \
                 step at a state. The report names remedies. Limits: training does not call \

@@ -15,7 +15,7 @@ pub(super) const CASES: &[Case] = &[Case {
     name: "cart_mass",
     about: "carts of 1 kg down to 1e-12 kg with up to 20 poles of 0.1 kg, side by side and end to end",
     criterion: "down to 1e-8 kg, accelerations satisfy each equation of motion to 1e-10 of its largest term, and \
-                derivatives agree with dual numbers to 1e-10. Lighter carts and unphysical masses are typed errors",
+                derivatives agree with dual numbers to 1e-10. Carts of 1e-12 kg and unphysical masses are typed errors",
     explanation: "Mass matrices become singular where a light body carries heavy ones, and a solver without pivoting \
                 may continue silently. The poles here are uniform, so the mass of the cart can be eliminated up to \
                 rounding, however small it is. For much lighter carts, the rounded total mass no longer determines \

@@ -12,11 +12,11 @@ use std::f64::consts::PI;
 
 pub(super) const CASES: &[Case] = &[Case {
     name: "energy",
-    about: "free motion: RK4 with 10,000 steps of 1 ms, symplectic Euler with a million steps of 10 ms",
-    criterion: "with RK4, the energy of a pendulum changes by at most 1e-9 of the difference between hanging and upright \
-                at rest. With symplectic Euler, the largest error of the last tenth is at most 1.01 times that of the \
-                first. The means of both tenths differ by at most 1 % of the amplitude. With explicit Euler, they differ \
-                by at least 10 %",
+    about: "free motion: RK4 with 10,000 steps of 1 ms, semi-implicit Euler with a million steps of 10 ms",
+    criterion: "with RK4, the energy of a pendulum changes by at most 1e-9 of the difference between hanging and \
+                upright at rest. With semi-implicit Euler, the largest error of the last tenth of the steps is at most \
+                1.01 times that of the first. The means of both tenths differ by at most 1 % of the amplitude. With \
+                explicit Euler, they differ by at least 10 %",
     explanation: "Explicit Euler gains energy at every step, and training can exploit this gain. RK4 loses little over \
                 long times; symplectic methods have no trend. Scenes select the method by `integrator.method`, and \
                 `physgrad accuracy` measures errors and costs. Limits: with RK4, the energy of the chaotic chain drifts. \
@@ -69,14 +69,14 @@ fn energy() -> Vec<Finding> {
         findings.push(Finding::info(format!("{name}, RK4, 10 s: largest relative change of energy"), format!("{drift:.1e}")));
     }
     let long = tenths(SemiImplicit, 1_000_000);
-    findings.push(Finding::at_most("symplectic Euler, a million steps: trend relative to the amplitude", long.trend, 0.01));
+    findings.push(Finding::at_most("semi-implicit Euler, a million steps: trend relative to the amplitude", long.trend, 0.01));
     findings.push(Finding::at_most(
-        "symplectic Euler: largest error in the last tenth over that in the first",
+        "semi-implicit Euler: largest error in the last tenth over that in the first",
         long.growth,
         1.01,
     ));
     findings.push(Finding::info(
-        "symplectic Euler: amplitude of the energy error, relative to the energy difference between hanging and upright",
+        "semi-implicit Euler: amplitude of the energy error, relative to the energy difference between hanging and upright",
         format!("{:.1e}", long.amplitude),
     ));
     let explicit = tenths(RungeKutta::EULER, 10_000);

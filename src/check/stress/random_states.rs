@@ -18,7 +18,7 @@ pub(super) const CASES: &[Case] = &[Case {
     about: "one step and its VJP at 10,000 random states of each of 12 systems, in f64 and f32",
     criterion: "all values are finite. Dual numbers and VJP agree to 1e-12 in f64, and to 64 ε (1 + κ) in f32. ε is \
                 the machine epsilon of f32. κ is the relative change of the VJP per relative change of state and \
-                control. It is measured in f64 at every state",
+                control. The case measures κ in f64 at every state",
     explanation: "Derivatives are usually tested at a few selected states. Limits: systems whose VJP uses dual numbers \
                 are compared with themselves here; the test module `hard_contacts` compares these with closed forms \
                 and differences",
