@@ -15,9 +15,9 @@ use rand_distr::{Distribution as _, StandardNormal};
 /// Update that follows an estimate of the gradient of the smoothed loss `E[L(θ + σ ε)]`. The
 /// components of ε are independent standard normal numbers.
 ///
-/// Each update draws `pairs` vectors ε and evaluates the mini-batch at θ + σ ε and θ - σ ε. It costs
-/// as much as `2 · pairs` updates without smoothing. [`Estimator::ZerothOrder`] omits their reverse
-/// passes.
+/// Each update draws `pairs` vectors ε and evaluates the mini-batch at θ + σ ε and θ - σ ε. It
+/// costs as much as `2 · pairs` updates without smoothing. [`Estimator::ZerothOrder`] omits their
+/// reverse passes.
 ///
 /// Two estimates follow from the n pairs:
 /// - first order: mean over the pairs of `(v(θ + σ ε) + v(θ - σ ε)) / 2`, with the field v of the
@@ -46,12 +46,12 @@ pub enum Estimator {
     ZerothOrder,
     /// Mean of both estimates, weighted by inverse variances: the first-order estimate has the
     /// weight κ = V₀ / (V₀ + V₁). Source: total propagation, Parmas et al. 2018, arXiv:1902.01240.
-    /// They perturb the transitions of the system and combine at every step. Here the parameters are
-    /// perturbed, and each update combines once.
+    /// They perturb the transitions of the system and combine at every step. Here the parameters
+    /// are perturbed, and each update combines once.
     InverseVariance,
     /// α-order estimate: weight `min(κ, (γ - e) / ‖g₁ - g₀‖)` of the first-order estimate g₁, with
-    /// the bound e = 2 √V₀ on the error of the zeroth-order estimate g₀. The weight is 0 if e exceeds
-    /// γ. Source: Suh et al. 2022, arXiv:2202.00817, with two standard errors as the bound.
+    /// the bound e = 2 √V₀ on the error of the zeroth-order estimate g₀. The weight is 0 if e
+    /// exceeds γ. Source: Suh et al. 2022, arXiv:2202.00817, with two standard errors as the bound.
     AlphaOrder {
         /// Accepted error γ of the estimate, in units of the gradient, not negative.
         tolerance: f64,

@@ -264,7 +264,7 @@ fn a_diverged_pair_keeps_the_parameters() {
             x[0]
         }
     }
-    // Of 5 pairs at a distance of 0.001 σ from the wall, one of each pair is beyond it.
+    // The parameter is 0.001 σ below the wall, so one member of each pair is beyond the wall.
     for estimator in ALL {
         let (theta, record) = after_one_update(Wall, Constant::new(1, 1), &[0.4999], Some(estimator));
         assert_eq!((&theta[..], record.skipped), (&[0.4999][..], 1), "{estimator:?}");

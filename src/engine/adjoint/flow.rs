@@ -40,8 +40,8 @@ pub struct Flow {
     /// Growth in decades above which the adjoint of a sample is cut. `None` for no cut.
     ///
     /// Growth is measured since the last cut or truncation, as in
-    /// [`Growth::along`](crate::Growth), or since the adjoint of the sample last became 0. At a cut,
-    /// all weights of the sample are 0 for one step.
+    /// [`Growth::along`](crate::Growth), or since the adjoint of the sample last became 0. At a
+    /// cut, all weights of the sample are 0 for one step.
     pub cut: Option<f64>,
 }
 

@@ -44,7 +44,8 @@ pub struct TrainingSettings {
     /// Weight of the past in a moving average of the direction of R, which combinations use instead
     /// of R. 0, the default, uses the current R.
     pub average: f64,
-    /// Estimator of the field: `exact` evaluates it at the parameters, the others at perturbed ones.
+    /// Estimator of the field: `exact` evaluates it at the parameters, the others at perturbed
+    /// ones.
     pub estimator: EstimatorName,
     /// Standard deviation of the perturbations, 0.02 by default.
     #[serde(skip_serializing_if = "Option::is_none")]
