@@ -13,6 +13,7 @@
 //! which contains the update. Every part of an update is public, so that users can write their
 //! own updates.
 
+mod average;
 mod checkpoint;
 pub(crate) mod combination;
 mod decay;

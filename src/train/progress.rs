@@ -1,5 +1,6 @@
 //! [`Progress`]: the training loop, independent of the types of task, policy and field.
 
+use super::average::average_direction;
 use super::record::{Means, Record, Skip, Step};
 use super::smoothing::Estimates;
 use super::{TrainError, Training};
@@ -18,7 +19,6 @@ use crate::numbers::extended::ExtendedF64;
 use crate::numbers::kernels::{SimdLevel, elementwise};
 use crate::numbers::rng::{Purpose, stream};
 use crate::numbers::scalar::Float;
-use crate::numbers::zip::zip;
 use crate::policy::AnyPolicy;
 use crate::policy::Weights;
 use crate::train::field::AnyField;
@@ -352,7 +352,8 @@ impl<F: Float> Progress<F> {
             }
         }
         if !self.direction.is_empty() {
-            self.average_direction(second_square.sqrt());
+            let second = &mut self.batch.gradients_mut()[1];
+            average_direction(&mut self.direction, self.training.average, second, second_square.sqrt());
         }
         field.combine(self.batch.gradients(), &mut self.combined);
         let two = self.flows.len() > 1;
@@ -366,20 +367,6 @@ impl<F: Float> Progress<F> {
             kept: two.then(|| values.iter().filter(|&&g| g != zero).count() as f64 / values.len() as f64),
             first_order: None,
         })
-    }
-
-    /// Updates the moving average of the direction of the second gradient, whose values have this
-    /// norm, and replaces the gradient by the average times the norm.
-    fn average_direction(&mut self, norm: f64) {
-        let weight = self.training.average;
-        let gradient = &mut self.batch.gradients_mut()[1];
-        let exponent = gradient.exponent();
-        for (average, value) in zip(self.direction.iter_mut(), gradient.values_mut(exponent)) {
-            // A gradient of 0 has no direction.
-            let direction = if norm > 0.0 { value.as_() / norm } else { 0.0 };
-            *average = F::from_f64(weight * average.as_() + (1.0 - weight) * direction);
-            *value = F::from_f64(average.as_() * norm);
-        }
     }
 
     /// Checks that the combined vector, of this norm, is within the range of the optimizer.
