@@ -121,6 +121,7 @@ impl TrainingSettings {
 
     /// Rejects invalid values and unused keys.
     pub fn validate(&self) -> Result<(), ConfigError> {
+        self.reject_unread()?;
         count("training.batch", self.batch, 1..=1_000_000)?;
         count("training.train_samples", self.train_samples, 1..=1_000_000)?;
         count("training.test_samples", self.test_samples, 1..=1_000_000)?;
@@ -135,52 +136,52 @@ impl TrainingSettings {
         if let Some(decades) = self.cut {
             positive("training.cut", decades)?;
         }
-        match (self.decay, self.decay_end) {
-            (_, None) => {}
-            (DecayName::Constant, Some(end)) => {
-                return Err(ConfigError::unread("training.decay_end", end, "`training.decay` is constant"));
-            }
-            (DecayName::Cosine, Some(end)) => allowed("training.decay_end", end, (0.0..=1.0).contains(&end), "0 to 1")?,
-            (DecayName::Exponential, Some(end)) => {
-                allowed("training.decay_end", end, end > 0.0 && end <= 1.0, "a positive number up to 1")?;
-            }
+        if let Some(end) = self.decay_end {
+            let exponential = self.decay == DecayName::Exponential;
+            let range = if exponential { "a positive number up to 1" } else { "0 to 1" };
+            allowed("training.decay_end", end, (0.0..=1.0).contains(&end) && !(exponential && end == 0.0), range)?;
         }
         allowed("training.average", self.average, (0.0..1.0).contains(&self.average), "0 to below 1")?;
-        self.validate_smoothing()?;
-        if let Some(memory) = &self.memory {
-            let what = "a number of bytes such as \"64MB\", in B, kB, MB, GB, KiB, MiB or GiB";
-            allowed("training.memory", format!("{memory:?}"), bytes(memory).is_some(), what)?;
-        }
-        match (self.clip, self.clip_limit) {
-            (_, None) => Ok(()),
-            (ClipName::None, Some(limit)) => Err(ConfigError::unread("training.clip_limit", limit, "`training.clip` is none")),
-            (_, Some(limit)) => positive("training.clip_limit", limit),
-        }
-    }
-
-    /// Rejects invalid values and unused keys of the estimators.
-    fn validate_smoothing(&self) -> Result<(), ConfigError> {
-        let exact = self.estimator == EstimatorName::Exact;
         if let Some(noise) = self.noise {
-            if exact {
-                return Err(ConfigError::unread("training.noise", noise, "`training.estimator` is exact"));
-            }
             positive("training.noise", noise)?;
         }
         if let Some(pairs) = self.pairs {
-            if exact {
-                return Err(ConfigError::unread("training.pairs", pairs, "`training.estimator` is exact"));
-            }
             // Variances need two pairs.
             let weighted = matches!(self.estimator, EstimatorName::InverseVariance | EstimatorName::AlphaOrder);
             count("training.pairs", pairs, if weighted { 2 } else { 1 }..=100_000)?;
         }
         if let Some(tolerance) = self.tolerance {
-            if self.estimator != EstimatorName::AlphaOrder {
-                let reason = "`training.estimator` is not alpha_order";
-                return Err(ConfigError::unread("training.tolerance", tolerance, reason));
-            }
             positive("training.tolerance", tolerance)?;
+        }
+        if let Some(limit) = self.clip_limit {
+            positive("training.clip_limit", limit)?;
+        }
+        if let Some(memory) = &self.memory {
+            let what = "a number of bytes such as \"64MB\", in B, kB, MB, GB, KiB, MiB or GiB";
+            allowed("training.memory", format!("{memory:?}"), bytes(memory).is_some(), what)?;
+        }
+        Ok(())
+    }
+
+    /// Rejects keys that no other setting reads.
+    fn reject_unread(&self) -> Result<(), ConfigError> {
+        let (exact, pairs) = (self.estimator == EstimatorName::Exact, self.pairs.map(|pairs| pairs as f64));
+        let keys = [
+            ("training.decay_end", self.decay_end, self.decay == DecayName::Constant, "`training.decay` is constant"),
+            ("training.noise", self.noise, exact, "`training.estimator` is exact"),
+            ("training.pairs", pairs, exact, "`training.estimator` is exact"),
+            (
+                "training.tolerance",
+                self.tolerance,
+                self.estimator != EstimatorName::AlphaOrder,
+                "`training.estimator` is not alpha_order",
+            ),
+            ("training.clip_limit", self.clip_limit, self.clip == ClipName::None, "`training.clip` is none"),
+        ];
+        for (key, value, unread, reason) in keys {
+            if let (Some(value), true) = (value, unread) {
+                return Err(ConfigError::unread(key, value, reason));
+            }
         }
         Ok(())
     }
