@@ -119,13 +119,16 @@ fn optimal_gains_stabilize_a_stable_and_an_unstable_plant() {
 }
 
 #[test]
-fn unstabilizable_plants_are_reported() {
+fn plants_and_costs_without_optimum_are_reported() {
     // The control does not affect the growing component.
     let plant = LinearPlant::new(2, vec![0.5, 0.0, 0.0, 1.5], vec![1.0, 0.0]);
     let identity = vec![1.0, 0.0, 0.0, 1.0];
     let unstabilizable = Lqr::new(plant.clone(), identity.clone(), vec![1.0]);
     assert!(matches!(unstabilizable, Err(NoOptimum::NotConverged { .. })), "{unstabilizable:?}");
-    assert!(matches!(Lqr::new(plant, identity, vec![-1.0]), Err(NoOptimum::Indefinite)));
+    assert!(matches!(Lqr::new(plant, identity, vec![-1.0]), Err(NoOptimum::ControlCost)));
+    // W = q + a² W / (1 + W) is near -9.7, so 1 + W is negative.
+    let rewarded = Lqr::new(LinearPlant::new(1, vec![0.5], vec![1.0]), vec![-10.0], vec![1.0]);
+    assert!(matches!(rewarded, Err(NoOptimum::StateCost)), "{rewarded:?}");
 }
 
 #[test]

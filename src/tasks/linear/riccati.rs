@@ -26,10 +26,16 @@ pub struct Optimum {
 /// No solution of Riccati's equation was found.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum NoOptimum {
-    /// R is not positive definite, or `R + Bᵀ W B` with the W of [`Optimum`] is not. The latter
-    /// requires a negative eigenvalue of Q.
+    /// R is not positive definite.
     #[error("the cost R of controls is not positive definite, so no optimal control exists; use an R with positive eigenvalues")]
-    Indefinite,
+    ControlCost,
+    /// `R + Bᵀ W B` with the W of [`Optimum`] is not positive definite. This requires a negative
+    /// eigenvalue of Q.
+    #[error(
+        "the cost decreases without bound for large controls, because the cost Q of states has a negative eigenvalue; \
+         use a Q without negative eigenvalues"
+    )]
+    StateCost,
     /// The doubling iteration did not converge: the cost is unbounded, or the plant decays too
     /// slowly.
     #[error(
@@ -66,10 +72,10 @@ impl Optimum {
         let (n, m) = (plant.state_dim(), plant.control_dim());
         let (a, b) = (plant.a(), plant.b());
         let (q, r) = (DMatrix::from_row_slice(n, n, state_cost), DMatrix::from_row_slice(m, m, control_cost));
-        let g = &b * r.clone().cholesky().ok_or(NoOptimum::Indefinite)?.solve(&b.transpose());
+        let g = &b * r.clone().cholesky().ok_or(NoOptimum::ControlCost)?.solve(&b.transpose());
         let w = doubled(a.clone(), g, q)?;
         let towards = b.transpose() * &w;
-        let factor = (&r + &towards * &b).cholesky().ok_or(NoOptimum::Indefinite)?;
+        let factor = (&r + &towards * &b).cholesky().ok_or(NoOptimum::StateCost)?;
         let gain = -factor.solve(&(towards * &a));
         // The second form of P, a sum of squares, does not amplify rounding errors.
         let closed = a + b * &gain;
