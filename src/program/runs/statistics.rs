@@ -6,6 +6,7 @@ use crate::report::quantile::{quantile, sorted};
 use crate::report::{Curve, Dash, Point, field_color};
 use crate::{Field, Record};
 use rand::RngExt;
+use std::fmt;
 
 /// Field, seed and records of one run.
 #[derive(Clone, Copy)]
@@ -157,6 +158,21 @@ pub struct Ratio {
     pub value: f64,
     /// Lower and upper end of the 95 % interval. NaN for fewer than two pairs.
     pub interval: [f64; 2],
+}
+
+impl fmt::Display for Ratio {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [low, high] = self.interval;
+        f.write_str(&short(self.value))?;
+        if low.is_nan() && high.is_nan() { Ok(()) } else { write!(f, " ({} to {})", short(low), short(high)) }
+    }
+}
+
+/// [`median_ratio`] of the final test losses of two groups of runs, over the seeds of both.
+pub fn loss_ratio<'a>(runs: impl Iterator<Item = Outcome<'a>>, others: impl Iterator<Item = Outcome<'a>> + Clone) -> Ratio {
+    let loss = |run: Outcome| run.last(|r| r.test_loss);
+    let pair = |run: Outcome<'a>| others.clone().find(|other| other.seed == run.seed).map(|other| (loss(run), loss(other)));
+    median_ratio(&runs.filter_map(pair).collect::<Vec<_>>())
 }
 
 /// Ratio of the medians of pairs of losses, one pair per seed. NaN stands for the loss of a failed

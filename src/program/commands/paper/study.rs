@@ -10,7 +10,7 @@ use crate::program::platform::table::Table;
 use crate::program::platform::terminal::{print_message, print_note};
 use crate::program::runs::comparison::{Comparison, read_all, read_plan, train_all, train_shard, write_plan};
 use crate::program::runs::shard::Shard;
-use crate::program::runs::statistics::{Outcome, best, by_field, curves, trailing_mean};
+use crate::program::runs::statistics::{Outcome, best, by_field, curves, loss_ratio, trailing_mean};
 use crate::program::scenes::{overrides, presets};
 use crate::program::settings::ClipName;
 use crate::report::quantile::{quantile, sorted};
@@ -23,7 +23,8 @@ use toml::Value;
 const SMOOTHING: usize = 30;
 
 /// Note below the table.
-const NOTE: &str = "Table: test loss after the last epoch. Figure: the mean of up to 30 epochs, as in the paper; bold lines are \
+const NOTE: &str = "Table: test loss after the last epoch; ratio of the median to that of the first field, with a 95 % \
+                    bootstrap interval. Figure: the mean of up to 30 epochs, as in the paper; bold lines are \
                     medians over the seeds, thin lines single seeds. Bands extend from the first to the third quartile of \
                     four or more seeds, or over the range of fewer.";
 
@@ -205,9 +206,10 @@ impl Study {
 
     /// Table of final losses over the seeds.
     fn table(&self, cells: &[Cell]) -> Table {
-        let header = ["case", "clip", "field", "seeds", "median final test loss", "quartiles", "median best", "failed"];
-        let mut table = Table::new(header).optional(&["median best", "failed", "seeds"]);
+        let header = ["case", "clip", "field", "seeds", "median final test loss", "quartiles", "ratio", "median best", "failed"];
+        let mut table = Table::new(header).optional(&["median best", "failed", "seeds", "quartiles"]);
         for (cell, (field, runs)) in cells.iter().flat_map(|cell| by_field(&cell.runs).map(move |runs| (cell, runs))) {
+            let first = by_field(&cell.runs).next().filter(|(first, _)| *first != field);
             let last = sorted(runs.iter().map(|run| run.last(|r| r.test_loss)));
             let lowest = sorted(runs.iter().map(|run| best(run.records)));
             table.row([
@@ -217,6 +219,7 @@ impl Study {
                 runs.len().to_string(),
                 short(quantile(&last, 0.5)),
                 format!("{} to {}", short(quantile(&last, 0.25)), short(quantile(&last, 0.75))),
+                first.map_or("1".into(), |(_, first)| loss_ratio(runs.iter().copied(), first.iter().copied()).to_string()),
                 short(quantile(&lowest, 0.5)),
                 runs.iter().filter(|run| run.failed).count().to_string(),
             ]);

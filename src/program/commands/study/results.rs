@@ -5,7 +5,7 @@ use crate::program::platform::csv::csv;
 use crate::program::platform::parallel;
 use crate::program::platform::table::Table;
 use crate::program::runs::comparison::Comparison;
-use crate::program::runs::statistics::{Outcome, Ratio, best, mean_log_loss, median_ratio};
+use crate::program::runs::statistics::{Outcome, Ratio, best, loss_ratio, mean_log_loss};
 use crate::program::scenes::plan::Cell;
 use crate::report::quantile::{quantile, sorted};
 use crate::report::{Drawing, TaskLosses, final_losses};
@@ -76,11 +76,7 @@ impl Measured<'_> {
         if std::ptr::eq(self, other) {
             return Ratio { value: 1.0, interval: [1.0; 2] };
         }
-        let pair = |run: &Run| {
-            let other = other.runs.iter().find(|other| other.outcome.seed == run.outcome.seed)?;
-            Some((run.loss(), other.loss()))
-        };
-        median_ratio(&self.runs.iter().filter_map(pair).collect::<Vec<_>>())
+        loss_ratio(self.runs.iter().map(|run| run.outcome), other.runs.iter().map(|run| run.outcome))
     }
 
     fn seconds(&self) -> f64 {
@@ -144,12 +140,7 @@ impl<'a> Results<'a> {
         for (cell, first) in self.rows() {
             let losses = cell.losses();
             let end = if self.is_at_end(cell.names) { " (end)" } else { "" };
-            let Ratio { value, interval: [low, high] } = cell.ratio_to(first);
-            let ratio = match std::ptr::eq(cell, first) {
-                true => "1".to_owned(),
-                false if low.is_nan() && high.is_nan() => short(value),
-                false => format!("{} ({} to {})", short(value), short(low), short(high)),
-            };
+            let ratio = if std::ptr::eq(cell, first) { "1".to_owned() } else { cell.ratio_to(first).to_string() };
             let mut row = vec![
                 cell.names.task.to_owned(),
                 cell.names.method.to_owned(),
