@@ -12,7 +12,7 @@ use physgrad::{Clip, Rollout, Training, initial_states};
 /// elbow], N m. Parameters: the goal [x, y], m.
 #[derive(Clone)]
 #[rustfmt::skip]
-struct Arm { mass: f64, length: f64, damping: f64, dt: f64 }
+pub struct Arm { pub mass: f64, pub length: f64, pub damping: f64, pub dt: f64 }
 
 const STEPS: usize = 60;
 

@@ -14,7 +14,7 @@ use std::f64::consts::PI;
 /// rate rad/s].
 #[derive(Clone)]
 #[rustfmt::skip]
-struct PositionsOnly { cart_pole: CartPoleSystem }
+pub struct PositionsOnly { pub cart_pole: CartPoleSystem }
 
 const STEPS: usize = 100;
 

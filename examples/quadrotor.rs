@@ -12,7 +12,7 @@ use std::f64::consts::TAU;
 /// weight, N. Semi-implicit Euler; moment of inertia mass arm² / 2.
 #[derive(Clone)]
 #[rustfmt::skip]
-struct Quadrotor { mass: f64, arm: f64, dt: f64 }
+pub struct Quadrotor { pub mass: f64, pub arm: f64, pub dt: f64 }
 
 const STEPS: usize = 80;
 const GRAVITY: f64 = 9.81;
