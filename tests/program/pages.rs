@@ -78,6 +78,7 @@ fn stability_md_lists_every_hard_case_and_criterion() {
     assert!(cases.len() >= 16, "{list}");
     for case in cases {
         let (name, about) = case.split_once(": ").expect("a name");
+        let about = about[..1].to_uppercase() + &about[1..];
         assert!(
             text.contains(&format!("\u{b6}## {name}\u{b6}{about}.")),
             "docs/stability.md lacks this description of {name}: {about}"

@@ -15,14 +15,15 @@ pub(super) const CASES: &[Case] = &[Case {
     name: "double_pendulum",
     about: "chaotic double pendulum over a million steps of 2 ms, from rest with both rods 1 rad from upright",
     criterion: "the adjoint is finite and grows with the Lyapunov exponent Λ, measured independently by tangents, to \
-                within 10 %. 64 pairs of rollouts start one rounding apart. At half of ln(1/ε)/Λ, the adjoints of \
-                each pair have the same direction (cosine at least 0.99). At twice ln(1/ε)/Λ, the signs of 30 to 70 \
-                % of the pairs agree",
+                within 10 %. The initial states of 64 pairs of rollouts differ by one rounding. At half of ln(1/ε)/Λ, \
+                the adjoints of each pair have the same direction (cosine at least 0.99). At twice ln(1/ε)/Λ, the \
+                signs of 30 to 70 % of the pairs agree",
     explanation: "In chaos, a gradient over long times is exact but useless: its sign differs at \
-                random between rollouts one rounding apart. A wider range of exponents does not \
-                help. Beyond ln(1/ε)/Λ, here 12,400 steps, the signs of R are those of rounding \
-                errors. The warning about growth reports a similar horizon. Limits: adjoints stay \
-                collinear at twice the horizon; the case does not compare their norms",
+                random between rollouts whose initial states differ by one rounding. A wider range of \
+                exponents does not help. Beyond ln(1/ε)/Λ, here 12,400 steps, the signs of R are \
+                those of rounding errors. The warning about growth reports a similar horizon. \
+                Limits: adjoints stay collinear at twice the horizon; the case does not compare \
+                their norms",
     run: double_pendulum,
 }];
 

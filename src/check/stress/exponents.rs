@@ -15,7 +15,7 @@ use crate::train::field::Field;
 
 pub(super) const CASES: &[Case] = &[Case {
     name: "exploding_adjoint",
-    about: "x' = a x + u with u = k x + b over 10,000 steps, in f32 and f64. a and a + k range from -1.5 to 1.5. The \
+    about: "system x' = a x + u with u = k x + b over 10,000 steps, in f32 and f64. a and a + k range from -1.5 to 1.5. The \
                 loss is (x_T - 1)² / 2",
     criterion: "R, M and C agree with a reference with 32-bit exponents: signs exactly, largest components to 1e-9 \
                 (f64) and 1e-2 (f32). A component is 0 only where the reference is 0",
