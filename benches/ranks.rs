@@ -20,11 +20,11 @@ const FLOWS: [Flow; 2] = [Flow::MODIFIED, Flow::REGULAR];
 const GROUP: usize = 4;
 /// Largest number of blocks of groups.
 const BLOCKS: usize = 32;
-/// Exchanges of an update: divergence, blocks, total, costs, pause. Each one has two messages per
-/// pair of ranks: the length and the contents.
+/// Messages of an update per pair of ranks. Five exchanges (divergence, blocks, total, costs, pause)
+/// have two each: length and contents.
 const MESSAGES: f64 = 10.0;
 
-/// Two ranks that are threads.
+/// One of two ranks, each a thread of this process.
 #[derive(Debug)]
 struct Threads {
     rank: usize,

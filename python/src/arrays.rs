@@ -31,7 +31,8 @@ pub fn is_f32(array: &Bound<'_, PyAny>) -> bool {
     array.cast::<PyUntypedArray>().is_ok_and(|array| array.dtype().is_equiv_to(&dtype::<f32>(py)))
 }
 
-/// An argument: contiguous and of the number type `F`. Copied only if it is not.
+/// Contiguous argument of the number type `F`. Copies the given array only if its layout or type
+/// differs.
 pub struct Argument<'py, F: Number>(PyReadonlyArrayDyn<'py, F>);
 
 impl<'py, F: Number> Argument<'py, F> {

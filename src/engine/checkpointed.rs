@@ -1,4 +1,4 @@
-//! [`Checkpointed`]: forward and reverse pass of a batch of samples, in the memory of a
+//! [`Checkpointed`]: forward and reverse passes of a batch of samples, with checkpoints by a
 //! [`Schedule`].
 
 use crate::engine::adjoint::{Adjoint, Flow, Pass};
@@ -73,7 +73,8 @@ impl<F: Float> Checkpointed<F> {
 
     /// Finds a schedule with few recomputed steps within `budget` bytes.
     ///
-    /// The schedule recomputes at most 1 % of the horizon more steps than the minimum.
+    /// The number of recomputed steps exceeds the minimum within the budget by at most 1 % of the
+    /// horizon.
     ///
     /// # Errors
     /// [`MemoryError`] if no schedule fits.
@@ -132,7 +133,7 @@ impl<F: Float> Checkpointed<F> {
     /// Runs rollouts from `starts` (see [`initial_states`](crate::initial_states)) and their
     /// reverse passes.
     ///
-    /// Writes `gradients`, `[group][flow][parameter]`, each the sum over `group` successive
+    /// Writes `gradients`, `[group][flow][parameter]`, each the sum over up to `group` successive
     /// samples. Groups without samples are unchanged. All cotangents are multiplied by `scale`. Use
     /// 1 / batch size for the gradient of a batch mean.
     ///

@@ -34,7 +34,7 @@ pub(super) struct Expansion {
     pub(super) gradient: DVector<f64>,
     /// Hessian of the terminal cost.
     pub(super) hessian: DMatrix<f64>,
-    /// Gradient of the loss by the controls, `[step][control]`.
+    /// Gradient of the loss with respect to the controls, `[step][control]`.
     pub(super) by_control: Vec<f64>,
     /// Largest absolute second derivative of the costs. If all are 0, largest absolute first
     /// derivative.
@@ -105,7 +105,7 @@ impl Problem<'_> {
     }
 }
 
-/// Computes the gradient by the controls with the adjoint recursion.
+/// Computes the gradient with respect to the controls by the adjoint recursion.
 ///
 /// The second result is an error with the step at which the gradient is not finite.
 fn gradient_by_control(steps: &[StepExpansion], terminal: DVector<f64>, n: usize, m: usize) -> (Vec<f64>, Result<(), usize>) {

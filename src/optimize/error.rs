@@ -1,4 +1,4 @@
-//! [`OptimizeError`]: invalid input, or a number that is not finite.
+//! [`OptimizeError`]: invalid input, a non-finite number, or a stop by the options.
 
 /// Error of [`optimize`](super::optimize).
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -61,7 +61,7 @@ pub enum OptimizeError {
     Stopped,
 }
 
-/// Name of the functions with this derivative in messages.
+/// Names, for messages, the functions whose derivative at this step is not finite.
 fn differentiated(step: Option<usize>) -> String {
     step.map_or("terminal cost".into(), |step| format!("running cost of step {step}, or of the dynamics in this step,"))
 }

@@ -2,7 +2,8 @@
 
 use std::fmt;
 
-/// Controls that minimize the loss from one initial state, at least locally.
+/// Result of an optimization from one initial state: controls, states, gains and cost. See
+/// [`converged`](Plan::converged).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
     /// Controls, `[step][control]`: the parameters of an [`OpenLoop`](crate::policy::OpenLoop).
@@ -11,8 +12,8 @@ pub struct Plan {
     pub x: Vec<f64>,
     /// Gains `K_t`, `[step][control][component]`. See [`feedback`](Plan::feedback).
     pub gains: Vec<f64>,
-    /// Gradient of the cost by the controls, `[step][control]`, without projection: at an active
-    /// bound, a component may be nonzero at the optimum.
+    /// Gradient of the cost with respect to the controls, `[step][control]`, without projection. At
+    /// an active bound, a component may be nonzero at the optimum.
     pub gradient: Vec<f64>,
     /// Parameters of the sample.
     pub p: Vec<f64>,

@@ -45,7 +45,7 @@ fn tangents_agree_with_num_dual_to_1e_14() {
 fn derivatives_of_constants_stay_zero() {
     for value in [0.0, 1.0, -0.0] {
         for (name, operation) in functions::<Dual<f64, 2>>() {
-            // Avoids division by zero, whose result is infinite.
+            // Avoids division by zero, whose tangents are NaN.
             let divisor = if name.starts_with("div") { 1.0 } else { value };
             let found = operation(Dual::constant(value), Dual::constant(divisor));
             assert_eq!(found.tangents.map(f64::abs), [0.0; 2], "{name} of {value}");
@@ -96,7 +96,7 @@ fn functions_agree_with_the_standard_library() {
         let base: f64 = x + 1.0;
         near(Scalar::powf(base, -2.3), base.powf(-2.3), 2.0 + 2.0 * (2.3 * base.ln()).abs());
         near(Scalar::powi(base, -3), base.powi(-3), 3.0);
-        // The sum and the multiple of 2π are rounded at the size of the multiple.
+        // The rounding errors of `turns` and of the sum are proportional to `turns`.
         let error = Scalar::wrap_angle(x + turns) - x;
         assert!(error.abs() <= f64::EPSILON * turns, "{x}: {error}");
         assert_eq!(Scalar::clamp(x, -0.2, 0.5), f64::clamp(x, -0.2, 0.5));

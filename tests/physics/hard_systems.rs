@@ -146,7 +146,7 @@ fn with_one_pole_the_chain_equals_the_coupled_model() {
     }
 }
 
-/// Returns `|dE/dt - power|`, relative to the largest rate times `1 + |E|`.
+/// Returns `|dE/dt - power| / (r (1 + |E|))`, where r is the largest rate, at least 1.
 ///
 /// dE/dt comes from central differences of the energy along the motion.
 fn power_missing<O: Ode>(ode: &O, energy: impl Fn(&[f64]) -> f64, power: impl Fn(&[f64], f64) -> f64, case: u64) -> f64 {

@@ -36,7 +36,7 @@ fn ended(out: &Path) -> usize {
 
 /// Returns all files below the folder, without lock files, temporary files and wall times.
 ///
-/// Wall times are in the columns `seconds`, the times of a study, the pictures with a time axis,
+/// Wall times are in the columns `seconds`, the times of a study, the picture with a time axis,
 /// and the checkpoints. A killed process may leave a temporary file of an unfinished write,
 /// `.NAME.new`.
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
@@ -49,7 +49,7 @@ fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
             match &*name {
                 _ if path.is_dir() => folders.push(path),
                 _ if name.starts_with('.') && name.ends_with(".new") => {}
-                ".physgrad.lock" | "checkpoint.bin" | "curves.svg" | "learning_curve.svg" | "times.csv" => {}
+                ".physgrad.lock" | "checkpoint.bin" | "curves.svg" | "times.csv" => {}
                 _ => {
                     let bytes = fs::read(&path).expect("a file");
                     let bytes =
@@ -118,7 +118,7 @@ fn eight_shards_with_three_kills_give_the_bytes_of_one_process() {
     physgrad(&["merge", "--quiet"]).arg(&many).assert().success();
     assert_equal(&one, &many);
 
-    // Checkpoints continue with equal bytes.
+    // Runs resumed from both checkpoints write equal files.
     for out in [&one, &many] {
         physgrad(&["train", "--resume", "--epochs", "3", "--quiet", "--out"]).arg(out.join("runs/C-24")).assert().success();
     }

@@ -7,7 +7,7 @@ use toml::{Table, Value};
 /// Replaces the range of the type by the range of the setting, if a setting should be a whole
 /// number.
 ///
-/// Validates the largest number in its place: the error of this number names the range.
+/// Validates the settings with `i64::MAX` for this setting: the resulting error names the range.
 pub fn with_range(spec: &'static dyn AnyTaskSpec, settings: impl Fn() -> Table, mut error: ConfigError) -> ConfigError {
     let Some(found) = error.what.strip_suffix(WHOLE_NUMBER).map(str::to_owned) else { return error };
     let mut settings = settings();

@@ -11,7 +11,7 @@ use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use smallvec::smallvec;
 
-/// Normalizes the wave of a system that contains a [`QuantumSystem`] after each step:
+/// After each step, normalizes the wave of a system that contains a [`QuantumSystem`]:
 /// `ψ ← ψ / |ψ|`.
 ///
 /// Steps of every [`QuantumScheme`](super::QuantumScheme) are unitary except for rounding. Rounding

@@ -120,7 +120,7 @@ fn inspect(folders: &[Folder]) -> Result<Vec<Inspected>> {
 /// Checks that two runs belong to the same comparison.
 ///
 /// # Errors
-/// Task or settings differ, apart from field, seed and epochs.
+/// The tasks differ, or settings that [`Scene::comparable`] compares.
 fn check_comparable(first: &(&Folder, Scene), other: &(&Folder, Scene)) -> Result<()> {
     let [(path, task), (other_path, other_task)] =
         [first, other].map(|(folder, scene)| (folder.path().display(), scene.task.name()));
@@ -130,14 +130,15 @@ fn check_comparable(first: &(&Folder, Scene), other: &(&Folder, Scene)) -> Resul
     let [first, other] = [first, other].map(|(_, scene)| scene.comparable());
     if first != other {
         bail!(
-            "{path} and {other_path} are not runs of one comparison; besides field, seed and epochs, these settings differ:\n{}",
+            "{path} and {other_path} are not runs of one comparison; report each separately. Apart from field, seed and \
+             epochs, these settings differ:\n{}",
             differences(&first, &other)
         );
     }
     Ok(())
 }
 
-/// Data of a run that `restore` sets to its state.
+/// Opens a run, restores its saved state by `restore`, and collects its data.
 fn inspected(scene: &Scene, restore: impl FnOnce(&mut dyn AnyRun) -> Result<()>, with_rollouts: bool) -> Result<Inspected> {
     let mut run = scene.open(1)?;
     let before = with_rollouts.then(|| run.adjoint_norms());
