@@ -20,8 +20,8 @@ const FLOWS: [Flow; 2] = [Flow::MODIFIED, Flow::REGULAR];
 const GROUP: usize = 4;
 /// Largest number of blocks of groups.
 const BLOCKS: usize = 32;
-/// Messages of an update per pair of ranks. Five exchanges (divergence, blocks, total, costs, pause)
-/// have two each: length and contents.
+/// Messages of an update per pair of ranks. Five exchanges (divergence, blocks, total, costs,
+/// pause) have two each: length and contents.
 const MESSAGES: f64 = 10.0;
 
 /// One of two ranks, each a thread of this process.

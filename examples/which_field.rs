@@ -18,7 +18,7 @@ mod quadrotor;
 const RATES: [f64; 3] = [0.001, 0.003, 0.01];
 
 /// Compares the methods on one task. Prints each method at the learning rate with the lowest median
-/// of the test loss after the last epoch. Of an even number of losses, the median is the larger
+/// of the test loss after the last epoch. The median of an even number of losses is the larger
 /// middle one.
 fn compare<T: Task + Clone, P: Policy + Clone>(name: &str, task: &T, policy: &P, epochs: usize, seeds: u64) {
     let (none, norm) = (Clip::None, Clip::Norm(1.0));

@@ -23,10 +23,11 @@ const METRICS: [(&str, Metric); 4] =
 ///
 /// Returns a dict:
 ///
-/// - "settings": a dict of columns with one entry per setting. Lists of str: "method" and
-///   "precision". Arrays, (S,): "substeps" per time step; the errors "trajectory", "loss", "R" and
-///   "M", NaN if the rollout diverges; "operations" of a step and its derivative; "bytes" per step
-///   and sample; "forward_seconds" and "gradient_seconds" per step and sample, medians.
+/// - "settings": a dict of columns with one entry per setting. "method" and "precision" are lists
+///   of str. The others are arrays, (S,). "substeps" is per time step. "trajectory", "loss", "R"
+///   and "M" are errors, NaN if the rollout diverges. "operations" are those of a step and its
+///   derivative. "bytes" and the medians "forward_seconds" and "gradient_seconds" are per step and
+///   sample.
 /// - "reference": estimates of the errors of the reference, a dict with "trajectory", "loss", "R"
 ///   and "M". Smaller errors of a setting are below its resolution.
 /// - "cheapest": the fastest setting with an error of at most `target`, or None. A dict with

@@ -22,10 +22,10 @@ use toml::{Table, Value};
 /// names the numbers in its section `fit`. `noise` has the standard deviation of each state, (n,).
 /// Without `noise`, it is equal for all states, and the residuals give its size.
 ///
-/// Returns a dict: "values" and "errors" (standard errors) by name, "robust_errors", (K,), and
-/// "correlations", (K, K), of the K unknown numbers, "chi_squared", "converged", "undetermined" and
-/// "at_bound". Raises `ValueError` if no number is unknown, or the data do not fit the task. Ctrl-C
-/// raises `KeyboardInterrupt`.
+/// Returns a dict: "values" and "errors" (standard errors) by name, "chi_squared", "converged",
+/// "undetermined" and "at_bound". "robust_errors", (K,), and "correlations", (K, K), refer to the K
+/// unknown numbers. Raises `ValueError` if no number is unknown, or the data do not fit the task.
+/// Ctrl-C raises `KeyboardInterrupt`.
 #[pyfunction]
 #[pyo3(signature = (task, data, params=None, noise=None))]
 pub fn identify<'py>(

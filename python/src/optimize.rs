@@ -15,10 +15,11 @@ use pyo3::types::PyDict;
 /// `bounds` has the low and high bound of each control, (m, 2). `iterations` is the largest number
 /// of iterations, 200 by default. The search starts at controls of 0.
 ///
-/// Returns a dict: controls "u", (T, m), states "x", (T+1, n), "gains" of the feedback
-/// u_t + K_t (x - x_t), (T, m, n), "cost", "iterations", "gradient_norm", "converged" and "stop".
-/// "costs" holds the initial cost, then the cost after each iteration. Raises `ValueError` if the
-/// rollout from the initial controls diverges. Ctrl-C raises `KeyboardInterrupt`.
+/// Returns a dict: controls "u", (T, m), states "x", (T+1, n), "cost", "iterations",
+/// "gradient_norm", "converged" and "stop". "gains", (T, m, n), are those of the feedback
+/// u_t + K_t (x - x_t). "costs" holds the initial cost, then the cost after each iteration. Raises
+/// `ValueError` if the rollout from the initial controls diverges. Ctrl-C raises
+/// `KeyboardInterrupt`.
 #[pyfunction]
 #[pyo3(signature = (task, start, bounds=None, iterations=None))]
 pub fn optimize<'py>(

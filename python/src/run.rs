@@ -76,9 +76,9 @@ impl Run {
         }
     }
 
-    /// Numbers of every epoch, a dict of float64 arrays: "epoch", "loss", "train_loss",
-    /// "test_loss", "grad_norm", "cosine", "kept", "first_order", "skipped", "seconds", "growth_R"
-    /// and "growth_M" (decades over a rollout). Missing numbers are NaN.
+    /// Numbers of every epoch, a dict of float64 arrays. The keys are "epoch", "loss",
+    /// "train_loss", "test_loss", "grad_norm", "cosine", "kept", "first_order", "skipped",
+    /// "seconds", "growth_R" and "growth_M" (decades over a rollout). Missing numbers are NaN.
     #[getter]
     fn history<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let run = self.lock()?;

@@ -21,9 +21,9 @@ use std::sync::Arc;
 
 /// Number of samples in a group. Each group has one gradient sum, for any number of workers.
 pub(crate) const GROUP: usize = 4;
-/// Largest number of blocks of groups. Each block has one sum over its groups. The number bounds the
-/// sums that ranks exchange, and the ranks that share a mini-batch. Up to 128 samples, a block is a
-/// group.
+/// Largest number of blocks of groups. Each block has one sum over its groups. The number bounds
+/// the sums that ranks exchange, and the ranks that share a mini-batch. Up to 128 samples, a block
+/// is a group.
 const BLOCKS: usize = 32;
 /// Largest number of groups in one chunk: more samples do not fit into the cache.
 const CHUNK: usize = 8;
@@ -189,9 +189,9 @@ impl<F: Float> Batch<F> {
     /// Allocates a workspace as [`new`](Batch::new) does, or [`within`](Batch::within) with a
     /// budget, for the samples of one rank in mini-batches of up to `samples` samples.
     ///
-    /// Every rank calls [`run`](Batch::run) with all samples. Results are bitwise those of a single
-    /// process. The budget excludes the sums of blocks: `param_count` numbers for each flow and each
-    /// of up to 32 blocks of samples.
+    /// Every rank calls [`run`](Batch::run) with all samples. Results are bitwise those of a
+    /// single process. The budget excludes the sums of blocks: `param_count` numbers for each flow
+    /// and each of up to 32 blocks of samples.
     ///
     /// # Errors
     /// As [`within`](Batch::within).

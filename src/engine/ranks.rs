@@ -53,8 +53,8 @@ pub(crate) fn gather_f64(ranks: &dyn Ranks, own: &[f64]) -> Vec<f64> {
     gather(ranks, &bytes).concat().as_chunks().0.iter().map(|&bytes| f64::from_le_bytes(bytes)).collect()
 }
 
-/// Sets `totals`, one per flow, to the sums over the blocks of all ranks, in order. `blocks[b][k]` is
-/// the sum of block b for flow k.
+/// Sets `totals`, one per flow, to the sums over the blocks of all ranks, in order. `blocks[b][k]`
+/// is the sum of block b for flow k.
 pub(crate) fn add_blocks<F: Float>(ranks: &dyn Ranks, blocks: &[Vec<Gradient<F>>], totals: &mut [Gradient<F>]) {
     let (params, count) = (totals[0].values().len(), ranks.count());
     let slice = |rank: usize| part(params, rank, count);

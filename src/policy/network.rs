@@ -27,8 +27,8 @@ pub struct NetworkLayer {
 pub enum LayerKind {
     /// `z[o] = b[o] + Σ_i x[i] W[i, o]`.
     Dense,
-    /// `z[q, f] = b[f] + Σ_{k,c} x[stride q + k, c] W[k, c, f]`, without padding. The shape of W may
-    /// contain further dimensions of size 1.
+    /// `z[q, f] = b[f] + Σ_{k,c} x[stride q + k, c] W[k, c, f]`, without padding. The shape of W
+    /// may contain further dimensions of size 1.
     Conv {
         /// Distance between windows, in positions.
         stride: usize,

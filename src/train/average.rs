@@ -4,8 +4,8 @@ use crate::engine::gradient::Gradient;
 use crate::numbers::scalar::Float;
 use crate::numbers::zip::zip;
 
-/// Updates `average` with the direction of `gradient`: a ← w a + (1 - w) g / ‖g‖, with the weight w.
-/// Replaces `gradient` by ‖g‖ a. `norm` is the norm of the values of the gradient, without its
+/// Updates `average` with the direction of `gradient`: a ← w a + (1 - w) g / ‖g‖, with the weight
+/// w. Replaces `gradient` by ‖g‖ a. `norm` is the norm of the values of the gradient, without its
 /// exponent.
 pub(super) fn average_direction<F: Float>(average: &mut [F], weight: f64, gradient: &mut Gradient<F>, norm: f64) {
     let exponent = gradient.exponent();

@@ -42,11 +42,12 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
         Report { weights, best: Weights::new(&self.policy, best.theta), records }
     }
 
-    /// Shares the samples of mini-batches and data sets among ranks, each with a session of its own.
+    /// Shares the samples of mini-batches and data sets among ranks, each with a session of its
+    /// own.
     ///
     /// All sessions need equal settings and states. Every rank then calls the same methods in the
-    /// same order, with an equal `pause` in [`advance`](Self::advance). Results are bitwise those of
-    /// a single process.
+    /// same order, with an equal `pause` in [`advance`](Self::advance). Results are bitwise those
+    /// of a single process.
     ///
     /// # Errors
     /// [`TrainError::Memory`] if no schedule fits the memory limit.

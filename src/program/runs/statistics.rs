@@ -180,7 +180,8 @@ pub fn loss_ratio<'a>(runs: impl Iterator<Item = Outcome<'a>>, others: impl Iter
 /// number.
 ///
 /// The interval extends from the 2.5 % to the 97.5 % quantile of the ratio over 10,000 resamples of
-/// the pairs with replacement (percentile bootstrap, Efron and Tibshirani 1993, section 13.3).
+/// the pairs with replacement. Source: percentile bootstrap, Efron and Tibshirani 1993, section
+/// 13.3.
 pub fn median_ratio(pairs: &[(f64, f64)]) -> Ratio {
     let ratio = |pairs: &mut dyn Iterator<Item = (f64, f64)>| {
         let worst = |loss: f64| if loss.is_nan() { f64::INFINITY } else { loss };
@@ -235,8 +236,8 @@ mod tests {
         // probabilities are 1/4, 1/4 and 1/2, the ratios 1, 9 and 5.
         let ratio = median_ratio(&[(1.0, 1.0), (9.0, 1.0)]);
         assert_eq!(ratio, Ratio { value: 5.0, interval: [1.0, 9.0] });
-        // One of 9 seeds differs. Its ratio is the median only if 5 of 9 draws choose it, which has
-        // a probability of 0.0015.
+        // One of 9 seeds differs. This ratio is the median only if 5 of 9 draws choose the seed,
+        // which has a probability of 0.0015.
         let mut pairs = [(2.0, 1.0); 9];
         pairs[4].0 = 100.0;
         assert_eq!(median_ratio(&pairs), Ratio { value: 2.0, interval: [2.0; 2] });
