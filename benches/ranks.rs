@@ -92,7 +92,7 @@ fn main() {
     let batch = 512;
     let starts: Vec<f32> = initial_states(&task, 0, Purpose::Train, batch);
 
-    // Both jobs use two threads, so they share caches and memory alike.
+    // Both measurements run two threads, so they load caches and memory equally.
     let pair = |work: &(dyn Fn(usize) -> Box<dyn FnMut() + Send> + Sync)| {
         let mut jobs = [work(0), work(1)];
         move || {

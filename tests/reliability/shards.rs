@@ -36,8 +36,8 @@ fn ended(out: &Path) -> usize {
 
 /// Returns all files below the folder, without lock files, temporary files and wall times.
 ///
-/// Wall times are in the columns `seconds`, the times of a study, the picture with a time axis,
-/// and the checkpoints. A killed process may leave a temporary file of an unfinished write,
+/// Wall times are in the columns `seconds`, in `times.csv`, in the picture with a time axis, and in
+/// the checkpoints. A killed process may leave a temporary file of an unfinished write,
 /// `.NAME.new`.
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();

@@ -23,7 +23,7 @@ pub fn exit_status(signal: u8) -> u8 {
 
 /// Installs the handlers. [`received`] returns the first signal. A second signal ends the process.
 ///
-/// A signal that the parent process ignores, as `nohup` does, stays ignored.
+/// On Linux, a signal that the parent process ignores, as `nohup` does, stays ignored.
 pub fn handle() -> Result<()> {
     let received = RECEIVED.get_or_init(Arc::default);
     let received_before = Arc::new(AtomicBool::new(false));

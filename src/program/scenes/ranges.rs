@@ -1,4 +1,4 @@
-//! Ranges in errors of settings that are not whole numbers.
+//! Allowed ranges in errors of settings that must be whole numbers.
 
 use crate::program::settings::config_error::{ConfigError, WHOLE_NUMBER};
 use crate::program::tasks::AnyTaskSpec;
