@@ -87,8 +87,8 @@ impl Plan {
     ///
     /// The gains result from a backward pass along the plan, with the least regularization that
     /// determines them. Gains are locally optimal if the plan converged and this regularization is
-    /// 0. Rows of controls at an active bound are 0. All gains are 0 if no regularization determines
-    /// them.
+    /// zero. Rows of controls at an active bound are 0. All gains are 0 if no regularization
+    /// determines them.
     ///
     /// # Panics
     /// If `t` is not below the horizon.
