@@ -4,7 +4,7 @@
 
 use crate::running::{SMALL, error_of, physgrad, process, train};
 use std::fs::{self, File};
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read};
 use std::os::unix::fs::symlink;
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
@@ -125,8 +125,12 @@ fn a_comparison_waits_for_a_run_of_another_process() {
     wait_for_epochs(&run, 1);
     let mut compare = Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));
     compare.args(["compare", "cart_pole", "--fields", "C", "--seeds", "1", "--epochs", ENDLESS, "--out"]).arg(dir.path());
-    let compare = compare.args(SMALL).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the process starts");
-    wait_until("the comparison holds its folder", || dir.path().join(".physgrad.lock").exists());
+    let mut compare = compare.args(SMALL).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("the process starts");
+    let mut messages = BufReader::new(compare.stderr.take().expect("a pipe"));
+    let mut printed = String::new();
+    while !printed.contains("waiting for the folder") {
+        assert!(messages.read_line(&mut printed).expect("text") > 0, "{printed}");
+    }
     // A second comparison in the folder is refused.
     let mut second = physgrad(&["compare", "cart_pole", "--fields", "C", "--seeds", "1", "--epochs", ENDLESS, "--out"]);
     assert!(error_of(second.arg(dir.path()).args(SMALL)).contains("in use by process"));
@@ -135,9 +139,8 @@ fn a_comparison_waits_for_a_run_of_another_process() {
     first.wait().expect("the process ends");
     wait_for_epochs(&run, done + 5);
     signal(&compare, "INT");
-    let output = compare.wait_with_output().expect("the process ends");
-    assert_eq!(output.status.code(), Some(130), "{}", text(&output.stderr));
-    assert!(text(&output.stderr).contains("waiting for the folder"), "{}", text(&output.stderr));
+    messages.read_to_string(&mut printed).expect("text");
+    assert_eq!(compare.wait().expect("the process ends").code(), Some(130), "{printed}");
     assert_complete(&run);
 }
 
