@@ -1,5 +1,5 @@
-//! Each module imports only the modules that its entry permits. Permitted modules stand above it in
-//! the list.
+//! Each module imports only the modules that its entry in `LIBRARY` or `PROGRAM` permits. An entry
+//! permits only modules above it in the list.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -45,7 +45,8 @@ fn files(folder: &Path) -> Vec<PathBuf> {
 
 /// Returns the modules that a file of `module` imports without permission.
 ///
-/// Imports are paths that start with `root`. Skips comment lines and all lines from `#[cfg(test)]`.
+/// Imports are paths that start with `root`. Skips comment lines, and all lines from the first
+/// `#[cfg(test)]` on.
 fn forbidden(modules: &[Edges], root: &str, module: &str, text: &str) -> Vec<String> {
     let (_, allowed) = modules.iter().find(|(name, _)| *name == module).expect("a module of the list");
     let lines = text.lines().take_while(|line| line.trim() != "#[cfg(test)]").filter(|line| !line.trim().starts_with("//"));
@@ -54,8 +55,8 @@ fn forbidden(modules: &[Edges], root: &str, module: &str, text: &str) -> Vec<Str
     names.filter(|name| *name != module && !allowed.contains(name)).map(String::from).collect()
 }
 
-/// Checks the imports of all listed modules below `folder`. Checks that `folder` contains only the
-/// listed modules and `others`.
+/// Checks the order of the list, and the imports of all listed modules below `folder`. Checks that
+/// `folder` contains only the listed modules and `others`.
 fn check(folder: &Path, modules: &[Edges], root: &str, others: &[&str]) {
     for (i, (module, allowed)) in modules.iter().enumerate() {
         assert!(

@@ -31,7 +31,7 @@ fn available() -> bool {
     }
 }
 
-/// Launcher of a number of ranks on this machine.
+/// Returns the `mpirun` command that starts `ranks` ranks on this machine.
 fn launcher(ranks: usize) -> Command {
     let mut command = Command::new("mpirun");
     command.args(["--oversubscribe", "--allow-run-as-root", "--bind-to", "none", "-n", &ranks.to_string()]);
@@ -40,7 +40,8 @@ fn launcher(ranks: usize) -> Command {
     command
 }
 
-/// 12 groups of samples and a remainder, in mini-batches of 8 and 5 groups.
+/// Mini-batches of 30 and 20 samples, in 8 and 5 groups of up to four samples. The last group of
+/// the first mini-batch has only two samples.
 const SETTINGS: [&str; 6] =
     ["--set", "training.batch=30", "--set", "training.train_samples=50", "--set", "training.resample=true"];
 
@@ -61,7 +62,7 @@ fn text(output: &Output) -> String {
     format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
 }
 
-/// Policies, and metrics without the column of seconds.
+/// Returns the last policy, the best policy, and the metrics without the column of seconds.
 fn results(out: &Path) -> (Vec<u8>, Vec<u8>, Vec<String>) {
     let read = |name: &str| fs::read(out.join(name)).unwrap_or_else(|error| panic!("{}: {error}", out.join(name).display()));
     let metrics = String::from_utf8(read("metrics.csv")).expect("text");
@@ -69,7 +70,7 @@ fn results(out: &Path) -> (Vec<u8>, Vec<u8>, Vec<String>) {
     (read("policy.safetensors"), read("best_policy.safetensors"), metrics.lines().map(row).collect())
 }
 
-/// Process ids of the ranks.
+/// Returns the process ids of the ranks, in increasing order.
 fn ranks_of(launcher: &Child) -> Vec<u32> {
     let output = Command::new("pgrep").args(["-P", &launcher.id().to_string(), "physgrad"]).output().expect("pgrep runs");
     let mut ids: Vec<u32> = String::from_utf8_lossy(&output.stdout).lines().filter_map(|line| line.parse().ok()).collect();

@@ -66,7 +66,7 @@ fn regular_field_equals_finite_differences_of_the_loss() {
     }
 }
 
-/// In M, all controls receive the same cotangent, since ∂S/∂x = 1.
+/// In M, all controls receive the same cotangent, since the time step S has ∂S/∂x = 1.
 #[test]
 fn modified_field_is_the_cotangent_times_the_sum_of_policy_derivatives() {
     for s in vector_field::sample(&Reach::default(), &Quadratic, &Field::modified(), &thetas()).expect("finite") {
@@ -124,8 +124,8 @@ fn rotated_field_vanishes_at_the_minimum_and_combined_field_descends() {
             assert_eq!(c.vector[i], if agrees { r.vector[i] } else { 0.0 });
             dropped += usize::from(!agrees);
         }
-        // r·g > 0: at least one component of r has the sign of g. The combination therefore
-        // descends everywhere except at the minimum.
+        // r·g > 0: at least one component of r has the sign of the same component of g. The
+        // combination therefore descends everywhere except at the minimum.
         assert!(dot(c.vector, g.vector) > 0.0);
     }
     assert!((thetas.len() / 2..=thetas.len()).contains(&dropped), "{dropped} components dropped of {}", 2 * thetas.len());

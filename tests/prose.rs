@@ -1,7 +1,8 @@
 //! Pages and comments follow the mechanical rules of prose. A sentence has at most 25 words and no
 //! "what" clause, and does not open with "Of", "Its" or "The same". A line has at most 100 columns.
 //!
-//! Tables, headings, code and the license of the data are exempt. Inline code counts as one word.
+//! Tables, headings, images, code, comments behind code, and the license of the data are exempt.
+//! Inline code counts as one word.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -15,7 +16,7 @@ struct Paragraph {
     text: String,
 }
 
-/// Returns the prose of a line of a source file: the text of a comment. None for code.
+/// Returns the prose of a line of a source file: the text of a comment. None for lines with code.
 fn comment(line: &str) -> Option<&str> {
     let line = line.trim_start();
     ["///", "//!", "//"].iter().find_map(|marker| line.strip_prefix(marker)).map(|text| text.strip_prefix(' ').unwrap_or(text))
@@ -75,7 +76,7 @@ fn sentences(text: &str) -> Vec<String> {
     found
 }
 
-/// Returns the rule that a sentence breaks.
+/// Returns the first rule that a sentence breaks, if it breaks one.
 fn broken_rule(sentence: &str) -> Option<String> {
     let words: Vec<&str> = sentence.split(' ').filter(|word| word.contains(char::is_alphanumeric)).collect();
     if words.len() > MAX_WORDS {
@@ -94,7 +95,8 @@ fn faults(path: &Path, text: &str) -> Vec<String> {
     let prose = paragraphs(lines());
     let wide = prose.iter().flat_map(|paragraph| {
         let lines = text.lines().enumerate().skip(paragraph.line - 1);
-        // A paragraph ends where its text does.
+        // Counts the words of the text to find the lines of the paragraph. Comment markers count
+        // as words, so the last lines of a long comment may be missed.
         let mut left = paragraph.text.split_whitespace().count();
         lines.take_while(move |(_, line)| {
             let is_inside = left > 0;

@@ -58,7 +58,8 @@ fn variables(list: &Value) -> Vec<f64> {
     self::list(list).iter().flat_map(data).collect()
 }
 
-/// Returns the largest difference, relative to the largest expected component.
+/// Returns the largest difference, relative to the largest magnitude of the expected components.
+/// The difference is absolute if all expected components are 0.
 fn error(got: &[f64], expected: &[f64]) -> f64 {
     assert_eq!(got.len(), expected.len());
     let scale = expected.iter().fold(0.0, |m: f64, e| m.max(e.abs()));

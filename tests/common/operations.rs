@@ -2,7 +2,7 @@
 
 use physgrad::Scalar;
 
-/// Function of two numbers. Some ignore one or both.
+/// Function of two numbers. Some functions ignore one or both.
 pub type Operation<T> = fn(T, T) -> T;
 
 /// Returns all operations by name, for any scalar type.

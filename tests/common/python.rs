@@ -10,7 +10,8 @@ const PACKAGES: [&str; 4] = ["numpy", "onnxruntime", "safetensors", "tensorboard
 
 /// Runs a script of the folder `tests/program` and returns its output.
 ///
-/// Returns None and prints a message if there is no Python, or if a package cannot be installed.
+/// Returns None and prints the reason if the environment cannot be created, for example without
+/// Python or without access to the packages.
 ///
 /// # Panics
 /// If the script fails.

@@ -38,7 +38,8 @@ pub fn error_of(command: &mut Command) -> String {
     String::from_utf8(output.stderr).expect("text")
 }
 
-/// Returns the command of [`train`] as a `std::process::Command`. A test can kill its process.
+/// Returns the command of [`train`] as a `std::process::Command`, so that a test can kill the
+/// process.
 #[allow(dead_code)]
 pub fn process(out: &Path, args: &[&str]) -> std::process::Command {
     let mut command = std::process::Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));

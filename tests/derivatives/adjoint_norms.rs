@@ -5,7 +5,7 @@ use physgrad::rng::Rng;
 use physgrad::{Adjoint, Flow, Gradient, Inputs, Rollout, Scalar, Start, System, Task, Weights};
 
 /// `x' = 1.25 x + u` in each of `CONTROLS` components, over 60 steps. The loss is half the squared
-/// final state.
+/// norm of the final state.
 struct Plant<const CONTROLS: usize>;
 
 /// Factor of the state per step without control.
@@ -45,7 +45,8 @@ impl<const CONTROLS: usize> Task for Plant<CONTROLS> {
     }
 }
 
-/// Returns the norms of R and M for 11 samples that start at 1, 2, .. in each component.
+/// Returns the norms of the adjoints of R and M for 11 samples. All components of sample b start at
+/// b, for b from 1 to 11.
 fn norms<const CONTROLS: usize>(scale: f64) -> [Vec<f64>; 2] {
     let (task, samples) = (Plant::<CONTROLS>, 11);
     let policy = Linear::new(CONTROLS, CONTROLS);
@@ -135,7 +136,7 @@ fn adjoints_and_gradients_beyond_the_range_of_f32_are_exact_to_1e_4() {
     rollout.start(&[1e3]);
     rollout.run(&task, &policy, &weights).expect("the rollout is finite");
     let mut adjoint = Adjoint::new(&task, &policy, &rollout, &[Flow::MODIFIED]).keep_norms();
-    // With this scale, neither the adjoint of M nor its gradient fits in f32.
+    // With this scale, neither the adjoint nor the parameter gradient of M fits in f32.
     adjoint.run(&task, &policy, &weights, &rollout, f32::MAX).expect("the adjoint has an exponent");
     let end = f64::from(rollout.state(HORIZON, 0, 0));
     for (t, &norm) in adjoint.norms(0).iter().enumerate() {
@@ -150,7 +151,7 @@ fn adjoints_and_gradients_beyond_the_range_of_f32_are_exact_to_1e_4() {
 }
 
 /// The terminal cost is `2e38 Σ x_i`, and a step changes the state only by `1e-30 u`. Each
-/// component of λ is `2e38 scale`.
+/// component of the adjoint is 2e38 times the scale of the loss.
 struct Steep<const STATES: usize, const CONTROLS: usize>;
 
 impl<const STATES: usize, const CONTROLS: usize> System for Steep<STATES, CONTROLS> {

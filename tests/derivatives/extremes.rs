@@ -57,8 +57,8 @@ fn a_cut_limits_an_adjoint_that_was_0_at_a_later_step() {
     }
 }
 
-/// The adjoint grows by a factor of 8 per step, to about 2^192, beyond the range of f32. Then it
-/// restarts from 0.
+/// The adjoint grows by a factor of 8 per step until a truncation at about 2^192 or a cut at about
+/// 10^50. Both exceed the range of f32. Then the adjoint restarts from 0.
 #[test]
 fn adjoints_restart_from_a_truncation_or_cut_beyond_the_range_of_f32() {
     let task = Timed { factor: |_| 8.0, horizon: 128 };
@@ -70,7 +70,7 @@ fn adjoints_restart_from_a_truncation_or_cut_beyond_the_range_of_f32() {
     }
 }
 
-/// λ_t = 10 + … + 10^(T - t). The square of the largest one exceeds the range of f64.
+/// The adjoint λ_t is 10 + … + 10^(T - t). The square of the largest λ_t exceeds the range of f64.
 #[test]
 fn norms_of_adjoints_have_the_whole_range_of_f64() {
     let norms = norms::<f64>(&Timed { factor: |_| 10.0, horizon: 300 }, Flow::REGULAR);

@@ -91,8 +91,8 @@ impl Task for Growing {
     }
 }
 
-/// Gradient with respect to the controls of one sample, from the definition of a cut. The cost has
-/// the derivatives 1 with respect to the next state, `u_t` to the state, and `x_t` to the control.
+/// Gradient with respect to the controls of one sample, from the definition of a cut. The cost c
+/// has the derivatives `∂c/∂x_{t+1} = 1`, `∂c/∂x_t = u_t` and `∂c/∂u_t = x_t`.
 fn by_definition(a: f64, u: &[f64], x: &[f64], decades: f64) -> Vec<f64> {
     let (mut lambda, mut grown) = (0.0, 0.0);
     let mut gradient = vec![0.0; u.len()];

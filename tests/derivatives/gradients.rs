@@ -214,8 +214,8 @@ fn check_task_finds_a_relative_error_of_1e_6_in_a_cost_gradient() {
     check::task(&WrongCost(CartPole::new(1)), &Mlp::new([4, 5, 1]));
 }
 
-/// Linear policy whose reverse pass sets the derivative by the second input to 0 in the first
-/// column.
+/// Linear policy whose reverse pass overwrites `x_bar[1]` with 0. This component is the derivative
+/// with respect to the second input of the first column.
 struct Forgetting(Linear);
 
 impl Policy for Forgetting {
@@ -255,8 +255,8 @@ fn check_policy_finds_a_batched_input_derivative_set_to_0() {
     check::policy(&Forgetting(Linear::new(3, 1)));
 }
 
-/// Convolution with an error of a thousandth of the largest component in one component of its
-/// parameter gradient.
+/// Convolution with an error in one component of its parameter gradient. The error is a thousandth
+/// of the largest magnitude in this gradient.
 struct OneOff {
     conv: Conv,
     index: usize,
@@ -301,7 +301,7 @@ impl Policy for OneOff {
 }
 
 /// Returns a policy with more than 1000 parameters. The check therefore compares only 64 of the 120
-/// weights in the first kernel.
+/// weights in the first kernel one by one. Directional derivatives detect errors of the others.
 fn one_off(index: usize) -> OneOff {
     let conv = Conv::new(32, 20);
     assert!(conv.param_count() > 1000 && conv.tensors()[0].range == (0..120));

@@ -9,7 +9,7 @@ use physgrad::{
 };
 use rand::RngExt;
 
-/// Two coupled components with a drawn stiffness and goal, a table of pushes, and `CONTROLS`
+/// Two coupled state components with a drawn stiffness and goal, a table of pushes, and `CONTROLS`
 /// controls.
 pub struct Tracking<const CONTROLS: usize> {
     fault: Fault,
@@ -232,7 +232,8 @@ fn check_task_panics_with_sample_and_index_of_a_wrong_gradient_of_p() {
     check::task(&Tracking::<1> { fault: Fault::CostOfParams }, &WithParams::new(Constant::new(3, 1), []));
 }
 
-/// Declares an observation with the dimension of the state, and the default `observe`.
+/// Declares an observation with the dimension of the state, and does not override the default
+/// `observe`.
 struct Copied(Tracking<1>);
 
 /// Declares no observation: the policy observes the state.

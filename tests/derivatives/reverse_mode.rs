@@ -195,8 +195,8 @@ fn operation_counts_are_those_of_values_slopes_and_cotangents() {
     }
 }
 
-/// Masses between two walls with hardening springs, a stiffness as parameter, and forces on two
-/// masses.
+/// Row of masses between two walls, connected by hardening springs. The parameter is the stiffness
+/// of the springs. The controls push two of the masses.
 struct Chain;
 
 const MASSES: usize = 12;

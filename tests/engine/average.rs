@@ -36,7 +36,8 @@ fn trained(average: f64, field: Field) -> Vec<f64> {
     session.weights().theta().to_vec()
 }
 
-/// Repeats the training: d ← β d + (1 - β) R / ‖R‖, then M where M and d have equal signs.
+/// Repeats the training by definition: d ← β d + (1 - β) R / ‖R‖, with β = `average`. Updates use M
+/// in components where M and d have equal signs, else 0.
 #[test]
 fn c_with_an_average_is_m_where_m_agrees_with_the_mean_direction_of_r() {
     for average in [0.0, 0.5, 0.9] {
@@ -65,7 +66,7 @@ fn c_with_an_average_is_m_where_m_agrees_with_the_mean_direction_of_r() {
 
 #[test]
 fn an_average_changes_combinations_and_no_single_gradient() {
-    // P is M wherever M does not oppose R, as in these updates.
+    // The projected field equals M if M does not oppose R, as in these updates.
     for field in Field::ALL.into_iter().filter(|field| *field != Field::projected()) {
         let changed = trained(0.0, field) != trained(0.9, field);
         assert_eq!(changed, field.flows().len() > 1, "{field}");

@@ -22,7 +22,7 @@ fn assert_exact_bytes_and_no_later_allocation<F: Float>() {
     let starts: Vec<F> = initial_states(&task, 0, Purpose::Train, SAMPLES);
     let mut theta_bar = Gradient::zeros(weights.theta().len());
 
-    // The first run of a process detects the processor's features.
+    // The first run of a process detects the processor's features, which allocates.
     let mut first = Rollout::for_evaluation(&task, &policy, SAMPLES);
     first.start(&starts);
     first.run(&task, &policy, &weights).expect("finite");

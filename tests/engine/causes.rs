@@ -107,7 +107,7 @@ fn a_non_finite_state_is_not_attributed_to_an_effect() {
     assert_eq!(cause(&Substeps { system, count: 4 }), None);
 }
 
-/// Effect of a user with an infinite force.
+/// User-defined effect with an infinite force.
 #[derive(Clone, Debug)]
 struct Explosion;
 
@@ -128,7 +128,7 @@ fn effects_of_users_have_the_names_of_their_types_behind_pointers() {
     };
     assert_eq!(cause_of(DynEffect::new(Explosion)), Some(Cause::Effect("Explosion")));
     assert_eq!(cause_of(DynEffect::new(Cubic::default())), None);
-    // Names within the pointer.
+    // A cause names the effect inside the pointer, not the pointer.
     assert_eq!(cause_of(DynEffect::new((Cubic::default(), OVERFLOWING))), Some(Cause::Effect("Cubic")));
     assert_eq!(cause_of(DynEffect::new(Named { name: "boom", effect: Explosion })), Some(Cause::Effect("boom")));
 }

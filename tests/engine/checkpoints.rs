@@ -1,4 +1,4 @@
-//! Checkpoints with a valid checksum and damaged contents, or of another training.
+//! Checkpoints that have a valid checksum but damaged contents, or that belong to another training.
 
 use physgrad::{OptimizerKind, Session, Trainer, Training, policy::Mlp, tasks::CartPole};
 use std::panic::{AssertUnwindSafe, catch_unwind};

@@ -65,8 +65,8 @@ fn gradients_of_large_batches_do_not_depend_on_the_number_of_workers() {
     for ((whole, first), second) in whole.iter().zip(first).zip(second) {
         assert!((whole - 0.5 * (first + second)).abs() <= 1e-13 * largest);
     }
-    // Beyond one round, a larger batch needs no more memory, except the sums of blocks of batches
-    // with more than 128 samples.
+    // Beyond one round, a larger batch needs no more memory. The only exception is the sum of a
+    // block for each flow, which batches with more than 128 samples store.
     let bytes = |samples: usize| Batch::<f32>::new(&task(), &policy(), samples, &[Flow::REGULAR], 2).stored_bytes();
     assert_eq!(bytes(64), bytes(128));
     assert_eq!(bytes(256), bytes(1024));

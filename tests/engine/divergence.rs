@@ -81,7 +81,7 @@ impl Task for Faulty {
     }
 }
 
-/// Returns eleven samples. Only sample 9 starts above 0.5 and has the fault.
+/// Returns the initial states of eleven samples. Only sample 9 starts above 0.5 and has the fault.
 fn starts() -> Vec<f64> {
     (0..11).flat_map(|sample| [if sample == 9 { 0.9 } else { 0.1 }, 0.3, 0.0]).collect()
 }

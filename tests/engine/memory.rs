@@ -218,7 +218,7 @@ impl Policy for Growing {
 fn assert_exact_bytes<F: Float>() {
     let (task, policy) = (cart_pole(6 * UNIT + 40), Mlp::new([4, 8, 1]));
     let (weights, starts) = (weights::<F, _>(&policy), starts::<F, _>(&task, 17));
-    // The first run of a process detects the processor's features.
+    // The first run of a process detects the processor's features, which allocates.
     stored::<F, _, _>(&cart_pole(2), &policy, 1, &[Flow::REGULAR]).expect("finite");
     for flows in flows() {
         for schedule in schedules(task.horizon) {

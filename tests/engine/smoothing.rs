@@ -62,7 +62,7 @@ fn first_order_estimates_of_a_quadratic_loss_are_its_gradient() {
     assert_eq!(record.first_order, None);
     for estimator in [Estimator::FirstOrder, Estimator::InverseVariance] {
         let (theta, record) = of(Some(estimator));
-        // A gradient of norm 3 rounds at most 20 times.
+        // The computation of a gradient of norm 3 has at most 20 rounding errors.
         exact.iter().zip(&theta).for_each(|(exact, theta)| assert_relative_eq!(exact, theta, epsilon = 60.0 * f64::EPSILON));
         assert_relative_eq!(record.first_order.expect("a weight"), 1.0, epsilon = 1e-12);
     }
@@ -85,7 +85,8 @@ fn zeroth_order_estimates_of_a_quadratic_loss_are_directional_derivatives_times_
         for i in 0..2 {
             let term = |e: &Vec<f64>| (gradient[0] * e[0] + gradient[1] * e[1]) * e[i];
             let estimate = perturbations(update, 2).iter().map(term).sum::<f64>() / PAIRS as f64;
-            // Losses up to 1000 have a rounding error of 1e-13, which σ amplifies by 10.
+            // Losses up to 1000 have a rounding error of 1e-13. The division by σ = 0.1 amplifies
+            // this error by 10.
             assert_relative_eq!(after[i], before[i] - estimate, epsilon = 1e-11);
         }
         before = after;
@@ -108,7 +109,7 @@ fn estimates_of_a_polynomial_loss_equal_their_definitions() {
     let kappa = v0 / (v0 + v1);
     let distance = (g1[0] - g0[0]).hypot(g1[1] - g0[1]);
     let alpha = |tolerance: f64| kappa.min((tolerance - 2.0 * v0.sqrt()) / distance).max(0.0);
-    // Accepted errors below the bound of the zeroth order, between the two cases, and above both.
+    // Tolerances for which the weight is 0, is between 0 and κ, and is κ.
     let [low, middle, high] = [v0.sqrt(), 2.0 * v0.sqrt() + 0.5 * kappa * distance, 2.0 * v0.sqrt() + 2.0 * distance];
     assert_eq!((alpha(low), alpha(high)), (0.0, kappa));
     assert!(alpha(middle) > 0.1 * kappa && alpha(middle) < 0.9 * kappa && kappa > 0.1 && kappa < 1.0);
@@ -121,7 +122,7 @@ fn estimates_of_a_polynomial_loss_equal_their_definitions() {
         (Estimator::AlphaOrder { tolerance: high }, kappa),
     ] {
         let (found, record) = after_one_update(Reach::default(), Quadratic, &theta, Some(estimator));
-        // Sums of five pairs, and a few more operations.
+        // The tolerance covers the rounding of sums over five pairs and of a few more operations.
         assert_relative_eq!(record.first_order.expect("a weight"), weight, max_relative = 1e-11);
         let loss = (at(theta).loss, record.loss);
         assert!(loss.1.is_finite() && loss.0 != loss.1, "the loss is the mean at perturbed parameters");
@@ -137,7 +138,7 @@ fn estimates_of_a_polynomial_loss_equal_their_definitions() {
 enum Cost {
     /// sin(1e200 θ), with slopes up to 1e200.
     Steep,
-    /// -1 below 0, and 1 above.
+    /// -1 below 0, else 1.
     Jump,
 }
 
@@ -172,15 +173,15 @@ fn a_variance_beyond_f64_leaves_the_zeroth_order_estimate() {
     assert_eq!(of(Estimator::FirstOrder).1.skipped, 1, "steps of 1e200 are refused");
 }
 
-/// The first-order estimate of a jump is 0 without variance, so weights by variance select it. The
-/// tolerance of the α-order estimate limits this bias.
+/// The first-order estimate of a jump is 0 and has no variance, so weights by inverse variance
+/// select it. The tolerance of the α-order estimate limits this bias.
 #[test]
 fn alpha_order_limits_the_bias_that_inverse_variances_ignore() {
     let of = |estimator| after_one_update(Cost::Jump, Constant::new(1, 1), &[0.01], Some(estimator)).0[0];
     assert_eq!(of(Estimator::InverseVariance), 0.01);
     let zeroth = of(Estimator::ZerothOrder);
     assert!(zeroth < -1.0, "{zeroth}");
-    // The smallest accepted error leaves the zeroth-order estimate.
+    // With a tolerance near 0, the α-order estimate is the zeroth-order estimate.
     assert_eq!(of(Estimator::AlphaOrder { tolerance: 1e-9 }), zeroth);
 }
 
@@ -233,7 +234,7 @@ fn one_pair_without_variance_and_noise_of_0_are_refused() {
     assert_eq!(refused(Estimator::AlphaOrder { tolerance: -1.0 }, 0.1, 2), "training.tolerance: is -1; allowed: 0 or more");
 }
 
-/// A diverged pair skips the update and keeps the parameters.
+/// Training skips an update with a diverged pair and keeps the parameters.
 #[test]
 fn a_diverged_pair_keeps_the_parameters() {
     #[derive(Clone, Debug)]

@@ -24,7 +24,7 @@ impl System for Root {
     }
 }
 
-/// Fits 20 states with p = 0.09.
+/// Fits p to 20 states of a simulation with p = 0.09.
 fn fit(unknowns: &[Unknown]) -> Result<Fit, IdentifyError> {
     let states = std::iter::successors(Some(1.0), |x| Some(0.5 * x + 0.3));
     let segment = Segment { x: states.map(|x| vec![x]).take(20).collect(), u: Vec::new(), p: vec![0.0] };
@@ -89,7 +89,8 @@ fn a_flag_stops_an_identification_before_the_next_window() {
     };
     let (whole, steps) = run(usize::MAX);
     assert!(whole.expect("valid data").converged);
-    // The threads finish the windows of ten steps that they began, with derivatives.
+    // Each thread finishes the window of ten steps that it began. Each of these steps is evaluated
+    // at most twice: once for the state and once for its derivatives.
     let windows = 2 * 10 * std::thread::available_parallelism().map_or(1, usize::from);
     for at in (0..8).map(|part| steps * part / 8) {
         let (stopped, taken) = run(at);

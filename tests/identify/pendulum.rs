@@ -3,7 +3,8 @@
 use physgrad::tasks::{Arm, MultiPendulum};
 use physgrad::{Integrated, Number, Ode, OdeInputs, RungeKutta, System, check};
 
-/// Numbers without symmetry, each within 20 % of the given value if `varied`.
+/// Returns an arm without symmetry, with all numbers proportional to `scale`. If `varied`, each
+/// number is uniform within 20 % of its value.
 fn arm(scale: f64, varied: bool) -> Arm {
     let number = |value: f64| {
         let value = scale * value;
@@ -29,7 +30,8 @@ fn derivatives_are_exact_also_by_all_numbers() {
     }
 }
 
-/// θ'' = (m g a sin θ - friction + u) / (I + m a²).
+/// θ'' = (m g a sin θ - friction + u) / (I + m a²). The center of mass is at the distance a from
+/// the joint, and I is the moment of inertia about this center.
 #[test]
 fn one_arm_is_a_physical_pendulum() {
     let ode = MultiPendulum { arms: vec![arm(1.0, false)], gravity: 9.7.into() };

@@ -88,7 +88,7 @@ fn confidence_intervals_have_their_nominal_coverage() {
 }
 
 /// Coverage of the 95 % intervals for noise with a correlation of 0.95 between steps. Robust errors
-/// from 20 segments have few degrees of freedom, so they cover a little less than 95 %.
+/// from 20 segments have few degrees of freedom, so their intervals cover a little less than 95 %.
 #[test]
 fn with_correlated_noise_only_robust_errors_have_their_coverage() {
     let (mut plain, mut robust) = ([0; 2], [0; 2]);
@@ -204,7 +204,7 @@ fn wrong_data_are_refused() {
     let exact = Options { free_starts: false, ..Options::default() };
     let nothing = identify(&pendulum(), std::slice::from_ref(&good), &[], &exact);
     assert_eq!(nothing.expect_err("an error"), IdentifyError::NothingUnknown);
-    // Initial states alone, for validation.
+    // Without unknown parameters, as in a validation, the fit finds the initial state.
     assert!(fit_starts(&good).chi_squared < 1e-18);
     let mut empty = good.clone();
     empty.x.iter_mut().for_each(|row| row.fill(f64::NAN));

@@ -50,7 +50,8 @@ fn steps_in_double_double_agree_with_duals_to_rounding() {
     agrees("midpoint", &Integrated { ode: coupled, integrator: ImplicitMidpoint { tolerance: 1e-14 }, dt: 0.01 }, 1.0);
 }
 
-/// Compares the gradients of each flow between the reverse pass in f64 and double-double.
+/// Compares the reverse pass in f64 with [`check::slope`] in double-double: the loss, and every
+/// third component of the gradient of each flow.
 fn slopes<T: Task, P: Policy>(name: &str, task: &T, policy: &P, allowed: f64) {
     let starts = initial_states(task, 1, Purpose::Test, 2);
     let weights = Weights::<f64>::init(policy, &mut stream(1, Purpose::Policy, 0));

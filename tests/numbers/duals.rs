@@ -1,4 +1,5 @@
-//! [`Dual`] agrees with num-dual, and bitwise with plain numbers, for scalars and lanes.
+//! Tangents of [`Dual`] agree with num-dual. Values have the bits of plain numbers, and lanes have
+//! the bits of scalars.
 
 use crate::operations::{NUMBERS, Operation, compositions, operations};
 use num_dual::Dual64;

@@ -65,7 +65,8 @@ fn two_controls_with_different_or_infinite_bounds_satisfy_kkt_conditions() {
             low + high >= active && free > 0,
             "{bounds:?}: controls at the lower bound, between the bounds, at the upper bound: {low}, {free}, {high}"
         );
-        // Gains of controls at a bound are 0.
+        // All gains of a control at a bound are 0. A control between its bounds has a gain other
+        // than 0.
         for (i, &u) in plan.u.iter().enumerate() {
             let [low, high] = bounds[i % 2];
             let moves = plan.gains[2 * i..][..2].iter().any(|&gain| gain != 0.0);

@@ -8,7 +8,8 @@ use physgrad::tasks::{CartPole, LinearPlant, LossMode, Lqr};
 use physgrad::{Batch, Flow, System, Task, Weights, initial_states};
 use rand::RngExt;
 
-/// Returns a random plant with four states and two controls, and costs that couple the controls.
+/// Returns a regulator of a random plant with four states and two controls. Q couples the states,
+/// and R couples the controls.
 fn coupled_plant() -> Lqr {
     let mut rng = stream(3, Purpose::Train, 0);
     let mut draw = |size: f64| -> f64 { rng.random_range(-size..size) };
@@ -21,8 +22,8 @@ fn coupled_plant() -> Lqr {
 /// Returns a bound on the rounding error of one linear-quadratic solution.
 ///
 /// Each step adds errors of a few ulp per component of the state. The errors are relative to the
-/// largest state of the initial rollout or control of the plan. The factor 100 covers the
-/// constants.
+/// largest magnitude among 1, the states of the initial rollout, and the controls of the plan. The
+/// factor 100 covers the constants.
 fn rounding(plan: &Plan, task: &Lqr, x0: &[f64]) -> f64 {
     let initial = optimize(task, x0, &[], Initial::Zeros, &Options { max_iterations: 0, ..Options::default() });
     let largest = initial.expect("finite").x.iter().chain(&plan.u).fold(1.0, |largest: f64, x| largest.max(x.abs()));
@@ -67,7 +68,7 @@ pub fn by_adjoint<T: Task>(task: &T, start: &[f64], u: &[f64]) -> Vec<f64> {
     batch.gradients()[0].to_vec()
 }
 
-/// Returns the largest difference, relative to the largest component of `b`.
+/// Returns the largest magnitude of `a - b`, relative to the largest magnitude of `b`.
 fn difference(a: &[f64], b: &[f64]) -> f64 {
     let largest = b.iter().fold(0.0, |largest: f64, b| largest.max(b.abs()));
     a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) / largest
@@ -103,7 +104,7 @@ fn newton_steps_converge_quadratically() {
         let options = Options { max_iterations, gradient_tolerance: 1e-13, cost_tolerance: 0.0, ..Options::default() };
         optimize(&Coupled, &[0.9, -1.3], &[0.8], Initial::Zeros, &options).expect("finite")
     };
-    // The decrease of the cost J is below its rounding if the gradient is below about
+    // The decrease of the cost J is below the rounding error ε J if the gradient is below about
     // (ε J)^(1/2) = 5e-8.
     let norms: Vec<f64> = (0..7).map(|k| at(k).gradient_norm()).collect();
     let small = norms.iter().position(|&norm| norm < 1.0).expect("a small gradient");

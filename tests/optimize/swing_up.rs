@@ -44,7 +44,8 @@ fn cost_decreases_in_every_iteration() {
     assert_eq!(plan.costs.last(), Some(&plan.cost));
 }
 
-/// Solves the task of the paper from five initial states. The task has no control cost.
+/// Solves the task of the paper with one and with two poles, from five initial states each. The
+/// task has no control cost.
 #[test]
 fn cart_pole_task_of_the_paper_reaches_a_cost_below_1e_6() {
     for poles in [1, 2] {

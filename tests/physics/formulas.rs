@@ -2,8 +2,8 @@
 //! defaults.
 //!
 //! The tests use none of the library's equations. Tests of mechanics use d'Alembert's principle for
-//! point masses, those of quantum mechanics dense matrices. The tests therefore detect constants
-//! that are wrong in both forward and reverse pass. `tests/mutations/README.md` lists the
+//! point masses. Tests of quantum mechanics use dense matrices. The tests therefore detect
+//! constants that are wrong in both forward and reverse pass. `tests/mutations/README.md` lists the
 //! exceptions.
 
 mod actuators;

@@ -105,7 +105,8 @@ fn costs_are_means_over_time_agents_and_coordinates() {
     near(task.terminal_cost(&x, &[]), 30.0 / 4.0);
 }
 
-/// Returns the largest difference, relative to the largest expected component.
+/// Returns the largest difference, relative to the largest expected component. If all expected
+/// components are 0, the result is the absolute difference.
 fn error(found: &[f64], expected: &[f64]) -> f64 {
     assert_eq!(found.len(), expected.len());
     assert!(found.iter().all(|v| v.is_finite()), "not finite: {found:?}");

@@ -73,7 +73,8 @@ fn derivatives_of_sliders_equal_dual_numbers_at_every_smoothing() {
     }
 }
 
-/// Returns the residual `v' - v - dt u/m + dt μ g tanh(v'/ε)`, relative to a bound on its rounding.
+/// Returns `|v' - v - dt u/m + dt μ g tanh(v'/ε)|`, the residual of the implicit step, relative to
+/// a bound on its rounding error.
 fn residual<R: Real>(slider: &SliderSystem, v: f64, u: f64) -> f64 {
     let next = step(slider, &[R::zero(), R::from(v)], R::from(u))[1].lane(0).to_f64();
     let [v, u] = [v, u].map(|number| R::from(number).lane(0).to_f64());
@@ -220,8 +221,8 @@ fn a_ball_comes_to_rest_after_infinitely_many_bounces() {
     let steps = (rest / ball.dt) as usize;
     assert!(run(&ball, &[1.0, 0.0], 0.0, steps - 4)[0] > 0.0, "the ball is at rest too early");
     assert_eq!(run(&ball, &[1.0, 0.0], 0.0, steps + 1), [0.0, 0.0]);
-    // At rest without force, the derivatives with respect to state and force are 0. A force of 15 N
-    // exceeds the weight of 9.81 N, and its derivatives are those of free motion.
+    // At rest without force, the derivatives with respect to state and force are 0. With a force of
+    // 15 N, which exceeds the weight of 9.81 N, the derivatives are those of free motion.
     near(&jacobian(&ball, &[0.0, 0.0], 0.0), &[vec![0.0; 3], vec![0.0; 3]], 0.0);
     near(&jacobian(&ball, &[0.0, 0.0], 15.0), &[vec![1.0, 0.01, 5e-5], vec![0.0, 1.0, 0.01]], 1e-14);
 }

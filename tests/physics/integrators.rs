@@ -82,7 +82,7 @@ impl Ode for ByDuals {
 }
 
 /// Returns the state after `steps` steps over the time `span`, and the cotangents of initial state
-/// and control for a fixed final cotangent. All inputs are random and fixed.
+/// and control. Initial state, control and final cotangent are random with a fixed seed.
 fn reached<O: Ode + Clone>(ode: &O, integrator: AnyIntegrator, span: f64, steps: usize) -> (Vec<f64>, Vec<f64>) {
     let (n, m) = (ode.state_dim(), ode.control_dim());
     let mut rng = stream(3, Purpose::Test, 0);
@@ -328,7 +328,7 @@ fn an_unsolvable_step_is_nan_and_reports_its_residual() {
     }
 }
 
-/// Level h of a vessel with the outflow `dh/dt = -√h`, and a constant.
+/// Level h of a vessel with the outflow `dh/dt = -√h`, and a constant second component.
 ///
 /// The solution from `h = 1` is `h = (1 - t/2)²`.
 struct Outflow;

@@ -17,7 +17,7 @@ fn varied(poles: usize) -> CartPoleSystem {
     CartPoleSystem { poles, cart_mass: RANGE, pole_mass: RANGE, half_length: RANGE, gravity: RANGE, ..CartPoleSystem::default() }
 }
 
-/// Returns every effect of cart-pole. `of` makes a number of a value.
+/// Returns every effect of cart-pole. `of` converts a value to a [`Number`].
 fn effects(of: impl Fn(f64) -> Number) -> Vec<CartPoleEffect> {
     let [speed, cart_drag, pole_drag, gust] = [2.0, 0.1, 0.05, 1.5].map(&of);
     vec![
@@ -45,10 +45,10 @@ fn derivatives_with_respect_to_varied_numbers_equal_dual_numbers() {
     check::system(&all);
 }
 
-/// Compares derivatives by the parameters with central differences, without dual numbers.
+/// Checks derivatives with respect to the parameters by central differences, without dual numbers.
 ///
-/// The relative change h is 1e-5. The truncation error is about h² = 1e-10, and the rounding error
-/// 1e-16 / h = 1e-11 of the derivative.
+/// The relative change h is 1e-5. Relative to the derivative, the truncation error is about h², or
+/// 1e-10, and the rounding error is about 1e-16 / h, or 1e-11.
 fn assert_agrees_with_differences(system: &impl System, x: &[f64]) {
     let n = system.state_dim();
     let mut p = vec![0.4; system.param_dim()];

@@ -106,8 +106,8 @@ fn lists_equal_tuples_and_effects_of_strength_0_change_nothing() {
     }
 }
 
-/// Returns the operations of a step, and of its `vjp` to state and control, to the state only, and
-/// to the control only.
+/// Returns operation counts of a step, and of `vjp` for state and control, for the state alone, and
+/// for the control alone.
 fn counts<S: System>(system: &S) -> [Ops; 4] {
     let n = system.state_dim();
     let x: Vec<Counted> = (0..n).map(|i| Counted(Scalar::sin(i as f64))).collect();

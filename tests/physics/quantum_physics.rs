@@ -61,7 +61,8 @@ fn default_edges_keep_0_8_of_eigenstate_1_and_a_sixth_of_eigenstate_3() {
     assert!((left(1) - 0.8).abs() < 0.03 && (left(3) - 1.0 / 6.0).abs() < 0.03);
 }
 
-/// Returns the lowest eigenvalues of -D₂ + diag(potential), by Sturm's sequence and bisection.
+/// Returns the lowest `count` eigenvalues of -D₂ + diag(potential), by Sturm's sequence and
+/// bisection. D₂ is the matrix of the second difference.
 fn levels(model: &QuantumSystem, potential: &[f64], count: usize) -> Vec<f64> {
     let per_square = 1.0 / model.spacing().powi(2);
     let below = |energy: f64| {

@@ -1,4 +1,5 @@
-//! The book that mdBook builds from `docs` has no broken link, and its pages fit narrow windows.
+//! The book that mdBook builds from `docs` has no broken link and no missing image. The pages fit
+//! narrow and wide windows.
 //!
 //! Requires `mdbook` and `chromium`. Without them the test prints a message and passes.
 
@@ -50,7 +51,7 @@ fn examine(folder: &Path) -> Vec<String> {
     body.trim().lines().map(String::from).collect()
 }
 
-/// Returns whether both programs exist. Otherwise prints a message.
+/// Returns whether `mdbook` and `chromium` exist. Prints a message if not.
 fn available() -> bool {
     let missing: Vec<_> =
         ["mdbook", "chromium"].into_iter().filter(|name| Command::new(name).arg("--version").output().is_err()).collect();
@@ -80,7 +81,7 @@ fn the_book_has_no_broken_link_and_fits_narrow_and_wide_windows() {
     let [examined, all] = [1, 3].map(|word| lines[0].split(' ').nth(word).expect("a count").parse::<usize>().expect("a number"));
     assert!(examined == all && all >= 40, "{}", lines[0]);
 
-    // Faults are found.
+    // Faults in a page are found.
     let page = dir.path().join("book/reliability.html");
     let html = fs::read_to_string(&page).expect("a page");
     let faulty =

@@ -332,8 +332,8 @@ fn a_check_distinguishes_long_steps_from_unstable_physics() {
         let output = physgrad(&["check"]).arg(&file).assert().success();
         String::from_utf8(output.get_output().stdout.clone()).expect("text")
     };
-    // Friction damps the velocity at 300/s. RK4 with 0.01 s amplifies the velocity by
-    // 1 - 3 + 9/2 - 27/6 + 81/24 = 1.375.
+    // Friction damps the angular velocity at 300/s. RK4 with 0.01 s amplifies the angular velocity
+    // by 1 - 3 + 9/2 - 27/6 + 81/24 = 1.375.
     let rubbed = "task = \"pendulum\"\nhorizon = 10\n[[system.arms]]\nviscous = 0.4\n";
     let text = checked(rubbed);
     assert!(text.contains("omega_1 grows by 1.3") && text.contains("Shorten the step: `integrator.substeps = 2`"), "{text}");

@@ -45,8 +45,8 @@ fn a_summary_agrees_with_its_losses_and_with_robust_at_unchanged_settings() {
     let grid = read(&dir, "grid/robust.csv");
     assert_eq!(column(&grid, "median")[0], number("median"), "`robust` at the mass of the run has another median than `eval`");
 
-    // The rollouts start from the reported samples, the worst first. The test set contains none of
-    // them.
+    // The rollouts belong to the samples with the largest losses, the worst first. None of their
+    // states is an initial state of the test rollouts in the run's `trajectory.csv`.
     let worst = read(&dir, "many/worst.csv");
     let mut samples = column(&worst, "sample");
     samples.dedup();
@@ -94,7 +94,7 @@ fn two_policies_are_evaluated_in_another_scene_and_errors_name_the_scene() {
     assert!(dir.path().join("heavy/2-seed2/worst_1.svg").exists());
     let message = error(&dir, "eval seed1 --scene cart_pole_2");
     assert!(message.contains("use a scene with as many observations and controls"), "{message}");
-    // Both policies have 48 parameters.
+    // The policies of both scenes have 48 parameters.
     let herd = "--set system.drivers=1 --set system.evaders=5 --set policy.widths=[] --set policy.bias=false";
     succeed(&dir, &format!("train guidance {SMALL} {herd} --epochs 1 --quiet --out herd"));
     let message = error(&dir, "eval herd --set system.drivers=2 --set system.evaders=1");
@@ -138,7 +138,7 @@ fn a_training_starts_from_a_policy_and_resumes_without_its_file() {
     succeed(&dir, "train --resume --epochs 2 --quiet --out parts");
     assert_eq!(bytes(&dir, "parts/policy.safetensors"), bytes(&dir, "whole/policy.safetensors"));
 
-    // A path in a scene is relative to the scene.
+    // A path in a scene is relative to the folder of the scene file.
     fs::create_dir(dir.path().join("elsewhere")).expect("a folder");
     physgrad(
         &format!("train ../moved.toml {SMALL} --set system.poles=1 --epochs 0 --quiet --out here"),

@@ -17,7 +17,7 @@ fn trained(dir: &TempDir, name: &str, scene: &str) -> PathBuf {
 }
 
 /// Returns the description of a policy from the header of its file. The file starts with the length
-/// of the header as a u64, followed by the header in JSON.
+/// of the header as a little-endian u64, followed by the header in JSON.
 fn about(file: &Path) -> Value {
     let bytes = fs::read(file).expect("a policy");
     let (length, rest) = bytes.split_first_chunk().expect("a length");

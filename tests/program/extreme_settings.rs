@@ -1,7 +1,7 @@
 //! Extreme values for each number of each preset. The program trains or reports the faulty
 //! setting; it neither panics nor hangs.
 //!
-//! By default, the test runs a sample of the cases. To run all cases, in a few minutes:
+//! By default, the first test runs a sample of the cases. To run all cases, in a few minutes:
 //! `PHYSGRAD_EXTREMES=all cargo test --release --test program extreme_settings -- --nocapture`.
 
 use assert_cmd::Command;
@@ -91,7 +91,7 @@ fn extremes(key: &str, value: &Value, found: &mut Vec<String>) {
     }
 }
 
-/// Returns an override that shrinks the network, if the policy has one.
+/// Returns an override that shrinks the network, if the policy has hidden layers.
 fn small_network(settings: &Table) -> Option<&'static str> {
     let policy = settings.get("policy")?.as_table()?;
     let key =
@@ -155,7 +155,7 @@ fn run(mut args: Vec<String>, case: &Case) -> Result<End, String> {
     if known.map(|name| format!("effects.{name}")).any(|key| key == blamed) { Ok(End::Blamed) } else { Err(describe()) }
 }
 
-/// Runs the command on all cases in parallel. Panics with the list of all faults.
+/// Runs the command on all cases in parallel. Panics with the list of all faults, if there are any.
 fn run_all(command: &str, cases: &[Case]) {
     let dir = TempDir::new().expect("a folder");
     let (next, ends, wrong) = (Mutex::new(cases.iter().enumerate()), Mutex::new(Vec::new()), Mutex::new(Vec::new()));
@@ -196,7 +196,8 @@ fn run_all(command: &str, cases: &[Case]) {
     assert!(wrong.is_empty(), "{} faults in {} cases:\n{}", wrong.len(), cases.len(), wrong.join("\n"));
 }
 
-/// Returns all cases, or a deterministic sample.
+/// Returns all cases if `PHYSGRAD_EXTREMES` is `all`. Otherwise returns a deterministic sample of
+/// `count` cases, in which cases may repeat.
 fn sample(cases: &[Case], count: usize) -> Vec<Case> {
     if std::env::var("PHYSGRAD_EXTREMES").is_ok_and(|which| which == "all") {
         return cases.to_vec();

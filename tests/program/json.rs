@@ -21,7 +21,7 @@ fn documented(command: &str) -> Vec<String> {
     row.split('`').skip(1).step_by(2).map(String::from).collect()
 }
 
-/// Checks that every key of the object is in the row of the command.
+/// Checks that every key of the object is in the row of the command in docs/json.md.
 pub fn check(command: &str, object: &Value) {
     let documented = documented(command);
     for key in object.as_object().expect("an object").keys() {

@@ -25,8 +25,8 @@ fn masked_crc(bytes: &[u8]) -> u32 {
     crc.rotate_left(17).wrapping_add(0xa282_ead8)
 }
 
-/// Field of a message: number, contents, and the contents as a part of the message. Numbers are
-/// little-endian. The part is empty for integers.
+/// Field of a message: field number, contents, and the slice of the message with the contents.
+/// Contents of a varint are eight little-endian bytes, and the slice is empty.
 type Field<'a> = (u64, Vec<u8>, &'a [u8]);
 
 /// Fields of a protobuf message.
@@ -65,7 +65,7 @@ struct Event {
     values: Vec<(String, f32)>,
 }
 
-/// Events of a file. Checks the frames.
+/// Returns the events in the event file of a run. Checks the checksums of all frames.
 fn events(run: &Path) -> Vec<Event> {
     let bytes = fs::read(run.join(EVENTS)).expect("events");
     let (mut rest, mut events) = (&bytes[..], Vec::new());
@@ -96,7 +96,8 @@ fn events(run: &Path) -> Vec<Event> {
     events
 }
 
-/// Checks that the files of a run have the rows of `metrics.csv`, for `epochs` epochs.
+/// Checks that both log files of a run have the rows of `metrics.csv`, for `epochs` epochs. Checks
+/// that wall times of events do not decrease and are recent.
 fn check(run: &Path, epochs: usize) {
     let (names, rows) = metrics(run);
     assert_eq!(rows.len(), epochs);
@@ -120,7 +121,7 @@ fn check(run: &Path, epochs: usize) {
             values.extend(cell.parse().ok().map(|number: f64| (name.clone(), number as f32)));
         }
         assert_eq!(event.step, object["epoch"].as_u64().expect("an epoch"));
-        // NaN differs from itself.
+        // Compares texts, because NaN differs from itself.
         assert_eq!(
             format!("{:?}", event.values),
             format!("{:?}", &values[1..]),

@@ -10,7 +10,8 @@ pub struct Page {
     /// Path below the root of the repository.
     pub path: PathBuf,
     pub text: String,
-    /// Language, as in ```` ```rust,ignore ````, and content of each fenced block.
+    /// Language, as in ```` ```rust,ignore ````, and content of each block of code. Indented blocks
+    /// have an empty language.
     pub blocks: Vec<(String, String)>,
     /// Inline code.
     pub spans: Vec<String>,
@@ -32,7 +33,8 @@ impl Page {
 
     fn parse(&mut self) {
         let text = mem::take(&mut self.text);
-        // Text of the current heading or block, language of the block, headings by anchor.
+        // Text of the current heading or block, language of the block, and number of earlier
+        // headings by anchor.
         let (mut current, mut language, mut earlier) = (String::new(), String::new(), BTreeMap::<String, usize>::new());
         for event in Parser::new_ext(&text, Options::ENABLE_TABLES) {
             match event {

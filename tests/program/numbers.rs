@@ -146,7 +146,8 @@ fn measured_trajectories_identify_length_within_1_and_center_within_2_percent() 
     let output = physgrad(&command, dir.path()).assert().success().get_output().stdout.clone();
     let output = String::from_utf8(output).expect("text");
     assert!(output.contains("validation with 2 other segments"), "{output}");
-    // Half of the segments do not determine the dry friction of the second joint.
+    // The fit uses every second segment. These segments do not determine the dry friction of the
+    // second joint.
     let warnings: Vec<&str> = output.lines().filter(|line| line.starts_with("warning")).collect();
     assert_eq!(warnings, ["warning: system.arms[1].dry is at its bound"], "{output}");
     let rows = read(&dir, "found/identified.csv");
@@ -169,7 +170,7 @@ fn measured_trajectories_identify_length_within_1_and_center_within_2_percent() 
     }
     // The segments keep their numbers.
     assert_eq!((&*read(&dir, "found/trajectories.csv")[500][0], &*read(&dir, "found/validation.csv")[1][0]), ("2", "1"));
-    // Other segments have free initial states, also if those of the fitted segments are exact.
+    // Validation segments have free initial states, even if those of the fitted segments are exact.
     let exact = command.replace("found", "exact --exact-starts --window 0 --json");
     let output = physgrad(&exact, dir.path()).assert().success().get_output().stdout.clone();
     let object = serde_json::from_slice(&output).expect("an object");

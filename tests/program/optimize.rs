@@ -5,7 +5,8 @@ use physgrad::tasks::Lqr;
 use std::fs;
 use tempfile::TempDir;
 
-/// Returns the rows of a CSV file, with the columns of these names only.
+/// Returns the rows of a CSV file, with the columns of these names only. Cells that are not numbers
+/// become NaN.
 fn columns(dir: &TempDir, file: &str, names: &[&str]) -> Vec<Vec<f64>> {
     let rows = read(dir, file);
     let index = |name: &&str| rows[0].iter().position(|known| known == name).unwrap_or_else(|| panic!("{name} in {:?}", rows[0]));

@@ -1,5 +1,5 @@
 //! Programs of the user: `examples/own_program.rs` with a task, `examples/scene_effect.rs` with
-//! effects.
+//! effects, and crates that `physgrad new` creates.
 
 use assert_cmd::Command;
 use std::path::{Path, PathBuf};
@@ -25,7 +25,7 @@ fn example(name: &str) -> PathBuf {
     tests.ancestors().nth(2).expect("a target folder").join("examples").join(name)
 }
 
-/// Runs the program. Returns its standard output.
+/// Runs [`PROGRAM`]. Returns the standard output.
 fn output(args: &[&str], folder: &Path) -> String {
     output_of(&PROGRAM, args, folder)
 }
@@ -36,7 +36,7 @@ fn output_of(program: &Path, args: &[&str], folder: &Path) -> String {
     String::from_utf8(output.stdout).expect("text")
 }
 
-/// Runs the program and asserts that it fails. Returns its standard error.
+/// Runs [`PROGRAM`] and asserts that it fails. Returns the standard error.
 fn error(args: &[&str], folder: &Path) -> String {
     error_of(&PROGRAM, args, folder)
 }
@@ -183,7 +183,7 @@ fn a_new_crate_has_the_name_of_the_task_and_overwrites_nothing() {
         ("core", "is a crate of Rust or a folder of Cargo"),
         ("serde", "is a dependency of the new crate"),
         ("physgrad", "is a dependency of the new crate"),
-        // Types of the source of the new crate.
+        // The source of the new crate already uses these types.
         ("system", "its type would be `System`"),
         ("mlp", "its type would be `Mlp`"),
         ("exit_code", "its type would be `ExitCode`"),
@@ -197,8 +197,8 @@ fn a_new_crate_has_the_name_of_the_task_and_overwrites_nothing() {
     new(&["moment"], dir.path()).assert().success();
 }
 
-/// Builds all dependencies, which takes minutes: `cargo test --release --test program --
-/// --ignored`.
+/// Builds all dependencies, which takes minutes. To run the test:
+/// `cargo test --release --test program -- --ignored`.
 #[test]
 #[ignore = "builds a crate with all its dependencies"]
 fn a_new_crate_passes_its_test_and_trains() {

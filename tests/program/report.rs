@@ -101,7 +101,8 @@ fn animations(page: &str) -> Vec<&str> {
     films.into_iter().map(|film| film.split_once('>').expect("a tag ends").1).collect()
 }
 
-/// Checks that two animations have the same size of the view, and the same labels around it.
+/// Checks that two animations have the same position and size of the view, and the same labels
+/// below the view.
 fn assert_same_scale(a: &str, b: &str) {
     let view = |svg: &str| between(svg, "<svg x=", ">")[0].to_owned();
     assert_eq!(view(a), view(b));
@@ -125,7 +126,7 @@ fn the_page_of_a_run_has_its_settings_metrics_adjoint_norms_and_animation() {
     assert!(page.contains(concat!("made by physgrad ", env!("CARGO_PKG_VERSION"))));
 
     let metrics = fs::read_to_string(out.join("metrics.csv")).expect("metrics");
-    // The column of estimators is empty.
+    // Empty cells, such as those of `first_order`, become NaN.
     let rows: Vec<Vec<f64>> =
         metrics.lines().skip(1).map(|row| row.split(',').map(|cell| cell.parse().unwrap_or(f64::NAN)).collect()).collect();
     for (title, line, column) in [
@@ -241,7 +242,7 @@ fn a_comparison_of_several_scenes_has_one_page_and_all_animations() {
         }
     }
     assert_eq!(animations(&page).len(), 4, "the first seed of two fields in two scenes");
-    // The colours are those of the fields, the dashes those of the scenes.
+    // The field of a curve determines its colour, the scene its dashes.
     let curves = fs::read_to_string(dir.path().join("curves.svg")).expect("a picture");
     let line = |label: &str| {
         let (_, after) = curves.split_once(&format!(">{label}</text><line ")).unwrap_or_else(|| panic!("no entry {label}"));
@@ -381,7 +382,8 @@ fn folders_without_a_run_or_with_half_a_checkpoint_are_refused() {
     assert!(!out.join("report.html").exists());
 }
 
-/// Runs a script in Node.js with the functions of the page's script. None without Node.js.
+/// Evaluates an expression in Node.js, with the functions of the page's script. Returns the printed
+/// value, or `None` without Node.js.
 fn evaluated(page: &str, expression: &str) -> Option<String> {
     let script = between(page, "<script>", "</script>")[0];
     let functions = script.split("const activate").next().expect("functions before the charts");

@@ -437,8 +437,8 @@ fn without_wind_is_refused_if_the_scene_has_no_effect() {
     );
 }
 
-/// Checks that each key of a table is a property of the schema, with a description. All except
-/// sections, `scene` and `task` need a default.
+/// Checks that each key of a table is a property of the schema, with a description. All keys except
+/// sections, `scene` and `task` need a default. The schema must refuse other keys.
 fn assert_described(schema: &Value, table: &Table, path: &str) {
     for (key, value) in table {
         let property = &schema["properties"][key];

@@ -14,7 +14,8 @@ pub fn commands(block: &str) -> Vec<Vec<String>> {
         .collect()
 }
 
-/// Returns the arguments of a call of the program, `None` for another command.
+/// Returns the arguments of a call of `physgrad`, or of a program of the user. Returns `None` for
+/// other commands.
 pub fn arguments(command: &[String]) -> Option<&[String]> {
     match command {
         [program, arguments @ ..] if program == "physgrad" || program == "own" => Some(arguments),
@@ -29,7 +30,7 @@ fn physgrad(arguments: &[String]) -> Output {
     Command::cargo_bin("physgrad").expect("the program is built").args(arguments).output().expect("the command runs")
 }
 
-/// Returns an example of the values that a word in capitals stands for.
+/// Replaces the placeholders N, E and P by example values. Returns other words unchanged.
 fn value(word: String) -> String {
     match &*word {
         "N" | "E" => "1".into(),
@@ -38,7 +39,8 @@ fn value(word: String) -> String {
     }
 }
 
-/// Returns the calls of the program in blocks and in inline code. Replaces words in capitals.
+/// Returns the calls of the program in blocks and in inline code, with example values in place of
+/// placeholders.
 fn calls(page: &Page) -> Vec<Vec<String>> {
     let spans = page.spans.iter().filter(|span| span.starts_with("physgrad ") && !span.starts_with("physgrad = "));
     let shown = page.blocks("sh").flat_map(commands).chain(spans.flat_map(|span| commands(&span.replace('\n', " "))));
@@ -46,7 +48,7 @@ fn calls(page: &Page) -> Vec<Vec<String>> {
     calls.map(|call| call.into_iter().map(value).collect()).collect()
 }
 
-/// Returns the message of the program about a wrong argument.
+/// Returns the message of the program about a wrong argument, if there is one.
 ///
 /// The parser reads arguments from left to right. `--help` at the end prevents the command from
 /// running.
@@ -55,8 +57,8 @@ fn mistake(call: &[String]) -> Option<String> {
     (!output.status.success()).then(|| String::from_utf8_lossy(&output.stderr).into_owned())
 }
 
-/// Returns the call that explains the scene of `call`, with the changes of its options, except
-/// values in capitals. Returns `None` if `call` names no preset.
+/// Returns the call of `explain` for the preset of `call`. Copies the options `--set` and
+/// `--without`, except those with a value in capitals. Returns `None` if `call` names no preset.
 fn explanation(call: &[String], presets: &[String]) -> Option<Vec<String>> {
     let scene = call.get(1).filter(|scene| presets.contains(scene))?;
     let mut explain = vec!["explain".to_owned(), scene.clone()];

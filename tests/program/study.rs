@@ -7,7 +7,7 @@ use serde_json::Value;
 use std::fs;
 use tempfile::TempDir;
 
-/// Plan with small runs. The policy of each task has one layer of four units.
+/// Plan with small runs. The policy of each task has one hidden layer of four units.
 const PLAN: &str = "\
 seeds = 2
 epochs = 2
@@ -33,7 +33,7 @@ set = { field = \"C\" }
 const SCENE: &str = "scene = 1\ntask = \"cart_pole\"\nhorizon = 5\nfield = \"regular\"\n[system]\npoles = 1\n[policy]\nwidths = [4]\n\
                      [training]\ntrain_samples = 8\ntest_samples = 4\n";
 
-/// Folder with the plan in `plans/plan.toml`.
+/// Returns a folder with the plan in `plans/plan.toml` and [`SCENE`] in `plans/scenes/mine.toml`.
 fn folder(plan: &str) -> TempDir {
     let dir = TempDir::new().expect("a folder");
     fs::create_dir_all(dir.path().join("plans/scenes")).expect("a folder");

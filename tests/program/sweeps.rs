@@ -18,7 +18,7 @@ fn error(dir: &TempDir, args: &str) -> String {
     String::from_utf8(physgrad(args, dir.path()).assert().failure().get_output().stderr.clone()).expect("text")
 }
 
-/// Every run of a sweep equals the run of the same settings alone.
+/// Every run of a sweep equals a single run with the same settings.
 #[test]
 fn runs_of_a_sweep_equal_single_runs() {
     let dir = TempDir::new().expect("a folder");

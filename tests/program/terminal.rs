@@ -4,8 +4,8 @@ use crate::running::{SMALL, error_of, physgrad};
 use std::path::Path;
 use tempfile::TempDir;
 
-/// Runs a command in a folder, in a terminal of `columns` columns. Returns standard output and
-/// standard error.
+/// Runs a command in a folder, with `columns` as the width of the terminal. With `None`, the output
+/// has no width. Returns standard output and standard error.
 fn said(folder: &Path, columns: Option<usize>, args: &[&str]) -> [String; 2] {
     let mut command = physgrad(args);
     command.current_dir(folder);
@@ -59,8 +59,9 @@ fn no_line_is_longer_than_a_terminal_of_80_or_60_columns() {
         &["stress", "cart_mass"],
     ];
     for columns in [80, 60] {
-        // Trains and checks once only, because these commands are slow. The settings of a task need
-        // 64 columns, because their keys and the names of integrators are not broken.
+        // Runs `train`, `check` and `stress` with 80 columns only, because most of these commands
+        // are slow. The settings of a task need 64 columns, because their keys and the names of
+        // integrators are not broken.
         let is_excluded = |args: &[&str]| ["train", "check", "stress"].contains(&args[0]) || *args == ["tasks", "cart_pole"];
         for args in commands.into_iter().filter(|args| columns == 80 || !is_excluded(args)) {
             let [out, err] = said(dir.path(), Some(columns), args);

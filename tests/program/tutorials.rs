@@ -1,6 +1,7 @@
 //! The commands of the tutorials run in their order, and print the quoted lines.
 //!
-//! Trainings have two epochs and few samples. Quoted lines are compared without their numbers.
+//! Trainings have two epochs and few samples. Resumed trainings have three epochs. Quoted lines are
+//! compared without their numbers.
 
 use crate::markdown::Page;
 use crate::own::PROGRAM;
@@ -10,7 +11,8 @@ use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
 
-/// Returns a quick form of a call of the program.
+/// Returns a quick form of a call of the program. A call without arguments becomes a training of
+/// `cart_pole`.
 fn quick(call: &[String]) -> Vec<String> {
     let mut words = if call.is_empty() { vec!["train".to_owned(), "cart_pole".to_owned()] } else { call.to_vec() };
     let mut replace = |option: &str, value: &str| {
@@ -46,7 +48,8 @@ fn shape(line: &str) -> String {
     line.split_whitespace().map(word).collect::<Vec<_>>().join(" ")
 }
 
-/// Returns whether the output contains a quoted line. `...` at its end omits the rest.
+/// Returns whether the output contains a quoted line. `...` at the end of the quoted line omits the
+/// rest.
 fn contains(output: &str, line: &str) -> bool {
     let line = shape(line);
     output
@@ -57,8 +60,9 @@ fn contains(output: &str, line: &str) -> bool {
 
 /// Runs a page in an empty folder. Returns the number of commands that ran.
 ///
-/// A block of TOML whose first line is `# NAME` becomes the file NAME. A block `text` quotes the
-/// commands above it, and `text,ignore` an output that quick forms do not print.
+/// Each block of TOML starts with a line `# NAME` and becomes the file NAME. A block `text` quotes
+/// the output of the commands in the block `sh` above it. A block `text,ignore` quotes an output
+/// that quick forms do not print.
 fn run(page: &str) -> usize {
     let (page, dir) = (Page::read(page), TempDir::new().expect("a folder"));
     let (mut folder, mut said, mut runs) = (dir.path().to_owned(), String::new(), 0);
@@ -111,7 +115,8 @@ fn redirection<'a>(block: &'a str, command: &[String]) -> Option<&'a str> {
     line.split(" > ").nth(1)?.split_whitespace().next()
 }
 
-/// Replaces measurements of the user by a simulation, if the command needs them.
+/// Writes a simulation to `measured.csv`, in place of the user's measurements, if the command names
+/// this file.
 fn measure(folder: &Path, command: &[String]) {
     if command.iter().any(|word| word == "measured.csv") {
         fs::copy(folder.join("runs/first/trajectory.csv"), folder.join("measured.csv")).expect("a simulation");

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 #[test]
 fn damaged_inputs_cause_no_panic_and_stay_within_limits_of_time_and_memory() {
-    // The timeout also ends a command that hangs on an input, which then has no message.
+    // The timeout also ends a command that hangs on an input. The hang then has no message.
     let mut command = physgrad(&["fuzz"]);
     let output = command.timeout(Duration::from_secs(900)).output().expect("the command runs");
     let [said, error] = [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());

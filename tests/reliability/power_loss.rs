@@ -2,8 +2,8 @@
 //! of the log.
 //!
 //! The disk model is pessimistic. After a power loss, either all folders have their current names,
-//! or all have the names of their last synchronization. Files have their current bytes, the
-//! synchronized bytes, or the synchronized bytes and half of the rest.
+//! or all have the names of their last synchronization. Either all files have their current bytes,
+//! or all have the synchronized bytes, or all have the synchronized bytes and half of the rest.
 #![cfg(unix)]
 
 use crate::running::{SMALL, physgrad};
@@ -47,7 +47,7 @@ struct Disk {
 }
 
 impl Disk {
-    /// Returns the current contents of a folder, all synchronized.
+    /// Returns the current contents of a folder without lock files, all synchronized.
     fn of(root: &Path) -> Self {
         let mut disk = Self { root: root.canonicalize().expect("a folder"), nodes: Vec::new() };
         disk.load(root);

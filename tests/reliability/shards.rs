@@ -9,7 +9,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
-/// Options of a comparison of `fields`, with `seeds` seeds.
+/// Returns the arguments of a comparison of `fields`, with `seeds` seeds and `epochs` epochs.
 fn options(fields: &str, seeds: usize, epochs: usize) -> Vec<String> {
     let text = format!(
         "compare cart_pole_1 --fields {fields} --seeds {seeds} --epochs {epochs} --threads 1 --set training.train_samples=8 \
@@ -37,8 +37,8 @@ fn ended(out: &Path) -> usize {
 /// Returns all files below the folder, without lock files, temporary files and wall times.
 ///
 /// Wall times are in the columns `seconds`, in `times.csv`, in the picture with a time axis, and in
-/// the checkpoints. A killed process may leave a temporary file of an unfinished write,
-/// `.NAME.new`.
+/// the checkpoints. A killed process may leave a temporary file of an unfinished write, with a name
+/// of the form `.NAME.*.new`.
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     let mut folders = vec![folder.to_owned()];

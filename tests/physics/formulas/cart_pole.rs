@@ -5,8 +5,8 @@ use super::*;
 
 /// Returns the accelerations of the authors' model: cart, then poles.
 ///
-/// Each pole turns as if alone on the cart. ẍ follows from the reactions of all poles and the mass
-/// of the cart and one pole.
+/// Each pole turns as if alone on the cart. The acceleration of the cart follows from the reactions
+/// of all poles and the mass of the cart and one pole.
 fn uncoupled(model: &CartPoleSystem, x: &[f64], applied: &[f64]) -> Vec<f64> {
     let alone = on_cart(&CartPoleSystem { poles: 1, ..*model }, false);
     let moment = model.pole_mass.nominal() * model.half_length.nominal();

@@ -3,8 +3,8 @@
 use super::mechanism::*;
 use super::*;
 
-/// Compares rates and energy of an [`Ode`] with a mechanism. Positions and speeds alternate in the
-/// state.
+/// Compares rates and energy of an [`Ode`] with a mechanism. Compares the derivatives of a
+/// semi-implicit step with dual numbers. Positions and speeds alternate in the state.
 #[track_caller]
 fn moves_as<O: Ode + Clone>(what: &str, ode: O, energy: impl Fn(&[f64]) -> f64, mechanism: &Mechanism) {
     for (x, u) in states(ode.state_dim(), 1) {
@@ -122,7 +122,8 @@ fn fall(place: f64, speed: f64, acceleration: f64, time: f64) -> [f64; 2] {
     [place + speed * time + 0.5 * acceleration * time * time, speed + acceleration * time]
 }
 
-/// Returns the time after which a body at `height` reaches the height 0.
+/// Returns the time after which a body at `height` > 0 reaches the height 0. The result is NaN,
+/// negative or infinite if the body never reaches it.
 fn landing(height: f64, speed: f64, acceleration: f64) -> f64 {
     2.0 * height / ((speed * speed - 2.0 * acceleration * height).sqrt() - speed)
 }

@@ -113,7 +113,7 @@ fn range<T: Task>(task: &T, of: impl Fn(&[f64]) -> f64) -> [f64; 2] {
 }
 
 /// Checks that 4000 draws stay within bounds and reach both bounds to within 1 % of the range.
-/// Uniform draws do so with probability 1 - 2 · 0.99⁴⁰⁰⁰.
+/// Uniform draws do so with a probability of at least 1 - 2 · 0.99⁴⁰⁰⁰.
 #[track_caller]
 fn starts_within<T: Task>(what: &str, task: &T, low: f64, high: f64, of: impl Fn(&[f64]) -> f64) {
     let ([least, most], near) = (range(task, of), 0.01 * (high - low));
