@@ -45,14 +45,21 @@ fn files(folder: &Path) -> Vec<PathBuf> {
 
 /// Returns the modules that a file of `module` imports without permission.
 ///
-/// Imports are paths that start with `root`. Skips comment lines, and all lines from the first
-/// `#[cfg(test)]` on.
+/// Imports are paths that start with `root`. Skips comment lines, and a module of unit tests with
+/// all lines after it.
 fn forbidden(modules: &[Edges], root: &str, module: &str, text: &str) -> Vec<String> {
     let (_, allowed) = modules.iter().find(|(name, _)| *name == module).expect("a module of the list");
-    let lines = text.lines().take_while(|line| line.trim() != "#[cfg(test)]").filter(|line| !line.trim().starts_with("//"));
+    let lines = without_tests(text).lines().filter(|line| !line.trim().starts_with("//"));
     let imports = lines.flat_map(|line| line.split(root).skip(1));
     let names = imports.map(|rest| rest.split(|c: char| !c.is_alphanumeric() && c != '_').next().unwrap_or_default());
     names.filter(|name| *name != module && !allowed.contains(name)).map(String::from).collect()
+}
+
+/// Returns the text up to the first module of unit tests.
+fn without_tests(text: &str) -> &str {
+    let is_module =
+        |(i, _): &(usize, &str)| text[*i..].lines().nth(1).is_some_and(|line| line.contains("mod ") && line.ends_with('{'));
+    text.match_indices("#[cfg(test)]").find(is_module).map_or(text, |(i, _)| &text[..i])
 }
 
 /// Checks the order of the list, and the imports of all listed modules below `folder`. Checks that
@@ -67,6 +74,10 @@ fn check(folder: &Path, modules: &[Edges], root: &str, others: &[&str]) {
             let text = fs::read_to_string(&path).expect("a source file");
             let forbidden = forbidden(modules, root, module, &text);
             assert!(forbidden.is_empty(), "{} imports {forbidden:?}; {module} may import {allowed:?}", path.display());
+            let depth = path.strip_prefix(folder).expect("a file of the folder").components().count();
+            let depth = if path.ends_with("mod.rs") { depth - 1 } else { depth };
+            let leaves = leaves_folder(without_tests(&text), depth);
+            assert!(!leaves, "{} leaves the folder of its module by `super`", path.display());
         }
     }
     for entry in fs::read_dir(folder).expect("a folder") {
@@ -78,7 +89,8 @@ fn check(folder: &Path, modules: &[Edges], root: &str, others: &[&str]) {
 
 /// Returns whether the text contains `depth` consecutive `super::`.
 ///
-/// In a file `depth` levels below `src/program`, this path leaves the folder of its module.
+/// In a file `depth` levels below the folder of all modules, this path leaves the folder of its
+/// module.
 fn leaves_folder(text: &str, depth: usize) -> bool {
     text.contains(&"super::".repeat(depth))
 }
@@ -90,14 +102,7 @@ fn library_modules_import_only_permitted_modules() {
 
 #[test]
 fn program_modules_import_only_permitted_modules() {
-    let folder = source().join("program");
-    check(&folder, &PROGRAM, "crate::program::", &["mod.rs"]);
-    for path in PROGRAM.iter().flat_map(|(module, _)| files(&folder.join(module))) {
-        let text = fs::read_to_string(&path).expect("a source file");
-        let depth = path.strip_prefix(&folder).expect("a file of the program").components().count();
-        let depth = if path.ends_with("mod.rs") { depth - 1 } else { depth };
-        assert!(!leaves_folder(&text, depth), "{} leaves the folder of its module by `super`", path.display());
-    }
+    check(&source().join("program"), &PROGRAM, "crate::program::", &["mod.rs"]);
 }
 
 #[test]
@@ -106,7 +111,8 @@ fn forbidden_imports_are_found_in_example_texts() {
     assert_eq!(library("numbers", "use crate::dynamics::system::System;\n"), ["dynamics"]);
     assert_eq!(library("policy", "//! [`x`](crate::train)\nfn f() -> crate::engine::Batch {}\n"), ["engine"]);
     assert_eq!(library("engine", "use crate::System;"), ["System"], "an import from the root of the crate is not found");
-    assert!(library("tasks", "use crate::dynamics::x;\n#[cfg(test)]\nmod tests { use crate::engine::y; }").is_empty());
+    assert!(library("tasks", "use crate::dynamics::x;\n#[cfg(test)]\nmod tests {\n    use crate::engine::y;\n}").is_empty());
+    assert_eq!(library("tasks", "#[cfg(test)]\nmod tests;\nuse crate::engine::y;\n"), ["engine"]);
     let program = |module: &str, text: &str| forbidden(&PROGRAM, "crate::program::", module, text);
     assert_eq!(program("settings", "use crate::program::tasks::Settings;\n"), ["tasks"]);
     assert_eq!(program("tasks", "fn f() { crate::program::runs::run::threads(None); }\n"), ["runs"]);

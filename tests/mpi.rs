@@ -174,6 +174,7 @@ fn a_killed_rank_ends_the_run_and_another_number_of_ranks_resumes_it() {
     let begin = Instant::now();
     while ranks_of(&endless).len() < 3 {
         assert!(begin.elapsed() < Duration::from_secs(60), "fewer than three ranks started within 60 s");
+        std::thread::sleep(Duration::from_millis(20));
     }
     wait_for_epochs(&out, fs::read_to_string(out.join("metrics.csv")).expect("metrics").lines().count() + 2);
     signal(ranks_of(&endless)[2], "TERM");

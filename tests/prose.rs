@@ -10,9 +10,10 @@ use std::path::{Path, PathBuf};
 const MAX_WORDS: usize = 25;
 const MAX_COLUMNS: usize = 100;
 
-/// Paragraph or list item, with the number of its first line.
+/// Paragraph or list item, with the numbers of its first and last line.
 struct Paragraph {
     line: usize,
+    last: usize,
     text: String,
 }
 
@@ -37,10 +38,11 @@ fn paragraphs<'a>(lines: impl Iterator<Item = (usize, Option<&'a str>)>) -> Vec<
         }
         let number = trimmed.find(". ").is_some_and(|end| trimmed[..end].bytes().all(|byte| byte.is_ascii_digit()));
         if !is_open || number || starts(&["- ", "* "]) {
-            found.push(Paragraph { line, text: String::new() });
+            found.push(Paragraph { line, last: line, text: String::new() });
         }
         is_open = true;
         if let Some(paragraph) = found.last_mut() {
+            paragraph.last = line;
             paragraph.text += trimmed;
             paragraph.text.push(' ');
         }
@@ -93,17 +95,8 @@ fn faults(path: &Path, text: &str) -> Vec<String> {
     let is_source = path.extension().is_some_and(|extension| extension == "rs");
     let lines = || text.lines().enumerate().map(|(i, line)| (i + 1, if is_source { comment(line) } else { Some(line) }));
     let prose = paragraphs(lines());
-    let wide = prose.iter().flat_map(|paragraph| {
-        let lines = text.lines().enumerate().skip(paragraph.line - 1);
-        // Counts the words of the text to find the lines of the paragraph. Comment markers count
-        // as words, so the last lines of a long comment may be missed.
-        let mut left = paragraph.text.split_whitespace().count();
-        lines.take_while(move |(_, line)| {
-            let is_inside = left > 0;
-            left = left.saturating_sub(line.split_whitespace().count());
-            is_inside
-        })
-    });
+    let source: Vec<_> = text.lines().enumerate().collect();
+    let wide = prose.iter().flat_map(|paragraph| &source[paragraph.line - 1..paragraph.last]);
     let wide = wide.filter(|(_, line)| line.chars().count() > MAX_COLUMNS && line.trim().contains(' '));
     let wide = wide.map(|(i, _)| format!("{}:{}: more than {MAX_COLUMNS} columns", path.display(), i + 1));
     let broken = prose.iter().flat_map(|paragraph| {
@@ -152,6 +145,9 @@ fn planted_faults_are_found() {
     // A sentence over two lines, a list, and links count as the reader sees them.
     let text = "- One [link](page.md#a-very-long-target) and `inline code of several words`\n  end here.\n- Another item.\n";
     assert_eq!(faults(Path::new("a.md"), text), Vec::<String>::new());
+    // The last line of a long comment counts too.
+    let last = format!("{}/// One more line of {} columns.\n", "/// A short line.\n".repeat(20), "x".repeat(MAX_COLUMNS));
+    assert_eq!(faults(Path::new("a.rs"), &last).len(), 1);
     let two = format!("It has{}\nand{}.", " a".repeat(15), " a".repeat(15));
     assert_eq!(faults(Path::new("a.md"), &two).len(), 1);
 }

@@ -65,7 +65,7 @@ fn error(got: &[f64], expected: &[f64]) -> f64 {
     let scale = expected.iter().fold(0.0, |m: f64, e| m.max(e.abs()));
     let worst = got.iter().zip(expected).map(|(g, e)| (g - e).abs()).fold(0.0, f64::max);
     // `max` would ignore NaN.
-    assert!(got.iter().all(|g| g.is_finite()), "not finite: {got:?}");
+    assert!(got.iter().chain(expected).all(|x| x.is_finite()), "not finite: {got:?}, expected {expected:?}");
     if scale > 0.0 { worst / scale } else { worst }
 }
 
@@ -84,6 +84,7 @@ impl Worst {
     }
 
     fn add(&mut self, error: f64) {
+        assert!(!error.is_nan(), "{}, {}: an error is NaN", self.file, self.what);
         self.worst = self.worst.max(error);
         self.count += 1;
     }

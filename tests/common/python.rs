@@ -35,7 +35,7 @@ fn interpreter() -> Result<PathBuf, String> {
     lock.lock().map_err(|error| error.to_string())?;
     let (python, installed) = (folder.join("venv/bin/python"), folder.join("installed"));
     let packages = PACKAGES.join(" ");
-    if fs::read_to_string(&installed).is_ok_and(|text| text == packages) {
+    if python.exists() && fs::read_to_string(&installed).is_ok_and(|text| text == packages) {
         return Ok(python);
     }
     command(Command::new("python3").args(["-m", "venv", "--clear"]).arg(folder.join("venv")))?;
