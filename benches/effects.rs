@@ -1,9 +1,10 @@
 //! Benchmark of the effect system against the same physics in a single handwritten function.
 //!
 //! Usage: `cargo bench --bench effects`, or with `-- guidance` for one task, and with `-- --quick`
-//! for few rounds. Measures steps of eight samples on one thread: forward, and forward with the
-//! adjoints of R and C. One part measures whole scenes with the policy of the paper and its
-//! gradients, the other the physics alone with zero control.
+//! for few rounds. Measures steps of eight samples on one thread: forward alone, with the adjoint
+//! of R, and with the adjoints of C. One part measures whole scenes, with the policy of the paper
+//! and the gradients of its parameters. The other part measures the physics alone, with zero
+//! control.
 //!
 //! Jobs alternate within each round; a ratio is the median over rounds. Timings depend on the
 //! memory layout. The benchmark therefore constructs all jobs several times, in varying order and
@@ -131,7 +132,7 @@ fn quantum_scenes<F: Float>() -> Vec<Vec<Form>> {
 fn table(of: Of, scenes: Vec<Vec<Form>>, precision: &str, horizon: usize, places: usize, count: usize) {
     println!("{precision}");
     for forms in scenes {
-        // Index order: [pass][form][place].
+        // Times and ratios, by pass and form. Each vector has one number per place.
         let mut found = [(); 3].map(|()| vec![(Vec::new(), Vec::new()); forms.len()]);
         for place in 0..places {
             // Varies the order of construction and the memory layout between repetitions.
@@ -188,8 +189,8 @@ fn form<F: Float>(network: &(impl Policy + Clone + 'static), name: &'static str,
     }
 }
 
-/// Returns a job: a rollout and the adjoints of the flows. Scenes also compute the parameter
-/// gradients.
+/// Returns a job: a rollout and the adjoints of the flows. With [`Of::Scene`], the job also
+/// computes the parameter gradients.
 fn job<F: Float>(of: Of, task: Box<dyn AnyTask<F>>, policy: Box<dyn AnyPolicy<F>>, flows: &[Flow]) -> Job {
     let weights = Weights::<F>::init(&*policy, &mut stream(0, Purpose::Policy, 0));
     let starts: Vec<F> = initial_states(&*task, 0, Purpose::Train, BATCH);

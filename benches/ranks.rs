@@ -20,8 +20,8 @@ const FLOWS: [Flow; 2] = [Flow::MODIFIED, Flow::REGULAR];
 const GROUP: usize = 4;
 /// Largest number of blocks of groups.
 const BLOCKS: usize = 32;
-/// Messages of an update per pair of ranks. Five exchanges (divergence, blocks, total, costs,
-/// pause) have two each: length and contents.
+/// Messages of an update from one rank to another. Five exchanges (divergence, blocks, total,
+/// costs, pause) send two each: length and contents.
 const MESSAGES: f64 = 10.0;
 
 /// One of two ranks, each a thread of this process.
@@ -53,9 +53,9 @@ impl Ranks for Threads {
 /// Constants of the model. Times in µs.
 struct Model {
     params: f64,
-    /// Gradient of one sample on one core.
+    /// Time of the gradient of one sample on one core.
     sample: f64,
-    /// Handling of one number of a block sum: packing, copying, unpacking, adding.
+    /// Time to handle one number of a block sum: packing, copying, unpacking, adding.
     number: f64,
     latency: f64,
     /// Bytes per µs.

@@ -1,4 +1,4 @@
-//! Benchmark of the cost of a step and its adjoint over the size of the system.
+//! Benchmark of the time of a step and its adjoint against the size of the system.
 //!
 //! Usage: `cargo bench --bench scaling`, or with `-- --quick` for few rounds. Eight samples in f32,
 //! one thread, zero control: the times cover physics, costs and data movement. Sizes alternate

@@ -13,7 +13,8 @@ use std::error::Error;
 use std::time::Instant;
 
 /// Published numbers of each arm, by number of arms. Columns: mass in kg, distance of the center of
-/// mass from the joint in m, length in m, moment of inertia in kg m².
+/// mass from the joint in m, length in m, moment of inertia in kg m². The length of the last arm is
+/// unused, and 0 here.
 const PUBLISHED: [&[[f64; 4]]; 3] = [
     &[[0.14758, 0.14775, 0.0, 1.0912e-4]],
     &[[0.093844, 0.108565, 0.172719, 4.3753e-4], [0.137596, 0.116779, 0.0, 1.26883e-3]],
@@ -108,7 +109,7 @@ impl Model {
         Self { system: Integrated { ode, integrator: RungeKutta::RK4, dt: DT }, p, unknowns }
     }
 
-    /// The published numbers.
+    /// Model with the published numbers and viscous friction.
     fn published(arms: usize) -> Self {
         let mut model = Self::new(arms, [true, false, false], 1.0);
         model.system.ode.gravity = GRAVITY[arms - 1].into();

@@ -22,7 +22,8 @@ fn main() -> Result<(), TrainError> {
         }
     }
 
-    // Rolls out one test sample and prints its fidelity with the target and its norm.
+    // Rolls out one test sample. Prints the fidelity with the target and the squared norm of the
+    // wave, every 32 steps.
     let mut rollout = Rollout::new(&task, &policy, 1);
     rollout.start(&session.test_starts()[..n]);
     if let Err(divergence) = rollout.run(&task, &policy, session.weights()) {

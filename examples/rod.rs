@@ -12,8 +12,8 @@ const MASSES: usize = 100;
 const STEPS: usize = 150;
 
 /// Masses of 1 kg in a row between two walls. Springs between neighbours have the force
-/// k d + k₃ d³, with the difference d of the deflections. State: sideways deflections, m, then
-/// speeds, m/s. Control: forces at four masses, N.
+/// k d + k₃ d³, with `stiffness` k, `hardening` k₃ and the difference d of the deflections. State:
+/// sideways deflections, m, then speeds, m/s. Control: forces at four masses, N.
 #[derive(Clone)]
 #[rustfmt::skip]
 struct Rod { stiffness: f64, hardening: f64, damping: f64, dt: f64 }

@@ -29,13 +29,14 @@ const METRICS: [(&str, Metric); 4] =
 ///   derivative. "bytes" and the medians "forward_seconds" and "gradient_seconds" are per step and
 ///   sample.
 /// - "reference": estimates of the errors of the reference, a dict with "trajectory", "loss", "R"
-///   and "M". Smaller errors of a setting are below its resolution.
+///   and "M". Smaller errors of a setting are below the resolution of the reference.
 /// - "cheapest": the fastest setting with an error of at most `target`, or None. A dict with
 ///   "method", "substeps", "precision", "error", "seconds" and "task", the task with this setting.
 ///
 /// `metric` is the error that `target` refers to: "trajectory", "loss", "R" or "M". Raises
 /// `ValueError` if the reference diverges, or if the task does not support other time steps. Ctrl-C
-/// raises `KeyboardInterrupt`; a simulation that has begun ends on its own thread.
+/// raises `KeyboardInterrupt`. A simulation that has begun still runs to its end, on another
+/// thread.
 #[pyfunction]
 #[pyo3(signature = (task, target=None, metric="trajectory"))]
 pub fn accuracy<'py>(py: Python<'py>, task: &Task, target: Option<f64>, metric: &str) -> PyResult<Bound<'py, PyDict>> {

@@ -13,14 +13,14 @@ create_exception!(
      \"memory\", \"cost\" or \"gradient\"). For \"gradient\", `component` is the index of the parameter."
 );
 
-/// Converts an error in settings or arguments: a divergence, an error of the file system, or
-/// `ValueError`.
+/// Converts an error in settings or arguments. A divergence becomes `Divergence`, an error of the
+/// file system `OSError`, and every other error `ValueError`.
 pub fn value_error(error: anyhow::Error) -> PyErr {
     convert(error, PyValueError::new_err)
 }
 
-/// Converts an error during a computation: a divergence, an error of the file system, or
-/// `RuntimeError`.
+/// Converts an error during a computation. A divergence becomes `Divergence`, an error of the file
+/// system `OSError`, and every other error `RuntimeError`.
 pub fn runtime_error(error: anyhow::Error) -> PyErr {
     convert(error, PyRuntimeError::new_err)
 }

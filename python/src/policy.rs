@@ -40,8 +40,8 @@ impl Policy {
         Ok(Self::new(api::Policy::new(&scene, seed)))
     }
 
-    /// The parameters θ, float64. A copy; assign to it to replace all parameters. The last entries
-    /// are the trained numbers of the task.
+    /// A copy of the parameters θ, float64. Assign to `theta` to replace all parameters. The last
+    /// entries are the trained numbers of the task.
     #[getter]
     fn theta<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
         self.lock().theta().to_vec().into_pyarray(py)

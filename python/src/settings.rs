@@ -82,7 +82,7 @@ pub fn value_of(key: &str, value: &Bound<'_, PyAny>) -> PyResult<Value> {
     Err(PyTypeError::new_err(format!("`{key}` is of type {kind}; allowed: bool, int, float, str, list and dict of these")))
 }
 
-/// Settings as a nested dict.
+/// The value of a setting as a Python object. A table becomes a nested dict.
 pub fn to_python<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyAny>> {
     match value {
         Value::String(text) => text.into_bound_py_any(py),

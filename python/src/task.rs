@@ -11,7 +11,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
-/// Settings outside of all sections.
+/// Settings outside of all sections that functions accept as keyword arguments.
 pub const TOP: [&str; 6] = ["horizon", "precision", "field", "epochs", "seed", "tags"];
 
 /// A task: system, horizon, costs and the distribution of initial states. `physgrad.task` creates
@@ -131,7 +131,7 @@ impl Task {
         self.scene.horizon()
     }
 
-    /// Time step, s.
+    /// Time step, in the unit of time of the task: s, except for `quantum`.
     #[getter]
     fn dt(&self) -> f64 {
         self.scene.dt()
@@ -176,9 +176,9 @@ impl Task {
     /// Draws initial states, (count, state_dim + param_dim).
     ///
     /// A row has the state, then the parameters of the sample: `x, p = starts[:, :n], starts[:,
-    /// n:]`. Row i depends only on `seed` and i. `split` selects the random streams: "new" for
-    /// states that no training uses, "train" and "test" for the data sets of a training with this
-    /// seed. `dtype` is "float32" or "float64", by default that of the task.
+    /// n:]`. Row i depends only on the task, `seed`, `split` and i. `split` selects the random
+    /// streams: "new" for states that no training uses, "train" and "test" for the data sets of a
+    /// training with this seed. `dtype` is "float32" or "float64", by default that of the task.
     #[pyo3(signature = (count, seed=0, split="new", dtype=None))]
     fn starts<'py>(
         &self,

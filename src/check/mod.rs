@@ -201,7 +201,8 @@ pub fn try_system<S: System>(system: &S) -> Result<Passed, Mismatch> {
 /// - [`step`](System::step) writes every component of the next state.
 /// - [`vjp`](System::vjp) agrees with dual numbers for every combination of requested cotangents,
 ///   and adds to the cotangents.
-/// - [`jvp`](System::jvp) agrees with dual numbers: `⟨λ, J v⟩ = ⟨Jᵀλ, v⟩`.
+/// - [`jvp`](System::jvp) agrees with dual numbers: `⟨λ, J v⟩ = ⟨Jᵀλ, v⟩`. The error is relative to
+///   the larger sum of absolute values of the terms of either side.
 /// - `step` and `vjp` in SIMD lanes have the bits of scalars.
 ///
 /// # Errors
@@ -220,6 +221,8 @@ pub fn try_system_at<S: System>(
 /// components. It compares all components of at most 64 parameters, otherwise 16 random ones. This
 /// rule also selects components of the gradient with respect to initial states and parameters p.
 /// The gradient of a flow computed alone must agree with its gradient computed together with M.
+/// Errors of components are relative to the largest component of the gradient. Errors of
+/// directional derivatives are relative to the norm of the gradient.
 ///
 /// # Panics
 /// Panics on the first [`Mismatch`], or if the rollouts or their gradients are non-finite.

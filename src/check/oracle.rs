@@ -175,7 +175,7 @@ fn policy_slope(
     columns((n, m), x, u_bar).enumerate().map(slope).collect()
 }
 
-/// Inputs and cotangents of the outputs of each column. Without inputs and outputs, there are none.
+/// Inputs and output cotangents of each column. Without inputs and outputs, there are no columns.
 fn columns<'a>((n, m): (usize, usize), x: &'a [f64], u_bar: &'a [f64]) -> impl Iterator<Item = (&'a [f64], &'a [f64])> {
     let count = x.len().checked_div(n).or(u_bar.len().checked_div(m)).unwrap_or(0);
     (0..count).map(move |c| (&x[c * n..][..n], &u_bar[c * m..][..m]))

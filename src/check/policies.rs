@@ -25,10 +25,12 @@ pub fn policy<P: Policy>(policy: &P) -> Passed {
 
 /// Non-panicking form of [`policy`].
 ///
-/// The check compares the parameter gradient `g` with dual numbers in two ways:
+/// The check requires that `act` writes every component. It compares the outputs of the forward
+/// pass with `act`, and the input cotangents of the backward pass with dual numbers. It compares
+/// the parameter gradient `g` with dual numbers in two ways:
 ///
-/// - By component: all of them up to 1000 parameters, otherwise 64 random ones of each of
-///   [`Policy::tensors`].
+/// - By component: all components up to 1000 parameters, otherwise up to 64 random ones of each
+///   tensor in [`Policy::tensors`].
 /// - By random directions `v` over all parameters: `⟨g, v⟩` against the derivative of `act` along
 ///   v.
 ///

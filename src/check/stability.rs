@@ -5,7 +5,7 @@ use crate::dynamics::system::System;
 use crate::engine::any::AnySystem;
 use std::fmt;
 
-/// Squarings of the Jacobian J, which give `J^(2³⁰)`.
+/// Number of squarings of the Jacobian J, which yield `J^(2³⁰)`.
 const SQUARINGS: usize = 30;
 /// Margin above 1 within which a multiplier counts as stable. Linear growth, such as a position
 /// under a velocity error, yields `(2³⁰)^(1/2³⁰) ≈ 1 + 2e-8`.
@@ -131,7 +131,7 @@ mod tests {
     use super::*;
     use crate::numbers::scalar::Scalar;
 
-    /// `x' = A x`.
+    /// `x_{t+1} = A x_t`.
     struct Linear<const N: usize>([[f64; N]; N]);
 
     impl<const N: usize> System for Linear<N> {

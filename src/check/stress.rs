@@ -143,8 +143,9 @@ impl fmt::Display for Finding {
     }
 }
 
-/// Formats a number. Integers and numbers of at least 100 have no decimals, others have three.
-/// Numbers below 1e-3 and from 1e5 on have an exponent; 0 has none.
+/// Formats a number. Nonzero magnitudes below 1e-3 or from 1e5 on have an exponent and two
+/// decimals. Other integers and other magnitudes of at least 100 have no decimals. The rest have
+/// three.
 fn short(x: f64) -> String {
     if x == 0.0 || (1e-3..1e5).contains(&x.abs()) {
         let digits = if x.abs() >= 100.0 || x == x.round() { 0 } else { 3 };

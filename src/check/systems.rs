@@ -108,8 +108,8 @@ pub(super) fn check(system: &dyn Checked, draw: Draw) -> Result<Passed, Mismatch
     Ok(c.passed)
 }
 
-/// Compares [`System::vjp`] with dual numbers for each combination of requested cotangents, and
-/// checks that a second call adds the same again.
+/// Compares [`System::vjp`] with dual numbers for each combination of requested cotangents. Checks
+/// that a second call adds the same cotangents again.
 fn requests(
     system: &dyn Checked,
     at: Inputs<'_, f64>,

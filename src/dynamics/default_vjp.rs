@@ -14,14 +14,15 @@ use smallvec::SmallVec;
 
 /// A function of `N` lists of numbers, for every scalar with derivatives over `R`.
 pub(crate) trait Function<R, const N: usize> {
-    /// Writes the function of `inputs` to `outputs`.
+    /// Writes the value of the function at `inputs` to `outputs`.
     fn eval<T: Over<R>>(&self, inputs: [&[T]; N], outputs: &mut [T]);
 }
 
 /// Adds the transposed Jacobian product of a function to the requested cotangents.
 ///
-/// In forward mode, `visit(bar, column)` adds the product of `output_bars` and a column of the
-/// Jacobian to the cotangent of its input.
+/// In forward mode, `visit(bar, column)` adds the product of `output_bars` and `column` to `bar`.
+/// Here, `bar` is the cotangent of one input, and `column` is the Jacobian column of that input.
+/// Reverse mode does not call `visit`.
 #[inline(always)]
 pub(crate) fn default_vjp<R: Real, C: Cotangent<R>, const N: usize>(
     function: &impl Function<R, N>,
@@ -53,7 +54,7 @@ pub(crate) fn add_product<R: Real, C: Cotangent<R>>(output_bars: &[C]) -> impl F
     }
 }
 
-/// Splits consecutive lists of the given lengths.
+/// Splits `all` into consecutive lists of the given lengths.
 #[inline(always)]
 fn split<T, const N: usize>(mut all: &[T], lengths: [usize; N]) -> [&[T]; N] {
     lengths.map(|length| {

@@ -55,8 +55,8 @@ impl fmt::Debug for DynTask {
     }
 }
 
-/// Object-safe [`Task`]. A method with a `slot` writes a pointer to the generic function of this
-/// name to the slot. The type of the slot determines the scalar of the function.
+/// Object-safe [`Task`]. A method with a `slot` writes a function pointer to the slot, for the
+/// generic method of equal name. The type of the slot determines the scalar of the function.
 trait AnyTask: Send + Sync {
     fn name(&self) -> &'static str;
     fn as_any(&self) -> &dyn Any;
@@ -240,7 +240,8 @@ function!(
     }
 );
 
-/// Calls a generic function of the task in `$object`. `$scalar` is the type that must be in `$set`.
+/// Calls a generic function of the task in `$object`. `$scalar` is the requested type. `$set`
+/// describes the available types, for the panic message.
 macro_rules! call {
     ($object:expr, $method:ident: $pointer:ty [$scalar:ty] in $set:expr, $($argument:expr),+) => {{
         let mut slot: Option<$pointer> = None;

@@ -86,7 +86,7 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
     /// that have it.
     fn add_forces<T: Scalar>(&self, model: &B, inputs: OdeInputs<'_, T>, forces: &mut [T]);
 
-    /// Adds the Jacobian products `(∂forces/∂x)ᵀ forces_bar`, and likewise of `u` and `p`, to those
+    /// Adds the Jacobian product `(∂forces/∂x)ᵀ forces_bar`, and likewise for `u` and `p`, to those
     /// cotangents that are requested.
     ///
     /// An implementation may omit the cotangents of physical numbers that vary. If the system or an
@@ -152,8 +152,8 @@ pub(crate) fn default_effect_vjp<B, E: Effect<B>, R: Real, C: Cotangent<R>>(
     });
 }
 
-/// Returns whether the forces of an effect are finite, and their derivatives with respect to state
-/// and control.
+/// Returns whether the forces of an effect are finite, and whether their derivatives with respect
+/// to state and control are finite.
 pub(crate) fn is_finite<B, E: Effect<B>, R: Real>(effect: &E, model: &B, inputs: OdeInputs<'_, R>, forces: usize) -> bool {
     let mut force = vec![R::zero(); forces];
     let zeros = |len: usize| vec![CotangentPack([R::zero()]); len];
@@ -166,9 +166,9 @@ pub(crate) fn is_finite<B, E: Effect<B>, R: Real>(effect: &E, model: &B, inputs:
 /// System to whose forces effects can be added.
 ///
 /// Only [`forced_step`](ForcedSystem::forced_step), the model, the sizes and the time step are
-/// required. Effects receive the inputs of the step, with the time in s
-/// ([`Inputs::continuous`]). A system with parameters of its own removes these from the inputs of
-/// the effects ([`Inputs::skip_params`]).
+/// required. Effects receive the inputs of the step, with the time in s ([`Inputs::continuous`]). A
+/// system with parameters of its own removes these from the inputs of the effects
+/// ([`Inputs::skip_params`]).
 pub trait ForcedSystem: Send + Sync {
     /// Model that effects read; often the system itself.
     type Model;

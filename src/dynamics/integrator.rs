@@ -54,8 +54,8 @@ pub trait Integrator: Clone + Debug + Send + Sync {
     /// Writes the state at the end of the step.
     fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]);
 
-    /// Largest residual among the state components of an implicit step that did not converge, else
-    /// `None`.
+    /// Largest absolute residual among the state components of an implicit step that did not
+    /// converge, else `None`.
     fn unsolved<R: Real>(&self, _ode: &dyn DynOde<R>, _dt: f64, _inputs: Inputs<'_, R>) -> Option<f64> {
         None
     }

@@ -245,7 +245,8 @@ impl<'a> Numbers<'a> {
 pub struct Varied {
     /// Index in `p`.
     pub index: usize,
-    /// Name of the field, after that of the effect if there is one: `wind.speed`.
+    /// Name of the field, after the name of the effect if that is [`Named`](crate::Named):
+    /// `wind.speed`.
     pub name: String,
     /// The number.
     pub number: Number,

@@ -28,8 +28,8 @@ use crate::numbers::scalar::{Counted, Ops};
 pub struct OpCount {
     /// [`System::step`].
     pub step: Ops,
-    /// [`System::vjp`] with respect to state and control. Evaluated by the flows R and M, and by
-    /// any two flows together.
+    /// [`System::vjp`] with respect to state and control. Evaluated by the [`Flow`](crate::Flow)s R
+    /// and M, and by any two flows together.
     pub vjp: Ops,
     /// [`System::vjp`] with respect to the control alone. Evaluated by a single flow N or S.
     pub vjp_control: Ops,

@@ -73,7 +73,7 @@ impl<S: System, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, S, R, C> {
     fn run<const FMA: bool>(self) {
         let Self { system, inputs, next_bar, cotangents } = self;
         match cotangents {
-            // The request of most reverse passes, without branches.
+            // Most reverse passes request state and control. Known requests compile to no branches.
             Cotangents { x: Some(x), u: Some(u), p: None } => system.vjp(inputs, next_bar, Cotangents::of(x, u)),
             cotangents => system.vjp(inputs, next_bar, cotangents),
         }

@@ -9,7 +9,7 @@ use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use smallvec::{SmallVec, smallvec};
 
-/// Largest total length of the states of all inner steps for which a step does not allocate.
+/// Largest total length of the states of all inner steps for which a VJP does not allocate.
 const STACK: usize = 128;
 
 /// A system whose time step consists of `count` steps of an inner system, with constant control.

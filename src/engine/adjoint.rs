@@ -138,11 +138,12 @@ impl<F: Float> Adjoint<F> {
     /// Norms of the adjoint of flow `k` at the states `x_0 .. x_T` of the last run, `horizon + 1`
     /// numbers.
     ///
-    /// Each is the root mean square over the samples of ‖λ_t‖, for the loss of one sample. The norm
-    /// measures how strongly later costs depend on a state, along the paths of the flow. λ_t
-    /// contains the costs of step t and of later steps, not the cost of the step that ends in
-    /// `x_t`. λ_T is the gradient of the terminal cost, or 0 without a terminal cost. Steps that a
-    /// diverged run did not reach are NaN.
+    /// Each is the root mean square of ‖λ_t‖ over the samples. λ_t is the adjoint of the loss of
+    /// one sample, without the `scale` of the run. The norm measures how strongly later costs
+    /// depend on a state, along the paths of the flow. λ_t contains the costs of step t and of
+    /// later steps, not the cost of the step that ends in `x_t`. λ_T is the gradient of the
+    /// terminal cost, or 0 without a terminal cost. Steps that a diverged run did not reach are
+    /// NaN.
     ///
     /// # Panics
     /// Without [`keep_norms`](Adjoint::keep_norms).
@@ -255,7 +256,7 @@ impl<F: Float> Adjoint<F> {
         Rollout::<F>::units(0..rollout.horizon).try_for_each(|unit| self.back(&pass, unit))
     }
 
-    /// Initializes the recursion with the terminal cost.
+    /// Initializes the recursion with the gradient of the terminal cost.
     pub(crate) fn begin(&mut self, pass: &Pass<'_, F>) {
         let norms = self.norms.as_deref_mut().unwrap_or_default();
         norms.iter_mut().for_each(|norms| norms.fill(f64::NAN));
@@ -330,7 +331,7 @@ impl<F: Float> Adjoint<F> {
         }
     }
 
-    /// Adds the contribution of a unit, after [`back`](Self::back).
+    /// Adds the contribution of a unit to the parameter gradient, after [`back`](Self::back).
     #[allow(clippy::too_many_arguments)]
     pub(crate) fn add_param_gradient(
         &mut self,

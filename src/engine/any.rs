@@ -108,7 +108,7 @@ impl<T: Task, F: Float> AnyTask<F> for T {
     }
 }
 
-/// Object-safe [`System`] for one scalar type, of one sample at a time.
+/// Object-safe [`System`] for one scalar type. Steps one sample at a time.
 ///
 /// Used for loops over steps that should compile only once. Methods forward to those of the system.
 pub(crate) trait AnySystem<R: Real> {

@@ -70,7 +70,8 @@ struct Shared<F: Float> {
     groups: usize,
     /// Costs of the samples.
     costs: Vec<f64>,
-    /// Growth of each sample for each flow, if measured.
+    /// Growth of the samples, `[flow]`, if measured. Each sample has two numbers, those of
+    /// [`Growth`].
     growths: Vec<Vec<f64>>,
 }
 
@@ -98,8 +99,8 @@ impl<F: Float> Batch<F> {
 
     /// Allocates a workspace of at most `budget` bytes, over all workers.
     ///
-    /// The schedule recomputes at most 1 % of the horizon more steps than the minimum. Gradients
-    /// are bitwise equal to those of [`new`](Batch::new).
+    /// The number of recomputed steps exceeds the minimum within the budget by at most 1 % of the
+    /// horizon. Gradients are bitwise equal to those of [`new`](Batch::new).
     ///
     /// # Errors
     /// [`MemoryError`] if no schedule fits.
@@ -170,7 +171,8 @@ impl<F: Float> Batch<F> {
         workers * worker + sums + flows.len() * size_of::<GrowthStats>()
     }
 
-    /// Bytes on the heap, independent of the number of samples in a run.
+    /// Bytes on the heap, independent of the number of samples in a run. Excludes the results that
+    /// ranks exchange.
     pub fn stored_bytes(&self) -> usize {
         let nested = |rows: &[Gradient<F>]| size_of_val(rows) + rows.iter().map(Gradient::stored_bytes).sum::<usize>();
         let worker = |worker: &Worker<F>| {
@@ -186,8 +188,8 @@ impl<F: Float> Batch<F> {
         self.workers[0].rollout.schedule()
     }
 
-    /// Allocates a workspace as [`new`](Batch::new) does, or [`within`](Batch::within) with a
-    /// budget, for the samples of one rank in mini-batches of up to `samples` samples.
+    /// Allocates a workspace for the samples of one rank in mini-batches of up to `samples`
+    /// samples. A budget limits the workspace as in [`within`](Batch::within).
     ///
     /// Every rank calls [`run`](Batch::run) with all samples. Results are bitwise those of a
     /// single process. The budget excludes the sums of blocks: `param_count` numbers for each flow
@@ -474,7 +476,8 @@ mod tests {
 
     #[test]
     fn ranks_and_workers_have_the_bits_of_one_worker() {
-        // Blocks of 1, 2 and 3 groups. The last block and the last group are incomplete.
+        // Blocks of 1, 1, 2 and 3 groups. The last group is incomplete except for 128 samples. The
+        // last block of 130 and of 269 samples has fewer groups.
         for samples in [3, 128, 130, 269] {
             let one = found(samples, None, 1);
             for workers in [2, 3] {

@@ -1,6 +1,7 @@
 //! [`Evaluation`]: loss of a data set, by forward passes on several workers.
 //!
-//! Several [`Ranks`] share whole rollouts of 32 samples, so results do not depend on their number.
+//! Several [`Ranks`] share whole rollouts of 32 samples, so results do not depend on the number of
+//! ranks.
 
 use crate::engine::any::AnyTask;
 use crate::engine::divergence::Divergence;

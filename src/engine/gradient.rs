@@ -105,7 +105,7 @@ impl<F: Float> Gradient<F> {
         }
     }
 
-    /// Sets the sum to another one, or adds that one.
+    /// Copies `other` if `set` is true, otherwise adds it.
     pub(crate) fn set_or_add(&mut self, other: &Self, set: bool) {
         if set { self.copy_from(other) } else { self.add(other) }
     }

@@ -6,7 +6,8 @@ use serde::{Deserialize, Serialize};
 /// Growth of the adjoint of one flow along a rollout, in decades (log10 of a ratio of norms).
 ///
 /// One step contributes `log10(‖λ_t‖ / ‖λ_{t+1} + ∂l/∂x_{t+1}‖)`. The cost gradient `∂l/∂x_{t+1}`
-/// therefore does not count as growth. The cost gradient `∂l/∂x_t`, a part of λ_t, does.
+/// therefore does not count as growth. The cost gradient `∂l/∂x_t`, a part of λ_t, does. Steps at
+/// which the flow is truncated contribute nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Growth {
     /// Growth from the last state to the initial state, mean over samples. Negative if the adjoint

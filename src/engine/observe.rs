@@ -58,7 +58,7 @@ impl<T: Task, F: Float> Vectorized for Forward<'_, T, F> {
     fn run<const FMA: bool>(self) {
         let Self { task, inputs, y } = self;
         let dim = task.observation_dim().unwrap_or(0);
-        // Without components, there are no blocks.
+        // Without components, `y` is empty. A chunk length of 0 would panic.
         for (block, y) in y.chunks_exact_mut(dim.max(1)).enumerate() {
             task.observe(of_block(task, inputs, block), y);
         }

@@ -1,10 +1,10 @@
 //! [`Ranks`]: processes that share the samples of each mini-batch and data set.
 //!
-//! Every rank holds the whole training and performs every update. A rank runs the rollouts of its
-//! range of samples. The ranks then exchange results in two rounds. Each rank owns a slice of the
-//! parameters. First, the owner of a slice receives its part of the sums over blocks of samples. It
-//! adds the blocks in their order, so the total is bitwise that of a single process. Then every
-//! rank receives the slices of the total.
+//! Every rank holds the whole state of the training and performs every update. A rank runs the
+//! rollouts of its range of samples. The ranks then exchange gradients in two rounds. Each rank
+//! owns a slice of the parameters. First, the owner of a slice receives its part of the sums over
+//! blocks of samples. It adds the blocks in their order, so the total is bitwise that of a single
+//! process. Then every rank receives the slices of the total.
 
 use crate::engine::gradient::Gradient;
 use crate::numbers::scalar::Float;

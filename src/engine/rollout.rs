@@ -29,7 +29,7 @@ pub(crate) const WIDTH: usize = 8;
 /// odd, so that columns of neighbouring samples map to different cache sets.
 pub(crate) const UNIT: usize = 129;
 
-/// State or control component of [`WIDTH`] samples.
+/// One component of the state, the control or another vector, for [`WIDTH`] samples.
 pub(crate) type Lane<F> = Lanes<F, WIDTH>;
 
 /// Batch of rollouts. The constructor allocates all buffers.

@@ -16,7 +16,8 @@ pub(super) struct Counts {
 /// Condition that ends the iterations.
 #[derive(Clone, Copy)]
 pub(super) struct Stop {
-    /// Relative decrease of the objective in each of two consecutive iterations.
+    /// Largest relative decrease of the objective, in each of two consecutive iterations, that ends
+    /// them.
     pub tolerance: f64,
     pub max_iterations: usize,
 }
@@ -51,7 +52,7 @@ pub(super) fn minimize(
             let next = step(problem, point, &linearized, Weights { per_noise: &problem.per_noise, continuity, damping });
             let value = next.as_ref().map_or(Ok(f64::INFINITY), |next| objective(next, counts))?;
             if let Some(next) = next.filter(|_| value < least) {
-                // 1 after an infinite objective.
+                // The relative decrease is 1 after an infinite objective.
                 decrease = Some(1.0 - value / least);
                 (*point, least) = (next, value);
                 damping = (damping * 0.1).max(1e-14);
@@ -99,7 +100,8 @@ fn step(problem: &Problem<'_>, point: &Point, linearized: &[Vec<Linearized>], we
     let mut next = Point { values, windows: point.windows.clone() };
     let mut windows = next.windows.iter_mut();
     for segment in &segments {
-        // `zip` takes the segment first, so its end consumes no window of the next segment.
+        // `zip` advances the steps first, so the end of a segment consumes no window of the next
+        // one.
         for (step, window) in segment.starts(&taken)?.iter().zip(windows.by_ref()) {
             window.start.iter_mut().zip(step.iter()).for_each(|(x, step)| *x += step);
         }
@@ -111,7 +113,7 @@ fn eliminated(linearized: &[Vec<Linearized>], params: usize, weights: Weights<'_
     map(linearized.len(), |i| Eliminated::new(&linearized[i], params, weights))
 }
 
-/// Norms of the columns of the Jacobian by the parameters.
+/// Norms of the columns of the Jacobian of the residuals with respect to the parameters.
 fn norms(linearized: &[Vec<Linearized>], params: usize) -> Vec<f64> {
     let squares = linearized.iter().flatten().fold(vec![0.0; params], |sums: Vec<f64>, Linearized { samples, .. }| {
         let first = samples.ncols() - params - 1;
@@ -131,7 +133,7 @@ pub(super) fn equations(
     counts: &mut Counts,
 ) -> Result<Vec<DMatrix<f64>>, IdentifyError> {
     counts.jacobians += 1;
-    // The damping determines initial states that do not affect the samples.
+    // Negligible damping, which only determines initial states that do not affect the samples.
     let weights = Weights { per_noise: &problem.per_noise, continuity, damping: 1e-24 };
     let eliminated = eliminated(&problem.linearize(point)?, point.values.len(), weights);
     Ok(eliminated.into_iter().map(|segment| segment.reduced).collect())

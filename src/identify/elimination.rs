@@ -7,16 +7,17 @@
 //! Φ_k δs_k + Γ_k δq + c_k = δs_{k+1}
 //! ```
 //!
-//! Φ_k and Γ_k are derivatives of the end of window k. c_k is its jump to the next window.
-//! Householder transformations eliminate δs_0, δs_1, … in this order. Condensing (Bock 1981,
-//! doi:10.1007/978-3-642-68220-9_8) eliminates δs_1, δs_2, … by products Φ_k … Φ_0 instead, which
-//! grow exponentially along an unstable trajectory.
+//! Φ_k and Γ_k are the derivatives of the end of window k with respect to its initial state and the
+//! parameters. c_k is the jump from this end to the next window. Householder transformations
+//! eliminate δs_0, δs_1, … in this order. Condensing (Bock 1981, doi:10.1007/978-3-642-68220-9_8)
+//! eliminates δs_1, δs_2, … by products Φ_k … Φ_0 instead, which grow exponentially along an
+//! unstable trajectory.
 
 use nalgebra::{DMatrix, DVector};
 
 /// A linearized window, with columns `[δs_k | δq | 1]`. Without δs_k if the initial state is known.
 pub(super) struct Linearized {
-    /// Residuals of the samples.
+    /// Residuals of the samples and their derivatives, as the factor R of a QR factorization.
     pub samples: DMatrix<f64>,
     /// End of the window minus the initial state of the next one. Without rows in the last window.
     pub jump: DMatrix<f64>,
@@ -78,7 +79,8 @@ impl Eliminated {
         Self { windows: eliminated, reduced: carried }
     }
 
-    /// Steps of the initial states for this step of the parameters. Empty for known initial states.
+    /// Steps of the initial states for the step `params` of the parameters. The step of a known
+    /// initial state is empty. `None` for singular equations.
     pub fn starts(&self, params: &DVector<f64>) -> Option<Vec<DVector<f64>>> {
         let mut steps: Vec<DVector<f64>> = Vec::with_capacity(self.windows.len());
         for rows in self.windows.iter().rev() {
@@ -134,7 +136,8 @@ pub(super) fn solve(equations: &DMatrix<f64>, fixed: &[Option<f64>], norms: &[f6
     Some(step)
 }
 
-/// Upper triangle R of the factorization QR, which has the norms and products of the columns.
+/// Upper triangular factor R of the QR factorization. R preserves the norms and inner products of
+/// the columns.
 pub(super) fn triangle(rows: DMatrix<f64>) -> DMatrix<f64> {
     if rows.is_empty() { rows } else { rows.qr().unpack_r() }
 }

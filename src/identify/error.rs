@@ -6,7 +6,7 @@ pub enum IdentifyError {
     /// Neither parameters nor initial states are free.
     #[error("neither parameters nor initial states are unknown; name at least one parameter")]
     NothingUnknown,
-    /// An entry of the parameters is unknown twice.
+    /// Two unknowns have the same entry of the parameters.
     #[error("`{}` and `{}` are both entry {index} of the parameters; name each entry once", names[0], names[1])]
     Twice {
         /// Names of the two unknowns.
@@ -19,7 +19,7 @@ pub enum IdentifyError {
     TooFewMeasurements {
         /// Number of finite measurements.
         measurements: usize,
-        /// Number of unknown parameters and initial states.
+        /// Number of unknown parameters and components of initial states.
         unknowns: usize,
     },
     /// A list has the wrong length.
@@ -40,7 +40,7 @@ pub enum IdentifyError {
         /// Index of the segment.
         segment: usize,
     },
-    /// An initial state is exact by the options, but not measured.
+    /// The options declare the first samples exact, but a component of one is missing.
     #[error(
         "segment {segment}: component {component} of the first sample is missing, but the options declare the first sample \
          exact; begin at a complete sample, or set `free_starts`"
@@ -78,7 +78,7 @@ pub enum IdentifyError {
         /// Number of parameters.
         params: usize,
     },
-    /// The simulation with the initial values diverges.
+    /// A state or a squared residual of the simulation with the initial values is not finite.
     #[error("segment {segment} diverges at step {step} with the initial values; choose values closer to the physics")]
     Diverged {
         /// Index of the segment.

@@ -65,7 +65,7 @@ impl Default for Options {
 /// Result of [`identify`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fit {
-    /// Names of the unknowns.
+    /// Names of the unknown parameters.
     pub names: Vec<String>,
     /// Identified values.
     pub values: Vec<f64>,
@@ -88,11 +88,11 @@ pub struct Fit {
     /// if the noise is unknown. At 0, the states of a segment are one simulation from its initial
     /// state.
     pub jump: f64,
-    /// χ² of whole segments, with σ = 1 if the noise is unknown.
+    /// χ² of `states` over all segments, with σ = 1 if the noise is unknown.
     pub chi_squared: f64,
-    /// Number of measurements.
+    /// Number of finite measurements, without first samples that are exact.
     pub measurements: usize,
-    /// Number of unknowns, with the initial states.
+    /// Number of unknown parameters and components of initial states.
     pub unknowns: usize,
     /// Whether the last iterations ended by the tolerance, or at a minimum up to rounding with
     /// finite derivatives.
@@ -131,7 +131,8 @@ const CONTINUITY: [f64; 5] = [1.0, 10.0, 100.0, 1e4, 1e6];
 /// Relative decrease that ends the iterations of all weights but the last.
 const COARSE: f64 = 1e-2;
 
-/// Smallest residuals that scale the weights, relative to the measurements.
+/// Smallest root mean square of the residuals that scales the weights, relative to that of the
+/// measurements.
 const SMALLEST: f64 = 1e-9;
 
 /// Identifies parameters of a system from measured trajectories.

@@ -1,4 +1,4 @@
-//! Simulation of one window, with exact derivatives by initial state and parameters.
+//! Simulation of one window, and exact derivatives with respect to initial state and parameters.
 
 use crate::dynamics::inputs::Inputs;
 use crate::dynamics::outline;
@@ -57,7 +57,8 @@ impl Run<'_> {
     }
 
     /// Derivatives of the states at all steps. Rows are components of the state. Columns are the
-    /// initial state if `by_start`, then the parameters with these indices.
+    /// components of the initial state if `by_start`, then the parameters with the indices
+    /// `params`.
     pub fn derivatives(&self, model: &dyn Model, by_start: bool, params: &[usize]) -> Vec<DMatrix<f64>> {
         let n = self.x.len();
         let starts = if by_start { n } else { 0 };

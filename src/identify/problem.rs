@@ -99,7 +99,8 @@ impl<'a> Problem<'a> {
         Ok(problem)
     }
 
-    /// Finite measurements. Without free initial states, the first sample of a segment is exact.
+    /// Finite measurements, in units of the noise. Without free initial states, the first sample of
+    /// a segment is exact and therefore excluded.
     fn finite(&self) -> impl Iterator<Item = f64> {
         let skipped = usize::from(!self.free_starts);
         let rows = self.segments.iter().flat_map(move |segment| segment.x.iter().skip(skipped));
@@ -116,8 +117,8 @@ impl<'a> Problem<'a> {
         (self.finite().map(|y| y * y).sum::<f64>() / self.measurements() as f64).sqrt()
     }
 
-    /// Number of unknowns: parameters and the initial states of segments. Continuity determines the
-    /// initial states of the other windows.
+    /// Number of unknowns: parameters and components of the initial states of segments. Continuity
+    /// determines the initial states of the other windows.
     pub fn count(&self) -> usize {
         self.unknowns.len() + if self.free_starts { self.segments.len() * self.model.sizes()[0] } else { 0 }
     }
@@ -176,7 +177,7 @@ impl<'a> Problem<'a> {
     /// Calls `add(step, component, residual)` for the measurements of a window.
     fn residuals(&self, window: &Window, states: &[Vec<f64>], mut add: impl FnMut(usize, usize, f64)) {
         let measured = &self.segments[window.segment].x[window.first..];
-        // The last state of a window is the first one of the next, where it is measured.
+        // The next window starts at the end of this one and includes the measurement there.
         let is_last = window.first + window.steps + 1 == self.segments[window.segment].x.len();
         let steps = usize::from(!window.is_free)..window.steps + usize::from(is_last || window.steps == 0);
         for step in steps {
@@ -186,13 +187,13 @@ impl<'a> Problem<'a> {
         }
     }
 
-    /// Returns an error after a stop by the options.
+    /// Returns an error if the flag of the options is set.
     fn check_stop(&self) -> Result<(), IdentifyError> {
         let stopped = self.stop.is_some_and(|stop| stop.load(Ordering::Relaxed));
         if stopped { Err(IdentifyError::Stopped) } else { Ok(()) }
     }
 
-    /// Results of `work` for the numbers of all windows.
+    /// Results of `work` for the indices of all windows, in order.
     ///
     /// # Errors
     /// [`IdentifyError::Stopped`]
@@ -200,7 +201,7 @@ impl<'a> Problem<'a> {
         map(point.windows.len(), |k| self.check_stop().map(|()| work(k))).into_iter().collect()
     }
 
-    /// Misfit of all windows. `None` if a window diverges.
+    /// Misfit of all windows. `None` if a state or a sum of squares is not finite.
     pub fn misfit(&self, point: &Point) -> Result<Option<Misfit>, IdentifyError> {
         let of_window = |k: usize| {
             let window = &point.windows[k];
@@ -231,7 +232,8 @@ impl<'a> Problem<'a> {
         Ok(self.map(point, of_window)?.into_iter().fold(0.0, f64::max))
     }
 
-    /// States of all segments. Those of the windows follow each other.
+    /// States of all segments. The first state of a window replaces the last state of the previous
+    /// window.
     pub fn states(&self, point: &Point) -> Result<Vec<Vec<Vec<f64>>>, IdentifyError> {
         let mut states = vec![Vec::new(); self.segments.len()];
         for window in &point.windows {
@@ -279,7 +281,8 @@ impl Point {
     }
 }
 
-/// Maps the numbers below `count`, in parallel with the feature `parallel`, in their order.
+/// Returns the results of `work` for `0..count`, in order. Threads share the work if the feature
+/// `parallel` is enabled.
 pub(super) fn map<R: Send>(count: usize, work: impl Fn(usize) -> R + Sync + Send) -> Vec<R> {
     #[cfg(feature = "parallel")]
     {

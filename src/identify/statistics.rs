@@ -4,11 +4,12 @@ use super::elimination::gradient;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 /// Smallest eigenvalue of the scaled information matrix, relative to the largest. Below it, the
-/// data do not determine the combination of parameters. The square root of this ratio, 1e-6,
-/// exceeds the relative rounding error of Jacobians, about 1e-7 after long simulations.
+/// data do not determine the combination of parameters along the eigenvector. The square root of
+/// this ratio, 1e-6, exceeds the relative rounding error of Jacobians, about 1e-7 after long
+/// simulations.
 const DETERMINED: f64 = 1e-12;
 
-/// Smallest component of an eigenvector that is named in a combination.
+/// Smallest magnitude of an eigenvector component whose parameter is named in a combination.
 const NAMED: f64 = 1e-3;
 
 pub(super) struct Statistics {
@@ -22,7 +23,8 @@ pub(super) struct Statistics {
     pub undetermined: Vec<Vec<String>>,
 }
 
-/// Evaluates the equations of the named parameters, one matrix `[J | r]` for each segment.
+/// Computes the statistics of the named parameters from their equations, one matrix `[J | r]` for
+/// each segment.
 pub(super) fn statistics(equations: &[DMatrix<f64>], names: &[String]) -> Statistics {
     let count = names.len();
     if count == 0 {
@@ -62,7 +64,8 @@ pub(super) fn statistics(equations: &[DMatrix<f64>], names: &[String]) -> Statis
     Statistics { errors: errors.collect(), robust_errors, correlations, undetermined }
 }
 
-/// Covariance of the gradient by the scaled parameters, from its scatter between segments.
+/// Covariance of the gradient with respect to the scaled parameters, from its scatter between
+/// segments.
 fn scatter(equations: &[DMatrix<f64>], scale: &[f64]) -> DMatrix<f64> {
     let (count, segments) = (scale.len(), equations.len() as f64);
     let scaled = |rows| {

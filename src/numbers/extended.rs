@@ -220,7 +220,7 @@ mod tests {
 
     #[test]
     fn a_mantissa_that_rounds_to_ten_is_printed_as_one() {
-        // Powers of two whose decimal mantissa is 9.999995 or more.
+        // Powers of two whose decimal mantissa exceeds 9.9999955.
         let rounds_up = |exponent: &i32| (f64::from(*exponent) * std::f64::consts::LOG10_2).fract() > 9.999_995_5f64.log10();
         let exponent = (1000..100_000_000).find(rounds_up).expect("fractions of multiples of log10(2) are dense");
         let decimal = (f64::from(exponent) * std::f64::consts::LOG10_2).ceil();

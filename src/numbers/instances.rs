@@ -62,7 +62,7 @@ pub(crate) fn scalar_pointer<G: ScalarFunction>(slot: &mut dyn Any) -> bool {
     found
 }
 
-/// Scalars that [`scalar_pointer_of_cost`] adds, for messages.
+/// Scalars of [`scalar_pointer_of_cost`], for messages.
 pub(crate) const COST_SCALARS: &str = "the scalars of `step` and `Dual<Dual<f64, 4>, 4>`";
 
 /// Extends [`scalar_pointer`] by the scalar of second derivatives.

@@ -29,7 +29,7 @@ impl<R> Default for Recording<R> {
 }
 
 impl<R: Real> Recording<R> {
-    /// Removes all inputs.
+    /// Removes all inputs and all recorded operations.
     #[inline(always)]
     pub(crate) fn clear(&mut self) {
         self.inputs.clear();
@@ -91,9 +91,9 @@ impl<R: Real> Recording<R> {
                 }
                 cotangents[..variables].iter().all(C::all_finite)
             };
-            // The guarded sweep counts zero times a non-finite number as 0: an infinite slope in
-            // a branch that was not selected yields no NaN.
-            // Lanes with finite cotangents have the same bits in both sweeps.
+            // In the guarded sweep, zero times a non-finite number is 0: an infinite slope in a
+            // branch that was not selected yields no NaN. Lanes with finite cotangents are bitwise
+            // equal in both sweeps.
             if !sweep(false) {
                 sweep(true);
             }

@@ -11,8 +11,8 @@ pub(crate) fn rough(x: f64) -> String {
     digits(x, 2)
 }
 
-/// A number with this many significant digits, rounded to nearest. Below 1e5, the integer part
-/// keeps all its digits. Numbers below 1e-3 and from 1e5 on have an exponent.
+/// A number with `count` significant digits, rounded to nearest. Below 1e5, the integer part keeps
+/// all its digits. Absolute values below 1e-3 and from 1e5 on have an exponent; 0 is `0`.
 pub(crate) fn digits(x: f64, count: usize) -> String {
     if x == 0.0 {
         return "0".into();

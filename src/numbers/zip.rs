@@ -3,7 +3,7 @@
 /// Like [`std::iter::zip`], with all methods `#[inline(always)]`.
 ///
 /// The standard version is not reliably inlined across codegen units without link-time
-/// optimization. In small loops, these calls dominate the cost.
+/// optimization. In small loops, calls of its methods dominate the cost.
 #[inline(always)]
 pub(crate) fn zip<A: IntoIterator, B: IntoIterator>(a: A, b: B) -> Zip<A::IntoIter, B::IntoIter> {
     Zip(a.into_iter(), b.into_iter())

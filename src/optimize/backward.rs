@@ -27,7 +27,7 @@ impl Step {
 const CONTROL_SHARE: f64 = 1e-6;
 
 /// Computes the step of Gauss-Newton differential dynamic programming. Returns `None` if the
-/// regularized Hessian by the controls is not positive definite at a step.
+/// regularized Hessian with respect to the controls is not positive definite at a step.
 ///
 /// v and V are the gradient and the Hessian of the cost-to-go after the step, v' and V' those
 /// before it. A = ∂S/∂x, B = ∂S/∂u, z = [x, u], and μ is the regularization. l depends on z
@@ -41,7 +41,8 @@ const CONTROL_SHARE: f64 = 1e-6;
 /// V' = Q_xx + Kᵀ Q_uu K + Kᵀ Q_ux + Q_xu K
 /// ```
 ///
-/// Tassa, Erez and Todorov 2012, doi:10.1109/IROS.2012.6386025, equations 10 and 11.
+/// `regularized` adds a small multiple of the identity to `μ BᵀB`. Source: Tassa, Erez and Todorov
+/// 2012, doi:10.1109/IROS.2012.6386025, equations 10 and 11.
 pub(super) fn backward(expansion: &Expansion, u: &[f64], bounds: &Bounds, regularization: f64) -> Option<Step> {
     let steps = expansion.steps.len();
     let (mut value, mut value_hessian) = (expansion.gradient.clone(), expansion.hessian.clone());

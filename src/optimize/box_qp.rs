@@ -9,14 +9,14 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 pub(super) struct BoxQp {
     /// Minimizer d.
     pub(super) solution: DVector<f64>,
-    /// Components between their bounds, or at a bound with a descent direction that points inside.
+    /// Components except those at a bound with a descent direction that points outside.
     free: Vec<usize>,
     /// Factor of the free rows and columns of Q.
     factor: Cholesky<f64, Dyn>,
 }
 
 /// Largest number of Newton steps. The free set of a convex problem rarely changes more often than
-/// it has components.
+/// the problem has components.
 const MOST_STEPS: usize = 100;
 
 /// Fraction of a Newton step below which the line search ends.
@@ -59,7 +59,8 @@ impl BoxQp {
         Some(Self { solution, free, factor })
     }
 
-    /// Returns the gains `-Q⁻¹ c` of a linear term `c x`, with zero rows for components at a bound.
+    /// Returns the gains `-Q⁻¹ c` for a gradient `q = c x`, with zero rows for components that are
+    /// not free.
     pub(super) fn gains(&self, cross: &DMatrix<f64>) -> DMatrix<f64> {
         let mut gains = DMatrix::zeros(cross.nrows(), cross.ncols());
         let of_free = -self.factor.solve(&cross.select_rows(&self.free));
@@ -76,7 +77,8 @@ fn free_components(d: &DVector<f64>, slope: &DVector<f64>, bounds: &[[f64; 2]]) 
     (0..d.len()).filter(|&i| !at_active_bound(i)).collect()
 }
 
-/// Returns the factor of the rows and columns `free`.
+/// Returns the Cholesky factor of the rows and columns `free`, or `None` if they are not positive
+/// definite.
 fn restricted(hessian: &DMatrix<f64>, free: &[usize]) -> Option<Cholesky<f64, Dyn>> {
     hessian.select_rows(free).select_columns(free).cholesky()
 }

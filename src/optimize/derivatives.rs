@@ -16,14 +16,14 @@ const CHUNK: usize = 4;
 /// Nested dual number for second derivatives.
 pub(super) type Second = Dual<Dual<f64, CHUNK>, CHUNK>;
 
-/// Derivatives of one step by z = [x, u].
+/// Derivatives of one step `x' = S(z)` with respect to z = [x, u].
 pub(super) struct StepExpansion {
     /// `∂S/∂z`.
     pub(super) dynamics: DMatrix<f64>,
-    /// Gradient of the running cost by z, including the path through the next state.
+    /// Gradient of the running cost with respect to z, including the path through the next state.
     pub(super) gradient: DVector<f64>,
-    /// Hessian of the running cost by z, including the path through the next state, without
-    /// `∂²S/∂z²`.
+    /// Hessian of the running cost with respect to z, including the path through the next state,
+    /// without `∂²S/∂z²`.
     pub(super) hessian: DMatrix<f64>,
 }
 

@@ -38,7 +38,7 @@ pub enum OptimizeError {
         /// Component of the variable.
         component: usize,
     },
-    /// The cost of the initial trajectory is not finite, but its states are finite.
+    /// The cost of the initial trajectory is not finite, but the states up to this step are finite.
     #[error(
         "initial trajectory: the {} is not finite, but all states are finite. Check the cost for overflow, division by 0, and \
          roots or logarithms of negative numbers", place(*step)

@@ -29,7 +29,7 @@ pub(super) struct Problem<'a> {
 }
 
 impl Problem<'_> {
-    /// Returns an error after a stop by the options.
+    /// Returns an error if the flag of the options is set.
     pub(super) fn check_stop(&self) -> Result<(), OptimizeError> {
         let stopped = self.stop.is_some_and(|stop| stop.load(Ordering::Relaxed));
         if stopped { Err(OptimizeError::Stopped) } else { Ok(()) }

@@ -40,8 +40,8 @@ impl<P: Policy> Bounded<P> {
         pass.x.len() / (self.policy.observation_dim() + self.policy.memory_dim())
     }
 
-    /// Offsets of this policy's own entries: in the tape the slopes of the bounds, in `tape_bar`
-    /// the cotangents of v and the memory.
+    /// Offsets of this policy's own entries: in the tape the slopes `∂u_i/∂v_i`, in `tape_bar` the
+    /// cotangents of v and of the next memory.
     fn own<F: Float>(&self, pass: &PolicyPass<F>) -> Sizes {
         self.policy.sizes::<F>(self.columns(pass))
     }

@@ -111,7 +111,7 @@ impl<P: Policy + ?Sized, F: Float> Vectorized for Act<'_, P, F> {
     }
 }
 
-/// Arguments of a derivative of [`Policy::act`].
+/// Arguments with respect to which [`Policy::act`] is differentiated.
 #[derive(Clone, Copy, PartialEq)]
 enum By {
     /// Observation and memory.

@@ -8,8 +8,8 @@
 //! with a fixed stride.
 //!
 //! A column has twice the capacity of a column of the next layer, in positions, so the stride
-//! continues across columns. Outputs of windows that span two columns are set to 0. Every position
-//! ends in a constant 1; the last one in a window multiplies the bias.
+//! continues across columns. Outputs of windows that span two columns are set to 0. A constant 1
+//! follows the channels of every position. The last constant 1 of a window multiplies the bias.
 
 mod layer;
 mod layout;
@@ -43,8 +43,8 @@ const CHANNELS: usize = 2;
 /// u        = b₃ + Σ_{q,c} h₂[q, c] W₃[q, c]
 /// ```
 ///
-/// The quantum task of the paper uses 32 grid points, hence 15 and 7 positions, and width 60.
-/// Initial weights are Glorot-uniform with the fans of Keras; initial biases are 0.
+/// The quantum task of the source paper (ICLR 2024) uses 32 grid points, hence 15 and 7 positions,
+/// and width 60. Initial weights are Glorot-uniform with the fans of Keras; initial biases are 0.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Conv {
     grid: usize,

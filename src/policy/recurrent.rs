@@ -1,8 +1,8 @@
 //! [`Gru`] and [`Elman`]: recurrent policies with a linear output.
 //!
-//! The networks consist of affine maps `z = W v + b`. `θ` holds for each map the weights (inputs ×
-//! outputs, row-major), then the bias. [`Cell`] states the equations of one column. The batched
-//! passes apply them to blocks of columns in lanes.
+//! The networks consist of affine maps `z = W v + b`. `θ` holds for each map the weights `Wᵀ`
+//! (inputs × outputs, row-major), then the bias. [`Cell`] states the equations of one column. The
+//! batched passes apply them to blocks of columns in lanes.
 
 mod affine;
 mod elman;

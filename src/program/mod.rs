@@ -1,7 +1,7 @@
 //! The `physgrad` command-line program (feature `program`), for built-in tasks and tasks of the
 //! user.
 //!
-//! [`program`] runs it.
+//! [`program`] creates it, and [`Program::main`] runs it.
 //!
 //! Layers. Each imports only layers with smaller numbers; `tests/layout.rs` lists the allowed
 //! imports:
@@ -148,7 +148,7 @@ pub fn program() -> Program {
     Program { own: Vec::new(), effects: Vec::new() }
 }
 
-/// The program and its tasks; see [`program`].
+/// The program, with tasks and effects of the user; see [`program`].
 pub struct Program {
     own: Vec<&'static dyn AnyTaskSpec>,
     effects: Vec<&'static dyn AnyEffectSpec>,

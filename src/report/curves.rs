@@ -248,7 +248,7 @@ mod tests {
         Curve { label: "a".into(), color: "red", dash: Dash::Dotted, runs }
     }
 
-    /// A curve with these values and times after epoch 1.
+    /// A curve with one run per pair (seconds, value) at epoch 1.
     fn at_epoch_1(values: &[(f64, f64)]) -> Curve {
         curve(values.iter().map(|&(seconds, value)| run(&[(0.0, 0.0, 1.0), (1.0, seconds, value)])).collect())
     }

@@ -150,7 +150,7 @@ impl Layout {
 mod tests {
     use super::*;
 
-    /// Two agents that move apart; the first is a driver.
+    /// Two agents that pass each other; the first is a driver.
     fn trajectory(speed: f64) -> Vec<Vec<f64>> {
         (0..61).map(|i| f64::from(i) / 15.0).map(|t| vec![3.0 - t, 1.0, -1.0, 0.0, speed * t, 0.5, speed, 0.0]).collect()
     }

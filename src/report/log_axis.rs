@@ -53,7 +53,8 @@ impl LogAxis {
     }
 
     /// Formats ticks as powers of ten. Axes of at most two decades also label 2 and 5 times these
-    /// powers. These axes show numbers with exponents from -3 to 3 without a power of ten.
+    /// powers. These axes show numbers with exponents from -3 to 3 as decimals. Axes of more than
+    /// 12 decades omit some powers.
     pub fn tick_format(&self) -> TickFormat {
         let (shift, decades) = (self.exponent, (self.high / self.low).log10());
         let every = (decades / 12.0).ceil().max(1.0) as i32;

@@ -10,9 +10,9 @@ use kuva::prelude::*;
 /// Scale of an x axis.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum XScale {
-    /// From 0, or the smallest x if negative.
+    /// Linear, from 0, or from the smallest x if negative.
     Linear,
-    /// Every x must be positive.
+    /// Logarithmic. Every x must be positive.
     Log,
     /// Ticks at the whole numbers from 1 to this number.
     Numbers(usize),
@@ -76,8 +76,8 @@ pub fn log_figure_with(title: &str, rows: &[Vec<Panel>], legend: Vec<LegendEntry
     let axes: Vec<LogAxis> = (0..=panels().map(|panel| panel.y_axis).max().unwrap_or(0))
         .map(|axis| LogAxis::of(panels().filter(|panel| panel.y_axis == axis).flat_map(|panel| &panel.series)))
         .collect();
-    // Elements of a panel. Panels of a column reserve the same width, panels of a row the same
-    // height, so all plotted areas have the same size.
+    // Visible elements of each panel. Panels of a column reserve the same width, panels of a row
+    // the same height, so all plotted areas have the same size.
     let below = |i: usize, j: usize| rows.get(i + 1).and_then(|row| row.get(j)).map(|panel| &panel.x_label);
     let shows = |i: usize, j: usize| {
         let (row, panel) = (&rows[i], &rows[i][j]);

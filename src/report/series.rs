@@ -117,8 +117,8 @@ pub fn tick_step([low, high]: [f64; 2], series: &[Series]) -> f64 {
     if whole { step.max(1.0) } else { step }
 }
 
-/// At most [`MAX_POINTS`] items: the first and the last, and two from each of equal bins between
-/// them. These two have the lowest and the highest y of the bin.
+/// At most [`MAX_POINTS`] items: the first, the last, and up to two from each of several equal bins
+/// between them. These two have the lowest and the highest y of the bin.
 pub fn thinned<T: Copy>(items: Vec<T>, y: impl Fn(&T) -> f64) -> Vec<T> {
     if items.len() <= MAX_POINTS {
         return items;

@@ -20,8 +20,8 @@ const INK: &str = "#444444";
 /// Draws panels of error against work side by side. Omits points that a logarithmic axis cannot
 /// show.
 ///
-/// With `dashes`, the legend shows colours and dashes apart: one solid entry per label of the
-/// series, and one entry per name of a dash.
+/// With `dashes`, the legend shows colours and dashes separately: one solid entry per label of the
+/// series, and one entry per name in `dashes`.
 pub fn work_precision(title: &str, dashes: &[(&str, Dash)], diagrams: Vec<Work>) -> Drawing {
     let labels: Vec<&str> = diagrams.iter().map(|diagram| diagram.y_label).collect();
     let panel = |Work { x_label, y_label, mut series }: Work| {

@@ -42,7 +42,7 @@ impl LinearPlant {
         Self { state_dim, control_dim: of_b / n, a, b }
     }
 
-    /// Linearizes a system S about its inputs, exactly: `A = ∂S/∂x`, `B = ∂S/∂u`.
+    /// Linearizes the step S of a system about the given inputs, exactly: `A = ∂S/∂x`, `B = ∂S/∂u`.
     ///
     /// # Panics
     /// If the sizes of the inputs differ from those of the system.

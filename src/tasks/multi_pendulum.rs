@@ -179,7 +179,7 @@ impl Ode for MultiPendulum {
                 torque[i - 1] += friction;
             }
         }
-        // Mass of the arms beyond the end of each arm, which moves with this end.
+        // Mass of all arms after each arm, which moves with the end of that arm.
         let mut beyond: Each<T> = smallvec![T::zero(); n];
         for i in (1..n).rev() {
             beyond[i - 1] = beyond[i] + arms[i].mass;

@@ -63,7 +63,7 @@ impl Default for SliderSystem {
     }
 }
 
-/// Speed after a step, and its derivatives with respect to the speed before the step and the push.
+/// Speed after a step, and its derivatives with respect to the push and the speed before the step.
 struct Slid<T> {
     speed: T,
     by_speed: T,

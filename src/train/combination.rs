@@ -5,7 +5,7 @@ use crate::numbers::scalar::Float;
 use crate::train::field::GradientCombiner;
 
 /// Rule that combines two gradients of the same mini-batch. In the formulas, m is the first
-/// gradient and r the second. [`Field`](crate::Field) has one constant per rule for M and R.
+/// gradient and r the second. [`Field`](crate::Field) has one constructor per rule for M and R.
 ///
 /// All rules but [`ConflictFree`](Self::ConflictFree) ignore the size of r, so r may be
 /// 10^1000 times as large as m.

@@ -5,6 +5,8 @@ use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
 
 /// Decay of the learning rate, as a factor that falls from 1 to `end` over a training.
+///
+/// s is the fraction of the updates after the warm-up that are done; see [`factor`](Decay::factor).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Decay {
     /// The factor is 1.

@@ -10,8 +10,8 @@
 //! - [`vector_field`]: the two-parameter examples of the paper.
 //!
 //! Imports `numbers`, `dynamics`, `policy` and `engine`. Read this file first, then `progress.rs`,
-//! which contains the update. Every part of an update is public, so that users can write their
-//! own updates.
+//! which contains the update. Mini-batches, fields, clipping and optimizers are public, so that
+//! users can write their own updates.
 
 mod average;
 mod checkpoint;
@@ -76,8 +76,8 @@ pub struct Training {
     pub warm_up: usize,
     /// Weight of the past, from 0 to below 1, in a moving average of the direction of R. Fields of
     /// two flows combine M with this average. With 0, they combine M with the current R. More
-    /// generally, the average replaces the second gradient, and retains its norm. With `smoothing`,
-    /// every evaluation at perturbed parameters updates the average.
+    /// generally, the average times the norm of the second gradient replaces the second gradient.
+    /// With `smoothing`, every evaluation at perturbed parameters updates the average.
     pub average: f64,
     /// Noise in the parameters, and the estimator that it serves. `None` follows the field at the
     /// parameters.

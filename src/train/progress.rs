@@ -54,7 +54,8 @@ pub(super) struct Best<F> {
 }
 
 impl<F: Float> Best<F> {
-    /// Replaces the parameters if their test loss is lower. The first of equal losses stays.
+    /// Stores `theta` if its test loss is lower than the stored loss, or the first that is not NaN.
+    /// Keeps the first of equal losses.
     fn update(&mut self, theta: &[F], loss: f64) {
         if loss < self.loss || (self.loss.is_nan() && !loss.is_nan()) {
             self.theta.copy_from_slice(theta);
@@ -245,8 +246,8 @@ impl<F: Float> Progress<F> {
     /// Skips a diverged update.
     ///
     /// # Errors
-    /// [`TrainError::Diverged`] after too many consecutive skipped updates. Parameters and
-    /// optimizer then return to the start of the epoch.
+    /// [`TrainError::Diverged`] after too many consecutive skipped updates. Parameters, optimizer
+    /// and moving average then return to their state at the start of the epoch.
     fn skip(&mut self, epoch: &mut Epoch, divergence: Divergence, policy: &dyn AnyPolicy<F>) -> Result<(), TrainError> {
         let skip = Skip { epoch: self.records.len() + 1, update: epoch.updates, divergence };
         self.skips.push(skip);
@@ -316,9 +317,9 @@ impl<F: Float> Progress<F> {
         Ok(Step { loss, ..Step::default() })
     }
 
-    /// Learning rate of an update, counted over the whole training.
+    /// Learning rate of update number `update`, counted from 0 over the whole training.
     ///
-    /// Checkpoints do not store the rate, which depends only on settings and the update number.
+    /// Checkpoints do not store this rate, which depends only on settings and the update number.
     fn learning_rate(&self, update: usize) -> f64 {
         let Training { epochs, learning_rate, decay, warm_up, .. } = self.training;
         learning_rate * decay.factor(warm_up, update, epochs.saturating_mul(self.updates_per_epoch()))

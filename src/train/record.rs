@@ -11,13 +11,16 @@ use serde::{Deserialize, Serialize};
 pub struct Record {
     /// Number of the epoch, from 1.
     pub epoch: usize,
-    /// Mean over the applied updates of the batch loss before each update; NaN if none.
+    /// Mean over the applied updates of the batch loss before each update; NaN if none. With
+    /// [`Training::smoothing`](crate::Training::smoothing), this is the mean loss at the perturbed
+    /// parameters.
     pub loss: f64,
     /// Loss of the whole training set after the epoch; NaN if it diverged.
     pub train_loss: f64,
     /// Loss of the whole test set after the epoch; NaN if it diverged.
     pub test_loss: f64,
-    /// Mean over the applied updates of the norm of the field, before clipping.
+    /// Mean over the applied updates of the norm of the field before clipping. With smoothing, this
+    /// is the norm of the estimate.
     pub grad_norm: ExtendedF64,
     /// Mean over the applied updates of the cosine between the gradients of a field of two flows.
     pub cosine: Option<f64>,

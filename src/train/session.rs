@@ -75,11 +75,11 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
         &self.progress.weights
     }
 
-    /// Parameters after the epoch with the lowest test loss, the first of equal ones. The initial
-    /// parameters before the first epoch.
+    /// Parameters after the epoch with the lowest test loss, the first of equal ones. Before the
+    /// first epoch, these are the initial parameters.
     ///
-    /// The test set selects these parameters, so its loss is optimistic. Evaluate them on other
-    /// initial states.
+    /// The test set selects these parameters, so their loss on it is optimistic. Evaluate them on
+    /// other initial states.
     pub fn best_theta(&self) -> &[F] {
         &self.progress.best.theta
     }
@@ -137,8 +137,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     /// Runs to the end of the epoch: all updates, then the losses of both data sets.
     ///
     /// # Errors
-    /// [`TrainError::Diverged`] after too many consecutive skipped updates. Parameters and
-    /// optimizer then return to their state before this epoch.
+    /// [`TrainError::Diverged`] after too many consecutive skipped updates. Parameters, optimizer
+    /// and moving average then return to their state before this epoch.
     pub fn epoch(&mut self) -> Result<&Record, TrainError> {
         self.advance(&|| false).map(|record| record.expect("an epoch without a pause completes"))
     }
@@ -150,8 +150,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     /// change the results.
     ///
     /// # Errors
-    /// [`TrainError::Diverged`] after too many consecutive skipped updates. Parameters and
-    /// optimizer then return to their state before this epoch.
+    /// [`TrainError::Diverged`] after too many consecutive skipped updates. Parameters, optimizer
+    /// and moving average then return to their state before this epoch.
     pub fn advance(&mut self, pause: &(dyn Fn() -> bool + Sync)) -> Result<Option<&Record>, TrainError> {
         let Self { task, policy, field, progress } = self;
         let ended = progress.advance(Trained { task, policy, field }, pause)?;

@@ -1,7 +1,7 @@
 //! [`Smoothing`]: estimates of the gradient of a smoothed loss, from perturbed parameters.
 //!
-//! These estimators are baselines for the fields of one parameter vector. They combine the field,
-//! which needs derivatives, with differences of losses, which need none.
+//! These estimators are baselines for fields evaluated at a single parameter vector. They combine
+//! the field, which needs derivatives, with differences of losses, which need none.
 
 use super::progress::{Progress, Trained};
 use super::record::{Means, Step};
@@ -16,7 +16,7 @@ use rand_distr::{Distribution as _, StandardNormal};
 /// components of ε are independent standard normal numbers.
 ///
 /// Each update draws `pairs` vectors ε and evaluates the mini-batch at θ + σ ε and θ - σ ε. It
-/// costs as much as `2 · pairs` updates without smoothing. [`Estimator::ZerothOrder`] omits their
+/// costs as much as `2 · pairs` updates without smoothing. [`Estimator::ZerothOrder`] omits the
 /// reverse passes.
 ///
 /// Two estimates follow from the n pairs:

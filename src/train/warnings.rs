@@ -10,7 +10,7 @@ use std::fmt;
 pub struct Warning {
     /// Number of the epoch, from 1.
     pub epoch: usize,
-    /// Kind of the cause. Causes of one kind differ in numbers between epochs.
+    /// Kind of the cause. Epochs may have causes of one kind with different texts.
     pub kind: &'static str,
     /// Cause and remedy.
     pub cause: String,

@@ -82,7 +82,7 @@ fn rejected() -> Vec<Finding> {
     let light = [1, 20].map(|poles| model(poles, 1e-12));
     let (lights, all_lights) = count(&light, |error| matches!(error, MassError::CartTooLight { .. }));
     // The equations are singular for a massless pole, and for an upright pole on a cart of −1/4 of
-    // the pole mass. For all other finite masses below, they have unique solutions.
+    // the pole mass. For the other finite masses in this list, they have unique solutions.
     let split = |cart_mass: f64, pole_mass: f64| CartPoleSystem {
         cart_mass: cart_mass.into(),
         pole_mass: pole_mass.into(),
@@ -131,6 +131,10 @@ fn relative_residual(terms: &[f64]) -> f64 {
 
 /// Residual by d'Alembert's principle, from the accelerations of the pole centers. It uses no mass
 /// matrix.
+///
+/// Center i has the position `p_i` and the acceleration `a_i`. Pole k has the mass m, the length
+/// 2 l, the angle `θ_k` and the angular acceleration `α_k`. The cart has the mass `M_c` and the
+/// position x.
 ///
 /// ```text
 /// M_c ẍ + Σ_i m a_i,x = u

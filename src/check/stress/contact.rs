@@ -245,7 +245,7 @@ fn damped_pusher() -> [Finding; 2] {
         pusher().forward_error(&TwoBodies { contact, dt, ..TwoBodies::pusher() }, dt)
     };
     let biased = STIFFNESSES.map(|stiffness| error(stiffness, resolved(stiffness)));
-    // Without damping. Damping changes the duration.
+    // Steps of an undamped contact. Damping changes the duration.
     let steps = steps_per_contact(reduced_mass(&TwoBodies::pusher()));
     [
         Finding::at_most("pusher and box, damped springs: error at 1e5 N/m", error(1e5, short(1e5)), 0.01),

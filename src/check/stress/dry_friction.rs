@@ -84,8 +84,8 @@ fn implicit(smoothing: f64) -> Vec<Finding> {
     findings
 }
 
-/// Tolerance of the stopping time, in steps. One step, plus the delay of backward Euler where the
-/// decay is slower than a step.
+/// Tolerance of the stopping time, in steps: one step, plus the time constant ε/(μ g) of the decay.
+/// The second term allows for the delay of backward Euler.
 fn late_steps(smoothing: f64, system: &SliderSystem) -> f64 {
     1.0 + smoothing / system.grip()
 }

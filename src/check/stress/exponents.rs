@@ -31,7 +31,7 @@ pub(super) const CASES: &[Case] = &[Case {
 
 const HORIZON: usize = 10_000;
 
-/// `x' = a x + u`.
+/// `x_{t+1} = a x_t + u_t`.
 struct Plant {
     a: f64,
     start: f64,
@@ -86,7 +86,7 @@ fn reference<F: Float>(plant: &Plant, gain: f64, flow: Flow) -> [ExtendedF64; 2]
 }
 
 fn exploding_adjoint() -> Vec<Finding> {
-    // [a, k, x_0]: no state overflows. Adjoints of R or M overflow or underflow.
+    // [a, k, x_0]. No state overflows. The adjoint of R or that of M overflows or underflows.
     let plants = [
         [1.5, 0.0, 0.0],
         [1.5, -0.5, 0.5],

@@ -6,8 +6,8 @@ use crate::dynamics::number::{Numbers, Varied};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
-/// Effect with a name for messages, such as its key in a scene. Results are bitwise equal to
-/// those of the unnamed effect. The names of its numbers begin with the name of the effect:
+/// Effect with a name for messages, such as its key in a scene. Results are bitwise equal to those
+/// of the unnamed effect. In [`Varied`], the name of a number follows the name of the effect:
 /// `wind.speed`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Named<E> {

@@ -8,12 +8,13 @@ use crate::numbers::zip::zip;
 
 /// Tsitouras 5(4) (doi:10.1016/j.camwa.2011.06.002) with adaptive steps within each time step.
 ///
-/// The error of an attempt is the largest `|error_i| / (atol + rtol max(|x_i|, |x'_i|))`:
+/// The error of an attempt is the largest `|e_i| / (atol + rtol max(|x_i|, |x'_i|))`. The vector
+/// `e` is the difference of the fifth- and fourth-order results; `x'` is the fifth-order result.
 ///
 /// ```text
 /// below 1/64       accept the step, double the next step size
 /// below 1          accept the step, keep the step size
-/// 1 or more        reject the step, halve the step size
+/// 1 or more, NaN   reject the step, halve the step size
 /// ```
 ///
 /// Every sample has its own step sizes. Lanes are bit-identical to scalar computations.

@@ -8,9 +8,9 @@ use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 /// The implicit midpoint rule, `x' = x + h f((x + x')/2, u, p, t + h/2)`: order 2, symplectic,
 /// A-stable.
 ///
-/// Simplified Newton iteration solves the equation. The Jacobian is constant: central differences
-/// at the midpoint of an explicit Euler step. Each sample iterates until it converges, and becomes
-/// NaN after 30 iterations without convergence.
+/// Simplified Newton iteration solves the equation. The Jacobian is constant during the iteration:
+/// central differences at the midpoint of an explicit Euler step. Each sample iterates until it
+/// converges, and becomes NaN after 30 iterations without convergence.
 ///
 /// The reverse pass differentiates the solution, not the iteration, by the implicit function
 /// theorem. For any `tolerance`, the reverse pass recomputes the solution with a tolerance of 256
@@ -73,8 +73,8 @@ impl ImplicitMidpoint {
         }
     }
 
-    /// Solves for the next state by simplified Newton iteration. Returns 0 in lanes that converged,
-    /// else a positive number.
+    /// Solves for the next state by simplified Newton iteration. Returns 0 or a negative number in
+    /// lanes that converged, else a positive number.
     #[inline(always)]
     fn iterate<T: Scalar>(tolerance: f64, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) -> T {
         let (h, x, n) = (T::from(dt), inputs.x, inputs.x.len());

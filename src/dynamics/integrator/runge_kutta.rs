@@ -11,7 +11,7 @@ const MAX_STAGES: usize = 7;
 /// An explicit Runge–Kutta method: `k_i = f(x + h Σ_{j<i} a_ij k_j, u, p, t + c_i h)`,
 /// `x' = x + h Σ_i b_i k_i`.
 ///
-/// The VJP visits the stages from last to first (Hairer, Lubich and Wanner, Geometric Numerical
+/// The VJP processes the stages from last to first (Hairer, Lubich and Wanner, Geometric Numerical
 /// Integration, VI.4; Sanz-Serna 2016, doi:10.1137/151002769):
 ///
 /// ```text

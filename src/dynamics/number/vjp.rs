@@ -13,8 +13,8 @@ type Differentiable<'a> = &'a dyn Fn(usize, [&[ParamDual]; 3], &mut [ParamDual])
 /// parameters to `p_bar`.
 ///
 /// `inputs` are state, control and parameters. Derivatives are evaluated in f64, for one sample and
-/// one parameter at a time. The scalar is that of the checks, so a system compiles for no further
-/// scalar.
+/// one parameter at a time. [`ParamDual`] is also the scalar of the checks, so systems are compiled
+/// for no further scalar.
 #[inline(never)]
 pub(crate) fn param_vjp<R: Real, C: Cotangent<R>>(
     function: Differentiable<'_>,

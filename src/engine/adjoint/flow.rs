@@ -13,8 +13,10 @@ use std::fmt;
 /// 3. `ȳ, m̄ ← (∂N/∂(y, m))ᵀ (h_t, μ)`
 /// 4. `λ ← physics·(∂S/∂x)ᵀ λ + ∂l/∂x_t + control·(∂y/∂x)ᵀ ȳ` and `μ ← memory·m̄`
 ///
-/// The parameter gradient is `Σ_t (∂N/∂θ)ᵀ (h_t, μ)`. S is the step of the system, N the policy, y
-/// the observation, m the memory, l the running cost and φ the terminal cost.
+/// The parameter gradient is `Σ_t (∂N/∂θ)ᵀ (h_t, μ)`. S is the step of the system, N the policy
+/// with parameters θ, l the running cost and φ the terminal cost. y is the observation and m the
+/// memory. λ is the cotangent of the state x, h that of the control u, and μ that of the memory
+/// after the step. ȳ and m̄ are the cotangents of the policy inputs.
 ///
 /// A weight of 1 keeps a path, 0 detaches it. Weights between 0 and 1 discount the effect of a
 /// step on later costs.

@@ -10,7 +10,8 @@ use crate::numbers::scalar::{CotangentPack, Float, Real};
 use crate::numbers::zip::zip;
 use std::ops::Range;
 
-/// Records the norm of λ at step `t` in each row of `norms`, in f64.
+/// Records the root mean square of ‖λ_t‖ over the samples, divided by `scale`, in f64. `norms` has
+/// one row per flow.
 ///
 /// A power of two scales the components, because their squares may be out of range.
 pub(super) fn record_norms<F: Float, const K: usize>(
@@ -38,7 +39,8 @@ pub(super) fn record_norms<F: Float, const K: usize>(
 /// Growth of λ per sample and flow.
 #[derive(Debug)]
 pub(super) struct GrowthMeters<const K: usize> {
-    /// `[sample][flow]`: meter, and `‖λ + ∂l/∂x_{t+1}‖²` with its exponent before the current step.
+    /// `[sample][flow]`: meter, `‖λ + ∂l/∂x_{t+1}‖²` of the stored values, and exponent of λ. The
+    /// last two are those before the current step.
     meters: Vec<[(Meter, f64, i32); K]>,
 }
 
@@ -59,7 +61,7 @@ impl<const K: usize> GrowthMeters<K> {
         self.meters.fill([(Meter::default(), 0.0, 0); K]);
     }
 
-    /// Records `‖λ + ∂l/∂x_{t+1}‖²` of the samples of a block before a step.
+    /// Records `‖λ + ∂l/∂x_{t+1}‖²` and the exponents of the samples of a block before a step.
     pub(super) fn before<F: Float>(
         &mut self,
         samples: Range<usize>,

@@ -41,7 +41,7 @@ pub(super) struct PolicyAdjoint<F> {
     pub(super) scratch: Aligned<F>,
     /// Exponent of each column, per flow. All 0 unless `scaled`.
     exponents: Vec<Vec<i32>>,
-    /// True if an exponent may not be 0.
+    /// True if some exponent may differ from 0.
     scaled: bool,
     /// Weight of each column, for columns of different exponents.
     weights: Vec<F>,

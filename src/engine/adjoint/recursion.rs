@@ -26,7 +26,7 @@ pub(super) struct Step<'a, R, const K: usize> {
     pub(super) next: &'a [R],
     /// λ, read and overwritten.
     pub(super) lambda: &'a mut [CotangentPack<R, K>],
-    /// `(∂S/∂x)ᵀ λ`, written.
+    /// `(∂S/∂x)ᵀ λ`, written unless the only flow has no path through the physics.
     pub(super) x_bar: &'a mut [CotangentPack<R, K>],
     /// h, written.
     pub(super) u_bar: &'a mut [CotangentPack<R, K>],

@@ -15,7 +15,7 @@ use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real};
 /// ```
 #[derive(Debug)]
 pub(super) struct StartGradients<F: Float, const K: usize> {
-    /// `[sample][flow]`, each of the state, then of the parameters.
+    /// Gradients, `[sample][flow]`. Components of the initial state precede those of p.
     gradients: Vec<[Gradient<F>; K]>,
     /// Terms of one step, `[block][parameter]`.
     pub(super) terms: Vec<CotangentPack<Lane<F>, K>>,

@@ -10,7 +10,8 @@ use crate::numbers::scalar::Float;
 
 /// Reverse step of a task for all samples and `K` flows.
 pub trait StepBack<F: Float, const K: usize> {
-    /// Applies costs and physics to all blocks. Returns false if rescaling is needed.
+    /// Applies costs and physics to all blocks. Returns false if rescaling is needed or a cotangent
+    /// is not finite.
     fn step_back(&self, flows: [Flow; K], rollout: &Rollout<F>, t: usize, carried: &mut Recursion<F, K>) -> bool;
 }
 

@@ -28,7 +28,7 @@ pub(crate) fn gather<L, F: Float>(
     columns: &mut [F],
     (offset, stride): (usize, usize),
 ) {
-    // Without components, there are no blocks.
+    // Without components, `blocks` is empty. A chunk length of 0 would panic.
     for (block, at) in zip(blocks.chunks_exact(n.max(1)), at.blocks(WIDTH)) {
         for (index, c) in at.iter().enumerate() {
             for (column, lanes) in zip(columns[c * stride + offset..][..n].iter_mut(), block) {
@@ -47,7 +47,7 @@ pub(crate) fn scatter<F: Float>(
     at: PolicyColumns,
     blocks: &mut [Lane<F>],
 ) {
-    // Without components, there are no blocks.
+    // Without components, `blocks` is empty. A chunk length of 0 would panic.
     for (b, block) in blocks.chunks_exact_mut(n.max(1)).enumerate() {
         for lane in 0..WIDTH {
             let sample = (b * WIDTH + lane).min(at.count - 1);

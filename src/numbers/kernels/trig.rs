@@ -5,7 +5,7 @@
 //! it is at most 2.6 ulps. Callers use the standard library beyond [`REACH`].
 //!
 //! The bound in `f64` has three terms. The argument reduction rounds twice, an error of up to 1 ulp
-//! of the angle. If a power of two separates sine and angle, 1 ulp of the angle is 2 ulps of the
+//! of the angle. If a power of two lies between sine and angle, 1 ulp of the angle is 2 ulps of the
 //! sine. The last sum adds 0.5 ulp, the polynomial less than 0.1 ulp.
 
 /// Bound on |x| for the argument reduction `x = n·π/2 + r`.
@@ -20,7 +20,7 @@ const ROUND: f64 = 6_755_399_441_055_744.0;
 /// exact (fdlibm).
 const HALF_PI: [f64; 3] = [1.570_796_326_734_125_6, 6.077_100_506_303_966e-11, 2.022_266_248_795_950_6e-21];
 
-/// Reduces `x = n·π/2 + r` with |r| ≤ π/4. Returns `r` and the bits of `n`.
+/// Reduces `x = n·π/2 + r` with |r| ≤ π/4. Returns `r` and a word with the low bits of `n`.
 #[inline(always)]
 fn reduce(x: f64) -> (f64, u64) {
     let n = x * std::f64::consts::FRAC_2_PI + ROUND;

@@ -113,8 +113,8 @@ impl fmt::Display for Ops {
 /// An `f64` that counts its operations: a machine-independent measure of a step or a derivative.
 ///
 /// Values are bit-identical to `f64`. [`Ops`] defines the kinds of operations; [`Ops::of`] counts
-/// them. Constants (`from`), copies, [`detach`](Scalar::detach) and arithmetic between
-/// plain `f64` numbers are not counted.
+/// them. Constants (`from`), copies, [`detach`](Scalar::detach) and arithmetic between plain `f64`
+/// numbers are not counted.
 ///
 /// For default VJPs in forward mode, the counts include the operations on the value and on all four
 /// tangents of each dual number. In reverse mode, they include the operations on the value, on the

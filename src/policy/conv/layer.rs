@@ -58,7 +58,8 @@ impl Layer {
         (columns - 1) * self.capacity + self.positions
     }
 
-    /// Offset in `θ` of the weight of window entry `j` for the first filter; `None` for padding.
+    /// Offset in `θ` of the weight of window entry `j` for the first filter. `None` for padding and
+    /// for every constant 1 except the last, which multiplies the bias.
     pub fn weight(&self, j: usize, width: usize) -> Option<usize> {
         let (k, channel) = (j / self.slot, j % self.slot);
         let row = if j + 1 == self.depth() {

@@ -70,7 +70,7 @@ impl Conv {
         let lens = [one.input(), one.output(), two.output()];
         let mut end = 0;
         let mut place = |columns: usize| {
-            // Activations first, so that their offsets are multiples of the padding.
+            // Order h₁, h₂, x: the forward pass splits the tape at these offsets.
             let mut starts = [0; 3];
             for i in [1, 2, 0] {
                 starts[i] = end;

@@ -24,7 +24,7 @@ impl Affine {
         Self { first: self.end(), inputs, outputs }
     }
 
-    /// Row `i` of the weights. The row after the last one is the bias.
+    /// Row `i` of `Wᵀ`, the weights of input `i`. Row `inputs` is the bias.
     #[inline(always)]
     fn row<W>(self, theta: &[W], i: usize) -> &[W] {
         &theta[self.first + i * self.outputs..][..self.outputs]
@@ -55,8 +55,8 @@ impl Affine {
         zip(self.row(theta, i).iter(), z_bar).fold(R::zero(), |sum, (&weight, &bar)| sum + R::splat(weight) * bar)
     }
 
-    /// Adds `factor·v z_barᵀ` to the gradient of the weights, and `factor·z_bar` to that of the
-    /// bias.
+    /// Adds `factor·v z_barᵀ` to the gradient with respect to `Wᵀ`, and `factor·z_bar` to the
+    /// gradient with respect to the bias.
     pub(super) fn add_gradient<F: Float>(self, v: impl Iterator<Item = F>, z_bar: &[F], factor: F, theta_bar: &mut [F]) {
         // Without outputs, there are no rows.
         let rows = theta_bar[self.first..self.end()].chunks_exact_mut(self.outputs.max(1));

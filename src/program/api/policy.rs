@@ -45,7 +45,7 @@ pub struct Rollouts<F> {
     pub controls: Vec<F>,
 }
 
-/// Number of samples in one rollout.
+/// Largest number of samples in one rollout or forward pass.
 const BLOCK: usize = 32;
 
 impl Policy {

@@ -21,9 +21,9 @@ pub struct Run {
 }
 
 impl Run {
-    /// A training before its first epoch. With a policy, the training starts from its parameters,
-    /// and the scene has its section `policy`. `threads` is the number of threads, by default all;
-    /// results do not depend on it.
+    /// A training before its first epoch. With a policy, the training starts from the parameters of
+    /// the policy. The scene of the training then has the section `policy` of the policy's scene.
+    /// `threads` is the number of threads, by default all; results do not depend on it.
     ///
     /// # Errors
     /// A setting is invalid, or the policy does not fit the scene.

@@ -112,8 +112,8 @@ pub fn compare(args: &Compare) -> Result<()> {
     })
 }
 
-/// Trains all runs, then writes their tables and pictures with `write_outputs`. A shard trains its
-/// runs and writes none.
+/// Trains all runs, then writes their tables and pictures with `write_outputs`. A shard and an
+/// interrupted training write neither.
 pub fn train(
     comparisons: &mut [Comparison],
     shard: Option<Shard>,

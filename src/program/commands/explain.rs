@@ -178,8 +178,8 @@ fn difference(a: [[i64; 8]; 3], b: [[i64; 8]; 3]) -> [[i64; 8]; 3] {
 }
 
 /// Table of the bytes per sample of a rollout: in evaluation mode, and with the adjoint of each
-/// field of the paper. Bytes are per step and constant. The last column counts the allocations per
-/// step.
+/// field of the paper. Columns: bytes per step, constant bytes, bytes of the whole rollout, and
+/// allocations per step.
 fn bytes(scene: &Scene) -> Result<Table> {
     let mut table = Table::new(["field", "bytes per step", "constant", "whole rollout", "allocations per step"]);
     let steps = scene.horizon;

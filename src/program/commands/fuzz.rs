@@ -15,7 +15,7 @@ use std::fs;
 use std::panic::{self, AssertUnwindSafe};
 use std::time::Instant;
 
-/// Longest permitted time per input, s. The margin allows for a loaded machine.
+/// Longest permitted time per input, s. Includes a margin for a loaded machine.
 const MAX_SECONDS: f64 = 10.0;
 
 /// Permitted memory of the process, bytes.
@@ -77,8 +77,8 @@ struct Outcomes {
 }
 
 impl Outcomes {
-    /// Runs `work` on input `number` with `allowed` bytes of memory. `work` returns true if the
-    /// input is accepted.
+    /// Runs `work` on input `number`. Records the outcome, the time, and the ratio of used memory
+    /// to `allowed` bytes. `work` returns true if the input is accepted.
     fn record(&mut self, number: u64, allowed: usize, work: impl FnOnce() -> bool) {
         let begin = Instant::now();
         let (result, bytes) = peak_bytes(|| panic::catch_unwind(AssertUnwindSafe(work)));

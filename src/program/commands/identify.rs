@@ -102,7 +102,7 @@ pub fn identify(args: &Identify) -> Result<()> {
         text += &format!("{}{name} {value}", if name == "segments" { "\n" } else { ", " });
     }
     text += &format!("\n{}", residuals(&fit, &segments, &scene));
-    // Only the initial states of the other segments are fitted.
+    // In the validation, the numbers are fixed, and only initial states are fitted.
     let validating = Options { free_starts: true, ..options };
     let validation = if others.is_empty() { None } else { Some(found.identify(&measured.chosen(&others), &validating)?) };
     if let Some(validation) = &validation {
@@ -227,7 +227,8 @@ fn table(fit: &Fit, scene: &Scene) -> Table {
     table
 }
 
-/// Root mean square of the residuals of each component, over all segments.
+/// Root mean square of the residuals of each component, over all segments. Segments have equal
+/// weights, also if they differ in length.
 fn residuals(fit: &Fit, segments: &[Segment], scene: &Scene) -> String {
     let rms = |i: usize| {
         let each = segments.iter().enumerate().map(|(index, segment)| fit.rms(index, i, segment)).filter(|rms| !rms.is_nan());

@@ -111,7 +111,7 @@ fn type_name(name: &str) -> String {
     words.map(|word| word[..1].to_uppercase() + &word[1..]).collect()
 }
 
-/// Returns whether a source uses the name of a type other than that of its task. Ignores comments.
+/// Returns whether a source uses `type_name` for an item other than its task. Ignores comments.
 fn uses(source: &str, type_name: &str) -> bool {
     let code = source.lines().filter(|line| !line.trim_start().starts_with("//"));
     let mut words = code.flat_map(|line| line.split(|c: char| !c.is_alphanumeric() && c != '_'));

@@ -119,7 +119,7 @@ fn table(runs: &[Listed]) -> Table {
     table
 }
 
-/// Duration in its largest unit.
+/// Duration in seconds, minutes, hours or days. Hours extend to two days.
 fn age(age: Duration) -> String {
     let seconds = age.as_secs();
     match seconds {

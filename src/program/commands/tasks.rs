@@ -78,7 +78,7 @@ fn settings(task: &dyn AnyTaskSpec) -> Result<Table> {
     Ok(table)
 }
 
-/// Adds a row per setting of a section and of its sections.
+/// Adds a row per setting of a section and of its subsections.
 fn add_settings(table: &mut Table, section: &str, properties: &Value, defaults: Option<&toml::Table>) {
     for (key, property) in properties.as_object().into_iter().flatten() {
         let name = if section.is_empty() { key.clone() } else { format!("{section}.{key}") };

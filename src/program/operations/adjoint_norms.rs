@@ -13,7 +13,7 @@ pub struct AdjointNorms {
     /// Norm at each state of the rollout. NaN at states that a diverged reverse pass did not reach.
     /// Empty if the rollout diverged.
     pub norms: Vec<f64>,
-    /// First non-finite number.
+    /// First non-finite number of the rollout or of the reverse pass. None if all are finite.
     pub diverged: Option<Divergence>,
 }
 

@@ -23,11 +23,11 @@ struct Evaluation<P, F> {
     seed: u64,
 }
 
-/// Prepares rollouts of the policy. `theta` has its parameters, without the trained numbers.
-/// Trained numbers have their initial values.
+/// Prepares rollouts of the policy. `theta` has the parameters of the policy, without the trained
+/// numbers of the system. Trained numbers have their initial values.
 ///
 /// # Errors
-/// The policy has another number of parameters.
+/// The length of `theta` is not the number of these parameters.
 pub fn new<P: Policy + 'static>(
     task: DynTask,
     policy: P,

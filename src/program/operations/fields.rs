@@ -1,11 +1,11 @@
-//! Vectors of several fields from one forward pass.
+//! Vectors of several fields from shared forward passes.
 
 use crate::any::AnyTask;
 use crate::engine::batch::GROUP;
 use crate::policy::AnyPolicy;
 use crate::{Adjoint, Divergence, Field, Float, Flow, Gradient, Rollout, Weights};
 
-/// Number of samples in one rollout.
+/// Largest number of samples in one rollout.
 const BLOCK: usize = 8 * GROUP;
 
 /// Vectors of the fields for the mean loss of rollouts from `starts`. For up to 32 samples, the

@@ -26,9 +26,9 @@ pub enum GradientMethod {
     Reverse {
         /// Field to compute.
         field: Field,
-        /// Memory budget in bytes.
+        /// Memory budget in bytes. Unbounded if None.
         budget: Option<u64>,
-        /// Perturbs the initial states by one rounding.
+        /// Perturbs the initial states by one rounding in f64, which has no effect in f32.
         nudged: bool,
     },
     /// Central differences with this step: two losses per parameter.

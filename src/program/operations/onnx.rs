@@ -1,4 +1,4 @@
-//! ONNX models of policies: a batch of observations to a batch of controls.
+//! ONNX models of policies. A model maps a batch of observations to a batch of controls.
 //!
 //! Every operator in the model has an f64 implementation in ONNX Runtime, so a model has the
 //! precision of its run. The operator `Conv` has no f64 implementation. A convolution is therefore
@@ -75,7 +75,8 @@ struct Builder<'a, F> {
 }
 
 impl<F: Float> Builder<'_, F> {
-    /// Adds a layer. `width` is the length of its input, and then that of its output.
+    /// Adds a layer. `width` is the length of the input before the call, and the length of the
+    /// output after the call.
     fn layer(&mut self, layer: &NetworkLayer, input: String, width: &mut usize) -> Result<String> {
         let find = |name: &String| self.tensors.iter().find(|tensor| tensor.name == *name).cloned();
         let kernel = find(&layer.kernel).with_context(|| format!("the policy has no tensor {}", layer.kernel))?;

@@ -56,7 +56,7 @@ pub fn write<F: Float>(about: &About, policy: &dyn AnyPolicy<F>, theta: &[F]) ->
 const NUMBERS: &str = "trained_params";
 
 /// Parameters of the policy from a file. Numbers that the scene trains keep their initial values if
-/// the file has none.
+/// the file has no tensor of trained numbers. Ignores this tensor if the scene trains no numbers.
 ///
 /// # Errors
 /// The bytes are not in the safetensors format. A tensor is missing, unknown or has another shape

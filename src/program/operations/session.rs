@@ -55,9 +55,11 @@ pub trait AnyRun: Send {
     fn theta(&self, epoch: Epoch) -> Vec<f64>;
     /// Number of initial states in the test set.
     fn test_samples(&self) -> usize;
-    /// Rollouts from a range of test initial states, truncated to the test set.
+    /// Rollouts with the current parameters, from a range of test initial states. Truncates the
+    /// range to the test set.
     fn rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory>;
-    /// Norms of the adjoints of R and M along rollouts from test initial states.
+    /// Norms of the adjoints of R and M along rollouts with the current parameters, from test
+    /// initial states.
     fn adjoint_norms(&self) -> [AdjointNorms; 2];
 }
 

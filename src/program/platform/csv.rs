@@ -3,7 +3,7 @@
 use ::csv::Writer;
 use anyhow::Result;
 
-/// A header and rows of cells in the format of RFC 4180.
+/// A header and rows of cells, quoted as in RFC 4180. Each record ends in `\n`.
 pub fn csv(
     header: impl IntoIterator<Item = impl AsRef<[u8]>>,
     rows: impl IntoIterator<Item = impl IntoIterator<Item = String>>,

@@ -21,7 +21,7 @@ enum Mode {
 
 impl Folder {
     /// Creates the folder if necessary, and locks it until the returned value is dropped or the
-    /// process ends.
+    /// process ends. On a file system without locks, prints a warning and does not lock the folder.
     ///
     /// # Errors
     /// The folder cannot be written to, or another process has locked it.
@@ -141,7 +141,7 @@ impl Deref for Locked {
 }
 
 impl Locked {
-    /// Returns whether the path still leads to the locked folder.
+    /// Returns whether the path still leads to the locked folder, with its lock file.
     ///
     /// # Errors
     /// The folder cannot be read.
@@ -153,7 +153,8 @@ impl Locked {
         }
     }
 
-    /// Returns whether the folder was removed, moved or replaced after it was locked.
+    /// Returns whether the folder or its lock file was removed, moved or replaced after it was
+    /// locked. False if the folder cannot be read.
     pub fn is_gone(&self) -> bool {
         matches!(self.is_in_place(), Ok(false))
     }
@@ -161,7 +162,8 @@ impl Locked {
     /// Checks that the folder is in place.
     ///
     /// # Errors
-    /// The folder was removed, moved or replaced after it was locked, or cannot be read.
+    /// The folder or its lock file was removed, moved or replaced after it was locked. The folder
+    /// cannot be read.
     pub fn check(&self) -> Result<()> {
         let path = self.path().display();
         if self.is_in_place().with_context(|| format!("cannot read the folder {path}"))? {
@@ -184,8 +186,9 @@ impl Locked {
     /// Renames the folder if it contains an earlier run, and creates an empty folder in its place.
     ///
     /// # Errors
-    /// The folder contains a run together with other files, a comparison, a study, or files of a
-    /// run without [`SETTINGS`]. The folder of a run is the current folder, or cannot be renamed.
+    /// The folder contains a comparison or a study. It contains a run and files that are not part
+    /// of a run, or files of a run but no [`SETTINGS`]. The folder of a run is the current folder,
+    /// contains the current folder, or cannot be renamed.
     pub fn without_run(self) -> Result<Self> {
         let path = self.path().to_owned();
         let (run, other): (Vec<String>, Vec<String>) =
@@ -249,7 +252,8 @@ fn on_machine() -> String {
     if name.trim().is_empty() { String::new() } else { format!(" on {}", name.trim()) }
 }
 
-/// Returns whether this is a regular file with one name, which can be overwritten safely.
+/// Returns whether this is a regular file with a single hard link, which can be overwritten safely.
+/// Links are counted only on Unix.
 fn is_plain_file(file: &Metadata) -> bool {
     #[cfg(unix)]
     let names = std::os::unix::fs::MetadataExt::nlink(file);

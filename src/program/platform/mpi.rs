@@ -22,7 +22,8 @@ struct World {
 /// Starts MPI.
 ///
 /// # Errors
-/// MPI runs already, or does not allow calls from different threads, one at a time.
+/// MPI runs already, or its thread level is below `MPI_THREAD_SERIALIZED`: calls from several
+/// threads, one at a time.
 pub fn start() -> Result<Arc<dyn Ranks>> {
     let (universe, threading) = mpi::initialize_with_threading(Threading::Serialized).context("MPI has already started")?;
     if threading < Threading::Serialized {

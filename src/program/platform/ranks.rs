@@ -6,14 +6,15 @@ use crate::program::platform::mpi;
 use anyhow::{Result, bail};
 use std::sync::Arc;
 
-/// Variables with the number of ranks, set by Open MPI, and by MPICH and Slurm.
+/// Environment variables with the number of ranks. Open MPI sets the first, MPICH and Slurm set the
+/// second.
 const SIZES: [&str; 2] = ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE"];
 
 /// The ranks, if a launcher started this process with at least one other.
 ///
 /// # Errors
-/// The program has no feature `mpi`, or MPI cannot start, or it connects other processes than the
-/// launcher started.
+/// The program has no feature `mpi`, or MPI cannot start. MPI connects another number of processes
+/// than the launcher started.
 pub fn launched() -> Result<Option<Arc<dyn Ranks>>> {
     let size = |name: &&str| std::env::var(name).ok()?.parse::<usize>().ok();
     match SIZES.iter().find_map(size) {

@@ -1,4 +1,5 @@
-//! Signals that end a training run after a checkpoint: SIGINT (Ctrl-C), SIGTERM, SIGHUP.
+//! Signals that end a training run after a checkpoint: SIGINT (Ctrl-C), SIGTERM and, on Unix,
+//! SIGHUP.
 
 use anyhow::{Context, Result};
 use signal_hook::consts;

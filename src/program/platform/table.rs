@@ -52,7 +52,8 @@ impl Table {
         Self { header, rows, optional: Vec::new() }.layout(&[], ASCII_MARKDOWN).to_string()
     }
 
-    /// One object per row. Keys are the titles in lower case, with `_` between words.
+    /// One object per row. Keys are the titles in lower case, with `_` in place of each space and
+    /// comma.
     pub fn objects(&self) -> Value {
         let key = |title: &String| title.to_lowercase().replace([' ', ','], "_");
         let keys: Vec<String> = self.header.iter().map(key).collect();
@@ -60,7 +61,8 @@ impl Table {
         self.rows.iter().map(row).collect()
     }
 
-    /// Text of at most `width` columns.
+    /// Text of the table, fitted to a width in characters. The note about omitted columns may be
+    /// longer.
     fn fitted(&self, width: Option<usize>) -> String {
         let mut hidden: Vec<usize> = Vec::new();
         let mut rest = self.optional.clone();
@@ -115,13 +117,14 @@ impl Table {
         lines.map(terminal::width_of).max().unwrap_or(0)
     }
 
-    /// Smallest width at which a column is readable: whole numbers, or lines of several words.
+    /// Smallest width at which a column is readable: unbroken numbers, or lines of several words.
     fn least(&self, column: usize) -> usize {
         let narrowest = self.narrowest(column);
         if self.is_numeric(column) { narrowest } else { self.widest(column).min(narrowest.max(WORDS)) }
     }
 
-    /// Width of the longest word of a column, up to [`WORD`]. Numbers are not broken.
+    /// Width of the longest cell of a column of numbers, which are not broken. Width of the longest
+    /// word of a column of text, up to [`WORD`].
     fn narrowest(&self, column: usize) -> usize {
         let words = self.header[column].split(' ').map(terminal::width_of).max().unwrap_or(0);
         let numeric = self.is_numeric(column);
@@ -130,9 +133,11 @@ impl Table {
         if numeric { longest } else { longest.min(WORD) }
     }
 
-    /// Returns whether every cell is a number or a placeholder of a number.
+    /// Returns whether at least one cell starts with a number, and all others do or are
+    /// placeholders of a number. A cell with a comma or a colon before a space is text.
     fn is_numeric(&self, column: usize) -> bool {
-        let is_number = |cell: &str| cell.trim_start_matches(['-', '+']).starts_with(|first: char| first.is_ascii_digit());
+        let starts = |cell: &str| cell.trim_start_matches(['-', '+']).starts_with(|first: char| first.is_ascii_digit());
+        let is_number = |cell: &str| starts(cell) && !cell.contains(", ") && !cell.contains(": ");
         let is_placeholder = |cell: &str| ["", "-", "NaN", "inf", "-inf", "diverged", "diverges", "non-finite"].contains(&cell);
         self.cells(column).any(is_number) && self.cells(column).all(|cell| is_number(cell) || is_placeholder(cell))
     }
@@ -164,6 +169,16 @@ mod tests {
         let text = table().fitted(None);
         assert!(text.contains("│ combined ┆      0.5322 ┆    12.1 ┆ three words here │"), "{text}");
         assert!(text.contains("│ regular  ┆         NaN ┆     9.9 ┆ |R|              │"), "{text}");
+    }
+
+    #[test]
+    fn texts_that_start_with_numbers_are_aligned_to_the_left() {
+        let mut table = Table::new(["checked", "ratio"]);
+        table.row(["1 pole, terminal loss: system", "1"]);
+        table.row(["2 poles: task", "0.2560 (0.06851 to 1.133)"]);
+        let text = table.fitted(None);
+        assert!(text.contains("│ 2 poles: task                 ┆"), "{text}");
+        assert!(text.contains("┆                         1 │"), "{text}");
     }
 
     #[test]

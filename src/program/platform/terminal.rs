@@ -10,7 +10,7 @@ use std::io::{self, ErrorKind, Write};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-/// Smallest width that output is fitted to.
+/// Smallest width to which output is fitted, in columns.
 const NARROWEST: usize = 40;
 
 /// Width of standard output in columns. None without `COLUMNS` and without a terminal.
@@ -156,7 +156,7 @@ fn fitted(text: &str, width: Option<usize>) -> String {
 }
 
 /// Breaks a paragraph between words into lines of at most `width` columns, each with the
-/// indentation of the first.
+/// indentation of the first. Words that are longer than a line are not broken.
 pub fn wrapped(text: &str, width: usize) -> String {
     let indent = text.len() - text.trim_start_matches(' ').len();
     let mut lines = text[..indent].to_owned();
@@ -181,7 +181,8 @@ pub fn counted(count: usize, noun: &str) -> String {
     format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
 }
 
-/// Question for the most similar name, to be appended to a message; empty if no name is similar.
+/// Question that suggests the most similar name, to be appended to a message. Empty if no name is
+/// similar.
 pub fn did_you_mean<'a>(name: &str, names: impl IntoIterator<Item = &'a str>) -> String {
     /// Least similarity of a suggestion, between 0 and 1.
     const SIMILAR: f64 = 0.8;

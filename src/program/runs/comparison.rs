@@ -280,7 +280,8 @@ impl Ended {
         }
     }
 
-    /// Returns an error that lists the runs that have not ended, failed or applied no update.
+    /// Returns an error that lists the runs that have not ended. If all have ended, lists those
+    /// that failed. If none failed, lists those that applied no update.
     pub fn into_result(self) -> Result<()> {
         if !self.missing.is_empty() {
             bail!(

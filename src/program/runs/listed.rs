@@ -82,7 +82,7 @@ impl Listed {
     }
 }
 
-/// Columns `epoch`, `seconds` and `test_loss` of `metrics.csv`, with the elapsed seconds.
+/// Columns `epoch`, `seconds` and `test_loss` of `metrics.csv`. Sums the seconds to elapsed times.
 fn losses(folder: &Folder) -> Result<Vec<Point>> {
     if !folder.has(METRICS) {
         return Ok(Vec::new());

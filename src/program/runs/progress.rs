@@ -24,7 +24,7 @@ struct Repeated {
     last: String,
 }
 
-/// Width of the line of the bar, in columns, from which it shows the elapsed time.
+/// Smallest width of the line, in columns, at which the bar shows the elapsed time.
 const WIDE: usize = 96;
 
 impl Progress {

@@ -102,8 +102,8 @@ pub fn write_settings(folder: &Folder, scene: &Scene) -> Result<()> {
     folder.write(SETTINGS, table.to_string())
 }
 
-/// Restores the saved state of a run. In a folder without checkpoint, metrics and policy, the run
-/// stays before its first epoch.
+/// Restores the saved state of a run. If the folder has neither checkpoint, metrics nor policy, the
+/// run stays before its first epoch.
 pub fn restore(folder: &Folder, scene: &Scene, run: &mut dyn AnyRun) -> Result<()> {
     if [CHECKPOINT, METRICS, POLICY].into_iter().all(|name| !folder.has(name)) {
         return Ok(());

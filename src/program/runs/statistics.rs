@@ -203,7 +203,8 @@ pub fn median_ratio(pairs: &[(f64, f64)]) -> Ratio {
 ///
 /// The curve starts at the loss `initial` and connects the losses after each epoch by straight
 /// lines on the logarithmic axis. It starts at the loss of the first epoch if `initial` is not
-/// finite and positive. NaN if another loss in this time is not, or if the training ends before.
+/// finite and positive. The mean is NaN if another loss in this time is not finite and positive, or
+/// if the training ends before `duration`.
 pub fn mean_log_loss(points: &[Point], initial: f64, duration: f64) -> f64 {
     let log = |loss: f64| if loss > 0.0 && loss.is_finite() { loss.log10() } else { f64::NAN };
     let Some(first) = points.first() else { return f64::NAN };

@@ -39,7 +39,7 @@ pub fn start(wall_time: f64) -> Vec<u8> {
     record(&Event { wall_time, step: 0, file_version: Some("brain.Event:2".into()), summary: None })
 }
 
-/// Record with values of a step. Numbers beyond f32 are infinite.
+/// Record with values of a step. Numbers beyond the range of f32 become infinite.
 pub fn scalars<'a>(step: usize, wall_time: f64, values: impl Iterator<Item = (&'a str, f64)>) -> Vec<u8> {
     let value = values.map(|(tag, value)| Value { tag: tag.into(), simple_value: Some(value as f32) }).collect();
     record(&Event { wall_time, step: step as i64, file_version: None, summary: Some(Summary { value }) })

@@ -24,7 +24,7 @@ pub struct Trained {
 }
 
 impl Trained {
-    /// Loads the policies after an epoch of the runs in these folders.
+    /// Loads the policies of the runs in these folders, after the last or the best epoch.
     ///
     /// # Errors
     /// A folder has no run. The runs have different tasks.

@@ -86,7 +86,7 @@ impl Overrides {
     }
 }
 
-/// Hides the options that only training uses from the help text of a command.
+/// Hides an option in the help text of a command if only training uses the option.
 pub fn hide_training(arg: clap::Arg) -> clap::Arg {
     let is_hidden = ["epochs", "policy", "tag", "log"].contains(&arg.get_id().as_str());
     if is_hidden { arg.hide(true) } else { arg }

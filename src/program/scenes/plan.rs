@@ -27,10 +27,11 @@ use std::collections::HashSet;
 use std::path::Path;
 use toml::{Table, Value};
 
-/// Largest number of combinations of a task, a method and a learning rate, and of seeds.
+/// Largest number of combinations of a task, a method and a learning rate. Also the largest number
+/// of seeds.
 const MAX: usize = 10_000;
 
-/// Largest length of a name, bytes. Folders of runs contain two names.
+/// Largest length of a name, in bytes. The name of a folder contains two such names.
 const MAX_NAME: usize = 100;
 
 /// Key of the learning rate in a scene.
@@ -79,7 +80,8 @@ struct Contents {
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct PlannedTask {
-    /// Name of the scene by default.
+    /// Name of the task. Default: the name of the scene, or `task` if the plan contains the
+    /// settings of the scene.
     name: Option<String>,
     /// Name of a preset, path relative to the plan, or settings of a scene.
     scene: Value,
@@ -156,7 +158,7 @@ impl Plan {
         self.check_names("method", methods.iter().map(|method| &*method.name))
     }
 
-    /// Names are parts of the names of folders.
+    /// Checks that names are distinct and can be parts of the names of folders.
     fn check_names<'a>(&self, list: &str, names: impl Iterator<Item = &'a str>) -> Result<()> {
         let mut seen = HashSet::new();
         for (i, name) in names.enumerate() {
@@ -185,7 +187,7 @@ impl Plan {
         place(&self.name, &self.text, key)
     }
 
-    /// Reduces epochs and data sets, for a fast trial run.
+    /// Sets few epochs and small data sets, for a fast trial run.
     #[must_use]
     pub fn quick(mut self) -> Self {
         for method in &mut self.contents.methods {
@@ -194,7 +196,7 @@ impl Plan {
         self
     }
 
-    /// Number of seeds, counted from the seed of each scene.
+    /// Number of consecutive seeds, of which the first is the seed of each scene.
     pub fn seeds(&self) -> u64 {
         self.contents.seeds
     }
@@ -249,8 +251,9 @@ impl Plan {
         Ok(Cell { task, method, learning_rate, folder, scene })
     }
 
-    /// Sets the values of the table `path` of the plan. A key without quotation marks, as in
-    /// `policy.widths = [4]`, is a table in TOML. The other keys of that section keep their values.
+    /// Sets the values of the table `path` of the plan. In TOML, a dotted key without quotation
+    /// marks, as in `policy.widths = [4]`, is a table inside a table. The keys of the section that
+    /// this table omits keep their values.
     fn set(&self, source: &mut SceneSource, path: &str, set: &Table) -> Result<()> {
         for (key, value) in set {
             let mut settings = Vec::new();

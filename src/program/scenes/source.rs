@@ -31,7 +31,7 @@ pub struct SceneSource {
     table: Table,
     /// Section `sweep`, which only `compare` reads.
     sweep: Option<Sweep>,
-    /// Folder of the file. None for a preset.
+    /// Folder of the file. None for a preset, and for a scene that is part of another file.
     folder: Option<PathBuf>,
     /// Text of the file, for line numbers.
     text: String,
@@ -99,7 +99,7 @@ impl SceneSource {
         })
     }
 
-    /// Text of a key at the top level.
+    /// Value of a top-level key. None if the key is absent or its value is not text.
     pub fn text(&self, key: &str) -> Option<&str> {
         self.table.get(key)?.as_str()
     }
@@ -336,7 +336,8 @@ fn suggest(spec: &dyn AnyTaskSpec, mut error: ConfigError) -> ConfigError {
         let effects = spec.effects().into_iter().map(|info| format!("effects.{}", info.name));
         let is_other = |key: &String| !error.key.starts_with(&format!("{key}."));
         let keys: Vec<String> = siblings.chain(settings).chain(effects).filter(is_other).collect();
-        // The key of another section, as in `learning_rate`, or a misspelt one.
+        // Prefers a key of this name in another section, as in `training.learning_rate` for
+        // `learning_rate`, to a key with a similar name.
         let same = keys.iter().find(|key| key.rsplit('.').next() == Some(name));
         let question = match same {
             Some(key) => format!("; did you mean `{key}`?"),

@@ -81,7 +81,7 @@ impl ConfigError {
         self
     }
 
-    /// Error of a setting with an invalid value, `None` if the value is unknown.
+    /// Error of a setting with an invalid value. `value` is `None` if the value is unknown.
     pub fn invalid(key: &str, value: Option<&Value>, allowed: &str) -> Self {
         let found = match value {
             // Omits the decimal point of a whole number.

@@ -146,7 +146,7 @@ impl IntegratorSettings {
         })
     }
 
-    /// Discretizes a system with time step `dt`.
+    /// Discretizes a system with substeps. `dt` is the time step of one substep.
     pub fn discretize<S: System + Ode>(&self, system: S, dt: f64, precision: Precision) -> Substeps<Discretized<S>> {
         Substeps { system: Discretized { system, integrator: self.integrator(precision), dt }, count: self.count() }
     }

@@ -163,7 +163,7 @@ impl TrainingSettings {
         Ok(())
     }
 
-    /// Rejects keys that no other setting reads.
+    /// Rejects keys that have no effect because of another setting.
     fn reject_unread(&self) -> Result<(), ConfigError> {
         let (exact, pairs) = (self.estimator == EstimatorName::Exact, self.pairs.map(|pairs| pairs as f64));
         let keys = [
@@ -203,7 +203,7 @@ impl TrainingSettings {
         self.memory.as_deref().and_then(bytes)
     }
 
-    /// The field, with discount, control, truncation and cut of all its flows.
+    /// The field, with discount, control, truncation and cut applied to all its flows.
     pub fn weighted(&self, field: Field) -> Field {
         field.with_flows(|flow| {
             let flow = flow.discounted(self.discount);

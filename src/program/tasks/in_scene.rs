@@ -18,8 +18,8 @@ pub fn in_scene<K: TaskSpec>(settings: &Settings<K>, task: DynTask, system: DynS
     DynTask::new(InScene { task, system, states, horizon: settings.horizon })
 }
 
-/// Task that [`in_scene`] returns. The first `states` components of its state belong to the task,
-/// the others to the actuators.
+/// Task with horizon, substeps and actuators of a scene. The first `states` components of the state
+/// belong to the inner task, the others to the actuators.
 struct InScene {
     task: DynTask,
     system: Actuated<Substeps<DynSystem>, Vec<AnyActuator>>,

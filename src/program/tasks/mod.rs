@@ -89,9 +89,10 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
 
     /// Time step, in the unit of time of the task: s, except for `quantum`.
     fn dt(settings: &Settings<Self>) -> f64;
-    /// Names of the state components, including those that effects add.
+    /// Names of the state components, without those that actuators add.
     fn state_names(settings: &Settings<Self>) -> Vec<String>;
-    /// Names of the parameters of a rollout. None by default.
+    /// Names of the parameters of a rollout that are not drawn or trained numbers, in order. None
+    /// by default.
     fn param_names(_settings: &Settings<Self>) -> Vec<String> {
         Vec::new()
     }
@@ -173,7 +174,8 @@ fn own_effects(task: &str) -> Vec<(&'static str, &'static dyn AnyEffectSpec)> {
 /// Adds tasks and effects of the user to the built-in tasks and effects.
 ///
 /// # Errors
-/// Two tasks, or two effects of a task, have the same name. An effect names an unknown task.
+/// Two tasks, or two effects of a task, have the same name. An effect names an unknown task. The
+/// process has called this function before.
 pub fn register(own: Vec<&'static dyn AnyTaskSpec>, own_effects: Vec<&'static dyn AnyEffectSpec>) -> Result<()> {
     let tasks: Vec<_> = BUILT_IN.into_iter().chain(own).collect();
     for (i, task) in tasks.iter().enumerate() {

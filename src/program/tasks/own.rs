@@ -17,7 +17,7 @@ use toml::Table;
 /// traits of serde and schemars. `Default` gives the default values of the settings.
 /// [`program`](crate::program()) has an example.
 ///
-/// Only [`NAME`](ProgramTask::NAME) is required. The other items have these effects:
+/// Only [`NAME`](ProgramTask::NAME) is required. Several of the other items extend the program:
 ///
 /// - Names of components label tables, CSV files and pictures.
 /// - [`refined`](ProgramTask::refined) admits `integrator.substeps` and the command `accuracy`.
@@ -59,7 +59,8 @@ pub trait ProgramTask: Task + Section + Default {
     fn control_names(&self) -> Vec<String> {
         numbered("u", self.system().control_dim())
     }
-    /// Names of the parameters of a rollout. Default: `p_1`, `p_2`, …
+    /// Names of the parameters of a rollout that are not drawn or trained numbers, in order. The
+    /// program ignores further names. Default: `p_1`, `p_2`, …
     fn param_names(&self) -> Vec<String> {
         numbered("p", self.param_dim())
     }

@@ -24,7 +24,7 @@ pub trait ProgramEffect: Effect<Self::Model> + Section + Default {
     const TASK: &'static str;
     /// Name of the effect in scenes: lower case letters, digits and underscores.
     const NAME: &'static str;
-    /// Equation of the added force.
+    /// Equation of the added term, for example a force.
     const EQUATION: &'static str;
     /// Method of differentiation, for the output of `explain` and `effects`.
     const DERIVATIVE: &'static str = "dual numbers";

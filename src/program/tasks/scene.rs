@@ -71,7 +71,8 @@ pub trait AnySettings: Send + Sync {
     /// Checks the gradients of system, policy and rollout. Rollouts have the parameters `theta`, or
     /// random ones. Results carry the name `variant`.
     fn check(&self, variant: &str, theta: Option<&[f64]>, results: &mut Results);
-    /// Largest amplification of a perturbation by a step, in states of test rollouts.
+    /// Largest amplification of a perturbation by a step, in states of test rollouts. None if a
+    /// rollout diverges in the first step.
     fn amplification(&self) -> Option<Amplification>;
     /// Loss and gradient at the initial parameters and at parameters nearby.
     fn plateau(&self) -> Result<Plateau, Divergence>;
@@ -79,8 +80,8 @@ pub trait AnySettings: Send + Sync {
     fn prepare(&self) -> Job;
     /// Gradient, computed by the given method.
     fn derive(&self, precision: Precision, method: GradientMethod) -> Derived;
-    /// Components of the gradients of R, M and S in double-double arithmetic. Calls `done` after
-    /// each component.
+    /// Components of the gradients of R, M and S at evenly spaced parameters, in double-double
+    /// arithmetic. Calls `done` after each component.
     fn refer(&self, done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3];
     /// Operation counts of a physics step and of its VJPs, and of the costs and the observation.
     fn cost(&self) -> TaskOpCount;
@@ -236,7 +237,7 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
     }
 
     fn conserved(&self) -> Option<Conserved> {
-        // The energy has fixed numbers, but those of a sample may differ.
+        // The quantity has fixed numbers, but the drawn or trained numbers of a sample may differ.
         K::conserved(self).filter(|_| self.varied().is_empty())
     }
 
@@ -346,8 +347,9 @@ impl Scene {
         self.differences(&["epochs", "training.memory", "field", "seed"])
     }
 
-    /// One line per effect and per setting that differs from the default of its task or effect.
-    /// Skips the keys in `but`, and the keys `tags` and `log`.
+    /// One line for the task, one per effect or part of the actuator, and one per setting that
+    /// differs from its default. The last line identifies the initial policy, if any. Skips the
+    /// keys in `but`, and the keys `tags` and `log`.
     fn differences(&self, but: &[&str]) -> String {
         let mut lines = vec![format!("task = {:?}", self.task.name())];
         // Default settings with the same effects, each with its default parameters.

@@ -23,8 +23,8 @@ impl Field {
         Self { obstacles: self.obstacles.iter().filter(is_finite).copied().collect(), walls }
     }
 
-    /// Corners of the bounding boxes of obstacles and walls. Omits a box if the magnitude of a
-    /// corner coordinate exceeds `limit`.
+    /// Lower left and upper right corners of the bounding boxes of obstacles and walls. Omits a box
+    /// if the magnitude of a corner coordinate exceeds `limit`.
     pub(super) fn corners(&self, limit: f64) -> Vec<[f64; 2]> {
         let ends = |([x, y], [w, h]): ([f64; 2], [f64; 2])| [[x - w, y - h], [x + w, y + h]];
         let obstacles = self.obstacles.iter().map(|&(center, radius)| (center, [radius; 2]));

@@ -158,7 +158,7 @@ impl CoupledCartPole {
     }
 
     /// Reverse of [`accelerate`](Self::accelerate). Adds to the requested cotangents of poles and
-    /// control, and to those due to effects.
+    /// control. Effects add to all requested cotangents.
     ///
     /// `pole_bar(i)` returns the cotangents of angle and rate of pole `i` that do not pass through
     /// α_i, and the cotangent of α_i.

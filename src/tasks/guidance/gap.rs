@@ -3,7 +3,8 @@
 use crate::numbers::extended::power_of_two;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 
-/// Central force per mass, `(far / d + near / d²) r`. Positive coefficients repel.
+/// Central force per mass, `(far / d + near / d²) r`, with the r and d of a [`Gap`]. Positive
+/// coefficients repel.
 #[derive(Clone, Copy)]
 pub(super) struct Law {
     /// Coefficient of the force that dominates at large distances, m/s².

@@ -17,8 +17,8 @@ use std::f64::consts::PI;
 /// t(d) = 1/M Σ_m cos(πmd/M) exp(-i E_m dt)
 /// ```
 ///
-/// K commutes with reflection: it maps even functions to even functions and odd to odd functions.
-/// K is stored as two matrices with half as many rows, which halves the work.
+/// K commutes with reflection: it maps even functions to even functions and odd to odd functions. K
+/// is stored as two matrices with half as many rows and columns, which halves the work.
 ///
 /// ```text
 /// a_k = ψ_k + ψ_{M-k},  b_k = ψ_k - ψ_{M-k}

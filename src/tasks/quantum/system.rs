@@ -18,7 +18,7 @@ pub(super) type PerPoint<T> = SmallVec<[T; STACK]>;
 /// Real and imaginary part per grid point.
 pub(super) type Wave<T> = SmallVec<[T; 2 * STACK]>;
 
-/// Returns the distance of grid point `j`, counted from 0, from the left wall, in units of dx.
+/// Returns the distance from the left wall to grid point `j`, in units of dx. `j` counts from 0.
 /// Converts via `u32`, because conversion from `u64` is slower.
 #[inline(always)]
 pub(super) fn place(j: usize) -> f64 {

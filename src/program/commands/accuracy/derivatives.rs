@@ -38,7 +38,8 @@ pub struct Derivative {
     pub precision: Precision,
     /// Error relative to the double-double reference, or the message of a divergence.
     pub error: Result<f64, String>,
-    /// Share of all components with the same sign as in f64. None except for reverse passes.
+    /// Share of all components with the same sign as in f64. None for methods other than reverse
+    /// passes, and for a divergence.
     pub signs: Option<f64>,
     /// Seconds for a whole gradient: lowest, median and highest.
     pub seconds: [f64; 3],

@@ -163,8 +163,8 @@ fn markdown(name: &str, check: &Errors, conserved: Option<&str>, rows: &[Row]) -
     )
 }
 
-/// Table of the Pareto-optimal settings in time and trajectory error, and the number of diverged
-/// settings.
+/// Table of the Pareto-optimal settings in time and trajectory error. Below it: the smallest
+/// errors, the resolution of the reference, and the number of diverged settings.
 pub fn summary(rows: &[Row], check: &Errors, conserved: Option<&str>) -> String {
     let point = |row: &Row| Some((row.seconds[0][1], row.errors.as_ref().ok()?.trajectory));
     let best =

@@ -50,8 +50,8 @@ fn text(value: &Value) -> String {
     value.as_str().map_or_else(|| value.to_string(), String::from)
 }
 
-/// Final test losses against each swept setting with numeric values: one panel per setting, one
-/// line per field. None without such a setting.
+/// Final test losses against each swept setting with at least two numeric values: one panel per
+/// setting, one line per field. None without such a setting.
 pub fn picture(title: &str, points: &[SweepPoint], scenes: &[InScene]) -> Option<Drawing> {
     let number = |value: &Value| value.as_float().or_else(|| value.as_integer().map(|x| x as f64));
     let mut fields: Vec<Field> = Vec::new();

@@ -121,7 +121,7 @@ fn is_scene(read: Result<Scene>) -> bool {
     }
 }
 
-/// Reads a damaged preset. Writes and reads the settings of a valid one.
+/// Reads a damaged preset. If it is a valid scene, writes and reads its settings.
 fn scene(number: u64, outcomes: &mut Outcomes) {
     let rng = &mut numbers_of(number);
     let mut text = preset(rng).as_bytes().to_vec();

@@ -32,8 +32,8 @@ impl Measured {
     /// NaN. A control stays constant until its next value, and is 0 before the first.
     ///
     /// # Errors
-    /// The file cannot be read, has no samples, no column `t` or an unknown column. A time is not
-    /// on the time grid of the scene.
+    /// The file cannot be read, has no samples, no column `t` or an unknown column. A cell is not a
+    /// number. A time is not a later step on the time grid of the scene.
     pub fn read(path: &Path, scene: &Scene) -> Result<Self> {
         let name = path.display();
         let (states, controls, dt) = (scene.state_names(), scene.control_names(), scene.dt());

@@ -82,8 +82,8 @@ struct Cell<'a> {
 }
 
 impl Study {
-    /// Trains all runs and writes the figure. Returns its table, or null if a signal ended the
-    /// training. A shard trains its runs and writes no figure.
+    /// Trains all runs and writes the figure. Returns the table of the figure, or null if a signal
+    /// ended the training. A shard trains runs, writes no figure and returns null.
     pub fn run(&self, options: &Options, folder: &Folder, shard: Option<Shard>) -> Result<Json> {
         let mut comparisons = self.comparisons(options, folder)?;
         let own = self.folder(folder);

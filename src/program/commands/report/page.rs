@@ -119,7 +119,7 @@ pub fn document(title: &str, folder: Option<&str>, version: &str, note: &str, tr
     .into_string()
 }
 
-/// Messages of failed or interrupted runs. Folds a long list.
+/// Messages of failed or interrupted runs, or warnings of an identification. Folds a long list.
 fn troubles(troubles: &[String]) -> Markup {
     html! {
         @match troubles {

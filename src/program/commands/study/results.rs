@@ -54,7 +54,8 @@ impl Run<'_> {
         self.outcome.last(|r| r.test_loss)
     }
 
-    /// Returns whether the final loss is not below the loss of the untrained policy.
+    /// Returns whether the final loss is not below the loss of the untrained policy. True for a
+    /// final loss of NaN. A NaN loss of the untrained policy counts as infinite.
     fn has_failed(&self) -> bool {
         let initial = if self.initial.is_nan() { f64::INFINITY } else { self.initial };
         self.loss().is_nan() || self.loss() >= initial
@@ -83,7 +84,7 @@ impl Measured<'_> {
         quantile(&sorted(self.runs.iter().map(|run| run.outcome.seconds())), 0.5)
     }
 
-    /// Median over the seeds of [`mean_log_loss`].
+    /// Median of [`mean_log_loss`] over the seeds.
     fn mean_log_loss(&self, duration: f64) -> f64 {
         let mean = |run: &Run| mean_log_loss(&run.outcome.points(|r| r.test_loss), run.initial, duration);
         quantile(&sorted(self.runs.iter().map(mean)), 0.5)
