@@ -34,7 +34,7 @@ fn main() -> Result<(), TrainError> {
         let norm: f64 = psi.iter().map(|x| x * x).sum();
         // The terminal cost of `LossMode::Terminal` is the infidelity.
         let fidelity = 1.0 - Quantum { loss: physgrad::tasks::LossMode::Terminal, ..task }.terminal_cost(&psi, &[]);
-        println!("  time {:>4.1}: fidelity {fidelity:.3}, norm {norm:.6}", t as f64 * task.system.dt);
+        println!("  time {:>4.1}: fidelity {fidelity:.3}, squared norm {norm:.6}", t as f64 * task.system.dt);
     }
     Ok(())
 }

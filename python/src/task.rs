@@ -12,7 +12,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
 /// Settings outside of all sections that functions accept as keyword arguments.
-pub const TOP: [&str; 6] = ["horizon", "precision", "field", "epochs", "seed", "tags"];
+pub const TOP: [&str; 7] = ["horizon", "precision", "field", "epochs", "seed", "tags", "log"];
 
 /// A task: system, horizon, costs and the distribution of initial states. `physgrad.task` creates
 /// it.

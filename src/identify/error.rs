@@ -51,6 +51,14 @@ pub enum IdentifyError {
         /// Component of the state.
         component: usize,
     },
+    /// The number of standard deviations of the noise differs from the number of state components.
+    #[error("the list of noise levels has {found} numbers; expected {expected}, one per state component")]
+    NoiseCount {
+        /// Length of the list.
+        found: usize,
+        /// Number of state components.
+        expected: usize,
+    },
     /// A standard deviation of the noise is not a positive number.
     #[error("the noise of state component {component} is {noise}; allowed: positive finite numbers")]
     Noise {

@@ -56,6 +56,9 @@ impl<'a> Problem<'a> {
         if unknowns.is_empty() && !options.free_starts {
             return Err(IdentifyError::NothingUnknown);
         }
+        if let Some(noise) = options.noise.as_ref().filter(|noise| noise.len() != n) {
+            return Err(IdentifyError::NoiseCount { found: noise.len(), expected: n });
+        }
         let noise = options.noise.iter().flatten().copied().enumerate();
         if let Some((component, noise)) = { noise }.find(|(_, noise)| !(*noise > 0.0 && noise.is_finite())) {
             return Err(IdentifyError::Noise { component, noise });
@@ -70,9 +73,6 @@ impl<'a> Problem<'a> {
             }
             if p.len() != params {
                 return Err(shape("the list of parameters", p.len(), params));
-            }
-            if let Some(noise) = options.noise.as_ref().filter(|noise| noise.len() != n) {
-                return Err(shape("the list of noise levels", noise.len(), n));
             }
             let first = x.first().ok_or(IdentifyError::Empty { segment })?;
             if let (false, Some(component)) = (options.free_starts, first.iter().position(|y| !y.is_finite())) {

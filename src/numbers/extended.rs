@@ -27,13 +27,13 @@ impl ExtendedF64 {
     /// `mantissa · 2^exponent`.
     pub fn new(mantissa: f64, exponent: i32) -> Self {
         /// Largest absolute exponent of numbers that are stored as a plain `f64`.
-        const PLAIN: i32 = 960;
+        const PLAIN: u32 = 960;
         if mantissa == 0.0 || !mantissa.is_finite() {
             return Self { mantissa, exponent: 0 };
         }
         let own = exponent_of(mantissa);
         let whole = own.saturating_add(exponent);
-        if whole.abs() <= PLAIN {
+        if whole.unsigned_abs() <= PLAIN {
             return Self { mantissa: times_power_of_two(mantissa, exponent), exponent: 0 };
         }
         Self { mantissa: times_power_of_two(mantissa, -own), exponent: whole }

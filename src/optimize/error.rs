@@ -40,7 +40,7 @@ pub enum OptimizeError {
     },
     /// The cost of the initial trajectory is not finite, but the states up to this step are finite.
     #[error(
-        "initial trajectory: the {} is not finite, but all states are finite. Check the cost for overflow, division by 0, and \
+        "initial trajectory: the {} is not finite, but the states up to this step are finite. Check the cost for overflow, division by 0, and \
          roots or logarithms of negative numbers", place(*step)
     )]
     Cost {

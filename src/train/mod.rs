@@ -120,7 +120,7 @@ impl Default for Training {
 }
 
 impl Training {
-    /// Checks counts, learning rate, decay, average and smoothing.
+    /// Checks counts, learning rate, decay, average, smoothing and clipping.
     ///
     /// # Errors
     /// [`TrainError::Setting`] for the first invalid setting.
@@ -148,6 +148,9 @@ impl Training {
         }
         if let Some((setting, problem)) = self.smoothing.and_then(|smoothing| smoothing.problem()) {
             return Err(TrainError::Setting { setting, problem });
+        }
+        if let Some(problem) = self.clip.problem() {
+            return Err(TrainError::Setting { setting: "clip", problem });
         }
         Ok(())
     }

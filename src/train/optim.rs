@@ -19,6 +19,13 @@ pub enum Clip {
 }
 
 impl Clip {
+    /// Problem of an invalid limit, with the allowed values.
+    pub(super) fn problem(self) -> Option<String> {
+        let (Self::Value(limit) | Self::Norm(limit)) = self else { return None };
+        let is_positive = limit > 0.0;
+        (!is_positive).then(|| format!("has the limit {limit}; allowed: a positive number"))
+    }
+
     /// Upper bound on the components after clipping, given the norm before clipping.
     pub(crate) fn bound(self, norm: f64) -> f64 {
         match self {

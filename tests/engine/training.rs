@@ -2,7 +2,7 @@
 
 use physgrad::policy::Constant;
 use physgrad::rng::Rng;
-use physgrad::{Decay, Field, Inputs, OptimizerKind, Scalar, Session, Start, System, Task, Trainer, Training};
+use physgrad::{Clip, Decay, Field, Inputs, OptimizerKind, Scalar, Session, Start, System, Task, Trainer, Training};
 use std::process::Command;
 
 /// `x' = factor · x + u` from 0, with the cost `weight · x` of the last state. States below -1e6
@@ -95,6 +95,15 @@ fn a_cosine_decay_to_2_and_an_exponential_decay_to_0_are_refused() {
     assert_eq!(refused(Decay::Cosine { end: 2.0 }), "training.decay: ends at 2; allowed: 0 to 1");
     assert_eq!(refused(Decay::Cosine { end: f64::NAN }), "training.decay: ends at NaN; allowed: 0 to 1");
     assert_eq!(refused(Decay::Exponential { end: 0.0 }), "training.decay: ends at 0; allowed: a positive number up to 1");
+}
+
+#[test]
+fn limits_of_clipping_that_are_not_positive_are_refused() {
+    for clip in [Clip::Norm(-1.0), Clip::Value(-1.0), Clip::Norm(0.0), Clip::Value(f64::NAN)] {
+        let training = Training { clip, ..Training::default() };
+        let error = trainer(Plant { factor: 1.0, horizon: 1, weight: 1.0 }, training).session().expect_err("an invalid limit");
+        assert!(error.to_string().starts_with("training.clip: has the limit "), "{error}");
+    }
 }
 
 /// Trainer on a plant that doubles its state. The adjoint of M grows by 2^14, 4.2 decades, in 14

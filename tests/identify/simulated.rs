@@ -221,6 +221,8 @@ fn wrong_data_are_refused() {
     let mut late = good.clone();
     late.x[0][1] = f64::NAN;
     assert!(with(&[late], exact).starts_with("segment 0: component 1 of the first sample is missing"));
+    let short = with(std::slice::from_ref(&good), Options { noise: Some(vec![0.1]), ..Options::default() });
+    assert_eq!(short, "the list of noise levels has 1 numbers; expected 2, one per state component");
     for noise in [0.0, -0.1, f64::NAN, f64::INFINITY] {
         let error = with(std::slice::from_ref(&good), Options { noise: Some(vec![0.1, noise]), ..Options::default() });
         assert_eq!(error, format!("the noise of state component 1 is {noise}; allowed: positive finite numbers"));

@@ -129,6 +129,9 @@ fn plants_and_costs_without_optimum_are_reported() {
     // W = q + a² W / (1 + W) is near -9.7, so 1 + W is negative.
     let rewarded = Lqr::new(LinearPlant::new(1, vec![0.5], vec![1.0]), vec![-10.0], vec![1.0]);
     assert!(matches!(rewarded, Err(NoOptimum::StateCost)), "{rewarded:?}");
+    // W = 0 after an even number of steps, but -2 after an odd number.
+    let oscillating = Lqr::new(LinearPlant::new(1, vec![1.0], vec![1.0]), vec![-2.0], vec![1.0]);
+    assert!(matches!(oscillating, Err(NoOptimum::StateCost)), "{oscillating:?}");
 }
 
 #[test]

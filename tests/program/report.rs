@@ -332,7 +332,7 @@ fn pages_state_that_a_run_failed_was_interrupted_or_has_no_epoch() {
 
     compare(&all, &["--fields", "R,C", "--seeds", "2", "--epochs", "40"]).args(DIVERGES).assert().failure();
     let page = report(&all);
-    assert!(page.contains("4 runs are incomplete") && page.contains("C seed 1 failed after 3 epochs of 40"));
+    assert!(page.contains("4 warnings") && page.contains("C seed 1 failed after 3 epochs of 40"));
     assert_eq!(cells(&page)[0][..4], ["regular", "2", "2", "NaN"]);
 
     train(&none, &["--epochs", "0"]).assert().success();

@@ -86,12 +86,14 @@ fn stability(scene: &Scene, mut halved: SceneSource) -> Result<String> {
     Ok(match half {
         Some(half) if half.is_stable() || half.multiplier - 1.0 < 0.5 * (multiplier - 1.0) => {
             format!(
-                "{found}, but by {:.4} with two substeps. Shorten the step: `integrator.substeps = {}`",
+                "{found}, but by {:.4} with twice as many substeps. Shorten the step: `integrator.substeps = {}`",
                 half.multiplier,
                 2 * substeps
             )
         }
-        Some(half) => format!("{found}, and by {:.4} with two substeps: the physics is unstable, not the step", half.multiplier),
+        Some(half) => {
+            format!("{found}, and by {:.4} with twice as many substeps: the physics is unstable, not the step", half.multiplier)
+        }
         None => format!("{found}. Without substeps, step and physics cannot be distinguished"),
     })
 }

@@ -29,8 +29,8 @@ pub enum NoOptimum {
     /// R is not positive definite.
     #[error("the cost R of controls is not positive definite, so no optimal control exists; use an R with positive eigenvalues")]
     ControlCost,
-    /// `R + Bᵀ W B` with the W of [`Optimum`] is not positive definite. This requires a negative
-    /// eigenvalue of Q.
+    /// `R + Bᵀ W B` with the W of [`Optimum`] is not positive definite, or W differs from `Q + P`.
+    /// Both require a negative eigenvalue of Q.
     #[error(
         "the cost decreases without bound for large controls, because the cost Q of states has a negative eigenvalue; \
          use a Q without negative eigenvalues"
@@ -40,7 +40,8 @@ pub enum NoOptimum {
     /// slowly.
     #[error(
         "Riccati's equation did not converge in 2^{doublings} steps (the last doubling changed W by {change:.1e} of its size): \
-         the plant has motions without decay that no control reaches or on which the cost does not depend"
+         the plant has motions without decay that no control reaches or on which the cost does not depend, or the cost Q of \
+         states has a negative eigenvalue"
     )]
     NotConverged {
         /// Number of doublings of the horizon.
@@ -73,13 +74,18 @@ impl Optimum {
         let (a, b) = (plant.a(), plant.b());
         let (q, r) = (DMatrix::from_row_slice(n, n, state_cost), DMatrix::from_row_slice(m, m, control_cost));
         let g = &b * r.clone().cholesky().ok_or(NoOptimum::ControlCost)?.solve(&b.transpose());
-        let w = doubled(a.clone(), g, q)?;
+        let w = doubled(a.clone(), g, q.clone())?;
         let towards = b.transpose() * &w;
         let factor = (&r + &towards * &b).cholesky().ok_or(NoOptimum::StateCost)?;
         let gain = -factor.solve(&(towards * &a));
         // The second form of P, a sum of squares, does not amplify rounding errors.
         let closed = a + b * &gain;
-        let p = symmetric(closed.transpose() * w * closed + gain.transpose() * r * &gain);
+        let p = symmetric(closed.transpose() * &w * closed + gain.transpose() * r * &gain);
+        // Doubling may converge where the recursion of single steps oscillates.
+        let residual = (&w - &q - &p).amax();
+        if residual.is_nan() || residual > 1e-6 * w.amax().max(p.amax()) {
+            return Err(NoOptimum::StateCost);
+        }
         Ok(Self { gain: row_major(&gain), cost_to_go: row_major(&p) })
     }
 }

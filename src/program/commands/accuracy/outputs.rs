@@ -138,7 +138,10 @@ fn floors(rows: &[Row]) -> String {
         least.map(|(row, error)| format!("{} in {precision} ({} x{})", rough(error), row.setting.method, row.setting.substeps))
     };
     let found: Vec<String> = ["f32", "f64"].into_iter().filter_map(of).collect();
-    format!("The smallest errors of the trajectory are {}.", found.join(" and "))
+    match &found[..] {
+        [] => "All settings diverge.".to_owned(),
+        found => format!("The smallest errors of the trajectory are {}.", found.join(" and ")),
+    }
 }
 
 fn about(rows: &[Row], check: &Errors) -> String {

@@ -126,7 +126,7 @@ fn troubles(troubles: &[String]) -> Markup {
             [] => {}
             [one] => p.trouble { (one) },
             many => details.trouble open[many.len() < 4] {
-                summary { (many.len()) " runs are incomplete" }
+                summary { (many.len()) " warnings" }
                 ul { @for reason in many { li { (reason) } } }
             },
         }
