@@ -46,9 +46,10 @@ def task(name, **settings):
     """Opens a preset by name, for example "cart_pole", or a scene file by its path.
 
     Keyword arguments are settings of the section `system`, as in `poles=4`. The arguments
-    `horizon`, `precision`, `field`, `epochs`, `seed` and `tags` are settings outside of sections.
-    `effects`, `actuator`, `integrator`, `loss`, `policy`, `training` and `system` accept a dict of
-    their settings. `settings` accepts a dict of dotted keys, as in `settings={"system.poles": 4}`.
+    `horizon`, `precision`, `field`, `epochs`, `seed`, `tags` and `log` are settings outside of
+    sections. `effects`, `actuator`, `integrator`, `loss`, `policy`, `training` and `system` accept a
+    dict of their settings. `settings` accepts a dict of dotted keys, as in
+    `settings={"system.poles": 4}`.
 
     Raises `ValueError` with the key and its allowed values if a setting is invalid.
     """

@@ -366,8 +366,13 @@ const LONG_EPOCHS: [&str; 4] = ["--set", "training.train_samples=100000", "--set
 #[test]
 fn the_second_signal_stops_within_the_epoch_and_keeps_the_checkpoint() {
     let (_dir, out) = folder();
-    let mut child = process(&out, &["--epochs", "2", "--threads", "1"]).args(LONG_EPOCHS).spawn().expect("the process starts");
-    wait_until("the run begins", || out.join("metrics.csv").exists());
+    let mut train = process(&out, &["--epochs", "2", "--threads", "1", "--save-every", "0"]);
+    let mut child = train.args(LONG_EPOCHS).spawn().expect("the process starts");
+    // Before the first epoch, a signal ends the run without a message.
+    let checkpoint = || fs::read(out.join("checkpoint.bin")).ok();
+    wait_until("the run begins", || checkpoint().is_some());
+    let first = checkpoint();
+    wait_until("the run saves within the epoch", || checkpoint() != first);
     signal(&child, "TERM");
     // After the first signal, the program prints a message within the epoch. A newer checkpoint is
     // no evidence of the signal, because the program also saves periodically.
