@@ -6,8 +6,8 @@ use physgrad::tasks::{
     PoleDamping, SteadyWind,
 };
 use physgrad::{
-    Adaptive, AnyIntegrator, Cause, Cotangents, Discretized, Forced, ImplicitMidpoint, Inputs, Integrated, Integrator, Ode,
-    OdeInputs, RungeKutta, Scalar, SemiImplicit, Substeps, System, Verlet, check,
+    Adaptive, AnyIntegrator, Cause, Cotangents, Discretized, Forced, ImplicitMidpoint, Inputs, Integrated, Integrator, Lanes,
+    Ode, OdeInputs, RungeKutta, Scalar, SemiImplicit, Substeps, System, Verlet, check,
 };
 use rand::RngExt;
 
@@ -223,6 +223,43 @@ fn an_unsolved_newton_step_is_nan() {
     let mut next = [0.0_f64];
     system.step(Inputs::new(&[1.0], &[0.0]), &mut next);
     assert!(next[0].is_nan(), "{next:?}");
+}
+
+/// One state variable. Control 0 selects a rate with kinks and jumps, control 1 a cubic rate.
+#[derive(Clone, Debug)]
+struct Kinks;
+
+impl Ode for Kinks {
+    fn state_dim(&self) -> usize {
+        1
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn rate<T: Scalar>(&self, OdeInputs { x, u, .. }: OdeInputs<'_, T>, rate: &mut [T]) {
+        let x = x[0];
+        let below = |kink: f64| T::select_lt(x, T::from(kink), T::from(kink) - x, T::zero());
+        let kinks = T::from(0.991) - below(0.4999) * 2.0 - below(0.495) * 100.0;
+        let level = T::select_lt(x, T::from(0.05), T::one(), T::from(0.2));
+        let kinks = T::select_lt(x, T::from(0.3), level, kinks);
+        rate[0] = T::select_lt(u[0], T::from(0.5), kinks, -x * x * x);
+    }
+}
+
+#[test]
+fn a_lane_of_the_midpoint_rule_does_not_depend_on_the_other_lanes() {
+    // From 0, two successive corrections are small. Further iterations would lead to another
+    // solution. The cubic rate needs 15 iterations.
+    let system = integrated(Kinks, midpoint(1e-2), 1.0);
+    let alone = |x: f64, u: f64| {
+        let mut next = [0.0];
+        system.step(Inputs::new(&[x], &[u]), &mut next);
+        next[0]
+    };
+    let (xs, us) = ([0.0, 2.0, 0.0, 2.0], [0.0, 1.0, 0.0, 1.0]);
+    let mut next = [Lanes([0.0; 4])];
+    system.step(Inputs::new(&[Lanes(xs)], &[Lanes(us)]), &mut next);
+    assert_eq!(next[0].0, [0, 1, 2, 3].map(|lane| alone(xs[lane], us[lane])));
 }
 
 /// Two masses on springs without friction. One spring hardens, and the control has no effect.

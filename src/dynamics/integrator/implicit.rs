@@ -116,7 +116,9 @@ impl ImplicitMidpoint {
                 largest = T::select_lt(size, largest, largest, size);
                 next[i] = T::select_lt(T::zero(), to_go, next[i] - correction, next[i]);
             }
-            to_go = T::select_lt(largest, tolerance, to_go - T::one(), rounds_after).detach();
+            let next_to_go = T::select_lt(largest, tolerance, to_go - T::one(), rounds_after).detach();
+            // A converged lane stays converged, so its result does not depend on the other lanes.
+            to_go = T::select_lt(T::zero(), to_go, next_to_go, to_go);
         }
         to_go
     }
