@@ -15,12 +15,19 @@ pub struct LogAxis {
 }
 
 impl LogAxis {
-    /// Creates the axis for lines and bands.
+    /// Creates the axis for lines, bands and single dots. With dots, the range has a margin
+    /// of 2 % at both ends, so that the edge of the panel cuts no dot.
     pub fn of<'a>(series: impl Iterator<Item = &'a Series>) -> Self {
-        Self::covering(series.flat_map(|s| {
+        let (mut dots, mut low, mut high) = (false, f64::INFINITY, 0.0);
+        for s in series {
+            dots |= s.line.len() == 1;
             let edges = s.band.iter().flat_map(|&(low, high)| [low, high]);
-            s.line.iter().map(|&(_, y)| y).chain(edges)
-        }))
+            for y in s.line.iter().map(|&(_, y)| y).chain(edges) {
+                (low, high) = (y.min(low), y.max(high));
+            }
+        }
+        let margin = if dots { (high / low).powf(0.02).max(1.02) } else { 1.0 };
+        Self::covering([low / margin, high * margin].into_iter())
     }
 
     /// Creates the axis for the values, rounded outward to one digit.
@@ -101,6 +108,21 @@ mod tests {
         assert!(flat.low <= 1.0 && flat.high >= 2.0);
         let tiny = LogAxis::covering([1e-99, 1e99].into_iter());
         assert!((1.0..10.0).contains(&tiny.low) && tiny.high.is_finite());
+    }
+
+    #[test]
+    fn dots_have_a_margin_and_lines_have_none() {
+        let series = |line: &[(f64, f64)]| Series::new("", "", line.to_vec());
+        let ends = |series: &[Series]| {
+            let axis = LogAxis::of(series.iter());
+            [axis.low, axis.high].map(|y| y * axis.unit())
+        };
+        assert_eq!(ends(&[series(&[(0.0, 1.0), (1.0, 100.0)])]), [1.0, 100.0]);
+        for values in [[1.0, 100.0], [1e-9, 1e3], [1.0, 1.0]] {
+            let [low, high] = ends(&values.map(|y| series(&[(0.0, y)])));
+            let margin = 0.02 * (high / low).log10();
+            assert!((values[0] / low).log10() > 0.5 * margin && (high / values[1]).log10() > 0.5 * margin, "{low} to {high}");
+        }
     }
 
     #[test]
