@@ -1,4 +1,4 @@
-"""Trains a controller, looks at it, and computes all fields from one forward pass.
+"""Trains a controller, writes its report, and computes four fields from one forward pass.
 
     python first_hour.py            # a minute
     python first_hour.py --quick    # two epochs
@@ -33,7 +33,7 @@ starts = task.starts(64, seed=2)
 x, u = pg.rollout(task, run.policy, starts)
 print(f"states {x.shape}, controls {u.shape}; largest control {np.abs(u).max():.1f} N")
 
-# All fields at the trained policy.
+# Fields R, M, S and C at the trained policy.
 gradients = pg.gradients(task, run.policy, starts, fields=["R", "M", "S", "C"])
 for name, gradient in gradients.items():
     print(f"{name}: norm {np.linalg.norm(gradient):.3g}, {np.mean(gradient != 0):.0%} of the components are not 0")

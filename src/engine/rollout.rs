@@ -17,7 +17,7 @@ pub(crate) use columns::{find_non_finite, gather};
 use std::ops::Range;
 pub use step_forward::StepForward;
 
-/// Number of samples in a block, which the physics steps together.
+/// Number of samples in a block. One call of the system steps all samples of a block.
 pub(crate) const WIDTH: usize = 8;
 
 /// Number of steps in a unit. Units divide a rollout; the last one may be shorter.
@@ -29,13 +29,19 @@ pub(crate) const WIDTH: usize = 8;
 /// odd, so that columns of neighbouring samples map to different cache sets.
 pub(crate) const UNIT: usize = 129;
 
+/// Stored steps, for messages.
+const STORED: &str = "a rollout with a tape stores all steps, one for evaluation only the last";
+
 /// One component of the state, the control or another vector, for [`WIDTH`] samples.
 pub(crate) type Lane<F> = Lanes<F, WIDTH>;
 
 /// Batch of rollouts. The constructor allocates all buffers.
 ///
-/// A run allocates only if it diverges, or in steps of systems that exceed their stack buffers.
-/// Some policies and all reverse-mode derivatives also allocate in their first call on a thread.
+/// A run allocates only in three cases:
+///
+/// - The run diverges.
+/// - A step of a system exceeds its stack buffers.
+/// - Some policies and all reverse-mode derivatives allocate in their first call on a thread.
 ///
 /// With a tape, the rollout stores the trajectory and the values that [`Adjoint`](crate::Adjoint)
 /// needs. Without a tape ([`Rollout::for_evaluation`]), it stores a single step. Costs and states
@@ -429,7 +435,8 @@ impl<F: Float> Rollout<F> {
     /// If that step is not stored. Without a tape, only the last two states are stored.
     #[track_caller]
     pub fn state(&self, t: usize, sample: usize, i: usize) -> F {
-        assert!(t <= self.horizon && t + self.kept >= self.horizon, "step {t} is not stored");
+        let Self { horizon, kept, .. } = *self;
+        assert!(t <= horizon && t + kept >= horizon, "the state at step {t} of {horizon} is not stored: {STORED}");
         self.states_at(t)[(sample / WIDTH) * self.state_dim + i].lane(sample % WIDTH)
     }
 
@@ -439,7 +446,8 @@ impl<F: Float> Rollout<F> {
     /// If that step is not stored. Without a tape, only the last control is stored.
     #[track_caller]
     pub fn control(&self, t: usize, sample: usize, i: usize) -> F {
-        assert!(t < self.horizon && t + self.kept >= self.horizon, "step {t} is not stored");
+        let Self { horizon, kept, .. } = *self;
+        assert!(t < horizon && t + kept >= horizon, "the control at step {t} of {horizon} is not stored: {STORED}");
         self.controls_at(t)[(sample / WIDTH) * self.control_dim + i].lane(sample % WIDTH)
     }
 }

@@ -250,8 +250,8 @@ pub trait Cotangent<R>:
     + AddAssign
     + SubAssign
 {
-    /// Neutral element of addition, the initial value of a sum: −0.0 in every lane, since
-    /// `0.0 + -0.0` is `0.0`.
+    /// Neutral element of addition, the initial value of a sum: −0.0 in every lane. 0.0 is
+    /// not neutral, since `-0.0 + 0.0` is `0.0`.
     fn null() -> Self;
     /// Returns whether all numbers are finite.
     #[doc(hidden)]

@@ -11,8 +11,10 @@ pub(crate) fn rough(x: f64) -> String {
     digits(x, 2)
 }
 
-/// A number with `count` significant digits, rounded to nearest. Below 1e5, the integer part keeps
-/// all its digits. Absolute values below 1e-3 and from 1e5 on have an exponent; 0 is `0`.
+/// A number with `count` significant digits, rounded to nearest.
+///
+/// The rounded absolute value selects the format. Below 1e-3 and from 1e5 on, the number has an
+/// exponent. In between, the integer part keeps all its digits; 0 is `0`.
 pub(crate) fn digits(x: f64, count: usize) -> String {
     if x == 0.0 {
         return "0".into();

@@ -80,7 +80,7 @@ fn derivatives_with_actuators_and_substeps_equal_dual_numbers() {
     let dt = system().system.dt;
     let [smooth, hard] = [LimitKind::Smooth, LimitKind::Hard].map(|kind| AnyActuator::Limit(Limit { bound: 1.5, kind }));
     let (lag, delay) = (AnyActuator::Lag(Lag::new(0.03, dt)), AnyActuator::Delay(Delay { steps: 3 }));
-    // Lists have one type, which is compiled once.
+    // All lists have one type, so the compiler monomorphizes the check once.
     for actuator in [vec![smooth], vec![hard], vec![lag], vec![delay], vec![smooth, lag], vec![smooth, delay, lag]] {
         check_large(&Actuated { system: system(), actuator });
     }

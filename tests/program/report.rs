@@ -161,7 +161,7 @@ fn the_page_of_a_run_has_its_settings_metrics_adjoint_norms_and_animation() {
     );
     assert_eq!((row[0], row[3], row[5]), ("4", &*format!("{:.3}", rows[3][3]), "0"));
     assert_eq!(animations(&page), [fs::read_to_string(out.join("animation.svg")).expect("an animation")]);
-    assert_eq!(between(&page, "<script>", "</script>").len(), 1, "one script");
+    assert_eq!(between(&page, "<script>", "</script>").len(), 1, "the page does not have exactly one script");
 
     assert!(report(&out) == page, "a second report has other bytes");
     train(&out, &["--epochs", "1"]).assert().success();
@@ -212,7 +212,7 @@ fn the_page_of_a_comparison_has_the_printed_table_and_curves_of_all_seeds() {
     assert_eq!(labels(&diagram(&page, "Growth of M as trained")), ["R seed 9", "C seed 9"]);
 
     let file = |run: &str| -> PathBuf { dir.path().join("runs").join(run).join("animation.svg") };
-    let [regular, combined] = animations(&page)[..] else { panic!("one animation per field") };
+    let [regular, combined] = animations(&page)[..] else { panic!("the page does not have one animation per field") };
     assert_same_scale(regular, combined);
     physgrad(&["animate"]).arg(dir.path()).assert().success();
     let animated = ["R-9", "R-10", "C-9", "C-10"].map(|run| fs::read_to_string(file(run)).expect("an animation"));
@@ -241,7 +241,7 @@ fn a_comparison_of_several_scenes_has_one_page_and_all_animations() {
             assert!(page.contains(&format!("<h2>{scene}: {section}</h2>")), "{scene}: {section}");
         }
     }
-    assert_eq!(animations(&page).len(), 4, "the first seed of two fields in two scenes");
+    assert_eq!(animations(&page).len(), 4, "the page does not have one animation per field and scene");
     // The field of a curve determines its colour, the scene its dashes.
     let curves = fs::read_to_string(dir.path().join("curves.svg")).expect("a picture");
     let line = |label: &str| {
@@ -255,7 +255,7 @@ fn a_comparison_of_several_scenes_has_one_page_and_all_animations() {
     }
 
     let output = physgrad(&["animate"]).arg(dir.path()).output().expect("the command runs");
-    assert_eq!(String::from_utf8_lossy(&output.stdout).lines().count(), 8, "one animation per run");
+    assert_eq!(String::from_utf8_lossy(&output.stdout).lines().count(), 8, "`animate` does not print one animation per run");
 }
 
 #[test]

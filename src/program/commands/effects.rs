@@ -15,7 +15,7 @@ use toml::Table;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  physgrad effects steady_wind")]
 pub struct Effects {
-    /// An effect or a part of the actuator [default: the whole page]
+    /// An effect or an actuator [default: the whole page]
     pub effect: Option<String>,
     /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
     #[arg(long)]
@@ -32,14 +32,14 @@ Effects are optional physics that a scene adds to its system. [scenes.md](scenes
 The command `physgrad effects` generates this page.
 
 Costs are operation counts of one step of one sample, in the task's default system. The column VJP
-counts the vector-Jacobian product of this step to state and control. A test compares this page with
-the counts. An effect costs the same with and without other effects. Two actuators may share
-operations. Absent effects cost nothing. Counts exclude the precomputation of constants, such as a
-static potential.
+counts the vector-Jacobian product of this step with respect to state and control. A test compares
+this page with the counts. An effect costs the same with and without other effects. Two actuators
+may share operations. Absent effects cost nothing. Counts exclude the precomputation of constants,
+such as a static potential.
 
 Tests compare the analytic derivatives with dual numbers; `physgrad check SCENE` does so for any
 scene. *Smoothed*: a smooth function replaces a jump in the physics. *One-sided*: the derivative
-jumps at a point, and the value of one side is used.
+jumps at a point and takes the value of one side there.
 ";
 
 /// Runs the command.
@@ -56,12 +56,13 @@ pub fn effects(args: &Effects) -> Result<()> {
         let effects = tasks::all().iter().flat_map(|task| task.effects());
         let names: Vec<&str> = effects.chain(ACTUATORS).map(|info| info.name).collect();
         let question = did_you_mean(name, names.iter().copied());
-        bail!("there is no effect `{name}`; effects: {}{question}", names.join(", "));
+        bail!("there is no effect or actuator `{name}`; effects and actuators: {}{question}", names.join(", "));
     }
     found.into_iter().try_for_each(|entry| print_result(&format!("### {}", entry.trim_end())))
 }
 
-/// One object per effect and task, or only those of one name.
+/// Returns one object per effect and task, and one per actuator. With `name`, returns only the
+/// objects of that name.
 fn objects(name: Option<&str>) -> Result<Vec<Value>> {
     let all = tasks::all().iter().flat_map(|&task| task.effects().into_iter().map(move |info| (task, "effects", info)));
     let actuators = ACTUATORS.iter().map(|&info| (tasks::all()[0], "actuator", info));
@@ -87,7 +88,7 @@ fn page() -> Result<String> {
     }
     let actuators = wrapped(
         "Every task accepts actuators; `quantum` accepts only `limit`. Actuators map the policy's control u to the control u' \
-         that the physics receives, in this order. Their state starts at 0. Costs are for cart_pole, which has one control.",
+         of the physics. They act in the order of the table. Their state starts at 0. Costs are for cart_pole, which has one control.",
         WIDTH,
     );
     let _ = writeln!(page, "\n## Actuators\n\n{actuators}\n");
