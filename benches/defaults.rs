@@ -33,11 +33,11 @@ enum By {
 }
 
 /// Masses of 1 kg in a row between two walls, with viscous damping. The springs have the force
-/// k d + k₃ d³. Controls are forces on every 25th mass, N.
+/// k d + k₃ d³. Controls are forces on every 25th mass, beginning with the first, N.
 struct Rod {
     masses: usize,
     by: By,
-    /// Number of unused parameters. More than 16 inputs select reverse mode.
+    /// Number of unused parameters. Default derivatives use reverse mode for more than 16 inputs.
     unused: usize,
 }
 
@@ -184,7 +184,7 @@ impl Task for Costs<'_> {
     }
 }
 
-/// Policy that implements only `act`: the tanh layers of an [`Mlp`].
+/// Policy that computes the tanh network of an [`Mlp`] by `act` alone, without batched passes.
 struct ActOnly {
     sizes: [usize; 4],
     mlp: Mlp,
@@ -291,8 +291,8 @@ fn by_duals(rod: &Rod, x: &[Lanes<f32, 8>], u: &[Lanes<f32, 8>], next_bar: &[Lan
     }
 }
 
-/// Times three VJPs of eight samples, for several numbers of inputs: analytic, by dual numbers, and
-/// in reverse mode.
+/// Times three VJPs of eight samples (analytic, by dual numbers, in reverse mode) for several
+/// numbers of inputs.
 fn products(count: usize) {
     println!("microseconds of one VJP of eight samples in f32, by number of inputs");
     println!("  inputs     hand    duals  reverse   duals / hand  reverse / hand");
@@ -329,7 +329,7 @@ fn products(count: usize) {
     }
 }
 
-/// Times epochs of a rod with 200 states.
+/// Times training epochs for a rod with 200 states, with two fields and two policies.
 fn trainings<F: Float>(count: usize) {
     println!("\n{}: epoch of a rod with 200 states, 64 samples, 100 steps, one thread", F::NAME);
     for (name, field) in [("R", Field::regular as fn() -> Field), ("C", Field::combined)] {
@@ -357,7 +357,7 @@ fn epoch<F: Float, P: Policy>(by: By, policy: P, field: Field) -> impl FnMut() {
     }
 }
 
-/// Prints the times of analytic and default derivatives.
+/// Prints the times of a job with analytic and with default derivatives, and their ratio.
 fn compare(name: &str, count: usize, [mut hand, mut default]: [impl FnMut(); 2]) {
     let times = rounds(count, &mut [&mut hand, &mut default]);
     let [hand, default] = [0, 1].map(|i| median(&times[i]) * 1e-3);

@@ -3,12 +3,13 @@
 //! Usage: `cargo bench --bench effects`, or with `-- guidance` for one task, and with `-- --quick`
 //! for few rounds. Measures steps of eight samples on one thread: forward alone, with the adjoint
 //! of R, and with the adjoints of C. One part measures whole scenes, with the policy of the paper
-//! and the gradients of its parameters. The other part measures the physics alone, with zero
-//! control.
+//! and the gradients with respect to its parameters. The other part measures the physics alone,
+//! with zero control.
 //!
-//! Jobs alternate within each round; a ratio is the median over rounds. Timings depend on the
-//! memory layout. The benchmark therefore constructs all jobs several times, in varying order and
-//! layout, and reports the median of the ratios.
+//! Jobs alternate within each round; a ratio is the median of the ratios per round. Timings depend
+//! on the memory layout. The benchmark therefore constructs all jobs nine times (once with
+//! `--quick`), in varying order and layout. It reports the median, the lowest and the highest of
+//! these ratios.
 
 mod by_hand;
 mod measure;
@@ -132,7 +133,7 @@ fn quantum_scenes<F: Float>() -> Vec<Vec<Form>> {
 fn table(of: Of, scenes: Vec<Vec<Form>>, precision: &str, horizon: usize, places: usize, count: usize) {
     println!("{precision}");
     for forms in scenes {
-        // Times and ratios, by pass and form. Each vector has one number per place.
+        // Times and ratios, by pass and form. Each innermost vector has one number per repetition.
         let mut found = [(); 3].map(|()| vec![(Vec::new(), Vec::new()); forms.len()]);
         for place in 0..places {
             // Varies the order of construction and the memory layout between repetitions.

@@ -1,5 +1,5 @@
-//! Benchmark of cart-pole training: the gradient of each field, the shares of matrix products, tanh
-//! and physics in the gradient of R, and whole epochs.
+//! Benchmark of cart-pole training: the gradient of each field of the paper, the parts of the
+//! gradient of R, and whole epochs. The parts are matrix products, tanh and physics.
 //!
 //! Usage: `cargo bench --bench epoch`, or with `-- --quick` for few rounds. Jobs alternate within
 //! each round; times are medians. A ratio is the median of the ratios per round, which cancels
@@ -41,7 +41,7 @@ fn starts<F: Float>(task: &CartPole) -> Vec<F> {
     initial_states(task, 0, Purpose::Train, BATCH)
 }
 
-/// Times the forward pass and the gradient of every field.
+/// Times the forward pass and the gradients of the five fields of the paper.
 fn fields<F: Float>(count: usize) {
     let (task, policy) = task_and_policy();
     let weights = Weights::<F>::init(&policy, &mut stream(0, Purpose::Policy, 0));
@@ -92,9 +92,9 @@ fn shares(count: usize) {
         adjoint.param_gradient(0, &policy, &weights, &rollout, 0..BATCH, &mut theta_bar);
     };
 
-    // (rows, depth, columns, calls) of the matrix products in one gradient, with rows padded to
-    // multiples of 16 as in the library. Two products of the forward pass, three of the reverse
-    // pass, three of the weight gradients, which sum over 64 columns per call.
+    // (rows, depth, columns, calls) of the matrix products in one gradient, with rows padded to odd
+    // multiples of 16 as in the library. Two products belong to the forward pass, three to the
+    // reverse pass, and three to the weight gradients. The last three sum over 64 columns per call.
     let (pad_n, pad_w) = (16, 112);
     let products = [
         (pad_w, n + 1, BATCH, steps),

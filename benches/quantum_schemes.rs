@@ -73,7 +73,7 @@ fn forms<F: Float>(grid: usize, horizon: usize) -> [Vec<Form>; 2] {
 }
 
 /// Returns the fewest substeps per time step for which one substep advances the phase of the fifth
-/// eigenstate correctly to 1 %.
+/// eigenstate with an error of at most 1 %.
 fn least_substeps<S: System>(model: QuantumSystem, make: impl Fn(QuantumSystem) -> S) -> usize {
     let phi: Vec<f64> = model.eigenstate(5).flat_map(|phi| [phi, 0.0]).collect();
     let sine = (5.0 * PI / (2.0 * (model.grid + 1) as f64)).sin() / model.spacing();

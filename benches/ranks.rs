@@ -1,10 +1,10 @@
-//! Model of the time of an update on several machines, with constants measured on this one.
+//! Model of the time of an update on several machines, with constants measured on this machine.
 //!
 //! Usage: `cargo bench --bench ranks -- [LATENCY µs] [BANDWIDTH Gbit/s] [CORES per machine]`, with
 //! defaults 20, 10 and 32. Four poles, field C, f32. `docs/clusters.md` explains the formula.
 //!
 //! Measures the gradient of a sample on one core, and the exchange of two ranks, which are threads
-//! here. Latency and bandwidth are parameters.
+//! here. Latency, bandwidth and cores per machine are parameters.
 
 mod measure;
 
@@ -68,7 +68,7 @@ impl Model {
     fn update(&self, batch: usize, machines: usize) -> [f64; 2] {
         let groups = batch.div_ceil(GROUP);
         let block = groups.div_ceil(BLOCKS);
-        // Blocks of the rank with the largest share.
+        // Number of blocks of the rank with the most blocks.
         let own = groups.div_ceil(block).div_ceil(machines);
         let compute = ((own * block).min(groups).div_ceil(self.cores) * GROUP) as f64 * self.sample;
         if machines == 1 {

@@ -31,7 +31,8 @@ impl System for Arm {
     fn param_dim(&self) -> usize { 2 }
     fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
         // M α = τ, with M = m l² [[5/3 + c, 1/3 + c/2], [1/3 + c/2, 1/3]] and c = cos θ₂. α is the
-        // angular acceleration. τ contains the controls, the damping and the Coriolis torques.
+        // angular acceleration. τ contains the controls, the damping, and the Coriolis and
+        // centrifugal torques.
         let inertia = self.mass * self.length * self.length;
         let (sin, cos) = x[1].sin_cos();
         let (a, b, c) = (cos + 5.0 / 3.0, cos * 0.5 + 1.0 / 3.0, 1.0 / 3.0);

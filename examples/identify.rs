@@ -1,5 +1,6 @@
 //! Identifies the physical numbers of a measured pendulum of one to three arms. Chooses the
-//! friction by an information criterion, and validates it on segments that were not fitted.
+//! friction model by an information criterion, and validates it on segments that the fit does not
+//! use.
 //!
 //! Run: `cargo run --release --example identify -- [measured.csv] [scipy.csv]`
 //!
@@ -30,7 +31,7 @@ const VARIES: Number = Number::Trained { start: 1.0, min: 0.0, max: f64::INFINIT
 /// Time step of the simulation, s. Sampling times of the data are multiples of it.
 const DT: f64 = 0.005;
 
-/// Reads segments: columns segment, time, angles, rates.
+/// Reads segments from a CSV file with the columns segment, time, angles and rates.
 fn read(path: &str) -> Result<Vec<Segment>, Box<dyn Error>> {
     let text = std::fs::read_to_string(path).map_err(|error| format!("cannot read {path}: {error}"))?;
     let mut segments: Vec<Segment> = Vec::new();
@@ -59,7 +60,7 @@ const KINDS: [(&str, [bool; 3]); 6] = [
     ("all", [true, true, true]),
 ];
 
-/// A pendulum with numbers p, of which some entries are unknown.
+/// A pendulum with numbers p, some of them unknown.
 struct Model {
     system: Integrated<MultiPendulum, RungeKutta>,
     p: Vec<f64>,
@@ -67,7 +68,9 @@ struct Model {
 }
 
 impl Model {
-    /// Initial values are `factor` times too large or too small, in turn.
+    /// Model with the published numbers. Initial values of unknowns are `factor` times too large or
+    /// too small, in turn. Frictions start from that of the pendulum with one arm, quadratic
+    /// friction from a tenth of its number.
     ///
     /// Free swings do not determine a common factor of masses, inertias and frictions, nor one more
     /// combination. The masses and the last inertia therefore keep their published values.
@@ -117,7 +120,7 @@ impl Model {
         model
     }
 
-    /// Replaces numbers by name.
+    /// Replaces unknown numbers by name. Ignores other names.
     fn with<'a>(mut self, values: impl Iterator<Item = (&'a str, f64)>) -> Self {
         for (name, value) in values {
             if let Some(unknown) = self.unknowns.iter().find(|unknown| unknown.name == name) {
@@ -214,7 +217,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             let mut sorted = errors.clone();
             sorted.sort_by(f64::total_cmp);
             let (median, max) = (0.5 * (sorted[(sorted.len() - 1) / 2] + sorted[sorted.len() / 2]), sorted[sorted.len() - 1]);
-            // Equal up to the tolerances of the fits.
+            // Also counts errors that are equal up to the tolerances of the fits.
             let wins = ours.iter().zip(errors).filter(|(ours, other)| **ours <= 1.001 * **other).count();
             let each: Vec<String> = errors.iter().map(|error| format!("{error:.4}")).collect();
             println!("  {label:<28} median {median:.4}, max {max:.4}; ours is at most this in {wins} of {}", ours.len());

@@ -8,8 +8,8 @@ use physgrad::tasks::CartPoleSystem;
 use std::f64::consts::PI;
 use std::fmt::Write as _;
 
-/// 2 s in 100 steps, from hanging at rest. State [position m, velocity m/s, angle rad (0 = up),
-/// rate rad/s], control [force N].
+/// Swing-up in 2 s, in 100 steps, from hanging at rest. State [position m, velocity m/s, angle rad
+/// (0 = up), rate rad/s], control [force N].
 struct SwingUp {
     system: CartPoleSystem,
 }

@@ -11,9 +11,10 @@ use physgrad::{Clip, Decay, Rollout, Training, initial_states};
 const MASSES: usize = 100;
 const STEPS: usize = 150;
 
-/// Masses of 1 kg in a row between two walls. Springs between neighbours have the force
-/// k d + k₃ d³, with `stiffness` k, `hardening` k₃ and the difference d of the deflections. State:
-/// sideways deflections, m, then speeds, m/s. Control: forces at four masses, N.
+/// Masses of 1 kg in a row between two walls. Springs connect neighbours, and the outer masses to
+/// the walls. A spring has the force k d + k₃ d³, with `stiffness` k, `hardening` k₃ and the
+/// difference d of the deflections. State: sideways deflections, m, then speeds, m/s. Control:
+/// forces at four masses, N.
 #[derive(Clone)]
 #[rustfmt::skip]
 struct Rod { stiffness: f64, hardening: f64, damping: f64, dt: f64 }
@@ -68,7 +69,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut rollout = Rollout::new(&task, &policy, SAMPLES);
     rollout.start(&starts);
     rollout.run(&task, &policy, &report.weights)?;
-    // Kinetic and potential energy, J.
+    // Sum of kinetic and potential energy, J.
     let energy = |sample: usize, t: usize| {
         let x: Vec<f64> = (0..2 * MASSES).map(|i| f64::from(rollout.state(t, sample, i))).collect();
         let ends = [&[0.0], &x[..MASSES], &[0.0]].concat();

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Builds the wheel, installs it in a new virtual environment and runs the tests. Skips with a
-# message if Python or a package index is missing. PHYSGRAD_PYTHON_ALL=1 also installs PyTorch and
-# Stable-Baselines3, and runs slow tests.
+# message if Python 3.10 or newer, its module venv or a package index is missing.
+# PHYSGRAD_PYTHON_ALL=1 also installs PyTorch and Stable-Baselines3, and runs slow tests.
 set -euo pipefail
 cd "$(dirname "$0")"
 

@@ -49,8 +49,8 @@
 //! An [`Effect`] is an optional part of the physics: friction, wind, obstacles, potentials. The
 //! effects of a system are part of its type, so absent effects cost nothing. [`OpCount`] counts the
 //! operations of a system exactly. An [`Actuator`] transforms controls between policy and system.
-//! [`Substeps`] performs several small steps of a system as one. [`Integrated`] makes a system of
-//! an [`Ode`] and an [`Integrator`].
+//! [`Substeps`] performs several small steps of a system as one. [`Integrated`] combines an [`Ode`]
+//! and an [`Integrator`] into a system.
 //! ```
 //! use physgrad::tasks::{CartPole, CartPoleSystem, PoleDamping, SteadyWind};
 //! use physgrad::{Actuated, OpCount, Lag, Forced, check};
@@ -69,7 +69,7 @@
 //! - [`optimize`]: controls that minimize the loss from one initial state.
 //!
 //! # Features
-//! - `parallel` splits mini-batches and data sets over threads.
+//! - `parallel` splits mini-batches, data sets and the windows of an identification over threads.
 //! - `report` adds the module `report`, which draws charts and animations.
 //! - `schema` provides a JSON schema for the settings of systems and effects.
 //! - `double-double` adds `DoubleDouble`, a 31-digit scalar type for reference results and their
@@ -84,7 +84,7 @@
 
 #![deny(missing_docs, unsafe_op_in_unsafe_fn)]
 
-// Imports between modules have no cycles. `tests/layout.rs` lists the allowed ones.
+// Imports between modules have no cycles. `tests/layout.rs` lists the allowed imports.
 pub mod check;
 mod dynamics;
 mod engine;

@@ -45,8 +45,8 @@ fn files(folder: &Path) -> Vec<PathBuf> {
 
 /// Returns the modules that a file of `module` imports without permission.
 ///
-/// Imports are paths that start with `root`. Skips comment lines, and a module of unit tests with
-/// all lines after it.
+/// Imports are paths that start with `root`. Skips comment lines, and the first inline module of
+/// unit tests with all lines after it.
 fn forbidden(modules: &[Edges], root: &str, module: &str, text: &str) -> Vec<String> {
     let (_, allowed) = modules.iter().find(|(name, _)| *name == module).expect("a module of the list");
     let lines = without_tests(text).lines().filter(|line| !line.trim().starts_with("//"));
@@ -55,15 +55,15 @@ fn forbidden(modules: &[Edges], root: &str, module: &str, text: &str) -> Vec<Str
     names.filter(|name| *name != module && !allowed.contains(name)).map(String::from).collect()
 }
 
-/// Returns the text up to the first module of unit tests.
+/// Returns the text up to the first inline module of unit tests.
 fn without_tests(text: &str) -> &str {
     let is_module =
         |(i, _): &(usize, &str)| text[*i..].lines().nth(1).is_some_and(|line| line.contains("mod ") && line.ends_with('{'));
     text.match_indices("#[cfg(test)]").find(is_module).map_or(text, |(i, _)| &text[..i])
 }
 
-/// Checks the order of the list, and the imports of all listed modules below `folder`. Checks that
-/// `folder` contains only the listed modules and `others`.
+/// Checks the order of the list, and the imports and `super` paths of all listed modules below
+/// `folder`. Checks that `folder` contains only the listed modules and `others`.
 fn check(folder: &Path, modules: &[Edges], root: &str, others: &[&str]) {
     for (i, (module, allowed)) in modules.iter().enumerate() {
         assert!(

@@ -43,8 +43,8 @@ fn regular_field_equals_an_explicit_chain_rule() {
         let (x, slope) = trajectory(s.theta);
         let miss = x[4] - 2.0;
         assert_relative_eq!(s.loss, miss * miss / 2.0, max_relative = 1e-12);
-        // Terms of opposite sign may cancel. The tolerance is therefore relative to the norm of
-        // the gradient.
+        // Terms of opposite sign may cancel. The tolerance is therefore relative to the norm of the
+        // gradient.
         let scale = miss.abs() * slope[0].hypot(slope[1]);
         for (found, slope) in s.vector.into_iter().zip(slope) {
             assert_relative_eq!(found, miss * slope, epsilon = 1e-12 * scale, max_relative = 1e-11);
@@ -180,7 +180,8 @@ fn combined_field_reduces_the_loss_of_adam_to_a_tenth_of_that_of_rotated_field()
     }
 }
 
-/// Checks the documented radius of the orbit, for bowls with equal curvatures.
+/// Checks the documented radius of the orbit of Adam, and the convergence of SGD, for bowls with
+/// equal curvatures.
 #[test]
 fn adam_orbits_in_a_rotated_field_where_sgd_converges() {
     for (curvature, rate, strength) in [(1.0, 0.1, 3.0), (5.0, 0.1, 3.0), (1.0, 0.1, 8.0), (1.0, 0.05, 8.0)] {

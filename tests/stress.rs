@@ -10,7 +10,7 @@ fn passes(name: &str) {
     assert!(!findings.is_empty() && failed.is_empty(), "{name} requires: {}\n{}", case.criterion, failed.join("\n"));
 }
 
-/// Defines one test per case, with the name of the case.
+/// Defines one test per case, with the name of the case, and a test that no case is missing.
 macro_rules! cases {
     ($($name:ident),+ $(,)?) => {
         $(#[test]

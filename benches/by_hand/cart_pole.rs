@@ -38,8 +38,8 @@ impl<const FRICTION: bool, const WIND: bool> System for ByHand<FRICTION, WIND> {
         let (pole_drag, damping) = (T::from(self.wind.pole_drag.nominal()), T::from(self.pole.damping.nominal()));
         let headwind = if WIND { T::from(self.wind.speed.nominal()) - x[1] } else { T::zero() };
 
-        // Drag on one pole pushes the cart, which accelerates every pole. All forces are therefore
-        // summed first.
+        // Drag on one pole pushes the cart, which accelerates every pole. The step therefore sums
+        // all forces before it computes accelerations.
         let mut force = u[0];
         if FRICTION {
             force -= x[1] * self.cart.damping.nominal();

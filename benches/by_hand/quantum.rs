@@ -1,5 +1,5 @@
-//! Handwritten step and VJP of a particle in a box, with a tilt as control, a harmonic trap and a
-//! cubic term. [`QuantumSystem`] documents the equations.
+//! Handwritten step and VJP of a particle in a box with a harmonic trap and a cubic term. The
+//! control is the slope of a linear potential. [`QuantumSystem`] documents the equations.
 
 use arrayvec::ArrayVec;
 use physgrad::rng::Rng;

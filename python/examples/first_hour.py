@@ -16,11 +16,11 @@ parser.add_argument("--out", type=Path, default=Path("runs/python_first_hour"), 
 options = parser.parse_args()
 options.out.mkdir(parents=True, exist_ok=True)
 
-# Keyword arguments are settings of the section `system` of a scene.
+# `poles` is a setting of the section `system` of a scene.
 task = pg.task("cart_pole", poles=2)
 print(f"{task.name}: states {task.state_names}, controls {task.control_names}, {task.horizon} steps of {task.dt} s")
 
-# Trains with field C: components of M whose sign agrees with the gradient R.
+# Trains with field C: components of M whose signs agree with those of the gradient R.
 policy = pg.Mlp(task, [64, 64], seed=1)
 run = pg.train(task, policy, field="C", epochs=2 if options.quick else 100, seed=1, out=options.out / "run")
 losses = run.history["test_loss"]

@@ -1,7 +1,8 @@
 """Trains a torch network of your own by the field C, through the physics of a task.
 
-One rollout has two reverse passes. R passes through the observations, and M does not: a hook
-multiplies their gradient by 1 or by 0. C is M where the signs of R and M agree, and else 0.
+One rollout has two reverse passes. The pass of R continues through the observations, and that of M
+does not: a hook multiplies the gradient with respect to the observations by 1 or by 0. C is M where
+the signs of R and M agree, and else 0.
 
     python own_network_torch.py            # two minutes
     python own_network_torch.py --quick    # two updates
@@ -48,7 +49,10 @@ class Residual(nn.Module):
 
 
 def rollout(network: nn.Module, starts: np.ndarray, through: list[float]) -> torch.Tensor:
-    """Mean loss from ``starts``. Reverse passes multiply gradients of observations by ``through[0]``."""
+    """Mean loss from ``starts``.
+
+    Reverse passes multiply gradients with respect to observations by ``through[0]``.
+    """
     starts = torch.from_numpy(starts).float()
     x, p = starts[:, : task.state_dim], starts[:, task.state_dim :]
     loss = torch.zeros(len(x))

@@ -40,7 +40,8 @@ class Batched(VecEnv):
 
     def step_wait(self) -> tuple:
         y, reward, _, truncated, info = self.envs.step(self.actions)
-        # Without "TimeLimit.truncated", PPO adds no value of later steps. The loss contains none.
+        # Without "TimeLimit.truncated", PPO adds no value estimate of later steps. The loss
+        # contains no costs of later steps either.
         infos = [{"terminal_observation": info["final_obs"][row]} if truncated[row] else {} for row in range(self.num_envs)]
         return y, reward, truncated, infos
 
@@ -75,7 +76,7 @@ def ppo_loss(agent: PPO, task: pg.Task, starts: np.ndarray, bound: float) -> flo
 
 
 def train_ppo(task: pg.Task, seconds: float, steps: int, seed: int = 0, bound: float = 60.0) -> list[tuple[float, float]]:
-    """Trains by PPO. Returns pairs of seconds of training, without tests, and test loss."""
+    """Trains by PPO. Returns pairs (seconds of training without the tests, test loss)."""
     envs = pg.gym.TaskVectorEnv(task, 64, bound, AutoresetMode.SAME_STEP)
     agent = PPO(
         "MlpPolicy", Batched(envs), n_steps=task.horizon, batch_size=800, n_epochs=10, gamma=1.0, gae_lambda=0.95,

@@ -3,7 +3,8 @@
     python speed.py --program target/release/physgrad     # a minute
     python speed.py --quick                               # few repetitions, no training
 
-Times are the least of many repetitions. A training is measured several times, in turn.
+Times of a step are the least of many repetitions. Trainings by the program and by Python alternate,
+three of each.
 """
 
 import argparse

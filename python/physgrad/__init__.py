@@ -45,11 +45,11 @@ __all__ = [
 def task(name, **settings):
     """Opens a preset by name, for example "cart_pole", or a scene file by its path.
 
-    Keyword arguments are settings of the section `system`, as in `poles=4`. The arguments
-    `horizon`, `precision`, `field`, `epochs`, `seed`, `tags` and `log` are settings outside of
-    sections. `effects`, `actuator`, `integrator`, `loss`, `policy`, `training` and `system` accept a
-    dict of their settings. `settings` accepts a dict of dotted keys, as in
-    `settings={"system.poles": 4}`.
+    The arguments `horizon`, `precision`, `field`, `epochs`, `seed`, `tags` and `log` are settings
+    outside of sections. `effects`, `actuator`, `integrator`, `loss`, `policy`, `training` and
+    `system` accept a dict of the settings of the section. `settings` accepts a dict of dotted keys,
+    as in `settings={"system.poles": 4}`. Other keyword arguments are settings of the section
+    `system`, as in `poles=4`.
 
     Raises `ValueError` with the key and its allowed values if a setting is invalid.
     """
@@ -70,12 +70,13 @@ def Mlp(task, widths=(100, 100), seed=0, **settings):
 
 
 def train(task, policy=None, *, callback=None, out=None, threads=None, **settings):
-    """Trains a policy, and returns the `Run`. Without a policy, that of the task is trained.
+    """Trains a policy, and returns the `Run`. Without a policy, trains that of the task.
 
     `field`, `epochs`, `seed` and other settings outside of sections are keyword arguments, as in
     `task`. Others are settings of the section `training`, as in `learning_rate=3e-4`. `callback`
-    receives the record of every epoch, a dict. With a folder `out`, the run is saved there, as by
-    `physgrad train`. The argument `policy` is not changed: `run.policy` is the trained policy.
+    receives the record of every epoch, a dict. With a folder `out`, saves the run there, as
+    `physgrad train` does. Does not change the argument `policy`: `run.policy` is the trained
+    policy.
 
     After Ctrl-C, `KeyboardInterrupt` has the attribute `run`. `run.train()` continues. The
     exception `Divergence` has this attribute too.
@@ -92,7 +93,10 @@ def train(task, policy=None, *, callback=None, out=None, threads=None, **setting
 
 
 def load(folder):
-    """Opens the run in a folder, at its last checkpoint. `run.train(epochs=600)` continues it."""
+    """Opens the run in a folder, at its last checkpoint.
+
+    `run.train(epochs=600)` continues the run up to 600 epochs in total.
+    """
     return Run.load(folder)
 
 

@@ -1,9 +1,9 @@
 """Gymnasium environments over the tasks.
 
 ``pg.gym.make("cart_pole", poles=1)`` returns an ``Env``, ``pg.gym.make_vec("cart_pole", 16)`` a
-``VectorEnv``, which steps all environments with equal step numbers in one call. After
-``import physgrad.gym``, the ids ``physgrad/NAME-v0`` work with ``gymnasium.make`` and
-``gymnasium.make_vec``.
+``VectorEnv``. One call of the physics steps all environments of a ``VectorEnv`` that have equal
+step numbers. After ``import physgrad.gym``, the ids ``physgrad/NAME-v0`` work with
+``gymnasium.make`` and ``gymnasium.make_vec``.
 
 - An episode has ``horizon`` steps. The last step returns ``truncated``: observations contain no
   clock, so the end is no property of the last state.
@@ -90,7 +90,7 @@ class TaskEnv(gymnasium.Env):
         return self._rows.p[0].copy()
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
-        """Draws an initial state. ``options`` are ignored."""
+        """Draws an initial state. Ignores ``options``."""
         super().reset(seed=seed)
         self._rows.start(np.ones(1, bool), self.np_random)
         return self._rows.observe()[0], {}
@@ -108,8 +108,9 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv):
 
     ``autoreset_mode`` is that of Gymnasium. With ``NEXT_STEP``, the default, the step after the
     last one of an episode ignores its action and returns the first observation of the next
-    episode. With ``SAME_STEP``, the last step returns it, and ``infos["final_obs"]`` holds the last
-    observations. With ``DISABLED``, call ``reset`` with ``options={"reset_mask": mask}``.
+    episode. With ``SAME_STEP``, the last step of an episode returns this observation, and
+    ``infos["final_obs"]`` holds the last observations. With ``DISABLED``, call ``reset`` with
+    ``options={"reset_mask": mask}``.
     """
 
     def __init__(

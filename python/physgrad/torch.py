@@ -110,7 +110,7 @@ def _arrays(tensors: tuple[Tensor | None, ...]) -> list:
 
 
 def _operator(function: Function) -> Any:
-    """Registers the operators ``physgrad::NAME`` and ``physgrad::NAME_vjp``."""
+    """Registers the operators ``physgrad::NAME`` and ``physgrad::NAME_vjp``. Returns the first."""
     count = len(function.inputs)
     inputs = ", ".join(f"Tensor {name}" for name in function.inputs)
     outputs = ", ".join(["Tensor"] * (count + 1))
@@ -157,7 +157,7 @@ def _operator(function: Function) -> Any:
     call.register_autograd(differentiate, setup_context=setup_context)
 
     def batched(operator: Any, outputs: int) -> Callable:
-        """Runs all samples of ``torch.vmap`` as one batch."""
+        """Returns the rule by which ``torch.vmap`` runs all samples as one batch."""
 
         def rule(info: Any, in_dims: tuple, *arguments: Any) -> tuple:
             def leading(tensor: Any, dim: int | None) -> Any:

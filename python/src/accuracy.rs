@@ -34,9 +34,9 @@ const METRICS: [(&str, Metric); 4] =
 ///   "method", "substeps", "precision", "error", "seconds" and "task", the task with this setting.
 ///
 /// `metric` is the error that `target` refers to: "trajectory", "loss", "R" or "M". Raises
-/// `ValueError` if the reference diverges, or if the task does not support other time steps. Ctrl-C
-/// raises `KeyboardInterrupt`. A simulation that has begun still runs to its end, on another
-/// thread.
+/// `ValueError` if an argument is invalid, if the reference diverges, or if the task does not
+/// support other time steps. Ctrl-C raises `KeyboardInterrupt`. A simulation that has begun still
+/// runs to its end, on another thread.
 #[pyfunction]
 #[pyo3(signature = (task, target=None, metric="trajectory"))]
 pub fn accuracy<'py>(py: Python<'py>, task: &Task, target: Option<f64>, metric: &str) -> PyResult<Bound<'py, PyDict>> {

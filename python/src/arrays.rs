@@ -25,7 +25,7 @@ macro_rules! with_precision {
 }
 pub(crate) use with_precision;
 
-/// Returns true for arrays of float32. All other arrays and lists are read as float64.
+/// Returns true for arrays of float32. Callers read all other arrays, and lists, as float64.
 pub fn is_f32(array: &Bound<'_, PyAny>) -> bool {
     let py = array.py();
     array.cast::<PyUntypedArray>().is_ok_and(|array| array.dtype().is_equiv_to(&dtype::<f32>(py)))

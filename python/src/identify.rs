@@ -24,8 +24,8 @@ use toml::{Table, Value};
 ///
 /// Returns a dict: "values" and "errors" (standard errors) by name, "chi_squared", "converged",
 /// "undetermined" and "at_bound". "robust_errors", (K,), and "correlations", (K, K), refer to the K
-/// unknown numbers. Raises `ValueError` if no number is unknown, or the data do not fit the task.
-/// Ctrl-C raises `KeyboardInterrupt`.
+/// unknown numbers. Raises `ValueError` if no number is unknown, if an argument does not fit the
+/// task, or if the simulation with the initial values diverges. Ctrl-C raises `KeyboardInterrupt`.
 #[pyfunction]
 #[pyo3(signature = (task, data, params=None, noise=None))]
 pub fn identify<'py>(
@@ -125,8 +125,8 @@ fn rows(name: &str, object: &Bound<'_, PyAny>, width: usize) -> PyResult<Vec<Vec
 /// task, with random parameters. Rollouts that amplify rounding errors by about 1e6 fail, although
 /// all derivatives are exact.
 ///
-/// Returns a table. Raises `AssertionError` with all failures, and `ValueError` if the policy does
-/// not fit the task.
+/// Returns a table. If checks fail, raises `AssertionError` with all failures. Raises `ValueError`
+/// if the policy does not fit the task.
 #[pyfunction]
 #[pyo3(signature = (task, policy=None))]
 pub fn check(py: Python<'_>, task: &Task, policy: Option<&Policy>) -> PyResult<String> {

@@ -16,8 +16,11 @@ pub type Stop = Arc<AtomicBool>;
 /// Computes on another thread without the GIL, and checks for signals meanwhile.
 ///
 /// # Errors
-/// A signal handler raised an exception, for example `KeyboardInterrupt`. The flag is set then, and
-/// the thread ends when `work` reads it.
+/// Returns the exception that a signal handler raises, for example `KeyboardInterrupt`. Also sets
+/// the flag; the thread ends when `work` reads it.
+///
+/// # Panics
+/// Resumes a panic of `work`.
 pub fn interruptible<R: Send + 'static>(py: Python<'_>, work: impl FnOnce(&Stop) -> R + Send + 'static) -> PyResult<R> {
     let stop = Stop::default();
     let (sender, receiver) = channel();

@@ -18,8 +18,8 @@ use pyo3::types::PyDict;
 /// Returns a dict: controls "u", (T, m), states "x", (T+1, n), "cost", "iterations",
 /// "gradient_norm", "converged" and "stop". "gains", (T, m, n), are those of the feedback
 /// u_t + K_t (x - x_t). "costs" holds the initial cost, then the cost after each iteration. Raises
-/// `ValueError` if the rollout from the initial controls diverges. Ctrl-C raises
-/// `KeyboardInterrupt`.
+/// `ValueError` if an argument is invalid, or if the initial trajectory, the initial cost or a
+/// derivative is not finite. Ctrl-C raises `KeyboardInterrupt`.
 #[pyfunction]
 #[pyo3(signature = (task, start, bounds=None, iterations=None))]
 pub fn optimize<'py>(

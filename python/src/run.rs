@@ -58,8 +58,8 @@ impl Run {
     /// Calls `callback` with the record of every epoch, a dict. `epochs` changes the total number
     /// of epochs. Ctrl-C raises `KeyboardInterrupt` after the current update. The next call of
     /// `train` continues, with the bits of an uninterrupted training. A run with a folder saves
-    /// there every few seconds and at the end. Raises `Divergence` if more than `max_skipped`
-    /// consecutive updates are skipped, and `RuntimeError` if the run ends without an update.
+    /// there every few seconds and at the end. Raises `Divergence` after more than `max_skipped`
+    /// consecutive skipped updates, and otherwise `RuntimeError` if the run ends without an update.
     #[pyo3(signature = (callback=None, epochs=None))]
     fn train(&self, py: Python<'_>, callback: Option<Py<PyAny>>, epochs: Option<u64>) -> PyResult<()> {
         let mut run = self.lock()?;
@@ -117,8 +117,8 @@ impl Run {
         Ok(self.lock()?.folder().map(ToOwned::to_owned))
     }
 
-    /// Writes the run to a folder, in the format of the program, and continues there. An earlier
-    /// run in the folder is moved.
+    /// Writes the run to a folder, in the format of the program, and continues there. If the folder
+    /// holds an earlier run, renames that folder.
     fn save(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {
         let mut run = self.lock()?;
         let run = &mut *run;

@@ -14,8 +14,9 @@ const SECTIONS: [&str; 7] = ["system", "effects", "actuator", "integrator", "los
 /// A list of dotted keys and values.
 pub type Settings = Vec<(String, Value)>;
 
-/// Settings from keyword arguments. The argument `settings` is a dict whose keys are dotted, or
-/// name sections with dicts. Other keys that are no section and not in `top` belong to `section`.
+/// Settings from keyword arguments. The argument `settings` is a dict. Each key is dotted, or names
+/// a setting outside of sections, or names a section whose value is a dict. Other keys that are no
+/// section and not in `top` belong to `section`.
 pub fn keywords(kwargs: Option<&Bound<'_, PyDict>>, section: &str, top: &[&str]) -> PyResult<Settings> {
     let mut settings = Vec::new();
     for (key, value) in kwargs.into_iter().flatten() {
@@ -56,7 +57,7 @@ fn is_part(rest: &str) -> bool {
     rest.strip_prefix('.').is_some_and(|name| !name.contains('.'))
 }
 
-/// The value of a setting. Numbers of numpy are accepted.
+/// The value of a setting. Accepts numbers of numpy.
 pub fn value_of(key: &str, value: &Bound<'_, PyAny>) -> PyResult<Value> {
     if value.is_instance_of::<PyBool>() {
         return Ok(Value::Boolean(value.extract()?));

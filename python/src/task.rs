@@ -17,10 +17,10 @@ pub const TOP: [&str; 7] = ["horizon", "precision", "field", "epochs", "seed", "
 /// A task: system, horizon, costs and the distribution of initial states. `physgrad.task` creates
 /// it.
 ///
-/// Array methods accept B samples at once, one per row, in float32 or float64: the dtype of `x`.
-/// Arrays of float32 are evaluated in f32, all others in f64. Other strides, dtypes and lists are
-/// copied first. `t` is the number of the step, equal for all rows. `p` has the parameters of each
-/// sample, (B, param_dim), and may be omitted if param_dim is 0. Units are those of the task; see
+/// Array methods accept B samples at once, one per row. They compute in f32 if the dtype of `x` is
+/// float32, and otherwise in f64. They copy lists, non-contiguous arrays, and arrays of another
+/// dtype. `t` is the number of the step, equal for all rows. `p` has the parameters of each sample,
+/// (B, param_dim), and may be omitted if param_dim is 0. Units are those of the task; see
 /// `physgrad tasks NAME`.
 #[pyclass(frozen, module = "physgrad")]
 pub struct Task {

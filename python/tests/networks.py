@@ -41,11 +41,11 @@ def weights(task: pg.Task, theta: np.ndarray) -> list[np.ndarray]:
 
 
 def flat(parts: list) -> np.ndarray:
-    """The order of theta."""
+    """Concatenates arrays in the order of theta."""
     return np.concatenate([np.asarray(part).ravel() for part in parts])
 
 
 def relative(a: np.ndarray, b: np.ndarray) -> float:
-    """Largest difference, relative to the largest component. 0 if both are 0."""
+    """Largest difference, relative to the largest component of ``b``. 0 if both are equal."""
     difference = np.abs(a - b).max()
     return float(difference / np.abs(b).max()) if difference > 0 else 0.0

@@ -24,7 +24,7 @@ def batch(of, count=3, seed=0, dtype=torch.float64):
 
 
 def gradient(of, parts, starts, flow):
-    """Gradient by the weights. The flow selects the tensors that are detached."""
+    """Gradient with respect to the weights. The flow selects the tensors that are detached."""
     step, observe, running_cost, terminal_cost = functions(of)
     parts = [torch.from_numpy(part.copy()).requires_grad_() for part in parts]
     starts = torch.from_numpy(starts)

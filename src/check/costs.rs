@@ -28,8 +28,8 @@ pub fn cost<T: Task>(task: &T) -> Passed {
 ///
 /// - [`observe`](Task::observe) writes every component.
 /// - [`observe_vjp`](Task::observe_vjp), [`running_cost_gradient`](Task::running_cost_gradient) and
-///   [`terminal_cost_gradient`](Task::terminal_cost_gradient) agree with dual numbers for all
-///   inputs, and add to their outputs.
+///   [`terminal_cost_gradient`](Task::terminal_cost_gradient) agree with dual numbers with respect
+///   to every input, and add to their outputs.
 ///
 /// # Errors
 /// Returns the first [`Mismatch`].

@@ -1,15 +1,16 @@
 //! Derivative checks: analytic and batched derivatives against dual numbers.
 //!
-//! Start with [`system`], [`cost`], [`policy`] and [`task`], one line each in a test. They panic
-//! with a [`Mismatch`]: the compared quantity, the index, the expected and found values, and the
-//! random case. The `try_` functions return the error instead. All checks run in double precision.
-//! Errors are relative to the largest component of the reference unless stated otherwise.
+//! Start with [`system`], [`cost`], [`policy`] and [`task`], one line each in a test. They panic on
+//! the first [`Mismatch`]. The message names the compared quantity, the index, the expected and
+//! found values, and the random case. [`task`] also panics on non-finite rollouts. The `try_`
+//! functions return the error instead. All checks run in double precision. Errors are relative to
+//! the largest component of the reference unless stated otherwise.
 //!
 //! Two further checks: [`stability`] detects time steps that are too long for the dynamics.
 //! [`plateau`] detects vanishing gradients.
 //!
 //! [`slope_by_duals`] returns a reference derivative of the mean loss. `slope` (feature
-//! `double-double`) returns the loss and this derivative in double-double arithmetic.
+//! `double-double`) computes the loss and this derivative in double-double arithmetic.
 
 mod costs;
 mod oracle;
@@ -48,7 +49,8 @@ use std::fmt;
 const CASES: u64 = 20;
 /// Random cases per check that evaluates a policy.
 const CASES_OF_LONG_CHECKS: u64 = 2;
-/// Tolerance for one step of a system and for one evaluation of a policy.
+/// Tolerance for one step of a system, and for one evaluation of a policy, an observation or a
+/// cost.
 const ONE_STEP: f64 = 1e-12;
 /// Tolerance for the loss and the gradients of a whole rollout.
 const ROLLOUT: f64 = 1e-10;
@@ -58,7 +60,7 @@ const ROLLOUT: f64 = 1e-10;
 pub struct Passed {
     /// Number of compared values.
     pub compared: usize,
-    /// Largest relative error.
+    /// Largest relative error; absolute for a zero reference.
     pub worst: f64,
     /// Tolerance of the relative error.
     pub allowed: f64,
@@ -77,9 +79,9 @@ pub struct Mismatch {
     pub found: f64,
     /// Relative error; absolute for a bitwise comparison or a zero reference.
     pub error: f64,
-    /// Tolerance of the relative error.
+    /// Tolerance of the relative error; 0 for a bitwise comparison.
     pub allowed: f64,
-    /// Index of the random case. Inputs are drawn from `stream(case, Purpose::Check, 0)`.
+    /// Index of the random case. The check draws inputs from `stream(case, Purpose::Check, 0)`.
     pub case: u64,
 }
 
@@ -201,8 +203,9 @@ pub fn try_system<S: System>(system: &S) -> Result<Passed, Mismatch> {
 /// - [`step`](System::step) writes every component of the next state.
 /// - [`vjp`](System::vjp) agrees with dual numbers for every combination of requested cotangents,
 ///   and adds to the cotangents.
-/// - [`jvp`](System::jvp) agrees with dual numbers: `⟨λ, J v⟩ = ⟨Jᵀλ, v⟩`. The error is relative to
-///   the larger sum of absolute values of the terms of either side.
+/// - [`jvp`](System::jvp) agrees with dual numbers: `⟨λ, J v⟩ = ⟨Jᵀλ, v⟩` for the Jacobian J and
+///   random vectors λ and v. The error is relative to the larger sum of absolute values of the
+///   terms of either side.
 /// - `step` and `vjp` in SIMD lanes have the bits of scalars.
 ///
 /// # Errors
@@ -396,7 +399,7 @@ fn start_gradients(
 }
 
 /// Draws parameters with finite rollouts: initial parameters plus noise. Reduces the noise if a
-/// rollout diverges.
+/// rollout diverges, and returns the divergence if it persists at the smallest noise.
 fn finite_weights(
     task: &dyn AnyTask<f64>,
     policy: &dyn AnyPolicy<f64>,

@@ -1,5 +1,5 @@
-//! Reference values of the checks: dual numbers through `act` and `step`. Paths that a flow omits
-//! are detached.
+//! Reference values of the checks: dual numbers through `act`, `step`, `observe` and the costs. The
+//! rollouts detach the paths that a flow omits.
 //!
 //! N is the policy. A column is one sample at one step.
 
@@ -19,7 +19,7 @@ use rand_distr::{Distribution, StandardNormal};
 /// Number of random directions per check of a gradient.
 const DIRECTIONS: usize = 4;
 
-/// Largest number of parameters for which every component is compared.
+/// Largest number of parameters for which a check compares every component.
 const ALL: usize = 64;
 
 /// Initial parameters plus normal noise of standard deviation `size`, so that no layer is zero.

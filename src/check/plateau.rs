@@ -13,7 +13,7 @@ use std::fmt;
 
 /// Number of neighbouring parameter vectors.
 const NEIGHBOURS: u64 = 4;
-/// Standard deviation of the normal noise that is added to each parameter for a neighbour.
+/// Standard deviation of the normal noise in each parameter of a neighbour.
 const AWAY: f64 = 0.01;
 /// Gradients of at most this share of the largest neighbouring gradient norm count as zero.
 const NEGLIGIBLE: f64 = 1e-6;

@@ -4,7 +4,7 @@ use super::{CASES_OF_LONG_CHECKS, Comparison, Mismatch, ONE_STEP, Passed, normal
 use crate::numbers::rng::{Purpose, Rng, stream};
 use crate::policy::{Policy, PolicyColumns, PolicyPass, PolicyRecord, Tensor, act_on};
 
-/// Largest number of parameters for which every component is compared.
+/// Largest number of parameters for which the check compares every component.
 const FEW: usize = 1000;
 /// Number of components compared per tensor of a larger policy.
 const OF_EACH: usize = 64;
@@ -29,8 +29,8 @@ pub fn policy<P: Policy>(policy: &P) -> Passed {
 /// pass with `act`, and the input cotangents of the backward pass with dual numbers. It compares
 /// the parameter gradient `g` with dual numbers in two ways:
 ///
-/// - By component: all components up to 1000 parameters, otherwise up to 64 random ones of each
-///   tensor in [`Policy::tensors`].
+/// - By component: all components of at most 1000 parameters, otherwise up to 64 random ones of
+///   each tensor in [`Policy::tensors`].
 /// - By random directions `v` over all parameters: `⟨g, v⟩` against the derivative of `act` along
 ///   v.
 ///

@@ -13,8 +13,8 @@ use crate::policy::Policy;
 /// selects the differentiated paths. `direction(i)` is the component of the direction along
 /// policy parameter i. The function returns `[loss, slope]`, rounded to `f64`.
 ///
-/// Parameters, initial states and physical constants enter as exact `f64` values. The result is
-/// intended as a reference: the computation is orders of magnitude slower than in `f64`.
+/// Parameters, initial states and physical constants enter as exact `f64` values. Use the result
+/// only as a reference: the computation is orders of magnitude slower than in `f64`.
 /// ```
 /// use physgrad::{Flow, Task, check, policy::Linear, tasks::CartPole};
 ///

@@ -14,8 +14,8 @@ const ROUNDING: f64 = 1e-6;
 /// Result of [`stability`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stability {
-    /// Spectral radius of ∂S/∂x: the asymptotic growth factor per step of the fastest growing
-    /// perturbation. NaN if the Jacobian is non-finite.
+    /// Spectral radius of the Jacobian ∂S/∂x of the step S: the asymptotic growth factor per step
+    /// of the fastest growing perturbation. NaN if the Jacobian is non-finite.
     pub multiplier: f64,
     /// State component in which the fastest growing perturbation is largest. For a NaN multiplier,
     /// the first component with a non-finite derivative.

@@ -44,7 +44,7 @@ impl<S: System> Checked for S {
 /// Names of the cotangents, in the order of [`Values`].
 const NAMES: [&str; 3] = ["x_bar", "u_bar", "p_bar"];
 
-/// State, control and parameters, or their cotangents or tangents.
+/// State, control and parameters, or their cotangents.
 type Values<T> = [Vec<T>; 3];
 
 fn inputs<T>([x, u, p]: &Values<T>, t: usize) -> Inputs<'_, T> {
@@ -118,8 +118,8 @@ fn requests(
     c: &mut Comparison,
 ) -> Result<(), Mismatch> {
     let next_bar: Vec<One<f64>> = next_bar.iter().map(|&bar| CotangentPack([bar])).collect();
-    // Starts with the request of all three: a `vjp` that is always wrong is then reported without
-    // naming a combination.
+    // Starts with the request of all three: the message for a `vjp` that is always wrong then names
+    // no combination.
     for requested in (1..8).rev() {
         let asked = |k: usize| requested >> k & 1 == 1;
         let mut cotangents = [at.x, at.u, at.p].map(|values| vec![One::<f64>::null(); values.len()]);

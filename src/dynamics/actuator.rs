@@ -19,8 +19,8 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use smallvec::{SmallVec, smallvec};
 
-/// Number of controls up to which steps do not allocate. The limit for state components of an
-/// actuator is four times as large.
+/// Number of controls up to which steps do not allocate. In VJPs, the limit for state components,
+/// and for the inputs of all actuators of a chain, is four times as large.
 const STACK: usize = 8;
 type Controls<T> = SmallVec<[T; STACK]>;
 
@@ -228,7 +228,7 @@ impl<S: System, A: Actuator> System for Actuated<S, A> {
         let (next_bar, next_state_bar) = next_bar.split_at(x.len());
         let (x_bar, state_bar) = cotangents.x.map(|bar| bar.split_at_mut(x.len())).unzip();
         let out = self.control(state, inputs.u);
-        // The actuator's VJP is needed only for the cotangents of `u` and of the actuator's state.
+        // Only the cotangents of `u` and of the actuator's state need the actuator's VJP.
         let through_control = cotangents.u.is_some() || !state.is_empty() && state_bar.is_some();
         let mut out_bar: Controls<C> = smallvec![C::null(); inputs.u.len()];
         let system_bars = Cotangents { x: x_bar, u: through_control.then_some(&mut out_bar[..]), p: cotangents.p };

@@ -41,8 +41,8 @@ pub(crate) fn default_vjp<R: Real, C: Cotangent<R>, const N: usize>(
     }
 }
 
-/// Adds the inner product of `output_bars` and a column of the Jacobian: a `visit` of
-/// [`default_vjp`].
+/// Returns a `visit` for [`default_vjp`] that adds the inner product of `output_bars` and a column
+/// of the Jacobian.
 #[inline(always)]
 pub(crate) fn add_product<R: Real, C: Cotangent<R>>(output_bars: &[C]) -> impl Fn(&mut C, &[R]) {
     move |bar, column| {

@@ -77,7 +77,7 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
     }
 
     /// Draws the parameters of one sample into `p`, which holds [`param_dim`](Effect::param_dim)
-    /// zeros. Physical numbers are drawn afterwards.
+    /// zeros. Draws of physical numbers follow.
     fn draw_params(&self, _rng: &mut Rng, _p: &mut [f64]) {}
 
     /// Adds the forces of this effect to `forces`. The time is in s.
@@ -152,8 +152,8 @@ pub(crate) fn default_effect_vjp<B, E: Effect<B>, R: Real, C: Cotangent<R>>(
     });
 }
 
-/// Returns whether the forces of an effect are finite, and whether their derivatives with respect
-/// to state and control are finite.
+/// Returns whether the forces of an effect and their derivatives with respect to state and control
+/// are finite.
 pub(crate) fn is_finite<B, E: Effect<B>, R: Real>(effect: &E, model: &B, inputs: OdeInputs<'_, R>, forces: usize) -> bool {
     let mut force = vec![R::zero(); forces];
     let zeros = |len: usize| vec![CotangentPack([R::zero()]); len];
@@ -163,7 +163,7 @@ pub(crate) fn is_finite<B, E: Effect<B>, R: Real>(effect: &E, model: &B, inputs:
     force.iter().chain(x_bar.iter().chain(&u_bar).map(|bar| &bar.0[0])).all(Real::is_finite)
 }
 
-/// System to whose forces effects can be added.
+/// System to whose forces effects can add.
 ///
 /// Only [`forced_step`](ForcedSystem::forced_step), the model, the sizes and the time step are
 /// required. Effects receive the inputs of the step, with the time in s ([`Inputs::continuous`]). A

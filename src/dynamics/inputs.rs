@@ -1,4 +1,5 @@
-//! [`Inputs`] and [`Cotangents`]: the arguments of a step, and the outputs of its VJP.
+//! Arguments of a step ([`Inputs`]) and of its derivatives ([`Cotangents`], [`Tangents`]), and the
+//! [`Start`] of a sample.
 
 use crate::numbers::scalar::{Cotangent, Scalar};
 

@@ -128,7 +128,7 @@ impl Number {
     }
 
     /// Returns values that include the smallest and the largest possible value, for validation.
-    /// Infinite bounds of a trained number are omitted.
+    /// Omits infinite bounds of a trained number.
     pub fn extremes(&self) -> ArrayVec<f64, { Choice::MAX }> {
         match *self {
             Self::Fixed(value) => [value].into_iter().collect(),
@@ -141,7 +141,7 @@ impl Number {
         }
     }
 
-    /// Draws a value. A trained number yields its initial value.
+    /// Draws a value. A fixed number yields its constant, a trained number its initial value.
     pub fn draw(&self, rng: &mut Rng) -> f64 {
         match *self {
             Self::Uniform { low, high } => low + (high - low) * rng.random::<f64>(),

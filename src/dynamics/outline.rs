@@ -39,8 +39,8 @@ impl<S: System, T: Scalar> Vectorized for Step<'_, S, T> {
     }
 }
 
-/// [`System::step`], never inlined. Callers are not performance-critical: checks, Jacobian-vector
-/// products, derivatives with respect to parameters.
+/// [`System::step`], never inlined. Callers are less performance-critical than rollouts: checks,
+/// Jacobian-vector products, derivatives with respect to parameters, optimization, identification.
 #[inline(never)]
 pub(crate) fn step<S: System + ?Sized, T: Scalar>(system: &S, inputs: Inputs<'_, T>, next: &mut [T]) {
     system.step(inputs, next);

@@ -73,8 +73,8 @@ impl<S: System> System for Substeps<S> {
         }
     }
 
-    /// Computes the state cotangent even if only the cotangent of the control is requested. Early
-    /// inner steps influence the result through later states.
+    /// With two or more inner steps, computes the state cotangent even if it is not requested.
+    /// Early inner steps influence the result through later states.
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], mut cotangents: Cotangents<'_, C>) {
         if self.count <= 1 {

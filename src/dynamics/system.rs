@@ -19,7 +19,7 @@ use smallvec::SmallVec;
 ///
 /// The default [`vjp`](System::vjp) uses dual numbers while `x`, `u` and `p` together have at most
 /// 16 components, and reverse mode for more. Each thread keeps the heap buffers of reverse mode, so
-/// only its first call allocates.
+/// later calls of equal size do not allocate.
 ///
 /// A system is immutable. Physical constants are `f64` fields. Constants that may differ between
 /// samples, or be trained, are [`Number`](crate::Number)s or parameters.

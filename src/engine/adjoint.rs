@@ -12,8 +12,8 @@
 //! ```
 //!
 //! λ is the cotangent of the state, h that of the control. μ is the cotangent of the memory after
-//! step t. Policies without a memory have no μ. [`Flow`] defines the weights physics, control and
-//! memory, and the other symbols.
+//! step t. Policies without a memory have no μ. g, initially 0, is the parameter gradient. [`Flow`]
+//! defines the weights physics, control and memory, and the other symbols.
 //!
 //! λ, h and μ of every sample are mantissas times a common power of two, so they neither overflow
 //! nor underflow. Within a moderate range the power is 1, and results are bitwise those of plain
@@ -40,9 +40,12 @@ use recursion::Recursion;
 use std::ops::Range;
 pub use step_back::StepBack;
 
-/// Workspace of the reverse pass of a [`Rollout`]. The constructor allocates all buffers.
+/// Workspace of the reverse pass of a [`Rollout`]. The constructor,
+/// [`keep_norms`](Adjoint::keep_norms) and [`keep_start_gradients`](Adjoint::keep_start_gradients)
+/// allocate all buffers.
 ///
-/// A run allocates only in the cases that [`Rollout`] lists.
+/// A run allocates only in the cases that [`Rollout`] lists, and for gradients with respect to
+/// physical numbers that vary.
 #[derive(Debug)]
 pub struct Adjoint<F: Float> {
     horizon: usize,

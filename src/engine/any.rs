@@ -18,7 +18,8 @@ use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real, Single};
 /// Object-safe [`Task`] for one precision.
 ///
 /// Every task implements the trait, so `&task` coerces to `&dyn AnyTask<F>`. The trait is sealed.
-/// Hidden methods forward to the methods of the task.
+/// Hidden methods forward to the methods of the task and its system. `start` also draws the
+/// physical numbers that vary.
 #[allow(missing_docs)]
 pub trait AnyTask<F: Float>: StepForward<F> + Observe<F> + StepBack<F, 1> + StepBack<F, 2> + Send + Sync {
     #[doc(hidden)]

@@ -1,8 +1,8 @@
 //! [`Batch`]: gradients of a mini-batch. Workers share the samples.
 //!
 //! Results do not depend on the number of workers. Samples are independent. Gradients are summed
-//! over fixed groups of samples, groups over fixed blocks, and blocks in order. Several [`Ranks`]
-//! share the blocks in the same way.
+//! over fixed groups of samples, then over fixed blocks of groups, then over all blocks in order.
+//! Several [`Ranks`] share the blocks, with the same sums.
 
 use crate::engine::adjoint::Flow;
 use crate::engine::any::AnyTask;
@@ -21,11 +21,11 @@ use std::sync::Arc;
 
 /// Number of samples in a group. Each group has one gradient sum, for any number of workers.
 pub(crate) const GROUP: usize = 4;
-/// Largest number of blocks of groups. Each block has one sum over its groups. The number bounds
-/// the sums that ranks exchange, and the ranks that share a mini-batch. Up to 128 samples, a block
-/// is a group.
+/// Largest number of blocks of groups. Each block has one sum over its groups. The limit bounds the
+/// number of sums that ranks exchange, and the number of ranks that share a mini-batch. Up to 128
+/// samples, a block is a group.
 const BLOCKS: usize = 32;
-/// Largest number of groups in one chunk: more samples do not fit into the cache.
+/// Largest number of groups in one chunk: more samples would not fit into the cache.
 const CHUNK: usize = 8;
 
 /// Workspace for the gradients of mini-batches of up to a fixed size.
@@ -90,8 +90,7 @@ impl<F: Float> Batch<F> {
     /// At most `workers` workers share a mini-batch. All steps are stored.
     ///
     /// # Panics
-    /// If `samples` or the horizon is 0, `flows` does not have one or two elements, or the shapes
-    /// of task and policy differ.
+    /// As [`Rollout::new`](crate::Rollout::new), or if `flows` does not have one or two elements.
     #[track_caller]
     pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize, flows: &[Flow], workers: usize) -> Self {
         Self::scheduled(task, policy, samples, flows, workers, Schedule::store_all(task.horizon()))
@@ -191,9 +190,9 @@ impl<F: Float> Batch<F> {
     /// Allocates a workspace for the samples of one rank in mini-batches of up to `samples`
     /// samples. A budget limits the workspace as in [`within`](Batch::within).
     ///
-    /// Every rank calls [`run`](Batch::run) with all samples. Results are bitwise those of a
-    /// single process. The budget excludes the sums of blocks: `param_count` numbers for each flow
-    /// and each of up to 32 blocks of samples.
+    /// Every rank calls [`run`](Batch::run) with all samples. Results are bitwise those of a single
+    /// process. The budget excludes the results that ranks exchange. These are mainly the sums of
+    /// blocks: `param_count` numbers for each flow and each of up to 32 blocks of samples.
     ///
     /// # Errors
     /// As [`within`](Batch::within).
@@ -303,7 +302,7 @@ impl<F: Float> Batch<F> {
                 worker.outcome = worker.run(mini_batch, own);
             });
             let active = starts.len().div_ceil(chunk * n);
-            // All rounds run, so the first divergence does not depend on the number of workers.
+            // All rounds run, because a later round may diverge at an earlier step.
             let first = round * self.workers.len() * chunk;
             let errors = self.workers[..active].iter().enumerate();
             let errors = errors.filter_map(|(i, worker)| worker.outcome.err().map(|d| d.offset(first + i * chunk)));

@@ -11,9 +11,9 @@ use crate::numbers::scalar::{Float, Real, Scalar};
 use crate::policy::AnyPolicy;
 use crate::policy::Weights;
 
-/// Batch of rollouts and their gradients that stores the tape of one segment at a time.
+/// Batch of rollouts with their gradients. Stores the tape of one segment at a time.
 ///
-/// The constructor allocates all buffers. A run allocates only in the cases that [`Rollout`] lists.
+/// The constructor allocates all buffers. A run allocates only in the cases that [`Adjoint`] lists.
 /// Gradients are bitwise equal to those of [`Rollout`] and [`Adjoint`], for every schedule.
 /// ```
 /// use physgrad::{Checkpointed, Flow, Gradient, Schedule, Weights, initial_states, policy::Mlp, rng, tasks::CartPole};
@@ -50,8 +50,8 @@ impl<F: Float> Checkpointed<F> {
     /// Allocates a workspace for `samples` rollouts and the gradients of one or two flows.
     ///
     /// # Panics
-    /// If the horizons of schedule and task, or the shapes of task and policy, differ. If `samples`
-    /// is 0, or `flows` does not have one or two elements.
+    /// As [`Rollout::new`]. Also if the horizons of schedule and task differ, or `flows` does not
+    /// have one or two elements.
     #[track_caller]
     pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize, flows: &[Flow], schedule: Schedule) -> Self {
         let (planned, horizon) = (schedule.horizon(), task.horizon());
@@ -287,7 +287,7 @@ impl<F: Float> Checkpointed<F> {
         self.rollout.advance(task, policy, weights, self.schedule.steps(to))
     }
 
-    /// Stores the state at the start of segment `index`.
+    /// Stores the states and memories at the start of segment `index`.
     fn keep(&mut self, index: usize) {
         let state = self.rollout.carried_at(self.schedule.steps(index).start);
         self.states[self.kept.len() * self.state_len..][..state.len()].copy_from_slice(state);

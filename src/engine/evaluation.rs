@@ -35,6 +35,9 @@ struct Evaluator<F: Float> {
 impl<F: Float> Evaluation<F> {
     /// Allocates a workspace for data sets of any size, split over `workers` workers (at least
     /// one).
+    ///
+    /// # Panics
+    /// As [`Rollout::new`].
     pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, workers: usize) -> Self {
         let evaluator =
             || Evaluator { rollout: Rollout::for_evaluation(task, policy, EVALUATED), costs: Vec::new(), outcome: Ok(()) };
@@ -94,8 +97,8 @@ impl<F: Float> Evaluation<F> {
         self.workers.iter().flat_map(|worker| worker.costs.iter().copied())
     }
 
-    /// Runs the samples in `starts`. A worker stops after its first rollout that diverges, and the
-    /// first of these divergences is returned.
+    /// Runs the samples in `starts`. A worker stops after its first rollout that diverges. Returns
+    /// the divergence of the first such worker.
     fn run_samples(
         &mut self,
         task: &dyn AnyTask<F>,

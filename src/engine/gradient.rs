@@ -14,7 +14,7 @@ use std::ops::Range;
 #[derive(Clone, Debug)]
 pub struct Gradient<F> {
     values: Vec<F>,
-    /// Common exponent, valid after [`normalize`](Gradient::normalize).
+    /// Common exponent, valid unless `spread`.
     exponent: i32,
     /// Exponent of each value, valid if `spread`.
     exponents: Vec<i32>,
@@ -91,7 +91,7 @@ impl<F: Float> Gradient<F> {
         }
     }
 
-    /// Adds another sum, normalized or not.
+    /// Adds another sum, normalized or not, to a sum that is not normalized.
     pub(crate) fn add(&mut self, other: &Self) {
         if !self.spread && !other.spread && other.exponent == 0 {
             for (sum, &part) in zip(self.values.iter_mut(), &other.values) {
@@ -157,7 +157,7 @@ impl<F: Float> Gradient<F> {
         }
     }
 
-    /// Switches to one exponent per value.
+    /// Switches from the common exponent 0 to one exponent per value.
     fn spread(&mut self) {
         if !self.spread {
             self.spread = true;

@@ -6,14 +6,15 @@ use serde::{Deserialize, Serialize};
 /// Growth of the adjoint of one flow along a rollout, in decades (log10 of a ratio of norms).
 ///
 /// One step contributes `log10(‖λ_t‖ / ‖λ_{t+1} + ∂l/∂x_{t+1}‖)`. The cost gradient `∂l/∂x_{t+1}`
-/// therefore does not count as growth. The cost gradient `∂l/∂x_t`, a part of λ_t, does. Steps at
-/// which the flow is truncated contribute nothing.
+/// therefore does not count as growth. The cost gradient `∂l/∂x_t`, a part of λ_t, does. A step
+/// contributes nothing if the flow is truncated there, or if the denominator is 0.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Growth {
     /// Growth from the last state to the initial state, mean over samples. Negative if the adjoint
     /// vanishes, -∞ if the adjoint of a sample becomes 0.
     pub along: f64,
-    /// Largest growth over any range of consecutive steps, maximum over samples. At least 0.
+    /// Largest growth over any range of consecutive steps without a cut or truncation, maximum over
+    /// samples. At least 0.
     pub worst_window: f64,
 }
 
@@ -21,7 +22,7 @@ pub struct Growth {
 const UNSTABLE: f64 = 3.0;
 
 impl Growth {
-    /// Returns a warning if the growth makes the gradient of `flow` unreliable.
+    /// Returns a warning if the growth makes the gradient of `flow` unreliable or unbalanced.
     ///
     /// `horizon` is the number of steps of a rollout, `epsilon` the machine epsilon of its
     /// precision.

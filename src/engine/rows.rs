@@ -6,7 +6,7 @@
 //!
 //! [`Inputs::t`](crate::Inputs) is the number of the step, equal for all rows. `p` is empty for a
 //! task without parameters. Outputs are overwritten. An empty slice in place of a cotangent
-//! requests nothing. Three cotangents are always written: `x_bar` of [`observe_vjp`] and
+//! requests nothing. Three cotangents are required: `x_bar` of [`observe_vjp`] and
 //! [`terminal_cost_vjp`], and `next_bar` of [`running_cost_vjp`].
 //! ```
 //! use physgrad::{Inputs, initial_states, rng::Purpose, rows, tasks::CartPole};
@@ -234,7 +234,7 @@ fn scale<F: Float>(values: &mut [Lane<F>], factor: Lane<F>) {
 }
 
 /// Calls `work` for each block of [`WIDTH`] rows, with the lanes of the inputs and outputs. Outputs
-/// are 0 before the call.
+/// are 0 before each call.
 fn for_blocks<F: Float, const I: usize, const O: usize>(
     rows: usize,
     inputs: [&[F]; I],

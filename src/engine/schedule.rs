@@ -51,14 +51,20 @@ impl Schedule {
     }
 
     /// Stores everything: one segment, no recomputation.
+    ///
+    /// # Panics
+    /// If `horizon` is 0.
     #[track_caller]
     pub fn store_all(horizon: usize) -> Self {
         Self::new(horizon, horizon, 1)
     }
 
-    /// Uses segments of about √horizon steps, rounded to whole units, with one checkpoint each.
+    /// Uses segments of about √horizon steps, rounded to whole units and at least one.
     ///
-    /// Every segment except the last is recomputed once.
+    /// Every segment except the last has a checkpoint and is recomputed once.
+    ///
+    /// # Panics
+    /// If `horizon` is 0.
     #[track_caller]
     pub fn two_level(horizon: usize) -> Self {
         let segment = (horizon as f64).sqrt() / UNIT as f64;
@@ -70,6 +76,9 @@ impl Schedule {
     ///
     /// If each step is recomputed at most `r` times, memory grows as the `r`-th root of the
     /// horizon.
+    ///
+    /// # Panics
+    /// If an argument is 0.
     #[track_caller]
     pub fn binomial(horizon: usize, checkpoints: usize) -> Self {
         Self::new(horizon, UNIT, checkpoints)

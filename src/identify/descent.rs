@@ -13,7 +13,7 @@ pub(super) struct Counts {
     pub jacobians: usize,
 }
 
-/// Condition that ends the iterations.
+/// Conditions that end the iterations.
 #[derive(Clone, Copy)]
 pub(super) struct Stop {
     /// Largest relative decrease of the objective, in each of two consecutive iterations, that ends
@@ -22,10 +22,11 @@ pub(super) struct Stop {
     pub max_iterations: usize,
 }
 
-/// Minimizes χ² plus `continuity²` times the squared jumps between windows.
+/// Minimizes χ² plus `continuity²` times the sum of squared jumps between windows, in units of the
+/// noise.
 ///
 /// Returns whether the iterations converged: the tolerance ended them, or no step decreases the
-/// objective and all derivatives are finite.
+/// objective and all residuals and derivatives are finite.
 ///
 /// # Errors
 /// [`IdentifyError::Stopped`]
@@ -63,8 +64,8 @@ pub(super) fn minimize(
         quiet = match decrease {
             Some(decrease) if decrease > stop.tolerance => 0,
             Some(_) => quiet + 1,
-            // No step decreases the objective: a minimum up to rounding, if the derivatives are
-            // finite.
+            // No step decreases the objective: a minimum up to rounding, if all residuals and
+            // derivatives are finite.
             None => return Ok(linearized.iter().flatten().all(Linearized::is_finite)),
         };
         if quiet >= 2 {
@@ -81,7 +82,7 @@ fn step(problem: &Problem<'_>, point: &Point, linearized: &[Vec<Linearized>], we
     let equations = stacked(&segments, params);
     let norms = norms(linearized, params);
     let limits = |i: usize| [problem.unknowns[i].min - point.values[i], problem.unknowns[i].max - point.values[i]];
-    // A parameter at a bound stays there while the objective decreases beyond it.
+    // A parameter at a bound stays there if the objective decreases beyond the bound.
     let slopes = gradient(&equations);
     let stays = |i: usize| limits(i)[0] >= 0.0 && slopes[i] > 0.0 || limits(i)[1] <= 0.0 && slopes[i] < 0.0;
     let mut fixed: Vec<Option<f64>> = (0..params).map(|i| stays(i).then_some(0.0)).collect();

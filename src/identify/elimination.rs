@@ -115,8 +115,8 @@ pub(super) fn gradient(equations: &DMatrix<f64>) -> DVector<f64> {
     equations.columns(0, params).tr_mul(&equations.column(params))
 }
 
-/// Step of the parameters, damped in proportion to the norms of their columns. Some steps are
-/// `fixed` in advance.
+/// Step of the parameters, damped in proportion to the norms of their columns. `fixed` contains the
+/// steps that are known in advance. `None` for singular equations.
 pub(super) fn solve(equations: &DMatrix<f64>, fixed: &[Option<f64>], norms: &[f64], damping: f64) -> Option<DVector<f64>> {
     let free: Vec<usize> = (0..fixed.len()).filter(|&i| fixed[i].is_none()).collect();
     let rows = equations.nrows();

@@ -3,10 +3,10 @@
 /// Reason why an identification cannot begin, or has no result.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum IdentifyError {
-    /// Neither parameters nor initial states are free.
+    /// Neither parameters nor initial states are unknown.
     #[error("neither parameters nor initial states are unknown; name at least one parameter")]
     NothingUnknown,
-    /// Two unknowns have the same entry of the parameters.
+    /// Two unknowns refer to one entry of the parameters.
     #[error("`{}` and `{}` are both entry {index} of the parameters; name each entry once", names[0], names[1])]
     Twice {
         /// Names of the two unknowns.
@@ -17,7 +17,7 @@ pub enum IdentifyError {
     /// There are fewer measurements than unknowns.
     #[error("{measurements} measurements cannot determine {unknowns} unknowns; use more samples or fewer unknowns")]
     TooFewMeasurements {
-        /// Number of finite measurements.
+        /// Number of finite measurements, without first samples that are exact.
         measurements: usize,
         /// Number of unknown parameters and components of initial states.
         unknowns: usize,
@@ -40,7 +40,8 @@ pub enum IdentifyError {
         /// Index of the segment.
         segment: usize,
     },
-    /// The options declare the first samples exact, but a component of one is missing.
+    /// The options declare the first samples exact, but a component of a first sample is not
+    /// finite.
     #[error(
         "segment {segment}: component {component} of the first sample is missing, but the options declare the first sample \
          exact; begin at a complete sample, or set `free_starts`"

@@ -15,7 +15,7 @@ pub struct Segment {
     pub x: Vec<Vec<f64>>,
     /// Controls, `[step][component]`. Missing rows are 0.
     pub u: Vec<Vec<f64>>,
-    /// Parameters. Unknown entries are replaced.
+    /// Parameters. The identification replaces the unknown entries.
     pub p: Vec<f64>,
 }
 
@@ -47,7 +47,7 @@ pub struct Options {
     pub window: Option<usize>,
     /// Largest number of iterations per weight of continuity.
     pub max_iterations: usize,
-    /// Largest relative decrease of χ², with weighted jumps between windows, that counts as
+    /// Largest relative decrease of χ², plus weighted squared jumps between windows, that counts as
     /// converged. Two consecutive such decreases end the iterations. All weights of continuity but
     /// the last use 1e-2 instead.
     pub tolerance: f64,
@@ -76,7 +76,7 @@ pub struct Fit {
     /// Infinite for parameters in an undetermined combination, and unless there are more segments
     /// than unknown parameters.
     pub robust_errors: Vec<f64>,
-    /// Correlations of the values.
+    /// Correlations of the values, from the determined combinations of parameters only.
     pub correlations: Vec<Vec<f64>>,
     /// Combinations of parameters that the data do not determine, by name.
     pub undetermined: Vec<Vec<String>>,
@@ -94,8 +94,8 @@ pub struct Fit {
     pub measurements: usize,
     /// Number of unknown parameters and components of initial states.
     pub unknowns: usize,
-    /// Whether the last iterations ended by the tolerance, or at a minimum up to rounding with
-    /// finite derivatives.
+    /// Whether the iterations with the last weight of continuity ended by the tolerance, or at a
+    /// minimum up to rounding with finite derivatives.
     pub converged: bool,
     /// Number of iterations.
     pub iterations: usize,
@@ -122,13 +122,13 @@ impl Fit {
     }
 }
 
-/// Weights of the continuity between windows, relative to those of the samples, in turn.
+/// Weights of the continuity between windows, in turn. Unit: 1 / root mean square of the residuals.
 ///
 /// The first one lets windows fit their own samples, so a wrong parameter cannot accumulate a phase
 /// error over a long segment. The last one reduces jumps to rounding.
 const CONTINUITY: [f64; 5] = [1.0, 10.0, 100.0, 1e4, 1e6];
 
-/// Relative decrease that ends the iterations of all weights but the last.
+/// Tolerance of the relative decrease for all weights of continuity but the last.
 const COARSE: f64 = 1e-2;
 
 /// Smallest root mean square of the residuals that scales the weights, relative to that of the

@@ -40,7 +40,8 @@ pub(super) struct Run<'a> {
 }
 
 impl Run<'_> {
-    /// States at all steps, the initial one included. Ends before the first non-finite state.
+    /// Returns the initial state and the state after each step. Ends before the first non-finite
+    /// state.
     pub fn simulate(&self, model: &dyn Model) -> Vec<Vec<f64>> {
         let zeros = vec![0.0; model.sizes()[1]];
         let mut states = vec![self.x.to_vec()];

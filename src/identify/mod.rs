@@ -1,7 +1,8 @@
 //! Identification of physical parameters from measured trajectories.
 //!
-//! [`identify`] adjusts entries of the parameters `p` of a [`System`](crate::System), and the
-//! initial states of all segments, until simulated states agree with measured ones. It minimizes
+//! [`identify`] adjusts entries of the parameters `p` of a [`System`](crate::System) until
+//! simulated states agree with measured ones. By default, it also adjusts the initial states of all
+//! segments. It minimizes
 //!
 //! ```text
 //! χ² = Σ ((x_i(t) - y_i(t)) / σ_i)²      over all finite measurements y_i(t)

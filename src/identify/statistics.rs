@@ -3,13 +3,13 @@
 use super::elimination::gradient;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
-/// Smallest eigenvalue of the scaled information matrix, relative to the largest. Below it, the
-/// data do not determine the combination of parameters along the eigenvector. The square root of
-/// this ratio, 1e-6, exceeds the relative rounding error of Jacobians, about 1e-7 after long
-/// simulations.
+/// Threshold for eigenvalues of the scaled information matrix, relative to the largest. At or below
+/// it, the data do not determine the combination of parameters along the eigenvector. The square
+/// root of this ratio, 1e-6, exceeds the relative rounding error of Jacobians, about 1e-7 after
+/// long simulations.
 const DETERMINED: f64 = 1e-12;
 
-/// Smallest magnitude of an eigenvector component whose parameter is named in a combination.
+/// Magnitude of an eigenvector component above which a combination names the parameter.
 const NAMED: f64 = 1e-3;
 
 pub(super) struct Statistics {

@@ -202,7 +202,7 @@ mod tests {
         );
         approx::assert_relative_eq!(huge.log10(), 4000.0 * 2f64.log10(), max_relative = 1e-15);
         assert_eq!((huge.get(), ExtendedF64::new(1.0, -4000).get()), (f64::INFINITY, 0.0));
-        // Results within the range of `f64` are stored as a plain `f64`.
+        // A result with a binary exponent from -960 to 960 is a plain `f64`.
         assert_eq!((ExtendedF64::new(1.5, 1100) / power_of_two(1000) / power_of_two(100)).get(), 1.5);
     }
 

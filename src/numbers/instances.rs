@@ -1,7 +1,7 @@
 //! Generic functions behind trait objects: one instance per scalar type.
 //!
-//! A method that is generic in the scalar cannot be called on a trait object. The object returns a
-//! function pointer for the scalar type of the caller instead, from a fixed set of types.
+//! A trait object has no methods that are generic in the scalar. The object returns a function
+//! pointer for the scalar type of the caller instead, from a fixed set of types.
 
 use super::forward_mode::CHUNK;
 #[cfg(feature = "double-double")]

@@ -1,8 +1,9 @@
 //! Vectorized kernels: matrix products, elementwise functions, sine and cosine.
 //!
 //! [`dispatch`] selects code for the processor at run time, since builds use default target flags.
-//! A portable path serves x86-64 processors without AVX2, and architectures other than x86-64 and
-//! aarch64. Contains the only unsafe code of the library. Start with [`dispatch`].
+//! A portable path serves x86-64 processors without AVX2 or fused multiply-add, and architectures
+//! other than x86-64 and aarch64. Contains the only unsafe code of the library. Start with
+//! [`dispatch`].
 
 pub mod elementwise;
 pub mod gemm;

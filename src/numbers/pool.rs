@@ -12,8 +12,8 @@ thread_local! {
 
 /// Calls `work` with a value of the type `T` that belongs to the current thread.
 ///
-/// The first call receives the default value. A later call receives the value that an earlier call
-/// left. Nested calls receive different values.
+/// A call receives a value that an earlier call left, or the default value if there is none. Nested
+/// calls receive different values.
 pub(crate) fn lend<T: Default + 'static, Out>(work: impl FnOnce(&mut T) -> Out) -> Out {
     let mut value: Box<T> = POOL.with_borrow_mut(|pool| {
         let found = pool.iter().position(|value| value.is::<T>());

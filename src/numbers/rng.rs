@@ -16,9 +16,9 @@ pub enum Purpose {
     Policy = 3,
     /// Order of the training samples.
     Shuffle = 4,
-    /// Random inputs and directions of gradient checks.
+    /// Random inputs, parameters and directions of checks.
     Check = 5,
-    /// Initial states and parameters of an evaluation, which no training uses.
+    /// Initial states and parameters of an evaluation. No training draws from these streams.
     Evaluate = 6,
     /// Random points of a sweep over settings.
     Sweep = 7,

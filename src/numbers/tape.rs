@@ -27,12 +27,12 @@ struct Entry {
     of: [u32; 2],
 }
 
-/// Operations of one evaluation. Only operations on variables have an entry.
+/// Operations of one evaluation. Only operations whose result depends on a variable have an entry.
 #[derive(Debug)]
 pub struct Tape<R> {
     inputs: usize,
     entries: Vec<Entry>,
-    /// Slopes of all entries, in order. A separate list, since sums have none.
+    /// Slopes of all entries, in order. A separate list, since sums and differences have none.
     slopes: Vec<R>,
 }
 

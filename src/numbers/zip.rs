@@ -1,6 +1,6 @@
 //! [`zip`]: an iterator over pairs that is always inlined, for performance-critical loops.
 
-/// Like [`std::iter::zip`], with all methods `#[inline(always)]`.
+/// Like [`std::iter::zip`], with `#[inline(always)]` on this function, `next` and `size_hint`.
 ///
 /// The standard version is not reliably inlined across codegen units without link-time
 /// optimization. In small loops, calls of its methods dominate the cost.

@@ -27,11 +27,11 @@ impl Step {
 const CONTROL_SHARE: f64 = 1e-6;
 
 /// Computes the step of Gauss-Newton differential dynamic programming. Returns `None` if the
-/// regularized Hessian with respect to the controls is not positive definite at a step.
+/// regularized Hessian with respect to the free controls is not positive definite at a step.
 ///
 /// v and V are the gradient and the Hessian of the cost-to-go after the step, v' and V' those
-/// before it. A = ∂S/∂x, B = ∂S/∂u, z = [x, u], and μ is the regularization. l depends on z
-/// directly and through the next state:
+/// before it. S is the step of the system, A = ∂S/∂x, B = ∂S/∂u, z = [x, u], and μ is the
+/// regularization. The running cost l depends on z directly and through the next state:
 ///
 /// ```text
 /// q = ∂l/∂z + [A B]ᵀ v,    Q = ∂²l/∂z² + [A B]ᵀ V [A B]

@@ -59,8 +59,8 @@ impl BoxQp {
         Some(Self { solution, free, factor })
     }
 
-    /// Returns the gains `-Q⁻¹ c` for a gradient `q = c x`, with zero rows for components that are
-    /// not free.
+    /// Returns the gains `-Q⁻¹ c` of the free components for a gradient `q = c x`, and zero rows
+    /// for the others.
     pub(super) fn gains(&self, cross: &DMatrix<f64>) -> DMatrix<f64> {
         let mut gains = DMatrix::zeros(cross.nrows(), cross.ncols());
         let of_free = -self.factor.solve(&cross.select_rows(&self.free));
@@ -83,8 +83,8 @@ fn restricted(hessian: &DMatrix<f64>, free: &[usize]) -> Option<Cholesky<f64, Dy
     hessian.select_rows(free).select_columns(free).cholesky()
 }
 
-/// Moves the free components by `size` times `step` and clamps them. Returns whether no component
-/// was clamped.
+/// Moves the free components by `size` times `step` and clamps them. Also returns whether the clamp
+/// changed no component.
 fn moved(d: &DVector<f64>, free: &[usize], step: &DVector<f64>, size: f64, bounds: &[[f64; 2]]) -> (DVector<f64>, bool) {
     let (mut moved, mut inside) = (d.clone(), true);
     for (&i, step) in free.iter().zip(step.iter()) {

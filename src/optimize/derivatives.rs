@@ -1,7 +1,7 @@
 //! [`Expansion`]: derivatives of dynamics and costs along a trajectory.
 //!
 //! Jacobians of the step are exact, by dual numbers. Hessians of the costs are exact, by nested
-//! dual numbers. Second derivatives of the step are omitted (Gauss-Newton).
+//! dual numbers. The expansion omits second derivatives of the step (Gauss-Newton).
 
 use super::OptimizeError;
 use super::trajectory::{Problem, Trajectory};
@@ -10,7 +10,7 @@ use crate::numbers::forward_mode::jacobian;
 use crate::numbers::scalar::Dual;
 use nalgebra::{DMatrix, DVector};
 
-/// Number of directions of each of two nested duals.
+/// Number of directions of each of the two nested dual numbers.
 const CHUNK: usize = 4;
 
 /// Nested dual number for second derivatives.
@@ -107,7 +107,7 @@ impl Problem<'_> {
 
 /// Computes the gradient with respect to the controls by the adjoint recursion.
 ///
-/// The second result is an error with the step at which the gradient is not finite.
+/// If the gradient is not finite at a step, the second result is an error with this step.
 fn gradient_by_control(steps: &[StepExpansion], terminal: DVector<f64>, n: usize, m: usize) -> (Vec<f64>, Result<(), usize>) {
     let (mut adjoint, mut by_control) = (terminal, vec![0.0; steps.len() * m]);
     for (t, step) in steps.iter().enumerate().rev() {

@@ -10,8 +10,8 @@
 //! Each iteration linearizes the dynamics, expands the costs to second order, and solves the
 //! resulting linear-quadratic problem by one backward pass. A line search along the new controls
 //! and gains accepts only steps that decrease the cost. First derivatives, and second derivatives
-//! of the costs, are exact. Second derivatives of the dynamics are omitted. `docs/optimize.md` has
-//! the equations and measured figures.
+//! of the costs, are exact. The method omits second derivatives of the dynamics. `docs/optimize.md`
+//! has the equations and measured figures.
 //!
 //! - [`Options`], [`Initial`]: settings and initial controls.
 //! - [`Plan`]: controls, states, gains, cost and gradient. [`Stop`]: the reason for termination.

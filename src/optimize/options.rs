@@ -7,15 +7,15 @@ use std::sync::atomic::AtomicBool;
 /// Settings of [`optimize`](super::optimize).
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Largest number of iterations. Each linearizes the trajectory once.
+    /// Largest number of iterations. Each linearizes its accepted trajectory once.
     pub max_iterations: usize,
-    /// Converged if no component of the projected gradient exceeds this number. Unit: cost per unit
-    /// of control. At an active bound, a component whose descent direction points out of the bounds
-    /// counts as 0.
+    /// Converged if no absolute component of the projected gradient exceeds this number. Unit: cost
+    /// per unit of control. At an active bound, a component whose descent direction points out of
+    /// the bounds counts as 0.
     pub gradient_tolerance: f64,
     /// Converged if each of three consecutive iterations decreases the cost by at most this
     /// fraction. Also converged if the line search fails and the full step has a predicted decrease
-    /// of at most this fraction.
+    /// of at most this fraction. Both limits include the rounding error of the initial cost.
     pub cost_tolerance: f64,
     /// Bounds `[low, high]` of each control, at all steps. Infinite bounds are allowed. `None`: no
     /// bounds.
@@ -93,8 +93,8 @@ impl Bounds {
         Ok(Self(bounds))
     }
 
-    /// Clamps a control. A control at a distance of at most 4 ε |bound| becomes the bound, with the
-    /// machine epsilon ε. Rounding therefore moves no control away from its bound.
+    /// Clamps the controls of one step. A control at a distance of at most 4 ε |bound| becomes the
+    /// bound, with the machine epsilon ε. Rounding therefore moves no control away from its bound.
     pub(super) fn clamp(&self, u: &mut [f64]) {
         for (u, &[low, high]) in u.iter_mut().zip(&self.0) {
             let near = |bound: f64| 4.0 * f64::EPSILON * bound.abs();

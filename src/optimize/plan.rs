@@ -37,9 +37,9 @@ pub enum Stop {
     Gradient,
     /// The relative decrease of the cost is within its tolerance.
     Decrease,
-    /// No step decreases the cost, even with the largest regularization.
+    /// No step decreases the cost sufficiently, even with the largest regularization.
     NoDescent,
-    /// The largest number of iterations was reached.
+    /// The optimization reached the largest number of iterations.
     Iterations,
 }
 
@@ -49,7 +49,7 @@ impl Plan {
         self.costs.len() - 1
     }
 
-    /// Returns whether a tolerance was reached.
+    /// Returns whether the optimization reached a tolerance.
     pub fn converged(&self) -> bool {
         matches!(self.stop, Stop::Gradient | Stop::Decrease)
     }

@@ -67,7 +67,7 @@ impl<'a> Search<'a> {
     /// # Errors
     /// [`OptimizeError::Stopped`]
     fn improve(&mut self, expansion: &Expansion) -> Result<ControlFlow<Stop, Expansion>, OptimizeError> {
-        // Decreases below the rounding error of the initial cost count as none.
+        // Decreases below the rounding error of the initial cost count as small.
         let tolerance = self.options.cost_tolerance * self.best.cost.abs() + f64::EPSILON * self.costs[0].abs();
         loop {
             let regularization = self.regularization.value * expansion.curvature;
@@ -124,8 +124,8 @@ impl<'a> Search<'a> {
         all.fold(0.0, |norm, (i, (&gradient, &u))| self.bounds.projected(i % self.problem.m, u, gradient).abs().max(norm))
     }
 
-    /// Computes the gains of the final trajectory, with the least regularization that determines
-    /// them.
+    /// Returns the plan. Computes the gains of the final trajectory, with the least regularization
+    /// that determines them.
     fn finish(self, expansion: Expansion, stop: Stop) -> Plan {
         let (n, m) = (self.problem.n, self.problem.m);
         let mut regularization = Regularization::default();
@@ -168,8 +168,8 @@ impl Regularization {
     /// Largest value.
     const LARGEST: f64 = 1e10;
 
-    /// Multiplies the value by a factor that doubles with each call. Returns false if the value
-    /// exceeds [`LARGEST`](Self::LARGEST).
+    /// Multiplies the value by a factor that doubles with each consecutive increase, or replaces 0
+    /// by [`FIRST`](Self::FIRST). Returns false if the value exceeds [`LARGEST`](Self::LARGEST).
     fn increase(&mut self) -> bool {
         self.factor = (self.factor * Self::FACTOR).max(Self::FACTOR);
         self.value = if self.value == 0.0 { Self::FIRST } else { self.value * self.factor };

@@ -51,11 +51,12 @@ use std::ops::Range;
 /// number of the step. Most policies have no memory and do not depend on t. The memory is 0 at the
 /// start of a rollout.
 ///
-/// Required: the dimensions, [`init`](Policy::init) and [`act`](Policy::act). The batched passes
-/// default to `act` on blocks of up to eight samples. Default derivatives are exact: by dual
-/// numbers for at most 16 observations, memory components and parameters together, otherwise in
-/// reverse mode. A policy with large layers overrides all batched passes together;
-/// [`check::policy`](crate::check::policy) compares them with `act`.
+/// Required: the dimensions other than `memory_dim`, [`init`](Policy::init) and
+/// [`act`](Policy::act). The batched passes default to `act` on blocks of up to eight samples.
+/// Default derivatives are exact: by dual numbers for at most 16 observed components, memory
+/// components and parameters together, otherwise in reverse mode. A policy with large layers
+/// overrides all batched passes together; [`check::policy`](crate::check::policy) compares them
+/// with `act`.
 ///
 /// # Batched passes
 /// The batched passes are [`forward`](Policy::forward), [`backward`](Policy::backward) and
@@ -122,7 +123,8 @@ pub trait Policy: Send + Sync {
         Sizes { packed: self.param_count(), tape: 0, tape_bar: 0, scratch: 0 }
     }
 
-    /// Writes `θ` to `packed` in the layout of the batched passes. Called once per update.
+    /// Writes `θ` to `packed` in the layout of the batched passes. [`Weights`] calls it after every
+    /// change of `θ`.
     fn pack<F: Float>(&self, theta: &[F], packed: &mut [F]) {
         packed.copy_from_slice(theta);
     }

@@ -17,7 +17,7 @@ pub struct OpenLoop {
 }
 
 impl OpenLoop {
-    /// A sequence of `horizon` controls, at least the horizon of the task.
+    /// A sequence of controls for `horizon` steps, at least as many as the task has.
     pub fn new(observation_dim: usize, control_dim: usize, horizon: usize) -> Self {
         Self { observation_dim, control_dim, horizon }
     }

@@ -86,7 +86,7 @@ trait Cell {
     fn to_control(&self) -> Affine;
 }
 
-/// Forward pass of [`Policy::forward`].
+/// Arguments of [`Policy::forward`] for a recurrent policy, with reusable buffers.
 struct Forward<'a, C, F> {
     cell: &'a C,
     pass: PolicyPass<'a, F>,
@@ -112,7 +112,7 @@ impl<C: Cell, F: Float> Vectorized for Forward<'_, C, F> {
     }
 }
 
-/// Backward pass of [`Policy::backward`].
+/// Arguments of [`Policy::backward`] for a recurrent policy, with reusable buffers.
 struct Backward<'a, C, F> {
     cell: &'a C,
     pass: PolicyPass<'a, F>,

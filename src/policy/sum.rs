@@ -5,8 +5,10 @@ use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Float, Scalar};
 use smallvec::{SmallVec, smallvec};
 
-/// Sum of the controls of two policies without memory; `θ` holds the parameters of the first, then
-/// of the second.
+/// Policy whose control is the sum of the controls of two policies.
+///
+/// Neither policy has a memory or trained parameters of the system. `θ` holds the parameters of the
+/// first policy, then those of the second.
 ///
 /// Examples: an open-loop sequence plus feedback, or a linear regulator plus a network.
 #[derive(Clone, Debug, PartialEq)]
@@ -29,7 +31,7 @@ impl<A: Policy, B: Policy> Sum<A, B> {
         Self(first, second)
     }
 
-    /// Splits parameters into those of both policies.
+    /// Splits `theta` into the parameters of the first and of the second policy.
     fn split<'a, T>(&self, theta: &'a [T]) -> (&'a [T], &'a [T]) {
         theta.split_at(self.0.param_count())
     }
@@ -92,7 +94,8 @@ impl<A: Policy, B: Policy> Policy for Sum<A, B> {
         [named("first", 0, self.0.tensors()), named("second", shift, self.1.tensors())].concat()
     }
 
-    /// The tape ends with the controls of the second policy, `tape_bar` with its input cotangents.
+    /// `tape` ends with the controls of the second policy. `tape_bar` ends with the cotangents of
+    /// the inputs of the second policy.
     fn sizes<F: Float>(&self, columns: usize) -> Sizes {
         let [a, b] = self.parts::<F>(columns);
         Sizes {
@@ -146,7 +149,7 @@ impl<A: Policy, B: Policy> Policy for Sum<A, B> {
     }
 }
 
-/// Adds columns of `n` numbers.
+/// Adds the columns `pass.at` of `from` to those of `to`. Each column has `n` numbers.
 fn add<F: Float>(pass: PolicyPass<F>, n: usize, from: &[F], to: &mut [F]) {
     for c in pass.at.iter() {
         for (to, &from) in to[c * n..][..n].iter_mut().zip(&from[c * n..][..n]) {

@@ -4,9 +4,10 @@ use super::{Action, NetworkLayer, Observed, Policy, PolicyPass, PolicyRecord, Si
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Float, Scalar};
 
-/// An entry of the parameters `p` that is trained: shared by all samples, and a part of `θ`.
+/// Trained entry of the parameters `p`. All samples share its value.
 ///
-/// `θ` holds an unbounded number r. The constructors differ in the map from r to the entry of `p`.
+/// `θ` holds an unbounded number r for the entry. The constructors differ in the map from r to the
+/// entry.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrainedParam {
     index: usize,
@@ -14,7 +15,7 @@ pub struct TrainedParam {
     scale: Scale,
 }
 
-/// Map from r to the parameter.
+/// Map from r to the entry of `p`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Scale {
     /// `r`.
@@ -230,7 +231,8 @@ impl<P: Policy> Policy for WithParams<P> {
         if self.params.is_empty() {
             return tensors;
         }
-        // One tensor holds all trained entries, in place of that of `policy`.
+        // One tensor holds all trained entries. It replaces the tensor of those that `policy`
+        // trains.
         let trained = self.first()..self.param_count();
         tensors.retain(|tensor| tensor.range.start < trained.start);
         tensors.push(Tensor { name: "trained_params".into(), shape: vec![self.params.len()], range: trained });

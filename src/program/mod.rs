@@ -93,7 +93,8 @@ const FAILURE: u8 = 1;
 /// Exit status of a training run that applied no update.
 const NO_UPDATE: u8 = 3;
 
-/// The `physgrad` program, with tasks of the user.
+/// Returns the `physgrad` program with the built-in tasks. [`Program::task`] adds a task of the
+/// user.
 ///
 /// ```no_run
 /// use physgrad::prelude::*;
@@ -169,7 +170,8 @@ impl Program {
         self
     }
 
-    /// Runs the command of the process arguments and returns its exit status.
+    /// Runs the command of the process arguments and returns its exit status. Invalid arguments,
+    /// `--help` and `--version` end the process immediately.
     pub fn main(self) -> ExitCode {
         signals::ignore_file_limits();
         let outcome = tasks::register(self.own, self.effects)

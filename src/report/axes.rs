@@ -81,7 +81,7 @@ pub(super) fn text(at: [f64; 2], text: impl Into<String>) -> Shape {
     Shape::Text { at, size: LETTERS, text: text.into(), color: INK }
 }
 
-/// About `count` evenly spaced round numbers in a range; empty for a degenerate range.
+/// Evenly spaced round numbers in a range, at most `count + 1`; empty for a degenerate range.
 pub(super) fn ticks(from: f64, to: f64, count: f64) -> Vec<f64> {
     let step = round_up((to - from) / count);
     if !step.is_normal() {
@@ -96,8 +96,9 @@ pub(super) fn round_up(value: f64) -> f64 {
     [1.0, 2.0, 5.0].into_iter().map(|m| m * power).find(|&round| round >= value * (1.0 - 1e-9)).unwrap_or(10.0 * power)
 }
 
-/// Formats with about three significant digits and a typographic minus. Decimals have no trailing
-/// zeros.
+/// Formats a number with a typographic minus. Below 1e-3 and from 1e5 on, the absolute value has an
+/// exponent and two significant digits. In between, it has three significant digits, or the whole
+/// integer part from 1000 on, without trailing decimal zeros. 0 is `0`.
 pub(super) fn number(value: f64) -> String {
     let text = match value.abs() {
         0.0 => "0".into(),

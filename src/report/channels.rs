@@ -12,12 +12,13 @@ pub struct Channel {
     pub values: Vec<f64>,
     /// CSS colour.
     pub color: &'static str,
-    /// Lowest and highest value of the band; None for the extremes of the values.
+    /// Lowest and highest value of the band. `None` for the extremes of the values before the first
+    /// non-finite value.
     pub range: Option<[f64; 2]>,
 }
 
 impl Channel {
-    /// Creates one channel per column of the rows.
+    /// Creates one channel per name. Channel i holds column i of the rows.
     ///
     /// # Panics
     /// Panics if a row has fewer values than there are names.
@@ -31,7 +32,7 @@ impl Channel {
         &self.values[..self.values.iter().take_while(|value| value.is_finite()).count()]
     }
 
-    /// Lowest and highest value of the band.
+    /// Lowest and highest value of the band. Both are 0 without `range` and without values to draw.
     pub fn range(&self) -> [f64; 2] {
         let ends = |values: &[f64]| values.iter().fold([f64::MAX, f64::MIN], |[low, high], &y| [low.min(y), high.max(y)]);
         self.range.unwrap_or_else(|| if self.finite().is_empty() { [0.0, 0.0] } else { ends(self.finite()) })
@@ -39,7 +40,7 @@ impl Channel {
 }
 
 /// Animates numbers over time, one band per channel, each with its own range. Values are `dt`
-/// seconds apart. A cursor crosses the bands in real time, or in 1 s if the rollout is shorter.
+/// seconds apart. A cursor crosses the bands in real time, or in 1 s if the values span less time.
 pub fn channels_over_time(title: &str, channels: &[Channel], dt: f64) -> Animation {
     let steps = channels.iter().map(|channel| channel.finite().len()).max().unwrap_or(0).saturating_sub(1);
     let time = steps as f64 * dt;

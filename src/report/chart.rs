@@ -46,15 +46,15 @@ pub struct Frame {
 }
 
 impl Chart {
-    /// Creates a chart with a logarithmic y axis. Omits points with a non-finite x or a y outside
-    /// 1e-100 to 1e100.
+    /// Creates a chart with a logarithmic y axis. Omits points with a non-finite x, and points with
+    /// a y or a band edge outside 1e-100 to 1e100.
     pub fn log(x_label: &'static str, y_label: &'static str, series: Vec<Series>) -> Self {
         let series = shown(series, drawable);
         Self { x_label, y_label, x: x_range(&series), y: Axis::Log(LogAxis::of(series.iter())), series }
     }
 
-    /// Creates a chart with a y axis from `range[0]` to `range[1]`. Omits points outside that
-    /// range.
+    /// Creates a chart with a y axis from `range[0]` to `range[1]`. Omits points with a non-finite
+    /// x, and points with a y or a band edge outside that range.
     pub fn linear(x_label: &'static str, y_label: &'static str, range: [f64; 2], series: Vec<Series>) -> Self {
         // Tolerates rounding errors, for instance of a cosine above 1.
         let slack = 1e-9 * (range[1] - range[0]);
@@ -115,7 +115,8 @@ impl Chart {
         };
         // kuva draws the axes. The series follow in groups, by which a page can hide or move them.
         let mut scene = render_multiple(vec![LinePlot::new().into()], layout);
-        // A page with several charts must not have equal identifiers. Series need no clipping.
+        // Removes the clipped areas, because their identifiers would be equal in all charts of a
+        // page. Series need no clipping.
         scene.elements.retain(|element| !matches!(element, Primitive::ClipStart { .. } | Primitive::ClipEnd));
         scene.defs.clear();
         scene.elements.insert(0, group("class=\"axes\""));
@@ -204,7 +205,7 @@ fn shown(series: Vec<Series>, is_drawable: impl Fn(f64) -> bool) -> Vec<Series> 
 mod tests {
     use super::*;
 
-    /// Vertices of the only line in the picture.
+    /// Vertices of the first line with the colour `#123456`.
     fn drawn(chart: &Chart) -> Vec<[f64; 2]> {
         let svg = chart.drawing().to_svg();
         let document = roxmltree::Document::parse(&svg).expect("an SVG is XML");

@@ -7,7 +7,8 @@ use super::{Dash, Drawing, Series};
 
 /// Summaries exclude runs that end before this share of the epochs of the longest run.
 const MIN_SHARE: f64 = 0.95;
-/// Smallest number of seeds with a band of quartiles. Fewer seeds have a band of their range.
+/// Smallest number of seeds with a band of quartiles. Two or three seeds have a band of their
+/// range.
 const MIN_QUARTILES: usize = 4;
 
 /// Runs of one method, one per seed.
@@ -79,10 +80,14 @@ pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) ->
 /// - Band: first to third quartile of four or more seeds, or the range of two or three seeds.
 /// - Thin lines: single seeds. One seed has a bold line only.
 ///
-/// Values are interpolated at common epochs, over the range that all runs cover. The wall time of
-/// an epoch is the median over the seeds. Medians and bands exclude runs without valid points, and
-/// runs that failed or diverged early; the figure states how many remain. With several seeds, the
-/// title ends with the name of the statistic.
+/// Valid losses are between 1e-100 and 1e100. Medians and bands exclude runs without valid losses.
+/// They also exclude runs whose valid losses end before 95 % of the epochs of the longest run, for
+/// instance after divergence. The figure then states how many of the seeds remain.
+///
+/// Medians and bands use all epochs of the remaining runs, within the range that all of them cover.
+/// Interpolation between the points of a run is linear in the wall time and in the logarithm of the
+/// loss. The wall time of an epoch is the median over the seeds. With several seeds, the title ends
+/// with the name of the statistic.
 pub fn comparison(title: &str, curves: &[Curve]) -> Drawing {
     let case = |x| Case { title: String::new(), y_label: "test loss".into(), y_axis: 0, x, curves: curves.to_vec() };
     study(title, &[[Abscissa::Epoch, Abscissa::Seconds].map(case).into()])
@@ -144,7 +149,8 @@ pub fn study(title: &str, rows: &[Vec<Case>]) -> Drawing {
     log_figure(&title, &rows.iter().map(|row| row.iter().map(panel).collect()).collect::<Vec<_>>())
 }
 
-/// Name of the statistic of curves with these numbers of seeds. Empty for single seeds.
+/// Name of the statistic of curves with these numbers of seeds. Empty if no curve has several
+/// seeds.
 pub fn statistic(seeds: impl Iterator<Item = usize>) -> &'static str {
     let (mut range, mut quartiles) = (false, false);
     for seeds in seeds {
@@ -211,7 +217,8 @@ fn common_grid(runs: &[Vec<(f64, f64)>]) -> Vec<f64> {
     grid
 }
 
-/// Value of a run at x, interpolated with `between` from the two nearest points.
+/// Value of a run at x, interpolated with `between` from the neighbouring points on both sides.
+/// Constant beyond the ends of the run.
 fn interpolated(run: &[(f64, f64)], x: f64, between: fn(f64, f64, f64) -> f64) -> f64 {
     let right = run.partition_point(|&(at, _)| at < x).min(run.len() - 1);
     let ((x0, y0), (x1, y1)) = (run[right.saturating_sub(1)], run[right]);

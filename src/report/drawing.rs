@@ -5,7 +5,8 @@ use kuva::prelude::SvgBackend;
 use kuva::render::color::Color;
 use kuva::render::render::{Primitive, Scene};
 
-/// Static picture. Output is reproducible byte for byte on all machines: fonts are built in.
+/// Static picture. Output is reproducible byte for byte. It depends neither on installed fonts,
+/// because fonts are built in, nor on earlier pictures of the process.
 pub struct Drawing(Scene);
 
 impl Drawing {
@@ -60,7 +61,7 @@ fn join_cells(element: &mut Primitive) {
     }
 }
 
-/// Numbers the clipped areas from 0. kuva numbers those of all pictures of a process.
+/// Numbers the clipped areas of a picture from 0. kuva counts through all pictures of a process.
 fn number_clips(scene: &mut Scene) {
     let clips = scene.elements.iter_mut().filter_map(|element| match element {
         Primitive::ClipStart { id, .. } => Some(id),
@@ -68,7 +69,7 @@ fn number_clips(scene: &mut Scene) {
     });
     for (number, id) in clips.enumerate() {
         let old = std::mem::replace(id, format!("clip-{number}"));
-        // Each definition has the number of its area.
+        // The definition of an area has the identifier of that area.
         for definition in &mut scene.defs {
             *definition = definition.replace(&format!("id=\"{old}\""), &format!("id=\"{id}\""));
         }

@@ -9,8 +9,7 @@ use super::{Dash, Drawing, PALETTE, Series};
 pub struct TaskLosses {
     /// Title of the panel.
     pub task: String,
-    /// Name of each method, with one loss per seed. A loss that is not finite stands for a failed
-    /// run.
+    /// Name of each method, with one loss per seed. A non-finite loss stands for a failed run.
     pub methods: Vec<(String, Vec<f64>)>,
     /// Loss of the untrained policy, as a dashed line.
     pub untrained: f64,

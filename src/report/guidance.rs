@@ -13,9 +13,9 @@ const EVADER_TRAIL: &str = "#A9CDE6";
 const TARGET: &str = "#009E73";
 const TARGET_AREA: &str = "#DDF1EA";
 
-/// Number of frames beyond which a trajectory is thinned; motion between frames is linear.
+/// Largest number of frames. Longer trajectories are thinned; motion between frames is linear.
 const MAX_FRAMES: usize = 120;
-/// Largest number of trail segments of all agents together. More agents have one segment each.
+/// Largest number of trail segments of all agents together, but every agent has at least one.
 const ALL_PIECES: usize = 120;
 /// Largest number of trail segments per agent.
 const MAX_PIECES: usize = 8;
@@ -23,7 +23,8 @@ const MAX_PIECES: usize = 8;
 const TRAIL: f64 = 0.25;
 /// Coordinate of an agent that counts as diverged, m.
 const FAR: f64 = 1e6;
-/// Limit of the view, relative to the largest coordinate of the initial state.
+/// Limit of the positions that the view includes, relative to the largest initial coordinate. This
+/// coordinate counts as at least 0.5 m.
 const REACH: f64 = 2.0;
 /// Aspect ratio of the picture, width over height.
 const ASPECT: f64 = 1.5;
@@ -34,14 +35,16 @@ const ASPECT: f64 = 1.5;
 /// seconds apart. Each agent has a trail of past positions; the target is the origin.
 ///
 /// Trajectories shorter than 2 s play at one third of real time. The view contains the whole
-/// trajectory, except positions beyond twice the largest initial coordinate. The animation ends
-/// before the first state that is non-finite, beyond 1e6 m, or of a different length.
+/// trajectory, except positions beyond twice the largest initial coordinate or, if larger, 1 m.
+///
+/// The animation ends before the first state that is non-finite, beyond 1e6 m, or of a different
+/// length.
 pub fn guidance(states: &[Vec<f64>], drivers: usize, dt: f64) -> Animation {
     guidance_in(&Field::default(), states, drivers, dt)
 }
 
 /// Animates a trajectory as [`guidance`] does, with obstacles and walls. The view includes an
-/// obstacle or the walls unless they extend beyond twice the largest initial coordinate.
+/// obstacle or the walls unless they extend beyond the limit for positions in [`guidance`].
 pub fn guidance_in(field: &Field, states: &[Vec<f64>], drivers: usize, dt: f64) -> Animation {
     let width = states.first().map_or(0, Vec::len);
     let valid = |s: &&Vec<f64>| {
@@ -106,7 +109,7 @@ impl Layout {
         Self { path, drivers, field, low: corner(-1.0), high: corner(1.0) }
     }
 
-    /// Height of the picture, to which all sizes are relative.
+    /// Height of the view, m. The sizes of agents, trails, target and outlines are relative to it.
     fn unit(&self) -> f64 {
         self.high[1] - self.low[1]
     }

@@ -4,7 +4,7 @@ use super::Series;
 use kuva::prelude::*;
 
 /// Logarithmic axis in units of 10^exponent. The plotting library kuva raises values below 1e-10 to
-/// 1e-10, so `low` is scaled into [1, 10).
+/// 1e-10, so the unit is such that `low` is between 1 and 10.
 pub struct LogAxis {
     /// Power of ten of the axis unit.
     pub exponent: i32,
@@ -15,8 +15,8 @@ pub struct LogAxis {
 }
 
 impl LogAxis {
-    /// Creates the axis for lines, bands and single dots. With dots, the range has a margin
-    /// of 2 % at both ends, so that the edge of the panel cuts no dot.
+    /// Creates the axis for lines, bands and single dots. With dots, the range has a margin of at
+    /// least 2 % of its logarithmic length at both ends. The edge of the panel then cuts no dot.
     pub fn of<'a>(series: impl Iterator<Item = &'a Series>) -> Self {
         let (mut dots, mut low, mut high) = (false, f64::INFINITY, 0.0);
         for s in series {
@@ -30,7 +30,7 @@ impl LogAxis {
         Self::covering([low / margin, high * margin].into_iter())
     }
 
-    /// Creates the axis for the values, rounded outward to one digit.
+    /// Creates the axis for positive values, rounded outward to one digit.
     ///
     /// The range contains at least two ticks at 1, 2 or 5 times a power of ten.
     pub fn covering(values: impl Iterator<Item = f64>) -> Self {
@@ -44,7 +44,7 @@ impl LogAxis {
         let low = round_numbers().take_while(|&y| y <= min / unit * (1.0 + 1e-9)).last().unwrap_or(1.0);
         let high = round_numbers().find(|&y| y >= max / unit * (1.0 - 1e-9)).unwrap_or(1e200);
         let ticks = || (-1..=200).flat_map(|e| [1.0, 2.0, 5.0].map(|m| m * 10f64.powi(e)));
-        // Extends the end that is closer to its next tick.
+        // Extends the end that is closer to its next tick, but never the lower end below 1.
         let (mut low, mut high) = (low, high);
         while ticks().filter(|&tick| low <= tick && tick <= high).count() < 2 {
             let below = ticks().take_while(|&tick| tick < low).last().unwrap_or(low);

@@ -30,7 +30,7 @@ pub struct Panel {
     pub y_label: String,
     /// Panels with the same number share the range of their y axes.
     pub y_axis: usize,
-    /// Lines of the panel; equal labels in different panels share a legend entry.
+    /// Lines of the panel. Lines with equal labels share a legend entry, across all panels.
     pub series: Vec<Series>,
 }
 
@@ -63,8 +63,9 @@ const LETTER: f64 = 6.2;
 
 /// Renders rows of panels. All rows have the same number of panels.
 ///
-/// The legend is to the right of all panels, so it covers no data. A panel omits the tick
-/// labels and the label of its y axis if its left neighbour shows equal ones.
+/// The legend is to the right of all panels, so it covers no data. A panel omits its y tick labels
+/// if its left neighbour has an equal `y_axis`. A panel omits its y label if the left neighbour has
+/// an equal one. A panel omits its x label if the panel below has an equal one.
 pub fn log_figure(title: &str, rows: &[Vec<Panel>]) -> Drawing {
     log_figure_with(title, rows, legend(rows.iter().flatten()))
 }

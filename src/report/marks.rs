@@ -5,7 +5,8 @@ use kuva::prelude::*;
 
 /// Width of a line, and of a thin line, in pixels.
 const WIDTHS: [f64; 2] = [1.8, 0.8];
-/// Additional width of a line for each later line that coincides with it, in pixels.
+/// Additional width of a line for each later line that coincides with it, in pixels. Thin lines
+/// neither gain width nor count.
 const CASING: f64 = 2.4;
 /// Share of white in the colour of a thin line.
 const PALE: f64 = 0.45;
@@ -20,8 +21,8 @@ pub fn marks(series: &[Series], unit: [f64; 2]) -> Vec<Plot> {
     bands.chain(lines(true).chain(lines(false)).map(|(s, &width)| line(s, width, unit))).chain(bars).collect()
 }
 
-/// Widths of the lines. A line is wider than the later lines that coincide with it, so it stays
-/// visible at both sides.
+/// Widths of the lines. Each later line that coincides with an earlier one widens the earlier line,
+/// which therefore stays visible at both sides. Thin lines neither gain width nor count.
 pub fn widths(series: &[Series]) -> Vec<f64> {
     let covers = |i: usize| series[i + 1..].iter().filter(|other| !other.thin && series[i].coincides(other)).count();
     let width = |i: usize| if series[i].thin { WIDTHS[1] } else { WIDTHS[0] + CASING * covers(i) as f64 };
@@ -57,7 +58,7 @@ fn bars(series: &Series, unit: [f64; 2]) -> impl Iterator<Item = Plot> {
     })
 }
 
-/// Mixes a colour in the form `#rrggbb` with white. Other colours stay.
+/// Mixes a colour in the form `#rrggbb` with white. Other colours stay unchanged.
 fn pale(color: &str) -> String {
     let channel = |i: usize| u8::from_str_radix(color.get(i..i + 2)?, 16).ok();
     let mix = |value: f64| (value + PALE * (255.0 - value)).round() as u8;

@@ -9,7 +9,7 @@ pub const BOXES: [&str; 3] = ["#E69F00", "#009E73", "#CC79A7"];
 const GROUND: &str = "#9AA0A8";
 const MARK: &str = "#D55E00";
 
-/// Number of frames beyond which a motion is thinned.
+/// Largest number of frames. Longer motions are thinned.
 const MAX_FRAMES: usize = 250;
 /// Coordinate that counts as diverged, m.
 const FAR: f64 = 1e6;
@@ -32,7 +32,7 @@ pub struct Stage {
     pub title: String,
     /// Width of a box, m; joints and rods scale with it.
     pub size: f64,
-    /// Height of a floor or rail, m.
+    /// Height of a floor or rail, m. `None` for neither.
     pub floor: Option<f64>,
     /// Target position, m.
     pub mark: Option<[f64; 2]>,
@@ -55,7 +55,8 @@ pub fn mechanics(stage: &Stage, postures: &[Posture], dt: f64) -> Animation {
     let margin = 1.5 * stage.size;
     let mut low = [end(0, f64::min) - margin, end(1, f64::min) - margin];
     let mut high = [end(0, f64::max) + margin, end(1, f64::max) + margin];
-    // Widens the view of a motion along a line to an aspect ratio of at least 1/3.
+    // Widens a narrow view, for instance of a motion along a line, until the shorter side is at
+    // least 1/3 of the longer side.
     for (i, other) in [(0, 1), (1, 0)] {
         let missing = (high[other] - low[other]) / 3.0 - (high[i] - low[i]);
         if missing > 0.0 {

@@ -1,4 +1,4 @@
-//! Maps of a plane: norms as colours on a logarithmic scale, with arrows, lines and paths.
+//! Maps of a plane: values as colours on a logarithmic scale, with arrows, lines and paths.
 
 use super::log_axis::{LogAxis, superscript};
 use super::log_figure::{Panel, Shows, XScale, legend, panel_layout};
@@ -44,8 +44,8 @@ pub struct Plane {
 pub struct Map {
     /// Title above the map.
     pub title: String,
-    /// Values in the cells of a grid, shown as colours. Values that are not positive have the
-    /// lowest colour.
+    /// Values in the cells of a grid, shown as colours. Non-positive values and NaN have the lowest
+    /// colour.
     pub values: Vec<f64>,
     /// Directions in the cells of another grid, shown as arrows of equal length. Zero and
     /// non-finite vectors are omitted.
@@ -172,7 +172,7 @@ impl Plane {
         let last = f64::from(steps - 1);
         let step = |value: &f64| {
             let position = (value.log10() - f64::from(self.decades[0])) * each;
-            // `max` maps NaN, from negative values, to the lowest step.
+            // `max` maps NaN, the logarithm of negative values and of NaN, to the lowest step.
             position.floor().max(0.0).min(last)
         };
         let cells: Vec<f64> = values.iter().map(step).collect();

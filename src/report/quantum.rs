@@ -17,9 +17,10 @@ const FIDELITY: &str = "#0072B2";
 const ZERO: &str = "#D5D8DC";
 const CURSOR: &str = "#56B4E9";
 
-/// Number of frames beyond which a trajectory is thinned.
+/// Largest number of frames. Longer trajectories are thinned.
 const MAX_FRAMES: usize = 200;
-/// Number of states beyond which map columns and curve vertices are averages over states.
+/// Number of states, or of steps of the control, beyond which map columns and curve vertices are
+/// averages over neighbours.
 const MAX_COLUMNS: usize = 256;
 /// Number of grid points beyond which map rows and bars are averages over grid points.
 const MAX_ROWS: usize = 64;
@@ -32,7 +33,7 @@ const MAX_ROWS: usize = 64;
 ///
 /// The large map shows the probability density over time and position. Below the map are the
 /// control and the fidelity `|⟨φ, ψ⟩|²`. A cursor moves through all three. The panel at the right
-/// shows the current density as bars, and the density of the target as a line.
+/// shows the density at the time of the cursor as bars, and the density of the target as a line.
 ///
 /// A unit of time takes 1 s, but the whole trajectory takes at least 4 s and at most 12 s. The
 /// animation ends before the first state that is non-finite or of a different length.

@@ -34,7 +34,7 @@ impl Dash {
     }
 }
 
-/// Line with an optional band around it.
+/// Line with an optional band around it and optional horizontal bars.
 ///
 /// On a log axis every y must be positive; [`Chart`](super::Chart) omits other points.
 #[derive(Clone, Debug, PartialEq)]
@@ -49,7 +49,8 @@ pub struct Series {
     pub dash: Dash,
     /// True for a thin, pale line without a legend entry, such as a single seed beside a median.
     pub thin: bool,
-    /// Points (x, y) in order of increasing x; a single point is drawn as a dot.
+    /// Points (x, y) in drawing order: by increasing x, except in work-precision diagrams. Charts
+    /// draw a single point as a dot.
     pub line: Vec<(f64, f64)>,
     /// Lower and upper edge of the band at each point of the line; empty for no band.
     pub band: Vec<(f64, f64)>,
@@ -77,8 +78,8 @@ impl Series {
         self
     }
 
-    /// True if the lines coincide in at least half of the points, up to a relative difference of
-    /// 0.1 %.
+    /// True if the lines coincide in at least half of the points of the shorter line, up to a
+    /// relative difference of 0.1 %. False if either line has fewer than two points.
     pub(super) fn coincides(&self, other: &Self) -> bool {
         let near = |a: f64, b: f64| (a - b).abs() <= 1e-3 * a.abs().max(b.abs());
         let pairs = self.line.iter().zip(&other.line);

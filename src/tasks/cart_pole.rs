@@ -1,4 +1,4 @@
-//! Cart-pole: swing-up of any number of poles on one cart by one force.
+//! Cart-pole: swing-up of one or more poles on one cart by one force.
 //!
 //! The task is that of "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR
 //! 2024), after Barto, Sutton and Anderson 1983 (doi:10.1109/TSMC.1983.6313077). [`CartPole`] is
@@ -40,12 +40,12 @@ any_effect! {
     CartPoleEffect of CartPoleSystem: PoleDamping, CartDamping, DryFriction, SteadyWind, GustyWind, Bumpers
 }
 
-/// Task to swing up all poles, with the mean of `1 - cos θ` as loss.
+/// Task to swing up all poles, with the mean of `1 - cos θ` over the poles as loss.
 ///
 /// The loss lies between 0 (all upright) and 2 (all hanging). Position and control have no cost.
 ///
-/// `S` is any system that contains a [`CartPoleSystem`]: alone, coupled, with effects, behind an
-/// actuator, or advanced by an integrator.
+/// `S` is any system that contains a [`CartPoleSystem`], for example alone, coupled, with effects,
+/// behind an actuator, or advanced by an integrator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CartPole<S = CartPoleSystem> {
     /// System to control.

@@ -23,14 +23,14 @@ use crate::numbers::scalar::Scalar;
 pub enum Contact {
     /// Exact impact at the time of contact within the step.
     ///
-    /// At the impact, the speed of the gap is multiplied by `-restitution`, and the remainder of
-    /// the step continues from there. With at most four impacts per step, states and derivatives
-    /// are exact for any dt. This includes the derivative with respect to the impact time
-    /// ("saltation": Hiskens and Pai 2000, doi:10.1109/81.828574).
+    /// The impact multiplies the speed of the gap by `-restitution`, and the remainder of the step
+    /// continues from there. With at most four impacts per step, states and derivatives are exact
+    /// for any dt. The derivatives include the dependence on the impact time ("saltation": Hiskens
+    /// and Pai 2000, doi:10.1109/81.828574).
     ///
-    /// A step may contain infinitely many impacts (Zeno). Four are computed. At a fifth, the gap
-    /// closes and stays at rest until a positive acceleration opens it. This discards bounces lower
-    /// than `|a| dt² / 128`, where a is the acceleration of the gap.
+    /// A step may contain infinitely many impacts (Zeno), but computes only four. At a fifth, the
+    /// gap closes and stays at rest until a positive acceleration opens it. This discards bounces
+    /// lower than `|a| dt² / 128`, where a is the acceleration of the gap.
     TimeOfImpact {
         /// Coefficient of restitution, from 0 (perfectly inelastic) to 1 (elastic).
         restitution: f64,
@@ -83,7 +83,7 @@ impl<T: Scalar> Gap<T> {
 
 impl Contact {
     /// Returns the gap after dt under a constant acceleration and the contact. `mass` is the
-    /// reduced mass. Without contact, the result equals [`Gap::free`] bit for bit.
+    /// reduced mass. Without contact, the result equals [`Gap::free`] exactly.
     #[inline(always)]
     fn advance<T: Scalar>(&self, gap: Gap<T>, acceleration: T, mass: f64, dt: f64) -> Gap<T> {
         match *self {

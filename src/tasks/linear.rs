@@ -12,7 +12,7 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use nalgebra::DMatrix;
 
-/// Linear system `x' = A x + B u`.
+/// Linear system in discrete time, with the next state `x' = A x + B u`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinearPlant {
     state_dim: usize,
@@ -42,10 +42,12 @@ impl LinearPlant {
         Self { state_dim, control_dim: of_b / n, a, b }
     }
 
-    /// Linearizes the step S of a system about the given inputs, exactly: `A = ∂S/∂x`, `B = ∂S/∂u`.
+    /// Linearizes the step S of a system about the given inputs, with the exact derivatives
+    /// `A = ∂S/∂x` and `B = ∂S/∂u`. The plant maps deviations from the inputs to the deviation of
+    /// the next state.
     ///
     /// # Panics
-    /// If the sizes of the inputs differ from those of the system.
+    /// If the size of `inputs.x` or `inputs.u` differs from that of the system.
     #[track_caller]
     pub fn linearized<S: System>(system: &S, inputs: Inputs<'_, f64>) -> Self {
         let Inputs { x, u, .. } = inputs;

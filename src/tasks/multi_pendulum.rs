@@ -35,7 +35,7 @@ pub struct Arm {
 }
 
 impl Default for Arm {
-    /// A uniform rod of 0.1 kg and 0.2 m.
+    /// Returns a uniform rod of 0.1 kg and 0.2 m on a joint without friction.
     fn default() -> Self {
         let [mass, center, length, inertia] = [0.1, 0.1, 0.2, 0.1 * 0.2 * 0.2 / 12.0].map(Number::Fixed);
         let [viscous, dry, quadratic] = [0.0; 3].map(Number::Fixed);
@@ -120,8 +120,8 @@ impl MultiPendulum {
         (arms, gravity)
     }
 
-    /// Kinetic plus potential energy of a state, J, with nominal numbers. It is 0 at rest with all
-    /// arms horizontal. Without friction and control, the equations conserve it.
+    /// Kinetic plus potential energy of a state, J, with nominal numbers. The energy is 0 at rest
+    /// with all arms horizontal. Without friction and control, the equations conserve the energy.
     pub fn energy(&self, x: &[f64]) -> f64 {
         let (mut across, mut up, mut height, mut energy) = (0.0, 0.0, 0.0, 0.0);
         for (arm, pair) in self.arms.iter().zip(x.chunks_exact(2)) {

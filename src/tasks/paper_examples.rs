@@ -8,8 +8,8 @@ use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 
-/// Simplest physics, `x' = x + u`. The Jacobian `∂x'/∂x` is the identity, so cotangents neither
-/// grow nor decay along a rollout.
+/// Simplest physics, with the next state `x' = x + u`. The Jacobian `∂x'/∂x` is the identity, so
+/// cotangents neither grow nor decay along a rollout.
 ///
 /// State and control have the same number of components, without units.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -84,8 +84,8 @@ impl Task for Reach {
     }
 }
 
-/// Task for the paper's figure 2: an elongated bowl in the plane. The paper does not state its
-/// loss.
+/// Task for the paper's figure 2: an elongated bowl in the plane. The paper does not state the loss
+/// of that figure.
 ///
 /// The rollout is one step from the origin, so the control equals the final state. The loss is
 /// `L = (a p² + b q²) / 2`, where p and q are the components of x_1 along the axes of the bowl.

@@ -47,10 +47,11 @@ any_effect! {
 /// control carries no cost.
 ///
 /// Initial states mix the two lowest eigenstates, so the third is the lowest target outside their
-/// span. All eigenstates are those of the box without potential, for any effects.
+/// span. All eigenstates are those of the box without potential, even with effects.
 ///
-/// `S` is any system that contains a [`QuantumSystem`]: alone, with another scheme ([`Pade`],
-/// [`Strang`]), with effects, with [`Absorbing`] edges, [`Renormalized`], or behind an actuator.
+/// `S` is any system that contains a [`QuantumSystem`]. Examples: alone, with another scheme
+/// ([`Pade`], [`Strang`]), with effects, with [`Absorbing`] edges, [`Renormalized`], or behind an
+/// actuator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quantum<S = QuantumSystem> {
     /// System to control.

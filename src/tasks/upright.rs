@@ -13,9 +13,9 @@ use std::f64::consts::PI;
 
 /// Task to swing up or balance, with the mean of `1 - cos θ` over the angles as loss.
 ///
-/// This mean lies between 0 (all upright) and 2 (all hanging). It is evaluated at the last
-/// state or averaged over time, as in [`CartPole`](crate::tasks::CartPole). The loss also contains
-/// the mean over time of `control_weight |u|²/2`.
+/// This mean lies between 0 (all upright) and 2 (all hanging). It is evaluated at the last state or
+/// averaged over time, as in [`CartPole`](crate::tasks::CartPole). The loss also contains the mean
+/// over time of `control_weight |u|²/2`.
 ///
 /// The angles are every second component of the state, starting at
 /// [`first_angle`](Upright::first_angle).

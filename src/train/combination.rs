@@ -7,8 +7,8 @@ use crate::train::field::GradientCombiner;
 /// Rule that combines two gradients of the same mini-batch. In the formulas, m is the first
 /// gradient and r the second. [`Field`](crate::Field) has one constructor per rule for M and R.
 ///
-/// All rules but [`ConflictFree`](Self::ConflictFree) ignore the size of r, so r may be
-/// 10^1000 times as large as m.
+/// All rules but [`ConflictFree`](Self::ConflictFree) ignore the size of r, so r may be 10^1000
+/// times as large as m.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Combination {
     /// C: `m_i` where `m_i` and `r_i` have equal signs, else 0. Source: "Stabilizing

@@ -4,9 +4,10 @@ use crate::numbers::scalar::Float;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
 
-/// Decay of the learning rate, as a factor that falls from 1 to `end` over a training.
+/// Decay of the learning rate: a factor that falls from 1 to `end` over a training, or remains 1.
 ///
-/// s is the fraction of the updates after the warm-up that are done; see [`factor`](Decay::factor).
+/// In the formulas, s is the completed fraction of the updates that follow the warm-up; see
+/// [`factor`](Decay::factor).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Decay {
     /// The factor is 1.

@@ -56,8 +56,8 @@ pub struct Training {
     pub train_samples: usize,
     /// Number of initial states in the test set.
     pub test_samples: usize,
-    /// Seed of the initial states, of the initial parameters of the policy and, with `shuffle`, of
-    /// the sample order.
+    /// Seed of the initial states and of the initial parameters of the policy. Also the seed of the
+    /// sample order with `shuffle`, and of the perturbations with `smoothing`.
     pub seed: u64,
     /// Shuffles the training set before every epoch. The paper uses one fixed order.
     pub shuffle: bool,
@@ -77,10 +77,10 @@ pub struct Training {
     /// Weight of the past, from 0 to below 1, in a moving average of the direction of R. Fields of
     /// two flows combine M with this average. With 0, they combine M with the current R. More
     /// generally, the average times the norm of the second gradient replaces the second gradient.
-    /// With `smoothing`, every evaluation at perturbed parameters updates the average.
+    /// With `smoothing`, every evaluation of the field at perturbed parameters updates the average.
     pub average: f64,
-    /// Noise in the parameters, and the estimator that it serves. `None` follows the field at the
-    /// parameters.
+    /// Noise in the parameters, and the estimator that uses it. With `None`, updates follow the
+    /// field at the unperturbed parameters.
     pub smoothing: Option<Smoothing>,
     /// Clipping of the field, before the optimizer. `docs/learning.md` compares the variants.
     pub clip: Clip,
@@ -230,7 +230,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
         self
     }
 
-    /// Sets the seed of initial states, initial parameters and sample order.
+    /// Sets the seed of all random numbers; see [`Training::seed`].
     pub fn seed(mut self, seed: u64) -> Self {
         self.training.seed = seed;
         self
@@ -253,6 +253,9 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// # Errors
     /// [`TrainError`] if a setting is invalid, the memory limit is too small, or too many
     /// consecutive updates are skipped.
+    ///
+    /// # Panics
+    /// As [`session`](Self::session).
     pub fn run(self) -> Result<Report<F>, TrainError> {
         // Ignores errors: standard error may be closed.
         self.run_with_warnings(|warning| _ = writeln!(std::io::stderr(), "warning: {warning}"))
@@ -271,6 +274,9 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     ///
     /// # Errors
     /// As [`run`](Self::run).
+    ///
+    /// # Panics
+    /// As [`session`](Self::session).
     pub fn run_with_warnings(self, mut warn: impl FnMut(&str)) -> Result<Report<F>, TrainError> {
         let mut session = self.session()?;
         while !session.is_done() {
@@ -280,9 +286,10 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
         Ok(session.into_report())
     }
 
-    /// Draws data sets and initial parameters and allocates all workspaces.
+    /// Creates a session, of which the caller runs the epochs, one at a time.
     ///
-    /// The caller then runs the epochs, one at a time.
+    /// Draws the data sets and, without [`start_from`](Self::start_from), the initial parameters.
+    /// Allocates all workspaces.
     ///
     /// # Errors
     /// [`TrainError`] if a setting is invalid or the memory limit is too small.

@@ -26,7 +26,8 @@ impl Clip {
         (!is_positive).then(|| format!("has the limit {limit}; allowed: a positive number"))
     }
 
-    /// Upper bound on the components after clipping, given the norm before clipping.
+    /// Upper bound on the absolute values of the components after clipping, given the norm before
+    /// clipping.
     pub(crate) fn bound(self, norm: f64) -> f64 {
         match self {
             Self::None => norm,
@@ -36,8 +37,8 @@ impl Clip {
 
     /// Clips `gradient` in place and sets its exponent to 0.
     ///
-    /// Values below the range of `F` become 0. Values above it become infinite, unless clipping
-    /// limits them.
+    /// Components too small for the range of `F` become 0. Components too large for it become
+    /// infinite, unless clipping limits them.
     pub fn apply<F: Float>(self, gradient: &mut Gradient<F>) {
         let norm = match self {
             Self::Norm(_) => gradient.norm(),

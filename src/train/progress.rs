@@ -197,7 +197,8 @@ impl<F: Float> Progress<F> {
         self.run_epoch(trained, pause)
     }
 
-    /// Runs one epoch: an update per mini-batch, then the losses of both data sets.
+    /// Runs a new epoch, or continues an unfinished one: an update per mini-batch, then the losses
+    /// of both data sets.
     fn run_epoch(&mut self, trained: Trained<'_, F>, pause: &dyn Fn() -> bool) -> Result<bool, TrainError> {
         let begin = Instant::now();
         let mut epoch = self.epoch.take().unwrap_or_else(|| self.begin_epoch());
@@ -246,8 +247,9 @@ impl<F: Float> Progress<F> {
     /// Skips a diverged update.
     ///
     /// # Errors
-    /// [`TrainError::Diverged`] after too many consecutive skipped updates. Parameters, optimizer
-    /// and moving average then return to their state at the start of the epoch.
+    /// [`TrainError::Diverged`] after too many consecutive skipped updates. Parameters, optimizer,
+    /// moving average and the number of consecutive skips then return to their state at the start
+    /// of the epoch.
     fn skip(&mut self, epoch: &mut Epoch, divergence: Divergence, policy: &dyn AnyPolicy<F>) -> Result<(), TrainError> {
         let skip = Skip { epoch: self.records.len() + 1, update: epoch.updates, divergence };
         self.skips.push(skip);

@@ -14,7 +14,8 @@ use crate::train::combination::Combination;
 use crate::train::field::{Field, GradientCombiner};
 use std::sync::Arc;
 
-/// A training in progress. [`Trainer::session`](crate::Trainer::session) creates it.
+/// A training in progress. [`Trainer::session`](crate::Trainer::session) and
+/// [`Trainer::session_from`](crate::Trainer::session_from) create it.
 #[derive(Debug)]
 pub struct Session<T, P, F: Float, C = Combination> {
     task: T,
@@ -76,7 +77,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     }
 
     /// Parameters after the epoch with the lowest test loss, the first of equal ones. Before the
-    /// first epoch, these are the initial parameters.
+    /// first epoch whose test loss is a number, these are the initial parameters.
     ///
     /// The test set selects these parameters, so their loss on it is optimistic. Evaluate them on
     /// other initial states.

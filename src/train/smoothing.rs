@@ -1,7 +1,7 @@
 //! [`Smoothing`]: estimates of the gradient of a smoothed loss, from perturbed parameters.
 //!
-//! These estimators are baselines for fields evaluated at a single parameter vector. They combine
-//! the field, which needs derivatives, with differences of losses, which need none.
+//! These estimators are baselines for fields evaluated at a single parameter vector. They use the
+//! field, differences of losses, or both. The field needs derivatives; the differences need none.
 
 use super::progress::{Progress, Trained};
 use super::record::{Means, Step};
@@ -46,8 +46,8 @@ pub enum Estimator {
     ZerothOrder,
     /// Mean of both estimates, weighted by inverse variances: the first-order estimate has the
     /// weight κ = V₀ / (V₀ + V₁). Source: total propagation, Parmas et al. 2018, arXiv:1902.01240.
-    /// They perturb the transitions of the system and combine at every step. Here the parameters
-    /// are perturbed, and each update combines once.
+    /// Parmas et al. perturb the transitions of the system and combine the estimates at every step.
+    /// Here, updates perturb the parameters and combine the estimates once.
     InverseVariance,
     /// α-order estimate: weight `min(κ, (γ - e) / ‖g₁ - g₀‖)` of the first-order estimate g₁, with
     /// the bound e = 2 √V₀ on the error of the zeroth-order estimate g₀. The weight is 0 if e
@@ -162,8 +162,9 @@ impl<F: Float> Estimates<F> {
 }
 
 impl<F: Float> Progress<F> {
-    /// Writes the estimate for the mini-batch into the combined vector. Returns means over all
-    /// evaluations. `update` is the number of the update in the training, from 0.
+    /// Writes the estimate for the mini-batch into the combined vector. Returns its norm, the
+    /// weight of the first-order estimate, and means of the other results over all evaluations.
+    /// `update` is the number of the update in the training, from 0.
     pub(super) fn estimate(&mut self, trained: Trained<'_, F>, smoothing: Smoothing, update: usize) -> Result<Step, Divergence> {
         let mut estimates = self.estimates.take().expect("a training with smoothing has a workspace");
         estimates.center.copy_from_slice(self.weights.theta());

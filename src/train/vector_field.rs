@@ -48,7 +48,8 @@ pub fn grid(reach: f64, cells: usize) -> Vec<[f64; 2]> {
     (0..cells * cells).map(|i| [middle(i % cells), middle(i / cells)]).collect()
 }
 
-/// Samples the field of a task with one initial state at the given parameters.
+/// Samples the field of a task at the given parameters. All rollouts start from one initial state,
+/// training sample 0 of seed 0.
 ///
 /// # Errors
 /// The first [`Divergence`].
@@ -190,7 +191,8 @@ impl GradientCombiner for Rotated {
         if self.combined { "rotated, combined" } else { "rotated" }
     }
 
-    /// Rotates `first`. If combined, compares signs with `second`. Requires two components.
+    /// Adds to `first` its rotation. If combined, then zeroes the components whose sign differs
+    /// from that in `second`. Requires two components.
     fn combine<F: Float>(&self, first: &[F], second: &[F], out: &mut [F]) {
         let strength = F::from_f64(self.strength);
         let rotated = [first[0] - strength * first[1], first[1] + strength * first[0]];

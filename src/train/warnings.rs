@@ -57,7 +57,8 @@ impl<F: Float> Progress<F> {
     }
 }
 
-/// Warns about an epoch of `updates` updates of which some, or all, were skipped.
+/// Returns two warnings about an epoch of `updates` updates: some are skipped, all are skipped. At
+/// most one is present.
 fn skipped(skips: &[Skip], updates: usize) -> [Option<String>; 2] {
     match skips {
         [] => [None, None],

@@ -14,7 +14,7 @@ const PACKAGES: [&str; 4] = ["numpy", "onnxruntime", "safetensors", "tensorboard
 /// Python or without access to the packages.
 ///
 /// # Panics
-/// If the script fails.
+/// If Python does not start, or the script fails.
 pub fn run(script: &str, args: &[&Path]) -> Option<String> {
     // A failed installation is not repeated.
     static INTERPRETER: LazyLock<Result<PathBuf, String>> = LazyLock::new(interpreter);
@@ -26,7 +26,7 @@ pub fn run(script: &str, args: &[&Path]) -> Option<String> {
     Some(text)
 }
 
-/// Path of the interpreter, after the packages are installed.
+/// Installs the packages, unless they are present, and returns the path of the interpreter.
 fn interpreter() -> Result<PathBuf, String> {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("python");
     fs::create_dir_all(&folder).map_err(|error| error.to_string())?;

@@ -1,4 +1,4 @@
-//! Norm of the adjoint along a rollout, for a plant whose adjoints are powers of a number.
+//! Norms of the adjoint along rollouts of linear plants.
 
 use physgrad::policy::Linear;
 use physgrad::rng::Rng;
@@ -185,7 +185,8 @@ impl<const STATES: usize, const CONTROLS: usize> Task for Steep<STATES, CONTROLS
     }
 }
 
-/// Norms of R in f32 for one sample at 1e-10.
+/// Returns the norms of the adjoint of R in f32, for one sample that starts at 1e-10 in all
+/// components.
 fn steep_norms<const STATES: usize, const CONTROLS: usize>() -> Vec<f64> {
     let (task, policy) = (Steep::<STATES, CONTROLS>, Linear::new(STATES, CONTROLS));
     let weights = Weights::<f32>::new(&policy, vec![0.0; STATES * CONTROLS]);

@@ -194,8 +194,8 @@ fn operations_of_a_spring_equal_those_counted_by_hand() {
 
     // Dual numbers, all inputs at once. Each of 2 products of variables takes 9 multiplications and
     // 4 additions. Each of 2 products with dt takes 5 multiplications, each of 3 sums 5 additions.
-    // Each of the 2 derivatives of an input then takes a product and a sum, and each input an
-    // addition to the output.
+    // For each column of cotangents, each of the 2 derivatives of an input then takes a product and
+    // a sum. Each input takes an addition to the output.
     let inputs = |inputs: u64, columns: u64| counts(2 * (9 + 5) + columns * 2 * inputs, 2 * 4 + 3 * 5 + columns * 3 * inputs, 0);
     let [both, state, control] = [3, 2, 1].map(|count| move |columns| inputs(count, columns));
     assert_eq!(spring(&Spring::<false>, one), [step, both(1), state(1), control(1)]);

@@ -36,7 +36,7 @@ impl Task for Timed {
     }
 }
 
-/// Norm of the adjoint at the states `x_0 .. x_T`.
+/// Norms of the adjoint at the states `x_0` to `x_T`.
 fn norms<F: Float>(task: &Timed, flow: Flow) -> Vec<f64> {
     let policy = OpenLoop::new(1, 1, task.horizon);
     let weights = Weights::<F>::new(&policy, vec![F::zero(); task.horizon]);

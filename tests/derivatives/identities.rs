@@ -178,7 +178,8 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// Bound on the relative error of sums of 1000 products in any order: 1000 roundings.
+/// Bound on the error of sums of 1000 products in any order, relative to the sum of the magnitudes
+/// of the products: 1000 roundings.
 const SUMS: f64 = 1000.0 * f64::EPSILON;
 
 #[test]

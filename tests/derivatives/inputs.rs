@@ -1,5 +1,5 @@
-//! Derivatives of a task whose step, costs and observation use the state, control, parameters and
-//! time.
+//! Derivatives of a task whose step and running cost use the state, control, parameters and time.
+//! The observation uses all but the control. The terminal cost uses the state and the parameters.
 
 use physgrad::policy::{Constant, Gru, Linear, Mlp, TrainedParam, WithParams};
 use physgrad::rng::{Purpose, Rng, stream};
@@ -18,7 +18,7 @@ pub struct Tracking<const CONTROLS: usize> {
 #[derive(Clone, Copy, PartialEq)]
 enum Fault {
     None,
-    /// `observe_vjp` has the wrong sign in the derivative of component 0.
+    /// `observe_vjp` has the wrong sign in the derivative of component 0 of the observation.
     Observation,
     /// `running_cost_gradient` omits the state before the step.
     CostOfState,

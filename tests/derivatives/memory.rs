@@ -186,7 +186,8 @@ fn a_sequence_of_11_controls_is_refused_for_12_steps() {
     check::task(&AngleOnly, &OpenLoop::new(1, 1, 11));
 }
 
-/// Gradient of `flow` over eleven samples, with a schedule of two checkpoints.
+/// Gradient of `flow` over eleven samples. The schedule stores all steps, because the horizon is
+/// shorter than one unit.
 fn gradient(policy: &impl Policy, flow: Flow) -> Vec<f64> {
     let mut rng = stream(1, Purpose::Policy, 0);
     let weights = Weights::<f64>::init(policy, &mut rng);
@@ -206,7 +207,7 @@ fn recurrent_weights_have_a_gradient_in_every_flow_and_memory_changes_m() {
     let norm = |flow| gradient(&policy, flow)[recurrent.clone()].iter().map(|g| g * g).sum::<f64>().sqrt();
     let without = Flow { memory: 0.0, ..Flow::MODIFIED };
     // S and `without` treat the memory of the step before as a constant. They omit the effects of a
-    // weight on later steps, but not its effect on the present step.
+    // weight on later steps through the memory, but not its effect on the present step.
     for (flow, name) in [(Flow::REGULAR, "R"), (Flow::MODIFIED, "M"), (Flow::NETWORK, "N"), (Flow::STOPPED, "S")] {
         assert!(norm(flow) > 0.0, "{name}");
     }

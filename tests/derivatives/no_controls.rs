@@ -25,8 +25,8 @@ impl System for Decay {
     }
 }
 
-/// Task of a system without controls. The loss compares the states with 0.93^t, which are those of
-/// [`Decay`] at p = 0.7.
+/// Task of a system without controls. The loss compares the states with the powers 0.93^t, the
+/// states of [`Decay`] at p = 0.7.
 struct Measured<S>(S);
 
 impl<S: System> Task for Measured<S> {

@@ -1,4 +1,5 @@
-//! Learning rates and warnings of trainings on plants with known gradients.
+//! Learning rates, refused settings, warnings and best parameters of trainings on plants with known
+//! gradients.
 
 use physgrad::policy::Constant;
 use physgrad::rng::Rng;
@@ -149,8 +150,8 @@ fn a_session_reports_each_warning_once_after_its_epoch() {
     assert_eq!(session.warnings(), [""; 0], "a warning is reported twice");
 }
 
-/// Test program of [`a_run_prints_its_warnings_to_standard_error`], which runs it in a separate
-/// process.
+/// Training with warnings. [`a_run_prints_its_warnings_to_standard_error`] runs this test in a
+/// separate process.
 #[test]
 #[ignore = "prints"]
 fn a_run_that_warns() {

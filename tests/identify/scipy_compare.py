@@ -1,11 +1,16 @@
-"""Fits the measured pendulums with `scipy.optimize.least_squares`, to compare with `examples/identify.rs`.
+"""Fits the measured pendulums with `scipy.optimize.least_squares`.
+
+`examples/identify.rs` compares its own fits with these.
 
 Run: python scipy_compare.py measured.csv [results.csv]
 
-Same model, data, weights, bounds and initial values as the example. Single shooting: the unknowns
-are the numbers of the arms and the initial state of each segment. The Jacobian consists of forward
-differences with SciPy's default step. One vectorized simulation computes all of its columns, with
-the initial states of all segments perturbed at once. `results.csv` gets the numbers of all fits.
+The data must have one sample per time step of 0.005 s. The script ignores the column of times.
+
+Model, data, weights, bounds and initial values are those of the example. The fit uses single
+shooting: the unknowns are physical numbers of the arms, and the initial state of each segment. The
+Jacobian consists of forward differences with SciPy's default step. One vectorized simulation
+computes all columns of the Jacobian. It perturbs the initial states of all segments at once.
+`results.csv` receives the physical numbers of all fits.
 """
 
 import csv
@@ -27,7 +32,8 @@ PUBLISHED = {
 FRICTION = 2.2394e-4
 KINDS = {"viscous": ["viscous"], "dry + quadratic": ["dry", "quadratic"], "all": ["viscous", "dry", "quadratic"]}
 GRAVITY = 9.81
-# Largest angle error of a fit that found the minimum, rad. Otherwise another start follows.
+# Limit of the RMS angle error of each segment, rad. A fit below this limit has found the minimum.
+# Otherwise, the next start follows.
 FAILED = 0.02
 
 
@@ -74,7 +80,7 @@ def simulate(p, x, steps):
 
 
 def read(path):
-    """Segments, each [sample, θ₁, ω₁, θ₂, …]."""
+    """Returns the segments, each [sample, component] in the order θ₁, ω₁, θ₂, …"""
     rows = np.array([row for row in csv.reader(line for line in open(path) if line[0] != "#")][1:], dtype=float)
     arms = (rows.shape[1] - 2) // 2
     order = [2 + k for i in range(arms) for k in (i, arms + i)]
@@ -94,7 +100,7 @@ class Problem:
             for k, field in enumerate(FIELDS):
                 if field in fitted:
                     value = self.base[i, k] if k < 4 else FRICTION * (0.1 if field == "quadratic" else 1)
-                    # Alternates between too large and too small.
+                    # Initial values are alternately too large and too small.
                     starts.append(value * factor if len(starts) % 2 == 0 else value / factor)
                     self.names.append(f"{field}_{i + 1}")
                     self.places.append((i, k))
@@ -103,7 +109,7 @@ class Problem:
         self.weights = np.tile([1 / NOISE["theta"], 1 / NOISE["omega"]], self.arms)
 
     def batch(self, points):
-        """Residuals of several points in one simulation."""
+        """Returns the weighted residuals of several points by segment, from one simulation."""
         count, size = len(self.scale), len(self.segments)
         p = np.tile(self.base, (len(points), size, 1, 1))
         for (arm, field), values in zip(self.places, (points[:, :count] * self.scale).T):
@@ -140,7 +146,7 @@ class Problem:
     def fit(self):
         start = np.concatenate([np.ones(len(self.scale))] + [segment[0] for segment in self.segments])
         low = np.full(len(start), -np.inf)
-        # With fixed masses, only the sum of inertia and m a² has to be positive.
+        # With fixed masses, only the sum inertia + mass center² has to be positive.
         low[: len(self.scale)] = [-np.inf if name.startswith("inertia") else 0 for name in self.names]
         begin = time.perf_counter()
         with np.errstate(all="ignore"):

@@ -23,7 +23,7 @@ fn simulate(system: &Pendulum, start: &[f64], p: &[f64], steps: usize) -> Vec<Ve
     x
 }
 
-/// Noisy angles of a simulation.
+/// Returns a segment with the noisy angles of a simulation, without rates.
 fn measured(mut x: Vec<Vec<f64>>, p: &[f64]) -> Segment {
     let rng = &mut stream(6, Purpose::Check, 0);
     for pair in x.iter_mut().flat_map(|row| row.chunks_exact_mut(2)) {
@@ -34,7 +34,8 @@ fn measured(mut x: Vec<Vec<f64>>, p: &[f64]) -> Segment {
     Segment { x, u: Vec::new(), p: p.to_vec() }
 }
 
-/// Fits from initial values that are the true values times 1.3 and divided by 1.3, in turn.
+/// Fits from initial values that are alternately 1.3 times the true values and the true values
+/// divided by 1.3.
 fn fit(system: &Pendulum, segment: &Segment, window: Option<usize>) -> Fit {
     let start = |i: usize, truth: f64| if i.is_multiple_of(2) { truth * 1.3 } else { truth / 1.3 };
     let unknown = |(index, &truth): (usize, &f64)| Unknown {
@@ -54,7 +55,8 @@ fn reduced(fit: &Fit) -> f64 {
     fit.chi_squared / (fit.measurements - fit.unknowns) as f64
 }
 
-/// Largest difference between a state and the step from the state before, in units of the noise.
+/// Returns the largest difference between a state of the fit and a step of the system from the
+/// previous state, in units of the noise.
 fn largest_jump(system: &Pendulum, fit: &Fit, p: &[f64]) -> f64 {
     let of_step = |t: usize| {
         let next = &simulate(system, &fit.states[0][t], p, 1)[1];

@@ -46,8 +46,8 @@ pub mod mutation {
 
 
 def fields(text):
-    """Returns three sets of names: public fields of type f64 or Number, all fields of these types, and
-    fields of type usize.
+    """Returns three sets of names: public fields of type f64 or Number, all fields of these types,
+    and fields of type usize.
     """
     names = lambda pattern: set(re.findall(pattern, text, re.M))
     return names(r"^\s*pub (\w+): (?:f64|Number),"), names(r"^\s*(?:pub )?(\w+): (?:f64|Number),"), names(r"^\s*(?:pub )?(\w+): usize,")
@@ -56,7 +56,8 @@ def fields(text):
 def places(name, everywhere, own):
     """Returns the pattern of the constants in a file.
 
-    `everywhere` contains the public fields of all files, `own` the fields of this file.
+    `everywhere` contains names of public fields of all files, and `own` the names of the fields of
+    this file. These fields have the type f64 or Number.
     """
     any_of = lambda names: "|".join(sorted(names, key=len, reverse=True)) or "!"
     of_self = r"self\.(?:%s)" % any_of(own)

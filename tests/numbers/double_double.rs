@@ -79,7 +79,7 @@ fn gradients_of_every_flow_agree_with_double_double_to_1e_11() {
     slopes("quantum", &quantum, &Linear::new(16, 1), 1e-11);
 }
 
-/// Task on a map that doubles rounding errors in each step.
+/// Task on the logistic map, which doubles errors of the angle asin √x in each step.
 struct Doubling {
     system: Logistic,
 }

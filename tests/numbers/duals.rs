@@ -89,7 +89,7 @@ fn functions_agree_with_the_standard_library() {
     };
     let turns = 4.0 * std::f64::consts::PI;
     for x in [-0.97, -0.3, 0.0, 1e-9, 0.4, 0.999] {
-        // A quotient of functions within an ulp each.
+        // `tan` is a quotient of sine and cosine, each within an ulp.
         near(Scalar::tan(x), f64::tan(x), 3.0);
         near(Scalar::asin(x), f64::asin(x), 8.0);
         near(Scalar::acos(x), f64::acos(x), 8.0);

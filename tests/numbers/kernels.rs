@@ -122,7 +122,7 @@ fn a_product_whose_size_overflows_is_refused() {
 
 /// Number of rounds of a search.
 const ROUNDS: usize = if cfg!(miri) { 1 } else { 4 };
-/// Number of arguments per round.
+/// Number of random arguments per round.
 const ARGUMENTS: usize = if cfg!(miri) { 64 } else { 20_000 };
 
 /// Number format with the error bounds of its kernels in units in the last place (ulps).
@@ -216,8 +216,8 @@ fn tanh_at<F: Format>(level: SimdLevel, x: &[F]) -> Vec<F> {
     all
 }
 
-/// Returns the worst error and its argument. Tests the `known` arguments. Each round then tests
-/// arguments from `draw`, and the neighbours of the worst argument so far.
+/// Returns the worst error and its argument. Tests the `known` arguments and their negatives. Each
+/// round then tests arguments from `draw`, and the neighbours of the worst argument so far.
 fn search<F: Format>(known: &[f64], mut draw: impl FnMut(&mut Rng) -> f64, errors: impl Fn(&[F]) -> Vec<f64>) -> (f64, F) {
     let mut rng = stream(2, Purpose::Check, 0);
     let mut worst = (0.0, F::zero());

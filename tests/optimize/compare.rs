@@ -13,7 +13,8 @@ const UPDATES: usize = 30_000;
 
 /// Trains the controls of an [`OpenLoop`] policy by Adam, from the initial controls `push`.
 ///
-/// Prints the updates and seconds until the cost is below 100, 2, 1.1 and 1.01 times `least`.
+/// Prints the lowest cost, and the numbers of updates and seconds until the cost is below 100, 2,
+/// 1.1 and 1.01 times `least`.
 fn adam(task: &SwingUp, push: &[f64], learning_rate: f64, least: f64) {
     let policy = OpenLoop::new(4, 1, task.horizon);
     let mut weights = Weights::<f64>::new(&policy, push.to_vec());

@@ -144,8 +144,8 @@ fn the_plan_of_a_system_without_controls_is_its_rollout() {
 }
 
 /// `x' = x + sin u`, over 30 steps. The running cost is `u²/100 + (x - 1)⁴`, the terminal cost
-/// `(x - 1)²`. The call of `step` with the number `at`, counted from 0 over all rollouts, sets the
-/// flag `stop`.
+/// `(x - 1)²`. The call of `step` with the number `at` sets the flag `stop`. Numbers count from 0
+/// over all calls, in rollouts and for derivatives.
 #[derive(Default)]
 struct Stopping {
     steps: AtomicUsize,

@@ -38,7 +38,7 @@ fn warm_start_from_a_plan_needs_fewer_iterations() {
     let (task, push) = (SwingUp::new(), vec![0.3; 100]);
     let options = Options::default();
     let cold = optimize(&task, &SwingUp::START, &[], Initial::Controls(&push), &options).expect("finite");
-    // The initial state is displaced by 0.02 m and 0.02 rad.
+    // The new initial state differs by 0.02 m and 0.02 rad.
     let x0 = [0.02, 0.0, SwingUp::START[2] + 0.02, 0.0];
     let from_push = optimize(&task, &x0, &[], Initial::Controls(&push), &options).expect("finite");
     let from_plan = optimize(&task, &x0, &[], Initial::Controls(&cold.u), &options).expect("finite");

@@ -14,8 +14,8 @@ pub fn dipole(grid: usize) -> QuantumSystem {
     QuantumSystem { control: ControlShape::Dipole, ..box_of(grid) }
 }
 
-/// Returns one effect of each built-in type except tables. Centers off the middle break a
-/// symmetry that could hide errors.
+/// Returns one effect of each built-in type except tables. Centers off the middle break a symmetry
+/// that could hide errors.
 pub fn every_effect() -> Vec<QuantumEffect> {
     vec![
         Harmonic { center: 0.3, ..Harmonic::default() }.into(),

@@ -144,14 +144,14 @@ fn guidance_has_the_operations_of_handwritten_code_plus_those_of_its_options() {
         let (library, by_hand) = (agents(drivers, evaders).herding(), herding_by_hand(agents(drivers, evaders)));
         let (library, by_hand) = (OpCount::of(&library), OpCount::of(&by_hand));
         let (d, e) = (drivers as u64, evaders as u64);
-        // Friction is subtracted from zero accelerations of evaders, in x and y. The center of the
-        // herd is multiplied by a weight, in x and y, to support the mean.
+        // The library subtracts the friction of evaders from accelerations of 0, in x and y. To
+        // support the mean, it multiplies the center of the herd by a weight, in x and y.
         let step = Ops { add: 2 * e, multiply: 2, ..Ops::default() };
         assert_eq!(library.step - by_hand.step, step);
-        // Friction takes one more subtraction per velocity component, because it is not merged into
-        // the factor of the velocities. The weight is a factor in the forward and in the reverse
-        // pass. The cotangents of the control can be requested alone, and are therefore multiplied
-        // by dt separately.
+        // Friction takes one more subtraction per velocity component, because the library does not
+        // merge it into the factor of the velocities. The weight is a factor in the forward and in
+        // the reverse pass. The library can compute the cotangents of the control alone, and
+        // therefore multiplies them by dt separately.
         let vjp = Ops { add: 2 * (d + e), multiply: 4 + 2 * d, ..Ops::default() };
         assert_eq!(library.vjp - by_hand.vjp, vjp);
     }
@@ -162,9 +162,9 @@ fn quantum_has_the_operations_of_handwritten_code_plus_a_product_per_point() {
     for grid in [3, 10] {
         let system = QuantumSystem { grid, ..QuantumSystem::default() };
         let (trap, cubic) = (Harmonic::default(), Cubic::default());
-        // The potential is multiplied by dt/2 at each point. The handwritten code multiplies the
-        // control once. The reverse pass sums the cotangent of the control before adding it to the
-        // output.
+        // The library multiplies the potential by dt/2 at each point. The handwritten code
+        // multiplies the control once. The reverse pass of the library sums the cotangent of the
+        // control before adding it to the output.
         let more = Ops { multiply: grid as u64 - 1, ..Ops::default() };
         let more_back = Ops { add: 1, ..more };
         let bare = OpCount::of(&quantum::ByHand::<false, false> { system, trap, cubic });

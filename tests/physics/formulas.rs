@@ -1,10 +1,11 @@
 //! Physics compared with independent formulas: steps, energies, costs, ranges of initial states,
 //! defaults.
 //!
-//! The tests use none of the library's equations. Tests of mechanics use d'Alembert's principle for
-//! point masses. Tests of quantum mechanics use dense matrices. The tests therefore detect
-//! constants that are wrong in both forward and reverse pass. `tests/mutations/README.md` lists the
-//! exceptions.
+//! The expected values use none of the library's equations, except for the terminal cost of the
+//! regulator, which has to satisfy Bellman's equation. Tests of mechanics use d'Alembert's
+//! principle for point masses. Tests of quantum mechanics use dense matrices. The tests therefore
+//! detect constants that are wrong in both forward and reverse pass. `tests/mutations/README.md`
+//! lists the exceptions.
 
 mod actuators;
 mod cart_pole;
@@ -52,7 +53,7 @@ fn step<S: System>(system: &S, x: &[f64], u: &[f64]) -> Vec<f64> {
     next
 }
 
-/// Number of the step.
+/// Number of the step in the inputs of [`at`].
 const STEP: usize = 3;
 
 /// Value of every parameter.

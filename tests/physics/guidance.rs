@@ -142,7 +142,7 @@ fn steps_and_vjps_equal_the_authors() {
     assert!(worst.iter().all(|&worst| worst <= 1e-12), "{worst:?}");
 }
 
-/// System that forwards only `step`. The default JVP uses dual numbers.
+/// System that forwards the step but not the derivatives. The default JVP uses dual numbers.
 struct ByDuals(Herding);
 
 impl System for ByDuals {
@@ -165,8 +165,8 @@ fn row_of_agents<R: Real>(agents: usize, distance: f64, diagonal: bool) -> Vec<R
 }
 
 /// Checks one step with agents `distance` apart. The next state is finite, and VJP, JVP and dual
-/// numbers agree. The control is 0, and positions are compared separately from velocities, so that
-/// the derivatives of the forces are not negligible.
+/// numbers agree. The control is 0. The check compares all derivatives, and then those with respect
+/// to positions alone, so that the derivatives of the forces are not negligible.
 fn derivatives_agree<R: Real>(drivers: usize, evaders: usize, distance: f64, diagonal: bool, allowed: f64) {
     let system = system(drivers, evaders);
     let (n, m) = (system.state_dim(), system.control_dim());

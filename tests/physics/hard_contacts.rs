@@ -91,7 +91,8 @@ fn implicit_friction_solves_its_equation() {
     let sharp = [1e-8, 1e-9].map(|smoothing| SliderSystem { smoothing, ..SliderSystem::default() });
     for slider in sliders().filter(|slider| slider.scheme == FrictionScheme::Implicit).chain(sharp) {
         let b = slider.grip();
-        // Initial speeds for sliding, creeping, and rest under almost the full friction.
+        // Initial speeds for sliding, creeping and rest. Then speeds next to b, the largest change
+        // of speed by friction in one step.
         let starts = [10.0, 1.0, 3.0 * b, b, 0.5 * b, 1e-3, 1e-6, 1e-12, 0.0].into_iter();
         let edges = [-1e-3, -1e-6, -1e-12, 1e-12, 1e-6, 1e-3].map(|off| b * (1.0 + off));
         for v in starts.chain(edges).flat_map(|v| [v, -v]) {

@@ -1,5 +1,5 @@
-//! Systems with difficult derivatives: linear plants with a known optimum, the double pendulum, the
-//! chain of poles.
+//! Linear plants with a known optimum, the double pendulum, and the chain of poles: derivatives,
+//! optimal gains, energies, and refused masses.
 
 use physgrad::policy::Linear;
 use physgrad::rng::{Purpose, stream};
@@ -20,7 +20,7 @@ fn unequal() -> DoublePendulum {
     DoublePendulum { masses: [1.3, 0.4], lengths: [0.7, 1.1], gravity: 9.81 }
 }
 
-/// Returns components within ±1.
+/// Returns `len` random components within ±1.
 fn random(len: usize, case: u64) -> Vec<f64> {
     let mut rng = stream(case, Purpose::Test, 0);
     (0..len).map(|_| rng.random_range(-1.0..1.0)).collect()

@@ -26,7 +26,7 @@ fn adaptive(rtol: f64) -> AnyIntegrator {
     AnyIntegrator::Adaptive(Adaptive { rtol, atol: 1e-3 * rtol, most: 1000 })
 }
 
-/// Every cart-pole has this type, which is compiled once.
+/// Type of every cart-pole of these tests, so that the compiler monomorphizes each check once.
 type ForcedCartPole = Forced<CartPoleModel, Vec<CartPoleEffect>>;
 
 fn cart_pole() -> ForcedCartPole {

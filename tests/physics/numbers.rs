@@ -135,7 +135,7 @@ fn steps_with_numbers_as_parameters_equal_steps_with_fixed_numbers() {
         let (mut next, mut expected_next) = ([0.0; 6], [0.0; 6]);
         system.step::<f64>(Inputs { x: &x, u: &[0.8], p: &p, t: 3 }, &mut next);
         expected.step::<f64>(Inputs { x: &x, u: &[0.8], p: &[0.37], t: 3 }, &mut expected_next);
-        // The order of multiplications differs, which rounds numbers up to 10 differently.
+        // The order of multiplications differs, so numbers of magnitude up to 10 round differently.
         for (next, expected) in next.into_iter().zip(expected_next) {
             assert!((next - expected).abs() < 1e-14, "{next} {expected}");
         }
@@ -152,9 +152,10 @@ fn fixed_and_varied_numbers_cost_the_same_operations() {
     assert_eq!(OpCount::of(&half).step, cost.step, "a parameter costs other operations than a constant");
 }
 
-/// Compares the share of draws below a threshold with its expected value.
+/// Compares the share of draws below a threshold with its expected value, and checks the range of
+/// the draws.
 ///
-/// The number of these draws is binomial. The tolerance is five standard deviations.
+/// The number of draws below the threshold is binomial. The tolerance is five standard deviations.
 #[test]
 fn draws_have_the_range_and_share_below_a_threshold_of_their_distribution() {
     let rng = &mut stream(0, Purpose::Check, 7);

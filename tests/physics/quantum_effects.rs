@@ -1,5 +1,5 @@
-//! Effects of quantum control, absorbing edges and control shapes: derivatives, equal results of
-//! lists and tuples, and operation counts.
+//! Effects of quantum control, absorbing edges, renormalization and control shapes: derivatives,
+//! equal results of lists, tuples and tables, and operation counts.
 
 use crate::boxes::{Swinging, box_of, check_lively, dipole, every_effect, every_effect_typed, lively, norm, step};
 use physgrad::policy::Linear;
@@ -130,14 +130,16 @@ fn an_effect_costs_only_its_own_operations() {
     let plain = counts(&model);
     let solve = sums(8 * n - 6, 12 * n - 8);
     // At each point, the potential takes one multiplication. A pivot takes 4 additions, 7
-    // multiplications, a negation and a division.
+    // multiplications, a negation and a division. The square of the off-diagonal entries takes one
+    // multiplication. The last 4 n additions form the next state `2 y - ψ`.
     let eliminated = Ops { divide: n, negate: n, ..sums(4 * n, 8 * n + 1) };
     assert_eq!(plain[0], eliminated + solve + sums(4 * n, 0));
-    // Elimination, conjugation, one solve, and the addition to the output.
+    // The cotangent of the state takes the elimination, its conjugation, one solve, `2 w - v`, and
+    // the addition to the output.
     let state = eliminated + Ops { negate: n + 1, ..solve } + sums(4 * n + 2 * n, 0);
     assert_eq!(plain[2], state);
-    // The cotangent of the control takes a second solve, the cotangents `dt Im(w̄ y)` of the
-    // potential, and their sum.
+    // The cotangent of the control takes a second solve, and the cotangents `dt Im(w̄ y)` of the
+    // potential. It also takes their weighted sum, and the addition to the output.
     let potential = sums(n, 3 * n);
     let control = sums(n + 1, n);
     assert_eq!(plain[1], state + solve + potential + control);

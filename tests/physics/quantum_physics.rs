@@ -115,8 +115,8 @@ fn a_coherent_state_returns_after_a_period_with_the_phase_pi() {
     println!("overlaps after half a period and a period: {there}, {back}; phase {phase}");
     // exp(-i ω (n + 1/2) 2π/ω) = -1 for all n.
     assert!(there > 0.999 && back > 0.999 && PI - phase.abs() < 0.1);
-    // The potential u x of the control shifts the center of a trap of stiffness k by -u / 2k. The
-    // energy changes by a constant.
+    // The potential u x of the control shifts the center of a trap of stiffness k by -u / (2 k).
+    // The energy changes by a constant.
     let shifted = packet(&model, 1.0 - 0.2, sigma, 0.0);
     let after = (0..500).fold(shifted.clone(), |x, _| step(&trap, &x, 2.0 * stiffness * 0.2));
     assert!(overlap(&shifted, &after).0 > 0.999);
@@ -136,7 +136,7 @@ fn barrier_transmission_matches_eckart() {
         let (with, without) = ((PI * k * width).sinh().powi(2), (PI / 2.0 * (4.0 * height * width * width - 1.0).sqrt()).cosh());
         with / (with + without.powi(2))
     };
-    // Wave numbers have the standard deviation 1 / 2σ.
+    // Wave numbers have the standard deviation 1 / (2 σ).
     let (mut expected, mut total) = (0.0, 0.0);
     for i in -400..=400 {
         let off = f64::from(i) / 100.0;

@@ -1,5 +1,5 @@
-//! The book that mdBook builds from `docs` has no broken link and no missing image. The pages fit
-//! narrow and wide windows.
+//! The book that mdBook builds from `docs` has no broken link to its own pages and files, and no
+//! missing image. The pages fit narrow and wide windows.
 //!
 //! Requires `mdbook` and `chromium`. Without them the test prints a message and passes.
 
@@ -81,7 +81,7 @@ fn the_book_has_no_broken_link_and_fits_narrow_and_wide_windows() {
     let [examined, all] = [1, 3].map(|word| lines[0].split(' ').nth(word).expect("a count").parse::<usize>().expect("a number"));
     assert!(examined == all && all >= 40, "{}", lines[0]);
 
-    // Faults in a page are found.
+    // The script finds the faults of a page.
     let page = dir.path().join("book/reliability.html");
     let html = fs::read_to_string(&page).expect("a page");
     let faulty =

@@ -1,11 +1,11 @@
-"""Compares policies of runs, as policy files and as ONNX models, with the controls of their rollouts.
+"""Compares policies of runs, as policy files and as ONNX models, with controls of their rollouts.
 
 Run: python check_policies.py RUN ...
 
 Each run has `policy.safetensors`, `policy.onnx` and `trajectory.csv`. Both readers compute the
 controls from the observations in the same precision as the run. TOLERANCE bounds the largest
 difference in machine epsilons, relative to the largest control. The sums of a network have up to
-about 200 terms and another order in each program.
+about 200 terms, which each program adds in another order.
 """
 
 import csv

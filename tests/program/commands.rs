@@ -332,8 +332,8 @@ fn a_check_distinguishes_long_steps_from_unstable_physics() {
         let output = physgrad(&["check"]).arg(&file).assert().success();
         String::from_utf8(output.get_output().stdout.clone()).expect("text")
     };
-    // Friction damps the angular velocity at 300/s. RK4 with 0.01 s amplifies the angular velocity
-    // by 1 - 3 + 9/2 - 27/6 + 81/24 = 1.375.
+    // Friction damps the angular velocity at 300/s. Each step of RK4 over 0.01 s multiplies the
+    // angular velocity by 1 - 3 + 9/2 - 27/6 + 81/24 = 1.375.
     let rubbed = "task = \"pendulum\"\nhorizon = 10\n[[system.arms]]\nviscous = 0.4\n";
     let text = checked(rubbed);
     assert!(text.contains("omega_1 grows by 1.3") && text.contains("Shorten the step: `integrator.substeps = 2`"), "{text}");
@@ -372,8 +372,8 @@ fn a_run_killed_25_times_equals_an_uninterrupted_run() {
         std::thread::sleep(std::time::Duration::from_millis(20 + (random >> 33) % 120));
         process.kill().expect("the process is killed or has ended");
         let ended = process.wait().expect("the process has ended");
-        // A run that is killed before it writes its settings starts again. A run with settings is
-        // resumed.
+        // A run that is killed before it writes its settings starts again. A run with settings
+        // resumes.
         resume = if killed.join("run.toml").exists() { vec!["--resume"] } else { Vec::new() };
         resumed += resume.len();
         assert!(ended.code().is_none_or(|code| code == 0), "a killed run does not resume: {ended}");

@@ -1,5 +1,5 @@
-//! Extreme values for each number of each preset. The program trains or reports the faulty
-//! setting; it neither panics nor hangs.
+//! Extreme values for each number of each preset. The program trains or reports the faulty setting;
+//! it neither panics nor hangs.
 //!
 //! By default, the first test runs a sample of the cases. To run all cases, in a few minutes:
 //! `PHYSGRAD_EXTREMES=all cargo test --release --test program extreme_settings -- --nocapture`.
@@ -126,7 +126,7 @@ fn cases(dir: &Path) -> Vec<Case> {
 /// Outcome of a run of the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum End {
-    /// Success.
+    /// Success without the key of an effect in a message.
     Done,
     /// An error without the key of an effect.
     Refused,

@@ -1,4 +1,5 @@
-//! Inputs that are too large or too deeply nested are refused within 10 s, with a message.
+//! The program refuses inputs that are too large or too deeply nested. It ends within 10 s, with a
+//! message.
 
 use crate::running::physgrad;
 use assert_cmd::Command;

@@ -62,7 +62,7 @@ fn a_scene_draws_masses_and_gusts_and_trains_a_damping() {
     }
 }
 
-/// An entry in `[vary]` or `[fit]` equals a table in place of the number.
+/// An entry in `[vary]` or `[fit]` has the effect of a table in place of the number.
 #[test]
 fn scenes_with_inline_tables_and_with_vary_and_fit_train_equal_policies() {
     let dir = folder(&format!("{SCENE}{VARIED}"));

@@ -1,4 +1,4 @@
-//! Scenes in the documentation are valid. Quoted outputs equal those of the program.
+//! Scenes in the documentation are valid. The program prints the quoted lines of outputs.
 
 use crate::markdown::Page;
 use assert_cmd::Command;

@@ -133,7 +133,7 @@ fn a_resampled_run_resumes_with_equal_bits_and_a_decay_fixes_the_number_of_epoch
     train_scene(&file, &part, &[&SMALL[..], &["--epochs", "2"]].concat()).assert().success();
     let error = error_of(&mut train_scene(&file, &part, &["--resume", "--epochs", "3"]));
     assert!(error.contains("only while `training.decay` is constant") && error.contains("epochs = 3"), "{error}");
-    // With a constant rate after the warm-up, a run may be extended.
+    // With a constant rate after the warm-up, a run can resume with more epochs.
     let constant = |out: &Path, args: &[&str]| {
         train_scene(&file, out, &[&SMALL[..], &["--set", "training.decay=constant"], args].concat()).assert().success();
     };

@@ -128,7 +128,7 @@ fn a_study_trains_every_combination_and_equals_single_runs() {
         assert_eq!(picture.matches(label).count(), 1, "{label}");
     }
 
-    // A method with other settings is refused, and the folder keeps its plan.
+    // The program refuses a method with other settings, and the folder keeps its plan.
     let plan = bytes("out/study.toml");
     fs::write(dir.path().join("plans/plan.toml"), PLAN.replace("clip_limit = 0.5", "clip_limit = 0.7")).expect("a file");
     assert!(error(&dir, study).contains("keeps its settings"));

@@ -4,8 +4,8 @@ use crate::running::{SMALL, error_of, physgrad};
 use std::path::Path;
 use tempfile::TempDir;
 
-/// Runs a command in a folder, with `columns` as the width of the terminal. With `None`, the output
-/// has no width. Returns standard output and standard error.
+/// Runs a command in a folder, with `columns` as the width of the terminal. `None` sets no width.
+/// Returns standard output and standard error.
 fn said(folder: &Path, columns: Option<usize>, args: &[&str]) -> [String; 2] {
     let mut command = physgrad(args);
     command.current_dir(folder);

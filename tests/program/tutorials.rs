@@ -1,7 +1,7 @@
 //! The commands of the tutorials run in their order, and print the quoted lines.
 //!
-//! Trainings have two epochs and few samples. Resumed trainings have three epochs. Quoted lines are
-//! compared without their numbers.
+//! Trainings have two epochs and few samples. Resumed trainings have three epochs. The comparison
+//! of quoted lines ignores the contents of words with digits.
 
 use crate::markdown::Page;
 use crate::own::PROGRAM;

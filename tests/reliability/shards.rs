@@ -135,7 +135,7 @@ fn the_next_shard_completes_a_killed_one_and_merge_names_missing_runs() {
 
     let mut killed = shard(&options, &many, "2/2");
     wait_until("a run ends", || ended(&many) > 0);
-    // A command without --shard is refused while a shard runs.
+    // The program refuses a command without --shard while a shard runs.
     assert!(error_of(physgrad(&whole).arg("--out").arg(&many)).contains("in use by process"));
     killed.kill().expect("the process is killed");
     killed.wait().expect("the process ends");
@@ -193,7 +193,7 @@ fn a_killed_study_and_two_shards_give_the_bytes_of_one_process() {
     physgrad(&["merge", "--quiet"]).arg(&many).assert().success();
     assert_equal(&one, &many);
 
-    // A shard with other options is refused.
+    // The program refuses a shard with other options.
     let error = error_of(physgrad(&whole).args(["--quick", "--shard", "1/2", "--out"]).arg(&many));
     assert!(error.contains("plan of another comparison") && error.contains("epochs = 5"), "{error}");
 }

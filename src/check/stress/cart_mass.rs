@@ -134,7 +134,8 @@ fn relative_residual(terms: &[f64]) -> f64 {
 ///
 /// Center i has the position `p_i` and the acceleration `a_i`. Pole k has the mass m, the length
 /// 2 l, the angle `θ_k` and the angular acceleration `α_k`. The cart has the mass `M_c` and the
-/// position x.
+/// position x. The force on the cart is u, the gravitational acceleration is g, and `e_y` is the
+/// upward unit vector.
 ///
 /// ```text
 /// M_c ẍ + Σ_i m a_i,x = u

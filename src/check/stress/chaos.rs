@@ -101,7 +101,7 @@ fn adjoint(system: &Pendulum, states: &[State]) -> (f64, State) {
     (growth, bar)
 }
 
-/// Agreement of adjoint directions between pairs of rollouts whose initial states differ by one
+/// Agreement of adjoint directions within pairs of rollouts whose initial states differ by one
 /// rounding error.
 fn signs(system: &Pendulum, lambda: f64) -> Vec<Finding> {
     let horizon = (1.0 / f64::EPSILON).ln() / (lambda * DT);

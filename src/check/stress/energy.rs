@@ -113,7 +113,7 @@ fn drift<O: Ode>(ode: O, start: &[f64], first_angle: usize, energy: &dyn Fn(&[f6
 struct Tenths {
     /// Difference of the mean errors, in units of the amplitude.
     trend: f64,
-    /// Ratio of the largest errors.
+    /// Ratio of the largest errors, last tenth to first.
     growth: f64,
     /// Half the range of the error, relative to the scale of the energy.
     amplitude: f64,

@@ -2,9 +2,9 @@
 //!
 //! M propagates the adjoint through the open loop, which the policy does not stabilize. For one
 //! sample, this adjoint aligns with the left eigenvector of the largest eigenvalue a. The end of
-//! the rollout sets its factor. The parameter gradient of M therefore points along
-//! `± Σ_t a^{-t} x_t` for any loss, with a sign set by the last states. C retains the components of
-//! M that agree in sign with R.
+//! the rollout sets the factor of the eigenvector. The parameter gradient of M therefore points
+//! along `± Σ_t a^{-t} x_t` for any loss, with a sign set by the last states. C retains the
+//! components of M that agree in sign with R.
 
 use super::{Case, Finding};
 use crate::dynamics::inputs::Inputs;

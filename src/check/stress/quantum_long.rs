@@ -108,8 +108,8 @@ fn controls(count: usize, size: f64) -> Vec<f64> {
     (0..count).map(|_| size * rng.random_range(-1.0..1.0)).collect()
 }
 
-/// Largest deviation of the norm from 1 along a rollout in the precision of `R`. The norm is
-/// evaluated in double precision.
+/// Largest deviation of the norm from 1 along a rollout in the precision of `R`. Evaluates the norm
+/// in double precision.
 fn drift<S: System, R: Real>(system: &S, steps: usize, size: f64) -> f64 {
     let mut x = start::<R>();
     let mut next = x.clone();

@@ -74,7 +74,7 @@ fn wave(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
     u[0] = rng.random_range(-30.0..30.0);
 }
 
-/// Draws speeds from 1e-9 to 10 m/s, in either direction.
+/// Draws a speed from 1e-9 to 10 m/s, in either direction, and a normal position and control.
 fn sliding(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
     (x[0], x[1], u[0]) = (normal(rng), any_size(rng, -9.0, 1.0), 10.0 * normal(rng));
 }
@@ -87,7 +87,7 @@ fn falling(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
     u[0] = 10.0 * normal(rng);
 }
 
-/// Draws two bodies in contact, or with a gap of 1e-6 to 3 m.
+/// Draws two bodies in contact, or with a gap of 1e-6 to 3.2 m.
 fn meeting(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
     x[0] = normal(rng);
     x[1] = x[0] + 0.1 + if rng.random_bool(0.1) { 0.0 } else { any_size(rng, -6.0, 0.5).abs() };

@@ -7,7 +7,7 @@ use crate::numbers::kernels::Vectorized;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use smallvec::{SmallVec, smallvec};
 
-/// Composition in order, bit-identical to nested pairs. Steps are outlined, because inlining every
+/// Composition in order, bit-identical to nested pairs. Outlines steps, because inlining every
 /// actuator into every loop over samples slows compilation.
 impl<A: Actuator> Actuator for Vec<A> {
     fn state_dim(&self, controls: usize) -> usize {
@@ -75,7 +75,7 @@ impl<A: Actuator, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, A, R, C> 
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         let Self { chain, state, u, next_bar, mut state_bar, u_bar } = self;
-        // Recomputes the input of every actuator; the output of the last is not needed.
+        // Recomputes the input of every actuator, but not the output of the last.
         let m = u.len();
         let mut given: SmallVec<[R; 4 * STACK]> = SmallVec::from_slice(u);
         let mut begin = 0;

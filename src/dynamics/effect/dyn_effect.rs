@@ -16,8 +16,8 @@ use std::fmt::{self, Debug};
 use std::marker::PhantomData;
 use std::sync::Arc;
 
-/// Any effect of the model `B`, chosen at run time. Results are bitwise equal to those of the
-/// effect.
+/// Any effect of the model `B`, chosen at run time. Rollouts and their gradients are bitwise equal
+/// to those with the wrapped effect.
 ///
 /// ```
 /// use physgrad::tasks::{CartDamping, CartPoleSystem};

@@ -68,8 +68,8 @@ impl<B, E: Effect<B>> Effect<B> for Vec<E> {
     }
 }
 
-/// Arguments of [`Effect::add_forces`], to be outlined. Inlining every effect of a list into every
-/// loop over samples slows compilation.
+/// Arguments of an outlined call of [`Effect::add_forces`]. Inlining every effect of a list into
+/// every loop over samples would slow compilation.
 pub(crate) struct AddForces<'a, B, E, T> {
     pub effect: &'a E,
     pub model: &'a B,
@@ -84,7 +84,7 @@ impl<B, E: Effect<B>, T: Scalar> Vectorized for AddForces<'_, B, E, T> {
     }
 }
 
-/// Arguments of [`Effect::vjp`], to be outlined.
+/// Arguments of an outlined call of [`Effect::vjp`].
 pub(crate) struct Vjp<'a, B, E, R, C> {
     pub effect: &'a E,
     pub model: &'a B,
@@ -100,8 +100,8 @@ impl<B, E: Effect<B>, R: Real, C: Cotangent<R>> Vectorized for Vjp<'_, B, E, R, 
     }
 }
 
-/// Defines an enum with one variant per effect of a model, each named like its effect, and one for
-/// effects of the user.
+/// Defines an enum of the effects of a model: one variant per effect, named like the effect, and
+/// `Other` for effects of the user.
 macro_rules! any_effect {
     ($(#[$doc:meta])* $name:ident of $model:ty: $($effect:ident),+ $(,)?) => {
         $(#[$doc])*

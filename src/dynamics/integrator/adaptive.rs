@@ -8,8 +8,9 @@ use crate::numbers::zip::zip;
 
 /// Tsitouras 5(4) (doi:10.1016/j.camwa.2011.06.002) with adaptive steps within each time step.
 ///
-/// The error of an attempt is the largest `|e_i| / (atol + rtol max(|x_i|, |x'_i|))`. The vector
-/// `e` is the difference of the fifth- and fourth-order results; `x'` is the fifth-order result.
+/// The error of an attempt is the largest `|e_i| / (atol + rtol max(|x_i|, |x'_i|))`. Here, `x` is
+/// the state before the attempt, and `x'` is the fifth-order result. The vector `e` is the
+/// difference of the fifth- and fourth-order results.
 ///
 /// ```text
 /// below 1/64       accept the step, double the next step size
@@ -108,7 +109,7 @@ impl Adaptive {
             }
             let size = x[c].abs().max(candidate[c].abs());
             let ratio = (error * step).abs() / (T::from(self.atol) + T::from(self.rtol) * size);
-            // Selects a NaN ratio, and keeps a NaN maximum.
+            // Selects a NaN ratio, and keeps an infinite or NaN maximum.
             let larger = T::select_lt(ratio, largest, largest, ratio);
             largest = T::select_lt(largest, T::from(f64::INFINITY), larger, largest);
         }

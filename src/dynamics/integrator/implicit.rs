@@ -73,8 +73,8 @@ impl ImplicitMidpoint {
         }
     }
 
-    /// Solves for the next state by simplified Newton iteration. Returns 0 or a negative number in
-    /// lanes that converged, else a positive number.
+    /// Solves for the next state by simplified Newton iteration. Returns 0 in lanes that converged,
+    /// else a positive number.
     #[inline(always)]
     fn iterate<T: Scalar>(tolerance: f64, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) -> T {
         let (h, x, n) = (T::from(dt), inputs.x, inputs.x.len());
@@ -124,7 +124,7 @@ impl ImplicitMidpoint {
     }
 }
 
-/// Inputs in the middle of the step.
+/// Inputs with the time of the middle of the step.
 #[inline(always)]
 fn halfway<T: Scalar>(dt: f64, inputs: Inputs<'_, T>) -> OdeInputs<'_, T> {
     inputs.at(stage_time(inputs.t, dt, 0.5))
@@ -132,8 +132,8 @@ fn halfway<T: Scalar>(dt: f64, inputs: Inputs<'_, T>) -> OdeInputs<'_, T> {
 
 /// Writes `(I - matrix)⁻¹` to `inverse` by Gauss–Jordan elimination; destroys `matrix`.
 ///
-/// Pivoting is branch-free: conditional row swaps move the largest entry of each column to the
-/// diagonal.
+/// Pivoting is branch-free. In each column, conditional row swaps move the entry of largest
+/// absolute value, on or below the diagonal, to the diagonal.
 #[inline(always)]
 fn invert_one_minus<T: Scalar>(matrix: &mut [T], inverse: &mut [T], n: usize) {
     for i in 0..n {

@@ -1,7 +1,7 @@
 //! Partitioned methods for mechanics: [`SemiImplicit`] and [`Verlet`].
 //!
-//! A component is a position if [`Ode::velocity`](crate::Ode::velocity) returns its velocity. All
-//! other components are updated like velocities.
+//! A component is a position if [`Ode::velocity`](crate::Ode::velocity) returns the index of its
+//! velocity. Both methods update all other components like velocities.
 
 use super::{Integrator, buffer, stage_time};
 use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs, add};
@@ -76,7 +76,7 @@ impl Integrator for SemiImplicit {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Verlet;
 
-/// Inputs at the end of the step.
+/// Inputs with the time of the end of the step.
 #[inline(always)]
 fn end<T: Scalar>(dt: f64, inputs: Inputs<'_, T>) -> OdeInputs<'_, T> {
     inputs.at(stage_time(inputs.t, dt, 1.0))

@@ -6,11 +6,11 @@ use num_dual::Dual64;
 /// Scalar of [`param_vjp`].
 pub(crate) type ParamDual = Dual64;
 
-/// Function of a lane, with its state, control and parameters, that writes outputs.
+/// Function of one lane. Takes the index of the lane, its `[state, control, parameters]`, and the
+/// outputs to write.
 type Differentiable<'a> = &'a dyn Fn(usize, [&[ParamDual]; 3], &mut [ParamDual]);
 
-/// Adds the product of `output_bars` and the derivative of `function` with respect to its
-/// parameters to `p_bar`.
+/// Adds `(∂f/∂p)ᵀ output_bars` to `p_bar`, for the `function` f of state, control and parameters p.
 ///
 /// `inputs` are state, control and parameters. Derivatives are evaluated in f64, for one sample and
 /// one parameter at a time. [`ParamDual`] is also the scalar of the checks, so systems are compiled

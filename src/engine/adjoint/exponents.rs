@@ -120,7 +120,7 @@ pub(super) struct BlockExponents<F: Float, const K: usize> {
     pub(super) inject: CotangentPack<Lane<F>, K>,
 }
 
-/// Range of sizes, `low` to `high`, that needs no rescaling.
+/// Range of the size Σ|λ| + Σ|h| + Σ|μ|, `low` to `high`, that needs no rescaling.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Limits<F> {
     low: F,
@@ -172,8 +172,8 @@ impl<F: Float, const K: usize> BlockExponents<F, K> {
 
     fn set(&mut self, k: usize, lane: usize, exponent: i32, scale: F) {
         self.of[k][lane] = exponent;
-        // The limit keeps the factor finite. `raise` resets exponents below `-limit` before a
-        // nonzero cost gradient is added.
+        // The limit keeps the factor finite. `raise` resets exponents below `-reach`, and thus
+        // below `-limit`, before the recursion adds a nonzero cost gradient.
         let limit = reach::<F>() * 3 / 2;
         self.inject.0[k].set_lane(lane, scaled(scale, (-exponent).min(limit)));
     }

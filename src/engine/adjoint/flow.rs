@@ -41,9 +41,9 @@ pub struct Flow {
     pub truncation: Option<usize>,
     /// Growth in decades above which the adjoint of a sample is cut. `None` for no cut.
     ///
-    /// Growth is measured since the last cut or truncation, as in
-    /// [`Growth::along`](crate::Growth), or since the adjoint of the sample last became 0. At a
-    /// cut, all weights of the sample are 0 for one step.
+    /// The growth, defined as in [`Growth::along`](crate::Growth), begins at the last cut or
+    /// truncation, or where the adjoint of the sample last became 0. At a cut, all weights of the
+    /// sample are 0 for one step.
     pub cut: Option<f64>,
 }
 
@@ -54,7 +54,7 @@ impl Flow {
     pub const MODIFIED: Self = Self::new(1.0, 0.0, 1.0);
     /// N: the state input of the physics is detached.
     pub const NETWORK: Self = Self::new(0.0, 1.0, 1.0);
-    /// S: no path; `h_t` contains only the costs that depend directly on `u_t` and `x_{t+1}`.
+    /// S: no path; `h_t` contains only the costs that depend directly on `u_t` or `x_{t+1}`.
     pub const STOPPED: Self = Self::new(0.0, 0.0, 0.0);
     /// The flows R, M, N and S.
     pub const ALL: [Self; 4] = [Self::REGULAR, Self::MODIFIED, Self::NETWORK, Self::STOPPED];

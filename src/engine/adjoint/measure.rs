@@ -1,5 +1,5 @@
-//! Measurements of the adjoint along the recursion: norms and growth. The adjoint does not depend
-//! on them.
+//! Measurements of the adjoint along the recursion: norms and growth. Only the adjoints of flows
+//! with a `cut` depend on them.
 
 use super::exponents::{BlockExponents, Exponents};
 use super::{Flow, Pass};
@@ -11,7 +11,7 @@ use crate::numbers::zip::zip;
 use std::ops::Range;
 
 /// Records the root mean square of ‖λ_t‖ over the samples, divided by `scale`, in f64. `norms` has
-/// one row per flow.
+/// one row per flow, or none.
 ///
 /// A power of two scales the components, because their squares may be out of range.
 pub(super) fn record_norms<F: Float, const K: usize>(
@@ -104,7 +104,7 @@ impl<const K: usize> GrowthMeters<K> {
         }
     }
 
-    /// Returns true if the adjoint has grown by more than `decades` since its last cut, and
+    /// Returns true if the adjoint has grown by more than `decades` since its last cut. If so,
     /// registers a cut.
     pub(super) fn reset_if_grown(&mut self, k: usize, sample: usize, decades: f64) -> bool {
         let meter = &mut self.meters[sample][k].0;

@@ -18,8 +18,8 @@ pub(crate) fn find_non_finite<L, F: Float>(
         .find(|&(sample, i)| !lane(&blocks[(sample / WIDTH) * n + i], sample % WIDTH).as_().is_finite())
 }
 
-/// Copies blocks of lanes, `n` numbers per sample, to policy columns of length `stride`, from entry
-/// `offset`.
+/// Copies blocks of lanes, `n` numbers per sample, to the entries `offset .. offset + n` of policy
+/// columns of length `stride`.
 pub(crate) fn gather<L, F: Float>(
     blocks: &[L],
     lane: impl Fn(&L, usize) -> F,
@@ -38,7 +38,7 @@ pub(crate) fn gather<L, F: Float>(
     }
 }
 
-/// Copies `n` entries of policy columns of length `stride`, from entry `offset`, to blocks of
+/// Copies the entries `offset .. offset + n` of policy columns of length `stride` to blocks of
 /// lanes. Unused lanes repeat the last sample.
 pub(crate) fn scatter<F: Float>(
     columns: &[F],

@@ -26,9 +26,10 @@ const TOLERANCE: u64 = 100;
 impl Schedule {
     /// Finds a schedule with few recomputed steps within `budget` bytes.
     ///
-    /// Stores all steps if they fit. Otherwise, returns the smallest schedule whose recomputed
-    /// steps exceed the minimum within the budget by at most 1 % of the horizon. `bytes` returns
-    /// the size of a schedule.
+    /// Stores all steps if they fit. Otherwise, considers each segment length with as many
+    /// checkpoints as fit. Returns the smallest of these schedules whose recomputed steps exceed
+    /// the minimum within the budget by at most 1 % of the horizon. `bytes` returns the size of a
+    /// schedule.
     pub(crate) fn within(horizon: usize, budget: u64, bytes: impl Fn(&Self) -> usize) -> Result<Self, MemoryError> {
         let bytes = |schedule: &Self| bytes(schedule) as u64;
         let all = Self::store_all(horizon);

@@ -7,7 +7,8 @@
 //! number of columns. The result of a column is therefore independent of the other columns, and of
 //! the distribution of a batch over threads.
 
-/// Operands of one matrix product. Shapes are checked against the slices before any access.
+/// Operands of one matrix product. The product checks the shapes against the slices before any
+/// access.
 pub struct Product<'a, F> {
     /// Rows of `A` and `C`, including padding: a multiple of one cache line (64 bytes).
     pub rows: usize,
@@ -76,9 +77,10 @@ trait Register: Copy {
     unsafe fn plus_product(self, a: Self, b: Self) -> Self;
 }
 
-/// Computes the product in panels of up to `MAX` registers of rows and tiles of `NR` columns.
+/// Computes the product in panels of up to `MAX` registers of rows, and tiles of up to `NR`
+/// columns.
 ///
-/// The panel of `A` stays in the L1 cache while its tiles are computed.
+/// The panel of `A` stays in the L1 cache for all its tiles.
 ///
 /// # Safety
 /// `p.check()` has passed, and the processor supports the instructions of `R`.
@@ -237,8 +239,8 @@ macro_rules! gemm {
             /// Computes the product with the instruction set `level`.
             ///
             /// # Panics
-            /// If the shapes do not fit the slices or the padding, or the processor does not
-            /// support `level`.
+            /// If a dimension is 0, if the shapes do not fit the slices or the padding, or if the
+            /// processor does not support `level`.
             pub fn product(level: SimdLevel, p: Product<'_, $float>) {
                 p.check(PAD);
                 let level = level.checked();
@@ -255,7 +257,7 @@ macro_rules! gemm {
                     unsafe { panels::<$avx512, 3, 8>(p) }
                 }
                 match level {
-                    // SAFETY: the shapes and the level are checked above.
+                    // SAFETY: the code above checks the shapes and the level.
                     SimdLevel::Portable => unsafe { panels::<Array, 1, 4>(p) },
                     #[cfg(target_arch = "aarch64")]
                     SimdLevel::Neon => unsafe { panels::<$neon, 3, 8>(p) },

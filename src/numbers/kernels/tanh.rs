@@ -37,8 +37,8 @@ pub fn tanh_32<const FMA: bool>(x: f32) -> f32 {
     if x.abs() >= SATURATED { 1f32.copysign(x) } else { inner }
 }
 
-/// Computes tanh as `-e / (e + 2)` with `e = expm1(-2|x|)`. The error is at most 3 units in the
-/// last place.
+/// Computes |tanh x| as `-e / (e + 2)` with `e = expm1(-2|x|)`, and copies the sign of x. The error
+/// is at most 3 units in the last place.
 #[inline(always)]
 pub fn tanh_64<const FMA: bool>(x: f64) -> f64 {
     /// 1.5·2^52: adding and subtracting it rounds to an integer.

@@ -24,8 +24,8 @@ pub struct Ops {
     /// `exp`, `ln`, `tanh`, `atan2`, `sin`, `cos` and `sin_cos`, one each.
     pub transcendental: u64,
     /// Comparisons by [`select_lt`](Scalar::select_lt), [`any_lt`](Scalar::any_lt),
-    /// [`min`](Scalar::min), [`max`](Scalar::max) and [`abs`](Scalar::abs). `abs` also counts one
-    /// negation.
+    /// [`min`](Scalar::min), [`max`](Scalar::max) and [`abs`](Scalar::abs), and two by
+    /// [`clamp`](Scalar::clamp). `abs` also counts one negation.
     pub compare: u64,
 }
 
@@ -113,8 +113,8 @@ impl fmt::Display for Ops {
 /// An `f64` that counts its operations: a machine-independent measure of a step or a derivative.
 ///
 /// Values are bit-identical to `f64`. [`Ops`] defines the kinds of operations; [`Ops::of`] counts
-/// them. Constants (`from`), copies, [`detach`](Scalar::detach) and arithmetic between plain `f64`
-/// numbers are not counted.
+/// them. The counts exclude constants (`from`), copies, [`detach`](Scalar::detach) and arithmetic
+/// between plain `f64` numbers.
 ///
 /// For default VJPs in forward mode, the counts include the operations on the value and on all four
 /// tangents of each dual number. In reverse mode, they include the operations on the value, on the

@@ -11,8 +11,8 @@ use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssi
 /// Generic over the scalar: [`Lanes`](super::Lanes) differentiate several samples at once,
 /// [`Counted`](super::Counted) counts operations.
 ///
-/// Values are bit-identical to those of the scalar `T`. Constants have zero tangents and cost as
-/// much as variables: there is no branch on tangents.
+/// Values are bit-identical to those of the scalar `T`. Dual constants have zero tangents and cost
+/// as much as variables: there is no branch on tangents.
 ///
 /// ```
 /// use physgrad::{Dual, Scalar};

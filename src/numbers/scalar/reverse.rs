@@ -9,8 +9,9 @@ const CONSTANT: u32 = u32::MAX;
 
 /// A value and its index on the tape of the current thread ([`Real::tape`]).
 ///
-/// Values are bit-identical to those of the scalar `R`. Operations on constants have no entry. A
-/// number plus a constant has the cotangent of the number, and therefore its index.
+/// Values are bit-identical to those of the scalar `R`. An operation whose operands are all
+/// constants has no entry. A number plus a constant has the cotangent of the number, and therefore
+/// its index.
 ///
 /// Slopes equal those of [`Dual`](super::Dual) up to rounding.
 #[derive(Clone, Copy, Debug)]

@@ -1,4 +1,5 @@
-//! Memory layout of [`Conv`]: positions, weights in `θ` and packed, activations and cotangents.
+//! Memory layout of [`Conv`]: positions, weights in `θ` and in packed form, activations and
+//! cotangents.
 
 use super::layer::Layer;
 use super::{BLOCK, CHANNELS, Conv, KERNEL, STRIDE};
@@ -14,7 +15,7 @@ pub(super) struct Places {
     pub(super) len: usize,
 }
 
-/// Rounds `n` up to a multiple of the padding.
+/// Rounds `n` up to a multiple of the entries per cache line.
 fn padded<F: Float>(n: usize) -> usize {
     n.next_multiple_of(F::PAD)
 }

@@ -68,7 +68,7 @@ impl Affine {
         }
     }
 
-    /// Draws Glorot-uniform weights and sets the bias to 0 (Glorot and Bengio 2010).
+    /// Draws Glorot-uniform weights (Glorot and Bengio 2010) and sets the bias to 0.
     pub(super) fn init(self, rng: &mut Rng, theta: &mut [f64]) {
         let limit = (6.0 / (self.inputs + self.outputs) as f64).sqrt();
         let (weights, bias) = theta[self.first..self.end()].split_at_mut(self.inputs * self.outputs);

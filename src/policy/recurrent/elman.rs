@@ -7,6 +7,8 @@ use crate::numbers::zip::zip;
 
 /// Elman network: `m' = tanh(W (y, m) + b)`, `u = V m' + c`.
 ///
+/// y is the observation, m the memory, m' the next memory, and u the control.
+///
 /// J. L. Elman, "Finding Structure in Time", Cognitive Science 14 (1990). Initial weights are
 /// Glorot-uniform, initial biases 0. The memory is 0 at the start of a rollout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -22,7 +24,7 @@ impl Elman {
         Self(Shape::new(observations, units, controls))
     }
 
-    /// The maps to the memory and to the control.
+    /// The maps to the next memory and to the control.
     pub(super) fn maps(&self) -> [Affine; 2] {
         let Shape { observations, units, controls } = self.0;
         let memory = Affine { first: 0, inputs: observations + units, outputs: units };

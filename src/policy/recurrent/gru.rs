@@ -15,6 +15,8 @@ use crate::numbers::zip::zip;
 /// m' = (1 - z) ⊙ m + z ⊙ n,    u = V m' + c
 /// ```
 ///
+/// y is the observation, m the memory, m' the next memory, and u the control.
+///
 /// K. Cho et al., EMNLP 2014, doi:10.3115/v1/D14-1179, with z and 1 - z exchanged. Initial weights
 /// are Glorot-uniform, initial biases 0. The memory is 0 at the start of a rollout.
 ///
@@ -48,9 +50,9 @@ impl Gru {
 }
 
 impl Cell for Gru {
-    /// z, r, n and m'.
+    /// The numbers z, r, n and m'.
     const STORED: usize = 4;
-    /// Cotangents of the arguments of z, r and n.
+    /// Cotangents of the arguments of σ in z, of σ in r, and of tanh in n.
     const BARS: usize = 3;
 
     fn shape(&self) -> Shape {

@@ -10,7 +10,7 @@ use crate::{Divergence, DynTask, Field, Float, Rollout, Weights};
 use anyhow::{Result, bail};
 use std::sync::Arc;
 
-/// Precision of a training: `f32` or `f64`.
+/// Precision of a computation with a [`Policy`]: `f32` or `f64`.
 pub trait Precise: Float {
     #[doc(hidden)]
     fn policy(policy: &dyn DynPolicy) -> &dyn AnyPolicy<Self>;
@@ -28,8 +28,8 @@ impl Precise for f64 {
     }
 }
 
-/// The policy of a scene with its parameters θ. The last parameters are the trained numbers of the
-/// scene.
+/// The policy of a scene with its parameters θ. The last parameters determine the trained numbers
+/// of the scene; see [`TrainedParam`](crate::policy::TrainedParam).
 #[derive(Clone)]
 pub struct Policy {
     scene: Scene,
@@ -49,7 +49,8 @@ pub struct Rollouts<F> {
 const BLOCK: usize = 32;
 
 impl Policy {
-    /// Policy with random parameters, those of a training with this seed.
+    /// Policy with random parameters. A training with this seed starts from them, unless the scene
+    /// has an initial policy.
     pub fn new(scene: &Scene, seed: u64) -> Self {
         let policy = scene.scene.policy();
         let mut theta = vec![0.0; f64::policy(&*policy).param_count()];
@@ -60,7 +61,7 @@ impl Policy {
     /// Policy with the parameters of a policy file.
     ///
     /// # Errors
-    /// The bytes are no policy file, or one of another policy.
+    /// The bytes are no policy file, or one of another policy. A parameter is not finite.
     pub fn read(scene: &Scene, bytes: &[u8]) -> Result<Self> {
         let policy = scene.scene.policy();
         let theta = policy_file::read(bytes, f64::policy(&*policy), 0)?;
@@ -200,8 +201,8 @@ impl Policy {
         Ok(losses)
     }
 
-    /// The vectors of several fields for the mean loss of rollouts from `starts`, from one forward
-    /// pass: one number per parameter and field.
+    /// Vectors of several fields for the mean loss of rollouts from `starts`, `[field][parameter]`.
+    /// All fields share the forward passes.
     ///
     /// # Errors
     /// The policy does not fit the task, `starts` is empty, or a [`Divergence`].

@@ -23,7 +23,7 @@ pub struct Run {
 impl Run {
     /// A training before its first epoch. With a policy, the training starts from the parameters of
     /// the policy. The scene of the training then has the section `policy` of the policy's scene.
-    /// `threads` is the number of threads, by default all; results do not depend on it.
+    /// `threads` is the number of threads, by default that of Rayon; results do not depend on it.
     ///
     /// # Errors
     /// A setting is invalid, or the policy does not fit the scene.
@@ -50,7 +50,8 @@ impl Run {
     /// Opens the run in a folder, at its last checkpoint.
     ///
     /// # Errors
-    /// There is no run, or another version of physgrad made it.
+    /// There is no run, or another version of physgrad made it. The settings or the checkpoint
+    /// cannot be read.
     pub fn load(folder: &Path) -> Result<Self> {
         let place = Folder::existing(folder)?;
         let checked = saved::scene(&place)?;
@@ -94,11 +95,12 @@ impl Run {
         Ok(())
     }
 
-    /// Moves the run to a folder: later calls of [`train`](Self::train) save there. An earlier run
-    /// in the folder is moved.
+    /// Saves the run in a folder. Later calls of [`train`](Self::train) save there too. If the
+    /// folder contains another run, renames that folder and creates an empty one in its place.
     ///
     /// # Errors
-    /// The folder cannot be written to, is in use, or contains other files.
+    /// The folder cannot be written to, or is in use. It contains a comparison of one scene, a
+    /// study, another run beside other files, or files of a run without settings.
     pub fn save(&mut self, folder: &Path) -> Result<()> {
         let locked = Folder::at(folder).lock()?;
         let is_own = self.folder.as_deref().is_some_and(|own| own == folder);
@@ -112,8 +114,9 @@ impl Run {
     /// folder, if it has one. Returns whether the run is complete.
     ///
     /// # Errors
-    /// A file cannot be written. The run in a folder has more epochs than its setting. Training
-    /// diverged: a [`TrainError`]. No update was applied.
+    /// A file cannot be written, or the folder is in use. A run in a folder has completed more
+    /// epochs than its setting `epochs`. Training diverged: a [`TrainError`]. No update was
+    /// applied.
     pub fn train(&mut self, observer: &mut dyn Observer) -> Result<bool> {
         let (scene, run) = (&self.scene.scene, &mut *self.run);
         let finished = match &self.folder {
@@ -133,7 +136,8 @@ impl Run {
         }
     }
 
-    /// The policy after the last epoch, or after the epoch with the lowest test loss.
+    /// The policy with the current parameters. With `best`, the policy after the epoch with the
+    /// lowest test loss, or before the first epoch the initial policy.
     ///
     /// # Errors
     /// The parameters cannot be serialized.

@@ -61,7 +61,7 @@ impl Scene {
         Ok(self.keep_initial_policy(Self { scene: source.scene()?, source }))
     }
 
-    /// `changed`, with the parameters that start the training of this scene.
+    /// Returns `changed` with the initial policy file of this scene, if this scene has one.
     fn keep_initial_policy(&self, changed: Self) -> Self {
         match self.scene.initial_policy() {
             Some(bytes) => Self { scene: changed.scene.starting_from(bytes.to_vec()), ..changed },
@@ -139,7 +139,8 @@ impl Scene {
     /// Fits the trained numbers of the scene to measured segments, as `physgrad identify` does.
     ///
     /// # Errors
-    /// The scene trains no number, or the segments do not fit the system.
+    /// [`IdentifyError`], for example if the scene trains no number, the segments do not fit the
+    /// system, or a simulation diverges.
     pub fn identify(&self, segments: &[Segment], options: &Options) -> Result<Fit, IdentifyError> {
         if !self.scene.varied().iter().any(|(_, number)| matches!(number, Number::Trained { .. })) {
             return Err(IdentifyError::NothingUnknown);
@@ -186,7 +187,7 @@ impl Scene {
         Ok((table.to_string(), failures))
     }
 
-    /// Numbers of states, controls and parameters of a sample.
+    /// Numbers of state components, control components and parameters of a sample.
     pub fn dims(&self) -> [usize; 3] {
         let task = self.task();
         [task.system().state_dim(), task.system().control_dim(), task.param_dim()]

@@ -36,8 +36,8 @@ pub struct Amplification {
     pub stability: Stability,
 }
 
-/// Largest amplification in states of test rollouts with initial parameters. `None` if a rollout
-/// diverges in the first step.
+/// Largest amplification in states of test rollouts, with parameters drawn by [`Policy::init`].
+/// `None` if a rollout diverges in the first step.
 pub fn amplification(task: &DynTask, policy: &impl Policy, seed: u64) -> Option<Amplification> {
     let weights = Weights::<f64>::init(policy, &mut stream(seed, Purpose::Policy, 0));
     let starts = initial_states(task, seed, Purpose::Test, ROLLOUTS);
@@ -52,7 +52,7 @@ pub fn amplification(task: &DynTask, policy: &impl Policy, seed: u64) -> Option<
     amplifications.max_by(|a, b| a.stability.multiplier.total_cmp(&b.stability.multiplier))
 }
 
-/// Loss and gradient at the initial parameters and at parameters nearby.
+/// Loss and gradient at parameters drawn by [`Policy::init`] and at parameters nearby.
 pub fn plateau(task: &DynTask, policy: &impl Policy, seed: u64) -> Result<Plateau, Divergence> {
     let weights = Weights::<f64>::init(policy, &mut stream(seed, Purpose::Policy, 0));
     check::plateau(task, policy, &weights, &initial_states(task, seed, Purpose::Test, ROLLOUTS))

@@ -7,9 +7,9 @@ use crate::{Adjoint, Divergence, DynTask, Field, Float, Policy, Rollout, Weights
 /// Number of samples in the measured rollout: one full block of lanes.
 pub const SAMPLES: usize = 8;
 
-/// Memory of a rollout and its adjoint.
+/// Memory of a rollout, with its adjoint or in evaluation mode.
 pub struct Stored {
-    /// Bytes in the buffers of the rollout and the adjoint.
+    /// Bytes in the buffers of the rollout, and of the adjoint if there is one.
     pub bytes: usize,
     /// Allocations of the second run. None if the first run diverges.
     pub allocations: Option<u64>,

@@ -12,7 +12,7 @@ use anyhow::{Result, bail};
 pub trait AnyEvaluation {
     /// Losses from the initial states `0 .. samples`; infinite for rollouts that diverge.
     fn losses(&self, samples: usize) -> Vec<f64>;
-    /// Rollout from an initial state.
+    /// Rollout from the initial state `sample`.
     fn rollout(&self, sample: usize) -> Trajectory;
 }
 

@@ -15,7 +15,7 @@ pub struct Needs {
 }
 
 /// Estimates the memory of a run before allocation. `samples` is the size of a mini-batch,
-/// `start_states` the number of initial states in both data sets.
+/// `start_states` the total number of initial states in both data sets.
 pub fn needs(task: &DynTask, policy: &impl Policy, precision: Precision, samples: usize, start_states: usize) -> Needs {
     match precision {
         Precision::F32 => needs_in::<f32>(task, policy, samples, start_states),
@@ -40,8 +40,8 @@ fn needs_in<F: Float>(task: &DynTask, policy: &impl Policy, samples: usize, star
     Needs { batch: of(samples), rest: numbers * size_of::<F>() as f64 + of(ROLLOUTS) + text }
 }
 
-/// Memory limit of this process, in bytes: the smaller limit of the machine and the control group.
-/// 32 GB if both are unknown.
+/// Memory limit of this process, in bytes: the smaller of the machine's memory and the limit of the
+/// control group. 32 GB if both are unknown.
 pub fn of_this_machine() -> f64 {
     const UNKNOWN: f64 = 32e9;
     let limits = ["/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"];

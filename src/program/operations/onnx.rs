@@ -16,8 +16,9 @@ use messages::{
 };
 use prost::Message;
 
-/// Names of the input and the output of a model.
+/// Name of the input of a model.
 pub const INPUT: &str = "observation";
+/// Name of the output of a model.
 pub const OUTPUT: &str = "control";
 
 /// Version of the operators.
@@ -67,7 +68,8 @@ fn data_type<F: Float>() -> i32 {
     if F::NAME == "f32" { FLOAT } else { DOUBLE }
 }
 
-/// Graph under construction. Methods that add nodes return the name of the value.
+/// Graph under construction. Methods that add nodes or constants return the name of the resulting
+/// value.
 struct Builder<'a, F> {
     theta: &'a [F],
     tensors: Vec<Tensor>,

@@ -59,13 +59,13 @@ const NUMBERS: &str = "trained_params";
 /// the file has no tensor of trained numbers. Ignores this tensor if the scene trains no numbers.
 ///
 /// # Errors
-/// The bytes are not in the safetensors format. A tensor is missing, unknown or has another shape
-/// or type. A parameter is not finite.
+/// The bytes are not in the safetensors format. A tensor is missing, is unknown, has another shape,
+/// or has a type other than F32 and F64. A parameter is not finite.
 pub fn read(bytes: &[u8], policy: &dyn AnyPolicy<f64>, seed: u64) -> Result<Vec<f64>> {
     let file = SafeTensors::deserialize(bytes).context("it is not a file in the safetensors format")?;
     let tensors = policy.tensors();
     let is_unknown = |name: &&str| *name != NUMBERS && tensors.iter().all(|own| own.name != **name);
-    // Names the alphabetically first tensor, because the order of the names is not fixed.
+    // Names the alphabetically first unknown tensor, because the order of the names is not fixed.
     if let Some(name) = file.names().into_iter().filter(is_unknown).min() {
         let own: Vec<&str> = tensors.iter().map(|own| &*own.name).collect();
         bail!(

@@ -40,7 +40,7 @@ pub trait AnyRun: Send {
     fn records(&self) -> &[Record];
     /// Warnings about the last epoch. Empty within an epoch.
     fn warnings(&self) -> Vec<Warning>;
-    /// Serializes the run. Only a run with the same label can restore it.
+    /// Serializes the run. [`restore`](Self::restore) requires an equal label.
     fn checkpoint(&self, label: &str) -> Vec<u8>;
     /// Restores a checkpoint that was serialized with this label.
     fn restore(&mut self, bytes: &[u8], label: &str) -> Result<(), CheckpointError>;
@@ -58,8 +58,8 @@ pub trait AnyRun: Send {
     /// Rollouts with the current parameters, from a range of test initial states. Truncates the
     /// range to the test set.
     fn rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory>;
-    /// Norms of the adjoints of R and M along rollouts with the current parameters, from test
-    /// initial states.
+    /// Norms of the adjoints of R and M along rollouts with the current parameters. Uses at most
+    /// [`adjoint_norms::SAMPLES`] test initial states.
     fn adjoint_norms(&self) -> [AdjointNorms; 2];
 }
 
@@ -132,6 +132,8 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
     }
 }
 
+/// Current parameters for [`Epoch::Last`], also within an epoch. For [`Epoch::Best`], see
+/// [`Session::best_theta`].
 fn theta<T: Task, P: Policy, F: Float>(session: &Session<T, P, F>, epoch: Epoch) -> &[F] {
     match epoch {
         Epoch::Last => session.weights().theta(),

@@ -5,7 +5,7 @@ use crate::policy::AnyPolicy;
 use crate::{Divergence, Float, Rollout, Variable, Weights};
 use std::ops::Range;
 
-/// Largest number of test rollouts in `trajectory.csv`.
+/// Largest number of test rollouts in the `trajectory.csv` of a run.
 pub const ROLLOUTS: usize = 4;
 
 /// One rollout, truncated before the step at which the batch of rollouts diverged.

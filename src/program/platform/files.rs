@@ -1,8 +1,9 @@
 //! Durable file operations. After a kill or a power loss, each replacement of a file is either
 //! absent or complete.
 //!
-//! If the environment variable `PHYSGRAD_FILE_LOG` names a file, each operation appends one JSON
-//! line to it. The test of power loss replays every prefix of such a log.
+//! If the environment variable `PHYSGRAD_FILE_LOG` names a file, each elementary operation appends
+//! one JSON line to it. The first operation of the process empties the file. The test of power loss
+//! replays every prefix of such a log.
 
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
@@ -40,8 +41,8 @@ fn temporary(name: &str) -> String {
     format!(".{name}.{}{:016x}.new", process::id(), RandomState::new().hash_one(name))
 }
 
-/// Name of the file that a temporary file replaces. None for a name of another form than
-/// [`temporary`] gives.
+/// Name of the file that a temporary file replaces. None unless the given name has the form
+/// `.name.digits.new` with hexadecimal digits, as from [`temporary`].
 pub fn replaced_by(temporary: &str) -> Option<&str> {
     let (name, process) = temporary.strip_prefix('.')?.strip_suffix(".new")?.rsplit_once('.')?;
     process.bytes().all(|byte| byte.is_ascii_hexdigit()).then_some(name)

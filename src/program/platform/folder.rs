@@ -1,5 +1,5 @@
-//! [`Folder`]: folder of a run. [`Folder::write`] replaces a file as a whole, so readers never see
-//! a partial file.
+//! [`Folder`]: output folder, for example of a run. [`Folder::write`] replaces a file as a whole,
+//! so readers never see a partial file.
 
 use super::files;
 use super::lock::Locked;
@@ -31,10 +31,11 @@ pub const COMPARISON: &str = "comparison.toml";
 /// Plan of a study, beside the folders of its comparisons.
 pub const STUDY: &str = "study.toml";
 
-/// Subfolder with the runs of a comparison.
+/// Subfolder with the runs of a comparison. Also the folder in which [`Folder::fresh`] creates
+/// folders.
 pub const RUNS: &str = "runs";
 
-/// Lock file of the folder, with the name of the process that holds the lock.
+/// Lock file of a folder. Contains a description of the last process that locked the folder.
 pub(super) const LOCK: &str = ".physgrad.lock";
 
 /// Infix in the name of the folder of an earlier run: `<name>.previous-<number>`.
@@ -58,8 +59,8 @@ pub(super) const RUN_FILES: [&str; 14] = [
     END,
 ];
 
-/// Files that only the holder of the lock writes. Other commands may write the remaining files
-/// during the run.
+/// Those [`RUN_FILES`] that only the holder of the lock writes. Other commands may write the
+/// remaining [`RUN_FILES`] during the run.
 pub(super) const LOCKED_FILES: [&str; 12] = [
     SETTINGS,
     CHECKPOINT,
@@ -120,7 +121,8 @@ impl Folder {
         files::create_folders(&self.path).with_context(|| unwritable(&self.path))
     }
 
-    /// Last part of the canonical path.
+    /// Last part of the canonical path, or of the given path if the folder cannot be found. Empty
+    /// if the path has no last part, as in `/`.
     pub fn name(&self) -> String {
         let whole = fs::canonicalize(&self.path).unwrap_or_else(|_| self.path.clone());
         whole.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned())
@@ -138,7 +140,8 @@ impl Folder {
         self.file(name).exists()
     }
 
-    /// Returns whether the folder has the name of a renamed earlier run, with [`PREVIOUS`].
+    /// Returns whether the name of the folder contains [`PREVIOUS`], as that of a renamed earlier
+    /// run does.
     pub fn is_previous(&self) -> bool {
         self.name().contains(PREVIOUS)
     }
@@ -168,7 +171,8 @@ impl Folder {
     /// Path of a file to read.
     ///
     /// # Errors
-    /// There is no such file, or it is a folder or a pipe. Reading a pipe could block forever.
+    /// There is no such file, or it is not a regular file but, for example, a folder or a pipe.
+    /// Reading a pipe could block forever.
     pub fn readable(&self, name: &str) -> Result<PathBuf> {
         let path = self.file(name);
         let context = || format!("cannot read {}", path.display());

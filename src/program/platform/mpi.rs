@@ -9,10 +9,10 @@ use mpi::topology::SimpleCommunicator;
 use mpi::traits::{Communicator, CommunicatorCollectives};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// MPI while it runs.
+/// Handle of the running MPI library. None before [`start`] and after [`end`].
 static UNIVERSE: Mutex<Option<Universe>> = Mutex::new(None);
 
-/// All processes of the launcher.
+/// Rank of this process, and number of all processes of the launcher.
 #[derive(Debug)]
 struct World {
     rank: usize,
@@ -22,8 +22,8 @@ struct World {
 /// Starts MPI.
 ///
 /// # Errors
-/// MPI runs already, or its thread level is below `MPI_THREAD_SERIALIZED`: calls from several
-/// threads, one at a time.
+/// MPI has already started. The MPI library has no thread level `MPI_THREAD_SERIALIZED`, which
+/// admits calls from several threads, one at a time.
 pub fn start() -> Result<Arc<dyn Ranks>> {
     let (universe, threading) = mpi::initialize_with_threading(Threading::Serialized).context("MPI has already started")?;
     if threading < Threading::Serialized {

@@ -6,20 +6,22 @@ use comfy_table::{CellAlignment, ColumnConstraint, ContentArrangement, TableStyl
 use serde_json::Value;
 use std::fmt;
 
-/// Largest width of a column whose lines are not limited by a terminal, in characters.
+/// Largest width of a column if the width of the terminal is unknown, in characters.
 const COLUMN: usize = 60;
 
-/// Smallest width at which lines of a column of text have several words, in characters.
+/// Smallest width of a column at which a line of text has several words, in characters.
 const WORDS: usize = 24;
 
-/// Largest width of a word, for example a path, that is not broken, in characters.
+/// Length of the longest word that is never broken, in characters. Longer words, for example paths,
+/// may be broken.
 const WORD: usize = 30;
 
 /// Header and rows.
 ///
 /// Columns of numbers are aligned to the right. In a terminal of known width, a table that is too
-/// wide omits its optional columns, the last one first, and names them below. Then it breaks cells
-/// between words. Without a terminal, only cells of more than 60 characters are broken.
+/// wide omits optional columns, the last one first, until it fits. A note below the table names
+/// them. If the table is still too wide, it breaks cells between words. Without a known width, a
+/// table breaks only lines of more than 60 characters.
 #[derive(Clone, Debug)]
 pub struct Table {
     header: Vec<String>,
@@ -123,8 +125,8 @@ impl Table {
         if self.is_numeric(column) { narrowest } else { self.widest(column).min(narrowest.max(WORDS)) }
     }
 
-    /// Width of the longest cell of a column of numbers, which are not broken. Width of the longest
-    /// word of a column of text, up to [`WORD`].
+    /// Smallest width of a column. In a column of numbers, the longest cell or word of the header
+    /// fits. In a column of text, the longest word of the header or of a cell fits, up to [`WORD`].
     fn narrowest(&self, column: usize) -> usize {
         let words = self.header[column].split(' ').map(terminal::width_of).max().unwrap_or(0);
         let numeric = self.is_numeric(column);
@@ -134,7 +136,8 @@ impl Table {
     }
 
     /// Returns whether at least one cell starts with a number, and all others do or are
-    /// placeholders of a number. A cell with a comma or a colon before a space is text.
+    /// placeholders of a number. A cell that contains a comma or a colon, followed by a space, is
+    /// text.
     fn is_numeric(&self, column: usize) -> bool {
         let starts = |cell: &str| cell.trim_start_matches(['-', '+']).starts_with(|first: char| first.is_ascii_digit());
         let is_number = |cell: &str| starts(cell) && !cell.contains(", ") && !cell.contains(": ");

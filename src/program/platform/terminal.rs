@@ -13,7 +13,8 @@ use std::time::Duration;
 /// Smallest width to which output is fitted, in columns.
 const NARROWEST: usize = 40;
 
-/// Width of standard output in columns. None without `COLUMNS` and without a terminal.
+/// Width of standard output in columns, at least 40. None if `COLUMNS` is 0, or if there is neither
+/// `COLUMNS` nor a terminal.
 pub fn width() -> Option<usize> {
     width_of_term(&Term::stdout())
 }
@@ -32,7 +33,7 @@ pub fn width_of(text: &str) -> usize {
 /// Prints the result of a command to standard output, unchanged.
 ///
 /// # Errors
-/// The text cannot be written. A pipe that its reader closes, for example `head`, is not an error.
+/// The text cannot be written. A pipe that its reader, for example `head`, closes is not an error.
 pub fn print_result(text: &str) -> Result<()> {
     match writeln!(std::io::stdout(), "{text}") {
         Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
@@ -100,7 +101,7 @@ pub fn progress_bar(steps: usize, template: &str, quiet: bool) -> ProgressBar {
 /// Columns right of a progress bar, for the echo of `^C`. A line that wraps would not be erased.
 const MARGIN: usize = 4;
 
-/// Width of the line of a progress bar.
+/// Width of the line of a progress bar. `usize::MAX` if the width of the terminal is unknown.
 pub fn bar_width() -> usize {
     width_of_term(&Term::stderr()).map_or(usize::MAX, |columns| columns - MARGIN)
 }

@@ -29,7 +29,7 @@ pub struct Comparison {
     label: String,
 }
 
-/// One field and seed, with its records.
+/// Run with one field and seed, with its records.
 struct Run {
     field: Field,
     seed: u64,
@@ -68,7 +68,7 @@ impl Run {
     /// Returns whether the folder already contains the run.
     ///
     /// # Errors
-    /// The folder contains a run with other settings.
+    /// The folder contains a run with other settings, or with settings that cannot be read.
     fn resumes(&self) -> Result<bool> {
         if !saved::has_run(&self.folder) {
             return Ok(false);
@@ -84,8 +84,8 @@ impl Run {
         }
     }
 
-    /// Trains as [`run`](Self::run) does. Returns None if the run has ended or another process
-    /// holds the lock.
+    /// Trains as [`run`](Self::run) does, but does not wait. Returns None if the run has ended or
+    /// another process holds the lock.
     fn run_if_free(&self, observer: &mut dyn Observer) -> Result<Option<Finished>> {
         if self.saved_end()?.is_some() {
             return Ok(None);
@@ -108,7 +108,8 @@ impl Run {
         Ok(finished)
     }
 
-    /// End of the run, from its folder. None if the run has not ended.
+    /// End of the run, from its folder. None if the run has not ended, or has ended with another
+    /// number of epochs in its settings.
     fn saved_end(&self) -> Result<Option<Ending>> {
         if !self.folder.has(END) || !saved::has_run(&self.folder) {
             return Ok(None);
@@ -185,7 +186,7 @@ impl Comparison {
         Ok(Self { runs: pairs.map(run).collect::<Result<_>>()?, label: label.to_owned() })
     }
 
-    /// Returns whether the folder of some run contains a run.
+    /// Returns whether at least one run of the comparison is in its folder.
     pub fn has_runs(&self) -> bool {
         self.runs.iter().any(|run| saved::has_run(&run.folder))
     }

@@ -1,4 +1,4 @@
-//! [`Listed`]: a saved run as its files describe it, without its task.
+//! [`Listed`]: a saved run as its files describe it. Reading it does not need the code of its task.
 
 use crate::program::platform::folder::{CHECKPOINT, Folder, METRICS, SETTINGS};
 use crate::program::runs::saved;
@@ -19,14 +19,15 @@ pub struct Listed {
     pub tags: Vec<String>,
     /// Test loss after each epoch.
     pub losses: Vec<Point>,
-    /// Time of the last checkpoint.
+    /// Time of the last checkpoint. Without a checkpoint, the time of the settings.
     pub saved: SystemTime,
 }
 
-/// Runs in a folder and in its subfolders, sorted by path, and the errors of damaged runs.
+/// Runs in a folder and in four levels of its subfolders, sorted by path, and the errors of damaged
+/// runs. Omits renamed earlier runs.
 ///
 /// # Errors
-/// The folder cannot be read.
+/// The folder or a subfolder cannot be read.
 pub fn below(folder: &Folder) -> Result<(Vec<Listed>, Vec<anyhow::Error>)> {
     /// Number of levels of folders: folder of comparisons, comparison, scene, `runs`, run.
     const DEPTH: usize = 5;
@@ -83,6 +84,7 @@ impl Listed {
 }
 
 /// Columns `epoch`, `seconds` and `test_loss` of `metrics.csv`. Sums the seconds to elapsed times.
+/// Empty without the file.
 fn losses(folder: &Folder) -> Result<Vec<Point>> {
     if !folder.has(METRICS) {
         return Ok(Vec::new());

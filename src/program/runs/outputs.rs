@@ -1,4 +1,4 @@
-//! Output files of a run: learning curve, animation, trajectories.
+//! Output files of a run: learning curve, trained numbers, trajectories.
 
 use crate::program::operations::trajectory::Trajectory;
 use crate::program::platform::csv::csv;
@@ -17,9 +17,10 @@ pub fn numbers(numbers: &[(String, f64)]) -> Result<Vec<u8>> {
     csv(["name", "value"], numbers.iter().map(|(name, value)| [name.clone(), value.to_string()]))
 }
 
-/// `trajectory.csv`: one row per rollout and step, for rollouts with the indices of their initial
-/// states. A row holds the state before the step, the parameters of the rollout, the controls of
-/// the policy, and the controls that an actuator applies. The last state has no controls.
+/// `trajectory.csv`: one row per state of each rollout. `rollouts` pairs the rollouts with the
+/// indices of their initial states. A row contains the index, the step, the time, the state, and
+/// the parameters of the rollout. The controls of the policy and those that an actuator applies
+/// follow. They are empty for the last state.
 pub fn trajectories<'a>(scene: &Scene, rollouts: impl IntoIterator<Item = (usize, &'a Trajectory)>) -> Result<Vec<u8>> {
     let names = ["sample", "step", "time"].map(String::from).into_iter();
     let (states, params) = (scene.state_names(), scene.param_names());

@@ -1,4 +1,4 @@
-//! [`Progress`]: progress bar of a run.
+//! [`Progress`]: progress bar of a run, or of several parallel runs.
 
 use super::run::{EpochEvent, Observer};
 use crate::Growth;
@@ -7,7 +7,7 @@ use crate::program::platform::terminal::{bar_width, print_message, progress_bar}
 use indicatif::ProgressBar;
 
 /// Progress bar with losses, elapsed time and ETA. Without a terminal, prints up to ten lines of
-/// text instead.
+/// text instead, unless quiet.
 pub struct Progress {
     pub bar: ProgressBar,
     quiet: bool,
@@ -96,7 +96,7 @@ impl Progress {
     }
 }
 
-/// Joins the first parts that fit into the width.
+/// Joins as many of the first parts as fit into the width.
 fn joined(parts: &[String], width: usize) -> String {
     let fitting = (0..=parts.len()).rev().map(|count| parts[..count].join("  "));
     fitting.into_iter().find(|text| text.chars().count() <= width).unwrap_or_default()

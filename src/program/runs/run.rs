@@ -26,8 +26,8 @@ pub trait Observer {
     fn resumed(&mut self, _epochs: usize) {}
     /// An epoch is complete.
     fn epoch(&mut self, event: EpochEvent);
-    /// Time between two calls of [`is_stopped`](Self::is_stopped) within an epoch. With None, calls
-    /// follow epochs and checkpoints only.
+    /// Time between two calls of [`is_stopped`](Self::is_stopped) within an epoch. With None, the
+    /// only calls are at the start, and after epochs and checkpoints.
     fn poll_every(&self) -> Option<Duration> {
         None
     }
@@ -53,7 +53,7 @@ pub struct EpochEvent<'a> {
     pub warnings: &'a [Warning],
 }
 
-/// Records of a run, and its end.
+/// Records, trained numbers and end of a run.
 pub struct Finished {
     pub records: Vec<Record>,
     /// Names and values of the trained numbers.
@@ -113,8 +113,9 @@ pub fn threads(requested: Option<usize>) -> Result<usize> {
 
 /// Trains the session `run` of a scene in the folder. Resumes from the checkpoint if `resume`.
 ///
-/// Saves every `save_every`, after the current update or evaluation. With several ranks, rank 0
-/// calls this function and the others call [`follow`].
+/// Saves at the start, every `save_every`, after a signal, and at the end. A save waits for the
+/// current update or evaluation. With several ranks, rank 0 calls this function and the others call
+/// [`follow`].
 pub fn run(
     folder: &Locked,
     scene: &Scene,
@@ -172,7 +173,7 @@ pub fn save(folder: &Locked, scene: &Scene, run: &dyn AnyRun) -> Result<()> {
 }
 
 /// Trains up to the last epoch, a failure, a signal or a stop by the observer. Returns the failure.
-/// A signal to one rank, or a pause of one rank, applies to all.
+/// A signal to one rank, or a stop or pause of one rank, applies to all.
 ///
 /// # Errors
 /// The folder was removed or replaced.
@@ -282,7 +283,7 @@ impl<'a> Saver<'a> {
         self.folder.check()?;
         self.folder.write(CHECKPOINT, run.checkpoint(self.identity))?;
         match &self.metrics {
-            // Drops rows after the last checkpoint of an earlier process: they are recomputed.
+            // Drops rows after the last checkpoint of an earlier process: the run recomputes them.
             None => self.metrics = Some(Metrics::create(self.folder, self.logs, run.records())?),
             Some(metrics) => metrics.sync()?,
         }

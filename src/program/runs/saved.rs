@@ -27,7 +27,7 @@ pub struct SceneRuns {
 /// several scenes has one subfolder per scene.
 ///
 /// # Errors
-/// There is no run, or the folder mixes runs and comparisons.
+/// There is no run, or runs are immediate subfolders of `folder`.
 pub fn scenes(folder: &Folder) -> Result<Vec<SceneRuns>> {
     if has_run(folder) {
         return Ok(vec![SceneRuns { name: String::new(), runs: vec![folder.clone()] }]);
@@ -75,7 +75,8 @@ pub(super) fn folders(path: &Path) -> Result<Vec<Folder>> {
 /// Scene of the run in the folder.
 ///
 /// # Errors
-/// There is no run, or another version of the program made it.
+/// There is no run, or another version of the program made it. The settings are invalid or cannot
+/// be read.
 pub fn scene(folder: &Folder) -> Result<Scene> {
     if !has_run(folder) {
         bail!("there is no run in {}: it has no {SETTINGS}", folder.path().display());
@@ -92,7 +93,7 @@ pub fn scene(folder: &Folder) -> Result<Scene> {
     source.scene()
 }
 
-/// Writes the settings of a run, and a copy of the policy file that starts the training.
+/// Writes the settings of a run, and a copy of the policy file that starts the training, if any.
 pub fn write_settings(folder: &Folder, scene: &Scene) -> Result<()> {
     let mut table = scene.table.clone();
     if let Some(policy) = scene.initial_policy() {

@@ -19,12 +19,12 @@ pub struct Outcome<'a> {
 }
 
 impl Outcome<'_> {
-    /// Loss of the last epoch. NaN for a failed run.
+    /// Loss of the last epoch. NaN for a failed run, and for a run without an epoch.
     pub fn last(&self, loss: fn(&Record) -> f64) -> f64 {
         self.records.last().filter(|_| !self.failed).map_or(f64::NAN, loss)
     }
 
-    /// Training time of all epochs.
+    /// Training time of all epochs, s.
     pub fn seconds(&self) -> f64 {
         // Avoids `sum`, which returns -0 for no records.
         self.records.iter().fold(0.0, |sum, r| sum + r.seconds)
@@ -168,7 +168,8 @@ impl fmt::Display for Ratio {
     }
 }
 
-/// [`median_ratio`] of the final test losses of two groups of runs, over the seeds of both.
+/// [`median_ratio`] of the final test losses of two groups of runs, over the seeds that both groups
+/// contain.
 pub fn loss_ratio<'a>(runs: impl Iterator<Item = Outcome<'a>>, others: impl Iterator<Item = Outcome<'a>> + Clone) -> Ratio {
     let loss = |run: Outcome| run.last(|r| r.test_loss);
     let pair = |run: Outcome<'a>| others.clone().find(|other| other.seed == run.seed).map(|other| (loss(run), loss(other)));
@@ -203,8 +204,8 @@ pub fn median_ratio(pairs: &[(f64, f64)]) -> Ratio {
 ///
 /// The curve starts at the loss `initial` and connects the losses after each epoch by straight
 /// lines on the logarithmic axis. It starts at the loss of the first epoch if `initial` is not
-/// finite and positive. The mean is NaN if another loss in this time is not finite and positive, or
-/// if the training ends before `duration`.
+/// finite and positive. The mean is NaN if the training ends before `duration`. It is also NaN if a
+/// later loss, up to the first epoch that ends at or after `duration`, is not finite and positive.
 pub fn mean_log_loss(points: &[Point], initial: f64, duration: f64) -> f64 {
     let log = |loss: f64| if loss > 0.0 && loss.is_finite() { loss.log10() } else { f64::NAN };
     let Some(first) = points.first() else { return f64::NAN };
@@ -237,8 +238,8 @@ mod tests {
         // probabilities are 1/4, 1/4 and 1/2, the ratios 1, 9 and 5.
         let ratio = median_ratio(&[(1.0, 1.0), (9.0, 1.0)]);
         assert_eq!(ratio, Ratio { value: 5.0, interval: [1.0, 9.0] });
-        // One of 9 seeds differs. This ratio is the median only if 5 of 9 draws choose the seed,
-        // which has a probability of 0.0015.
+        // One of 9 seeds differs. This ratio is the median only if at least 5 of 9 draws choose the
+        // seed, which has a probability of 0.0015.
         let mut pairs = [(2.0, 1.0); 9];
         pairs[4].0 = 100.0;
         assert_eq!(median_ratio(&pairs), Ratio { value: 2.0, interval: [2.0; 2] });

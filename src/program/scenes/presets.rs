@@ -75,7 +75,7 @@ pub fn source(name: &str) -> Result<SceneSource> {
     SceneSource::parse(&format!("preset {name}"), &text)
 }
 
-/// Name of the folder with the results of a preset or file.
+/// Short name of a preset or file, for the names of folders with its results.
 pub fn short_name(name: &str) -> String {
     let path = Path::new(name);
     // Names the scene of a saved run after the folder of the run.

@@ -4,8 +4,8 @@ use crate::program::settings::config_error::{ConfigError, WHOLE_NUMBER};
 use crate::program::tasks::AnyTaskSpec;
 use toml::{Table, Value};
 
-/// Replaces the range of the type by the range of the setting, if a setting should be a whole
-/// number.
+/// Replaces the range of the type in an error by the range of the setting, if the setting should be
+/// a whole number.
 ///
 /// Validates the settings with `i64::MAX` for this setting: the resulting error names the range.
 pub fn with_range(spec: &'static dyn AnyTaskSpec, settings: impl Fn() -> Table, mut error: ConfigError) -> ConfigError {

@@ -20,7 +20,7 @@ use toml::{Table, Value};
 /// Largest size of a scene, in bytes. Parsing takes up to 100 times the memory of the text.
 const MAX_BYTES: usize = 1_000_000;
 
-/// Largest number of parts of a dotted key in an option. Keys of scenes have up to three.
+/// Largest number of parts of a dotted key in an option. Keys of built-in tasks have up to three.
 const MAX_PARTS: usize = 8;
 
 /// Unvalidated settings of a scene file, with the overrides of the command line.
@@ -35,7 +35,7 @@ pub struct SceneSource {
     folder: Option<PathBuf>,
     /// Text of the file, for line numbers.
     text: String,
-    /// For each dotted key, the option that set it or created its section.
+    /// Option that set a key or created a section, by the dotted name of the key or section.
     options: HashMap<String, String>,
 }
 

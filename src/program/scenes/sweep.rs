@@ -237,7 +237,7 @@ mod tests {
         assert_ne!(few, other);
         let xs: Vec<f64> = many.iter().map(|point| point.0[0].1.as_float().expect("a number")).collect();
         assert!(xs.iter().all(|x| (0.01..1.0).contains(x)));
-        // The median of the distribution is 0.1. With a probability of 99.99 %, 70 to 130 of 200
+        // The median of the distribution is 0.1. With a probability above 99.99 %, 70 to 129 of 200
         // draws are below it.
         assert!((70..130).contains(&xs.iter().filter(|&&x| x < 0.1).count()));
         assert!(["a", "2"].iter().all(|y| many.iter().any(|point| point.name().ends_with(&format!("y={y}")))));

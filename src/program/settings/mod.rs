@@ -25,7 +25,7 @@ pub const OPTIONAL: [&str; 2] = ["effects", "actuator"];
 pub struct Info {
     /// Key in the section.
     pub name: &'static str,
-    /// Equation of the added term.
+    /// Equation of the added term, or of the control that the actuator applies.
     pub equation: &'static str,
     /// Method of differentiation, and where it smooths or takes a one-sided derivative.
     pub derivative: &'static str,

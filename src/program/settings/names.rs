@@ -30,7 +30,7 @@ impl Precision {
         }
     }
 
-    /// Smallest tolerance of an integrator: 100 machine epsilons.
+    /// Smallest `rtol` or `tolerance` of an integrator: 100 machine epsilons.
     pub fn tolerance_floor(self) -> f64 {
         100.0 * self.epsilon()
     }

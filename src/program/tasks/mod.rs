@@ -1,4 +1,4 @@
-//! Built-in tasks of the program.
+//! Tasks of the program: built-in tasks, and tasks of the user.
 //!
 //! A [`TaskSpec`] adds settings, defaults, limits, column names and an animation to the physics of
 //! a task. [`Settings`] are the sections of one task; [`Scene`] hides the type of the task.
@@ -52,7 +52,7 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     type Effects: Section + Default + EffectsSection;
     /// The `loss` section: settings of the cost function.
     type Loss: Section + Default;
-    /// The `policy` section. Default values depend on the task.
+    /// The `policy` section: settings of the network.
     type PolicySpec: PolicySpec;
 
     /// The task's name.
@@ -68,7 +68,8 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
 
     /// The default physics.
     fn system() -> Self::System;
-    /// Checks the sections `system`, `effects` and `loss`.
+    /// Checks the sections `system`, `effects` and `loss`, and refuses settings of other sections
+    /// that the task does not support.
     ///
     /// # Errors
     /// A value is out of range, or a setting has no effect in this task.
@@ -76,7 +77,7 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     /// Checks that the task accepts the effects of the user.
     ///
     /// # Errors
-    /// An effect has another model than the task. By default, any effect is refused.
+    /// An effect has another model than the task. The default refuses any effect.
     fn validate_own_effects(effects: &SceneEffects) -> Result<(), ConfigError> {
         effects
             .first()
@@ -91,7 +92,7 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     fn dt(settings: &Settings<Self>) -> f64;
     /// Names of the state components, without those that actuators add.
     fn state_names(settings: &Settings<Self>) -> Vec<String>;
-    /// Names of the parameters of a rollout that are not drawn or trained numbers, in order. None
+    /// Names of the parameters of a rollout that are not drawn or trained numbers, in order. Empty
     /// by default.
     fn param_names(_settings: &Settings<Self>) -> Vec<String> {
         Vec::new()

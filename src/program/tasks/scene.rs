@@ -108,7 +108,7 @@ pub trait AnySettings: Send + Sync {
     fn optimize(&self, x0: &[f64], p: &[f64], initial: Initial, options: &optimize::Options) -> Result<Plan, OptimizeError>;
     /// Names of the control components.
     fn control_names(&self) -> Vec<String>;
-    /// Names of the applied controls, if there is an actuator.
+    /// Names of the applied controls. Empty without an actuator.
     fn applied_names(&self) -> Vec<String>;
     /// Controls that the actuator applies, for these states and controls of the policy.
     fn applied(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Vec<Vec<f64>>;
@@ -187,7 +187,7 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
         let (params, varied) = (task.param_dim(), task.system().varied(task.param_dim()));
         let mut own = K::param_names(self).into_iter();
         let name = |i: usize| match varied.iter().find(|varied| varied.index == i) {
-            // Effects have the keys of their sections as names.
+            // Names of numbers of effects start with the key of the effect's section.
             Some(varied) if varied.name.starts_with("effects.") => varied.name.clone(),
             Some(varied) => format!("system.{}", varied.name),
             None => own.next().unwrap_or_else(|| format!("p_{}", i + 1)),
@@ -280,7 +280,7 @@ impl Scene {
         Self { task, field, precision, seed, epochs, horizon, logs, table, initial_policy: None, settings: Arc::new(settings) }
     }
 
-    /// Copy that starts the training from the policy file with these contents.
+    /// Starts the training from the policy file with these contents.
     pub fn starting_from(self, policy: Vec<u8>) -> Self {
         Self { initial_policy: Some(policy.into()), ..self }
     }

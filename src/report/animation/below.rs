@@ -20,7 +20,7 @@ const BANDS: [f64; 2] = [58.0, 44.0];
 pub const TAKEN: f64 = 180.0;
 /// Left end of the bands, and space right of them, in pixels.
 const SIDES: [f64; 2] = [150.0, 20.0];
-/// Largest number of letters of a channel's name.
+/// Largest number of displayed letters of a channel's name.
 const NAME: usize = 13;
 /// Largest number of frames of the cursor and the dots.
 const MAX_FRAMES: usize = 250;
@@ -47,7 +47,7 @@ impl<'a> Below<'a> {
         BANDS[usize::from(self.0.channels.len() > 4)]
     }
 
-    /// Axes of a channel, from the top, in a picture of this width.
+    /// Axes of the channel with this index, counted from the top, in a picture of this width.
     fn axes(&self, index: usize, width: f64) -> Axes {
         let base = self.bottom() + self.band() * (self.0.channels.len() - 1 - index) as f64;
         let [low, high] = self.0.channels[index].range();

@@ -6,7 +6,7 @@ use crate::report::axes::number;
 
 /// Half-width of the drawn cart, in pole lengths.
 pub(super) const HALF_CART: f64 = 0.28;
-/// Heights of the rail and of the upper edge of the cart, in pole lengths.
+/// Heights of the rail and of the upper edge of the cart relative to the joints, in pole lengths.
 const HEIGHTS: [f64; 2] = [-0.2, 0.1];
 /// Width of the post behind a spring, in pole lengths.
 const POST: f64 = 0.07;
@@ -19,9 +19,10 @@ const WIND: f64 = 0.5;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Rail {
     /// Distance `|x|` at which the cart touches a bumper, m. The rail ends behind the bumpers.
+    /// `None` and negative or non-finite distances stand for no bumpers.
     pub bumpers: Option<f64>,
     /// Wind speed along the rail at every state, m/s, positive towards positive x. Empty for no
-    /// wind.
+    /// wind. Non-finite speeds count as 0. States after the end of the list have the last speed.
     pub wind: Vec<f64>,
 }
 
@@ -37,7 +38,8 @@ pub(super) struct Bumpers {
 }
 
 impl Bumpers {
-    /// Sizes the springs to exceed the deepest compression; `None` for an invalid `half_travel`.
+    /// Makes the springs longer than the deepest compression. Returns `None` if `half_travel` is
+    /// negative or non-finite.
     pub fn new(half_travel: f64, states: &[&Vec<f64>], unit: f64) -> Option<Self> {
         let deepest = states.iter().map(|state| state[0].abs() - half_travel).fold(0.0, f64::max);
         let spring = (1.25 * deepest).max(SPRING * unit);
@@ -49,8 +51,8 @@ impl Bumpers {
         self.half_travel + self.spring + (HALF_CART + POST) * self.unit
     }
 
-    /// Shapes of both bumpers, with the cart at `x`. Beyond the point of contact, the cart pushes a
-    /// pad outward.
+    /// Shapes of both bumpers for a cart at `x`, in coordinates relative to `camera`. Beyond the
+    /// point of contact, the cart pushes a pad outward.
     pub fn shapes(&self, x: f64, camera: f64) -> Vec<Shape> {
         [-1.0, 1.0].into_iter().flat_map(|side| self.one(side, self.half_travel.max(side * x), camera)).collect()
     }
@@ -75,7 +77,7 @@ impl Bumpers {
 
 /// Wind over an animation.
 pub(super) struct Wind {
-    /// Speed at every state, m/s.
+    /// Speed at every state, m/s, with 0 in place of non-finite values.
     speeds: Vec<f64>,
     strongest: f64,
     /// True if the wind ever blows towards negative x.
@@ -90,8 +92,8 @@ impl Wind {
         (!speeds.is_empty()).then_some(Self { speeds, strongest, back })
     }
 
-    /// Arrow in the upper left corner, proportional to the wind speed at a step, with the maximum
-    /// as label.
+    /// Labelled arrow in the upper left corner. The length is proportional to the wind speed at a
+    /// step. The label states the maximum speed, or the absence of wind.
     pub fn shapes(&self, stage: &Stage, step: usize) -> Vec<Shape> {
         let (unit, size) = (stage.length, 0.12 * stage.length);
         let longest = WIND * unit;

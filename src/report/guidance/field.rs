@@ -16,7 +16,7 @@ pub struct Field {
 }
 
 impl Field {
-    /// Removes obstacles and walls with non-finite numbers, and walls of non-positive size.
+    /// Copy that omits obstacles and walls with non-finite numbers, and walls of non-positive size.
     pub(super) fn finite(&self) -> Self {
         let is_finite = |(center, radius): &&([f64; 2], f64)| center.iter().all(|c| c.is_finite()) && radius.is_finite();
         let walls = self.walls.filter(|walls| walls.iter().all(|half| half.is_finite() && *half > 0.0));

@@ -66,7 +66,8 @@ impl Landscape {
         self.absorbing.into_iter().flat_map(both).collect()
     }
 
-    /// Legend of potential and edges, with the final probability.
+    /// Legend of potential and edges. With edges, the legend states the probability that remains at
+    /// the end.
     pub(super) fn legend(&self, layout: &Layout) -> Vec<Shape> {
         let x = layout.profile.left + 14.0;
         // Texts are centered; letters are about 0.55 of the font size wide.

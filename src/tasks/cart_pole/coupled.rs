@@ -54,7 +54,7 @@ impl CoupledCartPole {
         0.5 * mass * x[1] * x[1] + self.0.poles_of(x).map(of_pole).sum::<f64>()
     }
 
-    /// Constants of the equations. They are computed in f64 if all numbers are fixed.
+    /// Constants of the equations, computed in f64 if all numbers are fixed, otherwise in `T`.
     #[inline(always)]
     fn constants<T: Scalar>(&self, p: &[T]) -> Constants<T> {
         let numbers = self.0.numbers();

@@ -120,7 +120,7 @@ struct Constants<T> {
 }
 
 impl CartPoleSystem {
-    /// Constants of the equations. They are computed in f64 if all numbers are fixed.
+    /// Constants of the equations, computed in f64 if all numbers are fixed, otherwise in `T`.
     #[inline(always)]
     fn constants<T: Scalar>(&self, p: &[T]) -> Constants<T> {
         let numbers = self.numbers();

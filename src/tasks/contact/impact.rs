@@ -15,18 +15,19 @@ struct Impact<T> {
 }
 
 impl<T: Scalar> Impact<T> {
-    /// Returns the first root of `g + v t + a t²/2` at which the gap closes. The gap has the width
-    /// g, the speed v and the acceleration a. The closing speed is `s = sqrt(v² - 2 a g)`.
+    /// Returns the impact at the first root t of `g + v t + a t²/2` at which the gap closes. The
+    /// gap has the width g, the speed v and the acceleration a. The closing speed is
+    /// `s = sqrt(max(0, v² - 2 a g))`.
     ///
     /// ```text
-    /// closing, v ≤ 0 : t = 2 g / (s - v)      if s is real and not 0
-    ///                  t = 0                  if not, and a < 0
+    /// closing, v ≤ 0 : t = 2 g / (s - v)      if s > 0
+    ///                  t = 0                  if s = 0 and a < 0
     /// opening, v > 0 : t = (v + s) / -a       if a < 0
     /// otherwise      : no impact, t = 4 dt
     /// ```
     ///
-    /// Neither form subtracts nearly equal numbers. Unused roots and quotients are evaluated at 1,
-    /// so no derivative takes the root of 0.
+    /// Neither quotient subtracts nearly equal numbers. Unused roots and quotients are evaluated at
+    /// 1, so no derivative takes the root of 0.
     ///
     /// Rounding may leave a closing gap slightly negative. If `v² > 2 |a g|`, the impact time is
     /// negative, at least -dt. Otherwise the gap is at rest if `a < 0`, and moves freely if not.

@@ -19,9 +19,9 @@ pub(super) struct Law {
 /// The norm is `sqrt(x² + y²)` without overflow or loss of digits. Coordinates whose squares would
 /// overflow or underflow are first multiplied by a power of two, which is exact.
 ///
-/// The derivative of |r| is undefined at `r = 0` and taken as 0. The derivative of the force is
-/// still correct there, because |r| enters the force only multiplied by `r`. The code never takes
-/// the square root of 0, so the tangents of dual numbers are finite.
+/// The derivative of |r| is undefined at `r = 0`, where the code uses 0. The derivative of the
+/// force is still correct there, because |r| enters the force only multiplied by `r`. The code
+/// never takes the square root of 0, so the tangents of dual numbers are finite.
 pub(super) struct Gap<T> {
     /// r / d.
     r_over_d: [T; 2],
@@ -37,7 +37,8 @@ impl<T: Scalar> Gap<T> {
     #[inline(always)]
     pub(super) fn new(r: [T; 2], softening: f64) -> Self {
         // Squares of numbers within 2^±range neither overflow nor lose digits, nor do their
-        // tangents. Multiplication by 2^∓shift brings all other numbers into this range.
+        // tangents. Multiplication by 2^∓shift brings all other finite, nonzero numbers into this
+        // range.
         let (range, shift) = if T::Real::EPSILON < 1e-10 { (500, 600) } else { (60, 90) };
         let (huge, tiny) = (T::from(power_of_two(range)), T::from(power_of_two(-range)));
         let (up, down) = (T::from(power_of_two(shift)), T::from(power_of_two(-shift)));

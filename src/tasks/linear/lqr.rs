@@ -43,10 +43,12 @@ impl Lqr {
     /// ±1 in each component.
     ///
     /// # Errors
-    /// Returns [`NoOptimum`] if Riccati's equation has no solution.
+    /// Returns [`NoOptimum`] if R is not positive definite, or if the iteration finds no solution
+    /// of Riccati's equation.
     ///
     /// # Panics
-    /// If Q or R is not symmetric, or its size differs from that of the plant.
+    /// If Q or R is not symmetric, Q is not `state_dim × state_dim`, or R is not
+    /// `control_dim × control_dim`.
     #[track_caller]
     pub fn new(plant: LinearPlant, state_cost: Vec<f64>, control_cost: Vec<f64>) -> Result<Self, NoOptimum> {
         let (n, m) = (plant.state_dim(), plant.control_dim());

@@ -51,8 +51,8 @@ pub enum NoOptimum {
     },
 }
 
-/// Largest number of doublings of the horizon. For closed loops that decay more slowly, f64 cannot
-/// represent the optimum either.
+/// Largest number of doublings of the horizon. Closed loops that decay too slowly for this number
+/// yield [`NoOptimum::NotConverged`].
 const MAX_DOUBLINGS: usize = 40;
 
 impl Optimum {
@@ -67,8 +67,8 @@ impl Optimum {
     /// Single steps would need thousands of iterations and accumulate their rounding errors.
     ///
     /// # Errors
-    /// Returns [`NoOptimum`] if R or `R + Bᵀ W B` is not positive definite, or if the iteration
-    /// does not converge.
+    /// Returns [`NoOptimum`] if R or `R + Bᵀ W B` is not positive definite, if the iteration does
+    /// not converge, or if the result W differs from `Q + P`.
     pub(super) fn of(plant: &LinearPlant, state_cost: &[f64], control_cost: &[f64]) -> Result<Self, NoOptimum> {
         let (n, m) = (plant.state_dim(), plant.control_dim());
         let (a, b) = (plant.a(), plant.b());

@@ -4,7 +4,7 @@ use super::system::{Pair, PerPoint};
 use crate::numbers::scalar::Scalar;
 use std::ops::{Add, Mul, Neg, Sub};
 
-/// Right-hand sides of [`Elimination`]: numbers, or cotangents of several flows.
+/// Real or imaginary part of a wave at a grid point: a number, or its cotangents of several flows.
 pub(super) trait Vector<T>:
     Copy + Add<Output = Self> + Sub<Output = Self> + Neg<Output = Self> + Mul<T, Output = Self>
 {

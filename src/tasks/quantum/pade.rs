@@ -22,25 +22,26 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 /// O(grid). As in [`QuantumSystem`], both steps are unitary for any potential. Elimination needs no
 /// pivoting, because the real part of each pivot is at least 1.
 ///
-/// H and grid are those of [`QuantumSystem`], so only the error in time differs. The phase of an
-/// eigenstate of energy E advances by `E dt (1 - (E dt)⁴/720 + …)`, with Crank-Nicolson by
-/// `E dt (1 - (E dt)²/12 + …)`. For energies beyond about 3/dt, the phase advances too slowly. The
-/// advance is at most one turn per step.
+/// H and grid are those of [`QuantumSystem`], so only the error in time differs. In each step, the
+/// phase of an eigenstate of energy E advances by `E dt (1 - (E dt)⁴/720 + …)`. With
+/// Crank-Nicolson, it advances by `E dt (1 - (E dt)²/12 + …)`. For energies beyond 3/dt, the phase
+/// advances too slowly by more than 6 %. The advance is at most one turn per step.
 ///
-/// The order in dt is four for potentials that are constant during a step. Effects use the state
-/// at the beginning of the step, as in [`QuantumSystem`]. With state-dependent effects, such as
+/// The order in dt is four for potentials that are constant during a step. Effects use the state at
+/// the beginning of the step, as in [`QuantumSystem`]. With state-dependent effects, such as
 /// [`Cubic`](super::Cubic), the order is one.
 ///
 /// Sources: Hairer and Wanner, Solving Ordinary Differential Equations II, IV.3; for this equation,
 /// van Dijk and Toyama 2007 (doi:10.1103/PhysRevE.75.036707).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pade(
-    /// Model with its parameters. The step of the model is not used.
+    /// Model with its parameters, including dt. Steps do not use the Crank-Nicolson step of the
+    /// model.
     pub QuantumSystem,
 );
 
 impl Pade {
-    /// Returns the time step of both Crank-Nicolson steps, `2/3 dt`.
+    /// Returns the time step of each of the two Crank-Nicolson steps, `2/3 dt`.
     #[inline(always)]
     fn factor_dt(&self) -> f64 {
         self.0.dt * (2.0 / 3.0)
@@ -131,7 +132,7 @@ impl ForcedSystem for Pade {
         wave_bar.resize(model.grid, [C::null(); 2]);
         let (chi_bar, wave_bar) = (chi_bar.as_flattened_mut(), wave_bar.as_flattened_mut());
         let effects_read = effects.state_dependent();
-        // Shorter path if only the cotangent of the state is requested.
+        // Shorter path if neither the control nor the effects need the cotangent of the potential.
         if cotangents.u.is_none() && !effects_read {
             if let Some(x_bar) = cotangents.x {
                 plus.conjugate();

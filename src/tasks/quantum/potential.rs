@@ -143,8 +143,10 @@ pub struct Tabulated {
 }
 
 impl Tabulated {
-    /// Tabulates the sum of the given effects at time 0. For one effect, steps are equal bit for
-    /// bit. For several effects, steps differ by rounding errors of the sum.
+    /// Tabulates the sum of the given effects at time 0.
+    ///
+    /// Steps with the table of one potential of this module equal steps with the potential bit for
+    /// bit. For several potentials, they differ by rounding errors of the sum.
     ///
     /// # Panics
     /// If an effect depends on state, control or parameters.

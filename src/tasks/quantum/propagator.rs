@@ -24,6 +24,8 @@ use std::f64::consts::PI;
 /// a_k = ψ_k + ψ_{M-k},  b_k = ψ_k - ψ_{M-k}
 /// ψ'_j, ψ'_{M-j} = Σ_k (K_jk + K_{j,M-k})/2 a_k ± Σ_k (K_jk - K_{j,M-k})/2 b_k,   j, k ≤ M/2
 /// ```
+///
+/// For even M, the term k = M/2 of the first sum is halved, because a_k contains ψ_k twice.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Propagator {
     grid: usize,

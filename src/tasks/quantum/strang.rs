@@ -18,9 +18,10 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 /// difference, which [`new`](Strang::new) computes once. The step is therefore unitary for any
 /// potential, and exact without potential for any dt.
 ///
-/// With a potential, the order is two, with errors from the commutators of D₂ and V. The potential
-/// limits the time step; the kinetic energy does not. Energies that differ by 2π/dt are
-/// indistinguishable, so the potential may couple states that are uncoupled in continuous time.
+/// With a potential that does not depend on time, the order is two, with errors from the
+/// commutators of D₂ and V. The potential limits the time step; the kinetic energy does not.
+/// Energies that differ by 2π/dt are indistinguishable, so the potential may couple states that are
+/// uncoupled in continuous time.
 ///
 /// H and grid are those of [`QuantumSystem`]. A step costs O(grid²), which suits small grids. It
 /// multiplies by two complex matrices with half as many rows as grid points. It evaluates one sine
@@ -30,7 +31,8 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 /// The second half step evaluates the potential at the state after the kinetic step. The first half
 /// step does not change |ψ|. With [`Cubic`](super::Cubic), both halves are therefore exact, and the
 /// order remains two. The other schemes use the state at the beginning of the step, which gives
-/// first order. Both halves use the time at the beginning of the step.
+/// first order. Both halves use the time at the beginning of the step, so the order is one for
+/// potentials that depend on time.
 ///
 /// Sources: Strang 1968 (doi:10.1137/0705041); Feit, Fleck and Steiger 1982
 /// (doi:10.1016/0021-9991(82)90091-2).
@@ -52,12 +54,12 @@ fn turn<T: Scalar, V: Vector<T>, const ADJOINT: bool>(phases: &[Pair<T>], psi: &
 }
 
 impl Strang {
-    /// Computes the propagator of a step: O(grid²), in double precision.
+    /// Creates the scheme. Computes the propagator of a step in O(grid²), in double precision.
     pub fn new(system: QuantumSystem) -> Self {
         Self { kinetic: Propagator::new(&system), system }
     }
 
-    /// Returns the model. The step of the model is not used.
+    /// Returns the model. Steps use its parameters, including dt, but not its Crank-Nicolson step.
     pub fn system(&self) -> &QuantumSystem {
         &self.system
     }
@@ -81,9 +83,9 @@ impl Strang {
         phases
     }
 
-    /// Returns the cotangent of the control from one half step, if requested. Writes the cotangent
-    /// of the potential to `potential_bar`, if given. `psi` and its cotangent are both before or
-    /// both after the half step, which rotates both by the same phase.
+    /// Returns the cotangent of the control from one half step if `with_control`, else 0. Writes
+    /// the cotangent of the potential to `potential_bar`, if given. `psi` and its cotangent are
+    /// both before or both after the half step, which rotates both by the same phase.
     ///
     /// ```text
     /// dψ_j/dV_j = -i dt/2 ψ_j,  V_bar_j = dt/2 Im(conj(psi_bar_j) ψ_j)
@@ -166,7 +168,7 @@ impl ForcedSystem for Strang {
         a_bar.resize(model.grid, [C::null(); 2]);
         wave_bar.resize(model.grid, [C::null(); 2]);
         let (a_bar, wave_bar) = (a_bar.as_flattened_mut(), wave_bar.as_flattened_mut());
-        // Shorter path if only the cotangent of the state is requested.
+        // Shorter path if neither the control nor the effects need the cotangent of the potential.
         if cotangents.u.is_none() && !reads {
             if let Some(x_bar) = cotangents.x {
                 turn::<R, C, true>(before, next_bar, wave_bar);

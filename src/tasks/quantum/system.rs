@@ -262,7 +262,7 @@ impl ForcedSystem for QuantumSystem {
         wave_bar.resize(self.grid, [C::null(); 2]);
         let wave_bar = wave_bar.as_flattened_mut();
         let effects_read = effects.state_dependent();
-        // Shorter path if only the cotangent of the state is requested.
+        // Shorter path if neither the control nor the effects need the cotangent of the potential.
         if cotangents.u.is_none() && !effects_read {
             if let Some(x_bar) = cotangents.x {
                 a.conjugate();

@@ -24,7 +24,8 @@ fn uncoupled(model: &CartPoleSystem, x: &[f64], applied: &[f64]) -> Vec<f64> {
 /// Forces of an effect on cart and poles, as a function of the state.
 type Applied = fn(&CartPoleSystem, &[f64]) -> Vec<f64>;
 
-/// Returns the forces of the wind speed w, with drag coefficients of 0.05 (cart) and 0.02 (poles).
+/// Returns the forces of wind at the speed w, with drag coefficients of 0.05 (cart) and 0.02
+/// (poles).
 fn drag(model: &CartPoleSystem, w: f64, x: &[f64]) -> Vec<f64> {
     let mut forces = vec![0.05 * (w - x[1]).abs() * (w - x[1])];
     for pole in x[2..2 + 2 * model.poles].chunks_exact(2) {
@@ -36,7 +37,7 @@ fn drag(model: &CartPoleSystem, w: f64, x: &[f64]) -> Vec<f64> {
     forces
 }
 
-/// Returns all effects with distinct parameters, and their forces.
+/// Returns all effects, with parameters that differ from the defaults, and their forces.
 fn on_cart_poles() -> Vec<(CartPoleEffect, Applied)> {
     fn on_cart(model: &CartPoleSystem, force: f64) -> Vec<f64> {
         let mut forces = vec![0.0; 1 + model.poles];

@@ -32,7 +32,8 @@ fn a_double_pendulum_moves_as_two_point_masses() {
 /// Returns rigid arms with the given joint friction `[viscous, dry, quadratic]`, and equivalent
 /// point masses without friction.
 ///
-/// Each arm corresponds to two points with half of its mass, at `center ± sqrt(inertia / mass)`.
+/// Each arm corresponds to two points, at `center ± sqrt(inertia / mass)`. Each point has half of
+/// the mass of the arm.
 fn rigid_arms(friction: [f64; 3]) -> (MultiPendulum, Mechanism) {
     let sizes = [[1.3, 0.4, 0.7, 0.05], [0.6, 0.5, 0.9, 0.11], [0.8, 0.3, 0.2, 0.02]];
     let [viscous, dry, quadratic] = friction.map(PhysicalNumber::from);
@@ -143,7 +144,7 @@ fn steps_of_a_ball_equal_formulas_of_fall_impact_and_spring() {
             landed += 1;
             let speed = -0.6 * (x[1] + acceleration * time);
             // Holds if the ball does not land again. Otherwise, the height is negative, and the
-            // case is skipped.
+            // test skips the case.
             fall(0.0, speed, acceleration, dt - time)
         } else {
             fall(height, x[1], acceleration, dt)
@@ -151,7 +152,8 @@ fn steps_of_a_ball_equal_formulas_of_fall_impact_and_spring() {
         if expected[0] >= 0.0 {
             near("bounce", &step(&bouncing, &[height, x[1]], &u), &expected);
         }
-        // The force of the floor enters as in semi-implicit Euler. All other motion is free fall.
+        // The force of the floor enters as in semi-implicit Euler. The acceleration by gravity and
+        // control is constant.
         let kick = dt / mass * 30.0 * (-x[0]).max(0.0) * (1.0 - 0.2 * x[1]).max(0.0);
         let [place, speed] = fall(x[0], x[1], acceleration, dt);
         near("spring", &step(&springy, &x, &u), &[place + dt * kick, speed + kick]);

@@ -31,7 +31,7 @@ impl Mechanism {
 
     /// Returns q̈ for the applied forces Q, by d'Alembert's principle:
     /// `Σ m J_i · (J q̈ + dJ/dt q̇ - g) = Q_i`. The sum is over the points. J is the Jacobian of
-    /// the position of a point, with the columns J_i.
+    /// the position of a point, with the columns J_i. The vector g is the acceleration of gravity.
     pub(super) fn accelerations(&self, x: &[f64], applied: &[f64]) -> Vec<f64> {
         let (q, speed): (Vec<f64>, Vec<f64>) = x.chunks_exact(2).map(|pair| (pair[0], pair[1])).unzip();
         let (n, first) = (q.len(), usize::from(self.cart));

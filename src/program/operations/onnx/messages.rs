@@ -91,9 +91,11 @@ pub struct Tensor {
     pub raw_data: Vec<u8>,
 }
 
-/// `TensorProto.DataType`.
+/// `TensorProto.DataType.FLOAT`.
 pub const FLOAT: i32 = 1;
+/// `TensorProto.DataType.INT64`.
 pub const INT64: i32 = 7;
+/// `TensorProto.DataType.DOUBLE`.
 pub const DOUBLE: i32 = 11;
 
 #[derive(Clone, PartialEq, Message)]

@@ -63,7 +63,7 @@ pub fn train_all(comparisons: &mut [Comparison], quiet: bool) -> Result<Ended> {
     Ok(outcome)
 }
 
-/// Reports the epochs of all runs to a shared progress bar.
+/// Reports the epochs of one run to the progress bar that all runs share.
 pub(super) struct SharedProgress<'a> {
     pub(super) progress: &'a Mutex<Progress>,
     pub(super) label: &'a str,

@@ -14,8 +14,8 @@ use std::sync::Mutex;
 /// Trains the runs of a shard, then all other runs that have not ended and that no other process
 /// holds.
 ///
-/// Visits the runs in the order of the shard, until a whole round finds no run to train. The next
-/// process that visits a run of a killed process therefore completes it.
+/// Visits the runs in the order of the shard, until a whole round finds no run to train or a signal
+/// arrives. The next process that visits a run of a killed process therefore completes it.
 ///
 /// # Errors
 /// As [`train_all`](super::train_all()).
