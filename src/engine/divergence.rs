@@ -137,7 +137,7 @@ impl fmt::Display for Divergence {
             Self::Gradient { flow, parameter } => {
                 write!(
                     f,
-                    "gradient of {flow}: parameter {parameter} or its square is not finite, but all cotangents are finite. \
+                    "gradient of {flow}: component {parameter} or its square is not finite, but all cotangents are finite. \
                      Shorten the horizon, or use another field"
                 )
             }

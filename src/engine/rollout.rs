@@ -199,7 +199,8 @@ impl<F: Float> Rollout<F> {
     }
 
     /// Runs all samples from their initial states. Stops at the first non-finite control, memory or
-    /// state.
+    /// state. Without a tape, a run overwrites the initial states, so each run requires a
+    /// [`start`](Rollout::start).
     ///
     /// # Errors
     /// [`Divergence`] if a control, memory, state or cost is not finite.
@@ -318,7 +319,8 @@ impl<F: Float> Rollout<F> {
         let control = find_non_finite(controls, m, self.samples, Real::lane).map(|place| (Variable::Control, t, place));
         let state = || find_non_finite(next, n, self.samples, Real::lane).map(|place| (Variable::State, t + 1, place));
         let memory = bad_memory.map(|place| (Variable::Memory, t, place));
-        let first = control.or(memory).or_else(state);
+        // In the order of `Divergence::order`: the first sample of a step.
+        let first = control.into_iter().chain(memory).min_by_key(|&(.., (sample, _))| sample).or_else(state);
         let (variable, step, (sample, component)) = first.expect("`step_forward` returns false only for a non-finite value");
         let of = |lanes: &[Lane<F>], n: usize| -> Vec<Single<F>> {
             let block = &lanes[sample / WIDTH * n..][..n];

@@ -1,6 +1,6 @@
 //! Rollouts and reverse passes report non-finite numbers. Training skips such updates.
 
-use physgrad::policy::{Linear, Mlp};
+use physgrad::policy::{Action, Linear, Mlp, Observed, Policy};
 use physgrad::rng::Rng;
 use physgrad::{
     Batch, Clip, Divergence, Evaluation, Field, Float, Flow, GradientCombiner, Inputs, Rollout, Scalar, Start, System, Task,
@@ -115,6 +115,65 @@ fn step_sample_component_and_pass_are_named_for_1_to_3_workers() {
     }
 }
 
+/// Policy with a memory and a fault in samples that start below -0.5. At step 2, the memory is
+/// infinite. At step 4, the derivative of the control with respect to the state is infinite.
+struct FaultyMemory {
+    forward: bool,
+}
+
+impl Policy for FaultyMemory {
+    fn observation_dim(&self) -> usize {
+        3
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn memory_dim(&self) -> usize {
+        1
+    }
+    fn param_count(&self) -> usize {
+        1
+    }
+    fn init(&self, _: &mut Rng, theta: &mut [f64]) {
+        theta[0] = 0.1;
+    }
+    fn act<T: Scalar>(&self, theta: &[T], Observed { y, .. }: Observed<'_, T>, action: Action<'_, T>) {
+        let at = |step: f64, value: T| T::select_lt((y[2] - step).abs(), T::from(0.5), value, T::zero());
+        let marked = |value: T| T::select_lt(y[0], T::from(-0.5), value, T::zero());
+        let infinite = |is_bad: T| is_bad / (T::one() - is_bad);
+        action.u[0] = theta[0] * y[1];
+        action.memory[0] = T::zero();
+        if self.forward {
+            let others = T::select_lt(T::from(0.5), y[0], T::one(), T::zero());
+            action.memory[0] = infinite(at(2.0, marked(T::one())));
+            action.u[0] += infinite(at(2.0, others));
+        } else {
+            action.u[0] += at(4.0, marked((y[1] - y[1].detach()).sqrt()));
+        }
+    }
+}
+
+#[test]
+fn the_first_sample_of_a_step_is_named_for_any_number_of_workers() {
+    // Sample 4 has a fault in the control, or in both flows of the reverse pass. Sample 0 has one
+    // in the memory, or in R only. Each worker has four samples or more.
+    let starts: Vec<f64> = (0..8).flat_map(|sample| [[-0.9, 0.1, 0.1, 0.1, 0.9, 0.1, 0.1, 0.1][sample], 0.3, 0.0]).collect();
+    let task = Faulty(Fault::Cotangent);
+    for (forward, workers) in [(true, 1), (true, 2), (false, 1), (false, 2)] {
+        let policy = FaultyMemory { forward };
+        let weights = Weights::new(&policy, vec![0.1]);
+        let flows = [Flow::MODIFIED, Flow::REGULAR];
+        let found = Batch::new(&task, &policy, 8, &flows, workers).run(&task, &policy, &weights, &starts);
+        let expected = if forward {
+            Divergence::Forward { variable: Variable::Memory, step: 2, sample: 0, component: 0, cause: None }
+        } else {
+            let (flow, variable) = (Flow::REGULAR, Variable::State);
+            Divergence::Cotangent { flow, variable, step: 3, sample: 0, component: 1, cause: None }
+        };
+        assert_eq!(found, Err(expected), "{workers} workers");
+    }
+}
+
 #[test]
 fn the_message_names_pass_component_sample_and_step() {
     let text = run(Fault::Cotangent, 1).unwrap_err().to_string();
@@ -189,7 +248,7 @@ fn the_fourth_skip_in_a_row_stops_training_with_unchanged_parameters() {
 
 #[test]
 fn an_infinite_gradient_of_finite_cotangents_is_named() {
-    // In single precision, each cotangent is finite, but the parameter gradient is not.
+    // Task whose cotangents fit in single precision, but whose parameter gradients do not.
     struct Steep {
         slope: f64,
     }
@@ -229,8 +288,8 @@ fn an_infinite_gradient_of_finite_cotangents_is_named() {
     // The cotangents are representable. Their product with the state overflows.
     let gradient = Divergence::Gradient { flow: Flow::REGULAR, parameter: 0 };
     assert_eq!(epoch(1e10, 1e30, Clip::None), (Some(gradient), 0.0));
-    // Cotangents and gradients beyond the range of f32 carry an exponent. Training skips such a
-    // gradient unless clipping brings it into range.
+    // Cotangents above 2^60 carry an exponent, so their gradients may exceed the range of f32.
+    // Training skips such a gradient unless clipping brings it into range.
     let (divergence, theta) = epoch(1e30, 1e20, Clip::None);
     let Some(Divergence::Field { parameter: 0, norm }) = divergence else { panic!("{divergence:?}") };
     assert!((norm.get() / 1e50 - 1.0).abs() < 1e-6 && theta == 0.0, "{norm}, {theta}");

@@ -18,7 +18,7 @@ use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Lanes, Real, Scala
 use crate::numbers::zip::zip;
 use std::ops::Range;
 
-/// Inputs and outputs of one step of the recursion, for one block of samples or one sample.
+/// Inputs and outputs of one step of the recursion, for one block of samples.
 pub(super) struct Step<'a, R, const K: usize> {
     /// Inputs `x_t`, `u_t`, `p`, `t`.
     pub(super) inputs: Inputs<'a, R>,
@@ -213,7 +213,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         columns.into_iter().chain(others).sum()
     }
 
-    /// Starts the recursion: `λ ← scale ∂φ/∂x_T`. `norms` has one row per flow, or none.
+    /// Starts the recursion: `λ ← scale ∂φ/∂x_T`, `μ ← 0`. `norms` has one row per flow, or none.
     pub(super) fn begin(&mut self, pass: &Pass<'_, F>, norms: &mut [Vec<f64>]) {
         let Pass { task, rollout, scale, .. } = *pass;
         let n = rollout.state_dim;
@@ -281,7 +281,8 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         Ok(())
     }
 
-    /// Prepares step `t`: raises exponents too low for its cost gradients, and measures growth.
+    /// Prepares step `t`: raises exponents too low for its cost gradients. If `pass.measured`,
+    /// records ‖λ + ∂l/∂x_{t+1}‖².
     fn before_step(&mut self, pass: &Pass<'_, F>, t: usize) {
         let Pass { task, rollout, scale, measured, .. } = *pass;
         if !measured && !self.exponents.any_low() {
@@ -306,13 +307,13 @@ impl<F: Float, const K: usize> Recursion<F, K> {
     }
 
     /// Measures growth and norms after step `t`, and restarts adjoints that are truncated or have
-    /// grown. After step 0, completes the gradients with respect to the initial states.
+    /// grown. After step 0, completes the gradients with respect to initial states and p.
     fn after_step(&mut self, pass: &Pass<'_, F>, flows: [Flow; K], t: usize, norms: &mut [Vec<f64>]) {
         if pass.measured {
             self.growth.after(pass.rollout, &self.lambda, &self.exponents, flows, t);
         }
         for (k, flow) in flows.into_iter().enumerate() {
-            // Without exponents, a truncated λ is exact already.
+            // If all exponents are 0, a truncated λ is already exact.
             let truncated = self.exponents.any && flow.at(t) != flow;
             if !truncated && flow.cut.is_none() {
                 continue;
@@ -330,7 +331,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         }
     }
 
-    /// Sets `λ ← ∂l/∂x_t`, `μ ← 0` and the exponent to 0 for one flow and sample.
+    /// Sets `λ ← scale ∂l/∂x_t`, `μ ← 0` and the exponent to 0 for one flow and sample.
     ///
     /// With the previous exponent, if it is large, the cost gradients would underflow.
     #[cold]
@@ -356,7 +357,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         &self.growth
     }
 
-    /// Finds the first flow with a non-finite cotangent, and its first sample: cotangents of the
+    /// Finds the first sample with a non-finite cotangent, and its first flow: cotangents of the
     /// state first, then those of control and memory.
     #[cold]
     fn divergence(&self, pass: &Pass<'_, F>, flows: [Flow; K], step: usize) -> Divergence {
@@ -372,7 +373,8 @@ impl<F: Float, const K: usize> Recursion<F, K> {
                 Some(i) => (k, Variable::Memory, (sample, i)),
             })
         };
-        let first = (0..K).find_map(|k| state(k).or_else(|| output(k)));
+        let all = (0..K).flat_map(|k| state(k).into_iter().chain(output(k)));
+        let first = all.min_by_key(|&(.., (sample, _))| sample);
         let (k, variable, (sample, component)) = first.expect("`rescale` fails only for non-finite cotangents");
         let of =
             |lanes: &[Lane<F>]| -> Vec<Single<F>> { lanes.iter().map(|number| Lanes([number.lane(sample % WIDTH)])).collect() };
