@@ -7,7 +7,7 @@ use super::jacobian::{Model, Run};
 use nalgebra::DMatrix;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Consecutive steps of a segment with an initial state.
+/// Consecutive steps of a segment, with their own initial state.
 #[derive(Clone)]
 pub(super) struct Window {
     pub segment: usize,
@@ -38,7 +38,7 @@ pub(super) struct Problem<'a> {
     pub model: &'a dyn Model,
     pub segments: &'a [Segment],
     pub unknowns: &'a [Unknown],
-    /// 1 / σ of each state component.
+    /// 1 / σ of each state component; 1 if the noise is unknown.
     pub per_noise: Vec<f64>,
     pub noise_is_known: bool,
     pub free_starts: bool,
@@ -53,9 +53,6 @@ impl<'a> Problem<'a> {
         options: &'a Options,
     ) -> Result<Self, IdentifyError> {
         let [n, m, params] = model.sizes();
-        if unknowns.is_empty() && !options.free_starts {
-            return Err(IdentifyError::NothingUnknown);
-        }
         if let Some(noise) = options.noise.as_ref().filter(|noise| noise.len() != n) {
             return Err(IdentifyError::NoiseCount { found: noise.len(), expected: n });
         }
@@ -93,6 +90,9 @@ impl<'a> Problem<'a> {
         let (noise_is_known, free_starts, stop) = (options.noise.is_some(), options.free_starts, options.stop.as_deref());
         let problem = Self { model, segments, unknowns, per_noise, noise_is_known, free_starts, stop };
         let (measurements, unknowns) = (problem.measurements(), problem.count());
+        if unknowns == 0 {
+            return Err(IdentifyError::NothingUnknown);
+        }
         if measurements < unknowns {
             return Err(IdentifyError::TooFewMeasurements { measurements, unknowns });
         }
@@ -107,25 +107,27 @@ impl<'a> Problem<'a> {
         rows.flat_map(|row| row.iter().zip(&self.per_noise).map(|(y, per_noise)| y * per_noise)).filter(|y| y.is_finite())
     }
 
-    /// Number of finite measurements.
+    /// Number of finite measurements, without first samples that are exact.
     pub fn measurements(&self) -> usize {
         self.finite().count()
     }
 
-    /// Root mean square of the measurements, in units of the noise.
+    /// Root mean square of the measurements that [`measurements`](Self::measurements) counts, in
+    /// units of the noise.
     pub fn size(&self) -> f64 {
         (self.finite().map(|y| y * y).sum::<f64>() / self.measurements() as f64).sqrt()
     }
 
-    /// Number of unknowns: parameters and components of the initial states of segments. Continuity
-    /// determines the initial states of the other windows.
+    /// Number of unknowns: parameters, and components of the initial states of segments if they are
+    /// unknown. Continuity determines the initial states of the later windows.
     pub fn count(&self) -> usize {
         self.unknowns.len() + if self.free_starts { self.segments.len() * self.model.sizes()[0] } else { 0 }
     }
 
-    /// Initial values. Splits the segments into windows of this length. `None`: one window per
-    /// segment. A window starts at the measured state. Components without a measurement continue
-    /// the simulation of the previous window. In the first window of a segment, they start at 0.
+    /// Initial values. Splits the segments into windows of `length` steps. The last window of a
+    /// segment may be shorter. `None`: one window per segment. A window starts at the measured
+    /// state. Components without a measurement continue the simulation of the previous window. In
+    /// the first window of a segment, they start at 0.
     ///
     /// # Errors
     /// A simulation or its squared residuals are not finite. [`IdentifyError::Stopped`].
@@ -174,7 +176,8 @@ impl<'a> Problem<'a> {
         Run { x: &window.start, p, u: &u[window.first.min(u.len())..], t: window.first, steps: window.steps }
     }
 
-    /// Calls `add(step, component, residual)` for the measurements of a window.
+    /// Calls `add(step, component, residual)` for the finite measurements of a window. `step`
+    /// counts from the start of the window.
     fn residuals(&self, window: &Window, states: &[Vec<f64>], mut add: impl FnMut(usize, usize, f64)) {
         let measured = &self.segments[window.segment].x[window.first..];
         // The next window starts at the end of this one and includes the measurement there.

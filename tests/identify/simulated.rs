@@ -10,7 +10,7 @@ type Pendulum = Integrated<MultiPendulum, RungeKutta>;
 
 const VARIES: Number = Number::Trained { start: 1.0, min: f64::NEG_INFINITY, max: f64::INFINITY };
 
-/// Swing of one arm: p = [center in m, viscous friction in N m s/rad].
+/// Returns a pendulum with one arm and p = [center in m, viscous friction in N m s/rad].
 fn pendulum() -> Pendulum {
     let arm = Arm { center: VARIES, viscous: VARIES, ..Arm::default() };
     Integrated { ode: MultiPendulum { arms: vec![arm], gravity: 9.81.into() }, integrator: RungeKutta::RK4, dt: 0.01 }
@@ -51,8 +51,8 @@ fn fit(segments: &[Segment], factor: f64, options: &Options) -> Fit {
     identify(&pendulum(), segments, &unknowns(factor), options).expect("valid data")
 }
 
-/// Without noise, the residuals vanish. The fit finds the true values up to the conditioning of the
-/// problem.
+/// Without noise, the residuals vanish. The fit finds the true values up to rounding errors, which
+/// the conditioning of the problem amplifies.
 #[test]
 fn exact_data_give_the_truth() {
     let rng = &mut stream(0, Purpose::Check, 0);
@@ -87,8 +87,9 @@ fn confidence_intervals_have_their_nominal_coverage() {
     }
 }
 
-/// Coverage of the 95 % intervals for noise with a correlation of 0.95 between steps. Robust errors
-/// from 20 segments have few degrees of freedom, so their intervals cover a little less than 95 %.
+/// Coverage of the 95 % intervals for noise with a correlation of 0.95 between successive steps.
+/// Robust errors from 20 segments have few degrees of freedom, so their intervals cover a little
+/// less than 95 %.
 #[test]
 fn with_correlated_noise_only_robust_errors_have_their_coverage() {
     let (mut plain, mut robust) = ([0; 2], [0; 2]);
@@ -204,6 +205,8 @@ fn wrong_data_are_refused() {
     let exact = Options { free_starts: false, ..Options::default() };
     let nothing = identify(&pendulum(), std::slice::from_ref(&good), &[], &exact);
     assert_eq!(nothing.expect_err("an error"), IdentifyError::NothingUnknown);
+    let no_segment = identify(&pendulum(), &[], &[], &Options::default());
+    assert_eq!(no_segment.expect_err("an error"), IdentifyError::NothingUnknown);
     // Without unknown parameters, as in a validation, the fit finds the initial state.
     assert!(fit_starts(&good).chi_squared < 1e-18);
     let mut empty = good.clone();
