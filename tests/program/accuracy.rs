@@ -6,8 +6,8 @@ use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
 
-/// Runs the command on a small scene. Returns its output, and its rows by method, substeps and
-/// precision.
+/// Runs the command on a small scene. Returns its output, and the rows of its table by method,
+/// substeps and precision.
 fn run(out: &Path, args: &[&str]) -> (String, HashMap<String, HashMap<String, String>>) {
     let small = ["--set", "policy.widths=[4]", "--set", "horizon=20", "--quiet"];
     let mut command = physgrad(&["accuracy", "cart_pole"]);
@@ -51,7 +51,7 @@ fn halving_the_step_reduces_errors_by_the_order_of_the_method_and_doubles_operat
     assert!(rounding > 1e-8 && rounding < 1e-4, "the error of tsit5 in f32 is {rounding:e}, not between 1e-8 and 1e-4");
     assert!(said.contains("the cheapest setting with an error of the trajectory of at most 1e-4 is "), "{said}");
 
-    // The printed lines form a valid scene.
+    // The printed lines complete a valid scene.
     let lines = said.split("precision = ").nth(1).expect("lines of a scene");
     let scene = dir.path().join("scene.toml");
     fs::write(&scene, format!("scene = 1\ntask = \"cart_pole\"\nprecision = {lines}")).expect("a file");
@@ -162,6 +162,9 @@ fn reverse_and_forward_gradients_in_f64_agree_with_double_double_within_1e_minus
         assert!(number(method(&name, "", "f64"), "peak_bytes") > number(method("loss alone", "", "f64"), "peak_bytes"));
     }
     assert!(number(method("forward mode", "", "f64"), "error") < 1e-13);
+    // With an output layer of 0, R, M and C would be equal, and so would their errors.
+    let [r, m] = ["reverse R", "reverse M"].map(|name| number(method(name, "", "f32"), "error"));
+    assert_ne!(r, m, "the output layer is not 0");
     // The truncation error dominates for large steps, the rounding error for small steps.
     let differences = |step: &str| number(method("central differences", step, "f64"), "error");
     assert!(differences("0.1") > 100.0 * differences("0.01"), "a step of 0.01 has at least 1 % of the error of a step of 0.1");

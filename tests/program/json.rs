@@ -91,6 +91,8 @@ fn descriptions_and_checks_print_one_object() {
     assert!(settings.iter().any(|row| row["setting"] == "system.dt" && row["meaning"] == "Time step, s."), "{tasks}");
     let effects = run(&["effects", "steady_wind"]);
     assert!(effects["effects"][0]["schema"]["properties"]["speed"].is_object(), "{effects}");
+    let unknown = physgrad(&["effects", "steady_win", "--json"]).assert().failure().get_output().stderr.clone();
+    assert!(String::from_utf8_lossy(&unknown).contains("steady_wind"), "the error suggests a name");
     assert!(run(&["check", "lqr"])["checks"].as_array().expect("rows").iter().all(|row| row["result"] == "ok"));
     let stress = run(&["stress", "cart_mass"]);
     assert_eq!(stress["cases"][0]["pass"], true, "{stress}");

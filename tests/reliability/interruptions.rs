@@ -1,5 +1,5 @@
-//! Concurrent processes, signals, closed pipes and full disks: no finished work is lost, and errors
-//! are reported.
+//! Concurrent processes, signals, closed pipes and full disks: the program loses no finished work,
+//! and reports errors.
 #![cfg(unix)]
 
 use crate::running::{SMALL, error_of, physgrad, process, train};
@@ -131,7 +131,7 @@ fn a_comparison_waits_for_a_run_of_another_process() {
     while !printed.contains("waiting for the folder") {
         assert!(messages.read_line(&mut printed).expect("text") > 0, "{printed}");
     }
-    // A second comparison in the folder is refused.
+    // The program refuses a second comparison in the folder.
     let mut second = physgrad(&["compare", "cart_pole", "--fields", "C", "--seeds", "1", "--epochs", ENDLESS, "--out"]);
     assert!(error_of(second.arg(dir.path()).args(SMALL)).contains("in use by process"));
     let done = metrics(&run).len();
@@ -282,10 +282,29 @@ fn a_run_is_refused_in_the_folder_of_a_comparison_and_vice_versa() {
     };
     compare().assert().success();
     assert!(error_of(&mut train(&out, &["--epochs", "1"])).contains("holds a comparison"));
+    // The runs of several scenes are in subfolders with the names of the scenes.
+    let (_dir, out) = folder();
+    let mut scenes =
+        physgrad(&["compare", "cart_pole_1", "cart_pole_2", "--fields", "C", "--seeds", "1", "--epochs", "1", "--out"]);
+    scenes.arg(&out).args(SMALL).assert().success();
+    assert!(error_of(&mut train(&out, &["--epochs", "1"])).contains("holds a comparison"));
     let (_dir, out) = folder();
     train(&out, &["--epochs", "1"]).assert().success();
     let mut compare = physgrad(&["compare", "cart_pole", "--out"]);
     assert!(error_of(compare.arg(&out).args(SMALL)).contains("is not a comparison"));
+}
+
+#[test]
+fn a_run_starts_in_a_folder_with_the_initial_policy_of_a_killed_run() {
+    let (dir, out) = folder();
+    let first = dir.path().join("first");
+    train(&first, &["--epochs", "1"]).assert().success();
+    fs::create_dir(&out).expect("a folder");
+    // A kill between the first two files of a run leaves this file only.
+    fs::copy(first.join("policy.safetensors"), out.join("initial_policy.safetensors")).expect("a copy");
+    let policy = first.to_str().expect("a path in UTF-8");
+    train(&out, &["--epochs", "1", "--policy", policy]).assert().success();
+    assert_complete(&out);
 }
 
 #[test]

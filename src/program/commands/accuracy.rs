@@ -142,7 +142,8 @@ fn print_cheapest((row, error): (&Row, f64), metric: Metric, target: f64) -> Res
     print_result(&row.setting.lines())
 }
 
-/// Error of a target that no setting reaches. The message names the most accurate setting.
+/// Error message for a target that no setting reaches. Names the most accurate setting, or states
+/// that every setting diverged.
 fn unreached(rows: &[Row], metric: Metric, target: f64) -> anyhow::Error {
     let finite = rows.iter().filter_map(|row| Some((row, metric.read(row.errors.as_ref().ok()?))));
     let best = finite.min_by(|a, b| a.1.total_cmp(&b.1));

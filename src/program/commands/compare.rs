@@ -1,4 +1,4 @@
-//! `physgrad compare`: one training configuration with several fields and seeds, side by side.
+//! `physgrad compare`: trainings with several fields and seeds, in one scene or several.
 
 mod sweep;
 
@@ -140,7 +140,8 @@ pub fn train(
     ended.into_result()
 }
 
-/// Checks that the folder has none of these files, which show that it holds something else.
+/// Checks that the folder has none of these files. Each file is paired with the results that it
+/// indicates, which are not those `expected`.
 pub fn check_folder(folder: &Folder, expected: &str, files: &[(&str, &str)]) -> Result<()> {
     match files.iter().find(|(file, _)| folder.has(file)) {
         Some((_, found)) => {
@@ -170,7 +171,7 @@ pub struct Output {
 /// Plans the runs of all points.
 fn plan(points: &[SweepPoint], fields: &[FieldName], seeds: u64, folder: &Folder) -> Result<Vec<Comparison>> {
     let plan = |SweepPoint { name, scene, .. }: &SweepPoint| {
-        // Several scenes have one comparison folder each, inside this folder.
+        // Several points have one comparison folder each, inside this folder.
         let inner = if points.len() == 1 { folder.clone() } else { Folder::at(folder.file(name)) };
         Comparison::plan(name, scene, fields, seeds, &inner)
     };
@@ -199,7 +200,7 @@ fn write_outputs(
         let one_task = points.iter().all(|point| point.scene.task.name() == points[0].scene.task.name());
         folder.write("curves.svg", picture(&title, &scenes, one_task).to_svg())?;
         files.push("curves.svg");
-        // Redraws the animations of the runs with a common scale.
+        // Redraws the animations of the runs, with one scale per scene.
         animate(&Animate { folder: folder.path().into(), sample: 0, quiet: true })?;
     }
     if let Some(picture) = sweep::picture(&title, points, &scenes) {
@@ -243,7 +244,7 @@ impl Plan {
     fn new(names: &[String], points: &[SweepPoint], args: &Compare) -> Self {
         let point = |SweepPoint { name, point, scene }: &SweepPoint| {
             let mut table = scene.table.clone();
-            // Each run holds a copy of the policy.
+            // Each run holds a copy of the initial policy.
             table.remove(INITIAL_POLICY);
             PlannedPoint { name: name.clone(), sweep: point.0.clone(), scene: table.to_string() }
         };
@@ -267,20 +268,21 @@ impl PlannedPoint {
 /// A scene at one point of its sweep.
 #[derive(Clone)]
 struct SweepPoint {
-    /// Name of scene and point. Empty if the comparison has only one scene and point.
+    /// Names of scene and point. Omits the scene if the comparison has only one, and the point
+    /// without a sweep.
     name: String,
     point: Point,
     scene: Scene,
 }
 
-/// The points of the sweep of a scene; a single one without a sweep.
+/// The points of the sweep of a scene. Without a sweep, a single point.
 fn sweep_points(name: &str, args: &Compare) -> Result<Vec<SweepPoint>> {
     let mut source = presets::source(name)?;
     let mut sweep = source.take_sweep();
     let mut overrides = args.overrides.clone();
     take_several(&mut overrides.set, &mut sweep)?;
     let points = sweep.points()?;
-    // Messages of a comparison of one scene omit its name.
+    // Omits the name of a single scene.
     let short = if args.scenes.len() == 1 { String::new() } else { presets::short_name(name) };
     let at = |point: Point| {
         let mut source = source.clone();

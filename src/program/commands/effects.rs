@@ -44,6 +44,12 @@ jumps at a point and takes the value of one side there.
 
 /// Runs the command.
 pub fn effects(args: &Effects) -> Result<()> {
+    let infos = tasks::all().iter().flat_map(|task| task.effects()).chain(ACTUATORS);
+    let names: Vec<&str> = infos.map(|info| info.name).collect();
+    if let Some(name) = args.effect.as_deref().filter(|name| !names.contains(name)) {
+        let question = did_you_mean(name, names.iter().copied());
+        bail!("there is no effect or actuator `{name}`; effects and actuators: {}{question}", names.join(", "));
+    }
     if args.json {
         return print_json(&json!({ "effects": objects(args.effect.as_deref())? }));
     }
@@ -51,14 +57,7 @@ pub fn effects(args: &Effects) -> Result<()> {
     let Some(name) = &args.effect else { return print_result(page.trim_end()) };
     let entries = page.split("\n### ").skip(1);
     let of_name = entries.filter(|entry| entry.lines().next() == Some(name)).map(|entry| entry.split("\n## ").next());
-    let found: Vec<&str> = of_name.flatten().collect();
-    if found.is_empty() {
-        let effects = tasks::all().iter().flat_map(|task| task.effects());
-        let names: Vec<&str> = effects.chain(ACTUATORS).map(|info| info.name).collect();
-        let question = did_you_mean(name, names.iter().copied());
-        bail!("there is no effect or actuator `{name}`; effects and actuators: {}{question}", names.join(", "));
-    }
-    found.into_iter().try_for_each(|entry| print_result(&format!("### {}", entry.trim_end())))
+    of_name.flatten().try_for_each(|entry| print_result(&format!("### {}", entry.trim_end())))
 }
 
 /// Returns one object per effect and task, and one per actuator. With `name`, returns only the
@@ -96,7 +95,8 @@ fn page() -> Result<String> {
     Ok(page)
 }
 
-/// Writes a table of the effects of a section, then a paragraph for each.
+/// Writes a table of the effects of a section, then an entry for each: equation, costs and
+/// parameters.
 fn section(page: &mut String, kind: &'static dyn AnyTaskSpec, section: &str, infos: &[Info]) -> Result<()> {
     let schema = kind.schema();
     let of = |info: &Info| &schema["properties"][section]["properties"][info.name];
@@ -117,7 +117,7 @@ fn section(page: &mut String, kind: &'static dyn AnyTaskSpec, section: &str, inf
     Ok(())
 }
 
-/// Operations that an effect adds to a step and to its VJP, in a scene with no other effect.
+/// Operations that an effect or actuator adds to a step and to its VJP, in a scene without others.
 fn cost(kind: &'static dyn AnyTaskSpec, section: &str, name: &str) -> Result<[Ops; 2]> {
     let mut settings = kind.defaults();
     let alone = kind.scene(settings.clone())?.cost().system;
@@ -193,7 +193,7 @@ fn symbols(task: &str) -> &'static str {
     }
 }
 
-/// Values for the parameters of an effect that have no default.
+/// Values for the parameters of an actuator that have no default. Empty for effects.
 fn required(name: &str) -> Table {
     match name {
         "limit" => toml::toml! { bound = 10.0 },

@@ -114,7 +114,7 @@ fn by_kind(counts: Ops) -> [i64; 8] {
 }
 
 /// Operation counts of the system alone, of each part that is present, and of the whole; then of
-/// the costs and the observation.
+/// the costs and the observation. Omits an observation without operations.
 ///
 /// The count of a part is the count of the whole scene minus the count without the part. Two
 /// chained actuators share operations, which the counts of both include. The row "counted twice"
@@ -177,9 +177,9 @@ fn difference(a: [[i64; 8]; 3], b: [[i64; 8]; 3]) -> [[i64; 8]; 3] {
     std::array::from_fn(|pass| std::array::from_fn(|kind| a[pass][kind] - b[pass][kind]))
 }
 
-/// Table of the bytes per sample of a rollout: in evaluation mode, and with the adjoint of each
-/// field of the paper. Columns: bytes per step, constant bytes, bytes of the whole rollout, and
-/// allocations per step.
+/// Table of the memory of a rollout: in evaluation mode, and with the adjoint of each field of the
+/// paper. Columns per sample: bytes per step, constant bytes, and bytes of the whole rollout. Last
+/// column: allocations per step of a block of [`SAMPLES`] samples.
 fn bytes(scene: &Scene) -> Result<Table> {
     let mut table = Table::new(["field", "bytes per step", "constant", "whole rollout", "allocations per step"]);
     let steps = scene.horizon;

@@ -77,8 +77,8 @@ struct Outcomes {
 }
 
 impl Outcomes {
-    /// Runs `work` on input `number`. Records the outcome, the time, and the ratio of used memory
-    /// to `allowed` bytes. `work` returns true if the input is accepted.
+    /// Runs `work`, which uses the input `number`. Records the outcome, the time, and the ratio of
+    /// used memory to `allowed` bytes. `work` returns true if the input is accepted.
     fn record(&mut self, number: u64, allowed: usize, work: impl FnOnce() -> bool) {
         let begin = Instant::now();
         let (result, bytes) = peak_bytes(|| panic::catch_unwind(AssertUnwindSafe(work)));

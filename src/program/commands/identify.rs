@@ -175,7 +175,7 @@ fn warnings(fit: &Fit) -> Vec<String> {
     warnings
 }
 
-/// Standard deviations in the order of the state components.
+/// Standard deviations in the order of the state components. None without assignments.
 fn noise(assignments: &[String], scene: &Scene) -> Result<Option<Vec<f64>>> {
     if assignments.is_empty() {
         return Ok(None);

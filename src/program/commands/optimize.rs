@@ -123,10 +123,12 @@ pub fn optimize(args: &Optimize) -> Result<()> {
     ))
 }
 
-/// Test initial states. With `--from`, rollouts of the trained policy.
+/// Rollouts from the first test initial states. With `--from`, the policy of the run determines the
+/// controls. Otherwise, only initial states and parameters are meaningful.
 ///
 /// # Errors
-/// `--starts` is 0 or exceeds the test set, or a rollout of the policy diverges.
+/// `--starts` is 0 or exceeds the test set. With `--from`, the run cannot be restored, or a rollout
+/// diverges.
 fn starts(args: &Optimize, scene: &Scene) -> Result<Vec<Trajectory>> {
     let mut run = scene.open(1)?;
     if let Some(path) = &args.from {
@@ -145,8 +147,8 @@ fn starts(args: &Optimize, scene: &Scene) -> Result<Vec<Trajectory>> {
     }
 }
 
-/// Bounds `[low, high]` in the order of the controls, infinite for controls that no argument names.
-/// None without arguments.
+/// Bounds `[low, high]` in the order of the controls. An argument without a name applies to all
+/// controls. Controls without an argument have infinite bounds. None without arguments.
 fn bounds(arguments: &[String], names: &[String]) -> Result<Option<Vec<[f64; 2]>>> {
     let mut bounds = vec![[f64::NEG_INFINITY, f64::INFINITY]; names.len()];
     for argument in arguments {
@@ -210,7 +212,8 @@ fn table(plans: &[Plan]) -> Table {
     table
 }
 
-/// One column per initial state, one row per control and state component, over time.
+/// Controls and states over time. One column per initial state, one row per component of control or
+/// state.
 fn picture(scene: &Scene, optimized: &[Trajectory], initial: &[Trajectory]) -> String {
     let dt = scene.dt();
     let line = |rows: &[Vec<f64>], i: usize| rows.iter().enumerate().map(|(t, row)| (t as f64 * dt, row[i])).collect();

@@ -47,7 +47,7 @@ pub struct Paper {
     pub shard: Option<Shard>,
 }
 
-/// Training options of figures 3, 4 and 5.
+/// Options of the figures. Figures 1 and 2 train nothing.
 #[derive(Debug, clap::Args, Serialize, Deserialize)]
 pub struct Options {
     /// Number of seeds, counted from 0
@@ -108,7 +108,8 @@ impl Options {
 /// A finished figure.
 pub struct FinishedFigure {
     pub drawing: Drawing,
-    /// Plotted numbers of figures 1 and 2. Final losses of figures 3 to 5, one row per run.
+    /// Figure 1: loss, R and M at the parameters of the maps. Figure 2: parameters and losses along
+    /// the paths. Figures 3 to 5: final and best losses, one row per run.
     pub csv: Vec<u8>,
     /// Summary.
     pub table: Table,
@@ -117,8 +118,8 @@ pub struct FinishedFigure {
 }
 
 impl FinishedFigure {
-    /// Writes `<name>.svg`, `.png`, `.csv` and `.md`, and prints the table. Returns the table as
-    /// JSON.
+    /// Writes `<name>.svg`, `.png`, `.csv` and `.md`. Prints the table, unless `options.quiet` or
+    /// `options.json` is true. Returns name and table as JSON.
     pub fn write(&self, name: &str, folder: &Folder, options: &Options) -> Result<Value> {
         folder.write(&format!("{name}.svg"), self.drawing.to_svg())?;
         folder.write(&format!("{name}.png"), self.drawing.to_png())?;
@@ -189,8 +190,8 @@ pub fn merge(folder: &Folder, output: Output) -> Result<bool> {
 mod tests {
     use super::*;
 
-    /// Checks the figure: the SVG is valid XML below 500 kB. The CSV has more than 100 lines
-    /// without NaN. The table has at least 4 lines.
+    /// Checks the figure. The SVG is valid XML below 500 kB without NaN. The CSV has this header
+    /// and more than 100 lines without NaN. The table has at least 4 lines.
     fn check(header: &str, figure: &FinishedFigure) {
         let svg = figure.drawing.to_svg();
         roxmltree::Document::parse(&svg).expect("an SVG is XML");

@@ -21,7 +21,7 @@ pub struct Stress {
     #[arg(long)]
     list: bool,
     /// Print Markdown, as in docs/stability.md
-    #[arg(long)]
+    #[arg(long, conflicts_with = "json")]
     markdown: bool,
     /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
     #[arg(long)]

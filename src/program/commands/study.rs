@@ -1,4 +1,4 @@
-//! `physgrad study`: tasks, methods, seeds and learning rates of a plan.
+//! `physgrad study`: trainings for all tasks, methods, learning rates and seeds of a plan.
 
 mod results;
 

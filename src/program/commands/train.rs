@@ -140,8 +140,8 @@ fn open(args: &Train, workers: usize) -> Result<(Scene, Box<dyn AnyRun>)> {
 /// Checks that every rank has opened a session with equal settings.
 ///
 /// # Errors
-/// On the first rank with an error, or with other settings than rank 0. Other ranks wait until that
-/// rank has ended them, so that one rank prints the error.
+/// On the first rank with an error, or else on the first with other settings than rank 0. Other
+/// ranks wait until that rank ends them, so that one rank prints the error.
 fn agreed(ranks: Option<&Arc<dyn Ranks>>, opened: Result<(Scene, Box<dyn AnyRun>)>) -> Result<(Scene, Box<dyn AnyRun>)> {
     let Some(ranks) = ranks else { return opened };
     let settings = |(scene, _): &(Scene, _)| format!("epochs = {}\n{}", scene.epochs, scene.identity());

@@ -1,6 +1,8 @@
-//! [`Locked`]: a folder with an exclusive lock, held by this process.
+//! [`Locked`]: a folder that this process has locked, alone or together with other processes.
 
-use super::folder::{Folder, LOCK, LOCKED_FILES, PREVIOUS, RUN_FILES, RUNS, SETTINGS, STUDY, unwritable};
+use super::folder::{
+    COMPARISON, Folder, INITIAL_POLICY, LOCK, LOCKED_FILES, PREVIOUS, RUN_FILES, RUNS, SETTINGS, STUDY, unwritable,
+};
 use super::terminal::print_message;
 use super::{files, signals};
 use anyhow::{Context, Result, bail};
@@ -24,7 +26,8 @@ impl Folder {
     /// process ends. On a file system without locks, prints a warning and does not lock the folder.
     ///
     /// # Errors
-    /// The folder cannot be written to, or another process has locked it.
+    /// Another process has locked the folder. The folder cannot be written to or locked. The lock
+    /// file is a link or not a regular file.
     pub fn lock(self) -> Result<Locked> {
         self.try_lock()?.with_context(|| self.in_use())
     }
@@ -110,9 +113,9 @@ impl Folder {
         }
     }
 
-    /// Name of the process that holds the lock, for messages.
+    /// Description of the process that holds the lock, for messages.
     fn holder(&self) -> String {
-        // The holder writes its name shortly after it takes the lock.
+        // The holder writes its description shortly after it takes the lock.
         for _ in 0..20 {
             let mut text = String::new();
             let read = File::open(self.file(LOCK)).and_then(|file| file.take(1000).read_to_string(&mut text));
@@ -125,7 +128,7 @@ impl Folder {
     }
 }
 
-/// A folder that is locked by this process.
+/// A folder that this process has locked, if the file system has locks.
 #[derive(Debug)]
 pub struct Locked {
     folder: Folder,
@@ -183,25 +186,27 @@ impl Locked {
         Ok(())
     }
 
-    /// Renames the folder if it contains an earlier run, and creates an empty folder in its place.
+    /// Renames the folder if it contains an earlier run, and locks a new empty folder in its place.
     ///
     /// # Errors
     /// The folder contains a comparison or a study. It contains a run and files that are not part
     /// of a run, or files of a run but no [`SETTINGS`]. The folder of a run is the current folder,
-    /// contains the current folder, or cannot be renamed.
+    /// contains the current folder, or cannot be renamed. Another process locks the new folder
+    /// first.
     pub fn without_run(self) -> Result<Self> {
         let path = self.path().to_owned();
         let (run, other): (Vec<String>, Vec<String>) =
             self.entries()?.into_iter().partition(|name| RUN_FILES.contains(&files::replaced_by(name).unwrap_or(name)));
-        if other.iter().any(|name| name == RUNS) {
-            bail!("{} holds a comparison in its subfolder {RUNS}; choose another folder with --out", path.display());
+        if let Some(name) = other.iter().find(|name| [RUNS, COMPARISON].contains(&name.as_str())) {
+            bail!("{} holds a comparison ({name}); choose another folder with --out", path.display());
         }
         if other.iter().any(|name| name == STUDY) {
             bail!("{} holds a study; choose another folder with --out", path.display());
         }
         if !run.iter().any(|name| name == SETTINGS) {
-            // A process that was killed before it wrote settings leaves at most a temporary file.
-            let foreign = run.iter().find(|name| files::replaced_by(name).is_none());
+            // A process that is killed before it writes the settings may leave temporary files and
+            // the initial policy.
+            let foreign = run.iter().find(|name| *name != INITIAL_POLICY && files::replaced_by(name).is_none());
             return match foreign {
                 Some(name) => bail!(
                     "{} holds {name} but no {SETTINGS}, so it is not a run; remove the file, or choose another folder with --out",

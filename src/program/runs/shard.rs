@@ -14,9 +14,9 @@ impl FromStr for Shard {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let parts = text.split_once('/').and_then(|(number, count)| Some((number.parse().ok()?, count.parse().ok()?)));
-        let parts = parts.filter(|(number, count)| (1..=*count).contains(number));
-        let (number, count) = parts.ok_or("allowed: K/N with K from 1 to N, for example 3/16")?;
-        Ok(Self { number, count })
+        let parts = parts.filter(|(number, count): &(u16, u16)| (1..=*count).contains(number));
+        let (number, count) = parts.ok_or("allowed: K/N with K from 1 to N and N up to 65535, for example 3/16")?;
+        Ok(Self { number: number.into(), count: count.into() })
     }
 }
 
@@ -32,7 +32,7 @@ impl Shard {
     }
 
     /// Order in which the process visits all runs: its share, then the shares of the following
-    /// processes. Each share contains every `count`-th run.
+    /// processes in cyclic order. Each share contains every `count`-th run.
     pub fn order(self, runs: usize) -> Vec<usize> {
         (0..self.count).flat_map(|k| (0..runs).skip((self.number - 1 + k) % self.count).step_by(self.count)).collect()
     }
@@ -67,7 +67,7 @@ mod tests {
 
     #[test]
     fn numbers_outside_1_to_n_are_refused() {
-        for text in ["0/4", "5/4", "1", "1/0", "a/2", "1/2/3", ""] {
+        for text in ["0/4", "5/4", "1", "1/0", "a/2", "1/2/3", "", "1/65536"] {
             assert!(text.parse::<Shard>().is_err(), "{text}");
         }
     }

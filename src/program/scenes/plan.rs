@@ -66,7 +66,7 @@ pub struct Plan {
 struct Contents {
     #[serde(default = "default_seeds")]
     seeds: u64,
-    /// Replaces the number of epochs of every scene.
+    /// Replaces the number of epochs of every scene. A table `set` may replace it again.
     #[serde(skip_serializing_if = "Option::is_none")]
     epochs: Option<usize>,
     /// Learning rates of every method. None for the rate of each scene.
@@ -171,7 +171,7 @@ impl Plan {
             {
                 bail!(
                     "{origin}: `{list}[{i}].name` is {name:?}; allowed: a name of up to {MAX_NAME} bytes without `/`, `\\`, \
-                     `+`, `:` and `.previous-`, and without a dot at its start"
+                     `+`, `:`, `.previous-` and control characters, and without a dot at its start"
                 );
             }
             // Some file systems ignore the case of names.

@@ -36,12 +36,13 @@ pub fn compare(found: &[f64], right: &[f64]) -> (f64, f64) {
 pub struct Derivative {
     pub method: GradientMethod,
     pub precision: Precision,
-    /// Error relative to the double-double reference, or the message of a divergence.
+    /// Error relative to the double-double reference, or the message of a divergence. Without
+    /// meaning for [`GradientMethod::Forward`].
     pub error: Result<f64, String>,
     /// Share of all components with the same sign as in f64. None for methods other than reverse
-    /// passes, and for a divergence.
+    /// passes, and if this pass or the pass in f64 diverges.
     pub signs: Option<f64>,
-    /// Seconds for a whole gradient: lowest, median and highest.
+    /// Seconds for a whole gradient: lowest, median and highest. NaN for a divergence.
     pub seconds: [f64; 3],
     /// Peak memory in bytes.
     pub bytes: usize,
@@ -62,15 +63,15 @@ impl Derivative {
     }
 }
 
-/// Reverse pass of R within a memory budget.
+/// Reverse pass of R within a memory budget. The first pass of a list has no budget.
 pub struct Checkpoint {
     /// Number of steps.
     pub horizon: usize,
-    /// Memory budget in bytes.
+    /// Memory budget in bytes. Without a budget, the peak memory.
     pub budget: u64,
     /// Peak memory in bytes.
     pub bytes: usize,
-    /// Seconds for the gradient: lowest, median and highest.
+    /// Seconds for the gradient: lowest, median and highest. NaN without a gradient.
     pub seconds: [f64; 3],
     /// True if the gradient is bitwise equal to the gradient without a budget. An error is the
     /// message of a divergence or of a budget that is too small.
@@ -92,7 +93,7 @@ impl Checkpoint {
 pub struct Horizon {
     /// Number of steps.
     pub horizon: usize,
-    /// Norm of the gradient in f64.
+    /// Norm of the gradient in f64. NaN for a divergence.
     pub norm: f64,
     /// Relative error and share of correct signs, or the message of a divergence.
     ///

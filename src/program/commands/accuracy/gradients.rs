@@ -24,7 +24,8 @@ const ROUNDS: usize = 5;
 const MIN_TIME: f64 = 0.01;
 /// Minimum horizon of the checkpoint measurements, in steps.
 const CHECKPOINTED: usize = 1024;
-/// Divisors of the full memory: one budget each.
+/// Divisors of the memory of a pass without a budget. Each quotient is a budget. The pass for the
+/// divisor 1 has none.
 const PARTS: [u64; 4] = [1, 2, 4, 8];
 /// Memory budget of a reverse pass at each of the `--horizons`, in bytes.
 const BUDGET: u64 = 256_000_000;
@@ -35,7 +36,7 @@ const fn reverse(field: Field, budget: Option<u64>) -> GradientMethod {
     GradientMethod::Reverse { field, budget, nudged: false }
 }
 
-/// Measures methods, budgets and horizons, and writes the results.
+/// Measures methods, budgets and horizons, and writes and prints the results.
 pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize], [quiet, json]: [bool; 2]) -> Result<()> {
     let fields = [Field::regular(), Field::modified(), Field::stopped(), Field::combined()];
     let exact = fields.map(|field| reverse(field, None));
@@ -56,7 +57,8 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
         ));
     }
     bar.set_message("double-double reference");
-    let [r, m, s] = study.scene.refer(&|| bar.inc(1));
+    let scene = study.source.scene()?;
+    let [r, m, s] = scene.refer(&|| bar.inc(1));
     let mut c = vec![0.0; r.len()];
     Combination::SignAgreement.combine(&m, &r, &mut c);
     let right = |method: &GradientMethod| match method {
@@ -72,7 +74,7 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
     let mut derived = Vec::new();
     for (method, precision) in &methods {
         bar.set_message(format!("{method} {}", precision.name()));
-        derived.push(study.scene.derive(*precision, *method));
+        derived.push(scene.derive(*precision, *method));
         bar.inc(1);
     }
     // Interleaves the methods: other load on the machine then affects all methods.
@@ -115,7 +117,7 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
     Ok(())
 }
 
-/// Scene with another horizon.
+/// Scene with another horizon, and with a nonzero initial output layer.
 fn with_horizon(study: &Study, horizon: usize) -> Result<Scene> {
     let mut source = study.source.clone();
     source.put("horizon", Value::Integer(horizon as i64), "accuracy --gradients")?;
@@ -125,7 +127,7 @@ fn with_horizon(study: &Study, horizon: usize) -> Result<Scene> {
     source.scene()
 }
 
-/// Measures the reverse pass of R with decreasing memory budgets.
+/// Measures the reverse pass of R without a memory budget, then with decreasing budgets.
 fn checkpoints(study: &Study, bar: &ProgressBar) -> Result<Vec<Checkpoint>> {
     let scene = with_horizon(study, study.scene.horizon.max(CHECKPOINTED))?;
     let run = |budget| scene.derive(study.scene.precision, reverse(Field::regular(), budget));

@@ -64,7 +64,7 @@ fn record(row: &Row) -> Vec<String> {
 fn diagrams(name: &str, rows: &[Row]) -> crate::report::Drawing {
     let mut methods: Vec<&str> = rows.iter().map(|row| row.setting.method).collect();
     methods.dedup();
-    // Points (work, error); works may have a spread from lowest to highest.
+    // Points (work, error). A time has a spread from its lowest to its highest value.
     let series = |work: fn(&Row) -> [f64; 3], error: fn(&Errors) -> f64| {
         let of_method = |(i, method): (usize, &&'static str)| {
             ["f32", "f64"].map(|precision| {
@@ -166,8 +166,8 @@ fn markdown(name: &str, check: &Errors, conserved: Option<&str>, rows: &[Row]) -
     )
 }
 
-/// Table of the Pareto-optimal settings in time and trajectory error. Below it: the smallest
-/// errors, the resolution of the reference, and the number of diverged settings.
+/// Table of the Pareto-optimal settings in forward time and trajectory error. Below it: the
+/// smallest errors, the resolution of the reference, and the number of diverged settings, if any.
 pub fn summary(rows: &[Row], check: &Errors, conserved: Option<&str>) -> String {
     let point = |row: &Row| Some((row.seconds[0][1], row.errors.as_ref().ok()?.trajectory));
     let best =

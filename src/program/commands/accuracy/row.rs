@@ -52,7 +52,8 @@ impl Setting {
     }
 }
 
-/// Lowest value, median and highest value. NaN for an empty list.
+/// Lowest value, median and highest value. For an even number of values, the median is the upper
+/// one. NaN for an empty list.
 pub fn spread(mut times: Vec<f64>) -> [f64; 3] {
     times.sort_by(f64::total_cmp);
     match times[..] {
@@ -64,8 +65,8 @@ pub fn spread(mut times: Vec<f64>) -> [f64; 3] {
 /// Errors relative to the reference.
 #[derive(Clone, Copy, Debug)]
 pub struct Errors {
-    /// Largest absolute error over all samples and steps, divided by the largest absolute state
-    /// component.
+    /// Largest absolute error over all samples, steps and components, divided by the largest
+    /// absolute state component of the reference.
     pub trajectory: f64,
     /// Relative error of the mean loss.
     pub loss: f64,
@@ -81,14 +82,15 @@ pub struct Row {
     pub setting: Setting,
     /// Errors, or the message of a divergence.
     pub errors: Result<Errors, String>,
-    /// Relative drift of the conserved quantity with zero control. NaN without such a quantity or
-    /// if the rollout diverges.
+    /// Relative drift of the conserved quantity with zero control. NaN without such a quantity, or
+    /// if the rollout with zero control diverges.
     pub drift: f64,
     /// Operations of one step of the system and of its VJP, per sample.
     pub operations: u64,
-    /// Bytes of rollout and adjoint per step and sample.
+    /// Bytes of the rollout and of the adjoints of R and M, per step and sample.
     pub bytes: f64,
-    /// Seconds per sample and step, `[forward, with gradients][lowest, median, highest]`.
+    /// Seconds per sample and step, `[forward, with adjoints of R and M][lowest, median, highest]`.
+    /// NaN for a divergence.
     pub seconds: [[f64; 3]; 2],
 }
 

@@ -29,7 +29,7 @@ pub enum Metric {
 }
 
 impl Metric {
-    /// Relative error of this measure.
+    /// Relative error in this measure.
     pub fn read(self, errors: &Errors) -> f64 {
         match self {
             Self::Trajectory => errors.trajectory,
@@ -39,8 +39,8 @@ impl Metric {
         }
     }
 
-    /// Median seconds per step and sample of the pass that computes this quantity: forward, or
-    /// forward with gradients.
+    /// Median seconds per step and sample of the passes that this quantity needs: forward, or
+    /// forward with the adjoints of R and M.
     pub fn time(self, row: &Row) -> f64 {
         row.seconds[usize::from(matches!(self, Self::R | Self::M))][1]
     }
@@ -79,7 +79,7 @@ pub fn cheapest<'a>(rows: impl Iterator<Item = &'a Row>, metric: Metric, target:
     reached.min_by(|a, b| metric.time(a.0).total_cmp(&metric.time(b.0)))
 }
 
-/// Scene whose integrator and precision are varied.
+/// Scene whose integrator, number of substeps and precision are varied.
 pub struct Study {
     /// Source of the scene with the user's overrides only.
     pub given: SceneSource,
@@ -174,7 +174,8 @@ impl Study {
         Ok((fine, check))
     }
 
-    /// Scenes with the cheapest setting of every method that reaches the target.
+    /// Scene with the cheapest setting that reaches the target, for every method with such a
+    /// setting.
     pub fn scenes(&self, rows: &[Row], metric: Metric, target: f64) -> Result<Vec<(&'static str, Scene)>> {
         let mut methods: Vec<&str> = rows.iter().map(|row| row.setting.method).collect();
         methods.dedup();

@@ -50,8 +50,8 @@ fn text(value: &Value) -> String {
     value.as_str().map_or_else(|| value.to_string(), String::from)
 }
 
-/// Final test losses against each swept setting with at least two numeric values: one panel per
-/// setting, one line per field. None without such a setting.
+/// Medians and quartiles of the final test loss against each swept setting with at least two
+/// numeric values. One panel per setting, one line per field. None without such a setting.
 pub fn picture(title: &str, points: &[SweepPoint], scenes: &[InScene]) -> Option<Drawing> {
     let number = |value: &Value| value.as_float().or_else(|| value.as_integer().map(|x| x as f64));
     let mut fields: Vec<Field> = Vec::new();
@@ -81,7 +81,8 @@ pub fn picture(title: &str, points: &[SweepPoint], scenes: &[InScene]) -> Option
     (!panels.is_empty()).then(|| settings(&format!("{title}: median and quartiles of the final test loss"), panels))
 }
 
-/// Scene and field with the lowest median of the final test loss. Empty for a single scene.
+/// Line with the scene and field of the lowest median final test loss. Empty for a single scene, or
+/// if every median is NaN.
 pub fn lowest(scenes: &[InScene]) -> String {
     let median = |runs: &[Outcome]| quantile(&sorted(runs.iter().map(|run| run.last(|r| r.test_loss))), 0.5);
     let all = scenes.iter().flat_map(|scene| by_field(&scene.runs).map(|(field, runs)| (median(runs), scene.name, field)));

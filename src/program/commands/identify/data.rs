@@ -6,7 +6,8 @@ use crate::program::tasks::Scene;
 use anyhow::{Context, Result, bail};
 use std::path::Path;
 
-/// Largest distance of a sample from a step of the scene, relative to the step.
+/// Largest distance in time of a sample from the nearest step of the scene, relative to the time
+/// step.
 const OFF_GRID: f64 = 1e-3;
 
 /// Largest number of steps of a segment.
@@ -32,8 +33,8 @@ impl Measured {
     /// NaN. A control stays constant until its next value, and is 0 before the first.
     ///
     /// # Errors
-    /// The file cannot be read, has no samples, no column `t` or an unknown column. A cell is not a
-    /// number. A time is not a later step on the time grid of the scene.
+    /// The file cannot be read. It has no samples, no column `t` or `time`, or an unknown column. A
+    /// cell is not a number. A time is not a later step on the time grid of the scene.
     pub fn read(path: &Path, scene: &Scene) -> Result<Self> {
         let name = path.display();
         let (states, controls, dt) = (scene.state_names(), scene.control_names(), scene.dt());
@@ -104,19 +105,19 @@ impl Measured {
         Ok(Self { segments: segments.into_iter().map(|(_, _, segment)| segment).collect() })
     }
 
-    /// Numbers of the segments that are fitted, and of the others: every N-th one is fitted.
+    /// Indices of the fitted segments, `0, every, 2 every, …`, and indices of the other segments.
     pub fn split(&self, every: usize) -> [Vec<usize>; 2] {
         let (fitted, others) = (0..self.segments.len()).partition(|i| i % every == 0);
         [fitted, others]
     }
 
-    /// The segments with these numbers.
+    /// The segments with these indices.
     pub fn chosen(&self, numbers: &[usize]) -> Vec<Segment> {
         numbers.iter().map(|&i| self.segments[i].clone()).collect()
     }
 
-    /// Measured and simulated states of the segments with these numbers, one row per step with a
-    /// measurement.
+    /// CSV of measured and simulated states of the segments with these indices. One row per step
+    /// with a measurement.
     pub fn beside(&self, numbers: &[usize], fit: &Fit, scene: &Scene) -> Result<Vec<u8>> {
         let names = scene.state_names();
         let mut header = vec!["segment".to_owned(), "t".to_owned()];

@@ -7,7 +7,8 @@ use crate::report::{Dash, Series, fitted};
 /// Largest number of segments in the picture.
 const SEGMENTS: usize = 3;
 
-/// Two rows per component, for the first segments: measured and simulated values, and residuals.
+/// One column for each of the first segments. Two rows per state component: measured and simulated
+/// values, then residuals.
 pub fn picture(numbers: &[usize], segments: &[Segment], fit: &Fit, scene: &Scene) -> String {
     let (names, dt) = (scene.state_names(), scene.dt());
     let shown = numbers.iter().zip(segments).zip(&fit.states).take(SEGMENTS);

@@ -13,15 +13,15 @@ use anyhow::Result;
 
 /// Half the range of each parameter, which is centered at 0.
 const HALF_WIDTH: f64 = 4.0;
-/// Decades of the colour scale. A few values lie below the scale. The values in the corner with a
-/// large last state x_4 lie above it.
+/// Powers of ten at the ends of the colour scale. A few values lie below the scale. The values in
+/// the corner with a large last state x_4 lie above it.
 const DECADES: [i32; 2] = [-2, 6];
 
 pub fn fig1(quick: bool) -> Result<FinishedFigure> {
     let (cells, arrows) = if quick { (40, 14) } else { (80, 18) };
     let (fine, coarse) = (Fields::sample(cells)?, Fields::sample(arrows)?);
     let plane = Plane { labels: ["θ₁", "θ₂"], half_width: HALF_WIDTH, decades: DECADES, values: "loss, |R|, |M|" };
-    // x_4 - y with the target y, which vanishes at the minima. The first component of M,
+    // x_4 - y for the target y. This difference vanishes at the minima. The first component of M,
     // (x_4 - y) Σ x_t², has the same sign.
     let signs: Vec<f64> = fine.modified.iter().map(|m| (2.0 * m.loss).sqrt().copysign(m.vector[0])).collect();
     let vectors = |title: &str, fine: &[Sample], coarse: &[Sample]| Map {

@@ -79,7 +79,7 @@ fn growth_by_epoch(runs: &[Inspected]) -> Figure {
     .notes(warnings.flatten().collect())
 }
 
-/// Note on the charts that [`of_epochs`] omits, if no run has two gradients.
+/// Note on the charts that [`of_epochs`] omits. None if a run combines two gradients.
 pub fn missing(runs: &[Inspected]) -> Option<&'static str> {
     let has_one_flow = runs.iter().all(|run| run.field.flows().len() == 1);
     has_one_flow.then_some(

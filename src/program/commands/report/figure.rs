@@ -26,7 +26,7 @@ pub struct Key {
 }
 
 impl Figure {
-    /// Creates a figure with one legend entry per series.
+    /// Creates a figure with one legend entry per series that is not thin.
     pub fn new(title: impl Into<String>, chart: Chart, caption: impl Into<String>) -> Self {
         let label = |s: &Series| match &*s.note {
             "" => s.label.clone(),
@@ -129,7 +129,7 @@ struct Line<'a> {
     label: &'a str,
     color: &'a str,
     thin: bool,
-    /// x and y, followed by the limits of the band, if any.
+    /// x and y of each point, followed by the limits of the band, if any.
     points: Vec<Vec<f64>>,
 }
 

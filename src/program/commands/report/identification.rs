@@ -25,7 +25,7 @@ const NUMBERS: usize = 5;
 const NOTE: &str = "Residuals are simulated minus measured states. A standard error assumes independent residuals. A robust error \
                     allows for correlated residuals within a segment; it needs more segments than numbers.";
 
-/// The page of the identification in the folder.
+/// The page of the identification in the folder. Empty if [`IDENTIFIED`] has no header.
 pub fn page(folder: &Folder) -> Result<String> {
     let [header, numbers @ ..] = &rows(folder, IDENTIFIED)?[..] else { return Ok(String::new()) };
     let fit = rows(folder, FIT)?;
@@ -52,7 +52,7 @@ pub fn page(folder: &Folder) -> Result<String> {
     Ok(document("Identification", Some(&folder.name()), env!("CARGO_PKG_VERSION"), NOTE, &warnings, &content))
 }
 
-/// Header and rows of a file.
+/// Header and rows of a CSV file.
 fn rows(folder: &Folder, name: &str) -> Result<Vec<Vec<String>>> {
     let bytes = folder.read(name)?;
     let mut reader = csv::ReaderBuilder::new().has_headers(false).flexible(true).from_reader(&bytes[..]);
@@ -61,12 +61,12 @@ fn rows(folder: &Folder, name: &str) -> Result<Vec<Vec<String>>> {
     rows.with_context(|| format!("cannot read {}", folder.file(name).display()))
 }
 
-/// A number with four digits; "unknown" if it is not finite. Other text stays.
+/// A number with four significant digits; "unknown" if it is not finite. Other text stays.
 fn rounded(cell: &str) -> String {
     cell.parse::<f64>().map_or_else(|_| cell.to_owned(), |x| if x.is_finite() { short(x) } else { "unknown".into() })
 }
 
-/// A measured and a simulated state component at a time.
+/// Measured and simulated value of a state component at one time.
 #[derive(Clone, Copy)]
 struct Sample {
     t: f64,
@@ -114,7 +114,8 @@ fn rms(samples: &[Sample]) -> f64 {
     (samples.iter().map(|sample| sample.residual().powi(2)).sum::<f64>() / samples.len() as f64).sqrt()
 }
 
-/// Charts of every measured component, and the residuals of every segment.
+/// Charts of every measured component, and a table of the root mean square residuals of every
+/// segment.
 fn compared(title: &str, trajectories: &Trajectories) -> Markup {
     let Trajectories { components, segments } = trajectories;
     let measured: Vec<usize> = (0..components.len()).filter(|&i| segments.iter().any(|(_, all)| !all[i].is_empty())).collect();
@@ -135,7 +136,7 @@ fn compared(title: &str, trajectories: &Trajectories) -> Markup {
     )
 }
 
-/// Measured and simulated values in the segment with the largest residuals.
+/// Measured and simulated values in the segment with the largest root mean square residual.
 fn worst(name: &str, component: usize, segments: &[(String, Vec<Vec<Sample>>)]) -> Figure {
     let size = |all: &[Vec<Sample>]| if all[component].is_empty() { 0.0 } else { rms(&all[component]) };
     let worst = segments.iter().max_by(|(_, a), (_, b)| size(a).total_cmp(&size(b)));
@@ -150,7 +151,7 @@ fn worst(name: &str, component: usize, segments: &[(String, Vec<Vec<Sample>>)]) 
     )
 }
 
-/// Residuals of all segments over time.
+/// Largest, smallest and root mean square residual over all segments, against time.
 fn over_time(name: &str, component: usize, segments: &[(String, Vec<Vec<Sample>>)]) -> Figure {
     let mut samples: Vec<Sample> = segments.iter().flat_map(|(_, all)| all[component].iter().copied()).collect();
     samples.sort_by(|a, b| a.t.total_cmp(&b.t));

@@ -120,7 +120,7 @@ fn inspect(folders: &[Folder]) -> Result<Vec<Inspected>> {
 /// Checks that two runs belong to the same comparison.
 ///
 /// # Errors
-/// The tasks differ, or settings that [`Scene::comparable`] compares.
+/// The tasks differ, or the settings in [`Scene::comparable`] differ.
 fn check_comparable(first: &(&Folder, Scene), other: &(&Folder, Scene)) -> Result<()> {
     let [(path, task), (other_path, other_task)] =
         [first, other].map(|(folder, scene)| (folder.path().display(), scene.task.name()));

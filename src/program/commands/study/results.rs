@@ -1,4 +1,4 @@
-//! Results of a study: the best learning rate of each method, statistics over the seeds.
+//! Results of a study: the best learning rate of each method, and statistics over the seeds.
 
 use crate::numbers::text::short;
 use crate::program::platform::csv::csv;
@@ -41,7 +41,7 @@ struct Names<'a> {
     learning_rate: f64,
 }
 
-/// One seed.
+/// Run with one seed.
 struct Run<'a> {
     outcome: Outcome<'a>,
     /// Test loss of the untrained policy.
@@ -126,7 +126,7 @@ impl<'a> Results<'a> {
     }
 
     /// Shortest training time of a run of the task that reached its last epoch, at the best
-    /// learning rates, in s.
+    /// learning rates, in s. Infinite without such a run.
     fn duration(&self, task: &str) -> f64 {
         let runs = self.rows().filter(|(cell, _)| cell.names.task == task).flat_map(|(cell, _)| &cell.runs);
         runs.filter(|run| !run.outcome.failed).map(|run| run.outcome.seconds()).fold(f64::INFINITY, f64::min)
@@ -282,10 +282,10 @@ mod tests {
         let text = |csv: Vec<u8>| String::from_utf8(csv).expect("text");
         let methods = text(results.methods_csv().expect("CSV"));
         let rows: Vec<&str> = methods.lines().skip(1).collect();
-        // One seed of three ends above the loss 1 of the untrained policy, with either method. The
-        // ratio of the medians of B and A is 0.8 / 0.2. Resamples have medians of A among 0.1, 0.2
-        // and 1.5, and of B among 0.4, 0.8 and infinity. At the same seeds, the ratios are 4, 4 and
-        // infinity.
+        // One seed of three fails with either method. The seed of A ends above the loss 1 of the
+        // untrained policy. The seed of B has no final loss. The ratio of the medians of B and A is
+        // 0.8 / 0.2. Resamples have medians of A among 0.1, 0.2 and 1.5, and of B among 0.4, 0.8
+        // and infinity. At the same seeds, the ratios are 4, 4 and infinity.
         assert_eq!(rows[0], "task,A,0.01,3,1,0.3333333333333333,0.2,0.1,1.5,1,1,1");
         assert_eq!(rows[1], "task,B,0.01,3,1,0.3333333333333333,0.8,0.4,NaN,4,4,inf");
         let runs = text(results.runs_csv().expect("CSV"));
