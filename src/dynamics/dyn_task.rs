@@ -56,7 +56,8 @@ impl fmt::Debug for DynTask {
 }
 
 /// Object-safe [`Task`]. A method with a `slot` writes a function pointer to the slot, for the
-/// generic method of equal name. The type of the slot determines the scalar of the function.
+/// generic method of equal name. The type of the slot determines the scalar of the function. The
+/// slot stays empty if the method has no instance for this scalar.
 trait AnyTask: Send + Sync {
     fn name(&self) -> &'static str;
     fn as_any(&self) -> &dyn Any;
@@ -329,7 +330,7 @@ impl Task for DynTask {
     }
 
     fn observe_vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, y_bar: &[C], cotangents: Cotangents<'_, C>) {
-        call!(self.0.0, observe_vjp: ObserveVjpOf<R, C> [(R, C)] in "`Lanes<F, 8>` with `CotangentPack<_, 1>`, and `Counted` with `Counted`", inputs, y_bar, cotangents);
+        call!(self.0.0, observe_vjp: ObserveVjpOf<R, C> [(R, C)] in "`Lanes<F, 8>` with `CotangentPack<_, 1>`, `Counted` with `Counted`, and `f64` with `f64`", inputs, y_bar, cotangents);
     }
 
     fn running_cost<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &[T]) -> T {

@@ -1,6 +1,6 @@
 //! [`OptimizeError`]: invalid input, a non-finite number, or a stop by the options.
 
-/// Error of [`optimize`](super::optimize).
+/// Error of [`optimize`](super::optimize) and [`Tracking::new`](super::Tracking::new).
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum OptimizeError {
     /// An argument has the wrong length.
@@ -38,9 +38,10 @@ pub enum OptimizeError {
         /// Component of the variable.
         component: usize,
     },
-    /// The cost of the initial trajectory is not finite, but the states up to this step are finite.
+    /// The accumulated cost of the initial trajectory is not finite at this step. The states up to
+    /// the end of this step are finite.
     #[error(
-        "initial trajectory: the {} is not finite, but the states up to this step are finite. Check the cost for overflow, division by 0, and \
+        "initial trajectory: the cost {} is not finite, but the states up to this step are finite. Check the cost for overflow, division by 0, and \
          roots or logarithms of negative numbers", place(*step)
     )]
     Cost {
@@ -50,7 +51,7 @@ pub enum OptimizeError {
     /// A derivative at the finite initial trajectory is not finite.
     #[error(
         "initial trajectory: a derivative of the {} is not finite. \
-         Smooth the cost and the dynamics there, for instance roots near 0", differentiated(*step)
+         Smooth the cost and the dynamics there, for instance roots near 0, or shorten the horizon if the adjoint overflows", differentiated(*step)
     )]
     Derivative {
         /// Step of the running cost or of the dynamics; `None` for the terminal cost.
@@ -66,7 +67,7 @@ fn differentiated(step: Option<usize>) -> String {
     step.map_or("terminal cost".into(), |step| format!("running cost of step {step}, or of the dynamics in this step,"))
 }
 
-/// Name of a cost in messages.
+/// Costs that a sum contains, in messages.
 fn place(step: Option<usize>) -> String {
-    step.map_or("terminal cost".into(), |step| format!("running cost of step {step}"))
+    step.map_or("with the terminal cost".into(), |step| format!("up to the running cost of step {step}"))
 }

@@ -24,7 +24,7 @@ use factor::{factor, solve};
 /// M ẍ + Σ_k p_k cos θ_k α_k                        = u + Σ_k p_k sin θ_k ω_k²
 /// p_j cos θ_j ẍ + Σ_k I_jk cos(θ_j - θ_k) α_k      = p_j g sin θ_j - Σ_k I_jk sin(θ_j - θ_k) ω_k²
 /// p_k  = m l (1 + 2 (n - k))
-/// I_jj = m l² (4/3 + 4 (n - j)),   I_jk = m l² (2 + 4 (n - k)) for j < k
+/// I_jj = m l² (4/3 + 4 (n - j)),   I_jk = I_kj = m l² (2 + 4 (n - k)) for j < k
 /// ```
 ///
 /// The mass matrix is symmetric and positive definite, even for a massless cart. Cholesky's method
@@ -66,9 +66,10 @@ impl PoleChain {
     /// numbers are fixed.
     ///
     /// # Errors
-    /// Returns a [`MassError`] for the first invalid parameter.
+    /// Returns a [`MassError`] for the first number that is not fixed, otherwise for the first
+    /// invalid parameter.
     pub fn check(&self) -> Result<(), MassError> {
-        if let Some(number) = self.0.numbers().placed(0).pop() {
+        if let Some(number) = self.0.numbers().placed(0).into_iter().next() {
             return Err(MassError::Varies { number: number.name });
         }
         self.0.check_up_to(Self::MAX_POLES)

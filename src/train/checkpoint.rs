@@ -1,8 +1,8 @@
 //! Checkpoints: serialization of a [`Session`](crate::Session).
 //!
 //! A checkpoint consists of a magic number, a format number, a CRC-32C of the contents, and the
-//! contents in the format of the crate postcard. A label identifies the run. A session restores
-//! only checkpoints with its label.
+//! contents in the format of the crate postcard. A label in the contents identifies the run. To
+//! restore a checkpoint, the caller passes an equal label.
 
 use super::Record;
 use super::progress::{Best, Epoch, Progress, Snapshot};
@@ -17,7 +17,7 @@ const MAGIC: &[u8; 8] = b"physgrad";
 /// Incremented whenever the layout of [`Body`] changes.
 const FORMAT: u16 = 5;
 
-/// Decoded before the body, so that a mismatch yields a specific error.
+/// Start of the contents. Decoded before the body, so that a mismatch yields a specific error.
 #[derive(Serialize, Deserialize)]
 struct Header {
     version: String,
@@ -52,8 +52,9 @@ pub enum CheckpointError {
         /// Format of the checkpoint.
         found: u16,
     },
-    /// Truncated or modified checkpoint.
-    #[error("this checkpoint is damaged: {0}")]
+    /// Truncated or modified checkpoint, or a state that a training with the settings of the
+    /// session cannot reach.
+    #[error("this checkpoint is damaged, or belongs to a training with other settings: {0}")]
     Damaged(String),
     /// Checkpoint of another version of physgrad, whose results may differ.
     #[error("this checkpoint was written by physgrad {found}, but this is {}; use version {found}", env!("CARGO_PKG_VERSION"))]

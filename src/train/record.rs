@@ -68,7 +68,7 @@ impl Record {
         let regular = self.regular_growth.and_then(|growth| growth.warning(Flow::REGULAR, horizon, epsilon));
         let modified = self.modified_growth.and_then(|growth| growth.warning(Flow::MODIFIED, horizon, epsilon));
         let plateau = (self.grad_norm == ExtendedF64::default()).then(|| {
-            let disagreement = if self.cosine.is_some() { ", or the signs of R and M agree in no component" } else { "" };
+            let disagreement = if self.cosine.is_some() { ", or the combination of the two gradients is 0" } else { "" };
             format!(
                 "the field is exactly 0, so the parameters do not change: the loss does not depend on them here{disagreement}. \
                  Try another seed, or initialize the output layer with nonzero weights"
@@ -101,7 +101,7 @@ pub(super) struct Step {
     pub first_order: Option<f64>,
 }
 
-/// Sums over the updates of an epoch.
+/// Sums over the applied updates of an epoch, or over the evaluations of an update with smoothing.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(super) struct Means {
     updates: usize,
@@ -115,7 +115,7 @@ pub(super) struct Means {
 }
 
 impl Means {
-    /// Number of applied updates.
+    /// Number of summed updates or evaluations.
     pub fn updates(&self) -> usize {
         self.updates
     }

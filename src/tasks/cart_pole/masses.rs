@@ -7,7 +7,7 @@ use crate::dynamics::number::Number;
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum MassError {
     /// A mass or a length is not positive and finite.
-    #[error("{what} is {value}; allowed: a positive, finite number, because 0 can make the mass matrix singular")]
+    #[error("{what} is {value}; allowed: a positive, finite number")]
     NotPositive {
         /// Name of the parameter.
         what: &'static str,
@@ -53,8 +53,9 @@ impl CartPoleSystem {
     /// Checks that the masses, the half length and the number of poles are valid, for all values
     /// that numbers may have.
     ///
-    /// A negative cart mass is rejected as unphysical. The equations of [`CoupledCartPole`] are
-    /// solvable at all angles for cart masses above minus a quarter of the poles' mass.
+    /// Rejects cart masses of 0 and below as unphysical. The equations of [`CoupledCartPole`] are
+    /// nevertheless solvable at all angles if the cart mass exceeds minus a quarter of the poles'
+    /// mass.
     ///
     /// # Errors
     /// Returns a [`MassError`] for the first invalid parameter.

@@ -13,9 +13,9 @@ use serde::{Deserialize, Serialize};
 /// doi:10.1007/BF02731494; Pitaevskii 1961, Sov. Phys. JETP 13, 451). In this equation, ψ satisfies
 /// `∫ |ψ|² dx = 1`. A state has `Σ_j |ψ_j|² = 1`, so the probability density is `|ψ_j|² / dx`.
 ///
-/// Steps use the density at the beginning of the step. They therefore remain unitary, need no
-/// iteration, and are of first order in dt. [`Strang`](super::Strang) computes a density per half
-/// step and is of second order.
+/// The schemes of Crank and Nicolson and [`Pade`](super::Pade) use the density at the beginning of
+/// the step. Steps therefore remain unitary, need no iteration, and are of first order in dt.
+/// [`Strang`](super::Strang) computes a density per half step and is of second order.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
