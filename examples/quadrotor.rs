@@ -80,7 +80,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
     }
     let distance = (squares / (FLIGHTS * STEPS / 2) as f64).sqrt();
-    println!("root mean square distance from the curve in the second half: {distance:.3} m");
+    println!("root mean square distance from the reference position in the second half: {distance:.3} m");
     if let Some(path) = args.next() {
         let body = |t: usize| {
             let ([x, z], tilt) = (at(0, t), f64::from(rollout.state(t, 0, 2)));

@@ -51,12 +51,12 @@ use std::ops::Range;
 /// number of the step. Most policies have no memory and do not depend on t. The memory is 0 at the
 /// start of a rollout.
 ///
-/// Required: the dimensions other than `memory_dim`, [`init`](Policy::init) and
-/// [`act`](Policy::act). The batched passes default to `act` on blocks of up to eight samples.
-/// Default derivatives are exact: by dual numbers for at most 16 observed components, memory
-/// components and parameters together, otherwise in reverse mode. A policy with large layers
-/// overrides all batched passes together; [`check::policy`](crate::check::policy) compares them
-/// with `act`.
+/// Required: [`observation_dim`](Policy::observation_dim), [`control_dim`](Policy::control_dim),
+/// [`param_count`](Policy::param_count), [`init`](Policy::init) and [`act`](Policy::act). The
+/// batched passes default to `act` on blocks of up to eight samples. Default derivatives are exact:
+/// by dual numbers for at most 16 observed components, memory components and parameters together,
+/// otherwise in reverse mode. A policy with large layers overrides all batched passes together;
+/// [`check::policy`](crate::check::policy) compares them with `act`.
 ///
 /// # Batched passes
 /// The batched passes are [`forward`](Policy::forward), [`backward`](Policy::backward) and
@@ -100,8 +100,8 @@ pub trait Policy: Send + Sync {
     /// ```
     fn act<T: Scalar>(&self, theta: &[T], observed: Observed<'_, T>, action: Action<'_, T>);
 
-    /// Entries of the parameters `p` that are trained, the last parameters in `θ`. Default: none.
-    /// [`WithParams`] adds trained entries to a policy.
+    /// Trained entries of the parameters `p` of the system. The last components of `θ` determine
+    /// them. Default: none. [`WithParams`] adds trained entries to a policy.
     fn trained_params(&self) -> &[TrainedParam] {
         &[]
     }
@@ -227,7 +227,8 @@ impl<'a, F> PolicyPass<'a, F> {
     }
 }
 
-/// Results of the forward and backward passes in all columns, for [`Policy::param_gradient`].
+/// Inputs of [`Policy::param_gradient`] in all columns: results of the other passes, cotangents and
+/// weights.
 #[derive(Clone, Copy, Debug)]
 pub struct PolicyRecord<'a, F> {
     /// Values stored by [`Policy::forward`].

@@ -8,8 +8,9 @@ use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssi
 /// A number with 31 digits, stored as the sum of two `f64`s (Dekker 1971, doi:10.1007/BF01397083).
 ///
 /// A [`Scalar`] for reference solutions, much slower than `f64`. The crate `qd` provides the
-/// arithmetic. The relative error of an operation is about 1e-31. Constants are `f64` and thus
-/// equal to those of an `f64` computation. The range is that of `f64`.
+/// arithmetic. The relative error of an operation is about 1e-31; that of a sum or difference is
+/// relative to the larger operand. Generic code converts its constants from `f64`, so they equal
+/// those of an `f64` computation. The range is that of `f64`.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
 pub struct DoubleDouble(Quad);
 
@@ -106,7 +107,7 @@ trait Functions: Sized {
 }
 
 impl Functions for Quad {
-    /// The absolute error grows by 1e-32 per revolution of the angle.
+    /// The absolute error grows by up to 1e-31 per revolution of the angle.
     fn sin_cos(self) -> (Self, Self) {
         // π/2 in three parts: the product of `quarter` and the first is exact in double-double.
         const HALF_PI: [f64; 3] = [std::f64::consts::FRAC_PI_2, 6.123_233_995_736_766e-17, -1.497_384_904_859_169_8e-33];

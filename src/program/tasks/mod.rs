@@ -79,9 +79,9 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     /// # Errors
     /// An effect has another model than the task. The default refuses any effect.
     fn validate_own_effects(effects: &SceneEffects) -> Result<(), ConfigError> {
-        effects
-            .first()
-            .map_or(Ok(()), |key| Err(ConfigError::new(key, "is an effect of the user, which this task does not accept")))
+        effects.first().map_or(Ok(()), |key| {
+            Err(ConfigError::new(key, "is an effect of the user, which this task does not accept; remove it from the scene"))
+        })
     }
     /// Task of these settings.
     fn task(settings: &Settings<Self>) -> DynTask;
@@ -197,7 +197,9 @@ pub fn register(own: Vec<&'static dyn AnyTaskSpec>, own_effects: Vec<&'static dy
     // Leaks the keys, because names of effects are static. A process registers once.
     let key = |name: &str| -> &'static str { Box::leak(format!("effects.{name}").into_boxed_str()) };
     let effects = own_effects.into_iter().map(|effect| (key(effect.info().name), effect)).collect();
-    REGISTERED.set(Registered { tasks, effects }).map_err(|_| anyhow!("a process runs one program"))
+    REGISTERED
+        .set(Registered { tasks, effects })
+        .map_err(|_| anyhow!("this process has already registered tasks and effects; call `main` once"))
 }
 
 /// Object-safe [`TaskSpec`].

@@ -50,8 +50,7 @@ impl CartPoleSystem {
     /// changes the mass of the cart noticeably.
     pub const LIGHTEST_CART: f64 = 1e-9;
 
-    /// Checks that the masses, the half length and the number of poles are valid, for all values
-    /// that numbers may have.
+    /// Checks the number of poles, and all possible values of the masses and the half length.
     ///
     /// Rejects cart masses of 0 and below as unphysical. The equations of [`CoupledCartPole`] are
     /// nevertheless solvable at all angles if the cart mass exceeds minus a quarter of the poles'

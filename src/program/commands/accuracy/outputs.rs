@@ -60,7 +60,7 @@ fn record(row: &Row) -> Vec<String> {
     [&head[..], &[diverged], &errors, &counts, &times].concat()
 }
 
-/// Charts of errors over time and operations, with one line per method and precision.
+/// Charts of errors against computing time and operations, with one line per method and precision.
 fn diagrams(name: &str, rows: &[Row]) -> crate::report::Drawing {
     let mut methods: Vec<&str> = rows.iter().map(|row| row.setting.method).collect();
     methods.dedup();

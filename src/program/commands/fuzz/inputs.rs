@@ -115,7 +115,7 @@ fn is_scene(read: Result<Scene>) -> bool {
             true
         }
         Err(error) => {
-            assert!(!format!("{error:#}").is_empty(), "a message");
+            assert!(!format!("{error:#}").is_empty(), "the error has no message");
             false
         }
     }
@@ -203,8 +203,8 @@ static CHECKPOINTS: LazyLock<Vec<(OptimizerKind, Vec<u8>)>> = LazyLock::new(|| {
     checkpoints.collect()
 });
 
-/// Restores a damaged checkpoint with a valid checksum, and trains for an epoch. On an error,
-/// checks that the session is unchanged.
+/// Restores a damaged checkpoint with a valid checksum, and trains for an epoch. If the restore
+/// fails, checks that the session is unchanged.
 fn checkpoint(number: u64, outcomes: &mut Outcomes) {
     let rng = &mut numbers_of(number);
     let (rule, good) = one_of(rng, &CHECKPOINTS);
@@ -221,10 +221,7 @@ fn checkpoint(number: u64, outcomes: &mut Outcomes) {
             let _ = session.epoch();
             return true;
         }
-        assert!(
-            session.weights().theta() == theta && session.records().is_empty(),
-            "a rejected checkpoint leaves the session unchanged"
-        );
+        assert!(session.weights().theta() == theta && session.records().is_empty(), "a rejected checkpoint changed the session");
         false
     });
 }
