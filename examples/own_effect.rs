@@ -54,8 +54,7 @@ fn main() -> Result<(), TrainError> {
     let epochs = std::env::args().nth(1).map_or(3, |text| text.parse().expect("a number of epochs"));
     let system = CartPoleSystem { poles: 2, ..CartPoleSystem::default() };
     let brake = EddyBrake { force: 5.0, speed: 1.0 };
-    // Compares both derivatives with dual numbers. Panics if they differ, with the expected and the
-    // found value.
+    // Compares both derivatives with dual numbers, and panics if they differ.
     check::system(&Forced { system, effects: brake });
     check::system(&Forced { system, effects: ByHand(brake) });
 
