@@ -1,4 +1,5 @@
-//! Benchmark of default derivatives against analytic and batched ones.
+//! Benchmark of default derivatives against analytic derivatives, and of policies by `act` alone
+//! against batched passes.
 //!
 //! Usage: `cargo bench --bench defaults`, or with `-- products`, `-- trainings`, `-- policies` for
 //! one part, and with `-- --quick` for few rounds. Jobs alternate within each round; ratios are

@@ -16,12 +16,12 @@ use physgrad::{Batch, Flow, Ranks, Weights, initial_states};
 use std::sync::{Arc, Barrier, Mutex};
 
 const FLOWS: [Flow; 2] = [Flow::MODIFIED, Flow::REGULAR];
-/// Samples whose gradients form one sum.
+/// Number of samples whose gradients form one sum.
 const GROUP: usize = 4;
 /// Largest number of blocks of groups.
 const BLOCKS: usize = 32;
-/// Messages of an update from one rank to another. Five exchanges (divergence, blocks, total,
-/// costs, pause) send two each: length and contents.
+/// Number of messages of an update from one rank to another. Five exchanges (divergence, blocks,
+/// total, costs, pause) send two each: length and contents.
 const MESSAGES: f64 = 10.0;
 
 /// One of two ranks, each a thread of this process.

@@ -68,12 +68,13 @@ struct Model {
 }
 
 impl Model {
-    /// Model with the published numbers. Initial values of unknowns are `factor` times too large or
-    /// too small, in turn. Frictions start from that of the pendulum with one arm, quadratic
-    /// friction from a tenth of its number.
+    /// Model with the published arms and a gravity of 9.81 m/s². Initial values of unknowns are
+    /// `factor` times too large or too small, in turn. For viscous and dry friction, this factor
+    /// applies to the published viscous coefficient of the pendulum with one arm. For quadratic
+    /// friction, it applies to a tenth of this coefficient. Friction that is not unknown is 0.
     ///
     /// Free swings do not determine a common factor of masses, inertias and frictions, nor one more
-    /// combination. The masses and the last inertia therefore keep their published values.
+    /// combination per arm. The masses and the last inertia therefore keep their published values.
     fn new(arms: usize, kinds: [bool; 3], factor: f64) -> Self {
         let arm = Arm {
             mass: VARIES,
@@ -112,7 +113,7 @@ impl Model {
         Self { system: Integrated { ode, integrator: RungeKutta::RK4, dt: DT }, p, unknowns }
     }
 
-    /// Model with the published numbers and viscous friction.
+    /// Model with the published arms, viscous friction and gravity.
     fn published(arms: usize) -> Self {
         let mut model = Self::new(arms, [true, false, false], 1.0);
         model.system.ode.gravity = GRAVITY[arms - 1].into();

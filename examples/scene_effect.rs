@@ -1,4 +1,5 @@
-//! Effects of your own, named in scenes: a brake for cart-pole, and a task that accepts effects.
+//! Effects of your own, named in scenes: a brake for cart-pole, and a spring for a task of your
+//! own.
 //!
 //! Run:
 //! `cargo run --release --example scene_effect -- explain cart_pole --set effects.eddy_brake={}`

@@ -1,8 +1,8 @@
 //! Pages and comments follow the mechanical rules of prose. A sentence has at most 25 words and no
 //! "what" clause, and does not open with "Of", "Its" or "The same". A line has at most 100 columns.
 //!
-//! Tables, headings, images, code, comments behind code, and the folder `examples/data` are exempt.
-//! Inline code counts as one word.
+//! The test reads files in Markdown and Rust. Tables, headings, images, code, comments behind code,
+//! and the folder `examples/data` are exempt. Inline code counts as one word.
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -6,7 +6,7 @@ use physgrad::rng::Rng;
 use physgrad::tasks::{Evade, Flock, Friction, GuidanceSystem, Spread};
 use physgrad::{Cotangent, Cotangents, Float, HasModel, Inputs, Real, Scalar, Start, System};
 
-/// [`GuidanceSystem::herding`] for at most 32 agents, with a control frame centered at the
+/// [`GuidanceSystem::herding`] for at most 32 agents. The reference point of the controls is the
 /// sum of the evaders' positions.
 #[derive(Clone)]
 pub struct ByHand {

@@ -75,8 +75,8 @@ def train(task, policy=None, *, callback=None, out=None, threads=None, **setting
     `field`, `epochs`, `seed` and other settings outside of sections are keyword arguments, as in
     `task`. Others are settings of the section `training`, as in `learning_rate=3e-4`. `callback`
     receives the record of every epoch, a dict. With a folder `out`, saves the run there, as
-    `physgrad train` does. Does not change the argument `policy`: `run.policy` is the trained
-    policy.
+    `physgrad train` does. `threads` is the number of threads; results do not depend on it. Does not
+    change the argument `policy`: `run.policy` is the trained policy.
 
     After Ctrl-C, `KeyboardInterrupt` has the attribute `run`. `run.train()` continues. The
     exception `Divergence` has this attribute too.

@@ -181,15 +181,19 @@ class _Rows:
 
     def step(self, actions: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Steps the rows in ``mask``. Returns rewards, 0 for other rows, and the rows that end."""
+        if not np.isfinite(actions).all():
+            raise ValueError(f"environment {np.argwhere(~np.isfinite(actions))[0][0]}: the action is not finite")
         u = (np.clip(actions, -1.0, 1.0) * self.bound).astype(self.x.dtype)
-        cost = np.zeros(len(self.x))
+        cost, after = np.zeros(len(self.x)), self.x.copy()
         for t in np.unique(self.t[mask]):
             rows = mask & (self.t == t)
             x, controls, p = self.x[rows], u[rows], self.p[rows]
             following = self.task.step(x, controls, p=p, t=int(t))
             cost[rows] = self.task.running_cost(x, controls, following, p=p, t=int(t))
             self._check(following, rows, t)
-            self.x[rows] = following
+            after[rows] = following
+        # After an error above, all rows are at their earlier steps.
+        self.x = after
         self.t[mask] += 1
         last = mask & (self.t == self.task.horizon)
         if last.any():

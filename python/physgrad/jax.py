@@ -10,8 +10,9 @@ calls the physics once for all samples with equal ``t``. Arrays are all float32,
 after ``jax.config.update("jax_enable_x64", True)``. The context manager ``jax.enable_x64`` has no
 effect in other threads, which may call the physics. Leading dimensions are batch dimensions and
 broadcast. ``p`` are the parameters of the rows, shape (..., np), and ``t`` is the step number, an
-int or an integer array. Gradients are the exact derivatives of the task (reverse mode, once
-differentiable). Errors: ``ValueError`` for a shape, ``TypeError`` for a dtype.
+int or an integer array. The dimensions of an array ``t`` are the first batch dimensions. Gradients
+are the exact derivatives of the task (reverse mode, once differentiable). Errors: ``ValueError``
+for a shape, ``TypeError`` for a dtype.
 """
 
 from __future__ import annotations

@@ -40,9 +40,9 @@ impl<'py, F: Number> Argument<'py, F> {
     fn read(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Self> {
         let py = object.py();
         let array = match object.cast::<PyArrayDyn<F>>() {
-            Ok(array) if array.is_c_contiguous() => array.clone(),
+            Ok(array) if array.is_c_contiguous() && array.is_aligned() => array.clone(),
             _ => {
-                let converted = py.import("numpy")?.call_method1("ascontiguousarray", (object, dtype::<F>(py)));
+                let converted = py.import("numpy")?.call_method1("require", (object, dtype::<F>(py), ["C", "A"]));
                 converted.map_err(|error| named(py, name, error))?.cast_into::<PyArrayDyn<F>>()?
             }
         };

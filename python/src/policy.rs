@@ -41,7 +41,7 @@ impl Policy {
     }
 
     /// A copy of the parameters θ, float64. Assign to `theta` to replace all parameters. The last
-    /// entries are the trained numbers of the task.
+    /// entries determine the trained numbers of the task, if any.
     #[getter]
     fn theta<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
         self.lock().theta().to_vec().into_pyarray(py)

@@ -20,7 +20,8 @@ use std::time::Duration;
 ///
 /// `Run(task, policy=None, threads=None, **settings)` is a training before its first epoch.
 /// Settings outside of sections, as `field`, `epochs` and `seed`, are keyword arguments. Other
-/// keyword arguments are settings of the section `training`, as in `learning_rate=3e-4`.
+/// keyword arguments are settings of the section `training`, as in `learning_rate=3e-4`. `threads`
+/// is the number of threads; results do not depend on it.
 #[pyclass(frozen, module = "physgrad")]
 pub struct Run(Mutex<api::Run>);
 
@@ -87,13 +88,15 @@ impl Run {
         dict_of_vectors(py, COLUMNS.iter().enumerate().map(column))
     }
 
-    /// The policy after the last completed epoch.
+    /// The policy with the current parameters: those after the last completed epoch, or after the
+    /// last update if Ctrl-C interrupted an epoch.
     #[getter]
     fn policy(&self) -> PyResult<Policy> {
         self.lock()?.policy(false).map(Policy::new).map_err(runtime_error)
     }
 
-    /// The policy after the epoch with the lowest test loss.
+    /// The policy after the epoch with the lowest test loss. Before the first epoch whose test loss
+    /// is a number, the initial policy.
     #[getter]
     fn best_policy(&self) -> PyResult<Policy> {
         self.lock()?.policy(true).map(Policy::new).map_err(runtime_error)

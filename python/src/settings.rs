@@ -14,9 +14,9 @@ const SECTIONS: [&str; 7] = ["system", "effects", "actuator", "integrator", "los
 /// A list of dotted keys and values.
 pub type Settings = Vec<(String, Value)>;
 
-/// Settings from keyword arguments. The argument `settings` is a dict. Each key is dotted, or names
-/// a setting outside of sections, or names a section whose value is a dict. Other keys that are no
-/// section and not in `top` belong to `section`.
+/// Settings from keyword arguments. The argument `settings` is a dict. Each key of this dict is
+/// dotted, or names a setting outside of sections, or names a section whose value is a dict. Other
+/// arguments are sections, settings in `top`, or settings of `section`.
 pub fn keywords(kwargs: Option<&Bound<'_, PyDict>>, section: &str, top: &[&str]) -> PyResult<Settings> {
     let mut settings = Vec::new();
     for (key, value) in kwargs.into_iter().flatten() {

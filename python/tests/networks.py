@@ -48,4 +48,4 @@ def flat(parts: list) -> np.ndarray:
 def relative(a: np.ndarray, b: np.ndarray) -> float:
     """Largest difference, relative to the largest component of ``b``. 0 if both are equal."""
     difference = np.abs(a - b).max()
-    return float(difference / np.abs(b).max()) if difference > 0 else 0.0
+    return 0.0 if difference == 0 else float(difference / np.abs(b).max())

@@ -17,7 +17,7 @@ NEEDS = {
     "ppo_beside_c": ["stable_baselines3", "gymnasium", "matplotlib"],
     "speed": [],
 }
-slow = pytest.mark.skipif("PHYSGRAD_PYTHON_ALL" not in os.environ, reason="takes minutes; set PHYSGRAD_PYTHON_ALL=1")
+slow = pytest.mark.skipif(os.environ.get("PHYSGRAD_PYTHON_ALL") != "1", reason="takes minutes; set PHYSGRAD_PYTHON_ALL=1")
 
 
 def test_all_examples_are_listed():

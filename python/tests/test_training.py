@@ -25,7 +25,7 @@ def policy_of(task, seed=1):
     return policy
 
 
-def test_regular_gradient_equals_differences_and_chained_steps():
+def test_regular_gradient_equals_central_differences():
     task = small()
     policy, starts = policy_of(task), task.starts(8, seed=2)
     gradient, theta, h = pg.gradients(task, policy, starts, fields=["R"])["R"], policy.theta, 1e-6

@@ -44,7 +44,7 @@ pub fn try_cost<T: Task>(task: &T) -> Result<Passed, Mismatch> {
         x.iter_mut().zip(normal(&mut rng, n)).for_each(|(x, noise)| *x += 0.1 * noise);
         let (u, noise) = (normal(&mut rng, m), normal(&mut rng, n));
         let next: Vec<f64> = x.iter().zip(noise).map(|(x, noise)| x + 0.1 * noise).collect();
-        let t = case as usize % task.horizon();
+        let t = case as usize % task.horizon().max(1);
         let inputs = Inputs { x: &x, u: &u, p: &p, t };
 
         if let Some(observed) = task.observation_dim() {

@@ -45,9 +45,9 @@ use crate::policy::{Policy, Tensor, Weights};
 use rand_distr::{Distribution, StandardNormal};
 use std::fmt;
 
-/// Random cases per check of a system or of costs.
+/// Number of random cases per check of a system or of costs.
 const CASES: u64 = 20;
-/// Random cases per check that evaluates a policy.
+/// Number of random cases per check that evaluates a policy.
 const CASES_OF_LONG_CHECKS: u64 = 2;
 /// Tolerance for one step of a system, and for one evaluation of a policy, an observation or a
 /// cost.
@@ -71,7 +71,7 @@ pub struct Passed {
 pub struct Mismatch {
     /// Compared quantity, for instance `vjp: x_bar`.
     pub what: String,
-    /// Index of the first mismatching component.
+    /// Index of the first mismatching component or random direction; 0 for a JVP.
     pub index: usize,
     /// Reference value, from dual numbers or from an equivalent reference form.
     pub expected: f64,
@@ -196,7 +196,8 @@ pub fn try_system<S: System>(system: &S) -> Result<Passed, Mismatch> {
 }
 
 /// Checks the derivatives of a system at states `x`, controls `u` and parameters `p` drawn by
-/// `draw(rng, x, u, p)`. Draws of physical numbers that vary then replace their entries of `p`.
+/// `draw(rng, x, u, p)`. The check then draws the physical numbers that vary, and overwrites their
+/// entries of `p`.
 ///
 /// The check requires:
 ///
@@ -204,8 +205,8 @@ pub fn try_system<S: System>(system: &S) -> Result<Passed, Mismatch> {
 /// - [`vjp`](System::vjp) agrees with dual numbers for every combination of requested cotangents,
 ///   and adds to the cotangents.
 /// - [`jvp`](System::jvp) agrees with dual numbers: `⟨λ, J v⟩ = ⟨Jᵀλ, v⟩` for the Jacobian J and
-///   random vectors λ and v. The error is relative to the larger sum of absolute values of the
-///   terms of either side.
+///   random vectors λ and v. Each side is a sum. The error is relative to the sum of the absolute
+///   values of the terms, for the side where this sum is larger.
 /// - `step` and `vjp` in SIMD lanes have the bits of scalars.
 ///
 /// # Errors

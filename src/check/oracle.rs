@@ -90,8 +90,8 @@ pub fn loss<T: Task, P: Policy>(task: &T, policy: &P, theta: &[f64], starts: &[f
 /// Directional derivative of the mean loss, by forward mode with num-dual.
 ///
 /// `starts` concatenates the initial states of the samples, each followed by its parameters. `flow`
-/// selects the differentiated paths. `tangent(i)` is the component of the direction along policy
-/// parameter i.
+/// selects the differentiated paths. The function ignores a [`cut`](Flow::cut) of the flow.
+/// `tangent(i)` is the component of the direction along policy parameter i.
 pub fn slope_by_duals<T: Task, P: Policy>(
     task: &T,
     policy: &P,

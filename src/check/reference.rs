@@ -10,8 +10,9 @@ use crate::policy::Policy;
 /// arithmetic.
 ///
 /// `starts` concatenates the initial states of the samples, each followed by its parameters. `flow`
-/// selects the differentiated paths. `direction(i)` is the component of the direction along
-/// policy parameter i. The function returns `[loss, slope]`, rounded to `f64`.
+/// selects the differentiated paths. The function ignores a [`cut`](Flow::cut) of the flow.
+/// `direction(i)` is the component of the direction along policy parameter i. The function returns
+/// `[loss, slope]`, rounded to `f64`.
 ///
 /// Parameters, initial states and physical constants enter as exact `f64` values. Use the result
 /// only as a reference: the computation is orders of magnitude slower than in `f64`.

@@ -77,10 +77,11 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
     }
 
     /// Draws the parameters of one sample into `p`, which holds [`param_dim`](Effect::param_dim)
-    /// zeros. Draws of physical numbers follow.
+    /// zeros. The physical numbers that vary receive their draws afterwards.
     fn draw_params(&self, _rng: &mut Rng, _p: &mut [f64]) {}
 
-    /// Adds the forces of this effect to `forces`. The time is in s.
+    /// Adds the forces of this effect to `forces`. The time `inputs.t` has the unit of
+    /// [`dt`](ForcedSystem::dt).
     ///
     /// Mark implementations `#[inline(always)]`: inlined code is compiled for AVX2 on processors
     /// that have it.
@@ -110,9 +111,9 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
         true
     }
 
-    /// Returns the name of this effect if its forces or their derivatives are non-finite at finite
-    /// inputs. `forces` is the number of forces of the system. The name is that of the type, or the
-    /// one given by [`Named`]. Used only for error messages.
+    /// Returns the name of this effect if its forces or their derivatives are non-finite. The
+    /// inputs must be finite. `forces` is the number of forces of the system. The name is that of
+    /// the type, or the one given by [`Named`]. Used only for error messages.
     #[doc(hidden)]
     fn diagnose<R: Real>(&self, model: &B, inputs: OdeInputs<'_, R>, forces: usize) -> Option<&'static str> {
         let name = || std::any::type_name::<Self>().split('<').next().and_then(|path| path.rsplit("::").next());
@@ -165,10 +166,10 @@ pub(crate) fn is_finite<B, E: Effect<B>, R: Real>(effect: &E, model: &B, inputs:
 
 /// System to whose forces effects can add.
 ///
-/// Only [`forced_step`](ForcedSystem::forced_step), the model, the sizes and the time step are
-/// required. Effects receive the inputs of the step, with the time in s ([`Inputs::continuous`]). A
-/// system with parameters of its own removes these from the inputs of the effects
-/// ([`Inputs::skip_params`]).
+/// Required: [`forced_step`](ForcedSystem::forced_step), the model, the time step, and the
+/// dimensions of state, control and forces. Effects receive the inputs of the step, with the time
+/// in place of the step number ([`Inputs::continuous`]). A system with parameters of its own
+/// removes these from the inputs of the effects ([`Inputs::skip_params`]).
 pub trait ForcedSystem: Send + Sync {
     /// Model that effects read; often the system itself.
     type Model;
@@ -190,7 +191,7 @@ pub trait ForcedSystem: Send + Sync {
     }
     /// Number of forces to which effects add.
     fn force_dim(&self) -> usize;
-    /// Time step, s.
+    /// Time step, in the unit of time of the system: s, except for quantum systems.
     fn dt(&self) -> f64;
 
     /// Writes the next state under the given effects.

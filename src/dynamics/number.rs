@@ -137,7 +137,10 @@ impl Number {
                 [mean - TRUNCATION * deviation, mean + TRUNCATION * deviation].into_iter().collect()
             }
             Self::Choice(choice) => choice.values().iter().copied().collect(),
-            Self::Trained { start, min, max } => [start, min, max].into_iter().filter(|value| value.is_finite()).collect(),
+            Self::Trained { start, min, max } => {
+                let bounds = [min, max].into_iter().filter(|value| !value.is_infinite());
+                [start].into_iter().chain(bounds).collect()
+            }
         }
     }
 
@@ -245,8 +248,8 @@ impl<'a> Numbers<'a> {
 pub struct Varied {
     /// Index in `p`.
     pub index: usize,
-    /// Name of the field, after the name of the effect if that is [`Named`](crate::Named):
-    /// `wind.speed`.
+    /// Name of the number. If the effect is [`Named`](crate::Named), the name of the effect
+    /// precedes it: `wind.speed`.
     pub name: String,
     /// The number.
     pub number: Number,

@@ -77,13 +77,15 @@ pub trait Ode: Send + Sync {
     /// Index of the velocity of component `i`, or `None` if `i` is not a position.
     ///
     /// `Some(j)` requires `f_i = x_j` exactly, as partitioned integrators
-    /// ([`SemiImplicit`](crate::SemiImplicit), [`Verlet`](crate::Verlet)) assume.
+    /// ([`SemiImplicit`](crate::SemiImplicit), [`Verlet`](crate::Verlet)) assume. Component `j`
+    /// must not be a position itself.
     #[inline(always)]
     fn velocity(&self, _i: usize) -> Option<usize> {
         None
     }
 
-    /// Diagnoses a non-finite rate; see [`System::diagnose`](crate::System::diagnose).
+    /// Diagnoses a non-finite rate, or a non-finite derivative of the rate; see
+    /// [`System::diagnose`](crate::System::diagnose).
     fn diagnose<R: Real>(&self, _inputs: OdeInputs<'_, R>) -> Option<Cause> {
         None
     }

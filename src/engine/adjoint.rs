@@ -149,7 +149,7 @@ impl<F: Float> Adjoint<F> {
     /// NaN.
     ///
     /// # Panics
-    /// Without [`keep_norms`](Adjoint::keep_norms).
+    /// Without [`keep_norms`](Adjoint::keep_norms), or if `k` is not below the number of flows.
     #[track_caller]
     pub fn norms(&self, k: usize) -> &[f64] {
         &self.norms.as_ref().expect("the norms of an adjoint are stored only after `keep_norms`")[k]
@@ -169,10 +169,12 @@ impl<F: Float> Adjoint<F> {
     /// flow `k`.
     ///
     /// The first `state_dim` values are derivatives with respect to the initial state, the next
-    /// `param_dim` with respect to p. All are multiplied by the `scale` of the last run.
+    /// `param_dim` with respect to p. All are multiplied by the `scale` of the last run. If that
+    /// run diverged, the values are invalid.
     ///
-    /// The flow weights only paths through state, observation and memory. The direct effects of p
-    /// on steps and costs have weight 1. The effect of p on the observation has weight `control`.
+    /// A flow has weights only for paths through state, observation and memory. The direct effects
+    /// of p on steps and costs have weight 1. The effect of p on the observation has weight
+    /// `control`.
     ///
     /// ```
     /// use physgrad::policy::Linear;
@@ -210,8 +212,8 @@ impl<F: Float> Adjoint<F> {
     /// ```
     ///
     /// # Panics
-    /// Without [`keep_start_gradients`](Adjoint::keep_start_gradients), or if `sample` is not
-    /// below the capacity.
+    /// Without [`keep_start_gradients`](Adjoint::keep_start_gradients). If `sample` is not below
+    /// the capacity, or `k` is not below the number of flows.
     #[track_caller]
     pub fn start_gradient(&self, k: usize, sample: usize) -> &Gradient<F> {
         let missing = "the gradients with respect to initial states are stored only after `keep_start_gradients`";
@@ -245,7 +247,8 @@ impl<F: Float> Adjoint<F> {
     /// mean.
     ///
     /// # Errors
-    /// [`Divergence`] if a cotangent is not finite.
+    /// [`Divergence`] if a cotangent of a state, control or memory is not finite. Does not check
+    /// the gradients with respect to parameters and initial states.
     pub fn run(
         &mut self,
         task: &dyn AnyTask<F>,

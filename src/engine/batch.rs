@@ -48,7 +48,7 @@ pub struct Batch<F: Float> {
     shared: Option<Box<Shared<F>>>,
 }
 
-/// Task, policy and sizes of one mini-batch.
+/// Task, policy, weights and sizes of one mini-batch.
 #[derive(Clone, Copy)]
 struct MiniBatch<'a, F: Float> {
     task: &'a dyn AnyTask<F>,
@@ -87,7 +87,7 @@ struct Worker<F: Float> {
 impl<F: Float> Batch<F> {
     /// Allocates a workspace for mini-batches of up to `samples` samples and one or two flows.
     ///
-    /// At most `workers` workers share a mini-batch. All steps are stored.
+    /// At most `workers` workers, and at least one, share a mini-batch. All steps are stored.
     ///
     /// # Panics
     /// As [`Rollout::new`](crate::Rollout::new), or if `flows` does not have one or two elements.
@@ -148,7 +148,8 @@ impl<F: Float> Batch<F> {
         Self { capacity: samples, workers: all, gradients: zeros(), block, growth, measured: false, shared: None }
     }
 
-    /// Returns the [`stored_bytes`](Batch::stored_bytes) of a schedule without allocating.
+    /// Returns the [`stored_bytes`](Batch::stored_bytes) of a workspace with this schedule, without
+    /// allocating it.
     ///
     /// # Panics
     /// If `samples` is 0.
@@ -209,6 +210,7 @@ impl<F: Float> Batch<F> {
         workers: usize,
         budget: Option<u64>,
     ) -> Result<Self, MemoryError> {
+        assert!(samples > 0, "a mini-batch needs at least one sample");
         let own = samples.div_ceil(ranks.count()).next_multiple_of(GROUP * block_of(samples)).min(samples);
         let batch = match budget {
             None => Self::new(task, policy, own, flows, workers),

@@ -88,7 +88,8 @@ impl<F: Float> Checkpointed<F> {
         Schedule::within(task.horizon(), budget, |schedule| Self::bytes_of(task, policy, samples, flows, schedule))
     }
 
-    /// Returns the [`stored_bytes`](Checkpointed::stored_bytes) of a schedule without allocating.
+    /// Returns the [`stored_bytes`](Checkpointed::stored_bytes) of a workspace with this schedule,
+    /// without allocating it.
     pub fn bytes_of(
         task: &dyn AnyTask<F>,
         policy: &dyn AnyPolicy<F>,
@@ -138,7 +139,8 @@ impl<F: Float> Checkpointed<F> {
     /// 1 / batch size for the gradient of a batch mean.
     ///
     /// # Errors
-    /// [`Divergence`] if a number is not finite. The gradients are then invalid.
+    /// [`Divergence`] if a state, control, memory or cost, or a cotangent of a state, control or
+    /// memory, is not finite. The gradients are then invalid.
     ///
     /// # Panics
     /// If `starts` is empty, exceeds the capacity, or is not a whole number of samples. If `group`

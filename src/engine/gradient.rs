@@ -135,8 +135,8 @@ impl<F: Float> Gradient<F> {
         }
     }
 
-    /// Reads a range of values from the start of `bytes`, which [`write_slice`](Self::write_slice)
-    /// appended. Removes them from `bytes`.
+    /// Reads a range of values and their exponents, as [`write_slice`](Self::write_slice) writes
+    /// them, from the start of `bytes`. Removes the bytes that it reads.
     ///
     /// # Panics
     /// If `bytes` is too short.

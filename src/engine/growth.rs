@@ -27,10 +27,11 @@ impl Growth {
     /// `horizon` is the number of steps of a rollout, `epsilon` the machine epsilon of its
     /// precision.
     ///
-    /// - R and N: rounding errors of the forward pass grow like the adjoint of R. If the growth
-    ///   exceeds the number of digits, the contributions of early steps have unreliable signs.
+    /// - R and N: rounding errors of the forward pass grow like the adjoint of R. If `worst_window`
+    ///   exceeds the number of decimal digits, contributions of early steps have unreliable signs.
     /// - M ignores the policy's response to deviations. On a plant that is unstable without
-    ///   control, M grows. The first steps then outweigh the last by a factor of 10^growth.
+    ///   control, M grows. The first steps then outweigh the last by a factor of 10^`along`. Warns
+    ///   above 3 decades.
     pub fn warning(&self, flow: Flow, horizon: usize, epsilon: f64) -> Option<String> {
         let digits = -epsilon.log10();
         let Self { along, worst_window } = *self;
@@ -63,10 +64,10 @@ pub(crate) struct Meter {
 }
 
 impl Meter {
-    /// Adds one step, from the squared norms before and after it.
+    /// Adds one step, from the squared norms of the stored values before and after it.
     ///
-    /// `exponent` is the change of the exponent of the sample: the ratio of norms is 2^`exponent`
-    /// times the ratio of the stored values.
+    /// `exponent` is the change of the exponent of the sample. The ratio of the norms of λ is
+    /// 2^`exponent` times that of the stored values.
     pub(crate) fn step(&mut self, before: f64, after: f64, exponent: i32) {
         if before == 0.0 {
             return;

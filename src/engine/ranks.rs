@@ -41,7 +41,8 @@ fn part(count: usize, rank: usize, ranks: usize) -> Range<usize> {
     count * rank / ranks..count * (rank + 1) / ranks
 }
 
-/// Samples of a rank: whole blocks of `block` samples, the last of which may be incomplete.
+/// Samples of a rank, in blocks of `block` samples. Only the last block of all ranks may be
+/// incomplete.
 pub(crate) fn samples_of(samples: usize, block: usize, rank: usize, ranks: usize) -> Range<usize> {
     let Range { start, end } = part(samples.div_ceil(block), rank, ranks);
     start * block..samples.min(end * block)

@@ -434,22 +434,26 @@ impl<F: Float> Rollout<F> {
     /// Component `i` of the state of `sample` at step `t`, from 0 (initial state) to `horizon`.
     ///
     /// # Panics
-    /// If that step is not stored. Without a tape, only the last two states are stored.
+    /// If that step is not stored, or there is no such sample or component. Without a tape, only
+    /// the last two states are stored.
     #[track_caller]
     pub fn state(&self, t: usize, sample: usize, i: usize) -> F {
         let Self { horizon, kept, .. } = *self;
         assert!(t <= horizon && t + kept >= horizon, "the state at step {t} of {horizon} is not stored: {STORED}");
+        assert!(sample < self.samples && i < self.state_dim, "there is no state component {i} of sample {sample}");
         self.states_at(t)[(sample / WIDTH) * self.state_dim + i].lane(sample % WIDTH)
     }
 
     /// Component `i` of the control of `sample` at step `t`, `t < horizon`.
     ///
     /// # Panics
-    /// If that step is not stored. Without a tape, only the last control is stored.
+    /// If that step is not stored, or there is no such sample or component. Without a tape, only
+    /// the last control is stored.
     #[track_caller]
     pub fn control(&self, t: usize, sample: usize, i: usize) -> F {
         let Self { horizon, kept, .. } = *self;
         assert!(t < horizon && t + kept >= horizon, "the control at step {t} of {horizon} is not stored: {STORED}");
+        assert!(sample < self.samples && i < self.control_dim, "there is no control {i} of sample {sample}");
         self.controls_at(t)[(sample / WIDTH) * self.control_dim + i].lane(sample % WIDTH)
     }
 }

@@ -65,7 +65,8 @@ pub fn step_vjp<F: Float>(task: &impl Task, inputs: Inputs<'_, F>, next_bar: &[F
     });
 }
 
-/// Writes the products of the Jacobians of the step with the tangents. `None` is a zero tangent.
+/// Writes the sum of the products of the Jacobians of the step with the tangents. `None` is a zero
+/// tangent.
 pub fn step_jvp<F: Float>(task: &impl Task, inputs: Inputs<'_, F>, tangents: Tangents<'_, F>, next_tan: &mut [F]) {
     let rows = rows(task, &inputs);
     let system = task.system();

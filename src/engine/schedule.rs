@@ -33,7 +33,8 @@ impl Schedule {
     /// bitwise equal. Rollouts of at most one unit are always stored completely.
     pub const UNIT: usize = UNIT;
 
-    /// Creates a schedule with segments of `segment` steps, rounded up to whole units.
+    /// Creates a schedule with segments of `segment` steps, rounded up to whole units and limited
+    /// to the horizon.
     ///
     /// `checkpoints` is an upper bound on the number of checkpoints.
     ///

@@ -16,8 +16,8 @@ pub(super) struct Counts {
 /// Conditions that end the iterations.
 #[derive(Clone, Copy)]
 pub(super) struct Stop {
-    /// Largest relative decrease of the objective, in each of two consecutive iterations, that ends
-    /// them.
+    /// Two consecutive iterations end the loop if each decreases the objective by at most this
+    /// fraction.
     pub tolerance: f64,
     pub max_iterations: usize,
 }
@@ -123,7 +123,7 @@ fn norms(linearized: &[Vec<Linearized>], params: usize) -> Vec<f64> {
     squares.into_iter().map(f64::sqrt).collect()
 }
 
-/// Equations of the parameters without damping, for each segment.
+/// Equations of the parameters with negligible damping, for each segment.
 ///
 /// # Errors
 /// [`IdentifyError::Stopped`]

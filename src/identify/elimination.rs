@@ -32,7 +32,8 @@ impl Linearized {
 
 /// Triangular equations of a segment.
 pub(super) struct Eliminated {
-    /// Rows for each δs_k, with columns `[δs_k | δs_{k+1} | δq | 1]`.
+    /// Rows for each δs_k, with columns `[δs_k | δs_{k+1} | δq | 1]`. Without δs_{k+1} in the last
+    /// window.
     windows: Vec<DMatrix<f64>>,
     /// Remaining rows, with columns `[δq | 1]`.
     pub reduced: DMatrix<f64>,

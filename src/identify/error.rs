@@ -60,7 +60,7 @@ pub enum IdentifyError {
         /// Number of state components.
         expected: usize,
     },
-    /// A standard deviation of the noise is not a positive number.
+    /// A standard deviation of the noise is not positive and finite.
     #[error("the noise of state component {component} is {noise}; allowed: positive finite numbers")]
     Noise {
         /// Component of the state.

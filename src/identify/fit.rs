@@ -11,7 +11,8 @@ use std::sync::atomic::AtomicBool;
 /// A measured trajectory, one row per step of the system.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Segment {
-    /// Measured states, `[step][component]`. NaN marks a missing number.
+    /// Measured states, `[step][component]`. NaN marks a missing number. Infinite numbers also
+    /// count as missing.
     pub x: Vec<Vec<f64>>,
     /// Controls, `[step][component]`. Missing rows are 0.
     pub u: Vec<Vec<f64>>,
@@ -47,9 +48,9 @@ pub struct Options {
     pub window: Option<usize>,
     /// Largest number of iterations per weight of continuity.
     pub max_iterations: usize,
-    /// Largest relative decrease of χ², plus weighted squared jumps between windows, that counts as
-    /// converged. Two consecutive such decreases end the iterations. All weights of continuity but
-    /// the last use 1e-2 instead.
+    /// Largest relative decrease of the objective that counts as converged. The objective is χ²
+    /// plus the weighted squared jumps between windows. Two consecutive such decreases end the
+    /// iterations. All weights of continuity but the last use 1e-2 instead.
     pub tolerance: f64,
     /// Flag that another thread sets to stop the identification with [`IdentifyError::Stopped`].
     /// Read before every simulation of a window.
@@ -69,16 +70,18 @@ pub struct Fit {
     pub names: Vec<String>,
     /// Identified values.
     pub values: Vec<f64>,
-    /// Standard errors; infinite for parameters in an undetermined combination.
+    /// Standard errors. Infinite for parameters in an undetermined combination, and if the noise is
+    /// unknown and there are as many unknowns as measurements.
     pub errors: Vec<f64>,
     /// Standard errors that allow for correlated residuals within a segment, from the scatter
     /// between segments (sandwich estimate; Liang and Zeger 1986, doi:10.1093/biomet/73.1.13).
     /// Infinite for parameters in an undetermined combination, and unless there are more segments
     /// than unknown parameters.
     pub robust_errors: Vec<f64>,
-    /// Correlations of the values, from the determined combinations of parameters only.
+    /// Correlations of the values, from the determined combinations of parameters only. NaN for a
+    /// parameter that is in no determined combination.
     pub correlations: Vec<Vec<f64>>,
-    /// Combinations of parameters that the data do not determine, by name.
+    /// Names of the parameters in each combination that the data do not determine.
     pub undetermined: Vec<Vec<String>>,
     /// Parameters at one of their bounds.
     pub at_bound: Vec<String>,
@@ -107,13 +110,14 @@ pub struct Fit {
 
 impl Fit {
     /// Bayesian information criterion up to a constant (Schwarz 1978, doi:10.1214/aos/1176344136),
-    /// for noise of unknown size: `N ln(χ²/N) + k ln N`.
+    /// for noise of unknown size: `N ln(χ²/N) + k ln N`, for N measurements and k unknowns.
     pub fn bic(&self) -> f64 {
         let (count, unknowns) = (self.measurements as f64, self.unknowns as f64);
         count * (self.chi_squared / count).ln() + unknowns * count.ln()
     }
 
-    /// Root mean square of the residuals of a component in a segment, over finite measurements.
+    /// Root mean square of the residuals of a component in a segment, over its finite measurements,
+    /// the first sample included. NaN without a finite measurement.
     pub fn rms(&self, segment: usize, component: usize, measured: &Segment) -> f64 {
         let residuals =
             self.states[segment].iter().zip(&measured.x).map(|(x, y)| x[component] - y[component]).filter(|r| r.is_finite());
@@ -138,7 +142,7 @@ const SMALLEST: f64 = 1e-9;
 /// Identifies parameters of a system from measured trajectories.
 ///
 /// Segments consist of windows, each with its own initial state. Iterations with growing weights of
-/// continuity join them.
+/// continuity join the windows.
 ///
 /// # Errors
 /// See [`IdentifyError`].
@@ -156,7 +160,8 @@ pub fn identify<S: System>(
     let (mut continuity, mut converged) = (0.0, false);
     for (i, weight) in CONTINUITY[..stages].iter().enumerate() {
         let residual = problem.misfit(&point)?.map_or(1.0, |misfit| (misfit.samples / problem.measurements() as f64).sqrt());
-        continuity = weight / residual.max(SMALLEST * problem.size());
+        let scale = residual.max(SMALLEST * problem.size());
+        continuity = weight / if scale > 0.0 { scale } else { 1.0 };
         let tolerance = if i + 1 == stages { options.tolerance } else { COARSE };
         let stop = Stop { tolerance, max_iterations: options.max_iterations };
         converged = minimize(&problem, &mut point, continuity, stop, &mut counts)?;
@@ -176,7 +181,12 @@ fn result(
     let Statistics { errors, robust_errors, correlations, undetermined } = statistics(&equations, &names);
     let chi_squared = problem.misfit(&point)?.map_or(f64::INFINITY, |misfit| misfit.samples);
     let (measurements, unknowns) = (problem.measurements(), problem.count());
-    let noise = if problem.noise_is_known { 1.0 } else { (chi_squared / (measurements - unknowns).max(1) as f64).sqrt() };
+    let noise = match measurements - unknowns {
+        _ if problem.noise_is_known => 1.0,
+        // The residuals are 0 and do not show the size of the noise.
+        0 => f64::INFINITY,
+        freedom => (chi_squared / freedom as f64).sqrt(),
+    };
     let is_bound =
         |(unknown, value): (&Unknown, &f64)| (*value <= unknown.min || *value >= unknown.max).then(|| unknown.name.clone());
     Ok(Fit {

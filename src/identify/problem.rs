@@ -57,7 +57,9 @@ impl<'a> Problem<'a> {
             return Err(IdentifyError::NoiseCount { found: noise.len(), expected: n });
         }
         let noise = options.noise.iter().flatten().copied().enumerate();
-        if let Some((component, noise)) = { noise }.find(|(_, noise)| !(*noise > 0.0 && noise.is_finite())) {
+        if let Some((component, noise)) =
+            { noise }.find(|(_, noise)| !(*noise > 0.0 && noise.is_finite() && noise.recip().is_finite()))
+        {
             return Err(IdentifyError::Noise { component, noise });
         }
         for (segment, Segment { x, u, p }) in segments.iter().enumerate() {
@@ -130,7 +132,8 @@ impl<'a> Problem<'a> {
     /// the first window of a segment, they start at 0.
     ///
     /// # Errors
-    /// A simulation or its squared residuals are not finite. [`IdentifyError::Stopped`].
+    /// [`IdentifyError::Diverged`] if a state or a squared residual is not finite.
+    /// [`IdentifyError::Stopped`].
     pub fn begin(&self, length: Option<usize>) -> Result<Point, IdentifyError> {
         let values: Vec<f64> = self.unknowns.iter().map(|unknown| unknown.start).collect();
         let mut windows = Vec::new();
@@ -176,8 +179,8 @@ impl<'a> Problem<'a> {
         Run { x: &window.start, p, u: &u[window.first.min(u.len())..], t: window.first, steps: window.steps }
     }
 
-    /// Calls `add(step, component, residual)` for the finite measurements of a window. `step`
-    /// counts from the start of the window.
+    /// Calls `add(step, component, residual)` for the finite measurements of a window, without a
+    /// first sample that is exact. `step` counts from the start of the window.
     fn residuals(&self, window: &Window, states: &[Vec<f64>], mut add: impl FnMut(usize, usize, f64)) {
         let measured = &self.segments[window.segment].x[window.first..];
         // The next window starts at the end of this one and includes the measurement there.

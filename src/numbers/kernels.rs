@@ -109,8 +109,8 @@ pub fn dispatch(level: SimdLevel, work: impl Vectorized) {
 
 /// Runs `work` with AVX2 or NEON if available, else with the portable path.
 ///
-/// Used for simulators on eight lanes, which gain little from wider registers. A further level
-/// would increase compile time.
+/// Used for simulators and policies on eight lanes, which gain little from wider registers. A
+/// further level would increase compile time.
 #[inline]
 pub fn dispatch_lanes(work: impl Vectorized) {
     if portable::is_forced() {

@@ -287,7 +287,7 @@ impl<R: Real> Cotangent<R> for R {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CotangentPack<R, const K: usize>(pub [R; K]);
 
-/// Calls `column(k)` for `k = 0 .. K`. Unrolled for the `K ≤ 2` of rollouts: small loops slow
+/// Calls `column(k)` for `k = 0 .. K`. Unrolled for `K ≤ 2`, as in reverse passes: small loops slow
 /// compilation.
 #[inline(always)]
 fn each<const K: usize>(mut column: impl FnMut(usize)) {

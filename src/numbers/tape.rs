@@ -1,7 +1,7 @@
 //! [`Tape`]: the operations of one evaluation in the order of their execution, for reverse mode.
 //!
 //! [`Reverse`](crate::numbers::scalar::Reverse) appends to the tape of the current thread. An entry
-//! refers to numbers of the evaluation by index: inputs first, then the results of the entries.
+//! refers to numbers of the evaluation by index: variables first, then the results of the entries.
 
 use crate::numbers::scalar::{Cotangent, Lanes, Real};
 use std::cell::{Cell, RefCell};

@@ -14,7 +14,8 @@ pub(crate) fn rough(x: f64) -> String {
 /// A number with `count` significant digits, rounded to nearest.
 ///
 /// The rounded absolute value selects the format. Below 1e-3 and from 1e5 on, the number has an
-/// exponent. In between, the integer part keeps all its digits; 0 is `0`.
+/// exponent. In between, the integer part keeps all its digits. 0 is `0`, and non-finite numbers
+/// are `NaN`, `inf` and `-inf`.
 pub(crate) fn digits(x: f64, count: usize) -> String {
     if x == 0.0 {
         return "0".into();

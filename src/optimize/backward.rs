@@ -1,5 +1,5 @@
-//! [`Step`]: backward pass over the expansion of a trajectory, which yields changes of the
-//! controls.
+//! [`Step`]: changes of the controls and gains, from a backward pass over the expansion of a
+//! trajectory.
 
 use super::box_qp::BoxQp;
 use super::derivatives::Expansion;

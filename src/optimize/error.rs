@@ -4,7 +4,7 @@
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum OptimizeError {
     /// An argument has the wrong length.
-    #[error("{argument} has {found} numbers, but the task needs {expected} ({shape})")]
+    #[error("{argument} has {found} entries, but the task needs {expected} ({shape})")]
     Length {
         /// Name of the argument.
         argument: &'static str,
@@ -67,7 +67,7 @@ fn differentiated(step: Option<usize>) -> String {
     step.map_or("terminal cost".into(), |step| format!("running cost of step {step}, or of the dynamics in this step,"))
 }
 
-/// Costs that a sum contains, in messages.
+/// Names, for messages, the costs in the sum that is not finite.
 fn place(step: Option<usize>) -> String {
     step.map_or("with the terminal cost".into(), |step| format!("up to the running cost of step {step}"))
 }

@@ -8,8 +8,9 @@
 //!   per step.
 //!
 //! Each iteration linearizes the dynamics, expands the costs to second order, and solves the
-//! resulting linear-quadratic problem by one backward pass. A line search along the new controls
-//! and gains accepts only steps that decrease the cost. First derivatives, and second derivatives
+//! resulting linear-quadratic problem by a backward pass. A line search along the new controls and
+//! gains accepts only steps that decrease the cost. If the backward pass or the line search fails,
+//! the iteration repeats both with more regularization. First derivatives, and second derivatives
 //! of the costs, are exact. The method omits second derivatives of the dynamics. `docs/optimize.md`
 //! has the equations and measured figures.
 //!

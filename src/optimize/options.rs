@@ -121,7 +121,7 @@ impl Bounds {
 /// Checks the length of an argument. `shape` names its expected shape.
 ///
 /// # Errors
-/// [`OptimizeError::Length`] if both lengths differ.
+/// [`OptimizeError::Length`] if the lengths differ.
 pub(super) fn check_length(
     argument: &'static str,
     shape: &'static str,

@@ -86,9 +86,9 @@ impl Plan {
     /// Writes the control `u_t + K_t (x - x_t)` of a state near the plan, without clamping.
     ///
     /// The gains result from a backward pass along the plan, with the least regularization that
-    /// determines them. Gains are locally optimal if the plan converged and this regularization is
-    /// zero. Rows of controls at an active bound are 0. All gains are 0 if no regularization
-    /// determines them.
+    /// determines them. If the plan converged and this regularization is zero, the gains are
+    /// optimal for the linearized dynamics and quadratic costs. Rows of controls at an active bound
+    /// are 0. All gains are 0 if no regularization determines them.
     ///
     /// # Panics
     /// If `t` is not below the horizon.

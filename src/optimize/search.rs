@@ -163,9 +163,8 @@ impl Regularization {
     const FIRST: f64 = 1e-2;
     /// Smallest positive value. A decrease below it yields 0.
     const SMALLEST: f64 = 1e-6;
-    /// Ratio of the factors of consecutive increases or decreases.
+    /// Ratio of the factors of consecutive increases. Decreases use the reciprocal.
     const FACTOR: f64 = 2.0;
-    /// Largest value.
     const LARGEST: f64 = 1e10;
 
     /// Multiplies the value by a factor that doubles with each consecutive increase, or replaces 0

@@ -17,8 +17,9 @@ use rand::RngExt;
 ///
 /// x̄ and ū are the states and controls of the plan. The observation is the deviation `x_t - x̄_t`.
 /// A [`Sum`](crate::policy::Sum) of an [`OpenLoop`](crate::policy::OpenLoop) with the controls of
-/// the plan and a feedback that starts at 0 therefore starts at the plan. System and parameters are
-/// those of the planned task. The plan needs as many steps as that task.
+/// the plan and a feedback that starts at 0 therefore starts at the plan. The system is that of the
+/// planned task. All samples have the parameters of the plan. The plan needs as many steps as the
+/// planned task.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tracking<'a, T> {
     task: &'a T,
@@ -46,9 +47,10 @@ impl<'a, T: Task> Tracking<'a, T> {
     }
 }
 
-/// Returns `Σ_i w_i (a_i - b_i)²/2`.
+/// Returns `Σ_i weights_i (values_i - planned_i)²/2`.
 #[inline(always)]
 fn distance<T: Scalar>(weights: &[f64], values: &[T], planned: &[f64]) -> T {
+    assert_eq!(weights.len(), values.len(), "tracking needs one weight per state component and one per control");
     let mut sum = T::zero();
     for ((&weight, &value), &planned) in weights.iter().zip(values).zip(planned) {
         let deviation = value - planned;

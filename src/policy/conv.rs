@@ -8,8 +8,9 @@
 //! with a fixed stride.
 //!
 //! A column has twice the capacity of a column of the next layer, in positions, so the stride
-//! continues across columns. Outputs of windows that span two columns are set to 0. A constant 1
-//! follows the channels of every position. The last constant 1 of a window multiplies the bias.
+//! continues across columns. The forward pass sets outputs to 0 if their window extends beyond the
+//! last position of its column. A constant 1 follows the channels of every position. The last
+//! constant 1 of a window multiplies the bias.
 
 mod layer;
 mod layout;

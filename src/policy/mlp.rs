@@ -2,8 +2,9 @@
 //!
 //! `θ` holds for each layer the weights (inputs × outputs, row-major), then the bias, as in Keras.
 //! Weights and bias form one (inputs + 1) × outputs matrix, and every column of activations ends in
-//! a constant 1. The forward pass and the weight gradient of a layer are therefore one matrix
-//! product each.
+//! a constant 1. For each block of columns, the forward pass of a hidden layer and the weight
+//! gradient of any layer are therefore one matrix product each. The forward pass of the output
+//! layer consists of dot products.
 
 use super::activation::activate;
 use super::{

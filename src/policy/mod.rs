@@ -138,7 +138,7 @@ pub trait Policy: Send + Sync {
     /// [`forward`](Policy::forward).
     ///
     /// Stores cotangents of intermediate values in `tape_bar`, for
-    /// [`param_gradient`](Policy::param_gradient). If `x_bar` is `None`, only `x_bar` is omitted.
+    /// [`param_gradient`](Policy::param_gradient), even if `x_bar` is `None`.
     fn backward<F: Float>(&self, pass: PolicyPass<F>, _tape: &[F], u_bar: &[F], _tape_bar: &mut [F], x_bar: Option<&mut [F]>) {
         if let Some(x_bar) = x_bar {
             by_act::input_vjp(self, pass, u_bar, x_bar);

@@ -1,8 +1,9 @@
 //! [`Gru`] and [`Elman`]: recurrent policies with a linear output.
 //!
-//! The networks consist of affine maps `z = W v + b`. `θ` holds for each map the weights `Wᵀ`
+//! All parameters belong to affine maps `z = W v + b`. `θ` holds for each map the weights `Wᵀ`
 //! (inputs × outputs, row-major), then the bias. [`Cell`] states the equations of one column. The
-//! batched passes apply them to blocks of columns in lanes.
+//! forward and backward passes apply them to blocks of columns in lanes, the parameter gradient to
+//! single columns.
 
 mod affine;
 mod elman;

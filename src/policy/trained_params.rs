@@ -104,7 +104,8 @@ impl TrainedParam {
     }
 }
 
-/// A policy whose `θ` ends with trained entries of the parameters `p`.
+/// A policy whose `θ` ends with the numbers r of trained entries of the parameters `p`; see
+/// [`TrainedParam`].
 ///
 /// Rollouts replace these entries of each sample by the trained values. The task reads drawn and
 /// trained parameters alike. Uses: system identification, and joint design of a controller and its
@@ -182,7 +183,7 @@ impl<P: Policy> WithParams<P> {
         self.params.iter().zip(trained).map(|(param, r)| param.value(r.as_())).collect()
     }
 
-    /// Index in `θ` of the first trained entry.
+    /// Index in `θ` of the number r of the first trained entry.
     fn first(&self) -> usize {
         self.policy.param_count() - self.policy.trained_params().len()
     }
@@ -231,8 +232,8 @@ impl<P: Policy> Policy for WithParams<P> {
         if self.params.is_empty() {
             return tensors;
         }
-        // One tensor holds all trained entries. It replaces the tensor of those that `policy`
-        // trains.
+        // One tensor holds the numbers r of all trained entries. It replaces the tensor of `policy`
+        // with the numbers of its own trained entries.
         let trained = self.first()..self.param_count();
         tensors.retain(|tensor| tensor.range.start < trained.start);
         tensors.push(Tensor { name: "trained_params".into(), shape: vec![self.params.len()], range: trained });

@@ -126,7 +126,7 @@ impl Animation {
         }
     }
 
-    /// Renders to SVG. Static shapes are written once; moving ones are interpolated linearly
+    /// Renders to SVG. Writes static shapes once. Viewers interpolate moving shapes linearly
     /// between frames.
     ///
     /// # Panics

@@ -96,9 +96,9 @@ pub(super) fn round_up(value: f64) -> f64 {
     [1.0, 2.0, 5.0].into_iter().map(|m| m * power).find(|&round| round >= value * (1.0 - 1e-9)).unwrap_or(10.0 * power)
 }
 
-/// Formats a number with a typographic minus. Below 1e-3 and from 1e5 on, the absolute value has an
-/// exponent and two significant digits. In between, it has three significant digits, or the whole
-/// integer part from 1000 on, without trailing decimal zeros. 0 is `0`.
+/// Formats a number with a typographic minus. Numbers with an absolute value below 1e-3, or of 1e5
+/// or more, have an exponent and two significant digits. Others have three significant digits, or
+/// the whole integer part from 1000 on, without trailing decimal zeros. 0 is `0`.
 pub(super) fn number(value: f64) -> String {
     let text = match value.abs() {
         0.0 => "0".into(),

@@ -15,9 +15,9 @@ const CART: &str = "#C9CED6";
 const DARK: &str = "#4A4F57";
 const RAIL: &str = "#9AA0A8";
 
-/// Number of frames beyond which a trajectory is thinned; motion between frames is linear.
+/// Largest number of frames. Omits states of longer trajectories; motion between frames is linear.
 const MAX_FRAMES: usize = 250;
-/// Cart position that counts as diverged, m.
+/// Distance of the cart from the origin at which a trajectory counts as diverged, m.
 const FAR: f64 = 1e6;
 
 /// Width of an unlimited rail beyond each side of the view, in widths of the view.
@@ -33,7 +33,7 @@ const WHOLE: f64 = 10.0;
 ///
 /// Trajectories shorter than 2 s play at one third of real time. The camera follows a cart whose
 /// positions span more than 6 pole lengths. The animation ends before the first state that is
-/// non-finite, beyond 1e6 m, or of a different length.
+/// non-finite, at least 1e6 m from the origin, or longer or shorter than the initial state.
 pub fn cart_pole(states: &[Vec<f64>], controls: &[f64], half_length: f64, dt: f64) -> Animation {
     cart_pole_on(&Rail::default(), states, controls, half_length, dt)
 }
@@ -79,7 +79,7 @@ fn relative_force(controls: &[f64], step: usize) -> f64 {
     }
 }
 
-/// Data shared by all frames: view and rail marks.
+/// Data shared by all frames: view, rail marks and bumpers.
 struct Stage {
     /// Length of a pole, m.
     length: f64,
@@ -128,7 +128,6 @@ impl Stage {
         Self { length, low: [middle - half_width, bottom], high: [middle + half_width, top], follow, marks, bumpers }
     }
 
-    /// Shapes of one frame.
     fn frame(&self, state: &[f64], force: f64) -> Vec<Shape> {
         let unit = self.length;
         let camera = if self.follow { state[0] } else { 0.0 };

@@ -32,7 +32,8 @@ impl Channel {
         &self.values[..self.values.iter().take_while(|value| value.is_finite()).count()]
     }
 
-    /// Lowest and highest value of the band. Both are 0 without `range` and without values to draw.
+    /// Lowest and highest value of the band. Both are 0 if `range` is `None` and the first value is
+    /// missing or non-finite.
     pub fn range(&self) -> [f64; 2] {
         let ends = |values: &[f64]| values.iter().fold([f64::MAX, f64::MIN], |[low, high], &y| [low.min(y), high.max(y)]);
         self.range.unwrap_or_else(|| if self.finite().is_empty() { [0.0, 0.0] } else { ends(self.finite()) })
@@ -40,7 +41,8 @@ impl Channel {
 }
 
 /// Animates numbers over time, one band per channel, each with its own range. Values are `dt`
-/// seconds apart. A cursor crosses the bands in real time, or in 1 s if the values span less time.
+/// seconds apart. All channels have the same number of values, or one less, as controls have. A
+/// cursor crosses the bands in real time, or in 1 s if the values span less time.
 pub fn channels_over_time(title: &str, channels: &[Channel], dt: f64) -> Animation {
     let steps = channels.iter().map(|channel| channel.finite().len()).max().unwrap_or(0).saturating_sub(1);
     let time = steps as f64 * dt;

@@ -231,7 +231,8 @@ mod tests {
 
     #[test]
     fn the_frame_maps_data_to_the_drawn_vertices() {
-        // The first points are below 1e-10, which kuva cannot draw without a change of unit.
+        // The values of the first chart are below 1e-10. kuva cannot draw them without a change of
+        // unit.
         for points in [[(0.0, 3e-14), (2.0, 4e-11), (7.0, 2e-12)], [(10.0, 0.3), (2000.0, 4e3), (4000.0, 1.0)]] {
             check(&Chart::log("x", "y", vec![Series::new("a", "#123456", points.to_vec())]), &points);
         }

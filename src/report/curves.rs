@@ -8,7 +8,7 @@ use super::{Dash, Drawing, Series};
 /// Summaries exclude runs that end before this share of the epochs of the longest run.
 const MIN_SHARE: f64 = 0.95;
 /// Smallest number of seeds with a band of quartiles. Two or three seeds have a band of their
-/// range.
+/// range. The number includes seeds that summaries exclude.
 const MIN_QUARTILES: usize = 4;
 
 /// Runs of one method, one per seed.
@@ -82,12 +82,14 @@ pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) ->
 ///
 /// Valid losses are between 1e-100 and 1e100. Medians and bands exclude runs without valid losses.
 /// They also exclude runs whose valid losses end before 95 % of the epochs of the longest run, for
-/// instance after divergence. The figure then states how many of the seeds remain.
+/// instance after divergence. The figure then states how many of the seeds remain. The choice
+/// between quartiles and range depends on the number of all seeds. A single remaining seed has no
+/// band.
 ///
 /// Medians and bands use all epochs of the remaining runs, within the range that all of them cover.
-/// Interpolation between the points of a run is linear in the wall time and in the logarithm of the
-/// loss. The wall time of an epoch is the median over the seeds. With several seeds, the title ends
-/// with the name of the statistic.
+/// Between the points of a run, the wall time and the logarithm of the loss are linear functions of
+/// the epoch. The wall time of an epoch is the median over the remaining seeds. With several seeds,
+/// the title ends with the name of the statistic.
 pub fn comparison(title: &str, curves: &[Curve]) -> Drawing {
     let case = |x| Case { title: String::new(), y_label: "test loss".into(), y_axis: 0, x, curves: curves.to_vec() };
     study(title, &[[Abscissa::Epoch, Abscissa::Seconds].map(case).into()])

@@ -26,7 +26,7 @@ impl Drawing {
     /// Renders to PNG, two pixels per SVG unit.
     ///
     /// # Panics
-    /// Panics if the picture exceeds the available memory.
+    /// Panics if the picture has no pixels or cannot be encoded.
     pub fn to_png(&self) -> Vec<u8> {
         PngBackend::new().render_scene(&self.0).expect("a picture of ordinary size")
     }
@@ -34,8 +34,8 @@ impl Drawing {
 
 /// Merges horizontally adjacent cells of the same colour, which shrinks the file.
 ///
-/// Each rectangle also extends one unit under the next rectangle. With kuva's overlap of half a
-/// unit, browsers show gaps.
+/// Rectangles then overlap their right and lower neighbours by one unit. With kuva's overlap of
+/// half a unit, browsers show gaps.
 fn join_cells(element: &mut Primitive) {
     let Primitive::RectBatch { x, y, w, h, fills } = element else { return };
     let end = |from: &[f64], size: &[f64]| from.iter().zip(size).map(|(from, size)| from + size).fold(0.0, f64::max);

@@ -23,7 +23,8 @@ const HALF_WIDTH: f64 = 0.25;
 /// Draws one panel per task, with one dot per seed and a line at the median of each method.
 ///
 /// Methods have numbers along the x axis, and names in the legend. All tasks have the same methods.
-/// Omits losses that a logarithmic axis cannot show, and states how many of the seeds remain.
+/// Omits dots and lines that a logarithmic axis cannot show, and states how many of the seeds
+/// remain. Medians include all seeds; NaN ranks above every number.
 pub fn final_losses(title: &str, tasks: Vec<TaskLosses>) -> Drawing {
     let names = tasks.first().map_or(&[][..], |task| &task.methods);
     let mut legend: Vec<_> =
@@ -35,7 +36,7 @@ pub fn final_losses(title: &str, tasks: Vec<TaskLosses>) -> Drawing {
     let mut panels: Vec<Panel> = tasks.into_iter().enumerate().map(|(i, task)| panel(i, task)).collect();
     // Fills the last row with panels without series, which are not drawn.
     let nothing = || TaskLosses { task: String::new(), methods: Vec::new(), untrained: f64::NAN };
-    let empty = |i: usize| Panel { series: Vec::new(), ..panel(i, nothing()) };
+    let empty = |i: usize| Panel { series: Vec::new(), x_label: String::new(), ..panel(i, nothing()) };
     panels.extend((panels.len()..panels.len().next_multiple_of(columns)).map(empty));
     let mut rows = Vec::new();
     while !panels.is_empty() {

@@ -6,7 +6,7 @@ use super::series::{thinned, x_range};
 use super::{Drawing, Series};
 use kuva::prelude::*;
 
-/// Width and height of a panel, in pixels.
+/// Width of a panel, and height without column title and x label, in pixels.
 const SIZE: [f64; 2] = [330.0, 170.0];
 
 /// Title of a column, and its panels from top to bottom: label of the y axis, and lines.
@@ -54,7 +54,11 @@ fn drawn(series: &Series) -> Series {
 fn layout(panel: &Panel) -> Layout {
     let values = panel.series.iter().flat_map(|series| &series.line).map(|&(_, y)| y);
     let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), y| (low.min(y), high.max(y)));
-    let (low, high) = if low < high { (low, high) } else { (-1.0, 1.0) };
+    let (low, high) = match low < high {
+        true => (low, high),
+        false if low.is_finite() => (low - 1.0, low + 1.0),
+        false => (-1.0, 1.0),
+    };
     let margin = 0.05 * (high - low);
     let [x_min, x_max] = x_range(&panel.series);
     let mut layout = Layout::new((x_min, x_max), (low - margin, high + margin))

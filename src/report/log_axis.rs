@@ -6,7 +6,7 @@ use kuva::prelude::*;
 /// Logarithmic axis in units of 10^exponent. The plotting library kuva raises values below 1e-10 to
 /// 1e-10, so the unit is such that `low` is between 1 and 10.
 pub struct LogAxis {
-    /// Power of ten of the axis unit.
+    /// Decimal exponent of the axis unit.
     pub exponent: i32,
     /// Lower end of the range, in axis units.
     pub low: f64,
@@ -15,8 +15,9 @@ pub struct LogAxis {
 }
 
 impl LogAxis {
-    /// Creates the axis for lines, bands and single dots. With dots, the range has a margin of at
-    /// least 2 % of its logarithmic length at both ends. The edge of the panel then cuts no dot.
+    /// Creates the axis for lines, bands and single dots. With dots, the range extends beyond the
+    /// data at both ends, by at least 2 % of the data's logarithmic length. The edge of the panel
+    /// then cuts no dot.
     pub fn of<'a>(series: impl Iterator<Item = &'a Series>) -> Self {
         let (mut dots, mut low, mut high) = (false, f64::INFINITY, 0.0);
         for s in series {
@@ -39,8 +40,8 @@ impl LogAxis {
         let exponent = min.log10().floor() as i32;
         let unit = 10f64.powi(exponent);
         let round_numbers = || (-1..=200).flat_map(|e| (1..10).map(move |m| f64::from(m) * 10f64.powi(e)));
-        // The tolerance prevents a rounding error of the division from extending the range by a
-        // tick.
+        // The tolerance prevents a rounding error of the division from extending the range to the
+        // next round number.
         let low = round_numbers().take_while(|&y| y <= min / unit * (1.0 + 1e-9)).last().unwrap_or(1.0);
         let high = round_numbers().find(|&y| y >= max / unit * (1.0 - 1e-9)).unwrap_or(1e200);
         let ticks = || (-1..=200).flat_map(|e| [1.0, 2.0, 5.0].map(|m| m * 10f64.powi(e)));

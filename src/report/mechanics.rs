@@ -30,7 +30,7 @@ pub struct Posture {
 pub struct Stage {
     /// Title of the animation.
     pub title: String,
-    /// Width of a box, m; joints and rods scale with it.
+    /// Width of a box, m. Joints, rods, the floor line and the target mark scale with it.
     pub size: f64,
     /// Height of a floor or rail, m. `None` for neither.
     pub floor: Option<f64>,
@@ -66,7 +66,7 @@ pub fn mechanics(stage: &Stage, postures: &[Posture], dt: f64) -> Animation {
 
     let thin = 0.12 * stage.size;
     let ground = stage.floor.map(|height| {
-        // Extends beyond the view, which may grow to the view of another animation.
+        // Extends beyond the view, which `Animation::share_scale` may enlarge.
         let width = FLOOR * (high[0] - low[0]);
         let (from, to) = ([low[0] - width, height - 0.5 * thin], [high[0] + width, height - 0.5 * thin]);
         Shape::Line { from, to, width: thin, color: GROUND }

@@ -30,7 +30,7 @@ pub struct Plane {
     pub labels: [&'static str; 2],
     /// Half-width of the maps: both axes run from `-half_width` to `half_width`.
     pub half_width: f64,
-    /// Powers of ten at the ends of the colour scale; values beyond are clamped.
+    /// Decimal exponents at the ends of the colour scale; values beyond are clamped.
     pub decades: [i32; 2],
     /// Label of the colour scale.
     pub values: &'static str,

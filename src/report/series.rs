@@ -43,7 +43,7 @@ pub struct Series {
     pub label: String,
     /// Note shown in the chart; may be empty.
     pub note: String,
-    /// CSS colour of line and band.
+    /// CSS colour of line, band and bars.
     pub color: &'static str,
     /// Pattern of the line.
     pub dash: Dash,
@@ -79,7 +79,8 @@ impl Series {
     }
 
     /// True if the lines coincide in at least half of the points of the shorter line, up to a
-    /// relative difference of 0.1 %. False if either line has fewer than two points.
+    /// relative difference of 0.1 %. Compares points with equal indices. False if either line has
+    /// fewer than two points.
     pub(super) fn coincides(&self, other: &Self) -> bool {
         let near = |a: f64, b: f64| (a - b).abs() <= 1e-3 * a.abs().max(b.abs());
         let pairs = self.line.iter().zip(&other.line);

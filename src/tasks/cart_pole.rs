@@ -105,7 +105,8 @@ impl<S: HasModel<CartPoleSystem>> Task for CartPole<S> {
         self.horizon
     }
 
-    /// Draws angles within ±30° of hanging, and all other components within ±1, in SI units.
+    /// Draws angles within ±30° of hanging, and the other components of cart and poles within ±1,
+    /// in SI units.
     fn start(&self, rng: &mut Rng, start: Start<'_>) {
         let own = 2 + 2 * self.system.model().poles;
         for (i, x) in start.x[..own].iter_mut().enumerate() {

@@ -14,11 +14,11 @@ use crate::numbers::scalar::Scalar;
 
 /// Contact model of two bodies.
 ///
-/// A naive step with restitution e reflects the speed below the floor: `v ← -e v` where the height
-/// `h < 0`. States converge as dt → 0, but derivatives do not. According to the derivative of the
-/// naive step, raising the initial height by δ raises all later heights by δ. Without gravity, the
-/// ball actually arrives later, and is lower by `e δ` afterwards. Springs that the time step does
-/// not resolve have the same defect.
+/// A naive step with restitution e reflects the speed of a ball below the floor: `v ← -e v` where
+/// the height `h < 0`. States converge as dt → 0, but derivatives do not. According to the
+/// derivative of the naive step, raising the initial height by δ raises all later heights by δ.
+/// Without gravity, the ball actually arrives later, and is lower by `e δ` afterwards. Springs that
+/// the time step does not resolve have the same defect.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Contact {
     /// Exact impact at the time of contact within the step.

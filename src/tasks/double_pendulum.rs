@@ -70,8 +70,8 @@ impl DoublePendulum {
         [(m1 + m2) * self.gravity * l1, m2 * self.gravity * l2]
     }
 
-    /// Solves `M y = b` for the mass matrix M at `[sin, cos]` of Δ. `b` contains torques, which
-    /// yield accelerations, or cotangents.
+    /// Solves `M y = b` for the mass matrix M at `[sin, cos]` of Δ. If `b` contains torques, y
+    /// contains accelerations. `b` may also contain cotangents.
     #[inline(always)]
     fn solve<T: Scalar, V: Copy + std::ops::Sub<Output = V> + std::ops::Mul<T, Output = V>>(
         &self,

@@ -42,9 +42,9 @@ impl LinearPlant {
         Self { state_dim, control_dim: of_b / n, a, b }
     }
 
-    /// Linearizes the step S of a system about the given inputs, with the exact derivatives
-    /// `A = ∂S/∂x` and `B = ∂S/∂u`. The plant maps deviations from the inputs to the deviation of
-    /// the next state.
+    /// Linearizes the step of a system about the given inputs, with the exact derivatives
+    /// `A = ∂x'/∂x` and `B = ∂x'/∂u` of the next state x'. The plant maps deviations from the
+    /// inputs to the deviation of the next state.
     ///
     /// # Panics
     /// If the size of `inputs.x` or `inputs.u` differs from that of the system.
@@ -87,7 +87,7 @@ impl LinearPlant {
     /// Returns the largest modulus of the eigenvalues of A. Below 1, the uncontrolled plant is
     /// stable.
     pub fn spectral_radius(&self) -> f64 {
-        self.a().complex_eigenvalues().iter().fold(0.0, |largest, value| value.re.hypot(value.im).max(largest))
+        spectral_radius(&self.a())
     }
 
     fn a(&self) -> DMatrix<f64> {
@@ -97,6 +97,14 @@ impl LinearPlant {
     fn b(&self) -> DMatrix<f64> {
         DMatrix::from_row_slice(self.state_dim, self.control_dim, &self.b)
     }
+}
+
+/// Returns the largest modulus of the eigenvalues, or NaN for a matrix with a non-finite entry.
+fn spectral_radius(matrix: &DMatrix<f64>) -> f64 {
+    if matrix.iter().any(|entry| !entry.is_finite()) {
+        return f64::NAN;
+    }
+    matrix.complex_eigenvalues().iter().fold(0.0, |largest, value| value.re.hypot(value.im).max(largest))
 }
 
 /// Returns the entries of a matrix, row by row.

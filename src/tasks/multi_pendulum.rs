@@ -88,7 +88,7 @@ impl Default for MultiPendulum {
     }
 }
 
-/// Rate below which dry friction is smoothed, rad/s.
+/// Rate at which dry friction reaches three quarters of the largest torque, rad/s.
 const SMOOTHING: f64 = 0.01;
 
 /// Values of an [`Arm`].

@@ -215,6 +215,9 @@ impl<F: Float> Progress<F> {
         if direction.len() != self.direction.len() {
             return Err(format!("its average has {} components, but that of this run {}", direction.len(), self.direction.len()));
         }
+        if let Some(i) = direction.iter().position(|d| !d.as_().is_finite()) {
+            return Err(format!("component {i} of its average is {}", direction[i]));
+        }
         if skipped > self.training.max_skipped {
             return Err(format!("{skipped} updates in a row were skipped; allowed: {}", self.training.max_skipped));
         }

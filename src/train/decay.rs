@@ -4,7 +4,8 @@ use crate::numbers::scalar::Float;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
 
-/// Decay of the learning rate: a factor that falls from 1 to `end` over a training, or remains 1.
+/// Decay of the learning rate: a factor that falls from 1 to `end` between the warm-up and the end
+/// of a training, or remains 1.
 ///
 /// In the formulas, s is the completed fraction of the updates that follow the warm-up; see
 /// [`factor`](Decay::factor).
@@ -14,12 +15,12 @@ pub enum Decay {
     Constant,
     /// Half a period of a cosine: `end + (1 - end) (1 + cos π s) / 2`.
     Cosine {
-        /// Factor at the end, 0 to 1.
+        /// Factor after the last update, 0 to 1.
         end: f64,
     },
     /// `end^s`.
     Exponential {
-        /// Factor at the end, positive and at most 1.
+        /// Factor after the last update, positive and at most 1.
         end: f64,
     },
 }

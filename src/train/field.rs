@@ -7,23 +7,24 @@ use crate::train::combination::Combination;
 use std::fmt;
 use std::str::FromStr;
 
-/// Vector field over the parameters: the gradient of one [`Flow`], or a composition of two.
+/// Vector field over the parameters: the gradient of one [`Flow`], or a combination of the
+/// gradients of two.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Field<C = Combination> {
     /// Gradient of one flow.
     Flow(Flow),
-    /// Composition of two gradients of the same rollout.
+    /// Combination of two gradients of the same mini-batch.
     Composed {
         /// Flow of the first gradient.
         first: Flow,
         /// Flow of the second gradient.
         second: Flow,
-        /// Rule of composition.
+        /// Rule that combines the gradients.
         by: C,
     },
 }
 
-/// Composes two gradients into one vector. Implement it to train with a custom field.
+/// Combines two gradients into one vector. Implement it to train with a custom field.
 /// [`Combination`] contains the rules of the library.
 ///
 /// ```
@@ -50,12 +51,12 @@ pub enum Field<C = Combination> {
 pub trait GradientCombiner: Sync + Send {
     /// Name, used in messages.
     fn name(&self) -> &str;
-    /// Writes the composition into `out`. All three slices have one element per parameter.
+    /// Writes the combination into `out`. All three slices have one element per parameter.
     fn combine<F: Float>(&self, first: &[F], second: &[F], out: &mut [F]);
     /// Returns true if a positive factor of `second` does not change the result of `combine`.
     ///
-    /// The exponents of the two gradients ([`Gradient::exponent`]) may then differ. Otherwise both
-    /// are brought to the larger exponent before the composition.
+    /// The exponents of the two gradients ([`Gradient::exponent`]) may then differ. Otherwise,
+    /// [`Field::combine`] brings both gradients to the larger exponent first.
     fn ignores_size_of_second(&self) -> bool {
         false
     }
@@ -120,7 +121,7 @@ impl Field {
 }
 
 impl<C: GradientCombiner> Field<C> {
-    /// Composes two flows with a custom rule.
+    /// Combines the gradients of two flows with a custom rule.
     pub const fn custom(first: Flow, second: Flow, by: C) -> Self {
         Self::Composed { first, second, by }
     }
@@ -161,7 +162,7 @@ impl<C: GradientCombiner> Field<C> {
         }
     }
 
-    /// Composes the gradients of [`flows`](Field::flows) into `out`.
+    /// Combines the gradients of [`flows`](Field::flows) into `out`, or copies a single gradient.
     ///
     /// # Panics
     /// If the number of gradients differs from the number of flows.

@@ -120,7 +120,7 @@ impl Default for Training {
 }
 
 impl Training {
-    /// Checks counts, learning rate, decay, average, smoothing and clipping.
+    /// Checks counts, learning rate, rule, decay, average, smoothing and clipping.
     ///
     /// # Errors
     /// [`TrainError::Setting`] for the first invalid setting.
@@ -138,6 +138,9 @@ impl Training {
         if !(self.learning_rate > 0.0 && self.learning_rate <= 1e6) {
             let problem = format!("is {}; allowed: a positive number up to 1e6", self.learning_rate);
             return Err(TrainError::Setting { setting: "learning_rate", problem });
+        }
+        if let Some(problem) = self.rule.problem() {
+            return Err(TrainError::Setting { setting: "rule", problem });
         }
         if let Some(problem) = self.decay.problem() {
             return Err(TrainError::Setting { setting: "decay", problem });
@@ -295,8 +298,9 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// [`TrainError`] if a setting is invalid or the memory limit is too small.
     ///
     /// # Panics
-    /// If the dimensions of task and policy differ, or if the horizon is 0. If the number of
-    /// parameters of [`start_from`](Self::start_from) differs from the policy's `param_count`.
+    /// If the dimensions of task and policy differ, the policy trains a parameter that the task
+    /// lacks, or the horizon is 0. If the number of parameters of
+    /// [`start_from`](Self::start_from) differs from the policy's `param_count`.
     pub fn session(self) -> Result<Session<T, P, F, C>, TrainError> {
         let Self { task, policy, field, training, theta, .. } = self;
         training.validate()?;
@@ -321,7 +325,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     ///
     /// # Panics
     /// If the length of `theta` differs from the policy's `param_count`. If the dimensions of task
-    /// and policy differ, or the horizon is 0.
+    /// and policy differ, the policy trains a parameter that the task lacks, or the horizon is 0.
     pub fn session_from(self, theta: Vec<F>, train: Vec<F>, test: Vec<F>) -> Result<Session<T, P, F, C>, TrainError> {
         let Self { task, policy, field, training, .. } = self;
         let weights = Weights::new(&policy, theta);

@@ -137,6 +137,31 @@ impl OptimizerKind {
             _ => return None,
         })
     }
+
+    /// Problem of an invalid parameter, with the allowed values.
+    pub(super) fn problem(self) -> Option<String> {
+        let below_one =
+            |name, value: f64| (!(0.0..1.0).contains(&value)).then(|| format!("has {name} = {value}; allowed: 0 to below 1"));
+        let positive = |name, value: f64| {
+            let is_positive = value > 0.0 && value.is_finite();
+            (!is_positive).then(|| format!("has {name} = {value}; allowed: a positive number"))
+        };
+        match self {
+            Self::Sgd => None,
+            Self::Adam { beta1, beta2, epsilon } => {
+                below_one("beta1", beta1).or_else(|| below_one("beta2", beta2)).or_else(|| positive("epsilon", epsilon))
+            }
+            Self::Momentum { momentum } => below_one("momentum", momentum),
+            Self::RmsProp { rho, epsilon } | Self::Adadelta { rho, epsilon } => {
+                below_one("rho", rho).or_else(|| positive("epsilon", epsilon))
+            }
+            Self::Adagrad { initial, epsilon } => {
+                let is_valid = initial >= 0.0 && initial.is_finite();
+                let problem = (!is_valid).then(|| format!("has initial = {initial}; allowed: 0 or a positive number"));
+                problem.or_else(|| positive("epsilon", epsilon))
+            }
+        }
+    }
 }
 
 /// An [`OptimizerKind`], a learning rate and the accumulated moments.

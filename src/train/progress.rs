@@ -84,6 +84,8 @@ pub(super) struct Progress<F: Float> {
     pub(super) optimizer: Optimizer<F>,
     /// Moving average of the direction of the second gradient. Empty without an average.
     pub(super) direction: Vec<F>,
+    /// Moving average before the current update, which a skipped update restores.
+    previous_direction: Vec<F>,
     pub(super) train: Vec<F>,
     pub(super) test: Vec<F>,
     order: Vec<usize>,
@@ -96,7 +98,8 @@ pub(super) struct Progress<F: Float> {
     pub(super) best: Best<F>,
     /// Unfinished epoch, if the training is paused within one.
     pub(super) epoch: Option<Epoch>,
-    /// Non-finite numbers in the last evaluation of the training set and of the test set.
+    /// Non-finite numbers in the losses of the training set and of the test set after the last
+    /// epoch.
     pub(super) diverged: [Option<Divergence>; 2],
     /// Kinds of warnings that were returned.
     pub(super) warned: Vec<&'static str>,
@@ -150,6 +153,7 @@ impl<F: Float> Progress<F> {
                 direction: direction.clone(),
                 skipped_in_a_row: 0,
             },
+            previous_direction: direction.clone(),
             direction,
             epoch: None,
             diverged: [None; 2],
@@ -186,7 +190,8 @@ impl<F: Float> Progress<F> {
     }
 
     /// Runs to the end of the epoch, or until `pause` returns true after an update. Returns whether
-    /// the epoch ended. With several workers, the epoch runs on a worker thread.
+    /// the epoch ended. With several workers and the feature `parallel`, the epoch runs on a worker
+    /// thread.
     pub(super) fn advance(&mut self, trained: Trained<'_, F>, pause: &(dyn Fn() -> bool + Sync)) -> Result<bool, TrainError> {
         #[cfg(feature = "parallel")]
         if self.training.workers > 1 {
@@ -296,14 +301,25 @@ impl<F: Float> Progress<F> {
     fn update(&mut self, trained: Trained<'_, F>, index: usize) -> Result<Step, Divergence> {
         self.select_batch(trained.task, index);
         let update = self.records.len() * self.updates_per_epoch() + index;
+        self.previous_direction.copy_from_slice(&self.direction);
+        let step = self.vector(trained, update);
+        if step.is_err() {
+            self.direction.copy_from_slice(&self.previous_direction);
+        }
+        let step = step?;
+        self.training.clip.apply_knowing(&mut self.combined, step.norm);
+        let rate = self.learning_rate(update);
+        self.weights.update(trained.policy, |theta| self.optimizer.step_at(rate, theta, self.combined.values()));
+        Ok(step)
+    }
+
+    /// Computes the vector of update number `update`.
+    fn vector(&mut self, trained: Trained<'_, F>, update: usize) -> Result<Step, Divergence> {
         let step = match self.training.smoothing {
             None => self.field(trained)?,
             Some(smoothing) => self.estimate(trained, smoothing, update)?,
         };
         self.check_range(step.norm)?;
-        self.training.clip.apply_knowing(&mut self.combined, step.norm);
-        let rate = self.learning_rate(update);
-        self.weights.update(trained.policy, |theta| self.optimizer.step_at(rate, theta, self.combined.values()));
         Ok(step)
     }
 

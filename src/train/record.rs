@@ -85,7 +85,7 @@ pub struct Skip {
     pub epoch: usize,
     /// Index of the update in its epoch, from 0.
     pub update: usize,
-    /// Place of the number that is not finite or too large. Samples are counted within the
+    /// Place of the number that is non-finite or too large. Samples are counted within the
     /// mini-batch.
     pub divergence: Divergence,
 }
@@ -133,7 +133,7 @@ impl Means {
         self.first_order = step.first_order.map(|w| w + self.first_order.unwrap_or(0.0));
     }
 
-    /// Means over the updates.
+    /// Means over the updates or evaluations.
     pub fn step(&self) -> Step {
         // NaN without applied updates.
         let mean = |sum: f64| sum / self.updates as f64;

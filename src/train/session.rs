@@ -105,8 +105,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
         &self.progress.skips
     }
 
-    /// Non-finite numbers in the last evaluation of the training set and of the test set.
-    /// [`restore`](Session::restore) clears them.
+    /// Non-finite numbers in the losses of the training set and of the test set after the last
+    /// epoch. [`restore`](Session::restore) clears them.
     pub fn diverged(&self) -> [Option<Divergence>; 2] {
         self.progress.diverged
     }

@@ -6,6 +6,7 @@
 use super::progress::{Progress, Trained};
 use super::record::{Means, Step};
 use crate::engine::divergence::Divergence;
+use crate::numbers::extended::scaled;
 use crate::numbers::rng::{Purpose, stream};
 use crate::numbers::scalar::Float;
 use crate::numbers::zip::zip;
@@ -16,8 +17,8 @@ use rand_distr::{Distribution as _, StandardNormal};
 /// components of ε are independent standard normal numbers.
 ///
 /// Each update draws `pairs` vectors ε and evaluates the mini-batch at θ + σ ε and θ - σ ε. It
-/// costs as much as `2 · pairs` updates without smoothing. [`Estimator::ZerothOrder`] omits the
-/// reverse passes.
+/// costs as much as `2 · pairs` updates without smoothing. With [`Estimator::ZerothOrder`], it
+/// costs less, because it omits the reverse passes.
 ///
 /// Two estimates follow from the n pairs:
 /// - first order: mean over the pairs of `(v(θ + σ ε) + v(θ - σ ε)) / 2`, with the field v of the
@@ -208,9 +209,8 @@ impl<F: Float> Progress<F> {
                     _ => self.field(trained)?,
                 };
                 if estimator != Estimator::ZerothOrder {
-                    let scale = 2f64.powi(self.combined.exponent());
                     for (field, value) in zip(field.iter_mut(), self.combined.values()) {
-                        *field += 0.5 * value.as_() * scale;
+                        *field += 0.5 * scaled(value.as_(), self.combined.exponent());
                     }
                 }
                 *loss = step.loss;

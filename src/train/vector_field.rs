@@ -55,7 +55,7 @@ pub fn grid(reach: f64, cells: usize) -> Vec<[f64; 2]> {
 /// The first [`Divergence`].
 ///
 /// # Panics
-/// If the policy does not have two parameters, or does not fit the task.
+/// If the policy does not have two parameters or does not fit the task, or if the horizon is 0.
 #[track_caller]
 pub fn sample<T: Task, P: Policy, C: GradientCombiner>(
     task: &T,
@@ -74,7 +74,7 @@ pub fn sample<T: Task, P: Policy, C: GradientCombiner>(
 /// The first [`Divergence`].
 ///
 /// # Panics
-/// If the policy does not have two parameters, or does not fit the task.
+/// If the policy does not have two parameters or does not fit the task, or if the horizon is 0.
 #[track_caller]
 pub fn descend<T: Task, P: Policy, C: GradientCombiner>(
     task: &T,
@@ -144,8 +144,8 @@ pub const ROTATION: f64 = 4.0;
 ///
 /// Gradient descent with small steps converges, because `g` always contributes. Adam does not
 /// converge if the rotation is strong. Near the minimum, Adam divides by ever smaller root mean
-/// squares, so steps grow. The momentum delays the field by β₁ / (1 - β₁) = 9 iterations. The
-/// delayed rotation moves the iterate outwards, and `g` moves it inwards.
+/// squares, so steps grow relative to the field. The momentum delays the field by β₁ / (1 - β₁) = 9
+/// iterations. The delayed rotation moves the iterate outwards, and `g` moves it inwards.
 ///
 /// Let η be the learning rate over the root mean square. The two motions balance at
 /// `η = 1 / (9 · strength² · curvature)`. Without a rotation, Adam is stable up to

@@ -27,7 +27,7 @@ const KINDS: [&str; 7] =
     ["some skipped", "all skipped", "training loss", "test loss", "growth of R", "growth of M", "field of 0"];
 
 impl<F: Float> Progress<F> {
-    /// Warnings about the last epoch of kinds that no earlier call returned.
+    /// Warnings about the last epoch, without the kinds that an earlier call returned.
     pub(super) fn new_warnings(&mut self, horizon: usize) -> Vec<Warning> {
         let mut warnings = self.warnings(horizon);
         warnings.retain(|warning| !self.warned.contains(&warning.kind));
@@ -39,7 +39,8 @@ impl<F: Float> Progress<F> {
     pub(super) fn warnings(&self, horizon: usize) -> Vec<Warning> {
         let updates = self.updates_per_epoch();
         let Some(record) = self.records.last().filter(|_| self.epoch.is_none()) else { return Vec::new() };
-        let [some_skipped, all_skipped] = skipped(&self.skips, updates);
+        let first = self.skips.iter().find(|skip| skip.epoch == record.epoch);
+        let [some_skipped, all_skipped] = skipped(record.skipped, updates, first);
         let [train, test] = self.diverged;
         let loss = |set, divergence| format!("the {set} loss is not finite ({divergence})");
         let [regular, modified, zero] = record.gradient_warnings(horizon, F::EPSILON);
@@ -57,17 +58,17 @@ impl<F: Float> Progress<F> {
     }
 }
 
-/// Returns two warnings about an epoch of `updates` updates: some are skipped, all are skipped. At
-/// most one is present.
-fn skipped(skips: &[Skip], updates: usize) -> [Option<String>; 2] {
-    match skips {
-        [] => [None, None],
-        [Skip { divergence, .. }, ..] if skips.len() == updates => {
-            [None, Some(format!("all {updates} update(s) skipped, so the parameters did not change ({divergence})"))]
+/// Returns two warnings about an epoch in which `count` of `updates` updates were skipped. `known`
+/// is one of them; a session does not know those before its checkpoint. At most one warning is
+/// present.
+fn skipped(count: usize, updates: usize, known: Option<&Skip>) -> [Option<String>; 2] {
+    let cause = known.map(|skip| format!(" ({})", skip.divergence)).unwrap_or_default();
+    let place = known.map(|skip| format!(", for example update {}", skip.update)).unwrap_or_default();
+    match count {
+        0 => [None, None],
+        _ if count == updates => {
+            [None, Some(format!("all {updates} update(s) skipped, so the parameters did not change{cause}"))]
         }
-        [Skip { update, divergence, .. }, ..] => {
-            let count = skips.len();
-            [Some(format!("{count} of {updates} updates skipped, first update {update} ({divergence})")), None]
-        }
+        _ => [Some(format!("{count} of {updates} updates skipped{place}{cause}")), None],
     }
 }

@@ -16,7 +16,7 @@ const PACKAGES: [&str; 4] = ["numpy", "onnxruntime", "safetensors", "tensorboard
 /// # Panics
 /// If Python does not start, or the script fails.
 pub fn run(script: &str, args: &[&Path]) -> Option<String> {
-    // A failed installation is not repeated.
+    // A process does not repeat a failed installation.
     static INTERPRETER: LazyLock<Result<PathBuf, String>> = LazyLock::new(interpreter);
     let python = INTERPRETER.as_ref().map_err(|reason| println!("skipped {script}: {reason}")).ok()?;
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/program").join(script);
@@ -37,6 +37,10 @@ fn interpreter() -> Result<PathBuf, String> {
     let packages = PACKAGES.join(" ");
     if python.exists() && fs::read_to_string(&installed).is_ok_and(|text| text == packages) {
         return Ok(python);
+    }
+    // Removes the previous list, which would remain if the installation fails.
+    if installed.exists() {
+        fs::remove_file(&installed).map_err(|error| error.to_string())?;
     }
     command(Command::new("python3").args(["-m", "venv", "--clear"]).arg(folder.join("venv")))?;
     let pip = ["-m", "pip", "install", "--quiet", "--only-binary", ":all:", "--retries", "1", "--timeout", "10"];

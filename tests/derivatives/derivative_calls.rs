@@ -267,8 +267,8 @@ fn an_evaluation_evaluates_no_derivative() {
 
 #[test]
 fn with_one_control_one_policy_call_covers_the_derivatives_of_all_steps() {
-    // One call computes ∂N/∂x of all steps if any flow passes through the policy's input.
-    // Otherwise, each flow has one call for all steps.
+    // One call computes the policy's input derivatives at all steps if any flow passes through the
+    // policy's input. Otherwise, each flow has one call for all steps.
     for (flows, physics, network) in [
         (&[Flow::REGULAR][..], both(), policy(1, 0, 1)),
         (&[Flow::MODIFIED], both(), policy(0, 1, 1)),
@@ -283,7 +283,7 @@ fn with_one_control_one_policy_call_covers_the_derivatives_of_all_steps() {
 
 #[test]
 fn with_two_controls_each_step_has_one_policy_call_for_input_derivatives() {
-    // A flow through the policy's input needs ∂N/∂x at each step. Each other flow needs one call
+    // A flow through the policy's input needs one call at each step. Each other flow needs one call
     // for all steps.
     for (flows, physics, network) in [
         (&[Flow::REGULAR][..], both(), policy(T, 0, 1)),

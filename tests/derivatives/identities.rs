@@ -163,8 +163,8 @@ fn sign_agreement_keeps_components_of_equal_sign_and_sets_others_to_0() {
     assert_eq!(combine(&[1.0, -1.0], &[f64::INFINITY, f64::INFINITY]), [1.0, 0.0]);
 }
 
-/// Returns two random vectors and their combination. The components are uniform in -1 .. 1, times a
-/// in the first vector and times b in the second.
+/// Returns two random vectors and their combination. The components are uniform in -1 .. 1, times
+/// the first factor in the first vector and the second factor in the second.
 fn combined(by: Combination, [a, b]: [f64; 2]) -> [Vec<f64>; 3] {
     let mut rng = stream(5, Purpose::Check, 0);
     let mut drawn = |factor: f64| (0..1000).map(|_| factor * rng.random_range(-1.0..1.0)).collect::<Vec<f64>>();

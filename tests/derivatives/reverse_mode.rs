@@ -32,15 +32,15 @@ impl System for Pairs {
     }
 }
 
-/// `(∂S/∂x)ᵀ next_bar` by the default VJP, added to cotangents with the value `initial`.
+/// `(∂x'/∂x)ᵀ next_bar` by the default VJP, added to cotangents with the value `initial`.
 fn vjp<R: Real>(system: &impl System, x: &[R], next_bar: &[R], initial: R) -> Vec<R> {
     let mut x_bar = vec![initial; x.len()];
     system.vjp(Inputs::new(x, &[]), next_bar, Cotangents { x: Some(&mut x_bar), ..Cotangents::default() });
     x_bar
 }
 
-/// `(∂S/∂x)ᵀ next_bar` by dual numbers with one tangent, and the sum of the magnitudes of its
-/// terms.
+/// Components of `(∂x'/∂x)ᵀ next_bar` by dual numbers with one tangent, and the sums of the
+/// magnitudes of their terms.
 fn vjp_by_duals(system: &impl System, x: &[f64], next_bar: &[f64]) -> Vec<[f64; 2]> {
     let column = |i: usize| {
         let seed = |(k, &x): (usize, &f64)| Dual { value: x, tangents: [if k == i { 1.0 } else { 0.0 }] };
@@ -146,7 +146,7 @@ fn zero_cotangents_constants_and_detached_numbers_contribute_nothing() {
     assert!(vjp(&Paths, &x, &next_bar, 0.0)[3].is_nan());
 }
 
-/// Operations of a system, and of its default derivative for one or two columns of cotangents.
+/// Operations of a step, and of its default VJP for one and for two columns of cotangents.
 fn counts(system: &impl System) -> [Ops; 3] {
     let x = vec![Counted(0.5); N];
     let mut next = x.clone();

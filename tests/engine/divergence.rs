@@ -1,10 +1,10 @@
-//! Rollouts and reverse passes report non-finite numbers. Training skips such updates.
+//! Rollouts and reverse passes report non-finite numbers. Training skips the affected updates.
 
 use physgrad::policy::{Action, Linear, Mlp, Observed, Policy};
 use physgrad::rng::Rng;
 use physgrad::{
-    Batch, Clip, Divergence, Evaluation, Field, Float, Flow, GradientCombiner, Inputs, Rollout, Scalar, Start, System, Task,
-    TrainError, Trainer, Training, Variable, Weights,
+    Batch, Clip, Divergence, Evaluation, Field, Float, Flow, GradientCombiner, Inputs, OptimizerKind, Rollout, Scalar, Start,
+    System, Task, TrainError, Trainer, Training, Variable, Weights,
 };
 
 /// Type and place of a fault.
@@ -115,8 +115,9 @@ fn step_sample_component_and_pass_are_named_for_1_to_3_workers() {
     }
 }
 
-/// Policy with a memory and a fault in samples that start below -0.5. At step 2, the memory is
-/// infinite. At step 4, the derivative of the control with respect to the state is infinite.
+/// Policy with a memory and a fault in samples that start below -0.5. If `forward`, the memory is
+/// infinite at step 2, and samples that start above 0.5 have an infinite control at this step. If
+/// not, the derivative of the control with respect to the state is infinite at step 4.
 struct FaultyMemory {
     forward: bool,
 }
@@ -168,7 +169,8 @@ fn the_first_sample_of_a_step_is_named_for_any_number_of_workers() {
             Divergence::Forward { variable: Variable::Memory, step: 2, sample: 0, component: 0, cause: None }
         } else {
             let (flow, variable) = (Flow::REGULAR, Variable::State);
-            // The derivative of the policy is infinite by component 1 and NaN by the others.
+            // The derivative of the policy is infinite with respect to component 1, and NaN with
+            // respect to the others.
             Divergence::Cotangent { flow, variable, step: 3, sample: 0, component: 0, cause: None }
         };
         assert_eq!(found, Err(expected), "{workers} workers");
@@ -221,7 +223,7 @@ fn updates_with_a_bad_sample_are_skipped_counted_and_change_nothing() {
     );
 
     let warnings = session.warnings();
-    assert!(warnings[0].starts_with("epoch 1: 1 of 2 updates skipped, first update 1 (reverse pass of M"), "{warnings:?}");
+    assert!(warnings[0].starts_with("epoch 1: 1 of 2 updates skipped, for example update 1 (reverse pass of M"), "{warnings:?}");
 
     // Identical training without the second mini-batch.
     let trainer = Trainer::new(Faulty(Fault::Cotangent), Linear::with_bias(3, 1)).precision::<f64>().training(training);
@@ -401,6 +403,59 @@ fn invalid_settings_are_refused_by_name() {
     for learning_rate in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e9] {
         assert!(refused(Training { learning_rate, ..Training::default() }).contains("learning_rate"));
     }
+    for rule in [
+        OptimizerKind::Adam { beta1: 1.0, beta2: 0.999, epsilon: 1e-7 },
+        OptimizerKind::Adam { beta1: 0.9, beta2: f64::NAN, epsilon: 1e-7 },
+        OptimizerKind::Momentum { momentum: -0.1 },
+        OptimizerKind::RmsProp { rho: 1.5, epsilon: 1e-7 },
+        OptimizerKind::Adagrad { initial: -1.0, epsilon: 1e-7 },
+        OptimizerKind::Adadelta { rho: 0.95, epsilon: 0.0 },
+    ] {
+        assert!(refused(Training { rule, ..Training::default() }).contains("training.rule: has "), "{rule:?}");
+    }
     let trainer = Trainer::new(Saturated, Linear::new(1, 1));
     assert!(trainer.session_from(vec![0.0], vec![1.0], vec![]).expect_err("invalid").to_string().contains("test_samples"));
+}
+
+/// `x' = 1000 x + b_t u`, where b_t is 1 in the last ten of 100 steps, and otherwise 0.
+struct Late;
+
+impl System for Late {
+    fn state_dim(&self) -> usize {
+        1
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn step<T: Scalar>(&self, Inputs { x, u, t, .. }: Inputs<'_, T>, next: &mut [T]) {
+        next[0] = x[0] * 1000.0 + u[0] * if t < 90 { 0.0 } else { 1.0 };
+    }
+}
+
+impl Task for Late {
+    type System = Self;
+    fn system(&self) -> &Self {
+        self
+    }
+    fn horizon(&self) -> usize {
+        100
+    }
+    fn start(&self, _: &mut Rng, start: Start<'_>) {
+        start.x[0] = 0.0;
+    }
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
+        x[0]
+    }
+}
+
+#[test]
+fn columns_without_cotangents_and_with_large_exponents_add_nothing() {
+    // Adjoints of the first steps are near 1000^100, but the control has no effect there.
+    let policy = Linear::with_bias(1, 1);
+    let weights = Weights::new(&policy, vec![0.0_f32, 0.0]);
+    let mut batch = Batch::new(&Late, &policy, 1, &[Flow::MODIFIED], 1);
+    batch.run(&Late, &policy, &weights, &[0.0]).expect("a finite gradient");
+    let bias = batch.gradients()[0].to_vec()[1];
+    let expected = (0..10).map(|k| 1000_f64.powi(k)).sum::<f64>();
+    assert!((f64::from(bias) / expected - 1.0).abs() < 1e-5, "{bias:e} for {expected:e}");
 }

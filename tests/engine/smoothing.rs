@@ -122,7 +122,7 @@ fn estimates_of_a_polynomial_loss_equal_their_definitions() {
         (Estimator::AlphaOrder { tolerance: high }, kappa),
     ] {
         let (found, record) = after_one_update(Reach::default(), Quadratic, &theta, Some(estimator));
-        // The tolerance covers the rounding of sums over five pairs and of a few more operations.
+        // The bound 1e-11 allows for roundings of sums over five pairs and a few more operations.
         assert_relative_eq!(record.first_order.expect("a weight"), weight, max_relative = 1e-11);
         let loss = (at(theta).loss, record.loss);
         assert!(loss.1.is_finite() && loss.0 != loss.1, "the loss is the mean at perturbed parameters");

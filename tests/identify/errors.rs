@@ -91,7 +91,9 @@ fn a_flag_stops_an_identification_before_the_next_window() {
     assert!(whole.expect("valid data").converged);
     // Each thread finishes the window of ten steps that it began. Each of these steps is evaluated
     // at most twice: once for the state and once for its derivatives.
-    let windows = 2 * 10 * std::thread::available_parallelism().map_or(1, usize::from);
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let threads = std::env::var("RAYON_NUM_THREADS").ok().and_then(|threads| threads.parse::<usize>().ok()).unwrap_or(0);
+    let windows = 2 * 10 * cores.max(threads);
     for at in (0..8).map(|part| steps * part / 8) {
         let (stopped, taken) = run(at);
         assert_eq!(stopped, Err(IdentifyError::Stopped));

@@ -6,11 +6,13 @@ Run: python scipy_compare.py measured.csv [results.csv]
 
 The data must have one sample per time step of 0.005 s. The script ignores the column of times.
 
-Model, data, weights, bounds and initial values are those of the example. The fit uses single
-shooting: the unknowns are physical numbers of the arms, and the initial state of each segment. The
-Jacobian consists of forward differences with SciPy's default step. One vectorized simulation
-computes all columns of the Jacobian. It perturbs the initial states of all segments at once.
-`results.csv` receives the physical numbers of all fits.
+Model, data, weights, bounds and initial values are those of the example. The script fits only the
+friction models in KINDS. If a fit fails, a second fit starts from the published values.
+
+The fits use single shooting: the unknowns are physical numbers of the arms, and the initial state
+of each segment. The Jacobian consists of forward differences with SciPy's default step. One
+vectorized simulation computes all columns of the Jacobian. It perturbs the initial states of all
+segments at once. `results.csv` receives the fitted physical numbers of all fits.
 """
 
 import csv

@@ -143,7 +143,7 @@ fn missing_samples_do_not_matter() {
     let mut segments = [2.0, 0.5].map(|theta| simulated(rng, &pendulum(), [theta, 0.3], 300, [0.0; 2]));
     for segment in &mut segments {
         for (t, row) in segment.x.iter_mut().enumerate() {
-            // Rates are never measured, and angles every third step.
+            // The data lack all rates, and the angles of two of every three steps.
             row[1] = f64::NAN;
             if t % 3 > 0 {
                 row[0] = f64::NAN;

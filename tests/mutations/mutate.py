@@ -21,6 +21,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 # Names of files without physics: dispatch, limits of settings, and solvers.
 WITHOUT = {"masses.rs", "model.rs", "scheme.rs", "loss.rs", "riccati.rs", "factor.rs"}
+# Names of build products, which are not copied.
+PRODUCTS = shutil.ignore_patterns("*.so", "__pycache__", ".pytest_cache")
 # Patterns of local variables that hold constants, per file.
 NAMED = {
     "double_pendulum.rs": r"(?:m1|m2|l1|l2)\b(?=\s*[-+*/)])",
@@ -56,8 +58,9 @@ def fields(text):
 def places(name, everywhere, own):
     """Returns the pattern of the constants in a file.
 
-    `everywhere` contains names of public fields of all files, and `own` the names of the fields of
-    this file. These fields have the type f64 or Number.
+    `own` contains the names of all fields of type f64 or Number in this file. `everywhere` contains
+    the names of the public fields of these types in all files. It lacks names that a field of type
+    usize also has.
     """
     any_of = lambda names: "|".join(sorted(names, key=len, reverse=True)) or "!"
     of_self = r"self\.(?:%s)" % any_of(own)
@@ -112,9 +115,13 @@ def main():
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
-        for name in ["Cargo.toml", "Cargo.lock", "src", "tests", "benches", "examples", "README.md"]:
+        # Cargo also requires `python`, a member of the workspace.
+        for name in ["Cargo.toml", "Cargo.lock", "src", "tests", "benches", "examples", "python", "README.md"]:
             source = ROOT / name
-            (shutil.copytree if source.is_dir() else shutil.copy)(source, folder / name)
+            if source.is_dir():
+                shutil.copytree(source, folder / name, ignore=PRODUCTS)
+            else:
+                shutil.copy(source, folder / name)
         found = mutate(folder)
         chosen = [i for i, place in enumerate(found) if re.search(args.only, "%s:%s" % place[:2])]
         if args.list:

@@ -1,5 +1,5 @@
-//! Kernels on all instruction sets of this processor: matrix products of many shapes against
-//! nalgebra, sine, cosine and tanh against double-double.
+//! Kernels on all instruction sets of this processor. Compares matrix products of many shapes with
+//! nalgebra, and sine, cosine and tanh with double-double.
 
 use nalgebra::DMatrix;
 use physgrad::kernels::gemm::{self, Product};
@@ -192,7 +192,7 @@ fn exact_tanh(x: f64) -> DoubleDouble {
     Scalar::tanh(DoubleDouble::from(x))
 }
 
-/// Computation of sines and cosines, compiled for one instruction set.
+/// Computation of sines and cosines, compiled once per instruction set.
 struct SinCos<'a, F>(&'a [F], &'a mut [(F, F)]);
 
 impl<F: Format> Vectorized for SinCos<'_, F> {
@@ -337,7 +337,10 @@ const SMALL: f32 = 1.0 / 8192.0;
 /// negative arguments differ at most in the sign bit.
 fn worst_of_all(reach: f32, error: impl Fn(f32) -> f64) -> (f64, f32) {
     let all = (SMALL.to_bits()..=reach.to_bits()).map(f32::from_bits);
-    all.map(|x| (error(x), x)).fold((0.0, 0.0), |worst, next| if next.0 > worst.0 { next } else { worst })
+    all.map(|x| (error(x), x)).fold((0.0, 0.0), |worst, next| {
+        assert!(!next.0.is_nan(), "the error at {:?} is NaN", next.1);
+        if next.0 > worst.0 { next } else { worst }
+    })
 }
 
 #[test]

@@ -1,9 +1,9 @@
-//! Mistakes in a first simulator: the compiler rejects them with a known message, and the form in
-//! `docs/systems.md` compiles.
+//! Mistakes in a first simulator. The compiler rejects them with a known error code or message. For
+//! each wrong expression, the form in `docs/systems.md` compiles.
 //!
-//! The tests call `rustc` once per case, with the library that cargo built for this test. They
-//! compare parts of messages, because whole messages depend on the compiler version. The crate
-//! trybuild would build all dependencies a second time.
+//! The tests call `rustc` once per compiled source, with the library that cargo built for this
+//! test. They compare parts of messages, because whole messages depend on the compiler version. The
+//! crate trybuild would build all dependencies a second time.
 
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
@@ -54,7 +54,7 @@ fn errors(step: &str, items: &str) -> String {
     if output.status.success() { String::new() } else { String::from_utf8_lossy(&output.stderr).into_owned() }
 }
 
-/// Expressions of a step with the error code of the compiler, and the documented form.
+/// Wrong expressions of a step, with the error code of the compiler and the documented form.
 #[test]
 fn wrong_expressions_have_a_documented_form() {
     let docs = include_str!("../../docs/systems.md");

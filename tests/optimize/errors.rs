@@ -1,4 +1,5 @@
-//! Errors name the invalid argument, or the step with a non-finite value.
+//! Errors name the invalid argument, or the variable or cost with a non-finite value or derivative.
+//! Further tests cover a system without controls, and the flag that stops an optimization.
 
 use super::problems::{Coupled, Explosive};
 use physgrad::optimize::{Initial, OptimizeError, Options, optimize};

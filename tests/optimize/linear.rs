@@ -70,6 +70,7 @@ pub fn by_adjoint<T: Task>(task: &T, start: &[f64], u: &[f64]) -> Vec<f64> {
 
 /// Returns the largest magnitude of `a - b`, relative to the largest magnitude of `b`.
 fn difference(a: &[f64], b: &[f64]) -> f64 {
+    assert!(a.len() == b.len() && a.iter().chain(b).all(|x| x.is_finite()), "{a:?}, {b:?}");
     let largest = b.iter().fold(0.0, |largest: f64, b| largest.max(b.abs()));
     a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) / largest
 }

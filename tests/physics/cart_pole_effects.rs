@@ -213,8 +213,8 @@ fn wind_on_an_upright_pole_at_rest_has_the_documented_force_and_torque() {
 
 #[test]
 fn actuators_follow_their_formulas() {
-    // The control is constant, and the cart starts at rest. The force on the cart is its change of
-    // speed times M / dt, because the pole has negligible mass. M is 1 kg.
+    // The control is constant, and the cart starts at rest. The pole has negligible mass. The force
+    // is therefore M / dt times the change of the cart's speed, with the cart mass M = 1 kg.
     let model = CartPoleSystem { pole_mass: (1e-12).into(), dt: 0.1, ..poles(1) };
     fn applied<A: physgrad::Actuator>(model: CartPoleSystem, actuator: A, u: f64, steps: usize) -> Vec<f64> {
         let system = Actuated { system: model, actuator };

@@ -48,6 +48,7 @@ fn steps_are_translation_invariant_with_the_mean_as_center() {
         let (mut near, mut far) = (vec![0.0; 20], vec![0.0; 20]);
         system.step(Inputs::new(&x, &[0.3, -0.2, 1.1, 0.4]), &mut near);
         system.step(Inputs::new(&moved, &[0.3, -0.2, 1.1, 0.4]), &mut far);
+        assert!(near.iter().chain(&far).all(|x| x.is_finite()), "{near:?}, {far:?}");
         let shift = |i: usize| if i % 4 < 2 { 3.0 } else { 0.0 };
         near.iter().zip(&far).enumerate().map(|(i, (a, b))| (b - a - shift(i)).abs()).fold(0.0, f64::max)
     };

@@ -100,6 +100,7 @@ fn reached<O: Ode + Clone>(ode: &O, integrator: AnyIntegrator, span: f64, steps:
 }
 
 fn distance(a: &[f64], b: &[f64]) -> f64 {
+    assert!(a.len() == b.len() && a.iter().chain(b).all(|x| x.is_finite()), "{a:?}, {b:?}");
     a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 

@@ -30,7 +30,7 @@ fn time_dependent_effect_depends_on_time_plus_phase() {
     assert_eq!((system.state_dim(), system.param_dim()), (16, 1));
     check_lively(&system);
     let x: Vec<f64> = (0..16).map(|i| Scalar::sin(f64::from(i + 1))).collect();
-    // The effect depends on time plus phase. Four steps of 0.0625 equal a phase of 0.25.
+    // Four steps of 0.0625 have the effect of a phase of 0.25.
     let after = |t: usize, phase: f64| {
         let mut next = vec![f64::NAN; 16];
         system.step(Inputs { t, p: &[phase], ..Inputs::new(&x, &[1.0]) }, &mut next);

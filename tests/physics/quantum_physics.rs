@@ -256,8 +256,8 @@ fn at_constant_density_the_cubic_term_equals_a_uniform_potential() {
     let (size, phase) = overlap(&phi, &step(&Forced { system: model, effects: Uniform(energy) }, &phi, 0.0));
     assert!((size - 1.0).abs() < 1e-13 && (phase + 2.0 * (0.03125 * (level + energy)).atan()).abs() < 1e-13);
 
-    // In a very large box, the kinetic energy is negligible. The phase at each point then depends
-    // on its density only.
+    // In a very large box, the kinetic energy is negligible. The change of phase at each point then
+    // depends only on the density at this point.
     let still = QuantumSystem { length: 3.3e7, ..model };
     let x = phases(&QuantumSystem { length: 2.0, ..still });
     let strength = 0.01 * still.spacing() * 32.0;

@@ -164,7 +164,7 @@ fn reverse_and_forward_gradients_in_f64_agree_with_double_double_within_1e_minus
     assert!(number(method("forward mode", "", "f64"), "error") < 1e-13);
     // With an output layer of 0, R, M and C would be equal, and so would their errors.
     let [r, m] = ["reverse R", "reverse M"].map(|name| number(method(name, "", "f32"), "error"));
-    assert_ne!(r, m, "the output layer is not 0");
+    assert_ne!(r, m, "R and M are equal, so the output layer is 0");
     // The truncation error dominates for large steps, the rounding error for small steps.
     let differences = |step: &str| number(method("central differences", step, "f64"), "error");
     assert!(differences("0.1") > 100.0 * differences("0.01"), "a step of 0.01 has at least 1 % of the error of a step of 0.1");

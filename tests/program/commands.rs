@@ -277,6 +277,7 @@ fn a_comparison_resumes_with_more_epochs_and_refuses_other_settings() {
     assert!(text.contains("keeps its settings") && text.contains("poles = 4"), "{text}");
     assert!(error_of(&mut compare(&["--fields", "R,regular"])).contains("twice"));
     assert!(error_of(&mut compare(&["--set", "field=S"])).contains("--fields"));
+    assert!(error_of(&mut compare(&["--set", "fieldx=1"])).contains("`fieldx` is unknown"));
     assert!(error_of(&mut compare(&["--seed", "9223372036854775807", "--seeds", "2"])).contains("seeds"));
     assert_eq!(
         fs::read_to_string(dir.path().join("summary.csv")).expect("a summary"),
@@ -389,4 +390,5 @@ fn the_hard_case_reproducible_passes_and_an_unknown_case_is_refused() {
     let said = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success() && said.contains("1 of 1 cases pass"), "{said}");
     assert!(error_of(&mut physgrad(&["stress", "nothing"])).contains("there is no case `nothing`; available: exploding_adjoint"));
+    assert!(error_of(&mut physgrad(&["stress", "--list", "--json"])).contains("cannot be used with"));
 }

@@ -92,7 +92,7 @@ fn descriptions_and_checks_print_one_object() {
     let effects = run(&["effects", "steady_wind"]);
     assert!(effects["effects"][0]["schema"]["properties"]["speed"].is_object(), "{effects}");
     let unknown = physgrad(&["effects", "steady_win", "--json"]).assert().failure().get_output().stderr.clone();
-    assert!(String::from_utf8_lossy(&unknown).contains("steady_wind"), "the error suggests a name");
+    assert!(String::from_utf8_lossy(&unknown).contains("steady_wind"), "the error does not suggest steady_wind");
     assert!(run(&["check", "lqr"])["checks"].as_array().expect("rows").iter().all(|row| row["result"] == "ok"));
     let stress = run(&["stress", "cart_mass"]);
     assert_eq!(stress["cases"][0]["pass"], true, "{stress}");
@@ -111,7 +111,7 @@ fn accuracy_and_paper_print_one_object() {
     check("accuracy", &accuracy);
     assert_eq!(accuracy["settings"].as_array().map(Vec::len), Some(lines(&dir.path().join("accuracy/accuracy.csv"))));
     assert!(accuracy["cheapest"]["error"].as_f64().is_some_and(|error| error <= 0.1), "{}", accuracy["cheapest"]);
-    assert!(dir.path().join("accuracy/scenes").is_dir(), "the scenes are written, as without --json");
+    assert!(dir.path().join("accuracy/scenes").is_dir(), "with --json, `accuracy` writes no folder `scenes`");
     let paper = object(dir.path(), &["paper", "fig2", "--quick", "--out", "paper"]);
     check("paper", &paper);
     assert_eq!(

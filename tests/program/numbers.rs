@@ -121,9 +121,16 @@ fn two_policies_are_evaluated_over_a_grid_of_4_by_2_settings() {
     for label in ["system.cart_mass", "first", "second", "effects.cart_damping.damping = 1.000"] {
         assert!(svg.contains(label), "{label}");
     }
+    // Whole numbers may be on a grid.
+    physgrad("robust first --grid horizon=10:20:3 --samples 4 --out horizons", dir.path()).assert().success();
+    let horizons: Vec<String> = read(&dir, "horizons/robust.csv").into_iter().skip(1).map(|row| row[1].clone()).collect();
+    assert_eq!(horizons, ["10", "15", "20"]);
     for (command, message) in [
         ("robust first --grid system.cart_mass=1:2", "KEY=LOW:HIGH:COUNT"),
         ("robust first --grid system.mass=1:2:3", "`system.mass` is unknown"),
+        ("robust first --grid system.dt=1:2:3 --grid system.dt=3:4:2", "--grid gives system.dt twice"),
+        ("robust first --grid system.poles=1:3:3 --samples 4", "but this scene has 6 and 1"),
+        ("robust first --grid system.poles=1:2:3 --samples 4", "`system.poles` is floating point `1.5`; allowed: a whole number"),
         ("robust first --grid system.cart_mass=-1:2:3", "`system.cart_mass` is -1; allowed: a positive number"),
         ("robust third --grid system.cart_mass=1:2:3", "there is no folder third"),
     ] {
@@ -146,8 +153,8 @@ fn measured_trajectories_identify_length_within_1_and_center_within_2_percent() 
     let output = physgrad(&command, dir.path()).assert().success().get_output().stdout.clone();
     let output = String::from_utf8(output).expect("text");
     assert!(output.contains("validation with 2 other segments"), "{output}");
-    // The fit uses every second segment. These segments do not determine the dry friction of the
-    // second joint.
+    // The fit uses every second segment. The fitted dry friction of the second joint is 0, the
+    // lower bound.
     let warnings: Vec<&str> = output.lines().filter(|line| line.starts_with("warning")).collect();
     assert_eq!(warnings, ["warning: system.arms[1].dry is at its bound"], "{output}");
     let rows = read(&dir, "found/identified.csv");
@@ -186,9 +193,36 @@ fn measured_trajectories_identify_length_within_1_and_center_within_2_percent() 
         ("identify double_pendulum.toml --data double_pendulum.toml", "unknown column"),
         ("identify double_pendulum.toml --data double_pendulum.csv --noise theta_1=0", "write NAME=VALUE with a positive value"),
         ("identify double_pendulum.toml --data double_pendulum.csv --noise theta_1=1", "--noise lacks omega_1"),
+        ("identify double_pendulum.toml --data double_pendulum.csv --noise theta_1=1,theta_1=2", "theta_1 is given twice"),
         ("identify double_pendulum.toml --data double_pendulum.csv --set system.dt=0.007", "is not a later step of 0.007 s"),
     ] {
         let stderr = physgrad(command, dir.path()).assert().failure().get_output().stderr.clone();
         assert!(String::from_utf8_lossy(&stderr).contains(message), "{command}: {}", String::from_utf8_lossy(&stderr));
+    }
+}
+
+#[test]
+fn unusable_measurements_are_refused_with_place_and_advice() {
+    let dir = TempDir::new().expect("a folder");
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/data/double_pendulum.toml");
+    fs::copy(scene, dir.path().join("scene.toml")).expect("a scene");
+    for (data, message) in [
+        ("t,theta_1,theta_1\n0,1,2", "data.csv: the columns `theta_1` and `theta_1` have one meaning; remove one of them"),
+        ("t,theta_1,time\n0,1,2", "data.csv: the columns `t` and `time` have one meaning"),
+        ("segment,t,sample\n0,1,2", "data.csv: the columns `segment` and `sample` have one meaning"),
+        ("t,theta_1\n0,1\n0.005,-inf", "data.csv:3: `-inf` is infinite; leave the cell of a missing sample empty"),
+        ("t,theta_1\n0,1\n0.005,x", "data.csv:3: `x` is not a number"),
+        ("segment,t\na,0\nb,0\na,0.005", "data.csv:4: the rows of segment a are not contiguous; sort the rows by segment"),
+        ("t,theta_1\n0,1\n,2", "data.csv:3: the time is missing"),
+        ("t,theta_1\n0,1\n0.01,2\n0.005,3", "data.csv:4: the time 0.005 s is not later than in the row before"),
+        ("t,theta_1\n0,1\n0.007,2", "data.csv:3: the time 0.007 s is not a later step of 0.005 s"),
+        ("t,theta_1\n0,1\n1e6,2", "data.csv:3: the segment has 10000000 or more steps of 0.005 s"),
+        // Fits segments 0 and 2. Messages name the index in the file.
+        ("segment,t,theta_1,theta_2,omega_1,omega_2\n0,0,1,1,0,0\n1,0,1,1,0,0\n2,0,,1,0,0", "segment 2: component "),
+    ] {
+        fs::write(dir.path().join("data.csv"), format!("{data}\n")).expect("a file");
+        let command = "identify scene.toml --data data.csv --every 2 --exact-starts";
+        let stderr = physgrad(command, dir.path()).assert().failure().get_output().stderr.clone();
+        assert!(String::from_utf8_lossy(&stderr).contains(message), "{message}: {}", String::from_utf8_lossy(&stderr));
     }
 }

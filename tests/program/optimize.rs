@@ -5,8 +5,7 @@ use physgrad::tasks::Lqr;
 use std::fs;
 use tempfile::TempDir;
 
-/// Returns the rows of a CSV file, with the columns of these names only. Cells that are not numbers
-/// become NaN.
+/// Returns the columns `names` of a CSV file, row by row. Cells that are not numbers become NaN.
 fn columns(dir: &TempDir, file: &str, names: &[&str]) -> Vec<Vec<f64>> {
     let rows = read(dir, file);
     let index = |name: &&str| rows[0].iter().position(|known| known == name).unwrap_or_else(|| panic!("{name} in {:?}", rows[0]));
@@ -49,7 +48,9 @@ fn optimized_forces_stay_within_minus_4_and_5_n_and_cost_less_than_the_policy() 
     // With one test sample, the test loss is the cost of the policy.
     let settings = "--set training.train_samples=32 --set training.test_samples=1 --set horizon=40 --precision f64 --epochs 3";
     physgrad(&format!("train cart_pole_1 {settings} --quiet --out run"), dir.path()).assert().success();
-    physgrad("optimize --from run --bound force=-4:5 --out plan --quiet", dir.path()).assert().success().stdout("");
+    // The bound of one control replaces that of all controls.
+    let optimize = "optimize --from run --bound force=-4:5 --bound=-1:1 --out plan --quiet";
+    physgrad(optimize, dir.path()).assert().success().stdout("");
     physgrad("optimize --from run --iterations 0 --out policy --quiet", dir.path()).assert().success();
     let costs = |plan: &str| columns(&dir, &format!("{plan}/optimized.csv"), &["initial_cost", "cost"]).remove(0);
     let policy = columns(&dir, "run/metrics.csv", &["test_loss"])[2][0];
@@ -68,6 +69,7 @@ fn optimized_forces_stay_within_minus_4_and_5_n_and_cost_less_than_the_policy() 
             "optimize --from run --bound torque=-1:1",
             "write [NAME=]LOW:HIGH with LOW below HIGH, as in force=-10:10; names: force",
         ),
+        ("optimize --from run --bound force=-1:1 --bound force=-2:2", "--bound force=-2:2: force has two bounds; give one"),
         ("optimize cart_pole --bound 1:-1", "--bound 1:-1: write [NAME=]LOW:HIGH with LOW below HIGH"),
         ("optimize cart_pole --starts 0", "--starts is 0; allowed: 1 to "),
         ("optimize cart_pole --from run", "cannot be used with"),

@@ -1,5 +1,5 @@
 //! Programs of the user: `examples/own_program.rs` with a task, `examples/scene_effect.rs` with
-//! effects, and crates that `physgrad new` creates.
+//! effects and a task, and crates that `physgrad new` creates.
 
 use assert_cmd::Command;
 use std::path::{Path, PathBuf};

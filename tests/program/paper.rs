@@ -96,7 +96,9 @@ fn an_interrupted_figure_writes_only_the_started_run_and_resumes() {
         let runs = cases.flat_map(|case| fs::read_dir(case.path().join("runs")).into_iter().flatten().flatten());
         runs.filter(|run| run.path().join("metrics.csv").exists()).map(|run| run.path()).collect()
     };
+    let begin = std::time::Instant::now();
     while runs().is_empty() {
+        assert!(begin.elapsed() < std::time::Duration::from_secs(120), "not within 120 s: a run begins");
         std::thread::sleep(std::time::Duration::from_millis(5));
     }
     std::thread::sleep(std::time::Duration::from_millis(100));

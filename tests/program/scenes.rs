@@ -355,9 +355,9 @@ fn set_adds_steady_wind_and_without_removes_gusty_wind_and_lag() {
 fn the_same_command_resumes_a_run_and_another_scene_prints_its_differences() {
     let dir = TempDir::new().expect("a folder");
     let out = dir.path().join("run");
-    let start = [&SMALL[..], &["--epochs", "1", "--without", "effects.lag"]].concat();
+    let start = [&SMALL[..], &["--epochs", "1", "--without", "actuator.lag"]].concat();
     train_scene(Path::new("cart_pole_windy"), &out, &start).assert().success();
-    let resume = [&SMALL[..], &["--epochs", "2", "--without", "effects.lag", "--resume"]].concat();
+    let resume = [&SMALL[..], &["--epochs", "2", "--without", "actuator.lag", "--resume"]].concat();
     train_scene(Path::new("cart_pole_windy"), &out, &resume).assert().success();
 
     let file = write(&dir, &format!("{CART_POLE}[system]\ndt = 0.5\n"));
@@ -466,6 +466,8 @@ fn the_schema_has_one_branch_per_task_with_every_setting() {
         let branch = branches.iter().find(of_task).expect("a branch of the task");
         assert_eq!(branch["required"], serde_json::json!(["scene", "task"]));
         assert_described(branch, &stdout(&["scene", task]).parse().expect("TOML"), task);
+        // Scenes may also have these sections, whose keys are names of settings.
+        assert!(["vary", "fit", "sweep"].iter().all(|section| branch["properties"][section]["type"] == "object"), "{branch}");
         let training = &branch["properties"]["training"]["properties"];
         assert!(training["clip_limit"].is_object() && training["decay_end"].is_object());
         assert_eq!(training["decay"]["enum"], serde_json::json!(["constant", "cosine", "exponential"]));

@@ -150,7 +150,7 @@ fn a_study_trains_every_combination_and_equals_single_runs() {
     assert_eq!(table, bytes("out/study.csv"));
     physgrad("report out", dir.path()).assert().success();
 
-    // Refuses folders with other contents.
+    // The program refuses folders with other contents.
     assert!(error(&dir, "study out/study.toml -o one").contains("one holds a run and is not a study"));
     assert!(error(&dir, "compare push -o out").contains("out holds a study and is not a comparison"));
     let missing = fs::remove_dir_all(dir.path().join("out/mine+C+learning_rate=0.1"));

@@ -18,7 +18,6 @@ fn error(dir: &TempDir, args: &str) -> String {
     String::from_utf8(physgrad(args, dir.path()).assert().failure().get_output().stderr.clone()).expect("text")
 }
 
-/// Every run of a sweep equals a single run with the same settings.
 #[test]
 fn runs_of_a_sweep_equal_single_runs() {
     let dir = TempDir::new().expect("a folder");
@@ -89,6 +88,7 @@ fn runs_are_listed_filtered_sorted_and_drawn() {
     assert_eq!(listed(" --sort age"), ["c", "deep/b", "a"]);
     assert_eq!(listed(" --tag both"), ["a", "deep/b"]);
     assert_eq!(listed(" --task push"), ["c"]);
+    assert_eq!(listed(" runs/deep runs ./runs"), ["deep/b", "a", "c"], "a run is listed twice");
     succeed(&dir, "runs runs/a runs/deep --out listed");
     let rows = read(&dir, "listed/runs.csv");
     assert_eq!(rows[1][..6], ["runs/a", "cart_pole", "combined", "3", "1", "1"]);

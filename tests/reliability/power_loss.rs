@@ -1,9 +1,10 @@
 //! Power loss at any time: the program logs its file operations, and the test replays each prefix
 //! of the log.
 //!
-//! The disk model is pessimistic. After a power loss, either all folders have their current names,
-//! or all have the names of their last synchronization. Either all files have their current bytes,
-//! or all have the synchronized bytes, or all have the synchronized bytes and half of the rest.
+//! The disk model is pessimistic. After a power loss, either all folders have their current
+//! entries, or all have the entries of their last synchronization. Either all files have their
+//! current bytes, or all have the synchronized bytes, or all have the synchronized bytes and half
+//! of the rest.
 #![cfg(unix)]
 
 use crate::running::{SMALL, physgrad};

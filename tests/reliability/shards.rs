@@ -1,7 +1,7 @@
 //! Comparisons and studies: the runs of several processes, some of them killed, equal those of one
 //! process.
 
-use crate::running::{error_of, physgrad};
+use crate::running::{SMALL, error_of, physgrad, train};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -123,6 +123,26 @@ fn eight_shards_with_three_kills_give_the_bytes_of_one_process() {
         physgrad(&["train", "--resume", "--epochs", "3", "--quiet", "--out"]).arg(out.join("runs/C-24")).assert().success();
     }
     assert_equal(&one.join("runs/C-24"), &many.join("runs/C-24"));
+}
+
+#[test]
+fn a_comparison_that_starts_from_policies_is_merged() {
+    let dir = TempDir::new().expect("a folder");
+    for seed in ["0", "1"] {
+        train(&dir.path().join(seed), &["--epochs", "1", "--seed", seed]).assert().success();
+    }
+    // The policy is an option of all points, or differs between the points of a sweep.
+    let [first, second] = ["0", "1"].map(|seed| dir.path().join(seed).join("policy.safetensors").display().to_string());
+    for (name, policies) in [("one", vec![first.clone()]), ("two", vec![first, second])] {
+        let out = dir.path().join(name);
+        let set = format!("initial_policy={}", policies.iter().map(|path| format!("{path:?}")).collect::<Vec<_>>().join(","));
+        let mut compare = physgrad(&["compare", "cart_pole", "--fields", "C", "--seeds", "1", "--epochs", "1", "--set", &set]);
+        compare.args(SMALL).arg("--out").arg(&out).assert().success();
+        let summary = fs::read(out.join("summary.csv")).expect("a summary");
+        fs::remove_file(out.join("summary.csv")).expect("a summary");
+        physgrad(&["merge", "--quiet"]).arg(&out).assert().success();
+        assert_eq!(fs::read(out.join("summary.csv")).expect("a summary"), summary, "{name}");
+    }
 }
 
 #[test]

@@ -64,7 +64,8 @@ fn cart_mass() -> Vec<Finding> {
 
 /// Compares the VJPs of both exact models, on a cart of 1e-8 kg, with dual numbers.
 fn derivatives() -> [Finding; 2] {
-    let error = |checked: Result<check::Passed, check::Mismatch>| checked.map_or_else(|wrong| wrong.error, |passed| passed.worst);
+    // The check stops at the first mismatch, which may be smaller than a later one.
+    let error = |checked: Result<check::Passed, check::Mismatch>| checked.map_or(f64::INFINITY, |passed| passed.worst);
     let (coupled, chain) = (CoupledCartPole(model(20, 1e-8)), PoleChain(model(20, 1e-8)));
     let chain = Integrated { ode: chain, integrator: SemiImplicit, dt: 0.01 };
     [("side by side", error(check::try_system(&coupled))), ("end to end", error(check::try_system(&chain)))]

@@ -210,7 +210,7 @@ fn contact() -> Vec<Finding> {
     findings
 }
 
-/// Planted fault: `v ← -e v` where a step ends below the floor.
+/// Planted fault: `v ← -e v` where a downward step ends below the floor.
 struct Reflected(BouncingBall);
 
 impl System for Reflected {

@@ -76,7 +76,7 @@ impl Effect<PointMass> for Injected {
     }
 }
 
-/// Task with the running cost x² of the position after the step.
+/// Task with the running cost x², where x is the position after the step.
 struct ReturnTask(Forced<PointMass, Injected>);
 
 impl Task for ReturnTask {

@@ -201,7 +201,7 @@ impl Trained {
     }
 }
 
-/// Updates between evaluations.
+/// Number of updates between evaluations.
 const EPOCH: usize = 250;
 
 /// 3000 updates of norm at most 0.1, each on a single initial state.

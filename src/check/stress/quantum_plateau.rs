@@ -20,7 +20,8 @@ pub(super) const CASES: &[Case] = &[Case {
     run: quantum_plateau,
 }];
 
-/// Plateau report from eigenstates 1 and 2 with weighted random amplitudes and random phases.
+/// Plateau report for initial states that superpose eigenstates 1 and 2, with weighted random
+/// amplitudes and random phases. None if a loss or a gradient is non-finite.
 fn report(target: usize, weighting: [f64; 2], loss: LossMode) -> Option<Plateau> {
     let task = Quantum { weighting, loss, ..Quantum::new(target) };
     let policy = Mlp::new([64, 16, 1]).zero_init_output(true);

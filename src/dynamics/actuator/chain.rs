@@ -7,8 +7,8 @@ use crate::numbers::kernels::Vectorized;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use smallvec::{SmallVec, smallvec};
 
-/// Composition in order, bit-identical to nested pairs. Outlines steps, because inlining every
-/// actuator into every loop over samples slows compilation.
+/// Composition in order, bit-identical to nested pairs. Outlines steps and VJPs, because inlining
+/// every actuator into every loop over samples slows compilation.
 impl<A: Actuator> Actuator for Vec<A> {
     fn state_dim(&self, controls: usize) -> usize {
         self.iter().map(|actuator| actuator.state_dim(controls)).sum()

@@ -132,6 +132,7 @@ pub struct Delay {
 
 impl Actuator for Delay {
     fn state_dim(&self, controls: usize) -> usize {
+        assert!(self.steps > 0, "the delay has 0 steps; allowed: 1 or more");
         self.steps * controls
     }
 

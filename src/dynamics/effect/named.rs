@@ -11,7 +11,7 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 /// `wind.speed`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Named<E> {
-    /// Name in messages.
+    /// Name in messages, and prefix of the names in [`Varied`].
     pub name: &'static str,
     /// Named effect.
     pub effect: E,

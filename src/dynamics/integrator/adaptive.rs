@@ -28,7 +28,7 @@ use crate::numbers::zip::zip;
 pub struct Adaptive {
     /// Relative tolerance. Below [`floor`](Adaptive::floor), rounding errors dominate.
     pub rtol: f64,
-    /// Absolute tolerance, in the unit of each component.
+    /// Absolute tolerance, in the unit of each component. Must be positive if a component may be 0.
     pub atol: f64,
     /// Maximal number of attempts per time step.
     pub most: usize,

@@ -10,8 +10,9 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
 /// Semi-implicit Euler: `v' = v + h a(q, v)`, then `q' = q + h v'`. Order 1, one evaluation.
 ///
-/// Symplectic if accelerations depend on positions alone. The energy of a conservative system then
-/// oscillates but does not drift (Hairer, Lubich and Wanner, Geometric Numerical Integration, I.1).
+/// Symplectic if the accelerations are `-M⁻¹ ∇V(q)` with a constant mass matrix `M`. The energy
+/// then oscillates but does not drift (Hairer, Lubich and Wanner, Geometric Numerical Integration,
+/// I.1).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SemiImplicit;
 
@@ -70,9 +71,9 @@ impl Integrator for SemiImplicit {
 /// v' = v + h/2 (a(q, v) + a(q', v + h a(q, v)))
 /// ```
 ///
-/// Symplectic if accelerations depend on positions alone. If velocities also enter, the second
-/// evaluation uses the velocities of an explicit Euler step, as in Heun's method. The order is then
-/// still 2, but the method is not symplectic.
+/// Symplectic if the accelerations are `-M⁻¹ ∇V(q)` with a constant mass matrix `M`. The second
+/// evaluation uses the velocities of an explicit Euler step, as in Heun's method. If accelerations
+/// depend on velocities, the order is therefore still 2, but the method is not symplectic.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Verlet;
 

@@ -15,7 +15,7 @@ use crate::numbers::scalar::{CotangentPack, Float, Real};
 #[derive(Debug)]
 pub(super) struct Exponents<F: Float, const K: usize> {
     pub(super) blocks: Vec<BlockExponents<F, K>>,
-    /// True if an exponent is not 0.
+    /// True if an exponent may differ from 0.
     pub(super) any: bool,
     /// True if an exponent is so low that scaled cost gradients may overflow.
     low: bool,
@@ -178,7 +178,8 @@ impl<F: Float, const K: usize> BlockExponents<F, K> {
         self.inject.0[k].set_lane(lane, scaled(scale, (-exponent).min(limit)));
     }
 
-    /// Rescales the cotangents of one sample and flow to a size of about 1, if needed.
+    /// Rescales the cotangents of one sample and flow to a size of about 1, if needed. If all
+    /// cotangents are 0, sets the exponent to 0.
     ///
     /// `lambda` is λ of the block. `u_bar` contains h and μ of the block.
     fn rescale(
@@ -217,7 +218,7 @@ impl<F: Float, const K: usize> BlockExponents<F, K> {
 
     /// Resets the exponent of one sample and flow to 0, if scaled cost gradients may overflow.
     ///
-    /// λ may underflow to 0, which is negligible relative to the cost gradients.
+    /// λ and μ may underflow to 0, which is negligible relative to the cost gradients.
     fn raise(
         &mut self,
         (k, lane): (usize, usize),

@@ -104,8 +104,8 @@ impl<const K: usize> GrowthMeters<K> {
         }
     }
 
-    /// Returns true if the adjoint has grown by more than `decades` since its last cut. If so,
-    /// registers a cut.
+    /// Returns true if the adjoint has grown by more than `decades` since its last cut or
+    /// truncation, or since it last became 0. If so, registers a cut.
     pub(super) fn reset_if_grown(&mut self, k: usize, sample: usize, decades: f64) -> bool {
         let meter = &mut self.meters[sample][k].0;
         let grown = meter.since_cut() > decades;

@@ -43,9 +43,9 @@ pub(super) struct PolicyAdjoint<F> {
     exponents: Vec<Vec<i32>>,
     /// True if some exponent may differ from 0.
     scaled: bool,
-    /// Weight of each column, for columns of different exponents.
+    /// Weight of each column, if some exponent is not 0.
     weights: Vec<F>,
-    /// Parameter gradient of the weighted columns.
+    /// Parameter gradient of the columns of one call, before its addition to a sum with exponents.
     part: Vec<F>,
 }
 
@@ -292,19 +292,21 @@ impl<F: Float> PolicyAdjoint<F> {
         }
     }
 
-    /// Weights columns of different exponents such that the largest cotangent is about 1.
+    /// Weights columns of different exponents such that the largest cotangent is about 1. Columns
+    /// without cotangents have the weight 0.
     ///
     /// Returns the common exponent of the weighted columns.
     fn weigh(&mut self, k: usize, columns: Range<usize>, m: usize) -> i32 {
         let (h, exponents) = (&self.controls_bar[k], &self.exponents[k]);
         let leading = |c: usize| {
             let largest = h[c * m..][..m].iter().map(|h| h.as_().abs()).fold(0.0, f64::max);
-            (largest > 0.0).then(|| exponents[c] + exponent_of(largest))
+            // The bound keeps the weight of a column with tiny cotangents finite.
+            (largest > 0.0).then(|| exponents[c] + exponent_of(largest).max(-100))
         };
         let largest = columns.clone().filter_map(leading).max().unwrap_or(0);
         for c in columns {
             let own = if self.linearized { h[c] } else { F::one() };
-            self.weights[c] = scaled(own, exponents[c] - largest);
+            self.weights[c] = if leading(c).is_none() { F::zero() } else { scaled(own, exponents[c] - largest) };
         }
         largest
     }

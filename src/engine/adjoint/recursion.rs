@@ -40,7 +40,8 @@ pub(super) struct Step<'a, R, const K: usize> {
     pub(super) inject: CotangentPack<R, K>,
 }
 
-/// Gradients of the running cost of one step, for one block of samples.
+/// Gradients of the running cost of one step, for one block of samples. Before the first step,
+/// `next` and `p` hold the gradient of the terminal cost.
 #[derive(Debug)]
 pub(super) struct CostGradient<R> {
     /// `∂l/∂x_{t+1}`.
@@ -92,7 +93,8 @@ fn clear<R, C: Cotangent<R>>(cotangents: &mut [C]) {
     }
 }
 
-/// Performs one step of the recursion without the policy. Returns Σ|λ| + Σ|h| + Σ|μ| per flow.
+/// Performs one step of the recursion without the policy. Returns Σ|λ| + Σ|h| + Σ|μ| per flow and
+/// sample.
 ///
 /// ```text
 /// λ ← λ + ∂l/∂x_{t+1}
@@ -306,8 +308,9 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         self.exponents.update_low();
     }
 
-    /// Measures growth and norms after step `t`, and restarts adjoints that are truncated or have
-    /// grown. After step 0, completes the gradients with respect to initial states and p.
+    /// Measures growth and norms after step `t`. Restarts adjoints that are truncated, or that have
+    /// grown by more than `cut`. After step 0, completes the gradients with respect to initial
+    /// states and p.
     fn after_step(&mut self, pass: &Pass<'_, F>, flows: [Flow; K], t: usize, norms: &mut [Vec<f64>]) {
         if pass.measured {
             self.growth.after(pass.rollout, &self.lambda, &self.exponents, flows, t);

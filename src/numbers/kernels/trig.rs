@@ -20,7 +20,8 @@ const ROUND: f64 = 6_755_399_441_055_744.0;
 /// exact (fdlibm).
 const HALF_PI: [f64; 3] = [1.570_796_326_734_125_6, 6.077_100_506_303_966e-11, 2.022_266_248_795_950_6e-21];
 
-/// Reduces `x = n·π/2 + r` with |r| ≤ π/4. Returns `r` and a word with the low bits of `n`.
+/// Reduces `x = n·π/2 + r` with |r| ≤ π/4 up to rounding. Returns `r` and a word with the low bits
+/// of `n`.
 #[inline(always)]
 fn reduce(x: f64) -> (f64, u64) {
     let n = x * std::f64::consts::FRAC_2_PI + ROUND;

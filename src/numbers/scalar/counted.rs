@@ -101,7 +101,7 @@ impl AddAssign for Ops {
     }
 }
 
-/// Lists the nonzero counts, for instance `3 add, 2 multiply`.
+/// Lists the nonzero counts, for instance `3 add, 2 multiply`. Writes `nothing` if all are 0.
 impl fmt::Display for Ops {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let some = self.each().into_iter().filter(|&(count, _)| count > 0);

@@ -8,9 +8,9 @@ use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssi
 /// A number with 31 digits, stored as the sum of two `f64`s (Dekker 1971, doi:10.1007/BF01397083).
 ///
 /// A [`Scalar`] for reference solutions, much slower than `f64`. The crate `qd` provides the
-/// arithmetic. The relative error of an operation is about 1e-31; that of a sum or difference is
-/// relative to the larger operand. Generic code converts its constants from `f64`, so they equal
-/// those of an `f64` computation. The range is that of `f64`.
+/// arithmetic. The error of an arithmetic operation is about 1e-31, relative to the result. For
+/// sums and differences, it is relative to the larger operand. Generic code converts its constants
+/// from `f64`, so they equal those of an `f64` computation. The range is that of `f64`.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
 pub struct DoubleDouble(Quad);
 

@@ -64,10 +64,18 @@ impl<T: Scalar, const N: usize> Dual<T, N> {
         self
     }
 
-    /// Chain rule for a slope that may be infinite: zero tangents stay 0 instead of NaN.
+    /// Chain rule for a slope that may be infinite or NaN: tangents of 0 then stay 0 instead of
+    /// NaN.
+    ///
+    /// A tangent whose value is 0 may itself have tangents, in second derivatives. A finite slope
+    /// therefore multiplies every tangent.
     #[inline(always)]
     fn unary_if_nonzero(self, value: T, slope: T) -> Self {
-        self.unary(value, |tangent| T::select_lt(T::zero(), tangent.abs(), tangent * slope, tangent))
+        self.unary(value, |tangent| {
+            let product = tangent * slope;
+            let nonzero = T::select_lt(T::zero(), tangent.abs(), product, tangent);
+            T::select_lt(slope.abs(), T::from(f64::INFINITY), product, nonzero)
+        })
     }
 }
 

@@ -38,7 +38,7 @@ pub trait Float:
     /// Largest finite number.
     const MAX: f64;
 
-    /// Rounds a constant to this type.
+    /// Rounds a number to this type.
     fn from_f64(value: f64) -> Self;
     /// Converts to `f64`, exactly.
     #[inline(always)]

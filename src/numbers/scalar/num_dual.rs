@@ -1,8 +1,8 @@
 //! [`Scalar`] for the dual numbers of the crate num-dual, used by checks of derivatives.
 //!
 //! Arithmetic is that of num-dual. Elementary functions apply the chain rule to the function of the
-//! plain number, so their values equal those of `f64`. The `tanh` of num-dual overflows
-//! (sinh/cosh); its `sqrt` and `ln` return NaN tangents for a constant 0.
+//! plain number, so their values equal those of `f64`. In num-dual, `tanh` overflows (sinh/cosh),
+//! and `sqrt` and `ln` return NaN tangents for a constant 0.
 
 use super::Scalar;
 use num_dual::Dual64;

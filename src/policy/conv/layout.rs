@@ -62,7 +62,8 @@ impl Conv {
         (KERNEL * CHANNELS + 1) * self.width + (KERNEL * self.width + 1) * self.width
     }
 
-    /// Offset of the packed output weights, laid out like a column of h₂ at the end of the buffer.
+    /// Offset of the packed output weights. They have the layout of a column of h₂, and end the
+    /// buffer.
     pub(super) fn packed_dense(&self, two: &Layer) -> usize {
         two.transposed + self.width * two.entries
     }

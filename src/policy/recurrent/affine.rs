@@ -6,7 +6,7 @@ use crate::numbers::zip::zip;
 use crate::policy::Tensor;
 use rand::RngExt;
 
-/// Affine map with its parameters from index `first` of `θ`.
+/// Affine map whose parameters start at index `first` of `θ`.
 #[derive(Clone, Copy)]
 pub(super) struct Affine {
     pub(super) first: usize,

@@ -28,8 +28,8 @@ impl Precise for f64 {
     }
 }
 
-/// The policy of a scene with its parameters θ. The last parameters determine the trained numbers
-/// of the scene; see [`TrainedParam`](crate::policy::TrainedParam).
+/// The policy of a scene with its parameters θ. If the scene trains numbers, the last parameters
+/// determine them; see [`TrainedParam`](crate::policy::TrainedParam).
 #[derive(Clone)]
 pub struct Policy {
     scene: Scene,
@@ -110,7 +110,7 @@ impl Policy {
         self.theta.iter().map(|&theta| F::from_f64(theta)).collect()
     }
 
-    /// Controls, `[row][component]`, of a policy without memory for observations `y`,
+    /// Controls of a policy without memory for the observations `y`. Both have the layout
     /// `[row][component]`.
     ///
     /// # Errors
@@ -134,7 +134,7 @@ impl Policy {
         Ok(u)
     }
 
-    /// Checks that the policy fits a task.
+    /// Returns the task of a scene, after a check that the policy fits it.
     pub(super) fn check(&self, task: &Scene) -> Result<DynTask> {
         let (policy, dyn_task) = (f64::policy(&*self.policy), task.task());
         let any: &dyn AnyTask<f64> = &dyn_task;
@@ -159,6 +159,9 @@ impl Policy {
     ///
     /// # Errors
     /// The policy does not fit the task, or a [`Divergence`].
+    ///
+    /// # Panics
+    /// If `starts` is not a whole number of initial states.
     pub fn rollouts<F: Precise>(&self, task: &Scene, starts: &[F]) -> Result<Rollouts<F>> {
         let (dyn_task, policy) = (self.check(task)?, F::policy(&*self.policy));
         let any: &dyn AnyTask<F> = &dyn_task;
@@ -186,6 +189,9 @@ impl Policy {
     ///
     /// # Errors
     /// The policy does not fit the task, or a [`Divergence`].
+    ///
+    /// # Panics
+    /// If `starts` is not a whole number of initial states.
     pub fn losses<F: Precise>(&self, task: &Scene, starts: &[F]) -> Result<Vec<F>> {
         let (dyn_task, policy) = (self.check(task)?, F::policy(&*self.policy));
         let any: &dyn AnyTask<F> = &dyn_task;
@@ -201,11 +207,14 @@ impl Policy {
         Ok(losses)
     }
 
-    /// Vectors of several fields for the mean loss of rollouts from `starts`, `[field][parameter]`.
-    /// All fields share the forward passes.
+    /// Vectors of several fields, `[field][parameter]`, for the mean loss of rollouts from
+    /// `starts`. All fields share the forward passes.
     ///
     /// # Errors
     /// The policy does not fit the task, `starts` is empty, or a [`Divergence`].
+    ///
+    /// # Panics
+    /// If `starts` is not a whole number of initial states.
     pub fn gradients<F: Precise>(&self, task: &Scene, starts: &[F], chosen: &[Field]) -> Result<Vec<Vec<F>>> {
         let (dyn_task, policy) = (self.check(task)?, F::policy(&*self.policy));
         if starts.is_empty() {

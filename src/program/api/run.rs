@@ -99,19 +99,24 @@ impl Run {
     /// folder contains another run, renames that folder and creates an empty one in its place.
     ///
     /// # Errors
-    /// The folder cannot be written to, or is in use. It contains a comparison of one scene, a
-    /// study, another run beside other files, or files of a run without settings.
+    /// The folder cannot be written to, or is in use. It contains a comparison, a study, another
+    /// run beside other files, or files of a run without settings. It contains another run, and is
+    /// or contains the current folder.
     pub fn save(&mut self, folder: &Path) -> Result<()> {
         let locked = Folder::at(folder).lock()?;
-        let is_own = self.folder.as_deref().is_some_and(|own| own == folder);
+        // Compares canonical paths: `run` and `./run` are one folder.
+        let same =
+            |own: &Path| std::fs::canonicalize(own).ok().zip(std::fs::canonicalize(folder).ok()).is_some_and(|(a, b)| a == b);
+        let is_own = self.folder.as_deref().is_some_and(same);
         let locked = if is_own { locked } else { locked.without_run()? };
         run::save(&locked, &self.scene.scene, &*self.run)?;
         self.folder = Some(folder.to_owned());
         Ok(())
     }
 
-    /// Trains up to the last epoch, or until the observer stops the run. Saves the run in its
-    /// folder, if it has one. Returns whether the run is complete.
+    /// Trains up to the last epoch, or until the observer stops the run. Returns whether the run is
+    /// complete. A run with a folder continues from the checkpoint in the folder, and saves
+    /// there.
     ///
     /// # Errors
     /// A file cannot be written, or the folder is in use. A run in a folder has completed more
@@ -137,7 +142,8 @@ impl Run {
     }
 
     /// The policy with the current parameters. With `best`, the policy after the epoch with the
-    /// lowest test loss, or before the first epoch the initial policy.
+    /// lowest test loss. Until an epoch has a test loss that is a number, `best` selects the
+    /// initial policy.
     ///
     /// # Errors
     /// The parameters cannot be serialized.

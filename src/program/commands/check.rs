@@ -56,7 +56,7 @@ pub fn check(args: &Check) -> Result<()> {
     bail!("{} gradient checks failed:\n{}", failures.len(), failures.join("\n"));
 }
 
-/// Largest number of state components for which the stability is computed.
+/// Largest number of state components for which the command computes the stability.
 const MAX_STATES: usize = 100;
 
 /// Describes the stability of the time step. Compares an unstable step with half the step, if the

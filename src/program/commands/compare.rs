@@ -74,7 +74,8 @@ pub struct Compare {
 
 /// Runs the command.
 pub fn compare(args: &Compare) -> Result<()> {
-    if args.overrides.field.is_some() || args.overrides.set.iter().any(|set| set.trim_start().starts_with("field")) {
+    let sets_field = |set: &String| set.split('=').next().is_some_and(|key| key.trim() == "field");
+    if args.overrides.field.is_some() || args.overrides.set.iter().any(sets_field) {
         bail!("`field` is set, but a comparison trains several fields; choose them with --fields");
     }
     let names: Vec<String> = args.scenes.iter().map(|scene| presets::short_name(scene)).collect();
@@ -105,6 +106,11 @@ pub fn compare(args: &Compare) -> Result<()> {
         comparisons.iter().try_for_each(Comparison::check_resumable)?;
     }
     let plan = Plan::new(&names, &points, args);
+    for (point, planned) in points.iter().zip(&plan.points) {
+        if let (Some(name), Some(policy)) = (&planned.initial_policy, point.scene.initial_policy()) {
+            folder.write(name, policy)?;
+        }
+    }
     write_plan(&folder, &plan, args.shard.is_some())?;
     let output = Output { quiet: args.quiet, json: args.json };
     train(&mut comparisons, args.shard, &folder, output, |comparisons| {
@@ -140,8 +146,8 @@ pub fn train(
     ended.into_result()
 }
 
-/// Checks that the folder has none of these files. Each file is paired with the results that it
-/// indicates, which are not those `expected`.
+/// Checks that the folder has none of these files. Each pair holds the name of a file, and the
+/// unexpected results that it indicates. `expected` names the expected results.
 pub fn check_folder(folder: &Folder, expected: &str, files: &[(&str, &str)]) -> Result<()> {
     match files.iter().find(|(file, _)| folder.has(file)) {
         Some((_, found)) => {
@@ -154,7 +160,7 @@ pub fn check_folder(folder: &Folder, expected: &str, files: &[(&str, &str)]) -> 
 /// Makes the tables and pictures of the comparison in the folder from its runs, without training.
 pub fn merge(folder: &Folder, output: Output) -> Result<Ended> {
     let plan: Plan = read_plan(folder)?;
-    let points = plan.points.into_iter().map(PlannedPoint::open).collect::<Result<Vec<_>>>()?;
+    let points = plan.points.into_iter().map(|point| point.open(folder)).collect::<Result<Vec<_>>>()?;
     let mut comparisons = self::plan(&points, &plan.fields, plan.seeds, folder)?;
     let ended = read_all(&mut comparisons)?;
     write_outputs(&plan.scenes, plan.seeds, &points, &comparisons, folder, output)?;
@@ -236,6 +242,9 @@ struct PlannedPoint {
     name: String,
     /// Keys and values of the sweep.
     sweep: Vec<(String, toml::Value)>,
+    /// Name of a copy of the initial policy, beside the plan.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    initial_policy: Option<String>,
     /// Text of the scene.
     scene: String,
 }
@@ -244,9 +253,12 @@ impl Plan {
     fn new(names: &[String], points: &[SweepPoint], args: &Compare) -> Self {
         let point = |SweepPoint { name, point, scene }: &SweepPoint| {
             let mut table = scene.table.clone();
-            // Each run holds a copy of the initial policy.
             table.remove(INITIAL_POLICY);
-            PlannedPoint { name: name.clone(), sweep: point.0.clone(), scene: table.to_string() }
+            // One copy per point, because a sweep may vary the policy. The checksum differs for
+            // shards with different policies.
+            let copy = |checksum| format!("initial_policy_{checksum:08x}.safetensors");
+            let initial_policy = scene.initial_policy_checksum().map(copy);
+            PlannedPoint { name: name.clone(), sweep: point.0.clone(), initial_policy, scene: table.to_string() }
         };
         Self {
             physgrad: env!("CARGO_PKG_VERSION").into(),
@@ -259,8 +271,12 @@ impl Plan {
 }
 
 impl PlannedPoint {
-    fn open(self) -> Result<SweepPoint> {
+    fn open(self, folder: &Folder) -> Result<SweepPoint> {
         let scene = SceneSource::parse(&format!("the plan of {}", self.name), &self.scene)?.scene()?;
+        let scene = match &self.initial_policy {
+            Some(name) => scene.starting_from(folder.read(name)?),
+            None => scene,
+        };
         Ok(SweepPoint { name: self.name, point: Point(self.sweep), scene })
     }
 }
@@ -268,8 +284,8 @@ impl PlannedPoint {
 /// A scene at one point of its sweep.
 #[derive(Clone)]
 struct SweepPoint {
-    /// Names of scene and point. Omits the scene if the comparison has only one, and the point
-    /// without a sweep.
+    /// Names of scene and point. Omits the name of the scene if the command names only one scene,
+    /// and the name of the point without a sweep.
     name: String,
     point: Point,
     scene: Scene,
@@ -294,22 +310,23 @@ fn sweep_points(name: &str, args: &Compare) -> Result<Vec<SweepPoint>> {
     points.into_iter().map(at).collect()
 }
 
-/// Largest number of scenes whose learning curves are drawn.
+/// Largest number of scenes in `curves.svg`. A comparison of more scenes has neither this file nor
+/// animations with a common scale per scene.
 const MAX_PANELS: usize = 8;
 
 /// Largest number of panels in a row, if every scene has a panel.
 const COLUMNS: usize = 4;
 
 /// Test losses of all scenes, against epochs and against time. Up to three scenes share the panels
-/// and differ in dashes. More scenes have panels of their own, which share the range of their y
-/// axes if all scenes have one task.
+/// and differ in dashes. With more scenes, each scene has panels of its own. All these panels share
+/// the range of their y axes if all scenes have one task.
 fn picture(title: &str, scenes: &[InScene], one_task: bool) -> Drawing {
     if scenes.len() <= MAX_DASHED {
         return comparison(title, &curves_of_scenes(scenes, |r| r.test_loss));
     }
     let columns = scenes.len().div_ceil(scenes.len().div_ceil(COLUMNS));
     let row = |x: Abscissa, first: usize, scenes: &[InScene]| -> Vec<Case> {
-        // Fills the last row with empty cases, which are not drawn.
+        // Fills the last row with empty cases, which have no panel.
         let case = |i: usize| Case {
             title: scenes.get(i).map(|scene| scene.name).filter(|_| x == Abscissa::Epoch).unwrap_or_default().to_owned(),
             y_label: "test loss".into(),

@@ -95,8 +95,8 @@ fn page() -> Result<String> {
     Ok(page)
 }
 
-/// Writes a table of the effects of a section, then an entry for each: equation, costs and
-/// parameters.
+/// Writes a table of the effects of a section, then an entry for each: equation, note, derivative,
+/// costs and parameters.
 fn section(page: &mut String, kind: &'static dyn AnyTaskSpec, section: &str, infos: &[Info]) -> Result<()> {
     let schema = kind.schema();
     let of = |info: &Info| &schema["properties"][section]["properties"][info.name];
@@ -170,8 +170,8 @@ fn parameters(page: &mut String, schema: &Value) {
     }
 }
 
-/// Sentences that define the symbols in the equations of a task, and the size of the counted
-/// system.
+/// Sentences that define the symbols in the equations of a built-in task with effects, and state
+/// the size of the counted system. Empty for other tasks.
 fn symbols(task: &str) -> &'static str {
     match task {
         "cart_pole" => {

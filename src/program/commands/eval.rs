@@ -114,7 +114,7 @@ pub fn eval(args: &Eval) -> Result<()> {
     print_text(&format!("{}\nresults in {}: {files}", table(args, &results), folder.path().display()))
 }
 
-/// Scene in which a policy is evaluated. It has the policy section and the precision of the run,
+/// Scene for the evaluation of a policy. It has the policy section and the precision of the run,
 /// unless `--set` changes them.
 fn scene(args: &Eval, policy: &Trained) -> Result<Scene> {
     let mut source = match &args.scene {

@@ -30,7 +30,7 @@ pub struct Explain {
     pub json: bool,
 }
 
-/// Time steps of the shorter of the two rollouts whose memory is counted.
+/// Time steps of the shorter of the two rollouts for the table of memory.
 const FEW_STEPS: usize = 8;
 
 /// Runs the command.

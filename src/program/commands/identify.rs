@@ -4,7 +4,7 @@ mod data;
 mod picture;
 
 use crate::Number;
-use crate::identify::{Fit, Options, Segment};
+use crate::identify::{Fit, IdentifyError, Options, Segment};
 use crate::numbers::text::{digits, rough, short};
 use crate::program::commands::report::identification::{self, FIT, IDENTIFIED, TRAJECTORIES, VALIDATION, WARNING};
 use crate::program::platform::csv::csv;
@@ -22,7 +22,7 @@ use serde_json::json;
 use std::path::PathBuf;
 use std::time::Instant;
 
-/// Largest jump between windows without a warning, in units of the noise.
+/// Largest jump between windows without a warning, in the units of [`Fit::jump`].
 const JUMP: f64 = 1e-3;
 
 /// Fit the numbers in [fit] of a scene to measured trajectories.
@@ -89,7 +89,8 @@ pub fn identify(args: &Identify) -> Result<()> {
     }
     let segments = measured.chosen(&fitted);
     let begin = Instant::now();
-    let fit = scene.identify(&segments, &options).with_context(|| format!("{} with {}", args.scene, args.data.display()))?;
+    let fit = scene.identify(&segments, &options).map_err(|error| in_file(error, &fitted));
+    let fit = fit.with_context(|| format!("{} with {}", args.scene, args.data.display()))?;
     let seconds = begin.elapsed().as_secs_f64();
 
     for (name, &value) in fit.names.iter().zip(&fit.values) {
@@ -102,9 +103,10 @@ pub fn identify(args: &Identify) -> Result<()> {
         text += &format!("{}{name} {value}", if name == "segments" { "\n" } else { ", " });
     }
     text += &format!("\n{}", residuals(&fit, &segments, &scene));
-    // In the validation, the numbers are fixed, and only initial states are fitted.
+    // The validation fixes the numbers, and fits only the initial states.
     let validating = Options { free_starts: true, ..options };
-    let validation = if others.is_empty() { None } else { Some(found.identify(&measured.chosen(&others), &validating)?) };
+    let validate = || found.identify(&measured.chosen(&others), &validating).map_err(|error| in_file(error, &others));
+    let validation = if others.is_empty() { None } else { Some(validate()?) };
     if let Some(validation) = &validation {
         let residuals = residuals(validation, &measured.chosen(&others), &scene);
         text += &format!("\nvalidation with {} other segments: {residuals}", others.len());
@@ -140,6 +142,16 @@ pub fn identify(args: &Identify) -> Result<()> {
         "{text}\nresults in {results}: report.html, scene.toml (with the fitted numbers), {IDENTIFIED}, {FIT}, {TRAJECTORIES}, \
          identified.svg{validated}"
     ))
+}
+
+/// The error with the index of its segment in the file. `numbers` are the indices of the chosen
+/// segments.
+fn in_file(mut error: IdentifyError, numbers: &[usize]) -> IdentifyError {
+    use IdentifyError::{Diverged, Empty, MissingStart, Shape};
+    if let Shape { segment, .. } | Empty { segment } | MissingStart { segment, .. } | Diverged { segment, .. } = &mut error {
+        *segment = numbers[*segment];
+    }
+    error
 }
 
 /// Sizes, χ², BIC and effort of the fit, by name.
@@ -190,7 +202,9 @@ fn noise(assignments: &[String], scene: &Scene) -> Result<Option<Vec<f64>>> {
         let (index, value) = parsed.with_context(|| {
             format!("--noise {assignment}: write NAME=VALUE with a positive value; names: {}", names.join(", "))
         })?;
-        noise[index] = Some(value);
+        if noise[index].replace(value).is_some() {
+            bail!("--noise {assignment}: {} is given twice; give each name once", names[index]);
+        }
     }
     let missing = names.iter().zip(&noise).find(|(_, value)| value.is_none());
     match missing {
@@ -227,8 +241,8 @@ fn table(fit: &Fit, scene: &Scene) -> Table {
     table
 }
 
-/// Root mean square of the residuals of each component, over all segments. Segments have equal
-/// weights, also if they differ in length.
+/// Root mean square of the residuals of each component, over all segments that measure it. Segments
+/// have equal weights, also if they differ in length.
 fn residuals(fit: &Fit, segments: &[Segment], scene: &Scene) -> String {
     let rms = |i: usize| {
         let each = segments.iter().enumerate().map(|(index, segment)| fit.rms(index, i, segment)).filter(|rms| !rms.is_nan());

@@ -13,7 +13,7 @@ const EXAMPLE_TYPE: &str = "BallBeam";
 /// Quoted name of the task in [`EXAMPLE`], which a new crate renames.
 const EXAMPLE_TASK: &str = "\"ball_beam\"";
 
-/// Names that no crate with a dependency on physgrad can have, with the reason.
+/// Names that a new crate must not have, with the reason.
 const RESERVED: [(&str, &str); 3] = [
     (
         "abstract as async await become box break const continue crate do dyn else enum extern false final fn for gen if impl \
@@ -111,7 +111,8 @@ fn type_name(name: &str) -> String {
     words.map(|word| word[..1].to_uppercase() + &word[1..]).collect()
 }
 
-/// Returns whether a source uses `type_name` for an item other than its task. Ignores comments.
+/// Returns whether a source uses `type_name` for an item other than its task. Ignores lines that
+/// contain only a comment.
 fn uses(source: &str, type_name: &str) -> bool {
     let code = source.lines().filter(|line| !line.trim_start().starts_with("//"));
     let mut words = code.flat_map(|line| line.split(|c: char| !c.is_alphanumeric() && c != '_'));

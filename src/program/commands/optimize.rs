@@ -17,6 +17,7 @@ use crate::program::tasks::Scene;
 use crate::report::{Dash, Series, fitted};
 use anyhow::{Context, Result, bail};
 use serde_json::json;
+use std::collections::HashSet;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -148,15 +149,21 @@ fn starts(args: &Optimize, scene: &Scene) -> Result<Vec<Trajectory>> {
 }
 
 /// Bounds `[low, high]` in the order of the controls. An argument without a name applies to all
-/// controls. Controls without an argument have infinite bounds. None without arguments.
+/// controls without an argument of their own. Other controls have infinite bounds. None without
+/// arguments.
 fn bounds(arguments: &[String], names: &[String]) -> Result<Option<Vec<[f64; 2]>>> {
     let mut bounds = vec![[f64::NEG_INFINITY, f64::INFINITY]; names.len()];
-    for argument in arguments {
+    let (named, general): (Vec<&String>, Vec<&String>) = arguments.iter().partition(|argument| argument.contains('='));
+    let mut seen = HashSet::new();
+    for argument in general.into_iter().chain(named) {
         let (name, range) = argument.split_once('=').map_or((None, argument.as_str()), |(name, range)| (Some(name), range));
         let range = range.split_once(':').and_then(|(low, high)| Some([low.parse().ok()?, high.parse().ok()?]));
         let range = range.filter(|[low, high]: &[f64; 2]| low < high);
         let chosen = bounds.iter_mut().zip(names).filter(|(_, known)| name.is_none_or(|name| name == *known));
         let chosen: Vec<_> = chosen.map(|(bound, _)| bound).collect();
+        if !seen.insert(name) {
+            bail!("--bound {argument}: {} has two bounds; give one", name.unwrap_or("every control"));
+        }
         match range {
             Some(range) if !chosen.is_empty() => chosen.into_iter().for_each(|bound| *bound = range),
             _ => bail!(
@@ -212,8 +219,8 @@ fn table(plans: &[Plan]) -> Table {
     table
 }
 
-/// Controls and states over time. One column per initial state, one row per component of control or
-/// state.
+/// Controls and states over time. One column for each of the first [`SHOWN`] initial states. One
+/// row for each control, and for each of the first [`COMPONENTS`] state components.
 fn picture(scene: &Scene, optimized: &[Trajectory], initial: &[Trajectory]) -> String {
     let dt = scene.dt();
     let line = |rows: &[Vec<f64>], i: usize| rows.iter().enumerate().map(|(t, row)| (t as f64 * dt, row[i])).collect();

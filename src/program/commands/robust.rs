@@ -14,6 +14,7 @@ use crate::report::{PALETTE, Series, robustness};
 use anyhow::{Context, Result, bail};
 use serde_json::json;
 use std::path::PathBuf;
+use toml::Value;
 
 /// Evaluate trained policies over a grid of one or two settings.
 #[derive(Debug, clap::Args)]
@@ -87,6 +88,11 @@ pub fn robust(args: &Robust) -> Result<()> {
     if args.grid.len() > 2 {
         bail!("--grid is given {} times; allowed: once or twice", args.grid.len());
     }
+    if let [first, second] = &args.grid[..]
+        && first.key == second.key
+    {
+        bail!("--grid gives {} twice; give each setting once", first.key);
+    }
     if args.samples == 0 {
         bail!("--samples is 0; allowed: 1 or more");
     }
@@ -116,7 +122,10 @@ pub fn robust(args: &Robust) -> Result<()> {
 fn evaluate(policy: &Trained, run: usize, at: &[f64], args: &Robust) -> Result<Cell> {
     let mut source = policy.source.clone();
     for (axis, &value) in args.grid.iter().zip(at) {
-        source.fix(&axis.key, value)?;
+        // Whole-number settings refuse 1.0. All numeric settings accept integers.
+        let integer = value as i64;
+        let number = if integer as f64 == value { Value::Integer(integer) } else { Value::Float(value) };
+        source.replace(&axis.key, number, &format!("{} = {value}", axis.key))?;
     }
     let scene = source.scene().context("--grid")?;
     let losses = policy.evaluation(&scene, args.seed)?.losses(args.samples);

@@ -10,6 +10,8 @@ use crate::program::runs::listed::{Listed, below};
 use crate::report::{Curve, Dash, PALETTE, comparison};
 use anyhow::Result;
 use serde_json::json;
+use std::collections::HashSet;
+use std::fs;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -51,9 +53,15 @@ pub enum Order {
 /// Runs the command.
 pub fn runs(args: &Runs) -> Result<()> {
     let mut runs = Vec::new();
+    // Folders of the command line may contain one another.
+    let mut seen = HashSet::new();
+    let mut is_new = |run: &Listed| {
+        let path = run.folder.path();
+        seen.insert(fs::canonicalize(path).unwrap_or_else(|_| path.to_owned()))
+    };
     for path in &args.folders {
         let (found, damaged) = below(&Folder::existing(path)?)?;
-        runs.extend(found);
+        runs.extend(found.into_iter().filter(&mut is_new));
         damaged.iter().for_each(|error| print_message(&format!("warning: omitted a run: {error:#}")));
     }
     runs.retain(|run| args.task.as_ref().is_none_or(|task| *task == run.task));

@@ -18,7 +18,7 @@ pub struct Stress {
     /// Cases to run, by name or prefix [default: all]
     pub cases: Vec<String>,
     /// List the cases and their criteria without running them
-    #[arg(long)]
+    #[arg(long, conflicts_with = "json")]
     list: bool,
     /// Print Markdown, as in docs/stability.md
     #[arg(long, conflicts_with = "json")]

@@ -99,7 +99,7 @@ fn add_settings(table: &mut Table, section: &str, properties: &Value, defaults: 
 }
 
 /// Keys that no option sets, and sections that are listed by name.
-const HIDDEN: [&str; 5] = ["scene", "physgrad", "task", "effects", "actuator"];
+const HIDDEN: [&str; 8] = ["scene", "physgrad", "task", "effects", "actuator", "vary", "fit", "sweep"];
 
 fn names(infos: &[Info]) -> String {
     infos.iter().map(|info| info.name).collect::<Vec<_>>().join(", ")

@@ -1,4 +1,5 @@
-//! Gradient checks of a task and its policy, collected in a table.
+//! Gradient checks of a task and its policy, in a table. Stability of the time step, and slope of
+//! the loss.
 
 use crate::check::{self, Failure, Passed, Plateau, Stability};
 use crate::numbers::text::rough;
@@ -48,7 +49,7 @@ pub fn amplification(task: &DynTask, policy: &impl Policy, seed: u64) -> Option<
     });
     let amplifications =
         states.map(|(sample, step, inputs)| Amplification { sample, step, stability: check::stability(task.system(), inputs) });
-    // `total_cmp` ranks NaN above every number.
+    // `total_cmp` ranks the NaN of `check::stability`, which is positive, above every number.
     amplifications.max_by(|a, b| a.stability.multiplier.total_cmp(&b.stability.multiplier))
 }
 
@@ -60,7 +61,7 @@ pub fn plateau(task: &DynTask, policy: &impl Policy, seed: u64) -> Result<Platea
 
 /// Number of test rollouts of [`amplification`] and [`plateau`].
 const ROLLOUTS: usize = 4;
-/// Largest number of states per rollout at which [`amplification`] is computed.
+/// Largest number of states per rollout that [`amplification`] evaluates.
 const STATES: usize = 8;
 
 /// Results of the checks so far.

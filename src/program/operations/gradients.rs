@@ -12,7 +12,7 @@ use std::sync::Arc;
 
 /// Number of samples in the mean loss.
 const SAMPLES: usize = 4;
-/// Largest number of gradient components that are compared with the reference.
+/// Largest number of gradient components to compare with the reference.
 const CHOSEN: usize = 8;
 /// Relative perturbation of one rounding in f64.
 const ROUNDING: f64 = f64::EPSILON;
@@ -59,7 +59,7 @@ impl Derived {
     }
 }
 
-/// Evenly spaced indices of the gradient components that are compared with the reference.
+/// Evenly spaced indices of the gradient components to compare with the reference.
 pub fn chosen(count: usize) -> Vec<usize> {
     let chosen = CHOSEN.min(count);
     (0..chosen).map(|i| i * (count - 1) / (chosen - 1).max(1)).collect()
@@ -73,7 +73,8 @@ fn inputs(task: &dyn AnyTask<f32>, policy: &dyn AnyPolicy<f32>, seed: u64) -> (V
     (exact(weights.theta()), exact(&starts))
 }
 
-/// Computes a gradient with one method.
+/// Computes a gradient with one method. [`GradientMethod::Duals`] computes in f64 in either
+/// precision.
 pub fn derived<P: Policy + 'static>(
     task: DynTask,
     policy: P,
@@ -121,12 +122,12 @@ fn derive<F: Float>(
             }
         }
         GradientMethod::Forward => {
-            let (mut loss, bytes) = peak_bytes(|| {
+            let ((mut loss, first), bytes) = peak_bytes(|| {
                 let mut loss = losses(task, policy, converted);
-                drop(loss(&weights));
-                loss
+                let first = loss(&weights);
+                (loss, first)
             });
-            Derived { gradient: Ok(Vec::new()), bytes, rounds: 1.0, run: Box::new(move || drop(loss(&weights))) }
+            Derived { gradient: first.map(|_| Vec::new()), bytes, rounds: 1.0, run: Box::new(move || drop(loss(&weights))) }
         }
         GradientMethod::Central(step) => {
             let mut loss = None;
@@ -146,8 +147,10 @@ fn derive<F: Float>(
             Derived { gradient, bytes, rounds: count as f64, run: Box::new(move || drop::<Result<f64, String>>(difference(0))) }
         }
         GradientMethod::Duals => {
+            // The rollout in dual numbers continues after a divergence.
+            let first = losses(task, policy, converted)(&weights);
             let slope = move |i: usize| slope(&theta, &starts, i);
-            let (gradient, bytes) = peak_bytes(|| chosen(count).into_iter().map(|i| Ok(slope(i))).collect());
+            let (gradient, bytes) = peak_bytes(|| first.map(|_| chosen(count).into_iter().map(&slope).collect()));
             Derived { gradient, bytes, rounds: count as f64, run: Box::new(move || _ = slope(0)) }
         }
     }
@@ -212,4 +215,22 @@ pub fn reference(task: &DynTask, policy: &impl Policy, seed: u64, done: &(dyn Fn
     let slopes: Vec<f64> = parallel::map(&pairs, |&pair| derivative(pair));
     let mut flows = slopes.chunks(parameters.len()).map(<[f64]>::to_vec);
     [(); 3].map(|()| flows.next().expect("a chunk for every flow"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::policy::Mlp;
+    use crate::tasks::{CartPole, CartPoleSystem};
+
+    #[test]
+    fn every_method_reports_a_divergence() {
+        let system = CartPoleSystem { gravity: f64::INFINITY.into(), ..CartPoleSystem::default() };
+        let task = DynTask::new(CartPole::with_system(system));
+        let reverse = GradientMethod::Reverse { field: Field::regular(), budget: None, nudged: false };
+        for method in [GradientMethod::Forward, reverse, GradientMethod::Central(0.1), GradientMethod::Duals] {
+            let gradient = derived(task.clone(), Mlp::new([4, 4, 1]), Precision::F64, 0, method).gradient;
+            assert!(gradient.is_err(), "{method:?}: {gradient:?}");
+        }
+    }
 }

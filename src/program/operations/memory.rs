@@ -23,8 +23,8 @@ pub fn needs(task: &DynTask, policy: &impl Policy, precision: Precision, samples
     }
 }
 
-/// Largest horizon whose bytes are counted. The bytes are nearly linear in the number of steps, so
-/// the estimate scales them to longer horizons.
+/// Largest horizon for which the estimate counts bytes. The bytes are nearly linear in the number
+/// of steps, so the estimate scales them to longer horizons.
 const COUNTED_STEPS: usize = 10_000;
 
 fn needs_in<F: Float>(task: &DynTask, policy: &impl Policy, samples: usize, start_states: usize) -> Needs {

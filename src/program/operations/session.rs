@@ -42,7 +42,7 @@ pub trait AnyRun: Send {
     fn warnings(&self) -> Vec<Warning>;
     /// Serializes the run. [`restore`](Self::restore) requires an equal label.
     fn checkpoint(&self, label: &str) -> Vec<u8>;
-    /// Restores a checkpoint that was serialized with this label.
+    /// Restores a checkpoint with an equal label. On an error, the session is unchanged.
     fn restore(&mut self, bytes: &[u8], label: &str) -> Result<(), CheckpointError>;
     /// Parameters after the epoch as named tensors in the safetensors format.
     fn safetensors(&self, epoch: Epoch, about: &About) -> Result<Vec<u8>>;

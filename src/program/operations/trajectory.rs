@@ -8,7 +8,8 @@ use std::ops::Range;
 /// Largest number of test rollouts in the `trajectory.csv` of a run.
 pub const ROLLOUTS: usize = 4;
 
-/// One rollout, truncated before the step at which the batch of rollouts diverged.
+/// One rollout. If the batch of rollouts diverges, all its rollouts end before the first non-finite
+/// state or control.
 pub struct Trajectory {
     /// States `[step][component]`, the initial state first.
     pub states: Vec<Vec<f64>>,
@@ -18,8 +19,8 @@ pub struct Trajectory {
     pub params: Vec<f64>,
 }
 
-/// Rollouts of the policy from a range of the initial states. Truncates the range to the available
-/// states.
+/// Rollouts of the policy from a range of the initial states. Truncates the end of the range to the
+/// available states.
 pub fn rollouts<F: Float>(
     task: &dyn AnyTask<F>,
     policy: &dyn AnyPolicy<F>,

@@ -1,9 +1,9 @@
 //! Durable file operations. After a kill or a power loss, each replacement of a file is either
 //! absent or complete.
 //!
-//! If the environment variable `PHYSGRAD_FILE_LOG` names a file, each elementary operation appends
-//! one JSON line to it. The first operation of the process empties the file. The test of power loss
-//! replays every prefix of such a log.
+//! If the environment variable `PHYSGRAD_FILE_LOG` names a file, each elementary operation except a
+//! removal appends one JSON line to it. The first operation of the process empties the file. The
+//! test of power loss replays every prefix of such a log.
 
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;

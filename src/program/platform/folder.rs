@@ -96,7 +96,7 @@ impl Folder {
         if path.is_dir() { Ok(Self::at(path)) } else { bail!("there is no folder {}", path.display()) }
     }
 
-    /// A new folder `runs/<name>`, or `runs/<name>-2` and so on if it exists.
+    /// Creates the folder `runs/<name>`. If this path exists, creates `runs/<name>-2`, and so on.
     pub fn fresh(name: &str) -> Result<Self> {
         let runs = Self::at(RUNS);
         runs.create()?;
@@ -121,8 +121,8 @@ impl Folder {
         files::create_folders(&self.path).with_context(|| unwritable(&self.path))
     }
 
-    /// Last part of the canonical path, or of the given path if the folder cannot be found. Empty
-    /// if the path has no last part, as in `/`.
+    /// Last part of the canonical path, or of the given path if canonicalization fails. Empty if
+    /// the path has no last part, as in `/`.
     pub fn name(&self) -> String {
         let whole = fs::canonicalize(&self.path).unwrap_or_else(|_| self.path.clone());
         whole.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned())

@@ -27,9 +27,9 @@ pub fn rows(csv: &[u8]) -> Result<Value> {
     csv.records().map(|row| Ok(object(row?))).collect()
 }
 
-/// Object of cells by their columns. Empty cells become null. Cells of columns of text stay text.
-/// In other columns, numbers, `true` and `false` become JSON values, and non-finite numbers become
-/// null. All other cells stay text.
+/// Object of cells by their columns. Empty cells become null. In columns of text, all other cells
+/// stay text. In the remaining columns, numbers, `true` and `false` become JSON values, non-finite
+/// numbers become null, and all other cells stay text.
 pub fn object<'a>(cells: impl IntoIterator<Item = (&'a str, &'a str)>) -> Value {
     let value = |column: &str, cell: &str| match cell {
         "" => Value::Null,

@@ -47,7 +47,7 @@ impl Folder {
     }
 
     /// Locks the folder as [`lock`](Folder::lock) does, but waits while another process holds the
-    /// lock. Returns None if a signal ends the wait.
+    /// lock. Returns None if a signal arrives before or during the wait.
     pub fn wait_and_lock(self) -> Result<Option<Locked>> {
         let mut reported = false;
         while signals::received().is_none() {
@@ -186,13 +186,14 @@ impl Locked {
         Ok(())
     }
 
-    /// Renames the folder if it contains an earlier run, and locks a new empty folder in its place.
+    /// If the folder contains an earlier run, renames the folder, and locks a new empty one in its
+    /// place. Otherwise returns the folder unchanged.
     ///
     /// # Errors
     /// The folder contains a comparison or a study. It contains a run and files that are not part
-    /// of a run, or files of a run but no [`SETTINGS`]. The folder of a run is the current folder,
-    /// contains the current folder, or cannot be renamed. Another process locks the new folder
-    /// first.
+    /// of a run. Without [`SETTINGS`], it contains files of a run other than temporary files and
+    /// [`INITIAL_POLICY`]. The folder of a run is the current folder, contains the current folder,
+    /// or cannot be renamed. Another process locks the new folder first.
     pub fn without_run(self) -> Result<Self> {
         let path = self.path().to_owned();
         let (run, other): (Vec<String>, Vec<String>) =

@@ -19,9 +19,9 @@ const WORD: usize = 30;
 /// Header and rows.
 ///
 /// Columns of numbers are aligned to the right. In a terminal of known width, a table that is too
-/// wide omits optional columns, the last one first, until it fits. A note below the table names
-/// them. If the table is still too wide, it breaks cells between words. Without a known width, a
-/// table breaks only lines of more than 60 characters.
+/// wide breaks cells of text between words. Before it makes columns of text narrower than about 24
+/// characters, it omits optional columns, the last one first. A note below the table names them.
+/// Without a known width, a table breaks only lines of more than 60 characters.
 #[derive(Clone, Debug)]
 pub struct Table {
     header: Vec<String>,

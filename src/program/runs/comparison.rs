@@ -47,7 +47,7 @@ struct Ending {
     epochs: usize,
     /// True if the run applied no update.
     no_update: bool,
-    /// Error that ended the run before its last epoch.
+    /// Error that ended the run before all epochs were complete.
     error: Option<String>,
 }
 
@@ -121,7 +121,7 @@ impl Run {
     /// Records of the run, from its folder.
     ///
     /// # Errors
-    /// The folder contains a run with other settings.
+    /// The folder contains a run with other settings, or a run that cannot be restored.
     fn saved_records(&self) -> Result<Vec<Record>> {
         self.resumes()?;
         let scene = saved::scene(&self.folder)?;
@@ -173,6 +173,9 @@ pub fn read_plan<T: DeserializeOwned>(folder: &Folder) -> Result<T> {
 impl Comparison {
     /// Plans one run per field and seed. The folders need not exist.
     pub fn plan(label: &str, base: &Scene, fields: &[FieldName], seeds: u64, folder: &Folder) -> Result<Self> {
+        if !(1..=MAX_SEEDS).contains(&seeds) {
+            bail!("a comparison has {seeds} seeds; allowed: 1 to {MAX_SEEDS}");
+        }
         let last = base.seed.checked_add(seeds - 1).filter(|&last| i64::try_from(last).is_ok());
         let last = last.with_context(|| {
             format!("{seeds} seeds from {} on exceed the largest seed, {}; use smaller seeds", base.seed, i64::MAX)
@@ -194,7 +197,7 @@ impl Comparison {
     /// Checks that every existing run has the settings of the comparison.
     ///
     /// # Errors
-    /// A run has other settings.
+    /// A run has other settings, or settings that cannot be read.
     pub fn check_resumable(&self) -> Result<()> {
         self.runs.iter().try_for_each(|run| run.resumes().map(drop))
     }
@@ -220,13 +223,16 @@ impl Comparison {
     }
 }
 
+/// Largest number of seeds of a comparison.
+const MAX_SEEDS: u64 = 10_000;
+
 /// Checks the options of a comparison.
 ///
 /// # Errors
-/// `seeds` or `epochs` is 0, or a field occurs twice.
+/// `seeds` is 0 or above [`MAX_SEEDS`], `epochs` is 0, or a field occurs twice.
 pub fn check_options(fields: &[FieldName], seeds: u64, epochs: usize) -> Result<()> {
-    if seeds == 0 {
-        bail!("--seeds is 0; allowed: 1 or more");
+    if !(1..=MAX_SEEDS).contains(&seeds) {
+        bail!("--seeds is {seeds}; allowed: 1 to {MAX_SEEDS}");
     }
     if epochs == 0 {
         bail!("--epochs is 0; allowed: 1 or more");
@@ -256,15 +262,16 @@ pub fn check_sessions<'a>(bases: impl Iterator<Item = &'a Scene>, fields: &[Fiel
     Ok(())
 }
 
-/// End of all runs.
+/// Runs that failed, applied no update or have not ended.
 pub struct Ended {
     pub interrupted: bool,
     /// One message per failed run.
     failed: Vec<String>,
-    /// Runs that applied no update.
+    /// Names of the runs that applied no update.
     no_update: Vec<String>,
-    /// Runs that have not ended, in the result of [`read_all`].
+    /// Names of the runs that have not ended. Only [`read_all`] fills this list.
     missing: Vec<String>,
+    /// Number of all runs.
     runs: usize,
 }
 
@@ -281,8 +288,8 @@ impl Ended {
         }
     }
 
-    /// Returns an error that lists the runs that have not ended. If all have ended, lists those
-    /// that failed. If none failed, lists those that applied no update.
+    /// Returns an error that lists the runs that have not ended, if any. Otherwise, the error lists
+    /// the runs that failed, if any, or else the runs that applied no update, if any.
     pub fn into_result(self) -> Result<()> {
         if !self.missing.is_empty() {
             bail!(

@@ -15,7 +15,6 @@ pub struct Metrics {
     logs: Vec<Log>,
 }
 
-/// Format of a file.
 #[derive(Clone, Copy)]
 enum Format {
     Csv,
@@ -98,7 +97,7 @@ impl Format {
     }
 }
 
-/// Name of the file with a format.
+/// Name of the file in this format.
 pub fn file(format: LogFormat) -> &'static str {
     match format {
         LogFormat::Jsonl => METRICS_JSONL,

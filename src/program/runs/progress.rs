@@ -6,8 +6,8 @@ use crate::numbers::text::short;
 use crate::program::platform::terminal::{bar_width, print_message, progress_bar};
 use indicatif::ProgressBar;
 
-/// Progress bar with losses, elapsed time and ETA. Without a terminal, prints up to ten lines of
-/// text instead, unless quiet.
+/// Progress bar with losses, elapsed time and ETA. Without a terminal, prints at most one line of
+/// text per tenth of the epochs instead, unless quiet.
 pub struct Progress {
     pub bar: ProgressBar,
     quiet: bool,

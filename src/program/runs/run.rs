@@ -172,8 +172,8 @@ pub fn save(folder: &Locked, scene: &Scene, run: &dyn AnyRun) -> Result<()> {
     Saver::begin(folder, scene, &scene.identity(), SAVE_EVERY)?.end(scene, run)
 }
 
-/// Trains up to the last epoch, a failure, a signal or a stop by the observer. Returns the failure.
-/// A signal to one rank, or a stop or pause of one rank, applies to all.
+/// Trains up to the last epoch, a failure, a signal or a stop by the observer. Returns the failure,
+/// if any. A signal to one rank, or a stop or pause of one rank, applies to all.
 ///
 /// # Errors
 /// The folder was removed or replaced.
@@ -248,8 +248,8 @@ struct Saver<'a> {
 }
 
 impl<'a> Saver<'a> {
-    /// Writes the settings. A folder with settings contains a run. A run without a checkpoint is
-    /// before its first epoch.
+    /// Removes leftover temporary files and writes the settings. A folder with settings contains a
+    /// run. A run without a checkpoint is before its first epoch.
     fn begin(folder: &'a Locked, scene: &'a Scene, identity: &'a str, save_every: Duration) -> Result<Self> {
         folder.clean()?;
         saved::write_settings(folder, scene)?;

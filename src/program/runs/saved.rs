@@ -23,11 +23,11 @@ pub struct SceneRuns {
     pub runs: Vec<Folder>,
 }
 
-/// Runs of the run or comparison in `folder`: one item per scene, sorted by name. A comparison of
-/// several scenes has one subfolder per scene.
+/// Runs in `folder`, which contains a run or a comparison: one item per scene, sorted by name. A
+/// comparison of several scenes has one subfolder per scene.
 ///
 /// # Errors
-/// There is no run, or runs are immediate subfolders of `folder`.
+/// There is no run, or runs are immediate subfolders of `folder`. A folder cannot be read.
 pub fn scenes(folder: &Folder) -> Result<Vec<SceneRuns>> {
     if has_run(folder) {
         return Ok(vec![SceneRuns { name: String::new(), runs: vec![folder.clone()] }]);
@@ -123,7 +123,7 @@ pub fn changed(name: &str, overrides: &Overrides) -> Result<Scene> {
 /// Checks that the run in the folder and the scene have equal identities; see [`Scene::identity`].
 ///
 /// # Errors
-/// The identities differ, or the settings of the run cannot be read.
+/// The identities differ. As [`scene`](self::scene()).
 pub fn check_resumable(folder: &Folder, scene: &Scene) -> Result<()> {
     let saved = self::scene(folder)?.identity();
     if scene.identity() != saved {
@@ -140,7 +140,8 @@ pub fn check_resumable(folder: &Folder, scene: &Scene) -> Result<()> {
 /// Scene of the run in the folder, with overrides.
 ///
 /// # Errors
-/// There is no run, or the overrides change its identity.
+/// There is no run, or the overrides are invalid or change its identity. As
+/// [`scene`](self::scene()).
 pub fn resumed(folder: &Folder, overrides: &Overrides) -> Result<Scene> {
     if !has_run(folder) {
         bail!("there is no run to resume in {}; omit --resume to start one", folder.path().display());

@@ -103,7 +103,6 @@ pub fn table_of_scenes(scenes: &[InScene]) -> Vec<Vec<String>> {
     scenes.iter().flat_map(|scene| table(&scene.runs).into_iter().map(|cells| row(scene.name, cells))).collect()
 }
 
-/// Header of [`table`].
 const TABLE_HEADER: [&str; 8] = ["field", "seeds", "failed", "test loss", "lowest", "highest", "best", "seconds"];
 
 /// Columns that a narrow terminal omits.

@@ -27,7 +27,7 @@ impl Trained {
     /// Loads the policies of the runs in these folders, after the last or the best epoch.
     ///
     /// # Errors
-    /// A folder has no run. The runs have different tasks.
+    /// A folder has no run, or a run that cannot be restored. The runs have different tasks.
     pub fn load_all(paths: &[PathBuf], epoch: Epoch) -> Result<Vec<Self>> {
         let folders = paths.iter().map(|path| Folder::existing(path)).collect::<Result<Vec<_>>>()?;
         let names: HashSet<String> = folders.iter().map(Folder::name).collect();

@@ -40,7 +40,7 @@ const LEARNING_RATE: &str = "training.learning_rate";
 /// Settings of a fast trial run.
 const QUICK: [(&str, i64); 3] = [("epochs", 5), ("training.train_samples", 64), ("training.test_samples", 64)];
 
-/// Keys that a plan cannot set, with the reason.
+/// Keys that a plan cannot set, with the reasons.
 const REFUSED: [(&str, &str); 5] = [
     (INITIAL_POLICY, "a study trains from random parameters"),
     ("seed", "a study trains several seeds; choose their number with `seeds`"),
@@ -115,7 +115,7 @@ impl Plan {
     ///
     /// # Errors
     /// The file or a scene cannot be read. A key is unknown or has an invalid value. Names are not
-    /// distinct.
+    /// distinct, or cannot be parts of the names of folders.
     pub fn read(path: &Path) -> Result<Self> {
         Self::parse(&path.display().to_string(), read_text(path)?, path.parent().unwrap_or(Path::new("")))
     }
@@ -196,7 +196,7 @@ impl Plan {
         self
     }
 
-    /// Number of consecutive seeds, of which the first is the seed of each scene.
+    /// Number of consecutive seeds. The first one is the seed of the scene.
     pub fn seeds(&self) -> u64 {
         self.contents.seeds
     }
@@ -252,8 +252,8 @@ impl Plan {
     }
 
     /// Sets the values of the table `path` of the plan. In TOML, a dotted key without quotation
-    /// marks, as in `policy.widths = [4]`, is a table inside a table. The keys of the section that
-    /// this table omits keep their values.
+    /// marks, as in `policy.widths = [4]`, is a table inside a table. Such a table replaces only
+    /// those keys of a section that it contains.
     fn set(&self, source: &mut SceneSource, path: &str, set: &Table) -> Result<()> {
         for (key, value) in set {
             let mut settings = Vec::new();

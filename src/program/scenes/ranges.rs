@@ -8,6 +8,7 @@ use toml::{Table, Value};
 /// a whole number.
 ///
 /// Validates the settings with `i64::MAX` for this setting: the resulting error names the range.
+/// Elements of lists keep the range of the type.
 pub fn with_range(spec: &'static dyn AnyTaskSpec, settings: impl Fn() -> Table, mut error: ConfigError) -> ConfigError {
     let Some(found) = error.what.strip_suffix(WHOLE_NUMBER).map(str::to_owned) else { return error };
     let mut settings = settings();

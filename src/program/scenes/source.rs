@@ -192,21 +192,23 @@ impl SceneSource {
         OPTIONAL.iter().any(|section| self.table.get(*section).is_some_and(|section| section.get(name).is_some()))
     }
 
-    /// Removes an effect or a part of the actuator.
+    /// Removes an effect or a part of the actuator. A name may begin with the section, as in
+    /// `actuator.lag`.
     ///
     /// # Errors
     /// The scene has no such effect or part.
     pub fn without(&mut self, name: &str) -> Result<()> {
-        let name = part_name(name);
-        let sections = || OPTIONAL.into_iter().filter_map(|section| self.table.get(section)?.as_table());
-        let present: Vec<String> = sections().flat_map(|section| section.keys().cloned()).collect();
-        if !self.has(name) {
+        let part = part_name(name);
+        let chosen: Vec<&str> = OPTIONAL.into_iter().filter(|&section| name == part || name.starts_with(section)).collect();
+        let parts = |section: &&str| self.table.get(*section).and_then(Value::as_table).into_iter().flat_map(Table::keys);
+        let present: Vec<&str> = OPTIONAL.iter().flat_map(parts).map(String::as_str).collect();
+        if !chosen.iter().flat_map(parts).any(|key| key == part) {
             let present = if present.is_empty() { "none".into() } else { present.join(", ") };
             bail!("--without {name}: {} has no such effect or part of the actuator; it has {present}", self.name);
         }
-        for section in OPTIONAL {
+        for section in chosen {
             if let Some(section) = self.table.get_mut(section).and_then(Value::as_table_mut) {
-                section.remove(name);
+                section.remove(part);
             }
         }
         Ok(())
@@ -303,7 +305,8 @@ pub(super) fn parse_table(name: &str, text: &str) -> Result<Table> {
     Table::deserialize(Deserializer::from(parsed)).map_err(located)
 }
 
-/// File and line of a key or, for an absent key, of its section.
+/// File and line of a key or, for an absent key, of its section. Without either in the text, only
+/// the file.
 pub(super) fn place(name: &str, text: &str, key: &str) -> String {
     let parsed = DeTable::parse(text).ok();
     match parsed.and_then(|parsed| offset(&DeValue::Table(parsed.into_inner()), key)) {

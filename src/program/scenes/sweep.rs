@@ -129,8 +129,8 @@ impl Sweep {
 
 impl Point {
     /// Name of the point: the last parts of its keys, with their values, as in
-    /// `batch=8+widths=64x64`. Contains whole keys where the last parts coincide. Empty for an
-    /// empty point.
+    /// `batch=8+widths=64x64`. Contains whole keys where the last parts coincide. Names a folder,
+    /// so `_` replaces `/` and `\`. Empty for an empty point.
     pub fn name(&self) -> String {
         let value = |value: &Value| match value {
             Value::Float(x) => x.to_string(),
@@ -141,7 +141,7 @@ impl Point {
             let is_ambiguous = self.0.iter().filter(|(other, _)| short(other) == short(key)).count() > 1;
             format!("{}={}", if is_ambiguous { key.clone() } else { short(key) }, value(found))
         };
-        self.0.iter().map(name).collect::<Vec<_>>().join("+")
+        self.0.iter().map(name).collect::<Vec<_>>().join("+").replace(['/', '\\'], "_")
     }
 
     /// Sets the values of the point in a scene.
@@ -207,6 +207,9 @@ mod tests {
         assert_eq!(names(&sweep(grid)), expected);
         let list = "[[list]]\n\"a.x\" = 1\n\"b.x\" = \"u\"\n[[list]]\n\"b.x\" = \"v\"\n\"a.x\" = 2\n";
         assert_eq!(names(&sweep(list)), ["a.x=1+b.x=u", "b.x=v+a.x=2"]);
+        // The name of a point is the name of a folder.
+        assert_eq!(names(&sweep("grid.file = [\"../u/v\", \"w\"]")), ["file=.._u_v", "file=w"]);
+        assert!(!names(&sweep("grid.file = ['u\\v']")).concat().contains('\\'));
         assert_eq!(names(&sweep(&format!("{grid}{list}"))).len(), 8);
         let mut added = sweep(grid);
         added.add("epochs", vec![1.into(), 2.into(), 3.into()]).expect("a new key");

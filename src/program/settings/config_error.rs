@@ -76,7 +76,12 @@ impl ConfigError {
     pub fn also_allowed(mut self, section: &str, names: impl Iterator<Item = &'static str>) -> Self {
         let is_of_section = self.key.rsplit_once('.').is_some_and(|(parent, _)| parent == section);
         if is_of_section && self.what.starts_with("is unknown") {
-            names.for_each(|name| self.what += &format!(", `{name}`"));
+            names.for_each(|name| {
+                self.what = match self.what.strip_suffix("nothing") {
+                    Some(none) => format!("{none}`{name}`"),
+                    None => format!("{}, `{name}`", self.what),
+                };
+            });
         }
         self
     }

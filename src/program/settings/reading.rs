@@ -75,7 +75,7 @@ impl Reading<'_> {
 impl<'de> Deserializer<'de> for Reading<'_> {
     type Error = Unreadable;
 
-    /// Used by settings that are a number or a section, and by values of any type.
+    /// Used by settings that are a number or a section, and by values of any type except dates.
     fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
         match self.0 {
             Value::Float(_) | Value::Integer(_) => self.deserialize_f64(visitor),

@@ -128,7 +128,7 @@ impl Conserved {
                 (drift, size) = (drift.max((value - start).abs()), size.max(value.abs()));
             }
         }
-        // 0/0 is NaN without samples.
+        // 0/0 is NaN: without samples, or if the quantity is 0 in all states.
         drift / size
     }
 }

@@ -68,8 +68,8 @@ pub trait AnySettings: Send + Sync {
     /// Opens a run before its first epoch. It starts from the parameters in the bytes of a policy
     /// file, or from random ones.
     fn open_from(&self, initial: Option<&[u8]>, workers: usize) -> Result<Box<dyn AnyRun>>;
-    /// Checks the gradients of system, policy and rollout. Rollouts have the parameters `theta`, or
-    /// random ones. Results carry the name `variant`.
+    /// Checks the gradients of system, policy and rollout. In rollouts, the policy has the
+    /// parameters `theta`, or random ones. Results carry the name `variant`.
     fn check(&self, variant: &str, theta: Option<&[f64]>, results: &mut Results);
     /// Largest amplification of a perturbation by a step, in states of test rollouts. None if a
     /// rollout diverges in the first step.
@@ -285,6 +285,11 @@ impl Scene {
         Self { initial_policy: Some(policy.into()), ..self }
     }
 
+    /// CRC-32C of the policy file that starts the training.
+    pub fn initial_policy_checksum(&self) -> Option<u32> {
+        self.initial_policy.as_deref().map(|bytes| CRC.checksum(bytes))
+    }
+
     /// Contents of the policy file that starts the training.
     pub fn initial_policy(&self) -> Option<&[u8]> {
         self.initial_policy.as_deref()
@@ -309,7 +314,7 @@ impl Scene {
         }
     }
 
-    /// Note about a mini-batch that is larger than the training set. None otherwise.
+    /// Note about the mini-batch if it is larger than the training set. None otherwise.
     pub fn large_batch(&self) -> Option<String> {
         let count = |key: &str| self.table.get("training")?.get(key)?.as_integer();
         let (batch, samples) = (count("batch")?, count("train_samples")?);
@@ -367,7 +372,7 @@ impl Scene {
         let differences = differences.filter(|(key, _)| ![INITIAL_POLICY, "tags", "log"].contains(&&**key));
         lines.extend(differences.map(|(key, value)| format!("{key} = {value}")));
         // Identifies the policy file by its contents, not by its path.
-        lines.extend(self.initial_policy.iter().map(|bytes| format!("{INITIAL_POLICY} = CRC-32C {:08x}", CRC.checksum(bytes))));
+        lines.extend(self.initial_policy_checksum().map(|checksum| format!("{INITIAL_POLICY} = CRC-32C {checksum:08x}")));
         lines.join("\n")
     }
 }

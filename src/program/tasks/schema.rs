@@ -7,6 +7,13 @@ use schemars::{JsonSchema, SchemaGenerator};
 use serde_json::{Map, Value, json};
 use toml::Table;
 
+/// Sections whose keys are dotted names of settings, with their descriptions.
+const SECTIONS: [(&str, &str); 3] = [
+    ("vary", "Physical numbers that are drawn for each sample, by the dotted names of their settings."),
+    ("fit", "Physical numbers that the training or `identify` determines, by the dotted names of their settings."),
+    ("sweep", "Settings with several values, which `compare` trains."),
+];
+
 /// Schema of all scenes.
 pub fn schema() -> Value {
     json!({
@@ -47,6 +54,9 @@ pub fn of<S: JsonSchema>(task: &dyn AnyTaskSpec, own_effects: &[(&str, &dyn AnyE
         all.insert("title".into(), task.name().into());
         all.insert("description".into(), task.about().into());
         all.insert("required".into(), json!(["scene", "task"]));
+    }
+    for (section, description) in SECTIONS {
+        schema["properties"][section] = json!({ "type": "object", "description": description });
     }
     schema["properties"]["scene"]["const"] = VERSION.into();
     schema["properties"]["task"]["const"] = task.name().into();

@@ -120,7 +120,8 @@ impl<K: TaskSpec> Settings<K> {
         Ok(settings)
     }
 
-    /// Checks all ranges, unused settings and the memory of this machine.
+    /// Checks all ranges, refuses unused settings, and checks that a run fits in the memory of this
+    /// machine.
     pub fn validate(&self) -> Result<(), ConfigError> {
         count("horizon", self.horizon, 1..=100_000_000)?;
         self.training.validate()?;

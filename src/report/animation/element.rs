@@ -122,8 +122,8 @@ impl Times {
     }
 }
 
-/// Formats a length in pixels to two decimals. Non-finite values become 0. Other values are
-/// clamped, because browsers reject an animation with an out-of-range number.
+/// Formats a length in pixels with at most two decimals. Non-finite values become 0. Clamps other
+/// values to ±1e5, because browsers reject an animation with an out-of-range number.
 pub fn px(value: f64) -> String {
     trimmed(if value.is_finite() { value.clamp(-1e5, 1e5) } else { 0.0 }, 2)
 }

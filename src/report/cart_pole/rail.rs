@@ -22,7 +22,7 @@ pub struct Rail {
     /// `None` and negative or non-finite distances stand for no bumpers.
     pub bumpers: Option<f64>,
     /// Wind speed along the rail at every state, m/s, positive towards positive x. Empty for no
-    /// wind. Non-finite speeds count as 0. States after the end of the list have the last speed.
+    /// arrow. Non-finite speeds count as 0. States after the end of the list have the last speed.
     pub wind: Vec<f64>,
 }
 
@@ -93,7 +93,7 @@ impl Wind {
     }
 
     /// Labelled arrow in the upper left corner. The length is proportional to the wind speed at a
-    /// step. The label states the maximum speed, or the absence of wind.
+    /// step. The label states the largest magnitude of the speeds, or the absence of wind.
     pub fn shapes(&self, stage: &Stage, step: usize) -> Vec<Shape> {
         let (unit, size) = (stage.length, 0.12 * stage.length);
         let longest = WIND * unit;

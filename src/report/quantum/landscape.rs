@@ -14,13 +14,14 @@ const ABSORBING: &str = "rgba(86,180,233,0.3)";
 pub struct Landscape {
     /// Static potential at the grid points. Empty for none.
     pub potential: Vec<f64>,
-    /// Width of the absorbing edge at either wall, in units of length.
+    /// Width of the absorbing edge at each of the two walls, in units of length. `None` for no
+    /// edges.
     pub absorbing: Option<f64>,
 }
 
 impl Landscape {
     /// Drawable part for a box of the given length: averaged potential and clamped edges. Omits a
-    /// non-finite potential and edges of negative or NaN width.
+    /// potential that contains a non-finite value, and edges of negative or NaN width.
     pub(super) fn drawn(&self, length: f64) -> Self {
         let finite = self.potential.iter().all(|v| v.is_finite());
         let potential = if finite { averaged(&self.potential, MAX_ROWS) } else { Vec::new() };

@@ -21,9 +21,9 @@ pub enum MassError {
         poles * CartPoleSystem::LIGHTEST_CART
     )]
     CartTooLight {
-        /// Mass of the cart, kg.
+        /// Smallest possible mass of the cart, kg.
         cart: f64,
-        /// Mass of all poles, kg.
+        /// Largest possible mass of all poles, kg.
         poles: f64,
     },
     /// A number of a chain of poles is not fixed.
@@ -50,7 +50,8 @@ impl CartPoleSystem {
     /// changes the mass of the cart noticeably.
     pub const LIGHTEST_CART: f64 = 1e-9;
 
-    /// Checks the number of poles, and all possible values of the masses and the half length.
+    /// Checks the number of poles, and all possible values of the masses and the half length. Does
+    /// not check beyond infinite bounds of a trained number.
     ///
     /// Rejects cart masses of 0 and below as unphysical. The equations of [`CoupledCartPole`] are
     /// nevertheless solvable at all angles if the cart mass exceeds minus a quarter of the poles'

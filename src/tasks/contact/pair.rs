@@ -62,8 +62,8 @@ impl System for TwoBodies {
 
         let gap = Gap { width: x[1] - x[0] - self.contact_distance, speed: x[3] - x[2] };
         let (free, after) = (gap.free(-push, dt), self.contact.advance(gap, -push, first * second / total, self.dt));
-        // Splits the change of the gap due to contact between the bodies. Each body moves in
-        // proportion to the mass of the other one, which preserves the center of mass.
+        // Each body takes a share of the change of the gap that the contact causes. The share is
+        // proportional to the mass of the other body, which preserves the center of mass.
         let (wider, faster) = (after.width - free.width, after.speed - free.speed);
         let (share, other) = (T::from(first / total), T::from(second / total));
 

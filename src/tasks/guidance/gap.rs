@@ -16,8 +16,9 @@ pub(super) struct Law {
 /// Separation `r` in the plane with its softened norm `d = softening + |r|`. Provides central
 /// forces and their derivatives.
 ///
-/// The norm is `sqrt(x² + y²)` without overflow or loss of digits. Coordinates whose squares would
-/// overflow or underflow are first multiplied by a power of two, which is exact.
+/// The norm is `sqrt(x² + y²)` without overflow or loss of digits. If the square of the larger
+/// coordinate could overflow or underflow, the code first multiplies both by a power of two. This
+/// does not round digits that affect the norm.
 ///
 /// The derivative of |r| is undefined at `r = 0`, where the code uses 0. The derivative of the
 /// force is still correct there, because |r| enters the force only multiplied by `r`. The code

@@ -1,6 +1,6 @@
 //! Gain that is optimal at any horizon, by Riccati's equation in discrete time.
 
-use super::{LinearPlant, row_major};
+use super::{LinearPlant, row_major, spectral_radius};
 use crate::dynamics::system::System;
 use nalgebra::DMatrix;
 
@@ -30,12 +30,19 @@ pub enum NoOptimum {
     #[error("the cost R of controls is not positive definite, so no optimal control exists; use an R with positive eigenvalues")]
     ControlCost,
     /// `R + Bᵀ W B` with the W of [`Optimum`] is not positive definite, or W differs from `Q + P`.
-    /// Both require a negative eigenvalue of Q.
+    /// In exact arithmetic, both require a negative eigenvalue of Q. Rounding errors may cause
+    /// either if no control stabilizes the plant, or if the problem is ill-conditioned.
     #[error(
         "the cost decreases without bound for large controls, because the cost Q of states has a negative eigenvalue; \
          use a Q without negative eigenvalues"
     )]
     StateCost,
+    /// The control found does not stabilize the plant, although Q has no negative eigenvalue.
+    #[error(
+        "no control makes the plant decay: it has motions without decay that no control reaches, or the costs differ by too \
+         many orders of magnitude for f64"
+    )]
+    Unstabilizable,
     /// The doubling iteration did not converge: the cost is unbounded, or the plant decays too
     /// slowly.
     #[error(
@@ -50,6 +57,10 @@ pub enum NoOptimum {
         change: f64,
     },
 }
+
+/// Largest spectral radius of the closed loop. Rounding errors may move the eigenvalue 1 of a
+/// motion without decay to a smaller number.
+const SLOWEST: f64 = 1.0 - 1e-8;
 
 /// Largest number of doublings of the horizon. Closed loops that decay too slowly for this number
 /// yield [`NoOptimum::NotConverged`].
@@ -76,15 +87,18 @@ impl Optimum {
         let g = &b * r.clone().cholesky().ok_or(NoOptimum::ControlCost)?.solve(&b.transpose());
         let w = doubled(a.clone(), g, q.clone())?;
         let towards = b.transpose() * &w;
-        let factor = (&r + &towards * &b).cholesky().ok_or(NoOptimum::StateCost)?;
+        let is_convex = symmetric(q.clone()).symmetric_eigenvalues().min() >= -f64::EPSILON * q.amax();
+        let failure = if is_convex { NoOptimum::Unstabilizable } else { NoOptimum::StateCost };
+        let factor = (&r + &towards * &b).cholesky().ok_or(failure.clone())?;
         let gain = -factor.solve(&(towards * &a));
         // The second form of P, a sum of squares, does not amplify rounding errors.
         let closed = a + b * &gain;
+        let radius = spectral_radius(&closed);
         let p = symmetric(closed.transpose() * &w * closed + gain.transpose() * r * &gain);
         // Doubling may converge where the recursion of single steps oscillates.
         let residual = (&w - &q - &p).amax();
-        if residual.is_nan() || residual > 1e-6 * w.amax().max(p.amax()) {
-            return Err(NoOptimum::StateCost);
+        if residual.is_nan() || residual > 1e-6 * w.amax().max(p.amax()) || is_convex && radius > SLOWEST {
+            return Err(failure);
         }
         Ok(Self { gain: row_major(&gain), cost_to_go: row_major(&p) })
     }

@@ -27,9 +27,9 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 /// Crank-Nicolson, it advances by `E dt (1 - (E dt)²/12 + …)`. For energies beyond 3/dt, the phase
 /// advances too slowly by more than 6 %. The advance is at most one turn per step.
 ///
-/// The order in dt is four for potentials that are constant during a step. Effects use the state at
-/// the beginning of the step, as in [`QuantumSystem`]. With state-dependent effects, such as
-/// [`Cubic`](super::Cubic), the order is one.
+/// The order in dt is four for potentials that are constant during a step. Effects use the state
+/// and the time at the beginning of the step, as in [`QuantumSystem`]. With effects that depend on
+/// either, such as [`Cubic`](super::Cubic), the order is one.
 ///
 /// Sources: Hairer and Wanner, Solving Ordinary Differential Equations II, IV.3; for this equation,
 /// van Dijk and Toyama 2007 (doi:10.1103/PhysRevE.75.036707).

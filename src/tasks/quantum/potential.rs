@@ -1,6 +1,7 @@
 //! Potentials that depend on neither time nor state: functions of `ξ = x - length/2`, and tables.
 //!
-//! A scene allows at most one of them. In code, several can be combined; their potentials add.
+//! A scene allows at most one of the functions, and no table. In code, several can be combined;
+//! their potentials add.
 
 use super::QuantumSystem;
 use crate::dynamics::effect::Effect;
@@ -164,6 +165,7 @@ impl Tabulated {
 impl Effect<QuantumSystem> for Tabulated {
     #[inline(always)]
     fn add_forces<T: Scalar>(&self, _model: &QuantumSystem, _inputs: OdeInputs<'_, T>, potential: &mut [T]) {
+        assert_eq!(self.values.len(), potential.len(), "a tabulated potential needs one value per grid point");
         for (v, &value) in zip(potential.iter_mut(), &self.values) {
             *v += value;
         }

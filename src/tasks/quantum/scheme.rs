@@ -10,7 +10,7 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 /// Any scheme for Schrödinger's equation. Results equal those of the contained scheme bit for bit.
 /// Steps are outlined: each step is one call.
 ///
-/// | scheme | order in dt | fewest steps per 0.0625 for a phase error below 1 % | cost of a step |
+/// | scheme | order in dt | fewest steps per 0.0625 units of time for a phase error below 1 % | cost of a step |
 /// |---|---|---|---|
 /// | Crank and Nicolson | 2 | 11 | one tridiagonal solve |
 /// | [`Pade`] | 4 | 3 | two tridiagonal solves |

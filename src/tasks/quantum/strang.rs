@@ -18,15 +18,16 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 /// difference, which [`new`](Strang::new) computes once. The step is therefore unitary for any
 /// potential, and exact without potential for any dt.
 ///
-/// With a potential that does not depend on time, the order is two, with errors from the
+/// With a potential that depends on neither time nor state, the order is two, with errors from the
 /// commutators of D₂ and V. The potential limits the time step; the kinetic energy does not.
 /// Energies that differ by 2π/dt are indistinguishable, so the potential may couple states that are
 /// uncoupled in continuous time.
 ///
 /// H and grid are those of [`QuantumSystem`]. A step costs O(grid²), which suits small grids. It
 /// multiplies by two complex matrices with half as many rows as grid points. It evaluates one sine
-/// and cosine per grid point, or two if the potential depends on the state. The matrices take
-/// 12 grid² bytes, in both precisions together.
+/// and cosine per grid point, or two if an effect is
+/// [state-dependent](Effect::state_dependent). The matrices take about 12 grid² bytes, in both
+/// precisions together.
 ///
 /// The second half step evaluates the potential at the state after the kinetic step. The first half
 /// step does not change |ψ|. With [`Cubic`](super::Cubic), both halves are therefore exact, and the

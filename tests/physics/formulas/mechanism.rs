@@ -72,8 +72,8 @@ impl Mechanism {
     }
 }
 
-/// Returns point masses with the mass, center and inertia of a uniform rod. A sixth of the mass is
-/// at either end, the rest in the middle.
+/// Returns point masses with the mass, center and inertia of a uniform rod. Each end has a sixth of
+/// the mass, and the middle has the rest.
 pub(super) fn rod(mass: f64, half_length: f64, base: &[f64], of_poles: usize, pole: usize) -> impl Iterator<Item = Point> {
     [(1.0 / 6.0, 0.0), (4.0 / 6.0, 1.0), (1.0 / 6.0, 2.0)].into_iter().map(move |(share, place)| {
         let mut arms = base.to_vec();
@@ -88,7 +88,8 @@ pub(super) fn model(poles: usize) -> CartPoleSystem {
     CartPoleSystem { poles, cart_mass: 1.3.into(), pole_mass: 0.4.into(), half_length: 0.7.into(), gravity: 9.1.into(), dt: 0.02 }
 }
 
-/// Returns a cart with all poles hinged on it, or, if `chained`, on the end of the previous pole.
+/// Returns a cart with all poles hinged on it. If `chained`, only the first pole is hinged on the
+/// cart, and each further pole on the end of the previous pole.
 pub(super) fn on_cart(model: &CartPoleSystem, chained: bool) -> Mechanism {
     let (poles, [cart_mass, pole_mass, half_length, gravity]) = (model.poles, model.nominal());
     let mut points = vec![Point { mass: cart_mass, arms: vec![0.0; poles] }];

@@ -17,8 +17,13 @@ impl fmt::Display for GradientMethod {
     }
 }
 
-/// Euclidean norm. Scales the components first, because squares may overflow.
+/// Euclidean norm. Scales the components first, because squares may overflow. NaN if a component is
+/// NaN.
 fn norm(x: &[f64]) -> f64 {
+    // `f64::max` ignores NaN.
+    if x.iter().any(|x| x.is_nan()) {
+        return f64::NAN;
+    }
     let largest = x.iter().fold(0.0_f64, |largest, x| largest.max(x.abs()));
     if largest == 0.0 { 0.0 } else { largest * x.iter().map(|x| (x / largest) * (x / largest)).sum::<f64>().sqrt() }
 }
@@ -42,7 +47,8 @@ pub struct Derivative {
     /// Share of all components with the same sign as in f64. None for methods other than reverse
     /// passes, and if this pass or the pass in f64 diverges.
     pub signs: Option<f64>,
-    /// Seconds for a whole gradient: lowest, median and highest. NaN for a divergence.
+    /// Seconds for a whole gradient: lowest, median and highest. NaN for a diverged gradient. With
+    /// [`GradientMethod::Forward`], seconds for the loss.
     pub seconds: [f64; 3],
     /// Peak memory in bytes.
     pub bytes: usize,
@@ -111,5 +117,18 @@ impl Horizon {
         };
         let norm = gradients[1].as_ref().map_or(f64::NAN, |gradient| norm(gradient));
         Self { horizon, norm, found: [against(&gradients[0]), against(&gradients[2])] }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_norm_is_nan_if_a_component_is() {
+        for x in [[f64::NAN; 2], [f64::NAN, 0.0], [1.0, f64::NAN]] {
+            assert!(norm(&x).is_nan(), "{x:?}");
+        }
+        assert_eq!([norm(&[]), norm(&[0.0]), norm(&[3.0, -4.0])], [0.0, 0.0, 5.0]);
     }
 }

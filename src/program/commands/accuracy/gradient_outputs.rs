@@ -89,7 +89,7 @@ fn tables(methods: &[Derivative], checkpoints: &[Checkpoint], along: &[Horizon])
 }
 
 /// Sentence with the last horizon up to which at least 99 % of the signs are correct. `which` is 0
-/// for f32, 1 for f64.
+/// for f32, and 1 for f64 from perturbed initial states.
 fn trusted(along: &[Horizon], which: usize) -> String {
     let right = |row: &&Horizon| row.found[which].as_ref().is_ok_and(|(_, signs)| *signs >= 0.99);
     let precision = ["f32", "f64"][which];

@@ -20,12 +20,12 @@ use toml::Value;
 const STEPS: [f64; 10] = [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10];
 /// Number of timing rounds.
 const ROUNDS: usize = 5;
-/// Minimum time per round and method, s.
+/// Minimum time per round, method and precision, s.
 const MIN_TIME: f64 = 0.01;
 /// Minimum horizon of the checkpoint measurements, in steps.
 const CHECKPOINTED: usize = 1024;
-/// Divisors of the memory of a pass without a budget. Each quotient is a budget. The pass for the
-/// divisor 1 has none.
+/// Divisors of the memory of a pass without a budget. The pass for the divisor 1 has no budget. For
+/// the other divisors, each quotient is a budget.
 const PARTS: [u64; 4] = [1, 2, 4, 8];
 /// Memory budget of a reverse pass at each of the `--horizons`, in bytes.
 const BUDGET: u64 = 256_000_000;
@@ -150,7 +150,7 @@ fn checkpoints(study: &Study, bar: &ProgressBar) -> Result<Vec<Checkpoint>> {
     Ok(PARTS.into_iter().zip(jobs).zip(times).map(checkpoint).collect())
 }
 
-/// Errors of R in f32 and f64 at each horizon.
+/// Errors of R at each horizon, in f32, and in f64 from perturbed initial states.
 fn along(study: &Study, horizons: &[usize], bar: &ProgressBar) -> Result<Vec<Horizon>> {
     let scenes = horizons.iter().map(|&horizon| with_horizon(study, horizon)).collect::<Result<Vec<Scene>>>()?;
     bar.set_message("horizons");
@@ -182,7 +182,8 @@ pub fn parse(horizons: &[usize]) -> Result<Vec<usize>> {
 
 /// Components of a gradient at the [`chosen`] parameters. `reference` is their number.
 pub fn at_chosen(gradient: &[f64], reference: usize) -> Vec<f64> {
-    // Methods that differentiate by one parameter at a time return only the chosen components.
+    // Methods that differentiate with respect to one parameter at a time return only the chosen
+    // components.
     if gradient.len() == reference {
         gradient.to_vec()
     } else {

@@ -52,8 +52,8 @@ impl Setting {
     }
 }
 
-/// Lowest value, median and highest value. For an even number of values, the median is the upper
-/// one. NaN for an empty list.
+/// Lowest value, median and highest value. For an even number of values, the median is the larger
+/// one of the two middle values. NaN for an empty list.
 pub fn spread(mut times: Vec<f64>) -> [f64; 3] {
     times.sort_by(f64::total_cmp);
     match times[..] {

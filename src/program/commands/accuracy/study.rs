@@ -39,7 +39,7 @@ impl Metric {
         }
     }
 
-    /// Median seconds per step and sample of the passes that this quantity needs: forward, or
+    /// Median seconds per step and sample of the passes that this measure needs: forward, or
     /// forward with the adjoints of R and M.
     pub fn time(self, row: &Row) -> f64 {
         row.seconds[usize::from(matches!(self, Self::R | Self::M))][1]
@@ -79,7 +79,7 @@ pub fn cheapest<'a>(rows: impl Iterator<Item = &'a Row>, metric: Metric, target:
     reached.min_by(|a, b| metric.time(a.0).total_cmp(&metric.time(b.0)))
 }
 
-/// Scene whose integrator, number of substeps and precision are varied.
+/// A scene, and the sources from which to vary its integrator, number of substeps and precision.
 pub struct Study {
     /// Source of the scene with the user's overrides only.
     pub given: SceneSource,

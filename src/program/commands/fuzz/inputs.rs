@@ -204,7 +204,7 @@ static CHECKPOINTS: LazyLock<Vec<(OptimizerKind, Vec<u8>)>> = LazyLock::new(|| {
 });
 
 /// Restores a damaged checkpoint with a valid checksum, and trains for an epoch. If the restore
-/// fails, checks that the session is unchanged.
+/// fails, checks that it changed neither the parameters nor the records.
 fn checkpoint(number: u64, outcomes: &mut Outcomes) {
     let rng = &mut numbers_of(number);
     let (rule, good) = one_of(rng, &CHECKPOINTS);

@@ -4,13 +4,14 @@ use crate::identify::{Fit, Segment};
 use crate::program::platform::csv::csv;
 use crate::program::tasks::Scene;
 use anyhow::{Context, Result, bail};
+use std::collections::HashSet;
 use std::path::Path;
 
 /// Largest distance in time of a sample from the nearest step of the scene, relative to the time
 /// step.
 const OFF_GRID: f64 = 1e-3;
 
-/// Largest number of steps of a segment.
+/// Largest number of rows of a segment: one per step, from the first sample to the last.
 const MAX_STEPS: usize = 10_000_000;
 
 /// Measured trajectories on the time grid of a scene.
@@ -19,12 +20,14 @@ pub struct Measured {
 }
 
 /// Meaning of a column.
+#[derive(PartialEq)]
 enum Column {
     Segment,
     Time,
     State(usize),
     Control(usize),
-    /// A column of `trajectory.csv` that is not measured.
+    /// A column of `trajectory.csv` without measurements: the step, a parameter, or an applied
+    /// control.
     Ignored,
 }
 
@@ -33,8 +36,10 @@ impl Measured {
     /// NaN. A control stays constant until its next value, and is 0 before the first.
     ///
     /// # Errors
-    /// The file cannot be read. It has no samples, no column `t` or `time`, or an unknown column. A
-    /// cell is not a number. A time is not a later step on the time grid of the scene.
+    /// The file cannot be read. It has no samples, no column `t` or `time`, or an unknown or
+    /// repeated column. A cell is not a number, or is infinite. A time is missing, or is not a
+    /// later step on the time grid of the scene. A segment needs more than 10,000,000 rows, or its
+    /// rows are not contiguous.
     pub fn read(path: &Path, scene: &Scene) -> Result<Self> {
         let name = path.display();
         let (states, controls, dt) = (scene.state_names(), scene.control_names(), scene.dt());
@@ -57,11 +62,18 @@ impl Measured {
                 }),
             }
         };
-        let columns = reader.headers()?.iter().map(column).collect::<Result<Vec<_>>>()?;
+        let headers = reader.headers()?.clone();
+        let columns = headers.iter().map(column).collect::<Result<Vec<_>>>()?;
+        for (i, column) in columns.iter().enumerate().filter(|(_, column)| **column != Column::Ignored) {
+            if let Some(first) = columns[..i].iter().position(|earlier| earlier == column) {
+                bail!("{name}: the columns `{}` and `{}` have one meaning; remove one of them", &headers[first], &headers[i]);
+            }
+        }
         if !columns.iter().any(|column| matches!(column, Column::Time)) {
             bail!("{name}: there is no column `t` with the time in s");
         }
         let mut segments: Vec<(String, f64, Segment)> = Vec::new();
+        let mut seen = HashSet::new();
         for record in reader.records() {
             let record = record.with_context(|| format!("cannot read {name}"))?;
             let line = record.position().map_or(0, csv::Position::line);
@@ -71,7 +83,12 @@ impl Measured {
                 let number = || match cell {
                     // An empty cell is a missing sample.
                     "" => Ok(f64::NAN),
-                    cell => cell.parse::<f64>().with_context(|| format!("{name}:{line}: `{cell}` is not a number")),
+                    cell => match cell.parse::<f64>() {
+                        Ok(number) if number.is_infinite() => {
+                            bail!("{name}:{line}: `{cell}` is infinite; leave the cell of a missing sample empty")
+                        }
+                        number => number.with_context(|| format!("{name}:{line}: `{cell}` is not a number")),
+                    },
                 };
                 match column {
                     Column::Segment => key = cell.to_owned(),
@@ -81,14 +98,26 @@ impl Measured {
                     Column::Ignored => {}
                 }
             }
+            if time.is_nan() {
+                bail!("{name}:{line}: the time is missing; give every row a time in s");
+            }
             if segments.last().is_none_or(|(last, ..)| *last != key) {
+                if !seen.insert(key.clone()) {
+                    bail!("{name}:{line}: the rows of segment {key} are not contiguous; sort the rows by segment");
+                }
                 segments.push((key, time, Segment::default()));
             }
             let (_, begin, segment) = segments.last_mut().context("a segment begins with its first sample")?;
             let step = ((time - *begin) / dt).round();
             let is_on_grid = ((time - *begin) / dt - step).abs() < OFF_GRID;
-            if !is_on_grid || step < segment.x.len() as f64 || step >= MAX_STEPS as f64 {
+            if step >= MAX_STEPS as f64 {
+                bail!("{name}:{line}: the segment has {MAX_STEPS} or more steps of {dt} s; split it, or set system.dt");
+            }
+            if !is_on_grid {
                 bail!("{name}:{line}: the time {time} s is not a later step of {dt} s; resample, or set system.dt");
+            }
+            if step < segment.x.len() as f64 {
+                bail!("{name}:{line}: the time {time} s is not later than in the row before; sort the rows by time");
             }
             let held = segment.u.last().cloned().unwrap_or_else(|| vec![0.0; controls.len()]);
             segment.x.resize(step as usize, vec![f64::NAN; states.len()]);

@@ -7,8 +7,8 @@ use crate::report::{Dash, Series, fitted};
 /// Largest number of segments in the picture.
 const SEGMENTS: usize = 3;
 
-/// One column for each of the first segments. Two rows per state component: measured and simulated
-/// values, then residuals.
+/// One column for each of the first [`SEGMENTS`] segments. Two rows per state component: measured
+/// and simulated values, then residuals.
 pub fn picture(numbers: &[usize], segments: &[Segment], fit: &Fit, scene: &Scene) -> String {
     let (names, dt) = (scene.state_names(), scene.dt());
     let shown = numbers.iter().zip(segments).zip(&fit.states).take(SEGMENTS);

@@ -82,8 +82,8 @@ struct Cell<'a> {
 }
 
 impl Study {
-    /// Trains all runs and writes the figure. Returns the table of the figure, or null if a signal
-    /// ended the training. A shard trains runs, writes no figure and returns null.
+    /// Trains all runs and writes the figure. Returns its name and table, or null if a signal ended
+    /// the training. A shard trains runs, writes no figure and returns null.
     pub fn run(&self, options: &Options, folder: &Folder, shard: Option<Shard>) -> Result<Json> {
         let mut comparisons = self.comparisons(options, folder)?;
         let own = self.folder(folder);
@@ -108,7 +108,7 @@ impl Study {
         ended.into_result().map(|()| table)
     }
 
-    /// Writes the figure from existing runs. Returns its table.
+    /// Writes the figure from existing runs. Returns its name and table.
     pub fn merge(&self, folder: &Folder, output: Output) -> Result<Json> {
         let options = Options { quiet: output.quiet, json: output.json, ..read_plan(&self.folder(folder))? };
         let mut comparisons = self.comparisons(&options, folder)?;
@@ -204,7 +204,7 @@ impl Study {
         csv(header.into_iter().chain(["seconds", "skipped", "diverged"]), rows)
     }
 
-    /// Table of final losses over the seeds.
+    /// Table of final and best losses over the seeds, one row per cell and field.
     fn table(&self, cells: &[Cell]) -> Table {
         let header = ["case", "clip", "field", "seeds", "median final test loss", "quartiles", "ratio", "median best", "failed"];
         let mut table = Table::new(header).optional(&["median best", "failed", "seeds", "quartiles"]);

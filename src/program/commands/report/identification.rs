@@ -5,7 +5,7 @@ use crate::program::commands::report::figure::Figure;
 use crate::program::commands::report::page::{document, figures, section, table};
 use crate::program::platform::folder::Folder;
 use crate::report::{Chart, Dash, Series};
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use maud::{Markup, html};
 
 /// Numbers with errors and correlations. Present in every folder of an identification.
@@ -14,7 +14,7 @@ pub const IDENTIFIED: &str = "identified.csv";
 pub const FIT: &str = "fit.csv";
 /// Measured beside simulated states of the fitted segments.
 pub const TRAJECTORIES: &str = "trajectories.csv";
-/// Measured beside simulated states of the segments that were not fitted.
+/// Measured beside simulated states of the segments for validation.
 pub const VALIDATION: &str = "validation.csv";
 /// Name of a row of [`FIT`] with a warning.
 pub const WARNING: &str = "warning";
@@ -26,9 +26,12 @@ const NOTE: &str = "Residuals are simulated minus measured states. A standard er
                     allows for correlated residuals within a segment; it needs more segments than numbers.";
 
 /// The page of the identification in the folder. Empty if [`IDENTIFIED`] has no header.
+///
+/// # Errors
+/// A file cannot be read or is damaged.
 pub fn page(folder: &Folder) -> Result<String> {
-    let [header, numbers @ ..] = &rows(folder, IDENTIFIED)?[..] else { return Ok(String::new()) };
-    let fit = rows(folder, FIT)?;
+    let [header, numbers @ ..] = &rows(folder, IDENTIFIED, NUMBERS)?[..] else { return Ok(String::new()) };
+    let fit = rows(folder, FIT, 2)?;
     let (warnings, facts): (Vec<_>, Vec<_>) = fit.iter().skip(1).partition(|row| row[0] == WARNING);
     let warnings: Vec<String> = warnings.into_iter().map(|row| row[1].clone()).collect();
     let (names, values): (Vec<String>, Vec<String>) = facts.into_iter().map(|row| (row[0].clone(), row[1].clone())).unzip();
@@ -52,13 +55,19 @@ pub fn page(folder: &Folder) -> Result<String> {
     Ok(document("Identification", Some(&folder.name()), env!("CARGO_PKG_VERSION"), NOTE, &warnings, &content))
 }
 
-/// Header and rows of a CSV file.
-fn rows(folder: &Folder, name: &str) -> Result<Vec<Vec<String>>> {
+/// Header and rows of a CSV file with at least this number of columns. All rows have equal lengths.
+fn rows(folder: &Folder, name: &str, columns: usize) -> Result<Vec<Vec<String>>> {
+    let damaged = || format!("{} is damaged; restore the file, or repeat `physgrad identify`", folder.file(name).display());
     let bytes = folder.read(name)?;
-    let mut reader = csv::ReaderBuilder::new().has_headers(false).flexible(true).from_reader(&bytes[..]);
-    let row = |record: csv::Result<csv::StringRecord>| Ok(record?.iter().map(String::from).collect());
-    let rows: Result<Vec<Vec<String>>> = reader.records().map(row).collect();
-    rows.with_context(|| format!("cannot read {}", folder.file(name).display()))
+    let mut reader = csv::ReaderBuilder::new().has_headers(false).from_reader(&bytes[..]);
+    let row = |record: csv::Result<csv::StringRecord>| -> Result<Vec<String>> {
+        let record = record.with_context(damaged)?;
+        if record.len() < columns {
+            bail!(damaged());
+        }
+        Ok(record.iter().map(String::from).collect())
+    };
+    reader.records().map(row).collect()
 }
 
 /// A number with four significant digits; "unknown" if it is not finite. Other text stays.
@@ -89,7 +98,7 @@ struct Trajectories {
 
 impl Trajectories {
     fn read(folder: &Folder, name: &str) -> Result<Self> {
-        let rows = rows(folder, name)?;
+        let rows = rows(folder, name, 2)?;
         let headers = rows.first().map_or(&[][..], |header| &header[2..]);
         let components: Vec<String> =
             headers.iter().step_by(2).map(|name| name.trim_end_matches("_measured").to_owned()).collect();
@@ -99,7 +108,7 @@ impl Trajectories {
                 segments.push((row[0].clone(), vec![Vec::new(); components.len()]));
             }
             let Some((_, samples)) = segments.last_mut() else { continue };
-            // An empty cell was not measured.
+            // An empty cell marks a missing measurement.
             for (samples, pair) in samples.iter_mut().zip(row[2..].chunks_exact(2)) {
                 if let (Ok(t), Ok(measured), Ok(simulated)) = (row[1].parse(), pair[0].parse(), pair[1].parse()) {
                     samples.push(Sample { t, measured, simulated });

@@ -233,7 +233,8 @@ fn settings(runs: &[&Inspected]) -> Markup {
     }
 }
 
-/// Formats a value without TOML quotes.
+/// Formats a value without TOML quotes. Floats of magnitudes below 1e-4 or from 1e6 on have an
+/// exponent; 0 has none.
 fn plain(value: &Value) -> String {
     match value {
         Value::String(text) => text.clone(),

@@ -69,7 +69,7 @@ pub struct Attribute {
     pub name: String,
     #[prost(int64, tag = "3")]
     pub i: i64,
-    /// [`INT`].
+    /// Type of the attribute: always [`INT`].
     #[prost(int32, tag = "20")]
     pub kind: i32,
 }
@@ -81,7 +81,7 @@ pub const INT: i32 = 2;
 pub struct Tensor {
     #[prost(int64, repeated, tag = "1")]
     pub dims: Vec<i64>,
-    /// [`FLOAT`], [`INT64`] or [`DOUBLE`].
+    /// Type of the entries: [`FLOAT`], [`INT64`] or [`DOUBLE`].
     #[prost(int32, tag = "2")]
     pub data_type: i32,
     #[prost(string, tag = "8")]

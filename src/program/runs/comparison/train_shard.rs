@@ -89,7 +89,8 @@ pub fn train_shard(comparisons: &[Comparison], shard: Shard, quiet: bool) -> Res
     Ok(outcome)
 }
 
-/// Reports the epochs of one run of a shard. The bar counts the share, then the runs beyond it.
+/// Reports the epochs of one run of a shard. The length of the bar counts the epochs of the share,
+/// and of every other run from its first report on.
 struct ShardProgress<'a> {
     shared: SharedProgress<'a>,
     /// Number of epochs of the run.
