@@ -82,15 +82,15 @@ fn every_operation_on_duals_counts_the_value_and_four_tangents() {
             // q = a / b, i = 1 / b; (a' - q b') i.
             "div" | "div_assign" => Ops { divide: 2, multiply: 8, add: 4, ..NONE },
             "neg" => Ops { negate: 5, ..NONE },
-            // Where derivatives may be infinite, each tangent is tested: an absolute value and a
-            // selection.
-            "sqrt" => Ops { sqrt: 1, divide: 1, multiply: 4, compare: 8, negate: 4, ..NONE },
-            "ln" => Ops { transcendental: 1, divide: 1, multiply: 4, compare: 8, negate: 4, ..NONE },
+            // The derivative may be infinite: the absolute values of the derivative and of each
+            // tangent, and two selections per tangent.
+            "sqrt" => Ops { sqrt: 1, divide: 1, multiply: 4, compare: 1 + 12, negate: 5, ..NONE },
+            "ln" => Ops { transcendental: 1, divide: 1, multiply: 4, compare: 1 + 12, negate: 5, ..NONE },
             "exp" => Ops { transcendental: 1, multiply: 4, ..NONE },
             "sin" | "cos" => Ops { transcendental: 1, negate: 1, multiply: 8, ..NONE },
             "tanh" => Ops { transcendental: 1, add: 1, multiply: 1 + 4, ..NONE },
             // s = a a + b b; (b / s) a' - (a / s) b', with a test of each product.
-            "atan2" => Ops { transcendental: 1, add: 1 + 4, multiply: 2 + 8, divide: 2, compare: 16, negate: 8, ..NONE },
+            "atan2" => Ops { transcendental: 1, add: 1 + 4, multiply: 2 + 8, divide: 2, compare: 2 * 13, negate: 2 * 5, ..NONE },
             "select_lt" | "min" | "max" => Ops { compare: 5, ..NONE },
             "abs" => Ops { compare: 5, negate: 5, ..NONE },
             // 1·x, x·x, x²·x.

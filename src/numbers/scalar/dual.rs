@@ -71,10 +71,11 @@ impl<T: Scalar, const N: usize> Dual<T, N> {
     /// therefore multiplies every tangent.
     #[inline(always)]
     fn unary_if_nonzero(self, value: T, slope: T) -> Self {
+        let (size, infinity) = (slope.abs(), T::from(f64::INFINITY));
         self.unary(value, |tangent| {
             let product = tangent * slope;
             let nonzero = T::select_lt(T::zero(), tangent.abs(), product, tangent);
-            T::select_lt(slope.abs(), T::from(f64::INFINITY), product, nonzero)
+            T::select_lt(size, infinity, product, nonzero)
         })
     }
 }
