@@ -9,7 +9,8 @@ use kuva::plot::QuiverPivot;
 use kuva::prelude::*;
 use std::sync::Arc;
 
-/// Approximate number of colours; few enough to be distinguishable and to merge neighbouring cells.
+/// Approximate number of colours. Few colours are easy to distinguish, and adjacent cells of equal
+/// colour share a rectangle.
 const STEPS: i32 = 18;
 /// Colour stops from the smallest to the largest value, light enough for dark arrows.
 const COLORS: [[f64; 3]; 5] =

@@ -74,10 +74,10 @@ pub struct Training {
     pub decay: Decay,
     /// Number of updates at the start in which the learning rate rises linearly to its full value.
     pub warm_up: usize,
-    /// Weight of the past, from 0 to below 1, in a moving average of the direction of R. Fields of
-    /// two flows combine M with this average. With 0, they combine M with the current R. More
-    /// generally, the average times the norm of the second gradient replaces the second gradient.
-    /// With `smoothing`, every evaluation of the field at perturbed parameters updates the average.
+    /// Weight of the past, from 0 to below 1, in a moving average of the direction of R. In fields
+    /// of two flows, the average times the norm of R replaces R. With 0, fields use the current R.
+    /// In custom fields, R stands for the second gradient. With `smoothing`, every evaluation of
+    /// the field at perturbed parameters updates the average.
     pub average: f64,
     /// Noise in the parameters, and the estimator that uses it. With `None`, updates follow the
     /// field at the unperturbed parameters.
@@ -202,7 +202,7 @@ pub struct Trainer<T, P, F = f32, C = Combination> {
     policy: P,
     field: Field<C>,
     training: Training,
-    /// Parameters at the start of the training. None for random ones.
+    /// Parameters at the start of the training. None for those of [`Policy::init`].
     theta: Option<Vec<f64>>,
     precision: PhantomData<F>,
 }
@@ -239,7 +239,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
         self
     }
 
-    /// Starts from these parameters of the policy, rather than from random ones.
+    /// Starts from these parameters of the policy, rather than from those of
+    /// [`Policy::init`].
     pub fn start_from(mut self, theta: Vec<f64>) -> Self {
         self.theta = Some(theta);
         self
@@ -289,7 +290,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
         Ok(session.into_report())
     }
 
-    /// Creates a session, of which the caller runs the epochs, one at a time.
+    /// Creates a session. The caller runs its epochs one at a time.
     ///
     /// Draws the data sets and, without [`start_from`](Self::start_from), the initial parameters.
     /// Allocates all workspaces.
@@ -298,8 +299,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// [`TrainError`] if a setting is invalid or the memory limit is too small.
     ///
     /// # Panics
-    /// If the dimensions of task and policy differ, the policy trains a parameter that the task
-    /// lacks, or the horizon is 0. If the number of parameters of
+    /// If the dimensions of task and policy differ. If the policy trains a parameter that the task
+    /// lacks. If the horizon is 0. If the number of parameters of
     /// [`start_from`](Self::start_from) differs from the policy's `param_count`.
     pub fn session(self) -> Result<Session<T, P, F, C>, TrainError> {
         let Self { task, policy, field, training, theta, .. } = self;
@@ -325,7 +326,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     ///
     /// # Panics
     /// If the length of `theta` differs from the policy's `param_count`. If the dimensions of task
-    /// and policy differ, the policy trains a parameter that the task lacks, or the horizon is 0.
+    /// and policy differ. If the policy trains a parameter that the task lacks. If the horizon is
+    /// 0.
     pub fn session_from(self, theta: Vec<F>, train: Vec<F>, test: Vec<F>) -> Result<Session<T, P, F, C>, TrainError> {
         let Self { task, policy, field, training, .. } = self;
         let weights = Weights::new(&policy, theta);

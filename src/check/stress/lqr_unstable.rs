@@ -31,7 +31,7 @@ pub(super) const CASES: &[Case] = &[Case {
                 first step. The gentle gain is optimal for a hundredfold control cost. From zero gain and from the \
                 gentle gain, the relative excess loss of C is at most 1e-2 after 3000 updates",
     explanation: "On an unstable plant, R includes the feedback and is bounded. M omits the feedback and grows with \
-                the plant. The growth meter reports most of this growth in every epoch. From the gains of the criterion, C converges \
+                the plant. The growth meter reports most of this growth in every epoch. From zero gain and from the gentle gain, C converges \
                 with one initial state per batch and clipping by norm. Limits: from 1.5 times the best gain, or with \
                 mini-batches, C may stall. On such plants follow R",
     run: lqr_unstable,

@@ -132,7 +132,7 @@ impl SceneSource {
         }
         if let Some(Value::Table(section)) = inner.get(last) {
             if value.as_table().is_some_and(Table::is_empty) {
-                // Keeps the existing section: an empty table requests it with any contents.
+                // Keeps the existing section. An empty table only requires that the section exists.
                 return Ok(());
             }
             let keys: Vec<String> = section.keys().map(|inner| format!("{key}.{inner}")).collect();

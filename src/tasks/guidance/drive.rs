@@ -18,9 +18,9 @@ use serde::{Deserialize, Serialize};
 /// The authors' code (tum-pbs/StableBPTT) contains this force but multiplies it by 0, so the paper
 /// does not use it.
 ///
-/// Near an evader, the force is a spring of stiffness `k = strength / softening²`. Explicit steps
-/// of length dt damp its oscillation if `k dt` is less than the friction coefficient of drivers.
-/// With all defaults, k is 20/s² and the limit is 15/s².
+/// Near an evader, the force is a spring of stiffness `κ = strength / softening²`. Explicit Euler
+/// steps of length dt damp its oscillation if `κ dt` is less than the friction coefficient of
+/// drivers. With all defaults, κ is 20/s² and the limit is 15/s².
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]

@@ -19,9 +19,9 @@ use serde::{Deserialize, Serialize};
 /// opposite sign. With a negative strength, near evaders repel each other, and distant evaders
 /// attract each other.
 ///
-/// Coincident evaders are coupled by springs of stiffness
-/// `k = strength (distance / softening - 1) / softening`. Explicit steps of length dt damp their
-/// oscillation if `n k dt` is less than the friction coefficient of the n evaders.
+/// Springs of stiffness `κ = strength (distance / softening - 1) / softening` couple coincident
+/// evaders. Explicit Euler steps of length dt damp the oscillation of n evaders if `n κ dt` is less
+/// than their friction coefficient.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
