@@ -1,4 +1,5 @@
-//! Compares R, M and C, with and without clipping, on the tasks of three other examples.
+//! Compares R and C, each with and without clipping, and M without, on the tasks of three other
+//! examples.
 //!
 //! Run: `cargo run --release --example which_field -- [seeds] [epochs]`
 
@@ -6,6 +7,7 @@ use physgrad::policy::{Gru, Policy};
 use physgrad::prelude::*;
 use physgrad::tasks::CartPoleSystem;
 use physgrad::{Clip, Training};
+use std::num::{NonZeroU64, NonZeroUsize};
 use std::thread::scope;
 
 #[allow(dead_code)]
@@ -15,7 +17,7 @@ mod partial_observation;
 #[allow(dead_code)]
 mod quadrotor;
 
-const RATES: [f64; 3] = [0.001, 0.003, 0.01];
+const RATES: [f64; 5] = [0.001, 0.003, 0.01, 0.03, 0.1];
 
 /// Compares the methods on one task. Prints each method at the learning rate with the lowest median
 /// of the test loss after the last epoch. The median of an even number of losses is the larger
@@ -55,8 +57,8 @@ fn compare<T: Task + Clone, P: Policy + Clone>(name: &str, task: &T, policy: &P,
 
 fn main() -> Result<(), std::num::ParseIntError> {
     let mut args = std::env::args().skip(1);
-    let seeds = args.next().map_or(Ok(5), |text| text.parse())?;
-    let epochs: Option<usize> = args.next().map(|text| text.parse()).transpose()?;
+    let seeds = args.next().map(|text| text.parse::<NonZeroU64>()).transpose()?.map_or(5, u64::from);
+    let epochs = args.next().map(|text| text.parse::<NonZeroUsize>()).transpose()?.map(usize::from);
     println!("{:<20} {:<11} {:>6} {:>11} {:>11} {:>11}", "task", "method", "rate", "median", "lowest", "highest");
     let task = quadrotor::Quadrotor { mass: 0.8, arm: 0.2, dt: 0.05 };
     compare("quadrotor", &task, &Mlp::new([7, 32, 32, 2]), epochs.unwrap_or(150), seeds);
