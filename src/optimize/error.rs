@@ -15,6 +15,14 @@ pub enum OptimizeError {
         /// Found length.
         found: usize,
     },
+    /// A number of an argument is not finite.
+    #[error("number {index} of {argument} is not finite; give finite numbers")]
+    NotFinite {
+        /// Name of the argument.
+        argument: &'static str,
+        /// Index of the number.
+        index: usize,
+    },
     /// No finite control lies between the bounds, or a bound is NaN.
     #[error("the bounds of control {control} are [{low}, {high}]; allowed: low <= high, low < inf, high > -inf")]
     Bounds {

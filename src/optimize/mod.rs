@@ -70,7 +70,7 @@ use trajectory::Problem;
 ///
 /// # Errors
 /// [`OptimizeError`] if
-/// - a length differs from that of the task,
+/// - a length differs from that of the task, or a number of `x0` or `p` is not finite,
 /// - no finite control lies between two bounds, or a bound is NaN,
 /// - the initial trajectory or its cost is not finite,
 /// - a derivative at the initial trajectory is not finite,
@@ -91,6 +91,11 @@ fn minimize(model: &dyn Model, x0: &[f64], p: &[f64], initial: Initial<'_>, opti
     check_length("p", "the parameters of the task", params, p.len())?;
     if let Initial::Controls(u) = initial {
         check_length("the initial controls", "horizon times controls", model.horizon() * m, u.len())?;
+    }
+    for (argument, numbers) in [("x0", x0), ("p", p)] {
+        if let Some(index) = numbers.iter().position(|number| !number.is_finite()) {
+            return Err(OptimizeError::NotFinite { argument, index });
+        }
     }
     let bounds = Bounds::new(options, m)?;
     let problem = Problem { model, p, n, m, stop: options.stop.as_deref() };

@@ -49,7 +49,6 @@ impl Problem<'_> {
         let steps = model.horizon();
         let (mut x, mut u, mut cost) = (vec![0.0; (steps + 1) * n], vec![0.0; steps * m], 0.0);
         x[..n].copy_from_slice(x0);
-        finite("state", 0, x0)?;
         for t in 0..steps {
             self.check_stop()?;
             let (past, future) = x.split_at_mut((t + 1) * n);

@@ -14,7 +14,7 @@ fn divergence_error_names_variable_step_and_component() {
     assert_eq!(result, Err(OptimizeError::Diverged { variable: "state", step: 10, component: 0 }));
     assert!(result.unwrap_err().to_string().contains("component 0 of the state at step 10"));
     let result = optimize(&Explosive, &[f64::NAN], &[], Initial::Zeros, &Options::default());
-    assert_eq!(result, Err(OptimizeError::Diverged { variable: "state", step: 0, component: 0 }));
+    assert_eq!(result, Err(OptimizeError::NotFinite { argument: "x0", index: 0 }));
     let feedback = |t: usize, _: &[f64], u: &mut [f64]| u[0] = if t == 4 { f64::NAN } else { 0.0 };
     for options in [Options::default(), Options::default().bounded(1, 1.0)] {
         let result = optimize(&Explosive, &[0.5], &[], Initial::Feedback(&feedback), &options);

@@ -89,7 +89,8 @@ fn losses(folder: &Folder) -> Result<Vec<Point>> {
     if !folder.has(METRICS) {
         return Ok(Vec::new());
     }
-    let damaged = || format!("{} is damaged; restore the file, or delete the folder of the run", folder.file(METRICS).display());
+    let damaged =
+        || format!("{} is damaged; continue the run with `train --resume`, or restore the file", folder.file(METRICS).display());
     let bytes = folder.read(METRICS)?;
     let mut rows = csv::Reader::from_reader(&*bytes);
     let header = rows.headers().with_context(damaged)?.clone();
