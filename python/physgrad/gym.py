@@ -181,8 +181,9 @@ class _Rows:
 
     def step(self, actions: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Steps the rows in ``mask``. Returns rewards, 0 for other rows, and the rows that end."""
-        if not np.isfinite(actions).all():
-            raise ValueError(f"environment {np.argwhere(~np.isfinite(actions))[0][0]}: the action is not finite")
+        bad = mask[:, None] & ~np.isfinite(actions)
+        if bad.any():
+            raise ValueError(f"environment {np.argwhere(bad)[0][0]}: the action is not finite")
         u = (np.clip(actions, -1.0, 1.0) * self.bound).astype(self.x.dtype)
         cost, after = np.zeros(len(self.x)), self.x.copy()
         for t in np.unique(self.t[mask]):

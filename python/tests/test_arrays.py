@@ -56,6 +56,9 @@ def test_rows_are_independent_of_their_number_and_strides(task):
     whole = task.step(x, u, p=p)
     assert np.array_equal(task.step(x[5:6], u[5:6], p=p[5:6]), whole[5:6])
     assert np.array_equal(task.step(np.asfortranarray(x)[::3], u[::3], p=p[::3]), whole[::3])
+    # The numbers of this array do not begin at a multiple of their size.
+    misaligned = np.frombuffer(b"\0" + x.tobytes(), np.uint8)[1:].view(x.dtype).reshape(x.shape)
+    assert not misaligned.flags.aligned and np.array_equal(task.step(misaligned, u, p=p), whole)
     assert task.step(x[:0], u[:0], p=p[:0]).shape == (0, task.state_dim)
 
 

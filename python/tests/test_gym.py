@@ -132,3 +132,24 @@ def test_states_that_are_not_finite_are_named():
     with pytest.raises(FloatingPointError, match="environment 0, step .*: `.*` is not finite. Use a smaller `bound`"):
         for _ in range(100):
             env.step(np.ones(1, np.float32))
+
+
+def test_actions_that_are_not_finite_are_refused():
+    env = pg.gym.make("cart_pole", poles=1)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="environment 0: the action is not finite"):
+        env.step(np.full(1, np.nan, np.float32))
+
+
+def test_an_error_in_one_environment_leaves_all_at_their_steps():
+    env = pg.gym.make_vec("cart_pole", 2, poles=1, bound=1e308, settings={"precision": "f64"})
+    env.reset(seed=0)
+    env.step(np.zeros((2, 1), np.float32))
+    env.reset(options={"reset_mask": np.array([True, False])})
+    before = env._rows.x.copy(), env._rows.t.copy()
+    assert before[1].tolist() == [0, 1]
+    with pytest.raises(FloatingPointError, match="environment 1"):
+        for _ in range(100):
+            before = env._rows.x.copy(), env._rows.t.copy()
+            env.step(np.array([[0.0], [1.0]], np.float32))
+    assert np.array_equal(env._rows.x, before[0]) and np.array_equal(env._rows.t, before[1])
