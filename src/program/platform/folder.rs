@@ -59,7 +59,7 @@ pub(super) const RUN_FILES: [&str; 14] = [
     END,
 ];
 
-/// Those [`RUN_FILES`] that only the holder of the lock writes. Other commands may write the
+/// The [`RUN_FILES`] that only the holder of the lock writes. Other commands may write the
 /// remaining [`RUN_FILES`] during the run.
 pub(super) const LOCKED_FILES: [&str; 12] = [
     SETTINGS,
