@@ -4,7 +4,7 @@ use super::oracle::pulled_back;
 use super::{CASES, Comparison, Mismatch, ONE_STEP, Passed, normal};
 use crate::dynamics::inputs::{Cotangents, Inputs, Start};
 use crate::dynamics::system::System;
-use crate::dynamics::task::{Task, draw_start};
+use crate::dynamics::task::Task;
 use crate::numbers::rng::{Purpose, stream};
 
 /// Checks the derivatives of the costs and of the observation of a task. See [`try_cost`].
@@ -40,7 +40,7 @@ pub fn try_cost<T: Task>(task: &T) -> Result<Passed, Mismatch> {
         c.case = case;
         let mut rng = stream(case, Purpose::Check, 0);
         let (mut x, mut p) = (vec![0.0; n], vec![0.0; params]);
-        draw_start(task, &mut rng, Start { x: &mut x, p: &mut p });
+        task.draw_start(&mut rng, Start { x: &mut x, p: &mut p });
         x.iter_mut().zip(normal(&mut rng, n)).for_each(|(x, noise)| *x += 0.1 * noise);
         let (u, noise) = (normal(&mut rng, m), normal(&mut rng, n));
         let next: Vec<f64> = x.iter().zip(noise).map(|(x, noise)| x + 0.1 * noise).collect();

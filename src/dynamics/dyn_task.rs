@@ -71,6 +71,7 @@ trait AnyTask: Send + Sync {
     fn param_dim(&self) -> usize;
     fn observation_dim(&self) -> Option<usize>;
     fn start(&self, rng: &mut Rng, start: Start<'_>);
+    fn draw_start(&self, rng: &mut Rng, start: Start<'_>);
     fn step(&self, slot: &mut dyn Any);
     fn vjp(&self, slot: &mut dyn Any);
     fn jvp(&self, slot: &mut dyn Any);
@@ -116,6 +117,9 @@ impl<T: Task + 'static> AnyTask for T {
     }
     fn start(&self, rng: &mut Rng, start: Start<'_>) {
         Task::start(self, rng, start);
+    }
+    fn draw_start(&self, rng: &mut Rng, start: Start<'_>) {
+        Task::draw_start(self, rng, start);
     }
     fn step(&self, slot: &mut dyn Any) {
         scalar_pointer::<Step<T>>(slot);
@@ -319,6 +323,10 @@ impl Task for DynTask {
 
     fn start(&self, rng: &mut Rng, start: Start<'_>) {
         self.0.0.start(rng, start);
+    }
+
+    fn draw_start(&self, rng: &mut Rng, start: Start<'_>) {
+        self.0.0.draw_start(rng, start);
     }
 
     fn observation_dim(&self) -> Option<usize> {

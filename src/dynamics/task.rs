@@ -33,6 +33,14 @@ pub trait Task: Send + Sync {
     /// Draws an initial state into `start.x`, of `state_dim` zeros, and parameters into `start.p`,
     /// of `param_dim` zeros. Physical numbers that vary are drawn afterwards.
     fn start(&self, rng: &mut Rng, start: Start<'_>);
+    /// Draws an initial state, parameters, and physical numbers that vary.
+    #[doc(hidden)]
+    fn draw_start(&self, rng: &mut Rng, Start { x, p }: Start<'_>) {
+        self.start(rng, Start { x, p: &mut *p });
+        for Varied { index, number, .. } in self.system().varied(p.len()) {
+            p[index] = number.draw(rng);
+        }
+    }
 
     /// Number of components of [`observe`](Task::observe). Default: `None`, the policy observes the
     /// state.
@@ -98,14 +106,6 @@ pub trait Task: Send + Sync {
     #[inline(always)]
     fn terminal_cost_gradient<R: Real>(&self, x: &[R], p: &[R], x_bar: &mut [R], p_bar: Option<&mut [R]>) {
         default_vjp(&TerminalCost(self), [x, p], &[R::one()], [Some(x_bar), p_bar], |bar, slope| *bar += slope[0]);
-    }
-}
-
-/// Draws an initial state, parameters, and physical numbers that vary.
-pub(crate) fn draw_start<T: Task + ?Sized>(task: &T, rng: &mut Rng, Start { x, p }: Start<'_>) {
-    task.start(rng, Start { x, p: &mut *p });
-    for Varied { index, number, .. } in task.system().varied(p.len()) {
-        p[index] = number.draw(rng);
     }
 }
 

@@ -249,6 +249,10 @@ impl<F: Float> Adjoint<F> {
     /// # Errors
     /// [`Divergence`] if a cotangent of a state, control or memory is not finite. Does not check
     /// the gradients with respect to parameters and initial states.
+    ///
+    /// # Panics
+    /// If the rollout has no tape, another horizon, or more samples than the workspace.
+    #[track_caller]
     pub fn run(
         &mut self,
         task: &dyn AnyTask<F>,
@@ -257,6 +261,11 @@ impl<F: Float> Adjoint<F> {
         rollout: &Rollout<F>,
         scale: F,
     ) -> Result<(), Divergence> {
+        let (found, expected) = (rollout.horizon, self.horizon);
+        assert!(rollout.has_tape(), "an adjoint needs a rollout that stores all steps: use `Rollout::new`");
+        assert_eq!(found, expected, "the rollout has {found} steps, but the adjoint has {expected}");
+        let (found, capacity) = (rollout.samples, self.samples);
+        assert!(found <= capacity, "the rollout has {found} samples, but the adjoint has space for {capacity}");
         let pass = Pass { task, policy, weights, rollout, scale, measured: self.measures() };
         self.begin(&pass);
         Rollout::<F>::units(0..rollout.horizon).try_for_each(|unit| self.back(&pass, unit))
@@ -299,6 +308,10 @@ impl<F: Float> Adjoint<F> {
     /// Computes the parameter gradient `Σ_t (∂N/∂θ)ᵀ (h_t, μ)` of flow `k`, summed over `samples`.
     ///
     /// Includes the gradient with respect to the trained entries of p. Overwrites `theta_bar`.
+    ///
+    /// # Panics
+    /// If `samples` exceeds the samples of the rollout.
+    #[track_caller]
     pub fn param_gradient(
         &mut self,
         k: usize,
@@ -308,6 +321,8 @@ impl<F: Float> Adjoint<F> {
         samples: Range<usize>,
         theta_bar: &mut Gradient<F>,
     ) {
+        let (end, count) = (samples.end, rollout.samples);
+        assert!(end <= count, "the range of samples ends at {end}, but the rollout has {count}");
         theta_bar.clear();
         for unit in Rollout::<F>::units(0..rollout.horizon) {
             self.add_param_gradient(k, policy, weights, rollout, &unit, samples.clone(), theta_bar);

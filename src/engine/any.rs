@@ -8,7 +8,7 @@ use crate::dynamics::cause::Cause;
 use crate::dynamics::inputs::{Cotangents, Inputs, Start, Tangents};
 use crate::dynamics::outline::{self, One};
 use crate::dynamics::system::System;
-use crate::dynamics::task::{Task, draw_start};
+use crate::dynamics::task::Task;
 use crate::engine::adjoint::StepBack;
 use crate::engine::observe::Observe;
 use crate::engine::rollout::{Lane, StepForward};
@@ -83,7 +83,7 @@ impl<T: Task, F: Float> AnyTask<F> for T {
     }
 
     fn start(&self, rng: &mut Rng, start: Start<'_>) {
-        draw_start(self, rng, start);
+        Task::draw_start(self, rng, start);
     }
 
     fn terminal_cost(&self, x: &[Lane<F>], p: &[Lane<F>]) -> Lane<F> {

@@ -127,7 +127,12 @@ impl<F: Float> Checkpointed<F> {
     }
 
     /// Cost of one sample of the last run.
+    ///
+    /// # Panics
+    /// If there is no such sample.
+    #[track_caller]
     pub fn cost(&self, sample: usize) -> F {
+        assert!(sample < self.samples(), "there is no sample {sample}: the run has {}", self.samples());
         self.costs[sample / WIDTH].lane(sample % WIDTH)
     }
 
@@ -144,7 +149,7 @@ impl<F: Float> Checkpointed<F> {
     ///
     /// # Panics
     /// If `starts` is empty, exceeds the capacity, or is not a whole number of samples. If `group`
-    /// is 0, or `gradients` has too few groups.
+    /// is 0, `gradients` has too few groups, or a group does not have one gradient per flow.
     #[track_caller]
     #[allow(clippy::too_many_arguments)]
     pub fn run(
@@ -184,6 +189,10 @@ impl<F: Float> Checkpointed<F> {
             gradients.len()
         );
         let gradients = &mut gradients[..groups];
+        let flows = self.adjoint.flows().len();
+        if let Some(group) = gradients.iter().find(|group| group.len() != flows) {
+            panic!("a group has {} gradients for {flows} flows; pass one per flow", group.len());
+        }
         gradients.iter_mut().flatten().for_each(Gradient::clear);
 
         let segments = self.schedule.segments();
@@ -233,7 +242,7 @@ impl<F: Float> Checkpointed<F> {
     ) -> Result<(), Divergence> {
         self.kept.clear();
         self.rollout.start(starts);
-        self.rollout.costs.fill(Lane::zero());
+        self.rollout.clear_costs();
         let last = self.schedule.segments() - 1;
         if last > 0 {
             self.keep(0);

@@ -114,6 +114,11 @@ impl fmt::Display for Divergence {
                 "forward pass: the Newton iteration of the implicit integrator did not converge for sample {sample} at step \
                  {step}: residual {residual:.1e}. Use substeps, an explicit integrator, or a larger tolerance if the residual is small"
             ),
+            Self::Forward { variable: Variable::State, step: 0, sample, component, .. } => write!(
+                f,
+                "forward pass: component {component} of the initial state of sample {sample} is not finite. Check `start`, and the \
+                 range of the precision"
+            ),
             Self::Forward { variable, step, sample, component, cause } => {
                 write!(
                     f,

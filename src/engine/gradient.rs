@@ -192,6 +192,23 @@ impl<F: Float> Gradient<F> {
         }
     }
 
+    /// Common exponent of values whose largest exponent is `largest`: 0 if plain numbers suffice.
+    fn common(largest: i32) -> i32 {
+        // Below 2^reach, the sum of squares is finite. Above 2^-reach, most of the range remains
+        // for smaller values.
+        let reach = if F::EPSILON < 1e-10 { 500 } else { 60 };
+        if (-reach..reach).contains(&largest) { 0 } else { largest }
+    }
+
+    /// Replaces all values, with a common exponent.
+    pub(crate) fn set(&mut self, values: &[f64]) {
+        let finite = values.iter().copied().filter(|value| *value != 0.0 && value.is_finite());
+        let exponent = Self::common(finite.map(exponent_of).max().unwrap_or(0));
+        for (own, &value) in zip(self.values_mut(exponent).iter_mut(), values) {
+            *own = F::from_f64(scaled(value, -exponent));
+        }
+    }
+
     /// Brings all values to a common exponent, 0 if plain numbers suffice.
     pub(crate) fn normalize(&mut self) {
         if !std::mem::take(&mut self.spread) {
@@ -203,10 +220,7 @@ impl<F: Float> Gradient<F> {
             (size != 0.0 && size.is_finite()).then(|| exponent + exponent_of(size))
         };
         let largest = zip(self.values.iter(), &self.exponents).filter_map(leading).max().unwrap_or(0);
-        // Below 2^reach, the sum of squares is finite. Above 2^-reach, most of the range remains
-        // for smaller values.
-        let reach = if F::EPSILON < 1e-10 { 500 } else { 60 };
-        self.exponent = if (-reach..reach).contains(&largest) { 0 } else { largest };
+        self.exponent = Self::common(largest);
         for (value, &exponent) in zip(self.values.iter_mut(), &self.exponents) {
             if finite(*value) {
                 *value = scaled_with_sign(*value, exponent - self.exponent);

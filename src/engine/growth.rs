@@ -37,9 +37,10 @@ impl Growth {
         let Self { along, worst_window } = *self;
         if flow.control != 0.0 && worst_window > digits {
             let steps = (horizon as f64 * digits / worst_window) as usize;
+            let precise = if digits < 10.0 { "f64, " } else { "" };
             return Some(format!(
                 "{flow} grows by up to 10^{worst_window:.0} along a rollout, and numbers have {digits:.0} digits. Before the last {steps} \
-                 of the {horizon} steps, its signs are unreliable. Use f64, a shorter horizon, or M"
+                 of the {horizon} steps, its signs are unreliable. Use {precise}a shorter horizon, or M"
             ));
         }
         if flow.letter() == "M" && along > UNSTABLE {

@@ -77,8 +77,11 @@ pub struct Rollout<F: Float> {
     outputs: Vec<F>,
     /// Tape of the policy.
     pub(crate) tape: Aligned<F>,
-    /// Cost of each sample, `[block]`.
+    /// Cost of each sample, `[block]`, without those of the current unit.
     pub(crate) costs: Vec<Lane<F>>,
+    /// Cost of each sample within the current unit, `[block]`. Sums of sums have smaller rounding
+    /// errors on long horizons.
+    unit_costs: Vec<Lane<F>>,
 }
 
 impl<F: Float> Rollout<F> {
@@ -140,6 +143,7 @@ impl<F: Float> Rollout<F> {
             outputs: zeros(sizes.outputs),
             tape: Aligned::zeros(sizes.tape),
             costs: lanes(sizes.costs),
+            unit_costs: lanes(sizes.costs),
         }
     }
 
@@ -156,8 +160,8 @@ impl<F: Float> Rollout<F> {
     /// Bytes on the heap, independent of the number of samples started. Without a tape, they are
     /// also independent of the horizon.
     pub fn stored_bytes(&self) -> usize {
-        let lanes =
-            [&self.states, &self.controls, &self.params, &self.observations, &self.costs].map(|lanes| size_of_val(&lanes[..]));
+        let lanes = [&self.states, &self.controls, &self.params, &self.observations, &self.costs, &self.unit_costs];
+        let lanes = lanes.map(|lanes| size_of_val(&lanes[..]));
         let numbers = [&self.inputs, &self.outputs].map(|numbers| size_of_val(&numbers[..]));
         lanes.into_iter().chain(numbers).sum::<usize>() + self.tape.stored_bytes()
     }
@@ -205,7 +209,7 @@ impl<F: Float> Rollout<F> {
     /// # Errors
     /// [`Divergence`] if a control, memory, state or cost is not finite.
     pub fn run(&mut self, task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, weights: &Weights<F>) -> Result<(), Divergence> {
-        self.costs.fill(Lane::zero());
+        self.clear_costs();
         self.advance(task, policy, weights, 0..self.horizon)?;
         self.finish(task)
     }
@@ -256,8 +260,22 @@ impl<F: Float> Rollout<F> {
         before
     }
 
+    /// Sets all costs to 0.
+    pub(crate) fn clear_costs(&mut self) {
+        self.costs.fill(Lane::zero());
+        self.unit_costs.fill(Lane::zero());
+    }
+
+    /// Adds the costs of the current unit.
+    fn add_unit_costs(&mut self) {
+        for (sum, unit) in self.costs.iter_mut().zip(&mut self.unit_costs) {
+            *sum += std::mem::replace(unit, Lane::zero());
+        }
+    }
+
     /// Adds the terminal costs. Returns an error if a cost is not finite.
     pub(crate) fn finish(&mut self, task: &dyn AnyTask<F>) -> Result<(), Divergence> {
+        self.add_unit_costs();
         let last = self.slot(self.horizon).start;
         let n_params = self.param_dim;
         for (block, x) in self.states[last..][..self.blocks() * self.state_dim].chunks_exact(self.state_dim).enumerate() {
@@ -311,10 +329,17 @@ impl<F: Float> Rollout<F> {
         scatter(&self.outputs, (0, m + memory_dim), m, at, controls);
         scatter(&self.outputs, (m, m + memory_dim), memory_dim, at, next_memory);
 
-        let finite = task.step_forward(Inputs { x, u: controls, p: &self.params, t }, next, &mut self.costs);
+        let finite = task.step_forward(Inputs { x, u: controls, p: &self.params, t }, next, &mut self.unit_costs);
         let bad_memory = find_non_finite(next_memory, memory_dim, self.samples, Real::lane);
         if finite && bad_memory.is_none() {
+            if (t + 1).is_multiple_of(UNIT) {
+                self.add_unit_costs();
+            }
             return Ok(());
+        }
+        let start = if t == 0 { find_non_finite(x, n, self.samples, Real::lane) } else { None };
+        if let Some((sample, component)) = start {
+            return Err(Divergence::Forward { variable: Variable::State, step: 0, sample, component, cause: None });
         }
         let control = find_non_finite(controls, m, self.samples, Real::lane).map(|place| (Variable::Control, t, place));
         let state = || find_non_finite(next, n, self.samples, Real::lane).map(|place| (Variable::State, t + 1, place));
@@ -427,7 +452,12 @@ impl<F: Float> Rollout<F> {
     }
 
     /// Cost of `sample`.
+    ///
+    /// # Panics
+    /// If there is no such sample.
+    #[track_caller]
     pub fn cost(&self, sample: usize) -> F {
+        assert!(sample < self.samples, "there is no sample {sample}: the rollout has {}", self.samples);
         self.costs[sample / WIDTH].lane(sample % WIDTH)
     }
 

@@ -67,8 +67,9 @@ impl<'a> Search<'a> {
     /// # Errors
     /// [`OptimizeError::Stopped`]
     fn improve(&mut self, expansion: &Expansion) -> Result<ControlFlow<Stop, Expansion>, OptimizeError> {
-        // Decreases below the rounding error of the initial cost count as small.
-        let tolerance = self.options.cost_tolerance * self.best.cost.abs() + f64::EPSILON * self.costs[0].abs();
+        // Decreases below the rounding error of the last costs count as small.
+        let recent = self.costs[self.costs.len().saturating_sub(1 + SMALL_DECREASES)];
+        let tolerance = self.options.cost_tolerance * self.best.cost.abs() + f64::EPSILON * recent.abs();
         loop {
             let regularization = self.regularization.value * expansion.curvature;
             let step = backward(expansion, &self.best.u, &self.bounds, regularization);

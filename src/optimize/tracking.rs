@@ -40,6 +40,8 @@ impl<'a, T: Task> Tracking<'a, T> {
     /// [`OptimizeError::Length`] if the plan does not fit the task.
     pub fn new(task: &'a T, plan: &'a Plan) -> Result<Self, OptimizeError> {
         let (n, m, steps) = (task.system().state_dim(), task.system().control_dim(), task.horizon());
+        check_length("plan.x", "states with the components of the task", n, plan.state_dim)?;
+        check_length("plan.u", "controls with the components of the task", m, plan.control_dim)?;
         check_length("plan.x", "states of all steps", (steps + 1) * n, plan.x.len())?;
         check_length("plan.u", "controls of all steps", steps * m, plan.u.len())?;
         check_length("plan.p", "the parameters of the task", task.param_dim(), plan.p.len())?;
@@ -79,6 +81,11 @@ impl<T: Task> Task for Tracking<'_, T> {
             *x = planned + self.spread * rng.random_range(-1.0..1.0);
         }
         start.p.copy_from_slice(&self.plan.p);
+    }
+
+    fn draw_start(&self, rng: &mut Rng, start: Start<'_>) {
+        // Numbers have the values of the plan.
+        self.start(rng, start);
     }
 
     fn observation_dim(&self) -> Option<usize> {

@@ -120,6 +120,13 @@ impl Default for Training {
 }
 
 impl Training {
+    /// Samples for which a mini-batch of `samples` needs memory for gradients. One for zeroth-order
+    /// estimates, which use losses only.
+    fn derived(&self, samples: usize) -> usize {
+        let is_zeroth = self.smoothing.is_some_and(|smoothing| smoothing.estimator == Estimator::ZerothOrder);
+        if is_zeroth { 1 } else { samples }
+    }
+
     /// Checks counts, learning rate, rule, decay, average, smoothing and clipping.
     ///
     /// # Errors
@@ -296,7 +303,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// Allocates all workspaces.
     ///
     /// # Errors
-    /// [`TrainError`] if a setting is invalid or the memory limit is too small.
+    /// [`TrainError`] if a setting is invalid, the memory limit is too small, or an initial parameter
+    /// is not finite.
     ///
     /// # Panics
     /// If the dimensions of task and policy differ. If the policy trains a parameter that the task
@@ -308,7 +316,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
         let starts = |purpose, samples| initial_states(&task, training.seed, purpose, samples);
         let (train, test) = (starts(Purpose::Train, training.train_samples), starts(Purpose::Test, training.test_samples));
         let weights = match theta {
-            Some(theta) => Weights::new(&policy, theta.into_iter().map(F::from_f64).collect()),
+            Some(theta) => Weights::new(&policy, finite(theta.into_iter().map(F::from_f64).collect())?),
             None => Weights::init(&policy, &mut stream(training.seed, Purpose::Policy, 0)),
         };
         Session::new(task, policy, field, training, weights, train, test)
@@ -321,8 +329,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// serves for losses only, and its length sets the number of samples of an epoch.
     ///
     /// # Errors
-    /// [`TrainError`] if a setting is invalid, the memory limit is too small, or a set is empty or
-    /// not a whole number of samples.
+    /// [`TrainError`] if a setting is invalid, the memory limit is too small, a set is empty or not
+    /// a whole number of samples, or a parameter is not finite.
     ///
     /// # Panics
     /// If the length of `theta` differs from the policy's `param_count`. If the dimensions of task
@@ -330,8 +338,19 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// 0.
     pub fn session_from(self, theta: Vec<F>, train: Vec<F>, test: Vec<F>) -> Result<Session<T, P, F, C>, TrainError> {
         let Self { task, policy, field, training, .. } = self;
-        let weights = Weights::new(&policy, theta);
+        let weights = Weights::new(&policy, finite(theta)?);
         Session::new(task, policy, field, training, weights, train, test)
+    }
+}
+
+/// Returns the parameters, or an error if one is not finite.
+fn finite<F: Float>(theta: Vec<F>) -> Result<Vec<F>, TrainError> {
+    match theta.iter().position(|value| !value.to_f64().is_finite()) {
+        None => Ok(theta),
+        Some(i) => {
+            let problem = format!("contains {} at index {i}; allowed: finite numbers in {}", theta[i], F::NAME);
+            Err(TrainError::Setting { setting: "theta", problem })
+        }
     }
 }
 

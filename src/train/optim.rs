@@ -143,8 +143,9 @@ impl OptimizerKind {
         let below_one =
             |name, value: f64| (!(0.0..1.0).contains(&value)).then(|| format!("has {name} = {value}; allowed: 0 to below 1"));
         let positive = |name, value: f64| {
-            let is_positive = value > 0.0 && value.is_finite();
-            (!is_positive).then(|| format!("has {name} = {value}; allowed: a positive number"))
+            // Smaller numbers can be 0 in f32.
+            let is_positive = value >= f64::from(f32::MIN_POSITIVE) && value.is_finite();
+            (!is_positive).then(|| format!("has {name} = {value}; allowed: a positive number, at least 1.2e-38"))
         };
         match self {
             Self::Sgd => None,

@@ -135,9 +135,10 @@ impl<F: Float> Progress<F> {
             }
         }
         let samples = training.batch.min(train.len() / n);
+        let derived = training.derived(samples);
         let batch = match training.memory {
-            None => Batch::new(task, policy, samples, &flows, training.workers),
-            Some(budget) => Batch::within(task, policy, samples, &flows, training.workers, budget)?,
+            None => Batch::new(task, policy, derived, &flows, training.workers),
+            Some(budget) => Batch::within(task, policy, derived, &flows, training.workers, budget)?,
         };
         let optimizer = Optimizer::new(training.rule, training.learning_rate, params);
         let averaged = training.average > 0.0 && flows.len() > 1;
@@ -183,7 +184,7 @@ impl<F: Float> Progress<F> {
         ranks: &Arc<dyn Ranks>,
     ) -> Result<(), TrainError> {
         let Training { batch, workers, memory, .. } = self.training;
-        let samples = batch.min(self.order.len());
+        let samples = self.training.derived(batch.min(self.order.len()));
         self.batch = Batch::shared(ranks.clone(), task, policy, samples, &self.flows, workers, memory)?;
         self.evaluation = Evaluation::new(task, policy, workers).shared(ranks.clone());
         Ok(())

@@ -144,7 +144,7 @@ pub(super) struct Estimates<F> {
     center: Vec<F>,
     /// Perturbation ε.
     perturbation: Vec<f64>,
-    /// Mean field of one pair.
+    /// Mean field of one pair, and then the estimate.
     field: Vec<f64>,
     first: Moments,
     zeroth: Moments,
@@ -173,11 +173,12 @@ impl<F: Float> Progress<F> {
         self.weights.update(trained.policy, |theta| theta.copy_from_slice(&estimates.center));
         let weight = smoothing.estimator.weight(&estimates.first, &estimates.zeroth);
         let parts = [(weight, &estimates.first.mean), (1.0 - weight, &estimates.zeroth.mean)];
-        for (i, value) in self.combined.values_mut(0).iter_mut().enumerate() {
+        for (i, value) in estimates.field.iter_mut().enumerate() {
             // A part without weight may be infinite.
             let parts = parts.iter().filter(|(weight, _)| *weight != 0.0);
-            *value = F::from_f64(parts.map(|(weight, mean)| weight * mean[i]).sum());
+            *value = parts.map(|(weight, mean)| weight * mean[i]).sum();
         }
+        self.combined.set(&estimates.field);
         self.estimates = Some(estimates);
         let means = outcome?;
         Ok(Step { norm: self.combined.norm(), first_order: Some(weight), ..means.step() })

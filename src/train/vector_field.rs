@@ -194,6 +194,7 @@ impl GradientCombiner for Rotated {
     /// Adds to `first` its rotation. If combined, then zeroes the components whose sign differs
     /// from that in `second`. Requires two components.
     fn combine<F: Float>(&self, first: &[F], second: &[F], out: &mut [F]) {
+        assert_eq!(first.len(), 2, "`Rotated` needs a policy with two parameters");
         let strength = F::from_f64(self.strength);
         let rotated = [first[0] - strength * first[1], first[1] + strength * first[0]];
         if self.combined {

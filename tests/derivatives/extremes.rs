@@ -1,6 +1,6 @@
 //! Adjoints that become 0 or very large.
 
-use physgrad::policy::OpenLoop;
+use physgrad::policy::{Linear, OpenLoop};
 use physgrad::rng::Rng;
 use physgrad::{Adjoint, Float, Flow, Inputs, Rollout, Scalar, Start, System, Task, Weights};
 
@@ -57,12 +57,21 @@ fn a_cut_limits_an_adjoint_that_was_0_at_a_later_step() {
     }
 }
 
-/// The adjoint grows by a factor of 8 per step until a truncation at about 2^192 or a cut at about
-/// 10^50. Both exceed the range of f32. Then the adjoint restarts from 0.
+/// The adjoint grows by a factor of 8 per step until a truncation at about 2^192, a cut at about
+/// 10^50, or derivatives of 0 or 1e-18. All exceed the range of f32. Then the adjoint restarts
+/// from 0, or continues with a small value.
 #[test]
-fn adjoints_restart_from_a_truncation_or_cut_beyond_the_range_of_f32() {
-    let task = Timed { factor: |_| 8.0, horizon: 128 };
-    for flow in [Flow::REGULAR.truncated(64), Flow::REGULAR.cut(50.0)] {
+fn adjoints_restart_from_truncations_cuts_and_small_derivatives_beyond_the_range_of_f32() {
+    let growing = |_| 8.0;
+    let cases: [(Flow, fn(usize) -> f64); 5] = [
+        (Flow::REGULAR.truncated(64), growing),
+        (Flow::REGULAR.cut(50.0), growing),
+        (Flow::REGULAR, |t| if t == 50 { 0.0 } else { 8.0 }),
+        (Flow::REGULAR, |t| if t == 80 { 0.0 } else { 8.0 }),
+        (Flow::REGULAR, |t| if (68..=71).contains(&t) { 1e-18 } else { 8.0 }),
+    ];
+    for (flow, factor) in cases {
+        let task = Timed { factor, horizon: 128 };
         let (single, double) = (norms::<f32>(&task, flow), norms::<f64>(&task, flow));
         for (t, (single, double)) in single.into_iter().zip(double).enumerate() {
             assert!((single - double).abs() <= 1e-5 * double, "{flow}, step {t}: {single:e}, in f64 {double:e}");
@@ -78,4 +87,135 @@ fn norms_of_adjoints_have_the_whole_range_of_f64() {
         let expected = (10f64.powi(300 - t as i32) - 1.0) / 0.9;
         assert!((norm - expected).abs() <= 1e-12 * expected, "step {t}: {norm:e}, expected {expected:e}");
     }
+}
+
+/// A cut removes the path through the observation of p too. Growth by 3.5 per step exceeds one
+/// decade in every second step.
+#[test]
+fn a_cut_removes_the_effect_of_parameters_on_the_observation() {
+    /// `x_{t+1} = 3 x_t + u_t` with the observation `x_t + p`.
+    struct Offset;
+    impl System for Offset {
+        fn state_dim(&self) -> usize {
+            1
+        }
+        fn control_dim(&self) -> usize {
+            1
+        }
+        fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
+            next[0] = x[0] * 3.0 + u[0];
+        }
+    }
+    impl Task for Offset {
+        type System = Self;
+        fn system(&self) -> &Self {
+            self
+        }
+        fn horizon(&self) -> usize {
+            20
+        }
+        fn param_dim(&self) -> usize {
+            1
+        }
+        fn start(&self, _: &mut Rng, _: Start<'_>) {}
+        fn observation_dim(&self) -> Option<usize> {
+            Some(1)
+        }
+        fn observe<T: Scalar>(&self, Inputs { x, p, .. }: Inputs<'_, T>, y: &mut [T]) {
+            y[0] = x[0] + p[0];
+        }
+        fn running_cost<T: Scalar>(&self, _: Inputs<'_, T>, next: &[T]) -> T {
+            next[0]
+        }
+    }
+
+    let policy = Linear::new(1, 1);
+    let weights = Weights::<f64>::new(&policy, vec![0.5]);
+    let mut rollout = Rollout::new(&Offset, &policy, 3);
+    rollout.start(&[0.0; 6]);
+    rollout.run(&Offset, &policy, &weights).expect("the rollout stays at 0");
+    for flows in [&[Flow::REGULAR.cut(1.0)][..], &[Flow::MODIFIED, Flow::REGULAR.cut(1.0)]] {
+        let mut adjoint = Adjoint::new(&Offset, &policy, &rollout, flows).keep_start_gradients();
+        adjoint.run(&Offset, &policy, &weights, &rollout, 1.0).expect("finite");
+        let (mut lambda, mut by_p, mut decades) = (0.0, 0.0, 0.0);
+        for _ in 0..20 {
+            lambda += 1.0;
+            decades += 3.5_f64.log10();
+            if decades > 1.0 {
+                (lambda, decades) = (0.0, 0.0);
+            } else {
+                by_p += 0.5 * lambda;
+                lambda *= 3.5;
+            }
+        }
+        for sample in 0..3 {
+            assert_eq!(adjoint.start_gradient(flows.len() - 1, sample).to_vec(), [lambda, by_p]);
+        }
+    }
+}
+
+/// Only an unused copy of the last sample would overflow: it has to be cut with the sample.
+#[test]
+fn a_cut_of_the_last_sample_includes_its_copies() {
+    let factor = |t| {
+        if t == 20 {
+            1e12
+        } else if t == 19 {
+            1e27
+        } else {
+            1.0
+        }
+    };
+    let task = Timed { factor, horizon: 40 };
+    let (single, double) = (norms::<f32>(&task, Flow::REGULAR.cut(5.0)), norms::<f64>(&task, Flow::REGULAR.cut(5.0)));
+    for (single, double) in single.into_iter().zip(double) {
+        assert!((single - double).abs() <= 1e-5 * double, "{single:e}, in f64 {double:e}");
+    }
+}
+
+/// A plain sum of 1e5 costs in f32 has an error of 1.4e-4.
+#[test]
+fn the_loss_of_a_long_rollout_is_accurate_in_f32() {
+    struct Constant;
+    impl System for Constant {
+        fn state_dim(&self) -> usize {
+            1
+        }
+        fn control_dim(&self) -> usize {
+            1
+        }
+        fn step<T: Scalar>(&self, Inputs { x, .. }: Inputs<'_, T>, next: &mut [T]) {
+            next[0] = x[0];
+        }
+    }
+    impl Task for Constant {
+        type System = Self;
+        fn system(&self) -> &Self {
+            self
+        }
+        fn horizon(&self) -> usize {
+            100_000
+        }
+        fn start(&self, _: &mut Rng, _: Start<'_>) {}
+        fn running_cost<T: Scalar>(&self, _: Inputs<'_, T>, next: &[T]) -> T {
+            next[0]
+        }
+    }
+    let policy = Linear::new(1, 1);
+    let mut rollout = Rollout::<f32>::for_evaluation(&Constant, &policy, 1);
+    rollout.start(&[0.1]);
+    rollout.run(&Constant, &policy, &Weights::new(&policy, vec![0.0])).expect("finite");
+    assert!((rollout.cost(0) - 1e4).abs() < 0.05, "{}", rollout.cost(0));
+}
+
+#[test]
+#[should_panic(expected = "an adjoint needs a rollout that stores all steps")]
+fn an_adjoint_of_a_rollout_without_tape_is_refused() {
+    let (task, policy) = (Timed { factor: |_| 1.0, horizon: 5 }, OpenLoop::new(1, 1, 5));
+    let weights = Weights::<f64>::new(&policy, vec![0.0; 5]);
+    let mut adjoint = Adjoint::new(&task, &policy, &Rollout::new(&task, &policy, 1), &[Flow::REGULAR]);
+    let mut rollout = Rollout::for_evaluation(&task, &policy, 1);
+    rollout.start(&[0.0]);
+    rollout.run(&task, &policy, &weights).expect("finite");
+    let _ = adjoint.run(&task, &policy, &weights, &rollout, 1.0);
 }

@@ -186,6 +186,16 @@ fn the_message_names_pass_component_sample_and_step() {
 }
 
 #[test]
+fn a_nan_in_an_initial_state_is_named() {
+    let (task, policy) = (Faulty(Fault::Cost), Linear::new(3, 1));
+    let weights = Weights::<f32>::new(&policy, vec![0.5; 3]);
+    let mut rollout = Rollout::new(&task, &policy, 3);
+    rollout.start(&[0.1, 0.1, 0.0, 0.1, f32::NAN, 0.0, 0.1, 0.1, 0.0]);
+    let error = rollout.run(&task, &policy, &weights).expect_err("a NaN").to_string();
+    assert!(error.contains("component 1 of the initial state of sample 1 is not finite"), "{error}");
+}
+
+#[test]
 fn an_evaluation_names_sample_71_of_100() {
     let (task, policy) = (Faulty(Fault::State), Linear::with_bias(3, 1));
     let weights = Weights::new(&policy, vec![0.1, 0.2, -0.05, 0.3]);

@@ -5,8 +5,8 @@ use physgrad::policy::{Constant, Mlp, Quadratic};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{Accumulator, Bowl, CartPole, Reach};
 use physgrad::{
-    Estimator, Field, Inputs, OptimizerKind, Policy, Record, Scalar, Session, Smoothing, Start, System, Task, TrainError,
-    Trainer, Training, vector_field,
+    Clip, Cotangent, Cotangents, Estimator, Field, Inputs, OptimizerKind, Policy, Real, Record, Scalar, Session, Smoothing,
+    Start, System, Task, TrainError, Trainer, Training, vector_field,
 };
 use rand_distr::{Distribution, StandardNormal};
 
@@ -171,6 +171,70 @@ fn a_variance_beyond_f64_leaves_the_zeroth_order_estimate() {
         assert_eq!((theta, record.first_order), (zeroth.clone(), Some(0.0)));
     }
     assert_eq!(of(Estimator::FirstOrder).1.skipped, 1, "steps of 1e200 are refused");
+}
+
+/// Gradients of 1e50 exceed f32. Clipping bounds them, as without smoothing.
+#[test]
+fn estimates_beyond_f32_are_clipped() {
+    struct Huge;
+    impl System for Huge {
+        fn state_dim(&self) -> usize {
+            1
+        }
+        fn control_dim(&self) -> usize {
+            1
+        }
+        fn step<T: Scalar>(&self, Inputs { u, t, .. }: Inputs<'_, T>, next: &mut [T]) {
+            next[0] = if t == 0 { u[0] } else { T::from(0.0) };
+        }
+        fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+            if let (0, Some(u_bar)) = (inputs.t, cotangents.u) {
+                u_bar[0] += next_bar[0] * R::from(1e30);
+            }
+            if let (1, Some(x_bar)) = (inputs.t, cotangents.x) {
+                x_bar[0] += next_bar[0] * R::from(1e20);
+            }
+        }
+    }
+    impl Task for Huge {
+        type System = Self;
+        fn system(&self) -> &Self {
+            self
+        }
+        fn horizon(&self) -> usize {
+            2
+        }
+        fn start(&self, _: &mut Rng, _: Start<'_>) {}
+        fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
+            x[0] + 1.0
+        }
+    }
+    for estimator in [None, Some(Estimator::FirstOrder)] {
+        let training = Training { clip: Clip::Norm(1.0), ..training(estimator) };
+        let trainer = Trainer::new(Huge, Constant::new(1, 1)).precision::<f32>().field(Field::regular()).training(training);
+        let mut session = trainer.start_from(vec![0.0]).session().expect("valid settings");
+        let record = session.epoch().expect("finite").clone();
+        assert_eq!((record.skipped, session.weights().theta()), (0, &[-1.0][..]), "{estimator:?}");
+        assert!((record.grad_norm.log10() - 50.0).abs() < 1e-6, "{}", record.grad_norm);
+    }
+}
+
+/// A budget below the memory of a gradient suffices, because the estimate needs losses only.
+#[test]
+fn zeroth_order_estimates_need_no_memory_for_gradients() {
+    let of = |estimator| {
+        let training = Training { batch: 64, train_samples: 64, memory: Some(200_000), ..training(Some(estimator)) };
+        let task = CartPole { horizon: 1000, ..CartPole::new(1) };
+        Trainer::new(task, Mlp::new([4, 8, 1])).precision::<f64>().field(Field::regular()).training(training).session()
+    };
+    assert!(of(Estimator::FirstOrder).is_err() && of(Estimator::ZerothOrder).is_ok());
+}
+
+#[test]
+fn initial_parameters_beyond_f32_are_refused() {
+    let trainer = Trainer::new(Bowl::default(), Constant::new(2, 2)).start_from(vec![0.0, 1e39]);
+    let error = trainer.session().err().map_or_else(String::new, |error| error.to_string());
+    assert!(error.ends_with("contains inf at index 1; allowed: finite numbers in f32"), "{error}");
 }
 
 /// The first-order estimate of a jump is 0 and has no variance, so weights by inverse variance

@@ -2,8 +2,9 @@
 
 use super::problems::{Explosive, SwingUp};
 use physgrad::optimize::{Initial, Options, Stop, optimize};
-use physgrad::rng::{Purpose, stream};
+use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{CartPole, LossMode};
+use physgrad::{Inputs, Scalar, Start, System, Task};
 use rand::RngExt;
 
 #[test]
@@ -50,6 +51,39 @@ fn warm_start_from_a_plan_needs_fewer_iterations() {
     // An optimization that starts from its own result ends before the first iteration.
     let again = optimize(&task, &SwingUp::START, &[], Initial::Controls(&cold.u), &options).expect("finite");
     assert_eq!((again.iterations(), again.stop), (0, Stop::Gradient));
+}
+
+/// The initial cost is 1e24. Its rounding error exceeds the cost of many later iterates.
+#[test]
+fn a_large_initial_cost_does_not_end_the_search_early() {
+    struct Quartic;
+    impl System for Quartic {
+        fn state_dim(&self) -> usize {
+            1
+        }
+        fn control_dim(&self) -> usize {
+            1
+        }
+        fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
+            next[0] = x[0] + u[0];
+        }
+    }
+    impl Task for Quartic {
+        type System = Self;
+        fn system(&self) -> &Self {
+            self
+        }
+        fn horizon(&self) -> usize {
+            1
+        }
+        fn start(&self, _: &mut Rng, _: Start<'_>) {}
+        fn terminal_cost<T: Scalar>(&self, x: &[T], _: &[T]) -> T {
+            x[0].powi(4)
+        }
+    }
+    let plan = optimize(&Quartic, &[1e6], &[], Initial::Zeros, &Options::default()).expect("finite");
+    assert_eq!(plan.stop, Stop::Gradient);
+    assert!(plan.cost < 1e-10, "{}", plan.cost);
 }
 
 /// The pole hangs at rest. The gradient is 0 up to rounding, although the cost is not minimal.

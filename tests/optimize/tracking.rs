@@ -3,8 +3,11 @@
 use super::problems::{Coupled, Pendulum, SwingUp};
 use physgrad::optimize::{Initial, OptimizeError, Options, Plan, Tracking, optimize};
 use physgrad::policy::{Linear, OpenLoop, Sum};
-use physgrad::rng::Purpose;
-use physgrad::{Decay, Evaluation, Field, Rollout, Task, Trainer, Training, Weights, check, initial_states};
+use physgrad::rng::{Purpose, Rng};
+use physgrad::{
+    Decay, Evaluation, Field, Inputs, Number, Numbers, Rollout, Scalar, Start, System, Task, Trainer, Training, Weights, check,
+    initial_states,
+};
 use std::f64::consts::PI;
 
 fn plan() -> (SwingUp, Plan) {
@@ -41,6 +44,48 @@ fn derivatives_of_tracking_equal_dual_numbers() {
     check::task(&tracking, &Linear::new(2, 2));
     let starts: Vec<f64> = initial_states(&tracking, 0, Purpose::Train, 3);
     assert!(starts.chunks(3).all(|start| start[2] == 0.3 && (start[0] - 0.4).abs() < 0.5), "{starts:?}");
+}
+
+/// A mass that is drawn for each sample.
+struct Puck;
+
+impl System for Puck {
+    fn state_dim(&self) -> usize {
+        1
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn numbers(&self) -> Numbers<'_> {
+        Numbers::new([("mass", &Number::Uniform { low: 0.5, high: 2.0 })])
+    }
+    fn step<T: Scalar>(&self, Inputs { x, u, p, .. }: Inputs<'_, T>, next: &mut [T]) {
+        let [mass] = self.numbers().last_of(p);
+        next[0] = x[0] + u[0] / mass;
+    }
+}
+
+impl Task for Puck {
+    type System = Self;
+    fn system(&self) -> &Self {
+        self
+    }
+    fn horizon(&self) -> usize {
+        3
+    }
+    fn start(&self, _: &mut Rng, start: Start<'_>) {
+        start.x[0] = 1.0;
+    }
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _: &[T]) -> T {
+        x[0] * x[0]
+    }
+}
+
+#[test]
+fn all_samples_have_the_drawn_numbers_of_the_plan() {
+    let plan = optimize(&Puck, &[1.0], &[0.7], Initial::Zeros, &Options::default()).expect("finite");
+    let tracking = Tracking::new(&Puck, &plan).expect("fits");
+    assert_eq!(initial_states::<f64>(&tracking, 0, Purpose::Train, 3), [1.0, 0.7, 1.0, 0.7, 1.0, 0.7]);
 }
 
 #[test]

@@ -180,6 +180,14 @@ fn adaptive_steps_beyond_the_limit_of_substeps_are_nan() {
     assert!(found.iter().all(|x| x.is_nan()), "{found:?}");
 }
 
+#[test]
+fn adaptive_steps_refuse_negative_and_nan_durations() {
+    for dt in [-1.0, f64::NAN] {
+        let (found, _) = reached(&ByDuals, AnyIntegrator::Adaptive(Adaptive::default()), dt, 1);
+        assert!(found.iter().all(|x| x.is_nan()), "{dt}: {found:?}");
+    }
+}
+
 /// `dx/dt = rate (u - x) + square x²`. With the square, an implicit step may have no solution.
 #[derive(Clone, Debug)]
 struct Stiff {

@@ -23,7 +23,8 @@ use crate::numbers::zip::zip;
 /// Derivatives are those of the accepted steps at constant step sizes. Step sizes are piecewise
 /// constant functions of the state, so these derivatives are exact almost everywhere.
 ///
-/// A sample becomes NaN if its time step is incomplete after `most` attempts.
+/// A sample becomes NaN if its time step is incomplete after `most` attempts. All samples become NaN
+/// if the time step is negative or NaN.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Adaptive {
     /// Relative tolerance. Below [`floor`](Adaptive::floor), rounding errors dominate.
@@ -66,6 +67,9 @@ impl Adaptive {
         next: &mut [T],
         mut record: impl FnMut(&[T], T, T),
     ) {
+        if dt.is_nan() || dt < 0.0 {
+            return next.fill(T::from(f64::NAN));
+        }
         let (n, tableau, one, h) = (inputs.x.len(), RungeKutta::TSIT5, T::one(), T::from(dt));
         let end = inputs.continuous(dt).t + h;
         let (mut at, mut rates) = tableau.stage_buffers(n);

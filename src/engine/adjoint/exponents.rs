@@ -72,8 +72,7 @@ impl<F: Float, const K: usize> Exponents<F, K> {
                 }
             }
         }
-        self.any = self.blocks.iter().any(BlockExponents::any);
-        self.update_low();
+        self.update();
         Ok(())
     }
 
@@ -98,15 +97,9 @@ impl<F: Float, const K: usize> Exponents<F, K> {
         }
     }
 
-    /// Sets the exponent of one flow and sample to 0. The caller replaces its cotangents.
-    pub(super) fn restart(&mut self, k: usize, sample: usize, scale: F) {
-        self.blocks[sample / WIDTH].set(k, sample % WIDTH, 0, scale);
+    /// Updates `any` and [`any_low`](Self::any_low) after a change of exponents.
+    pub(super) fn update(&mut self) {
         self.any = self.blocks.iter().any(BlockExponents::any);
-        self.update_low();
-    }
-
-    /// Updates [`any_low`](Self::any_low).
-    pub(super) fn update_low(&mut self) {
         self.low = self.blocks.iter().any(BlockExponents::any_low);
     }
 }
@@ -123,7 +116,7 @@ pub(super) struct BlockExponents<F: Float, const K: usize> {
 /// Range of the size Σ|λ| + Σ|h| + Σ|μ|, `low` to `high`, that needs no rescaling.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Limits<F> {
-    low: F,
+    pub(super) low: F,
     high: F,
 }
 
@@ -170,7 +163,8 @@ impl<F: Float, const K: usize> BlockExponents<F, K> {
         self.of.iter().flatten().any(|&exponent| exponent < -reach::<F>())
     }
 
-    fn set(&mut self, k: usize, lane: usize, exponent: i32, scale: F) {
+    /// Sets the exponent of one flow and lane. The caller scales the cotangents.
+    pub(super) fn set(&mut self, k: usize, lane: usize, exponent: i32, scale: F) {
         self.of[k][lane] = exponent;
         // The limit keeps the factor finite. `raise` resets exponents below `-reach`, and thus
         // below `-limit`, before the recursion adds a nonzero cost gradient.

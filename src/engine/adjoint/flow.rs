@@ -85,7 +85,7 @@ impl Flow {
 
     /// Returns the flow at step `t`. All weights are 0 at a truncation.
     pub(crate) fn at(self, t: usize) -> Self {
-        let truncated = t > 0 && self.truncation.is_some_and(|steps| t.is_multiple_of(steps));
+        let truncated = t > 0 && self.truncation.is_some_and(|steps| t.is_multiple_of(steps.max(1)));
         if truncated { self.discounted(0.0) } else { self }
     }
 

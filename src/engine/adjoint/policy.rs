@@ -191,8 +191,8 @@ impl<F: Float> PolicyAdjoint<F> {
         }
     }
 
-    /// Adds `control·(∂y/∂x)ᵀ ȳ` at step `t` to λ of flow `k`. Adds `control·(∂y/∂p)ᵀ ȳ` to the
-    /// gradient with respect to p, if recorded.
+    /// Adds `control·(∂y/∂x)ᵀ ȳ` at step `t` to λ of flow `k`. Evaluates `(∂y/∂p)ᵀ ȳ` if gradients
+    /// with respect to p are recorded.
     pub(super) fn add_inputs_bar<const K: usize>(
         &mut self,
         k: usize,
@@ -202,7 +202,7 @@ impl<F: Float> PolicyAdjoint<F> {
         carried: &mut Recursion<F, K>,
     ) {
         let Pass { task, rollout, .. } = *pass;
-        let Recursion { lambda, starts, exponents, .. } = carried;
+        let Recursion { lambda, starts, .. } = carried;
         let observed = 0..self.observed_dim;
         if task.own_observation().is_none() {
             let weight = F::from_f64(flow.control);
@@ -213,13 +213,10 @@ impl<F: Float> PolicyAdjoint<F> {
         let states_bar = &mut self.states_bar[..rollout.states_at(t).len()];
         states_bar.fill(One::null());
         let params_bar = starts.as_mut().map(|starts| {
-            starts.observed.fill(One::null());
-            &mut starts.observed[..]
+            starts.observed[k].fill(One::null());
+            &mut starts.observed[k][..]
         });
         task.observe_back(rollout.observed_at(t), &observed_bar, states_bar, params_bar);
-        if let Some(starts) = starts {
-            starts.add_observed(k, flow.control, rollout.samples, exponents);
-        }
         for (lambda, &CotangentPack([bar])) in zip(lambda.iter_mut(), &*states_bar) {
             lambda.0[k] += bar * flow.control;
         }

@@ -4,7 +4,7 @@
 //! of extreme size. `step_back` traverses the samples. `policy` computes the Jacobian products of
 //! the policy. `measure` records norms and growth.
 
-use super::exponents::Exponents;
+use super::exponents::{Exponents, Limits};
 use super::measure::{GrowthMeters, record_norms};
 use super::starts::StartGradients;
 use super::step_back::StepBack;
@@ -14,6 +14,7 @@ use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::engine::divergence::{Divergence, Variable};
 use crate::engine::rollout::{Lane, Rollout, WIDTH, find_non_finite};
+use crate::numbers::extended::{exponent_of, scaled};
 use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Lanes, Real, Scalar, Single};
 use crate::numbers::zip::zip;
 use std::ops::Range;
@@ -278,7 +279,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
                 // μ ← memory·m̄
                 policy.set_memory_bar(k, flow, pass.rollout.columns(t), &mut self.u_bar);
             }
-            self.after_step(pass, flows, t, norms);
+            self.after_step(pass, flows, at_t, t, norms);
         }
         Ok(())
     }
@@ -305,28 +306,37 @@ impl<F: Float, const K: usize> Recursion<F, K> {
                 self.growth.before(samples, lambda, &self.cost.next, &self.exponents.blocks[block]);
             }
         }
-        self.exponents.update_low();
+        self.exponents.update();
     }
 
-    /// Measures growth and norms after step `t`. Restarts adjoints that are truncated, or that have
-    /// grown by more than `cut`. After step 0, completes the gradients with respect to initial
-    /// states and p.
-    fn after_step(&mut self, pass: &Pass<'_, F>, flows: [Flow; K], t: usize, norms: &mut [Vec<f64>]) {
+    /// Measures growth and norms after step `t`. Cuts adjoints that have grown by more than `cut`.
+    /// Adds the effect of p on the observation. After step 0, completes the gradients with respect
+    /// to initial states and p.
+    fn after_step(&mut self, pass: &Pass<'_, F>, flows: [Flow; K], at_t: [Flow; K], t: usize, norms: &mut [Vec<f64>]) {
+        let samples = pass.rollout.samples;
         if pass.measured {
             self.growth.after(pass.rollout, &self.lambda, &self.exponents, flows, t);
         }
         for (k, flow) in flows.into_iter().enumerate() {
-            // If all exponents are 0, a truncated λ is already exact.
-            let truncated = self.exponents.any && flow.at(t) != flow;
-            if !truncated && flow.cut.is_none() {
-                continue;
-            }
-            for sample in 0..pass.rollout.samples {
-                let grown = flow.cut.is_some_and(|decades| self.growth.reset_if_grown(k, sample, decades));
-                if grown || truncated && self.exponents.of(k, sample) != 0 {
-                    self.restart(pass, k, sample, t);
+            for sample in if flow.cut.is_some() { 0..samples } else { 0..0 } {
+                if flow.cut.is_some_and(|decades| self.growth.reset_if_grown(k, sample, decades)) {
+                    self.restart(pass, k, sample, t, true);
                 }
             }
+            if let Some(starts) = &mut self.starts
+                && at_t[k].control != 0.0
+                && pass.task.own_observation().is_some()
+            {
+                starts.add_observed(k, at_t[k].control, samples, &self.exponents);
+            }
+            for sample in if self.exponents.any { 0..samples } else { 0..0 } {
+                if self.exponents.of(k, sample) > 0 && self.is_small(k, sample, pass.rollout) {
+                    self.restart(pass, k, sample, t, false);
+                }
+            }
+        }
+        if self.exponents.any {
+            self.exponents.update();
         }
         record_norms(&self.lambda, &self.exponents, pass, t, norms);
         if let (0, Some(starts)) = (t, &mut self.starts) {
@@ -334,25 +344,65 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         }
     }
 
-    /// Sets `λ ← scale ∂l/∂x_t`, `μ ← 0` and the exponent to 0 for one flow and sample.
+    /// λ and μ of the block of a sample.
+    fn carried(&mut self, sample: usize, rollout: &Rollout<F>) -> [&mut [CotangentPack<Lane<F>, K>]; 2] {
+        let (n, m, outputs) = (rollout.state_dim, rollout.control_dim, rollout.control_dim + rollout.memory_dim);
+        let block = sample / WIDTH;
+        [&mut self.lambda[block * n..][..n], &mut self.u_bar[block * outputs..][m..outputs]]
+    }
+
+    /// Returns whether λ and μ of one flow and sample are too small for their exponent.
+    fn is_small(&mut self, k: usize, sample: usize, rollout: &Rollout<F>) -> bool {
+        let sizes = self.carried(sample, rollout).into_iter().flatten().map(|bar| bar.0[k].lane(sample % WIDTH).abs());
+        sizes.fold(F::zero(), |sum, size| sum + size) < Limits::new().low
+    }
+
+    /// Lowers the exponent of one flow and sample, after step `t`, to that of the cotangents from
+    /// later steps. These are 0 after a truncation and where derivatives are 0. With `cut`, sets
+    /// them to 0.
     ///
     /// With the previous exponent, if it is large, the cost gradients would underflow.
     #[cold]
-    fn restart(&mut self, pass: &Pass<'_, F>, k: usize, sample: usize, t: usize) {
+    fn restart(&mut self, pass: &Pass<'_, F>, k: usize, sample: usize, t: usize, cut: bool) {
         let Pass { task, rollout, scale, .. } = *pass;
-        let (n, m, outputs) = (rollout.state_dim, rollout.control_dim, rollout.control_dim + rollout.memory_dim);
-        let (block, lane) = (sample / WIDTH, sample % WIDTH);
+        let (n, block) = (rollout.state_dim, sample / WIDTH);
         self.cost.clear();
         let (cotangents, next_bar) = self.cost.requests();
         let next = &rollout.states_at(t + 1)[block * n..][..n];
         task.running_cost_gradient(rollout.inputs_of(t, block), next, cotangents, next_bar);
-        self.exponents.restart(k, sample, scale);
-        for (lambda, cost) in zip(self.lambda[block * n..][..n].iter_mut(), &self.cost.x) {
-            lambda.0[k].set_lane(lane, scale * cost.lane(lane));
+        let cost = std::mem::take(&mut self.cost.x);
+        // The unused lanes of the last block are copies of the last sample.
+        let end = if sample + 1 == rollout.samples { WIDTH } else { sample % WIDTH + 1 };
+        for lane in sample % WIDTH..end {
+            let inject = self.exponents.blocks[block].inject.0[k].lane(lane);
+            let [lambda, memory_bar] = self.carried(sample, rollout);
+            for (lambda, cost) in zip(lambda.iter_mut(), &cost) {
+                let later = lambda.0[k].lane(lane) - inject * cost.lane(lane);
+                lambda.0[k].set_lane(lane, later);
+            }
+            if cut {
+                lambda.iter_mut().chain(&mut *memory_bar).for_each(|bar| bar.0[k].set_lane(lane, F::zero()));
+            }
+            let sizes = lambda.iter().chain(&*memory_bar).map(|bar| bar.0[k].lane(lane).abs());
+            let size: f64 = sizes.fold(F::zero(), |sum, size| sum + size).as_();
+            let own = self.exponents.of(k, sample);
+            let exponent = if size == 0.0 { 0 } else { (own + exponent_of(size)).max(0) };
+            self.exponents.blocks[block].set(k, lane, exponent, scale);
+            let inject = self.exponents.blocks[block].inject.0[k].lane(lane);
+            let [lambda, memory_bar] = self.carried(sample, rollout);
+            for bar in lambda.iter_mut().chain(memory_bar) {
+                bar.0[k].set_lane(lane, scaled(bar.0[k].lane(lane), own - exponent));
+            }
+            let [lambda, _] = self.carried(sample, rollout);
+            for (lambda, cost) in zip(lambda.iter_mut(), &cost) {
+                let sum = lambda.0[k].lane(lane) + inject * cost.lane(lane);
+                lambda.0[k].set_lane(lane, sum);
+            }
+            if let (true, Some(starts)) = (cut, &mut self.starts) {
+                starts.cut(k, block, lane);
+            }
         }
-        for memory_bar in &mut self.u_bar[block * outputs..][m..outputs] {
-            memory_bar.0[k].set_lane(lane, F::zero());
-        }
+        self.cost.x = cost;
     }
 
     /// Growth of λ.

@@ -19,8 +19,8 @@ pub(super) struct StartGradients<F: Float, const K: usize> {
     gradients: Vec<[Gradient<F>; K]>,
     /// Terms of one step, `[block][parameter]`.
     pub(super) terms: Vec<CotangentPack<Lane<F>, K>>,
-    /// Terms of the observation of one step and flow, `[block][parameter]`.
-    pub(super) observed: Vec<One<Lane<F>>>,
+    /// Terms of the observation of one step, `[flow][block][parameter]`.
+    pub(super) observed: [Vec<One<Lane<F>>>; K],
     state_dim: usize,
     param_dim: usize,
 }
@@ -31,7 +31,7 @@ impl<F: Float, const K: usize> StartGradients<F, K> {
         Self {
             gradients: (0..samples).map(|_| [(); K].map(|()| Gradient::zeros(state_dim + param_dim))).collect(),
             terms: vec![CotangentPack::null(); params],
-            observed: vec![One::null(); params],
+            observed: [(); K].map(|()| vec![One::null(); params]),
             state_dim,
             param_dim,
         }
@@ -39,13 +39,14 @@ impl<F: Float, const K: usize> StartGradients<F, K> {
 
     pub(super) fn bytes_of(samples: usize, state_dim: usize, param_dim: usize) -> usize {
         let gradients = size_of::<[Gradient<F>; K]>() + K * Gradient::<F>::bytes_of(state_dim + param_dim);
-        let terms = size_of::<CotangentPack<Lane<F>, K>>() + size_of::<One<Lane<F>>>();
+        let terms = size_of::<CotangentPack<Lane<F>, K>>() + K * size_of::<One<Lane<F>>>();
         samples * gradients + samples.div_ceil(WIDTH) * param_dim * terms
     }
 
     pub(super) fn stored_bytes(&self) -> usize {
         let gradients = self.gradients.iter().flatten().map(Gradient::stored_bytes).sum::<usize>();
-        gradients + size_of_val(&self.gradients[..]) + size_of_val(&self.terms[..]) + size_of_val(&self.observed[..])
+        let observed = self.observed.iter().map(|observed| size_of_val(&observed[..])).sum::<usize>();
+        gradients + size_of_val(&self.gradients[..]) + size_of_val(&self.terms[..]) + observed
     }
 
     pub(super) fn of(&self, k: usize, sample: usize) -> &Gradient<F> {
@@ -78,11 +79,18 @@ impl<F: Float, const K: usize> StartGradients<F, K> {
     /// to p.
     pub(super) fn add_observed(&mut self, k: usize, weight: f64, samples: usize, exponents: &Exponents<F, K>) {
         for (sample, gradients) in self.gradients[..samples].iter_mut().enumerate() {
-            let terms = &self.observed[sample / WIDTH * self.param_dim..][..self.param_dim];
+            let terms = &self.observed[k][sample / WIDTH * self.param_dim..][..self.param_dim];
             for (i, CotangentPack([term])) in terms.iter().enumerate() {
                 let part = (*term * weight).lane(sample % WIDTH);
                 gradients[k].add_at(self.state_dim + i, part, exponents.of(k, sample));
             }
+        }
+    }
+
+    /// Sets to 0 the terms of the observation of flow `k` in one lane of a block.
+    pub(super) fn cut(&mut self, k: usize, block: usize, lane: usize) {
+        for CotangentPack([term]) in &mut self.observed[k][block * self.param_dim..][..self.param_dim] {
+            term.set_lane(lane, F::zero());
         }
     }
 

@@ -35,7 +35,7 @@ impl BufferSizes {
     }
 
     pub(super) fn bytes<F: Float>(&self) -> usize {
-        let lanes = self.states + self.controls + self.params + self.observations + self.costs;
+        let lanes = self.states + self.controls + self.params + self.observations + 2 * self.costs;
         lanes * size_of::<Lane<F>>() + (self.inputs + self.outputs) * size_of::<F>() + Aligned::<F>::bytes_of(self.tape)
     }
 }
