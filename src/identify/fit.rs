@@ -87,9 +87,9 @@ pub struct Fit {
     pub at_bound: Vec<String>,
     /// Simulated states of each segment.
     pub states: Vec<Vec<Vec<f64>>>,
-    /// Largest jump of the simulated states between windows, in units of the noise, or of the state
-    /// if the noise is unknown. At 0, the states of a segment are one simulation from its initial
-    /// state.
+    /// Largest jump of the simulated states between windows, in units of the noise. Unknown noise
+    /// has the root mean square of the residuals, and at least 1e-9 of that of the measurements. At
+    /// 0, the states of a segment are one simulation from its initial state.
     pub jump: f64,
     /// χ² of `states` over all segments, with σ = 1 if the noise is unknown.
     pub chi_squared: f64,
@@ -126,7 +126,7 @@ impl Fit {
     }
 }
 
-/// Weights of the continuity between windows, in turn. Unit: 1 / root mean square of the residuals.
+/// Weights of the continuity between windows, in turn, relative to the weights of the samples.
 ///
 /// The first one lets windows fit their own samples, so a wrong parameter cannot accumulate a phase
 /// error over a long segment. The last one reduces jumps to rounding.
@@ -135,7 +135,7 @@ const CONTINUITY: [f64; 5] = [1.0, 10.0, 100.0, 1e4, 1e6];
 /// Tolerance of the relative decrease for all weights of continuity but the last.
 const COARSE: f64 = 1e-2;
 
-/// Smallest root mean square of the residuals that scales the weights, relative to that of the
+/// Smallest root mean square of the residuals that counts as unknown noise, relative to that of the
 /// measurements.
 const SMALLEST: f64 = 1e-9;
 
@@ -157,16 +157,13 @@ pub fn identify<S: System>(
     let mut counts = Counts::default();
     // Without windows to join, the weights have no influence.
     let stages = if point.windows.len() == segments.len() { 1 } else { CONTINUITY.len() };
-    let (mut continuity, mut converged) = (0.0, false);
-    for (i, weight) in CONTINUITY[..stages].iter().enumerate() {
-        let residual = problem.misfit(&point)?.map_or(1.0, |misfit| (misfit.samples / problem.measurements() as f64).sqrt());
-        let scale = residual.max(SMALLEST * problem.size());
-        continuity = weight / if scale > 0.0 { scale } else { 1.0 };
+    let mut converged = false;
+    for (i, &continuity) in CONTINUITY[..stages].iter().enumerate() {
         let tolerance = if i + 1 == stages { options.tolerance } else { COARSE };
         let stop = Stop { tolerance, max_iterations: options.max_iterations };
         converged = minimize(&problem, &mut point, continuity, stop, &mut counts)?;
     }
-    result(&problem, point, continuity, converged, counts)
+    result(&problem, point, CONTINUITY[stages - 1], converged, counts)
 }
 
 fn result(
@@ -179,8 +176,14 @@ fn result(
     let names: Vec<String> = problem.unknowns.iter().map(|unknown| unknown.name.clone()).collect();
     let equations = equations(problem, &point, continuity, &mut counts)?;
     let Statistics { errors, robust_errors, correlations, undetermined } = statistics(&equations, &names);
-    let chi_squared = problem.misfit(&point)?.map_or(f64::INFINITY, |misfit| misfit.samples);
     let (measurements, unknowns) = (problem.measurements(), problem.count());
+    let misfit = problem.misfit(&point)?;
+    let chi_squared = misfit.map_or(f64::INFINITY, |misfit| misfit.samples);
+    let jump = misfit.map_or(f64::INFINITY, |misfit| {
+        let residual = || (misfit.samples / measurements as f64).sqrt().max(SMALLEST * problem.size());
+        let unit = if problem.noise_is_known || misfit.largest_jump == 0.0 { 1.0 } else { residual() };
+        misfit.largest_jump / unit
+    });
     let noise = match measurements - unknowns {
         _ if problem.noise_is_known => 1.0,
         // The residuals are 0 and do not show the size of the noise.
@@ -196,7 +199,7 @@ fn result(
         undetermined,
         at_bound: problem.unknowns.iter().zip(&point.values).filter_map(is_bound).collect(),
         states: problem.states(&point)?,
-        jump: problem.largest_jump(&point)?,
+        jump,
         chi_squared,
         measurements,
         unknowns,

@@ -26,12 +26,14 @@ pub(super) struct Point {
 }
 
 /// Sums of squares, in units of the noise.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Misfit {
     /// χ² of the samples.
     pub samples: f64,
     /// Sum of the squared jumps between windows.
     pub jumps: f64,
+    /// Largest jump between windows, in units of the noise.
+    pub largest_jump: f64,
 }
 
 pub(super) struct Problem<'a> {
@@ -213,29 +215,19 @@ impl<'a> Problem<'a> {
             let window = &point.windows[k];
             let states = self.run(window, &self.parameters(window.segment, &point.values)).simulate(self.model);
             let end = states.get(window.steps)?;
-            let mut misfit = Misfit { samples: 0.0, jumps: 0.0 };
+            let mut misfit = Misfit::default();
             self.residuals(window, &states, |_, _, residual| misfit.samples += residual * residual);
             for ((end, start), per_noise) in end.iter().zip(point.after(k).unwrap_or(end)).zip(&self.per_noise) {
-                misfit.jumps += ((end - start) * per_noise).powi(2);
+                let jump = ((end - start) * per_noise).abs();
+                misfit.jumps += jump * jump;
+                misfit.largest_jump = misfit.largest_jump.max(jump);
             }
             Some(misfit)
         };
         let Some(misfits) = self.map(point, of_window)?.into_iter().collect::<Option<Vec<Misfit>>>() else { return Ok(None) };
         let [samples, jumps] = [|m: &Misfit| m.samples, |m: &Misfit| m.jumps].map(|part| misfits.iter().map(part).sum::<f64>());
-        Ok((samples + jumps).is_finite().then_some(Misfit { samples, jumps }))
-    }
-
-    /// Largest jump between windows in units of the noise.
-    pub fn largest_jump(&self, point: &Point) -> Result<f64, IdentifyError> {
-        let of_window = |k: usize| {
-            let window = &point.windows[k];
-            let states = self.run(window, &self.parameters(window.segment, &point.values)).simulate(self.model);
-            let (Some(end), Some(start)) = (states.get(window.steps), point.after(k)) else { return 0.0 };
-            let jumps =
-                end.iter().zip(start).zip(&self.per_noise).map(|((end, start), per_noise)| (end - start).abs() * per_noise);
-            jumps.fold(0.0, f64::max)
-        };
-        Ok(self.map(point, of_window)?.into_iter().fold(0.0, f64::max))
+        let largest_jump = misfits.iter().fold(0.0, |largest, misfit| misfit.largest_jump.max(largest));
+        Ok((samples + jumps).is_finite().then_some(Misfit { samples, jumps, largest_jump }))
     }
 
     /// States of all segments. The first state of a window replaces the last state of the previous

@@ -46,7 +46,7 @@ pub(super) fn statistics(equations: &[DMatrix<f64>], names: &[String]) -> Statis
     for (k, &eigenvalue) in eigenvalues.iter().enumerate() {
         let vector = eigenvectors.column(k);
         if eigenvalue.is_nan() || eigenvalue <= least {
-            let members: Vec<usize> = (0..count).filter(|&i| vector[i].abs() > NAMED).collect();
+            let members: Vec<usize> = (0..count).filter(|&i| vector[i].is_nan() || vector[i].abs() > NAMED).collect();
             members.iter().for_each(|&i| is_open[i] = true);
             undetermined.push(members.iter().map(|&i| names[i].clone()).collect());
             continue;

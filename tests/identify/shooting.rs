@@ -3,7 +3,7 @@
 use physgrad::identify::{Fit, Options, Segment, Unknown, identify};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{Arm, MultiPendulum};
-use physgrad::{Inputs, Integrated, Number, RungeKutta, System};
+use physgrad::{Inputs, Integrated, Number, RungeKutta, Scalar, System};
 use rand_distr::{Distribution, StandardNormal};
 
 type Pendulum = Integrated<MultiPendulum, RungeKutta>;
@@ -94,6 +94,45 @@ fn a_chaotic_swing_is_identified() {
     let (x, near) = (simulated(0.5), simulated(0.5 + 1e-9));
     assert!((x[1000][0] - near[1000][0]).abs() > 1.0);
     check(&system, &measured(x, &p));
+}
+
+/// Units of the data change the units of the results only, also if the noise is unknown.
+#[test]
+fn a_fit_with_unknown_noise_does_not_depend_on_the_unit_of_the_data() {
+    #[derive(Clone)]
+    struct Decay;
+    impl System for Decay {
+        fn state_dim(&self) -> usize {
+            1
+        }
+        fn control_dim(&self) -> usize {
+            1
+        }
+        fn param_dim(&self) -> usize {
+            1
+        }
+        fn step<T: Scalar>(&self, Inputs { x, p, .. }: Inputs<'_, T>, next: &mut [T]) {
+            next[0] = x[0] * p[0];
+        }
+    }
+    let rng = &mut stream(7, Purpose::Check, 0);
+    let noise: Vec<f64> = (0..40).map(|_| StandardNormal.sample(rng)).collect();
+    let fit = |unit: f64| {
+        let x = noise.iter().enumerate().map(|(t, noise)| vec![unit * (10.0 * 0.95_f64.powi(t as i32) + noise)]).collect();
+        let segment = Segment { x, u: Vec::new(), p: vec![0.0] };
+        let unknown = Unknown { name: "rate".into(), index: 0, start: 0.8, min: f64::NEG_INFINITY, max: f64::INFINITY };
+        let options = Options { window: Some(1), ..Options::default() };
+        identify(&Decay, &[segment], &[unknown], &options).expect("valid data")
+    };
+    let expected = fit(1.0);
+    assert!(expected.jump < 1e-6 && (expected.values[0] - 0.95).abs() < 4.0 * expected.errors[0], "{expected:?}");
+    for unit in [1e-6, 1e6] {
+        let found = fit(unit);
+        assert!(found.jump < 1e-6, "{unit}: {}", found.jump);
+        for (found, expected) in [(found.values[0], expected.values[0]), (found.errors[0], expected.errors[0])] {
+            assert!((found - expected).abs() < 1e-6 * expected, "{unit}: {found}, {expected}");
+        }
+    }
 }
 
 /// An arm that is thrown up, balances upright for 3 s, and falls. Upright, it is unstable with a
