@@ -347,7 +347,7 @@ fn pages_state_that_a_run_failed_was_interrupted_or_has_no_epoch() {
     fs::write(one.join("run.toml"), settings.replace("epochs = 1", "epochs = 5")).expect("settings");
     let before = fs::read(one.join("checkpoint.bin")).expect("a checkpoint");
     let page = report(&one);
-    assert!(page.contains("This run was interrupted after 1 epoch of 5 and can be resumed."));
+    assert!(page.contains("This run has 1 epoch of 5: it is still training, or was interrupted and can be resumed."));
     assert_eq!(cells(&page)[0][0], "1 of 5");
     assert!(fs::read(one.join("checkpoint.bin")).expect("a checkpoint") == before, "`report` changed the checkpoint");
 }

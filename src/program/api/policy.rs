@@ -61,8 +61,10 @@ impl Policy {
     /// Policy with the parameters of a policy file.
     ///
     /// # Errors
-    /// The bytes are no policy file, or one of another policy. A parameter is not finite.
+    /// The bytes are no policy file, or one of another policy. A parameter is not finite. The policy
+    /// trains other numbers than the scene.
     pub fn read(scene: &Scene, bytes: &[u8]) -> Result<Self> {
+        policy_file::check_numbers(bytes, &scene.scene.about())?;
         let policy = scene.scene.policy();
         let theta = policy_file::read(bytes, f64::policy(&*policy), 0)?;
         Ok(Self { scene: scene.clone(), policy, theta })
@@ -81,13 +83,15 @@ impl Policy {
     /// Replaces the parameters.
     ///
     /// # Errors
-    /// The number of parameters differs, or one is not finite.
+    /// The number of parameters differs, or one is not finite in the precision of the scene.
     pub fn set_theta(&mut self, theta: Vec<f64>) -> Result<()> {
         if theta.len() != self.theta.len() {
             bail!("`theta` has {} numbers, but the policy has {} parameters", theta.len(), self.theta.len());
         }
-        if let Some(i) = theta.iter().position(|value| !value.is_finite()) {
-            bail!("`theta[{i}]` is {}; allowed: finite numbers", theta[i]);
+        let is_finite = |&value: &f64| if self.scene.is_f64() { value.is_finite() } else { (value as f32).is_finite() };
+        if let Some(i) = theta.iter().position(|value| !is_finite(value)) {
+            let precision = if self.scene.is_f64() { "f64" } else { "f32" };
+            bail!("`theta[{i}]` is {}; allowed: finite numbers in {precision}", theta[i]);
         }
         self.theta = theta;
         Ok(())
@@ -151,6 +155,11 @@ impl Policy {
         }
         if let Some(param) = policy.trained_params().iter().find(|param| param.index() >= any.param_dim()) {
             bail!("the policy trains parameter {}, but {} has {} parameters", param.index(), task.name(), any.param_dim());
+        }
+        let (own, names) = (self.scene.param_names(), task.param_names());
+        if let Some(param) = policy.trained_params().iter().find(|param| own[param.index()] != names[param.index()]) {
+            let (own, name) = (&own[param.index()], &names[param.index()]);
+            bail!("the policy trains {own}, but this parameter of {} is {name}; create a policy for this task", task.name());
         }
         Ok(dyn_task)
     }

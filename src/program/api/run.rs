@@ -3,7 +3,7 @@
 use super::{Policy, Scene};
 use crate::program::commands::report;
 use crate::program::operations::session::{AnyRun, Epoch};
-use crate::program::platform::folder::{Folder, SETTINGS};
+use crate::program::platform::folder::{CHECKPOINT, Folder, SETTINGS};
 use crate::program::runs::run::{self, End, NoUpdate, Observer, SAVE_EVERY};
 use crate::program::runs::saved;
 use crate::program::scenes::source::SceneSource;
@@ -39,8 +39,8 @@ impl Run {
                 random.rounded::<f32>() == policy.rounded::<f32>()
             };
             // The random policy of the seed is no setting of the run: `physgrad train` starts from
-            // it too.
-            if !is_random {
+            // it too, unless the scene has an initial policy.
+            if !is_random || scene.scene.initial_policy().is_some() {
                 scene.scene = scene.scene.starting_from(policy.safetensors()?);
             }
         }
@@ -59,7 +59,7 @@ impl Run {
         let threads = rayon::current_num_threads().max(1);
         let mut run = scene.scene.open(threads)?;
         saved::restore(&place, &scene.scene, &mut *run)?;
-        Ok(Self { scene, run, threads, folder: Some(folder.to_owned()) })
+        Ok(Self { scene, run, threads, folder: Some(std::path::absolute(folder)?) })
     }
 
     /// The scene.
@@ -67,7 +67,7 @@ impl Run {
         &self.scene
     }
 
-    /// Folder of the run, if it has one.
+    /// Absolute path of the folder of the run, if it has one.
     pub fn folder(&self) -> Option<&Path> {
         self.folder.as_deref()
     }
@@ -96,7 +96,8 @@ impl Run {
     }
 
     /// Saves the run in a folder. Later calls of [`train`](Self::train) save there too. If the
-    /// folder contains another run, renames that folder and creates an empty one in its place.
+    /// folder contains another run, or another state of this run, renames that folder and creates
+    /// an empty one in its place.
     ///
     /// # Errors
     /// The folder cannot be written to, or is in use. It contains a comparison, a study, another
@@ -104,13 +105,11 @@ impl Run {
     /// or contains the current folder.
     pub fn save(&mut self, folder: &Path) -> Result<()> {
         let locked = Folder::at(folder).lock()?;
-        // Compares canonical paths: `run` and `./run` are one folder.
-        let same =
-            |own: &Path| std::fs::canonicalize(own).ok().zip(std::fs::canonicalize(folder).ok()).is_some_and(|(a, b)| a == b);
-        let is_own = self.folder.as_deref().is_some_and(same);
+        let saved = || locked.read(CHECKPOINT).ok();
+        let is_own = saved().is_some_and(|saved| saved == self.run.checkpoint(&self.scene.scene.identity()));
         let locked = if is_own { locked } else { locked.without_run()? };
         run::save(&locked, &self.scene.scene, &*self.run)?;
-        self.folder = Some(folder.to_owned());
+        self.folder = Some(std::path::absolute(folder)?);
         Ok(())
     }
 

@@ -7,7 +7,7 @@ use crate::program::operations::checks::Results;
 use crate::program::scenes::presets;
 use crate::program::scenes::source::SceneSource;
 use crate::program::settings::Precision;
-use crate::program::tasks;
+use crate::program::tasks::{self, scene::INITIAL_POLICY};
 use crate::rng::Purpose;
 use crate::{DynTask, Float, Number, System, Task, initial_states};
 use anyhow::{Context, Result, bail};
@@ -32,7 +32,7 @@ impl Scene {
     /// # Errors
     /// There is no such preset or file. A setting is unknown or out of range.
     pub fn open(name: &str, settings: impl IntoIterator<Item = (String, Value)>) -> Result<Self> {
-        Self::changed(presets::source(name)?, settings)
+        Self::changed(presets::source(name)?, settings, None)
     }
 
     /// Copy with other values of some settings.
@@ -40,7 +40,11 @@ impl Scene {
     /// # Errors
     /// A setting is unknown or out of range.
     pub fn with(&self, settings: impl IntoIterator<Item = (String, Value)>) -> Result<Self> {
-        Ok(self.keep_initial_policy(Self::changed(self.source.clone(), settings)?))
+        let settings: Vec<(String, Value)> = settings.into_iter().collect();
+        // Keeps the contents, because the file may have changed or moved.
+        let replaced = settings.iter().any(|(key, _)| key == INITIAL_POLICY);
+        let policy = self.scene.initial_policy().filter(|_| !replaced);
+        Self::changed(self.source.clone(), settings, policy)
     }
 
     /// Copy with the section `policy` of the scene of this policy.
@@ -58,18 +62,16 @@ impl Scene {
     /// The task does not support them.
     pub fn with_setting(&self, setting: &Setting) -> Result<Self> {
         let source = setting.source(&self.source)?;
-        Ok(self.keep_initial_policy(Self { scene: source.scene()?, source }))
+        Ok(Self { scene: source.starting_from(self.scene.initial_policy())?, source })
     }
 
-    /// Returns `changed` with the initial policy file of this scene, if this scene has one.
-    fn keep_initial_policy(&self, changed: Self) -> Self {
-        match self.scene.initial_policy() {
-            Some(bytes) => Self { scene: changed.scene.starting_from(bytes.to_vec()), ..changed },
-            None => changed,
-        }
-    }
-
-    fn changed(mut source: SceneSource, settings: impl IntoIterator<Item = (String, Value)>) -> Result<Self> {
+    /// The source with other values of some settings. `policy` is as in
+    /// [`SceneSource::starting_from`].
+    fn changed(
+        mut source: SceneSource,
+        settings: impl IntoIterator<Item = (String, Value)>,
+        policy: Option<&[u8]>,
+    ) -> Result<Self> {
         for (key, value) in settings {
             if value.as_table().is_some_and(Table::is_empty) {
                 source.put(&key, value, OPTION)?;
@@ -77,7 +79,7 @@ impl Scene {
                 source.replace(&key, value, OPTION)?;
             }
         }
-        Ok(Self { scene: source.scene()?, source })
+        Ok(Self { scene: source.starting_from(policy)?, source })
     }
 
     /// Name of the task.

@@ -14,6 +14,7 @@ use crate::numbers::text::{rough, short};
 use crate::program::platform::folder::Folder;
 use crate::program::platform::json::{self, print_json};
 use crate::program::platform::terminal::{print_message, print_result, print_text, progress_bar};
+use crate::program::runs::saved;
 use crate::program::scenes::overrides::{Overrides, hide_training};
 use crate::program::scenes::presets;
 use crate::program::settings::Precision;
@@ -101,7 +102,7 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     if !scenes.is_empty() {
         let inner = Folder::at(inner.clone()).lock()?;
         for (method, scene) in &scenes {
-            inner.write(&format!("{method}.toml"), scene.table.to_string())?;
+            saved::write_scene(&inner, &format!("{method}.toml"), scene)?;
         }
     }
     let cheapest = args.target.map(|target| (target, cheapest(rows.iter(), args.metric, target)));

@@ -14,7 +14,7 @@ use toml::Value;
 /// Check the gradients of systems, policies and whole rollouts against dual numbers.
 ///
 /// For a named task or scene, also check the stability of the time step in states of test rollouts.
-/// Also check the slope of the loss at the initial parameters.
+/// Also check the slope of the loss at the initial parameters, or at random ones with an initial policy.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  physgrad check\n  physgrad check my_scene.toml")]
 pub struct Check {
@@ -39,10 +39,9 @@ pub fn check(args: &Check) -> Result<()> {
         let source = presets::source(name)?;
         let scene = source.scene()?;
         notes.push(stability(&scene, source)?);
-        notes.push(match scene.plateau() {
-            Ok(plateau) => format!("loss at the initial parameters: {plateau}"),
-            Err(divergence) => format!("loss at the initial parameters: {divergence}"),
-        });
+        let parameters = if scene.initial_policy().is_some() { "random" } else { "the initial" };
+        let plateau = scene.plateau().map_or_else(|divergence| divergence.to_string(), |plateau| plateau.to_string());
+        notes.push(format!("loss at {parameters} parameters: {plateau}"));
     }
     if args.json {
         print_json(&json!({ "checks": table.objects(), "notes": notes, "failures": failures }))?;

@@ -13,6 +13,7 @@ use crate::program::platform::json::{object, print_json, rows};
 use crate::program::platform::table::Table;
 use crate::program::platform::terminal::print_text;
 use crate::program::runs::run::threads;
+use crate::program::runs::saved;
 use crate::program::scenes::overrides::{Overrides, hide_training};
 use crate::program::scenes::presets;
 use crate::program::tasks::Scene;
@@ -96,7 +97,8 @@ pub fn identify(args: &Identify) -> Result<()> {
     for (name, &value) in fit.names.iter().zip(&fit.values) {
         source.fix(name, value)?;
     }
-    let found = source.scene()?;
+    // A fitted value can be outside of the range of its setting.
+    let found = source.scene();
     let folder = Folder::named(args.out.as_deref(), &format!("identify-{}", presets::short_name(&args.scene)))?;
     let mut text = format!("{}", table(&fit, &scene));
     for (name, value) in facts(&fit, seconds) {
@@ -105,16 +107,21 @@ pub fn identify(args: &Identify) -> Result<()> {
     text += &format!("\n{}", residuals(&fit, &segments, &scene));
     // The validation fixes the numbers, and fits only the initial states.
     let validating = Options { free_starts: true, ..options };
-    let validate = || found.identify(&measured.chosen(&others), &validating).map_err(|error| in_file(error, &others));
-    let validation = if others.is_empty() { None } else { Some(validate()?) };
-    if let Some(validation) = &validation {
+    let validate = |found: &Scene| found.identify(&measured.chosen(&others), &validating);
+    let validation = found.as_ref().ok().filter(|_| !others.is_empty()).map(validate).transpose();
+    if let Ok(Some(validation)) = &validation {
         let residuals = residuals(validation, &measured.chosen(&others), &scene);
         text += &format!("\nvalidation with {} other segments: {residuals}", others.len());
     }
-    let warnings = warnings(&fit);
+    let mut warnings = warnings(&fit);
+    if let Err(error) = &found {
+        warnings.push(format!("there is no scene.toml and no validation: {error:#}; add bounds to [fit]"));
+    }
     warnings.iter().for_each(|warning| text += &format!("\n{WARNING}: {warning}"));
 
-    folder.write("scene.toml", found.table.to_string())?;
+    if let Ok(found) = &found {
+        saved::write_scene(&folder, "scene.toml", found)?;
+    }
     let identified = numbers(&fit, &scene)?;
     folder.write(IDENTIFIED, &identified)?;
     let listed = warnings.clone();
@@ -123,25 +130,31 @@ pub fn identify(args: &Identify) -> Result<()> {
     let facts = all_facts.iter().map(|(name, value)| [(*name).to_owned(), value.clone()]);
     folder.write(FIT, csv(["name", "value"], facts.chain(warnings))?)?;
     folder.write(TRAJECTORIES, measured.beside(&fitted, &fit, &scene)?)?;
-    if let Some(validation) = &validation {
-        folder.write(VALIDATION, measured.beside(&others, validation, &scene)?)?;
+    match &validation {
+        Ok(Some(validation)) => folder.write(VALIDATION, measured.beside(&others, validation, &scene)?)?,
+        // An earlier fit may have left its validation.
+        _ => folder.remove(VALIDATION)?,
     }
     folder.write("identified.svg", picture::picture(&fitted, &segments, &fit, &scene))?;
     folder.write(REPORT, identification::page(&Folder::existing(folder.path())?)?)?;
     let results = folder.path().display();
+    let failed = validation.as_ref().err().cloned();
+    let failed = failed.map_or(Ok(()), |error| Err(in_file(error, &others)).context("validation with the fitted numbers"));
     if args.json {
-        return print_json(&json!({
+        print_json(&json!({
             "folder": folder.path(),
             "numbers": rows(&identified)?,
             "fit": object(all_facts.iter().map(|(name, value)| (*name, value.as_str()))),
             "warnings": listed,
-        }));
+        }))?;
+        return failed;
     }
-    let validated = if validation.is_some() { format!(", {VALIDATION}") } else { String::new() };
+    let written = if found.is_ok() { "scene.toml (with the fitted numbers), " } else { "" };
+    let validated = if matches!(validation, Ok(Some(_))) { format!(", {VALIDATION}") } else { String::new() };
     print_text(&format!(
-        "{text}\nresults in {results}: report.html, scene.toml (with the fitted numbers), {IDENTIFIED}, {FIT}, {TRAJECTORIES}, \
-         identified.svg{validated}"
-    ))
+        "{text}\nresults in {results}: report.html, {written}{IDENTIFIED}, {FIT}, {TRAJECTORIES}, identified.svg{validated}"
+    ))?;
+    failed
 }
 
 /// The error with the index of its segment in the file. `numbers` are the indices of the chosen

@@ -2,9 +2,10 @@
 
 use crate::numbers::text::digits;
 use crate::optimize::{Initial, Options, Plan};
+use crate::program::commands::compare::check_folder;
 use crate::program::operations::trajectory::Trajectory;
 use crate::program::platform::csv::csv;
-use crate::program::platform::folder::{Folder, TRAJECTORY};
+use crate::program::platform::folder::{COMPARISON, Folder, SETTINGS, STUDY, TRAJECTORY};
 use crate::program::platform::json::{print_json, rows};
 use crate::program::platform::parallel;
 use crate::program::platform::table::Table;
@@ -92,28 +93,38 @@ pub fn optimize(args: &Optimize) -> Result<()> {
         if !args.quiet {
             print_message(&format!("initial state {i}: cost {} after {} iterations", digits(plan.cost, 6), plan.iterations()));
         }
-        Ok(plan)
+        Ok::<Plan, anyhow::Error>(plan)
     });
-    let plans = plans.into_iter().collect::<Result<Vec<_>>>()?;
     let seconds = begin.elapsed().as_secs_f64();
+    let failures = plans.iter().filter_map(|plan| Some(format!("{:#}", plan.as_ref().err()?))).collect::<Vec<_>>();
+    let failed = || match failures.len() {
+        0 => Ok(()),
+        count => bail!("{count} of {} optimizations failed:\n{}", starts.len(), failures.join("\n")),
+    };
+    let plans: Vec<(usize, Plan)> = plans.into_iter().enumerate().filter_map(|(i, plan)| Some((i, plan.ok()?))).collect();
+    if plans.is_empty() {
+        return failed();
+    }
 
-    let optimized: Vec<Trajectory> = plans.iter().map(trajectory).collect();
+    let optimized: Vec<(usize, Trajectory)> = plans.iter().map(|(i, plan)| (*i, trajectory(plan))).collect();
     let folder = Folder::named(args.out.as_deref(), &format!("optimize-{name}"))?;
-    folder.write("scene.toml", scene.table.to_string())?;
+    check_folder(&folder, "optimization", &[(SETTINGS, "run"), (COMPARISON, "comparison"), (STUDY, "study")])?;
+    saved::write_scene(&folder, "scene.toml", &scene)?;
     let costs = summary(&plans)?;
     folder.write("optimized.csv", &costs)?;
-    folder.write(TRAJECTORY, outputs::trajectories(&scene, optimized.iter().enumerate())?)?;
+    folder.write(TRAJECTORY, outputs::trajectories(&scene, optimized.iter().map(|(i, rollout)| (*i, rollout)))?)?;
     folder.write("gains.csv", gains(&plans, &scene)?)?;
     let initial = if args.from.is_some() { &starts[..] } else { &[] };
     folder.write("optimized.svg", picture(&scene, &optimized, initial))?;
-    for (i, rollout) in optimized.iter().enumerate().take(SHOWN) {
+    for (i, rollout) in optimized.iter().take(SHOWN) {
         folder.write(&format!("animation-{i}.svg"), scene.animation(rollout).to_svg())?;
     }
     if args.json {
-        return print_json(&json!({ "folder": folder.path(), "seconds": seconds, "plans": rows(&costs)? }));
+        print_json(&json!({ "folder": folder.path(), "seconds": seconds, "plans": rows(&costs)? }))?;
+        return failed();
     }
     if args.quiet {
-        return Ok(());
+        return failed();
     }
     let results = folder.path().display();
     print_text(&format!(
@@ -121,7 +132,8 @@ pub fn optimize(args: &Optimize) -> Result<()> {
          animation-*.svg, scene.toml",
         table(&plans),
         scene.horizon
-    ))
+    ))?;
+    failed()
 }
 
 /// Rollouts from the first test initial states. With `--from`, the policy of the run determines the
@@ -185,10 +197,10 @@ fn trajectory(plan: &Plan) -> Trajectory {
 }
 
 /// `optimized.csv`: one row per initial state.
-fn summary(plans: &[Plan]) -> Result<Vec<u8>> {
+fn summary(plans: &[(usize, Plan)]) -> Result<Vec<u8>> {
     let header = ["sample", "initial_cost", "cost", "iterations", "rollouts", "gradient_norm", "stop"];
-    let rows = plans.iter().enumerate().map(|(i, plan)| {
-        let numbers = [i as f64, plan.costs[0], plan.cost, plan.iterations() as f64, plan.rollouts as f64, plan.gradient_norm()];
+    let rows = plans.iter().map(|(i, plan)| {
+        let numbers = [*i as f64, plan.costs[0], plan.cost, plan.iterations() as f64, plan.rollouts as f64, plan.gradient_norm()];
         numbers.iter().map(f64::to_string).chain([plan.stop.to_string()]).collect::<Vec<_>>()
     });
     csv(header, rows)
@@ -196,11 +208,11 @@ fn summary(plans: &[Plan]) -> Result<Vec<u8>> {
 
 /// `gains.csv`: one row per initial state and step, with the gains `K_t` of the feedback
 /// `u_t + K_t (x - x_t)`.
-fn gains(plans: &[Plan], scene: &Scene) -> Result<Vec<u8>> {
+fn gains(plans: &[(usize, Plan)], scene: &Scene) -> Result<Vec<u8>> {
     let (states, controls) = (scene.state_names(), scene.control_names());
     let columns = controls.iter().flat_map(|control| states.iter().map(move |state| format!("{control} by {state}")));
     let header = ["sample", "step"].map(String::from).into_iter().chain(columns);
-    let rows = plans.iter().enumerate().flat_map(|(i, plan)| {
+    let rows = plans.iter().flat_map(|(i, plan)| {
         let gains = plan.gains.chunks(states.len() * controls.len()).enumerate();
         gains.map(move |(t, gains)| {
             let numbers = gains.iter().map(f64::to_string);
@@ -210,9 +222,9 @@ fn gains(plans: &[Plan], scene: &Scene) -> Result<Vec<u8>> {
     csv(header, rows)
 }
 
-fn table(plans: &[Plan]) -> Table {
+fn table(plans: &[(usize, Plan)]) -> Table {
     let mut table = Table::new(["initial state", "initial cost", "cost", "iterations", "end"]);
-    for (i, plan) in plans.iter().enumerate() {
+    for (i, plan) in plans {
         let [initial, cost] = [plan.costs[0], plan.cost].map(|cost| digits(cost, 6));
         table.row([i.to_string(), initial, cost, plan.iterations().to_string(), plan.stop.to_string()]);
     }
@@ -221,10 +233,10 @@ fn table(plans: &[Plan]) -> Table {
 
 /// Controls and states over time. One column for each of the first [`SHOWN`] initial states. One
 /// row for each control, and for each of the first [`COMPONENTS`] state components.
-fn picture(scene: &Scene, optimized: &[Trajectory], initial: &[Trajectory]) -> String {
+fn picture(scene: &Scene, optimized: &[(usize, Trajectory)], initial: &[Trajectory]) -> String {
     let dt = scene.dt();
     let line = |rows: &[Vec<f64>], i: usize| rows.iter().enumerate().map(|(t, row)| (t as f64 * dt, row[i])).collect();
-    let columns = optimized.iter().enumerate().take(SHOWN).map(|(start, rollout)| {
+    let columns = optimized.iter().take(SHOWN).map(|&(start, ref rollout)| {
         let row = |(i, name): (usize, String), rows: fn(&Trajectory) -> &[Vec<f64>]| {
             let optimized = Series::new("optimized", "#0072B2", line(rows(rollout), i));
             let policy =

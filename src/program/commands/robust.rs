@@ -9,6 +9,7 @@ use crate::program::platform::parallel;
 use crate::program::platform::table::Table;
 use crate::program::platform::terminal::print_text;
 use crate::program::runs::trained::Trained;
+use crate::program::tasks::Scene;
 use crate::report::quantile::{quantile, sorted};
 use crate::report::{PALETTE, Series, robustness};
 use anyhow::{Context, Result, bail};
@@ -60,11 +61,13 @@ impl Axis {
             let (low, high): (f64, f64) = (low.parse().ok()?, high.parse().ok()?);
             let count: usize = count.parse().ok()?;
             let valid = low.is_finite() && high.is_finite() && (2..=200).contains(&count);
-            valid.then(|| (key.to_owned(), low, (high - low) / (count - 1) as f64, count))
+            valid.then(|| (key.to_owned(), low, high, count))
         };
-        let (key, low, step, count) =
+        let (key, low, high, count) =
             parts().ok_or("allowed: KEY=LOW:HIGH:COUNT with 2 to 200 values, as in system.cart_mass=0.5:2:7")?;
-        Ok(Self { key, values: (0..count).map(|i| low + step * i as f64).collect() })
+        let step = (high - low) / (count - 1) as f64;
+        let value = |i: usize| if i + 1 == count { high } else { low + step * i as f64 };
+        Ok(Self { key, values: (0..count).map(value).collect() })
     }
 }
 
@@ -106,7 +109,10 @@ pub fn robust(args: &Robust) -> Result<()> {
             }
         }
     }
-    let cells = parallel::map(&points, |(run, at)| evaluate(&runs[*run], *run, at, args));
+    // Checks all scenes before the first evaluation.
+    let scenes = points.iter().map(|(run, at)| scene(&runs[*run], at, args)).collect::<Result<Vec<_>>>()?;
+    let points: Vec<_> = points.into_iter().zip(scenes).collect();
+    let cells = parallel::map(&points, |((run, at), scene)| evaluate(&runs[*run], *run, at, scene, args));
     let cells = cells.into_iter().collect::<Result<Vec<_>>>()?;
     let folder = Folder::named(args.out.as_deref(), "robust")?;
     let points = table_csv(args, &runs, &cells)?;
@@ -118,8 +124,8 @@ pub fn robust(args: &Robust) -> Result<()> {
     print_text(&format!("{}\nresults in {}: robust.csv, robust.svg", table(args, &runs, &cells), folder.path().display()))
 }
 
-/// Evaluates a policy at one grid point.
-fn evaluate(policy: &Trained, run: usize, at: &[f64], args: &Robust) -> Result<Cell> {
+/// Scene of a policy at one grid point.
+fn scene(policy: &Trained, at: &[f64], args: &Robust) -> Result<Scene> {
     let mut source = policy.source.clone();
     for (axis, &value) in args.grid.iter().zip(at) {
         // Whole-number settings refuse 1.0. All numeric settings accept integers.
@@ -127,8 +133,12 @@ fn evaluate(policy: &Trained, run: usize, at: &[f64], args: &Robust) -> Result<C
         let number = if integer as f64 == value { Value::Integer(integer) } else { Value::Float(value) };
         source.replace(&axis.key, number, &format!("{} = {value}", axis.key))?;
     }
-    let scene = source.scene().context("--grid")?;
-    let losses = policy.evaluation(&scene, args.seed)?.losses(args.samples);
+    source.scene().context("--grid")
+}
+
+/// Evaluates a policy at one grid point.
+fn evaluate(policy: &Trained, run: usize, at: &[f64], scene: &Scene, args: &Robust) -> Result<Cell> {
+    let losses = policy.evaluation(scene, args.seed)?.losses(args.samples);
     let diverged = losses.iter().filter(|loss| !loss.is_finite()).count();
     let losses = sorted(losses.into_iter());
     Ok(Cell { run, at: at.to_vec(), quantiles: SHARES.map(|share| quantile(&losses, share)), diverged })

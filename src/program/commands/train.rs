@@ -208,7 +208,8 @@ fn object(folder: &Folder, scene: &Scene, Finished { records, numbers, end }: &F
         "train_loss": last(|record| record.train_loss),
         "test_loss": last(|record| record.test_loss),
         "best_test_loss": best(records),
-        "seconds": records.iter().map(|record| record.seconds).sum::<f64>(),
+        // A sum of no numbers would be -0.
+        "seconds": records.iter().fold(0.0, |sum, record| sum + record.seconds),
         "skipped": records.iter().map(|record| record.skipped).sum::<usize>(),
         "numbers": numbers.iter().cloned().collect::<BTreeMap<_, _>>(),
     })

@@ -108,7 +108,10 @@ fn derive<F: Float>(
 ) -> Derived {
     let count = theta.len();
     if let GradientMethod::Reverse { nudged: true, .. } = method {
-        let nudge = |(i, x): (usize, &mut f64)| *x *= if i % 2 == 0 { 1.0 + ROUNDING } else { 1.0 - ROUNDING };
+        let nudge = |(i, x): (usize, &mut f64)| {
+            let sign = if i % 2 == 0 { 1.0 } else { -1.0 };
+            *x = if *x == 0.0 { sign * ROUNDING } else { *x * (1.0 + sign * ROUNDING) };
+        };
         starts.iter_mut().enumerate().for_each(nudge);
     }
     let convert = |numbers: &[f64]| numbers.iter().map(|&x| F::from_f64(x)).collect::<Vec<F>>();

@@ -5,6 +5,7 @@ use crate::program::operations::trajectory::ROLLOUTS;
 use crate::program::settings::Precision;
 use crate::{Batch, DynTask, Float, Flow, Policy, Schedule, System, Task};
 use std::fs::read_to_string;
+use std::path::Path;
 
 /// Memory of a run, in bytes.
 pub struct Needs {
@@ -40,12 +41,16 @@ fn needs_in<F: Float>(task: &DynTask, policy: &impl Policy, samples: usize, star
     Needs { batch: of(samples), rest: numbers * size_of::<F>() as f64 + of(ROLLOUTS) + text }
 }
 
-/// Memory limit of this process, in bytes: the smaller of the machine's memory and the limit of the
+/// Memory limit of this process, in bytes: the smaller of the machine's memory and the limits of the
 /// control group. 32 GB if both are unknown.
 pub fn of_this_machine() -> f64 {
     const UNKNOWN: f64 = 32e9;
-    let limits = ["/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"];
-    let limits = limits.into_iter().filter_map(|path| read_to_string(path).ok()?.trim().parse().ok());
+    // Version 2 of control groups: the group of this process, and the groups that contain it.
+    let groups = read_to_string("/proc/self/cgroup").unwrap_or_default();
+    let group = groups.lines().find_map(|line| line.strip_prefix("0::/")).unwrap_or_default();
+    let groups = Path::new(group).ancestors().map(|group| Path::new("/sys/fs/cgroup").join(group).join("memory.max"));
+    let paths = groups.chain(["/sys/fs/cgroup/memory/memory.limit_in_bytes".into()]);
+    let limits = paths.filter_map(|path| read_to_string(path).ok()?.trim().parse().ok());
     let machine = read_to_string("/proc/meminfo").ok().and_then(|text| total(&text));
     limits.chain(machine).reduce(f64::min).unwrap_or(UNKNOWN)
 }

@@ -6,7 +6,7 @@ use crate::rng::{Purpose, stream};
 use anyhow::{Context, Result, bail};
 use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Key of the description in the metadata of policy files and ONNX models.
 pub const METADATA: &str = "physgrad";
@@ -22,6 +22,18 @@ pub struct About {
     pub observations: Vec<String>,
     /// Names of the components of the control.
     pub controls: Vec<String>,
+    /// Numbers that the scene trains. Their entries in the tensor `trained_params` are on a scale
+    /// that depends on the bounds.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub trained: Vec<TrainedNumber>,
+}
+
+/// Number that a scene trains. A bound is None without a restriction.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TrainedNumber {
+    pub name: String,
+    pub min: Option<f64>,
+    pub max: Option<f64>,
 }
 
 impl About {
@@ -54,6 +66,35 @@ pub fn write<F: Float>(about: &About, policy: &dyn AnyPolicy<F>, theta: &[F]) ->
 
 /// Name of the tensor with the trained numbers of a scene.
 const NUMBERS: &str = "trained_params";
+
+/// Checks that a file and a scene train the same numbers within the same bounds. Accepts a file
+/// without a list of numbers, and a scene that trains none.
+///
+/// # Errors
+/// The numbers or bounds differ.
+pub fn check_numbers(bytes: &[u8], about: &About) -> Result<()> {
+    #[derive(Deserialize)]
+    struct Described {
+        #[serde(default)]
+        trained: Vec<TrainedNumber>,
+    }
+    let header = SafeTensors::read_metadata(bytes).ok().and_then(|(_, header)| header.metadata().clone());
+    let text = header.and_then(|mut header| header.remove(METADATA));
+    let Some(Described { trained }) = text.and_then(|text| serde_json::from_str(&text).ok()) else { return Ok(()) };
+    if trained.is_empty() || about.trained.is_empty() || trained == about.trained {
+        return Ok(());
+    }
+    let listed = |numbers: &[TrainedNumber]| {
+        let bound = |name: &str, bound: Option<f64>| bound.map_or_else(String::new, |bound| format!(" {name} {bound}"));
+        let number = |TrainedNumber { name, min, max }: &_| format!("{name}{}{}", bound("min", *min), bound("max", *max));
+        numbers.iter().map(number).collect::<Vec<_>>().join(", ")
+    };
+    bail!(
+        "it has the trained numbers {}, but the scene trains {}; use the numbers and bounds of its run",
+        listed(&trained),
+        listed(&about.trained)
+    )
+}
 
 /// Parameters of the policy from a file. Numbers that the scene trains keep their initial values if
 /// the file has no tensor of trained numbers. Ignores this tensor if the scene trains no numbers.

@@ -35,7 +35,7 @@ pub fn rollouts<F: Float>(
     rollout.start(starts);
     let steps = match rollout.run(task, policy, weights) {
         Err(Divergence::Forward { variable: Variable::State, step, .. }) => step - 1,
-        Err(Divergence::Forward { variable: Variable::Control, step, .. }) => step,
+        Err(Divergence::Forward { variable: Variable::Control | Variable::Memory, step, .. }) => step,
         _ => task.horizon(),
     };
     let trajectory = |sample: usize| Trajectory {

@@ -168,6 +168,16 @@ impl Folder {
         files::replace(&self.path, name, bytes.as_ref()).with_context(|| format!("cannot write {}", self.file(name).display()))
     }
 
+    /// Removes a file if it exists.
+    pub fn remove(&self, name: &str) -> Result<()> {
+        match fs::remove_file(self.file(name)) {
+            Err(error) if error.kind() != ErrorKind::NotFound => {
+                Err(error).with_context(|| format!("cannot remove {}", self.file(name).display()))
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Path of a file to read.
     ///
     /// # Errors

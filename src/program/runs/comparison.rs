@@ -121,12 +121,17 @@ impl Run {
     /// Records of the run, from its folder.
     ///
     /// # Errors
-    /// The folder contains a run with other settings, or a run that cannot be restored.
+    /// The folder contains a run with other settings, a run with more epochs than its comparison, or
+    /// a run that cannot be restored.
     fn saved_records(&self) -> Result<Vec<Record>> {
         self.resumes()?;
         let scene = saved::scene(&self.folder)?;
         let mut run = scene.open(1)?;
         saved::restore(&self.folder, &scene, &mut *run)?;
+        let (done, epochs) = (run.records().len(), self.scene.epochs);
+        if done > epochs {
+            bail!("the run has {done} epochs, but its comparison has {epochs}; repeat `compare` with --epochs {done}");
+        }
         Ok(run.records().to_vec())
     }
 

@@ -130,9 +130,9 @@ fn row(cells: [impl AsRef<[u8]>; COLUMNS.len()]) -> Result<Vec<u8>> {
     Ok(csv.into_inner()?)
 }
 
-/// One line with a JSON object. Absent and non-finite values are null, because JSON has no NaN.
+/// One line with a JSON object. Absent values, and values that are not finite in f64, are null.
 fn json(cells: &[String; COLUMNS.len()]) -> Vec<u8> {
-    let value = |cell: &str| if ["", "NaN", "inf", "-inf"].contains(&cell) { "null" } else { cell }.to_owned();
+    let value = |cell: &str| if cell.parse().is_ok_and(f64::is_finite) { cell } else { "null" }.to_owned();
     let members = COLUMNS.iter().zip(cells).map(|(name, cell)| format!("\"{name}\":{}", value(cell)));
     format!("{{{}}}\n", members.collect::<Vec<_>>().join(",")).into_bytes()
 }

@@ -26,20 +26,19 @@ pub fn trajectories<'a>(scene: &Scene, rollouts: impl IntoIterator<Item = (usize
     let (states, params) = (scene.state_names(), scene.param_names());
     let (controls, applied) = (scene.control_names(), scene.applied_names());
     let header = names.chain(states).chain(params).chain(controls.clone()).chain(applied.clone());
-    let mut rows = Vec::new();
-    let dt = scene.dt();
-    for (sample, rollout) in rollouts {
+    let (dt, controls, applied) = (scene.dt(), controls.len(), applied.len());
+    let rows = rollouts.into_iter().flat_map(|(sample, rollout)| {
         let applied_rows = scene.applied(&rollout.states, &rollout.controls);
-        for (t, state) in rollout.states.iter().enumerate() {
+        rollout.states.iter().enumerate().map(move |(t, state)| {
             let index = [sample.to_string(), t.to_string(), (t as f64 * dt).to_string()];
-            let cells = |rows: &[Vec<f64>], columns: &[String]| -> Vec<String> {
+            let cells = |rows: &[Vec<f64>], columns: usize| -> Vec<String> {
                 let cell = |i: usize| rows.get(t).map_or_else(String::new, |row: &Vec<f64>| row[i].to_string());
-                (0..columns.len()).map(cell).collect()
+                (0..columns).map(cell).collect()
             };
             let state = state.iter().chain(&rollout.params).map(f64::to_string);
-            let controls = cells(&rollout.controls, &controls).into_iter().chain(cells(&applied_rows, &applied));
-            rows.push(index.into_iter().chain(state).chain(controls).collect::<Vec<_>>());
-        }
-    }
+            let controls = cells(&rollout.controls, controls).into_iter().chain(cells(&applied_rows, applied));
+            index.into_iter().chain(state).chain(controls).collect::<Vec<_>>()
+        })
+    });
     csv(header, rows)
 }

@@ -93,14 +93,19 @@ pub fn scene(folder: &Folder) -> Result<Scene> {
     source.scene()
 }
 
-/// Writes the settings of a run, and a copy of the policy file that starts the training, if any.
+/// Writes the settings of a run, as [`write_scene`] does.
 pub fn write_settings(folder: &Folder, scene: &Scene) -> Result<()> {
+    write_scene(folder, SETTINGS, scene)
+}
+
+/// Writes a scene to this file, and a copy of the policy file that starts the training, if any.
+pub fn write_scene(folder: &Folder, name: &str, scene: &Scene) -> Result<()> {
     let mut table = scene.table.clone();
     if let Some(policy) = scene.initial_policy() {
         folder.write(INITIAL_POLICY, policy)?;
         table.insert(scene::INITIAL_POLICY.into(), INITIAL_POLICY.into());
     }
-    folder.write(SETTINGS, table.to_string())
+    folder.write(name, table.to_string())
 }
 
 /// Restores the saved state of a run. If the folder has neither checkpoint, metrics nor policy, the

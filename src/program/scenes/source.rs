@@ -5,6 +5,7 @@ use crate::program::platform::terminal::did_you_mean;
 use crate::program::scenes::ranges::with_range;
 use crate::program::scenes::sweep::Sweep;
 use crate::program::settings::config_error::ConfigError;
+use crate::program::settings::reading::{is_drawn, overlay};
 use crate::program::settings::{OPTIONAL, VERSION};
 use crate::program::tasks::scene::{INITIAL_POLICY, flat};
 use crate::program::tasks::{self, AnyTaskSpec, Scene};
@@ -73,13 +74,18 @@ impl SceneSource {
         let Value::Table(entries) = entries else { bail!("{}: `{section}` is not a section", self.origin(section)) };
         for (key, value) in entries {
             let origin = self.origin(&format!("{section}.{key}"));
-            let is_trained = value.as_table().is_some_and(|value| value.contains_key("start"));
-            if is_trained != (section == "fit") {
-                let allowed = match section {
-                    "fit" => "{ start = value, min = bound, max = bound }; bounds are optional",
-                    _ => "{ uniform = [low, high] }, or another distribution",
-                };
-                bail!("{origin}: `{key}` is {value}; allowed in [{section}]: {allowed}");
+            let table = value.as_table();
+            let (suits, allowed) = match section {
+                "fit" => (
+                    table.is_some_and(|table| table.contains_key("start")),
+                    "{ start = value, min = bound, max = bound }; bounds are optional",
+                ),
+                _ => (table.is_some_and(is_drawn), "{ uniform = [low, high] }, or another distribution"),
+            };
+            if !suits {
+                // TOML splits keys without quotation marks at their dots.
+                let quoted = if table.is_some() { "; write dotted keys in quotation marks" } else { "" };
+                bail!("{origin}: `{key}` is {value}; allowed in [{section}]: {allowed}{quoted}");
             }
             if self.get(&key).is_some() {
                 bail!("{origin}: `{key}` is set twice: in [{section}] and in its own section");
@@ -219,10 +225,19 @@ impl SceneSource {
     /// # Errors
     /// A setting is invalid. The scene has a sweep. The file of the initial policy cannot be read.
     pub fn scene(&self) -> Result<Scene> {
+        self.starting_from(None)
+    }
+
+    /// Validates the scene as [`scene`](Self::scene) does. With the contents of an initial policy,
+    /// does not read its file.
+    pub fn starting_from(&self, policy: Option<&[u8]>) -> Result<Scene> {
         if self.sweep.is_some() {
             bail!("{}: the scene has a sweep, which only `compare` trains; remove the section", self.origin("sweep"));
         }
         let scene = self.validate().map_err(|error| anyhow!("{}: {error}", self.origin(&error.key)))?;
+        if let Some(policy) = policy {
+            return Ok(scene.starting_from(policy.to_vec()));
+        }
         let Some(file) = self.text(INITIAL_POLICY) else { return Ok(scene) };
         // The path in an option is relative to the working folder.
         let is_option = self.options.contains_key(INITIAL_POLICY);
@@ -395,18 +410,6 @@ fn element(part: &str) -> Option<(&str, usize)> {
 
 fn join(path: &str, key: &str) -> String {
     if path.is_empty() { key.to_owned() } else { format!("{path}.{key}") }
-}
-
-/// Replaces values of `lower` by those of `upper`, section by section.
-fn overlay(lower: &mut Table, upper: &Table) {
-    for (key, value) in upper {
-        match (lower.get_mut(key), value) {
-            (Some(Value::Table(lower)), Value::Table(upper)) => overlay(lower, upper),
-            _ => {
-                lower.insert(key.clone(), value.clone());
-            }
-        }
-    }
 }
 
 #[cfg(test)]

@@ -12,13 +12,13 @@
 //! "training.clip_limit" = { log_uniform = [0.1, 10] }
 //!
 //! [sweep]
-//! samples = 10                          # number of random draws
+//! samples = 10                          # number of random draws; equal draws count once
 //! seed = 0
 //! ```
 
 use crate::Number;
 use crate::program::scenes::source::SceneSource;
-use crate::program::tasks::scene::flat;
+use crate::program::settings::reading::is_drawn;
 use crate::rng::{Purpose, stream};
 use anyhow::{Context, Result, anyhow, bail};
 use rand::RngExt;
@@ -39,7 +39,7 @@ pub struct Sweep {
     list: Vec<Table>,
     /// Keys with distributions.
     random: Table,
-    /// Number of random draws.
+    /// Number of random draws. Equal draws are one point.
     samples: usize,
     /// Seed of the random draws.
     seed: u64,
@@ -83,7 +83,7 @@ impl Sweep {
     }
 
     fn list_points(&self) -> Result<Vec<Point>> {
-        let points: Vec<Point> = self.list.iter().map(|entry| Point(flat(entry))).collect();
+        let points: Vec<Point> = self.list.iter().map(|entry| Point(settings("", entry))).collect();
         let keys = |point: &Point| point.0.iter().map(|(key, _)| key.clone()).collect::<HashSet<_>>();
         match points.iter().position(|point| keys(point) != keys(&points[0])) {
             Some(i) => bail!("`sweep.list`: entry {} has other keys than the first entry; give every entry the same keys", i + 1),
@@ -117,13 +117,20 @@ impl Sweep {
                         "`sweep.random`: `{key}` is {distribution}; allowed: {{ uniform = [low, high] }}, or another distribution"
                     )
                 })?;
-                // Rounds to 4 digits, which keeps names of points short.
-                let rounded = format!("{:.3e}", number.draw(rng)).parse();
-                Ok((key.clone(), Value::Float(rounded?)))
+                // Rounds to 4 digits, which keeps names of points short. A rounded value may leave the
+                // range of the distribution.
+                let drawn = number.draw(rng);
+                let rounded: f64 = format!("{drawn:.3e}").parse()?;
+                let range = number.extremes();
+                let is_inside = range.iter().any(|&end| end <= rounded) && range.iter().any(|&end| rounded <= end);
+                Ok((key.clone(), Value::Float(if is_inside { rounded } else { drawn })))
             };
             self.random.iter().map(&mut value).collect::<Result<_>>().map(Point)
         };
-        (0..self.samples).map(draw).collect()
+        let mut seen = HashSet::new();
+        let mut points = (0..self.samples).map(draw).collect::<Result<Vec<Point>>>()?;
+        points.retain(|point| seen.insert(point.name()));
+        Ok(points)
     }
 }
 
@@ -154,6 +161,15 @@ impl Point {
         }
         Ok(())
     }
+}
+
+/// All settings of a table by dotted key. A drawn number is one setting.
+fn settings(section: &str, table: &Table) -> Vec<(String, Value)> {
+    let inner = |(key, value): (&String, &Value)| match value {
+        Value::Table(inner) if !is_drawn(inner) => settings(&format!("{section}{key}."), inner),
+        value => vec![(format!("{section}{key}"), value.clone())],
+    };
+    table.iter().flat_map(inner).collect()
 }
 
 /// Every point of `first` with every point of `second`. Returns `first` if `second` is empty.
@@ -244,6 +260,24 @@ mod tests {
         // draws are below it.
         assert!((70..130).contains(&xs.iter().filter(|&&x| x < 0.1).count()));
         assert!(["a", "2"].iter().all(|y| many.iter().any(|point| point.name().ends_with(&format!("y={y}")))));
+    }
+
+    #[test]
+    fn equal_draws_are_one_point_and_rounded_draws_keep_their_range() {
+        assert_eq!(names(&sweep("samples = 40\n[random]\nx = { choice = [1, 2] }\n")).len(), 2);
+        let narrow = sweep("samples = 40\n[random]\nx = { uniform = [0.99996, 0.99999] }\n");
+        let points = narrow.points().expect("points");
+        assert!(
+            points.iter().all(|point| point.0[0].1.as_float().is_some_and(|x| (0.99996..0.99999).contains(&x))),
+            "{points:?}"
+        );
+    }
+
+    #[test]
+    fn a_drawn_number_of_a_list_is_one_setting() {
+        let list = sweep("[[list]]\n\"system.cart_mass\" = { normal = [1, 0.1] }\nloss = { mode = \"running\" }\n");
+        let keys: Vec<String> = list.points().expect("points").remove(0).0.into_iter().map(|(key, _)| key).collect();
+        assert_eq!(keys, ["loss.mode", "system.cart_mass"]);
     }
 
     #[test]

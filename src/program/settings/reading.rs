@@ -1,4 +1,4 @@
-//! Deserializes settings from TOML tables. Errors name the key.
+//! Merges TOML tables of settings, and deserializes them. Errors name the key.
 //!
 //! The program uses this module instead of `serde_path_to_error` and the deserializer of `toml`.
 //! The latter reads a list as a section, and its errors omit the allowed values of a choice.
@@ -43,6 +43,25 @@ impl Error for Unreadable {
 /// Deserializes a table.
 pub fn read<T: for<'de> Deserialize<'de>>(table: Table) -> Result<T, Unreadable> {
     T::deserialize(Reading(&Value::Table(table)))
+}
+
+/// Replaces values of `lower` by those of `upper`, section by section. Replaces a number that is
+/// drawn, or becomes drawn, as a whole.
+pub fn overlay(lower: &mut Table, upper: &Table) {
+    for (key, value) in upper {
+        match (lower.get_mut(key), value) {
+            (Some(Value::Table(lower)), Value::Table(upper)) if !is_drawn(lower) && !is_drawn(upper) => overlay(lower, upper),
+            _ => {
+                lower.insert(key.clone(), value.clone());
+            }
+        }
+    }
+}
+
+/// Returns whether the table is a drawn [`Number`](crate::Number).
+pub fn is_drawn(table: &Table) -> bool {
+    const DISTRIBUTIONS: [&str; 4] = ["uniform", "normal", "log_uniform", "choice"];
+    table.len() == 1 && table.keys().all(|key| DISTRIBUTIONS.contains(&&**key))
 }
 
 /// Implements the methods on the left by the method on the right. The visitor checks the range.
@@ -217,6 +236,14 @@ mod tests {
         level: i8,
         axis: char,
         springs: BTreeMap<String, f64>,
+    }
+
+    #[test]
+    fn sections_are_merged_and_drawn_numbers_are_replaced() {
+        let table = |text: &str| text.parse::<Table>().expect("TOML");
+        let mut merged = table("a = { uniform = [0, 1] }\nb = { start = 1, min = 0 }\nc = { x = 1, y = 2 }\n");
+        overlay(&mut merged, &table("a = { normal = [1, 2] }\nb = { start = 2 }\nc = { y = 3 }\n"));
+        assert_eq!(merged, table("a = { normal = [1, 2] }\nb = { start = 2, min = 0 }\nc = { x = 1, y = 3 }\n"));
     }
 
     #[test]

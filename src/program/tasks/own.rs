@@ -119,6 +119,16 @@ impl<T: ProgramTask> TaskSpec for Own<T> {
         let system = Table::try_from(&settings.system).expect("settings are plain tables");
         let invalid = |(field, allowed)| ConfigError::invalid(&format!("system.{field}"), system.get(field), allowed);
         settings.system.validate().map_err(invalid)?;
+        let (task, dims) = (&settings.system, settings.system.system());
+        for (method, found, expected) in [
+            ("state_names", task.state_names().len(), dims.state_dim()),
+            ("control_names", task.control_names().len(), dims.control_dim()),
+        ] {
+            if found != expected {
+                let what = format!("has {found} names in `ProgramTask::{method}` for {expected} components; name each component");
+                return Err(ConfigError::new("task", what));
+            }
+        }
         let substeps = settings.integrator.count();
         let refined = substeps == 1 || settings.system.refined(substeps).is_some();
         allowed("integrator.substeps", substeps, refined, "1; for others, implement `ProgramTask::refined`")

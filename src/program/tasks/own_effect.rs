@@ -72,7 +72,7 @@ impl<E: ProgramEffect> AnyEffectSpec for OwnEffect<E> {
 
     fn read(&self, key: &'static str, section: Table) -> Result<SceneEffect, ConfigError> {
         let mut settings = table(&E::default());
-        settings.extend(section);
+        reading::overlay(&mut settings, &section);
         let within = |ConfigError { key: inner, what }: ConfigError| {
             ConfigError::new(if inner.is_empty() { key.into() } else { format!("{key}.{inner}") }, what)
         };

@@ -11,7 +11,7 @@ use crate::program::operations::checks::{Amplification, Results};
 use crate::program::operations::costs::Stored;
 use crate::program::operations::evaluation::AnyEvaluation;
 use crate::program::operations::gradients::{Derived, GradientMethod};
-use crate::program::operations::policy_file::About;
+use crate::program::operations::policy_file::{self, About, TrainedNumber};
 use crate::program::operations::session::AnyRun;
 use crate::program::operations::simulation::Job;
 use crate::program::operations::trajectory::Trajectory;
@@ -297,17 +297,25 @@ impl Scene {
 
     /// Description of the policy, for other programs.
     pub fn about(&self) -> About {
+        let finite = |bound: f64| Some(bound).filter(|bound| bound.is_finite());
+        let trained = |(name, number)| match number {
+            Number::Trained { min, max, .. } => Some(TrainedNumber { name, min: finite(min), max: finite(max) }),
+            _ => None,
+        };
         About {
             physgrad: env!("CARGO_PKG_VERSION"),
             task: self.task.name().into(),
             observations: self.observation_names(),
             controls: self.control_names(),
+            trained: self.varied().into_iter().filter_map(trained).collect(),
         }
     }
 
     /// Opens a run before its first epoch.
     pub fn open(&self, workers: usize) -> Result<Box<dyn AnyRun>> {
-        let opened = self.settings.open_from(self.initial_policy.as_deref(), workers);
+        let initial = self.initial_policy.as_deref();
+        let checked = initial.map_or(Ok(()), |bytes| policy_file::check_numbers(bytes, &self.about()));
+        let opened = checked.and_then(|()| self.settings.open_from(initial, workers));
         match self.table.get(INITIAL_POLICY) {
             Some(file) => opened.with_context(|| format!("`{INITIAL_POLICY}` {file}")),
             None => opened,

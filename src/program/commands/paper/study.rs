@@ -88,6 +88,10 @@ impl Study {
         let mut comparisons = self.comparisons(options, folder)?;
         let own = self.folder(folder);
         own.create()?;
+        // Shards compare their plan with that of the folder.
+        if shard.is_none() {
+            comparisons.iter().try_for_each(Comparison::check_resumable)?;
+        }
         write_plan(&own, options, shard.is_some())?;
         let ended = match shard {
             Some(shard) => train_shard(&comparisons, shard, options.quiet)?,

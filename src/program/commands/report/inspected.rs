@@ -96,7 +96,9 @@ impl Inspected {
         let total = self.epochs;
         match &self.end {
             End::Done => None,
-            End::Interrupted => Some(format!("was interrupted after {done} of {total} and can be resumed")),
+            End::Interrupted => {
+                Some(format!("has {done} of {total}: it is still training, or was interrupted and can be resumed"))
+            }
             End::Failed(error) => Some(format!("failed after {done} of {total}: {error}")),
         }
     }
