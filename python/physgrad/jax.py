@@ -70,7 +70,7 @@ def _function(function: Function, task: Any) -> Callable[..., jax.Array]:
     count, components = len(function.inputs), function.output_shape(task)
 
     def host_call(dtype: np.dtype, t: Any, *arrays: Any) -> np.ndarray:
-        t, shape, arrays = _host(dtype, t, arrays)
+        t, shape, arrays = _host(dtype, t, arrays, ())
         output = np.empty(shape + components, dtype)
         for now, rows in _steps(t, shape):
             inputs = [array[rows] for array in arrays]
@@ -78,7 +78,8 @@ def _function(function: Function, task: Any) -> Callable[..., jax.Array]:
         return output
 
     def host_vjp(dtype: np.dtype, t: Any, output_bar: Any, *arrays: Any) -> list[np.ndarray]:
-        t, shape, arrays = _host(dtype, t, arrays)
+        output_bar = np.asarray(output_bar)
+        t, shape, arrays = _host(dtype, t, arrays, output_bar.shape[: output_bar.ndim - len(components)])
         output_bar = np.broadcast_to(output_bar, shape + components)
         bars = [np.empty(size, dtype) for size in function.shapes(task, shape)]
         for now, rows in _steps(t, shape):
@@ -110,8 +111,12 @@ def _function(function: Function, task: Any) -> Callable[..., jax.Array]:
     def checked(inputs: tuple, p: Any, t: Any) -> jax.Array:
         arrays = [jnp.asarray(array) for array in (inputs if p is None else (*inputs, p))]
         _check(function.name, dims, arrays)
-        shape = lead(function.name, {label: array.shape for label, array in zip(dims, arrays)})
-        return call(tuple(jnp.broadcast_to(array, (*shape, array.shape[-1])) for array in arrays), jnp.asarray(t))
+        shape, t = lead(function.name, {label: array.shape for label, array in zip(dims, arrays)}), jnp.asarray(t)
+        if not jnp.issubdtype(t.dtype, jnp.integer):
+            raise TypeError(f"`{function.name}`: `t` has the dtype {t.dtype}. Use an int or an integer array")
+        if t.ndim > len(shape):
+            raise ValueError(f"`{function.name}`: `t` has shape {t.shape}, but the batch dimensions are {shape}")
+        return call(tuple(jnp.broadcast_to(array, (*shape, array.shape[-1])) for array in arrays), t)
 
     return checked
 
@@ -126,15 +131,22 @@ def _check(name: str, dims: dict[str, int], arrays: list[jax.Array]) -> None:
             raise ValueError(f"`{name}`: `{label}` has shape {array.shape}, but its last dimension must be {size}")
 
 
-def _host(dtype: np.dtype, t: Any, arrays: tuple) -> tuple[np.ndarray, tuple[int, ...], list[np.ndarray]]:
-    """Broadcasts arrays of a callback: ``vmap`` inserts dimensions of length 1."""
+def _host(
+    dtype: np.dtype, t: Any, arrays: tuple, output_lead: tuple[int, ...]
+) -> tuple[np.ndarray, tuple[int, ...], list[np.ndarray]]:
+    """Broadcasts arrays of a callback: ``vmap`` inserts dimensions of length 1.
+
+    Only ``t``, or only the cotangent with the batch dimensions ``output_lead``, may be mapped.
+    """
     t, arrays = np.asarray(t), [np.asarray(array) for array in arrays]
     if any(array.dtype != dtype for array in arrays):
         # Callbacks run in threads of JAX, in which a context manager has no effect.
         raise TypeError(
             f"JAX rounded {dtype} to {arrays[0].dtype}. Call `jax.config.update('jax_enable_x64', True)` at the start"
         )
-    shape = np.broadcast_shapes(*(array.shape[:-1] for array in arrays))
+    dims = arrays[0].ndim - 1
+    t = t.reshape(t.shape + (1,) * (dims - t.ndim))
+    shape = np.broadcast_shapes(t.shape, output_lead, *(array.shape[:-1] for array in arrays))
     return t, shape, [np.broadcast_to(array, (*shape, array.shape[-1])) for array in arrays]
 
 
@@ -143,7 +155,6 @@ def _steps(t: np.ndarray, lead: tuple[int, ...]) -> Any:
     if t.size == 1:
         yield int(t.reshape(())), ...
         return
-    # A mapped step number lacks the batch dimensions of a sample.
-    t = np.broadcast_to(t.reshape(t.shape + (1,) * (len(lead) - t.ndim)), lead)
+    t = np.broadcast_to(t, lead)
     for now in np.unique(t):
         yield int(now), t == now

@@ -138,7 +138,7 @@ def _operator(function: Function) -> Any:
     @call.register_fake
     def _(*arguments: Any) -> Tensor:
         x, task = arguments[0], _TASKS[arguments[-1]]
-        return x.new_empty(*x.shape[:-1], *function.output_shape(task))
+        return x.new_empty((*x.shape[:-1], *function.output_shape(task)))
 
     @vjp.register_fake
     def _(*arguments: Any) -> tuple[Tensor, ...]:

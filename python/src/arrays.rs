@@ -39,6 +39,9 @@ impl<'py, F: Number> Argument<'py, F> {
     /// Reads an argument of any shape.
     fn read(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Self> {
         let py = object.py();
+        if !object.is_exact_instance_of::<PyUntypedArray>() && object.hasattr("mask")? {
+            return Err(PyValueError::new_err(format!("`{name}` is a masked array; fill it, as in `{name}.filled(numpy.nan)`")));
+        }
         let array = match object.cast::<PyArrayDyn<F>>() {
             Ok(array) if array.is_c_contiguous() && array.is_aligned() => array.clone(),
             _ => {

@@ -59,8 +59,8 @@ fn is_part(rest: &str) -> bool {
 
 /// The value of a setting. Accepts numbers of numpy.
 pub fn value_of(key: &str, value: &Bound<'_, PyAny>) -> PyResult<Value> {
-    if value.is_instance_of::<PyBool>() {
-        return Ok(Value::Boolean(value.extract()?));
+    if let Ok(flag) = value.extract::<bool>() {
+        return Ok(Value::Boolean(flag));
     }
     if let Ok(table) = value.cast::<PyDict>() {
         let entry =

@@ -104,6 +104,9 @@ pub enum Failure {
 impl fmt::Display for Mismatch {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { what, index, expected, found, error, allowed, case } = self;
+        if *allowed == 0.0 && !found.is_finite() && error.is_nan() {
+            return write!(f, "{what}[{index}] is {found:e} (case {case})");
+        }
         write!(f, "{what}[{index}] is {found:e}, expected {expected:e}: ")?;
         // Only bitwise comparisons allow no error.
         if *allowed == 0.0 {
@@ -147,6 +150,22 @@ impl Comparison {
         }
     }
 
+    /// Returns an error if a number is not finite.
+    fn finite(&mut self, what: &str, found: &[f64]) -> Result<(), Mismatch> {
+        match found.iter().position(|found| !found.is_finite()) {
+            Some(index) => Err(Mismatch {
+                what: what.into(),
+                index,
+                expected: 0.0,
+                found: found[index],
+                error: f64::NAN,
+                allowed: 0.0,
+                case: self.case,
+            }),
+            None => Ok(()),
+        }
+    }
+
     /// Compares bit patterns; zeros of opposite sign are equal.
     fn equal(&mut self, what: &str, found: &[f64], expected: &[f64]) -> Result<(), Mismatch> {
         match found.iter().zip(expected).position(|(f, e)| f.to_bits() != e.to_bits() && f != e) {
@@ -163,6 +182,9 @@ impl Comparison {
     }
 }
 
+/// Start of the message for a step that is not finite.
+const NOT_FINITE: &str = "step is not finite here; draw other states with `try_system_at`";
+
 /// Draws standard normal samples.
 fn normal(rng: &mut Rng, len: usize) -> Vec<f64> {
     (0..len).map(|_| StandardNormal.sample(rng)).collect()
@@ -176,6 +198,9 @@ fn normal(rng: &mut Rng, len: usize) -> Vec<f64> {
 #[track_caller]
 pub fn system<S: System>(system: &S) -> Passed {
     self::try_system(system).unwrap_or_else(|mismatch| {
+        if mismatch.what.starts_with(NOT_FINITE) {
+            panic!("the system cannot be checked: {mismatch}");
+        }
         panic!(
             "the system's derivatives are wrong: {mismatch}. Correct the named method. `vjp` and `jvp` can also be removed: dual \
              numbers then provide the derivatives"
@@ -234,6 +259,9 @@ pub fn try_system_at<S: System>(
 pub fn task<T: Task, P: Policy>(task: &T, policy: &P) -> Passed {
     let all = Flow::ALL.map(|flow| {
         try_flow(task, policy, flow).unwrap_or_else(|failure| {
+            if let Failure::Diverged { .. } = failure {
+                panic!("the gradient of {} is not finite: {failure}", described(flow));
+            }
             panic!(
                 "the gradient of {} is wrong: {failure}. `check::system`, `check::cost` and `check::policy` find the method to \
                  correct",

@@ -39,6 +39,10 @@ pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(task: &T, policy: &P, thet
     let system = task.system();
     let (n, m) = (system.state_dim(), system.control_dim());
     let len = n + task.param_dim();
+    let (found, expected) = (theta.len(), policy.param_count());
+    assert_eq!(found, expected, "`theta` has {found} numbers, but the policy has {expected} parameters");
+    let (found, whole) = (starts.len(), !starts.is_empty() && starts.len().is_multiple_of(len));
+    assert!(whole, "`starts` has {found} numbers; expected one or more samples of {len}: the state, then the parameters");
     let mut mean = S::zero();
     for start in starts.chunks_exact(len) {
         let mut x = start.to_vec();
@@ -70,7 +74,7 @@ pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(task: &T, policy: &P, thet
         }
         mean += task.terminal_cost(&x, &p);
     }
-    mean * S::from(len as f64 / starts.len() as f64)
+    mean / S::from((starts.len() / len) as f64)
 }
 
 /// The value of x, with its derivatives times `weight`.

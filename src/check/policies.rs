@@ -104,6 +104,11 @@ fn check(policy: &dyn crate::policy::AnyPolicy<f64>, act: Act, by_duals: oracle:
                     return Err(mismatch);
                 }
             }
+            let once = theta_bar.clone();
+            let record = PolicyRecord { tape: &tape, u_bar: &u_bar, tape_bar: &tape_bar, weight };
+            policy.param_gradient(all, record, &mut scratch, &mut theta_bar);
+            theta_bar.iter_mut().for_each(|bar| *bar *= 0.5);
+            c.slices("param_gradient, second call that adds: theta_bar", &theta_bar, &once)?;
         }
     }
     Ok(c.passed)

@@ -1,7 +1,7 @@
 //! Check of the derivatives of a system.
 
 use super::oracle::pulled_back;
-use super::{CASES, Comparison, Mismatch, ONE_STEP, Passed, normal};
+use super::{CASES, Comparison, Mismatch, NOT_FINITE, ONE_STEP, Passed, normal};
 use crate::dynamics::inputs::{Cotangents, Inputs, Tangents};
 use crate::dynamics::number::Varied;
 use crate::dynamics::outline::{One, step};
@@ -87,22 +87,32 @@ pub(super) fn check(system: &dyn Checked, draw: Draw) -> Result<Passed, Mismatch
             system.step(at, &mut next);
             next
         });
+        c.finite(&format!("{NOT_FINITE}: next"), &from_zeros)?;
         c.equal("step leaves a component unwritten: next", &from_nans, &from_zeros)?;
 
         let expected = step_vjp(system, at, &next_bar);
         requests(system, at, &next_bar, &expected, &mut c)?;
 
+        let mut all = sizes.map(|len| vec![0.0; len]);
+        let mut sum = vec![0.0; sizes[0]];
         for (k, name) in ["jvp of x", "jvp of u", "jvp of p"].into_iter().enumerate() {
             let tangent = normal(&mut rng, sizes[k]);
             let mut tangents = Tangents::default();
             *[&mut tangents.x, &mut tangents.u, &mut tangents.p][k] = Some(&tangent);
-            let mut next_tan = vec![0.0; sizes[0]];
+            // `jvp` writes every component.
+            let mut next_tan = vec![f64::NAN; sizes[0]];
             system.jvp(at, tangents, &mut next_tan);
+            sum.iter_mut().zip(&next_tan).for_each(|(sum, tan)| *sum += tan);
+            all[k].copy_from_slice(&tangent);
             let terms = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a * b).abs()).sum::<f64>();
             let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
             let scale = terms(&next_bar, &next_tan).max(terms(&expected[k], &tangent));
             c.one(name, 0, dot(&next_bar, &next_tan), dot(&expected[k], &tangent), scale)?;
         }
+        let mut next_tan = vec![f64::NAN; sizes[0]];
+        let [x, u, p] = &all;
+        system.jvp(at, Tangents { x: Some(x), u: Some(u), p: Some(p) }, &mut next_tan);
+        c.slices("jvp of x, u and p: next", &next_tan, &sum)?;
         lanes(system, at, &next_bar, &mut c)?;
     }
     Ok(c.passed)

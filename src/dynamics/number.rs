@@ -233,7 +233,8 @@ impl<'a> Numbers<'a> {
     /// If `N` is not the count of numbers, or if `p` has too few entries.
     #[inline(always)]
     pub fn last_of<T: Scalar, const N: usize>(&self, p: &[T]) -> [T; N] {
-        self.of(&p[p.len() - self.varied()..])
+        let first = p.len().checked_sub(self.varied()).expect("`p` has fewer entries than numbers that vary");
+        self.of(&p[first..])
     }
 
     /// The numbers that are not fixed, as entries of `p` from `first`.

@@ -17,7 +17,7 @@ impl<P: Policy> Bounded<P> {
     /// Bounds each control of `policy`.
     ///
     /// # Panics
-    /// If there is not one positive, finite bound per control. If the policy has neither
+    /// If there is not one bound per control, between 1e-37 and 1e37. If the policy has neither
     /// observations nor a memory.
     #[track_caller]
     pub fn new(policy: P, bounds: impl Into<Vec<f64>>) -> Self {
@@ -26,7 +26,9 @@ impl<P: Policy> Bounded<P> {
         let inputs = policy.observation_dim() + policy.memory_dim();
         assert!(inputs > 0, "a bounded policy needs at least one observed component or memory component; add one");
         assert_eq!(bounds.len(), controls, "the policy has {controls} controls, but there are {} bounds", bounds.len());
-        assert!(bounds.iter().all(|&b| b > 0.0 && b.is_finite()), "bounds of controls are positive numbers, not {bounds:?}");
+        // Bounds and their reciprocals have to be normal numbers in f32.
+        let is_valid = bounds.iter().all(|bound| (1e-37..=1e37).contains(bound));
+        assert!(is_valid, "bounds of controls are positive numbers from 1e-37 to 1e37, not {bounds:?}");
         Self { policy, bounds }
     }
 

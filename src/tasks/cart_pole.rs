@@ -58,8 +58,16 @@ pub struct CartPole<S = CartPoleSystem> {
 
 impl CartPole {
     /// Creates the paper's task: `poles` poles, 100 steps of 0.01 s, terminal loss.
+    ///
+    /// # Panics
+    /// If the number of poles is 0 or too large.
+    #[track_caller]
     pub fn new(poles: usize) -> Self {
-        Self::with_system(CartPoleSystem { poles, ..CartPoleSystem::default() })
+        let system = CartPoleSystem { poles, ..CartPoleSystem::default() };
+        if let Err(error) = system.check() {
+            panic!("{error}");
+        }
+        Self::with_system(system)
     }
 }
 

@@ -72,6 +72,10 @@ pub struct Quantum<S = QuantumSystem> {
 impl Quantum {
     /// Creates the paper's task: 32 grid points, 128 steps of 0.0625, running loss, initial weights
     /// 1 : 1.
+    ///
+    /// # Panics
+    /// If the target is not between 1 and the number of grid points.
+    #[track_caller]
     pub fn new(target: usize) -> Self {
         Self::with_system(QuantumSystem::default(), target)
     }
@@ -79,7 +83,13 @@ impl Quantum {
 
 impl<S: HasModel<QuantumSystem>> Quantum<S> {
     /// Creates the paper's task for another system: 128 steps, running loss, initial weights 1 : 1.
+    ///
+    /// # Panics
+    /// If the target is not between 1 and the number of grid points.
+    #[track_caller]
     pub fn with_system(system: S, target: usize) -> Self {
+        let grid = system.model().grid;
+        assert!((1..=grid).contains(&target), "the target is eigenstate {target}; allowed: 1, the ground state, to {grid}");
         Self { system, target, loss: LossMode::Running, horizon: 128, weighting: [1.0, 1.0] }
     }
 

@@ -64,8 +64,15 @@ impl Upright<Stepped<DoublePendulum>> {
 
 impl Upright<Stepped<PoleChain>> {
     /// Creates the swing-up of a chain of default poles, with steps of 0.01 s.
+    ///
+    /// # Panics
+    /// If the number of poles is 0 or too large.
+    #[track_caller]
     pub fn pole_chain(poles: usize) -> Self {
         let model = CartPoleSystem { poles, ..CartPoleSystem::default() };
+        if let Err(error) = PoleChain(model).check() {
+            panic!("{error}");
+        }
         Self::swing_up(Integrated { ode: PoleChain(model), integrator: RungeKutta::RK4, dt: model.dt }, 2)
     }
 }

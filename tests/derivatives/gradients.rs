@@ -6,7 +6,9 @@ use physgrad::policy::{
 };
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{CartPole, CartPoleSystem, LossMode, Quantum};
-use physgrad::{Cotangent, CotangentPack, Cotangents, Float, Flow, Inputs, Policy, Real, Scalar, Start, System, Task, check};
+use physgrad::{
+    Cotangent, CotangentPack, Cotangents, Float, Flow, Inputs, Policy, Real, Scalar, Start, System, Tangents, Task, check,
+};
 use rand::RngExt;
 
 #[test]
@@ -124,6 +126,12 @@ enum Fault {
     NaN,
     /// Correct for scalars, wrong in lanes.
     Lanes,
+    /// `jvp` adds to its output.
+    JvpAdds,
+    /// `jvp` ignores the control if there is a tangent of the state.
+    JvpOfOne,
+    /// The root of a negative number.
+    Root,
 }
 
 impl System for Faulty {
@@ -138,6 +146,17 @@ impl System for Faulty {
         self.system.step(inputs, next);
         if self.fault == Fault::Unwritten {
             next[1] = before;
+        }
+        if self.fault == Fault::Root {
+            next[1] += (-next[1] * next[1] - 1.0).sqrt();
+        }
+    }
+    fn jvp<R: Real>(&self, inputs: Inputs<'_, R>, tangents: Tangents<'_, R>, next_tan: &mut [R]) {
+        let before = next_tan.to_vec();
+        let u = if self.fault == Fault::JvpOfOne && tangents.x.is_some() { None } else { tangents.u };
+        self.system.jvp(inputs, Tangents { u, ..tangents }, next_tan);
+        if self.fault == Fault::JvpAdds {
+            next_tan.iter_mut().zip(before).for_each(|(tangent, before)| *tangent += before);
         }
     }
     fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
@@ -161,7 +180,7 @@ impl System for Faulty {
 }
 
 #[test]
-fn check_system_names_the_wrong_output_for_seven_planted_faults() {
+fn check_system_names_the_wrong_output_for_nine_planted_faults() {
     for (fault, what, index) in [
         (Fault::State, "vjp: x_bar", 3),
         (Fault::Control, "vjp: u_bar", 0),
@@ -170,6 +189,8 @@ fn check_system_names_the_wrong_output_for_seven_planted_faults() {
         (Fault::Unwritten, "step leaves a component unwritten: next", 1),
         (Fault::NaN, "vjp: x_bar", 2),
         (Fault::Lanes, "vjp in lanes: x_bar", 0),
+        (Fault::JvpAdds, "jvp of x", 0),
+        (Fault::JvpOfOne, "jvp of x, u and p: next", 1),
     ] {
         let diagnose = Faulty { system: CartPole::new(1).system, fault };
         let mismatch = check::try_system(&diagnose).expect_err(what);
@@ -183,6 +204,21 @@ fn check_system_names_the_wrong_output_for_seven_planted_faults() {
 #[should_panic(expected = "vjp: x_bar[3]")]
 fn check_system_panics_and_names_the_wrong_component() {
     check::system(&Faulty { system: CartPole::new(1).system, fault: Fault::State });
+}
+
+#[test]
+#[should_panic(
+    expected = "the system cannot be checked: step is not finite here; draw other states with `try_system_at`: next[1] is NaN"
+)]
+fn check_system_names_a_step_that_is_not_finite() {
+    check::system(&Faulty { system: CartPole::new(1).system, fault: Fault::Root });
+}
+
+#[test]
+#[should_panic(expected = "`starts` has 4 numbers; expected one or more samples of 5")]
+fn check_slope_refuses_initial_states_without_parameters() {
+    let (task, policy) = (crate::inputs::tracking::<1>(), Linear::with_bias(3, 1));
+    check::slope_by_duals(&task, &policy, &[0.0; 4], &[0.0; 4], Flow::REGULAR, &|_| 1.0);
 }
 
 /// Task whose cost gradient is wrong.
@@ -260,6 +296,8 @@ fn check_policy_finds_a_batched_input_derivative_set_to_0() {
 struct OneOff {
     conv: Conv,
     index: usize,
+    /// Writes the gradient instead of adding it.
+    overwrites: bool,
 }
 
 impl Policy for OneOff {
@@ -295,6 +333,10 @@ impl Policy for OneOff {
     }
     fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, scratch: &mut [F], theta_bar: &mut [F]) {
         self.conv.param_gradient(pass, record, scratch, theta_bar);
+        if self.overwrites {
+            theta_bar.fill(F::zero());
+            return self.conv.param_gradient(pass, record, scratch, theta_bar);
+        }
         let largest = theta_bar.iter().fold(0.0, |largest: f64, &bar| largest.max(AsPrimitive::<f64>::as_(bar).abs()));
         theta_bar[self.index] += F::from_f64(1e-3 * largest);
     }
@@ -305,7 +347,13 @@ impl Policy for OneOff {
 fn one_off(index: usize) -> OneOff {
     let conv = Conv::new(32, 20);
     assert!(conv.param_count() > 1000 && conv.tensors()[0].range == (0..120));
-    OneOff { conv, index }
+    OneOff { conv, index, overwrites: false }
+}
+
+#[test]
+fn check_policy_finds_a_gradient_that_is_overwritten() {
+    let mismatch = check::try_policy(&OneOff { overwrites: true, ..one_off(0) }).expect_err("a wrong gradient");
+    assert_eq!(mismatch.what, "param_gradient, second call that adds: theta_bar");
 }
 
 #[test]

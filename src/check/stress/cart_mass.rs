@@ -1,5 +1,6 @@
 //! Stress case: very light carts.
 
+use super::steps::larger;
 use super::{Case, Finding};
 use crate::check;
 use crate::dynamics::inputs::Inputs;
@@ -97,11 +98,6 @@ fn rejected() -> Vec<Finding> {
         Finding::all("carts of 1e-12 kg rejected as too light", lights, all_lights),
         Finding::all("unphysical masses rejected", splits, all_splits),
     ]
-}
-
-/// Larger of two numbers; NaN if either is NaN.
-fn larger(a: f64, b: f64) -> f64 {
-    if a > b || a.is_nan() { a } else { b }
 }
 
 /// Largest residual at random states for accelerations in the precision of `R`. Angles are

@@ -117,7 +117,12 @@ fn signs(system: &Pendulum, lambda: f64) -> Vec<Finding> {
             cosines[pair] = a.iter().zip(&b).map(|(a, b)| a * b).sum();
         }
     }
-    let least = |cosines: &[f64]| cosines.iter().copied().fold(f64::INFINITY, f64::min);
+    let least = |cosines: &[f64]| {
+        cosines
+            .iter()
+            .copied()
+            .fold(f64::INFINITY, |least, cosine| if cosine < least || cosine.is_nan() { cosine } else { least })
+    };
     let agree = cosines[1].iter().filter(|&&cosine| cosine > 0.0).count() as f64 / PAIRS as f64;
     let aligned = cosines[1].iter().filter(|cosine| cosine.abs() > 0.99).count();
     vec![

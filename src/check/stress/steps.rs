@@ -56,9 +56,9 @@ pub(super) fn finite<R: Real>(numbers: &[R]) -> bool {
     numbers.iter().all(|number| number.lane(0).to_f64().is_finite())
 }
 
-/// Larger of two errors; infinite if either is NaN.
+/// Larger of two errors; NaN if either is NaN.
 pub(super) fn larger(a: f64, b: f64) -> f64 {
-    if a.is_nan() || b.is_nan() { f64::INFINITY } else { a.max(b) }
+    if a > b || a.is_nan() { a } else { b }
 }
 
 /// Largest absolute difference, relative to the largest expected component; absolute if all

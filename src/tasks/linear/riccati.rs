@@ -39,8 +39,8 @@ pub enum NoOptimum {
     StateCost,
     /// The control found does not stabilize the plant, although Q has no negative eigenvalue.
     #[error(
-        "no control makes the plant decay: it has motions without decay that no control reaches, or the costs differ by too \
-         many orders of magnitude for f64"
+        "no control makes the plant decay: it has motions without decay that no control reaches or on which the cost does not \
+         depend, or the costs differ by too many orders of magnitude for f64"
     )]
     Unstabilizable,
     /// The doubling iteration did not converge: the cost is unbounded, or the plant decays too
