@@ -83,6 +83,13 @@ def test_errors_name_argument_shape_and_setting():
         drawn.step(np.zeros((2, drawn.state_dim)), np.zeros((2, 1)))
 
 
+def test_masked_arrays_are_refused_and_numpy_booleans_are_booleans():
+    task = pg.task("cart_pole", poles=1, policy={"bias": np.True_})
+    x, u = np.zeros((2, 4)), np.ma.masked_equal(np.zeros((2, 1)), 0.0)
+    with pytest.raises(ValueError, match="`u` is a masked array; fill it"):
+        task.step(x, u)
+
+
 def test_attributes_and_settings():
     task = pg.task("cart_pole", poles=2, horizon=20, effects={"pole_damping": {}}, settings={"training.batch": 4})
     assert (task.name, task.state_dim, task.control_dim, task.param_dim, task.horizon) == ("cart_pole", 6, 1, 0, 20)

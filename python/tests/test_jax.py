@@ -161,6 +161,33 @@ def test_wrong_arrays_are_named(change, error, message):
         pg.jax.step(of)(*change(x, u))
 
 
+def test_vmap_of_the_step_number_or_the_cotangent_only():
+    of = task("terminal")
+    x, u, _ = batch(of, 1)
+    x, u, step = x[0], u[0], pg.jax.step(of)
+    ts = jnp.arange(3)
+    found = jax.vmap(lambda t: step(x, u, None, t))(ts)
+    assert np.array_equal(found, np.stack([step(x, u, None, int(t)) for t in ts]))
+    slopes = jax.vmap(lambda t: jax.grad(lambda x: step(x, u, None, t).sum())(x))(ts)
+    assert np.array_equal(slopes[1], jax.grad(lambda x: step(x, u, None, 1).sum())(x))
+    jacobian = jax.jacrev(lambda x: step(x, u))(x)
+    rows = [jax.vjp(lambda x: step(x, u), x)[1](row)[0] for row in jnp.eye(of.state_dim)]
+    assert np.array_equal(jacobian, np.stack(rows))
+    nested = jax.vmap(lambda x: jax.jacrev(lambda x: step(x, u))(x))(jnp.stack([x, 2 * x]))
+    assert relative(nested[0], jacobian) < 1e-12
+    weights = jnp.arange(1.0, 4.0)
+    scaled = jax.vmap(lambda w: jax.grad(lambda x: (w * step(x, u)).sum())(x))(weights)
+    assert relative(scaled[2], 3 * scaled[0]) < 1e-12
+
+
+@pytest.mark.parametrize("t, error", [(1.5, TypeError), (np.arange(3), ValueError)])
+def test_wrong_step_numbers_are_named(t, error):
+    of = task("terminal")
+    x, u, _ = batch(of, 1)
+    with pytest.raises(error, match="`step`: `t` has"):
+        pg.jax.step(of)(x[0], u[0], None, t)
+
+
 def test_forward_mode_is_refused():
     of = task("terminal")
     x, u, _ = batch(of)

@@ -130,6 +130,8 @@ def test_operators_follow_the_rules_of_torch():
         p, handle = p if of.param_dim else None, pg.torch._handle(of)
         torch.library.opcheck(torch.ops.physgrad.step.default, (x, u, p, 1, handle))
         torch.library.opcheck(torch.ops.physgrad.terminal_cost.default, (x, p, 0, handle))
+        one = (x[0], None if p is None else p[0], 0, handle)
+        torch.library.opcheck(torch.ops.physgrad.terminal_cost.default, one)
 
 
 @pytest.mark.parametrize(

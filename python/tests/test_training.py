@@ -135,6 +135,30 @@ def test_training_starts_from_a_trained_policy():
     assert np.isclose(zero.history["test_loss"][0], first.history["test_loss"][-1], rtol=1e-6)
 
 
+def test_a_random_policy_replaces_the_initial_policy_of_a_scene():
+    first = pg.train(small(), field="C", epochs=1, seed=1, **FAST)
+    second = pg.Run(small(), first.policy, epochs=1, seed=0, **FAST)
+    assert np.array_equal(second.policy.theta, first.policy.theta)
+    third = pg.Run(second.task, pg.Policy(second.task, seed=0), epochs=1, seed=0, **FAST)
+    assert np.array_equal(third.policy.theta, pg.Policy(second.task, seed=0).theta)
+
+
+def test_saving_in_a_folder_with_another_run_keeps_both(tmp_path, monkeypatch):
+    runs = [pg.train(small(), field="C", epochs=1, seed=seed, **FAST) for seed in (1, 2)]
+    for run in (runs[0], runs[1], runs[0], runs[0]):
+        run.save(tmp_path / "run")
+    kept = sorted(path.name for path in tmp_path.iterdir())
+    assert kept == ["run", "run.previous-1", "run.previous-2"]
+    saved = [pg.Run.load(tmp_path / name).policy.theta for name in kept]
+    for found, expected in zip(saved, (runs[0], runs[0], runs[1])):
+        assert np.array_equal(found, expected.policy.theta)
+    # A folder is that of the first call, also after a change of the current folder.
+    monkeypatch.chdir(tmp_path)
+    runs[1].save("other")
+    monkeypatch.chdir(tmp_path.parent)
+    assert os.path.samefile(runs[1].folder, tmp_path / "other")
+
+
 def test_exceptions_of_callbacks_stop_the_run_and_it_continues():
     task, seen = pg.task("cart_pole", poles=1), []
 

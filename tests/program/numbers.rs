@@ -226,3 +226,23 @@ fn unusable_measurements_are_refused_with_place_and_advice() {
         assert!(String::from_utf8_lossy(&stderr).contains(message), "{message}: {}", String::from_utf8_lossy(&stderr));
     }
 }
+
+/// Data without damping and with noise, so that the fitted damping is negative.
+#[test]
+fn a_fit_outside_of_the_range_of_a_setting_is_written() {
+    let dir = TempDir::new().expect("a folder");
+    let scene =
+        "scene = 1\ntask = \"cart_pole\"\n[effects.cart_damping]\n[fit]\n\"effects.cart_damping.damping\" = { start = 0.1 }\n";
+    fs::write(dir.path().join("scene.toml"), scene).expect("a scene");
+    // The cart accelerates without a force.
+    let rows: Vec<String> = (0..30)
+        .map(|t| format!("0,{},{},{},0,0", f64::from(t) * 0.01, 0.01 * f64::from(t * t), f64::from(t) * 0.5 + 1.0))
+        .collect();
+    fs::write(dir.path().join("data.csv"), format!("segment,t,x,x_dot,theta_1,omega_1\n{}\n", rows.join("\n"))).expect("data");
+    let command = "identify scene.toml --data data.csv --out found --window 0";
+    let output = physgrad(command, dir.path()).assert().success().get_output().stdout.clone();
+    let output = String::from_utf8(output).expect("text");
+    assert!(output.contains("warning: there is no scene.toml and no validation: "), "{output}");
+    assert!(read(&dir, "found/identified.csv")[1][2].parse::<f64>().is_ok_and(|damping| damping < 0.0));
+    assert!(!dir.path().join("found/scene.toml").exists() && dir.path().join("found/report.html").exists());
+}

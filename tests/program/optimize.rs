@@ -80,3 +80,28 @@ fn optimized_forces_stay_within_minus_4_and_5_n_and_cost_less_than_the_policy() 
         assert!(String::from_utf8_lossy(&stderr).contains(message), "{command}: {}", String::from_utf8_lossy(&stderr));
     }
 }
+
+/// Rollouts with a gravity of 1e300 overflow.
+#[test]
+fn plans_of_other_initial_states_are_written_if_one_fails() {
+    let dir = TempDir::new().expect("a folder");
+    let command = "optimize scene.toml --starts 6 --out plan --set horizon=5 --iterations 3";
+    let scene = "scene = 1\ntask = \"cart_pole\"\n[vary]\n\"system.gravity\" = { choice = [9.8, 1e300] }\n";
+    fs::write(dir.path().join("scene.toml"), scene).expect("a scene");
+    let stderr = physgrad(command, dir.path()).assert().failure().get_output().stderr.clone();
+    let stderr = String::from_utf8(stderr).expect("text");
+    assert!(stderr.contains(" of 6 optimizations failed:\ninitial state "), "{stderr}");
+    let samples: Vec<f64> = columns(&dir, "plan/optimized.csv", &["sample"]).concat();
+    assert!((1..6).contains(&samples.len()), "{samples:?}");
+    for sample in &samples {
+        assert!(!stderr.contains(&format!("initial state {sample}: forward")), "{sample}: {stderr}");
+    }
+}
+
+#[test]
+fn the_folder_of_a_run_is_not_overwritten_by_plans() {
+    let dir = TempDir::new().expect("a folder");
+    physgrad("train cart_pole_1 --epochs 1 --set training.train_samples=8 --quiet --out run", dir.path()).assert().success();
+    let stderr = physgrad("optimize --from run --out run", dir.path()).assert().failure().get_output().stderr.clone();
+    assert!(String::from_utf8_lossy(&stderr).contains("run holds a run and is not a plan"), "{stderr:?}");
+}

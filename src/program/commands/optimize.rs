@@ -108,7 +108,7 @@ pub fn optimize(args: &Optimize) -> Result<()> {
 
     let optimized: Vec<(usize, Trajectory)> = plans.iter().map(|(i, plan)| (*i, trajectory(plan))).collect();
     let folder = Folder::named(args.out.as_deref(), &format!("optimize-{name}"))?;
-    check_folder(&folder, "optimization", &[(SETTINGS, "run"), (COMPARISON, "comparison"), (STUDY, "study")])?;
+    check_folder(&folder, "plan", &[(SETTINGS, "run"), (COMPARISON, "comparison"), (STUDY, "study")])?;
     saved::write_scene(&folder, "scene.toml", &scene)?;
     let costs = summary(&plans)?;
     folder.write("optimized.csv", &costs)?;

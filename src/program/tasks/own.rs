@@ -6,7 +6,7 @@ use crate::program::tasks::hard::Nothing;
 use crate::program::tasks::in_scene::in_scene;
 use crate::program::tasks::{MlpSettings, SceneEffects, Section, Settings, TaskSpec};
 use crate::report::{Animation, Channel, channels_over_time};
-use crate::{DynTask, System, Task};
+use crate::{DynSystem, DynTask, System, Task};
 use std::fmt::{self, Debug};
 use std::marker::PhantomData;
 use toml::Table;
@@ -97,6 +97,26 @@ impl<T> Debug for Own<T> {
     }
 }
 
+impl<T: ProgramTask> Own<T> {
+    /// The task with the effects of the scene, and its physics with the time step of a substep.
+    fn physics(settings: &Settings<Self>) -> Result<(DynTask, DynSystem), ConfigError> {
+        let task = match settings.own_effects.first() {
+            None => settings.system.clone(),
+            Some(key) => settings
+                .system
+                .with_effects(&settings.own_effects)
+                .ok_or_else(|| ConfigError::new(key, "has no effect; implement `ProgramTask::with_effects`"))?,
+        };
+        let substeps = settings.integrator.count();
+        let refined = if substeps == 1 { Some(task.clone()) } else { task.refined(substeps) };
+        let what = "1; for others, implement `ProgramTask::refined`";
+        allowed("integrator.substeps", substeps, refined.is_some(), what)?;
+        let (task, refined) = (DynTask::new(task), refined.map(DynTask::new));
+        let system = refined.as_ref().unwrap_or(&task).system().clone();
+        Ok((task, system))
+    }
+}
+
 impl<T: ProgramTask> TaskSpec for Own<T> {
     type System = T;
     type Effects = Nothing;
@@ -129,26 +149,16 @@ impl<T: ProgramTask> TaskSpec for Own<T> {
                 return Err(ConfigError::new("task", what));
             }
         }
-        let substeps = settings.integrator.count();
-        let refined = substeps == 1 || settings.system.refined(substeps).is_some();
-        allowed("integrator.substeps", substeps, refined, "1; for others, implement `ProgramTask::refined`")
+        Self::physics(settings).map(drop)
     }
 
-    fn validate_own_effects(effects: &SceneEffects) -> Result<(), ConfigError> {
-        match effects.first() {
-            Some(key) if T::default().with_effects(effects).is_none() => {
-                Err(ConfigError::new(key, "has no effect; implement `ProgramTask::with_effects`"))
-            }
-            _ => Ok(()),
-        }
+    fn validate_own_effects(_effects: &SceneEffects) -> Result<(), ConfigError> {
+        // `validate` needs the settings too.
+        Ok(())
     }
 
     fn task(settings: &Settings<Self>) -> DynTask {
-        let task = settings.system.with_effects(&settings.own_effects).unwrap_or_else(|| settings.system.clone());
-        let count = settings.integrator.count();
-        let refined = if count == 1 { None } else { task.refined(count) };
-        let task = DynTask::new(task);
-        let system = refined.map_or_else(|| task.clone(), DynTask::new).system().clone();
+        let (task, system) = Self::physics(settings).expect("validated settings");
         in_scene(settings, task, system)
     }
 
