@@ -59,9 +59,10 @@ impl fmt::Display for Stability {
 /// evaluate it at the closest approach, in contact and at rest.
 ///
 /// The spectral radius follows from Gelfand's formula, `ρ = lim ‖Jᵏ‖^(1/k)`, with 30 squarings of
-/// the Jacobian. Unlike power iteration, the formula handles complex eigenvalue pairs and
-/// defective matrices. For long cascades of equal cells, powers can underflow: the multiplier is
-/// then an upper bound, with an error of 1e-5 for 30 cells and 4 % for 100. The cost is `state_dim` forward-mode derivatives and 30 matrix products.
+/// the Jacobian. Unlike power iteration, the formula handles complex eigenvalue pairs and defective
+/// matrices. Powers of long cascades of equal cells underflow. The multiplier is then an upper
+/// bound, for example with an error of 1e-5 for 30 cells and 4 % for 100. The cost is `state_dim`
+/// forward-mode derivatives and 30 matrix products.
 /// ```
 /// use physgrad::{Inputs, check, tasks::{FrictionScheme, SliderSystem}};
 ///
@@ -85,8 +86,8 @@ fn of_any(system: &dyn AnySystem<f64>, inputs: Inputs<'_, f64>) -> Stability {
     for round in 0..=SQUARINGS {
         let largest = power.iter().fold(0.0, |largest: f64, slope| largest.max(slope.abs()));
         if largest == 0.0 {
-            // The power of a nilpotent matrix is 0 from the exponent n on. A later 0 is an underflow:
-            // the last estimate bounds the spectral radius.
+            // The power of a nilpotent matrix is 0 from the exponent n on. A later 0 is an
+            // underflow: the last estimate bounds the spectral radius.
             let is_nilpotent = 1 << round.saturating_sub(1) < n;
             return Stability { multiplier: if is_nilpotent { 0.0 } else { f64::exp(logarithm) }, component: 0 };
         }

@@ -303,8 +303,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// Allocates all workspaces.
     ///
     /// # Errors
-    /// [`TrainError`] if a setting is invalid, the memory limit is too small, or an initial parameter
-    /// is not finite.
+    /// [`TrainError`] if a setting is invalid, the memory limit is too small, or an initial
+    /// parameter is not finite.
     ///
     /// # Panics
     /// If the dimensions of task and policy differ. If the policy trains a parameter that the task
@@ -329,8 +329,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// serves for losses only, and its length sets the number of samples of an epoch.
     ///
     /// # Errors
-    /// [`TrainError`] if a setting is invalid, the memory limit is too small, a set is empty or not
-    /// a whole number of samples, or a parameter is not finite.
+    /// [`TrainError`] if a setting is invalid, the memory limit is too small, or a parameter is not
+    /// finite. A set is empty or not a whole number of samples.
     ///
     /// # Panics
     /// If the length of `theta` differs from the policy's `param_count`. If the dimensions of task

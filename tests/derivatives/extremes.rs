@@ -57,9 +57,8 @@ fn a_cut_limits_an_adjoint_that_was_0_at_a_later_step() {
     }
 }
 
-/// The adjoint grows by a factor of 8 per step until a truncation at about 2^192, a cut at about
-/// 10^50, or derivatives of 0 or 1e-18. All exceed the range of f32. Then the adjoint restarts
-/// from 0, or continues with a small value.
+/// The adjoint grows by a factor of 8 per step, beyond the range of f32. Then it restarts from 0 at
+/// a truncation, a cut or a derivative of 0, or becomes small by derivatives of 1e-18.
 #[test]
 fn adjoints_restart_from_truncations_cuts_and_small_derivatives_beyond_the_range_of_f32() {
     let growing = |_| 8.0;

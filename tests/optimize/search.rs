@@ -53,7 +53,7 @@ fn warm_start_from_a_plan_needs_fewer_iterations() {
     assert_eq!((again.iterations(), again.stop), (0, Stop::Gradient));
 }
 
-/// The initial cost is 1e24. Its rounding error exceeds the cost of many later iterates.
+/// The initial cost is 1e24. Many later costs are below the rounding error of this number.
 #[test]
 fn a_large_initial_cost_does_not_end_the_search_early() {
     struct Quartic;

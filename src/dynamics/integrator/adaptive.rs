@@ -23,8 +23,8 @@ use crate::numbers::zip::zip;
 /// Derivatives are those of the accepted steps at constant step sizes. Step sizes are piecewise
 /// constant functions of the state, so these derivatives are exact almost everywhere.
 ///
-/// A sample becomes NaN if its time step is incomplete after `most` attempts. All samples become NaN
-/// if the time step is negative or NaN.
+/// A sample becomes NaN if its time step is incomplete after `most` attempts. All samples become
+/// NaN if the time step is negative or NaN.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Adaptive {
     /// Relative tolerance. Below [`floor`](Adaptive::floor), rounding errors dominate.

@@ -61,8 +61,8 @@ impl Policy {
     /// Policy with the parameters of a policy file.
     ///
     /// # Errors
-    /// The bytes are no policy file, or one of another policy. A parameter is not finite. The policy
-    /// trains other numbers than the scene.
+    /// The bytes are no policy file, or one of another policy. A parameter is not finite. The
+    /// policy trains other numbers than the scene.
     pub fn read(scene: &Scene, bytes: &[u8]) -> Result<Self> {
         policy_file::check_numbers(bytes, &scene.scene.about())?;
         let policy = scene.scene.policy();

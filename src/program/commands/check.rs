@@ -14,7 +14,8 @@ use toml::Value;
 /// Check the gradients of systems, policies and whole rollouts against dual numbers.
 ///
 /// For a named task or scene, also check the stability of the time step in states of test rollouts.
-/// Also check the slope of the loss at the initial parameters, or at random ones with an initial policy.
+/// Also check the slope of the loss at the initial parameters. With an initial policy, these are
+/// random.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  physgrad check\n  physgrad check my_scene.toml")]
 pub struct Check {

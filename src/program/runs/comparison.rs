@@ -121,8 +121,8 @@ impl Run {
     /// Records of the run, from its folder.
     ///
     /// # Errors
-    /// The folder contains a run with other settings, a run with more epochs than its comparison, or
-    /// a run that cannot be restored.
+    /// The folder contains a run with other settings, a run with more epochs than its comparison,
+    /// or a run that cannot be restored.
     fn saved_records(&self) -> Result<Vec<Record>> {
         self.resumes()?;
         let scene = saved::scene(&self.folder)?;

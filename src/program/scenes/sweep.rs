@@ -117,8 +117,8 @@ impl Sweep {
                         "`sweep.random`: `{key}` is {distribution}; allowed: {{ uniform = [low, high] }}, or another distribution"
                     )
                 })?;
-                // Rounds to 4 digits, which keeps names of points short. A rounded value may leave the
-                // range of the distribution.
+                // Rounds to 4 digits, which keeps names of points short. A rounded value may leave
+                // the range of the distribution.
                 let drawn = number.draw(rng);
                 let rounded: f64 = format!("{drawn:.3e}").parse()?;
                 let range = number.extremes();
@@ -277,7 +277,7 @@ mod tests {
     fn a_drawn_number_of_a_list_is_one_setting() {
         let list = sweep("[[list]]\n\"system.cart_mass\" = { normal = [1, 0.1] }\nloss = { mode = \"running\" }\n");
         let keys: Vec<String> = list.points().expect("points").remove(0).0.into_iter().map(|(key, _)| key).collect();
-        assert_eq!(keys, ["loss.mode", "system.cart_mass"]);
+        assert_eq!(keys, ["system.cart_mass", "loss.mode"]);
     }
 
     #[test]
