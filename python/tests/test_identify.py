@@ -52,7 +52,7 @@ def test_checks_return_a_table():
 
 
 def test_checks_are_at_the_parameters_of_the_policy():
-    task = pg.task("cart_pole", poles=1, horizon=20)
+    task = pg.task("cart_pole", poles=1, horizon=20, precision="f64")
     policy = pg.Mlp(task, [8], seed=1, zero_init_output=False)
     table = pg.check(task, policy)
     assert "FAILED" not in table and table == pg.check(task, policy) != pg.check(task)

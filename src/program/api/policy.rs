@@ -91,7 +91,7 @@ impl Policy {
         let is_finite = |&value: &f64| if self.scene.is_f64() { value.is_finite() } else { (value as f32).is_finite() };
         if let Some(i) = theta.iter().position(|value| !is_finite(value)) {
             let precision = if self.scene.is_f64() { "f64" } else { "f32" };
-            bail!("`theta[{i}]` is {}; allowed: finite numbers in {precision}", theta[i]);
+            bail!("`theta[{i}]` is {:?}; allowed: finite numbers in {precision}", theta[i]);
         }
         self.theta = theta;
         Ok(())
