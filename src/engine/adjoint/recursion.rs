@@ -344,17 +344,17 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         }
     }
 
-    /// λ and μ of the block of a sample.
-    fn carried(&mut self, sample: usize, rollout: &Rollout<F>) -> [&mut [CotangentPack<Lane<F>, K>]; 2] {
+    /// Ranges of λ and μ of a block in `lambda` and `u_bar`.
+    fn carried(block: usize, rollout: &Rollout<F>) -> [Range<usize>; 2] {
         let (n, m, outputs) = (rollout.state_dim, rollout.control_dim, rollout.control_dim + rollout.memory_dim);
-        let block = sample / WIDTH;
-        [&mut self.lambda[block * n..][..n], &mut self.u_bar[block * outputs..][m..outputs]]
+        [block * n..(block + 1) * n, block * outputs + m..(block + 1) * outputs]
     }
 
     /// Returns whether λ and μ of one flow and sample are too small for their exponent.
-    fn is_small(&mut self, k: usize, sample: usize, rollout: &Rollout<F>) -> bool {
-        let sizes = self.carried(sample, rollout).into_iter().flatten().map(|bar| bar.0[k].lane(sample % WIDTH).abs());
-        sizes.fold(F::zero(), |sum, size| sum + size) < Limits::new().low
+    fn is_small(&self, k: usize, sample: usize, rollout: &Rollout<F>) -> bool {
+        let [of_lambda, of_memory] = Self::carried(sample / WIDTH, rollout);
+        let bars = self.lambda[of_lambda].iter().chain(&self.u_bar[of_memory]);
+        bars.fold(F::zero(), |sum, bar| sum + bar.0[k].lane(sample % WIDTH).abs()) < Limits::new().low
     }
 
     /// Lowers the exponent of one flow and sample, after step `t`, to that of the cotangents from
@@ -370,39 +370,34 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         let (cotangents, next_bar) = self.cost.requests();
         let next = &rollout.states_at(t + 1)[block * n..][..n];
         task.running_cost_gradient(rollout.inputs_of(t, block), next, cotangents, next_bar);
-        let cost = std::mem::take(&mut self.cost.x);
+        let [of_lambda, of_memory] = Self::carried(block, rollout);
+        let (lambda, memory_bar) = (&mut self.lambda[of_lambda], &mut self.u_bar[of_memory]);
+        let (cost, exponents) = (&self.cost.x, &mut self.exponents.blocks[block]);
         // The unused lanes of the last block are copies of the last sample.
         let end = if sample + 1 == rollout.samples { WIDTH } else { sample % WIDTH + 1 };
         for lane in sample % WIDTH..end {
-            let inject = self.exponents.blocks[block].inject.0[k].lane(lane);
-            let [lambda, memory_bar] = self.carried(sample, rollout);
-            for (lambda, cost) in zip(lambda.iter_mut(), &cost) {
-                let later = lambda.0[k].lane(lane) - inject * cost.lane(lane);
-                lambda.0[k].set_lane(lane, later);
+            let (own, inject) = (exponents.of[k][lane], exponents.inject.0[k].lane(lane));
+            for (bar, cost) in zip(lambda.iter_mut(), cost) {
+                let later = if cut { F::zero() } else { bar.0[k].lane(lane) - inject * cost.lane(lane) };
+                bar.0[k].set_lane(lane, later);
             }
             if cut {
-                lambda.iter_mut().chain(&mut *memory_bar).for_each(|bar| bar.0[k].set_lane(lane, F::zero()));
+                memory_bar.iter_mut().for_each(|bar| bar.0[k].set_lane(lane, F::zero()));
             }
-            let sizes = lambda.iter().chain(&*memory_bar).map(|bar| bar.0[k].lane(lane).abs());
-            let size: f64 = sizes.fold(F::zero(), |sum, size| sum + size).as_();
-            let own = self.exponents.of(k, sample);
+            let later = lambda.iter().chain(&*memory_bar).map(|bar| bar.0[k].lane(lane).abs());
+            let size: f64 = later.fold(F::zero(), |sum, size| sum + size).as_();
             let exponent = if size == 0.0 { 0 } else { (own + exponent_of(size)).max(0) };
-            self.exponents.blocks[block].set(k, lane, exponent, scale);
-            let inject = self.exponents.blocks[block].inject.0[k].lane(lane);
-            let [lambda, memory_bar] = self.carried(sample, rollout);
-            for bar in lambda.iter_mut().chain(memory_bar) {
-                bar.0[k].set_lane(lane, scaled(bar.0[k].lane(lane), own - exponent));
-            }
-            let [lambda, _] = self.carried(sample, rollout);
-            for (lambda, cost) in zip(lambda.iter_mut(), &cost) {
-                let sum = lambda.0[k].lane(lane) + inject * cost.lane(lane);
-                lambda.0[k].set_lane(lane, sum);
-            }
+            exponents.set(k, lane, exponent, scale);
+            let inject = exponents.inject.0[k].lane(lane);
+            let set = |bar: &mut CotangentPack<Lane<F>, K>, cost: F| {
+                bar.0[k].set_lane(lane, scaled(bar.0[k].lane(lane), own - exponent) + cost);
+            };
+            zip(lambda.iter_mut(), cost).for_each(|(bar, cost)| set(bar, inject * cost.lane(lane)));
+            memory_bar.iter_mut().for_each(|bar| set(bar, F::zero()));
             if let (true, Some(starts)) = (cut, &mut self.starts) {
                 starts.cut(k, block, lane);
             }
         }
-        self.cost.x = cost;
     }
 
     /// Growth of λ.
