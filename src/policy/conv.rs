@@ -215,6 +215,8 @@ impl Policy for Conv {
                     position[..CHANNELS].copy_from_slice(x);
                     position[CHANNELS] = F::one();
                 }
+                // The tape may contain numbers of another policy, for example of a `Sum`.
+                column[n / CHANNELS * one.slot..].fill(F::zero());
             }
             let (activations, inputs) = block.split_at_mut(input);
             let (first, second) = activations.split_at_mut(h2);

@@ -31,7 +31,10 @@ pub enum LimitKind {
 }
 
 impl Actuator for Limit {
+    /// # Panics
+    /// If the bound is not positive and finite.
     fn state_dim(&self, _controls: usize) -> usize {
+        assert!(self.bound > 0.0 && self.bound.is_finite(), "the bound of a limit is a positive number, not {}", self.bound);
         0
     }
 
@@ -80,7 +83,12 @@ pub struct Lag {
 
 impl Lag {
     /// A lag with time constant `time`, for time steps `dt`; both in s.
+    ///
+    /// # Panics
+    /// If the time constant or the time step is not positive.
+    #[track_caller]
     pub fn new(time: f64, dt: f64) -> Self {
+        assert!(time > 0.0 && dt > 0.0, "time constant and time step of a lag are positive, not {time} s and {dt} s");
         Self { share: -(-dt / time).exp_m1() }
     }
 }

@@ -94,7 +94,7 @@ impl Cell for Gru {
         stored: &[R],
         next_bar: &[R],
         cotangents: &mut [R],
-        x_bar: Option<(&mut [R], &mut [R])>,
+        mut x_bar: Option<(&mut [R], &mut [R])>,
     ) {
         let [to_update, to_reset, to_candidate, _] = self.maps();
         let ([z, r, n, _], observations) = (parts(stored), self.0.observations);
@@ -106,13 +106,13 @@ impl Cell for Gru {
         for i in 0..memory.len() {
             let kept_bar = to_candidate.input_bar(theta, observations + i, n_bar);
             r_bar[i] = kept_bar * memory[i] * r[i] * (R::one() - r[i]);
+            if let Some((_, memory_bar)) = &mut x_bar {
+                memory_bar[i] += next_bar[i] * (R::one() - z[i]) + kept_bar * r[i];
+            }
         }
         let Some((y_bar, memory_bar)) = x_bar else { return };
         for (i, bar) in y_bar.iter_mut().enumerate() {
             *bar += to_candidate.input_bar(theta, i, n_bar);
-        }
-        for (i, bar) in memory_bar.iter_mut().enumerate() {
-            *bar += next_bar[i] * (R::one() - z[i]) + to_candidate.input_bar(theta, observations + i, n_bar) * r[i];
         }
         for (i, bar) in y_bar.iter_mut().chain(memory_bar).enumerate() {
             *bar += to_update.input_bar(theta, i, z_bar) + to_reset.input_bar(theta, i, r_bar);

@@ -94,7 +94,13 @@ impl Lqr {
 
     /// Returns the minimal loss of a batch from `starts`, with `state_dim` components per sample:
     /// the mean of `xᵀ P x / 2`.
+    ///
+    /// # Panics
+    /// If `starts` is empty or not a whole number of samples.
+    #[track_caller]
     pub fn least_loss(&self, starts: &[f64]) -> f64 {
+        let (found, n) = (starts.len(), self.plant.state_dim());
+        assert!(found > 0 && found.is_multiple_of(n), "`starts` has {found} numbers; expected one or more samples of {n}");
         let samples = starts.chunks_exact(self.plant.state_dim());
         let count = samples.len() as f64;
         samples.map(|x| self.terminal_cost(x, &[])).sum::<f64>() / count
@@ -131,6 +137,8 @@ impl Task for Lqr {
     }
 
     fn start(&self, rng: &mut Rng, start: Start<'_>) {
+        let (found, expected) = (self.start.len(), start.x.len());
+        assert_eq!(found, expected, "`Lqr::start` has {found} components, but the plant has {expected}");
         for (x, &center) in zip(start.x.iter_mut(), &self.start) {
             *x = center + self.spread * rng.random_range(-1.0..1.0);
         }

@@ -103,17 +103,15 @@ pub struct Row {
 }
 
 impl Row {
-    pub(super) fn new(
-        setting: Setting,
-        job: &Job,
-        reference: &Simulated,
-        conserved: Option<&Conserved>,
-        rounds: &[[f64; 2]],
-    ) -> Self {
+    pub(super) fn new(setting: Setting, job: &Job, reference: &Simulated, conserved: Option<&Conserved>) -> Self {
         let errors = job.found.as_ref().map(|found| Errors::of(found, reference)).map_err(Clone::clone);
-        let seconds = [0, 1].map(|pass| spread(rounds.iter().map(|round| round[pass]).collect()));
         let drift = conserved.map_or(f64::NAN, |conserved| conserved.drift(&job.idle));
-        Self { setting, errors, drift, operations: job.operations, bytes: job.bytes, seconds }
+        Self { setting, errors, drift, operations: job.operations, bytes: job.bytes, seconds: [[f64::NAN; 3]; 2] }
+    }
+
+    /// Sets the times from those of all rounds, `[forward, with adjoints of R and M]`.
+    pub(super) fn set_times(&mut self, rounds: &[[f64; 2]]) {
+        self.seconds = [0, 1].map(|pass| spread(rounds.iter().map(|round| round[pass]).collect()));
     }
 }
 

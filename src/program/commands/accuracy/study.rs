@@ -129,25 +129,26 @@ impl Study {
     /// The reference diverges, or `begin` returns an error.
     pub fn measure(&self, settings: Vec<Setting>, begin: &mut dyn FnMut(String) -> Result<()>) -> Result<Measured> {
         let (reference, check) = self.reference(begin)?;
-        let mut jobs = Vec::new();
-        for setting in &settings {
+        let conserved = self.scene.conserved();
+        let mut rows = Vec::new();
+        for setting in settings {
             begin(setting.name())?;
-            jobs.push(self.job(setting)?);
+            let job = self.job(&setting)?;
+            rows.push(Row::new(setting, &job, &reference, conserved.as_ref()));
         }
-        // Interleaves the settings: other load on the machine then affects all settings.
-        let mut times = vec![Vec::new(); jobs.len()];
+        // Interleaves the settings: other load on the machine then affects all settings. Each round
+        // prepares its rollouts anew, so that only one is in memory.
+        let mut times = vec![Vec::new(); rows.len()];
         for round in 1..=ROUNDS {
-            for (job, times) in jobs.iter_mut().zip(&mut times) {
+            for (row, times) in rows.iter().zip(&mut times) {
                 begin(format!("round {round} of {ROUNDS}"))?;
-                if job.found.is_ok() {
-                    times.push(job.time(MIN_TIME));
+                if row.errors.is_ok() {
+                    times.push(self.job(&row.setting)?.time(MIN_TIME));
                 }
             }
         }
-        let conserved = self.scene.conserved();
-        let measured = settings.into_iter().zip(&jobs).zip(&times);
-        let row = |((setting, job), times): ((_, _), &Vec<_>)| Row::new(setting, job, &reference, conserved.as_ref(), times);
-        Ok(Measured { rows: measured.map(row).collect(), reference: check })
+        rows.iter_mut().zip(&times).for_each(|(row, times)| row.set_times(times));
+        Ok(Measured { rows, reference: check })
     }
 
     fn job(&self, setting: &Setting) -> Result<Job> {
