@@ -1,4 +1,4 @@
-"""Trains a controller, writes its report, and computes four fields from one forward pass.
+"""Trains a controller, writes its report, and computes four fields.
 
     python first_hour.py            # a minute
     python first_hour.py --quick    # two epochs

@@ -15,9 +15,9 @@ use std::sync::{Mutex, MutexGuard};
 
 /// The policy of a task, with its parameters θ.
 ///
-/// `Policy(task, seed=0, **settings)` has random parameters, those of a training with this seed.
-/// Keyword arguments are settings of the section `policy`. `physgrad.Mlp` has an argument for the
-/// widths of the hidden layers.
+/// `Policy(task, seed=0, **settings)` has random parameters. A training with this seed starts from
+/// them, unless the task has an initial policy. Keyword arguments are settings of the section
+/// `policy`. `physgrad.Mlp` has an argument for the widths of the hidden layers.
 #[pyclass(frozen, module = "physgrad")]
 pub struct Policy(Mutex<api::Policy>);
 
@@ -72,7 +72,8 @@ impl Policy {
         std::fs::write(&path, bytes).map_err(|error| with_path(PyErr::from(error), &path))
     }
 
-    /// Reads the parameters of a policy file, which must be of a policy with equal shapes.
+    /// Replaces the parameters by those of a policy file. The names and shapes of its tensors, and
+    /// its trained numbers and their bounds, must be those of this policy.
     fn load(&self, path: PathBuf) -> PyResult<()> {
         let bytes = std::fs::read(&path).map_err(|error| with_path(PyErr::from(error), &path))?;
         let scene = self.lock().scene().clone();
@@ -128,8 +129,8 @@ pub fn losses<'py>(py: Python<'py>, task: &Task, policy: &Policy, starts: &Bound
     })
 }
 
-/// Vector fields of the mean loss of rollouts from `starts`, (B, start_dim) with B at least 1, from
-/// one forward pass.
+/// Vector fields of the mean loss of rollouts from `starts`, (B, start_dim), B ≥ 1. All fields
+/// share the forward passes.
 ///
 /// Returns a dict from the names in `fields` to vectors over the parameters. Fields are "R", "M",
 /// "N", "S", "C", "P", "F", "MR" and "RM". R is the gradient of the mean loss. Raises `Divergence`

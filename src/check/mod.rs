@@ -104,7 +104,7 @@ pub enum Failure {
 impl fmt::Display for Mismatch {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { what, index, expected, found, error, allowed, case } = self;
-        if *allowed == 0.0 && !found.is_finite() && error.is_nan() {
+        if what.starts_with(NOT_FINITE) {
             return write!(f, "{what}[{index}] is {found:e} (case {case})");
         }
         write!(f, "{what}[{index}] is {found:e}, expected {expected:e}: ")?;

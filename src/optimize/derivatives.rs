@@ -45,7 +45,8 @@ impl Problem<'_> {
     /// Expands costs and dynamics along a trajectory.
     ///
     /// # Errors
-    /// [`OptimizeError::Derivative`] if a derivative is not finite. [`OptimizeError::Stopped`].
+    /// [`OptimizeError::Derivative`] if a derivative is not finite. [`OptimizeError::Stopped`] if
+    /// the stop flag is set.
     pub(super) fn expand(&self, trajectory: &Trajectory) -> Result<Expansion, OptimizeError> {
         let (n, m, steps) = (self.n, self.m, self.model.horizon());
         let not_finite = |step| OptimizeError::Derivative { step };

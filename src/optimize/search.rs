@@ -41,7 +41,7 @@ impl<'a> Search<'a> {
     ///
     /// # Errors
     /// [`OptimizeError::Derivative`] if a derivative at the initial trajectory is not finite.
-    /// [`OptimizeError::Stopped`].
+    /// [`OptimizeError::Stopped`] if the stop flag is set.
     pub(super) fn run(mut self) -> Result<Plan, OptimizeError> {
         let mut expansion = self.problem.expand(&self.best)?;
         loop {
@@ -65,7 +65,7 @@ impl<'a> Search<'a> {
     /// termination.
     ///
     /// # Errors
-    /// [`OptimizeError::Stopped`]
+    /// [`OptimizeError::Stopped`] if the stop flag is set.
     fn improve(&mut self, expansion: &Expansion) -> Result<ControlFlow<Stop, Expansion>, OptimizeError> {
         // Decreases below the rounding error of the last costs count as small.
         let recent = self.costs[self.costs.len().saturating_sub(1 + SMALL_DECREASES)];

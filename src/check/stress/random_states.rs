@@ -19,9 +19,9 @@ pub(super) const CASES: &[Case] = &[Case {
     criterion: "all values are finite. Dual numbers and VJP agree to 1e-12 in f64, and to 64 ε (1 + κ) in f32. ε is \
                 the machine epsilon of f32. κ is the relative change of the VJP per relative change of state and \
                 control. The case measures κ in f64 at every state",
-    explanation: "Derivatives are usually tested at a few selected states. Limits: systems whose VJP uses dual numbers \
-                are compared with themselves here; the test module `hard_contacts` compares these with closed forms \
-                and differences",
+    explanation: "Derivatives are usually tested at a few selected states. Limits: for systems whose VJP uses dual \
+                numbers, this case compares the VJP with itself. The test module `hard_contacts` compares these \
+                derivatives with closed forms and differences",
     run: random_states,
 }];
 

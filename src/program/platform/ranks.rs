@@ -13,8 +13,8 @@ const SIZES: [&str; 2] = ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE"];
 /// The ranks, if a launcher started this process with at least one other.
 ///
 /// # Errors
-/// The program has no feature `mpi`, or MPI cannot start. MPI connects another number of processes
-/// than the launcher started.
+/// The program has no feature `mpi`, or MPI cannot start. MPI connects more or fewer processes than
+/// the launcher started.
 pub fn launched() -> Result<Option<Arc<dyn Ranks>>> {
     let size = |name: &&str| std::env::var(name).ok()?.parse::<usize>().ok();
     match SIZES.iter().find_map(size) {
@@ -22,8 +22,8 @@ pub fn launched() -> Result<Option<Arc<dyn Ranks>>> {
             let ranks = start()?;
             if ranks.count() != size {
                 bail!(
-                    "the launcher started {size} processes, but MPI connects {} of them; use the launcher of the MPI library that \
-                     built this program",
+                    "the launcher started {size} processes, but MPI connects {} of them; use the launcher of the MPI library \
+                     with which this program was built",
                     ranks.count()
                 );
             }
@@ -41,8 +41,8 @@ fn start() -> Result<Arc<dyn Ranks>> {
 #[cfg(not(feature = "mpi"))]
 fn start() -> Result<Arc<dyn Ranks>> {
     bail!(
-        "MPI started several processes of this program, which was built without MPI; build it with --features mpi, or start one \
-         process"
+        "the launcher started several processes of this program, which was built without MPI; build it with --features mpi, or \
+         start one process"
     )
 }
 

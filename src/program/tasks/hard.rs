@@ -28,7 +28,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
 
-/// Empty section: `effects` of tasks without effects, and `loss` of tasks with a fixed cost.
+/// Empty section: `effects` of tasks without built-in effects, and `loss` of tasks with a fixed
+/// cost.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Nothing {}

@@ -12,9 +12,9 @@ use maud::{Markup, html};
 pub const IDENTIFIED: &str = "identified.csv";
 /// Sizes, χ², BIC and effort of the fit, and warnings.
 pub const FIT: &str = "fit.csv";
-/// Measured beside simulated states of the fitted segments.
+/// Measured and simulated states of the fitted segments.
 pub const TRAJECTORIES: &str = "trajectories.csv";
-/// Measured beside simulated states of the segments for validation.
+/// Measured and simulated states of the validation segments.
 pub const VALIDATION: &str = "validation.csv";
 /// Name of a row of [`FIT`] with a warning.
 pub const WARNING: &str = "warning";
