@@ -118,7 +118,7 @@ impl Task for Doubling {
 #[test]
 fn double_double_is_accurate_to_1e_9_where_f64_has_lost_every_digit() {
     let (task, policy) = (Doubling { system: Logistic }, Linear::new(1, 1));
-    let [exact, _] = check::slope(&task, &policy, &[0.0, 0.0], &[0.3], Flow::REGULAR, |_| 0.0);
+    let [exact, _] = check::slope(&task, &policy, &[0.0], &[0.3], Flow::REGULAR, |_| 0.0);
     // The factor 2^60 amplifies the rounding error of the angle. With 31 digits, the result is
     // accurate to about 1e-13.
     let start = Scalar::sqrt(DoubleDouble::from(0.3));
