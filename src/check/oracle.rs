@@ -87,6 +87,10 @@ fn passed<S: Scalar>(x: S, weight: f64) -> S {
 }
 
 /// Mean loss of rollouts from the initial states `starts`.
+///
+/// # Panics
+/// If `theta` does not have the length of the parameters of the policy, or `starts` is empty or not
+/// a whole number of samples.
 pub fn loss<T: Task, P: Policy>(task: &T, policy: &P, theta: &[f64], starts: &[f64]) -> f64 {
     rollouts(task, policy, theta, starts, Flow::REGULAR)
 }
@@ -96,6 +100,10 @@ pub fn loss<T: Task, P: Policy>(task: &T, policy: &P, theta: &[f64], starts: &[f
 /// `starts` concatenates the initial states of the samples, each followed by its parameters. `flow`
 /// selects the differentiated paths. The function ignores a [`cut`](Flow::cut) of the flow.
 /// `tangent(i)` is the component of the direction along policy parameter i.
+///
+/// # Panics
+/// If `theta` does not have the length of the parameters of the policy, or `starts` is empty or not
+/// a whole number of samples.
 pub fn slope_by_duals<T: Task, P: Policy>(
     task: &T,
     policy: &P,

@@ -20,11 +20,15 @@ use crate::policy::Policy;
 /// use physgrad::{Flow, Task, check, policy::Linear, tasks::CartPole};
 ///
 /// let task = CartPole { horizon: 10, ..CartPole::new(1) };
-/// let (policy, theta) = (Linear::new(4, 1), [0.1, -0.2, 0.3, -0.4, 0.5]);
+/// let (policy, theta) = (Linear::new(4, 1), [0.1, -0.2, 0.3, -0.4]);
 /// let start = [0.0, 0.0, 3.0, 0.0];
 /// let [loss, slope] = check::slope(&task, &policy, &theta, &start, Flow::REGULAR, |i| if i == 2 { 1.0 } else { 0.0 });
 /// assert!(loss > 0.0 && slope != 0.0);
 /// ```
+///
+/// # Panics
+/// If `theta` does not have the length of the parameters of the policy, or `starts` is empty or not
+/// a whole number of samples.
 pub fn slope<T: Task, P: Policy>(
     task: &T,
     policy: &P,
