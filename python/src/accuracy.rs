@@ -32,6 +32,7 @@ const METRICS: [(&str, Metric); 4] =
 ///   and "M". Smaller errors of a setting are below the resolution of the reference.
 /// - "cheapest": the fastest setting with an error of at most `target`, or None. A dict with
 ///   "method", "substeps", "precision", "error", "seconds" and "task", the task with this setting.
+///   "seconds" is "gradient_seconds" for the metrics "R" and "M", otherwise "forward_seconds".
 ///
 /// `metric` is the error that `target` refers to: "trajectory", "loss", "R" or "M". Raises
 /// `ValueError` if an argument is invalid, if the reference diverges, or if the task does not

@@ -107,7 +107,7 @@ fn functions_agree_with_the_standard_library() {
         near(Scalar::tan(x), f64::tan(x), 3.0);
         near(Scalar::asin(x), f64::asin(x), 8.0);
         near(Scalar::acos(x), f64::acos(x), 8.0);
-        // exp(y ln x) multiplies a relative error of the exponent by y ln x.
+        // exp(y ln base) multiplies a relative error of its argument by y ln base.
         let base: f64 = x + 1.0;
         near(Scalar::powf(base, -2.3), base.powf(-2.3), 2.0 + 2.0 * (2.3 * base.ln()).abs());
         near(Scalar::powi(base, -3), base.powi(-3), 3.0);

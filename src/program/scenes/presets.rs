@@ -63,8 +63,10 @@ pub fn source(name: &str) -> Result<SceneSource> {
     let path = Path::new(name);
     if path.is_dir() && !all().any(|(preset, _)| preset == name) {
         let scene = path.join(SETTINGS);
-        let hint = if scene.exists() { format!("; the scene of its run is {}", scene.display()) } else { String::new() };
-        bail!("{name} is a folder, not a scene{hint}");
+        if scene.exists() {
+            bail!("{name} is a folder, not a scene; the scene of its run is {}", scene.display());
+        }
+        bail!("{name} is a folder, not a scene; give the path of a scene, which ends in .toml, or the name of a preset");
     }
     if is_path(name) {
         return SceneSource::read(path);

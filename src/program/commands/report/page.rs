@@ -15,7 +15,7 @@ use toml::Value;
 const FIELDS: &str = "Fields: R is the exact gradient, backpropagated through physics and network. M is backpropagated through the \
                       physics only, N through the network only, S through neither. C, the combined field, is M where M and R have \
                       the same sign, and zero elsewhere. P is M without the component that opposes R. F has equal angles to M \
-                      and R. MR has the sizes of M and the signs of R. RM is R with the norm of M.";
+                      and R. MR has the absolute values of M and the signs of R. RM is R with the norm of M.";
 
 /// Page about one run.
 pub fn run(folder: Option<&str>, run: &Inspected) -> String {

@@ -100,7 +100,7 @@ impl TaskSpec for Lqr {
             let cart = [x[0], 0.0];
             let chain = match settings.system.plant {
                 Plant::Spring => Vec::new(),
-                // The linear model admits any angle; draws the tip at that angle.
+                // Draws the tip at the angle of the linear model, which may be arbitrarily large.
                 Plant::UprightCartPole => vec![cart, [x[0] + length * x[2].sin(), length * x[2].cos()]],
             };
             Posture { chain, boxes: vec![cart] }
