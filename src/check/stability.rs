@@ -88,7 +88,7 @@ fn of_any(system: &dyn AnySystem<f64>, inputs: Inputs<'_, f64>) -> Stability {
         if largest == 0.0 {
             // The power of a nilpotent matrix is 0 from the exponent n on. A later 0 is an
             // underflow: the last estimate bounds the spectral radius.
-            let is_nilpotent = 1 << round.saturating_sub(1) < n;
+            let is_nilpotent = round == 0 || 1 << (round - 1) < n;
             return Stability { multiplier: if is_nilpotent { 0.0 } else { f64::exp(logarithm) }, component: 0 };
         }
         logarithm += share * largest.ln();
@@ -187,6 +187,7 @@ mod tests {
         near(of([[0.9, 1e6], [0.0, 0.8]]), 0.9);
         near(of([[1.0, 0.1], [0.0, 1.0]]), 1.0);
         near(of([[0.0, 1.0], [0.0, 0.0]]), 0.0);
+        near(of([[0.0]]), 0.0);
         // Cascades of equal cells, whose powers underflow from 30 cells on.
         near_within(of(cascade::<25>()), 1.5, 1e-6);
         near_within(of(cascade::<30>()), 1.5, 2e-5);

@@ -205,7 +205,10 @@ impl<F: Float> Gradient<F> {
         let finite = values.iter().copied().filter(|value| *value != 0.0 && value.is_finite());
         let exponent = Self::common(finite.map(exponent_of).max().unwrap_or(0));
         for (own, &value) in zip(self.values_mut(exponent).iter_mut(), values) {
-            *own = F::from_f64(scaled(value, -exponent));
+            let rounded = F::from_f64(scaled(value, -exponent));
+            // An underflow keeps the sign.
+            let sign = F::from_f64(value.signum());
+            *own = if rounded == F::zero() && value != 0.0 { scaled_with_sign(sign, -10_000) } else { rounded };
         }
     }
 

@@ -48,7 +48,10 @@ pub(super) fn statistics(equations: &[DMatrix<f64>], names: &[String]) -> Statis
         if eigenvalue.is_nan() || eigenvalue <= least {
             let members: Vec<usize> = (0..count).filter(|&i| vector[i].is_nan() || vector[i].abs() > NAMED).collect();
             members.iter().for_each(|&i| is_open[i] = true);
-            undetermined.push(members.iter().map(|&i| names[i].clone()).collect());
+            let combination: Vec<String> = members.iter().map(|&i| names[i].clone()).collect();
+            if !undetermined.contains(&combination) {
+                undetermined.push(combination);
+            }
             continue;
         }
         covariance += vector * vector.transpose() / eigenvalue;

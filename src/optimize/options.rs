@@ -15,8 +15,8 @@ pub struct Options {
     pub gradient_tolerance: f64,
     /// Converged if each of three consecutive iterations decreases the cost by at most this
     /// fraction. Also converged if the line search fails and the full step has a predicted decrease
-    /// of at most this fraction. Both limits include the rounding error of the cost three
-    /// iterations before, or of the initial cost if there are fewer.
+    /// of at most this fraction. Both limits include the rounding error of the cost two iterations
+    /// before, or of the initial cost if there are fewer.
     pub cost_tolerance: f64,
     /// Bounds `[low, high]` of each control, at all steps. Infinite bounds are allowed. `None`: no
     /// bounds.

@@ -68,7 +68,7 @@ impl<'a> Search<'a> {
     /// [`OptimizeError::Stopped`] if the stop flag is set.
     fn improve(&mut self, expansion: &Expansion) -> Result<ControlFlow<Stop, Expansion>, OptimizeError> {
         // Decreases below the rounding error of the last costs count as small.
-        let recent = self.costs[self.costs.len().saturating_sub(1 + SMALL_DECREASES)];
+        let recent = self.costs[self.costs.len().saturating_sub(SMALL_DECREASES)];
         let tolerance = self.options.cost_tolerance * self.best.cost.abs() + f64::EPSILON * recent.abs();
         loop {
             let regularization = self.regularization.value * expansion.curvature;

@@ -122,7 +122,7 @@ impl Default for Training {
 impl Training {
     /// Samples for which a mini-batch of `samples` needs memory for gradients. One for zeroth-order
     /// estimates, which use losses only.
-    fn derived(&self, samples: usize) -> usize {
+    pub(crate) fn derived(&self, samples: usize) -> usize {
         let is_zeroth = self.smoothing.is_some_and(|smoothing| smoothing.estimator == Estimator::ZerothOrder);
         if is_zeroth { 1 } else { samples }
     }
@@ -303,8 +303,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// Allocates all workspaces.
     ///
     /// # Errors
-    /// [`TrainError`] if a setting is invalid, the memory limit is too small, or an initial
-    /// parameter is not finite.
+    /// [`TrainError`] if a setting is invalid, the memory limit is too small, or a parameter of
+    /// [`start_from`](Self::start_from) is not finite.
     ///
     /// # Panics
     /// If the dimensions of task and policy differ. If the policy trains a parameter that the task
@@ -330,7 +330,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     ///
     /// # Errors
     /// [`TrainError`] if a setting is invalid, the memory limit is too small, or a parameter is not
-    /// finite. A set is empty or not a whole number of samples.
+    /// finite. Also if a set is empty or not a whole number of samples.
     ///
     /// # Panics
     /// If the length of `theta` differs from the policy's `param_count`. If the dimensions of task

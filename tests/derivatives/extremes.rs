@@ -90,6 +90,54 @@ fn norms_of_adjoints_have_the_whole_range_of_f64() {
     }
 }
 
+/// As [`Timed`] with a factor of 8 and 0 at step 50, but with the cost `x_t` and the gain
+/// `gain(t)` of the control. Without a control, nothing remains at step 50. With a tiny gain, the
+/// cotangent of the control sets the exponent.
+#[test]
+fn costs_of_the_current_state_survive_a_derivative_of_0() {
+    struct Before {
+        gain: fn(usize) -> f64,
+    }
+    impl System for Before {
+        fn state_dim(&self) -> usize {
+            1
+        }
+        fn control_dim(&self) -> usize {
+            1
+        }
+        fn step<T: Scalar>(&self, Inputs { x, u, t, .. }: Inputs<'_, T>, next: &mut [T]) {
+            next[0] = x[0] * if t == 50 { 0.0 } else { 8.0 } + u[0] * (self.gain)(t);
+        }
+    }
+    impl Task for Before {
+        type System = Self;
+        fn system(&self) -> &Self {
+            self
+        }
+        fn horizon(&self) -> usize {
+            128
+        }
+        fn start(&self, _: &mut Rng, _: Start<'_>) {}
+        fn running_cost<T: Scalar>(&self, Inputs { x, .. }: Inputs<'_, T>, _next: &[T]) -> T {
+            x[0]
+        }
+    }
+    for gain in [|_| 0.0, |t| if t == 50 { 1e-22 } else { 1.0 }, |t| if t == 50 { 1e-30 } else { 1.0 }] as [fn(usize) -> f64; 3] {
+        let policy = OpenLoop::new(1, 1, 128);
+        let weights = Weights::<f32>::new(&policy, vec![0.0; 128]);
+        let mut rollout = Rollout::new(&Before { gain }, &policy, 1);
+        rollout.start(&[0.0]);
+        rollout.run(&Before { gain }, &policy, &weights).expect("the rollout stays at 0");
+        let mut adjoint = Adjoint::new(&Before { gain }, &policy, &rollout, &[Flow::REGULAR]).keep_norms();
+        adjoint.run(&Before { gain }, &policy, &weights, &rollout, 1.0).expect("finite");
+        let mut expected = 0.0;
+        for (t, norm) in adjoint.norms(0).iter().enumerate().take(128).rev() {
+            expected = expected * if t == 50 { 0.0 } else { 8.0 } + 1.0;
+            assert!((norm - expected).abs() <= 1e-5 * expected, "step {t}: {norm:e}, expected {expected:e}");
+        }
+    }
+}
+
 /// A cut removes the path through the observation of p too. Growth by 3.5 per step exceeds one
 /// decade in every second step.
 #[test]

@@ -59,13 +59,13 @@ fn a_large_initial_cost_does_not_end_the_search_early() {
     struct Quartic;
     impl System for Quartic {
         fn state_dim(&self) -> usize {
-            1
+            2
         }
         fn control_dim(&self) -> usize {
-            1
+            2
         }
         fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
-            next[0] = x[0] + u[0];
+            (next[0], next[1]) = (x[0] + u[0], x[1] + u[1]);
         }
     }
     impl Task for Quartic {
@@ -78,12 +78,14 @@ fn a_large_initial_cost_does_not_end_the_search_early() {
         }
         fn start(&self, _: &mut Rng, _: Start<'_>) {}
         fn terminal_cost<T: Scalar>(&self, x: &[T], _: &[T]) -> T {
-            x[0].powi(4)
+            x[0].powi(4) + x[1] * x[1]
         }
     }
-    let plan = optimize(&Quartic, &[1e6], &[], Initial::Zeros, &Options::default()).expect("finite");
-    assert_eq!(plan.stop, Stop::Gradient);
-    assert!(plan.cost < 1e-10, "{}", plan.cost);
+    for x0 in [[1e6, 0.0], [0.0, 1e12], [10.0, 1e12]] {
+        let plan = optimize(&Quartic, &x0, &[], Initial::Zeros, &Options::default()).expect("finite");
+        assert_eq!(plan.stop, Stop::Gradient, "{x0:?}");
+        assert!(plan.cost < 1e-6, "{x0:?}: {}", plan.cost);
+    }
 }
 
 /// The pole hangs at rest. The gradient is 0 up to rounding, although the cost is not minimal.

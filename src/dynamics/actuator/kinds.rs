@@ -32,9 +32,10 @@ pub enum LimitKind {
 
 impl Actuator for Limit {
     /// # Panics
-    /// If the bound is not positive and finite.
+    /// If the bound is not positive, or is infinite with [`LimitKind::Smooth`].
     fn state_dim(&self, _controls: usize) -> usize {
-        assert!(self.bound > 0.0 && self.bound.is_finite(), "the bound of a limit is a positive number, not {}", self.bound);
+        let is_valid = self.bound > 0.0 && (self.bound.is_finite() || self.kind == LimitKind::Hard);
+        assert!(is_valid, "the bound of a limit is a positive number, not {}", self.bound);
         0
     }
 

@@ -201,6 +201,11 @@ impl<F: Float, const K: usize> BlockExponents<F, K> {
             return Ok(());
         }
         let own = self.of[k][lane];
+        if own > 0 && size < Limits::new().low {
+            // `Recursion::restart` lowers the exponent after the step, and adds the cost gradients
+            // again: they may have underflowed.
+            return Ok(());
+        }
         let by = if size == F::zero() { -own } else { exponent_of(size.as_()) };
         for bar in lambda.iter_mut().chain(u_bar) {
             let bar = &mut bar.0[k];

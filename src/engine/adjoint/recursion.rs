@@ -357,9 +357,9 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         bars.fold(F::zero(), |sum, bar| sum + bar.0[k].lane(sample % WIDTH).abs()) < Limits::new().low
     }
 
-    /// Lowers the exponent of one flow and sample, after step `t`, to that of the cotangents from
-    /// later steps. These are 0 after a truncation and where derivatives are 0. With `cut`, sets
-    /// them to 0.
+    /// Sets the exponent of one flow and sample, after step `t`, to that of the cotangents from
+    /// later steps, at least 0. These are 0 after a truncation and where derivatives are 0. With
+    /// `cut`, sets them to 0.
     ///
     /// With the previous exponent, if it is large, the cost gradients would underflow.
     #[cold]

@@ -9,7 +9,7 @@ use std::ops::Range;
 pub const ROLLOUTS: usize = 4;
 
 /// One rollout. If the batch of rollouts diverges, all its rollouts end before the first non-finite
-/// state or control.
+/// state or control, but contain the initial state.
 pub struct Trajectory {
     /// States `[step][component]`, the initial state first.
     pub states: Vec<Vec<f64>>,
@@ -34,7 +34,7 @@ pub fn rollouts<F: Float>(
     let mut rollout = Rollout::new(task, policy, samples);
     rollout.start(starts);
     let steps = match rollout.run(task, policy, weights) {
-        Err(Divergence::Forward { variable: Variable::State, step, .. }) => step - 1,
+        Err(Divergence::Forward { variable: Variable::State, step, .. }) => step.saturating_sub(1),
         Err(Divergence::Forward { variable: Variable::Control | Variable::Memory, step, .. }) => step,
         _ => task.horizon(),
     };

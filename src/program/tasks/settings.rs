@@ -131,7 +131,7 @@ impl<K: TaskSpec> Settings<K> {
         K::validate(self)?;
         K::validate_own_effects(&self.own_effects)?;
         let TrainingSettings { batch, train_samples, test_samples, .. } = self.training;
-        let samples = batch.min(train_samples);
+        let samples = self.training.training(self.epochs, self.seed, 1).derived(batch.min(train_samples));
         let (task, policy) = self.task_and_policy();
         let Needs { batch: whole, rest } = memory::needs(&task, &policy, self.precision, samples, train_samples + test_samples);
         // With a budget, the reverse pass recomputes the steps that exceed the budget.
