@@ -114,7 +114,7 @@ def _function(function: Function, task: Any) -> Callable[..., jax.Array]:
         shape, t = lead(function.name, {label: array.shape for label, array in zip(dims, arrays)}), jnp.asarray(t)
         if not jnp.issubdtype(t.dtype, jnp.integer):
             raise TypeError(f"`{function.name}`: `t` has the dtype {t.dtype}. Use an int or an integer array")
-        if t.ndim > len(shape):
+        if t.ndim > len(shape) or any(size not in (1, batch) for size, batch in zip(t.shape, shape)):
             raise ValueError(f"`{function.name}`: `t` has shape {t.shape}, but the batch dimensions are {shape}")
         return call(tuple(jnp.broadcast_to(array, (*shape, array.shape[-1])) for array in arrays), t)
 

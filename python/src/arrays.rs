@@ -39,7 +39,9 @@ impl<'py, F: Number> Argument<'py, F> {
     /// Reads an argument of any shape.
     fn read(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Self> {
         let py = object.py();
-        if !object.is_exact_instance_of::<PyUntypedArray>() && object.hasattr("mask")? {
+        // A masked array is a subclass of `numpy.ndarray`.
+        let is_subclass = object.cast::<PyUntypedArray>().is_ok() && !object.is_exact_instance_of::<PyUntypedArray>();
+        if is_subclass && object.hasattr("mask")? {
             return Err(PyValueError::new_err(format!("`{name}` is a masked array; fill it, as in `{name}.filled(numpy.nan)`")));
         }
         let array = match object.cast::<PyArrayDyn<F>>() {

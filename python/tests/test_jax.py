@@ -180,12 +180,12 @@ def test_vmap_of_the_step_number_or_the_cotangent_only():
     assert relative(scaled[2], 3 * scaled[0]) < 1e-12
 
 
-@pytest.mark.parametrize("t, error", [(1.5, TypeError), (np.arange(3), ValueError)])
+@pytest.mark.parametrize("t, error", [(1.5, TypeError), (np.arange(3), ValueError), (np.zeros((5, 1), int), ValueError)])
 def test_wrong_step_numbers_are_named(t, error):
     of = task("terminal")
-    x, u, _ = batch(of, 1)
+    x, u, _ = batch(of, 5)
     with pytest.raises(error, match="`step`: `t` has"):
-        pg.jax.step(of)(x[0], u[0], None, t)
+        pg.jax.step(of)(x, u, None, t)
 
 
 def test_forward_mode_is_refused():

@@ -143,6 +143,19 @@ def test_a_random_policy_replaces_the_initial_policy_of_a_scene():
     assert np.array_equal(third.policy.theta, pg.Policy(second.task, seed=0).theta)
 
 
+def test_policies_of_other_trained_numbers_are_refused(tmp_path):
+    def fit(name, **bounds):
+        return small(**{name: {"start": 1.0, **bounds}})
+
+    # Bounds have to survive text: 1 / 1.1 has 17 digits.
+    run = pg.train(fit("cart_mass", min=1 / 1.1, max=9.81 * 1.05), field="C", epochs=1, seed=1, **FAST)
+    run.policy.save(tmp_path / "policy.safetensors")
+    pg.Policy(run.task).load(tmp_path / "policy.safetensors")
+    for other in (fit("pole_mass", min=1 / 1.1, max=9.81 * 1.05), fit("cart_mass", min=0.5)):
+        with pytest.raises(ValueError, match="it has the trained numbers system.cart_mass min 0.909"):
+            pg.Policy(other).load(tmp_path / "policy.safetensors")
+
+
 def test_saving_in_a_folder_with_another_run_keeps_both(tmp_path, monkeypatch):
     runs = [pg.train(small(), field="C", epochs=1, seed=seed, **FAST) for seed in (1, 2)]
     for run in (runs[0], runs[1], runs[0], runs[0]):

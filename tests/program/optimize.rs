@@ -94,8 +94,10 @@ fn plans_of_other_initial_states_are_written_if_one_fails() {
     let samples: Vec<f64> = columns(&dir, "plan/optimized.csv", &["sample"]).concat();
     assert!((1..6).contains(&samples.len()), "{samples:?}");
     for sample in &samples {
-        assert!(!stderr.contains(&format!("initial state {sample}: forward")), "{sample}: {stderr}");
+        assert!(!stderr.contains(&format!("initial state {sample}: initial")), "{sample}: {stderr}");
     }
+    let failed = stderr.lines().filter(|line| line.contains(": initial ")).count();
+    assert_eq!(samples.len() + failed, 6, "{stderr}");
 }
 
 #[test]

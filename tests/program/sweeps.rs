@@ -105,3 +105,20 @@ fn runs_are_listed_filtered_sorted_and_drawn() {
     let warning = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(warning.contains("warning: omitted a run: runs/deep/b/metrics.csv is damaged"), "{warning}");
 }
+
+/// Runs of one scene and of several scenes have other places, so one folder cannot hold both.
+#[test]
+fn a_comparison_of_one_scene_does_not_mix_with_one_of_several() {
+    let dir = tempfile::TempDir::new().expect("a folder");
+    let small = "--fields R --seeds 1 --epochs 1 --set training.train_samples=8 --set training.test_samples=4 --quiet";
+    let one = format!("compare cart_pole_1 {small}");
+    let several = format!("{one} --set training.batch=2,4");
+    let run = |command: &str, folder: &str| crate::numbers::physgrad(&format!("{command} --out {folder}"), dir.path()).assert();
+    run(&one, "first").success();
+    run(&several, "second").success();
+    for (command, folder, found) in [(several, "first", "one scene"), (one, "second", "several scenes")] {
+        let stderr = run(&command, folder).failure().get_output().stderr.clone();
+        let expected = format!("{folder} holds a comparison of {found}");
+        assert!(String::from_utf8_lossy(&stderr).contains(&expected), "{}", String::from_utf8_lossy(&stderr));
+    }
+}

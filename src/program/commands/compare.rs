@@ -3,7 +3,7 @@
 mod sweep;
 
 use crate::program::commands::animate::{Animate, animate};
-use crate::program::platform::folder::{Folder, RUNS, SETTINGS, STUDY};
+use crate::program::platform::folder::{Folder, SETTINGS, STUDY};
 use crate::program::platform::json::{print_json, rows};
 use crate::program::platform::table::Table;
 use crate::program::platform::terminal::{counted, print_message, print_note, print_text};
@@ -97,11 +97,11 @@ pub fn compare(args: &Compare) -> Result<()> {
         (_, out) => Folder::named(out.as_deref(), &format!("compare-{}", names.join("-")))?,
     };
     check_folder(&folder, "comparison", &[(SETTINGS, "run"), (STUDY, "study")])?;
-    if points.len() > 1 && folder.has(RUNS) {
-        let path = folder.path().display();
-        bail!(
-            "{path} holds a comparison of one scene, which this comparison would mix with its own; choose another folder with --out"
-        );
+    // The runs of one scene are in another place than those of several.
+    let saved = read_plan::<Plan>(&folder).ok();
+    if saved.is_some_and(|saved| (saved.points.len() > 1) != (points.len() > 1)) {
+        let other = if points.len() > 1 { "one scene or point" } else { "several scenes or points" };
+        bail!("{} holds a comparison of {other}; choose another folder with --out", folder.path().display());
     }
     let mut comparisons = plan(&points, &args.fields, args.seeds, &folder)?;
     if args.resume && !comparisons.iter().any(Comparison::has_runs) {
@@ -304,9 +304,11 @@ fn sweep_points(name: &str, args: &Compare) -> Result<Vec<SweepPoint>> {
     let mut overrides = args.overrides.clone();
     take_several(&mut overrides.set, &mut sweep)?;
     let points = sweep.points()?;
-    let mut keys = overrides.set.iter().filter_map(|assignment| assignment.split_once('='));
-    if let Some((key, _)) = keys.find(|(key, _)| points[0].0.iter().any(|(varied, _)| varied == key.trim())) {
-        bail!("--set {key}: the sweep has values of this setting too; give its values once");
+    let assigned = overrides.set.iter().filter_map(|assignment| Some(assignment.split_once('=')?.0.trim()));
+    let options = [("epochs", overrides.epochs.is_some()), ("precision", overrides.precision.is_some())];
+    let mut keys = assigned.chain(options.into_iter().filter(|(_, given)| *given).map(|(key, _)| key));
+    if let Some(key) = keys.find(|key| points[0].0.iter().any(|(varied, _)| varied == key)) {
+        bail!("`{key}` is in the sweep and in an option; give its values once");
     }
     // Omits the name of a single scene.
     let short = if args.scenes.len() == 1 { String::new() } else { presets::short_name(name) };

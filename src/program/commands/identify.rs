@@ -119,8 +119,9 @@ pub fn identify(args: &Identify) -> Result<()> {
     }
     warnings.iter().for_each(|warning| text += &format!("\n{WARNING}: {warning}"));
 
-    if let Ok(found) = &found {
-        saved::write_scene(&folder, "scene.toml", found)?;
+    match &found {
+        Ok(found) => saved::write_scene(&folder, "scene.toml", found)?,
+        Err(_) => folder.remove("scene.toml")?,
     }
     let identified = numbers(&fit, &scene)?;
     folder.write(IDENTIFIED, &identified)?;

@@ -79,6 +79,9 @@ pub fn optimize(args: &Optimize) -> Result<()> {
             (presets::short_name(name), saved::changed(name, &args.overrides)?)
         }
     };
+    if let Some(out) = &args.out {
+        check_folder(&Folder::at(out), "plan", &[(SETTINGS, "run"), (COMPARISON, "comparison"), (STUDY, "study")])?;
+    }
     let bounds = bounds(&args.bound, &scene.control_names())?;
     let options = Options { max_iterations: args.iterations, bounds, ..Options::default() };
     let starts = starts(args, &scene)?;
@@ -108,7 +111,6 @@ pub fn optimize(args: &Optimize) -> Result<()> {
 
     let optimized: Vec<(usize, Trajectory)> = plans.iter().map(|(i, plan)| (*i, trajectory(plan))).collect();
     let folder = Folder::named(args.out.as_deref(), &format!("optimize-{name}"))?;
-    check_folder(&folder, "plan", &[(SETTINGS, "run"), (COMPARISON, "comparison"), (STUDY, "study")])?;
     saved::write_scene(&folder, "scene.toml", &scene)?;
     let costs = summary(&plans)?;
     folder.write("optimized.csv", &costs)?;

@@ -110,9 +110,9 @@ pub fn robust(args: &Robust) -> Result<()> {
         }
     }
     // Checks all scenes before the first evaluation.
-    let scenes = points.iter().map(|(run, at)| scene(&runs[*run], at, args)).collect::<Result<Vec<_>>>()?;
-    let points: Vec<_> = points.into_iter().zip(scenes).collect();
-    let cells = parallel::map(&points, |((run, at), scene)| evaluate(&runs[*run], *run, at, scene, args));
+    let valid = parallel::map(&points, |(run, at)| scene(&runs[*run], at, args).map(drop));
+    valid.into_iter().collect::<Result<()>>()?;
+    let cells = parallel::map(&points, |(run, at)| evaluate(&runs[*run], *run, at, args));
     let cells = cells.into_iter().collect::<Result<Vec<_>>>()?;
     let folder = Folder::named(args.out.as_deref(), "robust")?;
     let points = table_csv(args, &runs, &cells)?;
@@ -137,8 +137,8 @@ fn scene(policy: &Trained, at: &[f64], args: &Robust) -> Result<Scene> {
 }
 
 /// Evaluates a policy at one grid point.
-fn evaluate(policy: &Trained, run: usize, at: &[f64], scene: &Scene, args: &Robust) -> Result<Cell> {
-    let losses = policy.evaluation(scene, args.seed)?.losses(args.samples);
+fn evaluate(policy: &Trained, run: usize, at: &[f64], args: &Robust) -> Result<Cell> {
+    let losses = policy.evaluation(&scene(policy, at, args)?, args.seed)?.losses(args.samples);
     let diverged = losses.iter().filter(|loss| !loss.is_finite()).count();
     let losses = sorted(losses.into_iter());
     Ok(Cell { run, at: at.to_vec(), quantiles: SHARES.map(|share| quantile(&losses, share)), diverged })

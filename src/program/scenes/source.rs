@@ -84,7 +84,8 @@ impl SceneSource {
             };
             if !suits {
                 // TOML splits keys without quotation marks at their dots.
-                let quoted = if table.is_some() { "; write dotted keys in quotation marks" } else { "" };
+                let is_split = table.is_some() && !key.contains('.');
+                let quoted = if is_split { "; write dotted keys in quotation marks" } else { "" };
                 bail!("{origin}: `{key}` is {value}; allowed in [{section}]: {allowed}{quoted}");
             }
             if self.get(&key).is_some() {

@@ -163,10 +163,10 @@ impl Point {
     }
 }
 
-/// All settings of a table by dotted key. A drawn number is one setting.
+/// All settings of a table by dotted key. A drawn or trained number is one setting.
 fn settings(section: &str, table: &Table) -> Vec<(String, Value)> {
     let inner = |(key, value): (&String, &Value)| match value {
-        Value::Table(inner) if !is_drawn(inner) => settings(&format!("{section}{key}."), inner),
+        Value::Table(inner) if !is_drawn(inner) && !inner.contains_key("start") => settings(&format!("{section}{key}."), inner),
         value => vec![(format!("{section}{key}"), value.clone())],
     };
     table.iter().flat_map(inner).collect()

@@ -61,7 +61,7 @@ pub fn overlay(lower: &mut Table, upper: &Table) {
 /// Returns whether the table is a drawn [`Number`](crate::Number).
 pub fn is_drawn(table: &Table) -> bool {
     const DISTRIBUTIONS: [&str; 4] = ["uniform", "normal", "log_uniform", "choice"];
-    table.len() == 1 && table.keys().all(|key| DISTRIBUTIONS.contains(&&**key))
+    table.len() == 1 && table.iter().all(|(key, value)| DISTRIBUTIONS.contains(&&**key) && value.is_array())
 }
 
 /// Implements the methods on the left by the method on the right. The visitor checks the range.
@@ -241,9 +241,9 @@ mod tests {
     #[test]
     fn sections_are_merged_and_drawn_numbers_are_replaced() {
         let table = |text: &str| text.parse::<Table>().expect("TOML");
-        let mut merged = table("a = { uniform = [0, 1] }\nb = { start = 1, min = 0 }\nc = { x = 1, y = 2 }\n");
-        overlay(&mut merged, &table("a = { normal = [1, 2] }\nb = { start = 2 }\nc = { y = 3 }\n"));
-        assert_eq!(merged, table("a = { normal = [1, 2] }\nb = { start = 2, min = 0 }\nc = { x = 1, y = 3 }\n"));
+        let mut merged = table("a = { uniform = [0, 1] }\nb = { start = 1, min = 0 }\nc = { normal = 1, y = 2 }\n");
+        overlay(&mut merged, &table("a = { normal = [1, 2] }\nb = { start = 2 }\nc = { normal = 3 }\n"));
+        assert_eq!(merged, table("a = { normal = [1, 2] }\nb = { start = 2, min = 0 }\nc = { normal = 3, y = 2 }\n"));
     }
 
     #[test]

@@ -153,7 +153,7 @@ impl<T: ProgramTask> TaskSpec for Own<T> {
     }
 
     fn validate_own_effects(_effects: &SceneEffects) -> Result<(), ConfigError> {
-        // `validate` needs the settings too.
+        // `validate` checks the effects, which needs the settings.
         Ok(())
     }
 

@@ -184,10 +184,8 @@ impl TaskSpec for Quantum {
         let QuantumSettings { grid, length, dt, target, weighting: [first, second], control: _ } = settings.system;
         // Two convolutions of kernel size 3 and stride 2 need at least seven points.
         count("system.grid", grid, 7..=100_000)?;
-        // The propagator of `strang` is a dense matrix.
-        if settings.integrator.method == Some(Method::Strang) {
-            count("system.grid", grid, 7..=4096)?;
-        }
+        let is_dense = settings.integrator.method == Some(Method::Strang);
+        allowed("system.grid", grid, !is_dense || grid <= 4096, "up to 4096 with the method `strang`, which has a dense matrix")?;
         count("system.target", target, 1..=grid)?;
         positive("system.length", length)?;
         positive("system.dt", dt)?;

@@ -33,19 +33,11 @@ impl Setting {
     /// Copy of `source` with this setting.
     pub(crate) fn source(&self, source: &SceneSource) -> Result<SceneSource> {
         let mut source = source.clone();
-        let integrator = source.table().get("integrator").cloned();
         source.without_section("integrator");
         source.put("precision", Value::String(self.precision.name().into()), "accuracy")?;
         source.put("integrator.substeps", Value::Integer(self.substeps as i64), "accuracy")?;
         if self.method != "native" {
             source.put("integrator.method", Value::String(self.method.into()), "accuracy")?;
-        }
-        // Keeps the tolerances of the scene's own method.
-        for (key, value) in integrator.as_ref().and_then(Value::as_table).into_iter().flatten() {
-            let own = integrator.as_ref().and_then(|own| own.get("method")?.as_str());
-            if own == Some(self.method) && !["method", "substeps"].contains(&&**key) {
-                source.put(&format!("integrator.{key}"), value.clone(), "accuracy")?;
-            }
         }
         Ok(source)
     }

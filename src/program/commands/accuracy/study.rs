@@ -106,7 +106,11 @@ impl Study {
         let refined = Setting { method: "native", substeps: 2, precision: Precision::F64 };
         let context = "accuracy varies the time step, which this task does not support; choose another task";
         refined.of(&self.source).context(context)?;
-        let methods = ["native"].into_iter().chain(self.scene.task.methods().iter().map(|method| method.name()));
+        // Omits methods that the scene does not support, as `strang` on large grids.
+        let is_valid =
+            |&method: &&'static str| Setting { method, substeps: 1, precision: Precision::F64 }.of(&self.source).is_ok();
+        let others = self.scene.task.methods().iter().map(|method| method.name()).filter(is_valid);
+        let methods = ["native"].into_iter().chain(others);
         let each = methods.flat_map(|method| {
             // Tries one number of substeps for the adaptive method, which selects its step sizes.
             let counts = if method == "adaptive" { &SUBSTEPS[..1] } else { &SUBSTEPS };
