@@ -29,7 +29,7 @@ pub fn cost<T: Task>(task: &T) -> Passed {
 /// - [`observe`](Task::observe) writes every component.
 /// - [`observe_vjp`](Task::observe_vjp), [`running_cost_gradient`](Task::running_cost_gradient) and
 ///   [`terminal_cost_gradient`](Task::terminal_cost_gradient) agree with dual numbers with respect
-///   to every input, and add to their outputs.
+///   to every input, also if only one of them is requested, and add to their outputs.
 ///
 /// # Errors
 /// Returns the first [`Mismatch`].
@@ -63,6 +63,12 @@ pub fn try_cost<T: Task>(task: &T) -> Result<Passed, Mismatch> {
                 let cotangents = Cotangents { x: Some(x), u: None, p: (params > 0).then_some(p) };
                 task.observe_vjp(inputs.with_u(&[]), &y_bar, cotangents);
             })?;
+            let (by_x, by_p) = expected.split_at(n);
+            let (mut x_bar, mut p_bar) = (vec![0.0; n], vec![0.0; params]);
+            task.observe_vjp(inputs.with_u(&[]), &y_bar, Cotangents { x: Some(&mut x_bar), u: None, p: None });
+            task.observe_vjp(inputs.with_u(&[]), &y_bar, Cotangents { x: None, u: None, p: (params > 0).then_some(&mut p_bar) });
+            c.slices("observe_vjp with x alone requested: x_bar", &x_bar, by_x)?;
+            c.slices("observe_vjp with p alone requested: p_bar", &p_bar, by_p)?;
         }
 
         let expected = pulled_back(&[&x[..], &u, &p, &next].concat(), &[1.0], &|all, cost| {
@@ -77,6 +83,21 @@ pub fn try_cost<T: Task>(task: &T) -> Result<Passed, Mismatch> {
             let cotangents = Cotangents { x: Some(x), u: Some(u), p: (params > 0).then_some(p) };
             task.running_cost_gradient(inputs, &next, cotangents, next_bar);
         })?;
+        let [mut x_bar, mut u_bar, mut p_bar] = [n, m, params].map(|len| vec![0.0; len]);
+        let requests = [
+            Cotangents { x: Some(&mut x_bar), u: None, p: None },
+            Cotangents { x: None, u: Some(&mut u_bar), p: None },
+            Cotangents { x: None, u: None, p: (params > 0).then_some(&mut p_bar) },
+        ];
+        for request in requests {
+            task.running_cost_gradient(inputs, &next, request, &mut vec![0.0; n]);
+        }
+        let (mut rest, alone) = (&expected[..], [("x", x_bar), ("u", u_bar), ("p", p_bar)]);
+        for (name, bar) in alone {
+            let (own, others) = rest.split_at(bar.len());
+            c.slices(&format!("running_cost_gradient with {name} alone requested: {name}_bar"), &bar, own)?;
+            rest = others;
+        }
 
         let expected = pulled_back(&[&x[..], &p].concat(), &[1.0], &|all, cost| {
             cost[0] = task.terminal_cost(&all[..n], &all[n..]);

@@ -26,6 +26,8 @@ enum Fault {
     ObservationOfParams,
     /// `running_cost_gradient` omits the parameters.
     CostOfParams,
+    /// `running_cost_gradient` omits the control unless the state is requested too.
+    CostOfControlAlone,
     /// `observe` does not write the last component.
     Unwritten,
     /// `terminal_cost_gradient` overwrites `x_bar` instead of adding to it.
@@ -107,11 +109,12 @@ impl<const CONTROLS: usize> Task for Tracking<CONTROLS> {
         let Inputs { x, u, p, t } = inputs;
         next_bar[0] += (next[0] - p[1]) * R::from(2.0 * (1.0 + t as f64));
         next_bar[1] += x[0];
+        let with_control = self.fault != Fault::CostOfControlAlone || cotangents.x.is_some();
         if let (Some(x_bar), true) = (cotangents.x, self.fault != Fault::CostOfState) {
             x_bar[0] += next[1] - x[1];
             x_bar[1] -= x[0];
         }
-        if let Some(u_bar) = cotangents.u {
+        if let (Some(u_bar), true) = (cotangents.u, with_control) {
             u_bar[0] += u[0] * p[0] * R::from(2.0);
         }
         if let (Some(p_bar), true) = (cotangents.p, self.fault != Fault::CostOfParams) {
@@ -212,6 +215,7 @@ fn check_cost_names_the_wrong_method_and_output() {
     names(Fault::ObservationOfParams, "observe_vjp: p_bar");
     names(Fault::CostOfState, "running_cost_gradient: x_bar");
     names(Fault::CostOfParams, "running_cost_gradient: p_bar");
+    names(Fault::CostOfControlAlone, "running_cost_gradient with u alone requested: u_bar");
     names(Fault::Unwritten, "observe leaves a component unwritten: y");
     names(Fault::Overwrites, "terminal_cost_gradient, second call that adds: x_bar");
     let message = |fault: Fault| check::try_cost(&Tracking::<1> { fault }).expect_err("a mismatch").to_string();
