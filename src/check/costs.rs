@@ -29,7 +29,7 @@ pub fn cost<T: Task>(task: &T) -> Passed {
 /// - [`observe`](Task::observe) writes every component.
 /// - [`observe_vjp`](Task::observe_vjp), [`running_cost_gradient`](Task::running_cost_gradient) and
 ///   [`terminal_cost_gradient`](Task::terminal_cost_gradient) agree with dual numbers with respect
-///   to every input, also if only one of them is requested, and add to their outputs.
+///   to every input, and add to their outputs. This includes requests of a single input.
 ///
 /// # Errors
 /// Returns the first [`Mismatch`].
