@@ -79,8 +79,9 @@ fn every_operation_on_duals_counts_the_value_and_four_tangents() {
             "div_f64" => Ops { divide: 5, ..NONE },
             // a' b + a b'.
             "mul" | "mul_assign" => Ops { multiply: 1 + 8, add: 4, ..NONE },
-            // q = a / b, i = 1 / b; (a' - q b') i.
-            "div" | "div_assign" => Ops { divide: 2, multiply: 8, add: 4, ..NONE },
+            // q = a / b, i = 1 / b; (a' - q b') i. The absolute value of i, and a selection per
+            // tangent.
+            "div" | "div_assign" => Ops { divide: 2, multiply: 8, add: 4, compare: 1 + 4, negate: 1, ..NONE },
             "neg" => Ops { negate: 5, ..NONE },
             // The derivative may be infinite: the absolute values of the derivative and of each
             // tangent, and two selections per tangent.

@@ -57,6 +57,17 @@ fn derivatives_of_constants_stay_zero() {
 }
 
 #[test]
+fn a_saturated_sigmoid_has_derivative_zero() {
+    let slope = |x: f32| {
+        let sigmoid = |x: Dual<Single<f32>, 1>| Dual::from(1.0) / ((-x).exp() + 1.0);
+        sigmoid(Dual { value: Lanes([x]), tangents: [Lanes([1.0])] }).tangents[0].lane(0)
+    };
+    // exp(100) overflows in f32.
+    assert_eq!((slope(-100.0), slope(0.0)), (0.0, 0.25));
+    assert!(slope(f32::NAN).is_nan());
+}
+
+#[test]
 fn second_derivatives_at_stationary_arguments_are_exact() {
     type Second = Dual<Dual<f64, 1>, 1>;
     let second = |f: fn(Second) -> Second, x: f64| {

@@ -106,7 +106,8 @@ fn runs_are_listed_filtered_sorted_and_drawn() {
     assert!(warning.contains("warning: omitted a run: runs/deep/b/metrics.csv is damaged"), "{warning}");
 }
 
-/// Runs of one scene and of several scenes have other places, so one folder cannot hold both.
+/// Runs of one scene and of several scenes have other places, so one folder cannot hold both. Nor
+/// can it hold runs of two scenes in one place.
 #[test]
 fn a_comparison_of_one_scene_does_not_mix_with_one_of_several() {
     let dir = tempfile::TempDir::new().expect("a folder");
@@ -116,7 +117,10 @@ fn a_comparison_of_one_scene_does_not_mix_with_one_of_several() {
     let run = |command: &str, folder: &str| crate::numbers::physgrad(&format!("{command} --out {folder}"), dir.path()).assert();
     run(&one, "first").success();
     run(&several, "second").success();
-    for (command, folder, found) in [(several, "first", "one scene"), (one, "second", "several scenes")] {
+    let other = format!("compare cart_pole_2 {}", small.replace("--fields R", "--fields M"));
+    for (command, folder, found) in
+        [(several, "first", "one scene"), (one, "second", "several scenes"), (other, "first", "cart_pole_1")]
+    {
         let stderr = run(&command, folder).failure().get_output().stderr.clone();
         let expected = format!("{folder} holds a comparison of {found}");
         assert!(String::from_utf8_lossy(&stderr).contains(&expected), "{}", String::from_utf8_lossy(&stderr));

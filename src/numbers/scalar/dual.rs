@@ -114,10 +114,13 @@ impl<T: Scalar, const N: usize> Mul for Dual<T, N> {
 
 impl<T: Scalar, const N: usize> Div for Dual<T, N> {
     type Output = Self;
+    /// Tangents of a quotient by infinity are 0, also if the divisor has an infinite tangent. The
+    /// logistic function `1 / (1 + exp(-x))` of a large negative number is such a quotient.
     #[inline(always)]
     fn div(self, other: Self) -> Self {
         let (value, inverse) = (self.value / other.value, T::one() / other.value);
-        self.binary(other, value, |a, b| (a - value * b) * inverse)
+        let size = inverse.abs();
+        self.binary(other, value, |a, b| T::select_lt(T::zero(), size, (a - value * b) * inverse, inverse))
     }
 }
 

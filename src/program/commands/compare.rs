@@ -97,10 +97,14 @@ pub fn compare(args: &Compare) -> Result<()> {
         (_, out) => Folder::named(out.as_deref(), &format!("compare-{}", names.join("-")))?,
     };
     check_folder(&folder, "comparison", &[(SETTINGS, "run"), (STUDY, "study")])?;
-    // The runs of one scene are in another place than those of several.
+    // The runs of one scene are in `runs`. Those of each of several scenes are in a subfolder.
     let saved = read_plan::<Plan>(&folder).ok();
-    if saved.is_some_and(|saved| (saved.points.len() > 1) != (points.len() > 1)) {
-        let other = if points.len() > 1 { "one scene or point" } else { "several scenes or points" };
+    if let Some(other) = saved.and_then(|saved| match (&saved.points[..], &points[..]) {
+        ([saved], [point]) => (saved.name != point.name).then(|| saved.name.clone()),
+        ([_], _) => Some("one scene or point".into()),
+        (_, [_]) => Some("several scenes or points".into()),
+        _ => None,
+    }) {
         bail!("{} holds a comparison of {other}; choose another folder with --out", folder.path().display());
     }
     let mut comparisons = plan(&points, &args.fields, args.seeds, &folder)?;

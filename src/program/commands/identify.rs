@@ -6,9 +6,10 @@ mod picture;
 use crate::Number;
 use crate::identify::{Fit, IdentifyError, Options, Segment};
 use crate::numbers::text::{digits, rough, short};
+use crate::program::commands::compare::check_folder;
 use crate::program::commands::report::identification::{self, FIT, IDENTIFIED, TRAJECTORIES, VALIDATION, WARNING};
 use crate::program::platform::csv::csv;
-use crate::program::platform::folder::{Folder, REPORT};
+use crate::program::platform::folder::{COMPARISON, Folder, REPORT, SETTINGS, STUDY};
 use crate::program::platform::json::{object, print_json, rows};
 use crate::program::platform::table::Table;
 use crate::program::platform::terminal::print_text;
@@ -77,6 +78,9 @@ pub fn identify(args: &Identify) -> Result<()> {
     let noise = noise(&args.noise, &scene)?;
     if args.every == 0 {
         bail!("--every is 0; allowed: 1 or more");
+    }
+    if let Some(out) = &args.out {
+        check_folder(&Folder::at(out), "fit", &[(SETTINGS, "run"), (COMPARISON, "comparison"), (STUDY, "study")])?;
     }
     let options = Options {
         noise,

@@ -23,14 +23,15 @@ pub struct Listed {
     pub saved: SystemTime,
 }
 
-/// Runs in a folder and in four levels of its subfolders, sorted by path, and the errors of damaged
+/// Runs in a folder and in five levels of its subfolders, sorted by path, and the errors of damaged
 /// runs. Omits renamed earlier runs.
 ///
 /// # Errors
 /// The folder or a subfolder cannot be read.
 pub fn below(folder: &Folder) -> Result<(Vec<Listed>, Vec<anyhow::Error>)> {
-    /// Number of levels of folders: folder of comparisons, comparison, scene, `runs`, run.
-    const DEPTH: usize = 5;
+    /// Number of levels of folders, from `runs` to a run of `physgrad paper`: `runs`, `paper`,
+    /// figure, comparison, `runs`, run.
+    const DEPTH: usize = 6;
     let (mut level, mut runs, mut damaged) = (vec![folder.clone()], Vec::new(), Vec::new());
     for _ in 0..DEPTH {
         let mut next = Vec::new();
