@@ -181,6 +181,10 @@ class _Rows:
 
     def step(self, actions: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Steps the rows in ``mask``. Returns rewards, 0 for other rows, and the rows that end."""
+        if actions.shape != (len(self.x), len(self.bound)):
+            shape = actions.shape[1:] if len(self.x) == 1 else actions.shape
+            expected = (len(self.bound),) if len(self.x) == 1 else (len(self.x), len(self.bound))
+            raise ValueError(f"the actions have the shape {shape}; expected {expected}")
         bad = mask[:, None] & ~np.isfinite(actions)
         if bad.any():
             raise ValueError(f"environment {np.argwhere(bad)[0][0]}: the action is not finite")

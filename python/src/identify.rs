@@ -54,11 +54,10 @@ pub fn identify<'py>(
             error => error.to_string(),
         })
     })?;
-    let by_name = |values: &[f64]| fit.names.iter().cloned().zip(values.iter().copied()).collect::<Vec<_>>();
     let (values, errors) = (PyDict::new(py), PyDict::new(py));
-    for ((name, value), (_, error)) in by_name(&fit.values).into_iter().zip(by_name(&fit.errors)) {
-        values.set_item(&name, value)?;
-        errors.set_item(&name, error)?;
+    for ((name, value), error) in fit.names.iter().zip(&fit.values).zip(&fit.errors) {
+        values.set_item(name, value)?;
+        errors.set_item(name, error)?;
     }
     let (count, result) = (fit.names.len(), PyDict::new(py));
     result.set_item("values", values)?;
@@ -78,6 +77,9 @@ fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
         let unknown = |(key, value): (Bound<'_, PyAny>, Bound<'_, PyAny>)| {
             let key: String = key.extract()?;
             let value = value_of(&key, &value)?;
+            if value.as_table().is_some_and(|table| !table.contains_key("start")) {
+                return Err(PyValueError::new_err(format!("`params`: the dict of `{key}` has no \"start\", the initial value")));
+            }
             Ok((key, if value.is_table() { value } else { starting_at(value) }))
         };
         return starts.iter().map(unknown).collect();

@@ -10,7 +10,7 @@ use physgrad::program::api;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard};
 
 /// The policy of a task, with its parameters θ.
@@ -69,7 +69,7 @@ impl Policy {
     /// Writes a policy file in the safetensors format.
     fn save(&self, path: PathBuf) -> PyResult<()> {
         let bytes = self.lock().safetensors().map_err(runtime_error)?;
-        std::fs::write(&path, bytes).map_err(|error| with_path(PyErr::from(error), &path))
+        replace_file(&path, &bytes)
     }
 
     /// Replaces the parameters by those of a policy file. The names and shapes of its tensors, and
@@ -93,7 +93,7 @@ impl Policy {
 }
 
 /// An error of the file system with the path in its message.
-pub fn with_path(error: PyErr, path: &std::path::Path) -> PyErr {
+pub fn with_path(error: PyErr, path: &Path) -> PyErr {
     Python::attach(|py| PyErr::from_type(error.get_type(py), format!("{}: {}", path.display(), error.value(py))))
 }
 
@@ -160,5 +160,21 @@ pub fn gradients<'py>(
             dict.set_item(name, vector.into_pyarray(py))?;
         }
         Ok(dict)
+    })
+}
+
+/// Replaces a file as a whole, by a temporary file beside it. Writes to a device or a link directly.
+pub fn replace_file(path: &Path, bytes: &[u8]) -> PyResult<()> {
+    let is_other = std::fs::symlink_metadata(path).is_ok_and(|found| !found.is_file());
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let temporary = path.with_file_name(format!(".{name}.{}.new", std::process::id()));
+    let written = if is_other {
+        std::fs::write(path, bytes)
+    } else {
+        std::fs::write(&temporary, bytes).and_then(|()| std::fs::rename(&temporary, path))
+    };
+    written.map_err(|error| {
+        let _ = std::fs::remove_file(&temporary);
+        with_path(PyErr::from(error), path)
     })
 }

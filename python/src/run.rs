@@ -3,7 +3,7 @@
 use crate::arrays::dict_of_vectors;
 use crate::errors::{runtime_error, value_error};
 use crate::interrupt::POLL;
-use crate::policy::{Policy, with_path};
+use crate::policy::{Policy, replace_file};
 use crate::settings::keywords;
 use crate::task::{TOP, Task};
 use physgrad::Record;
@@ -133,7 +133,7 @@ impl Run {
         let mut run = self.lock()?;
         let run = &mut *run;
         let html = py.detach(move || run.report()).map_err(runtime_error)?;
-        std::fs::write(&path, html).map_err(|error| with_path(PyErr::from(error), &path))
+        replace_file(&path, html.as_bytes())
     }
 
     fn __repr__(&self) -> PyResult<String> {

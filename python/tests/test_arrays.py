@@ -14,10 +14,13 @@ def inputs(task, rows=37):
     return x, RNG.normal(size=(rows, task.control_dim)), p
 
 
-@pytest.fixture(params=["cart_pole", "guidance", "pendulum", "drawn"])
+@pytest.fixture(params=["cart_pole", "guidance", "pendulum", "actuated", "drawn"])
 def task(request):
     if request.param == "drawn":
         return pg.task("cart_pole", pole_mass={"uniform": [0.1, 0.2]}, effects={"steady_wind": {}})
+    if request.param == "actuated":
+        settings = {"actuator.limit.bound": 2.0, "actuator.lag.time_constant": 0.1, "integrator.substeps": 2}
+        return pg.task("pendulum", settings=settings)
     return pg.task(request.param)
 
 

@@ -10,9 +10,9 @@ pub use kinds::{AnyActuator, Delay, Lag, Limit, LimitKind};
 
 use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::HasModel;
-use crate::dynamics::inputs::{Cotangents, Inputs, Start, add};
+use crate::dynamics::inputs::{Cotangents, Inputs, Start, Tangents, add};
 use crate::dynamics::number::Varied;
-use crate::dynamics::system::System;
+use crate::dynamics::system::{System, along};
 use crate::numbers::forward_mode::{concat, jacobian};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
@@ -242,6 +242,23 @@ impl<S: System, A: Actuator> System for Actuated<S, A> {
                 cotangents.u,
             );
         }
+    }
+
+    fn jvp<R: Real>(&self, inputs: Inputs<'_, R>, tangents: Tangents<'_, R>, next_tan: &mut [R]) {
+        if self.actuator.is_identity() {
+            return self.system.jvp(inputs, tangents, next_tan);
+        }
+        let (x, state) = inputs.x.split_at(self.system.state_dim());
+        let (x_tan, state_tan) = tangents.x.map(|tangents| tangents.split_at(x.len())).unzip();
+        let (next_tan, next_state_tan) = next_tan.split_at_mut(x.len());
+        let (state, u) = (along(state, state_tan), along(inputs.u, tangents.u));
+        let (mut next_state, mut out) = (state.clone(), u.clone());
+        self.actuator.step(&state, &u, &mut next_state, &mut out);
+        for (tan, next) in zip(next_state_tan.iter_mut(), &next_state) {
+            *tan = next.tangents[0];
+        }
+        let (out, out_tan): (Controls<R>, Controls<R>) = out.iter().map(|out| (out.value, out.tangents[0])).unzip();
+        self.system.jvp(inputs.with_x(x).with_u(&out), Tangents { x: x_tan, u: Some(&out_tan), p: tangents.p }, next_tan);
     }
 
     fn diagnose<R: Real>(&self, inputs: Inputs<'_, R>) -> Option<Cause> {

@@ -7,8 +7,8 @@ use crate::dynamics::outline::outline;
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::numbers::instances::{
-    COST_SCALARS, COTANGENTS, CotangentFunction, DIAGNOSED, REALS, RealFunction, SCALARS, ScalarFunction, cotangent_pointer,
-    diagnosis_pointer, fill, real_pointer, scalar_pointer, scalar_pointer_of_cost,
+    COST_SCALARS, COTANGENTS, CotangentFunction, DIAGNOSED, REALS, RealFunction, SCALARS, STEP_SCALARS, ScalarFunction,
+    cotangent_pointer, diagnosis_pointer, fill, real_pointer, scalar_pointer, scalar_pointer_of_cost, scalar_pointer_of_step,
 };
 use crate::numbers::kernels::Vectorized;
 use crate::numbers::rng::Rng;
@@ -122,7 +122,7 @@ impl<T: Task + 'static> AnyTask for T {
         Task::draw_start(self, rng, start);
     }
     fn step(&self, slot: &mut dyn Any) {
-        scalar_pointer::<Step<T>>(slot);
+        scalar_pointer_of_step::<Step<T>>(slot);
     }
     fn vjp(&self, slot: &mut dyn Any) {
         cotangent_pointer::<Vjp<T>>(slot);
@@ -261,7 +261,7 @@ macro_rules! call {
 fn missing(task: &str, method: &str, scalar: &str, set: &str) -> ! {
     panic!(
         "`DynTask` of {task}: `{method}` has no instance for {scalar}, only for {set}. Use one of these, or call `{method}` of \
-         the task without `DynTask`. A system around a `DynSystem` needs a `vjp` of its own, because default derivatives use \
+         the task without `DynTask`. A system around a `DynSystem` needs a `vjp` and a `jvp` of its own, because default derivatives use \
          other scalars"
     )
 }
@@ -288,7 +288,7 @@ impl System for DynSystem {
     }
 
     fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
-        call!(self.0, step: StepOf<T> [T] in SCALARS, inputs, next);
+        call!(self.0, step: StepOf<T> [T] in STEP_SCALARS, inputs, next);
     }
 
     fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {

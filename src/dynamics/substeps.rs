@@ -2,7 +2,7 @@
 
 use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::HasModel;
-use crate::dynamics::inputs::{Cotangents, Inputs, Start, add};
+use crate::dynamics::inputs::{Cotangents, Inputs, Start, Tangents, add};
 use crate::dynamics::number::Varied;
 use crate::dynamics::system::System;
 use crate::numbers::rng::Rng;
@@ -92,6 +92,16 @@ impl<S: System> System for Substeps<S> {
         }
         if let Some(x_bar) = cotangents.x {
             add(x_bar, &bar);
+        }
+    }
+
+    fn jvp<R: Real>(&self, inputs: Inputs<'_, R>, tangents: Tangents<'_, R>, next_tan: &mut [R]) {
+        let states = self.states(inputs);
+        let mut state_tan: SmallVec<[R; STACK]> = SmallVec::new();
+        for (i, state) in states.chunks_exact(inputs.x.len()).enumerate() {
+            let x = if i == 0 { tangents.x } else { Some(&state_tan[..]) };
+            self.system.jvp(self.inner(inputs, i).with_x(state), Tangents { x, ..tangents }, next_tan);
+            state_tan = SmallVec::from_slice(next_tan);
         }
     }
 

@@ -134,6 +134,16 @@ fn outlined_vjp<S: System + ?Sized, R: Real, C: Cotangent<R>>(
     outline::outline::<R>(Work { system, inputs, next_bar, cotangents, visit });
 }
 
+/// Dual numbers whose first tangents are `tangents`, or 0.
+pub(in crate::dynamics) fn along<R: Real>(values: &[R], tangents: Option<&[R]>) -> SmallVec<[Chunk<R>; 32]> {
+    let dual = |(i, &value): (usize, &R)| {
+        let mut number = Chunk::constant(value);
+        number.tangents[0] = tangents.map_or(R::zero(), |tangents| tangents[i]);
+        number
+    };
+    values.iter().enumerate().map(dual).collect()
+}
+
 /// Default [`System::jvp`]: uses one tangent of the dual numbers that compute Jacobians. A step is
 /// therefore compiled for no further scalar.
 fn jvp_by_duals<S: System + ?Sized, R: Real>(
@@ -142,15 +152,7 @@ fn jvp_by_duals<S: System + ?Sized, R: Real>(
     tangents: Tangents<'_, R>,
     next_tan: &mut [R],
 ) {
-    let convert = |values: &[R], tangents: Option<&[R]>| -> SmallVec<[Chunk<R>; 32]> {
-        let along = |(i, &value): (usize, &R)| {
-            let mut number = Chunk::constant(value);
-            number.tangents[0] = tangents.map_or(R::zero(), |tangents| tangents[i]);
-            number
-        };
-        values.iter().enumerate().map(along).collect()
-    };
-    let (x, u, p) = (convert(x, tangents.x), convert(u, tangents.u), convert(p, tangents.p));
+    let (x, u, p) = (along(x, tangents.x), along(u, tangents.u), along(p, tangents.p));
     let mut next = x.clone();
     outline::step(system, Inputs { x: &x, u: &u, p: &p, t }, &mut next);
     for (tan, next) in zip(next_tan.iter_mut(), &next) {

@@ -36,12 +36,12 @@ pub trait Task: Send + Sync {
     /// Draws an initial state, parameters, and physical numbers that vary.
     #[doc(hidden)]
     fn draw_start(&self, rng: &mut Rng, Start { x, p }: Start<'_>) {
-        self.start(rng, Start { x, p: &mut *p });
         let (own, system) = (p.len(), self.system().param_dim());
         assert!(
             own >= system,
             "`Task::param_dim` is {own}, but the system has {system} parameters; add `self.system().param_dim()`"
         );
+        self.start(rng, Start { x, p: &mut *p });
         for Varied { index, number, .. } in self.system().varied(p.len()) {
             p[index] = number.draw(rng);
         }

@@ -310,7 +310,7 @@ impl<F: Float> Adjoint<F> {
     /// Includes the gradient with respect to the trained entries of p. Overwrites `theta_bar`.
     ///
     /// # Panics
-    /// If `samples` exceeds the samples of the rollout.
+    /// If `samples` exceeds the samples of the rollout, or the rollout has no tape.
     #[track_caller]
     pub fn param_gradient(
         &mut self,
@@ -323,6 +323,7 @@ impl<F: Float> Adjoint<F> {
     ) {
         let (end, count) = (samples.end, rollout.samples);
         assert!(end <= count, "the range of samples ends at {end}, but the rollout has {count}");
+        assert!(rollout.has_tape(), "a parameter gradient needs the rollout of the last run of the adjoint");
         theta_bar.clear();
         for unit in Rollout::<F>::units(0..rollout.horizon) {
             self.add_param_gradient(k, policy, weights, rollout, &unit, samples.clone(), theta_bar);
@@ -345,9 +346,11 @@ impl<F: Float> Adjoint<F> {
         for (i, (param, r)) in params.iter().zip(trained).enumerate() {
             let slope = F::from_f64(param.slope(r.as_()));
             for sample in samples.clone() {
-                let gradient = self.start_gradient(k, sample);
-                let by_p = gradient.values()[gradient.values().len() - self.param_dim + param.index()];
-                theta_bar.add_at(first + i, by_p * slope, gradient.exponent());
+                let (by_p, exponent) = match &self.carried {
+                    Carried::One(_, recursion) => recursion.by_param(k, sample, param.index()),
+                    Carried::Two(_, recursion) => recursion.by_param(k, sample, param.index()),
+                };
+                theta_bar.add_at(first + i, by_p * slope, exponent);
             }
         }
     }

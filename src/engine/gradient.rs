@@ -175,6 +175,11 @@ impl<F: Float> Gradient<F> {
         }
     }
 
+    /// One value with its exponent.
+    pub(crate) fn part(&self, i: usize) -> (F, i32) {
+        (self.values[i], if self.spread { self.exponents[i] } else { self.exponent })
+    }
+
     fn add_to(&mut self, i: usize, part: F, exponent: i32) {
         let (value, own) = (&mut self.values[i], &mut self.exponents[i]);
         if part == F::zero() {

@@ -62,8 +62,16 @@ pub(crate) fn scalar_pointer<G: ScalarFunction>(slot: &mut dyn Any) -> bool {
     found
 }
 
+/// Scalars of [`scalar_pointer_of_step`], for messages.
+pub(crate) const STEP_SCALARS: &str = "`Single<F>`, the scalars of `observe`";
+
+/// Extends [`scalar_pointer`] by the scalars of diagnoses, which simulate substeps.
+pub(crate) fn scalar_pointer_of_step<G: ScalarFunction>(slot: &mut dyn Any) -> bool {
+    scalar_pointer::<G>(slot) || fill_scalars!(slot, G: Single<f32>, Single<f64>)
+}
+
 /// Scalars of [`scalar_pointer_of_cost`], for messages.
-pub(crate) const COST_SCALARS: &str = "the scalars of `step` and `Dual<Dual<f64, 4>, 4>`";
+pub(crate) const COST_SCALARS: &str = "the scalars of `observe` and `Dual<Dual<f64, 4>, 4>`";
 
 /// Extends [`scalar_pointer`] by the scalar of second derivatives.
 pub(crate) fn scalar_pointer_of_cost<G: ScalarFunction>(slot: &mut dyn Any) -> bool {

@@ -1,8 +1,8 @@
 //! Adjoints that become 0 or very large.
 
-use physgrad::policy::{Linear, OpenLoop};
+use physgrad::policy::{Linear, OpenLoop, TrainedParam, WithParams};
 use physgrad::rng::Rng;
-use physgrad::{Adjoint, Float, Flow, Inputs, Rollout, Scalar, Start, System, Task, Weights};
+use physgrad::{Adjoint, Float, Flow, Gradient, Inputs, Rollout, Scalar, Start, System, Task, Weights};
 
 /// `x' = factor(t) x + u` from x = 0, with the running cost `x'`.
 struct Timed {
@@ -90,13 +90,14 @@ fn norms_of_adjoints_have_the_whole_range_of_f64() {
     }
 }
 
-/// As [`Timed`] with a factor of 8 and 0 at step 50, but with the cost `x_t` and the gain
-/// `gain(t)` of the control. Without a control, nothing remains at step 50. With a tiny gain, the
-/// cotangent of the control sets the exponent.
+/// As [`Timed`] with a factor of 8, and 0 at step `zero`, but with the cost `1e6 x_t`. The gain of
+/// the control is `gain` at step `zero`, else 1. Without a control, nothing remains at this step.
+/// With a tiny gain, the cotangent of the control sets the exponent. A large gain raises it.
 #[test]
 fn costs_of_the_current_state_survive_a_derivative_of_0() {
     struct Before {
-        gain: fn(usize) -> f64,
+        zero: usize,
+        gain: f64,
     }
     impl System for Before {
         fn state_dim(&self) -> usize {
@@ -106,7 +107,8 @@ fn costs_of_the_current_state_survive_a_derivative_of_0() {
             1
         }
         fn step<T: Scalar>(&self, Inputs { x, u, t, .. }: Inputs<'_, T>, next: &mut [T]) {
-            next[0] = x[0] * if t == 50 { 0.0 } else { 8.0 } + u[0] * (self.gain)(t);
+            let [factor, gain] = if t == self.zero { [0.0, self.gain] } else { [8.0, 1.0] };
+            next[0] = x[0] * factor + u[0] * gain;
         }
     }
     impl Task for Before {
@@ -119,21 +121,73 @@ fn costs_of_the_current_state_survive_a_derivative_of_0() {
         }
         fn start(&self, _: &mut Rng, _: Start<'_>) {}
         fn running_cost<T: Scalar>(&self, Inputs { x, .. }: Inputs<'_, T>, _next: &[T]) -> T {
-            x[0]
+            x[0] * 1e6
         }
     }
-    for gain in [|_| 0.0, |t| if t == 50 { 1e-22 } else { 1.0 }, |t| if t == 50 { 1e-30 } else { 1.0 }] as [fn(usize) -> f64; 3] {
+    for (zero, gain) in [(50, 0.0), (50, 1e-22), (50, 1e-30), (96, 2f64.powi(50)), (80, 1e12)] {
+        let task = Before { zero, gain };
         let policy = OpenLoop::new(1, 1, 128);
         let weights = Weights::<f32>::new(&policy, vec![0.0; 128]);
-        let mut rollout = Rollout::new(&Before { gain }, &policy, 1);
+        let mut rollout = Rollout::new(&task, &policy, 1);
         rollout.start(&[0.0]);
-        rollout.run(&Before { gain }, &policy, &weights).expect("the rollout stays at 0");
-        let mut adjoint = Adjoint::new(&Before { gain }, &policy, &rollout, &[Flow::REGULAR]).keep_norms();
-        adjoint.run(&Before { gain }, &policy, &weights, &rollout, 1.0).expect("finite");
+        rollout.run(&task, &policy, &weights).expect("the rollout stays at 0");
+        let mut adjoint = Adjoint::new(&task, &policy, &rollout, &[Flow::REGULAR]).keep_norms();
+        adjoint.run(&task, &policy, &weights, &rollout, 1.0).expect("finite");
         let mut expected = 0.0;
         for (t, norm) in adjoint.norms(0).iter().enumerate().take(128).rev() {
-            expected = expected * if t == 50 { 0.0 } else { 8.0 } + 1.0;
-            assert!((norm - expected).abs() <= 1e-5 * expected, "step {t}: {norm:e}, expected {expected:e}");
+            expected = expected * if t == zero { 0.0 } else { 8.0 } + 1e6;
+            assert!((norm - expected).abs() <= 1e-5 * expected, "{zero}, {gain:e}, step {t}: {norm:e}, expected {expected:e}");
+        }
+    }
+}
+
+/// The adjoint grows by a factor of 8 per step and restarts at step 50. The controls and the number
+/// occur in the cost only.
+#[test]
+fn gradients_of_direct_costs_survive_an_adjoint_beyond_the_range_of_f32() {
+    struct Priced;
+    impl System for Priced {
+        fn state_dim(&self) -> usize {
+            1
+        }
+        fn control_dim(&self) -> usize {
+            1
+        }
+        fn step<T: Scalar>(&self, Inputs { x, t, .. }: Inputs<'_, T>, next: &mut [T]) {
+            next[0] = x[0] * if t == 50 { 0.0 } else { 8.0 };
+        }
+    }
+    impl Task for Priced {
+        type System = Self;
+        fn system(&self) -> &Self {
+            self
+        }
+        fn horizon(&self) -> usize {
+            128
+        }
+        fn param_dim(&self) -> usize {
+            1
+        }
+        fn start(&self, _: &mut Rng, _: Start<'_>) {}
+        fn running_cost<T: Scalar>(&self, Inputs { x, u, p, .. }: Inputs<'_, T>, _next: &[T]) -> T {
+            x[0] + u[0] * 3.0 + p[0] * 2.0
+        }
+    }
+
+    let policy = WithParams::new(OpenLoop::new(1, 1, 128), [TrainedParam::linear(0, 0.0)]);
+    let weights = Weights::<f32>::new(&policy, vec![0.0; 129]);
+    let mut rollout = Rollout::new(&Priced, &policy, 3);
+    rollout.start(&[0.0; 6]);
+    rollout.run(&Priced, &policy, &weights).expect("the rollout stays at 0");
+    for flows in [&[Flow::REGULAR][..], &[Flow::MODIFIED, Flow::REGULAR]] {
+        let mut adjoint = Adjoint::new(&Priced, &policy, &rollout, flows);
+        adjoint.run(&Priced, &policy, &weights, &rollout, 0.5).expect("finite");
+        for k in 0..flows.len() {
+            let mut gradient = Gradient::zeros(129);
+            adjoint.param_gradient(k, &policy, &weights, &rollout, 0..3, &mut gradient);
+            let gradient = gradient.to_vec();
+            // Three samples: at the last step, at the restart, and the number.
+            assert_eq!([127, 50, 128].map(|i| gradient[i]), [3.0 * 1.5, 3.0 * 1.5, 2.0 * 128.0 * 1.5], "flow {k}");
         }
     }
 }

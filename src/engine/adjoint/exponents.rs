@@ -87,14 +87,16 @@ impl<F: Float, const K: usize> Exponents<F, K> {
         u_bar: &mut [CotangentPack<Lane<F>, K>],
         cost: &CostGradient<Lane<F>>,
     ) {
-        if !self.low {
-            return;
-        }
         for lane in 0..WIDTH {
             if cost.values().any(|cost| cost.lane(lane) != F::zero()) {
                 (0..K).for_each(|k| self.blocks[block].raise((k, lane), scale, lambda, u_bar));
             }
         }
+    }
+
+    /// Ends a step in which [`rescale`](Self::rescale) was called.
+    pub(super) fn clear_shifts(&mut self) {
+        self.blocks.iter_mut().for_each(|block| block.shifts = [[0; WIDTH]; K]);
     }
 
     /// Updates `any` and [`any_low`](Self::any_low) after a change of exponents.
@@ -111,6 +113,8 @@ pub(super) struct BlockExponents<F: Float, const K: usize> {
     pub(super) of: [[i32; WIDTH]; K],
     /// Factor of the cost gradients: `scale` of the pass times 2^-exponent.
     pub(super) inject: CotangentPack<Lane<F>, K>,
+    /// Increase of each exponent by [`rescale`](Exponents::rescale) in the current step.
+    shifts: [[i32; WIDTH]; K],
 }
 
 /// Range of the size Σ|λ| + Σ|h| + Σ|μ|, `low` to `high`, that needs no rescaling.
@@ -145,12 +149,12 @@ impl<F: Float> Limits<F> {
 
 impl<F: Float, const K: usize> BlockExponents<F, K> {
     fn new() -> Self {
-        Self { of: [[0; WIDTH]; K], inject: CotangentPack([Lane::splat(F::zero()); K]) }
+        Self { of: [[0; WIDTH]; K], inject: CotangentPack([Lane::splat(F::zero()); K]), shifts: [[0; WIDTH]; K] }
     }
 
     /// Sets all exponents to 0, for a pass with this `scale`.
     fn reset(&mut self, scale: F) {
-        (self.of, self.inject) = ([[0; WIDTH]; K], CotangentPack([Lane::splat(scale); K]));
+        *self = Self { inject: CotangentPack([Lane::splat(scale); K]), ..Self::new() };
     }
 
     /// Returns true if an exponent is not 0.
@@ -166,10 +170,21 @@ impl<F: Float, const K: usize> BlockExponents<F, K> {
     /// Sets the exponent of one flow and lane. The caller scales the cotangents.
     pub(super) fn set(&mut self, k: usize, lane: usize, exponent: i32, scale: F) {
         self.of[k][lane] = exponent;
+        self.inject.0[k].set_lane(lane, Self::factor(exponent, scale));
+    }
+
+    /// Factor of the cost gradients of a flow and sample with this exponent.
+    fn factor(exponent: i32, scale: F) -> F {
         // The limit keeps the factor finite. `raise` resets exponents below `-reach`, and thus
         // below `-limit`, before the recursion adds a nonzero cost gradient.
         let limit = reach::<F>() * 3 / 2;
-        self.inject.0[k].set_lane(lane, scaled(scale, (-exponent).min(limit)));
+        scaled(scale, (-exponent).min(limit))
+    }
+
+    /// Number that the current step added to a cotangent for this cost gradient.
+    pub(super) fn added(&self, k: usize, lane: usize, cost: F, scale: F) -> F {
+        let shift = self.shifts[k][lane];
+        scaled(Self::factor(self.of[k][lane] - shift, scale) * cost, -shift)
     }
 
     /// Rescales the cotangents of one sample and flow to a size of about 1, if needed. If all
@@ -202,8 +217,8 @@ impl<F: Float, const K: usize> BlockExponents<F, K> {
         }
         let own = self.of[k][lane];
         if own > 0 && size < Limits::new().low {
-            // `Recursion::restart` lowers the exponent after the step, and adds the cost gradients
-            // again: they may have underflowed.
+            // `Recursion::restart` lowers the exponent, and adds the cost gradients again: they may
+            // have underflowed.
             return Ok(());
         }
         let by = if size == F::zero() { -own } else { exponent_of(size.as_()) };
@@ -212,6 +227,7 @@ impl<F: Float, const K: usize> BlockExponents<F, K> {
             bar.set_lane(lane, scaled(bar.lane(lane), -by));
         }
         self.set(k, lane, own.saturating_add(by), scale);
+        self.shifts[k][lane] = by;
         Ok(())
     }
 

@@ -31,7 +31,7 @@ pub(super) struct Step<'a, R, const K: usize> {
     pub(super) x_bar: &'a mut [CotangentPack<R, K>],
     /// h, written.
     pub(super) u_bar: &'a mut [CotangentPack<R, K>],
-    /// Terms of the gradient with respect to p, written if requested.
+    /// `(∂S/∂p)ᵀ λ`, written if requested.
     pub(super) p_bar: Option<&'a mut [CotangentPack<R, K>]>,
     /// μ, the cotangent of the memory after the step.
     pub(super) memory_bar: &'a [CotangentPack<R, K>],
@@ -100,7 +100,7 @@ fn clear<R, C: Cotangent<R>>(cotangents: &mut [C]) {
 /// ```text
 /// λ ← λ + ∂l/∂x_{t+1}
 /// h ← (∂S/∂u)ᵀ λ + ∂l/∂u_t
-/// p̄ ← (∂S/∂p)ᵀ λ + ∂l/∂p                if requested
+/// p̄ ← (∂S/∂p)ᵀ λ                        if requested
 /// λ ← physics·(∂S/∂x)ᵀ λ + ∂l/∂x_t
 /// ```
 #[inline(always)]
@@ -137,10 +137,6 @@ pub(super) fn reverse_step<T: Task, R: Real, const K: usize>(
     for memory_bar in memory_bar {
         size += memory_bar.abs();
     }
-    for (p_bar, &cost) in p_bar.into_iter().flatten().zip(&cost.p) {
-        *p_bar += inject * cost;
-    }
-
     for ((lambda, &x_bar), &cost) in zip(zip(lambda.iter_mut(), &*x_bar), &cost.x) {
         for (k, flow) in flows.iter().enumerate() {
             lambda.0[k] = weighted(x_bar.0[k], flow.physics);
@@ -155,6 +151,17 @@ pub(super) fn reverse_step<T: Task, R: Real, const K: usize>(
 #[inline(always)]
 pub(super) fn weighted<R: Scalar>(bar: R, weight: f64) -> R {
     if weight == 0.0 { R::zero() } else { bar * weight }
+}
+
+/// Place of a [`restart`](Recursion::restart) within a step.
+#[derive(Clone, Copy, PartialEq)]
+enum Place {
+    /// λ, h and μ are small before the policy reads h and μ.
+    BeforePolicy,
+    /// λ and μ are small after the step.
+    AfterPolicy,
+    /// λ and μ are cut after the step.
+    Cut,
 }
 
 /// State of the recursion for `K` flows.
@@ -228,9 +235,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             let p_bar = (!self.cost.p.is_empty()).then_some(&mut self.cost.p[..]);
             task.terminal_cost_gradient(x, rollout.params_of(block), &mut self.cost.next, p_bar);
             if let Some(starts) = &mut self.starts {
-                for (term, &p_bar) in zip(starts.of_block(block).iter_mut(), &self.cost.p) {
-                    *term = CotangentPack([p_bar * Lane::splat(scale); K]);
-                }
+                starts.set_cost(block, &self.cost.p);
             }
             for (lambda, &x_bar) in zip(self.lambda[block * n..][..n].iter_mut(), &self.cost.next) {
                 *lambda = CotangentPack([x_bar * Lane::splat(scale); K]);
@@ -238,7 +243,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         }
         if let Some(starts) = &mut self.starts {
             starts.clear();
-            starts.add_terms(rollout.samples, &self.exponents);
+            starts.add_terms(rollout.samples, scale, &self.exponents);
         }
         record_norms(&self.lambda, &self.exponents, pass, rollout.horizon, norms);
     }
@@ -260,11 +265,12 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             // λ, h ← `reverse_step`, in each block of samples.
             let in_range = task.step_back(at_t, pass.rollout, t, self);
             if let Some(starts) = &mut self.starts {
-                starts.add_terms(pass.rollout.samples, &self.exponents);
+                starts.add_terms(pass.rollout.samples, pass.scale, &self.exponents);
             }
             if !in_range {
                 let rescaled = self.exponents.rescale(flows, pass, &mut self.lambda, &mut self.u_bar);
                 rescaled.map_err(|_| self.divergence(pass, flows, t))?;
+                self.restart_small(pass, t, Place::BeforePolicy);
             }
             for (k, flow) in at_t.into_iter().enumerate() {
                 policy.set_controls_bar(k, pass.rollout.columns(t), &self.u_bar, &self.exponents);
@@ -280,27 +286,39 @@ impl<F: Float, const K: usize> Recursion<F, K> {
                 policy.set_memory_bar(k, flow, pass.rollout.columns(t), &mut self.u_bar);
             }
             self.after_step(pass, flows, at_t, t, norms);
+            if !in_range {
+                self.exponents.clear_shifts();
+            }
         }
         Ok(())
+    }
+
+    /// Evaluates the gradients of the running cost of one step and block.
+    fn evaluate_cost(&mut self, pass: &Pass<'_, F>, t: usize, block: usize) {
+        let (rollout, n) = (pass.rollout, pass.rollout.state_dim);
+        self.cost.clear();
+        let (cotangents, next_bar) = self.cost.requests();
+        let next = &rollout.states_at(t + 1)[block * n..][..n];
+        pass.task.running_cost_gradient(rollout.inputs_of(t, block), next, cotangents, next_bar);
     }
 
     /// Prepares step `t`: raises exponents too low for its cost gradients. If `pass.measured`,
     /// records ‖λ + ∂l/∂x_{t+1}‖².
     fn before_step(&mut self, pass: &Pass<'_, F>, t: usize) {
-        let Pass { task, rollout, scale, measured, .. } = *pass;
-        if !measured && !self.exponents.any_low() {
+        let Pass { rollout, scale, measured, .. } = *pass;
+        let low = self.exponents.any_low();
+        if !measured && !low {
             return;
         }
         let n = rollout.state_dim;
         for block in 0..rollout.samples.div_ceil(WIDTH) {
-            let next = &rollout.states_at(t + 1)[block * n..][..n];
-            self.cost.clear();
-            let (cotangents, next_bar) = self.cost.requests();
-            task.running_cost_gradient(rollout.inputs_of(t, block), next, cotangents, next_bar);
+            self.evaluate_cost(pass, t, block);
             let lambda = &mut self.lambda[block * n..][..n];
             let outputs = rollout.control_dim + rollout.memory_dim;
             let u_bar = &mut self.u_bar[block * outputs..][..outputs];
-            self.exponents.raise(block, scale, lambda, u_bar, &self.cost);
+            if low {
+                self.exponents.raise(block, scale, lambda, u_bar, &self.cost);
+            }
             if measured {
                 let samples = block * WIDTH..rollout.samples.min((block + 1) * WIDTH);
                 self.growth.before(samples, lambda, &self.cost.next, &self.exponents.blocks[block]);
@@ -320,7 +338,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         for (k, flow) in flows.into_iter().enumerate() {
             for sample in if flow.cut.is_some() { 0..samples } else { 0..0 } {
                 if flow.cut.is_some_and(|decades| self.growth.reset_if_grown(k, sample, decades)) {
-                    self.restart(pass, k, sample, t, true);
+                    self.restart(pass, k, sample, t, Place::Cut);
                 }
             }
             if let Some(starts) = &mut self.starts
@@ -329,14 +347,9 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             {
                 starts.add_observed(k, at_t[k].control, samples, &self.exponents);
             }
-            for sample in if self.exponents.any { 0..samples } else { 0..0 } {
-                if self.exponents.of(k, sample) > 0 && self.is_small(k, sample, pass.rollout) {
-                    self.restart(pass, k, sample, t, false);
-                }
-            }
         }
         if self.exponents.any {
-            self.exponents.update();
+            self.restart_small(pass, t, Place::AfterPolicy);
         }
         record_norms(&self.lambda, &self.exponents, pass, t, norms);
         if let (0, Some(starts)) = (t, &mut self.starts) {
@@ -344,60 +357,77 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         }
     }
 
-    /// Ranges of λ and μ of a block in `lambda` and `u_bar`.
-    fn carried(block: usize, rollout: &Rollout<F>) -> [Range<usize>; 2] {
-        let (n, m, outputs) = (rollout.state_dim, rollout.control_dim, rollout.control_dim + rollout.memory_dim);
-        [block * n..(block + 1) * n, block * outputs + m..(block + 1) * outputs]
+    /// Restarts the flows and samples whose cotangents are too small for a positive exponent.
+    fn restart_small(&mut self, pass: &Pass<'_, F>, t: usize, place: Place) {
+        for k in 0..K {
+            for sample in 0..pass.rollout.samples {
+                if self.exponents.of(k, sample) > 0 && self.is_small(k, sample, pass.rollout, place) {
+                    self.restart(pass, k, sample, t, place);
+                }
+            }
+        }
+        self.exponents.update();
     }
 
-    /// Returns whether λ and μ of one flow and sample are too small for their exponent.
-    fn is_small(&self, k: usize, sample: usize, rollout: &Rollout<F>) -> bool {
-        let [of_lambda, of_memory] = Self::carried(sample / WIDTH, rollout);
-        let bars = self.lambda[of_lambda].iter().chain(&self.u_bar[of_memory]);
+    /// Ranges in `lambda` and `u_bar` of the cotangents of a block that [`restart`](Self::restart)
+    /// changes.
+    fn carried(block: usize, rollout: &Rollout<F>, place: Place) -> [Range<usize>; 2] {
+        let (n, m, outputs) = (rollout.state_dim, rollout.control_dim, rollout.control_dim + rollout.memory_dim);
+        let controls = if place == Place::BeforePolicy { 0 } else { m };
+        [block * n..(block + 1) * n, block * outputs + controls..(block + 1) * outputs]
+    }
+
+    /// Returns whether the cotangents of one flow and sample are too small for their exponent.
+    fn is_small(&self, k: usize, sample: usize, rollout: &Rollout<F>, place: Place) -> bool {
+        let [of_lambda, of_outputs] = Self::carried(sample / WIDTH, rollout, place);
+        let bars = self.lambda[of_lambda].iter().chain(&self.u_bar[of_outputs]);
         bars.fold(F::zero(), |sum, bar| sum + bar.0[k].lane(sample % WIDTH).abs()) < Limits::new().low
     }
 
-    /// Sets the exponent of one flow and sample, after step `t`, to that of the cotangents from
-    /// later steps, at least 0. These are 0 after a truncation and where derivatives are 0. With
-    /// `cut`, sets them to 0.
+    /// Sets the exponent of one flow and sample, in step `t`, to that of the cotangents from later
+    /// steps, at least 0. These are 0 after a truncation and where derivatives are 0. A cut sets
+    /// them to 0.
     ///
     /// With the previous exponent, if it is large, the cost gradients would underflow.
     #[cold]
-    fn restart(&mut self, pass: &Pass<'_, F>, k: usize, sample: usize, t: usize, cut: bool) {
-        let Pass { task, rollout, scale, .. } = *pass;
-        let (n, block) = (rollout.state_dim, sample / WIDTH);
-        self.cost.clear();
-        let (cotangents, next_bar) = self.cost.requests();
-        let next = &rollout.states_at(t + 1)[block * n..][..n];
-        task.running_cost_gradient(rollout.inputs_of(t, block), next, cotangents, next_bar);
-        let [of_lambda, of_memory] = Self::carried(block, rollout);
-        let (lambda, memory_bar) = (&mut self.lambda[of_lambda], &mut self.u_bar[of_memory]);
-        let (cost, exponents) = (&self.cost.x, &mut self.exponents.blocks[block]);
+    fn restart(&mut self, pass: &Pass<'_, F>, k: usize, sample: usize, t: usize, place: Place) {
+        let Pass { rollout, scale, .. } = *pass;
+        let block = sample / WIDTH;
+        self.evaluate_cost(pass, t, block);
+        let [of_lambda, of_outputs] = Self::carried(block, rollout, place);
+        let (lambda, outputs) = (&mut self.lambda[of_lambda], &mut self.u_bar[of_outputs]);
+        // The gradients of the cost by u, unless h is complete. μ has no cost.
+        let of_controls = if place == Place::BeforePolicy { &self.cost.u[..] } else { &[] };
+        let no_cost = Lane::splat(F::zero());
+        let costs = || self.cost.x.iter().chain(of_controls).chain(std::iter::repeat(&no_cost));
+        let exponents = &mut self.exponents.blocks[block];
         // The unused lanes of the last block are copies of the last sample.
         let end = if sample + 1 == rollout.samples { WIDTH } else { sample % WIDTH + 1 };
         for lane in sample % WIDTH..end {
-            let (own, inject) = (exponents.of[k][lane], exponents.inject.0[k].lane(lane));
-            for (bar, cost) in zip(lambda.iter_mut(), cost) {
-                let later = if cut { F::zero() } else { bar.0[k].lane(lane) - inject * cost.lane(lane) };
-                bar.0[k].set_lane(lane, later);
+            let own = exponents.of[k][lane];
+            for (bar, cost) in lambda.iter_mut().chain(&mut *outputs).zip(costs()) {
+                let later = bar.0[k].lane(lane) - exponents.added(k, lane, cost.lane(lane), scale);
+                bar.0[k].set_lane(lane, if place == Place::Cut { F::zero() } else { later });
             }
-            if cut {
-                memory_bar.iter_mut().for_each(|bar| bar.0[k].set_lane(lane, F::zero()));
-            }
-            let later = lambda.iter().chain(&*memory_bar).map(|bar| bar.0[k].lane(lane).abs());
+            let later = lambda.iter().chain(&*outputs).map(|bar| bar.0[k].lane(lane).abs());
             let size: f64 = later.fold(F::zero(), |sum, size| sum + size).as_();
             let exponent = if size == 0.0 { 0 } else { (own + exponent_of(size)).max(0) };
             exponents.set(k, lane, exponent, scale);
             let inject = exponents.inject.0[k].lane(lane);
-            let set = |bar: &mut CotangentPack<Lane<F>, K>, cost: F| {
-                bar.0[k].set_lane(lane, scaled(bar.0[k].lane(lane), own - exponent) + cost);
-            };
-            zip(lambda.iter_mut(), cost).for_each(|(bar, cost)| set(bar, inject * cost.lane(lane)));
-            memory_bar.iter_mut().for_each(|bar| set(bar, F::zero()));
-            if let (true, Some(starts)) = (cut, &mut self.starts) {
+            for (bar, cost) in lambda.iter_mut().chain(&mut *outputs).zip(costs()) {
+                let later = scaled(bar.0[k].lane(lane), own - exponent);
+                bar.0[k].set_lane(lane, later + inject * cost.lane(lane));
+            }
+            if let (Place::Cut, Some(starts)) = (place, &mut self.starts) {
                 starts.cut(k, block, lane);
             }
         }
+    }
+
+    /// Value and exponent of the gradient with respect to parameter `i`, of policies with trained
+    /// parameters.
+    pub(super) fn by_param(&self, k: usize, sample: usize, i: usize) -> (F, i32) {
+        self.starts.as_ref().expect("trained parameters have gradients").by_param(k, sample, i)
     }
 
     /// Growth of λ.

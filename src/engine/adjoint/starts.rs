@@ -15,10 +15,14 @@ use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real};
 /// ```
 #[derive(Debug)]
 pub(super) struct StartGradients<F: Float, const K: usize> {
-    /// Gradients, `[sample][flow]`. Components of the initial state precede those of p.
+    /// Complete gradients, `[sample][flow]`. Components of the initial state precede those of p.
     gradients: Vec<[Gradient<F>; K]>,
-    /// Terms of one step, `[block][parameter]`.
-    pub(super) terms: Vec<CotangentPack<Lane<F>, K>>,
+    /// Gradients with respect to p, `[sample][flow]`, with an exponent for each component.
+    sums: Vec<[Gradient<F>; K]>,
+    /// `(∂S/∂p)ᵀ λ` of one step, `[block][parameter]`.
+    terms: Vec<CotangentPack<Lane<F>, K>>,
+    /// `∂l/∂p` of one step, or `∂φ/∂p`, `[block][parameter]`.
+    costs: Vec<Lane<F>>,
     /// Terms of the observation of one step, `[flow][block][parameter]`.
     pub(super) observed: [Vec<One<Lane<F>>>; K],
     state_dim: usize,
@@ -28,8 +32,11 @@ pub(super) struct StartGradients<F: Float, const K: usize> {
 impl<F: Float, const K: usize> StartGradients<F, K> {
     pub(super) fn new(samples: usize, state_dim: usize, param_dim: usize) -> Self {
         let params = samples.div_ceil(WIDTH) * param_dim;
+        let gradients = |len: usize| (0..samples).map(|_| [(); K].map(|()| Gradient::zeros(len))).collect();
         Self {
-            gradients: (0..samples).map(|_| [(); K].map(|()| Gradient::zeros(state_dim + param_dim))).collect(),
+            gradients: gradients(state_dim + param_dim),
+            sums: gradients(param_dim),
+            costs: vec![Lane::null(); params],
             terms: vec![CotangentPack::null(); params],
             observed: [(); K].map(|()| vec![One::null(); params]),
             state_dim,
@@ -38,24 +45,31 @@ impl<F: Float, const K: usize> StartGradients<F, K> {
     }
 
     pub(super) fn bytes_of(samples: usize, state_dim: usize, param_dim: usize) -> usize {
-        let gradients = size_of::<[Gradient<F>; K]>() + K * Gradient::<F>::bytes_of(state_dim + param_dim);
-        let terms = size_of::<CotangentPack<Lane<F>, K>>() + K * size_of::<One<Lane<F>>>();
+        let gradients = 2 * size_of::<[Gradient<F>; K]>() + K * Gradient::<F>::bytes_of(state_dim + 2 * param_dim);
+        let terms = size_of::<CotangentPack<Lane<F>, K>>() + size_of::<Lane<F>>() + K * size_of::<One<Lane<F>>>();
         samples * gradients + samples.div_ceil(WIDTH) * param_dim * terms
     }
 
     pub(super) fn stored_bytes(&self) -> usize {
-        let gradients = self.gradients.iter().flatten().map(Gradient::stored_bytes).sum::<usize>();
+        let gradients = self.gradients.iter().chain(&self.sums);
+        let gradients = gradients.flatten().map(|gradient| size_of_val(gradient) + gradient.stored_bytes()).sum::<usize>();
         let observed = self.observed.iter().map(|observed| size_of_val(&observed[..])).sum::<usize>();
-        gradients + size_of_val(&self.gradients[..]) + size_of_val(&self.terms[..]) + observed
+        gradients + size_of_val(&self.terms[..]) + size_of_val(&self.costs[..]) + observed
     }
 
     pub(super) fn of(&self, k: usize, sample: usize) -> &Gradient<F> {
         &self.gradients[sample][k]
     }
 
-    /// Sets all gradients to 0.
+    /// Value and exponent of the gradient with respect to parameter `i`.
+    pub(super) fn by_param(&self, k: usize, sample: usize, i: usize) -> (F, i32) {
+        self.sums[sample][k].part(i)
+    }
+
+    /// Sets all gradients and terms to 0.
     pub(super) fn clear(&mut self) {
-        self.gradients.iter_mut().flatten().for_each(Gradient::clear);
+        self.gradients.iter_mut().chain(&mut self.sums).flatten().for_each(Gradient::clear);
+        self.terms.fill(CotangentPack::null());
     }
 
     /// Terms of one block.
@@ -63,13 +77,27 @@ impl<F: Float, const K: usize> StartGradients<F, K> {
         &mut self.terms[block * self.param_dim..][..self.param_dim]
     }
 
-    /// Adds the terms of one step to the gradients with respect to p.
-    pub(super) fn add_terms(&mut self, samples: usize, exponents: &Exponents<F, K>) {
-        for (sample, gradients) in self.gradients[..samples].iter_mut().enumerate() {
-            let terms = &self.terms[sample / WIDTH * self.param_dim..][..self.param_dim];
-            for (k, gradient) in gradients.iter_mut().enumerate() {
-                for (i, term) in terms.iter().enumerate() {
-                    gradient.add_at(self.state_dim + i, term.0[k].lane(sample % WIDTH), exponents.of(k, sample));
+    /// Stores the gradient of the cost of one block with respect to p.
+    #[inline(always)]
+    pub(super) fn set_cost(&mut self, block: usize, p_bar: &[Lane<F>]) {
+        self.costs[block * self.param_dim..][..self.param_dim].copy_from_slice(p_bar);
+    }
+
+    /// Adds the terms of one step and its cost, times `scale`, to the gradients with respect to p.
+    /// The cost has no exponent, because it may be far smaller than λ.
+    pub(super) fn add_terms(&mut self, samples: usize, scale: F, exponents: &Exponents<F, K>) {
+        for (sample, sums) in self.sums[..samples].iter_mut().enumerate() {
+            let (first, lane) = (sample / WIDTH * self.param_dim, sample % WIDTH);
+            for (k, sum) in sums.iter_mut().enumerate() {
+                for i in 0..self.param_dim {
+                    let (term, cost) = (self.terms[first + i].0[k].lane(lane), scale * self.costs[first + i].lane(lane));
+                    match exponents.of(k, sample) {
+                        0 => sum.add_at(i, term + cost, 0),
+                        exponent => {
+                            sum.add_at(i, term, exponent);
+                            sum.add_at(i, cost, 0);
+                        }
+                    }
                 }
             }
         }
@@ -78,11 +106,11 @@ impl<F: Float, const K: usize> StartGradients<F, K> {
     /// Adds the terms of the observation of flow `k`, times `weight`, to the gradients with respect
     /// to p.
     pub(super) fn add_observed(&mut self, k: usize, weight: f64, samples: usize, exponents: &Exponents<F, K>) {
-        for (sample, gradients) in self.gradients[..samples].iter_mut().enumerate() {
+        for (sample, sums) in self.sums[..samples].iter_mut().enumerate() {
             let terms = &self.observed[k][sample / WIDTH * self.param_dim..][..self.param_dim];
             for (i, CotangentPack([term])) in terms.iter().enumerate() {
                 let part = (*term * weight).lane(sample % WIDTH);
-                gradients[k].add_at(self.state_dim + i, part, exponents.of(k, sample));
+                sums[k].add_at(i, part, exponents.of(k, sample));
             }
         }
     }
@@ -101,6 +129,10 @@ impl<F: Float, const K: usize> StartGradients<F, K> {
             for (k, gradient) in gradients.iter_mut().enumerate() {
                 for (i, bar) in lambda.iter().enumerate() {
                     gradient.add_at(i, bar.0[k].lane(sample % WIDTH), exponents.of(k, sample));
+                }
+                for i in 0..self.param_dim {
+                    let (value, exponent) = self.sums[sample][k].part(i);
+                    gradient.add_at(self.state_dim + i, value, exponent);
                 }
                 gradient.normalize();
             }

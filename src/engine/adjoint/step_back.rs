@@ -55,6 +55,9 @@ impl<T: Task, F: Float, const K: usize> Vectorized for Back<'_, T, F, K> {
                 inject: r.exponents.blocks[block].inject,
             };
             let size = reverse_step(task, flows, step);
+            if let Some(starts) = &mut r.starts {
+                starts.set_cost(block, &r.cost.p);
+            }
             for column in &size.0 {
                 for &size in &column.0 {
                     *in_range &= limits.holds(size, r.exponents.any);
