@@ -14,6 +14,9 @@ use crate::numbers::rng::{Purpose, stream};
 #[track_caller]
 pub fn cost<T: Task>(task: &T) -> Passed {
     try_cost(task).unwrap_or_else(|mismatch| {
+        if mismatch.expected.is_nan() {
+            panic!("the task cannot be checked: {mismatch}. The check adds noise of 0.1 to the initial states");
+        }
         panic!(
             "the task's derivatives are wrong: {mismatch}. Correct the named method. A method for derivatives can also be \
              removed: dual numbers then provide them"
@@ -29,7 +32,7 @@ pub fn cost<T: Task>(task: &T) -> Passed {
 /// - [`observe`](Task::observe) writes every component.
 /// - [`observe_vjp`](Task::observe_vjp), [`running_cost_gradient`](Task::running_cost_gradient) and
 ///   [`terminal_cost_gradient`](Task::terminal_cost_gradient) agree with dual numbers with respect
-///   to every input, and add to their outputs. This includes requests of a single input.
+///   to every input, and add to their outputs. This includes requests of some inputs only.
 ///
 /// # Errors
 /// Returns the first [`Mismatch`].
@@ -54,6 +57,7 @@ pub fn try_cost<T: Task>(task: &T) -> Result<Passed, Mismatch> {
                 y
             });
             c.equal("observe leaves a component unwritten: y", &from_nans, &from_zeros)?;
+            c.finite("observe is not finite near an initial state: y", &from_zeros)?;
             let y_bar = normal(&mut rng, observed);
             let expected = pulled_back(&[&x[..], &p].concat(), &y_bar, &|all, y| {
                 task.observe(Inputs { x: &all[..n], u: &[], p: &all[n..], t }, y);
@@ -71,6 +75,8 @@ pub fn try_cost<T: Task>(task: &T) -> Result<Passed, Mismatch> {
             c.slices("observe_vjp with p alone requested: p_bar", &p_bar, by_p)?;
         }
 
+        let costs = [task.running_cost(inputs, &next), task.terminal_cost(&x, &p)];
+        c.finite("the cost is not finite near an initial state: (running, terminal)", &costs)?;
         let expected = pulled_back(&[&x[..], &u, &p, &next].concat(), &[1.0], &|all, cost| {
             let (x, rest) = all.split_at(n);
             let (u, rest) = rest.split_at(m);
@@ -83,20 +89,26 @@ pub fn try_cost<T: Task>(task: &T) -> Result<Passed, Mismatch> {
             let cotangents = Cotangents { x: Some(x), u: Some(u), p: (params > 0).then_some(p) };
             task.running_cost_gradient(inputs, &next, cotangents, next_bar);
         })?;
-        let [mut x_bar, mut u_bar, mut p_bar] = [n, m, params].map(|len| vec![0.0; len]);
-        let requests = [
-            Cotangents { x: Some(&mut x_bar), u: None, p: None },
-            Cotangents { x: None, u: Some(&mut u_bar), p: None },
-            Cotangents { x: None, u: None, p: (params > 0).then_some(&mut p_bar) },
-        ];
-        for request in requests {
-            task.running_cost_gradient(inputs, &next, request, &mut vec![0.0; n]);
-        }
-        let (mut rest, alone) = (&expected[..], [("x", x_bar), ("u", u_bar), ("p", p_bar)]);
-        for (name, bar) in alone {
-            let (own, others) = rest.split_at(bar.len());
-            c.slices(&format!("running_cost_gradient with {name} alone requested: {name}_bar"), &bar, own)?;
-            rest = others;
+        let (by_x, rest) = expected.split_at(n);
+        let (by_u, rest) = rest.split_at(m);
+        let (by_p, by_next) = rest.split_at(params);
+        for (asked, which) in [
+            ([true, true, false], "x and u alone"),
+            ([true, false, false], "x alone"),
+            ([false, true, false], "u alone"),
+            ([false, false, true], "p alone"),
+        ] {
+            let [mut x_bar, mut u_bar, mut p_bar, mut next_bar] = [n, m, params, n].map(|len| vec![0.0; len]);
+            let request = Cotangents {
+                x: asked[0].then_some(&mut x_bar[..]),
+                u: asked[1].then_some(&mut u_bar[..]),
+                p: (asked[2] && params > 0).then_some(&mut p_bar[..]),
+            };
+            task.running_cost_gradient(inputs, &next, request, &mut next_bar);
+            for (k, (bar, own)) in [(x_bar, by_x), (u_bar, by_u), (p_bar, by_p)].iter().enumerate().filter(|&(k, _)| asked[k]) {
+                c.slices(&format!("running_cost_gradient with {which} requested: {}", names[k]), bar, own)?;
+            }
+            c.slices(&format!("running_cost_gradient with {which} requested: next_bar"), &next_bar, by_next)?;
         }
 
         let expected = pulled_back(&[&x[..], &p].concat(), &[1.0], &|all, cost| {
@@ -106,6 +118,9 @@ pub fn try_cost<T: Task>(task: &T) -> Result<Passed, Mismatch> {
         c.adds("terminal_cost_gradient", ["x_bar", "p_bar"], &mut cotangents, &expected, &mut |[x_bar, p_bar]| {
             task.terminal_cost_gradient(&x, &p, x_bar, (params > 0).then_some(p_bar));
         })?;
+        let mut x_bar = vec![0.0; n];
+        task.terminal_cost_gradient(&x, &p, &mut x_bar, None);
+        c.slices("terminal_cost_gradient with x alone requested: x_bar", &x_bar, &expected[..n])?;
     }
     Ok(c.passed)
 }

@@ -1,7 +1,7 @@
 //! Check of the derivatives of a system.
 
 use super::oracle::pulled_back;
-use super::{CASES, Comparison, Mismatch, NOT_FINITE, ONE_STEP, Passed, normal};
+use super::{CASES, Comparison, Mismatch, ONE_STEP, Passed, normal};
 use crate::dynamics::inputs::{Cotangents, Inputs, Tangents};
 use crate::dynamics::number::Varied;
 use crate::dynamics::outline::{One, step};
@@ -87,7 +87,7 @@ pub(super) fn check(system: &dyn Checked, draw: Draw) -> Result<Passed, Mismatch
             system.step(at, &mut next);
             next
         });
-        c.finite(&format!("{NOT_FINITE}: next"), &from_zeros)?;
+        c.finite("step is not finite here; draw other states with `try_system_at`: next", &from_zeros)?;
         c.equal("step leaves a component unwritten: next", &from_nans, &from_zeros)?;
 
         let expected = step_vjp(system, at, &next_bar);

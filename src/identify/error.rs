@@ -52,6 +52,14 @@ pub enum IdentifyError {
         /// Component of the state.
         component: usize,
     },
+    /// A parameter has no value in the data and no nominal value.
+    #[error("segment {segment}: the parameter `{name}` has no value; add a column of this name to the data")]
+    MissingParam {
+        /// Index of the segment.
+        segment: usize,
+        /// Name of the parameter.
+        name: String,
+    },
     /// The number of standard deviations of the noise differs from the number of state components.
     #[error("the list of noise levels has {found} numbers; expected {expected}, one per state component")]
     NoiseCount {

@@ -84,7 +84,13 @@ impl Guidance {
 
 impl<S: HasModel<GuidanceSystem>> Guidance<S> {
     /// Creates the paper's task for another system: 60 steps, running loss, regularization 1.
+    ///
+    /// # Panics
+    /// Without drivers or without evaders.
+    #[track_caller]
     pub fn with_system(system: S) -> Self {
+        let GuidanceSystem { drivers, evaders, .. } = *system.model();
+        assert!(drivers > 0 && evaders > 0, "{drivers} drivers and {evaders} evaders; allowed: at least one of each");
         Self { system, loss: LossMode::Running, regularization: 1.0, horizon: 60 }
     }
 

@@ -85,10 +85,12 @@ impl<S: HasModel<QuantumSystem>> Quantum<S> {
     /// Creates the paper's task for another system: 128 steps, running loss, initial weights 1 : 1.
     ///
     /// # Panics
-    /// If the target is not between 1 and the number of grid points.
+    /// If the grid has fewer than 3 points, or the target is not between 1 and their number.
     #[track_caller]
     pub fn with_system(system: S, target: usize) -> Self {
         let grid = system.model().grid;
+        assert!(grid >= 3, "the grid has {grid} points; allowed: 3 or more");
+        assert!(grid >= 3, "the grid has {grid} points; allowed: 3 or more");
         assert!((1..=grid).contains(&target), "the target is eigenstate {target}; allowed: 1, the ground state, to {grid}");
         Self { system, target, loss: LossMode::Running, horizon: 128, weighting: [1.0, 1.0] }
     }

@@ -176,6 +176,9 @@ impl<F: Float> Progress<F> {
             epoch
         });
         self.order_samples();
+        if self.records.len() >= self.training.epochs && self.epoch.take().is_some() {
+            self.restore_start_of_epoch(policy);
+        }
         Ok(())
     }
 

@@ -185,6 +185,8 @@ impl<F: Float> Progress<F> {
     ) -> Result<(), TrainError> {
         let Training { batch, workers, memory, .. } = self.training;
         let samples = self.training.derived(batch.min(self.order.len()));
+        // Frees the workspace of a single process before the allocation of another.
+        self.batch = Batch::new(task, policy, 1, &self.flows, 1);
         self.batch = Batch::shared(ranks.clone(), task, policy, samples, &self.flows, workers, memory)?;
         self.evaluation = Evaluation::new(task, policy, workers).shared(ranks.clone());
         Ok(())
@@ -265,11 +267,17 @@ impl<F: Float> Progress<F> {
             return Ok(());
         }
         let count = self.skipped_in_a_row;
+        self.restore_start_of_epoch(policy);
+        Err(TrainError::Diverged { count, last: Box::new(skip) })
+    }
+
+    /// Restores parameters, optimizer, moving average and the number of consecutive skips to their
+    /// state at the start of the epoch.
+    pub(super) fn restore_start_of_epoch(&mut self, policy: &dyn AnyPolicy<F>) {
         self.weights.update(policy, |theta| theta.copy_from_slice(&self.before.theta));
         self.optimizer.copy_from(&self.before.optimizer);
         self.direction.copy_from_slice(&self.before.direction);
         self.skipped_in_a_row = self.before.skipped_in_a_row;
-        Err(TrainError::Diverged { count, last: Box::new(skip) })
     }
 
     /// Loss of the test set. A diverged loss is NaN.

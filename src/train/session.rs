@@ -166,7 +166,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     }
 
     /// Restores a checkpoint of the same run. The updates that follow are bit for bit those of an
-    /// uninterrupted run.
+    /// uninterrupted run. If no epoch remains, returns to the end of the last complete one.
     ///
     /// # Errors
     /// [`CheckpointError`]. The session is then unchanged.

@@ -111,6 +111,24 @@ fn a_session_restored_after_every_update_has_the_bits_of_an_uninterrupted_one() 
     }
 }
 
+/// A run of three epochs, interrupted in its second epoch, becomes a run of one epoch.
+#[test]
+fn a_run_shortened_to_its_complete_epochs_discards_the_unfinished_one() {
+    let starts = starts::<f32>(16);
+    let mut long = shuffled(&starts, false);
+    long.epoch().expect("finite");
+    let complete = long.weights().theta().to_vec();
+    assert!(long.advance(&|| true).expect("finite").is_none() && long.weights().theta() != complete);
+    let training = Training { epochs: 1, batch: 4, shuffle: true, ..Training::default() };
+    let mut short = Trainer::new(task(), policy())
+        .training(training)
+        .session_from(weights::<f32>().theta().to_vec(), starts.clone(), starts)
+        .expect("valid settings");
+    short.restore(&long.checkpoint("run"), "run").expect("a checkpoint of this run");
+    assert!(short.is_done());
+    assert_eq!(short.weights().theta(), complete);
+}
+
 #[test]
 fn losses_do_not_depend_on_the_number_of_workers_nor_on_the_tape() {
     for samples in [1, 31, 33, 100] {

@@ -126,9 +126,9 @@ pub(super) fn reverse_step<T: Task, R: Real, const K: usize>(
     // Two flows without a physics path are rare: their special case is not compiled.
     if K > 1 || flows.iter().any(|flow| flow.physics != 0.0) {
         clear(x_bar);
-        task.system().vjp(inputs, lambda, Cotangents { x: Some(x_bar), u: Some(u_bar), p: p_bar.as_deref_mut() });
+        task.system().vjp(inputs, lambda, Cotangents { x: Some(x_bar), u: Some(u_bar), p: p_bar });
     } else {
-        task.system().vjp(inputs, lambda, Cotangents { x: None, u: Some(u_bar), p: p_bar.as_deref_mut() });
+        task.system().vjp(inputs, lambda, Cotangents { x: None, u: Some(u_bar), p: p_bar });
     }
     for (u_bar, &cost) in zip(u_bar.iter_mut(), &cost.u) {
         *u_bar += inject * cost;

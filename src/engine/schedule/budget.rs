@@ -7,7 +7,7 @@ use crate::engine::rollout::UNIT;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{budget} bytes are not enough for the gradients: at least {smallest} are needed, and {everything} to recompute no step. \
-     Raise the budget, or choose a smaller mini-batch or policy"
+     Raise the budget, use fewer threads, or choose a shorter horizon, a smaller mini-batch or a smaller policy"
 )]
 pub struct MemoryError {
     /// Memory limit in bytes.

@@ -77,7 +77,8 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     args.overrides.apply(&mut source)?;
     let study = Study::new(source)?;
     let name = presets::short_name(&args.scene);
-    let folder = || Folder::named(args.out.as_deref(), &format!("accuracy_{name}"));
+    let reserved = Folder::reserve(args.out.as_deref())?;
+    let folder = || Folder::or_fresh(reserved, &format!("accuracy_{name}"));
     if args.gradients {
         let horizons = gradients::parse(&args.horizons)?;
         return gradients::gradients(&study, &name, &*folder()?, &horizons, [args.quiet, args.json]);

@@ -26,17 +26,20 @@ pub struct Animate {
 /// Runs the command.
 pub fn animate(args: &Animate) -> Result<()> {
     for scene in saved::scenes(&Folder::existing(&args.folder)?)? {
-        let animations = parallel::map(&scene.runs, |folder| animation(folder, args.sample));
-        let mut animations = animations.into_iter().collect::<Result<Vec<_>>>()?;
-        Animation::share_scale(&mut animations.iter_mut().collect::<Vec<_>>());
-        for (folder, animation) in scene.runs.iter().zip(&animations) {
-            folder.write(ANIMATION, animation.to_svg())?;
-            if !args.quiet {
-                print_result(&folder.file(ANIMATION).display().to_string())?;
-            }
+        draw(&scene.runs, args.sample)?;
+        for folder in scene.runs.iter().filter(|_| !args.quiet) {
+            print_result(&folder.file(ANIMATION).display().to_string())?;
         }
     }
     Ok(())
+}
+
+/// Writes the animation of each run of one scene, with one scale.
+pub fn draw(runs: &[Folder], sample: usize) -> Result<()> {
+    let animations = parallel::map(runs, |folder| animation(folder, sample));
+    let mut animations = animations.into_iter().collect::<Result<Vec<_>>>()?;
+    Animation::share_scale(&mut animations.iter_mut().collect::<Vec<_>>());
+    runs.iter().zip(&animations).try_for_each(|(folder, animation)| folder.write(ANIMATION, animation.to_svg()))
 }
 
 fn animation(folder: &Folder, sample: usize) -> Result<Animation> {

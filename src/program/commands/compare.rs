@@ -2,8 +2,8 @@
 
 mod sweep;
 
-use crate::program::commands::animate::{Animate, animate};
-use crate::program::platform::folder::{Folder, SETTINGS, STUDY};
+use crate::program::commands::animate::draw;
+use crate::program::platform::folder::{COMPARISON, Folder, SETTINGS, STUDY};
 use crate::program::platform::json::{print_json, rows};
 use crate::program::platform::table::Table;
 use crate::program::platform::terminal::{counted, print_message, print_note, print_text};
@@ -23,7 +23,7 @@ use crate::program::settings::FieldName;
 use crate::program::tasks::Scene;
 use crate::program::tasks::scene::INITIAL_POLICY;
 use crate::report::{Abscissa, Case, Drawing, comparison, study};
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::path::PathBuf;
@@ -98,7 +98,9 @@ pub fn compare(args: &Compare) -> Result<()> {
     };
     check_folder(&folder, "comparison", &[(SETTINGS, "run"), (STUDY, "study")])?;
     // The runs of one scene are in `runs`. Those of each of several scenes are in a subfolder.
-    let saved = read_plan::<Plan>(&folder).ok();
+    let saved = folder.has(COMPARISON).then(|| read_plan::<Plan>(&folder)).transpose();
+    let saved =
+        saved.with_context(|| format!("{} holds other results; choose another folder with --out", folder.path().display()))?;
     if let Some(other) = saved.and_then(|saved| match (&saved.points[..], &points[..]) {
         ([saved], [point]) => (saved.name != point.name).then(|| saved.name.clone()),
         ([_], _) => Some("one scene or point".into()),
@@ -169,7 +171,7 @@ pub fn check_folder(folder: &Folder, expected: &str, files: &[(&str, &str)]) -> 
 
 /// Makes the tables and pictures of the comparison in the folder from its runs, without training.
 pub fn merge(folder: &Folder, output: Output) -> Result<Ended> {
-    let plan: Plan = read_plan(folder)?;
+    let plan: Plan = read_plan(folder).context("for a figure of `paper`, name the folder that contains its folder")?;
     let points = plan.points.into_iter().map(|point| point.open(folder)).collect::<Result<Vec<_>>>()?;
     let mut comparisons = self::plan(&points, &plan.fields, plan.seeds, folder)?;
     let ended = read_all(&mut comparisons)?;
@@ -217,7 +219,7 @@ fn write_outputs(
         folder.write("curves.svg", picture(&title, &scenes, one_task).to_svg())?;
         files.push("curves.svg");
         // Redraws the animations of the runs, with one scale per scene.
-        animate(&Animate { folder: folder.path().into(), sample: 0, quiet: true })?;
+        comparisons.iter().try_for_each(|comparison| draw(&comparison.ended(), 0))?;
     }
     if let Some(picture) = sweep::picture(&title, points, &scenes) {
         folder.write("sweep.svg", picture.to_svg())?;

@@ -73,11 +73,10 @@ const SHARES: [f64; 5] = [0.05, 0.25, 0.5, 0.75, 0.95];
 
 /// Runs the command.
 pub fn eval(args: &Eval) -> Result<()> {
-    if args.samples == 0 {
-        bail!("--samples is 0; allowed: 1 or more");
-    }
+    check_samples(args.samples)?;
     let policies = Trained::load_all(&args.runs, args.epoch)?;
     let scenes = policies.iter().map(|policy| scene(args, policy)).collect::<Result<Vec<Scene>>>()?;
+    let reserved = Folder::reserve(args.out.as_deref())?;
     let pairs: Vec<(&Trained, &Scene)> = policies.iter().zip(&scenes).collect();
     let evaluation = |(policy, scene): &(&Trained, &Scene)| {
         policy.evaluation(scene, args.seed).with_context(|| format!("cannot evaluate {}", policy.name))
@@ -87,7 +86,7 @@ pub fn eval(args: &Eval) -> Result<()> {
     let results: Vec<Evaluated> =
         policies.iter().zip(losses).map(|(policy, losses)| Evaluated { name: policy.name.clone(), losses }).collect();
 
-    let folder = Folder::named(args.out.as_deref(), "eval")?;
+    let folder = Folder::or_fresh(reserved, "eval")?;
     folder.write("losses.csv", losses_csv(&results)?)?;
     let summary = csv(SUMMARY, results.iter().map(Evaluated::summary))?;
     folder.write("summary.csv", &summary)?;
@@ -112,6 +111,12 @@ pub fn eval(args: &Eval) -> Result<()> {
     let worst = if args.worst > 0 { ", worst.csv and animations of the worst rollouts" } else { "" };
     let files = format!("losses.svg, losses.csv, summary.csv{worst}");
     print_text(&format!("{}\nresults in {}: {files}", table(args, &results), folder.path().display()))
+}
+
+/// Checks the number of initial states of an evaluation.
+pub fn check_samples(samples: usize) -> Result<()> {
+    const MOST: usize = 1_000_000;
+    if (1..=MOST).contains(&samples) { Ok(()) } else { bail!("--samples is {samples}; allowed: 1 to {MOST}") }
 }
 
 /// Scene for the evaluation of a policy. It has the policy section and the precision of the run,

@@ -9,7 +9,7 @@ use crate::numbers::text::{digits, rough, short};
 use crate::program::commands::compare::check_folder;
 use crate::program::commands::report::identification::{self, FIT, IDENTIFIED, TRAJECTORIES, VALIDATION, WARNING};
 use crate::program::platform::csv::csv;
-use crate::program::platform::folder::{COMPARISON, Folder, REPORT, SETTINGS, STUDY};
+use crate::program::platform::folder::{COMPARISON, Folder, REPORT, SCENE, SETTINGS, STUDY};
 use crate::program::platform::json::{object, print_json, rows};
 use crate::program::platform::table::Table;
 use crate::program::platform::terminal::print_text;
@@ -21,8 +21,11 @@ use crate::program::tasks::Scene;
 use anyhow::{Context, Result, bail};
 use data::Measured;
 use serde_json::json;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
+
+/// File of the picture.
+const PICTURE: &str = "identified.svg";
 
 /// Largest jump between windows without a warning, in the units of [`Fit::jump`].
 const JUMP: f64 = 1e-3;
@@ -79,8 +82,10 @@ pub fn identify(args: &Identify) -> Result<()> {
     if args.every == 0 {
         bail!("--every is 0; allowed: 1 or more");
     }
-    if let Some(out) = &args.out {
-        check_folder(&Folder::at(out), "fit", &[(SETTINGS, "run"), (COMPARISON, "comparison"), (STUDY, "study")])?;
+    if let Some(out) = args.out.as_deref().map(Folder::at) {
+        check_folder(&out, "fit", &[(SETTINGS, "run"), (COMPARISON, "comparison"), (STUDY, "study")])?;
+        let outputs = [SCENE, IDENTIFIED, FIT, TRAJECTORIES, VALIDATION, PICTURE, REPORT];
+        out.check_inputs(&[Path::new(&args.scene), &args.data], &outputs)?;
     }
     let options = Options {
         noise,
@@ -93,6 +98,7 @@ pub fn identify(args: &Identify) -> Result<()> {
         bail!("--every {}: no segment remains for validation", args.every);
     }
     let segments = measured.chosen(&fitted);
+    let reserved = Folder::reserve(args.out.as_deref())?;
     let begin = Instant::now();
     let fit = scene.identify(&segments, &options).map_err(|error| in_file(error, &fitted));
     let fit = fit.with_context(|| format!("{} with {}", args.scene, args.data.display()))?;
@@ -103,7 +109,7 @@ pub fn identify(args: &Identify) -> Result<()> {
     }
     // A fitted value can be outside of the range of its setting.
     let found = source.scene();
-    let folder = Folder::named(args.out.as_deref(), &format!("identify-{}", presets::short_name(&args.scene)))?;
+    let folder = Folder::or_fresh(reserved, &format!("identify-{}", presets::short_name(&args.scene)))?;
     let mut text = format!("{}", table(&fit, &scene));
     for (name, value) in facts(&fit, seconds) {
         text += &format!("{}{name} {value}", if name == "segments" { "\n" } else { ", " });
@@ -124,8 +130,8 @@ pub fn identify(args: &Identify) -> Result<()> {
     warnings.iter().for_each(|warning| text += &format!("\n{WARNING}: {warning}"));
 
     match &found {
-        Ok(found) => saved::write_scene(&folder, "scene.toml", found)?,
-        Err(_) => folder.remove("scene.toml")?,
+        Ok(found) => saved::write_scene(&folder, SCENE, found)?,
+        Err(_) => folder.remove(SCENE)?,
     }
     let identified = numbers(&fit, &scene)?;
     folder.write(IDENTIFIED, &identified)?;
@@ -140,7 +146,7 @@ pub fn identify(args: &Identify) -> Result<()> {
         // An earlier fit may have left its validation.
         _ => folder.remove(VALIDATION)?,
     }
-    folder.write("identified.svg", picture::picture(&fitted, &segments, &fit, &scene))?;
+    folder.write(PICTURE, picture::picture(&fitted, &segments, &fit, &scene))?;
     folder.write(REPORT, identification::page(&Folder::existing(folder.path())?)?)?;
     let results = folder.path().display();
     let failed = validation.as_ref().err().cloned();
@@ -165,8 +171,13 @@ pub fn identify(args: &Identify) -> Result<()> {
 /// The error with the index of its segment in the file. `numbers` are the indices of the chosen
 /// segments.
 fn in_file(mut error: IdentifyError, numbers: &[usize]) -> IdentifyError {
-    use IdentifyError::{Diverged, Empty, MissingStart, Shape};
-    if let Shape { segment, .. } | Empty { segment } | MissingStart { segment, .. } | Diverged { segment, .. } = &mut error {
+    use IdentifyError::{Diverged, Empty, MissingParam, MissingStart, Shape};
+    if let Shape { segment, .. }
+    | Empty { segment }
+    | MissingParam { segment, .. }
+    | MissingStart { segment, .. }
+    | Diverged { segment, .. } = &mut error
+    {
         *segment = numbers[*segment];
     }
     error

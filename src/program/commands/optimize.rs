@@ -5,7 +5,7 @@ use crate::optimize::{Initial, Options, Plan};
 use crate::program::commands::compare::check_folder;
 use crate::program::operations::trajectory::Trajectory;
 use crate::program::platform::csv::csv;
-use crate::program::platform::folder::{COMPARISON, Folder, SETTINGS, STUDY, TRAJECTORY};
+use crate::program::platform::folder::{COMPARISON, Folder, SCENE, SETTINGS, STUDY, TRAJECTORY};
 use crate::program::platform::json::{print_json, rows};
 use crate::program::platform::parallel;
 use crate::program::platform::table::Table;
@@ -19,7 +19,7 @@ use crate::report::{Dash, Series, fitted};
 use anyhow::{Context, Result, bail};
 use serde_json::json;
 use std::collections::HashSet;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Optimize the controls of a scene from single initial states, without a policy.
@@ -79,12 +79,14 @@ pub fn optimize(args: &Optimize) -> Result<()> {
             (presets::short_name(name), saved::changed(name, &args.overrides)?)
         }
     };
-    if let Some(out) = &args.out {
-        check_folder(&Folder::at(out), "plan", &[(SETTINGS, "run"), (COMPARISON, "comparison"), (STUDY, "study")])?;
+    if let Some(out) = args.out.as_deref().map(Folder::at) {
+        check_folder(&out, "plan", &[(SETTINGS, "run"), (COMPARISON, "comparison"), (STUDY, "study")])?;
+        out.check_inputs(&args.scene.iter().map(Path::new).collect::<Vec<_>>(), &[SCENE])?;
     }
     let bounds = bounds(&args.bound, &scene.control_names())?;
     let options = Options { max_iterations: args.iterations, bounds, ..Options::default() };
     let starts = starts(args, &scene)?;
+    let reserved = Folder::reserve(args.out.as_deref())?;
 
     let begin = Instant::now();
     let plans = parallel::map(&starts.iter().enumerate().collect::<Vec<_>>(), |&(i, start)| {
@@ -110,8 +112,8 @@ pub fn optimize(args: &Optimize) -> Result<()> {
     }
 
     let optimized: Vec<(usize, Trajectory)> = plans.iter().map(|(i, plan)| (*i, trajectory(plan))).collect();
-    let folder = Folder::named(args.out.as_deref(), &format!("optimize-{name}"))?;
-    saved::write_scene(&folder, "scene.toml", &scene)?;
+    let folder = Folder::or_fresh(reserved, &format!("optimize-{name}"))?;
+    saved::write_scene(&folder, SCENE, &scene)?;
     let costs = summary(&plans)?;
     folder.write("optimized.csv", &costs)?;
     folder.write(TRAJECTORY, outputs::trajectories(&scene, optimized.iter().map(|(i, rollout)| (*i, rollout)))?)?;
@@ -138,8 +140,8 @@ pub fn optimize(args: &Optimize) -> Result<()> {
     failed()
 }
 
-/// Rollouts from the first test initial states. With `--from`, the policy of the run determines the
-/// controls. Otherwise, only initial states and parameters are meaningful.
+/// Rollouts of the policy of the run in `--from`, from the first test initial states. Without
+/// `--from`, initial states and parameters only.
 ///
 /// # Errors
 /// `--starts` is 0 or exceeds the test set. With `--from`, the run cannot be restored, or a rollout
@@ -153,7 +155,7 @@ fn starts(args: &Optimize, scene: &Scene) -> Result<Vec<Trajectory>> {
     if !(1..=samples).contains(&args.starts) {
         bail!("--starts is {}; allowed: 1 to {samples}, the number of test initial states (training.test_samples)", args.starts);
     }
-    let rollouts = run.rollouts(0..args.starts);
+    let rollouts = if args.from.is_some() { run.rollouts(0..args.starts) } else { run.starts(0..args.starts) };
     match &args.from {
         Some(path) if rollouts.iter().any(|rollout| rollout.controls.len() < scene.horizon) => {
             bail!("the policy of {} diverges; name a scene instead of --from {0}", path.display())
@@ -182,7 +184,7 @@ fn bounds(arguments: &[String], names: &[String]) -> Result<Option<Vec<[f64; 2]>
             Some(range) if !chosen.is_empty() => chosen.into_iter().for_each(|bound| *bound = range),
             _ => bail!(
                 "--bound {argument}: write [NAME=]LOW:HIGH with LOW below HIGH, as in {}=-10:10; names: {}",
-                names[0],
+                names.first().map_or("u", String::as_str),
                 names.join(", ")
             ),
         }

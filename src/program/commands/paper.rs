@@ -11,7 +11,7 @@ use crate::program::platform::signals;
 use crate::program::platform::table::Table;
 use crate::program::platform::terminal::print_text;
 use crate::program::runs::comparison::{check_distinct, check_options};
-use crate::program::runs::run::threads;
+use crate::program::runs::run::{NoUpdate, threads};
 use crate::program::runs::shard::Shard;
 use crate::program::settings::{ClipName, FieldName};
 use crate::report::Drawing;
@@ -144,46 +144,78 @@ pub fn paper(args: &Paper) -> Result<()> {
     let folder = Folder::at(args.out.as_deref().unwrap_or(Path::new(default)));
     let folder = if args.shard.is_some() { folder.share()? } else { folder.lock()? };
     let first = args.shard.is_none_or(Shard::is_first);
-    let write = |figure: Figure, finished: Result<FinishedFigure>| finished?.write(&figure.name(), &folder, options);
+    let write =
+        |figure: Figure, finished: Result<FinishedFigure>| Ok((Some(finished?.write(&figure.name(), &folder, options)?), Ok(())));
     // Puts the figure with the longest computing time last.
-    let figures: [(Figure, &dyn Fn() -> Result<Value>); 5] = [
-        (Figure::Fig1, &|| if first { write(Figure::Fig1, fig1::fig1(options.quick)) } else { Ok(Value::Null) }),
-        (Figure::Fig2, &|| if first { write(Figure::Fig2, fig2::fig2(options.quick)) } else { Ok(Value::Null) }),
+    let none = || Ok((None, Ok(())));
+    let figures: [(Figure, &dyn Fn() -> Result<Made>); 5] = [
+        (Figure::Fig1, &|| if first { write(Figure::Fig1, fig1::fig1(options.quick)) } else { none() }),
+        (Figure::Fig2, &|| if first { write(Figure::Fig2, fig2::fig2(options.quick)) } else { none() }),
         (Figure::Fig4, &|| FIG4.run(options, &folder, args.shard)),
         (Figure::Fig3, &|| FIG3.run(options, &folder, args.shard)),
         (Figure::Fig5, &|| FIG5.run(options, &folder, args.shard)),
     ];
     // Continues with the other figures after an error.
-    let (mut found, mut errors) = (Vec::new(), Vec::new());
+    let mut all = AllMade::default();
     for (figure, make) in figures {
         if [figure, Figure::All].contains(&args.figure) && signals::received().is_none() {
-            match make() {
-                Ok(table) => found.push(table),
-                Err(error) => errors.push(format!("{}: {error:#}", figure.name())),
-            }
+            all.add(&figure.name(), make());
         }
     }
     if options.json {
-        print_json(&json!({ "folder": folder.path(), "figures": found }))?;
+        print_json(&json!({ "folder": folder.path(), "figures": all.tables }))?;
     }
-    if errors.is_empty() { Ok(()) } else { bail!("{}", errors.join("\n")) }
+    all.into_result()
+}
+
+/// Name and table of a figure, if it was written, and the failures of its runs.
+type Made = (Option<Value>, Result<()>);
+
+/// Tables and failures of several figures.
+#[derive(Default)]
+struct AllMade {
+    tables: Vec<Value>,
+    failures: Vec<(String, anyhow::Error)>,
+}
+
+impl AllMade {
+    fn add(&mut self, name: &str, made: Result<Made>) {
+        let (table, failures) = made.unwrap_or_else(|error| (None, Err(error)));
+        self.tables.extend(table);
+        self.failures.extend(failures.err().map(|error| (name.to_owned(), error)));
+    }
+
+    /// Lists all failures. The error is [`NoUpdate`] if every failure is.
+    fn into_result(self) -> Result<()> {
+        let no_update = |(name, error): &(String, anyhow::Error)| {
+            error.downcast_ref::<NoUpdate>().map(|NoUpdate(runs)| format!("{name}: {runs}"))
+        };
+        if self.failures.is_empty() {
+            return Ok(());
+        }
+        match self.failures.iter().map(no_update).collect::<Option<Vec<_>>>() {
+            Some(runs) => bail!(NoUpdate(runs.join(", "))),
+            None => {
+                let lines = self.failures.iter().map(|(name, error)| format!("{name}: {error:#}"));
+                bail!("{}", lines.collect::<Vec<_>>().join("\n"))
+            }
+        }
+    }
 }
 
 /// Makes the figures in the folder from their runs, without training. Returns false if the folder
 /// has no figure with runs.
 pub fn merge(folder: &Folder, output: Output) -> Result<bool> {
     let studies = [FIG3, FIG4, FIG5].into_iter().filter(|study| study.folder(folder).has(COMPARISON));
-    let (mut found, mut errors) = (Vec::new(), Vec::new());
+    let (mut all, mut any) = (AllMade::default(), false);
     for study in studies {
-        match study.merge(folder, output) {
-            Ok(table) => found.push(table),
-            Err(error) => errors.push(format!("{}: {error:#}", study.name)),
-        }
+        any = true;
+        all.add(study.name, study.merge(folder, output));
     }
-    if output.json && !found.is_empty() {
-        print_json(&json!({ "folder": folder.path(), "figures": found }))?;
+    if output.json && !all.tables.is_empty() {
+        print_json(&json!({ "folder": folder.path(), "figures": all.tables }))?;
     }
-    if errors.is_empty() { Ok(!found.is_empty()) } else { bail!("{}", errors.join("\n")) }
+    all.into_result().map(|()| any)
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! `physgrad robust`: losses of trained policies over a grid of settings.
 
 use crate::numbers::text::short;
+use crate::program::commands::eval::check_samples;
 use crate::program::operations::session::Epoch;
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::Folder;
@@ -61,7 +62,7 @@ impl Axis {
             let (low, high): (f64, f64) = (low.parse().ok()?, high.parse().ok()?);
             let count: usize = count.parse().ok()?;
             let valid = low.is_finite() && high.is_finite() && (2..=200).contains(&count);
-            valid.then(|| (key.to_owned(), low, high, count))
+            valid.then(|| (key.trim().to_owned(), low, high, count))
         };
         let (key, low, high, count) =
             parts().ok_or("allowed: KEY=LOW:HIGH:COUNT with 2 to 200 values, as in system.cart_mass=0.5:2:7")?;
@@ -96,8 +97,10 @@ pub fn robust(args: &Robust) -> Result<()> {
     {
         bail!("--grid gives {} twice; give each setting once", first.key);
     }
-    if args.samples == 0 {
-        bail!("--samples is 0; allowed: 1 or more");
+    check_samples(args.samples)?;
+    let unused = |axis: &&Axis| ["seed", "epochs"].contains(&&*axis.key) || axis.key.starts_with("training.");
+    if let Some(Axis { key, .. }) = args.grid.iter().find(unused) {
+        bail!("--grid {key}: an evaluation does not use this setting; choose a number of the task");
     }
     let runs = Trained::load_all(&args.runs, args.epoch)?;
     let mut points = Vec::new();
@@ -112,9 +115,10 @@ pub fn robust(args: &Robust) -> Result<()> {
     // Checks all scenes before the first evaluation.
     let valid = parallel::map(&points, |(run, at)| scene(&runs[*run], at, args).map(drop));
     valid.into_iter().collect::<Result<()>>()?;
+    let reserved = Folder::reserve(args.out.as_deref())?;
     let cells = parallel::map(&points, |(run, at)| evaluate(&runs[*run], *run, at, args));
     let cells = cells.into_iter().collect::<Result<Vec<_>>>()?;
-    let folder = Folder::named(args.out.as_deref(), "robust")?;
+    let folder = Folder::or_fresh(reserved, "robust")?;
     let points = table_csv(args, &runs, &cells)?;
     folder.write("robust.csv", &points)?;
     folder.write("robust.svg", picture(args, &runs, &cells))?;

@@ -13,6 +13,7 @@ use crate::program::runs::saved::{changed, resumed};
 use crate::program::runs::statistics::best;
 use crate::program::scenes::overrides::Overrides;
 use crate::program::scenes::presets;
+use crate::program::scenes::source::SceneSource;
 use crate::program::tasks::Scene;
 use crate::{Ranks, Record, differences, ranks};
 use anyhow::{Context, Result, anyhow, bail};
@@ -170,7 +171,9 @@ fn seconds(text: &str) -> Result<f64, String> {
 /// between a scene file and the run.
 fn check_scene(folder: &Folder, scene: &Scene, file: &str, overrides: &Overrides) -> Result<()> {
     let mut source = presets::source(file)?;
-    let [named, saved] = [source.scene()?.task.name(), scene.task.name()];
+    // The run has a copy of its initial policy, so the file may be gone.
+    let named_scene = |source: &SceneSource| source.starting_from(scene.initial_policy());
+    let [named, saved] = [named_scene(&source)?.task.name(), scene.task.name()];
     if named != saved {
         let folder = folder.path().display();
         bail!("the run in {folder} has the task {saved}, but {file} has the task {named}; name a scene of {saved}");
@@ -179,7 +182,7 @@ fn check_scene(folder: &Folder, scene: &Scene, file: &str, overrides: &Overrides
         return Ok(());
     }
     overrides.apply_again(&mut source)?;
-    let (saved, named) = (scene.identity(), source.scene()?.identity());
+    let (saved, named) = (scene.identity(), named_scene(&source)?.identity());
     if saved != named {
         print_message(&format!(
             "note: the run in {} resumes with its saved settings; {file} differs in:\n{}",

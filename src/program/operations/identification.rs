@@ -3,9 +3,9 @@
 use crate::identify::{Fit, IdentifyError, Options, Segment, Unknown, identify};
 use crate::{DynTask, Number, System, Task, Varied};
 
-/// Fits the trained numbers of a task to measured segments. Replaces the numbers among the
-/// parameters of the segments by nominal values. `names` are the names of the parameters of a
-/// rollout.
+/// Fits the trained numbers of a task to measured segments. `names` are the names of the parameters
+/// of a rollout, in the order of the parameters of the segments. Numbers without a value in a
+/// segment have their nominal values.
 pub fn identified(task: &DynTask, names: &[String], segments: &[Segment], options: &Options) -> Result<Fit, IdentifyError> {
     let system = task.system();
     let params = system.param_dim();
@@ -17,17 +17,17 @@ pub fn identified(task: &DynTask, names: &[String], segments: &[Segment], option
         _ => None,
     };
     let unknowns: Vec<Unknown> = named.filter_map(unknown).collect();
-    let with_numbers = |segment: &Segment| {
-        // Parameters that are no numbers have no default.
-        let mut p = if segment.p.is_empty() { vec![0.0; varied.len()] } else { segment.p.clone() };
-        for &Varied { index, number, .. } in &varied {
-            // `identify` refuses a segment with too few parameters.
-            if let Some(p) = p.get_mut(index) {
-                *p = number.nominal();
-            }
+    let with_params = |(i, segment): (usize, &Segment)| {
+        let known = |index: usize| segment.p.get(index).copied().filter(|value| !value.is_nan());
+        let mut p: Vec<Option<f64>> = (0..params).map(known).collect();
+        for (varied, named) in varied.iter().zip(system.varied(task.param_dim())) {
+            let known = known(named.index).filter(|_| !matches!(varied.number, Number::Trained { .. }));
+            p[varied.index] = Some(known.unwrap_or(varied.number.nominal()));
         }
-        Segment { p, ..segment.clone() }
+        let missing = |name: &String| IdentifyError::MissingParam { segment: i, name: name.clone() };
+        let p = p.into_iter().zip(names).map(|(p, name)| p.ok_or_else(|| missing(name)));
+        Ok(Segment { p: p.collect::<Result<_, _>>()?, ..segment.clone() })
     };
-    let segments: Vec<Segment> = segments.iter().map(with_numbers).collect();
+    let segments = segments.iter().enumerate().map(with_params).collect::<Result<Vec<_>, _>>()?;
     identify(system, &segments, &unknowns, options)
 }

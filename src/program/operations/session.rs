@@ -58,6 +58,8 @@ pub trait AnyRun: Send {
     /// Rollouts with the current parameters, from a range of test initial states. Truncates the
     /// range to the test set.
     fn rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory>;
+    /// Initial states and parameters of a range of the test set, as rollouts without steps.
+    fn starts(&self, chosen: Range<usize>) -> Vec<Trajectory>;
     /// Norms of the adjoints of R and M along rollouts with the current parameters. Uses at most
     /// [`adjoint_norms::SAMPLES`] test initial states.
     fn adjoint_norms(&self) -> [AdjointNorms; 2];
@@ -125,6 +127,16 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
 
     fn rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory> {
         trajectory::rollouts(self.task(), self.policy(), self.weights(), self.test_starts(), chosen)
+    }
+
+    fn starts(&self, chosen: Range<usize>) -> Vec<Trajectory> {
+        let (n, len) = (AnyTask::<F>::state_dim(self.task()), AnyTask::<F>::start_dim(self.task()));
+        let start = |start: &[F]| {
+            let numbers: Vec<f64> = start.iter().map(|number| number.as_()).collect();
+            let (x, p) = numbers.split_at(n);
+            Trajectory { states: vec![x.to_vec()], controls: Vec::new(), params: p.to_vec() }
+        };
+        self.test_starts()[chosen.start * len..chosen.end * len].chunks_exact(len).map(start).collect()
     }
 
     fn adjoint_norms(&self) -> [AdjointNorms; 2] {

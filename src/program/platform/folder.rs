@@ -22,6 +22,8 @@ pub const TRAJECTORY: &str = "trajectory.csv";
 pub const ANIMATION: &str = "animation.svg";
 pub const NUMBERS: &str = "numbers.csv";
 pub const REPORT: &str = "report.html";
+/// Scene of a plan or of a fit.
+pub const SCENE: &str = "scene.toml";
 /// Records how a run of a comparison ended.
 pub const END: &str = "end.toml";
 
@@ -113,7 +115,27 @@ impl Folder {
 
     /// Locks the folder at this path. Without a path, locks a [`fresh`](Self::fresh) folder.
     pub fn named(path: Option<&Path>, name: &str) -> Result<Locked> {
-        path.map_or_else(|| Self::fresh(name), |path| Ok(Self::at(path)))?.lock()
+        Self::or_fresh(Self::reserve(path)?, name)
+    }
+
+    /// Locks the folder at this path, if any, before a computation whose results it will contain.
+    pub fn reserve(path: Option<&Path>) -> Result<Option<Locked>> {
+        path.map(|path| Self::at(path).lock()).transpose()
+    }
+
+    /// Returns the reserved folder, or locks a [`fresh`](Self::fresh) one.
+    pub fn or_fresh(reserved: Option<Locked>, name: &str) -> Result<Locked> {
+        reserved.map_or_else(|| Self::fresh(name)?.lock(), Ok)
+    }
+
+    /// Checks that none of these input files is one of the files that a command writes to the
+    /// folder.
+    pub fn check_inputs(&self, inputs: &[&Path], outputs: &[&str]) -> Result<()> {
+        let written = outputs.iter().filter_map(|name| fs::canonicalize(self.file(name)).ok()).collect::<Vec<_>>();
+        match inputs.iter().find(|input| fs::canonicalize(input).is_ok_and(|input| written.contains(&input))) {
+            Some(input) => bail!("the results would replace {}; choose another folder with --out", input.display()),
+            None => Ok(()),
+        }
     }
 
     /// Creates the folder unless it exists.

@@ -217,6 +217,11 @@ impl Comparison {
         self.runs.iter().filter(|run| run.end.is_some()).map(loss).collect()
     }
 
+    /// Folders of the runs that ended.
+    pub fn ended(&self) -> Vec<Folder> {
+        self.runs.iter().filter(|run| run.end.is_some()).map(|run| run.folder.clone()).collect()
+    }
+
     /// Outcomes of the runs that ended, grouped by field.
     pub fn outcomes(&self) -> Vec<Outcome<'_>> {
         self.runs.iter().filter_map(Run::outcome).collect()

@@ -5,7 +5,7 @@ use crate::program::platform::terminal::did_you_mean;
 use crate::program::scenes::ranges::with_range;
 use crate::program::scenes::sweep::Sweep;
 use crate::program::settings::config_error::ConfigError;
-use crate::program::settings::reading::{is_drawn, overlay};
+use crate::program::settings::reading::{is_drawn, is_number, overlay};
 use crate::program::settings::{OPTIONAL, VERSION};
 use crate::program::tasks::scene::{INITIAL_POLICY, flat};
 use crate::program::tasks::{self, AnyTaskSpec, Scene};
@@ -137,10 +137,12 @@ impl SceneSource {
             });
             inner = section.as_table_mut().with_context(|| format!("{option}: `{path}` is not a section"))?;
         }
-        if let Some(Value::Table(section)) = inner.get(last) {
-            if value.as_table().is_some_and(Table::is_empty) {
-                // Keeps the existing section. An empty table only requires that the section exists.
-                return Ok(());
+        if let Some(Value::Table(section)) = inner.get(last)
+            && !is_number(section)
+        {
+            // A table replaces only those keys of a section that it contains.
+            if let Value::Table(values) = value {
+                return values.into_iter().try_for_each(|(inner, value)| self.put(&format!("{key}.{inner}"), value, option));
             }
             let keys: Vec<String> = section.keys().map(|inner| format!("{key}.{inner}")).collect();
             bail!("{option}: `{key}` is a section; set one of its keys: {}", keys.join(", "));

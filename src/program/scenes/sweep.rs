@@ -18,7 +18,7 @@
 
 use crate::Number;
 use crate::program::scenes::source::SceneSource;
-use crate::program::settings::reading::is_drawn;
+use crate::program::settings::reading::is_number;
 use crate::rng::{Purpose, stream};
 use anyhow::{Context, Result, anyhow, bail};
 use rand::RngExt;
@@ -166,7 +166,7 @@ impl Point {
 /// All settings of a table by dotted key. A drawn or trained number is one setting.
 fn settings(section: &str, table: &Table) -> Vec<(String, Value)> {
     let inner = |(key, value): (&String, &Value)| match value {
-        Value::Table(inner) if !is_drawn(inner) && !inner.contains_key("start") => settings(&format!("{section}{key}."), inner),
+        Value::Table(inner) if !is_number(inner) => settings(&format!("{section}{key}."), inner),
         value => vec![(format!("{section}{key}"), value.clone())],
     };
     table.iter().flat_map(inner).collect()

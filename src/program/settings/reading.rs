@@ -64,6 +64,11 @@ pub fn is_drawn(table: &Table) -> bool {
     table.len() == 1 && table.iter().all(|(key, value)| DISTRIBUTIONS.contains(&&**key) && value.is_array())
 }
 
+/// Returns whether the table is a drawn or trained [`Number`](crate::Number).
+pub fn is_number(table: &Table) -> bool {
+    is_drawn(table) || table.get("start").is_some_and(|start| start.is_float() || start.is_integer())
+}
+
 /// Implements the methods on the left by the method on the right. The visitor checks the range.
 macro_rules! read_as {
     ($($($method:ident)+: $other:ident;)+) => {$($(

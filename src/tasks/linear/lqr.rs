@@ -47,13 +47,14 @@ impl Lqr {
     /// of Riccati's equation.
     ///
     /// # Panics
-    /// If Q or R is not symmetric, Q is not `state_dim × state_dim`, or R is not
+    /// If Q or R has an entry that is not finite or is not symmetric, Q is not `state_dim × state_dim`, or R is not
     /// `control_dim × control_dim`.
     #[track_caller]
     pub fn new(plant: LinearPlant, state_cost: Vec<f64>, control_cost: Vec<f64>) -> Result<Self, NoOptimum> {
         let (n, m) = (plant.state_dim(), plant.control_dim());
         for (name, cost, n) in [("Q", &state_cost, n), ("R", &control_cost, m)] {
             assert_eq!(cost.len(), n * n, "{name} for {n} components needs {} entries", n * n);
+            assert!(cost.iter().all(|entry| entry.is_finite()), "{name} has an entry that is not finite");
             let symmetric = (0..n).all(|i| (0..i).all(|j| cost[i * n + j] == cost[j * n + i]));
             assert!(symmetric, "{name} is not symmetric; use ({name} + {name}ᵀ)/2, which has the same cost");
         }

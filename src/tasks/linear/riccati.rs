@@ -87,7 +87,8 @@ impl Optimum {
         let g = &b * r.clone().cholesky().ok_or(NoOptimum::ControlCost)?.solve(&b.transpose());
         let w = doubled(a.clone(), g, q.clone())?;
         let towards = b.transpose() * &w;
-        let is_convex = symmetric(q.clone()).symmetric_eigenvalues().min() >= -f64::EPSILON * q.amax();
+        // The bound on the rounding error of computed eigenvalues grows with n.
+        let is_convex = symmetric(q.clone()).symmetric_eigenvalues().min() >= -4.0 * n as f64 * f64::EPSILON * q.amax();
         let failure = if is_convex { NoOptimum::Unstabilizable } else { NoOptimum::StateCost };
         let factor = (&r + &towards * &b).cholesky().ok_or(failure.clone())?;
         let gain = -factor.solve(&(towards * &a));

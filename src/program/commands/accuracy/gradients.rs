@@ -58,6 +58,8 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
     }
     bar.set_message("double-double reference");
     let scene = study.source.scene()?;
+    // Refuses horizons before the measurements.
+    let scenes = horizons.iter().map(|&horizon| with_horizon(study, horizon)).collect::<Result<Vec<Scene>>>()?;
     let [r, m, s] = scene.refer(&|| bar.inc(1));
     let mut c = vec![0.0; r.len()];
     Combination::SignAgreement.combine(&m, &r, &mut c);
@@ -103,7 +105,7 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
         })
         .collect();
     let checkpoints = checkpoints(study, &bar)?;
-    let horizons = along(study, horizons, &bar)?;
+    let horizons = along(&scenes, &bar);
     bar.finish_and_clear();
     let (text, object) = write(folder, name, &derivatives, &checkpoints, &horizons)?;
     if json {
@@ -151,8 +153,7 @@ fn checkpoints(study: &Study, bar: &ProgressBar) -> Result<Vec<Checkpoint>> {
 }
 
 /// Errors of R at each horizon, in f32, and in f64 from perturbed initial states.
-fn along(study: &Study, horizons: &[usize], bar: &ProgressBar) -> Result<Vec<Horizon>> {
-    let scenes = horizons.iter().map(|&horizon| with_horizon(study, horizon)).collect::<Result<Vec<Scene>>>()?;
+fn along(scenes: &[Scene], bar: &ProgressBar) -> Vec<Horizon> {
     bar.set_message("horizons");
     let runs = [(Precision::F32, false), (Precision::F64, false), (Precision::F64, true)];
     let jobs: Vec<(&Scene, (Precision, bool))> = scenes.iter().flat_map(|scene| runs.map(|run| (scene, run))).collect();
@@ -166,7 +167,7 @@ fn along(study: &Study, horizons: &[usize], bar: &ProgressBar) -> Result<Vec<Hor
     let jobs: Vec<_> = jobs.into_iter().rev().collect();
     let mut gradients: Vec<Result<Vec<f64>, String>> = parallel::map(&jobs, |&job| run(job));
     gradients.reverse();
-    Ok(horizons.iter().zip(gradients.chunks(3)).map(|(&horizon, found)| Horizon::new(horizon, found)).collect())
+    scenes.iter().zip(gradients.chunks(3)).map(|(scene, found)| Horizon::new(scene.horizon, found)).collect()
 }
 
 /// Checks the horizons, sorts them and removes duplicates.

@@ -26,34 +26,37 @@ enum Column {
     Time,
     State(usize),
     Control(usize),
-    /// A column of `trajectory.csv` without measurements: the step, a parameter, or an applied
-    /// control.
+    /// A parameter, constant within a segment.
+    Param(usize),
+    /// A column of `trajectory.csv` without measurements: the step, or an applied control.
     Ignored,
 }
 
 impl Measured {
     /// Reads a file, for example `trajectory.csv` of a run. States of steps without a sample are
-    /// NaN. A control stays constant until its next value, and is 0 before the first.
+    /// NaN. A control stays constant until its next value, and is 0 before the first. Parameters
+    /// without a column are NaN.
     ///
     /// # Errors
     /// The file cannot be read. It has no samples, no column `t` or `time`, or an unknown or
-    /// repeated column. A cell is not a number, or is infinite. A time is missing, or is not a
+    /// repeated column. A cell is not a number, or is infinite. A parameter changes within a segment. A time is missing, or is not a
     /// later step on the time grid of the scene. A segment needs more than 10,000,000 rows, or its
     /// rows are not contiguous.
     pub fn read(path: &Path, scene: &Scene) -> Result<Self> {
         let name = path.display();
         let (states, controls, dt) = (scene.state_names(), scene.control_names(), scene.dt());
-        let ignored = [scene.param_names(), scene.applied_names(), vec!["step".into()]].concat();
+        let (params, ignored) = (scene.param_names(), [scene.applied_names(), vec!["step".into()]].concat());
         let mut reader = csv::ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::All).from_path(path);
         let reader = reader.as_mut().map_err(|error| anyhow::anyhow!("cannot read {name}: {error}"))?;
         let column = |header: &str| {
             let state = states.iter().position(|known| known == header).map(Column::State);
             let control = || controls.iter().position(|known| known == header).map(Column::Control);
+            let param = || params.iter().position(|known| known == header).map(Column::Param);
             match header {
                 "segment" | "sample" => Ok(Column::Segment),
                 "t" | "time" => Ok(Column::Time),
                 _ if ignored.iter().any(|known| known == header) => Ok(Column::Ignored),
-                _ => state.or_else(control).with_context(|| {
+                _ => state.or_else(control).or_else(param).with_context(|| {
                     format!(
                         "{name}: unknown column `{header}`; allowed: segment, t, {}, {}",
                         states.join(", "),
@@ -79,6 +82,7 @@ impl Measured {
             let line = record.position().map_or(0, csv::Position::line);
             let (mut key, mut time) = (String::new(), 0.0);
             let (mut x, mut u) = (vec![f64::NAN; states.len()], vec![f64::NAN; controls.len()]);
+            let mut p = vec![f64::NAN; params.len()];
             for (column, cell) in columns.iter().zip(&record) {
                 let number = || match cell {
                     // An empty cell is a missing sample.
@@ -95,6 +99,7 @@ impl Measured {
                     Column::Time => time = number()?,
                     Column::State(i) => x[*i] = number()?,
                     Column::Control(i) => u[*i] = number()?,
+                    Column::Param(i) => p[*i] = number()?,
                     Column::Ignored => {}
                 }
             }
@@ -105,9 +110,12 @@ impl Measured {
                 if !seen.insert(key.clone()) {
                     bail!("{name}:{line}: the rows of segment {key} are not contiguous; sort the rows by segment");
                 }
-                segments.push((key, time, Segment::default()));
+                segments.push((key, time, Segment { p: p.clone(), ..Segment::default() }));
             }
             let (_, begin, segment) = segments.last_mut().context("a segment begins with its first sample")?;
+            if let Some(i) = (0..p.len()).find(|&i| p[i].to_bits() != segment.p[i].to_bits()) {
+                bail!("{name}:{line}: `{}` differs from the row before; a parameter is constant in a segment", params[i]);
+            }
             let step = ((time - *begin) / dt).round();
             let is_on_grid = ((time - *begin) / dt - step).abs() < OFF_GRID;
             if step >= MAX_STEPS as f64 {

@@ -1,9 +1,8 @@
 //! Figures 3 to 5: learning curves of several fields, for several values of one setting.
 
-use crate::Record;
 use crate::numbers::text::short;
 use crate::program::commands::compare::Output;
-use crate::program::commands::paper::{FinishedFigure, Options};
+use crate::program::commands::paper::{FinishedFigure, Made, Options};
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::Folder;
 use crate::program::platform::table::Table;
@@ -15,6 +14,7 @@ use crate::program::scenes::{overrides, presets};
 use crate::program::settings::ClipName;
 use crate::report::quantile::{quantile, sorted};
 use crate::report::{self, Abscissa, Case, Curve, Drawing};
+use crate::{Field, Record};
 use anyhow::Result;
 use serde_json::Value as Json;
 use toml::Value;
@@ -82,9 +82,9 @@ struct Cell<'a> {
 }
 
 impl Study {
-    /// Trains all runs and writes the figure. Returns its name and table, or null if a signal ended
-    /// the training. A shard trains runs, writes no figure and returns null.
-    pub fn run(&self, options: &Options, folder: &Folder, shard: Option<Shard>) -> Result<Json> {
+    /// Trains all runs and writes the figure. A shard trains runs and writes no figure, as does a
+    /// training that a signal ended.
+    pub fn run(&self, options: &Options, folder: &Folder, shard: Option<Shard>) -> Result<Made> {
         let mut comparisons = self.comparisons(options, folder)?;
         let own = self.folder(folder);
         own.create()?;
@@ -100,25 +100,23 @@ impl Study {
         let path = folder.path().display();
         if ended.interrupted {
             let _ = print_note(&format!("interrupted; to resume in {path}, repeat the same command"), options.json);
-            return ended.into_result().map(|()| Json::Null);
+            return Ok((None, ended.into_result()));
         }
         if shard.is_some() {
             if !options.quiet {
                 print_message(&format!("to make tables and pictures of all runs:\nphysgrad merge {path}"));
             }
-            return ended.into_result().map(|()| Json::Null);
+            return Ok((None, ended.into_result()));
         }
-        let table = self.write(options, folder, &comparisons)?;
-        ended.into_result().map(|()| table)
+        Ok((Some(self.write(options, folder, &comparisons)?), ended.into_result()))
     }
 
-    /// Writes the figure from existing runs. Returns its name and table.
-    pub fn merge(&self, folder: &Folder, output: Output) -> Result<Json> {
+    /// Writes the figure from existing runs.
+    pub fn merge(&self, folder: &Folder, output: Output) -> Result<Made> {
         let options = Options { quiet: output.quiet, json: output.json, ..read_plan(&self.folder(folder))? };
         let mut comparisons = self.comparisons(&options, folder)?;
         let ended = read_all(&mut comparisons)?;
-        let table = self.write(&options, folder, &comparisons)?;
-        ended.into_result().map(|()| table)
+        Ok((Some(self.write(&options, folder, &comparisons)?), ended.into_result()))
     }
 
     /// Folder with the runs of the figure.
@@ -142,7 +140,8 @@ impl Study {
         let cells: Vec<Cell> =
             self.cells(options).zip(outcomes).map(|((value, clip), runs)| Cell { value, clip, runs }).collect();
         let drawing = self.drawing(options, &cells);
-        let finished = FinishedFigure { drawing, csv: self.csv(&cells)?, table: self.table(&cells), note: NOTE };
+        let finished =
+            FinishedFigure { drawing, csv: self.csv(&cells)?, table: self.table(&cells, options.fields[0].0), note: NOTE };
         finished.write(self.name, folder, options)
     }
 
@@ -208,12 +207,13 @@ impl Study {
         csv(header.into_iter().chain(["seconds", "skipped", "diverged"]), rows)
     }
 
-    /// Table of final and best losses over the seeds, one row per cell and field.
-    fn table(&self, cells: &[Cell]) -> Table {
+    /// Table of final and best losses over the seeds, one row per cell and field. Ratios are those
+    /// to the field `reference`.
+    fn table(&self, cells: &[Cell], reference: Field) -> Table {
         let header = ["case", "clip", "field", "seeds", "median final test loss", "quartiles", "ratio", "median best", "failed"];
         let mut table = Table::new(header).optional(&["median best", "failed", "seeds", "quartiles"]);
         for (cell, (field, runs)) in cells.iter().flat_map(|cell| by_field(&cell.runs).map(move |runs| (cell, runs))) {
-            let first = by_field(&cell.runs).next().filter(|(first, _)| *first != field);
+            let first = by_field(&cell.runs).find(|(field, _)| *field == reference);
             let last = sorted(runs.iter().map(|run| run.last(|r| r.test_loss)));
             let lowest = sorted(runs.iter().map(|run| best(run.records)));
             table.row([
@@ -223,7 +223,11 @@ impl Study {
                 runs.len().to_string(),
                 short(quantile(&last, 0.5)),
                 format!("{} to {}", short(quantile(&last, 0.25)), short(quantile(&last, 0.75))),
-                first.map_or("1".into(), |(_, first)| loss_ratio(runs.iter().copied(), first.iter().copied()).to_string()),
+                match first {
+                    _ if field == reference => "1".into(),
+                    Some((_, first)) => loss_ratio(runs.iter().copied(), first.iter().copied()).to_string(),
+                    None => "-".into(),
+                },
                 short(quantile(&lowest, 0.5)),
                 runs.iter().filter(|run| run.failed).count().to_string(),
             ]);
