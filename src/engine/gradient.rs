@@ -236,6 +236,14 @@ impl<F: Float> Gradient<F> {
         }
     }
 
+    /// Sets the gradient to 0 if every nonzero value has underflowed, so that only signs remain.
+    pub(crate) fn drop_signs(&mut self) {
+        let smallest = scaled_with_sign(F::one(), -10_000);
+        if self.exponent != 0 && self.values.iter().all(|value| value.as_().abs() <= smallest.as_()) {
+            self.clear();
+        }
+    }
+
     /// Returns the gradient with another common exponent.
     pub(crate) fn with_exponent(mut self, exponent: i32) -> Self {
         let by = self.exponent.saturating_sub(exponent);

@@ -194,7 +194,7 @@ fn result(
         |(unknown, value): (&Unknown, &f64)| (*value <= unknown.min || *value >= unknown.max).then(|| unknown.name.clone());
     Ok(Fit {
         errors: errors.into_iter().map(|error| if error.is_finite() { error * noise } else { error }).collect(),
-        robust_errors,
+        robust_errors: robust_errors.into_iter().map(|error| if noise.is_finite() { error } else { noise }).collect(),
         correlations,
         undetermined,
         at_bound: problem.unknowns.iter().zip(&point.values).filter_map(is_bound).collect(),

@@ -16,7 +16,7 @@ pub(super) struct Statistics {
     /// Standard errors at unit noise; infinite for undetermined parameters.
     pub errors: Vec<f64>,
     /// Standard errors from the scatter between segments. Infinite for undetermined parameters, and
-    /// unless there are more segments than parameters.
+    /// unless more segments than parameters depend on the parameters.
     pub robust_errors: Vec<f64>,
     pub correlations: Vec<Vec<f64>>,
     /// Names of the parameters in each undetermined combination.
@@ -57,9 +57,11 @@ pub(super) fn statistics(equations: &[DMatrix<f64>], names: &[String]) -> Statis
         covariance += vector * vector.transpose() / eigenvalue;
     }
     let errors = (0..count).map(|i| if is_open[i] { f64::INFINITY } else { covariance[(i, i)].sqrt() / scale[i] });
-    let scatter = scatter(equations, &scale);
+    let informative = equations.iter().filter(|rows| rows.columns(0, count).iter().any(|slope| *slope != 0.0));
+    let informative: Vec<&DMatrix<f64>> = informative.collect();
+    let scatter = scatter(&informative, &scale);
     let robust = &covariance * scatter * &covariance;
-    let is_known = |i: usize| !is_open[i] && equations.len() > count;
+    let is_known = |i: usize| !is_open[i] && informative.len() > count;
     let robust_errors = (0..count).map(|i| if is_known(i) { robust[(i, i)].sqrt() / scale[i] } else { f64::INFINITY });
     let robust_errors = robust_errors.collect();
     let correlation = |i: usize, j: usize| covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt();
@@ -69,9 +71,9 @@ pub(super) fn statistics(equations: &[DMatrix<f64>], names: &[String]) -> Statis
 
 /// Covariance of the gradient with respect to the scaled parameters, from its scatter between
 /// segments.
-fn scatter(equations: &[DMatrix<f64>], scale: &[f64]) -> DMatrix<f64> {
+fn scatter(equations: &[&DMatrix<f64>], scale: &[f64]) -> DMatrix<f64> {
     let (count, segments) = (scale.len(), equations.len() as f64);
-    let scaled = |rows| {
+    let scaled = |rows: &&DMatrix<f64>| {
         gradient(rows).zip_map(&DVector::from_row_slice(scale), |slope, scale| if scale > 0.0 { slope / scale } else { 0.0 })
     };
     let gradients: Vec<DVector<f64>> = equations.iter().map(scaled).collect();

@@ -91,10 +91,11 @@ impl Plan {
     /// are 0. All gains are 0 if no regularization determines them.
     ///
     /// # Panics
-    /// If `t` is not below the horizon.
+    /// If `t` is not below the horizon, or `x` or `u` has the wrong length.
     #[track_caller]
     pub fn feedback(&self, t: usize, x: &[f64], u: &mut [f64]) {
         let (n, m) = (self.state_dim, self.control_dim);
+        assert_eq!([x.len(), u.len()], [n, m], "lengths of the state and the control");
         let rows = self.gains[t * m * n..][..m * n].chunks_exact(n);
         let deviation = || x.iter().zip(self.state(t)).map(|(x, planned)| x - planned);
         for ((u, planned), row) in u.iter_mut().zip(self.control(t)).zip(rows) {

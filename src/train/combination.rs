@@ -1,5 +1,7 @@
 //! [`Combination`]: rules that combine the gradients of two flows, usually M and R.
 
+use crate::engine::gradient::Gradient;
+use crate::numbers::extended::times_power_of_two;
 use crate::numbers::kernels::{SimdLevel, elementwise};
 use crate::numbers::scalar::Float;
 use crate::train::field::GradientCombiner;
@@ -20,8 +22,6 @@ pub enum Combination {
     Projection,
     /// F: `(‖m‖ + ‖r‖) / 2 · (m / ‖m‖ + r / ‖r‖)`, a direction of equal angles to m and r. Source:
     /// ConFIG for two gradients, arXiv:2408.11104.
-    ///
-    /// A gradient that is 1e38 (f32) or 1e308 (f64) times smaller than the other one is lost.
     ConflictFree,
     /// MR: the absolute values of m with the signs of r. 0 where `r_i` is 0.
     SignsOfSecond,
@@ -80,18 +80,34 @@ impl GradientCombiner for Combination {
                 let (_, first_square, second_square) = elementwise::moments(SimdLevel::best(), first, second);
                 weighted(first, second, [0.0, ratio(first_square.sqrt(), second_square.sqrt())], out);
             }
-            Self::ConflictFree => {
-                let (_, first_square, second_square) = elementwise::moments(SimdLevel::best(), first, second);
-                let (m, r) = (first_square.sqrt(), second_square.sqrt());
-                let mean = (m + r) / 2.0;
-                weighted(first, second, [ratio(mean, m), ratio(mean, r)], out);
-            }
+            Self::ConflictFree => conflict_free(first, second, [0, 0], out),
         }
+    }
+
+    fn combine_gradients<F: Float>(&self, first: &Gradient<F>, second: &Gradient<F>, out: &mut Gradient<F>) {
+        if *self != Self::ConflictFree {
+            // The exponent of the second gradient has no effect.
+            return self.combine(first.values(), second.values(), out.values_mut(first.exponent()));
+        }
+        let of_nonzero = |gradient: &&Gradient<F>| gradient.values().iter().any(|&g| g != F::zero());
+        let exponents = [first, second].into_iter().filter(of_nonzero).map(Gradient::exponent);
+        let exponent = exponents.max().unwrap_or(0);
+        let relative = [first, second].map(|gradient| gradient.exponent() - exponent);
+        conflict_free(first.values(), second.values(), relative, out.values_mut(exponent));
     }
 
     fn ignores_size_of_second(&self) -> bool {
         *self != Self::ConflictFree
     }
+}
+
+/// Writes F of `m·2^e_m` and `r·2^e_r` into `out`. The directions of m and r do not depend on their
+/// exponents.
+fn conflict_free<F: Float>(first: &[F], second: &[F], exponents: [i32; 2], out: &mut [F]) {
+    let (_, first_square, second_square) = elementwise::moments(SimdLevel::best(), first, second);
+    let (m, r) = (first_square.sqrt(), second_square.sqrt());
+    let mean = (times_power_of_two(m, exponents[0]) + times_power_of_two(r, exponents[1])) / 2.0;
+    weighted(first, second, [ratio(mean, m), ratio(mean, r)], out);
 }
 
 /// Writes `f(m_i, r_i)` into `out`.
@@ -110,4 +126,35 @@ fn weighted<F: Float>(first: &[F], second: &[F], weights: [f64; 2], out: &mut [F
 /// Quotient; 0 if the denominator is 0.
 fn ratio(numerator: f64, denominator: f64) -> f64 {
     if denominator == 0.0 { 0.0 } else { numerator / denominator }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn conflict_free_keeps_the_direction_of_a_far_smaller_gradient() {
+        let gradient = |values: [f32; 2], exponent| {
+            let mut gradient = Gradient::zeros(2);
+            gradient.values_mut(exponent).copy_from_slice(&values);
+            gradient
+        };
+        let combined = |first, second| {
+            let mut out = Gradient::zeros(2);
+            Combination::ConflictFree.combine_gradients(&first, &second, &mut out);
+            (out.values().to_vec(), out.exponent())
+        };
+        // (3, 4) has the direction (0.6, 0.8). Half of the norm of r is 2^299.
+        assert_eq!(combined(gradient([3.0, 4.0], 0), gradient([1.0, 0.0], 300)), (vec![0.8, 0.4], 300));
+        // The exponent of a zero gradient has no meaning.
+        assert_eq!(combined(gradient([3.0, 4.0], -400), gradient([0.0, 0.0], 0)), (vec![1.5, 2.0], -400));
+    }
+
+    #[test]
+    fn signs_without_sizes_are_no_update() {
+        let mut gradient = Gradient::<f32>::zeros(3);
+        gradient.values_mut(3000).copy_from_slice(&[0.0, f32::from_bits(1), -f32::from_bits(1)]);
+        gradient.drop_signs();
+        assert_eq!((gradient.values(), gradient.exponent()), (&[0.0; 3][..], 0));
+    }
 }

@@ -60,6 +60,17 @@ pub trait GradientCombiner: Sync + Send {
     fn ignores_size_of_second(&self) -> bool {
         false
     }
+    /// Writes the combination of two gradients, whose exponents may differ, into `out`.
+    #[doc(hidden)]
+    fn combine_gradients<F: Float>(&self, first: &Gradient<F>, second: &Gradient<F>, out: &mut Gradient<F>) {
+        let exponent = first.exponent().max(second.exponent());
+        if self.ignores_size_of_second() || first.exponent() == second.exponent() {
+            self.combine(first.values(), second.values(), out.values_mut(first.exponent()));
+        } else {
+            let [first, second] = [first, second].map(|gradient| gradient.clone().with_exponent(exponent));
+            self.combine(first.values(), second.values(), out.values_mut(exponent));
+        }
+    }
 }
 
 impl Field {
@@ -169,15 +180,7 @@ impl<C: GradientCombiner> Field<C> {
     pub fn combine<F: Float>(&self, gradients: &[Gradient<F>], out: &mut Gradient<F>) {
         match (self, gradients) {
             (Self::Flow(_), [gradient]) => out.copy_from(gradient),
-            (Self::Composed { by, .. }, [first, second]) => {
-                let exponent = first.exponent().max(second.exponent());
-                if by.ignores_size_of_second() || first.exponent() == second.exponent() {
-                    by.combine(first.values(), second.values(), out.values_mut(first.exponent()));
-                } else {
-                    let [first, second] = [first, second].map(|gradient| gradient.clone().with_exponent(exponent));
-                    by.combine(first.values(), second.values(), out.values_mut(exponent));
-                }
-            }
+            (Self::Composed { by, .. }, [first, second]) => by.combine_gradients(first, second, out),
             _ => panic!("got {} gradients for the {} flows of field {}", gradients.len(), self.flows().len(), self.name()),
         }
     }

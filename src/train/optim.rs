@@ -68,9 +68,10 @@ impl Clip {
             Self::Norm(limit) if norm.get() > limit => {
                 // Norm of the stored values, without the exponent.
                 let length = norm.over_power_of_two(gradient.exponent());
-                let factor = F::from_f64(limit / length);
+                // In f64, because the inverse of a subnormal length overflows in f32.
+                let factor = limit / length;
                 for g in gradient.values_mut(0) {
-                    *g *= factor;
+                    *g = F::from_f64(g.as_() * factor);
                 }
             }
             Self::Norm(_) => gradient.flatten(),

@@ -384,6 +384,7 @@ impl<F: Float> Progress<F> {
             average_direction(&mut self.direction, self.training.average, second, second_square.sqrt());
         }
         field.combine(self.batch.gradients(), &mut self.combined);
+        self.combined.drop_signs();
         let two = self.flows.len() > 1;
         let values = self.combined.values();
         let size = if two { elementwise::moments(level, values, values).0.sqrt() } else { first_square.sqrt() };

@@ -64,7 +64,7 @@ fn wrappers_forward_the_cause_of_the_wrapped_system() {
     assert!(matches!(cause(hard), Some(Cause::Unsolved(_))), "{:?}", cause(hard));
     assert_eq!(cause(hard), cause(&stepped));
     // The engine diagnoses a step of one sample in its own precision.
-    let substeps = Substeps { system: hard, count: 2 };
+    let substeps = Substeps { system: hard.clone(), count: 2 };
     let ones = [Lanes([1.0_f32]); 4];
     assert!(matches!(substeps.diagnose(Inputs::new(&ones, &ones[..1])), Some(Cause::Unsolved(_))));
 }
