@@ -89,8 +89,12 @@ impl TrainedParam {
         match self.scale {
             Scale::Linear => r,
             Scale::Above { low } => r.exp() + low,
-            // A form of the logistic function without overflow.
-            Scale::Bounded { low, high } => ((r * 0.5).tanh() * 0.5 + 0.5) * (high - low) + low,
+            // The logistic function, in forms that neither overflow nor cancel.
+            Scale::Bounded { low, high } => {
+                let e = (-r.abs()).exp();
+                let share = T::select_lt(r, T::zero(), e, T::one()) / (e + 1.0);
+                share * (high - low) + low
+            }
         }
     }
 
@@ -99,7 +103,10 @@ impl TrainedParam {
         match self.scale {
             Scale::Linear => 1.0,
             Scale::Above { .. } => r.exp(),
-            Scale::Bounded { low, high } => 0.25 * (high - low) * (1.0 - (0.5 * r).tanh().powi(2)),
+            Scale::Bounded { low, high } => {
+                let e = (-r.abs()).exp();
+                (high - low) * e / (1.0 + e).powi(2)
+            }
         }
     }
 }

@@ -333,6 +333,8 @@ mod tests {
         let case = || Case { title: "a".into(), y_label: "b".into(), y_axis: 1, x: Abscissa::Epoch, curves: Vec::new() };
         check(&study("two empty rows", &[vec![case(), case()], vec![case(), case()]]));
         check(&comparison("no runs", &[curve(vec![vec![]])]));
-        assert!(learning_curve("nothing", &[], &[]).to_svg().contains("no data"));
+        let nothing = learning_curve("nothing", &[], &[]).to_svg();
+        // The axis extends from 0.1 to 1.
+        assert!(nothing.contains("no data") && nothing.contains(">0.1<") && nothing.contains(">1<"), "{nothing}");
     }
 }

@@ -56,7 +56,10 @@ fn layout(panel: &Panel) -> Layout {
     let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), y| (low.min(y), high.max(y)));
     let (low, high) = match low < high {
         true => (low, high),
-        false if low.is_finite() => (low - 1.0, low + 1.0),
+        false if low.is_finite() => {
+            let half = (1e-3 * low.abs()).max(1.0);
+            (low - half, low + half)
+        }
         false => (-1.0, 1.0),
     };
     let margin = 0.05 * (high - low);

@@ -27,6 +27,9 @@ impl LogAxis {
                 (low, high) = (y.min(low), y.max(high));
             }
         }
+        if high == 0.0 {
+            return Self::covering(std::iter::empty());
+        }
         let margin = if dots { (high / low).powf(0.02).max(1.02) } else { 1.0 };
         Self::covering([low / margin, high * margin].into_iter())
     }

@@ -198,7 +198,8 @@ pub fn panel_layout(panel: &Panel, axis: &LogAxis, shows: Shows) -> Layout {
     }
     if panel.series.iter().all(|s| s.line.is_empty()) {
         let middle = (axis.low * axis.high).sqrt();
-        layout = layout.with_annotation(TextAnnotation::new("no data", (x_min + x_max) / 2.0, middle).with_color("#777"));
+        let x_middle = if x_axis.is_some() { (x_min * x_max).sqrt() } else { (x_min + x_max) / 2.0 };
+        layout = layout.with_annotation(TextAnnotation::new("no data", x_middle, middle).with_color("#777"));
     }
     layout
 }

@@ -53,7 +53,7 @@ pub struct Map {
     pub arrows: Vec<[f64; 2]>,
     /// Values in the cells of a grid; a line shows their zero level set.
     pub signs: Vec<f64>,
-    /// Path, with a dot at its start.
+    /// Path, with a dot at its start. Non-finite points are omitted.
     pub path: Vec<[f64; 2]>,
     /// Position marked with a cross.
     pub mark: Option<[f64; 2]>,
@@ -154,14 +154,16 @@ impl Plane {
             plots.extend(CASED.map(|(color, width)| self.line(&map.signs, color, width)));
         }
         let dots = |at: &[[f64; 2]]| ScatterPlot::new().with_data(at.iter().map(|p| (p[0], p[1])));
-        if !map.path.is_empty() {
-            let points = thinned_to(MAX_POINTS, map.path.iter().map(|p| (p[0], p[1])).collect());
+        let is_finite = |point: &&[f64; 2]| point.iter().all(|x| x.is_finite());
+        let path: Vec<[f64; 2]> = map.path.iter().filter(is_finite).copied().collect();
+        if !path.is_empty() {
+            let points = thinned_to(MAX_POINTS, path.iter().map(|p| (p[0], p[1])).collect());
             let line =
                 |(color, width)| LinePlot::new().with_data(points.clone()).with_color(color).with_stroke_width(width).into();
             plots.extend(CASED.map(line));
-            plots.push(dots(&map.path[..1]).with_color(LINE).with_size(4.0).into());
+            plots.push(dots(&path[..1]).with_color(LINE).with_size(4.0).into());
         }
-        if let Some(mark) = map.mark {
+        if let Some(mark) = map.mark.filter(|mark| is_finite(&mark)) {
             plots.push(dots(&[mark]).with_color(INK).with_marker(MarkerShape::Cross).with_size(5.0).into());
         }
         plots
@@ -294,8 +296,8 @@ mod tests {
         let odd = Map {
             values: vec![f64::NAN, 0.0, f64::INFINITY, -1.0],
             arrows: vec![[0.0; 2], [f64::NAN, 1.0], [1.0, 0.0], [f64::INFINITY, 0.0]],
-            path: vec![[0.0; 2]],
-            mark: Some([1.0; 2]),
+            path: vec![[0.0; 2], [f64::NAN, 1.0], [0.5; 2]],
+            mark: Some([f64::NAN; 2]),
             ..Map::default()
         };
         let svg = maps(&PLANE, &[odd, Map::default()], &[("x", "red", vec![1.0, 0.0, f64::NAN])]).to_svg();

@@ -67,7 +67,10 @@ impl Policy {
         policy_file::check_numbers(bytes, &scene.scene.about())?;
         let policy = scene.scene.policy();
         let theta = policy_file::read(bytes, f64::policy(&*policy), 0)?;
-        Ok(Self { scene: scene.clone(), policy, theta })
+        let mut read = Self { scene: scene.clone(), policy, theta: Vec::new() };
+        read.check_finite(&theta)?;
+        read.theta = theta;
+        Ok(read)
     }
 
     /// Scene of the policy.
@@ -88,12 +91,17 @@ impl Policy {
         if theta.len() != self.theta.len() {
             bail!("`theta` has {} numbers, but the policy has {} parameters", theta.len(), self.theta.len());
         }
+        self.check_finite(&theta)?;
+        self.theta = theta;
+        Ok(())
+    }
+
+    fn check_finite(&self, theta: &[f64]) -> Result<()> {
         let is_finite = |&value: &f64| if self.scene.is_f64() { value.is_finite() } else { (value as f32).is_finite() };
         if let Some(i) = theta.iter().position(|value| !is_finite(value)) {
             let precision = if self.scene.is_f64() { "f64" } else { "f32" };
             bail!("`theta[{i}]` is {:?}; allowed: finite numbers in {precision}", theta[i]);
         }
-        self.theta = theta;
         Ok(())
     }
 

@@ -84,11 +84,11 @@ impl Folder {
             match held {
                 Ok(()) => {}
                 Err(TryLockError::WouldBlock) => return Ok(None),
-                Err(TryLockError::Error(error)) if error.kind() == ErrorKind::Unsupported && mode == Mode::Shared => bail!(
+                Err(TryLockError::Error(error)) if is_unsupported(&error) && mode == Mode::Shared => bail!(
                     "the file system of {} has no locks, which --shard needs; choose a folder on another file system with --out",
                     self.path().display()
                 ),
-                Err(TryLockError::Error(error)) if error.kind() == ErrorKind::Unsupported => {
+                Err(TryLockError::Error(error)) if is_unsupported(&error) => {
                     print_message(&format!(
                         "warning: this file system has no locks; only one process may write to {}",
                         self.path().display()
@@ -126,6 +126,13 @@ impl Folder {
         }
         "another process".into()
     }
+}
+
+/// Returns whether a file system has no locks, for example NFS without a lock service.
+fn is_unsupported(error: &io::Error) -> bool {
+    /// Error of such a file system (ENOLCK), which has no kind.
+    const NO_LOCKS: i32 = if cfg!(target_os = "linux") { 37 } else { 77 };
+    error.kind() == ErrorKind::Unsupported || error.raw_os_error() == Some(NO_LOCKS)
 }
 
 /// A folder that this process has locked, if the file system has locks.

@@ -175,9 +175,17 @@ fn own_effects(task: &str) -> Vec<(&'static str, &'static dyn AnyEffectSpec)> {
 /// Adds tasks and effects of the user to the built-in tasks and effects.
 ///
 /// # Errors
-/// Two tasks, or two effects of a task, have the same name. An effect names an unknown task. The
+/// A name has characters other than lower case letters, digits and underscores. Two tasks, or two
+/// effects of a task, have the same name. An effect names an unknown task. The
 /// process has called this function before.
 pub fn register(own: Vec<&'static dyn AnyTaskSpec>, own_effects: Vec<&'static dyn AnyEffectSpec>) -> Result<()> {
+    let is_name = |name: &str| {
+        !name.is_empty() && name.bytes().all(|byte| byte == b'_' || byte.is_ascii_lowercase() || byte.is_ascii_digit())
+    };
+    let names = own.iter().map(|task| task.name()).chain(own_effects.iter().map(|effect| effect.info().name));
+    if let Some(name) = names.into_iter().find(|name| !is_name(name)) {
+        bail!("`NAME` is {name:?}; allowed: lower case letters, digits and underscores");
+    }
     let tasks: Vec<_> = BUILT_IN.into_iter().chain(own).collect();
     for (i, task) in tasks.iter().enumerate() {
         if tasks[..i].iter().any(|other| other.name() == task.name()) {

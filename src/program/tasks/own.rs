@@ -107,6 +107,9 @@ impl<T: ProgramTask> Own<T> {
                 .with_effects(&settings.own_effects)
                 .ok_or_else(|| ConfigError::new(key, "has no effect; implement `ProgramTask::with_effects`"))?,
         };
+        if let Some(key) = settings.own_effects.unused() {
+            return Err(ConfigError::new(key, "has another model than those that `ProgramTask::with_effects` lists"));
+        }
         let substeps = settings.integrator.count();
         let refined = if substeps == 1 { Some(task.clone()) } else { task.refined(substeps) };
         let what = "1; for others, implement `ProgramTask::refined`";
@@ -148,6 +151,12 @@ impl<T: ProgramTask> TaskSpec for Own<T> {
                 let what = format!("has {found} names in `ProgramTask::{method}` for {expected} components; name each component");
                 return Err(ConfigError::new("task", what));
             }
+        }
+        // The default of the setting is the horizon of the default task.
+        let own = task.horizon();
+        if own != T::default().horizon() && own != settings.horizon {
+            let what = format!("is {}, but the task has {own} steps with these settings; set it to {own}", settings.horizon);
+            return Err(ConfigError::new("horizon", what));
         }
         Self::physics(settings).map(drop)
     }

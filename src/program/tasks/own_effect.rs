@@ -7,6 +7,7 @@ use crate::{DynEffect, Effect, Named};
 use std::any::Any;
 use std::marker::PhantomData;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use toml::{Table, Value};
 
 /// An effect that scenes add by its name, in the section `effects.NAME`.
@@ -80,7 +81,7 @@ impl<E: ProgramEffect> AnyEffectSpec for OwnEffect<E> {
         let section = table(&effect);
         let invalid = |(field, allowed)| within(ConfigError::invalid(field, section.get(field), allowed));
         effect.validate().map_err(invalid)?;
-        Ok(SceneEffect { key, section, effect: Arc::new(DynEffect::new(effect)) })
+        Ok(SceneEffect { key, section, effect: Arc::new(DynEffect::new(effect)), used: Arc::default() })
     }
 }
 
@@ -97,11 +98,15 @@ pub struct SceneEffect {
     section: Table,
     /// A [`DynEffect`] of some model.
     effect: Arc<dyn Any + Send + Sync>,
+    /// True after [`SceneEffects::of`] returned the effect.
+    used: Arc<AtomicBool>,
 }
 
 impl SceneEffect {
     fn of<B: 'static>(&self) -> Option<Named<DynEffect<B>>> {
-        Some(Named { name: self.key, effect: self.effect.downcast_ref::<DynEffect<B>>()?.clone() })
+        let effect = self.effect.downcast_ref::<DynEffect<B>>()?.clone();
+        self.used.store(true, Ordering::Relaxed);
+        Some(Named { name: self.key, effect })
     }
 }
 
@@ -131,6 +136,11 @@ impl SceneEffects {
             Some(effect) => Err(ConfigError::new(effect.key, format!("has another model than {}", std::any::type_name::<B>()))),
             None => Ok(()),
         }
+    }
+
+    /// Key of the first effect that [`of`](Self::of) never returned, if any.
+    pub(super) fn unused(&self) -> Option<&'static str> {
+        self.0.iter().find(|effect| !effect.used.load(Ordering::Relaxed)).map(|effect| effect.key)
     }
 
     /// Key of the first effect, if any.

@@ -20,7 +20,7 @@ use crate::program::settings::config_error::ConfigError;
 use crate::program::settings::{FieldName, LogFormat, OPTIONAL, Precision};
 use crate::program::tasks::{AnyTaskSpec, Conserved, Settings, TaskSpec};
 use crate::report::{Animation, Channel};
-use crate::{Divergence, DynTask, Field, Number, System, Task, TaskOpCount};
+use crate::{Divergence, DynTask, Field, Number, System, Task, TaskOpCount, TrainError};
 use anyhow::{Context, Result};
 use std::ops::Deref;
 use std::sync::Arc;
@@ -316,9 +316,11 @@ impl Scene {
         let initial = self.initial_policy.as_deref();
         let checked = initial.map_or(Ok(()), |bytes| policy_file::check_numbers(bytes, &self.about()));
         let opened = checked.and_then(|()| self.settings.open_from(initial, workers));
+        // Errors of the training itself do not concern the policy.
+        let is_of_training = opened.as_ref().is_err_and(|error| error.is::<TrainError>());
         match self.table.get(INITIAL_POLICY) {
-            Some(file) => opened.with_context(|| format!("`{INITIAL_POLICY}` {file}")),
-            None => opened,
+            Some(file) if !is_of_training => opened.with_context(|| format!("`{INITIAL_POLICY}` {file}")),
+            _ => opened,
         }
     }
 

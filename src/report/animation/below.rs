@@ -2,6 +2,7 @@
 
 use super::super::Channel;
 use super::super::axes::{Axes, number, round_up, text, ticks};
+use super::super::series::thinned;
 use super::{Animation, Shape};
 
 const INK: &str = "#4A4F57";
@@ -47,13 +48,19 @@ impl<'a> Below<'a> {
         BANDS[usize::from(self.0.channels.len() > 4)]
     }
 
+    /// Length of the axis of channels: the time, or 1 without a time axis.
+    fn length(&self) -> f64 {
+        if self.0.time > 0.0 { self.0.time } else { 1.0 }
+    }
+
     /// Axes of the channel with this index, counted from the top, in a picture of this width.
     fn axes(&self, index: usize, width: f64) -> Axes {
         let base = self.bottom() + self.band() * (self.0.channels.len() - 1 - index) as f64;
         let [low, high] = self.0.channels[index].range();
-        let y = if low < high { [low, high] } else { [low - 1.0, high + 1.0] };
+        let half = (1e-3 * low.abs()).max(1.0);
+        let y = if low < high { [low, high] } else { [low - half, high + half] };
         let (bottom, top) = (base + 8.0, base + self.band() - 8.0);
-        Axes { left: SIDES[0], right: width - SIDES[1], bottom, top, x: [0.0, self.0.time.max(f64::MIN_POSITIVE)], y }
+        Axes { left: SIDES[0], right: width - SIDES[1], bottom, top, x: [0.0, self.length()], y }
     }
 
     /// Axis of time, without height.
@@ -98,8 +105,9 @@ impl<'a> Below<'a> {
         shapes.extend(axes.ticks_left(&ends[..if low < high { 2 } else { 1 }]));
         let values = channel.finite();
         if values.len() > 1 {
-            let time = |i: usize| self.0.time * i as f64 / (channel.values.len() - 1) as f64;
-            shapes.push(axes.curve(values.iter().enumerate().map(|(i, &y)| [time(i), y]), 1.8, channel.color));
+            let at = |i: usize| self.length() * i as f64 / (channel.values.len() - 1) as f64;
+            let points = values.iter().enumerate().map(|(i, &y)| [at(i), y]).collect();
+            shapes.push(axes.curve(thinned(points, |point| point[1]), 1.8, channel.color));
         }
         shapes
     }

@@ -21,7 +21,7 @@ pub fn train_all(comparisons: &mut [Comparison], quiet: bool) -> Result<Ended> {
         // Reports a run with other settings before writing anything.
         resumed += usize::from(run.resumes()?);
     }
-    let total = runs.iter().map(|(run, ..)| run.scene.epochs).sum();
+    let total = runs.iter().fold(0, |sum: usize, (run, _)| sum.saturating_add(run.scene.epochs));
     let progress = Mutex::new(Progress::new(total, quiet));
     if !quiet {
         print_message(&format!(

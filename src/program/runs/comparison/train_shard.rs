@@ -26,7 +26,7 @@ pub fn train_shard(comparisons: &[Comparison], shard: Shard, quiet: bool) -> Res
     }
     let share = shard.share(runs.len());
     let order: Vec<(usize, usize)> = shard.order(runs.len()).into_iter().enumerate().collect();
-    let epochs: usize = order[..share].iter().map(|&(_, run)| runs[run].0.scene.epochs).sum();
+    let epochs = order[..share].iter().fold(0, |sum: usize, &(_, run)| sum.saturating_add(runs[run].0.scene.epochs));
     let progress = Mutex::new(Progress::new(epochs, quiet));
     let threads = rayon::current_num_threads();
     if !quiet {
