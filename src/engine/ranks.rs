@@ -30,6 +30,19 @@ pub fn gather(ranks: &dyn Ranks, message: &[u8]) -> Vec<Vec<u8>> {
     ranks.exchange(&vec![message; ranks.count()])
 }
 
+/// Returns the bytes of rank 0 on every rank. Pieces keep each exchange below 2 GiB.
+pub fn broadcast(ranks: &dyn Ranks, own: &[u8]) -> Vec<u8> {
+    let length = gather(ranks, &own.len().to_le_bytes()).swap_remove(0);
+    let length = usize::from_le_bytes(length.try_into().expect("a rank sends one length"));
+    let (piece, is_first) = ((1 << 30) / ranks.count(), ranks.rank() == 0);
+    let mut bytes = Vec::with_capacity(length);
+    while bytes.len() < length {
+        let next = bytes.len()..length.min(bytes.len() + piece);
+        bytes.extend(gather(ranks, if is_first { &own[next] } else { &[] }).swap_remove(0));
+    }
+    bytes
+}
+
 /// Returns whether `value` is true on some rank.
 pub fn any(ranks: &dyn Ranks, value: bool) -> bool {
     gather(ranks, &[u8::from(value)]).iter().any(|message| message == &[1])

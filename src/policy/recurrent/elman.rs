@@ -76,6 +76,7 @@ impl Cell for Elman {
         }
     }
 
+    #[inline(always)]
     fn add_gradient<F: Float>(
         &self,
         (y, memory): (&[F], &[F]),

@@ -119,6 +119,7 @@ impl Cell for Gru {
         }
     }
 
+    #[inline(always)]
     fn add_gradient<F: Float>(
         &self,
         (y, memory): (&[F], &[F]),

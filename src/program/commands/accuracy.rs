@@ -100,8 +100,9 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     let list = outputs::write(&folder, &name, &reference, conserved, &rows)?;
     let scenes = args.target.map_or(Ok(Vec::new()), |target| study.scenes(&rows, args.metric, target))?;
     let inner = folder.file("scenes");
-    if !scenes.is_empty() {
+    if !scenes.is_empty() || inner.is_dir() {
         let inner = Folder::at(inner.clone()).lock()?;
+        inner.remove_all("", ".toml")?;
         for (method, scene) in &scenes {
             saved::write_scene(&inner, &format!("{method}.toml"), scene)?;
         }

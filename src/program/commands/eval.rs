@@ -204,6 +204,8 @@ fn losses_csv(results: &[Evaluated]) -> Result<Vec<u8>> {
 
 /// Writes `worst.csv` with the trajectories of the samples, and an animation of each sample.
 fn write_worst(folder: &Folder, scene: &Scene, evaluation: &dyn AnyEvaluation, samples: &[usize]) -> Result<()> {
+    folder.remove("worst.csv")?;
+    folder.remove_all("worst_", ".svg")?;
     if samples.is_empty() {
         return Ok(());
     }

@@ -120,6 +120,7 @@ pub fn optimize(args: &Optimize) -> Result<()> {
     folder.write("gains.csv", gains(&plans, &scene)?)?;
     let initial = if args.from.is_some() { &starts[..] } else { &[] };
     folder.write("optimized.svg", picture(&scene, &optimized, initial))?;
+    folder.remove_all("animation-", ".svg")?;
     for (i, rollout) in optimized.iter().take(SHOWN) {
         folder.write(&format!("animation-{i}.svg"), scene.animation(rollout).to_svg())?;
     }

@@ -193,7 +193,7 @@ fn reverse<F: Float>(
         field.combine(batch.gradients(), &mut gradient);
         Ok(gradient)
     };
-    let gradient = run()?.to_vec().into_iter().map(|g| g.as_()).collect();
+    let gradient = run()?.to_f64();
     Ok((gradient, Box::new(move || drop::<Result<Gradient<F>, String>>(run()))))
 }
 

@@ -76,7 +76,7 @@ fn prepare<F: Float>(task: Box<dyn AnyTask<F>>, policy: Box<dyn AnyPolicy<F>>, c
         let gradients = [0, 1].map(|k| {
             let mut theta_bar = Gradient::zeros(weights.theta().len());
             adjoint.param_gradient(k, &*policy, &weights, &rollout, 0..SAMPLES, &mut theta_bar);
-            theta_bar.to_vec().into_iter().map(|g| g.as_()).collect()
+            theta_bar.to_f64()
         });
         let loss = (0..SAMPLES).map(|sample| rollout.cost(sample).as_()).sum::<f64>() / SAMPLES as f64;
         Simulated { states: (0..=horizon).flat_map(state).collect(), loss, gradients }

@@ -200,6 +200,12 @@ impl Folder {
         }
     }
 
+    /// Removes the files with a name of this form, which an earlier command may have written.
+    pub fn remove_all(&self, prefix: &str, suffix: &str) -> Result<()> {
+        let is_old = |name: &&String| name.starts_with(prefix) && name.ends_with(suffix);
+        self.entries()?.iter().filter(is_old).try_for_each(|name| self.remove(name))
+    }
+
     /// Path of a file to read.
     ///
     /// # Errors

@@ -139,7 +139,7 @@ pub fn run(
         observer.resumed(done);
     }
     if let Some(ranks) = ranks {
-        ranks::gather(&**ranks, &run.checkpoint(&identity));
+        ranks::broadcast(&**ranks, &run.checkpoint(&identity));
         run.share(ranks)?;
     }
     let mut saver = Saver::begin(folder, scene, &identity, save_every)?;
@@ -154,7 +154,7 @@ pub fn run(
 /// # Errors
 /// The settings of the ranks differ. The memory limit is too small.
 pub fn follow(scene: &Scene, run: &mut dyn AnyRun, ranks: &Arc<dyn Ranks>) -> Result<()> {
-    let state = ranks::gather(&**ranks, &[]).swap_remove(0);
+    let state = ranks::broadcast(&**ranks, &[]);
     run.restore(&state, &scene.identity()).context("the state of rank 0 does not fit this rank")?;
     run.share(ranks)?;
     // Rank 0 reports a failure of the training, which all ranks have.

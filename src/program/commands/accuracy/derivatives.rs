@@ -25,7 +25,11 @@ fn norm(x: &[f64]) -> f64 {
         return f64::NAN;
     }
     let largest = x.iter().fold(0.0_f64, |largest, x| largest.max(x.abs()));
-    if largest == 0.0 { 0.0 } else { largest * x.iter().map(|x| (x / largest) * (x / largest)).sum::<f64>().sqrt() }
+    if largest == 0.0 || largest.is_infinite() {
+        largest
+    } else {
+        largest * x.iter().map(|x| (x / largest) * (x / largest)).sum::<f64>().sqrt()
+    }
 }
 
 /// Relative error in the Euclidean norm, and the share of components with the correct sign
