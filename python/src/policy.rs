@@ -163,7 +163,8 @@ pub fn gradients<'py>(
     })
 }
 
-/// Replaces a file as a whole, by a temporary file beside it. Writes to a device or a link directly.
+/// Replaces a file as a whole, by a temporary file beside it. Writes to a device or a link
+/// directly.
 pub fn replace_file(path: &Path, bytes: &[u8]) -> PyResult<()> {
     let is_other = std::fs::symlink_metadata(path).is_ok_and(|found| !found.is_file());
     let name = path.file_name().unwrap_or_default().to_string_lossy();

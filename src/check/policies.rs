@@ -89,7 +89,7 @@ fn check(policy: &dyn crate::policy::AnyPolicy<f64>, act: Act, by_duals: oracle:
         let all = PolicyPass::new(weights.packed(), PolicyColumns::range(0..total), &x).at_steps(0..steps);
         policy.backward(all, &tape, &u_bar, &mut tape_bar, Some(&mut x_bar));
         c.slices("backward: x_bar", &x_bar, &oracle::policy_input_gradient(by_duals, (n, m), weights.theta(), &x, &u_bar))?;
-        // Rollouts reuse `tape_bar`, and flows without a path through the inputs request no `x_bar`.
+        // Rollouts reuse `tape_bar`. Flows without a path through the inputs request no `x_bar`.
         tape_bar.fill(f64::NAN);
         policy.backward(all, &tape, &u_bar, &mut tape_bar, None);
 

@@ -62,8 +62,8 @@ impl fmt::Display for Stability {
 /// The spectral radius follows from Gelfand's formula, `ρ = lim ‖Jᵏ‖^(1/k)`, with 30 squarings of
 /// the Jacobian. Unlike power iteration, the formula handles complex eigenvalue pairs and defective
 /// matrices. Powers of long cascades of equal cells underflow. The last estimate is then an upper
-/// bound, and the multiplier is the smaller of this bound and the largest computed eigenvalue. The
-/// cost is `state_dim` forward-mode derivatives and 30 matrix products.
+/// bound, and the multiplier is the smallest of this bound and the largest computed eigenvalues of J
+/// and Jᵀ. The cost is `state_dim` forward-mode derivatives and 30 matrix products.
 /// ```
 /// use physgrad::{Inputs, check, tasks::{FrictionScheme, SliderSystem}};
 ///
@@ -92,9 +92,13 @@ fn of_any(system: &dyn AnySystem<f64>, inputs: Inputs<'_, f64>) -> Stability {
             // underflow: the last estimate bounds the spectral radius.
             let is_nilpotent = round == 0 || 1 << (round - 1) < n;
             let bound = if is_nilpotent { 0.0 } else { f64::exp(logarithm) };
-            let eigenvalues = DMatrix::from_row_slice(n, n, &jacobian).complex_eigenvalues();
-            let largest = eigenvalues.iter().fold(0.0, |largest: f64, value| largest.max(value.re.hypot(value.im)));
-            return Stability { multiplier: bound.min(largest), component };
+            // Computed eigenvalues of a triangular matrix are exact for one of J and Jᵀ.
+            let jacobian = DMatrix::from_row_slice(n, n, &jacobian);
+            let largest = [jacobian.transpose(), jacobian].map(|matrix| {
+                let sizes = matrix.complex_eigenvalues().map(|value| value.re.hypot(value.im));
+                sizes.iter().copied().fold(0.0, f64::max)
+            });
+            return Stability { multiplier: largest.into_iter().fold(bound, f64::min), component };
         }
         logarithm += share * largest.ln();
         share *= 0.5;

@@ -63,7 +63,8 @@ pub(crate) fn scalar_pointer<G: ScalarFunction>(slot: &mut dyn Any) -> bool {
 }
 
 /// Scalars of [`scalar_pointer_of_step`], for messages.
-pub(crate) const STEP_SCALARS: &str = "`Single<F>`, the scalars of `observe`";
+pub(crate) const STEP_SCALARS: &str = "`Single<F>`, `Lanes<f32, 8>`, `Lanes<f64, 8>`, `f64`, `Dual64`, `Counted`, `Dual<f64, 4>` \
+                                       and, with the feature `double-double`, `Dual<DoubleDouble, 1>`";
 
 /// Extends [`scalar_pointer`] by the scalars of diagnoses, which simulate substeps.
 pub(crate) fn scalar_pointer_of_step<G: ScalarFunction>(slot: &mut dyn Any) -> bool {

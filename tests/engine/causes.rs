@@ -63,9 +63,9 @@ fn wrappers_forward_the_cause_of_the_wrapped_system() {
     let hard = hard.system();
     assert!(matches!(cause(hard), Some(Cause::Unsolved(_))), "{:?}", cause(hard));
     assert_eq!(cause(hard), cause(&stepped));
-    // The engine diagnoses a step of one sample in its own precision.
+    // The engine diagnoses a step of one sample in a lane.
     let substeps = Substeps { system: hard.clone(), count: 2 };
-    let ones = [Lanes([1.0_f32]); 4];
+    let ones = [Lanes([1.0_f64]); 4];
     assert!(matches!(substeps.diagnose(Inputs::new(&ones, &ones[..1])), Some(Cause::Unsolved(_))));
 }
 
@@ -176,7 +176,7 @@ fn a_scalar_outside_of_the_set_of_a_pointer_panics_with_scalar_set_and_advice() 
         let around = Around(DynTask::new(Upright::double_pendulum()).system().clone());
         around.vjp(Inputs::new(&[number; 4], &[number]), &x_bar.clone(), Cotangents::of(&mut x_bar, &mut u_bar));
     });
-    assert!(message.contains("Dual<") && message.contains("needs a `vjp` of its own"), "{message}");
+    assert!(message.contains("Dual<") && message.contains("needs a `vjp` and a `jvp` of its own"), "{message}");
 
     let model = QuantumSystem { grid: 7, ..QuantumSystem::default() };
     let message = panic_of(|| {

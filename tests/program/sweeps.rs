@@ -117,7 +117,7 @@ fn a_comparison_of_one_scene_does_not_mix_with_one_of_several() {
     let run = |command: &str, folder: &str| crate::numbers::physgrad(&format!("{command} --out {folder}"), dir.path()).assert();
     run(&one, "first").success();
     run(&several, "second").success();
-    let other = format!("compare cart_pole_2 {}", small.replace("--fields R", "--fields M"));
+    let other = one.replace("cart_pole_1", "cart_pole_2").replace("--fields R", "--fields M");
     for (command, folder, found) in
         [(several, "first", "one scene"), (one, "second", "several scenes"), (other, "first", "cart_pole_1")]
     {

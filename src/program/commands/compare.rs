@@ -102,7 +102,7 @@ pub fn compare(args: &Compare) -> Result<()> {
     let saved =
         saved.with_context(|| format!("{} holds other results; choose another folder with --out", folder.path().display()))?;
     if let Some(other) = saved.and_then(|saved| match (&saved.points[..], &points[..]) {
-        ([saved], [point]) => (saved.name != point.name).then(|| saved.name.clone()),
+        ([_], [_]) => (saved.scenes != names).then(|| saved.scenes.join(", ")),
         ([_], _) => Some("one scene or point".into()),
         (_, [_]) => Some("several scenes or points".into()),
         _ => None,

@@ -39,9 +39,9 @@ impl Measured {
     ///
     /// # Errors
     /// The file cannot be read. It has no samples, no column `t` or `time`, or an unknown or
-    /// repeated column. A cell is not a number, or is infinite. A parameter changes within a segment. A time is missing, or is not a
-    /// later step on the time grid of the scene. A segment needs more than 10,000,000 rows, or its
-    /// rows are not contiguous.
+    /// repeated column. A cell is not a number, or is infinite. A parameter changes within a
+    /// segment. A time is missing, or is not a later step on the time grid of the scene. A segment
+    /// needs more than 10,000,000 rows, or its rows are not contiguous.
     pub fn read(path: &Path, scene: &Scene) -> Result<Self> {
         let name = path.display();
         let (states, controls, dt) = (scene.state_names(), scene.control_names(), scene.dt());
