@@ -62,8 +62,8 @@ impl fmt::Display for Stability {
 /// The spectral radius follows from Gelfand's formula, `ρ = lim ‖Jᵏ‖^(1/k)`, with 30 squarings of
 /// the Jacobian. Unlike power iteration, the formula handles complex eigenvalue pairs and defective
 /// matrices. Powers of long cascades of equal cells underflow. The last estimate is then an upper
-/// bound, and the multiplier is the smallest of this bound and the largest computed eigenvalues of J
-/// and Jᵀ. The cost is `state_dim` forward-mode derivatives and 30 matrix products.
+/// bound. The multiplier is the smaller of this bound and the spectral radius that an eigenvalue
+/// solver computes. The cost is `state_dim` forward-mode derivatives and 30 matrix products.
 /// ```
 /// use physgrad::{Inputs, check, tasks::{FrictionScheme, SliderSystem}};
 ///
