@@ -196,6 +196,12 @@ impl<'a> Numbers<'a> {
         all
     }
 
+    /// Names and numbers, in order.
+    pub(crate) fn listed(&self) -> impl Iterator<Item = (&'static str, &'a Number)> + use<'a> {
+        let (list, count) = (self.list, self.count);
+        list.into_iter().take(count)
+    }
+
     /// Count of the numbers that are not fixed.
     #[inline(always)]
     pub fn varied(&self) -> usize {
@@ -212,7 +218,7 @@ impl<'a> Numbers<'a> {
     /// If `N` is not the count of numbers, or if `p` has too few entries.
     #[inline(always)]
     pub fn of<T: Scalar, const N: usize>(&self, p: &[T]) -> [T; N] {
-        assert_eq!(self.count, N, "the count of requested values differs from the count of numbers");
+        assert_eq!(self.count, N, "numbers in the list, and values requested from it; list each number once");
         let mut values = [T::zero(); N];
         let mut entry = 0;
         for (value, (_, number)) in values.iter_mut().zip(&self.list) {

@@ -34,6 +34,14 @@ pub enum IdentifyError {
         /// Length expected.
         expected: usize,
     },
+    /// A control or a parameter is not finite.
+    #[error("segment {segment}: a {what} is not finite; allowed: finite numbers")]
+    NonFinite {
+        /// Index of the segment.
+        segment: usize,
+        /// Kind of the number.
+        what: &'static str,
+    },
     /// A segment has no samples.
     #[error("segment {segment} has no samples; remove it")]
     Empty {

@@ -75,6 +75,14 @@ impl<'a> Problem<'a> {
             if p.len() != params {
                 return Err(shape("the list of parameters", p.len(), params));
             }
+            if !u.is_empty() && u.len() + 1 < x.len() {
+                return Err(shape("the list of controls", u.len(), x.len()));
+            }
+            for (what, mut numbers) in [("control", u.concat()), ("parameter", p.clone())] {
+                if numbers.drain(..).any(|number| !number.is_finite()) {
+                    return Err(IdentifyError::NonFinite { segment, what });
+                }
+            }
             let first = x.first().ok_or(IdentifyError::Empty { segment })?;
             if let (false, Some(component)) = (options.free_starts, first.iter().position(|y| !y.is_finite())) {
                 return Err(IdentifyError::MissingStart { segment, component });

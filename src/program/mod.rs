@@ -36,7 +36,7 @@ use commands::{
     accuracy, animate, check, compare, completions, effects, eval, explain, export, identify, merge, new, optimize, paper, print,
     report, robust, stress, study, train,
 };
-use platform::terminal::print_message;
+use platform::terminal::{print_message, set_program};
 use platform::{ranks, signals};
 use runs::run;
 use scenes::overrides::Overrides;
@@ -173,6 +173,7 @@ impl Program {
     /// Runs the command of the process arguments and returns its exit status. Invalid arguments,
     /// `--help` and `--version` end the process immediately.
     pub fn main(self) -> ExitCode {
+        set_program();
         signals::ignore_file_limits();
         let outcome = tasks::register(self.own, self.effects)
             .and_then(|()| execute(&Arguments::parse().command.unwrap_or_else(default_run)));

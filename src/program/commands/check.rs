@@ -4,6 +4,7 @@ use crate::check::Stability;
 use crate::program::operations::checks::{Amplification, Results};
 use crate::program::platform::json::print_json;
 use crate::program::platform::terminal::print_text;
+use crate::program::scenes::overrides::Overrides;
 use crate::program::scenes::presets;
 use crate::program::scenes::source::SceneSource;
 use crate::program::tasks::{self, Scene};
@@ -22,6 +23,9 @@ pub struct Check {
     /// A task, a preset (see `physgrad scene`), or the path of a scene
     /// [default: all tasks, and each task of the paper with effects]
     pub scene: Option<String>,
+    /// Change or add a setting of the scene, for example system.cart_mass=2
+    #[arg(long, value_name = "KEY=VALUE", requires = "scene")]
+    pub set: Vec<String>,
     /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
     #[arg(long)]
     pub json: bool,
@@ -30,14 +34,23 @@ pub struct Check {
 /// Runs the command.
 pub fn check(args: &Check) -> Result<()> {
     let mut results = Results::new();
-    for (variant, scene) in scenes(args.scene.as_deref())? {
+    let changed = |name: &str| -> Result<SceneSource> {
+        let mut source = presets::source(name)?;
+        Overrides { set: args.set.clone(), ..Overrides::default() }.apply(&mut source)?;
+        Ok(source)
+    };
+    let scenes = match &args.scene {
+        Some(name) if !args.set.is_empty() => vec![(name.clone(), changed(name)?.scene()?)],
+        name => scenes(name.as_deref())?,
+    };
+    for (variant, scene) in scenes {
         results.begin(scene.task.name());
         scene.check(&variant, None, &mut results);
     }
     let (table, failures) = results.finish();
     let mut notes = Vec::new();
     if let Some(name) = &args.scene {
-        let source = presets::source(name)?;
+        let source = changed(name)?;
         let scene = source.scene()?;
         notes.push(stability(&scene, source)?);
         let parameters = if scene.initial_policy().is_some() { "random" } else { "the initial" };

@@ -6,7 +6,7 @@ use crate::program::commands::animate::draw;
 use crate::program::platform::folder::{COMPARISON, Folder, SETTINGS, STUDY};
 use crate::program::platform::json::{print_json, rows};
 use crate::program::platform::table::Table;
-use crate::program::platform::terminal::{counted, print_message, print_note, print_text};
+use crate::program::platform::terminal::{counted, print_message, print_note, print_text, program};
 use crate::program::runs::comparison::{
     Comparison, Ended, check_distinct, check_options, check_sessions, read_all, read_plan, train_all, train_shard, write_plan,
 };
@@ -153,7 +153,7 @@ pub fn train(
     } else if shard.is_none() {
         write_outputs(comparisons)?;
     } else if !output.quiet {
-        print_message(&format!("to make tables and pictures of all runs:\nphysgrad merge {path}"));
+        print_message(&format!("to make tables and pictures of all runs:\n{} merge {path}", program()));
     }
     ended.into_result()
 }

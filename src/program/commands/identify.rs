@@ -78,7 +78,7 @@ pub fn identify(args: &Identify) -> Result<()> {
         bail!("{} has no unknown numbers; list them in [fit], as in \"system.gravity\" = {{ start = 9.8 }}", args.scene);
     }
     let measured = Measured::read(&args.data, &scene)?;
-    let noise = noise(&args.noise, &scene)?;
+    let noise = noise(&args.noise, &scene, &measured)?;
     if args.every == 0 {
         bail!("--every is 0; allowed: 1 or more");
     }
@@ -171,8 +171,9 @@ pub fn identify(args: &Identify) -> Result<()> {
 /// The error with the index of its segment in the file. `numbers` are the indices of the chosen
 /// segments.
 fn in_file(mut error: IdentifyError, numbers: &[usize]) -> IdentifyError {
-    use IdentifyError::{Diverged, Empty, MissingParam, MissingStart, Shape};
+    use IdentifyError::{Diverged, Empty, MissingParam, MissingStart, NonFinite, Shape};
     if let Shape { segment, .. }
+    | NonFinite { segment, .. }
     | Empty { segment }
     | MissingParam { segment, .. }
     | MissingStart { segment, .. }
@@ -216,8 +217,9 @@ fn warnings(fit: &Fit) -> Vec<String> {
     warnings
 }
 
-/// Standard deviations in the order of the state components. None without assignments.
-fn noise(assignments: &[String], scene: &Scene) -> Result<Option<Vec<f64>>> {
+/// Standard deviations in the order of the state components, 1 for components without measurements.
+/// None without assignments.
+fn noise(assignments: &[String], scene: &Scene, measured: &Measured) -> Result<Option<Vec<f64>>> {
     if assignments.is_empty() {
         return Ok(None);
     }
@@ -234,6 +236,10 @@ fn noise(assignments: &[String], scene: &Scene) -> Result<Option<Vec<f64>>> {
         if noise[index].replace(value).is_some() {
             bail!("--noise {assignment}: {} is given twice; give each name once", names[index]);
         }
+    }
+    let is_measured = |i: usize| measured.segments.iter().flat_map(|segment| &segment.x).any(|x| !x[i].is_nan());
+    for (_, noise) in noise.iter_mut().enumerate().filter(|(i, _)| !is_measured(*i)) {
+        *noise = noise.or(Some(1.0));
     }
     let missing = names.iter().zip(&noise).find(|(_, value)| value.is_none());
     match missing {

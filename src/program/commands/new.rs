@@ -143,6 +143,7 @@ mod tests {
     fn gradients_are_exact() {
         let task = TYPE::default();
         check::system(task.system());
+        check::cost(&task);
         let observations = task.observation_dim().unwrap_or(task.state_dim());
         check::task(&task, &Mlp::new([observations, 16, task.control_dim()]));
     }

@@ -156,7 +156,9 @@ fn starts(args: &Optimize, scene: &Scene) -> Result<Vec<Trajectory>> {
     if !(1..=samples).contains(&args.starts) {
         bail!("--starts is {}; allowed: 1 to {samples}, the number of test initial states (training.test_samples)", args.starts);
     }
-    let rollouts = if args.from.is_some() { run.rollouts(0..args.starts) } else { run.starts(0..args.starts) };
+    let chosen = 0..args.starts;
+    // Plans have double precision. An unstable plant amplifies the rounding errors of f32 controls.
+    let rollouts = if args.from.is_some() { run.double_rollouts(chosen) } else { run.starts(chosen) };
     match &args.from {
         Some(path) if rollouts.iter().any(|rollout| rollout.controls.len() < scene.horizon) => {
             bail!("the policy of {} diverges; name a scene instead of --from {0}", path.display())

@@ -5,7 +5,7 @@ use crate::program::operations::session::AnyRun;
 use crate::program::platform::folder::Folder;
 use crate::program::platform::json::print_json;
 use crate::program::platform::ranks::launched;
-use crate::program::platform::terminal::{counted, print_message, print_note, print_text};
+use crate::program::platform::terminal::{counted, print_message, print_note, print_text, program};
 use crate::program::runs::metrics;
 use crate::program::runs::progress::Progress;
 use crate::program::runs::run::{self, End, Finished, NoUpdate, SAVE_EVERY, threads};
@@ -106,7 +106,7 @@ pub fn train(args: &Train) -> Result<()> {
         End::Complete => printed,
         End::Interrupted => {
             let done = finished.records.len();
-            let command = format!("physgrad train --resume --out {results}");
+            let command = format!("{} train --resume --out {results}", program());
             // Ignores errors: the terminal may be closed, and the signal determines the exit
             // status.
             let text = format!("interrupted after epoch {done}; to resume:\n{command}");

@@ -16,6 +16,7 @@ pub fn check(task: &DynTask, policy: &impl Policy, theta: Option<&[f64]>, varian
     let system = task.system();
     let (n, m) = (system.state_dim(), system.control_dim());
     results.add(&format!("{variant}: system"), || check::try_system(system).map_err(Failure::from));
+    results.add(&format!("{variant}: costs"), || check::try_cost(task).map_err(Failure::from));
     // Skips the policy check if the dimensions did not change since the last variant.
     if results.dims.replace((n, m)) != Some((n, m)) {
         results.add(&format!("{variant}: network"), || check::try_policy(policy).map_err(Failure::from));

@@ -7,7 +7,7 @@ use crate::program::operations::policy_file::{self, About};
 use crate::program::operations::trajectory::{self, Trajectory};
 use crate::program::settings::Precision;
 use crate::{
-    CheckpointError, DynTask, Field, Float, Policy, Ranks, Record, Session, Task, TrainError, Trainer, Training, Warning,
+    CheckpointError, DynTask, Field, Float, Policy, Ranks, Record, Session, Task, TrainError, Trainer, Training, Warning, Weights,
 };
 use anyhow::Result;
 use std::ops::Range;
@@ -58,6 +58,8 @@ pub trait AnyRun: Send {
     /// Rollouts with the current parameters, from a range of test initial states. Truncates the
     /// range to the test set.
     fn rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory>;
+    /// [`rollouts`](AnyRun::rollouts) in double precision, from the rounded parameters and states.
+    fn double_rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory>;
     /// Initial states and parameters of a range of the test set, as rollouts without steps.
     fn starts(&self, chosen: Range<usize>) -> Vec<Trajectory>;
     /// Norms of the adjoints of R and M along rollouts with the current parameters. Uses at most
@@ -127,6 +129,12 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
 
     fn rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory> {
         trajectory::rollouts(self.task(), self.policy(), self.weights(), self.test_starts(), chosen)
+    }
+
+    fn double_rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory> {
+        let double = |numbers: &[F]| numbers.iter().map(|number| number.as_()).collect::<Vec<f64>>();
+        let weights = Weights::new(self.policy(), double(self.weights().theta()));
+        trajectory::rollouts(self.task(), self.policy(), &weights, &double(self.test_starts()), chosen)
     }
 
     fn starts(&self, chosen: Range<usize>) -> Vec<Trajectory> {

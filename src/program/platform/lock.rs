@@ -3,7 +3,7 @@
 use super::folder::{
     COMPARISON, Folder, INITIAL_POLICY, LOCK, LOCKED_FILES, PREVIOUS, RUN_FILES, RUNS, SETTINGS, STUDY, unwritable,
 };
-use super::terminal::print_message;
+use super::terminal::{print_message, program};
 use super::{files, signals};
 use anyhow::{Context, Result, bail};
 use std::fs::{self, File, Metadata, OpenOptions, TryLockError};
@@ -250,7 +250,8 @@ impl Locked {
         files::rename(&whole, &aside).with_context(cannot)?;
         let (from, aside) = (path.display(), aside.display());
         print_message(&format!(
-            "moved the earlier run in {from} to {aside}; to resume it: physgrad train --resume --out {aside}"
+            "moved the earlier run in {from} to {aside}; to resume it: {} train --resume --out {aside}",
+            program()
         ));
         // The lock moved with the folder. Another process may lock the new folder first.
         Folder::at(&whole).create()?;

@@ -7,7 +7,8 @@ use anyhow::{Context, Result};
 use console::Term;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle, TermLike};
 use std::io::{self, ErrorKind, Write};
-use std::sync::{Mutex, PoisonError};
+use std::path::PathBuf;
+use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
 /// Smallest width to which output is fitted, in columns.
@@ -192,6 +193,22 @@ pub fn did_you_mean<'a>(name: &str, names: impl IntoIterator<Item = &'a str>) ->
     let best = similar.max_by(|(a, _), (b, _)| a.total_cmp(b));
     best.map_or_else(String::new, |(_, known)| format!("; did you mean `{known}`?"))
 }
+
+/// Name of the running program, for commands in messages. A task of the user has a program of its
+/// own. Within another process, for example Python, the name is `physgrad`.
+pub fn program() -> &'static str {
+    PROGRAM.get().map_or("physgrad", String::as_str)
+}
+
+/// Sets the name of the [`program`] to that of its executable file.
+pub fn set_program() {
+    let path = std::env::args_os().next().map(PathBuf::from);
+    let name = path.and_then(|path| Some(path.file_stem()?.to_string_lossy().into_owned()));
+    // `main` calls this function once.
+    let _ = name.map(|name| PROGRAM.set(name));
+}
+
+static PROGRAM: OnceLock<String> = OnceLock::new();
 
 #[cfg(test)]
 mod tests {

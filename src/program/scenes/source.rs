@@ -268,7 +268,9 @@ impl SceneSource {
             Some(task) => task,
         };
         let spec = tasks::all().iter().copied().find(|spec| task.as_str() == Some(spec.name()));
-        let spec = spec.ok_or_else(|| ConfigError::new("task", format!("is {task}; allowed: {}", names())))?;
+        let spec = spec.ok_or_else(|| {
+            ConfigError::new("task", format!("is {task}; allowed: {}, or a task of your own in its program", names()))
+        })?;
         let settings = || {
             let mut settings = spec.defaults();
             overlay(&mut settings, &self.table);

@@ -6,7 +6,7 @@ use crate::program::commands::paper::{FinishedFigure, Made, Options};
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::Folder;
 use crate::program::platform::table::Table;
-use crate::program::platform::terminal::{print_message, print_note};
+use crate::program::platform::terminal::{print_message, print_note, program};
 use crate::program::runs::comparison::{Comparison, read_all, read_plan, train_all, train_shard, write_plan};
 use crate::program::runs::shard::Shard;
 use crate::program::runs::statistics::{Outcome, best, by_field, curves, loss_ratio, trailing_mean};
@@ -104,7 +104,7 @@ impl Study {
         }
         if shard.is_some() {
             if !options.quiet {
-                print_message(&format!("to make tables and pictures of all runs:\nphysgrad merge {path}"));
+                print_message(&format!("to make tables and pictures of all runs:\n{} merge {path}", program()));
             }
             return Ok((None, ended.into_result()));
         }
