@@ -59,7 +59,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self { noise: None, free_starts: true, window: Some(10), max_iterations: 100, tolerance: 1e-10, stop: None }
+        Self { noise: None, free_starts: true, window: Some(10), max_iterations: 300, tolerance: 1e-10, stop: None }
     }
 }
 

@@ -75,8 +75,8 @@ pub trait ProgramTask: Task + Section + Default {
     }
 }
 
-/// Checks that all settings are finite. Checks that [`System::numbers`] lists each number that varies
-/// once, and each number under the name of its field.
+/// Checks that all settings are finite. Checks that [`System::numbers`] lists each number that
+/// varies once, and each number under the name of its field.
 fn check_numbers(system: &Table, physics: &impl System) -> Result<(), ConfigError> {
     let varied = physics.varied(physics.param_dim());
     for (name, value) in system {
