@@ -40,7 +40,7 @@ pub fn new<P: Policy + 'static>(
     let own = policy.param_count() - policy.trained_params().len();
     if theta.len() != own {
         bail!(
-            "the policy has {} parameters, but the policy of this scene has {own}; use a scene with as many observations and controls",
+            "the policy has {} parameters, but the policy of this scene has {own}; use the `policy` section of the run",
             theta.len()
         );
     }

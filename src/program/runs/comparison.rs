@@ -327,8 +327,13 @@ fn labelled(comparisons: &[Comparison]) -> Vec<(&Run, String)> {
 
 /// Names of the tasks of the runs.
 fn tasks(runs: &[(&Run, String)]) -> String {
-    let mut names: Vec<&str> = runs.iter().map(|(run, _)| run.scene.task.name()).collect();
-    names.dedup();
+    let mut names: Vec<&str> = Vec::new();
+    for (run, _) in runs {
+        let name = run.scene.task.name();
+        if !names.contains(&name) {
+            names.push(name);
+        }
+    }
     names.join(", ")
 }
 
