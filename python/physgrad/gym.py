@@ -99,7 +99,9 @@ class TaskEnv(gymnasium.Env):
         """Applies an action, shape (control_dim,)."""
         if self._rows.t[0] >= self.task.horizon:
             raise RuntimeError(f"step {self._rows.t[0]}: the episode has ended or not begun. Call `reset` first")
-        reward, truncated = self._rows.step(np.asarray(action)[None], np.ones(1, bool))
+        action = np.asarray(action)
+        _check_shape("action", action, self.bound.shape)
+        reward, truncated = self._rows.step(action[None], np.ones(1, bool))
         return self._rows.observe()[0], float(reward[0]), False, bool(truncated[0]), {}
 
 
@@ -151,7 +153,9 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv):
         if ended.any() and mode != AutoresetMode.NEXT_STEP:
             which = np.flatnonzero(ended)
             raise RuntimeError(f"environments {which}: the episode has ended or not begun. Call `reset` first")
-        reward, truncated = rows.step(np.asarray(actions), ~ended)
+        actions = np.asarray(actions)
+        _check_shape("actions", actions, (self.num_envs, len(self.bound)))
+        reward, truncated = rows.step(actions, ~ended)
         if mode == AutoresetMode.SAME_STEP and truncated.any():
             final, y = np.full(self.num_envs, None, object), rows.observe()
             for row in np.flatnonzero(truncated):
@@ -161,6 +165,11 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv):
         if ended.any():
             rows.start(ended, self.np_random)
         return rows.observe(), reward, np.zeros(self.num_envs, bool), truncated, infos
+
+
+def _check_shape(name: str, array: np.ndarray, expected: tuple[int, ...]) -> None:
+    if array.shape != expected:
+        raise ValueError(f"`{name}` has the shape {array.shape}; expected {expected}")
 
 
 class _Rows:
@@ -181,10 +190,6 @@ class _Rows:
 
     def step(self, actions: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Steps the rows in ``mask``. Returns rewards, 0 for other rows, and the rows that end."""
-        if actions.shape != (len(self.x), len(self.bound)):
-            shape = actions.shape[1:] if len(self.x) == 1 else actions.shape
-            expected = (len(self.bound),) if len(self.x) == 1 else (len(self.x), len(self.bound))
-            raise ValueError(f"the actions have the shape {shape}; expected {expected}")
         bad = mask[:, None] & ~np.isfinite(actions)
         if bad.any():
             raise ValueError(f"environment {np.argwhere(bad)[0][0]}: the action is not finite")

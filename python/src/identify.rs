@@ -51,6 +51,11 @@ pub fn identify<'py>(
             IdentifyError::NothingUnknown => {
                 "the task has no unknown numbers; name them in `params`, as in {\"system.pole_mass\": 0.2}".to_owned()
             }
+            IdentifyError::MissingParam { name, .. } => {
+                format!(
+                    "the task has the parameter `{name}`, which has no value here; use `physgrad identify`, or another effect"
+                )
+            }
             error => error.to_string(),
         })
     })?;

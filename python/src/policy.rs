@@ -172,7 +172,12 @@ pub fn replace_file(path: &Path, bytes: &[u8]) -> PyResult<()> {
     let written = if is_other {
         std::fs::write(path, bytes)
     } else {
-        std::fs::write(&temporary, bytes).and_then(|()| std::fs::rename(&temporary, path))
+        let keep_permissions = |()| match std::fs::metadata(path) {
+            Ok(found) => std::fs::set_permissions(&temporary, found.permissions()),
+            Err(_) => Ok(()),
+        };
+        let written = std::fs::write(&temporary, bytes).and_then(keep_permissions);
+        written.and_then(|()| std::fs::rename(&temporary, path))
     };
     written.map_err(|error| {
         let _ = std::fs::remove_file(&temporary);

@@ -139,6 +139,37 @@ fn two_policies_are_evaluated_over_a_grid_of_4_by_2_settings() {
     }
 }
 
+/// Every rollout of a run has another pole mass and another phase of the gusts. The fit and the
+/// validation simulate with these values.
+#[test]
+fn measured_parameters_are_those_of_their_columns() {
+    let drawn = "[vary]\n\"system.pole_mass\" = { uniform = [0.05, 0.3] }\n[effects.gusty_wind]\n";
+    let dir = folder(&format!("{SCENE}{drawn}"));
+    let run = |command: &str| physgrad(command, dir.path()).assert();
+    run("train scene.toml --epochs 1 --precision f64 --quiet --out run").success();
+    let fit = "identify scene.toml --set system.cart_mass={start=1.3} --data run/trajectory.csv --every 2 --out fit";
+    run(fit).success();
+    let found: f64 = read(&dir, "fit/identified.csv")[1][2].parse().expect("a number");
+    assert!((found - 1.0).abs() < 1e-6, "{found}");
+    for file in ["fit/trajectories.csv", "fit/validation.csv"] {
+        let rows = read(&dir, file);
+        for (i, row) in rows.iter().enumerate().skip(1) {
+            let numbers: Vec<f64> = row[2..].iter().map(|number| number.parse().expect("a number")).collect();
+            assert!(numbers.chunks(2).all(|pair| (pair[0] - pair[1]).abs() < 1e-5), "{file}, row {i}: {row:?}");
+        }
+    }
+    let text = |output: assert_cmd::assert::Assert| String::from_utf8_lossy(&output.get_output().stderr).into_owned();
+    let overwriting = fit.replace("run/trajectory.csv", "fit/validation.csv");
+    assert!(text(run(&overwriting).failure()).contains("the results would replace fit/validation.csv"));
+    assert!(text(run(&fit.replace("--out fit", "--out run")).failure()).contains("run holds a run and is not a fit"));
+    // The first 7 columns have no parameters.
+    let rows = read(&dir, "run/trajectory.csv");
+    let lines: Vec<String> = rows.iter().map(|row| row[..7].join(",")).collect();
+    fs::write(dir.path().join("less.csv"), lines.join("\n")).expect("a file");
+    let error = text(run(&fit.replace("run/trajectory.csv", "less.csv")).failure());
+    assert!(error.contains("segment 0: the parameter `start_of_gusts` has no value"), "{error}");
+}
+
 /// Identifies the measured pendulum of the example. The length of the first arm agrees with the
 /// published value within 1 %, the center of mass of the second arm within 2 %.
 #[test]

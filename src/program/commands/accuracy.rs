@@ -77,10 +77,10 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     args.overrides.apply(&mut source)?;
     let study = Study::new(source)?;
     let name = presets::short_name(&args.scene);
+    let horizons = if args.gradients { gradients::parse(&args.horizons)? } else { Vec::new() };
     let reserved = Folder::reserve(args.out.as_deref())?;
     let folder = || Folder::or_fresh(reserved, &format!("accuracy_{name}"));
     if args.gradients {
-        let horizons = gradients::parse(&args.horizons)?;
         return gradients::gradients(&study, &name, &*folder()?, &horizons, [args.quiet, args.json]);
     }
     let settings = study.settings()?;
@@ -100,9 +100,10 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     let list = outputs::write(&folder, &name, &reference, conserved, &rows)?;
     let scenes = args.target.map_or(Ok(Vec::new()), |target| study.scenes(&rows, args.metric, target))?;
     let inner = folder.file("scenes");
-    if !scenes.is_empty() || inner.is_dir() {
+    if !scenes.is_empty() || args.target.is_some() && inner.is_dir() {
         let inner = Folder::at(inner.clone()).lock()?;
-        inner.remove_all("", ".toml")?;
+        // A scene of an earlier target may be above this one.
+        rows.iter().try_for_each(|row| inner.remove(&format!("{}.toml", row.setting.method)))?;
         for (method, scene) in &scenes {
             saved::write_scene(&inner, &format!("{method}.toml"), scene)?;
         }

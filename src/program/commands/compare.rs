@@ -97,18 +97,6 @@ pub fn compare(args: &Compare) -> Result<()> {
         (_, out) => Folder::named(out.as_deref(), &format!("compare-{}", names.join("-")))?,
     };
     check_folder(&folder, "comparison", &[(SETTINGS, "run"), (STUDY, "study")])?;
-    // The runs of one scene are in `runs`. Those of each of several scenes are in a subfolder.
-    let saved = folder.has(COMPARISON).then(|| read_plan::<Plan>(&folder)).transpose();
-    let saved =
-        saved.with_context(|| format!("{} holds other results; choose another folder with --out", folder.path().display()))?;
-    if let Some(other) = saved.and_then(|saved| match (&saved.points[..], &points[..]) {
-        ([_], [_]) => (saved.scenes != names).then(|| saved.scenes.join(", ")),
-        ([_], _) => Some("one scene or point".into()),
-        (_, [_]) => Some("several scenes or points".into()),
-        _ => None,
-    }) {
-        bail!("{} holds a comparison of {other}; choose another folder with --out", folder.path().display());
-    }
     let mut comparisons = plan(&points, &args.fields, args.seeds, &folder)?;
     if args.resume && !comparisons.iter().any(Comparison::has_runs) {
         bail!("there is no run to resume in {}; omit --resume to start", folder.path().display());
@@ -116,6 +104,23 @@ pub fn compare(args: &Compare) -> Result<()> {
     // Shards compare their plan with that of the folder.
     if args.shard.is_none() {
         comparisons.iter().try_for_each(Comparison::check_resumable)?;
+    }
+    // The runs of one scene are in `runs`. Those of each of several scenes are in a subfolder.
+    let saved = folder.has(COMPARISON).then(|| read_plan::<Plan>(&folder)).transpose();
+    let saved =
+        saved.with_context(|| format!("{} holds other results; choose another folder with --out", folder.path().display()))?;
+    if let Some(mut saved) = saved
+        && let Some(other) = match (saved.points.len(), &points[..]) {
+            (1, [point]) => {
+                let is_same = saved.points.remove(0).open(&folder)?.scene.comparable() == point.scene.comparable();
+                (!is_same).then(|| format!("{} with other settings", saved.scenes.join(", ")))
+            }
+            (1, _) => Some("one scene or point".into()),
+            (_, [_]) => Some("several scenes or points".into()),
+            _ => None,
+        }
+    {
+        bail!("{} holds a comparison of {other}; choose another folder with --out", folder.path().display());
     }
     let plan = Plan::new(&names, &points, args);
     for (point, planned) in points.iter().zip(&plan.points) {

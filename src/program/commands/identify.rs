@@ -42,7 +42,7 @@ pub struct Identify {
     pub scene: String,
     #[command(flatten)]
     pub overrides: Overrides,
-    /// Measured trajectories: columns segment (optional), t in s, states and controls by name
+    /// Measured trajectories: columns segment (optional), t in s, states, controls and parameters by name
     #[arg(long, value_name = "FILE")]
     pub data: PathBuf,
     /// Standard deviations of the noise, as in theta_1=0.003,omega_1=0.1 [default: equal for all]
@@ -97,7 +97,7 @@ pub fn identify(args: &Identify) -> Result<()> {
     if args.every > 1 && others.is_empty() {
         bail!("--every {}: no segment remains for validation", args.every);
     }
-    let segments = measured.chosen(&fitted);
+    let segments = measured.chosen(&fitted, &scene);
     let reserved = Folder::reserve(args.out.as_deref())?;
     let begin = Instant::now();
     let fit = scene.identify(&segments, &options).map_err(|error| in_file(error, &fitted));
@@ -117,10 +117,10 @@ pub fn identify(args: &Identify) -> Result<()> {
     text += &format!("\n{}", residuals(&fit, &segments, &scene));
     // The validation fixes the numbers, and fits only the initial states.
     let validating = Options { free_starts: true, ..options };
-    let validate = |found: &Scene| found.identify(&measured.chosen(&others), &validating);
+    let validate = |found: &Scene| found.identify(&measured.chosen(&others, found), &validating);
     let validation = found.as_ref().ok().filter(|_| !others.is_empty()).map(validate).transpose();
     if let Ok(Some(validation)) = &validation {
-        let residuals = residuals(validation, &measured.chosen(&others), &scene);
+        let residuals = residuals(validation, &measured.chosen(&others, &scene), &scene);
         text += &format!("\nvalidation with {} other segments: {residuals}", others.len());
     }
     let mut warnings = warnings(&fit);

@@ -172,7 +172,7 @@ fn seconds(text: &str) -> Result<f64, String> {
 fn check_scene(folder: &Folder, scene: &Scene, file: &str, overrides: &Overrides) -> Result<()> {
     let mut source = presets::source(file)?;
     // The run has a copy of its initial policy, so the file may be gone.
-    let named_scene = |source: &SceneSource| source.starting_from(scene.initial_policy());
+    let named_scene = |source: &SceneSource| source.scene().or_else(|_| source.starting_from(scene.initial_policy()));
     let [named, saved] = [named_scene(&source)?.task.name(), scene.task.name()];
     if named != saved {
         let folder = folder.path().display();

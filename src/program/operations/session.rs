@@ -144,7 +144,8 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
             let (x, p) = numbers.split_at(n);
             Trajectory { states: vec![x.to_vec()], controls: Vec::new(), params: p.to_vec() }
         };
-        self.test_starts()[chosen.start * len..chosen.end * len].chunks_exact(len).map(start).collect()
+        let all = self.test_starts().chunks_exact(len);
+        all.skip(chosen.start).take(chosen.len()).map(start).collect()
     }
 
     fn adjoint_norms(&self) -> [AdjointNorms; 2] {

@@ -66,7 +66,8 @@ pub fn is_drawn(table: &Table) -> bool {
 
 /// Returns whether the table is a drawn or trained [`Number`](crate::Number).
 pub fn is_number(table: &Table) -> bool {
-    is_drawn(table) || table.get("start").is_some_and(|start| start.is_float() || start.is_integer())
+    let is_trained = table.get("start").is_some_and(|start| start.is_float() || start.is_integer());
+    is_drawn(table) || is_trained && table.keys().all(|key| ["start", "min", "max"].contains(&&**key))
 }
 
 /// Implements the methods on the left by the method on the right. The visitor checks the range.

@@ -189,8 +189,8 @@ impl<T: ProgramTask> TaskSpec for Own<T> {
             }
         }
         // The default of the setting is the horizon of the default task.
-        let own = task.horizon();
-        if own != T::default().horizon() && own != settings.horizon {
+        let (own, default) = (task.horizon(), T::default().horizon());
+        if own != default && settings.horizon == default {
             let what = format!("is {}, but the task has {own} steps with these settings; set it to {own}", settings.horizon);
             return Err(ConfigError::new("horizon", what));
         }

@@ -17,6 +17,8 @@ const MAX_STEPS: usize = 10_000_000;
 /// Measured trajectories on the time grid of a scene.
 pub struct Measured {
     pub segments: Vec<Segment>,
+    /// Names of the parameters of the segments.
+    params: Vec<String>,
 }
 
 /// Meaning of a column.
@@ -58,9 +60,8 @@ impl Measured {
                 _ if ignored.iter().any(|known| known == header) => Ok(Column::Ignored),
                 _ => state.or_else(control).or_else(param).with_context(|| {
                     format!(
-                        "{name}: unknown column `{header}`; allowed: segment, t, {}, {}",
-                        states.join(", "),
-                        controls.join(", ")
+                        "{name}: unknown column `{header}`; allowed: segment, t, {}",
+                        [&states[..], &controls, &params].concat().join(", ")
                     )
                 }),
             }
@@ -113,8 +114,11 @@ impl Measured {
                 segments.push((key, time, Segment { p: p.clone(), ..Segment::default() }));
             }
             let (_, begin, segment) = segments.last_mut().context("a segment begins with its first sample")?;
-            if let Some(i) = (0..p.len()).find(|&i| p[i].to_bits() != segment.p[i].to_bits()) {
-                bail!("{name}:{line}: `{}` differs from the row before; a parameter is constant in a segment", params[i]);
+            for (i, (&p, known)) in p.iter().zip(&mut segment.p).enumerate().filter(|(_, (p, _))| !p.is_nan()) {
+                if !known.is_nan() && *known != p {
+                    bail!("{name}:{line}: `{}` differs from an earlier row; a parameter is constant in a segment", params[i]);
+                }
+                *known = p;
             }
             let step = ((time - *begin) / dt).round();
             let is_on_grid = ((time - *begin) / dt - step).abs() < OFF_GRID;
@@ -139,7 +143,7 @@ impl Measured {
         if segments.is_empty() {
             bail!("{name} has no samples");
         }
-        Ok(Self { segments: segments.into_iter().map(|(_, _, segment)| segment).collect() })
+        Ok(Self { segments: segments.into_iter().map(|(_, _, segment)| segment).collect(), params })
     }
 
     /// Indices of the fitted segments, `0, every, 2 every, …`, and indices of the other segments.
@@ -148,9 +152,17 @@ impl Measured {
         [fitted, others]
     }
 
-    /// The segments with these indices.
-    pub fn chosen(&self, numbers: &[usize]) -> Vec<Segment> {
-        numbers.iter().map(|&i| self.segments[i].clone()).collect()
+    /// The segments with these indices, with the parameters of a scene. Parameters without a value
+    /// are NaN.
+    pub fn chosen(&self, numbers: &[usize], scene: &Scene) -> Vec<Segment> {
+        let names = scene.param_names();
+        let places: Vec<_> = names.iter().map(|name| self.params.iter().position(|known| known == name)).collect();
+        let segment = |&i: &usize| {
+            let segment = &self.segments[i];
+            let p = places.iter().map(|place| place.map_or(f64::NAN, |place| segment.p[place])).collect();
+            Segment { p, ..segment.clone() }
+        };
+        numbers.iter().map(segment).collect()
     }
 
     /// CSV of measured and simulated states of the segments with these indices. One row per step
