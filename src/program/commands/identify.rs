@@ -42,7 +42,8 @@ pub struct Identify {
     pub scene: String,
     #[command(flatten)]
     pub overrides: Overrides,
-    /// Measured trajectories: columns segment (optional), t in s, states, controls and parameters by name
+    /// Measured trajectories: columns segment (optional), t in s, states, controls and parameters
+    /// by name
     #[arg(long, value_name = "FILE")]
     pub data: PathBuf,
     /// Standard deviations of the noise, as in theta_1=0.003,omega_1=0.1 [default: equal for all]
