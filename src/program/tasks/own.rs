@@ -275,7 +275,7 @@ mod tests {
             ("1.0", &["length", "mass"][..], fixed, "`system.length` is another number"),
             ("{ uniform = [0.5, 1.5] }", &["length", "mass"], drawn, "`system.mass` varies, but"),
             ("{ uniform = [0.5, 1.5] }", &[], drawn, "`system.mass` varies, but `System::numbers` lists it 0 times"),
-            ("nan", &["mass", "length"], fixed, "`system.mass` is nan; allowed: a finite number"),
+            ("nan", &["mass", "length"], fixed, "`system.mass` is NaN; allowed: a finite number"),
         ] {
             let error = check(mass, names, numbers).expect_err("refused");
             assert!(error.contains(message), "{error}");
