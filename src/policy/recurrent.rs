@@ -152,30 +152,6 @@ impl<C: Cell, F: Float> Vectorized for Backward<'_, C, F> {
     }
 }
 
-/// Arguments of [`Policy::param_gradient`] for a recurrent policy.
-struct ParamGradient<'a, C, F> {
-    cell: &'a C,
-    pass: PolicyPass<'a, F>,
-    record: PolicyRecord<'a, F>,
-    theta_bar: &'a mut [F],
-}
-
-impl<C: Cell, F: Float> Vectorized for ParamGradient<'_, C, F> {
-    #[inline(always)]
-    fn run<const FMA: bool>(self) {
-        let Self { cell, pass, record, theta_bar } = self;
-        let Shape { observations, units, controls } = cell.shape();
-        for c in pass.at.iter() {
-            let x = &pass.x[c * (observations + units)..][..observations + units];
-            let stored = &record.tape[c * units * C::STORED..][..units * C::STORED];
-            let cotangents = &record.tape_bar[c * units * C::BARS..][..units * C::BARS];
-            let u_bar = &record.u_bar[c * (controls + units)..][..controls];
-            let factor = record.weight.map_or(F::one(), |weight| weight[c]);
-            cell.add_gradient(x.split_at(observations), stored, cotangents, u_bar, factor, theta_bar);
-        }
-    }
-}
-
 /// Implements [`Policy`] by a [`Cell`], with the names of its affine maps.
 macro_rules! recurrent {
     ($cell:ty, $names:expr) => {
@@ -238,7 +214,15 @@ macro_rules! recurrent {
                 _scratch: &mut [F],
                 theta_bar: &mut [F],
             ) {
-                dispatch_lanes(ParamGradient { cell: self, pass, record, theta_bar });
+                let Shape { observations, units, controls } = self.0;
+                for c in pass.at.iter() {
+                    let x = &pass.x[c * (observations + units)..][..observations + units];
+                    let stored = &record.tape[c * units * Self::STORED..][..units * Self::STORED];
+                    let cotangents = &record.tape_bar[c * units * Self::BARS..][..units * Self::BARS];
+                    let u_bar = &record.u_bar[c * (controls + units)..][..controls];
+                    let factor = record.weight.map_or(F::one(), |weight| weight[c]);
+                    self.add_gradient(x.split_at(observations), stored, cotangents, u_bar, factor, theta_bar);
+                }
             }
         }
     };

@@ -57,7 +57,6 @@ impl Affine {
 
     /// Adds `factor·v z_barᵀ` to the gradient with respect to `Wᵀ`, and `factor·z_bar` to the
     /// gradient with respect to the bias.
-    #[inline(always)]
     pub(super) fn add_gradient<F: Float>(self, v: impl Iterator<Item = F>, z_bar: &[F], factor: F, theta_bar: &mut [F]) {
         // Without outputs, there are no rows.
         let rows = theta_bar[self.first..self.end()].chunks_exact_mut(self.outputs.max(1));

@@ -76,7 +76,6 @@ impl Cell for Elman {
         }
     }
 
-    #[inline(always)]
     fn add_gradient<F: Float>(
         &self,
         (y, memory): (&[F], &[F]),

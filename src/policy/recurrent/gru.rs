@@ -119,7 +119,6 @@ impl Cell for Gru {
         }
     }
 
-    #[inline(always)]
     fn add_gradient<F: Float>(
         &self,
         (y, memory): (&[F], &[F]),
