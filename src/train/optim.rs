@@ -68,10 +68,11 @@ impl Clip {
             Self::Norm(limit) if norm.get() > limit => {
                 // Norm of the stored values, without the exponent.
                 let length = norm.over_power_of_two(gradient.exponent());
-                // In f64, because the inverse of a subnormal length overflows in f32.
-                let factor = limit / length;
-                for g in gradient.values_mut(0) {
-                    *g = F::from_f64(g.as_() * factor);
+                let (factor, values) = (limit / length, gradient.values_mut(0));
+                let rounded = F::from_f64(factor);
+                for g in values {
+                    // The inverse of a subnormal length overflows in f32.
+                    *g = if rounded <= F::MAX { *g * rounded } else { F::from_f64(g.as_() * factor) };
                 }
             }
             Self::Norm(_) => gradient.flatten(),
