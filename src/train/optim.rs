@@ -72,7 +72,7 @@ impl Clip {
                 let rounded = F::from_f64(factor);
                 for g in values {
                     // The inverse of a subnormal length overflows in f32.
-                    *g = if rounded <= F::MAX { *g * rounded } else { F::from_f64(g.as_() * factor) };
+                    *g = if rounded.as_().is_finite() { *g * rounded } else { F::from_f64(g.as_() * factor) };
                 }
             }
             Self::Norm(_) => gradient.flatten(),
