@@ -7,8 +7,8 @@
 //!
 //! One forward pass yields several vector fields for the optimizer. The main three are the gradient
 //! of the loss (R), the gradient through the physics only (M), and their combination (C). Source:
-//! "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR 2024).
-//! [`Flow`] documents the recursion and [`Field`] the fields.
+//! "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR 2024). [`Flow`]
+//! documents the recursion and [`Field`] the fields.
 //!
 //! # A custom system
 //! This is the file `examples/pendulum.rs`.
@@ -69,7 +69,8 @@
 //! - [`optimize`]: controls that minimize the loss from one initial state.
 //!
 //! # Features
-//! - `parallel` splits mini-batches, data sets and the windows of an identification over threads.
+//! - `parallel` splits mini-batches, data sets, arrays of [`rows`] and the windows of an
+//!   identification over threads.
 //! - `report` adds the module `report`, which draws charts and animations.
 //! - `schema` provides a JSON schema for the settings of systems and effects.
 //! - `double-double` adds `DoubleDouble`, a 31-digit scalar type for reference results and their

@@ -10,13 +10,14 @@ use crate::numbers::scalar::{Cotangent, Scalar};
 ///
 /// # Time
 /// `t` is the number of the step, a `usize` that is equal for all samples, so that it can index a
-/// table. Vector fields and effects receive [`OdeInputs`], with the time in s.
+/// table. Vector fields and effects receive [`OdeInputs`], with the time in place of the step
+/// number.
 ///
 /// # Parameters
 /// `p` has one value per parameter and sample, constant during a rollout: a goal, a mass that
-/// differs between samples, the phase of a wind. First come the entries of the system, then those
-/// of its effects, then those of the task. Physical [`Number`](crate::Number)s of the system that
-/// vary are the last entries.
+/// differs between samples, the phase of a wind. First come the parameters of the system that are
+/// not physical [`Number`](crate::Number)s, then those of its effects, then those of the task.
+/// Physical numbers of the system that vary are the last entries.
 #[derive(Clone, Copy, Debug)]
 pub struct Inputs<'a, T, Time = usize> {
     /// State.
@@ -25,11 +26,12 @@ pub struct Inputs<'a, T, Time = usize> {
     pub u: &'a [T],
     /// Parameters.
     pub p: &'a [T],
-    /// Number of the step, from 0. In [`OdeInputs`], the time in s since the start of the rollout.
+    /// Number of the step, from 0. In [`OdeInputs`], the time since the start of the rollout.
     pub t: Time,
 }
 
-/// Arguments of a vector field or an effect: `t` is the time in s since the start of the rollout.
+/// Arguments of a vector field or an effect. `t` is the time since the start of the rollout, in the
+/// unit of time of the system: s, except for quantum systems.
 pub type OdeInputs<'a, T> = Inputs<'a, T, T>;
 
 impl<'a, T> Inputs<'a, T> {
@@ -80,7 +82,7 @@ impl<'a, T: Copy, Time: Copy> Inputs<'a, T, Time> {
 }
 
 impl<'a, T: Scalar> Inputs<'a, T> {
-    /// Arguments of the vector field at the beginning of a step of `dt` seconds.
+    /// Arguments of a vector field or an effect at the beginning of a step of duration `dt`.
     #[inline(always)]
     pub fn continuous(self, dt: f64) -> OdeInputs<'a, T> {
         self.at(T::from(self.t as f64 * dt))
@@ -89,7 +91,7 @@ impl<'a, T: Scalar> Inputs<'a, T> {
 
 /// Cotangents of the inputs. VJPs add to the requested cotangents; `None` requests no cotangent.
 ///
-/// Before the first addition, a buffer holds [`Cotangent::null`].
+/// Reverse passes initialize each buffer with [`Cotangent::null`].
 #[derive(Debug)]
 pub struct Cotangents<'a, C> {
     /// Cotangent of the state.

@@ -34,7 +34,7 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use smallvec::{SmallVec, smallvec};
 use std::fmt::Debug;
 
-/// Workspace of one step. Beyond 64 numbers, every step allocates.
+/// Workspace of one step. Every step allocates each buffer of more than 64 numbers.
 type Buffer<T> = SmallVec<[T; 64]>;
 
 /// A workspace of `len` copies of `value`.
@@ -54,8 +54,8 @@ pub trait Integrator: Clone + Debug + Send + Sync {
     /// Writes the state at the end of the step.
     fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]);
 
-    /// Largest absolute residual among the state components of an implicit step that did not
-    /// converge, else `None`.
+    /// Returns the largest absolute residual of a state component if an implicit step did not
+    /// converge, else `None`. Infinite if a residual is NaN.
     fn unsolved<R: Real>(&self, _ode: &dyn DynOde<R>, _dt: f64, _inputs: Inputs<'_, R>) -> Option<f64> {
         None
     }

@@ -64,8 +64,8 @@ pub trait System: Send + Sync {
     /// Mark implementations `#[inline(always)]`: only inlined code is compiled for AVX2.
     fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]);
 
-    /// Adds the Jacobian products `(∂S/∂x)ᵀ next_bar`, `(∂S/∂u)ᵀ next_bar` and
-    /// `(∂S/∂p)ᵀ next_bar` to those cotangents that are requested.
+    /// Adds the Jacobian products `(∂S/∂x)ᵀ next_bar`, `(∂S/∂u)ᵀ next_bar` and `(∂S/∂p)ᵀ next_bar`
+    /// to those cotangents that are requested.
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
         step_vjp(self, inputs, next_bar, cotangents);

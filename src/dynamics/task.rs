@@ -26,7 +26,8 @@ pub trait Task: Send + Sync {
     fn horizon(&self) -> usize;
     /// Number of parameters, at least those of the system. Default: those of the system.
     ///
-    /// Parameters of the task follow those of the system. Physical numbers that vary come last.
+    /// Parameters of the task follow those of the system and its effects. Physical numbers of the
+    /// system that vary come last.
     fn param_dim(&self) -> usize {
         self.system().param_dim()
     }

@@ -114,7 +114,8 @@ impl<F: Float> Adjoint<F> {
         carried + self.policy.stored_bytes() + self.norms.as_deref().map_or(0, nested_bytes)
     }
 
-    /// Returns the [`stored_bytes`](Adjoint::stored_bytes) for a rollout that stores `kept` steps.
+    /// Returns the [`stored_bytes`](Adjoint::stored_bytes) of [`of_kept`](Adjoint::of_kept), for a
+    /// rollout that stores `kept` steps.
     pub(crate) fn bytes_of(
         task: &dyn AnyTask<F>,
         policy: &dyn AnyPolicy<F>,
@@ -156,7 +157,8 @@ impl<F: Float> Adjoint<F> {
     }
 
     /// Records the gradients with respect to initial states and parameters p in later runs, for
-    /// [`start_gradient`](Adjoint::start_gradient).
+    /// [`start_gradient`](Adjoint::start_gradient). The constructor enables this for policies that
+    /// train entries of p.
     pub fn keep_start_gradients(mut self) -> Self {
         match &mut self.carried {
             Carried::One(_, recursion) => recursion.keep_start_gradients(self.samples, self.param_dim),
@@ -212,8 +214,9 @@ impl<F: Float> Adjoint<F> {
     /// ```
     ///
     /// # Panics
-    /// Without [`keep_start_gradients`](Adjoint::keep_start_gradients). If `sample` is not below
-    /// the capacity, or `k` is not below the number of flows.
+    /// If the gradients are not recorded; see
+    /// [`keep_start_gradients`](Adjoint::keep_start_gradients). If `sample` is not below the
+    /// capacity, or `k` is not below the number of flows.
     #[track_caller]
     pub fn start_gradient(&self, k: usize, sample: usize) -> &Gradient<F> {
         let missing = "the gradients with respect to initial states are stored only after `keep_start_gradients`";
@@ -233,7 +236,8 @@ impl<F: Float> Adjoint<F> {
         self.measured || self.flows().iter().any(|flow| flow.cut.is_some())
     }
 
-    /// Calls `add` with the growth of flow `k` for each sample of the last run; 0 if not measured.
+    /// Calls `add` with the two numbers of [`Growth`](crate::Growth) of flow `k`, for each sample
+    /// of the last run; 0 if not measured.
     pub(crate) fn growth(&self, k: usize, samples: usize, add: &mut dyn FnMut([f64; 2])) {
         match &self.carried {
             Carried::One(_, recursion) => recursion.growth().of(k, samples).for_each(|meter| add(meter.growth())),
@@ -247,7 +251,7 @@ impl<F: Float> Adjoint<F> {
     /// mean.
     ///
     /// # Errors
-    /// [`Divergence`] if a cotangent of a state, control or memory is not finite. Does not check
+    /// [`Divergence`] if a cotangent of a state, control or memory is non-finite. Does not check
     /// the gradients with respect to parameters and initial states.
     ///
     /// # Panics

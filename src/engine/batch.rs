@@ -320,8 +320,8 @@ impl<F: Float> Batch<F> {
     }
 
     /// Adds the gradients and growths of the first `active` workers, in the order of the samples.
-    /// Their first group has the index `first` of `groups`. Returns `loss` plus the costs of these
-    /// samples.
+    /// Their first group has the index `first` among all `groups` groups. Returns `loss` plus the
+    /// costs of these samples.
     fn add_round(&mut self, active: usize, first: usize, groups: usize, block: usize, loss: f64) -> f64 {
         let workers = &self.workers[..active];
         for (k, total) in self.gradients.iter_mut().enumerate() {

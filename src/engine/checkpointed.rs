@@ -145,7 +145,7 @@ impl<F: Float> Checkpointed<F> {
     ///
     /// # Errors
     /// [`Divergence`] if a state, control, memory or cost, or a cotangent of a state, control or
-    /// memory, is not finite. The gradients are then invalid.
+    /// memory, is non-finite. The gradients are then invalid.
     ///
     /// # Panics
     /// If `starts` is empty, exceeds the capacity, or is not a whole number of samples. If `group`
@@ -227,7 +227,8 @@ impl<F: Float> Checkpointed<F> {
         self.adjoint.measure(measured);
     }
 
-    /// Calls `add` with the growth of flow `k` for each sample of the last run; 0 if not measured.
+    /// Calls `add` with the two numbers of [`Growth`](crate::Growth) of flow `k`, for each sample
+    /// of the last run; 0 if not measured.
     pub(crate) fn growth(&self, k: usize, add: &mut dyn FnMut([f64; 2])) {
         self.adjoint.growth(k, self.rollout.samples(), add);
     }
@@ -253,7 +254,7 @@ impl<F: Float> Checkpointed<F> {
         finished
     }
 
-    /// Recomputes the tape of segment `index` from the nearest checkpoint.
+    /// Recomputes the tape of segment `index` from the last checkpoint at or before its start.
     fn tape_again(
         &mut self,
         task: &dyn AnyTask<F>,

@@ -5,7 +5,7 @@ use crate::engine::adjoint::Flow;
 use crate::numbers::extended::ExtendedF64;
 use std::fmt;
 
-/// Place of a number that is not finite, or too large for the optimizer.
+/// Place of a number that is non-finite, or too large for the optimizer.
 ///
 /// Training skips the affected update.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,8 +43,8 @@ pub enum Divergence {
         /// Cause, if known.
         cause: Option<Cause>,
     },
-    /// Gradient of a batch whose cotangents are all finite. A component or its square is not
-    /// finite.
+    /// Gradient of a batch whose cotangents are all finite. A component or its square is
+    /// non-finite.
     Gradient {
         /// Flow of the gradient.
         flow: Flow,

@@ -55,7 +55,7 @@ impl<F: Float> Evaluation<F> {
     /// [`initial_states`](crate::initial_states).
     ///
     /// # Errors
-    /// [`Divergence`] if a control, memory, state or cost is not finite.
+    /// [`Divergence`] if a control, memory, state or cost is non-finite.
     ///
     /// # Panics
     /// If `starts` is empty or not a whole number of samples.

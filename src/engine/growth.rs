@@ -28,9 +28,10 @@ impl Growth {
     /// precision.
     ///
     /// - R and N: rounding errors of the forward pass grow like the adjoint of R. If `worst_window`
-    ///   exceeds the number of decimal digits, contributions of early steps have unreliable signs.
-    /// - M ignores the policy's response to deviations. On a plant that is unstable without
-    ///   control, M grows. The first steps then outweigh the last by a factor of 10^`along`. Warns
+    ///   exceeds the number of decimal digits, `-log10(epsilon)`, contributions of early steps have
+    ///   unreliable signs.
+    /// - M ignores the policy's response to deviations. If the plant is unstable without this
+    ///   response, M grows. The first steps then outweigh the last by a factor of 10^`along`. Warns
     ///   above 3 decades.
     pub fn warning(&self, flow: Flow, horizon: usize, epsilon: f64) -> Option<String> {
         let digits = -epsilon.log10();

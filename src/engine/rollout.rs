@@ -77,7 +77,7 @@ pub struct Rollout<F: Float> {
     outputs: Vec<F>,
     /// Tape of the policy.
     pub(crate) tape: Aligned<F>,
-    /// Cost of each sample, `[block]`, without those of the current unit.
+    /// Cost of each sample, `[block]`, without the costs of the current unit.
     pub(crate) costs: Vec<Lane<F>>,
     /// Cost of each sample within the current unit, `[block]`. Sums of sums have smaller rounding
     /// errors on long horizons.
@@ -207,7 +207,7 @@ impl<F: Float> Rollout<F> {
     /// [`start`](Rollout::start).
     ///
     /// # Errors
-    /// [`Divergence`] if a control, memory, state or cost is not finite.
+    /// [`Divergence`] if a control, memory, state or cost is non-finite.
     pub fn run(&mut self, task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, weights: &Weights<F>) -> Result<(), Divergence> {
         self.clear_costs();
         self.advance(task, policy, weights, 0..self.horizon)?;
@@ -273,7 +273,7 @@ impl<F: Float> Rollout<F> {
         }
     }
 
-    /// Adds the terminal costs. Returns an error if a cost is not finite.
+    /// Adds the terminal costs. Returns an error if a cost is non-finite.
     pub(crate) fn finish(&mut self, task: &dyn AnyTask<F>) -> Result<(), Divergence> {
         self.add_unit_costs();
         let last = self.slot(self.horizon).start;

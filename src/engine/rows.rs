@@ -2,7 +2,8 @@
 //!
 //! One row is one sample. All arrays of a call have equally many rows, which are contiguous. The
 //! functions evaluate eight rows at a time in SIMD lanes. With the feature `parallel`, threads
-//! share large arrays. The results of a row are bitwise those of a rollout of this sample.
+//! share large arrays. The results of a row are bitwise those of a rollout of this sample, except
+//! for the signs of zero cotangents.
 //!
 //! [`Inputs::t`](crate::Inputs) is the number of the step, equal for all rows. `p` is empty for a
 //! task without parameters. Outputs are overwritten. An empty slice in place of a cotangent

@@ -29,7 +29,7 @@ pub(super) struct Stop {
 /// objective and all residuals and derivatives are finite.
 ///
 /// # Errors
-/// [`IdentifyError::Stopped`]
+/// [`IdentifyError::Stopped`] if the stop flag is set.
 pub(super) fn minimize(
     problem: &Problem<'_>,
     point: &mut Point,
@@ -126,7 +126,7 @@ fn norms(linearized: &[Vec<Linearized>], params: usize) -> Vec<f64> {
 /// Equations of the parameters with negligible damping, for each segment.
 ///
 /// # Errors
-/// [`IdentifyError::Stopped`]
+/// [`IdentifyError::Stopped`] if the stop flag is set.
 pub(super) fn equations(
     problem: &Problem<'_>,
     point: &Point,

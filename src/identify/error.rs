@@ -48,8 +48,8 @@ pub enum IdentifyError {
         /// Index of the segment.
         segment: usize,
     },
-    /// The options declare the first samples exact, but a component of a first sample is not
-    /// finite.
+    /// The options declare the first samples exact, but a component of a first sample is
+    /// non-finite.
     #[error(
         "segment {segment}: component {component} of the first sample is missing, but the options declare the first sample \
          exact; begin at a complete sample, or set `free_starts`"
@@ -84,7 +84,7 @@ pub enum IdentifyError {
         /// Standard deviation.
         noise: f64,
     },
-    /// An initial value is not finite or not within its bounds, or an index is out of range.
+    /// An initial value is non-finite or not within its bounds, or an index is out of range.
     #[error(
         "unknown `{name}`: start {start} with bounds {min} to {max}, entry {index} of {params} parameters; allowed: a finite \
          start within the bounds, and an entry below {params}"
@@ -103,7 +103,7 @@ pub enum IdentifyError {
         /// Number of parameters.
         params: usize,
     },
-    /// A state or a squared residual of the simulation with the initial values is not finite.
+    /// A state or a squared residual of the simulation with the initial values is non-finite.
     #[error("segment {segment} diverges at step {step} with the initial values; choose values closer to the physics")]
     Diverged {
         /// Index of the segment.

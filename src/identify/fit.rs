@@ -75,8 +75,8 @@ pub struct Fit {
     pub errors: Vec<f64>,
     /// Standard errors that allow for correlated residuals within a segment, from the scatter
     /// between segments (sandwich estimate; Liang and Zeger 1986, doi:10.1093/biomet/73.1.13).
-    /// Infinite for parameters in an undetermined combination, and unless there are more segments
-    /// than unknown parameters.
+    /// Infinite wherever `errors` are. Infinite for all parameters, unless the segments that depend
+    /// on a parameter outnumber the unknown parameters.
     pub robust_errors: Vec<f64>,
     /// Correlations of the values, from the determined combinations of parameters only. NaN for a
     /// parameter that is in no determined combination.
@@ -87,9 +87,10 @@ pub struct Fit {
     pub at_bound: Vec<String>,
     /// Simulated states of each segment.
     pub states: Vec<Vec<Vec<f64>>>,
-    /// Largest jump of the simulated states between windows, in units of the noise. Unknown noise
-    /// has the root mean square of the residuals, and at least 1e-9 of that of the measurements. At
-    /// 0, the states of a segment are one simulation from its initial state.
+    /// Largest jump of the simulated states between windows, in units of the noise. If the noise is
+    /// unknown, the unit is the root mean square of the residuals. The unit is at least 1e-9 times
+    /// the root mean square of the measurements. At 0, the states of a segment are one simulation
+    /// from its initial state.
     pub jump: f64,
     /// χ² of `states` over all segments, with σ = 1 if the noise is unknown.
     pub chi_squared: f64,
@@ -135,8 +136,8 @@ const CONTINUITY: [f64; 5] = [1.0, 10.0, 100.0, 1e4, 1e6];
 /// Tolerance of the relative decrease for all weights of continuity but the last.
 const COARSE: f64 = 1e-2;
 
-/// Smallest root mean square of the residuals that counts as unknown noise, relative to that of the
-/// measurements.
+/// Lower bound on the unit of [`Fit::jump`] if the noise is unknown, relative to the root mean
+/// square of the measurements.
 const SMALLEST: f64 = 1e-9;
 
 /// Identifies parameters of a system from measured trajectories.

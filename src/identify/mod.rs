@@ -11,8 +11,8 @@
 //! by the method of Levenberg and Marquardt (Moré 1978, doi:10.1007/BFb0067700), with exact
 //! Jacobians by dual numbers. Segments consist of windows, each with its own initial state
 //! (multiple shooting; Bock 1981, doi:10.1007/978-3-642-68220-9_8). The iterations minimize the sum
-//! of χ² and the weighted squared jumps between windows. The weight grows until the jumps vanish up
-//! to rounding.
+//! of χ² and the weighted squared jumps between windows. The weight grows in fixed stages. The last
+//! weight reduces the jumps to rounding errors.
 //!
 //! This module implements the iterations, because crates for least squares support neither bounds
 //! nor the block structure of many initial states.

@@ -142,8 +142,8 @@ impl<'a> Problem<'a> {
     /// the first window of a segment, they start at 0.
     ///
     /// # Errors
-    /// [`IdentifyError::Diverged`] if a state or a squared residual is not finite.
-    /// [`IdentifyError::Stopped`].
+    /// [`IdentifyError::Diverged`] if a state or a squared residual is non-finite.
+    /// [`IdentifyError::Stopped`] if the stop flag is set.
     pub fn begin(&self, length: Option<usize>) -> Result<Point, IdentifyError> {
         let values: Vec<f64> = self.unknowns.iter().map(|unknown| unknown.start).collect();
         let mut windows = Vec::new();
@@ -212,12 +212,12 @@ impl<'a> Problem<'a> {
     /// Results of `work` for the indices of all windows, in order.
     ///
     /// # Errors
-    /// [`IdentifyError::Stopped`]
+    /// [`IdentifyError::Stopped`] if the stop flag is set.
     fn map<R: Send>(&self, point: &Point, work: impl Fn(usize) -> R + Sync + Send) -> Result<Vec<R>, IdentifyError> {
         map(point.windows.len(), |k| self.check_stop().map(|()| work(k))).into_iter().collect()
     }
 
-    /// Misfit of all windows. `None` if a state or a sum of squares is not finite.
+    /// Misfit of all windows. `None` if a state or a sum of squares is non-finite.
     pub fn misfit(&self, point: &Point) -> Result<Option<Misfit>, IdentifyError> {
         let of_window = |k: usize| {
             let window = &point.windows[k];

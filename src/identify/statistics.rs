@@ -15,8 +15,9 @@ const NAMED: f64 = 1e-3;
 pub(super) struct Statistics {
     /// Standard errors at unit noise; infinite for undetermined parameters.
     pub errors: Vec<f64>,
-    /// Standard errors from the scatter between segments. Infinite for undetermined parameters, and
-    /// unless more segments than parameters depend on the parameters.
+    /// Standard errors from the scatter between segments. Infinite for undetermined parameters.
+    /// Infinite for all parameters, unless the segments that depend on a parameter outnumber the
+    /// parameters.
     pub robust_errors: Vec<f64>,
     pub correlations: Vec<Vec<f64>>,
     /// Names of the parameters in each undetermined combination.

@@ -1,7 +1,7 @@
 //! [`lend`]: buffers of the current thread, kept between calls.
 //!
-//! Derivatives of large systems need buffers whose sizes are known only after a first evaluation.
-//! A buffer keeps its capacity, so later calls of the same size do not allocate.
+//! Derivatives of large systems need buffers whose sizes are known only after a first evaluation. A
+//! buffer keeps its capacity, so later calls of the same size do not allocate.
 
 use std::any::Any;
 use std::cell::RefCell;

@@ -250,13 +250,13 @@ pub trait Cotangent<R>:
     + AddAssign
     + SubAssign
 {
-    /// Neutral element of addition, the initial value of a sum: −0.0 in every lane. 0.0 is
-    /// not neutral, since `-0.0 + 0.0` is `0.0`.
+    /// Neutral element of addition, the initial value of a sum: −0.0 in every lane. 0.0 is not
+    /// neutral, since `-0.0 + 0.0` is `0.0`.
     fn null() -> Self;
     /// Returns whether all numbers are finite.
     #[doc(hidden)]
     fn all_finite(&self) -> bool;
-    /// `self * slope`, but 0 where this product is not finite and one factor is 0.
+    /// `self * slope`, but 0 where this product is non-finite and one factor is 0.
     #[doc(hidden)]
     fn times_or_zero(self, slope: R) -> Self;
 }

@@ -3,8 +3,8 @@
 //!
 //! [`program`] creates it, and [`Program::main`] runs it.
 //!
-//! Layers. Each imports only layers with smaller numbers; `tests/layout.rs` lists the allowed
-//! imports:
+//! The program has layers. Each imports only layers with smaller numbers; `tests/layout.rs` lists
+//! the permitted imports.
 //!
 //! 1. `platform`: files, folders, locks, signals, ranks, tables, threads, terminal, CSV, JSON.
 //! 2. `settings`: sections of a scene, errors in settings.
@@ -182,7 +182,7 @@ impl Program {
             if error.is::<run::NoUpdate>() { NO_UPDATE } else { FAILURE }
         });
         ranks::end(failure);
-        // A shell script stops at a command with the status of a signal.
+        // After a signal, returns 128 plus its number, so scripts can detect the interruption.
         ExitCode::from(failure.or(signals::received().map(signals::exit_status)).unwrap_or(0))
     }
 }

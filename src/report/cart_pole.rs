@@ -33,7 +33,8 @@ const WHOLE: f64 = 10.0;
 ///
 /// Trajectories shorter than 2 s play at one third of real time. The camera follows a cart whose
 /// positions span more than 6 pole lengths. The animation ends before the first state that is
-/// non-finite, at least 1e6 m from the origin, or longer or shorter than the initial state.
+/// non-finite or at least 1e6 m from the origin. It also ends before the first state with another
+/// number of components than the initial state.
 pub fn cart_pole(states: &[Vec<f64>], controls: &[f64], half_length: f64, dt: f64) -> Animation {
     cart_pole_on(&Rail::default(), states, controls, half_length, dt)
 }

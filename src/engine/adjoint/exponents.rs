@@ -21,7 +21,7 @@ pub(super) struct Exponents<F: Float, const K: usize> {
     low: bool,
 }
 
-/// Error: a cotangent is not finite.
+/// Error: a cotangent is non-finite.
 pub(super) struct NonFinite;
 
 impl<F: Float, const K: usize> Exponents<F, K> {
@@ -124,7 +124,7 @@ pub(super) struct Limits<F> {
     high: F,
 }
 
-/// Exponent of `high`, and of `low` with a negative sign.
+/// Binary exponent of `high`. The binary exponent of `low` is `-reach`.
 ///
 /// The limits are far from the ends of the range of `F`, so that one step may multiply cotangents
 /// by 1e19 (f32).
@@ -175,8 +175,8 @@ impl<F: Float, const K: usize> BlockExponents<F, K> {
 
     /// Factor of the cost gradients of a flow and sample with this exponent.
     fn factor(exponent: i32, scale: F) -> F {
-        // The limit keeps the factor finite. `raise` resets exponents below `-reach`, and thus
-        // below `-limit`, before the recursion adds a nonzero cost gradient.
+        // The limit keeps the factor finite. It applies only to exponents below `-reach`, which
+        // `raise` resets before the recursion adds a nonzero cost gradient.
         let limit = reach::<F>() * 3 / 2;
         scaled(scale, (-exponent).min(limit))
     }

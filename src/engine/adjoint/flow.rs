@@ -18,8 +18,8 @@ use std::fmt;
 /// memory. λ is the cotangent of the state x, h that of the control u, and μ that of the memory
 /// after the step. ȳ and m̄ are the cotangents of the policy inputs.
 ///
-/// A weight of 1 keeps a path, 0 detaches it. Weights between 0 and 1 discount the effect of a
-/// step on later costs.
+/// A weight of 1 keeps a path, 0 detaches it. Weights between 0 and 1 discount the effect of a step
+/// on later costs.
 ///
 /// ```
 /// use physgrad::Flow;

@@ -11,7 +11,7 @@ use crate::numbers::zip::zip;
 use std::ops::Range;
 
 /// Records the root mean square of ‖λ_t‖ over the samples, divided by `scale`, in f64. `norms` has
-/// one row per flow, or none.
+/// one row per flow, or no rows.
 ///
 /// A power of two scales the components, because their squares may be out of range.
 pub(super) fn record_norms<F: Float, const K: usize>(

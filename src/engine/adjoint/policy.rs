@@ -290,7 +290,7 @@ impl<F: Float> PolicyAdjoint<F> {
     }
 
     /// Weights columns of different exponents such that the largest cotangent is about 1. Columns
-    /// without cotangents have the weight 0.
+    /// whose cotangents are all 0 have the weight 0.
     ///
     /// Returns the common exponent of the weighted columns.
     fn weigh(&mut self, k: usize, columns: Range<usize>, m: usize) -> i32 {

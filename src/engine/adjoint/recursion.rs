@@ -1,8 +1,8 @@
 //! The adjoint recursion: [`reverse_step`] for the physics, [`Recursion::back`] for the loop.
 //!
-//! [`adjoint`](super) states the equations and defines λ and h. `exponents` scales only cotangents
-//! of extreme size. `step_back` traverses the samples. `policy` computes the Jacobian products of
-//! the policy. `measure` records norms and growth.
+//! [`adjoint`](super) states the equations and defines λ, h and μ. `exponents` scales only
+//! cotangents of extreme size. `step_back` traverses the samples. `policy` computes the Jacobian
+//! products of the policy. `measure` records norms and growth.
 
 use super::exponents::{Exponents, Limits};
 use super::measure::{GrowthMeters, record_norms};
@@ -223,7 +223,8 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         columns.into_iter().chain(others).sum()
     }
 
-    /// Starts the recursion: `λ ← scale ∂φ/∂x_T`, `μ ← 0`. `norms` has one row per flow, or none.
+    /// Starts the recursion: `λ ← scale ∂φ/∂x_T`, `μ ← 0`. `norms` has one row per flow, or no
+    /// rows.
     pub(super) fn begin(&mut self, pass: &Pass<'_, F>, norms: &mut [Vec<f64>]) {
         let Pass { task, rollout, scale, .. } = *pass;
         let n = rollout.state_dim;
@@ -384,11 +385,11 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         bars.fold(F::zero(), |sum, bar| sum + bar.0[k].lane(sample % WIDTH).abs()) < Limits::new().low
     }
 
-    /// Sets the exponent of one flow and sample, in step `t`, to that of the cotangents from later
-    /// steps, at least 0. These are 0 after a truncation and where derivatives are 0. A cut sets
-    /// them to 0.
+    /// Sets the exponent of one flow and sample, in step `t`, to the exponent of the cotangents
+    /// from later steps, or to 0 if negative. These cotangents are 0 after a truncation and where
+    /// derivatives are 0. A cut sets them to 0.
     ///
-    /// With the previous exponent, if it is large, the cost gradients would underflow.
+    /// With a large previous exponent, the cost gradients would underflow.
     #[cold]
     fn restart(&mut self, pass: &Pass<'_, F>, k: usize, sample: usize, t: usize, place: Place) {
         let Pass { rollout, scale, .. } = *pass;
@@ -396,7 +397,8 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         self.evaluate_cost(pass, t, block);
         let [of_lambda, of_outputs] = Self::carried(block, rollout, place);
         let (lambda, outputs) = (&mut self.lambda[of_lambda], &mut self.u_bar[of_outputs]);
-        // The gradients of the cost by u, unless h is complete. μ has no cost.
+        // Gradient of the cost with respect to u, unless the policy has already read h. μ has no
+        // cost.
         let of_controls = if place == Place::BeforePolicy { &self.cost.u[..] } else { &[] };
         let no_cost = Lane::splat(F::zero());
         let costs = || self.cost.x.iter().chain(of_controls).chain(std::iter::repeat(&no_cost));
@@ -435,8 +437,8 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         &self.growth
     }
 
-    /// Finds the first sample with a non-finite cotangent, and its first flow: cotangents of the
-    /// state first, then those of control and memory.
+    /// Finds the first sample with a non-finite cotangent, and the first such flow of this sample.
+    /// Cotangents of the state precede those of control and memory.
     #[cold]
     fn divergence(&self, pass: &Pass<'_, F>, flows: [Flow; K], step: usize) -> Divergence {
         let Pass { task, rollout, .. } = *pass;

@@ -11,7 +11,7 @@ use crate::numbers::scalar::Float;
 /// Reverse step of a task for all samples and `K` flows.
 pub trait StepBack<F: Float, const K: usize> {
     /// Applies costs and physics to all blocks. Returns false if rescaling is needed or a cotangent
-    /// is not finite.
+    /// is non-finite.
     fn step_back(&self, flows: [Flow; K], rollout: &Rollout<F>, t: usize, carried: &mut Recursion<F, K>) -> bool;
 }
 

@@ -31,7 +31,8 @@ pub fn tanh_32<const FMA: bool>(x: f32) -> f32 {
     let q = fma_32::<FMA>(1.198_258_4e-6, x2, 1.185_347_1e-4);
     let q = fma_32::<FMA>(q, x2, 2.268_434_6e-3);
     let q = fma_32::<FMA>(q, x2, 4.893_525e-3);
-    // Without `FMA`, rounding errors exceed 1 by one unit for a few arguments near `SATURATED`.
+    // Without `FMA`, the rounded ratio exceeds 1 by one unit in the last place for a few arguments
+    // near `SATURATED`.
     let ratio = bounded * p / q;
     let ratio = if FMA { ratio } else { ratio.clamp(-1.0, 1.0) };
     // Returns small arguments unchanged, and exactly ±1 for large ones.

@@ -98,7 +98,8 @@ fn add_settings(table: &mut Table, section: &str, properties: &Value, defaults: 
     }
 }
 
-/// Keys that no option sets, and sections that are listed by name.
+/// Keys that no option sets, and the sections `effects` and `actuator`, whose entries the command
+/// lists by name.
 const HIDDEN: [&str; 8] = ["scene", "physgrad", "task", "effects", "actuator", "vary", "fit", "sweep"];
 
 fn names(infos: &[Info]) -> String {

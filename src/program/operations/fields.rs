@@ -9,7 +9,7 @@ use crate::{Adjoint, Divergence, Field, Float, Flow, Gradient, Rollout, Weights}
 const BLOCK: usize = 8 * GROUP;
 
 /// Vectors of the fields for the mean loss of rollouts from `starts`. For up to 32 samples, the
-/// vectors are bit for bit those of a training with this mini-batch.
+/// vectors are bit for bit those of a training update with the mini-batch `starts`.
 ///
 /// # Errors
 /// The first [`Divergence`].

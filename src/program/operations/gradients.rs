@@ -14,7 +14,7 @@ use std::sync::Arc;
 const SAMPLES: usize = 4;
 /// Largest number of gradient components to compare with the reference.
 const CHOSEN: usize = 8;
-/// Relative perturbation of one rounding in f64.
+/// Perturbation of one rounding in f64: relative, but absolute for components that are 0.
 const ROUNDING: f64 = f64::EPSILON;
 
 /// Method of computing a gradient.
@@ -28,7 +28,8 @@ pub enum GradientMethod {
         field: Field,
         /// Memory budget in bytes. Unbounded if None.
         budget: Option<u64>,
-        /// Perturbs the initial states by one rounding in f64, which has no effect in f32.
+        /// Perturbs the initial states by one rounding in f64. In f32, this changes only components
+        /// that are 0.
         nudged: bool,
     },
     /// Central differences with this step: two losses per parameter.
@@ -53,7 +54,8 @@ pub struct Derived {
 }
 
 impl Derived {
-    /// Seconds for a whole gradient. Calls `run` at least once, and until `least` seconds elapse.
+    /// Seconds for a whole gradient, or for the loss of [`GradientMethod::Forward`]. Calls `run` at
+    /// least once, and until `least` seconds elapse.
     pub fn time(&mut self, least: f64) -> f64 {
         seconds_per_run(least, &mut self.run) * self.rounds
     }
@@ -142,7 +144,7 @@ fn derive<F: Float>(
                     let perturbed = theta[i].as_();
                     loss(&Weights::new(&*policy, theta)).map(|loss| (loss, perturbed))
                 };
-                // Divides by the difference of the two rounded parameters.
+                // Divides by the difference of the two rounded values of the parameter.
                 Ok((side(step)?, side(-step)?)).map(|((above, right), (below, left))| (above - below) / (right - left))
             };
             // The peak includes the copies of the perturbed parameters.

@@ -5,12 +5,13 @@ use crate::{DynTask, Number, System, Task, Varied};
 
 /// Fits the trained numbers of a task to measured segments. `names` are the names of the parameters
 /// of a rollout, in the order of the parameters of the segments. Numbers without a value in a
-/// segment have their nominal values.
+/// segment have their nominal values. Ignores the values of trained numbers in a segment.
 pub fn identified(task: &DynTask, names: &[String], segments: &[Segment], options: &Options) -> Result<Fit, IdentifyError> {
     let system = task.system();
     let params = system.param_dim();
     let varied = system.varied(params);
-    // Numbers are the last parameters. A task may have more parameters than its system.
+    // Numbers that vary are the last parameters. A task may have more parameters than its system,
+    // so these numbers may have other indices in the task than in the system.
     let named = varied.iter().zip(system.varied(task.param_dim()));
     let unknown = |(&Varied { index, number, .. }, named): (&Varied, Varied)| match number {
         Number::Trained { start, min, max } => Some(Unknown { name: names[named.index].clone(), index, start, min, max }),

@@ -41,8 +41,8 @@ fn needs_in<F: Float>(task: &DynTask, policy: &impl Policy, samples: usize, star
     Needs { batch: of(samples), rest: numbers * size_of::<F>() as f64 + of(ROLLOUTS) + text }
 }
 
-/// Memory limit of this process, in bytes: the smaller of the machine's memory and the limits of
-/// the control group. 32 GB if both are unknown.
+/// Memory limit of this process, in bytes: the smallest of the machine's memory and the limits of
+/// the control groups. 32 GB if all are unknown.
 pub fn of_this_machine() -> f64 {
     const UNKNOWN: f64 = 32e9;
     // Version 2 of control groups: the group of this process, and the groups that contain it.

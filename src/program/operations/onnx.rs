@@ -2,7 +2,7 @@
 //!
 //! Every operator in the model has an f64 implementation in ONNX Runtime, so a model has the
 //! precision of its run. The operator `Conv` has no f64 implementation. A convolution is therefore
-//! a matrix product of its windows.
+//! a matrix product of its windows with its kernel.
 
 mod messages;
 

@@ -28,7 +28,7 @@ pub struct About {
     pub trained: Vec<TrainedNumber>,
 }
 
-/// Number that a scene trains. A bound is None without a restriction.
+/// Number that a scene trains. An infinite bound is None.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TrainedNumber {
     pub name: String,

@@ -9,7 +9,7 @@ use std::ops::Range;
 pub const ROLLOUTS: usize = 4;
 
 /// One rollout. If the batch of rollouts diverges, all its rollouts end before the first non-finite
-/// state or control, but contain the initial state.
+/// state, control or memory, but contain the initial state.
 pub struct Trajectory {
     /// States `[step][component]`, the initial state first.
     pub states: Vec<Vec<f64>>,

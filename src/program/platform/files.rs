@@ -34,7 +34,7 @@ pub fn replace(folder: &Path, name: &str, bytes: &[u8]) -> io::Result<File> {
     })
 }
 
-/// Name of a temporary file for a file.
+/// Name of a temporary file that replaces the file `name`.
 ///
 /// The name contains a random part, because processes in different containers may have equal ids.
 fn temporary(name: &str) -> String {

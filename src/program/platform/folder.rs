@@ -22,7 +22,7 @@ pub const TRAJECTORY: &str = "trajectory.csv";
 pub const ANIMATION: &str = "animation.svg";
 pub const NUMBERS: &str = "numbers.csv";
 pub const REPORT: &str = "report.html";
-/// Scene of a plan or of a fit.
+/// Scene that `optimize` or `identify` writes beside the results.
 pub const SCENE: &str = "scene.toml";
 /// Records how a run of a comparison ended.
 pub const END: &str = "end.toml";
@@ -200,7 +200,8 @@ impl Folder {
         }
     }
 
-    /// Removes the files with a name of this form, which an earlier command may have written.
+    /// Removes the files whose names start with `prefix` and end with `suffix`. An earlier command
+    /// may have written them.
     pub fn remove_all(&self, prefix: &str, suffix: &str) -> Result<()> {
         let is_old = |name: &&String| name.starts_with(prefix) && name.ends_with(suffix);
         self.entries()?.iter().filter(is_old).try_for_each(|name| self.remove(name))

@@ -32,8 +32,8 @@ impl Folder {
         self.try_lock()?.with_context(|| self.in_use())
     }
 
-    /// Locks the folder as [`lock`](Folder::lock) does, but together with other processes that
-    /// call this function.
+    /// Locks the folder as [`lock`](Folder::lock) does, but together with other processes that call
+    /// this function.
     ///
     /// # Errors
     /// As [`lock`](Folder::lock), or the file system has no locks.
@@ -128,9 +128,10 @@ impl Folder {
     }
 }
 
-/// Returns whether a file system has no locks, for example NFS without a lock service.
+/// Returns whether this is the error of a file system without locks, for example of NFS without a
+/// lock service.
 fn is_unsupported(error: &io::Error) -> bool {
-    /// Error of such a file system (ENOLCK), which has no kind.
+    /// Number of this error (ENOLCK) in the operating system. It has no [`ErrorKind`] of its own.
     const NO_LOCKS: i32 = if cfg!(target_os = "linux") { 37 } else { 77 };
     error.kind() == ErrorKind::Unsupported || error.raw_os_error() == Some(NO_LOCKS)
 }

@@ -87,7 +87,7 @@ impl Progress {
         }
     }
 
-    /// Removes the bar. Prints the numbers of repeated warnings, even if quiet.
+    /// Removes the bar. Prints the count of each repeated warning, even if quiet.
     pub fn finish(&self) {
         self.bar.finish_and_clear();
         for Repeated { first, count, last, .. } in self.repeated.iter().filter(|repeated| repeated.count > 1) {

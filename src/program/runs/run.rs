@@ -26,8 +26,8 @@ pub trait Observer {
     fn resumed(&mut self, _epochs: usize) {}
     /// An epoch is complete.
     fn epoch(&mut self, event: EpochEvent);
-    /// Time between two calls of [`is_stopped`](Self::is_stopped) within an epoch. With None, the
-    /// only calls are at the start, and after epochs and checkpoints.
+    /// Least time between two calls of [`is_stopped`](Self::is_stopped) within an epoch. With None,
+    /// the only calls are at the start, and after epochs and checkpoints.
     fn poll_every(&self) -> Option<Duration> {
         None
     }
@@ -72,7 +72,8 @@ pub enum End {
     NoUpdate(Option<TrainError>),
 }
 
-/// Error of training that applied no update. Contains the names of the runs.
+/// Error of training that applied no update. Contains the names of the runs, or the folder of a
+/// single run.
 #[derive(Debug)]
 pub struct NoUpdate(pub String);
 
@@ -157,7 +158,7 @@ pub fn follow(scene: &Scene, run: &mut dyn AnyRun, ranks: &Arc<dyn Ranks>) -> Re
     let state = ranks::broadcast(&**ranks, &[]);
     run.restore(&state, &scene.identity()).context("the state of rank 0 does not fit this rank")?;
     run.share(ranks)?;
-    // Rank 0 reports a failure of the training, which all ranks have.
+    // All ranks fail alike, and rank 0 reports the failure.
     train(run, Some(ranks), None, &mut Unobserved).map(drop)
 }
 

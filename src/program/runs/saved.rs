@@ -98,7 +98,8 @@ pub fn write_settings(folder: &Folder, scene: &Scene) -> Result<()> {
     write_scene(folder, SETTINGS, scene)
 }
 
-/// Writes a scene to this file, and a copy of the policy file that starts the training, if any.
+/// Writes a scene to this file, and a copy of its initial policy, if any. The written scene names
+/// the copy.
 pub fn write_scene(folder: &Folder, name: &str, scene: &Scene) -> Result<()> {
     let mut table = scene.table.clone();
     if let Some(policy) = scene.initial_policy() {

@@ -105,7 +105,7 @@ pub fn table_of_scenes(scenes: &[InScene]) -> Vec<Vec<String>> {
 
 const TABLE_HEADER: [&str; 8] = ["field", "seeds", "failed", "test loss", "lowest", "highest", "best", "seconds"];
 
-/// Columns that a narrow terminal omits.
+/// Columns that a narrow terminal omits, the most important first.
 pub const OPTIONAL: [&str; 6] = ["best", "seeds", "failed", "highest", "lowest", "seconds"];
 
 /// Explanation of the table.

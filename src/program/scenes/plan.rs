@@ -251,9 +251,9 @@ impl Plan {
         Ok(Cell { task, method, learning_rate, folder, scene })
     }
 
-    /// Sets the values of the table `path` of the plan. In TOML, a dotted key without quotation
-    /// marks, as in `policy.widths = [4]`, is a table inside a table. Such a table replaces only
-    /// those keys of a section that it contains.
+    /// Sets the values of the table `set`, which has the key `path` in the plan. In TOML, a dotted
+    /// key without quotation marks, as in `policy.widths = [4]`, is a table inside a table. Such a
+    /// table replaces only those keys of a section that it contains.
     fn set(&self, source: &mut SceneSource, path: &str, set: &Table) -> Result<()> {
         for (key, value) in set {
             let mut settings = Vec::new();

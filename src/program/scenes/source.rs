@@ -167,7 +167,7 @@ impl SceneSource {
         self.replace(key, Value::Float(value), &format!("{key} = {value}"))
     }
 
-    /// Replaces the value of a dotted key, even if it is a section.
+    /// Replaces the value of a dotted key, even if the present value is a section.
     pub fn replace(&mut self, key: &str, value: Value, option: &str) -> Result<()> {
         let (section, last) = key.rsplit_once('.').unwrap_or(("", key));
         let mut path = section.split('.').filter(|part| !part.is_empty());

@@ -136,8 +136,8 @@ impl Sweep {
 
 impl Point {
     /// Name of the point: the last parts of its keys, with their values, as in
-    /// `batch=8+widths=64x64`. Contains whole keys where the last parts coincide. Names a folder,
-    /// so `_` replaces `/` and `\`. Empty for an empty point.
+    /// `batch=8+widths=64x64`. Contains whole keys where the last parts coincide. A folder has this
+    /// name, so `_` replaces `/` and `\`. Empty for an empty point.
     pub fn name(&self) -> String {
         let value = |value: &Value| match value {
             Value::Float(x) => x.to_string(),

@@ -103,7 +103,7 @@ impl CartPoleEffects {
         steady.or(gusty)
     }
 
-    /// Number of parameters of a rollout before t₀ of the gusts.
+    /// Number of parameters of a rollout before the start time t₀ of the gusts.
     fn params_before_gusts(&self) -> usize {
         let effects: Vec<Named<CartPoleEffect>> = self.present();
         let before = effects.iter().take_while(|effect| !matches!(effect.effect, CartPoleEffect::GustyWind(_)));

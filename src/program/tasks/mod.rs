@@ -1,8 +1,8 @@
 //! Tasks of the program: built-in tasks, and tasks of the user.
 //!
 //! A [`TaskSpec`] adds settings, defaults, limits, column names and an animation to the physics of
-//! a task. [`Settings`] are the sections of one task; [`Scene`] hides the type of the task.
-//! [`all`] lists the built-in tasks and the tasks of the user, which implement [`ProgramTask`].
+//! a task. [`Settings`] are the sections of one task; [`Scene`] hides the type of the task. [`all`]
+//! lists the built-in tasks and the tasks of the user, which implement [`ProgramTask`].
 //!
 //! Imports `settings` and `operations`. Start with `cart_pole`.
 
@@ -103,7 +103,7 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     fn conserved(_settings: &Settings<Self>) -> Option<Conserved> {
         None
     }
-    /// Animation of one rollout, from the states and controls of each step.
+    /// Animation of one rollout, from its states, controls and parameters.
     fn animation(settings: &Settings<Self>, rollout: &Trajectory) -> Animation;
 }
 
@@ -175,8 +175,8 @@ fn own_effects(task: &str) -> Vec<(&'static str, &'static dyn AnyEffectSpec)> {
 /// Adds tasks and effects of the user to the built-in tasks and effects.
 ///
 /// # Errors
-/// A name has characters other than lower case letters, digits and underscores. Two tasks, or two
-/// effects of a task, have the same name. An effect names an unknown task. The
+/// A name is empty, or has characters other than lower case letters, digits and underscores. Two
+/// tasks, or two effects of a task, have the same name. An effect names an unknown task. The
 /// process has called this function before.
 pub fn register(own: Vec<&'static dyn AnyTaskSpec>, own_effects: Vec<&'static dyn AnyEffectSpec>) -> Result<()> {
     let is_name = |name: &str| {

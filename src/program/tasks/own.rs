@@ -42,8 +42,8 @@ pub trait ProgramTask: Task + Section + Default {
     fn dt(&self) -> f64 {
         1.0
     }
-    /// The task with a time step that is shorter by the factor `substeps`. Substep i of step t
-    /// has the step number `substeps·t + i`. Default: `None`, the time step cannot be changed.
+    /// The task with a time step that is shorter by the factor `substeps`. Substep i of step t has
+    /// the step number `substeps·t + i`. Default: `None`, the time step cannot be changed.
     fn refined(&self, _substeps: usize) -> Option<Self> {
         None
     }
@@ -65,9 +65,9 @@ pub trait ProgramTask: Task + Section + Default {
     fn param_names(&self) -> Vec<String> {
         numbered("p", self.param_dim())
     }
-    /// Animation of one rollout: T + 1 states, T controls and the parameters. Default: states and
-    /// controls over time. If `Animation::time` is positive and `channels` is empty, the program
-    /// adds the controls as channels.
+    /// Animation of one rollout of T steps: T + 1 states, T controls and the parameters. Default:
+    /// states and controls over time. If `Animation::time` is positive and `channels` is empty, the
+    /// program adds the controls as channels.
     fn animation(&self, states: &[Vec<f64>], controls: &[Vec<f64>], _params: &[f64]) -> Animation {
         let states = Channel::columns(self.state_names(), states, "#0072B2");
         let controls = Channel::columns(self.control_names(), controls, "#D55E00");
@@ -198,7 +198,7 @@ impl<T: ProgramTask> TaskSpec for Own<T> {
     }
 
     fn validate_own_effects(_effects: &SceneEffects) -> Result<(), ConfigError> {
-        // `validate` checks the effects, which needs the settings.
+        // `validate` checks the effects, because the check needs the settings.
         Ok(())
     }
 

@@ -13,13 +13,12 @@ use toml::{Table, Value};
 /// An effect that scenes add by its name, in the section `effects.NAME`.
 ///
 /// The fields of the effect are the settings of this section. `Default` gives their default values.
-/// Fields of type [`Number`](crate::Number) may be drawn or trained if
-/// [`Effect::numbers`] lists them. The comment on the struct is the description of the effect.
+/// Fields of type [`Number`](crate::Number) may be drawn or trained if [`Effect::numbers`] lists
+/// them. The comment on the struct is the description of the effect.
 ///
 /// [`Program::effect`](crate::program::Program::effect) registers the effect.
 pub trait ProgramEffect: Effect<Self::Model> + Section + Default {
-    /// Model that the effect reads, for instance
-    /// [`CartPoleSystem`](crate::tasks::CartPoleSystem).
+    /// Model that the effect reads, for instance [`CartPoleSystem`](crate::tasks::CartPoleSystem).
     type Model: 'static;
     /// Name of the task that accepts the effect.
     const TASK: &'static str;

@@ -26,7 +26,7 @@ use std::ops::Deref;
 use std::sync::Arc;
 use toml::{Table, Value};
 
-/// Setting with the path of the policy file that starts the training.
+/// Setting with the path of the policy file from which the training starts.
 pub const INITIAL_POLICY: &str = "initial_policy";
 
 const CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI);
@@ -50,7 +50,7 @@ pub struct Scene {
     pub logs: Vec<LogFormat>,
     /// All settings.
     pub table: Table,
-    /// Contents of the policy file that starts the training.
+    /// Contents of the policy file from which the training starts.
     initial_policy: Option<Arc<[u8]>>,
     settings: Arc<dyn AnySettings>,
 }
@@ -71,10 +71,11 @@ pub trait AnySettings: Send + Sync {
     /// Checks the gradients of system, policy and rollout. In rollouts, the policy has the
     /// parameters `theta`, or random ones. Results carry the name `variant`.
     fn check(&self, variant: &str, theta: Option<&[f64]>, results: &mut Results);
-    /// Largest amplification of a perturbation by a step, in states of test rollouts. None if a
-    /// rollout diverges in the first step.
+    /// Largest amplification of a perturbation by a step, in states of test rollouts with random
+    /// initial parameters. None if a rollout diverges in the first step.
     fn amplification(&self) -> Option<Amplification>;
-    /// Loss and gradient at the initial parameters and at parameters nearby.
+    /// Loss and gradient at random initial parameters and at parameters nearby. Ignores a policy
+    /// file.
     fn plateau(&self) -> Result<Plateau, Divergence>;
     /// Runs a rollout and its adjoints, and prepares them for timing.
     fn prepare(&self) -> Job;
@@ -115,7 +116,7 @@ pub trait AnySettings: Send + Sync {
     /// A quantity that is conserved while the control is zero. None also if numbers are drawn or
     /// trained.
     fn conserved(&self) -> Option<Conserved>;
-    /// Animation of one rollout, from the states and controls of each step.
+    /// Animation of one rollout, from its states, controls and parameters.
     fn animation(&self, rollout: &Trajectory) -> Animation;
 }
 
@@ -285,12 +286,12 @@ impl Scene {
         Self { initial_policy: Some(policy.into()), ..self }
     }
 
-    /// CRC-32C of the policy file that starts the training.
+    /// CRC-32C of the policy file from which the training starts.
     pub fn initial_policy_checksum(&self) -> Option<u32> {
         self.initial_policy.as_deref().map(|bytes| CRC.checksum(bytes))
     }
 
-    /// Contents of the policy file that starts the training.
+    /// Contents of the policy file from which the training starts.
     pub fn initial_policy(&self) -> Option<&[u8]> {
         self.initial_policy.as_deref()
     }

@@ -7,7 +7,7 @@ use schemars::{JsonSchema, SchemaGenerator};
 use serde_json::{Map, Value, json};
 use toml::Table;
 
-/// Sections whose keys are dotted names of settings, with their descriptions.
+/// Sections that are not part of [`Settings`](tasks::Settings), with their descriptions.
 const SECTIONS: [(&str, &str); 3] = [
     ("vary", "Physical numbers that are drawn for each sample, by the dotted names of their settings."),
     ("fit", "Physical numbers that the training or `identify` determines, by the dotted names of their settings."),

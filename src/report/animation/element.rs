@@ -16,6 +16,7 @@ struct Element {
 
 impl Element {
     /// Places a shape in a picture whose upper left corner has the world coordinates (left, top).
+    /// `scale` is the number of pixels per unit of length.
     fn new(shape: &Shape, left: f64, top: f64, scale: f64) -> Self {
         let (x, y) = (|x: f64| px((x - left) * scale), |y: f64| px((top - y) * scale));
         let length = |length: f64| px(length.max(0.0) * scale);

@@ -95,7 +95,7 @@ struct ShardProgress<'a> {
     shared: SharedProgress<'a>,
     /// Number of epochs of the run.
     epochs: usize,
-    /// True if the length of the bar contains the run.
+    /// True if the length of the bar contains the epochs of the run.
     counted: bool,
 }
 
