@@ -34,11 +34,13 @@ enum By {
 }
 
 /// Masses of 1 kg in a row between two walls, with viscous damping. The springs have the force
-/// k d + k₃ d³. Controls are forces on every 25th mass, beginning with the first, N.
+/// k d + k₃ d³ at the extension d. Controls are forces on every 25th mass, beginning with the
+/// first, N.
 struct Rod {
     masses: usize,
     by: By,
-    /// Number of unused parameters. Default derivatives use reverse mode for more than 16 inputs.
+    /// Number of unused parameters, which count as inputs. Default derivatives use reverse mode for
+    /// more than 16 inputs.
     unused: usize,
 }
 

@@ -2,9 +2,9 @@
 //!
 //! Usage: `cargo bench --bench effects`, or with `-- guidance` for one task, and with `-- --quick`
 //! for few rounds. Measures steps of eight samples on one thread: forward alone, with the adjoint
-//! of R, and with the adjoints of C. One part measures whole scenes, with the policy of the paper
-//! and the gradients with respect to its parameters. The other part measures the physics alone,
-//! with zero control.
+//! of R, and with the adjoints of C. One part measures the physics alone, with zero control. The
+//! other part measures whole scenes, with the policy of the paper and the gradients with respect to
+//! the policy parameters.
 //!
 //! Jobs alternate within each round; a ratio is the median of the ratios per round. Timings depend
 //! on the memory layout. The benchmark therefore constructs all jobs nine times (once with

@@ -20,8 +20,8 @@ const FLOWS: [Flow; 2] = [Flow::MODIFIED, Flow::REGULAR];
 const GROUP: usize = 4;
 /// Largest number of blocks of groups.
 const BLOCKS: usize = 32;
-/// Number of messages of an update from one rank to another. Five exchanges (divergence, blocks,
-/// total, costs, pause) send two each: length and contents.
+/// Number of messages that a rank sends to each other rank in one update. Five exchanges
+/// (divergence, blocks, total, costs, pause) send two each: length and contents.
 const MESSAGES: f64 = 10.0;
 
 /// One of two ranks, each a thread of this process.

@@ -26,7 +26,7 @@ const FRICTION: [&[f64]; 3] = [&[2.2394e-4], &[2.37143e-4, 1.0e-5], &[1.47710e-3
 /// Published gravity by number of arms, m/s².
 const GRAVITY: [f64; 3] = [9.81, 9.80858, 9.80834];
 
-/// Makes a number of the pendulum an entry of the parameters p.
+/// Placeholder for a physical number of the pendulum that is an entry of the parameters p.
 const VARIES: Number = Number::Trained { start: 1.0, min: 0.0, max: f64::INFINITY };
 /// Time step of the simulation, s. Sampling times of the data are multiples of it.
 const DT: f64 = 0.005;

@@ -202,7 +202,7 @@ class _Rows:
             cost[rows] = self.task.running_cost(x, controls, following, p=p, t=int(t))
             self._check(following, rows, t)
             after[rows] = following
-        # After an error above, all rows are at their earlier steps.
+        # An error above leaves the states and step numbers of all rows unchanged.
         self.x = after
         self.t[mask] += 1
         last = mask & (self.t == self.task.horizon)

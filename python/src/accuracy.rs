@@ -25,9 +25,9 @@ const METRICS: [(&str, Metric); 4] =
 ///
 /// - "settings": a dict of columns with one entry per setting. "method" and "precision" are lists
 ///   of str. The others are arrays, (S,). "substeps" is per time step. "trajectory", "loss", "R"
-///   and "M" are errors, NaN if the rollout diverges. "operations" are those of a step and its
-///   derivative. "bytes" and the medians "forward_seconds" and "gradient_seconds" are per step and
-///   sample.
+///   and "M" are errors, NaN if the rollout diverges. "operations" counts a step and its
+///   vector-Jacobian product, per sample. "bytes" and the medians "forward_seconds" and
+///   "gradient_seconds" are per step and sample.
 /// - "reference": estimates of the errors of the reference, a dict with "trajectory", "loss", "R"
 ///   and "M". Smaller errors of a setting are below the resolution of the reference.
 /// - "cheapest": the fastest setting with an error of at most `target`, or None. A dict with

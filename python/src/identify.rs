@@ -16,11 +16,12 @@ use toml::{Table, Value};
 /// Fits physical numbers to measured trajectories, as `physgrad identify` does, in f64.
 ///
 /// `data` is a list of pairs: measured states, (steps, n), and controls, (steps, m). NaN marks a
-/// missing measurement. `params` names the unknown numbers by dotted keys: a list, as in
-/// `["system.pole_mass"]`, starts at their values in the task. A dict has initial values, as in
-/// `{"system.pole_mass": 0.2}`, or dicts with "start", "min" and "max". Without `params`, the scene
-/// names the numbers in its section `fit`. `noise` has the standard deviation of each state, (n,).
-/// Without `noise`, it is equal for all states, and the residuals give its size.
+/// missing measurement. `params` names the unknown numbers by dotted keys. With a list, as in
+/// `["system.pole_mass"]`, the fit starts from their values in the task. A dict has initial values,
+/// as in `{"system.pole_mass": 0.2}`, or dicts with "start", "min" and "max". Without `params`, the
+/// scene names the numbers in its section `fit`. `noise` has the standard deviation of the
+/// measurement noise of each state, (n,). Without `noise`, one standard deviation holds for all
+/// states, estimated from the residuals.
 ///
 /// Returns a dict: "values" and "errors" (standard errors) by name, "chi_squared", "converged",
 /// "undetermined" and "at_bound". "robust_errors", (K,), and "correlations", (K, K), refer to the K

@@ -19,7 +19,7 @@ use std::time::Duration;
 /// of a run.
 ///
 /// `Run(task, policy=None, threads=None, **settings)` is a training before its first epoch.
-/// Settings outside of sections, as `field`, `epochs` and `seed`, are keyword arguments. Other
+/// Settings outside of sections, such as `field`, `epochs` and `seed`, are keyword arguments. Other
 /// keyword arguments are settings of the section `training`, as in `learning_rate=3e-4`. `threads`
 /// is the number of threads; results do not depend on it.
 #[pyclass(frozen, module = "physgrad")]
@@ -120,8 +120,8 @@ impl Run {
         Ok(self.lock()?.folder().map(ToOwned::to_owned))
     }
 
-    /// Writes the run to a folder, in the format of the program, and continues there. If the folder
-    /// holds an earlier run, renames that folder.
+    /// Writes the run to a folder, in the format of the program. Later calls of `train` save there
+    /// too. If the folder holds another run, or another state of this run, renames that folder.
     fn save(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {
         let mut run = self.lock()?;
         let run = &mut *run;

@@ -8,7 +8,7 @@ use toml::{Table, Value};
 
 /// Sections whose values are sections.
 const NESTED: [&str; 2] = ["effects", "actuator"];
-/// Sections of a scene.
+/// Sections of a scene that keyword arguments may name.
 const SECTIONS: [&str; 7] = ["system", "effects", "actuator", "integrator", "loss", "policy", "training"];
 
 /// A list of dotted keys and values.

@@ -165,7 +165,7 @@ def test_saving_in_a_folder_with_another_run_keeps_both(tmp_path, monkeypatch):
     saved = [pg.Run.load(tmp_path / name).policy.theta for name in kept]
     for found, expected in zip(saved, (runs[0], runs[0], runs[1])):
         assert np.array_equal(found, expected.policy.theta)
-    # A folder is that of the first call, also after a change of the current folder.
+    # `save` stores the absolute path. A later change of the current folder does not affect it.
     monkeypatch.chdir(tmp_path)
     runs[1].save("other")
     monkeypatch.chdir(tmp_path.parent)

@@ -30,9 +30,11 @@ pub fn cost<T: Task>(task: &T) -> Passed {
 /// The check requires:
 ///
 /// - [`observe`](Task::observe) writes every component.
+/// - The observation and the costs are finite.
 /// - [`observe_vjp`](Task::observe_vjp), [`running_cost_gradient`](Task::running_cost_gradient) and
 ///   [`terminal_cost_gradient`](Task::terminal_cost_gradient) agree with dual numbers with respect
-///   to every input, and add to their outputs. This includes requests of some inputs only.
+///   to every input, and add to their outputs. This also holds if the caller requests only some of
+///   the cotangents.
 ///
 /// # Errors
 /// Returns the first [`Mismatch`].

@@ -71,16 +71,18 @@ pub struct Passed {
 pub struct Mismatch {
     /// Compared quantity, for instance `vjp: x_bar`.
     pub what: String,
-    /// Index of the first mismatching component or random direction; 0 for a JVP.
+    /// Index of the first mismatching component or random direction; 0 for the inner product of a
+    /// JVP.
     pub index: usize,
     /// Reference value, from dual numbers or from an equivalent reference form. NaN if the tested
     /// function is not finite.
     pub expected: f64,
     /// Value of the tested form.
     pub found: f64,
-    /// Relative error; absolute for a bitwise comparison or a zero reference.
+    /// Relative error; absolute for an exact comparison or a zero reference. NaN if the tested
+    /// function is not finite.
     pub error: f64,
-    /// Tolerance of the relative error; 0 for a bitwise comparison.
+    /// Tolerance of the relative error; 0 for an exact comparison or a non-finite function.
     pub allowed: f64,
     /// Index of the random case. The check draws inputs from `stream(case, Purpose::Check, 0)`.
     pub case: u64,
@@ -109,7 +111,7 @@ impl fmt::Display for Mismatch {
             return write!(f, "{what}[{index}] is {found:e} (case {case})");
         }
         write!(f, "{what}[{index}] is {found:e}, expected {expected:e}: ")?;
-        // Only bitwise comparisons allow no error.
+        // Only exact comparisons allow no error.
         if *allowed == 0.0 {
             write!(f, "both must be equal, but differ by {error:.1e} (case {case})")
         } else {
@@ -167,7 +169,7 @@ impl Comparison {
         }
     }
 
-    /// Compares bit patterns; zeros of opposite sign are equal, and all NaNs.
+    /// Compares numbers without tolerance. Zeros of opposite sign are equal, and so are all NaNs.
     fn equal(&mut self, what: &str, found: &[f64], expected: &[f64]) -> Result<(), Mismatch> {
         match found.iter().zip(expected).position(|(f, e)| f != e && !(f.is_nan() && e.is_nan())) {
             Some(index) => {
@@ -224,13 +226,14 @@ pub fn try_system<S: System>(system: &S) -> Result<Passed, Mismatch> {
 ///
 /// The check requires:
 ///
-/// - [`step`](System::step) writes every component of the next state.
+/// - [`step`](System::step) writes every component of the next state. All are finite.
 /// - [`vjp`](System::vjp) agrees with dual numbers for every combination of requested cotangents,
 ///   and adds to the cotangents.
 /// - [`jvp`](System::jvp) agrees with dual numbers: `⟨λ, J v⟩ = ⟨Jᵀλ, v⟩` for the Jacobian J and
 ///   random vectors λ and v. Each side is a sum. The error is relative to the sum of the absolute
 ///   values of the terms, for the side where this sum is larger.
-/// - `step` and `vjp` in SIMD lanes have the bits of scalars.
+/// - The JVP along all inputs is the sum of the JVPs along x, u and p.
+/// - `step` and `vjp` in SIMD lanes have the bits of scalars, except for the signs of zeros.
 ///
 /// # Errors
 /// Returns the first [`Mismatch`].

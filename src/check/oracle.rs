@@ -89,8 +89,8 @@ fn passed<S: Scalar>(x: S, weight: f64) -> S {
 /// Mean loss of rollouts from the initial states `starts`.
 ///
 /// # Panics
-/// If `theta` does not have the length of the parameters of the policy, or `starts` is empty or not
-/// a whole number of samples.
+/// If the length of `theta` is not [`Policy::param_count`], or if `starts` is empty or not a whole
+/// number of samples.
 pub fn loss<T: Task, P: Policy>(task: &T, policy: &P, theta: &[f64], starts: &[f64]) -> f64 {
     rollouts(task, policy, theta, starts, Flow::REGULAR)
 }
@@ -102,8 +102,8 @@ pub fn loss<T: Task, P: Policy>(task: &T, policy: &P, theta: &[f64], starts: &[f
 /// `tangent(i)` is the component of the direction along policy parameter i.
 ///
 /// # Panics
-/// If `theta` does not have the length of the parameters of the policy, or `starts` is empty or not
-/// a whole number of samples.
+/// If the length of `theta` is not [`Policy::param_count`], or if `starts` is empty or not a whole
+/// number of samples.
 pub fn slope_by_duals<T: Task, P: Policy>(
     task: &T,
     policy: &P,

@@ -37,6 +37,7 @@ pub fn policy<P: Policy>(policy: &P) -> Passed {
 ///
 /// Every `|vᵢ|` is between 1/2 and 3/2, so a direction detects any single wrong component above the
 /// tolerance below. If a direction fails, the check compares all components to locate the error.
+/// The check also requires that [`param_gradient`](Policy::param_gradient) adds to its output.
 ///
 /// The tolerance of a direction is `1e-12 Σ |gᵢ vᵢ|`. A sum of n terms, each rounded to
 /// `ε = 1.1e-16`, has an error of about `√n ε Σ |gᵢ vᵢ|`. Cancellation within the `gᵢ`, which are

@@ -27,8 +27,8 @@ use crate::policy::Policy;
 /// ```
 ///
 /// # Panics
-/// If `theta` does not have the length of the parameters of the policy, or `starts` is empty or not
-/// a whole number of samples.
+/// If the length of `theta` is not [`Policy::param_count`], or if `starts` is empty or not a whole
+/// number of samples.
 pub fn slope<T: Task, P: Policy>(
     task: &T,
     policy: &P,

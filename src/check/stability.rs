@@ -61,9 +61,10 @@ impl fmt::Display for Stability {
 ///
 /// The spectral radius follows from Gelfand's formula, `ρ = lim ‖Jᵏ‖^(1/k)`, with 30 squarings of
 /// the Jacobian. Unlike power iteration, the formula handles complex eigenvalue pairs and defective
-/// matrices. Powers of long cascades of equal cells underflow. The last estimate is then an upper
-/// bound. The multiplier is the smaller of this bound and the spectral radius that an eigenvalue
-/// solver computes. The cost is `state_dim` forward-mode derivatives and 30 matrix products.
+/// matrices. Powers underflow for long cascades of equal cells, in which each cell drives the next.
+/// The last estimate is then an upper bound. The multiplier is the smaller of this bound and the
+/// spectral radius that an eigenvalue solver computes. The cost is `state_dim` forward-mode
+/// derivatives and 30 matrix products.
 /// ```
 /// use physgrad::{Inputs, check, tasks::{FrictionScheme, SliderSystem}};
 ///

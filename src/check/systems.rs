@@ -155,8 +155,8 @@ fn requests(
     Ok(())
 }
 
-/// Compares SIMD lanes with scalars, bit for bit. Every lane has different inputs. The VJP carries
-/// two flows with cotangents of opposite sign, so the results have opposite signs too.
+/// Compares SIMD lanes with scalars, without tolerance. Every lane has different inputs. The VJP
+/// carries two flows with cotangents of opposite sign, so the results have opposite signs too.
 fn lanes(system: &dyn Checked, at: Inputs<'_, f64>, next_bar: &[f64], c: &mut Comparison) -> Result<(), Mismatch> {
     const W: usize = WIDTH;
     let vary = |v: &[f64], lane: usize| v.iter().map(|v| v * (1.0 + lane as f64 / 64.0)).collect::<Vec<f64>>();

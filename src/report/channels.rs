@@ -47,7 +47,8 @@ pub fn channels_over_time(title: &str, channels: &[Channel], dt: f64) -> Animati
     let steps = channels.iter().map(|channel| channel.finite().len()).max().unwrap_or(0).saturating_sub(1);
     let time = steps as f64 * dt;
     let shown = |channel: &Channel| {
-        // Controls have no value at the final time. Repeats the last one, which holds until then.
+        // Controls have no value at the final time. Repeats the last value, which holds until that
+        // time.
         let mut values = channel.values[..channel.values.len().min(steps + 1)].to_vec();
         if let (true, Some(&last)) = (values.len() == steps, values.last()) {
             values.push(last);

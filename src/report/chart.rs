@@ -56,7 +56,7 @@ impl Chart {
     /// Creates a chart with a y axis from `range[0]` to `range[1]`. Omits points with a non-finite
     /// x, and points with a y or a band edge outside that range.
     pub fn linear(x_label: &'static str, y_label: &'static str, range: [f64; 2], series: Vec<Series>) -> Self {
-        // Tolerates rounding errors, for instance of a cosine above 1.
+        // Tolerates rounding errors, for instance a cosine slightly above 1.
         let slack = 1e-9 * (range[1] - range[0]);
         let series = shown(series, |y| range[0] - slack <= y && y <= range[1] + slack);
         Self { x_label, y_label, x: x_range(&series), y: Axis::Linear(range), series }
@@ -72,7 +72,7 @@ impl Chart {
         self.y_label
     }
 
-    /// Drawn series, each with at least one point.
+    /// Drawn series, each with at least one point. Lines of many points are thinned.
     pub fn series(&self) -> &[Series] {
         &self.series
     }
@@ -115,8 +115,8 @@ impl Chart {
         };
         // kuva draws the axes. The series follow in groups, by which a page can hide or move them.
         let mut scene = render_multiple(vec![LinePlot::new().into()], layout);
-        // Removes the clipped areas, because their identifiers would be equal in all charts of a
-        // page. Series need no clipping.
+        // Removes the clip paths, because their identifiers would be equal in all charts of a page.
+        // Series need no clipping.
         scene.elements.retain(|element| !matches!(element, Primitive::ClipStart { .. } | Primitive::ClipEnd));
         scene.defs.clear();
         scene.elements.insert(0, group("class=\"axes\""));

@@ -61,7 +61,7 @@ fn join_cells(element: &mut Primitive) {
     }
 }
 
-/// Numbers the clipped areas of a picture from 0. kuva counts through all pictures of a process.
+/// Numbers the clip paths of a picture from 0. kuva counts through all pictures of a process.
 fn number_clips(scene: &mut Scene) {
     let clips = scene.elements.iter_mut().filter_map(|element| match element {
         Primitive::ClipStart { id, .. } => Some(id),
@@ -69,7 +69,7 @@ fn number_clips(scene: &mut Scene) {
     });
     for (number, id) in clips.enumerate() {
         let old = std::mem::replace(id, format!("clip-{number}"));
-        // The definition of an area has the identifier of that area.
+        // The definition of a clip path contains the old identifier.
         for definition in &mut scene.defs {
             *definition = definition.replace(&format!("id=\"{old}\""), &format!("id=\"{id}\""));
         }

@@ -21,7 +21,7 @@ const ALL_PIECES: usize = 120;
 const MAX_PIECES: usize = 8;
 /// Duration of a trail, as a share of the animation.
 const TRAIL: f64 = 0.25;
-/// Coordinate of an agent that counts as diverged, m.
+/// Absolute value of a coordinate from which an agent counts as diverged, m.
 const FAR: f64 = 1e6;
 /// Limit of the positions that the view includes, relative to the largest initial coordinate. This
 /// coordinate counts as at least 0.5 m.
@@ -129,8 +129,8 @@ impl Layout {
         shapes
     }
 
-    /// Trail of past positions, thinner with age. Times before the start count as the initial
-    /// position.
+    /// Trail of past positions, thinner with age. Before the start, agents rest at their initial
+    /// positions.
     fn trail(&self, frame: usize, agent: usize, radius: f64) -> Vec<Shape> {
         let pieces = (ALL_PIECES / self.path[frame].len()).clamp(1, MAX_PIECES);
         let length = (TRAIL * (self.path.len() - 1) as f64).ceil() as usize;

@@ -77,8 +77,8 @@ pub fn log_figure_with(title: &str, rows: &[Vec<Panel>], legend: Vec<LegendEntry
     let axes: Vec<LogAxis> = (0..=panels().map(|panel| panel.y_axis).max().unwrap_or(0))
         .map(|axis| LogAxis::of(panels().filter(|panel| panel.y_axis == axis).flat_map(|panel| &panel.series)))
         .collect();
-    // Visible elements of each panel. Panels of a column reserve the same width, panels of a row
-    // the same height, so all plotted areas have the same size.
+    // Determines the visible elements of each panel. Panels of a column reserve the same width for
+    // labels, panels of a row the same height. All plotted areas therefore have the same size.
     let below = |i: usize, j: usize| rows.get(i + 1).and_then(|row| row.get(j)).map(|panel| &panel.x_label);
     let shows = |i: usize, j: usize| {
         let (row, panel) = (&rows[i], &rows[i][j]);

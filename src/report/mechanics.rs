@@ -11,7 +11,7 @@ const MARK: &str = "#D55E00";
 
 /// Largest number of frames. Longer motions are thinned.
 const MAX_FRAMES: usize = 250;
-/// Coordinate that counts as diverged, m.
+/// Absolute value of a coordinate from which a posture counts as diverged, m.
 const FAR: f64 = 1e6;
 /// Width of the floor beyond each side of the view, in widths of the view.
 const FLOOR: f64 = 20.0;

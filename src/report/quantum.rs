@@ -28,8 +28,8 @@ const MAX_ROWS: usize = 64;
 /// Animates a trajectory in an empty box.
 ///
 /// A state holds the real and imaginary part of ψ at every grid point between the walls, initially
-/// with `Σ |ψ_j|² = 1`. `length` is the length of the box. States are `dt` units of time apart.
-/// `target` is the real target state φ at the grid points.
+/// with `Σ |ψ_j|² = 1`. States are `dt` units of time apart. `controls` holds the control of each
+/// step. `target` is the real target state φ at the grid points. `length` is the length of the box.
 ///
 /// The large map shows the probability density over time and position. Below the map are the
 /// control and the fidelity `|⟨φ, ψ⟩|²`. A cursor moves through all three. The panel at the right

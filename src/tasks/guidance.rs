@@ -51,24 +51,24 @@ impl GuidanceSystem {
     }
 }
 
-/// Task to bring the evaders to the origin with little control. The loss, in m², is the sum of two
-/// means:
+/// Task to bring the evaders to the origin with little control. With the evader coordinates E and
+/// the control components c, the loss, in m², is the sum of two means:
 ///
 /// ```text
 /// E²                    mean over evaders and both coordinates, and over time or at the end
 /// regularization · c²   mean over time, drivers and both control components
 /// ```
 ///
-/// `S` is any system that contains a [`GuidanceSystem`]: alone, with effects, or behind an
-/// actuator.
+/// `S` is any system that contains a [`GuidanceSystem`], for example alone, with effects, behind an
+/// actuator, or advanced by an integrator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Guidance<S = Herding> {
     /// System to control.
     pub system: S,
     /// States whose positions enter the loss. Controls always enter.
     pub loss: LossMode,
-    /// Weight of the mean squared control, in m² s⁴. The mean is over all steps, drivers and their
-    /// two components.
+    /// Weight of the mean squared control, in m² s⁴. The mean is over all steps, all drivers, and
+    /// the two control components of each driver.
     pub regularization: f64,
     /// Number of steps.
     pub horizon: usize,

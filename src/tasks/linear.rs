@@ -84,8 +84,8 @@ impl LinearPlant {
         Self { a: row_major(&closed), ..self.clone() }
     }
 
-    /// Returns the largest modulus of the eigenvalues of A. Below 1, the uncontrolled plant is
-    /// stable.
+    /// Returns the largest modulus of the eigenvalues of A, or NaN if A has a non-finite entry. If
+    /// the modulus is below 1, the uncontrolled plant is stable.
     pub fn spectral_radius(&self) -> f64 {
         spectral_radius(&self.a())
     }

@@ -9,7 +9,7 @@ use crate::tasks::{CartPoleSystem, MassError};
 use arrayvec::ArrayVec;
 use factor::{factor, solve};
 
-/// Chain of rigid, uniform poles: the first is hinged on the cart, each other pole on the free end
+/// Chain of rigid, uniform poles: the first is hinged on the cart, every later pole on the free end
 /// of the previous pole.
 ///
 /// State, control and constants are those of [`CartPoleSystem`]. The state is

@@ -43,8 +43,8 @@ any_effect! {
 
 /// Task to bring the particle into an eigenstate of the box, with the infidelity as loss.
 ///
-/// The infidelity of a state is `1 - |⟨φ, ψ⟩|²`, between 0 and 1, where `⟨φ, ψ⟩ = Σ_j φ_j ψ_j`. The
-/// control carries no cost.
+/// The infidelity of a state ψ is `1 - |⟨φ, ψ⟩|²`, between 0 and 1, where φ is the target and `⟨φ,
+/// ψ⟩ = Σ_j φ_j ψ_j`. The control carries no cost.
 ///
 /// Initial states mix the two lowest eigenstates, so the third is the lowest target outside their
 /// span. All eigenstates are those of the box without potential, even with effects.
@@ -113,7 +113,7 @@ impl<S: HasModel<QuantumSystem>> Quantum<S> {
         T::one() - (re * re + im * im)
     }
 
-    /// Adds the gradient `-2 ⟨φ, ψ⟩ φ`.
+    /// Adds the gradient of the infidelity, `-2 ⟨φ, ψ⟩ φ`.
     #[inline(always)]
     fn infidelity_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
         let (re, im) = self.overlap(x);

@@ -10,9 +10,10 @@ use rand::RngExt;
 /// Gravitational acceleration g, m/s².
 const GRAVITY: f64 = 9.81;
 
-/// Number of Newton iterations. Convergence is slowest where friction nearly cancels the speed
-/// after the push. There, it takes at most two iterations per unit of `|v'| / ε`, and five more.
-/// The default block has `|v'| / ε ≤ 9` there, even with a smoothing speed ε of 1e-9 m/s.
+/// Number of Newton iterations for the speed v' after a step. Convergence is slowest where friction
+/// nearly cancels the speed after the push. There, it takes at most two iterations per unit of
+/// `|v'| / ε`, and five more. The default block has `|v'| / ε ≤ 9` there, even with a smoothing
+/// speed ε of 1e-9 m/s.
 const ROUNDS: usize = 24;
 
 /// Block on a table, pushed along one line. State `[position m, speed m/s]`, control `[push N]`.

@@ -26,8 +26,8 @@ pub enum Decay {
 }
 
 impl Decay {
-    /// Factor of the learning rate in update number `update` of `total`, counted from 0 and with
-    /// skipped updates.
+    /// Factor of the learning rate in update number `update` of `total`. Both numbers include
+    /// skipped updates. `update` counts from 0.
     ///
     /// The first `warm_up` updates have the factors `1 / (warm_up + 1)`, `2 / (warm_up + 1)`, and
     /// so on. Then `s = (update - warm_up) / (total - warm_up)`, at most 1.

@@ -120,8 +120,8 @@ impl Default for Training {
 }
 
 impl Training {
-    /// Samples for which a mini-batch of `samples` needs memory for gradients. One for zeroth-order
-    /// estimates, which use losses only.
+    /// Number of samples for which a mini-batch of `samples` samples needs memory for gradients.
+    /// One for zeroth-order estimates, which use losses only.
     pub(crate) fn derived(&self, samples: usize) -> usize {
         let is_zeroth = self.smoothing.is_some_and(|smoothing| smoothing.estimator == Estimator::ZerothOrder);
         if is_zeroth { 1 } else { samples }
@@ -246,8 +246,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
         self
     }
 
-    /// Starts from these parameters of the policy, rather than from those of
-    /// [`Policy::init`].
+    /// Starts from these parameters of the policy, rather than from those of [`Policy::init`].
     pub fn start_from(mut self, theta: Vec<f64>) -> Self {
         self.theta = Some(theta);
         self
@@ -304,7 +303,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     ///
     /// # Errors
     /// [`TrainError`] if a setting is invalid, the memory limit is too small, or a parameter of
-    /// [`start_from`](Self::start_from) is not finite.
+    /// [`start_from`](Self::start_from) is non-finite.
     ///
     /// # Panics
     /// If the dimensions of task and policy differ. If the policy trains a parameter that the task
@@ -329,8 +328,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// serves for losses only, and its length sets the number of samples of an epoch.
     ///
     /// # Errors
-    /// [`TrainError`] if a setting is invalid, the memory limit is too small, or a parameter is not
-    /// finite. Also if a set is empty or not a whole number of samples.
+    /// [`TrainError`] if a setting is invalid, the memory limit is too small, or a parameter is
+    /// non-finite. Also if a set is empty or not a whole number of samples.
     ///
     /// # Panics
     /// If the length of `theta` differs from the policy's `param_count`. If the dimensions of task
@@ -343,7 +342,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     }
 }
 
-/// Returns the parameters, or an error if one is not finite.
+/// Returns the parameters, or an error if one is non-finite.
 fn finite<F: Float>(theta: Vec<F>) -> Result<Vec<F>, TrainError> {
     match theta.iter().position(|value| !value.to_f64().is_finite()) {
         None => Ok(theta),

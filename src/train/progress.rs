@@ -84,7 +84,7 @@ pub(super) struct Progress<F: Float> {
     pub(super) optimizer: Optimizer<F>,
     /// Moving average of the direction of the second gradient. Empty without an average.
     pub(super) direction: Vec<F>,
-    /// Moving average before the current update, which a skipped update restores.
+    /// Moving average before the current update. A skipped update restores it.
     previous_direction: Vec<F>,
     pub(super) train: Vec<F>,
     pub(super) test: Vec<F>,

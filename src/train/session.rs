@@ -112,7 +112,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     }
 
     /// Warnings about the last epoch: skipped updates, non-finite losses, unreliable gradients.
-    /// Each states the epoch and a remedy. A session returns each kind of warning once.
+    /// Each states the epoch and a remedy, unless the causes of skips are unknown after
+    /// [`restore`](Session::restore). A session returns each kind of warning once.
     ///
     /// Empty within an epoch. [`Trainer::run`](crate::Trainer::run) prints them.
     pub fn warnings(&mut self) -> Vec<String> {
@@ -174,8 +175,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
         self.progress.restore(&self.policy, bytes, label)
     }
 
-    /// Rewrites magic number, format and checksum to match `bytes`. Used by tests that corrupt the
-    /// body.
+    /// Rewrites magic number, format and checksum in `bytes` to match the contents. Used by tests
+    /// that corrupt the body.
     #[doc(hidden)]
     pub fn seal(bytes: &mut [u8]) {
         checkpoint::seal(bytes);

@@ -12,7 +12,7 @@ pub struct Warning {
     pub epoch: usize,
     /// Kind of the cause. Epochs may have causes of one kind with different texts.
     pub kind: &'static str,
-    /// Cause and remedy.
+    /// Cause, and remedy if known.
     pub cause: String,
 }
 
@@ -58,9 +58,9 @@ impl<F: Float> Progress<F> {
     }
 }
 
-/// Returns two warnings about an epoch in which `count` of `updates` updates were skipped. `known`
-/// is one of them; a session does not know those before its checkpoint. At most one warning is
-/// present.
+/// Returns the warnings about some and about all updates skipped, for an epoch that skipped `count`
+/// of `updates` updates. At most one is present. `known` is one of the skipped updates. It is
+/// `None` if all were skipped before the restored checkpoint.
 fn skipped(count: usize, updates: usize, known: Option<&Skip>) -> [Option<String>; 2] {
     let cause = known.map(|skip| format!(" ({})", skip.divergence)).unwrap_or_default();
     let place = known.map(|skip| format!(", for example update {}", skip.update)).unwrap_or_default();

@@ -31,7 +31,7 @@ pub(super) const CASES: &[Case] = &[Case {
 const DT: f64 = 4.0 / 60.0;
 /// Strength of the pair force, m²/s².
 const STRENGTH: f64 = 10.0;
-/// Stiffness of the pair force at distance 0 per mass, 1/s²: the strength over the squared
+/// Stiffness per mass of the pair force at distance 0, 1/s²: the strength over the squared
 /// softening length of 0.1 m.
 const STIFFNESS: f64 = STRENGTH / 0.01;
 

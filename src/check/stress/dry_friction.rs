@@ -58,7 +58,7 @@ fn implicit(smoothing: f64) -> Vec<Finding> {
     let turned = speeds().filter(|&v| v < 0.0).count();
     findings.push(Finding::at_most(format!("ε = {smoothing:.0e}: implicit states with a speed below 0"), turned as f64, 0.0));
 
-    // v̇ = -a tanh(v/ε): sinh(v/ε) decays by exp(-a t/ε). "At rest" means below 1 % of the initial
+    // v̇ = -a tanh(v/ε): sinh(v/ε) decays as exp(-a t/ε). "At rest" means below 1 % of the initial
     // speed and below 3 ε.
     let (a, rest) = (deceleration(&system), f64::min(0.01, 3.0 * smoothing));
     let ln_sinh = |v: f64| v / smoothing + (-(-2.0 * v / smoothing).exp()).ln_1p() - std::f64::consts::LN_2;

@@ -131,7 +131,7 @@ fn tenths<I: Integrator>(integrator: I, steps: usize) -> Tenths {
 }
 
 /// Statistics of the energy errors `error(t)` for t from 0 to `steps - 1`. A NaN that persists to
-/// the last step makes the trend NaN, and the growth infinite or NaN. Neither then meets its bound.
+/// the last step makes the trend and the growth NaN. Neither then meets its bound.
 fn tenths_of(steps: usize, mut error: impl FnMut(usize) -> f64) -> Tenths {
     let (mut low, mut high): (f64, f64) = (0.0, 0.0);
     let (mut sums, mut largest) = ([0.0; 10], [0.0_f64; 10]);

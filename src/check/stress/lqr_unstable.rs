@@ -212,8 +212,8 @@ fn one_by_one(seed: u64) -> Training {
     Training { batch: 1, seed, rule: OptimizerKind::Sgd, learning_rate: 0.1, clip: Clip::Norm(1.0), ..in_batches() }
 }
 
-/// 3000 updates by the rule of the ICLR 2024 paper, with a learning rate large enough to reach the
-/// optimum.
+/// 3000 updates by the optimizer of the ICLR 2024 paper, with a learning rate large enough to reach
+/// the optimum.
 fn in_batches() -> Training {
     Training { epochs: 3000 / EPOCH, batch: 8, shuffle: true, learning_rate: 0.03, ..Training::default() }
 }

@@ -197,8 +197,8 @@ impl CoupledCartPole {
             forces_bar.push(torque_bar);
             if let Some(x_bar) = &mut cotangents.x {
                 let sin_bar = torque_bar * k.weight + push_bar * (k.moment * omega * omega);
-                // The cosine enters α and the push linearly, and the mass as a square. The
-                // cotangent of the mass is -ẍ times that of the push.
+                // The cosine enters α_i and `push` linearly, and `mass`, the factor of ẍ,
+                // quadratically. The cotangent of `mass` is -ẍ times that of `push`.
                 let in_push = (R::from(2.0) * lever * a - torque) * k.per_inertia;
                 let cos_bar = (push_bar * in_push - alpha_bar * a) * k.moment;
                 x_bar[2 + 2 * i] += theta_bar;

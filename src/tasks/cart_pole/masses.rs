@@ -50,8 +50,8 @@ impl CartPoleSystem {
     /// changes the mass of the cart noticeably.
     pub const LIGHTEST_CART: f64 = 1e-9;
 
-    /// Checks the number of poles, and all possible values of the masses and the half length. Does
-    /// not check beyond infinite bounds of a trained number.
+    /// Checks the number of poles, and all possible values of the masses and the half length. For a
+    /// trained number, checks the initial value and the finite bounds.
     ///
     /// Rejects cart masses of 0 and below as unphysical. The equations of [`CoupledCartPole`] are
     /// nevertheless solvable at all angles if the cart mass exceeds minus a quarter of the poles'

@@ -51,8 +51,8 @@ impl System for BouncingBall {
     }
 }
 
-/// Task to reach a height at the end. The cost is `(h - target)²`, in m². The thrust carries no
-/// cost.
+/// Task to reach a height at the end. The terminal cost is `(h - target)²` in m², with the height
+/// h. The thrust carries no cost.
 ///
 /// Initial heights are 0.5 to 1.5 m, initial speeds within ±1 m/s.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -47,8 +47,8 @@ impl Lqr {
     /// of Riccati's equation.
     ///
     /// # Panics
-    /// If Q or R is not symmetric or has an entry that is not finite, Q is not
-    /// `state_dim × state_dim`, or R is not `control_dim × control_dim`.
+    /// If Q or R is not symmetric or has a non-finite entry, Q is not `state_dim × state_dim`, or R
+    /// is not `control_dim × control_dim`.
     #[track_caller]
     pub fn new(plant: LinearPlant, state_cost: Vec<f64>, control_cost: Vec<f64>) -> Result<Self, NoOptimum> {
         let (n, m) = (plant.state_dim(), plant.control_dim());

@@ -29,22 +29,24 @@ pub enum NoOptimum {
     /// R is not positive definite.
     #[error("the cost R of controls is not positive definite, so no optimal control exists; use an R with positive eigenvalues")]
     ControlCost,
-    /// `R + Bᵀ W B` with the W of [`Optimum`] is not positive definite, or W differs from `Q + P`.
-    /// In exact arithmetic, both require a negative eigenvalue of Q. Rounding errors may cause
-    /// either if no control stabilizes the plant, or if the problem is ill-conditioned.
+    /// Q has a negative eigenvalue. Moreover, `R + Bᵀ W B` with the W of [`Optimum`] is not
+    /// positive definite, or W differs from `Q + P`. In exact arithmetic, both faults require a
+    /// negative eigenvalue of Q.
     #[error(
         "the cost decreases without bound for large controls, because the cost Q of states has a negative eigenvalue; \
          use a Q without negative eigenvalues"
     )]
     StateCost,
-    /// The control found does not stabilize the plant, although Q has no negative eigenvalue.
+    /// The control found does not stabilize the plant, although Q has no negative eigenvalue. Also
+    /// covers the faults of [`StateCost`](Self::StateCost) for such a Q. Rounding errors may cause
+    /// them if no control stabilizes the plant, or if the problem is ill-conditioned.
     #[error(
         "no control makes the plant decay: it has motions without decay that no control reaches or on which the cost does not \
          depend, or the costs differ by too many orders of magnitude for f64"
     )]
     Unstabilizable,
-    /// The doubling iteration did not converge: the cost is unbounded, or the plant decays too
-    /// slowly.
+    /// The doubling iteration did not converge, or a matrix to invert was singular: the cost is
+    /// unbounded, or the plant decays too slowly.
     #[error(
         "Riccati's equation did not converge in 2^{doublings} steps (the last doubling changed W by {change:.1e} of its size): \
          the plant has motions without decay that no control reaches or on which the cost does not depend, or the cost Q of \
@@ -79,7 +81,8 @@ impl Optimum {
     ///
     /// # Errors
     /// Returns [`NoOptimum`] if R or `R + Bᵀ W B` is not positive definite, if the iteration does
-    /// not converge, or if the result W differs from `Q + P`.
+    /// not converge, or if the result W differs from `Q + P`. If Q has no negative eigenvalue, also
+    /// returns it for a closed loop that does not decay.
     pub(super) fn of(plant: &LinearPlant, state_cost: &[f64], control_cost: &[f64]) -> Result<Self, NoOptimum> {
         let (n, m) = (plant.state_dim(), plant.control_dim());
         let (a, b) = (plant.a(), plant.b());

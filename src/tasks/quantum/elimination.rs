@@ -82,7 +82,7 @@ pub(super) struct Elimination<'a, T> {
 }
 
 impl<T: Scalar> Elimination<'_, T> {
-    /// Computes `y ← A⁻¹ rhs`. Both alternate real and imaginary parts.
+    /// Computes `y ← A⁻¹ rhs`. In both slices, real and imaginary parts alternate.
     #[inline(always)]
     pub(super) fn solve<V: Vector<T>>(&self, rhs: &[V], y: &mut [V]) {
         let (b, n) = (self.b, self.per_pivot.len());

@@ -71,8 +71,8 @@ impl Propagator {
         Self { grid, table, rounded }
     }
 
-    /// Computes `out ← K psi`. Both alternate real and imaginary parts. With `ADJOINT`, applies the
-    /// conjugate, which is the adjoint because K is symmetric.
+    /// Computes `out ← K psi`. In both slices, real and imaginary parts alternate. With `ADJOINT`,
+    /// applies the conjugate, which is the adjoint because K is symmetric.
     #[inline(always)]
     pub(super) fn apply<T: Scalar, V: Vector<T>, const ADJOINT: bool>(&self, psi: &[V], out: &mut [V]) {
         let (n, half) = (self.grid, self.grid.div_ceil(2));
