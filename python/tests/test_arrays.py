@@ -19,7 +19,7 @@ def task(request):
     if request.param == "drawn":
         return pg.task("cart_pole", pole_mass={"uniform": [0.1, 0.2]}, effects={"steady_wind": {}})
     if request.param == "actuated":
-        settings = {"actuator.limit.bound": 2.0, "actuator.lag.time_constant": 0.1, "integrator.substeps": 2}
+        settings = {"actuator.limit.bound": 2.0, "actuator.lag.time": 0.1, "integrator.substeps": 2}
         return pg.task("pendulum", settings=settings)
     return pg.task(request.param)
 
