@@ -25,8 +25,8 @@ use rand_distr::{Distribution as _, StandardNormal};
 ///   training;
 /// - zeroth order: mean of `(L(θ + σ ε) - L(θ - σ ε)) / (2 σ) · ε`.
 ///
-/// V₁ and V₀ denote the variances of the first-order and of the zeroth-order estimate. A variance is
-/// the sum over the pairs of the squared distance from the mean, divided by n (n - 1).
+/// V₁ and V₀ denote the variances of the first-order and of the zeroth-order estimate. A variance
+/// is the sum over the pairs of the squared distance from the mean, divided by n (n - 1).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Smoothing {
     /// Estimate that the update follows.
