@@ -90,7 +90,6 @@ impl<S: HasModel<QuantumSystem>> Quantum<S> {
     pub fn with_system(system: S, target: usize) -> Self {
         let grid = system.model().grid;
         assert!(grid >= 3, "the grid has {grid} points; allowed: 3 or more");
-        assert!(grid >= 3, "the grid has {grid} points; allowed: 3 or more");
         assert!((1..=grid).contains(&target), "the target is eigenstate {target}; allowed: 1, the ground state, to {grid}");
         Self { system, target, loss: LossMode::Running, horizon: 128, weighting: [1.0, 1.0] }
     }
