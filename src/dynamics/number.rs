@@ -197,6 +197,7 @@ impl<'a> Numbers<'a> {
     }
 
     /// Names and numbers, in order.
+    #[cfg(feature = "program")]
     pub(crate) fn listed(&self) -> impl Iterator<Item = (&'static str, &'a Number)> + use<'a> {
         let (list, count) = (self.list, self.count);
         list.into_iter().take(count)

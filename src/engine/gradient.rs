@@ -1,6 +1,6 @@
 //! [`Gradient`]: a vector over the parameters with a common exponent.
 
-use crate::numbers::extended::{ExtendedF64, exponent_of, scaled, scaled_with_sign, times_power_of_two};
+use crate::numbers::extended::{ExtendedF64, exponent_of, scaled, scaled_with_sign};
 use crate::numbers::kernels::{SimdLevel, elementwise};
 use crate::numbers::scalar::Float;
 use crate::numbers::zip::zip;
@@ -60,8 +60,9 @@ impl<F: Float> Gradient<F> {
     }
 
     /// Returns [`to_vec`](Gradient::to_vec) in f64, whose range is larger than that of f32.
+    #[cfg(feature = "program")]
     pub(crate) fn to_f64(&self) -> Vec<f64> {
-        self.values.iter().map(|value| times_power_of_two(value.as_(), self.exponent)).collect()
+        self.values.iter().map(|value| scaled(value.as_(), self.exponent)).collect()
     }
 
     /// Bytes on the heap of a gradient of `params` parameters.
