@@ -72,7 +72,8 @@ impl Chart {
         self.y_label
     }
 
-    /// Drawn series, each with at least one point. Lines of many points are thinned.
+    /// Drawn series, each with at least one point. Lines have at most 250 points; longer ones are
+    /// thinned.
     pub fn series(&self) -> &[Series] {
         &self.series
     }

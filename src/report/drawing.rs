@@ -69,7 +69,7 @@ fn number_clips(scene: &mut Scene) {
     });
     for (number, id) in clips.enumerate() {
         let old = std::mem::replace(id, format!("clip-{number}"));
-        // The definition of a clip path contains the old identifier.
+        // Renames the clip path in its definition too.
         for definition in &mut scene.defs {
             *definition = definition.replace(&format!("id=\"{old}\""), &format!("id=\"{id}\""));
         }

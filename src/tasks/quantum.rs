@@ -43,8 +43,8 @@ any_effect! {
 
 /// Task to bring the particle into an eigenstate of the box, with the infidelity as loss.
 ///
-/// The infidelity of a state ψ is `1 - |⟨φ, ψ⟩|²`, between 0 and 1, where φ is the target and `⟨φ,
-/// ψ⟩ = Σ_j φ_j ψ_j`. The control carries no cost.
+/// The infidelity of a state ψ is `1 - |⟨φ, ψ⟩|²`, between 0 and 1. Here, φ is the target, and
+/// `⟨φ, ψ⟩ = Σ_j φ_j ψ_j`. The control carries no cost.
 ///
 /// Initial states mix the two lowest eigenstates, so the third is the lowest target outside their
 /// span. All eigenstates are those of the box without potential, even with effects.

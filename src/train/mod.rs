@@ -307,8 +307,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     ///
     /// # Panics
     /// If the dimensions of task and policy differ. If the policy trains a parameter that the task
-    /// lacks. If the horizon is 0. If the number of parameters of
-    /// [`start_from`](Self::start_from) differs from the policy's `param_count`.
+    /// lacks. If the horizon is 0. If the number of parameters of [`start_from`](Self::start_from)
+    /// differs from the policy's `param_count`.
     pub fn session(self) -> Result<Session<T, P, F, C>, TrainError> {
         let Self { task, policy, field, training, theta, .. } = self;
         training.validate()?;

@@ -59,8 +59,8 @@ impl<F: Float> Progress<F> {
 }
 
 /// Returns the warnings about some and about all updates skipped, for an epoch that skipped `count`
-/// of `updates` updates. At most one is present. `known` is one of the skipped updates. It is
-/// `None` if all were skipped before the restored checkpoint.
+/// of `updates` updates. At most one is present. `known` is one of the skipped updates, if any is
+/// recorded. A restored session has no record of those before its checkpoint.
 fn skipped(count: usize, updates: usize, known: Option<&Skip>) -> [Option<String>; 2] {
     let cause = known.map(|skip| format!(" ({})", skip.divergence)).unwrap_or_default();
     let place = known.map(|skip| format!(", for example update {}", skip.update)).unwrap_or_default();

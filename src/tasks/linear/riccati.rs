@@ -29,9 +29,9 @@ pub enum NoOptimum {
     /// R is not positive definite.
     #[error("the cost R of controls is not positive definite, so no optimal control exists; use an R with positive eigenvalues")]
     ControlCost,
-    /// Q has a negative eigenvalue. Moreover, `R + Bᵀ W B` with the W of [`Optimum`] is not
-    /// positive definite, or W differs from `Q + P`. In exact arithmetic, both faults require a
-    /// negative eigenvalue of Q.
+    /// Q has a negative eigenvalue. `R + Bᵀ W B`, with the W of [`Optimum`], is not positive
+    /// definite, or W differs from `Q + P`. In exact arithmetic, both faults require a negative
+    /// eigenvalue of Q.
     #[error(
         "the cost decreases without bound for large controls, because the cost Q of states has a negative eigenvalue; \
          use a Q without negative eigenvalues"

@@ -8,7 +8,7 @@ use crate::numbers::kernels::Vectorized;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
 /// Any scheme for Schrödinger's equation. Results equal those of the contained scheme bit for bit.
-/// Steps are outlined: each step is one call.
+/// Steps are outlined: each step is one function call.
 ///
 /// | scheme | order in dt | fewest steps per 0.0625 units of time for a phase error below 1 % | cost of a step |
 /// |---|---|---|---|
