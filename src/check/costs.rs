@@ -14,7 +14,7 @@ use crate::numbers::rng::{Purpose, stream};
 #[track_caller]
 pub fn cost<T: Task>(task: &T) -> Passed {
     try_cost(task).unwrap_or_else(|mismatch| {
-        if mismatch.expected.is_nan() {
+        if mismatch.is_not_finite() {
             panic!("the task cannot be checked: {mismatch}. The check adds noise of 0.1 to the initial states");
         }
         panic!(

@@ -92,14 +92,16 @@ fn of_any(system: &dyn AnySystem<f64>, inputs: Inputs<'_, f64>) -> Stability {
             // The power of a nilpotent matrix is 0 from the exponent n on. A later 0 is an
             // underflow: the last estimate bounds the spectral radius.
             let is_nilpotent = round == 0 || 1 << (round - 1) < n;
-            let bound = if is_nilpotent { 0.0 } else { f64::exp(logarithm) };
+            if is_nilpotent {
+                return Stability { multiplier: 0.0, component };
+            }
             // Computed eigenvalues of a triangular matrix are exact for one of J and Jᵀ.
             let jacobian = DMatrix::from_row_slice(n, n, &jacobian);
             let largest = [jacobian.transpose(), jacobian].map(|matrix| {
                 let sizes = matrix.complex_eigenvalues().map(|value| value.re.hypot(value.im));
                 sizes.iter().copied().fold(0.0, f64::max)
             });
-            return Stability { multiplier: largest.into_iter().fold(bound, f64::min), component };
+            return Stability { multiplier: largest.into_iter().fold(f64::exp(logarithm), f64::min), component };
         }
         logarithm += share * largest.ln();
         share *= 0.5;

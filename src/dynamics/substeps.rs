@@ -96,6 +96,9 @@ impl<S: System> System for Substeps<S> {
     }
 
     fn jvp<R: Real>(&self, inputs: Inputs<'_, R>, tangents: Tangents<'_, R>, next_tan: &mut [R]) {
+        if self.count <= 1 {
+            return self.system.jvp(self.inner(inputs, 0), tangents, next_tan);
+        }
         let states = self.states(inputs);
         let mut state_tan: SmallVec<[R; STACK]> = SmallVec::new();
         for (i, state) in states.chunks_exact(inputs.x.len()).enumerate() {

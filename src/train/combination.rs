@@ -4,7 +4,7 @@ use crate::engine::gradient::Gradient;
 use crate::numbers::extended::times_power_of_two;
 use crate::numbers::kernels::{SimdLevel, elementwise};
 use crate::numbers::scalar::Float;
-use crate::train::field::GradientCombiner;
+use crate::train::field::{GradientCombiner, common_exponent};
 
 /// Rule that combines two gradients of the same mini-batch. In the formulas, m is the first
 /// gradient and r the second. [`Field`](crate::Field) has one constructor per rule for M and R.
@@ -89,9 +89,7 @@ impl GradientCombiner for Combination {
             // The exponent of the second gradient has no effect.
             return self.combine(first.values(), second.values(), out.values_mut(first.exponent()));
         }
-        let of_nonzero = |gradient: &&Gradient<F>| gradient.values().iter().any(|&g| g != F::zero());
-        let exponents = [first, second].into_iter().filter(of_nonzero).map(Gradient::exponent);
-        let exponent = exponents.max().unwrap_or(0);
+        let exponent = common_exponent(first, second);
         let relative = [first, second].map(|gradient| gradient.exponent() - exponent);
         conflict_free(first.values(), second.values(), relative, out.values_mut(exponent));
     }

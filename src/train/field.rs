@@ -63,7 +63,7 @@ pub trait GradientCombiner: Sync + Send {
     /// Writes the combination of two gradients, whose exponents may differ, into `out`.
     #[doc(hidden)]
     fn combine_gradients<F: Float>(&self, first: &Gradient<F>, second: &Gradient<F>, out: &mut Gradient<F>) {
-        let exponent = first.exponent().max(second.exponent());
+        let exponent = common_exponent(first, second);
         if self.ignores_size_of_second() || first.exponent() == second.exponent() {
             self.combine(first.values(), second.values(), out.values_mut(first.exponent()));
         } else {
@@ -71,6 +71,12 @@ pub trait GradientCombiner: Sync + Send {
             self.combine(first.values(), second.values(), out.values_mut(exponent));
         }
     }
+}
+
+/// Larger exponent of two gradients. The exponent of a zero gradient has no meaning.
+pub(super) fn common_exponent<F: Float>(first: &Gradient<F>, second: &Gradient<F>) -> i32 {
+    let is_nonzero = |gradient: &&Gradient<F>| gradient.values().iter().any(|&g| g != F::zero());
+    [first, second].into_iter().filter(is_nonzero).map(Gradient::exponent).max().unwrap_or(0)
 }
 
 impl Field {

@@ -141,10 +141,10 @@ fn costs_of_the_current_state_survive_a_derivative_of_0() {
     }
 }
 
-/// The adjoint grows by a factor of 8 per step and restarts at step 50. The controls and the number
-/// occur in the cost only.
+/// The adjoint grows by a factor of 8 per step, beyond the range of f32, and restarts at step 50.
+/// The controls and the number occur in the cost only.
 #[test]
-fn gradients_of_direct_costs_survive_an_adjoint_beyond_the_range_of_f32() {
+fn gradients_of_direct_costs_survive_a_restart() {
     struct Priced;
     impl System for Priced {
         fn state_dim(&self) -> usize {

@@ -6,7 +6,7 @@ use physgrad::tasks::{
 };
 use physgrad::{
     Actuated, AnyIntegrator, Cause, CotangentPack, Cotangents, Delay, Dual, DynEffect, DynSystem, DynTask, Effect, Forced,
-    ForcedSystem, ImplicitMidpoint, Inputs, Integrated, Lanes, Named, OdeInputs, Real, Scalar, Substeps, System, Task,
+    ForcedSystem, ImplicitMidpoint, Inputs, Integrated, Lanes, Named, OdeInputs, Real, Scalar, Substeps, System, Task, check,
 };
 
 /// Effect whose force is infinite at a state of ones.
@@ -63,6 +63,11 @@ fn wrappers_forward_the_cause_of_the_wrapped_system() {
     let hard = hard.system();
     assert!(matches!(cause(hard), Some(Cause::Unsolved(_))), "{:?}", cause(hard));
     assert_eq!(cause(hard), cause(&stepped));
+    // The stability follows from JVPs.
+    let system = DynTask::new(Upright::double_pendulum()).system().clone();
+    let lagging = Actuated { system: Substeps { system, count: 2 }, actuator: Delay { steps: 1 } };
+    let zeros = vec![0.0; 5];
+    assert!(check::stability(&lagging, Inputs::new(&zeros, &zeros[..1])).multiplier.is_finite());
     // The engine diagnoses a step of one sample in a lane.
     let substeps = Substeps { system: hard.clone(), count: 2 };
     let ones = [Lanes([1.0_f64]); 4];

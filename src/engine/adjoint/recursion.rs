@@ -381,7 +381,8 @@ impl<F: Float, const K: usize> Recursion<F, K> {
     /// Returns whether the cotangents of one flow and sample are too small for their exponent.
     fn is_small(&self, k: usize, sample: usize, rollout: &Rollout<F>, place: Place) -> bool {
         let [of_lambda, of_outputs] = Self::carried(sample / WIDTH, rollout, place);
-        let bars = self.lambda[of_lambda].iter().chain(&self.u_bar[of_outputs]);
+        // Sums in the order of `reverse_step`, as `rescale` does.
+        let bars = self.u_bar[of_outputs].iter().chain(&self.lambda[of_lambda]);
         bars.fold(F::zero(), |sum, bar| sum + bar.0[k].lane(sample % WIDTH).abs()) < Limits::new().low
     }
 
