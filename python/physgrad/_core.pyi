@@ -226,7 +226,8 @@ def identify(
 
     `data` is a list of pairs: measured states, (steps, n), NaN where missing, and controls,
     (steps, m). `params` is a list of dotted keys, a dict with initial values, or a dict of dicts
-    with "start", "min" and "max". `noise` has the standard deviation of each state, (n,).
+    with "start", "min" and "max". `noise` has the standard deviation of the measurement noise of
+    each state, (n,).
     """
 
 def check(task: Task, policy: Policy | None = None) -> str:
