@@ -7,16 +7,16 @@ use crate::numbers::scalar::{Cotangent, Lanes, Real};
 use std::cell::{Cell, RefCell};
 use std::thread::LocalKey;
 
-/// Derivative of the result of an entry with respect to the numbers `a` and `b` that it depends on.
+/// Slopes of an entry: derivatives of the result with respect to the numbers `a` and `b`.
 #[derive(Clone, Copy, Debug)]
 enum Rule {
-    /// `a + b`.
+    /// `a + b`: slopes 1 and 1, not stored.
     Sum,
-    /// `a - b`.
+    /// `a - b`: slopes 1 and -1, not stored.
     Difference,
-    /// One slope: with respect to `a`.
+    /// One stored slope: with respect to `a`.
     One,
-    /// Two slopes: with respect to `a` and to `b`.
+    /// Two stored slopes: with respect to `a` and to `b`.
     Two,
 }
 

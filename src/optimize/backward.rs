@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector};
 
 /// Changes of the controls, gains, and predicted decrease.
 pub(super) struct Step {
-    /// Change of each control, `[step]`.
+    /// Changes of the controls, `[step]`.
     pub(super) changes: Vec<DVector<f64>>,
     /// Gains of the deviations of the state, `[step]`, each `control_dim × state_dim`.
     pub(super) gains: Vec<DMatrix<f64>>,
@@ -30,8 +30,9 @@ const CONTROL_SHARE: f64 = 1e-6;
 /// regularized Hessian with respect to the free controls is not positive definite at a step.
 ///
 /// v and V are the gradient and the Hessian of the cost-to-go after the step, v' and V' those
-/// before it. S is the step of the system, A = ∂S/∂x, B = ∂S/∂u, z = [x, u], and μ is the
-/// regularization. The running cost l depends on z directly and through the next state:
+/// before it. k is the change of the controls, and K is the gain. S is the step of the system,
+/// A = ∂S/∂x, B = ∂S/∂u, z = [x, u], and μ is the regularization. The running cost l depends on z
+/// directly and through the next state:
 ///
 /// ```text
 /// q = ∂l/∂z + [A B]ᵀ v,    Q = ∂²l/∂z² + [A B]ᵀ V [A B]

@@ -59,8 +59,8 @@ impl BoxQp {
         Some(Self { solution, free, factor })
     }
 
-    /// Returns the gains `-Q⁻¹ c` of the free components for a gradient `q = c x`, and zero rows
-    /// for the others.
+    /// Returns the gains `-Q⁻¹ c` for a gradient `q = c x`, with Q and c restricted to the free
+    /// components. The rows of the other components are 0.
     pub(super) fn gains(&self, cross: &DMatrix<f64>) -> DMatrix<f64> {
         let mut gains = DMatrix::zeros(cross.nrows(), cross.ncols());
         let of_free = -self.factor.solve(&cross.select_rows(&self.free));

@@ -108,7 +108,8 @@ impl Problem<'_> {
 
 /// Computes the gradient with respect to the controls by the adjoint recursion.
 ///
-/// If the gradient is not finite at a step, the second result is an error with this step.
+/// The second result is an error with the step if the gradient with respect to state or controls of
+/// this step is not finite.
 fn gradient_by_control(steps: &[StepExpansion], terminal: DVector<f64>, n: usize, m: usize) -> (Vec<f64>, Result<(), usize>) {
     let (mut adjoint, mut by_control) = (terminal, vec![0.0; steps.len() * m]);
     for (t, step) in steps.iter().enumerate().rev() {

@@ -16,7 +16,7 @@ pub struct Options {
     /// Converged if each of three consecutive iterations decreases the cost by at most this
     /// fraction. Also converged if the line search fails and the full step has a predicted decrease
     /// of at most this fraction. Both limits include the rounding error of the cost two iterations
-    /// before, or of the initial cost if there are fewer.
+    /// before, or of the initial cost after fewer than two iterations.
     pub cost_tolerance: f64,
     /// Bounds `[low, high]` of each control, at all steps. Infinite bounds are allowed. `None`: no
     /// bounds.
@@ -94,8 +94,9 @@ impl Bounds {
         Ok(Self(bounds))
     }
 
-    /// Clamps the controls of one step. A control at a distance of at most 4 ε |bound| becomes the
-    /// bound, with the machine epsilon ε. Rounding therefore moves no control away from its bound.
+    /// Clamps the controls of one step. A control at a distance of at most 4 ε |bound| from a bound
+    /// becomes this bound, with the machine epsilon ε. Rounding therefore moves no control away
+    /// from its bound.
     pub(super) fn clamp(&self, u: &mut [f64]) {
         for (u, &[low, high]) in u.iter_mut().zip(&self.0) {
             let near = |bound: f64| 4.0 * f64::EPSILON * bound.abs();

@@ -84,7 +84,7 @@ impl<T: Task> Task for Tracking<'_, T> {
     }
 
     fn draw_start(&self, rng: &mut Rng, start: Start<'_>) {
-        // Numbers have the values of the plan.
+        // Draws no physical numbers: all parameters have the values of the plan.
         self.start(rng, start);
     }
 

@@ -17,8 +17,8 @@ impl<P: Policy> Bounded<P> {
     /// Bounds each control of `policy`.
     ///
     /// # Panics
-    /// If there is not one bound per control, between 1e-37 and 1e37. If the policy has neither
-    /// observations nor a memory.
+    /// If the number of bounds differs from the number of controls. If a bound is not between 1e-37
+    /// and 1e37. If the policy has neither observations nor a memory.
     #[track_caller]
     pub fn new(policy: P, bounds: impl Into<Vec<f64>>) -> Self {
         let bounds = bounds.into();
@@ -32,7 +32,7 @@ impl<P: Policy> Bounded<P> {
         Self { policy, bounds }
     }
 
-    /// Numbers per column of outputs: controls and memory.
+    /// Length of an output column: controls and next memory.
     fn outputs(&self) -> usize {
         self.bounds.len() + self.policy.memory_dim()
     }

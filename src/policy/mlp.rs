@@ -1,10 +1,10 @@
 //! [`Mlp`]: a multi-layer perceptron with a linear output.
 //!
-//! `θ` holds for each layer the weights (inputs × outputs, row-major), then the bias, as in Keras.
-//! Weights and bias form one (inputs + 1) × outputs matrix, and every column of activations ends in
-//! a constant 1. For each block of columns, the forward pass of a hidden layer and the weight
-//! gradient of any layer are therefore one matrix product each. The forward pass of the output
-//! layer consists of dot products.
+//! `θ` holds for each layer the weights (inputs × outputs, row-major), then the bias, if any, as in
+//! Keras. Weights and bias form one (inputs + 1) × outputs matrix, and every column of activations
+//! ends in a constant 1. For each block of columns, the forward pass of a hidden layer and the
+//! weight gradient of any layer are therefore one matrix product each. The forward pass of the
+//! output layer consists of dot products.
 
 use super::activation::activate;
 use super::{

@@ -106,8 +106,8 @@ pub trait Policy: Send + Sync {
         &[]
     }
 
-    /// Named tensors within `θ`, in order, for export to other programs. Default: one named
-    /// `theta`.
+    /// Named tensors within `θ`, in order, for export to other programs. Default: one tensor with
+    /// the name `theta`.
     fn tensors(&self) -> Vec<Tensor> {
         vec![Tensor { name: "theta".into(), shape: vec![self.param_count()], range: 0..self.param_count() }]
     }
@@ -214,14 +214,14 @@ impl<'a, F> PolicyPass<'a, F> {
         Self { first_step: steps.start, steps: steps.len(), ..self }
     }
 
-    /// Iterates over the steps, with the columns of all samples at that step.
+    /// Iterates over the steps, each with the columns of all samples at this step.
     pub fn each_step(&self) -> impl Iterator<Item = (usize, PolicyColumns)> + use<F> {
         let (PolicyColumns { first, step, count }, first_step, steps) = (self.at, self.first_step, self.steps);
         let columns = move |i: usize| PolicyColumns { first: first + i * step, step: step * steps, count: count / steps };
         (0..steps).map(move |i| (first_step + i, columns(i)))
     }
 
-    /// Iterates over blocks of at most [`BLOCK`] samples at one step, with that step.
+    /// Iterates over blocks of at most [`BLOCK`] samples at one step, each with its step.
     fn blocks(&self) -> impl Iterator<Item = (usize, PolicyColumns)> + use<F> {
         self.each_step().flat_map(|(t, columns)| columns.blocks(BLOCK).map(move |block| (t, block)))
     }

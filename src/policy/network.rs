@@ -17,7 +17,7 @@ pub struct NetworkLayer {
     pub kernel: String,
     /// Name of the tensor b with one bias per output or filter, if any.
     pub bias: Option<String>,
-    /// Function of every output. None for a linear layer.
+    /// Function of every output. `None` for a linear layer.
     pub activation: Option<Activation>,
 }
 

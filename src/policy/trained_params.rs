@@ -42,7 +42,7 @@ impl TrainedParam {
         Self::above(index, initial, 0.0)
     }
 
-    /// Trains `p[index] = low + exp(r)`, from a value above the bound.
+    /// Trains `p[index] = low + exp(r)`, from an initial value above the bound `low`.
     ///
     /// # Panics
     /// If the initial value is not above the bound, or either is not finite.
@@ -56,7 +56,8 @@ impl TrainedParam {
         Self { index, initial, scale: Scale::Above { low } }
     }
 
-    /// Trains `p[index] = low + (high - low) / (1 + exp(-r))`, from a value between the bounds.
+    /// Trains `p[index] = low + (high - low) / (1 + exp(-r))`, from an initial value between the
+    /// bounds.
     ///
     /// # Panics
     /// If the initial value is not strictly between the bounds, or a bound is not finite.

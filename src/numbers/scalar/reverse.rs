@@ -10,8 +10,8 @@ const CONSTANT: u32 = u32::MAX;
 /// A value and its index on the tape of the current thread ([`Real::tape`]).
 ///
 /// Values are bit-identical to those of the scalar `R`. An operation whose operands are all
-/// constants has no entry. A number plus a constant has the cotangent of the number, and therefore
-/// its index.
+/// constants has no entry. A number plus or minus a constant has the cotangent of the number, and
+/// therefore the index of the number.
 ///
 /// Slopes equal those of [`Dual`](super::Dual) up to rounding.
 #[derive(Clone, Copy, Debug)]

@@ -5,8 +5,8 @@ use super::{Cell, Shape};
 use crate::numbers::scalar::{Float, Real, Scalar};
 use crate::numbers::zip::zip;
 
-/// Gated recurrent unit with a linear output, for the logistic function σ and the elementwise
-/// product ⊙:
+/// Gated recurrent unit with a linear output. σ is the logistic function, and ⊙ is the elementwise
+/// product:
 ///
 /// ```text
 /// z = σ(W_z (y, m) + b_z)               update gate

@@ -41,7 +41,7 @@ impl Scene {
     /// A setting is unknown or out of range.
     pub fn with(&self, settings: impl IntoIterator<Item = (String, Value)>) -> Result<Self> {
         let settings: Vec<(String, Value)> = settings.into_iter().collect();
-        // Keeps the contents, because the file may have changed or moved.
+        // Keeps the contents of the initial policy: its file may have changed or moved.
         let replaced = settings.iter().any(|(key, _)| key == INITIAL_POLICY);
         let policy = self.scene.initial_policy().filter(|_| !replaced);
         Self::changed(self.source.clone(), settings, policy)

@@ -193,7 +193,8 @@ fn symbols(task: &str) -> &'static str {
     }
 }
 
-/// Values for the parameters of an actuator that have no default. Empty for effects.
+/// Values for the parameters of an actuator that have no default. Empty for other actuators, and
+/// for effects.
 fn required(name: &str) -> Table {
     match name {
         "limit" => toml::toml! { bound = 10.0 },

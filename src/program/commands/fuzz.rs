@@ -1,4 +1,4 @@
-//! `physgrad fuzz`: reads damaged inputs; counts panics, time and memory.
+//! `physgrad fuzz`: reads damaged inputs, counts panics, and measures time and memory.
 
 mod inputs;
 

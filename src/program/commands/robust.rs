@@ -132,7 +132,7 @@ pub fn robust(args: &Robust) -> Result<()> {
 fn scene(policy: &Trained, at: &[f64], args: &Robust) -> Result<Scene> {
     let mut source = policy.source.clone();
     for (axis, &value) in args.grid.iter().zip(at) {
-        // Whole-number settings refuse 1.0. All numeric settings accept integers.
+        // Whole-number settings reject 1.0. All numeric settings accept integers.
         let integer = value as i64;
         let number = if integer as f64 == value { Value::Integer(integer) } else { Value::Float(value) };
         source.replace(&axis.key, number, &format!("{} = {value}", axis.key))?;

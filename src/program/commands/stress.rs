@@ -1,4 +1,4 @@
-//! `physgrad stress`: runs the hard cases and compares them with their criteria.
+//! `physgrad stress`: runs the hard cases and compares their results with their criteria.
 
 mod reproducible;
 
@@ -75,7 +75,7 @@ pub fn stress(args: &Stress) -> Result<()> {
     Ok(())
 }
 
-/// Cases whose names start with one of these prefixes, or all.
+/// Cases whose names start with one of these prefixes. Without prefixes, all cases.
 fn chosen(names: &[String]) -> Result<Vec<Case>> {
     let all: Vec<Case> = stress::cases().chain(reproducible::CASES).collect();
     if let Some(name) = names.iter().find(|name| !all.iter().any(|case| case.name.starts_with(name.as_str()))) {

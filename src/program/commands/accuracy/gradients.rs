@@ -58,7 +58,7 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
     }
     bar.set_message("double-double reference");
     let scene = study.source.scene()?;
-    // Refuses horizons before the measurements.
+    // Rejects invalid horizons before the measurements.
     let scenes = horizons.iter().map(|&horizon| with_horizon(study, horizon)).collect::<Result<Vec<Scene>>>()?;
     let [r, m, s] = scene.refer(&|| bar.inc(1));
     let mut c = vec![0.0; r.len()];

@@ -106,7 +106,7 @@ impl Study {
         let refined = Setting { method: "native", substeps: 2, precision: Precision::F64 };
         let context = "accuracy varies the time step, which this task does not support; choose another task";
         refined.of(&self.source).context(context)?;
-        // Omits methods that the scene does not support, as `strang` on large grids.
+        // Omits methods that the scene does not support, for example `strang` on large grids.
         let is_valid =
             |&method: &&'static str| Setting { method, substeps: 1, precision: Precision::F64 }.of(&self.source).is_ok();
         let others = self.scene.task.methods().iter().map(|method| method.name()).filter(is_valid);

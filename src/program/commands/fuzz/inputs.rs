@@ -62,7 +62,8 @@ fn preset(rng: &mut Rng) -> Cow<'static, str> {
     presets::text(names[rng.random_range(0..names.len())]).expect("a preset")
 }
 
-/// Changes, removes or inserts a byte, line, value or key of a text, or truncates the text.
+/// Truncates a text, inserts a byte, flips a bit, removes or repeats a line, replaces a value, or
+/// inserts an entry.
 fn damage_text(rng: &mut Rng, text: &mut Vec<u8>) {
     let at = rng.random_range(0..=text.len());
     let lines: Vec<Vec<u8>> = text.split(|&byte| byte == b'\n').map(<[u8]>::to_vec).collect();
@@ -92,7 +93,7 @@ fn damage_text(rng: &mut Rng, text: &mut Vec<u8>) {
     *text = changed.join(&b'\n');
 }
 
-/// Changes, removes or inserts bytes.
+/// Truncates bytes, inserts bytes, or replaces a byte.
 fn damage_bytes(rng: &mut Rng, bytes: &mut Vec<u8>) {
     let at = rng.random_range(0..bytes.len());
     match rng.random_range(0..5) {

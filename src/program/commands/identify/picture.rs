@@ -1,4 +1,4 @@
-//! Measured beside simulated trajectories.
+//! Picture of measured and simulated trajectories.
 
 use crate::identify::{Fit, Segment};
 use crate::program::tasks::Scene;

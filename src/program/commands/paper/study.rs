@@ -82,8 +82,8 @@ struct Cell<'a> {
 }
 
 impl Study {
-    /// Trains all runs and writes the figure. A shard trains runs and writes no figure, as does a
-    /// training that a signal ended.
+    /// Trains all runs and writes the figure. A shard trains runs and writes no figure. A training
+    /// that a signal ends writes no figure either.
     pub fn run(&self, options: &Options, folder: &Folder, shard: Option<Shard>) -> Result<Made> {
         let mut comparisons = self.comparisons(options, folder)?;
         let own = self.folder(folder);

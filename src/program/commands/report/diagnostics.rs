@@ -57,7 +57,8 @@ fn growth_by_epoch(runs: &[Inspected]) -> Figure {
         let growth = |r: &Record| if flow == Flow::REGULAR { r.regular_growth } else { r.modified_growth };
         let points = run.records.iter().filter_map(|r| Some((r.epoch as f64, growth(r)?.along)));
         let series = Series::new(format!("{flow} of {}", run.name()), field_color(&flow.to_string()), points.collect());
-        // Dashes the lines of runs that combine two flows, such as C. Other runs have solid lines.
+        // Dashes the lines of runs whose field combines two flows, such as C. Other runs have solid
+        // lines.
         if run.field.flows().len() > 1 { series.dash(Dash::Dashed) } else { series }
     };
     let both = runs.iter().flat_map(|run| [Flow::REGULAR, Flow::MODIFIED].map(|flow| line(run, flow)));
@@ -79,7 +80,7 @@ fn growth_by_epoch(runs: &[Inspected]) -> Figure {
     .notes(warnings.flatten().collect())
 }
 
-/// Note on the charts that [`of_epochs`] omits. None if a run combines two gradients.
+/// Note on the charts that [`of_epochs`] omits. None if the field of a run combines two gradients.
 pub fn missing(runs: &[Inspected]) -> Option<&'static str> {
     let has_one_flow = runs.iter().all(|run| run.field.flows().len() == 1);
     has_one_flow.then_some(
@@ -101,7 +102,8 @@ pub fn of_run(rollouts: &RolloutData) -> Figure {
     )
 }
 
-/// Charts of adjoint norms for the first run of every field, before and after training.
+/// Charts of adjoint norms: before training for the first run, and after training for the first
+/// run of every field.
 pub fn of_comparison(runs: &[Inspected]) -> Vec<Figure> {
     let firsts: Vec<(&Inspected, &RolloutData)> = runs.iter().filter_map(|run| Some((run, run.rollouts.as_ref()?))).collect();
     let Some((_, first)) = firsts.first() else { return Vec::new() };

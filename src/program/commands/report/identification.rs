@@ -8,13 +8,13 @@ use crate::report::{Chart, Dash, Series};
 use anyhow::{Context, Result, bail};
 use maud::{Markup, html};
 
-/// Numbers with errors and correlations. Present in every folder of an identification.
+/// File of the numbers with errors and correlations. Present in every folder of an identification.
 pub const IDENTIFIED: &str = "identified.csv";
-/// Sizes, χ², BIC and effort of the fit, and warnings.
+/// File of the sizes, χ², BIC and effort of the fit, and of warnings.
 pub const FIT: &str = "fit.csv";
-/// Measured and simulated states of the fitted segments.
+/// File of the measured and simulated states of the fitted segments.
 pub const TRAJECTORIES: &str = "trajectories.csv";
-/// Measured and simulated states of the validation segments.
+/// File of the measured and simulated states of the validation segments.
 pub const VALIDATION: &str = "validation.csv";
 /// Name of a row of [`FIT`] with a warning.
 pub const WARNING: &str = "warning";

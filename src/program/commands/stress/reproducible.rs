@@ -45,8 +45,8 @@ fn trained(mut run: Box<dyn AnyRun>) -> Result<(Vec<u64>, Vec<Record>)> {
     Ok((run.theta(Epoch::Last).into_iter().map(f64::to_bits).collect(), records.collect()))
 }
 
-/// Returns the results of [`trained`], but resumes after some epochs in a session with another
-/// number of workers.
+/// Returns the results of [`trained`] from a training that resumes after `after` epochs in a
+/// session with another number of workers.
 fn resumed(scene: &Scene, after: usize) -> Result<(Vec<u64>, Vec<Record>)> {
     let (mut first, mut second) = (scene.open(1)?, scene.open(2)?);
     for _ in 0..after {
