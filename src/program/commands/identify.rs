@@ -6,10 +6,10 @@ mod picture;
 use crate::Number;
 use crate::identify::{Fit, IdentifyError, Options, Segment};
 use crate::numbers::text::{digits, rough, short};
-use crate::program::commands::compare::check_folder;
+use crate::program::commands::compare::check_no_training;
 use crate::program::commands::report::identification::{self, FIT, IDENTIFIED, TRAJECTORIES, VALIDATION, WARNING};
 use crate::program::platform::csv::csv;
-use crate::program::platform::folder::{COMPARISON, Folder, REPORT, SCENE, SETTINGS, STUDY};
+use crate::program::platform::folder::{Folder, REPORT, SCENE};
 use crate::program::platform::json::{object, print_json, rows};
 use crate::program::platform::table::Table;
 use crate::program::platform::terminal::print_text;
@@ -84,7 +84,7 @@ pub fn identify(args: &Identify) -> Result<()> {
         bail!("--every is 0; allowed: 1 or more");
     }
     if let Some(out) = args.out.as_deref().map(Folder::at) {
-        check_folder(&out, "fit", &[(SETTINGS, "run"), (COMPARISON, "comparison"), (STUDY, "study")])?;
+        check_no_training(&out, "fit")?;
         let outputs = [SCENE, IDENTIFIED, FIT, TRAJECTORIES, VALIDATION, PICTURE, REPORT];
         out.check_inputs(&[Path::new(&args.scene), &args.data], &outputs)?;
     }

@@ -2,10 +2,10 @@
 
 use crate::numbers::text::digits;
 use crate::optimize::{Initial, Options, Plan};
-use crate::program::commands::compare::check_folder;
+use crate::program::commands::compare::check_no_training;
 use crate::program::operations::trajectory::Trajectory;
 use crate::program::platform::csv::csv;
-use crate::program::platform::folder::{COMPARISON, Folder, SCENE, SETTINGS, STUDY, TRAJECTORY};
+use crate::program::platform::folder::{Folder, SCENE, TRAJECTORY};
 use crate::program::platform::json::{print_json, rows};
 use crate::program::platform::parallel;
 use crate::program::platform::table::Table;
@@ -80,7 +80,7 @@ pub fn optimize(args: &Optimize) -> Result<()> {
         }
     };
     if let Some(out) = args.out.as_deref().map(Folder::at) {
-        check_folder(&out, "plan", &[(SETTINGS, "run"), (COMPARISON, "comparison"), (STUDY, "study")])?;
+        check_no_training(&out, "plan")?;
         out.check_inputs(&args.scene.iter().map(Path::new).collect::<Vec<_>>(), &[SCENE])?;
     }
     let bounds = bounds(&args.bound, &scene.control_names())?;
