@@ -17,7 +17,7 @@ pub(super) const CASES: &[Case] = &[Case {
                 upright at rest. With semi-implicit Euler, the largest error of the last tenth of the steps is at most \
                 1.01 times that of the first. The means of both tenths differ by at most 1 % of the amplitude. With \
                 explicit Euler, they differ by at least 10 %",
-    explanation: "Explicit Euler gains energy at every step, and training can exploit this gain. RK4 loses little over \
+    explanation: "Explicit Euler gains energy over long times, and training can exploit this gain. RK4 loses little over \
                 long times; symplectic methods have no trend. Scenes select the method by `integrator.method`, and \
                 `physgrad accuracy` measures errors and costs. Limits: with RK4, the energy of the chaotic chain drifts. \
                 The drift is reported without a bound",

@@ -24,8 +24,8 @@ const MAX_MEMORY: f64 = 1e9;
 /// Inputs per work item.
 const PORTION: u64 = 200;
 
-/// Damage scenes, assignments, checkpoints and run folders; use them; count panics, time and
-/// memory.
+/// Damage scenes, assignments, checkpoints and run folders, and use them. Count panics, and measure
+/// time and memory.
 #[derive(Debug, clap::Args)]
 pub struct Fuzz {
     /// Number of inputs of all kinds

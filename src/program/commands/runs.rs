@@ -42,7 +42,7 @@ pub struct Runs {
 /// Order of the listed runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Order {
-    /// By path.
+    /// By folder in the given order, then by path.
     Path,
     /// By the best test loss, the lowest first.
     Loss,

@@ -96,7 +96,8 @@ pub fn table_header(scenes: &[InScene]) -> Vec<&'static str> {
 
 /// One row per scene and field, with medians over the seeds. NaN ranks above every number.
 pub fn table_of_scenes(scenes: &[InScene]) -> Vec<Vec<String>> {
-    // The name of a point of a sweep breaks between its settings.
+    // Replaces `+` with a space, so that a table can break the name of a sweep point between its
+    // settings.
     let row = |name: &str, row: [String; 8]| {
         [name.replace('+', " ")].into_iter().chain(row).skip(usize::from(scenes.len() < 2)).collect::<Vec<_>>()
     };
@@ -237,8 +238,8 @@ mod tests {
         // probabilities are 1/4, 1/4 and 1/2, the ratios 1, 9 and 5.
         let ratio = median_ratio(&[(1.0, 1.0), (9.0, 1.0)]);
         assert_eq!(ratio, Ratio { value: 5.0, interval: [1.0, 9.0] });
-        // One of 9 seeds differs. This ratio is the median only if at least 5 of 9 draws choose the
-        // seed, which has a probability of 0.0015.
+        // One of 9 seeds has the ratio 100. It is the median only if at least 5 of 9 draws choose
+        // this seed. The probability is 0.0014.
         let mut pairs = [(2.0, 1.0); 9];
         pairs[4].0 = 100.0;
         assert_eq!(median_ratio(&pairs), Ratio { value: 2.0, interval: [2.0; 2] });

@@ -26,8 +26,8 @@ impl<T: Scalar> Impact<T> {
     /// otherwise      : no impact, t = 4 dt
     /// ```
     ///
-    /// Neither quotient subtracts nearly equal numbers. Unused roots and quotients are evaluated at
-    /// 1, so no derivative takes the root of 0.
+    /// Neither quotient subtracts nearly equal numbers. Unused roots have the argument 1, unused
+    /// quotients the denominator 1. No derivative therefore divides by 0.
     ///
     /// Rounding may leave a closing gap slightly negative. If `v² > 2 |a g|`, the impact time is
     /// negative, at least -dt. Otherwise the gap is at rest if `a < 0`, and moves freely if not.
