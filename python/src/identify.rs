@@ -39,10 +39,10 @@ pub fn identify<'py>(
     let unknowns = params.map_or(Ok(Vec::new()), |params| unknowns(task, params))?;
     let scene = task.scene.with(unknowns).map_err(value_error)?;
     let [n, m, _] = scene.dims();
-    let segment = |(x, u): &(Bound<'py, PyAny>, Bound<'py, PyAny>)| {
-        Ok(Segment { x: rows("states", x, n)?, u: rows("controls", u, m)?, p: Vec::new() })
+    let segment = |(i, (x, u)): (usize, &(Bound<'py, PyAny>, Bound<'py, PyAny>))| {
+        Ok(Segment { x: rows("states", i, x, n)?, u: rows("controls", i, u, m)?, p: Vec::new() })
     };
-    let segments = data.iter().map(segment).collect::<PyResult<Vec<_>>>()?;
+    let segments = data.iter().enumerate().map(segment).collect::<PyResult<Vec<_>>>()?;
     let fit = interruptible(py, move |stop| {
         let options = Options { noise, stop: Some(stop.clone()), ..Options::default() };
         scene.identify(&segments, &options)
@@ -116,13 +116,12 @@ fn starting_at(start: Value) -> Value {
 }
 
 /// Rows of a matrix.
-fn rows(name: &str, object: &Bound<'_, PyAny>, width: usize) -> PyResult<Vec<Vec<f64>>> {
-    let array = any_shape::<f64>(name, object)?;
+fn rows(name: &str, segment: usize, object: &Bound<'_, PyAny>, width: usize) -> PyResult<Vec<Vec<f64>>> {
+    let name = format!("{name} of segment {segment}");
+    let array = any_shape::<f64>(&name, object)?;
     match array.shape() {
         [_, found] if *found == width => Ok(array.slice().chunks(width).map(<[f64]>::to_vec).collect()),
-        shape => {
-            Err(PyValueError::new_err(format!("the {name} of a segment have the shape {shape:?}; expected (steps, {width})")))
-        }
+        shape => Err(PyValueError::new_err(format!("the {name} have the shape {shape:?}; expected (steps, {width})"))),
     }
 }
 

@@ -31,8 +31,8 @@ pub trait Task: Send + Sync {
     fn param_dim(&self) -> usize {
         self.system().param_dim()
     }
-    /// Draws an initial state into `start.x`, of `state_dim` zeros, and parameters into `start.p`,
-    /// of `param_dim` zeros. Physical numbers that vary are drawn afterwards.
+    /// Draws an initial state into `start.x` and parameters into `start.p`. On entry, these are
+    /// `state_dim` and `param_dim` zeros. Physical numbers that vary are drawn afterwards.
     fn start(&self, rng: &mut Rng, start: Start<'_>);
     /// Draws an initial state, parameters, and physical numbers that vary.
     #[doc(hidden)]

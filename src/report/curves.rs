@@ -56,7 +56,7 @@ pub fn field_color(letter: &str) -> &'static str {
     }
 }
 
-/// Draws the training and test loss of one run, as points (epoch, loss).
+/// Draws the training and test loss of one run as lines through points (epoch, loss).
 ///
 /// Omits losses outside 1e-100 to 1e100, and non-finite ones. An empty list yields no line.
 pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) -> Drawing {

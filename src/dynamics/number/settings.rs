@@ -88,7 +88,7 @@ impl<'de> Visitor<'de> for NumberVisitor {
                 }
                 Ok(Number::Trained { start, min, max })
             }
-            _ => Err(A::Error::custom("choose one distribution, or an initial value with bounds")),
+            _ => Err(A::Error::custom("the table needs either one distribution, or `start` with optional `min` and `max`")),
         }
     }
 }

@@ -66,7 +66,7 @@ impl<F: Float, const K: usize> StartGradients<F, K> {
         self.sums[sample][k].part(i)
     }
 
-    /// Sets all gradients and terms to 0.
+    /// Sets gradients, sums and terms to 0. Keeps the gradients of the cost and the observation.
     pub(super) fn clear(&mut self) {
         self.gradients.iter_mut().chain(&mut self.sums).flatten().for_each(Gradient::clear);
         self.terms.fill(CotangentPack::null());
@@ -83,8 +83,9 @@ impl<F: Float, const K: usize> StartGradients<F, K> {
         self.costs[block * self.param_dim..][..self.param_dim].copy_from_slice(p_bar);
     }
 
-    /// Adds the terms of one step and its cost, times `scale`, to the gradients with respect to p.
-    /// The cost has no exponent, because it may be far smaller than λ.
+    /// Adds the terms of one step, and `scale` times the gradient of its cost, to the gradients
+    /// with respect to p. The gradient of the cost has no exponent, because it may be far smaller
+    /// than λ.
     pub(super) fn add_terms(&mut self, samples: usize, scale: F, exponents: &Exponents<F, K>) {
         for (sample, sums) in self.sums[..samples].iter_mut().enumerate() {
             let (first, lane) = (sample / WIDTH * self.param_dim, sample % WIDTH);

@@ -102,7 +102,7 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     let inner = folder.file("scenes");
     if !scenes.is_empty() || args.target.is_some() && inner.is_dir() {
         let inner = Folder::at(inner.clone()).lock()?;
-        // A scene of an earlier target may be above this one.
+        // The error of a scene of an earlier command may exceed the current target.
         rows.iter().try_for_each(|row| inner.remove(&format!("{}.toml", row.setting.method)))?;
         for (method, scene) in &scenes {
             saved::write_scene(&inner, &format!("{method}.toml"), scene)?;
@@ -153,7 +153,7 @@ fn unreached(rows: &[Row], metric: Metric, target: f64) -> anyhow::Error {
     let best = finite.min_by(|a, b| a.1.total_cmp(&b.1));
     let Some((row, error)) = best else {
         return anyhow!(
-            "--target {target:e}: every setting diverged; choose a scene with a finite trajectory, for example a shorter `horizon`"
+            "--target {target:e}: every setting diverged; choose a scene with a finite trajectory, for example with a shorter `horizon`"
         );
     };
     let advice = match row.setting.precision {

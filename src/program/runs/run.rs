@@ -26,8 +26,9 @@ pub trait Observer {
     fn resumed(&mut self, _epochs: usize) {}
     /// An epoch is complete.
     fn epoch(&mut self, event: EpochEvent);
-    /// Least time between two calls of [`is_stopped`](Self::is_stopped) within an epoch. With None,
-    /// the only calls are at the start, and after epochs and checkpoints.
+    /// Time between two calls of [`is_stopped`](Self::is_stopped) within an epoch, rounded up to
+    /// whole updates. Further calls are at the start, and after epochs and checkpoints. With None,
+    /// only these remain.
     fn poll_every(&self) -> Option<Duration> {
         None
     }
@@ -250,7 +251,7 @@ struct Saver<'a> {
 
 impl<'a> Saver<'a> {
     /// Removes leftover temporary files and writes the settings. A folder with settings contains a
-    /// run. A run without a checkpoint is before its first epoch.
+    /// run. A run without a checkpoint has not begun its first epoch.
     fn begin(folder: &'a Locked, scene: &'a Scene, identity: &'a str, save_every: Duration) -> Result<Self> {
         folder.clean()?;
         saved::write_settings(folder, scene)?;

@@ -168,8 +168,8 @@ impl Study {
             let found = self.job(&setting)?.found;
             found.map_err(anyhow::Error::msg).with_context(|| {
                 format!(
-                    "the reference solution ({}) diverged; choose a scene with a finite trajectory, for example a shorter \
-                     `horizon`",
+                    "the reference solution ({}) diverged; choose a scene with a finite trajectory, for example with a \
+                     shorter `horizon`",
                     setting.name()
                 )
             })
