@@ -107,7 +107,7 @@ fn named(py: Python<'_>, name: &str, error: PyErr) -> PyErr {
 }
 
 /// A shape as Python prints it.
-fn tuple(shape: &[usize]) -> String {
+pub fn tuple(shape: &[usize]) -> String {
     match shape {
         [one] => format!("({one},)"),
         shape => format!("({})", shape.iter().map(usize::to_string).collect::<Vec<_>>().join(", ")),

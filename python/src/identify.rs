@@ -1,6 +1,6 @@
 //! `identify` and `check`: physical numbers from measurements, and checks of derivatives.
 
-use crate::arrays::{any_shape, array};
+use crate::arrays::{any_shape, array, tuple};
 use crate::errors::value_error;
 use crate::interrupt::interruptible;
 use crate::policy::Policy;
@@ -121,7 +121,7 @@ fn rows(name: &str, segment: usize, object: &Bound<'_, PyAny>, width: usize) -> 
     let array = any_shape::<f64>(&name, object)?;
     match array.shape() {
         [_, found] if *found == width => Ok(array.slice().chunks(width).map(<[f64]>::to_vec).collect()),
-        shape => Err(PyValueError::new_err(format!("the {name} have the shape {shape:?}; expected (steps, {width})"))),
+        shape => Err(PyValueError::new_err(format!("the {name} have the shape {}; expected (steps, {width})", tuple(shape)))),
     }
 }
 

@@ -85,14 +85,13 @@ fn of_any(system: &dyn AnySystem<f64>, inputs: Inputs<'_, f64>) -> Stability {
     if let Some(at) = power.iter().position(|slope| !slope.is_finite()) {
         return Stability { multiplier: f64::NAN, component: at / n };
     }
-    let (mut logarithm, mut share, mut component) = (0.0, 1.0, 0);
+    let (mut logarithm, mut share, mut component, mut underflows) = (0.0, 1.0, 0, false);
     for round in 0..=SQUARINGS {
         let largest = power.iter().fold(0.0, |largest: f64, slope| largest.max(slope.abs()));
         if largest == 0.0 {
-            // The power of a nilpotent matrix is 0 from the exponent n on. A later 0 is an
-            // underflow: the last estimate bounds the spectral radius.
-            let is_nilpotent = round == 0 || 1 << (round - 1) < n;
-            if is_nilpotent {
+            // Without underflow, the matrix is nilpotent. Otherwise the last estimate bounds the
+            // spectral radius.
+            if !underflows {
                 return Stability { multiplier: 0.0, component };
             }
             // Computed eigenvalues of a triangular matrix are exact for one of J and Jᵀ.
@@ -105,11 +104,15 @@ fn of_any(system: &dyn AnySystem<f64>, inputs: Inputs<'_, f64>) -> Stability {
         }
         logarithm += share * largest.ln();
         share *= 0.5;
-        power.iter_mut().for_each(|slope| *slope /= largest);
+        for slope in &mut power {
+            let is_zero = *slope == 0.0;
+            *slope /= largest;
+            underflows |= *slope == 0.0 && !is_zero;
+        }
         let weight = |i: usize| power[i * n..(i + 1) * n].iter().map(|slope| slope * slope).sum::<f64>();
         component = (0..n).max_by(|&i, &j| weight(i).total_cmp(&weight(j))).unwrap_or(0);
         if round < SQUARINGS {
-            power = square(&power, n);
+            power = square(&power, n, &mut underflows);
         }
     }
     Stability { multiplier: logarithm.exp(), component }
@@ -130,13 +133,16 @@ fn jacobian(system: &dyn AnySystem<f64>, inputs: Inputs<'_, f64>) -> Vec<f64> {
     matrix
 }
 
-fn square(matrix: &[f64], n: usize) -> Vec<f64> {
+/// Square of a matrix. Sets `underflows` if a product of two nonzero entries is 0.
+fn square(matrix: &[f64], n: usize, underflows: &mut bool) -> Vec<f64> {
     let mut product = vec![0.0; n * n];
     for i in 0..n {
         for k in 0..n {
             let factor = matrix[i * n + k];
             for j in 0..n {
-                product[i * n + j] += factor * matrix[k * n + j];
+                let term = factor * matrix[k * n + j];
+                *underflows |= term == 0.0 && factor != 0.0 && matrix[k * n + j] != 0.0;
+                product[i * n + j] += term;
             }
         }
     }
@@ -205,6 +211,10 @@ mod tests {
         near_within(of(cascade::<25>(-1.5, 2.5)), 1.5, 1e-6);
         near_within(of(cascade::<30>(-1.5, 2.5)), 1.5, 1e-12);
         near_within(of(cascade::<100>(0.98, 1.0)), 0.98, 1e-12);
+        // Powers that underflow before the exponent reaches the number of cells.
+        near_within(of(cascade::<65>(1.5, 1e6)), 1.5, 1e-12);
+        near_within(of(cascade::<129>(1.5, 2500.0)), 1.5, 1e-12);
+        near(of(cascade::<129>(0.0, 2500.0)), 0.0);
         assert_eq!(of(cascade::<30>(-1.5, 2.5)).component, 29);
         assert!(of(cascade::<60>(1.0, 0.01)).is_stable());
         assert!(of([[1.0, 0.1], [0.0, 1.0]]).is_stable() && !of([[1.001]]).is_stable());

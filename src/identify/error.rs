@@ -23,7 +23,7 @@ pub enum IdentifyError {
         unknowns: usize,
     },
     /// A list has the wrong length.
-    #[error("segment {segment}: {what} has {found} numbers; expected {expected}")]
+    #[error("segment {segment}: {what} has length {found}; expected {expected}")]
     Shape {
         /// Index of the segment.
         segment: usize,

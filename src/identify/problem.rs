@@ -76,7 +76,7 @@ impl<'a> Problem<'a> {
                 return Err(shape("the list of parameters", p.len(), params));
             }
             if !u.is_empty() && u.len() + 1 < x.len() {
-                return Err(shape("the list of controls", u.len(), x.len()));
+                return Err(shape("the list of controls", u.len(), x.len() - 1));
             }
             for (what, mut numbers) in [("control", u.concat()), ("parameter", p.clone())] {
                 if numbers.drain(..).any(|number| !number.is_finite()) {

@@ -81,7 +81,7 @@ pub(crate) fn scalar_pointer_of_cost<G: ScalarFunction>(slot: &mut dyn Any) -> b
 
 /// Scalars that [`scalar_pointer_of_effect`] adds, for messages.
 pub(crate) const EFFECT_SCALARS: &str =
-    "`Single<F>`, and `Dual<R, 4>` and `Reverse<R>` for each `R` of these scalars that has no derivatives";
+    "`Single<F>`; `Dual<R, 4>` and `Reverse<R>` for each of these scalars `R` without derivatives";
 
 /// Extends [`scalar_pointer`] by the scalars of default derivatives and diagnoses.
 pub(crate) fn scalar_pointer_of_effect<G: ScalarFunction>(slot: &mut dyn Any) -> bool {

@@ -49,7 +49,7 @@ pub enum OptimizeError {
     /// The accumulated cost of the initial trajectory is not finite at this step. The states up to
     /// the end of this step are finite.
     #[error(
-        "initial trajectory: the cost {} is not finite, but the states up to this step are finite. Check the cost for overflow, division by 0, and \
+        "initial trajectory: the cost {} is not finite, but the states are finite up to there. Check the cost for overflow, division by 0, and \
          roots or logarithms of negative numbers", place(*step)
     )]
     Cost {

@@ -40,8 +40,8 @@ impl<'a, T: Task> Tracking<'a, T> {
     /// [`OptimizeError::Length`] if the plan does not fit the task.
     pub fn new(task: &'a T, plan: &'a Plan) -> Result<Self, OptimizeError> {
         let (n, m, steps) = (task.system().state_dim(), task.system().control_dim(), task.horizon());
-        check_length("plan.x", "states with the components of the task", n, plan.state_dim)?;
-        check_length("plan.u", "controls with the components of the task", m, plan.control_dim)?;
+        check_length("a state of the plan", "components of a state of the task", n, plan.state_dim)?;
+        check_length("a control of the plan", "components of a control of the task", m, plan.control_dim)?;
         check_length("plan.x", "states of all steps", (steps + 1) * n, plan.x.len())?;
         check_length("plan.u", "controls of all steps", steps * m, plan.u.len())?;
         check_length("plan.p", "the parameters of the task", task.param_dim(), plan.p.len())?;

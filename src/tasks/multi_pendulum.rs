@@ -66,7 +66,7 @@ impl Arm {
 /// `l_kk = a_k`, Lagrange's equations are:
 ///
 /// ```text
-/// Σ_j M_ij α_j = τ_i + g sin θ_i Σ_k m_k l_ki - Σ_j C_ij sin(θ_i - θ_j) ω_j²
+/// Σ_j M_ij α_j = τ_i + g sin θ_i Σ_{k≥i} m_k l_ki - Σ_j C_ij sin(θ_i - θ_j) ω_j²
 /// C_ij = Σ_k m_k l_ki l_kj  for k ≥ max(i, j),   M_ij = C_ij cos(θ_i - θ_j),   M_ii += I_i
 /// ```
 ///

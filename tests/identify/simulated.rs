@@ -201,7 +201,10 @@ fn wrong_data_are_refused() {
     };
     let mut short = good.clone();
     short.x[3].pop();
-    assert_eq!(error(short, &unknowns(1.0)), "segment 0: a measured state has 1 numbers; expected 2");
+    assert_eq!(error(short, &unknowns(1.0)), "segment 0: a measured state has length 1; expected 2");
+    let mut short = good.clone();
+    short.u.truncate(17);
+    assert_eq!(error(short, &unknowns(1.0)), "segment 0: the list of controls has length 17; expected 20");
     let exact = Options { free_starts: false, ..Options::default() };
     let nothing = identify(&pendulum(), std::slice::from_ref(&good), &[], &exact);
     assert_eq!(nothing.expect_err("an error"), IdentifyError::NothingUnknown);

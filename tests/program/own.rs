@@ -147,6 +147,7 @@ fn scenes_add_effects_of_the_user_to_built_in_and_own_tasks() {
     let message = |setting: &str| failed(&["train", "cart_pole", "--set", setting]);
     assert!(message("effects.eddy_brake.sped=3").contains("`effects.eddy_brake.sped` is unknown; allowed: `force` or `speed`"));
     assert!(message("effects.eddy_brake.speed=-3").contains("is -3; allowed: a positive number"));
+    assert!(message("effects.eddy_brake.force=nan").contains("is NaN; allowed: a finite number"));
     assert!(message("effects.edy_brake.speed=3").contains("`bumpers`, `eddy_brake`"));
     assert!(message("effects.spring.stiffness=3").contains("is an effect of puck, not of cart_pole"));
     assert!(failed(&["train", "lqr", "--set", "effects.spring.stiffness=3"]).contains("allowed here: none"));

@@ -178,7 +178,7 @@ impl<B: 'static> Effect<B> for DynEffect<B> {
         self.0.add_forces(&mut slot);
         let Some(add_forces) = slot else {
             panic!(
-                "`DynEffect` of {:?}: `add_forces` has no instance for {}, only for {SCALARS}; also for {EFFECT_SCALARS}. Use one of \
+                "`DynEffect` of {:?}: `add_forces` has no instance for {}. Instances: {SCALARS}; {EFFECT_SCALARS}. Use one of \
                  these, or the effect without `DynEffect`",
                 self.0,
                 type_name::<T>()

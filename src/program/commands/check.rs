@@ -3,7 +3,7 @@
 use crate::check::Stability;
 use crate::program::operations::checks::{Amplification, Results};
 use crate::program::platform::json::print_json;
-use crate::program::platform::terminal::print_text;
+use crate::program::platform::terminal::{counted, print_text};
 use crate::program::scenes::overrides::Overrides;
 use crate::program::scenes::presets;
 use crate::program::scenes::source::SceneSource;
@@ -66,7 +66,7 @@ pub fn check(args: &Check) -> Result<()> {
     if failures.is_empty() {
         return Ok(());
     }
-    bail!("{} gradient checks failed:\n{}", failures.len(), failures.join("\n"));
+    bail!("{} failed:\n{}", counted(failures.len(), "gradient check"), failures.join("\n"));
 }
 
 /// Largest number of state components for which the command computes the stability.

@@ -8,7 +8,7 @@ use crate::program::platform::folder::Folder;
 use crate::program::platform::json::{print_json, rows};
 use crate::program::platform::parallel;
 use crate::program::platform::table::Table;
-use crate::program::platform::terminal::print_text;
+use crate::program::platform::terminal::{counted, print_text};
 use crate::program::runs::outputs;
 use crate::program::runs::trained::Trained;
 use crate::program::scenes::overrides::Overrides;
@@ -221,7 +221,7 @@ fn write_worst(folder: &Folder, scene: &Scene, evaluation: &dyn AnyEvaluation, s
 
 fn title(args: &Eval, policies: &[Trained]) -> String {
     let scene = args.scene.as_deref().unwrap_or(policies[0].scene.task.name());
-    format!("{scene}: losses of {} rollouts", args.samples)
+    format!("{scene}: losses of {}", counted(args.samples, "rollout"))
 }
 
 fn picture(title: &str, results: &[Evaluated]) -> String {
@@ -238,8 +238,11 @@ fn table(args: &Eval, results: &[Evaluated]) -> String {
         let ([mean, error], quantiles) = (result.mean(), result.quantiles());
         let worst = result.losses[result.worst(1)[0]];
         let row = [quantiles[0], quantiles[2], quantiles[4], worst].map(short);
-        let first = [result.name.clone(), format!("{} ± {}", short(mean), rough(error))];
+        // One rollout has no standard error.
+        let mean = if error.is_nan() { short(mean) } else { format!("{} ± {}", short(mean), rough(error)) };
+        let first = [result.name.clone(), mean];
         table.row(first.into_iter().chain(row).chain([result.diverged().to_string()]));
     }
-    format!("{table}\nlosses of {} rollouts, seed {}; mean ± standard error, without diverged rollouts", args.samples, args.seed)
+    let rollouts = counted(args.samples, "rollout");
+    format!("{table}\nlosses of {rollouts}, seed {}; mean ± standard error, without diverged rollouts", args.seed)
 }

@@ -12,7 +12,7 @@ use crate::program::platform::csv::csv;
 use crate::program::platform::folder::{Folder, REPORT, SCENE};
 use crate::program::platform::json::{object, print_json, rows};
 use crate::program::platform::table::Table;
-use crate::program::platform::terminal::print_text;
+use crate::program::platform::terminal::{counted, print_text};
 use crate::program::runs::run::threads;
 use crate::program::runs::saved;
 use crate::program::scenes::overrides::{Overrides, hide_training};
@@ -122,7 +122,7 @@ pub fn identify(args: &Identify) -> Result<()> {
     let validation = found.as_ref().ok().filter(|_| !others.is_empty()).map(validate).transpose();
     if let Ok(Some(validation)) = &validation {
         let residuals = residuals(validation, &measured.chosen(&others, &scene), &scene);
-        text += &format!("\nvalidation with {} other segments: {residuals}", others.len());
+        text += &format!("\nvalidation with {}: {residuals}", counted(others.len(), "other segment"));
     }
     let mut warnings = warnings(&fit);
     if let Err(error) = &found {

@@ -9,7 +9,7 @@ use crate::program::platform::folder::{Folder, SCENE, TRAJECTORY};
 use crate::program::platform::json::{print_json, rows};
 use crate::program::platform::parallel;
 use crate::program::platform::table::Table;
-use crate::program::platform::terminal::{print_message, print_text};
+use crate::program::platform::terminal::{counted, print_message, print_text};
 use crate::program::runs::run::threads;
 use crate::program::runs::{outputs, saved};
 use crate::program::scenes::overrides::{Overrides, hide_training};
@@ -133,10 +133,10 @@ pub fn optimize(args: &Optimize) -> Result<()> {
     }
     let results = folder.path().display();
     print_text(&format!(
-        "{}\n{} steps, {seconds:.1} s\nresults in {results}: {TRAJECTORY}, gains.csv, optimized.csv, optimized.svg, \
+        "{}\n{}, {seconds:.1} s\nresults in {results}: {TRAJECTORY}, gains.csv, optimized.csv, optimized.svg, \
          animation-*.svg, scene.toml",
         table(&plans),
-        scene.horizon
+        counted(scene.horizon, "step")
     ))?;
     failed()
 }

@@ -8,7 +8,7 @@ use crate::program::platform::folder::Folder;
 use crate::program::platform::json::{print_json, rows as objects};
 use crate::program::platform::parallel;
 use crate::program::platform::table::Table;
-use crate::program::platform::terminal::print_text;
+use crate::program::platform::terminal::{counted, print_text};
 use crate::program::runs::trained::Trained;
 use crate::program::tasks::Scene;
 use crate::report::quantile::{quantile, sorted};
@@ -178,7 +178,7 @@ fn table(args: &Robust, runs: &[Trained], cells: &[Cell]) -> String {
         let medians = (0..runs.len()).map(|run| short(cells[run * points + point].quantiles[1]));
         table.row(cell.at.iter().map(|&value| short(value)).chain(medians));
     }
-    format!("{table}\nmedian loss of {} rollouts", args.samples)
+    format!("{table}\nmedian loss of {}", counted(args.samples, "rollout"))
 }
 
 /// One panel per value of the second setting, one line per run: the median, with a band from the
@@ -198,6 +198,7 @@ fn picture(args: &Robust, runs: &[Trained], cells: &[Cell]) -> String {
         let title = second.map_or_else(String::new, |value| format!("{} = {}", args.grid[1].key, short(value)));
         (title, runs.iter().enumerate().map(series).collect())
     };
-    let title = format!("{}: median loss and quartiles of {} rollouts", runs[0].scene.task.name(), args.samples);
+    let rollouts = counted(args.samples, "rollout");
+    let title = format!("{}: median loss and quartiles of {rollouts}", runs[0].scene.task.name());
     robustness(&title, &args.grid[0].key, seconds.into_iter().map(panel).collect()).to_svg()
 }

@@ -45,7 +45,7 @@ fn temporary(name: &str) -> String {
 /// `.name.digits.new` with hexadecimal digits, as from [`temporary`].
 pub fn replaced_by(temporary: &str) -> Option<&str> {
     let (name, process) = temporary.strip_prefix('.')?.strip_suffix(".new")?.rsplit_once('.')?;
-    process.bytes().all(|byte| byte.is_ascii_hexdigit()).then_some(name)
+    (!process.is_empty() && process.bytes().all(|byte| byte.is_ascii_hexdigit())).then_some(name)
 }
 
 /// Appends bytes to an open file.

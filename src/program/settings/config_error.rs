@@ -49,7 +49,7 @@ impl ConfigError {
             let allowed = expected.strip_prefix("expected ").map_or("nothing", |names| names.trim_start_matches("one of "));
             return Self::new(within(field), format!("is unknown; allowed: {allowed}"));
         }
-        let Some((found, expected)) = message.split_once(", expected ") else {
+        let Some((found, expected)) = message.rsplit_once(", expected ") else {
             return Self::new(key, format!("is invalid: {message}"));
         };
         if let Some((_, old, new)) =

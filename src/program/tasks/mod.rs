@@ -13,6 +13,7 @@ mod hard;
 mod in_scene;
 mod own;
 mod own_effect;
+mod own_numbers;
 mod policy;
 mod quantum;
 pub mod scene;

@@ -2,15 +2,15 @@
 
 use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::config_error::{ConfigError, allowed};
-use crate::program::settings::reading::is_number;
 use crate::program::tasks::hard::Nothing;
 use crate::program::tasks::in_scene::in_scene;
+use crate::program::tasks::own_numbers::Owner;
 use crate::program::tasks::{MlpSettings, SceneEffects, Section, Settings, TaskSpec};
 use crate::report::{Animation, Channel, channels_over_time};
 use crate::{DynSystem, DynTask, System, Task};
 use std::fmt::{self, Debug};
 use std::marker::PhantomData;
-use toml::{Table, Value};
+use toml::Table;
 
 /// A task that the program trains, checks, compares and animates.
 ///
@@ -73,32 +73,6 @@ pub trait ProgramTask: Task + Section + Default {
         let controls = Channel::columns(self.control_names(), controls, "#D55E00");
         channels_over_time(Self::ABOUT, &[states, controls].concat(), self.dt())
     }
-}
-
-/// Checks that all settings are finite. Checks that [`System::numbers`] lists each number that
-/// varies once, and each number under the name of its field.
-fn check_numbers(system: &Table, physics: &impl System) -> Result<(), ConfigError> {
-    let varied = physics.varied(physics.param_dim());
-    for (name, value) in system {
-        let key = format!("system.{name}");
-        if value.as_float().is_some_and(|value| !value.is_finite()) {
-            return Err(ConfigError::invalid(&key, Some(value), "a finite number"));
-        }
-        let listed = varied.iter().filter(|varied| varied.name == *name).count();
-        if value.as_table().is_some_and(is_number) && listed != 1 {
-            let what =
-                format!("varies, but `System::numbers` lists it {listed} times; list each number once, by the name of its field");
-            return Err(ConfigError::new(key, what));
-        }
-    }
-    for (name, number) in physics.numbers().listed() {
-        let value = Value::try_from(*number).expect("a number is a plain value");
-        if system.get(name).is_some_and(|found| *found != value) {
-            let what = format!("is another number than `{name}` of `System::numbers`; list each number by the name of its field");
-            return Err(ConfigError::new(format!("system.{name}"), what));
-        }
-    }
-    Ok(())
 }
 
 fn numbered(letter: &str, count: usize) -> Vec<String> {
@@ -179,7 +153,8 @@ impl<T: ProgramTask> TaskSpec for Own<T> {
                 return Err(ConfigError::new("task", what));
             }
         }
-        check_numbers(&system, settings.system.system())?;
+        let owner = Owner { section: "system", method: "System::numbers" };
+        owner.check_numbers(&system, dims.numbers(), &dims.varied(dims.param_dim()))?;
         for (method, names) in [("state_names", task.state_names()), ("control_names", task.control_names())] {
             if let Some(name) = (1..names.len()).find(|&i| names[..i].contains(&names[i])).map(|i| &names[i]) {
                 return Err(ConfigError::new(
@@ -231,54 +206,5 @@ impl<T: ProgramTask> TaskSpec for Own<T> {
         let dim = settings.system.system().state_dim();
         let states: Vec<Vec<f64>> = states.iter().map(|x| x[..dim].to_vec()).collect();
         settings.system.animation(&states, controls, params)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::{Inputs, Number, Numbers, Scalar};
-
-    /// A system with the numbers of this list.
-    struct Listed(&'static [&'static str], [Number; 2]);
-
-    impl System for Listed {
-        fn state_dim(&self) -> usize {
-            1
-        }
-        fn control_dim(&self) -> usize {
-            1
-        }
-        fn param_dim(&self) -> usize {
-            self.numbers().varied()
-        }
-        fn numbers(&self) -> Numbers<'_> {
-            match *self.0 {
-                [first, second] => Numbers::new([(first, &self.1[0]), (second, &self.1[1])]),
-                [first] => Numbers::new([(first, &self.1[0])]),
-                _ => Numbers::default(),
-            }
-        }
-        fn step<T: Scalar>(&self, _: Inputs<'_, T>, _: &mut [T]) {}
-    }
-
-    #[test]
-    fn forgotten_swapped_and_non_finite_numbers_are_refused() {
-        let check = |mass: &str, names: &'static [&'static str], numbers: [Number; 2]| {
-            let table = format!("mass = {mass}\nlength = 2.0\n").parse().expect("a table");
-            check_numbers(&table, &Listed(names, numbers)).map_err(|error| error.to_string())
-        };
-        let (fixed, drawn) = ([1.0.into(), 2.0.into()], [Number::Uniform { low: 0.5, high: 1.5 }, 2.0.into()]);
-        assert_eq!(check("1.0", &["mass", "length"], fixed), Ok(()));
-        assert_eq!(check("{ uniform = [0.5, 1.5] }", &["mass", "length"], drawn), Ok(()));
-        for (mass, names, numbers, message) in [
-            ("1.0", &["length", "mass"][..], fixed, "`system.length` is another number"),
-            ("{ uniform = [0.5, 1.5] }", &["length", "mass"], drawn, "`system.mass` varies, but"),
-            ("{ uniform = [0.5, 1.5] }", &[], drawn, "`system.mass` varies, but `System::numbers` lists it 0 times"),
-            ("nan", &["mass", "length"], fixed, "`system.mass` is NaN; allowed: a finite number"),
-        ] {
-            let error = check(mass, names, numbers).expect_err("refused");
-            assert!(error.contains(message), "{error}");
-        }
     }
 }

@@ -2,6 +2,7 @@
 
 use crate::program::settings::config_error::ConfigError;
 use crate::program::settings::{Info, reading};
+use crate::program::tasks::own_numbers::Owner;
 use crate::program::tasks::{Section, schema};
 use crate::{DynEffect, Effect, Named};
 use std::any::Any;
@@ -80,6 +81,8 @@ impl<E: ProgramEffect> AnyEffectSpec for OwnEffect<E> {
         let section = table(&effect);
         let invalid = |(field, allowed)| within(ConfigError::invalid(field, section.get(field), allowed));
         effect.validate().map_err(invalid)?;
+        let owner = Owner { section: key, method: "Effect::numbers" };
+        owner.check_numbers(&section, effect.numbers(), &effect.varied(0))?;
         Ok(SceneEffect { key, section, effect: Arc::new(DynEffect::new(effect)), used: Arc::default() })
     }
 }

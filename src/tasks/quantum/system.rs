@@ -47,7 +47,7 @@ pub(super) fn place(j: usize) -> f64 {
 /// The step is unitary for any potential and costs one tridiagonal solve, O(grid). Elimination
 /// needs no pivoting, although some negative potentials violate diagonal dominance. The Hermitian
 /// part of A is the identity, so the real part of each pivot is at least 1. Proof:
-/// `p_j = A_jj + b²/p_{j-1}` with `b = dt / 2dx²` and `Re A_jj = 1`, and the real part of 1/p is
+/// `p_j = A_jj + b²/p_{j-1}` with `b = dt / (2 dx²)` and `Re A_jj = 1`, and the real part of 1/p is
 /// positive if that of p is. See Golub and Van Loan, Matrix Computations, 4.2.2.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]

@@ -6,6 +6,7 @@ use crate::program::commands::accuracy::study::ROUNDS;
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::Folder;
 use crate::program::platform::table::Table;
+use crate::program::platform::terminal::counted;
 use crate::report::{Dash, Series, Work, work_precision};
 use anyhow::Result;
 
@@ -170,8 +171,8 @@ fn markdown(name: &str, check: &Errors, conserved: Option<&str>, rows: &[Row]) -
 /// smallest errors, the resolution of the reference, and the number of diverged settings, if any.
 pub fn summary(rows: &[Row], check: &Errors, conserved: Option<&str>) -> String {
     let point = |row: &Row| Some((row.seconds[0][1], row.errors.as_ref().ok()?.trajectory));
-    let best =
-        |row: &&Row| point(row).is_some_and(|(time, error)| !rows.iter().filter_map(point).any(|(t, e)| t < time && e < error));
+    let dominates = |a: (f64, f64), b: (f64, f64)| a.0 <= b.0 && a.1 <= b.1 && a != b;
+    let best = |row: &&Row| point(row).is_some_and(|own| !rows.iter().filter_map(point).any(|other| dominates(other, own)));
     let mut front: Vec<&Row> = rows.iter().filter(best).collect();
     front.sort_by(|a, b| a.seconds[0][1].total_cmp(&b.seconds[0][1]));
     let diverged = rows.iter().filter(|row| row.errors.is_err()).count();
@@ -182,7 +183,7 @@ pub fn summary(rows: &[Row], check: &Errors, conserved: Option<&str>) -> String 
         about(rows, check)
     );
     if diverged > 0 {
-        text += &format!("\n{diverged} settings diverged");
+        text += &format!("\n{} diverged", counted(diverged, "setting"));
     }
     text
 }

@@ -18,6 +18,7 @@ pub struct Pendulum;
 
 /// The `system` section of the pendulum.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
 pub struct PendulumSettings {
     /// The arms, from the support.
     arms: Vec<Arm>,
