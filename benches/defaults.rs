@@ -1,5 +1,5 @@
-//! Benchmark of default derivatives against analytic derivatives, and of policies by `act` alone
-//! against batched passes.
+//! Benchmark of default derivatives against analytic derivatives, and of a policy that implements
+//! `act` alone against one with batched passes.
 //!
 //! Usage: `cargo bench --bench defaults`, or with `-- products`, `-- trainings`, `-- policies` for
 //! one part, and with `-- --quick` for few rounds. Jobs alternate within each round; ratios are
@@ -226,7 +226,8 @@ impl Policy for ActOnly {
     }
 }
 
-/// Leaky integrator with seven states. Two controls drive the first two states.
+/// Two chains of leaky integrators, with seven states together. Each of the two controls drives the
+/// first state of a chain.
 struct Small;
 
 impl System for Small {

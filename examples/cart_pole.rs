@@ -1,5 +1,5 @@
-//! Cart-pole with the library alone: trains with R and C, then prints a rollout of each trained
-//! policy.
+//! Cart-pole with the library alone: trains with the fields R and C, then prints a rollout of each
+//! trained policy.
 //!
 //! Run: `cargo run --release --example cart_pole -- [epochs] [poles]`
 

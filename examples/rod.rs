@@ -11,10 +11,11 @@ use physgrad::{Clip, Decay, Rollout, Training, initial_states};
 const MASSES: usize = 100;
 const STEPS: usize = 150;
 
-/// Masses of 1 kg in a row between two walls. Springs connect neighbours, and the outer masses to
-/// the walls. A spring has the force k d + k₃ d³, with `stiffness` k, `hardening` k₃ and the
-/// difference d of the deflections. State: sideways deflections, m, then speeds, m/s. Control:
-/// forces at four masses, N.
+/// Masses of 1 kg in a row between two walls. Springs connect neighbouring masses, and the outer
+/// masses with the walls. A spring has the force k d + k₃ d³, with `stiffness` k, `hardening` k₃
+/// and the difference d of the deflections. Viscous friction, with the coefficient `damping`, acts
+/// on each mass. State: sideways deflections, m, then speeds, m/s. Control: forces at four masses,
+/// N.
 #[derive(Clone)]
 #[rustfmt::skip]
 struct Rod { stiffness: f64, hardening: f64, damping: f64, dt: f64 }

@@ -1,5 +1,5 @@
-//! Compares R and C, each with and without clipping, and M without, on the tasks of three other
-//! examples.
+//! Compares the fields R and C, each with and without clipping, and the field M without clipping,
+//! on the tasks of three other examples.
 //!
 //! Run: `cargo run --release --example which_field -- [seeds] [epochs]`
 

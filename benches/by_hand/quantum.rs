@@ -122,7 +122,7 @@ impl<const TRAP: bool, const CUBIC: bool> System for ByHand<TRAP, CUBIC> {
         let slope = R::from(self.system.dt * self.cubic.strength / dx);
         let waves = x.chunks_exact(2).zip(&y).zip(next_bar.chunks_exact(2)).zip(&waves_bar).zip(x_bar.chunks_exact_mut(2));
         for (j, ((((psi, y), v), w), x_bar)) in waves.enumerate() {
-            // w = A⁻ᴴ v, and V_bar = dt Im(w̄ y).
+            // y = A⁻¹ ψ, w = A⁻ᴴ v, and V_bar = dt Im(w̄ y).
             let bar = (w[0] * y[1] - w[1] * y[0]) * R::from(2.0);
             u_bar[0] += bar * R::from(factor * (j + 1) as f64);
             x_bar[0] += w[0] + w[0] - v[0];

@@ -2,7 +2,7 @@
 
 One rollout has two reverse passes. The pass of R continues through the observations, and that of M
 does not. A hook multiplies the gradient with respect to the observations by 1 for R and by 0 for M.
-C is M where the signs of R and M agree, and else 0.
+C is M where the signs of R and M agree, and 0 elsewhere.
 
     python own_network_torch.py            # two minutes
     python own_network_torch.py --quick    # two updates

@@ -136,7 +136,8 @@ def _host(
 ) -> tuple[np.ndarray, tuple[int, ...], list[np.ndarray]]:
     """Broadcasts arrays of a callback: ``vmap`` inserts dimensions of length 1.
 
-    Only ``t``, or only the cotangent with the batch dimensions ``output_lead``, may be mapped.
+    If ``vmap`` maps only ``t``, or only the cotangent, all ``arrays`` have length 1 in the mapped
+    dimension. ``output_lead`` are the batch dimensions of the cotangent, ``()`` without one.
     """
     t, arrays = np.asarray(t), [np.asarray(array) for array in arrays]
     if any(array.dtype != dtype for array in arrays):

@@ -110,7 +110,7 @@ fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
     params.extract::<Vec<String>>()?.into_iter().map(unknown).collect()
 }
 
-/// Value of a setting that is unknown, with this initial value.
+/// Value of a setting that makes its number unknown, with this initial value.
 fn starting_at(start: Value) -> Value {
     Value::Table(Table::from_iter([("start".to_owned(), start)]))
 }

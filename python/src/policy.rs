@@ -72,8 +72,10 @@ impl Policy {
         replace_file(&path, &bytes)
     }
 
-    /// Replaces the parameters by those of a policy file. The names and shapes of its tensors, and
-    /// its trained numbers and their bounds, must be those of this policy.
+    /// Replaces the parameters by those of a policy file. The tensors of the network must have the
+    /// names and shapes of this policy. If file and policy have trained numbers, their names and
+    /// bounds must be equal. Without trained numbers in the file, those of this policy get their
+    /// initial values.
     fn load(&self, path: PathBuf) -> PyResult<()> {
         let bytes = std::fs::read(&path).map_err(|error| with_path(PyErr::from(error), &path))?;
         let scene = self.lock().scene().clone();

@@ -15,8 +15,8 @@ use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard};
 use std::time::Duration;
 
-/// A training of a policy. `physgrad.train` creates and trains it, `physgrad.load` opens the folder
-/// of a run.
+/// A training of a policy. `physgrad.train` creates and completes a run, and `physgrad.load` opens
+/// the folder of a run.
 ///
 /// `Run(task, policy=None, threads=None, **settings)` is a training before its first epoch.
 /// Settings outside of sections, such as `field`, `epochs` and `seed`, are keyword arguments. Other

@@ -175,10 +175,10 @@ impl Task {
 
     /// Draws initial states, (count, state_dim + param_dim).
     ///
-    /// A row has the state, then the parameters of the sample: `x, p = starts[:, :n], starts[:,
-    /// n:]`. Row i depends only on the task, `seed`, `split` and i. `split` selects the random
-    /// streams: "new" for states that no training uses, "train" and "test" for the data sets of a
-    /// training with this seed. `dtype` is "float32" or "float64", by default that of the task.
+    /// A row has the state x, then the parameters p: `x, p = starts[:, :n], starts[:, n:]`. Row i
+    /// depends only on the task, `seed`, `split` and i. `split` selects the random streams: "new"
+    /// for states that no training uses, "train" and "test" for the data sets of a training with
+    /// this seed. `dtype` is "float32" or "float64", by default that of the task.
     #[pyo3(signature = (count, seed=0, split="new", dtype=None))]
     fn starts<'py>(
         &self,

@@ -8,8 +8,8 @@ use pyo3::prelude::*;
 use std::hint::black_box;
 use std::time::Instant;
 
-/// Seconds of one step of `x`, (B, n), and `u`, (B, m), in Rust: the shortest of `repeats`
-/// measurements. Raises `ValueError` if the task has parameters.
+/// Seconds in Rust for one step of all B rows of `x`, (B, n), and `u`, (B, m): the shortest of
+/// `repeats` measurements. Raises `ValueError` if the task has parameters.
 #[pyfunction]
 pub fn step_seconds(py: Python<'_>, task: &Task, x: &Bound<'_, PyAny>, u: &Bound<'_, PyAny>, repeats: usize) -> PyResult<f64> {
     let [n, m, params] = task.scene.dims();

@@ -47,7 +47,7 @@ def batch(of, count=3, seed=0):
 
 
 class Counting:
-    """A task that counts the calls of its functions."""
+    """A task that records the name and the number of rows of each call of its functions."""
 
     def __init__(self, of):
         self.of, self.calls = of, []

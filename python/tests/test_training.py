@@ -147,7 +147,7 @@ def test_policies_of_other_trained_numbers_are_refused(tmp_path):
     def fit(name, **bounds):
         return small(**{name: {"start": 1.0, **bounds}})
 
-    # Bounds have to survive text: 1 / 1.1 has 17 digits.
+    # Bounds have to survive text: 9.81 * 1.05 has 17 digits.
     run = pg.train(fit("cart_mass", min=1 / 1.1, max=9.81 * 1.05), field="C", epochs=1, seed=1, **FAST)
     run.policy.save(tmp_path / "policy.safetensors")
     pg.Policy(run.task).load(tmp_path / "policy.safetensors")

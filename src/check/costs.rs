@@ -33,8 +33,8 @@ pub fn cost<T: Task>(task: &T) -> Passed {
 /// - The observation and the costs are finite.
 /// - [`observe_vjp`](Task::observe_vjp), [`running_cost_gradient`](Task::running_cost_gradient) and
 ///   [`terminal_cost_gradient`](Task::terminal_cost_gradient) agree with dual numbers with respect
-///   to every input, and add to their outputs. This also holds if the caller requests only some of
-///   the cotangents.
+///   to every input. They also agree if the caller requests only some of the cotangents.
+/// - These three methods add to their outputs.
 ///
 /// # Errors
 /// Returns the first [`Mismatch`].

@@ -75,12 +75,12 @@ pub struct Mismatch {
     /// JVP.
     pub index: usize,
     /// Reference value, from dual numbers or from an equivalent reference form. NaN if the tested
-    /// function is not finite.
+    /// function is non-finite.
     pub expected: f64,
     /// Value of the tested form.
     pub found: f64,
     /// Relative error; absolute for an exact comparison or a zero reference. NaN if the tested
-    /// function is not finite.
+    /// function is non-finite.
     pub error: f64,
     /// Tolerance of the relative error; 0 for an exact comparison or a non-finite function.
     pub allowed: f64,
@@ -105,7 +105,7 @@ pub enum Failure {
 }
 
 impl Mismatch {
-    /// Returns whether the tested function is not finite, so the check compares nothing.
+    /// Returns true if the tested function is non-finite. The check then has no reference value.
     fn is_not_finite(&self) -> bool {
         self.expected.is_nan() && self.allowed == 0.0
     }
@@ -160,7 +160,7 @@ impl Comparison {
         }
     }
 
-    /// Returns an error if a number is not finite.
+    /// Returns an error if a number is non-finite.
     fn finite(&mut self, what: &str, found: &[f64]) -> Result<(), Mismatch> {
         match found.iter().position(|found| !found.is_finite()) {
             Some(index) => Err(Mismatch {
@@ -309,7 +309,7 @@ pub fn try_flow<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Result<
     check_flow_of(task, policy, flow, None)
 }
 
-/// [`try_flow`] at the parameters `theta` of the policy, where `try_flow` draws random ones.
+/// [`try_flow`] at the parameters `theta` of the policy, instead of random ones.
 ///
 /// Rollouts that amplify rounding errors by about 1e6 exceed the tolerance of 1e-10, although all
 /// derivatives are exact.

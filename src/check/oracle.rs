@@ -240,7 +240,8 @@ pub fn policy_directions(
 }
 
 /// Random directions with components of either sign and magnitude between 1/2 and 3/2. A single
-/// wrong component always changes the slope. Several wrong components cancel only by chance.
+/// wrong component of the gradient always changes the slope. Errors of several components cancel
+/// only by chance.
 fn directions(rng: &mut Rng, len: usize) -> Vec<Vec<f64>> {
     let mut component = || rng.random_range(0.5..1.5) * if rng.random() { 1.0 } else { -1.0 };
     (0..DIRECTIONS).map(|_| (0..len).map(|_| component()).collect()).collect()

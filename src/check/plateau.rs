@@ -15,7 +15,7 @@ use std::fmt;
 const NEIGHBOURS: u64 = 4;
 /// Standard deviation of the normal noise in each parameter of a neighbour.
 const AWAY: f64 = 0.01;
-/// Gradients of at most this share of the largest neighbouring gradient norm count as zero.
+/// Gradient norms of at most this share of the largest neighbouring gradient norm count as zero.
 const NEGLIGIBLE: f64 = 1e-6;
 
 /// Result of [`plateau`].
@@ -80,6 +80,10 @@ impl fmt::Display for Plateau {
 ///
 /// # Errors
 /// Returns [`Divergence`] if a loss or gradient is non-finite.
+///
+/// # Panics
+/// If the shapes of task and policy differ, or if `starts` is empty or not a whole number of
+/// samples.
 pub fn plateau<T: Task, P: Policy>(task: &T, policy: &P, weights: &Weights<f64>, starts: &[f64]) -> Result<Plateau, Divergence> {
     let samples = starts.len() / AnyTask::<f64>::start_dim(task);
     let mut batch = Batch::new(task, policy, samples, &[Flow::REGULAR], 1);

@@ -26,9 +26,9 @@ pub fn policy<P: Policy>(policy: &P) -> Passed {
 /// Non-panicking form of [`policy`].
 ///
 /// The check requires that `act` writes every component. It compares the outputs of the forward
-/// pass with `act`, and the input cotangents of the backward pass with dual numbers. It compares
-/// the parameter gradient `g`, after a backward pass without input cotangents, with dual numbers in
-/// two ways:
+/// pass with `act`, and the input cotangents of the backward pass with dual numbers. In every
+/// second random case, it repeats the backward pass without input cotangents. It then compares the
+/// parameter gradient `g`, with and without weights of the columns, with dual numbers in two ways:
 ///
 /// - By component: all components of at most 1000 parameters, otherwise up to 64 random ones of
 ///   each tensor in [`Policy::tensors`].
@@ -90,7 +90,8 @@ fn check(policy: &dyn crate::policy::AnyPolicy<f64>, act: Act, by_duals: oracle:
         let all = PolicyPass::new(weights.packed(), PolicyColumns::range(0..total), &x).at_steps(0..steps);
         policy.backward(all, &tape, &u_bar, &mut tape_bar, Some(&mut x_bar));
         c.slices("backward: x_bar", &x_bar, &oracle::policy_input_gradient(by_duals, (n, m), weights.theta(), &x, &u_bar))?;
-        // Rollouts reuse `tape_bar`. Flows without a path through the inputs request no `x_bar`.
+        // Rollouts reuse `tape_bar`, so the backward pass must not read the old values. Flows
+        // without a path through the inputs request no `x_bar`.
         if case % 2 == 1 {
             tape_bar.fill(f64::NAN);
             policy.backward(all, &tape, &u_bar, &mut tape_bar, None);

@@ -19,8 +19,8 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use smallvec::{SmallVec, smallvec};
 
-/// Number of controls up to which steps do not allocate. In VJPs, the limit for state components,
-/// and for the inputs of all actuators of a chain, is four times as large.
+/// Number of controls up to which steps do not allocate. VJPs have two further limits, four times
+/// as large: one for the state components of an actuator, one for the total inputs of a chain.
 const STACK: usize = 8;
 type Controls<T> = SmallVec<[T; STACK]>;
 

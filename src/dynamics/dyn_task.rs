@@ -32,9 +32,9 @@ use std::sync::Arc;
 /// ```
 ///
 /// # Panics
-/// Generic methods panic for scalars other than those of rollouts, checks, counts, optimization and
-/// references. Default derivatives use other scalars, so a system that contains a [`DynSystem`]
-/// needs a [`vjp`](System::vjp) and a [`jvp`](System::jvp) of its own.
+/// Generic methods panic for scalars other than those of rollouts, diagnoses, checks, counts,
+/// optimization and references. Default derivatives use other scalars, so a system that contains a
+/// [`DynSystem`] needs a [`vjp`](System::vjp) and a [`jvp`](System::jvp) of its own.
 #[derive(Clone)]
 pub struct DynTask(DynSystem);
 

@@ -83,8 +83,7 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
     /// Adds the forces of this effect to `forces`. The time `inputs.t` has the unit of
     /// [`dt`](ForcedSystem::dt).
     ///
-    /// Mark implementations `#[inline(always)]`: inlined code is compiled for AVX2 on processors
-    /// that have it.
+    /// Mark implementations `#[inline(always)]`: only inlined code is compiled for AVX2.
     fn add_forces<T: Scalar>(&self, model: &B, inputs: OdeInputs<'_, T>, forces: &mut [T]);
 
     /// Adds the Jacobian product `(∂forces/∂x)ᵀ forces_bar`, and likewise for `u` and `p`, to those

@@ -237,7 +237,7 @@ impl<F: Float> Adjoint<F> {
     }
 
     /// Calls `add` with the two numbers of [`Growth`](crate::Growth) of flow `k`, for each sample
-    /// of the last run; 0 if not measured.
+    /// of the last run. Both are 0 if not measured.
     pub(crate) fn growth(&self, k: usize, samples: usize, add: &mut dyn FnMut([f64; 2])) {
         match &self.carried {
             Carried::One(_, recursion) => recursion.growth().of(k, samples).for_each(|meter| add(meter.growth())),
@@ -312,9 +312,11 @@ impl<F: Float> Adjoint<F> {
     /// Computes the parameter gradient `Σ_t (∂N/∂θ)ᵀ (h_t, μ)` of flow `k`, summed over `samples`.
     ///
     /// Includes the gradient with respect to the trained entries of p. Overwrites `theta_bar`.
+    /// Policy, weights and rollout must be those of the last [`run`](Adjoint::run).
     ///
     /// # Panics
-    /// If `samples` exceeds the samples of the rollout, or the rollout has no tape.
+    /// If `samples` exceeds the samples of the rollout, the rollout has no tape, or `k` is not
+    /// below the number of flows.
     #[track_caller]
     pub fn param_gradient(
         &mut self,

@@ -2,7 +2,7 @@
 //!
 //! Results do not depend on the number of workers. Samples are independent. Gradients are summed
 //! over fixed groups of samples, then over fixed blocks of groups, then over all blocks in order.
-//! Several [`Ranks`] share the blocks, with the same sums.
+//! If several [`Ranks`] share the blocks, the sums do not change.
 
 use crate::engine::adjoint::Flow;
 use crate::engine::any::AnyTask;

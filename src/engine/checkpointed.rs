@@ -228,7 +228,7 @@ impl<F: Float> Checkpointed<F> {
     }
 
     /// Calls `add` with the two numbers of [`Growth`](crate::Growth) of flow `k`, for each sample
-    /// of the last run; 0 if not measured.
+    /// of the last run. Both are 0 if not measured.
     pub(crate) fn growth(&self, k: usize, add: &mut dyn FnMut([f64; 2])) {
         self.adjoint.growth(k, self.rollout.samples(), add);
     }

@@ -1,4 +1,4 @@
-//! [`Gradient`]: a vector over the parameters with a common exponent.
+//! [`Gradient`]: a vector over the parameters, with a common exponent.
 
 use crate::numbers::extended::{ExtendedF64, exponent_of, scaled, scaled_with_sign};
 use crate::numbers::kernels::{SimdLevel, elementwise};
@@ -242,7 +242,7 @@ impl<F: Float> Gradient<F> {
         }
     }
 
-    /// Sets the gradient to 0 if every nonzero value has underflowed, so that only signs remain.
+    /// Sets the gradient to 0 if only signs remain, because every nonzero value has underflowed.
     pub(crate) fn drop_signs(&mut self) {
         let smallest = scaled_with_sign(F::one(), -10_000);
         if self.exponent != 0 && self.values.iter().all(|value| value.as_().abs() <= smallest.as_()) {

@@ -6,8 +6,8 @@ use crate::numbers::rng::{Purpose, Rng, stream};
 use crate::numbers::scalar::Float;
 
 /// Draws the initial states of samples `0 .. samples`: for each sample, `state_dim` numbers, then
-/// its `param_dim` parameters. The task draws both. Then each physical number that varies is drawn,
-/// and its value replaces its entry of the parameters.
+/// its `param_dim` parameters. The task draws both. Then each physical number that varies is drawn.
+/// The drawn value replaces the entry of this number in the parameters.
 ///
 /// Each sample has its own random stream, determined by `seed`, `purpose` and its index. A sample
 /// is therefore independent of the number of samples.

@@ -6,8 +6,8 @@
 //! - [`initial_states`]: initial states, drawn by a task from seeded streams.
 //! - [`observe`]: observations of all samples.
 //! - [`schedule`], [`checkpointed`]: recomputation of steps from checkpoints.
-//! - [`batch`]: mini-batches, and [`evaluation`]: data sets, split over threads and ranks.
-//! - [`ranks`]: mini-batches and data sets, split over processes.
+//! - [`batch`], [`evaluation`]: mini-batches and data sets, split over threads and ranks.
+//! - [`ranks`]: processes that share mini-batches and data sets.
 //! - [`gradient`], [`growth`], [`divergence`]: results and errors of the passes.
 //! - [`rows`]: steps and costs of many samples as arrays, outside of rollouts.
 //! - [`any`]: object-safe tasks and systems. [`parallel`]: threads.

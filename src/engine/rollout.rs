@@ -29,7 +29,7 @@ pub(crate) const WIDTH: usize = 8;
 /// odd, so that columns of neighbouring samples map to different cache sets.
 pub(crate) const UNIT: usize = 129;
 
-/// Stored steps, for messages.
+/// End of the error messages about steps that are not stored.
 const STORED: &str = "a rollout with a tape stores all steps, one for evaluation only the last";
 
 /// One component of the state, the control or another vector, for [`WIDTH`] samples.

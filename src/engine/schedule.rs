@@ -60,7 +60,7 @@ impl Schedule {
         Self::new(horizon, horizon, 1)
     }
 
-    /// Uses segments of about √horizon steps, rounded to whole units and at least one.
+    /// Uses segments of about √horizon steps, rounded to whole units, and of at least one unit.
     ///
     /// Every segment except the last has a checkpoint and is recomputed once.
     ///

@@ -34,12 +34,12 @@ pub enum IdentifyError {
         /// Length expected.
         expected: usize,
     },
-    /// A control or a parameter is not finite.
+    /// A control or a parameter is non-finite.
     #[error("segment {segment}: a {what} is not finite; allowed: finite numbers")]
     NonFinite {
         /// Index of the segment.
         segment: usize,
-        /// Kind of the number.
+        /// `control` or `parameter`.
         what: &'static str,
     },
     /// A segment has no samples.

@@ -14,7 +14,8 @@ pub struct Segment {
     /// Measured states, `[step][component]`. NaN marks a missing number. Infinite numbers also
     /// count as missing.
     pub x: Vec<Vec<f64>>,
-    /// Controls, `[step][component]`. Missing rows are 0.
+    /// Controls, `[step][component]`, one row per step from each measured state to the next.
+    /// Without any row, all controls are 0.
     pub u: Vec<Vec<f64>>,
     /// Parameters. The identification replaces the unknown entries.
     pub p: Vec<f64>,
@@ -88,9 +89,9 @@ pub struct Fit {
     /// Simulated states of each segment.
     pub states: Vec<Vec<Vec<f64>>>,
     /// Largest jump of the simulated states between windows, in units of the noise. If the noise is
-    /// unknown, the unit is the root mean square of the residuals. The unit is at least 1e-9 times
-    /// the root mean square of the measurements. At 0, the states of a segment are one simulation
-    /// from its initial state.
+    /// unknown, the unit is the root mean square of the residuals. This substitute is at least 1e-9
+    /// times the root mean square of the measurements. If the jump is 0, the states of a segment
+    /// are one simulation from its initial state.
     pub jump: f64,
     /// χ² of `states` over all segments, with σ = 1 if the noise is unknown.
     pub chi_squared: f64,

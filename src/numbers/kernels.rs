@@ -1,7 +1,8 @@
 //! Vectorized kernels: matrix products, elementwise functions, sine and cosine.
 //!
-//! [`dispatch`] selects code for the processor at run time, since builds use default target flags.
-//! A portable path serves x86-64 processors without AVX2 or fused multiply-add, and architectures
+//! Builds use default target flags. [`SimdLevel::best`] therefore detects the instruction set of
+//! the processor at run time, and [`dispatch`] runs code compiled for a given instruction set. A
+//! portable path serves x86-64 processors without AVX2 or fused multiply-add, and architectures
 //! other than x86-64 and aarch64. Contains the only unsafe code of the library. Start with
 //! [`dispatch`].
 

@@ -287,8 +287,8 @@ impl<R: Real> Cotangent<R> for R {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CotangentPack<R, const K: usize>(pub [R; K]);
 
-/// Calls `column(k)` for `k = 0 .. K`. Unrolled for `K ≤ 2`, as in reverse passes: small loops slow
-/// compilation.
+/// Calls `column(k)` for `k = 0 .. K`. Unrolled for the `K ≤ 2` of reverse passes, because small
+/// loops slow compilation.
 #[inline(always)]
 fn each<const K: usize>(mut column: impl FnMut(usize)) {
     match K {

@@ -1,4 +1,4 @@
-//! [`Step`]: changes of the controls and gains, from a backward pass over the expansion of a
+//! [`Step`]: gains and changes of the controls, from a backward pass over the expansion of a
 //! trajectory.
 
 use super::box_qp::BoxQp;
@@ -6,7 +6,7 @@ use super::derivatives::Expansion;
 use super::options::Bounds;
 use nalgebra::{DMatrix, DVector};
 
-/// Changes of the controls, gains, and predicted decrease.
+/// Gains, changes of the controls, and predicted decrease of the cost.
 pub(super) struct Step {
     /// Changes of the controls, `[step]`.
     pub(super) changes: Vec<DVector<f64>>,

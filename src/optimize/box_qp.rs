@@ -83,7 +83,7 @@ fn restricted(hessian: &DMatrix<f64>, free: &[usize]) -> Option<Cholesky<f64, Dy
     hessian.select_rows(free).select_columns(free).cholesky()
 }
 
-/// Moves the free components by `size` times `step` and clamps them. Also returns whether the clamp
+/// Moves the free components by `size` times `step` and clamps them. Also returns true if the clamp
 /// changed no component.
 fn moved(d: &DVector<f64>, free: &[usize], step: &DVector<f64>, size: f64, bounds: &[[f64; 2]]) -> (DVector<f64>, bool) {
     let (mut moved, mut inside) = (d.clone(), true);

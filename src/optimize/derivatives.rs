@@ -36,8 +36,8 @@ pub(super) struct Expansion {
     pub(super) hessian: DMatrix<f64>,
     /// Gradient of the loss with respect to the controls, `[step][control]`.
     pub(super) by_control: Vec<f64>,
-    /// Largest absolute second derivative of the costs. If all are 0, largest absolute first
-    /// derivative.
+    /// Largest absolute second derivative of the costs. If all are 0, the largest absolute first
+    /// derivative of the costs.
     pub(super) curvature: f64,
 }
 

@@ -37,7 +37,7 @@ impl<'a> Search<'a> {
         Self { problem, bounds, options, best: start, regularization, costs, rollouts: 1, small_decreases: 0 }
     }
 
-    /// Iterates until a reason for [`Stop`] applies.
+    /// Iterates until one of the reasons in [`Stop`] applies.
     ///
     /// # Errors
     /// [`OptimizeError::Derivative`] if a derivative at the initial trajectory is not finite.
@@ -67,7 +67,8 @@ impl<'a> Search<'a> {
     /// # Errors
     /// [`OptimizeError::Stopped`] if the stop flag is set.
     fn improve(&mut self, expansion: &Expansion) -> Result<ControlFlow<Stop, Expansion>, OptimizeError> {
-        // Decreases below the rounding error of the last costs count as small.
+        // The tolerance includes the rounding error of the cost two iterations before, or of the
+        // initial cost.
         let recent = self.costs[self.costs.len().saturating_sub(SMALL_DECREASES)];
         let tolerance = self.options.cost_tolerance * self.best.cost.abs() + f64::EPSILON * recent.abs();
         loop {

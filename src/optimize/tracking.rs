@@ -16,10 +16,10 @@ use rand::RngExt;
 /// ```
 ///
 /// x̄ and ū are the states and controls of the plan. The observation is the deviation `x_t - x̄_t`.
-/// A [`Sum`](crate::policy::Sum) of an [`OpenLoop`](crate::policy::OpenLoop) with the controls of
-/// the plan and a feedback that starts at 0 therefore starts at the plan. The system is that of the
-/// planned task. All samples have the parameters of the plan. The plan needs as many steps as the
-/// planned task.
+/// A suitable policy is a [`Sum`](crate::policy::Sum) of a feedback and an
+/// [`OpenLoop`](crate::policy::OpenLoop) with the controls of the plan. If the feedback is
+/// initially 0, the initial controls are those of the plan. The system is that of the planned task.
+/// All samples have the parameters of the plan. The plan needs as many steps as the planned task.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tracking<'a, T> {
     task: &'a T,

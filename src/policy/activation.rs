@@ -34,7 +34,7 @@ impl Activation {
     pub(crate) fn value<T: Scalar>(self, z: T) -> T {
         match self {
             Self::Tanh => z.tanh(),
-            // `select_lt` returns its last argument for NaN, which `max` would replace by 0.
+            // For NaN, `select_lt` returns its last argument; `max` alone would return 0.
             Self::Relu => T::select_lt(z, T::from(f64::INFINITY), z.max(0.0), z),
             Self::Silu => z * ((z * 0.5).tanh() * 0.5 + 0.5),
             Self::Gelu => {
@@ -73,7 +73,7 @@ impl Activation {
     }
 }
 
-/// `(v, slopes) ← (f(v), f'(v))` elementwise in the given columns of `values` and `slopes`.
+/// `(values, slopes) ← (f(values), f'(values))` elementwise, in the given columns of both slices.
 pub(super) fn activate<F: Float>(level: SimdLevel, f: Activation, values: &mut [F], slopes: &mut [F], columns: Strided) {
     struct Work<'a, F>(Activation, &'a mut [F], &'a mut [F], Strided);
     impl<F: Float> Vectorized for Work<'_, F> {

@@ -104,7 +104,7 @@ impl Mlp {
         let mut layer =
             Layer { inputs: 0, outputs: 0, rows: 0, theta: 0, ld_in: 0, ld_out: 0, packed: 0, transposed: 0, tape: 0 };
         for pair in self.widths[..index + 2].windows(2) {
-            // Offsets follow the end of the previous layer.
+            // Each layer begins at the end of the previous layer.
             layer.theta += layer.rows * layer.outputs;
             layer.packed = layer.transposed + layer.outputs * layer.ld_in;
             layer.tape += layer.ld_in;

@@ -182,7 +182,8 @@ impl Program {
             if error.is::<run::NoUpdate>() { NO_UPDATE } else { FAILURE }
         });
         ranks::end(failure);
-        // After a signal, returns 128 plus its number, so scripts can detect the interruption.
+        // After a signal and without an error, returns 128 plus the number of the signal. Scripts
+        // can thus detect the interruption.
         ExitCode::from(failure.or(signals::received().map(signals::exit_status)).unwrap_or(0))
     }
 }

@@ -15,7 +15,7 @@ const CART: &str = "#C9CED6";
 const DARK: &str = "#4A4F57";
 const RAIL: &str = "#9AA0A8";
 
-/// Largest number of frames. Omits states of longer trajectories; motion between frames is linear.
+/// Largest number of frames. Longer trajectories are thinned; motion between frames is linear.
 const MAX_FRAMES: usize = 250;
 /// Distance of the cart from the origin at which a trajectory counts as diverged, m.
 const FAR: f64 = 1e6;
@@ -28,8 +28,9 @@ const WHOLE: f64 = 10.0;
 /// Animates a trajectory on a bare rail.
 ///
 /// A state is `[x, ẋ, θ, θ̇, …]` with angle and angular velocity of every pole; angle 0 is upright.
-/// States are `dt` seconds apart. `half_length` is half the length of a pole, in m. The arrow on
-/// the cart shows the force in `controls`, relative to the largest force of the trajectory.
+/// States are `dt` seconds apart. `controls` holds the force of each step. `half_length` is half
+/// the length of a pole, in m. The arrow on the cart shows the force, relative to the largest force
+/// of the trajectory.
 ///
 /// Trajectories shorter than 2 s play at one third of real time. The camera follows a cart whose
 /// positions span more than 6 pole lengths. The animation ends before the first state that is
@@ -118,8 +119,8 @@ impl Stage {
         let lowest = states.iter().flat_map(|state| state[2..].iter().step_by(2)).map(|angle| angle.cos()).fold(0.0, f64::min);
         // Space below the rail for its marks, and for poles that hang down.
         let bottom = length * (lowest * 1.1).min(-0.45) - 0.2 * length;
-        // Marks over the range of the camera, at round distances of about one pole length, limited
-        // in number. A fixed camera omits marks whose labels would be clipped.
+        // Marks over the range of the camera, at round distances of at least one pole length and at
+        // most 21 in number. A fixed camera omits marks whose labels would be clipped.
         let extent = if follow { (right - left) / 2.0 + half_width } else { half_width - 0.3 * length };
         let (from, to) = ((left + right) / 2.0 - extent, (left + right) / 2.0 + extent);
         let step = round_up(length.max((to - from) / 20.0));
@@ -153,7 +154,7 @@ impl Stage {
     fn rail(&self, camera: f64) -> Vec<Shape> {
         let (unit, y) = (self.length, -0.2 * self.length);
         let end = self.bumpers.map_or(f64::INFINITY, |bumpers| bumpers.end());
-        // Extends beyond the view, which may grow to the view of another animation.
+        // Extends beyond the view, which `Animation::share_scale` may enlarge.
         let beyond = RAIL_BEYOND * (self.high[0] - self.low[0]);
         let (left, right) = ((self.low[0] - beyond).max(-end - camera), (self.high[0] + beyond).min(end - camera));
         let mut shapes = vec![Shape::Line { from: [left, y], to: [right, y], width: 0.02 * unit, color: RAIL }];

@@ -41,8 +41,9 @@ impl Channel {
 }
 
 /// Animates numbers over time, one band per channel, each with its own range. Values are `dt`
-/// seconds apart. All channels have the same number of values, or one less, as controls have. A
-/// cursor crosses the bands in real time, or in 1 s if the values span less time.
+/// seconds apart. All channels have the same number of values, except that channels of controls may
+/// have one value less. The animation ends where the longest curve ends. A cursor crosses the bands
+/// in real time, or in 1 s if the values span less time.
 pub fn channels_over_time(title: &str, channels: &[Channel], dt: f64) -> Animation {
     let steps = channels.iter().map(|channel| channel.finite().len()).max().unwrap_or(0).saturating_sub(1);
     let time = steps as f64 * dt;

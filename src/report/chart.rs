@@ -14,7 +14,8 @@ const SIZE: [f64; 2] = [460.0, 270.0];
 /// Margins around the plotted area, in pixels: left, top, right, bottom.
 const MARGINS: [f64; 4] = [58.0, 12.0, 16.0, 44.0];
 
-/// Chart without title, legend and y label, which the surrounding page supplies.
+/// Chart without title, legend, y label and notes, which the surrounding page supplies. Does not
+/// draw the horizontal bars of a [`Series`].
 pub struct Chart {
     x_label: &'static str,
     y_label: &'static str,

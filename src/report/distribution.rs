@@ -4,8 +4,8 @@ use super::log_figure::{Panel, XScale, log_figure};
 use super::series::{drawable, thinned_to};
 use super::{Drawing, Series};
 
-/// Draws losses against the share of rollouts with at most this loss, in %. Each policy has a
-/// label, a CSS colour and its losses in ascending order.
+/// Draws each loss against the share of rollouts, in %, that have at most this loss. Each policy
+/// has a label, a CSS colour and its losses in ascending order.
 ///
 /// Omits losses that a logarithmic axis cannot show, for example those of diverged rollouts. A line
 /// with diverged rollouts therefore ends before 100 %.

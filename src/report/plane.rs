@@ -175,12 +175,13 @@ impl Plane {
         let last = f64::from(steps - 1);
         let step = |value: &f64| {
             let position = (value.log10() - f64::from(self.decades[0])) * each;
-            // `max` maps NaN, the logarithm of negative values and of NaN, to the lowest step.
+            // The logarithm of NaN or of a negative value is NaN, which `max` maps to the lowest
+            // step.
             position.floor().max(0.0).min(last)
         };
         let cells: Vec<f64> = values.iter().map(step).collect();
         let (low, high) = cells.iter().fold((f64::INFINITY, 0.0), |(low, high): (f64, f64), &c| (low.min(c), high.max(c)));
-        // Inverts kuva's normalization of colours to the range of the cells.
+        // Inverts the normalization by kuva, which maps the range of the cells to [0, 1].
         let color = move |share: f64| color((low + share * (high - low)).round() / last);
         let (x_low, x_high) = if scale.is_some() { (0.0, 1.0) } else { (-self.half_width, self.half_width) };
         let (y_low, y_high) = scale.map_or((x_low, x_high), |[low, high]| (f64::from(low), f64::from(high)));

@@ -23,7 +23,7 @@ impl Dash {
     /// All patterns.
     pub const ALL: [Self; 4] = [Self::Solid, Self::Dashed, Self::Dotted, Self::DashDot];
 
-    /// Value of the SVG attribute `stroke-dasharray`, in pixels. None for a solid line.
+    /// Value of the SVG attribute `stroke-dasharray`, in pixels. `None` for a solid line.
     pub fn array(self) -> Option<&'static str> {
         match self {
             Self::Solid => None,

@@ -28,9 +28,9 @@ pub enum Contact {
     /// for any dt. The derivatives include the dependence on the impact time ("saltation": Hiskens
     /// and Pai 2000, doi:10.1109/81.828574).
     ///
-    /// A step may contain infinitely many impacts (Zeno), but computes only four. At a fifth, the
-    /// gap closes and stays at rest until a positive acceleration opens it. This discards bounces
-    /// lower than `|a| dt² / 128`, where a is the acceleration of the gap.
+    /// A step may contain infinitely many impacts (Zeno), of which the code computes only four. At
+    /// a fifth, the gap closes and stays at rest until a positive acceleration opens it. This
+    /// discards bounces lower than `|a| dt² / 128`, where a is the acceleration of the gap.
     TimeOfImpact {
         /// Coefficient of restitution, from 0 (perfectly inelastic) to 1 (elastic).
         restitution: f64,

@@ -16,8 +16,8 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 /// m₂ l₁ l₂ cos Δ α₁ + m₂ l₂² α₂        = m₂ g l₂ sin θ₂ + m₂ l₁ l₂ sin Δ ω₁²
 /// ```
 ///
-/// The code computes the determinant as `m₂ l₁² l₂² (m₁ + m₂ sin² Δ)`. The difference of products
-/// would lose all digits for small m₁ and sin Δ.
+/// The code computes the determinant of the mass matrix as `m₂ l₁² l₂² (m₁ + m₂ sin² Δ)`. The
+/// difference of the products of matrix entries would lose all digits for small m₁ and sin Δ.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DoublePendulum {
     /// Masses m₁ and m₂, kg.

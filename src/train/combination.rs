@@ -99,8 +99,8 @@ impl GradientCombiner for Combination {
     }
 }
 
-/// Writes F of `m·2^e_m` and `r·2^e_r` into `out`. The directions of m and r do not depend on their
-/// exponents.
+/// Writes the conflict-free combination of `m·2^e_m` and `r·2^e_r` into `out`. `exponents` is
+/// `[e_m, e_r]`. The directions of m and r do not depend on the exponents.
 fn conflict_free<F: Float>(first: &[F], second: &[F], exponents: [i32; 2], out: &mut [F]) {
     let (_, first_square, second_square) = elementwise::moments(SimdLevel::best(), first, second);
     let (m, r) = (first_square.sqrt(), second_square.sqrt());

@@ -73,7 +73,8 @@ pub trait GradientCombiner: Sync + Send {
     }
 }
 
-/// Larger exponent of two gradients. The exponent of a zero gradient has no meaning.
+/// Larger exponent of two gradients, or 0 if both are zero. Ignores the exponent of a zero
+/// gradient, which has no meaning.
 pub(super) fn common_exponent<F: Float>(first: &Gradient<F>, second: &Gradient<F>) -> i32 {
     let is_nonzero = |gradient: &&Gradient<F>| gradient.values().iter().any(|&g| g != F::zero());
     [first, second].into_iter().filter(is_nonzero).map(Gradient::exponent).max().unwrap_or(0)

@@ -322,7 +322,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     }
 
     /// Creates a session from given parameters and initial states; see
-    /// [`initial_states`](crate::initial_states).
+    /// [`initial_states`](crate::initial_states). Ignores [`start_from`](Self::start_from).
     ///
     /// With [`Training::resample`], updates draw their initial states from the task. `train` then
     /// serves for losses only, and its length sets the number of samples of an epoch.

@@ -167,7 +167,7 @@ impl OptimizerKind {
     }
 }
 
-/// An [`OptimizerKind`], a learning rate and the accumulated moments.
+/// An [`OptimizerKind`], a learning rate, the number of steps taken, and the accumulated moments.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Optimizer<F> {
     rule: OptimizerKind,

@@ -322,7 +322,11 @@ impl<F: Float> Progress<F> {
         Ok(step)
     }
 
-    /// Computes the vector of update number `update`.
+    /// Computes the combined vector of update number `update`: the field, or an estimate with
+    /// smoothing.
+    ///
+    /// # Errors
+    /// [`Divergence`] if a number is non-finite, or the vector is too large for the optimizer.
     fn vector(&mut self, trained: Trained<'_, F>, update: usize) -> Result<Step, Divergence> {
         let step = match self.training.smoothing {
             None => self.field(trained)?,
@@ -398,7 +402,8 @@ impl<F: Float> Progress<F> {
         })
     }
 
-    /// Checks that the combined vector, of this norm, is within the range of the optimizer.
+    /// Checks that the combined vector, after clipping, is within the range of the optimizer.
+    /// `norm` is the norm of the vector before clipping.
     fn check_range(&self, norm: ExtendedF64) -> Result<(), Divergence> {
         // Optimizers sum the squares of many updates. The factor 1e-3 allows 1e6 summands.
         if norm.is_finite() && self.training.clip.bound(norm.get()) <= F::MAX.sqrt() * 1e-3 {

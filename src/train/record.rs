@@ -90,7 +90,7 @@ pub struct Skip {
     pub divergence: Divergence,
 }
 
-/// Results of one update.
+/// Results of one update, or of one evaluation of a mini-batch.
 #[derive(Default)]
 pub(super) struct Step {
     pub loss: f64,

@@ -112,7 +112,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     }
 
     /// Warnings about the last epoch: skipped updates, non-finite losses, unreliable gradients.
-    /// Each states the epoch and a remedy, unless the causes of skips are unknown after
+    /// Each states the epoch. Each states a remedy, unless the causes of skips are unknown after
     /// [`restore`](Session::restore). A session returns each kind of warning once.
     ///
     /// Empty within an epoch. [`Trainer::run`](crate::Trainer::run) prints them.
@@ -120,8 +120,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
         self.progress.new_warnings(self.task.horizon()).iter().map(Warning::to_string).collect()
     }
 
-    /// All [`warnings`](Self::warnings) about the last epoch, also of kinds that earlier epochs
-    /// had.
+    /// All warnings about the last epoch, including kinds that [`warnings`](Self::warnings) has
+    /// already returned.
     pub fn epoch_warnings(&self) -> Vec<Warning> {
         self.progress.warnings(self.task.horizon())
     }

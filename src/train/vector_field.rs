@@ -142,10 +142,11 @@ pub const ROTATION: f64 = 4.0;
 /// The field vanishes where the gradient vanishes. The rotation circulates around the minimum, so
 /// the field is not a gradient.
 ///
-/// Gradient descent with small steps converges, because `g` always contributes. Adam does not
-/// converge if the rotation is strong. Near the minimum, Adam divides by ever smaller root mean
-/// squares, so steps grow relative to the field. The momentum delays the field by β₁ / (1 - β₁) = 9
-/// iterations. The delayed rotation moves the iterate outwards, and `g` moves it inwards.
+/// Gradient descent with small steps converges, because every step has the component `-g`, and the
+/// rotation is orthogonal to `g`. Adam does not converge if the rotation is strong. Near the
+/// minimum, Adam divides by ever smaller root mean squares, so steps grow relative to the field.
+/// The momentum delays the field by β₁ / (1 - β₁) = 9 iterations. The delayed rotation moves the
+/// iterate outwards, and `-g` moves it inwards.
 ///
 /// Let η be the learning rate over the root mean square. The two motions balance at
 /// `η = 1 / (9 · strength² · curvature)`. Without a rotation, Adam is stable up to

@@ -58,9 +58,10 @@ impl<F: Float> Progress<F> {
     }
 }
 
-/// Returns the warnings about some and about all updates skipped, for an epoch that skipped `count`
-/// of `updates` updates. At most one is present. `known` is one of the skipped updates, if any is
-/// recorded. A restored session has no record of those before its checkpoint.
+/// Returns the warning about some skipped updates, and the warning that all updates were skipped.
+/// At most one is present. The epoch skipped `count` of `updates` updates. `known` is one of the
+/// skipped updates, if any is recorded. A restored session has no record of the updates that were
+/// skipped before its checkpoint.
 fn skipped(count: usize, updates: usize, known: Option<&Skip>) -> [Option<String>; 2] {
     let cause = known.map(|skip| format!(" ({})", skip.divergence)).unwrap_or_default();
     let place = known.map(|skip| format!(", for example update {}", skip.update)).unwrap_or_default();

@@ -79,18 +79,18 @@ fn every_operation_on_duals_counts_the_value_and_four_tangents() {
             "div_f64" => Ops { divide: 5, ..NONE },
             // a' b + a b'.
             "mul" | "mul_assign" => Ops { multiply: 1 + 8, add: 4, ..NONE },
-            // q = a / b, i = 1 / b; (a' - q b') i. The absolute value of i, and a selection per
-            // tangent.
+            // q = a / b, i = 1 / b; (a' - q b') i. The guard against an infinite b takes the
+            // absolute value of i, and one selection per tangent.
             "div" | "div_assign" => Ops { divide: 2, multiply: 8, add: 4, compare: 1 + 4, negate: 1, ..NONE },
             "neg" => Ops { negate: 5, ..NONE },
-            // The derivative may be infinite: the absolute values of the derivative and of each
-            // tangent, and two selections per tangent.
+            // The guard against an infinite slope takes the absolute values of the slope and of
+            // each tangent, and two selections per tangent.
             "sqrt" => Ops { sqrt: 1, divide: 1, multiply: 4, compare: 1 + 12, negate: 5, ..NONE },
             "ln" => Ops { transcendental: 1, divide: 1, multiply: 4, compare: 1 + 12, negate: 5, ..NONE },
             "exp" => Ops { transcendental: 1, multiply: 4, ..NONE },
             "sin" | "cos" => Ops { transcendental: 1, negate: 1, multiply: 8, ..NONE },
             "tanh" => Ops { transcendental: 1, add: 1, multiply: 1 + 4, ..NONE },
-            // s = a a + b b; (b / s) a' - (a / s) b', with a test of each product.
+            // s = a a + b b; (b / s) a' - (a / s) b', with the guard of sqrt for both slopes.
             "atan2" => Ops { transcendental: 1, add: 1 + 4, multiply: 2 + 8, divide: 2, compare: 2 * 13, negate: 2 * 5, ..NONE },
             "select_lt" | "min" | "max" => Ops { compare: 5, ..NONE },
             "abs" => Ops { compare: 5, negate: 5, ..NONE },
@@ -195,8 +195,8 @@ fn operations_of_a_spring_equal_those_counted_by_hand() {
 
     // Dual numbers, all inputs at once. Each of 2 products of variables takes 9 multiplications and
     // 4 additions. Each of 2 products with dt takes 5 multiplications, each of 3 sums 5 additions.
-    // For each column of cotangents, each of the 2 derivatives of an input then takes a product and
-    // a sum. Each input takes an addition to the output.
+    // Each column of cotangents then takes 2 multiplications and 3 additions per input. For each of
+    // the 2 outputs, these are a product and a sum. The third addition is that to the cotangent.
     let inputs = |inputs: u64, columns: u64| counts(2 * (9 + 5) + columns * 2 * inputs, 2 * 4 + 3 * 5 + columns * 3 * inputs, 0);
     let [both, state, control] = [3, 2, 1].map(|count| move |columns| inputs(count, columns));
     assert_eq!(spring(&Spring::<false>, one), [step, both(1), state(1), control(1)]);

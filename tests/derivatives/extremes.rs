@@ -91,8 +91,9 @@ fn norms_of_adjoints_have_the_whole_range_of_f64() {
 }
 
 /// As [`Timed`] with a factor of 8, and 0 at step `zero`, but with the cost `1e6 x_t`. The gain of
-/// the control is `gain` at step `zero`, else 1. Without a control, nothing remains at this step.
-/// With a tiny gain, the cotangent of the control sets the exponent. A large gain raises it.
+/// the control is `gain` at step `zero`, else 1. If `gain` is 0, no cotangent of later steps
+/// remains at step `zero`. If `gain` is tiny, the cotangent of the control sets the exponent. A
+/// large `gain` raises the exponent.
 #[test]
 fn costs_of_the_current_state_survive_a_derivative_of_0() {
     struct Before {
@@ -142,7 +143,7 @@ fn costs_of_the_current_state_survive_a_derivative_of_0() {
 }
 
 /// The adjoint grows by a factor of 8 per step, beyond the range of f32, and restarts at step 50.
-/// The controls and the number occur in the cost only.
+/// The controls and the trained parameter occur in the cost only.
 #[test]
 fn gradients_of_direct_costs_survive_a_restart() {
     struct Priced;
@@ -186,14 +187,15 @@ fn gradients_of_direct_costs_survive_a_restart() {
             let mut gradient = Gradient::zeros(129);
             adjoint.param_gradient(k, &policy, &weights, &rollout, 0..3, &mut gradient);
             let gradient = gradient.to_vec();
-            // Three samples: at the last step, at the restart, and the number.
+            // Sums over three samples, times the scale 0.5: the control at the last step, the
+            // control at the restart, and the trained parameter.
             assert_eq!([127, 50, 128].map(|i| gradient[i]), [3.0 * 1.5, 3.0 * 1.5, 2.0 * 128.0 * 1.5], "flow {k}");
         }
     }
 }
 
-/// A cut removes the path through the observation of p too. Growth by 3.5 per step exceeds one
-/// decade in every second step.
+/// A cut also removes the path from p through the observation. Growth by a factor of 3.5 per step
+/// exceeds one decade at every second step.
 #[test]
 fn a_cut_removes_the_effect_of_parameters_on_the_observation() {
     /// `x_{t+1} = 3 x_t + u_t` with the observation `x_t + p`.
@@ -257,7 +259,8 @@ fn a_cut_removes_the_effect_of_parameters_on_the_observation() {
     }
 }
 
-/// Only an unused copy of the last sample would overflow: it has to be cut with the sample.
+/// The unused lanes of a block are copies of the last sample. A cut of this sample has to include
+/// the copies, which otherwise overflow in f32.
 #[test]
 fn a_cut_of_the_last_sample_includes_its_copies() {
     let factor = |t| {
@@ -276,7 +279,7 @@ fn a_cut_of_the_last_sample_includes_its_copies() {
     }
 }
 
-/// A plain sum of 1e5 costs in f32 has an error of 1.4e-4.
+/// A plain sum of 1e5 costs of 0.1 in f32 has a relative error of 1.4e-4.
 #[test]
 fn the_loss_of_a_long_rollout_is_accurate_in_f32() {
     struct Constant;

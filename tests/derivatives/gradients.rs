@@ -118,19 +118,19 @@ enum Fault {
     Control,
     /// `u_bar` is wrong if requested alone.
     ControlAlone,
-    /// Overwrites `x_bar` instead of adding to it.
+    /// `vjp` overwrites `x_bar` instead of adding to it.
     Overwrite,
     /// The step does not write component 1.
     Unwritten,
     /// Component 2 of `x_bar` is NaN.
     NaN,
-    /// Correct for scalars, wrong in lanes.
+    /// `x_bar` is correct for scalars, but wrong in lanes.
     Lanes,
     /// `jvp` adds to its output.
     JvpAdds,
     /// `jvp` ignores the control if there is a tangent of the state.
     JvpOfOne,
-    /// The root of a negative number.
+    /// The step takes the square root of a negative number.
     Root,
 }
 
@@ -296,7 +296,7 @@ fn check_policy_finds_a_batched_input_derivative_set_to_0() {
 struct OneOff {
     conv: Conv,
     index: usize,
-    /// Writes the gradient instead of adding it.
+    /// Overwrites the gradient instead of adding to it, without the error in one component.
     overwrites: bool,
 }
 

@@ -69,7 +69,7 @@ impl Task for Rod {
     }
 }
 
-/// Linear feedback by `act` only.
+/// Linear feedback that implements `act`, but no batched pass.
 struct Feedback;
 
 impl Policy for Feedback {

@@ -63,12 +63,12 @@ fn wrappers_forward_the_cause_of_the_wrapped_system() {
     let hard = hard.system();
     assert!(matches!(cause(hard), Some(Cause::Unsolved(_))), "{:?}", cause(hard));
     assert_eq!(cause(hard), cause(&stepped));
-    // The stability follows from JVPs.
+    // `check::stability` evaluates JVPs through these wrappers.
     let system = DynTask::new(Upright::double_pendulum()).system().clone();
     let lagging = Actuated { system: Substeps { system, count: 2 }, actuator: Delay { steps: 1 } };
     let zeros = vec![0.0; 5];
     assert!(check::stability(&lagging, Inputs::new(&zeros, &zeros[..1])).multiplier.is_finite());
-    // The engine diagnoses a step of one sample in a lane.
+    // The engine diagnoses the step of one sample, with a single lane.
     let substeps = Substeps { system: hard.clone(), count: 2 };
     let ones = [Lanes([1.0_f64]); 4];
     assert!(matches!(substeps.diagnose(Inputs::new(&ones, &ones[..1])), Some(Cause::Unsolved(_))));

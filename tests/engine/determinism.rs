@@ -239,7 +239,8 @@ fn resampling_draws_one_stream_per_epoch_and_sample() {
         x[0]
     };
     let evaluated = (0..SAMPLES as u64).map(|i| position(Purpose::Train, i)).chain([position(Purpose::Test, 0)]);
-    // Epoch e, sample i: stream e N + i. Without resampling, updates draw nothing.
+    // Sample i of epoch e, counted from 0, has the stream `e · SAMPLES + i`. Without resampling,
+    // updates draw nothing.
     for (resample, updates) in [(false, 0), (true, 3 * SAMPLES as u64)] {
         let expected: Vec<f64> = evaluated.clone().chain((0..updates).map(|index| position(Purpose::Train, index))).collect();
         let training =

@@ -54,7 +54,7 @@ fn moments(vectors: &[[f64; 2]]) -> ([f64; 2], f64) {
 
 const THETA: [f64; 2] = [0.7, -0.4];
 
-/// The mean of the gradients at θ + σ ε and θ - σ ε is the gradient at θ.
+/// For a quadratic loss, the mean of the gradients at θ + σ ε and θ - σ ε is the gradient at θ.
 #[test]
 fn first_order_estimates_of_a_quadratic_loss_are_its_gradient() {
     let of = |estimator| after_one_update(Bowl::default(), Constant::new(2, 2), &THETA, estimator);
@@ -68,8 +68,9 @@ fn first_order_estimates_of_a_quadratic_loss_are_its_gradient() {
     }
 }
 
-/// Differences of a quadratic loss are exact directional derivatives, for any σ. Their expected
-/// product with ε is the gradient, since E[ε εᵀ] is the identity. Each update draws other ε.
+/// Central differences of a quadratic loss are exact directional derivatives, for any σ. Their
+/// expected product with ε is the gradient, since E[ε εᵀ] is the identity. Each update draws other
+/// ε.
 #[test]
 fn zeroth_order_estimates_of_a_quadratic_loss_are_directional_derivatives_times_directions() {
     let training = Training { epochs: 3, ..training(Some(Estimator::ZerothOrder)) };

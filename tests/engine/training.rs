@@ -44,7 +44,7 @@ impl Task for Plant {
     }
 }
 
-/// Trains `u = θ` from 0 by gradient descent along M in double precision.
+/// Returns a trainer of `u = θ` from θ = 0, by gradient descent along M in double precision.
 fn trainer(task: Plant, training: Training) -> Trainer<Plant, Constant, f64> {
     let training = Training { rule: OptimizerKind::Sgd, train_samples: 8, test_samples: 1, ..training };
     Trainer::new(task, Constant::new(1, 1)).precision::<f64>().field(Field::modified()).training(training)
@@ -79,7 +79,7 @@ fn updates_have_the_learning_rates_of_the_decay() {
                 };
                 theta -= 0.5 * factor;
                 let found = session.weights().theta()[0];
-                // Each update rounds numbers up to 6 a few times.
+                // Each update has a few rounding errors of numbers of at most 6.
                 assert!((found - theta).abs() < 1e-13, "{decay:?}, warm-up {warm_up}, update {update}: {found}, not {theta}");
             }
             assert!(session.is_done());

@@ -51,7 +51,7 @@ fn an_entry_of_p_is_unknown_once() {
     assert_eq!(error, IdentifyError::Twice { names: ["p".into(), "q".into()], index: 0 });
 }
 
-/// `x' = x/2 + p`. Sets the flag of the options at step number `at`.
+/// `x' = x/2 + p`. Sets the flag of the options at step number `at`, counted from 0.
 #[derive(Default)]
 struct Stopping {
     steps: AtomicUsize,

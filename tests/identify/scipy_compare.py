@@ -102,7 +102,7 @@ class Problem:
             for k, field in enumerate(FIELDS):
                 if field in fitted:
                     value = self.base[i, k] if k < 4 else FRICTION * (0.1 if field == "quadratic" else 1)
-                    # Initial values are alternately too large and too small.
+                    # Initial values are alternately too large and too small, if `factor` exceeds 1.
                     starts.append(value * factor if len(starts) % 2 == 0 else value / factor)
                     self.names.append(f"{field}_{i + 1}")
                     self.places.append((i, k))

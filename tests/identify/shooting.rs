@@ -96,7 +96,7 @@ fn a_chaotic_swing_is_identified() {
     check(&system, &measured(x, &p));
 }
 
-/// Units of the data change the units of the results only, also if the noise is unknown.
+/// The unit of the data changes only the units of the results, even if the noise is unknown.
 #[test]
 fn a_fit_with_unknown_noise_does_not_depend_on_the_unit_of_the_data() {
     #[derive(Clone)]

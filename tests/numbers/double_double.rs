@@ -84,7 +84,7 @@ struct Doubling {
     system: Logistic,
 }
 
-/// Logistic map x' = 4 x (1 - x), whose k-th state is sin²(2^k asin √x).
+/// Logistic map x' = 4 x (1 - x). From the initial state x₀, the k-th state is sin²(2^k asin √x₀).
 struct Logistic;
 
 impl System for Logistic {

@@ -45,7 +45,7 @@ fn bounds_without_a_finite_control_are_refused() {
     }
 }
 
-/// Task in which one cost is not finite at the state 0, or has an infinite derivative there.
+/// Task in which one cost is non-finite at the state 0, or has an infinite derivative there.
 struct Broken {
     /// Selects the terminal cost instead of the running cost of step 3.
     terminal: bool,

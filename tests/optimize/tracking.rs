@@ -46,7 +46,7 @@ fn derivatives_of_tracking_equal_dual_numbers() {
     assert!(starts.chunks(3).all(|start| start[2] == 0.3 && (start[0] - 0.4).abs() < 0.5), "{starts:?}");
 }
 
-/// A mass that is drawn for each sample.
+/// `x' = x + u/m`, over three steps. The mass m is drawn for each sample.
 struct Puck;
 
 impl System for Puck {

@@ -204,7 +204,8 @@ fn gusty_wind_with_gusts_of_0_equals_steady_wind() {
 #[test]
 fn wind_on_an_upright_pole_at_rest_has_the_documented_force_and_torque() {
     let x = step(&Forced { system: poles(1), effects: SteadyWind::default() }, &[0.0; 4], 0.0);
-    // Upright pole at rest: F = (cart_drag + pole_drag) w², τ = half_length pole_drag w².
+    // Upright pole at rest, with the wind speed w: F = (cart_drag + pole_drag) w² and
+    // τ = half_length pole_drag w².
     assert!(x[1] > 0.0);
     let mut forces = [0.0; 2];
     SteadyWind::default().add_forces(&poles(1), Inputs::new(&[0.0; 4], &[]).continuous(0.0), &mut forces);

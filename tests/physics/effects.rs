@@ -151,7 +151,7 @@ fn guidance_has_the_operations_of_handwritten_code_plus_those_of_its_options() {
         // Friction takes one more subtraction per velocity component, because the library does not
         // merge it into the factor of the velocities. The weight is a factor in the forward and in
         // the reverse pass. The library can compute the cotangents of the control alone, and
-        // therefore multiplies them by dt separately.
+        // therefore takes separate multiplications by dt for them.
         let vjp = Ops { add: 2 * (d + e), multiply: 4 + 2 * d, ..Ops::default() };
         assert_eq!(library.vjp - by_hand.vjp, vjp);
     }

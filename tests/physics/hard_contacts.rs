@@ -18,7 +18,7 @@ fn run<S: System>(system: &S, x: &[f64], u: f64, steps: usize) -> Vec<f64> {
     (0..steps).fold(x.to_vec(), |x, _| step(system, &x, u))
 }
 
-/// Returns ∂S_i/∂x_j, with ∂S_i/∂u in the last column.
+/// Returns the Jacobian ∂S_i/∂x_j of the step S, with ∂S_i/∂u in the last column.
 fn jacobian<S: System>(system: &S, x: &[f64], u: f64) -> Vec<Vec<f64>> {
     let row = |i: usize| {
         let (mut bar, mut x_bar, mut u_bar) = (vec![0.0; x.len()], vec![0.0; x.len()], [0.0]);

@@ -126,8 +126,8 @@ fn plants_and_costs_without_optimum_are_reported() {
     let unstabilizable = Lqr::new(plant.clone(), identity.clone(), vec![1.0]);
     assert!(matches!(unstabilizable, Err(NoOptimum::NotConverged { .. })), "{unstabilizable:?}");
     assert!(matches!(Lqr::new(plant, identity.clone(), vec![-1.0]), Err(NoOptimum::ControlCost)));
-    // The control does not affect the eigenvalues 2, 1.1 and 1. The motion with the eigenvalue 1
-    // neither grows nor decays.
+    // In these plants, the control does not reach the motions with the eigenvalues 2, 1.1 and 1,
+    // respectively. The motion with the eigenvalue 1 neither grows nor decays.
     let coupled = [
         (vec![2.0, 1.0, 0.0, 3.0], vec![1.0, 1.0], 1.0),
         (vec![1.1, 0.5, 0.0, 0.5], vec![0.5, -0.6], 1.0),
@@ -137,10 +137,12 @@ fn plants_and_costs_without_optimum_are_reported() {
         let found = Lqr::new(LinearPlant::new(2, a, b), identity.clone(), vec![r]);
         assert!(matches!(found, Err(NoOptimum::Unstabilizable | NoOptimum::NotConverged { .. })), "{found:?}");
     }
-    // W = q + a² W / (1 + W) is near -9.7, so 1 + W is negative.
+    // The iteration for Riccati's equation W = q + a² W / (1 + W) converges to W near -9.7, so
+    // 1 + W is negative.
     let rewarded = Lqr::new(LinearPlant::new(1, vec![0.5], vec![1.0]), vec![-10.0], vec![1.0]);
     assert!(matches!(rewarded, Err(NoOptimum::StateCost)), "{rewarded:?}");
-    // W = 0 after an even number of steps, but -2 after an odd number.
+    // Single steps of this iteration give W = 0 after an even number of steps, but -2 after an odd
+    // number.
     let oscillating = Lqr::new(LinearPlant::new(1, vec![1.0], vec![1.0]), vec![-2.0], vec![1.0]);
     assert!(matches!(oscillating, Err(NoOptimum::StateCost)), "{oscillating:?}");
 }

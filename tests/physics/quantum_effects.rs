@@ -134,8 +134,9 @@ fn an_effect_costs_only_its_own_operations() {
     // multiplication. The last 4 n additions form the next state `2 y - ψ`.
     let eliminated = Ops { divide: n, negate: n, ..sums(4 * n, 8 * n + 1) };
     assert_eq!(plain[0], eliminated + solve + sums(4 * n, 0));
-    // The cotangent of the state takes the elimination, its conjugation, one solve, `2 w - v`, and
-    // the addition to the output.
+    // The cotangent of the next state is v. With the matrix A of the step, `y = A⁻¹ ψ` and
+    // `w = A⁻ᴴ v`. The cotangent of the state takes the elimination, its conjugation, one solve,
+    // `2 w - v`, and the addition to the output.
     let state = eliminated + Ops { negate: n + 1, ..solve } + sums(4 * n + 2 * n, 0);
     assert_eq!(plain[2], state);
     // The cotangent of the control takes a second solve, and the cotangents `dt Im(w̄ y)` of the

@@ -62,7 +62,7 @@ fn default_edges_keep_0_8_of_eigenstate_1_and_a_sixth_of_eigenstate_3() {
 }
 
 /// Returns the lowest `count` eigenvalues of -D₂ + diag(potential), by Sturm's sequence and
-/// bisection. D₂ is the matrix of the second difference.
+/// bisection. D₂ is the matrix of the second difference over dx².
 fn levels(model: &QuantumSystem, potential: &[f64], count: usize) -> Vec<f64> {
     let per_square = 1.0 / model.spacing().powi(2);
     let below = |energy: f64| {

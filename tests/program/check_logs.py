@@ -1,4 +1,4 @@
-"""Compares event files of TensorBoard with `metrics.csv`, by the reader of TensorBoard.
+"""Reads event files with TensorBoard, and compares their scalars with `metrics.csv`.
 
 Run: python check_logs.py RUN ...
 """

@@ -1,5 +1,5 @@
 //! Rust code in the documentation is a doctest, or quotes files in `examples`, which `cargo test`
-//! compiles.
+//! compiles. The page `docs/runs.md` quotes `read_policy.py`.
 
 use crate::markdown::{pages, root};
 use std::fs;

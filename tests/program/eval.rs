@@ -45,8 +45,8 @@ fn a_summary_agrees_with_its_losses_and_with_robust_at_unchanged_settings() {
     let grid = read(&dir, "grid/robust.csv");
     assert_eq!(column(&grid, "median")[0], number("median"), "`robust` at the mass of the run has another median than `eval`");
 
-    // The rollouts belong to the samples with the largest losses, the worst first. None of their
-    // states is an initial state of the test rollouts in the run's `trajectory.csv`.
+    // The rollouts in `worst.csv` belong to the samples with the largest losses, the worst first.
+    // None of their states is an initial state of the test rollouts in the run's `trajectory.csv`.
     let worst = read(&dir, "many/worst.csv");
     let mut samples = column(&worst, "sample");
     samples.dedup();
@@ -103,7 +103,7 @@ fn two_policies_are_evaluated_in_another_scene_and_errors_name_the_scene() {
     assert!(message.contains("name a scene of cart_pole"), "{message}");
 }
 
-/// The best policy of a run is the last policy of a run that ends with the best epoch.
+/// The best policy of a run equals the last policy of a shorter run that ends with the best epoch.
 #[test]
 fn the_best_policy_is_that_of_the_epoch_with_the_lowest_test_loss() {
     let dir = TempDir::new().expect("a folder");

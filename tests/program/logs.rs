@@ -179,7 +179,7 @@ fn a_complete_run_gets_a_log_and_others_have_none() {
     assert!(run.join("metrics.jsonl").exists() && !run.join(EVENTS).exists());
     physgrad("train --resume --quiet --out run --log tensorboard,jsonl", dir.path()).assert().success();
     check(&run, 2);
-    // A new run in the folder moves the files of the old one.
+    // A new run in the folder renames the folder of the earlier run to `run.previous-1`.
     physgrad(&format!("train cart_pole {SMALL} --epochs 1 --quiet --out run"), dir.path()).assert().success();
     assert!(!run.join("metrics.jsonl").exists() && !run.join(EVENTS).exists());
     check(&dir.path().join("run.previous-1"), 2);

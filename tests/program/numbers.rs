@@ -258,7 +258,7 @@ fn unusable_measurements_are_refused_with_place_and_advice() {
     }
 }
 
-/// Data without damping and with noise, so that the fitted damping is negative.
+/// Data of a cart whose speed grows without a force, so that the fitted damping is negative.
 #[test]
 fn a_fit_outside_of_the_range_of_a_setting_is_written() {
     let dir = TempDir::new().expect("a folder");

@@ -466,7 +466,7 @@ fn the_schema_has_one_branch_per_task_with_every_setting() {
         let branch = branches.iter().find(of_task).expect("a branch of the task");
         assert_eq!(branch["required"], serde_json::json!(["scene", "task"]));
         assert_described(branch, &stdout(&["scene", task]).parse().expect("TOML"), task);
-        // Scenes may also have these sections, whose keys are names of settings.
+        // Scenes may also have these sections. The schema does not restrict their keys.
         assert!(["vary", "fit", "sweep"].iter().all(|section| branch["properties"][section]["type"] == "object"), "{branch}");
         let training = &branch["properties"]["training"]["properties"];
         assert!(training["clip_limit"].is_object() && training["decay_end"].is_object());

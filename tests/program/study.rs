@@ -139,7 +139,7 @@ fn a_study_trains_every_combination_and_equals_single_runs() {
     fs::write(dir.path().join("out/study.toml"), plan).expect("a file");
     assert!(error(&dir, "train push --quiet -o out").contains("out holds a study"));
 
-    // The scene is in the plan of the folder: merge needs no other file.
+    // The scene is in the plan of the folder: `merge` needs no other file.
     let table = bytes("out/study.csv");
     fs::remove_dir_all(dir.path().join("plans/scenes")).expect("a folder");
     fs::remove_file(dir.path().join("out/study.csv")).expect("a file");

@@ -106,8 +106,8 @@ fn runs_are_listed_filtered_sorted_and_drawn() {
     assert!(warning.contains("warning: omitted a run: runs/deep/b/metrics.csv is damaged"), "{warning}");
 }
 
-/// Runs of one scene and of several scenes have other places, so one folder cannot hold both. Nor
-/// can it hold runs of two scenes in one place.
+/// A comparison of one scene writes to `runs`, one of several scenes or points to `NAME/runs`. One
+/// folder cannot hold both. It cannot hold comparisons of two different single scenes either.
 #[test]
 fn a_comparison_of_one_scene_does_not_mix_with_one_of_several() {
     let dir = tempfile::TempDir::new().expect("a folder");

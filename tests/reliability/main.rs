@@ -1,4 +1,4 @@
-//! Interruptions, power loss and damaged inputs.
+//! Interruptions, power loss, damaged inputs, and comparisons and studies in several processes.
 
 #[path = "../common/running.rs"]
 mod running;

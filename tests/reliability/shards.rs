@@ -155,7 +155,7 @@ fn the_next_shard_completes_a_killed_one_and_merge_names_missing_runs() {
 
     let mut killed = shard(&options, &many, "2/2");
     wait_until("a run ends", || ended(&many) > 0);
-    // The program refuses a command without --shard while a shard runs.
+    // The program refuses a command without `--shard` while a shard runs.
     assert!(error_of(physgrad(&whole).arg("--out").arg(&many)).contains("in use by process"));
     killed.kill().expect("the process is killed");
     killed.wait().expect("the process ends");

@@ -83,8 +83,9 @@ fn rejected() -> Vec<Finding> {
     };
     let light = [1, 20].map(|poles| model(poles, 1e-12));
     let (lights, all_lights) = count(&light, |error| matches!(error, MassError::CartTooLight { .. }));
-    // The equations are singular for a massless pole, and for an upright pole on a cart of −1/4 of
-    // the pole mass. For the other finite masses in this list, they have unique solutions.
+    // The equations of both exact models are singular for a massless pole, and for an upright pole
+    // on a cart of −1/4 of the pole mass. For the other finite masses in this list, they have
+    // unique solutions.
     let split = |cart_mass: f64, pole_mass: f64| CartPoleSystem {
         cart_mass: cart_mass.into(),
         pole_mass: pole_mass.into(),
@@ -126,8 +127,8 @@ fn relative_residual(terms: &[f64]) -> f64 {
     terms.iter().sum::<f64>().abs() / terms.iter().fold(f64::MIN_POSITIVE, |largest, term| larger(largest, term.abs()))
 }
 
-/// Residual by d'Alembert's principle, from the accelerations of the pole centers. It uses no mass
-/// matrix.
+/// Largest relative residual of the equations of motion by d'Alembert's principle, from the
+/// accelerations of the pole centers. Uses no mass matrix.
 ///
 /// Center i has the position `p_i` and the acceleration `a_i`. Pole k has the mass m, the length
 /// 2 l, the angle `θ_k` and the angular acceleration `α_k`. The cart has the mass `M_c` and the
@@ -176,7 +177,8 @@ fn dalembert(model: &CartPoleSystem, chained: bool, x: &[f64], rate: &[f64], u: 
     worst
 }
 
-/// Residual in the equations of the authors' model, as documented at [`CartPoleSystem`].
+/// Largest relative residual of the equations of the authors' model, as documented at
+/// [`CartPoleSystem`].
 fn in_the_authors_equations(model: &CartPoleSystem, x: &[f64], rate: &[f64], u: f64) -> f64 {
     let [cart_mass, m, l, gravity] = model.nominal();
     let mass = cart_mass + m;

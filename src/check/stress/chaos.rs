@@ -1,9 +1,9 @@
 //! Stress case: adjoints of chaotic motion.
 //!
 //! The adjoint at the initial state aligns with the covector of fastest growth, which the first
-//! seconds determine. The norm and sign depend on the last seconds. The adjoints of two rollouts
-//! that differ by rounding therefore stay collinear. Their signs agree only while the trajectories
-//! agree.
+//! seconds determine. The norm and sign of the adjoint depend on the last seconds. The adjoints of
+//! two rollouts that differ by rounding therefore stay collinear. Their signs agree only while the
+//! trajectories agree.
 
 use super::{Case, Finding};
 use crate::dynamics::inputs::{Cotangents, Inputs, Tangents};

@@ -40,7 +40,8 @@ fn resolved(stiffness: f64) -> f64 {
     PI / stiffness.sqrt() / 60.0
 }
 
-/// Number of steps of [`resolved`] in a contact, which lasts `π sqrt(reduced_mass / stiffness)`.
+/// Number of steps in an undamped contact, with the time step [`resolved`], as text. The contact
+/// lasts `π sqrt(reduced_mass / stiffness)`. The number does not depend on the stiffness.
 fn steps_per_contact(reduced_mass: f64) -> String {
     let stiffness = STIFFNESSES[0];
     format!("{:.0}", PI * (reduced_mass / stiffness).sqrt() / resolved(stiffness))

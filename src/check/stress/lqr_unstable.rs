@@ -131,7 +131,7 @@ fn norms(lqr: &Lqr, gain: &[f64]) -> [Vec<f64>; 2] {
 }
 
 /// Reports M for single initial states: the smallest absolute cosine with `Σ_t a^{-t} x_t`, and the
-/// number of states from which M descends.
+/// number of states at which M is a descent direction.
 fn directions(lqr: &Lqr, name: &str, gain: &[f64]) -> [Finding; 2] {
     const STARTS: usize = 64;
     let n = gain.len();

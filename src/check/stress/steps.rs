@@ -29,7 +29,8 @@ pub(super) fn derivative(system: &dyn AnySystem<f64>, states: &[Vec<f64>], u: f6
     (bar, u_bar)
 }
 
-/// `(∂S/∂x)ᵀ bar` and `(∂S/∂u)ᵀ bar` in forward mode, one component at a time.
+/// `(∂S/∂x)ᵀ bar` and `(∂S/∂u)ᵀ bar` for the step S of a system, by forward mode, one component of
+/// x or u at a time.
 pub(super) fn vjp_by_jvps<R: Real>(system: &dyn AnySystem<R>, x: &[R], u: &[R], bar: &[R]) -> [Vec<R>; 2] {
     let mut next = x.to_vec();
     let mut along = |len: usize, jvp: &dyn Fn(&[R], &mut [R])| -> Vec<R> {

@@ -140,6 +140,8 @@ pub struct Delay {
 }
 
 impl Actuator for Delay {
+    /// # Panics
+    /// If the number of steps is 0.
     fn state_dim(&self, controls: usize) -> usize {
         assert!(self.steps > 0, "the delay has 0 steps; allowed: 1 or more");
         self.steps * controls

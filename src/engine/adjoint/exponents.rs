@@ -188,7 +188,7 @@ impl<F: Float, const K: usize> BlockExponents<F, K> {
     }
 
     /// Rescales the cotangents of one sample and flow to a size of about 1, if needed. If all
-    /// cotangents are 0, sets the exponent to 0.
+    /// cotangents are 0, sets a negative exponent to 0.
     ///
     /// `lambda` is λ of the block. `u_bar` contains h and μ of the block.
     fn rescale(

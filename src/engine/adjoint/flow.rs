@@ -54,7 +54,8 @@ impl Flow {
     pub const MODIFIED: Self = Self::new(1.0, 0.0, 1.0);
     /// N: the state input of the physics is detached.
     pub const NETWORK: Self = Self::new(0.0, 1.0, 1.0);
-    /// S: no path; `h_t` contains only the costs that depend directly on `u_t` or `x_{t+1}`.
+    /// S: no path; `h_t` contains only gradients of costs that depend directly on `u_t` or
+    /// `x_{t+1}`.
     pub const STOPPED: Self = Self::new(0.0, 0.0, 0.0);
     /// The flows R, M, N and S.
     pub const ALL: [Self; 4] = [Self::REGULAR, Self::MODIFIED, Self::NETWORK, Self::STOPPED];

@@ -2,7 +2,8 @@
 //!
 //! [`adjoint`](super) states the equations and defines λ, h and μ. `exponents` scales only
 //! cotangents of extreme size. `step_back` traverses the samples. `policy` computes the Jacobian
-//! products of the policy. `measure` records norms and growth.
+//! products of the policy. `starts` sums the gradients with respect to initial states and
+//! parameters p. `measure` records norms and growth.
 
 use super::exponents::{Exponents, Limits};
 use super::measure::{GrowthMeters, record_norms};
@@ -370,8 +371,8 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         self.exponents.update();
     }
 
-    /// Ranges in `lambda` and `u_bar` of the cotangents of a block that [`restart`](Self::restart)
-    /// changes.
+    /// Ranges in `lambda` and `u_bar` of the cotangents that [`restart`](Self::restart) changes in
+    /// one block.
     fn carried(block: usize, rollout: &Rollout<F>, place: Place) -> [Range<usize>; 2] {
         let (n, m, outputs) = (rollout.state_dim, rollout.control_dim, rollout.control_dim + rollout.memory_dim);
         let controls = if place == Place::BeforePolicy { 0 } else { m };
@@ -427,7 +428,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         }
     }
 
-    /// Value and exponent of the gradient with respect to parameter `i`, of policies with trained
+    /// Value and exponent of the gradient with respect to entry `i` of p, for policies with trained
     /// parameters.
     pub(super) fn by_param(&self, k: usize, sample: usize, i: usize) -> (F, i32) {
         self.starts.as_ref().expect("trained parameters have gradients").by_param(k, sample, i)

@@ -61,7 +61,7 @@ impl<F: Float, const K: usize> StartGradients<F, K> {
         &self.gradients[sample][k]
     }
 
-    /// Value and exponent of the gradient with respect to parameter `i`.
+    /// Value and exponent of the gradient with respect to entry `i` of p.
     pub(super) fn by_param(&self, k: usize, sample: usize, i: usize) -> (F, i32) {
         self.sums[sample][k].part(i)
     }

@@ -1,4 +1,4 @@
-//! A register-tiled matrix product for small matrices, such as the layers of controllers.
+//! A register-tiled matrix product for small matrices, such as those of policy layers.
 //!
 //! `C = A·B` or `C += A·B`. `A` (m × k) and `C` (m × n) are column-major and padded to whole cache
 //! lines; `B` (k × n) has arbitrary strides. Start with [`Product`].

@@ -1,8 +1,8 @@
 //! Branch-free hyperbolic tangent, vectorized over whole layers.
 //!
 //! `FMA` states whether the target has a fused multiply-add instruction. Without one, `mul_add`
-//! would call the C library. Saturates at exactly ±1, so the derivative `1 - t²` of a saturated
-//! unit is exactly 0.
+//! would call the C library. Both functions saturate at exactly ±1, so the derivative `1 - t²` of a
+//! saturated unit is exactly 0. t is the value of tanh.
 
 #[inline(always)]
 fn fma_32<const FMA: bool>(a: f32, b: f32, c: f32) -> f32 {

@@ -2,8 +2,9 @@
 //!
 //! Arithmetic is that of num-dual. Elementary functions apply the chain rule to the function of the
 //! plain number, so their values equal those of `f64`. In num-dual, `tanh` overflows (sinh/cosh),
-//! and `sqrt` and `ln` return NaN tangents for a constant 0. Unlike [`Dual`](super::Dual), a
-//! quotient by infinity has NaN tangents if the tangent of the divisor is infinite.
+//! and `sqrt` and `ln` return NaN tangents for a constant 0. Unlike a quotient of
+//! [`Dual`](super::Dual) numbers, a quotient by infinity has NaN tangents if the tangent of the
+//! divisor is infinite.
 
 use super::Scalar;
 use num_dual::Dual64;

@@ -135,7 +135,8 @@ impl Layer {
         );
     }
 
-    /// Adds the window cotangents of one column to its input positions, at a distance of `slot`.
+    /// Adds the window cotangents of one column to the cotangents of its input positions. `slot` is
+    /// the distance between positions in `to`.
     pub fn add_windows<F: Float>(&self, windows: &[F], slot: usize, to: &mut [F]) {
         for (q, window) in windows.chunks_exact(self.entries).take(self.positions).enumerate() {
             for k in 0..KERNEL {

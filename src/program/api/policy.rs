@@ -61,8 +61,8 @@ impl Policy {
     /// Policy with the parameters of a policy file.
     ///
     /// # Errors
-    /// The bytes are no policy file, or one of another policy. A parameter is not finite. The
-    /// policy trains other numbers than the scene.
+    /// The bytes are not a policy file, or are one of another policy. A parameter is not finite.
+    /// The file and the scene train different numbers, or the bounds of these numbers differ.
     pub fn read(scene: &Scene, bytes: &[u8]) -> Result<Self> {
         policy_file::check_numbers(bytes, &scene.scene.about())?;
         let policy = scene.scene.policy();
@@ -122,8 +122,8 @@ impl Policy {
         self.theta.iter().map(|&theta| F::from_f64(theta)).collect()
     }
 
-    /// Controls of a policy without memory for the observations `y`. Both have the layout
-    /// `[row][component]`.
+    /// Controls for the observations `y`, of a policy without a memory. Controls and observations
+    /// have the layout `[row][component]`.
     ///
     /// # Errors
     /// The policy has a memory, or `y` is not a whole number of rows.

@@ -114,13 +114,12 @@ impl Run {
     }
 
     /// Trains up to the last epoch, or until the observer stops the run. Returns whether the run is
-    /// complete. A run with a folder continues from the checkpoint in the folder, and saves
-    /// there.
+    /// complete. A run with a folder continues from the checkpoint in the folder, and saves there.
     ///
     /// # Errors
-    /// A file cannot be written, or the folder is in use. A run in a folder has completed more
-    /// epochs than its setting `epochs`. Training diverged, with a [`TrainError`], or the run ended
-    /// without an applied update.
+    /// A file cannot be written, the checkpoint cannot be restored, or the folder is in use. A run
+    /// in a folder has completed more epochs than its setting `epochs`. Training diverged, with a
+    /// [`TrainError`], or the run ended without an applied update.
     pub fn train(&mut self, observer: &mut dyn Observer) -> Result<bool> {
         let (scene, run) = (&self.scene.scene, &mut *self.run);
         let finished = match &self.folder {

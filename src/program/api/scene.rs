@@ -65,7 +65,7 @@ impl Scene {
         Ok(Self { scene: source.starting_from(self.scene.initial_policy())?, source })
     }
 
-    /// The source with other values of some settings. `policy` is as in
+    /// Scene of the source, with other values of some settings. `policy` is as in
     /// [`SceneSource::starting_from`].
     fn changed(
         mut source: SceneSource,
@@ -102,7 +102,7 @@ impl Scene {
         self.scene.task()
     }
 
-    /// Time steps of a rollout.
+    /// Number of time steps of a rollout.
     pub fn horizon(&self) -> usize {
         self.scene.horizon
     }

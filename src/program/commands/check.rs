@@ -111,7 +111,8 @@ fn stability(scene: &Scene, mut halved: SceneSource) -> Result<String> {
     })
 }
 
-/// Scenes to check, with their names in the table.
+/// Scenes to check, with their names in the table. Without a name, all variants of all tasks, and
+/// the presets in `RICH`.
 fn scenes(name: Option<&str>) -> Result<Vec<(String, Scene)>> {
     let tasks = tasks::all().iter().filter(|kind| name.is_none_or(|name| name == kind.name()));
     let variants: Vec<_> = tasks.flat_map(|kind| kind.variants()).collect();

@@ -105,7 +105,8 @@ pub fn compare(args: &Compare) -> Result<()> {
     if args.shard.is_none() {
         comparisons.iter().try_for_each(Comparison::check_resumable)?;
     }
-    // The runs of one scene are in `runs`. Those of each of several scenes are in a subfolder.
+    // The layout of the folder depends on the number of points. One point has its runs in `runs`.
+    // Several points have a subfolder each.
     let saved = folder.has(COMPARISON).then(|| read_plan::<Plan>(&folder)).transpose();
     let saved =
         saved.with_context(|| format!("{} holds other results; choose another folder with --out", folder.path().display()))?;
@@ -306,8 +307,8 @@ impl PlannedPoint {
 /// A scene at one point of its sweep.
 #[derive(Clone)]
 struct SweepPoint {
-    /// Names of scene and point. Omits the name of the scene if the command names only one scene,
-    /// and the name of the point without a sweep.
+    /// Names of scene and point, joined by `+`. Omits the name of the scene if the command names
+    /// only one scene. Omits the name of the point if there is no sweep.
     name: String,
     point: Point,
     scene: Scene,

@@ -218,8 +218,8 @@ fn warnings(fit: &Fit) -> Vec<String> {
     warnings
 }
 
-/// Standard deviations in the order of the state components, 1 for components without measurements.
-/// None without assignments.
+/// Standard deviations in the order of the state components. The default is 1 for components
+/// without measurements. All other components need an assignment. None without assignments.
 fn noise(assignments: &[String], scene: &Scene, measured: &Measured) -> Result<Option<Vec<f64>>> {
     if assignments.is_empty() {
         return Ok(None);

@@ -63,7 +63,7 @@ pub struct Optimize {
     pub json: bool,
 }
 
-/// Largest number of initial states with an animation, and in the picture.
+/// Largest number of animations, and of initial states in the picture.
 const SHOWN: usize = 3;
 
 /// Largest number of state components in the picture.

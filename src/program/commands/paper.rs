@@ -185,7 +185,8 @@ impl AllMade {
         self.failures.extend(failures.err().map(|error| (name.to_owned(), error)));
     }
 
-    /// Lists all failures. The error is [`NoUpdate`] if every failure is.
+    /// Returns one error that lists all failures, if there are any. It is [`NoUpdate`] if every
+    /// failure is.
     fn into_result(self) -> Result<()> {
         let no_update = |(name, error): &(String, anyhow::Error)| {
             error.downcast_ref::<NoUpdate>().map(|NoUpdate(runs)| format!("{name}: {runs}"))

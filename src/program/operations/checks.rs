@@ -50,7 +50,8 @@ pub fn amplification(task: &DynTask, policy: &impl Policy, seed: u64) -> Option<
     });
     let amplifications =
         states.map(|(sample, step, inputs)| Amplification { sample, step, stability: check::stability(task.system(), inputs) });
-    // `total_cmp` ranks the NaN of `check::stability`, which is positive, above every number.
+    // `check::stability` returns NaN with a positive sign. `total_cmp` ranks this NaN above every
+    // number.
     amplifications.max_by(|a, b| a.stability.multiplier.total_cmp(&b.stability.multiplier))
 }
 

@@ -152,7 +152,7 @@ fn derive<F: Float>(
             Derived { gradient, bytes, rounds: count as f64, run: Box::new(move || drop::<Result<f64, String>>(difference(0))) }
         }
         GradientMethod::Duals => {
-            // The rollout in dual numbers continues after a divergence.
+            // Reports a divergence. The rollout in dual numbers would continue after it.
             let first = losses(task, policy, converted)(&weights);
             let slope = move |i: usize| slope(&theta, &starts, i);
             let (gradient, bytes) = peak_bytes(|| first.map(|_| chosen(count).into_iter().map(&slope).collect()));

@@ -45,7 +45,8 @@ fn needs_in<F: Float>(task: &DynTask, policy: &impl Policy, samples: usize, star
 /// the control groups. 32 GB if all are unknown.
 pub fn of_this_machine() -> f64 {
     const UNKNOWN: f64 = 32e9;
-    // Version 2 of control groups: the group of this process, and the groups that contain it.
+    // Limits by version 2 of control groups: those of the group of this process, and of the groups
+    // that contain it. The last path has the limit by version 1.
     let groups = read_to_string("/proc/self/cgroup").unwrap_or_default();
     let group = groups.lines().find_map(|line| line.strip_prefix("0::/")).unwrap_or_default();
     let groups = Path::new(group).ancestors().map(|group| Path::new("/sys/fs/cgroup").join(group).join("memory.max"));

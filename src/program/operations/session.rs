@@ -30,7 +30,7 @@ pub trait AnyRun: Send {
     ///
     /// Returns the record of the epoch, or None if paused.
     fn advance(&mut self, pause: &(dyn Fn() -> bool + Sync)) -> Result<Option<&Record>, TrainError>;
-    /// Loss of the test set with the current parameters; NaN if it diverges.
+    /// Loss of the test set with the current parameters. NaN if a rollout diverges.
     fn test_loss(&mut self) -> f64;
     /// Number of updates applied so far.
     fn updates(&self) -> u64;
@@ -55,8 +55,8 @@ pub trait AnyRun: Send {
     fn theta(&self, epoch: Epoch) -> Vec<f64>;
     /// Number of initial states in the test set.
     fn test_samples(&self) -> usize;
-    /// Rollouts with the current parameters, from a range of test initial states. Truncates the
-    /// range to the test set.
+    /// Rollouts with the current parameters, from a range of test initial states. Truncates the end
+    /// of the range to the test set.
     fn rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory>;
     /// [`rollouts`](AnyRun::rollouts) in double precision, from the rounded parameters and states.
     fn double_rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory>;

@@ -19,8 +19,8 @@ pub fn numbers(numbers: &[(String, f64)]) -> Result<Vec<u8>> {
 
 /// `trajectory.csv`: one row per state of each rollout. `rollouts` pairs the rollouts with the
 /// indices of their initial states. A row contains the index, the step, the time, the state, and
-/// the parameters of the rollout. The controls of the policy and those that an actuator applies
-/// follow. They are empty for the last state.
+/// the parameters of the rollout. The last columns are the controls of the policy, and the controls
+/// that an actuator applies. Both are empty for the last state.
 pub fn trajectories<'a>(scene: &Scene, rollouts: impl IntoIterator<Item = (usize, &'a Trajectory)>) -> Result<Vec<u8>> {
     let names = ["sample", "step", "time"].map(String::from).into_iter();
     let (states, params) = (scene.state_names(), scene.param_names());

@@ -94,7 +94,8 @@ impl std::error::Error for NoUpdate {}
 /// Largest number of threads, unless the machine has more cores.
 const MAX_THREADS: usize = 256;
 
-/// Sets up the thread pool and returns its number of threads.
+/// Returns the number of threads of the pool: `requested`, else the number in `RAYON_NUM_THREADS`,
+/// else rayon's default. Sets up the pool if `requested` is given.
 pub fn threads(requested: Option<usize>) -> Result<usize> {
     let max = std::thread::available_parallelism().map_or(1, usize::from).max(MAX_THREADS);
     // Reads the variable as rayon does: 0 stands for all cores.
@@ -151,7 +152,7 @@ pub fn run(
     Ok(finished(scene, run, failure))
 }
 
-/// Trains with rank 0, which calls [`run`], and writes nothing.
+/// Trains with rank 0, which calls [`run`]. Writes nothing.
 ///
 /// # Errors
 /// The settings of the ranks differ. The memory limit is too small.

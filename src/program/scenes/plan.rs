@@ -69,7 +69,7 @@ struct Contents {
     /// Replaces the number of epochs of every scene. A table `set` may replace it again.
     #[serde(skip_serializing_if = "Option::is_none")]
     epochs: Option<usize>,
-    /// Learning rates of every method. None for the rate of each scene.
+    /// Learning rates of every method. None if the scenes and the tables `set` determine the rates.
     #[serde(skip_serializing_if = "Option::is_none")]
     learning_rates: Option<Vec<f64>>,
     #[serde(rename = "task", default)]
@@ -114,8 +114,8 @@ impl Plan {
     /// Reads the file at this path, and the scenes that it names.
     ///
     /// # Errors
-    /// The file or a scene cannot be read. A key is unknown or has an invalid value. Names are not
-    /// distinct, or cannot be parts of the names of folders.
+    /// The file or a scene cannot be read. A key is unknown or has an invalid value. A scene has an
+    /// initial policy. Names are not distinct, or cannot be parts of the names of folders.
     pub fn read(path: &Path) -> Result<Self> {
         Self::parse(&path.display().to_string(), read_text(path)?, path.parent().unwrap_or(Path::new("")))
     }
@@ -146,7 +146,7 @@ impl Plan {
     }
 
     /// Gives each task a name. Replaces the scenes by their settings, so that the plan does not
-    /// depend on other files.
+    /// depend on other files. Checks the names of tasks and methods.
     fn name_tasks(&mut self) -> Result<()> {
         for (task, source) in self.contents.tasks.iter_mut().zip(&self.sources) {
             let scene = task.scene.as_str().map_or_else(|| "task".into(), presets::short_name);

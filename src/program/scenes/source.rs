@@ -18,10 +18,12 @@ use std::path::{Path, PathBuf};
 use toml::de::{DeTable, DeValue, Deserializer};
 use toml::{Table, Value};
 
-/// Largest size of a scene, in bytes. Parsing takes up to 100 times the memory of the text.
+/// Largest size of a file of settings, in bytes. Parsing takes up to 100 times the memory of the
+/// text.
 const MAX_BYTES: usize = 1_000_000;
 
-/// Largest number of parts of a dotted key in an option. Keys of built-in tasks have up to three.
+/// Largest number of parts of a dotted key in [`SceneSource::put`]. Keys of built-in tasks have up
+/// to three.
 const MAX_PARTS: usize = 8;
 
 /// Unvalidated settings of a scene file, with the overrides of the command line.

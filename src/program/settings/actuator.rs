@@ -78,8 +78,8 @@ impl ActuatorSettings {
         Actuated { system, actuator: self.chain(dt) }
     }
 
-    /// Controls that reach the physics, for these states and controls of the policy. All lists are
-    /// `[step][component]`.
+    /// Controls that reach the physics, for these states and these controls from the policy. All
+    /// lists are `[step][component]`.
     pub fn applied(&self, dt: f64, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Vec<Vec<f64>> {
         let chain = self.chain(dt);
         let step = |(state, control): (&Vec<f64>, &Vec<f64>)| {

@@ -79,10 +79,10 @@ pub trait AnySettings: Send + Sync {
     fn plateau(&self) -> Result<Plateau, Divergence>;
     /// Runs a rollout and its adjoints, and prepares them for timing.
     fn prepare(&self) -> Job;
-    /// Gradient, computed by the given method.
+    /// Gradient and its costs, by the given method in the given precision.
     fn derive(&self, precision: Precision, method: GradientMethod) -> Derived;
-    /// Components of the gradients of R, M and S at evenly spaced parameters, in double-double
-    /// arithmetic. Calls `done` after each component.
+    /// Components of the gradients of R, M and S, in double-double arithmetic. The indices of their
+    /// parameters are evenly spaced. Calls `done` after each component.
     fn refer(&self, done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3];
     /// Operation counts of a physics step and of its VJPs, and of the costs and the observation.
     fn cost(&self) -> TaskOpCount;
@@ -368,7 +368,8 @@ impl Scene {
     /// keys in `but`, and the keys `tags` and `log`.
     fn differences(&self, but: &[&str]) -> String {
         let mut lines = vec![format!("task = {:?}", self.task.name())];
-        // Default settings with the same effects, each with its default parameters.
+        // Default settings with the same effects and parts of the actuator, each with its default
+        // parameters.
         let mut defaults = self.task.defaults();
         for section in OPTIONAL {
             let parts: Vec<&String> =

@@ -17,7 +17,7 @@ const SCALE: f64 = 30.0;
 const TIME: f64 = 42.0;
 /// Height of a band, in pixels: first with at most four channels, then with more.
 const BANDS: [f64; 2] = [58.0, 44.0];
-/// Height that channels take from the largest view, in pixels.
+/// Reduction of the largest height of a view that has channels below it, in pixels.
 pub const TAKEN: f64 = 180.0;
 /// Left end of the bands, and space right of them, in pixels.
 const SIDES: [f64; 2] = [150.0, 20.0];

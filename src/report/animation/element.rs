@@ -91,7 +91,8 @@ struct Times {
 }
 
 impl Times {
-    /// Spaces the frames evenly over `seconds` and adds the hold.
+    /// Spaces the frames evenly over `seconds`, then holds the last frame for [`HOLD`]. A duration
+    /// that is below 0.1 s or non-finite becomes 0.1 s.
     fn new(frames: usize, seconds: f64) -> Self {
         let seconds = if seconds.is_finite() { seconds.max(0.1) } else { 0.1 };
         let share = seconds / (seconds + HOLD) / frames.saturating_sub(1).max(1) as f64;

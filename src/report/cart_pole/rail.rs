@@ -75,7 +75,7 @@ impl Bumpers {
     }
 }
 
-/// Wind over an animation.
+/// Wind during an animation.
 pub(super) struct Wind {
     /// Speed at every state, m/s, with 0 in place of non-finite values.
     speeds: Vec<f64>,

@@ -175,7 +175,8 @@ impl CoupledCartPole {
         let (mut trig, mut forces, mut forces_bar) = (PerPole::new(), Forces::new(), Forces::new());
         self.0.forces(effects, k.weight, inputs, &mut trig, &mut forces);
         let (mut push, mut mass) = (forces[0], k.mass);
-        // Adds the cotangents of ẍ that pass through the α_i = (τ_i - m l cos θ_i ẍ) / J.
+        // Adds to the cotangent of ẍ the terms that pass through α_i, with
+        // α_i = (τ_i - m l cos θ_i ẍ) / J.
         let poles = zip(zip(self.0.poles_of(x), &trig), &forces[1..]);
         for (i, ((pole, &[sin, cos]), &torque)) in poles.clone().enumerate() {
             let lever = k.moment * cos;

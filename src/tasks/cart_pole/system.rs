@@ -1,4 +1,4 @@
-//! [`CartPoleSystem`]: the authors' model, in which poles do not act on each other.
+//! [`CartPoleSystem`]: the model of the paper's authors, in which poles do not act on each other.
 
 use super::motion::{moved, moved_bar, rate_of, rate_of_bar, velocity_of};
 use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};

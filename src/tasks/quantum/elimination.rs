@@ -12,9 +12,10 @@ pub(super) trait Vector<T>:
 
 impl<T, V> Vector<T> for V where V: Copy + Add<Output = V> + Sub<Output = V> + Neg<Output = V> + Mul<T, Output = V> {}
 
-/// Successive pivots of `A = I + i dt/2 (H + shift)`, `H = -D₂ + diag(V)`.
+/// Successive pivots of `A = I + i dt/2 (H + shift)` with `H = -D₂ + diag(V)`. D₂ is the second
+/// difference over dx².
 pub(super) struct Pivots<T> {
-    /// `dt / 2dx²`: the off-diagonal entries of A are `-ib`.
+    /// `dt / (2 dx²)`: the off-diagonal entries of A are `-ib`.
     b: T,
     /// `b²`.
     b_squared: T,
@@ -75,7 +76,7 @@ impl<'a, T: Scalar> Rows<'a, T> {
 
 /// Complete elimination of A, which is complex symmetric with off-diagonal entries `-ib`.
 pub(super) struct Elimination<'a, T> {
-    /// `dt / 2dx²`; negated for the conjugate.
+    /// `dt / (2 dx²)`; negated for the conjugate.
     b: T,
     /// Reciprocal pivot of each row.
     per_pivot: &'a mut [Pair<T>],
@@ -89,7 +90,7 @@ impl<T: Scalar> Elimination<'_, T> {
         let (rhs, y, per_pivot) = (&rhs.as_chunks::<2>().0[..n], &mut y.as_chunks_mut::<2>().0[..n], &self.per_pivot[..n]);
         // The first row of each pass precedes the loop. Scalar variables, not arrays, carry the
         // values of a row to the next. Other forms make compilers shuffle lanes.
-        // Forward: s_j = (rhs_j + ib s_{j-1}) / p_j.
+        // Forward, with the pivots p_j: s_j = (rhs_j + ib s_{j-1}) / p_j.
         let (q_re, q_im) = per_pivot[0];
         let (mut s_re, mut s_im) = (rhs[0][0] * q_re - rhs[0][1] * q_im, rhs[0][0] * q_im + rhs[0][1] * q_re);
         (y[0][0], y[0][1]) = (s_re, s_im);

@@ -20,7 +20,7 @@ use smallvec::smallvec;
 /// outer step.
 ///
 /// The reverse step projects the component along ψ' out of the cotangent, because the norm is
-/// constant:
+/// constant. With the wave y before the normalization:
 ///
 /// ```text
 /// ψ' = y / |y|,   ȳ = (ψ̄' - ψ' ⟨ψ', ψ̄'⟩) / |y|

@@ -96,7 +96,8 @@ impl QuantumSystem {
     #[inline(always)]
     pub fn eigenstate(&self, number: usize) -> impl Iterator<Item = f64> + use<> {
         let intervals = (self.grid + 1) as f64;
-        // One sine, then rotations. The error grows by one rounding per grid point.
+        // Computes one sine and cosine, then rotates. The error grows by one rounding per grid
+        // point.
         let (sin, cos) = Scalar::sin_cos(PI * number as f64 / intervals);
         let (mut s, mut c) = (0.0, (2.0 / intervals).sqrt());
         (0..self.grid).map(move |_| {

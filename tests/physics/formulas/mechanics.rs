@@ -107,7 +107,7 @@ fn a_block_slides_with_smoothed_coulomb_friction() {
     steps_as("explicit", &slider, |x, u| semi_implicit(x, &[(u[0] - friction(x[1])) / 1.7], 0.05));
     let implicit = SliderSystem { scheme: FrictionScheme::Implicit, ..slider };
     steps_as("implicit", &implicit, |x, u| {
-        // Friction at the new speed, found by bisection of an increasing function.
+        // Friction acts at the new speed. Bisection of an increasing function finds this speed.
         let missing = |v: f64| v - x[1] - 0.05 * (u[0] - friction(v)) / 1.7;
         let (mut low, mut high) = (-100.0, 100.0);
         for _ in 0..100 {

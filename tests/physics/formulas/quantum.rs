@@ -60,7 +60,7 @@ fn matrix(entry: impl Fn(usize, usize) -> Complex) -> Matrix {
     (0..GRID).map(|j| (0..GRID).map(|k| entry(j, k)).collect()).collect()
 }
 
-/// Returns `dt H`. H is the negative second difference plus the potential.
+/// Returns `dt H`. H is the negative second difference quotient plus the potential.
 fn hamiltonian(potential: &[f64]) -> Matrix {
     matrix(|j, k| match j.abs_diff(k) {
         0 => Complex(DT * (2.0 / (DX * DX) + potential[j]), 0.0),

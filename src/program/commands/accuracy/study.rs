@@ -141,7 +141,7 @@ impl Study {
             rows.push(Row::new(setting, &job, &reference, conserved.as_ref()));
         }
         // Interleaves the settings: other load on the machine then affects all settings. Each round
-        // prepares its rollouts anew, so that only one is in memory.
+        // prepares its rollouts anew, so that only one rollout at a time is in memory.
         let mut times = vec![Vec::new(); rows.len()];
         for round in 1..=ROUNDS {
             for (row, times) in rows.iter().zip(&mut times) {

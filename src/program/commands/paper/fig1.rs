@@ -13,8 +13,8 @@ use anyhow::Result;
 
 /// Half the range of each parameter, which is centered at 0.
 const HALF_WIDTH: f64 = 4.0;
-/// Powers of ten at the ends of the colour scale. A few values lie below the scale. The values in
-/// the corner with a large last state x_4 lie above it.
+/// Decimal exponents at the ends of the colour scale. A few values lie below the scale. The values
+/// in the corner with a large last state x_4 lie above it.
 const DECADES: [i32; 2] = [-2, 6];
 
 pub fn fig1(quick: bool) -> Result<FinishedFigure> {

@@ -8,9 +8,10 @@ use crate::report::{Chart, Dash, Series};
 use anyhow::{Context, Result, bail};
 use maud::{Markup, html};
 
-/// File of the numbers with errors and correlations. Present in every folder of an identification.
+/// File of the identified numbers, with errors and correlations. Present in every folder of an
+/// identification.
 pub const IDENTIFIED: &str = "identified.csv";
-/// File of the sizes, χ², BIC and effort of the fit, and of warnings.
+/// File of the fit: numbers of segments, measurements and unknowns, χ², BIC, effort, and warnings.
 pub const FIT: &str = "fit.csv";
 /// File of the measured and simulated states of the fitted segments.
 pub const TRAJECTORIES: &str = "trajectories.csv";
@@ -70,7 +71,8 @@ fn rows(folder: &Folder, name: &str, columns: usize) -> Result<Vec<Vec<String>>>
     reader.records().map(row).collect()
 }
 
-/// A number with four significant digits; "unknown" if it is not finite. Other text stays.
+/// A number with four significant digits; "unknown" if it is not finite. Text that is not a number
+/// stays unchanged.
 fn rounded(cell: &str) -> String {
     cell.parse::<f64>().map_or_else(|_| cell.to_owned(), |x| if x.is_finite() { short(x) } else { "unknown".into() })
 }

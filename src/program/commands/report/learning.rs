@@ -31,7 +31,7 @@ pub fn of_run(run: &Inspected) -> Vec<Figure> {
 
 /// Charts of test losses by field: medians with bands, and every run. Up to three scenes share the
 /// charts of medians, and have different dashes. With more scenes, each scene has charts of its
-/// own.
+/// own. A scene with one seed per field has no chart of every run.
 pub fn of_comparison(scenes: &[InspectedScene]) -> Vec<Figure> {
     let all: Vec<InScene> = scenes.iter().map(InspectedScene::outcomes).collect();
     let groups = all.chunks(if scenes.len() <= MAX_DASHED { scenes.len().max(1) } else { 1 });

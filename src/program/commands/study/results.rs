@@ -19,7 +19,7 @@ pub const NOTE: &str = "test loss of the last epoch at the learning rate with th
 /// Titles of the columns with measured times.
 const TIMED: [&str; 2] = ["loss over time", "seconds"];
 
-/// Methods of all tasks, at their best learning rates.
+/// All cells of a study, and the best cell of each task and method.
 pub struct Results<'a> {
     /// All cells of the plan.
     cells: Vec<Measured<'a>>,
