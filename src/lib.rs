@@ -26,7 +26,7 @@
 //! let mut weights = Weights::<f64>::init(&policy, &mut rng::stream(0, rng::Purpose::Policy, 0));
 //! let starts = initial_states(&task, 0, rng::Purpose::Train, 1);
 //!
-//! // Sized once, used for every update.
+//! // Allocates the buffers once. Every update reuses them.
 //! let mut rollout = Rollout::new(&task, &policy, 1);
 //! let mut adjoint = Adjoint::new(&task, &policy, &rollout, &field.flows());
 //! let mut gradients = vec![Gradient::zeros(weights.theta().len()); 2];

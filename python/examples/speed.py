@@ -1,4 +1,4 @@
-"""Times a step through Python beside Rust, and a training beside that of the program.
+"""Times one step from Python and in Rust, and one training from Python and by the program.
 
     python speed.py --program target/release/physgrad     # a minute
     python speed.py --quick                               # few repetitions, no training

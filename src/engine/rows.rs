@@ -18,7 +18,7 @@
 //! let mut next = vec![0.0; x.len()];
 //! rows::step(&task, Inputs::new(&x, &u), &mut next);
 //!
-//! // The gradient of the sum of all next positions, with respect to the controls.
+//! // The gradients of the sum of all next positions, with respect to states and controls.
 //! let next_bar: Vec<f32> = (0..x.len()).map(|i| if i % 4 == 0 { 1.0 } else { 0.0 }).collect();
 //! let (mut x_bar, mut u_bar) = (vec![0.0; x.len()], vec![0.0; 100]);
 //! rows::step_vjp(&task, Inputs::new(&x, &u), &next_bar, [&mut x_bar, &mut u_bar, &mut []]);

@@ -102,7 +102,7 @@ const NO_UPDATE: u8 = 3;
 /// use schemars::JsonSchema;
 /// use serde::{Deserialize, Serialize};
 ///
-/// /// Its fields are the settings `system.damping` and `system.dt` of a scene.
+/// /// A slide. The fields are the settings `system.damping` and `system.dt` of a scene.
 /// #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 /// #[serde(default, deny_unknown_fields)]
 /// struct Slide { damping: f64, dt: f64 }

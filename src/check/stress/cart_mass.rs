@@ -83,9 +83,9 @@ fn rejected() -> Vec<Finding> {
     };
     let light = [1, 20].map(|poles| model(poles, 1e-12));
     let (lights, all_lights) = count(&light, |error| matches!(error, MassError::CartTooLight { .. }));
-    // The equations of both exact models are singular for a massless pole, and for an upright pole
-    // on a cart of −1/4 of the pole mass. For the other finite masses in this list, they have
-    // unique solutions.
+    // The equations of both exact models are singular for a massless pole. They are also singular
+    // for an upright pole on a cart of −1/4 of the pole mass. For the other finite masses in this
+    // list, they have unique solutions.
     let split = |cart_mass: f64, pole_mass: f64| CartPoleSystem {
         cart_mass: cart_mass.into(),
         pole_mass: pole_mass.into(),

@@ -199,8 +199,8 @@ impl SceneSource {
 
     /// Returns whether the scene has this effect or part of the actuator.
     pub fn has(&self, name: &str) -> bool {
-        let name = part_name(name);
-        OPTIONAL.iter().any(|section| self.table.get(*section).is_some_and(|section| section.get(name).is_some()))
+        let part = part_name(name);
+        sections_of(name).any(|section| self.table.get(section).is_some_and(|section| section.get(part).is_some()))
     }
 
     /// Removes an effect or a part of the actuator. A name may begin with the section, as in
@@ -210,7 +210,7 @@ impl SceneSource {
     /// The scene has no such effect or part.
     pub fn without(&mut self, name: &str) -> Result<()> {
         let part = part_name(name);
-        let chosen: Vec<&str> = OPTIONAL.into_iter().filter(|&section| name == part || name.starts_with(section)).collect();
+        let chosen: Vec<&str> = sections_of(name).collect();
         let parts = |section: &&str| self.table.get(*section).and_then(Value::as_table).into_iter().flat_map(Table::keys);
         let present: Vec<&str> = OPTIONAL.iter().flat_map(parts).map(String::as_str).collect();
         if !chosen.iter().flat_map(parts).any(|key| key == part) {
@@ -409,6 +409,11 @@ fn part_name(name: &str) -> &str {
     OPTIONAL.iter().find_map(|section| name.strip_prefix(section)?.strip_prefix('.')).unwrap_or(name)
 }
 
+/// Sections that may contain this part: the section that the name begins with, or all.
+fn sections_of(name: &str) -> impl Iterator<Item = &'static str> {
+    OPTIONAL.into_iter().filter(move |section| part_name(name) == name || name.starts_with(section))
+}
+
 /// List and index of a part of a key, as in `arms[0]`.
 fn element(part: &str) -> Option<(&str, usize)> {
     let (list, index) = part.strip_suffix(']')?.split_once('[')?;
@@ -449,6 +454,9 @@ mod tests {
         source.without("effects.wind").expect("an effect");
         source.without("lag").expect("a part of the actuator");
         assert!(source.without("wind").is_err(), "an effect is removed only once");
+        source.put("actuator.lag.time", Value::Integer(1), "--set").expect("a part of the actuator");
+        assert!(source.has("lag") && source.has("actuator.lag") && !source.has("effects.lag"));
+        source.without("actuator.lag").expect("a part of the actuator");
         source.put("effects.rain.rate", Value::Integer(2), "--set").expect("a new effect");
         assert_eq!(source.table["effects"]["rain"]["rate"].as_integer(), Some(2));
         assert_eq!([source.origin("effects.rain"), source.origin("effects.rain.rate")], ["--set"; 2]);

@@ -38,7 +38,7 @@ pub struct TrainingSettings {
     /// Steps between truncations of the adjoint; never by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub truncation: Option<usize>,
-    /// Growth in decades at which the adjoint of a sample is cut; never by default.
+    /// Growth in decades above which the adjoint of a sample is cut; never by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub cut: Option<f64>,
     /// Weight of the past in a moving average of the direction of R, which combinations use instead

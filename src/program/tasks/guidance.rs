@@ -141,7 +141,7 @@ impl TaskSpec for Guidance {
     type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "guidance";
-    const ABOUT: &'static str = "drivers herd evaders, who flee from them, to the origin";
+    const ABOUT: &'static str = "drivers herd evaders, which flee from them, to the origin";
     const EPOCHS: usize = 200;
     fn horizon() -> usize {
         60

@@ -139,7 +139,7 @@ pub fn of_comparison(runs: &[Inspected]) -> Vec<Figure> {
 }
 
 const GROWTH: &str = "Norm of the derivative of later costs with respect to the state at each step: through physics and network \
-                      (R), or through physics alone (M). Its root mean square over the test rollouts is drawn. The \
+                      (R), or through physics alone (M). Curves show root mean squares over the test rollouts. The \
                       reverse pass runs from right to left: a line that rises by powers of ten shows an exploding adjoint, \
                       a falling line a vanishing adjoint.";
 
