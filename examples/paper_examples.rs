@@ -1,5 +1,5 @@
-//! The two simple examples of the ICLR 2024 paper: norms of R and M over two policy parameters, and
-//! Adam on a field with a rotation.
+//! The two simple examples of the paper (ICLR 2024): norms of R and M over two parameters, and Adam
+//! on a field with a rotation.
 //!
 //! Run: `cargo run --release --example paper_examples`
 

@@ -64,7 +64,7 @@ pub fn train(args: &Train) -> Result<()> {
     let ranks = launched()?;
     let ranks = ranks.as_ref();
     // Reports invalid settings before writing anything.
-    let (scene, mut run) = agreed(ranks, open(args, workers))?;
+    let (scene, mut run, note) = agreed(ranks, open(args, workers))?;
     if let Some(ranks) = ranks.filter(|ranks| ranks.rank() > 0) {
         return run::follow(&scene, &mut *run, ranks).with_context(|| format!("rank {}", ranks.rank()));
     }
@@ -77,6 +77,7 @@ pub fn train(args: &Train) -> Result<()> {
     };
     let mut progress = Progress::new(scene.epochs, args.quiet);
     if !args.quiet {
+        note.iter().for_each(|note| print_message(note));
         print_message(&format!(
             "{} ({}): field {}, seed {}, {}, {workers} thread{}{}",
             scene.task.name(),
@@ -87,11 +88,7 @@ pub fn train(args: &Train) -> Result<()> {
             if workers == 1 { "" } else { "s" },
             ranks.map_or_else(String::new, |ranks| format!(" on each of {} ranks", ranks.count()))
         ));
-    }
-    if !args.quiet
-        && let Some(note) = scene.large_batch()
-    {
-        print_message(&note);
+        scene.large_batch().iter().for_each(|note| print_message(note));
     }
     let save_every = Duration::from_secs_f64(args.save_every);
     let finished = run::run(&folder, &scene, &mut *run, args.resume, save_every, ranks, &mut progress)?;
@@ -121,21 +118,25 @@ pub fn train(args: &Train) -> Result<()> {
     }
 }
 
+/// A scene with its session, and a note on settings of a resumed run.
+type Opened = (Scene, Box<dyn AnyRun>, Option<String>);
+
 /// Reads the scene, or the settings of the run to resume, and opens a session.
-fn open(args: &Train, workers: usize) -> Result<(Scene, Box<dyn AnyRun>)> {
+fn open(args: &Train, workers: usize) -> Result<Opened> {
+    let mut note = None;
     let scene = match (&args.out, args.resume) {
         (Some(out), true) => {
             let folder = Folder::existing(out)?;
             let scene = resumed(&folder, &args.overrides)?;
             if let Some(name) = &args.scene {
-                check_scene(&folder, &scene, name, &args.overrides)?;
+                note = check_scene(&folder, &scene, name, &args.overrides)?;
             }
             scene
         }
         _ => changed(args.scene.as_deref().context("name a scene")?, &args.overrides)?,
     };
     let run = scene.open(workers)?;
-    Ok((scene, run))
+    Ok((scene, run, note))
 }
 
 /// Checks that every rank has opened a session with equal settings.
@@ -143,9 +144,9 @@ fn open(args: &Train, workers: usize) -> Result<(Scene, Box<dyn AnyRun>)> {
 /// # Errors
 /// On the first rank with an error, or else on the first with other settings than rank 0. Other
 /// ranks wait until that rank ends them, so that one rank prints the error.
-fn agreed(ranks: Option<&Arc<dyn Ranks>>, opened: Result<(Scene, Box<dyn AnyRun>)>) -> Result<(Scene, Box<dyn AnyRun>)> {
+fn agreed(ranks: Option<&Arc<dyn Ranks>>, opened: Result<Opened>) -> Result<Opened> {
     let Some(ranks) = ranks else { return opened };
-    let settings = |(scene, _): &(Scene, _)| format!("epochs = {}\n{}", scene.epochs, scene.identity());
+    let settings = |(scene, ..): &Opened| format!("epochs = {}\n{}", scene.epochs, scene.identity());
     let messages = ranks::gather(&**ranks, opened.as_ref().map_or(String::new(), settings).as_bytes());
     let failed = messages.iter().position(Vec::is_empty);
     let unlike = || messages.iter().position(|message| *message != messages[0]);
@@ -167,9 +168,9 @@ fn seconds(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(allowed).ok_or_else(|| "allowed: 0 (after every update) to 86400 s".to_owned())
 }
 
-/// Checks that a named scene has the task of the resumed run. Prints the settings that differ
-/// between a scene file and the run.
-fn check_scene(folder: &Folder, scene: &Scene, file: &str, overrides: &Overrides) -> Result<()> {
+/// Checks that a named scene has the task of the resumed run. Returns a note on the settings that
+/// differ between a scene file and the run, if any.
+fn check_scene(folder: &Folder, scene: &Scene, file: &str, overrides: &Overrides) -> Result<Option<String>> {
     let mut source = presets::source(file)?;
     // The run has a copy of its initial policy, so the file may be gone.
     let named_scene = |source: &SceneSource| source.scene().or_else(|_| source.starting_from(scene.initial_policy()));
@@ -179,18 +180,15 @@ fn check_scene(folder: &Folder, scene: &Scene, file: &str, overrides: &Overrides
         bail!("the run in {folder} has the task {saved}, but {file} has the task {named}; name a scene of {saved}");
     }
     if !presets::is_path(file) {
-        return Ok(());
+        return Ok(None);
     }
     overrides.apply_again(&mut source)?;
     let (saved, named) = (scene.identity(), named_scene(&source)?.identity());
-    if saved != named {
-        print_message(&format!(
-            "note: the run in {} resumes with its saved settings; {file} differs in:\n{}",
-            folder.path().display(),
-            differences(&saved, &named)
-        ));
-    }
-    Ok(())
+    let note = || {
+        let (folder, differences) = (folder.path().display(), differences(&saved, &named));
+        format!("note: the run in {folder} resumes with its saved settings; {file} differs in:\n{differences}")
+    };
+    Ok((saved != named).then(note))
 }
 
 /// Result of `--json`.
