@@ -203,7 +203,7 @@ fn wrong_data_are_refused() {
     short.x[3].pop();
     assert_eq!(error(short, &unknowns(1.0)), "segment 0: a measured state has length 1; expected 2");
     let mut short = good.clone();
-    short.u.truncate(17);
+    short.u = vec![vec![0.0]; 17];
     assert_eq!(error(short, &unknowns(1.0)), "segment 0: the list of controls has length 17; expected 20");
     let exact = Options { free_starts: false, ..Options::default() };
     let nothing = identify(&pendulum(), std::slice::from_ref(&good), &[], &exact);
