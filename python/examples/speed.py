@@ -3,8 +3,8 @@
     python speed.py --program target/release/physgrad     # a minute
     python speed.py --quick                               # few repetitions, no training
 
-Times of a step are the least of many repetitions. Trainings by the program and by Python alternate,
-three of each.
+The time of a step is the shortest of all repetitions. Trainings by the program and from Python
+alternate, three of each.
 """
 
 import argparse
@@ -20,7 +20,7 @@ from physgrad import _core
 
 parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 parser.add_argument("--quick", action="store_true", help="few repetitions, no training")
-parser.add_argument("--program", default="physgrad", help="the program, for the times of trainings")
+parser.add_argument("--program", default="physgrad", help="path or name of the program, to time its training")
 parser.add_argument("--epochs", type=int, default=100, help="epochs of a training")
 options = parser.parse_args()
 repeats = 5 if options.quick else 2000

@@ -61,10 +61,11 @@ impl fmt::Display for Stability {
 ///
 /// The spectral radius follows from Gelfand's formula, `ρ = lim ‖Jᵏ‖^(1/k)`, with 30 squarings of
 /// the Jacobian. Unlike power iteration, the formula handles complex eigenvalue pairs and defective
-/// matrices. Powers underflow for long cascades of equal cells, in which each cell drives the next.
-/// The last estimate is then an upper bound. The multiplier is the smaller of this bound and the
-/// spectral radius that an eigenvalue solver computes. The cost is `state_dim` forward-mode
-/// derivatives and 30 matrix products.
+/// matrices. Powers may underflow to 0 for long cascades of equal cells, in which each cell drives
+/// the next. The last estimate is then an upper bound. In this case, the multiplier is the smaller
+/// of this bound and the spectral radius from an eigenvalue solver. The cost is `state_dim`
+/// forward-mode derivatives and at most 30 matrix products. After underflow, it includes the
+/// eigenvalues.
 /// ```
 /// use physgrad::{Inputs, check, tasks::{FrictionScheme, SliderSystem}};
 ///
@@ -94,7 +95,7 @@ fn of_any(system: &dyn AnySystem<f64>, inputs: Inputs<'_, f64>) -> Stability {
             if !underflows {
                 return Stability { multiplier: 0.0, component };
             }
-            // Computed eigenvalues of a triangular matrix are exact for one of J and Jᵀ.
+            // If J is triangular, the computed eigenvalues of J or of Jᵀ are exact.
             let jacobian = DMatrix::from_row_slice(n, n, &jacobian);
             let largest = [jacobian.transpose(), jacobian].map(|matrix| {
                 let sizes = matrix.complex_eigenvalues().map(|value| value.re.hypot(value.im));
@@ -207,7 +208,7 @@ mod tests {
         near(of([[1.0, 0.1], [0.0, 1.0]]), 1.0);
         near(of([[0.0, 1.0], [0.0, 0.0]]), 0.0);
         near(of([[0.0]]), 0.0);
-        // Cascades of equal cells, whose powers underflow from 30 cells on.
+        // Cascades of equal cells. The powers underflow to 0 with 30 and 100 cells.
         near_within(of(cascade::<25>(-1.5, 2.5)), 1.5, 1e-6);
         near_within(of(cascade::<30>(-1.5, 2.5)), 1.5, 1e-12);
         near_within(of(cascade::<100>(0.98, 1.0)), 0.98, 1e-12);

@@ -27,7 +27,10 @@ impl<A: Policy, B: Policy> Sum<A, B> {
         assert_eq!(dims, other, "both policies of a sum need equal numbers of observations and controls");
         assert!(dims[0] > 0, "the policies of a sum need at least one observed component; observe one");
         let excluded = first.memory_dim() + second.memory_dim() + first.trained_params().len() + second.trained_params().len();
-        assert_eq!(excluded, 0, "a policy with a memory or trained parameters cannot be part of a sum");
+        assert_eq!(
+            excluded, 0,
+            "a policy with a memory, or with trained parameters of the system, cannot be part of a sum; use policies without them"
+        );
         Self(first, second)
     }
 

@@ -1,4 +1,4 @@
-//! Figures and animations of training runs, as SVG or PNG, from plain numbers.
+//! Figures, as SVG or PNG, and animations, as SVG, from plain numbers.
 //!
 //! Contents:
 //!

@@ -193,7 +193,7 @@ fn a_step_of_pade_equals_two_steps_of_crank_nicolson_with_shifted_energies() {
     }
     let (mut x, mut u) = (vec![0.0; 64], [0.0]);
     lively(&mut stream(0, Purpose::Check, 0), &mut x, &mut u, &mut []);
-    // Crank and Nicolson with steps of 2 dt / 3 and energies shifted by ±√3 / dt give both factors
+    // Two Crank-Nicolson steps of 2 dt / 3, with energies shifted by ±√3 / dt, yield both factors
     // of Padé's approximation.
     let (model, shift) = (box_of(32), 3f64.sqrt() / 0.0625);
     let part = QuantumSystem { dt: model.dt * 2.0 / 3.0, ..model };

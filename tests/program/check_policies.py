@@ -4,8 +4,8 @@ Run: python check_policies.py RUN ...
 
 Each run has `policy.safetensors`, `policy.onnx` and `trajectory.csv`. NumPy and ONNX Runtime
 compute the controls from the observations in the same precision as the run. TOLERANCE bounds the
-largest difference relative to the largest control, in machine epsilons. The sums of a network have
-up to about 140 terms, which each program adds in another order.
+largest difference relative to the largest control, in machine epsilons. Sums in a network have up
+to about 140 terms. The order of summation differs between programs.
 """
 
 import csv

@@ -103,7 +103,7 @@ impl CartPoleEffects {
         steady.or(gusty)
     }
 
-    /// Number of parameters of a rollout before the start time t₀ of the gusts.
+    /// Index of t₀, the start time of the gusts, in the parameters of a rollout.
     fn params_before_gusts(&self) -> usize {
         let effects: Vec<Named<CartPoleEffect>> = self.present();
         let before = effects.iter().take_while(|effect| !matches!(effect.effect, CartPoleEffect::GustyWind(_)));

@@ -15,8 +15,8 @@ use serde::{Deserialize, Serialize};
 /// evader k : v̇ += strength Σ_j r / d²
 /// ```
 ///
-/// Source: Ko and Zuazua 2020 (doi:10.1142/S0218202520400047), with the force of the authors' code
-/// (tum-pbs/StableBPTT).
+/// Source: Ko and Zuazua 2020 (doi:10.1142/S0218202520400047). The force is that of the code of the
+/// ICLR 2024 paper (tum-pbs/StableBPTT).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]

@@ -1,5 +1,5 @@
-//! `physgrad accuracy --gradients`: costs of gradients, and the horizon up to which they are
-//! reliable.
+//! `physgrad accuracy --gradients`: errors, times and memory of gradient methods, and errors of R
+//! at several horizons.
 
 use crate::program::commands::accuracy::derivatives::{Checkpoint, Derivative, Horizon};
 use crate::program::commands::accuracy::gradient_outputs::write;
