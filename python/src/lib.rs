@@ -1,7 +1,7 @@
 //! Python bindings of physgrad: the module `physgrad._core`.
 //!
-//! Classes and functions convert arguments and call `physgrad::program::api`, `physgrad::rows` and
-//! `physgrad::optimize`. `physgrad/__init__.py` names the public ones.
+//! Classes and functions convert arguments and call `physgrad::program::api`, `physgrad::rows`,
+//! `physgrad::optimize` and `physgrad::identify`. `physgrad/__init__.py` names the public ones.
 
 mod accuracy;
 mod arrays;

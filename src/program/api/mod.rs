@@ -1,8 +1,8 @@
 //! Scenes, policies and runs for other programs: several commands of `physgrad` as functions.
 //!
-//! The Python bindings are a thin layer over this module. Errors have the messages that the program
-//! prints, or similar ones. An error that is a [`Divergence`](crate::Divergence) or a
-//! [`TrainError`](crate::TrainError) can be downcast.
+//! The Python bindings call this module, `rows`, `optimize` and `identify`. Errors have the
+//! messages that the program prints, or similar ones. An error that is a
+//! [`Divergence`](crate::Divergence) or a [`TrainError`](crate::TrainError) can be downcast.
 //! ```
 //! use physgrad::program::api::Scene;
 //!
