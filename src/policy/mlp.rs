@@ -73,7 +73,7 @@ impl Mlp {
 
     /// Sets whether the initial output weights are 0 (default: false).
     ///
-    /// The initial control is then exactly 0, and R equals M in the first update.
+    /// If true, the initial control is exactly 0, and R equals M in the first update.
     pub fn zero_init_output(mut self, zero: bool) -> Self {
         self.zero_init_output = zero;
         self

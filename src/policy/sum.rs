@@ -24,7 +24,14 @@ impl<A: Policy, B: Policy> Sum<A, B> {
     pub fn new(first: A, second: B) -> Self {
         let dims = [first.observation_dim(), first.control_dim()];
         let other = [second.observation_dim(), second.control_dim()];
-        assert_eq!(dims, other, "both policies of a sum need equal numbers of observations and controls");
+        assert!(
+            dims == other,
+            "the first policy of a sum has {} observations and {} controls, but the second has {} and {}; use policies with as many",
+            dims[0],
+            dims[1],
+            other[0],
+            other[1]
+        );
         assert!(dims[0] > 0, "the policies of a sum need at least one observed component; observe one");
         let excluded = first.memory_dim() + second.memory_dim() + first.trained_params().len() + second.trained_params().len();
         assert_eq!(

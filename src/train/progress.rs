@@ -185,7 +185,7 @@ impl<F: Float> Progress<F> {
     ) -> Result<(), TrainError> {
         let Training { batch, workers, memory, .. } = self.training;
         let samples = self.training.derived(batch.min(self.order.len()));
-        // Frees the workspace of a single process before the allocation of another.
+        // Frees the workspace of a single process before the allocation of the shared one.
         self.batch = Batch::new(task, policy, 1, &self.flows, 1);
         self.batch = Batch::shared(ranks.clone(), task, policy, samples, &self.flows, workers, memory)?;
         self.evaluation = Evaluation::new(task, policy, workers).shared(ranks.clone());
@@ -283,6 +283,19 @@ impl<F: Float> Progress<F> {
     /// Loss of the test set. A diverged loss is NaN.
     pub(super) fn test_loss(&mut self, task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>) -> f64 {
         self.evaluation.run(task, policy, &self.weights, &self.test).unwrap_or(f64::NAN)
+    }
+
+    /// Test loss of the best parameters, as recorded and as computed now. None if both are equal up
+    /// to rounding, or if no loss is recorded.
+    pub(super) fn changed_test_loss(&mut self, task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>) -> Option<[f64; 2]> {
+        let recorded = self.best.loss;
+        if recorded.is_nan() {
+            return None;
+        }
+        let best = Weights::new(policy, self.best.theta.clone());
+        let computed = self.evaluation.run(task, policy, &best, &self.test).unwrap_or(f64::NAN);
+        let is_equal = (computed - recorded).abs() <= F::EPSILON.sqrt() * recorded.abs();
+        (!is_equal).then_some([recorded, computed])
     }
 
     /// Evaluates the losses of the training and the test set. A diverged loss is NaN.

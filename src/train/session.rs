@@ -131,6 +131,16 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
         self.progress.test_loss(&self.task, &self.policy)
     }
 
+    /// Compares the lowest recorded test loss with the loss that its parameters have now. Returns
+    /// both if they differ by more than rounding, for example because the equations of the task
+    /// have changed since the training.
+    ///
+    /// The limit is a relative difference of the square root of the machine epsilon. Chaotic tasks
+    /// may exceed it on a processor that rounds differently. A diverged loss is NaN.
+    pub fn changed_test_loss(&mut self) -> Option<[f64; 2]> {
+        self.progress.changed_test_loss(&self.task, &self.policy)
+    }
+
     /// Number of updates applied, without skipped ones.
     pub fn updates(&self) -> u64 {
         self.progress.optimizer.steps()

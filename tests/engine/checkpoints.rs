@@ -6,7 +6,10 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 type Small = Session<CartPole, Mlp, f32>;
 
 fn session(rule: &str, learning_rate: f64) -> Small {
-    let task = CartPole { horizon: 3, ..CartPole::new(1) };
+    session_of(CartPole { horizon: 3, ..CartPole::new(1) }, rule, learning_rate)
+}
+
+fn session_of(task: CartPole, rule: &str, learning_rate: f64) -> Small {
     let rule = OptimizerKind::named(rule).expect("a known optimizer");
     let training = Training { rule, learning_rate, batch: 2, train_samples: 4, test_samples: 2, ..Training::default() };
     Trainer::new(task, Mlp::new([4, 2, 1])).training(training).session().expect("valid settings")
@@ -51,6 +54,24 @@ fn a_damaged_checkpoint_is_refused_or_trains_an_epoch_without_a_panic() {
             }
         }
     }
+}
+
+#[test]
+fn a_restored_session_notices_that_the_equations_have_changed() {
+    let bytes = trained("adam", true).checkpoint("a run");
+    let mut same = session("adam", 1e-3);
+    assert_eq!(same.changed_test_loss(), None, "no epoch has a test loss");
+    same.restore(&bytes, "a run").expect("its own checkpoint");
+    assert_eq!(same.changed_test_loss(), None);
+
+    let mut system = CartPole::new(1).system;
+    system.gravity = 20.0.into();
+    let mut changed = session_of(CartPole { horizon: 3, system, ..CartPole::new(1) }, "adam", 1e-3);
+    changed.restore(&bytes, "a run").expect("a checkpoint with an equal label");
+    let [recorded, computed] = changed.changed_test_loss().expect("another loss");
+    let lowest = changed.records().iter().map(|record| record.test_loss).fold(f64::INFINITY, f64::min);
+    assert_eq!(recorded, lowest);
+    assert_ne!(computed, recorded);
 }
 
 #[test]

@@ -319,7 +319,7 @@ fn a_hundred_thousand_steps_fit_in_300_kilobytes() {
 }
 
 #[test]
-#[ignore = "a million steps take 7 s and more"]
+#[ignore = "a million steps: too slow for the default test run"]
 fn a_million_steps_fit_in_64_and_in_4_mebibytes() {
     let (task, policy) = (cart_pole(1_000_000), Mlp::new([4, 16, 16, 1]).zero_init_output(true));
     let weights = Weights::<f64>::init(&policy, &mut stream(0, Purpose::Policy, 0));

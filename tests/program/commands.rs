@@ -1,6 +1,7 @@
 //! Interface of the program: output files, CSV headers, messages, exit codes.
 
 use crate::running::{SMALL, error_of, physgrad, train};
+use physgrad::{Session, policy::Mlp, tasks::CartPole};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
@@ -213,6 +214,34 @@ fn runs_that_cannot_resume_are_refused_with_the_reason() {
     fs::write(dir.path().join("run.toml"), &settings).expect("settings");
     assert!(policy(dir.path()) == before);
     resume(&[]).assert().success();
+}
+
+#[test]
+fn a_policy_without_its_recorded_test_loss_causes_a_warning() {
+    let dir = TempDir::new().expect("a folder");
+    let trained = train(dir.path(), &["--epochs", "2", "--json"]).assert().success().get_output().clone();
+    assert!(!String::from_utf8(trained.stderr).expect("text").contains("warning"));
+    let result: serde_json::Value = serde_json::from_slice(&trained.stdout).expect("an object");
+    let loss = result["best_test_loss"].as_f64().expect("a loss");
+    let warnings = |epochs: &str| {
+        let resumed = train(dir.path(), &["--resume", "--quiet", "--epochs", epochs]).assert().success().get_output().clone();
+        String::from_utf8(resumed.stderr).expect("text")
+    };
+    assert_eq!(warnings("3"), "");
+
+    // Simulates other equations: records another loss of the same policy.
+    train(dir.path(), &["--epochs", "2", "--quiet"]).assert().success();
+    let path = dir.path().join("checkpoint.bin");
+    let mut bytes = fs::read(&path).expect("a checkpoint");
+    let places: Vec<usize> = (0..bytes.len() - 8).filter(|&at| bytes[at..at + 8] == loss.to_le_bytes()).collect();
+    assert!(places.len() >= 2, "the checkpoint has the loss in the record of the epoch and beside the best parameters");
+    for at in places {
+        bytes[at..at + 8].copy_from_slice(&(1.001 * loss).to_le_bytes());
+    }
+    Session::<CartPole, Mlp, f32>::seal(&mut bytes);
+    fs::write(&path, bytes).expect("a checkpoint");
+    let warning = warnings("3");
+    assert!(warning.contains("warning: the best policy in") && warning.contains("train again"), "{warning}");
 }
 
 #[test]

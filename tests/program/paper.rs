@@ -98,7 +98,7 @@ fn an_interrupted_figure_writes_only_the_started_run_and_resumes() {
     };
     let begin = std::time::Instant::now();
     while runs().is_empty() {
-        assert!(begin.elapsed() < std::time::Duration::from_secs(120), "not within 120 s: a run begins");
+        assert!(begin.elapsed() < std::time::Duration::from_secs(120), "no run began within 120 s");
         std::thread::sleep(std::time::Duration::from_millis(5));
     }
     std::thread::sleep(std::time::Duration::from_millis(100));

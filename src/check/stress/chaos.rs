@@ -20,7 +20,7 @@ pub(super) const CASES: &[Case] = &[Case {
                 signs of 30 to 70 % of the pairs agree",
     explanation: "In chaos, a gradient over long times is exact but useless: its sign differs at \
                 random between rollouts whose initial states differ by one rounding. A wider range of \
-                exponents does not help. Beyond ln(1/ε)/Λ, here 12,400 steps, the signs of R are \
+                floating-point exponents does not help. Beyond ln(1/ε)/Λ, here 12,400 steps, the signs of R are \
                 those of rounding errors. The warning about growth reports a similar horizon. \
                 Limits: adjoints stay collinear at twice the horizon; the case does not compare \
                 their norms",

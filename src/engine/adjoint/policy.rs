@@ -82,8 +82,8 @@ impl PolicyBufferSizes {
         let (inputs, outputs, memory_dim) = (policy.input_dim(), policy.output_dim(), policy.memory_dim());
         let sizes = policy.sizes(columns);
         // With one output, ∂N/∂y and the cotangents of all layers are known up to the factor h
-        // before the loop. One linearization in large products then serves all flows. Several
-        // outputs would require one linearization each.
+        // before the loop. One linearization, in matrix products over all steps of a unit, then
+        // suffices for all flows. Several outputs would require one linearization each.
         let through_inputs = flows.iter().any(|flow| flow.control != 0.0 || flow.memory != 0.0 && memory_dim > 0);
         let linearized = outputs == 1 && through_inputs;
         let (blocks, observed) = (samples.div_ceil(WIDTH), through_inputs && task.own_observation().is_some());

@@ -32,6 +32,9 @@ pub trait AnyRun: Send {
     fn advance(&mut self, pause: &(dyn Fn() -> bool + Sync)) -> Result<Option<&Record>, TrainError>;
     /// Loss of the test set with the current parameters. NaN if a rollout diverges.
     fn test_loss(&mut self) -> f64;
+    /// Lowest recorded test loss and the loss of its parameters now, if they differ; see
+    /// [`Session::changed_test_loss`].
+    fn changed_test_loss(&mut self) -> Option<[f64; 2]>;
     /// Number of updates applied so far.
     fn updates(&self) -> u64;
     /// True after the last epoch.
@@ -78,6 +81,10 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
 
     fn test_loss(&mut self) -> f64 {
         Session::test_loss(self)
+    }
+
+    fn changed_test_loss(&mut self) -> Option<[f64; 2]> {
+        Session::changed_test_loss(self)
     }
 
     fn updates(&self) -> u64 {

@@ -54,7 +54,9 @@ impl Ranks for World {
 
     fn exchange(&self, messages: &[&[u8]]) -> Vec<Vec<u8>> {
         let world = SimpleCommunicator::world();
-        let length = |bytes: usize| i32::try_from(bytes).expect("messages of a rank have less than 2 GiB");
+        let length = |bytes: usize| {
+            i32::try_from(bytes).expect("the messages of a rank have 2 GiB or more; use a smaller policy or fewer samples")
+        };
         let sent: Vec<i32> = messages.iter().map(|message| length(message.len())).collect();
         let mut received = vec![0; self.count];
         world.all_to_all_into(&sent[..], &mut received[..]);

@@ -1,8 +1,10 @@
 //! Saved runs: search in folders, scenes, restored states.
 
 use crate::differences;
+use crate::numbers::text::digits;
 use crate::program::operations::session::AnyRun;
 use crate::program::platform::folder::{CHECKPOINT, Folder, INITIAL_POLICY, METRICS, POLICY, RUNS, SETTINGS};
+use crate::program::platform::terminal::print_message;
 use crate::program::scenes::overrides::Overrides;
 use crate::program::scenes::presets;
 use crate::program::scenes::source::SceneSource;
@@ -111,12 +113,23 @@ pub fn write_scene(folder: &Folder, name: &str, scene: &Scene) -> Result<()> {
 
 /// Restores the saved state of a run. If the folder has neither checkpoint, metrics nor policy, the
 /// run stays before its first epoch.
+///
+/// Prints a warning if the saved policy no longer has its recorded test loss.
 pub fn restore(folder: &Folder, scene: &Scene, run: &mut dyn AnyRun) -> Result<()> {
     if [CHECKPOINT, METRICS, POLICY].into_iter().all(|name| !folder.has(name)) {
         return Ok(());
     }
     let restored = run.restore(&folder.read(CHECKPOINT)?, &scene.identity());
-    restored.with_context(|| format!("cannot restore {}", folder.file(CHECKPOINT).display()))
+    restored.with_context(|| format!("cannot restore {}", folder.file(CHECKPOINT).display()))?;
+    if let Some(losses) = run.changed_test_loss() {
+        let (path, [recorded, computed]) = (folder.path().display(), losses.map(|loss| digits(loss, 9)));
+        print_message(&format!(
+            "warning: the best policy in {path} had the test loss {recorded} in its training, and has {computed} now. Either the \
+             equations of the task have changed since, or this processor rounds differently. If the equations have changed, \
+             train again"
+        ));
+    }
+    Ok(())
 }
 
 /// Scene of the preset or file with this name, with overrides.
