@@ -5,7 +5,7 @@
 //! restore a checkpoint, the caller passes an equal label.
 
 use super::Record;
-use super::progress::{Best, Epoch, Progress, Snapshot};
+use super::epoch::{Best, Epoch, Snapshot, State};
 use crate::numbers::scalar::Float;
 use crate::policy::AnyPolicy;
 use crate::train::optim::Optimizer;
@@ -110,7 +110,7 @@ pub(super) fn seal(bytes: &mut [u8]) {
     }
 }
 
-impl<F: Float> Progress<F> {
+impl<F: Float> State<F> {
     /// Serializes the training in progress, see
     /// [`Session::checkpoint`](crate::Session::checkpoint).
     pub(super) fn checkpoint(&self, label: &str) -> Vec<u8> {

@@ -9,7 +9,7 @@
 //! - [`OptimizerKind`] and [`Clip`]: update rules, and clipping of the field.
 //! - [`vector_field`]: the two-parameter examples of the paper.
 //!
-//! Imports `numbers`, `dynamics`, `policy` and `engine`. Read this file first, then `progress.rs`,
+//! Imports `numbers`, `dynamics`, `policy` and `engine`. Read this file first, then `epoch.rs`,
 //! which contains the update. Mini-batches, fields, clipping and optimizers are public, so that
 //! users can write their own updates.
 
@@ -17,9 +17,9 @@ mod average;
 mod checkpoint;
 pub(crate) mod combination;
 mod decay;
+mod epoch;
 pub(crate) mod field;
 pub(crate) mod optim;
-mod progress;
 mod record;
 mod session;
 mod smoothing;

@@ -1,7 +1,7 @@
 //! [`Session`]: a training in progress, one epoch at a time.
 
 use super::checkpoint;
-use super::progress::{Progress, Trained};
+use super::epoch::{Problem, State};
 use super::warnings::Warning;
 use super::{CheckpointError, Record, Report, Skip, TrainError, Training};
 use crate::dynamics::task::Task;
@@ -21,7 +21,7 @@ pub struct Session<T, P, F: Float, C = Combination> {
     task: T,
     policy: P,
     field: Field<C>,
-    progress: Progress<F>,
+    state: State<F>,
 }
 
 impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
@@ -34,12 +34,12 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
         train: Vec<F>,
         test: Vec<F>,
     ) -> Result<Self, TrainError> {
-        let progress = Progress::new(&task, &policy, field.flows(), training, weights, train, test)?;
-        Ok(Self { task, policy, field, progress })
+        let state = State::new(&task, &policy, field.flows(), training, weights, train, test)?;
+        Ok(Self { task, policy, field, state })
     }
 
     pub(super) fn into_report(self) -> Report<F> {
-        let Progress { weights, best, records, .. } = self.progress;
+        let State { weights, best, records, .. } = self.state;
         Report { weights, best: Weights::new(&self.policy, best.theta), records }
     }
 
@@ -53,12 +53,12 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     /// # Errors
     /// [`TrainError::Memory`] if no schedule fits the memory limit.
     pub fn share(&mut self, ranks: &Arc<dyn Ranks>) -> Result<(), TrainError> {
-        self.progress.share(&self.task, &self.policy, ranks)
+        self.state.share(&self.task, &self.policy, ranks)
     }
 
     /// Returns true after the last epoch.
     pub fn is_done(&self) -> bool {
-        self.progress.records.len() >= self.progress.training.epochs
+        self.state.records.len() >= self.state.training.epochs
     }
 
     /// The task.
@@ -73,7 +73,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
 
     /// Current parameters.
     pub fn weights(&self) -> &Weights<F> {
-        &self.progress.weights
+        &self.state.weights
     }
 
     /// Parameters after the epoch with the lowest test loss, the first of equal ones. Before the
@@ -82,33 +82,33 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     /// The test set selects these parameters, so their loss on it is optimistic. Evaluate them on
     /// other initial states.
     pub fn best_theta(&self) -> &[F] {
-        &self.progress.best.theta
+        &self.state.best.theta
     }
 
     /// Schedule of stored and recomputed steps of a mini-batch.
     pub fn schedule(&self) -> Schedule {
-        self.progress.batch.schedule()
+        self.state.batch.schedule()
     }
 
     /// One record per completed epoch.
     pub fn records(&self) -> &[Record] {
-        &self.progress.records
+        &self.state.records
     }
 
     /// Initial states of the test set; see [`initial_states`](crate::initial_states).
     pub fn test_starts(&self) -> &[F] {
-        &self.progress.test
+        &self.state.test
     }
 
     /// Updates skipped in the current or last epoch. [`restore`](Session::restore) clears them.
     pub fn skips(&self) -> &[Skip] {
-        &self.progress.skips
+        &self.state.skips
     }
 
     /// Non-finite numbers in the losses of the training set and of the test set after the last
     /// epoch. [`restore`](Session::restore) clears them.
     pub fn diverged(&self) -> [Option<Divergence>; 2] {
-        self.progress.diverged
+        self.state.diverged
     }
 
     /// Warnings about the last epoch: skipped updates, non-finite losses, unreliable gradients.
@@ -117,18 +117,18 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     ///
     /// Empty within an epoch. [`Trainer::run`](crate::Trainer::run) prints them.
     pub fn warnings(&mut self) -> Vec<String> {
-        self.progress.new_warnings(self.task.horizon()).iter().map(Warning::to_string).collect()
+        self.state.new_warnings(self.task.horizon()).iter().map(Warning::to_string).collect()
     }
 
     /// All warnings about the last epoch, including kinds that [`warnings`](Self::warnings) has
     /// already returned.
     pub fn epoch_warnings(&self) -> Vec<Warning> {
-        self.progress.warnings(self.task.horizon())
+        self.state.warnings(self.task.horizon())
     }
 
     /// Loss of the whole test set with the current parameters; NaN if it diverges.
     pub fn test_loss(&mut self) -> f64 {
-        self.progress.test_loss(&self.task, &self.policy)
+        self.state.test_loss(&self.task, &self.policy)
     }
 
     /// Compares the lowest recorded test loss with the loss that its parameters have now. Returns
@@ -138,12 +138,12 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     /// The limit is a relative difference of the square root of the machine epsilon. Chaotic tasks
     /// may exceed it on a processor that rounds differently. A diverged loss is NaN.
     pub fn changed_test_loss(&mut self) -> Option<[f64; 2]> {
-        self.progress.changed_test_loss(&self.task, &self.policy)
+        self.state.changed_test_loss(&self.task, &self.policy)
     }
 
     /// Number of updates applied, without skipped ones.
     pub fn updates(&self) -> u64 {
-        self.progress.optimizer.steps()
+        self.state.optimizer.steps()
     }
 
     /// Runs to the end of the epoch: all updates, then the losses of both data sets.
@@ -165,15 +165,15 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     /// [`TrainError::Diverged`] after too many consecutive skipped updates. Parameters, optimizer
     /// and moving average then return to their state before this epoch.
     pub fn advance(&mut self, pause: &(dyn Fn() -> bool + Sync)) -> Result<Option<&Record>, TrainError> {
-        let Self { task, policy, field, progress } = self;
-        let ended = progress.advance(Trained { task, policy, field }, pause)?;
-        Ok(progress.records.last().filter(|_| ended))
+        let Self { task, policy, field, state } = self;
+        let ended = state.advance(Problem { task, policy, field }, pause)?;
+        Ok(state.records.last().filter(|_| ended))
     }
 
     /// Serializes the session. `label` identifies the run; [`restore`](Session::restore) requires
     /// the same label.
     pub fn checkpoint(&self, label: &str) -> Vec<u8> {
-        self.progress.checkpoint(label)
+        self.state.checkpoint(label)
     }
 
     /// Restores a checkpoint of the same run. The updates that follow are bit for bit those of an
@@ -182,7 +182,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     /// # Errors
     /// [`CheckpointError`]. The session is then unchanged.
     pub fn restore(&mut self, bytes: &[u8], label: &str) -> Result<(), CheckpointError> {
-        self.progress.restore(&self.policy, bytes, label)
+        self.state.restore(&self.policy, bytes, label)
     }
 
     /// Rewrites magic number, format and checksum in `bytes` to match the contents. Used by tests

@@ -3,7 +3,7 @@
 //! These estimators are baselines for fields evaluated at a single parameter vector. They use the
 //! field, differences of losses, or both. The field needs derivatives; the differences need none.
 
-use super::progress::{Progress, Trained};
+use super::epoch::{Problem, State};
 use super::record::{Means, Step};
 use crate::engine::divergence::Divergence;
 use crate::numbers::extended::scaled;
@@ -162,15 +162,15 @@ impl<F: Float> Estimates<F> {
     }
 }
 
-impl<F: Float> Progress<F> {
+impl<F: Float> State<F> {
     /// Writes the estimate for the mini-batch into the combined vector. Returns its norm, the
     /// weight of the first-order estimate, and means of the other results over all evaluations.
     /// `update` is the number of the update in the training, from 0.
-    pub(super) fn estimate(&mut self, trained: Trained<'_, F>, smoothing: Smoothing, update: usize) -> Result<Step, Divergence> {
+    pub(super) fn estimate(&mut self, problem: Problem<'_, F>, smoothing: Smoothing, update: usize) -> Result<Step, Divergence> {
         let mut estimates = self.estimates.take().expect("a training with smoothing has a workspace");
         estimates.center.copy_from_slice(self.weights.theta());
-        let outcome = self.evaluate_pairs(trained, smoothing, update, &mut estimates);
-        self.weights.update(trained.policy, |theta| theta.copy_from_slice(&estimates.center));
+        let outcome = self.evaluate_pairs(problem, smoothing, update, &mut estimates);
+        self.weights.update(problem.policy, |theta| theta.copy_from_slice(&estimates.center));
         let weight = smoothing.estimator.weight(&estimates.first, &estimates.zeroth);
         let parts = [(weight, &estimates.first.mean), (1.0 - weight, &estimates.zeroth.mean)];
         for (i, value) in estimates.field.iter_mut().enumerate() {
@@ -187,7 +187,7 @@ impl<F: Float> Progress<F> {
     /// Evaluates all pairs and adds them to the moments.
     fn evaluate_pairs(
         &mut self,
-        trained: Trained<'_, F>,
+        problem: Problem<'_, F>,
         smoothing: Smoothing,
         update: usize,
         estimates: &mut Estimates<F>,
@@ -204,10 +204,10 @@ impl<F: Float> Progress<F> {
             field.fill(0.0);
             let mut losses = [0.0; 2];
             for (loss, by) in losses.iter_mut().zip([noise, -noise]) {
-                self.perturb(trained.policy, center, perturbation, by);
+                self.perturb(problem.policy, center, perturbation, by);
                 let step = match estimator {
-                    Estimator::ZerothOrder => self.loss(trained)?,
-                    _ => self.field(trained)?,
+                    Estimator::ZerothOrder => self.loss(problem)?,
+                    _ => self.field(problem)?,
                 };
                 if estimator != Estimator::ZerothOrder {
                     for (field, value) in zip(field.iter_mut(), self.combined.values()) {

@@ -1,6 +1,6 @@
 //! Warnings of a training: skipped updates, non-finite losses, unreliable gradients.
 
-use super::progress::Progress;
+use super::epoch::State;
 use super::record::Skip;
 use crate::numbers::scalar::Float;
 use std::fmt;
@@ -26,7 +26,7 @@ impl fmt::Display for Warning {
 const KINDS: [&str; 7] =
     ["some skipped", "all skipped", "training loss", "test loss", "growth of R", "growth of M", "field of 0"];
 
-impl<F: Float> Progress<F> {
+impl<F: Float> State<F> {
     /// Warnings about the last epoch, without the kinds that an earlier call returned.
     pub(super) fn new_warnings(&mut self, horizon: usize) -> Vec<Warning> {
         let mut warnings = self.warnings(horizon);

@@ -1,4 +1,6 @@
-//! [`Progress`]: the training loop, independent of the types of task, policy and field.
+//! [`State`]: one training epoch, independent of the types of task, policy and field.
+//!
+//! [`State::advance`] runs an epoch: an update per mini-batch, then the losses of both data sets.
 
 use super::average::average_direction;
 use super::record::{Means, Record, Skip, Step};
@@ -30,7 +32,7 @@ use std::time::Instant;
 
 /// Task, policy and field of a training, as trait objects.
 #[derive(Clone, Copy)]
-pub(super) struct Trained<'a, F: Float> {
+pub(super) struct Problem<'a, F: Float> {
     pub(super) task: &'a dyn AnyTask<F>,
     pub(super) policy: &'a dyn AnyPolicy<F>,
     pub(super) field: &'a dyn AnyField<F>,
@@ -78,7 +80,7 @@ pub(super) struct Epoch {
 
 /// Mutable state of a training, and its workspaces.
 #[derive(Debug)]
-pub(super) struct Progress<F: Float> {
+pub(super) struct State<F: Float> {
     pub(super) training: Training,
     pub(super) weights: Weights<F>,
     pub(super) optimizer: Optimizer<F>,
@@ -115,7 +117,7 @@ pub(super) struct Progress<F: Float> {
     pub(super) estimates: Option<Estimates<F>>,
 }
 
-impl<F: Float> Progress<F> {
+impl<F: Float> State<F> {
     pub(super) fn new(
         task: &dyn AnyTask<F>,
         policy: &dyn AnyPolicy<F>,
@@ -195,27 +197,27 @@ impl<F: Float> Progress<F> {
     /// Runs to the end of the epoch, or until `pause` returns true after an update. Returns whether
     /// the epoch ended. With several workers and the feature `parallel`, the epoch runs on a worker
     /// thread.
-    pub(super) fn advance(&mut self, trained: Trained<'_, F>, pause: &(dyn Fn() -> bool + Sync)) -> Result<bool, TrainError> {
+    pub(super) fn advance(&mut self, problem: Problem<'_, F>, pause: &(dyn Fn() -> bool + Sync)) -> Result<bool, TrainError> {
         #[cfg(feature = "parallel")]
         if self.training.workers > 1 {
             let mut outcome = Ok(true);
-            among_workers(&mut || outcome = self.run_epoch(trained, pause));
+            among_workers(&mut || outcome = self.run_epoch(problem, pause));
             return outcome;
         }
-        self.run_epoch(trained, pause)
+        self.run_epoch(problem, pause)
     }
 
     /// Runs a new epoch, or continues an unfinished one: an update per mini-batch, then the losses
     /// of both data sets.
-    fn run_epoch(&mut self, trained: Trained<'_, F>, pause: &dyn Fn() -> bool) -> Result<bool, TrainError> {
+    fn run_epoch(&mut self, problem: Problem<'_, F>, pause: &dyn Fn() -> bool) -> Result<bool, TrainError> {
         let begin = Instant::now();
         let mut epoch = self.epoch.take().unwrap_or_else(|| self.begin_epoch());
         while epoch.updates < self.updates_per_epoch() {
             // Measures growth up to the first applied update.
             self.batch.measure(epoch.means.is_empty());
-            match self.update(trained, epoch.updates) {
+            match self.update(problem, epoch.updates) {
                 Ok(step) => self.count(&mut epoch, &step),
-                Err(divergence) => self.skip(&mut epoch, divergence, trained.policy)?,
+                Err(divergence) => self.skip(&mut epoch, divergence, problem.policy)?,
             }
             epoch.updates += 1;
             if epoch.updates < self.updates_per_epoch() && pause() {
@@ -224,7 +226,7 @@ impl<F: Float> Progress<F> {
                 return Ok(false);
             }
         }
-        let [train_loss, test_loss] = self.evaluate(trained);
+        let [train_loss, test_loss] = self.evaluate(problem);
         self.best.update(self.weights.theta(), test_loss);
         let seconds = epoch.seconds + begin.elapsed().as_secs_f64();
         let number = self.records.len() + 1;
@@ -299,7 +301,7 @@ impl<F: Float> Progress<F> {
     }
 
     /// Evaluates the losses of the training and the test set. A diverged loss is NaN.
-    fn evaluate(&mut self, Trained { task, policy, .. }: Trained<'_, F>) -> [f64; 2] {
+    fn evaluate(&mut self, Problem { task, policy, .. }: Problem<'_, F>) -> [f64; 2] {
         let losses = [&self.train, &self.test].map(|starts| self.evaluation.run(task, policy, &self.weights, starts));
         self.diverged = losses.map(Result::err);
         losses.map(|loss| loss.unwrap_or(f64::NAN))
@@ -320,18 +322,18 @@ impl<F: Float> Progress<F> {
     }
 
     /// Performs one update with mini-batch `index` of the epoch.
-    fn update(&mut self, trained: Trained<'_, F>, index: usize) -> Result<Step, Divergence> {
-        self.select_batch(trained.task, index);
+    fn update(&mut self, problem: Problem<'_, F>, index: usize) -> Result<Step, Divergence> {
+        self.select_batch(problem.task, index);
         let update = self.records.len() * self.updates_per_epoch() + index;
         self.previous_direction.copy_from_slice(&self.direction);
-        let step = self.vector(trained, update);
+        let step = self.vector(problem, update);
         if step.is_err() {
             self.direction.copy_from_slice(&self.previous_direction);
         }
         let step = step?;
         self.training.clip.apply_knowing(&mut self.combined, step.norm);
         let rate = self.learning_rate(update);
-        self.weights.update(trained.policy, |theta| self.optimizer.step_at(rate, theta, self.combined.values()));
+        self.weights.update(problem.policy, |theta| self.optimizer.step_at(rate, theta, self.combined.values()));
         Ok(step)
     }
 
@@ -340,23 +342,23 @@ impl<F: Float> Progress<F> {
     ///
     /// # Errors
     /// [`Divergence`] if a number is non-finite, or the vector is too large for the optimizer.
-    fn vector(&mut self, trained: Trained<'_, F>, update: usize) -> Result<Step, Divergence> {
+    fn vector(&mut self, problem: Problem<'_, F>, update: usize) -> Result<Step, Divergence> {
         let step = match self.training.smoothing {
-            None => self.field(trained)?,
-            Some(smoothing) => self.estimate(trained, smoothing, update)?,
+            None => self.field(problem)?,
+            Some(smoothing) => self.estimate(problem, smoothing, update)?,
         };
         self.check_range(step.norm)?;
         Ok(step)
     }
 
     /// Evaluates the loss and the field of the mini-batch at the current parameters.
-    pub(super) fn field(&mut self, Trained { task, policy, field }: Trained<'_, F>) -> Result<Step, Divergence> {
+    pub(super) fn field(&mut self, Problem { task, policy, field }: Problem<'_, F>) -> Result<Step, Divergence> {
         let loss = self.batch.run(task, policy, &self.weights, &self.starts)?;
         self.combine(field, loss)
     }
 
     /// Evaluates the loss of the mini-batch at the current parameters.
-    pub(super) fn loss(&mut self, Trained { task, policy, .. }: Trained<'_, F>) -> Result<Step, Divergence> {
+    pub(super) fn loss(&mut self, Problem { task, policy, .. }: Problem<'_, F>) -> Result<Step, Divergence> {
         let loss = self.evaluation.run(task, policy, &self.weights, &self.starts)?;
         Ok(Step { loss, ..Step::default() })
     }
