@@ -24,6 +24,7 @@ mod flow;
 mod measure;
 mod policy;
 mod recursion;
+mod restart;
 mod starts;
 mod step_back;
 

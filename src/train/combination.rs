@@ -1,4 +1,7 @@
 //! [`Combination`]: rules that combine the gradients of two flows, usually M and R.
+//!
+//! R is the gradient of the loss. M omits the path of the adjoint through the observation.
+//! [`Flow`](crate::Flow) defines both, and [`Field`](crate::Field) lists all fields.
 
 use crate::engine::gradient::Gradient;
 use crate::numbers::extended::times_power_of_two;

@@ -1,12 +1,18 @@
 //! The adjoint recursion: [`reverse_step`] for the physics, [`Recursion::back`] for the loop.
 //!
-//! [`adjoint`](super) states the equations and defines λ, h and μ. `exponents` scales only
-//! cotangents of extreme size. `step_back` traverses the samples. `policy` computes the Jacobian
-//! products of the policy. `starts` sums the gradients with respect to initial states and
+//! [`adjoint`](super) states the equations. λ is the cotangent of the state x, h that of the
+//! control u, and μ that of the memory m. S is the physics step, N the policy, y the observation, l
+//! the running cost and φ the terminal cost. `K` flows share the loop, and a block holds eight
+//! samples.
+//!
+//! `step_back` calls [`reverse_step`] for every block of samples. `policy` computes the Jacobian
+//! products of the policy and the parameter gradient g. `exponents` and `restart` scale cotangents
+//! of extreme size, and no others. `starts` sums the gradients with respect to initial states and
 //! parameters p. `measure` records norms and growth.
 
-use super::exponents::{Exponents, Limits};
+use super::exponents::Exponents;
 use super::measure::{GrowthMeters, record_norms};
+use super::restart::Place;
 use super::starts::StartGradients;
 use super::step_back::StepBack;
 use super::{Flow, Pass, PolicyAdjoint};
@@ -15,7 +21,6 @@ use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::engine::divergence::{Divergence, Variable};
 use crate::engine::rollout::{Lane, Rollout, WIDTH, find_non_finite};
-use crate::numbers::extended::{exponent_of, scaled};
 use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Lanes, Real, Scalar, Single};
 use crate::numbers::zip::zip;
 use std::ops::Range;
@@ -154,17 +159,6 @@ pub(super) fn weighted<R: Scalar>(bar: R, weight: f64) -> R {
     if weight == 0.0 { R::zero() } else { bar * weight }
 }
 
-/// Place of a [`restart`](Recursion::restart) within a step.
-#[derive(Clone, Copy, PartialEq)]
-enum Place {
-    /// λ, h and μ are small before the policy reads h and μ.
-    BeforePolicy,
-    /// λ and μ are small after the step.
-    AfterPolicy,
-    /// λ and μ are cut after the step.
-    Cut,
-}
-
 /// State of the recursion for `K` flows.
 #[derive(Debug)]
 pub struct Recursion<F: Float, const K: usize> {
@@ -276,6 +270,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             }
             for (k, flow) in at_t.into_iter().enumerate() {
                 policy.set_controls_bar(k, pass.rollout.columns(t), &self.u_bar, &self.exponents);
+                // `Adjoint::back` makes the same choice for the whole unit, without weights per step.
                 if policy.through_inputs(flows[k]) {
                     // ȳ, m̄ ← (∂N/∂(y, m))ᵀ (h, μ)
                     policy.linearize_inputs(pass, k, t);
@@ -296,7 +291,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
     }
 
     /// Evaluates the gradients of the running cost of one step and block.
-    fn evaluate_cost(&mut self, pass: &Pass<'_, F>, t: usize, block: usize) {
+    pub(super) fn evaluate_cost(&mut self, pass: &Pass<'_, F>, t: usize, block: usize) {
         let (rollout, n) = (pass.rollout, pass.rollout.state_dim);
         self.cost.clear();
         let (cotangents, next_bar) = self.cost.requests();
@@ -356,75 +351,6 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         record_norms(&self.lambda, &self.exponents, pass, t, norms);
         if let (0, Some(starts)) = (t, &mut self.starts) {
             starts.finish(&self.lambda, pass.rollout.samples, &self.exponents);
-        }
-    }
-
-    /// Restarts the flows and samples whose cotangents are too small for a positive exponent.
-    fn restart_small(&mut self, pass: &Pass<'_, F>, t: usize, place: Place) {
-        for k in 0..K {
-            for sample in 0..pass.rollout.samples {
-                if self.exponents.of(k, sample) > 0 && self.is_small(k, sample, pass.rollout, place) {
-                    self.restart(pass, k, sample, t, place);
-                }
-            }
-        }
-        self.exponents.update();
-    }
-
-    /// Ranges in `lambda` and `u_bar` of the cotangents that [`restart`](Self::restart) changes in
-    /// one block.
-    fn carried(block: usize, rollout: &Rollout<F>, place: Place) -> [Range<usize>; 2] {
-        let (n, m, outputs) = (rollout.state_dim, rollout.control_dim, rollout.control_dim + rollout.memory_dim);
-        let controls = if place == Place::BeforePolicy { 0 } else { m };
-        [block * n..(block + 1) * n, block * outputs + controls..(block + 1) * outputs]
-    }
-
-    /// Returns whether the cotangents of one flow and sample are too small for their exponent.
-    fn is_small(&self, k: usize, sample: usize, rollout: &Rollout<F>, place: Place) -> bool {
-        let [of_lambda, of_outputs] = Self::carried(sample / WIDTH, rollout, place);
-        // Sums in the order of `reverse_step`, as `rescale` does.
-        let bars = self.u_bar[of_outputs].iter().chain(&self.lambda[of_lambda]);
-        bars.fold(F::zero(), |sum, bar| sum + bar.0[k].lane(sample % WIDTH).abs()) < Limits::new().low
-    }
-
-    /// Sets the exponent of one flow and sample, in step `t`, to the exponent of the cotangents
-    /// from later steps, or to 0 if negative. These cotangents are 0 after a truncation and where
-    /// derivatives are 0. A cut sets them to 0.
-    ///
-    /// With a large previous exponent, the cost gradients would underflow.
-    #[cold]
-    fn restart(&mut self, pass: &Pass<'_, F>, k: usize, sample: usize, t: usize, place: Place) {
-        let Pass { rollout, scale, .. } = *pass;
-        let block = sample / WIDTH;
-        self.evaluate_cost(pass, t, block);
-        let [of_lambda, of_outputs] = Self::carried(block, rollout, place);
-        let (lambda, outputs) = (&mut self.lambda[of_lambda], &mut self.u_bar[of_outputs]);
-        // Gradient of the cost with respect to u, unless the policy has already read h. μ has no
-        // cost.
-        let of_controls = if place == Place::BeforePolicy { &self.cost.u[..] } else { &[] };
-        let no_cost = Lane::splat(F::zero());
-        let costs = || self.cost.x.iter().chain(of_controls).chain(std::iter::repeat(&no_cost));
-        let exponents = &mut self.exponents.blocks[block];
-        // The unused lanes of the last block are copies of the last sample.
-        let end = if sample + 1 == rollout.samples { WIDTH } else { sample % WIDTH + 1 };
-        for lane in sample % WIDTH..end {
-            let own = exponents.of[k][lane];
-            for (bar, cost) in lambda.iter_mut().chain(&mut *outputs).zip(costs()) {
-                let later = bar.0[k].lane(lane) - exponents.added(k, lane, cost.lane(lane), scale);
-                bar.0[k].set_lane(lane, if place == Place::Cut { F::zero() } else { later });
-            }
-            let later = lambda.iter().chain(&*outputs).map(|bar| bar.0[k].lane(lane).abs());
-            let size: f64 = later.fold(F::zero(), |sum, size| sum + size).as_();
-            let exponent = if size == 0.0 { 0 } else { (own + exponent_of(size)).max(0) };
-            exponents.set(k, lane, exponent, scale);
-            let inject = exponents.inject.0[k].lane(lane);
-            for (bar, cost) in lambda.iter_mut().chain(&mut *outputs).zip(costs()) {
-                let later = scaled(bar.0[k].lane(lane), own - exponent);
-                bar.0[k].set_lane(lane, later + inject * cost.lane(lane));
-            }
-            if let (Place::Cut, Some(starts)) = (place, &mut self.starts) {
-                starts.cut(k, block, lane);
-            }
         }
     }
 

@@ -1,4 +1,4 @@
-//! [`csv`]: tables as comma-separated values.
+//! [`csv`]: tables as comma-separated values. Callers write the bytes to a file.
 
 use ::csv::Writer;
 use anyhow::Result;

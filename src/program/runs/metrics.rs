@@ -1,5 +1,6 @@
 //! [`Metrics`]: the values of every epoch, in `metrics.csv` and in the files for other tools.
 
+use crate::program::platform::csv::csv;
 use crate::program::platform::files;
 use crate::program::platform::folder::{EVENTS, Folder, METRICS, METRICS_JSONL};
 use crate::program::runs::tensorboard;
@@ -125,9 +126,7 @@ fn wall_times(done: &[Record]) -> Vec<f64> {
 
 /// One line of CSV.
 fn row(cells: [impl AsRef<[u8]>; COLUMNS.len()]) -> Result<Vec<u8>> {
-    let mut csv = csv::Writer::from_writer(Vec::new());
-    csv.write_record(cells)?;
-    Ok(csv.into_inner()?)
+    csv(cells, std::iter::empty::<Vec<String>>())
 }
 
 /// One line with a JSON object. Absent values, and values that are not finite in f64, are null.

@@ -1,4 +1,8 @@
 //! [`SceneSource`]: a scene before validation, with the line or option of every value.
+//!
+//! A scene is read in four stages. [`SceneSource::read`] parses the TOML file, and options of the
+//! command line override values. [`SceneSource::scene`] then finds the task, and the settings of
+//! the task get their defaults and are validated (`tasks/settings.rs`).
 
 use crate::program::platform::folder::Folder;
 use crate::program::platform::terminal::did_you_mean;

@@ -134,7 +134,7 @@ impl Conserved {
     }
 }
 
-/// Built-in tasks.
+/// Built-in tasks. Each has a [`TaskSpec`], an entry here, and a preset in `scenes/presets`.
 const BUILT_IN: [&dyn AnyTaskSpec; 10] = [
     &cart_pole::CartPole,
     &guidance::Guidance,
@@ -228,7 +228,7 @@ pub trait AnyTaskSpec: Send + Sync {
     fn defaults(&self) -> Table;
     /// Fills in missing settings that have a default.
     fn fill(&self, settings: Table) -> Result<Table, ConfigError>;
-    /// Creates a scene from complete settings.
+    /// Creates a scene. Missing settings that have a default get it.
     fn scene(&'static self, settings: Table) -> Result<Scene, ConfigError>;
     /// JSON schema of scenes of this task.
     fn schema(&self) -> serde_json::Value;
