@@ -6,13 +6,14 @@
 //! functions return the error instead. All checks run in double precision. Errors are relative to
 //! the largest component of the reference unless stated otherwise.
 //!
-//! Two further checks: [`stability`] detects time steps that are too long for the dynamics.
-//! [`plateau`] detects vanishing gradients.
+//! Three further checks: [`stability`] detects time steps that are too long for the dynamics.
+//! [`plateau`] detects vanishing gradients. [`jumps`] detects losses whose mean R mispredicts.
 //!
 //! [`slope_by_duals`] returns a reference derivative of the mean loss. `slope` (feature
 //! `double-double`) computes the loss and this derivative in double-double arithmetic.
 
 mod costs;
+mod jumps;
 mod oracle;
 mod plateau;
 mod policies;
@@ -24,11 +25,14 @@ pub mod stress;
 mod systems;
 
 pub use costs::{cost, try_cost};
+pub use jumps::{Jumps, jumps};
 pub use oracle::slope_by_duals;
 pub use plateau::{Plateau, plateau};
 pub use policies::{policy, try_policy};
 #[cfg(feature = "double-double")]
 pub use reference::slope;
+#[cfg(feature = "program")]
+pub(crate) use stability::jacobian_norm;
 pub use stability::{Stability, stability};
 
 use crate::dynamics::inputs::Start;
@@ -54,6 +58,9 @@ const CASES_OF_LONG_CHECKS: u64 = 2;
 const ONE_STEP: f64 = 1e-12;
 /// Tolerance for the loss and the gradients of a whole rollout.
 const ROLLOUT: f64 = 1e-10;
+
+/// Largest relative error of a rollout that may be due to rounding.
+const ROUNDED: f64 = 1e-6;
 
 /// Summary of a passed check.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -120,10 +127,18 @@ impl fmt::Display for Mismatch {
         write!(f, "{what}[{index}] is {found:e}, expected {expected:e}: ")?;
         // Only exact comparisons allow no error.
         if *allowed == 0.0 {
-            write!(f, "both must be equal, but differ by {error:.1e} (case {case})")
-        } else {
-            write!(f, "relative error {error:.1e}, allowed {allowed:.0e} (case {case})")
+            return write!(f, "both must be equal, but differ by {error:.1e} (case {case})");
         }
+        let scale = (found - expected).abs() / error;
+        write!(f, "relative error {error:.1e} at the scale {scale:.1e}, allowed {allowed:.0e} (case {case})")?;
+        if *allowed == ROLLOUT && *error < ROUNDED {
+            write!(
+                f,
+                ". Rounding errors may cause this if the rollout amplifies them: repeat the check with shorter time steps or a \
+                 shorter horizon"
+            )?;
+        }
+        Ok(())
     }
 }
 

@@ -119,6 +119,13 @@ fn of_any(system: &dyn AnySystem<f64>, inputs: Inputs<'_, f64>) -> Stability {
     Stability { multiplier: logarithm.exp(), component }
 }
 
+/// Frobenius norm of the state Jacobian ∂S/∂x. Infinite if an entry is NaN.
+#[cfg(feature = "program")]
+pub(crate) fn jacobian_norm<S: System>(system: &S, inputs: Inputs<'_, f64>) -> f64 {
+    let norm = jacobian(system, inputs).iter().map(|slope| slope * slope).sum::<f64>().sqrt();
+    if norm.is_nan() { f64::INFINITY } else { norm }
+}
+
 /// ∂S/∂x in row-major order.
 fn jacobian(system: &dyn AnySystem<f64>, inputs: Inputs<'_, f64>) -> Vec<f64> {
     let n = inputs.x.len();

@@ -32,6 +32,8 @@ enum Fault {
     Unwritten,
     /// `terminal_cost_gradient` overwrites `x_bar` instead of adding to it.
     Overwrites,
+    /// `running_cost_gradient` omits the next state in the second half of 900 steps.
+    LateCost,
 }
 
 /// Forces added to the control, one per step in turn.
@@ -60,7 +62,7 @@ impl<const CONTROLS: usize> Task for Tracking<CONTROLS> {
         self
     }
     fn horizon(&self) -> usize {
-        9
+        if self.fault == Fault::LateCost { 900 } else { 9 }
     }
     fn param_dim(&self) -> usize {
         2
@@ -107,7 +109,9 @@ impl<const CONTROLS: usize> Task for Tracking<CONTROLS> {
         next_bar: &mut [R],
     ) {
         let Inputs { x, u, p, t } = inputs;
-        next_bar[0] += (next[0] - p[1]) * R::from(2.0 * (1.0 + t as f64));
+        if self.fault != Fault::LateCost || t < 450 {
+            next_bar[0] += (next[0] - p[1]) * R::from(2.0 * (1.0 + t as f64));
+        }
         next_bar[1] += x[0];
         let with_control = self.fault != Fault::CostOfControlAlone || cotangents.x.is_some();
         if let (Some(x_bar), true) = (cotangents.x, self.fault != Fault::CostOfState) {
@@ -217,6 +221,7 @@ fn check_cost_names_the_wrong_method_and_output() {
     names(Fault::CostOfParams, "running_cost_gradient: p_bar");
     names(Fault::CostOfControlAlone, "running_cost_gradient with u alone requested: u_bar");
     names(Fault::Unwritten, "observe leaves a component unwritten: y");
+    names(Fault::LateCost, "running_cost_gradient: next_bar");
     names(Fault::Overwrites, "terminal_cost_gradient, second call that adds: x_bar");
     let message = |fault: Fault| check::try_cost(&Tracking::<1> { fault }).expect_err("a mismatch").to_string();
     assert!(message(Fault::CostOfState).contains(": relative error "));

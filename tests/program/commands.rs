@@ -369,6 +369,10 @@ fn a_check_distinguishes_long_steps_from_unstable_physics() {
     assert!(text.contains("omega_1 grows by 1.3") && text.contains("Shorten the step: `integrator.substeps = 2`"), "{text}");
     let text = checked(&format!("{rubbed}[integrator]\nsubsteps = 2\n"));
     assert!(text.contains("stable: no perturbation"), "{text}");
+    // Steps of RK4 multiply the angular velocity by 83, two half steps by 14, four quarters by less
+    // than 1.
+    let text = checked("task = \"pendulum\"\nhorizon = 2\n[[system.arms]]\nviscous = 1.0\n");
+    assert!(text.contains("4 times as many substeps. Shorten the step: `integrator.substeps = 4`"), "{text}");
     // Upright poles are unstable.
     let text = checked("task = \"cart_pole\"\n");
     assert!(text.contains("the physics is unstable, not the step"), "{text}");

@@ -270,7 +270,8 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             }
             for (k, flow) in at_t.into_iter().enumerate() {
                 policy.set_controls_bar(k, pass.rollout.columns(t), &self.u_bar, &self.exponents);
-                // `Adjoint::back` makes the same choice for the whole unit, without weights per step.
+                // `Adjoint::back` makes the same choice for the whole unit, without weights per
+                // step.
                 if policy.through_inputs(flows[k]) {
                     // ȳ, m̄ ← (∂N/∂(y, m))ᵀ (h, μ)
                     policy.linearize_inputs(pass, k, t);

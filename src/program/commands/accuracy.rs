@@ -29,13 +29,13 @@ use study::{ROUNDS, cheapest};
 /// Errors are those of trajectory, loss and gradients. Operations and memory are counts.
 ///
 /// The reference is a run in f64 with a high-order method and small steps, checked against half as
-/// many steps. The policy has the initial parameters of the scene, with a nonzero output layer. A
+/// many steps. Without --policy, the parameters are random, with a nonzero output layer. A
 /// rollout has eight samples and runs on one thread.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Examples:\n  physgrad accuracy my_scene.toml --target 1e-4\n  physgrad accuracy cart_pole --target 0.01 --metric r\n  physgrad accuracy cart_pole --gradients"
 )]
-#[command(mut_args(hide_training))]
+#[command(mut_args(hide_training), mut_arg("policy", |arg| arg.hide(false).help("Parameters of the policy: a file `policy.safetensors`, or the folder of a run")))]
 pub struct Accuracy {
     /// A task, a preset (see `physgrad scene`), or the path of a scene
     pub scene: String,
@@ -55,7 +55,8 @@ pub struct Accuracy {
     #[arg(long, value_name = "STEPS", value_delimiter = ',', requires = "gradients",
           default_values_t = [10, 32, 100, 316, 1000, 3162, 10_000, 31_623, 100_000])]
     pub horizons: Vec<usize>,
-    /// Folder for the results [default: a new one in `runs`]
+    /// Folder for the results; replaces earlier results of this command in it [default: a new one
+    /// in `runs`]
     #[arg(short, long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Print only the results

@@ -15,8 +15,8 @@ use toml::Value;
 /// Check the gradients of systems, policies and whole rollouts against dual numbers.
 ///
 /// For a named task or scene, also check the stability of the time step in states of test rollouts.
-/// Also check the slope of the loss at the initial parameters. With an initial policy, these are
-/// random.
+/// Also check the slope of the loss, and compare R with differences of the mean loss. These checks
+/// use the initial parameters of the scene.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  physgrad check\n  physgrad check my_scene.toml")]
 pub struct Check {
@@ -45,7 +45,8 @@ pub fn check(args: &Check) -> Result<()> {
     };
     for (variant, scene) in scenes {
         results.begin(scene.task.name());
-        scene.check(&variant, None, &mut results);
+        let theta = scene.initial_policy().map(|_| scene.initial_theta()).transpose()?;
+        scene.check(&variant, theta.as_deref(), &mut results);
     }
     let (table, failures) = results.finish();
     let mut notes = Vec::new();
@@ -53,9 +54,15 @@ pub fn check(args: &Check) -> Result<()> {
         let source = changed(name)?;
         let scene = source.scene()?;
         notes.push(stability(&scene, source)?);
-        let parameters = if scene.initial_policy().is_some() { "random" } else { "the initial" };
-        let plateau = scene.plateau().map_or_else(|divergence| divergence.to_string(), |plateau| plateau.to_string());
-        notes.push(format!("loss at {parameters} parameters: {plateau}"));
+        let plateau = scene
+            .plateau(&scene.initial_theta()?)
+            .map_or_else(|divergence| divergence.to_string(), |plateau| plateau.to_string());
+        notes.push(format!("loss at the initial parameters: {plateau}"));
+        let jumps = scene.jumps(&scene.initial_theta()?).map(|jumps| match jumps {
+            Ok(jumps) => jumps.to_string(),
+            Err(divergence) => divergence.to_string(),
+        });
+        notes.push(format!("mean loss and R: {}", jumps.as_deref().unwrap_or("not compared beyond 10,000 steps")));
     }
     if args.json {
         print_json(&json!({ "checks": table.objects(), "notes": notes, "failures": failures }))?;
@@ -72,41 +79,60 @@ pub fn check(args: &Check) -> Result<()> {
 /// Largest number of state components for which the command computes the stability.
 const MAX_STATES: usize = 100;
 
-/// Describes the stability of the time step. Compares an unstable step with half the step, if the
-/// scene admits substeps.
-fn stability(scene: &Scene, mut halved: SceneSource) -> Result<String> {
+/// Largest factor by which [`stability`] increases the number of substeps.
+const MAX_REFINEMENT: i64 = 64;
+
+/// Describes the stability of the time step. Refines an unstable step until it is stable or its
+/// multiplier converges, if the scene admits substeps.
+fn stability(scene: &Scene, mut refined: SceneSource) -> Result<String> {
     let names = scene.state_names();
     if names.len() > MAX_STATES {
         return Ok(format!("time step: not checked beyond {MAX_STATES} state components"));
     }
-    let Some(Amplification { sample, step, stability }) = scene.amplification() else {
+    let Some(Amplification { sample, step, stability, evaluated, states }) = scene.amplification(&scene.initial_theta()?) else {
         return Ok("time step: not checked, because a test rollout diverges in the first step".into());
     };
     let Stability { multiplier, component } = stability;
+    let all = if evaluated == states { String::new() } else { format!(" of {states}") };
     let place = format!("in test rollout {sample}, step {step}");
     if stability.is_stable() || multiplier.is_nan() {
-        return Ok(format!("time step, worst {place}, component {component} ({}): {stability}", names[component]));
+        let name = &names[component];
+        return Ok(format!("time step, worst of {evaluated}{all} states, {place}, component {component} ({name}): {stability}"));
     }
-    let substeps = scene.table.get("integrator").and_then(|section| section.get("substeps")?.as_integer()).unwrap_or(1);
-    halved.put("integrator.substeps", Value::Integer(2 * substeps), "half the step")?;
     let found = format!("time step: a perturbation of {} grows by {multiplier:.4} per step {place}", names[component]);
-    let half = halved
-        .scene()
-        .ok()
-        .and_then(|scene| scene.amplification())
-        .map(|half| half.stability)
-        .filter(|half| !half.multiplier.is_nan());
-    Ok(match half {
-        Some(half) if half.is_stable() || half.multiplier - 1.0 < 0.5 * (multiplier - 1.0) => {
-            format!(
-                "{found}, but by {:.4} with twice as many substeps. Shorten the step: `integrator.substeps = {}`",
-                half.multiplier,
-                2 * substeps
-            )
+    let substeps = scene.table.get("integrator").and_then(|section| section.get("substeps")?.as_integer()).unwrap_or(1);
+    let (mut last, mut times) = (None, 1);
+    while times < MAX_REFINEMENT {
+        times *= 2;
+        let count = substeps * times;
+        refined.put("integrator.substeps", Value::Integer(count), "more substeps")?;
+        let multiplier_of = |scene: Scene| Some(scene.amplification(&scene.initial_theta().ok()?)?.stability);
+        let Some(next) = refined.scene().ok().and_then(multiplier_of).filter(|next| !next.multiplier.is_nan()) else { break };
+        let more = if times == 2 { "twice".to_owned() } else { format!("{times} times") };
+        if next.is_stable() {
+            return Ok(format!(
+                "{found}, but not with {more} as many substeps. Shorten the step: `integrator.substeps = {count}`"
+            ));
         }
-        Some(half) => {
-            format!("{found}, and by {:.4} with twice as many substeps: the physics is unstable, not the step", half.multiplier)
+        let before = last.replace(next.multiplier).unwrap_or(multiplier);
+        if (next.multiplier - before).abs() < 0.1 * (next.multiplier - 1.0) {
+            let with = format!("by {:.4} with {more} as many substeps", next.multiplier);
+            // Half of the growth of the long step is not physical.
+            let is_too_long = multiplier - 1.0 > 2.0 * (next.multiplier - 1.0);
+            return Ok(if is_too_long {
+                format!(
+                    "{found}, but {with}. The physics is unstable, and the step is too long. Shorten the step: `integrator.substeps = {count}`"
+                )
+            } else {
+                format!("{found}, and {with}: the physics is unstable, not the step")
+            });
         }
+    }
+    Ok(match last {
+        Some(last) => format!(
+            "{found}, and by {last:.4} with {times} times as many substeps. Use an implicit integrator or more damping, or \
+             reduce the time step further"
+        ),
         None => format!("{found}. Without substeps, step and physics cannot be distinguished"),
     })
 }

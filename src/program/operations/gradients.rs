@@ -6,7 +6,7 @@ use crate::program::operations::peak_bytes;
 use crate::program::operations::seconds_per_run;
 use crate::program::platform::parallel;
 use crate::program::settings::Precision;
-use crate::rng::{Purpose, stream};
+use crate::rng::Purpose;
 use crate::{Batch, DynTask, Field, Float, Flow, Gradient, Policy, Rollout, Weights, check, initial_states};
 use std::sync::Arc;
 
@@ -68,11 +68,10 @@ pub fn chosen(count: usize) -> Vec<usize> {
 }
 
 /// Parameters and initial states, rounded to f32, which makes them equal in every precision.
-fn inputs(task: &dyn AnyTask<f32>, policy: &dyn AnyPolicy<f32>, seed: u64) -> (Vec<f64>, Vec<f64>) {
-    let weights = Weights::init(policy, &mut stream(seed, Purpose::Policy, 0));
+fn inputs(task: &dyn AnyTask<f32>, theta: &[f64], seed: u64) -> (Vec<f64>, Vec<f64>) {
     let starts = initial_states(task, seed, Purpose::Test, SAMPLES);
-    let exact = |numbers: &[f32]| numbers.iter().map(|&number| f64::from(number)).collect();
-    (exact(weights.theta()), exact(&starts))
+    let rounded = theta.iter().map(|&theta| f64::from(theta as f32)).collect();
+    (rounded, starts.iter().map(|&start| f64::from(start)).collect())
 }
 
 /// Computes a gradient with one method. [`GradientMethod::Duals`] computes in f64 in either
@@ -80,11 +79,12 @@ fn inputs(task: &dyn AnyTask<f32>, policy: &dyn AnyPolicy<f32>, seed: u64) -> (V
 pub fn derived<P: Policy + 'static>(
     task: DynTask,
     policy: P,
+    theta: &[f64],
     precision: Precision,
     seed: u64,
     method: GradientMethod,
 ) -> Derived {
-    let inputs = inputs(&task, &policy, seed);
+    let inputs = inputs(&task, theta, seed);
     let (task, policy) = (Arc::new(task), Arc::new(policy));
     let slope: Slope = {
         let (task, policy) = (task.clone(), policy.clone());
@@ -207,8 +207,8 @@ pub const REFERENCES: usize = FLOWS.len() * CHOSEN;
 
 /// Components of the gradients of R, M and S in double-double arithmetic, at the [`chosen`]
 /// parameters. Calls `done` after each component.
-pub fn reference(task: &DynTask, policy: &impl Policy, seed: u64, done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3] {
-    let (theta, starts) = inputs(task, policy, seed);
+pub fn reference(task: &DynTask, policy: &impl Policy, theta: &[f64], seed: u64, done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3] {
+    let (theta, starts) = inputs(task, theta, seed);
     let derivative: &(dyn Fn((Flow, usize)) -> f64 + Sync) = &|(flow, parameter)| {
         let direction = |i| f64::from(u8::from(i == parameter));
         let [_, slope] = check::slope(task, policy, &theta, &starts, flow, direction);
@@ -226,6 +226,7 @@ pub fn reference(task: &DynTask, policy: &impl Policy, seed: u64, done: &(dyn Fn
 mod tests {
     use super::*;
     use crate::policy::Mlp;
+    use crate::program::operations::policy_file;
     use crate::tasks::{CartPole, CartPoleSystem};
 
     #[test]
@@ -234,7 +235,9 @@ mod tests {
         let task = DynTask::new(CartPole::with_system(system));
         let reverse = GradientMethod::Reverse { field: Field::regular(), budget: None, nudged: false };
         for method in [GradientMethod::Forward, reverse, GradientMethod::Central(0.1), GradientMethod::Duals] {
-            let gradient = derived(task.clone(), Mlp::new([4, 4, 1]), Precision::F64, 0, method).gradient;
+            let policy = Mlp::new([4, 4, 1]);
+            let theta = policy_file::random(&policy, 0);
+            let gradient = derived(task.clone(), policy, &theta, Precision::F64, 0, method).gradient;
             assert!(gradient.is_err(), "{method:?}: {gradient:?}");
         }
     }

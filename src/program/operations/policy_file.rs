@@ -96,6 +96,13 @@ pub fn check_numbers(bytes: &[u8], about: &About) -> Result<()> {
     )
 }
 
+/// Random parameters of the policy.
+pub fn random(policy: &dyn AnyPolicy<f64>, seed: u64) -> Vec<f64> {
+    let mut theta = vec![0.0; policy.param_count()];
+    policy.init(&mut stream(seed, Purpose::Policy, 0), &mut theta);
+    theta
+}
+
 /// Parameters of the policy from a file. Numbers that the scene trains keep their initial values if
 /// the file has no tensor of trained numbers. Ignores this tensor if the scene trains no numbers.
 ///
@@ -114,8 +121,7 @@ pub fn read(bytes: &[u8], policy: &dyn AnyPolicy<f64>, seed: u64) -> Result<Vec<
             own.join(", ")
         );
     }
-    let mut theta = vec![0.0; policy.param_count()];
-    policy.init(&mut stream(seed, Purpose::Policy, 0), &mut theta);
+    let mut theta = random(policy, seed);
     for own in tensors {
         let found = match file.tensor(&own.name) {
             Err(_) if own.name == NUMBERS => continue,

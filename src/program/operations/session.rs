@@ -169,22 +169,16 @@ fn theta<T: Task, P: Policy, F: Float>(session: &Session<T, P, F>, epoch: Epoch)
     }
 }
 
-/// Opens a session before its first epoch. It starts from the parameters in the bytes of a policy
-/// file, or from random ones.
+/// Opens a session before its first epoch, with the parameters `theta`.
 pub fn open<P: Policy + 'static>(
     task: DynTask,
     policy: P,
     precision: Precision,
     field: Field,
     training: Training,
-    initial: Option<&[u8]>,
+    theta: Vec<f64>,
 ) -> Result<Box<dyn AnyRun>> {
-    let initial = initial.map(|bytes| policy_file::read(bytes, &policy, training.seed)).transpose()?;
-    let trainer = Trainer::new(task, policy).field(field).training(training);
-    let trainer = match initial {
-        Some(theta) => trainer.start_from(theta),
-        None => trainer,
-    };
+    let trainer = Trainer::new(task, policy).field(field).training(training).start_from(theta);
     Ok(match precision {
         Precision::F32 => Box::new(trainer.precision::<f32>().session()?),
         Precision::F64 => Box::new(trainer.precision::<f64>().session()?),

@@ -4,7 +4,7 @@ use crate::any::AnyTask;
 use crate::policy::AnyPolicy;
 use crate::program::operations::seconds_per_run;
 use crate::program::settings::Precision;
-use crate::rng::{Purpose, stream};
+use crate::rng::Purpose;
 use crate::{Adjoint, DynTask, Float, Flow, Gradient, OpCount, Policy, Rollout, Task, Weights, initial_states};
 
 /// Number of samples in the rollout: one full block of lanes.
@@ -47,17 +47,17 @@ impl Job {
 }
 
 /// Runs a rollout and its adjoints once, and prepares them for timing.
-pub fn job<P: Policy + 'static>(task: DynTask, policy: P, precision: Precision, seed: u64) -> Job {
+pub fn job<P: Policy + 'static>(task: DynTask, policy: P, theta: &[f64], precision: Precision, seed: u64) -> Job {
     let cost = OpCount::of(task.system());
     match precision {
-        Precision::F32 => prepare::<f32>(Box::new(task), Box::new(policy), cost, seed),
-        Precision::F64 => prepare::<f64>(Box::new(task), Box::new(policy), cost, seed),
+        Precision::F32 => prepare::<f32>(Box::new(task), Box::new(policy), cost, theta, seed),
+        Precision::F64 => prepare::<f64>(Box::new(task), Box::new(policy), cost, theta, seed),
     }
 }
 
-fn prepare<F: Float>(task: Box<dyn AnyTask<F>>, policy: Box<dyn AnyPolicy<F>>, cost: OpCount, seed: u64) -> Job {
+fn prepare<F: Float>(task: Box<dyn AnyTask<F>>, policy: Box<dyn AnyPolicy<F>>, cost: OpCount, theta: &[f64], seed: u64) -> Job {
     let (n, horizon) = (task.state_dim(), task.horizon());
-    let weights = Weights::<F>::init(&*policy, &mut stream(seed, Purpose::Policy, 0));
+    let weights = Weights::new(&*policy, theta.iter().map(|&theta| F::from_f64(theta)).collect());
     let starts = initial_states(&*task, seed, Purpose::Test, SAMPLES);
     let mut rollout = Rollout::new(&*task, &*policy, SAMPLES);
     let mut adjoint = Adjoint::new(&*task, &*policy, &rollout, &[Flow::REGULAR, Flow::MODIFIED]);

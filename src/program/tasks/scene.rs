@@ -3,7 +3,7 @@
 //! [`Scene`] holds the settings that all tasks share. [`AnySettings`] is the object-safe interface
 //! to the settings of one task.
 
-use crate::check::Plateau;
+use crate::check::{Jumps, Plateau};
 use crate::identify::{Fit, IdentifyError, Options, Segment};
 use crate::optimize::{self, Initial, OptimizeError, Plan};
 use crate::policy::AnyPolicy;
@@ -20,7 +20,7 @@ use crate::program::settings::config_error::ConfigError;
 use crate::program::settings::{FieldName, LogFormat, OPTIONAL, Precision};
 use crate::program::tasks::{AnyTaskSpec, Conserved, Settings, TaskSpec};
 use crate::report::{Animation, Channel};
-use crate::{Divergence, DynTask, Field, Number, System, Task, TaskOpCount, TrainError};
+use crate::{Divergence, DynTask, Field, Number, System, Task, TaskOpCount};
 use anyhow::{Context, Result};
 use std::ops::Deref;
 use std::sync::Arc;
@@ -65,25 +65,26 @@ pub trait AnySettings: Send + Sync {
     fn task(&self) -> DynTask;
     /// The policy, with the trained numbers of the system.
     fn policy(&self) -> Arc<dyn DynPolicy>;
-    /// Opens a run before its first epoch. It starts from the parameters in the bytes of a policy
-    /// file, or from random ones.
-    fn open_from(&self, initial: Option<&[u8]>, workers: usize) -> Result<Box<dyn AnyRun>>;
+    /// Opens a run before its first epoch, with these parameters.
+    fn open_from(&self, theta: Vec<f64>, workers: usize) -> Result<Box<dyn AnyRun>>;
     /// Checks the gradients of system, policy and rollout. In rollouts, the policy has the
     /// parameters `theta`, or random ones. Results carry the name `variant`.
     fn check(&self, variant: &str, theta: Option<&[f64]>, results: &mut Results);
-    /// Largest amplification of a perturbation by a step, in states of test rollouts with random
-    /// initial parameters. None if a rollout diverges in the first step.
-    fn amplification(&self) -> Option<Amplification>;
-    /// Loss and gradient at random initial parameters and at parameters nearby. Ignores a policy
-    /// file.
-    fn plateau(&self) -> Result<Plateau, Divergence>;
+    /// Largest amplification of a perturbation by a step, in states of test rollouts. None if a
+    /// rollout diverges in the first step.
+    fn amplification(&self, theta: &[f64]) -> Option<Amplification>;
+    /// Loss and gradient at the parameters `theta` and at parameters nearby.
+    fn plateau(&self, theta: &[f64]) -> Result<Plateau, Divergence>;
+    /// Compares R with differences of the mean loss over finite distances. None for horizons above
+    /// 10,000 steps.
+    fn jumps(&self, theta: &[f64]) -> Option<Result<Jumps, Divergence>>;
     /// Runs a rollout and its adjoints, and prepares them for timing.
-    fn prepare(&self) -> Job;
+    fn prepare(&self, theta: &[f64]) -> Job;
     /// Gradient and its costs, by the given method in the given precision.
-    fn derive(&self, precision: Precision, method: GradientMethod) -> Derived;
+    fn derive(&self, theta: &[f64], precision: Precision, method: GradientMethod) -> Derived;
     /// Components of the gradients of R, M and S, in double-double arithmetic. The indices of their
     /// parameters are evenly spaced. Calls `done` after each component.
-    fn refer(&self, done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3];
+    fn refer(&self, theta: &[f64], done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3];
     /// Operation counts of a physics step and of its VJPs, and of the costs and the observation.
     fn cost(&self) -> TaskOpCount;
     /// Memory and allocations of a rollout of 8 samples, for evaluation or with the adjoint of a
@@ -129,10 +130,10 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
         Arc::new(self.task_and_policy().1)
     }
 
-    fn open_from(&self, initial: Option<&[u8]>, workers: usize) -> Result<Box<dyn AnyRun>> {
+    fn open_from(&self, theta: Vec<f64>, workers: usize) -> Result<Box<dyn AnyRun>> {
         let training = self.training.training(self.epochs, self.seed, workers);
         let (task, policy) = self.task_and_policy();
-        session::open(task, policy, self.precision, self.training.weighted(self.field.0), training, initial)
+        session::open(task, policy, self.precision, self.training.weighted(self.field.0), training, theta)
     }
 
     fn check(&self, variant: &str, theta: Option<&[f64]>, results: &mut Results) {
@@ -140,29 +141,34 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
         checks::check(&task, &policy, theta, variant, results);
     }
 
-    fn amplification(&self) -> Option<Amplification> {
+    fn amplification(&self, theta: &[f64]) -> Option<Amplification> {
         let (task, policy) = self.task_and_policy();
-        checks::amplification(&task, &policy, self.seed)
+        checks::amplification(&task, &policy, theta, self.seed)
     }
 
-    fn plateau(&self) -> Result<Plateau, Divergence> {
+    fn plateau(&self, theta: &[f64]) -> Result<Plateau, Divergence> {
         let (task, policy) = self.task_and_policy();
-        checks::plateau(&task, &policy, self.seed)
+        checks::plateau(&task, &policy, theta, self.seed)
     }
 
-    fn prepare(&self) -> Job {
+    fn jumps(&self, theta: &[f64]) -> Option<Result<Jumps, Divergence>> {
         let (task, policy) = self.task_and_policy();
-        simulation::job(task, policy, self.precision, self.seed)
+        checks::jumps(&task, &policy, theta, self.seed)
     }
 
-    fn derive(&self, precision: Precision, method: GradientMethod) -> Derived {
+    fn prepare(&self, theta: &[f64]) -> Job {
         let (task, policy) = self.task_and_policy();
-        gradients::derived(task, policy, precision, self.seed, method)
+        simulation::job(task, policy, theta, self.precision, self.seed)
     }
 
-    fn refer(&self, done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3] {
+    fn derive(&self, theta: &[f64], precision: Precision, method: GradientMethod) -> Derived {
         let (task, policy) = self.task_and_policy();
-        gradients::reference(&task, &policy, self.seed, done)
+        gradients::derived(task, policy, theta, precision, self.seed, method)
+    }
+
+    fn refer(&self, theta: &[f64], done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3] {
+        let (task, policy) = self.task_and_policy();
+        gradients::reference(&task, &policy, theta, self.seed, done)
     }
 
     fn cost(&self) -> TaskOpCount {
@@ -314,15 +320,24 @@ impl Scene {
 
     /// Opens a run before its first epoch.
     pub fn open(&self, workers: usize) -> Result<Box<dyn AnyRun>> {
-        let initial = self.initial_policy.as_deref();
-        let checked = initial.map_or(Ok(()), |bytes| policy_file::check_numbers(bytes, &self.about()));
-        let opened = checked.and_then(|()| self.settings.open_from(initial, workers));
-        // Errors of the training itself do not concern the policy.
-        let is_of_training = opened.as_ref().is_err_and(|error| error.is::<TrainError>());
-        match self.table.get(INITIAL_POLICY) {
-            Some(file) if !is_of_training => opened.with_context(|| format!("`{INITIAL_POLICY}` {file}")),
-            _ => opened,
-        }
+        self.settings.open_from(self.initial_theta()?, workers)
+    }
+
+    /// Parameters before the first epoch: those of the initial policy, or random ones.
+    ///
+    /// # Errors
+    /// The initial policy does not fit the scene.
+    pub fn initial_theta(&self) -> Result<Vec<f64>> {
+        let policy = self.policy();
+        let Some(bytes) = self.initial_policy() else { return Ok(policy_file::random(&*policy, self.seed)) };
+        let read = || {
+            policy_file::check_numbers(bytes, &self.about())?;
+            policy_file::read(bytes, &*policy, self.seed)
+        };
+        read().with_context(|| {
+            let file = self.table.get(INITIAL_POLICY).map_or_else(String::new, Value::to_string);
+            format!("`{INITIAL_POLICY}` {file}")
+        })
     }
 
     /// Note about the mini-batch if it is larger than the training set. None otherwise.

@@ -60,7 +60,8 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
     let scene = study.source.scene()?;
     // Rejects invalid horizons before the measurements.
     let scenes = horizons.iter().map(|&horizon| with_horizon(study, horizon)).collect::<Result<Vec<Scene>>>()?;
-    let [r, m, s] = scene.refer(&|| bar.inc(1));
+    let theta = scene.initial_theta()?;
+    let [r, m, s] = scene.refer(&theta, &|| bar.inc(1));
     let mut c = vec![0.0; r.len()];
     Combination::SignAgreement.combine(&m, &r, &mut c);
     let right = |method: &GradientMethod| match method {
@@ -76,7 +77,7 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
     let mut derived = Vec::new();
     for (method, precision) in &methods {
         bar.set_message(format!("{method} {}", precision.name()));
-        derived.push(scene.derive(*precision, *method));
+        derived.push(scene.derive(&theta, *precision, *method));
         bar.inc(1);
     }
     // Interleaves the methods: other load on the machine then affects all methods.
@@ -105,7 +106,7 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
         })
         .collect();
     let checkpoints = checkpoints(study, &bar)?;
-    let horizons = along(&scenes, &bar);
+    let horizons = along(&scenes, &theta, &bar);
     bar.finish_and_clear();
     let (text, object) = write(folder, name, &derivatives, &checkpoints, &horizons)?;
     if json {
@@ -132,7 +133,8 @@ fn with_horizon(study: &Study, horizon: usize) -> Result<Scene> {
 /// Measures the reverse pass of R without a memory budget, then with decreasing budgets.
 fn checkpoints(study: &Study, bar: &ProgressBar) -> Result<Vec<Checkpoint>> {
     let scene = with_horizon(study, study.scene.horizon.max(CHECKPOINTED))?;
-    let run = |budget| scene.derive(study.scene.precision, reverse(Field::regular(), budget));
+    let theta = scene.initial_theta()?;
+    let run = |budget| scene.derive(&theta, study.scene.precision, reverse(Field::regular(), budget));
     let mut all = run(None);
     let (bytes, gradient) = (all.bytes as u64, all.gradient.clone());
     let mut jobs: Vec<Derived> = PARTS[1..].iter().map(|part| run(Some(bytes / part))).collect();
@@ -153,13 +155,13 @@ fn checkpoints(study: &Study, bar: &ProgressBar) -> Result<Vec<Checkpoint>> {
 }
 
 /// Errors of R at each horizon, in f32, and in f64 from perturbed initial states.
-fn along(scenes: &[Scene], bar: &ProgressBar) -> Vec<Horizon> {
+fn along(scenes: &[Scene], theta: &[f64], bar: &ProgressBar) -> Vec<Horizon> {
     bar.set_message("horizons");
     let runs = [(Precision::F32, false), (Precision::F64, false), (Precision::F64, true)];
     let jobs: Vec<(&Scene, (Precision, bool))> = scenes.iter().flat_map(|scene| runs.map(|run| (scene, run))).collect();
     let run = |(scene, (precision, nudged)): (&Scene, (Precision, bool))| {
         let method = GradientMethod::Reverse { field: Field::regular(), budget: Some(BUDGET), nudged };
-        let gradient = scene.derive(precision, method).gradient;
+        let gradient = scene.derive(theta, precision, method).gradient;
         bar.inc(1);
         gradient
     };

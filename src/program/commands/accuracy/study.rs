@@ -156,7 +156,8 @@ impl Study {
     }
 
     fn job(&self, setting: &Setting) -> Result<Job> {
-        Ok(setting.of(&self.source)?.prepare())
+        let scene = setting.of(&self.source)?;
+        Ok(scene.prepare(&scene.initial_theta()?))
     }
 
     /// Reference solution, and its difference from the solution with half as many steps.
