@@ -98,31 +98,39 @@ pub fn table_header(scenes: &[InScene]) -> Vec<&'static str> {
 pub fn table_of_scenes(scenes: &[InScene]) -> Vec<Vec<String>> {
     // Replaces `+` with a space, so that a table can break the name of a sweep point between its
     // settings.
-    let row = |name: &str, row: [String; 8]| {
+    let row = |name: &str, row: [String; 9]| {
         [name.replace('+', " ")].into_iter().chain(row).skip(usize::from(scenes.len() < 2)).collect::<Vec<_>>()
     };
     scenes.iter().flat_map(|scene| table(&scene.runs).into_iter().map(|cells| row(scene.name, cells))).collect()
 }
 
-const TABLE_HEADER: [&str; 8] = ["field", "seeds", "failed", "test loss", "lowest", "highest", "best", "seconds"];
+const TABLE_HEADER: [&str; 9] = ["field", "seeds", "failed", "test loss", "ratio", "lowest", "highest", "best", "seconds"];
 
 /// Columns that a narrow terminal omits, the most important first.
-pub const OPTIONAL: [&str; 6] = ["best", "seeds", "failed", "highest", "lowest", "seconds"];
+pub const OPTIONAL: [&str; 7] = ["ratio", "best", "seeds", "failed", "highest", "lowest", "seconds"];
 
 /// Explanation of the table.
-pub const TABLE_NOTE: &str =
-    "test loss of the last epoch: median, lowest and highest over the seeds; medians of best loss and seconds";
+pub const TABLE_NOTE: &str = "test loss of the last epoch: median, lowest and highest over the seeds; medians of best loss and seconds\n\
+     ratio of the median to that of R (otherwise M, S or C), with a 95 % interval (bootstrap over the seeds); undecided if it contains 1";
 
-/// One row per field, with medians over the seeds. NaN ranks above every number.
-fn table(runs: &[Outcome]) -> Vec<[String; 8]> {
-    let row = |(field, runs): (Field, &[Outcome])| {
-        let median = |value: &dyn Fn(&Outcome) -> f64| quantile(&sorted(runs.iter().map(value)), 0.5);
-        let last = sorted(runs.iter().map(|run| run.last(|r| r.test_loss)));
+/// One row per field, with medians over the seeds and their ratio to R. Without R, the first
+/// field in the order of [`position`] replaces it. NaN ranks above every number.
+fn table(runs: &[Outcome]) -> Vec<[String; 9]> {
+    let reference = by_field(runs).min_by_key(|(field, _)| position(field.letter()));
+    let row = |(field, of_field): (Field, &[Outcome])| {
+        let median = |value: &dyn Fn(&Outcome) -> f64| quantile(&sorted(of_field.iter().map(value)), 0.5);
+        let last = sorted(of_field.iter().map(|run| run.last(|r| r.test_loss)));
         [
             field.to_string(),
-            runs.len().to_string(),
-            runs.iter().filter(|run| run.failed).count().to_string(),
+            of_field.len().to_string(),
+            of_field.iter().filter(|run| run.failed).count().to_string(),
             short(quantile(&last, 0.5)),
+            match reference {
+                Some((first, others)) if first != field => {
+                    loss_ratio(of_field.iter().copied(), others.iter().copied()).to_string()
+                }
+                _ => "1".into(),
+            },
             short(last[0]),
             short(last[last.len() - 1]),
             short(median(&|run| best(run.records))),

@@ -54,7 +54,8 @@ pub fn comparison(folder: &str, scenes: &[InspectedScene]) -> String {
         (section("Result", html! {
             (table(&statistics::table_header(&outcomes), &statistics::table_of_scenes(&outcomes)))
             p.note {
-                "Median, lowest and highest value over the seeds."
+                "Median, lowest and highest value over the seeds. Ratio of the median to that of R (otherwise M, S or C), with a 95 % \
+                 interval over the seeds; undecided if it contains 1."
                 @if outcomes.iter().flat_map(|scene| &scene.runs).any(|run| run.failed) {
                     " A failed run has no final loss (NaN), which ranks as the worst."
                 }
