@@ -32,7 +32,8 @@ pub trait Task: Send + Sync {
         self.system().param_dim()
     }
     /// Draws an initial state into `start.x` and parameters into `start.p`. On entry, these are
-    /// `state_dim` and `param_dim` zeros. Physical numbers that vary are drawn afterwards.
+    /// `state_dim` and `param_dim` zeros. Physical numbers that vary are drawn afterwards, so their
+    /// entries must remain 0.
     fn start(&self, rng: &mut Rng, start: Start<'_>);
     /// Draws an initial state, parameters, and physical numbers that vary.
     #[doc(hidden)]
@@ -43,7 +44,12 @@ pub trait Task: Send + Sync {
             "`Task::param_dim` is {own}, but the system has {system} parameters; add `self.system().param_dim()`"
         );
         self.start(rng, Start { x, p: &mut *p });
-        for Varied { index, number, .. } in self.system().varied(p.len()) {
+        for Varied { index, number, name } in self.system().varied(p.len()) {
+            assert!(
+                p[index] == 0.0,
+                "`Task::start` writes p[{index}], which holds the number `{name}`; add the parameters of the task to \
+                 `Task::param_dim`, or leave this entry unwritten"
+            );
             p[index] = number.draw(rng);
         }
     }

@@ -119,6 +119,11 @@ impl fmt::Display for Divergence {
                 "forward pass: component {component} of the initial state of sample {sample} is not finite. Check `start`, and the \
                  range of the precision"
             ),
+            Self::Forward { variable, step: 0, sample, component, .. } => write!(
+                f,
+                "forward pass: {variable} component {component} of sample {sample} is not finite at step 0, although the initial \
+                 state is finite. Check the parameters p that `start` draws, and `observe`; if these are finite, reduce the learning rate"
+            ),
             Self::Forward { variable, step, sample, component, cause } => {
                 write!(
                     f,

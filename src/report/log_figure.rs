@@ -12,6 +12,8 @@ use kuva::prelude::*;
 pub enum XScale {
     /// Linear, from 0, or from the smallest x if negative.
     Linear,
+    /// Linear, from the smallest x.
+    FromSmallest,
     /// Logarithmic. Every x must be positive.
     Log,
     /// Ticks at the whole numbers from 1 to this number.
@@ -153,7 +155,11 @@ pub fn panel_layout(panel: &Panel, axis: &LogAxis, shows: Shows) -> Layout {
         (Some(axis), _) => (axis.low, axis.high),
         (None, XScale::Numbers(count)) => (0.5, count as f64 + 0.5),
         (None, _) => {
+            let xs = panel.series.iter().flat_map(|series| &series.line).map(|&(x, _)| x);
+            let smallest = xs.fold(f64::INFINITY, f64::min);
+            let is_cut = panel.x_scale == XScale::FromSmallest && smallest.is_finite();
             let [x_min, x_max] = x_range(&panel.series);
+            let x_min = if is_cut && smallest < x_max { smallest } else { x_min };
             // Adds a margin for single dots; lines may start at the axis.
             let margin = if panel.series.iter().any(|s| s.line.len() == 1) { 0.04 * (x_max - x_min) } else { 0.0 };
             (x_min - margin, x_max + margin)

@@ -9,7 +9,7 @@ pub fn robustness(title: &str, setting: &str, panels: Vec<(String, Vec<Series>)>
     let panel = |(title, series): (String, Vec<Series>)| Panel {
         title,
         x_label: setting.into(),
-        x_scale: XScale::Linear,
+        x_scale: XScale::FromSmallest,
         y_label: "loss".into(),
         y_axis: 0,
         series: series.into_iter().map(Series::with_drawable_band).collect(),

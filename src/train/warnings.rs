@@ -1,7 +1,8 @@
 //! Warnings of a training: skipped updates, non-finite losses, unreliable gradients.
 
 use super::epoch::State;
-use super::record::Skip;
+use super::record::{Record, Skip};
+use super::smoothing::Estimator;
 use crate::numbers::scalar::Float;
 use std::fmt;
 
@@ -23,8 +24,8 @@ impl fmt::Display for Warning {
 }
 
 /// Kinds of warnings, in the order of their reports.
-const KINDS: [&str; 7] =
-    ["some skipped", "all skipped", "training loss", "test loss", "growth of R", "growth of M", "field of 0"];
+const KINDS: [&str; 8] =
+    ["some skipped", "all skipped", "training loss", "test loss", "growth of R", "growth of M", "field of 0", "no first order"];
 
 impl<F: Float> State<F> {
     /// Warnings about the last epoch, without the kinds that an earlier call returned.
@@ -52,9 +53,21 @@ impl<F: Float> State<F> {
             regular,
             modified,
             zero,
+            self.without_first_order(record),
         ];
         let warning = |(kind, cause): (&'static str, Option<String>)| Some(Warning { epoch: record.epoch, kind, cause: cause? });
         KINDS.into_iter().zip(causes).filter_map(warning).collect()
+    }
+
+    /// Warning about an epoch in which [`Estimator::AlphaOrder`] ignored the first-order estimate.
+    fn without_first_order(&self, record: &Record) -> Option<String> {
+        let Estimator::AlphaOrder { tolerance } = self.training.smoothing?.estimator else { return None };
+        (record.first_order == Some(0.0)).then(|| {
+            format!(
+                "the estimator alpha_order used only the zeroth-order estimate, whose error exceeds the tolerance of {tolerance}. \
+                 Raise the tolerance or the number of pairs"
+            )
+        })
     }
 }
 

@@ -265,6 +265,17 @@ fn swing_up(estimator: Estimator, workers: usize) -> Session<CartPole, Mlp, f64>
 }
 
 #[test]
+fn an_alpha_order_estimate_without_first_order_causes_a_warning() {
+    let warnings = |tolerance| {
+        let mut session = swing_up(Estimator::AlphaOrder { tolerance }, 1);
+        session.epoch().expect("finite");
+        session.warnings().concat()
+    };
+    assert!(warnings(1e-9).contains("used only the zeroth-order estimate"));
+    assert!(!warnings(1e9).contains("zeroth-order"));
+}
+
+#[test]
 fn estimates_do_not_depend_on_workers_or_checkpoints() {
     for estimator in ALL {
         let mut whole = swing_up(estimator, 1);

@@ -105,5 +105,7 @@ fn the_folder_of_a_run_is_not_overwritten_by_plans() {
     let dir = TempDir::new().expect("a folder");
     physgrad("train cart_pole_1 --epochs 1 --set training.train_samples=8 --quiet --out run", dir.path()).assert().success();
     let stderr = physgrad("optimize --from run --out run", dir.path()).assert().failure().get_output().stderr.clone();
-    assert!(String::from_utf8_lossy(&stderr).contains("run holds a run and is not a plan"), "{stderr:?}");
+    assert!(String::from_utf8_lossy(&stderr).contains("run holds a run; choose another folder"), "{stderr:?}");
+    let stderr = physgrad("eval run --out run", dir.path()).assert().failure().get_output().stderr.clone();
+    assert!(String::from_utf8_lossy(&stderr).contains("run holds a run; choose another folder"), "{stderr:?}");
 }

@@ -53,7 +53,8 @@ pub struct Eval {
     /// Number of the rollouts with the largest losses that are written and animated
     #[arg(long, value_name = "K", default_value_t = 3)]
     pub worst: usize,
-    /// Folder for the results [default: a new one in `runs`]
+    /// Folder for the results; replaces earlier results of this command in it [default: a new one
+    /// in `runs`]
     #[arg(short, long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Print the result as one JSON object; messages stay on standard error (docs/json.md)

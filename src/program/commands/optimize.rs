@@ -2,7 +2,6 @@
 
 use crate::numbers::text::digits;
 use crate::optimize::{Initial, Options, Plan};
-use crate::program::commands::compare::check_no_training;
 use crate::program::operations::trajectory::Trajectory;
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::{Folder, SCENE, TRAJECTORY};
@@ -52,7 +51,8 @@ pub struct Optimize {
     /// Number of threads [default: RAYON_NUM_THREADS, or all cores]; results do not depend on it
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
-    /// Folder for the results [default: a new one in `runs`]
+    /// Folder for the results; replaces earlier results of this command in it [default: a new one
+    /// in `runs`]
     #[arg(short, long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Print only warnings and errors
@@ -80,7 +80,6 @@ pub fn optimize(args: &Optimize) -> Result<()> {
         }
     };
     if let Some(out) = args.out.as_deref().map(Folder::at) {
-        check_no_training(&out, "plan")?;
         out.check_inputs(&args.scene.iter().map(Path::new).collect::<Vec<_>>(), &[SCENE])?;
     }
     let bounds = bounds(&args.bound, &scene.control_names())?;

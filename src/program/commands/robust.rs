@@ -39,7 +39,8 @@ pub struct Robust {
     /// Seed of the initial states
     #[arg(long, value_name = "S", default_value_t = 1)]
     pub seed: u64,
-    /// Folder for the results [default: a new one in `runs`]
+    /// Folder for the results; replaces earlier results of this command in it [default: a new one
+    /// in `runs`]
     #[arg(short, long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
@@ -168,17 +169,20 @@ fn table_csv(args: &Robust, runs: &[Trained], cells: &[Cell]) -> Result<Vec<u8>>
     csv(header, rows)
 }
 
-/// Median losses: one row per grid point, one column per run.
+/// Median losses, and 90 % quantiles in parentheses: one row per grid point, one column per run.
 fn table(args: &Robust, runs: &[Trained], cells: &[Cell]) -> String {
     let keys = args.grid.iter().map(|axis| axis.key.clone());
     let names: Vec<&str> = runs.iter().map(|run| &*run.name).collect();
     let mut table = Table::new(keys.chain(names.iter().map(ToString::to_string))).optional(&names[1..]);
     let points = cells.len() / runs.len();
     for (point, cell) in cells.iter().take(points).enumerate() {
-        let medians = (0..runs.len()).map(|run| short(cells[run * points + point].quantiles[1]));
-        table.row(cell.at.iter().map(|&value| short(value)).chain(medians));
+        let losses = (0..runs.len()).map(|run| {
+            let [_, median, _, high] = cells[run * points + point].quantiles.map(short);
+            format!("{median} ({high})")
+        });
+        table.row(cell.at.iter().map(|&value| short(value)).chain(losses));
     }
-    format!("{table}\nmedian loss of {}", counted(args.samples, "rollout"))
+    format!("{table}\nmedian loss (90 % quantile) of {}", counted(args.samples, "rollout"))
 }
 
 /// One panel per value of the second setting, one line per run: the median, with a band from the

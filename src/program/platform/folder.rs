@@ -115,12 +115,20 @@ impl Folder {
 
     /// Locks the folder at this path. Without a path, locks a [`fresh`](Self::fresh) folder.
     pub fn named(path: Option<&Path>, name: &str) -> Result<Locked> {
-        Self::or_fresh(Self::reserve(path)?, name)
+        Self::or_fresh(path.map(|path| Self::at(path).lock()).transpose()?, name)
     }
 
     /// Locks the folder at this path, if any, before a computation whose results it will contain.
+    ///
+    /// # Errors
+    /// The folder holds a training. Another process has locked it, or it cannot be written.
     pub fn reserve(path: Option<&Path>) -> Result<Option<Locked>> {
-        path.map(|path| Self::at(path).lock()).transpose()
+        let Some(folder) = path.map(Self::at) else { return Ok(None) };
+        let trainings = [(SETTINGS, "run"), (COMPARISON, "comparison"), (STUDY, "study")];
+        if let Some((_, training)) = trainings.into_iter().find(|(file, _)| folder.has(file)) {
+            bail!("{} holds a {training}; choose another folder with --out", folder.path.display());
+        }
+        folder.lock().map(Some)
     }
 
     /// Returns the reserved folder, or locks a [`fresh`](Self::fresh) one.

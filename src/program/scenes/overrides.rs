@@ -119,6 +119,12 @@ pub fn set(source: &mut SceneSource, assignment: &str) -> Result<()> {
     if ["physgrad", "scene", "task"].contains(&key) {
         bail!("{option}: `{key}` defines the meaning of the other settings and cannot be set; edit the scene file");
     }
+    if let Some((section, number)) = key.split_once('.').filter(|(section, _)| ["vary", "fit"].contains(section)) {
+        let example = if section == "vary" { "{ uniform = [1, 2] }" } else { "{ train = 1 }" };
+        bail!(
+            "{option}: only scene files have the section `{section}`; write the setting itself, as in --set '{number}={example}'"
+        );
+    }
     if several(text).is_some() {
         bail!("{option}: `{key}` has several values, which only `compare` trains; choose one");
     }

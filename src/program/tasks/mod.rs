@@ -167,6 +167,14 @@ pub fn own() -> &'static [&'static dyn AnyTaskSpec] {
     &all()[BUILT_IN.len()..]
 }
 
+/// Returns whether code of the user reads this setting of a task. The setting then belongs to the
+/// system of a task of the user, or to an effect of the user.
+pub fn is_read_by_user(task: &str, key: &str) -> bool {
+    let is_own_task = own().iter().any(|own| own.name() == task);
+    let is_of_own_effect = own_effects(task).iter().any(|(effect, _)| key.starts_with(effect));
+    is_own_task && key.starts_with("system.") || is_of_own_effect
+}
+
 /// Effects of the user for this task, with their keys in scenes.
 fn own_effects(task: &str) -> Vec<(&'static str, &'static dyn AnyEffectSpec)> {
     let effects = REGISTERED.get().map_or(&[][..], |registered| &registered.effects);

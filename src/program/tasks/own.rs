@@ -33,6 +33,9 @@ pub trait ProgramTask: Task + Section + Default {
 
     /// Checks the settings. Default: all values are valid.
     ///
+    /// Bound fields that determine sizes, such as a number of cells. After this check, other
+    /// methods may allocate as many numbers.
+    ///
     /// # Errors
     /// The name of a field and its allowed values, for instance `("mass", "a positive number")`.
     fn validate(&self) -> Result<(), (&'static str, &'static str)> {
