@@ -75,9 +75,11 @@ pub struct Fit {
     /// unknown and there are as many unknowns as measurements.
     pub errors: Vec<f64>,
     /// Standard errors that allow for correlated residuals within a segment, from the scatter
-    /// between segments (sandwich estimate; Liang and Zeger 1986, doi:10.1093/biomet/73.1.13).
-    /// Infinite wherever `errors` are. Infinite for all parameters, unless the segments that depend
-    /// on a parameter outnumber the unknown parameters.
+    /// between segments (jackknife CR3; Cameron and Miller 2015, doi:10.3368/jhr.50.2.317). An
+    /// interval needs the quantile of Student's t with one degree of freedom less than segments.
+    /// Infinite wherever `errors` are, and for parameters that only one segment determines. Infinite
+    /// for all parameters, unless the segments that depend on a parameter outnumber the unknown
+    /// parameters.
     pub robust_errors: Vec<f64>,
     /// Correlations of the values, from the determined combinations of parameters only. NaN for a
     /// parameter that is in no determined combination.

@@ -9,15 +9,19 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 /// long simulations.
 const DETERMINED: f64 = 1e-12;
 
+/// Threshold for the fraction of the information from all segments but one. At or below it, these
+/// segments do not determine the combination of parameters.
+const SHARED: f64 = 1e-9;
+
 /// Magnitude of an eigenvector component above which a combination names the parameter.
 const NAMED: f64 = 1e-3;
 
 pub(super) struct Statistics {
     /// Standard errors at unit noise; infinite for undetermined parameters.
     pub errors: Vec<f64>,
-    /// Standard errors from the scatter between segments. Infinite for undetermined parameters.
-    /// Infinite for all parameters, unless the segments that depend on a parameter outnumber the
-    /// parameters.
+    /// Standard errors from the scatter between segments. Infinite for parameters that all segments,
+    /// or all but one, do not determine. Infinite for all parameters, unless the segments that
+    /// depend on a parameter outnumber the parameters.
     pub robust_errors: Vec<f64>,
     pub correlations: Vec<Vec<f64>>,
     /// Names of the parameters in each undetermined combination.
@@ -42,7 +46,8 @@ pub(super) fn statistics(equations: &[DMatrix<f64>], names: &[String]) -> Statis
     });
     let SymmetricEigen { eigenvalues, eigenvectors } = SymmetricEigen::new(scaled);
     let least = DETERMINED * eigenvalues.iter().copied().fold(0.0, f64::max);
-    let mut covariance = DMatrix::<f64>::zeros(count, count);
+    // The covariance is `factor factorᵀ`.
+    let mut factor = DMatrix::<f64>::zeros(count, count);
     let (mut undetermined, mut is_open) = (Vec::new(), vec![false; count]);
     for (k, &eigenvalue) in eigenvalues.iter().enumerate() {
         let vector = eigenvectors.column(k);
@@ -55,30 +60,49 @@ pub(super) fn statistics(equations: &[DMatrix<f64>], names: &[String]) -> Statis
             }
             continue;
         }
-        covariance += vector * vector.transpose() / eigenvalue;
+        factor.set_column(k, &(vector / eigenvalue.sqrt()));
     }
+    let covariance = &factor * factor.transpose();
     let errors = (0..count).map(|i| if is_open[i] { f64::INFINITY } else { covariance[(i, i)].sqrt() / scale[i] });
     let informative = equations.iter().filter(|rows| rows.columns(0, count).iter().any(|slope| *slope != 0.0));
     let informative: Vec<&DMatrix<f64>> = informative.collect();
-    let scatter = scatter(&informative, &scale);
-    let robust = &covariance * scatter * &covariance;
-    let is_known = |i: usize| !is_open[i] && informative.len() > count;
-    let robust_errors = (0..count).map(|i| if is_known(i) { robust[(i, i)].sqrt() / scale[i] } else { f64::INFINITY });
+    let variances = if informative.len() > count { jackknife(&informative, &scale, &factor) } else { Vec::new() };
+    let is_known = |i: usize| !is_open[i] && i < variances.len();
+    let robust_errors = (0..count).map(|i| if is_known(i) { variances[i].sqrt() / scale[i] } else { f64::INFINITY });
     let robust_errors = robust_errors.collect();
     let correlation = |i: usize, j: usize| covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt();
     let correlations = (0..count).map(|i| (0..count).map(|j| correlation(i, j)).collect()).collect();
     Statistics { errors: errors.collect(), robust_errors, correlations, undetermined }
 }
 
-/// Covariance of the gradient with respect to the scaled parameters, from its scatter between
-/// segments.
-fn scatter(equations: &[&DMatrix<f64>], scale: &[f64]) -> DMatrix<f64> {
+/// Variances of the scaled parameters by the jackknife of the linearized problem, which leaves out
+/// one segment at a time (CR3 of Cameron and Miller 2015, doi:10.3368/jhr.50.2.317). Infinite for
+/// parameters that all segments but one do not determine.
+///
+/// `factor` is a factor of the covariance at unit noise. In its coordinates, the information of all
+/// segments is the unit matrix.
+fn jackknife(equations: &[&DMatrix<f64>], scale: &[f64], factor: &DMatrix<f64>) -> Vec<f64> {
     let (count, segments) = (scale.len(), equations.len() as f64);
-    let scaled = |rows: &&DMatrix<f64>| {
-        gradient(rows).zip_map(&DVector::from_row_slice(scale), |slope, scale| if scale > 0.0 { slope / scale } else { 0.0 })
-    };
-    let gradients: Vec<DVector<f64>> = equations.iter().map(scaled).collect();
+    let per_scale = DVector::from_iterator(count, scale.iter().map(|&scale| if scale > 0.0 { 1.0 / scale } else { 0.0 }));
+    let transform = DMatrix::from_diagonal(&per_scale) * factor;
+    let gradients: Vec<DVector<f64>> = equations.iter().map(|rows| transform.tr_mul(&gradient(rows))).collect();
+    // The mean is 0, except for parameters at a bound.
     let mean = gradients.iter().fold(DVector::zeros(count), |sum, gradient| sum + gradient) / segments;
-    let squares = gradients.iter().map(|gradient| gradient - &mean).map(|rest| &rest * rest.transpose());
-    squares.fold(DMatrix::zeros(count, count), |sum, square| sum + square) * (segments / (segments - 1.0))
+    let mut variances = vec![0.0; count];
+    for (rows, gradient) in equations.iter().zip(&gradients) {
+        let slopes = rows.columns(0, count) * &transform;
+        let others = SymmetricEigen::new(DMatrix::identity(count, count) - slopes.tr_mul(&slopes));
+        let mut change = DVector::zeros(count);
+        for (vector, &eigenvalue) in others.eigenvectors.column_iter().zip(&others.eigenvalues) {
+            let direction = factor * vector;
+            if eigenvalue > SHARED {
+                change += direction * (vector.dot(&(gradient - &mean)) / eigenvalue);
+                continue;
+            }
+            let is_open = |i: usize| direction[i].abs() > NAMED * factor.row(i).norm();
+            (0..count).filter(|&i| is_open(i)).for_each(|i| variances[i] = f64::INFINITY);
+        }
+        variances.iter_mut().zip(&change).for_each(|(sum, change)| *sum += change * change * (segments - 1.0) / segments);
+    }
+    variances
 }
