@@ -1,6 +1,6 @@
 //! Iterations of Levenberg and Marquardt.
 
-use super::elimination::{Eliminated, Linearized, Weights, gradient, solve, stacked};
+use super::elimination::{Eliminated, Linearized, Weights, gradient, solve, stacked, start_rows};
 use super::error::IdentifyError;
 use super::problem::{Point, Problem, map};
 use nalgebra::{DMatrix, DVector};
@@ -123,7 +123,8 @@ fn norms(linearized: &[Vec<Linearized>], params: usize) -> Vec<f64> {
     squares.into_iter().map(f64::sqrt).collect()
 }
 
-/// Equations of the parameters with negligible damping, for each segment.
+/// Equations of the parameters with negligible damping, and rows of the initial state, for each
+/// segment.
 ///
 /// # Errors
 /// [`IdentifyError::Stopped`] if the stop flag is set.
@@ -132,10 +133,11 @@ pub(super) fn equations(
     point: &Point,
     continuity: f64,
     counts: &mut Counts,
-) -> Result<Vec<DMatrix<f64>>, IdentifyError> {
+) -> Result<[Vec<DMatrix<f64>>; 2], IdentifyError> {
     counts.jacobians += 1;
     // Negligible damping, which only determines initial states that do not affect the samples.
     let weights = Weights { per_noise: &problem.per_noise, continuity, damping: 1e-24 };
-    let eliminated = eliminated(&problem.linearize(point)?, point.values.len(), weights);
-    Ok(eliminated.into_iter().map(|segment| segment.reduced).collect())
+    let (linearized, params) = (problem.linearize(point)?, point.values.len());
+    let reduced = eliminated(&linearized, params, weights).into_iter().map(|segment| segment.reduced).collect();
+    Ok([reduced, map(linearized.len(), |i| start_rows(&linearized[i], params))])
 }

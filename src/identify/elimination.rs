@@ -98,6 +98,23 @@ impl Eliminated {
     }
 }
 
+/// Rows `δs_0` of the samples of a segment without jumps, for known parameters, as the factor R of a
+/// QR factorization. Without columns for a known initial state. The rows grow along an unstable
+/// trajectory, and can overflow.
+pub(super) fn start_rows(windows: &[Linearized], params: usize) -> DMatrix<f64> {
+    let mut rows = DMatrix::zeros(0, 0);
+    for Linearized { samples, jump } in windows.iter().rev() {
+        let own = samples.ncols() - params - 1;
+        // Without a next window, there are no rows.
+        let later = if rows.is_empty() { DMatrix::zeros(0, own) } else { rows * jump.columns(0, own) };
+        let mut all = DMatrix::zeros(samples.nrows() + later.nrows(), own);
+        all.rows_mut(0, samples.nrows()).copy_from(&samples.columns(0, own));
+        all.rows_mut(samples.nrows(), later.nrows()).copy_from(&later);
+        rows = triangle(all);
+    }
+    rows
+}
+
 /// Equations of the parameters from all segments, with columns `[δq | 1]`.
 pub(super) fn stacked(segments: &[Eliminated], params: usize) -> DMatrix<f64> {
     let rows = segments.iter().map(|segment| segment.reduced.nrows()).sum();

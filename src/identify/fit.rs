@@ -3,8 +3,9 @@
 use super::descent::{Counts, Stop, equations, minimize};
 use super::error::IdentifyError;
 use super::problem::{Point, Problem};
-use super::statistics::{Statistics, statistics};
+use super::statistics::{Statistics, statistics, undetermined_components};
 use crate::dynamics::system::System;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -77,15 +78,19 @@ pub struct Fit {
     /// Standard errors that allow for correlated residuals within a segment, from the scatter
     /// between segments (jackknife CR3; Cameron and Miller 2015, doi:10.3368/jhr.50.2.317). An
     /// interval needs the quantile of Student's t with one degree of freedom less than segments.
-    /// Infinite wherever `errors` are, and for parameters that only one segment determines. Infinite
-    /// for all parameters, unless the segments that depend on a parameter outnumber the unknown
-    /// parameters.
+    /// Infinite wherever `errors` are, and for parameters that only one segment determines.
+    /// Infinite for all parameters, unless the segments that depend on a parameter outnumber the
+    /// unknown parameters.
     pub robust_errors: Vec<f64>,
     /// Correlations of the values, from the determined combinations of parameters only. NaN for a
     /// parameter that is in no determined combination.
     pub correlations: Vec<Vec<f64>>,
     /// Names of the parameters in each combination that the data do not determine.
     pub undetermined: Vec<Vec<String>>,
+    /// State components whose initial values the data do not determine in at least one segment,
+    /// even for known parameters. The standard error of such a value exceeds all simulated values
+    /// of the component in the second half of the segment.
+    pub undetermined_starts: Vec<usize>,
     /// Parameters at one of their bounds.
     pub at_bound: Vec<String>,
     /// Simulated states of each segment.
@@ -178,7 +183,7 @@ fn result(
     mut counts: Counts,
 ) -> Result<Fit, IdentifyError> {
     let names: Vec<String> = problem.unknowns.iter().map(|unknown| unknown.name.clone()).collect();
-    let equations = equations(problem, &point, continuity, &mut counts)?;
+    let [equations, starts] = equations(problem, &point, continuity, &mut counts)?;
     let Statistics { errors, robust_errors, correlations, undetermined } = statistics(&equations, &names);
     let (measurements, unknowns) = (problem.measurements(), problem.count());
     let misfit = problem.misfit(&point)?;
@@ -194,6 +199,8 @@ fn result(
         0 => f64::INFINITY,
         freedom => (chi_squared / freedom as f64).sqrt(),
     };
+    let states = problem.states(&point)?;
+    let open = starts.into_iter().zip(&states).flat_map(|(rows, states)| undetermined_components(rows, noise, states));
     let is_bound =
         |(unknown, value): (&Unknown, &f64)| (*value <= unknown.min || *value >= unknown.max).then(|| unknown.name.clone());
     Ok(Fit {
@@ -201,8 +208,9 @@ fn result(
         robust_errors: robust_errors.into_iter().map(|error| if noise.is_finite() { error } else { noise }).collect(),
         correlations,
         undetermined,
+        undetermined_starts: open.collect::<BTreeSet<usize>>().into_iter().collect(),
         at_bound: problem.unknowns.iter().zip(&point.values).filter_map(is_bound).collect(),
-        states: problem.states(&point)?,
+        states,
         jump,
         chi_squared,
         measurements,

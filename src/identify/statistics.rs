@@ -1,6 +1,6 @@
 //! Standard errors, correlations, and parameters that the data cannot determine.
 
-use super::elimination::gradient;
+use super::elimination::{gradient, triangle};
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 /// Threshold for eigenvalues of the scaled information matrix, relative to the largest. At or below
@@ -12,6 +12,17 @@ const DETERMINED: f64 = 1e-12;
 /// Threshold for the fraction of the information from all segments but one. At or below it, these
 /// segments do not determine the combination of parameters.
 const SHARED: f64 = 1e-9;
+
+/// Factor by which other unknown initial values increase the standard error of an undetermined one,
+/// at least. Initial values of an unstable trajectory exceed it too, but have small errors.
+const CONFOUNDED: f64 = 1e3;
+
+/// Damping of the equations of an initial state, relative to the norms of their columns. Exceeds
+/// rounding errors.
+const DAMPING: f64 = 1e-12;
+
+/// Norm of a column that is 0.
+const NO_EFFECT: f64 = 1e-100;
 
 /// Magnitude of an eigenvector component above which a combination names the parameter.
 const NAMED: f64 = 1e-3;
@@ -73,6 +84,25 @@ pub(super) fn statistics(equations: &[DMatrix<f64>], names: &[String]) -> Statis
     let correlation = |i: usize, j: usize| covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt();
     let correlations = (0..count).map(|i| (0..count).map(|j| correlation(i, j)).collect()).collect();
     Statistics { errors: errors.collect(), robust_errors, correlations, undetermined }
+}
+
+/// Components of an initial state that the samples do not determine, from the rows of its linear
+/// equations at unit noise, the noise, and the simulated states.
+pub(super) fn undetermined_components(rows: DMatrix<f64>, noise: f64, states: &[Vec<f64>]) -> Vec<usize> {
+    let count = rows.ncols();
+    let norms: Vec<f64> = rows.column_iter().map(|column| if column.amax() > 0.0 { column.norm() } else { NO_EFFECT }).collect();
+    let mut damped = rows.clone().resize_vertically(rows.nrows() + count, 0.0);
+    norms.iter().enumerate().for_each(|(i, norm)| damped[(rows.nrows() + i, i)] = DAMPING * norm);
+    // The covariance is `inverse inverseᵀ`.
+    let inverse = triangle(damped).solve_upper_triangular(&DMatrix::identity(count, count));
+    let Some(inverse) = inverse.filter(|inverse| inverse.iter().all(|number| number.is_finite())) else { return Vec::new() };
+    let is_open = |i: usize| {
+        let error = inverse.row(i).norm();
+        // Wrong initial states are large, and decay.
+        let largest = states[states.len() / 2..].iter().fold(0.0, |largest: f64, x| largest.max(x[i].abs()));
+        error * norms[i] > CONFOUNDED && error * noise > largest
+    };
+    (0..count).filter(|&i| is_open(i)).collect()
 }
 
 /// Variances of the scaled parameters by the jackknife of the linearized problem, which leaves out

@@ -67,8 +67,8 @@ fn largest_jump(system: &Pendulum, fit: &Fit, p: &[f64]) -> f64 {
 }
 
 /// Checks that multiple shooting finds the true values within four standard errors, with standard
-/// errors below 3 %. Checks that the fitted states follow the steps of the system, and that single
-/// shooting does not fit the data.
+/// errors below 3 %, and determines the initial state. Checks that the fitted states follow the
+/// steps of the system, and that single shooting does not fit the data.
 fn check(system: &Pendulum, segment: &Segment) {
     let found = fit(system, segment, Options::default().window);
     let single = fit(system, segment, None);
@@ -76,6 +76,7 @@ fn check(system: &Pendulum, segment: &Segment) {
     for ((value, error), truth) in found.values.iter().zip(&found.errors).zip(&segment.p) {
         assert!((value - truth).abs() < 4.0 * error && *error < 3e-2 * truth, "{value} ± {error}, {truth}");
     }
+    assert!(found.undetermined_starts.is_empty(), "{:?}", found.undetermined_starts);
     let jump = largest_jump(system, &found, &found.values);
     assert!(jump < 1e-6 && found.jump < 1e-6, "{jump} {}", found.jump);
     assert!(reduced(&single) > 100.0, "{}", reduced(&single));
