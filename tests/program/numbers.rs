@@ -223,7 +223,10 @@ fn measured_trajectories_identify_length_within_1_and_center_within_2_percent() 
         ("identify double_pendulum.toml --data none.csv", "cannot read none.csv"),
         ("identify double_pendulum.toml --data double_pendulum.toml", "unknown column"),
         ("identify double_pendulum.toml --data double_pendulum.csv --noise theta_1=0", "write NAME=VALUE with a positive value"),
-        ("identify double_pendulum.toml --data double_pendulum.csv --noise theta_1=1", "--noise lacks omega_1"),
+        (
+            "identify double_pendulum.toml --data double_pendulum.csv --noise theta_1=1",
+            "--noise lacks omega_1, theta_2, omega_2; give all measured states: theta_1",
+        ),
         ("identify double_pendulum.toml --data double_pendulum.csv --noise theta_1=1,theta_1=2", "theta_1 is given twice"),
         ("identify double_pendulum.toml --data double_pendulum.csv --set system.dt=0.007", "is not a later step of 0.007 s"),
     ] {
@@ -249,13 +252,46 @@ fn unusable_measurements_are_refused_with_place_and_advice() {
         ("t,theta_1\n0,1\n0.007,2", "data.csv:3: the time 0.007 s is not a later step of 0.005 s"),
         ("t,theta_1\n0,1\n1e6,2", "data.csv:3: the segment has 10000000 or more steps of 0.005 s"),
         // Fits segments 0 and 2. Messages name the index in the file.
-        ("segment,t,theta_1,theta_2,omega_1,omega_2\n0,0,1,1,0,0\n1,0,1,1,0,0\n2,0,,1,0,0", "segment 2: component "),
+        (
+            "segment,t,theta_1,theta_2,omega_1,omega_2\n0,0,1,1,0,0\n1,0,1,1,0,0\n2,0,,1,0,",
+            "segment 2: the first row lacks theta_1, omega_2, but",
+        ),
     ] {
         fs::write(dir.path().join("data.csv"), format!("{data}\n")).expect("a file");
         let command = "identify scene.toml --data data.csv --every 2 --exact-starts";
         let stderr = physgrad(command, dir.path()).assert().failure().get_output().stderr.clone();
         assert!(String::from_utf8_lossy(&stderr).contains(message), "{message}: {}", String::from_utf8_lossy(&stderr));
     }
+}
+
+/// Only the angle of a cart-pole is measured. The position does not affect the angle. The noise is
+/// far below that of `--noise`.
+#[test]
+fn messages_about_unmeasured_states_name_measured_ones_only() {
+    let dir = TempDir::new().expect("a folder");
+    let scene = "scene = 1\ntask = \"cart_pole\"\n[system]\npoles = 1\n[fit]\n\"system.gravity\" = { start = 9.81 }\n";
+    fs::write(dir.path().join("scene.toml"), scene).expect("a scene");
+    let row =
+        |t: i32| format!("{},{}", f64::from(t) * 0.01, 0.1 * (f64::from(t) * 0.05).cos() + if t % 2 == 0 { 1e-3 } else { 0.0 });
+    let data = |first: &str| {
+        let rows: Vec<String> = (1..60).map(|t| format!("{},,,", row(t))).collect();
+        fs::write(dir.path().join("data.csv"), format!("t,theta_1,x,x_dot,omega_1\n{}{first}\n{}\n", row(0), rows.join("\n")))
+    };
+    data(",,,").expect("data");
+    let command = "identify scene.toml --data data.csv --out found --noise theta_1=10";
+    let output = physgrad(command, dir.path()).assert().success().get_output().stdout.clone();
+    let output = String::from_utf8(output).expect("text");
+    assert!(output.contains("warning: the data do not determine the initial values of x"), "{output}");
+    assert!(output.contains("warning: χ² per degree of freedom is "), "{output}");
+    assert!(output.contains("root mean square of the residuals: theta_1 ") && !output.contains("NaN"), "{output}");
+    let picture = || fs::read_to_string(dir.path().join("found/identified.svg")).expect("a picture");
+    assert!(picture().contains("residual of theta_1") && !picture().contains("omega_1"));
+    // An exact initial state has no noise.
+    data(",0,0,0").expect("data");
+    let stderr = physgrad(command, dir.path()).assert().failure().get_output().stderr.clone();
+    assert!(String::from_utf8_lossy(&stderr).contains("--noise lacks x, x_dot, omega_1"), "{}", String::from_utf8_lossy(&stderr));
+    physgrad(&format!("{command} --exact-starts"), dir.path()).assert().success();
+    assert!(!picture().contains("omega_1"));
 }
 
 /// Data of a cart whose speed grows without a force, so that the fitted damping is negative.

@@ -12,14 +12,14 @@ use crate::program::platform::csv::csv;
 use crate::program::platform::folder::{Folder, REPORT, SCENE};
 use crate::program::platform::json::{object, print_json, rows};
 use crate::program::platform::table::Table;
-use crate::program::platform::terminal::{counted, print_text};
+use crate::program::platform::terminal::{counted, listed, print_text};
 use crate::program::runs::run::threads;
 use crate::program::runs::saved;
 use crate::program::scenes::overrides::{Overrides, hide_training};
 use crate::program::scenes::presets;
 use crate::program::tasks::Scene;
-use anyhow::{Context, Result, bail};
-use data::Measured;
+use anyhow::{Context, Result, anyhow, bail};
+use data::{Measured, measured_components};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -46,7 +46,8 @@ pub struct Identify {
     /// by name
     #[arg(long, value_name = "FILE")]
     pub data: PathBuf,
-    /// Standard deviations of the noise, as in theta_1=0.003,omega_1=0.1 [default: equal for all]
+    /// Standard deviations of the noise of all measured states, as in theta_1=0.003,omega_1=0.1
+    /// [default: equal for all]
     #[arg(long, value_name = "NAME=VALUE,...", value_delimiter = ',')]
     pub noise: Vec<String>,
     /// Take the first sample of each segment as its exact initial state
@@ -79,10 +80,12 @@ pub fn identify(args: &Identify) -> Result<()> {
         bail!("{} has no unknown numbers; list them in [fit], as in \"system.gravity\" = {{ start = 9.8 }}", args.scene);
     }
     let measured = Measured::read(&args.data, &scene)?;
-    let noise = noise(&args.noise, &scene, &measured)?;
     if args.every == 0 {
         bail!("--every is 0; allowed: 1 or more");
     }
+    // Exact first samples have no noise. Those of validation segments are not exact.
+    let first = usize::from(args.exact_starts && args.every == 1);
+    let noise = noise(&args.noise, &scene, &measured_components(&measured.segments, first))?;
     if let Some(out) = args.out.as_deref().map(Folder::at) {
         check_no_training(&out, "fit")?;
         let outputs = [SCENE, IDENTIFIED, FIT, TRAJECTORIES, VALIDATION, PICTURE, REPORT];
@@ -101,7 +104,7 @@ pub fn identify(args: &Identify) -> Result<()> {
     let segments = measured.chosen(&fitted, &scene);
     let reserved = Folder::reserve(args.out.as_deref())?;
     let begin = Instant::now();
-    let fit = scene.identify(&segments, &options).map_err(|error| in_file(error, &fitted));
+    let fit = scene.identify(&segments, &options).map_err(|error| in_file(error, &fitted, &measured, &scene));
     let fit = fit.with_context(|| format!("{} with {}", args.scene, args.data.display()))?;
     let seconds = begin.elapsed().as_secs_f64();
 
@@ -124,7 +127,7 @@ pub fn identify(args: &Identify) -> Result<()> {
         let residuals = residuals(validation, &measured.chosen(&others, &scene), &scene);
         text += &format!("\nvalidation with {}: {residuals}", counted(others.len(), "other segment"));
     }
-    let mut warnings = warnings(&fit);
+    let mut warnings = warnings(&fit, &scene, !args.noise.is_empty());
     if let Err(error) = &found {
         warnings.push(format!("there is no scene.toml and no validation: {error:#}; add bounds to [fit]"));
     }
@@ -151,7 +154,8 @@ pub fn identify(args: &Identify) -> Result<()> {
     folder.write(REPORT, identification::page(&Folder::existing(folder.path())?)?)?;
     let results = folder.path().display();
     let failed = validation.as_ref().err().cloned();
-    let failed = failed.map_or(Ok(()), |error| Err(in_file(error, &others)).context("validation with the fitted numbers"));
+    let failed = failed
+        .map_or(Ok(()), |error| Err(in_file(error, &others, &measured, &scene)).context("validation with the fitted numbers"));
     if args.json {
         print_json(&json!({
             "folder": folder.path(),
@@ -169,9 +173,9 @@ pub fn identify(args: &Identify) -> Result<()> {
     failed
 }
 
-/// The error with the index of its segment in the file. `numbers` are the indices of the chosen
-/// segments.
-fn in_file(mut error: IdentifyError, numbers: &[usize]) -> IdentifyError {
+/// The error with the index of its segment in the file, and with names of states. `numbers` are the
+/// indices of the chosen segments.
+fn in_file(mut error: IdentifyError, numbers: &[usize], measured: &Measured, scene: &Scene) -> anyhow::Error {
     use IdentifyError::{Diverged, Empty, MissingParam, MissingStart, NonFinite, Shape};
     if let Shape { segment, .. }
     | NonFinite { segment, .. }
@@ -182,7 +186,16 @@ fn in_file(mut error: IdentifyError, numbers: &[usize]) -> IdentifyError {
     {
         *segment = numbers[*segment];
     }
-    error
+    if let MissingStart { segment, .. } = error {
+        let first = measured.segments[segment].x[0].iter().zip(scene.state_names());
+        let missing: Vec<String> = first.filter(|(y, _)| y.is_nan()).map(|(_, name)| name).collect();
+        return anyhow!(
+            "segment {segment}: the first row lacks {}, but --exact-starts takes it as the exact initial state; \
+             omit --exact-starts, or begin at a complete row",
+            listed(&missing)
+        );
+    }
+    error.into()
 }
 
 /// Sizes, χ², BIC and effort of the fit, by name.
@@ -200,12 +213,40 @@ fn facts(fit: &Fit, seconds: f64) -> Vec<(&'static str, String)> {
     ]
 }
 
-fn warnings(fit: &Fit) -> Vec<String> {
+/// Returns whether the distribution of χ² does not explain its value per degree of freedom, and the
+/// value is not between 1/2 and 2. The bounds are four standard deviations of a normal variable
+/// (Wilson and Hilferty 1931, doi:10.1073/pnas.17.12.684).
+fn is_unlikely(chi_squared: f64, freedom: f64) -> bool {
+    let variance = 2.0 / (9.0 * freedom);
+    let [low, high] = [-4.0, 4.0].map(|z| (1.0 - variance + z * variance.sqrt()).max(0.0).powi(3));
+    !(low.min(0.5)..=high.max(2.0)).contains(&(chi_squared / freedom))
+}
+
+fn warnings(fit: &Fit, scene: &Scene, noise_is_known: bool) -> Vec<String> {
     let undetermined = fit.undetermined.iter().map(|names| {
         format!("the data do not determine {} separately; fix one of them, or measure a motion with forces", names.join(", "))
     });
     let bounds = fit.at_bound.iter().map(|name| format!("{name} is at its bound"));
     let mut warnings: Vec<String> = undetermined.chain(bounds).collect();
+    if !fit.undetermined_starts.is_empty() {
+        let states = scene.state_names();
+        let names: Vec<String> = fit.undetermined_starts.iter().map(|&i| states[i].clone()).collect();
+        warnings.push(format!(
+            "the data do not determine the initial values of {}; measure them in the first row of each segment, use \
+             --exact-starts with complete first rows, or choose a longer --window",
+            listed(&names)
+        ));
+    }
+    let freedom = (fit.measurements - fit.unknowns) as f64;
+    if noise_is_known && freedom > 0.0 && is_unlikely(fit.chi_squared, freedom) {
+        let ratio = fit.chi_squared / freedom;
+        warnings.push(format!(
+            "χ² per degree of freedom is {}, far from 1: the residuals are {} times the given noise; check --noise, the units \
+             of the data, and the model",
+            rough(ratio),
+            rough(ratio.sqrt())
+        ));
+    }
     if !fit.converged {
         warnings.push("the iterations ended before convergence; try other initial values or another --window".into());
     }
@@ -218,9 +259,9 @@ fn warnings(fit: &Fit) -> Vec<String> {
     warnings
 }
 
-/// Standard deviations in the order of the state components. The default is 1 for components
-/// without measurements. All other components need an assignment. None without assignments.
-fn noise(assignments: &[String], scene: &Scene, measured: &Measured) -> Result<Option<Vec<f64>>> {
+/// Standard deviations in the order of the state components. The components `measured` need an
+/// assignment. The default is 1 for others. None without assignments.
+fn noise(assignments: &[String], scene: &Scene, measured: &[usize]) -> Result<Option<Vec<f64>>> {
     if assignments.is_empty() {
         return Ok(None);
     }
@@ -232,21 +273,18 @@ fn noise(assignments: &[String], scene: &Scene, measured: &Measured) -> Result<O
             Some((index, value.parse::<f64>().ok().filter(|value| value.is_finite() && *value > 0.0)?))
         });
         let (index, value) = parsed.with_context(|| {
-            format!("--noise {assignment}: write NAME=VALUE with a positive value; names: {}", names.join(", "))
+            format!("--noise {assignment}: write NAME=VALUE with a positive value; names: {}", listed(&names))
         })?;
         if noise[index].replace(value).is_some() {
             bail!("--noise {assignment}: {} is given twice; give each name once", names[index]);
         }
     }
-    let is_measured = |i: usize| measured.segments.iter().flat_map(|segment| &segment.x).any(|x| !x[i].is_nan());
-    for (_, noise) in noise.iter_mut().enumerate().filter(|(i, _)| !is_measured(*i)) {
-        *noise = noise.or(Some(1.0));
+    let missing: Vec<String> = measured.iter().filter(|&&i| noise[i].is_none()).map(|&i| names[i].clone()).collect();
+    if !missing.is_empty() {
+        let all: Vec<String> = measured.iter().map(|&i| names[i].clone()).collect();
+        bail!("--noise lacks {}; give all measured states: {}", listed(&missing), listed(&all));
     }
-    let missing = names.iter().zip(&noise).find(|(_, value)| value.is_none());
-    match missing {
-        Some((name, _)) => bail!("--noise lacks {name}; give all of {}", names.join(", ")),
-        None => Ok(Some(noise.into_iter().flatten().collect())),
-    }
+    Ok(Some(noise.into_iter().map(|noise| noise.unwrap_or(1.0)).collect()))
 }
 
 /// Initial value of each unknown.
@@ -277,8 +315,8 @@ fn table(fit: &Fit, scene: &Scene) -> Table {
     table
 }
 
-/// Root mean square of the residuals of each component, over all segments that measure it. Segments
-/// have equal weights, also if they differ in length.
+/// Root mean square of the residuals of each component with a measurement after the first row, over
+/// all segments that measure it. Segments have equal weights, also if they differ in length.
 fn residuals(fit: &Fit, segments: &[Segment], scene: &Scene) -> String {
     let rms = |i: usize| {
         let each = segments.iter().enumerate().map(|(index, segment)| fit.rms(index, i, segment)).filter(|rms| !rms.is_nan());
@@ -286,6 +324,7 @@ fn residuals(fit: &Fit, segments: &[Segment], scene: &Scene) -> String {
         (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
     };
     let names = scene.state_names();
-    let parts: Vec<String> = names.iter().enumerate().map(|(i, name)| format!("{name} {}", short(rms(i)))).collect();
+    let parts = measured_components(segments, 1).into_iter().map(|i| format!("{} {}", names[i], short(rms(i))));
+    let parts: Vec<String> = parts.collect();
     format!("root mean square of the residuals: {}", parts.join(", "))
 }

@@ -183,6 +183,14 @@ pub fn counted(count: usize, noun: &str) -> String {
     format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
 }
 
+/// Names separated by commas. From 11 names on, the first three, the last one, and their number.
+pub fn listed(names: &[String]) -> String {
+    match names {
+        [first @ .., last] if names.len() > 10 => format!("{}, … {last} ({})", first[..3].join(", "), names.len()),
+        names => names.join(", "),
+    }
+}
+
 /// Question that suggests the most similar name, to be appended to a message. Empty if no name is
 /// similar.
 pub fn did_you_mean<'a>(name: &str, names: impl IntoIterator<Item = &'a str>) -> String {
@@ -220,6 +228,13 @@ mod tests {
         assert_eq!(did_you_mean("cartpole", names), "; did you mean `cart_pole`?");
         assert_eq!(did_you_mean("quantom", names), "; did you mean `quantum`?");
         assert_eq!(did_you_mean("rocket", names), "");
+    }
+
+    #[test]
+    fn a_list_of_more_than_ten_names_is_shortened() {
+        let names: Vec<String> = (1..=50).map(|i| format!("T_{i:02}")).collect();
+        assert_eq!(listed(&names[..2]), "T_01, T_02");
+        assert_eq!(listed(&names), "T_01, T_02, T_03, … T_50 (50)");
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use crate::identify::{Fit, Segment};
 use crate::program::platform::csv::csv;
+use crate::program::platform::terminal::listed;
 use crate::program::tasks::Scene;
 use anyhow::{Context, Result, bail};
 use std::collections::HashSet;
@@ -10,6 +11,13 @@ use std::path::Path;
 /// Largest distance in time of a sample from the nearest step of the scene, relative to the time
 /// step.
 const OFF_GRID: f64 = 1e-3;
+
+/// State components with a measurement in or after the row `first` of a segment.
+pub fn measured_components(segments: &[Segment], first: usize) -> Vec<usize> {
+    let rows = || segments.iter().flat_map(|segment| segment.x.iter().skip(first));
+    let count = rows().next().map_or(0, Vec::len);
+    (0..count).filter(|&i| rows().any(|row| row[i].is_finite())).collect()
+}
 
 /// Largest number of rows of a segment: one per step, from the first sample to the last.
 const MAX_STEPS: usize = 10_000_000;
@@ -61,7 +69,12 @@ impl Measured {
                 _ => state.or_else(control).or_else(param).with_context(|| {
                     format!(
                         "{name}: unknown column `{header}`; allowed: segment, t, {}",
-                        [&states[..], &controls, &params].concat().join(", ")
+                        { [&states, &controls, &params] }
+                            .into_iter()
+                            .filter(|names| !names.is_empty())
+                            .map(|names| listed(names))
+                            .collect::<Vec<_>>()
+                            .join(", ")
                     )
                 }),
             }

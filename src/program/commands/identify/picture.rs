@@ -1,19 +1,22 @@
 //! Picture of measured and simulated trajectories.
 
 use crate::identify::{Fit, Segment};
+use crate::program::commands::identify::data::measured_components;
 use crate::program::tasks::Scene;
 use crate::report::{Dash, Series, fitted};
 
 /// Largest number of segments in the picture.
 const SEGMENTS: usize = 3;
 
-/// One column for each of the first [`SEGMENTS`] segments. Two rows per state component: measured
-/// and simulated values, then residuals.
+/// One column for each of the first [`SEGMENTS`] segments. Two rows per state component with a
+/// measurement after the first row: measured and simulated values, then residuals.
 pub fn picture(numbers: &[usize], segments: &[Segment], fit: &Fit, scene: &Scene) -> String {
     let (names, dt) = (scene.state_names(), scene.dt());
+    let components = measured_components(segments, 1);
     let shown = numbers.iter().zip(segments).zip(&fit.states).take(SEGMENTS);
     let columns = shown.map(|((number, segment), states)| {
-        let rows = names.iter().enumerate().flat_map(|(i, name)| {
+        let rows = components.iter().flat_map(|&i| {
+            let name = &names[i];
             let points = |value: &dyn Fn(f64, f64) -> f64| -> Vec<(f64, f64)> {
                 let rows = segment.x.iter().zip(states).enumerate();
                 let points = rows.map(|(step, (y, x))| (step as f64 * dt, value(y[i], x[i])));
