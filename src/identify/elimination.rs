@@ -98,9 +98,9 @@ impl Eliminated {
     }
 }
 
-/// Rows `δs_0` of the samples of a segment without jumps, for known parameters, as the factor R of a
-/// QR factorization. Without columns for a known initial state. The rows grow along an unstable
-/// trajectory, and can overflow.
+/// Derivatives of the samples of a segment without jumps with respect to its initial state, as the
+/// factor R of a QR factorization. Without columns for a known initial state. The derivatives grow
+/// along an unstable trajectory, and can overflow.
 pub(super) fn start_rows(windows: &[Linearized], params: usize) -> DMatrix<f64> {
     let mut rows = DMatrix::zeros(0, 0);
     for Linearized { samples, jump } in windows.iter().rev() {

@@ -30,9 +30,9 @@ const NAMED: f64 = 1e-3;
 pub(super) struct Statistics {
     /// Standard errors at unit noise; infinite for undetermined parameters.
     pub errors: Vec<f64>,
-    /// Standard errors from the scatter between segments. Infinite for parameters that all segments,
-    /// or all but one, do not determine. Infinite for all parameters, unless the segments that
-    /// depend on a parameter outnumber the parameters.
+    /// Standard errors from the scatter between segments. Infinite for undetermined parameters, and
+    /// for those that only one segment determines. Infinite for all parameters, unless the
+    /// segments that depend on a parameter outnumber the parameters.
     pub robust_errors: Vec<f64>,
     pub correlations: Vec<Vec<f64>>,
     /// Names of the parameters in each undetermined combination.
@@ -86,8 +86,8 @@ pub(super) fn statistics(equations: &[DMatrix<f64>], names: &[String]) -> Statis
     Statistics { errors: errors.collect(), robust_errors, correlations, undetermined }
 }
 
-/// Components of an initial state that the samples do not determine, from the rows of its linear
-/// equations at unit noise, the noise, and the simulated states.
+/// Components of an initial state that the samples do not determine. `rows` are its linear
+/// equations at unit noise.
 pub(super) fn undetermined_components(rows: DMatrix<f64>, noise: f64, states: &[Vec<f64>]) -> Vec<usize> {
     let count = rows.ncols();
     let norms: Vec<f64> = rows.column_iter().map(|column| if column.amax() > 0.0 { column.norm() } else { NO_EFFECT }).collect();
@@ -105,9 +105,9 @@ pub(super) fn undetermined_components(rows: DMatrix<f64>, noise: f64, states: &[
     (0..count).filter(|&i| is_open(i)).collect()
 }
 
-/// Variances of the scaled parameters by the jackknife of the linearized problem, which leaves out
-/// one segment at a time (CR3 of Cameron and Miller 2015, doi:10.3368/jhr.50.2.317). Infinite for
-/// parameters that all segments but one do not determine.
+/// Variances of the scaled parameters, by a linearized jackknife that leaves out one segment at a
+/// time (CR3 of Cameron and Miller 2015, doi:10.3368/jhr.50.2.317). Infinite for parameters that
+/// the other segments do not determine.
 ///
 /// `factor` is a factor of the covariance at unit noise. In its coordinates, the information of all
 /// segments is the unit matrix.

@@ -175,11 +175,6 @@ pub fn check_folder(folder: &Folder, expected: &str, files: &[(&str, &str)]) -> 
     }
 }
 
-/// Checks that the folder has no run, comparison or study. `expected` names the expected results.
-pub fn check_no_training(folder: &Folder, expected: &str) -> Result<()> {
-    check_folder(folder, expected, &[(SETTINGS, "run"), (COMPARISON, "comparison"), (STUDY, "study")])
-}
-
 /// Makes the tables and pictures of the comparison in the folder from its runs, without training.
 pub fn merge(folder: &Folder, output: Output) -> Result<Ended> {
     let plan: Plan = read_plan(folder).context("for a figure of `paper`, name the folder that contains its folder")?;

@@ -6,7 +6,6 @@ mod picture;
 use crate::Number;
 use crate::identify::{Fit, IdentifyError, Options, Segment};
 use crate::numbers::text::{digits, rough, short};
-use crate::program::commands::compare::check_no_training;
 use crate::program::commands::report::identification::{self, FIT, IDENTIFIED, TRAJECTORIES, VALIDATION, WARNING};
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::{Folder, REPORT, SCENE};
@@ -87,7 +86,6 @@ pub fn identify(args: &Identify) -> Result<()> {
     let first = usize::from(args.exact_starts && args.every == 1);
     let noise = noise(&args.noise, &scene, &measured_components(&measured.segments, first))?;
     if let Some(out) = args.out.as_deref().map(Folder::at) {
-        check_no_training(&out, "fit")?;
         let outputs = [SCENE, IDENTIFIED, FIT, TRAJECTORIES, VALIDATION, PICTURE, REPORT];
         out.check_inputs(&[Path::new(&args.scene), &args.data], &outputs)?;
     }
