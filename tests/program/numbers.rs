@@ -161,7 +161,7 @@ fn measured_parameters_are_those_of_their_columns() {
     let text = |output: assert_cmd::assert::Assert| String::from_utf8_lossy(&output.get_output().stderr).into_owned();
     let overwriting = fit.replace("identify scene.toml", "identify fit/scene.toml");
     assert!(text(run(&overwriting).failure()).contains("the results would replace fit/scene.toml"));
-    assert!(text(run(&fit.replace("--out fit", "--out run")).failure()).contains("run holds a run and is not a fit"));
+    assert!(text(run(&fit.replace("--out fit", "--out run")).failure()).contains("run holds a run; choose another folder"));
     // The first 7 columns have no parameters.
     let rows = read(&dir, "run/trajectory.csv");
     let lines: Vec<String> = rows.iter().map(|row| row[..7].join(",")).collect();
