@@ -1,7 +1,7 @@
 //! `physgrad optimize`: controls that minimize the loss of a scene from single initial states.
 
-use crate::numbers::text::digits;
-use crate::optimize::{Initial, Options, Plan};
+use crate::numbers::text::{digits, rough};
+use crate::optimize::{Initial, Options, Plan, Stop};
 use crate::program::operations::trajectory::Trajectory;
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::{Folder, SCENE, TRAJECTORY};
@@ -123,6 +123,7 @@ pub fn optimize(args: &Optimize) -> Result<()> {
     for (i, rollout) in optimized.iter().take(SHOWN) {
         folder.write(&format!("animation-{i}.svg"), scene.animation(rollout).to_svg())?;
     }
+    not_stationary(&plans).iter().for_each(|warning| print_message(warning));
     if args.json {
         print_json(&json!({ "folder": folder.path(), "seconds": seconds, "plans": rows(&costs)? }))?;
         return failed();
@@ -229,12 +230,27 @@ fn gains(plans: &[(usize, Plan)], scene: &Scene) -> Result<Vec<u8>> {
 }
 
 fn table(plans: &[(usize, Plan)]) -> Table {
-    let mut table = Table::new(["initial state", "initial cost", "cost", "iterations", "end"]);
+    let header = ["initial state", "initial cost", "cost", "gradient", "iterations", "end"];
+    let mut table = Table::new(header).optional(&["gradient"]);
     for (i, plan) in plans {
         let [initial, cost] = [plan.costs[0], plan.cost].map(|cost| digits(cost, 6));
-        table.row([i.to_string(), initial, cost, plan.iterations().to_string(), plan.stop.to_string()]);
+        let (gradient, iterations) = (rough(plan.gradient_norm()), plan.iterations().to_string());
+        table.row([i.to_string(), initial, cost, gradient, iterations, plan.stop.to_string()]);
     }
     table
+}
+
+/// Warning about plans that end at a gradient above 1e-4 of the cost, if any.
+fn not_stationary(plans: &[(usize, Plan)]) -> Option<String> {
+    let is_steep = |plan: &Plan| plan.stop != Stop::Gradient && plan.gradient_norm() > 1e-4 * plan.cost.abs();
+    let steep: Vec<String> = plans.iter().filter(|(_, plan)| is_steep(plan)).map(|(i, _)| i.to_string()).collect();
+    (!steep.is_empty()).then(|| {
+        format!(
+            "warning: the search from initial states {} ended at a gradient above 1e-4 of the cost: lower costs exist nearby. \
+             Controls that saturate inside the step may cause this; use --bound instead. Otherwise raise --iterations",
+            steep.join(", ")
+        )
+    })
 }
 
 /// Controls and states over time. One column for each of the first [`SHOWN`] initial states. One
