@@ -246,7 +246,7 @@ fn not_stationary(plans: &[(usize, Plan)]) -> Option<String> {
     let steep: Vec<String> = plans.iter().filter(|(_, plan)| is_steep(plan)).map(|(i, _)| i.to_string()).collect();
     (!steep.is_empty()).then(|| {
         format!(
-            "warning: the search from initial states {} ended at a gradient above 1e-4 of the cost: lower costs exist nearby. \
+            "warning: the search ended at a gradient above 1e-4 of the cost, so lower costs exist nearby (initial states: {}). \
              Controls that saturate inside the step may cause this; use --bound instead. Otherwise raise --iterations",
             steep.join(", ")
         )
