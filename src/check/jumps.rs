@@ -95,8 +95,9 @@ impl fmt::Display for Jumps {
 /// use physgrad::{Weights, check, policy::Constant, tasks::Bowl};
 ///
 /// let policy = Constant::new(2, 2);
+/// let weights = Weights::new(&policy, vec![0.3, 0.1]);
 /// let starts = [0.0, 0.0, 0.2, -0.1, -0.3, 0.4];
-/// let found = check::jumps(&Bowl::default(), &policy, &Weights::new(&policy, vec![0.3, 0.1]), &starts)?;
+/// let found = check::jumps(&Bowl::default(), &policy, &weights, &starts)?;
 /// assert!(!found.is_biased());
 /// # Ok::<(), physgrad::Divergence>(())
 /// ```

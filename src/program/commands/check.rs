@@ -53,15 +53,12 @@ pub fn check(args: &Check) -> Result<()> {
     if let Some(name) = &args.scene {
         let source = changed(name)?;
         let scene = source.scene()?;
-        notes.push(stability(&scene, source)?);
-        let plateau = scene
-            .plateau(&scene.initial_theta()?)
-            .map_or_else(|divergence| divergence.to_string(), |plateau| plateau.to_string());
+        let theta = scene.initial_theta()?;
+        notes.push(stability(&scene, source, &theta)?);
+        let plateau = scene.plateau(&theta).map_or_else(|divergence| divergence.to_string(), |plateau| plateau.to_string());
         notes.push(format!("loss at the initial parameters: {plateau}"));
-        let jumps = scene.jumps(&scene.initial_theta()?).map(|jumps| match jumps {
-            Ok(jumps) => jumps.to_string(),
-            Err(divergence) => divergence.to_string(),
-        });
+        let compared = scene.jumps(&theta);
+        let jumps = compared.map(|jumps| jumps.map_or_else(|divergence| divergence.to_string(), |jumps| jumps.to_string()));
         notes.push(format!("mean loss and R: {}", jumps.as_deref().unwrap_or("not compared beyond 10,000 steps")));
     }
     if args.json {
@@ -82,14 +79,14 @@ const MAX_STATES: usize = 100;
 /// Largest factor by which [`stability`] increases the number of substeps.
 const MAX_REFINEMENT: i64 = 64;
 
-/// Describes the stability of the time step. Refines an unstable step until it is stable or its
-/// multiplier converges, if the scene admits substeps.
-fn stability(scene: &Scene, mut refined: SceneSource) -> Result<String> {
+/// Describes the stability of the time step, in rollouts with the parameters `theta`. Refines an
+/// unstable step until it is stable or its multiplier converges, if the scene admits substeps.
+fn stability(scene: &Scene, mut refined: SceneSource, theta: &[f64]) -> Result<String> {
     let names = scene.state_names();
     if names.len() > MAX_STATES {
         return Ok(format!("time step: not checked beyond {MAX_STATES} state components"));
     }
-    let Some(Amplification { sample, step, stability, evaluated, states }) = scene.amplification(&scene.initial_theta()?) else {
+    let Some(Amplification { sample, step, stability, evaluated, states }) = scene.amplification(theta) else {
         return Ok("time step: not checked, because a test rollout diverges in the first step".into());
     };
     let Stability { multiplier, component } = stability;
@@ -106,7 +103,7 @@ fn stability(scene: &Scene, mut refined: SceneSource) -> Result<String> {
         times *= 2;
         let count = substeps * times;
         refined.put("integrator.substeps", Value::Integer(count), "more substeps")?;
-        let multiplier_of = |scene: Scene| Some(scene.amplification(&scene.initial_theta().ok()?)?.stability);
+        let multiplier_of = |scene: Scene| Some(scene.amplification(theta)?.stability);
         let Some(next) = refined.scene().ok().and_then(multiplier_of).filter(|next| !next.multiplier.is_nan()) else { break };
         let more = if times == 2 { "twice".to_owned() } else { format!("{times} times") };
         if next.is_stable() {

@@ -69,7 +69,7 @@ impl Measured {
                 _ => state.or_else(control).or_else(param).with_context(|| {
                     format!(
                         "{name}: unknown column `{header}`; allowed: segment, t, {}",
-                        { [&states, &controls, &params] }
+                        [&states, &controls, &params]
                             .into_iter()
                             .filter(|names| !names.is_empty())
                             .map(|names| listed(names))
