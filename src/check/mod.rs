@@ -212,8 +212,8 @@ fn normal(rng: &mut Rng, len: usize) -> Vec<f64> {
     (0..len).map(|_| StandardNormal.sample(rng)).collect()
 }
 
-/// Checks a system at states, controls and parameters from a standard normal distribution. Physical
-/// numbers that vary have their own distributions. See [`try_system_at`].
+/// Checks a system at states, controls and parameters from a standard normal distribution, and at
+/// the state 0. Physical numbers that vary have their own distributions. See [`try_system_at`].
 ///
 /// # Panics
 /// Panics on the first [`Mismatch`].
@@ -256,6 +256,8 @@ pub fn try_system<S: System>(system: &S) -> Result<Passed, Mismatch> {
 ///   values of the terms, for the side where this sum is larger.
 /// - The JVP along all inputs is the sum of the JVPs along x, u and p.
 /// - `step` and `vjp` in SIMD lanes have the bits of scalars, except for the signs of zeros.
+/// - All this holds at two further states, 0 without and with a control, unless the step is not
+///   finite there or has a kink. The derivative must be finite if it has a limit.
 ///
 /// # Errors
 /// Returns the first [`Mismatch`].

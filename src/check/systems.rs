@@ -70,7 +70,7 @@ type Draw<'a> = &'a dyn Fn(&mut Rng, &mut [f64], &mut [f64], &mut [f64]);
 pub(super) fn check(system: &dyn Checked, draw: Draw) -> Result<Passed, Mismatch> {
     let sizes = [system.state_dim(), system.control_dim(), system.param_dim()];
     let mut c = Comparison::new(ONE_STEP);
-    for case in 0..CASES {
+    for case in 0..CASES + AT_ZERO {
         c.case = case;
         let mut rng = stream(case, Purpose::Check, 0);
         let mut values = sizes.map(|len| vec![0.0; len]);
@@ -79,8 +79,18 @@ pub(super) fn check(system: &dyn Checked, draw: Draw) -> Result<Passed, Mismatch
         for Varied { index, number, .. } in system.varied_numbers() {
             p[index] = number.draw(&mut rng);
         }
-        let at = inputs(&values, case as usize);
         let next_bar = normal(&mut rng, sizes[0]);
+        if case >= CASES {
+            // The state 0, first at rest, then under a control.
+            values[0].fill(0.0);
+            if case == CASES {
+                values[1].fill(0.0);
+            }
+            if !is_smooth(system, &values, case as usize, &next_bar, &mut c)? {
+                continue;
+            }
+        }
+        let at = inputs(&values, case as usize);
 
         let [from_zeros, from_nans] = [0.0, f64::NAN].map(|initial| {
             let mut next = vec![initial; sizes[0]];
@@ -117,6 +127,54 @@ pub(super) fn check(system: &dyn Checked, draw: Draw) -> Result<Passed, Mismatch
     }
     Ok(c.passed)
 }
+
+/// Number of cases at the state 0. Random states never hit it, but systems that come to rest do.
+const AT_ZERO: u64 = 2;
+
+/// Returns whether the step has a derivative at `values`: whether derivatives on both sides, at
+/// distances of about [`BESIDE`], agree. A kink has one derivative on each side, and either is
+/// correct. A step that is not defined at the state 0 is not smooth there.
+///
+/// # Errors
+/// A derivative that is not finite although both sides agree: it would end a training.
+fn is_smooth(
+    system: &dyn Checked,
+    values: &Values<f64>,
+    t: usize,
+    next_bar: &[f64],
+    c: &mut Comparison,
+) -> Result<bool, Mismatch> {
+    let is_finite = |all: &Values<f64>| all.iter().flatten().all(|bar| bar.is_finite());
+    let beside = |sign: f64| {
+        let moved = |(i, value): (usize, &f64)| value + sign * BESIDE * (1.0 + (i % 7) as f64 / 8.0);
+        let [x, u] = [0, 1].map(|k| values[k].iter().enumerate().map(moved).collect());
+        step_vjp(system, inputs(&[x, u, values[2].clone()], t), next_bar)
+    };
+    let mut next = vec![0.0; values[0].len()];
+    system.step(inputs(values, t), &mut next);
+    let [before, after] = [-1.0, 1.0].map(beside);
+    if !(next.iter().all(|next| next.is_finite()) && is_finite(&before) && is_finite(&after)) {
+        return Ok(false);
+    }
+    let size = before.iter().chain(&after).flatten().fold(1.0, |size: f64, bar| size.max(bar.abs()));
+    let pairs = || before.iter().flatten().zip(after.iter().flatten());
+    if pairs().any(|(before, after)| (before - after).abs() > KINK * size) {
+        return Ok(false);
+    }
+    for (name, bars) in NAMES.into_iter().zip(step_vjp(system, inputs(values, t), next_bar)) {
+        let what = format!("the derivative of step is not finite at the state 0, but beside it: use `powf` or `hypot`: {name}");
+        c.finite(&what, &bars)?;
+    }
+    Ok(true)
+}
+
+/// Distance of the states that decide whether the state 0 is a kink. Curvature changes derivatives
+/// by about this number, roots of it by 1e-6.
+const BESIDE: f64 = 1e-12;
+
+/// Change of a derivative between both sides that marks a kink, relative to the largest derivative,
+/// at least 1.
+const KINK: f64 = 1e-4;
 
 /// Compares [`System::vjp`] with dual numbers for each combination of requested cotangents. Checks
 /// that a second call adds the same cotangents again.

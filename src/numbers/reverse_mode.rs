@@ -68,34 +68,36 @@ impl<R: Real> Recording<R> {
             #[inline(always)]
             fn run<const FMA: bool>(self) {
                 match self.guarded {
-                    false => self.tape.sweep(self.cotangents, |bar, slope| bar * slope),
-                    true => self.tape.sweep(self.cotangents, |bar, slope| bar.times_or_zero(slope)),
+                    false => self.tape.sweep(self.cotangents),
+                    true => self.tape.sweep_guarded(self.cotangents),
                 }
             }
         }
         let variables = self.tape.inputs();
-        lend(|cotangents: &mut Vec<C>| {
-            let mut sweep = |guarded: bool| {
-                cotangents.clear();
-                cotangents.resize(self.tape.numbers(), C::null());
-                for (output, &bar) in zip(&self.outputs, output_bars) {
-                    if let Some(i) = output.index() {
-                        cotangents[i] += bar;
+        let sweep = |cotangents: &mut Vec<C>, guarded: bool| {
+            cotangents.clear();
+            cotangents.resize(self.tape.numbers(), C::null());
+            for (output, &bar) in zip(&self.outputs, output_bars) {
+                if let Some(i) = output.index() {
+                    cotangents[i] += bar;
+                    if guarded {
+                        // 0.0: a path reaches the output, also if its cotangent is -0.0.
+                        cotangents[i] += C::null() * R::from(-1.0);
                     }
                 }
-                let work = Sweep { tape: &self.tape, cotangents: cotangents.as_mut_slice(), guarded };
-                if R::VECTORIZED {
-                    dispatch_lanes(work)
-                } else {
-                    work.run::<false>()
+            }
+            let work = Sweep { tape: &self.tape, cotangents: cotangents.as_mut_slice(), guarded };
+            if R::VECTORIZED { dispatch_lanes(work) } else { work.run::<false>() }
+        };
+        lend(|[cotangents, plain]: &mut [Vec<C>; 2]| {
+            sweep(cotangents, false);
+            if !cotangents[..variables].iter().all(C::all_finite) {
+                std::mem::swap(cotangents, plain);
+                sweep(cotangents, true);
+                // Numbers that were finite keep their bits, in which signs of zeros may differ.
+                for (cotangent, &plain) in zip(cotangents.iter_mut().take(variables), plain.iter()) {
+                    *cotangent = plain.finite_or(*cotangent);
                 }
-                cotangents[..variables].iter().all(C::all_finite)
-            };
-            // In the guarded sweep, zero times a non-finite number is 0: an infinite slope in a
-            // branch that was not selected yields no NaN. Lanes with finite cotangents are bitwise
-            // equal in both sweeps.
-            if !sweep(false) {
-                sweep(true);
             }
             finish(&cotangents[..variables]);
         });

@@ -28,6 +28,7 @@ pub use float::Float;
 pub use lanes::{Lanes, Single};
 pub(crate) use reverse::Reverse;
 
+use crate::numbers::extended::power_of_two;
 use crate::numbers::tape::Tape;
 
 use std::cell::RefCell;
@@ -54,6 +55,25 @@ use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssi
 /// | `1.0 - x[0]` | `-x[0] + 1.0` or `T::from(1.0) - x[0]` |
 /// | `if x[0] > 0.0 { a } else { b }` | `T::select_lt(T::zero(), x[0], a, b)` |
 /// | `x[0] % 6.28`, an angle | `x[0].wrap_angle()` |
+///
+/// # Singular points
+///
+/// Derivatives at the points where a formula has no finite derivative:
+///
+/// | function | derivative |
+/// |---|---|
+/// | `x.abs()`, `x.min(y)`, `x.max(y)` at equality | that of the branch in use: from the right, of `other` |
+/// | `x.powf(e)`, `x.powi(e)` at 0 | `e x^(e-1)`: 0 for e > 1, 1 for e = 1, 0 for e = 0, else infinite |
+/// | `x.hypot(y)` at the origin | 0; the second derivatives too |
+/// | `x.sqrt()`, `x.ln()` at 0; `x.asin()`, `x.acos()` at ±1 | infinite |
+/// | `y.atan2(x)` at the origin | NaN |
+///
+/// One rule applies to 0 times an infinite or undefined slope, in forward and in reverse mode and
+/// for every scalar. An argument that does not change contributes 0: the derivative of
+/// `(x * x).sqrt()` at 0 is 0. A change that is infinite first and then meets the slope 0 is NaN:
+/// the chain rule does not determine it. `x.acos() * x.acos()` at 1 has the derivative -2 and
+/// `x.sqrt() * x` at 0 the derivative 0, but both are NaN. A branch that is not selected and the
+/// divisor of a quotient by infinity contribute 0.
 ///
 /// `f32` itself is not a scalar, because it has no product with `f64`. A single number in f32 is
 /// [`Single<f32>`](Single).
@@ -106,8 +126,14 @@ pub trait Scalar:
     fn sin_cos(self) -> (Self, Self);
     /// Hyperbolic tangent. Saturated values have derivative 0, never NaN.
     fn tanh(self) -> Self;
-    /// Angle of the point with coordinates `x` and `y = self`, in radians.
+    /// Angle of the point with coordinates `x` and `y = self`, in radians. The derivative is
+    /// accurate at any distance from the origin, and NaN at the origin.
     fn atan2(self, x: Self) -> Self;
+    /// Power with a real exponent. NaN for a negative number, unless the exponent is an integer.
+    ///
+    /// The power with exponent 0 is 1 for every number, with derivative 0. At 0, the derivative is
+    /// 0 for exponents above 1, and infinite for exponents below 1.
+    fn powf(self, exponent: f64) -> Self;
 
     /// Selects `yes` where `a < b`, else `no`: value and derivative.
     ///
@@ -161,10 +187,14 @@ pub trait Scalar:
         let power = (0..exponent.unsigned_abs()).fold(Self::one(), |product, _| product * self);
         if exponent < 0 { power.recip() } else { power }
     }
-    /// Power of a positive number, `exp(exponent ln self)`. NaN for a negative one.
+    /// Length of the vector `(self, other)`, without overflow or underflow of the squares.
+    ///
+    /// The derivative is the unit vector at any length, and 0 at the origin, where the length has
+    /// no derivative. For three components, write `x.hypot(y).hypot(z)`.
     #[inline(always)]
-    fn powf(self, exponent: f64) -> Self {
-        (self.ln() * exponent).exp()
+    fn hypot(self, other: Self) -> Self {
+        let near = Scaled::new(self, other);
+        near.where_nonzero(near.root() * near.per_unit)
     }
     /// Reciprocal.
     #[inline(always)]
@@ -200,6 +230,67 @@ pub trait Scalar:
     fn clamp(self, low: f64, high: f64) -> Self {
         Self::from(low).max(Self::from(high).min(self))
     }
+}
+
+/// A vector in the plane times a power of two that lets squares neither overflow nor underflow.
+/// The power is 1 for lengths of usual size, so the numbers then keep their bits.
+#[derive(Clone, Copy)]
+struct Scaled<T> {
+    x: T,
+    y: T,
+    /// `x² + y²`.
+    square: T,
+    /// The power of two.
+    unit: T,
+    /// Its reciprocal.
+    per_unit: T,
+}
+
+impl<T: Scalar> Scaled<T> {
+    #[inline(always)]
+    fn new(x: T, y: T) -> Self {
+        // Squares of numbers within 2^±range, and their reciprocals, are normal numbers.
+        // Multiplication by 2^∓shift brings all other finite, nonzero numbers into this range.
+        let (range, shift) = if T::Real::EPSILON < 1e-10 { (500, 600) } else { (60, 90) };
+        let (huge, tiny) = (T::from(power_of_two(range)), T::from(power_of_two(-range)));
+        let (up, down, one) = (T::from(power_of_two(shift)), T::from(power_of_two(-shift)), T::one());
+        let largest = x.abs().max(y.abs()).detach();
+        let unit = T::select_lt(huge, largest, down, T::select_lt(largest, tiny, up, one));
+        let per_unit = T::select_lt(huge, largest, up, T::select_lt(largest, tiny, down, one));
+        let (x, y) = (x * unit, y * unit);
+        Self { x, y, square: x * x + y * y, unit, per_unit }
+    }
+
+    /// Length of the scaled vector; 1 for the zero vector.
+    #[inline(always)]
+    fn root(&self) -> T {
+        T::select_lt(T::zero(), self.square, self.square, T::one()).sqrt()
+    }
+
+    /// The given number; the constant 0 for the zero vector. NaN stays NaN.
+    #[inline(always)]
+    fn where_nonzero(&self, number: T) -> T {
+        T::select_lt(T::zero(), self.square, number, self.square * T::zero())
+    }
+
+    /// Derivatives of the length with respect to x and y.
+    #[inline(always)]
+    fn direction(&self) -> [T; 2] {
+        let root = self.root();
+        [self.where_nonzero(self.x / root), self.where_nonzero(self.y / root)]
+    }
+
+    /// `[x, y] / (x² + y²)` of the vector before scaling.
+    #[inline(always)]
+    fn per_square(&self) -> [T; 2] {
+        [self.x / self.square * self.unit, self.y / self.square * self.unit]
+    }
+}
+
+/// `1 / sqrt(1 - x²)`, the derivative of the arcsine.
+#[inline(always)]
+fn arcsine_slope<T: Scalar>(x: T) -> T {
+    ((T::one() - x) * (x + 1.0)).sqrt().recip()
 }
 
 /// A [`Scalar`] without derivatives: `f64`, [`Counted`], and [`Lanes`].
@@ -256,9 +347,14 @@ pub trait Cotangent<R>:
     /// Returns whether all numbers are finite.
     #[doc(hidden)]
     fn all_finite(&self) -> bool;
-    /// `self * slope`, but 0 where this product is non-finite and one factor is 0.
+    /// `self * slope`, where a slope of 0 gives 0 also for a non-finite cotangent. Returns -0.0,
+    /// the mark of a number that no path reaches, if `self` is -0.0 or `open` is 0, and never
+    /// otherwise.
     #[doc(hidden)]
-    fn times_or_zero(self, slope: R) -> Self;
+    fn along(self, slope: R, open: R) -> Self;
+    /// The number, or `other` where it is not finite.
+    #[doc(hidden)]
+    fn finite_or(self, other: Self) -> Self;
 }
 
 impl<R: Real> Cotangent<R> for R {
@@ -271,15 +367,21 @@ impl<R: Real> Cotangent<R> for R {
         self.is_finite()
     }
     #[inline(always)]
-    fn times_or_zero(self, slope: R) -> Self {
-        let product = self * slope;
-        let infinity = R::from(f64::INFINITY);
-        // The outer selection keeps the product for NaN, for which `0 < size` is false too.
-        let unless_zero = |number: R, product: R| {
+    fn along(self, slope: R, open: R) -> Self {
+        // NaN is neither above 0 nor below 1.
+        let if_zero = |number: R, yes: R, no: R| {
             let size = number.abs();
-            R::select_lt(size, infinity, R::select_lt(R::zero(), size, product, R::zero()), product)
+            R::select_lt(R::zero(), size, no, R::select_lt(size, R::one(), yes, no))
         };
-        R::select_lt(product.abs(), infinity, product, unless_zero(self, unless_zero(slope, product)))
+        // -0.0 + 0.0 is 0.0.
+        let product = if_zero(slope, R::zero(), self * slope + 0.0);
+        let reached = if_zero(open, R::null(), product);
+        // The reciprocal tells the signs of zeros apart.
+        if_zero(self, R::select_lt(self.recip(), R::zero(), R::null(), reached), reached)
+    }
+    #[inline(always)]
+    fn finite_or(self, other: Self) -> Self {
+        R::select_lt(self.abs(), R::from(f64::INFINITY), self, other)
     }
 }
 
@@ -311,8 +413,13 @@ impl<R: Real, const K: usize> Cotangent<R> for CotangentPack<R, K> {
         self.0.iter().all(R::is_finite)
     }
     #[inline(always)]
-    fn times_or_zero(mut self, slope: R) -> Self {
-        each::<K>(|k| self.0[k] = self.0[k].times_or_zero(slope));
+    fn along(mut self, slope: R, open: R) -> Self {
+        each::<K>(|k| self.0[k] = self.0[k].along(slope, open));
+        self
+    }
+    #[inline(always)]
+    fn finite_or(mut self, other: Self) -> Self {
+        each::<K>(|k| self.0[k] = self.0[k].finite_or(other.0[k]));
         self
     }
 }

@@ -20,9 +20,22 @@ enum Rule {
     Two,
 }
 
+/// Meaning of a stored slope of 0. It matters only where a path has an infinite slope too.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Zero {
+    /// A derivative of 0, as any other slope.
+    Slope,
+    /// No path: the branch is not selected.
+    Unselected,
+    /// No path if the first slope, the reciprocal of the divisor, is 0. If the numerator is a
+    /// constant, the only slope decides.
+    Quotient,
+}
+
 #[derive(Clone, Copy, Debug)]
 struct Entry {
     rule: Rule,
+    zero: Zero,
     /// Indices of `a` and `b`. Equal if the rule has only `a`.
     of: [u32; 2],
 }
@@ -71,46 +84,44 @@ impl<R> Tape<R> {
     ///
     /// Indices have 32 bits. An overflow would need 2^32 entries, more than 50 GB.
     #[inline(always)]
-    fn push(&mut self, rule: Rule, of: [u32; 2]) -> u32 {
+    fn push(&mut self, rule: Rule, zero: Zero, of: [u32; 2]) -> u32 {
         let index = self.numbers() as u32;
-        self.entries.push(Entry { rule, of });
+        self.entries.push(Entry { rule, zero, of });
         index
     }
 
     /// Appends `a + b`.
     #[inline(always)]
     pub(crate) fn sum(&mut self, of: [u32; 2]) -> u32 {
-        self.push(Rule::Sum, of)
+        self.push(Rule::Sum, Zero::Slope, of)
     }
 
     /// Appends `a - b`.
     #[inline(always)]
     pub(crate) fn difference(&mut self, of: [u32; 2]) -> u32 {
-        self.push(Rule::Difference, of)
+        self.push(Rule::Difference, Zero::Slope, of)
     }
 
     /// Appends a function of one number with the given derivative.
     #[inline(always)]
-    pub(crate) fn one(&mut self, of: u32, slope: R) -> u32 {
+    pub(crate) fn one(&mut self, zero: Zero, of: u32, slope: R) -> u32 {
         self.slopes.push(slope);
-        self.push(Rule::One, [of; 2])
+        self.push(Rule::One, zero, [of; 2])
     }
 
     /// Appends a function of two numbers with the given derivatives.
     #[inline(always)]
-    pub(crate) fn two(&mut self, of: [u32; 2], [a, b]: [R; 2]) -> u32 {
+    pub(crate) fn two(&mut self, zero: Zero, of: [u32; 2], [a, b]: [R; 2]) -> u32 {
         self.slopes.push(a);
         self.slopes.push(b);
-        self.push(Rule::Two, of)
+        self.push(Rule::Two, zero, of)
     }
 }
 
 impl<R: Real> Tape<R> {
     /// Propagates the cotangents of all results to the variables, in reverse order.
-    ///
-    /// `times(bar, slope)` is the product of a cotangent and a slope.
     #[inline(always)]
-    pub(crate) fn sweep<C: Cotangent<R>>(&self, cotangents: &mut [C], times: impl Fn(C, R) -> C) {
+    pub(crate) fn sweep<C: Cotangent<R>>(&self, cotangents: &mut [C]) {
         let mut slopes = self.slopes.iter().rev();
         let mut slope = || *slopes.next().expect("the tape stores the slopes of all entries");
         for (i, entry) in self.entries.iter().enumerate().rev() {
@@ -126,12 +137,43 @@ impl<R: Real> Tape<R> {
                     cotangents[a] += bar;
                     cotangents[b] -= bar;
                 }
-                Rule::One => cotangents[a] += times(bar, slope()),
+                Rule::One => cotangents[a] += bar * slope(),
                 Rule::Two => {
-                    cotangents[b] += times(bar, slope());
-                    cotangents[a] += times(bar, slope());
+                    cotangents[b] += bar * slope();
+                    cotangents[a] += bar * slope();
                 }
             }
+        }
+    }
+
+    /// [`sweep`](Self::sweep) for non-finite slopes, with the rule of [`Scalar`](crate::Scalar) for
+    /// 0 times infinity, which forward mode obeys without a guard. Walking inwards, an infinite
+    /// cotangent vanishes at a slope of 0. A cotangent of 0 becomes NaN at an infinite slope, and
+    /// vanishes only if a later slope is 0. A number that no path reaches keeps its
+    /// [`null`](Cotangent::null), -0.0, and passes it on.
+    #[inline(always)]
+    pub(crate) fn sweep_guarded<C: Cotangent<R>>(&self, cotangents: &mut [C]) {
+        let one = R::one();
+        let mut slopes = self.slopes.iter().rev();
+        let mut slope = || *slopes.next().expect("the tape stores the slopes of all entries");
+        for (i, entry) in self.entries.iter().enumerate().rev() {
+            let bar = cotangents[self.inputs + i];
+            let [a, b] = entry.of.map(|index| index as usize);
+            let (by_b, by_a) = match entry.rule {
+                Rule::Sum => (Some(one), one),
+                Rule::Difference => (Some(-one), one),
+                Rule::One => (None, slope()),
+                Rule::Two => (Some(slope()), slope()),
+            };
+            let open = |slope: R| match entry.zero {
+                Zero::Slope => one,
+                Zero::Unselected => slope,
+                Zero::Quotient => by_a,
+            };
+            if let Some(by_b) = by_b {
+                cotangents[b] += bar.along(by_b, open(by_b));
+            }
+            cotangents[a] += bar.along(by_a, open(by_a));
         }
     }
 }

@@ -54,13 +54,14 @@ pub fn operations<T: Scalar>() -> [(&'static str, Operation<T>); 27] {
 ///
 /// Functions whose name starts with `div` divide by the second number.
 #[allow(dead_code)]
-pub fn compositions<T: Scalar>() -> [(&'static str, Operation<T>); 12] {
+pub fn compositions<T: Scalar>() -> [(&'static str, Operation<T>); 13] {
     [
         ("tan", |a, _| a.tan()),
         // The factor 0.05 keeps the arguments of asin and acos within ±1 for |a| ≤ 20.
         ("asin", |a, _| (a * 0.05).asin()),
         ("acos", |a, _| (a * 0.05).acos()),
         ("powf", |a, _| a.powf(1.7)),
+        ("hypot", |a, b| a.hypot(b)),
         ("div_recip", |_, b| b.recip()),
         ("div_powi", |_, b| b.powi(-2)),
         ("clamp", |a, _| a.clamp(0.5, 2.0)),

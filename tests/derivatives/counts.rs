@@ -90,12 +90,22 @@ fn every_operation_on_duals_counts_the_value_and_four_tangents() {
             "exp" => Ops { transcendental: 1, multiply: 4, ..NONE },
             "sin" | "cos" => Ops { transcendental: 1, negate: 1, multiply: 8, ..NONE },
             "tanh" => Ops { transcendental: 1, add: 1, multiply: 1 + 4, ..NONE },
-            // s = a a + b b; (b / s) a' - (a / s) b', with the guard of sqrt for both slopes.
-            "atan2" => Ops { transcendental: 1, add: 1 + 4, multiply: 2 + 8, divide: 2, compare: 2 * 13, negate: 2 * 5, ..NONE },
+            // With unit = 1 unless a or b is huge or tiny: a = a unit, b = b unit, s = a a + b b;
+            // (b / s unit) a' - (a / s unit) b', with the guard of sqrt for both slopes. The choice
+            // of the unit takes two absolute values, their maximum, and four selections.
+            "atan2" => Ops {
+                transcendental: 1,
+                add: 1 + 4,
+                multiply: 6 + 8,
+                divide: 2,
+                compare: 2 + 1 + 4 + 2 * 13,
+                negate: 2 + 2 * 5,
+                ..NONE
+            },
             "select_lt" | "min" | "max" => Ops { compare: 5, ..NONE },
             "abs" => Ops { compare: 5, negate: 5, ..NONE },
-            // 1·x, x·x, x²·x.
-            "powi" => Ops { multiply: 3 * 9, add: 3 * 4, ..NONE },
+            // 1·x·x·x, and the slope 1·x·x·3.
+            "powi" => Ops { multiply: 3 + 3 + 4, ..NONE },
             "from" | "detach" => NONE,
             other => panic!("{other} is not counted here"),
         };

@@ -1,4 +1,4 @@
-//! Numbers: kernels, dual numbers, double-double, compiler errors of simulators.
+//! Numbers: kernels, dual numbers, singular points, double-double, compiler errors of simulators.
 
 #[path = "../common/operations.rs"]
 mod operations;
@@ -7,3 +7,4 @@ mod double_double;
 mod duals;
 mod kernels;
 mod mistakes;
+mod singular;

@@ -21,7 +21,7 @@ pub struct Ops {
     pub divide: u64,
     /// Square roots.
     pub sqrt: u64,
-    /// `exp`, `ln`, `tanh`, `atan2`, `sin`, `cos` and `sin_cos`, one each.
+    /// `exp`, `ln`, `powf`, `tanh`, `atan2`, `sin`, `cos` and `sin_cos`, one each.
     pub transcendental: u64,
     /// Comparisons by [`select_lt`](Scalar::select_lt), [`any_lt`](Scalar::any_lt),
     /// [`min`](Scalar::min), [`max`](Scalar::max) and [`abs`](Scalar::abs), and two by
@@ -228,6 +228,11 @@ impl Scalar for Counted {
     fn atan2(self, x: Self) -> Self {
         FUNCTION.note();
         Self(Scalar::atan2(self.0, x.0))
+    }
+    #[inline(never)]
+    fn powf(self, exponent: f64) -> Self {
+        FUNCTION.note();
+        Self(Scalar::powf(self.0, exponent))
     }
     #[inline(never)]
     fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self {

@@ -35,6 +35,10 @@ impl Scalar for f64 {
         f64::atan2(self, x)
     }
     #[inline(always)]
+    fn powf(self, exponent: f64) -> Self {
+        f64::powf(self, exponent)
+    }
+    #[inline(always)]
     fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self {
         if a < b { yes } else { no }
     }

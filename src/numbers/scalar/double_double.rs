@@ -81,6 +81,9 @@ macro_rules! operators {
 }
 operators!(Add add AddAssign add_assign, Sub sub SubAssign sub_assign, Mul mul MulAssign mul_assign, Div div DivAssign div_assign);
 
+/// Largest exponent whose power is a product of the number with itself.
+const WHOLE: f64 = 64.0;
+
 /// `1/n!` for n from 0 to 29.
 const INVERSE_FACTORIALS: [Quad; 30] = {
     let mut all = [Quad::ONE; 30];
@@ -176,6 +179,21 @@ impl Scalar for DoubleDouble {
 
     fn atan2(self, x: Self) -> Self {
         Self(Functions::atan2(self.0, x.0))
+    }
+
+    fn powf(self, exponent: f64) -> Self {
+        let size = self.abs();
+        let whole = exponent == exponent.trunc();
+        if whole && exponent.abs() <= WHOLE {
+            return self.powi(exponent as i32);
+        }
+        let inner = size.0.0 > 0.0 && size.0.0 < f64::INFINITY;
+        // Zeros, infinities and NaN.
+        if !inner || (self.0.0 < 0.0 && !whole) {
+            return Self::from(self.0.0.powf(exponent));
+        }
+        let power = (size.ln() * exponent).exp();
+        if self.0.0.powf(exponent) < 0.0 { -power } else { power }
     }
 
     fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self {

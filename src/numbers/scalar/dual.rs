@@ -2,7 +2,7 @@
 //!
 //! Checks use the independent dual numbers of the crate num-dual.
 
-use super::{Over, Scalar};
+use super::{Over, Scalar, Scaled, arcsine_slope};
 use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 
@@ -68,13 +68,13 @@ impl<T: Scalar, const N: usize> Dual<T, N> {
     /// NaN.
     ///
     /// A tangent whose value is 0 may itself have tangents, in second derivatives. A finite slope
-    /// therefore multiplies every tangent.
+    /// therefore multiplies every tangent. Beside an infinite slope, they are 0 too.
     #[inline(always)]
     fn unary_if_nonzero(self, value: T, slope: T) -> Self {
         let (size, infinity) = (slope.abs(), T::from(f64::INFINITY));
         self.unary(value, |tangent| {
             let product = tangent * slope;
-            let nonzero = T::select_lt(T::zero(), tangent.abs(), product, tangent);
+            let nonzero = T::select_lt(T::zero(), tangent.abs(), product, tangent.detach());
             T::select_lt(size, infinity, product, nonzero)
         })
     }
@@ -237,10 +237,44 @@ impl<T: Scalar, const N: usize> Scalar for Dual<T, N> {
 
     #[inline(always)]
     fn atan2(self, x: Self) -> Self {
-        let square = self.value * self.value + x.value * x.value;
-        let (across, along) =
-            (self.unary_if_nonzero(T::zero(), x.value / square), x.unary_if_nonzero(T::zero(), self.value / square));
+        let [by_x, by_y] = Scaled::new(self.value, x.value).per_square();
+        let (across, along) = (self.unary_if_nonzero(T::zero(), by_y), x.unary_if_nonzero(T::zero(), by_x));
         across.binary(along, self.value.atan2(x.value), |a, b| a - b)
+    }
+
+    #[inline(always)]
+    fn hypot(self, other: Self) -> Self {
+        let [x, y] = Scaled::new(self.value, other.value).direction();
+        self.binary(other, self.value.hypot(other.value), |a, b| a * x + b * y)
+    }
+
+    #[inline(always)]
+    fn asin(self) -> Self {
+        self.unary_if_nonzero(self.value.asin(), arcsine_slope(self.value))
+    }
+
+    #[inline(always)]
+    fn acos(self) -> Self {
+        self.unary_if_nonzero(self.value.acos(), -arcsine_slope(self.value))
+    }
+
+    #[inline(always)]
+    fn powf(self, exponent: f64) -> Self {
+        let power = self.value.powf(exponent);
+        if exponent == 0.0 {
+            return Self::constant(power);
+        }
+        self.unary_if_nonzero(power, self.value.powf(exponent - 1.0) * exponent)
+    }
+
+    #[inline(always)]
+    fn powi(self, exponent: i32) -> Self {
+        let power = self.value.powi(exponent);
+        if exponent == 0 {
+            return Self::constant(power);
+        }
+        let slope = self.value.powi(exponent.saturating_sub(1)) * f64::from(exponent);
+        if exponent < 0 { self.unary_if_nonzero(power, slope) } else { self.unary(power, |tangent| tangent * slope) }
     }
 
     #[inline(always)]

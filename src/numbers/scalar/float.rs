@@ -63,6 +63,8 @@ pub trait Float:
     fn tanh(self) -> Self;
     #[doc(hidden)]
     fn atan2(self, x: Self) -> Self;
+    #[doc(hidden)]
+    fn powf(self, exponent: f64) -> Self;
 
     /// Entries per cache line. Row counts of matrices are multiples of it.
     #[doc(hidden)]
@@ -136,6 +138,10 @@ macro_rules! float {
             #[inline(always)]
             fn atan2(self, x: Self) -> Self {
                 $float::atan2(self, x)
+            }
+            #[inline(always)]
+            fn powf(self, exponent: f64) -> Self {
+                $float::powf(self, exponent as $float)
             }
 
             #[inline]

@@ -11,7 +11,8 @@ use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssi
 ///
 /// Every lane is bit-identical to the computation on a plain `F`: no operation is fused, reordered
 /// or approximated differently. Results are equal on all processors, except for `exp`, `ln`,
-/// `atan2` and the sine and cosine of angles beyond 1e6, which the platform's library computes.
+/// `powf`, `atan2` and the sine and cosine of angles beyond 1e6, which the platform's library
+/// computes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(align(32))]
 pub struct Lanes<F, const W: usize>(pub [F; W]);
@@ -113,6 +114,10 @@ macro_rules! lanes {
             #[inline(always)]
             fn atan2(self, x: Self) -> Self {
                 Self([$(Float::atan2(self.0[$i], x.0[$i])),+])
+            }
+            #[inline(always)]
+            fn powf(self, exponent: f64) -> Self {
+                Self([$(Float::powf(self.0[$i], exponent)),+])
             }
             #[inline(always)]
             fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self {

@@ -47,8 +47,15 @@ impl Scalar for Dual64 {
     }
     #[inline]
     fn atan2(self, x: Self) -> Self {
-        let square = self.re * self.re + x.re * x.re;
-        chain(self, Scalar::atan2(self.re, x.re), x.re / square) + chain(x, 0.0, -self.re / square)
+        // The sine and cosine of the angle are accurate at any distance from the origin.
+        let (angle, distance) = (Scalar::atan2(self.re, x.re), f64::hypot(self.re, x.re));
+        let (sin, cos) = (self.re / distance, x.re / distance);
+        chain(self, angle, cos / distance) + chain(x, 0.0, -sin / distance)
+    }
+    #[inline]
+    fn powf(self, exponent: f64) -> Self {
+        let slope = if exponent == 0.0 { 0.0 } else { exponent * self.re.powf(exponent - 1.0) };
+        chain(self, self.re.powf(exponent), slope)
     }
     #[inline]
     fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self {

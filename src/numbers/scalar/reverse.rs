@@ -1,6 +1,7 @@
 //! [`Reverse`]: reverse-mode differentiation over any real scalar, by a tape.
 
-use super::{Over, Real, Scalar};
+use super::{Over, Real, Scalar, Scaled, arcsine_slope};
+use crate::numbers::tape::Zero;
 use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 
@@ -41,22 +42,32 @@ impl<R: Real> Reverse<R> {
     /// Result of a function of one number.
     #[inline(always)]
     fn one(self, value: R, slope: R) -> Self {
+        self.one_with(Zero::Slope, value, slope)
+    }
+
+    #[inline(always)]
+    fn one_with(self, zero: Zero, value: R, slope: R) -> Self {
         if self.is_constant() {
             return Self::constant(value);
         }
-        Self { value, index: R::tape().borrow_mut().one(self.index, slope) }
+        Self { value, index: R::tape().borrow_mut().one(zero, self.index, slope) }
     }
 
     /// Result of a function of two numbers.
     #[inline(always)]
     fn two(self, other: Self, value: R, slopes: [R; 2]) -> Self {
+        self.two_with(Zero::Slope, other, value, slopes)
+    }
+
+    #[inline(always)]
+    fn two_with(self, zero: Zero, other: Self, value: R, slopes: [R; 2]) -> Self {
         if other.is_constant() {
-            return self.one(value, slopes[0]);
+            return self.one_with(zero, value, slopes[0]);
         }
         if self.is_constant() {
-            return other.one(value, slopes[1]);
+            return other.one_with(zero, value, slopes[1]);
         }
-        Self { value, index: R::tape().borrow_mut().two([self.index, other.index], slopes) }
+        Self { value, index: R::tape().borrow_mut().two(zero, [self.index, other.index], slopes) }
     }
 }
 
@@ -110,7 +121,7 @@ impl<R: Real> Div for Reverse<R> {
     #[inline(always)]
     fn div(self, other: Self) -> Self {
         let (value, inverse) = (self.value / other.value, R::one() / other.value);
-        self.two(other, value, [inverse, -(value * inverse)])
+        self.two_with(Zero::Quotient, other, value, [inverse, -(value * inverse)])
     }
 }
 
@@ -225,8 +236,41 @@ impl<R: Real> Scalar for Reverse<R> {
 
     #[inline(always)]
     fn atan2(self, x: Self) -> Self {
-        let square = self.value * self.value + x.value * x.value;
-        self.two(x, self.value.atan2(x.value), [x.value / square, -(self.value / square)])
+        let [by_x, by_y] = Scaled::new(self.value, x.value).per_square();
+        self.two(x, self.value.atan2(x.value), [by_y, -by_x])
+    }
+
+    #[inline(always)]
+    fn hypot(self, other: Self) -> Self {
+        self.two(other, self.value.hypot(other.value), Scaled::new(self.value, other.value).direction())
+    }
+
+    #[inline(always)]
+    fn asin(self) -> Self {
+        self.one(self.value.asin(), arcsine_slope(self.value))
+    }
+
+    #[inline(always)]
+    fn acos(self) -> Self {
+        self.one(self.value.acos(), -arcsine_slope(self.value))
+    }
+
+    #[inline(always)]
+    fn powf(self, exponent: f64) -> Self {
+        let power = self.value.powf(exponent);
+        if exponent == 0.0 {
+            return Self::constant(power);
+        }
+        self.one(power, self.value.powf(exponent - 1.0) * exponent)
+    }
+
+    #[inline(always)]
+    fn powi(self, exponent: i32) -> Self {
+        let power = self.value.powi(exponent);
+        if exponent == 0 {
+            return Self::constant(power);
+        }
+        self.one(power, self.value.powi(exponent.saturating_sub(1)) * f64::from(exponent))
     }
 
     #[inline(always)]
@@ -238,7 +282,7 @@ impl<R: Real> Scalar for Reverse<R> {
     fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self {
         let select = |yes, no| R::select_lt(a.value, b.value, yes, no);
         let slopes = [select(R::one(), R::zero()), select(R::zero(), R::one())];
-        yes.two(no, select(yes.value, no.value), slopes)
+        yes.two_with(Zero::Unselected, no, select(yes.value, no.value), slopes)
     }
 
     #[inline(always)]
