@@ -58,7 +58,10 @@ macro_rules! operators {
         impl $trait for DoubleDouble {
             type Output = Self;
             fn $method(self, other: Self) -> Self {
-                Self(self.0.$method(other.0))
+                let result = self.0.$method(other.0);
+                // The corrections of `qd` are NaN beside infinities and zero divisors.
+                let is_finite = (result.0 + result.1).is_finite();
+                if is_finite { Self(result) } else { Self::from(self.0.0.$method(other.0.0)) }
             }
         }
         impl $trait<f64> for DoubleDouble {

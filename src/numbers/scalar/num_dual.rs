@@ -58,6 +58,11 @@ impl Scalar for Dual64 {
         chain(self, self.re.powf(exponent), slope)
     }
     #[inline]
+    fn powi(self, exponent: i32) -> Self {
+        let slope = if exponent == 0 { 0.0 } else { f64::from(exponent) * self.re.powi(exponent - 1) };
+        chain(self, Scalar::powi(self.re, exponent), slope)
+    }
+    #[inline]
     fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self {
         if a.re < b.re { yes } else { no }
     }
