@@ -4,7 +4,7 @@
 use physgrad::policy::Linear;
 use physgrad::rng::Rng;
 use physgrad::{
-    Batch, Cotangents, Counted, Dual, Flow, Inputs, Lanes, Real, Scalar, Single, Start, System, Task, Weights, check,
+    Batch, Cotangents, Counted, Dual, Float, Flow, Inputs, Lanes, Real, Scalar, Single, Start, System, Task, Weights, check,
 };
 
 type Function<T> = fn(T, T) -> T;
