@@ -108,7 +108,7 @@ pub use dynamics::dyn_task::{DynSystem, DynTask};
 pub use dynamics::effect::{DynEffect, Effect, Forced, ForcedSystem, HasModel, Named};
 pub use dynamics::inputs::{Cotangents, Inputs, OdeInputs, Start, Tangents};
 pub use dynamics::integrator::{
-    Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Integrated, Integrator, RungeKutta, SemiImplicit, Verlet,
+    Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Integrated, Integrator, RungeKutta, Sdirk2, SemiImplicit, Verlet,
 };
 pub use dynamics::number::{Choice, Number, Numbers, Varied};
 pub use dynamics::ode::{DynOde, DynOdeVjp, ForcedOde, Ode};

@@ -3,7 +3,7 @@
 /// Cause of a non-finite step or derivative.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Cause {
-    /// An implicit step did not converge. Holds the largest absolute residual of a state component,
+    /// An implicit step did not converge, in the forward or in the reverse pass. Holds the largest absolute residual of a state component,
     /// in the unit of that component; infinite if a residual is NaN.
     Unsolved(f64),
     /// The forces of the named effect, or their derivatives, are non-finite at the state before the

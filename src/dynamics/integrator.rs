@@ -2,7 +2,7 @@
 //!
 //! - Explicit methods: [`RungeKutta`], [`Adaptive`].
 //! - Methods for mechanics: [`SemiImplicit`], [`Verlet`].
-//! - Stiff systems: [`ImplicitMidpoint`].
+//! - Stiff systems: [`ImplicitMidpoint`], and [`Sdirk2`], which damps stiff components.
 //! - Choice at run time: [`AnyIntegrator`], [`Discretized`].
 //!
 //! Each integrator has an analytic VJP for all vector fields (discretize, then differentiate).
@@ -13,8 +13,10 @@ mod adaptive;
 mod any;
 mod discretized;
 mod implicit;
+mod newton;
 mod partitioned;
 mod runge_kutta;
+mod sdirk;
 
 pub use adaptive::Adaptive;
 pub use any::AnyIntegrator;
@@ -22,6 +24,7 @@ pub use discretized::Discretized;
 pub use implicit::ImplicitMidpoint;
 pub use partitioned::{SemiImplicit, Verlet};
 pub use runge_kutta::RungeKutta;
+pub use sdirk::Sdirk2;
 
 use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::HasModel;

@@ -11,8 +11,8 @@ use crate::numbers::scalar::{Counted, Ops};
 /// on the `f64` constants of a system are not counted.
 ///
 /// Systems do not branch on values, so the counts are independent of the state. The integrators
-/// [`Adaptive`](crate::Adaptive) and [`ImplicitMidpoint`](crate::ImplicitMidpoint) are exceptions.
-/// Their iterations are counted at one fixed state.
+/// [`Adaptive`](crate::Adaptive), [`ImplicitMidpoint`](crate::ImplicitMidpoint) and
+/// [`Sdirk2`](crate::Sdirk2) are exceptions. Their iterations are counted at one fixed state.
 ///
 /// ```
 /// use physgrad::tasks::{CartDamping, CartPoleSystem};

@@ -138,6 +138,12 @@ impl fmt::Display for Divergence {
                      `running_cost` and `terminal_cost` for overflow, division by 0, and roots or logarithms of negative numbers"
                 )
             }
+            Self::Cotangent { flow, cause: Some(Cause::Unsolved(residual)), step, sample, .. } => write!(
+                f,
+                "reverse pass of {flow}: the Newton iteration of the implicit integrator did not converge for sample {sample} at \
+                 step {step}: residual {residual:.1e}. The reverse pass solves the step up to rounding errors, for any tolerance. \
+                 Use substeps or an explicit integrator, or remove kinks and jumps of the rates"
+            ),
             Self::Cotangent { flow, variable, step, sample, component, cause } => write!(
                 f,
                 "reverse pass of {flow}: the cotangent of {variable} component {component} of sample {sample} is not finite at \

@@ -6,18 +6,20 @@ use physgrad::tasks::{
     PoleDamping, SteadyWind,
 };
 use physgrad::{
-    Adaptive, AnyIntegrator, Cause, Cotangents, Discretized, Forced, ImplicitMidpoint, Inputs, Integrated, Integrator, Lanes,
-    Ode, OdeInputs, RungeKutta, Scalar, SemiImplicit, Substeps, System, Verlet, check,
+    Adaptive, AnyIntegrator, Cause, Cotangents, Discretized, Divergence, Flow, Forced, ImplicitMidpoint, Inputs, Integrated,
+    Integrator, Lanes, Ode, OdeInputs, Real, RungeKutta, Scalar, Sdirk2, SemiImplicit, Single, Substeps, System, Tangents,
+    Variable, Verlet, check,
 };
 use rand::RngExt;
 
 /// Integrators of fixed step, with name and order.
-const FIXED: [(&str, AnyIntegrator, f64); 7] = [
+const FIXED: [(&str, AnyIntegrator, f64); 8] = [
     ("Euler", AnyIntegrator::RungeKutta(RungeKutta::EULER), 1.0),
     ("semi-implicit", AnyIntegrator::SemiImplicit(SemiImplicit), 1.0),
     ("Verlet", AnyIntegrator::Verlet(Verlet), 2.0),
     ("Heun", AnyIntegrator::RungeKutta(RungeKutta::HEUN), 2.0),
     ("midpoint", AnyIntegrator::ImplicitMidpoint(ImplicitMidpoint { tolerance: 1e-14 }), 2.0),
+    ("SDIRK", AnyIntegrator::Sdirk2(Sdirk2 { tolerance: 1e-14 }), 2.0),
     ("RK4", AnyIntegrator::RungeKutta(RungeKutta::RK4), 4.0),
     ("Tsitouras", AnyIntegrator::RungeKutta(RungeKutta::TSIT5), 5.0),
 ];
@@ -214,6 +216,158 @@ fn the_implicit_midpoint_rule_is_stable_where_rk4_is_not() {
     assert!(found[0].abs() < 2.0, "{found:?}");
     let (found, _) = reached(&ode, AnyIntegrator::RungeKutta(RungeKutta::RK4), 10.0, 100);
     assert!(found[0].is_nan() || found[0].abs() > 1e100, "{found:?}");
+}
+
+#[test]
+fn the_l_stable_method_ends_a_stiff_decay_without_ringing() {
+    // h λ = 1e6. One step multiplies the state by (1 + (1 - 2 γ) z) / (1 - γ z)² with z = -h λ and
+    // γ = 1 - 1/√2.
+    let ode = Stiff { rate: 1e6, square: 0.0 };
+    let states = |integrator: AnyIntegrator| {
+        let (mut x, mut all) = ([1.0_f64], Vec::new());
+        for _ in 0..5 {
+            let mut next = [0.0];
+            integrated(ode.clone(), integrator, 1.0).step(Inputs::new(&x, &[0.0]), &mut next);
+            all.push(next[0]);
+            x = next;
+        }
+        all
+    };
+    let gamma = 1.0 - 0.5f64.sqrt();
+    let (z, found) = (-1e6, states(AnyIntegrator::Sdirk2(Sdirk2::default())));
+    let multiplier = (1.0 + (1.0 - 2.0 * gamma) * z) / (1.0 - gamma * z).powi(2);
+    // Newton's corrections stop at 256 machine epsilons.
+    assert!((found[0] - multiplier).abs() < 256.0 * f64::EPSILON, "{found:?}, {multiplier:e}");
+    assert!(found[1..].iter().all(|x| x.abs() < 256.0 * f64::EPSILON), "{found:?}");
+    // The midpoint rule rings: one step multiplies the state by (1 + z/2) / (1 - z/2).
+    let ringing = states(midpoint(ImplicitMidpoint::default().tolerance));
+    assert!(ringing[4] < -0.999 && ringing[3] > 0.999, "{ringing:?}");
+}
+
+/// Adiabatic reactor: concentration c and temperature T of `dc/dt = -r`, `dT/dt = 1.5 r` with
+/// `r = c exp(15 - 15 / T)`. From c = T = 1, the mixture ignites at about t = 0.06 and ends at
+/// c = 0, T = 2.5. `1.5 c + T` is constant.
+#[derive(Clone, Debug)]
+struct Reactor;
+
+impl Ode for Reactor {
+    fn state_dim(&self) -> usize {
+        2
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn rate<T: Scalar>(&self, OdeInputs { x, u, .. }: OdeInputs<'_, T>, rate: &mut [T]) {
+        let reaction = x[0] * (T::from(15.0) - T::from(15.0) / x[1]).exp();
+        rate[0] = -reaction;
+        rate[1] = reaction * 1.5 + u[0];
+    }
+}
+
+/// States of the reactor at all times, in steps of `dt` from c = T = 1 to t = 0.1.
+fn ignition<R: Real>(integrator: AnyIntegrator, dt: f64) -> Vec<[R; 2]> {
+    let system = integrated(Reactor, integrator, dt);
+    let mut states = vec![[R::one(), R::one()]];
+    for t in 0..(0.1 / dt).round() as usize {
+        let mut next = [R::zero(); 2];
+        system.step(Inputs { t, ..Inputs::new(&states[t], &[R::zero()]) }, &mut next);
+        states.push(next);
+    }
+    states
+}
+
+const IMPLICIT: [(&str, AnyIntegrator); 2] = [
+    ("midpoint", AnyIntegrator::ImplicitMidpoint(ImplicitMidpoint { tolerance: 1e-12 })),
+    ("SDIRK", AnyIntegrator::Sdirk2(Sdirk2 { tolerance: 1e-12 })),
+];
+
+#[test]
+fn the_implicit_methods_pass_an_ignition() {
+    // c and T by SciPy's Radau method; see `ignition_reference.py`.
+    let reference = [(20, [0.974080620531, 1.038879069204]), (40, [0.919312326674, 1.121031509989]), (100, [0.0, 2.5])];
+    for (name, integrator) in IMPLICIT {
+        let states = ignition::<f64>(integrator, 1e-3);
+        for (t, expected) in reference {
+            // The methods have order 2: errors of up to (dt / 0.1)² before the ignition.
+            let error = distance(&states[t], &expected);
+            assert!(error < 1e-4, "{name}, step {t}: {:?}, error {error:e}", states[t]);
+        }
+        // Steps that do not resolve the ignition keep the invariant, in both precisions.
+        for dt in [0.1, 0.02, 0.01, 0.005, 0.002, 0.001] {
+            let double = ignition::<f64>(integrator, dt);
+            assert!(double.iter().all(|x| (1.5 * x[0] + x[1] - 2.5).abs() < 1e-9), "{name}, {dt}: {double:?}");
+            let single = ignition::<Single<f32>>(integrator, dt);
+            assert!(single.iter().all(|x| (1.5 * x[0].0[0] + x[1].0[0] - 2.5).abs() < 1e-3), "{name}, {dt}: {single:?}");
+            // The L-stable method ends in the burnt state.
+            let end = double[double.len() - 1];
+            assert!(name == "midpoint" || end[0].abs() < 0.01, "{dt}: {end:?}");
+        }
+    }
+}
+
+#[test]
+fn derivatives_and_lanes_of_an_ignition_equal_dual_numbers_and_samples() {
+    for (name, integrator) in IMPLICIT {
+        for dt in [0.02, 0.005] {
+            let system = integrated(Reactor, integrator, dt);
+            let states = ignition::<f64>(integrator, dt);
+            for x in &states {
+                let (tangent, bar) = ([0.7, -0.4], [0.3, 1.1]);
+                let (mut next_tan, mut x_bar, mut u_bar) = ([0.0; 2], [-0.0; 2], [-0.0; 1]);
+                let tangents = Tangents { x: Some(&tangent), u: Some(&[0.6]), ..Tangents::default() };
+                system.jvp(Inputs::new(x, &[0.0]), tangents, &mut next_tan);
+                system.vjp(Inputs::new(x, &[0.0]), &bar, Cotangents::of(&mut x_bar, &mut u_bar));
+                let [forward, reverse] =
+                    [bar[0] * next_tan[0] + bar[1] * next_tan[1], tangent[0] * x_bar[0] + tangent[1] * x_bar[1] + 0.6 * u_bar[0]];
+                // The tolerance of the forward pass, times the slopes of up to 1e3 of the rate.
+                let size = 1.0 + x_bar[0].abs() + x_bar[1].abs();
+                assert!((forward - reverse).abs() < 1e-8 * size, "{name}, {dt}, {x:?}: {forward}, {reverse}");
+            }
+            // Before, during and after the ignition.
+            let last = states.len() - 2;
+            let at = [0, last, last / 2, 0];
+            let lanes = [0, 1].map(|i| Lanes(at.map(|t| states[t][i])));
+            let mut next = [Lanes([0.0; 4]); 2];
+            system.step(Inputs::new(&lanes, &[Lanes([0.0; 4])]), &mut next);
+            for (lane, t) in at.into_iter().enumerate() {
+                assert_eq!([next[0].0[lane], next[1].0[lane]], states[t + 1], "{name}, {dt}, step {t}");
+            }
+        }
+    }
+}
+
+/// `dx/dt = -sign(x)`. An implicit step that would cross 0 has no solution.
+#[derive(Clone, Debug)]
+struct Signed;
+
+impl Ode for Signed {
+    fn state_dim(&self) -> usize {
+        1
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn rate<T: Scalar>(&self, OdeInputs { x, .. }: OdeInputs<'_, T>, rate: &mut [T]) {
+        rate[0] = T::select_lt(T::zero(), x[0], -T::one(), T::one());
+    }
+}
+
+#[test]
+fn a_failing_iteration_of_the_reverse_pass_is_named() {
+    // Corrections of 0.02 are below the tolerance of the forward pass only.
+    for integrator in [midpoint(0.1), AnyIntegrator::Sdirk2(Sdirk2 { tolerance: 0.1 })] {
+        let system = integrated(Signed, integrator, 0.02);
+        let (mut next, mut x_bar, mut u_bar) = ([0.0], [-0.0], [-0.0]);
+        system.step(Inputs::new(&[1e-3], &[0.0]), &mut next);
+        system.vjp(Inputs::new(&[1e-3], &[0.0]), &[1.0], Cotangents::of(&mut x_bar, &mut u_bar));
+        assert!(next[0].is_finite() && x_bar[0].is_nan(), "{next:?}, {x_bar:?}");
+        let cause = system.diagnose(Inputs::new(&[1e-3], &[0.0]));
+        assert!(matches!(cause, Some(Cause::Unsolved(_))), "{cause:?}");
+        let place = Divergence::Cotangent { flow: Flow::R, variable: Variable::State, step: 4, sample: 2, component: 0, cause };
+        let said = place.to_string();
+        let named = said.contains("did not converge for sample 2 at step 4") && said.contains("Use substeps");
+        assert!(named && !said.contains("another field"), "{said}");
+    }
 }
 
 #[test]

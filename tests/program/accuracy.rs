@@ -32,9 +32,15 @@ fn halving_the_step_reduces_errors_by_the_order_of_the_method_and_doubles_operat
     let dir = TempDir::new().expect("a folder");
     let (said, rows) = run(dir.path(), &["--target", "1e-4"]);
     assert_eq!(rows.len(), 2 * (5 + 7 * 5 + 1));
-    for (method, order) in
-        [("native", 1.0), ("euler", 1.0), ("verlet", 2.0), ("heun", 2.0), ("implicit_midpoint", 2.0), ("rk4", 4.0)]
-    {
+    for (method, order) in [
+        ("native", 1.0),
+        ("euler", 1.0),
+        ("verlet", 2.0),
+        ("heun", 2.0),
+        ("implicit_midpoint", 2.0),
+        ("sdirk2", 2.0),
+        ("rk4", 4.0),
+    ] {
         let [coarse, fine] = ["2", "4"].map(|substeps| &rows[&format!("{method} {substeps} f64")]);
         for error in ["trajectory_error", "r_error", "m_error"] {
             let found = (number(coarse, error) / number(fine, error)).log2();
@@ -108,12 +114,22 @@ fn invalid_integrators_and_budgets_are_refused_with_the_allowed_values() {
         let said = error_of(&mut physgrad(&["explain", task, "--set", set]));
         assert!(said.contains(message), "{message}\n{said}");
     }
-    let tight = ["explain", "cart_pole", "--set", "integrator.method=\"adaptive\"", "--set", "integrator.rtol=1e-9"];
-    let said = error_of(&mut physgrad(&tight));
-    assert!(
-        said.contains("`integrator.rtol` is 1e-9; allowed: 1.2e-5 or more in f32, 2.2e-14 or more in f64, because of rounding"),
-        "{said}"
-    );
+    let newton = "`integrator.tolerance` is 2e-5; allowed: 3.1e-5 or more in f32, 5.7e-14 or more in f64, because of rounding";
+    for (method, tight, message) in [
+        (
+            "adaptive",
+            "rtol=1e-9",
+            "`integrator.rtol` is 1e-9; allowed: 1.2e-5 or more in f32, 2.2e-14 or more in f64, because of rounding",
+        ),
+        // Newton's iteration uses at least 256 machine epsilons.
+        ("implicit_midpoint", "tolerance=2e-5", newton),
+        ("sdirk2", "tolerance=2e-5", newton),
+        ("rk4", "tolerance=1e-3", "has no effect: `integrator.method` is not implicit_midpoint or sdirk2"),
+    ] {
+        let sets = [format!("integrator.method={method}"), format!("integrator.{tight}")];
+        let said = error_of(&mut physgrad(&["explain", "cart_pole", "--set", &sets[0], "--set", &sets[1]]));
+        assert!(said.contains(message), "{message}\n{said}");
+    }
     let dir = TempDir::new().expect("a folder");
     let args = ["train", "cart_pole", "--set", "horizon=1000", "--set", "training.memory=\"100kB\"", "--epochs", "1"];
     let said = error_of(physgrad(&args).arg("--out").arg(dir.path().join("run")));

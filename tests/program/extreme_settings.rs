@@ -32,6 +32,7 @@ const MORE: [(&str, &[&str]); 8] = [
     ("cart_pole", &["effects.steady_wind.speed=3", "effects.cart_damping.damping=0.1", "actuator.delay.steps=2"]),
     ("cart_pole", &["integrator.method=adaptive", "integrator.rtol=1e-4", "integrator.atol=1e-6"]),
     ("cart_pole", &["integrator.method=implicit_midpoint", "integrator.tolerance=1e-4", "integrator.substeps=2"]),
+    ("cart_pole", &["integrator.method=sdirk2", "integrator.tolerance=1e-4", "integrator.substeps=2"]),
     ("cart_pole_windy", &["precision=f64", "integrator.method=rk4", "effects.cart_damping.damping=0.1"]),
     ("guidance", &["effects.drive.strength=0.2", "integrator.method=tsit5", "actuator.lag.time=0.1"]),
     ("quantum", &["effects.harmonic.stiffness=10", "integrator.method=pade", "integrator.substeps=2"]),

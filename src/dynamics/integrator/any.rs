@@ -1,6 +1,6 @@
 //! [`AnyIntegrator`]: an integrator chosen at run time.
 
-use super::{Adaptive, ImplicitMidpoint, Integrator, RungeKutta, SemiImplicit, Verlet};
+use super::{Adaptive, ImplicitMidpoint, Integrator, RungeKutta, Sdirk2, SemiImplicit, Verlet};
 use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs};
 use crate::dynamics::ode::{DynOde, DynOdeVjp, Ode};
 use crate::dynamics::outline::outline;
@@ -20,6 +20,8 @@ pub enum AnyIntegrator {
     Adaptive(Adaptive),
     /// [`ImplicitMidpoint`].
     ImplicitMidpoint(ImplicitMidpoint),
+    /// [`Sdirk2`].
+    Sdirk2(Sdirk2),
 }
 
 /// A vector field whose evaluations are outlined calls.
@@ -127,12 +129,14 @@ impl Integrator for AnyIntegrator {
             Self::Verlet(method) => outline::<T>(Advance { method, ode, dt, inputs, next }),
             Self::Adaptive(method) => outline::<T>(Advance { method, ode, dt, inputs, next }),
             Self::ImplicitMidpoint(method) => outline::<T>(Advance { method, ode, dt, inputs, next }),
+            Self::Sdirk2(method) => outline::<T>(Advance { method, ode, dt, inputs, next }),
         }
     }
 
     fn unsolved<R: Real>(&self, ode: &dyn DynOde<R>, dt: f64, inputs: Inputs<'_, R>) -> Option<f64> {
         match self {
             Self::ImplicitMidpoint(method) => method.unsolved(ode, dt, inputs),
+            Self::Sdirk2(method) => method.unsolved(ode, dt, inputs),
             _ => None,
         }
     }
@@ -152,6 +156,7 @@ impl Integrator for AnyIntegrator {
             Self::Verlet(method) => outline::<R>(Reverse { method, ode, dt, inputs, next_bar, cotangents }),
             Self::Adaptive(method) => outline::<R>(Reverse { method, ode, dt, inputs, next_bar, cotangents }),
             Self::ImplicitMidpoint(method) => outline::<R>(Reverse { method, ode, dt, inputs, next_bar, cotangents }),
+            Self::Sdirk2(method) => outline::<R>(Reverse { method, ode, dt, inputs, next_bar, cotangents }),
         }
     }
 }

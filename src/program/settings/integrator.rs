@@ -2,7 +2,9 @@
 
 use crate::program::settings::Precision;
 use crate::program::settings::config_error::{ConfigError, allowed, count, positive};
-use crate::{Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Ode, RungeKutta, SemiImplicit, Substeps, System, Verlet};
+use crate::{
+    Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Ode, RungeKutta, Sdirk2, SemiImplicit, Substeps, System, Verlet,
+};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -22,7 +24,7 @@ pub struct IntegratorSettings {
     /// Absolute error tolerance per component. Only for `adaptive`.
     #[serde(skip_serializing_if = "Option::is_none")]
     atol: Option<f64>,
-    /// Stopping tolerance of Newton's iteration. Only for `implicit_midpoint`.
+    /// Stopping tolerance of Newton's iteration. Only for `implicit_midpoint` and `sdirk2`.
     #[serde(skip_serializing_if = "Option::is_none")]
     tolerance: Option<f64>,
 }
@@ -42,6 +44,8 @@ pub enum Method {
     Heun,
     /// Implicit midpoint, order 2, A-stable: suits stiff systems.
     ImplicitMidpoint,
+    /// Alexander's diagonally implicit method, order 2, L-stable: damps stiff components.
+    Sdirk2,
     /// Classical Runge-Kutta, order 4.
     Rk4,
     /// Tsitouras, order 5.
@@ -56,12 +60,13 @@ pub enum Method {
 
 impl Method {
     /// Methods for ordinary differential equations.
-    pub const ODE: [Self; 8] = [
+    pub const ODE: [Self; 9] = [
         Self::Euler,
         Self::SemiImplicit,
         Self::Verlet,
         Self::Heun,
         Self::ImplicitMidpoint,
+        Self::Sdirk2,
         Self::Rk4,
         Self::Tsit5,
         Self::Adaptive,
@@ -92,23 +97,25 @@ impl IntegratorSettings {
         if let Some(substeps) = self.substeps {
             count("integrator.substeps", substeps, 1..=1_000_000)?;
         }
-        let check = |key: &str, value: Option<f64>, method: Method| match value {
-            Some(value) if self.method != Some(method) => {
-                let because = format!("`integrator.method` is not {}", method.name());
-                Err(ConfigError::unread(&format!("integrator.{key}"), value, &because))
-            }
-            Some(value) => positive(&format!("integrator.{key}"), value),
-            None => Ok(()),
-        };
-        check("rtol", self.rtol, Method::Adaptive)?;
-        check("atol", self.atol, Method::Adaptive)?;
-        check("tolerance", self.tolerance, Method::ImplicitMidpoint)?;
-        let floor = precision.tolerance_floor();
-        for (key, value) in [("rtol", self.rtol), ("tolerance", self.tolerance)] {
+        let adaptive = [Adaptive::floor::<f32>(), Adaptive::floor::<f64>()];
+        let newton = [ImplicitMidpoint::floor::<f32>(), ImplicitMidpoint::floor::<f64>()];
+        for (key, value, methods, floors) in [
+            ("rtol", self.rtol, &[Method::Adaptive][..], Some(adaptive)),
+            ("atol", self.atol, &[Method::Adaptive][..], None),
+            ("tolerance", self.tolerance, &[Method::ImplicitMidpoint, Method::Sdirk2][..], Some(newton)),
+        ] {
             let Some(value) = value else { continue };
-            let [single, double] = [Precision::F32, Precision::F64].map(Precision::tolerance_floor);
+            let key = format!("integrator.{key}");
+            if !self.method.is_some_and(|method| methods.contains(&method)) {
+                let names: Vec<&str> = methods.iter().map(|method| method.name()).collect();
+                let because = format!("`integrator.method` is not {}", names.join(" or "));
+                return Err(ConfigError::unread(&key, value, &because));
+            }
+            positive(&key, value)?;
+            let Some([single, double]) = floors else { continue };
+            let floor = if precision == Precision::F32 { single } else { double };
             let what = format!("{single:.1e} or more in f32, {double:.1e} or more in f64, because of rounding");
-            allowed(&format!("integrator.{key}"), format!("{value:e}"), value >= floor, what)?;
+            allowed(&key, format!("{value:e}"), value >= floor, what)?;
         }
         Ok(())
     }
@@ -125,7 +132,6 @@ impl IntegratorSettings {
 
     /// The integrator. None for the native scheme.
     pub fn integrator(&self, precision: Precision) -> Option<AnyIntegrator> {
-        let floor = precision.tolerance_floor();
         self.method.map(|method| match method {
             Method::Pade | Method::Strang => unreachable!("validated: not a method of this task"),
             Method::Euler => AnyIntegrator::RungeKutta(RungeKutta::EULER),
@@ -138,8 +144,16 @@ impl IntegratorSettings {
                 let tolerance = self.tolerance.unwrap_or(ImplicitMidpoint::default().tolerance);
                 AnyIntegrator::ImplicitMidpoint(ImplicitMidpoint { tolerance })
             }
+            Method::Sdirk2 => {
+                let tolerance = self.tolerance.unwrap_or(Sdirk2::default().tolerance);
+                AnyIntegrator::Sdirk2(Sdirk2 { tolerance })
+            }
             Method::Adaptive => {
                 let default = Adaptive::default();
+                let floor = match precision {
+                    Precision::F32 => Adaptive::floor::<f32>(),
+                    Precision::F64 => Adaptive::floor::<f64>(),
+                };
                 let rtol = self.rtol.unwrap_or(default.rtol.max(floor));
                 AnyIntegrator::Adaptive(Adaptive { rtol, atol: self.atol.unwrap_or(default.atol), ..default })
             }

@@ -29,11 +29,6 @@ impl Precision {
             Self::F64 => f64::EPSILON,
         }
     }
-
-    /// Smallest `rtol` or `tolerance` of an integrator: 100 machine epsilons.
-    pub fn tolerance_floor(self) -> f64 {
-        100.0 * self.epsilon()
-    }
 }
 
 /// Format of the metrics of a run, besides `metrics.csv`.
