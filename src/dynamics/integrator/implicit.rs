@@ -96,13 +96,13 @@ impl Integrator for ImplicitMidpoint {
         let (h, n) = (R::from(dt), inputs.x.len());
         let (mut next, mut middle) = (buffer(R::zero(), n), buffer(R::zero(), n));
         let to_go = Self::solve(0.0, ode, dt, inputs, &mut next);
-        newton::mark_unsolved(to_go, &mut next);
         let stage = Self::stage(ode, dt, inputs);
         stage.argument(&next, &mut middle);
         let halfway = stage.inputs.with_x(&middle);
         let mut inverse = buffer(R::zero(), n * n);
         let inverse = &mut inverse[..];
         newton::exact_inverse(ode, h * R::from(0.5), halfway, inverse);
+        newton::mark_unsolved(to_go, inverse);
         // rate_bar = h w.
         let mut rate_bar = buffer(C::null(), n);
         for j in 0..n {

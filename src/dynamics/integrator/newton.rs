@@ -202,8 +202,8 @@ impl<T: Scalar> Stage<'_, T> {
             // Differences of rounding errors are accepted.
             let allowed = (length * 0.5).max(tolerance);
             let accepted = T::select_lt(missed, allowed, T::select_lt(zero, determinant, one, zero), zero).detach();
-            // A lane has converged only without a shift.
-            let small = T::select_lt(sigma, T::from(f64::MIN_POSITIVE), T::select_lt(length, tolerance, one, zero), zero);
+            // A lane has converged only without a shift; positive shifts are at least 1/128.
+            let small = T::select_lt(sigma, T::from(1e-3), T::select_lt(length, tolerance, one, zero), zero);
             let next_to_go = T::select_lt(zero, small * accepted, to_go - one, rounds).detach();
             let moves = T::select_lt(zero, left, accepted, zero);
             for i in 0..n {

@@ -39,7 +39,7 @@ impl Default for Sdirk2 {
     }
 }
 
-/// Diagonal coefficient: the root of `γ² - 2 γ + 1/2` that lies in the step.
+/// Diagonal coefficient: the root of `γ² - 2 γ + 1/2` below 1.
 const GAMMA: f64 = 1.0 - std::f64::consts::FRAC_1_SQRT_2;
 /// Weight of the move of the first stage in the second one, `(1 - γ)/γ`.
 const WEIGHT: f64 = 1.0 + std::f64::consts::SQRT_2;
@@ -56,8 +56,9 @@ impl Sdirk2 {
         inputs.at(stage_time(inputs.t, dt, fraction))
     }
 
-    /// Solves both stages to `tolerance`. Writes NaN in lanes that do not converge. Calls
-    /// `unsolved(stage, z)` at a stage that some lane does not solve.
+    /// Solves both stages to `tolerance`. Writes NaN in lanes that do not converge, and returns a
+    /// positive number in these lanes, else 0. Calls `unsolved(stage, z)` at a stage that some lane
+    /// does not solve.
     #[inline(always)]
     fn solve<T: Scalar>(
         tolerance: f64,
@@ -66,7 +67,7 @@ impl Sdirk2 {
         inputs: Inputs<'_, T>,
         [first, next]: [&mut [T]; 2],
         mut unsolved: impl FnMut(&Stage<'_, T>, &[T]),
-    ) {
+    ) -> T {
         let (x, n, h) = (inputs.x, inputs.x.len(), T::from(GAMMA * dt));
         let (mut base, mut inverse) = (buffer(T::zero(), n), buffer(T::zero(), n * n));
         let (base, inverse) = (&mut base[..], &mut inverse[..]);
@@ -77,15 +78,16 @@ impl Sdirk2 {
                 unsolved(&stage, z);
             }
             newton::mark_unsolved(to_go, z);
+            to_go
         };
         let stage = Stage { ode, inputs: Self::inputs(dt, inputs, GAMMA), base: x, h, place: Place::End };
         stage.linearize(x, inverse);
-        solve(stage, inverse, x, first);
+        let to_go = solve(stage, inverse, x, first);
         for i in 0..n {
             base[i] = x[i] + (first[i] - x[i]) * WEIGHT;
         }
         let stage = Stage { ode, inputs: Self::inputs(dt, inputs, 1.0), base, h, place: Place::End };
-        solve(stage, inverse, first, next);
+        to_go.max(solve(stage, inverse, first, next))
     }
 }
 
@@ -120,7 +122,7 @@ impl Integrator for Sdirk2 {
     ) {
         let (h, n) = (R::from(GAMMA * dt), inputs.x.len());
         let (mut first, mut next) = (buffer(R::zero(), n), buffer(R::zero(), n));
-        Self::solve(0.0, ode, dt, inputs, [&mut first, &mut next], |_, _| {});
+        let to_go = Self::solve(0.0, ode, dt, inputs, [&mut first, &mut next], |_, _| {});
         let mut inverse = buffer(R::zero(), n * n);
         let inverse = &mut inverse[..];
         let (mut bar, mut v, mut rate_bar) = (buffer(C::null(), n), buffer(C::null(), n), buffer(C::null(), n));
@@ -130,6 +132,7 @@ impl Integrator for Sdirk2 {
         for (fraction, z) in [(1.0, &next), (GAMMA, &first)] {
             let at = Self::inputs(dt, inputs, fraction).with_x(z);
             newton::exact_inverse(ode, h, at, inverse);
+            newton::mark_unsolved(to_go, inverse);
             for i in 0..n {
                 v[i] = newton::transposed(inverse, bar, i);
                 rate_bar[i] = v[i] * h;
