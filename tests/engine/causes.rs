@@ -57,7 +57,7 @@ fn wrappers_forward_the_cause_of_the_wrapped_system() {
     assert_eq!(cause(&Actuated { system: Renormalized { system }, actuator: Delay { steps: 2 } }), cubic);
     // Newton's iteration does not converge for this time step.
     let integrator = AnyIntegrator::ImplicitMidpoint(ImplicitMidpoint::default());
-    let stepped = Integrated { ode: DoublePendulum::default(), integrator, dt: 1e6 };
+    let stepped = Integrated { ode: DoublePendulum::default(), integrator, dt: 1e12 };
     let Upright { first_angle, from, spread, loss, control_weight, horizon, .. } = Upright::double_pendulum();
     let hard = DynTask::new(Upright { system: stepped, first_angle, from, spread, loss, control_weight, horizon });
     let hard = hard.system();

@@ -364,7 +364,8 @@ fn a_failing_iteration_of_the_reverse_pass_is_named() {
         assert!(next[0].is_finite() && x_bar[0].is_nan(), "{next:?}, {x_bar:?}");
         let cause = system.diagnose(Inputs::new(&[1e-3], &[0.0]));
         assert!(matches!(cause, Some(Cause::Unsolved(_))), "{cause:?}");
-        let place = Divergence::Cotangent { flow: Flow::R, variable: Variable::State, step: 4, sample: 2, component: 0, cause };
+        let place =
+            Divergence::Cotangent { flow: Flow::REGULAR, variable: Variable::State, step: 4, sample: 2, component: 0, cause };
         let said = place.to_string();
         let named = said.contains("did not converge for sample 2 at step 4") && said.contains("Use substeps");
         assert!(named && !said.contains("another field"), "{said}");
