@@ -3,6 +3,7 @@
 mod below;
 mod element;
 
+use super::drawing::valid;
 use super::{Channel, Raster};
 use element::{escaped, px};
 
@@ -159,7 +160,7 @@ impl Animation {
         let mut still = below::legend(&self.legend, full_width, total - TITLE_HEIGHT - LEGEND_HEIGHT / 2.0);
         still.extend(below.still(full_width, scale));
         element::write(&mut svg, &still, &below.frames(full_width), [0.0, total], 1.0, self.seconds);
-        svg + "</svg>\n"
+        valid(svg + "</svg>\n")
     }
 }
 

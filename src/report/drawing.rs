@@ -20,7 +20,7 @@ impl Drawing {
     pub fn to_svg(&self) -> String {
         // kuva writes no viewBox; without one, a page that sets a width crops the picture.
         let view_box = format!("<svg viewBox=\"0 0 {} {}\" ", self.0.width, self.0.height);
-        SvgBackend::new().render_scene(&self.0).replacen("<svg ", &view_box, 1)
+        valid(SvgBackend::new().render_scene(&self.0).replacen("<svg ", &view_box, 1))
     }
 
     /// Renders to PNG, two pixels per SVG unit.
@@ -30,6 +30,13 @@ impl Drawing {
     pub fn to_png(&self) -> Vec<u8> {
         PngBackend::new().render_scene(&self.0).expect("a picture of ordinary size")
     }
+}
+
+/// The document with a replacement character in place of each character that XML forbids, even in
+/// escaped form. Titles and labels of users may contain such characters.
+pub(super) fn valid(xml: String) -> String {
+    let is_forbidden = |c: char| (c.is_control() && !matches!(c, '\t' | '\n' | '\r')) || matches!(c, '\u{fffe}' | '\u{ffff}');
+    if xml.contains(is_forbidden) { xml.replace(is_forbidden, "\u{fffd}") } else { xml }
 }
 
 /// Merges horizontally adjacent cells of the same colour, which shrinks the file.
@@ -85,7 +92,18 @@ fn rgb(color: &Color) -> Option<[u8; 3]> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::learning_curve;
+    use super::super::{Animation, learning_curve};
+
+    #[test]
+    fn pictures_with_forbidden_characters_in_their_titles_are_xml() {
+        let every: String = ('\0'..='\u{a0}').chain(['\u{fffe}', '\u{ffff}', 'é']).collect();
+        let animation = Animation { title: every.clone(), ..Animation::default() };
+        for svg in [learning_curve(&every, &[(0.0, 1.0)], &[]).to_svg(), animation.to_svg()] {
+            let document = roxmltree::Document::parse(&svg).expect("an SVG is XML");
+            let text: String = document.descendants().filter_map(|node| node.text()).collect();
+            assert!(text.contains("az\u{7b}") || text.contains("é"), "{text}");
+        }
+    }
 
     #[test]
     fn a_picture_does_not_depend_on_earlier_pictures_of_the_process() {

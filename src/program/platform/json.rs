@@ -1,6 +1,7 @@
 //! Results as JSON (option `--json`): one object on standard output.
 
-use super::terminal::print_result;
+use super::csv::unguarded;
+use super::terminal::{is_plain, is_shown, print_result};
 use anyhow::Result;
 use serde_json::{Map, Value};
 
@@ -8,22 +9,32 @@ use serde_json::{Map, Value};
 const TEXT: [&str; 13] =
     ["run", "scene", "case", "field", "name", "task", "tags", "method", "precision", "stop", "clip", "setting", "checked"];
 
-/// Prints an object.
+/// Prints an object. JSON escapes stand for the control characters in it, including those that JSON
+/// permits in text.
 ///
 /// # Errors
 /// As [`print_result`].
 pub fn print_json(object: &Value) -> Result<()> {
-    print_result(&serde_json::to_string_pretty(object)?)
+    print_result(&escaped(&serde_json::to_string_pretty(object)?))
 }
 
-/// Rows of a CSV file, as objects whose keys are the columns.
+/// The JSON text with its remaining control characters and marks of direction as JSON escapes. They
+/// occur in strings only, where the escape has the same meaning.
+fn escaped(json: &str) -> String {
+    if is_plain(json) {
+        return json.to_owned();
+    }
+    json.chars().map(|c| if is_shown(c) { c.to_string() } else { format!("\\u{:04x}", c as u32) }).collect()
+}
+
+/// Rows of a CSV file from [`csv`](super::csv::csv), as objects whose keys are the columns.
 ///
 /// # Errors
 /// The text is not CSV.
 pub fn rows(csv: &[u8]) -> Result<Value> {
     let mut csv = csv::Reader::from_reader(csv);
     let header = csv.headers()?.clone();
-    let object = |row: csv::StringRecord| object(header.iter().zip(row.iter()));
+    let object = |row: csv::StringRecord| object(header.iter().zip(row.iter().map(unguarded)));
     csv.records().map(|row| Ok(object(row?))).collect()
 }
 

@@ -16,7 +16,11 @@ const WORDS: usize = 24;
 /// may be broken.
 const WORD: usize = 30;
 
-/// Header and rows.
+/// Length of the longest cell in a terminal, in characters. The time to fit a table is quadratic in
+/// the length of its longest cell.
+const CELL: usize = 1000;
+
+/// Header and rows, as [`plain`](terminal::plain) text.
 ///
 /// Columns of numbers are aligned to the right. In a terminal of known width, a table that is too
 /// wide breaks cells of text between words. Before it makes columns of text narrower than about 24
@@ -32,7 +36,7 @@ pub struct Table {
 
 impl Table {
     pub fn new(header: impl IntoIterator<Item = impl Into<String>>) -> Self {
-        Self { header: header.into_iter().map(Into::into).collect(), rows: Vec::new(), optional: Vec::new() }
+        Self { header: plain(header), rows: Vec::new(), optional: Vec::new() }
     }
 
     /// Sets the columns that a narrow terminal omits, by their titles, the first one most
@@ -44,7 +48,7 @@ impl Table {
     }
 
     pub fn row(&mut self, cells: impl IntoIterator<Item = impl Into<String>>) {
-        self.rows.push(cells.into_iter().map(Into::into).collect());
+        self.rows.push(plain(cells));
     }
 
     /// The whole table in Markdown, on one line per row.
@@ -66,6 +70,9 @@ impl Table {
     /// Text of the table, fitted to a width in characters. The note about omitted columns may be
     /// longer.
     fn fitted(&self, width: Option<usize>) -> String {
+        if self.header.iter().chain(self.rows.iter().flatten()).any(is_long) {
+            return self.shortened().fitted(width);
+        }
         let mut hidden: Vec<usize> = Vec::new();
         let mut rest = self.optional.clone();
         while width.is_some_and(|width| self.width(&hidden, |i| self.least(i)) > width) {
@@ -86,6 +93,16 @@ impl Table {
         let omitted: Vec<&str> = self.optional.iter().filter(|i| hidden.contains(i)).map(|&i| &*self.header[i]).collect();
         let note = if omitted.is_empty() { String::new() } else { format!("\nomitted at this width: {}", omitted.join(", ")) };
         format!("{table}{note}")
+    }
+
+    /// The table with the first characters of each cell that is longer than [`CELL`].
+    fn shortened(&self) -> Self {
+        let short = |cell: &String| match cell.char_indices().nth(CELL - 1).filter(|_| is_long(cell)) {
+            Some((end, _)) => format!("{}…", &cell[..end]),
+            None => cell.clone(),
+        };
+        let row = |cells: &Vec<String>| cells.iter().map(short).collect();
+        Self { header: row(&self.header), rows: self.rows.iter().map(row).collect(), optional: self.optional.clone() }
     }
 
     fn layout(&self, hidden: &[usize], style: TableStyle) -> comfy_table::Table {
@@ -146,6 +163,14 @@ impl Table {
     }
 }
 
+fn is_long(cell: &String) -> bool {
+    cell.chars().nth(CELL).is_some()
+}
+
+fn plain(cells: impl IntoIterator<Item = impl Into<String>>) -> Vec<String> {
+    cells.into_iter().map(|cell| terminal::plain(&cell.into()).into_owned()).collect()
+}
+
 impl fmt::Display for Table {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.fitted(terminal::width()))
@@ -204,6 +229,17 @@ mod tests {
             for word in ["several", "words", "text", "0.1234 ± 0.0012"] {
                 assert!(text.contains(word), "{width}: {word} is broken\n{text}");
             }
+        }
+    }
+
+    #[test]
+    fn a_cell_of_a_megabyte_is_shortened_in_a_terminal_only() {
+        for long in ["x".repeat(1_000_000), "é ".repeat(500_000)] {
+            let mut table = Table::new(["name", "tags"]);
+            table.row(["a", &long]);
+            let text = table.fitted(Some(80));
+            assert!(text.contains('…') && text.len() < 10_000, "{}", text.len());
+            assert!(table.markdown().contains(&long));
         }
     }
 

@@ -1,11 +1,15 @@
 //! Terminal output: results, messages and progress bars.
 //!
+//! Names, tags, cells and error messages may contain text of others, and a terminal obeys the
+//! control characters in it. All output therefore passes through [`plain`].
+//!
 //! The environment variable `COLUMNS` replaces the width of the terminal. Without it, output that
 //! is not a terminal has no width: sentences are not broken, and tables break only long cells.
 
 use anyhow::{Context, Result};
 use console::Term;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle, TermLike};
+use std::borrow::Cow;
 use std::io::{self, ErrorKind, Write};
 use std::path::PathBuf;
 use std::sync::{Mutex, OnceLock, PoisonError};
@@ -31,12 +35,34 @@ pub fn width_of(text: &str) -> usize {
     console::measure_text_width(text)
 }
 
-/// Prints the result of a command to standard output, unchanged.
+/// Returns whether a terminal shows this character and does nothing else: it is neither a control
+/// character other than a line break and a tab, nor a mark that reverses the order of characters.
+pub(super) fn is_shown(c: char) -> bool {
+    let reorders = matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+    matches!(c, '\n' | '\t') || !(c.is_control() || reorders)
+}
+
+/// Returns whether [`plain`] leaves the text unchanged.
+pub fn is_plain(text: &str) -> bool {
+    text.chars().all(is_shown)
+}
+
+/// The text with an escape such as `\u{1b}` in place of each character that a terminal obeys
+/// instead of showing it.
+pub fn plain(text: &str) -> Cow<'_, str> {
+    if is_plain(text) {
+        return text.into();
+    }
+    let escaped = |c: char| if is_shown(c) { c.to_string() } else { c.escape_unicode().to_string() };
+    text.chars().map(escaped).collect::<String>().into()
+}
+
+/// Prints the result of a command to standard output, as [`plain`] text.
 ///
 /// # Errors
 /// The text cannot be written. A pipe that its reader, for example `head`, closes is not an error.
 pub fn print_result(text: &str) -> Result<()> {
-    match writeln!(std::io::stdout(), "{text}") {
+    match writeln!(std::io::stdout(), "{}", plain(text)) {
         Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
         written => written.context("cannot write the result to standard output"),
     }
@@ -47,14 +73,14 @@ pub fn print_result(text: &str) -> Result<()> {
 /// # Errors
 /// As [`print_result`].
 pub fn print_text(text: &str) -> Result<()> {
-    print_result(&fitted(text, width()))
+    print_result(&fitted(&plain(text), width()))
 }
 
-/// Prints a message to standard error, above the progress bar if there is one. Breaks lines at the
+/// Prints a message to standard error as [`plain`] text, above the progress bar if there is one. Breaks lines at the
 /// width of the terminal. Ignores write errors.
 pub fn print_message(text: &str) {
     let term = Term::stderr();
-    let text = fitted(text, width_of_term(&term));
+    let text = fitted(&plain(text), width_of_term(&term));
     // The terminal may have echoed `^C` to the current line.
     let start = if term.is_term() { "\r" } else { "" };
     let write = || _ = writeln!(std::io::stderr(), "{start}{text}");
@@ -166,7 +192,9 @@ pub fn wrapped(text: &str, width: usize) -> String {
     for (i, word) in text[indent..].split(' ').enumerate() {
         let count = width_of(word);
         if i > 0 && at + 1 + count > width {
-            lines = format!("{}\n{}", lines.trim_end_matches(' '), &text[..indent]);
+            lines.truncate(lines.trim_end_matches(' ').len());
+            lines.push('\n');
+            lines += &text[..indent];
             at = indent;
         } else if i > 0 {
             lines.push(' ');
@@ -249,6 +277,18 @@ mod tests {
         let text = "one two three\n│ one two three │\n\n  four five six";
         assert_eq!(fitted(text, Some(9)), "one two\nthree\n│ one two three │\n\n  four\n  five\n  six");
         assert_eq!(fitted(text, None), text);
+    }
+
+    #[test]
+    fn control_characters_and_marks_of_direction_are_shown_as_escapes() {
+        assert_eq!(plain("a\tb\nΔ é \u{301} 漢"), "a\tb\nΔ é \u{301} 漢");
+        assert_eq!(plain("\x1b[31mred\r\x07"), "\\u{1b}[31mred\\u{d}\\u{7}");
+        assert_eq!(plain("\u{9b}2J \u{7f} \u{202e}txt"), "\\u{9b}2J \\u{7f} \\u{202e}txt");
+        for c in '\0'..=char::MAX {
+            let is_harmless = !c.is_control() || matches!(c, '\n' | '\t');
+            assert!(plain(&c.to_string()).chars().all(|c| !c.is_control() || matches!(c, '\n' | '\t')), "{c:?}");
+            assert!(is_harmless || plain(&c.to_string()) == format!("\\u{{{:x}}}", c as u32), "{c:?}");
+        }
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use super::run::{EpochEvent, Observer};
 use crate::Growth;
 use crate::numbers::text::short;
-use crate::program::platform::terminal::{bar_width, print_message, progress_bar};
+use crate::program::platform::terminal::{bar_width, plain, print_message, progress_bar};
 use indicatif::ProgressBar;
 
 /// Progress bar with losses, elapsed time and ETA. Without a terminal, prints at most one line of
@@ -63,7 +63,8 @@ impl Progress {
         let digits = self.bar.length().unwrap_or(0).to_string().len();
         // Widths of the bar, the fixed text, both numbers of epochs, and the times.
         let rest = if wide { 30 + 29 + 2 * digits + 8 } else { 8 + 16 + 2 * digits + 4 };
-        self.bar.set_message(joined(&parts, bar_width().saturating_sub(rest)));
+        let message = joined(&parts, bar_width().saturating_sub(rest));
+        self.bar.set_message(plain(&message).into_owned());
         self.bar.inc(1);
         let (done, all) = (self.bar.position(), self.bar.length().unwrap_or(0).max(1));
         if !self.quiet && self.bar.is_hidden() && done * 10 / all != (done - 1) * 10 / all {

@@ -3,6 +3,7 @@
 use crate::numbers::text::short;
 use crate::program::commands::report::figure::Figure;
 use crate::program::commands::report::page::{document, figures, section, table};
+use crate::program::platform::csv::unguarded;
 use crate::program::platform::folder::Folder;
 use crate::report::{Chart, Dash, Series};
 use anyhow::{Context, Result, bail};
@@ -26,14 +27,14 @@ const NUMBERS: usize = 5;
 const NOTE: &str = "Residuals are simulated minus measured states. A standard error assumes independent residuals. A robust error \
                     allows for correlated residuals within a segment; it needs more segments than numbers.";
 
-/// The page of the identification in the folder. Empty if [`IDENTIFIED`] has no header.
+/// The page of the identification in the folder.
 ///
 /// # Errors
 /// A file cannot be read or is damaged.
 pub fn page(folder: &Folder) -> Result<String> {
-    let [header, numbers @ ..] = &rows(folder, IDENTIFIED, NUMBERS)?[..] else { return Ok(String::new()) };
-    let fit = rows(folder, FIT, 2)?;
-    let (warnings, facts): (Vec<_>, Vec<_>) = fit.iter().skip(1).partition(|row| row[0] == WARNING);
+    let (header, numbers) = &rows(folder, IDENTIFIED, NUMBERS)?;
+    let (_, fit) = rows(folder, FIT, 2)?;
+    let (warnings, facts): (Vec<_>, Vec<_>) = fit.iter().partition(|row| row[0] == WARNING);
     let warnings: Vec<String> = warnings.into_iter().map(|row| row[1].clone()).collect();
     let (names, values): (Vec<String>, Vec<String>) = facts.into_iter().map(|row| (row[0].clone(), row[1].clone())).unzip();
     let names_and = |row: &[String], cells: Vec<String>| [vec![row[0].clone()], cells].concat();
@@ -57,7 +58,10 @@ pub fn page(folder: &Folder) -> Result<String> {
 }
 
 /// Header and rows of a CSV file with at least this number of columns. All rows have equal lengths.
-fn rows(folder: &Folder, name: &str, columns: usize) -> Result<Vec<Vec<String>>> {
+///
+/// # Errors
+/// The file cannot be read, or has no header or fewer columns.
+fn rows(folder: &Folder, name: &str, columns: usize) -> Result<(Vec<String>, Vec<Vec<String>>)> {
     let damaged = || format!("{} is damaged; restore the file, or repeat `physgrad identify`", folder.file(name).display());
     let bytes = folder.read(name)?;
     let mut reader = csv::ReaderBuilder::new().has_headers(false).from_reader(&bytes[..]);
@@ -66,9 +70,10 @@ fn rows(folder: &Folder, name: &str, columns: usize) -> Result<Vec<Vec<String>>>
         if record.len() < columns {
             bail!(damaged());
         }
-        Ok(record.iter().map(String::from).collect())
+        Ok(record.iter().map(|cell| unguarded(cell).to_owned()).collect())
     };
-    reader.records().map(row).collect()
+    let mut rows = reader.records().map(row);
+    Ok((rows.next().with_context(damaged)??, rows.collect::<Result<_>>()?))
 }
 
 /// A number with four significant digits; "unknown" if it is not finite. Text that is not a number
@@ -100,19 +105,20 @@ struct Trajectories {
 
 impl Trajectories {
     fn read(folder: &Folder, name: &str) -> Result<Self> {
-        let rows = rows(folder, name, 2)?;
-        let headers = rows.first().map_or(&[][..], |header| &header[2..]);
+        let (header, rows) = rows(folder, name, 2)?;
         let components: Vec<String> =
-            headers.iter().step_by(2).map(|name| name.trim_end_matches("_measured").to_owned()).collect();
+            header[2..].iter().step_by(2).map(|name| name.trim_end_matches("_measured").to_owned()).collect();
         let mut segments: Vec<(String, Vec<Vec<Sample>>)> = Vec::new();
-        for row in rows.iter().skip(1) {
+        for row in &rows {
             if segments.last().is_none_or(|(name, _)| *name != row[0]) {
                 segments.push((row[0].clone(), vec![Vec::new(); components.len()]));
             }
             let Some((_, samples)) = segments.last_mut() else { continue };
-            // An empty cell marks a missing measurement.
+            // An empty cell marks a missing measurement. A chart has no place for a number that is not
+            // finite.
+            let number = |cell: &str| cell.parse().ok().filter(|number: &f64| number.is_finite());
             for (samples, pair) in samples.iter_mut().zip(row[2..].chunks_exact(2)) {
-                if let (Ok(t), Ok(measured), Ok(simulated)) = (row[1].parse(), pair[0].parse(), pair[1].parse()) {
+                if let (Some(t), Some(measured), Some(simulated)) = (number(&row[1]), number(&pair[0]), number(&pair[1])) {
                     samples.push(Sample { t, measured, simulated });
                 }
             }
