@@ -1,11 +1,9 @@
-//! Memory that a run needs, and memory of the machine.
+//! Memory that a run needs.
 
 use crate::any::AnyTask;
 use crate::program::operations::trajectory::ROLLOUTS;
 use crate::program::settings::Precision;
 use crate::{Batch, DynTask, Float, Flow, Policy, Schedule, System, Task};
-use std::fs::read_to_string;
-use std::path::Path;
 
 /// Memory of a run, in bytes.
 pub struct Needs {
@@ -39,38 +37,4 @@ fn needs_in<F: Float>(task: &DynTask, policy: &impl Policy, samples: usize, star
     // Trajectories written at the end, as text and vectors: 48 bytes per component and 80 per step.
     let text = ROLLOUTS as f64 * Task::horizon(task) as f64 * (48.0 * (n + m) as f64 + 80.0);
     Needs { batch: of(samples), rest: numbers * size_of::<F>() as f64 + of(ROLLOUTS) + text }
-}
-
-/// Memory limit of this process, in bytes: the smallest of the machine's memory and the limits of
-/// the control groups. 32 GB if all are unknown.
-pub fn of_this_machine() -> f64 {
-    const UNKNOWN: f64 = 32e9;
-    // Limits by version 2 of control groups: those of the group of this process, and of the groups
-    // that contain it. The last path has the limit by version 1.
-    let groups = read_to_string("/proc/self/cgroup").unwrap_or_default();
-    let group = groups.lines().find_map(|line| line.strip_prefix("0::/")).unwrap_or_default();
-    let groups = Path::new(group).ancestors().map(|group| Path::new("/sys/fs/cgroup").join(group).join("memory.max"));
-    let paths = groups.chain(["/sys/fs/cgroup/memory/memory.limit_in_bytes".into()]);
-    let limits = paths.filter_map(|path| read_to_string(path).ok()?.trim().parse().ok());
-    let machine = read_to_string("/proc/meminfo").ok().and_then(|text| total(&text));
-    limits.chain(machine).reduce(f64::min).unwrap_or(UNKNOWN)
-}
-
-/// Total memory in `/proc/meminfo`, in bytes.
-fn total(meminfo: &str) -> Option<f64> {
-    let kib = meminfo.lines().find_map(|line| line.strip_prefix("MemTotal:")?.trim().strip_suffix("kB"))?;
-    kib.trim().parse().ok().map(|kib: f64| kib * 1024.0)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::of_this_machine;
-    use super::total;
-
-    #[test]
-    fn mem_total_is_read_in_kb_and_this_machine_has_more_than_100_mb() {
-        assert_eq!(total("MemFree:  7 kB\nMemTotal:       24576 kB\n"), Some(24576.0 * 1024.0));
-        assert_eq!(total("MemTotal: much"), None);
-        assert!(of_this_machine() > 1e8);
-    }
 }

@@ -1,4 +1,4 @@
-//! Files, folders and their locks, CSV, JSON, signals, ranks of MPI, tables, threads, terminal.
+//! Files, folders and their locks, memory, CSV, JSON, signals, ranks of MPI, tables, threads, terminal.
 //!
 //! Imports no other part of the program. Start with `folder`.
 
@@ -7,6 +7,7 @@ pub mod files;
 pub mod folder;
 pub mod json;
 pub mod lock;
+pub mod memory;
 #[cfg(feature = "mpi")]
 mod mpi;
 pub mod parallel;

@@ -2,6 +2,7 @@
 
 use crate::policy::WithParams;
 use crate::program::operations::memory::{self, Needs};
+use crate::program::platform::memory::of_this_machine;
 use crate::program::settings::config_error::{ConfigError, count};
 use crate::program::settings::{
     ActuatorSettings, FieldName, IntegratorSettings, LogFormat, OPTIONAL, Precision, TrainingSettings, VERSION, reading,
@@ -124,6 +125,7 @@ impl<K: TaskSpec> Settings<K> {
     /// machine.
     pub fn validate(&self) -> Result<(), ConfigError> {
         count("horizon", self.horizon, 1..=100_000_000)?;
+        count("epochs", self.epochs, 0..=1_000_000_000)?;
         self.training.validate()?;
         self.policy.validate()?;
         self.actuator.validate()?;
@@ -136,7 +138,7 @@ impl<K: TaskSpec> Settings<K> {
         let Needs { batch: whole, rest } = memory::needs(&task, &policy, self.precision, samples, train_samples + test_samples);
         // With a budget, the reverse pass recomputes the steps that exceed the budget.
         let batch = self.training.budget().map_or(whole, |budget| whole.min(budget as f64));
-        let (needed, most) = (batch + rest, memory::of_this_machine());
+        let (needed, most) = (batch + rest, of_this_machine());
         if needed > most {
             let what = format!(
                 "is {}: a run with mini-batches of {samples} samples needs about {:.1} GB, of which {:.1} GB for a mini-batch, \
