@@ -165,24 +165,10 @@ pub fn gradients<'py>(
     })
 }
 
-/// Replaces a file as a whole, by a temporary file beside it. Writes to a device or a link
-/// directly.
+/// Replaces a file as a whole, by a temporary file beside it. Refuses a link, a device and a folder.
 pub fn replace_file(path: &Path, bytes: &[u8]) -> PyResult<()> {
-    let is_other = std::fs::symlink_metadata(path).is_ok_and(|found| !found.is_file());
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let temporary = path.with_file_name(format!(".{name}.{}.new", std::process::id()));
-    let written = if is_other {
-        std::fs::write(path, bytes)
-    } else {
-        let keep_permissions = |()| match std::fs::metadata(path) {
-            Ok(found) => std::fs::set_permissions(&temporary, found.permissions()),
-            Err(_) => Ok(()),
-        };
-        let written = std::fs::write(&temporary, bytes).and_then(keep_permissions);
-        written.and_then(|()| std::fs::rename(&temporary, path))
-    };
-    written.map_err(|error| {
-        let _ = std::fs::remove_file(&temporary);
-        with_path(PyErr::from(error), path)
+    api::write_file(path, bytes).map_err(|error| {
+        let kind = error.downcast_ref::<std::io::Error>().map_or(std::io::ErrorKind::Other, std::io::Error::kind);
+        PyErr::from(std::io::Error::new(kind, format!("{error:#}")))
     })
 }

@@ -94,7 +94,7 @@ fn an_export_names_its_inputs_and_outputs_and_selects_the_epoch() {
     for (args, message) in [
         ("export absent --onnx a.onnx", "there is no folder absent"),
         ("export run --onnx absent/a.onnx", "there is no folder absent"),
-        ("export run --onnx run", "--onnx run: it exists and is not a regular file"),
+        ("export run --onnx run", "--onnx: run: it exists and is not a regular file"),
     ] {
         let output = physgrad(args, dir.path()).assert().failure();
         let error = String::from_utf8_lossy(&output.get_output().stderr).into_owned();

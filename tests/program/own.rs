@@ -198,6 +198,30 @@ fn a_new_crate_has_the_name_of_the_task_and_overwrites_nothing() {
     new(&["moment"], dir.path()).assert().success();
 }
 
+#[cfg(unix)]
+#[test]
+fn a_new_crate_is_complete_or_absent_and_its_manifest_has_any_path() {
+    let dir = TempDir::new().expect("a folder");
+    let crates = dir.path().join("crates");
+    std::fs::create_dir(&crates).expect("a folder");
+    // A limit of one block on the size of files fails as a full disk does.
+    let mut limited = std::process::Command::new("sh");
+    limited.args(["-c", "ulimit -f 1 && exec \"$0\" new swing_boat"]).arg(assert_cmd::cargo::cargo_bin!("physgrad"));
+    let output = limited.current_dir(&crates).output().expect("the command runs");
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success() && error.contains("cannot write the folder swing_boat"), "{error}");
+    assert_eq!(std::fs::read_dir(&crates).expect("a folder").count(), 0, "an incomplete crate is left");
+    new(&["swing_boat"], &crates).assert().success();
+
+    let sources = dir.path().join("e\u{301} \"x\"\n\u{7f}");
+    std::fs::create_dir(&sources).expect("a folder");
+    new(&["paths", "--path"], &crates).arg(&sources).assert().success();
+    let manifest = std::fs::read_to_string(crates.join("paths/Cargo.toml")).expect("a manifest");
+    let manifest: toml::Table = manifest.parse().expect("TOML");
+    let written = manifest["dependencies"]["physgrad"]["path"].as_str().expect("a path");
+    assert_eq!(Path::new(written), sources.canonicalize().expect("a folder"));
+}
+
 /// Builds all dependencies, which takes minutes. To run the test:
 /// `cargo test --release --test program -- --ignored`.
 #[test]

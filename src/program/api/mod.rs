@@ -20,3 +20,12 @@ pub use crate::program::runs::run::{EpochEvent, Observer};
 pub use policy::{Policy, Precise, Rollouts};
 pub use run::Run;
 pub use scene::Scene;
+
+/// Replaces the file at this path as a whole, by a temporary file beside it.
+///
+/// # Errors
+/// There is no such folder, or the file cannot be written. The path is that of a link, a device or
+/// another existing entry that is not a regular file.
+pub fn write_file(path: &std::path::Path, bytes: &[u8]) -> anyhow::Result<()> {
+    crate::program::platform::folder::Folder::write_at(path, bytes)
+}

@@ -6,9 +6,8 @@ use crate::program::operations::session::Epoch;
 use crate::program::platform::folder::Folder;
 use crate::program::platform::terminal::print_result;
 use crate::program::runs::saved;
-use anyhow::{Context, Result, bail};
-use std::fs::symlink_metadata;
-use std::path::{Path, PathBuf};
+use anyhow::{Context, Result};
+use std::path::PathBuf;
 
 /// Write the policy of a run as an ONNX model, for other programs and machines.
 ///
@@ -38,15 +37,7 @@ pub fn export(args: &Export) -> Result<()> {
     saved::restore(&folder, &scene, &mut *run)?;
     let about = scene.about();
     let model = run.onnx(args.epoch, &about).with_context(|| format!("cannot export {}", args.run.display()))?;
-    let name = args.onnx.file_name().and_then(|name| name.to_str());
-    let name = name.with_context(|| format!("--onnx {}: it is not a name of a file", args.onnx.display()))?;
-    // Replacing a device or a symbolic link, for example /dev/stdout, would destroy it.
-    if symlink_metadata(&args.onnx).is_ok_and(|found| !found.is_file()) {
-        bail!("--onnx {}: it exists and is not a regular file; choose another name", args.onnx.display());
-    }
-    // The parent of a bare name is the empty path.
-    let parent = args.onnx.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    Folder::existing(parent)?.write(name, model)?;
+    Folder::write_at(&args.onnx, model).context("--onnx")?;
     if args.quiet {
         return Ok(());
     }

@@ -1,5 +1,6 @@
 //! `physgrad new`: a crate with a task of the user.
 
+use crate::program::platform::files;
 use crate::program::platform::terminal::print_result;
 use crate::program::tasks;
 use anyhow::{Context, Result, bail};
@@ -56,19 +57,16 @@ pub fn new(args: &New) -> Result<()> {
     if tasks::all().iter().any(|task| task.name() == name) {
         bail!("`{name}` is a built-in task; choose another name");
     }
-    let folder = Path::new(name);
-    fs::create_dir(folder).with_context(|| format!("cannot create the folder {name}"))?;
+    if fs::symlink_metadata(name).is_ok() {
+        bail!("cannot create the folder {name}: it exists; choose another name");
+    }
     let files = [
-        ("Cargo.toml", manifest(name, args.path.as_deref())),
+        ("Cargo.toml", manifest(name, args.path.as_deref())?),
         ("src/main.rs", source(name)),
         ("scene.toml", SCENE.replace("NAME", name)),
         (".gitignore", "/target\n/runs\n".into()),
     ];
-    fs::create_dir(folder.join("src"))?;
-    for (file, text) in files {
-        let path = folder.join(file);
-        fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
-    }
+    files::create_tree(Path::new(name), &files).with_context(|| format!("cannot write the folder {name}"))?;
     print_result(&format!(
         "created {name}: Cargo.toml, src/main.rs, scene.toml. Replace the equations in src/main.rs with your own. Then:\n\n\
          cd {name}\n\
@@ -78,14 +76,18 @@ pub fn new(args: &New) -> Result<()> {
     ))
 }
 
-fn manifest(name: &str, path: Option<&Path>) -> String {
+fn manifest(name: &str, path: Option<&Path>) -> Result<String> {
     let sources = Path::new(env!("CARGO_MANIFEST_DIR"));
     let path = path.or_else(|| sources.join("Cargo.toml").exists().then_some(sources));
     let physgrad = match path {
-        Some(path) => format!("{{ path = {:?} }}", path.canonicalize().unwrap_or(path.into())),
+        Some(path) => {
+            let path = path.canonicalize().unwrap_or(path.into());
+            let text = path.to_str().with_context(|| format!("--path {}: it is not UTF-8 text", path.display()))?;
+            format!("{{ path = {} }}", toml::Value::from(text))
+        }
         None => format!("{:?}", env!("CARGO_PKG_VERSION")),
     };
-    MANIFEST.replace("NAME", name).replace("PHYSGRAD", &physgrad)
+    Ok(MANIFEST.replace("NAME", name).replace("PHYSGRAD", &physgrad))
 }
 
 const MANIFEST: &str = r#"[package]

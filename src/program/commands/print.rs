@@ -1,5 +1,6 @@
 //! `physgrad scene` and `physgrad schema`: print presets and the JSON schema of scenes.
 
+use crate::program::platform::folder::Folder;
 use crate::program::platform::json::print_json;
 use crate::program::platform::terminal::{print_result, print_text};
 use crate::program::scenes::presets;
@@ -53,7 +54,7 @@ pub fn scene(args: &Scene) -> Result<()> {
 pub fn schema(args: &Schema) -> Result<()> {
     let text = serde_json::to_string_pretty(&tasks::schema())?;
     match &args.out {
-        Some(path) => std::fs::write(path, text + "\n").with_context(|| format!("cannot write {}", path.display())),
+        Some(path) => Folder::write_at(path, text + "\n").context("--out"),
         None => print_result(&text),
     }
 }

@@ -3,10 +3,12 @@
 
 use super::files;
 use super::lock::Locked;
+use super::memory::of_this_machine;
 use anyhow::{Context, Result, bail};
+use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::io::{self, ErrorKind};
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 pub const SETTINGS: &str = "run.toml";
 pub const CHECKPOINT: &str = "checkpoint.bin";
@@ -36,6 +38,10 @@ pub const STUDY: &str = "study.toml";
 /// Subfolder with the runs of a comparison. Also the folder in which [`Folder::fresh`] creates
 /// folders.
 pub const RUNS: &str = "runs";
+
+/// Largest size of a file of settings, in bytes. Parsing takes up to 100 times the memory of the
+/// text.
+pub const MAX_SETTINGS: usize = 1_000_000;
 
 /// Lock file of a folder. Contains a description of the last process that locked the folder.
 pub(super) const LOCK: &str = ".physgrad.lock";
@@ -96,6 +102,23 @@ impl Folder {
     /// There is no such folder.
     pub fn existing(path: &Path) -> Result<Self> {
         if path.is_dir() { Ok(Self::at(path)) } else { bail!("there is no folder {}", path.display()) }
+    }
+
+    /// The folder with this name inside this one. Creates nothing.
+    ///
+    /// A folder and its plan may come from somebody else. Results therefore stay inside it.
+    ///
+    /// # Errors
+    /// The name has several parts or leads elsewhere, as `a/b` and `..` do, or it is that of a link.
+    pub fn inside(&self, name: &str) -> Result<Self> {
+        if !is_name(name) {
+            bail!("{}: {name:?} cannot be the name of a folder in it; allowed: one part of a path", self.path.display());
+        }
+        let path = self.file(name);
+        if path.is_symlink() {
+            bail!("{} is a link, which results would follow out of its folder; put the folder itself there", path.display());
+        }
+        Ok(Self { path })
     }
 
     /// Creates the folder `runs/<name>`. If this path exists, creates `runs/<name>-2`, and so on.
@@ -198,6 +221,24 @@ impl Folder {
         files::replace(&self.path, name, bytes.as_ref()).with_context(|| format!("cannot write {}", self.file(name).display()))
     }
 
+    /// Replaces the file at this path, which a user chose, as [`write`](Folder::write) does.
+    ///
+    /// # Errors
+    /// The path is not that of a file in an existing folder. It is that of a link, a device or
+    /// another existing entry that is not a regular file: replacing it would destroy it, and
+    /// following it may lead anywhere.
+    pub fn write_at(path: &Path, bytes: impl AsRef<[u8]>) -> Result<()> {
+        let shown = path.display();
+        let name = path.file_name().and_then(OsStr::to_str);
+        let name = name.with_context(|| format!("{shown}: it is not a name of a file"))?;
+        if fs::symlink_metadata(path).is_ok_and(|found| !found.is_file()) {
+            bail!("{shown}: it exists and is not a regular file; choose another name");
+        }
+        // The parent of a bare name is the empty path.
+        let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        Self::existing(parent)?.write(name, bytes)
+    }
+
     /// Removes a file if it exists.
     pub fn remove(&self, name: &str) -> Result<()> {
         match fs::remove_file(self.file(name)) {
@@ -229,12 +270,48 @@ impl Folder {
         Ok(path)
     }
 
+    /// Contents of a file.
+    ///
+    /// # Errors
+    /// As [`readable`](Folder::readable), or the file is larger than a quarter of the memory.
     pub fn read(&self, name: &str) -> Result<Vec<u8>> {
-        let path = self.readable(name)?;
-        fs::read(&path).with_context(|| format!("cannot read {}", path.display()))
+        // Contents are decoded into a few times their size.
+        self.read_up_to(name, (of_this_machine() / 4.0) as usize)
     }
+
+    /// Contents of a file of up to `most` bytes.
+    ///
+    /// # Errors
+    /// As [`readable`](Folder::readable), or the file is larger.
+    pub fn read_up_to(&self, name: &str, most: usize) -> Result<Vec<u8>> {
+        let path = self.readable(name)?;
+        let contents = files::read(&path, most).with_context(|| format!("cannot read {}", path.display()))?;
+        contents.with_context(|| format!("{} has more than {most} bytes, the limit of this file", path.display()))
+    }
+}
+
+/// Returns whether this is the name of a file or folder: one part of a path, and not `..`.
+pub fn is_name(name: &str) -> bool {
+    let mut parts = Path::new(name).components();
+    let is_single = matches!(parts.next(), Some(Component::Normal(part)) if part == OsStr::new(name)) && parts.next().is_none();
+    is_single && !name.contains(['/', '\\']) && !name.contains(char::is_control)
 }
 
 pub(super) fn unwritable(path: &Path) -> String {
     format!("the output folder {} cannot be written to; choose another with --out", path.display())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_is_one_part_of_a_path() {
+        for name in ["a", "batch=8+widths=64x64", ".._u", "a.b", "é", "...", " "] {
+            assert!(is_name(name), "{name:?}");
+        }
+        for name in ["", ".", "..", "/", "a/", "a/b", "../a", "/a", "./a", "a\\b", "a\nb", "a\0"] {
+            assert!(!is_name(name), "{name:?}");
+        }
+    }
 }

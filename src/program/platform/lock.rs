@@ -119,8 +119,8 @@ impl Folder {
         for _ in 0..20 {
             let mut text = String::new();
             let read = File::open(self.file(LOCK)).and_then(|file| file.take(1000).read_to_string(&mut text));
-            if read.is_ok() && !text.is_empty() {
-                return text;
+            if read.is_ok() && !text.trim().is_empty() {
+                return text.split_whitespace().collect::<Vec<_>>().join(" ");
             }
             std::thread::sleep(RETRY_INTERVAL / 10);
         }

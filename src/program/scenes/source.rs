@@ -4,7 +4,8 @@
 //! command line override values. [`SceneSource::scene`] then finds the task, and the settings of
 //! the task get their defaults and are validated (`tasks/settings.rs`).
 
-use crate::program::platform::folder::Folder;
+use crate::program::platform::files;
+use crate::program::platform::folder::{Folder, MAX_SETTINGS};
 use crate::program::platform::terminal::did_you_mean;
 use crate::program::scenes::ranges::with_range;
 use crate::program::scenes::sweep::Sweep;
@@ -16,15 +17,9 @@ use crate::program::tasks::{self, AnyTaskSpec, Scene};
 use anyhow::{Context, Result, anyhow, bail};
 use serde::Deserialize;
 use std::collections::HashMap;
-use std::fs::File;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 use toml::de::{DeTable, DeValue, Deserializer};
 use toml::{Table, Value};
-
-/// Largest size of a file of settings, in bytes. Parsing takes up to 100 times the memory of the
-/// text.
-const MAX_BYTES: usize = 1_000_000;
 
 /// Largest number of parts of a dotted key in [`SceneSource::put`]. Keys of built-in tasks have up
 /// to three.
@@ -305,12 +300,8 @@ impl SceneSource {
 /// Text of a file of settings.
 pub(super) fn read_text(path: &Path) -> Result<String> {
     let name = path.display();
-    let mut bytes = Vec::new();
-    let result = File::open(path).and_then(|file| file.take(1 + MAX_BYTES as u64).read_to_end(&mut bytes));
-    result.with_context(|| format!("cannot read {name}"))?;
-    if bytes.len() > MAX_BYTES {
-        bail!("{name} has more than {MAX_BYTES} bytes, the limit of a file of settings");
-    }
+    let bytes = files::read(path, MAX_SETTINGS).with_context(|| format!("cannot read {name}"))?;
+    let bytes = bytes.with_context(|| format!("{name} has more than {MAX_SETTINGS} bytes, the limit of a file of settings"))?;
     String::from_utf8(bytes).with_context(|| format!("{name} is not UTF-8 text"))
 }
 
