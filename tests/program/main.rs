@@ -14,6 +14,7 @@ mod eval;
 mod explain;
 mod export;
 mod extreme_settings;
+mod foreign;
 mod json;
 mod limits;
 mod links;

@@ -18,6 +18,10 @@ pub struct Animate {
     /// Index of the test initial state, from 0
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub sample: usize,
+    /// Folder for the animations, for example if that of the run is read-only; has the subfolders of
+    /// a comparison [default: the folder of each run]
+    #[arg(short, long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
     /// Print only warnings and errors
     #[arg(short, long)]
     pub quiet: bool,
@@ -26,20 +30,29 @@ pub struct Animate {
 /// Runs the command.
 pub fn animate(args: &Animate) -> Result<()> {
     for scene in saved::scenes(&Folder::existing(&args.folder)?)? {
-        draw(&scene.runs, args.sample)?;
-        for folder in scene.runs.iter().filter(|_| !args.quiet) {
+        let to = |run: &Folder| match &args.out {
+            Some(out) => Folder::at(out.join(run.path().strip_prefix(&args.folder).unwrap_or(run.path()))),
+            None => run.clone(),
+        };
+        let drawn: Vec<Folder> = scene.runs.iter().map(to).collect();
+        draw(&scene.runs, args.sample, &drawn)?;
+        for folder in drawn.iter().filter(|_| !args.quiet) {
             print_result(&folder.file(ANIMATION).display().to_string())?;
         }
     }
     Ok(())
 }
 
-/// Writes the animation of each run of one scene, with one scale.
-pub fn draw(runs: &[Folder], sample: usize) -> Result<()> {
+/// Writes the animation of each run of one scene, with one scale, to the folder of equal index in
+/// `to`.
+pub fn draw(runs: &[Folder], sample: usize, to: &[Folder]) -> Result<()> {
     let animations = parallel::map(runs, |folder| animation(folder, sample));
     let mut animations = animations.into_iter().collect::<Result<Vec<_>>>()?;
     Animation::share_scale(&mut animations.iter_mut().collect::<Vec<_>>());
-    runs.iter().zip(&animations).try_for_each(|(folder, animation)| folder.write(ANIMATION, animation.to_svg()))
+    to.iter().zip(&animations).try_for_each(|(folder, animation)| {
+        folder.create()?;
+        folder.write(ANIMATION, animation.to_svg())
+    })
 }
 
 fn animation(folder: &Folder, sample: usize) -> Result<Animation> {

@@ -3,14 +3,14 @@
 mod sweep;
 
 use crate::program::commands::animate::draw;
-use crate::program::platform::folder::{COMPARISON, Folder, SETTINGS, STUDY};
+use crate::program::platform::folder::{COMPARISON, Folder, SETTINGS, STUDY, is_name};
 use crate::program::platform::json::{print_json, rows};
 use crate::program::platform::table::Table;
 use crate::program::platform::terminal::{counted, print_message, print_note, print_text, program};
 use crate::program::runs::comparison::{
-    Comparison, Ended, check_distinct, check_options, check_sessions, read_all, read_plan, train_all, train_shard, write_plan,
+    Comparison, Ended, check_distinct, check_options, check_runs, check_sessions, read_all, read_plan, train_all, train_shard,
+    write_plan,
 };
-use crate::program::runs::run::threads;
 use crate::program::runs::shard::Shard;
 use crate::program::runs::statistics::{
     InScene, MAX_DASHED, OPTIONAL, TABLE_NOTE, curves, curves_of_scenes, table_header, table_of_scenes,
@@ -85,7 +85,7 @@ pub fn compare(args: &Compare) -> Result<()> {
     for point in &points {
         check_options(&args.fields, args.seeds, point.scene.epochs)?;
     }
-    threads(args.threads)?;
+    check_runs(points.len(), args.fields.len(), args.seeds)?;
     if !args.quiet
         && let Some(note) = points.iter().find_map(|point| point.scene.large_batch())
     {
@@ -178,6 +178,7 @@ pub fn check_folder(folder: &Folder, expected: &str, files: &[(&str, &str)]) -> 
 /// Makes the tables and pictures of the comparison in the folder from its runs, without training.
 pub fn merge(folder: &Folder, output: Output) -> Result<Ended> {
     let plan: Plan = read_plan(folder).context("for a figure of `paper`, name the folder that contains its folder")?;
+    check_runs(plan.points.len(), plan.fields.len(), plan.seeds)?;
     let points = plan.points.into_iter().map(|point| point.open(folder)).collect::<Result<Vec<_>>>()?;
     let mut comparisons = self::plan(&points, &plan.fields, plan.seeds, folder)?;
     let ended = read_all(&mut comparisons)?;
@@ -196,7 +197,7 @@ pub struct Output {
 fn plan(points: &[SweepPoint], fields: &[FieldName], seeds: u64, folder: &Folder) -> Result<Vec<Comparison>> {
     let plan = |SweepPoint { name, scene, .. }: &SweepPoint| {
         // Several points have one comparison folder each, inside this folder.
-        let inner = if points.len() == 1 { folder.clone() } else { Folder::at(folder.file(name)) };
+        let inner = if points.len() == 1 { folder.clone() } else { folder.inside(name)? };
         Comparison::plan(name, scene, fields, seeds, &inner)
     };
     points.iter().map(plan).collect()
@@ -225,7 +226,7 @@ fn write_outputs(
         folder.write("curves.svg", picture(&title, &scenes, one_task).to_svg())?;
         files.push("curves.svg");
         // Redraws the animations of the runs, with one scale per scene.
-        comparisons.iter().try_for_each(|comparison| draw(&comparison.ended(), 0))?;
+        comparisons.iter().try_for_each(|comparison| draw(&comparison.ended(), 0, &comparison.ended()))?;
     }
     if let Some(picture) = sweep::picture(&title, points, &scenes) {
         folder.write("sweep.svg", picture.to_svg())?;
@@ -292,7 +293,10 @@ impl PlannedPoint {
     fn open(self, folder: &Folder) -> Result<SweepPoint> {
         let scene = SceneSource::parse(&format!("the plan of {}", self.name), &self.scene)?.scene()?;
         let scene = match &self.initial_policy {
-            Some(name) => scene.starting_from(folder.read(name)?),
+            Some(name) if is_name(name) => scene.starting_from(folder.read(name)?),
+            Some(name) => {
+                bail!("{}: `initial_policy` is {name:?}; allowed: a file beside the plan", folder.file(COMPARISON).display())
+            }
             None => scene,
         };
         Ok(SweepPoint { name: self.name, point: Point(self.sweep), scene })

@@ -72,9 +72,15 @@ struct Evaluated {
 /// Probabilities of the quantiles.
 const SHARES: [f64; 5] = [0.05, 0.25, 0.5, 0.75, 0.95];
 
+/// Largest number of rollouts that are written and animated. Each takes the memory of its states.
+const MAX_WORST: usize = 100;
+
 /// Runs the command.
 pub fn eval(args: &Eval) -> Result<()> {
     check_samples(args.samples)?;
+    if args.worst > MAX_WORST {
+        bail!("--worst is {}; allowed: 0 to {MAX_WORST}", args.worst);
+    }
     let policies = Trained::load_all(&args.runs, args.epoch)?;
     let scenes = policies.iter().map(|policy| scene(args, policy)).collect::<Result<Vec<Scene>>>()?;
     let reserved = Folder::reserve(args.out.as_deref())?;
@@ -92,6 +98,7 @@ pub fn eval(args: &Eval) -> Result<()> {
     let summary = csv(SUMMARY, results.iter().map(Evaluated::summary))?;
     folder.write("summary.csv", &summary)?;
     folder.write("losses.svg", picture(&title(args, &policies), &results))?;
+    let is_separator = |c: char| matches!(c, '/' | '\\') || c.is_control();
     for (i, (pair, result)) in pairs.iter().zip(&results).enumerate() {
         let (scene, evaluation, samples) = (pair.1, evaluation(pair)?, result.worst(args.worst));
         if results.len() == 1 {
@@ -99,7 +106,7 @@ pub fn eval(args: &Eval) -> Result<()> {
         } else {
             // Several policies have a subfolder each.
             write_worst(
-                &*Folder::at(folder.file(&format!("{}-{}", i + 1, pair.0.name.replace('/', "-")))).lock()?,
+                &*folder.inside(&format!("{}-{}", i + 1, pair.0.name.replace(is_separator, "-")))?.lock()?,
                 scene,
                 &*evaluation,
                 &samples,

@@ -11,7 +11,7 @@ use crate::program::platform::signals;
 use crate::program::platform::table::Table;
 use crate::program::platform::terminal::print_text;
 use crate::program::runs::comparison::{check_distinct, check_options};
-use crate::program::runs::run::{NoUpdate, threads};
+use crate::program::runs::run::NoUpdate;
 use crate::program::runs::shard::Shard;
 use crate::program::settings::{ClipName, FieldName};
 use crate::report::Drawing;
@@ -139,7 +139,6 @@ pub fn paper(args: &Paper) -> Result<()> {
     let options = &args.options;
     check_options(&options.fields, options.seeds, options.epochs())?;
     check_distinct("--clip", options.clip.iter().map(|clip| clip.name()))?;
-    threads(args.threads)?;
     let default = if options.quick { "runs/paper-quick" } else { "runs/paper" };
     let folder = Folder::at(args.out.as_deref().unwrap_or(Path::new(default)));
     let folder = if args.shard.is_some() { folder.share()? } else { folder.lock()? };
@@ -207,11 +206,12 @@ impl AllMade {
 /// Makes the figures in the folder from their runs, without training. Returns false if the folder
 /// has no figure with runs.
 pub fn merge(folder: &Folder, output: Output) -> Result<bool> {
-    let studies = [FIG3, FIG4, FIG5].into_iter().filter(|study| study.folder(folder).has(COMPARISON));
     let (mut all, mut any) = (AllMade::default(), false);
-    for study in studies {
-        any = true;
-        all.add(study.name, study.merge(folder, output));
+    for study in [FIG3, FIG4, FIG5] {
+        if Folder::at(folder.file(study.name)).has(COMPARISON) {
+            any = true;
+            all.add(study.name, study.merge(folder, output));
+        }
     }
     if output.json && !all.tables.is_empty() {
         print_json(&json!({ "folder": folder.path(), "figures": all.tables }))?;

@@ -25,6 +25,10 @@ use std::path::PathBuf;
 pub struct Report {
     /// Folder of a run, a comparison or an identification
     pub folder: PathBuf,
+    /// Folder for report.html, for example if that of the run is read-only [default: that of the
+    /// run]
+    #[arg(short, long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
     /// Print only warnings and errors
     #[arg(short, long)]
     pub quiet: bool,
@@ -33,9 +37,12 @@ pub struct Report {
 /// Runs the command.
 pub fn report(args: &Report) -> Result<()> {
     let folder = Folder::existing(&args.folder)?;
-    folder.write(REPORT, html(&folder)?)?;
+    let html = html(&folder)?;
+    let out = args.out.as_ref().map_or(folder, Folder::at);
+    out.create()?;
+    out.write(REPORT, html)?;
     if !args.quiet {
-        print_result(&folder.file(REPORT).display().to_string())?;
+        print_result(&out.file(REPORT).display().to_string())?;
     }
     Ok(())
 }

@@ -60,9 +60,9 @@ pub fn runs(args: &Runs) -> Result<()> {
         seen.insert(fs::canonicalize(path).unwrap_or_else(|_| path.to_owned()))
     };
     for path in &args.folders {
-        let (found, damaged) = below(&Folder::existing(path)?)?;
+        let (found, unreadable) = below(&Folder::existing(path)?);
         runs.extend(found.into_iter().filter(&mut is_new));
-        damaged.iter().for_each(|error| print_message(&format!("warning: omitted a run: {error:#}")));
+        unreadable.iter().for_each(|error| print_message(&format!("warning: {error:#}")));
     }
     runs.retain(|run| args.task.as_ref().is_none_or(|task| *task == run.task));
     runs.retain(|run| args.tag.as_ref().is_none_or(|tag| run.tags.contains(tag)));

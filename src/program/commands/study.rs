@@ -6,8 +6,7 @@ use crate::program::commands::compare::{Output, check_folder, train};
 use crate::program::platform::folder::{COMPARISON, Folder, SETTINGS, STUDY};
 use crate::program::platform::json::{print_json, rows};
 use crate::program::platform::terminal::{counted, print_text};
-use crate::program::runs::comparison::{Comparison, Ended, check_sessions, read_all, write_plan_file};
-use crate::program::runs::run::threads;
+use crate::program::runs::comparison::{Comparison, Ended, check_runs, check_sessions, read_all, write_plan_file};
 use crate::program::runs::shard::Shard;
 use crate::program::scenes::plan::{Cell, Plan};
 use crate::program::scenes::presets::short_name;
@@ -51,8 +50,8 @@ pub struct Study {
 pub fn study(args: &Study) -> Result<()> {
     let plan = Plan::read(&args.plan)?;
     let plan = if args.quick { plan.quick() } else { plan };
+    check_runs(plan.combinations(), 1, plan.seeds())?;
     let cells = plan.cells()?;
-    threads(args.threads)?;
     for Cell { scene, .. } in &cells {
         check_sessions([scene].into_iter(), &[scene.field])?;
     }
@@ -75,6 +74,7 @@ pub fn study(args: &Study) -> Result<()> {
 /// Makes the tables and pictures of the study in the folder from its runs, without training.
 pub fn merge(folder: &Folder, output: Output) -> Result<Ended> {
     let plan = Plan::read(&folder.readable(STUDY)?)?;
+    check_runs(plan.combinations(), 1, plan.seeds())?;
     let cells = plan.cells()?;
     let mut comparisons = comparisons(&plan, &cells, folder)?;
     let ended = read_all(&mut comparisons)?;
@@ -85,7 +85,7 @@ pub fn merge(folder: &Folder, output: Output) -> Result<Ended> {
 /// Plans the runs of all cells, in folders that `report` and `animate` accept.
 fn comparisons(plan: &Plan, cells: &[Cell], folder: &Folder) -> Result<Vec<Comparison>> {
     let comparison = |cell: &Cell| {
-        let inner = Folder::at(folder.file(&cell.folder));
+        let inner = folder.inside(&cell.folder)?;
         Comparison::plan(&cell.folder, &cell.scene, &[cell.scene.field], plan.seeds(), &inner)
     };
     cells.iter().map(comparison).collect()

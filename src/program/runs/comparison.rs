@@ -11,13 +11,14 @@ pub use train_shard::train_shard;
 use crate::program::platform::folder::{COMPARISON, END, Folder, RUNS};
 use crate::program::platform::lock::Locked;
 use crate::program::platform::parallel;
+use crate::program::platform::terminal::counted;
 use crate::program::runs::run::{self, End, Finished, NoUpdate, Observer, SAVE_EVERY};
 use crate::program::runs::saved::{self, check_resumable};
 use crate::program::runs::statistics::Outcome;
 use crate::program::settings::FieldName;
 use crate::program::tasks::Scene;
 use crate::{Field, Record, differences};
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
@@ -141,9 +142,15 @@ impl Run {
     }
 }
 
+/// Largest size of a plan or of `end.toml`, in bytes. A plan has up to 10,000 scenes.
+const MAX_PLAN: usize = 40_000_000;
+
 /// Contents of a TOML file in the folder.
 fn read_toml<T: DeserializeOwned>(folder: &Folder, name: &str) -> Result<T> {
-    let read = || -> Result<T> { Ok(toml::from_str(std::str::from_utf8(&folder.read(name)?)?)?) };
+    let bytes = folder.read_up_to(name, MAX_PLAN)?;
+    // Omits the line of the error, which may be long.
+    let parse = |text: &str| toml::from_str(text).map_err(|error| anyhow!("{}", error.message()));
+    let read = || -> Result<T> { parse(std::str::from_utf8(&bytes)?) };
     read().with_context(|| format!("cannot read {}", folder.file(name).display()))
 }
 
@@ -157,7 +164,7 @@ pub fn write_plan(folder: &Folder, plan: &impl Serialize, shard: bool) -> Result
 
 /// Writes the plan of a comparison or a study to this file, as [`write_plan`] does.
 pub fn write_plan_file(folder: &Folder, name: &str, plan: &str, shard: bool) -> Result<()> {
-    let saved = if folder.has(name) { Some(folder.read(name)?) } else { None };
+    let saved = if folder.has(name) { Some(folder.read_up_to(name, MAX_PLAN)?) } else { None };
     match saved {
         Some(saved) if saved == plan.as_bytes() => Ok(()),
         Some(saved) if shard => bail!(
@@ -185,10 +192,12 @@ impl Comparison {
         let last = last.with_context(|| {
             format!("{seeds} seeds from {} on exceed the largest seed, {}; use smaller seeds", base.seed, i64::MAX)
         })?;
+        check_runs(1, fields.len(), seeds)?;
+        let runs = folder.inside(RUNS)?;
         let pairs = fields.iter().flat_map(|&field| (base.seed..=last).map(move |seed| (field, seed)));
         let run = |(field, seed): (FieldName, u64)| {
             let scene = base.with(field, seed)?;
-            let folder = Folder::at(folder.file(RUNS).join(format!("{}-{seed}", field.0.letter())));
+            let folder = runs.inside(&format!("{}-{seed}", field.0.letter()))?;
             Ok(Run { field: field.0, seed, folder, scene, records: Vec::new(), end: None })
         };
         Ok(Self { runs: pairs.map(run).collect::<Result<_>>()?, label: label.to_owned() })
@@ -235,6 +244,24 @@ impl Comparison {
 
 /// Largest number of seeds of a comparison.
 const MAX_SEEDS: u64 = 10_000;
+
+/// Largest number of runs of a comparison or study. A run takes about 5 kB before it starts.
+const MAX_RUNS: u64 = 100_000;
+
+/// Checks the number of runs before they are planned.
+///
+/// # Errors
+/// Combinations of settings, fields and seeds give more than [`MAX_RUNS`] runs.
+pub fn check_runs(combinations: usize, fields: usize, seeds: u64) -> Result<()> {
+    let runs = (combinations as u64).saturating_mul(fields as u64).saturating_mul(seeds);
+    if runs > MAX_RUNS {
+        bail!(
+            "{combinations} combinations of settings, {} and {seeds} seeds give {runs} runs; allowed: up to {MAX_RUNS}",
+            counted(fields, "field")
+        );
+    }
+    Ok(())
+}
 
 /// Checks the options of a comparison.
 ///

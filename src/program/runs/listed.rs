@@ -1,9 +1,9 @@
 //! [`Listed`]: a saved run as its files describe it. Reading it does not need the code of its task.
 
-use crate::program::platform::folder::{CHECKPOINT, Folder, METRICS, SETTINGS};
+use crate::program::platform::folder::{CHECKPOINT, Folder, MAX_SETTINGS, METRICS, SETTINGS};
 use crate::program::runs::saved;
 use crate::report::Point;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, anyhow};
 use std::fs;
 use std::time::SystemTime;
 use toml::{Table, Value};
@@ -24,39 +24,40 @@ pub struct Listed {
 }
 
 /// Runs in a folder and in five levels of its subfolders, sorted by path, and the errors of damaged
-/// runs. Omits renamed earlier runs.
-///
-/// # Errors
-/// The folder or a subfolder cannot be read.
-pub fn below(folder: &Folder) -> Result<(Vec<Listed>, Vec<anyhow::Error>)> {
+/// runs and of folders that cannot be read. Omits renamed earlier runs and links to folders.
+pub fn below(folder: &Folder) -> (Vec<Listed>, Vec<anyhow::Error>) {
     /// Number of levels of folders, from `runs` to a run of `physgrad paper`: `runs`, `paper`,
     /// figure, comparison, `runs`, run.
     const DEPTH: usize = 6;
-    let (mut level, mut runs, mut damaged) = (vec![folder.clone()], Vec::new(), Vec::new());
+    let (mut level, mut runs, mut unreadable) = (vec![folder.clone()], Vec::new(), Vec::new());
     for _ in 0..DEPTH {
         let mut next = Vec::new();
         for folder in level {
             match saved::has_run(&folder) {
                 true => match Listed::read(folder) {
                     Ok(run) => runs.push(run),
-                    Err(error) => damaged.push(error),
+                    Err(error) => unreadable.push(error.context("omitted a run")),
                 },
-                false => next.extend(saved::folders(folder.path())?),
+                false => match saved::folders(&folder) {
+                    Ok(folders) => next.extend(folders),
+                    Err(error) => unreadable.push(error.context("omitted a folder")),
+                },
             }
         }
         level = next;
     }
     runs.sort_by(|a, b| a.folder.path().cmp(b.folder.path()));
-    Ok((runs, damaged))
+    (runs, unreadable)
 }
 
 impl Listed {
     fn read(folder: Folder) -> Result<Self> {
-        let path = folder.readable(SETTINGS)?;
-        let text = fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
-        let table: Table = text
-            .parse()
-            .with_context(|| format!("{} is damaged; restore the file, or delete the folder of the run", path.display()))?;
+        let path = folder.file(SETTINGS);
+        let damaged = || format!("{} is damaged; restore the file, or delete the folder of the run", path.display());
+        let bytes = folder.read_up_to(SETTINGS, MAX_SETTINGS)?;
+        // Omits the line of the error, which may be long.
+        let parse = |text: &str| text.parse().map_err(|error: toml::de::Error| anyhow!("{}", error.message()));
+        let table: Table = std::str::from_utf8(&bytes).map_err(Into::into).and_then(parse).with_context(damaged)?;
         let text = |key: &str| table.get(key).and_then(Value::as_str).unwrap_or("?").to_owned();
         let number = |key: &str| table.get(key).and_then(Value::as_integer).unwrap_or(0);
         let tags = table.get("tags").and_then(Value::as_array).into_iter().flatten();

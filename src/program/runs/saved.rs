@@ -4,13 +4,13 @@ use crate::differences;
 use crate::numbers::text::digits;
 use crate::program::operations::session::AnyRun;
 use crate::program::platform::folder::{CHECKPOINT, Folder, INITIAL_POLICY, METRICS, POLICY, RUNS, SETTINGS};
-use crate::program::platform::terminal::print_message;
+use crate::program::platform::terminal::{counted, print_message};
 use crate::program::scenes::overrides::Overrides;
 use crate::program::scenes::presets;
 use crate::program::scenes::source::SceneSource;
 use crate::program::tasks::{Scene, scene};
 use anyhow::{Context, Result, bail};
-use std::path::Path;
+use std::path::PathBuf;
 
 /// Returns whether the folder contains a run.
 pub fn has_run(folder: &Folder) -> bool {
@@ -39,7 +39,7 @@ pub fn scenes(folder: &Folder) -> Result<Vec<SceneRuns>> {
         return Ok(vec![SceneRuns { name: String::new(), runs }]);
     }
     let path = folder.path().display();
-    let inside = folders(folder.path())?;
+    let inside = folders(folder)?;
     let scene = |case: &Folder| Ok(SceneRuns { name: case.name(), runs: compared(case)? });
     let mut scenes = inside.iter().map(scene).collect::<Result<Vec<SceneRuns>>>()?;
     scenes.retain(|scene| !scene.runs.is_empty());
@@ -57,21 +57,28 @@ pub fn scenes(folder: &Folder) -> Result<Vec<SceneRuns>> {
 
 /// Runs of the comparison of one scene in `folder`. Empty without a comparison.
 fn compared(folder: &Folder) -> Result<Vec<Folder>> {
-    let inside = folder.file(RUNS);
-    if !inside.is_dir() {
+    let inside = folder.inside(RUNS)?;
+    if !inside.path().is_dir() {
         return Ok(Vec::new());
     }
     Ok(folders(&inside)?.into_iter().filter(has_run).collect())
 }
 
-/// Subfolders, sorted by name. Omits renamed earlier runs.
-pub(super) fn folders(path: &Path) -> Result<Vec<Folder>> {
+/// Subfolders, sorted by name. Omits renamed earlier runs, and links to folders with a warning: they
+/// may lead out of the folder, or back into it.
+pub(super) fn folders(folder: &Folder) -> Result<Vec<Folder>> {
+    let path = folder.path();
     let context = || format!("cannot read the folder {}", path.display());
     let entries = std::fs::read_dir(path).with_context(context)?;
     let mut paths = entries.map(|entry| Ok(entry.with_context(context)?.path())).collect::<Result<Vec<_>>>()?;
     paths.sort();
-    let folders = paths.iter().filter_map(|path| Folder::existing(path).ok());
-    Ok(folders.filter(|folder| !folder.is_previous()).collect())
+    let (links, paths): (Vec<&PathBuf>, Vec<&PathBuf>) =
+        paths.iter().filter(|path| path.is_dir()).partition(|path| path.is_symlink());
+    if let Some(first) = links.first() {
+        let count = counted(links.len(), "link");
+        print_message(&format!("warning: omitted {count} to folders, for example {}; name the folder itself", first.display()));
+    }
+    Ok(paths.into_iter().map(Folder::at).filter(|folder| !folder.is_previous()).collect())
 }
 
 /// Scene of the run in the folder.

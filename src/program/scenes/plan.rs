@@ -201,6 +201,11 @@ impl Plan {
         self.contents.seeds
     }
 
+    /// Number of combinations of a task, a method and a learning rate.
+    pub fn combinations(&self) -> usize {
+        self.contents.combinations()
+    }
+
     /// Plan as a TOML file, with the settings of every scene.
     pub fn to_toml(&self) -> Result<String> {
         Ok(toml::to_string(&self.contents)?)
@@ -289,6 +294,11 @@ fn settings_of<'a>(key: String, value: &'a Value, settings: &mut Vec<(String, &'
 }
 
 impl Contents {
+    fn combinations(&self) -> usize {
+        let rates = self.learning_rates.as_ref().map_or(1, Vec::len);
+        self.tasks.len().saturating_mul(self.methods.len()).saturating_mul(rates)
+    }
+
     fn validate(&self) -> Result<(), ConfigError> {
         allowed("seeds", self.seeds, (1..=MAX as u64).contains(&self.seeds), format!("1 to {MAX}"))?;
         if let Some(rates) = &self.learning_rates {
@@ -303,8 +313,7 @@ impl Contents {
                 return Err(ConfigError::new(key, format!("is missing; add an entry [[{key}]]")));
             }
         }
-        let rates = self.learning_rates.as_ref().map_or(1, Vec::len);
-        let cells = self.tasks.len().saturating_mul(self.methods.len()).saturating_mul(rates);
+        let cells = self.combinations();
         allowed("task", format!("{cells} combinations of task, method and learning rate"), cells <= MAX, format!("up to {MAX}"))
     }
 }

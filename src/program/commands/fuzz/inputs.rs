@@ -277,8 +277,8 @@ fn create(rng: &mut Rng, path: &Path) -> Result<()> {
 
 /// Reports, animates and resumes the run in the folder.
 fn use_folder(path: &Path) -> Result<()> {
-    report::report(&Report { folder: path.to_owned(), quiet: true })?;
-    animate::animate(&Animate { folder: path.to_owned(), sample: 0, quiet: true })?;
+    report::report(&Report { folder: path.to_owned(), out: None, quiet: true })?;
+    animate::animate(&Animate { folder: path.to_owned(), sample: 0, out: None, quiet: true })?;
     let folder = Folder::existing(path)?.lock()?;
     let scene = resumed(&folder, &Overrides { epochs: Some(3), ..Overrides::default() })?;
     let mut opened = scene.open(1)?;

@@ -7,7 +7,7 @@ use crate::program::platform::csv::csv;
 use crate::program::platform::folder::Folder;
 use crate::program::platform::table::Table;
 use crate::program::platform::terminal::{print_message, print_note, program};
-use crate::program::runs::comparison::{Comparison, read_all, read_plan, train_all, train_shard, write_plan};
+use crate::program::runs::comparison::{Comparison, check_runs, read_all, read_plan, train_all, train_shard, write_plan};
 use crate::program::runs::shard::Shard;
 use crate::program::runs::statistics::{Outcome, best, by_field, curves, loss_ratio, trailing_mean};
 use crate::program::scenes::{overrides, presets};
@@ -86,7 +86,7 @@ impl Study {
     /// that a signal ends writes no figure either.
     pub fn run(&self, options: &Options, folder: &Folder, shard: Option<Shard>) -> Result<Made> {
         let mut comparisons = self.comparisons(options, folder)?;
-        let own = self.folder(folder);
+        let own = self.folder(folder)?;
         own.create()?;
         // Shards compare their plan with that of the folder.
         if shard.is_none() {
@@ -113,15 +113,18 @@ impl Study {
 
     /// Writes the figure from existing runs.
     pub fn merge(&self, folder: &Folder, output: Output) -> Result<Made> {
-        let options = Options { quiet: output.quiet, json: output.json, ..read_plan(&self.folder(folder))? };
+        let options = Options { quiet: output.quiet, json: output.json, ..read_plan(&self.folder(folder)?)? };
         let mut comparisons = self.comparisons(&options, folder)?;
         let ended = read_all(&mut comparisons)?;
         Ok((Some(self.write(&options, folder, &comparisons)?), ended.into_result()))
     }
 
     /// Folder with the runs of the figure.
-    pub fn folder(&self, folder: &Folder) -> Folder {
-        Folder::at(folder.file(self.name))
+    ///
+    /// # Errors
+    /// It is a link.
+    pub fn folder(&self, folder: &Folder) -> Result<Folder> {
+        folder.inside(self.name)
     }
 
     /// Values and kinds of clipping of all cells.
@@ -132,6 +135,7 @@ impl Study {
 
     /// One comparison per cell.
     fn comparisons(&self, options: &Options, folder: &Folder) -> Result<Vec<Comparison>> {
+        check_runs(self.cells(options).count(), options.fields.len(), options.seeds)?;
         self.cells(options).map(|(value, clip)| self.plan(value, clip, options, folder)).collect()
     }
 
@@ -162,8 +166,8 @@ impl Study {
         }
         let label = format!("{}, clip {}", self.panel(value), clip.name());
         let setting = self.key.rsplit('.').next().unwrap_or(self.key);
-        let inner = folder.file(self.name).join(format!("{setting}-{value}-clip-{}", clip.name()));
-        Comparison::plan(&label, &source.scene()?, &options.fields, options.seeds, &Folder::at(inner))
+        let inner = self.folder(folder)?.inside(&format!("{setting}-{value}-clip-{}", clip.name()))?;
+        Comparison::plan(&label, &source.scene()?, &options.fields, options.seeds, &inner)
     }
 
     fn drawing(&self, options: &Options, cells: &[Cell]) -> Drawing {
