@@ -36,8 +36,8 @@ use commands::{
     accuracy, animate, check, compare, completions, effects, eval, explain, export, identify, merge, new, optimize, paper, print,
     report, robust, stress, study, train,
 };
-use platform::terminal::{print_message, set_program};
-use platform::{ranks, signals};
+use platform::terminal::{is_plain, print_message, set_program};
+use platform::{parallel, ranks, signals};
 use runs::run;
 use scenes::overrides::Overrides;
 use std::process::ExitCode;
@@ -175,8 +175,8 @@ impl Program {
     pub fn main(self) -> ExitCode {
         set_program();
         signals::ignore_file_limits();
-        let outcome = tasks::register(self.own, self.effects)
-            .and_then(|()| execute(&Arguments::parse().command.unwrap_or_else(default_run)));
+        let outcome =
+            tasks::register(self.own, self.effects).and_then(|()| execute(&parsed().command.unwrap_or_else(default_run)));
         let failure = outcome.err().map(|error| {
             print_message(&format!("error: {error:#}"));
             if error.is::<run::NoUpdate>() { NO_UPDATE } else { FAILURE }
@@ -188,7 +188,52 @@ impl Program {
     }
 }
 
+/// The process arguments. Invalid arguments, `--help` and `--version` end the process.
+fn parsed() -> Arguments {
+    Arguments::try_parse().unwrap_or_else(|error| {
+        if std::env::args_os().all(|argument| is_plain(&argument.to_string_lossy())) {
+            error.exit();
+        }
+        // Clap quotes arguments unchanged, and they may be the names of files of others.
+        print_message(error.to_string().trim_end());
+        std::process::exit(error.exit_code());
+    })
+}
+
+impl Command {
+    /// The option `--threads`.
+    fn threads(&self) -> Option<usize> {
+        match self {
+            Self::Train(args) => args.threads,
+            Self::Compare(args) => args.threads,
+            Self::Study(args) => args.threads,
+            Self::Identify(args) => args.threads,
+            Self::Optimize(args) => args.threads,
+            Self::Paper(args) => args.threads,
+            _ => None,
+        }
+    }
+
+    /// Returns whether the command computes in parallel.
+    fn is_parallel(&self) -> bool {
+        !matches!(
+            self,
+            Self::New(_)
+                | Self::Runs(_)
+                | Self::Tasks(_)
+                | Self::Scene(_)
+                | Self::Schema(_)
+                | Self::Effects(_)
+                | Self::Completions(_)
+        )
+    }
+}
+
 fn execute(command: &Command) -> Result<()> {
+    let threads = parallel::threads(command.threads())?;
+    if command.is_parallel() {
+        parallel::start(threads)?;
+    }
     match command {
         Command::Accuracy(args) => accuracy::accuracy(args),
         Command::Stress(args) => stress::stress(args),

@@ -96,3 +96,76 @@ fn a_horizon_of_1e8_and_500_wide_layers_exceed_the_memory_and_are_refused() {
         "this machine has ",
     );
 }
+
+#[test]
+fn threads_that_cannot_be_created_are_an_error_and_no_panic() {
+    let dir = TempDir::new().expect("a folder");
+    let physgrad = |args: &[&str]| {
+        let mut command = physgrad(args);
+        // A stack of 1 PB exceeds the address space, so the system refuses every thread.
+        command.current_dir(dir.path()).env("RUST_MIN_STACK", (1_u64 << 50).to_string()).env("RAYON_NUM_THREADS", "2");
+        command
+    };
+    let parallel: [&[&str]; 15] = [
+        &["train", "lqr"],
+        &["compare", "lqr"],
+        &["study", "absent.toml"],
+        &["merge", "absent"],
+        &["animate", "absent"],
+        &["report", "absent"],
+        &["eval", "absent"],
+        &["export", "absent", "--onnx", "a.onnx"],
+        &["robust", "absent", "--grid", "system.dt=1:2:2"],
+        &["optimize", "lqr"],
+        &["check", "lqr"],
+        &["paper", "fig1"],
+        &["explain", "lqr"],
+        &["accuracy", "lqr"],
+        &["stress", "--list"],
+    ];
+    for args in parallel {
+        let said = refusal(&mut physgrad(args));
+        assert_says(&said, "error: cannot start 2 threads; choose fewer with --threads");
+    }
+    assert_eq!(fs::read_dir(dir.path()).expect("a folder").count(), 0, "a refused command creates files");
+    for args in [&["runs", "."][..], &["scene"], &["schema"], &["tasks"], &["effects"]] {
+        physgrad(args).assert().success();
+    }
+}
+
+#[test]
+fn the_variable_of_the_number_of_threads_is_checked_by_every_command() {
+    for (value, message) in [("100000", "is 100000; allowed: 1 to "), ("1e30", "is 1e30; allowed"), ("-1", "is -1; allowed")] {
+        for args in [&["check", "lqr"][..], &["report", "absent"], &["explain", "lqr"], &["scene"]] {
+            let said = refusal(physgrad(args).env("RAYON_NUM_THREADS", value));
+            assert_says(&said, &format!("RAYON_NUM_THREADS {message}"));
+        }
+    }
+    physgrad(&["explain", "lqr"]).env("RAYON_NUM_THREADS", "0").assert().success();
+}
+
+#[test]
+fn products_of_two_limits_have_a_limit_of_their_own() {
+    let dir = TempDir::new().expect("a folder");
+    let rates = format!("training.learning_rate={}", (1..=11).map(|i| format!("{i}e-4")).collect::<Vec<_>>().join(","));
+    let compare = ["compare", "lqr", "--fields", "R", "--seeds", "10000", "--set", &rates];
+    let said = refusal(physgrad(&compare).current_dir(dir.path()));
+    assert_says(&said, "11 combinations of settings, 1 field and 10000 seeds give 110000 runs; allowed: up to 100000");
+    let said = refusal(physgrad(&["paper", "fig4", "--seeds", "10000"]).current_dir(dir.path()));
+    assert_says(&said, "12 combinations of settings, 4 fields and 10000 seeds give 480000 runs");
+    let plan = "seeds = 10000\nlearning_rates = [1e-1, 1e-2, 1e-3]\n[[task]]\nscene = \"lqr\"\n";
+    let methods = ["R", "M", "S", "C"].map(|field| format!("[[method]]\nname = \"{field}\"\nset = {{ field = \"{field}\" }}\n"));
+    fs::write(dir.path().join("plan.toml"), plan.to_owned() + &methods.concat()).expect("a plan");
+    let said = refusal(physgrad(&["study", "plan.toml"]).current_dir(dir.path()));
+    assert_says(&said, "12 combinations of settings, 1 field and 10000 seeds give 120000 runs");
+    let said = refusal(physgrad(&["eval", "absent", "--worst", "1000000"]).current_dir(dir.path()));
+    assert_says(&said, "--worst is 1000000; allowed: 0 to 100");
+}
+
+#[test]
+fn the_largest_number_of_epochs_is_a_thousand_million() {
+    for epochs in ["9223372036854775807", "1000000001"] {
+        let said = refusal(&mut physgrad(&["explain", "lqr", "--set", &format!("epochs={epochs}")]));
+        assert_says(&said, &format!("`epochs` is {epochs}; allowed: 0 to 1000000000"));
+    }
+}

@@ -12,7 +12,6 @@ use crate::program::platform::folder::{Folder, REPORT, SCENE};
 use crate::program::platform::json::{object, print_json, rows};
 use crate::program::platform::table::Table;
 use crate::program::platform::terminal::{counted, listed, print_text};
-use crate::program::runs::run::threads;
 use crate::program::runs::saved;
 use crate::program::scenes::overrides::{Overrides, hide_training};
 use crate::program::scenes::presets;
@@ -71,7 +70,6 @@ pub struct Identify {
 
 /// Runs the command.
 pub fn identify(args: &Identify) -> Result<()> {
-    threads(args.threads)?;
     let mut source = presets::source(&args.scene)?;
     args.overrides.apply(&mut source)?;
     let scene = source.scene()?;

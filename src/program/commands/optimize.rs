@@ -9,7 +9,6 @@ use crate::program::platform::json::{print_json, rows};
 use crate::program::platform::parallel;
 use crate::program::platform::table::Table;
 use crate::program::platform::terminal::{counted, print_message, print_text};
-use crate::program::runs::run::threads;
 use crate::program::runs::{outputs, saved};
 use crate::program::scenes::overrides::{Overrides, hide_training};
 use crate::program::scenes::presets;
@@ -71,7 +70,6 @@ const COMPONENTS: usize = 8;
 
 /// Runs the command.
 pub fn optimize(args: &Optimize) -> Result<()> {
-    threads(args.threads)?;
     let (name, scene) = match &args.from {
         Some(path) => (Folder::existing(path)?.name(), saved::scene(&Folder::existing(path)?)?),
         None => {

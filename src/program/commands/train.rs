@@ -8,7 +8,7 @@ use crate::program::platform::ranks::launched;
 use crate::program::platform::terminal::{counted, print_message, print_note, print_text, program};
 use crate::program::runs::metrics;
 use crate::program::runs::progress::Progress;
-use crate::program::runs::run::{self, End, Finished, NoUpdate, SAVE_EVERY, threads};
+use crate::program::runs::run::{self, End, Finished, NoUpdate, SAVE_EVERY};
 use crate::program::runs::saved::{changed, resumed};
 use crate::program::runs::statistics::best;
 use crate::program::scenes::overrides::Overrides;
@@ -60,7 +60,7 @@ pub struct Train {
 
 /// Runs the command.
 pub fn train(args: &Train) -> Result<()> {
-    let workers = threads(args.threads)?;
+    let workers = rayon::current_num_threads();
     let ranks = launched()?;
     let ranks = ranks.as_ref();
     // Reports invalid settings before writing anything.

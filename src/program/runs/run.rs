@@ -91,29 +91,6 @@ impl fmt::Display for NoUpdate {
 
 impl std::error::Error for NoUpdate {}
 
-/// Largest number of threads, unless the machine has more cores.
-const MAX_THREADS: usize = 256;
-
-/// Returns the number of threads of the pool: `requested`, else the number in `RAYON_NUM_THREADS`,
-/// else rayon's default. Sets up the pool if `requested` is given.
-pub fn threads(requested: Option<usize>) -> Result<usize> {
-    let max = std::thread::available_parallelism().map_or(1, usize::from).max(MAX_THREADS);
-    // Reads the variable as rayon does: 0 stands for all cores.
-    let default = || std::env::var("RAYON_NUM_THREADS").ok()?.parse().ok().filter(|&threads| threads > 0);
-    let (source, threads) = match (requested, default()) {
-        (Some(threads), _) => ("--threads", threads),
-        (None, Some(threads)) => ("RAYON_NUM_THREADS", threads),
-        (None, None) => return Ok(rayon::current_num_threads()),
-    };
-    if !(1..=max).contains(&threads) {
-        bail!("{source} is {threads}; allowed: 1 to {max}");
-    }
-    if requested.is_some() {
-        rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
-    }
-    Ok(threads)
-}
-
 /// Trains the session `run` of a scene in the folder. Resumes from the checkpoint if `resume`.
 ///
 /// Saves at the start, every `save_every`, after a signal, and at the end. A save waits for the
