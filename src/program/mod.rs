@@ -223,6 +223,7 @@ impl Command {
                 | Self::Tasks(_)
                 | Self::Scene(_)
                 | Self::Schema(_)
+                | Self::Explain(_)
                 | Self::Effects(_)
                 | Self::Completions(_)
         )

@@ -1,6 +1,6 @@
 //! Threads, and a parallel map. Limits monomorphization: only a non-generic function calls rayon.
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, anyhow, bail};
 use rayon::ThreadPoolBuilder;
 use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};
@@ -39,9 +39,9 @@ pub fn threads(requested: Option<usize>) -> Result<usize> {
 /// The system refuses to create them. Without this call, the first parallel computation would
 /// panic.
 pub fn start(threads: usize) -> Result<()> {
-    ThreadPoolBuilder::new().num_threads(threads).build_global().with_context(|| {
-        format!(
-            "cannot start {threads} threads; choose fewer with --threads or {VARIABLE}, or raise the limits of this process on \
+    ThreadPoolBuilder::new().num_threads(threads).build_global().map_err(|error| {
+        anyhow!(
+            "cannot start {threads} threads ({error}); choose fewer with --threads or {VARIABLE}, or raise the limits of this process on \
              threads and memory (`ulimit -u`, `ulimit -v`)"
         )
     })
