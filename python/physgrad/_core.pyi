@@ -1,6 +1,6 @@
 """Types of the compiled module. Shapes: n states, m controls, T steps."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from os import PathLike
 from typing import Any, Literal, TypedDict, type_check_only
 
@@ -141,6 +141,18 @@ class _Fit(TypedDict):
     """Numbers at one of their bounds."""
 
 @type_check_only
+class _Rows(TypedDict):
+    x: ArrayLike
+    u: ArrayLike
+
+@type_check_only
+class _Segment(_Rows, total=False):
+    """A measured segment for `identify`."""
+
+    t: float
+    p: dict[str, float]
+
+@type_check_only
 class _Plan(TypedDict):
     """Result of `optimize`. A dict."""
 
@@ -218,14 +230,15 @@ def losses(task: Task, policy: Policy, starts: ArrayLike) -> Array: ...
 def gradients(task: Task, policy: Policy, starts: ArrayLike, fields: list[str] = ...) -> dict[str, Array]: ...
 def identify(
     task: Task,
-    data: list[tuple[ArrayLike, ArrayLike]],
+    data: Sequence[tuple[ArrayLike, ArrayLike] | _Segment],
     params: list[str] | dict[str, float | dict[str, float]] | None = None,
     noise: list[float] | None = None,
 ) -> _Fit:
     """Fits physical numbers to measured trajectories.
 
     `data` is a list of pairs: measured states, (steps, n), NaN where missing, and controls,
-    (steps, m). `params` is a list of dotted keys, a dict with initial values, or a dict of dicts
+    (steps, m). A dict in place of a pair has "x", "u", and optionally "t", the time of the first
+    row in s, and "p", a dict of parameters of the task. `params` is a list of dotted keys, a dict with initial values, or a dict of dicts
     with "start", "min" and "max". `noise` has the standard deviation of the measurement noise of
     each state, (n,).
     """

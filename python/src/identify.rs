@@ -8,15 +8,20 @@ use crate::settings::{Settings, value_of};
 use crate::task::Task;
 use numpy::IntoPyArray;
 use physgrad::identify::{IdentifyError, Options, Segment};
+use physgrad::program::api::Scene;
 use pyo3::exceptions::{PyAssertionError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
+use std::collections::HashMap;
 use toml::{Table, Value};
 
 /// Fits physical numbers to measured trajectories, as `physgrad identify` does, in f64.
 ///
 /// `data` is a list of pairs: measured states, (steps, n), and controls, (steps, m). NaN marks a
-/// missing measurement. `params` names the unknown numbers by dotted keys. With a list, as in
+/// missing measurement. A dict in place of a pair has the states "x", the controls "u", and
+/// optionally "t", the time of the first row in s since the start of a rollout (default: 0), and
+/// "p", a dict of parameters of the task by name. `t` matters if the physics depends on time, as
+/// with gusts. Angles may wrap as those of an encoder do. `params` names the unknown numbers by dotted keys. With a list, as in
 /// `["system.pole_mass"]`, the fit starts from their values in the task. A dict has initial values,
 /// as in `{"system.pole_mass": 0.2}`, or dicts with "start", "min" and "max". Without `params`, the
 /// scene names the numbers in its section `fit`. `noise` has the standard deviation of the
@@ -32,17 +37,13 @@ use toml::{Table, Value};
 pub fn identify<'py>(
     py: Python<'py>,
     task: &Task,
-    data: Vec<(Bound<'py, PyAny>, Bound<'py, PyAny>)>,
+    data: Vec<Bound<'py, PyAny>>,
     params: Option<&Bound<'py, PyAny>>,
     noise: Option<Vec<f64>>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let unknowns = params.map_or(Ok(Vec::new()), |params| unknowns(task, params))?;
     let scene = task.scene.with(unknowns).map_err(value_error)?;
-    let [n, m, _] = scene.dims();
-    let segment = |(i, (x, u)): (usize, &(Bound<'py, PyAny>, Bound<'py, PyAny>))| {
-        Ok(Segment { x: rows("states", i, x, n)?, u: rows("controls", i, u, m)?, p: Vec::new() })
-    };
-    let segments = data.iter().enumerate().map(segment).collect::<PyResult<Vec<_>>>()?;
+    let segments = data.iter().enumerate().map(|(i, data)| segment(&scene, i, data)).collect::<PyResult<Vec<_>>>()?;
     let fit = interruptible(py, move |stop| {
         let options = Options { noise, stop: Some(stop.clone()), ..Options::default() };
         scene.identify(&segments, &options)
@@ -54,7 +55,8 @@ pub fn identify<'py>(
             }
             IdentifyError::MissingParam { name, .. } => {
                 format!(
-                    "the task has the parameter `{name}`, which has no value here; use `physgrad identify`, or another effect"
+                    "the task has the parameter `{name}`, which has no value; give a dict for each segment, as in \
+                     {{\"x\": x, \"u\": u, \"p\": {{\"{name}\": 0.0}}}}"
                 )
             }
             error => error.to_string(),
@@ -113,6 +115,53 @@ fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
 /// Value of a setting that makes its number unknown, with this initial value.
 fn starting_at(start: Value) -> Value {
     Value::Table(Table::from_iter([("start".to_owned(), start)]))
+}
+
+/// Distance of a time from the nearest step that counts as rounding, relative to the time step.
+const OFF_GRID: f64 = 1e-3;
+
+/// A measured segment, from a pair or a dict.
+fn segment(scene: &Scene, i: usize, data: &Bound<'_, PyAny>) -> PyResult<Segment> {
+    let [n, m, _] = scene.dims();
+    let Ok(dict) = data.cast::<PyDict>() else {
+        let (x, u): (Bound<'_, PyAny>, Bound<'_, PyAny>) = data.extract()?;
+        return Ok(Segment { x: rows("states", i, &x, n)?, u: rows("controls", i, &u, m)?, ..Segment::default() });
+    };
+    for key in dict.keys() {
+        let key: String = key.extract()?;
+        if !["x", "u", "t", "p"].contains(&&*key) {
+            return Err(PyValueError::new_err(format!(
+                "segment {i} has the key {key:?}; allowed: \"x\", \"u\", \"t\" and \"p\""
+            )));
+        }
+    }
+    let matrix = |key: &str| dict.get_item(key)?.ok_or_else(|| PyValueError::new_err(format!("segment {i} has no {key:?}")));
+    let (x, u) = (rows("states", i, &matrix("x")?, n)?, rows("controls", i, &matrix("u")?, m)?);
+    let names = scene.param_names();
+    let mut p = vec![f64::NAN; names.len()];
+    for (name, value) in dict.get_item("p")?.map(|p| p.extract::<HashMap<String, f64>>()).transpose()?.unwrap_or_default() {
+        let place = names.iter().position(|known| *known == name).ok_or_else(|| {
+            PyValueError::new_err(format!(
+                "segment {i}: {name:?} in \"p\" is no parameter of the task; allowed: {}",
+                names.join(", ")
+            ))
+        })?;
+        p[place] = value;
+    }
+    let t = dict.get_item("t")?.map_or(Ok(0.0), |t| t.extract::<f64>())?;
+    let step = t / scene.dt();
+    if !step.is_finite() || step.abs() > 9e15 {
+        return Err(PyValueError::new_err(format!("segment {i}: \"t\" is {t}; allowed: finite times in s")));
+    }
+    let segment = Segment { x, u, p, first_step: step.round().max(0.0) as usize };
+    let is_step = (step - step.round()).abs() < OFF_GRID && step.round() >= 0.0;
+    if !is_step && scene.depends_on_time(&segment) {
+        return Err(PyValueError::new_err(format!(
+            "segment {i}: \"t\" is {t} s, but the physics depends on time and has steps of {} s from 0; begin at a step",
+            scene.dt()
+        )));
+    }
+    Ok(segment)
 }
 
 /// Rows of a matrix.

@@ -1,5 +1,7 @@
 """Identification and checks of derivatives."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -21,6 +23,42 @@ def test_a_known_number_is_identified():
         pg.identify(task, [(x[:, :2], u) for x, u in data], params={"system.pole_mass": 0.1})
     with pytest.raises(ValueError):
         pg.identify(task, data)
+
+
+def windy():
+    """A task with gusts, and one exact recording: states, controls and the phase of the gusts."""
+    task = pg.task("cart_pole", poles=1, horizon=80, effects={"gusty_wind": {"gust": 8.0, "period": 0.5}}, precision="f64")
+    start = task.starts(1, seed=1)
+    x, u = pg.rollout(task, pg.Mlp(task, [8], seed=1, zero_init_output=False), start)
+    return task, x[0], u[0], {"start_of_gusts": start[0, -1]}
+
+
+def test_a_segment_begins_at_its_time():
+    task, x, u, p = windy()
+    for parts in [[(0, 80)], [(17, 80)], [(5, 30), (43, 70)]]:
+        data = [{"x": x[a:b], "u": u[a:b], "t": a * task.dt, "p": p} for a, b in parts]
+        fit = pg.identify(task.replace(cart_mass=1.3), data, params=["system.cart_mass"])
+        assert np.isclose(fit["values"]["system.cart_mass"], 1.0, rtol=1e-6), parts
+    for change, message in [
+        ({"t": 0.004}, "the physics depends on time and has steps of 0.01 s from 0"),
+        ({"t": -0.1}, "the physics depends on time"),
+        ({"t": np.inf}, "allowed: finite times in s"),
+        ({"p": {}}, "`start_of_gusts`, which has no value; give a dict"),
+        ({"p": {"phase": 1.0}}, '"phase" in "p" is no parameter of the task; allowed: start_of_gusts'),
+        ({"start": 0.1}, 'segment 0 has the key "start"; allowed: "x", "u", "t" and "p"'),
+    ]:
+        segment = {"x": x[:60], "u": u[:60], "p": p} | change
+        with pytest.raises(ValueError, match=re.escape(message)):
+            pg.identify(task.replace(cart_mass=1.3), [segment], params=["system.cart_mass"])
+
+
+def test_angles_may_wrap():
+    task = measured()[0].replace(horizon=150)
+    x, u = pg.rollout(task, pg.Mlp(task, [8], seed=1, zero_init_output=False), task.starts(4, seed=1))
+    x[..., 2] = np.pi - np.mod(np.pi - x[..., 2], 2 * np.pi)
+    assert (np.abs(np.diff(x[..., 2])) > np.pi).any()
+    fit = pg.identify(task, [(x[i, :-1], u[i]) for i in range(4)], params={"system.pole_mass": 0.1})
+    assert np.isclose(fit["values"]["system.pole_mass"], 0.17, rtol=1e-6)
 
 
 def test_names_start_at_the_values_of_the_task():

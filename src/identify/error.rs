@@ -84,6 +84,14 @@ pub enum IdentifyError {
         /// Standard deviation.
         noise: f64,
     },
+    /// The options name an angle that is no component of the state.
+    #[error("component {component} in `angles` does not exist; the state has {states} components, from 0")]
+    Angle {
+        /// Component in the options.
+        component: usize,
+        /// Number of state components.
+        states: usize,
+    },
     /// An initial value is non-finite or not within its bounds, or an index is out of range.
     #[error(
         "unknown `{name}`: start {start} with bounds {min} to {max}, entry {index} of {params} parameters; allowed: a finite \

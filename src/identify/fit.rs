@@ -6,6 +6,7 @@ use super::problem::{Point, Problem};
 use super::statistics::{Statistics, statistics, undetermined_components};
 use crate::dynamics::system::System;
 use std::collections::BTreeSet;
+use std::f64::consts::TAU;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -20,6 +21,9 @@ pub struct Segment {
     pub u: Vec<Vec<f64>>,
     /// Parameters. The identification replaces the unknown entries.
     pub p: Vec<f64>,
+    /// Number of the step of the first row, [`Inputs::t`](crate::Inputs::t). Systems that depend on
+    /// time need it if a recording begins late.
+    pub first_step: usize,
 }
 
 /// An unknown entry of the parameters.
@@ -54,6 +58,10 @@ pub struct Options {
     /// plus the weighted squared jumps between windows. Two consecutive such decreases end the
     /// iterations. All weights of continuity but the last use 1e-2 instead.
     pub tolerance: f64,
+    /// State components that are angles in rad with measurements known up to full turns, as those
+    /// of an encoder that wraps. Differences of these components are modulo 2π. A step must commute
+    /// with full turns of them. Default: none, measured angles are continuous.
+    pub angles: Vec<usize>,
     /// Flag that another thread sets to stop the identification with [`IdentifyError::Stopped`].
     /// Read before every simulation of a window.
     pub stop: Option<Arc<AtomicBool>>,
@@ -61,7 +69,15 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self { noise: None, free_starts: true, window: Some(10), max_iterations: 300, tolerance: 1e-10, stop: None }
+        Self {
+            noise: None,
+            free_starts: true,
+            window: Some(10),
+            max_iterations: 300,
+            tolerance: 1e-10,
+            angles: Vec::new(),
+            stop: None,
+        }
     }
 }
 
@@ -93,8 +109,10 @@ pub struct Fit {
     pub undetermined_starts: Vec<usize>,
     /// Parameters at one of their bounds.
     pub at_bound: Vec<String>,
-    /// Simulated states of each segment.
+    /// Simulated states of each segment. Angles are continuous.
     pub states: Vec<Vec<Vec<f64>>>,
+    /// State components with differences modulo 2π, see [`Options::angles`].
+    pub angles: Vec<usize>,
     /// Largest jump of the simulated states between windows, in units of the noise. If the noise is
     /// unknown, the unit is the root mean square of the residuals. This substitute is at least 1e-9
     /// times the root mean square of the measurements. If the jump is 0, the states of a segment
@@ -128,11 +146,22 @@ impl Fit {
     /// Root mean square of the residuals of a component in a segment, over its finite measurements,
     /// the first sample included. NaN without a finite measurement.
     pub fn rms(&self, segment: usize, component: usize, measured: &Segment) -> f64 {
-        let residuals =
-            self.states[segment].iter().zip(&measured.x).map(|(x, y)| x[component] - y[component]).filter(|r| r.is_finite());
+        let rows = self.states[segment].iter().zip(&measured.x).map(|(x, y)| (x[component], y[component]));
+        let residuals = rows.map(|(x, y)| x - self.near(component, y, x)).filter(|residual| residual.is_finite());
         let (sum, count) = residuals.fold((0.0, 0), |(sum, count), r| (sum + r * r, count + 1));
         (sum / f64::from(count)).sqrt()
     }
+
+    /// The measured value `y` of a component next to the simulated value `x`. An angle of
+    /// [`angles`](Fit::angles) is moved by full turns to within half a turn of `x`.
+    pub fn near(&self, component: usize, y: f64, x: f64) -> f64 {
+        if self.angles.contains(&component) { y + full_turns(x - y) } else { y }
+    }
+}
+
+/// The full turns that are nearest to an angle, in rad. 0 up to half a turn.
+pub(super) fn full_turns(angle: f64) -> f64 {
+    (angle / TAU).round() * TAU
 }
 
 /// Weights of the continuity between windows, in turn, relative to the weights of the samples.
@@ -211,6 +240,7 @@ fn result(
         undetermined_starts: open.collect::<BTreeSet<usize>>().into_iter().collect(),
         at_bound: problem.unknowns.iter().zip(&point.values).filter_map(is_bound).collect(),
         states,
+        angles: problem.angles.to_vec(),
         jump,
         chi_squared,
         measurements,

@@ -2,7 +2,7 @@
 
 use super::elimination::{Linearized, triangle};
 use super::error::IdentifyError;
-use super::fit::{Options, Segment, Unknown};
+use super::fit::{Options, Segment, Unknown, full_turns};
 use super::jacobian::{Model, Run};
 use nalgebra::DMatrix;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -44,6 +44,8 @@ pub(super) struct Problem<'a> {
     pub per_noise: Vec<f64>,
     pub noise_is_known: bool,
     pub free_starts: bool,
+    /// State components with differences modulo 2π.
+    pub angles: &'a [usize],
     pub stop: Option<&'a AtomicBool>,
 }
 
@@ -64,7 +66,10 @@ impl<'a> Problem<'a> {
         {
             return Err(IdentifyError::Noise { component, noise });
         }
-        for (segment, Segment { x, u, p }) in segments.iter().enumerate() {
+        if let Some(&component) = options.angles.iter().find(|&&component| component >= n) {
+            return Err(IdentifyError::Angle { component, states: n });
+        }
+        for (segment, Segment { x, u, p, .. }) in segments.iter().enumerate() {
             let shape = |what, found, expected| IdentifyError::Shape { segment, what, found, expected };
             if let Some(row) = x.iter().find(|row| row.len() != n) {
                 return Err(shape("a measured state", row.len(), n));
@@ -100,7 +105,8 @@ impl<'a> Problem<'a> {
         }
         let per_noise = options.noise.as_ref().map_or_else(|| vec![1.0; n], |noise| noise.iter().map(|s| 1.0 / s).collect());
         let (noise_is_known, free_starts, stop) = (options.noise.is_some(), options.free_starts, options.stop.as_deref());
-        let problem = Self { model, segments, unknowns, per_noise, noise_is_known, free_starts, stop };
+        let angles = &options.angles[..];
+        let problem = Self { model, segments, unknowns, per_noise, noise_is_known, free_starts, angles, stop };
         let (measurements, unknowns) = (problem.measurements(), problem.count());
         if unknowns == 0 {
             return Err(IdentifyError::NothingUnknown);
@@ -185,8 +191,14 @@ impl<'a> Problem<'a> {
     }
 
     fn run<'b>(&'b self, window: &'b Window, p: &'b [f64]) -> Run<'b> {
-        let u = &self.segments[window.segment].u;
-        Run { x: &window.start, p, u: &u[window.first.min(u.len())..], t: window.first, steps: window.steps }
+        let Segment { u, first_step, .. } = &self.segments[window.segment];
+        Run { x: &window.start, p, u: &u[window.first.min(u.len())..], t: first_step + window.first, steps: window.steps }
+    }
+
+    /// Difference of two values of a state component, modulo 2π for an angle.
+    fn difference(&self, component: usize, a: f64, b: f64) -> f64 {
+        let difference = a - b;
+        if self.angles.contains(&component) { difference - full_turns(difference) } else { difference }
     }
 
     /// Calls `add(step, component, residual)` for the finite measurements of a window, without a
@@ -198,7 +210,7 @@ impl<'a> Problem<'a> {
         let steps = usize::from(!window.is_free)..window.steps + usize::from(is_last || window.steps == 0);
         for step in steps {
             for (i, (x, y)) in states[step].iter().zip(&measured[step]).enumerate().filter(|(_, (_, y))| y.is_finite()) {
-                add(step, i, (x - y) * self.per_noise[i]);
+                add(step, i, self.difference(i, *x, *y) * self.per_noise[i]);
             }
         }
     }
@@ -225,8 +237,8 @@ impl<'a> Problem<'a> {
             let end = states.get(window.steps)?;
             let mut misfit = Misfit::default();
             self.residuals(window, &states, |_, _, residual| misfit.samples += residual * residual);
-            for ((end, start), per_noise) in end.iter().zip(point.after(k).unwrap_or(end)).zip(&self.per_noise) {
-                let jump = ((end - start) * per_noise).abs();
+            for (i, (end, start)) in end.iter().zip(point.after(k).unwrap_or(end)).enumerate() {
+                let jump = (self.difference(i, *end, *start) * self.per_noise[i]).abs();
                 misfit.jumps += jump * jump;
                 misfit.largest_jump = misfit.largest_jump.max(jump);
             }
@@ -239,12 +251,18 @@ impl<'a> Problem<'a> {
     }
 
     /// States of all segments. The first state of a window replaces the last state of the previous
-    /// window.
+    /// window. Full turns of angles make both equal up to the jump.
     pub fn states(&self, point: &Point) -> Result<Vec<Vec<Vec<f64>>>, IdentifyError> {
-        let mut states = vec![Vec::new(); self.segments.len()];
+        let mut states: Vec<Vec<Vec<f64>>> = vec![Vec::new(); self.segments.len()];
         for window in &point.windows {
             self.check_stop()?;
-            let run = self.run(window, &self.parameters(window.segment, &point.values)).simulate(self.model);
+            let mut run = self.run(window, &self.parameters(window.segment, &point.values)).simulate(self.model);
+            if let Some(end) = states[window.segment].get(window.first) {
+                for &i in self.angles {
+                    let turns = full_turns(end[i] - run[0][i]);
+                    run.iter_mut().for_each(|x| x[i] += turns);
+                }
+            }
             states[window.segment].truncate(window.first);
             states[window.segment].extend(run);
         }
@@ -268,7 +286,9 @@ impl<'a> Problem<'a> {
             let samples = triangle(DMatrix::from_row_slice(rows.len() / columns, columns, &rows));
             let (end, slopes) = (&states[window.steps], &slopes[window.steps]);
             let jump = point.after(k).map_or(DMatrix::zeros(0, columns), |start| {
-                DMatrix::from_fn(end.len(), columns, |i, j| if j + 1 < columns { slopes[(i, j)] } else { end[i] - start[i] })
+                DMatrix::from_fn(end.len(), columns, |i, j| {
+                    if j + 1 < columns { slopes[(i, j)] } else { self.difference(i, end[i], start[i]) }
+                })
             });
             Linearized { samples, jump }
         };

@@ -27,7 +27,7 @@ impl System for Root {
 /// Fits p to 20 states of a simulation with p = 0.09.
 fn fit(unknowns: &[Unknown]) -> Result<Fit, IdentifyError> {
     let states = std::iter::successors(Some(1.0), |x| Some(0.5 * x + 0.3));
-    let segment = Segment { x: states.map(|x| vec![x]).take(20).collect(), u: Vec::new(), p: vec![0.0] };
+    let segment = Segment { x: states.map(|x| vec![x]).take(20).collect(), p: vec![0.0], ..Segment::default() };
     identify(&Root, &[segment], unknowns, &Options::default())
 }
 
@@ -83,7 +83,7 @@ fn a_flag_stops_an_identification_before_the_next_window() {
     let run = |at: usize| {
         let system = Stopping { at, ..Stopping::default() };
         let options = Options { stop: Some(system.stop.clone()), ..Options::default() };
-        let segment = Segment { x: states.clone(), u: Vec::new(), p: vec![0.0] };
+        let segment = Segment { x: states.clone(), p: vec![0.0], ..Segment::default() };
         let fit = identify(&system, &[segment], &[unknown(0.5)], &options);
         (fit, system.steps.into_inner())
     };

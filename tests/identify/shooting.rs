@@ -31,7 +31,7 @@ fn measured(mut x: Vec<Vec<f64>>, p: &[f64]) -> Segment {
         pair[0] += NOISE[0] * normal;
         pair[1] = f64::NAN;
     }
-    Segment { x, u: Vec::new(), p: p.to_vec() }
+    Segment { x, p: p.to_vec(), ..Segment::default() }
 }
 
 /// Fits from initial values that are alternately 1.3 times the true values and the true values
@@ -120,7 +120,7 @@ fn a_fit_with_unknown_noise_does_not_depend_on_the_unit_of_the_data() {
     let noise: Vec<f64> = (0..40).map(|_| StandardNormal.sample(rng)).collect();
     let fit = |unit: f64| {
         let x = noise.iter().enumerate().map(|(t, noise)| vec![unit * (10.0 * 0.95_f64.powi(t as i32) + noise)]).collect();
-        let segment = Segment { x, u: Vec::new(), p: vec![0.0] };
+        let segment = Segment { x, p: vec![0.0], ..Segment::default() };
         let unknown = Unknown { name: "rate".into(), index: 0, start: 0.8, min: f64::NEG_INFINITY, max: f64::INFINITY };
         let options = Options { window: Some(1), ..Options::default() };
         identify(&Decay, &[segment], &[unknown], &options).expect("valid data")

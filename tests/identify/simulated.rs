@@ -5,6 +5,7 @@ use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{Arm, MultiPendulum};
 use physgrad::{Inputs, Integrated, Number, RungeKutta, Scalar, System};
 use rand_distr::{Distribution, StandardNormal};
+use std::f64::consts::{PI, TAU};
 
 type Pendulum = Integrated<MultiPendulum, RungeKutta>;
 
@@ -44,7 +45,7 @@ fn simulated(rng: &mut Rng, system: &Pendulum, start: [f64; 2], steps: usize, no
             *x += noise * normal;
         }
     }
-    Segment { x, u: Vec::new(), p: TRUTH.to_vec() }
+    Segment { x, p: TRUTH.to_vec(), ..Segment::default() }
 }
 
 fn fit(segments: &[Segment], factor: f64, options: &Options) -> Fit {
@@ -155,7 +156,7 @@ fn a_number_that_one_segment_determines_has_no_robust_error() {
     let rng = &mut stream(8, Purpose::Check, 0);
     let segment = |i: u32| {
         let mut x = || vec![Distribution::<f64>::sample(&StandardNormal, rng)];
-        Segment { x: (0..10).map(|_| x()).collect(), u: vec![vec![f64::from(i / 3)]; 10], p: vec![0.0; 2] }
+        Segment { x: (0..10).map(|_| x()).collect(), u: vec![vec![f64::from(i / 3)]; 10], p: vec![0.0; 2], ..Segment::default() }
     };
     let segments: Vec<Segment> = (0..4).map(segment).collect();
     let unknown = |index| Unknown { name: format!("p_{index}"), index, start: 0.0, min: f64::NEG_INFINITY, max: f64::INFINITY };
@@ -202,7 +203,7 @@ fn rod(complete: bool, options: &Options) -> Fit {
         }
     }
     let unknown = Unknown { name: "p".into(), index: 0, start: 0.2, min: 0.0, max: 0.5 };
-    let segment = Segment { x, u: Vec::new(), p: vec![0.0] };
+    let segment = Segment { x, p: vec![0.0], ..Segment::default() };
     identify(&Rod(20), &[segment], &[unknown], options).expect("valid data")
 }
 
@@ -269,7 +270,7 @@ fn undetermined_combinations_are_named() {
     let unknown =
         |(index, name): (usize, &str)| Unknown { name: name.into(), index, start: truth[index], min: 0.0, max: f64::INFINITY };
     let unknowns: Vec<Unknown> = ["mass", "inertia", "viscous"].into_iter().enumerate().map(unknown).collect();
-    let segments = [Segment { x, u: Vec::new(), p: truth.to_vec() }];
+    let segments = [Segment { x, p: truth.to_vec(), ..Segment::default() }];
     let found = identify(&system, &segments, &unknowns, &Options::default()).expect("valid data");
     assert_eq!(found.undetermined, [["mass", "inertia", "viscous"]]);
     assert!(found.errors.iter().all(|error| error.is_infinite()));
@@ -340,4 +341,86 @@ fn windows_have_at_least_one_step() {
     let segment = simulated(rng, &pendulum(), [1.0, 0.0], 50, NOISE);
     let of = |window: usize| fit(std::slice::from_ref(&segment), 1.1, &Options { window: Some(window), ..Options::default() });
     assert_eq!(of(0), of(1));
+}
+
+/// `x' = x/2 + p_0 + p_1 sin(0.3 t)`, for the number t of the step.
+struct Gusts;
+
+impl System for Gusts {
+    fn state_dim(&self) -> usize {
+        1
+    }
+    fn control_dim(&self) -> usize {
+        0
+    }
+    fn param_dim(&self) -> usize {
+        2
+    }
+    fn step<T: Scalar>(&self, Inputs { x, p, t, .. }: Inputs<'_, T>, next: &mut [T]) {
+        next[0] = x[0] * 0.5 + p[0] + p[1] * (0.3 * t as f64).sin();
+    }
+}
+
+/// Parts of one recording: the whole, a part without its beginning, and two parts with a pause. The
+/// exact data give the true values up to rounding errors.
+#[test]
+fn every_segment_is_simulated_from_its_own_step() {
+    let truth = [0.2, 0.7];
+    let mut x = vec![vec![1.0]];
+    for t in 0..120 {
+        let mut next = vec![0.0];
+        Gusts.step::<f64>(Inputs { x: &x[t], u: &[], p: &truth, t }, &mut next);
+        x.push(next);
+    }
+    let unknown = |index| Unknown { name: format!("p_{index}"), index, start: 0.0, min: f64::NEG_INFINITY, max: f64::INFINITY };
+    for parts in [vec![0..121], vec![37..121], vec![5..40, 63..101]] {
+        let part = |part: std::ops::Range<usize>| Segment {
+            first_step: part.start,
+            x: x[part].to_vec(),
+            p: vec![0.0; 2],
+            ..Segment::default()
+        };
+        let segments: Vec<Segment> = parts.iter().cloned().map(part).collect();
+        for (window, free_starts) in [(None, true), (None, false), (Some(10), true), (Some(7), false)] {
+            let options = Options { window, free_starts, ..Options::default() };
+            let found = identify(&Gusts, &segments, &[0, 1].map(unknown), &options).expect("valid data");
+            let errors = found.values.iter().zip(truth).map(|(value, truth)| (value - truth).abs());
+            assert!(errors.fold(0.0, f64::max) < 1e-8, "{parts:?}, {window:?}: {:?}", found.values);
+        }
+    }
+}
+
+/// Swings about hanging and a rotation, with angles in (-π, π] as an encoder delivers them. The
+/// fit equals that of the continuous angles up to rounding errors, and its states are continuous.
+#[test]
+fn angles_that_wrap_give_the_fit_of_continuous_angles() {
+    let rng = &mut stream(11, Purpose::Check, 0);
+    let starts = [[PI + 0.5, 0.0], [PI - 0.8, 0.3], [2.0, 14.0]];
+    let continuous = starts.map(|start| simulated(rng, &pendulum(), start, 200, NOISE));
+    let mut wrapped = continuous.clone();
+    let angles = wrapped.iter_mut().flat_map(|segment| &mut segment.x);
+    angles.for_each(|row| row[0] = PI - (PI - row[0]).rem_euclid(TAU));
+    // A gap over several wraps.
+    wrapped[2].x[100..120].fill(vec![f64::NAN; 2]);
+    let mut with_gap = continuous.clone();
+    with_gap[2].x[100..120].fill(vec![f64::NAN; 2]);
+    assert!(wrapped.iter().all(|segment| segment.x.windows(2).any(|pair| (pair[1][0] - pair[0][0]).abs() > PI)));
+    for window in [None, Some(10)] {
+        for free_starts in [true, false] {
+            let options = Options { noise: Some(NOISE.into()), window, free_starts, ..Options::default() };
+            let expected = fit(&with_gap, 1.1, &options);
+            let found = fit(&wrapped, 1.1, &Options { angles: vec![0], ..options });
+            assert!(expected.converged && found.converged, "{window:?} {free_starts}");
+            for i in 0..2 {
+                // The iterations end within a small fraction of a standard error.
+                assert!((found.values[i] - expected.values[i]).abs() < 1e-3 * expected.errors[i], "{found:?}\n{expected:?}");
+            }
+            assert!((found.chi_squared / expected.chi_squared - 1.0).abs() < 1e-6);
+            assert!((found.rms(2, 0, &wrapped[2]) / expected.rms(2, 0, &with_gap[2]) - 1.0).abs() < 1e-6);
+            let steps = found.states.iter().flat_map(|states| states.windows(2));
+            assert!(steps.map(|pair| (pair[1][0] - pair[0][0]).abs()).fold(0.0, f64::max) < 0.5);
+        }
+    }
+    let error = identify(&pendulum(), &continuous, &unknowns(1.0), &Options { angles: vec![2], ..Options::default() });
+    assert_eq!(error, Err(IdentifyError::Angle { component: 2, states: 2 }));
 }

@@ -170,6 +170,160 @@ fn measured_parameters_are_those_of_their_columns() {
     assert!(error.contains("segment 0: the parameter `start_of_gusts` has no value"), "{error}");
 }
 
+/// Text of a CSV file with a header and rows.
+fn text(rows: &[Vec<String>]) -> String {
+    rows.iter().map(|row| row.join(",") + "\n").collect()
+}
+
+/// A recording under gusts that depend on time, and parts of it with their own beginnings. The
+/// true mass is 1. The results keep the times of the data.
+#[test]
+fn recordings_begin_at_their_time() {
+    let dir = folder(&format!("{SCENE}[effects.gusty_wind]\nspeed = 1.0\ngust = 8.0\nperiod = 1.3\n"));
+    let run = |command: &str| physgrad(command, dir.path()).assert();
+    run("train scene.toml --epochs 1 --precision f64 --quiet --out run").success();
+    let rows = read(&dir, "run/trajectory.csv");
+    let time = rows[0].iter().position(|name| name == "time").expect("times");
+    let part = |key: &str, steps: std::ops::Range<usize>, shift: f64| -> Vec<Vec<String>> {
+        let rows = rows[1..].iter().filter(|row| row[0] == "0" && steps.contains(&row[1].parse().expect("a step")));
+        let moved = |row: &Vec<String>| {
+            let mut row = row.clone();
+            row[0] = key.to_owned();
+            row[time] = format!("{}", row[time].parse::<f64>().expect("a time") + shift);
+            row
+        };
+        rows.map(moved).collect()
+    };
+    let fit = |parts: &[Vec<Vec<String>>], set: &str| {
+        let data = text(&[vec![rows[0].clone()], parts.concat()].concat());
+        fs::write(dir.path().join("part.csv"), data).expect("data");
+        run(&format!("identify scene.toml --set system.cart_mass={{start=1.3}} {set}--data part.csv --out fit"))
+    };
+    for (parts, begins) in [
+        (vec![part("a", 17..90, 0.0)], vec!["0.17"]),
+        (vec![part("a", 30..60, 0.0), part("b", 65..95, 0.0)], vec!["0.3", "0.65"]),
+    ] {
+        fit(&parts, "").success();
+        let found: f64 = read(&dir, "fit/identified.csv")[1][2].parse().expect("a number");
+        assert!((found - 1.0).abs() < 1e-6, "{begins:?}: {found}");
+        let written = read(&dir, "fit/trajectories.csv");
+        for (i, begin) in begins.iter().enumerate() {
+            assert!(written.iter().any(|row| row[0] == i.to_string() && row[1] == *begin), "{begin}: {:?}", written[1]);
+        }
+    }
+    for shift in [-0.3, 0.004] {
+        let stderr = fit(&[part("a", 17..60, shift)], "").failure().get_output().stderr.clone();
+        let stderr = String::from_utf8_lossy(&stderr).into_owned();
+        assert!(stderr.contains("part.csv:2: the segment begins at ") && stderr.contains("depends on time"), "{stderr}");
+    }
+    // Without gusts, the physics does not depend on time.
+    let still = dir.path().join("still");
+    fs::create_dir(&still).expect("a folder");
+    fs::write(still.join("scene.toml"), SCENE).expect("a scene");
+    physgrad("train scene.toml --epochs 1 --precision f64 --quiet --out run", &still).assert().success();
+    let still_rows = fs::read_to_string(still.join("run/trajectory.csv")).expect("rows");
+    let moved: Vec<String> = still_rows
+        .lines()
+        .enumerate()
+        .map(|(i, line)| {
+            let mut cells: Vec<String> = line.split(',').map(String::from).collect();
+            if i > 0 {
+                cells[2] = format!("{}", cells[2].parse::<f64>().expect("a time") - 0.304);
+            }
+            cells.join(",")
+        })
+        .collect();
+    fs::write(still.join("moved.csv"), moved.join("\n")).expect("data");
+    physgrad("identify scene.toml --set system.cart_mass={start=1.3} --data moved.csv --out fit", &still).assert().success();
+}
+
+/// Free swings of the pendulum of the scene, `[t, θ, ω]` every `dt` in s.
+fn swings(theta: f64, steps: usize, dt: f64) -> Vec<[f64; 3]> {
+    use physgrad::tasks::{Arm, MultiPendulum};
+    use physgrad::{Inputs, Integrated, RungeKutta, System};
+    let arm = Arm { center: 0.15.into(), viscous: 0.004.into(), ..Arm::default() };
+    let system = Integrated { ode: MultiPendulum { arms: vec![arm], gravity: 9.81.into() }, integrator: RungeKutta::RK4, dt };
+    let mut x = vec![theta, 0.0];
+    (0..steps)
+        .map(|t| {
+            let row = [t as f64 * dt, x[0], x[1]];
+            let mut next = vec![0.0; 2];
+            system.step::<f64>(Inputs { x: &x, u: &[0.0], p: &[], t }, &mut next);
+            x = next;
+            row
+        })
+        .collect()
+}
+
+const PENDULUM: &str = "scene = 1\ntask = \"pendulum\"\n[system]\ndt = DT\n[[system.arms]]\n[fit]\n\
+                        \"system.arms[0].center\" = { start = 0.13, min = 0.01 }\n\
+                        \"system.arms[0].viscous\" = { start = 0.003, min = 0 }\n[integrator]\nmethod = \"rk4\"\n";
+
+/// Checks that the fit of these rows finds the center and the friction of [`swings`] up to the
+/// relative error `tolerance`. Returns the standard output.
+fn check_pendulum(dt: &str, rows: &str, tolerance: f64) -> (TempDir, String) {
+    let dir = folder(&PENDULUM.replace("DT", dt));
+    fs::write(dir.path().join("data.csv"), rows).expect("data");
+    let output =
+        physgrad("identify scene.toml --data data.csv --out found", dir.path()).assert().success().get_output().stdout.clone();
+    let found = read(&dir, "found/identified.csv");
+    for (row, truth) in found[1..].iter().zip([0.15, 0.004]) {
+        let value: f64 = row[2].parse().expect("a number");
+        assert!((value / truth - 1.0).abs() < tolerance, "{row:?}, {truth}");
+    }
+    (dir, String::from_utf8(output).expect("text"))
+}
+
+/// Angles in (-π, π], as an encoder delivers them, swing about hanging at π.
+#[test]
+fn wrapped_angles_identify_center_and_friction() {
+    use std::f64::consts::{PI, TAU};
+    let rows = [PI + 0.5, PI - 0.8].into_iter().enumerate().flat_map(|(segment, theta)| {
+        let wrap = |theta: f64| PI - (PI - theta).rem_euclid(TAU);
+        swings(theta, 150, 0.01).into_iter().map(move |[t, theta, omega]| format!("{segment},{t},{},{omega}\n", wrap(theta)))
+    });
+    let data = format!("segment,t,theta_1,omega_1\n{}", rows.collect::<String>());
+    let (dir, output) = check_pendulum("0.01", &data, 1e-6);
+    assert!(!output.contains("warning"), "{output}");
+    for row in &read(&dir, "found/trajectories.csv")[1..] {
+        let [measured, simulated] = [2, 3].map(|i| row[i].parse::<f64>().expect("a number"));
+        assert!((measured - simulated).abs() < 1e-6, "{row:?}");
+    }
+}
+
+/// A camera at 30 Hz writes 0.033, 0.067, 0.1. The angles are exact.
+#[test]
+fn times_may_be_rounded_to_their_decimals() {
+    let dt = 1.0 / 30.0;
+    let rows = swings(2.0, 200, dt).into_iter().map(|[t, theta, omega]| {
+        let t = format!("{t:.3}");
+        format!("{},{theta},{omega}\n", t.trim_end_matches('0'))
+    });
+    let data = format!("t,theta_1,omega_1\n{}", rows.collect::<String>());
+    assert!(data.contains("\n0.033,") && data.contains("\n0.1,"));
+    let (dir, _) = check_pendulum(&dt.to_string(), &data, 1e-6);
+    assert_eq!(read(&dir, "found/trajectories.csv")[2][1], "0.033");
+}
+
+/// Rows are missing while the torque changes from 0 to 0.01 N m. A state without angles jumps.
+#[test]
+fn missing_rows_and_turns_are_named() {
+    let dir = folder("scene = 1\ntask = \"cart_pole\"\n[system]\npoles = 1\n[fit]\n\"system.cart_mass\" = { start = 1.0 }\n");
+    let row = |t: usize| {
+        let x = if t < 30 { 3.0 } else { -3.0 };
+        format!("{},{x},0,3.14159,0,{}\n", t as f64 * 0.01, if t < 20 { 0.0 } else { 0.01 })
+    };
+    let rows: String = (0..60).filter(|t| !(15..25).contains(t)).map(row).collect();
+    fs::write(dir.path().join("data.csv"), format!("t,x,x_dot,theta_1,omega_1,force\n{rows}")).expect("data");
+    let output =
+        physgrad("identify scene.toml --data data.csv --out found", dir.path()).assert().success().get_output().stdout.clone();
+    let output = String::from_utf8(output).expect("text");
+    let missing =
+        "warning: rows are missing before 1 row of data.csv, where the control changes (at most 11 steps, before line 17)";
+    assert!(output.contains(missing), "{output}");
+    assert!(output.contains("warning: data.csv:22: x jumps by -6.000 from the row before; if it is an angle"), "{output}");
+}
+
 /// Identifies the measured pendulum of the example. The length of the first arm agrees with the
 /// published value within 1 %, the center of mass of the second arm within 2 %.
 #[test]
@@ -240,17 +394,36 @@ fn unusable_measurements_are_refused_with_place_and_advice() {
     let dir = TempDir::new().expect("a folder");
     let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/data/double_pendulum.toml");
     fs::copy(scene, dir.path().join("scene.toml")).expect("a scene");
+    let [long, long_name] =
+        [format!("t,theta_1\n0,1\n0.005,{}x", "0".repeat(100_000)), format!("{},theta_1\n0,1", "t".repeat(1000))];
+    let (long, long_name, utf_16) = (long.as_str(), long_name.as_str(), "\0t\0,\0x");
     for (data, message) in [
         ("t,theta_1,theta_1\n0,1,2", "data.csv: the columns `theta_1` and `theta_1` have one meaning; remove one of them"),
         ("t,theta_1,time\n0,1,2", "data.csv: the columns `t` and `time` have one meaning"),
         ("segment,t,sample\n0,1,2", "data.csv: the columns `segment` and `sample` have one meaning"),
         ("t,theta_1\n0,1\n0.005,-inf", "data.csv:3: `-inf` is infinite; leave the cell of a missing sample empty"),
         ("t,theta_1\n0,1\n0.005,x", "data.csv:3: `x` is not a number"),
+        (long, "data.csv:3: `0000000000000000000000000000000000000000…` is not a number"),
+        (long_name, "unknown column `tttttttttttttttttttttttttttttttttttttttt…`; allowed: segment, t, theta_1"),
+        ("t;theta_1\n0;1", "data.csv: the columns are separated by semicolons; allowed: commas, and points in numbers"),
+        ("t\ttheta_1\n0\t1", "data.csv: the columns are separated by tabs"),
+        ("t,theta_1,\n0,1,", "data.csv: column 3 has no name; remove the column, or the comma at the end of each line"),
+        ("t,theta_1\n0,1\n0.005,1,", "data.csv:3: the line ends in a comma, but the header does not"),
+        ("t,theta_1\n0,1\n0.005", "data.csv:3: the row has 1 cells; expected 2, as in the header"),
+        (utf_16, "data.csv is in UTF-16 or is no text; save it as text in UTF-8"),
+        ("t,theta_1\n0,1\n10,2\n15,3", "data.csv: all rows are 1000 or more steps of 0.005 s apart; give `t` in s, not in ms"),
+        // Segments of 2e6 steps each exceed the limit only together.
+        (
+            "segment,t,theta_1\na,0,1\na,0.005,1\na,1e4,2\nb,0,1\nb,1e4,2",
+            "data.csv:6: the segments have 4000002 steps of 0.005 s up to here; allowed: ",
+        ),
+        // Two decimals do not show steps of 5 ms.
+        ("t,theta_1\n0,1\n0.01,2\n0.03,2\n0.042,3", "data.csv:5: the time 0.042 s is not a later step"),
         ("segment,t\na,0\nb,0\na,0.005", "data.csv:4: the rows of segment a are not contiguous; sort the rows by segment"),
         ("t,theta_1\n0,1\n,2", "data.csv:3: the time is missing"),
         ("t,theta_1\n0,1\n0.01,2\n0.005,3", "data.csv:4: the time 0.005 s is not later than in the row before"),
         ("t,theta_1\n0,1\n0.007,2", "data.csv:3: the time 0.007 s is not a later step of 0.005 s"),
-        ("t,theta_1\n0,1\n1e6,2", "data.csv:3: the segment has 10000000 or more steps of 0.005 s"),
+        ("t,theta_1\n0,1\n1e6,2", "data.csv:3: the segments have 200000001 steps of 0.005 s up to here; allowed: "),
         // Fits segments 0 and 2. Messages name the index in the file.
         (
             "segment,t,theta_1,theta_2,omega_1,omega_2\n0,0,1,1,0,0\n1,0,1,1,0,0\n2,0,,1,0,",

@@ -440,7 +440,13 @@ fn ticks_of_a_zoomed_axis_are_round_numbers_within_its_range() {
 fn a_damaged_file_of_an_identification_is_named() {
     let dir = TempDir::new().expect("a folder");
     let write = |file: &str, text: &str| fs::write(dir.path().join(file), text).expect("a file");
-    for (file, text) in [("fit.csv", "name\nx"), ("fit.csv", "a,b\nx"), ("trajectories.csv", "x"), ("identified.csv", "x")] {
+    for (file, text) in [
+        ("fit.csv", "name\nx"),
+        ("fit.csv", "a,b\nx"),
+        ("trajectories.csv", "x"),
+        ("identified.csv", "x"),
+        ("identified.csv", ""),
+    ] {
         write("identified.csv", "name,start,value,standard_error,robust_error,correlation with a\na,1,2,0.1,0.1,1\n");
         write("fit.csv", "name,value\nsegments,1\n");
         write("trajectories.csv", "segment,t,x_measured,x_simulated\n0,0,1,1\n");

@@ -150,6 +150,12 @@ impl Scene {
         self.scene.identify(segments, options)
     }
 
+    /// Returns whether the physics depends on the time of a segment. A recording that begins between
+    /// two steps, or before the time 0, then has no exact [`Segment::first_step`].
+    pub fn depends_on_time(&self, segment: &Segment) -> bool {
+        self.scene.depends_on_time(segment)
+    }
+
     /// Errors and costs of all integrators, numbers of substeps and precisions, as `physgrad
     /// accuracy` measures them. Calls `begin` with a description before each simulation and timing.
     ///

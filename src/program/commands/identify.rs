@@ -2,6 +2,7 @@
 
 mod data;
 mod picture;
+mod table;
 
 use crate::Number;
 use crate::identify::{Fit, IdentifyError, Options, Segment};
@@ -40,8 +41,8 @@ pub struct Identify {
     pub scene: String,
     #[command(flatten)]
     pub overrides: Overrides,
-    /// Measured trajectories: columns segment (optional), t in s, states, controls and parameters
-    /// by name
+    /// Measured trajectories: columns segment (optional), t in s from the start of the rollout,
+    /// states, controls and parameters by name
     #[arg(long, value_name = "FILE")]
     pub data: PathBuf,
     /// Standard deviations of the noise of all measured states, as in theta_1=0.003,omega_1=0.1
@@ -82,7 +83,7 @@ pub fn identify(args: &Identify) -> Result<()> {
     }
     // Exact first samples have no noise. Those of validation segments are not exact.
     let first = usize::from(args.exact_starts && args.every == 1);
-    let noise = noise(&args.noise, &scene, &measured_components(&measured.segments, first))?;
+    let noise = noise(&args.noise, &scene, &measured.components(first))?;
     if let Some(out) = args.out.as_deref().map(Folder::at) {
         let outputs = [SCENE, IDENTIFIED, FIT, TRAJECTORIES, VALIDATION, PICTURE, REPORT];
         out.check_inputs(&[Path::new(&args.scene), &args.data], &outputs)?;
@@ -124,6 +125,7 @@ pub fn identify(args: &Identify) -> Result<()> {
         text += &format!("\nvalidation with {}: {residuals}", counted(others.len(), "other segment"));
     }
     let mut warnings = warnings(&fit, &scene, !args.noise.is_empty());
+    warnings.extend(measured.warnings(&fitted, &fit, &scene));
     if let Err(error) = &found {
         warnings.push(format!("there is no scene.toml and no validation: {error:#}; add bounds to [fit]"));
     }
@@ -146,7 +148,7 @@ pub fn identify(args: &Identify) -> Result<()> {
         // An earlier fit may have left its validation.
         _ => folder.remove(VALIDATION)?,
     }
-    folder.write(PICTURE, picture::picture(&fitted, &segments, &fit, &scene))?;
+    folder.write(PICTURE, picture::picture(&measured, &fitted, &segments, &fit, &scene))?;
     folder.write(REPORT, identification::page(&Folder::existing(folder.path())?)?)?;
     let results = folder.path().display();
     let failed = validation.as_ref().err().cloned();
@@ -183,7 +185,7 @@ fn in_file(mut error: IdentifyError, numbers: &[usize], measured: &Measured, sce
         *segment = numbers[*segment];
     }
     if let MissingStart { segment, .. } = error {
-        let first = measured.segments[segment].x[0].iter().zip(scene.state_names());
+        let first = measured.first(segment).iter().zip(scene.state_names());
         let missing: Vec<String> = first.filter(|(y, _)| y.is_nan()).map(|(_, name)| name).collect();
         return anyhow!(
             "segment {segment}: the first row lacks {}, but --exact-starts takes it as the exact initial state; \

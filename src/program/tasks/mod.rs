@@ -93,6 +93,12 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     fn dt(settings: &Settings<Self>) -> f64;
     /// Names of the state components, without those that actuators add.
     fn state_names(settings: &Settings<Self>) -> Vec<String>;
+    /// Indices of the state components that are angles in rad, in increasing order. By default,
+    /// those with names that begin with `theta_`.
+    fn angles(settings: &Settings<Self>) -> Vec<usize> {
+        let names = Self::state_names(settings).into_iter().enumerate();
+        names.filter(|(_, name)| name.starts_with("theta_")).map(|(i, _)| i).collect()
+    }
     /// Names of the parameters of a rollout that are not drawn or trained numbers, in order. Empty
     /// by default.
     fn param_names(_settings: &Settings<Self>) -> Vec<String> {

@@ -59,6 +59,11 @@ pub trait ProgramTask: Task + Section + Default {
     fn state_names(&self) -> Vec<String> {
         numbered("x", self.system().state_dim())
     }
+    /// Indices of the state components that are angles in rad. `identify` compares them modulo 2π
+    /// if they wrap in the data, and if a step commutes with a full turn. Default: none.
+    fn angles(&self) -> Vec<usize> {
+        Vec::new()
+    }
     /// Names of the control components. Default: `u_1`, `u_2`, …
     fn control_names(&self) -> Vec<String> {
         numbered("u", self.system().control_dim())
@@ -156,6 +161,10 @@ impl<T: ProgramTask> TaskSpec for Own<T> {
                 return Err(ConfigError::new("task", what));
             }
         }
+        if let Some(angle) = task.angles().into_iter().find(|&angle| angle >= dims.state_dim()) {
+            let what = format!("has the angle {angle} in `ProgramTask::angles`, but the state has {}", dims.state_dim());
+            return Err(ConfigError::new("task", what + " components; count from 0"));
+        }
         let owner = Owner { section: "system", method: "System::numbers" };
         owner.check_numbers(&system, dims.numbers(), &dims.varied(dims.param_dim()))?;
         for (method, names) in [("state_names", task.state_names()), ("control_names", task.control_names())] {
@@ -195,6 +204,10 @@ impl<T: ProgramTask> TaskSpec for Own<T> {
 
     fn state_names(settings: &Settings<Self>) -> Vec<String> {
         settings.system.state_names()
+    }
+
+    fn angles(settings: &Settings<Self>) -> Vec<usize> {
+        settings.system.angles()
     }
 
     fn param_names(settings: &Settings<Self>) -> Vec<String> {

@@ -104,8 +104,12 @@ pub trait AnySettings: Send + Sync {
     fn param_names(&self) -> Vec<String>;
     /// Keys and values of the numbers that are not fixed.
     fn varied(&self) -> Vec<(String, Number)>;
+    /// Indices of the state components that are angles in rad.
+    fn angles(&self) -> Vec<usize>;
     /// Fits the trained numbers to measured segments.
     fn identify(&self, segments: &[Segment], options: &Options) -> Result<Fit, IdentifyError>;
+    /// Returns whether the physics depends on the time of the segment, at its measured states.
+    fn depends_on_time(&self, segment: &Segment) -> bool;
     /// Optimizes the controls from the initial state `x0` with the parameters `p`.
     fn optimize(&self, x0: &[f64], p: &[f64], initial: Initial, options: &optimize::Options) -> Result<Plan, OptimizeError>;
     /// Names of the control components.
@@ -211,7 +215,15 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
 
     fn identify(&self, segments: &[Segment], options: &Options) -> Result<Fit, IdentifyError> {
         let names = AnySettings::param_names(self);
-        identification::identified(&self.task(), &names, segments, options)
+        identification::identified(&self.task(), &names, &AnySettings::angles(self), segments, options)
+    }
+
+    fn depends_on_time(&self, segment: &Segment) -> bool {
+        identification::depends_on_time(&self.task(), &AnySettings::param_names(self), segment)
+    }
+
+    fn angles(&self) -> Vec<usize> {
+        K::angles(self)
     }
 
     fn state_names(&self) -> Vec<String> {

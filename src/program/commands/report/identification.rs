@@ -44,7 +44,7 @@ pub fn page(folder: &Folder) -> Result<String> {
     let correlations = |row: &Vec<String>| names_and(row, row[NUMBERS..].iter().map(two_digits).collect());
     let correlations: Vec<Vec<String>> = numbers.iter().map(correlations).collect();
     let headers = ["name", "start", "value", "standard error", "robust error"];
-    let columns = names_and(header, correlations.iter().map(|row| row[0].clone()).collect());
+    let columns = names_and(&header, correlations.iter().map(|row| row[0].clone()).collect());
     let content = html! {
         (section("Numbers", table(&headers, &errors)))
         (section("Correlations", table(&columns, &correlations)))
@@ -82,6 +82,11 @@ fn rounded(cell: &str) -> String {
     cell.parse::<f64>().map_or_else(|_| cell.to_owned(), |x| if x.is_finite() { short(x) } else { "unknown".into() })
 }
 
+/// A finite number. A picture has no place for others.
+fn finite(cell: &str) -> Option<f64> {
+    cell.parse().ok().filter(|number: &f64| number.is_finite())
+}
+
 /// Measured and simulated value of a state component at one time.
 #[derive(Clone, Copy)]
 struct Sample {
@@ -116,9 +121,8 @@ impl Trajectories {
             let Some((_, samples)) = segments.last_mut() else { continue };
             // An empty cell marks a missing measurement. A chart has no place for a number that is not
             // finite.
-            let number = |cell: &str| cell.parse().ok().filter(|number: &f64| number.is_finite());
             for (samples, pair) in samples.iter_mut().zip(row[2..].chunks_exact(2)) {
-                if let (Some(t), Some(measured), Some(simulated)) = (number(&row[1]), number(&pair[0]), number(&pair[1])) {
+                if let (Some(t), Some(measured), Some(simulated)) = (finite(&row[1]), finite(&pair[0]), finite(&pair[1])) {
                     samples.push(Sample { t, measured, simulated });
                 }
             }
