@@ -138,7 +138,7 @@ impl Measured {
             if scene.depends_on_time(&self.chosen(&[i], scene)[0]) {
                 let Sample { line, time, .. } = segment.rows[0];
                 bail!(
-                    "{name}:{line}: the segment begins at {time} s, but the physics depends on time and has steps of {dt} s from 0; \
+                    "{name}:{line}: the segment begins at {time:?} s, but the physics depends on time and has steps of {dt} s from 0; \
                      begin at a step, shift the times, or set system.dt"
                 );
             }
@@ -262,10 +262,10 @@ impl Recording {
         }
         let begin = self.rows.first().map_or(time, |row| row.time);
         let Some(step) = grid.steps(begin, time) else {
-            bail!("the time {time} s is not a later step of {} s; resample, or set system.dt", grid.dt);
+            bail!("the time {time:?} s is not a later step of {} s; resample, or set system.dt", grid.dt);
         };
         if self.rows.last().is_some_and(|last| step <= last.step as f64) {
-            bail!("the time {time} s is not later than in the row before; sort the rows by time");
+            bail!("the time {time:?} s is not later than in the row before; sort the rows by time");
         }
         let held = self.rows.last().map(|row| &row.u);
         for (i, u) in u.iter_mut().enumerate().filter(|(_, u)| u.is_nan()) {
