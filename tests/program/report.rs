@@ -455,3 +455,13 @@ fn a_damaged_file_of_an_identification_is_named() {
         assert!(said.contains(&format!("{file} is damaged; restore the file")), "{file}: {said}");
     }
 }
+
+#[test]
+fn infinite_samples_of_an_identification_are_not_drawn() {
+    let dir = TempDir::new().expect("a folder");
+    let write = |file: &str, text: &str| fs::write(dir.path().join(file), text).expect("a file");
+    write("identified.csv", "name,start,value,standard_error,robust_error,correlation with a\na,1,2,0.1,0.1,1\n");
+    write("fit.csv", "name,value\nsegments,1\n");
+    write("trajectories.csv", "segment,t,x_measured,x_simulated\n0,0,1,1\n0,1,inf,1\n0,2,1,-inf\n0,inf,1,1\n0,3,1,1.5\n");
+    assert!(!report(dir.path()).contains("NaN"));
+}
