@@ -1,8 +1,8 @@
 //! Measured trajectories on the time grid of a scene.
 
-use super::table::{Row, Table, quoted};
 use crate::identify::{Fit, Segment};
 use crate::numbers::text::short;
+use crate::program::commands::identify::table::{Row, Table, quoted};
 use crate::program::operations::identification::wrap;
 use crate::program::platform::csv::csv;
 use crate::program::platform::terminal::counted;
