@@ -127,7 +127,9 @@ class _Fit(TypedDict):
     values: dict[str, float]
     """Fitted numbers by dotted key, in the units of the task."""
     errors: dict[str, float]
-    """Standard errors by dotted key."""
+    """Standard errors by dotted key. NaN at a bound, and infinite without an estimate."""
+    statuses: dict[str, str]
+    """What the fit knows about each number, such as "estimated" or "ran away"."""
     robust_errors: NDArray[np.float64]
     """Standard errors that allow for correlated residuals, (K,)."""
     correlations: NDArray[np.float64]
@@ -138,7 +140,7 @@ class _Fit(TypedDict):
     undetermined: list[list[str]]
     """Combinations of numbers that the data do not determine."""
     at_bound: list[str]
-    """Numbers at one of their bounds."""
+    """Numbers with the status "at bound": the sum of squares decreases beyond a bound."""
 
 @type_check_only
 class _Rows(TypedDict):

@@ -28,8 +28,10 @@ use toml::{Table, Value};
 /// measurement noise of each state, (n,). Without `noise`, one standard deviation holds for all
 /// states, estimated from the residuals.
 ///
-/// Returns a dict: "values" and "errors" (standard errors) by name, "chi_squared", "converged",
-/// "undetermined" and "at_bound". "robust_errors", (K,), and "correlations", (K, K), refer to the K
+/// Returns a dict: "values", "errors" (standard errors) and "statuses" by name, "chi_squared",
+/// "converged", "undetermined" and "at_bound". A status is "estimated", "at bound",
+/// "undetermined", "ran away", "non-finite derivative", "zero derivative" or "not converged". Only
+/// estimated numbers have errors; that of a number at a bound is NaN, and others are infinite. "robust_errors", (K,), and "correlations", (K, K), refer to the K
 /// unknown numbers. Raises `ValueError` if no number is unknown, if an argument does not fit the
 /// task, or if the simulation with the initial values diverges. Ctrl-C raises `KeyboardInterrupt`.
 #[pyfunction]
@@ -62,14 +64,16 @@ pub fn identify<'py>(
             error => error.to_string(),
         })
     })?;
-    let (values, errors) = (PyDict::new(py), PyDict::new(py));
-    for ((name, value), error) in fit.names.iter().zip(&fit.values).zip(&fit.errors) {
-        values.set_item(name, value)?;
-        errors.set_item(name, error)?;
+    let (values, errors, statuses) = (PyDict::new(py), PyDict::new(py), PyDict::new(py));
+    for (i, name) in fit.names.iter().enumerate() {
+        values.set_item(name, fit.values[i])?;
+        errors.set_item(name, fit.errors[i])?;
+        statuses.set_item(name, fit.statuses[i].name())?;
     }
     let (count, result) = (fit.names.len(), PyDict::new(py));
     result.set_item("values", values)?;
     result.set_item("errors", errors)?;
+    result.set_item("statuses", statuses)?;
     result.set_item("correlations", array(py, fit.correlations.concat(), &[count, count])?)?;
     result.set_item("robust_errors", fit.robust_errors.into_pyarray(py))?;
     result.set_item("chi_squared", fit.chi_squared)?;

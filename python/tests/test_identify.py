@@ -69,6 +69,8 @@ def test_names_start_at_the_values_of_the_task():
     bounded = pg.identify(task, data, params={"system.pole_mass": {"start": 0.1, "min": 0.05, "max": 0.12}})
     assert by_name["values"] == by_start["values"] and np.isclose(by_name["values"]["system.pole_mass"], 0.17, rtol=1e-6)
     assert bounded["at_bound"] == ["system.pole_mass"] and bounded["values"]["system.pole_mass"] == 0.12
+    assert bounded["statuses"] == {"system.pole_mass": "at bound"} and np.isnan(bounded["errors"]["system.pole_mass"])
+    assert by_name["statuses"] == {"system.pole_mass": "estimated"}
     again = pg.identify(task.replace(pole_mass={"start": 0.1}), data, params=["system.pole_mass"])
     assert again["values"] == by_name["values"]
 

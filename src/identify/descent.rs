@@ -2,7 +2,8 @@
 
 use super::elimination::{Eliminated, Linearized, Weights, gradient, solve, stacked, start_rows};
 use super::error::IdentifyError;
-use super::problem::{Point, Problem, map};
+use super::fit::Unknown;
+use super::problem::{Point, Problem, largest, map};
 use nalgebra::{DMatrix, DVector};
 
 /// Numbers of computations so far.
@@ -22,11 +23,15 @@ pub(super) struct Stop {
     pub max_iterations: usize,
 }
 
+/// Rounding error of the elimination of initial states, relative to the weight of continuity and to
+/// the norm of a column.
+const ROUNDING: f64 = 1e-14;
+
 /// Minimizes χ² plus `continuity²` times the sum of squared jumps between windows, in units of the
 /// noise.
 ///
 /// Returns whether the iterations converged: the tolerance ended them, or no step decreases the
-/// objective and all residuals and derivatives are finite.
+/// objective and all residuals and derivatives are finite. Also returns the minimum.
 ///
 /// # Errors
 /// [`IdentifyError::Stopped`] if the stop flag is set.
@@ -36,7 +41,7 @@ pub(super) fn minimize(
     continuity: f64,
     stop: Stop,
     counts: &mut Counts,
-) -> Result<bool, IdentifyError> {
+) -> Result<(bool, f64), IdentifyError> {
     let objective = |point: &Point, counts: &mut Counts| {
         counts.simulations += 1;
         let misfit = problem.misfit(point)?;
@@ -66,13 +71,13 @@ pub(super) fn minimize(
             Some(_) => quiet + 1,
             // No step decreases the objective: a minimum up to rounding, if all residuals and
             // derivatives are finite.
-            None => return Ok(linearized.iter().flatten().all(Linearized::is_finite)),
+            None => return Ok((linearized.iter().flatten().all(Linearized::is_finite), least)),
         };
         if quiet >= 2 {
-            return Ok(true);
+            return Ok((true, least));
         }
     }
-    Ok(false)
+    Ok((false, least))
 }
 
 /// The point after one damped step, within the bounds. `None` for singular equations.
@@ -82,10 +87,8 @@ fn step(problem: &Problem<'_>, point: &Point, linearized: &[Vec<Linearized>], we
     let equations = stacked(&segments, params);
     let norms = norms(linearized, params);
     let limits = |i: usize| [problem.unknowns[i].min - point.values[i], problem.unknowns[i].max - point.values[i]];
-    // A parameter at a bound stays there if the objective decreases beyond the bound.
-    let slopes = gradient(&equations);
-    let stays = |i: usize| limits(i)[0] >= 0.0 && slopes[i] > 0.0 || limits(i)[1] <= 0.0 && slopes[i] < 0.0;
-    let mut fixed: Vec<Option<f64>> = (0..params).map(|i| stays(i).then_some(0.0)).collect();
+    let mut fixed: Vec<Option<f64>> =
+        held(problem.unknowns, &point.values, &equations).into_iter().map(|is_held| is_held.then_some(0.0)).collect();
     // Steps beyond a bound end at the bound. Solves again for the other parameters.
     let step = loop {
         let step = solve(&equations, &fixed, &norms, weights.damping)?;
@@ -123,21 +126,60 @@ fn norms(linearized: &[Vec<Linearized>], params: usize) -> Vec<f64> {
     squares.into_iter().map(f64::sqrt).collect()
 }
 
-/// Equations of the parameters with negligible damping, and rows of the initial state, for each
-/// segment.
-///
-/// # Errors
-/// [`IdentifyError::Stopped`] if the stop flag is set.
-pub(super) fn equations(
-    problem: &Problem<'_>,
-    point: &Point,
-    continuity: f64,
-    counts: &mut Counts,
-) -> Result<[Vec<DMatrix<f64>>; 2], IdentifyError> {
-    counts.jacobians += 1;
-    // Negligible damping, which only determines initial states that do not affect the samples.
-    let weights = Weights { per_noise: &problem.per_noise, continuity, damping: 1e-24 };
-    let (linearized, params) = (problem.linearize(point)?, point.values.len());
-    let reduced = eliminated(&linearized, params, weights).into_iter().map(|segment| segment.reduced).collect();
-    Ok([reduced, map(linearized.len(), |i| start_rows(&linearized[i], params))])
+/// Returns which parameters stay at a bound: the objective decreases beyond it, or the bounds are
+/// equal.
+fn held(unknowns: &[Unknown], values: &[f64], equations: &DMatrix<f64>) -> Vec<bool> {
+    let slopes = gradient(equations);
+    let is_held = |(i, Unknown { min, max, .. }): (usize, &Unknown)| {
+        min == max || values[i] <= *min && slopes[i] > 0.0 || values[i] >= *max && slopes[i] < 0.0
+    };
+    unknowns.iter().enumerate().map(is_held).collect()
+}
+
+/// Linear equations at the end of the iterations.
+pub(super) struct Equations {
+    /// Equations `[δq | 1]` of the parameters with negligible damping, for each segment.
+    pub params: Vec<DMatrix<f64>>,
+    /// Rows of the initial state, for each segment.
+    pub starts: Vec<DMatrix<f64>>,
+    /// Whether each parameter stays at a bound.
+    pub held: Vec<bool>,
+    /// Norms of the columns of the parameters below which the elimination of the initial states
+    /// leaves rounding errors only.
+    pub negligible: Vec<f64>,
+    /// Largest absolute derivative of a state by each parameter. NaN if one of them is non-finite.
+    pub slopes: Vec<f64>,
+    /// Components of the initial states of windows by which a derivative is non-finite.
+    pub non_finite_starts: Vec<usize>,
+}
+
+impl Equations {
+    /// Linearizes the problem.
+    ///
+    /// # Errors
+    /// [`IdentifyError::Stopped`] if the stop flag is set.
+    pub fn new(problem: &Problem<'_>, point: &Point, continuity: f64, counts: &mut Counts) -> Result<Self, IdentifyError> {
+        counts.jacobians += 1;
+        // Negligible damping, which only determines initial states that do not affect the samples.
+        let weights = Weights { per_noise: &problem.per_noise, continuity, damping: 1e-24 };
+        let (linearized, params) = (problem.linearize(point)?, point.values.len());
+        let segments = eliminated(&linearized, params, weights);
+        let is_broken = |&i: &usize| {
+            let starts = linearized.iter().flatten().map(|window| &window.slopes[..window.slopes.len() - params]);
+            starts.filter_map(|slopes| slopes.get(i)).any(|slope| slope.is_nan())
+        };
+        Ok(Self {
+            starts: map(linearized.len(), |i| start_rows(&linearized[i], params)),
+            held: held(problem.unknowns, &point.values, &stacked(&segments, params)),
+            negligible: { norms(&linearized, params) }.into_iter().map(|norm| ROUNDING * continuity * norm).collect(),
+            slopes: Self::slopes(&linearized, params),
+            non_finite_starts: (0..problem.per_noise.len()).filter(is_broken).collect(),
+            params: segments.into_iter().map(|segment| segment.reduced).collect(),
+        })
+    }
+    /// Largest absolute derivative of a state by each parameter. NaN if one of them is non-finite.
+    pub fn slopes(linearized: &[Vec<Linearized>], params: usize) -> Vec<f64> {
+        let of_window = |window: &Linearized, i: usize| window.slopes[window.slopes.len() - params + i];
+        (0..params).map(|i| largest(linearized.iter().flatten().map(|window| of_window(window, i)))).collect()
+    }
 }

@@ -21,6 +21,9 @@ pub(super) struct Linearized {
     pub samples: DMatrix<f64>,
     /// End of the window minus the initial state of the next one. Without rows in the last window.
     pub jump: DMatrix<f64>,
+    /// Largest absolute derivative of the states of the window by each δs_k and δq. NaN if one of
+    /// them is non-finite.
+    pub slopes: Vec<f64>,
 }
 
 impl Linearized {
@@ -54,7 +57,7 @@ impl Eliminated {
     pub fn new(windows: &[Linearized], params: usize, weights: Weights<'_>) -> Self {
         let mut carried = DMatrix::zeros(0, windows.first().map_or(params + 1, |window| window.samples.ncols()));
         let mut eliminated = Vec::with_capacity(windows.len());
-        for Linearized { samples, jump } in windows {
+        for Linearized { samples, jump, .. } in windows {
             let (own, next) = (samples.ncols() - params - 1, jump.nrows());
             let parts = [jump, &carried, samples];
             let rows = own + parts.iter().map(|part| part.nrows()).sum::<usize>();
@@ -103,7 +106,7 @@ impl Eliminated {
 /// along an unstable trajectory, and can overflow.
 pub(super) fn start_rows(windows: &[Linearized], params: usize) -> DMatrix<f64> {
     let mut rows = DMatrix::zeros(0, 0);
-    for Linearized { samples, jump } in windows.iter().rev() {
+    for Linearized { samples, jump, .. } in windows.iter().rev() {
         let own = samples.ncols() - params - 1;
         // Without a next window, there are no rows.
         let later = if rows.is_empty() { DMatrix::zeros(0, own) } else { rows * jump.columns(0, own) };

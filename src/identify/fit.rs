@@ -1,9 +1,10 @@
 //! [`identify`]: measured segments, options and the fit.
 
-use super::descent::{Counts, Stop, equations, minimize};
+use super::descent::{Counts, Equations, Stop, minimize};
 use super::error::IdentifyError;
 use super::problem::{Point, Problem};
 use super::statistics::{Statistics, statistics, undetermined_components};
+use super::status::{Status, statuses};
 use crate::dynamics::system::System;
 use std::collections::BTreeSet;
 use std::f64::consts::TAU;
@@ -50,7 +51,7 @@ pub struct Options {
     /// Whether the initial state of each segment is unknown. Otherwise it is the first sample.
     pub free_starts: bool,
     /// Length of the windows of multiple shooting, in steps, at least 1. `None`: single shooting of
-    /// whole segments.
+    /// whole segments. If windows do not explain the data, [`identify`] also tries whole segments.
     pub window: Option<usize>,
     /// Largest number of iterations per weight of continuity.
     pub max_iterations: usize,
@@ -88,26 +89,32 @@ pub struct Fit {
     pub names: Vec<String>,
     /// Identified values.
     pub values: Vec<f64>,
-    /// Standard errors. Infinite for parameters in an undetermined combination, and if the noise is
-    /// unknown and there are as many unknowns as measurements.
+    /// What the fit knows about each parameter.
+    pub statuses: Vec<Status>,
+    /// Standard errors, for known values of the parameters at a bound. NaN for those. Infinite for
+    /// all others that are not estimated, and if the noise is unknown and there are as many
+    /// unknowns as measurements.
     pub errors: Vec<f64>,
     /// Standard errors that allow for correlated residuals within a segment, from the scatter
     /// between segments (jackknife CR3; Cameron and Miller 2015, doi:10.3368/jhr.50.2.317). An
     /// interval needs the quantile of Student's t with one degree of freedom less than segments.
-    /// Infinite wherever `errors` are, and for parameters that only one segment determines.
-    /// Infinite for all parameters, unless the segments that depend on a parameter outnumber the
-    /// unknown parameters.
+    /// NaN and infinite wherever `errors` are, and infinite for parameters that only one segment
+    /// determines. Infinite for all parameters, unless the segments that depend on a parameter
+    /// outnumber the unknown parameters that are not at a bound.
     pub robust_errors: Vec<f64>,
     /// Correlations of the values, from the determined combinations of parameters only. NaN for a
-    /// parameter that is in no determined combination.
+    /// parameter that is in no determined combination, and for one at a bound.
     pub correlations: Vec<Vec<f64>>,
-    /// Names of the parameters in each combination that the data do not determine.
+    /// Names of the parameters in each combination that the data do not determine. At least one of
+    /// them has the status [`Status::Undetermined`].
     pub undetermined: Vec<Vec<String>>,
     /// State components whose initial values the data do not determine in at least one segment,
     /// even for known parameters. The standard error of such a value exceeds all simulated values
     /// of the component in the second half of the segment.
     pub undetermined_starts: Vec<usize>,
-    /// Parameters at one of their bounds.
+    /// State components by which a derivative is not finite, as initial values of a window.
+    pub non_finite_starts: Vec<usize>,
+    /// Parameters with the status [`Status::AtBound`].
     pub at_bound: Vec<String>,
     /// Simulated states of each segment. Angles are continuous.
     pub states: Vec<Vec<Vec<f64>>>,
@@ -122,11 +129,17 @@ pub struct Fit {
     pub chi_squared: f64,
     /// Number of finite measurements, without first samples that are exact.
     pub measurements: usize,
-    /// Number of unknown parameters and components of initial states.
+    /// Number of unknown parameters and components of initial states, without parameters at a
+    /// bound.
     pub unknowns: usize,
-    /// Whether the iterations with the last weight of continuity ended by the tolerance, or at a
-    /// minimum up to rounding with finite derivatives.
+    /// Whether the fit is at a minimum of χ²: the iterations with the last weight of continuity
+    /// ended by the tolerance, or no step decreases the objective. Moreover, all derivatives are
+    /// finite, no parameter ran away or has a derivative of 0 despite its influence, and no step of
+    /// Gauss and Newton exceeds a tenth of its standard error.
     pub converged: bool,
+    /// Length of the windows of this result: [`Options::window`], or `None` if a fit of whole
+    /// segments had a lower χ².
+    pub window: Option<usize>,
     /// Number of iterations.
     pub iterations: usize,
     /// Number of evaluations of the objective. Each simulates all segments without derivatives.
@@ -141,6 +154,21 @@ impl Fit {
     pub fn bic(&self) -> f64 {
         let (count, unknowns) = (self.measurements as f64, self.unknowns as f64);
         count * (self.chi_squared / count).ln() + unknowns * count.ln()
+    }
+
+    /// Degrees of freedom: measurements minus unknowns.
+    pub fn freedom(&self) -> usize {
+        self.measurements - self.unknowns
+    }
+
+    /// For noise of known size, returns whether the distribution of χ² does not explain its value
+    /// per degree of freedom, and the value is not between 1/2 and 2. The bounds are four standard
+    /// deviations of a normal variable (Wilson and Hilferty 1931, doi:10.1073/pnas.17.12.684).
+    pub fn is_unlikely(&self) -> bool {
+        let freedom = self.freedom() as f64;
+        let variance = 2.0 / (9.0 * freedom);
+        let [low, high] = [-4.0, 4.0].map(|z| (1.0 - variance + z * variance.sqrt()).max(0.0).powi(3));
+        freedom > 0.0 && !(low.min(0.5)..=high.max(2.0)).contains(&(self.chi_squared / freedom))
     }
 
     /// Root mean square of the residuals of a component in a segment, over its finite measurements,
@@ -177,10 +205,23 @@ const COARSE: f64 = 1e-2;
 /// square of the measurements.
 const SMALLEST: f64 = 1e-9;
 
+/// Largest step of Gauss and Newton at a minimum, in standard errors.
+const OFFSET: f64 = 0.1;
+
+/// Ratio of χ² to the least sum of squares with the first weight of continuity, above which windows
+/// may have led to a wrong minimum, if the noise is unknown. Both sums have the same degrees of
+/// freedom, but the second one lets windows follow the noise.
+const MISFIT: f64 = 2.0;
+
+/// Relative decrease of χ² that another fit needs to be better.
+const BETTER: f64 = 1e-3;
+
 /// Identifies parameters of a system from measured trajectories.
 ///
 /// Segments consist of windows, each with its own initial state. Iterations with growing weights of
-/// continuity join the windows.
+/// continuity join the windows. Windows that are long compared with fast unmeasured states can
+/// lead to a wrong minimum. If the result has not converged or does not explain the data, a second
+/// fit uses whole segments, and the better fit is the result.
 ///
 /// # Errors
 /// See [`IdentifyError`].
@@ -191,64 +232,133 @@ pub fn identify<S: System>(
     options: &Options,
 ) -> Result<Fit, IdentifyError> {
     let problem = Problem::new(system, segments, unknowns, options)?;
-    let mut point = problem.begin(options.window)?;
     let mut counts = Counts::default();
+    let mut best = attempt(&problem, options, &mut counts)?;
+    if best.is_doubtful {
+        match attempt(&problem, &Options { window: None, ..options.clone() }, &mut counts) {
+            Ok(whole) if whole.is_better(&best) => best = whole,
+            // Whole segments can diverge where windows do not.
+            Ok(_) | Err(IdentifyError::Diverged { .. }) => {}
+            Err(error) => return Err(error),
+        }
+    }
+    let Counts { iterations, simulations, jacobians } = counts;
+    Ok(Fit { iterations, simulations, jacobians, ..best.fit })
+}
+
+struct Attempt {
+    fit: Fit,
+    /// χ² plus the weighted squared jumps.
+    objective: f64,
+    /// Whether the windows may have led to a wrong minimum.
+    is_doubtful: bool,
+}
+
+impl Attempt {
+    fn is_better(&self, other: &Self) -> bool {
+        let converges = self.fit.converged && !other.fit.converged;
+        self.objective < other.objective * if converges { 1.0 + BETTER } else { 1.0 - BETTER }
+    }
+}
+
+/// Fits with the windows of the options.
+fn attempt(problem: &Problem<'_>, options: &Options, counts: &mut Counts) -> Result<Attempt, IdentifyError> {
+    let mut point = problem.begin(options.window)?;
     // Without windows to join, the weights have no influence.
-    let stages = if point.windows.len() == segments.len() { 1 } else { CONTINUITY.len() };
+    let stages = if point.windows.len() == problem.segments.len() { 1 } else { CONTINUITY.len() };
+    let (mut objective, mut first, mut all_converged) = (f64::INFINITY, None, true);
     let mut converged = false;
     for (i, &continuity) in CONTINUITY[..stages].iter().enumerate() {
         let tolerance = if i + 1 == stages { options.tolerance } else { COARSE };
         let stop = Stop { tolerance, max_iterations: options.max_iterations };
-        converged = minimize(&problem, &mut point, continuity, stop, &mut counts)?;
+        (converged, objective) = minimize(problem, &mut point, continuity, stop, counts)?;
+        first.get_or_insert(objective);
+        all_converged &= converged;
     }
-    result(&problem, point, CONTINUITY[stages - 1], converged, counts)
+    let fit = result(problem, point, options.window, CONTINUITY[stages - 1], converged, counts)?;
+    let is_misfit =
+        if problem.noise_is_known { fit.is_unlikely() } else { first.is_some_and(|first| fit.chi_squared > MISFIT * first) };
+    let is_exact = fit.chi_squared <= problem.size().powi(2) * SMALLEST * SMALLEST * fit.measurements as f64;
+    let is_doubtful = stages > 1 && !is_exact && (is_misfit || !all_converged || !fit.converged);
+    Ok(Attempt { fit, objective, is_doubtful })
 }
 
 fn result(
     problem: &Problem<'_>,
     point: Point,
+    window: Option<usize>,
     continuity: f64,
     converged: bool,
-    mut counts: Counts,
+    counts: &mut Counts,
 ) -> Result<Fit, IdentifyError> {
     let names: Vec<String> = problem.unknowns.iter().map(|unknown| unknown.name.clone()).collect();
-    let [equations, starts] = equations(problem, &point, continuity, &mut counts)?;
-    let Statistics { errors, robust_errors, correlations, undetermined } = statistics(&equations, &names);
-    let (measurements, unknowns) = (problem.measurements(), problem.count());
+    let equations = Equations::new(problem, &point, continuity, counts)?;
+    let free: Vec<usize> = (0..names.len()).filter(|&i| !equations.held[i]).collect();
+    let (measurements, unknowns) = (problem.measurements(), problem.count(free.len()));
     let misfit = problem.misfit(&point)?;
     let chi_squared = misfit.map_or(f64::INFINITY, |misfit| misfit.samples);
+    let smallest = SMALLEST * problem.size();
     let jump = misfit.map_or(f64::INFINITY, |misfit| {
-        let residual = || (misfit.samples / measurements as f64).sqrt().max(SMALLEST * problem.size());
+        let residual = || (misfit.samples / measurements as f64).sqrt().max(smallest);
         let unit = if problem.noise_is_known || misfit.largest_jump == 0.0 { 1.0 } else { residual() };
         misfit.largest_jump / unit
     });
-    let noise = match measurements - unknowns {
-        _ if problem.noise_is_known => 1.0,
+    let residual = match measurements - unknowns {
         // The residuals are 0 and do not show the size of the noise.
         0 => f64::INFINITY,
         freedom => (chi_squared / freedom as f64).sqrt(),
     };
+    let noise = if problem.noise_is_known { 1.0 } else { residual };
+    // A wrong model has residuals above its noise. Their size is unknown without degrees of
+    // freedom.
+    let spread = if residual.is_finite() { noise.max(residual) } else { noise };
+    let is_finite = equations.non_finite_starts.is_empty() && equations.slopes.iter().all(|slope| slope.is_finite());
+    let found =
+        if is_finite { statistics(&equations.params, &free, &equations.negligible) } else { Statistics::unknown(free.len()) };
+    let is_minimum = found.offset <= OFFSET * spread.max(smallest);
+    let place = |i: usize| free.iter().position(|&free| free == i);
+    let of_all = |of_free: &[f64], unit: f64| -> Vec<f64> {
+        let of = |k: usize| if of_free[k].is_finite() && noise.is_finite() { of_free[k] * unit } else { f64::INFINITY };
+        (0..names.len()).map(|i| place(i).map_or(f64::NAN, of)).collect()
+    };
+    let undetermined: Vec<Vec<usize>> =
+        found.undetermined.iter().map(|combination| combination.iter().map(|&k| free[k]).collect()).collect();
+    let at_minimum = converged && is_finite && is_minimum;
+    let spreads = of_all(&found.errors, spread);
+    let statuses = statuses(problem, &point, &equations, &spreads, &undetermined, at_minimum, counts)?;
+    let known = |errors: Vec<f64>| {
+        let is_known = |status: &Status| matches!(status, Status::Estimated | Status::AtBound);
+        let errors = errors.into_iter().zip(&statuses);
+        errors.map(|(error, status)| if is_known(status) { error } else { f64::INFINITY }).collect::<Vec<f64>>()
+    };
+    let correlation = |i: usize, j: usize| place(i).zip(place(j)).map_or(f64::NAN, |(i, j)| found.correlations[i][j]);
+    let correlations = (0..names.len()).map(|i| (0..names.len()).map(|j| correlation(i, j)).collect()).collect();
+    let with = |status: Status| (0..names.len()).filter(|&i| statuses[i] == status).map(|i| names[i].clone()).collect();
+    let is_open = |combination: &&Vec<usize>| combination.iter().any(|&i| statuses[i] == Status::Undetermined);
+    let named = |combination: &Vec<usize>| combination.iter().map(|&i| names[i].clone()).collect();
     let states = problem.states(&point)?;
-    let open = starts.into_iter().zip(&states).flat_map(|(rows, states)| undetermined_components(rows, noise, states));
-    let is_bound =
-        |(unknown, value): (&Unknown, &f64)| (*value <= unknown.min || *value >= unknown.max).then(|| unknown.name.clone());
+    let starts = equations.starts.iter().zip(&states);
+    let open = starts.flat_map(|(rows, states)| undetermined_components(rows, noise, states));
     Ok(Fit {
-        errors: errors.into_iter().map(|error| if error.is_finite() { error * noise } else { error }).collect(),
-        robust_errors: robust_errors.into_iter().map(|error| if noise.is_finite() { error } else { noise }).collect(),
+        errors: known(of_all(&found.errors, noise)),
+        robust_errors: known(of_all(&found.robust_errors, 1.0)),
         correlations,
-        undetermined,
+        undetermined: undetermined.iter().filter(is_open).map(named).collect(),
         undetermined_starts: open.collect::<BTreeSet<usize>>().into_iter().collect(),
-        at_bound: problem.unknowns.iter().zip(&point.values).filter_map(is_bound).collect(),
+        non_finite_starts: equations.non_finite_starts,
+        at_bound: with(Status::AtBound),
         states,
         angles: problem.angles.to_vec(),
         jump,
         chi_squared,
         measurements,
         unknowns,
-        converged,
+        converged: at_minimum && !statuses.iter().any(|status| status.is_failure()),
+        window,
         iterations: counts.iterations,
         simulations: counts.simulations,
         jacobians: counts.jacobians,
+        statuses,
         names,
         values: point.values,
     })

@@ -26,6 +26,8 @@ mod fit;
 mod jacobian;
 mod problem;
 mod statistics;
+mod status;
 
 pub use error::IdentifyError;
 pub use fit::{Fit, Options, Segment, Unknown, identify};
+pub use status::Status;

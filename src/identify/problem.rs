@@ -25,6 +25,9 @@ pub(super) struct Point {
     pub windows: Vec<Window>,
 }
 
+/// Relative changes of a number without derivative that may change the simulation.
+const CHANGES: [f64; 5] = [1e-3, 1e-2, 0.1, 0.5, 1.0];
+
 /// Sums of squares, in units of the noise.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Misfit {
@@ -107,7 +110,8 @@ impl<'a> Problem<'a> {
         let (noise_is_known, free_starts, stop) = (options.noise.is_some(), options.free_starts, options.stop.as_deref());
         let angles = &options.angles[..];
         let problem = Self { model, segments, unknowns, per_noise, noise_is_known, free_starts, angles, stop };
-        let (measurements, unknowns) = (problem.measurements(), problem.count());
+        let free = unknowns.iter().filter(|unknown| unknown.min < unknown.max).count();
+        let (measurements, unknowns) = (problem.measurements(), problem.count(free));
         if unknowns == 0 {
             return Err(IdentifyError::NothingUnknown);
         }
@@ -136,10 +140,11 @@ impl<'a> Problem<'a> {
         (self.finite().map(|y| y * y).sum::<f64>() / self.measurements() as f64).sqrt()
     }
 
-    /// Number of unknowns: parameters, and components of the initial states of segments if they are
-    /// unknown. Continuity determines the initial states of the later windows.
-    pub fn count(&self) -> usize {
-        self.unknowns.len() + if self.free_starts { self.segments.len() * self.model.sizes()[0] } else { 0 }
+    /// Number of unknowns, with this number of free parameters: also the components of the initial
+    /// states of segments if they are unknown. Continuity determines the initial states of the
+    /// later windows.
+    pub fn count(&self, params: usize) -> usize {
+        params + if self.free_starts { self.segments.len() * self.model.sizes()[0] } else { 0 }
     }
 
     /// Initial values. Splits the segments into windows of `length` steps. The last window of a
@@ -269,6 +274,23 @@ impl<'a> Problem<'a> {
         Ok(states)
     }
 
+    /// Returns whether a finite change of the unknown `i` changes a simulated state. The changes are
+    /// fractions of the value, or 1 if it is 0, within the bounds, and those to finite bounds.
+    pub fn is_changed_by(&self, i: usize, point: &Point) -> Result<bool, IdentifyError> {
+        let (value, Unknown { min, max, .. }) = (point.values[i], &self.unknowns[i]);
+        let size = if value == 0.0 { 1.0 } else { value.abs() };
+        let near = CHANGES.iter().flat_map(|change| [value - change * size, value + change * size]);
+        let states = self.states(point)?;
+        for value in near.map(|near| near.clamp(*min, *max)).chain([*min, *max].into_iter().filter(|bound| bound.is_finite())) {
+            let mut changed = point.clone();
+            changed.values[i] = value;
+            if self.states(&changed)? != states {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
     /// Linearizes all windows, by segment.
     pub fn linearize(&self, point: &Point) -> Result<Vec<Vec<Linearized>>, IdentifyError> {
         let indices: Vec<usize> = self.unknowns.iter().map(|unknown| unknown.index).collect();
@@ -278,6 +300,9 @@ impl<'a> Problem<'a> {
             let run = self.run(window, &p);
             let (states, slopes) = (run.simulate(self.model), run.derivatives(self.model, window.is_free, &indices));
             let columns = slopes[0].ncols() + 1;
+            // A QR factorization spreads a NaN to all columns.
+            let column = |j: usize| slopes.iter().flat_map(move |slopes| (0..slopes.nrows()).map(move |i| slopes[(i, j)]));
+            let largest = (0..columns - 1).map(|j| largest(column(j))).collect();
             let mut rows = Vec::new();
             self.residuals(window, &states, |step, i, residual| {
                 rows.extend(slopes[step].row(i).iter().map(|slope| slope * self.per_noise[i]));
@@ -290,7 +315,7 @@ impl<'a> Problem<'a> {
                     if j + 1 < columns { slopes[(i, j)] } else { self.difference(i, end[i], start[i]) }
                 })
             });
-            Linearized { samples, jump }
+            Linearized { samples, jump, slopes: largest }
         };
         let mut segments: Vec<Vec<Linearized>> = self.segments.iter().map(|_| Vec::new()).collect();
         for (window, linearized) in point.windows.iter().zip(self.map(point, of_window)?) {
@@ -305,6 +330,11 @@ impl Point {
     fn after(&self, k: usize) -> Option<&Vec<f64>> {
         self.windows.get(k + 1).filter(|next| next.segment == self.windows[k].segment).map(|next| &next.start)
     }
+}
+
+/// Largest absolute number. NaN if a number is non-finite.
+pub(super) fn largest(numbers: impl Iterator<Item = f64>) -> f64 {
+    numbers.fold(0.0, |largest, x| if largest.is_nan() || !x.is_finite() { f64::NAN } else { x.abs().max(largest) })
 }
 
 /// Returns the results of `work` for `0..count`, in order. Threads share the work if the feature

@@ -27,6 +27,7 @@ const NO_EFFECT: f64 = 1e-100;
 /// Magnitude of an eigenvector component above which a combination names the parameter.
 const NAMED: f64 = 1e-3;
 
+#[derive(Default)]
 pub(super) struct Statistics {
     /// Standard errors at unit noise; infinite for undetermined parameters.
     pub errors: Vec<f64>,
@@ -35,22 +36,39 @@ pub(super) struct Statistics {
     /// segments that depend on a parameter outnumber the parameters.
     pub robust_errors: Vec<f64>,
     pub correlations: Vec<Vec<f64>>,
-    /// Names of the parameters in each undetermined combination.
-    pub undetermined: Vec<Vec<String>>,
+    /// Indices of the parameters in each undetermined combination.
+    pub undetermined: Vec<Vec<usize>>,
+    /// Largest step of Gauss and Newton along an eigenvector of the scaled information matrix, in
+    /// standard errors at unit noise. 0 at a minimum (Bates and Watts 1981,
+    /// doi:10.1080/00401706.1981.10486251).
+    pub offset: f64,
 }
 
-/// Computes the statistics of the named parameters from their equations, one matrix `[J | r]` for
-/// each segment.
-pub(super) fn statistics(equations: &[DMatrix<f64>], names: &[String]) -> Statistics {
-    let count = names.len();
-    if count == 0 {
-        return Statistics { errors: Vec::new(), robust_errors: Vec::new(), correlations: Vec::new(), undetermined: Vec::new() };
+impl Statistics {
+    /// Statistics of `count` parameters without finite equations.
+    pub fn unknown(count: usize) -> Self {
+        let unknown = vec![f64::INFINITY; count];
+        let correlations = vec![vec![f64::NAN; count]; count];
+        Self { errors: unknown.clone(), robust_errors: unknown, correlations, ..Self::default() }
     }
+}
+
+/// Computes the statistics of the parameters `free` from the equations of all parameters, one
+/// matrix `[J | r]` for each segment. Other parameters are known. Indices of results refer to
+/// `free`. Columns with norms up to `negligible` are rounding errors.
+pub(super) fn statistics(equations: &[DMatrix<f64>], free: &[usize], negligible: &[f64]) -> Statistics {
+    let count = free.len();
+    if count == 0 {
+        return Statistics::default();
+    }
+    let columns: Vec<usize> = free.iter().copied().chain([negligible.len()]).collect();
+    let equations: Vec<DMatrix<f64>> = equations.iter().map(|rows| rows.select_columns(&columns)).collect();
     let information = equations.iter().fold(DMatrix::zeros(count, count), |sum, rows| {
         let slopes = rows.columns(0, count);
         sum + slopes.tr_mul(&slopes)
     });
-    let scale: Vec<f64> = (0..count).map(|i| information[(i, i)].max(0.0).sqrt()).collect();
+    let scale = |i: usize| Some(information[(i, i)].max(0.0).sqrt()).filter(|scale| *scale > negligible[free[i]]);
+    let scale: Vec<f64> = (0..count).map(|i| scale(i).unwrap_or(0.0)).collect();
     let scaled = DMatrix::from_fn(count, count, |i, j| {
         let product = scale[i] * scale[j];
         if product > 0.0 { information[(i, j)] / product } else { 0.0 }
@@ -65,9 +83,8 @@ pub(super) fn statistics(equations: &[DMatrix<f64>], names: &[String]) -> Statis
         if eigenvalue.is_nan() || eigenvalue <= least {
             let members: Vec<usize> = (0..count).filter(|&i| vector[i].is_nan() || vector[i].abs() > NAMED).collect();
             members.iter().for_each(|&i| is_open[i] = true);
-            let combination: Vec<String> = members.iter().map(|&i| names[i].clone()).collect();
-            if !undetermined.contains(&combination) {
-                undetermined.push(combination);
+            if !undetermined.contains(&members) {
+                undetermined.push(members);
             }
             continue;
         }
@@ -83,12 +100,21 @@ pub(super) fn statistics(equations: &[DMatrix<f64>], names: &[String]) -> Statis
     let robust_errors = robust_errors.collect();
     let correlation = |i: usize, j: usize| covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt();
     let correlations = (0..count).map(|i| (0..count).map(|j| correlation(i, j)).collect()).collect();
-    Statistics { errors: errors.collect(), robust_errors, correlations, undetermined }
+    let transform = transform(&scale, &factor);
+    let step = equations.iter().fold(DVector::zeros(count), |sum, rows| sum + transform.tr_mul(&gradient(rows)));
+    Statistics { errors: errors.collect(), robust_errors, correlations, undetermined, offset: step.amax() }
+}
+
+/// Transforms coordinates in which the information of all segments is the unit matrix to steps of
+/// the parameters.
+fn transform(scale: &[f64], factor: &DMatrix<f64>) -> DMatrix<f64> {
+    let per_scale = scale.iter().map(|&scale| if scale > 0.0 { 1.0 / scale } else { 0.0 });
+    DMatrix::from_diagonal(&DVector::from_iterator(scale.len(), per_scale)) * factor
 }
 
 /// Components of an initial state that the samples do not determine. `rows` are its linear
 /// equations at unit noise.
-pub(super) fn undetermined_components(rows: DMatrix<f64>, noise: f64, states: &[Vec<f64>]) -> Vec<usize> {
+pub(super) fn undetermined_components(rows: &DMatrix<f64>, noise: f64, states: &[Vec<f64>]) -> Vec<usize> {
     let count = rows.ncols();
     let norms: Vec<f64> = rows.column_iter().map(|column| if column.amax() > 0.0 { column.norm() } else { NO_EFFECT }).collect();
     let mut damped = rows.clone().resize_vertically(rows.nrows() + count, 0.0);
@@ -113,20 +139,17 @@ pub(super) fn undetermined_components(rows: DMatrix<f64>, noise: f64, states: &[
 /// segments is the unit matrix.
 fn jackknife(equations: &[&DMatrix<f64>], scale: &[f64], factor: &DMatrix<f64>) -> Vec<f64> {
     let (count, segments) = (scale.len(), equations.len() as f64);
-    let per_scale = DVector::from_iterator(count, scale.iter().map(|&scale| if scale > 0.0 { 1.0 / scale } else { 0.0 }));
-    let transform = DMatrix::from_diagonal(&per_scale) * factor;
-    let gradients: Vec<DVector<f64>> = equations.iter().map(|rows| transform.tr_mul(&gradient(rows))).collect();
-    // The mean is 0, except for parameters at a bound.
-    let mean = gradients.iter().fold(DVector::zeros(count), |sum, gradient| sum + gradient) / segments;
+    let transform = transform(scale, factor);
     let mut variances = vec![0.0; count];
-    for (rows, gradient) in equations.iter().zip(&gradients) {
+    for rows in equations {
+        let gradient = transform.tr_mul(&gradient(rows));
         let slopes = rows.columns(0, count) * &transform;
         let others = SymmetricEigen::new(DMatrix::identity(count, count) - slopes.tr_mul(&slopes));
         let mut change = DVector::zeros(count);
         for (vector, &eigenvalue) in others.eigenvectors.column_iter().zip(&others.eigenvalues) {
             let direction = factor * vector;
             if eigenvalue > SHARED {
-                change += direction * (vector.dot(&(gradient - &mean)) / eigenvalue);
+                change += direction * (vector.dot(&gradient) / eigenvalue);
                 continue;
             }
             let is_open = |i: usize| direction[i].abs() > NAMED * factor.row(i).norm();

@@ -447,7 +447,10 @@ fn a_damaged_file_of_an_identification_is_named() {
         ("identified.csv", "x"),
         ("identified.csv", ""),
     ] {
-        write("identified.csv", "name,start,value,standard_error,robust_error,correlation with a\na,1,2,0.1,0.1,1\n");
+        write(
+            "identified.csv",
+            "name,start,value,standard_error,robust_error,status,correlation with a\na,1,2,0.1,0.1,estimated,1\n",
+        );
         write("fit.csv", "name,value\nsegments,1\n");
         write("trajectories.csv", "segment,t,x_measured,x_simulated\n0,0,1,1\n");
         write(file, text);

@@ -5,7 +5,7 @@ mod picture;
 mod table;
 
 use crate::Number;
-use crate::identify::{Fit, IdentifyError, Options, Segment};
+use crate::identify::{Fit, IdentifyError, Options, Segment, Status};
 use crate::numbers::text::{digits, rough, short};
 use crate::program::commands::report::identification::{self, FIT, IDENTIFIED, TRAJECTORIES, VALIDATION, WARNING};
 use crate::program::platform::csv::csv;
@@ -109,7 +109,11 @@ pub fn identify(args: &Identify) -> Result<()> {
         source.fix(name, value)?;
     }
     // A fitted value can be outside of the range of its setting.
-    let found = source.scene();
+    let found = if fit.converged {
+        source.scene().map_err(|error| anyhow!("{error:#}; add bounds to [fit]"))
+    } else {
+        Err(anyhow!("the fit has not converged"))
+    };
     let folder = Folder::or_fresh(reserved, &format!("identify-{}", presets::short_name(&args.scene)))?;
     let mut text = format!("{}", table(&fit, &scene));
     for (name, value) in facts(&fit, seconds) {
@@ -127,7 +131,7 @@ pub fn identify(args: &Identify) -> Result<()> {
     let mut warnings = warnings(&fit, &scene, !args.noise.is_empty());
     warnings.extend(measured.warnings(&fitted, &fit, &scene));
     if let Err(error) = &found {
-        warnings.push(format!("there is no scene.toml and no validation: {error:#}; add bounds to [fit]"));
+        warnings.push(format!("there is no scene.toml and no validation: {error:#}"));
     }
     warnings.iter().for_each(|warning| text += &format!("\n{WARNING}: {warning}"));
 
@@ -204,6 +208,7 @@ fn facts(fit: &Fit, seconds: f64) -> Vec<(&'static str, String)> {
         ("unknowns with initial states", fit.unknowns.to_string()),
         ("χ²", digits(fit.chi_squared, 7)),
         ("BIC", format!("{:.1}", fit.bic())),
+        ("window", fit.window.map_or_else(|| "whole segments".into(), |steps| counted(steps, "step"))),
         ("iterations", fit.iterations.to_string()),
         ("simulations", fit.simulations.to_string()),
         ("Jacobians", fit.jacobians.to_string()),
@@ -211,33 +216,52 @@ fn facts(fit: &Fit, seconds: f64) -> Vec<(&'static str, String)> {
     ]
 }
 
-/// Returns whether the distribution of χ² does not explain its value per degree of freedom, and the
-/// value is not between 1/2 and 2. The bounds are four standard deviations of a normal variable
-/// (Wilson and Hilferty 1931, doi:10.1073/pnas.17.12.684).
-fn is_unlikely(chi_squared: f64, freedom: f64) -> bool {
-    let variance = 2.0 / (9.0 * freedom);
-    let [low, high] = [-4.0, 4.0].map(|z| (1.0 - variance + z * variance.sqrt()).max(0.0).powi(3));
-    !(low.min(0.5)..=high.max(2.0)).contains(&(chi_squared / freedom))
-}
-
 fn warnings(fit: &Fit, scene: &Scene, noise_is_known: bool) -> Vec<String> {
-    let undetermined = fit.undetermined.iter().map(|names| {
-        format!("the data do not determine {} separately; fix one of them, or measure a motion with forces", names.join(", "))
+    let states = scene.state_names();
+    let named = |components: &[usize]| listed(&components.iter().map(|&i| states[i].clone()).collect::<Vec<_>>());
+    let undetermined = fit.undetermined.iter().map(|names| match &names[..] {
+        [name] => format!("the data do not determine {name}; fix it, or measure a motion that it affects"),
+        names => {
+            format!("the data do not determine {} separately; fix one of them, or measure a motion with forces", names.join(", "))
+        }
     });
-    let bounds = fit.at_bound.iter().map(|name| format!("{name} is at its bound"));
-    let mut warnings: Vec<String> = undetermined.chain(bounds).collect();
+    let rows = fit.names.iter().zip(starts(fit, scene)).zip(fit.values.iter().zip(&fit.statuses));
+    let of_number = rows.filter_map(|((name, start), (&value, status))| match status {
+        Status::AtBound => Some(format!("{name} is at its bound")),
+        Status::RanAway => Some(format!(
+            "{name} ran away from {} to {}, where it has almost no influence, so χ² has no minimum; give it bounds or another \
+             initial value, and check the model",
+            digits(start, 6),
+            digits(value, 6)
+        )),
+        Status::NonFinite => Some(format!(
+            "a derivative of the simulated states by {name} is not finite at {}, so the iterations ended; choose another \
+             initial value, or bounds without such values",
+            digits(value, 6)
+        )),
+        Status::NoSlope => Some(format!(
+            "all derivatives of the simulated states by {name} are 0 at {}, although other values change the states, as for a \
+             number that is only compared; it kept its initial value; fix it, and compare χ² of several values",
+            digits(value, 6)
+        )),
+        Status::Estimated | Status::Undetermined | Status::NotConverged => None,
+    });
+    let mut warnings: Vec<String> = undetermined.chain(of_number).collect();
+    if !fit.non_finite_starts.is_empty() {
+        warnings.push(format!(
+            "a derivative by the initial value of {} is not finite, so the iterations ended; choose other initial values",
+            named(&fit.non_finite_starts)
+        ));
+    }
     if !fit.undetermined_starts.is_empty() {
-        let states = scene.state_names();
-        let names: Vec<String> = fit.undetermined_starts.iter().map(|&i| states[i].clone()).collect();
         warnings.push(format!(
             "the data do not determine the initial values of {}; measure them in the first row of each segment, use \
              --exact-starts with complete first rows, or choose a longer --window",
-            listed(&names)
+            named(&fit.undetermined_starts)
         ));
     }
-    let freedom = (fit.measurements - fit.unknowns) as f64;
-    if noise_is_known && freedom > 0.0 && is_unlikely(fit.chi_squared, freedom) {
-        let ratio = fit.chi_squared / freedom;
+    if noise_is_known && fit.is_unlikely() {
+        let ratio = fit.chi_squared / fit.freedom() as f64;
         warnings.push(format!(
             "χ² per degree of freedom is {}, far from 1: the residuals are {} times the given noise; check --noise, the units \
              of the data, and the model",
@@ -245,8 +269,9 @@ fn warnings(fit: &Fit, scene: &Scene, noise_is_known: bool) -> Vec<String> {
             rough(ratio.sqrt())
         ));
     }
-    if !fit.converged {
-        warnings.push("the iterations ended before convergence; try other initial values or another --window".into());
+    let is_explained = fit.statuses.iter().any(|status| status.is_failure()) || !fit.non_finite_starts.is_empty();
+    if !fit.converged && !is_explained {
+        warnings.push("the iterations ended before a minimum; try other initial values or another --window".into());
     }
     if fit.jump > JUMP {
         warnings.push(format!(
@@ -293,11 +318,12 @@ fn starts(fit: &Fit, scene: &Scene) -> Vec<f64> {
 }
 
 fn numbers(fit: &Fit, scene: &Scene) -> Result<Vec<u8>> {
-    let mut header = ["name", "start", "value", "standard_error", "robust_error"].map(String::from).to_vec();
+    let mut header = ["name", "start", "value", "standard_error", "robust_error", "status"].map(String::from).to_vec();
     header.extend(fit.names.iter().map(|name| format!("correlation with {name}")));
     let rows = starts(fit, scene).into_iter().enumerate().map(|(i, start)| {
         let mut row = vec![fit.names[i].clone()];
         row.extend([start, fit.values[i], fit.errors[i], fit.robust_errors[i]].map(|number| number.to_string()));
+        row.push(fit.statuses[i].name().into());
         row.extend(fit.correlations[i].iter().map(f64::to_string));
         row
     });
@@ -307,8 +333,11 @@ fn numbers(fit: &Fit, scene: &Scene) -> Result<Vec<u8>> {
 fn table(fit: &Fit, scene: &Scene) -> Table {
     let mut table = Table::new(["number", "start", "value", "standard error"]);
     for (i, start) in starts(fit, scene).into_iter().enumerate() {
-        let [start, value, error] = [digits(start, 6), digits(fit.values[i], 6), rough(fit.errors[i])];
-        table.row([fit.names[i].clone(), start, value, error]);
+        let error = match fit.statuses[i] {
+            Status::Estimated => rough(fit.errors[i]),
+            status => status.name().into(),
+        };
+        table.row([fit.names[i].clone(), digits(start, 6), digits(fit.values[i], 6), error]);
     }
     table
 }

@@ -22,7 +22,7 @@ pub const VALIDATION: &str = "validation.csv";
 pub const WARNING: &str = "warning";
 
 /// Number of columns of [`IDENTIFIED`] before the correlations.
-const NUMBERS: usize = 5;
+const NUMBERS: usize = 6;
 
 const NOTE: &str = "Residuals are simulated minus measured states. A standard error assumes independent residuals. A robust error \
                     allows for correlated residuals within a segment; it needs more segments than numbers.";
@@ -43,8 +43,8 @@ pub fn page(folder: &Folder) -> Result<String> {
     let two_digits = |cell: &String| cell.parse::<f64>().map_or_else(|_| cell.clone(), |x| format!("{x:.2}"));
     let correlations = |row: &Vec<String>| names_and(row, row[NUMBERS..].iter().map(two_digits).collect());
     let correlations: Vec<Vec<String>> = numbers.iter().map(correlations).collect();
-    let headers = ["name", "start", "value", "standard error", "robust error"];
-    let columns = names_and(&header, correlations.iter().map(|row| row[0].clone()).collect());
+    let headers = ["name", "start", "value", "standard error", "robust error", "status"];
+    let columns = names_and(header, correlations.iter().map(|row| row[0].clone()).collect());
     let content = html! {
         (section("Numbers", table(&headers, &errors)))
         (section("Correlations", table(&columns, &correlations)))

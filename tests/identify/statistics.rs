@@ -1,0 +1,156 @@
+//! Standard errors, against linear regression and fits without the numbers at their bounds.
+
+use nalgebra::{DMatrix, DVector};
+use physgrad::identify::{Fit, Options, Segment, Status, Unknown, identify};
+use physgrad::rng::{Purpose, stream};
+use physgrad::{Inputs, Scalar, System};
+use rand_distr::{Distribution, StandardNormal};
+
+/// `x' = x + p_0 + p_1 u + p_2 t/10`, which is linear in all unknowns.
+struct Line;
+
+impl System for Line {
+    fn state_dim(&self) -> usize {
+        1
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn param_dim(&self) -> usize {
+        3
+    }
+    fn step<T: Scalar>(&self, Inputs { x, p, u, t }: Inputs<'_, T>, next: &mut [T]) {
+        next[0] = x[0] + p[0] + p[1] * u[0] + p[2] * (0.1 * t as f64);
+    }
+}
+
+const TRUTH: [f64; 3] = [0.5, -1.0, 0.3];
+const STEPS: usize = 7;
+
+/// Five segments of seven samples with unit noise.
+fn segments() -> Vec<Segment> {
+    let rng = &mut stream(13, Purpose::Check, 0);
+    let mut normal = || Distribution::<f64>::sample(&StandardNormal, rng);
+    let mut segment = || {
+        let mut data = Segment { p: TRUTH.to_vec(), ..Segment::default() };
+        let mut state = 2.0;
+        for t in 0..STEPS {
+            let mut next = [0.0];
+            let u = vec![normal()];
+            data.x.push(vec![state + normal()]);
+            Line.step::<f64>(Inputs { x: &[state], u: &u, p: &TRUTH, t }, &mut next);
+            (state, _) = (next[0], data.u.push(u));
+        }
+        data
+    };
+    (0..5).map(|_| segment()).collect()
+}
+
+fn unknown(index: usize, start: f64, [min, max]: [f64; 2]) -> Unknown {
+    Unknown { name: format!("p_{index}"), index, start, min, max }
+}
+
+const FREE: [f64; 2] = [f64::NEG_INFINITY, f64::INFINITY];
+
+fn fit(unknowns: &[Unknown], fixed: f64, noise: Option<f64>) -> Fit {
+    let segments: Vec<Segment> = segments().into_iter().map(|segment| Segment { p: vec![0.0, 0.0, fixed], ..segment }).collect();
+    let options = Options { noise: noise.map(|noise| vec![noise]), window: None, ..Options::default() };
+    identify(&Line, &segments, unknowns, &options).expect("valid data")
+}
+
+/// Ordinary least squares of the initial states and all numbers: values and inverse normal matrix,
+/// numbers last, sum of squared residuals, and degrees of freedom.
+fn regression(segments: &[Segment]) -> (DVector<f64>, DMatrix<f64>, f64, f64) {
+    let (count, columns) = (segments.len() * STEPS, segments.len() + 3);
+    let (mut matrix, mut right) = (DMatrix::zeros(count, columns), DVector::zeros(count));
+    for (i, segment) in segments.iter().enumerate() {
+        let mut sums = [0.0; 3];
+        for t in 0..STEPS {
+            let row = i * STEPS + t;
+            (matrix[(row, i)], right[row]) = (1.0, segment.x[t][0]);
+            (0..3).for_each(|k| matrix[(row, segments.len() + k)] = sums[k]);
+            sums = [sums[0] + 1.0, sums[1] + segment.u[t][0], sums[2] + 0.1 * t as f64];
+        }
+    }
+    let inverse = (matrix.transpose() * &matrix).try_inverse().expect("determined numbers");
+    let values = &inverse * matrix.transpose() * &right;
+    let squares = (right - matrix * &values).norm_squared();
+    (values, inverse, squares, (count - columns) as f64)
+}
+
+fn assert_close(found: f64, expected: f64, what: &str) {
+    assert!((found / expected - 1.0).abs() < 1e-6, "{what}: {found}, expected {expected}");
+}
+
+/// The noise is that of N - k degrees of freedom. Robust errors are those of fits that leave out
+/// one segment each.
+#[test]
+fn errors_are_those_of_linear_regression_and_of_fits_without_a_segment() {
+    let segments = segments();
+    let all: Vec<Unknown> = (0..3).map(|i| unknown(i, 0.0, FREE)).collect();
+    let [free, known] = [fit(&all, 0.0, None), fit(&all, 0.0, Some(2.0))];
+    let (values, inverse, squares, freedom) = regression(&segments);
+    let without: Vec<DVector<f64>> = (0..5).map(|i| regression(&[&segments[..i], &segments[i + 1..]].concat()).0).collect();
+    assert_eq!((free.freedom() as f64, free.unknowns), (freedom, 8));
+    for i in 0..3 {
+        let variance = inverse[(5 + i, 5 + i)];
+        let scatter: f64 = without.iter().map(|without| (without[4 + i] - values[5 + i]).powi(2)).sum();
+        assert_close(free.values[i], values[5 + i], "value");
+        assert_close(free.errors[i], (variance * squares / freedom).sqrt(), "error");
+        assert_close(known.errors[i], 2.0 * variance.sqrt(), "error with known noise");
+        for fit in [&free, &known] {
+            assert_close(fit.robust_errors[i], (0.8 * scatter).sqrt(), "robust error");
+            let correlation = inverse[(5, 5 + i)] / (inverse[(5, 5)] * variance).sqrt();
+            assert_close(fit.correlations[0][i], correlation, "correlation");
+        }
+    }
+}
+
+/// A number at a bound that χ² pushes it beyond, or with equal bounds, is known in the statistics
+/// of the others. The reference is a fit in which this number is not unknown.
+#[test]
+fn numbers_at_a_bound_are_known_in_all_statistics() {
+    let both = [unknown(0, 0.0, FREE), unknown(1, 0.0, FREE)];
+    for (start, bounds) in [
+        // The truth is 0.3: above the upper bounds, and below the lower ones.
+        (-4.0, [f64::NEG_INFINITY, -2.0]),
+        (-2.0, [-3.0, -2.0]),
+        (4.0, [2.0, f64::INFINITY]),
+        (2.0, [2.0, 3.0]),
+        (2.0, [2.0, 2.0]),
+    ] {
+        let bound = if start < 0.0 { -2.0 } else { 2.0 };
+        for noise in [None, Some(1.0)] {
+            let expected = fit(&both, bound, noise);
+            let found = fit(&[&both[..], &[unknown(2, start, bounds)]].concat(), 0.0, noise);
+            assert_eq!(found.statuses, [Status::Estimated, Status::Estimated, Status::AtBound], "{start}");
+            assert_eq!((found.values[2], &found.at_bound[..]), (bound, &["p_2".to_owned()][..]));
+            assert_eq!((found.unknowns, found.freedom()), (expected.unknowns, expected.freedom()));
+            assert!(found.converged && found.undetermined.is_empty());
+            assert_close(found.bic(), expected.bic(), "BIC");
+            for i in 0..2 {
+                assert_close(found.values[i], expected.values[i], "value");
+                assert_close(found.errors[i], expected.errors[i], "error");
+                assert_close(found.robust_errors[i], expected.robust_errors[i], "robust error");
+                assert_close(found.correlations[0][i], expected.correlations[0][i], "correlation");
+                assert!(found.correlations[i][2].is_nan() && found.correlations[2][i].is_nan());
+            }
+            assert!(found.errors[2].is_nan() && found.robust_errors[2].is_nan());
+        }
+    }
+}
+
+/// A number that starts at a bound leaves it if χ² decreases within the bounds.
+#[test]
+fn a_number_leaves_a_bound_towards_the_minimum() {
+    let all: Vec<Unknown> = (0..3).map(|i| unknown(i, 0.0, FREE)).collect();
+    let expected = fit(&all, 0.0, None);
+    for (start, bounds) in [(3.0, [-3.0, 3.0]), (-3.0, [-3.0, 3.0])] {
+        let found = fit(&[&all[..2], &[unknown(2, start, bounds)]].concat(), 0.0, None);
+        assert!(found.converged && found.at_bound.is_empty(), "{start}: {found:?}");
+        for i in 0..3 {
+            assert_close(found.values[i], expected.values[i], "value");
+            assert_close(found.errors[i], expected.errors[i], "error");
+        }
+    }
+}
