@@ -275,7 +275,8 @@ fn attempt(problem: &Problem<'_>, options: &Options, counts: &mut Counts) -> Res
         first.get_or_insert(objective);
         all_converged &= converged;
     }
-    let fit = result(problem, point, options.window, CONTINUITY[stages - 1], converged, counts)?;
+    let window = options.window.map(|steps| steps.max(1));
+    let fit = result(problem, point, window, CONTINUITY[stages - 1], converged, counts)?;
     let is_misfit =
         if problem.noise_is_known { fit.is_unlikely() } else { first.is_some_and(|first| fit.chi_squared > MISFIT * first) };
     let is_exact = fit.chi_squared <= problem.size().powi(2) * SMALLEST * SMALLEST * fit.measurements as f64;

@@ -24,6 +24,8 @@ enum Model {
     Sum,
     /// `x' = x/2 + p_0`.
     Offset,
+    /// `x' = x/2 + 0.3 + |p_0 - 0.7|`.
+    Kink,
     /// `x' = x/2 + y + p_0` with an unmeasured constant y.
     Hidden,
 }
@@ -47,6 +49,7 @@ impl System for Model {
             Self::RootOfState => x[0].sqrt() * 0.5 + p[0],
             Self::Sum => x[0] * 0.5 + p[0] + p[1],
             Self::Offset => x[0] * 0.5 + p[0],
+            Self::Kink => x[0] * 0.5 + (p[0] - 0.7).abs() + 0.3,
             Self::Hidden => x[0] * 0.5 + x[1] + p[0],
         };
         if let [_, constant] = next {
@@ -95,6 +98,8 @@ fn numbers_without_a_result_are_told_apart() {
         (Model::Reciprocal, measured(1.0, 0.01, offset(0.2)), &[1.0], 0.0, &[Estimated]),
         (Model::Root, measured(1.0, 0.01, offset(0.3)), &[0.0], 0.0, &[NonFinite]),
         (Model::RootOfState, measured(0.0, 0.0, |_, x| 0.5 * x.sqrt()), &[0.1], 0.0, &[NotConverged]),
+        // χ² is least at the kink, where its slope is not 0.
+        (Model::Kink, measured(1.0, 0.01, offset(0.2)), &[1.0], 0.0, &[NotConverged]),
         (Model::Sum, measured(1.0, 0.01, offset(0.3)), &[0.5, 0.5], unlimited, &[Undetermined, Undetermined]),
         (Model::Offset, measured(1.0, 0.01, offset(0.3)), &[0.5, 0.5], unlimited, &[Estimated, Undetermined]),
         (Model::Hidden, measured(1.0, 0.01, offset(0.3)), &[0.5], unlimited, &[Undetermined]),

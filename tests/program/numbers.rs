@@ -483,6 +483,32 @@ fn a_fit_outside_of_the_range_of_a_setting_is_written() {
     let output = physgrad(command, dir.path()).assert().success().get_output().stdout.clone();
     let output = String::from_utf8(output).expect("text");
     assert!(output.contains("warning: there is no scene.toml and no validation: "), "{output}");
+    assert!(output.contains("; add bounds to [fit]"), "{output}");
     assert!(read(&dir, "found/identified.csv")[1][2].parse::<f64>().is_ok_and(|damping| damping < 0.0));
+    assert!(!dir.path().join("found/scene.toml").exists() && dir.path().join("found/report.html").exists());
+}
+
+/// A force does not move a cart that is held, so the fitted mass grows without limit. Numbers
+/// without a result have no error, and do not enter a scene.
+#[test]
+fn a_number_that_runs_away_has_no_error_and_no_scene() {
+    let scene = SCENE.to_owned() + "[fit]\n\"system.cart_mass\" = { start = 1, min = 0.1 }\n";
+    let dir = folder(&scene);
+    let row = |t: u32| format!("{},{},0,0,0,1", f64::from(t) * 0.01, if t.is_multiple_of(2) { 1e-4 } else { -1e-4 });
+    let rows: Vec<String> = (0..30).map(row).collect();
+    fs::write(dir.path().join("data.csv"), format!("t,x,x_dot,theta_1,omega_1,force\n{}\n", rows.join("\n"))).expect("data");
+    fs::create_dir(dir.path().join("found")).expect("a folder");
+    let command = "identify scene.toml --data data.csv --out found --json";
+    let output = physgrad(command, dir.path()).assert().success().get_output().stdout.clone();
+    let object: serde_json::Value = serde_json::from_slice(&output).expect("an object");
+    let number = &object["numbers"][0];
+    assert!(number["status"] == "ran away" && number["standard_error"].is_null(), "{object}");
+    let warnings = object["warnings"].to_string();
+    for text in
+        ["system.cart_mass ran away from 1.00000 to ", "there is no scene.toml and no validation: the fit has not converged"]
+    {
+        assert!(warnings.contains(text), "{text}: {warnings}");
+    }
+    assert!(!warnings.contains("do not determine system.cart_mass"), "{warnings}");
     assert!(!dir.path().join("found/scene.toml").exists() && dir.path().join("found/report.html").exists());
 }

@@ -271,7 +271,8 @@ fn warnings(fit: &Fit, scene: &Scene, noise_is_known: bool) -> Vec<String> {
     }
     let is_explained = fit.statuses.iter().any(|status| status.is_failure()) || !fit.non_finite_starts.is_empty();
     if !fit.converged && !is_explained {
-        warnings.push("the iterations ended before a minimum; try other initial values or another --window".into());
+        warnings
+            .push("the iterations did not end at a smooth minimum of χ²; try other initial values or another --window".into());
     }
     if fit.jump > JUMP {
         warnings.push(format!(
