@@ -512,3 +512,18 @@ fn a_number_that_runs_away_has_no_error_and_no_scene() {
     assert!(!warnings.contains("do not determine system.cart_mass"), "{warnings}");
     assert!(!dir.path().join("found/scene.toml").exists() && dir.path().join("found/report.html").exists());
 }
+
+/// The value in the message is one that the reader accepts.
+#[test]
+fn advice_on_varied_and_trained_numbers_is_accepted() {
+    let dir = folder(SCENE);
+    for section in ["vary", "fit"] {
+        let refused = format!("explain scene.toml --set {section}.system.cart_mass=1");
+        let output = physgrad(&refused, dir.path()).assert().failure().get_output().clone();
+        let said = String::from_utf8(output.stderr).expect("UTF-8");
+        let advice = said.split("as in --set '").nth(1).and_then(|rest| rest.split('\'').next());
+        let advice = advice.unwrap_or_else(|| panic!("no advice: {said}"));
+        let mut accepted = physgrad("explain scene.toml --set", dir.path());
+        accepted.arg(advice).assert().success();
+    }
+}

@@ -120,7 +120,7 @@ pub fn set(source: &mut SceneSource, assignment: &str) -> Result<()> {
         bail!("{option}: `{key}` defines the meaning of the other settings and cannot be set; edit the scene file");
     }
     if let Some((section, number)) = key.split_once('.').filter(|(section, _)| ["vary", "fit"].contains(section)) {
-        let example = if section == "vary" { "{ uniform = [1, 2] }" } else { "{ train = 1 }" };
+        let example = if section == "vary" { "{ uniform = [1, 2] }" } else { "{ start = 1 }" };
         bail!(
             "{option}: only scene files have the section `{section}`; write the setting itself, as in --set '{number}={example}'"
         );
