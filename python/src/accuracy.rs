@@ -4,7 +4,7 @@ use crate::errors::value_error;
 use crate::interrupt::interruptible;
 use crate::task::Task;
 use numpy::IntoPyArray;
-use physgrad::program::api::{Errors, Measured, Metric, Row};
+use physgrad::program::api::{Cheapest, Errors, Measured, Metric, Row};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -30,7 +30,8 @@ const METRICS: [(&str, Metric); 4] =
 ///   "gradient_seconds" are per step and sample.
 /// - "reference": estimates of the errors of the reference, a dict with "trajectory", "loss", "R"
 ///   and "M". Smaller errors of a setting are below the resolution of the reference.
-/// - "cheapest": the fastest setting with an error of at most `target`, or None. A dict with
+/// - "cheapest": the cheapest setting with an error of at most `target`, or None: the one with the
+///   fewest operations among those whose times overlap with the fastest one's. A dict with
 ///   "method", "substeps", "precision", "error", "seconds" and "task", the task with this setting.
 ///   "seconds" is "gradient_seconds" for the metrics "R" and "M", otherwise "forward_seconds".
 ///
@@ -61,7 +62,7 @@ pub fn accuracy<'py>(py: Python<'py>, task: &Task, target: Option<f64>, metric: 
     }
     result.set_item("reference", reference)?;
     let cheapest = target.and_then(|target| measured.cheapest(measure, target));
-    let cheapest = cheapest.map(|(row, error)| {
+    let cheapest = cheapest.map(|Cheapest { row, error, .. }| {
         let found = PyDict::new(py);
         found.set_item("method", row.setting.method)?;
         found.set_item("substeps", row.setting.substeps)?;

@@ -47,6 +47,7 @@ pub fn divergence(diverged: physgrad::Divergence, text: String) -> PyErr {
         Variable::State => "state",
         Variable::Control => "control",
         Variable::Memory => "memory",
+        Variable::Parameter => "parameter",
     };
     let (step, sample, component, variable) = match diverged {
         Place::Forward { variable, step, sample, component, .. } | Place::Cotangent { variable, step, sample, component, .. } => {

@@ -1,6 +1,7 @@
 //! End-to-end tests of `physgrad accuracy`.
 
 use crate::running::{error_of, physgrad, train};
+use physgrad::program::api::{Errors, Measured, Metric, Precision, Row, Setting};
 use std::collections::HashMap;
 use std::fs;
 use std::path::Path;
@@ -244,4 +245,54 @@ fn a_newton_iteration_that_does_not_converge_is_reported_with_step_and_residual(
     for part in ["did not converge for sample 0 at step 1", "residual ", "Use substeps"] {
         assert!(said.contains(part), "{part}: {said}");
     }
+}
+
+/// Measurement of one setting: error, operations, and lowest, median and highest microseconds.
+fn measured(method: &'static str, error: f64, operations: u64, times: [f64; 3]) -> Row {
+    let errors = Errors { trajectory: error, loss: error, gradients: [error; 2], signs: [1.0; 2] };
+    Row {
+        setting: Setting { method, substeps: 1, precision: Precision::F64 },
+        errors: Ok(errors),
+        drift: f64::NAN,
+        operations,
+        bytes: 0.0,
+        seconds: [times, times.map(|time| 2.0 * time)],
+    }
+}
+
+#[test]
+fn operations_decide_between_settings_whose_times_overlap() {
+    let noisy = [
+        measured("rk4", 1e-5, 15_039, [9.0, 10.65, 13.0]),
+        measured("heun", 1e-5, 1_558, [10.5, 11.54, 12.0]),
+        measured("verlet", 1e-5, 1_558, [10.5, 11.60, 12.0]),
+        // Fewest operations, but certainly slower, or too inaccurate.
+        measured("euler", 1e-5, 900, [13.1, 14.0, 15.0]),
+        measured("native", 1e-2, 100, [1.0, 1.0, 1.0]),
+    ];
+    let separate = [measured("rk4", 1e-5, 15_039, [9.0, 10.0, 10.4]), measured("heun", 1e-5, 1_558, [10.5, 11.54, 12.0])];
+    let reference = || Errors { trajectory: 0.0, loss: 0.0, gradients: [0.0; 2], signs: [1.0; 2] };
+    let cheapest = |rows: Vec<Row>, metric: Metric| {
+        let measured = Measured { rows, reference: reference() };
+        let found = measured.cheapest(metric, 1e-4).expect("a setting");
+        (found.row.setting.method, found.fastest.map(|row| row.setting.method))
+    };
+    let [noisy, again] = [0, 1].map(|_| noisy.iter().map(copy).collect());
+    assert_eq!(cheapest(noisy, Metric::Trajectory), ("heun", Some("rk4")));
+    assert_eq!(cheapest(again, Metric::R), ("heun", Some("rk4")));
+    assert_eq!(cheapest(separate.into(), Metric::Trajectory), ("rk4", None));
+}
+
+fn copy(row: &Row) -> Row {
+    let error = row.errors.as_ref().map_or(f64::NAN, |errors| errors.trajectory);
+    measured(row.setting.method, error, row.operations, row.seconds[0])
+}
+
+#[test]
+fn settings_with_errors_as_large_as_the_states_are_not_pareto_optimal() {
+    let dir = TempDir::new().expect("a folder");
+    let (said, rows) = run(dir.path(), &["--set", "effects.cart_damping.damping=2e3", "--set", "horizon=6"]);
+    let huge = &rows["euler 1 f64"];
+    assert!(number(huge, "trajectory_error") > 1e6 && !said.contains("euler x1"), "{said}");
+    assert!(said.contains("settings with an error of the trajectory of 1 or more"), "{said}");
 }

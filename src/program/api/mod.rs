@@ -15,8 +15,9 @@ mod policy;
 mod run;
 mod scene;
 
-pub use crate::program::commands::accuracy::{Errors, Measured, Metric, Row, Setting};
+pub use crate::program::commands::accuracy::{Cheapest, Errors, Measured, Metric, Row, Setting};
 pub use crate::program::runs::run::{EpochEvent, Observer};
+pub use crate::program::settings::Precision;
 pub use policy::{Policy, Precise, Rollouts};
 pub use run::Run;
 pub use scene::Scene;

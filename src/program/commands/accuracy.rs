@@ -8,7 +8,7 @@ mod row;
 mod study;
 
 pub use row::{Errors, Row, Setting};
-pub use study::{Measured, Metric, Study};
+pub use study::{Cheapest, Measured, Metric, Study};
 
 use crate::numbers::text::{rough, short};
 use crate::program::platform::folder::Folder;
@@ -41,7 +41,8 @@ pub struct Accuracy {
     pub scene: String,
     #[command(flatten)]
     pub overrides: Overrides,
-    /// Name the cheapest setting with at most this error, and print its lines for the scene file
+    /// Name the cheapest setting with at most this error, and print its lines for the scene file.
+    /// If times overlap, operations decide
     #[arg(long, value_name = "ERROR")]
     pub target: Option<f64>,
     /// Error that --target refers to
@@ -112,7 +113,10 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     let cheapest = args.target.map(|target| (target, cheapest(rows.iter(), args.metric, target)));
     if args.json {
         let object = cheapest.and_then(|(_, found)| found);
-        let object = object.map(|(row, error)| json!({ "setting": row.setting.name(), "error": error }));
+        let object = object.map(|Cheapest { row, error, fastest }| {
+            let by = if fastest.is_some() { "operations" } else { "time" };
+            json!({ "setting": row.setting.name(), "error": error, "decided_by": by })
+        });
         print_json(&json!({ "folder": folder.path(), "settings": json::rows(&list)?, "cheapest": object }))?;
     } else {
         print_text(&outputs::summary(&rows, &reference, conserved))?;
@@ -125,7 +129,7 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
         None => Ok(()),
         Some((target, None)) => Err(unreached(&rows, args.metric, target)),
         Some(_) if args.json => Ok(()),
-        Some((target, Some(found))) => print_cheapest(found, args.metric, target),
+        Some((target, Some(found))) => print_cheapest(&found, args.metric, target),
     }
 }
 
@@ -134,15 +138,20 @@ fn bar(steps: usize, quiet: bool) -> ProgressBar {
     progress_bar(steps, "{bar:20} {msg}  {elapsed}, ETA {eta}", quiet)
 }
 
-/// Prints the cheapest setting that reaches the target, with its error.
-fn print_cheapest((row, error): (&Row, f64), metric: Metric, target: f64) -> Result<()> {
+/// Prints the cheapest setting that reaches the target, with its error, and what decided.
+fn print_cheapest(Cheapest { row, error, fastest }: &Cheapest<'_>, metric: Metric, target: f64) -> Result<()> {
+    let costs = |row: &Row| format!("{} µs per step and sample, {} operations", short(metric.time(row) * 1e6), row.operations);
+    let decided = fastest.map_or_else(String::new, |fastest| {
+        let name = fastest.setting.name();
+        format!(". Operations decide, because its time overlaps with that of {name} ({})", costs(fastest))
+    });
     print_text(&format!(
-        "\nthe cheapest setting with an error of the {} of at most {target:e} is {}: error {}, {} µs per step \
-         and sample; its lines in a scene file:\n",
+        "\nthe cheapest setting with an error of the {} of at most {target:e} is {}: error {}, {}{decided}; its lines in a scene \
+         file:\n",
         metric.name(),
         row.setting.name(),
-        rough(error),
-        short(metric.time(row) * 1e6),
+        rough(*error),
+        costs(row),
     ))?;
     print_result(&row.setting.lines())
 }

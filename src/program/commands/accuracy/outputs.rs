@@ -167,10 +167,13 @@ fn markdown(name: &str, check: &Errors, conserved: Option<&str>, rows: &[Row]) -
     )
 }
 
-/// Table of the Pareto-optimal settings in forward time and trajectory error. Below it: the
-/// smallest errors, the resolution of the reference, and the number of diverged settings, if any.
+/// Table of the Pareto-optimal settings in forward time and trajectory error. A setting whose error
+/// is as large as the states is none of them. Below the table: the smallest errors, the resolution of
+/// the reference, and the numbers of useless and of diverged settings, if any.
 pub fn summary(rows: &[Row], check: &Errors, conserved: Option<&str>) -> String {
-    let point = |row: &Row| Some((row.seconds[0][1], row.errors.as_ref().ok()?.trajectory));
+    let error = |row: &Row| row.errors.as_ref().ok().map(|errors| errors.trajectory);
+    let is_useful = |error: &f64| *error < 1.0;
+    let point = |row: &Row| Some((row.seconds[0][1], error(row).filter(is_useful)?));
     let dominates = |a: (f64, f64), b: (f64, f64)| a.0 <= b.0 && a.1 <= b.1 && a != b;
     let best = |row: &&Row| point(row).is_some_and(|own| !rows.iter().filter_map(point).any(|other| dominates(other, own)));
     let mut front: Vec<&Row> = rows.iter().filter(best).collect();
@@ -182,6 +185,11 @@ pub fn summary(rows: &[Row], check: &Errors, conserved: Option<&str>) -> String 
         table(conserved, &mut front.into_iter()),
         about(rows, check)
     );
+    let useless = rows.iter().filter_map(error).filter(|error| !is_useful(error)).count();
+    if useless > 0 {
+        text +=
+            &format!("\n{} with an error of the trajectory of 1 or more, as large as the states", counted(useless, "setting"));
+    }
     if diverged > 0 {
         text += &format!("\n{} diverged", counted(diverged, "setting"));
     }

@@ -42,7 +42,12 @@ impl Metric {
     /// Median seconds per step and sample of the passes that this measure needs: forward, or
     /// forward with the adjoints of R and M.
     pub fn time(self, row: &Row) -> f64 {
-        row.seconds[usize::from(matches!(self, Self::R | Self::M))][1]
+        self.times(row)[1]
+    }
+
+    /// Lowest, median and highest seconds of [`time`](Self::time).
+    fn times(self, row: &Row) -> [f64; 3] {
+        row.seconds[usize::from(matches!(self, Self::R | Self::M))]
     }
 
     /// Name in messages.
@@ -66,17 +71,37 @@ pub struct Measured {
 }
 
 impl Measured {
-    /// Cheapest setting with at most this error, and its error.
-    pub fn cheapest(&self, metric: Metric, target: f64) -> Option<(&Row, f64)> {
+    /// Cheapest setting with at most this error.
+    pub fn cheapest(&self, metric: Metric, target: f64) -> Option<Cheapest<'_>> {
         cheapest(self.rows.iter(), metric, target)
     }
 }
 
-/// Cheapest of the rows with at most this error, and its error.
-pub fn cheapest<'a>(rows: impl Iterator<Item = &'a Row>, metric: Metric, target: f64) -> Option<(&'a Row, f64)> {
-    let reached =
-        rows.filter_map(|row| Some((row, metric.read(row.errors.as_ref().ok()?)))).filter(|(_, error)| *error <= target);
-    reached.min_by(|a, b| metric.time(a.0).total_cmp(&metric.time(b.0)))
+/// Cheapest setting that reaches a target.
+#[derive(Clone, Copy)]
+pub struct Cheapest<'a> {
+    /// The setting.
+    pub row: &'a Row,
+    /// Its error.
+    pub error: f64,
+    /// Setting with the lowest median time, if the ranges of both times overlap and `row` has fewer
+    /// operations. Operations, not times, then decided.
+    pub fastest: Option<&'a Row>,
+}
+
+/// Cheapest of the rows with at most this error: the one with the fewest operations among those whose
+/// range of times overlaps that of the lowest median. Among equal counts, the lowest median decides.
+pub fn cheapest<'a>(rows: impl Iterator<Item = &'a Row>, metric: Metric, target: f64) -> Option<Cheapest<'a>> {
+    let error = |row: &Row| row.errors.as_ref().ok().map(|errors| metric.read(errors)).filter(|error| *error <= target);
+    let reached: Vec<(&Row, f64)> = rows.filter_map(|row| Some((row, error(row)?))).collect();
+    let &(fastest, _) = reached.iter().min_by(|a, b| metric.time(a.0).total_cmp(&metric.time(b.0)))?;
+    let as_fast = reached.iter().filter(|(row, _)| metric.times(row)[0] <= metric.times(fastest)[2]);
+    let cost = |row: &Row| (row.operations, metric.time(row));
+    let &(row, error) = as_fast.min_by(|a, b| {
+        let ((few, fast), (many, slow)) = (cost(a.0), cost(b.0));
+        few.cmp(&many).then(fast.total_cmp(&slow))
+    })?;
+    Some(Cheapest { row, error, fastest: (row.operations < fastest.operations).then_some(fastest) })
 }
 
 /// A scene, and the sources from which to vary its integrator, number of substeps and precision.
@@ -187,6 +212,6 @@ impl Study {
         methods.dedup();
         let cheapest = |method: &str| cheapest(rows.iter().filter(|row| row.setting.method == method), metric, target);
         let all = methods.into_iter().filter_map(cheapest);
-        all.map(|(row, _)| Ok((row.setting.method, row.setting.of(&self.given)?))).collect()
+        all.map(|Cheapest { row, .. }| Ok((row.setting.method, row.setting.of(&self.given)?))).collect()
     }
 }
