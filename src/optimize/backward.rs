@@ -4,7 +4,7 @@
 use super::box_qp::BoxQp;
 use super::derivatives::Expansion;
 use super::options::Bounds;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 /// Gains, changes of the controls, and predicted decrease of the cost.
 pub(super) struct Step {
@@ -23,42 +23,47 @@ impl Step {
     }
 }
 
-/// Coefficient of `μ ‖B‖²` in the regularization of the controls.
-const CONTROL_SHARE: f64 = 1e-6;
-
 /// Computes the step of Gauss-Newton differential dynamic programming. Returns `None` if the
 /// regularized Hessian with respect to the free controls is not positive definite at a step.
 ///
 /// v and V are the gradient and the Hessian of the cost-to-go after the step, v' and V' those
 /// before it. k is the change of the controls, and K is the gain. S is the step of the system,
-/// A = ∂S/∂x, B = ∂S/∂u, z = [x, u], and μ is the regularization. The running cost l depends on z
-/// directly and through the next state:
+/// A = ∂S/∂x, B = ∂S/∂u, z = [x, u], and ρ is the regularization. D is the diagonal matrix of
+/// [`Expansion::damping`]. The running cost l depends on z directly and through the next state. L is
+/// its Hessian with respect to z. Its block `L_uu` contains `λᵀ ∂²S/∂u²`:
 ///
 /// ```text
-/// q = ∂l/∂z + [A B]ᵀ v,    Q = ∂²l/∂z² + [A B]ᵀ V [A B]
-/// k = argmin_d dᵀ (Q_uu + μ BᵀB) d / 2 + q_uᵀ d,    low - u <= d <= high - u
-/// K = -(Q_uu + μ BᵀB)⁻¹ (Q_ux + μ BᵀA) on the free controls, 0 on the others
+/// q = ∂l/∂z + [A B]ᵀ v,    Q = L + [A B]ᵀ V [A B]
+/// k = argmin_d dᵀ (Q_uu + ρ D) d / 2 + q_uᵀ d,    low - u <= d <= high - u
+/// K = -(Q_uu + ρ D)⁻¹ Q_ux on the free controls, 0 on the others
 /// v' = q_x + Kᵀ Q_uu k + Kᵀ q_u + Q_xu k
 /// V' = Q_xx + Kᵀ Q_uu K + Kᵀ Q_ux + Q_xu K
 /// ```
 ///
-/// `regularized` adds a small multiple of the identity to `μ BᵀB`. Source: Tassa, Erez and Todorov
-/// 2012, doi:10.1109/IROS.2012.6386025, equations 10 and 11.
+/// If `Q_uu + ρ D` is not positive definite, the absolute eigenvalues of `L_uu` replace its
+/// eigenvalues. Source of the recursion: Tassa, Erez and Todorov 2012,
+/// doi:10.1109/IROS.2012.6386025, equations 10 and 11. The damping does not depend on the step: at a
+/// step where a control saturates, B is small, but a large change of this control is not harmless.
 pub(super) fn backward(expansion: &Expansion, u: &[f64], bounds: &Bounds, regularization: f64) -> Option<Step> {
     let steps = expansion.steps.len();
     let (mut value, mut value_hessian) = (expansion.gradient.clone(), expansion.hessian.clone());
     let n = value.len();
-    let (mut changes, mut gains, mut model) = (Vec::with_capacity(steps), Vec::with_capacity(steps), [0.0; 2]);
+    let (mut all_changes, mut gains, mut model) = (Vec::with_capacity(steps), Vec::with_capacity(steps), [0.0; 2]);
     for (t, step) in expansion.steps.iter().enumerate().rev() {
         let f = &step.dynamics;
         let m = f.ncols() - n;
         let slope = &step.gradient + f.tr_mul(&value);
         let curvature = &step.hessian + f.tr_mul(&(&value_hessian * f));
         let by_u = slope.rows(n, m).into_owned();
-        let (uu, ux) = (curvature.view((n, n), (m, m)).into_owned(), curvature.view((n, 0), (m, n)).into_owned());
-        let regularized = regularized(f, n, regularization);
-        let program = BoxQp::solve(&(&uu + regularized.columns(n, m)), &by_u, &bounds.changes(&u[t * m..][..m]))?;
-        let gain = program.gains(&(&ux + regularized.columns(0, n)));
+        let (mut uu, ux) = (curvature.view((n, n), (m, m)).into_owned(), curvature.view((n, 0), (m, n)).into_owned());
+        let (damping, changes) =
+            (DMatrix::from_diagonal(&(&expansion.damping * regularization)), bounds.changes(&u[t * m..][..m]));
+        let program = BoxQp::solve(&(&uu + &damping), &by_u, &changes).or_else(|| {
+            let lagrangian = step.hessian.view((n, n), (m, m)).into_owned();
+            uu += absolute(&lagrangian) - lagrangian;
+            BoxQp::solve(&(&uu + &damping), &by_u, &changes)
+        })?;
+        let gain = program.gains(&ux);
         let change = program.solution;
         let onward = &uu * &change;
         model[0] += change.dot(&by_u);
@@ -67,21 +72,17 @@ pub(super) fn backward(expansion: &Expansion, u: &[f64], bounds: &Bounds, regula
         let cross = gain.tr_mul(&ux);
         let hessian = curvature.view((0, 0), (n, n)) + gain.tr_mul(&(uu * &gain)) + &cross + cross.transpose();
         value_hessian = (&hessian + hessian.transpose()) * 0.5;
-        changes.push(change);
+        all_changes.push(change);
         gains.push(gain);
     }
-    changes.reverse();
+    all_changes.reverse();
     gains.reverse();
-    Some(Step { changes, gains, model })
+    Some(Step { changes: all_changes, gains, model })
 }
 
-/// Returns `μ Bᵀ [A B]`, plus a multiple of the identity in the columns of the controls:
-/// `1e-6 μ ‖B‖²`, or μ if B = 0. The multiple determines controls without effect on the state.
-fn regularized(dynamics: &DMatrix<f64>, n: usize, regularization: f64) -> DMatrix<f64> {
-    let by_u = dynamics.columns_range(n..);
-    let mut product = by_u.tr_mul(dynamics) * regularization;
-    let size = by_u.norm_squared();
-    let share = regularization * if size > 0.0 { CONTROL_SHARE * size } else { 1.0 };
-    (0..by_u.ncols()).for_each(|i| product[(i, n + i)] += share);
-    product
+/// Returns the symmetric matrix with the eigenvectors of `matrix` and the absolute values of its
+/// eigenvalues.
+fn absolute(matrix: &DMatrix<f64>) -> DMatrix<f64> {
+    let SymmetricEigen { eigenvectors, eigenvalues } = SymmetricEigen::new(matrix.clone());
+    &eigenvectors * DMatrix::from_diagonal(&eigenvalues.abs()) * eigenvectors.transpose()
 }

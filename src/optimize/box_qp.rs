@@ -37,18 +37,19 @@ impl BoxQp {
             let slope = gradient + hessian * &solution;
             let step = -factor.solve(&slope.select_rows(&free));
             let (mut size, before) = (1.0, value(&solution));
-            let (moved, inside) = loop {
-                let (moved, inside) = moved(&solution, &free, &step, size, bounds);
+            let moved = loop {
+                let moved = moved(&solution, &free, &step, size, bounds);
                 let enough = before - value(&moved) >= SUFFICIENT * slope.dot(&(&solution - &moved));
                 if enough || size < SMALLEST {
-                    break (moved, inside);
+                    break moved;
                 }
                 size *= 0.5;
             };
             solution = moved;
             let now_free = free_components(&solution, &(gradient + hessian * &solution), bounds);
-            // A full Newton step within the bounds is exact for its free set.
-            if now_free == free && inside && size == 1.0 {
+            // A full Newton step within the bounds is exact for its free set. A full step that the
+            // bounds clamp changes the free set: the slope then points out of at least one of them.
+            if now_free == free && size == 1.0 {
                 break;
             }
             if now_free != free {
@@ -83,14 +84,11 @@ fn restricted(hessian: &DMatrix<f64>, free: &[usize]) -> Option<Cholesky<f64, Dy
     hessian.select_rows(free).select_columns(free).cholesky()
 }
 
-/// Moves the free components by `size` times `step` and clamps them. Also returns true if the clamp
-/// changed no component.
-fn moved(d: &DVector<f64>, free: &[usize], step: &DVector<f64>, size: f64, bounds: &[[f64; 2]]) -> (DVector<f64>, bool) {
-    let (mut moved, mut inside) = (d.clone(), true);
+/// Moves the free components by `size` times `step` and clamps them.
+fn moved(d: &DVector<f64>, free: &[usize], step: &DVector<f64>, size: f64, bounds: &[[f64; 2]]) -> DVector<f64> {
+    let mut moved = d.clone();
     for (&i, step) in free.iter().zip(step.iter()) {
-        let target = d[i] + size * step;
-        moved[i] = target.max(bounds[i][0]).min(bounds[i][1]);
-        inside &= moved[i] == target;
+        moved[i] = (d[i] + size * step).max(bounds[i][0]).min(bounds[i][1]);
     }
-    (moved, inside)
+    moved
 }

@@ -1,12 +1,14 @@
 //! [`Expansion`]: derivatives of dynamics and costs along a trajectory.
 //!
 //! Jacobians of the step are exact, by dual numbers. Hessians of the costs are exact, by nested
-//! dual numbers. The expansion omits second derivatives of the step (Gauss-Newton).
+//! dual numbers. Of the second derivatives of the step, the expansion contains those with respect to
+//! two controls ([`curvature`]), and omits the others (Gauss-Newton).
 
 use super::OptimizeError;
+use super::curvature;
 use super::trajectory::{Problem, Trajectory};
 use crate::dynamics::inputs::{Cotangents, Inputs};
-use crate::numbers::forward_mode::jacobian;
+use crate::numbers::forward_mode::{Chunk, jacobian};
 use crate::numbers::scalar::Dual;
 use nalgebra::{DMatrix, DVector};
 
@@ -22,9 +24,12 @@ pub(super) struct StepExpansion {
     pub(super) dynamics: DMatrix<f64>,
     /// Gradient of the running cost with respect to z, including the path through the next state.
     pub(super) gradient: DVector<f64>,
-    /// Hessian of the running cost with respect to z, including the path through the next state,
-    /// without `∂²S/∂z²`.
+    /// Hessian of the running cost with respect to z, including the path through the next state. Of
+    /// `∂²S/∂z²`, only the block of the controls contributes: `λᵀ ∂²S/∂u²`, with the gradient λ of
+    /// the loss with respect to the next state.
     pub(super) hessian: DMatrix<f64>,
+    /// Gradient of the running cost with respect to the next state.
+    by_next: DVector<f64>,
 }
 
 /// Derivatives along a trajectory.
@@ -36,9 +41,10 @@ pub(super) struct Expansion {
     pub(super) hessian: DMatrix<f64>,
     /// Gradient of the loss with respect to the controls, `[step][control]`.
     pub(super) by_control: Vec<f64>,
-    /// Largest absolute second derivative of the costs. If all are 0, the largest absolute first
-    /// derivative of the costs.
-    pub(super) curvature: f64,
+    /// Weight of each control in the regularization: `c max_t ‖∂S/∂u_i‖²`, or c for a control without
+    /// effect on the state. c is the largest absolute second derivative of the costs. If all are 0,
+    /// c is the largest absolute first derivative of the costs.
+    pub(super) damping: DVector<f64>,
 }
 
 impl Problem<'_> {
@@ -56,7 +62,7 @@ impl Problem<'_> {
             let finite = [step.dynamics.as_slice(), step.gradient.as_slice(), step.hessian.as_slice()];
             if all_finite(finite) { Ok(step) } else { Err(not_finite(Some(t))) }
         });
-        let expanded = expanded.collect::<Result<Vec<_>, _>>()?;
+        let mut expanded = expanded.collect::<Result<Vec<_>, _>>()?;
         let last = &trajectory.x[steps * n..];
         let mut gradient = DVector::zeros(n);
         self.model.terminal_cost_gradient(last, self.p, gradient.as_mut_slice());
@@ -65,29 +71,65 @@ impl Problem<'_> {
         if !all_finite([gradient.as_slice(), hessian.as_slice()]) {
             return Err(not_finite(None));
         }
-        let (by_control, finite) = gradient_by_control(&expanded, gradient.clone(), n, m);
-        if let Err(step) = finite {
-            return Err(not_finite(Some(step)));
-        }
         let largest = |of_step: fn(&StepExpansion) -> f64, terminal: f64| expanded.iter().map(of_step).fold(terminal, f64::max);
         let second = largest(|step| step.hessian.amax(), hessian.amax());
         let curvature = if second > 0.0 { second } else { largest(|step| step.gradient.amax(), gradient.amax()) };
-        Ok(Expansion { steps: expanded, gradient, hessian, by_control, curvature })
+        let size = |i: usize| expanded.iter().map(|step| step.dynamics.column(n + i).norm_squared()).fold(0.0, f64::max);
+        let sizes = (0..m).map(size).map(|size| curvature * if size > 0.0 { size } else { 1.0 });
+        let damping = DVector::from_vec(sizes.collect());
+        let by_control = self.add_adjoint(trajectory, &mut expanded, gradient.clone()).map_err(|t| not_finite(Some(t)))?;
+        Ok(Expansion { steps: expanded, gradient, hessian, by_control, damping })
+    }
+
+    /// Returns the gradient with respect to the controls, by the adjoint recursion, and adds
+    /// `λᵀ ∂²S/∂u²` to the Hessians of the steps.
+    ///
+    /// # Errors
+    /// The step whose gradient with respect to state or controls is not finite.
+    fn add_adjoint(
+        &self,
+        trajectory: &Trajectory,
+        steps: &mut [StepExpansion],
+        terminal: DVector<f64>,
+    ) -> Result<Vec<f64>, usize> {
+        let Self { n, m, .. } = *self;
+        let scales = curvature::scales(&trajectory.u, m);
+        let (mut adjoint, mut by_control) = (terminal, vec![0.0; steps.len() * m]);
+        for (t, step) in steps.iter_mut().enumerate().rev() {
+            let both = &step.gradient + step.dynamics.tr_mul(&adjoint);
+            if !all_finite([both.as_slice()]) {
+                return Err(t);
+            }
+            let onward = &step.by_next + adjoint;
+            let mut block = step.hessian.view_mut((n, n), (m, m));
+            block += self.control_curvature(trajectory, t, &step.dynamics, &onward, &scales);
+            by_control[t * m..][..m].copy_from_slice(&both.as_slice()[n..]);
+            adjoint = both.rows(0, n).into_owned();
+        }
+        Ok(by_control)
+    }
+
+    /// Calls `visit(i, column)` with the derivatives of the next state with respect to those
+    /// components of z = [x, u] in `wrt`.
+    pub(super) fn step_jacobian(
+        &self,
+        Inputs { x, u, p, t }: Inputs<'_, f64>,
+        wrt: std::ops::Range<usize>,
+        visit: impl FnMut(usize, &[f64]),
+    ) {
+        let Self { model, n, m, .. } = *self;
+        let step = |all: &[Chunk<f64>], next: &mut [Chunk<f64>]| {
+            model.step_by_duals(Inputs { x: &all[..n], u: &all[n..n + m], p: &all[n + m..], t }, next);
+        };
+        jacobian(&[x, u, p].concat(), wrt, n, step, visit);
     }
 
     fn expand_step(&self, trajectory: &Trajectory, t: usize) -> StepExpansion {
         let Self { model, p, n, m, .. } = *self;
         let inputs = Inputs { x: &trajectory.x[t * n..][..n], u: &trajectory.u[t * m..][..m], p, t };
         let next = &trajectory.x[(t + 1) * n..][..n];
-        let all = [inputs.x, inputs.u, p].concat();
         let mut dynamics = DMatrix::zeros(n, n + m);
-        jacobian(
-            &all,
-            0..n + m,
-            n,
-            |all, next| model.step_by_duals(Inputs { x: &all[..n], u: &all[n..n + m], p: &all[n + m..], t }, next),
-            |i, column| dynamics.column_mut(i).copy_from_slice(column),
-        );
+        self.step_jacobian(inputs, 0..n + m, |i, column| dynamics.column_mut(i).copy_from_slice(column));
         let (mut gradient, mut next_bar) = (DVector::zeros(n + m), DVector::zeros(n));
         let (x_bar, u_bar) = gradient.as_mut_slice().split_at_mut(n);
         model.running_cost_gradient(inputs, next, Cotangents::of(x_bar, u_bar), next_bar.as_mut_slice());
@@ -102,25 +144,8 @@ impl Problem<'_> {
         let cross = of_cost.view_range(z.clone(), onward.clone()) * &dynamics;
         let through = dynamics.tr_mul(&of_cost.view_range(onward.clone(), onward)) * &dynamics;
         let hessian = of_cost.view_range(z.clone(), z) + &cross + cross.transpose() + through;
-        StepExpansion { dynamics, gradient, hessian }
+        StepExpansion { dynamics, gradient, hessian, by_next: next_bar }
     }
-}
-
-/// Computes the gradient with respect to the controls by the adjoint recursion.
-///
-/// The second result is an error with the step if the gradient with respect to state or controls of
-/// this step is not finite.
-fn gradient_by_control(steps: &[StepExpansion], terminal: DVector<f64>, n: usize, m: usize) -> (Vec<f64>, Result<(), usize>) {
-    let (mut adjoint, mut by_control) = (terminal, vec![0.0; steps.len() * m]);
-    for (t, step) in steps.iter().enumerate().rev() {
-        let both = &step.gradient + step.dynamics.tr_mul(&adjoint);
-        if !all_finite([both.as_slice()]) {
-            return (by_control, Err(t));
-        }
-        by_control[t * m..][..m].copy_from_slice(&both.as_slice()[n..]);
-        adjoint = both.rows(0, n).into_owned();
-    }
-    (by_control, Ok(()))
 }
 
 /// Returns the Hessian of `f` at `z`, by nested dual numbers.

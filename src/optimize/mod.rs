@@ -1,7 +1,7 @@
 //! Trajectory optimization: controls that minimize the loss of any [`Task`] from one initial state.
 //!
 //! [`optimize`] finds `u_0 .. u_{T-1}` that minimize `φ(x_T, p) + Σ_t l(x_t, u_t, p, t, x_{t+1})`.
-//! The method is Gauss-Newton differential dynamic programming (iLQR) with bounds on the controls:
+//! The method is differential dynamic programming, close to iLQR, with bounds on the controls:
 //!
 //! - Tassa, Erez and Todorov 2012, doi:10.1109/IROS.2012.6386025: regularized backward pass.
 //! - Tassa, Mansard and Todorov 2014, doi:10.1109/ICRA.2014.6907001: bounds, as a quadratic program
@@ -11,8 +11,8 @@
 //! resulting linear-quadratic problem by a backward pass. A line search along the new controls and
 //! gains accepts only steps that decrease the cost. If the backward pass or the line search fails,
 //! the iteration repeats both with more regularization. First derivatives, and second derivatives
-//! of the costs, are exact. The method omits second derivatives of the dynamics. `docs/optimize.md`
-//! has the equations and measured figures.
+//! of the costs, are exact. Of the second derivatives of the dynamics, the method contains only
+//! those with respect to two controls. `docs/optimize.md` has the equations and measured figures.
 //!
 //! - [`Options`], [`Initial`]: settings and initial controls.
 //! - [`Plan`]: controls, states, gains, cost and gradient. [`Stop`]: the reason for termination.
@@ -27,6 +27,8 @@
 
 mod backward;
 mod box_qp;
+mod cauchy;
+mod curvature;
 mod derivatives;
 mod error;
 mod model;

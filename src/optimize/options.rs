@@ -15,7 +15,8 @@ pub struct Options {
     pub gradient_tolerance: f64,
     /// Converged if each of three consecutive iterations decreases the cost by at most this
     /// fraction. Also converged if the line search fails and the full step has a predicted decrease
-    /// of at most this fraction. Both limits include the rounding error of the cost two iterations
+    /// of at most this fraction. In both cases, a gradient step must predict as small a decrease too.
+    /// The limits include the rounding error of the cost two iterations
     /// before, or of the initial cost after fewer than two iterations.
     pub cost_tolerance: f64,
     /// Bounds `[low, high]` of each control, at all steps. Infinite bounds are allowed. `None`: no

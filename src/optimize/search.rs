@@ -47,7 +47,7 @@ impl<'a> Search<'a> {
         loop {
             let improved = if self.gradient_norm(&expansion) <= self.options.gradient_tolerance {
                 ControlFlow::Break(Stop::Gradient)
-            } else if self.small_decreases >= SMALL_DECREASES {
+            } else if self.small_decreases >= SMALL_DECREASES && self.gradient_predicts_little(&expansion) {
                 ControlFlow::Break(Stop::Decrease)
             } else if self.costs.len() > self.options.max_iterations {
                 ControlFlow::Break(Stop::Iterations)
@@ -67,13 +67,9 @@ impl<'a> Search<'a> {
     /// # Errors
     /// [`OptimizeError::Stopped`] if the stop flag is set.
     fn improve(&mut self, expansion: &Expansion) -> Result<ControlFlow<Stop, Expansion>, OptimizeError> {
-        // The tolerance includes the rounding error of the cost two iterations before, or of the
-        // initial cost.
-        let recent = self.costs[self.costs.len().saturating_sub(SMALL_DECREASES)];
-        let tolerance = self.options.cost_tolerance * self.best.cost.abs() + f64::EPSILON * recent.abs();
+        let tolerance = self.tolerance();
         loop {
-            let regularization = self.regularization.value * expansion.curvature;
-            let step = backward(expansion, &self.best.u, &self.bounds, regularization);
+            let step = backward(expansion, &self.best.u, &self.bounds, self.regularization.value);
             let better = step.as_ref().and_then(|step| self.line_search(step));
             // Rejects trajectories whose derivatives are not finite.
             let expanded = better.and_then(|better| self.problem.expand(&better).ok().map(|next| (better, next)));
@@ -86,13 +82,26 @@ impl<'a> Search<'a> {
                 self.regularization.decrease();
                 return Ok(ControlFlow::Continue(next));
             }
-            if step.is_some_and(|step| step.predicted(1.0) <= tolerance) {
+            if step.is_some_and(|step| step.predicted(1.0) <= tolerance) && self.gradient_predicts_little(expansion) {
                 return Ok(ControlFlow::Break(Stop::Decrease));
             }
             if !self.regularization.increase() {
                 return Ok(ControlFlow::Break(Stop::NoDescent));
             }
         }
+    }
+
+    /// Largest decrease of the cost that counts as small. It includes the rounding error of the cost
+    /// two iterations before, or of the initial cost.
+    fn tolerance(&self) -> f64 {
+        let recent = self.costs[self.costs.len().saturating_sub(SMALL_DECREASES)];
+        self.options.cost_tolerance * self.best.cost.abs() + f64::EPSILON * recent.abs()
+    }
+
+    /// Returns whether a gradient step predicts a small decrease too. Regularized steps alone may be
+    /// small far from a minimum.
+    fn gradient_predicts_little(&self, expansion: &Expansion) -> bool {
+        expansion.cauchy_decrease(&self.best.u, &self.bounds) <= self.tolerance()
     }
 
     /// Returns the first trajectory along the step with a sufficient decrease of the cost.
@@ -132,7 +141,7 @@ impl<'a> Search<'a> {
         let (n, m) = (self.problem.n, self.problem.m);
         let mut regularization = Regularization::default();
         let gains = loop {
-            match backward(&expansion, &self.best.u, &self.bounds, regularization.value * expansion.curvature) {
+            match backward(&expansion, &self.best.u, &self.bounds, regularization.value) {
                 Some(step) => break step.gains.iter().flat_map(|gain| gain.transpose().as_slice().to_vec()).collect(),
                 None if regularization.increase() => {}
                 None => break vec![0.0; self.best.u.len() * n],
@@ -145,23 +154,24 @@ impl<'a> Search<'a> {
     }
 }
 
-/// Regularization relative to the curvature of the costs, with the quadratic schedule of Tassa,
+/// Regularization ρ relative to the damping of the expansion, with the quadratic schedule of Tassa,
 /// Erez and Todorov 2012, section II.F.
 struct Regularization {
-    /// Regularization divided by the curvature.
     value: f64,
     /// Factor of the last change.
     factor: f64,
+    /// Last positive value whose step decreased the cost.
+    successful: f64,
 }
 
 impl Default for Regularization {
     fn default() -> Self {
-        Self { value: 0.0, factor: 1.0 }
+        Self { value: 0.0, factor: 1.0, successful: Self::FIRST }
     }
 }
 
 impl Regularization {
-    /// Value after an increase from 0.
+    /// Value after the first increase from 0.
     const FIRST: f64 = 1e-2;
     /// Smallest positive value. A decrease below it yields 0.
     const SMALLEST: f64 = 1e-6;
@@ -170,14 +180,18 @@ impl Regularization {
     const LARGEST: f64 = 1e10;
 
     /// Multiplies the value by a factor that doubles with each consecutive increase, or replaces 0
-    /// by [`FIRST`](Self::FIRST). Returns false if the value exceeds [`LARGEST`](Self::LARGEST).
+    /// by the last successful value, at first [`FIRST`](Self::FIRST). Returns false if the value exceeds [`LARGEST`](Self::LARGEST).
     fn increase(&mut self) -> bool {
         self.factor = (self.factor * Self::FACTOR).max(Self::FACTOR);
-        self.value = if self.value == 0.0 { Self::FIRST } else { self.value * self.factor };
+        self.value = if self.value == 0.0 { self.successful } else { self.value * self.factor };
         self.value <= Self::LARGEST
     }
 
+    /// Decreases the value after a success.
     fn decrease(&mut self) {
+        if self.value > 0.0 {
+            self.successful = self.value;
+        }
         self.factor = (self.factor / Self::FACTOR).min(1.0 / Self::FACTOR);
         let value = self.value * self.factor;
         self.value = if value >= Self::SMALLEST { value } else { 0.0 };

@@ -1,9 +1,12 @@
 //! Bounded controls satisfy the conditions of Karush, Kuhn and Tucker (KKT).
 
 use super::linear::by_adjoint;
-use super::problems::{Coupled, Pendulum};
+use super::problems::{Coupled, Pendulum, Saturating};
 use physgrad::optimize::{Initial, Options, Plan, optimize};
+use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::Lqr;
+use physgrad::{Inputs, Scalar, Start, System, Task};
+use rand::RngExt;
 use std::f64::consts::PI;
 
 /// Checks the KKT conditions at a plan. Between the bounds, the gradient vanishes. At a bound, the
@@ -88,4 +91,98 @@ fn half_of_the_holding_torque_swings_up_a_pendulum() {
     assert!(last[0].cos() > 0.01f64.cos() && last[1].abs() < 0.01, "{last:?}");
     assert!(plan.converged() && plan.u.iter().all(|u| u.abs() <= limit), "{}", plan.stop);
     kkt(&plan, &[[-limit, limit]], &by_adjoint(&task, &[PI, 0.0], &plan.u), 1e-7);
+}
+
+/// One step `x' = u` with the cost `x'ᵀ Q x' / 2 + qᵀ x'`: a quadratic program with bounds.
+struct Quadratic {
+    /// Q₁₁, Q₁₂, Q₂₂.
+    hessian: [f64; 3],
+    gradient: [f64; 2],
+}
+
+impl Quadratic {
+    /// Returns the minimum over candidates, one per set of active bounds.
+    fn minimizer(&self, bounds: &[[f64; 2]; 2]) -> [f64; 2] {
+        let ([a, b, c], [p, q]) = (self.hessian, self.gradient);
+        let determinant = a * c - b * b;
+        let mut candidates = vec![[(b * q - c * p) / determinant, (b * p - a * q) / determinant]];
+        for (active, &bound) in [0, 0, 1, 1].into_iter().zip(bounds.as_flattened()) {
+            let (diagonal, slope) = if active == 0 { (c, q) } else { (a, p) };
+            let [low, high] = bounds[1 - active];
+            let other = (-(slope + b * bound) / diagonal).clamp(low, high);
+            candidates.push(if active == 0 { [bound, other] } else { [other, bound] });
+        }
+        candidates.retain(|u| u.iter().zip(bounds).all(|(u, [low, high])| low <= u && u <= high));
+        let cost = |u: &[f64; 2]| self.terminal_cost(u, &[]);
+        candidates.into_iter().min_by(|u, v| cost(u).total_cmp(&cost(v))).expect("a candidate at a bound")
+    }
+}
+
+impl System for Quadratic {
+    fn state_dim(&self) -> usize {
+        2
+    }
+    fn control_dim(&self) -> usize {
+        2
+    }
+    fn step<T: Scalar>(&self, Inputs { u, .. }: Inputs<'_, T>, next: &mut [T]) {
+        next.copy_from_slice(u);
+    }
+}
+
+impl Task for Quadratic {
+    type System = Self;
+    fn system(&self) -> &Self {
+        self
+    }
+    fn horizon(&self) -> usize {
+        1
+    }
+    fn start(&self, _: &mut Rng, _: Start<'_>) {}
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _: &[T]) -> T {
+        let ([a, b, c], [p, q]) = (self.hessian, self.gradient);
+        (x[0] * x[0] * a + x[1] * x[1] * c) * 0.5 + x[0] * x[1] * b + x[0] * p + x[1] * q
+    }
+}
+
+/// One iteration solves the quadratic program, with up to two active bounds and a correlation of up
+/// to 0.99.
+#[test]
+fn one_iteration_solves_quadratic_programs_of_two_controls() {
+    let mut rng = stream(7, Purpose::Train, 0);
+    let mut active = [0; 3];
+    for case in 0..300 {
+        let mut draw = |low: f64, high: f64| rng.random_range(low..high);
+        let (a, c, correlation) = (draw(0.1, 3.0), draw(0.1, 3.0), draw(-0.99, 0.99));
+        let task = Quadratic { hessian: [a, correlation * (a * c).sqrt(), c], gradient: [draw(-2.0, 2.0), draw(-2.0, 2.0)] };
+        let bounds = [[-draw(0.0, 2.0), draw(0.0, 2.0)], [-draw(0.0, 2.0), draw(0.0, 2.0)]];
+        let options = Options { max_iterations: 1, bounds: Some(bounds.to_vec()), ..Options::default() };
+        let plan = optimize(&task, &[0.0; 2], &[], Initial::Zeros, &options).expect("finite");
+        let expected = task.minimizer(&bounds);
+        // The condition number is at most 30 · 200. Rounding is far below.
+        for (found, expected) in plan.u.iter().zip(expected) {
+            assert!((found - expected).abs() < 1e-9, "case {case}: {:?}, not {expected:?}", plan.u);
+        }
+        active[expected.iter().zip(&bounds).filter(|(u, bounds)| bounds.contains(u)).count()] += 1;
+    }
+    assert!(active.iter().all(|&count| count > 20), "{active:?}");
+}
+
+/// A smooth saturation inside the step, and bounds on the saturated control, have the same infimum.
+/// Bounds find it by convex quadratic programs.
+#[test]
+fn smoothly_saturating_controls_reach_the_optimum_of_bounded_controls() {
+    let bounded = Saturating { limit: None };
+    let options = Options { gradient_tolerance: 1e-10, ..Options::default().bounded(1, 1.0) };
+    let least = optimize(&bounded, &[0.0; 2], &[], Initial::Zeros, &options).expect("finite");
+    let counts = kkt(&least, &[[-1.0, 1.0]], &by_adjoint(&bounded, &[0.0; 2], &least.u), 1e-9);
+    assert!(counts.iter().all(|&count| count > 0), "{counts:?}");
+    let saturating = Saturating { limit: Some(1.0) };
+    for start in [0.0, 2.0, -2.0, 4.0] {
+        let initial = vec![start; saturating.horizon()];
+        let plan = optimize(&saturating, &[0.0; 2], &[], Initial::Controls(&initial), &Options::default()).expect("finite");
+        let excess = plan.cost / least.cost - 1.0;
+        println!("start {start}: {} iterations, {}, excess {excess:e}", plan.iterations(), plan.stop);
+        assert!((-1e-9..1e-6).contains(&excess), "start {start}: {} and {}, {}", plan.cost, least.cost, plan.stop);
+    }
 }

@@ -35,7 +35,7 @@ fn adam(task: &SwingUp, push: &[f64], learning_rate: f64, least: f64) {
         }
         adjoint.run(task, &policy, &weights, &rollout, 1.0).expect("finite");
         adjoint.param_gradient(0, &policy, &weights, &rollout, 0..1, &mut gradient);
-        weights.update(&policy, |theta| optimizer.step(theta, gradient.values()));
+        weights.update(&policy, |theta| optimizer.step(theta, &gradient));
     }
     let seconds = begin.elapsed().as_secs_f64();
     println!("Adam, rate {learning_rate}: best cost {best:.6}, {seconds:.3} s; (factor, updates, s): {reached:.3?}");

@@ -179,3 +179,54 @@ impl Task for Explosive {
         (x[0] - 3.0) * (x[0] - 3.0)
     }
 }
+
+/// Motion of 1 kg over 1.2 m in 2.5 s, to rest. State [position m, velocity m/s], control: force, N.
+pub struct Saturating {
+    /// Force at which the control saturates as `limit tanh(u / limit)`. None: no saturation.
+    pub limit: Option<f64>,
+}
+
+impl Saturating {
+    fn force<T: Scalar>(&self, u: T) -> T {
+        self.limit.map_or(u, |limit| (u / limit).tanh() * limit)
+    }
+}
+
+impl System for Saturating {
+    fn state_dim(&self) -> usize {
+        2
+    }
+
+    fn control_dim(&self) -> usize {
+        1
+    }
+
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
+        next[1] = x[1] + self.force(u[0]) * 0.05;
+        next[0] = x[0] + next[1] * 0.05;
+    }
+}
+
+impl Task for Saturating {
+    type System = Self;
+
+    fn system(&self) -> &Self {
+        self
+    }
+
+    fn horizon(&self) -> usize {
+        50
+    }
+
+    fn start(&self, _: &mut Rng, _: Start<'_>) {}
+
+    fn running_cost<T: Scalar>(&self, Inputs { u, .. }: Inputs<'_, T>, _next: &[T]) -> T {
+        let force = self.force(u[0]);
+        force * force * 0.01
+    }
+
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
+        let distance = x[0] - 1.2;
+        (distance * distance + x[1] * x[1]) * 50.0
+    }
+}

@@ -4,7 +4,7 @@ use super::problems::{Explosive, SwingUp};
 use physgrad::optimize::{Initial, Options, Stop, optimize};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{CartPole, LossMode};
-use physgrad::{Inputs, Scalar, Start, System, Task};
+use physgrad::{Inputs, Real, Scalar, Start, System, Task};
 use rand::RngExt;
 
 #[test]
@@ -93,4 +93,117 @@ fn a_large_initial_cost_does_not_end_the_search_early() {
 fn optimization_ends_at_a_stationary_start() {
     let plan = optimize(&CartPole::new(1), &SwingUp::START, &[], Initial::Zeros, &Options::default()).expect("finite");
     assert_eq!((plan.iterations(), plan.stop), (0, Stop::Gradient));
+}
+
+/// `x' = x + u` in one step, with the cost `√(1 + x'²)`.
+struct Root;
+
+impl System for Root {
+    fn state_dim(&self) -> usize {
+        1
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
+        next[0] = x[0] + u[0];
+    }
+}
+
+impl Task for Root {
+    type System = Self;
+    fn system(&self) -> &Self {
+        self
+    }
+    fn horizon(&self) -> usize {
+        1
+    }
+    fn start(&self, _: &mut Rng, _: Start<'_>) {}
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _: &[T]) -> T {
+        (x[0] * x[0] + 1.0).sqrt()
+    }
+}
+
+/// A Newton step from x leads to -x³. The quadratic model predicts a decrease of `x² √(1 + x²) / 2`.
+/// The actual decrease is 0.120 of it at x = 0.94, and 0.080 at x = 0.96. A step needs 0.1, so the
+/// second search halves its step.
+#[test]
+fn a_step_needs_a_tenth_of_the_decrease_of_the_quadratic_model() {
+    for (x, size) in [(0.94_f64, 1.0), (0.96, 0.5)] {
+        let full = -x.powi(3);
+        let decrease = (1.0 + x * x).sqrt() - (1.0 + full * full).sqrt();
+        assert_eq!(decrease >= 0.1 * 0.5 * x * x * (1.0 + x * x).sqrt(), size == 1.0);
+        let options = Options { max_iterations: 1, ..Options::default() };
+        let plan = optimize(&Root, &[x], &[], Initial::Zeros, &options).expect("finite");
+        let expected = x + size * (full - x);
+        assert!((plan.x[1] - expected).abs() < 1e-12, "{x}: {}, not {expected}", plan.x[1]);
+        assert_eq!(plan.rollouts, if size == 1.0 { 2 } else { 3 });
+    }
+}
+
+/// The cost x²/2 with a gradient of the wrong sign: every step increases the cost.
+#[test]
+fn a_search_without_descent_ends_after_a_regularization_of_1e10() {
+    struct Wrong;
+    impl Task for Wrong {
+        type System = Root;
+        fn system(&self) -> &Root {
+            &Root
+        }
+        fn horizon(&self) -> usize {
+            1
+        }
+        fn start(&self, _: &mut Rng, _: Start<'_>) {}
+        fn terminal_cost<T: Scalar>(&self, x: &[T], _: &[T]) -> T {
+            x[0] * x[0] * 0.5
+        }
+        fn terminal_cost_gradient<R: Real>(&self, x: &[R], _: &[R], x_bar: &mut [R], _: Option<&mut [R]>) {
+            x_bar[0] -= x[0];
+        }
+    }
+    let plan = optimize(&Wrong, &[1.0], &[], Initial::Zeros, &Options::default()).expect("finite");
+    assert_eq!((plan.stop, plan.iterations()), (Stop::NoDescent, 0));
+    // 0, then 0.01 times 1, 4, 32, ...: the factors double. Ten step sizes each.
+    let (mut values, mut rho, mut factor) = (1, 0.01, 4.0);
+    while rho <= 1e10 {
+        (values, rho, factor) = (values + 1, rho * factor, factor * 2.0);
+    }
+    assert_eq!((values, plan.rollouts), (9, 1 + 9 * 10));
+}
+
+/// Two controls with the same effect, `x' = x + u₁ + u₂`, and the cost x'²/2. `Q_uu` is a matrix of
+/// ones, so the search needs ρ. Its smallest value is 0.01, with `c = ‖b‖² = 1`. The gains
+/// `-(Q_uu + 0.01)⁻¹ Q_ux` are -1/2.01.
+#[test]
+fn gains_of_undetermined_controls_are_those_of_the_least_regularization() {
+    struct Twins;
+    impl System for Twins {
+        fn state_dim(&self) -> usize {
+            1
+        }
+        fn control_dim(&self) -> usize {
+            2
+        }
+        fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
+            next[0] = x[0] + u[0] + u[1];
+        }
+    }
+    impl Task for Twins {
+        type System = Self;
+        fn system(&self) -> &Self {
+            self
+        }
+        fn horizon(&self) -> usize {
+            1
+        }
+        fn start(&self, _: &mut Rng, _: Start<'_>) {}
+        fn terminal_cost<T: Scalar>(&self, x: &[T], _: &[T]) -> T {
+            x[0] * x[0] * 0.5
+        }
+    }
+    let plan = optimize(&Twins, &[1.0], &[], Initial::Zeros, &Options::default()).expect("finite");
+    assert!(plan.converged() && plan.x[1].abs() < 1e-8, "{}: {}", plan.stop, plan.x[1]);
+    for gain in plan.gains {
+        assert!((gain + 1.0 / 2.01).abs() < 1e-12, "{gain}");
+    }
 }
