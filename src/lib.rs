@@ -41,7 +41,7 @@
 //! }
 //! field.combine(&gradients, &mut descent);
 //! Clip::Norm(1.0).apply(&mut descent);
-//! weights.update(&policy, |theta| optimizer.step(theta, descent.values()));
+//! weights.update(&policy, |theta| optimizer.step(theta, &descent));
 //! # Ok::<(), physgrad::Divergence>(())
 //! ```
 //!

@@ -356,7 +356,7 @@ fn training<A: Authors>() {
                     field.combine(batch.gradients(), &mut update);
                     lengths.push(update.norm().get());
                     clip.apply(&mut update);
-                    weights.update(&policy, |theta| optimizer.step(theta, update.values()));
+                    weights.update(&policy, |theta| optimizer.step(theta, &update));
                 }
                 let squares: Vec<f64> = lengths.iter().map(|length| length * length).collect();
                 sizes.add(error(&[mean(&squares)], &[column("grad_size")]));

@@ -46,6 +46,8 @@ pub fn try_cost<T: Task>(task: &T) -> Result<Passed, Mismatch> {
         let mut rng = stream(case, Purpose::Check, 0);
         let (mut x, mut p) = (vec![0.0; n], vec![0.0; params]);
         task.draw_start(&mut rng, Start { x: &mut x, p: &mut p });
+        // A parameter that the task does not set is trained, so any value may occur.
+        p.iter_mut().filter(|p| p.is_nan()).for_each(|p| *p = normal(&mut rng, 1)[0]);
         x.iter_mut().zip(normal(&mut rng, n)).for_each(|(x, noise)| *x += 0.1 * noise);
         let (u, noise) = (normal(&mut rng, m), normal(&mut rng, n));
         let next: Vec<f64> = x.iter().zip(noise).map(|(x, noise)| x + 0.1 * noise).collect();

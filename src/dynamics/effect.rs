@@ -69,8 +69,8 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
     }
 
     /// Numbers that vary, with their indices in `p`, where the parameters of this effect begin at
-    /// `first`. Lists and wrappers of effects override it.
-    #[doc(hidden)]
+    /// `first`. An effect that contains another one forwards it; see
+    /// [`System::varied`](crate::System::varied).
     fn varied(&self, first: usize) -> Vec<Varied> {
         let numbers = self.numbers();
         numbers.placed(first + self.param_dim() - numbers.varied())

@@ -56,8 +56,8 @@ pub trait Ode: Send + Sync {
         Numbers::default()
     }
 
-    /// Numbers that vary, with their indices in `p`, of length `params`.
-    #[doc(hidden)]
+    /// Numbers that vary, with their indices in `p`, of length `params`. A right-hand side that
+    /// contains another one forwards it; see [`System::varied`](crate::System::varied).
     fn varied(&self, params: usize) -> Vec<Varied> {
         let numbers = self.numbers();
         numbers.placed(params - numbers.varied())

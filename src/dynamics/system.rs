@@ -41,7 +41,8 @@ pub trait System: Send + Sync {
     fn state_dim(&self) -> usize;
     /// Number of control components.
     fn control_dim(&self) -> usize;
-    /// Number of parameters. Default: the count of [`numbers`](System::numbers) that vary.
+    /// Number of parameters. Default: the count of [`numbers`](System::numbers) that vary. A system
+    /// that contains another one forwards this method together with [`varied`](System::varied).
     fn param_dim(&self) -> usize {
         self.numbers().varied()
     }
@@ -51,9 +52,12 @@ pub trait System: Send + Sync {
     fn numbers(&self) -> Numbers<'_> {
         Numbers::default()
     }
-    /// Numbers that vary, with their indices in `p`, of length `params`. Systems that contain
-    /// others override it.
-    #[doc(hidden)]
+    /// Numbers that vary, with their indices in `p`, of length `params`. Default: those of
+    /// [`numbers`](System::numbers), at the end of `p`.
+    ///
+    /// A system that contains another one forwards this method, as it forwards
+    /// [`param_dim`](System::param_dim). Otherwise nothing draws the numbers of the inner system,
+    /// and rollouts refuse their entries of `p`, which are NaN.
     fn varied(&self, params: usize) -> Vec<Varied> {
         let numbers = self.numbers();
         numbers.placed(params - numbers.varied())

@@ -33,9 +33,11 @@ pub trait Task: Send + Sync {
     }
     /// Draws an initial state into `start.x` and parameters into `start.p`. On entry, these are
     /// `state_dim` and `param_dim` zeros. Physical numbers that vary are drawn afterwards, so their
-    /// entries must remain 0.
+    /// entries must remain 0. All other parameters must be written, also those that are 0: an entry
+    /// that is neither written, drawn nor trained is NaN, and rollouts refuse it.
     fn start(&self, rng: &mut Rng, start: Start<'_>);
-    /// Draws an initial state, parameters, and physical numbers that vary.
+    /// Draws an initial state, parameters, and physical numbers that vary. Entries of `p` that
+    /// nothing sets become NaN.
     #[doc(hidden)]
     fn draw_start(&self, rng: &mut Rng, Start { x, p }: Start<'_>) {
         let (own, system) = (p.len(), self.system().param_dim());
@@ -43,6 +45,9 @@ pub trait Task: Send + Sync {
             own >= system,
             "`Task::param_dim` is {own}, but the system has {system} parameters; add `self.system().param_dim()`"
         );
+        // Equal to 0, but distinguishable from a written 0.
+        let unwritten = -0.0_f64;
+        p.fill(unwritten);
         self.start(rng, Start { x, p: &mut *p });
         for Varied { index, number, name } in self.system().varied(p.len()) {
             assert!(
@@ -52,6 +57,7 @@ pub trait Task: Send + Sync {
             );
             p[index] = number.draw(rng);
         }
+        p.iter_mut().filter(|p| p.to_bits() == unwritten.to_bits()).for_each(|p| *p = f64::NAN);
     }
 
     /// Number of components of [`observe`](Task::observe). Default: `None`, the policy observes the

@@ -70,6 +70,8 @@ pub enum Variable {
     Control,
     /// Memory computed by the policy for the next step.
     Memory,
+    /// Parameter `p` of the sample. NaN if nothing sets it.
+    Parameter,
 }
 
 impl Divergence {
@@ -88,7 +90,7 @@ impl Divergence {
         match *self {
             // The control at step t lies between the states at steps t and t + 1.
             Self::Forward { variable: Variable::Control | Variable::Memory, step, sample, .. } => (0, 2 * step + 1, sample),
-            Self::Forward { variable: Variable::State, step, sample, .. } => (0, 2 * step, sample),
+            Self::Forward { variable: Variable::State | Variable::Parameter, step, sample, .. } => (0, 2 * step, sample),
             Self::Cost { sample } => (1, 0, sample),
             Self::Cotangent { step, sample, .. } => (2, usize::MAX - step, sample),
             Self::Gradient { parameter, .. } | Self::Field { parameter, .. } => (3, 0, parameter),
@@ -102,6 +104,7 @@ impl fmt::Display for Variable {
             Self::State => "state",
             Self::Control => "control",
             Self::Memory => "memory",
+            Self::Parameter => "parameter",
         })
     }
 }
@@ -118,6 +121,11 @@ impl fmt::Display for Divergence {
                 f,
                 "forward pass: component {component} of the initial state of sample {sample} is not finite. Check `start`, and the \
                  range of the precision"
+            ),
+            Self::Forward { variable: Variable::Parameter, sample, component, .. } => write!(
+                f,
+                "forward pass: the parameter p[{component}] of sample {sample} is NaN. Write it in `Task::start`, or train it. If \
+                 it is a number of a system or effect within another one, forward `varied` together with `param_dim`"
             ),
             Self::Forward { variable, step: 0, sample, component, .. } => write!(
                 f,

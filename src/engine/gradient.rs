@@ -39,6 +39,7 @@ impl<F: Float> Gradient<F> {
     }
 
     /// Values, to be multiplied by 2 to the power of [`exponent`](Gradient::exponent).
+    /// [`to_vec`](Gradient::to_vec) returns plain numbers.
     pub fn values(&self) -> &[F] {
         &self.values
     }

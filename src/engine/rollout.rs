@@ -222,6 +222,18 @@ impl<F: Float> Rollout<F> {
         }
     }
 
+    /// Returns an error if a parameter is NaN, for example because nothing sets it.
+    fn check_params(&self) -> Result<(), Divergence> {
+        let is_nan = |&(sample, i): &(usize, usize)| {
+            let value: f64 = self.params[sample / WIDTH * self.param_dim + i].lane(sample % WIDTH).as_();
+            value.is_nan()
+        };
+        let all = (0..self.samples).flat_map(|sample| (0..self.param_dim).map(move |i| (sample, i)));
+        all.into_iter().find(is_nan).map_or(Ok(()), |(sample, component)| {
+            Err(Divergence::Forward { variable: Variable::Parameter, step: 0, sample, component, cause: None })
+        })
+    }
+
     /// Runs `steps` from the stored state at their start, and adds their costs.
     pub(crate) fn advance(
         &mut self,
@@ -295,6 +307,7 @@ impl<F: Float> Rollout<F> {
     ) -> Result<(), Divergence> {
         if t == 0 {
             self.set_trained_params(policy, weights);
+            self.check_params()?;
         }
         let (n, m) = (self.state_dim, self.control_dim);
         let (now, next) = (self.slot(t), self.slot(t + 1));
@@ -356,7 +369,7 @@ impl<F: Float> Rollout<F> {
                 let (x, u, p) = (of(x, n), of(controls, m), of(&self.params, self.param_dim));
                 task.diagnose(Inputs { x: &x, u: &u, p: &p, t })
             }
-            Variable::Control | Variable::Memory => None,
+            Variable::Control | Variable::Memory | Variable::Parameter => None,
         };
         Err(Divergence::Forward { variable, step, sample, component, cause })
     }

@@ -99,6 +99,19 @@ impl TrainedParam {
         }
     }
 
+    /// Returns whether r is so far from its start that the training has lost the entry. An
+    /// unbounded entry exceeds a million times its start, or 1e6 if it starts within ±1. The distance
+    /// to a bound has changed by a factor of a million.
+    pub(crate) fn has_run_away(&self, r: f64) -> bool {
+        const FACTOR: f64 = 1e6;
+        let within = match self.scale {
+            Scale::Linear => r.abs() <= FACTOR * self.initial.abs().max(1.0),
+            Scale::Above { .. } | Scale::Bounded { .. } => (r - self.initial()).abs() <= FACTOR.ln(),
+        };
+        // True for NaN.
+        !within
+    }
+
     /// Returns the derivative of [`value`](Self::value).
     pub(crate) fn slope(&self, r: f64) -> f64 {
         match self.scale {

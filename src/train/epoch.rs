@@ -103,6 +103,12 @@ pub(super) struct State<F: Float> {
     /// Non-finite numbers in the losses of the training set and of the test set after the last
     /// epoch.
     pub(super) diverged: [Option<Divergence>; 2],
+    /// For each number that is trained with the policy, true if it had a slope of 0 in all updates of
+    /// the epoch.
+    flat: Vec<bool>,
+    /// Numbers with a slope of 0 in all updates of the last epoch, each with whether a change of the
+    /// number changes the loss.
+    pub(super) without_slope: Vec<(usize, bool)>,
     /// Kinds of warnings that were returned.
     pub(super) warned: Vec<&'static str>,
     flows: Vec<Flow>,
@@ -160,6 +166,9 @@ impl<F: Float> State<F> {
             direction,
             epoch: None,
             diverged: [None; 2],
+            // False until an epoch begins: a restored session does not know the earlier updates.
+            flat: vec![false; policy.trained_params().len()],
+            without_slope: Vec::new(),
             warned: Vec::new(),
             optimizer,
             order: (0..train.len() / n).collect(),
@@ -227,6 +236,10 @@ impl<F: Float> State<F> {
             }
         }
         let [train_loss, test_loss] = self.evaluate(problem);
+        self.without_slope.clear();
+        if !epoch.means.is_empty() {
+            self.test_numbers_without_slope(problem, train_loss);
+        }
         self.best.update(self.weights.theta(), test_loss);
         let seconds = epoch.seconds + begin.elapsed().as_secs_f64();
         let number = self.records.len() + 1;
@@ -237,6 +250,7 @@ impl<F: Float> State<F> {
     /// Starts a new epoch and records the state that a failure restores.
     fn begin_epoch(&mut self) -> Epoch {
         self.skips.clear();
+        self.flat.fill(true);
         self.before.theta.copy_from_slice(self.weights.theta());
         self.before.optimizer.copy_from(&self.optimizer);
         self.before.direction.copy_from_slice(&self.direction);
@@ -331,10 +345,41 @@ impl<F: Float> State<F> {
             self.direction.copy_from_slice(&self.previous_direction);
         }
         let step = step?;
+        self.note_slopes();
         self.training.clip.apply_knowing(&mut self.combined, step.norm);
         let rate = self.learning_rate(update);
-        self.weights.update(problem.policy, |theta| self.optimizer.step_at(rate, theta, self.combined.values()));
+        self.weights.update(problem.policy, |theta| self.optimizer.step_at(rate, theta, &self.combined));
         Ok(step)
+    }
+
+    /// Notes which trained numbers have a slope other than 0 in this update.
+    fn note_slopes(&mut self) {
+        let first = self.combined.values().len() - self.flat.len();
+        for gradient in self.batch.gradients().iter().chain([&self.combined]) {
+            for (flat, &slope) in self.flat.iter_mut().zip(&gradient.values()[first..]) {
+                *flat &= slope == F::zero();
+            }
+        }
+    }
+
+    /// Determines, for each number without a slope in all updates of the epoch, whether the loss of
+    /// the training set depends on it nevertheless: changes it by about a tenth in both directions.
+    fn test_numbers_without_slope(&mut self, Problem { task, policy, .. }: Problem<'_, F>, loss: f64) {
+        let first = self.weights.theta().len() - self.flat.len();
+        for number in 0..self.flat.len() {
+            if !self.flat[number] {
+                continue;
+            }
+            let changes = [-0.1, 0.1].into_iter().any(|by| {
+                let mut theta = self.weights.theta().to_vec();
+                let r: f64 = theta[first + number].as_();
+                theta[first + number] = F::from_f64(r + by * r.abs().max(1.0));
+                let moved = Weights::new(policy, theta);
+                // A loss that diverges differs from any other.
+                self.evaluation.run(task, policy, &moved, &self.train).map_or(!loss.is_nan(), |moved| moved != loss)
+            });
+            self.without_slope.push((number, changes));
+        }
     }
 
     /// Computes the combined vector of update number `update`: the field, or an estimate with

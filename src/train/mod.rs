@@ -209,6 +209,10 @@ pub struct Trainer<T, P, F = f32, C = Combination> {
     policy: P,
     field: Field<C>,
     training: Training,
+    /// Number of epochs in place of that of `training`.
+    epochs: Option<usize>,
+    /// Seed in place of that of `training`.
+    seed: Option<u64>,
     /// Parameters at the start of the training. None for those of [`Policy::init`].
     theta: Option<Vec<f64>>,
     precision: PhantomData<F>,
@@ -217,32 +221,43 @@ pub struct Trainer<T, P, F = f32, C = Combination> {
 impl<T: Task, P: Policy> Trainer<T, P> {
     /// Creates a trainer with the settings of the paper: combined field, Adam, 1000 epochs, `f32`.
     pub fn new(task: T, policy: P) -> Self {
-        Self { task, policy, field: Field::combined(), training: Training::default(), theta: None, precision: PhantomData }
+        Self {
+            task,
+            policy,
+            field: Field::combined(),
+            training: Training::default(),
+            epochs: None,
+            seed: None,
+            theta: None,
+            precision: PhantomData,
+        }
     }
 }
 
 impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// Sets the vector field.
     pub fn field<D: GradientCombiner>(self, field: Field<D>) -> Trainer<T, P, F, D> {
-        let Self { task, policy, training, theta, precision, .. } = self;
-        Trainer { task, policy, field, training, theta, precision }
+        let Self { task, policy, training, epochs, seed, theta, precision, .. } = self;
+        Trainer { task, policy, field, training, epochs, seed, theta, precision }
     }
 
     /// Sets the precision, `f32` or `f64`.
     pub fn precision<G: Float>(self) -> Trainer<T, P, G, C> {
-        let Self { task, policy, field, training, theta, .. } = self;
-        Trainer { task, policy, field, training, theta, precision: PhantomData }
+        let Self { task, policy, field, training, epochs, seed, theta, .. } = self;
+        Trainer { task, policy, field, training, epochs, seed, theta, precision: PhantomData }
     }
 
-    /// Sets the number of epochs.
+    /// Sets the number of epochs. It replaces [`Training::epochs`], also if
+    /// [`training`](Self::training) follows.
     pub fn epochs(mut self, epochs: usize) -> Self {
-        self.training.epochs = epochs;
+        self.epochs = Some(epochs);
         self
     }
 
-    /// Sets the seed of all random numbers; see [`Training::seed`].
+    /// Sets the seed of all random numbers; see [`Training::seed`]. It replaces the seed of
+    /// [`training`](Self::training), also if this follows.
     pub fn seed(mut self, seed: u64) -> Self {
-        self.training.seed = seed;
+        self.seed = Some(seed);
         self
     }
 
@@ -252,7 +267,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
         self
     }
 
-    /// Replaces all settings.
+    /// Replaces all settings, except those of [`epochs`](Self::epochs) and [`seed`](Self::seed).
     pub fn training(mut self, training: Training) -> Self {
         self.training = training;
         self
@@ -310,7 +325,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// lacks. If the horizon is 0. If the number of parameters of [`start_from`](Self::start_from)
     /// differs from the policy's `param_count`.
     pub fn session(self) -> Result<Session<T, P, F, C>, TrainError> {
-        let Self { task, policy, field, training, theta, .. } = self;
+        let training = self.settings();
+        let Self { task, policy, field, theta, .. } = self;
         training.validate()?;
         let starts = |purpose, samples| initial_states(&task, training.seed, purpose, samples);
         let (train, test) = (starts(Purpose::Train, training.train_samples), starts(Purpose::Test, training.test_samples));
@@ -336,9 +352,16 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// and policy differ. If the policy trains a parameter that the task lacks. If the horizon is
     /// 0.
     pub fn session_from(self, theta: Vec<F>, train: Vec<F>, test: Vec<F>) -> Result<Session<T, P, F, C>, TrainError> {
-        let Self { task, policy, field, training, .. } = self;
+        let training = self.settings();
+        let Self { task, policy, field, .. } = self;
         let weights = Weights::new(&policy, finite(theta)?);
         Session::new(task, policy, field, training, weights, train, test)
+    }
+
+    /// All settings, with the number of epochs and the seed of the builder.
+    fn settings(&self) -> Training {
+        let Training { epochs, seed, .. } = self.training;
+        Training { epochs: self.epochs.unwrap_or(epochs), seed: self.seed.unwrap_or(seed), ..self.training.clone() }
     }
 }
 

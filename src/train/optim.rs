@@ -239,12 +239,13 @@ impl<F: Float> Optimizer<F> {
         self.second.copy_from_slice(&other.second);
     }
 
-    /// Takes one step of `theta` against `gradient`.
+    /// Takes one step of `theta` against `gradient`, whatever its exponent. Components too small
+    /// for the range of `F` count as 0. Clip gradients that may exceed this range.
     ///
     /// # Panics
     /// If a length differs from the number of parameters.
     #[track_caller]
-    pub fn step(&mut self, theta: &mut [F], gradient: &[F]) {
+    pub fn step(&mut self, theta: &mut [F], gradient: &Gradient<F>) {
         self.step_at(self.learning_rate, theta, gradient);
     }
 
@@ -253,7 +254,16 @@ impl<F: Float> Optimizer<F> {
     /// # Panics
     /// If a length differs from the number of parameters.
     #[track_caller]
-    pub fn step_at(&mut self, learning_rate: f64, theta: &mut [F], gradient: &[F]) {
+    pub fn step_at(&mut self, learning_rate: f64, theta: &mut [F], gradient: &Gradient<F>) {
+        match gradient.exponent() {
+            0 => self.step_along(learning_rate, theta, gradient.values()),
+            _ => self.step_along(learning_rate, theta, &gradient.to_vec()),
+        }
+    }
+
+    /// Takes one step against a vector of plain numbers.
+    #[track_caller]
+    pub(crate) fn step_along(&mut self, learning_rate: f64, theta: &mut [F], gradient: &[F]) {
         let n = self.first.len();
         assert!(
             theta.len() == n && gradient.len() == n,
@@ -336,7 +346,7 @@ mod tests {
         let mut optimizer = Optimizer::<f64>::new(OptimizerKind::named(rule).expect(rule), 0.1, 1);
         let mut theta = [1.0];
         [0.5, -2.0].map(|gradient| {
-            optimizer.step(&mut theta, &[gradient]);
+            optimizer.step_along(0.1, &mut theta, &[gradient]);
             theta[0]
         })
     }

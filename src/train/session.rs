@@ -2,14 +2,15 @@
 
 use super::checkpoint;
 use super::epoch::{Problem, State};
-use super::warnings::Warning;
+use super::warnings::{TrainedNumber, Warning};
 use super::{CheckpointError, Record, Report, Skip, TrainError, Training};
+use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::engine::divergence::Divergence;
 use crate::engine::ranks::Ranks;
 use crate::engine::schedule::Schedule;
 use crate::numbers::scalar::Float;
-use crate::policy::{Policy, Weights};
+use crate::policy::{Policy, TrainedParam, Weights};
 use crate::train::combination::Combination;
 use crate::train::field::{Field, GradientCombiner};
 use std::sync::Arc;
@@ -111,19 +112,31 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
         self.state.diverged
     }
 
-    /// Warnings about the last epoch: skipped updates, non-finite losses, unreliable gradients.
+    /// Warnings about the last epoch: skipped updates, non-finite losses, unreliable gradients, and
+    /// trained numbers that run away or have no slope.
     /// Each states the epoch. Each states a remedy, unless the causes of skips are unknown after
     /// [`restore`](Session::restore). A session returns each kind of warning once.
     ///
     /// Empty within an epoch. [`Trainer::run`](crate::Trainer::run) prints them.
     pub fn warnings(&mut self) -> Vec<String> {
-        self.state.new_warnings(self.task.horizon()).iter().map(Warning::to_string).collect()
+        self.state.new_warnings(self.task.horizon(), &self.numbers()).iter().map(Warning::to_string).collect()
     }
 
     /// All warnings about the last epoch, including kinds that [`warnings`](Self::warnings) has
     /// already returned.
     pub fn epoch_warnings(&self) -> Vec<Warning> {
-        self.state.warnings(self.task.horizon())
+        self.state.warnings(self.task.horizon(), &self.numbers())
+    }
+
+    /// The numbers that are trained with the policy.
+    fn numbers(&self) -> Vec<TrainedNumber> {
+        let varied = self.task.system().varied(self.task.param_dim());
+        let name = |index: usize| varied.iter().find(|varied| varied.index == index).map(|varied| varied.name.clone());
+        let number = |&param: &TrainedParam| {
+            let name = name(param.index()).unwrap_or_else(|| format!("p[{}]", param.index()));
+            TrainedNumber { name, param }
+        };
+        self.policy.trained_params().iter().map(number).collect()
     }
 
     /// Loss of the whole test set with the current parameters; NaN if it diverges.

@@ -89,7 +89,7 @@ pub fn descend<T: Task, P: Policy, C: GradientCombiner>(
     let mut path = vec![sampler.at(start)?];
     for i in 0..iterations {
         let Sample { mut theta, vector, .. } = path[i];
-        optimizer.step(&mut theta, &vector);
+        optimizer.step_along(learning_rate, &mut theta, &vector);
         path.push(sampler.at(theta)?);
     }
     Ok(path)

@@ -1,9 +1,12 @@
-//! Warnings of a training: skipped updates, non-finite losses, unreliable gradients.
+//! Warnings of a training: skipped updates, non-finite losses, unreliable gradients, and numbers
+//! that training does not determine.
 
 use super::epoch::State;
 use super::record::{Record, Skip};
 use super::smoothing::Estimator;
+use crate::engine::divergence::Divergence;
 use crate::numbers::scalar::Float;
+use crate::policy::TrainedParam;
 use std::fmt;
 
 /// Warning about an epoch. The text consists of the epoch and the cause.
@@ -24,24 +27,43 @@ impl fmt::Display for Warning {
 }
 
 /// Kinds of warnings, in the order of their reports.
-const KINDS: [&str; 8] =
-    ["some skipped", "all skipped", "training loss", "test loss", "growth of R", "growth of M", "field of 0", "no first order"];
+const KINDS: [&str; 11] = [
+    "some skipped",
+    "all skipped",
+    "training loss",
+    "test loss",
+    "growth of R",
+    "growth of M",
+    "field of 0",
+    "no first order",
+    "number ran away",
+    "number acts by comparison",
+    "number without effect",
+];
+
+/// A number that is trained with the policy.
+pub(super) struct TrainedNumber {
+    /// Name of the number, or `p[index]`.
+    pub(super) name: String,
+    pub(super) param: TrainedParam,
+}
 
 impl<F: Float> State<F> {
     /// Warnings about the last epoch, without the kinds that an earlier call returned.
-    pub(super) fn new_warnings(&mut self, horizon: usize) -> Vec<Warning> {
-        let mut warnings = self.warnings(horizon);
+    pub(super) fn new_warnings(&mut self, horizon: usize, numbers: &[TrainedNumber]) -> Vec<Warning> {
+        let mut warnings = self.warnings(horizon, numbers);
         warnings.retain(|warning| !self.warned.contains(&warning.kind));
         self.warned.extend(warnings.iter().map(|warning| warning.kind));
         warnings
     }
 
     /// All warnings about the last epoch.
-    pub(super) fn warnings(&self, horizon: usize) -> Vec<Warning> {
+    pub(super) fn warnings(&self, horizon: usize, numbers: &[TrainedNumber]) -> Vec<Warning> {
         let updates = self.updates_per_epoch();
         let Some(record) = self.records.last().filter(|_| self.epoch.is_none()) else { return Vec::new() };
         let first = self.skips.iter().find(|skip| skip.epoch == record.epoch);
-        let [some_skipped, all_skipped] = skipped(record.skipped, updates, first);
+        let [some_skipped, all_skipped] =
+            skipped(record.skipped, updates, first, &|divergence| self.number_at(divergence, numbers));
         let [train, test] = self.diverged;
         let loss = |set, divergence| format!("the {set} loss is not finite ({divergence})");
         let [regular, modified, zero] = record.gradient_warnings(horizon, F::EPSILON);
@@ -54,9 +76,52 @@ impl<F: Float> State<F> {
             modified,
             zero,
             self.without_first_order(record),
+            self.run_away(numbers),
+            self.without_slope(numbers, true).map(|names| {
+                format!(
+                    "the slope of the loss with respect to {names} is exactly 0, but other values change the loss. The number acts \
+                     only through comparisons, so training cannot change it, and other numbers adapt to its start. Replace the \
+                     comparison by a smooth transition, or search over fixed values of the number"
+                )
+            }),
+            self.without_slope(numbers, false).map(|names| {
+                format!(
+                    "the loss does not depend on {names}, so training cannot change it. Use a fixed value, or add a cost or initial \
+                     states that depend on it"
+                )
+            }),
         ];
         let warning = |(kind, cause): (&'static str, Option<String>)| Some(Warning { epoch: record.epoch, kind, cause: cause? });
         KINDS.into_iter().zip(causes).filter_map(warning).collect()
+    }
+
+    /// Warning about numbers that are far from their start, or not finite.
+    fn run_away(&self, numbers: &[TrainedNumber]) -> Option<String> {
+        let theta = self.weights.theta();
+        let values = numbers.iter().zip(&theta[theta.len() - numbers.len()..]);
+        let lost = values.filter(|(number, r)| number.param.has_run_away(r.as_()));
+        let lost = lost.map(|(TrainedNumber { name, param }, r)| format!("{name} = {:.3e}", param.value::<f64>(r.as_())));
+        let lost = list(lost.collect())?;
+        Some(format!(
+            "training runs away: {lost}, more than a factor of a million from the start or from a bound. The number is not \
+             determined, or the learning rate is too large. Give it bounds, reduce the learning rate, or use a fixed value"
+        ))
+    }
+
+    /// Names of the numbers without a slope in all updates of the last epoch. `changes` selects those
+    /// that change the loss nevertheless, or those that do not.
+    fn without_slope(&self, numbers: &[TrainedNumber], changes: bool) -> Option<String> {
+        let selected = self.without_slope.iter().filter(|(_, found)| *found == changes);
+        list(selected.map(|&(number, _)| numbers[number].name.clone()).collect())
+    }
+
+    /// Text that names the trained number of a gradient that is not finite, or "".
+    fn number_at(&self, divergence: &Divergence, numbers: &[TrainedNumber]) -> String {
+        let (Divergence::Gradient { parameter, .. } | Divergence::Field { parameter, .. }) = divergence else {
+            return String::new();
+        };
+        let number = (parameter + numbers.len()).checked_sub(self.weights.theta().len()).and_then(|i| numbers.get(i));
+        number.map(|number| format!("; component {parameter} is the trained number {}", number.name)).unwrap_or_default()
     }
 
     /// Warning about an epoch in which [`Estimator::AlphaOrder`] ignored the first-order estimate.
@@ -75,8 +140,9 @@ impl<F: Float> State<F> {
 /// At most one is present. The epoch skipped `count` of `updates` updates. `known` is one of the
 /// skipped updates, if any is recorded. A restored session has no record of the updates that were
 /// skipped before its checkpoint.
-fn skipped(count: usize, updates: usize, known: Option<&Skip>) -> [Option<String>; 2] {
-    let cause = known.map(|skip| format!(" ({})", skip.divergence)).unwrap_or_default();
+/// `more` adds to the text of a divergence.
+fn skipped(count: usize, updates: usize, known: Option<&Skip>, more: &dyn Fn(&Divergence) -> String) -> [Option<String>; 2] {
+    let cause = known.map(|skip| format!(" ({}{})", skip.divergence, more(&skip.divergence))).unwrap_or_default();
     let place = known.map(|skip| format!(", for example update {}", skip.update)).unwrap_or_default();
     match count {
         0 => [None, None],
@@ -85,4 +151,9 @@ fn skipped(count: usize, updates: usize, known: Option<&Skip>) -> [Option<String
         }
         _ => [Some(format!("{count} of {updates} updates skipped{place}{cause}")), None],
     }
+}
+
+/// Joins names by commas. `None` for an empty list.
+fn list(names: Vec<String>) -> Option<String> {
+    (!names.is_empty()).then(|| names.join(", "))
 }

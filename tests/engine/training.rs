@@ -1,9 +1,12 @@
 //! Learning rates, refused settings, warnings and best parameters of trainings on plants with known
 //! gradients.
 
-use physgrad::policy::Constant;
-use physgrad::rng::Rng;
-use physgrad::{Clip, Decay, Field, Inputs, OptimizerKind, Scalar, Session, Start, System, Task, Trainer, Training};
+use physgrad::policy::{Constant, TrainedParam, WithParams};
+use physgrad::rng::{Purpose, Rng};
+use physgrad::{
+    Adjoint, Clip, Decay, Divergence, Field, Flow, Gradient, Inputs, Number, Numbers, Optimizer, OptimizerKind, Rollout, Scalar,
+    Session, Start, System, Task, Trainer, Training, Variable, Varied, Weights, initial_states,
+};
 use std::process::Command;
 
 /// `x' = factor · x + u` from 0, with the cost `weight · x` of the last state. States below -1e6
@@ -185,4 +188,211 @@ fn the_best_parameters_precede_a_divergence_and_follow_a_start_from_parameters()
     let training = Training { epochs: 1, learning_rate: 0.5, ..training };
     let report = trainer(task, training).start_from(vec![5.0]).run().expect("valid settings");
     assert_eq!((report.weights.theta(), report.best.theta()), (&[3.0][..], &[3.0][..]));
+}
+
+#[test]
+fn numbers_of_epochs_and_seeds_hold_before_and_after_all_settings() {
+    let settings = Training { epochs: 1, seed: 1, learning_rate: 0.25, ..Training::default() };
+    let plain = || Trainer::new(Plant { factor: 1.0, horizon: 1, weight: 1.0 }, Constant::new(1, 1)).precision::<f64>();
+    for trainer in [plain().epochs(3).seed(5).training(settings.clone()), plain().training(settings.clone()).seed(5).epochs(3)] {
+        let same = Training { epochs: 3, seed: 5, ..settings.clone() };
+        let [found, expected] = [trainer, plain().training(same)].map(|trainer| trainer.run().expect("finite"));
+        assert_eq!(found.records.len(), 3);
+        assert_eq!(found.weights.theta(), expected.weights.theta());
+    }
+}
+
+/// The control of the first step acts on a state that shrinks by 1e-3 in each of 30 steps. The
+/// gradient, 1e-87, is below the range of f32, so a step along it leaves θ unchanged.
+#[test]
+fn a_step_of_an_optimizer_without_clipping_applies_the_exponent_of_the_gradient() {
+    #[derive(Clone, Debug)]
+    struct Shrinking;
+    impl System for Shrinking {
+        fn state_dim(&self) -> usize {
+            1
+        }
+        fn control_dim(&self) -> usize {
+            1
+        }
+        fn step<T: Scalar>(&self, Inputs { x, u, t, .. }: Inputs<'_, T>, next: &mut [T]) {
+            next[0] = if t == 0 { u[0] } else { x[0] * 1e-3 };
+        }
+    }
+    impl Task for Shrinking {
+        type System = Self;
+        fn system(&self) -> &Self {
+            self
+        }
+        fn horizon(&self) -> usize {
+            30
+        }
+        fn start(&self, _: &mut Rng, start: Start<'_>) {
+            start.x[0] = 1.0;
+        }
+        fn terminal_cost<T: Scalar>(&self, x: &[T], _: &[T]) -> T {
+            x[0]
+        }
+    }
+    let policy = Constant::new(1, 1);
+    let mut weights = Weights::<f32>::new(&policy, vec![1.0]);
+    let mut rollout = Rollout::new(&Shrinking, &policy, 1);
+    let mut adjoint = Adjoint::new(&Shrinking, &policy, &rollout, &[Flow::REGULAR]);
+    rollout.start(&[1.0]);
+    rollout.run(&Shrinking, &policy, &weights).expect("finite");
+    adjoint.run(&Shrinking, &policy, &weights, &rollout, 1.0).expect("finite");
+    let mut gradient = Gradient::zeros(1);
+    adjoint.param_gradient(0, &policy, &weights, &rollout, 0..1, &mut gradient);
+    assert!((gradient.norm().log10() + 87.0).abs() < 1e-4, "{}", gradient.norm());
+    let mut optimizer = Optimizer::new(OptimizerKind::Sgd, 1.0, 1);
+    weights.update(&policy, |theta| optimizer.step(theta, &gradient));
+    assert_eq!(weights.theta(), [1.0]);
+}
+
+/// How the trained number `off` enters.
+#[derive(Clone, Copy, Debug)]
+enum Role {
+    /// A constant push ends at the time `off`.
+    Comparison,
+    Absent,
+    /// The next state contains `off` times this weight.
+    Linear(f64),
+}
+
+/// `x' = x + u + push`, with the last state as cost. Steps of 0.1 s.
+#[derive(Clone, Debug)]
+struct Pushed {
+    off: Number,
+    role: Role,
+}
+
+impl System for Pushed {
+    fn state_dim(&self) -> usize {
+        1
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn numbers(&self) -> Numbers<'_> {
+        Numbers::new([("off", &self.off)])
+    }
+    fn step<T: Scalar>(&self, Inputs { x, u, p, t }: Inputs<'_, T>, next: &mut [T]) {
+        let [off] = self.numbers().last_of(p);
+        let push = match self.role {
+            Role::Comparison => T::select_lt(T::from(0.1 * t as f64), off, T::one(), T::zero()),
+            Role::Absent => T::zero(),
+            Role::Linear(weight) => off * weight,
+        };
+        next[0] = x[0] + u[0] + push;
+    }
+}
+
+impl Task for Pushed {
+    type System = Self;
+    fn system(&self) -> &Self {
+        self
+    }
+    fn horizon(&self) -> usize {
+        10
+    }
+    fn start(&self, _: &mut Rng, start: Start<'_>) {
+        start.x[0] = 0.0;
+    }
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _: &[T]) -> T {
+        x[0]
+    }
+}
+
+/// The push ends after step 5 for `off` = 0.55 s, after step 6 for 0.605 s, and after step 4 for
+/// 0.495 s: the loss depends on the number, but its slope is 0.
+#[test]
+fn trained_numbers_that_training_cannot_determine_are_named_once_with_a_remedy() {
+    let start = 0.55;
+    for (role, learning_rate, expected, remedy) in [
+        (Role::Comparison, 1e-3, "with respect to off is exactly 0, but other values change the loss", "smooth transition"),
+        (Role::Absent, 1e-3, "the loss does not depend on off, so training cannot change it", "Use a fixed value"),
+        (Role::Linear(1.0), 1e6, "training runs away: off = -1.000e7", "Give it bounds"),
+        (Role::Linear(1e200), 1e-3, "component 1 is the trained number off", "Clip by norm"),
+        (Role::Linear(1.0), 1e-3, "", ""),
+    ] {
+        let task = Pushed { off: Number::Trained { start, min: f64::NEG_INFINITY, max: f64::INFINITY }, role };
+        let policy = WithParams::new(Constant::new(1, 1), [TrainedParam::linear(0, start)]);
+        let training = Training { epochs: 3, train_samples: 4, test_samples: 1, learning_rate, ..Training::default() };
+        let training = Training { rule: OptimizerKind::Sgd, clip: Clip::None, ..training };
+        let trainer = Trainer::new(task, policy).precision::<f64>().field(Field::regular()).training(training);
+        let mut warnings = Vec::new();
+        trainer.run_with_warnings(|warning| warnings.push(warning.to_owned())).expect("fewer skips than the limit");
+        if expected.is_empty() {
+            assert_eq!(warnings, [""; 0], "{role:?}");
+        } else {
+            assert_eq!(warnings.len(), 1, "{role:?}: {warnings:?}");
+            let is_named = warnings[0].starts_with("epoch 1: ") && warnings[0].contains(expected);
+            assert!(is_named && warnings[0].contains(remedy), "{role:?}: {warnings:?}");
+        }
+    }
+}
+
+/// Wrapper of a system that forwards the number of parameters, and perhaps the numbers that vary.
+#[derive(Clone, Debug)]
+struct Wrapper {
+    inner: Pushed,
+    forwards: bool,
+}
+
+impl System for Wrapper {
+    fn state_dim(&self) -> usize {
+        self.inner.state_dim()
+    }
+    fn control_dim(&self) -> usize {
+        self.inner.control_dim()
+    }
+    fn param_dim(&self) -> usize {
+        System::param_dim(&self.inner)
+    }
+    fn varied(&self, params: usize) -> Vec<Varied> {
+        if self.forwards { self.inner.varied(params) } else { Vec::new() }
+    }
+    fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
+        self.inner.step(inputs, next);
+    }
+}
+
+/// Task that writes this value into the parameter, if any.
+struct Wrapped(Wrapper, Option<f64>);
+
+impl Task for Wrapped {
+    type System = Wrapper;
+    fn system(&self) -> &Wrapper {
+        &self.0
+    }
+    fn horizon(&self) -> usize {
+        2
+    }
+    fn start(&self, _: &mut Rng, start: Start<'_>) {
+        start.x[0] = 0.0;
+        self.1.into_iter().for_each(|value| start.p[0] = value);
+    }
+}
+
+#[test]
+fn parameters_that_nothing_sets_are_refused_by_rollouts() {
+    let inner = Pushed { off: Number::Uniform { low: 0.5, high: 2.0 }, role: Role::Linear(1.0) };
+    let policy = Constant::new(1, 1);
+    let run = |forwards: bool, written: Option<f64>| {
+        let task = Wrapped(Wrapper { inner: inner.clone(), forwards }, written);
+        let starts: Vec<f64> = initial_states(&task, 0, Purpose::Train, 3);
+        let mut rollout = Rollout::new(&task, &policy, 3);
+        rollout.start(&starts);
+        (starts, rollout.run(&task, &policy, &Weights::new(&policy, vec![0.0])))
+    };
+    let (starts, outcome) = run(true, None);
+    assert!(outcome.is_ok() && starts.chunks(2).all(|start| (0.5..=2.0).contains(&start[1])), "{starts:?}");
+    let (starts, outcome) = run(false, Some(0.0));
+    assert!(outcome.is_ok() && starts.iter().all(|&start| start == 0.0), "{starts:?}");
+    let (_, outcome) = run(false, None);
+    let divergence = outcome.expect_err("a parameter that nothing sets");
+    let expected = Divergence::Forward { variable: Variable::Parameter, step: 0, sample: 0, component: 0, cause: None };
+    assert_eq!(divergence, expected);
+    let text = divergence.to_string();
+    assert!(text.contains("the parameter p[0] of sample 0 is NaN") && text.contains("forward `varied`"), "{text}");
 }

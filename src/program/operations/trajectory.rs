@@ -35,7 +35,7 @@ pub fn rollouts<F: Float>(
     rollout.start(starts);
     let steps = match rollout.run(task, policy, weights) {
         Err(Divergence::Forward { variable: Variable::State, step, .. }) => step.saturating_sub(1),
-        Err(Divergence::Forward { variable: Variable::Control | Variable::Memory, step, .. }) => step,
+        Err(Divergence::Forward { variable: Variable::Control | Variable::Memory | Variable::Parameter, step, .. }) => step,
         _ => task.horizon(),
     };
     let trajectory = |sample: usize| Trajectory {
