@@ -8,6 +8,7 @@
 //! of the cost, thus the rate of convergence, but neither gradient nor cost. A step that is linear in
 //! its controls has differences of exactly 0.
 
+use super::OptimizeError;
 use super::trajectory::{Problem, Trajectory};
 use crate::dynamics::inputs::Inputs;
 use nalgebra::{DMatrix, DVector};
@@ -23,6 +24,9 @@ impl Problem<'_> {
     ///
     /// Each entry is the smaller one of the differences to both sides, or 0 if their signs differ.
     /// A kink within the difference, or at u itself, thus contributes nothing.
+    ///
+    /// # Errors
+    /// [`OptimizeError::Stopped`] if the stop flag is set.
     pub(super) fn control_curvature(
         &self,
         trajectory: &Trajectory,
@@ -30,22 +34,24 @@ impl Problem<'_> {
         dynamics: &DMatrix<f64>,
         lambda: &DVector<f64>,
         scales: &[f64],
-    ) -> DMatrix<f64> {
+    ) -> Result<DMatrix<f64>, OptimizeError> {
         let Self { p, n, m, .. } = *self;
         let (x, mut u) = (&trajectory.x[t * n..][..n], trajectory.u[t * m..][..m].to_vec());
         let here = dynamics.columns(n, m).tr_mul(lambda);
         let mut curvature = DMatrix::zeros(m, m);
         for i in 0..m {
             let old = u[i];
-            let [above, below] = [1.0, -1.0].map(|side| {
+            let mut differences = [DVector::zeros(m), DVector::zeros(m)];
+            for (difference, side) in differences.iter_mut().zip([1.0, -1.0]) {
+                self.check_stop()?;
                 u[i] = old + side * f64::EPSILON.sqrt() * scales[i].max(old.abs());
-                let mut there = DVector::zeros(m);
                 self.step_jacobian(Inputs { x, u: &u, p, t }, n..n + m, |j, column| {
-                    there[j - n] = lambda.iter().zip(column).map(|(lambda, slope)| lambda * slope).sum();
+                    let there: f64 = lambda.iter().zip(column).map(|(lambda, slope)| lambda * slope).sum();
+                    difference[j - n] = (there - here[j - n]) / (u[i] - old);
                 });
-                (there - &here) / (u[i] - old)
-            });
+            }
             u[i] = old;
+            let [above, below] = differences;
             for j in 0..m {
                 let is_smooth = above[j] * below[j] > 0.0 && (above[j] + below[j]).is_finite();
                 curvature[(j, i)] = match (is_smooth, above[j].abs() < below[j].abs()) {
@@ -55,6 +61,6 @@ impl Problem<'_> {
                 };
             }
         }
-        (&curvature + curvature.transpose()) * 0.5
+        Ok((&curvature + curvature.transpose()) * 0.5)
     }
 }

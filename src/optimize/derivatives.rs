@@ -77,7 +77,7 @@ impl Problem<'_> {
         let size = |i: usize| expanded.iter().map(|step| step.dynamics.column(n + i).norm_squared()).fold(0.0, f64::max);
         let sizes = (0..m).map(size).map(|size| curvature * if size > 0.0 { size } else { 1.0 });
         let damping = DVector::from_vec(sizes.collect());
-        let by_control = self.add_adjoint(trajectory, &mut expanded, gradient.clone()).map_err(|t| not_finite(Some(t)))?;
+        let by_control = self.add_adjoint(trajectory, &mut expanded, gradient.clone())?;
         Ok(Expansion { steps: expanded, gradient, hessian, by_control, damping })
     }
 
@@ -85,24 +85,25 @@ impl Problem<'_> {
     /// `λᵀ ∂²S/∂u²` to the Hessians of the steps.
     ///
     /// # Errors
-    /// The step whose gradient with respect to state or controls is not finite.
+    /// [`OptimizeError::Derivative`] with the step whose gradient with respect to state or controls is
+    /// not finite. [`OptimizeError::Stopped`] if the stop flag is set.
     fn add_adjoint(
         &self,
         trajectory: &Trajectory,
         steps: &mut [StepExpansion],
         terminal: DVector<f64>,
-    ) -> Result<Vec<f64>, usize> {
+    ) -> Result<Vec<f64>, OptimizeError> {
         let Self { n, m, .. } = *self;
         let scales = curvature::scales(&trajectory.u, m);
         let (mut adjoint, mut by_control) = (terminal, vec![0.0; steps.len() * m]);
         for (t, step) in steps.iter_mut().enumerate().rev() {
             let both = &step.gradient + step.dynamics.tr_mul(&adjoint);
             if !all_finite([both.as_slice()]) {
-                return Err(t);
+                return Err(OptimizeError::Derivative { step: Some(t) });
             }
             let onward = &step.by_next + adjoint;
             let mut block = step.hessian.view_mut((n, n), (m, m));
-            block += self.control_curvature(trajectory, t, &step.dynamics, &onward, &scales);
+            block += self.control_curvature(trajectory, t, &step.dynamics, &onward, &scales)?;
             by_control[t * m..][..m].copy_from_slice(&both.as_slice()[n..]);
             adjoint = both.rows(0, n).into_owned();
         }

@@ -312,7 +312,7 @@ fn trained_numbers_that_training_cannot_determine_are_named_once_with_a_remedy()
         (Role::Comparison, 1e-3, "with respect to off is exactly 0, but other values change the loss", "smooth transition"),
         (Role::Absent, 1e-3, "the loss does not depend on off, so training cannot change it", "Use a fixed value"),
         (Role::Linear(1.0), 1e6, "training runs away: off = -1.000e7", "Give it bounds"),
-        (Role::Linear(1e200), 1e-3, "component 1 is the trained number off", "Clip by norm"),
+        (Role::Linear(1e200), 1e-3, "component 1 is the trained number off", "Shorten the horizon"),
         (Role::Linear(1.0), 1e-3, "", ""),
     ] {
         let task = Pushed { off: Number::Trained { start, min: f64::NEG_INFINITY, max: f64::INFINITY }, role };
