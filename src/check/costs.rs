@@ -1,11 +1,12 @@
 //! Check of the costs and of the observation of a task.
 
 use super::oracle::pulled_back;
+use super::visited::Step;
 use super::{CASES, Comparison, Mismatch, ONE_STEP, Passed, normal};
 use crate::dynamics::inputs::{Cotangents, Inputs, Start};
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
-use crate::numbers::rng::{Purpose, stream};
+use crate::numbers::rng::{Purpose, Rng, stream};
 
 /// Checks the derivatives of the costs and of the observation of a task. See [`try_cost`].
 ///
@@ -53,81 +54,93 @@ pub fn try_cost<T: Task>(task: &T) -> Result<Passed, Mismatch> {
         let next: Vec<f64> = x.iter().zip(noise).map(|(x, noise)| x + 0.1 * noise).collect();
         // Steps over the whole horizon: costs may depend on the step number.
         let t = case as usize * task.horizon().saturating_sub(1) / (CASES as usize - 1);
-        let inputs = Inputs { x: &x, u: &u, p: &p, t };
-
-        if let Some(observed) = task.observation_dim() {
-            let [from_zeros, from_nans] = [0.0, f64::NAN].map(|initial| {
-                let mut y = vec![initial; observed];
-                task.observe(inputs.with_u(&[]), &mut y);
-                y
-            });
-            c.equal("observe leaves a component unwritten: y", &from_nans, &from_zeros)?;
-            c.finite("observe is not finite near an initial state: y", &from_zeros)?;
-            let y_bar = normal(&mut rng, observed);
-            let expected = pulled_back(&[&x[..], &p].concat(), &y_bar, &|all, y| {
-                task.observe(Inputs { x: &all[..n], u: &[], p: &all[n..], t }, y);
-            });
-            let mut cotangents = [vec![-0.0; n], vec![-0.0; params]];
-            c.adds("observe_vjp", ["x_bar", "p_bar"], &mut cotangents, &expected, &mut |[x, p]| {
-                let cotangents = Cotangents { x: Some(x), u: None, p: (params > 0).then_some(p) };
-                task.observe_vjp(inputs.with_u(&[]), &y_bar, cotangents);
-            })?;
-            let (by_x, by_p) = expected.split_at(n);
-            let (mut x_bar, mut p_bar) = (vec![0.0; n], vec![0.0; params]);
-            task.observe_vjp(inputs.with_u(&[]), &y_bar, Cotangents { x: Some(&mut x_bar), u: None, p: None });
-            task.observe_vjp(inputs.with_u(&[]), &y_bar, Cotangents { x: None, u: None, p: (params > 0).then_some(&mut p_bar) });
-            c.slices("observe_vjp with x alone requested: x_bar", &x_bar, by_x)?;
-            c.slices("observe_vjp with p alone requested: p_bar", &p_bar, by_p)?;
-        }
-
-        let costs = [task.running_cost(inputs, &next), task.terminal_cost(&x, &p)];
-        c.finite("the cost is not finite near an initial state: (running, terminal)", &costs)?;
-        let expected = pulled_back(&[&x[..], &u, &p, &next].concat(), &[1.0], &|all, cost| {
-            let (x, rest) = all.split_at(n);
-            let (u, rest) = rest.split_at(m);
-            let (p, next) = rest.split_at(params);
-            cost[0] = task.running_cost(Inputs { x, u, p, t }, next);
-        });
-        let mut cotangents = [n, m, params, n].map(|len| vec![-0.0; len]);
-        let names = ["x_bar", "u_bar", "p_bar", "next_bar"];
-        c.adds("running_cost_gradient", names, &mut cotangents, &expected, &mut |[x, u, p, next_bar]| {
-            let cotangents = Cotangents { x: Some(x), u: Some(u), p: (params > 0).then_some(p) };
-            task.running_cost_gradient(inputs, &next, cotangents, next_bar);
-        })?;
-        let (by_x, rest) = expected.split_at(n);
-        let (by_u, rest) = rest.split_at(m);
-        let (by_p, by_next) = rest.split_at(params);
-        for (asked, which) in [
-            ([true, true, false], "x and u alone"),
-            ([true, false, false], "x alone"),
-            ([false, true, false], "u alone"),
-            ([false, false, true], "p alone"),
-        ] {
-            let [mut x_bar, mut u_bar, mut p_bar, mut next_bar] = [n, m, params, n].map(|len| vec![0.0; len]);
-            let request = Cotangents {
-                x: asked[0].then_some(&mut x_bar[..]),
-                u: asked[1].then_some(&mut u_bar[..]),
-                p: (asked[2] && params > 0).then_some(&mut p_bar[..]),
-            };
-            task.running_cost_gradient(inputs, &next, request, &mut next_bar);
-            for (k, (bar, own)) in [(x_bar, by_x), (u_bar, by_u), (p_bar, by_p)].iter().enumerate().filter(|&(k, _)| asked[k]) {
-                c.slices(&format!("running_cost_gradient with {which} requested: {}", names[k]), bar, own)?;
-            }
-            c.slices(&format!("running_cost_gradient with {which} requested: next_bar"), &next_bar, by_next)?;
-        }
-
-        let expected = pulled_back(&[&x[..], &p].concat(), &[1.0], &|all, cost| {
-            cost[0] = task.terminal_cost(&all[..n], &all[n..]);
-        });
-        let mut cotangents = [vec![-0.0; n], vec![-0.0; params]];
-        c.adds("terminal_cost_gradient", ["x_bar", "p_bar"], &mut cotangents, &expected, &mut |[x_bar, p_bar]| {
-            task.terminal_cost_gradient(&x, &p, x_bar, (params > 0).then_some(p_bar));
-        })?;
-        let mut x_bar = vec![0.0; n];
-        task.terminal_cost_gradient(&x, &p, &mut x_bar, None);
-        c.slices("terminal_cost_gradient with x alone requested: x_bar", &x_bar, &expected[..n])?;
+        check_at(task, &Step { x, u, p, next, t }, "near an initial state", &mut rng, &mut c)?;
     }
     Ok(c.passed)
+}
+
+/// Checks the costs and the observation at one step. `place` describes the step in messages.
+pub(super) fn check_at<T: Task>(
+    task: &T,
+    Step { x, u, p, next, t }: &Step,
+    place: &str,
+    rng: &mut Rng,
+    c: &mut Comparison,
+) -> Result<(), Mismatch> {
+    let (n, m, params, t) = (x.len(), u.len(), p.len(), *t);
+    let inputs = Inputs { x, u, p, t };
+    if let Some(observed) = task.observation_dim() {
+        let [from_zeros, from_nans] = [0.0, f64::NAN].map(|initial| {
+            let mut y = vec![initial; observed];
+            task.observe(inputs.with_u(&[]), &mut y);
+            y
+        });
+        c.equal("observe leaves a component unwritten: y", &from_nans, &from_zeros)?;
+        c.finite(&format!("observe is not finite {place}: y"), &from_zeros)?;
+        let y_bar = normal(rng, observed);
+        let expected = pulled_back(&[&x[..], p].concat(), &y_bar, &|all, y| {
+            task.observe(Inputs { x: &all[..n], u: &[], p: &all[n..], t }, y);
+        });
+        let mut cotangents = [vec![-0.0; n], vec![-0.0; params]];
+        c.adds("observe_vjp", ["x_bar", "p_bar"], &mut cotangents, &expected, &mut |[x, p]| {
+            let cotangents = Cotangents { x: Some(x), u: None, p: (params > 0).then_some(p) };
+            task.observe_vjp(inputs.with_u(&[]), &y_bar, cotangents);
+        })?;
+        let (by_x, by_p) = expected.split_at(n);
+        let (mut x_bar, mut p_bar) = (vec![0.0; n], vec![0.0; params]);
+        task.observe_vjp(inputs.with_u(&[]), &y_bar, Cotangents { x: Some(&mut x_bar), u: None, p: None });
+        task.observe_vjp(inputs.with_u(&[]), &y_bar, Cotangents { x: None, u: None, p: (params > 0).then_some(&mut p_bar) });
+        c.slices("observe_vjp with x alone requested: x_bar", &x_bar, by_x)?;
+        c.slices("observe_vjp with p alone requested: p_bar", &p_bar, by_p)?;
+    }
+
+    let costs = [task.running_cost(inputs, next), task.terminal_cost(x, p)];
+    c.finite(&format!("the cost is not finite {place}: (running, terminal)"), &costs)?;
+    let expected = pulled_back(&[&x[..], u, p, next].concat(), &[1.0], &|all, cost| {
+        let (x, rest) = all.split_at(n);
+        let (u, rest) = rest.split_at(m);
+        let (p, next) = rest.split_at(params);
+        cost[0] = task.running_cost(Inputs { x, u, p, t }, next);
+    });
+    let mut cotangents = [n, m, params, n].map(|len| vec![-0.0; len]);
+    let names = ["x_bar", "u_bar", "p_bar", "next_bar"];
+    c.adds("running_cost_gradient", names, &mut cotangents, &expected, &mut |[x, u, p, next_bar]| {
+        let cotangents = Cotangents { x: Some(x), u: Some(u), p: (params > 0).then_some(p) };
+        task.running_cost_gradient(inputs, next, cotangents, next_bar);
+    })?;
+    let (by_x, rest) = expected.split_at(n);
+    let (by_u, rest) = rest.split_at(m);
+    let (by_p, by_next) = rest.split_at(params);
+    for (asked, which) in [
+        ([true, true, false], "x and u alone"),
+        ([true, false, false], "x alone"),
+        ([false, true, false], "u alone"),
+        ([false, false, true], "p alone"),
+    ] {
+        let [mut x_bar, mut u_bar, mut p_bar, mut next_bar] = [n, m, params, n].map(|len| vec![0.0; len]);
+        let request = Cotangents {
+            x: asked[0].then_some(&mut x_bar[..]),
+            u: asked[1].then_some(&mut u_bar[..]),
+            p: (asked[2] && params > 0).then_some(&mut p_bar[..]),
+        };
+        task.running_cost_gradient(inputs, next, request, &mut next_bar);
+        for (k, (bar, own)) in [(x_bar, by_x), (u_bar, by_u), (p_bar, by_p)].iter().enumerate().filter(|&(k, _)| asked[k]) {
+            c.slices(&format!("running_cost_gradient with {which} requested: {}", names[k]), bar, own)?;
+        }
+        c.slices(&format!("running_cost_gradient with {which} requested: next_bar"), &next_bar, by_next)?;
+    }
+
+    let expected = pulled_back(&[&x[..], p].concat(), &[1.0], &|all, cost| {
+        cost[0] = task.terminal_cost(&all[..n], &all[n..]);
+    });
+    let mut cotangents = [vec![-0.0; n], vec![-0.0; params]];
+    c.adds("terminal_cost_gradient", ["x_bar", "p_bar"], &mut cotangents, &expected, &mut |[x_bar, p_bar]| {
+        task.terminal_cost_gradient(x, p, x_bar, (params > 0).then_some(p_bar));
+    })?;
+    let mut x_bar = vec![0.0; n];
+    task.terminal_cost_gradient(x, p, &mut x_bar, None);
+    c.slices("terminal_cost_gradient with x alone requested: x_bar", &x_bar, &expected[..n])?;
+    Ok(())
 }
 
 impl Comparison {

@@ -6,14 +6,22 @@
 //! functions return the error instead. All checks run in double precision. Errors are relative to
 //! the largest component of the reference unless stated otherwise.
 //!
-//! Three further checks: [`stability`] detects time steps that are too long for the dynamics.
+//! [`system`] draws states from a standard normal distribution, whatever their units. [`task`]
+//! therefore checks system and costs in states of rollouts too.
+//!
+//! Four further checks: [`stability`] detects time steps that are too long for the dynamics.
 //! [`plateau`] detects vanishing gradients. [`jumps`] detects losses whose mean R mispredicts.
+//! [`kinks`] finds the states of rollouts where the step or a cost has a kink or jumps.
+//!
+//! No check looks for symmetries that the equations should have, such as equal costs of the
+//! quaternions q and -q: only the author knows which ones hold, so compare both in a test.
 //!
 //! [`slope_by_duals`] returns a reference derivative of the mean loss. `slope` (feature
 //! `double-double`) computes the loss and this derivative in double-double arithmetic.
 
 mod costs;
 mod jumps;
+mod kinks;
 mod oracle;
 mod plateau;
 mod policies;
@@ -23,17 +31,20 @@ mod stability;
 #[cfg(feature = "stress")]
 pub mod stress;
 mod systems;
+mod visited;
 
 pub use costs::{cost, try_cost};
 pub use jumps::{Jumps, jumps};
+pub use kinks::{Kink, KinkInput, kinks};
 pub use oracle::slope_by_duals;
 pub use plateau::{Plateau, plateau};
 pub use policies::{policy, try_policy};
 #[cfg(feature = "double-double")]
 pub use reference::slope;
 #[cfg(feature = "program")]
-pub(crate) use stability::jacobian_norm;
+pub(crate) use stability::{DENSE, jacobian_norm};
 pub use stability::{Stability, stability};
+pub use visited::{try_cost_along, try_system_along};
 
 use crate::dynamics::inputs::Start;
 use crate::dynamics::system::System;
@@ -221,7 +232,10 @@ fn normal(rng: &mut Rng, len: usize) -> Vec<f64> {
 pub fn system<S: System>(system: &S) -> Passed {
     self::try_system(system).unwrap_or_else(|mismatch| {
         if mismatch.is_not_finite() {
-            panic!("the system cannot be checked: {mismatch}");
+            panic!(
+                "the system cannot be checked: {mismatch}. This check draws all states from a standard normal distribution. \
+                 If a task uses the system, `check::task` checks it in the states of rollouts"
+            );
         }
         panic!(
             "the system's derivatives are wrong: {mismatch}. Correct the named method. `vjp` and `jvp` can also be removed: dual \
@@ -265,10 +279,11 @@ pub fn try_system_at<S: System>(
     system: &S,
     draw: impl Fn(&mut Rng, &mut [f64], &mut [f64], &mut [f64]),
 ) -> Result<Passed, Mismatch> {
-    systems::check(system, &draw)
+    systems::check(system, &draw, usize::MAX)
 }
 
-/// Checks the gradients of whole rollouts for all flows (R, M, N, S).
+/// Checks the gradients of whole rollouts for all flows (R, M, N, S), and the system and the costs in
+/// states of rollouts ([`try_system_along`], [`try_cost_along`]).
 ///
 /// The reference is the same rollout in dual numbers, with the paths that the flow omits detached.
 /// The check compares the loss, directional derivatives along random directions, and single
@@ -282,7 +297,7 @@ pub fn try_system_at<S: System>(
 /// Panics on the first [`Mismatch`], or if the rollouts or their gradients are non-finite.
 #[track_caller]
 pub fn task<T: Task, P: Policy>(task: &T, policy: &P) -> Passed {
-    let all = Flow::ALL.map(|flow| {
+    let flows = Flow::ALL.map(|flow| {
         try_flow(task, policy, flow).unwrap_or_else(|failure| {
             if let Failure::Diverged { .. } = failure {
                 panic!("the gradient of {} is not finite: {failure}", described(flow));
@@ -294,10 +309,16 @@ pub fn task<T: Task, P: Policy>(task: &T, policy: &P) -> Passed {
             )
         })
     });
-    all.into_iter().fold(Passed::default(), |sum, p| Passed {
+    let along = |checked: Result<Passed, Failure>| {
+        checked.unwrap_or_else(|failure| {
+            panic!("in a state of a rollout: {failure}. Correct the named method. Methods for derivatives can also be removed")
+        })
+    };
+    let parts = [along(try_system_along(task, policy, None)), along(try_cost_along(task, policy, None))];
+    flows.into_iter().chain(parts).fold(Passed::default(), |sum, p| Passed {
         compared: sum.compared + p.compared,
         worst: sum.worst.max(p.worst),
-        allowed: p.allowed,
+        allowed: sum.allowed.max(p.allowed),
     })
 }
 
@@ -384,7 +405,7 @@ fn check_flow(
         }
         let weights = match theta {
             Some(theta) => Weights::new(policy, theta.to_vec()),
-            None => finite_weights(task, policy, &starts, case)?,
+            None => finite_weights(task, policy, None, &starts, case)?,
         };
         let gradient = |flows: &[Flow]| {
             let mut batch = Batch::new(task, policy, SAMPLES, flows, 1);
@@ -452,19 +473,20 @@ fn start_gradients(
     Ok((0..samples).flat_map(|sample| adjoint.start_gradient(0, sample).to_vec()).collect())
 }
 
-/// Draws parameters with finite rollouts: initial parameters plus noise. Reduces the noise if a
-/// rollout diverges, and returns the divergence if it persists at the smallest noise.
+/// Draws parameters with finite rollouts: `theta` or initial parameters, plus noise. Reduces the
+/// noise if a rollout diverges, and returns the divergence if it persists without noise.
 fn finite_weights(
     task: &dyn AnyTask<f64>,
     policy: &dyn AnyPolicy<f64>,
+    theta: Option<&[f64]>,
     starts: &[f64],
     case: u64,
 ) -> Result<Weights<f64>, Failure> {
     let mut rollout = Rollout::for_evaluation(task, policy, starts.len() / task.start_dim());
     rollout.start(starts);
     let mut found = Ok(());
-    for noise in [0.1, 0.01, 0.001] {
-        let weights = oracle::weights(policy, noise, &mut stream(case, Purpose::Check, 1));
+    for noise in [0.1, 0.01, 0.001, 0.0] {
+        let weights = oracle::weights(policy, theta, noise, &mut stream(case, Purpose::Check, 1));
         found = rollout.run(task, policy, &weights);
         if found.is_ok() {
             return Ok(weights);

@@ -22,10 +22,13 @@ const DIRECTIONS: usize = 4;
 /// Largest number of parameters for which a check compares every component.
 const ALL: usize = 64;
 
-/// Initial parameters plus normal noise of standard deviation `size`, so that no layer is zero.
-pub fn weights(policy: &dyn AnyPolicy<f64>, size: f64, rng: &mut Rng) -> Weights<f64> {
-    let mut theta = vec![0.0; policy.param_count()];
-    policy.init(rng, &mut theta);
+/// Parameters `at`, or initial ones, plus normal noise of standard deviation `size`, so that no
+/// layer is zero.
+pub fn weights(policy: &dyn AnyPolicy<f64>, at: Option<&[f64]>, size: f64, rng: &mut Rng) -> Weights<f64> {
+    let mut theta = at.map_or_else(|| vec![0.0; policy.param_count()], <[f64]>::to_vec);
+    if at.is_none() {
+        policy.init(rng, &mut theta);
+    }
     for theta in &mut theta {
         let noise: f64 = StandardNormal.sample(rng);
         *theta += size * noise;

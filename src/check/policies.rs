@@ -66,7 +66,7 @@ fn check(policy: &dyn crate::policy::AnyPolicy<f64>, act: Act, by_duals: oracle:
     for case in 0..CASES_OF_LONG_CHECKS {
         c.case = case;
         let mut rng = stream(case, Purpose::Check, 0);
-        let weights = oracle::weights(policy, 0.1, &mut rng);
+        let weights = oracle::weights(policy, None, 0.1, &mut rng);
         let (x, u_bar, weight) = (normal(&mut rng, total * n), normal(&mut rng, total * m), normal(&mut rng, total));
         let sizes = policy.sizes(total);
         let mut tape = vec![0.0; sizes.tape];

@@ -1,16 +1,29 @@
 //! Linear stability of a time step: spectral radius of its state Jacobian.
 
+use super::normal;
 use crate::dynamics::inputs::{Inputs, Tangents};
 use crate::dynamics::system::System;
 use crate::engine::any::AnySystem;
-use nalgebra::DMatrix;
+use crate::numbers::rng::{Purpose, stream};
+use nalgebra::{DMatrix, Matrix3, Vector3};
 use std::fmt;
 
-/// Number of squarings of the Jacobian J, which yield `J^(2³⁰)`.
+/// Number of squarings of a matrix A, which yield `A^(2³⁰)`.
 const SQUARINGS: usize = 30;
 /// Margin above 1 within which a multiplier counts as stable. Linear growth, such as a position
 /// under a velocity error, yields `(2³⁰)^(1/2³⁰) ≈ 1 + 2e-8`.
 const ROUNDING: f64 = 1e-6;
+/// Largest number of state components for which [`stability`] stores the Jacobian. With more, the
+/// function evaluates products with the Jacobian only.
+pub(crate) const DENSE: usize = 100;
+/// Products of the power iteration before those that it evaluates, and up to the last one.
+const ITERATIONS: [usize; 2] = [256, 1024];
+/// Total growth in the evaluated products, as a logarithm, that counts as none: a multiplier of 1 ± 1e-4.
+const UNRESOLVED: f64 = 0.1;
+/// Growth over a horizon up to which [`Stability::is_stable_within`] is true.
+const HARMLESS: f64 = 2.0;
+/// [`Stability::lowest`] of a step that rings.
+const RINGING: f64 = -0.6;
 
 /// Result of [`stability`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,6 +34,11 @@ pub struct Stability {
     /// State component in which the fastest growing perturbation is largest. For a NaN multiplier,
     /// the first component with a non-finite derivative.
     pub component: usize,
+    /// Real part of the eigenvalue of ∂S/∂x that is farthest from 1, or an upper bound if this
+    /// eigenvalue is complex or decays faster than others. NaN if the Jacobian is non-finite.
+    pub lowest: f64,
+    /// State component in which the perturbation of the eigenvalue `lowest` is largest.
+    pub lowest_component: usize,
 }
 
 impl Stability {
@@ -28,11 +46,32 @@ impl Stability {
     pub fn is_stable(&self) -> bool {
         self.multiplier <= 1.0 + ROUNDING
     }
+
+    /// True if perturbations grow at most twofold within so many steps, although they may grow
+    /// exponentially. False for NaN.
+    pub fn is_stable_within(&self, steps: usize) -> bool {
+        self.is_stable() || self.growth(steps) <= HARMLESS
+    }
+
+    /// Growth of the fastest growing perturbation over so many steps, if each step multiplies it by
+    /// [`multiplier`](Self::multiplier).
+    pub fn growth(&self, steps: usize) -> f64 {
+        (self.multiplier.ln() * steps as f64).exp()
+    }
+
+    /// True if a perturbation changes its sign in nearly every step and decays slowly: the step does
+    /// not resolve a fast motion. False for NaN.
+    ///
+    /// Motion that a step resolves has multipliers near 1. The implicit midpoint rule is stable for
+    /// any decay rate λ, but its multiplier `(1 - λ dt/2) / (1 + λ dt/2)` approaches -1.
+    pub fn rings(&self) -> bool {
+        self.lowest <= RINGING
+    }
 }
 
 impl fmt::Display for Stability {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { multiplier, component } = *self;
+        let Self { multiplier, component, lowest, lowest_component } = *self;
         if multiplier.is_nan() {
             return write!(
                 f,
@@ -41,31 +80,50 @@ impl fmt::Display for Stability {
             );
         }
         if self.is_stable() {
-            return write!(f, "stable: no perturbation grows exponentially. The largest multiplier per step is {multiplier:.4}");
+            write!(f, "stable: no perturbation grows exponentially. The largest multiplier per step is {multiplier:.4}")?;
+        } else {
+            write!(f, "unstable: each step multiplies a perturbation of state component {component} by {multiplier:.4}")?;
+            if multiplier < 1.1 {
+                // A slow growth matters only if the horizon is long.
+                write!(f, ", a factor of 2 in {:.0} steps", std::f64::consts::LN_2 / multiplier.ln())?;
+            }
+            write!(
+                f,
+                ". Use shorter steps (`Substeps`), an implicit integrator (`ImplicitMidpoint`) or more damping. If steps half as \
+                 long multiply it by about {:.4}, the physics is unstable, not the step",
+                multiplier.sqrt()
+            )?;
         }
-        write!(
-            f,
-            "unstable: each step multiplies a perturbation of state component {component} by {multiplier:.4}. Use shorter steps \
-             (`Substeps`), an implicit integrator (`ImplicitMidpoint`) or more damping. If steps half as long multiply it by \
-             about {:.4}, the physics is unstable, not the step",
-            multiplier.sqrt()
-        )
+        if self.rings() {
+            write!(
+                f,
+                ". The step rings: a perturbation of state component {lowest_component} changes its sign in nearly every step \
+                 (multiplier about {lowest:.3}). Use shorter steps for this motion"
+            )?;
+        }
+        Ok(())
     }
 }
 
 /// Growth of a perturbation of the state under repeated steps with the Jacobian at `inputs`.
 ///
 /// An explicit step is unstable where the dynamics are too stiff for its length. The perturbation
-/// then grows with every step and usually alternates in sign. Stability depends on the state:
-/// evaluate it at the closest approach, in contact and at rest.
+/// then grows with every step and usually alternates in sign. An implicit step may ring instead; see
+/// [`Stability::rings`]. Stability depends on the state: evaluate it at the closest approach, in
+/// contact and at rest.
 ///
 /// The spectral radius follows from Gelfand's formula, `ρ = lim ‖Jᵏ‖^(1/k)`, with 30 squarings of
 /// the Jacobian. Unlike power iteration, the formula handles complex eigenvalue pairs and defective
 /// matrices. Powers may underflow to 0 for long cascades of equal cells, in which each cell drives
 /// the next. The last estimate is then an upper bound. In this case, the multiplier is the smaller
 /// of this bound and the spectral radius from an eigenvalue solver. The cost is `state_dim`
-/// forward-mode derivatives and at most 30 matrix products. After underflow, it includes the
-/// eigenvalues.
+/// forward-mode derivatives and at most 60 matrix products. After underflow, it includes the
+/// eigenvalues. The spectral radius of `J - 1` yields [`Stability::lowest`].
+///
+/// Beyond 100 state components, the function does not store the Jacobian. It multiplies a random
+/// perturbation 1024 times by J, and again by `J - 1`. The growth over the last three quarters of
+/// the products, without powers of their number, yields the multiplier to two or three digits. A
+/// multiplier of `1 ± 1e-4` counts as 1.
 /// ```
 /// use physgrad::{Inputs, check, tasks::{FrictionScheme, SliderSystem}};
 ///
@@ -79,12 +137,35 @@ pub fn stability<S: System>(system: &S, inputs: Inputs<'_, f64>) -> Stability {
     of_any(system, inputs)
 }
 
+/// Spectral radius of a matrix, and the component in which its fastest growing vector is largest.
+type Radius = (f64, usize);
+
 fn of_any(system: &dyn AnySystem<f64>, inputs: Inputs<'_, f64>) -> Stability {
     let n = inputs.x.len();
-    let jacobian = jacobian(system, inputs);
-    let mut power = jacobian.clone();
+    let [own, shifted]: [Radius; 2] = if n <= DENSE {
+        let mut jacobian = jacobian(system, inputs);
+        let own = by_squaring(&jacobian, n);
+        (0..n).for_each(|i| jacobian[i * n + i] -= 1.0);
+        [own, by_squaring(&jacobian, n)]
+    } else {
+        let product = |v: &[f64], out: &mut [f64]| system.jvp(inputs, Tangents { x: Some(v), ..Tangents::default() }, out);
+        let shifted = |v: &[f64], out: &mut [f64]| {
+            product(v, out);
+            out.iter_mut().zip(v).for_each(|(out, v)| *out -= v);
+        };
+        [by_products(&product, n), by_products(&shifted, n)]
+    };
+    let (multiplier, component) = own;
+    // |μ - 1| = s and |μ| <= ρ imply Re μ <= (1 + ρ² - s²) / 2. A real μ is 1 - s, or 1 + s = ρ.
+    let bound = 0.5 * (1.0 + multiplier * multiplier - shifted.0 * shifted.0);
+    Stability { multiplier, component, lowest: bound.max(1.0 - shifted.0), lowest_component: shifted.1 }
+}
+
+/// [`Radius`] of a matrix in row-major order, by Gelfand's formula. NaN if an entry is non-finite.
+fn by_squaring(matrix: &[f64], n: usize) -> Radius {
+    let mut power = matrix.to_vec();
     if let Some(at) = power.iter().position(|slope| !slope.is_finite()) {
-        return Stability { multiplier: f64::NAN, component: at / n };
+        return (f64::NAN, at / n);
     }
     let (mut logarithm, mut share, mut component, mut underflows) = (0.0, 1.0, 0, false);
     for round in 0..=SQUARINGS {
@@ -93,15 +174,16 @@ fn of_any(system: &dyn AnySystem<f64>, inputs: Inputs<'_, f64>) -> Stability {
             // Without underflow, the matrix is nilpotent. Otherwise the last estimate bounds the
             // spectral radius.
             if !underflows {
-                return Stability { multiplier: 0.0, component };
+                return (0.0, component);
             }
-            // If J is triangular, the computed eigenvalues of J or of Jᵀ are exact.
-            let jacobian = DMatrix::from_row_slice(n, n, &jacobian);
-            let largest = [jacobian.transpose(), jacobian].map(|matrix| {
+            // If the matrix is triangular, its computed eigenvalues or those of its transpose are
+            // exact.
+            let matrix = DMatrix::from_row_slice(n, n, matrix);
+            let largest = [matrix.transpose(), matrix].map(|matrix| {
                 let sizes = matrix.complex_eigenvalues().map(|value| value.re.hypot(value.im));
                 sizes.iter().copied().fold(0.0, f64::max)
             });
-            return Stability { multiplier: largest.into_iter().fold(f64::exp(logarithm), f64::min), component };
+            return (largest.into_iter().fold(f64::exp(logarithm), f64::min), component);
         }
         logarithm += share * largest.ln();
         share *= 0.5;
@@ -116,13 +198,58 @@ fn of_any(system: &dyn AnySystem<f64>, inputs: Inputs<'_, f64>) -> Stability {
             power = square(&power, n, &mut underflows);
         }
     }
-    Stability { multiplier: logarithm.exp(), component }
+    (logarithm.exp(), component)
 }
 
-/// Frobenius norm of the state Jacobian ∂S/∂x. Infinite if an entry is NaN.
+/// [`Radius`] of a matrix of which only products with vectors are known. NaN if a product is
+/// non-finite.
+///
+/// Fits `ln ‖Aᵏ v‖ = a + k ln ρ + q ln k` by least squares. Pairs of complex eigenvalues let the
+/// norm oscillate, which the fit averages. Defective eigenvalues multiply it by a power of k.
+fn by_products(product: &dyn Fn(&[f64], &mut [f64]), n: usize) -> Radius {
+    let mut v = normal(&mut stream(0, Purpose::Check, 3), n);
+    let (mut next, mut logarithm) = (vec![0.0; n], 0.0);
+    let (mut normal_matrix, mut right) = (Matrix3::<f64>::zeros(), Vector3::zeros());
+    for k in 1..=ITERATIONS[1] {
+        product(&v, &mut next);
+        if let Some(at) = next.iter().position(|next| !next.is_finite()) {
+            return (f64::NAN, at);
+        }
+        let largest = next.iter().fold(0.0, |largest: f64, next| largest.max(next.abs()));
+        if largest == 0.0 {
+            return (0.0, 0);
+        }
+        v.iter_mut().zip(&next).for_each(|(v, next)| *v = next / largest);
+        logarithm += largest.ln();
+        if k > ITERATIONS[0] {
+            let norm = logarithm + 0.5 * v.iter().map(|v| v * v).sum::<f64>().ln();
+            // Centered and scaled, for small rounding errors.
+            let along = k as f64 / ITERATIONS[1] as f64;
+            let row = Vector3::new(1.0, along - 0.625, along.ln() + 0.55);
+            normal_matrix += row * row.transpose();
+            right += row * norm;
+        }
+    }
+    let component = (0..n).max_by(|&i, &j| v[i].abs().total_cmp(&v[j].abs())).unwrap_or(0);
+    let slope = normal_matrix.lu().solve(&right).map_or(f64::NAN, |fit| fit[1]);
+    // `slope` is the logarithm of the growth over `ITERATIONS[1]` products.
+    let slope = if slope.abs() < UNRESOLVED { 0.0 } else { slope };
+    ((slope / ITERATIONS[1] as f64).exp(), component)
+}
+
+/// Frobenius norm of the state Jacobian ∂S/∂x, or beyond [`DENSE`] components, the norm of its
+/// product with a random vector. Infinite if an entry is NaN.
 #[cfg(feature = "program")]
 pub(crate) fn jacobian_norm<S: System>(system: &S, inputs: Inputs<'_, f64>) -> f64 {
-    let norm = jacobian(system, inputs).iter().map(|slope| slope * slope).sum::<f64>().sqrt();
+    let n = inputs.x.len();
+    let slopes = if n <= DENSE {
+        jacobian(system, inputs)
+    } else {
+        let (v, mut product) = (normal(&mut stream(0, Purpose::Check, 3), n), vec![0.0; n]);
+        System::jvp(system, inputs, Tangents { x: Some(&v), ..Tangents::default() }, &mut product);
+        product
+    };
+    let norm = slopes.iter().map(|slope| slope * slope).sum::<f64>().sqrt();
     if norm.is_nan() { f64::INFINITY } else { norm }
 }
 
@@ -227,5 +354,74 @@ mod tests {
         assert!(of(cascade::<60>(1.0, 0.01)).is_stable());
         assert!(of([[1.0, 0.1], [0.0, 1.0]]).is_stable() && !of([[1.001]]).is_stable());
         assert!(of([[1.0, f64::NAN], [0.0, 1.0]]).multiplier.is_nan() && !of([[f64::INFINITY]]).is_stable());
+    }
+
+    #[test]
+    fn steps_ring_if_a_multiplier_is_near_minus_1() {
+        // Implicit midpoint rule with λ dt = 100: (1 - 50) / (1 + 50), beside a slow motion.
+        let fast = -49.0 / 51.0;
+        let found = of([[0.99, 0.1], [0.0, fast]]);
+        assert!(found.is_stable() && found.rings() && found.lowest_component == 1, "{found:?}");
+        assert!((of([[fast]]).lowest - fast).abs() < 1e-7 && of([[fast]]).to_string().contains("multiplier about -0.961"));
+        // Half a turn per step, of which only the upper bound of the real part is known.
+        let (sin, cos) = f64::sin_cos(3.0);
+        assert!(of([[cos, -sin], [sin, cos]]).rings());
+        // Decay, a quarter turn per step, growth and an alternation that decays at once.
+        for resolved in [[[0.2, 0.0], [0.0, 0.9]], [[0.0, -1.0], [1.0, 0.0]], [[3.5, 0.0], [0.0, 1.0]], [[-0.4, 0.0], [0.0, 1.0]]]
+        {
+            assert!(!of(resolved).rings(), "{resolved:?}: {:?}", of(resolved));
+        }
+        // Within 100 steps, 1.0002 per step is a growth by 2 %. The doubling takes ln 2 / ln 1.0002.
+        let slow = of([[1.0002]]);
+        assert!(!slow.is_stable() && slow.is_stable_within(100) && !slow.is_stable_within(10_000));
+        assert!((slow.growth(100) - 1.0002f64.powi(100)).abs() < 1e-6);
+        assert!(slow.to_string().contains("a factor of 2 in 3466 steps"), "{slow}");
+    }
+
+    /// `cells` plane rotations by different angles, each multiplied by `factor`, of which the last
+    /// one also by `last`, then two components with linear growth and one with the multiplier `alone`.
+    struct Many {
+        cells: usize,
+        factor: f64,
+        last: f64,
+        alone: f64,
+    }
+
+    impl System for Many {
+        fn state_dim(&self) -> usize {
+            2 * self.cells + 3
+        }
+        fn control_dim(&self) -> usize {
+            0
+        }
+        fn step<T: Scalar>(&self, Inputs { x, .. }: Inputs<'_, T>, next: &mut [T]) {
+            for k in 0..self.cells {
+                let (sin, cos) = (0.05 + k as f64 / 40.0).sin_cos();
+                let factor = self.factor * if k + 1 == self.cells { self.last } else { 1.0 };
+                let (a, b) = (x[2 * k], x[2 * k + 1]);
+                next[2 * k] = (a * cos - b * sin) * factor;
+                next[2 * k + 1] = (a * sin + b * cos) * factor;
+            }
+            let n = 2 * self.cells;
+            next[n] = x[n] + x[n + 1] * 0.1;
+            next[n + 1] = x[n + 1];
+            next[n + 2] = x[n + 2] * self.alone;
+        }
+    }
+
+    #[test]
+    fn beyond_100_components_the_power_iteration_finds_the_multipliers() {
+        // The last angle is 0.05 + 59 / 40 = 1.525 rad: less than a quarter turn.
+        let of = |factor, last, alone| stability(&Many { cells: 60, factor, last, alone }, Inputs::new(&[0.0; 123], &[]));
+        let stable = of(1.0, 1.0, 0.5);
+        assert!(stable.is_stable() && !stable.rings(), "{stable:?}");
+        for (found, multiplier, components) in
+            [(of(1.0, 1.02, 0.5), 1.02, 118..120), (of(0.9, 1.0, 3.0), 3.0, 122..123), (of(1.0, 1.0, -1.2), 1.2, 122..123)]
+        {
+            assert!((found.multiplier / multiplier - 1.0).abs() < 2e-3, "{found:?}");
+            assert!(components.contains(&found.component), "{found:?}");
+        }
+        let rings = of(0.9, 1.0, -49.0 / 51.0);
+        assert!(rings.is_stable() && rings.rings() && rings.lowest_component == 122, "{rings:?}");
     }
 }

@@ -66,8 +66,8 @@ fn step_vjp(system: &dyn Checked, at: Inputs<'_, f64>, next_bar: &[f64]) -> Valu
 /// Draws a state, a control and parameters.
 type Draw<'a> = &'a dyn Fn(&mut Rng, &mut [f64], &mut [f64], &mut [f64]);
 
-/// Performs the check of [`try_system_at`](super::try_system_at).
-pub(super) fn check(system: &dyn Checked, draw: Draw) -> Result<Passed, Mismatch> {
+/// Performs the check of [`try_system_at`](super::try_system_at), at steps before `horizon`.
+pub(super) fn check(system: &dyn Checked, draw: Draw, horizon: usize) -> Result<Passed, Mismatch> {
     let sizes = [system.state_dim(), system.control_dim(), system.param_dim()];
     let mut c = Comparison::new(ONE_STEP);
     for case in 0..CASES + AT_ZERO {
@@ -79,6 +79,7 @@ pub(super) fn check(system: &dyn Checked, draw: Draw) -> Result<Passed, Mismatch
         for Varied { index, number, .. } in system.varied_numbers() {
             p[index] = number.draw(&mut rng);
         }
+        let t = case as usize % horizon;
         let next_bar = normal(&mut rng, sizes[0]);
         if case >= CASES {
             // The state 0, first at rest, then under a control.
@@ -86,11 +87,11 @@ pub(super) fn check(system: &dyn Checked, draw: Draw) -> Result<Passed, Mismatch
             if case == CASES {
                 values[1].fill(0.0);
             }
-            if !is_smooth(system, &values, case as usize, &next_bar, &mut c)? {
+            if !is_smooth(system, &values, t, &next_bar, &mut c)? {
                 continue;
             }
         }
-        let at = inputs(&values, case as usize);
+        let at = inputs(&values, t);
 
         let [from_zeros, from_nans] = [0.0, f64::NAN].map(|initial| {
             let mut next = vec![initial; sizes[0]];

@@ -9,4 +9,6 @@ pub enum Cause {
     /// The forces of the named effect, or their derivatives, are non-finite at the state before the
     /// step.
     Effect(&'static str),
+    /// The parameter `p` with this index is 0, and the step is finite with 1 in its place.
+    ZeroParam(usize),
 }

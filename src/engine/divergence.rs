@@ -75,6 +75,13 @@ pub enum Variable {
 }
 
 impl Divergence {
+    /// True if the number is non-finite for any finite parameters of the policy: in the first step,
+    /// because of a parameter of the task, or in the initial state.
+    pub(crate) fn is_of_task(&self) -> bool {
+        let Self::Forward { variable, step, cause, .. } = self else { return false };
+        matches!(cause, Some(Cause::ZeroParam(_))) || (*variable == Variable::State && *step == 0)
+    }
+
     /// Adds `first` to the sample index, if the variant has one.
     pub(crate) fn offset(mut self, first: usize) -> Self {
         match &mut self {
@@ -132,6 +139,12 @@ impl fmt::Display for Divergence {
                 "forward pass: {variable} component {component} of sample {sample} is not finite at step 0, although the initial \
                  state is finite. Check the parameters p that `start` draws, and `observe`; if these are finite, reduce the learning rate"
             ),
+            Self::Forward { variable: Variable::State, step: 1, sample, component, cause: None } => write!(
+                f,
+                "forward pass: state component {component} of sample {sample} is not finite after the first step, although the initial \
+                 state and the control are finite. Check `step` for division by 0, and for roots and logarithms of negative \
+                 numbers. If earlier updates succeeded, reduce the learning rate"
+            ),
             Self::Forward { variable, step, sample, component, cause } => {
                 write!(
                     f,
@@ -180,6 +193,12 @@ fn advice(cause: &Option<Cause>, general: &str) -> String {
         Some(Cause::Effect(name)) => {
             format!(
                 ". At the state before the step, the forces of {name} or their derivatives are not finite. Reduce the values of {name}"
+            )
+        }
+        Some(Cause::ZeroParam(index)) => {
+            format!(
+                ". The parameter p[{index}] of this sample is 0, and with 1 in its place the step is finite. Write p[{index}] in `start`, \
+                 or handle 0 in `step`"
             )
         }
         _ => format!(". {general}"),

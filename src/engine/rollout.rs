@@ -3,7 +3,9 @@
 mod buffer_sizes;
 mod columns;
 mod step_forward;
+mod unwritten;
 
+use crate::dynamics::cause::Cause;
 use crate::dynamics::inputs::Inputs;
 use crate::engine::any::AnyTask;
 use crate::engine::divergence::{Divergence, Variable};
@@ -16,6 +18,7 @@ use columns::scatter;
 pub(crate) use columns::{find_non_finite, gather};
 use std::ops::Range;
 pub use step_forward::StepForward;
+use unwritten::zero_param;
 
 /// Number of samples in a block. One call of the system steps all samples of a block.
 pub(crate) const WIDTH: usize = 8;
@@ -366,8 +369,12 @@ impl<F: Float> Rollout<F> {
         };
         let cause = match variable {
             Variable::State => {
-                let (x, u, p) = (of(x, n), of(controls, m), of(&self.params, self.param_dim));
-                task.diagnose(Inputs { x: &x, u: &u, p: &p, t })
+                let (own_x, own_u, own_p) = (of(x, n), of(controls, m), of(&self.params, self.param_dim));
+                let cause = task.diagnose(Inputs { x: &own_x, u: &own_u, p: &own_p, t });
+                let block = sample / WIDTH;
+                let p = &self.params[block * self.param_dim..][..self.param_dim];
+                let inputs = Inputs { x: &x[block * n..][..n], u: &controls[block * m..][..m], p, t };
+                cause.or_else(|| zero_param(task, inputs, sample % WIDTH).map(Cause::ZeroParam))
             }
             Variable::Control | Variable::Memory | Variable::Parameter => None,
         };
@@ -442,7 +449,6 @@ impl<F: Float> Rollout<F> {
     }
 
     /// Returns the parameters of a sample, with the values of trained entries.
-    #[cfg(feature = "program")]
     pub(crate) fn params_of_sample(&self, sample: usize) -> impl Iterator<Item = F> {
         self.params_of(sample / WIDTH).iter().map(move |p| p.0[sample % WIDTH])
     }

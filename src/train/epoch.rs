@@ -17,6 +17,7 @@ use crate::engine::initial_states::append_start;
 #[cfg(feature = "parallel")]
 use crate::engine::parallel::among_workers;
 use crate::engine::ranks::Ranks;
+use crate::engine::rollout::{Rollout, WIDTH};
 use crate::numbers::extended::ExtendedF64;
 use crate::numbers::kernels::{SimdLevel, elementwise};
 use crate::numbers::rng::{Purpose, stream};
@@ -148,6 +149,10 @@ impl<F: Float> State<F> {
             None => Batch::new(task, policy, derived, &flows, training.workers),
             Some(budget) => Batch::within(task, policy, derived, &flows, training.workers, budget)?,
         };
+        let first = &train[..train.len().min(WIDTH * n)];
+        if let Some((method, component)) = Rollout::first_unwritten(task, policy, &weights, first) {
+            return Err(TrainError::Unwritten { method, component });
+        }
         let optimizer = Optimizer::new(training.rule, training.learning_rate, params);
         let averaged = training.average > 0.0 && flows.len() > 1;
         let direction = vec![F::zero(); if averaged { params } else { 0 }];

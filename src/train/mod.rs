@@ -34,6 +34,7 @@ pub use smoothing::{Estimator, Smoothing};
 pub use warnings::Warning;
 
 use crate::dynamics::task::Task;
+use crate::engine::divergence::Divergence;
 use crate::engine::initial_states::initial_states;
 use crate::engine::schedule::MemoryError;
 use crate::numbers::rng::{Purpose, stream};
@@ -183,8 +184,8 @@ pub enum TrainError {
     /// More than [`Training::max_skipped`] consecutive updates were skipped.
     #[error(
         "training stopped: {count} updates in a row were skipped, the last in epoch {}, update {} ({}). \
-         The parameters are those before this epoch. Try a smaller learning rate, clipping by norm, a shorter horizon, or field C or M",
-        last.epoch, last.update, last.divergence
+         The parameters are those before this epoch{}",
+        last.epoch, last.update, last.divergence, advice(&last.divergence)
     )]
     Diverged {
         /// Number of consecutive skipped updates.
@@ -192,6 +193,24 @@ pub enum TrainError {
         /// Last skipped update.
         last: Box<Skip>,
     },
+    /// A method of the task or policy leaves a component of its output unwritten. Its value would
+    /// be that of an earlier step or sample.
+    #[error("`{method}` leaves component {component} of its output unwritten. Write every component in every call")]
+    Unwritten {
+        /// `observe`, `act` of the policy or `step`.
+        method: &'static str,
+        /// Index of the component. Memory follows the controls.
+        component: usize,
+    },
+}
+
+/// Advice after consecutive skips, unless the task alone caused them.
+fn advice(divergence: &Divergence) -> &'static str {
+    if divergence.is_of_task() {
+        "."
+    } else {
+        ". Try a smaller learning rate, clipping by norm, a shorter horizon, or field C or M"
+    }
 }
 
 /// Builder of a training: a task, a policy, a vector field and settings.
@@ -319,6 +338,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// # Errors
     /// [`TrainError`] if a setting is invalid, the memory limit is too small, or a parameter of
     /// [`start_from`](Self::start_from) is non-finite.
+    /// Also if task or policy leave a component of their outputs unwritten in the first step.
     ///
     /// # Panics
     /// If the dimensions of task and policy differ. If the policy trains a parameter that the task
@@ -346,6 +366,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// # Errors
     /// [`TrainError`] if a setting is invalid, the memory limit is too small, or a parameter is
     /// non-finite. Also if a set is empty or not a whole number of samples.
+    /// Also if task or policy leave a component of their outputs unwritten in the first step.
     ///
     /// # Panics
     /// If the length of `theta` differs from the policy's `param_count`. If the dimensions of task

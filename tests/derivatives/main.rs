@@ -5,6 +5,7 @@
 mod operations;
 
 mod adjoint_norms;
+mod checks;
 mod counts;
 mod derivative_calls;
 mod extremes;

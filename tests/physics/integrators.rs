@@ -519,7 +519,7 @@ fn an_unsolvable_step_is_nan_and_reports_its_residual() {
         assert_eq!(next[0].is_finite(), solved, "{dt}");
         let residual = of(dt).diagnose(Inputs::new(&[0.0], &[0.0])).map(|cause| match cause {
             Cause::Unsolved(residual) => residual,
-            Cause::Effect(name) => panic!("{name}"),
+            other => panic!("{other:?}"),
         });
         assert_eq!(residual.is_none(), solved, "{dt}: {residual:?}");
         // Wrappers forward the cause.

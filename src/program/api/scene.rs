@@ -174,7 +174,7 @@ impl Scene {
     /// # Errors
     /// The policy does not fit the scene.
     pub fn check(&self, policy: Option<&Policy>) -> Result<(String, Vec<String>)> {
-        let mut results = Results::new();
+        let mut results = Results::new(false);
         results.begin(self.name());
         match policy {
             Some(policy) => {

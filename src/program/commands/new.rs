@@ -144,9 +144,8 @@ mod tests {
     #[test]
     fn gradients_are_exact() {
         let task = TYPE::default();
-        check::system(task.system());
-        check::cost(&task);
         let observations = task.observation_dim().unwrap_or(task.state_dim());
+        // Also checks the step and the costs, in states of rollouts.
         check::task(&task, &Mlp::new([observations, 16, task.control_dim()]));
     }
 }

@@ -1,53 +1,90 @@
 //! Gradient checks of a task and its policy, in a table. Stability of the time step, and slope of
 //! the loss.
 
-use crate::check::{self, Failure, Jumps, Passed, Plateau, Stability};
+use crate::check::{self, Failure, Jumps, Kink, Passed, Plateau, Stability};
 use crate::numbers::text::rough;
-use crate::program::operations::trajectory::rollouts;
+use crate::program::operations::trajectory;
 use crate::program::platform::table::Table;
-use crate::program::platform::terminal::progress_bar;
+use crate::program::platform::terminal::{print_text, progress_bar};
 use crate::rng::Purpose;
 use crate::{Divergence, DynTask, Flow, Inputs, Policy, System, Task, Weights, initial_states};
 use indicatif::ProgressBar;
 
 /// Adds the checks of one task and policy to the results. Rollouts have the parameters `theta`, or
-/// random ones.
+/// random ones. The system and the costs are checked in states of rollouts, so that states have the
+/// units of the task.
+///
+/// One cause fails several checks: rollouts consist of steps, costs and the policy. Rollouts are
+/// therefore skipped if one of these fails, and several flows have one message.
 pub fn check(task: &DynTask, policy: &impl Policy, theta: Option<&[f64]>, variant: &str, results: &mut Results) {
     let system = task.system();
     let (n, m) = (system.state_dim(), system.control_dim());
-    results.add(&format!("{variant}: system"), || check::try_system(system).map_err(Failure::from));
-    results.add(&format!("{variant}: costs"), || check::try_cost(task).map_err(Failure::from));
+    let before = results.failures.len();
+    let diverges = |failure: &Failure| matches!(failure, Failure::Diverged { .. });
+    let along = results.add(&format!("{variant}: system"), || check::try_system_along(task, policy, theta));
+    if along.as_ref().is_some_and(diverges) {
+        results.skip(&format!("{variant}: costs"));
+    } else {
+        results.add(&format!("{variant}: costs"), || check::try_cost_along(task, policy, theta));
+    }
     // Skips the policy check if the dimensions did not change since the last variant.
     if results.dims.replace((n, m)) != Some((n, m)) {
         results.add(&format!("{variant}: network"), || check::try_policy(policy).map_err(Failure::from));
     }
+    let mut first: Option<usize> = None;
     for flow in Flow::ALL {
-        results.add(&format!("{variant}: rollout, {flow}"), || match theta {
+        let name = format!("{variant}: rollout, {flow}");
+        if first.is_none() && results.failures.len() > before {
+            results.skip(&name);
+            continue;
+        }
+        let failed = results.add(&name, || match theta {
             Some(theta) => check::try_flow_at(task, policy, flow, theta),
             None => check::try_flow(task, policy, flow),
         });
+        match (failed, first) {
+            (Some(_), Some(index)) => {
+                results.failures.pop();
+                results.failures[index] += &format!(" (also flow {flow})");
+            }
+            (Some(_), None) => first = Some(results.failures.len() - 1),
+            (None, _) => {}
+        }
     }
 }
 
-/// Largest amplification of a perturbation by a step, among states of test rollouts.
+/// Stability of the steps of test rollouts.
 pub struct Amplification {
+    /// State with the largest amplification of a perturbation by a step.
+    pub worst: Place,
+    /// State in which a perturbation alternates in sign and decays most slowly.
+    pub ringing: Place,
+    /// Number of states that were evaluated.
+    pub evaluated: usize,
+    /// Number of states of the test rollouts.
+    pub states: usize,
+    /// First non-finite number of the test rollouts.
+    pub divergence: Option<Divergence>,
+}
+
+/// Stability of one step of a test rollout.
+#[derive(Clone, Copy)]
+pub struct Place {
     /// Index of the test rollout.
     pub sample: usize,
     /// Step of the rollout.
     pub step: usize,
     pub stability: Stability,
-    /// Number of states that were evaluated.
-    pub evaluated: usize,
-    /// Number of states of the test rollouts.
-    pub states: usize,
 }
 
-/// Largest amplification in states of test rollouts with the parameters `theta`. `None` if a
-/// rollout diverges in the first step.
-pub fn amplification(task: &DynTask, policy: &impl Policy, theta: &[f64], seed: u64) -> Option<Amplification> {
+/// Stability in states of test rollouts with the parameters `theta`.
+///
+/// # Errors
+/// A rollout diverges in the first step.
+pub fn amplification(task: &DynTask, policy: &impl Policy, theta: &[f64], seed: u64) -> Result<Amplification, Divergence> {
     let weights = Weights::new(policy, theta.to_vec());
     let starts = initial_states(task, seed, Purpose::Test, ROLLOUTS);
-    let rollouts = rollouts(task, policy, &weights, &starts, 0..ROLLOUTS);
+    let (rollouts, divergence) = trajectory::until_divergence(task, policy, &weights, &starts, 0..ROLLOUTS);
     let states: Vec<(usize, Inputs<'_, f64>)> = rollouts
         .iter()
         .enumerate()
@@ -56,16 +93,28 @@ pub fn amplification(task: &DynTask, policy: &impl Policy, theta: &[f64], seed: 
             (0..rollout.controls.len()).map(move |t| (sample, inputs(t)))
         })
         .collect();
-    let evaluated = evaluated(task, &states);
-    let count = evaluated.len();
-    let amplifications = evaluated.into_iter().map(|i| {
+    let place = |i: usize| {
         let (sample, inputs) = states[i];
-        let stability = check::stability(task.system(), inputs);
-        Amplification { sample, step: inputs.t, stability, evaluated: count, states: states.len() }
-    });
+        Place { sample, step: inputs.t, stability: check::stability(task.system(), inputs) }
+    };
+    let places: Vec<Place> = evaluated(task, &states).into_iter().map(place).collect();
     // `check::stability` returns NaN with a positive sign. `total_cmp` ranks this NaN above every
     // number.
-    amplifications.max_by(|a, b| a.stability.multiplier.total_cmp(&b.stability.multiplier))
+    let worst = places.iter().max_by(|a, b| a.stability.multiplier.total_cmp(&b.stability.multiplier));
+    let ringing = places.iter().min_by(|a, b| a.stability.lowest.total_cmp(&b.stability.lowest));
+    match (worst, ringing, divergence) {
+        (Some(&worst), Some(&ringing), _) => {
+            Ok(Amplification { worst, ringing, evaluated: places.len(), states: states.len(), divergence })
+        }
+        (_, _, Some(divergence)) => Err(divergence),
+        _ => unreachable!("finite rollouts of at least one step have states"),
+    }
+}
+
+/// Kinks and jumps of the step, the observation and the costs along test rollouts.
+pub fn kinks(task: &DynTask, policy: &impl Policy, theta: &[f64], seed: u64) -> Vec<Kink> {
+    let weights = Weights::new(policy, theta.to_vec());
+    check::kinks(task, policy, &weights, &initial_states(task, seed, Purpose::Test, ROLLOUTS))
 }
 
 /// Indices of the states that [`amplification`] evaluates: all if the cost permits. Otherwise half
@@ -74,7 +123,8 @@ pub fn amplification(task: &DynTask, policy: &impl Policy, theta: &[f64], seed: 
 /// A contact may occupy few steps of a rollout, but its stiffness enlarges the norm.
 fn evaluated(task: &DynTask, states: &[(usize, Inputs<'_, f64>)]) -> Vec<usize> {
     let n = task.system().state_dim();
-    let most = (PRODUCTS / n.pow(3).max(1)).max(LEAST);
+    let most =
+        if n <= check::DENSE { (PRODUCTS / n.pow(3).max(1)).max(LEAST) } else { (PRODUCTS / (n * ITERATED)).max(LEAST_ITERATED) };
     if states.len() <= most {
         return (0..states.len()).collect();
     }
@@ -109,6 +159,10 @@ const ROLLOUTS: usize = 4;
 const PRODUCTS: usize = 20_000_000;
 /// Smallest number of states that [`amplification`] evaluates, if the rollouts have as many.
 const LEAST: usize = 32;
+/// Multiplications and additions per component and state of the power iteration, divided by 30.
+const ITERATED: usize = 3_000;
+/// Smallest number of states in which the power iteration runs.
+const LEAST_ITERATED: usize = 8;
 /// Largest number of states whose norms of ∂S/∂x are compared.
 const CANDIDATES: usize = 4_000;
 
@@ -120,14 +174,17 @@ pub struct Results {
     dims: Option<(usize, usize)>,
     table: Table,
     failures: Vec<String>,
+    /// Prints each result when it is known.
+    prints: bool,
     spinner: ProgressBar,
 }
 
 impl Results {
-    pub fn new() -> Self {
+    /// Results that print each row when it is known, if `prints` is true.
+    pub fn new(prints: bool) -> Self {
         let table = Table::new(["task", "checked", "compared", "worst error", "allowed", "result"]).optional(&["compared"]);
         let spinner = progress_bar(0, "{spinner} {msg}", false);
-        Self { task: "", dims: None, table, failures: Vec::new(), spinner }
+        Self { task: "", dims: None, table, failures: Vec::new(), prints, spinner }
     }
 
     /// Sets the task of the following checks.
@@ -143,17 +200,36 @@ impl Results {
         (self.table, self.failures)
     }
 
-    fn add(&mut self, name: &str, check: impl FnOnce() -> Result<Passed, Failure>) {
+    /// Adds the result of a check. Returns its failure.
+    fn add(&mut self, name: &str, check: impl FnOnce() -> Result<Passed, Failure>) -> Option<Failure> {
         let task = self.task;
         self.spinner.set_message(format!("{task}, {name}"));
-        let (compared, worst, allowed, verdict) = match check() {
-            Ok(p) => (p.compared.to_string(), rough(p.worst), format!("{:.0e}", p.allowed), "ok"),
+        match check() {
+            Ok(p) => {
+                self.row([task, name, &p.compared.to_string(), &rough(p.worst), &format!("{:.0e}", p.allowed), "ok"]);
+                None
+            }
             Err(failure) => {
                 self.failures.push(format!("{task}, {name}: {failure}"));
-                (String::new(), String::new(), String::new(), "FAILED")
+                self.row([task, name, "", "", "", "FAILED"]);
+                Some(failure)
             }
-        };
-        self.table.row([task, name, &compared, &worst, &allowed, verdict]);
+        }
+    }
+
+    /// Adds a check that was not made, because an earlier one failed.
+    fn skip(&mut self, name: &str) {
+        self.row([self.task, name, "", "", "", "skipped"]);
+    }
+
+    fn row(&mut self, cells: [&str; 6]) {
+        self.table.row(cells);
+        if self.prints {
+            let [task, name, compared, worst, allowed, result] = cells;
+            let line = format!("│ {task} ┆ {name:<28} ┆ {compared:>6} ┆ {worst:>7} ┆ {allowed:>5} ┆ {result} │");
+            // A closed pipe ends the program with the next result.
+            self.spinner.suspend(|| _ = print_text(&line));
+        }
     }
 }
 
@@ -201,15 +277,18 @@ mod tests {
 
     fn found<const N: usize>() -> Amplification {
         let policy = Linear::new(N, 1);
-        amplification(&DynTask::new(Kick::<N>), &policy, &policy_file::random(&policy, 0), 0).expect("finite rollouts")
+        amplification(&DynTask::new(Kick::<N>), &policy, &policy_file::random(&policy, 0), 0)
+            .unwrap_or_else(|divergence| panic!("{divergence}"))
     }
 
     #[test]
     fn a_single_unstable_step_is_found_also_if_only_some_states_are_evaluated() {
         let all = found::<2>();
-        assert_eq!((all.step, all.evaluated, all.states), (7, 3000, 3000));
-        assert!((all.stability.multiplier - 3.0).abs() < 1e-6);
-        let some = found::<40>();
-        assert!(some.step == 7 && some.evaluated < some.states);
+        assert_eq!((all.worst.step, all.evaluated, all.states), (7, 3000, 3000));
+        assert!((all.worst.stability.multiplier - 3.0).abs() < 1e-6);
+        // Beyond 100 components, by power iteration.
+        for some in [found::<40>(), found::<101>()] {
+            assert!(some.worst.step == 7 && some.evaluated < some.states);
+        }
     }
 }

@@ -28,14 +28,26 @@ pub fn rollouts<F: Float>(
     starts: &[F],
     chosen: Range<usize>,
 ) -> Vec<Trajectory> {
+    until_divergence(task, policy, weights, starts, chosen).0
+}
+
+/// [`rollouts`], and the first non-finite number.
+pub fn until_divergence<F: Float>(
+    task: &dyn AnyTask<F>,
+    policy: &dyn AnyPolicy<F>,
+    weights: &Weights<F>,
+    starts: &[F],
+    chosen: Range<usize>,
+) -> (Vec<Trajectory>, Option<Divergence>) {
     let (n, m, len) = (task.state_dim(), task.control_dim(), task.start_dim());
     let starts = &starts[chosen.start * len..starts.len().min(chosen.end * len)];
     let samples = starts.len() / len;
     let mut rollout = Rollout::new(task, policy, samples);
     rollout.start(starts);
-    let steps = match rollout.run(task, policy, weights) {
-        Err(Divergence::Forward { variable: Variable::State, step, .. }) => step.saturating_sub(1),
-        Err(Divergence::Forward { variable: Variable::Control | Variable::Memory | Variable::Parameter, step, .. }) => step,
+    let divergence = rollout.run(task, policy, weights).err();
+    let steps = match divergence {
+        Some(Divergence::Forward { variable: Variable::State, step, .. }) => step.saturating_sub(1),
+        Some(Divergence::Forward { variable: Variable::Control | Variable::Memory | Variable::Parameter, step, .. }) => step,
         _ => task.horizon(),
     };
     let trajectory = |sample: usize| Trajectory {
@@ -43,5 +55,5 @@ pub fn rollouts<F: Float>(
         controls: (0..steps).map(|t| (0..m).map(|i| rollout.control(t, sample, i).as_()).collect()).collect(),
         params: rollout.params_of_sample(sample).map(|p| p.as_()).collect(),
     };
-    (0..samples).map(trajectory).collect()
+    ((0..samples).map(trajectory).collect(), divergence)
 }

@@ -3,7 +3,7 @@
 //! [`Scene`] holds the settings that all tasks share. [`AnySettings`] is the object-safe interface
 //! to the settings of one task.
 
-use crate::check::{Jumps, Plateau};
+use crate::check::{Jumps, Kink, Plateau};
 use crate::identify::{Fit, IdentifyError, Options, Segment};
 use crate::optimize::{self, Initial, OptimizeError, Plan};
 use crate::policy::AnyPolicy;
@@ -70,9 +70,13 @@ pub trait AnySettings: Send + Sync {
     /// Checks the gradients of system, policy and rollout. In rollouts, the policy has the
     /// parameters `theta`, or random ones. Results carry the name `variant`.
     fn check(&self, variant: &str, theta: Option<&[f64]>, results: &mut Results);
-    /// Largest amplification of a perturbation by a step, in states of test rollouts. None if a
-    /// rollout diverges in the first step.
-    fn amplification(&self, theta: &[f64]) -> Option<Amplification>;
+    /// Stability of the steps of test rollouts.
+    ///
+    /// # Errors
+    /// A rollout diverges in the first step.
+    fn amplification(&self, theta: &[f64]) -> Result<Amplification, Divergence>;
+    /// Kinks and jumps of the step, the observation and the costs along test rollouts.
+    fn kinks(&self, theta: &[f64]) -> Vec<Kink>;
     /// Loss and gradient at the parameters `theta` and at parameters nearby.
     fn plateau(&self, theta: &[f64]) -> Result<Plateau, Divergence>;
     /// Compares R with differences of the mean loss over finite distances. None for horizons above
@@ -145,9 +149,14 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
         checks::check(&task, &policy, theta, variant, results);
     }
 
-    fn amplification(&self, theta: &[f64]) -> Option<Amplification> {
+    fn amplification(&self, theta: &[f64]) -> Result<Amplification, Divergence> {
         let (task, policy) = self.task_and_policy();
         checks::amplification(&task, &policy, theta, self.seed)
+    }
+
+    fn kinks(&self, theta: &[f64]) -> Vec<Kink> {
+        let (task, policy) = self.task_and_policy();
+        checks::kinks(&task, &policy, theta, self.seed)
     }
 
     fn plateau(&self, theta: &[f64]) -> Result<Plateau, Divergence> {
