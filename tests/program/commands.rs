@@ -382,6 +382,37 @@ fn a_check_distinguishes_long_steps_from_unstable_physics() {
 }
 
 #[test]
+fn a_check_reports_steps_that_do_not_resolve_the_motion() {
+    let dir = TempDir::new().expect("a folder");
+    let checked = |scene: &str, args: &[&str]| {
+        let file = dir.path().join("scene.toml");
+        fs::write(&file, format!("scene = 1\n{scene}")).expect("a scene");
+        let output = physgrad(&["check"]).arg(&file).args(args).output().expect("the command runs");
+        String::from_utf8(output.stdout).expect("text")
+    };
+    // Steps of 3 s, in which a pole falls and turns.
+    let text = checked("task = \"cart_pole\"\nhorizon = 20\n[system]\ndt = 3\n", &[]);
+    assert!(!text.contains("not the step"), "{text}");
+    // Friction damps the angular velocity at λ = 750 / (s viscous) with viscous = 13.33, so λ dt is
+    // 100. The implicit midpoint rule multiplies it by (1 - 50) / (1 + 50) = -0.961.
+    let rubbed = "task = \"pendulum\"\nhorizon = 10\n[[system.arms]]\nviscous = 13.333333333333\n[integrator]\nmethod = \"implicit_midpoint\"\n";
+    let text = checked(rubbed, &[]);
+    assert!(text.contains("rings") && text.contains("omega_1 changes its sign") && text.contains("-0.96"), "{text}");
+    // Control limits: the trained controls of the file exceed them, and the check follows the file.
+    let limited = "task = \"pendulum\"\nhorizon = 20\n[actuator]\nlimit = { bound = 0.01 }\n[policy]\nwidths = [4]\n";
+    let text = checked(limited, &[]);
+    assert!(text.contains("kinks: none"), "{text}");
+    physgrad(&["train", "scene.toml", "--epochs", "3", "--quiet", "-o", "run", "--set", "policy.zero_init_output=false"])
+        .args(["--set", "training.train_samples=8", "--set", "training.test_samples=8"])
+        .current_dir(dir.path())
+        .assert()
+        .success();
+    let policy = dir.path().join("run");
+    let text = checked(limited, &["--policy", policy.to_str().expect("a path")]);
+    assert!(text.contains("kink: step: next[1]"), "{text}");
+}
+
+#[test]
 fn tasks_are_listed_with_their_settings() {
     let output = physgrad(&["tasks"]).assert().success();
     let text = String::from_utf8(output.get_output().stdout.clone()).expect("text");

@@ -157,12 +157,11 @@ const ROLLOUTS: usize = 4;
 /// Bound on the number of evaluated states times the cubed number of state components. The time is
 /// about 30 multiplications and additions each.
 const PRODUCTS: usize = 20_000_000;
-/// Smallest number of states that [`amplification`] evaluates, if the rollouts have as many.
+/// Smallest number of states that [`amplification`] evaluates, if the rollouts have as many; a
+/// quarter of it beyond 100 state components.
 const LEAST: usize = 32;
 /// Multiplications and additions per component and state of the power iteration, divided by 30.
 const ITERATED: usize = 3_000;
-/// Smallest number of states in which the power iteration runs.
-const LEAST_ITERATED: usize = 8;
 /// Largest number of states whose norms of ∂S/∂x are compared.
 const CANDIDATES: usize = 4_000;
 
@@ -236,10 +235,10 @@ impl Results {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::numbers::scalar::Scalar;
+    use crate::numbers::scalar::{Cotangent, Real, Scalar};
     use crate::policy::Linear;
     use crate::program::operations::policy_file;
-    use crate::{Start, rng::Rng};
+    use crate::{Cotangents, Start, rng::Rng};
 
     /// `N` components that decay, except in one step of 750, in which the first grows by 3.
     struct Kick<const N: usize>;
@@ -286,9 +285,71 @@ mod tests {
         let all = found::<2>();
         assert_eq!((all.worst.step, all.evaluated, all.states), (7, 3000, 3000));
         assert!((all.worst.stability.multiplier - 3.0).abs() < 1e-6);
-        // Beyond 100 components, by power iteration.
-        for some in [found::<40>(), found::<101>()] {
+        // Beyond 200 components, by power iteration.
+        for some in [found::<40>(), found::<201>()] {
             assert!(some.worst.step == 7 && some.evaluated < some.states);
+        }
+    }
+
+    /// A component that decays. Its VJP is wrong by `factor`, and the state is not finite after the
+    /// step `last`.
+    struct Broken {
+        factor: f64,
+        last: usize,
+    }
+
+    impl System for Broken {
+        fn state_dim(&self) -> usize {
+            1
+        }
+        fn control_dim(&self) -> usize {
+            1
+        }
+        fn step<T: Scalar>(&self, Inputs { x, u, t, .. }: Inputs<'_, T>, next: &mut [T]) {
+            next[0] = x[0] * if t > self.last { f64::NAN } else { 0.5 } + u[0];
+        }
+        fn vjp<R: Real, C: Cotangent<R>>(&self, _inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+            if let Some(x_bar) = cotangents.x {
+                x_bar[0] += next_bar[0] * R::from(0.5 * self.factor);
+            }
+            if let Some(u_bar) = cotangents.u {
+                u_bar[0] += next_bar[0];
+            }
+        }
+    }
+
+    impl Task for Broken {
+        type System = Self;
+        fn system(&self) -> &Self {
+            self
+        }
+        fn horizon(&self) -> usize {
+            6
+        }
+        fn start(&self, _rng: &mut Rng, Start { x, .. }: Start<'_>) {
+            x.fill(1.0);
+        }
+        fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
+            x[0] * x[0]
+        }
+    }
+
+    #[test]
+    fn one_cause_has_one_message() {
+        for (factor, last, expected, rows) in [
+            (1.0, 9, None, ["ok"; 7]),
+            (1.1, 9, Some("vjp: x_bar[0]"), ["FAILED", "ok", "ok", "skipped", "skipped", "skipped", "skipped"]),
+            (1.0, 3, Some("not finite"), ["FAILED", "skipped", "ok", "skipped", "skipped", "skipped", "skipped"]),
+        ] {
+            let mut results = Results::new(false);
+            results.begin("broken");
+            check(&DynTask::new(Broken { factor, last }), &Linear::with_bias(1, 1), None, "scene", &mut results);
+            let (table, failures) = results.finish();
+            assert_eq!(failures.len(), usize::from(expected.is_some()), "{failures:?}");
+            assert!(failures.iter().all(|failure| expected.is_some_and(|text| failure.contains(text))), "{failures:?}");
+            let found = table.objects();
+            let found: Vec<_> = found.as_array().expect("rows").iter().map(|row| row["result"].clone()).collect();
+            assert_eq!(found, rows, "{found:?}");
         }
     }
 }
