@@ -123,8 +123,8 @@ pub fn kinks(task: &DynTask, policy: &impl Policy, theta: &[f64], seed: u64) -> 
 /// A contact may occupy few steps of a rollout, but its stiffness enlarges the norm.
 fn evaluated(task: &DynTask, states: &[(usize, Inputs<'_, f64>)]) -> Vec<usize> {
     let n = task.system().state_dim();
-    let most =
-        if n <= check::DENSE { (PRODUCTS / n.pow(3).max(1)).max(LEAST) } else { (PRODUCTS / (n * ITERATED)).max(LEAST_ITERATED) };
+    let cost = if n <= check::DENSE { n.pow(3) } else { n * ITERATED };
+    let most = (PRODUCTS / cost.max(1)).max(if n <= 100 { LEAST } else { LEAST / 4 });
     if states.len() <= most {
         return (0..states.len()).collect();
     }
