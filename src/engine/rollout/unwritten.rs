@@ -11,7 +11,8 @@ impl<F: Float> Rollout<F> {
     /// should write it: `observe`, `act` (controls, then memory) or `step`.
     ///
     /// Buffers of a rollout begin with zeros and keep the values of earlier steps, so an unwritten
-    /// component is otherwise finite, and wrong.
+    /// component is otherwise finite, and wrong. Controls that `act` leaves unwritten are always 0, which
+    /// only policies with batched passes of their own reveal; `check::policy` checks them.
     pub(crate) fn first_unwritten(
         task: &dyn AnyTask<F>,
         policy: &dyn AnyPolicy<F>,
