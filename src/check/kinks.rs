@@ -77,11 +77,11 @@ impl Kink {
     /// Writes the description with a name for the argument.
     pub(crate) fn describe(&self, f: &mut impl fmt::Write, input: &str) -> fmt::Result {
         let Self { function, value, is_jump, sides, sample, step, found, .. } = self;
-        let [before, after] = sides.map(rough);
+        let ([before, after], value) = (sides.map(rough), rough(*value));
         let (what, change) = if *is_jump { ("jumps", "its value") } else { ("has a kink", "its derivative") };
         write!(
             f,
-            "{function} {what} at {input} = {value:.6}, first in rollout {sample}, step {step} ({found} times in all): {change} \
+            "{function} {what} at {input} = {value}, first in rollout {sample}, step {step} ({found} times in all): {change} \
              changes from {before} to {after}"
         )
     }

@@ -101,7 +101,7 @@ fn about_rollouts(source: SceneSource, note: &mut dyn FnMut(String) -> Result<()
         }
     };
     if let Some(divergence) = &found.divergence {
-        note(format!("test rollouts: {divergence}. Loss and jumps are therefore not checked"))?;
+        note(format!("test rollouts: {divergence}. Kinks, loss and jumps are therefore not checked"))?;
     }
     let names = scene.state_names();
     note(stability(&scene, source, &theta, &found)?)?;
@@ -113,6 +113,9 @@ fn about_rollouts(source: SceneSource, note: &mut dyn FnMut(String) -> Result<()
              integrator that damps fast motion",
             names[lowest_component]
         ))?;
+    }
+    if found.divergence.is_some() {
+        return Ok(());
     }
     let kinks = scene.kinks(&theta);
     for kink in kinks.iter().take(MAX_KINKS) {
@@ -126,9 +129,6 @@ fn about_rollouts(source: SceneSource, note: &mut dyn FnMut(String) -> Result<()
                 .into(),
         )?,
         more => note(format!("kinks: {more} more, in other functions or arguments"))?,
-    }
-    if found.divergence.is_some() {
-        return Ok(());
     }
     let plateau = scene.plateau(&theta).map_or_else(|divergence| divergence.to_string(), |plateau| plateau.to_string());
     note(format!("loss at the initial parameters: {plateau}"))?;
