@@ -19,8 +19,8 @@ const ROUNDING: f64 = 1e-6;
 /// function evaluates products with the Jacobian only.
 pub(crate) const DENSE: usize = 200;
 /// Products of the power iteration before those that it evaluates, and up to the last one.
-const ITERATIONS: [usize; 2] = [256, 1024];
-/// Total growth in the evaluated products, as a logarithm, that counts as none: a multiplier of 1 ± 2.5e-4.
+const ITERATIONS: [usize; 2] = [2048, 8192];
+/// Total growth in the evaluated products, as a logarithm, that counts as none: a multiplier of 1 ± 3e-5.
 const UNRESOLVED: f64 = 0.25;
 /// Growth over a horizon up to which [`Stability::is_stable_within`] is true.
 const HARMLESS: f64 = 2.0;
@@ -123,10 +123,10 @@ impl fmt::Display for Stability {
 /// eigenvalues. The spectral radius of `J - 1` yields [`Stability::lowest`].
 ///
 /// Beyond 200 state components, the function does not store the Jacobian. It multiplies a random
-/// perturbation 1024 times by J, and again by `J - 1`. The growth over the last three quarters of
+/// perturbation 8192 times by J, and again by `J - 1`. The growth over the last three quarters of
 /// the products, without powers of their number, yields the multiplier to two or three digits. A
-/// multiplier of `1 ± 2.5e-4` counts as 1. In long cascades of cells, in which each cell drives the next,
-/// perturbations still grow after 1024 products, and the multiplier is too large.
+/// multiplier of `1 ± 3e-5` counts as 1. In long cascades of cells, in which each cell drives the next,
+/// perturbations still grow after 8192 products, and the multiplier is too large.
 /// ```
 /// use physgrad::{Inputs, check, tasks::{FrictionScheme, SliderSystem}};
 ///

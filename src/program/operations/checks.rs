@@ -161,7 +161,7 @@ const PRODUCTS: usize = 20_000_000;
 /// quarter of it beyond 100 state components.
 const LEAST: usize = 32;
 /// Multiplications and additions per component and state of the power iteration, divided by 30.
-const ITERATED: usize = 3_000;
+const ITERATED: usize = 24_000;
 /// Largest number of states whose norms of ∂S/∂x are compared.
 const CANDIDATES: usize = 4_000;
 
