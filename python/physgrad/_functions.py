@@ -49,6 +49,33 @@ class Function(NamedTuple):
         bars = getattr(task, f"{self.name}_vjp")(*rows[:-1], output_bar, p=rows[-1], **steps)
         return [bar.reshape(shape) for bar, shape in zip(bars, self.shapes(task, lead), strict=True)]
 
+    def jvp(
+        self,
+        task: Any,
+        inputs: list[np.ndarray],
+        p: np.ndarray | None,
+        t: int,
+        tangents: list[np.ndarray | None],
+    ) -> np.ndarray:
+        """Returns the tangent of the output, for tangents of the inputs and of the parameters.
+
+        None is a zero tangent. The sums of ``vjp`` are the rows of the Jacobian, one call for each
+        component of an observation or a cost.
+        """
+        if self.name == "step":
+            lead, (x, u, p, *tangents) = _rows([*inputs, p, *tangents])
+            x_tan, u_tan, p_tan = tangents
+            output = task.step_jvp(x, u, x_tan=x_tan, u_tan=u_tan, p=p, p_tan=p_tan, t=t)
+            return output.reshape(lead + self.output_shape(task))
+        output = np.zeros(inputs[0].shape[:-1] + self.output_shape(task), inputs[0].dtype)
+        for component in np.ndindex(self.output_shape(task)):
+            one = np.zeros_like(output)
+            one[(..., *component)] = 1.0
+            bars = self.vjp(task, inputs, p, t, one)
+            terms = [(bar * tan).sum(-1) for bar, tan in zip(bars, tangents, strict=True) if tan is not None]
+            output[(..., *component)] = sum(terms)
+        return output
+
 
 STEP = Function("step", ("x", "u"), "next", has_step=True)
 OBSERVE = Function("observe", ("x",), "y", has_step=True)

@@ -7,14 +7,16 @@ Each function of this module takes a task and returns a function of tensors::
 
 Tensors are on the CPU, all float32 or all float64. Leading dimensions are batch dimensions and
 broadcast. ``p`` are the parameters of the rows, shape (..., np), and ``t`` is the step number, an
-int that all rows share. Gradients are the exact derivatives of the task (reverse mode, once
-differentiable). Errors: ``ValueError`` for a shape, ``TypeError`` for a dtype or a device.
+int that all rows share. Derivatives are the exact ones of the task, of first order, in reverse mode
+(``torch.autograd``, ``torch.func.grad``) and in forward mode (``torch.func.jvp``, ``jacfwd``,
+``forward_ad``). Errors: ``ValueError`` for a shape, ``TypeError`` for a dtype or a device,
+``RuntimeError`` for second derivatives of the physics.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -61,7 +63,7 @@ def terminal_cost(task: Any) -> Callable[..., Tensor]:
 
 
 def _function(function: Function, task: Any) -> Callable[..., Tensor]:
-    operator, handle = _OPERATORS[function.name], _handle(task)
+    operators, handle = _OPERATORS[function.name], _handle(task)
     dims = function.dims(task) | {"p": task.param_dim}
 
     def call(*tensors: Tensor, p: Tensor | None = None, t: int = 0) -> Tensor:
@@ -71,7 +73,9 @@ def _function(function: Function, task: Any) -> Callable[..., Tensor]:
         shape = lead(function.name, {label: tensor.shape for label, tensor in zip(dims, tensors)})
         tensors = [tensor.expand(*shape, tensor.shape[-1]) for tensor in tensors]
         count = len(function.inputs)
-        return operator(*tensors[:count], tensors[count] if p is not None else None, t, handle)
+        # `torch.compile` traces operators, but not functions with a rule of forward mode.
+        call = operators.call if torch.compiler.is_compiling() else operators.differentiable
+        return call(*tensors[:count], tensors[count] if p is not None else None, t, handle)
 
     # One signature per function, so that arguments may be positional or named.
     if function is STEP:
@@ -105,15 +109,35 @@ def _handle(task: Any) -> int:
     return len(_TASKS) - 1
 
 
+class _Operators(NamedTuple):
+    """Operators of one function: ``call`` for graphs, ``differentiable`` for all other calls."""
+
+    call: Callable[..., Tensor]
+    differentiable: Callable[..., Tensor]
+
+
 def _arrays(tensors: tuple[Tensor | None, ...]) -> list:
     return [None if tensor is None else tensor.detach().numpy() for tensor in tensors]
 
 
-def _operator(function: Function) -> Any:
-    """Registers the operators ``physgrad::NAME`` and ``physgrad::NAME_vjp``. Returns the first."""
-    count = len(function.inputs)
-    inputs = ", ".join(f"Tensor {name}" for name in function.inputs)
-    outputs = ", ".join(["Tensor"] * (count + 1))
+def _refuse_second(function: Function, tangents: Iterable[Any]) -> None:
+    if any(tangents):
+        raise RuntimeError(
+            f"`{function.name}` has no second derivatives: the physics is differentiable once, in reverse or forward mode"
+        )
+
+
+def _operators(function: Function) -> _Operators:
+    """Registers the operators ``physgrad::NAME``, ``physgrad::NAME_vjp`` and ``physgrad::NAME_jvp``.
+
+    Their arguments are tensors, then the step number and the index of the task. The tensors of a
+    call are its inputs and parameters. Those of a vjp have the cotangent of the output in addition,
+    and those of a jvp the tangents.
+    """
+    count = len(function.inputs) + 1
+    inputs = ", ".join(f"Tensor {name}" for name in function.inputs) + ", Tensor? p"
+    tangents = ", ".join(f"Tensor? {name}_tan" for name in (*function.inputs, "p"))
+    outputs = ", ".join(["Tensor"] * count)
 
     def forward(*arguments: Any) -> Tensor:
         *tensors, t, handle = arguments
@@ -125,36 +149,107 @@ def _operator(function: Function) -> Any:
         *arrays, p, bar = _arrays((*tensors, output_bar))
         return tuple(map(torch.from_numpy, function.vjp(_TASKS[handle], arrays, p, t, bar)))
 
-    call = torch.library.custom_op(
-        f"physgrad::{function.name}", forward, mutates_args=(), schema=f"({inputs}, Tensor? p, SymInt t, int task) -> Tensor"
-    )
-    vjp = torch.library.custom_op(
-        f"physgrad::{function.name}_vjp",
-        backward,
-        mutates_args=(),
-        schema=f"({inputs}, Tensor? p, Tensor output_bar, SymInt t, int task) -> ({outputs})",
-    )
+    def push(*arguments: Any) -> Tensor:
+        *tensors, t, handle = arguments
+        arrays = _arrays(tensors)
+        p = arrays[count - 1]
+        return torch.from_numpy(function.jvp(_TASKS[handle], arrays[: count - 1], p, t, arrays[count:]))
 
-    @call.register_fake
-    def _(*arguments: Any) -> Tensor:
+    def operator(suffix: str, work: Callable, tensors: str, outputs: str) -> Any:
+        schema = f"({tensors}, SymInt t, int task) -> {outputs}"
+        return torch.library.custom_op(f"physgrad::{function.name}{suffix}", work, mutates_args=(), schema=schema)
+
+    call = operator("", forward, inputs, "Tensor")
+    vjp = operator("_vjp", backward, f"{inputs}, Tensor output_bar", f"({outputs})")
+    jvp = operator("_jvp", push, f"{inputs}, {tangents}", "Tensor")
+
+    def output_like(*arguments: Any) -> Tensor:
         x, task = arguments[0], _TASKS[arguments[-1]]
         return x.new_empty((*x.shape[:-1], *function.output_shape(task)))
 
-    @vjp.register_fake
-    def _(*arguments: Any) -> tuple[Tensor, ...]:
+    def inputs_like(*arguments: Any) -> tuple[Tensor, ...]:
         x, task = arguments[0], _TASKS[arguments[-1]]
         return tuple(x.new_empty(shape) for shape in function.shapes(task, tuple(x.shape[:-1])))
 
-    def setup_context(ctx: Any, inputs: tuple, output: Tensor) -> None:
+    def traced(*arguments: Any) -> Tensor:
+        # A graph has no forward mode: without this error, it would lose the tangents.
+        if torch.autograd.forward_ad._current_level >= 0 and torch._guards.TracingContext.try_get() is not None:
+            raise RuntimeError(
+                f"`{function.name}`: `torch.compile` does not support forward mode through the physics. Call "
+                "`torch.func.jvp` and `forward_ad` outside of the compiled function"
+            )
+        return output_like(*arguments)
+
+    call.register_fake(traced)
+    vjp.register_fake(inputs_like)
+    jvp.register_fake(output_like)
+
+    def save(ctx: Any, inputs: tuple, output: Any) -> None:
+        *tensors, ctx.t, ctx.task = inputs
+        ctx.save_for_backward(*tensors)
+        ctx.save_for_forward(*tensors)
+
+    def bars(ctx: Any, output_bar: Tensor, vjp: Callable) -> tuple:
+        *tensors, p = ctx.saved_tensors[:count]
+        *bars, p_bar = vjp(*tensors, p, output_bar, ctx.t, ctx.task)
+        return (*bars, None if p is None else p_bar)
+
+    class Call(torch.autograd.Function):
+        generate_vmap_rule = True
+        forward = staticmethod(lambda *arguments: call(*arguments))
+        setup_context = staticmethod(save)
+
+        @staticmethod
+        def backward(ctx: Any, output_bar: Tensor) -> tuple:
+            return (*bars(ctx, output_bar, Vjp.apply), None, None)
+
+        @staticmethod
+        def jvp(ctx: Any, *tangents: Any) -> Tensor:
+            return Jvp.apply(*ctx.saved_tensors, *tangents[:count], ctx.t, ctx.task)
+
+    class Vjp(torch.autograd.Function):
+        """Linear in the cotangent of the output, by which alone it is differentiable."""
+
+        generate_vmap_rule = True
+        forward = staticmethod(lambda *arguments: vjp(*arguments))
+        setup_context = staticmethod(save)
+
+        @staticmethod
+        def backward(ctx: Any, *bars: Any) -> tuple:
+            _refuse_second(function, ctx.needs_input_grad[:count])
+            output = Jvp.apply(*ctx.saved_tensors[:count], *bars, ctx.t, ctx.task)
+            return (*[None] * count, output, None, None)
+
+        @staticmethod
+        def jvp(ctx: Any, *tangents: Any) -> tuple:
+            _refuse_second(function, (tangent is not None for tangent in tangents[:count]))
+            return Vjp.apply(*ctx.saved_tensors[:count], tangents[count], ctx.t, ctx.task)
+
+    class Jvp(torch.autograd.Function):
+        """Linear in the tangents of the inputs, by which alone it is differentiable."""
+
+        generate_vmap_rule = True
+        forward = staticmethod(lambda *arguments: jvp(*arguments))
+        setup_context = staticmethod(save)
+
+        @staticmethod
+        def backward(ctx: Any, output_bar: Tensor) -> tuple:
+            _refuse_second(function, ctx.needs_input_grad[:count])
+            return (*[None] * count, *bars(ctx, output_bar, Vjp.apply), None, None)
+
+        @staticmethod
+        def jvp(ctx: Any, *tangents: Any) -> Tensor:
+            _refuse_second(function, (tangent is not None for tangent in tangents[:count]))
+            return Jvp.apply(*ctx.saved_tensors[:count], *tangents[count:-2], ctx.t, ctx.task)
+
+    # The rule of graphs.
+    def save_in_graph(ctx: Any, inputs: tuple, output: Tensor) -> None:
         *tensors, ctx.t, ctx.task = inputs
         ctx.save_for_backward(*tensors)
 
-    def differentiate(ctx: Any, output_bar: Tensor) -> tuple:
-        *tensors, p = ctx.saved_tensors
-        *bars, p_bar = vjp(*tensors, p, output_bar, ctx.t, ctx.task)
-        return (*bars, None if p is None else p_bar, None, None)
-
-    call.register_autograd(differentiate, setup_context=setup_context)
+    call.register_autograd(
+        lambda ctx, output_bar: (*bars(ctx, output_bar, vjp), None, None), setup_context=save_in_graph
+    )
 
     def batched(operator: Any, outputs: int) -> Callable:
         """Returns the rule by which ``torch.vmap`` runs all samples as one batch."""
@@ -171,8 +266,9 @@ def _operator(function: Function) -> Any:
         return rule
 
     call.register_vmap(batched(call, 1))
-    vjp.register_vmap(batched(vjp, count + 1))
-    return call
+    vjp.register_vmap(batched(vjp, count))
+    jvp.register_vmap(batched(jvp, 1))
+    return _Operators(call, Call.apply)
 
 
-_OPERATORS = {function.name: _operator(function) for function in (STEP, OBSERVE, RUNNING_COST, TERMINAL_COST)}
+_OPERATORS = {function.name: _operators(function) for function in (STEP, OBSERVE, RUNNING_COST, TERMINAL_COST)}

@@ -151,12 +151,112 @@ def test_wrong_tensors_are_named(change, error, message):
         pg.torch.step(of)(*change(x.detach(), u.detach()))
 
 
-def test_second_derivatives_are_refused():
+def dual(f, inputs, tangents):
+    """Tangent of the output by dual numbers."""
+    ad = torch.autograd.forward_ad
+    with ad.dual_level():
+        return ad.unpack_dual(f(*map(ad.make_dual, inputs, tangents))).tangent
+
+
+# Forward mode of a function of several inputs, as a function of inputs and tangents.
+FORWARD = {
+    "jvp": lambda f, inputs, tangents: torch.func.jvp(f, inputs, tangents)[1],
+    "forward_ad": dual,
+    "linearize": lambda f, inputs, tangents: torch.func.linearize(f, *inputs)[1](*tangents),
+    "jacfwd": lambda f, inputs, tangents: contract(torch.func.jacfwd(f, tuple(range(len(inputs))))(*inputs), tangents),
+    "jvp of vmap": lambda f, inputs, tangents: torch.func.jvp(torch.vmap(f), inputs, tangents)[1],
+    "vmap of jvp": lambda f, inputs, tangents: torch.vmap(lambda x, v: torch.func.jvp(f, x, v)[1])(inputs, tangents),
+    "with gradients": lambda f, inputs, tangents: torch.func.jvp(
+        f, tuple(tensor.clone().requires_grad_() for tensor in inputs), tangents
+    )[1],
+}
+
+
+def contract(jacobians, tangents):
+    """Sum of the products of Jacobians, (output..., input...), with tangents, (input...)."""
+    return sum(torch.tensordot(jacobian, tangent, tangent.dim()) for jacobian, tangent in zip(jacobians, tangents))
+
+
+def cases(of):
+    """Functions of tensors with their inputs, all with p and t."""
+    step, observe, running_cost, terminal_cost = functions(of)
+    x, u, p = (tensor.detach() for tensor in batch(of))
+    return {
+        "step": (lambda x, u, p: step(x, u, p, 3), (x, u, p)),
+        "observe": (lambda x, p: observe(x, p, 3), (x, p)),
+        "running_cost": (lambda x, u, next, p: running_cost(x, u, next, p, 3), (x, u, x + 0.1, p)),
+        "terminal_cost": (terminal_cost, (x, p)),
+        "a sum": (lambda x, u, p: (2.0 * torch.sin(step(x, torch.tanh(u), p)) + x * u).sum(-1), (x, u, p)),
+    }
+
+
+@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("mode", FORWARD)
+def test_forward_mode_equals_the_jacobians_of_reverse_mode(scene, mode):
+    torch.manual_seed(1)
+    for name, (f, inputs) in cases(task(scene)).items():
+        tangents = tuple(torch.randn_like(tensor) for tensor in inputs)
+        jacobians = torch.autograd.functional.jacobian(f, inputs)
+        expected, found = contract(jacobians, tangents), FORWARD[mode](f, inputs, tangents)
+        assert relative(found.detach().numpy(), expected.numpy()) < 1e-10, name
+
+
+def test_forward_mode_of_a_step_is_the_product_of_the_task():
+    of = task("params")
+    x, u, p = (tensor.detach() for tensor in batch(of))
+    u_tan = torch.ones_like(u)
+    found = torch.func.jvp(lambda u: pg.torch.step(of)(x, u, p, 2), (u,), (u_tan,))[1]
+    expected = of.step_jvp(x.numpy(), u.numpy(), u_tan=u_tan.numpy(), p=p.numpy(), t=2)
+    assert np.array_equal(found.numpy(), expected) and np.abs(expected).max() > 0
+
+
+def test_transforms_of_reverse_mode_equal_autograd():
+    for f, inputs in cases(task("params")).values():
+        leaves = tuple(tensor.clone().requires_grad_() for tensor in inputs)
+        expected = torch.autograd.grad(f(*leaves).sum(), leaves)
+        every = tuple(range(len(inputs)))
+        found = torch.func.grad(lambda *inputs: f(*inputs).sum(), every)(*inputs)
+        assert all(map(torch.equal, found, expected))
+        each = torch.vmap(torch.func.grad(lambda *inputs: f(*inputs).sum(), every))(*inputs)
+        assert all(map(torch.allclose, each, expected))
+        jacobians = torch.func.jacrev(f, every)(*inputs)
+        assert all(map(torch.allclose, jacobians, torch.autograd.functional.jacobian(f, inputs)))
+
+
+SECOND = {
+    "double backward": lambda f, x: torch.autograd.functional.hvp(lambda x: f(x).sum(), x, torch.ones_like(x)),
+    "functional.jvp": lambda f, x: torch.autograd.functional.jvp(f, x, torch.ones_like(x)),
+    "hessian": lambda f, x: torch.func.hessian(f)(x),
+    "jacfwd of jacfwd": lambda f, x: torch.func.jacfwd(torch.func.jacfwd(f))(x),
+    "jacrev of jacrev": lambda f, x: torch.func.jacrev(torch.func.jacrev(f))(x),
+    "jacrev of jacfwd": lambda f, x: torch.func.jacrev(torch.func.jacfwd(f))(x),
+    "jvp of grad": lambda f, x: torch.func.jvp(torch.func.grad(lambda x: (f(x) ** 2).sum()), (x,), (x,)),
+}
+
+
+@pytest.mark.parametrize("mode", SECOND)
+def test_second_derivatives_are_refused(mode):
+    for name, (f, (x, *others)) in cases(task("params")).items():
+        with pytest.raises(RuntimeError, match="has no second derivatives: the physics is differentiable once"):
+            print(name, SECOND[mode](lambda x: f(x, *others), x))
+
+
+def test_products_are_differentiable_by_their_tangents():
+    of = task("params")
+    x, u, p = (tensor.detach() for tensor in batch(of))
+    f = lambda u: pg.torch.step(of)(x, u, p)  # noqa: E731
+    u_tan = torch.ones_like(u).requires_grad_()
+    tangent = lambda u_tan: torch.func.jvp(f, (u,), (u_tan,))[1]  # noqa: E731
+    assert torch.autograd.gradcheck(tangent, (u_tan,), atol=1e-6)
+
+
+def test_compiled_functions_refuse_forward_mode():
     of = task("terminal")
-    x, u, _ = batch(of)
-    (first,) = torch.autograd.grad(pg.torch.step(of)(x, u).sum(), x, create_graph=True)
-    with pytest.raises(RuntimeError, match="no autograd formula"):
-        torch.autograd.grad(first.sum(), x)
+    x, u, _ = (tensor.detach() for tensor in batch(of))
+    step = pg.torch.step(of)
+    compiled = torch.compile(lambda u: torch.func.jvp(lambda u: step(x, u), (u,), (u,))[1], backend="eager")
+    with pytest.raises(Exception, match="does not support forward mode"):
+        compiled(u)
 
 
 def test_a_graph_outlives_the_task():
