@@ -18,6 +18,7 @@ step numbers. After ``import physgrad.gym``, the ids ``physgrad/NAME-v0`` work w
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from typing import Any
 
@@ -81,18 +82,30 @@ class TaskEnv(gymnasium.Env):
 
     @property
     def state(self) -> np.ndarray:
-        """State, shape (state_dim,). A copy."""
-        return self._rows.x[0].copy()
+        """State, shape (state_dim,). A copy that refuses assignments; see ``reset``."""
+        return _read_only(self._rows.x[0])
 
     @property
     def params(self) -> np.ndarray:
-        """Parameters of the episode, shape (param_dim,). A copy."""
-        return self._rows.p[0].copy()
+        """Parameters of the episode, shape (param_dim,). A copy that refuses assignments."""
+        return _read_only(self._rows.p[0])
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
-        """Draws an initial state. Ignores ``options``."""
+        """Draws an initial state and parameters.
+
+        ``options["state"]``, shape (state_dim,), and ``options["params"]``, shape (param_dim,),
+        replace those drawn. Raises ``ValueError`` for other options.
+        """
+        _check_names(options, {"state", "params"})
+        given = {name: np.asarray(value) for name, value in (options or {}).items()}
+        for name, size in (("state", self.task.state_dim), ("params", self.task.param_dim)):
+            if name in given:
+                _check_shape(name, given[name], (size,))
+        given = {name: value[None] for name, value in given.items()}
+        everything = np.ones(1, bool)
+        given = self._rows.given(given, everything)
         super().reset(seed=seed)
-        self._rows.start(np.ones(1, bool), self.np_random)
+        self._rows.start(everything, self.np_random, given)
         return self._rows.observe()[0], {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
@@ -122,7 +135,9 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv):
         bound: float | Sequence[float] | None = None,
         autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
     ) -> None:
-        self.task, self.bound, self.num_envs = task, _bound(task, bound), num_envs
+        self.task, self.bound, self.num_envs = task, _bound(task, bound), operator.index(num_envs)
+        if self.num_envs < 1:
+            raise ValueError(f"`num_envs` is {num_envs}; allowed: at least 1")
         self.single_observation_space, self.single_action_space = _spaces(task)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -131,19 +146,34 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv):
 
     @property
     def state(self) -> np.ndarray:
-        """States, shape (num_envs, state_dim). A copy."""
-        return self._rows.x.copy()
+        """States, shape (num_envs, state_dim). A copy that refuses assignments; see ``reset``."""
+        return _read_only(self._rows.x)
 
     @property
     def params(self) -> np.ndarray:
-        """Parameters, shape (num_envs, param_dim). A copy."""
-        return self._rows.p.copy()
+        """Parameters, shape (num_envs, param_dim). A copy that refuses assignments."""
+        return _read_only(self._rows.p)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
-        """Draws initial states, of the environments in ``options["reset_mask"]`` if given."""
+        """Draws initial states and parameters, of all environments or of those in a mask.
+
+        ``options["reset_mask"]`` is the mask, a boolean array of shape (num_envs,).
+        ``options["state"]``, shape (num_envs, state_dim), and ``options["params"]``, shape
+        (num_envs, param_dim), replace the states and parameters drawn; rows outside of the mask
+        have no effect. Raises ``ValueError`` or ``TypeError`` for other options or arrays.
+        """
+        _check_names(options, {"reset_mask", "state", "params"})
+        options = dict(options or {})
+        mask = options.pop("reset_mask", np.ones(self.num_envs, bool))
+        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
+            kind = f"an array of {mask.dtype}" if isinstance(mask, np.ndarray) else f"of type {type(mask).__name__}"
+            raise TypeError(f"`reset_mask` is {kind}; expected an array of bool, shape ({self.num_envs},)")
+        _check_shape("reset_mask", mask, (self.num_envs,))
+        if not mask.any():
+            raise ValueError("`reset_mask` selects no environment; at least one must be True")
+        given = self._rows.given(options, mask)
         super().reset(seed=seed)
-        mask = (options or {}).get("reset_mask", np.ones(self.num_envs, bool))
-        self._rows.start(mask, self.np_random)
+        self._rows.start(mask, self.np_random, given)
         return self._rows.observe(), {}
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
@@ -167,6 +197,19 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv):
         return rows.observe(), reward, np.zeros(self.num_envs, bool), truncated, infos
 
 
+def _check_names(options: dict[str, Any] | None, allowed: set[str]) -> None:
+    unknown = sorted(map(str, set(options or {}) - allowed))
+    if unknown:
+        raise ValueError(f"`options` has {', '.join(unknown)}; allowed: {', '.join(sorted(allowed))}")
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    """A copy that refuses assignments, which would have no effect."""
+    copy = array.copy()
+    copy.flags.writeable = False
+    return copy
+
+
 def _check_shape(name: str, array: np.ndarray, expected: tuple[int, ...]) -> None:
     if array.shape != expected:
         raise ValueError(f"`{name}` has the shape {array.shape}; expected {expected}")
@@ -181,12 +224,29 @@ class _Rows:
         self.p = np.zeros((count, task.param_dim), task.dtype)
         self.t = np.full(count, task.horizon)
 
-    def start(self, mask: np.ndarray, rng: np.random.Generator) -> None:
-        """Draws initial states of the rows in ``mask``."""
+    def given(self, arrays: dict[str, Any], mask: np.ndarray) -> dict[str, np.ndarray]:
+        """Checks states and parameters that a caller gives for the rows in ``mask``."""
+        checked = {}
+        for name, array in arrays.items():
+            array = np.asarray(array)
+            own = {"state": self.x, "params": self.p}[name]
+            if array.dtype.kind not in "fiu":
+                raise TypeError(f"`{name}` is an array of {array.dtype}; expected numbers")
+            _check_shape(name, array, own.shape)
+            with np.errstate(over="ignore"):
+                checked[name] = array.astype(own.dtype)
+            if not np.isfinite(checked[name][mask]).all():
+                raise ValueError(f"`{name}` is not finite in {own.dtype}")
+        return checked
+
+    def start(self, mask: np.ndarray, rng: np.random.Generator, given: dict[str, np.ndarray] | None = None) -> None:
+        """Draws initial states of the rows in ``mask``. Those in ``given`` replace them."""
         starts = self.task.starts(int(mask.sum()), seed=int(rng.integers(2**63)))
         self.x[mask] = starts[:, : self.task.state_dim]
         self.p[mask] = starts[:, self.task.state_dim :]
         self.t[mask] = 0
+        for name, array in (given or {}).items():
+            {"state": self.x, "params": self.p}[name][mask] = array[mask]
 
     def step(self, actions: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Steps the rows in ``mask``. Returns rewards, 0 for other rows, and the rows that end."""

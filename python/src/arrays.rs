@@ -1,11 +1,13 @@
 //! Row-major numpy arrays: arguments, results and their shapes.
 
+use crate::errors::fits;
 use numpy::{Element, IntoPyArray, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods};
 use numpy::{PyReadonlyArrayDyn, PyUntypedArray, PyUntypedArrayMethods, dtype};
 use physgrad::Float;
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::{PyException, PyMemoryError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use std::ops::Range;
 
 /// Number type of arrays: `f32` or `f64`.
 pub trait Number: Float + Element {}
@@ -25,10 +27,14 @@ macro_rules! with_precision {
 }
 pub(crate) use with_precision;
 
-/// Returns true for arrays of float32. Callers read all other arrays, and lists, as float64.
-pub fn is_f32(array: &Bound<'_, PyAny>) -> bool {
-    let py = array.py();
-    array.cast::<PyUntypedArray>().is_ok_and(|array| array.dtype().is_equiv_to(&dtype::<f32>(py)))
+/// Returns true if all arguments are arrays of float32. As in NumPy, one array of another dtype, or
+/// a list, makes the result float64.
+pub fn is_f32<'a, 'py: 'a>(arguments: impl IntoIterator<Item = &'a Bound<'py, PyAny>>) -> bool {
+    let is_f32 = |argument: &Bound<'py, PyAny>| {
+        let py = argument.py();
+        argument.cast::<PyUntypedArray>().is_ok_and(|array| array.dtype().is_equiv_to(&dtype::<f32>(py)))
+    };
+    arguments.into_iter().all(is_f32)
 }
 
 /// Contiguous argument of the number type `F`. Copies the given array only if its layout or type
@@ -36,18 +42,28 @@ pub fn is_f32(array: &Bound<'_, PyAny>) -> bool {
 pub struct Argument<'py, F: Number>(PyReadonlyArrayDyn<'py, F>);
 
 impl<'py, F: Number> Argument<'py, F> {
-    /// Reads an argument of any shape.
-    fn read(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Self> {
+    /// Reads an argument whose shape passes `check`. Checks before it copies.
+    fn read(name: &str, object: &Bound<'py, PyAny>, check: &dyn Fn(&[usize]) -> Result<(), String>) -> PyResult<Self> {
         let py = object.py();
         // A masked array is a subclass of `numpy.ndarray`.
         let is_subclass = object.cast::<PyUntypedArray>().is_ok() && !object.is_exact_instance_of::<PyUntypedArray>();
         if is_subclass && object.hasattr("mask")? {
             return Err(PyValueError::new_err(format!("`{name}` is a masked array; fill it, as in `{name}.filled(numpy.nan)`")));
         }
-        let array = match object.cast::<PyArrayDyn<F>>() {
+        let numpy = py.import("numpy")?;
+        let given = match object.cast::<PyUntypedArray>() {
+            Ok(array) => array.clone(),
+            Err(_) => {
+                let converted = numpy.call_method1("asarray", (object,));
+                converted.map_err(|error| named(py, name, error))?.cast_into::<PyUntypedArray>()?
+            }
+        };
+        check(given.shape()).map_err(PyValueError::new_err)?;
+        let array = match given.cast::<PyArrayDyn<F>>() {
             Ok(array) if array.is_c_contiguous() && array.is_aligned() => array.clone(),
             _ => {
-                let converted = py.import("numpy")?.call_method1("require", (object, dtype::<F>(py), ["C", "A"]));
+                fits("the copy of an argument", given.shape(), size_of::<F>())?;
+                let converted = numpy.call_method1("require", (&given, dtype::<F>(py), ["C", "A"]));
                 converted.map_err(|error| named(py, name, error))?.cast_into::<PyArrayDyn<F>>()?
             }
         };
@@ -56,14 +72,12 @@ impl<'py, F: Number> Argument<'py, F> {
 
     /// Reads the first argument, which sets the number of rows.
     pub fn first(name: &str, object: &Bound<'py, PyAny>, width: usize) -> PyResult<(Self, usize)> {
-        let array = Self::read(name, object)?;
-        match *array.0.shape() {
-            [rows, found] if found == width => Ok((array, rows)),
-            ref shape => Err(PyValueError::new_err(format!(
-                "`{name}` has the shape {}; expected (B, {width}): one row per sample",
-                tuple(shape)
-            ))),
-        }
+        let array = Self::read(name, object, &|shape| match *shape {
+            [_, found] if found == width => Ok(()),
+            _ => Err(format!("`{name}` has the shape {}; expected (B, {width}): one row per sample", tuple(shape))),
+        })?;
+        let rows = array.shape()[0];
+        Ok((array, rows))
     }
 
     /// Reads a matrix with a known number of rows.
@@ -76,13 +90,22 @@ impl<'py, F: Number> Argument<'py, F> {
         Self::shaped(name, object, &[rows])
     }
 
-    fn shaped(name: &str, object: &Bound<'py, PyAny>, shape: &[usize]) -> PyResult<Self> {
-        let array = Self::read(name, object)?;
-        if array.0.shape() != shape {
-            let found = tuple(array.0.shape());
-            return Err(PyValueError::new_err(format!("`{name}` has the shape {found}; expected {}", tuple(shape))));
-        }
-        Ok(array)
+    fn shaped(name: &str, object: &Bound<'py, PyAny>, expected: &[usize]) -> PyResult<Self> {
+        Self::read(name, object, &|shape| match shape == expected {
+            true => Ok(()),
+            false => Err(format!("`{name}` has the shape {}; expected {}", tuple(shape), tuple(expected))),
+        })
+    }
+
+    /// A copy of the numbers, for a computation on another thread.
+    pub fn to_vec(&self) -> PyResult<Vec<F>> {
+        fits("the copy of an argument", self.shape(), size_of::<F>())?;
+        Ok(self.slice().to_vec())
+    }
+
+    /// The numbers of each row.
+    pub fn per_row(&self) -> PerRow<'_, F> {
+        PerRow { numbers: self.slice(), width: self.shape()[1..].iter().product() }
     }
 
     /// Shape of the array.
@@ -98,12 +121,41 @@ impl<'py, F: Number> Argument<'py, F> {
 
 /// Reads an argument of any shape.
 pub fn any_shape<'py, F: Number>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Argument<'py, F>> {
-    Argument::read(name, object)
+    Argument::read(name, object, &|_| Ok(()))
 }
 
+/// Numbers of an argument, the same number for each row.
+#[derive(Clone, Copy)]
+pub struct PerRow<'a, F> {
+    numbers: &'a [F],
+    width: usize,
+}
+
+impl<'a, F> PerRow<'a, F> {
+    /// No numbers.
+    pub const NONE: Self = Self { numbers: &[], width: 0 };
+
+    /// The numbers of these rows.
+    pub fn of(&self, rows: &Range<usize>) -> &'a [F] {
+        &self.numbers[rows.start * self.width..rows.end * self.width]
+    }
+}
+
+/// The error of NumPy for the argument of this name, as `MemoryError`, `TypeError` or `ValueError`.
 fn named(py: Python<'_>, name: &str, error: PyErr) -> PyErr {
-    let kind = error.get_type(py);
-    PyErr::from_type(kind, format!("`{name}` is no array of numbers: {}", error.value(py)))
+    if !error.is_instance_of::<PyException>(py) {
+        return error;
+    }
+    let text = error.value(py).to_string();
+    let own = if error.is_instance_of::<PyMemoryError>(py) {
+        PyMemoryError::new_err(format!("`{name}`: {text}"))
+    } else if error.is_instance_of::<PyTypeError>(py) {
+        PyTypeError::new_err(format!("`{name}` is no array of numbers: {text}"))
+    } else {
+        PyValueError::new_err(format!("`{name}` is no array of numbers: {text}"))
+    };
+    own.set_cause(py, Some(error));
+    own
 }
 
 /// A shape as Python prints it.
@@ -115,8 +167,20 @@ pub fn tuple(shape: &[usize]) -> String {
 }
 
 /// A buffer of zeros for an array of this shape.
-pub fn zeros<F: Number>(shape: &[usize]) -> Vec<F> {
-    vec![F::zero(); shape.iter().product()]
+///
+/// # Errors
+/// `MemoryError`, if the array does not fit into memory.
+pub fn zeros<F: Number>(shape: &[usize]) -> PyResult<Vec<F>> {
+    fits("the result", shape, size_of::<F>())?;
+    Ok(vec![F::zero(); shape.iter().product()])
+}
+
+/// The array, which refuses assignments to its elements.
+pub fn read_only<'py, T>(array: Bound<'py, T>) -> PyResult<Bound<'py, T>> {
+    let flags = PyDict::new(array.py());
+    flags.set_item("write", false)?;
+    array.as_any().call_method("setflags", (), Some(&flags))?;
+    Ok(array)
 }
 
 /// An array of these numbers with this shape, without a copy.
@@ -124,14 +188,14 @@ pub fn array<'py, F: Number>(py: Python<'py>, numbers: Vec<F>, shape: &[usize]) 
     numbers.into_pyarray(py).reshape(shape.to_vec())
 }
 
-/// A dict of float64 vectors.
+/// A dict of float64 vectors that refuse assignments.
 pub fn dict_of_vectors<'py>(
     py: Python<'py>,
     columns: impl IntoIterator<Item = (String, Vec<f64>)>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let dict = PyDict::new(py);
     for (name, numbers) in columns {
-        dict.set_item(name, numbers.into_pyarray(py))?;
+        dict.set_item(name, read_only(numbers.into_pyarray(py))?)?;
     }
     Ok(dict)
 }

@@ -1,9 +1,11 @@
 //! Errors of the library as Python exceptions.
 
+use physgrad::program::api;
 use physgrad::{TrainError, Variable};
 use pyo3::create_exception;
-use pyo3::exceptions::{PyArithmeticError, PyOSError, PyRuntimeError, PyValueError};
+use pyo3::exceptions::{PyArithmeticError, PyMemoryError, PyOSError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
+use std::path::Path;
 
 create_exception!(
     physgrad,
@@ -14,7 +16,7 @@ create_exception!(
 );
 
 /// Converts an error in settings or arguments. A divergence becomes `Divergence`, an error of the
-/// file system `OSError`, and every other error `ValueError`.
+/// file system `OSError`, too large an array `MemoryError`, and every other error `ValueError`.
 pub fn value_error(error: anyhow::Error) -> PyErr {
     convert(error, PyValueError::new_err)
 }
@@ -25,6 +27,28 @@ pub fn runtime_error(error: anyhow::Error) -> PyErr {
     convert(error, PyRuntimeError::new_err)
 }
 
+/// Returns the result of `work`. A panic becomes `RuntimeError`, which `except Exception` catches.
+pub fn caught<R>(work: impl FnOnce() -> R) -> PyResult<R> {
+    std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).map_err(|panic| {
+        let text = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
+        PyRuntimeError::new_err(format!("internal error of physgrad, please report it: {}", text.unwrap_or("a panic")))
+    })
+}
+
+/// Returns `ValueError` if something that is no file has this path, for example a pipe. Reading it
+/// could wait forever.
+pub fn check_regular(path: &Path) -> PyResult<()> {
+    match std::fs::metadata(path) {
+        Ok(found) if !found.is_file() => Err(PyValueError::new_err(format!("{} is not a file", path.display()))),
+        _ => Ok(()),
+    }
+}
+
+/// Returns `MemoryError` if an array with these dimensions does not fit into memory.
+pub fn fits(what: &'static str, dims: &[usize], size: usize) -> PyResult<()> {
+    api::fits(what, dims, size).map_err(|error| PyMemoryError::new_err(error.to_string()))
+}
+
 fn convert(error: anyhow::Error, other: fn(String) -> PyErr) -> PyErr {
     let text = format!("{error:#}");
     let diverged = error.chain().find_map(|cause| match cause.downcast_ref::<TrainError>() {
@@ -33,6 +57,9 @@ fn convert(error: anyhow::Error, other: fn(String) -> PyErr) -> PyErr {
     });
     if let Some(diverged) = diverged {
         return divergence(diverged, text);
+    }
+    if error.chain().any(|cause| cause.is::<api::TooLarge>()) {
+        return PyMemoryError::new_err(text);
     }
     if error.chain().any(|cause| cause.is::<std::io::Error>()) {
         return PyOSError::new_err(text);

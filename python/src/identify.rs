@@ -186,11 +186,13 @@ fn rows(name: &str, segment: usize, object: &Bound<'_, PyAny>, width: usize) -> 
 /// all derivatives are exact.
 ///
 /// Returns a table. If checks fail, raises `AssertionError` with all failures. Raises `ValueError`
-/// if the policy does not fit the task.
+/// if the policy does not fit the task. Ctrl-C raises `KeyboardInterrupt`; the checks then run to
+/// their end on another thread.
 #[pyfunction]
 #[pyo3(signature = (task, policy=None))]
 pub fn check(py: Python<'_>, task: &Task, policy: Option<&Policy>) -> PyResult<String> {
     let policy = policy.map(|policy| policy.lock().clone());
-    let (table, failures) = py.detach(|| task.scene.check(policy.as_ref())).map_err(value_error)?;
+    let scene = task.scene.clone();
+    let (table, failures) = interruptible(py, move |_| scene.check(policy.as_ref()))?.map_err(value_error)?;
     if failures.is_empty() { Ok(table) } else { Err(PyAssertionError::new_err(failures.join("\n"))) }
 }

@@ -14,6 +14,7 @@ mod rows;
 mod run;
 mod settings;
 mod task;
+mod threads;
 mod timing;
 
 use pyo3::prelude::*;

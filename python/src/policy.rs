@@ -1,7 +1,8 @@
 //! [`Policy`]: a policy with its parameters.
 
-use crate::arrays::{Argument, any_shape, array, is_f32, with_precision};
-use crate::errors::{runtime_error, value_error};
+use crate::arrays::{Argument, any_shape, array, is_f32, read_only, with_precision};
+use crate::errors::{check_regular, fits, runtime_error, value_error};
+use crate::interrupt::{in_parts, interruptible};
 use crate::settings::keywords;
 use crate::task::{TOP, Task};
 use numpy::{IntoPyArray, PyArray1};
@@ -40,16 +41,17 @@ impl Policy {
         Ok(Self::new(api::Policy::new(&scene, seed)))
     }
 
-    /// A copy of the parameters θ, float64. Assign to `theta` to replace all parameters. The last
-    /// entries determine the trained numbers of the task, if any.
+    /// A copy of the parameters θ, float64, which refuses assignments to its elements. Assign to
+    /// `theta` to replace all parameters. The last entries determine the trained numbers of the
+    /// task, if any.
     #[getter]
-    fn theta<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
-        self.lock().theta().to_vec().into_pyarray(py)
+    fn theta<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        read_only(self.lock().theta().to_vec().into_pyarray(py))
     }
 
     #[setter]
     fn set_theta(&self, theta: &Bound<'_, PyAny>) -> PyResult<()> {
-        let theta = any_shape::<f64>("theta", theta)?.slice().to_vec();
+        let theta = any_shape::<f64>("theta", theta)?.to_vec()?;
         self.lock().set_theta(theta).map_err(value_error)
     }
 
@@ -58,26 +60,36 @@ impl Policy {
     fn __call__<'py>(&self, py: Python<'py>, y: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
         let policy = self.lock().clone();
         let scene = policy.scene();
-        with_precision!(is_f32(y), F => {
-            let (y, rows) = Argument::<F>::first("y", y, scene.observation_names().len())?;
-            let y = y.slice();
-            let u = py.detach(|| policy.act(y)).map_err(value_error)?;
-            Ok(array(py, u, &[rows, scene.dims()[1]])?.into_any())
+        with_precision!(is_f32([y]), F => {
+            let (y, count) = Argument::<F>::first("y", y, scene.observation_names().len())?;
+            let (y, m) = (y.per_row(), scene.dims()[1]);
+            fits("the controls", &[count, m], size_of::<F>())?;
+            let mut u = Ok(Vec::<F>::with_capacity(count * m));
+            in_parts(py, count, |rows| {
+                if let Ok(done) = &mut u {
+                    match policy.act(y.of(&rows)) {
+                        Ok(more) => done.extend(more),
+                        Err(error) => u = Err(error),
+                    }
+                }
+            })?;
+            Ok(array(py, u.map_err(value_error)?, &[count, m])?.into_any())
         })
     }
 
     /// Writes a policy file in the safetensors format.
-    fn save(&self, path: PathBuf) -> PyResult<()> {
+    fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let bytes = self.lock().safetensors().map_err(runtime_error)?;
-        replace_file(&path, &bytes)
+        py.detach(|| replace_file(&path, &bytes))
     }
 
     /// Replaces the parameters by those of a policy file. The tensors of the network must have the
     /// names and shapes of this policy. If file and policy have trained numbers, their names and
     /// bounds must be equal. Without trained numbers in the file, those of this policy get their
-    /// initial values.
-    fn load(&self, path: PathBuf) -> PyResult<()> {
-        let bytes = std::fs::read(&path).map_err(|error| with_path(PyErr::from(error), &path))?;
+    /// initial values. Raises `ValueError` if the path is no file, for example a pipe.
+    fn load(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
+        check_regular(&path)?;
+        let bytes = py.detach(|| std::fs::read(&path)).map_err(|error| with_path(PyErr::from(error), &path))?;
         let scene = self.lock().scene().clone();
         let read = api::Policy::read(&scene, &bytes).map_err(|error| value_error(error.context(path.display().to_string())))?;
         *self.lock() = read;
@@ -102,15 +114,16 @@ pub fn with_path(error: PyErr, path: &Path) -> PyErr {
 /// Rollouts of a policy from initial states `starts`, (B, start_dim).
 ///
 /// Returns the states, (B, T+1, n), the initial state first, and the controls, (B, T, m), in the
-/// dtype of `starts`. Raises `Divergence` if a number is not finite.
+/// dtype of `starts`. Raises `Divergence` if a number is not finite, and `MemoryError` if the
+/// rollouts do not fit into memory. Ctrl-C raises `KeyboardInterrupt`.
 #[pyfunction]
 pub fn rollout<'py>(py: Python<'py>, task: &Task, policy: &Policy, starts: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyTuple>> {
     let policy = policy.lock().clone();
     let [n, m, params] = task.scene.dims();
-    with_precision!(is_f32(starts), F => {
+    with_precision!(is_f32([starts]), F => {
         let (starts, b) = Argument::<F>::first("starts", starts, n + params)?;
-        let starts = starts.slice();
-        let found = py.detach(|| policy.rollouts(&task.scene, starts)).map_err(value_error)?;
+        let (starts, scene) = (starts.to_vec()?, task.scene.clone());
+        let found = interruptible(py, move |stop| policy.rollouts::<F>(&scene, &starts, stop))?.map_err(value_error)?;
         let horizon = task.scene.horizon();
         let x = array(py, found.states, &[b, horizon + 1, n])?.into_any();
         PyTuple::new(py, [x, array(py, found.controls, &[b, horizon, m])?.into_any()])
@@ -118,15 +131,16 @@ pub fn rollout<'py>(py: Python<'py>, task: &Task, policy: &Policy, starts: &Boun
 }
 
 /// Losses, (B,), of rollouts from initial states `starts`, (B, start_dim): the sum of the running
-/// costs and the terminal cost. Raises `Divergence` if a number is not finite.
+/// costs and the terminal cost. Raises `Divergence` if a number is not finite. Ctrl-C raises
+/// `KeyboardInterrupt`.
 #[pyfunction]
 pub fn losses<'py>(py: Python<'py>, task: &Task, policy: &Policy, starts: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
     let policy = policy.lock().clone();
     let [n, _, params] = task.scene.dims();
-    with_precision!(is_f32(starts), F => {
+    with_precision!(is_f32([starts]), F => {
         let (starts, b) = Argument::<F>::first("starts", starts, n + params)?;
-        let starts = starts.slice();
-        let losses = py.detach(|| policy.losses(&task.scene, starts)).map_err(value_error)?;
+        let (starts, scene) = (starts.to_vec()?, task.scene.clone());
+        let losses = interruptible(py, move |stop| policy.losses::<F>(&scene, &starts, stop))?.map_err(value_error)?;
         Ok(array(py, losses, &[b])?.into_any())
     })
 }
@@ -136,7 +150,8 @@ pub fn losses<'py>(py: Python<'py>, task: &Task, policy: &Policy, starts: &Bound
 ///
 /// Returns a dict from the names in `fields` to vectors over the parameters. Fields are "R", "M",
 /// "N", "S", "C", "P", "F", "MR" and "RM". R is the gradient of the mean loss. Raises `Divergence`
-/// if a number is not finite.
+/// if a number is not finite, and `MemoryError` if a block of 32 rollouts does not fit into memory.
+/// Ctrl-C raises `KeyboardInterrupt`.
 #[pyfunction]
 #[pyo3(signature = (task, policy, starts, fields=vec!["R".into(), "M".into(), "S".into(), "C".into()]))]
 pub fn gradients<'py>(
@@ -150,13 +165,14 @@ pub fn gradients<'py>(
     let [n, _, params] = task.scene.dims();
     let parse = |name: &String| name.parse::<Field>().map_err(|error| PyValueError::new_err(error.to_string()));
     let chosen = fields.iter().map(parse).collect::<PyResult<Vec<Field>>>()?;
-    with_precision!(is_f32(starts), F => {
+    with_precision!(is_f32([starts]), F => {
         let (starts, b) = Argument::<F>::first("starts", starts, n + params)?;
         if b == 0 {
             return Err(PyValueError::new_err("`starts` has no rows; a mean loss needs at least one"));
         }
-        let starts = starts.slice();
-        let vectors = py.detach(|| policy.gradients(&task.scene, starts, &chosen)).map_err(value_error)?;
+        let (starts, scene) = (starts.to_vec()?, task.scene.clone());
+        let vectors = interruptible(py, move |stop| policy.gradients::<F>(&scene, &starts, &chosen, stop))?;
+        let vectors = vectors.map_err(value_error)?;
         let dict = PyDict::new(py);
         for (name, vector) in fields.into_iter().zip(vectors) {
             dict.set_item(name, vector.into_pyarray(py))?;

@@ -1,18 +1,19 @@
 //! [`Run`]: a training.
 
 use crate::arrays::dict_of_vectors;
-use crate::errors::{runtime_error, value_error};
-use crate::interrupt::POLL;
+use crate::errors::{caught, runtime_error, value_error};
+use crate::interrupt::{POLL, interruptible};
 use crate::policy::{Policy, replace_file};
 use crate::settings::keywords;
 use crate::task::{TOP, Task};
+use crate::threads;
 use physgrad::Record;
 use physgrad::program::api::{self, EpochEvent, Observer};
 use pyo3::exceptions::{PyRuntimeError, PyRuntimeWarning};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::path::PathBuf;
-use std::sync::{Mutex, MutexGuard};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 /// A training of a policy. `physgrad.train` creates and completes a run, and `physgrad.load` opens
@@ -23,17 +24,25 @@ use std::time::Duration;
 /// keyword arguments are settings of the section `training`, as in `learning_rate=3e-4`. `threads`
 /// is the number of threads; results do not depend on it.
 #[pyclass(frozen, module = "physgrad")]
-pub struct Run(Mutex<api::Run>);
+pub struct Run(Arc<Mutex<api::Run>>);
 
 impl Run {
+    fn of(run: anyhow::Result<api::Run>) -> PyResult<Self> {
+        run.map(|run| Self(Arc::new(Mutex::new(run)))).map_err(value_error)
+    }
+
     fn lock(&self) -> PyResult<MutexGuard<'_, api::Run>> {
-        use std::sync::TryLockError;
-        match self.0.try_lock() {
-            Ok(run) => Ok(run),
-            Err(TryLockError::Poisoned(poisoned)) => Ok(poisoned.into_inner()),
-            Err(TryLockError::WouldBlock) => Err(PyRuntimeError::new_err(
-                "the run is training in another call; wait for its end, or use the callback's argument",
-            )),
+        lock(&self.0)
+    }
+}
+
+fn lock(run: &Mutex<api::Run>) -> PyResult<MutexGuard<'_, api::Run>> {
+    use std::sync::TryLockError;
+    match run.try_lock() {
+        Ok(run) => Ok(run),
+        Err(TryLockError::Poisoned(poisoned)) => Ok(poisoned.into_inner()),
+        Err(TryLockError::WouldBlock) => {
+            Err(PyRuntimeError::new_err("the run is in use by another call; wait for its end, or use the callback's argument"))
         }
     }
 }
@@ -42,16 +51,24 @@ impl Run {
 impl Run {
     #[new]
     #[pyo3(signature = (task, policy=None, threads=None, **settings))]
-    fn new(task: &Task, policy: Option<&Policy>, threads: Option<usize>, settings: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+    fn new(
+        py: Python<'_>,
+        task: &Task,
+        policy: Option<&Policy>,
+        threads: Option<usize>,
+        settings: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Self> {
+        let threads = threads.map_or_else(threads::number, |threads| threads::checked("`threads`", threads))?;
         let scene = task.scene.with(keywords(settings, "training", &TOP)?).map_err(value_error)?;
         let policy = policy.map(|policy| policy.lock().clone());
-        api::Run::new(&scene, policy.as_ref(), threads).map(|run| Self(Mutex::new(run))).map_err(value_error)
+        Self::of(interruptible(py, move |_| api::Run::new(&scene, policy.as_ref(), threads))?)
     }
 
     /// Opens the run in a folder, at its last checkpoint.
     #[staticmethod]
-    fn load(folder: PathBuf) -> PyResult<Self> {
-        api::Run::load(&folder).map(|run| Self(Mutex::new(run))).map_err(value_error)
+    fn load(py: Python<'_>, folder: PathBuf) -> PyResult<Self> {
+        let threads = threads::number()?;
+        Self::of(interruptible(py, move |_| api::Run::load(&folder, threads))?)
     }
 
     /// Trains up to the last epoch.
@@ -63,21 +80,22 @@ impl Run {
     /// consecutive skipped updates, and otherwise `RuntimeError` if the run ends without an update.
     #[pyo3(signature = (callback=None, epochs=None))]
     fn train(&self, py: Python<'_>, callback: Option<Py<PyAny>>, epochs: Option<u64>) -> PyResult<()> {
+        threads::ready()?;
         let mut run = self.lock()?;
         let run = &mut *run;
         if let Some(epochs) = epochs {
-            py.detach(|| run.set_epochs(epochs)).map_err(value_error)?;
+            py.detach(|| caught(|| run.set_epochs(epochs)))?.map_err(value_error)?;
         }
         let mut watcher = Watcher { callback, error: None, warned: Vec::new() };
         let observer = &mut watcher;
-        let outcome = py.detach(move || run.train(observer));
+        let outcome = py.detach(|| caught(move || run.train(observer)))?;
         match watcher.error {
             Some(error) => Err(error),
             None => outcome.map(drop).map_err(runtime_error),
         }
     }
 
-    /// Numbers of every epoch, a dict of float64 arrays. The keys are "epoch", "loss",
+    /// Numbers of every epoch, a dict of float64 arrays that refuse assignments. The keys are "epoch", "loss",
     /// "train_loss", "test_loss", "grad_norm", "cosine", "kept", "first_order", "skipped",
     /// "seconds", "growth_R" and "growth_M" (decades over a rollout). Missing numbers are NaN.
     #[getter]
@@ -125,15 +143,15 @@ impl Run {
     fn save(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {
         let mut run = self.lock()?;
         let run = &mut *run;
-        py.detach(move || run.save(&folder)).map_err(runtime_error)
+        py.detach(|| caught(move || run.save(&folder)))?.map_err(runtime_error)
     }
 
-    /// Writes the page of `physgrad report` to an HTML file. The run needs no folder.
+    /// Writes the page of `physgrad report` to an HTML file. The run needs no folder. Ctrl-C raises
+    /// `KeyboardInterrupt`; the run is then in use until the page is complete, on another thread.
     fn report(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
-        let mut run = self.lock()?;
-        let run = &mut *run;
-        let html = py.detach(move || run.report()).map_err(runtime_error)?;
-        replace_file(&path, html.as_bytes())
+        let run = self.0.clone();
+        let html = interruptible(py, move |_| lock(&run).map(|run| run.report()))??.map_err(runtime_error)?;
+        py.detach(|| replace_file(&path, html.as_bytes()))
     }
 
     fn __repr__(&self) -> PyResult<String> {

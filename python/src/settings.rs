@@ -1,9 +1,9 @@
 //! Settings of a scene as Python objects.
 
 use pyo3::IntoPyObjectExt;
-use pyo3::exceptions::PyTypeError;
+use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyTuple};
 use toml::{Table, Value};
 
 /// Sections whose values are sections.
@@ -57,33 +57,64 @@ fn is_part(rest: &str) -> bool {
     rest.strip_prefix('.').is_some_and(|name| !name.contains('.'))
 }
 
+/// Largest depth of the value of a setting: a number in a list has the depth 1.
+const MAX_DEPTH: usize = 16;
+/// Largest number of elements of the value of a setting, nested ones included.
+const MAX_ELEMENTS: usize = 1_000_000;
+
 /// The value of a setting. Accepts numbers of numpy.
+///
+/// # Errors
+/// `TypeError` for another type, and `ValueError` for too deep or too large a value, for example a
+/// list that contains itself.
 pub fn value_of(key: &str, value: &Bound<'_, PyAny>) -> PyResult<Value> {
-    if let Ok(flag) = value.extract::<bool>() {
-        return Ok(Value::Boolean(flag));
-    }
-    if let Ok(table) = value.cast::<PyDict>() {
-        let entry =
-            |(inner, value): (Bound<'_, PyAny>, Bound<'_, PyAny>)| Ok((inner.extract::<String>()?, value_of(key, &value)?));
-        return Ok(Value::Table(table.iter().map(entry).collect::<PyResult<Table>>()?));
-    }
-    if let Ok(text) = value.extract::<String>() {
-        return Ok(Value::String(text));
-    }
-    if let Ok(number) = value.extract::<i64>() {
-        return Ok(Value::Integer(number));
-    }
-    if let Ok(number) = value.extract::<f64>() {
-        return Ok(Value::Float(number));
-    }
-    if let Ok(elements) = value.try_iter() {
-        return Ok(Value::Array(elements.map(|element| value_of(key, &element?)).collect::<PyResult<_>>()?));
-    }
-    let kind = value.get_type().name()?;
-    Err(PyTypeError::new_err(format!("`{key}` is of type {kind}; allowed: bool, int, float, str, list and dict of these")))
+    Reader { key, elements: 0 }.value(value, 0)
 }
 
-/// The value of a setting as a Python object. A table becomes a nested dict.
+/// Reads the value of a setting.
+struct Reader<'a> {
+    key: &'a str,
+    /// Number of elements so far.
+    elements: usize,
+}
+
+impl Reader<'_> {
+    fn value(&mut self, value: &Bound<'_, PyAny>, depth: usize) -> PyResult<Value> {
+        let key = self.key;
+        self.elements += 1;
+        if self.elements > MAX_ELEMENTS {
+            return Err(PyValueError::new_err(format!("`{key}` has more than {MAX_ELEMENTS} elements")));
+        }
+        if depth > MAX_DEPTH {
+            return Err(PyValueError::new_err(format!("`{key}` is nested more than {MAX_DEPTH} times, or contains itself")));
+        }
+        if let Ok(flag) = value.extract::<bool>() {
+            return Ok(Value::Boolean(flag));
+        }
+        if let Ok(table) = value.cast::<PyDict>() {
+            let mut entry = |(inner, value): (Bound<'_, PyAny>, Bound<'_, PyAny>)| {
+                Ok((inner.extract::<String>()?, self.value(&value, depth + 1)?))
+            };
+            return Ok(Value::Table(table.iter().map(&mut entry).collect::<PyResult<Table>>()?));
+        }
+        if let Ok(text) = value.extract::<String>() {
+            return Ok(Value::String(text));
+        }
+        if let Ok(number) = value.extract::<i64>() {
+            return Ok(Value::Integer(number));
+        }
+        if let Ok(number) = value.extract::<f64>() {
+            return Ok(Value::Float(number));
+        }
+        if let Ok(elements) = value.try_iter() {
+            return Ok(Value::Array(elements.map(|element| self.value(&element?, depth + 1)).collect::<PyResult<_>>()?));
+        }
+        let kind = value.get_type().name()?;
+        Err(PyTypeError::new_err(format!("`{key}` is of type {kind}; allowed: bool, int, float, str, list and dict of these")))
+    }
+}
+
+/// The value of a setting as a Python object that refuses changes.
 pub fn to_python<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyAny>> {
     match value {
         Value::String(text) => text.into_bound_py_any(py),
@@ -91,16 +122,20 @@ pub fn to_python<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyA
         Value::Float(number) => number.into_bound_py_any(py),
         Value::Boolean(flag) => flag.into_bound_py_any(py),
         Value::Datetime(date) => date.to_string().into_bound_py_any(py),
-        Value::Array(list) => list.iter().map(|value| to_python(py, value)).collect::<PyResult<Vec<_>>>()?.into_bound_py_any(py),
-        Value::Table(table) => table_to_python(py, table).map(Bound::into_any),
+        Value::Array(list) => list
+            .iter()
+            .map(|value| to_python(py, value))
+            .collect::<PyResult<Vec<_>>>()
+            .and_then(|list| Ok(PyTuple::new(py, list)?.into_any())),
+        Value::Table(table) => table_to_python(py, table),
     }
 }
 
-/// A table as a dict.
-pub fn table_to_python<'py>(py: Python<'py>, table: &Table) -> PyResult<Bound<'py, PyDict>> {
+/// A table as a dict that refuses changes.
+pub fn table_to_python<'py>(py: Python<'py>, table: &Table) -> PyResult<Bound<'py, PyAny>> {
     let dict = PyDict::new(py);
     for (key, value) in table {
         dict.set_item(key, to_python(py, value)?)?;
     }
-    Ok(dict)
+    py.import("physgrad._settings")?.call_method1("Settings", (dict,))
 }

@@ -1,7 +1,8 @@
 //! [`Task`]: a scene, and its steps, observations and costs on arrays.
 
 use crate::arrays::{Argument, Number, array, is_f32, with_precision};
-use crate::errors::value_error;
+use crate::errors::{check_regular, fits, value_error};
+use crate::interrupt::in_parts;
 use crate::rows::Rows;
 use crate::settings::{keywords, table_to_python};
 use physgrad::program::api::Scene;
@@ -10,6 +11,7 @@ use physgrad::{DynTask, Inputs, Tangents, Task as _, rows};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
+use std::path::Path;
 
 /// Settings outside of all sections that functions accept as keyword arguments.
 pub const TOP: [&str; 7] = ["horizon", "precision", "field", "epochs", "seed", "tags", "log"];
@@ -17,9 +19,9 @@ pub const TOP: [&str; 7] = ["horizon", "precision", "field", "epochs", "seed", "
 /// A task: system, horizon, costs and the distribution of initial states. `physgrad.task` creates
 /// it.
 ///
-/// Array methods accept B samples at once, one per row. They compute in f32 if the dtype of `x` is
-/// float32, and otherwise in f64. They copy lists, non-contiguous arrays, and arrays of another
-/// dtype. `t` is the number of the step, equal for all rows. `p` has the parameters of each sample,
+/// Array methods accept B samples at once, one per row. They compute in f32 if all arguments are
+/// arrays of float32, and otherwise in f64. They copy lists, non-contiguous arrays, and arrays of
+/// another dtype. `t` is the number of the step, equal for all rows. `p` has the parameters of each sample,
 /// (B, param_dim), and may be omitted if param_dim is 0. Units are those of the task; see
 /// `physgrad tasks NAME`.
 #[pyclass(frozen, module = "physgrad")]
@@ -72,16 +74,19 @@ impl Task {
     /// Opens a preset or a scene file. See `physgrad.task`.
     #[new]
     #[pyo3(signature = (name, **settings))]
-    fn open(name: &str, settings: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+    fn open(py: Python<'_>, name: &str, settings: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         let settings = keywords(settings, "system", &TOP)?;
-        Scene::open(name, settings).map(Self::new).map_err(value_error)
+        if !Path::new(name).is_dir() {
+            check_regular(Path::new(name))?;
+        }
+        py.detach(|| Scene::open(name, settings)).map(Self::new).map_err(value_error)
     }
 
     /// Copy with other settings, given as in `physgrad.task`.
     #[pyo3(signature = (**settings))]
-    fn replace(&self, settings: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+    fn replace(&self, py: Python<'_>, settings: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         let settings = keywords(settings, "system", &TOP)?;
-        self.scene.with(settings).map(Self::new).map_err(value_error)
+        py.detach(|| self.scene.with(settings)).map(Self::new).map_err(value_error)
     }
 
     fn __repr__(&self) -> String {
@@ -167,9 +172,10 @@ impl Task {
         self.scene.observation_names()
     }
 
-    /// All settings of the scene, defaults included, as nested dicts. A copy.
+    /// All settings of the scene, defaults included, as nested dicts, which refuse changes, and
+    /// tuples. `replace` returns a task with other settings.
     #[getter]
-    fn settings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+    fn settings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         table_to_python(py, self.scene.settings())
     }
 
@@ -178,7 +184,8 @@ impl Task {
     /// A row has the state x, then the parameters p: `x, p = starts[:, :n], starts[:, n:]`. Row i
     /// depends only on the task, `seed`, `split` and i. `split` selects the random streams: "new"
     /// for states that no training uses, "train" and "test" for the data sets of a training with
-    /// this seed. `dtype` is "float32" or "float64", by default that of the task.
+    /// this seed. `dtype` is "float32" or "float64", by default that of the task. Raises
+    /// `MemoryError` if the states do not fit into memory.
     #[pyo3(signature = (count, seed=0, split="new", dtype=None))]
     fn starts<'py>(
         &self,
@@ -206,7 +213,9 @@ impl Task {
             }
         };
         with_precision!(is_f32, F => {
-            let starts = py.detach(|| self.scene.starts::<F>(seed, purpose, count));
+            fits("the initial states", &[count, self.n + self.params], size_of::<F>())?;
+            let mut starts = Vec::<F>::with_capacity(count * (self.n + self.params));
+            in_parts(py, count, |samples| self.scene.append_starts(seed, purpose, samples, &mut starts))?;
             Ok(array(py, starts, &[count, self.n + self.params])?.into_any())
         })
     }
@@ -221,9 +230,9 @@ impl Task {
         p: Option<&Bound<'py, PyAny>>,
         t: usize,
     ) -> PyResult<Bound<'py, PyAny>> {
-        with_precision!(is_f32(x), F => {
+        with_precision!(is_f32([x, u].into_iter().chain(p)), F => {
             let given = self.rows::<F>(py, x, Some(u), p, t)?;
-            given.matrix(py, self.n, |inputs, next| rows::step(&self.task, inputs, next))
+            given.matrix(py, self.n, |inputs, _, next| rows::step(&self.task, inputs, next))
         })
     }
 
@@ -240,11 +249,13 @@ impl Task {
         p: Option<&Bound<'py, PyAny>>,
         t: usize,
     ) -> PyResult<Bound<'py, PyTuple>> {
-        with_precision!(is_f32(x), F => {
+        with_precision!(is_f32([x, u, next_bar].into_iter().chain(p)), F => {
             let given = self.rows::<F>(py, x, Some(u), p, t)?;
             let next_bar = Argument::<F>::matrix("next_bar", next_bar, given.count, self.n)?;
-            let next_bar = next_bar.slice();
-            given.matrices(py, [self.n, self.m, self.params], |inputs, bars| rows::step_vjp(&self.task, inputs, next_bar, bars))
+            let next_bar = next_bar.per_row();
+            given.matrices(py, [self.n, self.m, self.params], |inputs, rows, bars| {
+                rows::step_vjp(&self.task, inputs, next_bar.of(rows), bars);
+            })
         })
     }
 
@@ -263,15 +274,17 @@ impl Task {
         p_tan: Option<&Bound<'py, PyAny>>,
         t: usize,
     ) -> PyResult<Bound<'py, PyAny>> {
-        with_precision!(is_f32(x), F => {
+        with_precision!(is_f32([Some(x), Some(u), p, x_tan, u_tan, p_tan].into_iter().flatten()), F => {
             let given = self.rows::<F>(py, x, Some(u), p, t)?;
             let read = |name, tangent: Option<&Bound<'py, PyAny>>, width| {
                 tangent.map(|tangent| Argument::<F>::matrix(name, tangent, given.count, width)).transpose()
             };
             let tangents = [read("x_tan", x_tan, self.n)?, read("u_tan", u_tan, self.m)?, read("p_tan", p_tan, self.params)?];
-            let [x, u, p] = tangents.each_ref().map(|tangent| tangent.as_ref().map(Argument::slice));
-            let tangents = Tangents { x, u, p };
-            given.matrix(py, self.n, |inputs, next_tan| rows::step_jvp(&self.task, inputs, tangents, next_tan))
+            let tangents = tangents.each_ref().map(|tangent| tangent.as_ref().map(Argument::per_row));
+            given.matrix(py, self.n, |inputs, rows, next_tan| {
+                let [x, u, p] = tangents.map(|tangent| tangent.map(|tangent| tangent.of(rows)));
+                rows::step_jvp(&self.task, inputs, Tangents { x, u, p }, next_tan);
+            })
         })
     }
 
@@ -284,9 +297,9 @@ impl Task {
         p: Option<&Bound<'py, PyAny>>,
         t: usize,
     ) -> PyResult<Bound<'py, PyAny>> {
-        with_precision!(is_f32(x), F => {
+        with_precision!(is_f32([x].into_iter().chain(p)), F => {
             let given = self.rows::<F>(py, x, None, p, t)?;
-            given.matrix(py, self.observed(), |inputs, y| rows::observe(&self.task, inputs, y))
+            given.matrix(py, self.observed(), |inputs, _, y| rows::observe(&self.task, inputs, y))
         })
     }
 
@@ -302,11 +315,13 @@ impl Task {
         p: Option<&Bound<'py, PyAny>>,
         t: usize,
     ) -> PyResult<Bound<'py, PyTuple>> {
-        with_precision!(is_f32(x), F => {
+        with_precision!(is_f32([x, y_bar].into_iter().chain(p)), F => {
             let given = self.rows::<F>(py, x, None, p, t)?;
             let y_bar = Argument::<F>::matrix("y_bar", y_bar, given.count, self.observed())?;
-            let y_bar = y_bar.slice();
-            given.matrices(py, [self.n, self.params], |inputs, bars| rows::observe_vjp(&self.task, inputs, y_bar, bars))
+            let y_bar = y_bar.per_row();
+            given.matrices(py, [self.n, self.params], |inputs, rows, bars| {
+                rows::observe_vjp(&self.task, inputs, y_bar.of(rows), bars);
+            })
         })
     }
 
@@ -321,11 +336,11 @@ impl Task {
         p: Option<&Bound<'py, PyAny>>,
         t: usize,
     ) -> PyResult<Bound<'py, PyAny>> {
-        with_precision!(is_f32(x), F => {
+        with_precision!(is_f32([x, u, next].into_iter().chain(p)), F => {
             let given = self.rows::<F>(py, x, Some(u), p, t)?;
             let next = Argument::<F>::matrix("next", next, given.count, self.n)?;
-            let next = next.slice();
-            given.vector(py, |inputs, cost| rows::running_cost(&self.task, inputs, next, cost))
+            let next = next.per_row();
+            given.vector(py, |inputs, rows, cost| rows::running_cost(&self.task, inputs, next.of(rows), cost))
         })
     }
 
@@ -343,13 +358,13 @@ impl Task {
         p: Option<&Bound<'py, PyAny>>,
         t: usize,
     ) -> PyResult<Bound<'py, PyTuple>> {
-        with_precision!(is_f32(x), F => {
+        with_precision!(is_f32([x, u, next, cost_bar].into_iter().chain(p)), F => {
             let given = self.rows::<F>(py, x, Some(u), p, t)?;
             let next = Argument::<F>::matrix("next", next, given.count, self.n)?;
             let cost_bar = Argument::<F>::vector("cost_bar", cost_bar, given.count)?;
-            let (next, cost_bar) = (next.slice(), cost_bar.slice());
-            given.matrices(py, [self.n, self.m, self.n, self.params], |inputs, bars| {
-                rows::running_cost_vjp(&self.task, inputs, next, cost_bar, bars);
+            let (next, cost_bar) = (next.per_row(), cost_bar.per_row());
+            given.matrices(py, [self.n, self.m, self.n, self.params], |inputs, rows, bars| {
+                rows::running_cost_vjp(&self.task, inputs, next.of(rows), cost_bar.of(rows), bars);
             })
         })
     }
@@ -362,9 +377,9 @@ impl Task {
         x: &Bound<'py, PyAny>,
         p: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        with_precision!(is_f32(x), F => {
+        with_precision!(is_f32([x].into_iter().chain(p)), F => {
             let given = self.rows::<F>(py, x, None, p, 0)?;
-            given.vector(py, |Inputs { x, p, .. }, cost| rows::terminal_cost(&self.task, x, p, cost))
+            given.vector(py, |Inputs { x, p, .. }, _, cost| rows::terminal_cost(&self.task, x, p, cost))
         })
     }
 
@@ -379,12 +394,12 @@ impl Task {
         cost_bar: &Bound<'py, PyAny>,
         p: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyTuple>> {
-        with_precision!(is_f32(x), F => {
+        with_precision!(is_f32([x, cost_bar].into_iter().chain(p)), F => {
             let given = self.rows::<F>(py, x, None, p, 0)?;
             let cost_bar = Argument::<F>::vector("cost_bar", cost_bar, given.count)?;
-            let cost_bar = cost_bar.slice();
-            given.matrices(py, [self.n, self.params], |Inputs { x, p, .. }, bars| {
-                rows::terminal_cost_vjp(&self.task, x, p, cost_bar, bars);
+            let cost_bar = cost_bar.per_row();
+            given.matrices(py, [self.n, self.params], |Inputs { x, p, .. }, rows, bars| {
+                rows::terminal_cost_vjp(&self.task, x, p, cost_bar.of(rows), bars);
             })
         })
     }

@@ -1,5 +1,9 @@
 """Array functions: derivatives, shapes, dtypes and errors."""
 
+import copy
+import itertools
+import json
+
 import numpy as np
 import pytest
 
@@ -65,12 +69,40 @@ def test_rows_are_independent_of_their_number_and_strides(task):
     assert task.step(x[:0], u[:0], p=p[:0]).shape == (0, task.state_dim)
 
 
-def test_dtypes_follow_x(task):
+def test_results_are_f32_only_if_all_arrays_are_float32(task):
     x, u, p = inputs(task)
-    single = task.step(x.astype("f4"), u, p=p)
-    assert single.dtype == np.float32 and task.step(x, u.astype("f4"), p=p).dtype == np.float64
+    single = task.step(*(a.astype("f4") for a in (x, u)), p=p.astype("f4"))
+    assert single.dtype == np.float32
     np.testing.assert_allclose(single, task.step(x, u, p=p), rtol=1e-4, atol=1e-4)
     assert task.step(x.tolist(), u.tolist(), p=p.tolist()).dtype == np.float64
+    # As in NumPy, one array of float64 makes the result float64, without the rounding of the others.
+    next, cost, bar = task.step(x, u, p=p), np.ones(len(x)), np.ones_like(x)
+    y_bar = np.ones((len(x), task.observation_dim))
+    calls = {
+        "step": [x, u],
+        "step_vjp": [x, u, bar],
+        "step_jvp": [x, u, bar, np.ones_like(u)],
+        "observe": [x],
+        "observe_vjp": [x, y_bar],
+        "running_cost": [x, u, next],
+        "running_cost_vjp": [x, u, next, cost],
+        "terminal_cost": [x],
+        "terminal_cost_vjp": [x, cost],
+    }
+    for name, arrays in calls.items():
+
+        def call(*arrays):
+            *others, p = arrays
+            result = getattr(task, name)(*others, p=p)
+            return result[0] if isinstance(result, tuple) else result
+
+        arrays = [*arrays, p]
+        rounded = [a.astype("f4") for a in arrays]
+        assert call(*rounded).dtype == np.float32, name
+        for i in range(len(arrays)):
+            mixed = [arrays[j] if j == i else rounded[j] for j in range(len(arrays))]
+            found, expected = call(*mixed), call(*(a.astype("f8") for a in mixed))
+            assert found.dtype == np.float64 and np.array_equal(found, expected), (name, i)
 
 
 def test_errors_name_argument_shape_and_setting():
@@ -102,3 +134,106 @@ def test_attributes_and_settings():
     assert task.replace(poles=3).state_dim == 8
     x = np.ones((2, 6))
     assert np.array_equal(task.observe(x), x) and np.array_equal(task.observe_vjp(x, 2 * x)[0], 2 * x)
+
+
+def test_settings_and_parameters_refuse_changes_that_would_have_no_effect():
+    task = pg.task("cart_pole", poles=1, effects={"steady_wind": {}}, policy={"widths": [8, 4]})
+    for change in (
+        lambda s: s.__setitem__("horizon", 3),
+        lambda s: s["system"].update(poles=3),
+        lambda s: s["effects"]["steady_wind"].pop("speed", None),
+        lambda s: s.clear(),
+    ):
+        with pytest.raises(TypeError, match="`task.replace` returns a task with other settings"):
+            change(task.settings)
+    with pytest.raises(TypeError, match="does not support item assignment"):
+        task.settings["policy"]["widths"][0] = 3
+    # The settings are still a dict: they can be copied, written as JSON and passed to a task.
+    copied = copy.deepcopy(task.settings)
+    copied["system"]["poles"] = 2
+    assert type(copied) is dict and json.loads(json.dumps(task.settings))["policy"]["widths"] == [8, 4]
+    assert task.replace(settings=copied).state_dim == 6 and task.replace(settings=task.settings).settings == task.settings
+    policy = pg.Policy(task)
+    with pytest.raises(ValueError, match="read-only"):
+        policy.theta[0] = 5.0
+    policy.theta = np.full(len(policy), 0.25)
+    assert (policy.theta == 0.25).all()
+
+
+@pytest.mark.parametrize(
+    "count, error, message",
+    [
+        (10**12, MemoryError, "the initial states would take 32000.0 GB"),
+        (10**18, MemoryError, "the initial states would take"),
+        (-1, OverflowError, "negative"),
+        (10**30, OverflowError, "too big"),
+    ],
+)
+def test_too_many_rows_are_refused(count, error, message):
+    with pytest.raises(error, match=message):
+        pg.task("cart_pole", poles=1).starts(count, dtype="float64")
+
+
+def test_views_of_many_rows_do_not_fit_into_memory():
+    task = pg.task("cart_pole", poles=1)
+    x, u = np.broadcast_to(np.zeros(4), (10**12, 4)), np.broadcast_to(np.zeros(1), (10**12, 1))
+    policy = pg.Policy(task)
+    for call in (
+        lambda: task.step(x, u),
+        lambda: task.observe(x),
+        lambda: policy(x),
+        lambda: pg.rollout(task, policy, x),
+        lambda: pg.losses(task, policy, x),
+        lambda: pg.gradients(task, policy, x),
+    ):
+        with pytest.raises(MemoryError, match="would take 32000.0 GB"):
+            call()
+    # A wrong shape is found before a copy.
+    with pytest.raises(ValueError, match=r"`u` has the shape \(1000000000000, 1\); expected \(1, 1\)"):
+        task.step(np.zeros((1, 4)), u)
+    long = pg.task("cart_pole", poles=1, horizon=100_000_000)
+    for call in (pg.rollout, pg.gradients):
+        with pytest.raises(MemoryError, match="rollouts would take"):
+            call(long, policy, long.starts(1000))
+
+
+def nested(depth):
+    value = 1
+    for _ in range(depth):
+        value = [value]
+    return value
+
+
+def doubled(times):
+    value = [1]
+    for _ in range(times):
+        value = [value, value]
+    return value
+
+
+def itself(kind):
+    value = kind()
+    if kind is list:
+        value.append(value)
+    else:
+        value["system"] = value
+    return value
+
+
+@pytest.mark.parametrize(
+    "value",
+    [nested(100_000), doubled(14), itself(list), itself(dict), itertools.count(), range(10**15)],
+    ids=["nested", "doubled", "list", "dict", "count", "range"],
+)
+def test_settings_without_an_end_are_refused(value):
+    task = pg.task("cart_pole")
+    message = "nested more than 16 times|more than 1000000 elements|allowed"
+    for call in (
+        lambda: pg.task("cart_pole", poles=value),
+        lambda: task.replace(settings={"system": value}),
+        lambda: task.replace(effects={"steady_wind": value}),
+        lambda: pg.Policy(task, widths=value),
+        lambda: pg.identify(task, [], params={"system.pole_mass": value}),
+    ):
+        with pytest.raises((ValueError, TypeError), match=message):
+            call()

@@ -118,6 +118,66 @@ def test_partial_resets_keep_other_environments():
     assert ends.tolist() == [True, False, True]
 
 
+@pytest.mark.parametrize(
+    "mask, error, message",
+    [
+        (np.array([0, 1, 0]), TypeError, "`reset_mask` is an array of int64; expected an array of bool"),
+        (np.array([0.0, 1.0, 0.0]), TypeError, "an array of float64"),
+        ([False, True, False], TypeError, "of type list"),
+        (1, TypeError, "of type int"),
+        (None, TypeError, "of type NoneType"),
+        (np.array([True, False]), ValueError, r"the shape \(2,\); expected \(3,\)"),
+        (np.ones((3, 1), bool), ValueError, r"the shape \(3, 1\)"),
+        (np.zeros(3, bool), ValueError, "selects no environment"),
+    ],
+)
+def test_masks_of_another_type_or_shape_are_refused(mask, error, message):
+    envs = pg.gym.make_vec("cart_pole", 3, poles=1)
+    envs.reset(seed=1)
+    before = envs.state
+    with pytest.raises(error, match=message):
+        envs.reset(options={"reset_mask": mask})
+    assert np.array_equal(envs.state, before)
+
+
+def test_episodes_begin_at_given_states_and_other_options_are_refused():
+    settings = {"poles": 1, "effects": {"gusty_wind": {}}}
+    env, envs = pg.gym.make("cart_pole", **settings), pg.gym.make_vec("cart_pole", 3, **settings)
+    x, p = np.array([0.1, -0.2, 3.0, 0.4], np.float32), np.full(env.task.param_dim, 0.5, np.float32)
+    y, _ = env.reset(seed=0, options={"state": x, "params": p})
+    assert np.array_equal(env.state, x) and np.array_equal(env.params, p)
+    assert np.array_equal(y, env.task.observe(x[None], p=p[None])[0])
+    env.reset(seed=0, options={"state": x.tolist()})
+    drawn = env.params
+    env.reset(seed=0)
+    assert np.array_equal(env.params, drawn) and not np.array_equal(env.state, x)
+    envs.reset(seed=0)
+    before, mask = envs.state, np.array([False, True, True])
+    envs.reset(options={"reset_mask": mask, "state": np.stack([x, 2 * x, 3 * x])})
+    assert np.array_equal(envs.state, np.stack([before[0], 2 * x, 3 * x]))
+    for options, error, message in [
+        ({"sate": x}, ValueError, "`options` has sate; allowed: "),
+        ({"state": x[:3]}, ValueError, "`state` has the shape"),
+        ({"state": x * np.nan}, ValueError, "`state` is not finite"),
+        ({"state": np.array(["a"] * 4)}, TypeError, "`state` is an array of"),
+    ]:
+        with pytest.raises(error, match=message):
+            env.reset(options=options)
+        with pytest.raises(error, match=message):
+            envs.reset(options={name: np.stack([value] * 3) for name, value in options.items()})
+    for count in (0, -1):
+        with pytest.raises(ValueError, match="`num_envs` is"):
+            pg.gym.make_vec("cart_pole", count)
+
+
+def test_states_of_an_environment_refuse_assignments():
+    env, envs = pg.gym.make("cart_pole", poles=1), pg.gym.make_vec("cart_pole", 2, poles=1)
+    env.reset(seed=0), envs.reset(seed=0)
+    for array in (env.state, env.params, envs.state, envs.params):
+        with pytest.raises(ValueError, match="read-only"):
+            array[..., 0:1] = 5.0
+
+
 def test_equal_seeds_give_equal_episodes():
     made = [gymnasium.make_vec("physgrad/guidance-v0", 5) for _ in range(2)]
     first = [envs.reset(seed=4)[0] for envs in made]

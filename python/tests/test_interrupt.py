@@ -29,6 +29,12 @@ except KeyboardInterrupt:
     print(plan["u"].shape)
 """
 
+LONG = """
+import numpy as np
+task = pg.task('cart_pole', poles=1, horizon=100)
+policy = pg.Mlp(task, [64, 64], seed=1)
+starts = task.starts(10**5)
+"""
 SETUPS = {
     "identify": (
         "task = pg.task('cart_pole', poles=4, horizon=2000, precision='f64')\n"
@@ -41,6 +47,14 @@ SETUPS = {
         "task = pg.task('cart_pole', poles=4, horizon=40000)",
         "pg.optimize(task, task.starts(1)[0], bounds=[[-20, 20]])",
     ),
+    # A block of 32 samples takes less than a second.
+    "rollout": (LONG, "pg.rollout(task, policy, starts)"),
+    "losses": (LONG, "pg.losses(task, policy, starts)"),
+    "gradients": (LONG, "pg.gradients(task, policy, starts)"),
+    "policy": (LONG, "[policy(np.zeros((10**7, 4))) for _ in range(100)]"),
+    "starts": (LONG, "task.starts(10**8)"),
+    "step": (LONG, "task.step(np.zeros((10**7, 4)), np.zeros((10**7, 1)))"),
+    "check": ("task = pg.task('cart_pole', poles=20, horizon=400)", "pg.check(task)"),
     "accuracy": ("task = pg.task('cart_pole', poles=8)", "pg.accuracy(task, target=1e-4)"),
 }
 
@@ -48,9 +62,9 @@ SETUPS = {
 @pytest.mark.parametrize("name", SETUPS)
 def test_ctrl_c_raises_within_a_second_and_stops_the_threads(name):
     setup, call = SETUPS[name]
-    # `accuracy` reads the stop flag only between simulations. One simulation takes seconds in a
-    # debug build.
-    code = SCRIPT.format(setup=setup, call=call, limit=20.0 if name == "accuracy" else 1.5)
+    # `accuracy` reads the stop flag only between simulations, and `check` never. One simulation takes
+    # seconds in a debug build.
+    code = SCRIPT.format(setup=setup, call=call, limit=20.0 if name in ("accuracy", "check") else 1.5)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     elapsed, after = done.stdout.split("\n", 1)
     assert float(elapsed) < 1.0 and after == "idle\n(5, 1)\n", done.stdout + done.stderr

@@ -4,6 +4,7 @@ use crate::dynamics::inputs::Start;
 use crate::engine::any::AnyTask;
 use crate::numbers::rng::{Purpose, Rng, stream};
 use crate::numbers::scalar::Float;
+use std::ops::Range;
 
 /// Draws the initial states of samples `0 .. samples`: for each sample, `state_dim` numbers, then
 /// its `param_dim` parameters. The task draws both. Then each physical number that varies is drawn.
@@ -18,12 +19,23 @@ use crate::numbers::scalar::Float;
 /// assert_eq!(starts.len(), 8 * 4);
 /// ```
 pub fn initial_states<F: Float>(task: &dyn AnyTask<F>, seed: u64, purpose: Purpose, samples: usize) -> Vec<F> {
-    let len = task.start_dim();
-    let (mut one, mut all) = (vec![0.0; len], Vec::with_capacity(samples * len));
-    for sample in 0..samples {
-        append_start(task, &mut stream(seed, purpose, sample as u64), &mut one, &mut all);
-    }
+    let mut all = Vec::with_capacity(samples * task.start_dim());
+    append_starts(task, seed, purpose, 0..samples, &mut all);
     all
+}
+
+/// Appends the [`initial_states`] of these samples.
+pub(crate) fn append_starts<F: Float>(
+    task: &dyn AnyTask<F>,
+    seed: u64,
+    purpose: Purpose,
+    samples: Range<usize>,
+    all: &mut Vec<F>,
+) {
+    let mut one = vec![0.0; task.start_dim()];
+    for sample in samples {
+        append_start(task, &mut stream(seed, purpose, sample as u64), &mut one, all);
+    }
 }
 
 /// Draws one sample from its stream and appends it. `one` is a buffer of `start_dim` numbers.

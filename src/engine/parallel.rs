@@ -1,5 +1,8 @@
 //! Rayon wrappers that take the work as a trait object, which limits monomorphization.
 
+#[cfg(feature = "parallel")]
+use crate::numbers::threads;
+
 /// Calls `work(i, item)` for each item.
 ///
 /// Runs in parallel with the feature `parallel` and at least two items.
@@ -7,7 +10,9 @@ pub(crate) fn for_each<W: Send>(items: &mut [W], work: &(dyn Fn(usize, &mut W) +
     #[cfg(feature = "parallel")]
     if items.len() > 1 {
         use rayon::prelude::*;
-        return items.par_iter_mut().enumerate().for_each(|(i, item)| work(i, item));
+        if threads::run(&mut || items.par_iter_mut().enumerate().for_each(|(i, item)| work(i, item))) {
+            return;
+        }
     }
     items.iter_mut().enumerate().for_each(|(i, item)| work(i, item));
 }
@@ -18,5 +23,7 @@ pub(crate) fn for_each<W: Send>(items: &mut [W], work: &(dyn Fn(usize, &mut W) +
 /// the call would first wake a thread.
 #[cfg(feature = "parallel")]
 pub(crate) fn among_workers(work: &mut (dyn FnMut() + Send)) {
-    rayon::scope(|_| work());
+    if !threads::run(&mut *work) {
+        work();
+    }
 }

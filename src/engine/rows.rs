@@ -36,9 +36,9 @@ use crate::engine::rollout::{Lane, WIDTH};
 use crate::numbers::scalar::{CotangentPack, Float, Real, Scalar};
 use smallvec::SmallVec;
 
-/// Number of rows in one unit of parallel work: a multiple of [`WIDTH`], large enough to outweigh
-/// waking a thread.
-const CHUNK: usize = 512;
+/// Number of rows in one unit of parallel work. Calls with at most as many rows use no other thread.
+// A multiple of `WIDTH`, large enough to outweigh waking a thread.
+pub const CHUNK: usize = 512;
 
 /// Writes the next states, `[row][state]`.
 pub fn step<F: Float>(task: &impl Task, inputs: Inputs<'_, F>, next: &mut [F]) {

@@ -4,6 +4,8 @@ use super::elimination::{Linearized, triangle};
 use super::error::IdentifyError;
 use super::fit::{Options, Segment, Unknown, full_turns};
 use super::jacobian::{Model, Run};
+#[cfg(feature = "parallel")]
+use crate::numbers::threads;
 use nalgebra::DMatrix;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -343,8 +345,10 @@ pub(super) fn map<R: Send>(count: usize, work: impl Fn(usize) -> R + Sync + Send
     #[cfg(feature = "parallel")]
     {
         use rayon::prelude::*;
-        (0..count).into_par_iter().map(work).collect()
+        let mut results = Vec::new();
+        if threads::run(&mut || results = (0..count).into_par_iter().map(&work).collect()) {
+            return results;
+        }
     }
-    #[cfg(not(feature = "parallel"))]
     (0..count).map(work).collect()
 }

@@ -10,6 +10,7 @@
 //!   time; tanh, sine and cosine. Contains the only unsafe code of the library.
 //! - [`rng`]: seeded random streams.
 //! - [`text`]: numbers in messages and tables.
+//! - `threads`: the threads that share the work of parallel calls.
 //! - [`aligned`], [`pool`]: buffers. [`zip`]: an iterator that is always inlined.
 //!
 //! Imports no other module of the crate; every other module may import it. Start reading in
@@ -27,4 +28,6 @@ pub mod rng;
 pub(crate) mod scalar;
 pub(crate) mod tape;
 pub(crate) mod text;
+#[cfg(feature = "parallel")]
+pub mod threads;
 pub(crate) mod zip;

@@ -11,13 +11,16 @@
 //! # Ok::<(), anyhow::Error>(())
 //! ```
 
+mod memory;
 mod policy;
 mod run;
 mod scene;
 
+pub use crate::numbers::threads;
 pub use crate::program::commands::accuracy::{Cheapest, Errors, Measured, Metric, Row, Setting};
 pub use crate::program::runs::run::{EpochEvent, Observer};
 pub use crate::program::settings::Precision;
+pub use memory::{TooLarge, fits};
 pub use policy::{Policy, Precise, Rollouts};
 pub use run::Run;
 pub use scene::Scene;

@@ -1,6 +1,6 @@
 //! [`Policy`]: the policy of a scene with its parameters.
 
-use super::Scene;
+use super::{Scene, fits};
 use crate::any::AnyTask;
 use crate::policy::{AnyPolicy, PolicyColumns, PolicyPass};
 use crate::program::operations::{fields, policy_file};
@@ -9,6 +9,7 @@ use crate::rng::{Purpose, stream};
 use crate::{Divergence, DynTask, Field, Float, Rollout, Weights};
 use anyhow::{Result, bail};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Precision of a computation with a [`Policy`]: `f32` or `f64`.
 pub trait Precise: Float {
@@ -172,20 +173,26 @@ impl Policy {
         Ok(dyn_task)
     }
 
-    /// Rollouts from `starts`, see [`Scene::starts`].
+    /// Rollouts from `starts`, see [`Scene::append_starts`]. Reads `stop` before each block of
+    /// samples.
     ///
     /// # Errors
-    /// The policy does not fit the task, or a [`Divergence`].
+    /// The policy does not fit the task, a [`Divergence`], or [`TooLarge`](super::TooLarge). `stop`
+    /// is true.
     ///
     /// # Panics
     /// If `starts` is not a whole number of initial states.
-    pub fn rollouts<F: Precise>(&self, task: &Scene, starts: &[F]) -> Result<Rollouts<F>> {
+    pub fn rollouts<F: Precise>(&self, task: &Scene, starts: &[F], stop: &AtomicBool) -> Result<Rollouts<F>> {
         let (dyn_task, policy) = (self.check(task)?, F::policy(&*self.policy));
         let any: &dyn AnyTask<F> = &dyn_task;
         let (n, m, width) = (any.state_dim(), any.control_dim(), any.start_dim());
         let weights = Weights::new(policy, self.rounded());
+        let (horizon, count) = (any.horizon(), starts.len() / width);
+        fits("the rollouts", &[count, horizon + 1, n + m], size_of::<F>())?;
+        fits("a block of rollouts", &[Rollout::bytes_of(any, policy, count.clamp(1, BLOCK), horizon)], 1)?;
         let (mut states, mut controls) = (Vec::new(), Vec::new());
         for (block, starts) in starts.chunks(BLOCK * width).enumerate() {
+            go_on(stop)?;
             let samples = starts.len() / width;
             let mut rollout = Rollout::new(any, policy, samples);
             rollout.start(starts);
@@ -202,20 +209,21 @@ impl Policy {
         Ok(Rollouts { states, controls })
     }
 
-    /// Losses of rollouts from `starts`, one per sample.
+    /// Losses of rollouts from `starts`, one per sample. Reads `stop` before each block of samples.
     ///
     /// # Errors
-    /// The policy does not fit the task, or a [`Divergence`].
+    /// The policy does not fit the task, or a [`Divergence`]. `stop` is true.
     ///
     /// # Panics
     /// If `starts` is not a whole number of initial states.
-    pub fn losses<F: Precise>(&self, task: &Scene, starts: &[F]) -> Result<Vec<F>> {
+    pub fn losses<F: Precise>(&self, task: &Scene, starts: &[F], stop: &AtomicBool) -> Result<Vec<F>> {
         let (dyn_task, policy) = (self.check(task)?, F::policy(&*self.policy));
         let any: &dyn AnyTask<F> = &dyn_task;
         let weights = Weights::new(policy, self.rounded());
         let mut rollout = Rollout::for_evaluation(any, policy, BLOCK);
         let mut losses = Vec::new();
         for (block, starts) in starts.chunks(BLOCK * any.start_dim()).enumerate() {
+            go_on(stop)?;
             rollout.start(starts);
             let outcome: Result<(), Divergence> = rollout.run(any, policy, &weights);
             outcome.map_err(|divergence| divergence.offset(block * BLOCK))?;
@@ -225,18 +233,34 @@ impl Policy {
     }
 
     /// Vectors of several fields, `[field][parameter]`, for the mean loss of rollouts from
-    /// `starts`. All fields share the forward passes.
+    /// `starts`. All fields share the forward passes. Reads `stop` before each block of samples.
     ///
     /// # Errors
-    /// The policy does not fit the task, `starts` is empty, or a [`Divergence`].
+    /// The policy does not fit the task, `starts` is empty, a [`Divergence`], or
+    /// [`TooLarge`](super::TooLarge). `stop` is true.
     ///
     /// # Panics
     /// If `starts` is not a whole number of initial states.
-    pub fn gradients<F: Precise>(&self, task: &Scene, starts: &[F], chosen: &[Field]) -> Result<Vec<Vec<F>>> {
+    pub fn gradients<F: Precise>(
+        &self,
+        task: &Scene,
+        starts: &[F],
+        chosen: &[Field],
+        stop: &AtomicBool,
+    ) -> Result<Vec<Vec<F>>> {
         let (dyn_task, policy) = (self.check(task)?, F::policy(&*self.policy));
+        let any: &dyn AnyTask<F> = &dyn_task;
         if starts.is_empty() {
             bail!("`starts` has no rows; pass at least one initial state");
         }
-        Ok(fields::vectors(&dyn_task, policy, &Weights::new(policy, self.rounded()), starts, chosen)?)
+        let samples = (starts.len() / any.start_dim()).clamp(1, BLOCK);
+        fits("a block of rollouts", &[Rollout::bytes_of(any, policy, samples, any.horizon())], 1)?;
+        let weights = Weights::new(policy, self.rounded());
+        fields::vectors(any, policy, &weights, starts, chosen, &mut || go_on(stop))
     }
+}
+
+/// Returns an error if the caller wants to stop.
+fn go_on(stop: &AtomicBool) -> Result<()> {
+    if stop.load(Ordering::Relaxed) { bail!("stopped") } else { Ok(()) }
 }

@@ -23,12 +23,11 @@ pub struct Run {
 impl Run {
     /// A training before its first epoch. With a policy, the training starts from the parameters of
     /// the policy. The scene of the training then has the section `policy` of the policy's scene.
-    /// `threads` is the number of threads, by default that of Rayon; results do not depend on it.
+    /// `threads` is the number of threads; results do not depend on it.
     ///
     /// # Errors
     /// A setting is invalid, or the policy does not fit the scene.
-    pub fn new(scene: &Scene, policy: Option<&Policy>, threads: Option<usize>) -> Result<Self> {
-        let threads = threads.unwrap_or_else(rayon::current_num_threads).max(1);
+    pub fn new(scene: &Scene, policy: Option<&Policy>, threads: usize) -> Result<Self> {
         let mut scene = scene.clone();
         if let Some(policy) = policy {
             scene = scene.with_policy(policy)?;
@@ -47,16 +46,15 @@ impl Run {
         Ok(Self { run: scene.scene.open(threads)?, scene, threads, folder: None })
     }
 
-    /// Opens the run in a folder, at its last checkpoint.
+    /// Opens the run in a folder, at its last checkpoint, with this number of threads.
     ///
     /// # Errors
     /// There is no run, or another version of physgrad made it. The settings or the checkpoint
     /// cannot be read.
-    pub fn load(folder: &Path) -> Result<Self> {
+    pub fn load(folder: &Path, threads: usize) -> Result<Self> {
         let place = Folder::existing(folder)?;
         let checked = saved::scene(&place)?;
         let scene = Scene { source: SceneSource::read(&place.readable(SETTINGS)?)?, scene: checked };
-        let threads = rayon::current_num_threads().max(1);
         let mut run = scene.scene.open(threads)?;
         saved::restore(&place, &scene.scene, &mut *run)?;
         Ok(Self { scene, run, threads, folder: Some(std::path::absolute(folder)?) })

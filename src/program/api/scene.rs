@@ -1,6 +1,7 @@
 //! [`Scene`]: task, physics, loss, policy and training.
 
 use super::Policy;
+use crate::engine::initial_states::append_starts;
 use crate::identify::{Fit, IdentifyError, Options, Segment};
 use crate::program::commands::accuracy::{Measured, Setting, Study};
 use crate::program::operations::checks::Results;
@@ -9,8 +10,9 @@ use crate::program::scenes::source::SceneSource;
 use crate::program::settings::Precision;
 use crate::program::tasks::{self, scene::INITIAL_POLICY};
 use crate::rng::Purpose;
-use crate::{DynTask, Float, Number, System, Task, initial_states};
+use crate::{DynTask, Float, Number, System, Task};
 use anyhow::{Context, Result, bail};
+use std::ops::Range;
 use toml::{Table, Value};
 
 /// Source of settings in messages.
@@ -132,10 +134,10 @@ impl Scene {
         self.scene.observation_names()
     }
 
-    /// Initial states, `[sample][component]`: the state, then the parameters of the sample. See
-    /// [`initial_states`].
-    pub fn starts<F: Float>(&self, seed: u64, purpose: Purpose, samples: usize) -> Vec<F> {
-        initial_states(&self.task(), seed, purpose, samples)
+    /// Appends the initial states of these samples, `[sample][component]`: the state, then the
+    /// parameters of the sample. See [`initial_states`](crate::initial_states).
+    pub fn append_starts<F: Float>(&self, seed: u64, purpose: Purpose, samples: Range<usize>, starts: &mut Vec<F>) {
+        append_starts(&self.task(), seed, purpose, samples, starts);
     }
 
     /// Fits the trained numbers of the scene to measured segments, as `physgrad identify` does.

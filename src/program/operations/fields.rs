@@ -4,22 +4,25 @@ use crate::any::AnyTask;
 use crate::engine::batch::GROUP;
 use crate::policy::AnyPolicy;
 use crate::{Adjoint, Divergence, Field, Float, Flow, Gradient, Rollout, Weights};
+use anyhow::Result;
 
 /// Largest number of samples in one rollout.
 const BLOCK: usize = 8 * GROUP;
 
 /// Vectors of the fields for the mean loss of rollouts from `starts`. For up to 32 samples, the
-/// vectors are bit for bit those of a training update with the mini-batch `starts`.
+/// vectors are bit for bit those of a training update with the mini-batch `starts`. Calls `begin`
+/// before each block of samples.
 ///
 /// # Errors
-/// The first [`Divergence`].
+/// The first [`Divergence`], or an error of `begin`.
 pub fn vectors<F: Float>(
     task: &dyn AnyTask<F>,
     policy: &dyn AnyPolicy<F>,
     weights: &Weights<F>,
     starts: &[F],
     fields: &[Field],
-) -> Result<Vec<Vec<F>>, Divergence> {
+    begin: &mut dyn FnMut() -> Result<()>,
+) -> Result<Vec<Vec<F>>> {
     let mut flows: Vec<Flow> = Vec::new();
     for flow in fields.iter().flat_map(Field::flows) {
         if !flows.contains(&flow) {
@@ -32,6 +35,7 @@ pub fn vectors<F: Float>(
     let (width, samples) = (task.start_dim(), starts.len() / task.start_dim());
     let scale = F::from_f64(1.0 / samples as f64);
     for (block, starts) in starts.chunks(BLOCK * width).enumerate() {
+        begin()?;
         let count = starts.len() / width;
         let offset = |divergence: Divergence| divergence.offset(block * BLOCK);
         let mut rollout = Rollout::new(task, policy, count);

@@ -1,5 +1,6 @@
 //! Threads, and a parallel map. Limits monomorphization: only a non-generic function calls rayon.
 
+use crate::numbers::threads;
 use anyhow::{Result, anyhow, bail};
 use rayon::ThreadPoolBuilder;
 use rayon::prelude::*;
@@ -56,5 +57,7 @@ pub fn map<I: Sync, R: Send>(items: &[I], work: impl Fn(&I) -> R + Sync) -> Vec<
 }
 
 fn for_each(count: usize, work: &(dyn Fn(usize) + Sync)) {
-    (0..count).par_bridge().for_each(work);
+    if !threads::run(&mut || (0..count).par_bridge().for_each(work)) {
+        (0..count).for_each(work);
+    }
 }
