@@ -49,18 +49,16 @@ pub fn interruptible<R: Send + 'static>(py: Python<'_>, work: impl FnOnce(&Stop)
     })
 }
 
-/// Number of rows in the first part of [`in_parts`].
-const PART: usize = 8192;
-
 /// Computes rows `0..count` in consecutive parts without the GIL, and checks for signals in between.
+/// The first part has `size` rows, and later ones more if a part takes little time.
 ///
 /// # Errors
 /// Returns the exception that a signal handler raises. A panic of `work` becomes `RuntimeError`.
-pub fn in_parts(py: Python<'_>, count: usize, mut work: impl FnMut(Range<usize>) + Send) -> PyResult<()> {
+pub fn in_parts(py: Python<'_>, count: usize, mut size: usize, mut work: impl FnMut(Range<usize>) + Send) -> PyResult<()> {
     if count > physgrad::rows::CHUNK {
         threads::ready()?;
     }
-    let (mut first, mut size) = (0, PART);
+    let mut first = 0;
     while first < count {
         let (begin, end) = (Instant::now(), count.min(first.saturating_add(size)));
         py.detach(|| caught(|| work(first..end)))?;

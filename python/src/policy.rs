@@ -65,7 +65,7 @@ impl Policy {
             let (y, m) = (y.per_row(), scene.dims()[1]);
             fits("the controls", &[count, m], size_of::<F>())?;
             let mut u = Ok(Vec::<F>::with_capacity(count * m));
-            in_parts(py, count, |rows| {
+            in_parts(py, count, 64, |rows| {
                 if let Ok(done) = &mut u {
                     match policy.act(y.of(&rows)) {
                         Ok(more) => done.extend(more),

@@ -3,6 +3,7 @@
 use crate::arrays::{Argument, Number, PerRow, array, zeros};
 use crate::interrupt::in_parts;
 use physgrad::Inputs;
+use physgrad::rows::CHUNK;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 use std::ops::Range;
@@ -63,7 +64,7 @@ impl<'py, F: Number> Rows<'py, F> {
         }
         let (x, p, t) = (self.x.per_row(), self.p.per_row(), self.t);
         let u = self.u.as_ref().map_or(PerRow::NONE, Argument::per_row);
-        in_parts(py, self.count, |rows| {
+        in_parts(py, self.count, 16 * CHUNK, |rows| {
             let mut parts = outputs.iter_mut().zip(widths);
             let parts = std::array::from_fn(|_| {
                 let (output, width) = parts.next().expect("K outputs");

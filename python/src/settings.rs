@@ -60,7 +60,7 @@ fn is_part(rest: &str) -> bool {
 /// Largest depth of the value of a setting: a number in a list has the depth 1.
 const MAX_DEPTH: usize = 16;
 /// Largest number of elements of the value of a setting, nested ones included.
-const MAX_ELEMENTS: usize = 1_000_000;
+const MAX_ELEMENTS: usize = 100_000;
 
 /// The value of a setting. Accepts numbers of numpy.
 ///

@@ -215,7 +215,7 @@ impl Task {
         with_precision!(is_f32, F => {
             fits("the initial states", &[count, self.n + self.params], size_of::<F>())?;
             let mut starts = Vec::<F>::with_capacity(count * (self.n + self.params));
-            in_parts(py, count, |samples| self.scene.append_starts(seed, purpose, samples, &mut starts))?;
+            in_parts(py, count, 1024, |samples| self.scene.append_starts(seed, purpose, samples, &mut starts))?;
             Ok(array(py, starts, &[count, self.n + self.params])?.into_any())
         })
     }

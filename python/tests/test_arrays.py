@@ -191,23 +191,15 @@ def test_views_of_many_rows_do_not_fit_into_memory():
     # A wrong shape is found before a copy.
     with pytest.raises(ValueError, match=r"`u` has the shape \(1000000000000, 1\); expected \(1, 1\)"):
         task.step(np.zeros((1, 4)), u)
-    long = pg.task("cart_pole", poles=1, horizon=100_000_000)
-    for call in (pg.rollout, pg.gradients):
-        with pytest.raises(MemoryError, match="rollouts would take"):
-            call(long, policy, long.starts(1000))
+    long = pg.task("cart_pole", poles=1, horizon=50_000)
+    with pytest.raises(MemoryError, match="the rollouts would take 1000.0 GB"):
+        pg.rollout(long, policy, np.zeros((10**6, 4), "f4"))
 
 
 def nested(depth):
     value = 1
     for _ in range(depth):
         value = [value]
-    return value
-
-
-def doubled(times):
-    value = [1]
-    for _ in range(times):
-        value = [value, value]
     return value
 
 
@@ -222,12 +214,12 @@ def itself(kind):
 
 @pytest.mark.parametrize(
     "value",
-    [nested(100_000), doubled(14), itself(list), itself(dict), itertools.count(), range(10**15)],
-    ids=["nested", "doubled", "list", "dict", "count", "range"],
+    [nested(100_000), [[0] * 1000] * 1000, itself(list), itself(dict), itertools.count(), range(10**15)],
+    ids=["nested", "large", "list", "dict", "count", "range"],
 )
 def test_settings_without_an_end_are_refused(value):
     task = pg.task("cart_pole")
-    message = "nested more than 16 times|more than 1000000 elements|allowed"
+    message = "nested more than 16 times|more than 100000 elements|allowed"
     for call in (
         lambda: pg.task("cart_pole", poles=value),
         lambda: task.replace(settings={"system": value}),
