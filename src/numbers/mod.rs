@@ -29,5 +29,6 @@ pub(crate) mod scalar;
 pub(crate) mod tape;
 pub(crate) mod text;
 #[cfg(feature = "parallel")]
+#[cfg_attr(not(feature = "program"), allow(dead_code))]
 pub mod threads;
 pub(crate) mod zip;

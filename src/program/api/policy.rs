@@ -241,13 +241,7 @@ impl Policy {
     ///
     /// # Panics
     /// If `starts` is not a whole number of initial states.
-    pub fn gradients<F: Precise>(
-        &self,
-        task: &Scene,
-        starts: &[F],
-        chosen: &[Field],
-        stop: &AtomicBool,
-    ) -> Result<Vec<Vec<F>>> {
+    pub fn gradients<F: Precise>(&self, task: &Scene, starts: &[F], chosen: &[Field], stop: &AtomicBool) -> Result<Vec<Vec<F>>> {
         let (dyn_task, policy) = (self.check(task)?, F::policy(&*self.policy));
         let any: &dyn AnyTask<F> = &dyn_task;
         if starts.is_empty() {
