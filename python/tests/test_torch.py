@@ -186,7 +186,7 @@ def cases(of):
         "observe": (lambda x, p: observe(x, p, 3), (x, p)),
         "running_cost": (lambda x, u, next, p: running_cost(x, u, next, p, 3), (x, u, x + 0.1, p)),
         "terminal_cost": (terminal_cost, (x, p)),
-        "a sum": (lambda x, u, p: (2.0 * torch.sin(step(x, torch.tanh(u), p)) + x * u).sum(-1), (x, u, p)),
+        "a sum": (lambda x, u, p: (2.0 * torch.sin(step(x, torch.tanh(u), p)) + x).sum(-1) * u.sum(-1), (x, u, p)),
     }
 
 
