@@ -68,7 +68,7 @@ fn measured(start: f64, noise: f64, next: impl Fn(usize, f64) -> f64) -> Segment
         state = next(t, state);
         row
     };
-    Segment { x: (0..60).map(&mut row).collect(), u: Vec::new(), p: vec![0.0; 2] }
+    Segment { x: (0..60).map(&mut row).collect(), u: Vec::new(), p: vec![0.0; 2], first_step: 0 }
 }
 
 fn unknowns(starts: &[f64], min: f64) -> Vec<Unknown> {
@@ -173,7 +173,7 @@ fn windows_with_fast_unmeasured_states_do_not_end_in_a_wrong_minimum() {
             reactor.step::<f64>(Inputs { x: &state, u, p: &[1.13], t }, &mut next);
             state = next;
         }
-        let segment = Segment { x, u, p: vec![0.0] };
+        let segment = Segment { x, u, p: vec![0.0], first_step: 0 };
         let unknown = Unknown { name: "k".into(), index: 0, start, min: 0.0, max: f64::INFINITY };
         let options = Options { noise: Some(vec![noise, 1.0]), ..Options::default() };
         let found = identify(&reactor, &[segment], &[unknown], &options).expect("valid data");

@@ -28,7 +28,7 @@ const TINY: [&str; 6] =
     ["epochs=1", "horizon=6", "training.train_samples=4", "training.test_samples=4", "training.batch=4", "seed=1"];
 
 /// Presets with changes: effects, actuators, integrators and precisions that no preset combines.
-const MORE: [(&str, &[&str]); 8] = [
+const MORE: [(&str, &[&str]); 9] = [
     ("cart_pole", &["effects.steady_wind.speed=3", "effects.cart_damping.damping=0.1", "actuator.delay.steps=2"]),
     ("cart_pole", &["integrator.method=adaptive", "integrator.rtol=1e-4", "integrator.atol=1e-6"]),
     ("cart_pole", &["integrator.method=implicit_midpoint", "integrator.tolerance=1e-4", "integrator.substeps=2"]),
