@@ -5,7 +5,7 @@ use approx::assert_relative_eq;
 use physgrad::policy::{Constant, Linear, Quadratic};
 use physgrad::tasks::{Accumulator, Bowl, Reach};
 use physgrad::vector_field::{self, LEARNING_RATE, ROTATION, Rotated, START};
-use physgrad::{Field, GradientCombiner, Optimizer, OptimizerKind, check};
+use physgrad::{Field, Gradient, GradientCombiner, Optimizer, OptimizerKind, check};
 
 #[test]
 fn derivatives_of_the_examples_equal_dual_numbers() {
@@ -195,7 +195,7 @@ fn adam_orbits_in_a_rotated_field_where_sgd_converges() {
         let mut theta = START;
         for _ in 0..20_000 {
             let vector = vector_field::sample(&round, &policy, &field, &[theta]).expect("finite")[0].vector;
-            plain.step(&mut theta, &vector);
+            plain.step(&mut theta, &Gradient::new(&vector));
         }
         assert!(theta[0].hypot(theta[1]) < 1e-7, "{theta:?}");
     }

@@ -38,6 +38,11 @@ impl<F: Float> Gradient<F> {
         Self { values: vec![F::zero(); params], exponent: 0, exponents: vec![0; params], spread: false }
     }
 
+    /// The gradient with these values, for a vector from elsewhere.
+    pub fn new(values: &[F]) -> Self {
+        Self { values: values.to_vec(), ..Self::zeros(values.len()) }
+    }
+
     /// Values, to be multiplied by 2 to the power of [`exponent`](Gradient::exponent).
     /// [`to_vec`](Gradient::to_vec) returns plain numbers.
     pub fn values(&self) -> &[F] {
