@@ -3,7 +3,7 @@
 //! Run: `cargo run --release --example arm -- [epochs] [picture.svg]`
 
 use physgrad::prelude::*;
-use physgrad::report::{Posture, Stage, mechanics};
+use physgrad_plot::{Posture, Stage, mechanics};
 use physgrad::rng::Purpose;
 use physgrad::{Clip, Rollout, Training, initial_states};
 

@@ -4,7 +4,7 @@
 
 use physgrad::policy::Gru;
 use physgrad::prelude::*;
-use physgrad::report::{Animation, Shape};
+use physgrad_plot::{Animation, Shape};
 use physgrad::rng::Purpose;
 use physgrad::tasks::CartPoleSystem;
 use physgrad::{Clip, Rollout, Training, initial_states};

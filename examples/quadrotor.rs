@@ -3,7 +3,7 @@
 //! Run: `cargo run --release --example quadrotor -- [epochs] [picture.svg]`
 
 use physgrad::prelude::*;
-use physgrad::report::{Animation, Shape};
+use physgrad_plot::{Animation, Shape};
 use physgrad::rng::Purpose;
 use physgrad::{Clip, Rollout, Training, initial_states};
 use std::f64::consts::TAU;

@@ -4,7 +4,7 @@
 
 use physgrad::policy::Linear;
 use physgrad::prelude::*;
-use physgrad::report::{Posture, Stage, mechanics};
+use physgrad_plot::{Posture, Stage, mechanics};
 use physgrad::rng::Purpose;
 use physgrad::{Clip, Decay, Rollout, Training, initial_states};
 

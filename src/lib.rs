@@ -71,21 +71,15 @@
 //! # Features
 //! - `parallel` splits mini-batches, data sets, arrays of [`rows`] and the windows of an
 //!   identification over threads.
-//! - `report` adds the module `report`, which draws charts and animations.
 //! - `schema` provides a JSON schema for the settings of systems and effects.
 //! - `double-double` adds `DoubleDouble`, a 31-digit scalar type for reference results and their
 //!   derivatives.
-//! - `stress` adds the module `stress`, with hard test cases and their expected results.
-//! - `program`, a default, contains everything that the `physgrad` binary needs. `program()` runs
-//!   it with tasks of your own.
-//! - `fuzz`, a default, adds the hidden command `physgrad fuzz`.
-//! - `mpi` splits mini-batches and data sets of the program over MPI processes.
 //!
-//! Set `default-features = false` for the library without these features.
+//! The crate `physgrad-plot` draws charts and animations. The crate `physgrad-cli` is the program
+//! `physgrad`, and runs it with tasks of your own.
 
 #![deny(missing_docs, unsafe_op_in_unsafe_fn)]
 
-// Imports between modules have no cycles. `tests/layout.rs` lists the allowed imports.
 pub mod check;
 mod dynamics;
 mod engine;
@@ -93,15 +87,9 @@ pub mod identify;
 mod numbers;
 pub mod optimize;
 pub mod policy;
-#[cfg(feature = "program")]
-pub mod program;
-#[cfg(feature = "report")]
-pub mod report;
 pub mod tasks;
 mod train;
 
-#[cfg(feature = "stress")]
-pub use check::stress;
 pub use dynamics::actuator::{Actuated, Actuator, AnyActuator, Delay, Lag, Limit, LimitKind, OutputCotangents};
 pub use dynamics::cause::Cause;
 pub use dynamics::dyn_task::{DynSystem, DynTask};
@@ -124,7 +112,7 @@ pub use engine::divergence::{Divergence, Variable};
 pub use engine::evaluation::Evaluation;
 pub use engine::gradient::Gradient;
 pub use engine::growth::Growth;
-pub use engine::initial_states::initial_states;
+pub use engine::initial_states::{append_starts, initial_states};
 pub use engine::ranks::{self, Ranks};
 pub use engine::rollout::Rollout;
 pub use engine::rows;
@@ -133,12 +121,14 @@ pub use numbers::extended::ExtendedF64;
 #[doc(hidden)]
 pub use numbers::kernels;
 pub use numbers::rng;
+pub use numbers::text;
+#[cfg(feature = "parallel")]
+pub use numbers::threads;
 #[cfg(feature = "double-double")]
 pub use numbers::scalar::DoubleDouble;
 pub use numbers::scalar::{Cotangent, CotangentPack, Counted, Dual, Float, Lanes, Ops, Real, Scalar, Single};
 pub use policy::{Policy, Weights};
-#[cfg(feature = "program")]
-pub use program::program;
+pub use train::calls::{self, Trajectories, gradients, losses, rollout};
 pub use train::combination::Combination;
 pub use train::field::{Field, GradientCombiner, UnknownField};
 pub use train::optim::{Clip, Optimizer, OptimizerKind};

@@ -4,7 +4,7 @@ use crate::errors::value_error;
 use crate::interrupt::interruptible;
 use crate::task::Task;
 use numpy::IntoPyArray;
-use physgrad::program::api::{Cheapest, Errors, Measured, Metric, Row};
+use physgrad_cli::api::{Cheapest, Errors, Measured, Metric, Row};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;

@@ -1,6 +1,6 @@
 //! Errors of the library as Python exceptions.
 
-use physgrad::program::api;
+use physgrad_cli::api;
 use physgrad::{TrainError, Variable};
 use pyo3::create_exception;
 use pyo3::exceptions::{PyArithmeticError, PyMemoryError, PyOSError, PyRuntimeError, PyValueError};

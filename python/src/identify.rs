@@ -8,7 +8,7 @@ use crate::settings::{Settings, value_of};
 use crate::task::Task;
 use numpy::IntoPyArray;
 use physgrad::identify::{IdentifyError, Options, Segment};
-use physgrad::program::api::Scene;
+use physgrad_cli::api::Scene;
 use pyo3::exceptions::{PyAssertionError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};

@@ -7,7 +7,7 @@ use crate::settings::keywords;
 use crate::task::{TOP, Task};
 use numpy::{IntoPyArray, PyArray1};
 use physgrad::Field;
-use physgrad::program::api;
+use physgrad_cli::api;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};

@@ -8,7 +8,7 @@ use crate::settings::keywords;
 use crate::task::{TOP, Task};
 use crate::threads;
 use physgrad::Record;
-use physgrad::program::api::{self, EpochEvent, Observer};
+use physgrad_cli::api::{self, EpochEvent, Observer};
 use pyo3::exceptions::{PyRuntimeError, PyRuntimeWarning};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;

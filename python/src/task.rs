@@ -5,7 +5,7 @@ use crate::errors::{check_regular, fits, value_error};
 use crate::interrupt::in_parts;
 use crate::rows::Rows;
 use crate::settings::{keywords, table_to_python};
-use physgrad::program::api::Scene;
+use physgrad_cli::api::Scene;
 use physgrad::rng::Purpose;
 use physgrad::{DynTask, Inputs, Tangents, Task as _, rows};
 use pyo3::exceptions::PyValueError;

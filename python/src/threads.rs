@@ -1,6 +1,6 @@
 //! Threads of the calls: their number, and their start in this process.
 
-use physgrad::program::api::threads::{is_prepared, prepare};
+use physgrad_cli::api::threads::{is_prepared, prepare};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use std::thread::available_parallelism;

@@ -75,7 +75,10 @@ impl fmt::Display for Kink {
 
 impl Kink {
     /// Writes the description with a name for the argument.
-    pub(crate) fn describe(&self, f: &mut impl fmt::Write, input: &str) -> fmt::Result {
+    ///
+    /// # Errors
+    /// Those of `f`.
+    pub fn describe(&self, f: &mut impl fmt::Write, input: &str) -> fmt::Result {
         let Self { function, value, is_jump, sides, sample, step, found, .. } = self;
         let ([before, after], value) = (sides.map(rough), rough(*value));
         let (what, change) = if *is_jump { ("jumps", "its value") } else { ("has a kink", "its derivative") };

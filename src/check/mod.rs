@@ -28,8 +28,6 @@ mod policies;
 #[cfg(feature = "double-double")]
 mod reference;
 mod stability;
-#[cfg(feature = "stress")]
-pub mod stress;
 mod systems;
 mod visited;
 
@@ -41,9 +39,7 @@ pub use plateau::{Plateau, plateau};
 pub use policies::{policy, try_policy};
 #[cfg(feature = "double-double")]
 pub use reference::slope;
-#[cfg(feature = "program")]
-pub(crate) use stability::{DENSE, jacobian_norm};
-pub use stability::{Stability, stability};
+pub use stability::{DENSE, Stability, jacobian_norm, stability};
 pub use visited::{try_cost_along, try_system_along};
 
 use crate::dynamics::inputs::Start;

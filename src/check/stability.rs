@@ -17,7 +17,7 @@ const FEW_SQUARINGS: usize = 10;
 const ROUNDING: f64 = 1e-6;
 /// Largest number of state components for which [`stability`] stores the Jacobian. With more, the
 /// function evaluates products with the Jacobian only.
-pub(crate) const DENSE: usize = 200;
+pub const DENSE: usize = 200;
 /// Products of the power iteration before those that it evaluates, and up to the last one.
 const ITERATIONS: [usize; 2] = [2048, 8192];
 /// Total growth in the evaluated products, as a logarithm, that counts as none: a multiplier of 1 ± 3e-5.
@@ -242,8 +242,7 @@ fn by_products(product: &dyn Fn(&[f64], &mut [f64]), n: usize) -> Radius {
 
 /// Frobenius norm of the state Jacobian ∂S/∂x, or beyond [`DENSE`] components, the norm of its
 /// product with a random vector. Infinite if an entry is NaN.
-#[cfg(feature = "program")]
-pub(crate) fn jacobian_norm<S: System>(system: &S, inputs: Inputs<'_, f64>) -> f64 {
+pub fn jacobian_norm<S: System>(system: &S, inputs: Inputs<'_, f64>) -> f64 {
     let n = inputs.x.len();
     let slopes = if n <= DENSE {
         jacobian(system, inputs)

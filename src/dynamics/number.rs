@@ -197,8 +197,7 @@ impl<'a> Numbers<'a> {
     }
 
     /// Names and numbers, in order.
-    #[cfg(feature = "program")]
-    pub(crate) fn listed(&self) -> impl Iterator<Item = (&'static str, &'a Number)> + use<'a> {
+    pub fn listed(&self) -> impl Iterator<Item = (&'static str, &'a Number)> + use<'a> {
         let (list, count) = (self.list, self.count);
         list.into_iter().take(count)
     }
@@ -245,7 +244,7 @@ impl<'a> Numbers<'a> {
     }
 
     /// The numbers that are not fixed, as entries of `p` from `first`.
-    pub(crate) fn placed(&self, first: usize) -> Vec<Varied> {
+    pub fn placed(&self, first: usize) -> Vec<Varied> {
         let varied = self.list[..self.count].iter().filter(|(_, number)| !number.is_fixed());
         varied.enumerate().map(|(i, &(name, &number))| Varied { index: first + i, name: name.into(), number }).collect()
     }

@@ -66,8 +66,7 @@ impl<F: Float> Gradient<F> {
     }
 
     /// Returns [`to_vec`](Gradient::to_vec) in f64, whose range is larger than that of f32.
-    #[cfg(feature = "program")]
-    pub(crate) fn to_f64(&self) -> Vec<f64> {
+    pub fn to_f64(&self) -> Vec<f64> {
         self.values.iter().map(|value| scaled(value.as_(), self.exponent)).collect()
     }
 

@@ -25,7 +25,7 @@ pub fn initial_states<F: Float>(task: &dyn AnyTask<F>, seed: u64, purpose: Purpo
 }
 
 /// Appends the [`initial_states`] of these samples.
-pub(crate) fn append_starts<F: Float>(
+pub fn append_starts<F: Float>(
     task: &dyn AnyTask<F>,
     seed: u64,
     purpose: Purpose,

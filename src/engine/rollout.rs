@@ -170,7 +170,7 @@ impl<F: Float> Rollout<F> {
     }
 
     /// Returns the [`stored_bytes`](Rollout::stored_bytes) of a rollout that stores `kept` steps.
-    pub(crate) fn bytes_of(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize, kept: usize) -> usize {
+    pub fn bytes_of(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize, kept: usize) -> usize {
         BufferSizes::new(task, policy, samples, kept).bytes::<F>()
     }
 
@@ -449,7 +449,7 @@ impl<F: Float> Rollout<F> {
     }
 
     /// Returns the parameters of a sample, with the values of trained entries.
-    pub(crate) fn params_of_sample(&self, sample: usize) -> impl Iterator<Item = F> {
+    pub fn params_of_sample(&self, sample: usize) -> impl Iterator<Item = F> {
         self.params_of(sample / WIDTH).iter().map(move |p| p.0[sample % WIDTH])
     }
 

@@ -27,8 +27,7 @@ pub(crate) mod reverse_mode;
 pub mod rng;
 pub(crate) mod scalar;
 pub(crate) mod tape;
-pub(crate) mod text;
+pub mod text;
 #[cfg(feature = "parallel")]
-#[cfg_attr(not(feature = "program"), allow(dead_code))]
 pub mod threads;
 pub(crate) mod zip;

@@ -1,13 +1,12 @@
 //! Numbers in messages and tables.
 
 /// A number with four significant digits, for losses and other results.
-#[cfg(any(feature = "program", test))]
-pub(crate) fn short(x: f64) -> String {
+pub fn short(x: f64) -> String {
     digits(x, 4)
 }
 
 /// A number with two significant digits, for errors and other magnitudes.
-pub(crate) fn rough(x: f64) -> String {
+pub fn rough(x: f64) -> String {
     digits(x, 2)
 }
 
@@ -16,7 +15,7 @@ pub(crate) fn rough(x: f64) -> String {
 /// The rounded absolute value selects the format. Below 1e-3 and from 1e5 on, the number has an
 /// exponent. In between, the integer part keeps all its digits. 0 is `0`, and non-finite numbers
 /// are `NaN`, `inf` and `-inf`.
-pub(crate) fn digits(x: f64, count: usize) -> String {
+pub fn digits(x: f64, count: usize) -> String {
     if x == 0.0 {
         return "0".into();
     }

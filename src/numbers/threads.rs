@@ -42,7 +42,7 @@ pub fn prepare(threads: usize) -> Result<(), ThreadPoolBuildError> {
 
 /// Runs `work` on one of the threads, so that calls of Rayon within it share them. Returns false,
 /// without a call of `work`, if the calling thread is the only one.
-pub(crate) fn run(work: &mut (dyn FnMut() + Send)) -> bool {
+pub fn run(work: &mut (dyn FnMut() + Send)) -> bool {
     let own = match rayon::current_thread_index() {
         Some(_) => None,
         None => own().as_ref().map(|own| own.pool.filter(|_| own.process == std::process::id())),

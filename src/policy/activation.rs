@@ -27,7 +27,7 @@ const GELU_SATURATED: f64 = 100.0;
 
 impl Activation {
     /// `√(2/π)` and the coefficient of z³ in [`Activation::Gelu`].
-    pub(crate) const GELU: (f64, f64) = (0.797_884_560_802_865_4, 0.044_715);
+    pub const GELU: (f64, f64) = (0.797_884_560_802_865_4, 0.044_715);
 
     /// Value at `z`.
     #[inline(always)]

@@ -14,6 +14,7 @@
 //! users can write their own updates.
 
 mod average;
+pub mod calls;
 mod checkpoint;
 pub(crate) mod combination;
 mod decay;
@@ -123,7 +124,7 @@ impl Default for Training {
 impl Training {
     /// Number of samples for which a mini-batch of `samples` samples needs memory for gradients.
     /// One for zeroth-order estimates, which use losses only.
-    pub(crate) fn derived(&self, samples: usize) -> usize {
+    pub fn derived(&self, samples: usize) -> usize {
         let is_zeroth = self.smoothing.is_some_and(|smoothing| smoothing.estimator == Estimator::ZerothOrder);
         if is_zeroth { 1 } else { samples }
     }

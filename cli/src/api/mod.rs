@@ -1,0 +1,36 @@
+//! Scenes, policies and runs for other programs: several commands of `physgrad` as functions.
+//!
+//! The Python bindings call this module, `rows`, `optimize` and `identify`. Errors have the
+//! messages that the program prints, or similar ones. An error that is a
+//! [`Divergence`](physgrad::Divergence) or a [`TrainError`](physgrad::TrainError) can be downcast.
+//! ```
+//! use physgrad_cli::api::Scene;
+//!
+//! let scene = Scene::open("cart_pole", [("system.poles".into(), 2.into()), ("epochs".into(), 1.into())])?;
+//! assert_eq!((scene.name(), scene.state_names().len()), ("cart_pole", 6));
+//! # Ok::<(), anyhow::Error>(())
+//! ```
+
+mod memory;
+mod policy;
+mod run;
+mod scene;
+
+pub use physgrad::threads;
+pub use crate::commands::accuracy::{Cheapest, Errors, Measured, Metric, Row, Setting};
+pub use crate::runs::run::{EpochEvent, Observer};
+pub use crate::settings::Precision;
+pub use memory::{TooLarge, fits};
+pub use physgrad::Trajectories;
+pub use policy::{Policy, Precise};
+pub use run::Run;
+pub use scene::Scene;
+
+/// Replaces the file at this path as a whole, by a temporary file beside it.
+///
+/// # Errors
+/// There is no such folder, or the file cannot be written. The path is that of a link, a device or
+/// another existing entry that is not a regular file.
+pub fn write_file(path: &std::path::Path, bytes: &[u8]) -> anyhow::Result<()> {
+    crate::platform::folder::Folder::write_at(path, bytes)
+}

@@ -1,0 +1,223 @@
+//! [`Policy`]: the policy of a scene with its parameters.
+
+use super::{Scene, fits};
+use physgrad::any::AnyTask;
+use physgrad::policy::AnyPolicy;
+use crate::operations::policy_file;
+use crate::tasks::DynPolicy;
+use physgrad::rng::{Purpose, stream};
+use physgrad::{DynTask, Field, Float, Rollout, Trajectories, Weights, calls};
+use anyhow::{Result, anyhow, bail};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Largest number of samples in one rollout.
+const BLOCK: usize = 32;
+
+/// Precision of a computation with a [`Policy`]: `f32` or `f64`.
+pub trait Precise: Float {
+    #[doc(hidden)]
+    fn policy(policy: &dyn DynPolicy) -> &dyn AnyPolicy<Self>;
+}
+
+impl Precise for f32 {
+    fn policy(policy: &dyn DynPolicy) -> &dyn AnyPolicy<f32> {
+        policy
+    }
+}
+
+impl Precise for f64 {
+    fn policy(policy: &dyn DynPolicy) -> &dyn AnyPolicy<f64> {
+        policy
+    }
+}
+
+/// The policy of a scene with its parameters θ. If the scene trains numbers, the last parameters
+/// determine them; see [`TrainedParam`](physgrad::policy::TrainedParam).
+#[derive(Clone)]
+pub struct Policy {
+    scene: Scene,
+    policy: Arc<dyn DynPolicy>,
+    theta: Vec<f64>,
+}
+
+impl Policy {
+    /// Policy with random parameters. A training with this seed starts from them, unless the scene
+    /// has an initial policy.
+    pub fn new(scene: &Scene, seed: u64) -> Self {
+        let policy = scene.scene.policy();
+        let mut theta = vec![0.0; f64::policy(&*policy).param_count()];
+        f64::policy(&*policy).init(&mut stream(seed, Purpose::Policy, 0), &mut theta);
+        Self { scene: scene.clone(), policy, theta }
+    }
+
+    /// Policy with the parameters of a policy file.
+    ///
+    /// # Errors
+    /// The bytes are not a policy file, or are one of another policy. A parameter is not finite.
+    /// The file and the scene train different numbers, or the bounds of these numbers differ.
+    pub fn read(scene: &Scene, bytes: &[u8]) -> Result<Self> {
+        policy_file::check_numbers(bytes, &scene.scene.about())?;
+        let policy = scene.scene.policy();
+        let theta = policy_file::read(bytes, f64::policy(&*policy), 0)?;
+        let mut read = Self { scene: scene.clone(), policy, theta: Vec::new() };
+        read.check_finite(&theta)?;
+        read.theta = theta;
+        Ok(read)
+    }
+
+    /// Scene of the policy.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// The parameters.
+    pub fn theta(&self) -> &[f64] {
+        &self.theta
+    }
+
+    /// Replaces the parameters.
+    ///
+    /// # Errors
+    /// The number of parameters differs, or one is not finite in the precision of the scene.
+    pub fn set_theta(&mut self, theta: Vec<f64>) -> Result<()> {
+        if theta.len() != self.theta.len() {
+            bail!("`theta` has {} numbers, but the policy has {} parameters", theta.len(), self.theta.len());
+        }
+        self.check_finite(&theta)?;
+        self.theta = theta;
+        Ok(())
+    }
+
+    fn check_finite(&self, theta: &[f64]) -> Result<()> {
+        let is_finite = |&value: &f64| if self.scene.is_f64() { value.is_finite() } else { (value as f32).is_finite() };
+        if let Some(i) = theta.iter().position(|value| !is_finite(value)) {
+            let precision = if self.scene.is_f64() { "f64" } else { "f32" };
+            bail!("`theta[{i}]` is {:?}; allowed: finite numbers in {precision}", theta[i]);
+        }
+        Ok(())
+    }
+
+    /// The policy file, in the precision of the scene.
+    ///
+    /// # Errors
+    /// The description of the policy cannot be serialized.
+    pub fn safetensors(&self) -> Result<Vec<u8>> {
+        let about = self.scene.scene.about();
+        if self.scene.is_f64() {
+            return policy_file::write(&about, f64::policy(&*self.policy), &self.theta);
+        }
+        policy_file::write(&about, f32::policy(&*self.policy), &self.rounded::<f32>())
+    }
+
+    /// The parameters in the precision `F`.
+    pub(super) fn rounded<F: Float>(&self) -> Vec<F> {
+        self.theta.iter().map(|&theta| F::from_f64(theta)).collect()
+    }
+
+    /// Controls for the observations `y`, of a policy without a memory. Controls and observations
+    /// have the layout `[row][component]`.
+    ///
+    /// # Errors
+    /// The policy has a memory, or `y` is not a whole number of rows.
+    pub fn act<F: Precise>(&self, y: &[F]) -> Result<Vec<F>> {
+        let policy = F::policy(&*self.policy);
+        let (width, rows) = (policy.observation_dim(), y.len() / policy.observation_dim());
+        if policy.memory_dim() > 0 {
+            bail!("the policy has a memory; use rollouts");
+        }
+        if y.len() != rows * width {
+            bail!("`y` has {} numbers; expected rows of {width}", y.len());
+        }
+        let weights = Weights::new(policy, self.rounded());
+        Ok(physgrad::policy::controls(policy, &weights, y))
+    }
+
+    /// Returns the task of a scene, after a check that the policy fits it.
+    pub(super) fn check(&self, task: &Scene) -> Result<DynTask> {
+        let (policy, dyn_task) = (f64::policy(&*self.policy), task.task());
+        let any: &dyn AnyTask<f64> = &dyn_task;
+        let [found, expected] = [[policy.observation_dim(), policy.control_dim()], [any.observed_dim(), any.control_dim()]];
+        if found != expected {
+            bail!(
+                "the policy has {} observations and {} controls, but {} has {} and {}; create a policy for this task",
+                found[0],
+                found[1],
+                task.name(),
+                expected[0],
+                expected[1]
+            );
+        }
+        if let Some(param) = policy.trained_params().iter().find(|param| param.index() >= any.param_dim()) {
+            bail!("the policy trains parameter {}, but {} has {} parameters", param.index(), task.name(), any.param_dim());
+        }
+        let (own, names) = (self.scene.param_names(), task.param_names());
+        if let Some(param) = policy.trained_params().iter().find(|param| own[param.index()] != names[param.index()]) {
+            let (own, name) = (&own[param.index()], &names[param.index()]);
+            bail!("the policy trains {own}, but this parameter of {} is {name}; create a policy for this task", task.name());
+        }
+        Ok(dyn_task)
+    }
+
+    /// Rollouts from `starts`, see [`Scene::append_starts`]. Reads `stop` before each block of
+    /// samples.
+    ///
+    /// # Errors
+    /// The policy does not fit the task, a [`Divergence`], or [`TooLarge`](super::TooLarge). `stop`
+    /// is true.
+    ///
+    /// # Panics
+    /// If `starts` is not a whole number of initial states.
+    pub fn rollouts<F: Precise>(&self, task: &Scene, starts: &[F], stop: &AtomicBool) -> Result<Trajectories<F>> {
+        let (dyn_task, policy) = (self.check(task)?, F::policy(&*self.policy));
+        let any: &dyn AnyTask<F> = &dyn_task;
+        let (horizon, count) = (any.horizon(), starts.len() / any.start_dim());
+        fits("the rollouts", &[count, horizon + 1, any.state_dim() + any.control_dim()], size_of::<F>())?;
+        fits("a block of rollouts", &[Rollout::bytes_of(any, policy, count.clamp(1, BLOCK), horizon)], 1)?;
+        let weights = Weights::new(policy, self.rounded());
+        calls::rollout_until(any, policy, &weights, starts, &|| is_set(stop))?.ok_or_else(interrupted)
+    }
+
+    /// Losses of rollouts from `starts`, one per sample. Reads `stop` before each block of samples.
+    ///
+    /// # Errors
+    /// The policy does not fit the task, or a [`Divergence`]. `stop` is true.
+    ///
+    /// # Panics
+    /// If `starts` is not a whole number of initial states.
+    pub fn losses<F: Precise>(&self, task: &Scene, starts: &[F], stop: &AtomicBool) -> Result<Vec<F>> {
+        let (dyn_task, policy) = (self.check(task)?, F::policy(&*self.policy));
+        let weights = Weights::new(policy, self.rounded());
+        calls::losses_until(&dyn_task, policy, &weights, starts, &|| is_set(stop))?.ok_or_else(interrupted)
+    }
+
+    /// Vectors of several fields, `[field][parameter]`, for the mean loss of rollouts from
+    /// `starts`. All fields share the forward passes. Reads `stop` before each block of samples.
+    ///
+    /// # Errors
+    /// The policy does not fit the task, `starts` is empty, a [`Divergence`], or
+    /// [`TooLarge`](super::TooLarge). `stop` is true.
+    ///
+    /// # Panics
+    /// If `starts` is not a whole number of initial states.
+    pub fn gradients<F: Precise>(&self, task: &Scene, starts: &[F], chosen: &[Field], stop: &AtomicBool) -> Result<Vec<Vec<F>>> {
+        let (dyn_task, policy) = (self.check(task)?, F::policy(&*self.policy));
+        let any: &dyn AnyTask<F> = &dyn_task;
+        if starts.is_empty() {
+            bail!("`starts` has no rows; pass at least one initial state");
+        }
+        let samples = (starts.len() / any.start_dim()).clamp(1, BLOCK);
+        fits("a block of rollouts", &[Rollout::bytes_of(any, policy, samples, any.horizon())], 1)?;
+        let weights = Weights::new(policy, self.rounded());
+        calls::gradients_until(any, policy, &weights, starts, chosen, &|| is_set(stop))?.ok_or_else(interrupted)
+    }
+}
+
+fn is_set(stop: &AtomicBool) -> bool {
+    stop.load(Ordering::Relaxed)
+}
+
+/// The caller has stopped a call.
+fn interrupted() -> anyhow::Error {
+    anyhow!("stopped")
+}

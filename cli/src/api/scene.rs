@@ -1,0 +1,205 @@
+//! [`Scene`]: task, physics, loss, policy and training.
+
+use super::Policy;
+use physgrad::append_starts;
+use physgrad::identify::{Fit, IdentifyError, Options, Segment};
+use crate::commands::accuracy::{Measured, Setting, Study};
+use crate::operations::checks::Results;
+use crate::scenes::presets;
+use crate::scenes::source::SceneSource;
+use crate::settings::Precision;
+use crate::tasks::{self, scene::INITIAL_POLICY};
+use physgrad::rng::Purpose;
+use physgrad::{DynTask, Float, Number, System, Task};
+use anyhow::{Context, Result, bail};
+use std::ops::Range;
+use toml::{Table, Value};
+
+/// Source of settings in messages.
+const OPTION: &str = "settings";
+
+/// A validated scene: task, physics, loss, policy and training.
+#[derive(Clone)]
+pub struct Scene {
+    pub(super) source: SceneSource,
+    pub(super) scene: tasks::Scene,
+}
+
+impl Scene {
+    /// Opens the preset or the scene file with this name, with other values of some settings.
+    ///
+    /// Keys are dotted, for example `system.poles`. An empty table adds an effect with its default
+    /// parameters.
+    ///
+    /// # Errors
+    /// There is no such preset or file. A setting is unknown or out of range.
+    pub fn open(name: &str, settings: impl IntoIterator<Item = (String, Value)>) -> Result<Self> {
+        Self::changed(presets::source(name)?, settings, None)
+    }
+
+    /// Copy with other values of some settings.
+    ///
+    /// # Errors
+    /// A setting is unknown or out of range.
+    pub fn with(&self, settings: impl IntoIterator<Item = (String, Value)>) -> Result<Self> {
+        let settings: Vec<(String, Value)> = settings.into_iter().collect();
+        // Keeps the contents of the initial policy: its file may have changed or moved.
+        let replaced = settings.iter().any(|(key, _)| key == INITIAL_POLICY);
+        let policy = self.scene.initial_policy().filter(|_| !replaced);
+        Self::changed(self.source.clone(), settings, policy)
+    }
+
+    /// Copy with the section `policy` of the scene of this policy.
+    ///
+    /// # Errors
+    /// The section does not suit the task.
+    pub fn with_policy(&self, policy: &Policy) -> Result<Self> {
+        let section = policy.scene().settings().get("policy").cloned().context("the scene has no section `policy`")?;
+        self.with([("policy".to_owned(), section)])
+    }
+
+    /// Copy with another integrator, number of substeps and precision.
+    ///
+    /// # Errors
+    /// The task does not support them.
+    pub fn with_setting(&self, setting: &Setting) -> Result<Self> {
+        let source = setting.source(&self.source)?;
+        Ok(Self { scene: source.starting_from(self.scene.initial_policy())?, source })
+    }
+
+    /// Scene of the source, with other values of some settings. `policy` is as in
+    /// [`SceneSource::starting_from`].
+    fn changed(
+        mut source: SceneSource,
+        settings: impl IntoIterator<Item = (String, Value)>,
+        policy: Option<&[u8]>,
+    ) -> Result<Self> {
+        for (key, value) in settings {
+            if value.as_table().is_some_and(Table::is_empty) {
+                source.put(&key, value, OPTION)?;
+            } else {
+                source.replace(&key, value, OPTION)?;
+            }
+        }
+        Ok(Self { scene: source.starting_from(policy)?, source })
+    }
+
+    /// Name of the task.
+    pub fn name(&self) -> &'static str {
+        self.scene.task.name()
+    }
+
+    /// All settings, including defaults.
+    pub fn settings(&self) -> &Table {
+        &self.scene.table
+    }
+
+    /// Returns true if the scene computes in f64, and false for f32.
+    pub fn is_f64(&self) -> bool {
+        self.scene.precision == Precision::F64
+    }
+
+    /// The task.
+    pub fn task(&self) -> DynTask {
+        self.scene.task()
+    }
+
+    /// Number of time steps of a rollout.
+    pub fn horizon(&self) -> usize {
+        self.scene.horizon
+    }
+
+    /// Time step, in the unit of time of the task: s, except for `quantum`.
+    pub fn dt(&self) -> f64 {
+        self.scene.dt()
+    }
+
+    /// Names of the components of the state.
+    pub fn state_names(&self) -> Vec<String> {
+        self.scene.state_names()
+    }
+
+    /// Names of the components of the control.
+    pub fn control_names(&self) -> Vec<String> {
+        self.scene.control_names()
+    }
+
+    /// Names of the parameters of a rollout.
+    pub fn param_names(&self) -> Vec<String> {
+        self.scene.param_names()
+    }
+
+    /// Names of the components that the policy observes.
+    pub fn observation_names(&self) -> Vec<String> {
+        self.scene.observation_names()
+    }
+
+    /// Appends the initial states of these samples, `[sample][component]`: the state, then the
+    /// parameters of the sample. See [`initial_states`](physgrad::initial_states).
+    pub fn append_starts<F: Float>(&self, seed: u64, purpose: Purpose, samples: Range<usize>, starts: &mut Vec<F>) {
+        append_starts(&self.task(), seed, purpose, samples, starts);
+    }
+
+    /// Fits the trained numbers of the scene to measured segments, as `physgrad identify` does.
+    ///
+    /// # Errors
+    /// [`IdentifyError`], for example if the scene trains no number, the segments do not fit the
+    /// system, or a simulation diverges.
+    pub fn identify(&self, segments: &[Segment], options: &Options) -> Result<Fit, IdentifyError> {
+        if !self.scene.varied().iter().any(|(_, number)| matches!(number, Number::Trained { .. })) {
+            return Err(IdentifyError::NothingUnknown);
+        }
+        self.scene.identify(segments, options)
+    }
+
+    /// Returns whether the physics depends on the time of a segment. A recording that begins between
+    /// two steps, or before the time 0, then has no exact [`Segment::first_step`].
+    pub fn depends_on_time(&self, segment: &Segment) -> bool {
+        self.scene.depends_on_time(segment)
+    }
+
+    /// Errors and costs of all integrators, numbers of substeps and precisions, as `physgrad
+    /// accuracy` measures them. Calls `begin` with a description before each simulation and timing.
+    ///
+    /// # Errors
+    /// The task does not support other time steps, the reference diverges, or `begin` returns an
+    /// error.
+    pub fn accuracy(&self, begin: &mut dyn FnMut(String) -> Result<()>) -> Result<Measured> {
+        let study = Study::new(self.source.clone())?;
+        study.measure(study.settings()?, begin)
+    }
+
+    /// Checks the derivatives of system, policy and rollout against dual numbers, as `physgrad
+    /// check` does. With a policy, rollouts have its parameters; otherwise random ones. Returns a
+    /// table of all checks, and one message per failure.
+    ///
+    /// # Errors
+    /// The policy does not fit the scene.
+    pub fn check(&self, policy: Option<&Policy>) -> Result<(String, Vec<String>)> {
+        let mut results = Results::new(false);
+        results.begin(self.name());
+        match policy {
+            Some(policy) => {
+                policy.check(self)?;
+                let scene = self.with_policy(policy)?;
+                let (found, expected) = (policy.theta().len(), Policy::new(&scene, 0).theta().len());
+                if found != expected {
+                    bail!(
+                        "the policy has {found} parameters, but {} trains {expected}; create a policy for this task",
+                        self.name()
+                    );
+                }
+                scene.scene.check("scene", Some(policy.theta()), &mut results);
+            }
+            None => self.scene.check("scene", None, &mut results),
+        }
+        let (table, failures) = results.finish();
+        Ok((table.to_string(), failures))
+    }
+
+    /// Numbers of state components, control components and parameters of a sample.
+    pub fn dims(&self) -> [usize; 3] {
+        let task = self.task();
+        [task.system().state_dim(), task.system().control_dim(), task.param_dim()]
+    }
+}

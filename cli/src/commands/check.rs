@@ -1,0 +1,244 @@
+//! `physgrad check`: the gradient checks of the library, as a table.
+
+use physgrad::check::{Kink, KinkInput, Stability};
+use crate::operations::checks::{Amplification, Place, Results};
+use crate::platform::json::print_json;
+use crate::platform::terminal::{counted, print_text};
+use crate::scenes::overrides::Overrides;
+use crate::scenes::presets;
+use crate::scenes::source::SceneSource;
+use crate::tasks::{self, Scene};
+use anyhow::{Result, bail};
+use serde_json::json;
+use std::path::PathBuf;
+use toml::Value;
+
+/// Check the gradients of systems, policies and whole rollouts against dual numbers.
+///
+/// For a named task or scene, also check the stability of the time step in states of test rollouts,
+/// the slope of the loss, and kinks of the step and of the costs. Also compare R with differences of
+/// the mean loss. These checks use the policy of `--policy`, otherwise the initial parameters of the
+/// scene.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  physgrad check\n  physgrad check my_scene.toml\n  physgrad check my_scene.toml --policy runs/one"
+)]
+pub struct Check {
+    /// A task, a preset (see `physgrad scene`), or the path of a scene
+    /// [default: all tasks, and each task of the paper with effects]
+    pub scene: Option<String>,
+    /// Change or add a setting of the scene, for example system.cart_mass=2
+    #[arg(long, value_name = "KEY=VALUE", requires = "scene")]
+    pub set: Vec<String>,
+    /// Parameters of the policy: a file `policy.safetensors`, or the folder of a run
+    #[arg(long, value_name = "FILE", requires = "scene")]
+    pub policy: Option<PathBuf>,
+    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Runs the command.
+pub fn check(args: &Check) -> Result<()> {
+    let mut results = Results::new(!args.json);
+    let overrides = Overrides { set: args.set.clone(), policy: args.policy.clone(), ..Overrides::default() };
+    let is_changed = args.policy.is_some() || !args.set.is_empty();
+    let changed = |name: &str| -> Result<SceneSource> {
+        let mut source = presets::source(name)?;
+        overrides.apply(&mut source)?;
+        Ok(source)
+    };
+    let scenes = match &args.scene {
+        Some(name) if is_changed => vec![(name.clone(), changed(name)?.scene()?)],
+        name => scenes(name.as_deref())?,
+    };
+    if !args.json {
+        print_text("task, checked, number of compared values, worst and allowed error, result")?;
+    }
+    for (variant, scene) in scenes {
+        results.begin(scene.task.name());
+        let theta = scene.initial_policy().map(|_| scene.initial_theta()).transpose()?;
+        scene.check(&variant, theta.as_deref(), &mut results);
+    }
+    let (table, failures) = results.finish();
+    let mut notes = Vec::new();
+    let mut note = |note: String| -> Result<()> {
+        if !args.json {
+            print_text(&note)?;
+        }
+        notes.push(note);
+        Ok(())
+    };
+    if !args.json {
+        print_text("errors in f64 against dual numbers, relative to the largest component")?;
+    }
+    if let Some(name) = &args.scene {
+        about_rollouts(changed(name)?, &mut note)?;
+    }
+    if args.json {
+        print_json(&json!({ "checks": table.objects(), "notes": notes, "failures": failures }))?;
+    }
+    if failures.is_empty() {
+        return Ok(());
+    }
+    bail!("{} failed:\n{}", counted(failures.len(), "gradient check"), failures.join("\n"));
+}
+
+/// Largest factor by which [`stability`] increases the number of substeps.
+const MAX_REFINEMENT: i64 = 64;
+
+/// Largest number of kinks in the notes.
+const MAX_KINKS: usize = 8;
+
+/// Makes a note about each property of the test rollouts.
+fn about_rollouts(source: SceneSource, note: &mut dyn FnMut(String) -> Result<()>) -> Result<()> {
+    let scene = source.scene()?;
+    let theta = scene.initial_theta()?;
+    let found = match scene.amplification(&theta) {
+        Ok(found) => found,
+        Err(divergence) => {
+            return note(format!("test rollouts: {divergence}. Time step, kinks, loss and jumps are therefore not checked"));
+        }
+    };
+    if let Some(divergence) = &found.divergence {
+        note(format!("test rollouts: {divergence}. Kinks, loss and jumps are therefore not checked"))?;
+    }
+    let names = scene.state_names();
+    note(stability(&scene, source, &theta, &found)?)?;
+    if found.ringing.stability.rings() {
+        let Place { sample, step, stability: Stability { lowest, lowest_component, .. } } = found.ringing;
+        note(format!(
+            "time step: the step rings in test rollout {sample}, step {step}: a perturbation of {} changes its sign in nearly \
+             every step (multiplier about {lowest:.3}). The step does not resolve this motion. Shorten it, or use an \
+             integrator that damps fast motion",
+            names[lowest_component]
+        ))?;
+    }
+    if found.divergence.is_some() {
+        return Ok(());
+    }
+    let kinks = scene.kinks(&theta);
+    for kink in kinks.iter().take(MAX_KINKS) {
+        note(described(kink, &names, &scene.control_names()))?;
+    }
+    match kinks.len().saturating_sub(MAX_KINKS) {
+        0 if kinks.is_empty() => note("kinks: none in the states of the test rollouts".into())?,
+        0 => note(
+            "kinks: gradients have the derivative on one side of a kink, and omit jumps. Rollouts that rest on a kink have \
+             misleading gradients; a smoothed function avoids this"
+                .into(),
+        )?,
+        more => note(format!("kinks: {more} more, in other functions or arguments"))?,
+    }
+    let plateau = scene.plateau(&theta).map_or_else(|divergence| divergence.to_string(), |plateau| plateau.to_string());
+    note(format!("loss at the initial parameters: {plateau}"))?;
+    let compared = scene.jumps(&theta);
+    let jumps = compared.map(|jumps| jumps.map_or_else(|divergence| divergence.to_string(), |jumps| jumps.to_string()));
+    note(format!("mean loss and R: {}", jumps.as_deref().unwrap_or("not compared beyond 10,000 steps")))
+}
+
+/// Describes a kink with the names of states and controls.
+fn described(kink: &Kink, states: &[String], controls: &[String]) -> String {
+    let input = match kink.input {
+        KinkInput::State(i) => states[i].clone(),
+        KinkInput::Control(i) => controls[i].clone(),
+        KinkInput::Next(i) => format!("the next {}", states[i]),
+    };
+    let mut text = "kink: ".to_owned();
+    kink.describe(&mut text, &input).expect("a string takes any text");
+    text
+}
+
+/// Describes the stability of the time step, in rollouts with the parameters `theta`. Refines an
+/// unstable step until it is stable or its multiplier converges, if the scene admits substeps.
+fn stability(scene: &Scene, mut refined: SceneSource, theta: &[f64], found: &Amplification) -> Result<String> {
+    let Amplification { worst: Place { sample, step, stability }, evaluated, states, .. } = *found;
+    let (names, horizon) = (scene.state_names(), scene.horizon);
+    let Stability { multiplier, component, .. } = stability;
+    let name = &names[component];
+    let all = if evaluated == states { String::new() } else { format!(" of {states}") };
+    let place = format!("in test rollout {sample}, step {step}");
+    let harmless = |found: &Amplification| found.divergence.is_none() && found.worst.stability.is_stable_within(horizon);
+    if harmless(found) || multiplier.is_nan() {
+        let said = if stability.is_stable() {
+            format!("stable: no perturbation grows exponentially. The largest multiplier per step is {multiplier:.4}")
+        } else if multiplier.is_nan() {
+            stability.to_string()
+        } else {
+            format!(
+                "harmless: a perturbation grows by {multiplier:.4} per step, at most by {:.2} over the {horizon} steps of a \
+                 rollout",
+                stability.growth(horizon)
+            )
+        };
+        return Ok(format!("time step, worst of {evaluated}{all} states, {place}, component {component} ({name}): {said}"));
+    }
+    let unstable = !stability.is_stable_within(horizon);
+    let grows = if unstable {
+        format!("time step: a perturbation of {name} grows by {multiplier:.4} per step {place}")
+    } else {
+        "time step: the test rollouts diverge".to_owned()
+    };
+    let substeps = scene.table.get("integrator").and_then(|section| section.get("substeps")?.as_integer()).unwrap_or(1);
+    let (mut last, mut times) = (None, 1);
+    let mut before = (multiplier, found.divergence.is_none());
+    while times < MAX_REFINEMENT {
+        times *= 2;
+        let count = substeps * times;
+        refined.put("integrator.substeps", Value::Integer(count), "more substeps")?;
+        let amplification = |scene: Scene| scene.amplification(theta).ok();
+        let Some(next) = refined.scene().ok().and_then(amplification).filter(|next| !next.worst.stability.multiplier.is_nan())
+        else {
+            break;
+        };
+        let more = if times == 2 { "twice".to_owned() } else { format!("{times} times") };
+        if harmless(&next) {
+            return Ok(format!(
+                "{grows}, but not with {more} as many substeps. Shorten the step: `integrator.substeps = {count}`"
+            ));
+        }
+        let now = (next.worst.stability.multiplier, next.divergence.is_none());
+        let (growth, limit) = (multiplier - 1.0, now.0 - 1.0);
+        if (now.0 - before.0).abs() < 0.1 * limit.abs() && now.1 == before.1 {
+            // Half of the growth of the long step is not physical, or half of the physical growth
+            // is missing, or only the long step diverges.
+            let is_too_long = growth > 2.0 * limit || limit > 2.0 * growth || now.1 != found.divergence.is_none();
+            let with = if unstable {
+                format!("by {:.4} with {more} as many substeps", now.0)
+            } else {
+                format!("with {more} as many substeps")
+            };
+            return Ok(if is_too_long {
+                format!(
+                    "{grows}, but {with}. The physics is unstable, and the step is too long. Shorten the step: `integrator.substeps = {count}`"
+                )
+            } else if now.1 {
+                format!("{grows}, and {with}: the physics is unstable, not the step")
+            } else {
+                format!("{grows}, and {with}, where rollouts diverge too: the physics diverges, or its controls do")
+            });
+        }
+        before = now;
+        last = Some(now.0);
+    }
+    Ok(match last {
+        Some(last) => format!(
+            "{grows}, and by {last:.4} with {times} times as many substeps. Use an implicit integrator or more damping, or \
+             reduce the time step further"
+        ),
+        None => format!("{grows}. Without substeps, step and physics cannot be distinguished"),
+    })
+}
+
+/// Scenes to check, with their names in the table. Without a name, all variants of all tasks, and
+/// the presets in `RICH`.
+fn scenes(name: Option<&str>) -> Result<Vec<(String, Scene)>> {
+    let tasks = tasks::all().iter().filter(|kind| name.is_none_or(|name| name == kind.name()));
+    let variants: Vec<_> = tasks.flat_map(|kind| kind.variants()).collect();
+    let preset = |name: &str| Ok((name.to_owned(), presets::source(name)?.scene()?));
+    match name {
+        Some(name) if variants.is_empty() => Ok(vec![preset(name)?]),
+        Some(_) => Ok(variants),
+        None => variants.into_iter().map(Ok).chain(presets::RICH.into_iter().map(preset)).collect(),
+    }
+}

@@ -1,0 +1,256 @@
+//! `physgrad eval`: losses of trained policies from new initial states, with their worst rollouts.
+
+use physgrad::text::{rough, short};
+use crate::operations::evaluation::AnyEvaluation;
+use crate::operations::session::Epoch;
+use crate::platform::csv::csv;
+use crate::platform::folder::Folder;
+use crate::platform::json::{print_json, rows};
+use crate::platform::parallel;
+use crate::platform::table::Table;
+use crate::platform::terminal::{counted, print_text};
+use crate::runs::outputs;
+use crate::runs::trained::Trained;
+use crate::scenes::overrides::Overrides;
+use crate::scenes::presets;
+use crate::tasks::Scene;
+use physgrad_plot::quantile::{quantile, sorted};
+use physgrad_plot::{Animation, PALETTE, distribution};
+use anyhow::{Context, Result, bail};
+use serde_json::json;
+use std::path::PathBuf;
+
+/// Evaluate trained policies on new initial states: losses, and the worst rollouts.
+///
+/// The initial states differ from those of every training and test set.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  physgrad eval runs/one --samples 4096\n  physgrad eval runs/one runs/two --scene cart_pole_windy"
+)]
+pub struct Eval {
+    /// Folders of trained runs of one task
+    #[arg(required = true, value_name = "RUN")]
+    pub runs: Vec<PathBuf>,
+    /// Scene of the evaluation: a task, a preset, or the path of a scene [default: that of each
+    /// run]
+    #[arg(long, value_name = "SCENE")]
+    pub scene: Option<String>,
+    /// Change or add a setting of the scene, for example system.cart_mass=2
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+    /// Remove an effect or a part of the actuator from the scene
+    #[arg(long, value_name = "NAME")]
+    pub without: Vec<String>,
+    /// Epoch of the policies
+    #[arg(long, value_enum, default_value_t = Epoch::Last)]
+    pub epoch: Epoch,
+    /// Number of initial states
+    #[arg(long, value_name = "N", default_value_t = 1024)]
+    pub samples: usize,
+    /// Seed of the initial states
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    pub seed: u64,
+    /// Number of the rollouts with the largest losses that are written and animated
+    #[arg(long, value_name = "K", default_value_t = 3)]
+    pub worst: usize,
+    /// Folder for the results; replaces earlier results of this command in it [default: a new one
+    /// in `runs`]
+    #[arg(short, long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Losses of one policy.
+struct Evaluated {
+    name: String,
+    /// Losses of the rollouts; infinite for those that diverge.
+    losses: Vec<f64>,
+}
+
+/// Probabilities of the quantiles.
+const SHARES: [f64; 5] = [0.05, 0.25, 0.5, 0.75, 0.95];
+
+/// Largest number of rollouts that are written and animated. Each takes the memory of its states.
+const MAX_WORST: usize = 100;
+
+/// Runs the command.
+pub fn eval(args: &Eval) -> Result<()> {
+    check_samples(args.samples)?;
+    if args.worst > MAX_WORST {
+        bail!("--worst is {}; allowed: 0 to {MAX_WORST}", args.worst);
+    }
+    let policies = Trained::load_all(&args.runs, args.epoch)?;
+    let scenes = policies.iter().map(|policy| scene(args, policy)).collect::<Result<Vec<Scene>>>()?;
+    let reserved = Folder::reserve(args.out.as_deref())?;
+    let pairs: Vec<(&Trained, &Scene)> = policies.iter().zip(&scenes).collect();
+    let evaluation = |(policy, scene): &(&Trained, &Scene)| {
+        policy.evaluation(scene, args.seed).with_context(|| format!("cannot evaluate {}", policy.name))
+    };
+    let losses = parallel::map(&pairs, |pair| Ok(evaluation(pair)?.losses(args.samples)));
+    let losses = losses.into_iter().collect::<Result<Vec<_>>>()?;
+    let results: Vec<Evaluated> =
+        policies.iter().zip(losses).map(|(policy, losses)| Evaluated { name: policy.name.clone(), losses }).collect();
+
+    let folder = Folder::or_fresh(reserved, "eval")?;
+    folder.write("losses.csv", losses_csv(&results)?)?;
+    let summary = csv(SUMMARY, results.iter().map(Evaluated::summary))?;
+    folder.write("summary.csv", &summary)?;
+    folder.write("losses.svg", picture(&title(args, &policies), &results))?;
+    let is_separator = |c: char| matches!(c, '/' | '\\') || c.is_control();
+    for (i, (pair, result)) in pairs.iter().zip(&results).enumerate() {
+        let (scene, evaluation, samples) = (pair.1, evaluation(pair)?, result.worst(args.worst));
+        if results.len() == 1 {
+            write_worst(&folder, scene, &*evaluation, &samples)?;
+        } else {
+            // Several policies have a subfolder each.
+            write_worst(
+                &*folder.inside(&format!("{}-{}", i + 1, pair.0.name.replace(is_separator, "-")))?.lock()?,
+                scene,
+                &*evaluation,
+                &samples,
+            )?;
+        }
+    }
+    if args.json {
+        return print_json(&json!({ "folder": folder.path(), "runs": rows(&summary)? }));
+    }
+    let worst = if args.worst > 0 { ", worst.csv and animations of the worst rollouts" } else { "" };
+    let files = format!("losses.svg, losses.csv, summary.csv{worst}");
+    print_text(&format!("{}\nresults in {}: {files}", table(args, &results), folder.path().display()))
+}
+
+/// Checks the number of initial states of an evaluation.
+pub fn check_samples(samples: usize) -> Result<()> {
+    const MOST: usize = 1_000_000;
+    if (1..=MOST).contains(&samples) { Ok(()) } else { bail!("--samples is {samples}; allowed: 1 to {MOST}") }
+}
+
+/// Scene for the evaluation of a policy. It has the policy section and the precision of the run,
+/// unless `--set` changes them.
+fn scene(args: &Eval, policy: &Trained) -> Result<Scene> {
+    let mut source = match &args.scene {
+        Some(name) => presets::source(name)?,
+        None => policy.source.clone(),
+    };
+    if args.scene.is_some() {
+        ["policy", "precision"].into_iter().for_each(|key| source.copy(key, &policy.source));
+    }
+    Overrides { set: args.set.clone(), without: args.without.clone(), ..Overrides::default() }.apply(&mut source)?;
+    let scene = source.scene()?;
+    let [of_scene, of_run] = [&scene, &policy.scene].map(|scene| scene.task.name());
+    if of_scene != of_run {
+        bail!("{} has the task {of_run}, but the scene has the task {of_scene}; name a scene of {of_run}", policy.name);
+    }
+    Ok(scene)
+}
+
+const SUMMARY: [&str; 12] = [
+    "run",
+    "samples",
+    "diverged",
+    "mean",
+    "standard_error",
+    "quantile_05",
+    "quartile_1",
+    "median",
+    "quartile_3",
+    "quantile_95",
+    "worst",
+    "worst_sample",
+];
+
+impl Evaluated {
+    fn finite(&self) -> impl Iterator<Item = f64> {
+        self.losses.iter().copied().filter(|loss| loss.is_finite())
+    }
+
+    fn diverged(&self) -> usize {
+        self.losses.len() - self.finite().count()
+    }
+
+    /// Mean and its standard error, over the rollouts that do not diverge.
+    fn mean(&self) -> [f64; 2] {
+        let count = self.finite().count() as f64;
+        let mean = self.finite().sum::<f64>() / count;
+        let variance = self.finite().map(|loss| (loss - mean).powi(2)).sum::<f64>() / (count - 1.0);
+        [mean, (variance / count).sqrt()]
+    }
+
+    /// Quantiles over all rollouts. Losses of diverged rollouts are infinite.
+    fn quantiles(&self) -> [f64; 5] {
+        let sorted = sorted(self.losses.iter().copied());
+        SHARES.map(|share| quantile(&sorted, share))
+    }
+
+    /// Indices of the `count` largest losses, the largest first.
+    fn worst(&self, count: usize) -> Vec<usize> {
+        let mut samples: Vec<usize> = (0..self.losses.len()).collect();
+        samples.sort_by(|&a, &b| self.losses[b].total_cmp(&self.losses[a]));
+        samples.truncate(count);
+        samples
+    }
+
+    /// Row of `summary.csv`.
+    fn summary(&self) -> Vec<String> {
+        let worst = self.worst(1)[0];
+        let numbers = self.mean().into_iter().chain(self.quantiles()).chain([self.losses[worst]]);
+        let row = [self.name.clone(), self.losses.len().to_string(), self.diverged().to_string()];
+        row.into_iter().chain(numbers.map(|x| x.to_string())).chain([worst.to_string()]).collect()
+    }
+}
+
+/// `losses.csv`: one row per policy and initial state.
+fn losses_csv(results: &[Evaluated]) -> Result<Vec<u8>> {
+    let rows = results.iter().flat_map(|result| {
+        let row = |(sample, loss): (usize, &f64)| [result.name.clone(), sample.to_string(), loss.to_string()];
+        result.losses.iter().enumerate().map(row)
+    });
+    csv(["run", "sample", "loss"], rows)
+}
+
+/// Writes `worst.csv` with the trajectories of the samples, and an animation of each sample.
+fn write_worst(folder: &Folder, scene: &Scene, evaluation: &dyn AnyEvaluation, samples: &[usize]) -> Result<()> {
+    folder.remove("worst.csv")?;
+    folder.remove_all("worst_", ".svg")?;
+    if samples.is_empty() {
+        return Ok(());
+    }
+    let rollouts: Vec<_> = samples.iter().map(|&sample| evaluation.rollout(sample)).collect();
+    folder.write("worst.csv", outputs::trajectories(scene, samples.iter().copied().zip(&rollouts))?)?;
+    let mut animations: Vec<Animation> = rollouts.iter().map(|rollout| scene.animation(rollout)).collect();
+    Animation::share_scale(&mut animations.iter_mut().collect::<Vec<_>>());
+    for (rank, animation) in animations.iter().enumerate() {
+        folder.write(&format!("worst_{}.svg", rank + 1), animation.to_svg())?;
+    }
+    Ok(())
+}
+
+fn title(args: &Eval, policies: &[Trained]) -> String {
+    let scene = args.scene.as_deref().unwrap_or(policies[0].scene.task.name());
+    format!("{scene}: losses of {}", counted(args.samples, "rollout"))
+}
+
+fn picture(title: &str, results: &[Evaluated]) -> String {
+    let line = |(i, result): (usize, &Evaluated)| {
+        (result.name.clone(), PALETTE[i % PALETTE.len()], sorted(result.losses.iter().copied()))
+    };
+    distribution(title, results.iter().enumerate().map(line).collect()).to_svg()
+}
+
+fn table(args: &Eval, results: &[Evaluated]) -> String {
+    let header = ["run", "mean", "5 %", "median", "95 %", "worst", "diverged"];
+    let mut table = Table::new(header).optional(&["diverged", "95 %", "5 %"]);
+    for result in results {
+        let ([mean, error], quantiles) = (result.mean(), result.quantiles());
+        let worst = result.losses[result.worst(1)[0]];
+        let row = [quantiles[0], quantiles[2], quantiles[4], worst].map(short);
+        // One rollout has no standard error.
+        let mean = if error.is_nan() { short(mean) } else { format!("{} ± {}", short(mean), rough(error)) };
+        let first = [result.name.clone(), mean];
+        table.row(first.into_iter().chain(row).chain([result.diverged().to_string()]));
+    }
+    let rollouts = counted(args.samples, "rollout");
+    format!("{table}\nlosses of {rollouts}, seed {}; mean ± standard error, without diverged rollouts", args.seed)
+}

@@ -1,0 +1,358 @@
+//! `physgrad identify`: fits the trained numbers of a scene to measured trajectories.
+
+mod data;
+mod picture;
+mod table;
+
+use physgrad::Number;
+use physgrad::identify::{Fit, IdentifyError, Options, Segment, Status};
+use physgrad::text::{digits, rough, short};
+use crate::commands::report::identification::{self, FIT, IDENTIFIED, TRAJECTORIES, VALIDATION, WARNING};
+use crate::platform::csv::csv;
+use crate::platform::folder::{Folder, REPORT, SCENE};
+use crate::platform::json::{object, print_json, rows};
+use crate::platform::table::Table;
+use crate::platform::terminal::{counted, listed, print_text};
+use crate::runs::saved;
+use crate::scenes::overrides::{Overrides, hide_training};
+use crate::scenes::presets;
+use crate::tasks::Scene;
+use anyhow::{Context, Result, anyhow, bail};
+use data::{Measured, measured_components};
+use serde_json::json;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// File of the picture.
+const PICTURE: &str = "identified.svg";
+
+/// Largest jump between windows without a warning, in the units of [`Fit::jump`].
+const JUMP: f64 = 1e-3;
+
+/// Fit the numbers in [fit] of a scene to measured trajectories.
+///
+/// Writes a report, the fitted scene, the numbers with their standard errors, and measured beside
+/// simulated trajectories.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  physgrad identify pendulum.toml --data measured.csv --noise theta_1=0.003,omega_1=0.1")]
+#[command(mut_args(hide_training))]
+pub struct Identify {
+    /// Preset or path of a scene; its section [fit] lists the unknown numbers
+    pub scene: String,
+    #[command(flatten)]
+    pub overrides: Overrides,
+    /// Measured trajectories: columns segment (optional), t in s from the start of the rollout,
+    /// states, controls and parameters by name
+    #[arg(long, value_name = "FILE")]
+    pub data: PathBuf,
+    /// Standard deviations of the noise of all measured states, as in theta_1=0.003,omega_1=0.1
+    /// [default: equal for all]
+    #[arg(long, value_name = "NAME=VALUE,...", value_delimiter = ',')]
+    pub noise: Vec<String>,
+    /// Take the first sample of each segment as its exact initial state
+    #[arg(long)]
+    pub exact_starts: bool,
+    /// Length of the windows of multiple shooting, in steps; 0: whole segments
+    #[arg(long, value_name = "STEPS", default_value_t = 10)]
+    pub window: usize,
+    /// Fit every N-th segment only, and simulate the others from fitted initial states
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub every: usize,
+    /// Number of threads [default: RAYON_NUM_THREADS, or all cores]; results do not depend on it
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+    /// Folder for the results [default: a new one in `runs`]
+    #[arg(short, long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Runs the command.
+pub fn identify(args: &Identify) -> Result<()> {
+    let mut source = presets::source(&args.scene)?;
+    args.overrides.apply(&mut source)?;
+    let scene = source.scene()?;
+    if !scene.varied().iter().any(|(_, number)| matches!(number, Number::Trained { .. })) {
+        bail!("{} has no unknown numbers; list them in [fit], as in \"system.gravity\" = {{ start = 9.8 }}", args.scene);
+    }
+    let measured = Measured::read(&args.data, &scene)?;
+    if args.every == 0 {
+        bail!("--every is 0; allowed: 1 or more");
+    }
+    // Exact first samples have no noise. Those of validation segments are not exact.
+    let first = usize::from(args.exact_starts && args.every == 1);
+    let noise = noise(&args.noise, &scene, &measured.components(first))?;
+    if let Some(out) = args.out.as_deref().map(Folder::at) {
+        let outputs = [SCENE, IDENTIFIED, FIT, TRAJECTORIES, VALIDATION, PICTURE, REPORT];
+        out.check_inputs(&[Path::new(&args.scene), &args.data], &outputs)?;
+    }
+    let options = Options {
+        noise,
+        free_starts: !args.exact_starts,
+        window: (args.window > 0).then_some(args.window),
+        ..Options::default()
+    };
+    let [fitted, others] = measured.split(args.every);
+    if args.every > 1 && others.is_empty() {
+        bail!("--every {}: no segment remains for validation", args.every);
+    }
+    let segments = measured.chosen(&fitted, &scene);
+    let reserved = Folder::reserve(args.out.as_deref())?;
+    let begin = Instant::now();
+    let fit = scene.identify(&segments, &options).map_err(|error| in_file(error, &fitted, &measured, &scene));
+    let fit = fit.with_context(|| format!("{} with {}", args.scene, args.data.display()))?;
+    let seconds = begin.elapsed().as_secs_f64();
+
+    for (name, &value) in fit.names.iter().zip(&fit.values) {
+        source.fix(name, value)?;
+    }
+    // A fitted value can be outside of the range of its setting.
+    let found = if fit.converged {
+        source.scene().map_err(|error| anyhow!("{error:#}; add bounds to [fit]"))
+    } else {
+        Err(anyhow!("the fit has not converged"))
+    };
+    let folder = Folder::or_fresh(reserved, &format!("identify-{}", presets::short_name(&args.scene)))?;
+    let mut text = format!("{}", table(&fit, &scene));
+    for (name, value) in facts(&fit, seconds) {
+        text += &format!("{}{name} {value}", if name == "segments" { "\n" } else { ", " });
+    }
+    text += &format!("\n{}", residuals(&fit, &segments, &scene));
+    // The validation fixes the numbers, and fits only the initial states.
+    let validating = Options { free_starts: true, ..options };
+    let validate = |found: &Scene| found.identify(&measured.chosen(&others, found), &validating);
+    let validation = found.as_ref().ok().filter(|_| !others.is_empty()).map(validate).transpose();
+    if let Ok(Some(validation)) = &validation {
+        let residuals = residuals(validation, &measured.chosen(&others, &scene), &scene);
+        text += &format!("\nvalidation with {}: {residuals}", counted(others.len(), "other segment"));
+    }
+    let mut warnings = warnings(&fit, &scene, !args.noise.is_empty());
+    warnings.extend(measured.warnings(&fitted, &fit, &scene));
+    if let Err(error) = &found {
+        warnings.push(format!("there is no scene.toml and no validation: {error:#}"));
+    }
+    warnings.iter().for_each(|warning| text += &format!("\n{WARNING}: {warning}"));
+
+    match &found {
+        Ok(found) => saved::write_scene(&folder, SCENE, found)?,
+        Err(_) => folder.remove(SCENE)?,
+    }
+    let identified = numbers(&fit, &scene)?;
+    folder.write(IDENTIFIED, &identified)?;
+    let listed = warnings.clone();
+    let warnings = warnings.into_iter().map(|warning| [WARNING.to_owned(), warning]);
+    let all_facts = facts(&fit, seconds);
+    let facts = all_facts.iter().map(|(name, value)| [(*name).to_owned(), value.clone()]);
+    folder.write(FIT, csv(["name", "value"], facts.chain(warnings))?)?;
+    folder.write(TRAJECTORIES, measured.beside(&fitted, &fit, &scene)?)?;
+    match &validation {
+        Ok(Some(validation)) => folder.write(VALIDATION, measured.beside(&others, validation, &scene)?)?,
+        // An earlier fit may have left its validation.
+        _ => folder.remove(VALIDATION)?,
+    }
+    folder.write(PICTURE, picture::picture(&measured, &fitted, &segments, &fit, &scene))?;
+    folder.write(REPORT, identification::page(&Folder::existing(folder.path())?)?)?;
+    let results = folder.path().display();
+    let failed = validation.as_ref().err().cloned();
+    let failed = failed
+        .map_or(Ok(()), |error| Err(in_file(error, &others, &measured, &scene)).context("validation with the fitted numbers"));
+    if args.json {
+        print_json(&json!({
+            "folder": folder.path(),
+            "numbers": rows(&identified)?,
+            "fit": object(all_facts.iter().map(|(name, value)| (*name, value.as_str()))),
+            "warnings": listed,
+        }))?;
+        return failed;
+    }
+    let written = if found.is_ok() { "scene.toml (with the fitted numbers), " } else { "" };
+    let validated = if matches!(validation, Ok(Some(_))) { format!(", {VALIDATION}") } else { String::new() };
+    print_text(&format!(
+        "{text}\nresults in {results}: report.html, {written}{IDENTIFIED}, {FIT}, {TRAJECTORIES}, identified.svg{validated}"
+    ))?;
+    failed
+}
+
+/// The error with the index of its segment in the file, and with names of states. `numbers` are the
+/// indices of the chosen segments.
+fn in_file(mut error: IdentifyError, numbers: &[usize], measured: &Measured, scene: &Scene) -> anyhow::Error {
+    use IdentifyError::{Diverged, Empty, MissingParam, MissingStart, NonFinite, Shape};
+    if let Shape { segment, .. }
+    | NonFinite { segment, .. }
+    | Empty { segment }
+    | MissingParam { segment, .. }
+    | MissingStart { segment, .. }
+    | Diverged { segment, .. } = &mut error
+    {
+        *segment = numbers[*segment];
+    }
+    if let MissingStart { segment, .. } = error {
+        let first = measured.first(segment).iter().zip(scene.state_names());
+        let missing: Vec<String> = first.filter(|(y, _)| y.is_nan()).map(|(_, name)| name).collect();
+        return anyhow!(
+            "segment {segment}: the first row lacks {}, but --exact-starts takes it as the exact initial state; \
+             omit --exact-starts, or begin at a complete row",
+            listed(&missing)
+        );
+    }
+    error.into()
+}
+
+/// Sizes, χ², BIC and effort of the fit, by name.
+fn facts(fit: &Fit, seconds: f64) -> Vec<(&'static str, String)> {
+    vec![
+        ("segments", fit.states.len().to_string()),
+        ("measurements", fit.measurements.to_string()),
+        ("unknowns with initial states", fit.unknowns.to_string()),
+        ("χ²", digits(fit.chi_squared, 7)),
+        ("BIC", format!("{:.1}", fit.bic())),
+        ("window", fit.window.map_or_else(|| "whole segments".into(), |steps| counted(steps, "step"))),
+        ("iterations", fit.iterations.to_string()),
+        ("simulations", fit.simulations.to_string()),
+        ("Jacobians", fit.jacobians.to_string()),
+        ("seconds", format!("{seconds:.1}")),
+    ]
+}
+
+fn warnings(fit: &Fit, scene: &Scene, noise_is_known: bool) -> Vec<String> {
+    let states = scene.state_names();
+    let named = |components: &[usize]| listed(&components.iter().map(|&i| states[i].clone()).collect::<Vec<_>>());
+    let undetermined = fit.undetermined.iter().map(|names| match &names[..] {
+        [name] => format!("the data do not determine {name}; fix it, or measure a motion that it affects"),
+        names => {
+            format!("the data do not determine {} separately; fix one of them, or measure a motion with forces", names.join(", "))
+        }
+    });
+    let rows = fit.names.iter().zip(starts(fit, scene)).zip(fit.values.iter().zip(&fit.statuses));
+    let of_number = rows.filter_map(|((name, start), (&value, status))| match status {
+        Status::AtBound => Some(format!("{name} is at its bound")),
+        Status::RanAway => Some(format!(
+            "{name} ran away from {} to {}, where it has almost no influence, so χ² has no minimum; give it bounds or another \
+             initial value, and check the model",
+            digits(start, 6),
+            digits(value, 6)
+        )),
+        Status::NonFinite => Some(format!(
+            "a derivative of the simulated states by {name} is not finite at {}, so the iterations ended; choose another \
+             initial value, or bounds without such values",
+            digits(value, 6)
+        )),
+        Status::NoSlope => Some(format!(
+            "all derivatives of the simulated states by {name} are 0 at {}, although other values change the states, as for a \
+             number that is only compared; it kept its initial value; fix it, and compare χ² of several values",
+            digits(value, 6)
+        )),
+        Status::Estimated | Status::Undetermined | Status::NotConverged => None,
+    });
+    let mut warnings: Vec<String> = undetermined.chain(of_number).collect();
+    if !fit.non_finite_starts.is_empty() {
+        warnings.push(format!(
+            "a derivative by the initial value of {} is not finite, so the iterations ended; choose other initial values",
+            named(&fit.non_finite_starts)
+        ));
+    }
+    if !fit.undetermined_starts.is_empty() {
+        warnings.push(format!(
+            "the data do not determine the initial values of {}; measure them in the first row of each segment, use \
+             --exact-starts with complete first rows, or choose a longer --window",
+            named(&fit.undetermined_starts)
+        ));
+    }
+    if noise_is_known && fit.is_unlikely() {
+        let ratio = fit.chi_squared / fit.freedom() as f64;
+        warnings.push(format!(
+            "χ² per degree of freedom is {}, far from 1: the residuals are {} times the given noise; check --noise, the units \
+             of the data, and the model",
+            rough(ratio),
+            rough(ratio.sqrt())
+        ));
+    }
+    let is_explained = fit.statuses.iter().any(|status| status.is_failure()) || !fit.non_finite_starts.is_empty();
+    if !fit.converged && !is_explained {
+        warnings
+            .push("the iterations did not end at a smooth minimum of χ²; try other initial values or another --window".into());
+    }
+    if fit.jump > JUMP {
+        warnings.push(format!(
+            "the simulated states jump by {} times the noise between windows; try other initial values or another --window",
+            rough(fit.jump)
+        ));
+    }
+    warnings
+}
+
+/// Standard deviations in the order of the state components. The components `measured` need an
+/// assignment. The default is 1 for others. None without assignments.
+fn noise(assignments: &[String], scene: &Scene, measured: &[usize]) -> Result<Option<Vec<f64>>> {
+    if assignments.is_empty() {
+        return Ok(None);
+    }
+    let names = scene.state_names();
+    let mut noise = vec![None; names.len()];
+    for assignment in assignments {
+        let parsed = assignment.split_once('=').and_then(|(name, value)| {
+            let index = names.iter().position(|known| known == name)?;
+            Some((index, value.parse::<f64>().ok().filter(|value| value.is_finite() && *value > 0.0)?))
+        });
+        let (index, value) = parsed.with_context(|| {
+            format!("--noise {assignment}: write NAME=VALUE with a positive value; names: {}", listed(&names))
+        })?;
+        if noise[index].replace(value).is_some() {
+            bail!("--noise {assignment}: {} is given twice; give each name once", names[index]);
+        }
+    }
+    let missing: Vec<String> = measured.iter().filter(|&&i| noise[i].is_none()).map(|&i| names[i].clone()).collect();
+    if !missing.is_empty() {
+        let all: Vec<String> = measured.iter().map(|&i| names[i].clone()).collect();
+        bail!("--noise lacks {}; give all measured states: {}", listed(&missing), listed(&all));
+    }
+    Ok(Some(noise.into_iter().map(|noise| noise.unwrap_or(1.0)).collect()))
+}
+
+/// Initial value of each unknown.
+fn starts(fit: &Fit, scene: &Scene) -> Vec<f64> {
+    let varied = scene.varied();
+    let start = |name: &String| varied.iter().find(|(known, _)| known == name).map_or(f64::NAN, |(_, number)| number.nominal());
+    fit.names.iter().map(start).collect()
+}
+
+fn numbers(fit: &Fit, scene: &Scene) -> Result<Vec<u8>> {
+    let mut header = ["name", "start", "value", "standard_error", "robust_error", "status"].map(String::from).to_vec();
+    header.extend(fit.names.iter().map(|name| format!("correlation with {name}")));
+    let rows = starts(fit, scene).into_iter().enumerate().map(|(i, start)| {
+        let mut row = vec![fit.names[i].clone()];
+        row.extend([start, fit.values[i], fit.errors[i], fit.robust_errors[i]].map(|number| number.to_string()));
+        row.push(fit.statuses[i].name().into());
+        row.extend(fit.correlations[i].iter().map(f64::to_string));
+        row
+    });
+    csv(header, rows)
+}
+
+fn table(fit: &Fit, scene: &Scene) -> Table {
+    let mut table = Table::new(["number", "start", "value", "standard error"]);
+    for (i, start) in starts(fit, scene).into_iter().enumerate() {
+        let error = match fit.statuses[i] {
+            Status::Estimated => rough(fit.errors[i]),
+            status => status.name().into(),
+        };
+        table.row([fit.names[i].clone(), digits(start, 6), digits(fit.values[i], 6), error]);
+    }
+    table
+}
+
+/// Root mean square of the residuals of each component with a measurement after the first row, over
+/// all segments that measure it. Segments have equal weights, also if they differ in length.
+fn residuals(fit: &Fit, segments: &[Segment], scene: &Scene) -> String {
+    let rms = |i: usize| {
+        let each = segments.iter().enumerate().map(|(index, segment)| fit.rms(index, i, segment)).filter(|rms| !rms.is_nan());
+        let squares: Vec<f64> = each.map(|rms| rms * rms).collect();
+        (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+    };
+    let names = scene.state_names();
+    let parts = measured_components(segments, 1).into_iter().map(|i| format!("{} {}", names[i], short(rms(i))));
+    let parts: Vec<String> = parts.collect();
+    format!("root mean square of the residuals: {}", parts.join(", "))
+}

@@ -1,0 +1,310 @@
+//! Measured trajectories on the time grid of a scene.
+
+use physgrad::identify::{Fit, Segment};
+use physgrad::text::short;
+use crate::commands::identify::table::{Row, Table, quoted};
+use crate::operations::identification::wrap;
+use crate::platform::csv::csv;
+use crate::platform::terminal::counted;
+use crate::tasks::Scene;
+use anyhow::{Context, Result, bail};
+use std::collections::HashSet;
+use std::path::Path;
+
+/// Largest distance in time of a sample from the nearest step of the scene, relative to the time
+/// step.
+const OFF_GRID: f64 = 1e-3;
+
+/// Largest decimal unit of the times that counts as their rounding, relative to the time step.
+const COARSEST: f64 = 0.2;
+
+/// Largest memory of all segments, bytes.
+const MOST_BYTES: f64 = 1e9;
+
+/// Smallest number of steps between all rows that shows times in another unit than s.
+const SPARSE: usize = 1000;
+
+/// Advice on times that are too far apart.
+const FAR_APART: &str = "give `t` in s, not in ms; or set system.dt near the sampling time, with integrator.substeps";
+
+/// State components with a measurement in or after the row `first` of a segment.
+pub fn measured_components(segments: &[Segment], first: usize) -> Vec<usize> {
+    let rows = || segments.iter().flat_map(|segment| segment.x.iter().skip(first));
+    let count = rows().next().map_or(0, Vec::len);
+    (0..count).filter(|&i| rows().any(|row| row[i].is_finite())).collect()
+}
+
+/// Measured trajectories on the time grid of a scene.
+pub struct Measured {
+    /// Path of the file, for messages.
+    name: String,
+    segments: Vec<Recording>,
+    /// Names of the parameters of the segments.
+    params: Vec<String>,
+}
+
+/// Rows of a segment.
+struct Recording {
+    key: String,
+    rows: Vec<Sample>,
+    /// Parameters; NaN without a value.
+    p: Vec<f64>,
+    /// Number of the step at the first row. None between two steps, and before the time 0.
+    first_step: Option<usize>,
+}
+
+/// A row of the file.
+struct Sample {
+    line: u64,
+    /// Number of steps after the first row.
+    step: usize,
+    /// Time in the file, s.
+    time: f64,
+    /// Measured state; NaN where missing.
+    x: Vec<f64>,
+    /// Controls, those of the row before where missing.
+    u: Vec<f64>,
+}
+
+/// Time grid of a scene.
+struct Grid {
+    dt: f64,
+    /// Largest error of a distance between two times by their decimals, s.
+    rounding: f64,
+}
+
+impl Grid {
+    /// Number of steps between two times. None if it is not an integer, up to rounding.
+    fn steps(&self, from: f64, to: f64) -> Option<f64> {
+        let steps = (to - from) / self.dt;
+        let doubles = 4.0 * f64::EPSILON * from.abs().max(to.abs());
+        let tolerance = self.rounding.max(OFF_GRID * self.dt) + doubles;
+        ((steps - steps.round()).abs() * self.dt < tolerance).then_some(steps.round())
+    }
+}
+
+impl Measured {
+    /// Reads a file, for example `trajectory.csv` of a run. States of steps without a sample are
+    /// NaN. A control stays constant until its next value, and is 0 before the first. Parameters
+    /// without a column are NaN.
+    ///
+    /// # Errors
+    /// See [`Table::read`] and [`Table::rows`]. There are no rows. The rows of a segment are not
+    /// contiguous, a parameter changes within a segment, or a time is not a later step on the time
+    /// grid of the scene. The steps of all segments need more than 1 GB, or all rows are 1000 or
+    /// more steps apart. A segment begins between two steps, or before the time 0, and the physics
+    /// depends on time.
+    pub fn read(path: &Path, scene: &Scene) -> Result<Self> {
+        let table = Table::read(path, scene)?;
+        let (name, dt, unit) = (table.name.clone(), scene.dt(), table.unit());
+        // Both times of a distance are wrong by up to half a unit.
+        let grid = Grid { dt, rounding: if unit <= COARSEST * dt { unit } else { 0.0 } };
+        let mut measured = Self { name, segments: Vec::new(), params: scene.param_names() };
+        let most = (MOST_BYTES / bytes_per_step(scene)) as usize;
+        let (mut seen, mut before) = (HashSet::new(), 0);
+        for row in table.rows() {
+            let row = row?;
+            let (name, line) = (&measured.name, row.line);
+            if measured.segments.last().is_none_or(|last| last.key != row.key) {
+                if !seen.insert(row.key.clone()) {
+                    let key = quoted(&row.key);
+                    bail!("{name}:{line}: the rows of segment {key} are not contiguous; sort the rows by segment");
+                }
+                before += measured.segments.last().map_or(0, Recording::steps);
+                measured.segments.push(Recording::new(&row, &grid));
+            }
+            let recording = measured.segments.last_mut().context("a segment begins with its first sample")?;
+            recording.push(row, &grid, &measured.params).with_context(|| format!("{name}:{line}"))?;
+            let steps = before + recording.steps();
+            if steps > most {
+                bail!("{name}:{line}: the segments have {steps} steps of {dt} s up to here; allowed: {most}; {FAR_APART}");
+            }
+        }
+        measured.check(scene)?;
+        Ok(measured)
+    }
+
+    fn check(&self, scene: &Scene) -> Result<()> {
+        let (name, dt) = (&self.name, scene.dt());
+        if self.segments.is_empty() {
+            bail!("{name} has no samples");
+        }
+        if let Some(distance) = self.segments.iter().flat_map(Recording::distances).map(|(steps, _)| steps).min() {
+            if distance >= SPARSE {
+                bail!("{name}: all rows are {distance} or more steps of {dt} s apart; {FAR_APART}");
+            }
+        }
+        for (i, segment) in self.segments.iter().enumerate().filter(|(_, segment)| segment.first_step.is_none()) {
+            if scene.depends_on_time(&self.chosen(&[i], scene)[0]) {
+                let Sample { line, time, .. } = segment.rows[0];
+                bail!(
+                    "{name}:{line}: the segment begins at {time:?} s, but the physics depends on time and has steps of {dt} s from 0; \
+                     begin at a step, shift the times, or set system.dt"
+                );
+            }
+        }
+        Ok(())
+    }
+
+    /// State components with a measurement in or after the row `first` of a segment.
+    pub fn components(&self, first: usize) -> Vec<usize> {
+        let rows = || self.segments.iter().flat_map(|segment| segment.rows.iter().skip(first));
+        let count = rows().next().map_or(0, |row| row.x.len());
+        (0..count).filter(|&i| rows().any(|row| row.x[i].is_finite())).collect()
+    }
+
+    /// First measured state of a segment.
+    pub fn first(&self, segment: usize) -> &[f64] {
+        &self.segments[segment].rows[0].x
+    }
+
+    /// Time of the first row of a segment, s.
+    pub fn begin(&self, segment: usize) -> f64 {
+        self.segments[segment].rows[0].time
+    }
+
+    /// Indices of the fitted segments, `0, every, 2 every, …`, and indices of the other segments.
+    pub fn split(&self, every: usize) -> [Vec<usize>; 2] {
+        let (fitted, others) = (0..self.segments.len()).partition(|i| i % every == 0);
+        [fitted, others]
+    }
+
+    /// The segments with these indices, one row per step, with the parameters of a scene.
+    /// Parameters without a value are NaN. A segment that begins between two steps has the nearest
+    /// one.
+    pub fn chosen(&self, numbers: &[usize], scene: &Scene) -> Vec<Segment> {
+        let names = scene.param_names();
+        let places: Vec<_> = names.iter().map(|name| self.params.iter().position(|known| known == name)).collect();
+        let segment = |&i: &usize| {
+            let Recording { rows, p, first_step, .. } = &self.segments[i];
+            let p = places.iter().map(|place| place.map_or(f64::NAN, |place| p[place])).collect();
+            let nearest = || (rows[0].time / scene.dt()).round() as usize;
+            let mut segment = Segment { p, first_step: first_step.unwrap_or_else(nearest), ..Segment::default() };
+            for row in rows {
+                segment.x.resize(row.step, vec![f64::NAN; row.x.len()]);
+                let held = segment.u.last().cloned().unwrap_or_default();
+                segment.u.resize(row.step, held);
+                segment.x.push(row.x.clone());
+                segment.u.push(row.u.clone());
+            }
+            segment
+        };
+        numbers.iter().map(segment).collect()
+    }
+
+    /// Sentences about rows of the chosen segments that the fit cannot read as they are meant:
+    /// missing rows while a control changes, and jumps of a state that look like a full turn.
+    pub fn warnings(&self, numbers: &[usize], fit: &Fit, scene: &Scene) -> Vec<String> {
+        let chosen = || numbers.iter().map(|&i| &self.segments[i]);
+        let mut warnings = Vec::new();
+        let gaps: Vec<(usize, &Sample)> = chosen().flat_map(Recording::gaps).collect();
+        if let Some((steps, Sample { line, .. })) = gaps.iter().max_by_key(|(steps, _)| steps) {
+            warnings.push(format!(
+                "rows are missing before {} of {}, where the control changes (at most {steps} steps, before line {line}); the fit \
+                 holds the control of the row before; add rows with the control, or split the segment there",
+                counted(gaps.len(), "row"),
+                self.name
+            ));
+        }
+        for (i, state) in scene.state_names().iter().enumerate().filter(|(i, _)| !fit.angles.contains(i)) {
+            if let Some((line, jump)) = chosen().find_map(|recording| recording.turn(i)) {
+                warnings.push(format!(
+                    "{}:{line}: {state} jumps by {} from the row before; if it is an angle that wraps, remove the jumps, as \
+                     numpy.unwrap does",
+                    self.name,
+                    short(jump)
+                ));
+            }
+        }
+        warnings
+    }
+
+    /// CSV of measured and simulated states of the segments with these indices. One row per row of
+    /// the file with a measurement, at its time. Full turns separate a measured angle from the file
+    /// if the data wrap.
+    pub fn beside(&self, numbers: &[usize], fit: &Fit, scene: &Scene) -> Result<Vec<u8>> {
+        let names = scene.state_names();
+        let mut header = vec!["segment".to_owned(), "t".to_owned()];
+        header.extend(names.iter().flat_map(|name| [format!("{name}_measured"), format!("{name}_simulated")]));
+        let segments = numbers.iter().zip(&fit.states);
+        let rows = segments.flat_map(|(&number, states)| {
+            let measured = self.segments[number].rows.iter().filter(|row| !row.x.iter().all(|x| x.is_nan()));
+            measured.map(move |Sample { step, time, x: measured, .. }| {
+                let cell = |x: f64| if x.is_nan() { String::new() } else { x.to_string() };
+                let pairs = measured.iter().zip(&states[*step]).enumerate();
+                let cells = pairs.flat_map(|(i, (&y, &x))| [cell(fit.near(i, y, x)), cell(x)]);
+                [number.to_string(), time.to_string()].into_iter().chain(cells).collect::<Vec<_>>()
+            })
+        });
+        csv(header, rows)
+    }
+}
+
+impl Recording {
+    /// Without the first row itself.
+    fn new(row: &Row, grid: &Grid) -> Self {
+        // Numbers of steps beyond the exact integers of f64 have no meaning.
+        let first_step = grid.steps(0.0, row.time).filter(|step| (0.0..9e15).contains(step));
+        Self { key: row.key.clone(), rows: Vec::new(), p: row.p.clone(), first_step: first_step.map(|step| step as usize) }
+    }
+
+    /// Number of steps from the first row to the last, both included.
+    fn steps(&self) -> usize {
+        self.rows.last().map_or(0, |row| row.step + 1)
+    }
+
+    fn push(&mut self, Row { line, time, x, mut u, p, .. }: Row, grid: &Grid, params: &[String]) -> Result<()> {
+        for (i, (p, known)) in p.into_iter().zip(&mut self.p).enumerate().filter(|(_, (p, _))| !p.is_nan()) {
+            if !known.is_nan() && *known != p {
+                bail!("`{}` differs from an earlier row; a parameter is constant in a segment", params[i]);
+            }
+            *known = p;
+        }
+        let begin = self.rows.first().map_or(time, |row| row.time);
+        let Some(step) = grid.steps(begin, time) else {
+            bail!("the time {time:?} s is not a later step of {} s; resample, or set system.dt", grid.dt);
+        };
+        if self.rows.last().is_some_and(|last| step <= last.step as f64) {
+            bail!("the time {time:?} s is not later than in the row before; sort the rows by time");
+        }
+        let held = self.rows.last().map(|row| &row.u);
+        for (i, u) in u.iter_mut().enumerate().filter(|(_, u)| u.is_nan()) {
+            *u = held.map_or(0.0, |held| held[i]);
+        }
+        // A larger number saturates, and exceeds the limit on the steps.
+        self.rows.push(Sample { line, step: (step as usize).min(usize::MAX / 4), time, x, u });
+        Ok(())
+    }
+
+    /// Steps between successive rows, each with both rows.
+    fn distances(&self) -> impl Iterator<Item = (usize, [&Sample; 2])> {
+        self.rows.windows(2).map(|pair| (pair[1].step - pair[0].step, [&pair[0], &pair[1]]))
+    }
+
+    /// Distances of at least twice the median between rows with different controls, each with its
+    /// second row.
+    fn gaps(&self) -> Vec<(usize, &Sample)> {
+        let mut distances: Vec<usize> = self.distances().map(|(steps, _)| steps).collect();
+        distances.sort_unstable();
+        let median = distances.get(distances.len() / 2).copied().unwrap_or(1);
+        let gaps = self.distances().filter(|(steps, [before, after])| *steps >= 2 * median && before.u != after.u);
+        gaps.map(|(steps, [_, after])| (steps, after)).collect()
+    }
+
+    /// First jump of a smooth component by almost a full turn: its line and size.
+    fn turn(&self, component: usize) -> Option<(u64, f64)> {
+        const NEAR: f64 = 1.5 * std::f64::consts::PI;
+        let values = self.rows.iter().map(|row| row.x[component]);
+        let known: Vec<f64> = values.clone().filter(|y| !y.is_nan()).collect();
+        let jumps = known.windows(2).filter(|pair| (pair[1] - pair[0]).abs() > 1.0).count();
+        let (row, jump) = wrap(values).filter(|(_, jump)| jump.abs() > NEAR && 10 * jumps < known.len())?;
+        Some((self.rows[row].line, jump))
+    }
+}
+
+/// Memory of a step of a segment during a fit, bytes: states and controls of two copies, and the
+/// simulated states. A list of numbers has 40 bytes besides.
+fn bytes_per_step(scene: &Scene) -> f64 {
+    let [states, controls] = [scene.state_names(), scene.control_names()].map(|names| 40.0 + 8.0 * names.len() as f64);
+    3.0 * states + 2.0 * controls
+}

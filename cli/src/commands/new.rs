@@ -1,0 +1,166 @@
+//! `physgrad new`: a crate with a task of the user.
+
+use crate::platform::files;
+use crate::platform::terminal::print_result;
+use crate::tasks;
+use anyhow::{Context, Result, bail};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Source of the task that a new crate starts from.
+const EXAMPLE: &str = include_str!("../../examples/own_program.rs");
+/// Type of the task in [`EXAMPLE`], which a new crate renames.
+const EXAMPLE_TYPE: &str = "BallBeam";
+/// Quoted name of the task in [`EXAMPLE`], which a new crate renames.
+const EXAMPLE_TASK: &str = "\"ball_beam\"";
+
+/// Names that a new crate must not have, with the reason.
+const RESERVED: [(&str, &str); 3] = [
+    (
+        "abstract as async await become box break const continue crate do dyn else enum extern false final fn for gen if impl \
+         in let loop macro match mod move mut override priv pub ref return self static struct super trait true try type \
+         typeof unsafe unsized use virtual where while yield",
+        "is a keyword of Rust",
+    ),
+    ("alloc build core deps examples incremental proc_macro std test", "is a crate of Rust or a folder of Cargo"),
+    ("physgrad rand schemars serde", "is a dependency of the new crate"),
+];
+
+/// Write a crate with a task of your own: a commented system, a scene and a gradient check.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  physgrad new swing_boat")]
+pub struct New {
+    /// Name of the task and of its folder: lower case letters, digits and underscores
+    pub name: String,
+    /// Folder of the physgrad sources [default: this program's, otherwise the published version]
+    #[arg(long, value_name = "DIR")]
+    pub path: Option<PathBuf>,
+}
+
+/// Runs the command.
+pub fn new(args: &New) -> Result<()> {
+    let name = &args.name;
+    let valid = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
+    if !name.starts_with(|c: char| c.is_ascii_lowercase()) || !name.chars().all(valid) {
+        bail!("`{name}` cannot be the name of a task; allowed: lower case letters, digits and underscores, a letter first");
+    }
+    if let Some((_, reason)) = RESERVED.iter().find(|(names, _)| names.split_whitespace().any(|reserved| reserved == name)) {
+        bail!("`{name}` cannot be the name of a task: it {reason}. Choose another name, for instance `{name}_task`");
+    }
+    let type_name = type_name(name);
+    if uses(EXAMPLE, &type_name) || uses(TEST, &type_name) {
+        bail!(
+            "`{name}` cannot be the name of a task: its type would be `{type_name}`, which the new crate already uses. Choose \
+             another name, for instance `{name}_task`"
+        );
+    }
+    if tasks::all().iter().any(|task| task.name() == name) {
+        bail!("`{name}` is a built-in task; choose another name");
+    }
+    if fs::symlink_metadata(name).is_ok() {
+        bail!("cannot create the folder {name}: it exists; choose another name");
+    }
+    let files = [
+        ("Cargo.toml", manifest(name, args.path.as_deref())?),
+        ("src/main.rs", source(name)),
+        ("scene.toml", SCENE.replace("NAME", name)),
+        (".gitignore", "/target\n/runs\n".into()),
+    ];
+    files::create_tree(Path::new(name), &files).with_context(|| format!("cannot write the folder {name}"))?;
+    print_result(&format!(
+        "created {name}: Cargo.toml, src/main.rs, scene.toml. Replace the equations in src/main.rs with your own. Then:\n\n\
+         cd {name}\n\
+         cargo test --release                            # gradient check\n\
+         cargo run --release -- train scene.toml         # training\n\
+         cargo run --release -- --help                   # all commands"
+    ))
+}
+
+fn manifest(name: &str, path: Option<&Path>) -> Result<String> {
+    let sources = Path::new(env!("CARGO_MANIFEST_DIR")).parent();
+    let path = path.or(sources.filter(|sources| sources.join("cli/Cargo.toml").exists()));
+    let package = |folder: &str| {
+        let Some(path) = path else { return Ok(format!("{:?}", env!("CARGO_PKG_VERSION"))) };
+        let path = path.join(folder);
+        let path = path.canonicalize().unwrap_or(path);
+        let text = path.to_str().with_context(|| format!("--path {}: it is not UTF-8 text", path.display()))?;
+        anyhow::Ok(format!("{{ path = {} }}", toml::Value::from(text)))
+    };
+    let mut text = MANIFEST.replace("NAME", name);
+    for (key, folder) in [("PHYSGRAD_CLI", "cli"), ("PHYSGRAD_PLOT", "plot"), ("PHYSGRAD", "")] {
+        text = text.replace(key, &package(folder)?);
+    }
+    Ok(text)
+}
+
+const MANIFEST: &str = r#"[package]
+name = "NAME"
+version = "0.1.0"
+edition = "2024"
+
+[dependencies]
+physgrad = PHYSGRAD
+physgrad-cli = PHYSGRAD_CLI
+physgrad-plot = PHYSGRAD_PLOT
+schemars = "1"
+serde = { version = "1", features = ["derive"] }
+
+# Rollouts need optimization, also in debug builds.
+[profile.dev]
+opt-level = 1
+[profile.dev.package.physgrad]
+opt-level = 3
+"#;
+
+/// Type of the task `name`: `SwingBoat` for `swing_boat`.
+fn type_name(name: &str) -> String {
+    let words = name.split('_').filter(|word| !word.is_empty());
+    words.map(|word| word[..1].to_uppercase() + &word[1..]).collect()
+}
+
+/// Returns whether a source uses `type_name` for an item other than its task. Ignores lines that
+/// contain only a comment.
+fn uses(source: &str, type_name: &str) -> bool {
+    let code = source.lines().filter(|line| !line.trim_start().starts_with("//"));
+    let mut words = code.flat_map(|line| line.split(|c: char| !c.is_alphanumeric() && c != '_'));
+    type_name != EXAMPLE_TYPE && words.any(|word| word == type_name)
+}
+
+/// Source of the new crate: the renamed example, and a test of its gradients.
+fn source(name: &str) -> String {
+    let type_name = type_name(name);
+    // Omits the header, which contains the command of the example.
+    let body = EXAMPLE.split_once("\n\n").map_or(EXAMPLE, |(_, body)| body);
+    let body = body.replace(EXAMPLE_TYPE, &type_name).replace(EXAMPLE_TASK, &format!("{name:?}"));
+    HEADER.replace("NAME", name) + &body + &TEST.replace("TYPE", &type_name)
+}
+
+const HEADER: &str = "//! The task `NAME`, for now a ball on a beam.
+//!
+//! `cargo run --release -- train NAME` trains a policy; `--help` lists all commands.
+
+";
+
+const TEST: &str = "
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gradients_are_exact() {
+        let task = TYPE::default();
+        let observations = task.observation_dim().unwrap_or(task.state_dim());
+        // Also checks the step and the costs, in states of rollouts.
+        check::task(&task, &Mlp::new([observations, 16, task.control_dim()]));
+    }
+}
+";
+
+const SCENE: &str = r#"# Settings that differ from the defaults; `cargo run --release -- tasks NAME` lists all.
+scene = 1
+task = "NAME"
+field = "regular"
+
+[policy]
+widths = [32, 32]
+"#;

@@ -1,0 +1,5 @@
+//! The `physgrad` program; see `physgrad --help`.
+
+fn main() -> std::process::ExitCode {
+    physgrad_cli::program().main()
+}

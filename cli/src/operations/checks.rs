@@ -1,0 +1,355 @@
+//! Gradient checks of a task and its policy, in a table. Stability of the time step, and slope of
+//! the loss.
+
+use physgrad::check::{self, Failure, Jumps, Kink, Passed, Plateau, Stability};
+use physgrad::text::rough;
+use crate::operations::trajectory;
+use crate::platform::table::Table;
+use crate::platform::terminal::{print_text, progress_bar};
+use physgrad::rng::Purpose;
+use physgrad::{Divergence, DynTask, Flow, Inputs, Policy, System, Task, Weights, initial_states};
+use indicatif::ProgressBar;
+
+/// Adds the checks of one task and policy to the results. Rollouts have the parameters `theta`, or
+/// random ones. The system and the costs are checked in states of rollouts, so that states have the
+/// units of the task.
+///
+/// One cause fails several checks: rollouts consist of steps, costs and the policy. Rollouts are
+/// therefore skipped if one of these fails, and several flows have one message.
+pub fn check(task: &DynTask, policy: &impl Policy, theta: Option<&[f64]>, variant: &str, results: &mut Results) {
+    let system = task.system();
+    let (n, m) = (system.state_dim(), system.control_dim());
+    let before = results.failures.len();
+    let diverges = |failure: &Failure| matches!(failure, Failure::Diverged { .. });
+    let along = results.add(&format!("{variant}: system"), || check::try_system_along(task, policy, theta));
+    if along.as_ref().is_some_and(diverges) {
+        results.skip(&format!("{variant}: costs"));
+    } else {
+        results.add(&format!("{variant}: costs"), || check::try_cost_along(task, policy, theta));
+    }
+    // Skips the policy check if the dimensions did not change since the last variant.
+    if results.dims.replace((n, m)) != Some((n, m)) {
+        results.add(&format!("{variant}: network"), || check::try_policy(policy).map_err(Failure::from));
+    }
+    let mut first: Option<usize> = None;
+    for flow in Flow::ALL {
+        let name = format!("{variant}: rollout, {flow}");
+        if first.is_none() && results.failures.len() > before {
+            results.skip(&name);
+            continue;
+        }
+        let failed = results.add(&name, || match theta {
+            Some(theta) => check::try_flow_at(task, policy, flow, theta),
+            None => check::try_flow(task, policy, flow),
+        });
+        match (failed, first) {
+            (Some(_), Some(index)) => {
+                results.failures.pop();
+                results.failures[index] += &format!(" (also flow {flow})");
+            }
+            (Some(_), None) => first = Some(results.failures.len() - 1),
+            (None, _) => {}
+        }
+    }
+}
+
+/// Stability of the steps of test rollouts.
+pub struct Amplification {
+    /// State with the largest amplification of a perturbation by a step.
+    pub worst: Place,
+    /// State in which a perturbation alternates in sign and decays most slowly.
+    pub ringing: Place,
+    /// Number of states that were evaluated.
+    pub evaluated: usize,
+    /// Number of states of the test rollouts.
+    pub states: usize,
+    /// First non-finite number of the test rollouts.
+    pub divergence: Option<Divergence>,
+}
+
+/// Stability of one step of a test rollout.
+#[derive(Clone, Copy)]
+pub struct Place {
+    /// Index of the test rollout.
+    pub sample: usize,
+    /// Step of the rollout.
+    pub step: usize,
+    pub stability: Stability,
+}
+
+/// Stability in states of test rollouts with the parameters `theta`.
+///
+/// # Errors
+/// A rollout diverges in the first step.
+pub fn amplification(task: &DynTask, policy: &impl Policy, theta: &[f64], seed: u64) -> Result<Amplification, Divergence> {
+    let weights = Weights::new(policy, theta.to_vec());
+    let starts = initial_states(task, seed, Purpose::Test, ROLLOUTS);
+    let (rollouts, divergence) = trajectory::until_divergence(task, policy, &weights, &starts, 0..ROLLOUTS);
+    let states: Vec<(usize, Inputs<'_, f64>)> = rollouts
+        .iter()
+        .enumerate()
+        .flat_map(|(sample, rollout)| {
+            let inputs = |t: usize| Inputs { x: &rollout.states[t][..], u: &rollout.controls[t][..], p: &rollout.params[..], t };
+            (0..rollout.controls.len()).map(move |t| (sample, inputs(t)))
+        })
+        .collect();
+    let place = |i: usize| {
+        let (sample, inputs) = states[i];
+        Place { sample, step: inputs.t, stability: check::stability(task.system(), inputs) }
+    };
+    let places: Vec<Place> = evaluated(task, &states).into_iter().map(place).collect();
+    // `check::stability` returns NaN with a positive sign. `total_cmp` ranks this NaN above every
+    // number.
+    let worst = places.iter().max_by(|a, b| a.stability.multiplier.total_cmp(&b.stability.multiplier));
+    let ringing = places.iter().min_by(|a, b| a.stability.lowest.total_cmp(&b.stability.lowest));
+    match (worst, ringing, divergence) {
+        (Some(&worst), Some(&ringing), _) => {
+            Ok(Amplification { worst, ringing, evaluated: places.len(), states: states.len(), divergence })
+        }
+        (_, _, Some(divergence)) => Err(divergence),
+        _ => unreachable!("finite rollouts of at least one step have states"),
+    }
+}
+
+/// Kinks and jumps of the step, the observation and the costs along test rollouts.
+pub fn kinks(task: &DynTask, policy: &impl Policy, theta: &[f64], seed: u64) -> Vec<Kink> {
+    let weights = Weights::new(policy, theta.to_vec());
+    check::kinks(task, policy, &weights, &initial_states(task, seed, Purpose::Test, ROLLOUTS))
+}
+
+/// Indices of the states that [`amplification`] evaluates: all if the cost permits. Otherwise half
+/// of them are evenly spaced, and the others have the largest norms of ∂S/∂x.
+///
+/// A contact may occupy few steps of a rollout, but its stiffness enlarges the norm.
+fn evaluated(task: &DynTask, states: &[(usize, Inputs<'_, f64>)]) -> Vec<usize> {
+    let n = task.system().state_dim();
+    let cost = if n <= check::DENSE { n.pow(3) } else { n * ITERATED };
+    let most = (PRODUCTS / cost.max(1)).max(if n <= 100 { LEAST } else { LEAST / 4 });
+    if states.len() <= most {
+        return (0..states.len()).collect();
+    }
+    let spaced = |count: usize| (0..states.len()).step_by(states.len().div_ceil(count));
+    let candidates = spaced(CANDIDATES.min(states.len()));
+    let mut by_norm: Vec<(f64, usize)> = candidates.map(|i| (check::jacobian_norm(task.system(), states[i].1), i)).collect();
+    by_norm.sort_by(|a, b| b.0.total_cmp(&a.0));
+    spaced(most / 2).chain(by_norm.into_iter().take(most / 2).map(|(_, i)| i)).collect()
+}
+
+/// Loss and gradient at the parameters `theta` and at parameters nearby.
+pub fn plateau(task: &DynTask, policy: &impl Policy, theta: &[f64], seed: u64) -> Result<Plateau, Divergence> {
+    let weights = Weights::new(policy, theta.to_vec());
+    check::plateau(task, policy, &weights, &initial_states(task, seed, Purpose::Test, ROLLOUTS))
+}
+
+/// Compares R with differences of the mean loss over finite distances, at the parameters `theta`.
+/// `None` for horizons above 10,000 steps.
+pub fn jumps(task: &DynTask, policy: &impl Policy, theta: &[f64], seed: u64) -> Option<Result<Jumps, Divergence>> {
+    /// Bound on the number of samples times steps.
+    const STEPS: usize = 400_000;
+    let horizon = Task::horizon(task).max(1);
+    let samples = (STEPS / horizon).min(512);
+    let starts = || initial_states(task, seed, Purpose::Test, samples);
+    (samples >= 40).then(|| check::jumps(task, policy, &Weights::new(policy, theta.to_vec()), &starts()))
+}
+
+/// Number of test rollouts of [`amplification`] and [`plateau`].
+const ROLLOUTS: usize = 4;
+/// Bound on the number of evaluated states times the cubed number of state components. The time is
+/// about 30 multiplications and additions each.
+const PRODUCTS: usize = 20_000_000;
+/// Smallest number of states that [`amplification`] evaluates, if the rollouts have as many; a
+/// quarter of it beyond 100 state components.
+const LEAST: usize = 32;
+/// Multiplications and additions per component and state of the power iteration, divided by 30.
+const ITERATED: usize = 24_000;
+/// Largest number of states whose norms of ∂S/∂x are compared.
+const CANDIDATES: usize = 4_000;
+
+/// Results of the checks so far.
+pub struct Results {
+    /// Name of the task under check.
+    task: &'static str,
+    /// Dimensions of state and control in the last policy check of this task.
+    dims: Option<(usize, usize)>,
+    table: Table,
+    failures: Vec<String>,
+    /// Prints each result when it is known.
+    prints: bool,
+    spinner: ProgressBar,
+}
+
+impl Results {
+    /// Results that print each row when it is known, if `prints` is true.
+    pub fn new(prints: bool) -> Self {
+        let table = Table::new(["task", "checked", "compared", "worst error", "allowed", "result"]).optional(&["compared"]);
+        let spinner = progress_bar(0, "{spinner} {msg}", false);
+        Self { task: "", dims: None, table, failures: Vec::new(), prints, spinner }
+    }
+
+    /// Sets the task of the following checks.
+    pub fn begin(&mut self, task: &'static str) {
+        if self.task != task {
+            (self.task, self.dims) = (task, None);
+        }
+    }
+
+    /// Returns the table and one message per failure.
+    pub fn finish(self) -> (Table, Vec<String>) {
+        self.spinner.finish_and_clear();
+        (self.table, self.failures)
+    }
+
+    /// Adds the result of a check. Returns its failure.
+    fn add(&mut self, name: &str, check: impl FnOnce() -> Result<Passed, Failure>) -> Option<Failure> {
+        let task = self.task;
+        self.spinner.set_message(format!("{task}, {name}"));
+        match check() {
+            Ok(p) => {
+                self.row([task, name, &p.compared.to_string(), &rough(p.worst), &format!("{:.0e}", p.allowed), "ok"]);
+                None
+            }
+            Err(failure) => {
+                self.failures.push(format!("{task}, {name}: {failure}"));
+                self.row([task, name, "", "", "", "FAILED"]);
+                Some(failure)
+            }
+        }
+    }
+
+    /// Adds a check that was not made, because an earlier one failed.
+    fn skip(&mut self, name: &str) {
+        self.row([self.task, name, "", "", "", "skipped"]);
+    }
+
+    fn row(&mut self, cells: [&str; 6]) {
+        self.table.row(cells);
+        if self.prints {
+            let [task, name, compared, worst, allowed, result] = cells;
+            let line = format!("│ {task} ┆ {name:<28} ┆ {compared:>6} ┆ {worst:>7} ┆ {allowed:>5} ┆ {result} │");
+            // A closed pipe ends the program with the next result.
+            self.spinner.suspend(|| _ = print_text(&line));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use physgrad::{Cotangent, Real, Scalar};
+    use physgrad::policy::Linear;
+    use crate::operations::policy_file;
+    use physgrad::{Cotangents, Start, rng::Rng};
+
+    /// `N` components that decay, except in one step of 750, in which the first grows by 3.
+    struct Kick<const N: usize>;
+
+    impl<const N: usize> System for Kick<N> {
+        fn state_dim(&self) -> usize {
+            N
+        }
+        fn control_dim(&self) -> usize {
+            1
+        }
+        fn step<T: Scalar>(&self, Inputs { x, u, t, .. }: Inputs<'_, T>, next: &mut [T]) {
+            for (next, &x) in next.iter_mut().zip(x) {
+                *next = x * 0.5;
+            }
+            next[0] = x[0] * if t == 7 { 3.0 } else { 0.5 } + u[0];
+        }
+    }
+
+    impl<const N: usize> Task for Kick<N> {
+        type System = Self;
+        fn system(&self) -> &Self {
+            self
+        }
+        fn horizon(&self) -> usize {
+            750
+        }
+        fn start(&self, _rng: &mut Rng, Start { x, .. }: Start<'_>) {
+            x.fill(1.0);
+        }
+        fn running_cost<T: Scalar>(&self, _inputs: Inputs<'_, T>, next: &[T]) -> T {
+            next[0] * next[0]
+        }
+    }
+
+    fn found<const N: usize>() -> Amplification {
+        let policy = Linear::new(N, 1);
+        amplification(&DynTask::new(Kick::<N>), &policy, &policy_file::random(&policy, 0), 0)
+            .unwrap_or_else(|divergence| panic!("{divergence}"))
+    }
+
+    #[test]
+    fn a_single_unstable_step_is_found_also_if_only_some_states_are_evaluated() {
+        let all = found::<2>();
+        assert_eq!((all.worst.step, all.evaluated, all.states), (7, 3000, 3000));
+        assert!((all.worst.stability.multiplier - 3.0).abs() < 1e-6);
+        // Beyond 200 components, by power iteration.
+        for some in [found::<40>(), found::<201>()] {
+            assert!(some.worst.step == 7 && some.evaluated < some.states);
+        }
+    }
+
+    /// A component that decays. Its VJP is wrong by `factor`, and the state is not finite after the
+    /// step `last`.
+    struct Broken {
+        factor: f64,
+        last: usize,
+    }
+
+    impl System for Broken {
+        fn state_dim(&self) -> usize {
+            1
+        }
+        fn control_dim(&self) -> usize {
+            1
+        }
+        fn step<T: Scalar>(&self, Inputs { x, u, t, .. }: Inputs<'_, T>, next: &mut [T]) {
+            next[0] = x[0] * if t > self.last { f64::NAN } else { 0.5 } + u[0];
+        }
+        fn vjp<R: Real, C: Cotangent<R>>(&self, _inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+            if let Some(x_bar) = cotangents.x {
+                x_bar[0] += next_bar[0] * R::from(0.5 * self.factor);
+            }
+            if let Some(u_bar) = cotangents.u {
+                u_bar[0] += next_bar[0];
+            }
+        }
+    }
+
+    impl Task for Broken {
+        type System = Self;
+        fn system(&self) -> &Self {
+            self
+        }
+        fn horizon(&self) -> usize {
+            6
+        }
+        fn start(&self, _rng: &mut Rng, Start { x, .. }: Start<'_>) {
+            x.fill(1.0);
+        }
+        fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
+            x[0] * x[0]
+        }
+    }
+
+    #[test]
+    fn one_cause_has_one_message() {
+        for (factor, last, expected, rows) in [
+            (1.0, 9, None, ["ok"; 7]),
+            (1.1, 9, Some("vjp: x_bar[0]"), ["FAILED", "ok", "ok", "skipped", "skipped", "skipped", "skipped"]),
+            (1.0, 3, Some("not finite"), ["FAILED", "skipped", "ok", "skipped", "skipped", "skipped", "skipped"]),
+        ] {
+            let mut results = Results::new(false);
+            results.begin("broken");
+            check(&DynTask::new(Broken { factor, last }), &Linear::with_bias(1, 1), None, "scene", &mut results);
+            let (table, failures) = results.finish();
+            assert_eq!(failures.len(), usize::from(expected.is_some()), "{failures:?}");
+            assert!(failures.iter().all(|failure| expected.is_some_and(|text| failure.contains(text))), "{failures:?}");
+            let found = table.objects();
+            let found: Vec<_> = found.as_array().expect("rows").iter().map(|row| row["result"].clone()).collect();
+            assert_eq!(found, rows, "{found:?}");
+        }
+    }
+}

@@ -1,0 +1,92 @@
+//! Rollouts of a policy from new initial states.
+
+use physgrad::any::AnyTask;
+use physgrad::policy::AnyPolicy;
+use crate::operations::trajectory::{self, Trajectory};
+use crate::settings::Precision;
+use physgrad::rng::{Purpose, stream};
+use physgrad::{DynTask, Float, Policy, Rollout, Weights, initial_states};
+use anyhow::{Result, bail};
+
+/// A policy with its parameters, and a seed of initial states.
+pub trait AnyEvaluation {
+    /// Losses from the initial states `0 .. samples`; infinite for rollouts that diverge.
+    fn losses(&self, samples: usize) -> Vec<f64>;
+    /// Rollout from the initial state `sample`.
+    fn rollout(&self, sample: usize) -> Trajectory;
+}
+
+struct Evaluation<P, F> {
+    task: DynTask,
+    policy: P,
+    weights: Weights<F>,
+    seed: u64,
+}
+
+/// Prepares rollouts of the policy. `theta` has the parameters of the policy, without the trained
+/// numbers of the system. Trained numbers have their initial values.
+///
+/// # Errors
+/// The length of `theta` is not the number of these parameters.
+pub fn new<P: Policy + 'static>(
+    task: DynTask,
+    policy: P,
+    precision: Precision,
+    theta: &[f64],
+    seed: u64,
+) -> Result<Box<dyn AnyEvaluation>> {
+    let mut all = vec![0.0; policy.param_count()];
+    policy.init(&mut stream(seed, Purpose::Policy, 0), &mut all);
+    let own = policy.param_count() - policy.trained_params().len();
+    if theta.len() != own {
+        bail!(
+            "the policy has {} parameters, but the policy of this scene has {own}; use the `policy` section of the run",
+            theta.len()
+        );
+    }
+    all[..own].copy_from_slice(theta);
+    Ok(match precision {
+        Precision::F32 => Box::new(Evaluation { weights: weights::<f32>(&policy, &all), task, policy, seed }),
+        Precision::F64 => Box::new(Evaluation { weights: weights::<f64>(&policy, &all), task, policy, seed }),
+    })
+}
+
+fn weights<F: Float>(policy: &dyn AnyPolicy<F>, theta: &[f64]) -> Weights<F> {
+    Weights::new(policy, theta.iter().map(|&theta| F::from_f64(theta)).collect())
+}
+
+impl<P: Policy, F: Float> AnyEvaluation for Evaluation<P, F> {
+    fn losses(&self, samples: usize) -> Vec<f64> {
+        losses(&self.task, &self.policy, &self.weights, &initial_states(&self.task, self.seed, Purpose::Evaluate, samples))
+    }
+
+    fn rollout(&self, sample: usize) -> Trajectory {
+        let starts = initial_states(&self.task, self.seed, Purpose::Evaluate, sample + 1);
+        trajectory::rollouts(&self.task, &self.policy, &self.weights, &starts, sample..sample + 1).remove(0)
+    }
+}
+
+fn losses<F: Float>(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, weights: &Weights<F>, starts: &[F]) -> Vec<f64> {
+    /// Largest number of samples in a rollout.
+    const BLOCK: usize = 32;
+    let samples = starts.len() / task.start_dim();
+    let mut rollout = Rollout::for_evaluation(task, policy, BLOCK.min(samples));
+    let mut run = |starts: &[F]| {
+        rollout.start(starts);
+        let outcome = rollout.run(task, policy, weights);
+        outcome.map(|()| (0..rollout.samples()).map(|sample| rollout.cost(sample).as_()).collect::<Vec<f64>>())
+    };
+    let each = |start: &[F], run: &mut dyn FnMut(&[F]) -> Option<Vec<f64>>| run(start).map_or(f64::INFINITY, |cost| cost[0]);
+    let mut losses = Vec::with_capacity(samples);
+    for starts in starts.chunks(BLOCK * task.start_dim()) {
+        match run(starts) {
+            Ok(costs) => losses.extend(costs),
+            // Repeats the rollout sample by sample, because a divergence ends the rollout of a
+            // block.
+            Err(_) => {
+                losses.extend(starts.chunks(task.start_dim()).map(|start| each(start, &mut |start| run(start).ok())));
+            }
+        }
+    }
+    losses
+}

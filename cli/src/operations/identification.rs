@@ -1,0 +1,118 @@
+//! Identification of the trained numbers of a scene.
+
+use physgrad::identify::{Fit, IdentifyError, Options, Segment, Unknown, identify};
+use physgrad::{DynTask, Inputs, Number, System, Task, Varied};
+use std::f64::consts::{PI, TAU};
+
+/// Fits the trained numbers of a task to measured segments. `names` are the names of the parameters
+/// of a rollout, in the order of the parameters of the segments. Numbers without a value in a
+/// segment have their nominal values. Ignores the values of trained numbers in a segment. Compares
+/// those of the components `angles` modulo 2π that wrap in the data.
+pub fn identified(
+    task: &DynTask,
+    names: &[String],
+    angles: &[usize],
+    segments: &[Segment],
+    options: &Options,
+) -> Result<Fit, IdentifyError> {
+    let system = task.system();
+    // Numbers that vary are the last parameters. A task may have more parameters than its system,
+    // so these numbers may have other indices in the task than in the system.
+    let named = system.varied(system.param_dim()).into_iter().zip(system.varied(task.param_dim()));
+    let unknown = |(varied, named): (Varied, Varied)| match varied.number {
+        Number::Trained { start, min, max } => {
+            Some(Unknown { name: names[named.index].clone(), index: varied.index, start, min, max })
+        }
+        _ => None,
+    };
+    let unknowns: Vec<Unknown> = named.filter_map(unknown).collect();
+    let segments = segments.iter().enumerate().map(|(i, segment)| {
+        let p = params(task, names, &segment.p).map_err(|name| IdentifyError::MissingParam { segment: i, name })?;
+        Ok(Segment { p, ..segment.clone() })
+    });
+    let segments = segments.collect::<Result<Vec<_>, _>>()?;
+    let wraps =
+        |&i: &usize| segments.iter().any(|segment| wrap(segment.x.iter().filter_map(|row| row.get(i)).copied()).is_some());
+    let wrapped = angles.iter().copied().filter(|i| wraps(i) && segments.iter().all(|segment| is_periodic(system, segment, *i)));
+    identify(system, &segments, &unknowns, &Options { angles: wrapped.collect(), ..options.clone() })
+}
+
+/// Parameters of the system, from those of a segment. Trained numbers have their initial values.
+///
+/// # Errors
+/// The name of a parameter that has neither a value nor a nominal value.
+fn params(task: &DynTask, names: &[String], given: &[f64]) -> Result<Vec<f64>, String> {
+    let system = task.system();
+    let known = |index: usize| given.get(index).copied().filter(|value| !value.is_nan());
+    let mut p: Vec<Option<f64>> = (0..system.param_dim()).map(known).collect();
+    for (varied, named) in system.varied(system.param_dim()).iter().zip(system.varied(task.param_dim())) {
+        let known = known(named.index).filter(|_| !matches!(varied.number, Number::Trained { .. }));
+        p[varied.index] = Some(known.unwrap_or(varied.number.nominal()));
+    }
+    p.into_iter().zip(names).map(|(p, name)| p.ok_or_else(|| name.clone())).collect()
+}
+
+/// A jump of an angle by more than half a turn, in values that a turn contains: index of the value
+/// after it, and its size in rad. Values that are NaN are missing.
+pub fn wrap(values: impl Iterator<Item = f64> + Clone) -> Option<(usize, f64)> {
+    /// Slack for values that are rounded, rad.
+    const ROUNDED: f64 = 0.01;
+    let known = values.enumerate().filter(|(_, value)| value.is_finite());
+    let (low, high) = known.clone().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (_, y)| (low.min(y), high.max(y)));
+    let mut jumps = known.clone().zip(known.skip(1)).map(|((_, before), (i, after))| (i, after - before));
+    if high - low > TAU + ROUNDED { None } else { jumps.find(|(_, jump)| jump.abs() > PI) }
+}
+
+/// Number of rows of a segment at which a property of the system is tested.
+const TESTED: usize = 1000;
+
+/// Returns whether steps from the measured states commute with a full turn of a component.
+fn is_periodic(system: &impl System, segment: &Segment, component: usize) -> bool {
+    /// Allows for the rounding errors of a stiff step.
+    const TOLERANCE: f64 = 1e-6;
+    steps(system, segment).all(|(x, at)| {
+        let mut turned = x.clone();
+        turned[component] += TAU;
+        let [next, mut turned] = [&x, &turned].map(|x| at(x, 0, &segment.p));
+        turned[component] -= TAU;
+        next.iter().zip(&turned).all(|(a, b)| (a - b).abs() <= TOLERANCE * (1.0 + a.abs()))
+    })
+}
+
+/// Returns whether steps from the measured states depend on the number of the step, for any values
+/// of the trained numbers. False if a parameter is missing.
+pub fn depends_on_time(task: &DynTask, names: &[String], segment: &Segment) -> bool {
+    let system = task.system();
+    let Ok(mut p) = params(task, names, &segment.p) else { return false };
+    // The initial value of an unknown amplitude can be 0.
+    for Varied { index, number, .. } in system.varied(system.param_dim()) {
+        if let Number::Trained { start, min, max } = number {
+            let change = 0.01 * start.abs().max(1.0);
+            p[index] = if start + change <= max { start + change } else { (start - change).max(min) };
+        }
+    }
+    let bits = |x: Vec<f64>| x.into_iter().map(f64::to_bits).collect::<Vec<_>>();
+    steps(system, segment).any(|(x, at)| bits(at(&x, 0, &p)) != bits(at(&x, 1, &p)))
+}
+
+/// Measured states of a segment, at most [`TESTED`], each with its step as a function of a state, a
+/// delay in steps and the parameters. Missing components keep their last value, from 0.
+fn steps<'a>(
+    system: &'a impl System,
+    segment: &'a Segment,
+) -> impl Iterator<Item = (Vec<f64>, impl Fn(&[f64], usize, &[f64]) -> Vec<f64> + 'a)> + 'a {
+    let mut x = vec![0.0; system.state_dim()];
+    let zeros = vec![0.0; system.control_dim()];
+    let every = segment.x.len().div_ceil(TESTED).max(1);
+    let states = segment.x.iter().enumerate().map(move |(i, row)| {
+        x.iter_mut().zip(row).filter(|(_, y)| y.is_finite()).for_each(|(x, y)| *x = *y);
+        let u = segment.u.get(i).cloned().unwrap_or_else(|| zeros.clone());
+        let step = move |x: &[f64], delay: usize, p: &[f64]| {
+            let mut next = vec![0.0; x.len()];
+            system.step(Inputs { x, u: &u, p, t: segment.first_step + i + delay }, &mut next);
+            next
+        };
+        (x.clone(), step)
+    });
+    states.step_by(every)
+}

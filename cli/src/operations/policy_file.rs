@@ -1,0 +1,152 @@
+//! Policy files: parameters of a policy as named tensors in the safetensors format.
+
+use physgrad::Float;
+use physgrad::policy::{AnyPolicy, NetworkLayer};
+use physgrad::rng::{Purpose, stream};
+use anyhow::{Context, Result, bail};
+use safetensors::SafeTensors;
+use safetensors::tensor::{Dtype, TensorView};
+use serde::{Deserialize, Serialize};
+
+/// Key of the description in the metadata of policy files and ONNX models.
+pub const METADATA: &str = "physgrad";
+
+/// Description of a policy, for other programs.
+#[derive(Clone, Debug, Serialize)]
+pub struct About {
+    /// Version of physgrad.
+    pub physgrad: &'static str,
+    /// Name of the task.
+    pub task: String,
+    /// Names of the components of the observation.
+    pub observations: Vec<String>,
+    /// Names of the components of the control.
+    pub controls: Vec<String>,
+    /// Numbers that the scene trains. Their entries in the tensor `trained_params` are on a scale
+    /// that depends on the bounds.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub trained: Vec<TrainedNumber>,
+}
+
+/// Number that a scene trains. An infinite bound is None.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TrainedNumber {
+    pub name: String,
+    pub min: Option<f64>,
+    pub max: Option<f64>,
+}
+
+impl About {
+    /// The description and the layers of the policy, as JSON.
+    pub fn json<F: Float>(&self, policy: &dyn AnyPolicy<F>) -> Result<String> {
+        #[derive(Serialize)]
+        struct Described<'a> {
+            #[serde(flatten)]
+            about: &'a About,
+            layers: Option<Vec<NetworkLayer>>,
+        }
+        Ok(serde_json::to_string(&Described { about: self, layers: policy.network() })?)
+    }
+}
+
+/// Serializes the parameters of a policy.
+pub fn write<F: Float>(about: &About, policy: &dyn AnyPolicy<F>, theta: &[F]) -> Result<Vec<u8>> {
+    let bytes: Vec<u8> = theta.iter().flat_map(|t| t.to_le_bytes().as_ref().to_vec()).collect();
+    let dtype = if F::NAME == "f32" { Dtype::F32 } else { Dtype::F64 };
+    let width = size_of::<F>();
+    let views = policy.tensors().into_iter().map(|t| {
+        let view = TensorView::new(dtype, t.shape, &bytes[t.range.start * width..t.range.end * width])?;
+        Ok((t.name, view))
+    });
+    let views: Vec<_> = views.collect::<Result<_, safetensors::SafeTensorError>>()?;
+    // Writes a single entry, because the iteration order of the map is not fixed.
+    let metadata = [(METADATA.to_owned(), about.json(policy)?)].into_iter().collect();
+    Ok(safetensors::serialize(views, Some(metadata))?)
+}
+
+/// Name of the tensor with the trained numbers of a scene.
+const NUMBERS: &str = "trained_params";
+
+/// Checks that a file and a scene train the same numbers within the same bounds. Accepts a file
+/// without a list of numbers, and a scene that trains none.
+///
+/// # Errors
+/// The numbers or bounds differ.
+pub fn check_numbers(bytes: &[u8], about: &About) -> Result<()> {
+    #[derive(Deserialize)]
+    struct Described {
+        #[serde(default)]
+        trained: Vec<TrainedNumber>,
+    }
+    let header = SafeTensors::read_metadata(bytes).ok().and_then(|(_, header)| header.metadata().clone());
+    let text = header.and_then(|mut header| header.remove(METADATA));
+    let Some(Described { trained }) = text.and_then(|text| serde_json::from_str(&text).ok()) else { return Ok(()) };
+    if trained.is_empty() || about.trained.is_empty() || trained == about.trained {
+        return Ok(());
+    }
+    let listed = |numbers: &[TrainedNumber]| {
+        let bound = |name: &str, bound: Option<f64>| bound.map_or_else(String::new, |bound| format!(" {name} {bound}"));
+        let number = |TrainedNumber { name, min, max }: &_| format!("{name}{}{}", bound("min", *min), bound("max", *max));
+        numbers.iter().map(number).collect::<Vec<_>>().join(", ")
+    };
+    bail!(
+        "it has the trained numbers {}, but the scene trains {}; use the numbers and bounds of its run",
+        listed(&trained),
+        listed(&about.trained)
+    )
+}
+
+/// Random parameters of the policy.
+pub fn random(policy: &dyn AnyPolicy<f64>, seed: u64) -> Vec<f64> {
+    let mut theta = vec![0.0; policy.param_count()];
+    policy.init(&mut stream(seed, Purpose::Policy, 0), &mut theta);
+    theta
+}
+
+/// Parameters of the policy from a file. Numbers that the scene trains keep their initial values if
+/// the file has no tensor of trained numbers. Ignores this tensor if the scene trains no numbers.
+///
+/// # Errors
+/// The bytes are not in the safetensors format. A tensor is missing, is unknown, has another shape,
+/// or has a type other than F32 and F64. A parameter is not finite.
+pub fn read(bytes: &[u8], policy: &dyn AnyPolicy<f64>, seed: u64) -> Result<Vec<f64>> {
+    let file = SafeTensors::deserialize(bytes).context("it is not a file in the safetensors format")?;
+    let tensors = policy.tensors();
+    let is_unknown = |name: &&str| *name != NUMBERS && tensors.iter().all(|own| own.name != **name);
+    // Names the alphabetically first unknown tensor, because the order of the names is not fixed.
+    if let Some(name) = file.names().into_iter().filter(is_unknown).min() {
+        let own: Vec<&str> = tensors.iter().map(|own| &*own.name).collect();
+        bail!(
+            "it has the tensor {name}, but the policy of the scene has {}; use the `policy` section of its run",
+            own.join(", ")
+        );
+    }
+    let mut theta = random(policy, seed);
+    for own in tensors {
+        let found = match file.tensor(&own.name) {
+            Err(_) if own.name == NUMBERS => continue,
+            found => found.with_context(|| {
+                format!("it has no tensor {}, but the policy of the scene does; use the `policy` section of its run", own.name)
+            })?,
+        };
+        if found.shape() != own.shape {
+            bail!(
+                "its tensor {} has the shape {:?}, but the policy of the scene has {:?}; use the `policy` section of its run, and \
+                 as many observations and controls",
+                own.name,
+                found.shape(),
+                own.shape
+            );
+        }
+        let values: Vec<f64> = match found.dtype() {
+            Dtype::F32 => found.data().as_chunks().0.iter().map(|&bytes| f32::from_le_bytes(bytes).into()).collect(),
+            Dtype::F64 => found.data().as_chunks().0.iter().map(|&bytes| f64::from_le_bytes(bytes)).collect(),
+            other => bail!("its tensor {} has the type {other:?}; allowed: F32, F64", own.name),
+        };
+        if let Some(i) = values.iter().position(|value| !value.is_finite()) {
+            bail!("its tensor {} contains {} at index {i}; allowed: finite numbers", own.name, values[i]);
+        }
+        theta[own.range].copy_from_slice(&values);
+    }
+    Ok(theta)
+}

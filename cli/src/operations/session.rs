@@ -1,0 +1,186 @@
+//! Object-safe training session, independent of task, policy and precision.
+
+use physgrad::any::AnyTask;
+use crate::operations::adjoint_norms::{self, AdjointNorms};
+use crate::operations::onnx;
+use crate::operations::policy_file::{self, About};
+use crate::operations::trajectory::{self, Trajectory};
+use crate::settings::Precision;
+use physgrad::{
+    CheckpointError, DynTask, Field, Float, Policy, Ranks, Record, Session, Task, TrainError, Trainer, Training, Warning, Weights,
+};
+use anyhow::Result;
+use std::ops::Range;
+use std::sync::Arc;
+
+/// Epoch of a run whose parameters are used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Epoch {
+    /// The last epoch.
+    Last,
+    /// The epoch with the lowest test loss.
+    Best,
+}
+
+/// Object-safe part of a [`Session`].
+pub trait AnyRun: Send {
+    /// Shares the samples among ranks; see [`Session::share`].
+    fn share(&mut self, ranks: &Arc<dyn Ranks>) -> Result<(), TrainError>;
+    /// Runs to the end of the epoch, or to the first update after which `pause` returns true.
+    ///
+    /// Returns the record of the epoch, or None if paused.
+    fn advance(&mut self, pause: &(dyn Fn() -> bool + Sync)) -> Result<Option<&Record>, TrainError>;
+    /// Loss of the test set with the current parameters. NaN if a rollout diverges.
+    fn test_loss(&mut self) -> f64;
+    /// Lowest recorded test loss and the loss of its parameters now, if they differ; see
+    /// [`Session::changed_test_loss`].
+    fn changed_test_loss(&mut self) -> Option<[f64; 2]>;
+    /// Number of updates applied so far.
+    fn updates(&self) -> u64;
+    /// True after the last epoch.
+    fn is_done(&self) -> bool;
+    /// Records of the completed epochs.
+    fn records(&self) -> &[Record];
+    /// Warnings about the last epoch. Empty within an epoch.
+    fn warnings(&self) -> Vec<Warning>;
+    /// Serializes the run. [`restore`](Self::restore) requires an equal label.
+    fn checkpoint(&self, label: &str) -> Vec<u8>;
+    /// Restores a checkpoint with an equal label. On an error, the session is unchanged.
+    fn restore(&mut self, bytes: &[u8], label: &str) -> Result<(), CheckpointError>;
+    /// Parameters after the epoch as named tensors in the safetensors format.
+    fn safetensors(&self, epoch: Epoch, about: &About) -> Result<Vec<u8>>;
+    /// The policy after the epoch as an ONNX model.
+    fn onnx(&self, epoch: Epoch, about: &About) -> Result<Vec<u8>>;
+    /// Values of the trained numbers after the epoch, with their indices in the parameters of a
+    /// rollout.
+    fn trained(&self, epoch: Epoch) -> Vec<(usize, f64)>;
+    /// Parameters of the policy after the epoch, without the trained numbers.
+    fn theta(&self, epoch: Epoch) -> Vec<f64>;
+    /// Number of initial states in the test set.
+    fn test_samples(&self) -> usize;
+    /// Rollouts with the current parameters, from a range of test initial states. Truncates the end
+    /// of the range to the test set.
+    fn rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory>;
+    /// [`rollouts`](AnyRun::rollouts) in double precision, from the rounded parameters and states.
+    fn double_rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory>;
+    /// Initial states and parameters of a range of the test set, as rollouts without steps.
+    fn starts(&self, chosen: Range<usize>) -> Vec<Trajectory>;
+    /// Norms of the adjoints of R and M along rollouts with the current parameters. Uses at most
+    /// [`adjoint_norms::SAMPLES`] test initial states.
+    fn adjoint_norms(&self) -> [AdjointNorms; 2];
+}
+
+impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
+    fn share(&mut self, ranks: &Arc<dyn Ranks>) -> Result<(), TrainError> {
+        Session::share(self, ranks)
+    }
+
+    fn advance(&mut self, pause: &(dyn Fn() -> bool + Sync)) -> Result<Option<&Record>, TrainError> {
+        Session::advance(self, pause)
+    }
+
+    fn test_loss(&mut self) -> f64 {
+        Session::test_loss(self)
+    }
+
+    fn changed_test_loss(&mut self) -> Option<[f64; 2]> {
+        Session::changed_test_loss(self)
+    }
+
+    fn updates(&self) -> u64 {
+        Session::updates(self)
+    }
+
+    fn is_done(&self) -> bool {
+        Session::is_done(self)
+    }
+
+    fn records(&self) -> &[Record] {
+        Session::records(self)
+    }
+
+    fn warnings(&self) -> Vec<Warning> {
+        Session::epoch_warnings(self)
+    }
+
+    fn checkpoint(&self, label: &str) -> Vec<u8> {
+        Session::checkpoint(self, label)
+    }
+
+    fn restore(&mut self, bytes: &[u8], label: &str) -> Result<(), CheckpointError> {
+        Session::restore(self, bytes, label)
+    }
+
+    fn safetensors(&self, epoch: Epoch, about: &About) -> Result<Vec<u8>> {
+        policy_file::write(about, self.policy(), theta(self, epoch))
+    }
+
+    fn onnx(&self, epoch: Epoch, about: &About) -> Result<Vec<u8>> {
+        onnx::write(about, self.policy(), theta(self, epoch))
+    }
+
+    fn trained(&self, epoch: Epoch) -> Vec<(usize, f64)> {
+        let (trained, theta) = (self.policy().trained_params(), theta(self, epoch));
+        let values = &theta[theta.len() - trained.len()..];
+        trained.iter().zip(values).map(|(param, r)| (param.index(), param.value(r.as_()))).collect()
+    }
+
+    fn theta(&self, epoch: Epoch) -> Vec<f64> {
+        let theta = theta(self, epoch);
+        theta[..theta.len() - self.policy().trained_params().len()].iter().map(|theta| theta.as_()).collect()
+    }
+
+    fn test_samples(&self) -> usize {
+        self.test_starts().len() / AnyTask::<F>::start_dim(self.task())
+    }
+
+    fn rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory> {
+        trajectory::rollouts(self.task(), self.policy(), self.weights(), self.test_starts(), chosen)
+    }
+
+    fn double_rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory> {
+        let double = |numbers: &[F]| numbers.iter().map(|number| number.as_()).collect::<Vec<f64>>();
+        let weights = Weights::new(self.policy(), double(self.weights().theta()));
+        trajectory::rollouts(self.task(), self.policy(), &weights, &double(self.test_starts()), chosen)
+    }
+
+    fn starts(&self, chosen: Range<usize>) -> Vec<Trajectory> {
+        let (n, len) = (AnyTask::<F>::state_dim(self.task()), AnyTask::<F>::start_dim(self.task()));
+        let start = |start: &[F]| {
+            let numbers: Vec<f64> = start.iter().map(|number| number.as_()).collect();
+            let (x, p) = numbers.split_at(n);
+            Trajectory { states: vec![x.to_vec()], controls: Vec::new(), params: p.to_vec() }
+        };
+        let all = self.test_starts().chunks_exact(len);
+        all.skip(chosen.start).take(chosen.len()).map(start).collect()
+    }
+
+    fn adjoint_norms(&self) -> [AdjointNorms; 2] {
+        adjoint_norms::norms(self.task(), self.policy(), self.weights(), self.test_starts())
+    }
+}
+
+/// Current parameters for [`Epoch::Last`], also within an epoch. For [`Epoch::Best`], see
+/// [`Session::best_theta`].
+fn theta<T: Task, P: Policy, F: Float>(session: &Session<T, P, F>, epoch: Epoch) -> &[F] {
+    match epoch {
+        Epoch::Last => session.weights().theta(),
+        Epoch::Best => session.best_theta(),
+    }
+}
+
+/// Opens a session before its first epoch, with the parameters `theta`.
+pub fn open<P: Policy + 'static>(
+    task: DynTask,
+    policy: P,
+    precision: Precision,
+    field: Field,
+    training: Training,
+    theta: Vec<f64>,
+) -> Result<Box<dyn AnyRun>> {
+    let trainer = Trainer::new(task, policy).field(field).training(training).start_from(theta);
+    Ok(match precision {
+        Precision::F32 => Box::new(trainer.precision::<f32>().session()?),
+        Precision::F64 => Box::new(trainer.precision::<f64>().session()?),
+    })
+}

@@ -1,0 +1,59 @@
+//! Trajectories of a policy, independent of task and policy types.
+
+use physgrad::any::AnyTask;
+use physgrad::policy::AnyPolicy;
+use physgrad::{Divergence, Float, Rollout, Variable, Weights};
+use std::ops::Range;
+
+/// Largest number of test rollouts in the `trajectory.csv` of a run.
+pub const ROLLOUTS: usize = 4;
+
+/// One rollout. If the batch of rollouts diverges, all its rollouts end before the first non-finite
+/// state, control or memory, but contain the initial state.
+pub struct Trajectory {
+    /// States `[step][component]`, the initial state first.
+    pub states: Vec<Vec<f64>>,
+    /// Controls `[step][component]`, one entry fewer than the states.
+    pub controls: Vec<Vec<f64>>,
+    /// Parameters, constant during the rollout.
+    pub params: Vec<f64>,
+}
+
+/// Rollouts of the policy from a range of the initial states. Truncates the end of the range to the
+/// available states.
+pub fn rollouts<F: Float>(
+    task: &dyn AnyTask<F>,
+    policy: &dyn AnyPolicy<F>,
+    weights: &Weights<F>,
+    starts: &[F],
+    chosen: Range<usize>,
+) -> Vec<Trajectory> {
+    until_divergence(task, policy, weights, starts, chosen).0
+}
+
+/// [`rollouts`], and the first non-finite number.
+pub fn until_divergence<F: Float>(
+    task: &dyn AnyTask<F>,
+    policy: &dyn AnyPolicy<F>,
+    weights: &Weights<F>,
+    starts: &[F],
+    chosen: Range<usize>,
+) -> (Vec<Trajectory>, Option<Divergence>) {
+    let (n, m, len) = (task.state_dim(), task.control_dim(), task.start_dim());
+    let starts = &starts[chosen.start * len..starts.len().min(chosen.end * len)];
+    let samples = starts.len() / len;
+    let mut rollout = Rollout::new(task, policy, samples);
+    rollout.start(starts);
+    let divergence = rollout.run(task, policy, weights).err();
+    let steps = match divergence {
+        Some(Divergence::Forward { variable: Variable::State, step, .. }) => step.saturating_sub(1),
+        Some(Divergence::Forward { variable: Variable::Control | Variable::Memory | Variable::Parameter, step, .. }) => step,
+        _ => task.horizon(),
+    };
+    let trajectory = |sample: usize| Trajectory {
+        states: (0..=steps).map(|t| (0..n).map(|i| rollout.state(t, sample, i).as_()).collect()).collect(),
+        controls: (0..steps).map(|t| (0..m).map(|i| rollout.control(t, sample, i).as_()).collect()).collect(),
+        params: rollout.params_of_sample(sample).map(|p| p.as_()).collect(),
+    };
+    ((0..samples).map(trajectory).collect(), divergence)
+}

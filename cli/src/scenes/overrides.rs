@@ -1,0 +1,134 @@
+//! Options of the command line that override settings of a scene or of a resumed run.
+
+use crate::platform::folder::POLICY;
+use crate::scenes::source::{SceneSource, short};
+use crate::scenes::sweep::{Sweep, several};
+use crate::settings::{FieldName, LogFormat, Precision};
+use crate::tasks::scene::INITIAL_POLICY;
+use anyhow::{Context, Result, bail};
+use std::path::PathBuf;
+use toml::Value;
+
+/// Options that replace settings of a scene.
+#[derive(Clone, Debug, Default, clap::Args)]
+pub struct Overrides {
+    /// Vector field to follow: combined, regular, modified, network, stopped, projected,
+    /// conflict_free, modified_signed, regular_scaled (C, R, M, N, S, P, F, MR, RM)
+    #[arg(long, value_parser = |name: &str| name.parse().map(FieldName))]
+    pub field: Option<FieldName>,
+    /// Total number of epochs, including those before --resume
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    pub epochs: Option<u64>,
+    /// Seed of initial states and initial parameters
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
+    pub seed: Option<u64>,
+    /// Floating-point precision of all computations
+    #[arg(long, value_enum)]
+    pub precision: Option<Precision>,
+    /// Start from this policy: a file `policy.safetensors`, or the folder of a run
+    #[arg(long, value_name = "FILE")]
+    pub policy: Option<PathBuf>,
+    /// Tag of the run, for `physgrad runs --tag`
+    #[arg(long)]
+    pub tag: Vec<String>,
+    /// Also write the metrics of every epoch in these formats, for other tools
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "FORMAT")]
+    pub log: Vec<LogFormat>,
+    /// Change or add a setting, for example system.poles=4; `physgrad tasks TASK` lists them
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+    /// Remove an effect or a part of the actuator
+    #[arg(long, value_name = "NAME")]
+    pub without: Vec<String>,
+}
+
+impl Overrides {
+    /// Applies the overrides to a scene: first `--without`, then `--set`, then the other options.
+    pub fn apply(&self, source: &mut SceneSource) -> Result<()> {
+        for name in &self.without {
+            source.without(name)?;
+        }
+        for assignment in &self.set {
+            set(source, assignment)?;
+        }
+        let overrides = [
+            ("field", self.field.map(|f| Value::String(f.into()))),
+            ("epochs", self.epochs.map(|e| integer("--epochs", e)).transpose()?),
+            ("seed", self.seed.map(|s| integer("--seed", s)).transpose()?),
+            ("precision", self.precision.map(Value::try_from).transpose()?),
+        ];
+        for (key, value) in overrides {
+            if let Some(value) = value {
+                source.put(key, value, &format!("--{key}"))?;
+            }
+        }
+        if !self.tag.is_empty() {
+            source.put("tags", Value::from(self.tag.clone()), "--tag")?;
+        }
+        if !self.log.is_empty() {
+            source.put("log", Value::try_from(&self.log)?, "--log")?;
+        }
+        if let Some(path) = &self.policy {
+            let option = format!("--policy {}", path.display());
+            let file = if path.is_dir() { path.join(POLICY) } else { path.clone() };
+            let file = file.to_str().with_context(|| format!("{option}: the path is not UTF-8 text"))?;
+            source.put(INITIAL_POLICY, Value::String(file.into()), &option)?;
+        }
+        Ok(())
+    }
+
+    /// Applies the overrides to a scene that may already contain them.
+    ///
+    /// Ignores names in `--without` that the scene does not contain.
+    pub fn apply_again(&self, source: &mut SceneSource) -> Result<()> {
+        let without = self.without.iter().filter(|name| source.has(name)).cloned().collect();
+        Self { without, ..self.clone() }.apply(source)
+    }
+}
+
+/// Hides an option in the help text of a command if only training uses the option.
+pub fn hide_training(arg: clap::Arg) -> clap::Arg {
+    let is_hidden = ["epochs", "policy", "tag", "log"].contains(&arg.get_id().as_str());
+    if is_hidden { arg.hide(true) } else { arg }
+}
+
+/// Removes the assignments with several values from `set`, and adds them to the sweep.
+pub fn take_several(set: &mut Vec<String>, sweep: &mut Sweep) -> Result<()> {
+    for assignment in std::mem::take(set) {
+        let parts = assignment.split_once('=').and_then(|(key, text)| Some((key.trim(), several(text.trim())?)));
+        match parts {
+            Some((key, values)) => sweep.add(key, values)?,
+            None => set.push(assignment),
+        }
+    }
+    Ok(())
+}
+
+/// Converts to an integer of TOML, which is signed.
+fn integer(option: &str, value: u64) -> Result<Value> {
+    let value = i64::try_from(value).ok().with_context(|| format!("{option} is {value}; allowed: up to {}", i64::MAX))?;
+    Ok(Value::Integer(value))
+}
+
+/// Applies one assignment, for example `training.learning_rate=3e-4`.
+pub fn set(source: &mut SceneSource, assignment: &str) -> Result<()> {
+    let option = format!("--set {}", short(assignment));
+    let (key, text) =
+        assignment.split_once('=').with_context(|| format!("{option}: write KEY=VALUE, for example system.poles=4"))?;
+    let (key, text) = (key.trim(), text.trim());
+    if ["physgrad", "scene", "task"].contains(&key) {
+        bail!("{option}: `{key}` defines the meaning of the other settings and cannot be set; edit the scene file");
+    }
+    if let Some((section, number)) = key.split_once('.').filter(|(section, _)| ["vary", "fit"].contains(section)) {
+        let example = if section == "vary" { "{ uniform = [1, 2] }" } else { "{ start = 1 }" };
+        bail!(
+            "{option}: only scene files have the section `{section}`; write the setting itself, as in --set '{number}={example}'"
+        );
+    }
+    if several(text).is_some() {
+        bail!("{option}: `{key}` has several values, which only `compare` trains; choose one");
+    }
+    // Reads text that is not a TOML value as a string, because shells remove quotes.
+    let value = text.parse().unwrap_or_else(|_| Value::String(text.into()));
+    source.put(key, value, &option)
+}

@@ -1,0 +1,253 @@
+//! Cart-pole: settings, effects, limits and animation.
+
+use crate::operations::trajectory::Trajectory;
+use crate::settings::Method;
+use crate::settings::config_error::{ConfigError, count, exclusive, finite, not_negative, positive};
+use crate::tasks::effects::{EffectsSection, Present, effects_section};
+use crate::tasks::{Conserved, MlpSettings, SceneEffects, Settings, TaskSpec};
+use physgrad_plot::{Animation, Rail};
+use physgrad::tasks::{
+    self, Bumpers, CartDamping, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind, LossMode,
+    PoleDamping, SteadyWind,
+};
+use physgrad::{DynTask, Effect, Forced, HasModel, Named, Number, System};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::f64::consts::TAU;
+
+/// Task `cart_pole`.
+#[derive(Clone, Debug)]
+pub struct CartPole;
+
+/// The `system` section of cart-pole.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CartPoleSettings {
+    /// Equations of motion: uncoupled or coupled poles.
+    model: Model,
+    /// Number of poles.
+    poles: usize,
+    /// Mass of the cart, kg.
+    cart_mass: Number,
+    /// Mass of a pole, kg.
+    pole_mass: Number,
+    /// Half the length of a pole, m.
+    half_length: Number,
+    /// Gravitational acceleration, m/s².
+    gravity: Number,
+    /// Time step, s.
+    dt: f64,
+}
+
+/// Equations of motion.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+enum Model {
+    /// Equations of the paper's code: the control drives every pole, without coupling between
+    /// poles.
+    Uncoupled,
+    /// Exact equations: the poles couple through the cart.
+    Coupled,
+}
+
+effects_section! {
+    /// The `effects` section of cart-pole, in order of evaluation.
+    CartPoleEffects {
+        /// Viscous friction in the joints of the poles.
+        pole_damping: PoleDamping {
+            equation: "τ_i = -damping ω_i",
+            derivative: "analytic",
+            limits: { damping: not_negative },
+        }
+        /// Viscous friction of the cart on its rail.
+        cart_damping: CartDamping {
+            equation: "F = -damping ẋ",
+            derivative: "analytic",
+            limits: { damping: not_negative },
+        }
+        /// Dry friction of the cart on its rail, smoothed.
+        dry_friction: DryFriction {
+            equation: "F = -force tanh(ẋ / smoothing)",
+            derivative: "analytic; smoothed",
+            limits: { force: not_negative, smoothing: positive },
+        }
+        /// A steady wind along the rail.
+        steady_wind: SteadyWind {
+            equation: "F = cart_drag |w - ẋ| (w - ẋ) + Σ D_i cos θ_i, τ_i = l D_i, D_i = pole_drag |v_i| v_i, v_i = (w - ẋ) cos θ_i - l ω_i, w = speed",
+            derivative: "analytic",
+            limits: { speed: finite, cart_drag: not_negative, pole_drag: not_negative },
+        }
+        /// Wind along the rail with sinusoidal gusts of random phase.
+        gusty_wind: GustyWind {
+            equation: "as steady_wind, w = speed + gust sin(2π (t + t₀) / period), t₀ drawn from 0 to period per rollout",
+            derivative: "analytic",
+            limits: { speed: finite, gust: finite, period: positive, cart_drag: not_negative, pole_drag: not_negative },
+        }
+        /// Spring-damper bumpers at both ends of the rail.
+        bumpers: Bumpers {
+            equation: "F = -stiffness δ max(0, 1 + damping dδ/dt), δ = max(0, |x| - half_travel), outwards",
+            derivative: "analytic; one-sided at contact",
+            limits: { half_travel: positive, stiffness: not_negative, damping: not_negative },
+        }
+    }
+}
+
+impl CartPoleEffects {
+    /// Wind speed in m/s at `time` in s, with nominal numbers. None without wind.
+    fn wind(&self, params: &[f64], time: f64) -> Option<f64> {
+        let steady = self.steady_wind.map(|wind| wind.speed.nominal());
+        let gusty = self.gusty_wind.map(|wind| {
+            let phase = TAU * (time + params[self.params_before_gusts()]) / wind.period;
+            wind.speed.nominal() + wind.gust.nominal() * phase.sin()
+        });
+        steady.or(gusty)
+    }
+
+    /// Index of t₀, the start time of the gusts, in the parameters of a rollout.
+    fn params_before_gusts(&self) -> usize {
+        let effects: Vec<Named<CartPoleEffect>> = self.present();
+        let before = effects.iter().take_while(|effect| !matches!(effect.effect, CartPoleEffect::GustyWind(_)));
+        before.map(Effect::<CartPoleSystem>::param_dim).sum()
+    }
+
+    fn validate(&self) -> Result<(), ConfigError> {
+        self.validate_values()?;
+        let winds = [("steady_wind", self.steady_wind.is_some()), ("gusty_wind", self.gusty_wind.is_some())];
+        exclusive(&winds, "both set the wind speed")
+    }
+}
+
+/// The `loss` section of cart-pole.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CartPoleLoss {
+    /// States that enter the loss.
+    mode: LossMode,
+}
+
+impl CartPoleSettings {
+    fn parameters(&self) -> CartPoleSystem {
+        let Self { model: _, poles, cart_mass, pole_mass, half_length, gravity, dt } = *self;
+        CartPoleSystem { poles, cart_mass, pole_mass, half_length, gravity, dt }
+    }
+}
+
+/// Time step of the physics: the control step divided by the number of substeps.
+fn system_dt(settings: &Settings<CartPole>) -> f64 {
+    settings.system.dt / settings.integrator.count() as f64
+}
+
+/// Swing-up task with this system.
+fn swing_up(system: impl HasModel<CartPoleSystem> + 'static, settings: &Settings<CartPole>) -> DynTask {
+    DynTask::new(tasks::CartPole { system, loss: settings.loss.mode, horizon: settings.horizon })
+}
+
+/// Task whose effects are a list, with integrator and actuators.
+fn listed(system: CartPoleModel, effects: Vec<Named<CartPoleEffect>>, settings: &Settings<CartPole>) -> DynTask {
+    let system = settings.integrator.discretize(Forced { system, effects }, system_dt(settings), settings.precision);
+    let system = settings.actuator.wrap(system, settings.system.dt);
+    swing_up(system, settings)
+}
+
+impl TaskSpec for CartPole {
+    type System = CartPoleSettings;
+    type Effects = CartPoleEffects;
+    type Loss = CartPoleLoss;
+    type PolicySpec = MlpSettings;
+
+    const NAME: &'static str = "cart_pole";
+    const ABOUT: &'static str = "swing up 1 to 64 poles on one cart";
+    const EPOCHS: usize = 1000;
+    fn horizon() -> usize {
+        100
+    }
+    const METHODS: &'static [Method] = &Method::ODE;
+
+    fn system() -> CartPoleSettings {
+        let CartPoleSystem { poles: _, cart_mass, pole_mass, half_length, gravity, dt } = CartPoleSystem::default();
+        CartPoleSettings { model: Model::Uncoupled, poles: 2, cart_mass, pole_mass, half_length, gravity, dt }
+    }
+
+    fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
+        let system = &settings.system;
+        count("system.poles", system.poles, 1..=CartPoleSystem::MAX_POLES)?;
+        positive("system.cart_mass", system.cart_mass)?;
+        positive("system.pole_mass", system.pole_mass)?;
+        positive("system.half_length", system.half_length)?;
+        positive("system.dt", system.dt)?;
+        finite("system.gravity", system.gravity)?;
+        system
+            .parameters()
+            .check()
+            .map_err(|error| ConfigError::new("system.cart_mass", format!("is {}: {error}", system.cart_mass.nominal())))?;
+        settings.effects.validate()
+    }
+
+    fn validate_own_effects(effects: &SceneEffects) -> Result<(), ConfigError> {
+        effects.only_of::<CartPoleSystem>()
+    }
+
+    fn task(settings: &Settings<Self>) -> DynTask {
+        let effects = settings.all_effects();
+        let system = CartPoleSystem { dt: system_dt(settings), ..settings.system.parameters() };
+        // Uses a separate type only for the paper's system, because each type adds compile time.
+        match settings.system.model {
+            Model::Uncoupled if effects.is_empty() && settings.actuator.is_empty() && settings.integrator.is_empty() => {
+                swing_up(system, settings)
+            }
+            Model::Uncoupled => listed(CartPoleModel::Uncoupled(system), effects, settings),
+            Model::Coupled => listed(CartPoleModel::Coupled(CoupledCartPole(system)), effects, settings),
+        }
+    }
+
+    fn variants() -> Vec<(String, Settings<Self>)> {
+        let modes = [(LossMode::Terminal, "terminal"), (LossMode::Running, "running")];
+        let variant = |poles: usize, (mode, name): (LossMode, &str)| {
+            let mut settings = Settings::<Self>::defaults();
+            settings.system.poles = poles;
+            settings.loss.mode = mode;
+            (format!("{poles} pole{}, {name} loss", if poles == 1 { "" } else { "s" }), settings)
+        };
+        let mut windy = variant(2, modes[0]).1;
+        windy.effects.cart_damping = Some(CartDamping::default());
+        windy.effects.steady_wind = Some(SteadyWind::default());
+        let plain = [1, 2, 4].into_iter().flat_map(|poles| modes.map(|mode| variant(poles, mode)));
+        plain.chain([("2 poles, cart damping, steady wind".to_owned(), windy)]).collect()
+    }
+
+    fn dt(settings: &Settings<Self>) -> f64 {
+        settings.system.dt
+    }
+
+    fn state_names(settings: &Settings<Self>) -> Vec<String> {
+        let poles = (1..=settings.system.poles).flat_map(|i| [format!("theta_{i}"), format!("omega_{i}")]);
+        ["x".into(), "x_dot".into()].into_iter().chain(poles).collect()
+    }
+
+    fn param_names(settings: &Settings<Self>) -> Vec<String> {
+        settings.effects.gusty_wind.map(|_| "start_of_gusts".to_owned()).into_iter().collect()
+    }
+
+    fn control_names(_settings: &Settings<Self>) -> Vec<String> {
+        vec!["force".into()]
+    }
+
+    fn conserved(settings: &Settings<Self>) -> Option<Conserved> {
+        // With several poles, only the exact equations conserve energy.
+        let exact = matches!(settings.system.model, Model::Coupled) || settings.system.poles == 1;
+        let free = settings.all_effects::<_, CartPoleEffect>().is_empty() && settings.actuator.is_empty();
+        let system = CoupledCartPole(settings.system.parameters());
+        (exact && free).then(|| Conserved { name: "energy", value: Box::new(move |x| system.energy(x)) })
+    }
+
+    fn animation(settings: &Settings<Self>, Trajectory { states, controls, params }: &Trajectory) -> Animation {
+        let CartPoleSettings { half_length, dt, .. } = settings.system;
+        let half_length = half_length.nominal();
+        let dim = System::state_dim(&settings.system.parameters());
+        let forces: Vec<f64> = settings.actuator.applied(dt, states, controls).iter().map(|u| u[0]).collect();
+        let wind = (0..states.len()).filter_map(|t| settings.effects.wind(params, t as f64 * dt)).collect();
+        let rail = Rail { bumpers: settings.effects.bumpers.map(|bumpers| bumpers.half_travel), wind };
+        let states: Vec<Vec<f64>> = states.iter().map(|x| x[..dim].to_vec()).collect();
+        physgrad_plot::cart_pole_on(&rail, &states, &forces, half_length, dt)
+    }
+}

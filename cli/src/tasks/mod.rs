@@ -1,0 +1,297 @@
+//! Tasks of the program: built-in tasks, and tasks of the user.
+//!
+//! A [`TaskSpec`] adds settings, defaults, limits, column names and an animation to the physics of
+//! a task. [`Settings`] are the sections of one task; [`Scene`] hides the type of the task. [`all`]
+//! lists the built-in tasks and the tasks of the user, which implement [`ProgramTask`].
+//!
+//! Imports `settings` and `operations`. Start with `cart_pole`.
+
+mod cart_pole;
+mod effects;
+mod guidance;
+mod hard;
+mod in_scene;
+mod own;
+mod own_effect;
+mod own_numbers;
+mod policy;
+mod quantum;
+pub mod scene;
+mod schema;
+mod settings;
+
+pub use own::{Own, ProgramTask};
+pub use own_effect::{AnyEffectSpec, OwnEffect, ProgramEffect, SceneEffects};
+pub use policy::{MlpSettings, PolicySpec};
+pub use scene::{DynPolicy, Scene};
+pub use schema::schema;
+pub use settings::Settings;
+
+use physgrad::DynTask;
+use crate::operations::trajectory::Trajectory;
+use crate::settings::config_error::ConfigError;
+use crate::settings::{Info, Method};
+use physgrad_plot::Animation;
+use anyhow::{Result, anyhow, bail};
+use effects::EffectsSection;
+use schemars::JsonSchema;
+use serde::{Serialize, de::DeserializeOwned};
+use std::fmt::Debug;
+use std::sync::OnceLock;
+use toml::Table;
+
+/// A section of a scene's settings.
+pub trait Section: Clone + Debug + Serialize + DeserializeOwned + JsonSchema + Send + Sync + 'static {}
+impl<T: Clone + Debug + Serialize + DeserializeOwned + JsonSchema + Send + Sync + 'static> Section for T {}
+
+/// Specification of a task: name, settings, defaults and limits. [`task`](TaskSpec::task) creates
+/// the [`Task`](physgrad::Task) of given settings.
+pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
+    /// The `system` section: settings of the physics.
+    type System: Section;
+    /// The `effects` section: one subsection per effect that is present.
+    type Effects: Section + Default + EffectsSection;
+    /// The `loss` section: settings of the cost function.
+    type Loss: Section + Default;
+    /// The `policy` section: settings of the network.
+    type PolicySpec: PolicySpec;
+
+    /// The task's name.
+    const NAME: &'static str;
+    /// One-line description.
+    const ABOUT: &'static str;
+    /// Default number of epochs.
+    const EPOCHS: usize;
+    /// Default number of time steps.
+    fn horizon() -> usize;
+    /// Integrators that can replace the task's native scheme.
+    const METHODS: &'static [Method] = &[];
+
+    /// The default physics.
+    fn system() -> Self::System;
+    /// Checks the sections `system`, `effects` and `loss`, and refuses settings of other sections
+    /// that the task does not support.
+    ///
+    /// # Errors
+    /// A value is out of range, or a setting has no effect in this task.
+    fn validate(settings: &Settings<Self>) -> Result<(), ConfigError>;
+    /// Checks that the task accepts the effects of the user.
+    ///
+    /// # Errors
+    /// An effect has another model than the task. The default refuses any effect.
+    fn validate_own_effects(effects: &SceneEffects) -> Result<(), ConfigError> {
+        effects.first().map_or(Ok(()), |key| {
+            Err(ConfigError::new(key, "is an effect of the user, which this task does not accept; remove it from the scene"))
+        })
+    }
+    /// Task of these settings.
+    fn task(settings: &Settings<Self>) -> DynTask;
+    /// Named settings for gradient checks.
+    fn variants() -> Vec<(String, Settings<Self>)>;
+
+    /// Time step, in the unit of time of the task: s, except for `quantum`.
+    fn dt(settings: &Settings<Self>) -> f64;
+    /// Names of the state components, without those that actuators add.
+    fn state_names(settings: &Settings<Self>) -> Vec<String>;
+    /// Indices of the state components that are angles in rad, in increasing order. By default,
+    /// those with names that begin with `theta_`.
+    fn angles(settings: &Settings<Self>) -> Vec<usize> {
+        let names = Self::state_names(settings).into_iter().enumerate();
+        names.filter(|(_, name)| name.starts_with("theta_")).map(|(i, _)| i).collect()
+    }
+    /// Names of the parameters of a rollout that are not drawn or trained numbers, in order. Empty
+    /// by default.
+    fn param_names(_settings: &Settings<Self>) -> Vec<String> {
+        Vec::new()
+    }
+    /// Names of the control components.
+    fn control_names(settings: &Settings<Self>) -> Vec<String>;
+    /// A quantity that is conserved while the control is zero, or None.
+    fn conserved(_settings: &Settings<Self>) -> Option<Conserved> {
+        None
+    }
+    /// Animation of one rollout, from its states, controls and parameters.
+    fn animation(settings: &Settings<Self>, rollout: &Trajectory) -> Animation;
+}
+
+/// A function of the state that is conserved in continuous time.
+pub struct Conserved {
+    /// Name of the quantity.
+    pub name: &'static str,
+    /// Evaluates the quantity at a state.
+    pub value: StateFunction,
+}
+
+type StateFunction = Box<dyn Fn(&[f64]) -> f64>;
+
+impl Conserved {
+    /// Largest deviation from the initial value over all samples, relative to the largest absolute
+    /// value.
+    pub fn drift(&self, samples: &[Vec<Vec<f64>>]) -> f64 {
+        let (mut drift, mut size) = (0.0_f64, 0.0_f64);
+        for states in samples {
+            let start = (self.value)(&states[0]);
+            for value in states.iter().map(|x| (self.value)(x)) {
+                (drift, size) = (drift.max((value - start).abs()), size.max(value.abs()));
+            }
+        }
+        // 0/0 is NaN: without samples, or if the quantity is 0 in all states.
+        drift / size
+    }
+}
+
+/// Built-in tasks. Each has a [`TaskSpec`], an entry here, and a preset in `scenes/presets`.
+const BUILT_IN: [&dyn AnyTaskSpec; 10] = [
+    &cart_pole::CartPole,
+    &guidance::Guidance,
+    &quantum::Quantum,
+    &hard::Lqr,
+    &hard::DoublePendulum,
+    &hard::Pendulum,
+    &hard::PoleChain,
+    &hard::Slider,
+    &hard::Bounce,
+    &hard::Push,
+];
+
+/// Tasks and effects of this process, set once by [`register`].
+static REGISTERED: OnceLock<Registered> = OnceLock::new();
+
+struct Registered {
+    tasks: Vec<&'static dyn AnyTaskSpec>,
+    /// Effects of the user with their keys in scenes.
+    effects: Vec<(&'static str, &'static dyn AnyEffectSpec)>,
+}
+
+/// All tasks: first the built-in tasks, then the tasks of the user.
+pub fn all() -> &'static [&'static dyn AnyTaskSpec] {
+    REGISTERED.get().map_or(&BUILT_IN, |registered| &registered.tasks)
+}
+
+/// Tasks of the user.
+pub fn own() -> &'static [&'static dyn AnyTaskSpec] {
+    &all()[BUILT_IN.len()..]
+}
+
+/// Returns whether code of the user reads this setting of a task. The setting then belongs to the
+/// system of a task of the user, or to an effect of the user.
+pub fn is_read_by_user(task: &str, key: &str) -> bool {
+    let is_own_task = own().iter().any(|own| own.name() == task);
+    let is_of_own_effect = own_effects(task).iter().any(|(effect, _)| key.starts_with(effect));
+    is_own_task && key.starts_with("system.") || is_of_own_effect
+}
+
+/// Effects of the user for this task, with their keys in scenes.
+fn own_effects(task: &str) -> Vec<(&'static str, &'static dyn AnyEffectSpec)> {
+    let effects = REGISTERED.get().map_or(&[][..], |registered| &registered.effects);
+    effects.iter().copied().filter(|(_, effect)| effect.task() == task).collect()
+}
+
+/// Adds tasks and effects of the user to the built-in tasks and effects.
+///
+/// # Errors
+/// A name is empty, or has characters other than lower case letters, digits and underscores. Two
+/// tasks, or two effects of a task, have the same name. An effect names an unknown task. The
+/// process has called this function before.
+pub fn register(own: Vec<&'static dyn AnyTaskSpec>, own_effects: Vec<&'static dyn AnyEffectSpec>) -> Result<()> {
+    let is_name = |name: &str| {
+        !name.is_empty() && name.bytes().all(|byte| byte == b'_' || byte.is_ascii_lowercase() || byte.is_ascii_digit())
+    };
+    let names = own.iter().map(|task| task.name()).chain(own_effects.iter().map(|effect| effect.info().name));
+    if let Some(name) = names.into_iter().find(|name| !is_name(name)) {
+        bail!("`NAME` is {name:?}; allowed: lower case letters, digits and underscores");
+    }
+    let tasks: Vec<_> = BUILT_IN.into_iter().chain(own).collect();
+    for (i, task) in tasks.iter().enumerate() {
+        if tasks[..i].iter().any(|other| other.name() == task.name()) {
+            bail!("two tasks have the name `{}`; choose another `NAME`", task.name());
+        }
+    }
+    for (i, effect) in own_effects.iter().enumerate() {
+        let (name, of) = (effect.info().name, effect.task());
+        let Some(task) = tasks.iter().find(|task| task.name() == of) else {
+            bail!("the effect `{name}` is of the task `{of}`, which is unknown; choose another `TASK`");
+        };
+        let is_same = |other: &&dyn AnyEffectSpec| other.task() == of && other.info().name == name;
+        if task.effects().iter().any(|info| info.name == name) || own_effects[..i].iter().any(is_same) {
+            bail!("two effects of {of} have the name `{name}`; choose another `NAME`");
+        }
+    }
+    // Leaks the keys, because names of effects are static. A process registers once.
+    let key = |name: &str| -> &'static str { Box::leak(format!("effects.{name}").into_boxed_str()) };
+    let effects = own_effects.into_iter().map(|effect| (key(effect.info().name), effect)).collect();
+    REGISTERED
+        .set(Registered { tasks, effects })
+        .map_err(|_| anyhow!("this process has already registered tasks and effects; call `main` once"))
+}
+
+/// Object-safe [`TaskSpec`].
+pub trait AnyTaskSpec: Send + Sync {
+    /// The task's name.
+    fn name(&self) -> &'static str;
+    /// One-line description.
+    fn about(&self) -> &'static str;
+    /// Documentation of every effect.
+    fn effects(&self) -> Vec<Info>;
+    /// Integrators that can replace the task's native scheme.
+    fn methods(&self) -> &'static [Method];
+    /// Integrator of the reference solution, and its number of substeps per control step. The
+    /// native scheme if the task has no integrator of high order.
+    fn reference(&self) -> (&'static str, usize);
+    /// The default settings.
+    fn defaults(&self) -> Table;
+    /// Fills in missing settings that have a default.
+    fn fill(&self, settings: Table) -> Result<Table, ConfigError>;
+    /// Creates a scene. Missing settings that have a default get it.
+    fn scene(&'static self, settings: Table) -> Result<Scene, ConfigError>;
+    /// JSON schema of scenes of this task.
+    fn schema(&self) -> serde_json::Value;
+    /// Named scenes for gradient checks.
+    fn variants(&'static self) -> Vec<(String, Scene)>;
+}
+
+impl<K: TaskSpec> AnyTaskSpec for K {
+    fn name(&self) -> &'static str {
+        K::NAME
+    }
+
+    fn about(&self) -> &'static str {
+        K::ABOUT
+    }
+
+    fn effects(&self) -> Vec<Info> {
+        let own = own_effects(K::NAME).into_iter().map(|(_, effect)| effect.info());
+        K::Effects::INFO.iter().copied().chain(own).collect()
+    }
+
+    fn methods(&self) -> &'static [Method] {
+        K::METHODS
+    }
+
+    fn reference(&self) -> (&'static str, usize) {
+        let best = [Method::Tsit5, Method::Pade].into_iter().find(|method| K::METHODS.contains(method));
+        (best.map_or("native", Method::name), 128)
+    }
+
+    fn defaults(&self) -> Table {
+        Settings::<K>::defaults().table()
+    }
+
+    fn fill(&self, settings: Table) -> Result<Table, ConfigError> {
+        Ok(Settings::<K>::fill(settings)?.table())
+    }
+
+    fn scene(&'static self, settings: Table) -> Result<Scene, ConfigError> {
+        let settings = Settings::<K>::fill(settings)?;
+        settings.validate()?;
+        Ok(Scene::new(self, settings))
+    }
+
+    fn schema(&self) -> serde_json::Value {
+        schema::of::<Settings<K>>(self, &own_effects(K::NAME))
+    }
+
+    fn variants(&'static self) -> Vec<(String, Scene)> {
+        K::variants().into_iter().map(|(name, settings)| (name, Scene::new(self, settings))).collect()
+    }
+}

@@ -1,0 +1,74 @@
+//! The `policy` section.
+
+use physgrad::policy::{Mlp, TrainedParam};
+use crate::settings::ActivationName;
+use crate::settings::config_error::{ConfigError, allowed};
+use crate::tasks::Section;
+use physgrad::{Number, Policy, Varied};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// The `policy` section of a task's settings.
+pub trait PolicySpec: Section + Default {
+    /// Policy built from these settings.
+    type Policy: Policy + Clone + 'static;
+    /// Checks the ranges of all settings.
+    fn validate(&self) -> Result<(), ConfigError>;
+    /// Builds the policy for these dimensions of observation and control. By default, a task
+    /// observes its state.
+    fn build(&self, state_dim: usize, control_dim: usize) -> Self::Policy;
+}
+
+/// Converts a trained number to an entry of `θ`. None for other numbers.
+pub fn trained(varied: &Varied) -> Option<TrainedParam> {
+    let Number::Trained { start, min, max } = varied.number else { return None };
+    let index = varied.index;
+    Some(if max.is_finite() {
+        TrainedParam::bounded(index, start, min, max)
+    } else if min.is_finite() {
+        TrainedParam::above(index, start, min)
+    } else {
+        TrainedParam::linear(index, start)
+    })
+}
+
+/// Multilayer perceptron of the observation: the whole state, unless the task has another one.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MlpSettings {
+    /// Widths of the hidden layers; an empty list gives a linear policy.
+    widths: Vec<usize>,
+    /// Activation of the hidden layers.
+    activation: ActivationName,
+    /// Adds a bias to every layer.
+    bias: bool,
+    /// Initializes the weights of the output layer with zeros.
+    zero_init_output: bool,
+}
+
+impl Default for MlpSettings {
+    fn default() -> Self {
+        Self { widths: vec![100, 100], activation: ActivationName::Tanh, bias: true, zero_init_output: true }
+    }
+}
+
+impl PolicySpec for MlpSettings {
+    type Policy = Mlp;
+
+    fn validate(&self) -> Result<(), ConfigError> {
+        let (found, most) = (self.widths.len(), 1000);
+        allowed("policy.widths", format!("a list of {found}"), found <= most, format!("up to {most} layers"))?;
+        match self.widths.iter().find(|w| !(1..=10_000).contains(*w)) {
+            Some(width) => {
+                let what = format!("has {width}; allowed: 1 to 10000 each, or [] for a linear policy");
+                Err(ConfigError::new("policy.widths", what))
+            }
+            None => Ok(()),
+        }
+    }
+
+    fn build(&self, state_dim: usize, control_dim: usize) -> Mlp {
+        let widths = [&[state_dim], &self.widths[..], &[control_dim]].concat();
+        Mlp::new(widths).activation(self.activation.activation()).bias(self.bias).zero_init_output(self.zero_init_output)
+    }
+}

@@ -1,0 +1,181 @@
+//! [`Settings`]: settings of a run, generic over the task.
+
+use physgrad::policy::WithParams;
+use crate::operations::memory::{self, Needs};
+use crate::platform::memory::of_this_machine;
+use crate::settings::config_error::{ConfigError, count};
+use crate::settings::{
+    ActuatorSettings, FieldName, IntegratorSettings, LogFormat, OPTIONAL, Precision, TrainingSettings, VERSION, reading,
+};
+use crate::tasks::effects::Present;
+use crate::tasks::policy::trained;
+use crate::tasks::{self, PolicySpec, SceneEffects, TaskSpec};
+use physgrad::{DynEffect, DynTask, Field, Named, System, Task};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use toml::{Table, Value};
+
+/// All settings of a run.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, bound = "")]
+#[schemars(bound = "", rename = "Scene")]
+pub struct Settings<K: TaskSpec> {
+    /// Version of the scene format.
+    pub scene: i64,
+    /// Version of physgrad that created the run; optional in scenes.
+    pub physgrad: String,
+    /// Name of the task.
+    pub task: String,
+    /// Vector field that the optimizer follows.
+    pub field: FieldName,
+    /// Floating-point precision.
+    pub precision: Precision,
+    /// Seed of initial states and initial parameters.
+    pub seed: u64,
+    /// Total number of epochs: passes over the training set.
+    pub epochs: usize,
+    /// Tags of the run, for searches. Results do not depend on them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub tags: Vec<String>,
+    /// Files with the metrics of every epoch, besides `metrics.csv`. Results do not depend on them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub log: Vec<LogFormat>,
+    /// Policy file whose parameters start the training, relative to the folder of the scene.
+    /// Random parameters if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub initial_policy: Option<String>,
+    /// Time steps of a rollout.
+    pub horizon: usize,
+    /// Settings of the physics.
+    pub system: K::System,
+    /// Optional physics; effects that are not listed are absent.
+    #[serde(default)]
+    pub effects: K::Effects,
+    /// Effects of the user that the scene lists.
+    #[serde(skip)]
+    pub own_effects: SceneEffects,
+    /// Actuators between policy and physics; actuators that are not listed are absent.
+    #[serde(default)]
+    pub actuator: ActuatorSettings,
+    /// Integrator of the physics.
+    #[serde(default)]
+    pub integrator: IntegratorSettings,
+    /// Settings of the cost function.
+    pub loss: K::Loss,
+    /// Network of the policy.
+    pub policy: K::PolicySpec,
+    /// Optimizer, data sets and memory.
+    pub training: TrainingSettings,
+}
+
+impl<K: TaskSpec> Settings<K> {
+    /// Default settings of the task.
+    pub fn defaults() -> Self {
+        Self {
+            scene: VERSION,
+            physgrad: env!("CARGO_PKG_VERSION").into(),
+            task: K::NAME.into(),
+            field: FieldName(Field::combined()),
+            precision: Precision::F32,
+            seed: 0,
+            epochs: K::EPOCHS,
+            tags: Vec::new(),
+            log: Vec::new(),
+            initial_policy: None,
+            horizon: K::horizon(),
+            system: K::system(),
+            effects: K::Effects::default(),
+            own_effects: SceneEffects::default(),
+            actuator: ActuatorSettings::default(),
+            integrator: IntegratorSettings::default(),
+            loss: K::Loss::default(),
+            policy: K::PolicySpec::default(),
+            training: TrainingSettings::default(),
+        }
+    }
+
+    /// Table of all settings, without empty optional sections.
+    pub fn table(&self) -> Table {
+        let mut table = Table::try_from(self).expect("settings are plain tables");
+        self.own_effects.put(&mut table);
+        for section in OPTIONAL.into_iter().chain(["integrator"]) {
+            if table.get(section).and_then(Value::as_table).is_some_and(Table::is_empty) {
+                table.remove(section);
+            }
+        }
+        table
+    }
+
+    /// Reads a table. Missing effects are absent; other missing settings must have a default.
+    ///
+    /// # Errors
+    /// Reports unknown keys, missing keys and values of the wrong type.
+    pub fn fill(mut table: Table) -> Result<Self, ConfigError> {
+        let registered = tasks::own_effects(K::NAME);
+        let own_effects = SceneEffects::take(&registered, &mut table)?;
+        let names = registered.iter().map(|(_, effect)| effect.info().name);
+        let unreadable = |error| ConfigError::unreadable(&error).also_allowed("effects", names);
+        let settings: Self = reading::read(table).map_err(unreadable)?;
+        let mut settings = Self { own_effects, ..settings };
+        settings.training.complete();
+        Ok(settings)
+    }
+
+    /// Checks all ranges, refuses unused settings, and checks that a run fits in the memory of this
+    /// machine.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        count("horizon", self.horizon, 1..=100_000_000)?;
+        count("epochs", self.epochs, 0..=1_000_000_000)?;
+        self.training.validate()?;
+        self.policy.validate()?;
+        self.actuator.validate()?;
+        self.integrator.validate(self.precision, K::METHODS)?;
+        K::validate(self)?;
+        K::validate_own_effects(&self.own_effects)?;
+        let TrainingSettings { batch, train_samples, test_samples, .. } = self.training;
+        let samples = self.training.training(self.epochs, self.seed, 1).derived(batch.min(train_samples));
+        let (task, policy) = self.task_and_policy();
+        let Needs { batch: whole, rest } = memory::needs(&task, &policy, self.precision, samples, train_samples + test_samples);
+        // With a budget, the reverse pass recomputes the steps that exceed the budget.
+        let batch = self.training.budget().map_or(whole, |budget| whole.min(budget as f64));
+        let (needed, most) = (batch + rest, of_this_machine());
+        if needed > most {
+            let what = format!(
+                "is {}: a run with mini-batches of {samples} samples needs about {:.1} GB, of which {:.1} GB for a mini-batch, \
+                 but this machine has {:.1} GB; choose a smaller `training.batch`, `horizon` or policy, or set a budget for the \
+                 mini-batch, as in `training.memory = \"1GB\"`",
+                self.horizon,
+                needed * 1e-9,
+                batch * 1e-9,
+                most * 1e-9
+            );
+            return Err(ConfigError::new("horizon", what));
+        }
+        Ok(())
+    }
+
+    /// Effects that are present, in order of evaluation: first built-in effects, then effects of
+    /// the user.
+    pub fn all_effects<M: 'static, E: From<DynEffect<M>>>(&self) -> Vec<Named<E>>
+    where
+        K::Effects: Present<E>,
+    {
+        let mut effects = self.effects.present();
+        effects.extend(self.own_effects.listed());
+        effects
+    }
+
+    /// The task.
+    pub fn task(&self) -> DynTask {
+        K::task(self)
+    }
+
+    /// The task and a policy for it, with the trained numbers of its system.
+    pub fn task_and_policy(&self) -> (DynTask, WithParams<<K::PolicySpec as PolicySpec>::Policy>) {
+        let task = self.task();
+        let system = task.system();
+        let policy = self.policy.build(task.observation_dim().unwrap_or(system.state_dim()), system.control_dim());
+        let trained = system.varied(task.param_dim()).iter().filter_map(trained).collect::<Vec<_>>();
+        (task, WithParams::new(policy, trained))
+    }
+}

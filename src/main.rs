@@ -1,5 +1,0 @@
-//! The `physgrad` program; see `physgrad --help`.
-
-fn main() -> std::process::ExitCode {
-    physgrad::program().main()
-}

@@ -1,0 +1,211 @@
+//! Rollouts, losses and gradients of many samples in one call each: [`rollout`], [`losses`] and
+//! [`gradients`].
+//!
+//! Each has a variant that ends early, with `None`, once a condition holds. The condition is read
+//! before every block of 32 samples.
+
+use crate::engine::adjoint::{Adjoint, Flow};
+use crate::engine::any::AnyTask;
+use crate::engine::batch::GROUP;
+use crate::engine::divergence::Divergence;
+use crate::engine::gradient::Gradient;
+use crate::engine::rollout::Rollout;
+use crate::numbers::scalar::Float;
+use crate::policy::{AnyPolicy, Weights};
+use crate::train::field::Field;
+
+/// Largest number of samples in one rollout.
+const BLOCK: usize = 8 * GROUP;
+
+/// A call that nobody stops.
+const WHOLE: &str = "the call runs to its end";
+
+/// States and controls of rollouts.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trajectories<F> {
+    /// States, `[sample][step][component]`, with T + 1 steps.
+    pub states: Vec<F>,
+    /// Controls, `[sample][step][component]`, with T steps.
+    pub controls: Vec<F>,
+}
+
+/// Rollouts from `starts`, in the layout of [`initial_states`](crate::initial_states).
+///
+/// # Errors
+/// The first [`Divergence`].
+///
+/// # Panics
+/// If `starts` is not a whole number of initial states.
+pub fn rollout<F: Float>(
+    task: &dyn AnyTask<F>,
+    policy: &dyn AnyPolicy<F>,
+    weights: &Weights<F>,
+    starts: &[F],
+) -> Result<Trajectories<F>, Divergence> {
+    Ok(rollout_until(task, policy, weights, starts, &|| false)?.expect(WHOLE))
+}
+
+/// [`rollout`] that ends once `is_stopped` returns true.
+///
+/// # Errors
+/// As [`rollout`].
+pub fn rollout_until<F: Float>(
+    task: &dyn AnyTask<F>,
+    policy: &dyn AnyPolicy<F>,
+    weights: &Weights<F>,
+    starts: &[F],
+    is_stopped: &dyn Fn() -> bool,
+) -> Result<Option<Trajectories<F>>, Divergence> {
+    let (n, m, width, horizon) = (task.state_dim(), task.control_dim(), task.start_dim(), task.horizon());
+    let (mut states, mut controls) = (Vec::new(), Vec::new());
+    for (block, starts) in starts.chunks(BLOCK * width).enumerate() {
+        if is_stopped() {
+            return Ok(None);
+        }
+        let samples = starts.len() / width;
+        let mut rollout = Rollout::new(task, policy, samples);
+        rollout.start(starts);
+        rollout.run(task, policy, weights).map_err(|divergence| divergence.offset(block * BLOCK))?;
+        for sample in 0..samples {
+            let each = |steps, components| (0..steps).flat_map(move |t| (0..components).map(move |i| (t, i)));
+            states.extend(each(horizon + 1, n).map(|(t, i)| rollout.state(t, sample, i)));
+            controls.extend(each(horizon, m).map(|(t, i)| rollout.control(t, sample, i)));
+        }
+    }
+    Ok(Some(Trajectories { states, controls }))
+}
+
+/// Losses of rollouts from `starts`, one per sample.
+///
+/// # Errors
+/// The first [`Divergence`].
+///
+/// # Panics
+/// If `starts` is not a whole number of initial states.
+pub fn losses<F: Float>(
+    task: &dyn AnyTask<F>,
+    policy: &dyn AnyPolicy<F>,
+    weights: &Weights<F>,
+    starts: &[F],
+) -> Result<Vec<F>, Divergence> {
+    Ok(losses_until(task, policy, weights, starts, &|| false)?.expect(WHOLE))
+}
+
+/// [`losses`] that end once `is_stopped` returns true.
+///
+/// # Errors
+/// As [`losses`].
+pub fn losses_until<F: Float>(
+    task: &dyn AnyTask<F>,
+    policy: &dyn AnyPolicy<F>,
+    weights: &Weights<F>,
+    starts: &[F],
+    is_stopped: &dyn Fn() -> bool,
+) -> Result<Option<Vec<F>>, Divergence> {
+    let mut rollout = Rollout::for_evaluation(task, policy, BLOCK);
+    let mut losses = Vec::new();
+    for (block, starts) in starts.chunks(BLOCK * task.start_dim()).enumerate() {
+        if is_stopped() {
+            return Ok(None);
+        }
+        rollout.start(starts);
+        rollout.run(task, policy, weights).map_err(|divergence| divergence.offset(block * BLOCK))?;
+        losses.extend((0..rollout.samples()).map(|sample| rollout.cost(sample)));
+    }
+    Ok(Some(losses))
+}
+
+/// Vectors of the fields for the mean loss of rollouts from `starts`, `[field][parameter]`. All
+/// fields share the forward passes. For up to 32 samples, the vectors are bit for bit those of a
+/// training update with the mini-batch `starts`.
+///
+/// ```
+/// use physgrad::{Field, Weights, gradients, initial_states, policy::Mlp, rng, tasks::CartPole};
+///
+/// let (task, policy) = (CartPole::new(1), Mlp::new([4, 16, 1]));
+/// let weights = Weights::<f64>::init(&policy, &mut rng::stream(0, rng::Purpose::Policy, 0));
+/// let starts = initial_states(&task, 0, rng::Purpose::Train, 8);
+/// let vectors = gradients(&task, &policy, &weights, &starts, &[Field::regular(), Field::combined()])?;
+/// assert_eq!([vectors[0].len(), vectors[1].len()], [weights.theta().len(); 2]);
+/// # Ok::<(), physgrad::Divergence>(())
+/// ```
+///
+/// # Errors
+/// The first [`Divergence`].
+///
+/// # Panics
+/// If `starts` is empty or not a whole number of initial states.
+pub fn gradients<F: Float>(
+    task: &dyn AnyTask<F>,
+    policy: &dyn AnyPolicy<F>,
+    weights: &Weights<F>,
+    starts: &[F],
+    fields: &[Field],
+) -> Result<Vec<Vec<F>>, Divergence> {
+    Ok(gradients_until(task, policy, weights, starts, fields, &|| false)?.expect(WHOLE))
+}
+
+/// [`gradients`] that end once `is_stopped` returns true.
+///
+/// # Errors
+/// As [`gradients`].
+pub fn gradients_until<F: Float>(
+    task: &dyn AnyTask<F>,
+    policy: &dyn AnyPolicy<F>,
+    weights: &Weights<F>,
+    starts: &[F],
+    fields: &[Field],
+    is_stopped: &dyn Fn() -> bool,
+) -> Result<Option<Vec<Vec<F>>>, Divergence> {
+    let mut flows: Vec<Flow> = Vec::new();
+    for flow in fields.iter().flat_map(Field::flows) {
+        if !flows.contains(&flow) {
+            flows.push(flow);
+        }
+    }
+    let zeros = || Gradient::<F>::zeros(weights.theta().len());
+    let mut sums: Vec<Gradient<F>> = flows.iter().map(|_| zeros()).collect();
+    let mut one = zeros();
+    let (width, samples) = (task.start_dim(), starts.len() / task.start_dim());
+    assert!(samples > 0, "gradients need at least one initial state");
+    let scale = F::from_f64(1.0 / samples as f64);
+    for (block, starts) in starts.chunks(BLOCK * width).enumerate() {
+        if is_stopped() {
+            return Ok(None);
+        }
+        let count = starts.len() / width;
+        let offset = |divergence: Divergence| divergence.offset(block * BLOCK);
+        let mut rollout = Rollout::new(task, policy, count);
+        rollout.start(starts);
+        rollout.run(task, policy, weights).map_err(offset)?;
+        // One reverse pass carries up to two flows.
+        for (flows, sums) in flows.chunks(2).zip(sums.chunks_mut(2)) {
+            let mut adjoint = Adjoint::new(task, policy, &rollout, flows);
+            adjoint.run(task, policy, weights, &rollout, scale).map_err(offset)?;
+            for (k, sum) in sums.iter_mut().enumerate() {
+                for first in (0..count).step_by(GROUP) {
+                    let group = first..count.min(first + GROUP);
+                    adjoint.param_gradient(k, policy, weights, &rollout, group, &mut one);
+                    if block == 0 && first == 0 {
+                        sum.copy_from(&one);
+                    } else {
+                        sum.add(&one);
+                    }
+                }
+            }
+        }
+    }
+    sums.iter_mut().for_each(Gradient::normalize);
+    let vector = |field: &Field| {
+        let own: Vec<Gradient<F>> = field
+            .flows()
+            .iter()
+            .filter_map(|flow| flows.iter().position(|known| known == flow))
+            .map(|k| sums[k].clone())
+            .collect();
+        let mut out = zeros();
+        field.combine(&own, &mut out);
+        out.to_vec()
+    };
+    Ok(Some(fields.iter().map(vector).collect()))
+}
