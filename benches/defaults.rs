@@ -11,8 +11,8 @@ use measure::{median, ratio, rounds};
 use physgrad::policy::{Action, Linear, Mlp, Observed};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::{
-    Batch, Cotangent, CotangentPack, Cotangents, Dual, Field, Float, Flow, Inputs, Lanes, Policy, Real, Scalar, Start, System,
-    Task, Trainer, Training, Weights, initial_states,
+    Batch, Cotangent, CotangentPack, Cotangents, Dual, Field, Float, Flow, Inputs, Lanes, Policy,
+    Real, Scalar, Start, System, Task, Trainer, Training, Weights, initial_states,
 };
 use rand::RngExt;
 use std::hint::black_box;
@@ -90,11 +90,19 @@ impl System for Rod {
         }
     }
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
         if self.by == By::Default {
             return DefaultOf(self).vjp(inputs, next_bar, cotangents);
         }
-        let (Cotangents { x: Some(x_bar), u: Some(u_bar), p: None }, n) = (cotangents, self.masses) else { unreachable!() };
+        let (Cotangents { x: Some(x_bar), u: Some(u_bar), p: None }, n) = (cotangents, self.masses)
+        else {
+            unreachable!()
+        };
         let (dt, kept) = (R::from(DT), R::from(1.0 - DAMPING * DT));
         let (q, (q_next_bar, v_next_bar)) = (&inputs.x[..n], next_bar.split_at(n));
         let (q_bar, v_bar) = x_bar.split_at_mut(n);
@@ -207,7 +215,12 @@ impl Policy for ActOnly {
         self.mlp.init(rng, theta);
     }
     #[inline(always)]
-    fn act<T: Scalar>(&self, theta: &[T], Observed { y, .. }: Observed<'_, T>, Action { u, .. }: Action<'_, T>) {
+    fn act<T: Scalar>(
+        &self,
+        theta: &[T],
+        Observed { y, .. }: Observed<'_, T>,
+        Action { u, .. }: Action<'_, T>,
+    ) {
         let (mut h, mut first) = (y.to_vec(), 0);
         for (layer, sizes) in self.sizes.windows(2).enumerate() {
             let bias = first + sizes[0] * sizes[1];
@@ -264,7 +277,8 @@ impl Task for Small {
 fn main() {
     let args = || std::env::args().skip(1);
     let rounds = if args().any(|arg| arg == "--quick") { 5 } else { 30 };
-    let wanted = |part: &str| args().all(|arg| arg.starts_with('-')) || args().any(|arg| arg == part);
+    let wanted =
+        |part: &str| args().all(|arg| arg.starts_with('-')) || args().any(|arg| arg == part);
     if wanted("products") {
         products(rounds);
     }
@@ -279,18 +293,33 @@ fn main() {
 }
 
 /// VJP of a rod by dual numbers with four tangents.
-fn by_duals(rod: &Rod, x: &[Lanes<f32, 8>], u: &[Lanes<f32, 8>], next_bar: &[Lanes<f32, 8>], cotangents: &mut [Lanes<f32, 8>]) {
+fn by_duals(
+    rod: &Rod,
+    x: &[Lanes<f32, 8>],
+    u: &[Lanes<f32, 8>],
+    next_bar: &[Lanes<f32, 8>],
+    cotangents: &mut [Lanes<f32, 8>],
+) {
     let (n, m) = (x.len(), u.len());
     let mut next = vec![Dual::constant(Lanes([0.0; 8])); n];
     let mut all: Vec<Dual<Lanes<f32, 8>, 4>> = Vec::new();
     for first in (0..n + m).step_by(4) {
         let chunk = first..(n + m).min(first + 4);
-        let seed = |(i, &value)| if chunk.contains(&i) { Dual::variable(value, i - first) } else { Dual::constant(value) };
+        let seed = |(i, &value)| {
+            if chunk.contains(&i) {
+                Dual::variable(value, i - first)
+            } else {
+                Dual::constant(value)
+            }
+        };
         all.clear();
         all.extend(x.iter().chain(u).enumerate().map(seed));
         rod.step(Inputs::new(&all[..n], &all[n..]), &mut next);
         for (k, i) in chunk.clone().enumerate() {
-            cotangents[i] = next.iter().zip(next_bar).fold(Lanes([0.0; 8]), |sum, (next, &bar)| sum + bar * next.tangents[k]);
+            cotangents[i] = next
+                .iter()
+                .zip(next_bar)
+                .fold(Lanes([0.0; 8]), |sum, (next, &bar)| sum + bar * next.tangents[k]);
         }
     }
 }
@@ -304,7 +333,9 @@ fn products(count: usize) {
         let rod = |by, unused| Rod { masses, by, unused };
         let (hand, reverse) = (rod(By::Hand, 0), rod(By::Default, 17));
         let numbers = |len: usize| -> Vec<Lanes<f32, 8>> {
-            (0..len).map(|i| Lanes(std::array::from_fn(|k| 1e-3 * ((7 * i + k) % 13) as f32))).collect()
+            (0..len)
+                .map(|i| Lanes(std::array::from_fn(|k| 1e-3 * ((7 * i + k) % 13) as f32)))
+                .collect()
         };
         let (n, m) = (2 * masses, hand.controls());
         let (x, u, p) = (numbers(n), numbers(m), numbers(17));
@@ -312,7 +343,8 @@ fn products(count: usize) {
         let plain_bar = numbers(n);
         let job = |rod: Rod, p: Vec<Lanes<f32, 8>>| {
             let (x, u, next_bar) = (&x, &u, &next_bar);
-            let (mut x_bar, mut u_bar) = (vec![CotangentPack::null(); n], vec![CotangentPack::null(); m]);
+            let (mut x_bar, mut u_bar) =
+                (vec![CotangentPack::null(); n], vec![CotangentPack::null(); m]);
             move || {
                 for _ in 0..100 {
                     x_bar.fill(CotangentPack::null());
@@ -325,11 +357,18 @@ fn products(count: usize) {
         };
         let (mut by_hand, mut by_tape) = (job(hand, Vec::new()), job(reverse, p));
         let (duals, mut cotangents) = (rod(By::Default, 0), vec![Lanes([0.0; 8]); n + m]);
-        let mut duals = || (0..100).for_each(|_| by_duals(&duals, black_box(&x), &u, &plain_bar, black_box(&mut cotangents)));
+        let mut duals = || {
+            (0..100).for_each(|_| {
+                by_duals(&duals, black_box(&x), &u, &plain_bar, black_box(&mut cotangents))
+            })
+        };
         let times = rounds(3 * count, &mut [&mut by_hand, &mut duals, &mut by_tape]);
         let [hand, duals, reverse] = [0, 1, 2].map(|i| median(&times[i]) / 100.0);
         let [to_hand, tape_to_hand] = [1, 2].map(|i| ratio(&times[i], &times[0]));
-        println!("  {:>6} {hand:>8.2} {duals:>8.2} {reverse:>8.2} {to_hand:>14.1} {tape_to_hand:>15.1}", n + m);
+        println!(
+            "  {:>6} {hand:>8.2} {duals:>8.2} {reverse:>8.2} {to_hand:>14.1} {tape_to_hand:>15.1}",
+            n + m
+        );
     }
 }
 
@@ -353,7 +392,13 @@ fn trainings<F: Float>(count: usize) {
 /// Returns a job that trains for one epoch.
 fn epoch<F: Float, P: Policy>(by: By, policy: P, field: Field) -> impl FnMut() {
     let rod = Rod { masses: 100, by, unused: 0 };
-    let training = Training { epochs: usize::MAX >> 32, workers: 1, train_samples: 64, test_samples: 8, ..Training::default() };
+    let training = Training {
+        epochs: usize::MAX >> 32,
+        workers: 1,
+        train_samples: 64,
+        test_samples: 8,
+        ..Training::default()
+    };
     let trainer = Trainer::new(rod, policy).field(field).precision::<F>().training(training);
     let mut session = trainer.session().expect("valid settings");
     move || {
@@ -365,12 +410,18 @@ fn epoch<F: Float, P: Policy>(by: By, policy: P, field: Field) -> impl FnMut() {
 fn compare(name: &str, count: usize, [mut hand, mut default]: [impl FnMut(); 2]) {
     let times = rounds(count, &mut [&mut hand, &mut default]);
     let [hand, default] = [0, 1].map(|i| median(&times[i]) * 1e-3);
-    println!("  {name:<20} analytic {hand:>6.2} ms, default {default:>6.2} ms, ratio {:.2}", ratio(&times[1], &times[0]));
+    println!(
+        "  {name:<20} analytic {hand:>6.2} ms, default {default:>6.2} ms, ratio {:.2}",
+        ratio(&times[1], &times[0])
+    );
 }
 
 /// Times the gradient of R with a policy of 4802 parameters.
 fn policies<F: Float>(count: usize) {
-    println!("\n{}: gradient of R over 50 steps of eight samples, policy 7-64-64-2 with 4802 parameters", F::NAME);
+    println!(
+        "\n{}: gradient of R over 50 steps of eight samples, policy 7-64-64-2 with 4802 parameters",
+        F::NAME
+    );
     let sizes = [7, 64, 64, 2];
     let (mlp, act_only) = (Mlp::new(sizes), ActOnly { sizes, mlp: Mlp::new(sizes) });
     let starts = initial_states::<F>(&Small, 0, Purpose::Train, 8);
@@ -387,5 +438,8 @@ fn policies<F: Float>(count: usize) {
     };
     let times = rounds(count, &mut [&mut fast, &mut slow]);
     let [fast, slow] = [0, 1].map(|i| median(&times[i]));
-    println!("  batched {fast:.0} µs, act only {slow:.0} µs, ratio {:.1}", ratio(&times[1], &times[0]));
+    println!(
+        "  batched {fast:.0} µs, act only {slow:.0} µs, ratio {:.1}",
+        ratio(&times[1], &times[0])
+    );
 }

@@ -14,7 +14,10 @@ use physgrad::kernels::{SimdLevel, gemm};
 use physgrad::policy::{Mlp, Policy};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::CartPole;
-use physgrad::{Adjoint, Batch, Field, Float, Flow, Gradient, Rollout, System, Trainer, Training, Weights, initial_states};
+use physgrad::{
+    Adjoint, Batch, Field, Float, Flow, Gradient, Rollout, System, Trainer, Training, Weights,
+    initial_states,
+};
 use std::hint::black_box;
 
 const ROUNDS: usize = 60;
@@ -23,7 +26,10 @@ const WIDTH: usize = 100;
 
 fn main() {
     let rounds = if std::env::args().any(|a| a == "--quick") { 3 } else { ROUNDS };
-    println!("cart-pole, 4 poles, widths {WIDTH}, {WIDTH}, mini-batches of {BATCH}; instructions: {:?}", SimdLevel::best());
+    println!(
+        "cart-pole, 4 poles, widths {WIDTH}, {WIDTH}, mini-batches of {BATCH}; instructions: {:?}",
+        SimdLevel::best()
+    );
     fields::<f32>(rounds);
     fields::<f64>(rounds);
     shares(rounds);
@@ -59,13 +65,22 @@ fn fields<F: Float>(count: usize) {
             black_box(batch.gradients());
         }
     };
-    let fields = [Field::regular(), Field::modified(), Field::stopped(), Field::network(), Field::combined()];
+    let fields = [
+        Field::regular(),
+        Field::modified(),
+        Field::stopped(),
+        Field::network(),
+        Field::combined(),
+    ];
     let [mut r, mut m, mut s, mut n, mut c] = fields.map(|field| gradient(field.flows()));
     let times = rounds(count * 5, &mut [&mut forward, &mut r, &mut m, &mut s, &mut n, &mut c]);
     println!("\n{} gradient of one mini-batch, forward pass included, one thread", F::NAME);
     for (name, time) in ["forward", "R", "M", "S", "N", "C"].iter().zip(&times) {
         let (to_forward, to_r) = (ratio(time, &times[0]), ratio(time, &times[1]));
-        println!("  {name:<8} {:>7.0} µs   {to_forward:.2} x forward   {to_r:.2} x R", median(time));
+        println!(
+            "  {name:<8} {:>7.0} µs   {to_forward:.2} x forward   {to_r:.2} x R",
+            median(time)
+        );
     }
 }
 
@@ -113,7 +128,19 @@ fn shares(count: usize) {
         for (rows, depth, cols, times) in products {
             for _ in 0..times {
                 let (a, b, c) = (black_box(&a), black_box(&b), &mut c);
-                let p = Product { rows, depth, cols, a, lda: rows, b, b_row: 1, b_col: depth, c, ldc: rows, accumulate: false };
+                let p = Product {
+                    rows,
+                    depth,
+                    cols,
+                    a,
+                    lda: rows,
+                    b,
+                    b_row: 1,
+                    b_col: depth,
+                    c,
+                    ldc: rows,
+                    accumulate: false,
+                };
                 gemm::single::product(level, p);
             }
         }
@@ -121,16 +148,21 @@ fn shares(count: usize) {
     let mut c_matrixmultiply = vec![0.0f32; 112 * 1024];
     let mut by_matrixmultiply = || {
         for (rows, depth, cols, times) in products {
-            let (a, b, c) =
-                (&black_box(&a)[..rows * depth], &black_box(&b)[..depth * cols], &mut c_matrixmultiply[..rows * cols]);
+            let (a, b, c) = (
+                &black_box(&a)[..rows * depth],
+                &black_box(&b)[..depth * cols],
+                &mut c_matrixmultiply[..rows * cols],
+            );
             // Column-major layout for all three matrices.
-            let (row_stride, [a_stride, b_stride, c_stride]) = (1, [rows, depth, rows].map(|rows| rows as isize));
+            let (row_stride, [a_stride, b_stride, c_stride]) =
+                (1, [rows, depth, rows].map(|rows| rows as isize));
             for _ in 0..times {
                 let (a, b, c) = (a.as_ptr(), b.as_ptr(), c.as_mut_ptr());
                 // SAFETY: the three slices are complete matrices of these shapes.
                 unsafe {
                     matrixmultiply::sgemm(
-                        rows, depth, cols, 1.0, a, row_stride, a_stride, b, row_stride, b_stride, 0.0, c, row_stride, c_stride,
+                        rows, depth, cols, 1.0, a, row_stride, a_stride, b, row_stride, b_stride,
+                        0.0, c, row_stride, c_stride,
                     )
                 };
             }
@@ -146,20 +178,29 @@ fn shares(count: usize) {
     let zero_control = Nothing { state_dim: n, control_dim: 1 };
     let zero_weights = Weights::<f32>::init(&zero_control, &mut stream(0, Purpose::Policy, 0));
     let mut physics_rollout = Rollout::new(&task, &zero_control, BATCH);
-    let mut physics_adjoint = Adjoint::new(&task, &zero_control, &physics_rollout, &[Flow::REGULAR]);
+    let mut physics_adjoint =
+        Adjoint::new(&task, &zero_control, &physics_rollout, &[Flow::REGULAR]);
     let mut physics = || {
         physics_rollout.start(&starts);
         physics_rollout.run(&task, &zero_control, &zero_weights).expect("finite");
-        physics_adjoint.run(&task, &zero_control, &zero_weights, &physics_rollout, 0.125).expect("finite");
+        physics_adjoint
+            .run(&task, &zero_control, &zero_weights, &physics_rollout, 0.125)
+            .expect("finite");
     };
 
-    let times = rounds(count * 5, &mut [&mut whole, &mut by_physgrad, &mut tanh, &mut physics, &mut by_matrixmultiply]);
+    let times = rounds(
+        count * 5,
+        &mut [&mut whole, &mut by_physgrad, &mut tanh, &mut physics, &mut by_matrixmultiply],
+    );
     let part = |i: usize| ratio(&times[i], &times[0]);
     let (products, tanh, physics) = (part(1), part(2), part(3));
     println!("\nf32 gradient of R: {:.0} µs, of which (each part alone)", median(&times[0]));
     println!("  matrix products        {:>4.0} %", 100.0 * products);
     println!("  tanh of the layers     {:>4.0} %", 100.0 * tanh);
-    println!("  physics and its VJP    {:>4.0} %   with costs, and moving numbers between lanes and columns", 100.0 * physics);
+    println!(
+        "  physics and its VJP    {:>4.0} %   with costs, and moving numbers between lanes and columns",
+        100.0 * physics
+    );
     println!("  the rest               {:>4.0} %", 100.0 * (1.0 - products - tanh - physics));
     let slower = 1.0 + part(4) - products;
     println!(
@@ -176,7 +217,11 @@ fn epochs(count: usize) {
     let session = |field: Field, workers: usize| {
         let (task, policy) = task_and_policy();
         let training = Training { epochs: usize::MAX >> 32, workers, ..Training::default() };
-        let mut session = Trainer::new(task, policy).field(field).training(training).session().expect("valid settings");
+        let mut session = Trainer::new(task, policy)
+            .field(field)
+            .training(training)
+            .session()
+            .expect("valid settings");
         move || {
             session.epoch().expect("finite");
         }
@@ -184,7 +229,9 @@ fn epochs(count: usize) {
     let [mut r1, mut c1] = [Field::regular(), Field::combined()].map(|field| session(field, 1));
     let [mut r2, mut c2] = [Field::regular(), Field::combined()].map(|field| session(field, cores));
     let times = rounds(count * 2, &mut [&mut r1, &mut c1, &mut r2, &mut c2]);
-    for (i, name) in [(0, "R, 1 thread"), (1, "C, 1 thread"), (2, "R, all cores"), (3, "C, all cores")] {
+    for (i, name) in
+        [(0, "R, 1 thread"), (1, "C, 1 thread"), (2, "R, all cores"), (3, "C, all cores")]
+    {
         println!("  {name:<14} {:>6.1} ms", median(&times[i]) * 1e-3);
     }
     println!(

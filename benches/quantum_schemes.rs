@@ -15,8 +15,8 @@ use measure::{Nothing, median, ratio, rounds};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{Cubic, Harmonic, Pade, Quantum, QuantumScheme, QuantumSystem, Strang};
 use physgrad::{
-    Adjoint, Effect, Float, Flow, Forced, ForcedSystem, HasModel, Inputs, Rollout, Substeps, System, Task, Weights,
-    initial_states,
+    Adjoint, Effect, Float, Flow, Forced, ForcedSystem, HasModel, Inputs, Rollout, Substeps,
+    System, Task, Weights, initial_states,
 };
 use std::f64::consts::PI;
 use std::hint::black_box;
@@ -51,7 +51,9 @@ fn forms<F: Float>(grid: usize, horizon: usize) -> [Vec<Form>; 2] {
     let mut all = [Vec::new(), Vec::new()];
     let effects = (Harmonic::default(), Cubic::default());
     for (forms, trapped) in all.iter_mut().zip([false, true]) {
-        let mut push = |name: &str, count: usize, form: Form| forms.push(Form { name: name.into(), count, ..form });
+        let mut push = |name: &str, count: usize, form: Form| {
+            forms.push(Form { name: name.into(), count, ..form })
+        };
         macro_rules! scheme {
             ($name:literal, $make:expr) => {
                 let count = least_substeps(model, $make);
@@ -83,13 +85,22 @@ fn least_substeps<S: System>(model: QuantumSystem, make: impl Fn(QuantumSystem) 
         let dt = model.dt / *count as f64;
         let mut next = vec![0.0; phi.len()];
         make(QuantumSystem { dt, ..model }).step(Inputs::new(&phi, &[0.0]), &mut next);
-        let part = |i: usize| phi.iter().step_by(2).zip(next[i..].iter().step_by(2)).map(|(a, b)| a * b).sum::<f64>();
+        let part = |i: usize| {
+            phi.iter().step_by(2).zip(next[i..].iter().step_by(2)).map(|(a, b)| a * b).sum::<f64>()
+        };
         (-part(1).atan2(part(0))).rem_euclid(2.0 * PI) / (4.0 * sine * sine * dt) - 1.0
     };
     (1..100).find(|count| error(count).abs() <= 0.01).expect("fewer than 100 substeps suffice")
 }
 
-fn table(precision: &str, grid: usize, horizon: usize, places: usize, count: usize, scenes: [Vec<Form>; 2]) {
+fn table(
+    precision: &str,
+    grid: usize,
+    horizon: usize,
+    places: usize,
+    count: usize,
+    scenes: [Vec<Form>; 2],
+) {
     for (scene, forms) in ["no effect", "trap and cubic"].iter().zip(scenes) {
         println!("\n{precision}, {grid} grid points, {horizon} steps, {scene}");
         let mut found = vec![(Vec::new(), Vec::new()); forms.len()];
@@ -102,18 +113,26 @@ fn table(precision: &str, grid: usize, horizon: usize, places: usize, count: usi
                 gaps.push(black_box(vec![0_u8; 64 + 832 * place]));
                 jobs.push((forms[form].job)());
             }
-            let mut jobs: Vec<&mut dyn FnMut()> = jobs.iter_mut().map(|job| &mut **job as &mut dyn FnMut()).collect();
+            let mut jobs: Vec<&mut dyn FnMut()> =
+                jobs.iter_mut().map(|job| &mut **job as &mut dyn FnMut()).collect();
             let times = rounds(count, &mut jobs);
-            let first = &times[order.iter().position(|&form| form == 0).expect("the order contains form 0")];
+            let first = &times
+                [order.iter().position(|&form| form == 0).expect("the order contains form 0")];
             for (&form, times) in order.iter().zip(&times) {
                 found[form].0.push(median(times));
                 found[form].1.push(ratio(times, first));
             }
         }
         for (form, (times, ratios)) in forms.iter().zip(&found) {
-            let (low, high) = ratios.iter().fold((f64::MAX, 0.0_f64), |(low, high), &r| (low.min(r), high.max(r)));
+            let (low, high) = ratios
+                .iter()
+                .fold((f64::MAX, 0.0_f64), |(low, high), &r| (low.min(r), high.max(r)));
             let (name, substeps) = (&form.name, form.count);
-            println!("  {name:<28} {substeps:>3}  {:>9.1}  {:.3} ({low:.2}, {high:.2})", median(times), median(ratios));
+            println!(
+                "  {name:<28} {substeps:>3}  {:>9.1}  {:.3} ({low:.2}, {high:.2})",
+                median(times),
+                median(ratios)
+            );
         }
     }
 }
@@ -126,7 +145,11 @@ where
 {
     let job = move || {
         let system = Forced { system: system.clone(), effects: effects.clone() };
-        if count == 1 { job::<F, _>(system, horizon) } else { job::<F, _>(Substeps { system, count }, horizon) }
+        if count == 1 {
+            job::<F, _>(system, horizon)
+        } else {
+            job::<F, _>(Substeps { system, count }, horizon)
+        }
     };
     Form { name: String::new(), count, job: Box::new(job) }
 }

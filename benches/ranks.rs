@@ -42,9 +42,16 @@ impl Ranks for Threads {
     }
 
     fn exchange(&self, messages: &[&[u8]]) -> Vec<Vec<u8>> {
-        self.messages.lock().expect("no panic")[self.rank] = messages.iter().map(|message| message.to_vec()).collect();
+        self.messages.lock().expect("no panic")[self.rank] =
+            messages.iter().map(|message| message.to_vec()).collect();
         self.barrier.wait();
-        let received = self.messages.lock().expect("no panic").iter().map(|row| row[self.rank].clone()).collect();
+        let received = self
+            .messages
+            .lock()
+            .expect("no panic")
+            .iter()
+            .map(|row| row[self.rank].clone())
+            .collect();
         self.barrier.wait();
         received
     }
@@ -110,10 +117,15 @@ fn main() {
         let half = starts[rank * batch / 2 * n..][..batch / 2 * n].to_vec();
         run(Batch::new(&task, &policy, batch / 2, &FLOWS, 1), half)
     });
-    let (messages, barrier) = (Arc::new(Mutex::new([Vec::new(), Vec::new()])), Arc::new(Barrier::new(2)));
+    let (messages, barrier) =
+        (Arc::new(Mutex::new([Vec::new(), Vec::new()])), Arc::new(Barrier::new(2)));
     let together = pair(&|rank| {
-        let ranks = Arc::new(Threads { rank, messages: messages.clone(), barrier: barrier.clone() });
-        run(Batch::shared(ranks, &task, &policy, batch, &FLOWS, 1, None).expect("no limit"), starts.clone())
+        let ranks =
+            Arc::new(Threads { rank, messages: messages.clone(), barrier: barrier.clone() });
+        run(
+            Batch::shared(ranks, &task, &policy, batch, &FLOWS, 1, None).expect("no limit"),
+            starts.clone(),
+        )
     });
     let (mut alone, mut together) = (alone, together);
     let times = rounds(20, &mut [&mut alone, &mut together]);
@@ -128,13 +140,25 @@ fn main() {
         bandwidth: gbit * 125.0,
         cores,
     };
-    println!("measured: gradient of a sample on one core {:.1} µs, {params} parameters", model.sample);
-    println!("measured: two ranks take {:.3} of the time without exchange", ratio(&times[1], &times[0]));
+    println!(
+        "measured: gradient of a sample on one core {:.1} µs, {params} parameters",
+        model.sample
+    );
+    println!(
+        "measured: two ranks take {:.3} of the time without exchange",
+        ratio(&times[1], &times[0])
+    );
     println!("measured: handling of a number of a block {:.2} ns", model.number * 1e3);
-    println!("parameters: latency {latency} µs, bandwidth {gbit} Gbit/s, {cores} cores per machine, one rank per machine");
-    for (title, scaling) in [("strong: batch 8192", None), ("weak: batch 256 per machine", Some(256))] {
+    println!(
+        "parameters: latency {latency} µs, bandwidth {gbit} Gbit/s, {cores} cores per machine, one rank per machine"
+    );
+    for (title, scaling) in
+        [("strong: batch 8192", None), ("weak: batch 256 per machine", Some(256))]
+    {
         println!("\n{title}\n  cores  machines  gradient ms  with exchange ms  efficiency");
-        let of = |machines: usize| model.update(scaling.map_or(8192, |batch| batch * machines), machines);
+        let of = |machines: usize| {
+            model.update(scaling.map_or(8192, |batch| batch * machines), machines)
+        };
         for machines in (0..).map(|i| 1 << i).take_while(|machines| machines * cores <= 1024) {
             let [compute, all] = of(machines);
             let ideal = of(1)[1] / if scaling.is_none() { machines as f64 } else { 1.0 };

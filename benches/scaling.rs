@@ -17,7 +17,9 @@ const STEPS: usize = 16;
 
 fn main() {
     let count = if std::env::args().any(|a| a == "--quick") { 3 } else { 60 };
-    println!("microseconds of one step and its adjoint, {BATCH} samples, f32, one thread; multiples of the smallest size");
+    println!(
+        "microseconds of one step and its adjoint, {BATCH} samples, f32, one thread; multiples of the smallest size"
+    );
 
     let grids = [32, 64, 128, 256, 512, 1024];
     let quantum = |grid| {
@@ -29,7 +31,8 @@ fn main() {
 
     // Numbers of drivers and evaders. n agents form n (n - 1) / 2 pairs.
     let herds = [(1, 2), (2, 4), (4, 8), (8, 16), (16, 32)];
-    let guidance = |(drivers, evaders)| Guidance { horizon: STEPS, ..Guidance::new(drivers, evaders) };
+    let guidance =
+        |(drivers, evaders)| Guidance { horizon: STEPS, ..Guidance::new(drivers, evaders) };
     let pairs = |(drivers, evaders)| (drivers + evaders) * (drivers + evaders - 1) / 2;
     println!("\nguidance: every pair of agents once each way, O(pairs)");
     table("pairs", count, &herds.map(|herd| (pairs(herd), guidance(herd))));
@@ -37,7 +40,8 @@ fn main() {
 
 fn table<T: Task>(what: &str, count: usize, sizes: &[(usize, T)]) {
     let mut jobs: Vec<_> = sizes.iter().map(|(_, task)| step_and_adjoint(task)).collect();
-    let mut jobs: Vec<&mut dyn FnMut()> = jobs.iter_mut().map(|job| job as &mut dyn FnMut()).collect();
+    let mut jobs: Vec<&mut dyn FnMut()> =
+        jobs.iter_mut().map(|job| job as &mut dyn FnMut()).collect();
     let times = rounds(count, &mut jobs);
     for ((size, _), time) in sizes.iter().zip(&times) {
         let (growth, size_growth) = (ratio(time, &times[0]), *size as f64 / sizes[0].0 as f64);

@@ -3,9 +3,9 @@
 //! Run: `cargo run --release --example arm -- [epochs] [picture.svg]`
 
 use physgrad::prelude::*;
-use physgrad_plot::{Posture, Stage, mechanics};
 use physgrad::rng::Purpose;
 use physgrad::{Clip, Rollout, Training, initial_states};
+use physgrad_plot::{Posture, Stage, mechanics};
 
 /// Two uniform links of equal mass and length, in the horizontal plane. State [θ₁ rad, θ₂ rad,
 /// ω₁ rad/s, ω₂ rad/s], with θ₂ and ω₂ relative to the first link. Control: torques at [shoulder,
@@ -72,18 +72,23 @@ impl Task for Arm {
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut args = std::env::args().skip(1);
     let epochs = args.next().map_or(Ok(400), |text| text.parse())?;
-    let (task, policy) = (Arm { mass: 1.0, length: 0.5, damping: 0.2, dt: 0.05 }, Mlp::new([8, 32, 32, 2]));
+    let (task, policy) =
+        (Arm { mass: 1.0, length: 0.5, damping: 0.2, dt: 0.05 }, Mlp::new([8, 32, 32, 2]));
     check::system(&task);
     check::task(&task, &policy);
     let training = Training { epochs, clip: Clip::Norm(1.0), ..Training::default() };
-    let report = Trainer::new(task.clone(), policy.clone()).field(Field::regular()).training(training).run()?;
+    let report = Trainer::new(task.clone(), policy.clone())
+        .field(Field::regular())
+        .training(training)
+        .run()?;
 
     const SAMPLES: usize = 64;
     let starts = initial_states(&task, 0, Purpose::Test, SAMPLES);
     let mut rollout = Rollout::new(&task, &policy, SAMPLES);
     rollout.start(&starts);
     rollout.run(&task, &policy, &report.weights)?;
-    let state = |sample: usize, t: usize| [0, 1, 2, 3].map(|i| f64::from(rollout.state(t, sample, i)));
+    let state =
+        |sample: usize, t: usize| [0, 1, 2, 3].map(|i| f64::from(rollout.state(t, sample, i)));
     let goal = |sample: usize| [4, 5].map(|i| f64::from(starts[6 * sample + i]));
     let miss = |sample: usize| {
         let (hand, goal) = (task.hand(&state(sample, STEPS)), goal(sample));
@@ -91,14 +96,23 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let mut misses: Vec<f64> = (0..SAMPLES).map(miss).collect();
     misses.sort_by(f64::total_cmp);
-    println!("distance from the goal after 3 s: median {:.3} m, largest {:.3} m", misses[SAMPLES / 2], misses[SAMPLES - 1]);
+    println!(
+        "distance from the goal after 3 s: median {:.3} m, largest {:.3} m",
+        misses[SAMPLES / 2],
+        misses[SAMPLES - 1]
+    );
     if let Some(path) = args.next() {
         let posture = |t: usize| {
             let x = state(0, t);
             let elbow = [task.length * x[0].cos(), task.length * x[0].sin()];
             Posture { chain: vec![[0.0; 2], elbow, task.hand(&x)], boxes: Vec::new() }
         };
-        let stage = Stage { title: "Arm that reaches for a goal".into(), size: 0.15, floor: None, mark: Some(goal(0)) };
+        let stage = Stage {
+            title: "Arm that reaches for a goal".into(),
+            size: 0.15,
+            floor: None,
+            mark: Some(goal(0)),
+        };
         let postures: Vec<Posture> = (0..=STEPS).map(posture).collect();
         std::fs::write(path, mechanics(&stage, &postures, task.dt).to_svg())?;
     }

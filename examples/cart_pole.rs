@@ -16,12 +16,18 @@ fn main() -> Result<(), TrainError> {
     check::system(&task.system);
 
     for field in [Field::regular(), Field::combined()] {
-        let mut session = Trainer::new(task, policy.clone()).field(field).epochs(epochs).session()?;
+        let mut session =
+            Trainer::new(task, policy.clone()).field(field).epochs(epochs).session()?;
         while !session.is_done() {
             let record = session.epoch()?;
             if record.epoch.is_power_of_two() || record.epoch == epochs {
-                let cosine = record.cosine.map_or_else(String::new, |c| format!(", cosine of M and R {c:.3}"));
-                println!("{field:>8}, epoch {:>4}: test loss {:.5}{cosine}", record.epoch, record.test_loss);
+                let cosine = record
+                    .cosine
+                    .map_or_else(String::new, |c| format!(", cosine of M and R {c:.3}"));
+                println!(
+                    "{field:>8}, epoch {:>4}: test loss {:.5}{cosine}",
+                    record.epoch, record.test_loss
+                );
             }
         }
 
@@ -33,7 +39,10 @@ fn main() -> Result<(), TrainError> {
         }
         for t in (0..=task.horizon).step_by(20) {
             let angle = |pole: usize| format!("{:>8.3}", rollout.state(t, 0, 2 + 2 * pole));
-            println!("  step {t:>3}: angles {}", (0..task.system.poles).map(angle).collect::<String>());
+            println!(
+                "  step {t:>3}: angles {}",
+                (0..task.system.poles).map(angle).collect::<String>()
+            );
         }
     }
     Ok(())

@@ -7,7 +7,8 @@ use physgrad::tasks::Guidance;
 use physgrad::{Field, HasModel, Rollout, System, TrainError, Trainer, check};
 
 fn main() -> Result<(), TrainError> {
-    let epochs = std::env::args().nth(1).map_or(50, |text| text.parse().expect("a number of epochs"));
+    let epochs =
+        std::env::args().nth(1).map_or(50, |text| text.parse().expect("a number of epochs"));
     for regularization in [1.0, 0.01] {
         let task = Guidance { regularization, ..Guidance::new(2, 4) };
         let herds = task.system.model();
@@ -16,7 +17,8 @@ fn main() -> Result<(), TrainError> {
         check::system(&task.system);
         println!("regularization {regularization}");
         for field in [Field::regular(), Field::combined()] {
-            let mut session = Trainer::new(task, policy.clone()).field(field).epochs(epochs).session()?;
+            let mut session =
+                Trainer::new(task, policy.clone()).field(field).epochs(epochs).session()?;
             while !session.is_done() {
                 session.epoch()?;
             }
@@ -29,7 +31,9 @@ fn main() -> Result<(), TrainError> {
                 println!("{divergence}");
             }
             let herd = |t: usize| {
-                let at = |evader: usize, axis: usize| rollout.state(t, 0, 4 * (herds.drivers + evader) + axis);
+                let at = |evader: usize, axis: usize| {
+                    rollout.state(t, 0, 4 * (herds.drivers + evader) + axis)
+                };
                 let distance = |evader| at(evader, 0).hypot(at(evader, 1));
                 (0..herds.evaders).map(distance).sum::<f32>() / herds.evaders as f32
             };

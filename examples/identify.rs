@@ -19,10 +19,15 @@ use std::time::Instant;
 const PUBLISHED: [&[[f64; 4]]; 3] = [
     &[[0.14758, 0.14775, 0.0, 1.0912e-4]],
     &[[0.093844, 0.108565, 0.172719, 4.3753e-4], [0.137596, 0.116779, 0.0, 1.26883e-3]],
-    &[[0.258172, 0.160000, 0.172800, 1.0004e-4], [0.279428, 0.202939, 0.228700, 3.1416e-4], [0.118624, 0.183709, 0.0, 1.6874e-4]],
+    &[
+        [0.258172, 0.160000, 0.172800, 1.0004e-4],
+        [0.279428, 0.202939, 0.228700, 3.1416e-4],
+        [0.118624, 0.183709, 0.0, 1.6874e-4],
+    ],
 ];
 /// Published viscous friction by number of arms, for each arm, N m s/rad.
-const FRICTION: [&[f64]; 3] = [&[2.2394e-4], &[2.37143e-4, 1.0e-5], &[1.47710e-3, 2.5960e-4, 1.0e-5]];
+const FRICTION: [&[f64]; 3] =
+    [&[2.2394e-4], &[2.37143e-4, 1.0e-5], &[1.47710e-3, 2.5960e-4, 1.0e-5]];
 /// Published gravity by number of arms, m/s².
 const GRAVITY: [f64; 3] = [9.81, 9.80858, 9.80834];
 
@@ -33,7 +38,8 @@ const DT: f64 = 0.005;
 
 /// Reads segments from a CSV file with the columns segment, time, angles and rates.
 fn read(path: &str) -> Result<Vec<Segment>, Box<dyn Error>> {
-    let text = std::fs::read_to_string(path).map_err(|error| format!("cannot read {path}: {error}"))?;
+    let text =
+        std::fs::read_to_string(path).map_err(|error| format!("cannot read {path}: {error}"))?;
     let mut segments: Vec<Segment> = Vec::new();
     for line in text.lines().filter(|line| !line.starts_with('#')).skip(1) {
         let row = line.split(',').map(str::parse).collect::<Result<Vec<f64>, _>>()?;
@@ -45,7 +51,9 @@ fn read(path: &str) -> Result<Vec<Segment>, Box<dyn Error>> {
         let step = (row[1] / DT).round() as usize;
         segment.x.resize(step, vec![f64::NAN; row.len() - 2]);
         let (angles, rates) = row[2..].split_at(row.len() / 2 - 1);
-        segment.x.push(angles.iter().zip(rates).flat_map(|(&angle, &rate)| [angle, rate]).collect());
+        segment
+            .x
+            .push(angles.iter().zip(rates).flat_map(|(&angle, &rate)| [angle, rate]).collect());
     }
     Ok(segments)
 }
@@ -87,7 +95,8 @@ impl Model {
         };
         let ode = MultiPendulum { arms: vec![arm; arms], gravity: 9.81.into() };
         let (mut p, mut unknowns) = (Vec::new(), Vec::<Unknown>::new());
-        for (i, [mass, center, length, inertia]) in PUBLISHED[arms - 1].iter().copied().enumerate() {
+        for (i, [mass, center, length, inertia]) in PUBLISHED[arms - 1].iter().copied().enumerate()
+        {
             let is_last = i + 1 == arms;
             let friction = FRICTION[0][0];
             let entries = [
@@ -104,7 +113,13 @@ impl Model {
                 if is_unknown {
                     // With fixed masses, only the sum inertia + mass center² has to be positive.
                     let min = if name == "inertia" { f64::NEG_INFINITY } else { 0.0 };
-                    unknowns.push(Unknown { name: format!("{name}_{}", i + 1), index: p.len(), start, min, max: f64::INFINITY });
+                    unknowns.push(Unknown {
+                        name: format!("{name}_{}", i + 1),
+                        index: p.len(),
+                        start,
+                        min,
+                        max: f64::INFINITY,
+                    });
                 }
                 let absent = if k < 4 { value } else { 0.0 };
                 p.push(if is_unknown { start } else { absent });
@@ -117,7 +132,10 @@ impl Model {
     fn published(arms: usize) -> Self {
         let mut model = Self::new(arms, [true, false, false], 1.0);
         model.system.ode.gravity = GRAVITY[arms - 1].into();
-        FRICTION[arms - 1].iter().enumerate().for_each(|(i, friction)| model.p[7 * i + 4] = *friction);
+        FRICTION[arms - 1]
+            .iter()
+            .enumerate()
+            .for_each(|(i, friction)| model.p[7 * i + 4] = *friction);
         model
     }
 
@@ -132,8 +150,14 @@ impl Model {
     }
 
     fn fit(&self, segments: &[Segment], unknowns: &[Unknown]) -> Result<Fit, IdentifyError> {
-        let options = Options { noise: Some([0.003, 0.1].repeat(segments[0].x[0].len() / 2)), ..Options::default() };
-        let segments: Vec<Segment> = segments.iter().map(|segment| Segment { p: self.p.clone(), ..segment.clone() }).collect();
+        let options = Options {
+            noise: Some([0.003, 0.1].repeat(segments[0].x[0].len() / 2)),
+            ..Options::default()
+        };
+        let segments: Vec<Segment> = segments
+            .iter()
+            .map(|segment| Segment { p: self.p.clone(), ..segment.clone() })
+            .collect();
         identify(&self.system, &segments, unknowns, &options)
     }
 
@@ -151,7 +175,8 @@ fn angle_error(fit: &Fit, index: usize, segment: &Segment) -> f64 {
 
 /// Numbers found by SciPy: friction, segments (all or half), name, value.
 fn scipy(path: &str) -> Result<Vec<[String; 4]>, Box<dyn Error>> {
-    let text = std::fs::read_to_string(path).map_err(|error| format!("cannot read {path}: {error}"))?;
+    let text =
+        std::fs::read_to_string(path).map_err(|error| format!("cannot read {path}: {error}"))?;
     let cells = |line: &str| {
         let cells: Vec<&str> = line.split(',').collect();
         [cells[0], cells[1], cells[3], cells[4]].map(String::from)
@@ -182,7 +207,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         );
         for (i, unknown) in model.unknowns.iter().enumerate() {
             let (value, error, robust) = (fit.values[i], fit.errors[i], fit.robust_errors[i]);
-            println!("  {:<12} {:>11.4e} -> {value:>11.4e} ± {error:.1e} (robust {robust:.1e})", unknown.name, unknown.start);
+            println!(
+                "  {:<12} {:>11.4e} -> {value:>11.4e} ± {error:.1e} (robust {robust:.1e})",
+                unknown.name, unknown.start
+            );
         }
         if !fit.undetermined.is_empty() {
             println!("  not determined: {:?}", fit.undetermined);
@@ -195,9 +223,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (name, kinds) = best.1;
     let half: Vec<Segment> = segments.iter().step_by(2).cloned().collect();
     let rest: Vec<Segment> = segments.iter().skip(1).step_by(2).cloned().collect();
-    for (title, subset, fitted, evaluated) in
-        [("fitted to all segments", "all", &segments, &segments), ("fitted to half, errors of the others", "half", &half, &rest)]
-    {
+    for (title, subset, fitted, evaluated) in [
+        ("fitted to all segments", "all", &segments, &segments),
+        ("fitted to half, errors of the others", "half", &half, &rest),
+    ] {
         println!("{title}: root mean square angle errors, rad");
         let model = Model::new(arms, kinds, 1.3);
         let fit = model.fit(fitted, &model.unknowns)?;
@@ -207,8 +236,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         rows.push(("published".into(), Model::published(arms).errors(evaluated)?));
         for (kind, kinds) in KINDS {
             let chosen = others.iter().filter(|row| row[0] == kind && row[1] == subset);
-            let values: Vec<(&str, f64)> =
-                chosen.map(|row| Ok((&*row[2], row[3].parse()?))).collect::<Result<_, Box<dyn Error>>>()?;
+            let values: Vec<(&str, f64)> = chosen
+                .map(|row| Ok((&*row[2], row[3].parse()?)))
+                .collect::<Result<_, Box<dyn Error>>>()?;
             if !values.is_empty() {
                 let model = Model::new(arms, kinds, 1.0).with(values.into_iter());
                 rows.push((format!("SciPy, {kind}"), model.errors(evaluated)?));
@@ -217,11 +247,18 @@ fn main() -> Result<(), Box<dyn Error>> {
         for (label, errors) in &rows {
             let mut sorted = errors.clone();
             sorted.sort_by(f64::total_cmp);
-            let (median, max) = (0.5 * (sorted[(sorted.len() - 1) / 2] + sorted[sorted.len() / 2]), sorted[sorted.len() - 1]);
+            let (median, max) = (
+                0.5 * (sorted[(sorted.len() - 1) / 2] + sorted[sorted.len() / 2]),
+                sorted[sorted.len() - 1],
+            );
             // Also counts errors that are equal up to the tolerances of the fits.
-            let wins = ours.iter().zip(errors).filter(|(ours, other)| **ours <= 1.001 * **other).count();
+            let wins =
+                ours.iter().zip(errors).filter(|(ours, other)| **ours <= 1.001 * **other).count();
             let each: Vec<String> = errors.iter().map(|error| format!("{error:.4}")).collect();
-            println!("  {label:<28} median {median:.4}, max {max:.4}; ours is at most this in {wins} of {}", ours.len());
+            println!(
+                "  {label:<28} median {median:.4}, max {max:.4}; ours is at most this in {wins} of {}",
+                ours.len()
+            );
             println!("    {}", each.join(" "));
         }
     }

@@ -37,7 +37,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     // With zero controls the pole hangs at rest, and the gradient is 0. The search therefore starts
     // from a sine.
     let push: Vec<f64> = (0..task.horizon()).map(|t| (0.1 * t as f64).sin()).collect();
-    let plan = optimize(&task, &START, &[], Initial::Controls(&push), &Options::default().bounded(1, force))?;
+    let plan = optimize(
+        &task,
+        &START,
+        &[],
+        Initial::Controls(&push),
+        &Options::default().bounded(1, force),
+    )?;
     for (iteration, cost) in plan.costs.iter().enumerate().step_by(10) {
         println!("iteration {iteration:3}: cost {cost:.6}");
     }
@@ -57,9 +63,26 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let mut table = String::from("t_s,position_m,velocity_m_s,angle_rad,rate_rad_s,force_n\n");
         for t in 0..plan.horizon() {
             let x = plan.state(t);
-            writeln!(table, "{:.2},{},{},{},{},{}", t as f64 * task.system.dt, x[0], x[1], x[2], x[3], plan.control(t)[0])?;
+            writeln!(
+                table,
+                "{:.2},{},{},{},{},{}",
+                t as f64 * task.system.dt,
+                x[0],
+                x[1],
+                x[2],
+                x[3],
+                plan.control(t)[0]
+            )?;
         }
-        writeln!(table, "{:.2},{},{},{},{},", plan.horizon() as f64 * task.system.dt, last[0], last[1], last[2], last[3])?;
+        writeln!(
+            table,
+            "{:.2},{},{},{},{},",
+            plan.horizon() as f64 * task.system.dt,
+            last[0],
+            last[1],
+            last[2],
+            last[3]
+        )?;
         std::fs::write(path, table)?;
     }
     Ok(())

@@ -4,10 +4,10 @@
 
 use physgrad::policy::Gru;
 use physgrad::prelude::*;
-use physgrad_plot::{Animation, Shape};
 use physgrad::rng::Purpose;
 use physgrad::tasks::CartPoleSystem;
 use physgrad::{Clip, Rollout, Training, initial_states};
+use physgrad_plot::{Animation, Shape};
 use std::f64::consts::PI;
 
 /// Swing-up of one pole from near hanging. State [position m, velocity m/s, angle rad (0 = up),
@@ -39,11 +39,19 @@ impl Task for PositionsOnly {
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut args = std::env::args().skip(1);
     let epochs = args.next().map_or(Ok(200), |text| text.parse())?;
-    let task = PositionsOnly { cart_pole: CartPoleSystem { dt: 0.02, ..CartPoleSystem::default() } };
+    let task =
+        PositionsOnly { cart_pole: CartPoleSystem { dt: 0.02, ..CartPoleSystem::default() } };
     let policy = Gru::new(3, 24, 1);
     check::task(&task, &policy);
-    let training = Training { epochs, learning_rate: 1e-2, clip: Clip::Norm(1.0), workers: 2, ..Training::default() };
-    let report = Trainer::new(task.clone(), policy).field(Field::regular()).training(training).run()?;
+    let training = Training {
+        epochs,
+        learning_rate: 1e-2,
+        clip: Clip::Norm(1.0),
+        workers: 2,
+        ..Training::default()
+    };
+    let report =
+        Trainer::new(task.clone(), policy).field(Field::regular()).training(training).run()?;
 
     const SAMPLES: usize = 64;
     let mut rollout = Rollout::new(&task, &policy, SAMPLES);
@@ -69,7 +77,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             title: "Swing-up from observed positions, by a recurrent policy".into(),
             seconds: STEPS as f64 * task.cart_pole.dt,
             view: ([-2.5, -1.2], [2.5, 1.2]),
-            still: vec![Shape::Line { from: [-2.5, -0.1], to: [2.5, -0.1], width: 0.01, color: "#9AA0A8" }],
+            still: vec![Shape::Line {
+                from: [-2.5, -0.1],
+                to: [2.5, -0.1],
+                width: 0.01,
+                color: "#9AA0A8",
+            }],
             frames: (0..=STEPS).map(frame).collect(),
             ..Animation::default()
         };

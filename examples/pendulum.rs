@@ -30,10 +30,12 @@ impl Task for Pendulum {
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let (pendulum, policy) = (Pendulum { mass: 1.0, length: 0.5, dt: 0.05 }, Mlp::new([2, 32, 32, 1]));
+    let pendulum = Pendulum { mass: 1.0, length: 0.5, dt: 0.05 };
+    let policy = Mlp::new([2, 32, 32, 1]);
     check::system(&pendulum); // Panics if a derivative is wrong, and names it with both values.
     check::task(&pendulum, &policy); // Compares whole rollouts, in all flows, with dual numbers.
     let report = Trainer::new(pendulum, policy).field(Field::combined()).epochs(30).run()?;
-    println!("test loss {:.3} after one epoch, {:.4} after thirty", report.records[0].test_loss, report.records[29].test_loss);
+    let loss = |epoch: usize| report.records[epoch - 1].test_loss;
+    println!("test loss {:.3} after one epoch, {:.4} after thirty", loss(1), loss(30));
     Ok(())
 }

@@ -3,9 +3,9 @@
 //! Run: `cargo run --release --example quadrotor -- [epochs] [picture.svg]`
 
 use physgrad::prelude::*;
-use physgrad_plot::{Animation, Shape};
 use physgrad::rng::Purpose;
 use physgrad::{Clip, Rollout, Training, initial_states};
+use physgrad_plot::{Animation, Shape};
 use std::f64::consts::TAU;
 
 /// State [x m, z m, tilt rad, and their rates]. Control: thrusts [left, right] beyond half the
@@ -65,7 +65,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     check::system(&task);
     check::task(&task, &policy);
     let training = Training { epochs, clip: Clip::Norm(1.0), ..Training::default() };
-    let report = Trainer::new(task.clone(), policy.clone()).field(Field::regular()).training(training).run()?;
+    let report = Trainer::new(task.clone(), policy.clone())
+        .field(Field::regular())
+        .training(training)
+        .run()?;
 
     const FLIGHTS: usize = 16;
     let mut rollout = Rollout::new(&task, &policy, FLIGHTS);
@@ -80,11 +83,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
     }
     let distance = (squares / (FLIGHTS * STEPS / 2) as f64).sqrt();
-    println!("root mean square distance from the reference position in the second half: {distance:.3} m");
+    println!(
+        "root mean square distance from the reference position in the second half: {distance:.3} m"
+    );
     if let Some(path) = args.next() {
         let body = |t: usize| {
             let ([x, z], tilt) = (at(0, t), f64::from(rollout.state(t, 0, 2)));
-            let end = |side: f64| [x + side * task.arm * tilt.cos(), z + side * task.arm * tilt.sin()];
+            let end =
+                |side: f64| [x + side * task.arm * tilt.cos(), z + side * task.arm * tilt.sin()];
             vec![Shape::Line { from: end(-1.0), to: end(1.0), width: 0.06, color: "#0072B2" }]
         };
         let curve = |points: Vec<[f64; 2]>, color| Shape::Curve { points, width: 0.02, color };
@@ -93,7 +99,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             title: "Quadrotor on a figure eight (grey), with its path (orange)".into(),
             seconds: STEPS as f64 * task.dt,
             view: ([-1.4, -0.9], [1.4, 0.9]),
-            still: vec![curve(reference, "#9AA0A8"), curve((0..=STEPS).map(|t| at(0, t)).collect(), "#E69F00")],
+            still: vec![
+                curve(reference, "#9AA0A8"),
+                curve((0..=STEPS).map(|t| at(0, t)).collect(), "#E69F00"),
+            ],
             frames: (0..=STEPS).map(body).collect(),
             ..Animation::default()
         };

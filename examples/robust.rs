@@ -15,7 +15,8 @@ fn task(half_length: Number) -> CartPole {
 }
 
 fn main() -> Result<(), TrainError> {
-    let epochs = std::env::args().nth(1).map_or(200, |text| text.parse().expect("a number of epochs"));
+    let epochs =
+        std::env::args().nth(1).map_or(200, |text| text.parse().expect("a number of epochs"));
     let policy = Mlp::new([4, 100, 100, 1]);
     let train = |half_length: Number| -> Result<Weights<f32>, TrainError> {
         Ok(Trainer::new(task(half_length), policy.clone()).epochs(epochs).run()?.weights)
@@ -28,8 +29,10 @@ fn main() -> Result<(), TrainError> {
         let task = task(half_length.into());
         let starts = initial_states(&task, 1, Purpose::Test, 256);
         let mut evaluation = Evaluation::new(&task, &policy, 1);
-        let losses = [&nominal, &varied].map(|weights| evaluation.run(&task, &policy, weights, &starts));
-        let [nominal, varied] = losses.map(|loss| loss.map_or_else(|_| "diverged".into(), |loss| format!("{loss:.4}")));
+        let losses =
+            [&nominal, &varied].map(|weights| evaluation.run(&task, &policy, weights, &starts));
+        let [nominal, varied] =
+            losses.map(|loss| loss.map_or_else(|_| "diverged".into(), |loss| format!("{loss:.4}")));
         println!("{half_length:>9.2} m {nominal:>10} {varied:>10}");
     }
     Ok(())

@@ -4,9 +4,9 @@
 
 use physgrad::policy::Linear;
 use physgrad::prelude::*;
-use physgrad_plot::{Posture, Stage, mechanics};
 use physgrad::rng::Purpose;
 use physgrad::{Clip, Decay, Rollout, Training, initial_states};
+use physgrad_plot::{Posture, Stage, mechanics};
 
 const MASSES: usize = 100;
 const STEPS: usize = 150;
@@ -60,10 +60,21 @@ impl Task for Rod {
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut args = std::env::args().skip(1);
     let epochs = args.next().map_or(Ok(120), |text| text.parse())?;
-    let (task, policy) = (Rod { stiffness: 800.0, hardening: 2000.0, damping: 0.05, dt: 0.03 }, Linear::new(2 * MASSES, 4));
+    let (task, policy) = (
+        Rod { stiffness: 800.0, hardening: 2000.0, damping: 0.05, dt: 0.03 },
+        Linear::new(2 * MASSES, 4),
+    );
     check::system(&task);
-    let training = Training { epochs, clip: Clip::Norm(1.0), decay: Decay::Cosine { end: 0.0 }, ..Training::default() };
-    let report = Trainer::new(task.clone(), policy.clone()).field(Field::regular()).training(training).run()?;
+    let training = Training {
+        epochs,
+        clip: Clip::Norm(1.0),
+        decay: Decay::Cosine { end: 0.0 },
+        ..Training::default()
+    };
+    let report = Trainer::new(task.clone(), policy.clone())
+        .field(Field::regular())
+        .training(training)
+        .run()?;
 
     const SAMPLES: usize = 64;
     let starts = initial_states(&task, 0, Purpose::Test, SAMPLES);
@@ -75,17 +86,29 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let x: Vec<f64> = (0..2 * MASSES).map(|i| f64::from(rollout.state(t, sample, i))).collect();
         let ends = [&[0.0], &x[..MASSES], &[0.0]].concat();
         let stored = |d: f64| 0.5 * task.stiffness * d * d + 0.25 * task.hardening * d.powi(4);
-        ends.windows(2).map(|ends| stored(ends[1] - ends[0])).sum::<f64>() + x[MASSES..].iter().map(|v| 0.5 * v * v).sum::<f64>()
+        ends.windows(2).map(|ends| stored(ends[1] - ends[0])).sum::<f64>()
+            + x[MASSES..].iter().map(|v| 0.5 * v * v).sum::<f64>()
     };
-    let mut left: Vec<f64> = (0..SAMPLES).map(|sample| 100.0 * energy(sample, STEPS) / energy(sample, 0)).collect();
+    let mut left: Vec<f64> =
+        (0..SAMPLES).map(|sample| 100.0 * energy(sample, STEPS) / energy(sample, 0)).collect();
     left.sort_by(f64::total_cmp);
-    println!("energy left after 4.5 s: median {:.2} %, largest {:.2} %", left[SAMPLES / 2], left[SAMPLES - 1]);
+    println!(
+        "energy left after 4.5 s: median {:.2} %, largest {:.2} %",
+        left[SAMPLES / 2],
+        left[SAMPLES - 1]
+    );
     if let Some(path) = args.next() {
         let posture = |t: usize| {
-            let point = |i: usize| [6.0 * i as f64 / MASSES as f64, f64::from(rollout.state(t, 0, i))];
+            let point =
+                |i: usize| [6.0 * i as f64 / MASSES as f64, f64::from(rollout.state(t, 0, i))];
             Posture { chain: (0..MASSES).step_by(3).map(point).collect(), boxes: Vec::new() }
         };
-        let stage = Stage { title: "Elastic rod brought to rest".into(), size: 0.05, floor: None, mark: None };
+        let stage = Stage {
+            title: "Elastic rod brought to rest".into(),
+            size: 0.05,
+            floor: None,
+            mark: None,
+        };
         let postures: Vec<Posture> = (0..=STEPS).step_by(2).map(posture).collect();
         std::fs::write(path, mechanics(&stage, &postures, 2.0 * task.dt).to_svg())?;
     }

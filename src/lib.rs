@@ -90,13 +90,16 @@ pub mod policy;
 pub mod tasks;
 mod train;
 
-pub use dynamics::actuator::{Actuated, Actuator, AnyActuator, Delay, Lag, Limit, LimitKind, OutputCotangents};
+pub use dynamics::actuator::{
+    Actuated, Actuator, AnyActuator, Delay, Lag, Limit, LimitKind, OutputCotangents,
+};
 pub use dynamics::cause::Cause;
 pub use dynamics::dyn_task::{DynSystem, DynTask};
 pub use dynamics::effect::{DynEffect, Effect, Forced, ForcedSystem, HasModel, Named};
 pub use dynamics::inputs::{Cotangents, Inputs, OdeInputs, Start, Tangents};
 pub use dynamics::integrator::{
-    Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Integrated, Integrator, RungeKutta, Sdirk2, SemiImplicit, Verlet,
+    Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Integrated, Integrator, RungeKutta,
+    Sdirk2, SemiImplicit, Verlet,
 };
 pub use dynamics::number::{Choice, Number, Numbers, Varied};
 pub use dynamics::ode::{DynOde, DynOdeVjp, ForcedOde, Ode};
@@ -121,20 +124,22 @@ pub use numbers::extended::ExtendedF64;
 #[doc(hidden)]
 pub use numbers::kernels;
 pub use numbers::rng;
+#[cfg(feature = "double-double")]
+pub use numbers::scalar::DoubleDouble;
+pub use numbers::scalar::{
+    Cotangent, CotangentPack, Counted, Dual, Float, Lanes, Ops, Real, Scalar, Single,
+};
 pub use numbers::text;
 #[cfg(feature = "parallel")]
 pub use numbers::threads;
-#[cfg(feature = "double-double")]
-pub use numbers::scalar::DoubleDouble;
-pub use numbers::scalar::{Cotangent, CotangentPack, Counted, Dual, Float, Lanes, Ops, Real, Scalar, Single};
 pub use policy::{Policy, Weights};
 pub use train::calls::{self, Trajectories, gradients, losses, rollout};
 pub use train::combination::Combination;
 pub use train::field::{Field, GradientCombiner, UnknownField};
 pub use train::optim::{Clip, Optimizer, OptimizerKind};
 pub use train::{
-    CheckpointError, Decay, Estimator, Record, Report, Session, Skip, Smoothing, TrainError, Trainer, Training, Warning,
-    differences, vector_field,
+    CheckpointError, Decay, Estimator, Record, Report, Session, Skip, Smoothing, TrainError,
+    Trainer, Training, Warning, differences, vector_field,
 };
 
 /// Imports for a file that defines a system and trains a controller for it.

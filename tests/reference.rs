@@ -6,10 +6,12 @@
 //! `cargo test --test reference -- --nocapture` prints all errors.
 
 use physgrad::policy::{Conv, Mlp};
-use physgrad::tasks::{CartPole, CartPoleSystem, Guidance, GuidanceSystem, LossMode, Quantum, QuantumSystem};
+use physgrad::tasks::{
+    CartPole, CartPoleSystem, Guidance, GuidanceSystem, LossMode, Quantum, QuantumSystem,
+};
 use physgrad::{
-    Batch, Clip, Cotangents, Evaluation, Field, Flow, Gradient, Inputs, Optimizer, OptimizerKind, Policy, Rollout, System, Task,
-    Trainer, Training, Weights,
+    Batch, Clip, Cotangents, Evaluation, Field, Flow, Gradient, Inputs, Optimizer, OptimizerKind,
+    Policy, Rollout, System, Task, Trainer, Training, Weights,
 };
 use serde_json::Value;
 use std::path::PathBuf;
@@ -19,7 +21,8 @@ fn files(task: &str, kind: &str) -> Vec<(String, Value)> {
     let own = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/reference");
     let folder = std::env::var_os("PHYSGRAD_REFERENCE").map_or(own, PathBuf::from);
     let mut found = Vec::new();
-    for entry in std::fs::read_dir(&folder).unwrap_or_else(|e| panic!("{}: {e}", folder.display())) {
+    for entry in std::fs::read_dir(&folder).unwrap_or_else(|e| panic!("{}: {e}", folder.display()))
+    {
         let path = entry.expect("a folder entry").path();
         let name = path.file_name().expect("a file name").to_string_lossy().into_owned();
         if name.starts_with(task) && name.ends_with(&format!("_{kind}.json")) {
@@ -65,7 +68,10 @@ fn error(got: &[f64], expected: &[f64]) -> f64 {
     let scale = expected.iter().fold(0.0, |m: f64, e| m.max(e.abs()));
     let worst = got.iter().zip(expected).map(|(g, e)| (g - e).abs()).fold(0.0, f64::max);
     // `max` would ignore NaN.
-    assert!(got.iter().chain(expected).all(|x| x.is_finite()), "not finite: {got:?}, expected {expected:?}");
+    assert!(
+        got.iter().chain(expected).all(|x| x.is_finite()),
+        "not finite: {got:?}, expected {expected:?}"
+    );
     if scale > 0.0 { worst / scale } else { worst }
 }
 
@@ -98,7 +104,14 @@ impl Drop for Worst {
         );
         if !std::thread::panicking() {
             assert!(self.count > 0, "{}: {}: nothing was compared", self.file, self.what);
-            assert!(self.worst <= self.tolerance, "{}: {}: {:e} > {:e}", self.file, self.what, self.worst, self.tolerance);
+            assert!(
+                self.worst <= self.tolerance,
+                "{}: {}: {:e} > {:e}",
+                self.file,
+                self.what,
+                self.worst,
+                self.tolerance
+            );
         }
     }
 }
@@ -138,7 +151,12 @@ impl Authors for AuthorsGuidance {
 
     fn task(file: &Value, case: &Value, horizon: usize) -> Guidance {
         let (drivers, evaders) = (count(&file["n_drivers"]), count(&file["n_evaders"]));
-        let system = GuidanceSystem { drivers, evaders, dt: number(&file["dt"]), ..GuidanceSystem::default() };
+        let system = GuidanceSystem {
+            drivers,
+            evaders,
+            dt: number(&file["dt"]),
+            ..GuidanceSystem::default()
+        };
         // Steps and trajectories do not depend on the regularization. Their settings omit it.
         let regularization = case["regularization"].as_f64().unwrap_or(0.0);
         Guidance { system: system.herding(), loss: loss_mode(case), regularization, horizon }
@@ -157,7 +175,11 @@ impl Authors for AuthorsQuantum {
     type Policy = Conv;
 
     fn task(file: &Value, case: &Value, horizon: usize) -> Quantum {
-        let system = QuantumSystem { grid: count(&file["Nx"]), dt: number(&file["dt"]), ..QuantumSystem::default() };
+        let system = QuantumSystem {
+            grid: count(&file["Nx"]),
+            dt: number(&file["dt"]),
+            ..QuantumSystem::default()
+        };
         // Steps and trajectories do not depend on the target. Their settings omit it.
         let target = case["target_state"].as_u64().unwrap_or(1) as usize;
         Quantum { system, loss: loss_mode(case), horizon, ..Quantum::new(target) }
@@ -176,7 +198,11 @@ impl Authors for AuthorsCartPole {
     type Policy = Mlp;
 
     fn task(file: &Value, case: &Value, horizon: usize) -> CartPole {
-        let system = CartPoleSystem { poles: count(&file["n_poles"]), dt: number(&file["dt"]), ..CartPoleSystem::default() };
+        let system = CartPoleSystem {
+            poles: count(&file["n_poles"]),
+            dt: number(&file["dt"]),
+            ..CartPoleSystem::default()
+        };
         CartPole { system, loss: loss_mode(case), horizon }
     }
 
@@ -204,13 +230,18 @@ fn steps_and_vjps<A: Authors>() {
         let mut by_control = Worst::new(&name, "vjp by control", 1e-12);
         let field = |key: &str| data(&file[key]);
         let (state, control, cotangent) = (field("state"), field("control"), field("cotangent"));
-        let (next, vjp_state, vjp_control) = (field("next_state"), field("vjp_state"), field("vjp_control"));
+        let (next, vjp_state, vjp_control) =
+            (field("next_state"), field("vjp_state"), field("vjp_control"));
         for case in 0..control.len() / m {
             let (states, controls) = (case * n..(case + 1) * n, case * m..(case + 1) * m);
             let (x, u) = (&state[states.clone()], &control[controls.clone()]);
             let (mut got, mut x_bar, mut u_bar) = (vec![0.0; n], vec![0.0; n], vec![0.0; m]);
             system.step(Inputs::new(x, u), &mut got);
-            system.vjp(Inputs::new(x, u), &cotangent[states.clone()], Cotangents::of(&mut x_bar, &mut u_bar));
+            system.vjp(
+                Inputs::new(x, u),
+                &cotangent[states.clone()],
+                Cotangents::of(&mut x_bar, &mut u_bar),
+            );
             steps.add(error(&got, &next[states.clone()]));
             by_state.add(error(&x_bar, &vjp_state[states]));
             by_control.add(error(&u_bar, &vjp_control[controls]));
@@ -234,11 +265,15 @@ fn trajectories<A: Authors>() {
             rollout.run(&task, &policy, &Weights::new(&policy, theta.clone())).expect("finite");
             // Order: samples, steps, components.
             let each = |steps: usize, size: usize| {
-                (0..samples).flat_map(move |s| (0..steps).flat_map(move |t| (0..size).map(move |i| (t, s, i))))
+                (0..samples).flat_map(move |s| {
+                    (0..steps).flat_map(move |t| (0..size).map(move |i| (t, s, i)))
+                })
             };
-            let got: Vec<f64> = each(task.horizon() + 1, n).map(|(t, s, i)| rollout.state(t, s, i)).collect();
+            let got: Vec<f64> =
+                each(task.horizon() + 1, n).map(|(t, s, i)| rollout.state(t, s, i)).collect();
             states.add(error(&got, &data(&trajectory["states"])));
-            let got: Vec<f64> = each(task.horizon(), m).map(|(t, s, i)| rollout.control(t, s, i)).collect();
+            let got: Vec<f64> =
+                each(task.horizon(), m).map(|(t, s, i)| rollout.control(t, s, i)).collect();
             controls.add(error(&got, &data(&trajectory["controls"])));
         }
     }
@@ -287,10 +322,17 @@ fn losses_and_gradients<A: Authors>() {
             let got = got.to_vec();
             let [m, r] = [0, 1].map(|k| batch.gradients()[k].values());
             let kept = |g: &[f64]| g.iter().map(|&g| g != 0.0).collect::<Vec<_>>();
-            assert_eq!(kept(&got), kept(&expected), "{name}: C keeps other components than the authors'");
+            assert_eq!(
+                kept(&got),
+                kept(&expected),
+                "{name}: C keeps other components than the authors'"
+            );
             // Kept components equal those of M, and the others are exactly 0.
             for ((&c, &m), &r) in got.iter().zip(m).zip(r) {
-                assert!(if m * r > 0.0 { c == m } else { c == 0.0 }, "{name}: C = {c} of M = {m}, R = {r}");
+                assert!(
+                    if m * r > 0.0 { c == m } else { c == 0.0 },
+                    "{name}: C = {c} of M = {m}, R = {r}"
+                );
             }
             combined.add(error(&got, &expected));
         }
@@ -310,9 +352,14 @@ fn training<A: Authors>() {
         let task = A::task(&file, &file, count(&file["Nt"]));
         let physics = physics::<A>(&file, &file, task.horizon());
         let policy = A::policy(&file, &task);
-        let (epochs, size, rate) = (count(&file["epochs"]), count(&file["batch_size"]), number(&file["lr"]));
+        let (epochs, size, rate) =
+            (count(&file["epochs"]), count(&file["batch_size"]), number(&file["lr"]));
         let rule = OptimizerKind::named("adam").expect("a known optimizer");
-        let [theta, train, test] = [variables(&file["controller"]), data(&file["train_states"]), data(&file["test_states"])];
+        let [theta, train, test] = [
+            variables(&file["controller"]),
+            data(&file["train_states"]),
+            data(&file["test_states"]),
+        ];
         let mut losses = Worst::new(&name, "losses of all epochs", 1e-8);
         let mut sizes = Worst::new(&name, "squared gradient norms", 1e-8);
         let mut cosines = Worst::new(&name, "cosine of P and F", 1e-8);
@@ -326,9 +373,21 @@ fn training<A: Authors>() {
                 _ => Clip::None,
             };
             let field = if mode == "C" { Field::combined() } else { Field::Flow(flow(mode)) };
-            let training = Training { epochs, batch: size, learning_rate: rate, rule, clip, ..Training::default() };
-            let trainer = Trainer::new(task.clone(), policy.clone()).precision::<f64>().field(field).training(training);
-            let mut session = trainer.session_from(theta.clone(), train.clone(), test.clone()).expect("valid settings");
+            let training = Training {
+                epochs,
+                batch: size,
+                learning_rate: rate,
+                rule,
+                clip,
+                ..Training::default()
+            };
+            let trainer = Trainer::new(task.clone(), policy.clone())
+                .precision::<f64>()
+                .field(field)
+                .training(training);
+            let mut session = trainer
+                .session_from(theta.clone(), train.clone(), test.clone())
+                .expect("valid settings");
 
             let mut weights = Weights::new(&policy, theta.clone());
             let mut optimizer = Optimizer::new(rule, rate, theta.len());
@@ -362,9 +421,13 @@ fn training<A: Authors>() {
                 sizes.add(error(&[mean(&squares)], &[column("grad_size")]));
                 replays.add(error(&[record.grad_norm.get()], &[mean(&lengths)]));
                 if logged("physics").is_some() {
-                    let after = [&train, &test].map(|starts| loss(&physics, &policy, &weights, starts));
+                    let after =
+                        [&train, &test].map(|starts| loss(&physics, &policy, &weights, starts));
                     let got = [mean(&without), after[0], after[1]];
-                    losses.add(error(&got, &["physics", "physics_train", "physics_test"].map(column)));
+                    losses.add(error(
+                        &got,
+                        &["physics", "physics_train", "physics_test"].map(column),
+                    ));
                 }
             }
             finals.add(error(session.weights().theta(), &variables(&run["final_variables"])));

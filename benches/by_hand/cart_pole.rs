@@ -31,11 +31,17 @@ impl<const FRICTION: bool, const WIND: bool> System for ByHand<FRICTION, WIND> {
         let s = &self.system;
         let mass = s.cart_mass.nominal() + s.pole_mass.nominal();
         let (dt, per_mass) = (T::from(s.dt), T::from(1.0 / mass));
-        let (ml, l) = (T::from(s.pole_mass.nominal() * s.half_length.nominal()), T::from(s.half_length.nominal()));
+        let (ml, l) = (
+            T::from(s.pole_mass.nominal() * s.half_length.nominal()),
+            T::from(s.half_length.nominal()),
+        );
         let weight = T::from(s.pole_mass.nominal() * s.half_length.nominal() * s.gravity.nominal());
-        let inertia = T::from(4.0 / 3.0 * s.pole_mass.nominal() * s.half_length.nominal() * s.half_length.nominal());
+        let inertia = T::from(
+            4.0 / 3.0 * s.pole_mass.nominal() * s.half_length.nominal() * s.half_length.nominal(),
+        );
         let coupling = T::from((s.pole_mass.nominal() * s.half_length.nominal()).powi(2) / mass);
-        let (pole_drag, damping) = (T::from(self.wind.pole_drag.nominal()), T::from(self.pole.damping.nominal()));
+        let (pole_drag, damping) =
+            (T::from(self.wind.pole_drag.nominal()), T::from(self.pole.damping.nominal()));
         let headwind = if WIND { T::from(self.wind.speed.nominal()) - x[1] } else { T::zero() };
 
         // Drag on one pole pushes the cart, which accelerates every pole. The step therefore sums
@@ -58,7 +64,9 @@ impl<const FRICTION: bool, const WIND: bool> System for ByHand<FRICTION, WIND> {
             }
         }
         let mut push = force;
-        for (i, (pole, next)) in x[2..].chunks_exact(2).zip(next[2..].chunks_exact_mut(2)).enumerate() {
+        for (i, (pole, next)) in
+            x[2..].chunks_exact(2).zip(next[2..].chunks_exact_mut(2)).enumerate()
+        {
             let (sin, cos, omega) = (next[0], next[1], pole[1]);
             let mut torque = weight * sin;
             if FRICTION {
@@ -80,7 +88,12 @@ impl<const FRICTION: bool, const WIND: bool> System for ByHand<FRICTION, WIND> {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, Inputs { x, u, .. }: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        Inputs { x, u, .. }: Inputs<'_, R>,
+        next_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
         // Scratch for cotangents that are not requested.
         let (mut x_scratch, mut u_scratch) = (ArrayVec::<C, 130>::new(), ArrayVec::<C, 64>::new());
         let x_bar = cotangents.x.unwrap_or_else(|| {
@@ -94,11 +107,17 @@ impl<const FRICTION: bool, const WIND: bool> System for ByHand<FRICTION, WIND> {
         let s = &self.system;
         let mass = s.cart_mass.nominal() + s.pole_mass.nominal();
         let (dt, per_mass) = (R::from(s.dt), R::from(1.0 / mass));
-        let (ml, l) = (R::from(s.pole_mass.nominal() * s.half_length.nominal()), R::from(s.half_length.nominal()));
+        let (ml, l) = (
+            R::from(s.pole_mass.nominal() * s.half_length.nominal()),
+            R::from(s.half_length.nominal()),
+        );
         let weight = R::from(s.pole_mass.nominal() * s.half_length.nominal() * s.gravity.nominal());
-        let inertia = R::from(4.0 / 3.0 * s.pole_mass.nominal() * s.half_length.nominal() * s.half_length.nominal());
+        let inertia = R::from(
+            4.0 / 3.0 * s.pole_mass.nominal() * s.half_length.nominal() * s.half_length.nominal(),
+        );
         let coupling = R::from((s.pole_mass.nominal() * s.half_length.nominal()).powi(2) / mass);
-        let (pole_drag, damping) = (R::from(self.wind.pole_drag.nominal()), R::from(self.pole.damping.nominal()));
+        let (pole_drag, damping) =
+            (R::from(self.wind.pole_drag.nominal()), R::from(self.pole.damping.nominal()));
         let headwind = if WIND { R::from(self.wind.speed.nominal()) - x[1] } else { R::zero() };
 
         let mut force = u[0];
@@ -143,7 +162,8 @@ impl<const FRICTION: bool, const WIND: bool> System for ByHand<FRICTION, WIND> {
             force_bar += thrust_bar;
             let centrifugal_bar = push_bar + thrust_bar;
             let sin_bar = torque_bar * weight + centrifugal_bar * (ml * spin);
-            let cos_bar = torque_bar * (R::from(2.0) * coupling * cos * alpha - ml * a) - push_bar * (ml * alpha);
+            let cos_bar = torque_bar * (R::from(2.0) * coupling * cos * alpha - ml * a)
+                - push_bar * (ml * alpha);
             omega_bar += centrifugal_bar * (R::from(2.0) * ml * sin * omega);
             if FRICTION {
                 omega_bar -= torque_bar * damping;
@@ -164,7 +184,8 @@ impl<const FRICTION: bool, const WIND: bool> System for ByHand<FRICTION, WIND> {
                 x_bar[2 + 2 * i] -= (force_bar * drag + across_bar * headwind) * sin;
                 x_bar[3 + 2 * i] -= across_bar * l;
             }
-            speed_bar -= force_bar * (R::from(2.0 * self.wind.cart_drag.nominal()) * headwind.abs());
+            speed_bar -=
+                force_bar * (R::from(2.0 * self.wind.cart_drag.nominal()) * headwind.abs());
         }
         if FRICTION {
             speed_bar -= force_bar * R::from(self.cart.damping.nominal());

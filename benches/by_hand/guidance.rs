@@ -94,7 +94,11 @@ impl ByHand {
     fn laws<T: Scalar>(&self) -> [Law<T>; 3] {
         let law = |far, near| Law { far: T::from(far), near: T::from(near) };
         let flock = self.flock;
-        [law(0.0, self.spread.strength), law(0.0, self.evade.strength), law(flock.strength, -flock.strength * flock.distance)]
+        [
+            law(0.0, self.spread.strength),
+            law(0.0, self.evade.strength),
+            law(flock.strength, -flock.strength * flock.distance),
+        ]
     }
 
     /// Returns the sum of the evaders' positions.
@@ -121,11 +125,14 @@ impl System for ByHand {
     #[inline(always)]
     fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
         let (drivers, agents) = (self.system.drivers, self.system.drivers + self.system.evaders);
-        let (softening, [spread, evade, flock]) = (T::from(self.system.softening), self.laws::<T>());
+        let (softening, [spread, evade, flock]) =
+            (T::from(self.system.softening), self.laws::<T>());
         // Stores accelerations in the velocity components of `next`.
         let herd = self.herd(x);
         let friction = T::from(self.friction.drivers);
-        for ((next, x), c) in next.chunks_exact_mut(AGENT).zip(x.chunks_exact(AGENT)).zip(u.chunks_exact(2)) {
+        for ((next, x), c) in
+            next.chunks_exact_mut(AGENT).zip(x.chunks_exact(AGENT)).zip(u.chunks_exact(2))
+        {
             let q = [x[0] - herd[0], x[1] - herd[1]];
             next[2] = c[0] * q[0] - c[1] * q[1] - friction * x[2];
             next[3] = c[0] * q[1] + c[1] * q[0] - friction * x[3];
@@ -163,7 +170,12 @@ impl System for ByHand {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, Inputs { x, u, .. }: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        Inputs { x, u, .. }: Inputs<'_, R>,
+        next_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
         // Scratch for cotangents that are not requested.
         let (mut x_scratch, mut u_scratch) = (ArrayVec::<C, 128>::new(), ArrayVec::<C, 64>::new());
         let x_bar = cotangents.x.unwrap_or_else(|| {
@@ -175,11 +187,15 @@ impl System for ByHand {
             &mut u_scratch[..]
         });
         let (drivers, agents) = (self.system.drivers, self.system.drivers + self.system.evaders);
-        let (softening, [spread, evade, flock]) = (R::from(self.system.softening), self.laws::<R>());
+        let (softening, [spread, evade, flock]) =
+            (R::from(self.system.softening), self.laws::<R>());
         let dt = R::from(self.system.dt);
-        let kept = [self.friction.drivers, self.friction.evaders].map(|friction| R::from(1.0 - self.system.dt * friction));
+        let kept = [self.friction.drivers, self.friction.evaders]
+            .map(|friction| R::from(1.0 - self.system.dt * friction));
         let mut forces_bar: ArrayVec<[C; 2], 32> = ArrayVec::new();
-        for (agent, (bar, next)) in x_bar.chunks_exact_mut(AGENT).zip(next_bar.chunks_exact(AGENT)).enumerate() {
+        for (agent, (bar, next)) in
+            x_bar.chunks_exact_mut(AGENT).zip(next_bar.chunks_exact(AGENT)).enumerate()
+        {
             let kept = if agent < drivers { kept[0] } else { kept[1] };
             forces_bar.push([next[2] * dt, next[3] * dt]);
             bar[0] += next[0];
@@ -189,7 +205,8 @@ impl System for ByHand {
         }
         let (herd, mut herd_bar) = (self.herd(x), [C::null(); 2]);
         for agent in 0..drivers {
-            let (force, x, c) = (forces_bar[agent], &x[AGENT * agent..], &u[2 * agent..2 * agent + 2]);
+            let (force, x, c) =
+                (forces_bar[agent], &x[AGENT * agent..], &u[2 * agent..2 * agent + 2]);
             let q = [x[0] - herd[0], x[1] - herd[1]];
             u_bar[2 * agent] += force[0] * q[0] + force[1] * q[1];
             u_bar[2 * agent + 1] += force[1] * q[0] - force[0] * q[1];

@@ -27,7 +27,9 @@ where
     V: Copy + Add<Output = V> + Sub<Output = V> + Mul<T, Output = V>,
 {
     let mut previous: Option<(V, V)> = None;
-    for ((rhs, y), &(q_re, q_im)) in rhs.chunks_exact(2).zip(y.chunks_exact_mut(2)).zip(inverse_pivots) {
+    for ((rhs, y), &(q_re, q_im)) in
+        rhs.chunks_exact(2).zip(y.chunks_exact_mut(2)).zip(inverse_pivots)
+    {
         let (mut re, mut im) = (rhs[0], rhs[1]);
         if let Some((s_re, s_im)) = previous {
             (re, im) = (re - s_im * b, im + s_re * b);
@@ -96,7 +98,12 @@ impl<const TRAP: bool, const CUBIC: bool> System for ByHand<TRAP, CUBIC> {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, Inputs { x, u, .. }: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        Inputs { x, u, .. }: Inputs<'_, R>,
+        next_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
         // Scratch for cotangents that are not requested.
         let (mut x_scratch, mut u_scratch) = (ArrayVec::<C, 128>::new(), ArrayVec::<C, 64>::new());
         let x_bar = cotangents.x.unwrap_or_else(|| {
@@ -120,7 +127,12 @@ impl<const TRAP: bool, const CUBIC: bool> System for ByHand<TRAP, CUBIC> {
         solve(&inverse_pivots, -b, next_bar, waves_bar.as_flattened_mut());
         let (factor, dx) = (0.5 * self.system.dt * self.system.spacing(), self.system.spacing());
         let slope = R::from(self.system.dt * self.cubic.strength / dx);
-        let waves = x.chunks_exact(2).zip(&y).zip(next_bar.chunks_exact(2)).zip(&waves_bar).zip(x_bar.chunks_exact_mut(2));
+        let waves = x
+            .chunks_exact(2)
+            .zip(&y)
+            .zip(next_bar.chunks_exact(2))
+            .zip(&waves_bar)
+            .zip(x_bar.chunks_exact_mut(2));
         for (j, ((((psi, y), v), w), x_bar)) in waves.enumerate() {
             // y = A⁻¹ ψ, w = A⁻ᴴ v, and V_bar = dt Im(w̄ y).
             let bar = (w[0] * y[1] - w[1] * y[0]) * R::from(2.0);

@@ -57,5 +57,13 @@ impl Policy for Nothing {
         u.fill(T::zero());
     }
     fn forward<F: Float>(&self, _: PolicyPass<F>, _: &mut [F], _: &mut [F]) {}
-    fn backward<F: Float>(&self, _: PolicyPass<F>, _: &[F], _: &[F], _: &mut [F], _: Option<&mut [F]>) {}
+    fn backward<F: Float>(
+        &self,
+        _: PolicyPass<F>,
+        _: &[F],
+        _: &[F],
+        _: &mut [F],
+        _: Option<&mut [F]>,
+    ) {
+    }
 }

@@ -5,9 +5,9 @@
 //! `cargo run --release --example scene_effect -- explain cart_pole --set effects.eddy_brake={}`
 
 use physgrad::prelude::*;
-use physgrad_cli::{ProgramEffect, ProgramTask, SceneEffects};
 use physgrad::tasks::CartPoleSystem;
 use physgrad::{DynEffect, Effect, Named, OdeInputs};
+use physgrad_cli::{ProgramEffect, ProgramTask, SceneEffects};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::process::ExitCode;

@@ -62,7 +62,10 @@ impl Outcomes {
     fn record(&mut self, number: u64, allowed: usize, work: impl FnOnce() -> bool) {
         let begin = Instant::now();
         let mut result = None;
-        let bytes = allocation_counter::measure(|| result = Some(panic::catch_unwind(AssertUnwindSafe(work)))).bytes_max;
+        let bytes = allocation_counter::measure(|| {
+            result = Some(panic::catch_unwind(AssertUnwindSafe(work)))
+        })
+        .bytes_max;
         let result = result.expect("`measure` runs the closure");
         let (time, peak) = (begin.elapsed().as_secs_f64(), bytes as f64 / allowed as f64);
         match result {
@@ -84,10 +87,16 @@ impl Outcomes {
 
     /// One line per limit that the inputs of this kind exceed.
     fn failures(&self, name: &str) -> Vec<String> {
-        let panics = self.panics.iter().take(5).map(|(input, panic)| format!("{name}: input {input} panics: {panic}"));
+        let panics = self
+            .panics
+            .iter()
+            .take(5)
+            .map(|(input, panic)| format!("{name}: input {input} panics: {panic}"));
         let (peak, time) = (self.peak, self.time);
-        let memory = (peak.0 > 1.0).then(|| format!("{name}: input {} takes {:.1} times its memory", peak.1, peak.0));
-        let time = (time.0 > MAX_SECONDS).then(|| format!("{name}: input {} takes {:.1} s", time.1, time.0));
+        let memory = (peak.0 > 1.0)
+            .then(|| format!("{name}: input {} takes {:.1} times its memory", peak.1, peak.0));
+        let time = (time.0 > MAX_SECONDS)
+            .then(|| format!("{name}: input {} takes {:.1} s", time.1, time.0));
         panics.chain(memory).chain(time).collect()
     }
 }
@@ -112,7 +121,10 @@ fn failures(inputs: std::ops::Range<u64>) -> Vec<String> {
     }
     let line = |(kind, Outcomes { accepted, rejected, panics, peak, time }): (&Kind, &Outcomes)| {
         let (panics, peak, time) = (panics.len(), peak.0, time.0);
-        println!("{}: {accepted} accepted, {rejected} rejected, {panics} panics; memory {peak:.2}, {time:.2} s", kind.name);
+        println!(
+            "{}: {accepted} accepted, {rejected} rejected, {panics} panics; memory {peak:.2}, {time:.2} s",
+            kind.name
+        );
     };
     KINDS.iter().zip(&outcomes).for_each(line);
     KINDS.iter().zip(&outcomes).flat_map(|(kind, outcomes)| outcomes.failures(kind.name)).collect()

@@ -33,8 +33,8 @@ mod tasks;
 use anyhow::Result;
 use clap::{CommandFactory, Parser, Subcommand};
 use commands::{
-    accuracy, animate, check, compare, completions, effects, eval, explain, export, identify, merge, new, optimize, paper, print,
-    report, robust, study, train,
+    accuracy, animate, check, compare, completions, effects, eval, explain, export, identify,
+    merge, new, optimize, paper, print, report, robust, study, train,
 };
 use platform::terminal::{is_plain, print_message, set_program};
 use platform::{parallel, ranks, signals};
@@ -171,8 +171,8 @@ impl Program {
     pub fn main(self) -> ExitCode {
         set_program();
         signals::ignore_file_limits();
-        let outcome =
-            tasks::register(self.own, self.effects).and_then(|()| execute(&parsed().command.unwrap_or_else(default_run)));
+        let outcome = tasks::register(self.own, self.effects)
+            .and_then(|()| execute(&parsed().command.unwrap_or_else(default_run)));
         let failure = outcome.err().map(|error| {
             print_message(&format!("error: {error:#}"));
             if error.is::<run::NoUpdate>() { NO_UPDATE } else { FAILURE }
@@ -276,10 +276,13 @@ mod tests {
 
     #[test]
     fn every_command_has_examples_and_the_program_parses_them() {
-        for command in Arguments::command().get_subcommands().filter(|command| !command.is_hide_set()) {
+        for command in
+            Arguments::command().get_subcommands().filter(|command| !command.is_hide_set())
+        {
             let name = command.get_name();
             let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
-            let examples: Vec<&str> = help.lines().filter_map(|line| line.strip_prefix("  ")).collect();
+            let examples: Vec<&str> =
+                help.lines().filter_map(|line| line.strip_prefix("  ")).collect();
             assert!(!examples.is_empty(), "{name} has no example");
             for example in examples {
                 assert!(example.starts_with(&format!("physgrad {name}")), "{example}");
@@ -293,7 +296,8 @@ mod tests {
     fn out_and_quiet_have_the_short_options_o_and_q_in_every_command() {
         for command in Arguments::command().get_subcommands() {
             for (long, short) in [("out", 'o'), ("quiet", 'q')] {
-                let option = command.get_arguments().find(|argument| argument.get_long() == Some(long));
+                let option =
+                    command.get_arguments().find(|argument| argument.get_long() == Some(long));
                 let found = option.map_or(Some(short), clap::Arg::get_short);
                 assert_eq!(found, Some(short), "--{long} of {}", command.get_name());
             }

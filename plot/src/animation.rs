@@ -113,15 +113,27 @@ impl Animation {
     /// range of a channel is the union of the ranges of all channels with this name.
     pub fn share_scale(animations: &mut [&mut Self]) {
         let corner = |pick: fn(f64, f64) -> f64, of: fn(&Self) -> [f64; 2]| {
-            animations.iter().map(|animation| of(animation)).reduce(|a, b| [pick(a[0], b[0]), pick(a[1], b[1])])
+            animations
+                .iter()
+                .map(|animation| of(animation))
+                .reduce(|a, b| [pick(a[0], b[0]), pick(a[1], b[1])])
         };
-        let Some((low, high)) = corner(f64::min, |a| a.view.0).zip(corner(f64::max, |a| a.view.1)) else { return };
-        let ranges: Vec<(String, [f64; 2])> =
-            animations.iter().flat_map(|animation| &animation.channels).map(|c| (c.name.clone(), c.range())).collect();
+        let Some((low, high)) = corner(f64::min, |a| a.view.0).zip(corner(f64::max, |a| a.view.1))
+        else {
+            return;
+        };
+        let ranges: Vec<(String, [f64; 2])> = animations
+            .iter()
+            .flat_map(|animation| &animation.channels)
+            .map(|c| (c.name.clone(), c.range()))
+            .collect();
         for animation in animations {
             animation.view = (low, high);
             for channel in &mut animation.channels {
-                let same = ranges.iter().filter(|(name, _)| *name == channel.name).map(|(_, range)| *range);
+                let same = ranges
+                    .iter()
+                    .filter(|(name, _)| *name == channel.name)
+                    .map(|(_, range)| *range);
                 channel.range = same.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
             }
         }
@@ -134,18 +146,27 @@ impl Animation {
     /// Panics if the frames differ in the kinds or order of their shapes.
     pub fn to_svg(&self) -> String {
         let (low, high) = self.view;
-        let world = [high[0] - low[0], high[1] - low[1]].map(|size| if size.is_normal() && size > 0.0 { size } else { 1.0 });
+        let world = [high[0] - low[0], high[1] - low[1]]
+            .map(|size| if size.is_normal() && size > 0.0 { size } else { 1.0 });
         let below = below::Below::of(self);
-        let largest = if self.channels.is_empty() { MAX_SIZE } else { [CHANNELS_WIDTH, MAX_SIZE[1] - below::TAKEN] };
+        let largest = if self.channels.is_empty() {
+            MAX_SIZE
+        } else {
+            [CHANNELS_WIDTH, MAX_SIZE[1] - below::TAKEN]
+        };
         let scale = (largest[0] / world[0]).min(largest[1] / world[1]);
-        let has_view = !self.frames.is_empty() || !self.still.is_empty() || self.channels.is_empty();
-        let (width, height) = if has_view { (world[0] * scale, world[1] * scale) } else { (0.0, 0.0) };
+        let has_view =
+            !self.frames.is_empty() || !self.still.is_empty() || self.channels.is_empty();
+        let (width, height) =
+            if has_view { (world[0] * scale, world[1] * scale) } else { (0.0, 0.0) };
         // Reserves width for the title above a narrow view, and for channels below it.
-        let full_width = width.max(if self.channels.is_empty() { MAX_SIZE[0] / 2.0 } else { CHANNELS_WIDTH });
+        let full_width =
+            width.max(if self.channels.is_empty() { MAX_SIZE[0] / 2.0 } else { CHANNELS_WIDTH });
         let top = TITLE_HEIGHT + if self.legend.is_empty() { 0.0 } else { LEGEND_HEIGHT };
         let total = top + height + below.height();
         let (w, h, full_w, full_h) = (px(width), px(height), px(full_width), px(total));
-        let (left, middle, title) = (px((full_width - width) / 2.0), px(full_width / 2.0), escaped(&self.title));
+        let (left, middle, title) =
+            (px((full_width - width) / 2.0), px(full_width / 2.0), escaped(&self.title));
         let mut svg = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {full_w} {full_h}\" width=\"{full_w}\" \
              height=\"{full_h}\" font-family=\"DejaVu Sans, Verdana, Arial, sans-serif\" text-anchor=\"middle\">\n\
@@ -157,9 +178,17 @@ impl Animation {
         element::write(&mut svg, &self.still, &self.frames, [low[0], high[1]], scale, self.seconds);
         svg += "</svg>\n";
         // Shapes around the view, in pixels from the lower left corner of the picture.
-        let mut still = below::legend(&self.legend, full_width, total - TITLE_HEIGHT - LEGEND_HEIGHT / 2.0);
+        let mut still =
+            below::legend(&self.legend, full_width, total - TITLE_HEIGHT - LEGEND_HEIGHT / 2.0);
         still.extend(below.still(full_width, scale));
-        element::write(&mut svg, &still, &below.frames(full_width), [0.0, total], 1.0, self.seconds);
+        element::write(
+            &mut svg,
+            &still,
+            &below.frames(full_width),
+            [0.0, total],
+            1.0,
+            self.seconds,
+        );
         valid(svg + "</svg>\n")
     }
 }
@@ -184,7 +213,8 @@ mod tests {
     fn only_attributes_that_change_are_animated() {
         let svg = moving_dot(&[0.0, 1.0, f64::NAN]).to_svg();
         let document = roxmltree::Document::parse(&svg).expect("an SVG is XML");
-        let animated: Vec<_> = document.descendants().filter(|node| node.has_tag_name("animate")).collect();
+        let animated: Vec<_> =
+            document.descendants().filter(|node| node.has_tag_name("animate")).collect();
         assert_eq!(animated.len(), 1);
         assert_eq!(animated[0].attribute("attributeName"), Some("cx"));
         assert_eq!(animated[0].attribute("values"), Some("0;360;0;0"));
@@ -202,18 +232,26 @@ mod tests {
 
     #[test]
     fn static_shapes_are_written_once_without_an_animate_element() {
-        let curve = |y: f64| Shape::Curve { points: vec![[0.0, y], [1.0, 0.5]], width: 0.1, color: "red" };
+        let curve =
+            |y: f64| Shape::Curve { points: vec![[0.0, y], [1.0, 0.5]], width: 0.1, color: "red" };
         let raster = Raster::new(&[vec![0.0, 1.0]]);
         let mut animation = moving_dot(&[0.0, 1.0]);
-        animation.still = vec![Shape::Image { center: [1.0, 0.5], size: [1.0, 0.5], raster }, curve(0.0)];
+        animation.still =
+            vec![Shape::Image { center: [1.0, 0.5], size: [1.0, 0.5], raster }, curve(0.0)];
         for (frame, y) in animation.frames.iter_mut().zip([0.0, 1.0]) {
             frame.push(curve(y));
         }
         let svg = animation.to_svg();
         let document = roxmltree::Document::parse(&svg).expect("an SVG is XML");
-        let all = |tag| document.descendants().filter(move |node| node.has_tag_name(tag)).collect::<Vec<_>>();
+        let all = |tag| {
+            document.descendants().filter(move |node| node.has_tag_name(tag)).collect::<Vec<_>>()
+        };
         let (image, curves) = (all("image"), all("polyline"));
-        assert!(image[0].attribute("href").is_some_and(|href| href.starts_with("data:image/png;base64,")));
+        assert!(
+            image[0]
+                .attribute("href")
+                .is_some_and(|href| href.starts_with("data:image/png;base64,"))
+        );
         assert_eq!((image[0].attribute("x"), image[0].attribute("y")), (Some("180"), Some("90")));
         assert_eq!(curves.iter().map(|curve| curve.children().count()).collect::<Vec<_>>(), [0, 1]);
         let animated = curves[1].first_element_child().and_then(|node| node.attribute("values"));
@@ -229,13 +267,22 @@ mod tests {
     }
     #[test]
     fn animations_that_share_a_scale_have_equal_views_and_ranges() {
-        let channel = |values: &[f64]| Channel { name: "u".into(), values: values.to_vec(), color: "red", range: None };
+        let channel = |values: &[f64]| Channel {
+            name: "u".into(),
+            values: values.to_vec(),
+            color: "red",
+            range: None,
+        };
         let mut both = [moving_dot(&[0.0, 1.0]), moving_dot(&[0.0, 2.0])];
         both[1].view = ([-1.0, 0.5], [1.0, 3.0]);
-        (both[0].channels, both[1].channels) = (vec![channel(&[0.0, 1.0])], vec![channel(&[-3.0, 0.5])]);
+        (both[0].channels, both[1].channels) =
+            (vec![channel(&[0.0, 1.0])], vec![channel(&[-3.0, 0.5])]);
         Animation::share_scale(&mut both.each_mut());
         assert_eq!(both[0].view, ([-1.0, 0.0], [2.0, 3.0]));
-        assert_eq!((both[0].view, both[0].channels[0].range), (both[1].view, both[1].channels[0].range));
+        assert_eq!(
+            (both[0].view, both[0].channels[0].range),
+            (both[1].view, both[1].channels[0].range)
+        );
         assert_eq!(both[0].channels[0].range(), [-3.0, 1.0]);
     }
 
@@ -245,15 +292,27 @@ mod tests {
         animation.legend = vec![("target".into(), "green")];
         animation.unit = "m";
         animation.time = 2.0;
-        animation.channels = vec![Channel { name: "force".into(), values: vec![-4.0, 0.0, 6.0], color: "red", range: None }];
+        animation.channels = vec![Channel {
+            name: "force".into(),
+            values: vec![-4.0, 0.0, 6.0],
+            color: "red",
+            range: None,
+        }];
         let svg = animation.to_svg();
         let document = roxmltree::Document::parse(&svg).expect("an SVG is XML");
-        let texts: Vec<&str> = document.descendants().filter(|n| n.has_tag_name("text")).filter_map(|n| n.text()).collect();
+        let texts: Vec<&str> = document
+            .descendants()
+            .filter(|n| n.has_tag_name("text"))
+            .filter_map(|n| n.text())
+            .collect();
         // A scale of 0.2 units is about a tenth of the view.
         for text in ["target", "0.2 m", "force", "−4", "6", "time (s)", "0", "1", "2"] {
             assert!(texts.contains(&text), "{text} in {texts:?}");
         }
-        let cursors = document.descendants().filter(|n| n.has_tag_name("line") && n.children().count() > 0).count();
+        let cursors = document
+            .descendants()
+            .filter(|n| n.has_tag_name("line") && n.children().count() > 0)
+            .count();
         assert_eq!(cursors, 1, "the cursor moves");
     }
 }

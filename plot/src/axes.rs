@@ -26,7 +26,10 @@ impl Axes {
     /// Maps a data point to picture coordinates.
     pub fn at(&self, x: f64, y: f64) -> [f64; 2] {
         let share = |value: f64, [from, to]: [f64; 2]| (value - from) / (to - from);
-        [self.left + (self.right - self.left) * share(x, self.x), self.bottom + (self.top - self.bottom) * share(y, self.y)]
+        [
+            self.left + (self.right - self.left) * share(x, self.x),
+            self.bottom + (self.top - self.bottom) * share(y, self.y),
+        ]
     }
 
     /// Maps the rectangle between two data points to its center and size in picture coordinates.
@@ -36,8 +39,17 @@ impl Axes {
     }
 
     /// Polyline through data points.
-    pub fn curve(&self, points: impl IntoIterator<Item = [f64; 2]>, width: f64, color: &'static str) -> Shape {
-        Shape::Curve { points: points.into_iter().map(|[x, y]| self.at(x, y)).collect(), width, color }
+    pub fn curve(
+        &self,
+        points: impl IntoIterator<Item = [f64; 2]>,
+        width: f64,
+        color: &'static str,
+    ) -> Shape {
+        Shape::Curve {
+            points: points.into_iter().map(|[x, y]| self.at(x, y)).collect(),
+            width,
+            color,
+        }
     }
 
     /// Outline of the rectangle.
@@ -50,7 +62,10 @@ impl Axes {
     pub fn ticks_below(&self, values: &[f64]) -> Vec<Shape> {
         let tick = |&value: &f64| {
             let [x, y] = self.at(value, self.y[0]);
-            [Shape::Line { from: [x, y], to: [x, y - 4.0], width: 1.0, color: INK }, text([x, y - 6.0 - LETTERS], number(value))]
+            [
+                Shape::Line { from: [x, y], to: [x, y - 4.0], width: 1.0, color: INK },
+                text([x, y - 6.0 - LETTERS], number(value)),
+            ]
         };
         values.iter().flat_map(tick).collect()
     }
@@ -59,7 +74,10 @@ impl Axes {
     pub fn ticks_above(&self, values: &[f64]) -> Vec<Shape> {
         let tick = |&value: &f64| {
             let [x, y] = self.at(value, self.y[1]);
-            [Shape::Line { from: [x, y], to: [x, y - 4.0], width: 1.0, color: INK }, text([x, y + 2.0], number(value))]
+            [
+                Shape::Line { from: [x, y], to: [x, y - 4.0], width: 1.0, color: INK },
+                text([x, y + 2.0], number(value)),
+            ]
         };
         values.iter().flat_map(tick).collect()
     }
@@ -70,7 +88,10 @@ impl Axes {
             let ([x, y], label) = (self.at(self.x[0], value), number(value));
             // Texts are centered; digits are about 0.6 of the font size wide.
             let middle = x - 8.0 - 0.3 * LETTERS * label.chars().count() as f64;
-            [Shape::Line { from: [x, y], to: [x - 4.0, y], width: 1.0, color: INK }, text([middle, y - 0.35 * LETTERS], label)]
+            [
+                Shape::Line { from: [x, y], to: [x - 4.0, y], width: 1.0, color: INK },
+                text([middle, y - 0.35 * LETTERS], label),
+            ]
         };
         values.iter().flat_map(tick).collect()
     }
@@ -93,7 +114,11 @@ pub(super) fn ticks(from: f64, to: f64, count: f64) -> Vec<f64> {
 /// Rounds up to 1, 2 or 5 times a power of ten.
 pub(super) fn round_up(value: f64) -> f64 {
     let power = 10f64.powf(value.log10().floor());
-    [1.0, 2.0, 5.0].into_iter().map(|m| m * power).find(|&round| round >= value * (1.0 - 1e-9)).unwrap_or(10.0 * power)
+    [1.0, 2.0, 5.0]
+        .into_iter()
+        .map(|m| m * power)
+        .find(|&round| round >= value * (1.0 - 1e-9))
+        .unwrap_or(10.0 * power)
 }
 
 /// Formats a number with a typographic minus. Numbers with an absolute value below 1e-3, or of 1e5
@@ -106,7 +131,11 @@ pub(super) fn number(value: f64) -> String {
         size => {
             let decimals = (2 - size.log10().floor() as i32).max(0) as usize;
             let text = format!("{value:.decimals$}");
-            if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
+            if text.contains('.') {
+                text.trim_end_matches('0').trim_end_matches('.').into()
+            } else {
+                text
+            }
         }
     };
     text.replace('-', "−")
@@ -125,8 +154,14 @@ mod tests {
 
     #[test]
     fn numbers_have_about_three_digits_and_a_typographic_minus() {
-        for (value, text) in [(0.0, "0"), (2.0, "2"), (-12.345, "−12.3"), (0.05, "0.05"), (1234.0, "1234"), (2e-7, "2.0e−7")]
-        {
+        for (value, text) in [
+            (0.0, "0"),
+            (2.0, "2"),
+            (-12.345, "−12.3"),
+            (0.05, "0.05"),
+            (1234.0, "1234"),
+            (2e-7, "2.0e−7"),
+        ] {
             assert_eq!(number(value), text);
         }
     }

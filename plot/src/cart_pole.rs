@@ -44,10 +44,17 @@ pub fn cart_pole(states: &[Vec<f64>], controls: &[f64], half_length: f64, dt: f6
 ///
 /// Bumpers are springs at the ends of the rail. The view shows the whole rail, unless it is longer
 /// than 10 pole lengths. An arrow in the upper left corner shows the wind.
-pub fn cart_pole_on(rail: &Rail, states: &[Vec<f64>], controls: &[f64], half_length: f64, dt: f64) -> Animation {
+pub fn cart_pole_on(
+    rail: &Rail,
+    states: &[Vec<f64>],
+    controls: &[f64],
+    half_length: f64,
+    dt: f64,
+) -> Animation {
     let length = if half_length.is_normal() && half_length > 0.0 { 2.0 * half_length } else { 1.0 };
     let width = states.first().map_or(0, Vec::len).max(2);
-    let valid = |s: &&Vec<f64>| s.len() == width && s[0].abs() < FAR && s.iter().all(|v| v.is_finite());
+    let valid =
+        |s: &&Vec<f64>| s.len() == width && s[0].abs() < FAR && s.iter().all(|v| v.is_finite());
     let states: Vec<&Vec<f64>> = states.iter().take_while(valid).collect();
     let time = states.len().saturating_sub(1) as f64 * dt;
     let slowness = if time < 2.0 { 3.0 } else { 1.0 };
@@ -69,12 +76,24 @@ pub fn cart_pole_on(rail: &Rail, states: &[Vec<f64>], controls: &[f64], half_len
     });
     let (seconds, view) = (time * slowness, (stage.low, stage.high));
     let legend = vec![("force".to_owned(), FORCE)];
-    Animation { title, seconds, view, frames: frames.collect(), legend, time, ..Animation::default() }
+    Animation {
+        title,
+        seconds,
+        view,
+        frames: frames.collect(),
+        legend,
+        time,
+        ..Animation::default()
+    }
 }
 
 /// Force at a step, relative to the largest force. The last state has the force of the last step.
 fn relative_force(controls: &[f64], step: usize) -> f64 {
-    let largest = controls.iter().map(|force| force.abs()).filter(|force| force.is_finite()).fold(0.0, f64::max);
+    let largest = controls
+        .iter()
+        .map(|force| force.abs())
+        .filter(|force| force.is_finite())
+        .fold(0.0, f64::max);
     match controls.get(step.min(controls.len().saturating_sub(1))) {
         Some(force) if force.is_finite() && largest > 0.0 => force / largest,
         _ => 0.0,
@@ -115,19 +134,36 @@ impl Stage {
         }
         let follow = !whole && right - left > 6.0 * length;
         let middle = if follow { 0.0 } else { (left + right) / 2.0 };
-        let half_width = if follow { 2.5 * length } else { ((right - left) / 2.0 + 1.15 * length).max(2.2 * length) };
-        let lowest = states.iter().flat_map(|state| state[2..].iter().step_by(2)).map(|angle| angle.cos()).fold(0.0, f64::min);
+        let half_width = if follow {
+            2.5 * length
+        } else {
+            ((right - left) / 2.0 + 1.15 * length).max(2.2 * length)
+        };
+        let lowest = states
+            .iter()
+            .flat_map(|state| state[2..].iter().step_by(2))
+            .map(|angle| angle.cos())
+            .fold(0.0, f64::min);
         // Space below the rail for its marks, and for poles that hang down.
         let bottom = length * (lowest * 1.1).min(-0.45) - 0.2 * length;
         // Marks over the range of the camera, at round distances of at least one pole length and at
         // most 21 in number. A fixed camera omits marks whose labels would be clipped.
-        let extent = if follow { (right - left) / 2.0 + half_width } else { half_width - 0.3 * length };
+        let extent =
+            if follow { (right - left) / 2.0 + half_width } else { half_width - 0.3 * length };
         let (from, to) = ((left + right) / 2.0 - extent, (left + right) / 2.0 + extent);
         let step = round_up(length.max((to - from) / 20.0));
-        let marks = ((from / step).ceil() as i64..=(to / step).floor() as i64).map(|i| i as f64 * step);
+        let marks =
+            ((from / step).ceil() as i64..=(to / step).floor() as i64).map(|i| i as f64 * step);
         let marks = marks.filter(|mark| mark.abs() <= end).collect();
         let top = if windy { 1.35 } else { 1.2 } * length;
-        Self { length, low: [middle - half_width, bottom], high: [middle + half_width, top], follow, marks, bumpers }
+        Self {
+            length,
+            low: [middle - half_width, bottom],
+            high: [middle + half_width, top],
+            follow,
+            marks,
+            bumpers,
+        }
     }
 
     fn frame(&self, state: &[f64], force: f64) -> Vec<Shape> {
@@ -137,9 +173,17 @@ impl Stage {
         let mut shapes = self.rail(camera);
         shapes.extend(self.bumpers.iter().flat_map(|bumpers| bumpers.shapes(state[0], camera)));
         for side in [-1.0, 1.0] {
-            shapes.push(Shape::Circle { center: [x + side * 0.16 * unit, -0.12 * unit], radius: 0.06 * unit, color: DARK });
+            shapes.push(Shape::Circle {
+                center: [x + side * 0.16 * unit, -0.12 * unit],
+                radius: 0.06 * unit,
+                color: DARK,
+            });
         }
-        shapes.push(Shape::Rect { center: [x, 0.0], size: [2.0 * HALF_CART * unit, 0.2 * unit], color: CART });
+        shapes.push(Shape::Rect {
+            center: [x, 0.0],
+            size: [2.0 * HALF_CART * unit, 0.2 * unit],
+            color: CART,
+        });
         shapes.extend(arrow([x, 0.0], force * unit, 0.03 * unit, FORCE));
         for (angle, color) in state[2..].iter().step_by(2).zip(POLES.iter().cycle()) {
             let tip = [x + unit * angle.sin(), unit * angle.cos()];
@@ -156,13 +200,24 @@ impl Stage {
         let end = self.bumpers.map_or(f64::INFINITY, |bumpers| bumpers.end());
         // Extends beyond the view, which `Animation::share_scale` may enlarge.
         let beyond = RAIL_BEYOND * (self.high[0] - self.low[0]);
-        let (left, right) = ((self.low[0] - beyond).max(-end - camera), (self.high[0] + beyond).min(end - camera));
-        let mut shapes = vec![Shape::Line { from: [left, y], to: [right, y], width: 0.02 * unit, color: RAIL }];
+        let (left, right) =
+            ((self.low[0] - beyond).max(-end - camera), (self.high[0] + beyond).min(end - camera));
+        let mut shapes =
+            vec![Shape::Line { from: [left, y], to: [right, y], width: 0.02 * unit, color: RAIL }];
         for &mark in &self.marks {
             let x = mark - camera;
-            shapes.push(Shape::Rect { center: [x, y - 0.04 * unit], size: [0.015 * unit, 0.08 * unit], color: RAIL });
+            shapes.push(Shape::Rect {
+                center: [x, y - 0.04 * unit],
+                size: [0.015 * unit, 0.08 * unit],
+                color: RAIL,
+            });
             let text = format!("{} m", (mark * 1e6).round() / 1e6).replace('-', "−");
-            shapes.push(Shape::Text { at: [x, y - 0.2 * unit], size: 0.1 * unit, text, color: RAIL });
+            shapes.push(Shape::Text {
+                at: [x, y - 0.2 * unit],
+                size: 0.1 * unit,
+                text,
+                color: RAIL,
+            });
         }
         shapes
     }
@@ -173,7 +228,11 @@ fn arrow(from: [f64; 2], length: f64, width: f64, color: &'static str) -> [Shape
     let tip = [from[0] + length, from[1]];
     let head = length.signum() * length.abs().min(4.0 * width);
     let line = |from, to| Shape::Line { from, to, width, color };
-    [line(from, tip), line([tip[0] - head, tip[1] + 0.6 * head], tip), line([tip[0] - head, tip[1] - 0.6 * head], tip)]
+    [
+        line(from, tip),
+        line([tip[0] - head, tip[1] + 0.6 * head], tip),
+        line([tip[0] - head, tip[1] - 0.6 * head], tip),
+    ]
 }
 
 #[cfg(test)]
@@ -181,7 +240,10 @@ mod tests {
     use super::*;
 
     fn trajectory(speed: f64) -> Vec<Vec<f64>> {
-        (0..100).map(|i| f64::from(i) * 0.01).map(|t| vec![speed * t, speed, 3.0 * t, 3.0, -t, -1.0]).collect()
+        (0..100)
+            .map(|i| f64::from(i) * 0.01)
+            .map(|t| vec![speed * t, speed, 3.0 * t, 3.0, -t, -1.0])
+            .collect()
     }
 
     #[test]
@@ -217,7 +279,8 @@ mod tests {
     #[test]
     fn empty_and_invalid_inputs_give_a_picture() {
         for states in [vec![], vec![vec![]], vec![vec![f64::NAN; 4]], vec![vec![0.0]]] {
-            roxmltree::Document::parse(&cart_pole(&states, &[], 0.5, 0.02).to_svg()).expect("an SVG is XML");
+            roxmltree::Document::parse(&cart_pole(&states, &[], 0.5, 0.02).to_svg())
+                .expect("an SVG is XML");
         }
     }
 }

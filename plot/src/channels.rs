@@ -24,7 +24,11 @@ impl Channel {
     /// Panics if a row has fewer values than there are names.
     pub fn columns(names: Vec<String>, rows: &[Vec<f64>], color: &'static str) -> Vec<Self> {
         let values = |i: usize| rows.iter().map(|row| row[i]).collect();
-        names.into_iter().enumerate().map(|(i, name)| Self { name, values: values(i), color, range: None }).collect()
+        names
+            .into_iter()
+            .enumerate()
+            .map(|(i, name)| Self { name, values: values(i), color, range: None })
+            .collect()
     }
 
     /// Values before the first non-finite value.
@@ -35,8 +39,12 @@ impl Channel {
     /// Lowest and highest value of the band. Both are 0 if `range` is `None` and the first value is
     /// missing or non-finite.
     pub fn range(&self) -> [f64; 2] {
-        let ends = |values: &[f64]| values.iter().fold([f64::MAX, f64::MIN], |[low, high], &y| [low.min(y), high.max(y)]);
-        self.range.unwrap_or_else(|| if self.finite().is_empty() { [0.0, 0.0] } else { ends(self.finite()) })
+        let ends = |values: &[f64]| {
+            values.iter().fold([f64::MAX, f64::MIN], |[low, high], &y| [low.min(y), high.max(y)])
+        };
+        self.range.unwrap_or_else(|| {
+            if self.finite().is_empty() { [0.0, 0.0] } else { ends(self.finite()) }
+        })
     }
 }
 
@@ -45,7 +53,8 @@ impl Channel {
 /// have one value less. The animation ends where the longest curve ends. A cursor crosses the bands
 /// in real time, or in 1 s if the values span less time.
 pub fn channels_over_time(title: &str, channels: &[Channel], dt: f64) -> Animation {
-    let steps = channels.iter().map(|channel| channel.finite().len()).max().unwrap_or(0).saturating_sub(1);
+    let steps =
+        channels.iter().map(|channel| channel.finite().len()).max().unwrap_or(0).saturating_sub(1);
     let time = steps as f64 * dt;
     let shown = |channel: &Channel| {
         // Controls have no value at the final time. Repeats the last value, which holds until that
@@ -57,5 +66,11 @@ pub fn channels_over_time(title: &str, channels: &[Channel], dt: f64) -> Animati
         Channel { values, ..channel.clone() }
     };
     let channels = channels.iter().map(shown).collect();
-    Animation { title: title.to_owned(), seconds: time.max(1.0), time, channels, ..Animation::default() }
+    Animation {
+        title: title.to_owned(),
+        seconds: time.max(1.0),
+        time,
+        channels,
+        ..Animation::default()
+    }
 }

@@ -51,12 +51,23 @@ impl Chart {
     /// a y or a band edge outside 1e-100 to 1e100.
     pub fn log(x_label: &'static str, y_label: &'static str, series: Vec<Series>) -> Self {
         let series = shown(series, drawable);
-        Self { x_label, y_label, x: x_range(&series), y: Axis::Log(LogAxis::of(series.iter())), series }
+        Self {
+            x_label,
+            y_label,
+            x: x_range(&series),
+            y: Axis::Log(LogAxis::of(series.iter())),
+            series,
+        }
     }
 
     /// Creates a chart with a y axis from `range[0]` to `range[1]`. Omits points with a non-finite
     /// x, and points with a y or a band edge outside that range.
-    pub fn linear(x_label: &'static str, y_label: &'static str, range: [f64; 2], series: Vec<Series>) -> Self {
+    pub fn linear(
+        x_label: &'static str,
+        y_label: &'static str,
+        range: [f64; 2],
+        series: Vec<Series>,
+    ) -> Self {
         // Tolerates rounding errors, for instance a cosine slightly above 1.
         let slack = 1e-9 * (range[1] - range[0]);
         let series = shown(series, |y| range[0] - slack <= y && y <= range[1] + slack);
@@ -83,10 +94,19 @@ impl Chart {
     pub fn frame(&self) -> Frame {
         let ([width, height], [left, top, right, bottom]) = (SIZE, MARGINS);
         let (y, log) = match &self.y {
-            Axis::Log(axis) => ([axis.low, axis.high].map(|y| y.log10() + f64::from(axis.exponent)), true),
+            Axis::Log(axis) => {
+                ([axis.low, axis.high].map(|y| y.log10() + f64::from(axis.exponent)), true)
+            }
             Axis::Linear(range) => (*range, false),
         };
-        Frame { size: SIZE, across: [left, width - right], up: [height - bottom, top], x: self.x, y, log }
+        Frame {
+            size: SIZE,
+            across: [left, width - right],
+            up: [height - bottom, top],
+            x: self.x,
+            y,
+            log,
+        }
     }
 
     /// Renders the picture.
@@ -119,7 +139,9 @@ impl Chart {
         let mut scene = render_multiple(vec![LinePlot::new().into()], layout);
         // Removes the clip paths, because their identifiers would be equal in all charts of a page.
         // Series need no clipping.
-        scene.elements.retain(|element| !matches!(element, Primitive::ClipStart { .. } | Primitive::ClipEnd));
+        scene
+            .elements
+            .retain(|element| !matches!(element, Primitive::ClipStart { .. } | Primitive::ClipEnd));
         scene.defs.clear();
         scene.elements.insert(0, group("class=\"axes\""));
         scene.elements.push(Primitive::GroupEnd);
@@ -134,7 +156,8 @@ impl Chart {
         let widths = widths(&self.series);
         let mut shapes: Vec<(u8, usize, Primitive)> = Vec::new();
         for (i, series) in self.series.iter().enumerate() {
-            let points: Vec<(f64, f64)> = series.line.iter().map(|&(x, y)| frame.at(x, y)).collect();
+            let points: Vec<(f64, f64)> =
+                series.line.iter().map(|&(x, y)| frame.at(x, y)).collect();
             if !series.band.is_empty() {
                 shapes.push((0, i, band(series, &frame)));
             }
@@ -142,11 +165,24 @@ impl Chart {
             let line = match points[..] {
                 [(cx, cy)] => {
                     let (fill_opacity, stroke_width) = (None, None);
-                    Primitive::Circle { cx, cy, r: 2.2 * widths[i], fill: stroke, fill_opacity, stroke: None, stroke_width }
+                    Primitive::Circle {
+                        cx,
+                        cy,
+                        r: 2.2 * widths[i],
+                        fill: stroke,
+                        fill_opacity,
+                        stroke: None,
+                        stroke_width,
+                    }
                 }
                 _ => {
                     let stroke_dasharray = series.dash.array().map(String::from);
-                    Primitive::PolyLine { points, stroke, stroke_width: widths[i], stroke_dasharray }
+                    Primitive::PolyLine {
+                        points,
+                        stroke,
+                        stroke_width: widths[i],
+                        stroke_dasharray,
+                    }
                 }
             };
             shapes.push((if series.thin { 1 } else { 2 }, i, line));
@@ -154,7 +190,11 @@ impl Chart {
         shapes.sort_by_key(|(layer, i, _)| (*layer, *i));
         let grouped = |(layer, i, shape): (u8, usize, Primitive)| {
             let opacity = if layer == 1 { " opacity=\"0.55\"" } else { "" };
-            [group(&format!("class=\"series\" data-series=\"{i}\"{opacity}")), shape, Primitive::GroupEnd]
+            [
+                group(&format!("class=\"series\" data-series=\"{i}\"{opacity}")),
+                shape,
+                Primitive::GroupEnd,
+            ]
         };
         shapes.into_iter().flat_map(grouped).collect()
     }
@@ -163,8 +203,12 @@ impl Chart {
 impl Frame {
     /// Maps a data point to picture coordinates.
     fn at(&self, x: f64, y: f64) -> (f64, f64) {
-        let between = |[a, b]: [f64; 2], [p, q]: [f64; 2], at: f64| p + (q - p) * (at - a) / (b - a);
-        (between(self.x, self.across, x), between(self.y, self.up, if self.log { y.log10() } else { y }))
+        let between =
+            |[a, b]: [f64; 2], [p, q]: [f64; 2], at: f64| p + (q - p) * (at - a) / (b - a);
+        (
+            between(self.x, self.across, x),
+            between(self.y, self.up, if self.log { y.log10() } else { y }),
+        )
     }
 }
 
@@ -174,8 +218,9 @@ fn group(attributes: &str) -> Primitive {
 
 /// Area between the lower and the upper edge of the band.
 fn band(series: &Series, frame: &Frame) -> Primitive {
-    let edge =
-        |pick: fn(&(f64, f64)) -> f64| series.line.iter().zip(&series.band).map(move |(p, band)| frame.at(p.0, pick(band)));
+    let edge = |pick: fn(&(f64, f64)) -> f64| {
+        series.line.iter().zip(&series.band).map(move |(p, band)| frame.at(p.0, pick(band)))
+    };
     let points: Vec<(f64, f64)> = edge(|band| band.0).chain(edge(|band| band.1).rev()).collect();
     let corners: Vec<String> = points.iter().map(|(x, y)| format!("{x:.2} {y:.2}")).collect();
     Primitive::Path(Box::new(PathData {
@@ -195,7 +240,9 @@ fn shown(series: Vec<Series>, is_drawable: impl Fn(f64) -> bool) -> Vec<Series> 
             s.line = thinned(cleaned(s.line, &is_drawable), |p| p.1);
         } else {
             let pairs = s.line.into_iter().zip(s.band);
-            let seen = pairs.filter(|&((x, y), (low, high))| x.is_finite() && [y, low, high].into_iter().all(&is_drawable));
+            let seen = pairs.filter(|&((x, y), (low, high))| {
+                x.is_finite() && [y, low, high].into_iter().all(&is_drawable)
+            });
             (s.line, s.band) = thinned(seen.collect(), |(point, _)| point.1).into_iter().unzip();
         }
         s
@@ -211,20 +258,30 @@ mod tests {
     fn drawn(chart: &Chart) -> Vec<[f64; 2]> {
         let svg = chart.drawing().to_svg();
         let document = roxmltree::Document::parse(&svg).expect("an SVG is XML");
-        let is_line = |node: &roxmltree::Node| node.has_tag_name("path") && node.attribute("stroke") == Some("#123456");
-        let path = document.descendants().find(is_line).expect("a line").attribute("d").expect("corners");
-        let numbers: Vec<f64> =
-            path.split([' ', 'M', 'L', ',']).filter(|n| !n.is_empty()).map(|n| n.parse().expect("a number")).collect();
+        let is_line = |node: &roxmltree::Node| {
+            node.has_tag_name("path") && node.attribute("stroke") == Some("#123456")
+        };
+        let path =
+            document.descendants().find(is_line).expect("a line").attribute("d").expect("corners");
+        let numbers: Vec<f64> = path
+            .split([' ', 'M', 'L', ','])
+            .filter(|n| !n.is_empty())
+            .map(|n| n.parse().expect("a number"))
+            .collect();
         numbers.chunks(2).map(|xy| [xy[0], xy[1]]).collect()
     }
 
     fn check(chart: &Chart, points: &[(f64, f64)]) {
         let Frame { across, up, x, y, log, .. } = chart.frame();
-        let between = |[a, b]: [f64; 2], [p, q]: [f64; 2], at: f64| p + (q - p) * (at - a) / (b - a);
+        let between =
+            |[a, b]: [f64; 2], [p, q]: [f64; 2], at: f64| p + (q - p) * (at - a) / (b - a);
         let corners = drawn(chart);
         assert_eq!(corners.len(), points.len());
         for (corner, point) in corners.iter().zip(points) {
-            let expected = [between(x, across, point.0), between(y, up, if log { point.1.log10() } else { point.1 })];
+            let expected = [
+                between(x, across, point.0),
+                between(y, up, if log { point.1.log10() } else { point.1 }),
+            ];
             for (found, expected) in corner.iter().zip(expected) {
                 assert!((found - expected).abs() < 0.02, "{corner:?} instead of {expected:?}");
             }
@@ -235,25 +292,58 @@ mod tests {
     fn the_frame_maps_data_to_the_drawn_vertices() {
         // The values of the first chart are below 1e-10. kuva cannot draw them without a change of
         // unit.
-        for points in [[(0.0, 3e-14), (2.0, 4e-11), (7.0, 2e-12)], [(10.0, 0.3), (2000.0, 4e3), (4000.0, 1.0)]] {
-            check(&Chart::log("x", "y", vec![Series::new("a", "#123456", points.to_vec())]), &points);
+        for points in [
+            [(0.0, 3e-14), (2.0, 4e-11), (7.0, 2e-12)],
+            [(10.0, 0.3), (2000.0, 4e3), (4000.0, 1.0)],
+        ] {
+            check(
+                &Chart::log("x", "y", vec![Series::new("a", "#123456", points.to_vec())]),
+                &points,
+            );
         }
         let points = [(1.0, -0.7), (2.0, 0.1), (5.0, 1.0)];
-        check(&Chart::linear("x", "y", [-1.0, 1.0], vec![Series::new("a", "#123456", points.to_vec())]), &points);
+        check(
+            &Chart::linear(
+                "x",
+                "y",
+                [-1.0, 1.0],
+                vec![Series::new("a", "#123456", points.to_vec())],
+            ),
+            &points,
+        );
     }
 
     #[test]
     fn points_that_cannot_be_shown_are_omitted() {
         let series = |points: &[(f64, f64)]| Series::new("a", "#123456", points.to_vec());
-        let chart =
-            Chart::log("x", "y", vec![series(&[(0.0, f64::NAN), (1.0, 0.0)]), series(&[(0.0, f64::INFINITY), (1.0, 2.0)])]);
+        let chart = Chart::log(
+            "x",
+            "y",
+            vec![
+                series(&[(0.0, f64::NAN), (1.0, 0.0)]),
+                series(&[(0.0, f64::INFINITY), (1.0, 2.0)]),
+            ],
+        );
         assert_eq!(chart.series(), [series(&[(1.0, 2.0)])]);
         let band = vec![(1.0, f64::NAN), (0.0, 3.0), (1.0, 3.0)];
-        let banded = Chart::log("x", "y", vec![Series { band, ..series(&[(0.0, 2.0), (1.0, 2.0), (2.0, 2.0)]) }]);
-        assert_eq!((&banded.series()[0].line[..], &banded.series()[0].band[..]), (&[(2.0, 2.0)][..], &[(1.0, 3.0)][..]));
-        let linear = Chart::linear("x", "y", [-1.0, 1.0], vec![series(&[(0.0, 1.0 + 1e-15), (1.0, 1.1), (2.0, f64::NAN)])]);
+        let banded = Chart::log(
+            "x",
+            "y",
+            vec![Series { band, ..series(&[(0.0, 2.0), (1.0, 2.0), (2.0, 2.0)]) }],
+        );
+        assert_eq!(
+            (&banded.series()[0].line[..], &banded.series()[0].band[..]),
+            (&[(2.0, 2.0)][..], &[(1.0, 3.0)][..])
+        );
+        let linear = Chart::linear(
+            "x",
+            "y",
+            [-1.0, 1.0],
+            vec![series(&[(0.0, 1.0 + 1e-15), (1.0, 1.1), (2.0, f64::NAN)])],
+        );
         assert_eq!(linear.series()[0].line.len(), 1);
         assert!(chart.drawing().to_svg().contains("<circle"), "a single point is a dot");
-        roxmltree::Document::parse(&Chart::log("x", "y", vec![]).drawing().to_svg()).expect("an SVG is XML");
+        roxmltree::Document::parse(&Chart::log("x", "y", vec![]).drawing().to_svg())
+            .expect("an SVG is XML");
     }
 }

@@ -36,7 +36,8 @@ pub struct Point {
 }
 
 /// Colours of lines without a colour of their own: the palette of Okabe and Ito without yellow.
-pub const PALETTE: [&str; 7] = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000"];
+pub const PALETTE: [&str; 7] =
+    ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000"];
 
 /// Colour of a vector field by its letters; grey for unknown letters.
 ///
@@ -60,8 +61,9 @@ pub fn field_color(letter: &str) -> &'static str {
 ///
 /// Omits losses outside 1e-100 to 1e100, and non-finite ones. An empty list yields no line.
 pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) -> Drawing {
-    let series =
-        |label, color, points: &[(f64, f64)]| Series::new(label, color, thinned(cleaned(points.to_vec(), &drawable), |p| p.1));
+    let series = |label, color, points: &[(f64, f64)]| {
+        Series::new(label, color, thinned(cleaned(points.to_vec(), &drawable), |p| p.1))
+    };
     let series = vec![series("train", "#0072B2", train), series("test", "#D55E00", test)];
     let panel = Panel {
         title: String::new(),
@@ -91,7 +93,13 @@ pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) ->
 /// the epoch. The wall time of an epoch is the median over the remaining seeds. With several seeds,
 /// the title ends with the name of the statistic.
 pub fn comparison(title: &str, curves: &[Curve]) -> Drawing {
-    let case = |x| Case { title: String::new(), y_label: "test loss".into(), y_axis: 0, x, curves: curves.to_vec() };
+    let case = |x| Case {
+        title: String::new(),
+        y_label: "test loss".into(),
+        y_axis: 0,
+        x,
+        curves: curves.to_vec(),
+    };
     study(title, &[[Abscissa::Epoch, Abscissa::Seconds].map(case).into()])
 }
 
@@ -146,7 +154,9 @@ pub fn study(title: &str, rows: &[Vec<Case>]) -> Drawing {
         y_axis: case.y_axis,
         series: case.curves.iter().flat_map(|c| c.series(case.x)).collect(),
     };
-    let statistic = statistic(rows.iter().flatten().flat_map(|case| &case.curves).map(|curve| curve.runs.len()));
+    let statistic = statistic(
+        rows.iter().flatten().flat_map(|case| &case.curves).map(|curve| curve.runs.len()),
+    );
     let title = if statistic.is_empty() { title.into() } else { format!("{title}: {statistic}") };
     log_figure(&title, &rows.iter().map(|row| row.iter().map(panel).collect()).collect::<Vec<_>>())
 }
@@ -173,7 +183,10 @@ impl Curve {
         let seed = |(i, run): (usize, &Vec<Point>)| {
             let line = cleaned(run.iter().map(|p| (x.of(p), p.value)).collect(), &drawable);
             let label = format!("{}, run {}", self.label, i + 1);
-            Series { thin: true, ..Series::new(label, self.color, thinned(line, |p| p.1)).dash(self.dash) }
+            Series {
+                thin: true,
+                ..Series::new(label, self.color, thinned(line, |p| p.1)).dash(self.dash)
+            }
         };
         let seeds = self.runs.iter().enumerate().map(seed).filter(|_| self.runs.len() > 1);
         seeds.chain([self.summary(x)]).collect()
@@ -181,17 +194,27 @@ impl Curve {
 
     /// Median and band of the runs against `x`, as in [`comparison`].
     pub fn summary(&self, x: Abscissa) -> Series {
-        let points_of = |run: &Vec<Point>| cleaned(run.iter().map(|p| (p.epoch, p.value)).collect(), &drawable);
-        let all: Vec<_> = self.runs.iter().map(|run| (run, points_of(run))).filter(|(_, points)| !points.is_empty()).collect();
+        let points_of =
+            |run: &Vec<Point>| cleaned(run.iter().map(|p| (p.epoch, p.value)).collect(), &drawable);
+        let all: Vec<_> = self
+            .runs
+            .iter()
+            .map(|run| (run, points_of(run)))
+            .filter(|(_, points)| !points.is_empty())
+            .collect();
         let end = |points: &[(f64, f64)]| points[points.len() - 1].0;
         let last = all.iter().map(|(_, points)| end(points)).fold(f64::NEG_INFINITY, f64::max);
-        let (measured, runs): (Vec<_>, Vec<_>) = all.into_iter().filter(|(_, points)| end(points) >= MIN_SHARE * last).unzip();
+        let (measured, runs): (Vec<_>, Vec<_>) =
+            all.into_iter().filter(|(_, points)| end(points) >= MIN_SHARE * last).unzip();
         let note = match self.runs.len() - runs.len() {
             0 => String::new(),
             _ => format!("{} of {} seeds", runs.len(), self.runs.len()),
         };
         // Seeds reach the same epoch at different times.
-        let xs: Vec<Vec<(f64, f64)>> = measured.into_iter().map(|run| run.iter().map(|p| (p.epoch, x.of(p))).collect()).collect();
+        let xs: Vec<Vec<(f64, f64)>> = measured
+            .into_iter()
+            .map(|run| run.iter().map(|p| (p.epoch, x.of(p))).collect())
+            .collect();
         let [low, high] = if self.runs.len() < MIN_QUARTILES { [0.0, 1.0] } else { [0.25, 0.75] };
         // Points of the line, with the edges of the band.
         let mut summaries = Vec::new();
@@ -201,7 +224,8 @@ impl Curve {
             let point = (quantile(&xs, 0.5), quantile(&losses, 0.5));
             summaries.push((point, (quantile(&losses, low), quantile(&losses, high))));
         }
-        let (line, mut band): (Vec<_>, Vec<_>) = thinned(summaries, |(point, _)| point.1).into_iter().unzip();
+        let (line, mut band): (Vec<_>, Vec<_>) =
+            thinned(summaries, |(point, _)| point.1).into_iter().unzip();
         if runs.len() < 2 {
             band.clear();
         }
@@ -213,7 +237,8 @@ impl Curve {
 fn common_grid(runs: &[Vec<(f64, f64)>]) -> Vec<f64> {
     let start = runs.iter().map(|run| run[0].0).fold(f64::NEG_INFINITY, f64::max);
     let end = runs.iter().map(|run| run[run.len() - 1].0).fold(f64::INFINITY, f64::min);
-    let mut grid: Vec<f64> = runs.iter().flatten().map(|&(x, _)| x).filter(|&x| start <= x && x <= end).collect();
+    let mut grid: Vec<f64> =
+        runs.iter().flatten().map(|&(x, _)| x).filter(|&x| start <= x && x <= end).collect();
     grid.sort_by(f64::total_cmp);
     grid.dedup();
     grid
@@ -259,16 +284,28 @@ mod tests {
 
     /// A curve with one run per pair (seconds, value) at epoch 1.
     fn at_epoch_1(values: &[(f64, f64)]) -> Curve {
-        curve(values.iter().map(|&(seconds, value)| run(&[(0.0, 0.0, 1.0), (1.0, seconds, value)])).collect())
+        curve(
+            values
+                .iter()
+                .map(|&(seconds, value)| run(&[(0.0, 0.0, 1.0), (1.0, seconds, value)]))
+                .collect(),
+        )
     }
 
     #[test]
     fn four_seeds_have_a_median_and_a_band_of_quartiles() {
         let curve = at_epoch_1(&[(10.0, 1.0), (5.0, 2.0), (7.0, 4.0), (8.0, 1e9), (9.0, 3.0)]);
         let by_epoch = curve.summary(Abscissa::Epoch);
-        assert_eq!((by_epoch.line[1], by_epoch.band[1], &*by_epoch.note), ((1.0, 3.0), (2.0, 4.0), ""));
+        assert_eq!(
+            (by_epoch.line[1], by_epoch.band[1], &*by_epoch.note),
+            ((1.0, 3.0), (2.0, 4.0), "")
+        );
         let by_time = curve.summary(Abscissa::Seconds);
-        assert_eq!((by_time.line[1], &by_time.band), ((8.0, 3.0), &by_epoch.band), "the median time of the epoch");
+        assert_eq!(
+            (by_time.line[1], &by_time.band),
+            ((8.0, 3.0), &by_epoch.band),
+            "the median time of the epoch"
+        );
     }
 
     #[test]
@@ -281,7 +318,10 @@ mod tests {
     #[test]
     fn single_seeds_are_thin_lines_with_the_pattern_of_the_median() {
         let series = at_epoch_1(&[(1.0, 1.0), (3.0, 5.0)]).series(Abscissa::Seconds);
-        assert_eq!(series.iter().map(|s| (s.thin, s.dash)).collect::<Vec<_>>(), [true, true, false].map(|t| (t, Dash::Dotted)));
+        assert_eq!(
+            series.iter().map(|s| (s.thin, s.dash)).collect::<Vec<_>>(),
+            [true, true, false].map(|t| (t, Dash::Dotted))
+        );
         assert_eq!(series[1].line, [(0.0, 1.0), (3.0, 5.0)]);
         assert_eq!(at_epoch_1(&[(1.0, 1.0)]).series(Abscissa::Epoch).len(), 1);
     }
@@ -290,7 +330,10 @@ mod tests {
     fn the_title_names_the_statistic() {
         let title = |seeds: usize| {
             let svg = comparison("A title", &[at_epoch_1(&vec![(1.0, 1.0); seeds])]).to_svg();
-            let texts: Vec<String> = svg.split("</text>").filter_map(|text| Some(text.rsplit_once('>')?.1.into())).collect();
+            let texts: Vec<String> = svg
+                .split("</text>")
+                .filter_map(|text| Some(text.rsplit_once('>')?.1.into()))
+                .collect();
             texts.into_iter().find(|text| text.starts_with("A title")).expect("a title")
         };
         assert_eq!(title(1), "A title");
@@ -304,8 +347,14 @@ mod tests {
         let slow = run(&[(1.0, 1.0, 1.0), (2.0, 2.0, 1.0), (3.0, 3.0, 1.0)]);
         let by_time = curve(vec![fast, slow]).summary(Abscissa::Seconds);
         assert_eq!(by_time.line.len(), 3);
-        assert!((by_time.line[1].0 - 1.1).abs() < 1e-12, "half way between the times of epochs 1 and 3");
-        assert!((by_time.band[1].0 / 0.1 - 1.0).abs() < 1e-12, "half way from 1 to 1e-2 on a log axis");
+        assert!(
+            (by_time.line[1].0 - 1.1).abs() < 1e-12,
+            "half way between the times of epochs 1 and 3"
+        );
+        assert!(
+            (by_time.band[1].0 / 0.1 - 1.0).abs() < 1e-12,
+            "half way from 1 to 1e-2 on a log axis"
+        );
     }
 
     #[test]
@@ -325,16 +374,30 @@ mod tests {
     #[test]
     fn empty_invalid_and_long_inputs_yield_valid_drawings() {
         check(&learning_curve("nothing", &[], &[]));
-        check(&learning_curve("one <point> & no more", &[(0.0, 2.0)], &[(0.0, f64::NAN), (1.0, -1.0)]));
-        let long: Vec<(f64, f64)> = (0..10_000).map(|i| (f64::from(i), 1.0 / f64::from(i))).collect();
+        check(&learning_curve(
+            "one <point> & no more",
+            &[(0.0, 2.0)],
+            &[(0.0, f64::NAN), (1.0, -1.0)],
+        ));
+        let long: Vec<(f64, f64)> =
+            (0..10_000).map(|i| (f64::from(i), 1.0 / f64::from(i))).collect();
         check(&learning_curve("long", &long, &long));
         check(&comparison("nothing", &[]));
         check(&study("nothing", &[]));
-        let case = || Case { title: "a".into(), y_label: "b".into(), y_axis: 1, x: Abscissa::Epoch, curves: Vec::new() };
+        let case = || Case {
+            title: "a".into(),
+            y_label: "b".into(),
+            y_axis: 1,
+            x: Abscissa::Epoch,
+            curves: Vec::new(),
+        };
         check(&study("two empty rows", &[vec![case(), case()], vec![case(), case()]]));
         check(&comparison("no runs", &[curve(vec![vec![]])]));
         let nothing = learning_curve("nothing", &[], &[]).to_svg();
         // The axis extends from 0.1 to 1.
-        assert!(nothing.contains("no data") && nothing.contains(">0.1<") && nothing.contains(">1<"), "{nothing}");
+        assert!(
+            nothing.contains("no data") && nothing.contains(">0.1<") && nothing.contains(">1<"),
+            "{nothing}"
+        );
     }
 }

@@ -14,8 +14,13 @@ pub fn distribution(title: &str, policies: Vec<(String, &'static str, Vec<f64>)>
     const POINTS: usize = 250;
     let series = |(label, color, sorted): (String, &'static str, Vec<f64>)| {
         let total = sorted.len() as f64;
-        let points = sorted.into_iter().enumerate().map(|(i, loss)| ((i + 1) as f64 / total * 100.0, loss));
-        Series::new(label, color, thinned_to(POINTS, points.filter(|&(_, loss)| drawable(loss)).collect()))
+        let points =
+            sorted.into_iter().enumerate().map(|(i, loss)| ((i + 1) as f64 / total * 100.0, loss));
+        Series::new(
+            label,
+            color,
+            thinned_to(POINTS, points.filter(|&(_, loss)| drawable(loss)).collect()),
+        )
     };
     let panel = Panel {
         title: String::new(),

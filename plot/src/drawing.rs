@@ -35,7 +35,9 @@ impl Drawing {
 /// The document with a replacement character in place of each character that XML forbids, even in
 /// escaped form. Titles and labels of users may contain such characters.
 pub(super) fn valid(xml: String) -> String {
-    let is_forbidden = |c: char| (c.is_control() && !matches!(c, '\t' | '\n' | '\r')) || matches!(c, '\u{fffe}' | '\u{ffff}');
+    let is_forbidden = |c: char| {
+        (c.is_control() && !matches!(c, '\t' | '\n' | '\r')) || matches!(c, '\u{fffe}' | '\u{ffff}')
+    };
     if xml.contains(is_forbidden) { xml.replace(is_forbidden, "\u{fffd}") } else { xml }
 }
 
@@ -45,13 +47,20 @@ pub(super) fn valid(xml: String) -> String {
 /// half a unit, browsers show gaps.
 fn join_cells(element: &mut Primitive) {
     let Primitive::RectBatch { x, y, w, h, fills } = element else { return };
-    let end = |from: &[f64], size: &[f64]| from.iter().zip(size).map(|(from, size)| from + size).fold(0.0, f64::max);
+    let end = |from: &[f64], size: &[f64]| {
+        from.iter().zip(size).map(|(from, size)| from + size).fold(0.0, f64::max)
+    };
     let (right, bottom) = (end(x, w), end(y, h));
     let mut kept = 0;
     for i in 0..x.len() {
         let last = kept.max(1) - 1;
-        let touches = |i: usize| y[last] == y[i] && h[last] == h[i] && x[last] < x[i] && x[i] <= x[last] + w[last];
-        if i > 0 && touches(i) && rgb(&fills[last]).is_some_and(|color| rgb(&fills[i]) == Some(color)) {
+        let touches = |i: usize| {
+            y[last] == y[i] && h[last] == h[i] && x[last] < x[i] && x[i] <= x[last] + w[last]
+        };
+        if i > 0
+            && touches(i)
+            && rgb(&fills[last]).is_some_and(|color| rgb(&fills[i]) == Some(color))
+        {
             w[last] = x[i] + w[i] - x[last];
             continue;
         }
@@ -111,6 +120,9 @@ mod tests {
         let first = picture(1.0);
         assert!(picture(3.0) != first);
         assert!(picture(1.0) == first);
-        assert!(first.contains("<clipPath id=\"clip-0\">") && first.contains("url(#clip-0)"), "{first}");
+        assert!(
+            first.contains("<clipPath id=\"clip-0\">") && first.contains("url(#clip-0)"),
+            "{first}"
+        );
     }
 }

@@ -27,16 +27,21 @@ const HALF_WIDTH: f64 = 0.25;
 /// remain. Medians include all seeds; NaN ranks above every number.
 pub fn final_losses(title: &str, tasks: Vec<TaskLosses>) -> Drawing {
     let names = tasks.first().map_or(&[][..], |task| &task.methods);
-    let mut legend: Vec<_> =
-        names.iter().enumerate().map(|(i, (name, _))| entry(&Series::new(label(i, name), color(i), Vec::new()))).collect();
+    let mut legend: Vec<_> = names
+        .iter()
+        .enumerate()
+        .map(|(i, (name, _))| entry(&Series::new(label(i, name), color(i), Vec::new())))
+        .collect();
     if tasks.iter().any(|task| drawable(task.untrained)) {
         legend.push(entry(&untrained(Vec::new())));
     }
     let columns = tasks.len().div_ceil(tasks.len().div_ceil(COLUMNS).max(1)).max(1);
-    let mut panels: Vec<Panel> = tasks.into_iter().enumerate().map(|(i, task)| panel(i, task)).collect();
+    let mut panels: Vec<Panel> =
+        tasks.into_iter().enumerate().map(|(i, task)| panel(i, task)).collect();
     // Fills the last row with panels without series, which are not drawn.
     let nothing = || TaskLosses { task: String::new(), methods: Vec::new(), untrained: f64::NAN };
-    let empty = |i: usize| Panel { series: Vec::new(), x_label: String::new(), ..panel(i, nothing()) };
+    let empty =
+        |i: usize| Panel { series: Vec::new(), x_label: String::new(), ..panel(i, nothing()) };
     panels.extend((panels.len()..panels.len().next_multiple_of(columns)).map(empty));
     let mut rows = Vec::new();
     while !panels.is_empty() {
@@ -60,7 +65,10 @@ fn untrained(line: Vec<(f64, f64)>) -> Series {
 
 fn panel(y_axis: usize, task: TaskLosses) -> Panel {
     let TaskLosses { task, methods, untrained: level } = task;
-    let line = [0.5, methods.len() as f64 + 0.5].map(|x| (x, level)).into_iter().filter(|(_, y)| drawable(*y));
+    let line = [0.5, methods.len() as f64 + 0.5]
+        .map(|x| (x, level))
+        .into_iter()
+        .filter(|(_, y)| drawable(*y));
     let marks = methods.iter().enumerate().flat_map(|(i, (name, losses))| marks(i, name, losses));
     Panel {
         title: task,
@@ -79,12 +87,18 @@ fn marks(i: usize, name: &str, losses: &[f64]) -> Vec<Series> {
     let step = if losses.len() > 1 { 2.0 * HALF_WIDTH / (losses.len() - 1) as f64 } else { 0.0 };
     let first = if losses.len() > 1 { x - HALF_WIDTH } else { x };
     let dots = losses.iter().enumerate().filter(|(_, loss)| drawable(**loss));
-    let dots: Vec<Series> =
-        dots.map(|(seed, &loss)| Series::new(&*label, color, vec![(first + step * seed as f64, loss)])).collect();
+    let dots: Vec<Series> = dots
+        .map(|(seed, &loss)| Series::new(&*label, color, vec![(first + step * seed as f64, loss)]))
+        .collect();
     // NaN ranks above every number, as in tables.
     let median = quantile(&sorted(losses.iter().copied()), 0.5);
-    let line = if drawable(median) { vec![(x - 0.35, median), (x + 0.35, median)] } else { Vec::new() };
-    let note = if dots.len() < losses.len() { format!("{} of {} seeds", dots.len(), losses.len()) } else { String::new() };
+    let line =
+        if drawable(median) { vec![(x - 0.35, median), (x + 0.35, median)] } else { Vec::new() };
+    let note = if dots.len() < losses.len() {
+        format!("{} of {} seeds", dots.len(), losses.len())
+    } else {
+        String::new()
+    };
     [Series { note, ..Series::new(label, color, line) }].into_iter().chain(dots).collect()
 }
 
@@ -93,14 +107,16 @@ mod tests {
     use super::*;
 
     fn losses(methods: &[(&str, &[f64])]) -> TaskLosses {
-        let methods = methods.iter().map(|(name, losses)| ((*name).to_owned(), losses.to_vec())).collect();
+        let methods =
+            methods.iter().map(|(name, losses)| ((*name).to_owned(), losses.to_vec())).collect();
         TaskLosses { task: "task".into(), methods, untrained: 2.0 }
     }
 
     #[test]
     fn a_method_has_a_line_at_the_median_and_a_dot_per_seed_around_its_number() {
         let panel = panel(0, losses(&[("A", &[1.0]), ("B", &[0.1, f64::NAN, 0.4])]));
-        let lines: Vec<&[(f64, f64)]> = panel.series.iter().map(|series| &series.line[..]).collect();
+        let lines: Vec<&[(f64, f64)]> =
+            panel.series.iter().map(|series| &series.line[..]).collect();
         let expected: [&[(f64, f64)]; 6] = [
             &[(0.65, 1.0), (1.35, 1.0)],
             &[(1.0, 1.0)],
@@ -116,14 +132,19 @@ mod tests {
     #[test]
     fn a_picture_has_one_panel_per_task_and_one_legend_entry_per_method() {
         for tasks in [1, 3, 5] {
-            let picture = final_losses("title", (0..tasks).map(|_| losses(&[("A", &[1.0, 2.0]), ("B", &[f64::NAN])])).collect());
+            let picture = final_losses(
+                "title",
+                (0..tasks).map(|_| losses(&[("A", &[1.0, 2.0]), ("B", &[f64::NAN])])).collect(),
+            );
             let picture = picture.to_svg();
             roxmltree::Document::parse(&picture).expect("an SVG is XML");
             assert!(!picture.contains("NaN") && !picture.contains("no data"), "{tasks} tasks");
             assert_eq!(picture.matches(">task<").count(), tasks);
-            let entries = [">1: A<", ">2: B<", ">untrained policy<"].map(|label| picture.matches(label).count());
+            let entries = [">1: A<", ">2: B<", ">untrained policy<"]
+                .map(|label| picture.matches(label).count());
             assert_eq!(entries, [1, 1, 1], "also a method without a loss that can be drawn");
         }
-        roxmltree::Document::parse(&final_losses("nothing", Vec::new()).to_svg()).expect("an SVG is XML");
+        roxmltree::Document::parse(&final_losses("nothing", Vec::new()).to_svg())
+            .expect("an SVG is XML");
     }
 }

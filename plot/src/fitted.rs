@@ -39,7 +39,8 @@ pub fn fitted(title: &str, columns: Vec<FittedColumn>) -> Drawing {
         .with_plots(panels.iter().map(|panel| marks(&panel.series, [1.0, 1.0])).collect())
         .with_shared_legend_right_top()
         .with_shared_legend_entries(legend(panels.iter()));
-    let figure = (0..columns.len()).fold(figure, |figure, column| figure.with_col_width(column, SIZE[0]));
+    let figure =
+        (0..columns.len()).fold(figure, |figure, column| figure.with_col_width(column, SIZE[0]));
     let figure = (0..rows).fold(figure, |figure, row| {
         let extra = if row == 0 { 24.0 } else { 0.0 } + if row + 1 == rows { 18.0 } else { 0.0 };
         figure.with_row_height(row, SIZE[1] + extra)
@@ -53,7 +54,8 @@ fn drawn(series: &Series) -> Series {
 
 fn layout(panel: &Panel) -> Layout {
     let values = panel.series.iter().flat_map(|series| &series.line).map(|&(_, y)| y);
-    let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), y| (low.min(y), high.max(y)));
+    let (low, high) =
+        values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), y| (low.min(y), high.max(y)));
     let (low, high) = match low < high {
         true => (low, high),
         false if low.is_finite() => {
@@ -94,7 +96,8 @@ mod tests {
         let line = |i: i32| (f64::from(i), if i == 3331 { 9.0 } else { f64::from(i % 2) });
         let series = Series::new("a", "red", (0..10_000).map(line).collect());
         assert!(drawn(&series).line.contains(&(3331.0, 9.0)));
-        let picture = fitted("title", vec![("column".into(), vec![("row".into(), vec![series])])]).to_svg();
+        let picture =
+            fitted("title", vec![("column".into(), vec![("row".into(), vec![series])])]).to_svg();
         assert!(picture.len() < 50_000, "{} bytes", picture.len());
     }
 }

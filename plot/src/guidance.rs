@@ -55,12 +55,21 @@ pub fn guidance_in(field: &Field, states: &[Vec<f64>], drivers: usize, dt: f64) 
     let time = states.len().saturating_sub(1) as f64 * dt;
     let (slowness, speed) = if time < 2.0 { (3.0, "at ⅓ speed") } else { (1.0, "in real time") };
     let drivers = drivers.min(width / 4);
-    let number = |n: usize, what: &str| if n == 1 { format!("1 {what}") } else { format!("{n} {what}s") };
-    let title = format!("{}, {}: {time:.1} s {speed}", number(drivers, "driver"), number(width / 4 - drivers, "evader"));
+    let number =
+        |n: usize, what: &str| if n == 1 { format!("1 {what}") } else { format!("{n} {what}s") };
+    let title = format!(
+        "{}, {}: {time:.1} s {speed}",
+        number(drivers, "driver"),
+        number(width / 4 - drivers, "evader")
+    );
 
     let shown = states.len().min(MAX_FRAMES);
     let step = |frame: usize| frame * (states.len() - 1) / (shown - 1).max(1);
-    let layout = Layout::new((0..shown).map(|frame| positions(states[step(frame)])).collect(), drivers, field.finite());
+    let layout = Layout::new(
+        (0..shown).map(|frame| positions(states[step(frame)])).collect(),
+        drivers,
+        field.finite(),
+    );
     let agents = [("drivers", DRIVER), ("evaders", EVADER), ("target", TARGET)];
     Animation {
         title,
@@ -68,7 +77,11 @@ pub fn guidance_in(field: &Field, states: &[Vec<f64>], drivers: usize, dt: f64) 
         still: layout.field.shapes(&layout),
         frames: (0..shown).map(|frame| layout.frame(frame)).collect(),
         view: (layout.low, layout.high),
-        legend: agents.into_iter().chain(layout.field.legend()).map(|(name, color)| (name.into(), color)).collect(),
+        legend: agents
+            .into_iter()
+            .chain(layout.field.legend())
+            .map(|(name, color)| (name.into(), color))
+            .collect(),
         unit: "m",
         time,
         ..Animation::default()
@@ -92,7 +105,8 @@ struct Layout {
 
 impl Layout {
     fn new(path: Vec<Vec<[f64; 2]>>, drivers: usize, field: Field) -> Self {
-        let largest = |frame: &Vec<[f64; 2]>| frame.iter().flatten().fold(0.0, |m: f64, v| m.max(v.abs()));
+        let largest =
+            |frame: &Vec<[f64; 2]>| frame.iter().flatten().fold(0.0, |m: f64, v| m.max(v.abs()));
         let limit = REACH * path.first().map_or(0.0, largest).max(0.5);
         let (mut low, mut high) = ([-0.5f64; 2], [0.5f64; 2]);
         for position in path.iter().flatten().chain(&field.corners(limit)) {
@@ -137,13 +151,21 @@ impl Layout {
         let at = |piece: usize| self.path[frame.saturating_sub(length * piece / pieces)][agent];
         let color = if agent < self.drivers { DRIVER_TRAIL } else { EVADER_TRAIL };
         let width = |piece: usize| 1.3 * radius * (1.0 - 0.85 * piece as f64 / pieces as f64);
-        (0..pieces).rev().map(|p| Shape::Line { from: at(p + 1), to: at(p), width: width(p), color }).collect()
+        (0..pieces)
+            .rev()
+            .map(|p| Shape::Line { from: at(p + 1), to: at(p), width: width(p), color })
+            .collect()
     }
 
     /// Cross in a disc at the origin.
     fn target(&self) -> Vec<Shape> {
         let arm = 0.028 * self.unit();
-        let line = |x: f64, y: f64| Shape::Line { from: [-x, -y], to: [x, y], width: 0.005 * self.unit(), color: TARGET };
+        let line = |x: f64, y: f64| Shape::Line {
+            from: [-x, -y],
+            to: [x, y],
+            width: 0.005 * self.unit(),
+            color: TARGET,
+        };
         let disc = Shape::Circle { center: [0.0; 2], radius: 1.7 * arm, color: TARGET_AREA };
         vec![disc, line(arm, 0.0), line(0.0, arm)]
     }
@@ -155,7 +177,10 @@ mod tests {
 
     /// Two agents that pass each other; the first is a driver.
     fn trajectory(speed: f64) -> Vec<Vec<f64>> {
-        (0..61).map(|i| f64::from(i) / 15.0).map(|t| vec![3.0 - t, 1.0, -1.0, 0.0, speed * t, 0.5, speed, 0.0]).collect()
+        (0..61)
+            .map(|i| f64::from(i) / 15.0)
+            .map(|t| vec![3.0 - t, 1.0, -1.0, 0.0, speed * t, 0.5, speed, 0.0])
+            .collect()
     }
 
     fn dots(animation: &Animation, frame: usize, of: &str) -> Vec<[f64; 2]> {
@@ -183,7 +208,9 @@ mod tests {
         states[20][6] = f64::INFINITY;
         let animation = guidance(&states, 1, 1.0 / 15.0);
         assert_eq!(animation.frames.len(), 20);
-        assert!((animation.seconds - 3.0 * 19.0 / 15.0).abs() < 1e-9 && animation.title.contains("⅓"));
+        assert!(
+            (animation.seconds - 3.0 * 19.0 / 15.0).abs() < 1e-9 && animation.title.contains("⅓")
+        );
     }
 
     #[test]
@@ -196,16 +223,27 @@ mod tests {
 
     #[test]
     fn an_animation_of_100_agents_is_below_1_500_000_bytes() {
-        let states: Vec<Vec<f64>> =
-            (0..2000).map(|t| (0..400).map(|i| f64::from(i).sin() + (f64::from(t * i) * 1e-3).cos()).collect()).collect();
+        let states: Vec<Vec<f64>> = (0..2000)
+            .map(|t| {
+                (0..400).map(|i| f64::from(i).sin() + (f64::from(t * i) * 1e-3).cos()).collect()
+            })
+            .collect();
         let svg = guidance(&states, 20, 0.01).to_svg();
         assert!(svg.len() < 1_500_000, "{} bytes", svg.len());
     }
 
     #[test]
     fn empty_and_invalid_inputs_give_a_picture() {
-        for states in [vec![], vec![vec![]], vec![vec![]; 3], vec![vec![f64::NAN; 4]], vec![vec![0.0; 3]], vec![vec![0.0; 4]]] {
-            roxmltree::Document::parse(&guidance(&states, 2, 0.02).to_svg()).expect("an SVG is XML");
+        for states in [
+            vec![],
+            vec![vec![]],
+            vec![vec![]; 3],
+            vec![vec![f64::NAN; 4]],
+            vec![vec![0.0; 3]],
+            vec![vec![0.0; 4]],
+        ] {
+            roxmltree::Document::parse(&guidance(&states, 2, 0.02).to_svg())
+                .expect("an SVG is XML");
         }
     }
 }

@@ -40,7 +40,10 @@ pub use animation::{Animation, Shape};
 pub use cart_pole::{Rail, cart_pole, cart_pole_on};
 pub use channels::{Channel, channels_over_time};
 pub use chart::{Chart, Frame};
-pub use curves::{Abscissa, Case, Curve, PALETTE, Point, comparison, field_color, learning_curve, statistic, study};
+pub use curves::{
+    Abscissa, Case, Curve, PALETTE, Point, comparison, field_color, learning_curve, statistic,
+    study,
+};
 pub use distribution::distribution;
 pub use drawing::Drawing;
 pub use final_losses::{TaskLosses, final_losses};

@@ -38,14 +38,17 @@ impl LogAxis {
     ///
     /// The range contains at least two ticks at 1, 2 or 5 times a power of ten.
     pub fn covering(values: impl Iterator<Item = f64>) -> Self {
-        let (min, max) = values.fold((f64::INFINITY, 0.0), |(min, max), y| (y.min(min), y.max(max)));
+        let (min, max) =
+            values.fold((f64::INFINITY, 0.0), |(min, max), y| (y.min(min), y.max(max)));
         let (min, max) = if max > 0.0 { (min, max) } else { (0.1, 1.0) };
         let exponent = min.log10().floor() as i32;
         let unit = 10f64.powi(exponent);
-        let round_numbers = || (-1..=200).flat_map(|e| (1..10).map(move |m| f64::from(m) * 10f64.powi(e)));
+        let round_numbers =
+            || (-1..=200).flat_map(|e| (1..10).map(move |m| f64::from(m) * 10f64.powi(e)));
         // The tolerance prevents a rounding error of the division from extending the range to the
         // next round number.
-        let low = round_numbers().take_while(|&y| y <= min / unit * (1.0 + 1e-9)).last().unwrap_or(1.0);
+        let low =
+            round_numbers().take_while(|&y| y <= min / unit * (1.0 + 1e-9)).last().unwrap_or(1.0);
         let high = round_numbers().find(|&y| y >= max / unit * (1.0 - 1e-9)).unwrap_or(1e200);
         let ticks = || (-1..=200).flat_map(|e| [1.0, 2.0, 5.0].map(|m| m * 10f64.powi(e)));
         // Extends the end that is closer to its next tick, but never the lower end below 1.
@@ -78,7 +81,9 @@ impl LogAxis {
                     format!("{:.places$}", f64::from(digit) * 10f64.powi(exponent))
                 }
                 (exponent, 1) if exponent % every == 0 => format!("10{}", superscript(exponent)),
-                (exponent, 2 | 5) if decades <= 2.0 => format!("{mantissa}·10{}", superscript(exponent)),
+                (exponent, 2 | 5) if decades <= 2.0 => {
+                    format!("{mantissa}·10{}", superscript(exponent))
+                }
                 _ => String::new(),
             }
         }))
@@ -125,7 +130,11 @@ mod tests {
         for values in [[1.0, 100.0], [1e-9, 1e3], [1.0, 1.0]] {
             let [low, high] = ends(&values.map(|y| series(&[(0.0, y)])));
             let margin = 0.02 * (high / low).log10();
-            assert!((values[0] / low).log10() > 0.5 * margin && (high / values[1]).log10() > 0.5 * margin, "{low} to {high}");
+            assert!(
+                (values[0] / low).log10() > 0.5 * margin
+                    && (high / values[1]).log10() > 0.5 * margin,
+                "{low} to {high}"
+            );
         }
     }
 
@@ -137,9 +146,22 @@ mod tests {
                 let axis = LogAxis::covering([value, factor * value].into_iter());
                 let format = axis.tick_format();
                 let ticks = kuva::render::render_utils::generate_ticks_log(axis.low, axis.high);
-                let labels: Vec<String> = ticks.into_iter().map(|tick| format.format(tick)).filter(|t| !t.is_empty()).collect();
-                assert!(labels.len() >= 2, "{value} to {}: {labels:?} on {} to {}", value * factor, axis.low, axis.high);
-                assert!(axis.low * axis.unit() <= value * 1.0001 && axis.high * axis.unit() >= factor * value * 0.9999);
+                let labels: Vec<String> = ticks
+                    .into_iter()
+                    .map(|tick| format.format(tick))
+                    .filter(|t| !t.is_empty())
+                    .collect();
+                assert!(
+                    labels.len() >= 2,
+                    "{value} to {}: {labels:?} on {} to {}",
+                    value * factor,
+                    axis.low,
+                    axis.high
+                );
+                assert!(
+                    axis.low * axis.unit() <= value * 1.0001
+                        && axis.high * axis.unit() >= factor * value * 0.9999
+                );
             }
         }
     }

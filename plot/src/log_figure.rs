@@ -39,7 +39,8 @@ pub struct Panel {
 impl Panel {
     /// Logarithmic x axis, if the panel has one.
     fn x_axis(&self) -> Option<LogAxis> {
-        let bars = |s: &Series| s.spread.iter().flat_map(|&(low, high)| [low, high]).collect::<Vec<_>>();
+        let bars =
+            |s: &Series| s.spread.iter().flat_map(|&(low, high)| [low, high]).collect::<Vec<_>>();
         let xs = self.series.iter().flat_map(|s| s.line.iter().map(|&(x, _)| x).chain(bars(s)));
         (self.x_scale == XScale::Log).then(|| LogAxis::covering(xs))
     }
@@ -77,11 +78,16 @@ pub fn log_figure_with(title: &str, rows: &[Vec<Panel>], legend: Vec<LegendEntry
     let panels = || rows.iter().flatten();
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0).max(1);
     let axes: Vec<LogAxis> = (0..=panels().map(|panel| panel.y_axis).max().unwrap_or(0))
-        .map(|axis| LogAxis::of(panels().filter(|panel| panel.y_axis == axis).flat_map(|panel| &panel.series)))
+        .map(|axis| {
+            LogAxis::of(
+                panels().filter(|panel| panel.y_axis == axis).flat_map(|panel| &panel.series),
+            )
+        })
         .collect();
     // Determines the visible elements of each panel. Panels of a column reserve the same width for
     // labels, panels of a row the same height. All plotted areas therefore have the same size.
-    let below = |i: usize, j: usize| rows.get(i + 1).and_then(|row| row.get(j)).map(|panel| &panel.x_label);
+    let below =
+        |i: usize, j: usize| rows.get(i + 1).and_then(|row| row.get(j)).map(|panel| &panel.x_label);
     let shows = |i: usize, j: usize| {
         let (row, panel) = (&rows[i], &rows[i][j]);
         let left = j.checked_sub(1).map(|j| &row[j]);
@@ -93,11 +99,17 @@ pub fn log_figure_with(title: &str, rows: &[Vec<Panel>], legend: Vec<LegendEntry
     };
     let extra = |size: f64, visible: bool| if visible { size } else { 0.0 };
     let left_of = |j: usize| {
-        let any = |visible: fn(Shows) -> bool| (0..rows.len()).any(|i| j < rows[i].len() && visible(shows(i, j)));
-        MARGINS[0] + extra(TICK_LABELS, any(|shows| shows.y_numbers)) + extra(LABEL, any(|shows| shows.y_name))
+        let any = |visible: fn(Shows) -> bool| {
+            (0..rows.len()).any(|i| j < rows[i].len() && visible(shows(i, j)))
+        };
+        MARGINS[0]
+            + extra(TICK_LABELS, any(|shows| shows.y_numbers))
+            + extra(LABEL, any(|shows| shows.y_name))
     };
-    let top_of = |i: usize| MARGINS[2] + extra(LABEL, rows[i].iter().any(|panel| !panel.title.is_empty()));
-    let bottom_of = |i: usize| MARGINS[3] + extra(LABEL, (0..rows[i].len()).any(|j| shows(i, j).x_name));
+    let top_of =
+        |i: usize| MARGINS[2] + extra(LABEL, rows[i].iter().any(|panel| !panel.title.is_empty()));
+    let bottom_of =
+        |i: usize| MARGINS[3] + extra(LABEL, (0..rows[i].len()).any(|j| shows(i, j).x_name));
     let layout = |i: usize, j: usize| {
         panel_layout(&rows[i][j], &axes[rows[i][j].y_axis], shows(i, j))
             .with_force_margins(left_of(j), MARGINS[1])
@@ -111,11 +123,17 @@ pub fn log_figure_with(title: &str, rows: &[Vec<Panel>], legend: Vec<LegendEntry
         .with_padding(12.0)
         .with_spacing(8.0)
         .with_layouts(cells.map(|(i, j)| layout(i, j)).collect())
-        .with_plots(panels().map(|panel| marks(&panel.series, [panel.x_unit(), axes[panel.y_axis].unit()])).collect())
+        .with_plots(
+            panels()
+                .map(|panel| marks(&panel.series, [panel.x_unit(), axes[panel.y_axis].unit()]))
+                .collect(),
+        )
         .with_shared_legend_right_top()
         .with_shared_legend_entries(legend);
-    let figure = (0..columns).fold(figure, |figure, j| figure.with_col_width(j, width + left_of(j) + MARGINS[1]));
-    let figure = (0..rows.len()).fold(figure, |figure, i| figure.with_row_height(i, height + top_of(i) + bottom_of(i)));
+    let figure = (0..columns)
+        .fold(figure, |figure, j| figure.with_col_width(j, width + left_of(j) + MARGINS[1]));
+    let figure = (0..rows.len())
+        .fold(figure, |figure, i| figure.with_row_height(i, height + top_of(i) + bottom_of(i)));
     Drawing::of(figure.render())
 }
 
@@ -134,7 +152,12 @@ pub fn legend<'a>(panels: impl Iterator<Item = &'a Panel>) -> Vec<LegendEntry> {
 /// Legend entry of a series, with its dashes.
 pub fn entry(series: &Series) -> LegendEntry {
     let (label, color) = (series.label.clone(), series.color.into());
-    LegendEntry { label, color, shape: LegendShape::Line, dasharray: series.dash.array().map(String::from) }
+    LegendEntry {
+        label,
+        color,
+        shape: LegendShape::Line,
+        dasharray: series.dash.array().map(String::from),
+    }
 }
 
 /// Visible axis elements of a panel.
@@ -161,7 +184,11 @@ pub fn panel_layout(panel: &Panel, axis: &LogAxis, shows: Shows) -> Layout {
             let [x_min, x_max] = x_range(&panel.series);
             let x_min = if is_cut && smallest < x_max { smallest } else { x_min };
             // Adds a margin for single dots; lines may start at the axis.
-            let margin = if panel.series.iter().any(|s| s.line.len() == 1) { 0.04 * (x_max - x_min) } else { 0.0 };
+            let margin = if panel.series.iter().any(|s| s.line.len() == 1) {
+                0.04 * (x_max - x_min)
+            } else {
+                0.0
+            };
             (x_min - margin, x_max + margin)
         }
     };
@@ -181,7 +208,9 @@ pub fn panel_layout(panel: &Panel, axis: &LogAxis, shows: Shows) -> Layout {
     } else if let XScale::Numbers(_) = panel.x_scale {
         layout = layout.with_x_tick_step(1.0).with_x_tick_format(plain());
     } else {
-        layout = layout.with_x_tick_step(tick_step([x_min, x_max], &panel.series)).with_x_tick_format(plain());
+        layout = layout
+            .with_x_tick_step(tick_step([x_min, x_max], &panel.series))
+            .with_x_tick_format(plain());
     }
     if !panel.title.is_empty() {
         layout = layout.with_title(&*panel.title);
@@ -204,8 +233,10 @@ pub fn panel_layout(panel: &Panel, axis: &LogAxis, shows: Shows) -> Layout {
     }
     if panel.series.iter().all(|s| s.line.is_empty()) {
         let middle = (axis.low * axis.high).sqrt();
-        let x_middle = if x_axis.is_some() { (x_min * x_max).sqrt() } else { (x_min + x_max) / 2.0 };
-        layout = layout.with_annotation(TextAnnotation::new("no data", x_middle, middle).with_color("#777"));
+        let x_middle =
+            if x_axis.is_some() { (x_min * x_max).sqrt() } else { (x_min + x_max) / 2.0 };
+        layout = layout
+            .with_annotation(TextAnnotation::new("no data", x_middle, middle).with_color("#777"));
     }
     layout
 }
@@ -217,7 +248,12 @@ pub fn plain() -> TickFormat {
 
 /// Light theme with faint grid lines.
 pub fn theme() -> Theme {
-    Theme { grid_color: "#e6e6e6".into(), axis_color: "#444".into(), legend_border: "none".into(), ..Theme::light() }
+    Theme {
+        grid_color: "#e6e6e6".into(),
+        axis_color: "#444".into(),
+        legend_border: "none".into(),
+        ..Theme::light()
+    }
 }
 
 #[cfg(test)]
@@ -236,12 +272,20 @@ mod tests {
             x_scale: XScale::Linear,
             y_label: format!("loss {y_axis}"),
             y_axis,
-            series: vec![series("a", Dash::Solid), series("b", Dash::Dotted), Series { thin: true, ..series("c", Dash::Solid) }],
+            series: vec![
+                series("a", Dash::Solid),
+                series("b", Dash::Dotted),
+                Series { thin: true, ..series("c", Dash::Solid) },
+            ],
         }
     }
 
     fn picture() -> String {
-        let rows = [vec![panel("one", 0), panel("two", 1)], vec![panel("", 0), panel("", 1)], vec![panel("", 0), panel("", 1)]];
+        let rows = [
+            vec![panel("one", 0), panel("two", 1)],
+            vec![panel("", 0), panel("", 1)],
+            vec![panel("", 0), panel("", 1)],
+        ];
         log_figure("title", &rows).to_svg()
     }
 
@@ -252,7 +296,9 @@ mod tests {
         let clips = document.descendants().filter(|node| node.has_tag_name("clipPath"));
         let size = |clip: roxmltree::Node| {
             let rect = clip.first_element_child().expect("a rectangle");
-            ["width", "height"].map(|name| rect.attribute(name).expect("a length").parse::<f64>().expect("a number"))
+            ["width", "height"].map(|name| {
+                rect.attribute(name).expect("a length").parse::<f64>().expect("a number")
+            })
         };
         let sizes: Vec<[f64; 2]> = clips.map(size).collect();
         assert_eq!(sizes.len(), 6);
@@ -263,16 +309,27 @@ mod tests {
     #[test]
     fn the_legend_has_one_entry_with_dashes_per_bold_label() {
         let picture = picture();
-        let entry = |label: &str| picture.split_once(&format!(">{label}</text><line ")).expect("an entry").1;
-        let dashes = |label: &str| entry(label).split("/>").next().is_some_and(|line| line.contains("stroke-dasharray=\"2 3\""));
+        let entry = |label: &str| {
+            picture.split_once(&format!(">{label}</text><line ")).expect("an entry").1
+        };
+        let dashes = |label: &str| {
+            entry(label)
+                .split("/>")
+                .next()
+                .is_some_and(|line| line.contains("stroke-dasharray=\"2 3\""))
+        };
         assert!(!dashes("a") && dashes("b"));
-        assert_eq!(["a", "b", "c"].map(|label| picture.matches(&format!(">{label}</text>")).count()), [1, 1, 0]);
+        assert_eq!(
+            ["a", "b", "c"].map(|label| picture.matches(&format!(">{label}</text>")).count()),
+            [1, 1, 0]
+        );
     }
 
     #[test]
     fn ticks_of_epochs_are_whole_numbers() {
         let picture = picture();
-        let texts = picture.split("</text>").filter_map(|text| text.rsplit_once('>')).map(|(_, text)| text);
+        let texts =
+            picture.split("</text>").filter_map(|text| text.rsplit_once('>')).map(|(_, text)| text);
         let numbers: Vec<f64> = texts.filter_map(|text| text.parse().ok()).collect();
         assert!(numbers.contains(&2.0) && numbers.iter().all(|x| x.fract() == 0.0), "{numbers:?}");
     }

@@ -50,8 +50,11 @@ pub fn mechanics(stage: &Stage, postures: &[Posture], dt: f64) -> Animation {
     let (slowness, speed) = if time < 2.0 { (3.0, "at ⅓ speed") } else { (1.0, "in real time") };
 
     let still_points = stage.floor.map(|height| [0.0, height]).into_iter().chain(stage.mark);
-    let all: Vec<[f64; 2]> = shown.iter().flat_map(|posture| points(posture)).chain(still_points).collect();
-    let end = |i: usize, pick: fn(f64, f64) -> f64| all.iter().map(|point| point[i]).reduce(pick).unwrap_or(0.0);
+    let all: Vec<[f64; 2]> =
+        shown.iter().flat_map(|posture| points(posture)).chain(still_points).collect();
+    let end = |i: usize, pick: fn(f64, f64) -> f64| {
+        all.iter().map(|point| point[i]).reduce(pick).unwrap_or(0.0)
+    };
     let margin = 1.5 * stage.size;
     let mut low = [end(0, f64::min) - margin, end(1, f64::min) - margin];
     let mut high = [end(0, f64::max) + margin, end(1, f64::max) + margin];
@@ -68,12 +71,15 @@ pub fn mechanics(stage: &Stage, postures: &[Posture], dt: f64) -> Animation {
     let ground = stage.floor.map(|height| {
         // Extends beyond the view, which `Animation::share_scale` may enlarge.
         let width = FLOOR * (high[0] - low[0]);
-        let (from, to) = ([low[0] - width, height - 0.5 * thin], [high[0] + width, height - 0.5 * thin]);
+        let (from, to) =
+            ([low[0] - width, height - 0.5 * thin], [high[0] + width, height - 0.5 * thin]);
         Shape::Line { from, to, width: thin, color: GROUND }
     });
-    let mark = stage.mark.map(|center| Shape::Circle { center, radius: 0.25 * stage.size, color: MARK });
+    let mark =
+        stage.mark.map(|center| Shape::Circle { center, radius: 0.25 * stage.size, color: MARK });
     let count = shown.len().min(MAX_FRAMES);
-    let frames = (0..count).map(|frame| shapes(shown[frame * (shown.len() - 1) / (count - 1).max(1)], stage.size));
+    let frames = (0..count)
+        .map(|frame| shapes(shown[frame * (shown.len() - 1) / (count - 1).max(1)], stage.size));
     Animation {
         title: format!("{}: {time:.1} s {speed}", stage.title),
         seconds: time * slowness,
@@ -93,8 +99,16 @@ fn shapes(posture: &Posture, size: f64) -> Vec<Shape> {
         size: [size; 2],
         color: BOXES[i % BOXES.len()],
     });
-    let rods = (posture.chain.len() > 1).then(|| Shape::Curve { points: posture.chain.clone(), width: 0.3 * size, color: ROD });
-    let joints = posture.chain.iter().map(|&center| Shape::Circle { center, radius: 0.22 * size, color: JOINT });
+    let rods = (posture.chain.len() > 1).then(|| Shape::Curve {
+        points: posture.chain.clone(),
+        width: 0.3 * size,
+        color: ROD,
+    });
+    let joints = posture.chain.iter().map(|&center| Shape::Circle {
+        center,
+        radius: 0.22 * size,
+        color: JOINT,
+    });
     boxes.chain(rods).chain(joints).collect()
 }
 
@@ -104,10 +118,15 @@ mod tests {
 
     #[test]
     fn an_animation_shows_all_bodies_and_ends_before_a_nan() {
-        let stage = Stage { title: "A test".into(), size: 0.2, floor: Some(0.0), mark: Some([3.0, 0.0]) };
+        let stage =
+            Stage { title: "A test".into(), size: 0.2, floor: Some(0.0), mark: Some([3.0, 0.0]) };
         let posture = |x: f64| Posture { chain: vec![[x, 0.0], [x, 1.0]], boxes: vec![[x, 0.1]] };
-        let animation = mechanics(&stage, &[posture(0.0), posture(1.0), posture(f64::NAN), posture(2.0)], 0.5);
-        assert_eq!((animation.frames.len(), animation.still.len(), animation.frames[0].len()), (2, 2, 4));
+        let animation =
+            mechanics(&stage, &[posture(0.0), posture(1.0), posture(f64::NAN), posture(2.0)], 0.5);
+        assert_eq!(
+            (animation.frames.len(), animation.still.len(), animation.frames[0].len()),
+            (2, 2, 4)
+        );
         let (low, high) = animation.view;
         assert!(low[0] < 0.0 && high[0] > 3.0 && high[1] > 1.0, "{low:?} {high:?}");
         let picture = animation.to_svg();

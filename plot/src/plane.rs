@@ -13,8 +13,13 @@ use std::sync::Arc;
 /// colour share a rectangle.
 const STEPS: i32 = 18;
 /// Colour stops from the smallest to the largest value, light enough for dark arrows.
-const COLORS: [[f64; 3]; 5] =
-    [[255.0, 252.0, 235.0], [253.0, 217.0, 158.0], [247.0, 156.0, 110.0], [224.0, 100.0, 115.0], [172.0, 66.0, 138.0]];
+const COLORS: [[f64; 3]; 5] = [
+    [255.0, 252.0, 235.0],
+    [253.0, 217.0, 158.0],
+    [247.0, 156.0, 110.0],
+    [224.0, 100.0, 115.0],
+    [172.0, 66.0, 138.0],
+];
 const INK: &str = "#1c1c24";
 const LINE: &str = "#0a4f8f";
 /// Colour and width of the casing of a line and of the line itself, for contrast on every
@@ -64,23 +69,38 @@ pub struct Map {
 /// Each entry of `runs` holds a name, a CSS colour, and the losses at the start and after every
 /// iteration.
 pub fn maps(plane: &Plane, maps: &[Map], runs: &[(&str, &'static str, Vec<f64>)]) -> Drawing {
-    let mut layouts: Vec<Layout> = maps.iter().enumerate().map(|(i, map)| plane.layout(map, i == 0)).collect();
+    let mut layouts: Vec<Layout> =
+        maps.iter().enumerate().map(|(i, map)| plane.layout(map, i == 0)).collect();
     let mut plots: Vec<Vec<Plot>> = maps.iter().map(|map| plane.plots(map)).collect();
     layouts.push(plane.scale_layout());
     plots.push(vec![plane.colors(&plane.scale(), 1, Some(plane.decades))]);
     if !runs.is_empty() {
         let line = |run: &[f64]| {
-            thinned(cleaned(run.iter().enumerate().map(|(i, &loss)| (i as f64, loss)).collect(), &drawable), |p| p.1)
+            thinned(
+                cleaned(
+                    run.iter().enumerate().map(|(i, &loss)| (i as f64, loss)).collect(),
+                    &drawable,
+                ),
+                |p| p.1,
+            )
         };
-        let series = runs.iter().map(|(label, color, run)| Series::new(*label, color, line(run))).collect();
+        let series =
+            runs.iter().map(|(label, color, run)| Series::new(*label, color, line(run))).collect();
         let title = format!("({}) loss", char::from(b'a' + maps.len() as u8));
-        let panel =
-            Panel { title, x_label: "iteration".into(), x_scale: XScale::Linear, y_label: "loss".into(), y_axis: 0, series };
+        let panel = Panel {
+            title,
+            x_label: "iteration".into(),
+            x_scale: XScale::Linear,
+            y_label: "loss".into(),
+            y_axis: 0,
+            series,
+        };
         let axis = LogAxis::of(panel.series.iter());
-        let layout = panel_layout(&panel, &axis, Shows { y_numbers: true, y_name: true, x_name: true })
-            .with_y_label_offset(10.0, 0.0)
-            .with_legend_entries(legend(std::iter::once(&panel)))
-            .with_legend_position(LegendPosition::InsideBottomLeft);
+        let layout =
+            panel_layout(&panel, &axis, Shows { y_numbers: true, y_name: true, x_name: true })
+                .with_y_label_offset(10.0, 0.0)
+                .with_legend_entries(legend(std::iter::once(&panel)))
+                .with_legend_position(LegendPosition::InsideBottomLeft);
         layouts.push(layout);
         plots.push(marks(&panel.series, [1.0, axis.unit()]));
     }
@@ -104,9 +124,10 @@ pub fn maps(plane: &Plane, maps: &[Map], runs: &[(&str, &'static str, Vec<f64>)]
 impl Plane {
     fn layout(&self, map: &Map, first: bool) -> Layout {
         let [x_label, y_label] = self.labels;
-        let mut layout = framed((-self.half_width, self.half_width), (-self.half_width, self.half_width))
-            .with_x_label(x_label)
-            .with_title(map.title.clone());
+        let mut layout =
+            framed((-self.half_width, self.half_width), (-self.half_width, self.half_width))
+                .with_x_label(x_label)
+                .with_title(map.title.clone());
         match first {
             true => layout = layout.with_y_label(y_label),
             false => layout.suppress_y_ticks = true,
@@ -132,7 +153,9 @@ impl Plane {
     /// Values of the colour scale: the middle of each colour step.
     fn scale(&self) -> Vec<f64> {
         let (steps, each) = self.steps();
-        (0..steps).map(|step| 10f64.powf(f64::from(self.decades[0]) + (f64::from(step) + 0.5) / each)).collect()
+        (0..steps)
+            .map(|step| 10f64.powf(f64::from(self.decades[0]) + (f64::from(step) + 0.5) / each))
+            .collect()
     }
 
     /// Number of colour steps, in total and per decade.
@@ -158,13 +181,20 @@ impl Plane {
         let path: Vec<[f64; 2]> = map.path.iter().filter(is_finite).copied().collect();
         if !path.is_empty() {
             let points = thinned_to(MAX_POINTS, path.iter().map(|p| (p[0], p[1])).collect());
-            let line =
-                |(color, width)| LinePlot::new().with_data(points.clone()).with_color(color).with_stroke_width(width).into();
+            let line = |(color, width)| {
+                LinePlot::new()
+                    .with_data(points.clone())
+                    .with_color(color)
+                    .with_stroke_width(width)
+                    .into()
+            };
             plots.extend(CASED.map(line));
             plots.push(dots(&path[..1]).with_color(LINE).with_size(4.0).into());
         }
         if let Some(mark) = map.mark.filter(|mark| is_finite(&mark)) {
-            plots.push(dots(&[mark]).with_color(INK).with_marker(MarkerShape::Cross).with_size(5.0).into());
+            plots.push(
+                dots(&[mark]).with_color(INK).with_marker(MarkerShape::Cross).with_size(5.0).into(),
+            );
         }
         plots
     }
@@ -180,11 +210,15 @@ impl Plane {
             position.floor().max(0.0).min(last)
         };
         let cells: Vec<f64> = values.iter().map(step).collect();
-        let (low, high) = cells.iter().fold((f64::INFINITY, 0.0), |(low, high): (f64, f64), &c| (low.min(c), high.max(c)));
+        let (low, high) = cells
+            .iter()
+            .fold((f64::INFINITY, 0.0), |(low, high): (f64, f64), &c| (low.min(c), high.max(c)));
         // Inverts the normalization by kuva, which maps the range of the cells to [0, 1].
         let color = move |share: f64| color((low + share * (high - low)).round() / last);
-        let (x_low, x_high) = if scale.is_some() { (0.0, 1.0) } else { (-self.half_width, self.half_width) };
-        let (y_low, y_high) = scale.map_or((x_low, x_high), |[low, high]| (f64::from(low), f64::from(high)));
+        let (x_low, x_high) =
+            if scale.is_some() { (0.0, 1.0) } else { (-self.half_width, self.half_width) };
+        let (y_low, y_high) =
+            scale.map_or((x_low, x_high), |[low, high]| (f64::from(low), f64::from(high)));
         Heatmap::new()
             .with_data(cells.chunks(columns).map(<[f64]>::to_vec))
             .with_color_map(ColorMap::Custom(Arc::new(color)))
@@ -200,7 +234,14 @@ impl Plane {
         let arrows = directions.iter().enumerate().filter_map(|(i, d)| {
             let norm = d[0].hypot(d[1]);
             let drawn = norm > 0.0 && norm.is_finite();
-            drawn.then(|| (self.middle(i % cells, cells), self.middle(i / cells, cells), d[0] / norm * long, d[1] / norm * long))
+            drawn.then(|| {
+                (
+                    self.middle(i % cells, cells),
+                    self.middle(i / cells, cells),
+                    d[0] / norm * long,
+                    d[1] / norm * long,
+                )
+            })
         });
         QuiverPlot::new()
             .with_arrows(arrows)
@@ -263,7 +304,8 @@ fn color(share: f64) -> String {
 mod tests {
     use super::*;
 
-    const PLANE: Plane = Plane { labels: ["a", "b"], half_width: 2.0, decades: [-1, 2], values: "norm" };
+    const PLANE: Plane =
+        Plane { labels: ["a", "b"], half_width: 2.0, decades: [-1, 2], values: "norm" };
 
     fn rects(drawing: &Drawing) -> usize {
         drawing.to_svg().matches("<rect").count()
@@ -281,14 +323,19 @@ mod tests {
             let values = [others[0], others[1], 12.0, others[2]];
             let svg = maps(&PLANE, &[map(&values)], &[]).to_svg();
             // At least once in the map and once in the scale.
-            assert!(svg.matches(&twelve).count() >= 2, "{others:?}: {}", svg.matches(&twelve).count());
+            assert!(
+                svg.matches(&twelve).count() >= 2,
+                "{others:?}: {}",
+                svg.matches(&twelve).count()
+            );
         }
     }
 
     #[test]
     fn adjacent_cells_of_equal_colour_share_a_rectangle() {
         let flat = rects(&maps(&PLANE, &[map(&[1.0; 100])], &[]));
-        let board: Vec<f64> = (0..100).map(|i| if (i + i / 10) % 2 == 0 { 0.2 } else { 50.0 }).collect();
+        let board: Vec<f64> =
+            (0..100).map(|i| if (i + i / 10) % 2 == 0 { 0.2 } else { 50.0 }).collect();
         assert_eq!(rects(&maps(&PLANE, &[map(&board)], &[])) - flat, 100 - 10);
     }
 
@@ -301,7 +348,8 @@ mod tests {
             mark: Some([f64::NAN; 2]),
             ..Map::default()
         };
-        let svg = maps(&PLANE, &[odd, Map::default()], &[("x", "red", vec![1.0, 0.0, f64::NAN])]).to_svg();
+        let svg = maps(&PLANE, &[odd, Map::default()], &[("x", "red", vec![1.0, 0.0, f64::NAN])])
+            .to_svg();
         roxmltree::Document::parse(&svg).expect("an SVG is XML");
         assert!(!svg.contains("NaN") && !svg.contains("inf"));
     }

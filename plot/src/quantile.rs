@@ -28,7 +28,10 @@ mod tests {
     #[test]
     fn quantiles_interpolate_linearly() {
         let numbers = sorted([4.0, 1.0, 2.0].into_iter());
-        assert_eq!([0.0, 0.25, 0.5, 0.75, 1.0].map(|q| quantile(&numbers, q)), [1.0, 1.5, 2.0, 3.0, 4.0]);
+        assert_eq!(
+            [0.0, 0.25, 0.5, 0.75, 1.0].map(|q| quantile(&numbers, q)),
+            [1.0, 1.5, 2.0, 3.0, 4.0]
+        );
         assert_eq!(quantile(&[1.0, f64::INFINITY, f64::INFINITY], 0.75), f64::INFINITY);
         assert_eq!(quantile(&[7.0], 0.75), 7.0);
         assert_eq!(quantile(&sorted([1.0, 2.0].into_iter()), 0.5), 1.5);

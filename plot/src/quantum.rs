@@ -37,7 +37,13 @@ const MAX_ROWS: usize = 64;
 ///
 /// A unit of time takes 1 s, but the whole trajectory takes at least 4 s and at most 12 s. The
 /// animation ends before the first state that is non-finite or of a different length.
-pub fn quantum(states: &[Vec<f64>], controls: &[f64], target: &[f64], length: f64, dt: f64) -> Animation {
+pub fn quantum(
+    states: &[Vec<f64>],
+    controls: &[f64],
+    target: &[f64],
+    length: f64,
+    dt: f64,
+) -> Animation {
     quantum_in(&Landscape::default(), states, controls, target, length, dt)
 }
 
@@ -61,7 +67,10 @@ pub fn quantum_in(
     let time = count.saturating_sub(1) as f64 * layout.dt;
     let of = if layout.landscape.tilted() { " of the empty box" } else { "" };
     Animation {
-        title: format!("Particle in a box, steered to an eigenstate{of}: {} units of time", number(time)),
+        title: format!(
+            "Particle in a box, steered to an eigenstate{of}: {} units of time",
+            number(time)
+        ),
         seconds: time.clamp(4.0, 12.0),
         view: ([0.0, 0.0], [720.0, 480.0]),
         still: layout.background(),
@@ -110,25 +119,43 @@ struct Layout {
 }
 
 impl Layout {
-    fn new(landscape: &Landscape, states: &[Vec<f64>], controls: &[f64], target: &[f64], length: f64, dt: f64) -> Self {
+    fn new(
+        landscape: &Landscape,
+        states: &[Vec<f64>],
+        controls: &[f64],
+        target: &[f64],
+        length: f64,
+        dt: f64,
+    ) -> Self {
         let width = states.first().map_or(0, Vec::len);
         let valid = |s: &&Vec<f64>| s.len() == width && s.iter().all(|v| v.is_finite());
         let states: Vec<&Vec<f64>> = states.iter().take_while(valid).collect();
         // Divides by the grid spacing to obtain a density.
         let per_point = (width / 2 + 1) as f64 / length;
-        let density = |squares: Vec<f64>| averaged(&squares, MAX_ROWS).into_iter().map(|d| d * per_point).collect::<Vec<_>>();
-        let of_state = |s: &&Vec<f64>| density(s.chunks_exact(2).map(|psi| psi[0] * psi[0] + psi[1] * psi[1]).collect());
+        let density = |squares: Vec<f64>| {
+            averaged(&squares, MAX_ROWS).into_iter().map(|d| d * per_point).collect::<Vec<_>>()
+        };
+        let of_state = |s: &&Vec<f64>| {
+            density(s.chunks_exact(2).map(|psi| psi[0] * psi[0] + psi[1] * psi[1]).collect())
+        };
         let densities: Vec<Vec<f64>> = states.iter().map(of_state).collect();
         let target_density = density(target.iter().map(|phi| phi * phi).collect());
         let fidelity = |s: &&Vec<f64>| {
-            let overlap = |part: usize| s.chunks_exact(2).zip(target).map(|(psi, phi)| psi[part] * phi).sum::<f64>();
+            let overlap = |part: usize| {
+                s.chunks_exact(2).zip(target).map(|(psi, phi)| psi[part] * phi).sum::<f64>()
+            };
             overlap(0).powi(2) + overlap(1).powi(2)
         };
         let finite = |c: &f64| if c.is_finite() { *c } else { 0.0 };
-        let controls: Vec<f64> = controls.iter().take(states.len().saturating_sub(1)).map(finite).collect();
+        let controls: Vec<f64> =
+            controls.iter().take(states.len().saturating_sub(1)).map(finite).collect();
 
-        let highest = 1.04 * positive(densities.iter().flatten().chain(&target_density).copied().fold(0.0, f64::max));
-        let (least, most) = controls.iter().fold((0.0f64, 0.0f64), |(least, most), &c| (least.min(c), most.max(c)));
+        let highest = 1.04
+            * positive(
+                densities.iter().flatten().chain(&target_density).copied().fold(0.0, f64::max),
+            );
+        let (least, most) =
+            controls.iter().fold((0.0f64, 0.0f64), |(least, most), &c| (least.min(c), most.max(c)));
         let (room, middle) = (0.55 * positive(most - least), 0.5 * (least + most));
         // Each column of the map is centered at the time of its state.
         let time = [-0.5 * dt, (states.len().max(1) as f64 - 0.5) * dt];
@@ -163,7 +190,11 @@ impl Layout {
         shapes.push(control.curve(self.steps(), 1.6, CONTROL));
         shapes.extend([0.0, 1.0].map(|y| fidelity.curve([[from, y], [to, y]], 1.0, ZERO)));
         let means = averaged(&self.fidelities, MAX_COLUMNS);
-        shapes.push(fidelity.curve((0..).zip(&means).map(|(i, &f)| [self.time(i, means.len()), f]), 2.0, FIDELITY));
+        shapes.push(fidelity.curve(
+            (0..).zip(&means).map(|(i, &f)| [self.time(i, means.len()), f]),
+            2.0,
+            FIDELITY,
+        ));
         shapes.extend([map, profile, scale, control, fidelity].map(Axes::frame));
 
         let positions = [0.0, length / 2.0, length];
@@ -172,9 +203,14 @@ impl Layout {
         shapes.extend(fidelity.ticks_left(&[0.0, 0.5, 1.0]));
         shapes.extend(fidelity.ticks_below(&ticks(from, to, 5.0)));
         shapes.extend(scale.ticks_below(&ticks(0.0, scale.x[1], 4.0)));
-        let middle = |panel: &Axes| ((panel.left + panel.right) / 2.0, (panel.bottom + panel.top) / 2.0);
+        let middle =
+            |panel: &Axes| ((panel.left + panel.right) / 2.0, (panel.bottom + panel.top) / 2.0);
         let sum = if landscape.tilted() { "in V + c x" } else { "in V = c x" };
-        let names = [(map, "position", "x"), (control, "control c", sum), (fidelity, "fidelity", "|⟨φ, ψ⟩|²")];
+        let names = [
+            (map, "position", "x"),
+            (control, "control c", sum),
+            (fidelity, "fidelity", "|⟨φ, ψ⟩|²"),
+        ];
         for (panel, first, second) in names {
             let (x, y) = (34.0, middle(panel).1);
             shapes.extend([text([x, y + 2.0], first), text([x, y - 14.0], second)]);
@@ -192,17 +228,28 @@ impl Layout {
     /// Map and colour scale.
     fn colors(&self) -> Vec<Shape> {
         let Self { map, scale, half_row, .. } = self;
-        let image = |(center, size), rows: &[Vec<f64>]| Shape::Image { center, size, raster: Raster::new(rows) };
+        let image = |(center, size), rows: &[Vec<f64>]| Shape::Image {
+            center,
+            size,
+            raster: Raster::new(rows),
+        };
         let whole = |panel: &Axes| panel.area([panel.x[0], panel.y[0]], [panel.x[1], panel.y[1]]);
         let all = (0..128).map(|i| f64::from(i) / 127.0).collect();
         let mut shapes = vec![image(whole(scale), &[all]), image(whole(map), &[vec![0.0]])];
         let columns: Vec<&[Vec<f64>]> = groups(&self.densities, MAX_COLUMNS).collect();
-        let cell = |row: usize, states: &[Vec<f64>]| states.iter().map(|s| s[row]).sum::<f64>() / states.len() as f64;
-        let row = |row: usize| columns.iter().map(|states| cell(row, states) / scale.x[1]).collect();
+        let cell = |row: usize, states: &[Vec<f64>]| {
+            states.iter().map(|s| s[row]).sum::<f64>() / states.len() as f64
+        };
+        let row =
+            |row: usize| columns.iter().map(|states| cell(row, states) / scale.x[1]).collect();
         // Reverses the rows: a raster starts with the upper row, which is the last position.
-        let rows: Vec<Vec<f64>> = (0..self.densities.first().map_or(0, Vec::len)).rev().map(row).collect();
+        let rows: Vec<Vec<f64>> =
+            (0..self.densities.first().map_or(0, Vec::len)).rev().map(row).collect();
         if !rows.is_empty() {
-            shapes.push(image(map.area([map.x[0], *half_row], [map.x[1], map.y[1] - half_row]), &rows));
+            shapes.push(image(
+                map.area([map.x[0], *half_row], [map.x[1], map.y[1] - half_row]),
+                &rows,
+            ));
         }
         shapes
     }
@@ -211,7 +258,10 @@ impl Layout {
     fn steps(&self) -> Vec<[f64; 2]> {
         let means = averaged(&self.controls, MAX_COLUMNS);
         let step = self.dt * self.controls.len() as f64 / means.len().max(1) as f64;
-        (0..).zip(&means).flat_map(|(i, &c)| [[step * f64::from(i), c], [step * f64::from(i + 1), c]]).collect()
+        (0..)
+            .zip(&means)
+            .flat_map(|(i, &c)| [[step * f64::from(i), c], [step * f64::from(i + 1), c]])
+            .collect()
     }
 
     /// Time at the middle of a column.
@@ -222,13 +272,20 @@ impl Layout {
 
     /// Legend of the profile, with the initial and final fidelity.
     fn legend(&self) -> Vec<Shape> {
-        let (x, middle) = (self.profile.left + 14.0, (self.profile.left + self.profile.right) / 2.0);
-        let ends = [self.fidelities.first(), self.fidelities.last()].map(|f| f.copied().unwrap_or(0.0));
+        let (x, middle) =
+            (self.profile.left + 14.0, (self.profile.left + self.profile.right) / 2.0);
+        let ends =
+            [self.fidelities.first(), self.fidelities.last()].map(|f| f.copied().unwrap_or(0.0));
         vec![
             text([middle, 190.0], "probability per length"),
             Shape::Rect { center: [x, 162.0], size: [28.0, 8.0], color: DENSITY },
             text([x + 52.0, 158.0], "|ψ|² now"),
-            Shape::Line { from: [x - 13.0, 142.0], to: [x + 13.0, 142.0], width: 2.0, color: TARGET },
+            Shape::Line {
+                from: [x - 13.0, 142.0],
+                to: [x + 13.0, 142.0],
+                width: 2.0,
+                color: TARGET,
+            },
             text([x + 56.0, 138.0], "|φ|² target"),
             text([middle, 84.0], format!("fidelity {:.3} at the start", ends[0])),
             text([middle, 66.0], format!("{:.3} at the end", ends[1])),
@@ -242,17 +299,31 @@ impl Layout {
         let position = |j: usize| 2.0 * half_row * (j + 1) as f64;
         let bar = |(j, &density): (usize, &f64)| {
             let margin = 0.8 * half_row;
-            let (center, size) = profile.area([0.0, position(j) - margin], [density, position(j) + margin]);
+            let (center, size) =
+                profile.area([0.0, position(j) - margin], [density, position(j) + margin]);
             Shape::Rect { center, size, color: DENSITY }
         };
         let mut shapes: Vec<Shape> = density.iter().enumerate().map(bar).collect();
         let walls = [[0.0, 0.0], [0.0, profile.y[1]]];
         let inside = self.target.iter().enumerate().map(|(j, &density)| [density, position(j)]);
-        shapes.push(profile.curve([walls[0]].into_iter().chain(inside).chain([walls[1]]), 2.0, TARGET));
+        shapes.push(profile.curve(
+            [walls[0]].into_iter().chain(inside).chain([walls[1]]),
+            2.0,
+            TARGET,
+        ));
         let time = state as f64 * self.dt;
         let x = map.at(time, 0.0)[0];
-        shapes.push(Shape::Line { from: [x, map.top], to: [x, fidelity.bottom], width: 1.6, color: CURSOR });
-        shapes.push(Shape::Circle { center: fidelity.at(time, self.fidelities[state]), radius: 4.0, color: FIDELITY });
+        shapes.push(Shape::Line {
+            from: [x, map.top],
+            to: [x, fidelity.bottom],
+            width: 1.6,
+            color: CURSOR,
+        });
+        shapes.push(Shape::Circle {
+            center: fidelity.at(time, self.fidelities[state]),
+            radius: 4.0,
+            color: FIDELITY,
+        });
         shapes
     }
 }

@@ -19,7 +19,10 @@ impl Raster {
     /// Panics without cells, or if the rows differ in length.
     pub fn new(rows: &[Vec<f64>]) -> Self {
         let columns = rows.first().map_or(0, Vec::len);
-        assert!(columns > 0 && rows.iter().all(|row| row.len() == columns), "a raster needs rows of equal, nonzero length");
+        assert!(
+            columns > 0 && rows.iter().all(|row| row.len() == columns),
+            "a raster needs rows of equal, nonzero length"
+        );
         // False for NaN.
         let shown = |value: f64| if value > 0.0 { value.min(1.0) } else { 0.0 };
         let color = |&value: &f64| colorous::INFERNO.eval_continuous(shown(value)).as_array();
@@ -29,9 +32,16 @@ impl Raster {
     /// Encodes as PNG, one pixel per cell.
     fn png(&self) -> Vec<u8> {
         let mut file = Vec::new();
-        let mut encoder = png::Encoder::new(&mut file, self.columns as u32, (self.rgb.len() / 3 / self.columns) as u32);
+        let mut encoder = png::Encoder::new(
+            &mut file,
+            self.columns as u32,
+            (self.rgb.len() / 3 / self.columns) as u32,
+        );
         encoder.set_color(png::ColorType::Rgb);
-        encoder.write_header().and_then(|mut writer| writer.write_image_data(&self.rgb)).expect("a vector takes every byte");
+        encoder
+            .write_header()
+            .and_then(|mut writer| writer.write_image_data(&self.rgb))
+            .expect("a vector takes every byte");
         file
     }
 

@@ -73,7 +73,8 @@ impl Series {
     /// Omits points without a band, and points that a logarithmic axis cannot show.
     pub(super) fn with_drawable_band(mut self) -> Self {
         let points = self.line.into_iter().zip(self.band);
-        let points = points.filter(|((_, y), (low, high))| [*y, *low, *high].into_iter().all(drawable));
+        let points =
+            points.filter(|((_, y), (low, high))| [*y, *low, *high].into_iter().all(drawable));
         (self.line, self.band) = points.unzip();
         self
     }
@@ -129,9 +130,11 @@ pub fn thinned<T: Copy>(items: Vec<T>, y: impl Fn(&T) -> f64) -> Vec<T> {
     let (inner, last) = (1..items.len() - 1, items[items.len() - 1]);
     let mut kept = vec![items[0]];
     for bin in 0..bins {
-        let bin = inner.start + bin * inner.len() / bins..inner.start + (bin + 1) * inner.len() / bins;
+        let bin =
+            inner.start + bin * inner.len() / bins..inner.start + (bin + 1) * inner.len() / bins;
         let by_y = |a: &usize, b: &usize| y(&items[*a]).total_cmp(&y(&items[*b]));
-        let ends = [bin.clone().min_by(by_y), bin.max_by(by_y)].map(|i| i.expect("more items than bins"));
+        let ends =
+            [bin.clone().min_by(by_y), bin.max_by(by_y)].map(|i| i.expect("more items than bins"));
         let [first, second] = [ends[0].min(ends[1]), ends[0].max(ends[1])];
         kept.push(items[first]);
         if second > first {
@@ -162,14 +165,20 @@ mod tests {
 
     #[test]
     fn tick_steps_are_round_and_integers_for_integer_x() {
-        let step = |high: f64, x: f64| tick_step([0.0, high], &[Series::new("a", "red", vec![(x, 1.0)])]);
-        assert_eq!([step(3.0, 1.0), step(15.0, 1.0), step(60.0, 1.0), step(1000.0, 1.0)], [1.0, 5.0, 10.0, 200.0]);
+        let step =
+            |high: f64, x: f64| tick_step([0.0, high], &[Series::new("a", "red", vec![(x, 1.0)])]);
+        assert_eq!(
+            [step(3.0, 1.0), step(15.0, 1.0), step(60.0, 1.0), step(1000.0, 1.0)],
+            [1.0, 5.0, 10.0, 200.0]
+        );
         assert_eq!([step(3.0, 0.5), step(0.3, 0.1)], [0.5, 0.05]);
     }
 
     #[test]
     fn lines_coincide_if_half_of_their_points_do() {
-        let line = |ys: &[f64]| Series::new("a", "red", ys.iter().enumerate().map(|(i, &y)| (i as f64, y)).collect());
+        let line = |ys: &[f64]| {
+            Series::new("a", "red", ys.iter().enumerate().map(|(i, &y)| (i as f64, y)).collect())
+        };
         let base = line(&[1.0, 2.0, 3.0, 4.0]);
         assert!(base.coincides(&line(&[1.0, 2.0005, 9.0, 9.0])));
         assert!(!base.coincides(&line(&[1.0, 9.0, 9.0, 9.0])));
@@ -178,7 +187,9 @@ mod tests {
 
     #[test]
     fn thinning_keeps_both_ends_and_extreme_values() {
-        let many: Vec<(f64, f64)> = (0..1001).map(|i| (f64::from(i), if i == 333 { -5.0 } else { f64::from(i % 7) })).collect();
+        let many: Vec<(f64, f64)> = (0..1001)
+            .map(|i| (f64::from(i), if i == 333 { -5.0 } else { f64::from(i % 7) }))
+            .collect();
         let kept = thinned(many.clone(), |p| p.1);
         assert!(kept.len() <= MAX_POINTS && kept.is_sorted_by(|a, b| a.0 < b.0), "{}", kept.len());
         assert_eq!((kept[0], kept[kept.len() - 1]), (many[0], many[1000]));

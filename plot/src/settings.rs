@@ -16,7 +16,11 @@ pub fn settings(title: &str, panels: Vec<(String, Vec<Series>)>) -> Drawing {
         Panel {
             title: String::new(),
             x_label: setting,
-            x_scale: if low > 0.0 && high >= LOG_RATIO * low { XScale::Log } else { XScale::Linear },
+            x_scale: if low > 0.0 && high >= LOG_RATIO * low {
+                XScale::Log
+            } else {
+                XScale::Linear
+            },
             y_label: "final test loss".into(),
             y_axis: 0,
             series: series.into_iter().map(Series::with_drawable_band).collect(),

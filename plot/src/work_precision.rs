@@ -27,13 +27,24 @@ pub fn work_precision(title: &str, dashes: &[(&str, Dash)], diagrams: Vec<Work>)
     let panel = |Work { x_label, y_label, mut series }: Work| {
         series.iter_mut().for_each(omit);
         let y_axis = labels.iter().position(|label| *label == y_label).unwrap_or(0);
-        Panel { title: String::new(), x_label: x_label.into(), x_scale: XScale::Log, y_label: y_label.into(), y_axis, series }
+        Panel {
+            title: String::new(),
+            x_label: x_label.into(),
+            x_scale: XScale::Log,
+            y_label: y_label.into(),
+            y_axis,
+            series,
+        }
     };
     let row: Vec<Panel> = diagrams.into_iter().map(panel).collect();
     let mut entries = legend(row.iter());
     if !dashes.is_empty() {
         entries.iter_mut().for_each(|entry| entry.dasharray = None);
-        entries.extend(dashes.iter().map(|&(name, dash)| entry(&Series::new(name, INK, Vec::new()).dash(dash))));
+        entries.extend(
+            dashes
+                .iter()
+                .map(|&(name, dash)| entry(&Series::new(name, INK, Vec::new()).dash(dash))),
+        );
     }
     log_figure_with(title, &[row], entries)
 }
@@ -59,19 +70,33 @@ mod tests {
     #[test]
     fn a_bar_extends_from_the_lowest_to_the_highest_time() {
         let spread = vec![(0.0, 1.0), (0.0, 7.0), (1.0, 4.0)];
-        let series = Series { spread, ..Series::new("a", "#123456", vec![(3.0, f64::NAN), (5.0, 1e-2), (2.0, 1e-3)]) };
+        let series = Series {
+            spread,
+            ..Series::new("a", "#123456", vec![(3.0, f64::NAN), (5.0, 1e-2), (2.0, 1e-3)])
+        };
         let mut shown = series.clone();
         omit(&mut shown);
-        assert_eq!((&shown.line[..], &shown.spread[..]), (&[(5.0, 1e-2), (2.0, 1e-3)][..], &[(5.0, 5.0), (1.0, 4.0)][..]));
-        let picture = work_precision("a", &[], vec![Work { x_label: "x", y_label: "y", series: vec![series] }]).to_svg();
+        assert_eq!(
+            (&shown.line[..], &shown.spread[..]),
+            (&[(5.0, 1e-2), (2.0, 1e-3)][..], &[(5.0, 5.0), (1.0, 4.0)][..])
+        );
+        let picture = work_precision(
+            "a",
+            &[],
+            vec![Work { x_label: "x", y_label: "y", series: vec![series] }],
+        )
+        .to_svg();
         let document = roxmltree::Document::parse(&picture).expect("an SVG is XML");
-        let bars = document.descendants().filter(|node| node.has_tag_name("path") && node.attribute("stroke") == Some("#123456"));
+        let bars = document.descendants().filter(|node| {
+            node.has_tag_name("path") && node.attribute("stroke") == Some("#123456")
+        });
         assert_eq!(bars.count(), 2, "the line and one bar");
     }
 
     #[test]
     fn the_legend_shows_every_method_and_every_dash_once() {
-        let series = [Dash::Solid, Dash::Dashed].map(|dash| Series::new("a", "#123456", vec![(1.0, 1.0), (2.0, 2.0)]).dash(dash));
+        let series = [Dash::Solid, Dash::Dashed]
+            .map(|dash| Series::new("a", "#123456", vec![(1.0, 1.0), (2.0, 2.0)]).dash(dash));
         let dashes = [("f32", Dash::Dashed), ("f64", Dash::Solid)];
         let work = Work { x_label: "x", y_label: "y", series: series.into() };
         let picture = work_precision("title", &dashes, vec![work]).to_svg();

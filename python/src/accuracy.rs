@@ -11,8 +11,12 @@ use pyo3::types::PyDict;
 use std::sync::atomic::Ordering;
 
 /// Error measures and their names in Python.
-const METRICS: [(&str, Metric); 4] =
-    [("trajectory", Metric::Trajectory), ("loss", Metric::Loss), ("R", Metric::R), ("M", Metric::M)];
+const METRICS: [(&str, Metric); 4] = [
+    ("trajectory", Metric::Trajectory),
+    ("loss", Metric::Loss),
+    ("R", Metric::R),
+    ("M", Metric::M),
+];
 
 /// Errors and costs of all integrators, substeps and precisions, as `physgrad accuracy` measures
 /// them.
@@ -41,17 +45,26 @@ const METRICS: [(&str, Metric); 4] =
 /// runs to its end, on another thread.
 #[pyfunction]
 #[pyo3(signature = (task, target=None, metric="trajectory"))]
-pub fn accuracy<'py>(py: Python<'py>, task: &Task, target: Option<f64>, metric: &str) -> PyResult<Bound<'py, PyDict>> {
+pub fn accuracy<'py>(
+    py: Python<'py>,
+    task: &Task,
+    target: Option<f64>,
+    metric: &str,
+) -> PyResult<Bound<'py, PyDict>> {
     let Some(&(_, measure)) = METRICS.iter().find(|(name, _)| *name == metric) else {
         let names = METRICS.map(|(name, _)| format!("\"{name}\"")).join(", ");
         return Err(PyValueError::new_err(format!("`metric` is \"{metric}\"; allowed: {names}")));
     };
     if let Some(target) = target.filter(|target| target.is_nan() || *target <= 0.0) {
-        return Err(PyValueError::new_err(format!("`target` is {target}; allowed: a positive error, for example 1e-4")));
+        return Err(PyValueError::new_err(format!(
+            "`target` is {target}; allowed: a positive error, for example 1e-4"
+        )));
     }
     let scene = task.scene.clone();
     let measured = interruptible(py, move |stop| {
-        scene.accuracy(&mut |_| if stop.load(Ordering::Relaxed) { anyhow::bail!("stopped") } else { Ok(()) })
+        scene.accuracy(&mut |_| {
+            if stop.load(Ordering::Relaxed) { anyhow::bail!("stopped") } else { Ok(()) }
+        })
     })?;
     let measured = measured.map_err(value_error)?;
     let result = PyDict::new(py);
@@ -69,7 +82,10 @@ pub fn accuracy<'py>(py: Python<'py>, task: &Task, target: Option<f64>, metric: 
         found.set_item("precision", row.setting.precision.name())?;
         found.set_item("error", error)?;
         found.set_item("seconds", measure.time(row))?;
-        found.set_item("task", Task::new(task.scene.with_setting(&row.setting).map_err(value_error)?))?;
+        found.set_item(
+            "task",
+            Task::new(task.scene.with_setting(&row.setting).map_err(value_error)?),
+        )?;
         PyResult::Ok(found)
     });
     result.set_item("cheapest", cheapest.transpose()?)?;
@@ -79,11 +95,17 @@ pub fn accuracy<'py>(py: Python<'py>, task: &Task, target: Option<f64>, metric: 
 /// Columns of all settings.
 fn columns<'py>(py: Python<'py>, Measured { rows, .. }: &Measured) -> PyResult<Bound<'py, PyDict>> {
     let columns = PyDict::new(py);
-    let numbers = |number: &dyn Fn(&Row) -> f64| rows.iter().map(number).collect::<Vec<f64>>().into_pyarray(py);
-    let counts = |count: fn(&Row) -> i64| rows.iter().map(count).collect::<Vec<i64>>().into_pyarray(py);
+    let numbers = |number: &dyn Fn(&Row) -> f64| {
+        rows.iter().map(number).collect::<Vec<f64>>().into_pyarray(py)
+    };
+    let counts =
+        |count: fn(&Row) -> i64| rows.iter().map(count).collect::<Vec<i64>>().into_pyarray(py);
     columns.set_item("method", rows.iter().map(|row| row.setting.method).collect::<Vec<_>>())?;
     columns.set_item("substeps", counts(|row| row.setting.substeps as i64))?;
-    columns.set_item("precision", rows.iter().map(|row| row.setting.precision.name()).collect::<Vec<_>>())?;
+    columns.set_item(
+        "precision",
+        rows.iter().map(|row| row.setting.precision.name()).collect::<Vec<_>>(),
+    )?;
     for (name, metric) in METRICS {
         let error = |errors: &Errors| metric.read(errors);
         columns.set_item(name, numbers(&|row| row.errors.as_ref().map_or(f64::NAN, error)))?;

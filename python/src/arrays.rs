@@ -32,7 +32,9 @@ pub(crate) use with_precision;
 pub fn is_f32<'a, 'py: 'a>(arguments: impl IntoIterator<Item = &'a Bound<'py, PyAny>>) -> bool {
     let is_f32 = |argument: &Bound<'py, PyAny>| {
         let py = argument.py();
-        argument.cast::<PyUntypedArray>().is_ok_and(|array| array.dtype().is_equiv_to(&dtype::<f32>(py)))
+        argument
+            .cast::<PyUntypedArray>()
+            .is_ok_and(|array| array.dtype().is_equiv_to(&dtype::<f32>(py)))
     };
     arguments.into_iter().all(is_f32)
 }
@@ -43,12 +45,19 @@ pub struct Argument<'py, F: Number>(PyReadonlyArrayDyn<'py, F>);
 
 impl<'py, F: Number> Argument<'py, F> {
     /// Reads an argument whose shape passes `check`. Checks before it copies.
-    fn read(name: &str, object: &Bound<'py, PyAny>, check: &dyn Fn(&[usize]) -> Result<(), String>) -> PyResult<Self> {
+    fn read(
+        name: &str,
+        object: &Bound<'py, PyAny>,
+        check: &dyn Fn(&[usize]) -> Result<(), String>,
+    ) -> PyResult<Self> {
         let py = object.py();
         // A masked array is a subclass of `numpy.ndarray`.
-        let is_subclass = object.cast::<PyUntypedArray>().is_ok() && !object.is_exact_instance_of::<PyUntypedArray>();
+        let is_subclass = object.cast::<PyUntypedArray>().is_ok()
+            && !object.is_exact_instance_of::<PyUntypedArray>();
         if is_subclass && object.hasattr("mask")? {
-            return Err(PyValueError::new_err(format!("`{name}` is a masked array; fill it, as in `{name}.filled(numpy.nan)`")));
+            return Err(PyValueError::new_err(format!(
+                "`{name}` is a masked array; fill it, as in `{name}.filled(numpy.nan)`"
+            )));
         }
         let numpy = py.import("numpy")?;
         let given = match object.cast::<PyUntypedArray>() {
@@ -67,21 +76,32 @@ impl<'py, F: Number> Argument<'py, F> {
                 converted.map_err(|error| named(py, name, error))?.cast_into::<PyArrayDyn<F>>()?
             }
         };
-        array.try_readonly().map(Self).map_err(|error| PyValueError::new_err(format!("`{name}` cannot be read: {error}")))
+        array
+            .try_readonly()
+            .map(Self)
+            .map_err(|error| PyValueError::new_err(format!("`{name}` cannot be read: {error}")))
     }
 
     /// Reads the first argument, which sets the number of rows.
     pub fn first(name: &str, object: &Bound<'py, PyAny>, width: usize) -> PyResult<(Self, usize)> {
         let array = Self::read(name, object, &|shape| match *shape {
             [_, found] if found == width => Ok(()),
-            _ => Err(format!("`{name}` has the shape {}; expected (B, {width}): one row per sample", tuple(shape))),
+            _ => Err(format!(
+                "`{name}` has the shape {}; expected (B, {width}): one row per sample",
+                tuple(shape)
+            )),
         })?;
         let rows = array.shape()[0];
         Ok((array, rows))
     }
 
     /// Reads a matrix with a known number of rows.
-    pub fn matrix(name: &str, object: &Bound<'py, PyAny>, rows: usize, width: usize) -> PyResult<Self> {
+    pub fn matrix(
+        name: &str,
+        object: &Bound<'py, PyAny>,
+        rows: usize,
+        width: usize,
+    ) -> PyResult<Self> {
         Self::shaped(name, object, &[rows, width])
     }
 
@@ -93,7 +113,11 @@ impl<'py, F: Number> Argument<'py, F> {
     fn shaped(name: &str, object: &Bound<'py, PyAny>, expected: &[usize]) -> PyResult<Self> {
         Self::read(name, object, &|shape| match shape == expected {
             true => Ok(()),
-            false => Err(format!("`{name}` has the shape {}; expected {}", tuple(shape), tuple(expected))),
+            false => Err(format!(
+                "`{name}` has the shape {}; expected {}",
+                tuple(shape),
+                tuple(expected)
+            )),
         })
     }
 
@@ -120,7 +144,10 @@ impl<'py, F: Number> Argument<'py, F> {
 }
 
 /// Reads an argument of any shape.
-pub fn any_shape<'py, F: Number>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Argument<'py, F>> {
+pub fn any_shape<'py, F: Number>(
+    name: &str,
+    object: &Bound<'py, PyAny>,
+) -> PyResult<Argument<'py, F>> {
     Argument::read(name, object, &|_| Ok(()))
 }
 
@@ -184,7 +211,11 @@ pub fn read_only<'py, T>(array: Bound<'py, T>) -> PyResult<Bound<'py, T>> {
 }
 
 /// An array of these numbers with this shape, without a copy.
-pub fn array<'py, F: Number>(py: Python<'py>, numbers: Vec<F>, shape: &[usize]) -> PyResult<Bound<'py, PyArrayDyn<F>>> {
+pub fn array<'py, F: Number>(
+    py: Python<'py>,
+    numbers: Vec<F>,
+    shape: &[usize],
+) -> PyResult<Bound<'py, PyArrayDyn<F>>> {
     numbers.into_pyarray(py).reshape(shape.to_vec())
 }
 

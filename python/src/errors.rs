@@ -1,7 +1,7 @@
 //! Errors of the library as Python exceptions.
 
-use physgrad_cli::api;
 use physgrad::{TrainError, Variable};
+use physgrad_cli::api;
 use pyo3::create_exception;
 use pyo3::exceptions::{PyArithmeticError, PyMemoryError, PyOSError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
@@ -30,8 +30,14 @@ pub fn runtime_error(error: anyhow::Error) -> PyErr {
 /// Returns the result of `work`. A panic becomes `RuntimeError`, which `except Exception` catches.
 pub fn caught<R>(work: impl FnOnce() -> R) -> PyResult<R> {
     std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).map_err(|panic| {
-        let text = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
-        PyRuntimeError::new_err(format!("internal error of physgrad, please report it: {}", text.unwrap_or("a panic")))
+        let text = panic
+            .downcast_ref::<String>()
+            .map(String::as_str)
+            .or_else(|| panic.downcast_ref::<&str>().copied());
+        PyRuntimeError::new_err(format!(
+            "internal error of physgrad, please report it: {}",
+            text.unwrap_or("a panic")
+        ))
     })
 }
 
@@ -39,7 +45,9 @@ pub fn caught<R>(work: impl FnOnce() -> R) -> PyResult<R> {
 /// could wait forever.
 pub fn check_regular(path: &Path) -> PyResult<()> {
     match std::fs::metadata(path) {
-        Ok(found) if !found.is_file() => Err(PyValueError::new_err(format!("{} is not a file", path.display()))),
+        Ok(found) if !found.is_file() => {
+            Err(PyValueError::new_err(format!("{} is not a file", path.display())))
+        }
         _ => Ok(()),
     }
 }
@@ -77,11 +85,14 @@ pub fn divergence(diverged: physgrad::Divergence, text: String) -> PyErr {
         Variable::Parameter => "parameter",
     };
     let (step, sample, component, variable) = match diverged {
-        Place::Forward { variable, step, sample, component, .. } | Place::Cotangent { variable, step, sample, component, .. } => {
+        Place::Forward { variable, step, sample, component, .. }
+        | Place::Cotangent { variable, step, sample, component, .. } => {
             (Some(step), Some(sample), Some(component), name(variable))
         }
         Place::Cost { sample } => (None, Some(sample), None, "cost"),
-        Place::Gradient { parameter, .. } | Place::Field { parameter, .. } => (None, None, Some(parameter), "gradient"),
+        Place::Gradient { parameter, .. } | Place::Field { parameter, .. } => {
+            (None, None, Some(parameter), "gradient")
+        }
     };
     Python::attach(|py| {
         let error = Divergence::new_err(text);

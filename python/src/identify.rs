@@ -45,7 +45,11 @@ pub fn identify<'py>(
 ) -> PyResult<Bound<'py, PyDict>> {
     let unknowns = params.map_or(Ok(Vec::new()), |params| unknowns(task, params))?;
     let scene = task.scene.with(unknowns).map_err(value_error)?;
-    let segments = data.iter().enumerate().map(|(i, data)| segment(&scene, i, data)).collect::<PyResult<Vec<_>>>()?;
+    let segments = data
+        .iter()
+        .enumerate()
+        .map(|(i, data)| segment(&scene, i, data))
+        .collect::<PyResult<Vec<_>>>()?;
     let fit = interruptible(py, move |stop| {
         let options = Options { noise, stop: Some(stop.clone()), ..Options::default() };
         scene.identify(&segments, &options)
@@ -90,7 +94,9 @@ fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
             let key: String = key.extract()?;
             let value = value_of(&key, &value)?;
             if value.as_table().is_some_and(|table| !table.contains_key("start")) {
-                return Err(PyValueError::new_err(format!("`params`: the dict of `{key}` has no \"start\", the initial value")));
+                return Err(PyValueError::new_err(format!(
+                    "`params`: the dict of `{key}` has no \"start\", the initial value"
+                )));
             }
             Ok((key, if value.is_table() { value } else { starting_at(value) }))
         };
@@ -102,16 +108,24 @@ fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
             table.get(part).map(Some)
         });
         match setting.flatten() {
-            Some(value @ (Value::Float(_) | Value::Integer(_))) => Ok((key, starting_at(value.clone()))),
-            Some(value @ Value::Table(table)) if table.contains_key("start") => Ok((key, value.clone())),
+            Some(value @ (Value::Float(_) | Value::Integer(_))) => {
+                Ok((key, starting_at(value.clone())))
+            }
+            Some(value @ Value::Table(table)) if table.contains_key("start") => {
+                Ok((key, value.clone()))
+            }
             Some(_) => Err(PyValueError::new_err(format!(
                 "`{key}` is no single number in the task; give an initial value, as in params={{\"{key}\": 0.2}}"
             ))),
-            None => Err(PyValueError::new_err(format!("`{key}` in `params` is no setting of the task; see `task.settings`"))),
+            None => Err(PyValueError::new_err(format!(
+                "`{key}` in `params` is no setting of the task; see `task.settings`"
+            ))),
         }
     };
     if params.is_instance_of::<PyString>() {
-        return Err(PyTypeError::new_err("`params` is a str; allowed: a list of keys, or a dict with initial values"));
+        return Err(PyTypeError::new_err(
+            "`params` is a str; allowed: a list of keys, or a dict with initial values",
+        ));
     }
     params.extract::<Vec<String>>()?.into_iter().map(unknown).collect()
 }
@@ -129,7 +143,11 @@ fn segment(scene: &Scene, i: usize, data: &Bound<'_, PyAny>) -> PyResult<Segment
     let [n, m, _] = scene.dims();
     let Ok(dict) = data.cast::<PyDict>() else {
         let (x, u): (Bound<'_, PyAny>, Bound<'_, PyAny>) = data.extract()?;
-        return Ok(Segment { x: rows("states", i, &x, n)?, u: rows("controls", i, &u, m)?, ..Segment::default() });
+        return Ok(Segment {
+            x: rows("states", i, &x, n)?,
+            u: rows("controls", i, &u, m)?,
+            ..Segment::default()
+        });
     };
     for key in dict.keys() {
         let key: String = key.extract()?;
@@ -139,11 +157,19 @@ fn segment(scene: &Scene, i: usize, data: &Bound<'_, PyAny>) -> PyResult<Segment
             )));
         }
     }
-    let matrix = |key: &str| dict.get_item(key)?.ok_or_else(|| PyValueError::new_err(format!("segment {i} has no {key:?}")));
+    let matrix = |key: &str| {
+        dict.get_item(key)?
+            .ok_or_else(|| PyValueError::new_err(format!("segment {i} has no {key:?}")))
+    };
     let (x, u) = (rows("states", i, &matrix("x")?, n)?, rows("controls", i, &matrix("u")?, m)?);
     let names = scene.param_names();
     let mut p = vec![f64::NAN; names.len()];
-    for (name, value) in dict.get_item("p")?.map(|p| p.extract::<HashMap<String, f64>>()).transpose()?.unwrap_or_default() {
+    for (name, value) in dict
+        .get_item("p")?
+        .map(|p| p.extract::<HashMap<String, f64>>())
+        .transpose()?
+        .unwrap_or_default()
+    {
         let place = names.iter().position(|known| *known == name).ok_or_else(|| {
             PyValueError::new_err(format!(
                 "segment {i}: {name:?} in \"p\" is no parameter of the task; allowed: {}",
@@ -155,7 +181,9 @@ fn segment(scene: &Scene, i: usize, data: &Bound<'_, PyAny>) -> PyResult<Segment
     let t = dict.get_item("t")?.map_or(Ok(0.0), |t| t.extract::<f64>())?;
     let step = t / scene.dt();
     if !step.is_finite() || step.abs() > 9e15 {
-        return Err(PyValueError::new_err(format!("segment {i}: \"t\" is {t}; allowed: finite times in s")));
+        return Err(PyValueError::new_err(format!(
+            "segment {i}: \"t\" is {t}; allowed: finite times in s"
+        )));
     }
     let segment = Segment { x, u, p, first_step: step.round().max(0.0) as usize };
     let is_step = (step - step.round()).abs() < OFF_GRID && step.round() >= 0.0;
@@ -169,12 +197,22 @@ fn segment(scene: &Scene, i: usize, data: &Bound<'_, PyAny>) -> PyResult<Segment
 }
 
 /// Rows of a matrix.
-fn rows(name: &str, segment: usize, object: &Bound<'_, PyAny>, width: usize) -> PyResult<Vec<Vec<f64>>> {
+fn rows(
+    name: &str,
+    segment: usize,
+    object: &Bound<'_, PyAny>,
+    width: usize,
+) -> PyResult<Vec<Vec<f64>>> {
     let name = format!("{name} of segment {segment}");
     let array = any_shape::<f64>(&name, object)?;
     match array.shape() {
-        [_, found] if *found == width => Ok(array.slice().chunks(width).map(<[f64]>::to_vec).collect()),
-        shape => Err(PyValueError::new_err(format!("the {name} have the shape {}; expected (steps, {width})", tuple(shape)))),
+        [_, found] if *found == width => {
+            Ok(array.slice().chunks(width).map(<[f64]>::to_vec).collect())
+        }
+        shape => Err(PyValueError::new_err(format!(
+            "the {name} have the shape {}; expected (steps, {width})",
+            tuple(shape)
+        ))),
     }
 }
 
@@ -193,6 +231,11 @@ fn rows(name: &str, segment: usize, object: &Bound<'_, PyAny>, width: usize) -> 
 pub fn check(py: Python<'_>, task: &Task, policy: Option<&Policy>) -> PyResult<String> {
     let policy = policy.map(|policy| policy.lock().clone());
     let scene = task.scene.clone();
-    let (table, failures) = interruptible(py, move |_| scene.check(policy.as_ref()))?.map_err(value_error)?;
-    if failures.is_empty() { Ok(table) } else { Err(PyAssertionError::new_err(failures.join("\n"))) }
+    let (table, failures) =
+        interruptible(py, move |_| scene.check(policy.as_ref()))?.map_err(value_error)?;
+    if failures.is_empty() {
+        Ok(table)
+    } else {
+        Err(PyAssertionError::new_err(failures.join("\n")))
+    }
 }

@@ -21,12 +21,17 @@ pub type Stop = Arc<AtomicBool>;
 /// # Errors
 /// Returns the exception that a signal handler raises, for example `KeyboardInterrupt`. Also sets
 /// the flag; the thread ends when `work` reads it. A panic of `work` becomes `RuntimeError`.
-pub fn interruptible<R: Send + 'static>(py: Python<'_>, work: impl FnOnce(&Stop) -> R + Send + 'static) -> PyResult<R> {
+pub fn interruptible<R: Send + 'static>(
+    py: Python<'_>,
+    work: impl FnOnce(&Stop) -> R + Send + 'static,
+) -> PyResult<R> {
     threads::ready()?;
     let stop = Stop::default();
     let (sender, receiver) = channel();
     let work = Arc::new(Mutex::new(Some(work)));
-    let take = |work: &Mutex<Option<_>>| work.lock().unwrap_or_else(PoisonError::into_inner).take().expect("called once");
+    let take = |work: &Mutex<Option<_>>| {
+        work.lock().unwrap_or_else(PoisonError::into_inner).take().expect("called once")
+    };
     let worker = thread::Builder::new().spawn({
         let (work, stop) = (work.clone(), stop.clone());
         // The receiver is gone if the call was interrupted.
@@ -54,7 +59,12 @@ pub fn interruptible<R: Send + 'static>(py: Python<'_>, work: impl FnOnce(&Stop)
 ///
 /// # Errors
 /// Returns the exception that a signal handler raises. A panic of `work` becomes `RuntimeError`.
-pub fn in_parts(py: Python<'_>, count: usize, mut size: usize, mut work: impl FnMut(Range<usize>) + Send) -> PyResult<()> {
+pub fn in_parts(
+    py: Python<'_>,
+    count: usize,
+    mut size: usize,
+    mut work: impl FnMut(Range<usize>) + Send,
+) -> PyResult<()> {
     if count > physgrad::rows::CHUNK {
         threads::ready()?;
     }

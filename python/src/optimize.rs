@@ -32,7 +32,11 @@ pub fn optimize<'py>(
     let [n, m, params] = task.scene.dims();
     let start = any_shape::<f64>("start", start)?;
     if start.slice().len() != n + params {
-        return Err(PyValueError::new_err(format!("`start` has {} numbers; expected {}", start.slice().len(), n + params)));
+        return Err(PyValueError::new_err(format!(
+            "`start` has {} numbers; expected {}",
+            start.slice().len(),
+            n + params
+        )));
     }
     let mut options = Options { bounds, ..Options::default() };
     options.max_iterations = iterations.unwrap_or(options.max_iterations);

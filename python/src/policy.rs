@@ -89,9 +89,12 @@ impl Policy {
     /// initial values. Raises `ValueError` if the path is no file, for example a pipe.
     fn load(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         check_regular(&path)?;
-        let bytes = py.detach(|| std::fs::read(&path)).map_err(|error| with_path(PyErr::from(error), &path))?;
+        let bytes = py
+            .detach(|| std::fs::read(&path))
+            .map_err(|error| with_path(PyErr::from(error), &path))?;
         let scene = self.lock().scene().clone();
-        let read = api::Policy::read(&scene, &bytes).map_err(|error| value_error(error.context(path.display().to_string())))?;
+        let read = api::Policy::read(&scene, &bytes)
+            .map_err(|error| value_error(error.context(path.display().to_string())))?;
         *self.lock() = read;
         Ok(())
     }
@@ -102,13 +105,19 @@ impl Policy {
 
     fn __repr__(&self) -> String {
         let policy = self.lock();
-        format!("<physgrad.Policy of {}: {} parameters>", policy.scene().name(), policy.theta().len())
+        format!(
+            "<physgrad.Policy of {}: {} parameters>",
+            policy.scene().name(),
+            policy.theta().len()
+        )
     }
 }
 
 /// An error of the file system with the path in its message.
 pub fn with_path(error: PyErr, path: &Path) -> PyErr {
-    Python::attach(|py| PyErr::from_type(error.get_type(py), format!("{}: {}", path.display(), error.value(py))))
+    Python::attach(|py| {
+        PyErr::from_type(error.get_type(py), format!("{}: {}", path.display(), error.value(py)))
+    })
 }
 
 /// Rollouts of a policy from initial states `starts`, (B, start_dim).
@@ -117,7 +126,12 @@ pub fn with_path(error: PyErr, path: &Path) -> PyErr {
 /// dtype of `starts`. Raises `Divergence` if a number is not finite, and `MemoryError` if the
 /// rollouts do not fit into memory. Ctrl-C raises `KeyboardInterrupt`.
 #[pyfunction]
-pub fn rollout<'py>(py: Python<'py>, task: &Task, policy: &Policy, starts: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyTuple>> {
+pub fn rollout<'py>(
+    py: Python<'py>,
+    task: &Task,
+    policy: &Policy,
+    starts: &Bound<'py, PyAny>,
+) -> PyResult<Bound<'py, PyTuple>> {
     let policy = policy.lock().clone();
     let [n, m, params] = task.scene.dims();
     with_precision!(is_f32([starts]), F => {
@@ -134,7 +148,12 @@ pub fn rollout<'py>(py: Python<'py>, task: &Task, policy: &Policy, starts: &Boun
 /// costs and the terminal cost. Raises `Divergence` if a number is not finite. Ctrl-C raises
 /// `KeyboardInterrupt`.
 #[pyfunction]
-pub fn losses<'py>(py: Python<'py>, task: &Task, policy: &Policy, starts: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+pub fn losses<'py>(
+    py: Python<'py>,
+    task: &Task,
+    policy: &Policy,
+    starts: &Bound<'py, PyAny>,
+) -> PyResult<Bound<'py, PyAny>> {
     let policy = policy.lock().clone();
     let [n, _, params] = task.scene.dims();
     with_precision!(is_f32([starts]), F => {
@@ -163,7 +182,9 @@ pub fn gradients<'py>(
 ) -> PyResult<Bound<'py, PyDict>> {
     let policy = policy.lock().clone();
     let [n, _, params] = task.scene.dims();
-    let parse = |name: &String| name.parse::<Field>().map_err(|error| PyValueError::new_err(error.to_string()));
+    let parse = |name: &String| {
+        name.parse::<Field>().map_err(|error| PyValueError::new_err(error.to_string()))
+    };
     let chosen = fields.iter().map(parse).collect::<PyResult<Vec<Field>>>()?;
     with_precision!(is_f32([starts]), F => {
         let (starts, b) = Argument::<F>::first("starts", starts, n + params)?;
@@ -184,7 +205,9 @@ pub fn gradients<'py>(
 /// Replaces a file as a whole, by a temporary file beside it. Refuses a link, a device and a folder.
 pub fn replace_file(path: &Path, bytes: &[u8]) -> PyResult<()> {
     api::write_file(path, bytes).map_err(|error| {
-        let kind = error.downcast_ref::<std::io::Error>().map_or(std::io::ErrorKind::Other, std::io::Error::kind);
+        let kind = error
+            .downcast_ref::<std::io::Error>()
+            .map_or(std::io::ErrorKind::Other, std::io::Error::kind);
         PyErr::from(std::io::Error::new(kind, format!("{error:#}")))
     })
 }

@@ -26,7 +26,8 @@ impl<'py, F: Number> Rows<'py, F> {
         width: usize,
         mut write: impl FnMut(Inputs<'_, F>, &Range<usize>, &mut [F]) + Send,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let [numbers] = self.written(py, [width], |inputs, rows, [numbers]| write(inputs, rows, numbers))?;
+        let [numbers] =
+            self.written(py, [width], |inputs, rows, [numbers]| write(inputs, rows, numbers))?;
         Ok(array(py, numbers, &[self.count, width])?.into_any())
     }
 
@@ -36,7 +37,8 @@ impl<'py, F: Number> Rows<'py, F> {
         py: Python<'py>,
         mut write: impl FnMut(Inputs<'_, F>, &Range<usize>, &mut [F]) + Send,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let [numbers] = self.written(py, [1], |inputs, rows, [numbers]| write(inputs, rows, numbers))?;
+        let [numbers] =
+            self.written(py, [1], |inputs, rows, [numbers]| write(inputs, rows, numbers))?;
         Ok(array(py, numbers, &[self.count])?.into_any())
     }
 
@@ -48,7 +50,10 @@ impl<'py, F: Number> Rows<'py, F> {
         write: impl FnMut(Inputs<'_, F>, &Range<usize>, [&mut [F]; K]) + Send,
     ) -> PyResult<Bound<'py, PyTuple>> {
         let written = self.written(py, widths, write)?;
-        let arrays = written.into_iter().zip(widths).map(|(numbers, width)| array(py, numbers, &[self.count, width]));
+        let arrays = written
+            .into_iter()
+            .zip(widths)
+            .map(|(numbers, width)| array(py, numbers, &[self.count, width]));
         PyTuple::new(py, arrays.collect::<PyResult<Vec<_>>>()?)
     }
 

@@ -41,9 +41,9 @@ fn lock(run: &Mutex<api::Run>) -> PyResult<MutexGuard<'_, api::Run>> {
     match run.try_lock() {
         Ok(run) => Ok(run),
         Err(TryLockError::Poisoned(poisoned)) => Ok(poisoned.into_inner()),
-        Err(TryLockError::WouldBlock) => {
-            Err(PyRuntimeError::new_err("the run is in use by another call; wait for its end, or use the callback's argument"))
-        }
+        Err(TryLockError::WouldBlock) => Err(PyRuntimeError::new_err(
+            "the run is in use by another call; wait for its end, or use the callback's argument",
+        )),
     }
 }
 
@@ -58,7 +58,8 @@ impl Run {
         threads: Option<usize>,
         settings: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
-        let threads = threads.map_or_else(threads::number, |threads| threads::checked("`threads`", threads))?;
+        let threads = threads
+            .map_or_else(threads::number, |threads| threads::checked("`threads`", threads))?;
         let scene = task.scene.with(keywords(settings, "training", &TOP)?).map_err(value_error)?;
         let policy = policy.map(|policy| policy.lock().clone());
         Self::of(interruptible(py, move |_| api::Run::new(&scene, policy.as_ref(), threads))?)
@@ -79,7 +80,12 @@ impl Run {
     /// there every few seconds and at the end. Raises `Divergence` after more than `max_skipped`
     /// consecutive skipped updates, and otherwise `RuntimeError` if the run ends without an update.
     #[pyo3(signature = (callback=None, epochs=None))]
-    fn train(&self, py: Python<'_>, callback: Option<Py<PyAny>>, epochs: Option<u64>) -> PyResult<()> {
+    fn train(
+        &self,
+        py: Python<'_>,
+        callback: Option<Py<PyAny>>,
+        epochs: Option<u64>,
+    ) -> PyResult<()> {
         threads::ready()?;
         let mut run = self.lock()?;
         let run = &mut *run;
@@ -101,8 +107,9 @@ impl Run {
     #[getter]
     fn history<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let run = self.lock()?;
-        let column =
-            |(i, name): (usize, &&str)| ((*name).to_owned(), run.records().iter().map(|record| row(record)[i]).collect());
+        let column = |(i, name): (usize, &&str)| {
+            ((*name).to_owned(), run.records().iter().map(|record| row(record)[i]).collect())
+        };
         dict_of_vectors(py, COLUMNS.iter().enumerate().map(column))
     }
 
@@ -150,7 +157,8 @@ impl Run {
     /// `KeyboardInterrupt`; the run is then in use until the page is complete, on another thread.
     fn report(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let run = self.0.clone();
-        let html = interruptible(py, move |_| lock(&run).map(|run| run.report()))??.map_err(runtime_error)?;
+        let html = interruptible(py, move |_| lock(&run).map(|run| run.report()))??
+            .map_err(runtime_error)?;
         py.detach(|| replace_file(&path, html.as_bytes()))
     }
 
@@ -178,10 +186,12 @@ const COLUMNS: [&str; 12] = [
 
 /// Numbers of a record, in the order of [`COLUMNS`].
 fn row(record: &Record) -> [f64; 12] {
-    let [growth_r, growth_m] =
-        [record.regular_growth, record.modified_growth].map(|growth| growth.map_or(f64::NAN, |growth| growth.along));
-    let [cosine, kept, first_order] = [record.cosine, record.kept, record.first_order].map(|mean| mean.unwrap_or(f64::NAN));
-    let (epoch, skipped, norm) = (record.epoch as f64, record.skipped as f64, record.grad_norm.get());
+    let [growth_r, growth_m] = [record.regular_growth, record.modified_growth]
+        .map(|growth| growth.map_or(f64::NAN, |growth| growth.along));
+    let [cosine, kept, first_order] =
+        [record.cosine, record.kept, record.first_order].map(|mean| mean.unwrap_or(f64::NAN));
+    let (epoch, skipped, norm) =
+        (record.epoch as f64, record.skipped as f64, record.grad_norm.get());
     [
         epoch,
         record.loss,
@@ -208,7 +218,8 @@ struct Watcher {
 
 impl Watcher {
     fn report(&mut self, py: Python<'_>, event: EpochEvent<'_>) -> PyResult<()> {
-        for warning in event.warnings.iter().filter(|warning| !self.warned.contains(&warning.kind)) {
+        for warning in event.warnings.iter().filter(|warning| !self.warned.contains(&warning.kind))
+        {
             let text = std::ffi::CString::new(warning.to_string()).unwrap_or_default();
             PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &text, 1)?;
         }

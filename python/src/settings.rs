@@ -9,7 +9,8 @@ use toml::{Table, Value};
 /// Sections whose values are sections.
 const NESTED: [&str; 2] = ["effects", "actuator"];
 /// Sections of a scene that keyword arguments may name.
-const SECTIONS: [&str; 7] = ["system", "effects", "actuator", "integrator", "loss", "policy", "training"];
+const SECTIONS: [&str; 7] =
+    ["system", "effects", "actuator", "integrator", "loss", "policy", "training"];
 
 /// A list of dotted keys and values.
 pub type Settings = Vec<(String, Value)>;
@@ -17,7 +18,11 @@ pub type Settings = Vec<(String, Value)>;
 /// Settings from keyword arguments. The argument `settings` is a dict. Each key of this dict is
 /// dotted, or names a setting outside of sections, or names a section whose value is a dict. Other
 /// arguments are sections, settings in `top`, or settings of `section`.
-pub fn keywords(kwargs: Option<&Bound<'_, PyDict>>, section: &str, top: &[&str]) -> PyResult<Settings> {
+pub fn keywords(
+    kwargs: Option<&Bound<'_, PyDict>>,
+    section: &str,
+    top: &[&str],
+) -> PyResult<Settings> {
     let mut settings = Vec::new();
     for (key, value) in kwargs.into_iter().flatten() {
         let key: String = key.extract()?;
@@ -36,7 +41,8 @@ pub fn keywords(kwargs: Option<&Bound<'_, PyDict>>, section: &str, top: &[&str])
 
 /// Adds one setting, or all settings of a section.
 fn add(settings: &mut Settings, key: String, value: &Bound<'_, PyAny>) -> PyResult<()> {
-    let is_section = SECTIONS.contains(&&*key) || NESTED.iter().any(|section| key.strip_prefix(section).is_some_and(is_part));
+    let is_section = SECTIONS.contains(&&*key)
+        || NESTED.iter().any(|section| key.strip_prefix(section).is_some_and(is_part));
     match value.cast::<PyDict>() {
         Ok(section) if is_section && !(section.is_empty() && key.contains('.')) => {
             for (inner, value) in section {
@@ -83,10 +89,14 @@ impl Reader<'_> {
         let key = self.key;
         self.elements += 1;
         if self.elements > MAX_ELEMENTS {
-            return Err(PyValueError::new_err(format!("`{key}` has more than {MAX_ELEMENTS} elements")));
+            return Err(PyValueError::new_err(format!(
+                "`{key}` has more than {MAX_ELEMENTS} elements"
+            )));
         }
         if depth > MAX_DEPTH {
-            return Err(PyValueError::new_err(format!("`{key}` is nested more than {MAX_DEPTH} times, or contains itself")));
+            return Err(PyValueError::new_err(format!(
+                "`{key}` is nested more than {MAX_DEPTH} times, or contains itself"
+            )));
         }
         if let Ok(flag) = value.extract::<bool>() {
             return Ok(Value::Boolean(flag));
@@ -107,10 +117,16 @@ impl Reader<'_> {
             return Ok(Value::Float(number));
         }
         if let Ok(elements) = value.try_iter() {
-            return Ok(Value::Array(elements.map(|element| self.value(&element?, depth + 1)).collect::<PyResult<_>>()?));
+            return Ok(Value::Array(
+                elements
+                    .map(|element| self.value(&element?, depth + 1))
+                    .collect::<PyResult<_>>()?,
+            ));
         }
         let kind = value.get_type().name()?;
-        Err(PyTypeError::new_err(format!("`{key}` is of type {kind}; allowed: bool, int, float, str, list and dict of these")))
+        Err(PyTypeError::new_err(format!(
+            "`{key}` is of type {kind}; allowed: bool, int, float, str, list and dict of these"
+        )))
     }
 }
 

@@ -5,9 +5,9 @@ use crate::errors::{check_regular, fits, value_error};
 use crate::interrupt::in_parts;
 use crate::rows::Rows;
 use crate::settings::{keywords, table_to_python};
-use physgrad_cli::api::Scene;
 use physgrad::rng::Purpose;
 use physgrad::{DynTask, Inputs, Tangents, Task as _, rows};
+use physgrad_cli::api::Scene;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -56,7 +56,9 @@ impl Task {
         let u = u.map(|u| Argument::matrix("u", u, count, self.m)).transpose()?;
         let p = match p {
             Some(p) => Argument::matrix("p", p, count, self.params)?,
-            None if self.params == 0 => Argument::matrix("p", array::<F>(py, Vec::new(), &[count, 0])?.as_any(), count, 0)?,
+            None if self.params == 0 => {
+                Argument::matrix("p", array::<F>(py, Vec::new(), &[count, 0])?.as_any(), count, 0)?
+            }
             None => {
                 let names = self.scene.param_names().join(", ");
                 let (params, name) = (self.params, self.scene.name());
@@ -199,16 +201,28 @@ impl Task {
             "new" => Purpose::Evaluate,
             "train" => Purpose::Train,
             "test" => Purpose::Test,
-            _ => return Err(PyValueError::new_err(format!("`split` is {split:?}; allowed: \"new\", \"train\", \"test\""))),
+            _ => {
+                return Err(PyValueError::new_err(format!(
+                    "`split` is {split:?}; allowed: \"new\", \"train\", \"test\""
+                )));
+            }
         };
         let is_f32 = match dtype {
             None => !self.scene.is_f64(),
             Some(dtype) => {
-                let name = py.import("numpy")?.call_method1("dtype", (dtype,))?.getattr("name")?.extract::<String>()?;
+                let name = py
+                    .import("numpy")?
+                    .call_method1("dtype", (dtype,))?
+                    .getattr("name")?
+                    .extract::<String>()?;
                 match &*name {
                     "float32" => true,
                     "float64" => false,
-                    _ => return Err(PyValueError::new_err(format!("`dtype` is {name}; allowed: float32, float64"))),
+                    _ => {
+                        return Err(PyValueError::new_err(format!(
+                            "`dtype` is {name}; allowed: float32, float64"
+                        )));
+                    }
                 }
             }
         };

@@ -24,12 +24,17 @@ pub fn checked(source: &str, threads: usize) -> PyResult<usize> {
 /// Number of threads by default: that of the variable `RAYON_NUM_THREADS`, else that of the cores.
 pub fn number() -> PyResult<usize> {
     const SOURCE: &str = "RAYON_NUM_THREADS";
-    let Some(text) = std::env::var_os(SOURCE).filter(|text| !text.is_empty()) else { return Ok(cores()) };
+    let Some(text) = std::env::var_os(SOURCE).filter(|text| !text.is_empty()) else {
+        return Ok(cores());
+    };
     match text.to_str().and_then(|text| text.trim().parse().ok()) {
         // As in Rayon.
         Some(0) => Ok(cores()),
         Some(threads) => checked(SOURCE, threads),
-        None => Err(PyValueError::new_err(format!("{SOURCE} is {}; allowed: a whole number", text.display()))),
+        None => Err(PyValueError::new_err(format!(
+            "{SOURCE} is {}; allowed: a whole number",
+            text.display()
+        ))),
     }
 }
 

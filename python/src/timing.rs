@@ -12,10 +12,18 @@ use std::time::Instant;
 /// Seconds in Rust for one step of all B rows of `x`, (B, n), and `u`, (B, m): the shortest of
 /// `repeats` measurements. Raises `ValueError` if the task has parameters.
 #[pyfunction]
-pub fn step_seconds(py: Python<'_>, task: &Task, x: &Bound<'_, PyAny>, u: &Bound<'_, PyAny>, repeats: usize) -> PyResult<f64> {
+pub fn step_seconds(
+    py: Python<'_>,
+    task: &Task,
+    x: &Bound<'_, PyAny>,
+    u: &Bound<'_, PyAny>,
+    repeats: usize,
+) -> PyResult<f64> {
     let [n, m, params] = task.scene.dims();
     if params > 0 {
-        return Err(PyValueError::new_err("the task has parameters; time a task without drawn numbers"));
+        return Err(PyValueError::new_err(
+            "the task has parameters; time a task without drawn numbers",
+        ));
     }
     let step = task.scene.task();
     with_precision!(is_f32([x, u]), F => {
@@ -26,7 +34,13 @@ pub fn step_seconds(py: Python<'_>, task: &Task, x: &Bound<'_, PyAny>, u: &Bound
     })
 }
 
-fn fastest<F: Number>(py: Python<'_>, task: &DynTask, x: &[F], u: &[F], repeats: usize) -> PyResult<f64> {
+fn fastest<F: Number>(
+    py: Python<'_>,
+    task: &DynTask,
+    x: &[F],
+    u: &[F],
+    repeats: usize,
+) -> PyResult<f64> {
     threads::ready()?;
     let mut next = zeros(&[x.len()])?;
     let mut least = f64::INFINITY;

@@ -88,8 +88,16 @@ pub(super) fn check_at<T: Task>(
         })?;
         let (by_x, by_p) = expected.split_at(n);
         let (mut x_bar, mut p_bar) = (vec![0.0; n], vec![0.0; params]);
-        task.observe_vjp(inputs.with_u(&[]), &y_bar, Cotangents { x: Some(&mut x_bar), u: None, p: None });
-        task.observe_vjp(inputs.with_u(&[]), &y_bar, Cotangents { x: None, u: None, p: (params > 0).then_some(&mut p_bar) });
+        task.observe_vjp(
+            inputs.with_u(&[]),
+            &y_bar,
+            Cotangents { x: Some(&mut x_bar), u: None, p: None },
+        );
+        task.observe_vjp(
+            inputs.with_u(&[]),
+            &y_bar,
+            Cotangents { x: None, u: None, p: (params > 0).then_some(&mut p_bar) },
+        );
         c.slices("observe_vjp with x alone requested: x_bar", &x_bar, by_x)?;
         c.slices("observe_vjp with p alone requested: p_bar", &p_bar, by_p)?;
     }
@@ -104,7 +112,12 @@ pub(super) fn check_at<T: Task>(
     });
     let mut cotangents = [n, m, params, n].map(|len| vec![-0.0; len]);
     let names = ["x_bar", "u_bar", "p_bar", "next_bar"];
-    c.adds("running_cost_gradient", names, &mut cotangents, &expected, &mut |[x, u, p, next_bar]| {
+    c.adds("running_cost_gradient", names, &mut cotangents, &expected, &mut |[
+        x,
+        u,
+        p,
+        next_bar,
+    ]| {
         let cotangents = Cotangents { x: Some(x), u: Some(u), p: (params > 0).then_some(p) };
         task.running_cost_gradient(inputs, next, cotangents, next_bar);
     })?;
@@ -117,24 +130,40 @@ pub(super) fn check_at<T: Task>(
         ([false, true, false], "u alone"),
         ([false, false, true], "p alone"),
     ] {
-        let [mut x_bar, mut u_bar, mut p_bar, mut next_bar] = [n, m, params, n].map(|len| vec![0.0; len]);
+        let [mut x_bar, mut u_bar, mut p_bar, mut next_bar] =
+            [n, m, params, n].map(|len| vec![0.0; len]);
         let request = Cotangents {
             x: asked[0].then_some(&mut x_bar[..]),
             u: asked[1].then_some(&mut u_bar[..]),
             p: (asked[2] && params > 0).then_some(&mut p_bar[..]),
         };
         task.running_cost_gradient(inputs, next, request, &mut next_bar);
-        for (k, (bar, own)) in [(x_bar, by_x), (u_bar, by_u), (p_bar, by_p)].iter().enumerate().filter(|&(k, _)| asked[k]) {
-            c.slices(&format!("running_cost_gradient with {which} requested: {}", names[k]), bar, own)?;
+        for (k, (bar, own)) in [(x_bar, by_x), (u_bar, by_u), (p_bar, by_p)]
+            .iter()
+            .enumerate()
+            .filter(|&(k, _)| asked[k])
+        {
+            c.slices(
+                &format!("running_cost_gradient with {which} requested: {}", names[k]),
+                bar,
+                own,
+            )?;
         }
-        c.slices(&format!("running_cost_gradient with {which} requested: next_bar"), &next_bar, by_next)?;
+        c.slices(
+            &format!("running_cost_gradient with {which} requested: next_bar"),
+            &next_bar,
+            by_next,
+        )?;
     }
 
     let expected = pulled_back(&[&x[..], p].concat(), &[1.0], &|all, cost| {
         cost[0] = task.terminal_cost(&all[..n], &all[n..]);
     });
     let mut cotangents = [vec![-0.0; n], vec![-0.0; params]];
-    c.adds("terminal_cost_gradient", ["x_bar", "p_bar"], &mut cotangents, &expected, &mut |[x_bar, p_bar]| {
+    c.adds("terminal_cost_gradient", ["x_bar", "p_bar"], &mut cotangents, &expected, &mut |[
+        x_bar,
+        p_bar,
+    ]| {
         task.terminal_cost_gradient(x, p, x_bar, (params > 0).then_some(p_bar));
     })?;
     let mut x_bar = vec![0.0; n];

@@ -108,7 +108,12 @@ impl fmt::Display for Jumps {
 /// # Panics
 /// If the shapes of task and policy differ, or if `starts` is empty or not a whole number of
 /// samples.
-pub fn jumps<T: Task, P: Policy>(task: &T, policy: &P, weights: &Weights<f64>, starts: &[f64]) -> Result<Jumps, Divergence> {
+pub fn jumps<T: Task, P: Policy>(
+    task: &T,
+    policy: &P,
+    weights: &Weights<f64>,
+    starts: &[f64],
+) -> Result<Jumps, Divergence> {
     of_any(task, policy, weights, starts)
 }
 
@@ -128,20 +133,36 @@ fn of_any(
         return Ok(Jumps { samples, predicted: f64::NAN, difference: f64::NAN, error: f64::NAN });
     }
     let at = |along: f64| {
-        Weights::new(policy, weights.theta().iter().zip(&mean).map(|(theta, g)| theta + STEP * along * g / norm).collect())
+        Weights::new(
+            policy,
+            weights
+                .theta()
+                .iter()
+                .zip(&mean)
+                .map(|(theta, g)| theta + STEP * along * g / norm)
+                .collect(),
+        )
     };
     let mut predicted = vec![0.0; samples];
     for (node, weight) in NODES {
         gradients(task, policy, &at(node), starts, &mut |sample, gradient| {
-            predicted[sample] += 0.5 * weight * mean.iter().zip(gradient).map(|(d, g)| d / norm * g).sum::<f64>();
+            predicted[sample] +=
+                0.5 * weight * mean.iter().zip(gradient).map(|(d, g)| d / norm * g).sum::<f64>();
         })?;
     }
-    let [before, after] = [losses(task, policy, &at(-1.0), starts)?, losses(task, policy, &at(1.0), starts)?];
-    let differences: Vec<f64> = before.iter().zip(&after).map(|(before, after)| (after - before) / (2.0 * STEP)).collect();
-    let biases: Vec<f64> = differences.iter().zip(&predicted).map(|(difference, predicted)| difference - predicted).collect();
+    let [before, after] =
+        [losses(task, policy, &at(-1.0), starts)?, losses(task, policy, &at(1.0), starts)?];
+    let differences: Vec<f64> =
+        before.iter().zip(&after).map(|(before, after)| (after - before) / (2.0 * STEP)).collect();
+    let biases: Vec<f64> = differences
+        .iter()
+        .zip(&predicted)
+        .map(|(difference, predicted)| difference - predicted)
+        .collect();
     let average = |values: &[f64]| values.iter().sum::<f64>() / samples as f64;
     let bias = average(&biases);
-    let variance = biases.iter().map(|b| (b - bias) * (b - bias)).sum::<f64>() / (samples as f64 - 1.0);
+    let variance =
+        biases.iter().map(|b| (b - bias) * (b - bias)).sum::<f64>() / (samples as f64 - 1.0);
     Ok(Jumps {
         samples,
         predicted: average(&predicted),
@@ -165,7 +186,9 @@ fn gradients(
         let first = block * WIDTH;
         rollout.start(starts);
         rollout.run(task, policy, weights).map_err(|divergence| divergence.offset(first))?;
-        adjoint.run(task, policy, weights, &rollout, 1.0).map_err(|divergence| divergence.offset(first))?;
+        adjoint
+            .run(task, policy, weights, &rollout, 1.0)
+            .map_err(|divergence| divergence.offset(first))?;
         for sample in 0..rollout.samples() {
             adjoint.param_gradient(0, policy, weights, &rollout, sample..sample + 1, &mut gradient);
             each(first + sample, &gradient.to_vec());
@@ -242,7 +265,8 @@ mod tests {
         let found = |jump: f64| {
             let task = Stair { jump };
             let starts = initial_states(&task, 0, Purpose::Test, 2048);
-            jumps(&task, &policy, &Weights::new(&policy, vec![0.0]), &starts).expect("finite losses")
+            jumps(&task, &policy, &Weights::new(&policy, vec![0.0]), &starts)
+                .expect("finite losses")
         };
         let smooth = found(0.0);
         assert!(!smooth.is_biased() && smooth.error < 1e-12, "{smooth:?}");
@@ -250,7 +274,10 @@ mod tests {
         // The density of the initial states is 1/2, so the jump adds 1/2 to the slope of the mean.
         let biased = found(1.0);
         assert!(biased.is_biased(), "{biased:?}");
-        assert!((biased.difference - biased.predicted - 0.5).abs() < 4.0 * biased.error, "{biased:?}");
+        assert!(
+            (biased.difference - biased.predicted - 0.5).abs() < 4.0 * biased.error,
+            "{biased:?}"
+        );
         assert!(biased.to_string().starts_with("biased"));
     }
 }

@@ -81,7 +81,8 @@ impl Kink {
     pub fn describe(&self, f: &mut impl fmt::Write, input: &str) -> fmt::Result {
         let Self { function, value, is_jump, sides, sample, step, found, .. } = self;
         let ([before, after], value) = (sides.map(rough), rough(*value));
-        let (what, change) = if *is_jump { ("jumps", "its value") } else { ("has a kink", "its derivative") };
+        let (what, change) =
+            if *is_jump { ("jumps", "its value") } else { ("has a kink", "its derivative") };
         write!(
             f,
             "{function} {what} at {input} = {value}, first in rollout {sample}, step {step} ({found} times in all): {change} \
@@ -114,7 +115,12 @@ impl Kink {
 /// # Panics
 /// If the shapes of task and policy differ, or if `starts` is empty or not a whole number of
 /// samples.
-pub fn kinks<T: Task, P: Policy>(task: &T, policy: &P, weights: &Weights<f64>, starts: &[f64]) -> Vec<Kink> {
+pub fn kinks<T: Task, P: Policy>(
+    task: &T,
+    policy: &P,
+    weights: &Weights<f64>,
+    starts: &[f64],
+) -> Vec<Kink> {
     let visited = Visited::of(task, policy, weights, starts);
     let shape = Shape {
         n: AnyTask::<f64>::state_dim(task),
@@ -205,7 +211,8 @@ impl Segment<'_> {
 
     /// All outputs at `z`, with their derivatives along `tangent`.
     fn eval(&self, z: &[f64], tangent: &dyn Fn(usize) -> f64) -> Vec<Dual64> {
-        let z: Vec<Dual64> = z.iter().enumerate().map(|(k, &z)| Dual64::new(z, tangent(k))).collect();
+        let z: Vec<Dual64> =
+            z.iter().enumerate().map(|(k, &z)| Dual64::new(z, tangent(k))).collect();
         self.functions.eval(&z, &self.p, self.t)
     }
 
@@ -226,15 +233,21 @@ impl Segment<'_> {
         }
         let ends = [0.0, 0.5, 1.0].map(|s| self.along(s));
         let of = |i: usize| {
-            let [a, m, b] = [0, 1, 2].map(|e: usize| Point { s: 0.5 * e as f64, value: ends[e][i].re, slope: ends[e][i].eps });
+            let [a, m, b] = [0, 1, 2].map(|e: usize| Point {
+                s: 0.5 * e as f64,
+                value: ends[e][i].re,
+                slope: ends[e][i].eps,
+            });
             // Value and slope in the middle of the cubic polynomial through both ends.
             let by_value = m.value - (0.5 * (a.value + b.value) + 0.125 * (a.slope - b.slope));
             let by_slope = m.slope - (1.5 * (b.value - a.value) - 0.25 * (a.slope + b.slope));
             let slopes = [a.slope, m.slope, b.slope, b.value - a.value];
-            let largest = slopes.into_iter().fold(0.0, |largest: f64, slope| largest.max(slope.abs()));
+            let largest =
+                slopes.into_iter().fold(0.0, |largest: f64, slope| largest.max(slope.abs()));
             let rounding = 1e-12 * (a.value.abs() + b.value.abs());
             // False for NaN.
-            let is_suspicious = by_value.abs().max(by_slope.abs()) > SUSPICIOUS * largest + rounding;
+            let is_suspicious =
+                by_value.abs().max(by_slope.abs()) > SUSPICIOUS * largest + rounding;
             if is_suspicious { self.locate(shape, i, [a, b], largest, rounding) } else { None }
         };
         outputs.filter_map(of).collect()
@@ -250,7 +263,9 @@ impl Segment<'_> {
         largest: f64,
         rounding: f64,
     ) -> Option<(usize, usize, Kink)> {
-        let jump = |a: Point, b: Point| (b.value - a.value - 0.5 * (b.s - a.s) * (a.slope + b.slope)).abs();
+        let jump = |a: Point, b: Point| {
+            (b.value - a.value - 0.5 * (b.s - a.s) * (a.slope + b.slope)).abs()
+        };
         let change = |a: Point, b: Point| (b.slope - a.slope).abs() * (b.s - a.s) + jump(a, b);
         for _ in 0..HALVINGS {
             let middle = self.point(0.5 * (a.s + b.s), i);
@@ -263,13 +278,16 @@ impl Segment<'_> {
             }
         }
         let largest = largest.max(a.slope.abs()).max(b.slope.abs());
-        let is_jump = jump(a, b) > (SHARP * largest).max(1000.0 * rounding).max(10.0 * largest * (b.s - a.s));
+        let is_jump =
+            jump(a, b) > (SHARP * largest).max(1000.0 * rounding).max(10.0 * largest * (b.s - a.s));
         if !is_jump && (b.slope - a.slope).abs() <= SHARP * largest {
             return None;
         }
         let [before, after] = [a, b].map(|point| self.at(point.s));
         let length = |k: usize| (self.to[k] - self.from[k]).abs();
-        let slopes = |k: usize| [&before, &after].map(|z| self.eval(z, &|j| f64::from(u8::from(j == k)))[i].eps);
+        let slopes = |k: usize| {
+            [&before, &after].map(|z| self.eval(z, &|j| f64::from(u8::from(j == k)))[i].eps)
+        };
         let weight = |&k: &usize| {
             if is_jump {
                 let mut moved = before.clone();
@@ -298,24 +316,28 @@ impl Segment<'_> {
 
 fn of_any(functions: &dyn Functions, shape: Shape, samples: &[Sample]) -> Vec<Kink> {
     let mut rng = stream(0, Purpose::Check, 5);
-    let point = |sample: &Sample, t: usize| [&sample.x[t][..], &sample.u[t], &sample.x[t + 1]].concat();
+    let point =
+        |sample: &Sample, t: usize| [&sample.x[t][..], &sample.u[t], &sample.x[t + 1]].concat();
     let steps: usize = samples.iter().map(|sample| sample.u.len()).sum();
     let stride = steps.div_ceil(SEGMENTS).max(1);
     let costs = shape.n + shape.observed;
     let mut found: Vec<(usize, usize, Kink)> = Vec::new();
-    let mut search = |from: Vec<f64>, to: Vec<f64>, sample: usize, t: usize, outputs: std::ops::Range<usize>| {
-        let p = samples[sample].p.iter().map(|&p| Dual64::from_re(p)).collect();
-        let segment = Segment { functions, from, to, p, sample, t };
-        for (output, input, kink) in segment.kinks(shape, outputs) {
-            match found.iter_mut().find(|(o, i, _)| (*o, *i) == (output, input)) {
-                Some((.., known)) => known.found += 1,
-                None => found.push((output, input, kink)),
+    let mut search =
+        |from: Vec<f64>, to: Vec<f64>, sample: usize, t: usize, outputs: std::ops::Range<usize>| {
+            let p = samples[sample].p.iter().map(|&p| Dual64::from_re(p)).collect();
+            let segment = Segment { functions, from, to, p, sample, t };
+            for (output, input, kink) in segment.kinks(shape, outputs) {
+                match found.iter_mut().find(|(o, i, _)| (*o, *i) == (output, input)) {
+                    Some((.., known)) => known.found += 1,
+                    None => found.push((output, input, kink)),
+                }
             }
-        }
-    };
+        };
     // Size of each argument: its root mean square, or 1 for arguments that are always 0.
     let mut sizes = vec![0.0; 2 * shape.n + shape.m];
-    for (sample, t) in samples.iter().flat_map(|sample| (0..sample.u.len()).map(move |t| (sample, t))) {
+    for (sample, t) in
+        samples.iter().flat_map(|sample| (0..sample.u.len()).map(move |t| (sample, t)))
+    {
         sizes.iter_mut().zip(point(sample, t)).for_each(|(size, z)| *size += z * z / steps as f64);
     }
     sizes.iter_mut().for_each(|size: &mut f64| *size = if *size > 0.0 { size.sqrt() } else { 1.0 });

@@ -137,7 +137,10 @@ impl fmt::Display for Mismatch {
             return write!(f, "both must be equal, but differ by {error:.1e} (case {case})");
         }
         let scale = (found - expected).abs() / error;
-        write!(f, "relative error {error:.1e} at the scale {scale:.1e}, allowed {allowed:.0e} (case {case})")?;
+        write!(
+            f,
+            "relative error {error:.1e} at the scale {scale:.1e}, allowed {allowed:.0e} (case {case})"
+        )?;
         if *allowed == ROLLOUT && *error < ROUNDED {
             write!(
                 f,
@@ -165,11 +168,20 @@ impl Comparison {
     fn slices(&mut self, what: &str, found: &[f64], expected: &[f64]) -> Result<(), Mismatch> {
         let scale = expected.iter().fold(0.0, |scale: f64, e| scale.max(e.abs()));
         let mut pairs = found.iter().zip(expected).enumerate();
-        pairs.try_for_each(|(index, (&found, &expected))| self.one(what, index, found, expected, scale))
+        pairs.try_for_each(|(index, (&found, &expected))| {
+            self.one(what, index, found, expected, scale)
+        })
     }
 
     /// Compares two numbers; the error is relative to `scale`, or absolute if `scale` is zero.
-    fn one(&mut self, what: &str, index: usize, found: f64, expected: f64, scale: f64) -> Result<(), Mismatch> {
+    fn one(
+        &mut self,
+        what: &str,
+        index: usize,
+        found: f64,
+        expected: f64,
+        scale: f64,
+    ) -> Result<(), Mismatch> {
         let error = (found - expected).abs() / if scale > 0.0 { scale } else { 1.0 };
         let allowed = self.passed.allowed;
         self.passed.compared += 1;
@@ -178,7 +190,15 @@ impl Comparison {
         if error <= allowed {
             Ok(())
         } else {
-            Err(Mismatch { what: what.into(), index, expected, found, error, allowed, case: self.case })
+            Err(Mismatch {
+                what: what.into(),
+                index,
+                expected,
+                found,
+                error,
+                allowed,
+                case: self.case,
+            })
         }
     }
 
@@ -204,7 +224,15 @@ impl Comparison {
             Some(index) => {
                 let (found, expected) = (found[index], expected[index]);
                 let error = (found - expected).abs();
-                Err(Mismatch { what: what.into(), index, expected, found, error, allowed: 0.0, case: self.case })
+                Err(Mismatch {
+                    what: what.into(),
+                    index,
+                    expected,
+                    found,
+                    error,
+                    allowed: 0.0,
+                    case: self.case,
+                })
             }
             None => {
                 self.passed.compared += found.len();
@@ -310,7 +338,8 @@ pub fn task<T: Task, P: Policy>(task: &T, policy: &P) -> Passed {
             panic!("in a state of a rollout: {failure}. Correct the named method. Methods for derivatives can also be removed")
         })
     };
-    let parts = [along(try_system_along(task, policy, None)), along(try_cost_along(task, policy, None))];
+    let parts =
+        [along(try_system_along(task, policy, None)), along(try_cost_along(task, policy, None))];
     flows.into_iter().chain(parts).fold(Passed::default(), |sum, p| Passed {
         compared: sum.compared + p.compared,
         worst: sum.worst.max(p.worst),
@@ -356,13 +385,27 @@ pub fn try_flow<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Result<
 /// Panics if the flow has a [`cut`](Flow::cut), or if the length of `theta` is not
 /// [`Policy::param_count`].
 #[track_caller]
-pub fn try_flow_at<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow, theta: &[f64]) -> Result<Passed, Failure> {
-    assert_eq!(theta.len(), policy.param_count(), "`theta` needs one number per parameter of the policy");
+pub fn try_flow_at<T: Task, P: Policy>(
+    task: &T,
+    policy: &P,
+    flow: Flow,
+    theta: &[f64],
+) -> Result<Passed, Failure> {
+    assert_eq!(
+        theta.len(),
+        policy.param_count(),
+        "`theta` needs one number per parameter of the policy"
+    );
     check_flow_of(task, policy, flow, Some(theta))
 }
 
 #[track_caller]
-fn check_flow_of<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow, theta: Option<&[f64]>) -> Result<Passed, Failure> {
+fn check_flow_of<T: Task, P: Policy>(
+    task: &T,
+    policy: &P,
+    flow: Flow,
+    theta: Option<&[f64]>,
+) -> Result<Passed, Failure> {
     assert!(flow.cut.is_none(), "dual numbers cannot check `cut`: set `cut` to `None`");
     let slope = |theta: &[f64], starts: &[f64], tangent: &dyn Fn(usize) -> f64| {
         oracle::slope_by_duals(task, policy, theta, starts, flow, tangent)
@@ -370,7 +413,14 @@ fn check_flow_of<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow, theta: Op
     let start_slope = |theta: &[f64], starts: &[f64], tangent: &dyn Fn(usize) -> f64| {
         oracle::start_slope_by_duals(task, policy, theta, starts, flow, tangent)
     };
-    check_flow(task, policy, theta, flow, &|theta, starts| oracle::loss(task, policy, theta, starts), [&slope, &start_slope])
+    check_flow(
+        task,
+        policy,
+        theta,
+        flow,
+        &|theta, starts| oracle::loss(task, policy, theta, starts),
+        [&slope, &start_slope],
+    )
 }
 
 /// Mean loss for parameters and initial states.
@@ -416,20 +466,32 @@ fn check_flow(
         c.slices("gradient computed beside M", &gradient_beside, &gradient_alone)?;
 
         let largest = gradient_alone.iter().fold(0.0, |s: f64, g| s.max(g.abs()));
-        for (index, expected) in oracle::some_components(theta.len(), &mut rng, &|tangent| slope(theta, &starts, tangent)) {
+        for (index, expected) in oracle::some_components(theta.len(), &mut rng, &|tangent| {
+            slope(theta, &starts, tangent)
+        }) {
             let what = format!("gradient by {}: theta_bar", parameter(&policy.tensors(), index));
             c.one(&what, index, gradient_alone[index], expected, largest.max(expected.abs()))?;
         }
         let norm = gradient_alone.iter().map(|g| g * g).sum::<f64>().sqrt();
-        let directions = oracle::some_directions(theta.len(), &mut rng, &|tangent| slope(theta, &starts, tangent));
+        let directions = oracle::some_directions(theta.len(), &mut rng, &|tangent| {
+            slope(theta, &starts, tangent)
+        });
         for (index, (direction, expected)) in directions.into_iter().enumerate() {
             let found = direction.iter().zip(&gradient_alone).map(|(d, g)| d * g).sum();
-            c.one("gradient in random direction", index, found, expected, norm.max(expected.abs()))?;
+            c.one(
+                "gradient in random direction",
+                index,
+                found,
+                expected,
+                norm.max(expected.abs()),
+            )?;
         }
         let by_starts = start_gradients(task, policy, &weights, &starts, flow);
         let by_starts = by_starts.map_err(|divergence| Failure::Diverged { case, divergence })?;
         let largest = by_starts.iter().fold(0.0, |s: f64, g| s.max(g.abs()));
-        let components = oracle::some_components(starts.len(), &mut rng, &|tangent| start_slope(theta, &starts, tangent));
+        let components = oracle::some_components(starts.len(), &mut rng, &|tangent| {
+            start_slope(theta, &starts, tangent)
+        });
         for (index, expected) in components {
             let (sample, i) = (index / len, index % len);
             let (name, i) = if i < n { ("initial state", i) } else { ("parameters p", i - n) };
@@ -442,11 +504,14 @@ fn check_flow(
 
 /// Name of a parameter of θ, for instance `layer1.kernel[3, 7]`.
 fn parameter(tensors: &[Tensor], index: usize) -> String {
-    let Some(Tensor { name, shape, range }) = tensors.iter().find(|tensor| tensor.range.contains(&index)) else {
+    let Some(Tensor { name, shape, range }) =
+        tensors.iter().find(|tensor| tensor.range.contains(&index))
+    else {
         return "a parameter outside of `tensors`".into();
     };
     let mut rest = index - range.start;
-    let mut place: Vec<String> = shape.iter().rev().map(|&len| (rest % len, rest /= len).0.to_string()).collect();
+    let mut place: Vec<String> =
+        shape.iter().rev().map(|&len| (rest % len, rest /= len).0.to_string()).collect();
     place.reverse();
     format!("{name}[{}]", place.join(", "))
 }
@@ -489,5 +554,8 @@ fn finite_weights(
         }
         rollout.start(starts);
     }
-    Err(found.map_or_else(|divergence| Failure::Diverged { case, divergence }, |()| unreachable!("a finite run is returned")))
+    Err(found.map_or_else(
+        |divergence| Failure::Diverged { case, divergence },
+        |()| unreachable!("a finite run is returned"),
+    ))
 }

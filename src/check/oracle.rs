@@ -24,7 +24,12 @@ const ALL: usize = 64;
 
 /// Parameters `at`, or initial ones, plus normal noise of standard deviation `size`, so that no
 /// layer is zero.
-pub fn weights(policy: &dyn AnyPolicy<f64>, at: Option<&[f64]>, size: f64, rng: &mut Rng) -> Weights<f64> {
+pub fn weights(
+    policy: &dyn AnyPolicy<f64>,
+    at: Option<&[f64]>,
+    size: f64,
+    rng: &mut Rng,
+) -> Weights<f64> {
     let mut theta = at.map_or_else(|| vec![0.0; policy.param_count()], <[f64]>::to_vec);
     if at.is_none() {
         policy.init(rng, &mut theta);
@@ -38,14 +43,26 @@ pub fn weights(policy: &dyn AnyPolicy<f64>, at: Option<&[f64]>, size: f64, rng: 
 
 /// Mean loss of rollouts from `starts`, initial states with parameters. Differentiable along the
 /// paths of `flow`.
-pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(task: &T, policy: &P, theta: &[S], starts: &[S], flow: Flow) -> S {
+pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(
+    task: &T,
+    policy: &P,
+    theta: &[S],
+    starts: &[S],
+    flow: Flow,
+) -> S {
     let system = task.system();
     let (n, m) = (system.state_dim(), system.control_dim());
     let len = n + task.param_dim();
     let (found, expected) = (theta.len(), policy.param_count());
-    assert_eq!(found, expected, "`theta` has {found} numbers, but the policy has {expected} parameters");
+    assert_eq!(
+        found, expected,
+        "`theta` has {found} numbers, but the policy has {expected} parameters"
+    );
     let (found, whole) = (starts.len(), !starts.is_empty() && starts.len().is_multiple_of(len));
-    assert!(whole, "`starts` has {found} numbers; expected one or more samples of {len}: the state, then the parameters");
+    assert!(
+        whole,
+        "`starts` has {found} numbers; expected one or more samples of {len}: the state, then the parameters"
+    );
     let mut mean = S::zero();
     for start in starts.chunks_exact(len) {
         let mut x = start.to_vec();
@@ -60,7 +77,8 @@ pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(task: &T, policy: &P, thet
         let mut memory = vec![S::zero(); policy.memory_dim()];
         let mut next_memory = memory.clone();
         let mut y = vec![S::zero(); task.observation_dim().unwrap_or(n)];
-        let seen = |x: &[S], weight: f64| -> Vec<S> { x.iter().map(|&x| passed(x, weight)).collect() };
+        let seen =
+            |x: &[S], weight: f64| -> Vec<S> { x.iter().map(|&x| passed(x, weight)).collect() };
         for t in 0..task.horizon() {
             let flow = flow.at(t);
             match task.observation_dim() {
@@ -68,7 +86,11 @@ pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(task: &T, policy: &P, thet
                 Some(_) => task.observe(Inputs { x: &x, u: &[], p: &p, t }, &mut y),
             }
             let (seen_y, seen_memory) = (seen(&y, flow.control), seen(&memory, flow.memory));
-            policy.act(theta, Observed { y: &seen_y, memory: &seen_memory, t }, Action { u: &mut u, memory: &mut next_memory });
+            policy.act(
+                theta,
+                Observed { y: &seen_y, memory: &seen_memory, t },
+                Action { u: &mut u, memory: &mut next_memory },
+            );
             let inputs = Inputs { x: &x, u: &u, p: &p, t };
             step(system, inputs.with_x(&seen(&x, flow.physics)), &mut next);
             mean += task.running_cost(inputs, &next);
@@ -137,7 +159,11 @@ type Along<'a> = &'a dyn Fn(&dyn Fn(usize) -> f64) -> f64;
 /// Indices with gradient components: all of at most [`ALL`] parameters, otherwise 16 random ones.
 pub fn some_components(params: usize, rng: &mut Rng, along: Along) -> Vec<(usize, f64)> {
     let all = params <= ALL;
-    let indices: Vec<usize> = if all { (0..params).collect() } else { (0..16).map(|_| rng.random_range(0..params)).collect() };
+    let indices: Vec<usize> = if all {
+        (0..params).collect()
+    } else {
+        (0..16).map(|_| rng.random_range(0..params)).collect()
+    };
     indices.into_iter().map(|i| (i, along(&|p| unit(p, i)))).collect()
 }
 
@@ -154,7 +180,13 @@ pub fn some_directions(params: usize, rng: &mut Rng, along: Along) -> Vec<(Vec<f
 pub type Act<'a> = &'a dyn Fn(&[Dual64], &[Dual64], usize, &mut [Dual64]);
 
 /// `(∂N/∂x)ᵀ u_bar` per column.
-pub fn policy_input_gradient(act: Act, (n, m): (usize, usize), theta: &[f64], x: &[f64], u_bar: &[f64]) -> Vec<f64> {
+pub fn policy_input_gradient(
+    act: Act,
+    (n, m): (usize, usize),
+    theta: &[f64],
+    x: &[f64],
+    u_bar: &[f64],
+) -> Vec<f64> {
     let theta = constants(theta);
     columns((n, m), x, u_bar)
         .enumerate()
@@ -191,7 +223,11 @@ fn policy_slope(
 }
 
 /// Inputs and output cotangents of each column. Without inputs and outputs, there are no columns.
-fn columns<'a>((n, m): (usize, usize), x: &'a [f64], u_bar: &'a [f64]) -> impl Iterator<Item = (&'a [f64], &'a [f64])> {
+fn columns<'a>(
+    (n, m): (usize, usize),
+    x: &'a [f64],
+    u_bar: &'a [f64],
+) -> impl Iterator<Item = (&'a [f64], &'a [f64])> {
     let count = x.len().checked_div(n).or(u_bar.len().checked_div(m)).unwrap_or(0);
     (0..count).map(move |c| (&x[c * n..][..n], &u_bar[c * m..][..m]))
 }
@@ -223,7 +259,10 @@ pub fn policy_components(
     u_bar: &[f64],
     indices: &[usize],
 ) -> Vec<(usize, Vec<f64>)> {
-    indices.iter().map(|&i| (i, policy_slope(act, dims, theta, x, u_bar, &|p| unit(p, i)))).collect()
+    indices
+        .iter()
+        .map(|&i| (i, policy_slope(act, dims, theta, x, u_bar, &|p| unit(p, i))))
+        .collect()
 }
 
 /// Random directions v with `⟨u_bar, (∂N/∂θ) v⟩` per column.

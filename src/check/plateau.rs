@@ -84,7 +84,12 @@ impl fmt::Display for Plateau {
 /// # Panics
 /// If the shapes of task and policy differ, or if `starts` is empty or not a whole number of
 /// samples.
-pub fn plateau<T: Task, P: Policy>(task: &T, policy: &P, weights: &Weights<f64>, starts: &[f64]) -> Result<Plateau, Divergence> {
+pub fn plateau<T: Task, P: Policy>(
+    task: &T,
+    policy: &P,
+    weights: &Weights<f64>,
+    starts: &[f64],
+) -> Result<Plateau, Divergence> {
     let samples = starts.len() / AnyTask::<f64>::start_dim(task);
     let mut batch = Batch::new(task, policy, samples, &[Flow::REGULAR], 1);
     let mut slope = |weights: &Weights<f64>| -> Result<(f64, f64), Divergence> {
@@ -96,7 +101,9 @@ pub fn plateau<T: Task, P: Policy>(task: &T, policy: &P, weights: &Weights<f64>,
     for neighbour in 0..NEIGHBOURS {
         let mut nearby = weights.clone();
         let away = normal(&mut stream(neighbour, Purpose::Check, 2), weights.theta().len());
-        nearby.update(policy, |theta| theta.iter_mut().zip(&away).for_each(|(theta, away)| *theta += AWAY * away));
+        nearby.update(policy, |theta| {
+            theta.iter_mut().zip(&away).for_each(|(theta, away)| *theta += AWAY * away)
+        });
         let (loss, gradient) = slope(&nearby)?;
         found.lowest_nearby = found.lowest_nearby.min(loss);
         found.gradient_nearby = found.gradient_nearby.max(gradient);

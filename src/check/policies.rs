@@ -56,7 +56,11 @@ pub fn try_policy<P: Policy>(policy: &P) -> Result<Passed, Mismatch> {
 type Act<'a> = &'a dyn Fn(&[f64], &[f64], usize, &mut [f64]);
 
 /// Object-safe part of [`try_policy`]; limits monomorphization.
-fn check(policy: &dyn crate::policy::AnyPolicy<f64>, act: Act, by_duals: oracle::Act) -> Result<Passed, Mismatch> {
+fn check(
+    policy: &dyn crate::policy::AnyPolicy<f64>,
+    act: Act,
+    by_duals: oracle::Act,
+) -> Result<Passed, Mismatch> {
     let (n, m, params) = (policy.input_dim(), policy.output_dim(), policy.param_count());
     // Each forward pass covers one step of all samples. One backward pass covers all steps, as in
     // a rollout.
@@ -67,13 +71,18 @@ fn check(policy: &dyn crate::policy::AnyPolicy<f64>, act: Act, by_duals: oracle:
         c.case = case;
         let mut rng = stream(case, Purpose::Check, 0);
         let weights = oracle::weights(policy, None, 0.1, &mut rng);
-        let (x, u_bar, weight) = (normal(&mut rng, total * n), normal(&mut rng, total * m), normal(&mut rng, total));
+        let (x, u_bar, weight) =
+            (normal(&mut rng, total * n), normal(&mut rng, total * m), normal(&mut rng, total));
         let sizes = policy.sizes(total);
         let mut tape = vec![0.0; sizes.tape];
         let mut u = vec![f64::NAN; total * m];
         for t in 0..steps {
             let at = PolicyColumns { first: t, step: steps, count: samples };
-            policy.forward(PolicyPass::new(weights.packed(), at, &x).at_steps(t..t + 1), &mut tape, &mut u);
+            policy.forward(
+                PolicyPass::new(weights.packed(), at, &x).at_steps(t..t + 1),
+                &mut tape,
+                &mut u,
+            );
         }
         let [expected, from_nans] = [0.0, f64::NAN].map(|initial| {
             let mut u = vec![initial; total * m];
@@ -87,9 +96,14 @@ fn check(policy: &dyn crate::policy::AnyPolicy<f64>, act: Act, by_duals: oracle:
 
         let mut tape_bar = vec![0.0; sizes.tape_bar];
         let mut x_bar = vec![f64::NAN; total * n];
-        let all = PolicyPass::new(weights.packed(), PolicyColumns::range(0..total), &x).at_steps(0..steps);
+        let all = PolicyPass::new(weights.packed(), PolicyColumns::range(0..total), &x)
+            .at_steps(0..steps);
         policy.backward(all, &tape, &u_bar, &mut tape_bar, Some(&mut x_bar));
-        c.slices("backward: x_bar", &x_bar, &oracle::policy_input_gradient(by_duals, (n, m), weights.theta(), &x, &u_bar))?;
+        c.slices(
+            "backward: x_bar",
+            &x_bar,
+            &oracle::policy_input_gradient(by_duals, (n, m), weights.theta(), &x, &u_bar),
+        )?;
         // Rollouts reuse `tape_bar`, so the backward pass must not read the old values. Flows
         // without a path through the inputs request no `x_bar`.
         if case % 2 == 1 {
@@ -97,9 +111,12 @@ fn check(policy: &dyn crate::policy::AnyPolicy<f64>, act: Act, by_duals: oracle:
             policy.backward(all, &tape, &u_bar, &mut tape_bar, None);
         }
 
-        let components = |indices: &[usize]| oracle::policy_components(by_duals, (n, m), weights.theta(), &x, &u_bar, indices);
+        let components = |indices: &[usize]| {
+            oracle::policy_components(by_duals, (n, m), weights.theta(), &x, &u_bar, indices)
+        };
         let some = components(&some_parameters(&policy.tensors(), &mut rng));
-        let directions = oracle::policy_directions(by_duals, (n, m), weights.theta(), &x, &u_bar, &mut rng);
+        let directions =
+            oracle::policy_directions(by_duals, (n, m), weights.theta(), &x, &u_bar, &mut rng);
         let mut scratch = vec![0.0; sizes.scratch];
         for weight in [None, Some(&weight[..])] {
             let mut theta_bar = vec![0.0; params];
@@ -108,7 +125,11 @@ fn check(policy: &dyn crate::policy::AnyPolicy<f64>, act: Act, by_duals: oracle:
             c.components(&theta_bar, &some, weight)?;
             for (index, (direction, slopes)) in directions.iter().enumerate() {
                 if let Err(mismatch) = c.direction(index, &theta_bar, direction, slopes, weight) {
-                    c.components(&theta_bar, &components(&(0..params).collect::<Vec<_>>()), weight)?;
+                    c.components(
+                        &theta_bar,
+                        &components(&(0..params).collect::<Vec<_>>()),
+                        weight,
+                    )?;
                     return Err(mismatch);
                 }
             }
@@ -130,7 +151,11 @@ fn some_parameters(tensors: &[Tensor], rng: &mut Rng) -> Vec<usize> {
     }
     let mut indices = Vec::new();
     for Tensor { range, .. } in tensors {
-        indices.extend(rand::seq::index::sample(rng, range.len(), range.len().min(OF_EACH)).iter().map(|i| range.start + i));
+        indices.extend(
+            rand::seq::index::sample(rng, range.len(), range.len().min(OF_EACH))
+                .iter()
+                .map(|i| range.start + i),
+        );
     }
     indices.sort_unstable();
     indices
@@ -138,15 +163,26 @@ fn some_parameters(tensors: &[Tensor], rng: &mut Rng) -> Vec<usize> {
 
 /// Sum over all columns, optionally weighted.
 fn weighted(slopes: &[f64], weight: Option<&[f64]>) -> f64 {
-    weight.map_or_else(|| slopes.iter().sum(), |weight| slopes.iter().zip(weight).map(|(s, w)| s * w).sum())
+    weight.map_or_else(
+        || slopes.iter().sum(),
+        |weight| slopes.iter().zip(weight).map(|(s, w)| s * w).sum(),
+    )
 }
 
 impl Comparison {
     /// Compares single components of the parameter gradient with their slopes, given per column.
-    fn components(&mut self, found: &[f64], some: &[(usize, Vec<f64>)], weight: Option<&[f64]>) -> Result<(), Mismatch> {
-        let expected: Vec<(usize, f64)> = some.iter().map(|(index, slopes)| (*index, weighted(slopes, weight))).collect();
+    fn components(
+        &mut self,
+        found: &[f64],
+        some: &[(usize, Vec<f64>)],
+        weight: Option<&[f64]>,
+    ) -> Result<(), Mismatch> {
+        let expected: Vec<(usize, f64)> =
+            some.iter().map(|(index, slopes)| (*index, weighted(slopes, weight))).collect();
         let scale = expected.iter().fold(0.0, |scale: f64, (_, e)| scale.max(e.abs()));
-        expected.iter().try_for_each(|&(index, e)| self.one("param_gradient: theta_bar", index, found[index], e, scale))
+        expected.iter().try_for_each(|&(index, e)| {
+            self.one("param_gradient: theta_bar", index, found[index], e, scale)
+        })
     }
 
     /// Compares `⟨g, v⟩`, for the parameter gradient g and the direction v, with the slopes of
@@ -161,7 +197,13 @@ impl Comparison {
     ) -> Result<(), Mismatch> {
         let terms = || found.iter().zip(direction).map(|(g, v)| g * v);
         let scale = terms().map(f64::abs).sum();
-        self.one("param_gradient: theta_bar in random direction", index, terms().sum(), weighted(slopes, weight), scale)
+        self.one(
+            "param_gradient: theta_bar in random direction",
+            index,
+            terms().sum(),
+            weighted(slopes, weight),
+            scale,
+        )
     }
 }
 
@@ -175,9 +217,15 @@ mod tests {
         let policy = Conv::new(32, 60);
         let chosen = some_parameters(&policy.tensors(), &mut stream(0, Purpose::Check, 0));
         assert!(chosen.is_sorted_by(|a, b| a < b), "indices are sorted and unique");
-        let of = |tensor: crate::policy::Tensor| chosen.iter().filter(|i| tensor.range.contains(i)).count();
-        assert_eq!(policy.tensors().into_iter().map(of).collect::<Vec<_>>(), [64, 60, 64, 60, 64, 1]);
-        let few = some_parameters(&Linear::with_bias(3, 2).tensors(), &mut stream(0, Purpose::Check, 0));
+        let of = |tensor: crate::policy::Tensor| {
+            chosen.iter().filter(|i| tensor.range.contains(i)).count()
+        };
+        assert_eq!(
+            policy.tensors().into_iter().map(of).collect::<Vec<_>>(),
+            [64, 60, 64, 60, 64, 1]
+        );
+        let few =
+            some_parameters(&Linear::with_bias(3, 2).tensors(), &mut stream(0, Purpose::Check, 0));
         assert_eq!(few, (0..8).collect::<Vec<_>>());
     }
 }

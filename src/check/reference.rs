@@ -37,7 +37,10 @@ pub fn slope<T: Task, P: Policy>(
     flow: Flow,
     direction: impl Fn(usize) -> f64,
 ) -> [f64; 2] {
-    let seeded = |(i, &value)| Dual { value: DoubleDouble::from(value), tangents: [DoubleDouble::from(direction(i))] };
+    let seeded = |(i, &value)| Dual {
+        value: DoubleDouble::from(value),
+        tangents: [DoubleDouble::from(direction(i))],
+    };
     let theta: Vec<_> = theta.iter().enumerate().map(seeded).collect();
     let starts: Vec<_> = starts.iter().map(|&x| Dual::from(x)).collect();
     let Dual { value, tangents: [slope] } = rollouts(task, policy, &theta, &starts, flow);

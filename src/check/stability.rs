@@ -82,12 +82,22 @@ impl fmt::Display for Stability {
             );
         }
         if self.is_stable() {
-            write!(f, "stable: no perturbation grows exponentially. The largest multiplier per step is {multiplier:.4}")?;
+            write!(
+                f,
+                "stable: no perturbation grows exponentially. The largest multiplier per step is {multiplier:.4}"
+            )?;
         } else {
-            write!(f, "unstable: each step multiplies a perturbation of state component {component} by {multiplier:.4}")?;
+            write!(
+                f,
+                "unstable: each step multiplies a perturbation of state component {component} by {multiplier:.4}"
+            )?;
             if multiplier < 1.1 {
                 // A slow growth matters only if the horizon is long.
-                write!(f, ", a factor of 2 in {:.0} steps", std::f64::consts::LN_2 / multiplier.ln())?;
+                write!(
+                    f,
+                    ", a factor of 2 in {:.0} steps",
+                    std::f64::consts::LN_2 / multiplier.ln()
+                )?;
             }
             write!(
                 f,
@@ -151,7 +161,9 @@ fn of_any(system: &dyn AnySystem<f64>, inputs: Inputs<'_, f64>) -> Stability {
         (0..n).for_each(|i| jacobian[i * n + i] -= 1.0);
         [own, by_squaring(&jacobian, n, FEW_SQUARINGS)]
     } else {
-        let product = |v: &[f64], out: &mut [f64]| system.jvp(inputs, Tangents { x: Some(v), ..Tangents::default() }, out);
+        let product = |v: &[f64], out: &mut [f64]| {
+            system.jvp(inputs, Tangents { x: Some(v), ..Tangents::default() }, out)
+        };
         let shifted = |v: &[f64], out: &mut [f64]| {
             product(v, out);
             out.iter_mut().zip(v).for_each(|(out, v)| *out -= v);
@@ -161,7 +173,12 @@ fn of_any(system: &dyn AnySystem<f64>, inputs: Inputs<'_, f64>) -> Stability {
     let (multiplier, component) = own;
     // |μ - 1| = s and |μ| <= ρ imply Re μ <= (1 + ρ² - s²) / 2. A real μ is 1 - s, or 1 + s = ρ.
     let bound = 0.5 * (1.0 + multiplier * multiplier - shifted.0 * shifted.0);
-    Stability { multiplier, component, lowest: bound.max(1.0 - shifted.0), lowest_component: shifted.1 }
+    Stability {
+        multiplier,
+        component,
+        lowest: bound.max(1.0 - shifted.0),
+        lowest_component: shifted.1,
+    }
 }
 
 /// [`Radius`] of a matrix in row-major order, by Gelfand's formula. NaN if an entry is non-finite.
@@ -195,7 +212,8 @@ fn by_squaring(matrix: &[f64], n: usize, squarings: usize) -> Radius {
             *slope /= largest;
             underflows |= *slope == 0.0 && !is_zero;
         }
-        let weight = |i: usize| power[i * n..(i + 1) * n].iter().map(|slope| slope * slope).sum::<f64>();
+        let weight =
+            |i: usize| power[i * n..(i + 1) * n].iter().map(|slope| slope * slope).sum::<f64>();
         component = (0..n).max_by(|&i, &j| weight(i).total_cmp(&weight(j))).unwrap_or(0);
         if round < squarings {
             power = square(&power, n, &mut underflows);
@@ -355,7 +373,10 @@ mod tests {
         assert_eq!(of(cascade::<30>(-1.5, 2.5)).component, 29);
         assert!(of(cascade::<60>(1.0, 0.01)).is_stable());
         assert!(of([[1.0, 0.1], [0.0, 1.0]]).is_stable() && !of([[1.001]]).is_stable());
-        assert!(of([[1.0, f64::NAN], [0.0, 1.0]]).multiplier.is_nan() && !of([[f64::INFINITY]]).is_stable());
+        assert!(
+            of([[1.0, f64::NAN], [0.0, 1.0]]).multiplier.is_nan()
+                && !of([[f64::INFINITY]]).is_stable()
+        );
     }
 
     #[test]
@@ -364,13 +385,20 @@ mod tests {
         let fast = -49.0 / 51.0;
         let found = of([[0.99, 0.1], [0.0, fast]]);
         assert!(found.is_stable() && found.rings() && found.lowest_component == 1, "{found:?}");
-        assert!((of([[fast]]).lowest - fast).abs() < 1e-7 && of([[fast]]).to_string().contains("multiplier about -0.961"));
+        assert!(
+            (of([[fast]]).lowest - fast).abs() < 1e-7
+                && of([[fast]]).to_string().contains("multiplier about -0.961")
+        );
         // Half a turn per step, of which only the upper bound of the real part is known.
         let (sin, cos) = f64::sin_cos(3.0);
         assert!(of([[cos, -sin], [sin, cos]]).rings());
         // Decay, a quarter turn per step, growth and an alternation that decays at once.
-        for resolved in [[[0.2, 0.0], [0.0, 0.9]], [[0.0, -1.0], [1.0, 0.0]], [[3.5, 0.0], [0.0, 1.0]], [[-0.4, 0.0], [0.0, 1.0]]]
-        {
+        for resolved in [
+            [[0.2, 0.0], [0.0, 0.9]],
+            [[0.0, -1.0], [1.0, 0.0]],
+            [[3.5, 0.0], [0.0, 1.0]],
+            [[-0.4, 0.0], [0.0, 1.0]],
+        ] {
             assert!(!of(resolved).rings(), "{resolved:?}: {:?}", of(resolved));
         }
         // Within 100 steps, 1.0002 per step is a growth by 2 %. The doubling takes ln 2 / ln 1.0002.
@@ -414,12 +442,16 @@ mod tests {
     #[test]
     fn beyond_200_components_the_power_iteration_finds_the_multipliers() {
         // The last angle is 0.05 + 109 / 80 = 1.41 rad: less than a quarter turn.
-        let of = |factor, last, alone| stability(&Many { cells: 110, factor, last, alone }, Inputs::new(&[0.0; 223], &[]));
+        let of = |factor, last, alone| {
+            stability(&Many { cells: 110, factor, last, alone }, Inputs::new(&[0.0; 223], &[]))
+        };
         let stable = of(1.0, 1.0, 0.5);
         assert!(stable.is_stable() && !stable.rings(), "{stable:?}");
-        for (found, multiplier, components) in
-            [(of(1.0, 1.02, 0.5), 1.02, 218..220), (of(0.9, 1.0, 3.0), 3.0, 222..223), (of(1.0, 1.0, -1.2), 1.2, 222..223)]
-        {
+        for (found, multiplier, components) in [
+            (of(1.0, 1.02, 0.5), 1.02, 218..220),
+            (of(0.9, 1.0, 3.0), 3.0, 222..223),
+            (of(1.0, 1.0, -1.2), 1.2, 222..223),
+        ] {
             assert!((found.multiplier / multiplier - 1.0).abs() < 2e-3, "{found:?}");
             assert!(components.contains(&found.component), "{found:?}");
         }

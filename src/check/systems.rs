@@ -17,7 +17,12 @@ pub(super) trait Checked: AnySystem<f64> {
     fn varied_numbers(&self) -> Vec<Varied>;
     fn step_by_duals(&self, inputs: Inputs<'_, Dual64>, next: &mut [Dual64]);
     fn step_in_lanes(&self, inputs: Inputs<'_, Lane<f64>>, next: &mut [Lane<f64>]);
-    fn vjp_in_lanes(&self, inputs: Inputs<'_, Lane<f64>>, next_bar: &[Two], cotangents: Cotangents<'_, Two>);
+    fn vjp_in_lanes(
+        &self,
+        inputs: Inputs<'_, Lane<f64>>,
+        next_bar: &[Two],
+        cotangents: Cotangents<'_, Two>,
+    );
 }
 
 /// Cotangents of two flows, carried together by a reverse pass.
@@ -36,7 +41,12 @@ impl<S: System> Checked for S {
         step(self, inputs, next);
     }
 
-    fn vjp_in_lanes(&self, inputs: Inputs<'_, Lane<f64>>, next_bar: &[Two], cotangents: Cotangents<'_, Two>) {
+    fn vjp_in_lanes(
+        &self,
+        inputs: Inputs<'_, Lane<f64>>,
+        next_bar: &[Two],
+        cotangents: Cotangents<'_, Two>,
+    ) {
         System::vjp(self, inputs, next_bar, cotangents);
     }
 }
@@ -98,7 +108,10 @@ pub(super) fn check(system: &dyn Checked, draw: Draw, horizon: usize) -> Result<
             system.step(at, &mut next);
             next
         });
-        c.finite("step is not finite here; draw other states with `try_system_at`: next", &from_zeros)?;
+        c.finite(
+            "step is not finite here; draw other states with `try_system_at`: next",
+            &from_zeros,
+        )?;
         c.equal("step leaves a component unwritten: next", &from_nans, &from_zeros)?;
 
         let expected = step_vjp(system, at, &next_bar);
@@ -115,7 +128,8 @@ pub(super) fn check(system: &dyn Checked, draw: Draw, horizon: usize) -> Result<
             system.jvp(at, tangents, &mut next_tan);
             sum.iter_mut().zip(&next_tan).for_each(|(sum, tan)| *sum += tan);
             all[k].copy_from_slice(&tangent);
-            let terms = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a * b).abs()).sum::<f64>();
+            let terms =
+                |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a * b).abs()).sum::<f64>();
             let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
             let scale = terms(&next_bar, &next_tan).max(terms(&expected[k], &tangent));
             c.one(name, 0, dot(&next_bar, &next_tan), dot(&expected[k], &tangent), scale)?;
@@ -147,7 +161,8 @@ fn is_smooth(
 ) -> Result<bool, Mismatch> {
     let is_finite = |all: &Values<f64>| all.iter().flatten().all(|bar| bar.is_finite());
     let beside = |sign: f64| {
-        let moved = |(i, value): (usize, &f64)| value + sign * BESIDE * (1.0 + (i % 7) as f64 / 8.0);
+        let moved =
+            |(i, value): (usize, &f64)| value + sign * BESIDE * (1.0 + (i % 7) as f64 / 8.0);
         let [x, u] = [0, 1].map(|k| values[k].iter().enumerate().map(moved).collect());
         step_vjp(system, inputs(&[x, u, values[2].clone()], t), next_bar)
     };
@@ -157,13 +172,16 @@ fn is_smooth(
     if !(next.iter().all(|next| next.is_finite()) && is_finite(&before) && is_finite(&after)) {
         return Ok(false);
     }
-    let size = before.iter().chain(&after).flatten().fold(1.0, |size: f64, bar| size.max(bar.abs()));
+    let size =
+        before.iter().chain(&after).flatten().fold(1.0, |size: f64, bar| size.max(bar.abs()));
     let pairs = || before.iter().flatten().zip(after.iter().flatten());
     if pairs().any(|(before, after)| (before - after).abs() > KINK * size) {
         return Ok(false);
     }
     for (name, bars) in NAMES.into_iter().zip(step_vjp(system, inputs(values, t), next_bar)) {
-        let what = format!("the derivative of step is not finite at the state 0, but beside it: use `powf` or `hypot`: {name}");
+        let what = format!(
+            "the derivative of step is not finite at the state 0, but beside it: use `powf` or `hypot`: {name}"
+        );
         c.finite(&what, &bars)?;
     }
     Ok(true)
@@ -191,7 +209,8 @@ fn requests(
     // no combination.
     for requested in (1..8).rev() {
         let asked = |k: usize| requested >> k & 1 == 1;
-        let mut cotangents = [at.x, at.u, at.p].map(|values| vec![One::<f64>::null(); values.len()]);
+        let mut cotangents =
+            [at.x, at.u, at.p].map(|values| vec![One::<f64>::null(); values.len()]);
         for calls in [1.0, 2.0] {
             let [x, u, p] = &mut cotangents;
             let request = Cotangents {
@@ -216,9 +235,16 @@ fn requests(
 
 /// Compares SIMD lanes with scalars, without tolerance. Every lane has different inputs. The VJP
 /// carries two flows with cotangents of opposite sign, so the results have opposite signs too.
-fn lanes(system: &dyn Checked, at: Inputs<'_, f64>, next_bar: &[f64], c: &mut Comparison) -> Result<(), Mismatch> {
+fn lanes(
+    system: &dyn Checked,
+    at: Inputs<'_, f64>,
+    next_bar: &[f64],
+    c: &mut Comparison,
+) -> Result<(), Mismatch> {
     const W: usize = WIDTH;
-    let vary = |v: &[f64], lane: usize| v.iter().map(|v| v * (1.0 + lane as f64 / 64.0)).collect::<Vec<f64>>();
+    let vary = |v: &[f64], lane: usize| {
+        v.iter().map(|v| v * (1.0 + lane as f64 / 64.0)).collect::<Vec<f64>>()
+    };
     let pack = |v: &[f64]| -> Vec<Lane<f64>> {
         let lanes: [Vec<f64>; W] = std::array::from_fn(|lane| vary(v, lane));
         (0..v.len()).map(|i| Lanes(std::array::from_fn(|lane| lanes[lane][i]))).collect()
@@ -239,7 +265,8 @@ fn lanes(system: &dyn Checked, at: Inputs<'_, f64>, next_bar: &[f64], c: &mut Co
         c.equal("step in lanes", &next.iter().map(|v| v.lane(lane)).collect::<Vec<_>>(), &plain)?;
         let plain = vjp(system, inputs(&values, at.t), &next_bar);
         for (k, sign) in [1.0, -1.0].into_iter().enumerate() {
-            for (name, (cotangents, plain)) in NAMES.into_iter().zip(cotangents.iter().zip(&plain)) {
+            for (name, (cotangents, plain)) in NAMES.into_iter().zip(cotangents.iter().zip(&plain))
+            {
                 let found: Vec<f64> = cotangents.iter().map(|v| sign * v.0[k].lane(lane)).collect();
                 c.equal(&format!("vjp in lanes: {name}"), &found, plain)?;
             }

@@ -37,12 +37,19 @@ pub(super) struct Step {
 }
 
 impl Visited {
-    pub(super) fn of(task: &dyn AnyTask<f64>, policy: &dyn AnyPolicy<f64>, weights: &Weights<f64>, starts: &[f64]) -> Self {
+    pub(super) fn of(
+        task: &dyn AnyTask<f64>,
+        policy: &dyn AnyPolicy<f64>,
+        weights: &Weights<f64>,
+        starts: &[f64],
+    ) -> Self {
         let (n, m) = (task.state_dim(), task.control_dim());
         let mut rollout = Rollout::new(task, policy, starts.len() / task.start_dim());
         rollout.start(starts);
         let steps = match rollout.run(task, policy, weights) {
-            Err(Divergence::Forward { variable: Variable::State, step, .. }) => step.saturating_sub(1),
+            Err(Divergence::Forward { variable: Variable::State, step, .. }) => {
+                step.saturating_sub(1)
+            }
             Err(Divergence::Forward { step, .. }) => step,
             _ => task.horizon(),
         };
@@ -56,7 +63,11 @@ impl Visited {
 
     /// Rollouts of the policy with the parameters `theta`, or random ones. Noise in the parameters
     /// of the policy lets its controls differ from 0.
-    fn near(task: &dyn AnyTask<f64>, policy: &dyn AnyPolicy<f64>, theta: Option<&[f64]>) -> Result<Self, Failure> {
+    fn near(
+        task: &dyn AnyTask<f64>,
+        policy: &dyn AnyPolicy<f64>,
+        theta: Option<&[f64]>,
+    ) -> Result<Self, Failure> {
         let mut starts = vec![0.0; SAMPLES * task.start_dim()];
         let mut rng = stream(0, Purpose::Check, 4);
         for start in starts.chunks_exact_mut(task.start_dim()) {
@@ -75,7 +86,8 @@ impl Visited {
             (sample, rng.random_range(0..sample.u.len()))
         };
         let ((a, t), (b, other)) = (one(), one());
-        let mixed = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a + share * (b - a)).collect();
+        let mixed =
+            |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a + share * (b - a)).collect();
         Step {
             x: mixed(&a.x[t], &b.x[other]),
             u: mixed(&a.u[t], &b.u[other]),
@@ -117,12 +129,20 @@ impl Visited {
 /// # Panics
 /// If the shapes of task and policy differ, or the length of `theta` is not
 /// [`Policy::param_count`].
-pub fn try_system_along<T: Task, P: Policy>(task: &T, policy: &P, theta: Option<&[f64]>) -> Result<Passed, Failure> {
+pub fn try_system_along<T: Task, P: Policy>(
+    task: &T,
+    policy: &P,
+    theta: Option<&[f64]>,
+) -> Result<Passed, Failure> {
     let visited = Visited::near(task, policy, theta)?;
     let system = task.system();
     let is_finite = |step: &Step| {
         let mut next = vec![0.0; step.x.len()];
-        AnySystem::<f64>::step(system, Inputs { x: &step.x, u: &step.u, p: &step.p, t: step.t }, &mut next);
+        AnySystem::<f64>::step(
+            system,
+            Inputs { x: &step.x, u: &step.u, p: &step.p, t: step.t },
+            &mut next,
+        );
         next.iter().all(|next| next.is_finite())
     };
     let draw = |rng: &mut Rng, x: &mut [f64], u: &mut [f64], p: &mut [f64]| {
@@ -143,7 +163,11 @@ pub fn try_system_along<T: Task, P: Policy>(task: &T, policy: &P, theta: Option<
 ///
 /// # Panics
 /// As [`try_system_along`].
-pub fn try_cost_along<T: Task, P: Policy>(task: &T, policy: &P, theta: Option<&[f64]>) -> Result<Passed, Failure> {
+pub fn try_cost_along<T: Task, P: Policy>(
+    task: &T,
+    policy: &P,
+    theta: Option<&[f64]>,
+) -> Result<Passed, Failure> {
     let visited = Visited::near(task, policy, theta)?;
     let is_finite = |Step { x, u, p, next, t }: &Step| {
         let mut y = vec![0.0; task.observation_dim().unwrap_or(0)];

@@ -164,7 +164,13 @@ impl<A: Actuator, B: Actuator> Actuator for (A, B) {
         let (first, second) = state_bar.map(|bar| bar.split_at_mut(n)).unzip();
         let cotangents = OutputCotangents { state: &next_bar.state[n..], out: next_bar.out };
         self.1.vjp(&state[n..], &between, cotangents, second, Some(&mut between_bar));
-        self.0.vjp(&state[..n], u, OutputCotangents { state: &next_bar.state[..n], out: &between_bar }, first, u_bar);
+        self.0.vjp(
+            &state[..n],
+            u,
+            OutputCotangents { state: &next_bar.state[..n], out: &between_bar },
+            first,
+            u_bar,
+        );
     }
 }
 
@@ -220,7 +226,12 @@ impl<S: System, A: Actuator> System for Actuated<S, A> {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
         if self.actuator.is_identity() {
             return self.system.vjp(inputs, next_bar, cotangents);
         }
@@ -231,7 +242,11 @@ impl<S: System, A: Actuator> System for Actuated<S, A> {
         // Only the cotangents of `u` and of the actuator's state need the actuator's VJP.
         let through_control = cotangents.u.is_some() || !state.is_empty() && state_bar.is_some();
         let mut out_bar: Controls<C> = smallvec![C::null(); inputs.u.len()];
-        let system_bars = Cotangents { x: x_bar, u: through_control.then_some(&mut out_bar[..]), p: cotangents.p };
+        let system_bars = Cotangents {
+            x: x_bar,
+            u: through_control.then_some(&mut out_bar[..]),
+            p: cotangents.p,
+        };
         self.system.vjp(inputs.with_x(x).with_u(&out), next_bar, system_bars);
         if through_control {
             self.actuator.vjp(
@@ -257,8 +272,13 @@ impl<S: System, A: Actuator> System for Actuated<S, A> {
         for (tan, next) in zip(next_state_tan.iter_mut(), &next_state) {
             *tan = next.tangents[0];
         }
-        let (out, out_tan): (Controls<R>, Controls<R>) = out.iter().map(|out| (out.value, out.tangents[0])).unzip();
-        self.system.jvp(inputs.with_x(x).with_u(&out), Tangents { x: x_tan, u: Some(&out_tan), p: tangents.p }, next_tan);
+        let (out, out_tan): (Controls<R>, Controls<R>) =
+            out.iter().map(|out| (out.value, out.tangents[0])).unzip();
+        self.system.jvp(
+            inputs.with_x(x).with_u(&out),
+            Tangents { x: x_tan, u: Some(&out_tan), p: tangents.p },
+            next_tan,
+        );
     }
 
     fn diagnose<R: Real>(&self, inputs: Inputs<'_, R>) -> Option<Cause> {

@@ -7,8 +7,9 @@ use crate::dynamics::outline::outline;
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::numbers::instances::{
-    COST_SCALARS, COTANGENTS, CotangentFunction, DIAGNOSED, REALS, RealFunction, SCALARS, STEP_SCALARS, ScalarFunction,
-    cotangent_pointer, diagnosis_pointer, fill, real_pointer, scalar_pointer, scalar_pointer_of_cost, scalar_pointer_of_step,
+    COST_SCALARS, COTANGENTS, CotangentFunction, DIAGNOSED, REALS, RealFunction, SCALARS,
+    STEP_SCALARS, ScalarFunction, cotangent_pointer, diagnosis_pointer, fill, real_pointer,
+    scalar_pointer, scalar_pointer_of_cost, scalar_pointer_of_step,
 };
 use crate::numbers::kernels::Vectorized;
 use crate::numbers::rng::Rng;
@@ -139,10 +140,14 @@ impl<T: Task + 'static> AnyTask for T {
         scalar_pointer::<Observe<T>>(slot);
     }
     fn observe_vjp(&self, slot: &mut dyn Any) {
-        let _found = fill(slot, ObserveVjp::<T>::pointer::<Lanes<f32, 8>, CotangentPack<Lanes<f32, 8>, 1>>)
-            || fill(slot, ObserveVjp::<T>::pointer::<Lanes<f64, 8>, CotangentPack<Lanes<f64, 8>, 1>>)
-            || fill(slot, ObserveVjp::<T>::pointer::<Counted, Counted>)
-            || fill(slot, ObserveVjp::<T>::pointer::<f64, f64>);
+        let _found =
+            fill(slot, ObserveVjp::<T>::pointer::<Lanes<f32, 8>, CotangentPack<Lanes<f32, 8>, 1>>)
+                || fill(
+                    slot,
+                    ObserveVjp::<T>::pointer::<Lanes<f64, 8>, CotangentPack<Lanes<f64, 8>, 1>>,
+                )
+                || fill(slot, ObserveVjp::<T>::pointer::<Counted, Counted>)
+                || fill(slot, ObserveVjp::<T>::pointer::<f64, f64>);
     }
     fn running_cost(&self, slot: &mut dyn Any) {
         scalar_pointer_of_cost::<RunningCost<T>>(slot);
@@ -291,7 +296,12 @@ impl System for DynSystem {
         call!(self.0, step: StepOf<T> [T] in STEP_SCALARS, inputs, next);
     }
 
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
         call!(self.0, vjp: VjpOf<R, C> [(R, C)] in COTANGENTS, inputs, next_bar, cotangents);
     }
 
@@ -337,7 +347,12 @@ impl Task for DynTask {
         call!(self.0.0, observe: ObserveOf<T> [T] in SCALARS, inputs, y);
     }
 
-    fn observe_vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, y_bar: &[C], cotangents: Cotangents<'_, C>) {
+    fn observe_vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        inputs: Inputs<'_, R>,
+        y_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
         call!(self.0.0, observe_vjp: ObserveVjpOf<R, C> [(R, C)] in "`Lanes<F, 8>` with `CotangentPack<_, 1>`, `Counted` with `Counted`, and `f64` with `f64`", inputs, y_bar, cotangents);
     }
 
@@ -363,7 +378,13 @@ impl Task for DynTask {
         cost
     }
 
-    fn terminal_cost_gradient<R: Real>(&self, x: &[R], p: &[R], x_bar: &mut [R], p_bar: Option<&mut [R]>) {
+    fn terminal_cost_gradient<R: Real>(
+        &self,
+        x: &[R],
+        p: &[R],
+        x_bar: &mut [R],
+        p_bar: Option<&mut [R]>,
+    ) {
         call!(self.0.0, terminal_cost_gradient: TerminalCostGradientOf<R> [R] in REALS, x, p, x_bar, p_bar);
     }
 }

@@ -114,8 +114,18 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
     /// inputs must be finite. `forces` is the number of forces of the system. The name is that of
     /// the type, or the one given by [`Named`]. Used only for error messages.
     #[doc(hidden)]
-    fn diagnose<R: Real>(&self, model: &B, inputs: OdeInputs<'_, R>, forces: usize) -> Option<&'static str> {
-        let name = || std::any::type_name::<Self>().split('<').next().and_then(|path| path.rsplit("::").next());
+    fn diagnose<R: Real>(
+        &self,
+        model: &B,
+        inputs: OdeInputs<'_, R>,
+        forces: usize,
+    ) -> Option<&'static str> {
+        let name = || {
+            std::any::type_name::<Self>()
+                .split('<')
+                .next()
+                .and_then(|path| path.rsplit("::").next())
+        };
         if is_finite(self, model, inputs, forces) { None } else { name() }
     }
 }
@@ -154,12 +164,22 @@ pub(crate) fn default_effect_vjp<B, E: Effect<B>, R: Real, C: Cotangent<R>>(
 
 /// Returns whether the forces of an effect and their derivatives with respect to state and control
 /// are finite.
-pub(crate) fn is_finite<B, E: Effect<B>, R: Real>(effect: &E, model: &B, inputs: OdeInputs<'_, R>, forces: usize) -> bool {
+pub(crate) fn is_finite<B, E: Effect<B>, R: Real>(
+    effect: &E,
+    model: &B,
+    inputs: OdeInputs<'_, R>,
+    forces: usize,
+) -> bool {
     let mut force = vec![R::zero(); forces];
     let zeros = |len: usize| vec![CotangentPack([R::zero()]); len];
     let (mut x_bar, mut u_bar) = (zeros(inputs.x.len()), zeros(inputs.u.len()));
     effect.add_forces(model, inputs, &mut force);
-    effect.vjp(model, inputs, &vec![CotangentPack([R::one()]); forces], Cotangents::of(&mut x_bar, &mut u_bar));
+    effect.vjp(
+        model,
+        inputs,
+        &vec![CotangentPack([R::one()]); forces],
+        Cotangents::of(&mut x_bar, &mut u_bar),
+    );
     force.iter().chain(x_bar.iter().chain(&u_bar).map(|bar| &bar.0[0])).all(Real::is_finite)
 }
 
@@ -194,7 +214,12 @@ pub trait ForcedSystem: Send + Sync {
     fn dt(&self) -> f64;
 
     /// Writes the next state under the given effects.
-    fn forced_step<E: Effect<Self::Model>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]);
+    fn forced_step<E: Effect<Self::Model>, T: Scalar>(
+        &self,
+        effects: &E,
+        inputs: Inputs<'_, T>,
+        next: &mut [T],
+    );
 
     /// VJP of [`forced_step`](ForcedSystem::forced_step). Adds to the requested cotangents.
     ///
@@ -280,7 +305,12 @@ impl<H: ForcedSystem, E: Effect<H::Model>> System for Forced<H, E> {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], mut cotangents: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next_bar: &[C],
+        mut cotangents: Cotangents<'_, C>,
+    ) {
         if cotangents.p.is_some() && !self.varied(inputs.p.len()).is_empty() {
             step_param_vjp(self, inputs, next_bar, cotangents.p.take());
         }
@@ -289,7 +319,9 @@ impl<H: ForcedSystem, E: Effect<H::Model>> System for Forced<H, E> {
 
     fn diagnose<R: Real>(&self, inputs: Inputs<'_, R>) -> Option<Cause> {
         let inputs = inputs.skip_params(self.system.param_dim()).continuous(self.system.dt());
-        self.effects.diagnose(self.system.model(), inputs, self.system.force_dim()).map(Cause::Effect)
+        self.effects
+            .diagnose(self.system.model(), inputs, self.system.force_dim())
+            .map(Cause::Effect)
     }
 }
 
@@ -311,6 +343,7 @@ impl<H: ForcedSystem, E: Effect<H::Model>> HasModel<H::Model> for Forced<H, E> {
     }
 
     fn start_extra(&self, rng: &mut Rng, start: Start<'_>) {
-        self.effects.draw_params(rng, &mut start.p[self.system.param_dim()..][..self.effects.param_dim()]);
+        self.effects
+            .draw_params(rng, &mut start.p[self.system.param_dim()..][..self.effects.param_dim()]);
     }
 }

@@ -55,11 +55,22 @@ fn stage_time<T: Scalar>(step: usize, dt: f64, fraction: f64) -> T {
 /// A one-step method for `dx/dt = f(x, u, p, t)` with steps of `dt` seconds.
 pub trait Integrator: Clone + Debug + Send + Sync {
     /// Writes the state at the end of the step.
-    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]);
+    fn advance<T: Scalar>(
+        &self,
+        ode: &dyn DynOde<T>,
+        dt: f64,
+        inputs: Inputs<'_, T>,
+        next: &mut [T],
+    );
 
     /// Returns the largest absolute residual of a state component if an implicit step did not
     /// converge, else `None`. Infinite if a residual is NaN.
-    fn unsolved<R: Real>(&self, _ode: &dyn DynOde<R>, _dt: f64, _inputs: Inputs<'_, R>) -> Option<f64> {
+    fn unsolved<R: Real>(
+        &self,
+        _ode: &dyn DynOde<R>,
+        _dt: f64,
+        _inputs: Inputs<'_, R>,
+    ) -> Option<f64> {
         None
     }
 
@@ -108,7 +119,12 @@ impl<O: Ode, I: Integrator> System for Integrated<O, I> {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
         self.integrator.vjp(&self.ode, self.dt, inputs, next_bar, cotangents);
     }
 

@@ -132,7 +132,9 @@ impl Number {
     pub fn extremes(&self) -> ArrayVec<f64, { Choice::MAX }> {
         match *self {
             Self::Fixed(value) => [value].into_iter().collect(),
-            Self::Uniform { low, high } | Self::LogUniform { low, high } => [low, high].into_iter().collect(),
+            Self::Uniform { low, high } | Self::LogUniform { low, high } => {
+                [low, high].into_iter().collect()
+            }
             Self::Normal { mean, deviation } => {
                 [mean - TRUNCATION * deviation, mean + TRUNCATION * deviation].into_iter().collect()
             }
@@ -218,7 +220,10 @@ impl<'a> Numbers<'a> {
     /// If `N` is not the count of numbers, or if `p` has too few entries.
     #[inline(always)]
     pub fn of<T: Scalar, const N: usize>(&self, p: &[T]) -> [T; N] {
-        assert_eq!(self.count, N, "numbers in the list, and values requested from it; list each number once");
+        assert_eq!(
+            self.count, N,
+            "numbers in the list, and values requested from it; list each number once"
+        );
         let mut values = [T::zero(); N];
         let mut entry = 0;
         for (value, (_, number)) in values.iter_mut().zip(&self.list) {
@@ -239,14 +244,20 @@ impl<'a> Numbers<'a> {
     /// If `N` is not the count of numbers, or if `p` has too few entries.
     #[inline(always)]
     pub fn last_of<T: Scalar, const N: usize>(&self, p: &[T]) -> [T; N] {
-        let first = p.len().checked_sub(self.varied()).expect("`p` has fewer entries than numbers that vary");
+        let first = p
+            .len()
+            .checked_sub(self.varied())
+            .expect("`p` has fewer entries than numbers that vary");
         self.of(&p[first..])
     }
 
     /// The numbers that are not fixed, as entries of `p` from `first`.
     pub fn placed(&self, first: usize) -> Vec<Varied> {
         let varied = self.list[..self.count].iter().filter(|(_, number)| !number.is_fixed());
-        varied.enumerate().map(|(i, &(name, &number))| Varied { index: first + i, name: name.into(), number }).collect()
+        varied
+            .enumerate()
+            .map(|(i, &(name, &number))| Varied { index: first + i, name: name.into(), number })
+            .collect()
     }
 }
 

@@ -69,7 +69,12 @@ pub trait Ode: Send + Sync {
     /// Adds `(∂f/∂x)ᵀ rate_bar`, `(∂f/∂u)ᵀ rate_bar` and `(∂f/∂p)ᵀ rate_bar` to those cotangents
     /// that are requested.
     #[inline(always)]
-    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], cotangents: Cotangents<'_, C>) {
+    fn rate_vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        inputs: OdeInputs<'_, R>,
+        rate_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
         let rate = Rate { ode: self, t: inputs.t };
         default_vjp(&rate, inputs.lists(), rate_bar, cotangents.lists(), add_product(rate_bar));
     }
@@ -112,7 +117,12 @@ fn dual_rate<O: Ode>(ode: &O, inputs: OdeInputs<'_, ParamDual>, rate: &mut [Para
 
 /// Adds the cotangents of all parameters of a rate, by dual numbers. Used if physical numbers vary,
 /// because analytic VJPs may omit their cotangents.
-fn rate_param_vjp<O: Ode, R: Real, C: Cotangent<R>>(ode: &O, inputs: OdeInputs<'_, R>, rate_bar: &[C], p_bar: Option<&mut [C]>) {
+fn rate_param_vjp<O: Ode, R: Real, C: Cotangent<R>>(
+    ode: &O,
+    inputs: OdeInputs<'_, R>,
+    rate_bar: &[C],
+    p_bar: Option<&mut [C]>,
+) {
     // The stages of adaptive steps have different times in different lanes.
     let rate = |lane: usize, [x, u, p]: [&[ParamDual]; 3], rate: &mut [ParamDual]| {
         dual_rate(ode, Inputs { x, u, p, t: ParamDual::from(inputs.t.lane(lane).to_f64()) }, rate);
@@ -166,9 +176,14 @@ impl<O: Ode, R: Real> Vectorized for Slopes<'_, O, R> {
         type Bars<R> = SmallVec<[CotangentPack<R, 1>; 32]>;
         let Self { ode, inputs, i, row } = self;
         let (n, none) = (inputs.x.len(), CotangentPack([R::zero()]));
-        let (mut rate_bar, mut x_bar): (Bars<R>, Bars<R>) = (smallvec![none; n], smallvec![none; n]);
+        let (mut rate_bar, mut x_bar): (Bars<R>, Bars<R>) =
+            (smallvec![none; n], smallvec![none; n]);
         rate_bar[i] = CotangentPack([R::one()]);
-        ode.rate_vjp(inputs, &rate_bar, Cotangents { x: Some(&mut x_bar), ..Cotangents::default() });
+        ode.rate_vjp(
+            inputs,
+            &rate_bar,
+            Cotangents { x: Some(&mut x_bar), ..Cotangents::default() },
+        );
         for (slope, CotangentPack([bar])) in zip(row.iter_mut(), x_bar) {
             *slope = bar;
         }
@@ -189,7 +204,12 @@ impl<O: Ode, R: Real, C: Cotangent<R>> DynOdeVjp<R, C> for O {
 /// A [`ForcedSystem`] in continuous time: an [`Ode`], with or without effects.
 pub trait ForcedOde: ForcedSystem {
     /// Writes the rates under `effects`.
-    fn forced_rate<E: Effect<Self::Model>, T: Scalar>(&self, effects: &E, inputs: OdeInputs<'_, T>, rate: &mut [T]);
+    fn forced_rate<E: Effect<Self::Model>, T: Scalar>(
+        &self,
+        effects: &E,
+        inputs: OdeInputs<'_, T>,
+        rate: &mut [T],
+    );
 
     /// VJP of [`forced_rate`](ForcedOde::forced_rate). Adds to the requested cotangents. It may
     /// omit the cotangents of physical numbers that vary, as [`Effect::vjp`] may.
@@ -228,7 +248,12 @@ impl<H: ForcedOde, E: Effect<H::Model>> Ode for Forced<H, E> {
     }
 
     #[inline(always)]
-    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], mut cotangents: Cotangents<'_, C>) {
+    fn rate_vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        inputs: OdeInputs<'_, R>,
+        rate_bar: &[C],
+        mut cotangents: Cotangents<'_, C>,
+    ) {
         if cotangents.p.is_some() && !System::varied(self, inputs.p.len()).is_empty() {
             rate_param_vjp(self, inputs, rate_bar, cotangents.p.take());
         }
@@ -242,7 +267,9 @@ impl<H: ForcedOde, E: Effect<H::Model>> Ode for Forced<H, E> {
 
     fn diagnose<R: Real>(&self, inputs: OdeInputs<'_, R>) -> Option<Cause> {
         let inputs = inputs.skip_params(self.system.param_dim());
-        self.effects.diagnose(self.system.model(), inputs, self.system.force_dim()).map(Cause::Effect)
+        self.effects
+            .diagnose(self.system.model(), inputs, self.system.force_dim())
+            .map(Cause::Effect)
     }
 }
 
@@ -271,7 +298,12 @@ impl<H: ForcedOde> Ode for H {
     }
 
     #[inline(always)]
-    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], mut cotangents: Cotangents<'_, C>) {
+    fn rate_vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        inputs: OdeInputs<'_, R>,
+        rate_bar: &[C],
+        mut cotangents: Cotangents<'_, C>,
+    ) {
         if cotangents.p.is_some() && ForcedSystem::numbers(self).varied() > 0 {
             rate_param_vjp(self, inputs, rate_bar, cotangents.p.take());
         }

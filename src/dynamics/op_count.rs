@@ -43,7 +43,9 @@ impl OpCount {
         let p = numbers(system.param_dim());
         let inputs = Inputs { x: &x, u: &u, p: &p, t: 0 };
         let (mut next, mut x_bar, mut u_bar) = (numbers(n), numbers(n), numbers(m));
-        let vjp = |cotangents: Cotangents<'_, Counted>| Ops::of(|| system.vjp(inputs, &next_bar, cotangents)).0;
+        let vjp = |cotangents: Cotangents<'_, Counted>| {
+            Ops::of(|| system.vjp(inputs, &next_bar, cotangents)).0
+        };
         Self {
             step: Ops::of(|| system.step(inputs, &mut next)).0,
             vjp: vjp(Cotangents::of(&mut x_bar, &mut u_bar)),
@@ -91,16 +93,22 @@ impl TaskOpCount {
         let (n, m) = (task.system().state_dim(), task.system().control_dim());
         let (x, u, p, next) = (numbers(n), numbers(m), numbers(task.param_dim()), numbers(n));
         let inputs = Inputs { x: &x, u: &u, p: &p, t: 0 };
-        let (mut x_bar, mut u_bar, mut p_bar, mut next_bar) = (numbers(n), numbers(m), numbers(p.len()), numbers(n));
+        let (mut x_bar, mut u_bar, mut p_bar, mut next_bar) =
+            (numbers(n), numbers(m), numbers(p.len()), numbers(n));
         let mut counts = Self {
             system: OpCount::of(task.system()),
             running_cost: Ops::of(|| task.running_cost(inputs, &next)).0,
             terminal_cost: Ops::of(|| task.terminal_cost(&x, &p)).0,
-            terminal_cost_gradient: Ops::of(|| task.terminal_cost_gradient(&x, &p, &mut x_bar, Some(&mut p_bar))).0,
+            terminal_cost_gradient: Ops::of(|| {
+                task.terminal_cost_gradient(&x, &p, &mut x_bar, Some(&mut p_bar))
+            })
+            .0,
             ..Self::default()
         };
-        let cotangents = Cotangents { x: Some(&mut x_bar), u: Some(&mut u_bar), p: Some(&mut p_bar) };
-        counts.running_cost_gradient = Ops::of(|| task.running_cost_gradient(inputs, &next, cotangents, &mut next_bar)).0;
+        let cotangents =
+            Cotangents { x: Some(&mut x_bar), u: Some(&mut u_bar), p: Some(&mut p_bar) };
+        counts.running_cost_gradient =
+            Ops::of(|| task.running_cost_gradient(inputs, &next, cotangents, &mut next_bar)).0;
         if let Some(dim) = task.observation_dim() {
             let (mut y, inputs) = (numbers(dim), Inputs { u: &[], ..inputs });
             counts.observe = Ops::of(|| task.observe(inputs, &mut y)).0;

@@ -42,7 +42,11 @@ impl<S: System, T: Scalar> Vectorized for Step<'_, S, T> {
 /// [`System::step`], never inlined. Callers are less performance-critical than rollouts: checks,
 /// Jacobian-vector products, derivatives with respect to parameters, optimization, identification.
 #[inline(never)]
-pub(crate) fn step<S: System + ?Sized, T: Scalar>(system: &S, inputs: Inputs<'_, T>, next: &mut [T]) {
+pub(crate) fn step<S: System + ?Sized, T: Scalar>(
+    system: &S,
+    inputs: Inputs<'_, T>,
+    next: &mut [T],
+) {
     system.step(inputs, next);
 }
 
@@ -74,7 +78,9 @@ impl<S: System, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, S, R, C> {
         let Self { system, inputs, next_bar, cotangents } = self;
         match cotangents {
             // Most reverse passes request state and control. Known requests compile to no branches.
-            Cotangents { x: Some(x), u: Some(u), p: None } => system.vjp(inputs, next_bar, Cotangents::of(x, u)),
+            Cotangents { x: Some(x), u: Some(u), p: None } => {
+                system.vjp(inputs, next_bar, Cotangents::of(x, u))
+            }
             cotangents => system.vjp(inputs, next_bar, cotangents),
         }
     }

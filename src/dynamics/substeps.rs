@@ -40,7 +40,8 @@ impl<S: System> Substeps<S> {
         states[..n].copy_from_slice(inputs.x);
         for i in 1..self.count {
             let (before, after) = states.split_at_mut(n * i);
-            self.system.step(self.inner(inputs, i - 1).with_x(&before[n * (i - 1)..]), &mut after[..n]);
+            self.system
+                .step(self.inner(inputs, i - 1).with_x(&before[n * (i - 1)..]), &mut after[..n]);
         }
         states
     }
@@ -66,7 +67,8 @@ impl<S: System> System for Substeps<S> {
     #[inline(always)]
     fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
         self.system.step(self.inner(inputs, 0), next);
-        let mut state: SmallVec<[T; STACK]> = smallvec![T::zero(); if self.count > 1 { next.len() } else { 0 }];
+        let mut state: SmallVec<[T; STACK]> =
+            smallvec![T::zero(); if self.count > 1 { next.len() } else { 0 }];
         for i in 1..self.count {
             state.copy_from_slice(next);
             self.system.step(self.inner(inputs, i).with_x(&state), next);
@@ -76,7 +78,12 @@ impl<S: System> System for Substeps<S> {
     /// With two or more inner steps, computes the state cotangent even if it is not requested.
     /// Early inner steps influence the result through later states.
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], mut cotangents: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next_bar: &[C],
+        mut cotangents: Cotangents<'_, C>,
+    ) {
         if self.count <= 1 {
             return self.system.vjp(inputs, next_bar, cotangents);
         }
@@ -103,7 +110,11 @@ impl<S: System> System for Substeps<S> {
         let mut state_tan: SmallVec<[R; STACK]> = SmallVec::new();
         for (i, state) in states.chunks_exact(inputs.x.len()).enumerate() {
             let x = if i == 0 { tangents.x } else { Some(&state_tan[..]) };
-            self.system.jvp(self.inner(inputs, i).with_x(state), Tangents { x, ..tangents }, next_tan);
+            self.system.jvp(
+                self.inner(inputs, i).with_x(state),
+                Tangents { x, ..tangents },
+                next_tan,
+            );
             state_tan = SmallVec::from_slice(next_tan);
         }
     }

@@ -71,7 +71,12 @@ pub trait System: Send + Sync {
     /// Adds the Jacobian products `(∂S/∂x)ᵀ next_bar`, `(∂S/∂u)ᵀ next_bar` and `(∂S/∂p)ᵀ next_bar`
     /// to those cotangents that are requested.
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
         step_vjp(self, inputs, next_bar, cotangents);
     }
 
@@ -132,14 +137,23 @@ fn outlined_vjp<S: System + ?Sized, R: Real, C: Cotangent<R>>(
         #[inline(always)]
         fn run<const FMA: bool>(self) {
             let Self { system, inputs, next_bar, cotangents, visit } = self;
-            default_vjp(&Step { system, t: inputs.t }, inputs.lists(), next_bar, cotangents.lists(), visit);
+            default_vjp(
+                &Step { system, t: inputs.t },
+                inputs.lists(),
+                next_bar,
+                cotangents.lists(),
+                visit,
+            );
         }
     }
     outline::outline::<R>(Work { system, inputs, next_bar, cotangents, visit });
 }
 
 /// Dual numbers whose first tangents are `tangents`, or 0.
-pub(in crate::dynamics) fn along<R: Real>(values: &[R], tangents: Option<&[R]>) -> SmallVec<[Chunk<R>; 32]> {
+pub(in crate::dynamics) fn along<R: Real>(
+    values: &[R],
+    tangents: Option<&[R]>,
+) -> SmallVec<[Chunk<R>; 32]> {
     let dual = |(i, &value): (usize, &R)| {
         let mut number = Chunk::constant(value);
         number.tangents[0] = tangents.map_or(R::zero(), |tangents| tangents[i]);

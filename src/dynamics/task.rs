@@ -85,7 +85,12 @@ pub trait Task: Send + Sync {
     ///
     /// Defaults to exact derivatives, as [`System::vjp`] does. Override it for speed.
     #[inline(always)]
-    fn observe_vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, y_bar: &[C], cotangents: Cotangents<'_, C>) {
+    fn observe_vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        inputs: Inputs<'_, R>,
+        y_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
         let observation = Observation { task: self, t: inputs.t };
         default_vjp(&observation, inputs.lists(), y_bar, cotangents.lists(), add_product(y_bar));
     }
@@ -122,8 +127,20 @@ pub trait Task: Send + Sync {
     ///
     /// Defaults to exact derivatives, as [`System::vjp`] does. Override it for speed.
     #[inline(always)]
-    fn terminal_cost_gradient<R: Real>(&self, x: &[R], p: &[R], x_bar: &mut [R], p_bar: Option<&mut [R]>) {
-        default_vjp(&TerminalCost(self), [x, p], &[R::one()], [Some(x_bar), p_bar], |bar, slope| *bar += slope[0]);
+    fn terminal_cost_gradient<R: Real>(
+        &self,
+        x: &[R],
+        p: &[R],
+        x_bar: &mut [R],
+        p_bar: Option<&mut [R]>,
+    ) {
+        default_vjp(
+            &TerminalCost(self),
+            [x, p],
+            &[R::one()],
+            [Some(x_bar), p_bar],
+            |bar, slope| *bar += slope[0],
+        );
     }
 }
 

@@ -77,24 +77,50 @@ impl<F: Float> Adjoint<F> {
     /// # Panics
     /// If `flows` does not have one or two elements, or `rollout` has no tape.
     #[track_caller]
-    pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, rollout: &Rollout<F>, flows: &[Flow]) -> Self {
-        assert!(rollout.has_tape(), "a rollout created for evaluation stores no tape, so it has no reverse pass");
+    pub fn new(
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
+        rollout: &Rollout<F>,
+        flows: &[Flow],
+    ) -> Self {
+        assert!(
+            rollout.has_tape(),
+            "a rollout created for evaluation stores no tape, so it has no reverse pass"
+        );
         Self::of_kept(task, policy, rollout, flows)
     }
 
     /// Allocates a workspace for the stored steps of a rollout, which may be fewer than the
     /// horizon.
     #[track_caller]
-    pub(crate) fn of_kept(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, rollout: &Rollout<F>, flows: &[Flow]) -> Self {
+    pub(crate) fn of_kept(
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
+        rollout: &Rollout<F>,
+        flows: &[Flow],
+    ) -> Self {
         let carried = match *flows {
             [flow] => Carried::One([flow], Recursion::new(rollout)),
             [first, second] => Carried::Two([first, second], Recursion::new(rollout)),
             _ => panic!("an adjoint has one or two flows, not {}", flows.len()),
         };
-        let buffers = PolicyAdjoint::new(&PolicyBufferSizes::new(task, policy, rollout.capacity(), rollout.kept, flows));
+        let buffers = PolicyAdjoint::new(&PolicyBufferSizes::new(
+            task,
+            policy,
+            rollout.capacity(),
+            rollout.kept,
+            flows,
+        ));
         let (samples, param_dim) = (rollout.capacity(), task.param_dim());
-        let adjoint =
-            Self { horizon: rollout.horizon, samples, param_dim, norms: None, measured: false, policy: buffers, carried };
+        let adjoint = Self {
+            horizon: rollout.horizon,
+            samples,
+            param_dim,
+            norms: None,
+            measured: false,
+            policy: buffers,
+            carried,
+        };
         if policy.trained_params().is_empty() { adjoint } else { adjoint.keep_start_gradients() }
     }
 
@@ -162,8 +188,12 @@ impl<F: Float> Adjoint<F> {
     /// train entries of p.
     pub fn keep_start_gradients(mut self) -> Self {
         match &mut self.carried {
-            Carried::One(_, recursion) => recursion.keep_start_gradients(self.samples, self.param_dim),
-            Carried::Two(_, recursion) => recursion.keep_start_gradients(self.samples, self.param_dim),
+            Carried::One(_, recursion) => {
+                recursion.keep_start_gradients(self.samples, self.param_dim)
+            }
+            Carried::Two(_, recursion) => {
+                recursion.keep_start_gradients(self.samples, self.param_dim)
+            }
         }
         self
     }
@@ -241,8 +271,12 @@ impl<F: Float> Adjoint<F> {
     /// of the last run. Both are 0 if not measured.
     pub(crate) fn growth(&self, k: usize, samples: usize, add: &mut dyn FnMut([f64; 2])) {
         match &self.carried {
-            Carried::One(_, recursion) => recursion.growth().of(k, samples).for_each(|meter| add(meter.growth())),
-            Carried::Two(_, recursion) => recursion.growth().of(k, samples).for_each(|meter| add(meter.growth())),
+            Carried::One(_, recursion) => {
+                recursion.growth().of(k, samples).for_each(|meter| add(meter.growth()))
+            }
+            Carried::Two(_, recursion) => {
+                recursion.growth().of(k, samples).for_each(|meter| add(meter.growth()))
+            }
         }
     }
 
@@ -267,10 +301,19 @@ impl<F: Float> Adjoint<F> {
         scale: F,
     ) -> Result<(), Divergence> {
         let (found, expected) = (rollout.horizon, self.horizon);
-        assert!(rollout.has_tape(), "an adjoint needs a rollout that stores all steps: use `Rollout::new`");
-        assert_eq!(found, expected, "the rollout has {found} steps, but the adjoint has {expected}");
+        assert!(
+            rollout.has_tape(),
+            "an adjoint needs a rollout that stores all steps: use `Rollout::new`"
+        );
+        assert_eq!(
+            found, expected,
+            "the rollout has {found} steps, but the adjoint has {expected}"
+        );
         let (found, capacity) = (rollout.samples, self.samples);
-        assert!(found <= capacity, "the rollout has {found} samples, but the adjoint has space for {capacity}");
+        assert!(
+            found <= capacity,
+            "the rollout has {found} samples, but the adjoint has space for {capacity}"
+        );
         let pass = Pass { task, policy, weights, rollout, scale, measured: self.measures() };
         self.begin(&pass);
         Rollout::<F>::units(0..rollout.horizon).try_for_each(|unit| self.back(&pass, unit))
@@ -288,7 +331,11 @@ impl<F: Float> Adjoint<F> {
     }
 
     /// Runs the recursion backwards through the stored steps of a unit, from its last state.
-    pub(crate) fn back(&mut self, pass: &Pass<'_, F>, unit: Range<usize>) -> Result<(), Divergence> {
+    pub(crate) fn back(
+        &mut self,
+        pass: &Pass<'_, F>,
+        unit: Range<usize>,
+    ) -> Result<(), Divergence> {
         let all = pass.rollout.columns_of(&unit, 0..pass.rollout.samples);
         self.policy.reset_exponents_of(all);
         if self.policy.linearized {
@@ -297,8 +344,12 @@ impl<F: Float> Adjoint<F> {
         let norms = self.norms.as_deref_mut().unwrap_or_default();
         let steps = unit.clone();
         match &mut self.carried {
-            Carried::One(flows, recursion) => recursion.back(pass, pass.task, *flows, steps, &mut self.policy, norms)?,
-            Carried::Two(flows, recursion) => recursion.back(pass, pass.task, *flows, steps, &mut self.policy, norms)?,
+            Carried::One(flows, recursion) => {
+                recursion.back(pass, pass.task, *flows, steps, &mut self.policy, norms)?
+            }
+            Carried::Two(flows, recursion) => {
+                recursion.back(pass, pass.task, *flows, steps, &mut self.policy, norms)?
+            }
         }
         for k in 0..self.flows().len() {
             if !self.policy.through_inputs(self.flows()[k]) && !self.policy.linearized {
@@ -330,7 +381,10 @@ impl<F: Float> Adjoint<F> {
     ) {
         let (end, count) = (samples.end, rollout.samples);
         assert!(end <= count, "the range of samples ends at {end}, but the rollout has {count}");
-        assert!(rollout.has_tape(), "a parameter gradient needs the rollout of the last run of the adjoint");
+        assert!(
+            rollout.has_tape(),
+            "a parameter gradient needs the rollout of the last run of the adjoint"
+        );
         theta_bar.clear();
         for unit in Rollout::<F>::units(0..rollout.horizon) {
             self.add_param_gradient(k, policy, weights, rollout, &unit, samples.clone(), theta_bar);
@@ -406,7 +460,10 @@ mod tests {
     /// Returns costs, the first state component at step 100, and the gradients of three flows.
     fn results<F: Float>(samples: usize) -> Vec<F> {
         let system = CartPoleSystem { poles: 2, ..CartPoleSystem::default() };
-        let task = CartPole::with_system(Forced { system, effects: (CartDamping::default(), Bumpers::default()) });
+        let task = CartPole::with_system(Forced {
+            system,
+            effects: (CartDamping::default(), Bumpers::default()),
+        });
         let policy = Mlp::new(vec![6, 8, 1]);
         let weights = Weights::<F>::init(&policy, &mut stream(0, Purpose::Policy, 0));
         let mut starts = vec![0.0; 6 * samples];
@@ -417,7 +474,9 @@ mod tests {
         let mut rollout = Rollout::new(&task, &policy, 16);
         rollout.start(&starts);
         rollout.run(&task, &policy, &weights).expect("finite");
-        let mut all: Vec<F> = (0..samples).flat_map(|sample| [rollout.cost(sample), rollout.state(100, sample, 0)]).collect();
+        let mut all: Vec<F> = (0..samples)
+            .flat_map(|sample| [rollout.cost(sample), rollout.state(100, sample, 0)])
+            .collect();
         for flows in [&[Flow::REGULAR, Flow::MODIFIED][..], &[Flow::STOPPED]] {
             let mut adjoint = Adjoint::new(&task, &policy, &rollout, flows);
             adjoint.run(&task, &policy, &weights, &rollout, F::one()).expect("finite");

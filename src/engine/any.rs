@@ -21,7 +21,9 @@ use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real, Single};
 /// Hidden methods forward to the methods of the task and its system. `start` also draws the
 /// physical numbers that vary.
 #[allow(missing_docs)]
-pub trait AnyTask<F: Float>: StepForward<F> + Observe<F> + StepBack<F, 1> + StepBack<F, 2> + Send + Sync {
+pub trait AnyTask<F: Float>:
+    StepForward<F> + Observe<F> + StepBack<F, 1> + StepBack<F, 2> + Send + Sync
+{
     #[doc(hidden)]
     fn state_dim(&self) -> usize;
     #[doc(hidden)]
@@ -38,7 +40,13 @@ pub trait AnyTask<F: Float>: StepForward<F> + Observe<F> + StepBack<F, 1> + Step
     #[doc(hidden)]
     fn terminal_cost(&self, x: &[Lane<F>], p: &[Lane<F>]) -> Lane<F>;
     #[doc(hidden)]
-    fn terminal_cost_gradient(&self, x: &[Lane<F>], p: &[Lane<F>], x_bar: &mut [Lane<F>], p_bar: Option<&mut [Lane<F>]>);
+    fn terminal_cost_gradient(
+        &self,
+        x: &[Lane<F>],
+        p: &[Lane<F>],
+        x_bar: &mut [Lane<F>],
+        p_bar: Option<&mut [Lane<F>]>,
+    );
     #[doc(hidden)]
     fn running_cost_gradient(
         &self,
@@ -90,7 +98,13 @@ impl<T: Task, F: Float> AnyTask<F> for T {
         Task::terminal_cost(self, x, p)
     }
 
-    fn terminal_cost_gradient(&self, x: &[Lane<F>], p: &[Lane<F>], x_bar: &mut [Lane<F>], p_bar: Option<&mut [Lane<F>]>) {
+    fn terminal_cost_gradient(
+        &self,
+        x: &[Lane<F>],
+        p: &[Lane<F>],
+        x_bar: &mut [Lane<F>],
+        p_bar: Option<&mut [Lane<F>]>,
+    ) {
         Task::terminal_cost_gradient(self, x, p, x_bar, p_bar);
     }
 
@@ -148,10 +162,16 @@ impl<S: System, R: Real> AnySystem<R> for S {
 }
 
 /// Evaluates [`System::vjp`] for one cotangent of the next state. Returns `[x_bar, u_bar, p_bar]`.
-pub(crate) fn vjp<R: Real>(system: &dyn AnySystem<R>, inputs: Inputs<'_, R>, next_bar: &[R]) -> [Vec<R>; 3] {
+pub(crate) fn vjp<R: Real>(
+    system: &dyn AnySystem<R>,
+    inputs: Inputs<'_, R>,
+    next_bar: &[R],
+) -> [Vec<R>; 3] {
     let next_bar: Vec<_> = next_bar.iter().map(|&bar| CotangentPack([bar])).collect();
-    let [mut x, mut u, mut p] = [inputs.x, inputs.u, inputs.p].map(|inputs| vec![CotangentPack::null(); inputs.len()]);
-    let cotangents = Cotangents { x: Some(&mut x), u: Some(&mut u), p: (!p.is_empty()).then_some(&mut p) };
+    let [mut x, mut u, mut p] =
+        [inputs.x, inputs.u, inputs.p].map(|inputs| vec![CotangentPack::null(); inputs.len()]);
+    let cotangents =
+        Cotangents { x: Some(&mut x), u: Some(&mut u), p: (!p.is_empty()).then_some(&mut p) };
     system.vjp(inputs, &next_bar, cotangents);
     [x, u, p].map(|cotangents| cotangents.into_iter().map(|CotangentPack([bar])| bar).collect())
 }

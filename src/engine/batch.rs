@@ -92,7 +92,13 @@ impl<F: Float> Batch<F> {
     /// # Panics
     /// As [`Rollout::new`](crate::Rollout::new), or if `flows` does not have one or two elements.
     #[track_caller]
-    pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize, flows: &[Flow], workers: usize) -> Self {
+    pub fn new(
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
+        samples: usize,
+        flows: &[Flow],
+        workers: usize,
+    ) -> Self {
         Self::scheduled(task, policy, samples, flows, workers, Schedule::store_all(task.horizon()))
     }
 
@@ -115,7 +121,8 @@ impl<F: Float> Batch<F> {
         workers: usize,
         budget: u64,
     ) -> Result<Self, MemoryError> {
-        let bytes = |schedule: &Schedule| Self::bytes_of(task, policy, samples, flows, workers, schedule);
+        let bytes =
+            |schedule: &Schedule| Self::bytes_of(task, policy, samples, flows, workers, schedule);
         let schedule = Schedule::within(task.horizon(), budget, bytes)?;
         Ok(Self::scheduled(task, policy, samples, flows, workers, schedule))
     }
@@ -134,7 +141,8 @@ impl<F: Float> Batch<F> {
         schedule: Schedule,
     ) -> Self {
         assert!(samples > 0, "a mini-batch needs at least one sample");
-        let zeros = || flows.iter().map(|_| Gradient::zeros(policy.param_count())).collect::<Vec<_>>();
+        let zeros =
+            || flows.iter().map(|_| Gradient::zeros(policy.param_count())).collect::<Vec<_>>();
         let (workers, chunk) = chunks(samples, workers);
         // Allocates the exact capacity, which `stored_bytes` assumes.
         let mut all = Vec::with_capacity(workers);
@@ -145,7 +153,15 @@ impl<F: Float> Batch<F> {
         }));
         let growth = vec![GrowthStats::default(); flows.len()];
         let block = if block_of(samples) > 1 { zeros() } else { Vec::new() };
-        Self { capacity: samples, workers: all, gradients: zeros(), block, growth, measured: false, shared: None }
+        Self {
+            capacity: samples,
+            workers: all,
+            gradients: zeros(),
+            block,
+            growth,
+            measured: false,
+            shared: None,
+        }
     }
 
     /// Returns the [`stored_bytes`](Batch::stored_bytes) of a workspace with this schedule, without
@@ -163,10 +179,13 @@ impl<F: Float> Batch<F> {
         schedule: &Schedule,
     ) -> usize {
         assert!(samples > 0, "a mini-batch needs at least one sample");
-        let gradients = flows.len() * (size_of::<Gradient<F>>() + Gradient::<F>::bytes_of(policy.param_count()));
+        let gradients = flows.len()
+            * (size_of::<Gradient<F>>() + Gradient::<F>::bytes_of(policy.param_count()));
         let (workers, chunk) = chunks(samples, workers);
         let groups = chunk.div_ceil(GROUP) * (size_of::<Vec<Gradient<F>>>() + gradients);
-        let worker = size_of::<Worker<F>>() + groups + Checkpointed::<F>::bytes_of(task, policy, chunk, flows, schedule);
+        let worker = size_of::<Worker<F>>()
+            + groups
+            + Checkpointed::<F>::bytes_of(task, policy, chunk, flows, schedule);
         let sums = if block_of(samples) > 1 { 2 * gradients } else { gradients };
         workers * worker + sums + flows.len() * size_of::<GrowthStats>()
     }
@@ -174,13 +193,17 @@ impl<F: Float> Batch<F> {
     /// Bytes on the heap, independent of the number of samples in a run. Excludes the results that
     /// ranks exchange.
     pub fn stored_bytes(&self) -> usize {
-        let nested = |rows: &[Gradient<F>]| size_of_val(rows) + rows.iter().map(Gradient::stored_bytes).sum::<usize>();
+        let nested = |rows: &[Gradient<F>]| {
+            size_of_val(rows) + rows.iter().map(Gradient::stored_bytes).sum::<usize>()
+        };
         let worker = |worker: &Worker<F>| {
             let groups = worker.groups.iter().map(|group| nested(group)).sum::<usize>();
             size_of_val(&worker.groups[..]) + groups + worker.rollout.stored_bytes()
         };
         let own = size_of_val(&self.workers[..]) + size_of_val(&self.growth[..]);
-        own + self.workers.iter().map(worker).sum::<usize>() + nested(&self.gradients) + nested(&self.block)
+        own + self.workers.iter().map(worker).sum::<usize>()
+            + nested(&self.gradients)
+            + nested(&self.block)
     }
 
     /// Schedule of every worker.
@@ -211,12 +234,21 @@ impl<F: Float> Batch<F> {
         budget: Option<u64>,
     ) -> Result<Self, MemoryError> {
         assert!(samples > 0, "a mini-batch needs at least one sample");
-        let own = samples.div_ceil(ranks.count()).next_multiple_of(GROUP * block_of(samples)).min(samples);
+        let own = samples
+            .div_ceil(ranks.count())
+            .next_multiple_of(GROUP * block_of(samples))
+            .min(samples);
         let batch = match budget {
             None => Self::new(task, policy, own, flows, workers),
             Some(budget) => Self::within(task, policy, own, flows, workers, budget)?,
         };
-        let shared = Shared { ranks, blocks: Vec::new(), groups: 0, costs: Vec::new(), growths: vec![Vec::new(); flows.len()] };
+        let shared = Shared {
+            ranks,
+            blocks: Vec::new(),
+            groups: 0,
+            costs: Vec::new(),
+            growths: vec![Vec::new(); flows.len()],
+        };
         Ok(Self { capacity: samples, shared: Some(Box::new(shared)), ..batch })
     }
 
@@ -246,7 +278,13 @@ impl<F: Float> Batch<F> {
             "`starts` has {} numbers; expected 1 to {capacity} samples of {n} numbers each",
             starts.len()
         );
-        let mini_batch = MiniBatch { task, policy, weights, scale: F::from_f64(1.0 / samples as f64), block: block_of(samples) };
+        let mini_batch = MiniBatch {
+            task,
+            policy,
+            weights,
+            scale: F::from_f64(1.0 / samples as f64),
+            block: block_of(samples),
+        };
         self.growth.fill(GrowthStats::default());
         let loss = match self.shared.take() {
             None => self.run_samples(mini_batch, starts, None)?,
@@ -261,7 +299,12 @@ impl<F: Float> Batch<F> {
     }
 
     /// Runs the samples of this rank, and exchanges the results. Returns the sum of all costs.
-    fn run_shared(&mut self, mini_batch: MiniBatch<'_, F>, starts: &[F], shared: &mut Shared<F>) -> Result<f64, Divergence> {
+    fn run_shared(
+        &mut self,
+        mini_batch: MiniBatch<'_, F>,
+        starts: &[F],
+        shared: &mut Shared<F>,
+    ) -> Result<f64, Divergence> {
         let ranks = shared.ranks.clone();
         let n = mini_batch.task.start_dim();
         let samples = starts.len() / n;
@@ -280,7 +323,11 @@ impl<F: Float> Batch<F> {
         add_blocks(&*ranks, &shared.blocks, &mut self.gradients);
         if self.measured {
             for (stats, growths) in self.growth.iter_mut().zip(&shared.growths) {
-                gather_f64(&*ranks, growths).as_chunks().0.iter().for_each(|&growth| stats.add(growth));
+                gather_f64(&*ranks, growths)
+                    .as_chunks()
+                    .0
+                    .iter()
+                    .for_each(|&growth| stats.add(growth));
             }
         }
         Ok(gather_f64(&*ranks, &shared.costs).into_iter().fold(0.0, |loss, cost| loss + cost))
@@ -307,11 +354,15 @@ impl<F: Float> Batch<F> {
             // All rounds run, because a later round may diverge at an earlier step.
             let first = round * self.workers.len() * chunk;
             let errors = self.workers[..active].iter().enumerate();
-            let errors = errors.filter_map(|(i, worker)| worker.outcome.err().map(|d| d.offset(first + i * chunk)));
+            let errors = errors.filter_map(|(i, worker)| {
+                worker.outcome.err().map(|d| d.offset(first + i * chunk))
+            });
             diverged = diverged.into_iter().chain(errors).min_by_key(Divergence::order);
             if diverged.is_none() {
                 match &mut shared {
-                    None => loss = self.add_round(active, first.div_ceil(GROUP), groups, block, loss),
+                    None => {
+                        loss = self.add_round(active, first.div_ceil(GROUP), groups, block, loss)
+                    }
                     Some(shared) => shared.keep(&self.workers[..active], block, self.measured),
                 }
             }
@@ -322,7 +373,14 @@ impl<F: Float> Batch<F> {
     /// Adds the gradients and growths of the first `active` workers, in the order of the samples.
     /// Their first group has the index `first` among all `groups` groups. Returns `loss` plus the
     /// costs of these samples.
-    fn add_round(&mut self, active: usize, first: usize, groups: usize, block: usize, loss: f64) -> f64 {
+    fn add_round(
+        &mut self,
+        active: usize,
+        first: usize,
+        groups: usize,
+        block: usize,
+        loss: f64,
+    ) -> f64 {
         let workers = &self.workers[..active];
         for (k, total) in self.gradients.iter_mut().enumerate() {
             for (g, group) in (first..).zip(workers.iter().flat_map(Worker::sums)) {
@@ -339,10 +397,13 @@ impl<F: Float> Batch<F> {
         }
         if self.measured {
             for (k, stats) in self.growth.iter_mut().enumerate() {
-                workers.iter().for_each(|worker| worker.rollout.growth(k, &mut |growth| stats.add(growth)));
+                workers
+                    .iter()
+                    .for_each(|worker| worker.rollout.growth(k, &mut |growth| stats.add(growth)));
             }
         }
-        let costs = workers.iter().flat_map(|w| (0..w.rollout.samples()).map(|s| w.rollout.cost(s).as_()));
+        let costs =
+            workers.iter().flat_map(|w| (0..w.rollout.samples()).map(|s| w.rollout.cost(s).as_()));
         costs.fold(loss, |loss, cost: f64| loss + cost)
     }
 
@@ -384,7 +445,9 @@ impl<F: Float> Shared<F> {
             let samples = worker.rollout.samples();
             for group in worker.sums() {
                 match self.blocks.last_mut().filter(|_| !self.groups.is_multiple_of(block)) {
-                    Some(sums) => sums.iter_mut().zip(group).for_each(|(sum, group)| sum.add(group)),
+                    Some(sums) => {
+                        sums.iter_mut().zip(group).for_each(|(sum, group)| sum.add(group))
+                    }
                     None => self.blocks.push(group.clone()),
                 }
                 self.groups += 1;
@@ -402,9 +465,15 @@ impl<F: Float> Shared<F> {
 /// Rank with the first divergence of all ranks, if any.
 fn first_diverged(ranks: &dyn Ranks, own: Option<Divergence>) -> Option<usize> {
     let order = own.map(|divergence| divergence.order());
-    let message: Vec<u8> = order.into_iter().flat_map(|(pass, time, sample)| order_bytes(pass, time, sample)).collect();
+    let message: Vec<u8> = order
+        .into_iter()
+        .flat_map(|(pass, time, sample)| order_bytes(pass, time, sample))
+        .collect();
     let messages = gather(ranks, &message).into_iter().enumerate();
-    messages.filter(|(_, message)| !message.is_empty()).min_by(|(_, a), (_, b)| a.cmp(b)).map(|(rank, _)| rank)
+    messages
+        .filter(|(_, message)| !message.is_empty())
+        .min_by(|(_, a), (_, b)| a.cmp(b))
+        .map(|(rank, _)| rank)
 }
 
 /// Sort key of a divergence as bytes with the same order.
@@ -465,7 +534,8 @@ mod tests {
         let (mut batch, mut evaluation) = match ranks {
             None => (Batch::new(&task, &policy, samples, &flows, workers), evaluation),
             Some(ranks) => {
-                let batch = Batch::shared(ranks.clone(), &task, &policy, samples, &flows, workers, None);
+                let batch =
+                    Batch::shared(ranks.clone(), &task, &policy, samples, &flows, workers, None);
                 (batch.expect("no limit"), evaluation.shared(ranks))
             }
         };
@@ -482,13 +552,23 @@ mod tests {
         for samples in [3, 128, 130, 269] {
             let one = found(samples, None, 1);
             for workers in [2, 3] {
-                assert_eq!(one, found(samples, None, workers), "{samples} samples, {workers} workers");
+                assert_eq!(
+                    one,
+                    found(samples, None, workers),
+                    "{samples} samples, {workers} workers"
+                );
             }
             for count in [1, 2, 3, 8] {
                 std::thread::scope(|scope| {
                     let one = &one;
                     for ranks in Threads::all(count) {
-                        scope.spawn(move || assert_eq!(one, &found(samples, Some(ranks), 2), "{samples} samples, {count} ranks"));
+                        scope.spawn(move || {
+                            assert_eq!(
+                                one,
+                                &found(samples, Some(ranks), 2),
+                                "{samples} samples, {count} ranks"
+                            )
+                        });
                     }
                 });
             }

@@ -53,9 +53,18 @@ impl<F: Float> Checkpointed<F> {
     /// As [`Rollout::new`]. Also if the horizons of schedule and task differ, or `flows` does not
     /// have one or two elements.
     #[track_caller]
-    pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize, flows: &[Flow], schedule: Schedule) -> Self {
+    pub fn new(
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
+        samples: usize,
+        flows: &[Flow],
+        schedule: Schedule,
+    ) -> Self {
         let (planned, horizon) = (schedule.horizon(), task.horizon());
-        assert_eq!(planned, horizon, "the schedule has a horizon of {planned} steps, but the task has {horizon}");
+        assert_eq!(
+            planned, horizon,
+            "the schedule has a horizon of {planned} steps, but the task has {horizon}"
+        );
         let rollout = Rollout::with_steps(task, policy, samples, schedule.segment());
         let adjoint = Adjoint::of_kept(task, policy, &rollout, flows);
         let blocks = samples.div_ceil(WIDTH);
@@ -85,7 +94,9 @@ impl<F: Float> Checkpointed<F> {
         flows: &[Flow],
         budget: u64,
     ) -> Result<Schedule, MemoryError> {
-        Schedule::within(task.horizon(), budget, |schedule| Self::bytes_of(task, policy, samples, flows, schedule))
+        Schedule::within(task.horizon(), budget, |schedule| {
+            Self::bytes_of(task, policy, samples, flows, schedule)
+        })
     }
 
     /// Returns the [`stored_bytes`](Checkpointed::stored_bytes) of a workspace with this schedule,
@@ -98,7 +109,8 @@ impl<F: Float> Checkpointed<F> {
         schedule: &Schedule,
     ) -> usize {
         let (segment, blocks) = (schedule.segment(), samples.div_ceil(WIDTH));
-        let checkpoint = blocks * (task.state_dim() + policy.memory_dim()) * size_of::<Lane<F>>() + size_of::<usize>();
+        let checkpoint = blocks * (task.state_dim() + policy.memory_dim()) * size_of::<Lane<F>>()
+            + size_of::<usize>();
         Rollout::<F>::bytes_of(task, policy, samples, segment)
             + Adjoint::<F>::bytes_of(task, policy, samples, segment, flows)
             + schedule.checkpoints() * checkpoint
@@ -107,7 +119,9 @@ impl<F: Float> Checkpointed<F> {
 
     /// Bytes on the heap, independent of the number of samples in a run.
     pub fn stored_bytes(&self) -> usize {
-        let own = size_of_val(&self.states[..]) + self.kept.capacity() * size_of::<usize>() + size_of_val(&self.costs[..]);
+        let own = size_of_val(&self.states[..])
+            + self.kept.capacity() * size_of::<usize>()
+            + size_of_val(&self.costs[..]);
         self.rollout.stored_bytes() + self.adjoint.stored_bytes() + own
     }
 
@@ -132,7 +146,11 @@ impl<F: Float> Checkpointed<F> {
     /// If there is no such sample.
     #[track_caller]
     pub fn cost(&self, sample: usize) -> F {
-        assert!(sample < self.samples(), "there is no sample {sample}: the run has {}", self.samples());
+        assert!(
+            sample < self.samples(),
+            "there is no sample {sample}: the run has {}",
+            self.samples()
+        );
         self.costs[sample / WIDTH].lane(sample % WIDTH)
     }
 
@@ -198,25 +216,49 @@ impl<F: Float> Checkpointed<F> {
         let segments = self.schedule.segments();
         self.forward(task, policy, weights, starts)?;
         let measured = self.adjoint.measures();
-        self.adjoint.begin(&Pass { task, policy, weights, rollout: &self.rollout, scale, measured });
+        self.adjoint.begin(&Pass {
+            task,
+            policy,
+            weights,
+            rollout: &self.rollout,
+            scale,
+            measured,
+        });
         for index in (0..segments).rev() {
             if index + 1 < segments {
                 self.tape_again(task, policy, weights, index)?;
             }
             // Adds the parameter gradient of a unit while its cotangents are in the cache.
             for unit in Rollout::<F>::units(self.schedule.steps(index)) {
-                self.adjoint.back(&Pass { task, policy, weights, rollout: &self.rollout, scale, measured }, unit.clone())?;
+                self.adjoint.back(
+                    &Pass { task, policy, weights, rollout: &self.rollout, scale, measured },
+                    unit.clone(),
+                )?;
                 for (g, gradient) in gradients.iter_mut().enumerate() {
                     let own = g * group..samples.min((g + 1) * group);
                     for (k, sum) in gradient.iter_mut().enumerate() {
-                        self.adjoint.add_param_gradient(k, policy, weights, &self.rollout, &unit, own.clone(), sum);
+                        self.adjoint.add_param_gradient(
+                            k,
+                            policy,
+                            weights,
+                            &self.rollout,
+                            &unit,
+                            own.clone(),
+                            sum,
+                        );
                     }
                 }
             }
         }
         for (g, gradient) in gradients.iter_mut().enumerate() {
             for (k, sum) in gradient.iter_mut().enumerate() {
-                self.adjoint.add_trained_gradient(k, policy, weights, g * group..samples.min((g + 1) * group), sum);
+                self.adjoint.add_trained_gradient(
+                    k,
+                    policy,
+                    weights,
+                    g * group..samples.min((g + 1) * group),
+                    sum,
+                );
             }
         }
         Ok(())

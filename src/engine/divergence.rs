@@ -85,7 +85,9 @@ impl Divergence {
     /// Adds `first` to the sample index, if the variant has one.
     pub(crate) fn offset(mut self, first: usize) -> Self {
         match &mut self {
-            Self::Forward { sample, .. } | Self::Cost { sample } | Self::Cotangent { sample, .. } => *sample += first,
+            Self::Forward { sample, .. }
+            | Self::Cost { sample }
+            | Self::Cotangent { sample, .. } => *sample += first,
             Self::Gradient { .. } | Self::Field { .. } => {}
         }
         self
@@ -96,8 +98,12 @@ impl Divergence {
     pub(crate) fn order(&self) -> (u8, usize, usize) {
         match *self {
             // The control at step t lies between the states at steps t and t + 1.
-            Self::Forward { variable: Variable::Control | Variable::Memory, step, sample, .. } => (0, 2 * step + 1, sample),
-            Self::Forward { variable: Variable::State | Variable::Parameter, step, sample, .. } => (0, 2 * step, sample),
+            Self::Forward {
+                variable: Variable::Control | Variable::Memory, step, sample, ..
+            } => (0, 2 * step + 1, sample),
+            Self::Forward {
+                variable: Variable::State | Variable::Parameter, step, sample, ..
+            } => (0, 2 * step, sample),
             Self::Cost { sample } => (1, 0, sample),
             Self::Cotangent { step, sample, .. } => (2, usize::MAX - step, sample),
             Self::Gradient { parameter, .. } | Self::Field { parameter, .. } => (3, 0, parameter),
@@ -139,7 +145,13 @@ impl fmt::Display for Divergence {
                 "forward pass: {variable} component {component} of sample {sample} is not finite at step 0, although the initial \
                  state is finite. Check the parameters p that `start` draws, and `observe`; if these are finite, reduce the learning rate"
             ),
-            Self::Forward { variable: Variable::State, step: 1, sample, component, cause: None } => write!(
+            Self::Forward {
+                variable: Variable::State,
+                step: 1,
+                sample,
+                component,
+                cause: None,
+            } => write!(
                 f,
                 "forward pass: state component {component} of sample {sample} is not finite after the first step, although the initial \
                  state and the control are finite. Check `step` for division by 0, and for roots and logarithms of negative \
@@ -159,7 +171,9 @@ impl fmt::Display for Divergence {
                      `running_cost` and `terminal_cost` for overflow, division by 0, and roots or logarithms of negative numbers"
                 )
             }
-            Self::Cotangent { flow, cause: Some(Cause::Unsolved(residual)), step, sample, .. } => write!(
+            Self::Cotangent {
+                flow, cause: Some(Cause::Unsolved(residual)), step, sample, ..
+            } => write!(
                 f,
                 "reverse pass of {flow}: the Newton iteration of the implicit integrator did not converge for sample {sample} at \
                  step {step}: residual {residual:.1e}. The reverse pass solves the step up to rounding errors, for any tolerance. \

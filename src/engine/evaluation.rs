@@ -39,8 +39,11 @@ impl<F: Float> Evaluation<F> {
     /// # Panics
     /// As [`Rollout::new`].
     pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, workers: usize) -> Self {
-        let evaluator =
-            || Evaluator { rollout: Rollout::for_evaluation(task, policy, EVALUATED), costs: Vec::new(), outcome: Ok(()) };
+        let evaluator = || Evaluator {
+            rollout: Rollout::for_evaluation(task, policy, EVALUATED),
+            costs: Vec::new(),
+            outcome: Ok(()),
+        };
         Self { workers: (0..workers.max(1)).map(|_| evaluator()).collect(), ranks: None }
     }
 
@@ -87,7 +90,8 @@ impl<F: Float> Evaluation<F> {
         let failed = gather(&*ranks, &[u8::from(outcome.is_err())]);
         if let Some(rank) = failed.iter().position(|failed| failed == &[1]) {
             let Range { start, end } = own(rank);
-            self.run_samples(task, policy, weights, &starts[start * n..end * n]).map_err(|d| d.offset(start))?;
+            self.run_samples(task, policy, weights, &starts[start * n..end * n])
+                .map_err(|d| d.offset(start))?;
         }
         Ok(gather_f64(&*ranks, &costs).iter().sum::<f64>() / samples as f64)
     }
@@ -108,14 +112,17 @@ impl<F: Float> Evaluation<F> {
     ) -> Result<(), Divergence> {
         let n = task.start_dim();
         let samples = starts.len() / n;
-        let per_worker = samples.div_ceil(EVALUATED).div_ceil(self.workers.len()).max(1) * EVALUATED;
+        let per_worker =
+            samples.div_ceil(EVALUATED).div_ceil(self.workers.len()).max(1) * EVALUATED;
         for_each(&mut self.workers, &|index, worker| {
             worker.costs.clear();
             let own = starts.chunks(per_worker * n).nth(index).unwrap_or(&[]);
             worker.outcome = own.chunks(EVALUATED * n).enumerate().try_for_each(|(i, starts)| {
                 worker.rollout.start(starts);
                 let outcome = worker.rollout.run(task, policy, weights);
-                worker.costs.extend((0..worker.rollout.samples()).map(|s| worker.rollout.cost(s).as_()));
+                worker
+                    .costs
+                    .extend((0..worker.rollout.samples()).map(|s| worker.rollout.cost(s).as_()));
                 outcome.map_err(|d| d.offset(index * per_worker + i * EVALUATED))
             });
         });

@@ -35,7 +35,12 @@ const MAX_EXPONENT: i32 = 60;
 impl<F: Float> Gradient<F> {
     /// Creates a zero gradient.
     pub fn zeros(params: usize) -> Self {
-        Self { values: vec![F::zero(); params], exponent: 0, exponents: vec![0; params], spread: false }
+        Self {
+            values: vec![F::zero(); params],
+            exponent: 0,
+            exponents: vec![0; params],
+            spread: false,
+        }
     }
 
     /// The gradient with these values, for a vector from elsewhere.
@@ -139,7 +144,11 @@ impl<F: Float> Gradient<F> {
         let is_f32 = size_of::<F>() == size_of::<f32>();
         for value in &self.values[range.clone()] {
             let value: f64 = value.as_();
-            if is_f32 { bytes.extend((value as f32).to_le_bytes()) } else { bytes.extend(value.to_le_bytes()) }
+            if is_f32 {
+                bytes.extend((value as f32).to_le_bytes())
+            } else {
+                bytes.extend(value.to_le_bytes())
+            }
         }
         if self.spread {
             self.exponents[range].iter().for_each(|exponent| bytes.extend(exponent.to_le_bytes()));
@@ -153,7 +162,8 @@ impl<F: Float> Gradient<F> {
     /// If `bytes` is too short.
     pub(crate) fn read_slice(&mut self, range: Range<usize>, bytes: &mut &[u8]) {
         fn take<const N: usize>(bytes: &mut &[u8]) -> [u8; N] {
-            let (first, rest) = bytes.split_first_chunk().expect("the message of another rank is complete");
+            let (first, rest) =
+                bytes.split_first_chunk().expect("the message of another rank is complete");
             *bytes = rest;
             *first
         }
@@ -161,10 +171,16 @@ impl<F: Float> Gradient<F> {
         self.exponent = i32::from_le_bytes(take(bytes));
         let is_f32 = size_of::<F>() == size_of::<f32>();
         for value in &mut self.values[range.clone()] {
-            *value = F::from_f64(if is_f32 { f32::from_le_bytes(take(bytes)).into() } else { f64::from_le_bytes(take(bytes)) });
+            *value = F::from_f64(if is_f32 {
+                f32::from_le_bytes(take(bytes)).into()
+            } else {
+                f64::from_le_bytes(take(bytes))
+            });
         }
         if self.spread {
-            self.exponents[range].iter_mut().for_each(|exponent| *exponent = i32::from_le_bytes(take(bytes)));
+            self.exponents[range]
+                .iter_mut()
+                .for_each(|exponent| *exponent = i32::from_le_bytes(take(bytes)));
         }
     }
 
@@ -224,7 +240,11 @@ impl<F: Float> Gradient<F> {
             let rounded = F::from_f64(scaled(value, -exponent));
             // An underflow keeps the sign.
             let sign = F::from_f64(value.signum());
-            *own = if rounded == F::zero() && value != 0.0 { scaled_with_sign(sign, -10_000) } else { rounded };
+            *own = if rounded == F::zero() && value != 0.0 {
+                scaled_with_sign(sign, -10_000)
+            } else {
+                rounded
+            };
         }
     }
 
@@ -238,7 +258,8 @@ impl<F: Float> Gradient<F> {
             let size: f64 = value.as_();
             (size != 0.0 && size.is_finite()).then(|| exponent + exponent_of(size))
         };
-        let largest = zip(self.values.iter(), &self.exponents).filter_map(leading).max().unwrap_or(0);
+        let largest =
+            zip(self.values.iter(), &self.exponents).filter_map(leading).max().unwrap_or(0);
         self.exponent = Self::common(largest);
         for (value, &exponent) in zip(self.values.iter_mut(), &self.exponents) {
             if finite(*value) {
@@ -250,7 +271,8 @@ impl<F: Float> Gradient<F> {
     /// Sets the gradient to 0 if only signs remain, because every nonzero value has underflowed.
     pub(crate) fn drop_signs(&mut self) {
         let smallest = scaled_with_sign(F::one(), -10_000);
-        if self.exponent != 0 && self.values.iter().all(|value| value.as_().abs() <= smallest.as_()) {
+        if self.exponent != 0 && self.values.iter().all(|value| value.as_().abs() <= smallest.as_())
+        {
             self.clear();
         }
     }
@@ -290,7 +312,11 @@ mod tests {
         tiny.add_part(&[0.0, -1.0], -3000);
         tiny.normalize();
         assert_eq!((tiny.exponent(), tiny.values()), (3000, &[1.0, -f32::from_bits(1)][..]));
-        approx::assert_relative_eq!(tiny.norm().log10(), 3000.0 * 2f64.log10(), max_relative = 1e-12);
+        approx::assert_relative_eq!(
+            tiny.norm().log10(),
+            3000.0 * 2f64.log10(),
+            max_relative = 1e-12
+        );
     }
 
     #[test]

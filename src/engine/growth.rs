@@ -74,7 +74,8 @@ impl Meter {
         if before == 0.0 {
             return;
         }
-        let decades = 0.5 * (after.log10() - before.log10()) + f64::from(exponent) * std::f64::consts::LOG10_2;
+        let decades = 0.5 * (after.log10() - before.log10())
+            + f64::from(exponent) * std::f64::consts::LOG10_2;
         self.along += decades;
         // Later growth must not add to -∞.
         self.since_cut = if after == 0.0 { 0.0 } else { self.since_cut + decades };
@@ -115,7 +116,10 @@ impl GrowthStats {
 
     /// Mean and largest growth. `None` without samples.
     pub(crate) fn growth(&self) -> Option<Growth> {
-        (self.samples > 0).then(|| Growth { along: self.along / self.samples as f64, worst_window: self.worst_window })
+        (self.samples > 0).then(|| Growth {
+            along: self.along / self.samples as f64,
+            worst_window: self.worst_window,
+        })
     }
 }
 
@@ -130,7 +134,10 @@ mod tests {
         for (before, after) in [(1.0, 1e2), (1e2, 1e6), (1e6, 1.0), (1.0, 1e-4), (1e-4, 1e-2)] {
             meter.step(before, after, 0);
         }
-        assert!((meter.along + 1.0).abs() < 1e-12 && (meter.worst_window - 3.0).abs() < 1e-12, "{meter:?}");
+        assert!(
+            (meter.along + 1.0).abs() < 1e-12 && (meter.worst_window - 3.0).abs() < 1e-12,
+            "{meter:?}"
+        );
         // A change of the exponent counts as growth.
         meter.step(1.0, 1.0, 100);
         assert!((meter.along + 1.0 - 100.0 * 2f64.log10()).abs() < 1e-9, "{meter:?}");
@@ -144,13 +151,20 @@ mod tests {
     #[test]
     fn r_warns_of_growth_beyond_its_digits_and_m_of_growth_beyond_3_decades() {
         let growth = |along: f64, worst_window: f64| Growth { along, worst_window };
-        let warning = |flow: Flow, growth: Growth, epsilon: f64| growth.warning(flow, 1000, epsilon).unwrap_or_default();
+        let warning = |flow: Flow, growth: Growth, epsilon: f64| {
+            growth.warning(flow, 1000, epsilon).unwrap_or_default()
+        };
         let (single, double) = (f64::from(f32::EPSILON), f64::EPSILON);
         // f32 has 6.92 digits. The adjoint grows by 10 decades in 1000 steps, by 6.92 in 692.
-        assert!(warning(Flow::REGULAR, growth(2.0, 10.0), single).contains("Before the last 692 of the 1000 steps"));
+        assert!(
+            warning(Flow::REGULAR, growth(2.0, 10.0), single)
+                .contains("Before the last 692 of the 1000 steps")
+        );
         assert_eq!(warning(Flow::REGULAR, growth(2.0, 10.0), double), "");
         assert_eq!(warning(Flow::REGULAR, growth(-30.0, 1.0), single), "");
-        assert!(warning(Flow::REGULAR, growth(20.0, 20.0), double).contains("R grows by up to 10^20"));
+        assert!(
+            warning(Flow::REGULAR, growth(20.0, 20.0), double).contains("R grows by up to 10^20")
+        );
         assert!(warning(Flow::MODIFIED, growth(4.0, 4.0), double).contains("M grows by 10^4"));
         assert_eq!(warning(Flow::MODIFIED, growth(2.0, 9.0), double), "");
         assert_eq!(warning(Flow::STOPPED, growth(f64::NEG_INFINITY, 0.0), double), "");

@@ -18,7 +18,12 @@ use std::ops::Range;
 /// let starts: Vec<f64> = initial_states(&CartPole::new(1), 0, Purpose::Train, 8);
 /// assert_eq!(starts.len(), 8 * 4);
 /// ```
-pub fn initial_states<F: Float>(task: &dyn AnyTask<F>, seed: u64, purpose: Purpose, samples: usize) -> Vec<F> {
+pub fn initial_states<F: Float>(
+    task: &dyn AnyTask<F>,
+    seed: u64,
+    purpose: Purpose,
+    samples: usize,
+) -> Vec<F> {
     let mut all = Vec::with_capacity(samples * task.start_dim());
     append_starts(task, seed, purpose, 0..samples, &mut all);
     all
@@ -39,7 +44,12 @@ pub fn append_starts<F: Float>(
 }
 
 /// Draws one sample from its stream and appends it. `one` is a buffer of `start_dim` numbers.
-pub(crate) fn append_start<F: Float>(task: &dyn AnyTask<F>, rng: &mut Rng, one: &mut [f64], all: &mut Vec<F>) {
+pub(crate) fn append_start<F: Float>(
+    task: &dyn AnyTask<F>,
+    rng: &mut Rng,
+    one: &mut [f64],
+    all: &mut Vec<F>,
+) {
     one.fill(0.0);
     let (x, p) = one.split_at_mut(task.state_dim());
     task.start(rng, Start { x, p });

@@ -42,7 +42,11 @@ impl<T: Task, F: Float> Observe<F> for T {
 
 /// Inputs of one block.
 #[inline(always)]
-fn of_block<'a, T: Task, F: Float>(task: &T, inputs: Inputs<'a, Lane<F>>, block: usize) -> Inputs<'a, Lane<F>> {
+fn of_block<'a, T: Task, F: Float>(
+    task: &T,
+    inputs: Inputs<'a, Lane<F>>,
+    block: usize,
+) -> Inputs<'a, Lane<F>> {
     let (n, params) = (task.system().state_dim(), task.param_dim());
     Inputs { x: &inputs.x[block * n..][..n], p: &inputs.p[block * params..][..params], ..inputs }
 }
@@ -82,7 +86,11 @@ impl<T: Task, F: Float> Vectorized for Back<'_, T, F> {
         for (block, x_bar) in x_bar.chunks_exact_mut(n).enumerate() {
             let p_bar = p_bar.as_deref_mut().map(|p_bar| &mut p_bar[block * params..][..params]);
             let cotangents = Cotangents { x: Some(x_bar), u: None, p: p_bar };
-            task.observe_vjp(of_block(task, inputs, block), &y_bar[block * dim..][..dim], cotangents);
+            task.observe_vjp(
+                of_block(task, inputs, block),
+                &y_bar[block * dim..][..dim],
+                cotangents,
+            );
         }
     }
 }

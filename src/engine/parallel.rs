@@ -10,7 +10,9 @@ pub(crate) fn for_each<W: Send>(items: &mut [W], work: &(dyn Fn(usize, &mut W) +
     #[cfg(feature = "parallel")]
     if items.len() > 1 {
         use rayon::prelude::*;
-        if threads::run(&mut || items.par_iter_mut().enumerate().for_each(|(i, item)| work(i, item))) {
+        if threads::run(&mut || {
+            items.par_iter_mut().enumerate().for_each(|(i, item)| work(i, item))
+        }) {
             return;
         }
     }

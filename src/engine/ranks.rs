@@ -64,12 +64,22 @@ pub(crate) fn samples_of(samples: usize, block: usize, rank: usize, ranks: usize
 /// Numbers of all ranks, in the order of the ranks.
 pub(crate) fn gather_f64(ranks: &dyn Ranks, own: &[f64]) -> Vec<f64> {
     let bytes: Vec<u8> = own.iter().flat_map(|x| x.to_le_bytes()).collect();
-    gather(ranks, &bytes).concat().as_chunks().0.iter().map(|&bytes| f64::from_le_bytes(bytes)).collect()
+    gather(ranks, &bytes)
+        .concat()
+        .as_chunks()
+        .0
+        .iter()
+        .map(|&bytes| f64::from_le_bytes(bytes))
+        .collect()
 }
 
 /// Sets `totals`, one per flow, to the sums over the blocks of all ranks, in order. `blocks[b][k]`
 /// is the sum of block b for flow k.
-pub(crate) fn add_blocks<F: Float>(ranks: &dyn Ranks, blocks: &[Vec<Gradient<F>>], totals: &mut [Gradient<F>]) {
+pub(crate) fn add_blocks<F: Float>(
+    ranks: &dyn Ranks,
+    blocks: &[Vec<Gradient<F>>],
+    totals: &mut [Gradient<F>],
+) {
     let (params, count) = (totals[0].values().len(), ranks.count());
     let slice = |rank: usize| part(params, rank, count);
     let messages: Vec<Vec<u8>> = (0..count)
@@ -120,7 +130,12 @@ pub(crate) mod tests {
         pub(crate) fn all(count: usize) -> Vec<Arc<dyn Ranks>> {
             let messages = Arc::new(Mutex::new(vec![vec![Vec::new(); count]; count]));
             let barrier = Arc::new(Barrier::new(count));
-            (0..count).map(|rank| Arc::new(Self { rank, messages: messages.clone(), barrier: barrier.clone() }) as _).collect()
+            (0..count)
+                .map(|rank| {
+                    Arc::new(Self { rank, messages: messages.clone(), barrier: barrier.clone() })
+                        as _
+                })
+                .collect()
         }
     }
 
@@ -134,9 +149,16 @@ pub(crate) mod tests {
         }
 
         fn exchange(&self, messages: &[&[u8]]) -> Vec<Vec<u8>> {
-            self.messages.lock().expect("no panic")[self.rank] = messages.iter().map(|message| message.to_vec()).collect();
+            self.messages.lock().expect("no panic")[self.rank] =
+                messages.iter().map(|message| message.to_vec()).collect();
             self.barrier.wait();
-            let received = self.messages.lock().expect("no panic").iter().map(|row| row[self.rank].clone()).collect();
+            let received = self
+                .messages
+                .lock()
+                .expect("no panic")
+                .iter()
+                .map(|row| row[self.rank].clone())
+                .collect();
             self.barrier.wait();
             received
         }
@@ -148,7 +170,8 @@ pub(crate) mod tests {
         let group = |g: usize| {
             let mut sums = vec![Gradient::<f32>::zeros(7), Gradient::zeros(7)];
             for (k, sum) in sums.iter_mut().enumerate() {
-                let values: Vec<f32> = (0..7).map(|i| ((i * 31 + g * 17 + k * 5) as f32).sin() * 1e3).collect();
+                let values: Vec<f32> =
+                    (0..7).map(|i| ((i * 31 + g * 17 + k * 5) as f32).sin() * 1e3).collect();
                 match g % 4 {
                     3 => sum.add_part(&values, 200 * g as i32),
                     _ => sum.unscaled_sum().expect("a plain sum").copy_from_slice(&values),

@@ -101,13 +101,22 @@ impl<F: Float> Rollout<F> {
     ///
     /// # Panics
     /// As [`new`](Rollout::new).
-    pub fn for_evaluation(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize) -> Self {
+    pub fn for_evaluation(
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
+        samples: usize,
+    ) -> Self {
         Self::with_steps(task, policy, samples, 1)
     }
 
     /// Allocates `samples` rollouts that store the last `kept` steps for differentiation.
     #[track_caller]
-    pub(crate) fn with_steps(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize, kept: usize) -> Self {
+    pub(crate) fn with_steps(
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
+        samples: usize,
+        kept: usize,
+    ) -> Self {
         let (n, m) = (task.state_dim(), task.control_dim());
         assert!(samples > 0, "a rollout needs at least one sample");
         assert!(task.horizon() > 0, "a rollout needs a horizon of at least one step");
@@ -119,11 +128,19 @@ impl<F: Float> Rollout<F> {
             "the policy expects {} observed components, but the task has {observed}",
             policy.observation_dim()
         );
-        assert_eq!(policy.control_dim(), m, "the policy computes {} controls, but the system has {m}", policy.control_dim());
+        assert_eq!(
+            policy.control_dim(),
+            m,
+            "the policy computes {} controls, but the system has {m}",
+            policy.control_dim()
+        );
         let params = task.param_dim();
         for param in policy.trained_params() {
             let index = param.index();
-            assert!(index < params, "the policy trains p[{index}], but the task has {params} parameters");
+            assert!(
+                index < params,
+                "the policy trains p[{index}], but the task has {params} parameters"
+            );
         }
         let sizes = BufferSizes::new(task, policy, samples, kept);
         let zeros = |len: usize| vec![F::zero(); len];
@@ -163,14 +180,26 @@ impl<F: Float> Rollout<F> {
     /// Bytes on the heap, independent of the number of samples started. Without a tape, they are
     /// also independent of the horizon.
     pub fn stored_bytes(&self) -> usize {
-        let lanes = [&self.states, &self.controls, &self.params, &self.observations, &self.costs, &self.unit_costs];
+        let lanes = [
+            &self.states,
+            &self.controls,
+            &self.params,
+            &self.observations,
+            &self.costs,
+            &self.unit_costs,
+        ];
         let lanes = lanes.map(|lanes| size_of_val(&lanes[..]));
         let numbers = [&self.inputs, &self.outputs].map(|numbers| size_of_val(&numbers[..]));
         lanes.into_iter().chain(numbers).sum::<usize>() + self.tape.stored_bytes()
     }
 
     /// Returns the [`stored_bytes`](Rollout::stored_bytes) of a rollout that stores `kept` steps.
-    pub fn bytes_of(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize, kept: usize) -> usize {
+    pub fn bytes_of(
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
+        samples: usize,
+        kept: usize,
+    ) -> usize {
         BufferSizes::new(task, policy, samples, kept).bytes::<F>()
     }
 
@@ -192,7 +221,8 @@ impl<F: Float> Rollout<F> {
         );
         self.samples = samples;
         for block in 0..self.blocks() {
-            let (x, p) = (&mut self.states[block * n..][..n], &mut self.params[block * params..][..params]);
+            let (x, p) =
+                (&mut self.states[block * n..][..n], &mut self.params[block * params..][..params]);
             for lane in 0..WIDTH {
                 // Unused lanes repeat the last sample, so they add no non-finite numbers.
                 let sample = (block * WIDTH + lane).min(samples - 1);
@@ -211,7 +241,12 @@ impl<F: Float> Rollout<F> {
     ///
     /// # Errors
     /// [`Divergence`] if a control, memory, state or cost is non-finite.
-    pub fn run(&mut self, task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, weights: &Weights<F>) -> Result<(), Divergence> {
+    pub fn run(
+        &mut self,
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
+        weights: &Weights<F>,
+    ) -> Result<(), Divergence> {
         self.clear_costs();
         self.advance(task, policy, weights, 0..self.horizon)?;
         self.finish(task)
@@ -221,19 +256,31 @@ impl<F: Float> Rollout<F> {
     fn set_trained_params(&mut self, policy: &dyn AnyPolicy<F>, weights: &Weights<F>) {
         for (param, r) in policy.trained_params().iter().zip(weights.trained(policy)) {
             let value = Lane::splat(F::from_f64(param.value(r.as_())));
-            self.params.iter_mut().skip(param.index()).step_by(self.param_dim).for_each(|p| *p = value);
+            self.params
+                .iter_mut()
+                .skip(param.index())
+                .step_by(self.param_dim)
+                .for_each(|p| *p = value);
         }
     }
 
     /// Returns an error if a parameter is NaN, for example because nothing sets it.
     fn check_params(&self) -> Result<(), Divergence> {
         let is_nan = |&(sample, i): &(usize, usize)| {
-            let value: f64 = self.params[sample / WIDTH * self.param_dim + i].lane(sample % WIDTH).as_();
+            let value: f64 =
+                self.params[sample / WIDTH * self.param_dim + i].lane(sample % WIDTH).as_();
             value.is_nan()
         };
-        let all = (0..self.samples).flat_map(|sample| (0..self.param_dim).map(move |i| (sample, i)));
+        let all =
+            (0..self.samples).flat_map(|sample| (0..self.param_dim).map(move |i| (sample, i)));
         all.into_iter().find(is_nan).map_or(Ok(()), |(sample, component)| {
-            Err(Divergence::Forward { variable: Variable::Parameter, step: 0, sample, component, cause: None })
+            Err(Divergence::Forward {
+                variable: Variable::Parameter,
+                step: 0,
+                sample,
+                component,
+                cause: None,
+            })
         })
     }
 
@@ -293,7 +340,10 @@ impl<F: Float> Rollout<F> {
         self.add_unit_costs();
         let last = self.slot(self.horizon).start;
         let n_params = self.param_dim;
-        for (block, x) in self.states[last..][..self.blocks() * self.state_dim].chunks_exact(self.state_dim).enumerate() {
+        for (block, x) in self.states[last..][..self.blocks() * self.state_dim]
+            .chunks_exact(self.state_dim)
+            .enumerate()
+        {
             let params = &self.params[block * n_params..][..n_params];
             self.costs[block] += task.terminal_cost(x, params);
         }
@@ -325,7 +375,8 @@ impl<F: Float> Rollout<F> {
             let (before, after) = self.states.split_at_mut(now.start);
             (&after[..now.len()], &mut before[next])
         };
-        let ((x, memory), (next, next_memory)) = (now.split_at(blocks * n), next.split_at_mut(blocks * n));
+        let ((x, memory), (next, next_memory)) =
+            (now.split_at(blocks * n), next.split_at_mut(blocks * n));
 
         let seen = match task.own_observation() {
             None => x,
@@ -345,7 +396,11 @@ impl<F: Float> Rollout<F> {
         scatter(&self.outputs, (0, m + memory_dim), m, at, controls);
         scatter(&self.outputs, (m, m + memory_dim), memory_dim, at, next_memory);
 
-        let finite = task.step_forward(Inputs { x, u: controls, p: &self.params, t }, next, &mut self.unit_costs);
+        let finite = task.step_forward(
+            Inputs { x, u: controls, p: &self.params, t },
+            next,
+            &mut self.unit_costs,
+        );
         let bad_memory = find_non_finite(next_memory, memory_dim, self.samples, Real::lane);
         if finite && bad_memory.is_none() {
             if (t + 1).is_multiple_of(UNIT) {
@@ -355,25 +410,42 @@ impl<F: Float> Rollout<F> {
         }
         let start = if t == 0 { find_non_finite(x, n, self.samples, Real::lane) } else { None };
         if let Some((sample, component)) = start {
-            return Err(Divergence::Forward { variable: Variable::State, step: 0, sample, component, cause: None });
+            return Err(Divergence::Forward {
+                variable: Variable::State,
+                step: 0,
+                sample,
+                component,
+                cause: None,
+            });
         }
-        let control = find_non_finite(controls, m, self.samples, Real::lane).map(|place| (Variable::Control, t, place));
-        let state = || find_non_finite(next, n, self.samples, Real::lane).map(|place| (Variable::State, t + 1, place));
+        let control = find_non_finite(controls, m, self.samples, Real::lane)
+            .map(|place| (Variable::Control, t, place));
+        let state = || {
+            find_non_finite(next, n, self.samples, Real::lane)
+                .map(|place| (Variable::State, t + 1, place))
+        };
         let memory = bad_memory.map(|place| (Variable::Memory, t, place));
         // In the order of `Divergence::order`: the first sample of a step.
-        let first = control.into_iter().chain(memory).min_by_key(|&(.., (sample, _))| sample).or_else(state);
-        let (variable, step, (sample, component)) = first.expect("`step_forward` returns false only for a non-finite value");
+        let first = control
+            .into_iter()
+            .chain(memory)
+            .min_by_key(|&(.., (sample, _))| sample)
+            .or_else(state);
+        let (variable, step, (sample, component)) =
+            first.expect("`step_forward` returns false only for a non-finite value");
         let of = |lanes: &[Lane<F>], n: usize| -> Vec<Single<F>> {
             let block = &lanes[sample / WIDTH * n..][..n];
             block.iter().map(|number| Lanes([number.lane(sample % WIDTH)])).collect()
         };
         let cause = match variable {
             Variable::State => {
-                let (own_x, own_u, own_p) = (of(x, n), of(controls, m), of(&self.params, self.param_dim));
+                let (own_x, own_u, own_p) =
+                    (of(x, n), of(controls, m), of(&self.params, self.param_dim));
                 let cause = task.diagnose(Inputs { x: &own_x, u: &own_u, p: &own_p, t });
                 let block = sample / WIDTH;
                 let p = &self.params[block * self.param_dim..][..self.param_dim];
-                let inputs = Inputs { x: &x[block * n..][..n], u: &controls[block * m..][..m], p, t };
+                let inputs =
+                    Inputs { x: &x[block * n..][..n], u: &controls[block * m..][..m], p, t };
                 cause.or_else(|| zero_param(task, inputs, sample % WIDTH).map(Cause::ZeroParam))
             }
             Variable::Control | Variable::Memory | Variable::Parameter => None,
@@ -476,7 +548,11 @@ impl<F: Float> Rollout<F> {
     /// If there is no such sample.
     #[track_caller]
     pub fn cost(&self, sample: usize) -> F {
-        assert!(sample < self.samples, "there is no sample {sample}: the rollout has {}", self.samples);
+        assert!(
+            sample < self.samples,
+            "there is no sample {sample}: the rollout has {}",
+            self.samples
+        );
         self.costs[sample / WIDTH].lane(sample % WIDTH)
     }
 
@@ -488,8 +564,14 @@ impl<F: Float> Rollout<F> {
     #[track_caller]
     pub fn state(&self, t: usize, sample: usize, i: usize) -> F {
         let Self { horizon, kept, .. } = *self;
-        assert!(t <= horizon && t + kept >= horizon, "the state at step {t} of {horizon} is not stored: {STORED}");
-        assert!(sample < self.samples && i < self.state_dim, "there is no state component {i} of sample {sample}");
+        assert!(
+            t <= horizon && t + kept >= horizon,
+            "the state at step {t} of {horizon} is not stored: {STORED}"
+        );
+        assert!(
+            sample < self.samples && i < self.state_dim,
+            "there is no state component {i} of sample {sample}"
+        );
         self.states_at(t)[(sample / WIDTH) * self.state_dim + i].lane(sample % WIDTH)
     }
 
@@ -501,8 +583,14 @@ impl<F: Float> Rollout<F> {
     #[track_caller]
     pub fn control(&self, t: usize, sample: usize, i: usize) -> F {
         let Self { horizon, kept, .. } = *self;
-        assert!(t < horizon && t + kept >= horizon, "the control at step {t} of {horizon} is not stored: {STORED}");
-        assert!(sample < self.samples && i < self.control_dim, "there is no control {i} of sample {sample}");
+        assert!(
+            t < horizon && t + kept >= horizon,
+            "the control at step {t} of {horizon} is not stored: {STORED}"
+        );
+        assert!(
+            sample < self.samples && i < self.control_dim,
+            "there is no control {i} of sample {sample}"
+        );
         self.controls_at(t)[(sample / WIDTH) * self.control_dim + i].lane(sample % WIDTH)
     }
 }

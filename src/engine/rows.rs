@@ -51,36 +51,60 @@ pub fn step<F: Float>(task: &impl Task, inputs: Inputs<'_, F>, next: &mut [F]) {
 
 /// Writes the products of `next_bar` with the transposed Jacobians of the step: cotangents of
 /// `[x, u, p]`.
-pub fn step_vjp<F: Float>(task: &impl Task, inputs: Inputs<'_, F>, next_bar: &[F], cotangents: [&mut [F]; 3]) {
+pub fn step_vjp<F: Float>(
+    task: &impl Task,
+    inputs: Inputs<'_, F>,
+    next_bar: &[F],
+    cotangents: [&mut [F]; 3],
+) {
     let rows = rows(task, &inputs);
     check("next_bar", next_bar, rows, task.system().state_dim());
     check_cotangents(task, rows, &cotangents);
-    for_blocks(rows, [inputs.x, inputs.u, inputs.p, next_bar], cotangents, |[x, u, p, next_bar], bars| {
-        let mut packs = [pack(bars[0]), pack(bars[1]), pack(bars[2])];
-        let [x_bar, u_bar, p_bar] = packs.each_mut().map(|pack| requested(pack));
-        let cotangents = Cotangents { x: x_bar, u: u_bar, p: p_bar };
-        task.system().vjp(Inputs { x, u, p, t: inputs.t }, &pack(next_bar), cotangents);
-        for (bar, pack) in bars.into_iter().zip(&packs) {
-            unpack(pack, bar);
-        }
-    });
+    for_blocks(
+        rows,
+        [inputs.x, inputs.u, inputs.p, next_bar],
+        cotangents,
+        |[x, u, p, next_bar], bars| {
+            let mut packs = [pack(bars[0]), pack(bars[1]), pack(bars[2])];
+            let [x_bar, u_bar, p_bar] = packs.each_mut().map(|pack| requested(pack));
+            let cotangents = Cotangents { x: x_bar, u: u_bar, p: p_bar };
+            task.system().vjp(Inputs { x, u, p, t: inputs.t }, &pack(next_bar), cotangents);
+            for (bar, pack) in bars.into_iter().zip(&packs) {
+                unpack(pack, bar);
+            }
+        },
+    );
 }
 
 /// Writes the sum of the products of the Jacobians of the step with the tangents. `None` is a zero
 /// tangent.
-pub fn step_jvp<F: Float>(task: &impl Task, inputs: Inputs<'_, F>, tangents: Tangents<'_, F>, next_tan: &mut [F]) {
+pub fn step_jvp<F: Float>(
+    task: &impl Task,
+    inputs: Inputs<'_, F>,
+    tangents: Tangents<'_, F>,
+    next_tan: &mut [F],
+) {
     let rows = rows(task, &inputs);
     let system = task.system();
     check("next_tan", next_tan, rows, system.state_dim());
-    let directions = [(tangents.x, system.state_dim()), (tangents.u, system.control_dim()), (tangents.p, task.param_dim())];
+    let directions = [
+        (tangents.x, system.state_dim()),
+        (tangents.u, system.control_dim()),
+        (tangents.p, task.param_dim()),
+    ];
     let [x_tan, u_tan, p_tan] = directions.map(|(tangent, dim)| {
         tangent.inspect(|tangent| check("tangent", tangent, rows, dim));
         tangent.unwrap_or(&[])
     });
     let arrays = [inputs.x, inputs.u, inputs.p, x_tan, u_tan, p_tan];
     for_blocks(rows, arrays, [next_tan], |[x, u, p, x_tan, u_tan, p_tan], [next_tan]| {
-        let [x_tan, u_tan, p_tan] = [x_tan, u_tan, p_tan].map(|tangent| (!tangent.is_empty()).then_some(tangent));
-        system.jvp(Inputs { x, u, p, t: inputs.t }, Tangents { x: x_tan, u: u_tan, p: p_tan }, next_tan);
+        let [x_tan, u_tan, p_tan] =
+            [x_tan, u_tan, p_tan].map(|tangent| (!tangent.is_empty()).then_some(tangent));
+        system.jvp(
+            Inputs { x, u, p, t: inputs.t },
+            Tangents { x: x_tan, u: u_tan, p: p_tan },
+            next_tan,
+        );
     });
 }
 
@@ -91,12 +115,19 @@ pub fn observe<F: Float>(task: &impl Task, inputs: Inputs<'_, F>, y: &mut [F]) {
     if task.observation_dim().is_none() {
         return y.copy_from_slice(inputs.x);
     }
-    for_blocks(rows, [inputs.x, inputs.p], [y], |[x, p], [y]| task.observe(Inputs { x, u: &[], p, t: inputs.t }, y));
+    for_blocks(rows, [inputs.x, inputs.p], [y], |[x, p], [y]| {
+        task.observe(Inputs { x, u: &[], p, t: inputs.t }, y)
+    });
 }
 
 /// Writes the products of `y_bar` with the transposed Jacobians of the observation: cotangents of
 /// `[x, p]`.
-pub fn observe_vjp<F: Float>(task: &impl Task, inputs: Inputs<'_, F>, y_bar: &[F], [x_bar, p_bar]: [&mut [F]; 2]) {
+pub fn observe_vjp<F: Float>(
+    task: &impl Task,
+    inputs: Inputs<'_, F>,
+    y_bar: &[F],
+    [x_bar, p_bar]: [&mut [F]; 2],
+) {
     let rows = rows_without_controls(task, &inputs);
     check("y_bar", y_bar, rows, observed_dim(task));
     check("x_bar", x_bar, rows, task.system().state_dim());
@@ -108,7 +139,11 @@ pub fn observe_vjp<F: Float>(task: &impl Task, inputs: Inputs<'_, F>, y_bar: &[F
     for_blocks(rows, [inputs.x, inputs.p, y_bar], [x_bar, p_bar], |[x, p, y_bar], bars| {
         let mut packs = [pack(bars[0]), pack(bars[1])];
         let [x_bar, p_bar] = packs.each_mut().map(|pack| requested(pack));
-        task.observe_vjp(Inputs { x, u: &[], p, t: inputs.t }, &pack(y_bar), Cotangents { x: x_bar, u: None, p: p_bar });
+        task.observe_vjp(
+            Inputs { x, u: &[], p, t: inputs.t },
+            &pack(y_bar),
+            Cotangents { x: x_bar, u: None, p: p_bar },
+        );
         for (bar, pack) in bars.into_iter().zip(&packs) {
             unpack(pack, bar);
         }
@@ -141,13 +176,19 @@ pub fn running_cost_vjp<F: Float>(
     check("next_bar", next_bar, rows, n);
     check_cotangents(task, rows, &[&mut *x_bar, &mut *u_bar, &mut *p_bar]);
     let arrays = [inputs.x, inputs.u, inputs.p, next, cost_bar];
-    for_blocks(rows, arrays, [x_bar, u_bar, next_bar, p_bar], |[x, u, p, next, cost_bar], [x_bar, u_bar, next_bar, p_bar]| {
-        let cotangents = Cotangents { x: requested(x_bar), u: requested(u_bar), p: requested(p_bar) };
-        task.running_cost_gradient(Inputs { x, u, p, t: inputs.t }, next, cotangents, next_bar);
-        for bar in [x_bar, u_bar, next_bar, p_bar] {
-            scale(bar, cost_bar[0]);
-        }
-    });
+    for_blocks(
+        rows,
+        arrays,
+        [x_bar, u_bar, next_bar, p_bar],
+        |[x, u, p, next, cost_bar], [x_bar, u_bar, next_bar, p_bar]| {
+            let cotangents =
+                Cotangents { x: requested(x_bar), u: requested(u_bar), p: requested(p_bar) };
+            task.running_cost_gradient(Inputs { x, u, p, t: inputs.t }, next, cotangents, next_bar);
+            for bar in [x_bar, u_bar, next_bar, p_bar] {
+                scale(bar, cost_bar[0]);
+            }
+        },
+    );
 }
 
 /// Writes the terminal cost of each row.
@@ -159,7 +200,13 @@ pub fn terminal_cost<F: Float>(task: &impl Task, x: &[F], p: &[F], cost: &mut [F
 
 /// Writes the gradients of the terminal costs, multiplied by `cost_bar` of each row: cotangents of
 /// `[x, p]`.
-pub fn terminal_cost_vjp<F: Float>(task: &impl Task, x: &[F], p: &[F], cost_bar: &[F], [x_bar, p_bar]: [&mut [F]; 2]) {
+pub fn terminal_cost_vjp<F: Float>(
+    task: &impl Task,
+    x: &[F],
+    p: &[F],
+    cost_bar: &[F],
+    [x_bar, p_bar]: [&mut [F]; 2],
+) {
     let rows = rows_without_controls(task, &Inputs { x, u: &[], p, t: 0 });
     check("cost_bar", cost_bar, rows, 1);
     check("x_bar", x_bar, rows, task.system().state_dim());
@@ -196,7 +243,12 @@ fn observed_dim(task: &impl Task) -> usize {
 
 #[track_caller]
 fn check<F>(name: &str, array: &[F], rows: usize, dim: usize) {
-    assert_eq!(array.len(), rows * dim, "`{name}` has {} numbers; expected {rows} rows of {dim} numbers", array.len());
+    assert_eq!(
+        array.len(),
+        rows * dim,
+        "`{name}` has {} numbers; expected {rows} rows of {dim} numbers",
+        array.len()
+    );
 }
 
 /// Checks an array that may be empty.
@@ -246,15 +298,20 @@ fn for_blocks<F: Float, const I: usize, const O: usize>(
     if rows == 0 {
         return;
     }
-    let (widths, output_widths) = (inputs.map(|array| array.len() / rows), outputs.each_ref().map(|array| array.len() / rows));
+    let (widths, output_widths) = (
+        inputs.map(|array| array.len() / rows),
+        outputs.each_ref().map(|array| array.len() / rows),
+    );
     let mut rest = outputs;
     let mut chunks: SmallVec<[_; 1]> = (0..rows)
         .step_by(CHUNK)
         .map(|first| {
             let count = CHUNK.min(rows - first);
-            let inputs: [_; I] = std::array::from_fn(|i| &inputs[i][first * widths[i]..][..count * widths[i]]);
+            let inputs: [_; I] =
+                std::array::from_fn(|i| &inputs[i][first * widths[i]..][..count * widths[i]]);
             let outputs: [_; O] = std::array::from_fn(|i| {
-                let (now, later) = std::mem::take(&mut rest[i]).split_at_mut(count * output_widths[i]);
+                let (now, later) =
+                    std::mem::take(&mut rest[i]).split_at_mut(count * output_widths[i]);
                 rest[i] = later;
                 now
             });
@@ -286,7 +343,10 @@ fn blocks<F: Float, const I: usize, const O: usize>(
             }
         }
         output_lanes.iter_mut().for_each(|lanes| lanes.fill(Lane::zero()));
-        work(input_lanes.each_ref().map(Vec::as_slice), output_lanes.each_mut().map(Vec::as_mut_slice));
+        work(
+            input_lanes.each_ref().map(Vec::as_slice),
+            output_lanes.each_mut().map(Vec::as_mut_slice),
+        );
         for (array, lanes) in outputs.iter_mut().zip(&output_lanes) {
             let width = lanes.len();
             for lane in 0..WIDTH.min(rows - first) {

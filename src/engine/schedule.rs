@@ -45,7 +45,8 @@ impl Schedule {
         assert!(horizon > 0, "a schedule needs a horizon of at least one step");
         assert!(segment > 0, "a segment needs at least one step");
         assert!(checkpoints > 0, "a schedule needs at least one checkpoint, the initial state");
-        let segment = if horizon <= segment { horizon } else { horizon.min(segment.div_ceil(UNIT) * UNIT) };
+        let segment =
+            if horizon <= segment { horizon } else { horizon.min(segment.div_ceil(UNIT) * UNIT) };
         // The last segment needs no checkpoint: it is never recomputed.
         let useful = horizon.div_ceil(segment) - 1;
         Self { horizon, segment, checkpoints: checkpoints.min(useful) }
@@ -154,7 +155,10 @@ fn repeats(l: u64, s: u64) -> u64 {
 fn again(l: u64, s: u64) -> u64 {
     match repeats(l, s) {
         0 => 0,
-        r => (u128::from(r) * u128::from(l)).saturating_sub(reach(s + 1, r - 1).into()).try_into().unwrap_or(u64::MAX),
+        r => (u128::from(r) * u128::from(l))
+            .saturating_sub(reach(s + 1, r - 1).into())
+            .try_into()
+            .unwrap_or(u64::MAX),
     }
 }
 

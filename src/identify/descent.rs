@@ -45,7 +45,9 @@ pub(super) fn minimize(
     let objective = |point: &Point, counts: &mut Counts| {
         counts.simulations += 1;
         let misfit = problem.misfit(point)?;
-        Ok(misfit.map_or(f64::INFINITY, |misfit| misfit.samples + continuity * continuity * misfit.jumps))
+        Ok(misfit.map_or(f64::INFINITY, |misfit| {
+            misfit.samples + continuity * continuity * misfit.jumps
+        }))
     };
     let (mut damping, mut quiet) = (1e-3, 0);
     let mut least = objective(point, counts)?;
@@ -55,7 +57,12 @@ pub(super) fn minimize(
         let linearized = problem.linearize(point)?;
         let mut decrease = None;
         while decrease.is_none() && damping < 1e12 {
-            let next = step(problem, point, &linearized, Weights { per_noise: &problem.per_noise, continuity, damping });
+            let next = step(
+                problem,
+                point,
+                &linearized,
+                Weights { per_noise: &problem.per_noise, continuity, damping },
+            );
             let value = next.as_ref().map_or(Ok(f64::INFINITY), |next| objective(next, counts))?;
             if let Some(next) = next.filter(|_| value < least) {
                 // The relative decrease is 1 after an infinite objective.
@@ -81,25 +88,36 @@ pub(super) fn minimize(
 }
 
 /// The point after one damped step, within the bounds. `None` for singular equations.
-fn step(problem: &Problem<'_>, point: &Point, linearized: &[Vec<Linearized>], weights: Weights<'_>) -> Option<Point> {
+fn step(
+    problem: &Problem<'_>,
+    point: &Point,
+    linearized: &[Vec<Linearized>],
+    weights: Weights<'_>,
+) -> Option<Point> {
     let params = point.values.len();
     let segments = eliminated(linearized, params, weights);
     let equations = stacked(&segments, params);
     let norms = norms(linearized, params);
-    let limits = |i: usize| [problem.unknowns[i].min - point.values[i], problem.unknowns[i].max - point.values[i]];
-    let mut fixed: Vec<Option<f64>> =
-        held(problem.unknowns, &point.values, &equations).into_iter().map(|is_held| is_held.then_some(0.0)).collect();
+    let limits = |i: usize| {
+        [problem.unknowns[i].min - point.values[i], problem.unknowns[i].max - point.values[i]]
+    };
+    let mut fixed: Vec<Option<f64>> = held(problem.unknowns, &point.values, &equations)
+        .into_iter()
+        .map(|is_held| is_held.then_some(0.0))
+        .collect();
     // Steps beyond a bound end at the bound. Solves again for the other parameters.
     let step = loop {
         let step = solve(&equations, &fixed, &norms, weights.damping)?;
-        let beyond: Vec<usize> = (0..params).filter(|&i| !(limits(i)[0]..=limits(i)[1]).contains(&step[i])).collect();
+        let beyond: Vec<usize> =
+            (0..params).filter(|&i| !(limits(i)[0]..=limits(i)[1]).contains(&step[i])).collect();
         if beyond.is_empty() || beyond.iter().any(|&i| fixed[i].is_some()) {
             break step;
         }
         beyond.iter().for_each(|&i| fixed[i] = Some(step[i].clamp(limits(i)[0], limits(i)[1])));
     };
     let bounded = problem.unknowns.iter().zip(&point.values).zip(step.iter());
-    let values: Vec<f64> = bounded.map(|((u, value), step)| (value + step).clamp(u.min, u.max)).collect();
+    let values: Vec<f64> =
+        bounded.map(|((u, value), step)| (value + step).clamp(u.min, u.max)).collect();
     let taken = DVector::from_fn(params, |i, _| values[i] - point.values[i]);
     let mut next = Point { values, windows: point.windows.clone() };
     let mut windows = next.windows.iter_mut();
@@ -113,16 +131,26 @@ fn step(problem: &Problem<'_>, point: &Point, linearized: &[Vec<Linearized>], we
     Some(next)
 }
 
-fn eliminated(linearized: &[Vec<Linearized>], params: usize, weights: Weights<'_>) -> Vec<Eliminated> {
+fn eliminated(
+    linearized: &[Vec<Linearized>],
+    params: usize,
+    weights: Weights<'_>,
+) -> Vec<Eliminated> {
     map(linearized.len(), |i| Eliminated::new(&linearized[i], params, weights))
 }
 
 /// Norms of the columns of the Jacobian of the residuals with respect to the parameters.
 fn norms(linearized: &[Vec<Linearized>], params: usize) -> Vec<f64> {
-    let squares = linearized.iter().flatten().fold(vec![0.0; params], |sums: Vec<f64>, Linearized { samples, .. }| {
-        let first = samples.ncols() - params - 1;
-        sums.iter().enumerate().map(|(i, sum)| sum + samples.column(first + i).norm_squared()).collect()
-    });
+    let squares = linearized.iter().flatten().fold(
+        vec![0.0; params],
+        |sums: Vec<f64>, Linearized { samples, .. }| {
+            let first = samples.ncols() - params - 1;
+            sums.iter()
+                .enumerate()
+                .map(|(i, sum)| sum + samples.column(first + i).norm_squared())
+                .collect()
+        },
+    );
     squares.into_iter().map(f64::sqrt).collect()
 }
 
@@ -158,20 +186,31 @@ impl Equations {
     ///
     /// # Errors
     /// [`IdentifyError::Stopped`] if the stop flag is set.
-    pub fn new(problem: &Problem<'_>, point: &Point, continuity: f64, counts: &mut Counts) -> Result<Self, IdentifyError> {
+    pub fn new(
+        problem: &Problem<'_>,
+        point: &Point,
+        continuity: f64,
+        counts: &mut Counts,
+    ) -> Result<Self, IdentifyError> {
         counts.jacobians += 1;
         // Negligible damping, which only determines initial states that do not affect the samples.
         let weights = Weights { per_noise: &problem.per_noise, continuity, damping: 1e-24 };
         let (linearized, params) = (problem.linearize(point)?, point.values.len());
         let segments = eliminated(&linearized, params, weights);
         let is_broken = |&i: &usize| {
-            let starts = linearized.iter().flatten().map(|window| &window.slopes[..window.slopes.len() - params]);
+            let starts = linearized
+                .iter()
+                .flatten()
+                .map(|window| &window.slopes[..window.slopes.len() - params]);
             starts.filter_map(|slopes| slopes.get(i)).any(|slope| slope.is_nan())
         };
         Ok(Self {
             starts: map(linearized.len(), |i| start_rows(&linearized[i], params)),
             held: held(problem.unknowns, &point.values, &stacked(&segments, params)),
-            negligible: { norms(&linearized, params) }.into_iter().map(|norm| ROUNDING * continuity * norm).collect(),
+            negligible: { norms(&linearized, params) }
+                .into_iter()
+                .map(|norm| ROUNDING * continuity * norm)
+                .collect(),
             slopes: Self::slopes(&linearized, params),
             non_finite_starts: (0..problem.per_noise.len()).filter(is_broken).collect(),
             params: segments.into_iter().map(|segment| segment.reduced).collect(),
@@ -179,7 +218,10 @@ impl Equations {
     }
     /// Largest absolute derivative of a state by each parameter. NaN if one of them is non-finite.
     pub fn slopes(linearized: &[Vec<Linearized>], params: usize) -> Vec<f64> {
-        let of_window = |window: &Linearized, i: usize| window.slopes[window.slopes.len() - params + i];
-        (0..params).map(|i| largest(linearized.iter().flatten().map(|window| of_window(window, i)))).collect()
+        let of_window =
+            |window: &Linearized, i: usize| window.slopes[window.slopes.len() - params + i];
+        (0..params)
+            .map(|i| largest(linearized.iter().flatten().map(|window| of_window(window, i))))
+            .collect()
     }
 }

@@ -55,7 +55,8 @@ pub(super) struct Weights<'a> {
 impl Eliminated {
     /// Eliminates the windows of a segment.
     pub fn new(windows: &[Linearized], params: usize, weights: Weights<'_>) -> Self {
-        let mut carried = DMatrix::zeros(0, windows.first().map_or(params + 1, |window| window.samples.ncols()));
+        let mut carried =
+            DMatrix::zeros(0, windows.first().map_or(params + 1, |window| window.samples.ncols()));
         let mut eliminated = Vec::with_capacity(windows.len());
         for Linearized { samples, jump, .. } in windows {
             let (own, next) = (samples.ncols() - params - 1, jump.nrows());
@@ -65,7 +66,8 @@ impl Eliminated {
             let mut first = 0;
             for part in parts {
                 all.view_mut((first, 0), (part.nrows(), own)).copy_from(&part.columns(0, own));
-                all.view_mut((first, own + next), (part.nrows(), params + 1)).copy_from(&part.columns(own, params + 1));
+                all.view_mut((first, own + next), (part.nrows(), params + 1))
+                    .copy_from(&part.columns(own, params + 1));
                 first += part.nrows();
             }
             for i in 0..next {
@@ -74,7 +76,8 @@ impl Eliminated {
             }
             // Adds the weight of one sample, so that states without samples are damped too.
             for i in 0..own {
-                all[(first + i, i)] = weights.damping.sqrt() * samples.column(i).norm().hypot(weights.per_noise[i]);
+                all[(first + i, i)] =
+                    weights.damping.sqrt() * samples.column(i).norm().hypot(weights.per_noise[i]);
             }
             let all = triangle(all);
             eliminated.push(all.rows(0, own).into_owned());
@@ -90,7 +93,8 @@ impl Eliminated {
         for rows in self.windows.iter().rev() {
             let own = rows.nrows();
             let next = rows.ncols() - own - params.len() - 1;
-            let mut right = rows.column(rows.ncols() - 1) + rows.columns(own + next, params.len()) * params;
+            let mut right =
+                rows.column(rows.ncols() - 1) + rows.columns(own + next, params.len()) * params;
             if let Some(step) = steps.last().filter(|_| next > 0) {
                 right += rows.columns(own, next) * step;
             }
@@ -109,7 +113,8 @@ pub(super) fn start_rows(windows: &[Linearized], params: usize) -> DMatrix<f64> 
     for Linearized { samples, jump, .. } in windows.iter().rev() {
         let own = samples.ncols() - params - 1;
         // Without a next window, there are no rows.
-        let later = if rows.is_empty() { DMatrix::zeros(0, own) } else { rows * jump.columns(0, own) };
+        let later =
+            if rows.is_empty() { DMatrix::zeros(0, own) } else { rows * jump.columns(0, own) };
         let mut all = DMatrix::zeros(samples.nrows() + later.nrows(), own);
         all.rows_mut(0, samples.nrows()).copy_from(&samples.columns(0, own));
         all.rows_mut(samples.nrows(), later.nrows()).copy_from(&later);
@@ -138,7 +143,12 @@ pub(super) fn gradient(equations: &DMatrix<f64>) -> DVector<f64> {
 
 /// Step of the parameters, damped in proportion to the norms of their columns. `fixed` contains the
 /// steps that are known in advance. `None` for singular equations.
-pub(super) fn solve(equations: &DMatrix<f64>, fixed: &[Option<f64>], norms: &[f64], damping: f64) -> Option<DVector<f64>> {
+pub(super) fn solve(
+    equations: &DMatrix<f64>,
+    fixed: &[Option<f64>],
+    norms: &[f64],
+    damping: f64,
+) -> Option<DVector<f64>> {
     let free: Vec<usize> = (0..fixed.len()).filter(|&i| fixed[i].is_none()).collect();
     let rows = equations.nrows();
     let mut step = DVector::from_fn(fixed.len(), |i, _| fixed[i].unwrap_or(0.0));
@@ -151,8 +161,9 @@ pub(super) fn solve(equations: &DMatrix<f64>, fixed: &[Option<f64>], norms: &[f6
     }
     all.view_mut((0, free.len()), (rows, 1)).copy_from(&right);
     let all = triangle(all);
-    let solved =
-        all.view((0, 0), (free.len(), free.len())).solve_upper_triangular(&all.view((0, free.len()), (free.len(), 1)))?;
+    let solved = all
+        .view((0, 0), (free.len(), free.len()))
+        .solve_upper_triangular(&all.view((0, free.len()), (free.len(), 1)))?;
     free.iter().zip(solved.iter()).for_each(|(&i, solved)| step[i] = -solved);
     Some(step)
 }

@@ -15,7 +15,9 @@ pub enum IdentifyError {
         index: usize,
     },
     /// There are fewer measurements than unknowns.
-    #[error("{measurements} measurements cannot determine {unknowns} unknowns; use more samples or fewer unknowns")]
+    #[error(
+        "{measurements} measurements cannot determine {unknowns} unknowns; use more samples or fewer unknowns"
+    )]
     TooFewMeasurements {
         /// Number of finite measurements, without first samples that are exact.
         measurements: usize,
@@ -61,7 +63,9 @@ pub enum IdentifyError {
         component: usize,
     },
     /// A parameter has no value in the data and no nominal value.
-    #[error("segment {segment}: the parameter `{name}` has no value; add a column of this name to the data")]
+    #[error(
+        "segment {segment}: the parameter `{name}` has no value; add a column of this name to the data"
+    )]
     MissingParam {
         /// Index of the segment.
         segment: usize,
@@ -69,7 +73,9 @@ pub enum IdentifyError {
         name: String,
     },
     /// The number of standard deviations of the noise differs from the number of state components.
-    #[error("the list of noise levels has {found} numbers; expected {expected}, one per state component")]
+    #[error(
+        "the list of noise levels has {found} numbers; expected {expected}, one per state component"
+    )]
     NoiseCount {
         /// Length of the list.
         found: usize,
@@ -77,7 +83,9 @@ pub enum IdentifyError {
         expected: usize,
     },
     /// A standard deviation of the noise is not positive and finite.
-    #[error("the noise of state component {component} is {noise}; allowed: positive finite numbers")]
+    #[error(
+        "the noise of state component {component} is {noise}; allowed: positive finite numbers"
+    )]
     Noise {
         /// Component of the state.
         component: usize,
@@ -85,7 +93,9 @@ pub enum IdentifyError {
         noise: f64,
     },
     /// The options name an angle that is no component of the state.
-    #[error("component {component} in `angles` does not exist; the state has {states} components, from 0")]
+    #[error(
+        "component {component} in `angles` does not exist; the state has {states} components, from 0"
+    )]
     Angle {
         /// Component in the options.
         component: usize,
@@ -112,7 +122,9 @@ pub enum IdentifyError {
         params: usize,
     },
     /// A state or a squared residual of the simulation with the initial values is non-finite.
-    #[error("segment {segment} diverges at step {step} with the initial values; choose values closer to the physics")]
+    #[error(
+        "segment {segment} diverges at step {step} with the initial values; choose values closer to the physics"
+    )]
     Diverged {
         /// Index of the segment.
         segment: usize,

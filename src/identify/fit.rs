@@ -167,15 +167,19 @@ impl Fit {
     pub fn is_unlikely(&self) -> bool {
         let freedom = self.freedom() as f64;
         let variance = 2.0 / (9.0 * freedom);
-        let [low, high] = [-4.0, 4.0].map(|z| (1.0 - variance + z * variance.sqrt()).max(0.0).powi(3));
+        let [low, high] =
+            [-4.0, 4.0].map(|z| (1.0 - variance + z * variance.sqrt()).max(0.0).powi(3));
         freedom > 0.0 && !(low.min(0.5)..=high.max(2.0)).contains(&(self.chi_squared / freedom))
     }
 
     /// Root mean square of the residuals of a component in a segment, over its finite measurements,
     /// the first sample included. NaN without a finite measurement.
     pub fn rms(&self, segment: usize, component: usize, measured: &Segment) -> f64 {
-        let rows = self.states[segment].iter().zip(&measured.x).map(|(x, y)| (x[component], y[component]));
-        let residuals = rows.map(|(x, y)| x - self.near(component, y, x)).filter(|residual| residual.is_finite());
+        let rows =
+            self.states[segment].iter().zip(&measured.x).map(|(x, y)| (x[component], y[component]));
+        let residuals = rows
+            .map(|(x, y)| x - self.near(component, y, x))
+            .filter(|residual| residual.is_finite());
         let (sum, count) = residuals.fold((0.0, 0), |(sum, count), r| (sum + r * r, count + 1));
         (sum / f64::from(count)).sqrt()
     }
@@ -262,7 +266,11 @@ impl Attempt {
 }
 
 /// Fits with the windows of the options.
-fn attempt(problem: &Problem<'_>, options: &Options, counts: &mut Counts) -> Result<Attempt, IdentifyError> {
+fn attempt(
+    problem: &Problem<'_>,
+    options: &Options,
+    counts: &mut Counts,
+) -> Result<Attempt, IdentifyError> {
     let mut point = problem.begin(options.window)?;
     // Without windows to join, the weights have no influence.
     let stages = if point.windows.len() == problem.segments.len() { 1 } else { CONTINUITY.len() };
@@ -277,9 +285,13 @@ fn attempt(problem: &Problem<'_>, options: &Options, counts: &mut Counts) -> Res
     }
     let window = options.window.map(|steps| steps.max(1));
     let fit = result(problem, point, window, CONTINUITY[stages - 1], converged, counts)?;
-    let is_misfit =
-        if problem.noise_is_known { fit.is_unlikely() } else { first.is_some_and(|first| fit.chi_squared > MISFIT * first) };
-    let is_exact = fit.chi_squared <= problem.size().powi(2) * SMALLEST * SMALLEST * fit.measurements as f64;
+    let is_misfit = if problem.noise_is_known {
+        fit.is_unlikely()
+    } else {
+        first.is_some_and(|first| fit.chi_squared > MISFIT * first)
+    };
+    let is_exact =
+        fit.chi_squared <= problem.size().powi(2) * SMALLEST * SMALLEST * fit.measurements as f64;
     let is_doubtful = stages > 1 && !is_exact && (is_misfit || !all_converged || !fit.converged);
     Ok(Attempt { fit, objective, is_doubtful })
 }
@@ -301,7 +313,8 @@ fn result(
     let smallest = SMALLEST * problem.size();
     let jump = misfit.map_or(f64::INFINITY, |misfit| {
         let residual = || (misfit.samples / measurements as f64).sqrt().max(smallest);
-        let unit = if problem.noise_is_known || misfit.largest_jump == 0.0 { 1.0 } else { residual() };
+        let unit =
+            if problem.noise_is_known || misfit.largest_jump == 0.0 { 1.0 } else { residual() };
         misfit.largest_jump / unit
     });
     let residual = match measurements - unknowns {
@@ -313,29 +326,52 @@ fn result(
     // A wrong model has residuals above its noise. Their size is unknown without degrees of
     // freedom.
     let spread = if residual.is_finite() { noise.max(residual) } else { noise };
-    let is_finite = equations.non_finite_starts.is_empty() && equations.slopes.iter().all(|slope| slope.is_finite());
-    let found =
-        if is_finite { statistics(&equations.params, &free, &equations.negligible) } else { Statistics::unknown(free.len()) };
+    let is_finite = equations.non_finite_starts.is_empty()
+        && equations.slopes.iter().all(|slope| slope.is_finite());
+    let found = if is_finite {
+        statistics(&equations.params, &free, &equations.negligible)
+    } else {
+        Statistics::unknown(free.len())
+    };
     let is_minimum = found.offset <= OFFSET * spread.max(smallest);
     let place = |i: usize| free.iter().position(|&free| free == i);
     let of_all = |of_free: &[f64], unit: f64| -> Vec<f64> {
-        let of = |k: usize| if of_free[k].is_finite() && noise.is_finite() { of_free[k] * unit } else { f64::INFINITY };
+        let of = |k: usize| {
+            if of_free[k].is_finite() && noise.is_finite() {
+                of_free[k] * unit
+            } else {
+                f64::INFINITY
+            }
+        };
         (0..names.len()).map(|i| place(i).map_or(f64::NAN, of)).collect()
     };
-    let undetermined: Vec<Vec<usize>> =
-        found.undetermined.iter().map(|combination| combination.iter().map(|&k| free[k]).collect()).collect();
+    let undetermined: Vec<Vec<usize>> = found
+        .undetermined
+        .iter()
+        .map(|combination| combination.iter().map(|&k| free[k]).collect())
+        .collect();
     let at_minimum = converged && is_finite && is_minimum;
     let spreads = of_all(&found.errors, spread);
-    let statuses = statuses(problem, &point, &equations, &spreads, &undetermined, at_minimum, counts)?;
+    let statuses =
+        statuses(problem, &point, &equations, &spreads, &undetermined, at_minimum, counts)?;
     let known = |errors: Vec<f64>| {
         let is_known = |status: &Status| matches!(status, Status::Estimated | Status::AtBound);
         let errors = errors.into_iter().zip(&statuses);
-        errors.map(|(error, status)| if is_known(status) { error } else { f64::INFINITY }).collect::<Vec<f64>>()
+        errors
+            .map(|(error, status)| if is_known(status) { error } else { f64::INFINITY })
+            .collect::<Vec<f64>>()
     };
-    let correlation = |i: usize, j: usize| place(i).zip(place(j)).map_or(f64::NAN, |(i, j)| found.correlations[i][j]);
-    let correlations = (0..names.len()).map(|i| (0..names.len()).map(|j| correlation(i, j)).collect()).collect();
-    let with = |status: Status| (0..names.len()).filter(|&i| statuses[i] == status).map(|i| names[i].clone()).collect();
-    let is_open = |combination: &&Vec<usize>| combination.iter().any(|&i| statuses[i] == Status::Undetermined);
+    let correlation = |i: usize, j: usize| {
+        place(i).zip(place(j)).map_or(f64::NAN, |(i, j)| found.correlations[i][j])
+    };
+    let correlations =
+        (0..names.len()).map(|i| (0..names.len()).map(|j| correlation(i, j)).collect()).collect();
+    let with = |status: Status| {
+        (0..names.len()).filter(|&i| statuses[i] == status).map(|i| names[i].clone()).collect()
+    };
+    let is_open = |combination: &&Vec<usize>| {
+        combination.iter().any(|&i| statuses[i] == Status::Undetermined)
+    };
     let named = |combination: &Vec<usize>| combination.iter().map(|&i| names[i].clone()).collect();
     let states = problem.states(&point)?;
     let starts = equations.starts.iter().zip(&states);

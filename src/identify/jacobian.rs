@@ -60,27 +60,39 @@ impl Run<'_> {
     /// Derivatives of the states at all steps. Rows are components of the state. Columns are the
     /// components of the initial state if `by_start`, then the parameters with the indices
     /// `params`.
-    pub fn derivatives(&self, model: &dyn Model, by_start: bool, params: &[usize]) -> Vec<DMatrix<f64>> {
+    pub fn derivatives(
+        &self,
+        model: &dyn Model,
+        by_start: bool,
+        params: &[usize],
+    ) -> Vec<DMatrix<f64>> {
         let n = self.x.len();
         let starts = if by_start { n } else { 0 };
         let directions = starts + params.len();
         let mut all = vec![DMatrix::zeros(n, directions); self.steps + 1];
-        let constants = |values: &[f64]| values.iter().map(|&value| Chunk::constant(value)).collect::<Vec<_>>();
-        let controls: Vec<Vec<Chunk<f64>>> = self.u.iter().take(self.steps).map(|u| constants(u)).collect();
+        let constants =
+            |values: &[f64]| values.iter().map(|&value| Chunk::constant(value)).collect::<Vec<_>>();
+        let controls: Vec<Vec<Chunk<f64>>> =
+            self.u.iter().take(self.steps).map(|u| constants(u)).collect();
         let zeros = constants(&vec![0.0; model.sizes()[1]]);
         for first in (0..directions).step_by(CHUNK) {
             let chunk = first..directions.min(first + CHUNK);
             let (mut x, mut p) = (constants(self.x), constants(self.p));
             for (k, direction) in chunk.clone().enumerate() {
                 match direction.checked_sub(starts) {
-                    Some(unknown) => p[params[unknown]] = Chunk::variable(self.p[params[unknown]], k),
+                    Some(unknown) => {
+                        p[params[unknown]] = Chunk::variable(self.p[params[unknown]], k)
+                    }
                     None => x[direction] = Chunk::variable(self.x[direction], k),
                 }
             }
             let mut next = x.clone();
             for (i, slopes) in all.iter_mut().enumerate() {
                 for (row, x) in x.iter().enumerate() {
-                    chunk.clone().enumerate().for_each(|(k, direction)| slopes[(row, direction)] = x.tangents[k]);
+                    chunk
+                        .clone()
+                        .enumerate()
+                        .for_each(|(k, direction)| slopes[(row, direction)] = x.tangents[k]);
                 }
                 if i < self.steps {
                     let u = controls.get(i).unwrap_or(&zeros);

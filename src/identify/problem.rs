@@ -66,8 +66,8 @@ impl<'a> Problem<'a> {
             return Err(IdentifyError::NoiseCount { found: noise.len(), expected: n });
         }
         let noise = options.noise.iter().flatten().copied().enumerate();
-        if let Some((component, noise)) =
-            { noise }.find(|(_, noise)| !(*noise > 0.0 && noise.is_finite() && noise.recip().is_finite()))
+        if let Some((component, noise)) = { noise }
+            .find(|(_, noise)| !(*noise > 0.0 && noise.is_finite() && noise.recip().is_finite()))
         {
             return Err(IdentifyError::Noise { component, noise });
         }
@@ -75,7 +75,8 @@ impl<'a> Problem<'a> {
             return Err(IdentifyError::Angle { component, states: n });
         }
         for (segment, Segment { x, u, p, .. }) in segments.iter().enumerate() {
-            let shape = |what, found, expected| IdentifyError::Shape { segment, what, found, expected };
+            let shape =
+                |what, found, expected| IdentifyError::Shape { segment, what, found, expected };
             if let Some(row) = x.iter().find(|row| row.len() != n) {
                 return Err(shape("a measured state", row.len(), n));
             }
@@ -94,7 +95,9 @@ impl<'a> Problem<'a> {
                 }
             }
             let first = x.first().ok_or(IdentifyError::Empty { segment })?;
-            if let (false, Some(component)) = (options.free_starts, first.iter().position(|y| !y.is_finite())) {
+            if let (false, Some(component)) =
+                (options.free_starts, first.iter().position(|y| !y.is_finite()))
+            {
                 return Err(IdentifyError::MissingStart { segment, component });
             }
         }
@@ -105,13 +108,29 @@ impl<'a> Problem<'a> {
                 return Err(IdentifyError::Unknown { name, start, min, max, index, params });
             }
             if let Some(before) = unknowns[..i].iter().find(|before| before.index == *index) {
-                return Err(IdentifyError::Twice { names: [before.name.clone(), name.clone()], index: *index });
+                return Err(IdentifyError::Twice {
+                    names: [before.name.clone(), name.clone()],
+                    index: *index,
+                });
             }
         }
-        let per_noise = options.noise.as_ref().map_or_else(|| vec![1.0; n], |noise| noise.iter().map(|s| 1.0 / s).collect());
-        let (noise_is_known, free_starts, stop) = (options.noise.is_some(), options.free_starts, options.stop.as_deref());
+        let per_noise = options
+            .noise
+            .as_ref()
+            .map_or_else(|| vec![1.0; n], |noise| noise.iter().map(|s| 1.0 / s).collect());
+        let (noise_is_known, free_starts, stop) =
+            (options.noise.is_some(), options.free_starts, options.stop.as_deref());
         let angles = &options.angles[..];
-        let problem = Self { model, segments, unknowns, per_noise, noise_is_known, free_starts, angles, stop };
+        let problem = Self {
+            model,
+            segments,
+            unknowns,
+            per_noise,
+            noise_is_known,
+            free_starts,
+            angles,
+            stop,
+        };
         let free = unknowns.iter().filter(|unknown| unknown.min < unknown.max).count();
         let (measurements, unknowns) = (problem.measurements(), problem.count(free));
         if unknowns == 0 {
@@ -128,7 +147,8 @@ impl<'a> Problem<'a> {
     fn finite(&self) -> impl Iterator<Item = f64> {
         let skipped = usize::from(!self.free_starts);
         let rows = self.segments.iter().flat_map(move |segment| segment.x.iter().skip(skipped));
-        rows.flat_map(|row| row.iter().zip(&self.per_noise).map(|(y, per_noise)| y * per_noise)).filter(|y| y.is_finite())
+        rows.flat_map(|row| row.iter().zip(&self.per_noise).map(|(y, per_noise)| y * per_noise))
+            .filter(|y| y.is_finite())
     }
 
     /// Number of finite measurements, without first samples that are exact.
@@ -167,8 +187,18 @@ impl<'a> Problem<'a> {
             let length = length.unwrap_or(last).max(1);
             for first in (0..last.max(1)).step_by(length) {
                 let steps = length.min(last - first);
-                start.iter_mut().zip(&segment.x[first]).filter(|(_, y)| y.is_finite()).for_each(|(x, y)| *x = *y);
-                let window = Window { segment: index, first, steps, start, is_free: self.free_starts || first > 0 };
+                start
+                    .iter_mut()
+                    .zip(&segment.x[first])
+                    .filter(|(_, y)| y.is_finite())
+                    .for_each(|(x, y)| *x = *y);
+                let window = Window {
+                    segment: index,
+                    first,
+                    steps,
+                    start,
+                    is_free: self.free_starts || first > 0,
+                };
                 self.check_stop()?;
                 let states = self.run(&window, &p).simulate(self.model);
                 let mut diverged = (states.len() <= steps).then_some(first + states.len());
@@ -199,24 +229,45 @@ impl<'a> Problem<'a> {
 
     fn run<'b>(&'b self, window: &'b Window, p: &'b [f64]) -> Run<'b> {
         let Segment { u, first_step, .. } = &self.segments[window.segment];
-        Run { x: &window.start, p, u: &u[window.first.min(u.len())..], t: first_step + window.first, steps: window.steps }
+        Run {
+            x: &window.start,
+            p,
+            u: &u[window.first.min(u.len())..],
+            t: first_step + window.first,
+            steps: window.steps,
+        }
     }
 
     /// Difference of two values of a state component, modulo 2π for an angle.
     fn difference(&self, component: usize, a: f64, b: f64) -> f64 {
         let difference = a - b;
-        if self.angles.contains(&component) { difference - full_turns(difference) } else { difference }
+        if self.angles.contains(&component) {
+            difference - full_turns(difference)
+        } else {
+            difference
+        }
     }
 
     /// Calls `add(step, component, residual)` for the finite measurements of a window, without a
     /// first sample that is exact. `step` counts from the start of the window.
-    fn residuals(&self, window: &Window, states: &[Vec<f64>], mut add: impl FnMut(usize, usize, f64)) {
+    fn residuals(
+        &self,
+        window: &Window,
+        states: &[Vec<f64>],
+        mut add: impl FnMut(usize, usize, f64),
+    ) {
         let measured = &self.segments[window.segment].x[window.first..];
         // The next window starts at the end of this one and includes the measurement there.
         let is_last = window.first + window.steps + 1 == self.segments[window.segment].x.len();
-        let steps = usize::from(!window.is_free)..window.steps + usize::from(is_last || window.steps == 0);
+        let steps =
+            usize::from(!window.is_free)..window.steps + usize::from(is_last || window.steps == 0);
         for step in steps {
-            for (i, (x, y)) in states[step].iter().zip(&measured[step]).enumerate().filter(|(_, (_, y))| y.is_finite()) {
+            for (i, (x, y)) in states[step]
+                .iter()
+                .zip(&measured[step])
+                .enumerate()
+                .filter(|(_, (_, y))| y.is_finite())
+            {
                 add(step, i, self.difference(i, *x, *y) * self.per_noise[i]);
             }
         }
@@ -232,7 +283,11 @@ impl<'a> Problem<'a> {
     ///
     /// # Errors
     /// [`IdentifyError::Stopped`] if the stop flag is set.
-    fn map<R: Send>(&self, point: &Point, work: impl Fn(usize) -> R + Sync + Send) -> Result<Vec<R>, IdentifyError> {
+    fn map<R: Send>(
+        &self,
+        point: &Point,
+        work: impl Fn(usize) -> R + Sync + Send,
+    ) -> Result<Vec<R>, IdentifyError> {
         map(point.windows.len(), |k| self.check_stop().map(|()| work(k))).into_iter().collect()
     }
 
@@ -240,7 +295,9 @@ impl<'a> Problem<'a> {
     pub fn misfit(&self, point: &Point) -> Result<Option<Misfit>, IdentifyError> {
         let of_window = |k: usize| {
             let window = &point.windows[k];
-            let states = self.run(window, &self.parameters(window.segment, &point.values)).simulate(self.model);
+            let states = self
+                .run(window, &self.parameters(window.segment, &point.values))
+                .simulate(self.model);
             let end = states.get(window.steps)?;
             let mut misfit = Misfit::default();
             self.residuals(window, &states, |_, _, residual| misfit.samples += residual * residual);
@@ -251,9 +308,15 @@ impl<'a> Problem<'a> {
             }
             Some(misfit)
         };
-        let Some(misfits) = self.map(point, of_window)?.into_iter().collect::<Option<Vec<Misfit>>>() else { return Ok(None) };
-        let [samples, jumps] = [|m: &Misfit| m.samples, |m: &Misfit| m.jumps].map(|part| misfits.iter().map(part).sum::<f64>());
-        let largest_jump = misfits.iter().fold(0.0, |largest, misfit| misfit.largest_jump.max(largest));
+        let Some(misfits) =
+            self.map(point, of_window)?.into_iter().collect::<Option<Vec<Misfit>>>()
+        else {
+            return Ok(None);
+        };
+        let [samples, jumps] = [|m: &Misfit| m.samples, |m: &Misfit| m.jumps]
+            .map(|part| misfits.iter().map(part).sum::<f64>());
+        let largest_jump =
+            misfits.iter().fold(0.0, |largest, misfit| misfit.largest_jump.max(largest));
         Ok((samples + jumps).is_finite().then_some(Misfit { samples, jumps, largest_jump }))
     }
 
@@ -263,7 +326,9 @@ impl<'a> Problem<'a> {
         let mut states: Vec<Vec<Vec<f64>>> = vec![Vec::new(); self.segments.len()];
         for window in &point.windows {
             self.check_stop()?;
-            let mut run = self.run(window, &self.parameters(window.segment, &point.values)).simulate(self.model);
+            let mut run = self
+                .run(window, &self.parameters(window.segment, &point.values))
+                .simulate(self.model);
             if let Some(end) = states[window.segment].get(window.first) {
                 for &i in self.angles {
                     let turns = full_turns(end[i] - run[0][i]);
@@ -283,7 +348,10 @@ impl<'a> Problem<'a> {
         let size = if value == 0.0 { 1.0 } else { value.abs() };
         let near = CHANGES.iter().flat_map(|change| [value - change * size, value + change * size]);
         let states = self.states(point)?;
-        for value in near.map(|near| near.clamp(*min, *max)).chain([*min, *max].into_iter().filter(|bound| bound.is_finite())) {
+        for value in near
+            .map(|near| near.clamp(*min, *max))
+            .chain([*min, *max].into_iter().filter(|bound| bound.is_finite()))
+        {
             let mut changed = point.clone();
             changed.values[i] = value;
             if self.states(&changed)? != states {
@@ -300,10 +368,15 @@ impl<'a> Problem<'a> {
             let window = &point.windows[k];
             let p = self.parameters(window.segment, &point.values);
             let run = self.run(window, &p);
-            let (states, slopes) = (run.simulate(self.model), run.derivatives(self.model, window.is_free, &indices));
+            let (states, slopes) =
+                (run.simulate(self.model), run.derivatives(self.model, window.is_free, &indices));
             let columns = slopes[0].ncols() + 1;
             // A QR factorization spreads a NaN to all columns.
-            let column = |j: usize| slopes.iter().flat_map(move |slopes| (0..slopes.nrows()).map(move |i| slopes[(i, j)]));
+            let column = |j: usize| {
+                slopes
+                    .iter()
+                    .flat_map(move |slopes| (0..slopes.nrows()).map(move |i| slopes[(i, j)]))
+            };
             let largest = (0..columns - 1).map(|j| largest(column(j))).collect();
             let mut rows = Vec::new();
             self.residuals(window, &states, |step, i, residual| {
@@ -314,7 +387,11 @@ impl<'a> Problem<'a> {
             let (end, slopes) = (&states[window.steps], &slopes[window.steps]);
             let jump = point.after(k).map_or(DMatrix::zeros(0, columns), |start| {
                 DMatrix::from_fn(end.len(), columns, |i, j| {
-                    if j + 1 < columns { slopes[(i, j)] } else { self.difference(i, end[i], start[i]) }
+                    if j + 1 < columns {
+                        slopes[(i, j)]
+                    } else {
+                        self.difference(i, end[i], start[i])
+                    }
                 })
             });
             Linearized { samples, jump, slopes: largest }
@@ -330,13 +407,18 @@ impl<'a> Problem<'a> {
 impl Point {
     /// Initial state of the window after window `k`, if it belongs to the same segment.
     fn after(&self, k: usize) -> Option<&Vec<f64>> {
-        self.windows.get(k + 1).filter(|next| next.segment == self.windows[k].segment).map(|next| &next.start)
+        self.windows
+            .get(k + 1)
+            .filter(|next| next.segment == self.windows[k].segment)
+            .map(|next| &next.start)
     }
 }
 
 /// Largest absolute number. NaN if a number is non-finite.
 pub(super) fn largest(numbers: impl Iterator<Item = f64>) -> f64 {
-    numbers.fold(0.0, |largest, x| if largest.is_nan() || !x.is_finite() { f64::NAN } else { x.abs().max(largest) })
+    numbers.fold(0.0, |largest, x| {
+        if largest.is_nan() || !x.is_finite() { f64::NAN } else { x.abs().max(largest) }
+    })
 }
 
 /// Returns the results of `work` for `0..count`, in order. Threads share the work if the feature

@@ -56,18 +56,25 @@ impl Statistics {
 /// Computes the statistics of the parameters `free` from the equations of all parameters, one
 /// matrix `[J | r]` for each segment. Other parameters are known. Indices of results refer to
 /// `free`. Columns with norms up to `negligible` are rounding errors.
-pub(super) fn statistics(equations: &[DMatrix<f64>], free: &[usize], negligible: &[f64]) -> Statistics {
+pub(super) fn statistics(
+    equations: &[DMatrix<f64>],
+    free: &[usize],
+    negligible: &[f64],
+) -> Statistics {
     let count = free.len();
     if count == 0 {
         return Statistics::default();
     }
     let columns: Vec<usize> = free.iter().copied().chain([negligible.len()]).collect();
-    let equations: Vec<DMatrix<f64>> = equations.iter().map(|rows| rows.select_columns(&columns)).collect();
+    let equations: Vec<DMatrix<f64>> =
+        equations.iter().map(|rows| rows.select_columns(&columns)).collect();
     let information = equations.iter().fold(DMatrix::zeros(count, count), |sum, rows| {
         let slopes = rows.columns(0, count);
         sum + slopes.tr_mul(&slopes)
     });
-    let scale = |i: usize| Some(information[(i, i)].max(0.0).sqrt()).filter(|scale| *scale > negligible[free[i]]);
+    let scale = |i: usize| {
+        Some(information[(i, i)].max(0.0).sqrt()).filter(|scale| *scale > negligible[free[i]])
+    };
     let scale: Vec<f64> = (0..count).map(|i| scale(i).unwrap_or(0.0)).collect();
     let scaled = DMatrix::from_fn(count, count, |i, j| {
         let product = scale[i] * scale[j];
@@ -81,7 +88,8 @@ pub(super) fn statistics(equations: &[DMatrix<f64>], free: &[usize], negligible:
     for (k, &eigenvalue) in eigenvalues.iter().enumerate() {
         let vector = eigenvectors.column(k);
         if eigenvalue.is_nan() || eigenvalue <= least {
-            let members: Vec<usize> = (0..count).filter(|&i| vector[i].is_nan() || vector[i].abs() > NAMED).collect();
+            let members: Vec<usize> =
+                (0..count).filter(|&i| vector[i].is_nan() || vector[i].abs() > NAMED).collect();
             members.iter().for_each(|&i| is_open[i] = true);
             if !undetermined.contains(&members) {
                 undetermined.push(members);
@@ -91,18 +99,35 @@ pub(super) fn statistics(equations: &[DMatrix<f64>], free: &[usize], negligible:
         factor.set_column(k, &(vector / eigenvalue.sqrt()));
     }
     let covariance = &factor * factor.transpose();
-    let errors = (0..count).map(|i| if is_open[i] { f64::INFINITY } else { covariance[(i, i)].sqrt() / scale[i] });
-    let informative = equations.iter().filter(|rows| rows.columns(0, count).iter().any(|slope| *slope != 0.0));
+    let errors = (0..count)
+        .map(|i| if is_open[i] { f64::INFINITY } else { covariance[(i, i)].sqrt() / scale[i] });
+    let informative =
+        equations.iter().filter(|rows| rows.columns(0, count).iter().any(|slope| *slope != 0.0));
     let informative: Vec<&DMatrix<f64>> = informative.collect();
-    let variances = if informative.len() > count { jackknife(&informative, &scale, &factor) } else { Vec::new() };
+    let variances = if informative.len() > count {
+        jackknife(&informative, &scale, &factor)
+    } else {
+        Vec::new()
+    };
     let is_known = |i: usize| !is_open[i] && i < variances.len();
-    let robust_errors = (0..count).map(|i| if is_known(i) { variances[i].sqrt() / scale[i] } else { f64::INFINITY });
+    let robust_errors = (0..count)
+        .map(|i| if is_known(i) { variances[i].sqrt() / scale[i] } else { f64::INFINITY });
     let robust_errors = robust_errors.collect();
-    let correlation = |i: usize, j: usize| covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt();
-    let correlations = (0..count).map(|i| (0..count).map(|j| correlation(i, j)).collect()).collect();
+    let correlation =
+        |i: usize, j: usize| covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt();
+    let correlations =
+        (0..count).map(|i| (0..count).map(|j| correlation(i, j)).collect()).collect();
     let transform = transform(&scale, &factor);
-    let step = equations.iter().fold(DVector::zeros(count), |sum, rows| sum + transform.tr_mul(&gradient(rows)));
-    Statistics { errors: errors.collect(), robust_errors, correlations, undetermined, offset: step.amax() }
+    let step = equations
+        .iter()
+        .fold(DVector::zeros(count), |sum, rows| sum + transform.tr_mul(&gradient(rows)));
+    Statistics {
+        errors: errors.collect(),
+        robust_errors,
+        correlations,
+        undetermined,
+        offset: step.amax(),
+    }
 }
 
 /// Transforms coordinates in which the information of all segments is the unit matrix to steps of
@@ -114,18 +139,29 @@ fn transform(scale: &[f64], factor: &DMatrix<f64>) -> DMatrix<f64> {
 
 /// Components of an initial state that the samples do not determine. `rows` are its linear
 /// equations at unit noise.
-pub(super) fn undetermined_components(rows: &DMatrix<f64>, noise: f64, states: &[Vec<f64>]) -> Vec<usize> {
+pub(super) fn undetermined_components(
+    rows: &DMatrix<f64>,
+    noise: f64,
+    states: &[Vec<f64>],
+) -> Vec<usize> {
     let count = rows.ncols();
-    let norms: Vec<f64> = rows.column_iter().map(|column| if column.amax() > 0.0 { column.norm() } else { NO_EFFECT }).collect();
+    let norms: Vec<f64> = rows
+        .column_iter()
+        .map(|column| if column.amax() > 0.0 { column.norm() } else { NO_EFFECT })
+        .collect();
     let mut damped = rows.clone().resize_vertically(rows.nrows() + count, 0.0);
     norms.iter().enumerate().for_each(|(i, norm)| damped[(rows.nrows() + i, i)] = DAMPING * norm);
     // The covariance is `inverse inverseᵀ`.
     let inverse = triangle(damped).solve_upper_triangular(&DMatrix::identity(count, count));
-    let Some(inverse) = inverse.filter(|inverse| inverse.iter().all(|number| number.is_finite())) else { return Vec::new() };
+    let Some(inverse) = inverse.filter(|inverse| inverse.iter().all(|number| number.is_finite()))
+    else {
+        return Vec::new();
+    };
     let is_open = |i: usize| {
         let error = inverse.row(i).norm();
         // Wrong initial states are large, and decay.
-        let largest = states[states.len() / 2..].iter().fold(0.0, |largest: f64, x| largest.max(x[i].abs()));
+        let largest =
+            states[states.len() / 2..].iter().fold(0.0, |largest: f64, x| largest.max(x[i].abs()));
         error * norms[i] > CONFOUNDED && error * noise > largest
     };
     (0..count).filter(|&i| is_open(i)).collect()
@@ -155,7 +191,10 @@ fn jackknife(equations: &[&DMatrix<f64>], scale: &[f64], factor: &DMatrix<f64>) 
             let is_open = |i: usize| direction[i].abs() > NAMED * factor.row(i).norm();
             (0..count).filter(|&i| is_open(i)).for_each(|i| variances[i] = f64::INFINITY);
         }
-        variances.iter_mut().zip(&change).for_each(|(sum, change)| *sum += change * change * (segments - 1.0) / segments);
+        variances
+            .iter_mut()
+            .zip(&change)
+            .for_each(|(sum, change)| *sum += change * change * (segments - 1.0) / segments);
     }
     variances
 }

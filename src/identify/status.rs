@@ -80,7 +80,8 @@ pub(super) fn statuses(
         });
     }
     converged &= !statuses.iter().any(|status| status.is_failure());
-    let undecided = statuses.iter_mut().filter(|status| **status == Status::Estimated && !converged);
+    let undecided =
+        statuses.iter_mut().filter(|status| **status == Status::Estimated && !converged);
     undecided.for_each(|status| *status = Status::NotConverged);
     Ok(statuses)
 }

@@ -87,7 +87,8 @@ mod tests {
         let mut numbers = Aligned::<f64>::zeros(5);
         numbers.copy_from_slice(&[1.0, 2.0, 3.0, 4.0, 5.0]);
         // Stores all clones, so that their addresses differ.
-        let clones: Vec<(Aligned<f64>, Vec<u8>)> = (0..40).map(|i| (numbers.clone(), vec![0; 16 * i])).collect();
+        let clones: Vec<(Aligned<f64>, Vec<u8>)> =
+            (0..40).map(|i| (numbers.clone(), vec![0; 16 * i])).collect();
         for (clone, _) in &clones {
             assert_eq!(clone[..], [1.0, 2.0, 3.0, 4.0, 5.0]);
             assert!(clone.as_ptr().addr().is_multiple_of(LINE));

@@ -82,7 +82,8 @@ impl Add for ExtendedF64 {
         } else {
             self.exponent.max(other.exponent)
         };
-        let part = |part: Self| times_power_of_two(part.mantissa, part.exponent.saturating_sub(exponent));
+        let part =
+            |part: Self| times_power_of_two(part.mantissa, part.exponent.saturating_sub(exponent));
         Self::new(part(self) + part(other), exponent)
     }
 }
@@ -114,7 +115,8 @@ impl fmt::Display for ExtendedF64 {
         let log = self.log10();
         let sign = if self.mantissa < 0.0 { "-" } else { "" };
         let rounded = (1e5 * 10f64.powf(log - log.floor())).round() / 1e5;
-        let (digits, exponent) = if rounded < 10.0 { (rounded, log.floor()) } else { (1.0, log.floor() + 1.0) };
+        let (digits, exponent) =
+            if rounded < 10.0 { (rounded, log.floor()) } else { (1.0, log.floor() + 1.0) };
         write!(f, "{sign}{digits:.5}e{exponent}")
     }
 }
@@ -166,7 +168,8 @@ pub(crate) fn scaled<F: Float>(x: F, exponent: i32) -> F {
 
 /// [`scaled`], with underflow to the smallest subnormal number of the sign of `x` instead of 0.
 pub(crate) fn scaled_with_sign<F: Float>(x: F, exponent: i32) -> F {
-    let smallest = if F::EPSILON < 1e-10 { f64::from_bits(1) } else { f64::from(f32::from_bits(1)) };
+    let smallest =
+        if F::EPSILON < 1e-10 { f64::from_bits(1) } else { f64::from(f32::from_bits(1)) };
     let (zero, small) = (F::zero(), scaled(x, exponent));
     if small != zero || x == zero {
         return small;
@@ -184,7 +187,14 @@ mod tests {
         assert_eq!(large.to_string(), "1.00000e400");
         assert_eq!((ExtendedF64::from(1e-200) / 1e200).to_string(), "1.00000e-400");
         assert!(((large / 1e200).get() / 1e200 - 1.0).abs() < 1e-15);
-        for (a, b) in [(3.0, 0.0), (0.0, 3.0), (f64::INFINITY, 2.0), (1.5, -f64::INFINITY), (0.1, 0.7), (-1e-300, 3e290)] {
+        for (a, b) in [
+            (3.0, 0.0),
+            (0.0, 3.0),
+            (f64::INFINITY, 2.0),
+            (1.5, -f64::INFINITY),
+            (0.1, 0.7),
+            (-1e-300, 3e290),
+        ] {
             assert_eq!((ExtendedF64::from(a) * b).get().to_bits(), (a * b).to_bits(), "{a} {b}");
             assert_eq!((ExtendedF64::from(a) / b).get().to_bits(), (a / b).to_bits(), "{a} {b}");
         }
@@ -203,7 +213,10 @@ mod tests {
         approx::assert_relative_eq!(huge.log10(), 4000.0 * 2f64.log10(), max_relative = 1e-15);
         assert_eq!((huge.get(), ExtendedF64::new(1.0, -4000).get()), (f64::INFINITY, 0.0));
         // A result with a binary exponent from -960 to 960 is a plain `f64`.
-        assert_eq!((ExtendedF64::new(1.5, 1100) / power_of_two(1000) / power_of_two(100)).get(), 1.5);
+        assert_eq!(
+            (ExtendedF64::new(1.5, 1100) / power_of_two(1000) / power_of_two(100)).get(),
+            1.5
+        );
     }
 
     #[test]
@@ -211,18 +224,28 @@ mod tests {
         for x in [1.0, -1.75, f64::MIN_POSITIVE, f64::from_bits(1), f64::MAX] {
             let exponent = exponent_of(x);
             let mantissa = times_power_of_two(x, -exponent);
-            assert!((1.0..2.0).contains(&mantissa.abs()), "the mantissa of {x:e} is {mantissa}, expected 1 to 2");
+            assert!(
+                (1.0..2.0).contains(&mantissa.abs()),
+                "the mantissa of {x:e} is {mantissa}, expected 1 to 2"
+            );
             assert_eq!(times_power_of_two(mantissa, exponent), x);
         }
         assert_eq!((scaled(1.0f32, -200), scaled(-1.0f32, 200)), (0.0, f32::NEG_INFINITY));
-        assert_eq!((scaled_with_sign(-1.0f32, -200), scaled_with_sign(0.0f32, -200)), (-f32::from_bits(1), 0.0));
+        assert_eq!(
+            (scaled_with_sign(-1.0f32, -200), scaled_with_sign(0.0f32, -200)),
+            (-f32::from_bits(1), 0.0)
+        );
     }
 
     #[test]
     fn a_mantissa_that_rounds_to_ten_is_printed_as_one() {
         // Powers of two whose decimal mantissa exceeds 9.9999955.
-        let rounds_up = |exponent: &i32| (f64::from(*exponent) * std::f64::consts::LOG10_2).fract() > 9.999_995_5f64.log10();
-        let exponent = (1000..100_000_000).find(rounds_up).expect("fractions of multiples of log10(2) are dense");
+        let rounds_up = |exponent: &i32| {
+            (f64::from(*exponent) * std::f64::consts::LOG10_2).fract() > 9.999_995_5f64.log10()
+        };
+        let exponent = (1000..100_000_000)
+            .find(rounds_up)
+            .expect("fractions of multiples of log10(2) are dense");
         let decimal = (f64::from(exponent) * std::f64::consts::LOG10_2).ceil();
         assert_eq!(ExtendedF64::new(1.0, exponent).to_string(), format!("1.00000e{decimal}"));
         assert_eq!(ExtendedF64::new(-1.0, exponent).to_string(), format!("-1.00000e{decimal}"));

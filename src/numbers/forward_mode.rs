@@ -34,7 +34,11 @@ pub(crate) fn jacobian<R: Real>(
     for first in wrt.clone().step_by(CHUNK) {
         let chunk = first..wrt.end.min(first + CHUNK);
         for (i, (x, &input)) in zip(x.iter_mut(), inputs).enumerate() {
-            *x = if chunk.contains(&i) { Chunk::variable(input, i - first) } else { Chunk::constant(input) };
+            *x = if chunk.contains(&i) {
+                Chunk::variable(input, i - first)
+            } else {
+                Chunk::constant(input)
+            };
         }
         f(&x, &mut y);
         for (k, i) in chunk.enumerate() {

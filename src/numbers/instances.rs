@@ -6,7 +6,9 @@
 use super::forward_mode::CHUNK;
 #[cfg(feature = "double-double")]
 use super::scalar::DoubleDouble;
-use super::scalar::{Cotangent, CotangentPack, Counted, Dual, Lanes, Real, Reverse, Scalar, Single};
+use super::scalar::{
+    Cotangent, CotangentPack, Counted, Dual, Lanes, Real, Reverse, Scalar, Single,
+};
 use num_dual::Dual64;
 use std::any::Any;
 
@@ -119,7 +121,9 @@ pub(crate) const DIAGNOSED: &str = "`Single<f32>`, `Single<f64>` and `f64`";
 ///
 /// Leaves `None` unless `R` is the scalar of a diagnosis.
 pub(crate) fn diagnosis_pointer<G: RealFunction>(slot: &mut dyn Any) {
-    let _found = fill(slot, G::pointer::<Single<f32>>) || fill(slot, G::pointer::<Single<f64>>) || fill(slot, G::pointer::<f64>);
+    let _found = fill(slot, G::pointer::<Single<f32>>)
+        || fill(slot, G::pointer::<Single<f64>>)
+        || fill(slot, G::pointer::<f64>);
 }
 
 /// Scalars of [`real_pointer`], for messages.

@@ -63,7 +63,10 @@ impl SimdLevel {
     /// If this processor does not support the level.
     #[inline]
     fn checked(self) -> SimdLevel {
-        assert!(self <= SimdLevel::best(), "this processor does not support {self:?}; use `SimdLevel::best()`");
+        assert!(
+            self <= SimdLevel::best(),
+            "this processor does not support {self:?}; use `SimdLevel::best()`"
+        );
         self
     }
 }

@@ -17,7 +17,9 @@ thread_local! {
 pub(crate) fn lend<T: Default + 'static, Out>(work: impl FnOnce(&mut T) -> Out) -> Out {
     let mut value: Box<T> = POOL.with_borrow_mut(|pool| {
         let found = pool.iter().position(|value| value.is::<T>());
-        found.map_or_else(Box::default, |i| pool.swap_remove(i).downcast().expect("`position` found a value of this type"))
+        found.map_or_else(Box::default, |i| {
+            pool.swap_remove(i).downcast().expect("`position` found a value of this type")
+        })
     });
     let result = work(&mut value);
     POOL.with_borrow_mut(|pool| pool.push(value));

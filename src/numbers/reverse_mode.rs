@@ -40,13 +40,21 @@ impl<R: Real> Recording<R> {
     #[inline(always)]
     pub(crate) fn extend(&mut self, inputs: impl Iterator<Item = R>, requested: bool) {
         for value in inputs {
-            self.inputs.push(if requested { Reverse::variable(value, self.tape.variable()) } else { Reverse::constant(value) });
+            self.inputs.push(if requested {
+                Reverse::variable(value, self.tape.variable())
+            } else {
+                Reverse::constant(value)
+            });
         }
     }
 
     /// Evaluates `f(inputs, outputs)` and records it.
     #[inline(always)]
-    pub(crate) fn record(&mut self, outputs: usize, f: impl FnOnce(&[Reverse<R>], &mut [Reverse<R>])) {
+    pub(crate) fn record(
+        &mut self,
+        outputs: usize,
+        f: impl FnOnce(&[Reverse<R>], &mut [Reverse<R>]),
+    ) {
         self.outputs.clear();
         self.outputs.resize(outputs, Reverse::constant(R::zero()));
         // An evaluation within `f` swaps in a tape of its own.
@@ -95,7 +103,8 @@ impl<R: Real> Recording<R> {
                 std::mem::swap(cotangents, plain);
                 sweep(cotangents, true);
                 // Numbers that were finite keep their bits, in which signs of zeros may differ.
-                for (cotangent, &plain) in zip(cotangents.iter_mut().take(variables), plain.iter()) {
+                for (cotangent, &plain) in zip(cotangents.iter_mut().take(variables), plain.iter())
+                {
                     *cotangent = plain.finite_or(*cotangent);
                 }
             }

@@ -253,7 +253,8 @@ impl<T: Scalar> Scaled<T> {
         // Multiplication by 2^∓shift brings all other finite, nonzero numbers into this range.
         let (range, shift) = if T::Real::EPSILON < 1e-10 { (500, 600) } else { (60, 90) };
         let (huge, tiny) = (T::from(power_of_two(range)), T::from(power_of_two(-range)));
-        let (up, down, one) = (T::from(power_of_two(shift)), T::from(power_of_two(-shift)), T::one());
+        let (up, down, one) =
+            (T::from(power_of_two(shift)), T::from(power_of_two(-shift)), T::one());
         let largest = x.abs().max(y.abs()).detach();
         let unit = T::select_lt(huge, largest, down, T::select_lt(largest, tiny, up, one));
         let per_unit = T::select_lt(huge, largest, up, T::select_lt(largest, tiny, down, one));

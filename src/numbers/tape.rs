@@ -190,7 +190,12 @@ pub struct Tapes<F> {
 // Not derived, since `F` needs no default.
 impl<F> Default for Tapes<F> {
     fn default() -> Self {
-        Self { one: RefCell::default(), two: RefCell::default(), four: RefCell::default(), eight: RefCell::default() }
+        Self {
+            one: RefCell::default(),
+            two: RefCell::default(),
+            four: RefCell::default(),
+            eight: RefCell::default(),
+        }
     }
 }
 

@@ -24,7 +24,8 @@ pub fn digits(x: f64, count: usize) -> String {
     }
     let scientific = format!("{x:.*e}", count - 1);
     // Reads the exponent after rounding: 0.00099996 becomes 0.001000.
-    let exponent = scientific.split_once('e').and_then(|(_, exponent)| exponent.parse::<i32>().ok());
+    let exponent =
+        scientific.split_once('e').and_then(|(_, exponent)| exponent.parse::<i32>().ok());
     match exponent {
         Some(exponent) if (-3..5).contains(&exponent) => {
             format!("{x:.*}", usize::try_from(count as i32 - 1 - exponent).unwrap_or(0))
@@ -41,17 +42,26 @@ mod tests {
     fn a_number_is_plain_from_1e_minus_3_to_1e5_and_scientific_elsewhere() {
         let plain = [0.001, 0.5322, 1.507, -12.34, 99_949.0].map(short);
         assert_eq!(plain, ["0.001000", "0.5322", "1.507", "-12.34", "99949"]);
-        assert_eq!([0.000_999_4, 1e5, -3e-7, 1.5e14].map(short), ["9.994e-4", "1.000e5", "-3.000e-7", "1.500e14"]);
+        assert_eq!(
+            [0.000_999_4, 1e5, -3e-7, 1.5e14].map(short),
+            ["9.994e-4", "1.000e5", "-3.000e-7", "1.500e14"]
+        );
         assert_eq!([0.0054, 0.0996, 999.6].map(rough), ["0.0054", "0.10", "1000"]);
     }
 
     #[test]
     fn rounding_to_the_next_decade_keeps_the_number_of_digits() {
-        assert_eq!([0.000_999_96, 0.099_999, 9.9999, 99_999.6].map(short), ["0.001000", "0.1000", "10.00", "1.000e5"]);
+        assert_eq!(
+            [0.000_999_96, 0.099_999, 9.9999, 99_999.6].map(short),
+            ["0.001000", "0.1000", "10.00", "1.000e5"]
+        );
     }
 
     #[test]
     fn zero_and_non_finite_numbers_have_no_digits() {
-        assert_eq!([0.0, -0.0, f64::NAN, f64::INFINITY, -f64::INFINITY].map(short), ["0", "0", "NaN", "inf", "-inf"]);
+        assert_eq!(
+            [0.0, -0.0, f64::NAN, f64::INFINITY, -f64::INFINITY].map(short),
+            ["0", "0", "NaN", "inf", "-inf"]
+        );
     }
 }

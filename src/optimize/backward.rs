@@ -44,20 +44,31 @@ impl Step {
 /// eigenvalues. Source of the recursion: Tassa, Erez and Todorov 2012,
 /// doi:10.1109/IROS.2012.6386025, equations 10 and 11. The damping does not depend on the step: at a
 /// step where a control saturates, B is small, but a large change of this control is not harmless.
-pub(super) fn backward(expansion: &Expansion, u: &[f64], bounds: &Bounds, regularization: f64) -> Option<Step> {
+pub(super) fn backward(
+    expansion: &Expansion,
+    u: &[f64],
+    bounds: &Bounds,
+    regularization: f64,
+) -> Option<Step> {
     let steps = expansion.steps.len();
     let (mut value, mut value_hessian) = (expansion.gradient.clone(), expansion.hessian.clone());
     let n = value.len();
-    let (mut all_changes, mut gains, mut model) = (Vec::with_capacity(steps), Vec::with_capacity(steps), [0.0; 2]);
+    let (mut all_changes, mut gains, mut model) =
+        (Vec::with_capacity(steps), Vec::with_capacity(steps), [0.0; 2]);
     for (t, step) in expansion.steps.iter().enumerate().rev() {
         let f = &step.dynamics;
         let m = f.ncols() - n;
         let slope = &step.gradient + f.tr_mul(&value);
         let curvature = &step.hessian + f.tr_mul(&(&value_hessian * f));
         let by_u = slope.rows(n, m).into_owned();
-        let (mut uu, ux) = (curvature.view((n, n), (m, m)).into_owned(), curvature.view((n, 0), (m, n)).into_owned());
-        let (damping, changes) =
-            (DMatrix::from_diagonal(&(&expansion.damping * regularization)), bounds.changes(&u[t * m..][..m]));
+        let (mut uu, ux) = (
+            curvature.view((n, n), (m, m)).into_owned(),
+            curvature.view((n, 0), (m, n)).into_owned(),
+        );
+        let (damping, changes) = (
+            DMatrix::from_diagonal(&(&expansion.damping * regularization)),
+            bounds.changes(&u[t * m..][..m]),
+        );
         let program = BoxQp::solve(&(&uu + &damping), &by_u, &changes).or_else(|| {
             let lagrangian = step.hessian.view((n, n), (m, m)).into_owned();
             uu += absolute(&lagrangian) - lagrangian;
@@ -70,7 +81,10 @@ pub(super) fn backward(expansion: &Expansion, u: &[f64], bounds: &Bounds, regula
         model[1] += change.dot(&onward);
         value = slope.rows(0, n) + gain.tr_mul(&(onward + by_u)) + ux.tr_mul(&change);
         let cross = gain.tr_mul(&ux);
-        let hessian = curvature.view((0, 0), (n, n)) + gain.tr_mul(&(uu * &gain)) + &cross + cross.transpose();
+        let hessian = curvature.view((0, 0), (n, n))
+            + gain.tr_mul(&(uu * &gain))
+            + &cross
+            + cross.transpose();
         value_hessian = (&hessian + hessian.transpose()) * 0.5;
         all_changes.push(change);
         gains.push(gain);

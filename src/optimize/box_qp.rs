@@ -28,7 +28,11 @@ const SUFFICIENT: f64 = 0.1;
 impl BoxQp {
     /// Solves the program. The bounds contain 0. Returns `None` if Q is not positive definite on
     /// the free components.
-    pub(super) fn solve(hessian: &DMatrix<f64>, gradient: &DVector<f64>, bounds: &[[f64; 2]]) -> Option<Self> {
+    pub(super) fn solve(
+        hessian: &DMatrix<f64>,
+        gradient: &DVector<f64>,
+        bounds: &[[f64; 2]],
+    ) -> Option<Self> {
         let value = |d: &DVector<f64>| d.dot(&(hessian * d * 0.5 + gradient));
         let mut solution = DVector::zeros(gradient.len());
         let mut free = free_components(&solution, gradient, bounds);
@@ -39,7 +43,8 @@ impl BoxQp {
             let (mut size, before) = (1.0, value(&solution));
             let moved = loop {
                 let moved = moved(&solution, &free, &step, size, bounds);
-                let enough = before - value(&moved) >= SUFFICIENT * slope.dot(&(&solution - &moved));
+                let enough =
+                    before - value(&moved) >= SUFFICIENT * slope.dot(&(&solution - &moved));
                 if enough || size < SMALLEST {
                     break moved;
                 }
@@ -74,7 +79,9 @@ impl BoxQp {
 
 /// Returns the components except those at a bound with a descent direction that points outside.
 fn free_components(d: &DVector<f64>, slope: &DVector<f64>, bounds: &[[f64; 2]]) -> Vec<usize> {
-    let at_active_bound = |i: usize| (d[i] <= bounds[i][0] && slope[i] > 0.0) || (d[i] >= bounds[i][1] && slope[i] < 0.0);
+    let at_active_bound = |i: usize| {
+        (d[i] <= bounds[i][0] && slope[i] > 0.0) || (d[i] >= bounds[i][1] && slope[i] < 0.0)
+    };
     (0..d.len()).filter(|&i| !at_active_bound(i)).collect()
 }
 
@@ -85,7 +92,13 @@ fn restricted(hessian: &DMatrix<f64>, free: &[usize]) -> Option<Cholesky<f64, Dy
 }
 
 /// Moves the free components by `size` times `step` and clamps them.
-fn moved(d: &DVector<f64>, free: &[usize], step: &DVector<f64>, size: f64, bounds: &[[f64; 2]]) -> DVector<f64> {
+fn moved(
+    d: &DVector<f64>,
+    free: &[usize],
+    step: &DVector<f64>,
+    size: f64,
+    bounds: &[[f64; 2]],
+) -> DVector<f64> {
     let mut moved = d.clone();
     for (&i, step) in free.iter().zip(step.iter()) {
         moved[i] = (d[i] + size * step).max(bounds[i][0]).min(bounds[i][1]);

@@ -11,8 +11,10 @@ impl Expansion {
     /// absolute curvature along the gradient.
     pub(super) fn cauchy_decrease(&self, u: &[f64], bounds: &Bounds) -> f64 {
         let m = self.damping.len();
-        let projected = |(i, (&u, &gradient)): (usize, (&f64, &f64))| -bounds.projected(i % m, u, gradient);
-        let mut change: Vec<f64> = u.iter().zip(&self.by_control).enumerate().map(projected).collect();
+        let projected =
+            |(i, (&u, &gradient)): (usize, (&f64, &f64))| -bounds.projected(i % m, u, gradient);
+        let mut change: Vec<f64> =
+            u.iter().zip(&self.by_control).enumerate().map(projected).collect();
         let [slope, curvature] = self.along(&change);
         if slope == 0.0 {
             return 0.0;
@@ -30,7 +32,8 @@ impl Expansion {
     /// Slope and second derivative of the cost along a change of all controls, `[step][control]`.
     fn along(&self, change: &[f64]) -> [f64; 2] {
         let (n, m) = (self.gradient.len(), self.damping.len());
-        let slope = self.by_control.iter().zip(change).map(|(gradient, change)| gradient * change).sum();
+        let slope =
+            self.by_control.iter().zip(change).map(|(gradient, change)| gradient * change).sum();
         let (mut x, mut curvature) = (DVector::zeros(n), 0.0);
         for (step, change) in self.steps.iter().zip(change.chunks(m)) {
             let z = DVector::from_iterator(n + m, x.iter().chain(change).copied());

@@ -15,7 +15,8 @@ use nalgebra::{DMatrix, DVector};
 
 /// Largest magnitude of each control over all steps, or 1 for a control that is always 0.
 pub(super) fn scales(u: &[f64], m: usize) -> Vec<f64> {
-    let largest = |i: usize| u.iter().skip(i).step_by(m).fold(0.0, |largest: f64, u| largest.max(u.abs()));
+    let largest =
+        |i: usize| u.iter().skip(i).step_by(m).fold(0.0, |largest: f64, u| largest.max(u.abs()));
     (0..m).map(largest).map(|largest| if largest > 0.0 { largest } else { 1.0 }).collect()
 }
 
@@ -46,7 +47,8 @@ impl Problem<'_> {
                 self.check_stop()?;
                 u[i] = old + side * f64::EPSILON.sqrt() * scales[i].max(old.abs());
                 self.step_jacobian(Inputs { x, u: &u, p, t }, n..n + m, |j, column| {
-                    let there: f64 = lambda.iter().zip(column).map(|(lambda, slope)| lambda * slope).sum();
+                    let there: f64 =
+                        lambda.iter().zip(column).map(|(lambda, slope)| lambda * slope).sum();
                     difference[j - n] = (there - here[j - n]) / (u[i] - old);
                 });
             }

@@ -59,7 +59,8 @@ impl Problem<'_> {
         let expanded = (0..steps).map(|t| {
             self.check_stop()?;
             let step = self.expand_step(trajectory, t);
-            let finite = [step.dynamics.as_slice(), step.gradient.as_slice(), step.hessian.as_slice()];
+            let finite =
+                [step.dynamics.as_slice(), step.gradient.as_slice(), step.hessian.as_slice()];
             if all_finite(finite) { Ok(step) } else { Err(not_finite(Some(t))) }
         });
         let mut expanded = expanded.collect::<Result<Vec<_>, _>>()?;
@@ -71,10 +72,21 @@ impl Problem<'_> {
         if !all_finite([gradient.as_slice(), hessian.as_slice()]) {
             return Err(not_finite(None));
         }
-        let largest = |of_step: fn(&StepExpansion) -> f64, terminal: f64| expanded.iter().map(of_step).fold(terminal, f64::max);
+        let largest = |of_step: fn(&StepExpansion) -> f64, terminal: f64| {
+            expanded.iter().map(of_step).fold(terminal, f64::max)
+        };
         let second = largest(|step| step.hessian.amax(), hessian.amax());
-        let curvature = if second > 0.0 { second } else { largest(|step| step.gradient.amax(), gradient.amax()) };
-        let size = |i: usize| expanded.iter().map(|step| step.dynamics.column(n + i).norm_squared()).fold(0.0, f64::max);
+        let curvature = if second > 0.0 {
+            second
+        } else {
+            largest(|step| step.gradient.amax(), gradient.amax())
+        };
+        let size = |i: usize| {
+            expanded
+                .iter()
+                .map(|step| step.dynamics.column(n + i).norm_squared())
+                .fold(0.0, f64::max)
+        };
         let sizes = (0..m).map(size).map(|size| curvature * if size > 0.0 { size } else { 1.0 });
         let damping = DVector::from_vec(sizes.collect());
         let by_control = self.add_adjoint(trajectory, &mut expanded, gradient.clone())?;
@@ -120,20 +132,31 @@ impl Problem<'_> {
     ) {
         let Self { model, n, m, .. } = *self;
         let step = |all: &[Chunk<f64>], next: &mut [Chunk<f64>]| {
-            model.step_by_duals(Inputs { x: &all[..n], u: &all[n..n + m], p: &all[n + m..], t }, next);
+            model.step_by_duals(
+                Inputs { x: &all[..n], u: &all[n..n + m], p: &all[n + m..], t },
+                next,
+            );
         };
         jacobian(&[x, u, p].concat(), wrt, n, step, visit);
     }
 
     fn expand_step(&self, trajectory: &Trajectory, t: usize) -> StepExpansion {
         let Self { model, p, n, m, .. } = *self;
-        let inputs = Inputs { x: &trajectory.x[t * n..][..n], u: &trajectory.u[t * m..][..m], p, t };
+        let inputs =
+            Inputs { x: &trajectory.x[t * n..][..n], u: &trajectory.u[t * m..][..m], p, t };
         let next = &trajectory.x[(t + 1) * n..][..n];
         let mut dynamics = DMatrix::zeros(n, n + m);
-        self.step_jacobian(inputs, 0..n + m, |i, column| dynamics.column_mut(i).copy_from_slice(column));
+        self.step_jacobian(inputs, 0..n + m, |i, column| {
+            dynamics.column_mut(i).copy_from_slice(column)
+        });
         let (mut gradient, mut next_bar) = (DVector::zeros(n + m), DVector::zeros(n));
         let (x_bar, u_bar) = gradient.as_mut_slice().split_at_mut(n);
-        model.running_cost_gradient(inputs, next, Cotangents::of(x_bar, u_bar), next_bar.as_mut_slice());
+        model.running_cost_gradient(
+            inputs,
+            next,
+            Cotangents::of(x_bar, u_bar),
+            next_bar.as_mut_slice(),
+        );
         gradient += dynamics.tr_mul(&next_bar);
         let second_p = constants(p);
         let of_cost = hessian(&[inputs.x, inputs.u, next].concat(), |all| {

@@ -24,7 +24,9 @@ pub enum OptimizeError {
         index: usize,
     },
     /// No finite control lies between the bounds, or a bound is NaN.
-    #[error("the bounds of control {control} are [{low}, {high}]; allowed: low <= high, low < inf, high > -inf")]
+    #[error(
+        "the bounds of control {control} are [{low}, {high}]; allowed: low <= high, low < inf, high > -inf"
+    )]
     Bounds {
         /// Index of the control.
         control: usize,
@@ -72,10 +74,14 @@ pub enum OptimizeError {
 
 /// Names, for messages, the functions whose derivative at this step is not finite.
 fn differentiated(step: Option<usize>) -> String {
-    step.map_or("terminal cost".into(), |step| format!("running cost of step {step}, or of the dynamics in this step,"))
+    step.map_or("terminal cost".into(), |step| {
+        format!("running cost of step {step}, or of the dynamics in this step,")
+    })
 }
 
 /// Names, for messages, the costs in the sum that is not finite.
 fn place(step: Option<usize>) -> String {
-    step.map_or("with the terminal cost".into(), |step| format!("up to the running cost of step {step}"))
+    step.map_or("with the terminal cost".into(), |step| {
+        format!("up to the running cost of step {step}")
+    })
 }

@@ -87,12 +87,23 @@ pub fn optimize<T: Task>(
     minimize(task, x0, p, initial, options)
 }
 
-fn minimize(model: &dyn Model, x0: &[f64], p: &[f64], initial: Initial<'_>, options: &Options) -> Result<Plan, OptimizeError> {
+fn minimize(
+    model: &dyn Model,
+    x0: &[f64],
+    p: &[f64],
+    initial: Initial<'_>,
+    options: &Options,
+) -> Result<Plan, OptimizeError> {
     let [n, m, params] = model.sizes();
     check_length("x0", "the state", n, x0.len())?;
     check_length("p", "the parameters of the task", params, p.len())?;
     if let Initial::Controls(u) = initial {
-        check_length("the initial controls", "horizon times controls", model.horizon() * m, u.len())?;
+        check_length(
+            "the initial controls",
+            "horizon times controls",
+            model.horizon() * m,
+            u.len(),
+        )?;
     }
     for (argument, numbers) in [("x0", x0), ("p", p)] {
         if let Some(index) = numbers.iter().position(|number| !number.is_finite()) {

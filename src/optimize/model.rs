@@ -17,7 +17,13 @@ pub(super) trait Model {
     fn step_by_duals(&self, inputs: Inputs<'_, Chunk<f64>>, next: &mut [Chunk<f64>]);
     fn running_cost(&self, inputs: Inputs<'_, f64>, next: &[f64]) -> f64;
     fn running_cost_by_duals(&self, inputs: Inputs<'_, Second>, next: &[Second]) -> Second;
-    fn running_cost_gradient(&self, inputs: Inputs<'_, f64>, next: &[f64], cotangents: Cotangents<'_, f64>, next_bar: &mut [f64]);
+    fn running_cost_gradient(
+        &self,
+        inputs: Inputs<'_, f64>,
+        next: &[f64],
+        cotangents: Cotangents<'_, f64>,
+        next_bar: &mut [f64],
+    );
     fn terminal_cost(&self, x: &[f64], p: &[f64]) -> f64;
     fn terminal_cost_by_duals(&self, x: &[Second], p: &[Second]) -> Second;
     fn terminal_cost_gradient(&self, x: &[f64], p: &[f64], x_bar: &mut [f64]);

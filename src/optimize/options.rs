@@ -30,7 +30,13 @@ pub struct Options {
 impl Default for Options {
     /// 200 iterations, tolerances of 1e-8 (gradient) and 1e-10 (cost), no bounds.
     fn default() -> Self {
-        Self { max_iterations: 200, gradient_tolerance: 1e-8, cost_tolerance: 1e-10, bounds: None, stop: None }
+        Self {
+            max_iterations: 200,
+            gradient_tolerance: 1e-8,
+            cost_tolerance: 1e-10,
+            bounds: None,
+            stop: None,
+        }
     }
 }
 
@@ -131,5 +137,9 @@ pub(super) fn check_length(
     expected: usize,
     found: usize,
 ) -> Result<(), OptimizeError> {
-    if expected == found { Ok(()) } else { Err(OptimizeError::Length { argument, shape, expected, found }) }
+    if expected == found {
+        Ok(())
+    } else {
+        Err(OptimizeError::Length { argument, shape, expected, found })
+    }
 }

@@ -99,7 +99,12 @@ impl Plan {
         let rows = self.gains[t * m * n..][..m * n].chunks_exact(n);
         let deviation = || x.iter().zip(self.state(t)).map(|(x, planned)| x - planned);
         for ((u, planned), row) in u.iter_mut().zip(self.control(t)).zip(rows) {
-            *u = planned + row.iter().zip(deviation()).map(|(gain, deviation)| gain * deviation).sum::<f64>();
+            *u = planned
+                + row
+                    .iter()
+                    .zip(deviation())
+                    .map(|(gain, deviation)| gain * deviation)
+                    .sum::<f64>();
         }
     }
 }

@@ -32,9 +32,23 @@ const SUFFICIENT: f64 = 0.1;
 const SMALL_DECREASES: usize = 3;
 
 impl<'a> Search<'a> {
-    pub(super) fn new(problem: Problem<'a>, bounds: Bounds, options: &'a Options, start: Trajectory) -> Self {
+    pub(super) fn new(
+        problem: Problem<'a>,
+        bounds: Bounds,
+        options: &'a Options,
+        start: Trajectory,
+    ) -> Self {
         let (costs, regularization) = (vec![start.cost], Regularization::default());
-        Self { problem, bounds, options, best: start, regularization, costs, rollouts: 1, small_decreases: 0 }
+        Self {
+            problem,
+            bounds,
+            options,
+            best: start,
+            regularization,
+            costs,
+            rollouts: 1,
+            small_decreases: 0,
+        }
     }
 
     /// Iterates until one of the reasons in [`Stop`] applies.
@@ -47,7 +61,9 @@ impl<'a> Search<'a> {
         loop {
             let improved = if self.gradient_norm(&expansion) <= self.options.gradient_tolerance {
                 ControlFlow::Break(Stop::Gradient)
-            } else if self.small_decreases >= SMALL_DECREASES && self.gradient_predicts_little(&expansion) {
+            } else if self.small_decreases >= SMALL_DECREASES
+                && self.gradient_predicts_little(&expansion)
+            {
                 ControlFlow::Break(Stop::Decrease)
             } else if self.costs.len() > self.options.max_iterations {
                 ControlFlow::Break(Stop::Iterations)
@@ -66,23 +82,30 @@ impl<'a> Search<'a> {
     ///
     /// # Errors
     /// [`OptimizeError::Stopped`] if the stop flag is set.
-    fn improve(&mut self, expansion: &Expansion) -> Result<ControlFlow<Stop, Expansion>, OptimizeError> {
+    fn improve(
+        &mut self,
+        expansion: &Expansion,
+    ) -> Result<ControlFlow<Stop, Expansion>, OptimizeError> {
         let tolerance = self.tolerance();
         loop {
             let step = backward(expansion, &self.best.u, &self.bounds, self.regularization.value);
             let better = step.as_ref().and_then(|step| self.line_search(step));
             // Rejects trajectories whose derivatives are not finite.
-            let expanded = better.and_then(|better| self.problem.expand(&better).ok().map(|next| (better, next)));
+            let expanded = better
+                .and_then(|better| self.problem.expand(&better).ok().map(|next| (better, next)));
             self.problem.check_stop()?;
             if let Some((better, next)) = expanded {
                 let decrease = self.best.cost - better.cost;
-                self.small_decreases = if decrease <= tolerance { self.small_decreases + 1 } else { 0 };
+                self.small_decreases =
+                    if decrease <= tolerance { self.small_decreases + 1 } else { 0 };
                 self.costs.push(better.cost);
                 self.best = better;
                 self.regularization.decrease();
                 return Ok(ControlFlow::Continue(next));
             }
-            if step.is_some_and(|step| step.predicted(1.0) <= tolerance) && self.gradient_predicts_little(expansion) {
+            if step.is_some_and(|step| step.predicted(1.0) <= tolerance)
+                && self.gradient_predicts_little(expansion)
+            {
                 return Ok(ControlFlow::Break(Stop::Decrease));
             }
             if !self.regularization.increase() {
@@ -112,7 +135,8 @@ impl<'a> Search<'a> {
             let simulated = self.problem.simulate(&old_x[..n], |t, x, u| {
                 let deviation = x.iter().zip(&old_x[t * n..]).map(|(x, old)| x - old);
                 for i in 0..m {
-                    let feedback: f64 = deviation.clone().enumerate().map(|(j, d)| step.gains[t][(i, j)] * d).sum();
+                    let feedback: f64 =
+                        deviation.clone().enumerate().map(|(j, d)| step.gains[t][(i, j)] * d).sum();
                     u[i] = old_u[t * m + i] + size * step.changes[t][i] + feedback;
                 }
                 self.bounds.clamp(u);
@@ -132,7 +156,9 @@ impl<'a> Search<'a> {
     /// Largest absolute component of the projected gradient.
     fn gradient_norm(&self, expansion: &Expansion) -> f64 {
         let all = expansion.by_control.iter().zip(&self.best.u).enumerate();
-        all.fold(0.0, |norm, (i, (&gradient, &u))| self.bounds.projected(i % self.problem.m, u, gradient).abs().max(norm))
+        all.fold(0.0, |norm, (i, (&gradient, &u))| {
+            self.bounds.projected(i % self.problem.m, u, gradient).abs().max(norm)
+        })
     }
 
     /// Returns the plan. Computes the gains of the final trajectory, with the least regularization
@@ -142,7 +168,13 @@ impl<'a> Search<'a> {
         let mut regularization = Regularization::default();
         let gains = loop {
             match backward(&expansion, &self.best.u, &self.bounds, regularization.value) {
-                Some(step) => break step.gains.iter().flat_map(|gain| gain.transpose().as_slice().to_vec()).collect(),
+                Some(step) => {
+                    break step
+                        .gains
+                        .iter()
+                        .flat_map(|gain| gain.transpose().as_slice().to_vec())
+                        .collect();
+                }
                 None if regularization.increase() => {}
                 None => break vec![0.0; self.best.u.len() * n],
             }
@@ -150,7 +182,20 @@ impl<'a> Search<'a> {
         let gradient_norm = self.gradient_norm(&expansion);
         let (Trajectory { x, u, cost }, p) = (self.best, self.problem.p.to_vec());
         let (costs, rollouts, gradient) = (self.costs, self.rollouts, expansion.by_control);
-        Plan { u, x, gains, gradient, p, cost, costs, rollouts, stop, gradient_norm, state_dim: n, control_dim: m }
+        Plan {
+            u,
+            x,
+            gains,
+            gradient,
+            p,
+            cost,
+            costs,
+            rollouts,
+            stop,
+            gradient_norm,
+            state_dim: n,
+            control_dim: m,
+        }
     }
 }
 

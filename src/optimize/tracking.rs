@@ -39,20 +39,41 @@ impl<'a, T: Task> Tracking<'a, T> {
     /// # Errors
     /// [`OptimizeError::Length`] if the plan does not fit the task.
     pub fn new(task: &'a T, plan: &'a Plan) -> Result<Self, OptimizeError> {
-        let (n, m, steps) = (task.system().state_dim(), task.system().control_dim(), task.horizon());
-        check_length("a state of the plan", "components of a state of the task", n, plan.state_dim)?;
-        check_length("a control of the plan", "components of a control of the task", m, plan.control_dim)?;
+        let (n, m, steps) =
+            (task.system().state_dim(), task.system().control_dim(), task.horizon());
+        check_length(
+            "a state of the plan",
+            "components of a state of the task",
+            n,
+            plan.state_dim,
+        )?;
+        check_length(
+            "a control of the plan",
+            "components of a control of the task",
+            m,
+            plan.control_dim,
+        )?;
         check_length("plan.x", "states of all steps", (steps + 1) * n, plan.x.len())?;
         check_length("plan.u", "controls of all steps", steps * m, plan.u.len())?;
         check_length("plan.p", "the parameters of the task", task.param_dim(), plan.p.len())?;
-        Ok(Self { task, plan, state_weights: vec![1.0; n], control_weights: vec![0.0; m], spread: 0.0 })
+        Ok(Self {
+            task,
+            plan,
+            state_weights: vec![1.0; n],
+            control_weights: vec![0.0; m],
+            spread: 0.0,
+        })
     }
 }
 
 /// Returns `Σ_i weights_i (values_i - planned_i)²/2`.
 #[inline(always)]
 fn distance<T: Scalar>(weights: &[f64], values: &[T], planned: &[f64]) -> T {
-    assert_eq!(weights.len(), values.len(), "tracking needs one weight per state component and one per control");
+    assert_eq!(
+        weights.len(),
+        values.len(),
+        "tracking needs one weight per state component and one per control"
+    );
     let mut sum = T::zero();
     for ((&weight, &value), &planned) in weights.iter().zip(values).zip(planned) {
         let deviation = value - planned;
@@ -101,6 +122,7 @@ impl<T: Task> Task for Tracking<'_, T> {
 
     #[inline(always)]
     fn running_cost<S: Scalar>(&self, Inputs { u, t, .. }: Inputs<'_, S>, next: &[S]) -> S {
-        distance(&self.state_weights, next, self.plan.state(t + 1)) + distance(&self.control_weights, u, self.plan.control(t))
+        distance(&self.state_weights, next, self.plan.state(t + 1))
+            + distance(&self.control_weights, u, self.plan.control(t))
     }
 }

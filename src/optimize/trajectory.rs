@@ -64,7 +64,11 @@ impl Problem<'_> {
             }
         }
         cost += model.terminal_cost(&x[steps * n..], p);
-        if cost.is_finite() { Ok(Trajectory { x, u, cost }) } else { Err(OptimizeError::Cost { step: None }) }
+        if cost.is_finite() {
+            Ok(Trajectory { x, u, cost })
+        } else {
+            Err(OptimizeError::Cost { step: None })
+        }
     }
 }
 

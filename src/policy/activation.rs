@@ -39,7 +39,8 @@ impl Activation {
             Self::Silu => z * ((z * 0.5).tanh() * 0.5 + 0.5),
             Self::Gelu => {
                 let inner = z.clamp(-GELU_SATURATED, GELU_SATURATED);
-                z * 0.5 * (((inner + inner * inner * inner * Self::GELU.1) * Self::GELU.0).tanh() + 1.0)
+                z * 0.5
+                    * (((inner + inner * inner * inner * Self::GELU.1) * Self::GELU.0).tanh() + 1.0)
             }
         }
     }
@@ -54,14 +55,21 @@ impl Activation {
                 (h, one - h * h)
             }
             // NaN propagates, since `NaN <= 0` is false.
-            Self::Relu => (if z <= F::zero() { F::zero() } else { z }, if z <= F::zero() { F::zero() } else { one }),
+            Self::Relu => (
+                if z <= F::zero() { F::zero() } else { z },
+                if z <= F::zero() { F::zero() } else { one },
+            ),
             Self::Silu => {
                 let sigma = (z * half).layer_tanh::<FMA>() * half + half;
                 let h = z * sigma;
                 (h, sigma + h * (one - sigma))
             }
             Self::Gelu => {
-                let (c, cube, end) = (F::from_f64(Self::GELU.0), F::from_f64(Self::GELU.1), F::from_f64(GELU_SATURATED));
+                let (c, cube, end) = (
+                    F::from_f64(Self::GELU.0),
+                    F::from_f64(Self::GELU.1),
+                    F::from_f64(GELU_SATURATED),
+                );
                 // NaN propagates, since comparisons with NaN are false.
                 let x = if z < -end { -end } else { z };
                 let x = if x > end { end } else { x };
@@ -74,13 +82,20 @@ impl Activation {
 }
 
 /// `(values, slopes) ← (f(values), f'(values))` elementwise, in the given columns of both slices.
-pub(super) fn activate<F: Float>(level: SimdLevel, f: Activation, values: &mut [F], slopes: &mut [F], columns: Strided) {
+pub(super) fn activate<F: Float>(
+    level: SimdLevel,
+    f: Activation,
+    values: &mut [F],
+    slopes: &mut [F],
+    columns: Strided,
+) {
     struct Work<'a, F>(Activation, &'a mut [F], &'a mut [F], Strided);
     impl<F: Float> Vectorized for Work<'_, F> {
         #[inline(always)]
         fn run<const FMA: bool>(self) {
             for start in self.3.starts() {
-                let (values, slopes) = (&mut self.1[start..][..self.3.len], &mut self.2[start..][..self.3.len]);
+                let (values, slopes) =
+                    (&mut self.1[start..][..self.3.len], &mut self.2[start..][..self.3.len]);
                 for i in 0..values.len() {
                     (values[i], slopes[i]) = self.0.with_slope::<F, FMA>(values[i]);
                 }
@@ -95,20 +110,35 @@ mod tests {
     use super::*;
     use crate::numbers::scalar::Dual;
 
-    const ALL: [Activation; 4] = [Activation::Tanh, Activation::Relu, Activation::Silu, Activation::Gelu];
+    const ALL: [Activation; 4] =
+        [Activation::Tanh, Activation::Relu, Activation::Silu, Activation::Gelu];
 
     #[test]
     fn values_and_slopes_of_layers_are_those_of_single_units() {
         for f in ALL {
-            for z in [-1e200, -150.0, -100.0, -3.0, -0.5, -0.0, 0.0, 0.5, 3.0, 100.0, 150.0, 1e200] {
+            for z in [-1e200, -150.0, -100.0, -3.0, -0.5, -0.0, 0.0, 0.5, 3.0, 100.0, 150.0, 1e200]
+            {
                 let unit = f.value(Dual::<f64, 1>::variable(z, 0));
-                for (value, slope) in [f.with_slope::<f64, true>(z), f.with_slope::<f64, false>(z)] {
-                    let near = |found: f64, expected: f64| (found - expected).abs() <= 1e-14 * expected.abs().max(1.0);
-                    assert!(near(value, unit.value) && near(value, f.value(z)), "{f:?} of {z}: {value}, {unit:?}");
-                    assert!(near(slope, unit.tangents[0]), "slope of {f:?} at {z}: {slope}, {unit:?}");
+                for (value, slope) in [f.with_slope::<f64, true>(z), f.with_slope::<f64, false>(z)]
+                {
+                    let near = |found: f64, expected: f64| {
+                        (found - expected).abs() <= 1e-14 * expected.abs().max(1.0)
+                    };
+                    assert!(
+                        near(value, unit.value) && near(value, f.value(z)),
+                        "{f:?} of {z}: {value}, {unit:?}"
+                    );
+                    assert!(
+                        near(slope, unit.tangents[0]),
+                        "slope of {f:?} at {z}: {slope}, {unit:?}"
+                    );
                 }
-                let (value, slope) = f.with_slope::<f32, true>((z as f32).clamp(f32::MIN, f32::MAX));
-                assert!(value.is_finite() && slope.is_finite(), "{f:?} of {z} in f32: {value}, {slope}");
+                let (value, slope) =
+                    f.with_slope::<f32, true>((z as f32).clamp(f32::MIN, f32::MAX));
+                assert!(
+                    value.is_finite() && slope.is_finite(),
+                    "{f:?} of {z} in f32: {value}, {slope}"
+                );
             }
         }
     }
@@ -118,8 +148,16 @@ mod tests {
         for f in ALL {
             let unit = f.value(Dual::<f64, 1>::variable(f64::NAN, 0));
             assert!(f.value(f64::NAN).is_nan() && unit.value.is_nan(), "{f:?}: {unit:?}");
-            assert!(f.with_slope::<f64, true>(f64::NAN).0.is_nan() && f.with_slope::<f64, false>(f64::NAN).0.is_nan(), "{f:?}");
-            assert!(f.with_slope::<f32, true>(f32::NAN).0.is_nan() && f.with_slope::<f32, false>(f32::NAN).0.is_nan(), "{f:?}");
+            assert!(
+                f.with_slope::<f64, true>(f64::NAN).0.is_nan()
+                    && f.with_slope::<f64, false>(f64::NAN).0.is_nan(),
+                "{f:?}"
+            );
+            assert!(
+                f.with_slope::<f32, true>(f32::NAN).0.is_nan()
+                    && f.with_slope::<f32, false>(f32::NAN).0.is_nan(),
+                "{f:?}"
+            );
         }
     }
 }

@@ -33,9 +33,22 @@ pub trait AnyPolicy<F: Float>: Send + Sync {
     #[doc(hidden)]
     fn forward(&self, pass: PolicyPass<F>, tape: &mut [F], u: &mut [F]);
     #[doc(hidden)]
-    fn backward(&self, pass: PolicyPass<F>, tape: &[F], u_bar: &[F], tape_bar: &mut [F], x_bar: Option<&mut [F]>);
+    fn backward(
+        &self,
+        pass: PolicyPass<F>,
+        tape: &[F],
+        u_bar: &[F],
+        tape_bar: &mut [F],
+        x_bar: Option<&mut [F]>,
+    );
     #[doc(hidden)]
-    fn param_gradient(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, scratch: &mut [F], theta_bar: &mut [F]);
+    fn param_gradient(
+        &self,
+        pass: PolicyPass<F>,
+        record: PolicyRecord<F>,
+        scratch: &mut [F],
+        theta_bar: &mut [F],
+    );
 
     /// Length of the concatenated observation and memory.
     fn input_dim(&self) -> usize {
@@ -93,11 +106,24 @@ impl<P: Policy, F: Float> AnyPolicy<F> for P {
         Policy::forward(self, pass, tape, u);
     }
 
-    fn backward(&self, pass: PolicyPass<F>, tape: &[F], u_bar: &[F], tape_bar: &mut [F], x_bar: Option<&mut [F]>) {
+    fn backward(
+        &self,
+        pass: PolicyPass<F>,
+        tape: &[F],
+        u_bar: &[F],
+        tape_bar: &mut [F],
+        x_bar: Option<&mut [F]>,
+    ) {
         Policy::backward(self, pass, tape, u_bar, tape_bar, x_bar);
     }
 
-    fn param_gradient(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, scratch: &mut [F], theta_bar: &mut [F]) {
+    fn param_gradient(
+        &self,
+        pass: PolicyPass<F>,
+        record: PolicyRecord<F>,
+        scratch: &mut [F],
+        theta_bar: &mut [F],
+    ) {
         Policy::param_gradient(self, pass, record, scratch, theta_bar);
     }
 }

@@ -11,7 +11,11 @@ pub(super) const BLOCK: usize = 8;
 pub(super) type Lane<F> = Lanes<F, BLOCK>;
 
 /// Numbers of the columns `at`, `n` per column. Unused lanes repeat the last column.
-pub(super) fn gathered<F: Float>(columns: &[F], n: usize, at: PolicyColumns) -> impl Iterator<Item = Lane<F>> {
+pub(super) fn gathered<F: Float>(
+    columns: &[F],
+    n: usize,
+    at: PolicyColumns,
+) -> impl Iterator<Item = Lane<F>> {
     let column = move |lane: usize| at.first + lane.min(at.count - 1) * at.step;
     (0..n).map(move |i| {
         let mut numbers = Lanes([F::zero(); BLOCK]);
@@ -21,7 +25,12 @@ pub(super) fn gathered<F: Float>(columns: &[F], n: usize, at: PolicyColumns) -> 
 }
 
 /// Replaces `block` by the [`gathered`] numbers of the columns `at`.
-pub(super) fn gather<F: Float>(columns: &[F], n: usize, at: PolicyColumns, block: &mut Vec<Lane<F>>) {
+pub(super) fn gather<F: Float>(
+    columns: &[F],
+    n: usize,
+    at: PolicyColumns,
+    block: &mut Vec<Lane<F>>,
+) {
     block.clear();
     block.extend(gathered(columns, n, at));
 }

@@ -24,11 +24,22 @@ impl<P: Policy> Bounded<P> {
         let bounds = bounds.into();
         let controls = policy.control_dim();
         let inputs = policy.observation_dim() + policy.memory_dim();
-        assert!(inputs > 0, "a bounded policy needs at least one observed component or memory component; add one");
-        assert_eq!(bounds.len(), controls, "the policy has {controls} controls, but there are {} bounds", bounds.len());
+        assert!(
+            inputs > 0,
+            "a bounded policy needs at least one observed component or memory component; add one"
+        );
+        assert_eq!(
+            bounds.len(),
+            controls,
+            "the policy has {controls} controls, but there are {} bounds",
+            bounds.len()
+        );
         // Bounds and their reciprocals have to be normal numbers in f32.
         let is_valid = bounds.iter().all(|bound| (1e-37..=1e37).contains(bound));
-        assert!(is_valid, "bounds of controls are positive numbers from 1e-37 to 1e37, not {bounds:?}");
+        assert!(
+            is_valid,
+            "bounds of controls are positive numbers from 1e-37 to 1e37, not {bounds:?}"
+        );
         Self { policy, bounds }
     }
 
@@ -74,7 +85,12 @@ impl<P: Policy> Policy for Bounded<P> {
         self.policy.init(rng, theta);
     }
 
-    fn act<T: Scalar>(&self, theta: &[T], observed: Observed<'_, T>, Action { u, memory }: Action<'_, T>) {
+    fn act<T: Scalar>(
+        &self,
+        theta: &[T],
+        observed: Observed<'_, T>,
+        Action { u, memory }: Action<'_, T>,
+    ) {
         self.policy.act(theta, observed, Action { u, memory });
         for (u, &bound) in u.iter_mut().zip(&self.bounds) {
             *u = (*u * (1.0 / bound)).tanh() * bound;
@@ -108,7 +124,14 @@ impl<P: Policy> Policy for Bounded<P> {
         }
     }
 
-    fn backward<F: Float>(&self, pass: PolicyPass<F>, tape: &[F], u_bar: &[F], tape_bar: &mut [F], x_bar: Option<&mut [F]>) {
+    fn backward<F: Float>(
+        &self,
+        pass: PolicyPass<F>,
+        tape: &[F],
+        u_bar: &[F],
+        tape_bar: &mut [F],
+        x_bar: Option<&mut [F]>,
+    ) {
         let sizes = self.own(&pass);
         let (tape, slopes) = tape.split_at(sizes.tape);
         let (tape_bar, v_bar) = tape_bar.split_at_mut(sizes.tape_bar);
@@ -123,10 +146,17 @@ impl<P: Policy> Policy for Bounded<P> {
         self.policy.backward(pass, tape, v_bar, tape_bar, x_bar);
     }
 
-    fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, scratch: &mut [F], theta_bar: &mut [F]) {
+    fn param_gradient<F: Float>(
+        &self,
+        pass: PolicyPass<F>,
+        record: PolicyRecord<F>,
+        scratch: &mut [F],
+        theta_bar: &mut [F],
+    ) {
         let sizes = self.own(&pass);
         let (tape_bar, v_bar) = record.tape_bar.split_at(sizes.tape_bar);
-        let record = PolicyRecord { tape: &record.tape[..sizes.tape], u_bar: v_bar, tape_bar, ..record };
+        let record =
+            PolicyRecord { tape: &record.tape[..sizes.tape], u_bar: v_bar, tape_bar, ..record };
         self.policy.param_gradient(pass, record, scratch, theta_bar);
     }
 }

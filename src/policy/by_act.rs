@@ -47,9 +47,16 @@ pub(super) fn forward<P: Policy + ?Sized, F: Float>(policy: &P, pass: PolicyPass
 }
 
 /// Writes `x_bar = (∂N/∂(y, m))ᵀ u_bar` in the columns of a pass.
-pub(super) fn input_vjp<P: Policy + ?Sized, F: Float>(policy: &P, pass: PolicyPass<F>, u_bar: &[F], x_bar: &mut [F]) {
+pub(super) fn input_vjp<P: Policy + ?Sized, F: Float>(
+    policy: &P,
+    pass: PolicyPass<F>,
+    u_bar: &[F],
+    x_bar: &mut [F],
+) {
     if in_reverse(policy) {
-        return each_cotangent(policy, pass, By::Inputs, u_bar, |at, cotangents| scatter(cotangents, at, x_bar));
+        return each_cotangent(policy, pass, By::Inputs, u_bar, |at, cotangents| {
+            scatter(cotangents, at, x_bar)
+        });
     }
     let (inputs, outputs) = dims(policy);
     let theta: Few<Chunk<Lane<F>>> = splat(pass.packed).map(Chunk::constant).collect();
@@ -89,7 +96,8 @@ pub(super) fn add_param_vjp<P: Policy + ?Sized, F: Float>(
         let act = |theta: &[_], u: &mut [_]| act_on(policy, theta, &x, t, u);
         jacobian(&theta, 0..theta.len(), outputs, act, |i, slope| {
             for (lane, c) in at.iter().enumerate() {
-                theta_bar[i] += weight(c) * dot(slope, lane, &record.u_bar[c * outputs..][..outputs]);
+                theta_bar[i] +=
+                    weight(c) * dot(slope, lane, &record.u_bar[c * outputs..][..outputs]);
             }
         });
     }

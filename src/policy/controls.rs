@@ -19,7 +19,11 @@ pub fn controls<F: Float>(policy: &dyn AnyPolicy<F>, weights: &Weights<F>, y: &[
     for (y, u) in y.chunks(BLOCK * width).zip(u.chunks_mut(BLOCK * m)) {
         let columns = y.len() / width;
         let mut tape = Aligned::zeros(policy.sizes(columns).tape);
-        policy.forward(PolicyPass::new(weights.packed(), PolicyColumns::range(0..columns), y), &mut tape, u);
+        policy.forward(
+            PolicyPass::new(weights.packed(), PolicyColumns::range(0..columns), y),
+            &mut tape,
+            u,
+        );
     }
     u
 }

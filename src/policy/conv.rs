@@ -15,7 +15,10 @@
 mod layer;
 mod layout;
 
-use super::{Action, Activation, LayerKind, NetworkLayer, Observed, Policy, PolicyPass, PolicyRecord, Sizes, Tensor};
+use super::{
+    Action, Activation, LayerKind, NetworkLayer, Observed, Policy, PolicyPass, PolicyRecord, Sizes,
+    Tensor,
+};
 use crate::numbers::kernels::SimdLevel;
 use crate::numbers::kernels::elementwise::{self, Strided};
 use crate::numbers::kernels::gemm::Product;
@@ -61,7 +64,10 @@ impl Conv {
     /// If `grid < 7`, which leaves no position after two convolutions, or if `width` is 0.
     #[track_caller]
     pub fn new(grid: usize, width: usize) -> Self {
-        assert!(grid >= 7, "two convolutions of kernel size 3 and stride 2 need at least 7 grid points, not {grid}");
+        assert!(
+            grid >= 7,
+            "two convolutions of kernel size 3 and stride 2 need at least 7 grid points, not {grid}"
+        );
         assert!(width > 0, "a convolution needs at least one filter");
         Self { grid, width, zero_init_output: false }
     }
@@ -99,8 +105,11 @@ impl Policy for Conv {
         // Keras defines a fan as receptive field × channels. The first layer of the paper is a
         // two-dimensional convolution with a 3 × 2 kernel and one channel.
         let first = KERNEL * CHANNELS;
-        let kernels =
-            [(0, first, first * w), (self.layers::<f64>()[1].theta, KERNEL * w, KERNEL * w), (self.dense(), outputs, 1)];
+        let kernels = [
+            (0, first, first * w),
+            (self.layers::<f64>()[1].theta, KERNEL * w, KERNEL * w),
+            (self.dense(), outputs, 1),
+        ];
         for ((start, fan_in, fan_out), len) in zip(kernels, [first * w, KERNEL * w * w, outputs]) {
             // Glorot and Bengio 2010: uniform within sqrt(6 / (fan_in + fan_out)).
             let limit = (6.0 / (fan_in + fan_out) as f64).sqrt();
@@ -111,7 +120,12 @@ impl Policy for Conv {
         }
     }
 
-    fn act<T: Scalar>(&self, theta: &[T], Observed { y, .. }: Observed<'_, T>, Action { u, .. }: Action<'_, T>) {
+    fn act<T: Scalar>(
+        &self,
+        theta: &[T],
+        Observed { y, .. }: Observed<'_, T>,
+        Action { u, .. }: Action<'_, T>,
+    ) {
         let w = self.width;
         let mut h = y.to_vec();
         for l in self.layers::<f64>() {
@@ -136,7 +150,8 @@ impl Policy for Conv {
 
     fn tensors(&self) -> Vec<Tensor> {
         let w = self.width;
-        let shapes = [vec![KERNEL, CHANNELS, 1, w], vec![KERNEL, w, w], vec![self.positions()[2] * w, 1]];
+        let shapes =
+            [vec![KERNEL, CHANNELS, 1, w], vec![KERNEL, w, w], vec![self.positions()[2] * w, 1]];
         let (mut tensors, mut end) = (Vec::new(), 0);
         for (i, shape) in shapes.into_iter().enumerate() {
             let bias = vec![shape[shape.len() - 1]];
@@ -163,7 +178,9 @@ impl Policy for Conv {
 
     fn sizes<F: Float>(&self, columns: usize) -> Sizes {
         let layers = self.layers::<F>();
-        let gradient = |l: &Layer| l.slot_out * l.depth() + DEPTH.max(l.capacity) / l.capacity * l.input().min(l.output());
+        let gradient = |l: &Layer| {
+            l.slot_out * l.depth() + DEPTH.max(l.capacity) / l.capacity * l.input().min(l.output())
+        };
         let two = &layers[1];
         Sizes {
             packed: self.packed_dense(two) + two.output(),
@@ -211,7 +228,9 @@ impl Policy for Conv {
             // Gathers and scatters the columns, because those of one time step are far apart.
             let (block, all) = tape.split_at_mut(places.all[1]);
             for (column, c) in zip(block[input..].chunks_exact_mut(lens[0]), at.iter()) {
-                for (position, x) in zip(column.chunks_exact_mut(one.slot), x[c * n..][..n].chunks_exact(CHANNELS)) {
+                for (position, x) in
+                    zip(column.chunks_exact_mut(one.slot), x[c * n..][..n].chunks_exact(CHANNELS))
+                {
                     position[..CHANNELS].copy_from_slice(x);
                     position[CHANNELS] = F::one();
                 }
@@ -234,7 +253,14 @@ impl Policy for Conv {
         }
     }
 
-    fn backward<F: Float>(&self, pass: PolicyPass<F>, tape: &[F], u_bar: &[F], tape_bar: &mut [F], mut x_bar: Option<&mut [F]>) {
+    fn backward<F: Float>(
+        &self,
+        pass: PolicyPass<F>,
+        tape: &[F],
+        u_bar: &[F],
+        tape_bar: &mut [F],
+        mut x_bar: Option<&mut [F]>,
+    ) {
         let PolicyPass { packed, at, x, .. } = pass;
         let level = SimdLevel::best();
         let (n, w) = (self.observation_dim(), self.width);
@@ -267,14 +293,26 @@ impl Policy for Conv {
             F::product(level, outer);
             // 1 - h² is 0 at the constant ones; the weights of unused positions are 0.
             let whole = |len: usize| Strided { first: 0, step: len, count: at.count, len };
-            elementwise::tanh_bar(level, &tape[places.all[2] + at.first * len2..], bar2, whole(len2));
+            elementwise::tanh_bar(
+                level,
+                &tape[places.all[2] + at.first * len2..],
+                bar2,
+                whole(len2),
+            );
 
             two.windows_bar(level, w, packed, bar2, at.count, windows);
             bar1.fill(F::zero());
-            for (to, windows) in zip(bar1.chunks_exact_mut(len1), windows.chunks(two.capacity * two.entries)) {
+            for (to, windows) in
+                zip(bar1.chunks_exact_mut(len1), windows.chunks(two.capacity * two.entries))
+            {
                 two.add_windows(windows, two.slot, to);
             }
-            elementwise::tanh_bar(level, &tape[places.all[1] + at.first * len1..], bar1, whole(len1));
+            elementwise::tanh_bar(
+                level,
+                &tape[places.all[1] + at.first * len1..],
+                bar1,
+                whole(len1),
+            );
 
             if let Some(x_bar) = &mut x_bar {
                 one.windows_bar(level, w, packed, bar1, at.count, windows);
@@ -287,7 +325,13 @@ impl Policy for Conv {
         }
     }
 
-    fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, scratch: &mut [F], theta_bar: &mut [F]) {
+    fn param_gradient<F: Float>(
+        &self,
+        pass: PolicyPass<F>,
+        record: PolicyRecord<F>,
+        scratch: &mut [F],
+        theta_bar: &mut [F],
+    ) {
         let PolicyPass { at, x, .. } = pass;
         let PolicyRecord { tape, u_bar, tape_bar, weight } = record;
         if at.count == 0 {

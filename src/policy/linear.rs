@@ -45,7 +45,12 @@ impl Policy for Linear {
         theta.fill(0.0);
     }
 
-    fn act<T: Scalar>(&self, theta: &[T], Observed { y, .. }: Observed<'_, T>, Action { u, .. }: Action<'_, T>) {
+    fn act<T: Scalar>(
+        &self,
+        theta: &[T],
+        Observed { y, .. }: Observed<'_, T>,
+        Action { u, .. }: Action<'_, T>,
+    ) {
         let (gain, bias) = theta.split_at(self.control_dim * self.observation_dim);
         for (i, u) in u.iter_mut().enumerate() {
             *u = if self.bias { bias[i] } else { T::zero() };
@@ -55,7 +60,14 @@ impl Policy for Linear {
         }
     }
 
-    fn backward<F: Float>(&self, pass: PolicyPass<F>, _tape: &[F], u_bar: &[F], _tape_bar: &mut [F], x_bar: Option<&mut [F]>) {
+    fn backward<F: Float>(
+        &self,
+        pass: PolicyPass<F>,
+        _tape: &[F],
+        u_bar: &[F],
+        _tape_bar: &mut [F],
+        x_bar: Option<&mut [F]>,
+    ) {
         let (n, m) = (self.observation_dim, self.control_dim);
         let Some(x_bar) = x_bar else { return };
         for c in pass.at.iter() {
@@ -67,7 +79,13 @@ impl Policy for Linear {
         }
     }
 
-    fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, _scratch: &mut [F], theta_bar: &mut [F]) {
+    fn param_gradient<F: Float>(
+        &self,
+        pass: PolicyPass<F>,
+        record: PolicyRecord<F>,
+        _scratch: &mut [F],
+        theta_bar: &mut [F],
+    ) {
         let (n, m) = (self.observation_dim, self.control_dim);
         let (gain_bar, bias_bar) = theta_bar.split_at_mut(m * n);
         for c in pass.at.iter() {
@@ -83,10 +101,17 @@ impl Policy for Linear {
 
     fn tensors(&self) -> Vec<Tensor> {
         let gain = self.control_dim * self.observation_dim;
-        let mut tensors =
-            vec![Tensor { name: "gain".into(), shape: vec![self.control_dim, self.observation_dim], range: 0..gain }];
+        let mut tensors = vec![Tensor {
+            name: "gain".into(),
+            shape: vec![self.control_dim, self.observation_dim],
+            range: 0..gain,
+        }];
         if self.bias {
-            tensors.push(Tensor { name: "bias".into(), shape: vec![self.control_dim], range: gain..self.param_count() });
+            tensors.push(Tensor {
+                name: "bias".into(),
+                shape: vec![self.control_dim],
+                range: gain..self.param_count(),
+            });
         }
         tensors
     }

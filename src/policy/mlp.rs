@@ -8,7 +8,8 @@
 
 use super::activation::activate;
 use super::{
-    Action, Activation, LayerKind, NetworkLayer, Observed, Policy, PolicyColumns, PolicyPass, PolicyRecord, Sizes, Tensor,
+    Action, Activation, LayerKind, NetworkLayer, Observed, Policy, PolicyColumns, PolicyPass,
+    PolicyRecord, Sizes, Tensor,
 };
 use crate::numbers::kernels::SimdLevel;
 use crate::numbers::kernels::elementwise::{self, Strided};
@@ -66,8 +67,14 @@ impl Mlp {
     #[track_caller]
     pub fn new(widths: impl Into<Vec<usize>>) -> Self {
         let widths = widths.into();
-        assert!(widths.len() >= 2, "an MLP needs at least the widths of its input and output, not {widths:?}");
-        assert!(widths.iter().all(|&w| w > 0), "every layer of an MLP needs a width of at least 1, not {widths:?}");
+        assert!(
+            widths.len() >= 2,
+            "an MLP needs at least the widths of its input and output, not {widths:?}"
+        );
+        assert!(
+            widths.iter().all(|&w| w > 0),
+            "every layer of an MLP needs a width of at least 1, not {widths:?}"
+        );
         Self { widths, activation: Activation::Tanh, bias: true, zero_init_output: false }
     }
 
@@ -101,8 +108,17 @@ impl Mlp {
     }
 
     fn layer<F: Float>(&self, index: usize) -> Layer {
-        let mut layer =
-            Layer { inputs: 0, outputs: 0, rows: 0, theta: 0, ld_in: 0, ld_out: 0, packed: 0, transposed: 0, tape: 0 };
+        let mut layer = Layer {
+            inputs: 0,
+            outputs: 0,
+            rows: 0,
+            theta: 0,
+            ld_in: 0,
+            ld_out: 0,
+            packed: 0,
+            transposed: 0,
+            tape: 0,
+        };
         for pair in self.widths[..index + 2].windows(2) {
             // Each layer begins at the end of the previous layer.
             layer.theta += layer.rows * layer.outputs;
@@ -138,7 +154,12 @@ impl Layer {
     /// The input columns `at` in a tape of `total` columns.
     fn input_columns(&self, total: usize, at: PolicyColumns) -> Strided {
         let ld = self.ld_in;
-        Strided { first: total * self.tape + at.first * ld, step: at.step * ld, count: at.count, len: ld }
+        Strided {
+            first: total * self.tape + at.first * ld,
+            step: at.step * ld,
+            count: at.count,
+            len: ld,
+        }
     }
 }
 
@@ -169,11 +190,20 @@ impl Policy for Mlp {
         }
     }
 
-    fn act<T: Scalar>(&self, theta: &[T], Observed { y, .. }: Observed<'_, T>, Action { u, .. }: Action<'_, T>) {
+    fn act<T: Scalar>(
+        &self,
+        theta: &[T],
+        Observed { y, .. }: Observed<'_, T>,
+        Action { u, .. }: Action<'_, T>,
+    ) {
         let mut h = y.to_vec();
         for l in self.layers::<f64>() {
             let weights = &theta[l.theta..][..l.rows * l.outputs];
-            let mut z = if self.bias { weights[l.inputs * l.outputs..].to_vec() } else { vec![T::zero(); l.outputs] };
+            let mut z = if self.bias {
+                weights[l.inputs * l.outputs..].to_vec()
+            } else {
+                vec![T::zero(); l.outputs]
+            };
             for (&h, row) in zip(h.iter(), weights.chunks_exact(l.outputs)) {
                 for (z, &w) in zip(z.iter_mut(), row) {
                     *z += h * w;
@@ -191,12 +221,19 @@ impl Policy for Mlp {
         let mut tensors = Vec::new();
         for (i, l) in self.layers::<f64>().enumerate() {
             let bias = l.theta + l.inputs * l.outputs;
-            let kernel =
-                Tensor { name: format!("layer{}.kernel", i + 1), shape: vec![l.inputs, l.outputs], range: l.theta..bias };
+            let kernel = Tensor {
+                name: format!("layer{}.kernel", i + 1),
+                shape: vec![l.inputs, l.outputs],
+                range: l.theta..bias,
+            };
             tensors.push(kernel);
             if self.bias {
                 let range = bias..bias + l.outputs;
-                tensors.push(Tensor { name: format!("layer{}.bias", i + 1), shape: vec![l.outputs], range });
+                tensors.push(Tensor {
+                    name: format!("layer{}.bias", i + 1),
+                    shape: vec![l.outputs],
+                    range,
+                });
             }
         }
         tensors
@@ -220,13 +257,20 @@ impl Policy for Mlp {
             packed: last.transposed + last.outputs * last.ld_in,
             tape: columns * (last.tape + last.ld_in) * if self.has_slopes() { 2 } else { 1 },
             tape_bar: columns * (last.tape + last.ld_in),
-            scratch: self.layers::<F>().map(gradient).max().unwrap_or(0).max(last.outputs * (last.ld_in + DEPTH)),
+            scratch: self
+                .layers::<F>()
+                .map(gradient)
+                .max()
+                .unwrap_or(0)
+                .max(last.outputs * (last.ld_in + DEPTH)),
         }
     }
 
     fn pack<F: Float>(&self, theta: &[F], packed: &mut [F]) {
         for l in self.layers::<F>() {
-            for (i, row) in theta[l.theta..][..l.rows * l.outputs].chunks_exact(l.outputs).enumerate() {
+            for (i, row) in
+                theta[l.theta..][..l.rows * l.outputs].chunks_exact(l.outputs).enumerate()
+            {
                 packed[l.packed + i * l.ld_out..][..l.outputs].copy_from_slice(row);
                 for (o, &weight) in row.iter().enumerate() {
                     packed[l.transposed + o * l.ld_in + i] = weight;
@@ -241,7 +285,8 @@ impl Policy for Mlp {
         let n = self.observation_dim();
         let total = x.len() / n;
         let first = self.layer::<F>(0);
-        let (tape, slopes) = tape.split_at_mut(total * (self.last::<F>().tape + self.last::<F>().ld_in));
+        let (tape, slopes) =
+            tape.split_at_mut(total * (self.last::<F>().tape + self.last::<F>().ld_in));
         for c in at.iter() {
             let column = &mut tape[c * first.ld_in..][..first.ld_in];
             column[..n].copy_from_slice(&x[c * n..][..n]);
@@ -255,13 +300,23 @@ impl Policy for Mlp {
             for l in self.layers::<F>() {
                 let input = l.input_columns(total, at);
                 if l.tape == self.last::<F>().tape {
-                    let rows = Strided { first: l.transposed, step: l.ld_in, count: l.outputs, len: l.ld_in };
+                    let rows = Strided {
+                        first: l.transposed,
+                        step: l.ld_in,
+                        count: l.outputs,
+                        len: l.ld_in,
+                    };
                     let u = &mut u[at.first * l.outputs..];
                     elementwise::dots(level, packed, rows, tape, input, u, at.step * l.outputs);
                     continue;
                 }
                 let (before, after) = tape.split_at_mut(total * (l.tape + l.ld_in));
-                let output = Strided { first: at.first * l.ld_out, step: at.step * l.ld_out, count: at.count, len: l.ld_out };
+                let output = Strided {
+                    first: at.first * l.ld_out,
+                    step: at.step * l.ld_out,
+                    count: at.count,
+                    len: l.ld_out,
+                };
                 F::product(
                     level,
                     Product {
@@ -291,12 +346,20 @@ impl Policy for Mlp {
         }
     }
 
-    fn backward<F: Float>(&self, pass: PolicyPass<F>, tape: &[F], u_bar: &[F], tape_bar: &mut [F], mut x_bar: Option<&mut [F]>) {
+    fn backward<F: Float>(
+        &self,
+        pass: PolicyPass<F>,
+        tape: &[F],
+        u_bar: &[F],
+        tape_bar: &mut [F],
+        mut x_bar: Option<&mut [F]>,
+    ) {
         let PolicyPass { packed, at, x, .. } = pass;
         let level = SimdLevel::best();
         let n = self.observation_dim();
         let total = x.len() / n;
-        let (tape, slopes) = tape.split_at(total * (self.last::<F>().tape + self.last::<F>().ld_in));
+        let (tape, slopes) =
+            tape.split_at(total * (self.last::<F>().tape + self.last::<F>().ld_in));
         for at in at.blocks(BLOCK) {
             for l in self.layers::<F>().rev() {
                 let first_layer = l.tape == 0;
@@ -339,7 +402,13 @@ impl Policy for Mlp {
         }
     }
 
-    fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, scratch: &mut [F], theta_bar: &mut [F]) {
+    fn param_gradient<F: Float>(
+        &self,
+        pass: PolicyPass<F>,
+        record: PolicyRecord<F>,
+        scratch: &mut [F],
+        theta_bar: &mut [F],
+    ) {
         let PolicyPass { at, x, .. } = pass;
         let PolicyRecord { tape, u_bar, tape_bar, weight } = record;
         if at.count == 0 {
@@ -349,7 +418,11 @@ impl Policy for Mlp {
         let total = x.len() / self.observation_dim();
         for l in self.layers::<F>() {
             let is_last = l.tape == self.last::<F>().tape;
-            let (bar, bar_len) = if is_last { (u_bar, l.outputs) } else { (&tape_bar[total * (l.tape + l.ld_in)..], l.ld_out) };
+            let (bar, bar_len) = if is_last {
+                (u_bar, l.outputs)
+            } else {
+                (&tape_bar[total * (l.tape + l.ld_in)..], l.ld_out)
+            };
             let input = &tape[total * l.tape..];
             // The last layer has few outputs; its transposed product avoids padding them.
             let (rows, cols) = if is_last { (l.ld_in, l.outputs) } else { (l.ld_out, l.rows) };
@@ -360,14 +433,30 @@ impl Policy for Mlp {
                 let mut input = &input[columns.start * l.ld_in..columns.end * l.ld_in];
                 if let Some(weight) = weight {
                     // Scales the smaller factor.
-                    let (factor, len) = if bar_len <= l.ld_in { (&mut bar, bar_len) } else { (&mut input, l.ld_in) };
+                    let (factor, len) = if bar_len <= l.ld_in {
+                        (&mut bar, bar_len)
+                    } else {
+                        (&mut input, l.ld_in)
+                    };
                     elementwise::scale(level, factor, &weight[columns], len, scaled);
                     *factor = scaled;
                 }
-                let (a, b, b_row) = if is_last { (input, bar, bar_len) } else { (bar, input, l.ld_in) };
+                let (a, b, b_row) =
+                    if is_last { (input, bar, bar_len) } else { (bar, input, l.ld_in) };
                 let accumulate = block.first != at.first;
-                let product =
-                    Product { rows, depth: block.count, cols, a, lda: rows, b, b_row, b_col: 1, c: sum, ldc: rows, accumulate };
+                let product = Product {
+                    rows,
+                    depth: block.count,
+                    cols,
+                    a,
+                    lda: rows,
+                    b,
+                    b_row,
+                    b_col: 1,
+                    c: sum,
+                    ldc: rows,
+                    accumulate,
+                };
                 F::product(level, product);
             }
             let theta_bar = &mut theta_bar[l.theta..][..l.rows * l.outputs];

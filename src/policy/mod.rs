@@ -111,7 +111,11 @@ pub trait Policy: Send + Sync {
     /// Named tensors within `θ`, in order, for export to other programs. Default: one tensor with
     /// the name `theta`.
     fn tensors(&self) -> Vec<Tensor> {
-        vec![Tensor { name: "theta".into(), shape: vec![self.param_count()], range: 0..self.param_count() }]
+        vec![Tensor {
+            name: "theta".into(),
+            shape: vec![self.param_count()],
+            range: 0..self.param_count(),
+        }]
     }
 
     /// Layers of the policy, for export to other programs. Default: `None`, for policies that are
@@ -141,7 +145,14 @@ pub trait Policy: Send + Sync {
     ///
     /// Stores cotangents of intermediate values in `tape_bar`, for
     /// [`param_gradient`](Policy::param_gradient), even if `x_bar` is `None`.
-    fn backward<F: Float>(&self, pass: PolicyPass<F>, _tape: &[F], u_bar: &[F], _tape_bar: &mut [F], x_bar: Option<&mut [F]>) {
+    fn backward<F: Float>(
+        &self,
+        pass: PolicyPass<F>,
+        _tape: &[F],
+        u_bar: &[F],
+        _tape_bar: &mut [F],
+        x_bar: Option<&mut [F]>,
+    ) {
         if let Some(x_bar) = x_bar {
             by_act::input_vjp(self, pass, u_bar, x_bar);
         }
@@ -151,7 +162,13 @@ pub trait Policy: Send + Sync {
     /// [`backward`](Policy::backward).
     ///
     /// Sums over the columns `pass.at`, which must be contiguous.
-    fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, _scratch: &mut [F], theta_bar: &mut [F]) {
+    fn param_gradient<F: Float>(
+        &self,
+        pass: PolicyPass<F>,
+        record: PolicyRecord<F>,
+        _scratch: &mut [F],
+        theta_bar: &mut [F],
+    ) {
         by_act::add_param_vjp(self, pass, record, theta_bar);
     }
 }
@@ -179,8 +196,15 @@ pub struct Action<'a, T> {
 /// Evaluates [`Policy::act`] on a concatenated observation and memory, `x`. Writes the concatenated
 /// control and next memory to `u`.
 #[inline(always)]
-pub(crate) fn act_on<P: Policy + ?Sized, T: Scalar>(policy: &P, theta: &[T], x: &[T], t: usize, u: &mut [T]) {
-    let ((y, memory), (u, next)) = (x.split_at(policy.observation_dim()), u.split_at_mut(policy.control_dim()));
+pub(crate) fn act_on<P: Policy + ?Sized, T: Scalar>(
+    policy: &P,
+    theta: &[T],
+    x: &[T],
+    t: usize,
+    u: &mut [T],
+) {
+    let ((y, memory), (u, next)) =
+        (x.split_at(policy.observation_dim()), u.split_at_mut(policy.control_dim()));
     policy.act(theta, Observed { y, memory, t }, Action { u, memory: next });
 }
 
@@ -218,8 +242,13 @@ impl<'a, F> PolicyPass<'a, F> {
 
     /// Iterates over the steps, each with the columns of all samples at this step.
     pub fn each_step(&self) -> impl Iterator<Item = (usize, PolicyColumns)> + use<F> {
-        let (PolicyColumns { first, step, count }, first_step, steps) = (self.at, self.first_step, self.steps);
-        let columns = move |i: usize| PolicyColumns { first: first + i * step, step: step * steps, count: count / steps };
+        let (PolicyColumns { first, step, count }, first_step, steps) =
+            (self.at, self.first_step, self.steps);
+        let columns = move |i: usize| PolicyColumns {
+            first: first + i * step,
+            step: step * steps,
+            count: count / steps,
+        };
         (0..steps).map(move |i| (first_step + i, columns(i)))
     }
 
@@ -322,7 +351,13 @@ impl<F: Float> Weights<F> {
     /// If the length of `theta` is not [`Policy::param_count`].
     #[track_caller]
     pub fn new(policy: &dyn AnyPolicy<F>, theta: Vec<F>) -> Self {
-        assert_eq!(theta.len(), policy.param_count(), "the policy has {} parameters, not {}", policy.param_count(), theta.len());
+        assert_eq!(
+            theta.len(),
+            policy.param_count(),
+            "the policy has {} parameters, not {}",
+            policy.param_count(),
+            theta.len()
+        );
         let mut packed = Aligned::zeros(policy.sizes(1).packed);
         policy.pack(&theta, &mut packed);
         Self { theta, packed }

@@ -28,7 +28,10 @@ impl OpenLoop {
     /// If the sequence is shorter than the rollout.
     fn controls<'a, T>(&self, theta: &'a [T], t: usize) -> &'a [T] {
         let Self { control_dim, horizon, .. } = *self;
-        assert!(t < horizon, "the open-loop policy has controls for {horizon} steps, but the rollout has more");
+        assert!(
+            t < horizon,
+            "the open-loop policy has controls for {horizon} steps, but the rollout has more"
+        );
         &theta[t * control_dim..][..control_dim]
     }
 }
@@ -51,12 +54,21 @@ impl Policy for OpenLoop {
         theta.fill(0.0);
     }
 
-    fn act<T: Scalar>(&self, theta: &[T], Observed { t, .. }: Observed<'_, T>, Action { u, .. }: Action<'_, T>) {
+    fn act<T: Scalar>(
+        &self,
+        theta: &[T],
+        Observed { t, .. }: Observed<'_, T>,
+        Action { u, .. }: Action<'_, T>,
+    ) {
         u.copy_from_slice(self.controls(theta, t));
     }
 
     fn tensors(&self) -> Vec<Tensor> {
-        vec![Tensor { name: "controls".into(), shape: vec![self.horizon, self.control_dim], range: 0..self.param_count() }]
+        vec![Tensor {
+            name: "controls".into(),
+            shape: vec![self.horizon, self.control_dim],
+            range: 0..self.param_count(),
+        }]
     }
 
     fn sizes<F: Float>(&self, _columns: usize) -> Sizes {
@@ -66,24 +78,39 @@ impl Policy for OpenLoop {
     fn forward<F: Float>(&self, pass: PolicyPass<F>, _tape: &mut [F], u: &mut [F]) {
         for (t, columns) in pass.each_step() {
             for c in columns.iter() {
-                u[c * self.control_dim..][..self.control_dim].copy_from_slice(self.controls(pass.packed, t));
+                u[c * self.control_dim..][..self.control_dim]
+                    .copy_from_slice(self.controls(pass.packed, t));
             }
         }
     }
 
-    fn backward<F: Float>(&self, pass: PolicyPass<F>, _tape: &[F], _u_bar: &[F], _tape_bar: &mut [F], x_bar: Option<&mut [F]>) {
+    fn backward<F: Float>(
+        &self,
+        pass: PolicyPass<F>,
+        _tape: &[F],
+        _u_bar: &[F],
+        _tape_bar: &mut [F],
+        x_bar: Option<&mut [F]>,
+    ) {
         let Some(x_bar) = x_bar else { return };
         for c in pass.at.iter() {
             x_bar[c * self.observation_dim..][..self.observation_dim].fill(F::zero());
         }
     }
 
-    fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, _scratch: &mut [F], theta_bar: &mut [F]) {
+    fn param_gradient<F: Float>(
+        &self,
+        pass: PolicyPass<F>,
+        record: PolicyRecord<F>,
+        _scratch: &mut [F],
+        theta_bar: &mut [F],
+    ) {
         for (t, columns) in pass.each_step() {
             for c in columns.iter() {
                 let weight = record.weight.map_or(F::one(), |weight| weight[c]);
                 for i in 0..self.control_dim {
-                    theta_bar[t * self.control_dim + i] += weight * record.u_bar[c * self.control_dim + i];
+                    theta_bar[t * self.control_dim + i] +=
+                        weight * record.u_bar[c * self.control_dim + i];
                 }
             }
         }

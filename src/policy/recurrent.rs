@@ -32,7 +32,10 @@ pub(super) struct Shape {
 impl Shape {
     #[track_caller]
     fn new(observations: usize, units: usize, controls: usize) -> Self {
-        assert!(units > 0, "a recurrent policy needs at least one unit; use `policy::Linear` for feedback without memory");
+        assert!(
+            units > 0,
+            "a recurrent policy needs at least one unit; use `policy::Linear` for feedback without memory"
+        );
         Self { observations, units, controls }
     }
 }
@@ -105,7 +108,13 @@ impl<C: Cell, F: Float> Vectorized for Forward<'_, C, F> {
         outputs.resize(controls + units, Lane::zero());
         for (_, at) in pass.blocks() {
             gather(pass.x, observations + units, at, x);
-            cell.evaluate(pass.packed, Real::splat, x.split_at(observations), stored, &mut outputs[..controls]);
+            cell.evaluate(
+                pass.packed,
+                Real::splat,
+                x.split_at(observations),
+                stored,
+                &mut outputs[..controls],
+            );
             outputs[controls..].copy_from_slice(&stored[units * (C::STORED - 1)..]);
             scatter(stored, at, tape);
             scatter(outputs, at, u);
@@ -176,20 +185,35 @@ macro_rules! recurrent {
                 self.maps().into_iter().for_each(|map| map.init(rng, theta));
             }
 
-            fn act<T: Scalar>(&self, theta: &[T], Observed { y, memory, .. }: Observed<'_, T>, action: Action<'_, T>) {
+            fn act<T: Scalar>(
+                &self,
+                theta: &[T],
+                Observed { y, memory, .. }: Observed<'_, T>,
+                action: Action<'_, T>,
+            ) {
                 let units = self.0.units;
-                let mut stored: SmallVec<[T; 32]> = SmallVec::from_elem(T::zero(), units * Self::STORED);
+                let mut stored: SmallVec<[T; 32]> =
+                    SmallVec::from_elem(T::zero(), units * Self::STORED);
                 self.evaluate(theta, |theta| theta, (y, memory), &mut stored, action.u);
                 action.memory.copy_from_slice(&stored[units * (Self::STORED - 1)..]);
             }
 
             fn tensors(&self) -> Vec<Tensor> {
-                self.maps().into_iter().zip($names).flat_map(|(map, name)| map.tensors(name)).collect()
+                self.maps()
+                    .into_iter()
+                    .zip($names)
+                    .flat_map(|(map, name)| map.tensors(name))
+                    .collect()
             }
 
             fn sizes<F: Float>(&self, columns: usize) -> Sizes {
                 let tape = columns * self.0.units;
-                Sizes { packed: self.param_count(), tape: tape * Self::STORED, tape_bar: tape * Self::BARS, scratch: 0 }
+                Sizes {
+                    packed: self.param_count(),
+                    tape: tape * Self::STORED,
+                    tape_bar: tape * Self::BARS,
+                    scratch: 0,
+                }
             }
 
             fn forward<F: Float>(&self, pass: PolicyPass<F>, tape: &mut [F], u: &mut [F]) {
@@ -204,7 +228,17 @@ macro_rules! recurrent {
                 tape_bar: &mut [F],
                 x_bar: Option<&mut [F]>,
             ) {
-                lend(|buffers| dispatch_lanes(Backward { cell: self, pass, tape, u_bar, tape_bar, x_bar, buffers }));
+                lend(|buffers| {
+                    dispatch_lanes(Backward {
+                        cell: self,
+                        pass,
+                        tape,
+                        u_bar,
+                        tape_bar,
+                        x_bar,
+                        buffers,
+                    })
+                });
             }
 
             fn param_gradient<F: Float>(
@@ -218,10 +252,18 @@ macro_rules! recurrent {
                 for c in pass.at.iter() {
                     let x = &pass.x[c * (observations + units)..][..observations + units];
                     let stored = &record.tape[c * units * Self::STORED..][..units * Self::STORED];
-                    let cotangents = &record.tape_bar[c * units * Self::BARS..][..units * Self::BARS];
+                    let cotangents =
+                        &record.tape_bar[c * units * Self::BARS..][..units * Self::BARS];
                     let u_bar = &record.u_bar[c * (controls + units)..][..controls];
                     let factor = record.weight.map_or(F::one(), |weight| weight[c]);
-                    self.add_gradient(x.split_at(observations), stored, cotangents, u_bar, factor, theta_bar);
+                    self.add_gradient(
+                        x.split_at(observations),
+                        stored,
+                        cotangents,
+                        u_bar,
+                        factor,
+                        theta_bar,
+                    );
                 }
             }
         }

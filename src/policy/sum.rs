@@ -32,8 +32,14 @@ impl<A: Policy, B: Policy> Sum<A, B> {
             other[0],
             other[1]
         );
-        assert!(dims[0] > 0, "the policies of a sum need at least one observed component; observe one");
-        let excluded = first.memory_dim() + second.memory_dim() + first.trained_params().len() + second.trained_params().len();
+        assert!(
+            dims[0] > 0,
+            "the policies of a sum need at least one observed component; observe one"
+        );
+        let excluded = first.memory_dim()
+            + second.memory_dim()
+            + first.trained_params().len()
+            + second.trained_params().len();
         assert_eq!(
             excluded, 0,
             "a policy with a memory, or with trained parameters of the system, cannot be part of a sum; use policies without them"
@@ -56,7 +62,11 @@ impl<A: Policy, B: Policy> Sum<A, B> {
     }
 
     /// The passes of both policies.
-    fn passes<'a, F: Float>(&self, pass: PolicyPass<'a, F>, [first, _]: &[Sizes; 2]) -> [PolicyPass<'a, F>; 2] {
+    fn passes<'a, F: Float>(
+        &self,
+        pass: PolicyPass<'a, F>,
+        [first, _]: &[Sizes; 2],
+    ) -> [PolicyPass<'a, F>; 2] {
         let (a, b) = pass.packed.split_at(first.packed);
         [PolicyPass { packed: a, ..pass }, PolicyPass { packed: b, ..pass }]
     }
@@ -81,7 +91,12 @@ impl<A: Policy, B: Policy> Policy for Sum<A, B> {
         self.1.init(rng, b);
     }
 
-    fn act<T: Scalar>(&self, theta: &[T], observed: Observed<'_, T>, Action { u, .. }: Action<'_, T>) {
+    fn act<T: Scalar>(
+        &self,
+        theta: &[T],
+        observed: Observed<'_, T>,
+        Action { u, .. }: Action<'_, T>,
+    ) {
         let (a, b) = self.split(theta);
         self.0.act(a, observed, Action { u, memory: &mut [] });
         let mut second: SmallVec<[T; 8]> = smallvec![T::zero(); u.len()];
@@ -133,27 +148,50 @@ impl<A: Policy, B: Policy> Policy for Sum<A, B> {
         add(pass, self.control_dim(), second, u);
     }
 
-    fn backward<F: Float>(&self, pass: PolicyPass<F>, tape: &[F], u_bar: &[F], tape_bar: &mut [F], mut x_bar: Option<&mut [F]>) {
+    fn backward<F: Float>(
+        &self,
+        pass: PolicyPass<F>,
+        tape: &[F],
+        u_bar: &[F],
+        tape_bar: &mut [F],
+        mut x_bar: Option<&mut [F]>,
+    ) {
         let sizes = self.parts_of(&pass);
         let [a, b] = self.passes(pass, &sizes);
         let (tape_a, tape_b) = tape.split_at(sizes[0].tape);
         let (bar_a, rest) = tape_bar.split_at_mut(sizes[0].tape_bar);
         let (bar_b, second) = rest.split_at_mut(sizes[1].tape_bar);
         self.0.backward(a, tape_a, u_bar, bar_a, x_bar.as_deref_mut());
-        self.1.backward(b, &tape_b[..sizes[1].tape], u_bar, bar_b, x_bar.is_some().then_some(&mut *second));
+        self.1.backward(
+            b,
+            &tape_b[..sizes[1].tape],
+            u_bar,
+            bar_b,
+            x_bar.is_some().then_some(&mut *second),
+        );
         if let Some(x_bar) = x_bar {
             add(pass, self.observation_dim(), second, x_bar);
         }
     }
 
-    fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, scratch: &mut [F], theta_bar: &mut [F]) {
+    fn param_gradient<F: Float>(
+        &self,
+        pass: PolicyPass<F>,
+        record: PolicyRecord<F>,
+        scratch: &mut [F],
+        theta_bar: &mut [F],
+    ) {
         let sizes = self.parts_of(&pass);
         let [a, b] = self.passes(pass, &sizes);
         let (tape_a, tape_b) = record.tape.split_at(sizes[0].tape);
         let (bar_a, bar_b) = record.tape_bar.split_at(sizes[0].tape_bar);
         let (theta_a, theta_b) = theta_bar.split_at_mut(self.0.param_count());
         let first = PolicyRecord { tape: tape_a, tape_bar: bar_a, ..record };
-        let second = PolicyRecord { tape: &tape_b[..sizes[1].tape], tape_bar: &bar_b[..sizes[1].tape_bar], ..record };
+        let second = PolicyRecord {
+            tape: &tape_b[..sizes[1].tape],
+            tape_bar: &bar_b[..sizes[1].tape_bar],
+            ..record
+        };
         self.0.param_gradient(a, first, scratch, theta_a);
         self.1.param_gradient(b, second, scratch, theta_b);
     }

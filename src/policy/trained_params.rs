@@ -106,7 +106,9 @@ impl TrainedParam {
         const FACTOR: f64 = 1e6;
         let within = match self.scale {
             Scale::Linear => r.abs() <= FACTOR * self.initial.abs().max(1.0),
-            Scale::Above { .. } | Scale::Bounded { .. } => (r - self.initial()).abs() <= FACTOR.ln(),
+            Scale::Above { .. } | Scale::Bounded { .. } => {
+                (r - self.initial()).abs() <= FACTOR.ln()
+            }
         };
         // True for NaN.
         !within
@@ -187,7 +189,10 @@ impl<P: Policy> WithParams<P> {
         let params = [policy.trained_params(), &params.into()].concat();
         for (i, TrainedParam { index, .. }) in params.iter().enumerate() {
             let twice = params[..i].iter().any(|before| before.index == *index);
-            assert!(!twice, "p[{index}] is trained twice; pass one `TrainedParam` for each trained entry of p");
+            assert!(
+                !twice,
+                "p[{index}] is trained twice; pass one `TrainedParam` for each trained entry of p"
+            );
         }
         Self { policy, params }
     }
@@ -257,7 +262,11 @@ impl<P: Policy> Policy for WithParams<P> {
         // with the numbers of its own trained entries.
         let trained = self.first()..self.param_count();
         tensors.retain(|tensor| tensor.range.start < trained.start);
-        tensors.push(Tensor { name: "trained_params".into(), shape: vec![self.params.len()], range: trained });
+        tensors.push(Tensor {
+            name: "trained_params".into(),
+            shape: vec![self.params.len()],
+            range: trained,
+        });
         tensors
     }
 
@@ -277,11 +286,24 @@ impl<P: Policy> Policy for WithParams<P> {
         self.policy.forward(pass, tape, u);
     }
 
-    fn backward<F: Float>(&self, pass: PolicyPass<F>, tape: &[F], u_bar: &[F], tape_bar: &mut [F], x_bar: Option<&mut [F]>) {
+    fn backward<F: Float>(
+        &self,
+        pass: PolicyPass<F>,
+        tape: &[F],
+        u_bar: &[F],
+        tape_bar: &mut [F],
+        x_bar: Option<&mut [F]>,
+    ) {
         self.policy.backward(pass, tape, u_bar, tape_bar, x_bar);
     }
 
-    fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, scratch: &mut [F], theta_bar: &mut [F]) {
+    fn param_gradient<F: Float>(
+        &self,
+        pass: PolicyPass<F>,
+        record: PolicyRecord<F>,
+        scratch: &mut [F],
+        theta_bar: &mut [F],
+    ) {
         let own = self.policy.param_count();
         self.policy.param_gradient(pass, record, scratch, &mut theta_bar[..own]);
     }

@@ -29,7 +29,12 @@ impl Policy for Quadratic {
         theta.fill(0.0);
     }
 
-    fn act<T: Scalar>(&self, theta: &[T], Observed { y, .. }: Observed<'_, T>, Action { u, .. }: Action<'_, T>) {
+    fn act<T: Scalar>(
+        &self,
+        theta: &[T],
+        Observed { y, .. }: Observed<'_, T>,
+        Action { u, .. }: Action<'_, T>,
+    ) {
         u[0] = (theta[0] * y[0] + theta[1]) * y[0];
     }
 }
@@ -66,7 +71,12 @@ impl Policy for Constant {
         theta.fill(0.0);
     }
 
-    fn act<T: Scalar>(&self, theta: &[T], _observed: Observed<'_, T>, Action { u, .. }: Action<'_, T>) {
+    fn act<T: Scalar>(
+        &self,
+        theta: &[T],
+        _observed: Observed<'_, T>,
+        Action { u, .. }: Action<'_, T>,
+    ) {
         u.copy_from_slice(theta);
     }
 }

@@ -142,14 +142,26 @@ impl<S: HasModel<CartPoleSystem>> Task for CartPole<S> {
     }
 
     #[inline(always)]
-    fn running_cost_gradient<R: Real>(&self, _inputs: Inputs<'_, R>, next: &[R], _bars: Cotangents<'_, R>, next_bar: &mut [R]) {
+    fn running_cost_gradient<R: Real>(
+        &self,
+        _inputs: Inputs<'_, R>,
+        next: &[R],
+        _bars: Cotangents<'_, R>,
+        next_bar: &mut [R],
+    ) {
         if self.loss == LossMode::Running {
             self.height_gradient(self.running_factor(), next, next_bar);
         }
     }
 
     #[inline(always)]
-    fn terminal_cost_gradient<R: Real>(&self, x: &[R], _p: &[R], x_bar: &mut [R], _p_bar: Option<&mut [R]>) {
+    fn terminal_cost_gradient<R: Real>(
+        &self,
+        x: &[R],
+        _p: &[R],
+        x_bar: &mut [R],
+        _p_bar: Option<&mut [R]>,
+    ) {
         if self.loss == LossMode::Terminal {
             self.height_gradient(1.0, x, x_bar);
         }

@@ -87,7 +87,9 @@ impl Contact {
     #[inline(always)]
     fn advance<T: Scalar>(&self, gap: Gap<T>, acceleration: T, mass: f64, dt: f64) -> Gap<T> {
         match *self {
-            Self::TimeOfImpact { restitution } => impact::advance(gap, acceleration, restitution, dt),
+            Self::TimeOfImpact { restitution } => {
+                impact::advance(gap, acceleration, restitution, dt)
+            }
             Self::Penalty { stiffness, damping } => {
                 let depth = (-gap.width).max(T::zero());
                 let factor = (T::one() - T::from(damping) * gap.speed).max(T::zero());

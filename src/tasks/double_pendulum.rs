@@ -51,9 +51,11 @@ impl DoublePendulum {
     /// Returns kinetic plus potential energy of a state, J. The energy is 0 at rest with both rods
     /// horizontal. Without torque, the equations conserve the energy.
     pub fn energy(&self, x: &[f64]) -> f64 {
-        let ([inertia, coupling, second_inertia], [weight, second_weight]) = (self.inertias(), self.weights());
+        let ([inertia, coupling, second_inertia], [weight, second_weight]) =
+            (self.inertias(), self.weights());
         let [theta, omega, second_theta, second_omega] = [x[0], x[1], x[2], x[3]];
-        let kinetic = 0.5 * (inertia * omega * omega + second_inertia * second_omega * second_omega)
+        let kinetic = 0.5
+            * (inertia * omega * omega + second_inertia * second_omega * second_omega)
             + coupling * omega * second_omega * (theta - second_theta).cos();
         kinetic + weight * theta.cos() + second_weight * second_theta.cos()
     }
@@ -80,7 +82,8 @@ impl DoublePendulum {
     ) -> [V; 2] {
         let [inertia, coupling, second_inertia] = self.inertias();
         let ([m1, m2], [l1, l2]) = (self.masses, self.lengths);
-        let per_determinant = T::one() / (T::from(m2 * (l1 * l2) * (l1 * l2)) * (T::from(m1) + T::from(m2) * sin * sin));
+        let per_determinant = T::one()
+            / (T::from(m2 * (l1 * l2) * (l1 * l2)) * (T::from(m1) + T::from(m2) * sin * sin));
         let across = T::from(coupling) * cos * per_determinant;
         [
             first * (T::from(second_inertia) * per_determinant) - second * across,
@@ -96,8 +99,16 @@ impl DoublePendulum {
         let ((s1, c1), (s2, c2)) = (x[0].sin_cos(), x[2].sin_cos());
         let between = [s1 * c2 - c1 * s2, c1 * c2 + s1 * s2];
         let centrifugal = coupling * between[0];
-        let torques = [weight * s1 - centrifugal * x[3] * x[3] + u[0], second_weight * s2 + centrifugal * x[1] * x[1]];
-        Motion { first: [s1, c1], second: [s2, c2], between, accelerations: self.solve(between, torques) }
+        let torques = [
+            weight * s1 - centrifugal * x[3] * x[3] + u[0],
+            second_weight * s2 + centrifugal * x[1] * x[1],
+        ];
+        Motion {
+            first: [s1, c1],
+            second: [s2, c2],
+            between,
+            accelerations: self.solve(between, torques),
+        }
     }
 }
 
@@ -125,7 +136,8 @@ impl Ode for DoublePendulum {
         rate_bar: &[C],
         cotangents: Cotangents<'_, C>,
     ) {
-        let Motion { first, second, between: [sin, cos], accelerations: [alpha, second_alpha] } = self.motion(x, u);
+        let Motion { first, second, between: [sin, cos], accelerations: [alpha, second_alpha] } =
+            self.motion(x, u);
         let coupling = R::from(self.inertias()[1]);
         let [weight, second_weight] = self.weights();
         let (weight, second_weight) = (R::from(weight), R::from(second_weight));

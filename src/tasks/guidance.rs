@@ -78,7 +78,9 @@ impl Guidance {
     /// Creates the paper's task: 60 steps in 4 s, running loss, regularization 1. The paper has 2
     /// drivers and 4 evaders. It also uses the regularizations 0.1, 0.01 and 0.001.
     pub fn new(drivers: usize, evaders: usize) -> Self {
-        Self::with_system(GuidanceSystem { drivers, evaders, ..GuidanceSystem::default() }.herding())
+        Self::with_system(
+            GuidanceSystem { drivers, evaders, ..GuidanceSystem::default() }.herding(),
+        )
     }
 }
 
@@ -90,7 +92,10 @@ impl<S: HasModel<GuidanceSystem>> Guidance<S> {
     #[track_caller]
     pub fn with_system(system: S) -> Self {
         let GuidanceSystem { drivers, evaders, .. } = *system.model();
-        assert!(drivers > 0 && evaders > 0, "{drivers} drivers and {evaders} evaders; allowed: at least one of each");
+        assert!(
+            drivers > 0 && evaders > 0,
+            "{drivers} drivers and {evaders} evaders; allowed: at least one of each"
+        );
         Self { system, loss: LossMode::Running, regularization: 1.0, horizon: 60 }
     }
 
@@ -124,7 +129,9 @@ impl<S: HasModel<GuidanceSystem>> Guidance<S> {
     fn distances_gradient<R: Real>(&self, weight: f64, x: &[R], x_bar: &mut [R]) {
         let slope = R::from(2.0 * weight);
         let model = self.system.model();
-        for (bar, evader) in zip(x_bar[AGENT * model.drivers..].chunks_exact_mut(AGENT), model.evaders_of(x)) {
+        for (bar, evader) in
+            zip(x_bar[AGENT * model.drivers..].chunks_exact_mut(AGENT), model.evaders_of(x))
+        {
             bar[0] += evader[0] * slope;
             bar[1] += evader[1] * slope;
         }
@@ -204,7 +211,13 @@ impl<S: HasModel<GuidanceSystem>> Task for Guidance<S> {
     }
 
     #[inline(always)]
-    fn terminal_cost_gradient<R: Real>(&self, x: &[R], _p: &[R], x_bar: &mut [R], _p_bar: Option<&mut [R]>) {
+    fn terminal_cost_gradient<R: Real>(
+        &self,
+        x: &[R],
+        _p: &[R],
+        x_bar: &mut [R],
+        _p_bar: Option<&mut [R]>,
+    ) {
         if self.loss == LossMode::Terminal {
             self.distances_gradient(self.terminal_weight(), x, x_bar);
         }

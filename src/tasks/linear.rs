@@ -38,7 +38,10 @@ impl LinearPlant {
             "A has {of_a} entries for {n} state components; allowed: {}, for at least one component",
             n * n
         );
-        assert!(of_b > 0 && of_b.is_multiple_of(n), "B has {of_b} entries; allowed: a positive multiple of {n}");
+        assert!(
+            of_b > 0 && of_b.is_multiple_of(n),
+            "B has {of_b} entries; allowed: a positive multiple of {n}"
+        );
         Self { state_dim, control_dim: of_b / n, a, b }
     }
 
@@ -59,13 +62,23 @@ impl LinearPlant {
             u.len()
         );
         let (mut a, mut b, mut column) = (vec![0.0; n * n], vec![0.0; n * m], vec![0.0; n]);
-        let unit = |len: usize, i: usize| (0..len).map(|j| f64::from(u8::from(j == i))).collect::<Vec<f64>>();
+        let unit = |len: usize, i: usize| {
+            (0..len).map(|j| f64::from(u8::from(j == i))).collect::<Vec<f64>>()
+        };
         for j in 0..n {
-            system.jvp(inputs, Tangents { x: Some(&unit(n, j)), ..Tangents::default() }, &mut column);
+            system.jvp(
+                inputs,
+                Tangents { x: Some(&unit(n, j)), ..Tangents::default() },
+                &mut column,
+            );
             (0..n).for_each(|i| a[i * n + j] = column[i]);
         }
         for j in 0..m {
-            system.jvp(inputs, Tangents { u: Some(&unit(m, j)), ..Tangents::default() }, &mut column);
+            system.jvp(
+                inputs,
+                Tangents { u: Some(&unit(m, j)), ..Tangents::default() },
+                &mut column,
+            );
             (0..n).for_each(|i| b[i * m + j] = column[i]);
         }
         Self { state_dim: n, control_dim: m, a, b }
@@ -80,7 +93,8 @@ impl LinearPlant {
     pub fn closed_by(&self, gain: &[f64]) -> Self {
         let expected = self.control_dim * self.state_dim;
         assert_eq!(gain.len(), expected, "the gain of this plant needs {expected} entries");
-        let closed = self.a() + self.b() * DMatrix::from_row_slice(self.control_dim, self.state_dim, gain);
+        let closed =
+            self.a() + self.b() * DMatrix::from_row_slice(self.control_dim, self.state_dim, gain);
         Self { a: row_major(&closed), ..self.clone() }
     }
 
@@ -104,7 +118,10 @@ fn spectral_radius(matrix: &DMatrix<f64>) -> f64 {
     if matrix.iter().any(|entry| !entry.is_finite()) {
         return f64::NAN;
     }
-    matrix.complex_eigenvalues().iter().fold(0.0, |largest, value| value.re.hypot(value.im).max(largest))
+    matrix
+        .complex_eigenvalues()
+        .iter()
+        .fold(0.0, |largest, value| value.re.hypot(value.im).max(largest))
 }
 
 /// Returns the entries of a matrix, row by row.
@@ -153,7 +170,12 @@ impl System for LinearPlant {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, _inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        _inputs: Inputs<'_, R>,
+        next_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
         for (matrix, bar) in [(&self.a, cotangents.x), (&self.b, cotangents.u)] {
             if let Some(bar) = bar {
                 transposed(matrix, next_bar, bar);

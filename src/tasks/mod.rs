@@ -18,13 +18,14 @@ mod slider;
 mod upright;
 
 pub use cart_pole::{
-    Bumpers, CartDamping, CartPole, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind,
-    MassError, PoleDamping, SteadyWind,
+    Bumpers, CartDamping, CartPole, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole,
+    DryFriction, GustyWind, MassError, PoleDamping, SteadyWind,
 };
 pub use contact::{Bounce, BouncingBall, Contact, Push, TwoBodies};
 pub use double_pendulum::DoublePendulum;
 pub use guidance::{
-    Center, Drive, Evade, Flock, Friction, Guidance, GuidanceEffect, GuidanceSystem, Herding, Obstacles, Spread, Walls,
+    Center, Drive, Evade, Flock, Friction, Guidance, GuidanceEffect, GuidanceSystem, Herding,
+    Obstacles, Spread, Walls,
 };
 pub use linear::{LinearPlant, Lqr, NoOptimum, Optimum};
 pub use loss::LossMode;
@@ -32,8 +33,8 @@ pub use multi_pendulum::{Arm, MultiPendulum};
 pub use paper_examples::{Accumulator, Bowl, Reach};
 pub use pole_chain::PoleChain;
 pub use quantum::{
-    Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, Pade, Quantum, QuantumEffect, QuantumScheme,
-    QuantumSystem, Renormalized, Strang, Tabulated,
+    Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, Pade, Quantum,
+    QuantumEffect, QuantumScheme, QuantumSystem, Renormalized, Strang, Tabulated,
 };
 pub use slider::{FrictionScheme, Slider, SliderSystem};
 pub use upright::Upright;

@@ -37,7 +37,8 @@ pub struct Arm {
 impl Default for Arm {
     /// Returns a uniform rod of 0.1 kg and 0.2 m on a joint without friction.
     fn default() -> Self {
-        let [mass, center, length, inertia] = [0.1, 0.1, 0.2, 0.1 * 0.2 * 0.2 / 12.0].map(Number::Fixed);
+        let [mass, center, length, inertia] =
+            [0.1, 0.1, 0.2, 0.1 * 0.2 * 0.2 / 12.0].map(Number::Fixed);
         let [viscous, dry, quadratic] = [0.0; 3].map(Number::Fixed);
         Self { mass, center, length, inertia, viscous, dry, quadratic }
     }
@@ -126,12 +127,15 @@ impl MultiPendulum {
         let (mut across, mut up, mut height, mut energy) = (0.0, 0.0, 0.0, 0.0);
         for (arm, pair) in self.arms.iter().zip(x.chunks_exact(2)) {
             let (theta, omega) = (pair[0], pair[1]);
-            let [mass, center, length, inertia] = [arm.mass, arm.center, arm.length, arm.inertia].map(|n| n.nominal());
+            let [mass, center, length, inertia] =
+                [arm.mass, arm.center, arm.length, arm.inertia].map(|n| n.nominal());
             let (sin, cos) = theta.sin_cos();
             let speed = [across + center * cos * omega, up - center * sin * omega];
-            energy += 0.5 * mass * (speed[0] * speed[0] + speed[1] * speed[1]) + 0.5 * inertia * omega * omega;
+            energy += 0.5 * mass * (speed[0] * speed[0] + speed[1] * speed[1])
+                + 0.5 * inertia * omega * omega;
             energy += mass * self.gravity.nominal() * (height + center * cos);
-            (across, up, height) = (across + length * cos * omega, up - length * sin * omega, height + length * cos);
+            (across, up, height) =
+                (across + length * cos * omega, up - length * sin * omega, height + length * cos);
         }
         energy
     }
@@ -154,7 +158,8 @@ impl Ode for MultiPendulum {
     fn varied(&self, params: usize) -> Vec<Varied> {
         let mut all = Vec::new();
         for (i, arm) in self.arms.iter().enumerate() {
-            let named = |varied: Varied| Varied { name: format!("arms[{i}].{}", varied.name), ..varied };
+            let named =
+                |varied: Varied| Varied { name: format!("arms[{i}].{}", varied.name), ..varied };
             all.extend(arm.numbers().placed(0).into_iter().map(named));
         }
         all.extend(Numbers::new([("gravity", &self.gravity)]).placed(0));
@@ -168,12 +173,15 @@ impl Ode for MultiPendulum {
         let n = self.arms.len();
         let omega = |i: usize| x[2 * i + 1];
         let (arms, gravity) = self.values(p);
-        let (sin, cos): (Each<T>, Each<T>) = x.chunks_exact(2).map(|pair| pair[0].sin_cos()).unzip();
+        let (sin, cos): (Each<T>, Each<T>) =
+            x.chunks_exact(2).map(|pair| pair[0].sin_cos()).unzip();
         let mut torque: Each<T> = smallvec![T::zero(); n];
         torque[0] += u[0];
         for (i, arm) in arms.iter().enumerate() {
             let r = if i == 0 { omega(0) } else { omega(i) - omega(i - 1) };
-            let friction = arm.viscous * r + arm.dry * (r * (1.0 / SMOOTHING)).tanh() + arm.quadratic * r.abs() * r;
+            let friction = arm.viscous * r
+                + arm.dry * (r * (1.0 / SMOOTHING)).tanh()
+                + arm.quadratic * r.abs() * r;
             torque[i] -= friction;
             if i > 0 {
                 torque[i - 1] += friction;

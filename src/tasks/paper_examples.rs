@@ -35,7 +35,12 @@ impl System for Accumulator {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, _inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        _inputs: Inputs<'_, R>,
+        next_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
         for bar in [cotangents.x, cotangents.u].into_iter().flatten() {
             add(bar, next_bar);
         }
@@ -103,7 +108,11 @@ impl Default for Bowl {
     /// Returns curvatures 1 and 4, rotated by 30°. An axis-aligned bowl would favor Adam, which
     /// scales each component separately.
     fn default() -> Self {
-        Self { system: Accumulator { dim: 2 }, curvatures: [1.0, 4.0], angle: std::f64::consts::FRAC_PI_6 }
+        Self {
+            system: Accumulator { dim: 2 },
+            curvatures: [1.0, 4.0],
+            angle: std::f64::consts::FRAC_PI_6,
+        }
     }
 }
 

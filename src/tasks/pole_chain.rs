@@ -54,7 +54,12 @@ struct Motion<T> {
 
 impl<T> Motion<T> {
     fn new() -> Self {
-        Self { sin: Each::new(), cos: Each::new(), factors: Triangle::new(), accelerations: Each::new() }
+        Self {
+            sin: Each::new(),
+            cos: Each::new(),
+            factors: Triangle::new(),
+            accelerations: Each::new(),
+        }
     }
 }
 
@@ -198,11 +203,13 @@ impl Ode for PoleChain {
             let mut spin_bar = w[0] * (moment * s);
             for k in 0..j {
                 let inertia = R::from(self.inertia(k, j));
-                let (throw, along) = (inertia * (s * cos[k] - c * sin[k]), inertia * (c * cos[k] + s * sin[k]));
+                let (throw, along) =
+                    (inertia * (s * cos[k] - c * sin[k]), inertia * (c * cos[k] + s * sin[k]));
                 let other_spin = x[3 + 2 * k] * x[3 + 2 * k];
                 // Cotangent of the angle between two poles, which enters the matrix and the
                 // centrifugal torques.
-                let between = w[1 + j] * (throw * a[1 + k] - along * other_spin) + w[1 + k] * (throw * alpha + along * spin);
+                let between = w[1 + j] * (throw * a[1 + k] - along * other_spin)
+                    + w[1 + k] * (throw * alpha + along * spin);
                 theta_bar += between;
                 x_bar[2 + 2 * k] -= between;
                 spin_bar += w[1 + k] * throw;

@@ -90,7 +90,10 @@ impl<S: HasModel<QuantumSystem>> Quantum<S> {
     pub fn with_system(system: S, target: usize) -> Self {
         let grid = system.model().grid;
         assert!(grid >= 3, "the grid has {grid} points; allowed: 3 or more");
-        assert!((1..=grid).contains(&target), "the target is eigenstate {target}; allowed: 1, the ground state, to {grid}");
+        assert!(
+            (1..=grid).contains(&target),
+            "the target is eigenstate {target}; allowed: 1, the ground state, to {grid}"
+        );
         Self { system, target, loss: LossMode::Running, horizon: 128, weighting: [1.0, 1.0] }
     }
 
@@ -117,7 +120,9 @@ impl<S: HasModel<QuantumSystem>> Quantum<S> {
     fn infidelity_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
         let (re, im) = self.overlap(x);
         let (re, im) = (re * R::from(-2.0), im * R::from(-2.0));
-        for (x_bar, target) in zip(x_bar.chunks_exact_mut(2), self.system.model().eigenstate(self.target)) {
+        for (x_bar, target) in
+            zip(x_bar.chunks_exact_mut(2), self.system.model().eigenstate(self.target))
+        {
             let target = R::from(target);
             x_bar[0] += re * target;
             x_bar[1] += im * target;
@@ -155,7 +160,9 @@ impl<S: HasModel<QuantumSystem>> Task for Quantum<S> {
         );
         for (number, amplitude) in zip(1.., amplitudes) {
             let (sin, cos) = Scalar::sin_cos(rng.random_range(0.0..TAU));
-            for (x, eigenstate) in zip(start.x.chunks_exact_mut(2), self.system.model().eigenstate(number)) {
+            for (x, eigenstate) in
+                zip(start.x.chunks_exact_mut(2), self.system.model().eigenstate(number))
+            {
                 x[0] += amplitude / norm * cos * eigenstate;
                 x[1] += amplitude / norm * sin * eigenstate;
             }
@@ -180,14 +187,26 @@ impl<S: HasModel<QuantumSystem>> Task for Quantum<S> {
     }
 
     #[inline(always)]
-    fn running_cost_gradient<R: Real>(&self, _inputs: Inputs<'_, R>, next: &[R], _bars: Cotangents<'_, R>, next_bar: &mut [R]) {
+    fn running_cost_gradient<R: Real>(
+        &self,
+        _inputs: Inputs<'_, R>,
+        next: &[R],
+        _bars: Cotangents<'_, R>,
+        next_bar: &mut [R],
+    ) {
         if self.loss == LossMode::Running {
             self.infidelity_gradient(next, next_bar);
         }
     }
 
     #[inline(always)]
-    fn terminal_cost_gradient<R: Real>(&self, x: &[R], _p: &[R], x_bar: &mut [R], _p_bar: Option<&mut [R]>) {
+    fn terminal_cost_gradient<R: Real>(
+        &self,
+        x: &[R],
+        _p: &[R],
+        x_bar: &mut [R],
+        _p_bar: Option<&mut [R]>,
+    ) {
         if self.loss == LossMode::Terminal {
             self.infidelity_gradient(x, x_bar);
         }

@@ -60,7 +60,13 @@ pub enum FrictionScheme {
 impl Default for SliderSystem {
     /// Returns a block of 1 kg with the friction of wood on wood.
     fn default() -> Self {
-        Self { mass: 1.0, coefficient: 0.5, smoothing: 1e-3, dt: 0.01, scheme: FrictionScheme::Implicit }
+        Self {
+            mass: 1.0,
+            coefficient: 0.5,
+            smoothing: 1e-3,
+            dt: 0.01,
+            scheme: FrictionScheme::Implicit,
+        }
     }
 }
 
@@ -85,7 +91,11 @@ impl SliderSystem {
             FrictionScheme::Explicit => {
                 let at = speed * (1.0 / self.smoothing);
                 let by_speed = T::one() - T::from(self.grip() / self.smoothing) * decline(at);
-                Slid { speed: pushed - T::from(self.grip()) * tanh(at), by_speed, by_push: per_push }
+                Slid {
+                    speed: pushed - T::from(self.grip()) * tanh(at),
+                    by_speed,
+                    by_push: per_push,
+                }
             }
             FrictionScheme::Implicit => {
                 let (speed, share) = self.solve(pushed);
@@ -150,7 +160,12 @@ impl System for SliderSystem {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, Inputs { x, u, .. }: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        Inputs { x, u, .. }: Inputs<'_, R>,
+        next_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
         let slid = self.slide(x[1], u[0]);
         let speed_bar = next_bar[1] + next_bar[0] * R::from(self.dt);
         if let Some(x_bar) = cotangents.x {
@@ -207,7 +222,13 @@ impl Task for Slider {
     }
 
     #[inline(always)]
-    fn terminal_cost_gradient<R: Real>(&self, x: &[R], _p: &[R], x_bar: &mut [R], _p_bar: Option<&mut [R]>) {
+    fn terminal_cost_gradient<R: Real>(
+        &self,
+        x: &[R],
+        _p: &[R],
+        x_bar: &mut [R],
+        _p_bar: Option<&mut [R]>,
+    ) {
         x_bar[0] += R::from(2.0) * x[0];
         x_bar[1] += R::from(2.0 * self.speed_weight) * x[1];
     }

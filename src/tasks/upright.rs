@@ -45,7 +45,15 @@ impl<S> Upright<S> {
     /// Creates a swing-up: 100 steps, terminal loss, no control cost. Initial angles lie within
     /// ±π/6 of hanging, other components within ±π/6 of 0.
     fn swing_up(system: S, first_angle: usize) -> Self {
-        Self { system, first_angle, from: PI, spread: PI / 6.0, loss: LossMode::Terminal, control_weight: 0.0, horizon: 100 }
+        Self {
+            system,
+            first_angle,
+            from: PI,
+            spread: PI / 6.0,
+            loss: LossMode::Terminal,
+            control_weight: 0.0,
+            horizon: 100,
+        }
     }
 
     /// Converts the task to balancing: running loss, control weight 0.001. Initial components lie
@@ -58,7 +66,10 @@ impl<S> Upright<S> {
 impl Upright<Stepped<DoublePendulum>> {
     /// Creates the swing-up of the default double pendulum, with steps of 0.01 s.
     pub fn double_pendulum() -> Self {
-        Self::swing_up(Integrated { ode: DoublePendulum::default(), integrator: RungeKutta::RK4, dt: 0.01 }, 0)
+        Self::swing_up(
+            Integrated { ode: DoublePendulum::default(), integrator: RungeKutta::RK4, dt: 0.01 },
+            0,
+        )
     }
 }
 
@@ -73,7 +84,10 @@ impl Upright<Stepped<PoleChain>> {
         if let Err(error) = PoleChain(model).check() {
             panic!("{error}");
         }
-        Self::swing_up(Integrated { ode: PoleChain(model), integrator: RungeKutta::RK4, dt: model.dt }, 2)
+        Self::swing_up(
+            Integrated { ode: PoleChain(model), integrator: RungeKutta::RK4, dt: model.dt },
+            2,
+        )
     }
 }
 
@@ -164,7 +178,13 @@ impl<S: System> Task for Upright<S> {
     }
 
     #[inline(always)]
-    fn terminal_cost_gradient<R: Real>(&self, x: &[R], _p: &[R], x_bar: &mut [R], _p_bar: Option<&mut [R]>) {
+    fn terminal_cost_gradient<R: Real>(
+        &self,
+        x: &[R],
+        _p: &[R],
+        x_bar: &mut [R],
+        _p_bar: Option<&mut [R]>,
+    ) {
         self.height_gradient(self.worth()[1], x, x_bar);
     }
 }

@@ -7,7 +7,12 @@ use crate::numbers::zip::zip;
 /// Updates `average` with the direction of `gradient`: a ← w a + (1 - w) g / ‖g‖, with the weight
 /// w. Replaces `gradient` by ‖g‖ a. `norm` is the norm of the values of the gradient, without its
 /// exponent.
-pub(super) fn average_direction<F: Float>(average: &mut [F], weight: f64, gradient: &mut Gradient<F>, norm: f64) {
+pub(super) fn average_direction<F: Float>(
+    average: &mut [F],
+    weight: f64,
+    gradient: &mut Gradient<F>,
+    norm: f64,
+) {
     let exponent = gradient.exponent();
     for (average, value) in zip(average.iter_mut(), gradient.values_mut(exponent)) {
         // A gradient of 0 has no direction.

@@ -56,7 +56,8 @@ pub fn rollout_until<F: Float>(
     starts: &[F],
     is_stopped: &dyn Fn() -> bool,
 ) -> Result<Option<Trajectories<F>>, Divergence> {
-    let (n, m, width, horizon) = (task.state_dim(), task.control_dim(), task.start_dim(), task.horizon());
+    let (n, m, width, horizon) =
+        (task.state_dim(), task.control_dim(), task.start_dim(), task.horizon());
     let (mut states, mut controls) = (Vec::new(), Vec::new());
     for (block, starts) in starts.chunks(BLOCK * width).enumerate() {
         if is_stopped() {
@@ -65,9 +66,13 @@ pub fn rollout_until<F: Float>(
         let samples = starts.len() / width;
         let mut rollout = Rollout::new(task, policy, samples);
         rollout.start(starts);
-        rollout.run(task, policy, weights).map_err(|divergence| divergence.offset(block * BLOCK))?;
+        rollout
+            .run(task, policy, weights)
+            .map_err(|divergence| divergence.offset(block * BLOCK))?;
         for sample in 0..samples {
-            let each = |steps, components| (0..steps).flat_map(move |t| (0..components).map(move |i| (t, i)));
+            let each = |steps, components| {
+                (0..steps).flat_map(move |t| (0..components).map(move |i| (t, i)))
+            };
             states.extend(each(horizon + 1, n).map(|(t, i)| rollout.state(t, sample, i)));
             controls.extend(each(horizon, m).map(|(t, i)| rollout.control(t, sample, i)));
         }
@@ -109,7 +114,9 @@ pub fn losses_until<F: Float>(
             return Ok(None);
         }
         rollout.start(starts);
-        rollout.run(task, policy, weights).map_err(|divergence| divergence.offset(block * BLOCK))?;
+        rollout
+            .run(task, policy, weights)
+            .map_err(|divergence| divergence.offset(block * BLOCK))?;
         losses.extend((0..rollout.samples()).map(|sample| rollout.cost(sample)));
     }
     Ok(Some(losses))

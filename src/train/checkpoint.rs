@@ -63,7 +63,10 @@ pub enum CheckpointError {
         found: String,
     },
     /// Checkpoint of a run with other settings.
-    #[error("this checkpoint belongs to another run. These settings differ:\n{}", differences(found, expected))]
+    #[error(
+        "this checkpoint belongs to another run. These settings differ:\n{}",
+        differences(found, expected)
+    )]
     Label {
         /// Label of the checkpoint.
         found: String,
@@ -71,7 +74,9 @@ pub enum CheckpointError {
         expected: String,
     },
     /// Checkpoint in another precision.
-    #[error("this checkpoint has precision {found}, but this run has {expected}; set the same precision")]
+    #[error(
+        "this checkpoint has precision {found}, but this run has {expected}; set the same precision"
+    )]
     Precision {
         /// Precision of the checkpoint.
         found: String,
@@ -79,7 +84,9 @@ pub enum CheckpointError {
         expected: String,
     },
     /// Checkpoint of a policy with another number of parameters.
-    #[error("this checkpoint has {found} parameters, but this policy has {expected}; use the same policy")]
+    #[error(
+        "this checkpoint has {found} parameters, but this policy has {expected}; use the same policy"
+    )]
     Shape {
         /// Number of parameters in the checkpoint.
         found: usize,
@@ -91,7 +98,10 @@ pub enum CheckpointError {
 /// Lists the lines that occur in only one of two settings texts. Used only for error messages.
 pub fn differences(found: &str, expected: &str) -> String {
     let only = |a: &str, b: &str, whose: &str| -> Vec<String> {
-        a.lines().filter(|line| !b.lines().any(|l| l == *line)).map(|line| format!("  {whose} {line}")).collect()
+        a.lines()
+            .filter(|line| !b.lines().any(|l| l == *line))
+            .map(|line| format!("  {whose} {line}"))
+            .collect()
     };
     [only(found, expected, "there:"), only(expected, found, "here: ")].concat().join("\n")
 }
@@ -129,25 +139,35 @@ impl<F: Float> State<F> {
             best: Cow::Borrowed(&self.best),
             epoch: self.epoch.clone().map(|epoch| (epoch, Cow::Borrowed(&self.before))),
         };
-        let contents = postcard::to_stdvec(&(header, body)).expect("postcard serializes numbers and text without errors");
-        [MAGIC.as_slice(), &FORMAT.to_le_bytes(), &CRC.checksum(&contents).to_le_bytes(), &contents].concat()
+        let contents = postcard::to_stdvec(&(header, body))
+            .expect("postcard serializes numbers and text without errors");
+        [MAGIC.as_slice(), &FORMAT.to_le_bytes(), &CRC.checksum(&contents).to_le_bytes(), &contents]
+            .concat()
     }
 
     /// Restores a checkpoint, or returns an error and changes nothing.
-    pub(super) fn restore(&mut self, policy: &dyn AnyPolicy<F>, bytes: &[u8], label: &str) -> Result<(), CheckpointError> {
+    pub(super) fn restore(
+        &mut self,
+        policy: &dyn AnyPolicy<F>,
+        bytes: &[u8],
+        label: &str,
+    ) -> Result<(), CheckpointError> {
         let rest = bytes.strip_prefix(MAGIC).ok_or(CheckpointError::NotACheckpoint)?;
-        let (format, rest) =
-            rest.split_first_chunk().ok_or_else(|| CheckpointError::Damaged("it ends after the file signature".into()))?;
+        let (format, rest) = rest
+            .split_first_chunk()
+            .ok_or_else(|| CheckpointError::Damaged("it ends after the file signature".into()))?;
         let found = u16::from_le_bytes(*format);
         if found != FORMAT {
             return Err(CheckpointError::Format { found });
         }
         let damaged = |what: &dyn ToString| CheckpointError::Damaged(what.to_string());
-        let (crc, contents) = rest.split_first_chunk().ok_or_else(|| damaged(&"it ends before its contents"))?;
+        let (crc, contents) =
+            rest.split_first_chunk().ok_or_else(|| damaged(&"it ends before its contents"))?;
         if CRC.checksum(contents) != u32::from_le_bytes(*crc) {
             return Err(damaged(&"its checksum is wrong"));
         }
-        let (header, body) = postcard::take_from_bytes::<Header>(contents).map_err(|e| damaged(&e))?;
+        let (header, body) =
+            postcard::take_from_bytes::<Header>(contents).map_err(|e| damaged(&e))?;
         if header.version != env!("CARGO_PKG_VERSION") {
             return Err(CheckpointError::Version { found: header.version });
         }
@@ -155,11 +175,16 @@ impl<F: Float> State<F> {
             return Err(CheckpointError::Label { found: header.label, expected: label.into() });
         }
         if header.precision != F::NAME {
-            return Err(CheckpointError::Precision { found: header.precision, expected: F::NAME.into() });
+            return Err(CheckpointError::Precision {
+                found: header.precision,
+                expected: F::NAME.into(),
+            });
         }
         let body: Body<F> = postcard::from_bytes(body).map_err(|e| damaged(&e))?;
         let expected = policy.param_count();
-        if let Some(found) = [header.params, body.theta.len()].into_iter().find(|&found| found != expected) {
+        if let Some(found) =
+            [header.params, body.theta.len()].into_iter().find(|&found| found != expected)
+        {
             return Err(CheckpointError::Shape { found, expected });
         }
         self.validate(&body).map_err(|e| damaged(&e))?;
@@ -193,16 +218,30 @@ impl<F: Float> State<F> {
         if let Some((epoch, before)) = &body.epoch {
             let Epoch { updates: done, skipped, means, seconds } = epoch;
             if *done >= updates || skipped.checked_add(means.updates()) != Some(*done) {
-                return Err(format!("its unfinished epoch has {done} of {updates} updates, {skipped} of them skipped"));
+                return Err(format!(
+                    "its unfinished epoch has {done} of {updates} updates, {skipped} of them skipped"
+                ));
             }
             if !(*seconds >= 0.0 && seconds.is_finite()) {
                 return Err(format!("its unfinished epoch has a time of {seconds} s"));
             }
-            self.validate_state(&before.theta, &before.optimizer, &before.direction, before.skipped_in_a_row, steps)?;
+            self.validate_state(
+                &before.theta,
+                &before.optimizer,
+                &before.direction,
+                before.skipped_in_a_row,
+                steps,
+            )?;
             steps += means.updates() as u64;
         }
         self.validate_theta(&body.best.theta)?;
-        self.validate_state(&body.theta, &body.optimizer, &body.direction, body.skipped_in_a_row, steps)
+        self.validate_state(
+            &body.theta,
+            &body.optimizer,
+            &body.direction,
+            body.skipped_in_a_row,
+            steps,
+        )
     }
 
     /// Checks the state after `steps` applied updates.
@@ -216,13 +255,20 @@ impl<F: Float> State<F> {
     ) -> Result<(), String> {
         self.validate_theta(theta)?;
         if direction.len() != self.direction.len() {
-            return Err(format!("its average has {} components, but that of this run {}", direction.len(), self.direction.len()));
+            return Err(format!(
+                "its average has {} components, but that of this run {}",
+                direction.len(),
+                self.direction.len()
+            ));
         }
         if let Some(i) = direction.iter().position(|d| !d.as_().is_finite()) {
             return Err(format!("component {i} of its average is {}", direction[i]));
         }
         if skipped > self.training.max_skipped {
-            return Err(format!("{skipped} updates in a row were skipped; allowed: {}", self.training.max_skipped));
+            return Err(format!(
+                "{skipped} updates in a row were skipped; allowed: {}",
+                self.training.max_skipped
+            ));
         }
         optimizer.validate(&self.optimizer, steps)
     }

@@ -34,8 +34,13 @@ pub enum Combination {
 
 impl Combination {
     /// All rules.
-    pub const ALL: [Self; 5] =
-        [Self::SignAgreement, Self::Projection, Self::ConflictFree, Self::SignsOfSecond, Self::NormOfFirst];
+    pub const ALL: [Self; 5] = [
+        Self::SignAgreement,
+        Self::Projection,
+        Self::ConflictFree,
+        Self::SignsOfSecond,
+        Self::NormOfFirst,
+    ];
 
     /// Letters of the field that combines M and R by this rule.
     pub const fn letter(self) -> &'static str {
@@ -80,14 +85,25 @@ impl GradientCombiner for Combination {
                 weighted(first, second, [1.0, -ratio(dot.min(0.0), square)], out);
             }
             Self::NormOfFirst => {
-                let (_, first_square, second_square) = elementwise::moments(SimdLevel::best(), first, second);
-                weighted(first, second, [0.0, ratio(first_square.sqrt(), second_square.sqrt())], out);
+                let (_, first_square, second_square) =
+                    elementwise::moments(SimdLevel::best(), first, second);
+                weighted(
+                    first,
+                    second,
+                    [0.0, ratio(first_square.sqrt(), second_square.sqrt())],
+                    out,
+                );
             }
             Self::ConflictFree => conflict_free(first, second, [0, 0], out),
         }
     }
 
-    fn combine_gradients<F: Float>(&self, first: &Gradient<F>, second: &Gradient<F>, out: &mut Gradient<F>) {
+    fn combine_gradients<F: Float>(
+        &self,
+        first: &Gradient<F>,
+        second: &Gradient<F>,
+        out: &mut Gradient<F>,
+    ) {
         if *self != Self::ConflictFree {
             // The exponent of the second gradient has no effect.
             return self.combine(first.values(), second.values(), out.values_mut(first.exponent()));
@@ -146,9 +162,15 @@ mod tests {
             (out.values().to_vec(), out.exponent())
         };
         // (3, 4) has the direction (0.6, 0.8). Half of the norm of r is 2^299.
-        assert_eq!(combined(gradient([3.0, 4.0], 0), gradient([1.0, 0.0], 300)), (vec![0.8, 0.4], 300));
+        assert_eq!(
+            combined(gradient([3.0, 4.0], 0), gradient([1.0, 0.0], 300)),
+            (vec![0.8, 0.4], 300)
+        );
         // The exponent of a zero gradient has no meaning.
-        assert_eq!(combined(gradient([3.0, 4.0], -400), gradient([0.0, 0.0], 0)), (vec![1.5, 2.0], -400));
+        assert_eq!(
+            combined(gradient([3.0, 4.0], -400), gradient([0.0, 0.0], 0)),
+            (vec![1.5, 2.0], -400)
+        );
     }
 
     #[test]

@@ -53,7 +53,9 @@ impl Decay {
     /// Describes an invalid `end` and the allowed values. `None` for a valid decay.
     pub(super) fn problem(self) -> Option<String> {
         match self {
-            Self::Cosine { end } if !(0.0..=1.0).contains(&end) => Some(format!("ends at {end}; allowed: 0 to 1")),
+            Self::Cosine { end } if !(0.0..=1.0).contains(&end) => {
+                Some(format!("ends at {end}; allowed: 0 to 1"))
+            }
             Self::Exponential { end } if !(end > 0.0 && end <= 1.0) => {
                 Some(format!("ends at {end}; allowed: a positive number up to 1"))
             }
@@ -80,16 +82,27 @@ mod tests {
         ] {
             for (found, expected) in factors(decay).into_iter().zip(expected) {
                 // Allows for a few roundings of numbers up to 1.
-                assert!((found - expected).abs() < 1e-15, "{decay:?}: {found} instead of {expected}");
+                assert!(
+                    (found - expected).abs() < 1e-15,
+                    "{decay:?}: {found} instead of {expected}"
+                );
             }
-            assert_eq!(decay.factor(0, 99, 16), decay.factor(0, 16, 16), "{decay:?}: the factor changes after the end");
+            assert_eq!(
+                decay.factor(0, 99, 16),
+                decay.factor(0, 16, 16),
+                "{decay:?}: the factor changes after the end"
+            );
         }
     }
 
     #[test]
     fn three_warm_up_updates_have_factors_of_1_2_and_3_quarters_before_the_decay() {
-        for decay in [Decay::Constant, Decay::Cosine { end: 0.1 }, Decay::Exponential { end: 0.1 }] {
-            assert_eq!([0, 1, 2, 3].map(|update| decay.factor(3, update, 19)), [0.25, 0.5, 0.75, 1.0]);
+        for decay in [Decay::Constant, Decay::Cosine { end: 0.1 }, Decay::Exponential { end: 0.1 }]
+        {
+            assert_eq!(
+                [0, 1, 2, 3].map(|update| decay.factor(3, update, 19)),
+                [0.25, 0.5, 0.75, 1.0]
+            );
             for update in 0..16 {
                 assert_eq!(decay.factor(3, update + 3, 19), decay.factor(0, update, 16));
             }

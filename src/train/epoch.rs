@@ -139,7 +139,10 @@ impl<F: Float> State<F> {
         training.validate()?;
         for (setting, starts) in [("train_samples", &train), ("test_samples", &test)] {
             if starts.is_empty() || !starts.len().is_multiple_of(n) {
-                let problem = format!("has {} numbers; allowed: one or more initial states of {n} numbers each", starts.len());
+                let problem = format!(
+                    "has {} numbers; allowed: one or more initial states of {n} numbers each",
+                    starts.len()
+                );
                 return Err(TrainError::Setting { setting, problem });
             }
         }
@@ -203,7 +206,8 @@ impl<F: Float> State<F> {
         let samples = self.training.derived(batch.min(self.order.len()));
         // Frees the workspace of a single process before the allocation of the shared one.
         self.batch = Batch::new(task, policy, 1, &self.flows, 1);
-        self.batch = Batch::shared(ranks.clone(), task, policy, samples, &self.flows, workers, memory)?;
+        self.batch =
+            Batch::shared(ranks.clone(), task, policy, samples, &self.flows, workers, memory)?;
         self.evaluation = Evaluation::new(task, policy, workers).shared(ranks.clone());
         Ok(())
     }
@@ -211,7 +215,11 @@ impl<F: Float> State<F> {
     /// Runs to the end of the epoch, or until `pause` returns true after an update. Returns whether
     /// the epoch ended. With several workers and the feature `parallel`, the epoch runs on a worker
     /// thread.
-    pub(super) fn advance(&mut self, problem: Problem<'_, F>, pause: &(dyn Fn() -> bool + Sync)) -> Result<bool, TrainError> {
+    pub(super) fn advance(
+        &mut self,
+        problem: Problem<'_, F>,
+        pause: &(dyn Fn() -> bool + Sync),
+    ) -> Result<bool, TrainError> {
         #[cfg(feature = "parallel")]
         if self.training.workers > 1 {
             let mut outcome = Ok(true);
@@ -223,7 +231,11 @@ impl<F: Float> State<F> {
 
     /// Runs a new epoch, or continues an unfinished one: an update per mini-batch, then the losses
     /// of both data sets.
-    fn run_epoch(&mut self, problem: Problem<'_, F>, pause: &dyn Fn() -> bool) -> Result<bool, TrainError> {
+    fn run_epoch(
+        &mut self,
+        problem: Problem<'_, F>,
+        pause: &dyn Fn() -> bool,
+    ) -> Result<bool, TrainError> {
         let begin = Instant::now();
         let mut epoch = self.epoch.take().unwrap_or_else(|| self.begin_epoch());
         while epoch.updates < self.updates_per_epoch() {
@@ -248,7 +260,13 @@ impl<F: Float> State<F> {
         self.best.update(self.weights.theta(), test_loss);
         let seconds = epoch.seconds + begin.elapsed().as_secs_f64();
         let number = self.records.len() + 1;
-        self.records.push(epoch.means.record(number, train_loss, test_loss, epoch.skipped, seconds));
+        self.records.push(epoch.means.record(
+            number,
+            train_loss,
+            test_loss,
+            epoch.skipped,
+            seconds,
+        ));
         Ok(true)
     }
 
@@ -279,7 +297,12 @@ impl<F: Float> State<F> {
     /// [`TrainError::Diverged`] after too many consecutive skipped updates. Parameters, optimizer,
     /// moving average and the number of consecutive skips then return to their state at the start
     /// of the epoch.
-    fn skip(&mut self, epoch: &mut Epoch, divergence: Divergence, policy: &dyn AnyPolicy<F>) -> Result<(), TrainError> {
+    fn skip(
+        &mut self,
+        epoch: &mut Epoch,
+        divergence: Divergence,
+        policy: &dyn AnyPolicy<F>,
+    ) -> Result<(), TrainError> {
         let skip = Skip { epoch: self.records.len() + 1, update: epoch.updates, divergence };
         self.skips.push(skip);
         epoch.skipped += 1;
@@ -308,7 +331,11 @@ impl<F: Float> State<F> {
 
     /// Test loss of the best parameters, as recorded and as computed now. None if both are equal up
     /// to rounding, or if no loss is recorded.
-    pub(super) fn changed_test_loss(&mut self, task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>) -> Option<[f64; 2]> {
+    pub(super) fn changed_test_loss(
+        &mut self,
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
+    ) -> Option<[f64; 2]> {
         let recorded = self.best.loss;
         if recorded.is_nan() {
             return None;
@@ -321,7 +348,8 @@ impl<F: Float> State<F> {
 
     /// Evaluates the losses of the training and the test set. A diverged loss is NaN.
     fn evaluate(&mut self, Problem { task, policy, .. }: Problem<'_, F>) -> [f64; 2] {
-        let losses = [&self.train, &self.test].map(|starts| self.evaluation.run(task, policy, &self.weights, starts));
+        let losses = [&self.train, &self.test]
+            .map(|starts| self.evaluation.run(task, policy, &self.weights, starts));
         self.diverged = losses.map(Result::err);
         losses.map(|loss| loss.unwrap_or(f64::NAN))
     }
@@ -353,7 +381,8 @@ impl<F: Float> State<F> {
         self.note_slopes();
         self.training.clip.apply_knowing(&mut self.combined, step.norm);
         let rate = self.learning_rate(update);
-        self.weights.update(problem.policy, |theta| self.optimizer.step_at(rate, theta, &self.combined));
+        self.weights
+            .update(problem.policy, |theta| self.optimizer.step_at(rate, theta, &self.combined));
         Ok(step)
     }
 
@@ -369,7 +398,11 @@ impl<F: Float> State<F> {
 
     /// Determines, for each number without a slope in all updates of the epoch, whether the loss of
     /// the training set depends on it nevertheless: changes it by about a tenth in both directions.
-    fn test_numbers_without_slope(&mut self, Problem { task, policy, .. }: Problem<'_, F>, loss: f64) {
+    fn test_numbers_without_slope(
+        &mut self,
+        Problem { task, policy, .. }: Problem<'_, F>,
+        loss: f64,
+    ) {
         let first = self.weights.theta().len() - self.flat.len();
         for number in 0..self.flat.len() {
             if !self.flat[number] {
@@ -381,7 +414,9 @@ impl<F: Float> State<F> {
                 theta[first + number] = F::from_f64(r + by * r.abs().max(1.0));
                 let moved = Weights::new(policy, theta);
                 // A loss that diverges differs from any other.
-                self.evaluation.run(task, policy, &moved, &self.train).map_or(!loss.is_nan(), |moved| moved != loss)
+                self.evaluation
+                    .run(task, policy, &moved, &self.train)
+                    .map_or(!loss.is_nan(), |moved| moved != loss)
             });
             self.without_slope.push((number, changes));
         }
@@ -402,13 +437,19 @@ impl<F: Float> State<F> {
     }
 
     /// Evaluates the loss and the field of the mini-batch at the current parameters.
-    pub(super) fn field(&mut self, Problem { task, policy, field }: Problem<'_, F>) -> Result<Step, Divergence> {
+    pub(super) fn field(
+        &mut self,
+        Problem { task, policy, field }: Problem<'_, F>,
+    ) -> Result<Step, Divergence> {
         let loss = self.batch.run(task, policy, &self.weights, &self.starts)?;
         self.combine(field, loss)
     }
 
     /// Evaluates the loss of the mini-batch at the current parameters.
-    pub(super) fn loss(&mut self, Problem { task, policy, .. }: Problem<'_, F>) -> Result<Step, Divergence> {
+    pub(super) fn loss(
+        &mut self,
+        Problem { task, policy, .. }: Problem<'_, F>,
+    ) -> Result<Step, Divergence> {
         let loss = self.evaluation.run(task, policy, &self.weights, &self.starts)?;
         Ok(Step { loss, ..Step::default() })
     }
@@ -418,7 +459,8 @@ impl<F: Float> State<F> {
     /// Checkpoints do not store this rate, which depends only on settings and the update number.
     fn learning_rate(&self, update: usize) -> f64 {
         let Training { epochs, learning_rate, decay, warm_up, .. } = self.training;
-        learning_rate * decay.factor(warm_up, update, epochs.saturating_mul(self.updates_per_epoch()))
+        learning_rate
+            * decay.factor(warm_up, update, epochs.saturating_mul(self.updates_per_epoch()))
     }
 
     /// Copies the initial states of mini-batch `index`, or draws them if the training resamples.
@@ -443,26 +485,41 @@ impl<F: Float> State<F> {
         let level = SimdLevel::best();
         let (first, second) = (gradients[0].values(), gradients[gradients.len() - 1].values());
         let (dot, first_square, second_square) = elementwise::moments(level, first, second);
-        for (&flow, (gradient, square)) in self.flows.iter().zip([(first, first_square), (second, second_square)]) {
+        for (&flow, (gradient, square)) in
+            self.flows.iter().zip([(first, first_square), (second, second_square)])
+        {
             if !square.is_finite() {
                 return Err(Divergence::Gradient { flow, parameter: worst(gradient) });
             }
         }
         if !self.direction.is_empty() {
             let second = &mut self.batch.gradients_mut()[1];
-            average_direction(&mut self.direction, self.training.average, second, second_square.sqrt());
+            average_direction(
+                &mut self.direction,
+                self.training.average,
+                second,
+                second_square.sqrt(),
+            );
         }
         field.combine(self.batch.gradients(), &mut self.combined);
         self.combined.drop_signs();
         let two = self.flows.len() > 1;
         let values = self.combined.values();
-        let size = if two { elementwise::moments(level, values, values).0.sqrt() } else { first_square.sqrt() };
+        let size = if two {
+            elementwise::moments(level, values, values).0.sqrt()
+        } else {
+            first_square.sqrt()
+        };
         let zero = F::zero();
         Ok(Step {
             loss,
             norm: ExtendedF64::new(size, self.combined.exponent()),
-            cosine: two.then(|| if dot == 0.0 { 0.0 } else { dot / (first_square.sqrt() * second_square.sqrt()) }),
-            kept: two.then(|| values.iter().filter(|&&g| g != zero).count() as f64 / values.len() as f64),
+            cosine: two.then(|| {
+                if dot == 0.0 { 0.0 } else { dot / (first_square.sqrt() * second_square.sqrt()) }
+            }),
+            kept: two.then(|| {
+                values.iter().filter(|&&g| g != zero).count() as f64 / values.len() as f64
+            }),
             first_order: None,
         })
     }
@@ -479,7 +536,10 @@ impl<F: Float> State<F> {
 
     /// Growth of the adjoint of `flow` in the last update, if the field contains it.
     fn growth(&self, flow: Flow) -> Option<Growth> {
-        self.flows.iter().position(|own| own.letter() == flow.letter()).and_then(|k| self.batch.growth(k))
+        self.flows
+            .iter()
+            .position(|own| own.letter() == flow.letter())
+            .and_then(|k| self.batch.growth(k))
     }
 }
 
@@ -488,5 +548,8 @@ impl<F: Float> State<F> {
 fn worst<F: Float>(gradient: &[F]) -> usize {
     let size = |i: &usize| gradient[*i].as_().abs();
     let all = 0..gradient.len();
-    all.clone().find(|i| !size(i).is_finite()).or_else(|| all.max_by(|i, j| size(i).total_cmp(&size(j)))).unwrap_or(0)
+    all.clone()
+        .find(|i| !size(i).is_finite())
+        .or_else(|| all.max_by(|i, j| size(i).total_cmp(&size(j))))
+        .unwrap_or(0)
 }

@@ -62,12 +62,18 @@ pub trait GradientCombiner: Sync + Send {
     }
     /// Writes the combination of two gradients, whose exponents may differ, into `out`.
     #[doc(hidden)]
-    fn combine_gradients<F: Float>(&self, first: &Gradient<F>, second: &Gradient<F>, out: &mut Gradient<F>) {
+    fn combine_gradients<F: Float>(
+        &self,
+        first: &Gradient<F>,
+        second: &Gradient<F>,
+        out: &mut Gradient<F>,
+    ) {
         let exponent = common_exponent(first, second);
         if self.ignores_size_of_second() || first.exponent() == second.exponent() {
             self.combine(first.values(), second.values(), out.values_mut(first.exponent()));
         } else {
-            let [first, second] = [first, second].map(|gradient| gradient.clone().with_exponent(exponent));
+            let [first, second] =
+                [first, second].map(|gradient| gradient.clone().with_exponent(exponent));
             self.combine(first.values(), second.values(), out.values_mut(exponent));
         }
     }
@@ -123,7 +129,8 @@ impl Field {
     }
 
     /// All fields of the paper.
-    pub const PAPER: [Self; 5] = [Self::combined(), Self::regular(), Self::modified(), Self::network(), Self::stopped()];
+    pub const PAPER: [Self; 5] =
+        [Self::combined(), Self::regular(), Self::modified(), Self::network(), Self::stopped()];
     /// All fields: those of the paper, then the other combinations of M and R.
     pub const ALL: [Self; 9] = [
         Self::combined(),
@@ -163,7 +170,9 @@ impl<C: GradientCombiner> Field<C> {
     pub fn with_flows(self, change: impl Fn(Flow) -> Flow) -> Self {
         match self {
             Self::Flow(flow) => Self::Flow(change(flow)),
-            Self::Composed { first, second, by } => Self::Composed { first: change(first), second: change(second), by },
+            Self::Composed { first, second, by } => {
+                Self::Composed { first: change(first), second: change(second), by }
+            }
         }
     }
 
@@ -187,8 +196,15 @@ impl<C: GradientCombiner> Field<C> {
     pub fn combine<F: Float>(&self, gradients: &[Gradient<F>], out: &mut Gradient<F>) {
         match (self, gradients) {
             (Self::Flow(_), [gradient]) => out.copy_from(gradient),
-            (Self::Composed { by, .. }, [first, second]) => by.combine_gradients(first, second, out),
-            _ => panic!("got {} gradients for the {} flows of field {}", gradients.len(), self.flows().len(), self.name()),
+            (Self::Composed { by, .. }, [first, second]) => {
+                by.combine_gradients(first, second, out)
+            }
+            _ => panic!(
+                "got {} gradients for the {} flows of field {}",
+                gradients.len(),
+                self.flows().len(),
+                self.name()
+            ),
         }
     }
 }

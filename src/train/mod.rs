@@ -125,7 +125,8 @@ impl Training {
     /// Number of samples for which a mini-batch of `samples` samples needs memory for gradients.
     /// One for zeroth-order estimates, which use losses only.
     pub fn derived(&self, samples: usize) -> usize {
-        let is_zeroth = self.smoothing.is_some_and(|smoothing| smoothing.estimator == Estimator::ZerothOrder);
+        let is_zeroth =
+            self.smoothing.is_some_and(|smoothing| smoothing.estimator == Estimator::ZerothOrder);
         if is_zeroth { 1 } else { samples }
     }
 
@@ -141,11 +142,15 @@ impl Training {
             ("workers", self.workers),
         ];
         if let Some((setting, _)) = counts.into_iter().find(|&(_, count)| count == 0) {
-            return Err(TrainError::Setting { setting, problem: "is 0; allowed: 1 or more".into() });
+            return Err(TrainError::Setting {
+                setting,
+                problem: "is 0; allowed: 1 or more".into(),
+            });
         }
         // Larger rates can overflow θ in one step.
         if !(self.learning_rate > 0.0 && self.learning_rate <= 1e6) {
-            let problem = format!("is {}; allowed: a positive number up to 1e6", self.learning_rate);
+            let problem =
+                format!("is {}; allowed: a positive number up to 1e6", self.learning_rate);
             return Err(TrainError::Setting { setting: "learning_rate", problem });
         }
         if let Some(problem) = self.rule.problem() {
@@ -196,7 +201,9 @@ pub enum TrainError {
     },
     /// A method of the task or policy leaves a component of its output unwritten. Its value would
     /// be that of an earlier step or sample.
-    #[error("`{method}` leaves component {component} of its output unwritten. Write every component in every call")]
+    #[error(
+        "`{method}` leaves component {component} of its output unwritten. Write every component in every call"
+    )]
     Unwritten {
         /// `observe`, `act` of the policy or `step`.
         method: &'static str,
@@ -350,9 +357,14 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
         let Self { task, policy, field, theta, .. } = self;
         training.validate()?;
         let starts = |purpose, samples| initial_states(&task, training.seed, purpose, samples);
-        let (train, test) = (starts(Purpose::Train, training.train_samples), starts(Purpose::Test, training.test_samples));
+        let (train, test) = (
+            starts(Purpose::Train, training.train_samples),
+            starts(Purpose::Test, training.test_samples),
+        );
         let weights = match theta {
-            Some(theta) => Weights::new(&policy, finite(theta.into_iter().map(F::from_f64).collect())?),
+            Some(theta) => {
+                Weights::new(&policy, finite(theta.into_iter().map(F::from_f64).collect())?)
+            }
             None => Weights::init(&policy, &mut stream(training.seed, Purpose::Policy, 0)),
         };
         Session::new(task, policy, field, training, weights, train, test)
@@ -373,7 +385,12 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// If the length of `theta` differs from the policy's `param_count`. If the dimensions of task
     /// and policy differ. If the policy trains a parameter that the task lacks. If the horizon is
     /// 0.
-    pub fn session_from(self, theta: Vec<F>, train: Vec<F>, test: Vec<F>) -> Result<Session<T, P, F, C>, TrainError> {
+    pub fn session_from(
+        self,
+        theta: Vec<F>,
+        train: Vec<F>,
+        test: Vec<F>,
+    ) -> Result<Session<T, P, F, C>, TrainError> {
         let training = self.settings();
         let Self { task, policy, field, .. } = self;
         let weights = Weights::new(&policy, finite(theta)?);
@@ -383,7 +400,11 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// All settings, with the number of epochs and the seed of the builder.
     fn settings(&self) -> Training {
         let Training { epochs, seed, .. } = self.training;
-        Training { epochs: self.epochs.unwrap_or(epochs), seed: self.seed.unwrap_or(seed), ..self.training.clone() }
+        Training {
+            epochs: self.epochs.unwrap_or(epochs),
+            seed: self.seed.unwrap_or(seed),
+            ..self.training.clone()
+        }
     }
 }
 
@@ -392,7 +413,11 @@ fn finite<F: Float>(theta: Vec<F>) -> Result<Vec<F>, TrainError> {
     match theta.iter().position(|value| !value.to_f64().is_finite()) {
         None => Ok(theta),
         Some(i) => {
-            let problem = format!("contains {} at index {i}; allowed: finite numbers in {}", theta[i], F::NAME);
+            let problem = format!(
+                "contains {} at index {i}; allowed: finite numbers in {}",
+                theta[i],
+                F::NAME
+            );
             Err(TrainError::Setting { setting: "theta", problem })
         }
     }

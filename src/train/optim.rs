@@ -72,7 +72,11 @@ impl Clip {
                 let rounded = F::from_f64(factor);
                 for g in values {
                     // The inverse of a subnormal length overflows in f32.
-                    *g = if rounded.as_().is_finite() { *g * rounded } else { F::from_f64(g.as_() * factor) };
+                    *g = if rounded.as_().is_finite() {
+                        *g * rounded
+                    } else {
+                        F::from_f64(g.as_() * factor)
+                    };
                 }
             }
             Self::Norm(_) => gradient.flatten(),
@@ -142,25 +146,30 @@ impl OptimizerKind {
 
     /// Problem of an invalid parameter, with the allowed values.
     pub(super) fn problem(self) -> Option<String> {
-        let below_one =
-            |name, value: f64| (!(0.0..1.0).contains(&value)).then(|| format!("has {name} = {value}; allowed: 0 to below 1"));
+        let below_one = |name, value: f64| {
+            (!(0.0..1.0).contains(&value))
+                .then(|| format!("has {name} = {value}; allowed: 0 to below 1"))
+        };
         let positive = |name, value: f64| {
             // Smaller numbers can be 0 in f32.
             let is_positive = value >= f64::from(f32::MIN_POSITIVE) && value.is_finite();
-            (!is_positive).then(|| format!("has {name} = {value}; allowed: a positive number, at least 1.2e-38"))
+            (!is_positive).then(|| {
+                format!("has {name} = {value}; allowed: a positive number, at least 1.2e-38")
+            })
         };
         match self {
             Self::Sgd => None,
-            Self::Adam { beta1, beta2, epsilon } => {
-                below_one("beta1", beta1).or_else(|| below_one("beta2", beta2)).or_else(|| positive("epsilon", epsilon))
-            }
+            Self::Adam { beta1, beta2, epsilon } => below_one("beta1", beta1)
+                .or_else(|| below_one("beta2", beta2))
+                .or_else(|| positive("epsilon", epsilon)),
             Self::Momentum { momentum } => below_one("momentum", momentum),
             Self::RmsProp { rho, epsilon } | Self::Adadelta { rho, epsilon } => {
                 below_one("rho", rho).or_else(|| positive("epsilon", epsilon))
             }
             Self::Adagrad { initial, epsilon } => {
                 let is_valid = initial >= 0.0 && initial.is_finite();
-                let problem = (!is_valid).then(|| format!("has initial = {initial}; allowed: 0 or a positive number"));
+                let problem = (!is_valid)
+                    .then(|| format!("has initial = {initial}; allowed: 0 or a positive number"));
                 problem.or_else(|| positive("epsilon", epsilon))
             }
         }
@@ -184,12 +193,22 @@ impl<F: Float> Optimizer<F> {
     /// Creates an optimizer for `params` parameters.
     pub fn new(rule: OptimizerKind, learning_rate: f64, params: usize) -> Self {
         let start = if let OptimizerKind::Adagrad { initial, .. } = rule { initial } else { 0.0 };
-        Self { rule, learning_rate, steps: 0, first: vec![F::from_f64(start); params], second: vec![F::zero(); params] }
+        Self {
+            rule,
+            learning_rate,
+            steps: 0,
+            first: vec![F::from_f64(start); params],
+            second: vec![F::zero(); params],
+        }
     }
 
     /// Creates Adam with the defaults of Keras.
     pub fn adam(learning_rate: f64, params: usize) -> Self {
-        Self::new(OptimizerKind::Adam { beta1: 0.9, beta2: 0.999, epsilon: 1e-7 }, learning_rate, params)
+        Self::new(
+            OptimizerKind::Adam { beta1: 0.9, beta2: 0.999, epsilon: 1e-7 },
+            learning_rate,
+            params,
+        )
     }
 
     /// Number of steps taken.
@@ -217,15 +236,22 @@ impl<F: Float> Optimizer<F> {
             ));
         }
         if *steps != expected {
-            return Err(format!("its optimizer counts {steps} steps, but its epochs have {expected} updates"));
+            return Err(format!(
+                "its optimizer counts {steps} steps, but its epochs have {expected} updates"
+            ));
         }
         // Only the first moments of Adam and of momentum may be negative.
         let signed = matches!(rule, OptimizerKind::Adam { .. } | OptimizerKind::Momentum { .. });
         for (name, moments, signed) in [("first", first, signed), ("second", second, false)] {
             if moments.len() != n {
-                return Err(format!("its optimizer has {} {name} moments for {n} parameters", moments.len()));
+                return Err(format!(
+                    "its optimizer has {} {name} moments for {n} parameters",
+                    moments.len()
+                ));
             }
-            if let Some(i) = moments.iter().position(|m| !m.as_().is_finite() || (!signed && *m < F::zero())) {
+            if let Some(i) =
+                moments.iter().position(|m| !m.as_().is_finite() || (!signed && *m < F::zero()))
+            {
                 return Err(format!("the {name} moment of parameter {i} is {}", moments[i]));
             }
         }
@@ -234,7 +260,8 @@ impl<F: Float> Optimizer<F> {
 
     /// Copies another optimizer with the same number of parameters, without allocating.
     pub(crate) fn copy_from(&mut self, other: &Self) {
-        (self.rule, self.learning_rate, self.steps) = (other.rule, other.learning_rate, other.steps);
+        (self.rule, self.learning_rate, self.steps) =
+            (other.rule, other.learning_rate, other.steps);
         self.first.copy_from_slice(&other.first);
         self.second.copy_from_slice(&other.second);
     }
@@ -289,13 +316,21 @@ impl<F: Float> Vectorized for Step<'_, F> {
     fn run<const FMA: bool>(self) {
         let Optimizer { rule, steps, first, second, .. } = self.optimizer;
         let rate = self.rate;
-        let all = self.theta.iter_mut().zip(self.gradient).zip(first).zip(second).map(|(((t, &g), m), v)| (t, g, m, v));
+        let all = self
+            .theta
+            .iter_mut()
+            .zip(self.gradient)
+            .zip(first)
+            .zip(second)
+            .map(|(((t, &g), m), v)| (t, g, m, v));
         let convert = F::from_f64;
         match *rule {
             OptimizerKind::Adam { beta1, beta2, epsilon } => {
                 let steps = i32::try_from(*steps).unwrap_or(i32::MAX);
-                let rate = convert(rate * (1.0 - beta2.powi(steps)).sqrt() / (1.0 - beta1.powi(steps)));
-                let (share1, share2, epsilon) = (convert(1.0 - beta1), convert(1.0 - beta2), convert(epsilon));
+                let rate =
+                    convert(rate * (1.0 - beta2.powi(steps)).sqrt() / (1.0 - beta1.powi(steps)));
+                let (share1, share2, epsilon) =
+                    (convert(1.0 - beta1), convert(1.0 - beta2), convert(epsilon));
                 for (theta, g, m, v) in all {
                     *m += (g - *m) * share1;
                     *v += (g * g - *v) * share2;
@@ -328,7 +363,8 @@ impl<F: Float> Vectorized for Step<'_, F> {
             OptimizerKind::Adadelta { rho, epsilon } => {
                 for (theta, g, m, v) in all {
                     *m = *m * convert(rho) + g * g * convert(1.0 - rho);
-                    let step = g * Float::sqrt(*v + convert(epsilon)) / Float::sqrt(*m + convert(epsilon));
+                    let step =
+                        g * Float::sqrt(*v + convert(epsilon)) / Float::sqrt(*m + convert(epsilon));
                     *v = *v * convert(rho) + step * step * convert(1.0 - rho);
                     *theta -= step * convert(rate);
                 }
@@ -359,7 +395,9 @@ mod tests {
             match rule {
                 "adam" => {
                     let (m1, v1) = (0.1 * 0.5, 0.001 * 0.25);
-                    let first = 1.0 - 0.1 * (1.0f64 - 0.999).sqrt() / (1.0 - 0.9) * m1 / (f64::sqrt(v1) + epsilon);
+                    let first = 1.0
+                        - 0.1 * (1.0f64 - 0.999).sqrt() / (1.0 - 0.9) * m1
+                            / (f64::sqrt(v1) + epsilon);
                     let (m2, v2) = (0.9 * m1 - 0.1 * 2.0, 0.999 * v1 + 0.001 * 4.0);
                     let rate = 0.1 * (1.0f64 - 0.999 * 0.999).sqrt() / (1.0 - 0.81);
                     [first, first - rate * m2 / (f64::sqrt(v2) + epsilon)]
@@ -386,7 +424,9 @@ mod tests {
             }
         };
         for rule in OptimizerKind::NAMES {
-            for (step, (got, expected)) in two_steps(rule).into_iter().zip(expected(rule)).enumerate() {
+            for (step, (got, expected)) in
+                two_steps(rule).into_iter().zip(expected(rule)).enumerate()
+            {
                 approx::assert_relative_eq!(got, expected, max_relative = 1e-14);
                 assert!(got != 1.0, "{rule} does nothing in step {step}");
             }
@@ -395,7 +435,8 @@ mod tests {
 
     #[test]
     fn wrong_sizes_signs_rates_rules_and_step_counts_of_a_restored_optimizer_are_errors() {
-        let settings = |rule: &str| Optimizer::<f32>::new(OptimizerKind::named(rule).expect(rule), 0.1, 2);
+        let settings =
+            |rule: &str| Optimizer::<f32>::new(OptimizerKind::named(rule).expect(rule), 0.1, 2);
         let fault = |rule: &str, change: fn(&mut Optimizer<f32>)| {
             let mut read = settings(rule);
             (read.steps, read.first) = (7, vec![0.5, 2.0]);
@@ -404,15 +445,34 @@ mod tests {
         };
         for rule in OptimizerKind::NAMES {
             assert_eq!(fault(rule, |_| ()), "");
-            assert!(fault(rule, |read| read.first.truncate(1)).contains("1 first moments for 2 parameters"));
-            assert!(fault(rule, |read| read.second.push(0.0)).contains("3 second moments for 2 parameters"));
-            assert!(fault(rule, |read| read.second[1] = -1.0).contains("the second moment of parameter 1 is -1"));
-            assert!(fault(rule, |read| read.first[0] = f32::NAN).contains("the first moment of parameter 0 is NaN"));
-            assert!(fault(rule, |read| read.second[0] = f32::INFINITY).contains("the second moment of parameter 0 is inf"));
-            assert!(fault(rule, |read| read.steps = u64::MAX).contains("counts 18446744073709551615 steps"));
+            assert!(
+                fault(rule, |read| read.first.truncate(1))
+                    .contains("1 first moments for 2 parameters")
+            );
+            assert!(
+                fault(rule, |read| read.second.push(0.0))
+                    .contains("3 second moments for 2 parameters")
+            );
+            assert!(
+                fault(rule, |read| read.second[1] = -1.0)
+                    .contains("the second moment of parameter 1 is -1")
+            );
+            assert!(
+                fault(rule, |read| read.first[0] = f32::NAN)
+                    .contains("the first moment of parameter 0 is NaN")
+            );
+            assert!(
+                fault(rule, |read| read.second[0] = f32::INFINITY)
+                    .contains("the second moment of parameter 0 is inf")
+            );
+            assert!(
+                fault(rule, |read| read.steps = u64::MAX)
+                    .contains("counts 18446744073709551615 steps")
+            );
             assert!(fault(rule, |read| read.learning_rate = f64::NAN).contains("at the rate NaN"));
             assert!(
-                fault(rule, |read| read.rule = OptimizerKind::Momentum { momentum: 0.1 }).contains("Momentum { momentum: 0.1 }")
+                fault(rule, |read| read.rule = OptimizerKind::Momentum { momentum: 0.1 })
+                    .contains("Momentum { momentum: 0.1 }")
             );
             let signed = ["adam", "momentum"].contains(&rule);
             assert_eq!(fault(rule, |read| read.first[0] = -1.0).is_empty(), signed, "{rule}");
@@ -435,12 +495,17 @@ mod tests {
         assert_eq!(clipped(Clip::Norm(10.0)), [3.0, -4.0, 0.5]);
         // The clipped vector does not depend on the exponent.
         for exponent in [0, 5000] {
-            for (got, whole) in clipped_with(Clip::Norm(1.0), exponent).into_iter().zip([3.0, -4.0, 0.5]) {
+            for (got, whole) in
+                clipped_with(Clip::Norm(1.0), exponent).into_iter().zip([3.0, -4.0, 0.5])
+            {
                 approx::assert_relative_eq!(got, whole / norm, max_relative = 1e-15);
             }
         }
         assert_eq!(clipped_with(Clip::Value(1.0), 5000), [1.0, -1.0, 1.0]);
-        assert_eq!(clipped_with(Clip::None, 5000), [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY]);
+        assert_eq!(
+            clipped_with(Clip::None, 5000),
+            [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY]
+        );
         assert_eq!(clipped_with(Clip::Norm(1.0), -5000), [0.0, -0.0, 0.0]);
     }
 }

@@ -65,8 +65,11 @@ impl Record {
 
     /// [`warnings`](Self::warnings) by kind: growth of R, growth of M, a field of 0.
     pub(super) fn gradient_warnings(&self, horizon: usize, epsilon: f64) -> [Option<String>; 3] {
-        let regular = self.regular_growth.and_then(|growth| growth.warning(Flow::REGULAR, horizon, epsilon));
-        let modified = self.modified_growth.and_then(|growth| growth.warning(Flow::MODIFIED, horizon, epsilon));
+        let regular =
+            self.regular_growth.and_then(|growth| growth.warning(Flow::REGULAR, horizon, epsilon));
+        let modified = self
+            .modified_growth
+            .and_then(|growth| growth.warning(Flow::MODIFIED, horizon, epsilon));
         let plateau = (self.grad_norm == ExtendedF64::default()).then(|| {
             let disagreement = if self.cosine.is_some() { ", or the combination of the two gradients is 0" } else { "" };
             format!(
@@ -146,7 +149,14 @@ impl Means {
         }
     }
 
-    pub fn record(&self, epoch: usize, train_loss: f64, test_loss: f64, skipped: usize, seconds: f64) -> Record {
+    pub fn record(
+        &self,
+        epoch: usize,
+        train_loss: f64,
+        test_loss: f64,
+        skipped: usize,
+        seconds: f64,
+    ) -> Record {
         let Step { loss, norm, cosine, kept, first_order } = self.step();
         Record {
             epoch,

@@ -119,7 +119,11 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     ///
     /// Empty within an epoch. [`Trainer::run`](crate::Trainer::run) prints them.
     pub fn warnings(&mut self) -> Vec<String> {
-        self.state.new_warnings(self.task.horizon(), &self.numbers()).iter().map(Warning::to_string).collect()
+        self.state
+            .new_warnings(self.task.horizon(), &self.numbers())
+            .iter()
+            .map(Warning::to_string)
+            .collect()
     }
 
     /// All warnings about the last epoch, including kinds that [`warnings`](Self::warnings) has
@@ -131,7 +135,9 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     /// The numbers that are trained with the policy.
     fn numbers(&self) -> Vec<TrainedNumber> {
         let varied = self.task.system().varied(self.task.param_dim());
-        let name = |index: usize| varied.iter().find(|varied| varied.index == index).map(|varied| varied.name.clone());
+        let name = |index: usize| {
+            varied.iter().find(|varied| varied.index == index).map(|varied| varied.name.clone())
+        };
         let number = |&param: &TrainedParam| {
             let name = name(param.index()).unwrap_or_else(|| format!("p[{}]", param.index()));
             TrainedNumber { name, param }
@@ -177,7 +183,10 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     /// # Errors
     /// [`TrainError::Diverged`] after too many consecutive skipped updates. Parameters, optimizer
     /// and moving average then return to their state before this epoch.
-    pub fn advance(&mut self, pause: &(dyn Fn() -> bool + Sync)) -> Result<Option<&Record>, TrainError> {
+    pub fn advance(
+        &mut self,
+        pause: &(dyn Fn() -> bool + Sync),
+    ) -> Result<Option<&Record>, TrainError> {
         let Self { task, policy, field, state } = self;
         let ended = state.advance(Problem { task, policy, field }, pause)?;
         Ok(state.records.last().filter(|_| ended))

@@ -73,7 +73,8 @@ impl Smoothing {
         if self.pairs < at_least {
             return Some(("pairs", format!("is {}; allowed: {at_least} or more", self.pairs)));
         }
-        (tolerance.is_nan() || tolerance < 0.0).then(|| ("tolerance", format!("is {tolerance}; allowed: 0 or more")))
+        (tolerance.is_nan() || tolerance < 0.0)
+            .then(|| ("tolerance", format!("is {tolerance}; allowed: 0 or more")))
     }
 }
 
@@ -86,7 +87,10 @@ impl Estimator {
             Self::InverseVariance => inverse_variance(first, zeroth),
             Self::AlphaOrder { tolerance } => {
                 let margin = (tolerance - 2.0 * zeroth.variance().sqrt()).max(0.0);
-                let distance = zip(first.mean.iter(), &zeroth.mean).map(|(&a, &b)| (a - b) * (a - b)).sum::<f64>().sqrt();
+                let distance = zip(first.mean.iter(), &zeroth.mean)
+                    .map(|(&a, &b)| (a - b) * (a - b))
+                    .sum::<f64>()
+                    .sqrt();
                 // 0 / 0 is NaN, which `min` ignores.
                 inverse_variance(first, zeroth).min(margin / distance)
             }
@@ -166,8 +170,14 @@ impl<F: Float> State<F> {
     /// Writes the estimate for the mini-batch into the combined vector. Returns its norm, the
     /// weight of the first-order estimate, and means of the other results over all evaluations.
     /// `update` is the number of the update in the training, from 0.
-    pub(super) fn estimate(&mut self, problem: Problem<'_, F>, smoothing: Smoothing, update: usize) -> Result<Step, Divergence> {
-        let mut estimates = self.estimates.take().expect("a training with smoothing has a workspace");
+    pub(super) fn estimate(
+        &mut self,
+        problem: Problem<'_, F>,
+        smoothing: Smoothing,
+        update: usize,
+    ) -> Result<Step, Divergence> {
+        let mut estimates =
+            self.estimates.take().expect("a training with smoothing has a workspace");
         estimates.center.copy_from_slice(self.weights.theta());
         let outcome = self.evaluate_pairs(problem, smoothing, update, &mut estimates);
         self.weights.update(problem.policy, |theta| theta.copy_from_slice(&estimates.center));
@@ -199,7 +209,8 @@ impl<F: Float> State<F> {
         zeroth.clear();
         for pair in 0..pairs {
             // One stream per pair, so a resumed run draws the same numbers.
-            let rng = &mut stream(self.training.seed, Purpose::Perturb, (update * pairs + pair) as u64);
+            let rng =
+                &mut stream(self.training.seed, Purpose::Perturb, (update * pairs + pair) as u64);
             perturbation.iter_mut().for_each(|e| *e = StandardNormal.sample(rng));
             field.fill(0.0);
             let mut losses = [0.0; 2];

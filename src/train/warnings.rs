@@ -50,7 +50,11 @@ pub(super) struct TrainedNumber {
 
 impl<F: Float> State<F> {
     /// Warnings about the last epoch, without the kinds that an earlier call returned.
-    pub(super) fn new_warnings(&mut self, horizon: usize, numbers: &[TrainedNumber]) -> Vec<Warning> {
+    pub(super) fn new_warnings(
+        &mut self,
+        horizon: usize,
+        numbers: &[TrainedNumber],
+    ) -> Vec<Warning> {
         let mut warnings = self.warnings(horizon, numbers);
         warnings.retain(|warning| !self.warned.contains(&warning.kind));
         self.warned.extend(warnings.iter().map(|warning| warning.kind));
@@ -60,10 +64,13 @@ impl<F: Float> State<F> {
     /// All warnings about the last epoch.
     pub(super) fn warnings(&self, horizon: usize, numbers: &[TrainedNumber]) -> Vec<Warning> {
         let updates = self.updates_per_epoch();
-        let Some(record) = self.records.last().filter(|_| self.epoch.is_none()) else { return Vec::new() };
+        let Some(record) = self.records.last().filter(|_| self.epoch.is_none()) else {
+            return Vec::new();
+        };
         let first = self.skips.iter().find(|skip| skip.epoch == record.epoch);
-        let [some_skipped, all_skipped] =
-            skipped(record.skipped, updates, first, &|divergence| self.number_at(divergence, numbers));
+        let [some_skipped, all_skipped] = skipped(record.skipped, updates, first, &|divergence| {
+            self.number_at(divergence, numbers)
+        });
         let [train, test] = self.diverged;
         let loss = |set, divergence| format!("the {set} loss is not finite ({divergence})");
         let [regular, modified, zero] = record.gradient_warnings(horizon, F::EPSILON);
@@ -91,7 +98,9 @@ impl<F: Float> State<F> {
                 )
             }),
         ];
-        let warning = |(kind, cause): (&'static str, Option<String>)| Some(Warning { epoch: record.epoch, kind, cause: cause? });
+        let warning = |(kind, cause): (&'static str, Option<String>)| {
+            Some(Warning { epoch: record.epoch, kind, cause: cause? })
+        };
         KINDS.into_iter().zip(causes).filter_map(warning).collect()
     }
 
@@ -100,7 +109,9 @@ impl<F: Float> State<F> {
         let theta = self.weights.theta();
         let values = numbers.iter().zip(&theta[theta.len() - numbers.len()..]);
         let lost = values.filter(|(number, r)| number.param.has_run_away(r.as_()));
-        let lost = lost.map(|(TrainedNumber { name, param }, r)| format!("{name} = {:.3e}", param.value::<f64>(r.as_())));
+        let lost = lost.map(|(TrainedNumber { name, param }, r)| {
+            format!("{name} = {:.3e}", param.value::<f64>(r.as_()))
+        });
         let lost = list(lost.collect())?;
         Some(format!(
             "training runs away: {lost}, more than a factor of a million from the start or from a bound. The number is not \
@@ -117,16 +128,24 @@ impl<F: Float> State<F> {
 
     /// Text that names the trained number of a gradient that is not finite, or "".
     fn number_at(&self, divergence: &Divergence, numbers: &[TrainedNumber]) -> String {
-        let (Divergence::Gradient { parameter, .. } | Divergence::Field { parameter, .. }) = divergence else {
+        let (Divergence::Gradient { parameter, .. } | Divergence::Field { parameter, .. }) =
+            divergence
+        else {
             return String::new();
         };
-        let number = (parameter + numbers.len()).checked_sub(self.weights.theta().len()).and_then(|i| numbers.get(i));
-        number.map(|number| format!("; component {parameter} is the trained number {}", number.name)).unwrap_or_default()
+        let number = (parameter + numbers.len())
+            .checked_sub(self.weights.theta().len())
+            .and_then(|i| numbers.get(i));
+        number
+            .map(|number| format!("; component {parameter} is the trained number {}", number.name))
+            .unwrap_or_default()
     }
 
     /// Warning about an epoch in which [`Estimator::AlphaOrder`] ignored the first-order estimate.
     fn without_first_order(&self, record: &Record) -> Option<String> {
-        let Estimator::AlphaOrder { tolerance } = self.training.smoothing?.estimator else { return None };
+        let Estimator::AlphaOrder { tolerance } = self.training.smoothing?.estimator else {
+            return None;
+        };
         (record.first_order == Some(0.0)).then(|| {
             format!(
                 "the estimator alpha_order used only the zeroth-order estimate, whose error exceeds the tolerance of {tolerance}. \
@@ -141,14 +160,25 @@ impl<F: Float> State<F> {
 /// skipped updates, if any is recorded. A restored session has no record of the updates that were
 /// skipped before its checkpoint.
 /// `more` adds to the text of a divergence.
-fn skipped(count: usize, updates: usize, known: Option<&Skip>, more: &dyn Fn(&Divergence) -> String) -> [Option<String>; 2] {
-    let cause = known.map(|skip| format!(" ({}{})", skip.divergence, more(&skip.divergence))).unwrap_or_default();
-    let place = known.map(|skip| format!(", for example update {}", skip.update)).unwrap_or_default();
+fn skipped(
+    count: usize,
+    updates: usize,
+    known: Option<&Skip>,
+    more: &dyn Fn(&Divergence) -> String,
+) -> [Option<String>; 2] {
+    let cause = known
+        .map(|skip| format!(" ({}{})", skip.divergence, more(&skip.divergence)))
+        .unwrap_or_default();
+    let place =
+        known.map(|skip| format!(", for example update {}", skip.update)).unwrap_or_default();
     match count {
         0 => [None, None],
-        _ if count == updates => {
-            [None, Some(format!("all {updates} update(s) skipped, so the parameters did not change{cause}"))]
-        }
+        _ if count == updates => [
+            None,
+            Some(format!(
+                "all {updates} update(s) skipped, so the parameters did not change{cause}"
+            )),
+        ],
         _ => [Some(format!("{count} of {updates} updates skipped{place}{cause}")), None],
     }
 }

@@ -80,4 +80,17 @@ pub fn compositions<T: Scalar>() -> [(&'static str, Operation<T>); 13] {
 }
 
 /// Zeros, infinities, NaN, and finite values with magnitudes from 1e-300 to 1e300.
-pub const NUMBERS: [f64; 12] = [0.0, -0.0, 1.0, -1.0, 0.3, -2.7, 1e-300, 1e300, 1e7, f64::INFINITY, f64::NEG_INFINITY, f64::NAN];
+pub const NUMBERS: [f64; 12] = [
+    0.0,
+    -0.0,
+    1.0,
+    -1.0,
+    0.3,
+    -2.7,
+    1e-300,
+    1e300,
+    1e7,
+    f64::INFINITY,
+    f64::NEG_INFINITY,
+    f64::NAN,
+];

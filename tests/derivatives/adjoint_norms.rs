@@ -55,7 +55,8 @@ fn norms<const CONTROLS: usize>(scale: f64) -> [Vec<f64>; 2] {
     let mut rollout = Rollout::new(&task, &policy, samples);
     rollout.start(&(0..samples * CONTROLS).map(|i| (1 + i / CONTROLS) as f64).collect::<Vec<_>>());
     rollout.run(&task, &policy, &weights).expect("the rollout is finite");
-    let mut adjoint = Adjoint::new(&task, &policy, &rollout, &[Flow::REGULAR, Flow::MODIFIED]).keep_norms();
+    let mut adjoint =
+        Adjoint::new(&task, &policy, &rollout, &[Flow::REGULAR, Flow::MODIFIED]).keep_norms();
     adjoint.run(&task, &policy, &weights, &rollout, scale).expect("the adjoint is finite");
     [0, 1].map(|k| adjoint.norms(k).to_vec())
 }
@@ -64,14 +65,17 @@ fn assert_powers<const CONTROLS: usize>() {
     let [regular, modified] = norms::<CONTROLS>(1.0);
     let closed_loop = GROWTH + GAIN;
     // Root mean square of the norms of the final states.
-    let end =
-        closed_loop.powi(HORIZON as i32) * (CONTROLS as f64 * (1..=11).map(|b| f64::from(b * b)).sum::<f64>() / 11.0).sqrt();
+    let end = closed_loop.powi(HORIZON as i32)
+        * (CONTROLS as f64 * (1..=11).map(|b| f64::from(b * b)).sum::<f64>() / 11.0).sqrt();
     assert_eq!((regular.len(), modified.len()), (HORIZON + 1, HORIZON + 1));
     for t in 0..=HORIZON {
         let steps = (HORIZON - t) as i32;
         for (name, norm, factor) in [("R", regular[t], closed_loop), ("M", modified[t], GROWTH)] {
             let expected = end * factor.powi(steps);
-            assert!((norm / expected - 1.0).abs() < 1e-12, "{name} at step {t}: {norm:e}, expected {expected:e}");
+            assert!(
+                (norm / expected - 1.0).abs() < 1e-12,
+                "{name} at step {t}: {norm:e}, expected {expected:e}"
+            );
         }
     }
 }
@@ -117,7 +121,10 @@ fn the_norm_at_a_state_omits_the_cost_of_that_state() {
         // derivative of this sum with respect to x_t.
         let later: f64 = (1..=HORIZON - t).map(|k| a.powi(2 * k as i32)).sum();
         let expected = a.powi(t as i32) * later;
-        assert!((norm - expected).abs() <= 1e-12 * expected, "step {t}: {norm:e}, expected {expected:e}");
+        assert!(
+            (norm - expected).abs() <= 1e-12 * expected,
+            "step {t}: {norm:e}, expected {expected:e}"
+        );
     }
     assert_eq!(adjoint.norms(0)[HORIZON], 0.0);
 }
@@ -145,8 +152,13 @@ fn adjoints_and_gradients_beyond_the_range_of_f32_are_exact_to_1e_4() {
     }
     let mut gradient = Gradient::zeros(1);
     adjoint.param_gradient(0, &policy, &weights, &rollout, 0..1, &mut gradient);
-    let expected: f64 = (0..HORIZON).map(|t| adjoint.norms(0)[t + 1] * f64::from(rollout.state(t, 0, 0))).sum();
-    assert!((gradient.norm().get() / f64::from(f32::MAX) / expected - 1.0).abs() < 1e-4, "{}", gradient.norm());
+    let expected: f64 =
+        (0..HORIZON).map(|t| adjoint.norms(0)[t + 1] * f64::from(rollout.state(t, 0, 0))).sum();
+    assert!(
+        (gradient.norm().get() / f64::from(f32::MAX) / expected - 1.0).abs() < 1e-4,
+        "{}",
+        gradient.norm()
+    );
     assert_eq!(gradient.to_vec(), [f32::INFINITY]);
 }
 
@@ -194,7 +206,9 @@ fn steep_norms<const STATES: usize, const CONTROLS: usize>() -> Vec<f64> {
     rollout.start(&[1e-10; STATES]);
     rollout.run(&task, &policy, &weights).expect("the rollout is finite");
     let mut adjoint = Adjoint::new(&task, &policy, &rollout, &[Flow::REGULAR]).keep_norms();
-    adjoint.run(&task, &policy, &weights, &rollout, 1.0).expect("every component of the adjoint is finite");
+    adjoint
+        .run(&task, &policy, &weights, &rollout, 1.0)
+        .expect("every component of the adjoint is finite");
     adjoint.norms(0).to_vec()
 }
 

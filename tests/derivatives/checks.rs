@@ -3,7 +3,10 @@
 use physgrad::check::{self, KinkInput};
 use physgrad::policy::{Constant, Linear, Mlp};
 use physgrad::rng::Rng;
-use physgrad::{Cotangent, Cotangents, DynTask, Flow, Inputs, Real, Scalar, Start, System, Task, Trainer, Training, Weights};
+use physgrad::{
+    Cotangent, Cotangents, DynTask, Flow, Inputs, Real, Scalar, Start, System, Task, Trainer,
+    Training, Weights,
+};
 use rand::RngExt;
 
 /// Stirred reactor with an exothermic reaction. Equations and numbers: Seborg, Edgar, Mellichamp and
@@ -28,14 +31,22 @@ impl System for Reactor {
         // The rate is not finite for negative temperatures near 0 K.
         let rate = (-(T::from(8750.0) / x[1])).exp() * x[0] * 7.2e10;
         next[0] = x[0] + (T::from(1.0) - x[0] - rate) * DT;
-        next[1] = x[1] + (T::from(350.0) - x[1] + rate * 209.2 + (u[0] * 0.01 + 300.0 - x[1]) * 2.09) * DT;
+        next[1] = x[1]
+            + (T::from(350.0) - x[1] + rate * 209.2 + (u[0] * 0.01 + 300.0 - x[1]) * 2.09) * DT;
     }
-    fn vjp<R: Real, C: Cotangent<R>>(&self, Inputs { x, .. }: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        Inputs { x, .. }: Inputs<'_, R>,
+        next_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
         let factor = (-(R::from(8750.0) / x[1])).exp() * 7.2e10;
         let by_t = factor * x[0] * (R::from(8750.0) / (x[1] * x[1])) * self.fault;
         if let Some(x_bar) = cotangents.x {
-            x_bar[0] += next_bar[0] * (R::from(1.0 - DT) - factor * DT) + next_bar[1] * (factor * (209.2 * DT));
-            x_bar[1] += next_bar[1] * (R::from(1.0 - 3.09 * DT) + by_t * (209.2 * DT)) - next_bar[0] * (by_t * DT);
+            x_bar[0] += next_bar[0] * (R::from(1.0 - DT) - factor * DT)
+                + next_bar[1] * (factor * (209.2 * DT));
+            x_bar[1] += next_bar[1] * (R::from(1.0 - 3.09 * DT) + by_t * (209.2 * DT))
+                - next_bar[0] * (by_t * DT);
         }
         if let Some(u_bar) = cotangents.u {
             u_bar[0] += next_bar[1] * R::from(0.0209 * DT);
@@ -65,14 +76,19 @@ impl Task for Reactor {
 fn a_reactor_at_350_kelvin_is_checked_in_its_own_units() {
     let (reactor, policy) = (Reactor { fault: 1.0 }, Mlp::new([2, 8, 1]));
     // Standard normal states are temperatures of -2 K to 2 K.
-    let refused = std::panic::catch_unwind(|| check::system(&reactor)).expect_err("a temperature below 0 K");
+    let refused =
+        std::panic::catch_unwind(|| check::system(&reactor)).expect_err("a temperature below 0 K");
     let text = refused.downcast_ref::<String>().expect("a message");
     assert!(text.contains("standard normal") && text.contains("`check::task`"), "{text}");
     check::task(&reactor, &policy);
     // In a program, tasks have this type.
     let boxed = DynTask::new(reactor);
-    assert!(check::try_system_along(&boxed, &policy, None).is_ok() && check::try_cost_along(&boxed, &policy, None).is_ok());
-    let error = check::try_system_along(&DynTask::new(Reactor { fault: 1.001 }), &policy, None).expect_err("a wrong derivative");
+    assert!(
+        check::try_system_along(&boxed, &policy, None).is_ok()
+            && check::try_cost_along(&boxed, &policy, None).is_ok()
+    );
+    let error = check::try_system_along(&DynTask::new(Reactor { fault: 1.001 }), &policy, None)
+        .expect_err("a wrong derivative");
     assert!(error.to_string().contains("vjp: x_bar[1]"), "{error}");
 }
 
@@ -153,13 +169,18 @@ fn planted_kinks_and_jumps_are_found_with_their_places() {
         let found = check::kinks(&Planted(place), &policy, &weights, &[1.0, 0.0, -1.0, 0.0]);
         let kink = found
             .iter()
-            .find(|kink| kink.function == function && kink.input == input && (kink.value - value).abs() < 1e-5)
+            .find(|kink| {
+                kink.function == function
+                    && kink.input == input
+                    && (kink.value - value).abs() < 1e-5
+            })
             .unwrap_or_else(|| panic!("{function}: {found:?}"));
         assert_eq!(kink.is_jump, is_jump, "{kink}");
         assert!(((kink.sides[1] - kink.sides[0]).abs() - change).abs() < 1e-4, "{kink}");
         assert!(kink.to_string().contains(function) && kink.found >= 1, "{kink}");
         // Nothing but the planted kink, which the next position inherits from the next speed.
-        let of_others = |kink: &&check::Kink| !(kink.function == function || kink.function == "step: next[0]");
+        let of_others =
+            |kink: &&check::Kink| !(kink.function == function || kink.function == "step: next[0]");
         assert!(!found.iter().any(|kink| of_others(&kink)), "{found:?}");
     }
     let smooth = check::kinks(&Planted(Place::None), &policy, &weights, &[1.0, 0.0, -1.0, 0.0]);
@@ -167,7 +188,10 @@ fn planted_kinks_and_jumps_are_found_with_their_places() {
     // A mass that rests where its friction has a kink.
     let rest = Weights::new(&policy, vec![0.0, 0.0]);
     let found = check::kinks(&Planted(Place::Friction), &policy, &rest, &[0.5, 0.0]);
-    assert!(found.iter().any(|kink| kink.input == KinkInput::State(1) && kink.value.abs() < 1e-5), "{found:?}");
+    assert!(
+        found.iter().any(|kink| kink.input == KinkInput::State(1) && kink.value.abs() < 1e-5),
+        "{found:?}"
+    );
 }
 
 /// Output that a [`Forgetful`] task leaves unwritten.
@@ -234,8 +258,17 @@ impl Task for Forgetful {
 #[test]
 fn a_training_refuses_unwritten_components_and_names_them() {
     let trained = |output: Output| {
-        let settings = Training { epochs: 1, train_samples: 3, test_samples: 2, batch: 3, ..Training::default() };
-        Trainer::new(Forgetful(output), Constant::new(2, 2)).training(settings).run().map_err(|error| error.to_string())
+        let settings = Training {
+            epochs: 1,
+            train_samples: 3,
+            test_samples: 2,
+            batch: 3,
+            ..Training::default()
+        };
+        Trainer::new(Forgetful(output), Constant::new(2, 2))
+            .training(settings)
+            .run()
+            .map_err(|error| error.to_string())
     };
     assert!(trained(Output::None).is_ok());
     for (output, expected) in [
@@ -249,10 +282,23 @@ fn a_training_refuses_unwritten_components_and_names_them() {
 
 #[test]
 fn a_training_names_the_parameter_that_start_leaves_unwritten() {
-    let settings = Training { epochs: 1, train_samples: 3, test_samples: 2, batch: 1, max_skipped: 1, ..Training::default() };
-    let error = Trainer::new(Forgetful(Output::Mass), Constant::new(2, 2)).training(settings).run().expect_err("a mass of 0");
+    let settings = Training {
+        epochs: 1,
+        train_samples: 3,
+        test_samples: 2,
+        batch: 1,
+        max_skipped: 1,
+        ..Training::default()
+    };
+    let error = Trainer::new(Forgetful(Output::Mass), Constant::new(2, 2))
+        .training(settings)
+        .run()
+        .expect_err("a mass of 0");
     let text = error.to_string();
-    assert!(text.contains("p[0] of this sample is 0") && text.contains("Write p[0] in `start`"), "{text}");
+    assert!(
+        text.contains("p[0] of this sample is 0") && text.contains("Write p[0] in `start`"),
+        "{text}"
+    );
     assert!(!text.contains("learning rate") && !text.contains("time step"), "{text}");
     // The derivative of the same task with a mass is finite.
     assert!(check::try_flow(&Forgetful(Output::None), &Constant::new(2, 2), Flow::REGULAR).is_ok());

@@ -3,10 +3,14 @@
 use crate::operations::{NUMBERS, operations};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{CartPole, Guidance, Quantum};
-use physgrad::{Cotangent, CotangentPack, Cotangents, Counted, Dual, Inputs, Ops, Real, Scalar, System, Task, initial_states};
+use physgrad::{
+    Cotangent, CotangentPack, Cotangents, Counted, Dual, Inputs, Ops, Real, Scalar, System, Task,
+    initial_states,
+};
 use rand::RngExt;
 
-const NONE: Ops = Ops { add: 0, negate: 0, multiply: 0, divide: 0, sqrt: 0, transcendental: 0, compare: 0 };
+const NONE: Ops =
+    Ops { add: 0, negate: 0, multiply: 0, divide: 0, sqrt: 0, transcendental: 0, compare: 0 };
 
 /// Returns the bits of a number. NaNs are canonicalized, because the language does not specify
 /// their bits.
@@ -30,11 +34,15 @@ fn every_operation_on_duals_has_the_bits_of_f64() {
         for (a, b) in NUMBERS.into_iter().flat_map(|a| NUMBERS.map(|b| (a, b))) {
             let (da, db) = ([0.5, -1.0, 0.0, 3.0], [2.0, 0.0, 0.7, -0.1]);
             let dual = |value, tangents| Dual { value, tangents };
-            let counting = |value, tangents: [f64; 4]| Dual { value: Counted(value), tangents: tangents.map(Counted) };
+            let counting = |value, tangents: [f64; 4]| Dual {
+                value: Counted(value),
+                tangents: tangents.map(Counted),
+            };
             let expected: Dual<f64, 4> = plain(dual(a, da), dual(b, db));
             let found: Dual<Counted, 4> = counted(counting(a, da), counting(b, db));
             assert_eq!(bits_of(found.value.0), bits_of(expected.value), "{name} of {a} and {b}");
-            let (found, expected) = (found.tangents.map(|t| bits_of(t.0)), expected.tangents.map(bits_of));
+            let (found, expected) =
+                (found.tangents.map(|t| bits_of(t.0)), expected.tangents.map(bits_of));
             assert_eq!(found, expected, "tangents of {name} of {a} and {b}");
         }
     }
@@ -81,12 +89,21 @@ fn every_operation_on_duals_counts_the_value_and_four_tangents() {
             "mul" | "mul_assign" => Ops { multiply: 1 + 8, add: 4, ..NONE },
             // q = a / b, i = 1 / b; (a' - q b') i. The guard against an infinite b takes the
             // absolute value of i, and one selection per tangent.
-            "div" | "div_assign" => Ops { divide: 2, multiply: 8, add: 4, compare: 1 + 4, negate: 1, ..NONE },
+            "div" | "div_assign" => {
+                Ops { divide: 2, multiply: 8, add: 4, compare: 1 + 4, negate: 1, ..NONE }
+            }
             "neg" => Ops { negate: 5, ..NONE },
             // The guard against an infinite slope takes the absolute values of the slope and of
             // each tangent, and two selections per tangent.
             "sqrt" => Ops { sqrt: 1, divide: 1, multiply: 4, compare: 1 + 12, negate: 5, ..NONE },
-            "ln" => Ops { transcendental: 1, divide: 1, multiply: 4, compare: 1 + 12, negate: 5, ..NONE },
+            "ln" => Ops {
+                transcendental: 1,
+                divide: 1,
+                multiply: 4,
+                compare: 1 + 12,
+                negate: 5,
+                ..NONE
+            },
             "exp" => Ops { transcendental: 1, multiply: 4, ..NONE },
             "sin" | "cos" => Ops { transcendental: 1, negate: 1, multiply: 8, ..NONE },
             "tanh" => Ops { transcendental: 1, add: 1, multiply: 1 + 4, ..NONE },
@@ -148,7 +165,12 @@ impl<const BY_HAND: bool> System for Spring<BY_HAND> {
         next[1] = x[1] + (u[0] - x[0] * x[0] * x[0]) * DT;
         next[0] = x[0] + next[1] * DT;
     }
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
         if !BY_HAND {
             return ByDuals(self).vjp(inputs, next_bar, cotangents);
         }
@@ -186,9 +208,26 @@ fn spring<S: System, C: Cotangent<Counted>>(system: &S, bar: C) -> [Ops; 4] {
     let (mut next, mut x_bar, mut u_bar) = (x, [bar; 2], [bar; 1]);
     [
         Ops::of(|| system.step(Inputs::new(&x, &u), &mut next)).0,
-        Ops::of(|| system.vjp(Inputs::new(&x, &u), &[bar; 2], Cotangents::of(&mut x_bar, &mut u_bar))).0,
-        Ops::of(|| system.vjp(Inputs::new(&x, &u), &[bar; 2], Cotangents { x: Some(&mut x_bar), ..Cotangents::default() })).0,
-        Ops::of(|| system.vjp(Inputs::new(&x, &u), &[bar; 2], Cotangents { u: Some(&mut u_bar), ..Cotangents::default() })).0,
+        Ops::of(|| {
+            system.vjp(Inputs::new(&x, &u), &[bar; 2], Cotangents::of(&mut x_bar, &mut u_bar))
+        })
+        .0,
+        Ops::of(|| {
+            system.vjp(
+                Inputs::new(&x, &u),
+                &[bar; 2],
+                Cotangents { x: Some(&mut x_bar), ..Cotangents::default() },
+            )
+        })
+        .0,
+        Ops::of(|| {
+            system.vjp(
+                Inputs::new(&x, &u),
+                &[bar; 2],
+                Cotangents { u: Some(&mut u_bar), ..Cotangents::default() },
+            )
+        })
+        .0,
     ]
 }
 
@@ -207,7 +246,9 @@ fn operations_of_a_spring_equal_those_counted_by_hand() {
     // 4 additions. Each of 2 products with dt takes 5 multiplications, each of 3 sums 5 additions.
     // Each column of cotangents then takes 2 multiplications and 3 additions per input. For each of
     // the 2 outputs, these are a product and a sum. The third addition is that to the cotangent.
-    let inputs = |inputs: u64, columns: u64| counts(2 * (9 + 5) + columns * 2 * inputs, 2 * 4 + 3 * 5 + columns * 3 * inputs, 0);
+    let inputs = |inputs: u64, columns: u64| {
+        counts(2 * (9 + 5) + columns * 2 * inputs, 2 * 4 + 3 * 5 + columns * 3 * inputs, 0)
+    };
     let [both, state, control] = [3, 2, 1].map(|count| move |columns| inputs(count, columns));
     assert_eq!(spring(&Spring::<false>, one), [step, both(1), state(1), control(1)]);
     assert_eq!(spring(&Spring::<false>, two), [step, both(2), state(2), control(2)]);
@@ -217,18 +258,31 @@ fn operations_of_a_spring_equal_those_counted_by_hand() {
 /// cotangents.
 fn bits<R: Real<Real = f64>, S: System>(system: &S, x: &[f64]) -> Vec<u64> {
     let mut rng = stream(5, Purpose::Check, 0);
-    let mut draw = |len: usize| -> Vec<R> { (0..len).map(|_| R::from(rng.random_range(-1.0..1.0))).collect() };
+    let mut draw =
+        |len: usize| -> Vec<R> { (0..len).map(|_| R::from(rng.random_range(-1.0..1.0))).collect() };
     let (n, m) = (system.state_dim(), system.control_dim());
     let x: Vec<R> = x.iter().map(|&x| R::from(x)).collect();
     let (u, cotangents) = (draw(m), draw(2 * n));
-    let next_bar: Vec<_> = cotangents.chunks_exact(2).map(|cotangents| CotangentPack([cotangents[0], cotangents[1]])).collect();
+    let next_bar: Vec<_> = cotangents
+        .chunks_exact(2)
+        .map(|cotangents| CotangentPack([cotangents[0], cotangents[1]]))
+        .collect();
     let mut all = vec![R::zero(); n];
     let null = CotangentPack::<R, 2>::null();
-    let (mut x_bar, mut state_bar, mut u_bar, mut control_bar) = (vec![null; n], vec![null; n], vec![null; m], vec![null; m]);
+    let (mut x_bar, mut state_bar, mut u_bar, mut control_bar) =
+        (vec![null; n], vec![null; n], vec![null; m], vec![null; m]);
     system.step(Inputs::new(&x, &u), &mut all);
     system.vjp(Inputs::new(&x, &u), &next_bar, Cotangents::of(&mut x_bar, &mut u_bar));
-    system.vjp(Inputs::new(&x, &u), &next_bar, Cotangents { x: Some(&mut state_bar), ..Cotangents::default() });
-    system.vjp(Inputs::new(&x, &u), &next_bar, Cotangents { u: Some(&mut control_bar), ..Cotangents::default() });
+    system.vjp(
+        Inputs::new(&x, &u),
+        &next_bar,
+        Cotangents { x: Some(&mut state_bar), ..Cotangents::default() },
+    );
+    system.vjp(
+        Inputs::new(&x, &u),
+        &next_bar,
+        Cotangents { u: Some(&mut control_bar), ..Cotangents::default() },
+    );
     let columns = [x_bar, state_bar, u_bar, control_bar].concat();
     all.extend(columns.iter().flat_map(|c| c.0));
     all.iter().map(|number| number.lane(0).to_bits()).collect()

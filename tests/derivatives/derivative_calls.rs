@@ -4,8 +4,8 @@ use physgrad::policy::{Action, Mlp, Observed, PolicyPass, PolicyRecord, Sizes};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{CartPole, Guidance};
 use physgrad::{
-    Adjoint, Cotangent, Cotangents, Float, Flow, Gradient, Inputs, Policy, Real, Rollout, Scalar, Start, System, Task, Weights,
-    initial_states,
+    Adjoint, Cotangent, Cotangents, Float, Flow, Gradient, Inputs, Policy, Real, Rollout, Scalar,
+    Start, System, Task, Weights, initial_states,
 };
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -47,8 +47,17 @@ struct OfTask {
 
 impl<T> WatchedTask<T> {
     fn new(inner: T) -> Self {
-        let [step, vjp, vjp_state, vjp_control, running_cost_gradient, terminal_cost_gradient] = Default::default();
-        Self { inner, step, vjp, vjp_state, vjp_control, running_cost_gradient, terminal_cost_gradient }
+        let [step, vjp, vjp_state, vjp_control, running_cost_gradient, terminal_cost_gradient] =
+            Default::default();
+        Self {
+            inner,
+            step,
+            vjp,
+            vjp_state,
+            vjp_control,
+            running_cost_gradient,
+            terminal_cost_gradient,
+        }
     }
 
     fn take(&self) -> OfTask {
@@ -74,7 +83,12 @@ impl<T: Task> System for WatchedTask<T> {
         self.step.note();
         self.inner.system().step(inputs, next);
     }
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
         match (&cotangents.x, &cotangents.u) {
             (Some(_), Some(_)) => &self.vjp,
             (Some(_), None) => &self.vjp_state,
@@ -112,7 +126,13 @@ impl<T: Task> Task for WatchedTask<T> {
         self.running_cost_gradient.note();
         self.inner.running_cost_gradient(inputs, next, cotangents, next_bar);
     }
-    fn terminal_cost_gradient<R: Real>(&self, x: &[R], p: &[R], x_bar: &mut [R], p_bar: Option<&mut [R]>) {
+    fn terminal_cost_gradient<R: Real>(
+        &self,
+        x: &[R],
+        p: &[R],
+        x_bar: &mut [R],
+        p_bar: Option<&mut [R]>,
+    ) {
         self.terminal_cost_gradient.note();
         self.inner.terminal_cost_gradient(x, p, x_bar, p_bar);
     }
@@ -178,11 +198,24 @@ impl Policy for WatchedPolicy {
         self.forward.note();
         self.inner.forward(pass, tape, u);
     }
-    fn backward<F: Float>(&self, pass: PolicyPass<F>, tape: &[F], u_bar: &[F], tape_bar: &mut [F], x_bar: Option<&mut [F]>) {
+    fn backward<F: Float>(
+        &self,
+        pass: PolicyPass<F>,
+        tape: &[F],
+        u_bar: &[F],
+        tape_bar: &mut [F],
+        x_bar: Option<&mut [F]>,
+    ) {
         if x_bar.is_some() { &self.backward_with_inputs } else { &self.backward_without }.note();
         self.inner.backward(pass, tape, u_bar, tape_bar, x_bar);
     }
-    fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, scratch: &mut [F], theta_bar: &mut [F]) {
+    fn param_gradient<F: Float>(
+        &self,
+        pass: PolicyPass<F>,
+        record: PolicyRecord<F>,
+        scratch: &mut [F],
+        theta_bar: &mut [F],
+    ) {
         self.param_gradient.note();
         self.inner.param_gradient(pass, record, scratch, theta_bar);
     }
@@ -277,7 +310,11 @@ fn with_one_control_one_policy_call_covers_the_derivatives_of_all_steps() {
         (&[Flow::MODIFIED, Flow::REGULAR], both(), policy(1, 0, 2)),
         (&[Flow::MODIFIED, Flow::STOPPED], both(), policy(0, 2, 2)),
     ] {
-        assert_eq!(calls_of(one_control(), flows), [one_forward_pass(), (physics, network)], "{flows:?}");
+        assert_eq!(
+            calls_of(one_control(), flows),
+            [one_forward_pass(), (physics, network)],
+            "{flows:?}"
+        );
     }
 }
 
@@ -293,6 +330,10 @@ fn with_two_controls_each_step_has_one_policy_call_for_input_derivatives() {
         (&[Flow::MODIFIED, Flow::REGULAR], both(), policy(T, 1, 2)),
         (&[Flow::NETWORK, Flow::REGULAR], both(), policy(2 * T, 0, 2)),
     ] {
-        assert_eq!(calls_of(two_controls(), flows), [one_forward_pass(), (physics, network)], "{flows:?}");
+        assert_eq!(
+            calls_of(two_controls(), flows),
+            [one_forward_pass(), (physics, network)],
+            "{flows:?}"
+        );
     }
 }

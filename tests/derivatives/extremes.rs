@@ -2,7 +2,9 @@
 
 use physgrad::policy::{Linear, OpenLoop, TrainedParam, WithParams};
 use physgrad::rng::Rng;
-use physgrad::{Adjoint, Float, Flow, Gradient, Inputs, Rollout, Scalar, Start, System, Task, Weights};
+use physgrad::{
+    Adjoint, Float, Flow, Gradient, Inputs, Rollout, Scalar, Start, System, Task, Weights,
+};
 
 /// `x' = factor(t) x + u` from x = 0, with the running cost `x'`.
 struct Timed {
@@ -75,7 +77,10 @@ fn adjoints_restart_from_truncations_cuts_and_small_derivatives_beyond_the_range
         let task = Timed { factor, horizon: 128 };
         let (single, double) = (norms::<f32>(&task, flow), norms::<f64>(&task, flow));
         for (t, (single, double)) in single.into_iter().zip(double).enumerate() {
-            assert!((single - double).abs() <= 1e-5 * double, "{flow}, step {t}: {single:e}, in f64 {double:e}");
+            assert!(
+                (single - double).abs() <= 1e-5 * double,
+                "{flow}, step {t}: {single:e}, in f64 {double:e}"
+            );
         }
     }
 }
@@ -86,7 +91,10 @@ fn norms_of_adjoints_have_the_whole_range_of_f64() {
     let norms = norms::<f64>(&Timed { factor: |_| 10.0, horizon: 300 }, Flow::REGULAR);
     for (t, norm) in norms.into_iter().enumerate() {
         let expected = (10f64.powi(300 - t as i32) - 1.0) / 0.9;
-        assert!((norm - expected).abs() <= 1e-12 * expected, "step {t}: {norm:e}, expected {expected:e}");
+        assert!(
+            (norm - expected).abs() <= 1e-12 * expected,
+            "step {t}: {norm:e}, expected {expected:e}"
+        );
     }
 }
 
@@ -137,7 +145,10 @@ fn costs_of_the_current_state_survive_a_derivative_of_0() {
         let mut expected = 0.0;
         for (t, norm) in adjoint.norms(0).iter().enumerate().take(128).rev() {
             expected = expected * if t == zero { 0.0 } else { 8.0 } + 1e6;
-            assert!((norm - expected).abs() <= 1e-5 * expected, "{zero}, {gain:e}, step {t}: {norm:e}, expected {expected:e}");
+            assert!(
+                (norm - expected).abs() <= 1e-5 * expected,
+                "{zero}, {gain:e}, step {t}: {norm:e}, expected {expected:e}"
+            );
         }
     }
 }
@@ -189,7 +200,11 @@ fn gradients_of_direct_costs_survive_a_restart() {
             let gradient = gradient.to_vec();
             // Sums over three samples, times the scale 0.5: the control at the last step, the
             // control at the restart, and the trained parameter.
-            assert_eq!([127, 50, 128].map(|i| gradient[i]), [3.0 * 1.5, 3.0 * 1.5, 2.0 * 128.0 * 1.5], "flow {k}");
+            assert_eq!(
+                [127, 50, 128].map(|i| gradient[i]),
+                [3.0 * 1.5, 3.0 * 1.5, 2.0 * 128.0 * 1.5],
+                "flow {k}"
+            );
         }
     }
 }
@@ -273,7 +288,8 @@ fn a_cut_of_the_last_sample_includes_its_copies() {
         }
     };
     let task = Timed { factor, horizon: 40 };
-    let (single, double) = (norms::<f32>(&task, Flow::REGULAR.cut(5.0)), norms::<f64>(&task, Flow::REGULAR.cut(5.0)));
+    let (single, double) =
+        (norms::<f32>(&task, Flow::REGULAR.cut(5.0)), norms::<f64>(&task, Flow::REGULAR.cut(5.0)));
     for (single, double) in single.into_iter().zip(double) {
         assert!((single - double).abs() <= 1e-5 * double, "{single:e}, in f64 {double:e}");
     }
@@ -319,7 +335,8 @@ fn the_loss_of_a_long_rollout_is_accurate_in_f32() {
 fn an_adjoint_of_a_rollout_without_tape_is_refused() {
     let (task, policy) = (Timed { factor: |_| 1.0, horizon: 5 }, OpenLoop::new(1, 1, 5));
     let weights = Weights::<f64>::new(&policy, vec![0.0; 5]);
-    let mut adjoint = Adjoint::new(&task, &policy, &Rollout::new(&task, &policy, 1), &[Flow::REGULAR]);
+    let mut adjoint =
+        Adjoint::new(&task, &policy, &Rollout::new(&task, &policy, 1), &[Flow::REGULAR]);
     let mut rollout = Rollout::for_evaluation(&task, &policy, 1);
     rollout.start(&[0.0]);
     rollout.run(&task, &policy, &weights).expect("finite");

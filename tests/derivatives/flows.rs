@@ -3,7 +3,9 @@
 use super::memory::{AngleOnly, Whole};
 use physgrad::policy::{Gru, Linear, Mlp, OpenLoop};
 use physgrad::rng::{Purpose, Rng, stream};
-use physgrad::{Batch, Flow, Inputs, Policy, Scalar, Start, System, Task, Weights, check, initial_states};
+use physgrad::{
+    Batch, Flow, Inputs, Policy, Scalar, Start, System, Task, Weights, check, initial_states,
+};
 
 /// Gradient of one flow over five samples.
 fn gradient<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Vec<f64> {
@@ -17,7 +19,12 @@ fn weighted_flows() -> Vec<Flow> {
     let uneven = Flow { physics: 0.8, control: 0.3, memory: 0.6, ..Flow::REGULAR };
     let mut flows = vec![uneven, uneven.truncated(4), Flow::REGULAR.discounted(0.7).truncated(5)];
     for flow in Flow::ALL {
-        flows.extend([flow.discounted(0.9), flow.truncated(1), flow.truncated(3), flow.truncated(100)]);
+        flows.extend([
+            flow.discounted(0.9),
+            flow.truncated(1),
+            flow.truncated(3),
+            flow.truncated(100),
+        ]);
     }
     flows
 }
@@ -45,7 +52,10 @@ fn neutral_discounts_truncations_and_cuts_keep_the_bits() {
         for neutral in [flow.discounted(1.0), flow.truncated(12), flow.cut(f64::INFINITY)] {
             assert_eq!(gradient(&AngleOnly, &policy, neutral), plain, "{neutral}");
         }
-        assert_ne!(gradient(&AngleOnly, &policy, Flow::REGULAR.truncated(11)), gradient(&AngleOnly, &policy, Flow::REGULAR));
+        assert_ne!(
+            gradient(&AngleOnly, &policy, Flow::REGULAR.truncated(11)),
+            gradient(&AngleOnly, &policy, Flow::REGULAR)
+        );
     }
 }
 
@@ -128,7 +138,10 @@ fn a_cut_agrees_with_its_definition_in_each_sample() {
         }
         let scale = expected.iter().fold(0.0, |scale: f64, g| scale.max(g.abs()));
         for (found, expected) in batch.gradients()[0].to_vec().into_iter().zip(expected) {
-            assert!((found - expected).abs() <= 1e-14 * scale, "{decades} decades: {found} and {expected}");
+            assert!(
+                (found - expected).abs() <= 1e-14 * scale,
+                "{decades} decades: {found} and {expected}"
+            );
         }
     }
 }
@@ -137,6 +150,12 @@ fn a_cut_agrees_with_its_definition_in_each_sample() {
 fn names_of_flows_state_weights_truncation_and_cut() {
     let shown = |flow: Flow| flow.to_string();
     assert_eq!(Flow::ALL.map(shown), ["R", "M", "N", "S"]);
-    assert_eq!(shown(Flow::MODIFIED.truncated(8).cut(3.0)), "M, truncated every 8 steps, cut at a growth of 3 decades");
-    assert_eq!(shown(Flow { memory: 0.0, ..Flow::MODIFIED }), "M, weights [1.0, 0.0, 0.0] of physics, control and memory");
+    assert_eq!(
+        shown(Flow::MODIFIED.truncated(8).cut(3.0)),
+        "M, truncated every 8 steps, cut at a growth of 3 decades"
+    );
+    assert_eq!(
+        shown(Flow { memory: 0.0, ..Flow::MODIFIED }),
+        "M, weights [1.0, 0.0, 0.0] of physics, control and memory"
+    );
 }

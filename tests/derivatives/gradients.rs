@@ -2,12 +2,14 @@
 
 use num_traits::AsPrimitive;
 use physgrad::policy::{
-    Action, Activation, Bounded, Conv, Gru, Linear, Mlp, Observed, OpenLoop, PolicyPass, PolicyRecord, Sizes, Sum, Tensor,
+    Action, Activation, Bounded, Conv, Gru, Linear, Mlp, Observed, OpenLoop, PolicyPass,
+    PolicyRecord, Sizes, Sum, Tensor,
 };
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{CartPole, CartPoleSystem, LossMode, Quantum};
 use physgrad::{
-    Cotangent, CotangentPack, Cotangents, Float, Flow, Inputs, Policy, Real, Scalar, Start, System, Tangents, Task, check,
+    Cotangent, CotangentPack, Cotangents, Float, Flow, Inputs, Policy, Real, Scalar, Start, System,
+    Tangents, Task, check,
 };
 use rand::RngExt;
 
@@ -24,13 +26,21 @@ fn cart_pole_derivatives_are_exact_up_to_30_in_state_and_100_n_in_force() {
         x.fill_with(|| rng.random_range(-30.0..30.0));
         u.fill_with(|| rng.random_range(-100.0..100.0));
     };
-    let passed = check::try_system_at(&CartPole::new(2).system, draw).unwrap_or_else(|mismatch| panic!("{mismatch}"));
+    let passed = check::try_system_at(&CartPole::new(2).system, draw)
+        .unwrap_or_else(|mismatch| panic!("{mismatch}"));
     assert!(passed.compared > 0 && passed.worst <= passed.allowed);
 }
 
 #[test]
 fn policy_derivatives_are_exact_for_many_shapes_and_activations() {
-    for widths in [&[1, 1][..], &[3, 2], &[2, 5, 1], &[10, 100, 100, 1], &[4, 31, 33, 17, 3], &[5, 16, 15, 64, 2]] {
+    for widths in [
+        &[1, 1][..],
+        &[3, 2],
+        &[2, 5, 1],
+        &[10, 100, 100, 1],
+        &[4, 31, 33, 17, 3],
+        &[5, 16, 15, 64, 2],
+    ] {
         for bias in [false, true] {
             check::policy(&Mlp::new(widths).bias(bias));
         }
@@ -153,13 +163,19 @@ impl System for Faulty {
     }
     fn jvp<R: Real>(&self, inputs: Inputs<'_, R>, tangents: Tangents<'_, R>, next_tan: &mut [R]) {
         let before = next_tan.to_vec();
-        let u = if self.fault == Fault::JvpOfOne && tangents.x.is_some() { None } else { tangents.u };
+        let u =
+            if self.fault == Fault::JvpOfOne && tangents.x.is_some() { None } else { tangents.u };
         self.system.jvp(inputs, Tangents { u, ..tangents }, next_tan);
         if self.fault == Fault::JvpAdds {
             next_tan.iter_mut().zip(before).for_each(|(tangent, before)| *tangent += before);
         }
     }
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
         let (mut x_part, mut u_part) = ([C::null(); 4], [C::null()]);
         self.system.vjp(inputs, next_bar, Cotangents::of(&mut x_part, &mut u_part));
         match self.fault {
@@ -170,7 +186,10 @@ impl System for Faulty {
             Fault::Lanes if R::LANES > 1 => x_part[0] += x_part[1] * R::from(1e-15),
             _ => {}
         }
-        let sides = [(cotangents.x, &x_part[..], self.fault == Fault::Overwrite), (cotangents.u, &u_part, false)];
+        let sides = [
+            (cotangents.x, &x_part[..], self.fault == Fault::Overwrite),
+            (cotangents.u, &u_part, false),
+        ];
         for (bar, part, overwrite) in sides {
             for (bar, &part) in bar.into_iter().flatten().zip(part) {
                 *bar = if overwrite { part } else { *bar + part };
@@ -196,7 +215,12 @@ fn check_system_names_the_wrong_output_for_nine_planted_faults() {
         let mismatch = check::try_system(&diagnose).expect_err(what);
         assert_eq!((mismatch.what.as_str(), mismatch.index), (what, index));
         let text = mismatch.to_string();
-        assert!(text.contains(&format!("{what}[{index}]")) && text.contains("expected") && text.contains("case"), "{text}");
+        assert!(
+            text.contains(&format!("{what}[{index}]"))
+                && text.contains("expected")
+                && text.contains("case"),
+            "{text}"
+        );
     }
 }
 
@@ -238,7 +262,13 @@ impl Task for WrongCost {
     fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
         self.0.terminal_cost(x, &[])
     }
-    fn terminal_cost_gradient<R: Real>(&self, x: &[R], p: &[R], x_bar: &mut [R], p_bar: Option<&mut [R]>) {
+    fn terminal_cost_gradient<R: Real>(
+        &self,
+        x: &[R],
+        p: &[R],
+        x_bar: &mut [R],
+        p_bar: Option<&mut [R]>,
+    ) {
         self.0.terminal_cost_gradient(x, p, x_bar, p_bar);
         x_bar[2] *= R::from(1.0 + 1e-6);
     }
@@ -328,16 +358,31 @@ impl Policy for OneOff {
     fn forward<F: Float>(&self, pass: PolicyPass<F>, tape: &mut [F], u: &mut [F]) {
         self.conv.forward(pass, tape, u);
     }
-    fn backward<F: Float>(&self, pass: PolicyPass<F>, tape: &[F], u_bar: &[F], tape_bar: &mut [F], x_bar: Option<&mut [F]>) {
+    fn backward<F: Float>(
+        &self,
+        pass: PolicyPass<F>,
+        tape: &[F],
+        u_bar: &[F],
+        tape_bar: &mut [F],
+        x_bar: Option<&mut [F]>,
+    ) {
         self.conv.backward(pass, tape, u_bar, tape_bar, x_bar);
     }
-    fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, scratch: &mut [F], theta_bar: &mut [F]) {
+    fn param_gradient<F: Float>(
+        &self,
+        pass: PolicyPass<F>,
+        record: PolicyRecord<F>,
+        scratch: &mut [F],
+        theta_bar: &mut [F],
+    ) {
         self.conv.param_gradient(pass, record, scratch, theta_bar);
         if self.overwrites {
             theta_bar.fill(F::zero());
             return self.conv.param_gradient(pass, record, scratch, theta_bar);
         }
-        let largest = theta_bar.iter().fold(0.0, |largest: f64, &bar| largest.max(AsPrimitive::<f64>::as_(bar).abs()));
+        let largest = theta_bar
+            .iter()
+            .fold(0.0, |largest: f64, &bar| largest.max(AsPrimitive::<f64>::as_(bar).abs()));
         theta_bar[self.index] += F::from_f64(1e-3 * largest);
     }
 }
@@ -352,7 +397,8 @@ fn one_off(index: usize) -> OneOff {
 
 #[test]
 fn check_policy_finds_a_gradient_that_is_overwritten() {
-    let mismatch = check::try_policy(&OneOff { overwrites: true, ..one_off(0) }).expect_err("a wrong gradient");
+    let mismatch = check::try_policy(&OneOff { overwrites: true, ..one_off(0) })
+        .expect_err("a wrong gradient");
     assert_eq!(mismatch.what, "param_gradient, second call that adds: theta_bar");
 }
 
@@ -383,8 +429,12 @@ fn rollout_checks_are_at_the_given_parameters() {
     for flow in Flow::ALL {
         let passed = check::try_flow_at(&task, &conv, flow, &theta).expect("correct gradients");
         let others: Vec<f64> = theta.iter().map(|theta| theta * 0.5).collect();
-        assert_ne!(check::try_flow_at(&task, &conv, flow, &others).expect("correct gradients").worst, passed.worst);
-        let wrong = check::try_flow_at(&task, &one_off(37), flow, &theta).expect_err("a wrong gradient");
+        assert_ne!(
+            check::try_flow_at(&task, &conv, flow, &others).expect("correct gradients").worst,
+            passed.worst
+        );
+        let wrong =
+            check::try_flow_at(&task, &one_off(37), flow, &theta).expect_err("a wrong gradient");
         assert!(wrong.to_string().starts_with("gradient"), "{wrong}");
         let diverged = check::try_flow_at(&task, &conv, flow, &huge);
         assert!(matches!(diverged, Err(check::Failure::Diverged { .. })), "{diverged:?}");
@@ -396,7 +446,8 @@ fn two_cotangent_columns_have_the_bits_of_each_column_alone() {
     let system = CartPole::new(1).system;
     let (x, u) = ([0.1, -0.2, 3.0, 0.5], [2.0]);
     let cotangents = [[1.0, -0.5, 0.25, 2.0], [0.0, 3.0, -1.0, 0.5]];
-    let both: Vec<_> = (0..4).map(|i| CotangentPack([cotangents[0][i], cotangents[1][i]])).collect();
+    let both: Vec<_> =
+        (0..4).map(|i| CotangentPack([cotangents[0][i], cotangents[1][i]])).collect();
     let (mut x_bar, mut u_bar) = ([CotangentPack([0.0; 2]); 4], [CotangentPack([0.0; 2])]);
     system.vjp(Inputs::new(&x, &u), &both, Cotangents::of(&mut x_bar, &mut u_bar));
     for (k, bar) in cotangents.iter().enumerate() {

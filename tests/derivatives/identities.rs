@@ -4,7 +4,10 @@ use approx::assert_relative_eq;
 use physgrad::policy::{Action, Mlp, Observed};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{CartPole, LossMode};
-use physgrad::{Batch, Combination, Field, Flow, GradientCombiner, Inputs, Policy, Scalar, Start, System, Task, Weights};
+use physgrad::{
+    Batch, Combination, Field, Flow, GradientCombiner, Inputs, Policy, Scalar, Start, System, Task,
+    Weights,
+};
 use rand::RngExt;
 
 /// Returns the gradients of R, M, N and S of one mini-batch.
@@ -13,7 +16,9 @@ fn all_flows<T: Task, P: Policy>(task: &T, policy: &P) -> [Vec<f64>; 4] {
     let theta = (0..policy.param_count()).map(|_| rng.random_range(-0.5..0.5)).collect();
     let weights = Weights::<f64>::new(policy, theta);
     let mut starts = vec![0.0; 5 * task.system().state_dim()];
-    starts.chunks_exact_mut(task.system().state_dim()).for_each(|x| task.start(&mut rng, Start { x, p: &mut [] }));
+    starts
+        .chunks_exact_mut(task.system().state_dim())
+        .for_each(|x| task.start(&mut rng, Start { x, p: &mut [] }));
     Flow::ALL.map(|flow| {
         let mut batch = Batch::new(task, policy, 5, &[flow], 1);
         batch.run(task, policy, &weights, &starts).expect("finite");
@@ -31,7 +36,10 @@ fn assert_close(a: &[f64], b: &[f64]) {
 
 fn assert_differ(a: &[f64], b: &[f64]) {
     let scale = a.iter().fold(0.0, |s: f64, a| s.max(a.abs()));
-    assert!(a.iter().zip(b).any(|(a, b)| (a - b).abs() > 1e-6 * scale), "the vectors agree to 1e-6");
+    assert!(
+        a.iter().zip(b).any(|(a, b)| (a - b).abs() > 1e-6 * scale),
+        "the vectors agree to 1e-6"
+    );
 }
 
 /// Policy with one control, `u = θ_0 + sin θ_1`, independent of the state.
@@ -159,7 +167,10 @@ fn sign_agreement_keeps_components_of_equal_sign_and_sets_others_to_0() {
     }
     // The result is 0 where either component is 0 or NaN.
     let nan = f64::NAN;
-    assert_eq!(combine(&[0.0, -0.0, 1.0, 1.0, nan, -2.0], &[1.0, -1.0, 0.0, nan, 1.0, -1e-300]), [0.0, 0.0, 0.0, 0.0, 0.0, -2.0]);
+    assert_eq!(
+        combine(&[0.0, -0.0, 1.0, 1.0, nan, -2.0], &[1.0, -1.0, 0.0, nan, 1.0, -1e-300]),
+        [0.0, 0.0, 0.0, 0.0, 0.0, -2.0]
+    );
     assert_eq!(combine(&[1.0, -1.0], &[f64::INFINITY, f64::INFINITY]), [1.0, 0.0]);
 }
 
@@ -167,7 +178,8 @@ fn sign_agreement_keeps_components_of_equal_sign_and_sets_others_to_0() {
 /// the first factor in the first vector and the second factor in the second.
 fn combined(by: Combination, [a, b]: [f64; 2]) -> [Vec<f64>; 3] {
     let mut rng = stream(5, Purpose::Check, 0);
-    let mut drawn = |factor: f64| (0..1000).map(|_| factor * rng.random_range(-1.0..1.0)).collect::<Vec<f64>>();
+    let mut drawn =
+        |factor: f64| (0..1000).map(|_| factor * rng.random_range(-1.0..1.0)).collect::<Vec<f64>>();
     let (m, r) = (drawn(a), drawn(b));
     let mut out = vec![f64::NAN; m.len()];
     by.combine(&m, &r, &mut out);
@@ -188,7 +200,8 @@ fn projection_of_m_is_orthogonal_to_an_opposed_r_and_m_otherwise() {
     let minus: Vec<f64> = r.iter().map(|r| -r).collect();
     let mut other = vec![f64::NAN; m.len()];
     Combination::Projection.combine(&m, &minus, &mut other);
-    let (kept, projected, opposed) = if dot(&m, &r) > 0.0 { (out, other, minus) } else { (other, out, r) };
+    let (kept, projected, opposed) =
+        if dot(&m, &r) > 0.0 { (out, other, minus) } else { (other, out, r) };
     assert!(kept == m, "M changes although it agrees with R");
     let norms = dot(&m, &m).sqrt() * dot(&opposed, &opposed).sqrt();
     assert!(dot(&m, &opposed) < -0.01 * norms / 1000.0, "the vectors are not opposed");
@@ -223,7 +236,11 @@ fn sizes_come_from_m_and_signs_or_directions_from_r() {
     }
     let [m, r, out] = combined(Combination::NormOfFirst, [1.0, 1e100]);
     assert_relative_eq!(dot(&out, &out), dot(&m, &m), max_relative = 1e-12);
-    assert_relative_eq!(dot(&out, &r), (dot(&out, &out) * dot(&r, &r)).sqrt(), max_relative = 1e-12);
+    assert_relative_eq!(
+        dot(&out, &r),
+        (dot(&out, &out) * dot(&r, &r)).sqrt(),
+        max_relative = 1e-12
+    );
 }
 
 #[test]

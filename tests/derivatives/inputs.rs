@@ -4,8 +4,8 @@
 use physgrad::policy::{Constant, Gru, Linear, Mlp, TrainedParam, WithParams};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::{
-    Batch, Checkpointed, Cotangent, Cotangents, DynTask, Flow, Gradient, Inputs, Policy, Real, Rollout, Scalar, Schedule, Start,
-    System, Task, Weights, check, initial_states,
+    Batch, Checkpointed, Cotangent, Cotangents, DynTask, Flow, Gradient, Inputs, Policy, Real,
+    Rollout, Scalar, Schedule, Start, System, Task, Weights, check, initial_states,
 };
 use rand::RngExt;
 
@@ -129,7 +129,13 @@ impl<const CONTROLS: usize> Task for Tracking<CONTROLS> {
     fn terminal_cost<T: Scalar>(&self, x: &[T], p: &[T]) -> T {
         (x[0] - p[1]) * (x[1] + p[0])
     }
-    fn terminal_cost_gradient<R: Real>(&self, x: &[R], p: &[R], x_bar: &mut [R], p_bar: Option<&mut [R]>) {
+    fn terminal_cost_gradient<R: Real>(
+        &self,
+        x: &[R],
+        p: &[R],
+        x_bar: &mut [R],
+        p_bar: Option<&mut [R]>,
+    ) {
         if self.fault == Fault::Overwrites {
             x_bar.fill(R::zero());
         }
@@ -209,11 +215,13 @@ fn rollout_checks_find_wrong_derivatives_of_observations_and_costs() {
 
 #[test]
 fn check_cost_names_the_wrong_method_and_output() {
-    let found = |fault: Fault| check::try_cost(&Tracking::<1> { fault }).map_err(|mismatch| mismatch.what);
+    let found =
+        |fault: Fault| check::try_cost(&Tracking::<1> { fault }).map_err(|mismatch| mismatch.what);
     assert!(found(Fault::None).is_ok() && check::try_cost(&ByDuals(tracking::<2>())).is_ok());
     let names = |fault: Fault, name: &str| assert_eq!(found(fault), Err(name.to_owned()));
     assert!(check::try_cost(&DynTask::new(tracking::<2>())).is_ok());
-    let boxed = check::try_cost(&DynTask::new(Tracking::<1> { fault: Fault::Observation })).map_err(|mismatch| mismatch.what);
+    let boxed = check::try_cost(&DynTask::new(Tracking::<1> { fault: Fault::Observation }))
+        .map_err(|mismatch| mismatch.what);
     assert_eq!(boxed, Err("observe_vjp: x_bar".to_owned()));
     names(Fault::Observation, "observe_vjp: x_bar");
     names(Fault::ObservationOfParams, "observe_vjp: p_bar");
@@ -223,10 +231,15 @@ fn check_cost_names_the_wrong_method_and_output() {
     names(Fault::Unwritten, "observe leaves a component unwritten: y");
     names(Fault::LateCost, "running_cost_gradient: next_bar");
     names(Fault::Overwrites, "terminal_cost_gradient, second call that adds: x_bar");
-    let message = |fault: Fault| check::try_cost(&Tracking::<1> { fault }).expect_err("a mismatch").to_string();
+    let message = |fault: Fault| {
+        check::try_cost(&Tracking::<1> { fault }).expect_err("a mismatch").to_string()
+    };
     assert!(message(Fault::CostOfState).contains(": relative error "));
     let bitwise = message(Fault::Unwritten);
-    assert!(bitwise.contains(": both must be equal, but differ by ") && !bitwise.contains("relative"), "{bitwise}");
+    assert!(
+        bitwise.contains(": both must be equal, but differ by ") && !bitwise.contains("relative"),
+        "{bitwise}"
+    );
 }
 
 #[test]
@@ -238,7 +251,10 @@ fn check_cost_panics_with_the_wrong_method_and_component() {
 #[test]
 #[should_panic(expected = "gradient by the parameters p of sample 0, component[0] is")]
 fn check_task_panics_with_sample_and_index_of_a_wrong_gradient_of_p() {
-    check::task(&Tracking::<1> { fault: Fault::CostOfParams }, &WithParams::new(Constant::new(3, 1), []));
+    check::task(
+        &Tracking::<1> { fault: Fault::CostOfParams },
+        &WithParams::new(Constant::new(3, 1), []),
+    );
 }
 
 /// Declares an observation with the dimension of the state, and does not override the default
@@ -293,7 +309,10 @@ pub fn gradients<T: Task, P: Policy>(task: &T, policy: &P, workers: usize) -> Ve
 #[test]
 fn observing_the_whole_state_gives_the_bits_of_no_observation() {
     let policy = Mlp::new([2, 7, 1]);
-    assert_eq!(gradients(&Copied(tracking()), &policy, 1), gradients(&Plain(tracking()), &policy, 1));
+    assert_eq!(
+        gradients(&Copied(tracking()), &policy, 1),
+        gradients(&Plain(tracking()), &policy, 1)
+    );
 }
 
 #[test]
@@ -310,7 +329,10 @@ fn check_bits_and_bytes(policy: &impl Policy) {
     let (task, flows) = (tracking::<1>(), [Flow::MODIFIED, Flow::REGULAR]);
     for schedule in [Schedule::store_all(9), Schedule::new(9, 129, 1)] {
         let rollout = Checkpointed::<f32>::new(&task, policy, 21, &flows, schedule);
-        assert_eq!(Checkpointed::<f32>::bytes_of(&task, policy, 21, &flows, &schedule), rollout.stored_bytes());
+        assert_eq!(
+            Checkpointed::<f32>::bytes_of(&task, policy, 21, &flows, &schedule),
+            rollout.stored_bytes()
+        );
     }
 }
 
@@ -319,19 +341,27 @@ fn gradients_of_trained_parameters_are_exact_for_every_scale_and_flow() {
     let trained = [TrainedParam::log(0, 0.8), TrainedParam::bounded(1, 0.2, -1.0, 0.5)];
     check::task(&tracking::<1>(), &WithParams::new(Linear::with_bias(3, 1), trained));
     check::task(&tracking::<2>(), &WithParams::new(Gru::new(3, 2, 2), trained));
-    check::task(&ByDuals(tracking::<2>()), &WithParams::new(Mlp::new([3, 4, 2]), [TrainedParam::linear(1, 0.3)]));
+    check::task(
+        &ByDuals(tracking::<2>()),
+        &WithParams::new(Mlp::new([3, 4, 2]), [TrainedParam::linear(1, 0.3)]),
+    );
     for flow in [Flow::REGULAR.truncated(4), Flow::MODIFIED.discounted(0.8)] {
         let policy = WithParams::new(Linear::with_bias(3, 1), trained);
-        check::try_flow(&tracking::<1>(), &policy, flow).unwrap_or_else(|failure| panic!("{flow}: {failure}"));
+        check::try_flow(&tracking::<1>(), &policy, flow)
+            .unwrap_or_else(|failure| panic!("{flow}: {failure}"));
     }
     // The gradients of trained parameters include the gradients with respect to p.
     let faulty = Tracking::<1> { fault: Fault::CostOfParams };
-    assert!(check::try_flow(&faulty, &WithParams::new(Linear::with_bias(3, 1), trained), Flow::REGULAR).is_err());
+    assert!(
+        check::try_flow(&faulty, &WithParams::new(Linear::with_bias(3, 1), trained), Flow::REGULAR)
+            .is_err()
+    );
 }
 
 #[test]
 fn the_cost_depends_on_the_trained_value_not_on_the_drawn_one() {
-    let policy = WithParams::new(Linear::with_bias(3, 1), [TrainedParam::bounded(0, 1.25, 1.0, 2.0)]);
+    let policy =
+        WithParams::new(Linear::with_bias(3, 1), [TrainedParam::bounded(0, 1.25, 1.0, 2.0)]);
     let weights = Weights::<f64>::init(&policy, &mut stream(0, Purpose::Policy, 0));
     assert!((policy.values(weights.theta())[0] - 1.25).abs() < 1e-15);
     let cost = |drawn: f64| {
@@ -346,5 +376,8 @@ fn the_cost_depends_on_the_trained_value_not_on_the_drawn_one() {
 #[test]
 #[should_panic(expected = "the policy trains p[2], but the task has 2 parameters")]
 fn training_p_2_of_a_task_with_2_parameters_is_refused() {
-    check::task(&tracking::<1>(), &WithParams::new(Linear::with_bias(3, 1), [TrainedParam::linear(2, 1.0)]));
+    check::task(
+        &tracking::<1>(),
+        &WithParams::new(Linear::with_bias(3, 1), [TrainedParam::linear(2, 1.0)]),
+    );
 }

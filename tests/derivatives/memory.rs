@@ -4,8 +4,8 @@
 use physgrad::policy::{Action, Elman, Gru, Observed, OpenLoop, PolicyPass, PolicyRecord, Sizes};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::{
-    Checkpointed, Divergence, Float, Flow, Gradient, Inputs, Policy, Scalar, Schedule, Start, System, Task, Weights, check,
-    initial_states,
+    Checkpointed, Divergence, Float, Flow, Gradient, Inputs, Policy, Scalar, Schedule, Start,
+    System, Task, Weights, check, initial_states,
 };
 use rand::RngExt;
 
@@ -100,10 +100,17 @@ impl Policy for Integral {
     fn init(&self, rng: &mut Rng, theta: &mut [f64]) {
         theta.fill_with(|| rng.random_range(-0.5..0.5));
     }
-    fn act<T: Scalar>(&self, theta: &[T], Observed { y, memory, t }: Observed<'_, T>, action: Action<'_, T>) {
+    fn act<T: Scalar>(
+        &self,
+        theta: &[T],
+        Observed { y, memory, t }: Observed<'_, T>,
+        action: Action<'_, T>,
+    ) {
         action.memory[0] = memory[0] * 0.9 + y[0];
         action.memory[1] = y[0];
-        action.u[0] = theta[0] * y[0] + theta[1] * action.memory[0].tanh() + theta[2] * (y[0] - memory[1]) * (t as f64 * 0.1);
+        action.u[0] = theta[0] * y[0]
+            + theta[1] * action.memory[0].tanh()
+            + theta[2] * (y[0] - memory[1]) * (t as f64 * 0.1);
     }
 }
 
@@ -135,14 +142,27 @@ impl<P: Policy> Policy for Forgetting<P> {
     fn forward<F: Float>(&self, pass: PolicyPass<F>, tape: &mut [F], u: &mut [F]) {
         self.0.forward(pass, tape, u);
     }
-    fn backward<F: Float>(&self, pass: PolicyPass<F>, tape: &[F], u_bar: &[F], tape_bar: &mut [F], mut x_bar: Option<&mut [F]>) {
+    fn backward<F: Float>(
+        &self,
+        pass: PolicyPass<F>,
+        tape: &[F],
+        u_bar: &[F],
+        tape_bar: &mut [F],
+        mut x_bar: Option<&mut [F]>,
+    ) {
         self.0.backward(pass, tape, u_bar, tape_bar, x_bar.as_deref_mut());
         let (y, inputs) = (self.observation_dim(), self.observation_dim() + self.memory_dim());
         if let Some(x_bar) = x_bar {
             pass.at.iter().for_each(|c| x_bar[c * inputs + y..][..inputs - y].fill(F::zero()));
         }
     }
-    fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, scratch: &mut [F], theta_bar: &mut [F]) {
+    fn param_gradient<F: Float>(
+        &self,
+        pass: PolicyPass<F>,
+        record: PolicyRecord<F>,
+        scratch: &mut [F],
+        theta_bar: &mut [F],
+    ) {
         self.0.param_gradient(pass, record, scratch, theta_bar);
     }
 }
@@ -192,7 +212,13 @@ fn gradient(policy: &impl Policy, flow: Flow) -> Vec<f64> {
     let mut rng = stream(1, Purpose::Policy, 0);
     let weights = Weights::<f64>::init(policy, &mut rng);
     let mut gradients = [vec![Gradient::zeros(policy.param_count())]];
-    let mut rollout = Checkpointed::new(&AngleOnly, policy, 11, &[flow], Schedule::binomial(AngleOnly.horizon(), 2));
+    let mut rollout = Checkpointed::new(
+        &AngleOnly,
+        policy,
+        11,
+        &[flow],
+        Schedule::binomial(AngleOnly.horizon(), 2),
+    );
     let starts = initial_states(&AngleOnly, 0, Purpose::Train, 11);
     rollout.run(&AngleOnly, policy, &weights, &starts, 1.0, 11, &mut gradients).expect("finite");
     gradients[0][0].to_vec()
@@ -204,15 +230,21 @@ fn gradient(policy: &impl Policy, flow: Flow) -> Vec<f64> {
 fn recurrent_weights_have_a_gradient_in_every_flow_and_memory_changes_m() {
     let (units, policy) = (4, Elman::new(1, 4, 1));
     let recurrent = units..units + units * units;
-    let norm = |flow| gradient(&policy, flow)[recurrent.clone()].iter().map(|g| g * g).sum::<f64>().sqrt();
+    let norm =
+        |flow| gradient(&policy, flow)[recurrent.clone()].iter().map(|g| g * g).sum::<f64>().sqrt();
     let without = Flow { memory: 0.0, ..Flow::MODIFIED };
     // S and `without` treat the memory of the step before as a constant. They omit the effects of a
     // weight on later steps through the memory, but not its effect on the present step.
-    for (flow, name) in [(Flow::REGULAR, "R"), (Flow::MODIFIED, "M"), (Flow::NETWORK, "N"), (Flow::STOPPED, "S")] {
+    for (flow, name) in
+        [(Flow::REGULAR, "R"), (Flow::MODIFIED, "M"), (Flow::NETWORK, "N"), (Flow::STOPPED, "S")]
+    {
         assert!(norm(flow) > 0.0, "{name}");
     }
     assert_ne!(gradient(&policy, Flow::MODIFIED), gradient(&policy, without));
-    assert_eq!(gradient(&policy, Flow::STOPPED), gradient(&policy, Flow { memory: 0.0, ..Flow::STOPPED }));
+    assert_eq!(
+        gradient(&policy, Flow::STOPPED),
+        gradient(&policy, Flow { memory: 0.0, ..Flow::STOPPED })
+    );
 }
 
 /// Policy whose memory grows by a factor of 1e200 per step. The control does not use the memory.
@@ -234,7 +266,12 @@ impl Policy for Exploding {
     fn init(&self, _: &mut Rng, theta: &mut [f64]) {
         theta[0] = 1.0;
     }
-    fn act<T: Scalar>(&self, theta: &[T], Observed { y, memory, .. }: Observed<'_, T>, action: Action<'_, T>) {
+    fn act<T: Scalar>(
+        &self,
+        theta: &[T],
+        Observed { y, memory, .. }: Observed<'_, T>,
+        action: Action<'_, T>,
+    ) {
         action.u[0] = y[0] * theta[0];
         action.memory[0] = (memory[0] + 1.0) * 1e200;
     }
@@ -244,9 +281,11 @@ impl Policy for Exploding {
 fn a_diverging_memory_is_named() {
     let weights = Weights::<f64>::new(&Exploding, vec![1.0]);
     let mut gradients = [vec![Gradient::zeros(1)]];
-    let mut rollout = Checkpointed::new(&AngleOnly, &Exploding, 3, &[Flow::MODIFIED], Schedule::store_all(12));
+    let mut rollout =
+        Checkpointed::new(&AngleOnly, &Exploding, 3, &[Flow::MODIFIED], Schedule::store_all(12));
     let starts = initial_states(&AngleOnly, 0, Purpose::Train, 3);
-    let divergence: Divergence =
-        rollout.run(&AngleOnly, &Exploding, &weights, &starts, 1.0, 3, &mut gradients).expect_err("the memory overflows");
+    let divergence: Divergence = rollout
+        .run(&AngleOnly, &Exploding, &weights, &starts, 1.0, 3, &mut gradients)
+        .expect_err("the memory overflows");
     assert!(divergence.to_string().contains("memory"), "{divergence}");
 }

@@ -3,7 +3,8 @@
 use physgrad::policy::{Constant, Linear, OpenLoop, TrainedParam, WithParams};
 use physgrad::rng::Rng;
 use physgrad::{
-    Actuated, AnyActuator, Delay, Field, Inputs, Lag, Limit, LimitKind, Scalar, Start, System, Task, Trainer, Training, check,
+    Actuated, AnyActuator, Delay, Field, Inputs, Lag, Limit, LimitKind, Scalar, Start, System,
+    Task, Trainer, Training, check,
 };
 use rand::RngExt;
 
@@ -59,11 +60,20 @@ fn parameters_of_systems_without_controls_are_trained() {
     }
     let policy = WithParams::new(Constant::new(1, 0), [TrainedParam::log(0, 0.2)]);
     check::task(&Measured(Decay), &policy);
-    let training =
-        Training { epochs: 60, train_samples: 8, test_samples: 1, batch: 1, learning_rate: 0.1, ..Training::default() };
+    let training = Training {
+        epochs: 60,
+        train_samples: 8,
+        test_samples: 1,
+        batch: 1,
+        learning_rate: 0.1,
+        ..Training::default()
+    };
     let training = Training { decay: physgrad::Decay::Cosine { end: 0.0 }, ..training };
-    let report =
-        Trainer::new(Measured(Decay), policy.clone()).precision::<f64>().field(Field::regular()).training(training).run();
+    let report = Trainer::new(Measured(Decay), policy.clone())
+        .precision::<f64>()
+        .field(Field::regular())
+        .training(training)
+        .run();
     let rate = policy.values(report.expect("a finite training").weights.theta())[0];
     assert!((rate - 0.7).abs() < 1e-3, "{rate}");
 }
@@ -71,7 +81,10 @@ fn parameters_of_systems_without_controls_are_trained() {
 #[test]
 fn chains_of_actuators_on_systems_without_controls_are_the_identity() {
     let limit = AnyActuator::Limit(Limit { bound: 1.0, kind: LimitKind::Smooth });
-    for actuator in [vec![limit], vec![limit, AnyActuator::Delay(Delay { steps: 2 }), AnyActuator::Lag(Lag::new(0.1, 0.1))]] {
+    for actuator in [
+        vec![limit],
+        vec![limit, AnyActuator::Delay(Delay { steps: 2 }), AnyActuator::Lag(Lag::new(0.1, 0.1))],
+    ] {
         let system = Actuated { system: Decay, actuator };
         check::system(&system);
         let (mut next, mut alone) = ([0.0], [0.0]);

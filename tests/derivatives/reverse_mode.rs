@@ -3,7 +3,10 @@
 use crate::operations::{Operation, compositions, operations};
 use physgrad::policy::{Action, Linear, Observed};
 use physgrad::rng::Rng;
-use physgrad::{CotangentPack, Cotangents, Counted, Dual, Inputs, Lanes, Ops, Policy, Real, Scalar, Start, System, Task, check};
+use physgrad::{
+    CotangentPack, Cotangents, Counted, Dual, Inputs, Lanes, Ops, Policy, Real, Scalar, Start,
+    System, Task, check,
+};
 use rand::RngExt;
 
 /// Number of states: more than the 16 inputs up to which forward mode computes derivatives.
@@ -35,7 +38,11 @@ impl System for Pairs {
 /// `(∂x'/∂x)ᵀ next_bar` by the default VJP, added to cotangents with the value `initial`.
 fn vjp<R: Real>(system: &impl System, x: &[R], next_bar: &[R], initial: R) -> Vec<R> {
     let mut x_bar = vec![initial; x.len()];
-    system.vjp(Inputs::new(x, &[]), next_bar, Cotangents { x: Some(&mut x_bar), ..Cotangents::default() });
+    system.vjp(
+        Inputs::new(x, &[]),
+        next_bar,
+        Cotangents { x: Some(&mut x_bar), ..Cotangents::default() },
+    );
     x_bar
 }
 
@@ -43,7 +50,8 @@ fn vjp<R: Real>(system: &impl System, x: &[R], next_bar: &[R], initial: R) -> Ve
 /// magnitudes of their terms.
 fn vjp_by_duals(system: &impl System, x: &[f64], next_bar: &[f64]) -> Vec<[f64; 2]> {
     let column = |i: usize| {
-        let seed = |(k, &x): (usize, &f64)| Dual { value: x, tangents: [if k == i { 1.0 } else { 0.0 }] };
+        let seed =
+            |(k, &x): (usize, &f64)| Dual { value: x, tangents: [if k == i { 1.0 } else { 0.0 }] };
         let x: Vec<Dual<f64, 1>> = x.iter().enumerate().map(seed).collect();
         let mut next = x.clone();
         system.step(Inputs::new(&x, &[]), &mut next);
@@ -64,10 +72,15 @@ fn the_derivative_of_every_function_agrees_with_dual_numbers() {
     for (operation, (name, _)) in functions::<f64>().into_iter().enumerate() {
         let system = Pairs { operation };
         let found = vjp(&system, &x, &next_bar, -0.0);
-        for (i, (found, [expected, size])) in found.into_iter().zip(vjp_by_duals(&system, &x, &next_bar)).enumerate() {
+        for (i, (found, [expected, size])) in
+            found.into_iter().zip(vjp_by_duals(&system, &x, &next_bar)).enumerate()
+        {
             // Slopes and products are rounded a few times each. Operations that cancel, such as
             // 1 - tanh², and compositions amplify the rounding by less than 20.
-            assert!((found - expected).abs() <= 40.0 * f64::EPSILON * (1.0 + size), "{name} {i}: {found} for {expected}");
+            assert!(
+                (found - expected).abs() <= 40.0 * f64::EPSILON * (1.0 + size),
+                "{name} {i}: {found} for {expected}"
+            );
         }
     }
 }
@@ -79,9 +92,14 @@ fn derivatives_at_zeros_and_infinities_agree_where_dual_numbers_are_finite() {
     for (operation, (name, _)) in functions::<f64>().into_iter().enumerate() {
         let system = Pairs { operation };
         let found = vjp(&system, &x, &next_bar, -0.0);
-        for (i, (found, [expected, _])) in found.into_iter().zip(vjp_by_duals(&system, &x, &next_bar)).enumerate() {
+        for (i, (found, [expected, _])) in
+            found.into_iter().zip(vjp_by_duals(&system, &x, &next_bar)).enumerate()
+        {
             if expected.is_finite() {
-                assert!((found - expected).abs() <= 40.0 * f64::EPSILON * expected.abs(), "{name} {i}: {found} for {expected}");
+                assert!(
+                    (found - expected).abs() <= 40.0 * f64::EPSILON * expected.abs(),
+                    "{name} {i}: {found} for {expected}"
+                );
             }
         }
     }
@@ -89,8 +107,11 @@ fn derivatives_at_zeros_and_infinities_agree_where_dual_numbers_are_finite() {
 
 #[test]
 fn every_lane_has_the_bits_of_a_scalar() {
-    let (x, next_bar) = (mixed(&[0.0, -0.5, 1.0, 3.25, -1e-3, 7e6, f64::NAN], 3), mixed(&[0.7, 0.0, -1.3], 1));
-    let shifted = |values: &[f64], lane: usize| -> Vec<f64> { (0..N).map(|i| values[(i + 5 * lane) % N]).collect() };
+    let (x, next_bar) =
+        (mixed(&[0.0, -0.5, 1.0, 3.25, -1e-3, 7e6, f64::NAN], 3), mixed(&[0.7, 0.0, -1.3], 1));
+    let shifted = |values: &[f64], lane: usize| -> Vec<f64> {
+        (0..N).map(|i| values[(i + 5 * lane) % N]).collect()
+    };
     let packed = |values: &[f64]| -> Vec<Lanes<f64, 8>> {
         let lanes: [Vec<f64>; 8] = std::array::from_fn(|lane| shifted(values, lane));
         (0..N).map(|i| Lanes(std::array::from_fn(|lane| lanes[lane][i]))).collect()
@@ -102,7 +123,10 @@ fn every_lane_has_the_bits_of_a_scalar() {
             let one = vjp(&system, &shifted(&x, lane), &shifted(&next_bar, lane), -0.0);
             for (all, one) in all.iter().zip(one) {
                 let all = all.lane(lane);
-                assert!(all.to_bits() == one.to_bits() || all.is_nan() && one.is_nan(), "{name}, lane {lane}: {all}, {one}");
+                assert!(
+                    all.to_bits() == one.to_bits() || all.is_nan() && one.is_nan(),
+                    "{name}, lane {lane}: {all}, {one}"
+                );
             }
         }
     }
@@ -141,7 +165,11 @@ fn zero_cotangents_constants_and_detached_numbers_contribute_nothing() {
     let bits = |values: &[f64]| values.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
     assert_eq!(bits(&found[..3]), bits(&expected[..3]));
     assert_eq!(found, expected);
-    assert_eq!(bits(&found[6..]), bits(&expected[6..]), "an input without a path has a changed cotangent");
+    assert_eq!(
+        bits(&found[6..]),
+        bits(&expected[6..]),
+        "an input without a path has a changed cotangent"
+    );
     x[3] = f64::NAN;
     assert!(vjp(&Paths, &x, &next_bar, 0.0)[3].is_nan());
 }
@@ -177,9 +205,11 @@ fn operation_counts_are_those_of_values_slopes_and_cotangents() {
             "mul" => (Ops { multiply: 1, ..none }, none, Ops { multiply: 2, add: 2, ..none }),
             "mul_f64" => (Ops { multiply: 1, ..none }, none, Ops { multiply: 1, add: 1, ..none }),
             // 1 - t².
-            "tanh" => {
-                (Ops { transcendental: 1, ..none }, Ops { multiply: 1, add: 1, ..none }, Ops { multiply: 1, add: 1, ..none })
-            }
+            "tanh" => (
+                Ops { transcendental: 1, ..none },
+                Ops { multiply: 1, add: 1, ..none },
+                Ops { multiply: 1, add: 1, ..none },
+            ),
             // 1/b and -(q/b).
             "div" => (
                 Ops { divide: 1, ..none },
@@ -190,8 +220,13 @@ fn operation_counts_are_those_of_values_slopes_and_cotangents() {
         };
         let times = |ops: Ops, factor: u64| (0..factor).fold(none, |sum, _| sum + ops);
         // Each column adds one number per output, and one per input at the end.
-        let columns = |k: u64| times(step + slopes, n) + times(cotangents + Ops { add: 2, ..none }, k * n);
-        assert_eq!(counts(&Pairs { operation }), [times(step, n), columns(1), columns(2)], "{name}");
+        let columns =
+            |k: u64| times(step + slopes, n) + times(cotangents + Ops { add: 2, ..none }, k * n);
+        assert_eq!(
+            counts(&Pairs { operation }),
+            [times(step, n), columns(1), columns(2)],
+            "{name}"
+        );
     }
 }
 
@@ -273,9 +308,15 @@ impl Policy for Layer {
     fn init(&self, rng: &mut Rng, theta: &mut [f64]) {
         theta.fill_with(|| rng.random_range(-0.3..0.3));
     }
-    fn act<T: Scalar>(&self, theta: &[T], Observed { y, memory, .. }: Observed<'_, T>, action: Action<'_, T>) {
+    fn act<T: Scalar>(
+        &self,
+        theta: &[T],
+        Observed { y, memory, .. }: Observed<'_, T>,
+        action: Action<'_, T>,
+    ) {
         for (u, row) in action.u.iter_mut().zip(theta.chunks_exact(self.inputs + 1)) {
-            let sum = row.iter().zip(y).map(|(&w, &y)| w * y).sum::<T>() + row[self.inputs] * memory[0];
+            let sum =
+                row.iter().zip(y).map(|(&w, &y)| w * y).sum::<T>() + row[self.inputs] * memory[0];
             *u = sum.tanh();
         }
         action.memory[0] = memory[0] * 0.9 + action.u[0];

@@ -9,13 +9,22 @@ use rand::RngExt;
 
 #[test]
 fn epochs_do_not_allocate_after_the_first() {
-    for (field, resample) in Field::ALL.map(|field| (field, false)).into_iter().chain([(Field::combined(), true)]) {
+    for (field, resample) in
+        Field::ALL.map(|field| (field, false)).into_iter().chain([(Field::combined(), true)])
+    {
         for loss in [LossMode::Terminal, LossMode::Running] {
             let task = CartPole { loss, ..CartPole::new(2) };
             // The last mini-batch is smaller than the others.
-            let training =
-                Training { epochs: 4, train_samples: 20, test_samples: 40, resample, workers: 1, ..Training::default() };
-            let trainer = Trainer::new(task, Mlp::new([6, 16, 16, 1])).field(field).training(training);
+            let training = Training {
+                epochs: 4,
+                train_samples: 20,
+                test_samples: 40,
+                resample,
+                workers: 1,
+                ..Training::default()
+            };
+            let trainer =
+                Trainer::new(task, Mlp::new([6, 16, 16, 1])).field(field).training(training);
             let mut session = trainer.session().expect("valid settings");
             session.epoch().expect("finite");
             let epochs = measure(|| (0..3).for_each(|_| _ = session.epoch().expect("finite")));
@@ -85,15 +94,30 @@ impl Policy for Feedback {
     fn init(&self, _: &mut Rng, theta: &mut [f64]) {
         theta.fill(0.01);
     }
-    fn act<T: Scalar>(&self, theta: &[T], Observed { y, .. }: Observed<'_, T>, Action { u, .. }: Action<'_, T>) {
+    fn act<T: Scalar>(
+        &self,
+        theta: &[T],
+        Observed { y, .. }: Observed<'_, T>,
+        Action { u, .. }: Action<'_, T>,
+    ) {
         u[0] = theta.iter().zip(y).map(|(&theta, &y)| theta * y).sum();
     }
 }
 
 /// Returns the number of allocations in the second and third epoch.
 fn allocations_after_the_first_epoch(policy: impl Policy, field: Field) -> u64 {
-    let training = Training { epochs: 3, train_samples: 20, test_samples: 8, workers: 1, ..Training::default() };
-    let mut session = Trainer::new(Rod, policy).field(field).training(training).session().expect("valid settings");
+    let training = Training {
+        epochs: 3,
+        train_samples: 20,
+        test_samples: 8,
+        workers: 1,
+        ..Training::default()
+    };
+    let mut session = Trainer::new(Rod, policy)
+        .field(field)
+        .training(training)
+        .session()
+        .expect("valid settings");
     session.epoch().expect("finite");
     measure(|| (0..2).for_each(|_| _ = session.epoch().expect("finite"))).count_total
 }
@@ -108,6 +132,10 @@ fn default_derivatives_of_200_states_do_not_allocate_after_the_first_epoch() {
 #[test]
 fn large_recurrent_policies_do_not_allocate_after_the_first_epoch() {
     for field in Field::ALL {
-        assert_eq!(allocations_after_the_first_epoch(Gru::new(STATES, 40, 1), field), 0, "field {field}");
+        assert_eq!(
+            allocations_after_the_first_epoch(Gru::new(STATES, 40, 1), field),
+            0,
+            "field {field}"
+        );
     }
 }

@@ -51,7 +51,10 @@ fn c_with_an_average_is_m_where_m_agrees_with_the_mean_direction_of_r() {
             batch.run(&task, &policy, &weights, &starts).expect("finite");
             let [m, r] = [0, 1].map(|k| batch.gradients()[k].to_vec());
             let norm = r.iter().map(|r| r * r).sum::<f64>().sqrt();
-            direction.iter_mut().zip(&r).for_each(|(d, r)| *d = average * *d + (1.0 - average) * r / norm);
+            direction
+                .iter_mut()
+                .zip(&r)
+                .for_each(|(d, r)| *d = average * *d + (1.0 - average) * r / norm);
             weights.update(&policy, |theta| {
                 for ((theta, m), d) in theta.iter_mut().zip(&m).zip(&direction) {
                     *theta -= if m * d > 0.0 { RATE * m } else { 0.0 };
@@ -92,6 +95,9 @@ fn a_checkpoint_restores_the_average() {
 #[test]
 fn an_average_of_1_is_refused() {
     let training = Training { average: 1.0, ..Training::default() };
-    let error = Trainer::new(CartPole::new(1), Mlp::new([4, 8, 1])).training(training).session().expect_err("an error");
+    let error = Trainer::new(CartPole::new(1), Mlp::new([4, 8, 1]))
+        .training(training)
+        .session()
+        .expect_err("an error");
     assert_eq!(error.to_string(), "training.average: is 1; allowed: 0 to below 1");
 }

@@ -40,7 +40,10 @@ fn assert_exact_bytes_and_no_later_allocation<F: Float>() {
     assert_eq!(run.1, 0, "a run of a rollout allocates");
 
     let one = Flow::ALL.map(|flow| vec![flow]);
-    for flows in one.into_iter().chain([vec![Flow::MODIFIED, Flow::REGULAR], vec![Flow::MODIFIED, Flow::STOPPED]]) {
+    for flows in one
+        .into_iter()
+        .chain([vec![Flow::MODIFIED, Flow::REGULAR], vec![Flow::MODIFIED, Flow::STOPPED]])
+    {
         let names: Vec<String> = flows.iter().map(Flow::to_string).collect();
         for norms in [false, true] {
             let (mut adjoint, bytes) = allocated(|| {
@@ -50,13 +53,23 @@ fn assert_exact_bytes_and_no_later_allocation<F: Float>() {
             assert_eq!(adjoint.stored_bytes(), bytes, "{names:?}, norms {norms}");
             let run = allocated(|| {
                 adjoint.run(&task, &policy, &weights, &rollout, F::one()).expect("finite");
-                (0..flows.len()).for_each(|k| adjoint.param_gradient(k, &policy, &weights, &rollout, 0..SAMPLES, &mut theta_bar));
+                (0..flows.len()).for_each(|k| {
+                    adjoint.param_gradient(
+                        k,
+                        &policy,
+                        &weights,
+                        &rollout,
+                        0..SAMPLES,
+                        &mut theta_bar,
+                    )
+                });
             });
             assert_eq!(run.1, 0, "{names:?}, norms {norms}: a run of an adjoint allocates");
         }
     }
 
-    let (mut evaluation, bytes) = allocated(|| Rollout::<F>::for_evaluation(&task, &policy, SAMPLES));
+    let (mut evaluation, bytes) =
+        allocated(|| Rollout::<F>::for_evaluation(&task, &policy, SAMPLES));
     assert_eq!(evaluation.stored_bytes(), bytes);
     assert!(5 * bytes < rollout.stored_bytes());
     let run = allocated(|| {

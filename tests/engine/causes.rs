@@ -1,12 +1,13 @@
 //! Wrappers of systems forward the cause of a non-finite number.
 
 use physgrad::tasks::{
-    Barrier, CartPoleSystem, Cubic, DoublePendulum, Evade, GuidanceSystem, GustyWind, Pade, QuantumEffect, QuantumScheme,
-    QuantumSystem, Renormalized, Strang, Tabulated, Upright,
+    Barrier, CartPoleSystem, Cubic, DoublePendulum, Evade, GuidanceSystem, GustyWind, Pade,
+    QuantumEffect, QuantumScheme, QuantumSystem, Renormalized, Strang, Tabulated, Upright,
 };
 use physgrad::{
-    Actuated, AnyIntegrator, Cause, CotangentPack, Cotangents, Delay, Dual, DynEffect, DynSystem, DynTask, Effect, Forced,
-    ForcedSystem, ImplicitMidpoint, Inputs, Integrated, Lanes, Named, OdeInputs, Real, Scalar, Substeps, System, Task, check,
+    Actuated, AnyIntegrator, Cause, CotangentPack, Cotangents, Delay, Dual, DynEffect, DynSystem,
+    DynTask, Effect, Forced, ForcedSystem, ImplicitMidpoint, Inputs, Integrated, Lanes, Named,
+    OdeInputs, Real, Scalar, Substeps, System, Task, check,
 };
 
 /// Effect whose force is infinite at a state of ones.
@@ -14,7 +15,11 @@ const OVERFLOWING: Cubic = Cubic { strength: 1e308 };
 
 /// Returns the cause at a state of ones.
 fn cause<S: System>(system: &S) -> Option<Cause> {
-    let (x, u, p) = (vec![1.0; system.state_dim()], vec![0.0; system.control_dim()], vec![1.0; system.param_dim()]);
+    let (x, u, p) = (
+        vec![1.0; system.state_dim()],
+        vec![0.0; system.control_dim()],
+        vec![1.0; system.param_dim()],
+    );
     system.diagnose(Inputs { p: &p, ..Inputs::new(&x, &u) })
 }
 
@@ -27,14 +32,24 @@ fn forced_systems_name_the_effect_with_a_non_finite_force() {
     assert_eq!(cause(&Forced { system: Pade(model), effects: OVERFLOWING }), cubic);
     assert_eq!(cause(&Forced { system: Strang::new(model), effects: OVERFLOWING }), cubic);
     assert_eq!(
-        cause(&Forced { system: QuantumScheme::CrankNicolson(model), effects: vec![QuantumEffect::from(OVERFLOWING)] }),
+        cause(&Forced {
+            system: QuantumScheme::CrankNicolson(model),
+            effects: vec![QuantumEffect::from(OVERFLOWING)]
+        }),
         cubic
     );
-    let windy = Forced { system: CartPoleSystem::default(), effects: GustyWind { gust: 1e200.into(), ..GustyWind::default() } };
+    let windy = Forced {
+        system: CartPoleSystem::default(),
+        effects: GustyWind { gust: 1e200.into(), ..GustyWind::default() },
+    };
     assert_eq!(cause(&windy), Some(Cause::Effect("GustyWind")));
-    let herd = Forced { system: GuidanceSystem::default(), effects: Evade { strength: f64::INFINITY } };
+    let herd =
+        Forced { system: GuidanceSystem::default(), effects: Evade { strength: f64::INFINITY } };
     assert_eq!(cause(&herd), Some(Cause::Effect("Evade")));
-    assert_eq!(cause(&Forced { system: model, effects: (Barrier::default(), Cubic::default()) }), None);
+    assert_eq!(
+        cause(&Forced { system: model, effects: (Barrier::default(), Cubic::default()) }),
+        None
+    );
 }
 
 #[test]
@@ -42,8 +57,14 @@ fn the_cause_has_the_name_that_named_gives_to_its_effect() {
     let model = QuantumSystem { grid: 7, ..QuantumSystem::default() };
     let table = Tabulated { values: vec![f64::INFINITY; 7] };
     let named = Named { name: "effects.double_well", effect: QuantumEffect::from(table) };
-    assert_eq!(cause(&Forced { system: model, effects: vec![named] }), Some(Cause::Effect("effects.double_well")));
-    let both = (Named { name: "finite", effect: Barrier::default() }, Named { name: "infinite", effect: OVERFLOWING });
+    assert_eq!(
+        cause(&Forced { system: model, effects: vec![named] }),
+        Some(Cause::Effect("effects.double_well"))
+    );
+    let both = (
+        Named { name: "finite", effect: Barrier::default() },
+        Named { name: "infinite", effect: OVERFLOWING },
+    );
     assert_eq!(cause(&Forced { system: model, effects: both }), Some(Cause::Effect("infinite")));
 }
 
@@ -54,12 +75,24 @@ fn wrappers_forward_the_cause_of_the_wrapped_system() {
     let cubic = Some(Cause::Effect("Cubic"));
     assert_eq!(cause(&Renormalized { system }), cubic);
     assert_eq!(cause(&Substeps { system, count: 3 }), cubic);
-    assert_eq!(cause(&Actuated { system: Renormalized { system }, actuator: Delay { steps: 2 } }), cubic);
+    assert_eq!(
+        cause(&Actuated { system: Renormalized { system }, actuator: Delay { steps: 2 } }),
+        cubic
+    );
     // Newton's iteration does not converge for this time step.
     let integrator = AnyIntegrator::ImplicitMidpoint(ImplicitMidpoint::default());
     let stepped = Integrated { ode: DoublePendulum::default(), integrator, dt: 1e12 };
-    let Upright { first_angle, from, spread, loss, control_weight, horizon, .. } = Upright::double_pendulum();
-    let hard = DynTask::new(Upright { system: stepped, first_angle, from, spread, loss, control_weight, horizon });
+    let Upright { first_angle, from, spread, loss, control_weight, horizon, .. } =
+        Upright::double_pendulum();
+    let hard = DynTask::new(Upright {
+        system: stepped,
+        first_angle,
+        from,
+        spread,
+        loss,
+        control_weight,
+        horizon,
+    });
     let hard = hard.system();
     assert!(matches!(cause(hard), Some(Cause::Unsolved(_))), "{:?}", cause(hard));
     assert_eq!(cause(hard), cause(&stepped));
@@ -94,7 +127,12 @@ impl ForcedSystem for Overflows {
     fn dt(&self) -> f64 {
         1.0
     }
-    fn forced_step<E: Effect<Self>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]) {
+    fn forced_step<E: Effect<Self>, T: Scalar>(
+        &self,
+        effects: &E,
+        inputs: Inputs<'_, T>,
+        next: &mut [T],
+    ) {
         next[0] = inputs.x[0] * 1e200;
         effects.add_forces(self, inputs.continuous(1.0), next);
     }
@@ -105,7 +143,12 @@ impl ForcedSystem for Overflows {
 struct AddsState;
 
 impl Effect<Overflows> for AddsState {
-    fn add_forces<T: Scalar>(&self, _model: &Overflows, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
+    fn add_forces<T: Scalar>(
+        &self,
+        _model: &Overflows,
+        OdeInputs { x, .. }: OdeInputs<'_, T>,
+        forces: &mut [T],
+    ) {
         forces[0] += x[0];
     }
 }
@@ -121,7 +164,12 @@ fn a_non_finite_state_is_not_attributed_to_an_effect() {
 struct Explosion;
 
 impl Effect<QuantumSystem> for Explosion {
-    fn add_forces<T: Scalar>(&self, _model: &QuantumSystem, _inputs: OdeInputs<'_, T>, forces: &mut [T]) {
+    fn add_forces<T: Scalar>(
+        &self,
+        _model: &QuantumSystem,
+        _inputs: OdeInputs<'_, T>,
+        forces: &mut [T],
+    ) {
         forces[0] += f64::INFINITY;
     }
 }
@@ -130,16 +178,26 @@ impl Effect<QuantumSystem> for Explosion {
 fn effects_of_users_have_the_names_of_their_types_behind_pointers() {
     let model = QuantumSystem { grid: 7, ..QuantumSystem::default() };
     let cause_of = |effect: DynEffect<QuantumSystem>| {
-        let listed = vec![QuantumEffect::from(Cubic::default()), QuantumEffect::from(effect.clone())];
-        let causes = [cause(&Forced { system: model, effects: effect }), cause(&Forced { system: model, effects: listed })];
+        let listed =
+            vec![QuantumEffect::from(Cubic::default()), QuantumEffect::from(effect.clone())];
+        let causes = [
+            cause(&Forced { system: model, effects: effect }),
+            cause(&Forced { system: model, effects: listed }),
+        ];
         assert_eq!(causes[0], causes[1]);
         causes[0]
     };
     assert_eq!(cause_of(DynEffect::new(Explosion)), Some(Cause::Effect("Explosion")));
     assert_eq!(cause_of(DynEffect::new(Cubic::default())), None);
     // A cause names the effect inside the pointer, not the pointer.
-    assert_eq!(cause_of(DynEffect::new((Cubic::default(), OVERFLOWING))), Some(Cause::Effect("Cubic")));
-    assert_eq!(cause_of(DynEffect::new(Named { name: "boom", effect: Explosion })), Some(Cause::Effect("boom")));
+    assert_eq!(
+        cause_of(DynEffect::new((Cubic::default(), OVERFLOWING))),
+        Some(Cause::Effect("Cubic"))
+    );
+    assert_eq!(
+        cause_of(DynEffect::new(Named { name: "boom", effect: Explosion })),
+        Some(Cause::Effect("boom"))
+    );
 }
 
 /// System of a task behind a pointer, with default derivatives, which use dual numbers over lanes.
@@ -172,16 +230,30 @@ fn a_scalar_outside_of_the_set_of_a_pointer_panics_with_scalar_set_and_advice() 
         let x = [Dual::<f64, 3>::constant(0.1); 4];
         task.system().step(Inputs::new(&x, &[Dual::constant(0.0)]), &mut [Dual::constant(0.0); 4]);
     });
-    for part in ["`DynTask` of ", "Upright", "`step` has no instance for", "Dual<f64, 3>", "`Dual<f64, 4>`", "call `step` of"] {
+    for part in [
+        "`DynTask` of ",
+        "Upright",
+        "`step` has no instance for",
+        "Dual<f64, 3>",
+        "`Dual<f64, 4>`",
+        "call `step` of",
+    ] {
         assert!(message.contains(part), "{part}: {message}");
     }
     let message = panic_of(|| {
         let number = Lanes::<f64, 8>::splat(0.1);
         let (mut x_bar, mut u_bar) = ([CotangentPack([number]); 4], [CotangentPack([number])]);
         let around = Around(DynTask::new(Upright::double_pendulum()).system().clone());
-        around.vjp(Inputs::new(&[number; 4], &[number]), &x_bar.clone(), Cotangents::of(&mut x_bar, &mut u_bar));
+        around.vjp(
+            Inputs::new(&[number; 4], &[number]),
+            &x_bar.clone(),
+            Cotangents::of(&mut x_bar, &mut u_bar),
+        );
     });
-    assert!(message.contains("Dual<") && message.contains("needs a `vjp` and a `jvp` of its own"), "{message}");
+    assert!(
+        message.contains("Dual<") && message.contains("needs a `vjp` and a `jvp` of its own"),
+        "{message}"
+    );
 
     let model = QuantumSystem { grid: 7, ..QuantumSystem::default() };
     let message = panic_of(|| {
@@ -189,7 +261,13 @@ fn a_scalar_outside_of_the_set_of_a_pointer_panics_with_scalar_set_and_advice() 
         let inputs = OdeInputs { x: &x, u: &x[..1], p: &[], t: x[0] };
         DynEffect::new(Explosion).add_forces(&model, inputs, &mut [Dual::constant(0.0); 7]);
     });
-    for part in ["`DynEffect` of Explosion", "`add_forces` has no instance for", "Dual<f64, 3>", "`Dual<f64, 4>`", "without"] {
+    for part in [
+        "`DynEffect` of Explosion",
+        "`add_forces` has no instance for",
+        "Dual<f64, 3>",
+        "`Dual<f64, 4>`",
+        "without",
+    ] {
         assert!(message.contains(part), "{part}: {message}");
     }
 }

@@ -11,7 +11,14 @@ fn session(rule: &str, learning_rate: f64) -> Small {
 
 fn session_of(task: CartPole, rule: &str, learning_rate: f64) -> Small {
     let rule = OptimizerKind::named(rule).expect("a known optimizer");
-    let training = Training { rule, learning_rate, batch: 2, train_samples: 4, test_samples: 2, ..Training::default() };
+    let training = Training {
+        rule,
+        learning_rate,
+        batch: 2,
+        train_samples: 4,
+        test_samples: 2,
+        ..Training::default()
+    };
     Trainer::new(task, Mlp::new([4, 2, 1])).training(training).session().expect("valid settings")
 }
 
@@ -21,7 +28,10 @@ fn trained(rule: &str, paused: bool) -> Small {
     let mut session = session(rule, 1e-3);
     (0..2).for_each(|_| drop(session.epoch().expect("finite").clone()));
     if paused {
-        assert!(session.advance(&|| true).expect("finite").is_none(), "the epoch ends after one update");
+        assert!(
+            session.advance(&|| true).expect("finite").is_none(),
+            "the epoch ends after one update"
+        );
     }
     session
 }
@@ -44,12 +54,14 @@ fn a_damaged_checkpoint_is_refused_or_trains_an_epoch_without_a_panic() {
         for at in 14..good.len() {
             let replaced = |with: &[u8]| [&good[..at], with, &good[at + 1..]].concat();
             let byte = good[at];
-            let mut damaged: Vec<Vec<u8>> = [0, 1, 0x7f, 0x80, 0xff, byte ^ 1, byte.wrapping_add(1), byte.wrapping_sub(1)]
-                .map(|byte| replaced(&[byte]))
-                .into();
+            let mut damaged: Vec<Vec<u8>> =
+                [0, 1, 0x7f, 0x80, 0xff, byte ^ 1, byte.wrapping_add(1), byte.wrapping_sub(1)]
+                    .map(|byte| replaced(&[byte]))
+                    .into();
             damaged.extend([replaced(&[]), replaced(&[byte, byte]), replaced(&[0xff; 9])]);
             for mut bytes in damaged {
-                let outcome = catch_unwind(AssertUnwindSafe(|| restored_and_trained(rule, &mut bytes)));
+                let outcome =
+                    catch_unwind(AssertUnwindSafe(|| restored_and_trained(rule, &mut bytes)));
                 assert!(outcome.is_ok(), "{rule}, paused: {paused}, byte {at}: {byte:#x}");
             }
         }
@@ -69,7 +81,8 @@ fn a_restored_session_notices_that_the_equations_have_changed() {
     let mut changed = session_of(CartPole { horizon: 3, system, ..CartPole::new(1) }, "adam", 1e-3);
     changed.restore(&bytes, "a run").expect("a checkpoint with an equal label");
     let [recorded, computed] = changed.changed_test_loss().expect("another loss");
-    let lowest = changed.records().iter().map(|record| record.test_loss).fold(f64::INFINITY, f64::min);
+    let lowest =
+        changed.records().iter().map(|record| record.test_loss).fold(f64::INFINITY, f64::min);
     assert_eq!(recorded, lowest);
     assert_ne!(computed, recorded);
 }
@@ -90,7 +103,13 @@ fn a_checkpoint_with_another_number_of_updates_per_epoch_is_refused() {
     let bytes = trained("adam", false).checkpoint("a run");
     let task = CartPole { horizon: 3, ..CartPole::new(1) };
     let training = Training { batch: 4, train_samples: 4, test_samples: 2, ..Training::default() };
-    let mut other = Trainer::new(task, Mlp::new([4, 2, 1])).training(training).session().expect("valid settings");
+    let mut other = Trainer::new(task, Mlp::new([4, 2, 1]))
+        .training(training)
+        .session()
+        .expect("valid settings");
     let error = other.restore(&bytes, "a run").expect_err("another number of updates").to_string();
-    assert!(error.contains("its optimizer counts 4 steps, but its epochs have 2 updates"), "{error}");
+    assert!(
+        error.contains("its optimizer counts 4 steps, but its epochs have 2 updates"),
+        "{error}"
+    );
 }

@@ -6,8 +6,8 @@ use physgrad::policy::{self, Mlp};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{CartPole, CartPoleSystem, Guidance, LossMode, Quantum};
 use physgrad::{
-    Batch, CheckpointError, Evaluation, Field, Float, Flow, Gradient, Record, Rollout, Scalar, Session, Start, Task, Trainer,
-    Training, Weights, initial_states,
+    Batch, CheckpointError, Evaluation, Field, Float, Flow, Gradient, Record, Rollout, Scalar,
+    Session, Start, Task, Trainer, Training, Weights, initial_states,
 };
 use std::sync::Mutex;
 
@@ -30,7 +30,8 @@ fn weights<F: Float>() -> Weights<F> {
 }
 
 fn gradients<F: Float>(samples: usize, workers: usize) -> (f64, Vec<Gradient<F>>) {
-    let mut batch = Batch::new(&task(), &policy(), samples, &[Flow::MODIFIED, Flow::REGULAR], workers);
+    let mut batch =
+        Batch::new(&task(), &policy(), samples, &[Flow::MODIFIED, Flow::REGULAR], workers);
     let loss = batch.run(&task(), &policy(), &weights(), &starts::<F>(samples)).expect("finite");
     (loss, batch.gradients().to_vec())
 }
@@ -40,7 +41,11 @@ fn gradients_do_not_depend_on_the_number_of_workers() {
     for samples in [1, 4, 7, 8, 13, 32] {
         let one = gradients::<f32>(samples, 1);
         for workers in [2, 3, 5, 64] {
-            assert_eq!(gradients::<f32>(samples, workers), one, "{samples} samples, {workers} workers");
+            assert_eq!(
+                gradients::<f32>(samples, workers),
+                one,
+                "{samples} samples, {workers} workers"
+            );
         }
     }
 }
@@ -67,7 +72,9 @@ fn gradients_of_large_batches_do_not_depend_on_the_number_of_workers() {
     }
     // Beyond one round, a larger batch needs no more memory. The only exception is the sum of a
     // block for each flow, which batches with more than 128 samples store.
-    let bytes = |samples: usize| Batch::<f32>::new(&task(), &policy(), samples, &[Flow::REGULAR], 2).stored_bytes();
+    let bytes = |samples: usize| {
+        Batch::<f32>::new(&task(), &policy(), samples, &[Flow::REGULAR], 2).stored_bytes()
+    };
     assert_eq!(bytes(64), bytes(128));
     assert_eq!(bytes(256), bytes(1024));
 }
@@ -77,7 +84,9 @@ fn gradients_of_large_batches_do_not_depend_on_the_number_of_workers() {
 fn shuffled(starts: &[f32], resample: bool) -> Session<CartPole, Mlp, f32> {
     let training = Training { epochs: 3, batch: 4, shuffle: true, resample, ..Training::default() };
     let trainer = Trainer::new(task(), policy()).training(training);
-    trainer.session_from(weights::<f32>().theta().to_vec(), starts.to_vec(), starts.to_vec()).expect("valid settings")
+    trainer
+        .session_from(weights::<f32>().theta().to_vec(), starts.to_vec(), starts.to_vec())
+        .expect("valid settings")
 }
 
 #[test]
@@ -118,7 +127,9 @@ fn a_run_shortened_to_its_complete_epochs_discards_the_unfinished_one() {
     let mut long = shuffled(&starts, false);
     long.epoch().expect("finite");
     let complete = long.weights().theta().to_vec();
-    assert!(long.advance(&|| true).expect("finite").is_none() && long.weights().theta() != complete);
+    assert!(
+        long.advance(&|| true).expect("finite").is_none() && long.weights().theta() != complete
+    );
     let training = Training { epochs: 1, batch: 4, shuffle: true, ..Training::default() };
     let mut short = Trainer::new(task(), policy())
         .training(training)
@@ -195,15 +206,28 @@ fn single_precision_agrees_with_double_precision_to_1e_4() {
     assert!((loss32 - loss64).abs() <= allowed * loss64.abs(), "{loss32} {loss64}");
     for (g32, g64) in g32.iter().zip(&g64) {
         let scale = g64.values().iter().fold(0.0, |s: f64, g| s.max(g.abs()));
-        let worst = g32.values().iter().zip(g64.values()).map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max);
+        let worst = g32
+            .values()
+            .iter()
+            .zip(g64.values())
+            .map(|(a, b)| (f64::from(*a) - b).abs())
+            .fold(0.0, f64::max);
         assert!(worst <= allowed * scale, "{worst:e} of {scale:e}");
         assert!(worst > 0.0, "the gradients in f32 and f64 are equal");
     }
 }
 
 fn session(seed: u64, epochs: usize, workers: usize) -> Session<CartPole, Mlp, f32> {
-    let training =
-        Training { epochs, seed, batch: 6, train_samples: 20, test_samples: 9, shuffle: true, workers, ..Training::default() };
+    let training = Training {
+        epochs,
+        seed,
+        batch: 6,
+        train_samples: 20,
+        test_samples: 9,
+        shuffle: true,
+        workers,
+        ..Training::default()
+    };
     Trainer::new(task(), policy()).training(training).session().expect("valid settings")
 }
 
@@ -238,28 +262,60 @@ fn resampling_draws_one_stream_per_epoch_and_sample() {
         CartPole::new(1).start(&mut stream(7, purpose, index), Start { x: &mut x, p: &mut [] });
         x[0]
     };
-    let evaluated = (0..SAMPLES as u64).map(|i| position(Purpose::Train, i)).chain([position(Purpose::Test, 0)]);
+    let evaluated = (0..SAMPLES as u64)
+        .map(|i| position(Purpose::Train, i))
+        .chain([position(Purpose::Test, 0)]);
     // Sample i of epoch e, counted from 0, has the stream `e · SAMPLES + i`. Without resampling,
     // updates draw nothing.
     for (resample, updates) in [(false, 0), (true, 3 * SAMPLES as u64)] {
-        let expected: Vec<f64> = evaluated.clone().chain((0..updates).map(|index| position(Purpose::Train, index))).collect();
-        let training =
-            Training { epochs: 3, seed: 7, batch: 2, train_samples: SAMPLES, test_samples: 1, resample, ..Training::default() };
+        let expected: Vec<f64> = evaluated
+            .clone()
+            .chain((0..updates).map(|index| position(Purpose::Train, index)))
+            .collect();
+        let training = Training {
+            epochs: 3,
+            seed: 7,
+            batch: 2,
+            train_samples: SAMPLES,
+            test_samples: 1,
+            resample,
+            ..Training::default()
+        };
         let task = Recorded { task: CartPole::new(1), drawn: Mutex::default() };
-        let mut session = Trainer::new(task, Mlp::new([4, 8, 1])).training(training).session().expect("valid settings");
+        let mut session = Trainer::new(task, Mlp::new([4, 8, 1]))
+            .training(training)
+            .session()
+            .expect("valid settings");
         (0..3).for_each(|_| drop(session.epoch().expect("finite").clone()));
-        assert_eq!(*session.task().drawn.lock().expect("one thread"), expected, "resample: {resample}");
+        assert_eq!(
+            *session.task().drawn.lock().expect("one thread"),
+            expected,
+            "resample: {resample}"
+        );
     }
 }
 
 #[test]
 fn resampling_keeps_the_evaluated_sets() {
     // The learning rate is too small to change a loss, so losses of fixed sets stay equal.
-    let training = Training { epochs: 3, learning_rate: 1e-300, train_samples: 8, resample: true, ..Training::default() };
-    let mut session = Trainer::new(task(), policy()).precision::<f64>().training(training).session().expect("valid settings");
+    let training = Training {
+        epochs: 3,
+        learning_rate: 1e-300,
+        train_samples: 8,
+        resample: true,
+        ..Training::default()
+    };
+    let mut session = Trainer::new(task(), policy())
+        .precision::<f64>()
+        .training(training)
+        .session()
+        .expect("valid settings");
     (0..3).for_each(|_| drop(session.epoch().expect("finite").clone()));
     let [first, second, third] = session.records() else { panic!("three epochs") };
-    assert!(first.loss != second.loss && second.loss != third.loss, "an epoch repeats the initial states");
+    assert!(
+        first.loss != second.loss && second.loss != third.loss,
+        "an epoch repeats the initial states"
+    );
     for later in [second, third] {
         assert_eq!((later.train_loss, later.test_loss), (first.train_loss, first.test_loss));
     }
@@ -315,17 +371,24 @@ fn a_foreign_or_damaged_checkpoint_is_refused_and_changes_nothing() {
     newer[8] = 77;
     assert!(matches!(other.restore(&newer, "a run"), Err(CheckpointError::Format { found: 77 })));
     for cut in [9, 40, bytes.len() / 2, bytes.len() - 1] {
-        assert!(matches!(other.restore(&bytes[..cut], "a run"), Err(CheckpointError::Damaged(_))), "cut at {cut}");
+        assert!(
+            matches!(other.restore(&bytes[..cut], "a run"), Err(CheckpointError::Damaged(_))),
+            "cut at {cut}"
+        );
     }
     let mut flipped = bytes.clone();
     let middle = flipped.len() / 2;
     flipped[middle] ^= 1;
     assert!(matches!(other.restore(&flipped, "a run"), Err(CheckpointError::Damaged(_))));
 
-    let trainer = || Trainer::new(task(), policy()).training(Training { train_samples: 20, ..Training::default() });
+    let trainer = || {
+        Trainer::new(task(), policy())
+            .training(Training { train_samples: 20, ..Training::default() })
+    };
     let mut double = trainer().precision::<f64>().session().expect("valid settings");
     assert!(matches!(double.restore(&bytes, "a run"), Err(CheckpointError::Precision { .. })));
-    let mut wider = Trainer::new(task(), Mlp::new([STATES, 30, 1])).session().expect("valid settings");
+    let mut wider =
+        Trainer::new(task(), Mlp::new([STATES, 30, 1])).session().expect("valid settings");
     assert!(matches!(wider.restore(&bytes, "a run"), Err(CheckpointError::Shape { .. })));
     assert_eq!(other.weights().theta(), before);
     assert!(other.records().is_empty());

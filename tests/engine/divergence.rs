@@ -3,8 +3,9 @@
 use physgrad::policy::{Action, Linear, Mlp, Observed, Policy};
 use physgrad::rng::Rng;
 use physgrad::{
-    Batch, Clip, Divergence, Evaluation, Field, Float, Flow, GradientCombiner, Inputs, OptimizerKind, Rollout, Scalar, Start,
-    System, Task, TrainError, Trainer, Training, Variable, Weights,
+    Batch, Clip, Divergence, Evaluation, Field, Float, Flow, GradientCombiner, Inputs,
+    OptimizerKind, Rollout, Scalar, Start, System, Task, TrainError, Trainer, Training, Variable,
+    Weights,
 };
 
 /// Type and place of a fault.
@@ -89,7 +90,12 @@ fn starts() -> Vec<f64> {
 fn run(fault: Fault, workers: usize) -> Result<f64, Divergence> {
     let (task, policy) = (Faulty(fault), Linear::with_bias(3, 1));
     let weights = Weights::new(&policy, vec![0.1, 0.2, -0.05, 0.3]);
-    Batch::new(&task, &policy, 11, &[Flow::MODIFIED, Flow::REGULAR], workers).run(&task, &policy, &weights, &starts())
+    Batch::new(&task, &policy, 11, &[Flow::MODIFIED, Flow::REGULAR], workers).run(
+        &task,
+        &policy,
+        &weights,
+        &starts(),
+    )
 }
 
 #[test]
@@ -97,7 +103,13 @@ fn step_sample_component_and_pass_are_named_for_1_to_3_workers() {
     for workers in [1, 2, 3] {
         assert_eq!(
             run(Fault::State, workers),
-            Err(Divergence::Forward { variable: Variable::State, step: 5, sample: 9, component: 1, cause: None })
+            Err(Divergence::Forward {
+                variable: Variable::State,
+                step: 5,
+                sample: 9,
+                component: 1,
+                cause: None
+            })
         );
         assert_eq!(run(Fault::Cost, workers), Err(Divergence::Cost { sample: 9 }));
         let cotangent = Divergence::Cotangent {
@@ -110,7 +122,14 @@ fn step_sample_component_and_pass_are_named_for_1_to_3_workers() {
         };
         assert_eq!(run(Fault::Cotangent, workers), Err(cotangent));
         let variable = Variable::Control;
-        let control = Divergence::Cotangent { flow: Flow::MODIFIED, variable, step: 3, sample: 9, component: 0, cause: None };
+        let control = Divergence::Cotangent {
+            flow: Flow::MODIFIED,
+            variable,
+            step: 3,
+            sample: 9,
+            component: 0,
+            cause: None,
+        };
         assert_eq!(run(Fault::ControlCotangent, workers), Err(control));
     }
 }
@@ -138,8 +157,14 @@ impl Policy for FaultyMemory {
     fn init(&self, _: &mut Rng, theta: &mut [f64]) {
         theta[0] = 0.1;
     }
-    fn act<T: Scalar>(&self, theta: &[T], Observed { y, .. }: Observed<'_, T>, action: Action<'_, T>) {
-        let at = |step: f64, value: T| T::select_lt((y[2] - step).abs(), T::from(0.5), value, T::zero());
+    fn act<T: Scalar>(
+        &self,
+        theta: &[T],
+        Observed { y, .. }: Observed<'_, T>,
+        action: Action<'_, T>,
+    ) {
+        let at =
+            |step: f64, value: T| T::select_lt((y[2] - step).abs(), T::from(0.5), value, T::zero());
         let marked = |value: T| T::select_lt(y[0], T::from(-0.5), value, T::zero());
         let infinite = |is_bad: T| is_bad / (T::one() - is_bad);
         action.u[0] = theta[0] * y[1];
@@ -158,15 +183,24 @@ impl Policy for FaultyMemory {
 fn the_first_sample_of_a_step_is_named_for_any_number_of_workers() {
     // Sample 4 has a fault in the control, or in both flows of the reverse pass. Sample 0 has one
     // in the memory, or in R only. Each worker has four samples or more.
-    let starts: Vec<f64> = (0..8).flat_map(|sample| [[-0.9, 0.1, 0.1, 0.1, 0.9, 0.1, 0.1, 0.1][sample], 0.3, 0.0]).collect();
+    let starts: Vec<f64> = (0..8)
+        .flat_map(|sample| [[-0.9, 0.1, 0.1, 0.1, 0.9, 0.1, 0.1, 0.1][sample], 0.3, 0.0])
+        .collect();
     let task = Faulty(Fault::Cotangent);
     for (forward, workers) in [(true, 1), (true, 2), (false, 1), (false, 2)] {
         let policy = FaultyMemory { forward };
         let weights = Weights::new(&policy, vec![0.1]);
         let flows = [Flow::MODIFIED, Flow::REGULAR];
-        let found = Batch::new(&task, &policy, 8, &flows, workers).run(&task, &policy, &weights, &starts);
+        let found =
+            Batch::new(&task, &policy, 8, &flows, workers).run(&task, &policy, &weights, &starts);
         let expected = if forward {
-            Divergence::Forward { variable: Variable::Memory, step: 2, sample: 0, component: 0, cause: None }
+            Divergence::Forward {
+                variable: Variable::Memory,
+                step: 2,
+                sample: 0,
+                component: 0,
+                cause: None,
+            }
         } else {
             let (flow, variable) = (Flow::REGULAR, Variable::State);
             // The derivative of the policy is infinite with respect to component 1, and NaN with
@@ -192,7 +226,10 @@ fn a_nan_in_an_initial_state_is_named() {
     let mut rollout = Rollout::new(&task, &policy, 3);
     rollout.start(&[0.1, 0.1, 0.0, 0.1, f32::NAN, 0.0, 0.1, 0.1, 0.0]);
     let error = rollout.run(&task, &policy, &weights).expect_err("a NaN").to_string();
-    assert!(error.contains("component 1 of the initial state of sample 1 is not finite"), "{error}");
+    assert!(
+        error.contains("component 1 of the initial state of sample 1 is not finite"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -203,7 +240,16 @@ fn an_evaluation_names_sample_71_of_100() {
     many[71 * 3] = 0.9;
     for workers in [1, 3] {
         let found = Evaluation::new(&task, &policy, workers).run(&task, &policy, &weights, &many);
-        assert_eq!(found, Err(Divergence::Forward { variable: Variable::State, step: 5, sample: 71, component: 1, cause: None }));
+        assert_eq!(
+            found,
+            Err(Divergence::Forward {
+                variable: Variable::State,
+                step: 5,
+                sample: 71,
+                component: 1,
+                cause: None
+            })
+        );
     }
 }
 
@@ -222,22 +268,41 @@ fn states_before_a_divergence_can_be_read() {
 fn updates_with_a_bad_sample_are_skipped_counted_and_change_nothing() {
     // Two mini-batches of 6 and 5 samples. Sample 9 is in the second.
     let training = Training { epochs: 3, batch: 6, max_skipped: 10, ..Training::default() };
-    let trainer = Trainer::new(Faulty(Fault::Cotangent), Linear::with_bias(3, 1)).precision::<f64>().training(training.clone());
-    let mut session = trainer.session_from(vec![0.1; 4], starts(), starts()).expect("valid settings");
+    let trainer = Trainer::new(Faulty(Fault::Cotangent), Linear::with_bias(3, 1))
+        .precision::<f64>()
+        .training(training.clone());
+    let mut session =
+        trainer.session_from(vec![0.1; 4], starts(), starts()).expect("valid settings");
     let record = session.epoch().expect("one finite update").clone();
     assert_eq!(record.skipped, 1);
     assert_eq!(session.skips()[0].update, 1);
     assert_eq!(
         session.skips()[0].divergence,
-        Divergence::Cotangent { flow: Flow::MODIFIED, variable: Variable::State, step: 3, sample: 3, component: 1, cause: None }
+        Divergence::Cotangent {
+            flow: Flow::MODIFIED,
+            variable: Variable::State,
+            step: 3,
+            sample: 3,
+            component: 1,
+            cause: None
+        }
     );
 
     let warnings = session.warnings();
-    assert!(warnings[0].starts_with("epoch 1: 1 of 2 updates skipped, for example update 1 (reverse pass of M"), "{warnings:?}");
+    assert!(
+        warnings[0].starts_with(
+            "epoch 1: 1 of 2 updates skipped, for example update 1 (reverse pass of M"
+        ),
+        "{warnings:?}"
+    );
 
     // Identical training without the second mini-batch.
-    let trainer = Trainer::new(Faulty(Fault::Cotangent), Linear::with_bias(3, 1)).precision::<f64>().training(training);
-    let mut good = trainer.session_from(vec![0.1; 4], starts()[..18].to_vec(), starts()).expect("valid settings");
+    let trainer = Trainer::new(Faulty(Fault::Cotangent), Linear::with_bias(3, 1))
+        .precision::<f64>()
+        .training(training);
+    let mut good = trainer
+        .session_from(vec![0.1; 4], starts()[..18].to_vec(), starts())
+        .expect("valid settings");
     good.epoch().expect("finite");
     assert_eq!(session.weights().theta(), good.weights().theta());
 }
@@ -245,8 +310,11 @@ fn updates_with_a_bad_sample_are_skipped_counted_and_change_nothing() {
 #[test]
 fn the_fourth_skip_in_a_row_stops_training_with_unchanged_parameters() {
     let training = Training { epochs: 100, batch: 11, max_skipped: 3, ..Training::default() };
-    let trainer = Trainer::new(Faulty(Fault::State), Linear::with_bias(3, 1)).precision::<f64>().training(training);
-    let mut session = trainer.session_from(vec![0.1; 4], starts(), starts()).expect("valid settings");
+    let trainer = Trainer::new(Faulty(Fault::State), Linear::with_bias(3, 1))
+        .precision::<f64>()
+        .training(training);
+    let mut session =
+        trainer.session_from(vec![0.1; 4], starts(), starts()).expect("valid settings");
     for epoch in 1..=3 {
         let record = session.epoch().expect("fewer skips than the limit");
         assert_eq!((record.epoch, record.skipped), (epoch, 1));
@@ -293,8 +361,12 @@ fn an_infinite_gradient_of_finite_cotangents_is_named() {
     }
     let epoch = |slope: f64, start: f32, clip: Clip| {
         let training = Training { train_samples: 8, test_samples: 8, clip, ..Training::default() };
-        let trainer = Trainer::new(Steep { slope }, Mlp::new([1, 1]).bias(false)).field(Field::regular()).training(training);
-        let mut session = trainer.session_from(vec![0.0], vec![start; 8], vec![start; 8]).expect("valid settings");
+        let trainer = Trainer::new(Steep { slope }, Mlp::new([1, 1]).bias(false))
+            .field(Field::regular())
+            .training(training);
+        let mut session = trainer
+            .session_from(vec![0.0], vec![start; 8], vec![start; 8])
+            .expect("valid settings");
         session.epoch().expect("one skip at most");
         (session.skips().first().map(|skip| skip.divergence), session.weights().theta()[0])
     };
@@ -304,7 +376,9 @@ fn an_infinite_gradient_of_finite_cotangents_is_named() {
     // Cotangents above 2^60 carry an exponent, so their gradients may exceed the range of f32.
     // Training skips such a gradient unless clipping brings it into range.
     let (divergence, theta) = epoch(1e30, 1e20, Clip::None);
-    let Some(Divergence::Field { parameter: 0, norm }) = divergence else { panic!("{divergence:?}") };
+    let Some(Divergence::Field { parameter: 0, norm }) = divergence else {
+        panic!("{divergence:?}")
+    };
     assert!((norm.get() / 1e50 - 1.0).abs() < 1e-6 && theta == 0.0, "{norm}, {theta}");
     assert!(divergence.expect("one").to_string().contains("Clip by norm"));
     assert!(matches!(epoch(1e30, 1e20, Clip::Norm(1.0)), (None, theta) if theta < 0.0));
@@ -349,7 +423,16 @@ fn a_non_finite_control_is_found_even_if_the_state_stays_finite() {
     let mut rollout = Rollout::new(&Saturated, &policy, 2);
     rollout.start(&[1.0, 2.0]);
     let found = rollout.run(&Saturated, &policy, &weights);
-    assert_eq!(found, Err(Divergence::Forward { variable: Variable::Control, step: 0, sample: 0, component: 0, cause: None }));
+    assert_eq!(
+        found,
+        Err(Divergence::Forward {
+            variable: Variable::Control,
+            step: 0,
+            sample: 0,
+            component: 0,
+            cause: None
+        })
+    );
 }
 
 /// Combiner that replaces component 0 by a constant.
@@ -378,14 +461,21 @@ fn an_update_with_a_non_finite_composed_field_is_skipped() {
     ] {
         let field = Field::custom(Flow::MODIFIED, Flow::REGULAR, Broken(value));
         let training = Training { train_samples: 8, test_samples: 8, clip, ..Training::default() };
-        let mut session = Trainer::new(Saturated, Linear::new(1, 1)).field(field).training(training).session().expect("valid");
+        let mut session = Trainer::new(Saturated, Linear::new(1, 1))
+            .field(field)
+            .training(training)
+            .session()
+            .expect("valid");
         let before = session.weights().theta().to_vec();
         let record = session.epoch().expect("one update").clone();
         assert_eq!(record.skipped, usize::from(bad), "{value} {clip:?}");
         assert_eq!(session.weights().theta() == before, bad, "{value} {clip:?}");
         assert!(session.weights().theta().iter().all(|t| t.is_finite()));
         if bad {
-            assert!(matches!(session.skips()[0].divergence, Divergence::Field { parameter: 0, .. }));
+            assert!(matches!(
+                session.skips()[0].divergence,
+                Divergence::Field { parameter: 0, .. }
+            ));
         }
     }
 }
@@ -393,13 +483,24 @@ fn an_update_with_a_non_finite_composed_field_is_skipped() {
 #[test]
 fn a_diverging_evaluation_of_the_test_set_is_reported() {
     let training = Training { batch: 6, max_skipped: 100, ..Training::default() };
-    let trainer = Trainer::new(Faulty(Fault::State), Linear::with_bias(3, 1)).precision::<f64>().training(training);
+    let trainer = Trainer::new(Faulty(Fault::State), Linear::with_bias(3, 1))
+        .precision::<f64>()
+        .training(training);
     let good = [0.1, 0.3, 0.0].repeat(6);
     let mut session = trainer.session_from(vec![0.1; 4], good, starts()).expect("valid settings");
     assert!(session.epoch().expect("finite updates").test_loss.is_nan());
     assert_eq!(
         session.diverged(),
-        [None, Some(Divergence::Forward { variable: Variable::State, step: 5, sample: 9, component: 1, cause: None })]
+        [
+            None,
+            Some(Divergence::Forward {
+                variable: Variable::State,
+                step: 5,
+                sample: 9,
+                component: 1,
+                cause: None
+            })
+        ]
     );
 }
 
@@ -411,7 +512,9 @@ fn invalid_settings_are_refused_by_name() {
     };
     assert!(refused(Training { batch: 0, ..Training::default() }).contains("batch"));
     for learning_rate in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e9] {
-        assert!(refused(Training { learning_rate, ..Training::default() }).contains("learning_rate"));
+        assert!(
+            refused(Training { learning_rate, ..Training::default() }).contains("learning_rate")
+        );
     }
     for rule in [
         OptimizerKind::Adam { beta1: 1.0, beta2: 0.999, epsilon: 1e-7 },
@@ -421,10 +524,19 @@ fn invalid_settings_are_refused_by_name() {
         OptimizerKind::Adagrad { initial: -1.0, epsilon: 1e-7 },
         OptimizerKind::Adadelta { rho: 0.95, epsilon: 0.0 },
     ] {
-        assert!(refused(Training { rule, ..Training::default() }).contains("training.rule: has "), "{rule:?}");
+        assert!(
+            refused(Training { rule, ..Training::default() }).contains("training.rule: has "),
+            "{rule:?}"
+        );
     }
     let trainer = Trainer::new(Saturated, Linear::new(1, 1));
-    assert!(trainer.session_from(vec![0.0], vec![1.0], vec![]).expect_err("invalid").to_string().contains("test_samples"));
+    assert!(
+        trainer
+            .session_from(vec![0.0], vec![1.0], vec![])
+            .expect_err("invalid")
+            .to_string()
+            .contains("test_samples")
+    );
 }
 
 /// `x' = 1000 x + b_t u`, where b_t is 1 in the last ten of 100 steps, and otherwise 0.

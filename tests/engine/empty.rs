@@ -2,7 +2,10 @@
 
 use physgrad::policy::{Bounded, Constant, Elman, Gru, Sum};
 use physgrad::rng::{Purpose, stream};
-use physgrad::{Adjoint, Flow, Gradient, Inputs, Policy, Rollout, Scalar, Start, System, Task, Weights, rng::Rng};
+use physgrad::{
+    Adjoint, Flow, Gradient, Inputs, Policy, Rollout, Scalar, Start, System, Task, Weights,
+    rng::Rng,
+};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// `x' = x/2` over three steps. The loss is the final state.
@@ -41,12 +44,16 @@ fn recurrent_policies_of_systems_without_controls_have_gradients_of_0() {
         let mut rollout = Rollout::new(&Decay, policy, 1);
         rollout.start(&[1.0]);
         rollout.run(&Decay, policy, &weights).expect("finite");
-        let mut adjoint = Adjoint::new(&Decay, policy, &rollout, &[Flow::REGULAR]).keep_start_gradients();
+        let mut adjoint =
+            Adjoint::new(&Decay, policy, &rollout, &[Flow::REGULAR]).keep_start_gradients();
         adjoint.run(&Decay, policy, &weights, &rollout, 1.0).expect("finite");
         let mut by_theta = Gradient::zeros(weights.theta().len());
         adjoint.param_gradient(0, policy, &weights, &rollout, 0..1, &mut by_theta);
         assert_eq!(adjoint.start_gradient(0, 0).to_vec(), [0.125]);
-        assert!(!by_theta.values().is_empty() && by_theta.values().iter().all(|&g| g == 0.0), "{by_theta:?}");
+        assert!(
+            !by_theta.values().is_empty() && by_theta.values().iter().all(|&g| g == 0.0),
+            "{by_theta:?}"
+        );
     }
     assert_zero(&Gru::new(1, 2, 0));
     assert_zero(&Elman::new(1, 2, 0));
@@ -56,7 +63,11 @@ fn recurrent_policies_of_systems_without_controls_have_gradients_of_0() {
 fn policies_that_need_a_dimension_name_it() {
     let message = |construct: &dyn Fn()| -> String {
         let panic = catch_unwind(AssertUnwindSafe(construct)).expect_err("an empty dimension");
-        panic.downcast_ref::<String>().cloned().or(panic.downcast_ref::<&str>().map(|text| text.to_string())).expect("a text")
+        panic
+            .downcast_ref::<String>()
+            .cloned()
+            .or(panic.downcast_ref::<&str>().map(|text| text.to_string()))
+            .expect("a text")
     };
     let bounded = message(&|| _ = Bounded::new(Constant::new(0, 1), [1.0]));
     assert!(bounded.contains("at least one observed component"), "{bounded}");

@@ -5,8 +5,8 @@ use physgrad::policy::{Action, Conv, Gru, Mlp, Observed};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{CartPole, Guidance, LossMode, Quantum};
 use physgrad::{
-    Adjoint, Batch, Checkpointed, Divergence, Field, Float, Flow, Gradient, Policy, Rollout, Scalar, Schedule, Task,
-    initial_states,
+    Adjoint, Batch, Checkpointed, Divergence, Field, Float, Flow, Gradient, Policy, Rollout,
+    Scalar, Schedule, Task, initial_states,
 };
 use physgrad::{TrainError, Trainer, Training, Weights};
 use rand::RngExt;
@@ -23,7 +23,10 @@ fn held<T>(work: impl FnOnce() -> T) -> (T, usize, usize) {
 /// Draws small parameters, so that long rollouts stay near their initial state.
 fn weights<F: Float, P: Policy>(policy: &P) -> Weights<F> {
     let mut rng = stream(3, Purpose::Check, 0);
-    Weights::new(policy, (0..policy.param_count()).map(|_| F::from_f64(rng.random_range(-0.1..0.1))).collect())
+    Weights::new(
+        policy,
+        (0..policy.param_count()).map(|_| F::from_f64(rng.random_range(-0.1..0.1))).collect(),
+    )
 }
 
 fn starts<F: Float, T: Task>(task: &T, samples: usize) -> Vec<F> {
@@ -32,7 +35,12 @@ fn starts<F: Float, T: Task>(task: &T, samples: usize) -> Vec<F> {
 
 /// Returns the costs of the samples and the gradients of the flows. `Rollout` and `Adjoint` store
 /// all steps.
-fn stored<F: Float, T: Task, P: Policy>(task: &T, policy: &P, samples: usize, flows: &[Flow]) -> Result<Vec<F>, Divergence> {
+fn stored<F: Float, T: Task, P: Policy>(
+    task: &T,
+    policy: &P,
+    samples: usize,
+    flows: &[Flow],
+) -> Result<Vec<F>, Divergence> {
     let weights = weights::<F, P>(policy);
     let mut rollout = Rollout::new(task, policy, samples + 1);
     rollout.start(&starts(task, samples));
@@ -64,7 +72,15 @@ fn scheduled<F: Float, T: Task, P: Policy>(
     // second run.
     let more = [&starts[..], &starts[..starts.len() / samples]].concat();
     for starts in [&more, &starts] {
-        rollout.run(task, policy, &weights, starts, F::from_f64(0.5), samples + 1, &mut gradients)?;
+        rollout.run(
+            task,
+            policy,
+            &weights,
+            starts,
+            F::from_f64(0.5),
+            samples + 1,
+            &mut gradients,
+        )?;
     }
     let costs = (0..samples).map(|sample| rollout.cost(sample));
     Ok(costs.chain(gradients.iter().flatten().flat_map(Gradient::to_vec)).collect())
@@ -72,13 +88,21 @@ fn scheduled<F: Float, T: Task, P: Policy>(
 
 fn schedules(horizon: usize) -> Vec<Schedule> {
     let binomial = [1, 2, 3, 100].map(|checkpoints| Schedule::binomial(horizon, checkpoints));
-    let others = [Schedule::store_all(horizon), Schedule::two_level(horizon), Schedule::new(horizon, 2 * UNIT, 1)];
+    let others = [
+        Schedule::store_all(horizon),
+        Schedule::two_level(horizon),
+        Schedule::new(horizon, 2 * UNIT, 1),
+    ];
     binomial.into_iter().chain(others).collect()
 }
 
 /// Returns each flow alone, and pairs with none, one or two flows through the policy's input.
 fn flows() -> Vec<Vec<Flow>> {
-    let pairs = [[Flow::MODIFIED, Flow::REGULAR], [Flow::MODIFIED, Flow::STOPPED], [Flow::NETWORK, Flow::REGULAR]];
+    let pairs = [
+        [Flow::MODIFIED, Flow::REGULAR],
+        [Flow::MODIFIED, Flow::STOPPED],
+        [Flow::NETWORK, Flow::REGULAR],
+    ];
     Flow::ALL.map(|flow| vec![flow]).into_iter().chain(pairs.map(Vec::from)).collect()
 }
 
@@ -86,9 +110,14 @@ fn assert_bits_of_store_all<F: Float, T: Task, P: Policy>(task: &T, policy: &P, 
     for &samples in samples {
         for flows in flows() {
             let all = stored::<F, T, P>(task, policy, samples, &flows).expect("finite");
-            assert!(all.iter().all(|g| g.as_().is_finite()) && all[samples..].iter().any(|&g| g != F::zero()));
+            assert!(
+                all.iter().all(|g| g.as_().is_finite())
+                    && all[samples..].iter().any(|&g| g != F::zero())
+            );
             for schedule in schedules(task.horizon()) {
-                let same = scheduled::<F, T, P>(task, policy, samples, &flows, schedule).expect("finite") == all;
+                let same = scheduled::<F, T, P>(task, policy, samples, &flows, schedule)
+                    .expect("finite")
+                    == all;
                 assert!(same, "{schedule:?}, {samples} samples, {flows:?} in {}", F::NAME);
             }
         }
@@ -189,7 +218,12 @@ impl Policy for Plain {
     fn init(&self, _: &mut Rng, theta: &mut [f64]) {
         theta.fill(0.1);
     }
-    fn act<T: Scalar>(&self, theta: &[T], Observed { y, .. }: Observed<'_, T>, Action { u, .. }: Action<'_, T>) {
+    fn act<T: Scalar>(
+        &self,
+        theta: &[T],
+        Observed { y, .. }: Observed<'_, T>,
+        Action { u, .. }: Action<'_, T>,
+    ) {
         u[0] = theta[0] * y[0] + theta[1] * y[2].sin_cos().0;
     }
 }
@@ -210,7 +244,12 @@ impl Policy for Growing {
     fn init(&self, _: &mut Rng, theta: &mut [f64]) {
         theta.fill(1.0);
     }
-    fn act<T: Scalar>(&self, theta: &[T], Observed { y, .. }: Observed<'_, T>, Action { u, .. }: Action<'_, T>) {
+    fn act<T: Scalar>(
+        &self,
+        theta: &[T],
+        Observed { y, .. }: Observed<'_, T>,
+        Action { u, .. }: Action<'_, T>,
+    ) {
         u[0] = theta[0] + y[0] * self.0;
     }
 }
@@ -222,18 +261,32 @@ fn assert_exact_bytes<F: Float>() {
     stored::<F, _, _>(&cart_pole(2), &policy, 1, &[Flow::REGULAR]).expect("finite");
     for flows in flows() {
         for schedule in schedules(task.horizon) {
-            let (mut rollout, bytes, most) = held(|| Checkpointed::<F>::new(&task, &policy, 17, &flows, schedule));
+            let (mut rollout, bytes, most) =
+                held(|| Checkpointed::<F>::new(&task, &policy, 17, &flows, schedule));
             assert_eq!((rollout.stored_bytes(), most), (bytes, bytes), "{schedule:?}, {flows:?}");
-            assert_eq!(Checkpointed::<F>::bytes_of(&task, &policy, 17, &flows, &schedule), bytes, "{schedule:?}, {flows:?}");
+            assert_eq!(
+                Checkpointed::<F>::bytes_of(&task, &policy, 17, &flows, &schedule),
+                bytes,
+                "{schedule:?}, {flows:?}"
+            );
             let mut gradients = vec![vec![Gradient::zeros(policy.param_count()); flows.len()]; 5];
-            let run = || rollout.run(&task, &policy, &weights, &starts, F::one(), 4, &mut gradients);
+            let run =
+                || rollout.run(&task, &policy, &weights, &starts, F::one(), 4, &mut gradients);
             let (outcome, _, most) = held(run);
             assert_eq!((outcome, most), (Ok(()), 0), "a run of a schedule allocates");
 
             for workers in [1, 3] {
-                let (batch, bytes, most) = held(|| Batch::<F>::scheduled(&task, &policy, 17, &flows, workers, schedule));
-                assert_eq!((batch.stored_bytes(), most), (bytes, bytes), "{schedule:?}, {flows:?}, {workers} workers");
-                assert_eq!(Batch::<F>::bytes_of(&task, &policy, 17, &flows, workers, &schedule), bytes);
+                let (batch, bytes, most) =
+                    held(|| Batch::<F>::scheduled(&task, &policy, 17, &flows, workers, schedule));
+                assert_eq!(
+                    (batch.stored_bytes(), most),
+                    (bytes, bytes),
+                    "{schedule:?}, {flows:?}, {workers} workers"
+                );
+                assert_eq!(
+                    Batch::<F>::bytes_of(&task, &policy, 17, &flows, workers, &schedule),
+                    bytes
+                );
             }
         }
     }
@@ -250,7 +303,9 @@ fn batches_stay_within_the_budget_and_recompute_the_fewest_steps() {
     let (task, policy) = (cart_pole(40 * UNIT - 50), Mlp::new([4, 8, 1]));
     let (weights, starts) = (weights::<f32, _>(&policy), starts::<f32, _>(&task, 6));
     let flows = Field::combined().flows();
-    let all = Batch::<f32>::bytes_of(&task, &policy, 6, &flows, 1, &Schedule::store_all(task.horizon)) as u64;
+    let all =
+        Batch::<f32>::bytes_of(&task, &policy, 6, &flows, 1, &Schedule::store_all(task.horizon))
+            as u64;
     let error = Batch::<f32>::within(&task, &policy, 6, &flows, 1, 1000).unwrap_err();
     assert_eq!((error.budget, error.everything), (1000, all));
     let smallest = error.smallest;
@@ -259,13 +314,27 @@ fn batches_stay_within_the_budget_and_recompute_the_fewest_steps() {
 
     let mut last = u64::MAX;
     let mut expected: Option<Vec<Gradient<f32>>> = None;
-    for budget in [smallest, smallest + 500, smallest + 3000, all / 15, all / 5, all / 2, all - 1, all, u64::MAX] {
+    for budget in [
+        smallest,
+        smallest + 500,
+        smallest + 3000,
+        all / 15,
+        all / 5,
+        all / 2,
+        all - 1,
+        all,
+        u64::MAX,
+    ] {
         let ((batch, loss), _, most) = held(|| {
-            let mut batch = Batch::<f32>::within(&task, &policy, 6, &flows, 1, budget).expect("a sufficient budget");
+            let mut batch = Batch::<f32>::within(&task, &policy, 6, &flows, 1, budget)
+                .expect("a sufficient budget");
             let loss = batch.run(&task, &policy, &weights, &starts).expect("finite");
             (batch, loss)
         });
-        assert!(loss.is_finite() && most as u64 <= budget && most == batch.stored_bytes(), "{most} bytes of {budget}");
+        assert!(
+            loss.is_finite() && most as u64 <= budget && most == batch.stored_bytes(),
+            "{most} bytes of {budget}"
+        );
         let schedule = batch.schedule();
         assert!(schedule.recomputed_steps() <= last, "a larger budget recomputes more steps");
         last = schedule.recomputed_steps();
@@ -274,7 +343,10 @@ fn batches_stay_within_the_budget_and_recompute_the_fewest_steps() {
             for checkpoints in 1..=40 {
                 let other = Schedule::new(task.horizon, units * UNIT, checkpoints);
                 let bytes = Batch::<f32>::bytes_of(&task, &policy, 6, &flows, 1, &other) as u64;
-                assert!(bytes > budget || other.recomputed_steps() >= last, "{other:?} is better than {schedule:?}");
+                assert!(
+                    bytes > budget || other.recomputed_steps() >= last,
+                    "{other:?} is better than {schedule:?}"
+                );
             }
         }
         assert_eq!(expected.get_or_insert_with(|| batch.gradients().to_vec()), batch.gradients());
@@ -286,15 +358,27 @@ fn batches_stay_within_the_budget_and_recompute_the_fewest_steps() {
 fn a_training_within_a_budget_has_the_parameters_of_one_without() {
     let train = |memory: Option<u64>| {
         let task = CartPole { horizon: 2 * UNIT, ..CartPole::new(1) };
-        let training = Training { epochs: 2, train_samples: 20, test_samples: 4, memory, ..Training::default() };
+        let training = Training {
+            epochs: 2,
+            train_samples: 20,
+            test_samples: 4,
+            memory,
+            ..Training::default()
+        };
         let mut session = Trainer::new(task, Mlp::new([4, 8, 1])).training(training).session()?;
         session.epoch()?;
         let (_, held, _) = held(|| session.epoch().map(|_| ()));
         assert_eq!(held, 0, "the second epoch retains memory");
-        Ok::<_, TrainError>((session.schedule().recomputed_steps(), session.weights().theta().to_vec()))
+        Ok::<_, TrainError>((
+            session.schedule().recomputed_steps(),
+            session.weights().theta().to_vec(),
+        ))
     };
     let error = train(Some(10_000)).unwrap_err();
-    assert!(error.to_string().starts_with("training.memory: 10000 bytes are not enough"), "{error}");
+    assert!(
+        error.to_string().starts_with("training.memory: 10000 bytes are not enough"),
+        "{error}"
+    );
     let TrainError::Memory(error) = error else { panic!("{error}") };
     let (all, within) = (train(None).unwrap(), train(Some(error.smallest)).unwrap());
     assert_eq!((all.0, within.0), (0, UNIT as u64));
@@ -313,9 +397,13 @@ fn a_hundred_thousand_steps_fit_in_300_kilobytes() {
         (batch.gradients().to_vec(), batch.schedule().recomputed_steps(), batch.stored_bytes())
     };
     let (all, none, bytes) = run(Batch::new(&task, &policy, 2, &flows, 1));
-    let (gradients, again, fewer) = run(Batch::within(&task, &policy, 2, &flows, 1, 300_000).expect("a sufficient budget"));
+    let (gradients, again, fewer) =
+        run(Batch::within(&task, &policy, 2, &flows, 1, 300_000).expect("a sufficient budget"));
     assert!(all[0].values().iter().any(|&g| g != 0.0) && gradients == all);
-    assert!(none == 0 && again > 0 && again < 200_000 && fewer <= 300_000 && bytes > 100 * fewer, "{again} {fewer} {bytes}");
+    assert!(
+        none == 0 && again > 0 && again < 200_000 && fewer <= 300_000 && bytes > 100 * fewer,
+        "{again} {fewer} {bytes}"
+    );
 }
 
 #[test]
@@ -327,11 +415,16 @@ fn a_million_steps_fit_in_64_and_in_4_mebibytes() {
     for budget in [64 << 20, 4 << 20] {
         let time = std::time::Instant::now();
         let (schedule, _, most) = held(|| {
-            let mut batch = Batch::within(&task, &policy, 8, &[Flow::REGULAR], 1, budget).expect("a sufficient budget");
+            let mut batch = Batch::within(&task, &policy, 8, &[Flow::REGULAR], 1, budget)
+                .expect("a sufficient budget");
             batch.run(&task, &policy, &weights, &starts).expect("finite");
             batch.schedule()
         });
-        println!("{schedule:?}: {} steps again, {most} bytes, {:?}", schedule.recomputed_steps(), time.elapsed());
+        println!(
+            "{schedule:?}: {} steps again, {most} bytes, {:?}",
+            schedule.recomputed_steps(),
+            time.elapsed()
+        );
         assert!(most as u64 <= budget);
     }
 }

@@ -44,7 +44,11 @@ fn fewest(most: usize) -> Vec<Vec<u64>> {
             // Without another checkpoint, each segment is recomputed from the beginning.
             let mut best = (l * (l - 1) / 2) as u64;
             if s > 1 {
-                best = (1..l).map(|k| k as u64 + table[s - 1][l - k] + table[s][k]).min().unwrap().min(best);
+                best = (1..l)
+                    .map(|k| k as u64 + table[s - 1][l - k] + table[s][k])
+                    .min()
+                    .unwrap()
+                    .min(best);
             }
             table[s][l] = best;
         }
@@ -59,7 +63,11 @@ fn binomial_schedules_recompute_the_fewest_steps() {
         for (l, &fewest) in row.iter().enumerate().skip(1) {
             for shorter in [0, 7] {
                 let schedule = Schedule::binomial(l * UNIT - shorter, s);
-                assert_eq!(schedule.recomputed_steps(), fewest * UNIT as u64, "{l} segments, {s} checkpoints");
+                assert_eq!(
+                    schedule.recomputed_steps(),
+                    fewest * UNIT as u64,
+                    "{l} segments, {s} checkpoints"
+                );
             }
         }
     }
@@ -80,7 +88,9 @@ fn schedules_recompute_the_stated_number_of_steps() {
         let mut rollout = Checkpointed::new(&task, &policy, 1, &[Flow::STOPPED], schedule);
         let mut gradients = [vec![Gradient::zeros(policy.param_count())]];
         let before = policy.0.load(Ordering::Relaxed);
-        rollout.run(&task, &policy, &weights, &[0.0, 0.0, 0.1, 0.0], 1.0, 1, &mut gradients).expect("finite");
+        rollout
+            .run(&task, &policy, &weights, &[0.0, 0.0, 0.1, 0.0], 1.0, 1, &mut gradients)
+            .expect("finite");
         let steps = policy.0.load(Ordering::Relaxed) - before;
         assert_eq!(steps, task.horizon as u64 + schedule.recomputed_steps(), "{schedule:?}");
     };

@@ -5,15 +5,19 @@ use physgrad::policy::{Constant, Mlp, Quadratic};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{Accumulator, Bowl, CartPole, Reach};
 use physgrad::{
-    Clip, Cotangent, Cotangents, Estimator, Field, Inputs, OptimizerKind, Policy, Real, Record, Scalar, Session, Smoothing,
-    Start, System, Task, TrainError, Trainer, Training, vector_field,
+    Clip, Cotangent, Cotangents, Estimator, Field, Inputs, OptimizerKind, Policy, Real, Record,
+    Scalar, Session, Smoothing, Start, System, Task, TrainError, Trainer, Training, vector_field,
 };
 use rand_distr::{Distribution, StandardNormal};
 
 const NOISE: f64 = 0.1;
 const PAIRS: usize = 5;
-const ALL: [Estimator; 4] =
-    [Estimator::FirstOrder, Estimator::ZerothOrder, Estimator::InverseVariance, Estimator::AlphaOrder { tolerance: 3.0 }];
+const ALL: [Estimator; 4] = [
+    Estimator::FirstOrder,
+    Estimator::ZerothOrder,
+    Estimator::InverseVariance,
+    Estimator::AlphaOrder { tolerance: 3.0 },
+];
 
 fn training(estimator: Option<Estimator>) -> Training {
     Training {
@@ -28,8 +32,16 @@ fn training(estimator: Option<Estimator>) -> Training {
 }
 
 /// Parameters after one update of gradient descent with rate 1, and the record.
-fn after_one_update<T: Task, P: Policy>(task: T, policy: P, theta: &[f64], estimator: Option<Estimator>) -> (Vec<f64>, Record) {
-    let trainer = Trainer::new(task, policy).precision::<f64>().field(Field::regular()).training(training(estimator));
+fn after_one_update<T: Task, P: Policy>(
+    task: T,
+    policy: P,
+    theta: &[f64],
+    estimator: Option<Estimator>,
+) -> (Vec<f64>, Record) {
+    let trainer = Trainer::new(task, policy)
+        .precision::<f64>()
+        .field(Field::regular())
+        .training(training(estimator));
     let mut session = trainer.start_from(theta.to_vec()).session().expect("valid settings");
     let record = session.epoch().expect("finite").clone();
     (session.weights().theta().to_vec(), record)
@@ -48,7 +60,8 @@ fn perturbations(update: usize, params: usize) -> Vec<Vec<f64>> {
 fn moments(vectors: &[[f64; 2]]) -> ([f64; 2], f64) {
     let n = vectors.len() as f64;
     let mean = [0, 1].map(|i| vectors.iter().map(|v| v[i]).sum::<f64>() / n);
-    let squares: f64 = vectors.iter().map(|v| (v[0] - mean[0]).powi(2) + (v[1] - mean[1]).powi(2)).sum();
+    let squares: f64 =
+        vectors.iter().map(|v| (v[0] - mean[0]).powi(2) + (v[1] - mean[1]).powi(2)).sum();
     (mean, squares / (n * (n - 1.0)))
 }
 
@@ -63,7 +76,9 @@ fn first_order_estimates_of_a_quadratic_loss_are_its_gradient() {
     for estimator in [Estimator::FirstOrder, Estimator::InverseVariance] {
         let (theta, record) = of(Some(estimator));
         // The computation of a gradient of norm 3 has at most 20 rounding errors.
-        exact.iter().zip(&theta).for_each(|(exact, theta)| assert_relative_eq!(exact, theta, epsilon = 60.0 * f64::EPSILON));
+        exact.iter().zip(&theta).for_each(|(exact, theta)| {
+            assert_relative_eq!(exact, theta, epsilon = 60.0 * f64::EPSILON)
+        });
         assert_relative_eq!(record.first_order.expect("a weight"), 1.0, epsilon = 1e-12);
     }
 }
@@ -74,7 +89,8 @@ fn first_order_estimates_of_a_quadratic_loss_are_its_gradient() {
 #[test]
 fn zeroth_order_estimates_of_a_quadratic_loss_are_directional_derivatives_times_directions() {
     let training = Training { epochs: 3, ..training(Some(Estimator::ZerothOrder)) };
-    let trainer = Trainer::new(Bowl::default(), Constant::new(2, 2)).precision::<f64>().training(training);
+    let trainer =
+        Trainer::new(Bowl::default(), Constant::new(2, 2)).precision::<f64>().training(training);
     let mut session = trainer.start_from(THETA.to_vec()).session().expect("valid settings");
     let mut before = THETA.to_vec();
     for update in 0..3 {
@@ -98,11 +114,14 @@ fn zeroth_order_estimates_of_a_quadratic_loss_are_directional_derivatives_times_
 #[test]
 fn estimates_of_a_polynomial_loss_equal_their_definitions() {
     let theta = [0.3, 0.2];
-    let at =
-        |theta: [f64; 2]| vector_field::sample(&Reach::default(), &Quadratic, &Field::regular(), &[theta]).expect("finite")[0];
+    let at = |theta: [f64; 2]| {
+        vector_field::sample(&Reach::default(), &Quadratic, &Field::regular(), &[theta])
+            .expect("finite")[0]
+    };
     let (mut first, mut zeroth) = (Vec::new(), Vec::new());
     for e in perturbations(0, 2) {
-        let [plus, minus] = [NOISE, -NOISE].map(|by| at([theta[0] + by * e[0], theta[1] + by * e[1]]));
+        let [plus, minus] =
+            [NOISE, -NOISE].map(|by| at([theta[0] + by * e[0], theta[1] + by * e[1]]));
         first.push([0, 1].map(|i| (plus.vector[i] + minus.vector[i]) / 2.0));
         zeroth.push([0, 1].map(|i| (plus.loss - minus.loss) / (2.0 * NOISE) * e[i]));
     }
@@ -111,9 +130,12 @@ fn estimates_of_a_polynomial_loss_equal_their_definitions() {
     let distance = (g1[0] - g0[0]).hypot(g1[1] - g0[1]);
     let alpha = |tolerance: f64| kappa.min((tolerance - 2.0 * v0.sqrt()) / distance).max(0.0);
     // Tolerances for which the weight is 0, is between 0 and κ, and is κ.
-    let [low, middle, high] = [v0.sqrt(), 2.0 * v0.sqrt() + 0.5 * kappa * distance, 2.0 * v0.sqrt() + 2.0 * distance];
+    let [low, middle, high] =
+        [v0.sqrt(), 2.0 * v0.sqrt() + 0.5 * kappa * distance, 2.0 * v0.sqrt() + 2.0 * distance];
     assert_eq!((alpha(low), alpha(high)), (0.0, kappa));
-    assert!(alpha(middle) > 0.1 * kappa && alpha(middle) < 0.9 * kappa && kappa > 0.1 && kappa < 1.0);
+    assert!(
+        alpha(middle) > 0.1 * kappa && alpha(middle) < 0.9 * kappa && kappa > 0.1 && kappa < 1.0
+    );
     for (estimator, weight) in [
         (Estimator::FirstOrder, 1.0),
         (Estimator::ZerothOrder, 0.0),
@@ -122,14 +144,23 @@ fn estimates_of_a_polynomial_loss_equal_their_definitions() {
         (Estimator::AlphaOrder { tolerance: middle }, alpha(middle)),
         (Estimator::AlphaOrder { tolerance: high }, kappa),
     ] {
-        let (found, record) = after_one_update(Reach::default(), Quadratic, &theta, Some(estimator));
+        let (found, record) =
+            after_one_update(Reach::default(), Quadratic, &theta, Some(estimator));
         // The bound 1e-11 allows for roundings of sums over five pairs and a few more operations.
         assert_relative_eq!(record.first_order.expect("a weight"), weight, max_relative = 1e-11);
         let loss = (at(theta).loss, record.loss);
-        assert!(loss.1.is_finite() && loss.0 != loss.1, "the loss is the mean at perturbed parameters");
+        assert!(
+            loss.1.is_finite() && loss.0 != loss.1,
+            "the loss is the mean at perturbed parameters"
+        );
         for i in 0..2 {
             let estimate = weight * g1[i] + (1.0 - weight) * g0[i];
-            assert_relative_eq!(found[i], theta[i] - estimate, max_relative = 1e-11, epsilon = 1e-12);
+            assert_relative_eq!(
+                found[i],
+                theta[i] - estimate,
+                max_relative = 1e-11,
+                epsilon = 1e-12
+            );
         }
     }
 }
@@ -164,7 +195,8 @@ impl Task for Cost {
 
 #[test]
 fn a_variance_beyond_f64_leaves_the_zeroth_order_estimate() {
-    let of = |estimator| after_one_update(Cost::Steep, Constant::new(1, 1), &[0.1], Some(estimator));
+    let of =
+        |estimator| after_one_update(Cost::Steep, Constant::new(1, 1), &[0.1], Some(estimator));
     let (zeroth, record) = of(Estimator::ZerothOrder);
     assert!(zeroth != [0.1] && record.skipped == 0);
     for estimator in [Estimator::InverseVariance, Estimator::AlphaOrder { tolerance: 1e9 }] {
@@ -188,7 +220,12 @@ fn estimates_beyond_f32_are_clipped() {
         fn step<T: Scalar>(&self, Inputs { u, t, .. }: Inputs<'_, T>, next: &mut [T]) {
             next[0] = if t == 0 { u[0] } else { T::from(0.0) };
         }
-        fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+        fn vjp<R: Real, C: Cotangent<R>>(
+            &self,
+            inputs: Inputs<'_, R>,
+            next_bar: &[C],
+            cotangents: Cotangents<'_, C>,
+        ) {
             if let (0, Some(u_bar)) = (inputs.t, cotangents.u) {
                 u_bar[0] += next_bar[0] * R::from(1e30);
             }
@@ -212,7 +249,10 @@ fn estimates_beyond_f32_are_clipped() {
     }
     for estimator in [None, Some(Estimator::FirstOrder)] {
         let training = Training { clip: Clip::Norm(1.0), ..training(estimator) };
-        let trainer = Trainer::new(Huge, Constant::new(1, 1)).precision::<f32>().field(Field::regular()).training(training);
+        let trainer = Trainer::new(Huge, Constant::new(1, 1))
+            .precision::<f32>()
+            .field(Field::regular())
+            .training(training);
         let mut session = trainer.start_from(vec![0.0]).session().expect("valid settings");
         let record = session.epoch().expect("finite").clone();
         assert_eq!((record.skipped, session.weights().theta()), (0, &[-1.0][..]), "{estimator:?}");
@@ -224,9 +264,18 @@ fn estimates_beyond_f32_are_clipped() {
 #[test]
 fn zeroth_order_estimates_need_no_memory_for_gradients() {
     let of = |estimator| {
-        let training = Training { batch: 64, train_samples: 64, memory: Some(200_000), ..training(Some(estimator)) };
+        let training = Training {
+            batch: 64,
+            train_samples: 64,
+            memory: Some(200_000),
+            ..training(Some(estimator))
+        };
         let task = CartPole { horizon: 1000, ..CartPole::new(1) };
-        Trainer::new(task, Mlp::new([4, 8, 1])).precision::<f64>().field(Field::regular()).training(training).session()
+        Trainer::new(task, Mlp::new([4, 8, 1]))
+            .precision::<f64>()
+            .field(Field::regular())
+            .training(training)
+            .session()
     };
     assert!(of(Estimator::FirstOrder).is_err() && of(Estimator::ZerothOrder).is_ok());
 }
@@ -242,7 +291,9 @@ fn initial_parameters_beyond_f32_are_refused() {
 /// select it. The tolerance of the α-order estimate limits this bias.
 #[test]
 fn alpha_order_limits_the_bias_that_inverse_variances_ignore() {
-    let of = |estimator| after_one_update(Cost::Jump, Constant::new(1, 1), &[0.01], Some(estimator)).0[0];
+    let of = |estimator| {
+        after_one_update(Cost::Jump, Constant::new(1, 1), &[0.01], Some(estimator)).0[0]
+    };
     assert_eq!(of(Estimator::InverseVariance), 0.01);
     let zeroth = of(Estimator::ZerothOrder);
     assert!(zeroth < -1.0, "{zeroth}");
@@ -260,7 +311,9 @@ fn swing_up(estimator: Estimator, workers: usize) -> Session<CartPole, Mlp, f64>
         learning_rate: 1e-3,
         ..training(Some(estimator))
     };
-    let trainer = Trainer::new(CartPole::new(1), Mlp::new([4, 8, 1])).precision::<f64>().field(Field::regular());
+    let trainer = Trainer::new(CartPole::new(1), Mlp::new([4, 8, 1]))
+        .precision::<f64>()
+        .field(Field::regular());
     trainer.training(training).session().expect("valid settings")
 }
 
@@ -291,23 +344,39 @@ fn estimates_do_not_depend_on_workers_or_checkpoints() {
         }
         assert!(whole.weights().theta() == parts.weights().theta(), "{estimator:?}");
         let growth = whole.records()[0].regular_growth;
-        assert_eq!(growth.is_some(), estimator != Estimator::ZerothOrder, "{estimator:?}: {growth:?}");
+        assert_eq!(
+            growth.is_some(),
+            estimator != Estimator::ZerothOrder,
+            "{estimator:?}: {growth:?}"
+        );
     }
 }
 
 #[test]
 fn one_pair_without_variance_and_noise_of_0_are_refused() {
     let refused = |estimator, noise, pairs| {
-        let training = Training { smoothing: Some(Smoothing { estimator, noise, pairs }), ..Training::default() };
+        let training = Training {
+            smoothing: Some(Smoothing { estimator, noise, pairs }),
+            ..Training::default()
+        };
         let trainer = Trainer::new(Bowl::default(), Constant::new(2, 2)).training(training);
         let error: Option<TrainError> = trainer.session().err();
         error.map_or_else(String::new, |error| error.to_string())
     };
     assert_eq!(refused(Estimator::ZerothOrder, 0.1, 1), "");
     assert_eq!(refused(Estimator::ZerothOrder, 0.1, 0), "training.pairs: is 0; allowed: 1 or more");
-    assert_eq!(refused(Estimator::InverseVariance, 0.1, 1), "training.pairs: is 1; allowed: 2 or more");
-    assert_eq!(refused(Estimator::FirstOrder, 0.0, 1), "training.noise: is 0; allowed: a positive number");
-    assert_eq!(refused(Estimator::AlphaOrder { tolerance: -1.0 }, 0.1, 2), "training.tolerance: is -1; allowed: 0 or more");
+    assert_eq!(
+        refused(Estimator::InverseVariance, 0.1, 1),
+        "training.pairs: is 1; allowed: 2 or more"
+    );
+    assert_eq!(
+        refused(Estimator::FirstOrder, 0.0, 1),
+        "training.noise: is 0; allowed: a positive number"
+    );
+    assert_eq!(
+        refused(Estimator::AlphaOrder { tolerance: -1.0 }, 0.1, 2),
+        "training.tolerance: is -1; allowed: 0 or more"
+    );
 }
 
 /// Training skips an update with a diverged pair and keeps the parameters.
@@ -343,7 +412,8 @@ fn a_diverged_pair_keeps_the_parameters() {
     }
     // The parameter is 0.001 σ below the wall, so one member of each pair is beyond the wall.
     for estimator in ALL {
-        let (theta, record) = after_one_update(Wall, Constant::new(1, 1), &[0.4999], Some(estimator));
+        let (theta, record) =
+            after_one_update(Wall, Constant::new(1, 1), &[0.4999], Some(estimator));
         assert_eq!((&theta[..], record.skipped), (&[0.4999][..], 1), "{estimator:?}");
     }
 }

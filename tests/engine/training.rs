@@ -4,8 +4,9 @@
 use physgrad::policy::{Constant, TrainedParam, WithParams};
 use physgrad::rng::{Purpose, Rng};
 use physgrad::{
-    Adjoint, Clip, Decay, Divergence, Field, Flow, Gradient, Inputs, Number, Numbers, Optimizer, OptimizerKind, Rollout, Scalar,
-    Session, Start, System, Task, Trainer, Training, Variable, Varied, Weights, initial_states,
+    Adjoint, Clip, Decay, Divergence, Field, Flow, Gradient, Inputs, Number, Numbers, Optimizer,
+    OptimizerKind, Rollout, Scalar, Session, Start, System, Task, Trainer, Training, Variable,
+    Varied, Weights, initial_states,
 };
 use std::process::Command;
 
@@ -49,14 +50,19 @@ impl Task for Plant {
 
 /// Returns a trainer of `u = θ` from θ = 0, by gradient descent along M in double precision.
 fn trainer(task: Plant, training: Training) -> Trainer<Plant, Constant, f64> {
-    let training = Training { rule: OptimizerKind::Sgd, train_samples: 8, test_samples: 1, ..training };
-    Trainer::new(task, Constant::new(1, 1)).precision::<f64>().field(Field::modified()).training(training)
+    let training =
+        Training { rule: OptimizerKind::Sgd, train_samples: 8, test_samples: 1, ..training };
+    Trainer::new(task, Constant::new(1, 1))
+        .precision::<f64>()
+        .field(Field::modified())
+        .training(training)
 }
 
 /// Three epochs of four updates with a gradient of 1.
 fn descent(decay: Decay, warm_up: usize) -> Session<Plant, Constant, f64> {
     let task = Plant { factor: 1.0, horizon: 1, weight: 1.0 };
-    let training = Training { epochs: 3, batch: 2, learning_rate: 0.5, decay, warm_up, ..Training::default() };
+    let training =
+        Training { epochs: 3, batch: 2, learning_rate: 0.5, decay, warm_up, ..Training::default() };
     trainer(task, training).session().expect("valid settings")
 }
 
@@ -77,13 +83,18 @@ fn updates_have_the_learning_rates_of_the_decay() {
                 let factor = match decay {
                     _ if s < 0.0 => f64::from(update + 1) / (warm_up as f64 + 1.0),
                     Decay::Constant => 1.0,
-                    Decay::Cosine { end } => end + (1.0 - end) * 0.5 * (1.0 + (std::f64::consts::PI * s).cos()),
+                    Decay::Cosine { end } => {
+                        end + (1.0 - end) * 0.5 * (1.0 + (std::f64::consts::PI * s).cos())
+                    }
                     Decay::Exponential { end } => (s * end.ln()).exp(),
                 };
                 theta -= 0.5 * factor;
                 let found = session.weights().theta()[0];
                 // Each update has a few rounding errors of numbers of at most 6.
-                assert!((found - theta).abs() < 1e-13, "{decay:?}, warm-up {warm_up}, update {update}: {found}, not {theta}");
+                assert!(
+                    (found - theta).abs() < 1e-13,
+                    "{decay:?}, warm-up {warm_up}, update {update}: {found}, not {theta}"
+                );
             }
             assert!(session.is_done());
         }
@@ -94,18 +105,29 @@ fn updates_have_the_learning_rates_of_the_decay() {
 fn a_cosine_decay_to_2_and_an_exponential_decay_to_0_are_refused() {
     let refused = |decay| {
         let training = Training { decay, ..Training::default() };
-        trainer(Plant { factor: 1.0, horizon: 1, weight: 1.0 }, training).session().expect_err("an invalid decay").to_string()
+        trainer(Plant { factor: 1.0, horizon: 1, weight: 1.0 }, training)
+            .session()
+            .expect_err("an invalid decay")
+            .to_string()
     };
     assert_eq!(refused(Decay::Cosine { end: 2.0 }), "training.decay: ends at 2; allowed: 0 to 1");
-    assert_eq!(refused(Decay::Cosine { end: f64::NAN }), "training.decay: ends at NaN; allowed: 0 to 1");
-    assert_eq!(refused(Decay::Exponential { end: 0.0 }), "training.decay: ends at 0; allowed: a positive number up to 1");
+    assert_eq!(
+        refused(Decay::Cosine { end: f64::NAN }),
+        "training.decay: ends at NaN; allowed: 0 to 1"
+    );
+    assert_eq!(
+        refused(Decay::Exponential { end: 0.0 }),
+        "training.decay: ends at 0; allowed: a positive number up to 1"
+    );
 }
 
 #[test]
 fn limits_of_clipping_that_are_not_positive_are_refused() {
     for clip in [Clip::Norm(-1.0), Clip::Value(-1.0), Clip::Norm(0.0), Clip::Value(f64::NAN)] {
         let training = Training { clip, ..Training::default() };
-        let error = trainer(Plant { factor: 1.0, horizon: 1, weight: 1.0 }, training).session().expect_err("an invalid limit");
+        let error = trainer(Plant { factor: 1.0, horizon: 1, weight: 1.0 }, training)
+            .session()
+            .expect_err("an invalid limit");
         assert!(error.to_string().starts_with("training.clip: has the limit "), "{error}");
     }
 }
@@ -121,7 +143,9 @@ fn doubling() -> Trainer<Plant, Constant, f64> {
 
 fn warnings(trainer: Trainer<Plant, Constant, f64>) -> Vec<String> {
     let mut warnings = Vec::new();
-    trainer.run_with_warnings(|warning| warnings.push(warning.to_owned())).expect("fewer skips than the limit");
+    trainer
+        .run_with_warnings(|warning| warnings.push(warning.to_owned()))
+        .expect("fewer skips than the limit");
     warnings
 }
 
@@ -131,15 +155,24 @@ fn each_kind_of_warning_appears_once_in_its_first_epoch() {
         ("epoch 1: M grows by 10^4 along a rollout", "Clip by norm"),
         ("epoch 4: the training loss is not finite (forward pass", "Reduce"),
         ("epoch 4: the test loss is not finite (forward pass", "Reduce"),
-        ("epoch 5: all 1 update(s) skipped, so the parameters did not change (forward pass", "Reduce"),
+        (
+            "epoch 5: all 1 update(s) skipped, so the parameters did not change (forward pass",
+            "Reduce",
+        ),
     ];
     let found = warnings(doubling());
     assert_eq!(found.len(), expected.len(), "{found:?}");
     for (found, (start, remedy)) in found.iter().zip(expected) {
         assert!(found.starts_with(start) && found.contains(remedy), "{found}");
     }
-    let flat = warnings(trainer(Plant { factor: 1.0, horizon: 1, weight: 0.0 }, Training { epochs: 2, ..Training::default() }));
-    assert!(matches!(&flat[..], [zero] if zero.starts_with("epoch 1: the field is exactly 0")), "{flat:?}");
+    let flat = warnings(trainer(
+        Plant { factor: 1.0, horizon: 1, weight: 0.0 },
+        Training { epochs: 2, ..Training::default() },
+    ));
+    assert!(
+        matches!(&flat[..], [zero] if zero.starts_with("epoch 1: the field is exactly 0")),
+        "{flat:?}"
+    );
     let task = Plant { factor: 1.0, horizon: 1, weight: 1.0 };
     assert_eq!(warnings(trainer(task, Training { epochs: 2, ..Training::default() })), [""; 0]);
 }
@@ -193,10 +226,17 @@ fn the_best_parameters_precede_a_divergence_and_follow_a_start_from_parameters()
 #[test]
 fn numbers_of_epochs_and_seeds_hold_before_and_after_all_settings() {
     let settings = Training { epochs: 1, seed: 1, learning_rate: 0.25, ..Training::default() };
-    let plain = || Trainer::new(Plant { factor: 1.0, horizon: 1, weight: 1.0 }, Constant::new(1, 1)).precision::<f64>();
-    for trainer in [plain().epochs(3).seed(5).training(settings.clone()), plain().training(settings.clone()).seed(5).epochs(3)] {
+    let plain = || {
+        Trainer::new(Plant { factor: 1.0, horizon: 1, weight: 1.0 }, Constant::new(1, 1))
+            .precision::<f64>()
+    };
+    for trainer in [
+        plain().epochs(3).seed(5).training(settings.clone()),
+        plain().training(settings.clone()).seed(5).epochs(3),
+    ] {
         let same = Training { epochs: 3, seed: 5, ..settings.clone() };
-        let [found, expected] = [trainer, plain().training(same)].map(|trainer| trainer.run().expect("finite"));
+        let [found, expected] =
+            [trainer, plain().training(same)].map(|trainer| trainer.run().expect("finite"));
         assert_eq!(found.records.len(), 3);
         assert_eq!(found.weights.theta(), expected.weights.theta());
     }
@@ -309,19 +349,43 @@ impl Task for Pushed {
 fn trained_numbers_that_training_cannot_determine_are_named_once_with_a_remedy() {
     let start = 0.55;
     for (role, learning_rate, expected, remedy) in [
-        (Role::Comparison, 1e-3, "with respect to off is exactly 0, but other values change the loss", "smooth transition"),
-        (Role::Absent, 1e-3, "the loss does not depend on off, so training cannot change it", "Use a fixed value"),
+        (
+            Role::Comparison,
+            1e-3,
+            "with respect to off is exactly 0, but other values change the loss",
+            "smooth transition",
+        ),
+        (
+            Role::Absent,
+            1e-3,
+            "the loss does not depend on off, so training cannot change it",
+            "Use a fixed value",
+        ),
         (Role::Linear(1.0), 1e6, "training runs away: off = -1.000e7", "Give it bounds"),
         (Role::Linear(1e200), 1e-3, "component 1 is the trained number off", "Shorten the horizon"),
         (Role::Linear(1.0), 1e-3, "", ""),
     ] {
-        let task = Pushed { off: Number::Trained { start, min: f64::NEG_INFINITY, max: f64::INFINITY }, role };
+        let task = Pushed {
+            off: Number::Trained { start, min: f64::NEG_INFINITY, max: f64::INFINITY },
+            role,
+        };
         let policy = WithParams::new(Constant::new(1, 1), [TrainedParam::linear(0, start)]);
-        let training = Training { epochs: 3, train_samples: 4, test_samples: 1, learning_rate, ..Training::default() };
+        let training = Training {
+            epochs: 3,
+            train_samples: 4,
+            test_samples: 1,
+            learning_rate,
+            ..Training::default()
+        };
         let training = Training { rule: OptimizerKind::Sgd, clip: Clip::None, ..training };
-        let trainer = Trainer::new(task, policy).precision::<f64>().field(Field::regular()).training(training);
+        let trainer = Trainer::new(task, policy)
+            .precision::<f64>()
+            .field(Field::regular())
+            .training(training);
         let mut warnings = Vec::new();
-        trainer.run_with_warnings(|warning| warnings.push(warning.to_owned())).expect("fewer skips than the limit");
+        trainer
+            .run_with_warnings(|warning| warnings.push(warning.to_owned()))
+            .expect("fewer skips than the limit");
         if expected.is_empty() {
             assert_eq!(warnings, [""; 0], "{role:?}");
         } else {
@@ -386,13 +450,25 @@ fn parameters_that_nothing_sets_are_refused_by_rollouts() {
         (starts, rollout.run(&task, &policy, &Weights::new(&policy, vec![0.0])))
     };
     let (starts, outcome) = run(true, None);
-    assert!(outcome.is_ok() && starts.chunks(2).all(|start| (0.5..=2.0).contains(&start[1])), "{starts:?}");
+    assert!(
+        outcome.is_ok() && starts.chunks(2).all(|start| (0.5..=2.0).contains(&start[1])),
+        "{starts:?}"
+    );
     let (starts, outcome) = run(false, Some(0.0));
     assert!(outcome.is_ok() && starts.iter().all(|&start| start == 0.0), "{starts:?}");
     let (_, outcome) = run(false, None);
     let divergence = outcome.expect_err("a parameter that nothing sets");
-    let expected = Divergence::Forward { variable: Variable::Parameter, step: 0, sample: 0, component: 0, cause: None };
+    let expected = Divergence::Forward {
+        variable: Variable::Parameter,
+        step: 0,
+        sample: 0,
+        component: 0,
+        cause: None,
+    };
     assert_eq!(divergence, expected);
     let text = divergence.to_string();
-    assert!(text.contains("the parameter p[0] of sample 0 is NaN") && text.contains("forward `varied`"), "{text}");
+    assert!(
+        text.contains("the parameter p[0] of sample 0 is NaN") && text.contains("forward `varied`"),
+        "{text}"
+    );
 }

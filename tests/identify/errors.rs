@@ -27,7 +27,11 @@ impl System for Root {
 /// Fits p to 20 states of a simulation with p = 0.09.
 fn fit(unknowns: &[Unknown]) -> Result<Fit, IdentifyError> {
     let states = std::iter::successors(Some(1.0), |x| Some(0.5 * x + 0.3));
-    let segment = Segment { x: states.map(|x| vec![x]).take(20).collect(), p: vec![0.0], ..Segment::default() };
+    let segment = Segment {
+        x: states.map(|x| vec![x]).take(20).collect(),
+        p: vec![0.0],
+        ..Segment::default()
+    };
     identify(&Root, &[segment], unknowns, &Options::default())
 }
 
@@ -79,7 +83,10 @@ impl System for Stopping {
 
 #[test]
 fn a_flag_stops_an_identification_before_the_next_window() {
-    let states: Vec<Vec<f64>> = std::iter::successors(Some(1.0), |x| Some(0.5 * x + 0.3)).map(|x| vec![x]).take(400).collect();
+    let states: Vec<Vec<f64>> = std::iter::successors(Some(1.0), |x| Some(0.5 * x + 0.3))
+        .map(|x| vec![x])
+        .take(400)
+        .collect();
     let run = |at: usize| {
         let system = Stopping { at, ..Stopping::default() };
         let options = Options { stop: Some(system.stop.clone()), ..Options::default() };
@@ -92,7 +99,10 @@ fn a_flag_stops_an_identification_before_the_next_window() {
     // Each thread finishes the window of ten steps that it began. Each of these steps is evaluated
     // at most twice: once for the state and once for its derivatives.
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let threads = std::env::var("RAYON_NUM_THREADS").ok().and_then(|threads| threads.parse::<usize>().ok()).unwrap_or(0);
+    let threads = std::env::var("RAYON_NUM_THREADS")
+        .ok()
+        .and_then(|threads| threads.parse::<usize>().ok())
+        .unwrap_or(0);
     let windows = 2 * 10 * cores.max(threads);
     for at in (0..8).map(|part| steps * part / 8) {
         let (stopped, taken) = run(at);

@@ -42,7 +42,9 @@ impl System for Model {
     }
     fn step<T: Scalar>(&self, Inputs { x, p, t, .. }: Inputs<'_, T>, next: &mut [T]) {
         next[0] = match self {
-            Self::Switched => x[0] * 0.95 + T::select_lt(T::from(t as f64 * DT), p[1], p[0], T::zero()) * DT,
+            Self::Switched => {
+                x[0] * 0.95 + T::select_lt(T::from(t as f64 * DT), p[1], p[0], T::zero()) * DT
+            }
             Self::Enzyme => x[0] - p[0] * x[0] / (p[1] + x[0]) * DT,
             Self::Reciprocal => x[0] * 0.5 + p[0].recip(),
             Self::Root => x[0] * 0.5 + p[0].sqrt(),
@@ -72,7 +74,13 @@ fn measured(start: f64, noise: f64, next: impl Fn(usize, f64) -> f64) -> Segment
 }
 
 fn unknowns(starts: &[f64], min: f64) -> Vec<Unknown> {
-    let unknown = |(index, &start): (usize, &f64)| Unknown { name: format!("p_{index}"), index, start, min, max: f64::INFINITY };
+    let unknown = |(index, &start): (usize, &f64)| Unknown {
+        name: format!("p_{index}"),
+        index,
+        start,
+        min,
+        max: f64::INFINITY,
+    };
     starts.iter().enumerate().map(unknown).collect()
 }
 
@@ -92,16 +100,40 @@ fn numbers_without_a_result_are_told_apart() {
     let faster = |_: usize, c: f64| c - c * (0.3 + 0.2 * c) * DT;
     let unlimited = f64::NEG_INFINITY;
     for (model, data, starts, min, expected) in [
-        (Model::Switched, measured(0.0, 0.01, thrust), &[10.0, 0.5][..], 0.0, &[NotConverged, NoSlope][..]),
+        (
+            Model::Switched,
+            measured(0.0, 0.01, thrust),
+            &[10.0, 0.5][..],
+            0.0,
+            &[NotConverged, NoSlope][..],
+        ),
         (Model::Enzyme, measured(2.0, 0.01, faster), &[1.0, 1.0], 0.0, &[RanAway, RanAway]),
         (Model::Reciprocal, measured(1.0, 0.01, offset(-0.1)), &[1.0], 0.0, &[RanAway]),
         (Model::Reciprocal, measured(1.0, 0.01, offset(0.2)), &[1.0], 0.0, &[Estimated]),
         (Model::Root, measured(1.0, 0.01, offset(0.3)), &[0.0], 0.0, &[NonFinite]),
-        (Model::RootOfState, measured(0.0, 0.0, |_, x| 0.5 * x.sqrt()), &[0.1], 0.0, &[NotConverged]),
+        (
+            Model::RootOfState,
+            measured(0.0, 0.0, |_, x| 0.5 * x.sqrt()),
+            &[0.1],
+            0.0,
+            &[NotConverged],
+        ),
         // χ² is least at the kink, where its slope is not 0.
         (Model::Kink, measured(1.0, 0.01, offset(0.2)), &[1.0], 0.0, &[NotConverged]),
-        (Model::Sum, measured(1.0, 0.01, offset(0.3)), &[0.5, 0.5], unlimited, &[Undetermined, Undetermined]),
-        (Model::Offset, measured(1.0, 0.01, offset(0.3)), &[0.5, 0.5], unlimited, &[Estimated, Undetermined]),
+        (
+            Model::Sum,
+            measured(1.0, 0.01, offset(0.3)),
+            &[0.5, 0.5],
+            unlimited,
+            &[Undetermined, Undetermined],
+        ),
+        (
+            Model::Offset,
+            measured(1.0, 0.01, offset(0.3)),
+            &[0.5, 0.5],
+            unlimited,
+            &[Estimated, Undetermined],
+        ),
         (Model::Hidden, measured(1.0, 0.01, offset(0.3)), &[0.5], unlimited, &[Undetermined]),
     ] {
         let start_of = data.x[0].clone();
@@ -109,7 +141,11 @@ fn numbers_without_a_result_are_told_apart() {
         assert_eq!(found.statuses, expected, "{model:?}, {start_of:?}: {found:?}");
         let is_open = expected.iter().any(|status| !matches!(status, Estimated | Undetermined));
         assert_eq!(found.converged, !is_open, "{model:?}: {found:?}");
-        assert_eq!(found.undetermined.is_empty(), !expected.contains(&Undetermined), "{model:?}: {found:?}");
+        assert_eq!(
+            found.undetermined.is_empty(),
+            !expected.contains(&Undetermined),
+            "{model:?}: {found:?}"
+        );
         for (status, error) in expected.iter().zip(&found.errors) {
             assert_eq!(error.is_finite(), *status == Estimated, "{model:?}: {found:?}");
         }
@@ -164,7 +200,8 @@ fn windows_with_fast_unmeasured_states_do_not_end_in_a_wrong_minimum() {
         (Reactor { g: 5.0, h: 0.2, fast: 0.02 }, 2.0, 5e-4, 1000, None),
     ] {
         let rng = &mut stream(12, Purpose::Check, 0);
-        let u: Vec<Vec<f64>> = (0..steps).map(|t| vec![if t / 50 % 2 == 0 { 2.0 } else { 0.5 }]).collect();
+        let u: Vec<Vec<f64>> =
+            (0..steps).map(|t| vec![if t / 50 % 2 == 0 { 2.0 } else { 0.5 }]).collect();
         let (mut state, mut x) = (vec![0.9, 0.2], Vec::new());
         for (t, u) in u.iter().enumerate() {
             let normal: f64 = StandardNormal.sample(rng);
@@ -179,7 +216,10 @@ fn windows_with_fast_unmeasured_states_do_not_end_in_a_wrong_minimum() {
         let found = identify(&reactor, &[segment], &[unknown], &options).expect("valid data");
         let (value, error) = (found.values[0], found.errors[0]);
         let reduced = found.chi_squared / found.freedom() as f64;
-        assert!(found.converged && (value - 1.13).abs() < 4.0 * error && error < 3e-3, "{value} ± {error}");
+        assert!(
+            found.converged && (value - 1.13).abs() < 4.0 * error && error < 3e-3,
+            "{value} ± {error}"
+        );
         // Five standard deviations.
         assert!((reduced - 1.0).abs() < 5.0 * (2.0 / found.freedom() as f64).sqrt(), "{reduced}");
         assert_eq!(found.window, window);

@@ -8,7 +8,11 @@ use physgrad::{Integrated, Number, Ode, OdeInputs, RungeKutta, System, check};
 fn arm(scale: f64, varied: bool) -> Arm {
     let number = |value: f64| {
         let value = scale * value;
-        if varied { Number::Uniform { low: 0.8 * value, high: 1.2 * value } } else { Number::Fixed(value) }
+        if varied {
+            Number::Uniform { low: 0.8 * value, high: 1.2 * value }
+        } else {
+            Number::Fixed(value)
+        }
     };
     Arm {
         mass: number(0.3),
@@ -39,7 +43,8 @@ fn one_arm_is_a_physical_pendulum() {
     let mut rate = [0.0; 2];
     ode.rate::<f64>(OdeInputs { x: &x, u: &u, p: &[], t: 0.0 }, &mut rate);
     let friction = 1e-3 * 1.3 + 2e-3 * (1.3_f64 / 0.01).tanh() + 3e-4 * 1.3 * 1.3;
-    let expected = (0.3 * 9.7 * 0.11 * 0.7_f64.sin() - friction + 0.02) / (2e-3 + 0.3 * 0.11 * 0.11);
+    let expected =
+        (0.3 * 9.7 * 0.11 * 0.7_f64.sin() - friction + 0.02) / (2e-3 + 0.3 * 0.11 * 0.11);
     assert_eq!(rate[0], 1.3);
     assert!((rate[1] - expected).abs() < 1e-13 * expected.abs(), "{} {expected}", rate[1]);
 }
@@ -49,13 +54,17 @@ fn one_arm_is_a_physical_pendulum() {
 #[test]
 fn three_arms_satisfy_the_principle_of_dalembert() {
     let mut arms: Vec<Arm> = [1.0, 1.3, 0.8].map(|scale| arm(scale, false)).into();
-    arms.iter_mut().for_each(|arm| (arm.viscous, arm.dry, arm.quadratic) = (0.0.into(), 0.0.into(), 0.0.into()));
+    arms.iter_mut().for_each(|arm| {
+        (arm.viscous, arm.dry, arm.quadratic) = (0.0.into(), 0.0.into(), 0.0.into())
+    });
     let ode = MultiPendulum { arms: arms.clone(), gravity: 9.81.into() };
     let x = [0.4, 1.7, -1.1, -2.1, 2.3, 0.9];
     let mut rate = [0.0; 6];
     ode.rate::<f64>(OdeInputs { x: &x, u: &[0.0], p: &[], t: 0.0 }, &mut rate);
     // Acceleration of the center of arm k, minus that of gravity, from r = Σ l (sin θ, cos θ).
-    let length = |k: usize, j: usize| if j < k { arms[j].length.nominal() } else { arms[j].center.nominal() };
+    let length = |k: usize, j: usize| {
+        if j < k { arms[j].length.nominal() } else { arms[j].center.nominal() }
+    };
     for i in 0..3 {
         let mut power = arms[i].inertia.nominal() * rate[2 * i + 1];
         for (k, arm) in arms.iter().enumerate().skip(i) {
@@ -65,7 +74,8 @@ fn three_arms_satisfy_the_principle_of_dalembert() {
                 [across + l * (cos * alpha - sin * spin), up - l * (sin * alpha + cos * spin)]
             });
             let (sin, cos) = x[2 * i].sin_cos();
-            power += arm.mass.nominal() * length(k, i) * (cos * acceleration[0] - sin * acceleration[1]);
+            power +=
+                arm.mass.nominal() * length(k, i) * (cos * acceleration[0] - sin * acceleration[1]);
         }
         assert!(power.abs() < 1e-14, "arm {i}: {power}");
     }
@@ -76,7 +86,9 @@ fn three_arms_satisfy_the_principle_of_dalembert() {
 #[test]
 fn energy_is_conserved_without_friction() {
     let mut arms: Vec<Arm> = [1.0, 1.3, 0.8].map(|scale| arm(scale, false)).into();
-    arms.iter_mut().for_each(|arm| (arm.viscous, arm.dry, arm.quadratic) = (0.0.into(), 0.0.into(), 0.0.into()));
+    arms.iter_mut().for_each(|arm| {
+        (arm.viscous, arm.dry, arm.quadratic) = (0.0.into(), 0.0.into(), 0.0.into())
+    });
     let ode = MultiPendulum { arms, gravity: 9.81.into() };
     let drift = |dt: f64| {
         let system = Integrated { ode: ode.clone(), integrator: RungeKutta::RK4, dt };

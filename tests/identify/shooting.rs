@@ -46,7 +46,8 @@ fn fit(system: &Pendulum, segment: &Segment, window: Option<usize>) -> Fit {
         max: f64::INFINITY,
     };
     let unknowns: Vec<Unknown> = segment.p.iter().enumerate().map(unknown).collect();
-    let options = Options { noise: Some(NOISE.repeat(segment.x[0].len() / 2)), window, ..Options::default() };
+    let options =
+        Options { noise: Some(NOISE.repeat(segment.x[0].len() / 2)), window, ..Options::default() };
     identify(system, std::slice::from_ref(segment), &unknowns, &options).expect("valid data")
 }
 
@@ -60,7 +61,11 @@ fn reduced(fit: &Fit) -> f64 {
 fn largest_jump(system: &Pendulum, fit: &Fit, p: &[f64]) -> f64 {
     let of_step = |t: usize| {
         let next = &simulate(system, &fit.states[0][t], p, 1)[1];
-        let jumps = next.iter().zip(&fit.states[0][t + 1]).enumerate().map(|(i, (a, b))| (a - b).abs() / NOISE[i % 2]);
+        let jumps = next
+            .iter()
+            .zip(&fit.states[0][t + 1])
+            .enumerate()
+            .map(|(i, (a, b))| (a - b).abs() / NOISE[i % 2]);
         jumps.fold(0.0, f64::max)
     };
     (0..fit.states[0].len() - 1).map(of_step).fold(0.0, f64::max)
@@ -74,7 +79,10 @@ fn check(system: &Pendulum, segment: &Segment) {
     let single = fit(system, segment, None);
     assert!(found.converged && (reduced(&found) - 1.0).abs() < 0.2, "{}", reduced(&found));
     for ((value, error), truth) in found.values.iter().zip(&found.errors).zip(&segment.p) {
-        assert!((value - truth).abs() < 4.0 * error && *error < 3e-2 * truth, "{value} ± {error}, {truth}");
+        assert!(
+            (value - truth).abs() < 4.0 * error && *error < 3e-2 * truth,
+            "{value} ± {error}, {truth}"
+        );
     }
     assert!(found.undetermined_starts.is_empty(), "{:?}", found.undetermined_starts);
     let jump = largest_jump(system, &found, &found.values);
@@ -119,18 +127,33 @@ fn a_fit_with_unknown_noise_does_not_depend_on_the_unit_of_the_data() {
     let rng = &mut stream(7, Purpose::Check, 0);
     let noise: Vec<f64> = (0..40).map(|_| StandardNormal.sample(rng)).collect();
     let fit = |unit: f64| {
-        let x = noise.iter().enumerate().map(|(t, noise)| vec![unit * (10.0 * 0.95_f64.powi(t as i32) + noise)]).collect();
+        let x = noise
+            .iter()
+            .enumerate()
+            .map(|(t, noise)| vec![unit * (10.0 * 0.95_f64.powi(t as i32) + noise)])
+            .collect();
         let segment = Segment { x, p: vec![0.0], ..Segment::default() };
-        let unknown = Unknown { name: "rate".into(), index: 0, start: 0.8, min: f64::NEG_INFINITY, max: f64::INFINITY };
+        let unknown = Unknown {
+            name: "rate".into(),
+            index: 0,
+            start: 0.8,
+            min: f64::NEG_INFINITY,
+            max: f64::INFINITY,
+        };
         let options = Options { window: Some(1), ..Options::default() };
         identify(&Decay, &[segment], &[unknown], &options).expect("valid data")
     };
     let expected = fit(1.0);
-    assert!(expected.jump < 1e-6 && (expected.values[0] - 0.95).abs() < 4.0 * expected.errors[0], "{expected:?}");
+    assert!(
+        expected.jump < 1e-6 && (expected.values[0] - 0.95).abs() < 4.0 * expected.errors[0],
+        "{expected:?}"
+    );
     for unit in [1e-6, 1e6] {
         let found = fit(unit);
         assert!(found.jump < 1e-6, "{unit}: {}", found.jump);
-        for (found, expected) in [(found.values[0], expected.values[0]), (found.errors[0], expected.errors[0])] {
+        for (found, expected) in
+            [(found.values[0], expected.values[0]), (found.errors[0], expected.errors[0])]
+        {
             assert!((found - expected).abs() < 1e-6 * expected, "{unit}: {found}, {expected}");
         }
     }

@@ -14,7 +14,11 @@ const VARIES: Number = Number::Trained { start: 1.0, min: f64::NEG_INFINITY, max
 /// Returns a pendulum with one arm and p = [center in m, viscous friction in N m s/rad].
 fn pendulum() -> Pendulum {
     let arm = Arm { center: VARIES, viscous: VARIES, ..Arm::default() };
-    Integrated { ode: MultiPendulum { arms: vec![arm], gravity: 9.81.into() }, integrator: RungeKutta::RK4, dt: 0.01 }
+    Integrated {
+        ode: MultiPendulum { arms: vec![arm], gravity: 9.81.into() },
+        integrator: RungeKutta::RK4,
+        dt: 0.01,
+    }
 }
 
 const TRUTH: [f64; 2] = [0.12, 4e-4];
@@ -32,7 +36,13 @@ fn unknowns(factor: f64) -> Vec<Unknown> {
     names.map(unknown).collect()
 }
 
-fn simulated(rng: &mut Rng, system: &Pendulum, start: [f64; 2], steps: usize, noise: [f64; 2]) -> Segment {
+fn simulated(
+    rng: &mut Rng,
+    system: &Pendulum,
+    start: [f64; 2],
+    steps: usize,
+    noise: [f64; 2],
+) -> Segment {
     let mut x = vec![start.to_vec()];
     for t in 0..steps {
         let mut next = vec![0.0; 2];
@@ -71,17 +81,22 @@ fn exact_data_give_the_truth() {
 /// below 88 with a probability of 0.15 %.
 #[test]
 fn confidence_intervals_have_their_nominal_coverage() {
-    let options = [Options { noise: Some(NOISE.into()), ..Options::default() }, Options { noise: None, ..Options::default() }];
+    let options = [
+        Options { noise: Some(NOISE.into()), ..Options::default() },
+        Options { noise: None, ..Options::default() },
+    ];
     // Without a given noise, the fit assumes equal noise of all components.
     for (options, noise) in options.iter().zip([NOISE, [0.05; 2]]) {
         let mut covered = [0; 2];
         for repetition in 0..100 {
             let rng = &mut stream(1, Purpose::Check, repetition);
-            let segments = [1.2, 2.5].map(|theta| simulated(rng, &pendulum(), [theta, 0.0], 200, noise));
+            let segments =
+                [1.2, 2.5].map(|theta| simulated(rng, &pendulum(), [theta, 0.0], 200, noise));
             let found = fit(&segments, 0.9, options);
             assert!(found.converged, "{repetition}");
             for i in 0..2 {
-                covered[i] += usize::from((found.values[i] - TRUTH[i]).abs() < 1.96 * found.errors[i]);
+                covered[i] +=
+                    usize::from((found.values[i] - TRUTH[i]).abs() < 1.96 * found.errors[i]);
             }
         }
         assert!(covered.iter().all(|covered| (88..=100).contains(covered)), "{covered:?}");
@@ -93,8 +108,15 @@ fn correlated(segments: u32, repetitions: u64) -> Vec<Fit> {
     let fits = (0..repetitions).map(|repetition| {
         let rng = &mut stream(7, Purpose::Check, repetition);
         let segment = |i: u32| {
-            let mut segment = simulated(rng, &pendulum(), [0.8 + 2.0 / f64::from(segments) * f64::from(i), 0.0], 60, [0.0; 2]);
-            let mut drift = NOISE.map(|noise| noise * Distribution::<f64>::sample(&StandardNormal, rng));
+            let mut segment = simulated(
+                rng,
+                &pendulum(),
+                [0.8 + 2.0 / f64::from(segments) * f64::from(i), 0.0],
+                60,
+                [0.0; 2],
+            );
+            let mut drift =
+                NOISE.map(|noise| noise * Distribution::<f64>::sample(&StandardNormal, rng));
             for row in &mut segment.x {
                 for ((x, drift), noise) in row.iter_mut().zip(&mut drift).zip(NOISE) {
                     *x += *drift;
@@ -105,21 +127,27 @@ fn correlated(segments: u32, repetitions: u64) -> Vec<Fit> {
             segment
         };
         let segments: Vec<Segment> = (0..segments).map(segment).collect();
-        fit(&segments, 0.9, &Options { noise: Some(NOISE.into()), window: None, ..Options::default() })
+        fit(
+            &segments,
+            0.9,
+            &Options { noise: Some(NOISE.into()), window: None, ..Options::default() },
+        )
     });
     fits.collect()
 }
 
 /// Fractions of the intervals `value ± quantile * error` that contain the true value.
 fn coverage(fits: &[Fit], quantile: f64, errors: fn(&Fit) -> &[f64]) -> [f64; 2] {
-    let covers = |fit: &&Fit, i: usize| (fit.values[i] - TRUTH[i]).abs() < quantile * errors(fit)[i];
+    let covers =
+        |fit: &&Fit, i: usize| (fit.values[i] - TRUTH[i]).abs() < quantile * errors(fit)[i];
     [0, 1].map(|i| fits.iter().filter(|fit| covers(fit, i)).count() as f64 / fits.len() as f64)
 }
 
 #[test]
 fn with_correlated_noise_only_robust_errors_have_their_coverage() {
     let fits = correlated(20, 100);
-    let [plain, robust] = [coverage(&fits, 1.96, |fit| &fit.errors), coverage(&fits, 1.96, |fit| &fit.robust_errors)];
+    let [plain, robust] =
+        [coverage(&fits, 1.96, |fit| &fit.errors), coverage(&fits, 1.96, |fit| &fit.robust_errors)];
     assert!(plain.iter().all(|&covered| covered < 0.8), "{plain:?}");
     assert!(robust.iter().all(|&covered| covered >= 0.88), "{robust:?}");
 }
@@ -156,13 +184,28 @@ fn a_number_that_one_segment_determines_has_no_robust_error() {
     let rng = &mut stream(8, Purpose::Check, 0);
     let segment = |i: u32| {
         let mut x = || vec![Distribution::<f64>::sample(&StandardNormal, rng)];
-        Segment { x: (0..10).map(|_| x()).collect(), u: vec![vec![f64::from(i / 3)]; 10], p: vec![0.0; 2], ..Segment::default() }
+        Segment {
+            x: (0..10).map(|_| x()).collect(),
+            u: vec![vec![f64::from(i / 3)]; 10],
+            p: vec![0.0; 2],
+            ..Segment::default()
+        }
     };
     let segments: Vec<Segment> = (0..4).map(segment).collect();
-    let unknown = |index| Unknown { name: format!("p_{index}"), index, start: 0.0, min: f64::NEG_INFINITY, max: f64::INFINITY };
-    let found = identify(&Driven, &segments, &[0, 1].map(unknown), &Options::default()).expect("valid data");
+    let unknown = |index| Unknown {
+        name: format!("p_{index}"),
+        index,
+        start: 0.0,
+        min: f64::NEG_INFINITY,
+        max: f64::INFINITY,
+    };
+    let found = identify(&Driven, &segments, &[0, 1].map(unknown), &Options::default())
+        .expect("valid data");
     assert!(found.errors.iter().all(|error| error.is_finite()), "{found:?}");
-    assert!(found.robust_errors[0].is_finite() && found.robust_errors[1].is_infinite(), "{found:?}");
+    assert!(
+        found.robust_errors[0].is_finite() && found.robust_errors[1].is_infinite(),
+        "{found:?}"
+    );
 }
 
 /// Heat conduction in a rod, with the Fourier number p of a time step and insulated ends.
@@ -190,7 +233,8 @@ impl System for Rod {
 /// temperatures if it is `complete`.
 fn rod(complete: bool, options: &Options) -> Fit {
     let rng = &mut stream(9, Purpose::Check, 0);
-    let mut x = vec![(0..20).map(|i| 20.0 + 30.0 * (f64::from(i) * 0.3).sin()).collect::<Vec<f64>>()];
+    let mut x =
+        vec![(0..20).map(|i| 20.0 + 30.0 * (f64::from(i) * 0.3).sin()).collect::<Vec<f64>>()];
     for t in 0..200 {
         let mut next = vec![0.0; 20];
         Rod(20).step::<f64>(Inputs { x: &x[t], u: &[], p: &[0.3], t }, &mut next);
@@ -230,17 +274,26 @@ fn long_swings_are_identified() {
     for window in [None, Options::default().window] {
         let options = Options { noise: Some(NOISE.into()), window, ..Options::default() };
         let found = fit(&segments, 1.8, &options);
-        assert!(found.converged && (found.values[0] / TRUTH[0] - 1.0).abs() < 1e-3, "{:?}", found.values);
+        assert!(
+            found.converged && (found.values[0] / TRUTH[0] - 1.0).abs() < 1e-3,
+            "{:?}",
+            found.values
+        );
         // χ² per degree of freedom is 1 within five standard deviations.
         let dof = (found.measurements - found.unknowns) as f64;
-        assert!((found.chi_squared / dof - 1.0).abs() < 5.0 * (2.0 / dof).sqrt(), "{}", found.chi_squared / dof);
+        assert!(
+            (found.chi_squared / dof - 1.0).abs() < 5.0 * (2.0 / dof).sqrt(),
+            "{}",
+            found.chi_squared / dof
+        );
     }
 }
 
 #[test]
 fn missing_samples_do_not_matter() {
     let rng = &mut stream(3, Purpose::Check, 0);
-    let mut segments = [2.0, 0.5].map(|theta| simulated(rng, &pendulum(), [theta, 0.3], 300, [0.0; 2]));
+    let mut segments =
+        [2.0, 0.5].map(|theta| simulated(rng, &pendulum(), [theta, 0.3], 300, [0.0; 2]));
     for segment in &mut segments {
         for (t, row) in segment.x.iter_mut().enumerate() {
             // The data lack all rates, and the angles of two of every three steps.
@@ -267,14 +320,21 @@ fn undetermined_combinations_are_named() {
         system.step::<f64>(Inputs { x: &x[t], u: &[0.0], p: &truth, t }, &mut next);
         x.push(next);
     }
-    let unknown =
-        |(index, name): (usize, &str)| Unknown { name: name.into(), index, start: truth[index], min: 0.0, max: f64::INFINITY };
-    let unknowns: Vec<Unknown> = ["mass", "inertia", "viscous"].into_iter().enumerate().map(unknown).collect();
+    let unknown = |(index, name): (usize, &str)| Unknown {
+        name: name.into(),
+        index,
+        start: truth[index],
+        min: 0.0,
+        max: f64::INFINITY,
+    };
+    let unknowns: Vec<Unknown> =
+        ["mass", "inertia", "viscous"].into_iter().enumerate().map(unknown).collect();
     let segments = [Segment { x, p: truth.to_vec(), ..Segment::default() }];
     let found = identify(&system, &segments, &unknowns, &Options::default()).expect("valid data");
     assert_eq!(found.undetermined, [["mass", "inertia", "viscous"]]);
     assert!(found.errors.iter().all(|error| error.is_infinite()));
-    let two = identify(&system, &segments, &unknowns[1..], &Options::default()).expect("valid data");
+    let two =
+        identify(&system, &segments, &unknowns[1..], &Options::default()).expect("valid data");
     assert!(two.undetermined.is_empty() && two.errors.iter().all(|error| error.is_finite()));
 }
 
@@ -284,12 +344,14 @@ fn parameters_stay_within_their_bounds() {
     let segments = [simulated(rng, &pendulum(), [1.0, 0.0], 200, [0.0; 2])];
     let mut unknowns = unknowns(1.0);
     (unknowns[1].start, unknowns[1].min) = (8e-4, 6e-4);
-    let found = identify(&pendulum(), &segments, &unknowns, &Options::default()).expect("valid data");
+    let found =
+        identify(&pendulum(), &segments, &unknowns, &Options::default()).expect("valid data");
     assert_eq!((found.values[1], &found.at_bound[..]), (6e-4, &["viscous".to_owned()][..]));
 }
 
 fn fit_starts(segment: &Segment) -> Fit {
-    identify(&pendulum(), std::slice::from_ref(segment), &[], &Options::default()).expect("valid data")
+    identify(&pendulum(), std::slice::from_ref(segment), &[], &Options::default())
+        .expect("valid data")
 }
 
 #[test]
@@ -297,14 +359,22 @@ fn wrong_data_are_refused() {
     let rng = &mut stream(5, Purpose::Check, 0);
     let good = simulated(rng, &pendulum(), [1.0, 0.0], 20, [0.0; 2]);
     let error = |segment: Segment, unknowns: &[Unknown]| {
-        identify(&pendulum(), &[segment], unknowns, &Options::default()).expect_err("an error").to_string()
+        identify(&pendulum(), &[segment], unknowns, &Options::default())
+            .expect_err("an error")
+            .to_string()
     };
     let mut short = good.clone();
     short.x[3].pop();
-    assert_eq!(error(short, &unknowns(1.0)), "segment 0: a measured state has length 1; expected 2");
+    assert_eq!(
+        error(short, &unknowns(1.0)),
+        "segment 0: a measured state has length 1; expected 2"
+    );
     let mut short = good.clone();
     short.u = vec![vec![0.0]; 17];
-    assert_eq!(error(short, &unknowns(1.0)), "segment 0: the list of controls has length 17; expected 20");
+    assert_eq!(
+        error(short, &unknowns(1.0)),
+        "segment 0: the list of controls has length 17; expected 20"
+    );
     let exact = Options { free_starts: false, ..Options::default() };
     let nothing = identify(&pendulum(), std::slice::from_ref(&good), &[], &exact);
     assert_eq!(nothing.expect_err("an error"), IdentifyError::NothingUnknown);
@@ -323,15 +393,30 @@ fn wrong_data_are_refused() {
         identify(&pendulum(), segments, &unknowns(1.0), &options).expect_err("an error").to_string()
     };
     let empty = Segment { x: Vec::new(), ..good.clone() };
-    assert_eq!(with(&[good.clone(), empty], Options::default()), "segment 1 has no samples; remove it");
+    assert_eq!(
+        with(&[good.clone(), empty], Options::default()),
+        "segment 1 has no samples; remove it"
+    );
     let mut late = good.clone();
     late.x[0][1] = f64::NAN;
-    assert!(with(&[late], exact).starts_with("segment 0: component 1 of the first sample is missing"));
-    let short = with(std::slice::from_ref(&good), Options { noise: Some(vec![0.1]), ..Options::default() });
-    assert_eq!(short, "the list of noise levels has 1 numbers; expected 2, one per state component");
+    assert!(
+        with(&[late], exact).starts_with("segment 0: component 1 of the first sample is missing")
+    );
+    let short =
+        with(std::slice::from_ref(&good), Options { noise: Some(vec![0.1]), ..Options::default() });
+    assert_eq!(
+        short,
+        "the list of noise levels has 1 numbers; expected 2, one per state component"
+    );
     for noise in [0.0, -0.1, f64::NAN, f64::INFINITY] {
-        let error = with(std::slice::from_ref(&good), Options { noise: Some(vec![0.1, noise]), ..Options::default() });
-        assert_eq!(error, format!("the noise of state component 1 is {noise}; allowed: positive finite numbers"));
+        let error = with(
+            std::slice::from_ref(&good),
+            Options { noise: Some(vec![0.1, noise]), ..Options::default() },
+        );
+        assert_eq!(
+            error,
+            format!("the noise of state component 1 is {noise}; allowed: positive finite numbers")
+        );
     }
 }
 
@@ -339,7 +424,13 @@ fn wrong_data_are_refused() {
 fn windows_have_at_least_one_step() {
     let rng = &mut stream(7, Purpose::Check, 0);
     let segment = simulated(rng, &pendulum(), [1.0, 0.0], 50, NOISE);
-    let of = |window: usize| fit(std::slice::from_ref(&segment), 1.1, &Options { window: Some(window), ..Options::default() });
+    let of = |window: usize| {
+        fit(
+            std::slice::from_ref(&segment),
+            1.1,
+            &Options { window: Some(window), ..Options::default() },
+        )
+    };
     assert_eq!(of(0), of(1));
 }
 
@@ -372,7 +463,13 @@ fn every_segment_is_simulated_from_its_own_step() {
         Gusts.step::<f64>(Inputs { x: &x[t], u: &[], p: &truth, t }, &mut next);
         x.push(next);
     }
-    let unknown = |index| Unknown { name: format!("p_{index}"), index, start: 0.0, min: f64::NEG_INFINITY, max: f64::INFINITY };
+    let unknown = |index| Unknown {
+        name: format!("p_{index}"),
+        index,
+        start: 0.0,
+        min: f64::NEG_INFINITY,
+        max: f64::INFINITY,
+    };
     for parts in [vec![0..121], vec![37..121], vec![5..40, 63..101]] {
         let part = |part: std::ops::Range<usize>| Segment {
             first_step: part.start,
@@ -381,9 +478,12 @@ fn every_segment_is_simulated_from_its_own_step() {
             ..Segment::default()
         };
         let segments: Vec<Segment> = parts.iter().cloned().map(part).collect();
-        for (window, free_starts) in [(None, true), (None, false), (Some(10), true), (Some(7), false)] {
+        for (window, free_starts) in
+            [(None, true), (None, false), (Some(10), true), (Some(7), false)]
+        {
             let options = Options { window, free_starts, ..Options::default() };
-            let found = identify(&Gusts, &segments, &[0, 1].map(unknown), &options).expect("valid data");
+            let found =
+                identify(&Gusts, &segments, &[0, 1].map(unknown), &options).expect("valid data");
             let errors = found.values.iter().zip(truth).map(|(value, truth)| (value - truth).abs());
             assert!(errors.fold(0.0, f64::max) < 1e-8, "{parts:?}, {window:?}: {:?}", found.values);
         }
@@ -404,23 +504,39 @@ fn angles_that_wrap_give_the_fit_of_continuous_angles() {
     wrapped[2].x[100..120].fill(vec![f64::NAN; 2]);
     let mut with_gap = continuous.clone();
     with_gap[2].x[100..120].fill(vec![f64::NAN; 2]);
-    assert!(wrapped.iter().all(|segment| segment.x.windows(2).any(|pair| (pair[1][0] - pair[0][0]).abs() > PI)));
+    assert!(
+        wrapped
+            .iter()
+            .all(|segment| segment.x.windows(2).any(|pair| (pair[1][0] - pair[0][0]).abs() > PI))
+    );
     for window in [None, Some(10)] {
         for free_starts in [true, false] {
-            let options = Options { noise: Some(NOISE.into()), window, free_starts, ..Options::default() };
+            let options =
+                Options { noise: Some(NOISE.into()), window, free_starts, ..Options::default() };
             let expected = fit(&with_gap, 1.1, &options);
             let found = fit(&wrapped, 1.1, &Options { angles: vec![0], ..options });
             assert!(expected.converged && found.converged, "{window:?} {free_starts}");
             for i in 0..2 {
                 // The iterations end within a small fraction of a standard error.
-                assert!((found.values[i] - expected.values[i]).abs() < 1e-3 * expected.errors[i], "{found:?}\n{expected:?}");
+                assert!(
+                    (found.values[i] - expected.values[i]).abs() < 1e-3 * expected.errors[i],
+                    "{found:?}\n{expected:?}"
+                );
             }
             assert!((found.chi_squared / expected.chi_squared - 1.0).abs() < 1e-6);
-            assert!((found.rms(2, 0, &wrapped[2]) / expected.rms(2, 0, &with_gap[2]) - 1.0).abs() < 1e-6);
+            assert!(
+                (found.rms(2, 0, &wrapped[2]) / expected.rms(2, 0, &with_gap[2]) - 1.0).abs()
+                    < 1e-6
+            );
             let steps = found.states.iter().flat_map(|states| states.windows(2));
             assert!(steps.map(|pair| (pair[1][0] - pair[0][0]).abs()).fold(0.0, f64::max) < 0.5);
         }
     }
-    let error = identify(&pendulum(), &continuous, &unknowns(1.0), &Options { angles: vec![2], ..Options::default() });
+    let error = identify(
+        &pendulum(),
+        &continuous,
+        &unknowns(1.0),
+        &Options { angles: vec![2], ..Options::default() },
+    );
     assert_eq!(error, Err(IdentifyError::Angle { component: 2, states: 2 }));
 }

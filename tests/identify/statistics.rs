@@ -53,8 +53,12 @@ fn unknown(index: usize, start: f64, [min, max]: [f64; 2]) -> Unknown {
 const FREE: [f64; 2] = [f64::NEG_INFINITY, f64::INFINITY];
 
 fn fit(unknowns: &[Unknown], fixed: f64, noise: Option<f64>) -> Fit {
-    let segments: Vec<Segment> = segments().into_iter().map(|segment| Segment { p: vec![0.0, 0.0, fixed], ..segment }).collect();
-    let options = Options { noise: noise.map(|noise| vec![noise]), window: None, ..Options::default() };
+    let segments: Vec<Segment> = segments()
+        .into_iter()
+        .map(|segment| Segment { p: vec![0.0, 0.0, fixed], ..segment })
+        .collect();
+    let options =
+        Options { noise: noise.map(|noise| vec![noise]), window: None, ..Options::default() };
     identify(&Line, &segments, unknowns, &options).expect("valid data")
 }
 
@@ -90,11 +94,13 @@ fn errors_are_those_of_linear_regression_and_of_fits_without_a_segment() {
     let all: Vec<Unknown> = (0..3).map(|i| unknown(i, 0.0, FREE)).collect();
     let [free, known] = [fit(&all, 0.0, None), fit(&all, 0.0, Some(2.0))];
     let (values, inverse, squares, freedom) = regression(&segments);
-    let without: Vec<DVector<f64>> = (0..5).map(|i| regression(&[&segments[..i], &segments[i + 1..]].concat()).0).collect();
+    let without: Vec<DVector<f64>> =
+        (0..5).map(|i| regression(&[&segments[..i], &segments[i + 1..]].concat()).0).collect();
     assert_eq!((free.freedom() as f64, free.unknowns), (freedom, 8));
     for i in 0..3 {
         let variance = inverse[(5 + i, 5 + i)];
-        let scatter: f64 = without.iter().map(|without| (without[4 + i] - values[5 + i]).powi(2)).sum();
+        let scatter: f64 =
+            without.iter().map(|without| (without[4 + i] - values[5 + i]).powi(2)).sum();
         assert_close(free.values[i], values[5 + i], "value");
         assert_close(free.errors[i], (variance * squares / freedom).sqrt(), "error");
         assert_close(known.errors[i], 2.0 * variance.sqrt(), "error with known noise");
@@ -123,7 +129,11 @@ fn numbers_at_a_bound_are_known_in_all_statistics() {
         for noise in [None, Some(1.0)] {
             let expected = fit(&both, bound, noise);
             let found = fit(&[&both[..], &[unknown(2, start, bounds)]].concat(), 0.0, noise);
-            assert_eq!(found.statuses, [Status::Estimated, Status::Estimated, Status::AtBound], "{start}");
+            assert_eq!(
+                found.statuses,
+                [Status::Estimated, Status::Estimated, Status::AtBound],
+                "{start}"
+            );
             assert_eq!((found.values[2], &found.at_bound[..]), (bound, &["p_2".to_owned()][..]));
             assert_eq!((found.unknowns, found.freedom()), (expected.unknowns, expected.freedom()));
             assert!(found.converged && found.undetermined.is_empty());

@@ -4,33 +4,49 @@
 use num_dual::Dual64;
 use physgrad::policy::Linear;
 use physgrad::rng::{Purpose, stream};
-use physgrad::tasks::{CartPole, CoupledCartPole, Guidance, GuidanceSystem, Pade, Quantum, QuantumSystem, Strang};
+use physgrad::tasks::{
+    CartPole, CoupledCartPole, Guidance, GuidanceSystem, Pade, Quantum, QuantumSystem, Strang,
+};
 use physgrad::{
-    Batch, DoubleDouble, Dual, Flow, ImplicitMidpoint, Inputs, Integrated, Policy, RungeKutta, Scalar, System, Task, Weights,
-    check, initial_states,
+    Batch, DoubleDouble, Dual, Flow, ImplicitMidpoint, Inputs, Integrated, Policy, RungeKutta,
+    Scalar, System, Task, Weights, check, initial_states,
 };
 
 /// Compares value and directional derivative of a step between double-double and num-dual.
 fn agrees<S: System>(name: &str, system: &S, size: f64) {
     use rand::RngExt;
     let mut rng = stream(5, Purpose::Check, 0);
-    let mut draw = |len: usize| (0..len).map(|_| size * rng.random_range(-1.0..1.0)).collect::<Vec<f64>>();
+    let mut draw =
+        |len: usize| (0..len).map(|_| size * rng.random_range(-1.0..1.0)).collect::<Vec<f64>>();
     let (n, m) = (system.state_dim(), system.control_dim());
     let (x, u, tx, tu) = (draw(n), draw(m), draw(n), draw(m));
-    let fine = |(value, slope): (&f64, &f64)| Dual { value: DoubleDouble::from(*value), tangents: [DoubleDouble::from(*slope)] };
+    let fine = |(value, slope): (&f64, &f64)| Dual {
+        value: DoubleDouble::from(*value),
+        tangents: [DoubleDouble::from(*slope)],
+    };
     let dual = |(value, slope): (&f64, &f64)| Dual64::new(*value, *slope);
-    let (fx, fu): (Vec<_>, Vec<_>) = (x.iter().zip(&tx).map(fine).collect(), u.iter().zip(&tu).map(fine).collect());
-    let (dx, du): (Vec<_>, Vec<_>) = (x.iter().zip(&tx).map(dual).collect(), u.iter().zip(&tu).map(dual).collect());
+    let (fx, fu): (Vec<_>, Vec<_>) =
+        (x.iter().zip(&tx).map(fine).collect(), u.iter().zip(&tu).map(fine).collect());
+    let (dx, du): (Vec<_>, Vec<_>) =
+        (x.iter().zip(&tx).map(dual).collect(), u.iter().zip(&tu).map(dual).collect());
     let (mut fine_next, mut dual_next) = (fx.clone(), dx.clone());
     system.step(Inputs::new(&fx, &fu), &mut fine_next);
     system.step(Inputs::new(&dx, &du), &mut dual_next);
-    let largest = |numbers: &mut dyn Iterator<Item = f64>| numbers.fold(0.0_f64, |largest, x| largest.max(x.abs()));
+    let largest = |numbers: &mut dyn Iterator<Item = f64>| {
+        numbers.fold(0.0_f64, |largest, x| largest.max(x.abs()))
+    };
     let values = largest(&mut fine_next.iter().map(|x| x.value.to_f64()));
     let slopes = largest(&mut fine_next.iter().map(|x| x.tangents[0].to_f64()));
     for (i, (fine, dual)) in fine_next.iter().zip(&dual_next).enumerate() {
         let slope = dual.eps;
-        assert!((fine.value.to_f64() - dual.re).abs() <= 1e-13 * values, "{name}: value {i}: {fine:?}, {dual:?}");
-        assert!((fine.tangents[0].to_f64() - slope).abs() <= 1e-12 * slopes, "{name}: slope {i}: {fine:?}, {dual:?}");
+        assert!(
+            (fine.value.to_f64() - dual.re).abs() <= 1e-13 * values,
+            "{name}: value {i}: {fine:?}, {dual:?}"
+        );
+        assert!(
+            (fine.tangents[0].to_f64() - slope).abs() <= 1e-12 * slopes,
+            "{name}: slope {i}: {fine:?}, {dual:?}"
+        );
     }
     // Nonzero low words show that the step does not compute in plain f64.
     assert!(fine_next.iter().any(|x| x.value.parts()[1] != 0.0), "{name}");
@@ -47,7 +63,11 @@ fn steps_in_double_double_agree_with_duals_to_rounding() {
     agrees("Strang", &Strang::new(QuantumSystem::default()), 1.0);
     let coupled = physgrad::Forced { system: CoupledCartPole(cart_pole), effects: () };
     agrees("RK4", &Integrated { ode: coupled, integrator: RungeKutta::RK4, dt: 0.05 }, 1.0);
-    agrees("midpoint", &Integrated { ode: coupled, integrator: ImplicitMidpoint { tolerance: 1e-14 }, dt: 0.01 }, 1.0);
+    agrees(
+        "midpoint",
+        &Integrated { ode: coupled, integrator: ImplicitMidpoint { tolerance: 1e-14 }, dt: 0.01 },
+        1.0,
+    );
 }
 
 /// Compares the reverse pass in f64 with [`check::slope`] in double-double: the loss, and every
@@ -61,9 +81,18 @@ fn slopes<T: Task, P: Policy>(name: &str, task: &T, policy: &P, allowed: f64) {
         let gradient = batch.gradients()[0].values();
         let largest = gradient.iter().fold(0.0_f64, |largest, g| largest.max(g.abs()));
         for (i, found) in gradient.iter().enumerate().step_by(3) {
-            let [exact_loss, slope] = check::slope(task, policy, weights.theta(), &starts, flow, |j| f64::from(u8::from(i == j)));
-            assert!((loss - exact_loss).abs() <= 1e-13 * exact_loss.abs(), "{name}: {loss} and {exact_loss}");
-            assert!((found - slope).abs() <= allowed * largest, "{name}, {flow}, {i}: {found:e} and {slope:e}");
+            let [exact_loss, slope] =
+                check::slope(task, policy, weights.theta(), &starts, flow, |j| {
+                    f64::from(u8::from(i == j))
+                });
+            assert!(
+                (loss - exact_loss).abs() <= 1e-13 * exact_loss.abs(),
+                "{name}: {loss} and {exact_loss}"
+            );
+            assert!(
+                (found - slope).abs() <= allowed * largest,
+                "{name}, {flow}, {i}: {found:e} and {slope:e}"
+            );
         }
     }
 }
@@ -122,7 +151,8 @@ fn double_double_is_accurate_to_1e_9_where_f64_has_lost_every_digit() {
     // The factor 2^60 amplifies the rounding error of the angle. With 31 digits, the result is
     // accurate to about 1e-13.
     let start = Scalar::sqrt(DoubleDouble::from(0.3));
-    let angle = start.atan2(Scalar::sqrt(DoubleDouble::from(1.0) - start * start)) * DoubleDouble::from(2.0_f64.powi(60));
+    let angle = start.atan2(Scalar::sqrt(DoubleDouble::from(1.0) - start * start))
+        * DoubleDouble::from(2.0_f64.powi(60));
     let turns = DoubleDouble::from(2.0) * DoubleDouble::PI;
     let sin = (angle - (angle / turns).trunc() * turns).sin_cos().0;
     let closed = (sin * sin).to_f64();

@@ -20,7 +20,8 @@ fn bits(number: f64) -> u64 {
 fn values_have_the_bits_of_the_plain_number() {
     for ((name, plain), (_, dual)) in functions::<f64>().zip(functions()) {
         for (a, b) in NUMBERS.into_iter().flat_map(|a| NUMBERS.map(|b| (a, b))) {
-            let [x, y] = [(a, TANGENTS[0]), (b, TANGENTS[1])].map(|(value, tangents)| Dual { value, tangents });
+            let [x, y] = [(a, TANGENTS[0]), (b, TANGENTS[1])]
+                .map(|(value, tangents)| Dual { value, tangents });
             let found: Dual<f64, 2> = dual(x, y);
             assert_eq!(bits(found.value), bits(plain(a, b)), "{name} of {a} and {b}");
         }
@@ -32,11 +33,18 @@ fn tangents_agree_with_num_dual_to_1e_14() {
     let numbers = [0.3, 2.5, 1.0, 7e-3, 12.0];
     for ((name, ours), (_, theirs)) in functions().zip(functions()) {
         for (a, b) in numbers.into_iter().flat_map(|a| numbers.map(|b| (a, b))) {
-            let found: Dual<f64, 2> = ours(Dual { value: a, tangents: TANGENTS[0] }, Dual { value: b, tangents: TANGENTS[1] });
+            let found: Dual<f64, 2> = ours(
+                Dual { value: a, tangents: TANGENTS[0] },
+                Dual { value: b, tangents: TANGENTS[1] },
+            );
             for (k, tangent) in found.tangents.into_iter().enumerate() {
-                let slope = theirs(Dual64::new(a, TANGENTS[0][k]), Dual64::new(b, TANGENTS[1][k])).eps;
+                let slope =
+                    theirs(Dual64::new(a, TANGENTS[0][k]), Dual64::new(b, TANGENTS[1][k])).eps;
                 let error = (tangent - slope).abs();
-                assert!(error <= 1e-14 * (1.0 + slope.abs()), "{name} of {a} and {b}, {k}: {tangent} for {slope}");
+                assert!(
+                    error <= 1e-14 * (1.0 + slope.abs()),
+                    "{name} of {a} and {b}, {k}: {tangent} for {slope}"
+                );
             }
         }
     }
@@ -71,7 +79,8 @@ fn a_saturated_sigmoid_has_derivative_zero() {
 fn second_derivatives_at_stationary_arguments_are_exact() {
     type Second = Dual<Dual<f64, 1>, 1>;
     let second = |f: fn(Second) -> Second, x: f64| {
-        f(Dual { value: Dual::variable(x, 0), tangents: [Dual::constant(1.0)] }).tangents[0].tangents[0]
+        f(Dual { value: Dual::variable(x, 0), tangents: [Dual::constant(1.0)] }).tangents[0]
+            .tangents[0]
     };
     // At x = 0, the derivatives of the polynomials are 0, but their second derivatives are not. The
     // third function equals x.
@@ -87,19 +96,30 @@ fn every_lane_has_the_bits_of_a_scalar() {
     let seconds: [f32; 8] = [0.25, -0.5, -1.0, 0.0, 1e3, 2.0, 1.0, 0.1];
     let (first_slopes, second_slopes) = ([0.5, -1.25], [0.0, 0.75]);
     for ((name, all), (_, one)) in functions().zip(functions()) {
-        let wide = |value, slopes: [f32; 2]| Dual { value: Lanes::<f32, 8>(value), tangents: slopes.map(Lanes::splat) };
-        let found: Dual<Lanes<f32, 8>, 2> = all(wide(firsts, first_slopes), wide(seconds, second_slopes));
+        let wide = |value, slopes: [f32; 2]| Dual {
+            value: Lanes::<f32, 8>(value),
+            tangents: slopes.map(Lanes::splat),
+        };
+        let found: Dual<Lanes<f32, 8>, 2> =
+            all(wide(firsts, first_slopes), wide(seconds, second_slopes));
         for (lane, (a, b)) in firsts.into_iter().zip(seconds).enumerate() {
             let narrow = |value, tangents| Dual { value, tangents };
             let single = |value| Lanes([value]);
-            let expected: Dual<Single<f32>, 2> =
-                one(narrow(single(a), first_slopes.map(single)), narrow(single(b), second_slopes.map(single)));
+            let expected: Dual<Single<f32>, 2> = one(
+                narrow(single(a), first_slopes.map(single)),
+                narrow(single(b), second_slopes.map(single)),
+            );
             let [first, second] = found.tangents;
-            for (found, expected) in
-                [(found.value, expected.value), (first, expected.tangents[0]), (second, expected.tangents[1])]
-            {
+            for (found, expected) in [
+                (found.value, expected.value),
+                (first, expected.tangents[0]),
+                (second, expected.tangents[1]),
+            ] {
                 let (found, expected) = (found.lane(lane), expected.lane(0));
-                assert!(found.to_bits() == expected.to_bits() || found.is_nan() && expected.is_nan(), "{name}, lane {lane}");
+                assert!(
+                    found.to_bits() == expected.to_bits() || found.is_nan() && expected.is_nan(),
+                    "{name}, lane {lane}"
+                );
             }
         }
     }

@@ -34,29 +34,52 @@ macro_rules! products {
                 let pad = gemm::$module::PAD;
                 let rows = m.div_ceil(pad) * pad;
                 let (lda, ldc, ldb) = (rows + pad, rows, k + 3);
-                let mut random = |len: usize| -> Vec<$float> { (0..len).map(|_| rng.random_range(-1.0..1.0)).collect() };
+                let mut random = |len: usize| -> Vec<$float> {
+                    (0..len).map(|_| rng.random_range(-1.0..1.0)).collect()
+                };
                 let (a, b, start) = (random(lda * k), random(ldb * n), random(ldc * n));
                 let a_matrix = DMatrix::from_fn(m, k, |i, p| a[i + p * lda]);
                 let b_matrix = DMatrix::from_fn(k, n, |p, j| b[p + j * ldb]);
                 // Row-major copy of B.
-                let b_rows: Vec<$float> = (0..k).flat_map(|p| (0..n).map(move |j| (p, j))).map(|(p, j)| b[p + j * ldb]).collect();
+                let b_rows: Vec<$float> = (0..k)
+                    .flat_map(|p| (0..n).map(move |j| (p, j)))
+                    .map(|(p, j)| b[p + j * ldb])
+                    .collect();
                 for accumulate in [false, true] {
                     let mut first: Option<Vec<$float>> = None;
                     for level in SimdLevel::available() {
                         for (b, b_row, b_col) in [(&b, 1, ldb), (&b_rows, n, 1)] {
                             let mut c = start.clone();
-                            let product =
-                                Product { rows, depth: k, cols: n, a: &a, lda, b, b_row, b_col, c: &mut c, ldc, accumulate };
+                            let product = Product {
+                                rows,
+                                depth: k,
+                                cols: n,
+                                a: &a,
+                                lda,
+                                b,
+                                b_row,
+                                b_col,
+                                c: &mut c,
+                                ldc,
+                                accumulate,
+                            };
                             gemm::$module::product(level, product);
                             let expected = &a_matrix * &b_matrix;
                             for (i, j) in (0..n).flat_map(|j| (0..m).map(move |i| (i, j))) {
                                 let base = if accumulate { start[i + j * ldc] } else { 0.0 };
                                 let error = (c[i + j * ldc] - base - expected[(i, j)]).abs();
-                                assert!(error <= $tolerance * (1.0 + k as $float), "{level:?} {m}x{k}x{n} [{i}, {j}]: {error:e}");
+                                assert!(
+                                    error <= $tolerance * (1.0 + k as $float),
+                                    "{level:?} {m}x{k}x{n} [{i}, {j}]: {error:e}"
+                                );
                             }
                             if level != SimdLevel::Portable {
                                 // All fused levels sum in the same order.
-                                assert_eq!(*first.get_or_insert_with(|| c.clone()), c, "{level:?} {m}x{k}x{n}");
+                                assert_eq!(
+                                    *first.get_or_insert_with(|| c.clone()),
+                                    c,
+                                    "{level:?} {m}x{k}x{n}"
+                                );
                             }
                         }
                     }
@@ -72,7 +95,8 @@ products!(double_products_agree_with_nalgebra, f64, double, f64::EPSILON);
 fn columns_do_not_depend_on_how_many_are_computed_together() {
     let (rows, depth, cols) = (112, 101, 13);
     let mut rng = stream(1, Purpose::Check, 0);
-    let mut random = |len: usize| -> Vec<f32> { (0..len).map(|_| rng.random_range(-1.0..1.0)).collect() };
+    let mut random =
+        |len: usize| -> Vec<f32> { (0..len).map(|_| rng.random_range(-1.0..1.0)).collect() };
     let (a, b) = (random(rows * depth), random(depth * cols));
     for level in SimdLevel::available() {
         let run = |b: &[f32], cols: usize| {
@@ -96,7 +120,11 @@ fn columns_do_not_depend_on_how_many_are_computed_together() {
         };
         let together = run(&b, cols);
         for j in 0..cols {
-            assert_eq!(run(&b[j * depth..(j + 1) * depth], 1), together[j * rows..(j + 1) * rows], "{level:?} column {j}");
+            assert_eq!(
+                run(&b[j * depth..(j + 1) * depth], 1),
+                together[j * rows..(j + 1) * rows],
+                "{level:?} column {j}"
+            );
         }
     }
 }
@@ -105,8 +133,19 @@ fn columns_do_not_depend_on_how_many_are_computed_together() {
 #[should_panic(expected = "product: B")]
 fn a_product_with_too_short_a_slice_is_refused() {
     let (a, b, mut c) = (vec![0.0f32; 32], vec![0.0; 1], vec![0.0; 16]);
-    let product =
-        Product { rows: 16, depth: 2, cols: 1, a: &a, lda: 16, b: &b, b_row: 1, b_col: 2, c: &mut c, ldc: 16, accumulate: false };
+    let product = Product {
+        rows: 16,
+        depth: 2,
+        cols: 1,
+        a: &a,
+        lda: 16,
+        b: &b,
+        b_row: 1,
+        b_col: 2,
+        c: &mut c,
+        ldc: 16,
+        accumulate: false,
+    };
     gemm::single::product(SimdLevel::Portable, product);
 }
 
@@ -115,8 +154,19 @@ fn a_product_with_too_short_a_slice_is_refused() {
 fn a_product_whose_size_overflows_is_refused() {
     let (a, b, mut c) = (vec![0.0f32; 64], vec![0.0; 64], vec![0.0; 64]);
     let lda = 1 << 61;
-    let product =
-        Product { rows: 16, depth: 9, cols: 1, a: &a, lda, b: &b, b_row: 1, b_col: 9, c: &mut c, ldc: 16, accumulate: false };
+    let product = Product {
+        rows: 16,
+        depth: 9,
+        cols: 1,
+        a: &a,
+        lda,
+        b: &b,
+        b_row: 1,
+        b_col: 9,
+        c: &mut c,
+        ldc: 16,
+        accumulate: false,
+    };
     gemm::single::product(SimdLevel::Portable, product);
 }
 
@@ -174,7 +224,8 @@ impl Format for f64 {
 /// Computes sin and cos with a small relative error even near the multiples of π/2.
 fn exact_sin_cos(x: f64) -> (DoubleDouble, DoubleDouble) {
     /// π/2 in three parts.
-    const PARTS: [f64; 3] = [std::f64::consts::FRAC_PI_2, 6.123_233_995_736_766e-17, -1.497_384_904_859_169_8e-33];
+    const PARTS: [f64; 3] =
+        [std::f64::consts::FRAC_PI_2, 6.123_233_995_736_766e-17, -1.497_384_904_859_169_8e-33];
     let n = (x / PARTS[0]).round();
     let mut rest = DoubleDouble::from(x);
     for part in PARTS {
@@ -212,13 +263,21 @@ fn sin_cos_at<F: Format>(level: SimdLevel, x: &[F]) -> Vec<(F, F)> {
 
 fn tanh_at<F: Format>(level: SimdLevel, x: &[F]) -> Vec<F> {
     let mut all = x.to_vec();
-    elementwise::tanh(level, &mut all, elementwise::Strided { first: 0, step: x.len(), count: 1, len: x.len() });
+    elementwise::tanh(
+        level,
+        &mut all,
+        elementwise::Strided { first: 0, step: x.len(), count: 1, len: x.len() },
+    );
     all
 }
 
 /// Returns the worst error and its argument. Tests the `known` arguments and their negatives. Each
 /// round then tests arguments from `draw`, and the neighbours of the worst argument so far.
-fn search<F: Format>(known: &[f64], mut draw: impl FnMut(&mut Rng) -> f64, errors: impl Fn(&[F]) -> Vec<f64>) -> (f64, F) {
+fn search<F: Format>(
+    known: &[f64],
+    mut draw: impl FnMut(&mut Rng) -> f64,
+    errors: impl Fn(&[F]) -> Vec<f64>,
+) -> (f64, F) {
     let mut rng = stream(2, Purpose::Check, 0);
     let mut worst = (0.0, F::zero());
     let mut look = |x: Vec<F>| {
@@ -320,7 +379,11 @@ fn errors_are_counted_in_units_in_the_last_place() {
 #[test]
 fn errors_of_sine_and_cosine_are_within_1_6_ulps_in_f32_and_2_6_in_f64() {
     assert_sin_cos_within_bound::<f32>(&[2_100.902_1, 130_659.61]);
-    assert_sin_cos_within_bound::<f64>(&[873_180.420_139_821_6, 226_252.915_719_264_07, 527_498.664_482_847_6]);
+    assert_sin_cos_within_bound::<f64>(&[
+        873_180.420_139_821_6,
+        226_252.915_719_264_07,
+        527_498.664_482_847_6,
+    ]);
 }
 
 #[test]
@@ -357,10 +420,12 @@ fn every_sine_and_cosine_in_f32_is_within_1_6_ulps() {
 #[test]
 #[ignore = "every f32: minutes"]
 fn every_tanh_in_f32_is_within_6_ulps_fused_and_8_unfused() {
-    for (claim, kernel) in
-        [(f32::TANH_UNFUSED, tanh::tanh_32::<false> as fn(f32) -> f32), (f32::TANH_FUSED, tanh::tanh_32::<true>)]
-    {
-        let (worst, at) = worst_of_all(10.0, |x| kernel(x).ulps(DoubleDouble::from(f64::from(x).tanh())));
+    for (claim, kernel) in [
+        (f32::TANH_UNFUSED, tanh::tanh_32::<false> as fn(f32) -> f32),
+        (f32::TANH_FUSED, tanh::tanh_32::<true>),
+    ] {
+        let (worst, at) =
+            worst_of_all(10.0, |x| kernel(x).ulps(DoubleDouble::from(f64::from(x).tanh())));
         println!("tanh in f32: worst {worst:.4} ulps, at {at:?}");
         let (largest, at) = worst_of_all(10.0, |x| f64::from(kernel(x).abs()));
         assert!(largest <= 1.0, "{largest} at {at:?}");
@@ -402,7 +467,12 @@ fn lanes_have_the_bits_of_plain_numbers_up_to_1e300_infinity_and_nan() {
         let (sin, cos) = lanes.sin_cos();
         for i in 0..4 {
             let (s, c) = Scalar::sin_cos(lanes.0[i]);
-            assert_eq!((sin.0[i].to_bits(), cos.0[i].to_bits()), (s.to_bits(), c.to_bits()), "{}", lanes.0[i]);
+            assert_eq!(
+                (sin.0[i].to_bits(), cos.0[i].to_bits()),
+                (s.to_bits(), c.to_bits()),
+                "{}",
+                lanes.0[i]
+            );
         }
         let th = Scalar::tanh(lanes);
         assert!((0..4).all(|i| th.0[i].to_bits() == Scalar::tanh(lanes.0[i]).to_bits()));

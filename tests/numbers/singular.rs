@@ -4,7 +4,8 @@
 use physgrad::policy::Linear;
 use physgrad::rng::Rng;
 use physgrad::{
-    Batch, Cotangents, Counted, Dual, Float, Flow, Inputs, Lanes, Real, Scalar, Single, Start, System, Task, Weights, check,
+    Batch, Cotangents, Counted, Dual, Float, Flow, Inputs, Lanes, Real, Scalar, Single, Start,
+    System, Task, Weights, check,
 };
 
 type Function<T> = fn(T, T) -> T;
@@ -73,7 +74,9 @@ fn table<T: Scalar>() -> Vec<(Row, Function<T>)> {
         (("difference", [0.0, 0.0], [NAN, 1.0]), |x, y| y - x.sqrt() * y),
         (("ln^2 of a square", [1.0, 0.0], [0.0, 0.0]), |x, _| (x * x).ln() * (x * x).ln()),
         (("branch", [0.0, 0.0], [1.0, 0.0]), |x, y| T::select_lt(x, T::one(), x, y.sqrt())),
-        (("branch, times 0", [0.0, 0.0], [0.0, 0.0]), |x, y| T::select_lt(x, T::one(), x, y.sqrt()) * y),
+        (("branch, times 0", [0.0, 0.0], [0.0, 0.0]), |x, y| {
+            T::select_lt(x, T::one(), x, y.sqrt()) * y
+        }),
         (("quotient by infinity", [0.0, 2.0], [0.0, 0.0]), |x, y| y / (T::one() / x.sqrt())),
         (("1 / infinity", [0.0, 0.0], [0.0, 0.0]), |x, _| T::one() / (T::one() / x.sqrt())),
         (("0 / root", [0.0, 0.0], [NAN, 1.0]), |x, y| y / (x.sqrt() + 1.0)),
@@ -105,7 +108,11 @@ fn by_vjp<R: Real, const N: usize>(row: usize, point: [f64; 2]) -> [f64; 2] {
     bar[0] = R::one();
     let last = |value: f64| R::from(value).lane(0);
     (0..2).for_each(|i| x[i].set_lane(R::LANES - 1, last(point[i])));
-    Under::<N>(row).vjp(Inputs::new(&x, &[]), &bar, Cotangents { x: Some(&mut x_bar), ..Cotangents::default() });
+    Under::<N>(row).vjp(
+        Inputs::new(&x, &[]),
+        &bar,
+        Cotangents { x: Some(&mut x_bar), ..Cotangents::default() },
+    );
     [0, 1].map(|i| x_bar[i].lane(R::LANES - 1).to_f64())
 }
 
@@ -145,7 +152,11 @@ fn derivatives_at_singular_points_are_right_in_every_mode_and_precision() {
         if point.iter().all(|x| x.abs() < 1e38 && (*x == 0.0 || x.abs() > 1e-38)) {
             let eps = f64::from(f32::EPSILON);
             all.extend([
-                ("Dual<f32>", eps, by_dual::<Single<f32>>(row, point).map(|t| f64::from(t.lane(0)))),
+                (
+                    "Dual<f32>",
+                    eps,
+                    by_dual::<Single<f32>>(row, point).map(|t| f64::from(t.lane(0))),
+                ),
                 ("forward, f32 lanes", eps, by_vjp::<Lanes<f32, 8>, 2>(row, point)),
                 ("reverse, f32 lanes", eps, by_vjp::<Lanes<f32, 8>, 17>(row, point)),
             ]);
@@ -190,7 +201,9 @@ fn second_derivatives_at_singular_points_are_right() {
         ("sqrt of a fourth power", 1.0, 2.0, |x| (x * x * x * x).sqrt()),
     ];
     for (name, x, right, f) in all {
-        let found = f(Dual { value: Dual::variable(x, 0), tangents: [Dual::constant(1.0)] }).tangents[0].tangents[0];
+        let found = f(Dual { value: Dual::variable(x, 0), tangents: [Dual::constant(1.0)] })
+            .tangents[0]
+            .tangents[0];
         let near = (found - right).abs() <= 8.0 * f64::EPSILON * f64::abs(right);
         assert!(found == right || near, "{name} at {x}: {found}, right {right}");
     }
@@ -202,13 +215,19 @@ fn powers_and_lengths_have_the_values_of_the_standard_library() {
     for (x, y) in numbers.into_iter().flat_map(|x| numbers.map(|y| (x, y))) {
         for exponent in [0.0, 1.0, 0.5, -1.0, 2.0, 3.0, -2.5] {
             let (found, right) = (Scalar::powf(x, exponent), x.powf(exponent));
-            assert!(found == right || found.is_nan() && right.is_nan(), "{x}^{exponent}: {found}, {right}");
+            assert!(
+                found == right || found.is_nan() && right.is_nan(),
+                "{x}^{exponent}: {found}, {right}"
+            );
         }
         // Two additions, two squares and a root: at most 2 units in the last place.
         let (found, right) = (Scalar::hypot(x, y), f64::hypot(x, y));
         let near = (found - right).abs() <= 2.0 * f64::EPSILON * right;
         // The length of (∞, NaN) is NaN here: NaN propagates.
-        assert!(found == right || near || found.is_nan() && (x.is_nan() || y.is_nan()), "|({x}, {y})|: {found}, {right}");
+        assert!(
+            found == right || near || found.is_nan() && (x.is_nan() || y.is_nan()),
+            "|({x}, {y})|: {found}, {right}"
+        );
     }
 }
 
@@ -216,15 +235,22 @@ fn powers_and_lengths_have_the_values_of_the_standard_library() {
 #[test]
 fn powers_in_double_double_have_31_digits() {
     use physgrad::DoubleDouble;
-    for (base, exponent, square) in [(2.0, 0.5, 2.0), (3.0, 1.5, 27.0), (10.0, -0.5, 0.1), (2.0, 100.0, 2f64.powi(200))] {
+    for (base, exponent, square) in
+        [(2.0, 0.5, 2.0), (3.0, 1.5, 27.0), (10.0, -0.5, 0.1), (2.0, 100.0, 2f64.powi(200))]
+    {
         let power = Scalar::powf(DoubleDouble::from(base), exponent);
-        let right = if square == 0.1 { DoubleDouble::from(1.0) / 10.0 } else { DoubleDouble::from(square) };
+        let right =
+            if square == 0.1 { DoubleDouble::from(1.0) / 10.0 } else { DoubleDouble::from(square) };
         let error = ((power * power - right) / right).to_f64().abs();
         assert!(error <= 1e-28, "{base}^{exponent}: {power:?}, error {error:e}");
     }
-    let power = |base: f64, exponent: f64| Scalar::powf(DoubleDouble::from(base), exponent).to_f64();
+    let power =
+        |base: f64, exponent: f64| Scalar::powf(DoubleDouble::from(base), exponent).to_f64();
     assert_eq!([power(-2.0, 101.0), power(-2.0, 100.0)], [-(2f64.powi(101)), 2f64.powi(100)]);
-    assert_eq!([power(0.0, 0.0), power(0.0, 1.5), power(0.0, -0.5), power(-3.0, 1.0)], [1.0, 0.0, INF, -3.0]);
+    assert_eq!(
+        [power(0.0, 0.0), power(0.0, 1.5), power(0.0, -0.5), power(-3.0, 1.0)],
+        [1.0, 0.0, INF, -3.0]
+    );
     assert!(power(-2.0, 0.5).is_nan());
 }
 

@@ -22,13 +22,22 @@ fn kkt(plan: &Plan, bounds: &[[f64; 2]], gradient: &[f64], tolerance: f64) -> [u
         if low == high {
             counts[0] += 1;
         } else if u == low {
-            assert!(gradient > -tolerance, "the gradient of u[{i}] at its lower bound is negative: {gradient}");
+            assert!(
+                gradient > -tolerance,
+                "the gradient of u[{i}] at its lower bound is negative: {gradient}"
+            );
             counts[0] += 1;
         } else if u == high {
-            assert!(gradient < tolerance, "the gradient of u[{i}] at its upper bound is positive: {gradient}");
+            assert!(
+                gradient < tolerance,
+                "the gradient of u[{i}] at its upper bound is positive: {gradient}"
+            );
             counts[2] += 1;
         } else {
-            assert!(gradient.abs() < tolerance, "the gradient of u[{i}] = {u} between its bounds is {gradient}, not 0");
+            assert!(
+                gradient.abs() < tolerance,
+                "the gradient of u[{i}] = {u} between its bounds is {gradient}, not 0"
+            );
             counts[1] += 1;
         }
     }
@@ -41,7 +50,8 @@ fn bounded_linear_regulator_satisfies_kkt_conditions() {
     let (task, x0) = (Lqr::spring(), [1.0, 0.0]);
     // Without bounds, the optimal force lies between -0.34 N and 0.40 N.
     let bounds = [[-0.2, 0.3]];
-    let options = Options { gradient_tolerance: 1e-9, bounds: Some(bounds.to_vec()), ..Options::default() };
+    let options =
+        Options { gradient_tolerance: 1e-9, bounds: Some(bounds.to_vec()), ..Options::default() };
     let plan = optimize(&task, &x0, &[], Initial::Zeros, &options).expect("finite");
     assert!(plan.converged(), "{}", plan.stop);
     let counts = kkt(&plan, &bounds, &by_adjoint(&task, &x0, &plan.u), 1e-8);
@@ -60,10 +70,16 @@ fn two_controls_with_different_or_infinite_bounds_satisfy_kkt_conditions() {
         (vec![[f64::NEG_INFINITY, 0.05], [-0.1, f64::INFINITY]], 1),
         (vec![[f64::NEG_INFINITY, f64::INFINITY], [0.05, 0.05]], 12),
     ] {
-        let options = Options { gradient_tolerance: 1e-11, bounds: Some(bounds.clone()), ..Options::default() };
-        let plan = optimize(&Coupled, &[0.9, -1.3], &[0.8], Initial::Zeros, &options).expect("finite");
+        let options = Options {
+            gradient_tolerance: 1e-11,
+            bounds: Some(bounds.clone()),
+            ..Options::default()
+        };
+        let plan =
+            optimize(&Coupled, &[0.9, -1.3], &[0.8], Initial::Zeros, &options).expect("finite");
         assert!(plan.gradient_norm() <= 1e-11, "{bounds:?}: {}", plan.stop);
-        let [low, free, high] = kkt(&plan, &bounds, &by_adjoint(&Coupled, &[0.9, -1.3, 0.8], &plan.u), 1e-10);
+        let [low, free, high] =
+            kkt(&plan, &bounds, &by_adjoint(&Coupled, &[0.9, -1.3, 0.8], &plan.u), 1e-10);
         assert!(
             low + high >= active && free > 0,
             "{bounds:?}: controls at the lower bound, between the bounds, at the upper bound: {low}, {free}, {high}"
@@ -85,7 +101,8 @@ fn half_of_the_holding_torque_swings_up_a_pendulum() {
     let (task, limit) = (Pendulum { dt: 0.05, horizon: 100 }, 5.0);
     let push: Vec<f64> = (0..task.horizon).map(|t| (0.15 * t as f64).sin()).collect();
     let options = Options::default().bounded(1, limit);
-    let plan = optimize(&task, &[PI, 0.0], &[], Initial::Controls(&push), &options).expect("finite");
+    let plan =
+        optimize(&task, &[PI, 0.0], &[], Initial::Controls(&push), &options).expect("finite");
     let last = plan.state(task.horizon);
     // Deviations of 0.01 rad and 0.01 rad/s cost at most 0.006 at the end. Hanging costs 200.
     assert!(last[0].cos() > 0.01f64.cos() && last[1].abs() < 0.01, "{last:?}");
@@ -114,7 +131,10 @@ impl Quadratic {
         }
         candidates.retain(|u| u.iter().zip(bounds).all(|(u, [low, high])| low <= u && u <= high));
         let cost = |u: &[f64; 2]| self.terminal_cost(u, &[]);
-        candidates.into_iter().min_by(|u, v| cost(u).total_cmp(&cost(v))).expect("a candidate at a bound")
+        candidates
+            .into_iter()
+            .min_by(|u, v| cost(u).total_cmp(&cost(v)))
+            .expect("a candidate at a bound")
     }
 }
 
@@ -154,9 +174,13 @@ fn one_iteration_solves_quadratic_programs_of_two_controls() {
     for case in 0..300 {
         let mut draw = |low: f64, high: f64| rng.random_range(low..high);
         let (a, c, correlation) = (draw(0.1, 3.0), draw(0.1, 3.0), draw(-0.99, 0.99));
-        let task = Quadratic { hessian: [a, correlation * (a * c).sqrt(), c], gradient: [draw(-2.0, 2.0), draw(-2.0, 2.0)] };
+        let task = Quadratic {
+            hessian: [a, correlation * (a * c).sqrt(), c],
+            gradient: [draw(-2.0, 2.0), draw(-2.0, 2.0)],
+        };
         let bounds = [[-draw(0.0, 2.0), draw(0.0, 2.0)], [-draw(0.0, 2.0), draw(0.0, 2.0)]];
-        let options = Options { max_iterations: 1, bounds: Some(bounds.to_vec()), ..Options::default() };
+        let options =
+            Options { max_iterations: 1, bounds: Some(bounds.to_vec()), ..Options::default() };
         let plan = optimize(&task, &[0.0; 2], &[], Initial::Zeros, &options).expect("finite");
         let expected = task.minimizer(&bounds);
         // The condition number is at most 30 · 200. Rounding is far below.
@@ -180,8 +204,16 @@ fn smoothly_saturating_controls_reach_the_optimum_of_bounded_controls() {
     let saturating = Saturating { limit: Some(1.0) };
     for start in [0.0, 2.0] {
         let initial = vec![start; saturating.horizon()];
-        let plan = optimize(&saturating, &[0.0; 2], &[], Initial::Controls(&initial), &Options::default()).expect("finite");
+        let plan =
+            optimize(&saturating, &[0.0; 2], &[], Initial::Controls(&initial), &Options::default())
+                .expect("finite");
         let excess = plan.cost / least.cost - 1.0;
-        assert!((-1e-9..1e-6).contains(&excess), "start {start}: {} and {}, {}", plan.cost, least.cost, plan.stop);
+        assert!(
+            (-1e-9..1e-6).contains(&excess),
+            "start {start}: {} and {}, {}",
+            plan.cost,
+            least.cost,
+            plan.stop
+        );
     }
 }

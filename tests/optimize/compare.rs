@@ -20,7 +20,8 @@ fn adam(task: &SwingUp, push: &[f64], learning_rate: f64, least: f64) {
     let mut weights = Weights::<f64>::new(&policy, push.to_vec());
     let mut rollout = Rollout::new(task, &policy, 1);
     let mut adjoint = Adjoint::new(task, &policy, &rollout, &[Flow::REGULAR]);
-    let (mut gradient, mut optimizer) = (Gradient::zeros(push.len()), Optimizer::adam(learning_rate, push.len()));
+    let (mut gradient, mut optimizer) =
+        (Gradient::zeros(push.len()), Optimizer::adam(learning_rate, push.len()));
     let (begin, mut best, mut reached) = (Instant::now(), f64::INFINITY, Vec::new());
     let mut factors = vec![1.01, 1.1, 2.0, 100.0];
     rollout.start(&SwingUp::START);
@@ -38,7 +39,9 @@ fn adam(task: &SwingUp, push: &[f64], learning_rate: f64, least: f64) {
         weights.update(&policy, |theta| optimizer.step(theta, &gradient));
     }
     let seconds = begin.elapsed().as_secs_f64();
-    println!("Adam, rate {learning_rate}: best cost {best:.6}, {seconds:.3} s; (factor, updates, s): {reached:.3?}");
+    println!(
+        "Adam, rate {learning_rate}: best cost {best:.6}, {seconds:.3} s; (factor, updates, s): {reached:.3?}"
+    );
 }
 
 #[test]
@@ -49,8 +52,10 @@ fn costs_and_times_of_optimize_and_adam_are_printed() {
     for tolerance in [1e-8, 1e-2] {
         let begin = Instant::now();
         let options = Options { gradient_tolerance: tolerance, ..Options::default() };
-        let plan = optimize(&task, &SwingUp::START, &[], Initial::Controls(&push), &options).expect("finite");
-        let (seconds, cost, norm) = (begin.elapsed().as_secs_f64(), plan.cost, plan.gradient_norm());
+        let plan = optimize(&task, &SwingUp::START, &[], Initial::Controls(&push), &options)
+            .expect("finite");
+        let (seconds, cost, norm) =
+            (begin.elapsed().as_secs_f64(), plan.cost, plan.gradient_norm());
         println!(
             "optimize, {} iterations, {} rollouts: cost {cost:.6}, gradient {norm:.1e}, {seconds:.3} s",
             plan.iterations(),
@@ -61,7 +66,10 @@ fn costs_and_times_of_optimize_and_adam_are_printed() {
             println!("  within a factor of {factor} after {iteration:?} iterations");
         }
     }
-    let least = optimize(&task, &SwingUp::START, &[], Initial::Controls(&push), &Options::default()).expect("finite").cost;
+    let least =
+        optimize(&task, &SwingUp::START, &[], Initial::Controls(&push), &Options::default())
+            .expect("finite")
+            .cost;
     for learning_rate in [0.01, 0.03, 0.1, 0.3, 1.0] {
         adam(&task, &push, learning_rate, least);
     }
@@ -70,11 +78,15 @@ fn costs_and_times_of_optimize_and_adam_are_printed() {
 #[test]
 #[ignore = "measurements that check nothing"]
 fn convergence_without_control_cost_is_printed() {
-    for (poles, loss) in [1, 2, 3].into_iter().flat_map(|poles| [LossMode::Terminal, LossMode::Running].map(|loss| (poles, loss)))
+    for (poles, loss) in [1, 2, 3]
+        .into_iter()
+        .flat_map(|poles| [LossMode::Terminal, LossMode::Running].map(|loss| (poles, loss)))
     {
         let task = CartPole { loss, ..CartPole::new(poles) };
         let starts: Vec<f64> = initial_states(&task, 0, Purpose::Train, 20);
-        let run = |x0: &[f64]| optimize(&task, x0, &[], Initial::Zeros, &Options::default()).expect("finite");
+        let run = |x0: &[f64]| {
+            optimize(&task, x0, &[], Initial::Zeros, &Options::default()).expect("finite")
+        };
         let plans: Vec<_> = starts.chunks(2 + 2 * poles).map(run).collect();
         let mut costs: Vec<f64> = plans.iter().map(|plan| plan.cost).collect();
         costs.sort_by(f64::total_cmp);

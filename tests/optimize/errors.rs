@@ -18,15 +18,21 @@ fn divergence_error_names_variable_step_and_component() {
     let feedback = |t: usize, _: &[f64], u: &mut [f64]| u[0] = if t == 4 { f64::NAN } else { 0.0 };
     for options in [Options::default(), Options::default().bounded(1, 1.0)] {
         let result = optimize(&Explosive, &[0.5], &[], Initial::Feedback(&feedback), &options);
-        assert_eq!(result, Err(OptimizeError::Diverged { variable: "control", step: 4, component: 0 }));
+        assert_eq!(
+            result,
+            Err(OptimizeError::Diverged { variable: "control", step: 4, component: 0 })
+        );
     }
 }
 
 #[test]
 fn wrong_lengths_of_arguments_are_refused() {
     let run = |x0: &[f64], p: &[f64], u: &[f64], options: &Options| {
-        let error = optimize(&Coupled, x0, p, Initial::Controls(u), options).expect_err("a wrong length");
-        let OptimizeError::Length { argument, expected, found, .. } = error else { panic!("{error}") };
+        let error =
+            optimize(&Coupled, x0, p, Initial::Controls(u), options).expect_err("a wrong length");
+        let OptimizeError::Length { argument, expected, found, .. } = error else {
+            panic!("{error}")
+        };
         (argument, expected, found)
     };
     let (options, u) = (Options::default(), vec![0.0; 24]);
@@ -38,9 +44,12 @@ fn wrong_lengths_of_arguments_are_refused() {
 
 #[test]
 fn bounds_without_a_finite_control_are_refused() {
-    for [low, high] in [[1.0, 0.5], [f64::NAN, 1.0], [0.0, f64::NAN], [f64::INFINITY; 2], [f64::NEG_INFINITY; 2]] {
+    for [low, high] in
+        [[1.0, 0.5], [f64::NAN, 1.0], [0.0, f64::NAN], [f64::INFINITY; 2], [f64::NEG_INFINITY; 2]]
+    {
         let options = Options { bounds: Some(vec![[0.0, 1.0], [low, high]]), ..Options::default() };
-        let error = optimize(&Coupled, &[0.0; 2], &[0.0], Initial::Zeros, &options).expect_err("no control is allowed");
+        let error = optimize(&Coupled, &[0.0; 2], &[0.0], Initial::Zeros, &options)
+            .expect_err("no control is allowed");
         assert!(matches!(error, OptimizeError::Bounds { control: 1, .. }), "{error}");
     }
 }
@@ -100,7 +109,9 @@ impl Task for Broken {
 fn errors_name_the_cost_with_a_non_finite_value_or_derivative() {
     for terminal in [false, true] {
         let step = (!terminal).then_some(3);
-        let run = |root: bool| optimize(&Broken { terminal, root }, &[0.0], &[], Initial::Zeros, &Options::default());
+        let run = |root: bool| {
+            optimize(&Broken { terminal, root }, &[0.0], &[], Initial::Zeros, &Options::default())
+        };
         assert_eq!(run(false), Err(OptimizeError::Cost { step }));
         assert_eq!(run(true), Err(OptimizeError::Derivative { step }));
         let place = if terminal { "terminal cost" } else { "running cost of step 3" };
@@ -139,7 +150,8 @@ impl Task for Uncontrolled {
 
 #[test]
 fn the_plan_of_a_system_without_controls_is_its_rollout() {
-    let plan = optimize(&Uncontrolled, &[1.0], &[], Initial::Zeros, &Options::default()).expect("a finite rollout");
+    let plan = optimize(&Uncontrolled, &[1.0], &[], Initial::Zeros, &Options::default())
+        .expect("a finite rollout");
     assert_eq!((plan.horizon(), plan.state(5), plan.cost), (5, &[1.0 / 32.0][..], 1.0 / 1024.0));
     assert!(plan.converged() && plan.u.is_empty() && plan.control(4).is_empty());
 }

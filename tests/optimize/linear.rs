@@ -25,8 +25,19 @@ fn coupled_plant() -> Lqr {
 /// largest magnitude among 1, the states of the initial rollout, and the controls of the plan. The
 /// factor 100 covers the constants.
 fn rounding(plan: &Plan, task: &Lqr, x0: &[f64]) -> f64 {
-    let initial = optimize(task, x0, &[], Initial::Zeros, &Options { max_iterations: 0, ..Options::default() });
-    let largest = initial.expect("finite").x.iter().chain(&plan.u).fold(1.0, |largest: f64, x| largest.max(x.abs()));
+    let initial = optimize(
+        task,
+        x0,
+        &[],
+        Initial::Zeros,
+        &Options { max_iterations: 0, ..Options::default() },
+    );
+    let largest = initial
+        .expect("finite")
+        .x
+        .iter()
+        .chain(&plan.u)
+        .fold(1.0, |largest: f64, x| largest.max(x.abs()));
     100.0 * (task.horizon() * x0.len()) as f64 * f64::EPSILON * largest
 }
 
@@ -41,12 +52,19 @@ fn one_iteration_reaches_the_optimum_of_riccatis_equation() {
         let (tolerance, gain) = (rounding(&plan, &task, &x0), &task.optimum().gain);
         let mut x = x0.clone();
         for t in 0..task.horizon() {
-            let u: Vec<f64> = gain.chunks(n).map(|row| row.iter().zip(&x).map(|(k, x)| k * x).sum()).collect();
+            let u: Vec<f64> =
+                gain.chunks(n).map(|row| row.iter().zip(&x).map(|(k, x)| k * x).sum()).collect();
             for (i, (found, expected)) in plan.control(t).iter().zip(&u).enumerate() {
-                assert!((found - expected).abs() < tolerance, "u[{t}][{i}] = {found}, not {expected}; tolerance {tolerance:e}");
+                assert!(
+                    (found - expected).abs() < tolerance,
+                    "u[{t}][{i}] = {found}, not {expected}; tolerance {tolerance:e}"
+                );
             }
             for (found, expected) in plan.gains[t * m * n..][..m * n].iter().zip(gain) {
-                assert!((found - expected).abs() < tolerance * (1.0 + expected.abs()), "gain {found}, not {expected}");
+                assert!(
+                    (found - expected).abs() < tolerance * (1.0 + expected.abs()),
+                    "gain {found}, not {expected}"
+                );
             }
             let mut next = vec![0.0; n];
             task.system().step(physgrad::Inputs::new(&x, &u), &mut next);
@@ -79,7 +97,8 @@ fn compare_gradients<T: Task>(task: &T, start: &[f64]) {
     let (n, m) = (task.system().state_dim(), task.system().control_dim());
     let u: Vec<f64> = (0..task.horizon() * m).map(|i| (0.7 * i as f64).sin()).collect();
     let options = Options { max_iterations: 0, ..Options::default() };
-    let plan = optimize(task, &start[..n], &start[n..], Initial::Controls(&u), &options).expect("finite");
+    let plan =
+        optimize(task, &start[..n], &start[n..], Initial::Controls(&u), &options).expect("finite");
     assert_eq!((plan.stop, &plan.u), (Stop::Iterations, &u));
     // Both gradients use the same exact derivatives. Rounding adds about one ulp per step, in at
     // most 100 steps.
@@ -102,7 +121,12 @@ fn gradients_of_plans_equal_the_adjoint_to_1e_12() {
 #[test]
 fn newton_steps_converge_quadratically() {
     let at = |max_iterations: usize| {
-        let options = Options { max_iterations, gradient_tolerance: 1e-13, cost_tolerance: 0.0, ..Options::default() };
+        let options = Options {
+            max_iterations,
+            gradient_tolerance: 1e-13,
+            cost_tolerance: 0.0,
+            ..Options::default()
+        };
         optimize(&Coupled, &[0.9, -1.3], &[0.8], Initial::Zeros, &options).expect("finite")
     };
     // The decrease of the cost J is below the rounding error ε J if the gradient is below about

@@ -12,7 +12,8 @@ use physgrad::tasks::CartPole;
 fn swing_up(options: &Options) -> (SwingUp, Plan) {
     let task = SwingUp::new();
     let push: Vec<f64> = (0..task.horizon).map(|t| (0.1 * t as f64).sin()).collect();
-    let plan = optimize(&task, &SwingUp::START, &[], Initial::Controls(&push), options).expect("finite");
+    let plan =
+        optimize(&task, &SwingUp::START, &[], Initial::Controls(&push), options).expect("finite");
     (task, plan)
 }
 
@@ -40,7 +41,11 @@ fn gradient_of_the_adjoint_vanishes_at_the_plan() {
 #[test]
 fn cost_decreases_in_every_iteration() {
     let (_, plan) = swing_up(&Options::default());
-    assert!(plan.iterations() > 5 && plan.costs.windows(2).all(|pair| pair[1] < pair[0]), "{:?}", plan.costs);
+    assert!(
+        plan.iterations() > 5 && plan.costs.windows(2).all(|pair| pair[1] < pair[0]),
+        "{:?}",
+        plan.costs
+    );
     assert_eq!(plan.costs.last(), Some(&plan.cost));
 }
 
@@ -52,7 +57,8 @@ fn cart_pole_task_of_the_paper_reaches_a_cost_below_1e_6() {
         let task = CartPole::new(poles);
         let starts: Vec<f64> = initial_states(&task, 0, Purpose::Test, 5);
         for x0 in starts.chunks(2 + 2 * poles) {
-            let plan = optimize(&task, x0, &[], Initial::Zeros, &Options::default()).expect("finite");
+            let plan =
+                optimize(&task, x0, &[], Initial::Zeros, &Options::default()).expect("finite");
             assert!(plan.cost < 1e-6, "{poles} poles: {} ({})", plan.cost, plan.stop);
         }
     }

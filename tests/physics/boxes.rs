@@ -2,7 +2,9 @@
 #![allow(dead_code)]
 
 use physgrad::rng::Rng;
-use physgrad::tasks::{Barrier, ControlShape, Cubic, DoubleWell, Harmonic, QuantumEffect, QuantumSystem};
+use physgrad::tasks::{
+    Barrier, ControlShape, Cubic, DoubleWell, Harmonic, QuantumEffect, QuantumSystem,
+};
 use physgrad::{Effect, Inputs, OdeInputs, Scalar, System, check};
 use rand::RngExt;
 
@@ -109,7 +111,12 @@ impl Effect<QuantumSystem> for Swinging {
     fn draw_params(&self, rng: &mut Rng, p: &mut [f64]) {
         p[0] = rng.random_range(0.0..=1.0);
     }
-    fn add_forces<T: Scalar>(&self, model: &QuantumSystem, OdeInputs { x, p, t, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
+    fn add_forces<T: Scalar>(
+        &self,
+        model: &QuantumSystem,
+        OdeInputs { x, p, t, .. }: OdeInputs<'_, T>,
+        forces: &mut [T],
+    ) {
         let push = (t + p[0]).sin() * x[0];
         for (v, point) in forces.iter_mut().zip(model.points()) {
             *v += push * point;
@@ -120,5 +127,6 @@ impl Effect<QuantumSystem> for Swinging {
 /// Checks the derivatives of a system at the states and controls of [`lively`].
 #[track_caller]
 pub fn check_lively<S: System>(system: &S) {
-    check::try_system_at(system, lively).unwrap_or_else(|mismatch| panic!("{} state components: {mismatch}", system.state_dim()));
+    check::try_system_at(system, lively)
+        .unwrap_or_else(|mismatch| panic!("{} state components: {mismatch}", system.state_dim()));
 }

@@ -3,12 +3,12 @@
 use physgrad::policy::Linear;
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{
-    Bumpers, CartDamping, CartPole, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind,
-    PoleDamping, SteadyWind,
+    Bumpers, CartDamping, CartPole, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole,
+    DryFriction, GustyWind, PoleDamping, SteadyWind,
 };
 use physgrad::{
-    Actuated, AnyActuator, Cotangents, Delay, Effect, Forced, ForcedSystem, HasModel, Inputs, Lag, Limit, LimitKind, OdeInputs,
-    Scalar, Substeps, System, check,
+    Actuated, AnyActuator, Cotangents, Delay, Effect, Forced, ForcedSystem, HasModel, Inputs, Lag,
+    Limit, LimitKind, OdeInputs, Scalar, Substeps, System, check,
 };
 use rand::RngExt;
 
@@ -42,7 +42,10 @@ fn derivatives_of_every_effect_equal_dual_numbers() {
     for effect in every_effect() {
         for n in [1, 3] {
             check_large(&Forced { system: poles(n), effects: vec![effect.clone()] });
-            check_large(&Forced { system: CoupledCartPole(poles(n)), effects: vec![effect.clone()] });
+            check_large(&Forced {
+                system: CoupledCartPole(poles(n)),
+                effects: vec![effect.clone()],
+            });
         }
     }
     check_large(&Forced { system: poles(2), effects: every_effect() });
@@ -55,7 +58,12 @@ fn a_wrong_derivative_of_an_effect_is_found() {
     #[derive(Clone, Debug)]
     struct Spring;
     impl Effect<CartPoleSystem> for Spring {
-        fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
+        fn add_forces<T: Scalar>(
+            &self,
+            _model: &CartPoleSystem,
+            OdeInputs { x, .. }: OdeInputs<'_, T>,
+            forces: &mut [T],
+        ) {
             forces[0] -= x[0];
         }
         fn vjp<R: physgrad::Real, C: physgrad::Cotangent<R>>(
@@ -70,7 +78,8 @@ fn a_wrong_derivative_of_an_effect_is_found() {
             }
         }
     }
-    let mismatch = check::try_system(&Forced { system: poles(1), effects: Spring }).expect_err("the derivative is wrong");
+    let mismatch = check::try_system(&Forced { system: poles(1), effects: Spring })
+        .expect_err("the derivative is wrong");
     assert_eq!((mismatch.what.as_str(), mismatch.index), ("vjp: x_bar", 0));
 }
 
@@ -78,18 +87,29 @@ fn a_wrong_derivative_of_an_effect_is_found() {
 fn derivatives_with_actuators_and_substeps_equal_dual_numbers() {
     let system = || Forced { system: poles(2), effects: every_effect() };
     let dt = system().system.dt;
-    let [smooth, hard] = [LimitKind::Smooth, LimitKind::Hard].map(|kind| AnyActuator::Limit(Limit { bound: 1.5, kind }));
-    let (lag, delay) = (AnyActuator::Lag(Lag::new(0.03, dt)), AnyActuator::Delay(Delay { steps: 3 }));
+    let [smooth, hard] = [LimitKind::Smooth, LimitKind::Hard]
+        .map(|kind| AnyActuator::Limit(Limit { bound: 1.5, kind }));
+    let (lag, delay) =
+        (AnyActuator::Lag(Lag::new(0.03, dt)), AnyActuator::Delay(Delay { steps: 3 }));
     // All lists have one type, so the compiler monomorphizes the check once.
-    for actuator in [vec![smooth], vec![hard], vec![lag], vec![delay], vec![smooth, lag], vec![smooth, delay, lag]] {
+    for actuator in [
+        vec![smooth],
+        vec![hard],
+        vec![lag],
+        vec![delay],
+        vec![smooth, lag],
+        vec![smooth, delay, lag],
+    ] {
         check_large(&Actuated { system: system(), actuator });
     }
     for count in [1, 3] {
         check_large(&Substeps { system: system(), count });
     }
     // Whole rollouts in all flows, with the parameter of the gusts and the states of the delay.
-    let full =
-        Actuated { system: Forced { system: CoupledCartPole(poles(2)), effects: every_effect() }, actuator: Delay { steps: 2 } };
+    let full = Actuated {
+        system: Forced { system: CoupledCartPole(poles(2)), effects: every_effect() },
+        actuator: Delay { steps: 2 },
+    };
     let n = full.state_dim();
     assert_eq!((n, full.param_dim()), (6 + 2, 1));
     check::task(&CartPole { horizon: 20, ..CartPole::with_system(full) }, &Linear::with_bias(n, 1));
@@ -124,7 +144,9 @@ fn energy(model: &CartPoleSystem, x: &[f64]) -> f64 {
         // The middle of the pole moves with the cart and about the joint. The inertia about the
         // middle is m l² / 3.
         let (vx, vy) = (v + l * omega * theta.cos(), -l * omega * theta.sin());
-        0.5 * m * (vx * vx + vy * vy) + 0.5 * (m * l * l / 3.0) * omega * omega + m * model.gravity.nominal() * l * theta.cos()
+        0.5 * m * (vx * vx + vy * vy)
+            + 0.5 * (m * l * l / 3.0) * omega * omega
+            + m * model.gravity.nominal() * l * theta.cos()
     };
     0.5 * model.cart_mass.nominal() * v * v + x[2..].chunks_exact(2).map(pole).sum::<f64>()
 }
@@ -158,8 +180,12 @@ fn the_coupled_model_conserves_energy_and_the_uncoupled_model_does_not() {
 #[test]
 fn friction_and_still_air_dissipate_energy() {
     let still = SteadyWind { speed: 0.0.into(), ..SteadyWind::default() };
-    let effects: [CartPoleEffect; 4] =
-        [PoleDamping::default().into(), CartDamping::default().into(), DryFriction::default().into(), still.into()];
+    let effects: [CartPoleEffect; 4] = [
+        PoleDamping::default().into(),
+        CartDamping::default().into(),
+        DryFriction::default().into(),
+        still.into(),
+    ];
     let model = poles(2);
     let mut rng = physgrad::rng::stream(1, physgrad::rng::Purpose::Check, 0);
     for effect in effects {
@@ -175,16 +201,24 @@ fn friction_and_still_air_dissipate_energy() {
 
 #[test]
 fn bumpers_push_and_never_pull() {
-    let (bumpers, model) = (Bumpers { half_travel: 1.0, damping: 2.0.into(), stiffness: 10.0.into() }, poles(1));
+    let (bumpers, model) =
+        (Bumpers { half_travel: 1.0, damping: 2.0.into(), stiffness: 10.0.into() }, poles(1));
     let force = |x: f64, v: f64| {
         let mut forces = [0.0; 2];
-        bumpers.add_forces(&model, Inputs::new(&[x, v, 0.0, 0.0], &[]).continuous(0.0), &mut forces);
+        bumpers.add_forces(
+            &model,
+            Inputs::new(&[x, v, 0.0, 0.0], &[]).continuous(0.0),
+            &mut forces,
+        );
         forces[0]
     };
     assert_eq!(force(0.99, 5.0), 0.0);
     assert_eq!(force(1.5, 0.0), -5.0);
     assert_eq!(force(-1.5, 0.0), 5.0);
-    assert!(force(1.5, 1.0) < force(1.5, 0.0), "damping does not increase the force during compression");
+    assert!(
+        force(1.5, 1.0) < force(1.5, 0.0),
+        "damping does not increase the force during compression"
+    );
     assert_eq!(force(1.5, -1.0), 0.0, "the bumper pulls during a fast release");
     assert_eq!(force(-1.5, 1.0), 0.0);
 }
@@ -208,8 +242,15 @@ fn wind_on_an_upright_pole_at_rest_has_the_documented_force_and_torque() {
     // τ = half_length pole_drag w².
     assert!(x[1] > 0.0);
     let mut forces = [0.0; 2];
-    SteadyWind::default().add_forces(&poles(1), Inputs::new(&[0.0; 4], &[]).continuous(0.0), &mut forces);
-    assert!((forces[0] - 0.073 * 9.0).abs() < 1e-12 && (forces[1] - 0.5 * 0.013 * 9.0).abs() < 1e-12, "{forces:?}");
+    SteadyWind::default().add_forces(
+        &poles(1),
+        Inputs::new(&[0.0; 4], &[]).continuous(0.0),
+        &mut forces,
+    );
+    assert!(
+        (forces[0] - 0.073 * 9.0).abs() < 1e-12 && (forces[1] - 0.5 * 0.013 * 9.0).abs() < 1e-12,
+        "{forces:?}"
+    );
 }
 
 #[test]
@@ -217,7 +258,12 @@ fn actuators_follow_their_formulas() {
     // The control is constant, and the cart starts at rest. The pole has negligible mass. The force
     // is therefore M / dt times the change of the cart's speed, with the cart mass M = 1 kg.
     let model = CartPoleSystem { pole_mass: (1e-12).into(), dt: 0.1, ..poles(1) };
-    fn applied<A: physgrad::Actuator>(model: CartPoleSystem, actuator: A, u: f64, steps: usize) -> Vec<f64> {
+    fn applied<A: physgrad::Actuator>(
+        model: CartPoleSystem,
+        actuator: A,
+        u: f64,
+        steps: usize,
+    ) -> Vec<f64> {
         let system = Actuated { system: model, actuator };
         let mut x = vec![0.0; system.state_dim()];
         (0..steps)
@@ -238,8 +284,14 @@ fn actuators_follow_their_formulas() {
     let share = 1.0 - (-0.1f64 / 0.2).exp();
     close(applied(model, Lag::new(0.2, 0.1), 1.0, 2), &[share, share + (1.0 - share) * share]);
     close(applied(model, Limit { bound: 0.5, kind: LimitKind::Hard }, 3.0, 1), &[0.5]);
-    close(applied(model, Limit { bound: 0.5, kind: LimitKind::Smooth }, 0.3, 1), &[0.5 * 0.6f64.tanh()]);
-    close(applied(model, (Limit { bound: 0.5, kind: LimitKind::Hard }, Delay { steps: 1 }), 3.0, 2), &[0.0, 0.5]);
+    close(
+        applied(model, Limit { bound: 0.5, kind: LimitKind::Smooth }, 0.3, 1),
+        &[0.5 * 0.6f64.tanh()],
+    );
+    close(
+        applied(model, (Limit { bound: 0.5, kind: LimitKind::Hard }, Delay { steps: 1 }), 3.0, 2),
+        &[0.0, 0.5],
+    );
 }
 
 #[test]

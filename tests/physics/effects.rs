@@ -4,13 +4,15 @@ use crate::by_hand::{cart_pole::ByHand, guidance, quantum};
 use physgrad::policy::Mlp;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{
-    Absorbing, AbsorbingEdges, Barrier, Bumpers, CartDamping, CartPole, CartPoleEffect, CartPoleSystem, CoupledCartPole, Cubic,
-    DoubleWell, Drive, DryFriction, Evade, Flock, Friction, Guidance, GuidanceEffect, GuidanceSystem, GustyWind, Harmonic,
-    Obstacles, PoleDamping, Quantum, QuantumEffect, QuantumSystem, Spread, SteadyWind, Walls,
+    Absorbing, AbsorbingEdges, Barrier, Bumpers, CartDamping, CartPole, CartPoleEffect,
+    CartPoleSystem, CoupledCartPole, Cubic, DoubleWell, Drive, DryFriction, Evade, Flock, Friction,
+    Guidance, GuidanceEffect, GuidanceSystem, GustyWind, Harmonic, Obstacles, PoleDamping, Quantum,
+    QuantumEffect, QuantumSystem, Spread, SteadyWind, Walls,
 };
 use physgrad::{
-    Actuated, AnyActuator, Batch, Cotangents, Delay, Effect, Float, Flow, Forced, ForcedSystem, HasModel, Inputs, Lag, Limit,
-    LimitKind, OpCount, Ops, Rollout, Start, System, Task, Weights, initial_states,
+    Actuated, AnyActuator, Batch, Cotangents, Delay, Effect, Float, Flow, Forced, ForcedSystem,
+    HasModel, Inputs, Lag, Limit, LimitKind, OpCount, Ops, Rollout, Start, System, Task, Weights,
+    initial_states,
 };
 
 fn cart_pole(poles: usize) -> CartPoleSystem {
@@ -45,7 +47,12 @@ fn guidance_effects() -> Vec<GuidanceEffect> {
 }
 
 fn quantum_effects() -> Vec<QuantumEffect> {
-    vec![Harmonic::default().into(), Barrier::default().into(), DoubleWell::default().into(), Cubic::default().into()]
+    vec![
+        Harmonic::default().into(),
+        Barrier::default().into(),
+        DoubleWell::default().into(),
+        Cubic::default().into(),
+    ]
 }
 
 /// Returns the counts of a step, its VJP, and its VJP with respect to the control only.
@@ -61,16 +68,27 @@ fn minus(a: [Ops; 3], b: [Ops; 3]) -> [Ops; 3] {
 /// Checks that absent effects cost no operations. Checks that the operations of an effect depend
 /// neither on other effects nor on their order.
 fn costs_add_up<H: ForcedSystem + System + Clone, E: Effect<H::Model>>(system: &H, effects: &[E]) {
-    let with = |effects: &[E]| counts(&Forced { system: system.clone(), effects: effects.to_vec() });
+    let with =
+        |effects: &[E]| counts(&Forced { system: system.clone(), effects: effects.to_vec() });
     let bare = counts(system);
     assert_eq!(with(&[]), bare, "an empty list adds operations");
-    assert_eq!(counts(&Forced { system: system.clone(), effects: () }), bare, "`()` adds operations");
-    let own: Vec<_> = effects.iter().map(|effect| minus(with(std::slice::from_ref(effect)), bare)).collect();
+    assert_eq!(
+        counts(&Forced { system: system.clone(), effects: () }),
+        bare,
+        "`()` adds operations"
+    );
+    let own: Vec<_> =
+        effects.iter().map(|effect| minus(with(std::slice::from_ref(effect)), bare)).collect();
     let mut sum = bare;
     for (i, own) in own.iter().enumerate() {
         assert!(own[0].total() > 0, "{:?} has no operations", effects[i]);
         sum = std::array::from_fn(|k| sum[k] + own[k]);
-        assert_eq!(with(&effects[..=i]), sum, "the operations of {:?} depend on the effects before it", effects[i]);
+        assert_eq!(
+            with(&effects[..=i]),
+            sum,
+            "the operations of {:?} depend on the effects before it",
+            effects[i]
+        );
         let mut others = effects.to_vec();
         others.remove(i);
         assert_eq!(
@@ -104,7 +122,8 @@ fn an_effect_costs_its_own_operations_and_nothing_when_absent() {
 
 #[test]
 fn absorbing_edges_cost_four_multiplications_with_any_effects() {
-    let (system, edges) = (QuantumSystem { grid: 10, ..QuantumSystem::default() }, AbsorbingEdges::default());
+    let (system, edges) =
+        (QuantumSystem { grid: 10, ..QuantumSystem::default() }, AbsorbingEdges::default());
     let own = |effects: &[QuantumEffect]| {
         let system = Forced { system, effects: effects.to_vec() };
         minus(counts(&Absorbing::new(system.clone(), edges)), counts(&system))
@@ -122,7 +141,8 @@ fn absorbing_edges_cost_four_multiplications_with_any_effects() {
 #[test]
 fn cart_pole_with_and_without_damping_has_the_operations_of_handwritten_code() {
     let system = cart_pole(3);
-    let (pole, cart, wind) = (PoleDamping::default(), CartDamping::default(), SteadyWind::default());
+    let (pole, cart, wind) =
+        (PoleDamping::default(), CartDamping::default(), SteadyWind::default());
     let by_hand = ByHand::<false, false> { system, pole, cart, wind };
     assert_eq!(OpCount::of(&system).step, OpCount::of(&by_hand).step);
     assert_eq!(OpCount::of(&system).vjp, OpCount::of(&by_hand).vjp);
@@ -141,7 +161,8 @@ fn herding_by_hand(system: GuidanceSystem) -> guidance::ByHand {
 #[test]
 fn guidance_has_the_operations_of_handwritten_code_plus_those_of_its_options() {
     for (drivers, evaders) in [(1, 1), (2, 4), (3, 2)] {
-        let (library, by_hand) = (agents(drivers, evaders).herding(), herding_by_hand(agents(drivers, evaders)));
+        let (library, by_hand) =
+            (agents(drivers, evaders).herding(), herding_by_hand(agents(drivers, evaders)));
         let (library, by_hand) = (OpCount::of(&library), OpCount::of(&by_hand));
         let (d, e) = (drivers as u64, evaders as u64);
         // The library subtracts the friction of evaders from accelerations of 0, in x and y. To
@@ -170,7 +191,10 @@ fn quantum_has_the_operations_of_handwritten_code_plus_a_product_per_point() {
         let bare = OpCount::of(&quantum::ByHand::<false, false> { system, trap, cubic });
         assert_eq!(OpCount::of(&system).step - bare.step, more);
         assert_eq!(OpCount::of(&system).vjp - bare.vjp, more_back);
-        let (full, library) = (quantum::ByHand::<true, true> { system, trap, cubic }, Forced { system, effects: (trap, cubic) });
+        let (full, library) = (
+            quantum::ByHand::<true, true> { system, trap, cubic },
+            Forced { system, effects: (trap, cubic) },
+        );
         assert_eq!(OpCount::of(&library).step - OpCount::of(&full).step, more);
         assert_eq!(OpCount::of(&library).vjp - OpCount::of(&full).vjp, more_back);
     }
@@ -179,7 +203,9 @@ fn quantum_has_the_operations_of_handwritten_code_plus_a_product_per_point() {
 /// Checks that next state and cotangents agree to 1e-12.
 fn same_physics<A: System, B: System>(a: &A, b: &B) {
     let (n, m) = (a.state_dim(), a.control_dim());
-    let wave = |len: usize, speed: f64| (0..len).map(|i| (1.0 + speed * i as f64).sin()).collect::<Vec<_>>();
+    let wave = |len: usize, speed: f64| {
+        (0..len).map(|i| (1.0 + speed * i as f64).sin()).collect::<Vec<_>>()
+    };
     let (x, u, cotangents) = (wave(n, 1.3), wave(m, 0.7), wave(n, 2.1));
     let mut found = [vec![0.0; 2 * n + m], vec![0.0; 2 * n + m]];
     for (found, by_hand) in found.iter_mut().zip([false, true]) {
@@ -201,14 +227,24 @@ fn same_physics<A: System, B: System>(a: &A, b: &B) {
 #[test]
 fn handwritten_code_has_the_same_results_to_1e_12() {
     let system = cart_pole(3);
-    let (pole, cart, wind) = (PoleDamping::default(), CartDamping::default(), SteadyWind::default());
+    let (pole, cart, wind) =
+        (PoleDamping::default(), CartDamping::default(), SteadyWind::default());
     same_physics(&system, &ByHand::<false, false> { system, pole, cart, wind });
-    same_physics(&Forced { system, effects: (pole, cart) }, &ByHand::<true, false> { system, pole, cart, wind });
-    same_physics(&Forced { system, effects: (pole, cart, wind) }, &ByHand::<true, true> { system, pole, cart, wind });
+    same_physics(
+        &Forced { system, effects: (pole, cart) },
+        &ByHand::<true, false> { system, pole, cart, wind },
+    );
+    same_physics(
+        &Forced { system, effects: (pole, cart, wind) },
+        &ByHand::<true, true> { system, pole, cart, wind },
+    );
     same_physics(&agents(2, 4).herding(), &herding_by_hand(agents(2, 4)));
     let (system, trap, cubic) = (QuantumSystem::default(), Harmonic::default(), Cubic::default());
     same_physics(&system, &quantum::ByHand::<false, false> { system, trap, cubic });
-    same_physics(&Forced { system, effects: (trap, cubic) }, &quantum::ByHand::<true, true> { system, trap, cubic });
+    same_physics(
+        &Forced { system, effects: (trap, cubic) },
+        &quantum::ByHand::<true, true> { system, trap, cubic },
+    );
 }
 
 /// Returns all states of a trajectory under an oscillating control, and all cotangents of the
@@ -219,7 +255,8 @@ fn steps<T: Task>(task: &T) -> Vec<u64> {
     // `initial_states` would compile whole rollouts of each task.
     task.start(&mut stream(3, Purpose::Train, 0), Start { x: &mut x, p: &mut p });
     let mut states = vec![x];
-    let control = |t: usize| (0..m).map(|i| (0.3 * t as f64 + i as f64).sin()).collect::<Vec<f64>>();
+    let control =
+        |t: usize| (0..m).map(|i| (0.3 * t as f64 + i as f64).sin()).collect::<Vec<f64>>();
     for t in 0..horizon {
         let mut next = vec![0.0; n];
         task.system().step(Inputs { x: &states[t], u: &control(t), p: &p, t }, &mut next);
@@ -235,7 +272,11 @@ fn steps<T: Task>(task: &T) -> Vec<u64> {
         let u = control(t);
         let inputs = Inputs { x: &states[t], u: &u, p: &p, t };
         task.system().vjp(inputs, &bar, Cotangents::of(&mut x_bar, &mut u_bar));
-        task.system().vjp(inputs, &bar, Cotangents { u: Some(&mut u_only), ..Cotangents::default() });
+        task.system().vjp(
+            inputs,
+            &bar,
+            Cotangents { u: Some(&mut u_only), ..Cotangents::default() },
+        );
         found.extend(x_bar.iter().chain(&u_bar).chain(&u_only));
         bar = x_bar;
     }
@@ -301,7 +342,10 @@ fn empty_effects_and_actuators_keep_the_bits_of_trajectories() {
     same_bits(&herd(system), &herd(Forced { system, effects: Vec::<GuidanceEffect>::new() }));
     let system = QuantumSystem { grid: 9, ..QuantumSystem::default() };
     same_bits(&particle(system), &particle(Forced { system, effects: () }));
-    same_bits(&particle(system), &particle(Forced { system, effects: Vec::<QuantumEffect>::new() }));
+    same_bits(
+        &particle(system),
+        &particle(Forced { system, effects: Vec::<QuantumEffect>::new() }),
+    );
 }
 
 #[test]
@@ -312,33 +356,58 @@ fn typed_and_listed_effects_have_the_same_bits() {
         GustyWind::default(),
         Bumpers { half_travel: 0.8, ..Bumpers::default() },
     );
-    let list: Vec<CartPoleEffect> = vec![effects.0.into(), effects.1.into(), effects.2.into(), effects.3.into()];
+    let list: Vec<CartPoleEffect> =
+        vec![effects.0.into(), effects.1.into(), effects.2.into(), effects.3.into()];
     let system = cart_pole(2);
-    same_rollouts(&swing(Forced { system, effects }), &swing(Forced { system, effects: list.clone() }));
+    same_rollouts(
+        &swing(Forced { system, effects }),
+        &swing(Forced { system, effects: list.clone() }),
+    );
     let system = CoupledCartPole(system);
     same_bits(&swing(Forced { system, effects }), &swing(Forced { system, effects: list }));
 
     // Friction alone, before wind, and after wind.
-    let (pole, cart, wind) = (PoleDamping::default(), CartDamping::default(), SteadyWind::default());
+    let (pole, cart, wind) =
+        (PoleDamping::default(), CartDamping::default(), SteadyWind::default());
     let list: [CartPoleEffect; 3] = [pole.into(), cart.into(), wind.into()];
     let system = cart_pole(3);
-    same_bits(&swing(Forced { system, effects: (pole, cart) }), &swing(Forced { system, effects: list[..2].to_vec() }));
-    same_bits(&swing(Forced { system, effects: (pole, cart, wind) }), &swing(Forced { system, effects: list.to_vec() }));
+    same_bits(
+        &swing(Forced { system, effects: (pole, cart) }),
+        &swing(Forced { system, effects: list[..2].to_vec() }),
+    );
+    same_bits(
+        &swing(Forced { system, effects: (pole, cart, wind) }),
+        &swing(Forced { system, effects: list.to_vec() }),
+    );
     let others_first: Vec<CartPoleEffect> = vec![wind.into(), cart.into(), pole.into()];
-    same_bits(&swing(Forced { system, effects: (wind, (cart, pole)) }), &swing(Forced { system, effects: others_first }));
+    same_bits(
+        &swing(Forced { system, effects: (wind, (cart, pole)) }),
+        &swing(Forced { system, effects: others_first }),
+    );
 
     let system = agents(2, 4);
-    let (drive, obstacles, walls) = (Drive::default(), Obstacles::default(), Walls { half_width: 2.0, ..Walls::default() });
+    let (drive, obstacles, walls) =
+        (Drive::default(), Obstacles::default(), Walls { half_width: 2.0, ..Walls::default() });
     let paper = (Friction::default(), Spread::default(), Evade::default(), Flock::default());
     let effects = (paper, (drive, obstacles.clone(), walls));
-    let list: Vec<GuidanceEffect> =
-        vec![paper.0.into(), paper.1.into(), paper.2.into(), paper.3.into(), drive.into(), obstacles.into(), walls.into()];
+    let list: Vec<GuidanceEffect> = vec![
+        paper.0.into(),
+        paper.1.into(),
+        paper.2.into(),
+        paper.3.into(),
+        drive.into(),
+        obstacles.into(),
+        walls.into(),
+    ];
     same_rollouts(&herd(Forced { system, effects }), &herd(Forced { system, effects: list }));
 
     let system = QuantumSystem { grid: 9, ..QuantumSystem::default() };
-    let (edges, effects) =
-        (AbsorbingEdges::default(), (Harmonic::default(), (Barrier::default(), DoubleWell::default()), Cubic::default()));
-    let (typed, listed) = (Forced { system, effects }, Forced { system, effects: quantum_effects() });
+    let (edges, effects) = (
+        AbsorbingEdges::default(),
+        (Harmonic::default(), (Barrier::default(), DoubleWell::default()), Cubic::default()),
+    );
+    let (typed, listed) =
+        (Forced { system, effects }, Forced { system, effects: quantum_effects() });
     same_rollouts(&particle(typed), &particle(listed.clone()));
     same_bits(&particle(Absorbing::new(typed, edges)), &particle(Absorbing::new(listed, edges)));
 }
@@ -346,9 +415,13 @@ fn typed_and_listed_effects_have_the_same_bits() {
 #[test]
 fn typed_and_listed_actuators_have_the_same_bits() {
     let system = cart_pole(2);
-    let (limit, delay, lag) = (Limit { bound: 2.0, kind: LimitKind::Smooth }, Delay { steps: 2 }, Lag::new(0.05, 0.01));
+    let (limit, delay, lag) =
+        (Limit { bound: 2.0, kind: LimitKind::Smooth }, Delay { steps: 2 }, Lag::new(0.05, 0.01));
     let chain = vec![AnyActuator::Limit(limit), AnyActuator::Delay(delay), AnyActuator::Lag(lag)];
-    same_bits(&swing(Actuated { system, actuator: (limit, (delay, lag)) }), &swing(Actuated { system, actuator: chain.clone() }));
+    same_bits(
+        &swing(Actuated { system, actuator: (limit, (delay, lag)) }),
+        &swing(Actuated { system, actuator: chain.clone() }),
+    );
     let typed = Actuated { system, actuator: (limit, (delay, lag)) };
     assert_eq!(OpCount::of(&typed), OpCount::of(&Actuated { system, actuator: chain }));
 }

@@ -19,8 +19,9 @@ use physgrad::policy::{Conv, Linear};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::*;
 use physgrad::{
-    Actuated, Actuator, AnyActuator, Cotangent, Cotangents, Delay, Effect, Forced, ForcedSystem, Inputs, Lag, Limit, LimitKind,
-    Number as PhysicalNumber, Ode, Real, Scalar, Start, System, Task, check,
+    Actuated, Actuator, AnyActuator, Cotangent, Cotangents, Delay, Effect, Forced, ForcedSystem,
+    Inputs, Lag, Limit, LimitKind, Number as PhysicalNumber, Ode, Real, Scalar, Start, System,
+    Task, check,
 };
 use rand::RngExt;
 use std::f64::consts::{FRAC_PI_6, PI, TAU};
@@ -35,14 +36,18 @@ const ROUNDING: f64 = 1e-11;
 fn near(what: &str, found: &[f64], expected: &[f64]) {
     assert_eq!(found.len(), expected.len(), "{what}");
     for (i, (found, expected)) in found.iter().zip(expected).enumerate() {
-        assert!((found - expected).abs() <= ROUNDING * expected.abs().max(1.0), "{what}, {i}: {found} is not {expected}");
+        assert!(
+            (found - expected).abs() <= ROUNDING * expected.abs().max(1.0),
+            "{what}, {i}: {found} is not {expected}"
+        );
     }
 }
 
 /// Returns a hundred random pairs of a state with `n` components and a control with `m`, within ±3.
 fn states(n: usize, m: usize) -> impl Iterator<Item = (Vec<f64>, Vec<f64>)> {
     let mut rng = stream(0, Purpose::Test, 0);
-    let mut draw = move |len: usize| (0..len).map(|_| rng.random_range(-3.0..3.0)).collect::<Vec<f64>>();
+    let mut draw =
+        move |len: usize| (0..len).map(|_| rng.random_range(-3.0..3.0)).collect::<Vec<f64>>();
     (0..100).map(move |_| (draw(n), draw(m)))
 }
 
@@ -85,7 +90,10 @@ fn slopes(of: impl Fn(&[f64]) -> Vec<f64>, at: &[f64]) -> Vec<Vec<f64>> {
 fn near_slopes(what: &str, found: &[f64], expected: &[f64]) {
     assert_eq!(found.len(), expected.len(), "{what}");
     for (i, (found, expected)) in found.iter().zip(expected).enumerate() {
-        assert!((found - expected).abs() <= 1e-5 * expected.abs().max(1.0), "{what}, slope {i}: {found} is not {expected}");
+        assert!(
+            (found - expected).abs() <= 1e-5 * expected.abs().max(1.0),
+            "{what}, slope {i}: {found} is not {expected}"
+        );
     }
 }
 
@@ -100,9 +108,15 @@ fn steps_as<S: System>(what: &str, system: &S, expected: impl Fn(&[f64], &[f64])
     for (x, u) in states(n, m).take(8) {
         let bar: Vec<f64> = (0..n).map(|i| 0.3 + 0.1 * i as f64).collect();
         let (mut x_bar, mut u_bar) = (vec![0.0; n], vec![0.0; m]);
-        system.vjp(at(&x, &u, &vec![PHASE; system.param_dim()]), &bar, Cotangents::of(&mut x_bar, &mut u_bar));
-        let pulled = |next: Vec<f64>| vec![next.iter().zip(&bar).map(|(next, bar)| next * bar).sum()];
-        let by_slopes = slopes(|xu| pulled(expected(&xu[..n], &xu[n..])), &[x, u].concat()).concat();
+        system.vjp(
+            at(&x, &u, &vec![PHASE; system.param_dim()]),
+            &bar,
+            Cotangents::of(&mut x_bar, &mut u_bar),
+        );
+        let pulled =
+            |next: Vec<f64>| vec![next.iter().zip(&bar).map(|(next, bar)| next * bar).sum()];
+        let by_slopes =
+            slopes(|xu| pulled(expected(&xu[..n], &xu[n..])), &[x, u].concat()).concat();
         near_slopes(what, &[x_bar, u_bar].concat(), &by_slopes);
     }
     let draw = |rng: &mut Rng, x: &mut [f64], u: &mut [f64], p: &mut [f64]| {
@@ -115,7 +129,8 @@ fn steps_as<S: System>(what: &str, system: &S, expected: impl Fn(&[f64], &[f64])
 fn solve<T: Number>(mut a: Vec<Vec<T>>, mut b: Vec<T>) -> Vec<T> {
     let n = b.len();
     for i in 0..n {
-        let pivot = (i..n).max_by(|&j, &k| a[j][i].size().total_cmp(&a[k][i].size())).expect("a row");
+        let pivot =
+            (i..n).max_by(|&j, &k| a[j][i].size().total_cmp(&a[k][i].size())).expect("a row");
         a.swap(i, pivot);
         b.swap(i, pivot);
         let row = a[i].clone();

@@ -1,7 +1,9 @@
 //! Dry friction and impacts: gradients, and the documented properties.
 
 use physgrad::policy::Mlp;
-use physgrad::tasks::{Bounce, BouncingBall, Contact, FrictionScheme, Push, Slider, SliderSystem, TwoBodies};
+use physgrad::tasks::{
+    Bounce, BouncingBall, Contact, FrictionScheme, Push, Slider, SliderSystem, TwoBodies,
+};
 use physgrad::{Cotangents, Float, Inputs, Real, Scalar, Single, System, check};
 use rand::RngExt;
 
@@ -49,16 +51,27 @@ fn differences<S: System>(system: &S, x: &[f64], u: f64, by: f64) -> Vec<Vec<f64
 #[track_caller]
 fn near(found: &[Vec<f64>], expected: &[Vec<f64>], allowed: f64) {
     let (found, expected) = (found.concat(), expected.concat());
-    assert!(found.len() == expected.len() && found.iter().chain(&expected).all(|x| x.is_finite()), "{found:?}, {expected:?}");
+    assert!(
+        found.len() == expected.len() && found.iter().chain(&expected).all(|x| x.is_finite()),
+        "{found:?}, {expected:?}"
+    );
     for (i, (found, expected)) in found.iter().zip(&expected).enumerate() {
-        assert!((found - expected).abs() <= allowed * expected.abs().max(1.0), "{i}: {found} is not {expected}");
+        assert!(
+            (found - expected).abs() <= allowed * expected.abs().max(1.0),
+            "{i}: {found} is not {expected}"
+        );
     }
 }
 
 fn sliders() -> impl Iterator<Item = SliderSystem> {
     let schemes = [FrictionScheme::Explicit, FrictionScheme::Implicit];
     (1..=6).flat_map(move |exponent| {
-        schemes.map(|scheme| SliderSystem { smoothing: 10f64.powi(-exponent), scheme, mass: 1.7, ..SliderSystem::default() })
+        schemes.map(|scheme| SliderSystem {
+            smoothing: 10f64.powi(-exponent),
+            scheme,
+            mass: 1.7,
+            ..SliderSystem::default()
+        })
     })
 }
 
@@ -84,14 +97,16 @@ fn residual<R: Real>(slider: &SliderSystem, v: f64, u: f64) -> f64 {
     let y = next / slider.smoothing;
     let off = next - v - slider.dt * u / slider.mass + b * Scalar::tanh(y);
     // Bound on the rounding of v', v + dt u/m and tanh.
-    let rounding = <R::Real as Float>::EPSILON * (v.abs() + (slider.dt * u / slider.mass).abs() + b + b * y.abs().min(1.0));
+    let rounding = <R::Real as Float>::EPSILON
+        * (v.abs() + (slider.dt * u / slider.mass).abs() + b + b * y.abs().min(1.0));
     off.abs() / rounding
 }
 
 #[test]
 fn implicit_friction_solves_its_equation() {
     let sharp = [1e-8, 1e-9].map(|smoothing| SliderSystem { smoothing, ..SliderSystem::default() });
-    for slider in sliders().filter(|slider| slider.scheme == FrictionScheme::Implicit).chain(sharp) {
+    for slider in sliders().filter(|slider| slider.scheme == FrictionScheme::Implicit).chain(sharp)
+    {
         let b = slider.grip();
         // Initial speeds for sliding, creeping and rest. Then speeds next to b, the largest change
         // of speed by friction in one step.
@@ -99,11 +114,19 @@ fn implicit_friction_solves_its_equation() {
         let edges = [-1e-3, -1e-6, -1e-12, 1e-12, 1e-6, 1e-3].map(|off| b * (1.0 + off));
         for v in starts.chain(edges).flat_map(|v| [v, -v]) {
             for u in [0.0, 3.0, -40.0] {
-                let (double, single) = (residual::<f64>(&slider, v, u), residual::<Single<f32>>(&slider, v, u));
-                assert!(double < 8.0 && single < 8.0, "{slider:?} at {v}, {u}: {double} and {single} roundings");
+                let (double, single) =
+                    (residual::<f64>(&slider, v, u), residual::<Single<f32>>(&slider, v, u));
+                assert!(
+                    double < 8.0 && single < 8.0,
+                    "{slider:?} at {v}, {u}: {double} and {single} roundings"
+                );
             }
             let forward = step(&slider, &[0.0, v], 3.0)[1];
-            assert_eq!(forward, -step(&slider, &[0.0, -v], -3.0)[1], "the step is not odd in speed and force");
+            assert_eq!(
+                forward,
+                -step(&slider, &[0.0, -v], -3.0)[1],
+                "the step is not odd in speed and force"
+            );
         }
     }
 }
@@ -113,7 +136,11 @@ fn derivatives_of_implicit_friction_equal_finite_differences() {
     for smoothing in [1e-1, 1e-2, 1e-3] {
         let slider = SliderSystem { smoothing, ..SliderSystem::default() };
         for v in [0.0, 1e-3, slider.grip(), 0.06, 1.0] {
-            near(&jacobian(&slider, &[0.2, v], 0.4), &differences(&slider, &[0.2, v], 0.4, 1e-3 * smoothing), 1e-5);
+            near(
+                &jacobian(&slider, &[0.2, v], 0.4),
+                &differences(&slider, &[0.2, v], 0.4, 1e-3 * smoothing),
+                1e-5,
+            );
         }
     }
 }
@@ -124,7 +151,9 @@ fn explicit_and_implicit_friction_converge_to_each_other_with_order_1() {
         let slider = SliderSystem { smoothing: 0.1, dt, scheme, ..SliderSystem::default() };
         run(&slider, &[0.0, 1.0], 0.5, (0.3 / dt).round() as usize)
     };
-    let difference = |dt| (after(FrictionScheme::Explicit, dt)[0] - after(FrictionScheme::Implicit, dt)[0]).abs();
+    let difference = |dt| {
+        (after(FrictionScheme::Explicit, dt)[0] - after(FrictionScheme::Implicit, dt)[0]).abs()
+    };
     let (coarse, fine) = (difference(1e-3), difference(1e-4));
     assert!(fine < 1e-4 && (9.0..11.0).contains(&(coarse / fine)), "{coarse:e}, {fine:e}");
 }
@@ -200,17 +229,27 @@ fn gradients_of_rollouts_equal_dual_numbers_in_every_flow() {
 fn bounces_in_steps_of_0_4_s_and_0_0125_s_agree_to_1e_12() {
     for restitution in [0.5, 0.8, 1.0] {
         let after = |dt: f64| {
-            let ball = BouncingBall { contact: Contact::TimeOfImpact { restitution }, dt, ..BouncingBall::default() };
+            let ball = BouncingBall {
+                contact: Contact::TimeOfImpact { restitution },
+                dt,
+                ..BouncingBall::default()
+            };
             run(&ball, &[1.0, -0.5], 2.0, (1.2 / dt).round() as usize)
         };
         let [long, short] = [0.4, 0.0125].map(after);
-        assert!((long[0] - short[0]).abs() < 1e-12 && (long[1] - short[1]).abs() < 1e-12, "{long:?}, {short:?}");
+        assert!(
+            (long[0] - short[0]).abs() < 1e-12 && (long[1] - short[1]).abs() < 1e-12,
+            "{long:?}, {short:?}"
+        );
     }
 }
 
 #[test]
 fn an_elastic_ball_keeps_its_energy_for_1e5_steps() {
-    let ball = BouncingBall { contact: Contact::TimeOfImpact { restitution: 1.0 }, ..BouncingBall::default() };
+    let ball = BouncingBall {
+        contact: Contact::TimeOfImpact { restitution: 1.0 },
+        ..BouncingBall::default()
+    };
     let energy = |x: &[f64]| 9.81 * x[0] + 0.5 * x[1] * x[1];
     let after = run(&ball, &[1.0, 0.3], 0.0, 100_000);
     assert!((energy(&after) / energy(&[1.0, 0.3]) - 1.0).abs() < 1e-10, "{after:?}");
@@ -218,7 +257,10 @@ fn an_elastic_ball_keeps_its_energy_for_1e5_steps() {
 
 #[test]
 fn a_ball_comes_to_rest_after_infinitely_many_bounces() {
-    let ball = BouncingBall { contact: Contact::TimeOfImpact { restitution: 0.5 }, ..BouncingBall::default() };
+    let ball = BouncingBall {
+        contact: Contact::TimeOfImpact { restitution: 0.5 },
+        ..BouncingBall::default()
+    };
     // Falls for sqrt(2 h/g), then bounces for 2 e/(1 - e) times as long.
     let rest = f64::sqrt(2.0 / 9.81) * (1.0 + 2.0 * 0.5 / (1.0 - 0.5));
     let steps = (rest / ball.dt) as usize;
@@ -227,7 +269,11 @@ fn a_ball_comes_to_rest_after_infinitely_many_bounces() {
     // At rest without force, the derivatives with respect to state and force are 0. With a force of
     // 15 N, which exceeds the weight of 9.81 N, the derivatives are those of free motion.
     near(&jacobian(&ball, &[0.0, 0.0], 0.0), &[vec![0.0; 3], vec![0.0; 3]], 0.0);
-    near(&jacobian(&ball, &[0.0, 0.0], 15.0), &[vec![1.0, 0.01, 5e-5], vec![0.0, 1.0, 0.01]], 1e-14);
+    near(
+        &jacobian(&ball, &[0.0, 0.0], 15.0),
+        &[vec![1.0, 0.01, 5e-5], vec![0.0, 1.0, 0.01]],
+        1e-14,
+    );
 }
 
 #[test]
@@ -235,7 +281,11 @@ fn derivatives_of_steps_with_0_to_4_impacts_equal_finite_differences() {
     // Initial height and velocity, and the number of impacts.
     let impacts = [(1.0, 0.0, 0), (0.2, 0.0, 1), (0.06, 0.0, 2), (0.03, -0.2, 3), (0.02, 0.0, 4)];
     for (h, v, count) in impacts {
-        let ball = BouncingBall { contact: Contact::TimeOfImpact { restitution: 0.8 }, dt: 0.33, ..BouncingBall::default() };
+        let ball = BouncingBall {
+            contact: Contact::TimeOfImpact { restitution: 0.8 },
+            dt: 0.33,
+            ..BouncingBall::default()
+        };
         let fall = f64::sqrt(v * v + 2.0 * 9.81 * h);
         let times = (0..).scan(((v + fall) / 9.81, fall), |(time, speed), _| {
             let now = *time;
@@ -269,7 +319,10 @@ fn nan_in_state_or_force_gives_nan() {
         assert!(step(&ball, &[0.0, 0.0], f64::NAN).iter().any(|x| x.is_nan()), "{ball:?}");
     }
     for slider in sliders() {
-        assert!(step(&slider, &[0.0, f64::NAN], 0.0)[1].is_nan() && step(&slider, &[0.0, 0.0], f64::NAN)[1].is_nan());
+        assert!(
+            step(&slider, &[0.0, f64::NAN], 0.0)[1].is_nan()
+                && step(&slider, &[0.0, 0.0], f64::NAN)[1].is_nan()
+        );
     }
 }
 
@@ -280,7 +333,10 @@ fn momentum_changes_only_by_the_force_and_equal_balls_exchange_speeds() {
         let after = run(&pair, &[0.0, 0.3, 2.0, -0.5], 0.7, 80);
         let expected = momentum(&[0.0, 0.3, 2.0, -0.5]) + 0.7 * 0.8;
         assert!((momentum(&after) - expected).abs() < 1e-12, "{pair:?}");
-        assert!(after[1] - after[0] > pair.contact_distance - 0.1 && after[3] > 0.0, "{pair:?}: {after:?}");
+        assert!(
+            after[1] - after[0] > pair.contact_distance - 0.1 && after[3] > 0.0,
+            "{pair:?}: {after:?}"
+        );
     }
     let after = run(&TwoBodies::balls(), &[0.0, 0.3, 2.0, -0.5], 0.0, 50);
     assert!((after[2] + 0.5).abs() < 1e-13 && (after[3] - 2.0).abs() < 1e-13, "{after:?}");
@@ -290,9 +346,15 @@ fn momentum_changes_only_by_the_force_and_equal_balls_exchange_speeds() {
 fn a_pusher_pushes_a_box_and_does_not_pull_it() {
     let pair = TwoBodies::pusher();
     let pushed = run(&pair, &[0.0, 0.2, 0.0, 0.0], 6.0, 60);
-    assert!((pushed[1] - pushed[0] - pair.contact_distance).abs() < 1e-13 && (pushed[3] - pushed[2]).abs() < 1e-13);
+    assert!(
+        (pushed[1] - pushed[0] - pair.contact_distance).abs() < 1e-13
+            && (pushed[3] - pushed[2]).abs() < 1e-13
+    );
     let pulled = run(&pair, &pushed, -6.0, 30);
-    assert!(pulled[1] - pulled[0] > pair.contact_distance + 0.1 && (pulled[3] - pushed[3]).abs() < 1e-13);
+    assert!(
+        pulled[1] - pulled[0] > pair.contact_distance + 0.1
+            && (pulled[3] - pushed[3]).abs() < 1e-13
+    );
     // The pushed pair moves as one body of 3 kg.
     let slopes = jacobian(&pair, &pushed, 6.0);
     assert!((slopes[3][4] - 0.01 / 3.0).abs() < 1e-15 && (slopes[3][2] - 1.0 / 3.0).abs() < 1e-15);

@@ -4,11 +4,12 @@
 use physgrad::policy::Linear;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{
-    CartPoleSystem, CoupledCartPole, DoublePendulum, LinearPlant, LossMode, Lqr, MassError, NoOptimum, PoleChain, Upright,
+    CartPoleSystem, CoupledCartPole, DoublePendulum, LinearPlant, LossMode, Lqr, MassError,
+    NoOptimum, PoleChain, Upright,
 };
 use physgrad::{
-    Evaluation, ImplicitMidpoint, Inputs, Integrated, Ode, RungeKutta, SemiImplicit, Substeps, System, Task, Verlet, Weights,
-    check,
+    Evaluation, ImplicitMidpoint, Inputs, Integrated, Ode, RungeKutta, SemiImplicit, Substeps,
+    System, Task, Verlet, Weights, check,
 };
 use rand::RngExt;
 
@@ -55,7 +56,10 @@ fn derivatives_of_pendulums_and_chains_equal_dual_numbers() {
     }
     let swing = Upright::double_pendulum();
     check::task(&swing, &Linear::with_bias(4, 1));
-    check::task(&Upright { loss: LossMode::Running, control_weight: 0.3, ..swing }.held(), &Linear::new(4, 1));
+    check::task(
+        &Upright { loss: LossMode::Running, control_weight: 0.3, ..swing }.held(),
+        &Linear::new(4, 1),
+    );
 }
 
 #[test]
@@ -83,7 +87,8 @@ fn losses(lqr: &Lqr, gain: Vec<f64>) -> [f64; 2] {
     let policy = Linear::new(n, m);
     let starts = random(8 * n, 5);
     let weights = Weights::new(&policy, gain);
-    let loss = Evaluation::new(lqr, &policy, 1).run(lqr, &policy, &weights, &starts).expect("finite");
+    let loss =
+        Evaluation::new(lqr, &policy, 1).run(lqr, &policy, &weights, &starts).expect("finite");
     [loss, lqr.least_loss(&starts)]
 }
 
@@ -135,7 +140,10 @@ fn plants_and_costs_without_optimum_are_reported() {
     ];
     for (a, b, r) in coupled {
         let found = Lqr::new(LinearPlant::new(2, a, b), identity.clone(), vec![r]);
-        assert!(matches!(found, Err(NoOptimum::Unstabilizable | NoOptimum::NotConverged { .. })), "{found:?}");
+        assert!(
+            matches!(found, Err(NoOptimum::Unstabilizable | NoOptimum::NotConverged { .. })),
+            "{found:?}"
+        );
     }
     // The iteration for Riccati's equation W = q + a² W / (1 + W) converges to W near -9.7, so
     // 1 + W is negative.
@@ -151,12 +159,16 @@ fn plants_and_costs_without_optimum_are_reported() {
 fn with_one_pole_the_chain_equals_the_coupled_model() {
     let (one, coupled) = (chain(1), CoupledCartPole::default());
     for case in 0..20 {
-        let (x, u) = (random(4, case).iter().map(|x| 3.0 * x).collect::<Vec<_>>(), random(1, 100 + case));
+        let (x, u) =
+            (random(4, case).iter().map(|x| 3.0 * x).collect::<Vec<_>>(), random(1, 100 + case));
         let (mut found, mut expected) = ([0.0; 4], [0.0; 4]);
         Ode::rate(&one, Inputs::new(&x, &u).continuous(0.0), &mut found);
         Ode::rate(&coupled, Inputs::new(&x, &u).continuous(0.0), &mut expected);
         for (found, expected) in found.iter().zip(expected) {
-            assert!((found - expected).abs() <= 1e-13 * (1.0 + expected.abs()), "{found} and {expected}");
+            assert!(
+                (found - expected).abs() <= 1e-13 * (1.0 + expected.abs()),
+                "{found} and {expected}"
+            );
         }
         assert!((one.energy(&x) - coupled.energy(&x)).abs() < 1e-13);
     }
@@ -165,13 +177,19 @@ fn with_one_pole_the_chain_equals_the_coupled_model() {
 /// Returns `|dE/dt - power| / (r (1 + |E|))`, where r is the largest rate, at least 1.
 ///
 /// dE/dt comes from central differences of the energy along the motion.
-fn power_missing<O: Ode>(ode: &O, energy: impl Fn(&[f64]) -> f64, power: impl Fn(&[f64], f64) -> f64, case: u64) -> f64 {
+fn power_missing<O: Ode>(
+    ode: &O,
+    energy: impl Fn(&[f64]) -> f64,
+    power: impl Fn(&[f64], f64) -> f64,
+    case: u64,
+) -> f64 {
     let (x, u) = (random(ode.state_dim(), case), random(1, 50 + case));
     let mut rate = vec![0.0; x.len()];
     ode.rate(Inputs::new(&x, &u).continuous(0.0), &mut rate);
     let speed = rate.iter().fold(1.0, |largest: f64, rate| largest.max(rate.abs()));
     let width = 1e-4 / speed;
-    let at = |h: f64| energy(&x.iter().zip(&rate).map(|(x, rate)| x + h * rate).collect::<Vec<_>>());
+    let at =
+        |h: f64| energy(&x.iter().zip(&rate).map(|(x, rate)| x + h * rate).collect::<Vec<_>>());
     let change = (at(width) - at(-width)) / (2.0 * width);
     (change - power(&x, u[0])).abs() / (speed * (1.0 + at(0.0).abs()))
 }
@@ -210,16 +228,25 @@ fn energy_drifts_with_order_4_by_rk4_and_order_2_by_verlet() {
     // In the first 0.3 s, the chain falls and its drift is monotonic. Later, the drift changes sign
     // repeatedly.
     let dt = |steps: usize| 0.3 / steps as f64;
-    let of_pendulum = order(&|n| drift(&Integrated { ode: pendulum, integrator: rk4, dt: dt(n) }, n, |x| pendulum.energy(x)));
-    let of_chain = order(&|n| drift(&Integrated { ode: chain, integrator: rk4, dt: dt(n) }, n, |x| chain.energy(x)));
-    let by_verlet = order(&|n| drift(&Integrated { ode: chain, integrator: Verlet, dt: dt(n) }, n, |x| chain.energy(x)));
-    for (what, found, expected) in
-        [("pendulum, RK4", of_pendulum, 4.0), ("chain, RK4", of_chain, 4.0), ("chain, Verlet", by_verlet, 2.0)]
-    {
+    let of_pendulum = order(&|n| {
+        drift(&Integrated { ode: pendulum, integrator: rk4, dt: dt(n) }, n, |x| pendulum.energy(x))
+    });
+    let of_chain = order(&|n| {
+        drift(&Integrated { ode: chain, integrator: rk4, dt: dt(n) }, n, |x| chain.energy(x))
+    });
+    let by_verlet = order(&|n| {
+        drift(&Integrated { ode: chain, integrator: Verlet, dt: dt(n) }, n, |x| chain.energy(x))
+    });
+    for (what, found, expected) in [
+        ("pendulum, RK4", of_pendulum, 4.0),
+        ("chain, RK4", of_chain, 4.0),
+        ("chain, Verlet", by_verlet, 2.0),
+    ] {
         assert!((found - expected).abs() < 0.1, "{what}: order {found}");
     }
     // RK4 with steps of 1e-4 s conserves the energy of a chain almost to rounding for 1 s.
-    let substeps = Substeps { system: Integrated { ode: chain, integrator: rk4, dt: 1e-4 }, count: 100 };
+    let substeps =
+        Substeps { system: Integrated { ode: chain, integrator: rk4, dt: 1e-4 }, count: 100 };
     let left = drift(&substeps, 100, |x| chain.energy(x));
     assert!(left < 1e-11, "{left:e}");
 }
@@ -233,16 +260,30 @@ fn non_physical_masses_are_refused() {
         ..CartPoleSystem::default()
     };
     for good in [model(1.0, 0.1), model(1e-8, 0.1), model(1e6, 1e-6)] {
-        assert_eq!((good.check(), CoupledCartPole(good).check(), PoleChain(good).check()), (Ok(()), Ok(()), Ok(())));
+        assert_eq!(
+            (good.check(), CoupledCartPole(good).check(), PoleChain(good).check()),
+            (Ok(()), Ok(()), Ok(()))
+        );
     }
-    let positive = |wrong: CartPoleSystem| matches!(wrong.check(), Err(MassError::NotPositive { .. }));
+    let positive =
+        |wrong: CartPoleSystem| matches!(wrong.check(), Err(MassError::NotPositive { .. }));
     assert!(
-        [model(0.0, 0.1), model(-0.02, 0.1), model(1.0, 0.0), model(f64::NAN, 0.1), model(1.0, f64::INFINITY)].map(positive)
+        [
+            model(0.0, 0.1),
+            model(-0.02, 0.1),
+            model(1.0, 0.0),
+            model(f64::NAN, 0.1),
+            model(1.0, f64::INFINITY)
+        ]
+        .map(positive)
             == [true; 5]
     );
     assert!(matches!(model(1e-12, 0.1).check(), Err(MassError::CartTooLight { .. })));
     let message = model(1e-12, 0.1).check().expect_err("too light").to_string();
     assert!(message.contains("1.0e-12") && message.contains("3.0e-10"), "{message}");
     let long = CartPoleSystem { poles: 21, ..CartPoleSystem::default() };
-    assert_eq!((long.check(), PoleChain(long).check()), (Ok(()), Err(MassError::Poles { poles: 21, most: 20 })));
+    assert_eq!(
+        (long.check(), PoleChain(long).check()),
+        (Ok(()), Err(MassError::Poles { poles: 21, most: 20 }))
+    );
 }

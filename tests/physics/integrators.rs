@@ -2,13 +2,13 @@
 
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{
-    Bumpers, CartDamping, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole, DryFriction, GuidanceSystem, GustyWind,
-    PoleDamping, SteadyWind,
+    Bumpers, CartDamping, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole,
+    DryFriction, GuidanceSystem, GustyWind, PoleDamping, SteadyWind,
 };
 use physgrad::{
-    Adaptive, AnyIntegrator, Cause, Cotangents, Discretized, Divergence, Flow, Forced, ImplicitMidpoint, Inputs, Integrated,
-    Integrator, Lanes, Ode, OdeInputs, Real, RungeKutta, Scalar, Sdirk2, SemiImplicit, Single, Substeps, System, Tangents,
-    Variable, Verlet, check,
+    Adaptive, AnyIntegrator, Cause, Cotangents, Discretized, Divergence, Flow, Forced,
+    ImplicitMidpoint, Inputs, Integrated, Integrator, Lanes, Ode, OdeInputs, Real, RungeKutta,
+    Scalar, Sdirk2, SemiImplicit, Single, Substeps, System, Tangents, Variable, Verlet, check,
 };
 use rand::RngExt;
 
@@ -32,7 +32,11 @@ fn adaptive(rtol: f64) -> AnyIntegrator {
 type ForcedCartPole = Forced<CartPoleModel, Vec<CartPoleEffect>>;
 
 fn cart_pole() -> ForcedCartPole {
-    let effects = vec![PoleDamping::default().into(), CartDamping::default().into(), SteadyWind::default().into()];
+    let effects = vec![
+        PoleDamping::default().into(),
+        CartDamping::default().into(),
+        SteadyWind::default().into(),
+    ];
     Forced { system: CartPoleModel::Uncoupled(poles(2)), effects }
 }
 
@@ -55,7 +59,10 @@ fn integrated<O: Ode, I>(ode: O, integrator: I, dt: f64) -> Integrated<O, I> {
 
 #[test]
 fn derivatives_of_every_integrator_equal_dual_numbers() {
-    let all = FIXED.map(|(_, integrator, _)| integrator).into_iter().chain([adaptive(1e-6), adaptive(1e-3)]);
+    let all = FIXED
+        .map(|(_, integrator, _)| integrator)
+        .into_iter()
+        .chain([adaptive(1e-6), adaptive(1e-3)]);
     for integrator in all {
         check::system(&integrated(cart_pole(), integrator, 0.05));
         check::system(&integrated(coupled(), integrator, 0.05));
@@ -85,13 +92,19 @@ impl Ode for ByDuals {
 
 /// Returns the state after `steps` steps over the time `span`, and the cotangents of initial state
 /// and control. Initial state, control and final cotangent are random with a fixed seed.
-fn reached<O: Ode + Clone>(ode: &O, integrator: AnyIntegrator, span: f64, steps: usize) -> (Vec<f64>, Vec<f64>) {
+fn reached<O: Ode + Clone>(
+    ode: &O,
+    integrator: AnyIntegrator,
+    span: f64,
+    steps: usize,
+) -> (Vec<f64>, Vec<f64>) {
     let (n, m) = (ode.state_dim(), ode.control_dim());
     let mut rng = stream(3, Purpose::Test, 0);
     let x: Vec<f64> = (0..n).map(|_| rng.random_range(-1.0..1.0)).collect();
     let u: Vec<f64> = (0..m).map(|_| rng.random_range(-1.0..1.0)).collect();
     let bar: Vec<f64> = (0..n).map(|_| rng.random_range(-1.0..1.0)).collect();
-    let system = Substeps { system: integrated(ode.clone(), integrator, span / steps as f64), count: steps };
+    let system =
+        Substeps { system: integrated(ode.clone(), integrator, span / steps as f64), count: steps };
     let (mut next, mut x_bar, mut u_bar) = (vec![0.0; n], vec![0.0; n], vec![0.0; m]);
     let p = vec![0.4; ode.param_dim()];
     let inputs = Inputs { p: &p, ..Inputs::new(&x, &u) };
@@ -122,24 +135,42 @@ fn orders<O: Ode + Clone>(ode: &O, integrator: AnyIntegrator, span: f64, theory:
         })
         .collect();
     [0, 1].map(|which| {
-        let orders = errors.windows(2).filter(|pair| pair[1][which] > 1e-13).map(|pair| (pair[0][which] / pair[1][which]).log2());
-        orders.min_by(|a, b| (a - theory).abs().total_cmp(&(b - theory).abs())).expect("errors above rounding")
+        let orders = errors
+            .windows(2)
+            .filter(|pair| pair[1][which] > 1e-13)
+            .map(|pair| (pair[0][which] / pair[1][which]).log2());
+        orders
+            .min_by(|a, b| (a - theory).abs().total_cmp(&(b - theory).abs()))
+            .expect("errors above rounding")
     })
 }
 
 #[test]
 fn every_integrator_has_its_order_in_state_and_gradient() {
-    let smooth: Vec<CartPoleEffect> = vec![PoleDamping::default().into(), CartDamping::default().into()];
+    let smooth: Vec<CartPoleEffect> =
+        vec![PoleDamping::default().into(), CartDamping::default().into()];
     for (name, integrator, theory) in FIXED {
         for (task, found) in [
             // Wind drag has a discontinuous second derivative at zero relative speed.
-            ("cart-pole", orders(&Forced { effects: smooth.clone(), ..cart_pole() }, integrator, 1.0, theory)),
-            ("coupled", orders(&Forced { effects: smooth.clone(), ..coupled() }, integrator, 1.0, theory)),
+            (
+                "cart-pole",
+                orders(&Forced { effects: smooth.clone(), ..cart_pole() }, integrator, 1.0, theory),
+            ),
+            (
+                "coupled",
+                orders(&Forced { effects: smooth.clone(), ..coupled() }, integrator, 1.0, theory),
+            ),
             ("guidance", orders(&GuidanceSystem::default().herding(), integrator, 0.4, theory)),
             ("Van der Pol", orders(&ByDuals, integrator, 2.0, theory)),
         ] {
-            println!("{name:<14} {task:<12} order {theory}: state {:.2}, gradient {:.2}", found[0], found[1]);
-            assert!(found.iter().all(|order| (order - theory).abs() < 0.3), "{name}, {task}: {found:?}");
+            println!(
+                "{name:<14} {task:<12} order {theory}: state {:.2}, gradient {:.2}",
+                found[0], found[1]
+            );
+            assert!(
+                found.iter().all(|order| (order - theory).abs() < 0.3),
+                "{name}, {task}: {found:?}"
+            );
         }
     }
 }
@@ -148,8 +179,13 @@ fn every_integrator_has_its_order_in_state_and_gradient() {
 fn steps_of_cart_pole_and_guidance_equal_their_integrators() {
     fn step<S: System>(system: &S) -> Vec<f64> {
         let mut rng = stream(0, Purpose::Test, 0);
-        let mut numbers = |len: usize| (0..len).map(|_| rng.random_range(-1.0..1.0)).collect::<Vec<f64>>();
-        let (x, u, mut next) = (numbers(system.state_dim()), numbers(system.control_dim()), numbers(system.state_dim()));
+        let mut numbers =
+            |len: usize| (0..len).map(|_| rng.random_range(-1.0..1.0)).collect::<Vec<f64>>();
+        let (x, u, mut next) = (
+            numbers(system.state_dim()),
+            numbers(system.control_dim()),
+            numbers(system.state_dim()),
+        );
         system.step(Inputs::new(&x, &u), &mut next);
         next
     }
@@ -168,7 +204,12 @@ fn adaptive_steps_meet_their_tolerance() {
     let (state, _) = reached(&ByDuals, AnyIntegrator::RungeKutta(RungeKutta::TSIT5), 10.0, 20_000);
     let mut before = f64::INFINITY;
     for rtol in [1e-3, 1e-5, 1e-7, 1e-9] {
-        let (found, _) = reached(&ByDuals, AnyIntegrator::Adaptive(Adaptive { rtol, atol: rtol, most: 10_000 }), 10.0, 1);
+        let (found, _) = reached(
+            &ByDuals,
+            AnyIntegrator::Adaptive(Adaptive { rtol, atol: rtol, most: 10_000 }),
+            10.0,
+            1,
+        );
         let error = distance(&found, &state);
         // The factor 100 allows for the accumulated errors of all substeps.
         assert!(error < 100.0 * rtol && error < before, "rtol {rtol:e}: {error:e}");
@@ -178,7 +219,12 @@ fn adaptive_steps_meet_their_tolerance() {
 
 #[test]
 fn adaptive_steps_beyond_the_limit_of_substeps_are_nan() {
-    let (found, _) = reached(&ByDuals, AnyIntegrator::Adaptive(Adaptive { rtol: 1e-9, atol: 1e-9, most: 3 }), 10.0, 1);
+    let (found, _) = reached(
+        &ByDuals,
+        AnyIntegrator::Adaptive(Adaptive { rtol: 1e-9, atol: 1e-9, most: 3 }),
+        10.0,
+        1,
+    );
     assert!(found.iter().all(|x| x.is_nan()), "{found:?}");
 }
 
@@ -285,7 +331,11 @@ const IMPLICIT: [(&str, AnyIntegrator); 2] = [
 #[test]
 fn the_implicit_methods_pass_an_ignition() {
     // c and T by SciPy's Radau method; see `ignition_reference.py`.
-    let reference = [(20, [0.974080620531, 1.038879069204]), (40, [0.919312326674, 1.121031509989]), (100, [0.0, 2.5])];
+    let reference = [
+        (20, [0.974080620531, 1.038879069204]),
+        (40, [0.919312326674, 1.121031509989]),
+        (100, [0.0, 2.5]),
+    ];
     for (name, integrator) in IMPLICIT {
         let states = ignition::<f64>(integrator, 1e-3);
         for (t, expected) in reference {
@@ -296,9 +346,15 @@ fn the_implicit_methods_pass_an_ignition() {
         // Steps that do not resolve the ignition keep the invariant, in both precisions.
         for dt in [0.1, 0.02, 0.01, 0.005, 0.002, 0.001] {
             let double = ignition::<f64>(integrator, dt);
-            assert!(double.iter().all(|x| (1.5 * x[0] + x[1] - 2.5).abs() < 1e-9), "{name}, {dt}: {double:?}");
+            assert!(
+                double.iter().all(|x| (1.5 * x[0] + x[1] - 2.5).abs() < 1e-9),
+                "{name}, {dt}: {double:?}"
+            );
             let single = ignition::<Single<f32>>(integrator, dt);
-            assert!(single.iter().all(|x| (1.5 * x[0].0[0] + x[1].0[0] - 2.5).abs() < 1e-3), "{name}, {dt}: {single:?}");
+            assert!(
+                single.iter().all(|x| (1.5 * x[0].0[0] + x[1].0[0] - 2.5).abs() < 1e-3),
+                "{name}, {dt}: {single:?}"
+            );
             // The L-stable method ends in the burnt state.
             let end = double[double.len() - 1];
             assert!(name == "midpoint" || end[0].abs() < 0.01, "{dt}: {end:?}");
@@ -315,14 +371,20 @@ fn derivatives_and_lanes_of_an_ignition_equal_dual_numbers_and_samples() {
             for x in &states {
                 let (tangent, bar) = ([0.7, -0.4], [0.3, 1.1]);
                 let (mut next_tan, mut x_bar, mut u_bar) = ([0.0; 2], [-0.0; 2], [-0.0; 1]);
-                let tangents = Tangents { x: Some(&tangent), u: Some(&[0.6]), ..Tangents::default() };
+                let tangents =
+                    Tangents { x: Some(&tangent), u: Some(&[0.6]), ..Tangents::default() };
                 system.jvp(Inputs::new(x, &[0.0]), tangents, &mut next_tan);
                 system.vjp(Inputs::new(x, &[0.0]), &bar, Cotangents::of(&mut x_bar, &mut u_bar));
-                let [forward, reverse] =
-                    [bar[0] * next_tan[0] + bar[1] * next_tan[1], tangent[0] * x_bar[0] + tangent[1] * x_bar[1] + 0.6 * u_bar[0]];
+                let [forward, reverse] = [
+                    bar[0] * next_tan[0] + bar[1] * next_tan[1],
+                    tangent[0] * x_bar[0] + tangent[1] * x_bar[1] + 0.6 * u_bar[0],
+                ];
                 // The tolerance of the forward pass, times the slopes of up to 1e3 of the rate.
                 let size = 1.0 + x_bar[0].abs() + x_bar[1].abs();
-                assert!((forward - reverse).abs() < 1e-8 * size, "{name}, {dt}, {x:?}: {forward}, {reverse}");
+                assert!(
+                    (forward - reverse).abs() < 1e-8 * size,
+                    "{name}, {dt}, {x:?}: {forward}, {reverse}"
+                );
             }
             // Before, during and after the ignition.
             let last = states.len() - 2;
@@ -331,7 +393,11 @@ fn derivatives_and_lanes_of_an_ignition_equal_dual_numbers_and_samples() {
             let mut next = [Lanes([0.0; 4]); 2];
             system.step(Inputs::new(&lanes, &[Lanes([0.0; 4])]), &mut next);
             for (lane, t) in at.into_iter().enumerate() {
-                assert_eq!([next[0].0[lane], next[1].0[lane]], states[t + 1], "{name}, {dt}, step {t}");
+                assert_eq!(
+                    [next[0].0[lane], next[1].0[lane]],
+                    states[t + 1],
+                    "{name}, {dt}, step {t}"
+                );
             }
         }
     }
@@ -364,10 +430,17 @@ fn a_failing_iteration_of_the_reverse_pass_is_named() {
         assert!(next[0].is_finite() && x_bar[0].is_nan(), "{next:?}, {x_bar:?}");
         let cause = system.diagnose(Inputs::new(&[1e-3], &[0.0]));
         assert!(matches!(cause, Some(Cause::Unsolved(_))), "{cause:?}");
-        let place =
-            Divergence::Cotangent { flow: Flow::REGULAR, variable: Variable::State, step: 4, sample: 2, component: 0, cause };
+        let place = Divergence::Cotangent {
+            flow: Flow::REGULAR,
+            variable: Variable::State,
+            step: 4,
+            sample: 2,
+            component: 0,
+            cause,
+        };
         let said = place.to_string();
-        let named = said.contains("did not converge for sample 2 at step 4") && said.contains("Use substeps");
+        let named = said.contains("did not converge for sample 2 at step 4")
+            && said.contains("Use substeps");
         assert!(named && !said.contains("another field"), "{said}");
     }
 }
@@ -482,12 +555,16 @@ fn energy_errors_of_symplectic_methods_do_not_grow_and_those_of_heun_do() {
         assert!(last < 1.2 * first, "{name}: {first:e}, then {last:e}");
     }
     let [first, last] = drift(RungeKutta::HEUN, energy);
-    assert!(last > 3.0 * first, "the energy error of Heun's method does not grow: {first:e}, then {last:e}");
+    assert!(
+        last > 3.0 * first,
+        "the energy error of Heun's method does not grow: {first:e}, then {last:e}"
+    );
 }
 
 #[test]
 fn derivatives_of_bumpers_and_dry_friction_equal_dual_numbers_in_every_integrator() {
-    let effects: Vec<CartPoleEffect> = vec![DryFriction::default().into(), Bumpers::default().into()];
+    let effects: Vec<CartPoleEffect> =
+        vec![DryFriction::default().into(), Bumpers::default().into()];
     let rough = Forced { system: CartPoleModel::Uncoupled(poles(1)), effects };
     for (_, integrator, _) in FIXED {
         check::system(&integrated(rough.clone(), integrator, 0.01));
@@ -526,7 +603,10 @@ fn an_unsolvable_step_is_nan_and_reports_its_residual() {
         let wrapped = Substeps { system: of(dt), count: 1 };
         assert_eq!(wrapped.diagnose(Inputs::new(&[0.0], &[0.0])), residual.map(Cause::Unsolved));
         // The least residual of all states x' is 2 ln(e h / 2).
-        assert!(residual.is_none_or(|residual| residual > 2.0 * (dt * 0.5 * std::f64::consts::E).ln()), "{residual:?}");
+        assert!(
+            residual.is_none_or(|residual| residual > 2.0 * (dt * 0.5 * std::f64::consts::E).ln()),
+            "{residual:?}"
+        );
     }
 }
 

@@ -3,18 +3,25 @@
 use physgrad::policy::Constant;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{
-    Bumpers, CartDamping, CartPole, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind,
-    PoleDamping, SteadyWind,
+    Bumpers, CartDamping, CartPole, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole,
+    DryFriction, GustyWind, PoleDamping, SteadyWind,
 };
 use physgrad::{
-    Adaptive, Adjoint, Choice, Cotangents, Flow, Forced, Inputs, Integrated, Number, OpCount, Rollout, System, Weights, check,
-    initial_states,
+    Adaptive, Adjoint, Choice, Cotangents, Flow, Forced, Inputs, Integrated, Number, OpCount,
+    Rollout, System, Weights, check, initial_states,
 };
 
 const RANGE: Number = Number::Uniform { low: 0.5, high: 1.5 };
 
 fn varied(poles: usize) -> CartPoleSystem {
-    CartPoleSystem { poles, cart_mass: RANGE, pole_mass: RANGE, half_length: RANGE, gravity: RANGE, ..CartPoleSystem::default() }
+    CartPoleSystem {
+        poles,
+        cart_mass: RANGE,
+        pole_mass: RANGE,
+        half_length: RANGE,
+        gravity: RANGE,
+        ..CartPoleSystem::default()
+    }
 }
 
 /// Returns every effect of cart-pole. `of` converts a value to a [`Number`].
@@ -39,7 +46,10 @@ fn derivatives_with_respect_to_varied_numbers_equal_dual_numbers() {
         check::system(&Forced { system: varied(2), effects: effect.clone() });
         check::system(&Forced { system: CartPoleSystem::default(), effects: effect });
     }
-    let all = Forced { system: CartPoleModel::Coupled(CoupledCartPole(varied(2))), effects: effects(every) };
+    let all = Forced {
+        system: CartPoleModel::Coupled(CoupledCartPole(varied(2))),
+        effects: effects(every),
+    };
     // Numbers of the model, numbers of the effects, and t₀ of the gusts.
     assert_eq!(all.param_dim(), 4 + 12 + 1);
     check::system(&all);
@@ -63,13 +73,21 @@ fn assert_agrees_with_differences(system: &impl System, x: &[f64]) {
         let mut next_bar = vec![0.0; n];
         next_bar[i] = 1.0;
         let inputs = Inputs { x, u: &[0.8], p: &p, t: 3 };
-        system.vjp::<f64, f64>(inputs, &next_bar, Cotangents { p: Some(&mut by_p), ..Cotangents::default() });
+        system.vjp::<f64, f64>(
+            inputs,
+            &next_bar,
+            Cotangents { p: Some(&mut by_p), ..Cotangents::default() },
+        );
         for k in 0..p.len() {
             let h = 1e-5 * p[k];
             let at = |value: f64| step(&[&p[..k], &[value], &p[k + 1..]].concat())[i];
             let difference = (at(p[k] + h) - at(p[k] - h)) / (2.0 * h);
             let error = (difference - by_p[k]).abs();
-            assert!(error < 1e-8 * difference.abs().max(1.0), "component {i} by p[{k}]: {} and {difference}", by_p[k]);
+            assert!(
+                error < 1e-8 * difference.abs().max(1.0),
+                "component {i} by p[{k}]: {} and {difference}",
+                by_p[k]
+            );
         }
     }
 }
@@ -78,21 +96,30 @@ fn assert_agrees_with_differences(system: &impl System, x: &[f64]) {
 fn derivatives_by_numbers_agree_with_differences() {
     let x = [0.4, -0.3, 0.5, 1.1, -0.7, 0.6];
     assert_agrees_with_differences(&CoupledCartPole(varied(2)), &x);
-    let wind = GustyWind { speed: RANGE, gust: RANGE, cart_drag: RANGE, pole_drag: RANGE, period: 1.3 };
-    assert_agrees_with_differences(&Forced { system: CartPoleSystem::default(), effects: wind }, &x[..4]);
+    let wind =
+        GustyWind { speed: RANGE, gust: RANGE, cart_drag: RANGE, pole_drag: RANGE, period: 1.3 };
+    assert_agrees_with_differences(
+        &Forced { system: CartPoleSystem::default(), effects: wind },
+        &x[..4],
+    );
 }
 
 /// Samples take adaptive steps of different sizes, so they evaluate the gusts at different times.
 #[test]
 fn derivatives_by_numbers_of_adaptive_steps_are_independent_of_other_samples() {
-    let effects = GustyWind { speed: Number::Uniform { low: 5.0, high: 15.0 }, ..GustyWind::default() };
+    let effects =
+        GustyWind { speed: Number::Uniform { low: 5.0, high: 15.0 }, ..GustyWind::default() };
     let ode = Forced { system: CartPoleSystem::default(), effects };
     let integrator = Adaptive { rtol: 1e-9, atol: 1e-9, ..Adaptive::default() };
-    let task = CartPole { horizon: 4, ..CartPole::with_system(Integrated { ode, integrator, dt: 0.5 }) };
+    let task =
+        CartPole { horizon: 4, ..CartPole::with_system(Integrated { ode, integrator, dt: 0.5 }) };
     let mut starts: Vec<f64> = initial_states(&task, 0, Purpose::Train, 8);
     let each = starts.len() / 8;
     // Poles that spin faster need smaller steps.
-    starts.chunks_exact_mut(each).enumerate().for_each(|(sample, start)| start[3] = 3.0 * sample as f64);
+    starts
+        .chunks_exact_mut(each)
+        .enumerate()
+        .for_each(|(sample, start)| start[3] = 3.0 * sample as f64);
     let policy = Constant::new(4, 1);
     let weights = Weights::new(&policy, vec![0.0]);
     let gradients = |starts: &[f64]| -> Vec<Vec<f64>> {
@@ -100,7 +127,8 @@ fn derivatives_by_numbers_of_adaptive_steps_are_independent_of_other_samples() {
         let mut rollout = Rollout::new(&task, &policy, samples);
         rollout.start(starts);
         rollout.run(&task, &policy, &weights).expect("finite");
-        let mut adjoint = Adjoint::new(&task, &policy, &rollout, &[Flow::REGULAR]).keep_start_gradients();
+        let mut adjoint =
+            Adjoint::new(&task, &policy, &rollout, &[Flow::REGULAR]).keep_start_gradients();
         adjoint.run(&task, &policy, &weights, &rollout, 1.0).expect("finite");
         (0..samples).map(|sample| adjoint.start_gradient(0, sample).to_vec()).collect()
     };
@@ -144,12 +172,21 @@ fn steps_with_numbers_as_parameters_equal_steps_with_fixed_numbers() {
 
 #[test]
 fn fixed_and_varied_numbers_cost_the_same_operations() {
-    let fixed = Forced { system: CartPoleSystem::default(), effects: PoleDamping { damping: 0.1.into() } };
+    let fixed =
+        Forced { system: CartPoleSystem::default(), effects: PoleDamping { damping: 0.1.into() } };
     let cost = OpCount::of(&fixed);
     let plain = OpCount::of(&CartPoleSystem::default());
-    assert_eq!(cost.step.total() - plain.step.total(), 2, "operations of the friction of one pole: a product and a difference");
+    assert_eq!(
+        cost.step.total() - plain.step.total(),
+        2,
+        "operations of the friction of one pole: a product and a difference"
+    );
     let half = Forced { effects: PoleDamping { damping: RANGE }, ..fixed };
-    assert_eq!(OpCount::of(&half).step, cost.step, "a parameter costs other operations than a constant");
+    assert_eq!(
+        OpCount::of(&half).step,
+        cost.step,
+        "a parameter costs other operations than a constant"
+    );
 }
 
 /// Compares the share of draws below a threshold with its expected value, and checks the range of
@@ -170,7 +207,10 @@ fn draws_have_the_range_and_share_below_a_threshold_of_their_distribution() {
         let draws: Vec<f64> = (0..10_000).map(|_| number.draw(rng)).collect();
         let below = draws.iter().filter(|&&draw| draw < threshold).count() as f64 / 1e4;
         let share = if matches!(number, Number::Choice(_)) { 1.0 / 3.0 } else { 0.5 };
-        assert!((below - share).abs() < 5.0 * (share * (1.0 - share) / 1e4_f64).sqrt(), "{number:?}: {below}");
+        assert!(
+            (below - share).abs() < 5.0 * (share * (1.0 - share) / 1e4_f64).sqrt(),
+            "{number:?}: {below}"
+        );
         assert!(draws.iter().all(|draw| (low..=high).contains(draw)), "{number:?}");
     }
     assert_eq!(Choice::new(&[]), None);

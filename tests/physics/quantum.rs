@@ -29,7 +29,9 @@ fn derivatives_on_grids_of_3_to_70_points_equal_dual_numbers() {
 
 #[test]
 fn derivatives_of_convolutions_of_nine_shapes_equal_dual_numbers() {
-    for (grid, width) in [(7, 1), (8, 3), (9, 8), (10, 15), (11, 16), (32, 5), (33, 17), (32, 24), (41, 4)] {
+    for (grid, width) in
+        [(7, 1), (8, 3), (9, 8), (10, 15), (11, 16), (32, 5), (33, 17), (32, 24), (41, 4)]
+    {
         println!("grid {grid}, width {width}: {:?}", check::policy(&Conv::new(grid, width)));
     }
 }
@@ -59,11 +61,17 @@ fn a_sample_does_not_depend_on_adjacent_samples() {
     };
     let together = run(&[PolicyColumns::range(0..total)]);
     let single: Vec<_> = (0..total).map(|c| PolicyColumns::range(c..c + 1)).collect();
-    let turns = [PolicyColumns { first: 0, step: 2, count: 6 }, PolicyColumns { first: 1, step: 2, count: 5 }];
+    let turns = [
+        PolicyColumns { first: 0, step: 2, count: 6 },
+        PolicyColumns { first: 1, step: 2, count: 5 },
+    ];
     for other in [run(&single), run(&turns)] {
         for (i, (&a, &b)) in together.iter().zip(&other).enumerate() {
             let column = if i < total { i } else { (i - total) / n };
-            assert!(if column == 4 { a.is_nan() && b.is_nan() } else { a == b }, "component {i}: {a} and {b}");
+            assert!(
+                if column == 4 { a.is_nan() && b.is_nan() } else { a == b },
+                "component {i}: {a} and {b}"
+            );
         }
     }
 }
@@ -85,7 +93,12 @@ fn reference(kind: &str) -> Value {
 }
 
 fn data(array: &Value) -> Vec<f64> {
-    array["data"].as_array().expect("an array").iter().map(|v| v.as_f64().expect("a number")).collect()
+    array["data"]
+        .as_array()
+        .expect("an array")
+        .iter()
+        .map(|v| v.as_f64().expect("a number"))
+        .collect()
 }
 
 fn error(got: &[f64], expected: &[f64]) -> f64 {
@@ -97,7 +110,8 @@ fn error(got: &[f64], expected: &[f64]) -> f64 {
 #[test]
 fn steps_and_eigenstates_equal_the_reference_data_of_the_authors() {
     let file = reference("step");
-    let (state, control, cotangent) = (data(&file["state"]), data(&file["control"]), data(&file["cotangent"]));
+    let (state, control, cotangent) =
+        (data(&file["state"]), data(&file["control"]), data(&file["cotangent"]));
     let expected = ["next_state", "vjp_state", "vjp_control"].map(|key| data(&file[key]));
     let system = system(32);
     let mut worst = [0.0; 3];
@@ -105,9 +119,16 @@ fn steps_and_eigenstates_equal_the_reference_data_of_the_authors() {
         let (at, u) = (case * 64..(case + 1) * 64, [control[case]]);
         let (mut next, mut x_bar, mut u_bar) = (vec![0.0; 64], vec![0.0; 64], [0.0]);
         system.step(Inputs::new(&state[at.clone()], &u), &mut next);
-        system.vjp(Inputs::new(&state[at.clone()], &u), &cotangent[at.clone()], Cotangents::of(&mut x_bar, &mut u_bar));
-        let errors =
-            [error(&next, &expected[0][at.clone()]), error(&x_bar, &expected[1][at]), error(&u_bar, &expected[2][case..=case])];
+        system.vjp(
+            Inputs::new(&state[at.clone()], &u),
+            &cotangent[at.clone()],
+            Cotangents::of(&mut x_bar, &mut u_bar),
+        );
+        let errors = [
+            error(&next, &expected[0][at.clone()]),
+            error(&x_bar, &expected[1][at]),
+            error(&u_bar, &expected[2][case..=case]),
+        ];
         worst = std::array::from_fn(|i| worst[i].max(errors[i]));
     }
     let ours: Vec<f64> = (1..=6).flat_map(|number| system.eigenstate(number)).collect();
@@ -134,7 +155,8 @@ fn probability_is_conserved_for_1e5_steps() {
 fn norm_of_the_adjoint_is_conserved_for_1e4_steps() {
     let task = Quantum::new(3);
     let mut states: Vec<Vec<f64>> = vec![initial_states(&task, 0, Purpose::Test, 1)];
-    let controls: Vec<[f64; 1]> = (0..10_000).map(|step| [20.0 * (0.3 * f64::from(step)).cos()]).collect();
+    let controls: Vec<[f64; 1]> =
+        (0..10_000).map(|step| [20.0 * (0.3 * f64::from(step)).cos()]).collect();
     for u in &controls {
         let mut next = vec![0.0; 64];
         task.system.step(Inputs::new(states.last().expect("a state"), u), &mut next);
@@ -147,7 +169,10 @@ fn norm_of_the_adjoint_is_conserved_for_1e4_steps() {
         task.system.vjp(Inputs::new(x, u), &lambda, Cotangents::of(&mut x_bar, &mut u_bar));
         lambda = x_bar;
     }
-    println!("relative change of the adjoint's norm after 1e4 steps: {:.1e}", norm(&lambda) / before - 1.0);
+    println!(
+        "relative change of the adjoint's norm after 1e4 steps: {:.1e}",
+        norm(&lambda) / before - 1.0
+    );
     assert!((norm(&lambda) / before - 1.0).abs() < 1e-10);
 }
 
@@ -159,12 +184,17 @@ fn initial_states_mix_the_two_lowest_eigenstates_by_their_weights() {
         for x in initial_states(&task, 0, Purpose::Train, samples).chunks_exact(64) {
             assert!((norm(x) - 1.0).abs() < 1e-13);
             for (target, mean) in (1..).zip(&mut mean) {
-                *mean += (1.0 - Quantum { target, ..task }.running_cost(Inputs::new(x, &[0.0]), x)) / samples as f64;
+                *mean += (1.0 - Quantum { target, ..task }.running_cost(Inputs::new(x, &[0.0]), x))
+                    / samples as f64;
             }
         }
         // E[w₁²n₁² / (w₁²n₁² + w₂²n₂²)] = w₁ / (w₁ + w₂) for weights w and standard normal n.
         let share = weighting[0] / (weighting[0] + weighting[1]);
         println!("weighting {weighting:?}: {mean:.3?}");
-        assert!((mean[0] - share).abs() < 0.03 && (mean[1] - 1.0 + share).abs() < 0.03 && mean[2].abs() < 1e-13);
+        assert!(
+            (mean[0] - share).abs() < 0.03
+                && (mean[1] - 1.0 + share).abs() < 0.03
+                && mean[2].abs() < 1e-13
+        );
     }
 }

@@ -1,15 +1,18 @@
 //! Effects of quantum control, absorbing edges, renormalization and control shapes: derivatives,
 //! equal results of lists, tuples and tables, and operation counts.
 
-use crate::boxes::{Swinging, box_of, check_lively, dipole, every_effect, every_effect_typed, lively, norm, step};
+use crate::boxes::{
+    Swinging, box_of, check_lively, dipole, every_effect, every_effect_typed, lively, norm, step,
+};
 use physgrad::policy::Linear;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{
-    Absorbing, AbsorbingEdges, Cubic, LossMode, Quantum, QuantumEffect, QuantumSystem, Renormalized, Tabulated,
+    Absorbing, AbsorbingEdges, Cubic, LossMode, Quantum, QuantumEffect, QuantumSystem,
+    Renormalized, Tabulated,
 };
 use physgrad::{
-    Actuated, Cotangents, Counted, Delay, Effect, Forced, HasModel, Inputs, Limit, LimitKind, Ops, Scalar, Start, Substeps,
-    System, Task, check, initial_states,
+    Actuated, Cotangents, Counted, Delay, Effect, Forced, HasModel, Inputs, Limit, LimitKind, Ops,
+    Scalar, Start, Substeps, System, Task, check, initial_states,
 };
 
 #[test]
@@ -48,7 +51,10 @@ fn time_dependent_effect_depends_on_time_plus_phase() {
 fn derivatives_with_absorbing_edges_and_actuators_equal_dual_numbers() {
     let edges = AbsorbingEdges::default();
     for grid in [5, 32, 65] {
-        check_lively(&Absorbing::new(Forced { system: box_of(grid), effects: every_effect() }, edges));
+        check_lively(&Absorbing::new(
+            Forced { system: box_of(grid), effects: every_effect() },
+            edges,
+        ));
     }
     let system = || Forced { system: dipole(12), effects: every_effect() };
     for kind in [LimitKind::Smooth, LimitKind::Hard] {
@@ -82,7 +88,11 @@ fn step_and_cotangents<S: System>(system: &S, x: &[f64], u: f64) -> Vec<f64> {
     let (both, state) = x_bar.split_at_mut(n);
     system.vjp(Inputs::new(x, &[u]), &bar, Cotangents::of(both, &mut u_bar[..1]));
     system.vjp(Inputs::new(x, &[u]), &bar, Cotangents { x: Some(state), ..Cotangents::default() });
-    system.vjp(Inputs::new(x, &[u]), &bar, Cotangents { u: Some(&mut u_bar[1..]), ..Cotangents::default() });
+    system.vjp(
+        Inputs::new(x, &[u]),
+        &bar,
+        Cotangents { u: Some(&mut u_bar[1..]), ..Cotangents::default() },
+    );
     [step(system, x, u), x_bar, u_bar.to_vec()].concat()
 }
 
@@ -92,16 +102,32 @@ fn lists_equal_tuples_and_effects_of_strength_0_change_nothing() {
     for system in [box_of(32), dipole(33)] {
         let (mut x, mut u) = (vec![0.0; 2 * system.grid], [0.0]);
         lively(&mut rng, &mut x, &mut u, &mut []);
-        let typed = step_and_cotangents(&Forced { system, effects: every_effect_typed() }, &x, u[0]);
-        assert_eq!(typed, step_and_cotangents(&Forced { system, effects: every_effect() }, &x, u[0]));
+        let typed =
+            step_and_cotangents(&Forced { system, effects: every_effect_typed() }, &x, u[0]);
+        assert_eq!(
+            typed,
+            step_and_cotangents(&Forced { system, effects: every_effect() }, &x, u[0])
+        );
 
         let without_effects = step_and_cotangents(&system, &x, u[0]);
         assert_ne!(typed, without_effects);
         assert_eq!(without_effects, step_and_cotangents(&Forced { system, effects: () }, &x, u[0]));
-        assert_eq!(without_effects, step_and_cotangents(&Forced { system, effects: Vec::<QuantumEffect>::new() }, &x, u[0]));
-        assert_eq!(without_effects, step_and_cotangents(&Forced { system, effects: Cubic { strength: 0.0 } }, &x, u[0]));
-        for edges in [AbsorbingEdges { width: 0.0, strength: 10.0 }, AbsorbingEdges { width: 0.3, strength: 0.0 }] {
-            assert_eq!(without_effects, step_and_cotangents(&Absorbing::new(system, edges), &x, u[0]));
+        assert_eq!(
+            without_effects,
+            step_and_cotangents(&Forced { system, effects: Vec::<QuantumEffect>::new() }, &x, u[0])
+        );
+        assert_eq!(
+            without_effects,
+            step_and_cotangents(&Forced { system, effects: Cubic { strength: 0.0 } }, &x, u[0])
+        );
+        for edges in [
+            AbsorbingEdges { width: 0.0, strength: 10.0 },
+            AbsorbingEdges { width: 0.3, strength: 0.0 },
+        ] {
+            assert_eq!(
+                without_effects,
+                step_and_cotangents(&Absorbing::new(system, edges), &x, u[0])
+            );
         }
     }
 }
@@ -111,12 +137,27 @@ fn lists_equal_tuples_and_effects_of_strength_0_change_nothing() {
 fn counts<S: System>(system: &S) -> [Ops; 4] {
     let n = system.state_dim();
     let x: Vec<Counted> = (0..n).map(|i| Counted(Scalar::sin(i as f64))).collect();
-    let (u, mut next, mut x_bar, mut u_bar) = ([Counted(3.0)], x.clone(), x.clone(), [Counted(0.0)]);
+    let (u, mut next, mut x_bar, mut u_bar) =
+        ([Counted(3.0)], x.clone(), x.clone(), [Counted(0.0)]);
     [
         Ops::of(|| system.step(Inputs::new(&x, &u), &mut next)).0,
         Ops::of(|| system.vjp(Inputs::new(&x, &u), &x, Cotangents::of(&mut x_bar, &mut u_bar))).0,
-        Ops::of(|| system.vjp(Inputs::new(&x, &u), &x, Cotangents { x: Some(&mut x_bar), ..Cotangents::default() })).0,
-        Ops::of(|| system.vjp(Inputs::new(&x, &u), &x, Cotangents { u: Some(&mut u_bar), ..Cotangents::default() })).0,
+        Ops::of(|| {
+            system.vjp(
+                Inputs::new(&x, &u),
+                &x,
+                Cotangents { x: Some(&mut x_bar), ..Cotangents::default() },
+            )
+        })
+        .0,
+        Ops::of(|| {
+            system.vjp(
+                Inputs::new(&x, &u),
+                &x,
+                Cotangents { u: Some(&mut u_bar), ..Cotangents::default() },
+            )
+        })
+        .0,
     ]
 }
 
@@ -180,7 +221,10 @@ fn an_effect_costs_only_its_own_operations() {
 #[test]
 fn a_task_with_wrapped_system_has_the_costs_of_the_bare_system() {
     let plain = Quantum { loss: LossMode::Terminal, ..Quantum::new(2) };
-    let system = Actuated { system: Absorbing::new(plain.system, AbsorbingEdges::default()), actuator: Delay { steps: 1 } };
+    let system = Actuated {
+        system: Absorbing::new(plain.system, AbsorbingEdges::default()),
+        actuator: Delay { steps: 1 },
+    };
     let wrapped = Quantum { loss: LossMode::Terminal, ..Quantum::with_system(system, 2) };
     assert_eq!(HasModel::<QuantumSystem>::model(wrapped.system()), &plain.system);
     let (mut x, mut extended) = (vec![0.0; 64], vec![0.0; 65]);
@@ -203,8 +247,19 @@ fn a_table_has_the_values_and_derivatives_of_its_potential() {
     lively(&mut rng, &mut x, &mut u, &mut []);
     for effect in every_effect().into_iter().filter(|effect| !effect.state_dependent()) {
         let table = Tabulated::of(&system, &effect);
-        let typed = step_and_cotangents(&Forced { system, effects: (table.clone(), Cubic::default()) }, &x, u[0]);
-        assert_eq!(typed, step_and_cotangents(&Forced { system, effects: vec![effect, Cubic::default().into()] }, &x, u[0]));
+        let typed = step_and_cotangents(
+            &Forced { system, effects: (table.clone(), Cubic::default()) },
+            &x,
+            u[0],
+        );
+        assert_eq!(
+            typed,
+            step_and_cotangents(
+                &Forced { system, effects: vec![effect, Cubic::default().into()] },
+                &x,
+                u[0]
+            )
+        );
         check_lively(&Forced { system, effects: table });
     }
 }
@@ -221,7 +276,9 @@ fn renormalization_changes_only_the_norm_and_has_exact_derivatives() {
         check_lively(&Renormalized { system: box_of(grid) });
         check_lively(&Renormalized { system: Substeps { system: box_of(grid), count: 3 } });
     }
-    check_lively(&Renormalized { system: Forced { system: dipole(8), effects: (Swinging, Cubic::default()) } });
+    check_lively(&Renormalized {
+        system: Forced { system: dipole(8), effects: (Swinging, Cubic::default()) },
+    });
     // State components beyond the wave are unaffected.
     let system = Forced { system: dipole(8), effects: Cubic::default() };
     let system = Renormalized { system: Actuated { system, actuator: Delay { steps: 1 } } };
@@ -231,6 +288,12 @@ fn renormalization_changes_only_the_norm_and_has_exact_derivatives() {
     let (kept, free) = (step(&system, &x, 1.0), step(&system.system, &x, 1.0));
     assert!((norm(&kept[..16]) - 1.0).abs() < 1e-15 && kept[16] == free[16]);
     let size = norm(&free[..16]);
-    assert!(size > 1.5 && kept[..16].iter().zip(&free).all(|(kept, free)| (kept * size - free).abs() < 1e-14));
-    assert!(step(&system, &[0.0; 17], 1.0)[0].is_nan(), "renormalizing a zero wave does not give NaN");
+    assert!(
+        size > 1.5
+            && kept[..16].iter().zip(&free).all(|(kept, free)| (kept * size - free).abs() < 1e-14)
+    );
+    assert!(
+        step(&system, &[0.0; 17], 1.0)[0].is_nan(),
+        "renormalizing a zero wave does not give NaN"
+    );
 }

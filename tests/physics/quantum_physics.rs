@@ -1,14 +1,25 @@
 //! Documented physics of the effects of quantum control.
 
-use crate::boxes::{box_of, densities, dipole, every_effect, largest_difference, lively, norm, overlap, packet, run, step, wave};
+use crate::boxes::{
+    box_of, densities, dipole, every_effect, largest_difference, lively, norm, overlap, packet,
+    run, step, wave,
+};
 use physgrad::rng::{Purpose, stream};
-use physgrad::tasks::{Absorbing, AbsorbingEdges, Barrier, Cubic, DoubleWell, Harmonic, Quantum, QuantumSystem};
-use physgrad::{Cotangent, Cotangents, Effect, Forced, Inputs, OdeInputs, Real, Scalar, Start, Task};
+use physgrad::tasks::{
+    Absorbing, AbsorbingEdges, Barrier, Cubic, DoubleWell, Harmonic, Quantum, QuantumSystem,
+};
+use physgrad::{
+    Cotangent, Cotangents, Effect, Forced, Inputs, OdeInputs, Real, Scalar, Start, Task,
+};
 use std::f64::consts::{PI, TAU};
 
 fn potential<E: Effect<QuantumSystem>>(effect: &E, model: &QuantumSystem) -> Vec<f64> {
     let mut potential = vec![0.0; model.grid];
-    effect.add_forces(model, Inputs::new(&vec![0.0; 2 * model.grid], &[]).continuous(0.0), &mut potential);
+    effect.add_forces(
+        model,
+        Inputs::new(&vec![0.0; 2 * model.grid], &[]).continuous(0.0),
+        &mut potential,
+    );
     potential
 }
 
@@ -45,8 +56,13 @@ fn absorbing_edges_only_remove_probability() {
     let (kept, free) = (step(&system, &x, 0.0), step(system.system(), &x, 0.0));
     for ((x, kept), free) in model.points().zip(kept.chunks_exact(2)).zip(free.chunks_exact(2)) {
         let depth = (3.0 - x.min(10.0 - x)).max(0.0);
-        let factor = if depth < 1e-9 { 1.0 } else { (-0.002 * 30.0 * depth * depth / 9.0f64).exp() };
-        assert!((kept[0] - free[0] * factor).abs() < 1e-15 && (kept[1] - free[1] * factor).abs() < 1e-15, "at {x}");
+        let factor =
+            if depth < 1e-9 { 1.0 } else { (-0.002 * 30.0 * depth * depth / 9.0f64).exp() };
+        assert!(
+            (kept[0] - free[0] * factor).abs() < 1e-15
+                && (kept[1] - free[1] * factor).abs() < 1e-15,
+            "at {x}"
+        );
     }
 }
 
@@ -90,7 +106,11 @@ fn levels_of_a_trap_equal_those_of_the_harmonic_oscillator() {
     let omega = 2.0 * 2500f64.sqrt();
     let errors = |grid| -> Vec<f64> {
         let levels = levels(&box_of(grid), &potential(&trap, &box_of(grid)), 4);
-        levels.iter().enumerate().map(|(n, level)| level / (omega * (n as f64 + 0.5)) - 1.0).collect()
+        levels
+            .iter()
+            .enumerate()
+            .map(|(n, level)| level / (omega * (n as f64 + 0.5)) - 1.0)
+            .collect()
     };
     let (coarse, fine) = (errors(199), errors(399));
     println!("relative errors of levels: {coarse:?}, {fine:?}");
@@ -130,10 +150,18 @@ fn barrier_transmission_matches_eckart() {
     let start = packet(&model, 10.0, sigma, wave_number);
     // The packet moves at the speed 2k = 10, from 10 to about 32.
     let after = run(&Forced { system: model, effects: barrier }, start, 1100);
-    let through: f64 = densities(&after).iter().zip(model.points()).filter(|(_, x)| *x > 21.0).map(|(d, _)| d).sum();
+    let through: f64 = densities(&after)
+        .iter()
+        .zip(model.points())
+        .filter(|(_, x)| *x > 21.0)
+        .map(|(d, _)| d)
+        .sum();
     let Barrier { height, width, .. } = barrier;
     let transmission = |k: f64| {
-        let (with, without) = ((PI * k * width).sinh().powi(2), (PI / 2.0 * (4.0 * height * width * width - 1.0).sqrt()).cosh());
+        let (with, without) = (
+            (PI * k * width).sinh().powi(2),
+            (PI / 2.0 * (4.0 * height * width * width - 1.0).sqrt()).cosh(),
+        );
         with / (with + without.powi(2))
     };
     // Wave numbers have the standard deviation 1 / (2 σ).
@@ -150,18 +178,26 @@ fn barrier_transmission_matches_eckart() {
 
 #[test]
 fn a_double_well_has_the_documented_shape_symmetry_and_tunneling() {
-    let (well, model) = (DoubleWell { height: 40.0, separation: 1.0 }, QuantumSystem { grid: 199, ..dipole(0) });
+    let (well, model) =
+        (DoubleWell { height: 40.0, separation: 1.0 }, QuantumSystem { grid: 199, ..dipole(0) });
     let v = potential(&well, &model);
     // Points at 0.01 j: minima at 0.5 and 1.5.
     assert!(v[49].abs() < 1e-9 && v[149].abs() < 1e-9 && (v[99] - 40.0).abs() < 1e-9);
-    assert!(v.iter().all(|&v| v >= 0.0) && v.iter().rev().eq(&v), "the potential is negative, or not symmetric bit for bit");
+    assert!(
+        v.iter().all(|&v| v >= 0.0) && v.iter().rev().eq(&v),
+        "the potential is negative, or not symmetric bit for bit"
+    );
     let curvature = (v[48] - 2.0 * v[49] + v[50]) / 0.01f64.powi(2);
     // At a small distance δ from a minimum, V = k δ² and ω = 2 sqrt(k).
     let omega = 2.0 * (curvature / 2.0).sqrt();
     assert!((omega / (8.0 * 40f64.sqrt()) - 1.0).abs() < 1e-3, "{omega}");
 
     let effects = (well, Cubic { strength: 3.0 });
-    let start: Vec<f64> = model.eigenstate(1).zip(model.eigenstate(3)).flat_map(|(a, b)| [0.6 * a, 0.8 * b]).collect();
+    let start: Vec<f64> = model
+        .eigenstate(1)
+        .zip(model.eigenstate(3))
+        .flat_map(|(a, b)| [0.6 * a, 0.8 * b])
+        .collect();
     let after = densities(&run(&Forced { system: model, effects }, start.clone(), 500));
     let mirrored: Vec<f64> = after.iter().rev().copied().collect();
     assert!(largest_difference(&after, &densities(&start)) > 1e-3, "the density does not change");
@@ -180,7 +216,10 @@ fn a_double_well_has_the_documented_shape_symmetry_and_tunneling() {
     let on_the_right = |x: &[f64]| densities(&x[100..]).iter().sum::<f64>();
     let half_beat = (PI / splitting / model.dt) as usize;
     let there = run(&Forced { system: model, effects: deep }, left.clone(), half_beat);
-    println!("levels {levels:?}, {half_beat} steps, probability on the right {}", on_the_right(&there));
+    println!(
+        "levels {levels:?}, {half_beat} steps, probability on the right {}",
+        on_the_right(&there)
+    );
     assert!(on_the_right(&left) < 0.01 && on_the_right(&there) > 0.85);
 }
 
@@ -194,7 +233,10 @@ fn mirroring_with_the_opposite_control_is_a_symmetry_of_the_dipole_only() {
         let mirrored = mirror(&step(&dipole(grid), &mirror(&x), -u[0]));
         assert!(largest_difference(&step(&dipole(grid), &x, u[0]), &mirrored) < 1e-14);
         let mirrored = mirror(&step(&box_of(grid), &mirror(&x), -u[0]));
-        assert!(largest_difference(&step(&box_of(grid), &x, u[0]), &mirrored) > 1e-3, "a tilt has this symmetry");
+        assert!(
+            largest_difference(&step(&box_of(grid), &x, u[0]), &mirrored) > 1e-3,
+            "a tilt has this symmetry"
+        );
     }
 }
 
@@ -203,8 +245,13 @@ fn mirroring_with_the_opposite_control_is_a_symmetry_of_the_dipole_only() {
 fn densities_of_dipole_and_tilt_converge_to_each_other_with_order_2() {
     let difference = |count: u32| {
         let dt = 0.5 / f64::from(count);
-        let (tilt, dipole) = (QuantumSystem { dt, ..box_of(16) }, QuantumSystem { dt, ..dipole(16) });
-        let start: Vec<f64> = tilt.eigenstate(1).zip(tilt.eigenstate(2)).flat_map(|(a, b)| [0.6 * a, 0.8 * b]).collect();
+        let (tilt, dipole) =
+            (QuantumSystem { dt, ..box_of(16) }, QuantumSystem { dt, ..dipole(16) });
+        let start: Vec<f64> = tilt
+            .eigenstate(1)
+            .zip(tilt.eigenstate(2))
+            .flat_map(|(a, b)| [0.6 * a, 0.8 * b])
+            .collect();
         let (mut a, mut b) = (start.clone(), start);
         for t in 0..count {
             let u = 10.0 * (20.0 * (f64::from(t) + 0.5) * dt).sin();
@@ -215,7 +262,10 @@ fn densities_of_dipole_and_tilt_converge_to_each_other_with_order_2() {
     let (coarse, fine) = (difference(4000), difference(8000));
     println!("differences of densities: {coarse:e}, {fine:e}");
     assert!(fine < 1e-6 && (3.9..4.1).contains(&(coarse / fine)));
-    assert!(difference(8) > 1e-3, "the densities differ by at most 1e-3 at the time step of the paper");
+    assert!(
+        difference(8) > 1e-3,
+        "the densities differ by at most 1e-3 at the time step of the paper"
+    );
 }
 
 /// Potential that is equal at all points.
@@ -223,7 +273,12 @@ fn densities_of_dipole_and_tilt_converge_to_each_other_with_order_2() {
 struct Uniform(f64);
 
 impl Effect<QuantumSystem> for Uniform {
-    fn add_forces<T: Scalar>(&self, _model: &QuantumSystem, _inputs: OdeInputs<'_, T>, forces: &mut [T]) {
+    fn add_forces<T: Scalar>(
+        &self,
+        _model: &QuantumSystem,
+        _inputs: OdeInputs<'_, T>,
+        forces: &mut [T],
+    ) {
         forces.iter_mut().for_each(|v| *v += self.0);
     }
     fn vjp<R: Real, C: Cotangent<R>>(
@@ -242,7 +297,8 @@ impl Effect<QuantumSystem> for Uniform {
 #[test]
 fn at_constant_density_the_cubic_term_equals_a_uniform_potential() {
     let strength = 3.0;
-    let phases = |model: &QuantumSystem| wave(model, |x| (Scalar::cos(3.0 * x), Scalar::sin(3.0 * x)));
+    let phases =
+        |model: &QuantumSystem| wave(model, |x| (Scalar::cos(3.0 * x), Scalar::sin(3.0 * x)));
     let model = box_of(32);
     let energy = strength / 32.0 / model.spacing();
     let x = phases(&model);
@@ -253,8 +309,12 @@ fn at_constant_density_the_cubic_term_equals_a_uniform_potential() {
     // A step changes the phase of an eigenstate by -2 atan(E dt/2).
     let phi: Vec<f64> = model.eigenstate(2).flat_map(|phi| [phi, 0.0]).collect();
     let level = 4.0 / model.spacing().powi(2) * (PI / 33.0).sin().powi(2);
-    let (size, phase) = overlap(&phi, &step(&Forced { system: model, effects: Uniform(energy) }, &phi, 0.0));
-    assert!((size - 1.0).abs() < 1e-13 && (phase + 2.0 * (0.03125 * (level + energy)).atan()).abs() < 1e-13);
+    let (size, phase) =
+        overlap(&phi, &step(&Forced { system: model, effects: Uniform(energy) }, &phi, 0.0));
+    assert!(
+        (size - 1.0).abs() < 1e-13
+            && (phase + 2.0 * (0.03125 * (level + energy)).atan()).abs() < 1e-13
+    );
 
     // In a very large box, the kinetic energy is negligible. The change of phase at each point then
     // depends only on the density at this point.
@@ -265,7 +325,10 @@ fn at_constant_density_the_cubic_term_equals_a_uniform_potential() {
     let turn = -2.0 * f64::atan(0.01 * 0.0625 / 2.0);
     for (x, after) in x.chunks_exact(2).zip(after.chunks_exact(2)) {
         let (size, phase) = overlap(x, after);
-        assert!((size * 32.0 - 1.0).abs() < 1e-9 && (phase - turn).abs() < 1e-9, "{phase} and {turn}");
+        assert!(
+            (size * 32.0 - 1.0).abs() < 1e-9 && (phase - turn).abs() < 1e-9,
+            "{phase} and {turn}"
+        );
     }
 }
 
@@ -276,11 +339,23 @@ fn an_attractive_condensate_has_a_soliton() {
     let (kappa, steps) = (5.0, 1000);
     let errors = |steps: usize| {
         let period = TAU / (kappa * kappa);
-        let model = QuantumSystem { grid: 399, length: 6.0, dt: period / steps as f64, ..QuantumSystem::default() };
+        let model = QuantumSystem {
+            grid: 399,
+            length: 6.0,
+            dt: period / steps as f64,
+            ..QuantumSystem::default()
+        };
         let start = wave(&model, |x| (1.0 / (kappa * (x - 3.0)).cosh(), 0.0));
-        let bound = run(&Forced { system: model, effects: Cubic { strength: -4.0 * kappa } }, start.clone(), steps);
+        let bound = run(
+            &Forced { system: model, effects: Cubic { strength: -4.0 * kappa } },
+            start.clone(),
+            steps,
+        );
         let free = run(&model, start.clone(), steps);
-        assert!(overlap(&start, &free).0 < 0.7, "without the cubic term, the packet does not spread");
+        assert!(
+            overlap(&start, &free).0 < 0.7,
+            "without the cubic term, the packet does not spread"
+        );
         let (size, phase) = overlap(&start, &bound);
         (1.0 - size, phase)
     };

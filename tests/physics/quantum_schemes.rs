@@ -1,21 +1,27 @@
 //! Schemes for Schrödinger's equation: derivatives, norm, order, phases.
 
 use crate::boxes::{
-    Swinging, box_of, check_lively, dipole, every_effect, every_effect_typed, largest_difference, lively, norm, overlap, step,
+    Swinging, box_of, check_lively, dipole, every_effect, every_effect_typed, largest_difference,
+    lively, norm, overlap, step,
 };
 use physgrad::policy::Linear;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{
-    Absorbing, AbsorbingEdges, Cubic, Harmonic, Pade, Quantum, QuantumEffect, QuantumScheme, QuantumSystem, Strang,
+    Absorbing, AbsorbingEdges, Cubic, Harmonic, Pade, Quantum, QuantumEffect, QuantumScheme,
+    QuantumSystem, Strang,
 };
 use physgrad::{
-    Actuated, Cotangents, Counted, Delay, Effect, Forced, ForcedSystem, Inputs, Limit, LimitKind, OdeInputs, Ops, Scalar,
-    Substeps, System, Task, check, initial_states,
+    Actuated, Cotangents, Counted, Delay, Effect, Forced, ForcedSystem, Inputs, Limit, LimitKind,
+    OdeInputs, Ops, Scalar, Substeps, System, Task, check, initial_states,
 };
 use std::f64::consts::{PI, TAU};
 
 fn schemes(model: QuantumSystem) -> [QuantumScheme; 3] {
-    [QuantumScheme::CrankNicolson(model), QuantumScheme::Pade(Pade(model)), QuantumScheme::Strang(Strang::new(model))]
+    [
+        QuantumScheme::CrankNicolson(model),
+        QuantumScheme::Pade(Pade(model)),
+        QuantumScheme::Strang(Strang::new(model)),
+    ]
 }
 
 #[test]
@@ -35,11 +41,15 @@ fn derivatives_of_every_scheme_equal_dual_numbers() {
 
 #[test]
 fn derivatives_of_time_dependent_effects_and_wrappers_equal_dual_numbers() {
-    let (limit, edges) = (Limit { bound: 20.0, kind: LimitKind::Smooth }, AbsorbingEdges::default());
+    let (limit, edges) =
+        (Limit { bound: 20.0, kind: LimitKind::Smooth }, AbsorbingEdges::default());
     for system in schemes(dipole(8)) {
         check_lively(&Forced { system: system.clone(), effects: (Swinging, Cubic::default()) });
         let system = Absorbing::new(Forced { system, effects: every_effect() }, edges);
-        let system = Actuated { system: Substeps { system, count: 3 }, actuator: (limit, Delay { steps: 2 }) };
+        let system = Actuated {
+            system: Substeps { system, count: 3 },
+            actuator: (limit, Delay { steps: 2 }),
+        };
         check_lively(&system);
         let task = Quantum { horizon: 6, ..Quantum::with_system(system, 2) };
         check::task(&task, &Linear::with_bias(18, 1));
@@ -57,28 +67,61 @@ fn step_and_cotangents<S: System>(system: &S, x: &[f64], u: f64) -> Vec<f64> {
 
 #[test]
 fn schemes_and_effects_chosen_at_run_time_have_the_results_of_typed_ones() {
-    fn same<H: ForcedSystem<Model = QuantumSystem> + System + Clone>(alone: &H, chosen: &QuantumScheme) -> Vec<f64> {
+    fn same<H: ForcedSystem<Model = QuantumSystem> + System + Clone>(
+        alone: &H,
+        chosen: &QuantumScheme,
+    ) -> Vec<f64> {
         let (mut x, mut u) = (vec![0.0; alone.model().grid * 2], [0.0]);
         lively(&mut stream(0, Purpose::Check, 0), &mut x, &mut u, &mut []);
         let plain = step_and_cotangents(alone, &x, u[0]);
         assert_eq!(plain, step_and_cotangents(chosen, &x, u[0]));
-        assert_eq!(plain, step_and_cotangents(&Forced { system: alone.clone(), effects: Vec::<QuantumEffect>::new() }, &x, u[0]));
-        let typed = step_and_cotangents(&Forced { system: alone.clone(), effects: every_effect_typed() }, &x, u[0]);
-        assert_eq!(typed, step_and_cotangents(&Forced { system: alone.clone(), effects: every_effect() }, &x, u[0]));
-        assert_eq!(typed, step_and_cotangents(&Forced { system: chosen.clone(), effects: every_effect() }, &x, u[0]));
+        assert_eq!(
+            plain,
+            step_and_cotangents(
+                &Forced { system: alone.clone(), effects: Vec::<QuantumEffect>::new() },
+                &x,
+                u[0]
+            )
+        );
+        let typed = step_and_cotangents(
+            &Forced { system: alone.clone(), effects: every_effect_typed() },
+            &x,
+            u[0],
+        );
+        assert_eq!(
+            typed,
+            step_and_cotangents(
+                &Forced { system: alone.clone(), effects: every_effect() },
+                &x,
+                u[0]
+            )
+        );
+        assert_eq!(
+            typed,
+            step_and_cotangents(
+                &Forced { system: chosen.clone(), effects: every_effect() },
+                &x,
+                u[0]
+            )
+        );
         assert_ne!(plain, typed);
         plain
     }
     for model in [box_of(32), dipole(33)] {
         let [a, b, c] = schemes(model);
         let (a, b, c) = (same(&model, &a), same(&Pade(model), &b), same(&Strang::new(model), &c));
-        assert!(largest_difference(&a, &b) > 1e-3 && largest_difference(&b, &c) > 1e-3, "two schemes differ by less than 1e-3");
+        assert!(
+            largest_difference(&a, &b) > 1e-3 && largest_difference(&b, &c) > 1e-3,
+            "two schemes differ by less than 1e-3"
+        );
     }
 }
 
 #[test]
 fn every_scheme_keeps_the_norm_for_5000_steps_with_any_potential() {
-    for (model, effects) in [(box_of(32), vec![]), (dipole(32), every_effect()), (box_of(7), every_effect())] {
+    for (model, effects) in
+        [(box_of(32), vec![]), (dipole(32), every_effect()), (box_of(7), every_effect())]
+    {
         for system in schemes(model) {
             let system = Forced { system, effects: effects.clone() };
             let task = Quantum { weighting: [1.0, 1.0], ..Quantum::with_system(model, 3) };
@@ -97,13 +140,22 @@ fn every_scheme_keeps_the_norm_for_5000_steps_with_any_potential() {
 ///
 /// Each control acts for 1/16 of a unit of time, in `count` time steps. `scheme` is an index of
 /// [`schemes`].
-fn rollout<E: Effect<QuantumSystem>>(scheme: usize, effects: &E, count: usize) -> (Vec<f64>, Vec<f64>) {
+fn rollout<E: Effect<QuantumSystem>>(
+    scheme: usize,
+    effects: &E,
+    count: usize,
+) -> (Vec<f64>, Vec<f64>) {
     const PIECES: usize = 8;
     let model = QuantumSystem { dt: 0.0625 / count as f64, ..dipole(12) };
-    let system = Substeps { system: Forced { system: schemes(model)[scheme].clone(), effects: effects.clone() }, count };
+    let system = Substeps {
+        system: Forced { system: schemes(model)[scheme].clone(), effects: effects.clone() },
+        count,
+    };
     let task = Quantum { horizon: PIECES, ..Quantum::with_system(system, 2) };
-    let mut states =
-        vec![(model.eigenstate(1).zip(model.eigenstate(2)).flat_map(|(a, b)| [0.8 * a, 0.6 * b])).collect::<Vec<_>>()];
+    let mut states = vec![
+        (model.eigenstate(1).zip(model.eigenstate(2)).flat_map(|(a, b)| [0.8 * a, 0.6 * b]))
+            .collect::<Vec<_>>(),
+    ];
     let control = |k: usize| 8.0 * (1.0 + 5.0 * (k as f64 + 0.5) / PIECES as f64).sin();
     for k in 0..PIECES {
         states.push(step(&task.system, &states[k], control(k)));
@@ -117,7 +169,11 @@ fn rollout<E: Effect<QuantumSystem>>(scheme: usize, effects: &E, count: usize) -
     );
     for k in (0..PIECES).rev() {
         let mut x_bar = vec![0.0; bar.len()];
-        task.system.vjp(Inputs::new(&states[k], &[control(k)]), &bar, Cotangents::of(&mut x_bar, &mut gradient[k..=k]));
+        task.system.vjp(
+            Inputs::new(&states[k], &[control(k)]),
+            &bar,
+            Cotangents::of(&mut x_bar, &mut gradient[k..=k]),
+        );
         bar = x_bar;
     }
     (states[PIECES].clone(), gradient)
@@ -125,7 +181,12 @@ fn rollout<E: Effect<QuantumSystem>>(scheme: usize, effects: &E, count: usize) -
 
 /// Returns the observed orders of state and gradient when the number of steps per control doubles
 /// from `count`.
-fn orders<E: Effect<QuantumSystem>>(scheme: usize, effects: &E, count: usize, reference: &(Vec<f64>, Vec<f64>)) -> [f64; 2] {
+fn orders<E: Effect<QuantumSystem>>(
+    scheme: usize,
+    effects: &E,
+    count: usize,
+    reference: &(Vec<f64>, Vec<f64>),
+) -> [f64; 2] {
     let errors = |count| {
         let (state, gradient) = rollout(scheme, effects, count);
         [largest_difference(&state, &reference.0), largest_difference(&gradient, &reference.1)]
@@ -174,7 +235,9 @@ fn phase_errors_of_eigenstates_3_to_5_have_the_stated_sizes() {
     for (number, crank_nicolson, pade) in [(3, 0.12, 0.0045), (4, 0.28, 0.033), (5, 0.43, 0.116)] {
         let errors = [0, 1, 2].map(|scheme| phase_error(scheme, number, 1));
         println!("eigenstate {number}: phase errors {errors:.4?}");
-        assert!((errors[0] - crank_nicolson).abs() < 0.006 && (errors[1] - pade).abs() < 0.03 * pade);
+        assert!(
+            (errors[0] - crank_nicolson).abs() < 0.006 && (errors[1] - pade).abs() < 0.03 * pade
+        );
         assert!(errors[2] < 1e-14, "the phase error of Strang's scheme is {:e}", errors[2]);
     }
     // Least number of steps per 0.0625 with which the phase error of eigenstate 5 is at most 1 %.
@@ -187,7 +250,12 @@ fn a_step_of_pade_equals_two_steps_of_crank_nicolson_with_shifted_energies() {
     #[derive(Clone, Debug)]
     struct Shift(f64);
     impl Effect<QuantumSystem> for Shift {
-        fn add_forces<T: Scalar>(&self, _model: &QuantumSystem, _inputs: OdeInputs<'_, T>, potential: &mut [T]) {
+        fn add_forces<T: Scalar>(
+            &self,
+            _model: &QuantumSystem,
+            _inputs: OdeInputs<'_, T>,
+            potential: &mut [T],
+        ) {
             potential.iter_mut().for_each(|v| *v += self.0);
         }
     }
@@ -211,11 +279,15 @@ fn strang_solves_the_free_particle_to_1e_12() {
         lively(&mut stream(0, Purpose::Check, 0), &mut x, &mut u, &mut []);
         let mut expected = vec![0.0; 2 * grid];
         for number in 1..=grid {
-            let phi: Vec<f64> = (1..=grid).map(|j| (PI * (number * j) as f64 / (grid + 1) as f64).sin()).collect();
-            let share =
-                |i: usize| phi.iter().zip(x[i..].iter().step_by(2)).map(|(a, b)| a * b).sum::<f64>() * 2.0 / (grid + 1) as f64;
+            let phi: Vec<f64> =
+                (1..=grid).map(|j| (PI * (number * j) as f64 / (grid + 1) as f64).sin()).collect();
+            let share = |i: usize| {
+                phi.iter().zip(x[i..].iter().step_by(2)).map(|(a, b)| a * b).sum::<f64>() * 2.0
+                    / (grid + 1) as f64
+            };
             let (re, im) = (share(0), share(1));
-            let energy = 4.0 * ((PI * number as f64 / (2 * grid + 2) as f64).sin() / model.spacing()).powi(2);
+            let energy = 4.0
+                * ((PI * number as f64 / (2 * grid + 2) as f64).sin() / model.spacing()).powi(2);
             let (sin, cos) = (-energy * model.dt).sin_cos();
             for (expected, phi) in expected.chunks_exact_mut(2).zip(&phi) {
                 expected[0] += phi * (re * cos - im * sin);
@@ -231,12 +303,27 @@ fn strang_solves_the_free_particle_to_1e_12() {
 fn counts<S: System>(system: &S) -> [Ops; 4] {
     let n = system.state_dim();
     let x: Vec<Counted> = (0..n).map(|i| Counted(Scalar::sin(i as f64))).collect();
-    let (u, mut next, mut x_bar, mut u_bar) = ([Counted(3.0)], x.clone(), x.clone(), [Counted(0.0)]);
+    let (u, mut next, mut x_bar, mut u_bar) =
+        ([Counted(3.0)], x.clone(), x.clone(), [Counted(0.0)]);
     [
         Ops::of(|| system.step(Inputs::new(&x, &u), &mut next)).0,
         Ops::of(|| system.vjp(Inputs::new(&x, &u), &x, Cotangents::of(&mut x_bar, &mut u_bar))).0,
-        Ops::of(|| system.vjp(Inputs::new(&x, &u), &x, Cotangents { x: Some(&mut x_bar), ..Cotangents::default() })).0,
-        Ops::of(|| system.vjp(Inputs::new(&x, &u), &x, Cotangents { u: Some(&mut u_bar), ..Cotangents::default() })).0,
+        Ops::of(|| {
+            system.vjp(
+                Inputs::new(&x, &u),
+                &x,
+                Cotangents { x: Some(&mut x_bar), ..Cotangents::default() },
+            )
+        })
+        .0,
+        Ops::of(|| {
+            system.vjp(
+                Inputs::new(&x, &u),
+                &x,
+                Cotangents { u: Some(&mut u_bar), ..Cotangents::default() },
+            )
+        })
+        .0,
     ]
 }
 

@@ -2,14 +2,14 @@
 
 use super::steps::finite;
 use super::{Case, Finding};
-use physgrad::check::{self, Stability};
+use crate::step;
 use physgrad::Forced;
 use physgrad::Inputs;
-use physgrad::{AnyIntegrator, ImplicitMidpoint, Integrated, SemiImplicit};
-use crate::step;
 use physgrad::Substeps;
 use physgrad::System;
+use physgrad::check::{self, Stability};
 use physgrad::tasks::{GuidanceEffect, GuidanceSystem, Spread, Walls};
+use physgrad::{AnyIntegrator, ImplicitMidpoint, Integrated, SemiImplicit};
 
 pub(super) const CASES: &[Case] = &[Case {
     name: "guidance_close_approach",
@@ -46,7 +46,10 @@ fn walled(strength: f64) -> Walled {
 }
 
 fn split(strength: f64, integrator: AnyIntegrator, count: usize) -> Split {
-    Substeps { system: Integrated { ode: walled(strength), integrator, dt: DT / count as f64 }, count }
+    Substeps {
+        system: Integrated { ode: walled(strength), integrator, dt: DT / count as f64 },
+        count,
+    }
 }
 
 /// Energy per mass: kinetic, walls and pair. The pair term is zero at distance 0 for attraction and
@@ -55,14 +58,21 @@ fn energy(strength: f64, x: &[f64]) -> f64 {
     let pair = |r: f64| strength * (-(0.1 + r).ln() - 0.1 / (0.1 + r));
     let least = pair(if strength > 0.0 { 10.0 } else { 0.0 });
     let moving = [x[2], x[3], x[6], x[7]].map(|v| 0.5 * v * v).iter().sum::<f64>();
-    let walls = [x[0], x[1], x[4], x[5]].map(|p| 5.0 * (p.abs() - 3.0).max(0.0).powi(2)).iter().sum::<f64>();
+    let walls = [x[0], x[1], x[4], x[5]]
+        .map(|p| 5.0 * (p.abs() - 3.0).max(0.0).powi(2))
+        .iter()
+        .sum::<f64>();
     moving + walls + pair((x[4] - x[0]).hypot(x[5] - x[1])) - least
 }
 
 /// Initial state. Repelling agents pass each other at a small offset. Attracting agents start close
 /// together.
 fn start(strength: f64) -> [f64; 8] {
-    if strength > 0.0 { [-2.0, 0.05, 8.0, 0.0, 2.0, -0.05, -8.0, 0.0] } else { [-0.2, 0.0, 0.0, 1.0, 0.2, 0.0, 0.0, -1.0] }
+    if strength > 0.0 {
+        [-2.0, 0.05, 8.0, 0.0, 2.0, -0.05, -8.0, 0.0]
+    } else {
+        [-0.2, 0.0, 0.0, 1.0, 0.2, 0.0, 0.0, -1.0]
+    }
 }
 
 /// Returns whether all states are finite, and the lowest and highest energy relative to the initial
@@ -97,10 +107,22 @@ fn guidance_close_approach() -> Vec<Finding> {
     ] {
         let explicit = walled(strength);
         let report = close(&explicit);
-        findings.push(Finding::near(format!("{what}: multiplier of explicit steps"), report.multiplier, expected, 0.01));
+        findings.push(Finding::near(
+            format!("{what}: multiplier of explicit steps"),
+            report.multiplier,
+            expected,
+            0.01,
+        ));
         let said = report.to_string();
-        let named = said.starts_with("unstable") && said.contains("Substeps") && said.contains("ImplicitMidpoint");
-        findings.push(Finding::holds(format!("{what}: stability report"), "unstable, with remedies", named, said));
+        let named = said.starts_with("unstable")
+            && said.contains("Substeps")
+            && said.contains("ImplicitMidpoint");
+        findings.push(Finding::holds(
+            format!("{what}: stability report"),
+            "unstable, with remedies",
+            named,
+            said,
+        ));
         let (all, _, highest) = energies(&explicit, strength, 1000);
         findings.push(Finding::holds(
             format!("{what}: 1000 explicit states"),
@@ -113,7 +135,12 @@ fn guidance_close_approach() -> Vec<Finding> {
             highest,
             2.0,
         ));
-        findings.push(bounded(what, "semi-implicit", strength, &split(strength, semi_implicit, 128)));
+        findings.push(bounded(
+            what,
+            "semi-implicit",
+            strength,
+            &split(strength, semi_implicit, 128),
+        ));
         findings.push(bounded(what, "implicit midpoint", strength, &split(strength, midpoint, 16)));
     }
     for (how, report, stable) in [
@@ -123,7 +150,12 @@ fn guidance_close_approach() -> Vec<Finding> {
     ] {
         let measured = format!("multiplier {:.6}", report.multiplier);
         let required = if stable { "stable" } else { "unstable" };
-        findings.push(Finding::holds(format!("attraction, {how}"), required, report.is_stable() == stable, measured));
+        findings.push(Finding::holds(
+            format!("attraction, {how}"),
+            required,
+            report.is_stable() == stable,
+            measured,
+        ));
     }
     findings
 }
@@ -131,5 +163,9 @@ fn guidance_close_approach() -> Vec<Finding> {
 fn bounded(what: &str, how: &str, strength: f64, system: &impl System) -> Finding {
     let (all, lowest, highest) = energies(system, strength, 10_000);
     let off = if all { (highest - 1.0).max(1.0 - lowest) } else { f64::INFINITY };
-    Finding::at_most(format!("{what}, {how}: largest relative change of energy in 10,000 steps"), off, 0.1)
+    Finding::at_most(
+        format!("{what}, {how}: largest relative change of energy in 10,000 steps"),
+        off,
+        0.1,
+    )
 }

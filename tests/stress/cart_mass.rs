@@ -2,13 +2,13 @@
 
 use super::steps::larger;
 use super::{Case, Finding};
-use physgrad::check;
 use physgrad::Inputs;
-use physgrad::{Integrated, SemiImplicit};
 use physgrad::Ode;
+use physgrad::check;
 use physgrad::rng::{Purpose, stream};
-use physgrad::{Float, Real, Single};
 use physgrad::tasks::{CartPoleSystem, CoupledCartPole, MassError, PoleChain};
+use physgrad::{Float, Real, Single};
+use physgrad::{Integrated, SemiImplicit};
 use rand::RngExt;
 use std::f64::consts::PI;
 
@@ -32,11 +32,16 @@ fn model(poles: usize, cart_mass: f64) -> CartPoleSystem {
 }
 
 fn cart_mass() -> Vec<Finding> {
-    let uncoupled = |model: CartPoleSystem| worst::<f64, _>(&model, &model, in_the_authors_equations);
+    let uncoupled =
+        |model: CartPoleSystem| worst::<f64, _>(&model, &model, in_the_authors_equations);
     let coupled = |model: CartPoleSystem| {
-        worst::<f64, _>(&CoupledCartPole(model), &model, |model, x, rate, u| dalembert(model, false, x, rate, u))
+        worst::<f64, _>(&CoupledCartPole(model), &model, |model, x, rate, u| {
+            dalembert(model, false, x, rate, u)
+        })
     };
-    let chained = |model: &CartPoleSystem, x: &[f64], rate: &[f64], u: f64| dalembert(model, true, x, rate, u);
+    let chained = |model: &CartPoleSystem, x: &[f64], rate: &[f64], u: f64| {
+        dalembert(model, true, x, rate, u)
+    };
     let chain = |model: CartPoleSystem| worst::<f64, _>(&PoleChain(model), &model, chained);
     let mut findings = Vec::new();
     for (name, poles, residual) in [
@@ -44,13 +49,20 @@ fn cart_mass() -> Vec<Finding> {
         ("poles side by side", &[1, 2, 5, 20], &coupled),
         ("poles end to end", &[1, 2, 5, 10, 20], &chain),
     ] {
-        let of_all = |mass: f64| poles.iter().map(|&poles| residual(model(poles, mass))).fold(0.0, larger);
+        let of_all =
+            |mass: f64| poles.iter().map(|&poles| residual(model(poles, mass))).fold(0.0, larger);
         let worst = MASSES.iter().map(|&mass| of_all(mass)).fold(0.0, larger);
         findings.push(Finding::at_most(format!("{name}: residual down to 1e-8 kg"), worst, 1e-10));
-        findings.push(Finding::info(format!("{name}: residual at 1e-12 kg, unchecked"), format!("{:.1e}", of_all(1e-12))));
+        findings.push(Finding::info(
+            format!("{name}: residual at 1e-12 kg, unchecked"),
+            format!("{:.1e}", of_all(1e-12)),
+        ));
     }
     let single = worst::<Single<f32>, _>(&PoleChain(model(20, 1e-8)), &model(20, 1e-8), chained);
-    findings.push(Finding::info("20 poles end to end on 1e-8 kg, in f32: residual", format!("{single:.1e}")));
+    findings.push(Finding::info(
+        "20 poles end to end on 1e-8 kg, in f32: residual",
+        format!("{single:.1e}"),
+    ));
     findings.extend(derivatives());
     findings.extend(rejected());
     let broken = |model: &CartPoleSystem, x: &[f64], rate: &[f64], u: f64| {
@@ -59,30 +71,54 @@ fn cart_mass() -> Vec<Finding> {
         dalembert(model, true, x, &rate, u)
     };
     let fault = worst::<f64, _>(&PoleChain(model(5, 1e-8)), &model(5, 1e-8), broken);
-    findings.push(Finding::at_least("residual of an acceleration with a relative error of 1e-8", fault, 1e-10));
+    findings.push(Finding::at_least(
+        "residual of an acceleration with a relative error of 1e-8",
+        fault,
+        1e-10,
+    ));
     findings
 }
 
 /// Compares the VJPs of both exact models, on a cart of 1e-8 kg, with dual numbers.
 fn derivatives() -> [Finding; 2] {
     // The check stops at the first mismatch, which may be smaller than a later one.
-    let error = |checked: Result<check::Passed, check::Mismatch>| checked.map_or(f64::INFINITY, |passed| passed.worst);
+    let error = |checked: Result<check::Passed, check::Mismatch>| {
+        checked.map_or(f64::INFINITY, |passed| passed.worst)
+    };
     let (coupled, chain) = (CoupledCartPole(model(20, 1e-8)), PoleChain(model(20, 1e-8)));
     let chain = Integrated { ode: chain, integrator: SemiImplicit, dt: 0.01 };
-    [("side by side", error(check::try_system(&coupled))), ("end to end", error(check::try_system(&chain)))]
-        .map(|(name, error)| Finding::at_most(format!("20 poles {name} on 1e-8 kg: VJP against dual numbers"), error, 1e-10))
+    [
+        ("side by side", error(check::try_system(&coupled))),
+        ("end to end", error(check::try_system(&chain))),
+    ]
+    .map(|(name, error)| {
+        Finding::at_most(
+            format!("20 poles {name} on 1e-8 kg: VJP against dual numbers"),
+            error,
+            1e-10,
+        )
+    })
 }
 
 fn rejected() -> Vec<Finding> {
-    let checks = |model: CartPoleSystem| [model.check(), CoupledCartPole(model).check(), PoleChain(model).check()];
-    let taken = MASSES.iter().flat_map(|&mass| [1, 20].map(|poles| model(poles, mass))).flat_map(checks);
-    let (good, all) = taken.fold((0, 0), |(good, all), check| (good + usize::from(check.is_ok()), all + 1));
+    let checks = |model: CartPoleSystem| {
+        [model.check(), CoupledCartPole(model).check(), PoleChain(model).check()]
+    };
+    let taken =
+        MASSES.iter().flat_map(|&mass| [1, 20].map(|poles| model(poles, mass))).flat_map(checks);
+    let (good, all) =
+        taken.fold((0, 0), |(good, all), check| (good + usize::from(check.is_ok()), all + 1));
     let count = |wrong: &[CartPoleSystem], is: fn(&MassError) -> bool| {
-        let found = wrong.iter().flat_map(|&model| checks(model)).filter(|check| check.as_ref().is_err_and(is)).count();
+        let found = wrong
+            .iter()
+            .flat_map(|&model| checks(model))
+            .filter(|check| check.as_ref().is_err_and(is))
+            .count();
         (found, 3 * wrong.len())
     };
     let light = [1, 20].map(|poles| model(poles, 1e-12));
-    let (lights, all_lights) = count(&light, |error| matches!(error, MassError::CartTooLight { .. }));
+    let (lights, all_lights) =
+        count(&light, |error| matches!(error, MassError::CartTooLight { .. }));
     // The equations of both exact models are singular for a massless pole. They are also singular
     // for an upright pole on a cart of −1/4 of the pole mass. For the other finite masses in this
     // list, they have unique solutions.
@@ -91,9 +127,16 @@ fn rejected() -> Vec<Finding> {
         pole_mass: pole_mass.into(),
         ..CartPoleSystem::default()
     };
-    let unphysical =
-        [split(0.0, 0.1), split(-0.01, 0.1), split(-0.025, 0.1), split(1.2, -0.1), split(1.0, 0.0), split(f64::NAN, 0.1)];
-    let (splits, all_splits) = count(&unphysical, |error| matches!(error, MassError::NotPositive { .. }));
+    let unphysical = [
+        split(0.0, 0.1),
+        split(-0.01, 0.1),
+        split(-0.025, 0.1),
+        split(1.2, -0.1),
+        split(1.0, 0.0),
+        split(f64::NAN, 0.1),
+    ];
+    let (splits, all_splits) =
+        count(&unphysical, |error| matches!(error, MassError::NotPositive { .. }));
     vec![
         Finding::all("carts down to 1e-8 kg accepted", good, all),
         Finding::all("carts of 1e-12 kg rejected as too light", lights, all_lights),
@@ -112,7 +155,9 @@ fn worst<R: Real, O: Ode>(
     let n = ode.state_dim();
     let plain = |v: &[R]| v.iter().map(|v| v.lane(0).to_f64()).collect::<Vec<f64>>();
     let residuals = (0..20).map(|_| {
-        let draw = |i: usize| R::from(rng.random_range(-1.0..1.0) * if i.is_multiple_of(2) { PI } else { 5.0 });
+        let draw = |i: usize| {
+            R::from(rng.random_range(-1.0..1.0) * if i.is_multiple_of(2) { PI } else { 5.0 })
+        };
         let x: Vec<R> = (0..n).map(draw).collect();
         let u = R::from(rng.random_range(-10.0..10.0));
         let mut rate = vec![R::zero(); n];
@@ -124,7 +169,8 @@ fn worst<R: Real, O: Ode>(
 
 /// Residual of an equation: absolute value of the sum of its terms, relative to the largest term.
 fn relative_residual(terms: &[f64]) -> f64 {
-    terms.iter().sum::<f64>().abs() / terms.iter().fold(f64::MIN_POSITIVE, |largest, term| larger(largest, term.abs()))
+    terms.iter().sum::<f64>().abs()
+        / terms.iter().fold(f64::MIN_POSITIVE, |largest, term| larger(largest, term.abs()))
 }
 
 /// Largest relative residual of the equations of motion by d'Alembert's principle, from the
@@ -159,7 +205,10 @@ fn dalembert(model: &CartPoleSystem, chained: bool, x: &[f64], rate: &[f64], u: 
         .map(|i| {
             (0..n).fold([rate[1], 0.0], |[across, up], k| {
                 let (sin, cos, spin, alpha) = pole(k);
-                [across + arm(i, k) * (cos * alpha - sin * spin), up - arm(i, k) * (sin * alpha + cos * spin)]
+                [
+                    across + arm(i, k) * (cos * alpha - sin * spin),
+                    up - arm(i, k) * (sin * alpha + cos * spin),
+                ]
             })
         })
         .collect();
@@ -186,7 +235,12 @@ fn in_the_authors_equations(model: &CartPoleSystem, x: &[f64], rate: &[f64], u: 
     for k in 0..model.poles {
         let ((sin, cos), omega, alpha) = (x[2 + 2 * k].sin_cos(), x[3 + 2 * k], rate[3 + 2 * k]);
         let thrust = (u + m * l * sin * omega * omega) / mass;
-        let of_pole = [4.0 / 3.0 * l * alpha, -(m * l * cos * cos / mass * alpha), -(gravity * sin), cos * thrust];
+        let of_pole = [
+            4.0 / 3.0 * l * alpha,
+            -(m * l * cos * cos / mass * alpha),
+            -(gravity * sin),
+            cos * thrust,
+        ];
         worst = larger(worst, relative_residual(&of_pole));
         terms.extend([-(m * l * sin * omega * omega), m * l * alpha * cos]);
     }

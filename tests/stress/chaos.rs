@@ -6,10 +6,10 @@
 //! trajectories agree.
 
 use super::{Case, Finding};
-use physgrad::{Cotangents, Inputs, Tangents};
-use physgrad::{Integrated, RungeKutta};
 use physgrad::System;
 use physgrad::tasks::DoublePendulum;
+use physgrad::{Cotangents, Inputs, Tangents};
+use physgrad::{Integrated, RungeKutta};
 
 pub(super) const CASES: &[Case] = &[Case {
     name: "double_pendulum",
@@ -51,8 +51,16 @@ fn double_pendulum() -> Vec<Finding> {
     let mut findings = vec![
         Finding::info("Lyapunov exponent, by tangents", format!("{lambda:.3} per second")),
         Finding::near("growth of the adjoint per second", per_second(growth), lambda, 0.1),
-        Finding::holds("states and adjoint", "finite", finite, if finite { "finite" } else { "non-finite" }),
-        Finding::info("change of energy (hanging to upright: 58.9 J)", format!("{:.1e} J", energies[1] - energies[0])),
+        Finding::holds(
+            "states and adjoint",
+            "finite",
+            finite,
+            if finite { "finite" } else { "non-finite" },
+        ),
+        Finding::info(
+            "change of energy (hanging to upright: 58.9 J)",
+            format!("{:.1e} J", energies[1] - energies[0]),
+        ),
     ];
     findings.extend(signs(&system, lambda));
     findings
@@ -81,7 +89,11 @@ fn normalize(v: &mut State) -> f64 {
 fn by_tangents(system: &Pendulum, states: &[State]) -> f64 {
     let (mut tangent, mut next, mut growth) = ([0.5; 4], [0.0; 4], 0.0);
     for x in &states[..states.len() - 1] {
-        system.jvp(Inputs::new(x, &[0.0]), Tangents { x: Some(&tangent), ..Tangents::default() }, &mut next);
+        system.jvp(
+            Inputs::new(x, &[0.0]),
+            Tangents { x: Some(&tangent), ..Tangents::default() },
+            &mut next,
+        );
         growth += normalize(&mut next);
         tangent = next;
     }
@@ -94,7 +106,11 @@ fn adjoint(system: &Pendulum, states: &[State]) -> (f64, State) {
     let (mut bar, mut growth) = ([1.0, 0.0, 0.0, 0.0], 0.0);
     for x in states[..states.len() - 1].iter().rev() {
         let mut x_bar = [0.0; 4];
-        system.vjp(Inputs::new(x, &[0.0]), &bar, Cotangents { x: Some(&mut x_bar), ..Cotangents::default() });
+        system.vjp(
+            Inputs::new(x, &[0.0]),
+            &bar,
+            Cotangents { x: Some(&mut x_bar), ..Cotangents::default() },
+        );
         growth += normalize(&mut x_bar);
         bar = x_bar;
     }
@@ -113,27 +129,34 @@ fn signs(system: &Pendulum, lambda: f64) -> Vec<Finding> {
         let perturbed = [start[0] * (1.0 + f64::EPSILON), start[1], start[2], start[3]];
         let rollouts = [start, perturbed].map(|start| rollout(system, start, horizons[1]));
         for (cosines, steps) in cosines.iter_mut().zip(horizons) {
-            let [a, b] = [&rollouts[0], &rollouts[1]].map(|states| adjoint(system, &states[..=steps]).1);
+            let [a, b] =
+                [&rollouts[0], &rollouts[1]].map(|states| adjoint(system, &states[..=steps]).1);
             cosines[pair] = a.iter().zip(&b).map(|(a, b)| a * b).sum();
         }
     }
     let least = |cosines: &[f64]| {
-        cosines
-            .iter()
-            .copied()
-            .fold(f64::INFINITY, |least, cosine| if cosine < least || cosine.is_nan() { cosine } else { least })
+        cosines.iter().copied().fold(f64::INFINITY, |least, cosine| {
+            if cosine < least || cosine.is_nan() { cosine } else { least }
+        })
     };
     let agree = cosines[1].iter().filter(|&&cosine| cosine > 0.0).count() as f64 / PAIRS as f64;
     let aligned = cosines[1].iter().filter(|cosine| cosine.abs() > 0.99).count();
     vec![
         Finding::info("ln(1/ε)/Λ", format!("{horizon:.0} steps, {:.1} s", horizon * DT)),
-        Finding::at_least("least cosine of the two adjoints at half this horizon", least(&cosines[0]), 0.99),
+        Finding::at_least(
+            "least cosine of the two adjoints at half this horizon",
+            least(&cosines[0]),
+            0.99,
+        ),
         Finding::holds(
             "share of pairs with equal sign at twice this horizon",
             "30 to 70 %",
             (0.3..=0.7).contains(&agree),
             format!("{:.0} %", 100.0 * agree),
         ),
-        Finding::info("collinear pairs at twice this horizon, with either sign", format!("{aligned} of {PAIRS}")),
+        Finding::info(
+            "collinear pairs at twice this horizon, with either sign",
+            format!("{aligned} of {PAIRS}"),
+        ),
     ]
 }

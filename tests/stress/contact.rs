@@ -2,12 +2,12 @@
 
 use super::steps::{derivative, larger, states};
 use super::{Case, Finding};
-use physgrad::check;
-use physgrad::Inputs;
 use crate::step;
+use physgrad::Inputs;
 use physgrad::System;
-use physgrad::{Dual, Scalar};
+use physgrad::check;
 use physgrad::tasks::{BouncingBall, Contact, TwoBodies};
+use physgrad::{Dual, Scalar};
 use std::f64::consts::PI;
 
 pub(super) const CASES: &[Case] = &[Case {
@@ -105,7 +105,14 @@ fn ball(name: &'static str, restitution: f64, h: f64, v: f64, time: f64) -> Exam
 /// initial positions p and q yield `q + v (T - t) = p + contact_distance + v T`.
 fn balls(second: f64, time: f64) -> Example {
     let expected = vec![1.0, 0.0, time, 0.0, f64::NAN];
-    Example { name: "two equal balls", start: vec![0.0, second, 2.0, 0.0], control: 0.0, component: 1, time, expected }
+    Example {
+        name: "two equal balls",
+        start: vec![0.0, second, 2.0, 0.0],
+        control: 0.0,
+        component: 1,
+        time,
+        expected,
+    }
 }
 
 /// Position at time T of a box. A pusher starts at rest under the force u, reaches the box and
@@ -124,7 +131,14 @@ fn pusher() -> Example {
     let by_gap = by(t / (2.0 * gap), v / (2.0 * gap));
     let by_u = by(-t / (2.0 * u), v / (2.0 * u)) + left * left / (2.0 * total);
     let expected = vec![-by_gap, 1.0 + by_gap, f64::NAN, f64::NAN, by_u];
-    Example { name: "pusher and box", start: vec![0.0, 0.3, 0.0, 0.0], control: u, component: 1, time, expected }
+    Example {
+        name: "pusher and box",
+        start: vec![0.0, 0.3, 0.0, 0.0],
+        control: u,
+        component: 1,
+        time,
+        expected,
+    }
 }
 
 impl Example {
@@ -135,8 +149,9 @@ impl Example {
     /// Largest error of a derivative, relative to its closed form; absolute if that is zero.
     fn off(&self, found: impl IntoIterator<Item = f64>) -> f64 {
         let compared = self.expected.iter().filter(|expected| !expected.is_nan());
-        let share =
-            |(found, expected): (f64, &f64)| (found - expected).abs() / if *expected == 0.0 { 1.0 } else { expected.abs() };
+        let share = |(found, expected): (f64, &f64)| {
+            (found - expected).abs() / if *expected == 0.0 { 1.0 } else { expected.abs() }
+        };
         found.into_iter().zip(compared).map(share).fold(0.0, larger)
     }
 
@@ -155,7 +170,11 @@ impl Example {
         let mut index = 0;
         let mut seeded = |(value, expected): (&f64, &f64)| {
             index += usize::from(!expected.is_nan());
-            if expected.is_nan() { Dual::constant(*value) } else { Dual::variable(*value, index - 1) }
+            if expected.is_nan() {
+                Dual::constant(*value)
+            } else {
+                Dual::variable(*value, index - 1)
+            }
         };
         let mut x: Vec<Dual<f64, 4>> = inputs.iter().zip(&self.expected).map(&mut seeded).collect();
         let u = x.pop().expect("a control");
@@ -168,19 +187,37 @@ impl Example {
     }
 
     fn exact(&self, system: &dyn crate::AnySystem<f64>, dt: f64) -> Finding {
-        Finding::at_most(format!("{}, time of impact: relative error of derivatives", self.name), self.error(system, dt), 0.01)
+        Finding::at_most(
+            format!("{}, time of impact: relative error of derivatives", self.name),
+            self.error(system, dt),
+            0.01,
+        )
     }
 
     /// Errors of spring contacts, in steps short enough for derivatives and in steps that resolve
     /// the contact.
-    fn springs<S: System>(&self, reduced_mass: f64, system: impl Fn(Contact, f64) -> S) -> [Finding; 2] {
-        let [converging, biased] =
-            [short, resolved].map(|dt: fn(f64) -> f64| STIFFNESSES.map(|k| self.forward_error(&system(spring(k), dt(k)), dt(k))));
+    fn springs<S: System>(
+        &self,
+        reduced_mass: f64,
+        system: impl Fn(Contact, f64) -> S,
+    ) -> [Finding; 2] {
+        let [converging, biased] = [short, resolved].map(|dt: fn(f64) -> f64| {
+            STIFFNESSES.map(|k| self.forward_error(&system(spring(k), dt(k)), dt(k)))
+        });
         let falling = converging.windows(2).all(|errors| errors[1] <= 0.5 * errors[0]);
         [
-            Finding::holds(format!("{}, springs: errors", self.name), "at most half each time", falling, formatted(converging)),
+            Finding::holds(
+                format!("{}, springs: errors", self.name),
+                "at most half each time",
+                falling,
+                formatted(converging),
+            ),
             Finding::info(
-                format!("{}, springs with {} steps per contact (biased): errors", self.name, steps_per_contact(reduced_mass)),
+                format!(
+                    "{}, springs with {} steps per contact (biased): errors",
+                    self.name,
+                    steps_per_contact(reduced_mass)
+                ),
                 formatted(biased),
             ),
         ]
@@ -194,15 +231,26 @@ fn contact() -> Vec<Finding> {
     // reverses.
     for (name, time) in [("bouncing ball, soon after", 0.55), ("bouncing ball, long after", 0.95)] {
         let example = ball(name, 0.8, 1.0, -0.5, time);
-        findings.push(Finding::info(format!("{name}: closed form, by height"), format!("{:.4}", example.expected[0])));
+        findings.push(Finding::info(
+            format!("{name}: closed form, by height"),
+            format!("{:.4}", example.expected[0]),
+        ));
         findings.push(example.exact(&bouncing, bouncing.dt));
         findings.push(reflected(&example));
     }
     let elastic = ball("elastic ball from near the floor", 1.0, 0.01, -4.0, 0.0525);
-    findings.extend(elastic.springs(bouncing.mass, |contact, dt| BouncingBall { contact, dt, ..bouncing }));
+    findings.extend(elastic.springs(bouncing.mass, |contact, dt| BouncingBall {
+        contact,
+        dt,
+        ..bouncing
+    }));
     findings.push(balls(0.5, 0.8).exact(&TwoBodies::balls(), 0.01));
     let equal = TwoBodies::balls();
-    findings.extend(balls(0.11, 0.06).springs(reduced_mass(&equal), |contact, dt| TwoBodies { contact, dt, ..equal }));
+    findings.extend(balls(0.11, 0.06).springs(reduced_mass(&equal), |contact, dt| TwoBodies {
+        contact,
+        dt,
+        ..equal
+    }));
     findings.push(pusher().exact(&TwoBodies::pusher(), 0.01));
     findings.extend(damped_pusher());
     findings.extend(damped_ball());
@@ -235,7 +283,11 @@ impl System for Reflected {
 fn reflected(example: &Example) -> Finding {
     let dt = 1e-4;
     let error = example.error(&Reflected(BouncingBall { dt, ..BouncingBall::default() }), dt);
-    Finding::at_least(format!("{}, speed reflected below the floor, steps of 1e-4 s: error", example.name), error, 0.5)
+    Finding::at_least(
+        format!("{}, speed reflected below the floor, steps of 1e-4 s: error", example.name),
+        error,
+        0.5,
+    )
 }
 
 /// Pusher and box with inelastic contact. Momentum conservation determines the final motion for any
@@ -249,9 +301,15 @@ fn damped_pusher() -> [Finding; 2] {
     // Steps of an undamped contact. Damping changes the duration.
     let steps = steps_per_contact(reduced_mass(&TwoBodies::pusher()));
     [
-        Finding::at_most("pusher and box, damped springs: error at 1e5 N/m", error(1e5, short(1e5)), 0.01),
+        Finding::at_most(
+            "pusher and box, damped springs: error at 1e5 N/m",
+            error(1e5, short(1e5)),
+            0.01,
+        ),
         Finding::info(
-            format!("pusher and box, damped springs with {steps} steps per contact (biased): errors"),
+            format!(
+                "pusher and box, damped springs with {steps} steps per contact (biased): errors"
+            ),
             formatted(biased),
         ),
     ]
@@ -263,7 +321,8 @@ fn damped_ball() -> [Finding; 2] {
     let speed = f64::sqrt(16.0 + 2.0 * 9.81 * 0.01);
     let rebound = |damping: f64| {
         let contact = Contact::Penalty { stiffness: 1e6, damping };
-        let system = BouncingBall { contact, dt: resolved(1e6), gravity: 0.0, ..BouncingBall::default() };
+        let system =
+            BouncingBall { contact, dt: resolved(1e6), gravity: 0.0, ..BouncingBall::default() };
         states(&system, &[0.0, -speed], 0.0, 120)[120][1] / speed
     };
     let (mut low, mut high) = (0.0, 1.0);
@@ -275,8 +334,13 @@ fn damped_ball() -> [Finding; 2] {
         let (contact, dt) = (Contact::Penalty { stiffness, damping: low }, short(stiffness));
         example.forward_error(&BouncingBall { contact, dt, ..BouncingBall::default() }, dt)
     });
-    let what = format!("ball, springs with a damping of {low:.3} s/m, with equal rebound (biased): errors");
-    [Finding::info(what, formatted(errors)), Finding::at_least("ball, damped springs (biased): error at 1e6 N/m", errors[2], 0.1)]
+    let what = format!(
+        "ball, springs with a damping of {low:.3} s/m, with equal rebound (biased): errors"
+    );
+    [
+        Finding::info(what, formatted(errors)),
+        Finding::at_least("ball, damped springs (biased): error at 1e6 N/m", errors[2], 0.1),
+    ]
 }
 
 /// Stability report for 1e6 N/m in steps of 0.01 s.
@@ -286,5 +350,10 @@ fn too_stiff() -> Finding {
     let report = check::stability(&system, Inputs::new(&[-1e-3, 0.0], &[0.0]));
     let error = ball("", 1.0, 1.0, -0.5, 0.55).error(&system, system.dt);
     let measured = format!("{report}; relative error of derivatives {:.0} %", 100.0 * error);
-    Finding::holds("1e6 N/m in steps of 0.01 s", "reported as unstable", !report.is_stable(), measured)
+    Finding::holds(
+        "1e6 N/m in steps of 0.01 s",
+        "reported as unstable",
+        !report.is_stable(),
+        measured,
+    )
 }

@@ -2,13 +2,15 @@
 
 use super::steps::{error, finite, larger, vjp_by_jvps};
 use super::{Case, Finding};
-use physgrad::Forced;
-use physgrad::{Inputs, Tangents};
 use crate::step;
-use physgrad::System;
 use crate::{AnySystem, vjp};
+use physgrad::Forced;
+use physgrad::System;
+use physgrad::tasks::{
+    Evade, Flock, Friction, GuidanceEffect, GuidanceSystem, Obstacles, Spread, Walls,
+};
 use physgrad::{Float, Real, Scalar, Single};
-use physgrad::tasks::{Evade, Flock, Friction, GuidanceEffect, GuidanceSystem, Obstacles, Spread, Walls};
+use physgrad::{Inputs, Tangents};
 
 pub(super) const CASES: &[Case] = &[Case {
     name: "guidance_distances",
@@ -88,9 +90,21 @@ fn findings_at<R: Real>(distances: &[f64], allowed: f64) -> Vec<Finding> {
         }
     }
     vec![
-        Finding::all(format!("distances in {} with finite results", <R::Real as Float>::NAME), finite_count, distances.len()),
-        Finding::at_most(format!("VJP against dual numbers in {}", <R::Real as Float>::NAME), vjp_error, allowed),
-        Finding::at_most(format!("relative error of forces in {}", <R::Real as Float>::NAME), force_error, allowed),
+        Finding::all(
+            format!("distances in {} with finite results", <R::Real as Float>::NAME),
+            finite_count,
+            distances.len(),
+        ),
+        Finding::at_most(
+            format!("VJP against dual numbers in {}", <R::Real as Float>::NAME),
+            vjp_error,
+            allowed,
+        ),
+        Finding::at_most(
+            format!("relative error of forces in {}", <R::Real as Float>::NAME),
+            force_error,
+            allowed,
+        ),
     ]
 }
 
@@ -101,7 +115,8 @@ fn findings_at<R: Real>(distances: &[f64], allowed: f64) -> Vec<Finding> {
 fn derivatives<R: Real>(system: &dyn AnySystem<R>, distance: f64) -> (bool, f64) {
     let (n, m) = (system.state_dim(), system.control_dim());
     let position = |agent: usize| [0.6, 0.8].map(|share| R::from(agent as f64 * distance * share));
-    let x: Vec<R> = (0..4).flat_map(|agent| position(agent).into_iter().chain([R::zero(); 2])).collect();
+    let x: Vec<R> =
+        (0..4).flat_map(|agent| position(agent).into_iter().chain([R::zero(); 2])).collect();
     let u = vec![R::zero(); m];
     let mut next = vec![R::zero(); n];
     system.step(Inputs::new(&x, &u), &mut next);
@@ -109,7 +124,11 @@ fn derivatives<R: Real>(system: &dyn AnySystem<R>, distance: f64) -> (bool, f64)
     for k in 0..n {
         let mut x_tan = vec![R::zero(); n];
         x_tan[k] = R::one();
-        system.jvp(Inputs::new(&x, &u), Tangents { x: Some(&x_tan), ..Tangents::default() }, &mut next);
+        system.jvp(
+            Inputs::new(&x, &u),
+            Tangents { x: Some(&x_tan), ..Tangents::default() },
+            &mut next,
+        );
         all_finite &= finite(&next);
     }
     for agent in 0..4 {
@@ -119,7 +138,11 @@ fn derivatives<R: Real>(system: &dyn AnySystem<R>, distance: f64) -> (bool, f64)
         let [x_dual, u_dual] = vjp_by_jvps(system, &x, &u, &bar);
         let positions = |v: &[R]| (0..n).filter(|k| k % 4 < 2).map(|k| v[k]).collect::<Vec<R>>();
         all_finite &= [&x_bar, &u_bar, &x_dual, &u_dual].into_iter().all(|bar| finite(bar));
-        for error in [error(&x_bar, &x_dual), error(&u_bar, &u_dual), error(&positions(&x_bar), &positions(&x_dual))] {
+        for error in [
+            error(&x_bar, &x_dual),
+            error(&u_bar, &u_dual),
+            error(&positions(&x_bar), &positions(&x_dual)),
+        ] {
             worst = larger(worst, error);
         }
     }
@@ -132,7 +155,11 @@ fn relative_force_error<R: Real>(distance: f64) -> f64 {
     let (zero, along, across) = (R::zero(), R::from(0.6 * distance), R::from(0.8 * distance));
     let mut next = [zero; 8];
     let system: Crowd = Forced { system: model, effects: vec![Evade::default().into()] };
-    step(&system, Inputs::new(&[zero, zero, zero, zero, along, across, zero, zero], &[zero; 2]), &mut next);
+    step(
+        &system,
+        Inputs::new(&[zero, zero, zero, zero, along, across, zero, zero], &[zero; 2]),
+        &mut next,
+    );
     let force = 15.0 / (0.1 + distance) * (distance / (0.1 + distance));
     let shares = [next[6].lane(0).to_f64() / force, next[7].lane(0).to_f64() / force];
     larger((shares[0] - 0.6).abs(), (shares[1] - 0.8).abs())

@@ -2,8 +2,8 @@
 
 use super::steps::{derivative, finite, larger, states};
 use super::{Case, Finding};
-use physgrad::check;
 use physgrad::Inputs;
+use physgrad::check;
 use physgrad::tasks::{FrictionScheme, SliderSystem};
 
 pub(super) const CASES: &[Case] = &[Case {
@@ -52,34 +52,56 @@ fn implicit(smoothing: f64) -> Vec<Finding> {
     let system = slider(smoothing, FrictionScheme::Implicit);
     let states = states(&system, &START, 0.0, STEPS);
     let speeds = || states.iter().map(|x| x[1]);
-    let largest = speeds().map(|v| check::stability(&system, Inputs::new(&[0.0, v], &[0.0])).multiplier).fold(0.0, larger);
+    let largest = speeds()
+        .map(|v| check::stability(&system, Inputs::new(&[0.0, v], &[0.0])).multiplier)
+        .fold(0.0, larger);
     // Position is neutrally stable: its multiplier is 1.
-    let mut findings = vec![Finding::at_most(format!("ε = {smoothing:.0e}: multiplier of implicit steps"), largest, 1.0 + 1e-6)];
+    let mut findings = vec![Finding::at_most(
+        format!("ε = {smoothing:.0e}: multiplier of implicit steps"),
+        largest,
+        1.0 + 1e-6,
+    )];
     let turned = speeds().filter(|&v| v < 0.0).count();
-    findings.push(Finding::at_most(format!("ε = {smoothing:.0e}: implicit states with a speed below 0"), turned as f64, 0.0));
+    findings.push(Finding::at_most(
+        format!("ε = {smoothing:.0e}: implicit states with a speed below 0"),
+        turned as f64,
+        0.0,
+    ));
 
     // v̇ = -a tanh(v/ε): sinh(v/ε) decays as exp(-a t/ε). "At rest" means below 1 % of the initial
     // speed and below 3 ε.
     let (a, rest) = (deceleration(&system), f64::min(0.01, 3.0 * smoothing));
-    let ln_sinh = |v: f64| v / smoothing + (-(-2.0 * v / smoothing).exp()).ln_1p() - std::f64::consts::LN_2;
+    let ln_sinh =
+        |v: f64| v / smoothing + (-(-2.0 * v / smoothing).exp()).ln_1p() - std::f64::consts::LN_2;
     let expected = smoothing / a * (ln_sinh(1.0) - ln_sinh(rest));
-    let stopped = speeds().position(|v| v < rest).map_or(f64::INFINITY, |step| step as f64 * system.dt);
+    let stopped =
+        speeds().position(|v| v < rest).map_or(f64::INFINITY, |step| step as f64 * system.dt);
     let late = format!(
         "ε = {smoothing:.0e}: stops after {stopped:.2} s (without smoothing {:.4} s); difference in steps from {expected:.4} s",
         1.0 / a
     );
-    findings.push(Finding::at_most(late, (stopped - expected).abs() / system.dt, late_steps(smoothing, &system)));
+    findings.push(Finding::at_most(
+        late,
+        (stopped - expected).abs() / system.dt,
+        late_steps(smoothing, &system),
+    ));
 
     let (by_start, _) = derivative(&system, &states, 0.0, 0);
     let slope = by_start[1] * a;
-    let what = format!("ε = {smoothing:.0e}: derivative of the distance by v₀, relative to v₀/(μ g)");
+    let what =
+        format!("ε = {smoothing:.0e}: derivative of the distance by v₀, relative to v₀/(μ g)");
     findings.push(match smoothing {
         s if s < 5e-3 => Finding::near(what, slope, 1.0, 0.02),
         _ => Finding::holds(what, "finite", finite(&by_start), format!("{slope:.4}")),
     });
     if smoothing < 5e-6 {
         let distance = (states[STEPS][0] + 0.5 * system.dt) * 2.0 * a;
-        findings.push(Finding::near(format!("ε = {smoothing:.0e}: distance, relative to v₀²/(2 μ g)"), distance, 1.0, 0.01));
+        findings.push(Finding::near(
+            format!("ε = {smoothing:.0e}: distance, relative to v₀²/(2 μ g)"),
+            distance,
+            1.0,
+            0.01,
+        ));
     }
     findings
 }
@@ -104,14 +126,22 @@ fn explicit(smoothing: f64) -> Vec<Finding> {
     let measured = format!("{report}; {turns} of 49 steps reverse, at up to {left:.1e} m/s");
     vec![
         Finding::at_most(
-            format!("ε = {smoothing:.0e}: multiplier of explicit steps at rest, {expected:.4}: relative error"),
+            format!(
+                "ε = {smoothing:.0e}: multiplier of explicit steps at rest, {expected:.4}: relative error"
+            ),
             (report.multiplier / expected - 1.0).abs(),
             1e-6,
         ),
         Finding::holds(
             format!("ε = {smoothing:.0e}: explicit steps"),
-            if expected > 1.0 { "oscillate, and are reported as unstable" } else { "come to rest, and are reported as stable" },
-            chatters == (expected > 1.0) && report.is_stable() != chatters && (chatters || left < smoothing),
+            if expected > 1.0 {
+                "oscillate, and are reported as unstable"
+            } else {
+                "come to rest, and are reported as stable"
+            },
+            chatters == (expected > 1.0)
+                && report.is_stable() != chatters
+                && (chatters || left < smoothing),
             measured,
         ),
     ]

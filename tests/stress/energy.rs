@@ -2,12 +2,12 @@
 
 use super::steps::larger;
 use super::{Case, Finding};
-use physgrad::{Inputs, OdeInputs};
-use physgrad::{Integrated, Integrator, RungeKutta, SemiImplicit};
-use physgrad::Ode;
 use crate::step;
+use physgrad::Ode;
 use physgrad::Scalar;
 use physgrad::tasks::{CartPoleSystem, DoublePendulum, PoleChain};
+use physgrad::{Inputs, OdeInputs};
+use physgrad::{Integrated, Integrator, RungeKutta, SemiImplicit};
 use std::f64::consts::PI;
 
 pub(super) const CASES: &[Case] = &[Case {
@@ -60,16 +60,29 @@ fn energy() -> Vec<Finding> {
         drift(Pendulum, &START, 0, &pendulum_energy),
         1e-9,
     )];
-    let (double, chain) = (DoublePendulum::default(), PoleChain(CartPoleSystem { poles: 3, ..CartPoleSystem::default() }));
+    let (double, chain) = (
+        DoublePendulum::default(),
+        PoleChain(CartPoleSystem { poles: 3, ..CartPoleSystem::default() }),
+    );
     let horizontal = [1.57, 0.0, 1.57, 0.0];
     for (name, drift) in [
         ("double pendulum", drift(double, &horizontal, 0, &|x| double.energy(x))),
-        ("chain of 3 poles", drift(chain, &[0.0, 0.0, 0.5, 0.0, 0.3, 0.0, 0.1, 0.0], 2, &|x| chain.energy(x))),
+        (
+            "chain of 3 poles",
+            drift(chain, &[0.0, 0.0, 0.5, 0.0, 0.3, 0.0, 0.1, 0.0], 2, &|x| chain.energy(x)),
+        ),
     ] {
-        findings.push(Finding::info(format!("{name}, RK4, 10 s: largest relative change of energy"), format!("{drift:.1e}")));
+        findings.push(Finding::info(
+            format!("{name}, RK4, 10 s: largest relative change of energy"),
+            format!("{drift:.1e}"),
+        ));
     }
     let long = tenths(SemiImplicit, 1_000_000);
-    findings.push(Finding::at_most("semi-implicit Euler, a million steps: trend relative to the amplitude", long.trend, 0.01));
+    findings.push(Finding::at_most(
+        "semi-implicit Euler, a million steps: trend relative to the amplitude",
+        long.trend,
+        0.01,
+    ));
     findings.push(Finding::at_most(
         "semi-implicit Euler: largest error in the last tenth over that in the first",
         long.growth,
@@ -80,7 +93,11 @@ fn energy() -> Vec<Finding> {
         format!("{:.1e}", long.amplitude),
     ));
     let explicit = tenths(RungeKutta::EULER, 10_000);
-    findings.push(Finding::at_least("explicit Euler, 10,000 steps: trend relative to the amplitude", explicit.trend, 0.1));
+    findings.push(Finding::at_least(
+        "explicit Euler, 10,000 steps: trend relative to the amplitude",
+        explicit.trend,
+        0.1,
+    ));
     findings
 }
 
@@ -143,7 +160,11 @@ fn tenths_of(steps: usize, mut error: impl FnMut(usize) -> f64) -> Tenths {
     }
     let amplitude = 0.5 * (high - low);
     let trend = (sums[9] - sums[0]).abs() / (0.1 * steps as f64) / amplitude;
-    Tenths { trend, growth: largest[9] / largest[0], amplitude: amplitude / scale(START.len(), 0, &pendulum_energy) }
+    Tenths {
+        trend,
+        growth: largest[9] / largest[0],
+        amplitude: amplitude / scale(START.len(), 0, &pendulum_energy),
+    }
 }
 
 #[cfg(test)]
@@ -157,7 +178,8 @@ mod tests {
         let finite = tenths_of(1000, oscillation);
         assert!(finite.trend <= 0.1 && finite.growth <= 1.01, "{} {}", finite.trend, finite.growth);
         for nan_from in [0, 950] {
-            let Tenths { trend, growth, .. } = tenths_of(1000, |t| if t < nan_from { oscillation(t) } else { f64::NAN });
+            let Tenths { trend, growth, .. } =
+                tenths_of(1000, |t| if t < nan_from { oscillation(t) } else { f64::NAN });
             let passes = trend <= 0.1 || growth <= 1.01;
             assert!(!passes, "NaN from step {nan_from}: {trend} {growth}");
         }

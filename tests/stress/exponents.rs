@@ -1,17 +1,17 @@
 //! Stress case: adjoints that explode or vanish far beyond the floating-point range.
 
 use super::{Case, Finding};
-use physgrad::{Inputs, Start};
+use physgrad::Batch;
+use physgrad::ExtendedF64;
+use physgrad::Field;
+use physgrad::Flow;
+use physgrad::Gradient;
 use physgrad::System;
 use physgrad::Task;
-use physgrad::Flow;
-use physgrad::Batch;
-use physgrad::Gradient;
-use physgrad::ExtendedF64;
+use physgrad::policy::{Linear, Weights};
 use physgrad::rng::Rng;
 use physgrad::{Float, Scalar};
-use physgrad::policy::{Linear, Weights};
-use physgrad::Field;
+use physgrad::{Inputs, Start};
 
 pub(super) const CASES: &[Case] = &[Case {
     name: "exploding_adjoint",
@@ -115,14 +115,18 @@ fn of_precision<F: Float>(plants: &[[f64; 3]], allowed: f64) -> Vec<Finding> {
         let mut combined = Gradient::zeros(2);
         Field::combined().combine(batch.gradients(), &mut combined);
         let [m, r] = [Flow::MODIFIED, Flow::REGULAR].map(|flow| reference::<F>(&plant, gain, flow));
-        let c = [0, 1].map(|i| if m[i].signum() == r[i].signum() { m[i] } else { ExtendedF64::default() });
-        for (found, expected) in [(&batch.gradients()[0], m), (&batch.gradients()[1], r), (&combined, c)] {
+        let c = [0, 1]
+            .map(|i| if m[i].signum() == r[i].signum() { m[i] } else { ExtendedF64::default() });
+        for (found, expected) in
+            [(&batch.gradients()[0], m), (&batch.gradients()[1], r), (&combined, c)]
+        {
             let sign = |g: f64| if g == 0.0 { 0.0 } else { g.signum() };
             for (&value, expected) in found.values().iter().zip(expected) {
                 all += 1;
                 right += usize::from(sign(value.as_()) == expected.signum());
             }
-            let largest = if expected[0].log10() > expected[1].log10() { expected[0] } else { expected[1] };
+            let largest =
+                if expected[0].log10() > expected[1].log10() { expected[0] } else { expected[1] };
             let i = usize::from(largest == expected[1]);
             let value = ExtendedF64::new(found.values()[i].as_(), found.exponent());
             if largest != ExtendedF64::default() {
@@ -134,8 +138,16 @@ fn of_precision<F: Float>(plants: &[[f64; 3]], allowed: f64) -> Vec<Finding> {
         }
     }
     vec![
-        Finding::all(format!("components of R, M and C in {} with the correct sign", F::NAME), right, all),
-        Finding::at_most(format!("relative error of the largest components in {}", F::NAME), worst, allowed),
+        Finding::all(
+            format!("components of R, M and C in {} with the correct sign", F::NAME),
+            right,
+            all,
+        ),
+        Finding::at_most(
+            format!("relative error of the largest components in {}", F::NAME),
+            worst,
+            allowed,
+        ),
         Finding::info(format!("largest component in {}", F::NAME), longest.to_string()),
     ]
 }

@@ -1,17 +1,17 @@
 //! Stress case: location of non-finite values, and skipped updates.
 
 use super::{Case, Finding};
+use physgrad::Batch;
 use physgrad::Cause;
+use physgrad::Field;
+use physgrad::Flow;
+use physgrad::Scalar;
+use physgrad::Task;
+use physgrad::policy::{Linear, Weights};
+use physgrad::rng::{Purpose, Rng, stream};
+use physgrad::{Divergence, Variable};
 use physgrad::{Effect, Forced, ForcedSystem};
 use physgrad::{Inputs, OdeInputs, Start};
-use physgrad::Task;
-use physgrad::Flow;
-use physgrad::Batch;
-use physgrad::{Divergence, Variable};
-use physgrad::rng::{Purpose, Rng, stream};
-use physgrad::Scalar;
-use physgrad::policy::{Linear, Weights};
-use physgrad::Field;
 use physgrad::{Trainer, Training};
 use rand::RngExt;
 
@@ -51,7 +51,12 @@ impl ForcedSystem for PointMass {
         DT
     }
     #[inline(always)]
-    fn forced_step<E: Effect<Self>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]) {
+    fn forced_step<E: Effect<Self>, T: Scalar>(
+        &self,
+        effects: &E,
+        inputs: Inputs<'_, T>,
+        next: &mut [T],
+    ) {
         let (x, mut force) = (inputs.x, [inputs.u[0]]);
         effects.add_forces(self, inputs.continuous(DT), &mut force);
         next[1] = x[1] + force[0] * DT;
@@ -68,8 +73,14 @@ struct Injected {
 }
 
 impl Effect<PointMass> for Injected {
-    fn add_forces<T: Scalar>(&self, _model: &PointMass, OdeInputs { x, t, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
-        let fault = if self.in_derivative { (x[1] - x[1].detach()).sqrt() } else { T::from(f64::NAN) };
+    fn add_forces<T: Scalar>(
+        &self,
+        _model: &PointMass,
+        OdeInputs { x, t, .. }: OdeInputs<'_, T>,
+        forces: &mut [T],
+    ) {
+        let fault =
+            if self.in_derivative { (x[1] - x[1].detach()).sqrt() } else { T::from(f64::NAN) };
         let time_difference = (t - (self.step as f64 * DT)).abs();
         let of_sample = T::select_lt(T::from(50.0), x[0], fault, T::zero());
         forces[0] += T::select_lt(time_difference, T::from(0.5 * DT), of_sample, T::zero());
@@ -107,20 +118,29 @@ fn injected_nan() -> Vec<Finding> {
     let (mut named, mut unchanged, mut all) = (0, 0, 0);
     for (step, bad) in [(0, 0), (1, 10), (7, 3), (17, 8), (HORIZON - 1, 5)] {
         for in_derivative in [false, true] {
-            let task = || ReturnTask(Forced { system: PointMass, effects: Injected { step, in_derivative } });
+            let task = || {
+                ReturnTask(Forced { system: PointMass, effects: Injected { step, in_derivative } })
+            };
             let starts: Vec<f64> = (0..SAMPLES)
                 .flat_map(|sample| {
                     let mut x = [0.0; 2];
-                    task().start(&mut stream(0, Purpose::Train, sample as u64), Start { x: &mut x, p: &mut [] });
+                    task().start(
+                        &mut stream(0, Purpose::Train, sample as u64),
+                        Start { x: &mut x, p: &mut [] },
+                    );
                     x[0] += if sample == bad { 100.0 } else { 0.0 };
                     x
                 })
                 .collect();
             let cause = Some(Cause::Effect("Injected"));
             let is_named = |divergence: Divergence| match divergence {
-                Divergence::Forward { variable: Variable::State, step: at, sample, component, cause: found } => {
-                    !in_derivative && (at, sample, component, found) == (step + 1, bad, 0, cause)
-                }
+                Divergence::Forward {
+                    variable: Variable::State,
+                    step: at,
+                    sample,
+                    component,
+                    cause: found,
+                } => !in_derivative && (at, sample, component, found) == (step + 1, bad, 0, cause),
                 Divergence::Cotangent {
                     flow: Flow::MODIFIED,
                     variable: Variable::State,
@@ -132,15 +152,22 @@ fn injected_nan() -> Vec<Finding> {
                 _ => false,
             };
             for workers in [1, 2, 8] {
-                let found =
-                    Batch::new(&task(), &policy, SAMPLES, &field.flows(), workers).run(&task(), &policy, &weights, &starts);
+                let found = Batch::new(&task(), &policy, SAMPLES, &field.flows(), workers).run(
+                    &task(),
+                    &policy,
+                    &weights,
+                    &starts,
+                );
                 all += 1;
                 named += usize::from(found.err().is_some_and(is_named));
                 let training = Training { batch: SAMPLES, workers, ..Training::default() };
-                let trainer = Trainer::new(task(), policy.clone()).precision::<f64>().training(training);
-                let session = trainer.session_from(weights.theta().to_vec(), starts.clone(), starts.clone());
+                let trainer =
+                    Trainer::new(task(), policy.clone()).precision::<f64>().training(training);
+                let session =
+                    trainer.session_from(weights.theta().to_vec(), starts.clone(), starts.clone());
                 let is_unchanged = session.is_ok_and(|mut session| {
-                    session.epoch().is_ok_and(|record| record.skipped == 1) && session.weights().theta() == weights.theta()
+                    session.epoch().is_ok_and(|record| record.skipped == 1)
+                        && session.weights().theta() == weights.theta()
                 });
                 unchanged += usize::from(is_unchanged);
             }

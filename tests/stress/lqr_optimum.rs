@@ -1,16 +1,16 @@
 //! Stress case: all fields vanish at the optimum of the linear-quadratic regulator.
 
 use super::{Case, Finding};
+use physgrad::Batch;
+use physgrad::Field;
+use physgrad::Flow;
+use physgrad::Gradient;
 use physgrad::System;
 use physgrad::Task;
-use physgrad::Flow;
-use physgrad::Batch;
-use physgrad::Gradient;
 use physgrad::initial_states;
-use physgrad::rng::Purpose;
 use physgrad::policy::{Linear, Weights};
+use physgrad::rng::Purpose;
 use physgrad::tasks::Lqr;
-use physgrad::Field;
 
 pub(super) const CASES: &[Case] = &[Case {
     name: "lqr_optimum",
@@ -34,12 +34,20 @@ fn lqr_optimum() -> Vec<Finding> {
         for horizon in [1, 10, 50, 100] {
             lqr.horizon = horizon;
             for (field, largest) in ["M", "R", "C"].into_iter().zip(largest(&lqr, &best)) {
-                findings.push(Finding::at_most(format!("{name} plant, T = {horizon}: {field}"), largest, 1e-11));
+                findings.push(Finding::at_most(
+                    format!("{name} plant, T = {horizon}: {field}"),
+                    largest,
+                    1e-11,
+                ));
             }
         }
         let wrong = largest(&lqr, &best.iter().map(|gain| gain * (1.0 + 1e-6)).collect::<Vec<_>>());
         for (field, largest) in ["M", "R"].into_iter().zip(wrong) {
-            findings.push(Finding::at_least(format!("{name} plant, gain error of 1e-6: {field}"), largest, 1e-11));
+            findings.push(Finding::at_least(
+                format!("{name} plant, gain error of 1e-6: {field}"),
+                largest,
+                1e-11,
+            ));
         }
     }
     findings
@@ -56,6 +64,10 @@ fn largest(lqr: &Lqr, gain: &[f64]) -> [f64; 3] {
     let mut combined = Gradient::zeros(gain.len());
     Field::combined().combine(batch.gradients(), &mut combined);
     let size = |field: &[f64]| field.iter().fold(0.0, |largest: f64, g| largest.max(g.abs()));
-    let all = [size(batch.gradients()[0].values()), size(batch.gradients()[1].values()), size(combined.values())];
+    let all = [
+        size(batch.gradients()[0].values()),
+        size(batch.gradients()[1].values()),
+        size(combined.values()),
+    ];
     if ran.is_ok() { all } else { [f64::NAN; 3] }
 }

@@ -7,18 +7,18 @@
 //! components of M that agree in sign with R.
 
 use super::{Case, Finding};
+use physgrad::Batch;
+use physgrad::Field;
+use physgrad::Growth;
 use physgrad::Inputs;
+use physgrad::Rollout;
 use physgrad::System;
 use physgrad::Task;
-use physgrad::{Adjoint, Flow};
-use physgrad::Batch;
-use physgrad::Growth;
 use physgrad::initial_states;
-use physgrad::Rollout;
-use physgrad::rng::Purpose;
 use physgrad::policy::{Linear, Weights};
+use physgrad::rng::Purpose;
 use physgrad::tasks::Lqr;
-use physgrad::Field;
+use physgrad::{Adjoint, Flow};
 use physgrad::{Clip, OptimizerKind};
 use physgrad::{Trainer, Training};
 
@@ -53,10 +53,12 @@ fn lqr_unstable() -> Vec<Finding> {
         let what = format!("T = {horizon}: decades of growth of M per 1000 steps");
         findings.push(Finding::near(what, 1000.0 * growth, 1000.0 * radius.log10(), 0.1));
         let metered = metered(&lqr, &stiff);
-        let what = format!("T = {horizon}: decades of growth of M per 1000 steps, by the growth meter");
+        let what =
+            format!("T = {horizon}: decades of growth of M per 1000 steps, by the growth meter");
         let decades = metered.map_or(f64::NAN, |growth| growth.along) / horizon as f64;
         findings.push(Finding::info(what, format!("{:.1}", 1000.0 * decades)));
-        let warns = metered.is_some_and(|growth| growth.warning(Flow::MODIFIED, horizon, f64::EPSILON).is_some());
+        let warns = metered
+            .is_some_and(|growth| growth.warning(Flow::MODIFIED, horizon, f64::EPSILON).is_some());
         let said = if warns { "reported" } else { "not reported" };
         findings.push(Finding::holds(
             format!("T = {horizon}: warning of the growth meter"),
@@ -82,7 +84,10 @@ fn lqr_unstable() -> Vec<Finding> {
                 .map(|seed| train(&lqr, Field::combined(), gain, one_by_one(seed)))
                 .max_by(|a, b| a.excess.total_cmp(&b.excess))
                 .expect("two runs");
-            let what = format!("T = {horizon}, from {name}: excess loss of C, worst of 2 seeds{}", worst.remark());
+            let what = format!(
+                "T = {horizon}, from {name}: excess loss of C, worst of 2 seeds{}",
+                worst.remark()
+            );
             findings.push(Finding::at_most(what, worst.excess, 1e-2));
         }
     }
@@ -95,10 +100,13 @@ fn lqr_unstable() -> Vec<Finding> {
     // Reports runs in which C may not converge.
     for seed in 1..3 {
         let trained = train(&lqr, Field::combined(), &stiff, one_by_one(seed));
-        findings.push(trained.finding(format!("T = 400, from 1.5 times the best gain, seed {seed}: C")));
+        findings.push(
+            trained.finding(format!("T = 400, from 1.5 times the best gain, seed {seed}: C")),
+        );
     }
     let trained = train(&lqr, Field::combined(), &gentle, in_batches());
-    findings.push(trained.finding("T = 400, from a gentle gain, by Adam over batches of 8: C".into()));
+    findings
+        .push(trained.finding("T = 400, from a gentle gain, by Adam over batches of 8: C".into()));
     findings
 }
 
@@ -123,7 +131,8 @@ fn norms(lqr: &Lqr, gain: &[f64]) -> [Vec<f64>; 2] {
     let weights = Weights::<f64>::new(&policy, gain.to_vec());
     let mut rollout = Rollout::new(lqr, &policy, 8);
     rollout.start(&starts(lqr, 0, Purpose::Train, 8));
-    let mut adjoint = Adjoint::new(lqr, &policy, &rollout, &[Flow::REGULAR, Flow::MODIFIED]).keep_norms();
+    let mut adjoint =
+        Adjoint::new(lqr, &policy, &rollout, &[Flow::REGULAR, Flow::MODIFIED]).keep_norms();
     // After a divergence, the norms are NaN, and every finding with a limit fails.
     let ran = rollout.run(lqr, &policy, &weights);
     let _ = ran.and_then(|()| adjoint.run(lqr, &policy, &weights, &rollout, 1.0));
@@ -141,7 +150,8 @@ fn directions(lqr: &Lqr, name: &str, gain: &[f64]) -> [Finding; 2] {
     let mut batch = Batch::new(lqr, &policy, 1, &[Flow::MODIFIED, Flow::REGULAR], 1);
     let (mut least, mut descends) = (f64::INFINITY, 0);
     for x in starts(lqr, 0, Purpose::Train, STARTS).chunks_exact(n) {
-        let (mut x, mut next, mut direction, mut weight) = (x.to_vec(), vec![0.0; n], vec![0.0; n], 1.0);
+        let (mut x, mut next, mut direction, mut weight) =
+            (x.to_vec(), vec![0.0; n], vec![0.0; n], 1.0);
         let ran = batch.run(lqr, &policy, &weights, &x);
         for _ in 0..lqr.horizon {
             (0..n).for_each(|i| direction[i] += weight * x[i]);
@@ -150,13 +160,16 @@ fn directions(lqr: &Lqr, name: &str, gain: &[f64]) -> [Finding; 2] {
             std::mem::swap(&mut x, &mut next);
         }
         let [modified, regular] = [0, 1].map(|k| &batch.gradients()[k]);
-        let along = if ran.is_ok() { cosine(modified.values(), &direction).abs() } else { f64::NAN };
+        let along =
+            if ran.is_ok() { cosine(modified.values(), &direction).abs() } else { f64::NAN };
         least = if along >= least { least } else { along };
         descends += usize::from(cosine(modified.values(), regular.values()) > 0.0);
     }
     [
         Finding::info(
-            format!("T = 400, at {name}: least cosine between M of one initial state and Σ_t a^{{-t}} x_t"),
+            format!(
+                "T = 400, at {name}: least cosine between M of one initial state and Σ_t a^{{-t}} x_t"
+            ),
             format!("{least:.6}"),
         ),
         Finding::info(
@@ -175,7 +188,8 @@ fn cosine(a: &[f64], b: &[f64]) -> f64 {
 fn gentle(lqr: &Lqr) -> Vec<f64> {
     let n = lqr.system().state_dim();
     let states = (0..n * n).map(|i| if i.is_multiple_of(n + 1) { 1.0 } else { 0.0 }).collect();
-    let costly = Lqr::new(lqr.system().clone(), states, vec![100.0]).expect("a gain stabilizes the plant");
+    let costly =
+        Lqr::new(lqr.system().clone(), states, vec![100.0]).expect("a gain stabilizes the plant");
     costly.optimum().gain.clone()
 }
 
@@ -209,27 +223,48 @@ const EPOCH: usize = 250;
 /// Larger batches remove the sign agreement that C requires: M varies between initial states, and
 /// its mean rarely agrees with R.
 fn one_by_one(seed: u64) -> Training {
-    Training { batch: 1, seed, rule: OptimizerKind::Sgd, learning_rate: 0.1, clip: Clip::Norm(1.0), ..in_batches() }
+    Training {
+        batch: 1,
+        seed,
+        rule: OptimizerKind::Sgd,
+        learning_rate: 0.1,
+        clip: Clip::Norm(1.0),
+        ..in_batches()
+    }
 }
 
 /// 3000 updates by the optimizer of the ICLR 2024 paper, with a learning rate large enough to reach
 /// the optimum.
 fn in_batches() -> Training {
-    Training { epochs: 3000 / EPOCH, batch: 8, shuffle: true, learning_rate: 0.03, ..Training::default() }
+    Training {
+        epochs: 3000 / EPOCH,
+        batch: 8,
+        shuffle: true,
+        learning_rate: 0.03,
+        ..Training::default()
+    }
 }
 
 fn train(lqr: &Lqr, field: Field, gain: &[f64], training: Training) -> Trained {
     let sets = [(Purpose::Train, EPOCH * training.batch), (Purpose::Test, 64)];
     let [train, test] = sets.map(|(purpose, count)| starts(lqr, training.seed, purpose, count));
     let least = lqr.least_loss(&test);
-    let trainer = Trainer::new(lqr.clone(), Linear::new(gain.len(), 1)).precision::<f64>().field(field).training(training);
-    let mut session = trainer.session_from(gain.to_vec(), train, test).expect("the settings are valid");
+    let trainer = Trainer::new(lqr.clone(), Linear::new(gain.len(), 1))
+        .precision::<f64>()
+        .field(field)
+        .training(training);
+    let mut session =
+        trainer.session_from(gain.to_vec(), train, test).expect("the settings are valid");
     while !session.is_done() && session.epoch().is_ok() {}
-    let excesses: Vec<f64> = session.records().iter().map(|record| record.test_loss / least - 1.0).collect();
+    let excesses: Vec<f64> =
+        session.records().iter().map(|record| record.test_loss / least - 1.0).collect();
     let kept = session.records().iter().filter_map(|record| record.kept);
     Trained {
         excess: if session.is_done() { excesses[excesses.len() - 1] } else { f64::NAN },
-        reached: excesses.iter().position(|&excess| excess <= 1e-2).map(|epoch| (epoch + 1) * EPOCH),
+        reached: excesses
+            .iter()
+            .position(|&excess| excess <= 1e-2)
+            .map(|epoch| (epoch + 1) * EPOCH),
         kept: kept.reduce(|a, b| a + b).map(|sum| sum / excesses.len() as f64),
     }
 }

@@ -21,7 +21,7 @@ mod quantum_plateau;
 mod random_states;
 mod steps;
 
-use physgrad::{CotangentPack, Cotangents, Cotangent as _, Inputs, Real, Scalar, System, Tangents};
+use physgrad::{Cotangent as _, CotangentPack, Cotangents, Inputs, Real, Scalar, System, Tangents};
 use std::fmt;
 
 /// Numerically difficult problem with a pass criterion.
@@ -106,11 +106,21 @@ impl Finding {
     /// Passes within the relative tolerance `share` of `expected`. Fails for NaN.
     pub fn near(what: impl Into<String>, measured: f64, expected: f64, share: f64) -> Self {
         let limit = format!("{} to within {} %", short(expected), share * 100.0);
-        Self::new(what, short(measured), limit, (measured - expected).abs() <= share * expected.abs())
+        Self::new(
+            what,
+            short(measured),
+            limit,
+            (measured - expected).abs() <= share * expected.abs(),
+        )
     }
 
     /// Passes if `pass` is true.
-    pub fn holds(what: impl Into<String>, limit: impl Into<String>, pass: bool, measured: impl Into<String>) -> Self {
+    pub fn holds(
+        what: impl Into<String>,
+        limit: impl Into<String>,
+        pass: bool,
+        measured: impl Into<String>,
+    ) -> Self {
         Self::new(what, measured.into(), limit.into(), pass)
     }
 
@@ -132,7 +142,8 @@ impl Finding {
 impl fmt::Display for Finding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { what, measured, limit, pass } = self;
-        let required = if limit.is_empty() { String::new() } else { format!(" (required: {limit})") };
+        let required =
+            if limit.is_empty() { String::new() } else { format!(" (required: {limit})") };
         write!(f, "{}: {what}: {measured}{required}", if *pass { "pass" } else { "FAIL" })
     }
 }
@@ -151,12 +162,20 @@ fn short(x: f64) -> String {
 
 /// Runs a case and prints its findings.
 fn passes(name: &str) {
-    let case = cases().find(|case| case.name == name).unwrap_or_else(|| panic!("there is no case `{name}`"));
+    let case = cases()
+        .find(|case| case.name == name)
+        .unwrap_or_else(|| panic!("there is no case `{name}`"));
     let findings = case.run();
     println!("{name}: {}\n  passes when: {}\n  {}", case.about, case.criterion, case.explanation);
     findings.iter().for_each(|finding| println!("  {finding}"));
-    let failed: Vec<String> = findings.iter().filter(|finding| !finding.pass).map(ToString::to_string).collect();
-    assert!(!findings.is_empty() && failed.is_empty(), "{name} requires: {}\n{}", case.criterion, failed.join("\n"));
+    let failed: Vec<String> =
+        findings.iter().filter(|finding| !finding.pass).map(ToString::to_string).collect();
+    assert!(
+        !findings.is_empty() && failed.is_empty(),
+        "{name} requires: {}\n{}",
+        case.criterion,
+        failed.join("\n")
+    );
 }
 
 /// Defines one test per case, with the name of the case, and a test that no case is missing.
@@ -237,8 +256,10 @@ fn step<S: System, T: Scalar>(system: &S, inputs: Inputs<'_, T>, next: &mut [T])
 /// parameters.
 fn vjp<R: Real>(system: &dyn AnySystem<R>, inputs: Inputs<'_, R>, next_bar: &[R]) -> [Vec<R>; 3] {
     let next_bar: Vec<One<R>> = next_bar.iter().map(|&bar| CotangentPack([bar])).collect();
-    let [mut x, mut u, mut p] = [inputs.x, inputs.u, inputs.p].map(|inputs| vec![One::<R>::null(); inputs.len()]);
-    let cotangents = Cotangents { x: Some(&mut x), u: Some(&mut u), p: (!p.is_empty()).then_some(&mut p) };
+    let [mut x, mut u, mut p] =
+        [inputs.x, inputs.u, inputs.p].map(|inputs| vec![One::<R>::null(); inputs.len()]);
+    let cotangents =
+        Cotangents { x: Some(&mut x), u: Some(&mut u), p: (!p.is_empty()).then_some(&mut p) };
     system.vjp(inputs, &next_bar, cotangents);
     [x, u, p].map(|cotangents| cotangents.into_iter().map(|CotangentPack([bar])| bar).collect())
 }

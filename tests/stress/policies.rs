@@ -1,10 +1,10 @@
 //! Stress case: saturated policies and very large angles.
 
 use super::{Case, Finding};
-use physgrad::check;
-use physgrad::rng::{Purpose, stream};
 use physgrad::Float;
+use physgrad::check;
 use physgrad::policy::{Mlp, Policy, PolicyColumns, PolicyPass, Weights};
+use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::CartPoleSystem;
 use rand::RngExt;
 
@@ -26,9 +26,13 @@ fn saturated_policy() -> Vec<Finding> {
         (0..2).for_each(|pole| x[2 + 2 * pole] *= 1e6);
         u[0] = rng.random_range(-1.0..1.0);
     });
-    let (worst, mismatch) = checked.map_or_else(|wrong| (f64::INFINITY, wrong.to_string()), |p| (p.worst, String::new()));
-    let mut findings =
-        vec![Finding::at_most(format!("cart-pole at angles of 1e6 rad, VJP against dual numbers{mismatch}"), worst, 1e-12)];
+    let (worst, mismatch) = checked
+        .map_or_else(|wrong| (f64::INFINITY, wrong.to_string()), |p| (p.worst, String::new()));
+    let mut findings = vec![Finding::at_most(
+        format!("cart-pole at angles of 1e6 rad, VJP against dual numbers{mismatch}"),
+        worst,
+        1e-12,
+    )];
     findings.extend(saturated::<f32>());
     findings.extend(saturated::<f64>());
     findings
@@ -42,11 +46,15 @@ fn saturated<F: Float>() -> [Finding; 2] {
     let mut finite = true;
     for (of_weights, of_inputs) in [(1.0, 1.0), (1e3, 1e-6)] {
         let mut weights = Weights::<F>::init(&policy, &mut stream(0, Purpose::Check, 0));
-        weights.update(&policy, |theta| theta.iter_mut().for_each(|t| *t *= F::from_f64(of_weights)));
-        let x: Vec<F> = (0..columns).flat_map(|c| x.map(|x| F::from_f64(x * of_inputs * (1.0 + 0.1 * c as f64)))).collect();
+        weights
+            .update(&policy, |theta| theta.iter_mut().for_each(|t| *t *= F::from_f64(of_weights)));
+        let x: Vec<F> = (0..columns)
+            .flat_map(|c| x.map(|x| F::from_f64(x * of_inputs * (1.0 + 0.1 * c as f64))))
+            .collect();
         let sizes = policy.sizes::<F>(columns);
         let zeros = |len: usize| vec![F::zero(); len];
-        let (mut tape, mut u, mut tape_bar) = (zeros(sizes.tape), zeros(columns), zeros(sizes.tape_bar));
+        let (mut tape, mut u, mut tape_bar) =
+            (zeros(sizes.tape), zeros(columns), zeros(sizes.tape_bar));
         let mut x_bar = vec![F::from_f64(f64::NAN); 4 * columns];
         let pass = PolicyPass::new(weights.packed(), PolicyColumns::range(0..columns), &x);
         policy.forward(pass, &mut tape, &mut u);

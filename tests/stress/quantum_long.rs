@@ -2,14 +2,14 @@
 
 use super::steps::larger;
 use super::{Case, Finding};
-use physgrad::{Cotangents, Inputs, Start};
 use crate::step;
 use physgrad::Substeps;
 use physgrad::System;
 use physgrad::Task;
 use physgrad::rng::{Purpose, stream};
-use physgrad::{Float, Real, Single};
 use physgrad::tasks::{Quantum, QuantumSystem, Renormalized};
+use physgrad::{Cotangents, Inputs, Start};
+use physgrad::{Float, Real, Single};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 
@@ -36,8 +36,16 @@ fn quantum_long() -> Vec<Finding> {
     let [forward, backward] = [model.dt, -model.dt].map(|dt| QuantumSystem { dt, ..model });
     let lossy = Scaled { system: model, factor: 1.0 - 1e-14 };
     vec![
-        Finding::at_most("drift of the norm in 1e5 steps, f64, control 0", drift::<_, f64>(&model, 100_000, 0.0), 1e-10),
-        Finding::at_most("drift of the norm in 1e5 steps, f64", drift::<_, f64>(&model, 100_000, 30.0), 1e-10),
+        Finding::at_most(
+            "drift of the norm in 1e5 steps, f64, control 0",
+            drift::<_, f64>(&model, 100_000, 0.0),
+            1e-10,
+        ),
+        Finding::at_most(
+            "drift of the norm in 1e5 steps, f64",
+            drift::<_, f64>(&model, 100_000, 30.0),
+            1e-10,
+        ),
         Finding::info(
             "drift of the norm in 1e5 steps, f32, control 0 (declared bound: 1e-2)",
             unbounded(drift::<_, Single<f32>>(&model, 100_000, 0.0)),
@@ -47,7 +55,11 @@ fn quantum_long() -> Vec<Finding> {
             drift::<_, Single<f32>>(&each, 100_000, 0.0),
             1e-6,
         ),
-        Finding::at_most("drift of the norm in 1e5 steps, f32", drift::<_, Single<f32>>(&model, 100_000, 30.0), 1e-2),
+        Finding::at_most(
+            "drift of the norm in 1e5 steps, f32",
+            drift::<_, Single<f32>>(&model, 100_000, 30.0),
+            1e-2,
+        ),
         Finding::at_most(
             "drift of the norm in 1e5 steps, f32, renormalized in each step",
             drift::<_, Single<f32>>(&each, 100_000, 30.0),
@@ -58,9 +70,21 @@ fn quantum_long() -> Vec<Finding> {
             drift::<_, Single<f32>>(&sometimes, 100_000 / 16, 30.0),
             1e-6,
         ),
-        Finding::at_most("drift of the adjoint's norm in 1e4 steps, f64", adjoint_drift(&model, 10_000), 1e-10),
-        Finding::at_most("1e4 steps forward and backward in time, f64", return_error(&forward, &backward, 10_000), 1e-9),
-        Finding::at_least("drift with a loss of 1e-14 in each step, f64", drift::<_, f64>(&lossy, 100_000, 30.0), 1e-10),
+        Finding::at_most(
+            "drift of the adjoint's norm in 1e4 steps, f64",
+            adjoint_drift(&model, 10_000),
+            1e-10,
+        ),
+        Finding::at_most(
+            "1e4 steps forward and backward in time, f64",
+            return_error(&forward, &backward, 10_000),
+            1e-9,
+        ),
+        Finding::at_least(
+            "drift with a loss of 1e-14 in each step, f64",
+            drift::<_, f64>(&lossy, 100_000, 30.0),
+            1e-10,
+        ),
     ]
 }
 
@@ -131,7 +155,11 @@ fn adjoint_drift<S: System>(system: &S, steps: usize) -> f64 {
     for u in controls(steps, 30.0) {
         // The step is linear in the state, so its Jacobian does not depend on the state.
         x_bar.fill(0.0);
-        system.vjp(Inputs::new(&x, &[u]), &bar, Cotangents { x: Some(&mut x_bar), ..Cotangents::default() });
+        system.vjp(
+            Inputs::new(&x, &[u]),
+            &bar,
+            Cotangents { x: Some(&mut x_bar), ..Cotangents::default() },
+        );
         bar.copy_from_slice(&x_bar);
         worst = larger(worst, (norm(&bar) / first - 1.0).abs());
     }
@@ -143,7 +171,8 @@ fn return_error<S: System>(forward: &S, backward: &S, steps: usize) -> f64 {
     let first = start::<f64>();
     let (mut x, mut next) = (first.clone(), first.clone());
     let controls = controls(steps, 30.0);
-    let both = controls.iter().map(|u| (forward, u)).chain(controls.iter().rev().map(|u| (backward, u)));
+    let both =
+        controls.iter().map(|u| (forward, u)).chain(controls.iter().rev().map(|u| (backward, u)));
     for (system, &u) in both {
         step(system, Inputs::new(&x, &[u]), &mut next);
         x.copy_from_slice(&next);

@@ -3,8 +3,8 @@
 use super::{Case, Finding};
 use physgrad::check::{self, Plateau};
 use physgrad::initial_states;
-use physgrad::rng::{Purpose, stream};
 use physgrad::policy::{Mlp, Weights};
+use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{LossMode, Quantum};
 
 pub(super) const CASES: &[Case] = &[Case {
@@ -32,7 +32,8 @@ fn report(target: usize, weighting: [f64; 2], loss: LossMode) -> Option<Plateau>
 
 fn quantum_plateau() -> Vec<Finding> {
     let mut findings = Vec::new();
-    for (loss, name) in [(LossMode::Terminal, "terminal loss"), (LossMode::Running, "running loss")] {
+    for (loss, name) in [(LossMode::Terminal, "terminal loss"), (LossMode::Running, "running loss")]
+    {
         for (what, target, weighting, stuck) in [
             ("from 1 to 2", 2, [1.0, 0.0], true),
             ("from 1 to 3", 3, [1.0, 0.0], true),

@@ -2,14 +2,14 @@
 
 use super::steps::{error, finite, larger, vjp_by_jvps};
 use super::{Case, Finding};
-use physgrad::Inputs;
 use crate::{AnySystem, vjp};
+use physgrad::Inputs;
 use physgrad::rng::{Purpose, Rng, stream};
-use physgrad::{Real, Single};
 use physgrad::tasks::{
-    BouncingBall, CartPoleSystem, Contact, CoupledCartPole, FrictionScheme, GuidanceSystem, QuantumSystem, Renormalized,
-    SliderSystem, TwoBodies,
+    BouncingBall, CartPoleSystem, Contact, CoupledCartPole, FrictionScheme, GuidanceSystem,
+    QuantumSystem, Renormalized, SliderSystem, TwoBodies,
 };
+use physgrad::{Real, Single};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 
@@ -128,14 +128,21 @@ fn of(name: &str, system: &dyn Either, draw: Draw) -> Vec<Finding> {
         finite[0] += usize::from(of_double.finite);
         finite[1] += usize::from(of_single.finite);
         worst[0] = larger(worst[0], of_double.error);
-        worst[1] = larger(worst[1], of_single.error / (64.0 * f64::from(f32::EPSILON) * (1.0 + condition)));
+        worst[1] = larger(
+            worst[1],
+            of_single.error / (64.0 * f64::from(f32::EPSILON) * (1.0 + condition)),
+        );
     }
     let all = STATES as usize;
     vec![
         Finding::all(format!("{name}: states with finite results, f64"), finite[0], all),
         Finding::all(format!("{name}: states with finite results, f32"), finite[1], all),
         Finding::at_most(format!("{name}: VJP against dual numbers, f64"), worst[0], 1e-12),
-        Finding::at_most(format!("{name}: VJP against dual numbers, f32, in 64 ε (1 + κ)"), worst[1], 1.0),
+        Finding::at_most(
+            format!("{name}: VJP against dual numbers, f32, in 64 ε (1 + κ)"),
+            worst[1],
+            1.0,
+        ),
     ]
 }
 
@@ -166,7 +173,9 @@ fn at<R: Real>(system: &dyn AnySystem<R>, sample: &Sample<R>) -> Outcome {
 fn condition(system: &dyn AnySystem<f64>, sample: &Sample<f64>, rng: &mut Rng) -> f64 {
     /// Relative change of each entry.
     const BY: f64 = 1e-7;
-    let mut moved = |v: &[f64]| v.iter().map(|v| v * (1.0 + if rng.random() { BY } else { -BY })).collect::<Vec<f64>>();
+    let mut moved = |v: &[f64]| {
+        v.iter().map(|v| v * (1.0 + if rng.random() { BY } else { -BY })).collect::<Vec<f64>>()
+    };
     let near = Sample { x: moved(&sample.x), u: moved(&sample.u), bar: sample.bar.clone() };
     error(&reverse(system, &near).concat(), &reverse(system, sample).concat()) / BY
 }

@@ -1,11 +1,16 @@
 //! Helpers of the stress cases: rollouts, adjoints and error norms.
 
-use physgrad::{Inputs, Tangents};
 use crate::{AnySystem, vjp};
 use physgrad::{Float, Real};
+use physgrad::{Inputs, Tangents};
 
 /// States `x_0 .. x_T` under a constant control.
-pub(super) fn states(system: &dyn AnySystem<f64>, start: &[f64], u: f64, steps: usize) -> Vec<Vec<f64>> {
+pub(super) fn states(
+    system: &dyn AnySystem<f64>,
+    start: &[f64],
+    u: f64,
+    steps: usize,
+) -> Vec<Vec<f64>> {
     let mut states = vec![start.to_vec()];
     for _ in 0..steps {
         let mut next = vec![0.0; start.len()];
@@ -17,7 +22,12 @@ pub(super) fn states(system: &dyn AnySystem<f64>, start: &[f64], u: f64, steps: 
 
 /// Derivatives of a component of the last state with respect to the initial state and to the
 /// constant control.
-pub(super) fn derivative(system: &dyn AnySystem<f64>, states: &[Vec<f64>], u: f64, component: usize) -> (Vec<f64>, f64) {
+pub(super) fn derivative(
+    system: &dyn AnySystem<f64>,
+    states: &[Vec<f64>],
+    u: f64,
+    component: usize,
+) -> (Vec<f64>, f64) {
     let n = states[0].len();
     let (mut bar, mut u_bar) = (vec![0.0; n], 0.0);
     bar[component] = 1.0;
@@ -31,7 +41,12 @@ pub(super) fn derivative(system: &dyn AnySystem<f64>, states: &[Vec<f64>], u: f6
 
 /// `(∂S/∂x)ᵀ bar` and `(∂S/∂u)ᵀ bar` for the step S of a system, by forward mode, one component of
 /// x or u at a time.
-pub(super) fn vjp_by_jvps<R: Real>(system: &dyn AnySystem<R>, x: &[R], u: &[R], bar: &[R]) -> [Vec<R>; 2] {
+pub(super) fn vjp_by_jvps<R: Real>(
+    system: &dyn AnySystem<R>,
+    x: &[R],
+    u: &[R],
+    bar: &[R],
+) -> [Vec<R>; 2] {
     let mut next = x.to_vec();
     let mut along = |len: usize, jvp: &dyn Fn(&[R], &mut [R])| -> Vec<R> {
         let component = |i: usize| {
@@ -44,10 +59,18 @@ pub(super) fn vjp_by_jvps<R: Real>(system: &dyn AnySystem<R>, x: &[R], u: &[R], 
     };
     [
         along(x.len(), &|tangent, next| {
-            system.jvp(Inputs::new(x, u), Tangents { x: Some(tangent), ..Tangents::default() }, next)
+            system.jvp(
+                Inputs::new(x, u),
+                Tangents { x: Some(tangent), ..Tangents::default() },
+                next,
+            )
         }),
         along(u.len(), &|tangent, next| {
-            system.jvp(Inputs::new(x, u), Tangents { u: Some(tangent), ..Tangents::default() }, next)
+            system.jvp(
+                Inputs::new(x, u),
+                Tangents { u: Some(tangent), ..Tangents::default() },
+                next,
+            )
         }),
     ]
 }

@@ -16,12 +16,12 @@ mod policy;
 mod run;
 mod scene;
 
-pub use physgrad::threads;
 pub use crate::commands::accuracy::{Cheapest, Errors, Measured, Metric, Row, Setting};
 pub use crate::runs::run::{EpochEvent, Observer};
 pub use crate::settings::Precision;
 pub use memory::{TooLarge, fits};
 pub use physgrad::Trajectories;
+pub use physgrad::threads;
 pub use policy::{Policy, Precise};
 pub use run::Run;
 pub use scene::Scene;

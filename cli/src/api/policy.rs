@@ -1,13 +1,13 @@
 //! [`Policy`]: the policy of a scene with its parameters.
 
 use super::{Scene, fits};
-use physgrad::any::AnyTask;
-use physgrad::policy::AnyPolicy;
 use crate::operations::policy_file;
 use crate::tasks::DynPolicy;
+use anyhow::{Result, anyhow, bail};
+use physgrad::any::AnyTask;
+use physgrad::policy::AnyPolicy;
 use physgrad::rng::{Purpose, stream};
 use physgrad::{DynTask, Field, Float, Rollout, Trajectories, Weights, calls};
-use anyhow::{Result, anyhow, bail};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -82,7 +82,11 @@ impl Policy {
     /// The number of parameters differs, or one is not finite in the precision of the scene.
     pub fn set_theta(&mut self, theta: Vec<f64>) -> Result<()> {
         if theta.len() != self.theta.len() {
-            bail!("`theta` has {} numbers, but the policy has {} parameters", theta.len(), self.theta.len());
+            bail!(
+                "`theta` has {} numbers, but the policy has {} parameters",
+                theta.len(),
+                self.theta.len()
+            );
         }
         self.check_finite(&theta)?;
         self.theta = theta;
@@ -90,7 +94,9 @@ impl Policy {
     }
 
     fn check_finite(&self, theta: &[f64]) -> Result<()> {
-        let is_finite = |&value: &f64| if self.scene.is_f64() { value.is_finite() } else { (value as f32).is_finite() };
+        let is_finite = |&value: &f64| {
+            if self.scene.is_f64() { value.is_finite() } else { (value as f32).is_finite() }
+        };
         if let Some(i) = theta.iter().position(|value| !is_finite(value)) {
             let precision = if self.scene.is_f64() { "f64" } else { "f32" };
             bail!("`theta[{i}]` is {:?}; allowed: finite numbers in {precision}", theta[i]);
@@ -137,7 +143,10 @@ impl Policy {
     pub(super) fn check(&self, task: &Scene) -> Result<DynTask> {
         let (policy, dyn_task) = (f64::policy(&*self.policy), task.task());
         let any: &dyn AnyTask<f64> = &dyn_task;
-        let [found, expected] = [[policy.observation_dim(), policy.control_dim()], [any.observed_dim(), any.control_dim()]];
+        let [found, expected] = [
+            [policy.observation_dim(), policy.control_dim()],
+            [any.observed_dim(), any.control_dim()],
+        ];
         if found != expected {
             bail!(
                 "the policy has {} observations and {} controls, but {} has {} and {}; create a policy for this task",
@@ -148,13 +157,25 @@ impl Policy {
                 expected[1]
             );
         }
-        if let Some(param) = policy.trained_params().iter().find(|param| param.index() >= any.param_dim()) {
-            bail!("the policy trains parameter {}, but {} has {} parameters", param.index(), task.name(), any.param_dim());
+        if let Some(param) =
+            policy.trained_params().iter().find(|param| param.index() >= any.param_dim())
+        {
+            bail!(
+                "the policy trains parameter {}, but {} has {} parameters",
+                param.index(),
+                task.name(),
+                any.param_dim()
+            );
         }
         let (own, names) = (self.scene.param_names(), task.param_names());
-        if let Some(param) = policy.trained_params().iter().find(|param| own[param.index()] != names[param.index()]) {
+        if let Some(param) =
+            policy.trained_params().iter().find(|param| own[param.index()] != names[param.index()])
+        {
             let (own, name) = (&own[param.index()], &names[param.index()]);
-            bail!("the policy trains {own}, but this parameter of {} is {name}; create a policy for this task", task.name());
+            bail!(
+                "the policy trains {own}, but this parameter of {} is {name}; create a policy for this task",
+                task.name()
+            );
         }
         Ok(dyn_task)
     }
@@ -168,14 +189,28 @@ impl Policy {
     ///
     /// # Panics
     /// If `starts` is not a whole number of initial states.
-    pub fn rollouts<F: Precise>(&self, task: &Scene, starts: &[F], stop: &AtomicBool) -> Result<Trajectories<F>> {
+    pub fn rollouts<F: Precise>(
+        &self,
+        task: &Scene,
+        starts: &[F],
+        stop: &AtomicBool,
+    ) -> Result<Trajectories<F>> {
         let (dyn_task, policy) = (self.check(task)?, F::policy(&*self.policy));
         let any: &dyn AnyTask<F> = &dyn_task;
         let (horizon, count) = (any.horizon(), starts.len() / any.start_dim());
-        fits("the rollouts", &[count, horizon + 1, any.state_dim() + any.control_dim()], size_of::<F>())?;
-        fits("a block of rollouts", &[Rollout::bytes_of(any, policy, count.clamp(1, BLOCK), horizon)], 1)?;
+        fits(
+            "the rollouts",
+            &[count, horizon + 1, any.state_dim() + any.control_dim()],
+            size_of::<F>(),
+        )?;
+        fits(
+            "a block of rollouts",
+            &[Rollout::bytes_of(any, policy, count.clamp(1, BLOCK), horizon)],
+            1,
+        )?;
         let weights = Weights::new(policy, self.rounded());
-        calls::rollout_until(any, policy, &weights, starts, &|| is_set(stop))?.ok_or_else(interrupted)
+        calls::rollout_until(any, policy, &weights, starts, &|| is_set(stop))?
+            .ok_or_else(interrupted)
     }
 
     /// Losses of rollouts from `starts`, one per sample. Reads `stop` before each block of samples.
@@ -185,10 +220,16 @@ impl Policy {
     ///
     /// # Panics
     /// If `starts` is not a whole number of initial states.
-    pub fn losses<F: Precise>(&self, task: &Scene, starts: &[F], stop: &AtomicBool) -> Result<Vec<F>> {
+    pub fn losses<F: Precise>(
+        &self,
+        task: &Scene,
+        starts: &[F],
+        stop: &AtomicBool,
+    ) -> Result<Vec<F>> {
         let (dyn_task, policy) = (self.check(task)?, F::policy(&*self.policy));
         let weights = Weights::new(policy, self.rounded());
-        calls::losses_until(&dyn_task, policy, &weights, starts, &|| is_set(stop))?.ok_or_else(interrupted)
+        calls::losses_until(&dyn_task, policy, &weights, starts, &|| is_set(stop))?
+            .ok_or_else(interrupted)
     }
 
     /// Vectors of several fields, `[field][parameter]`, for the mean loss of rollouts from
@@ -200,7 +241,13 @@ impl Policy {
     ///
     /// # Panics
     /// If `starts` is not a whole number of initial states.
-    pub fn gradients<F: Precise>(&self, task: &Scene, starts: &[F], chosen: &[Field], stop: &AtomicBool) -> Result<Vec<Vec<F>>> {
+    pub fn gradients<F: Precise>(
+        &self,
+        task: &Scene,
+        starts: &[F],
+        chosen: &[Field],
+        stop: &AtomicBool,
+    ) -> Result<Vec<Vec<F>>> {
         let (dyn_task, policy) = (self.check(task)?, F::policy(&*self.policy));
         let any: &dyn AnyTask<F> = &dyn_task;
         if starts.is_empty() {
@@ -209,7 +256,8 @@ impl Policy {
         let samples = (starts.len() / any.start_dim()).clamp(1, BLOCK);
         fits("a block of rollouts", &[Rollout::bytes_of(any, policy, samples, any.horizon())], 1)?;
         let weights = Weights::new(policy, self.rounded());
-        calls::gradients_until(any, policy, &weights, starts, chosen, &|| is_set(stop))?.ok_or_else(interrupted)
+        calls::gradients_until(any, policy, &weights, starts, chosen, &|| is_set(stop))?
+            .ok_or_else(interrupted)
     }
 }
 

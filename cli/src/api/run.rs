@@ -7,8 +7,8 @@ use crate::platform::folder::{CHECKPOINT, Folder, SETTINGS};
 use crate::runs::run::{self, End, NoUpdate, Observer, SAVE_EVERY};
 use crate::runs::saved;
 use crate::scenes::source::SceneSource;
-use physgrad::{Record, TrainError};
 use anyhow::{Context, Result};
+use physgrad::{Record, TrainError};
 use std::path::{Path, PathBuf};
 use toml::Value;
 
@@ -54,7 +54,8 @@ impl Run {
     pub fn load(folder: &Path, threads: usize) -> Result<Self> {
         let place = Folder::existing(folder)?;
         let checked = saved::scene(&place)?;
-        let scene = Scene { source: SceneSource::read(&place.readable(SETTINGS)?)?, scene: checked };
+        let scene =
+            Scene { source: SceneSource::read(&place.readable(SETTINGS)?)?, scene: checked };
         let mut run = scene.scene.open(threads)?;
         saved::restore(&place, &scene.scene, &mut *run)?;
         Ok(Self { scene, run, threads, folder: Some(std::path::absolute(folder)?) })
@@ -86,7 +87,8 @@ impl Run {
     /// # Errors
     /// The learning rate decays over the epochs, or the number exceeds the range of the setting.
     pub fn set_epochs(&mut self, epochs: u64) -> Result<()> {
-        let scene = self.scene.with([("epochs".to_owned(), Value::Integer(i64::try_from(epochs)?))])?;
+        let scene =
+            self.scene.with([("epochs".to_owned(), Value::Integer(i64::try_from(epochs)?))])?;
         let mut run = scene.scene.open(self.threads)?;
         run.restore(&self.run.checkpoint(&self.scene.scene.identity()), &scene.scene.identity())?;
         (self.scene, self.run) = (scene, run);
@@ -104,7 +106,8 @@ impl Run {
     pub fn save(&mut self, folder: &Path) -> Result<()> {
         let locked = Folder::at(folder).lock()?;
         let saved = || locked.read(CHECKPOINT).ok();
-        let is_own = saved().is_some_and(|saved| saved == self.run.checkpoint(&self.scene.scene.identity()));
+        let is_own =
+            saved().is_some_and(|saved| saved == self.run.checkpoint(&self.scene.scene.identity()));
         let locked = if is_own { locked } else { locked.without_run()? };
         run::save(&locked, &self.scene.scene, &*self.run)?;
         self.folder = Some(std::path::absolute(folder)?);
@@ -121,10 +124,16 @@ impl Run {
     pub fn train(&mut self, observer: &mut dyn Observer) -> Result<bool> {
         let (scene, run) = (&self.scene.scene, &mut *self.run);
         let finished = match &self.folder {
-            Some(folder) => run::run(&Folder::at(folder).lock()?, scene, run, true, SAVE_EVERY, None, observer)?,
+            Some(folder) => {
+                run::run(&Folder::at(folder).lock()?, scene, run, true, SAVE_EVERY, None, observer)?
+            }
             None => run::in_memory(scene, run, observer),
         };
-        let name = || self.folder.as_ref().map_or_else(|| "this run".into(), |folder| folder.display().to_string());
+        let name = || {
+            self.folder
+                .as_ref()
+                .map_or_else(|| "this run".into(), |folder| folder.display().to_string())
+        };
         match finished.end {
             End::Complete => Ok(true),
             End::Interrupted => Ok(false),

@@ -1,17 +1,17 @@
 //! [`Scene`]: task, physics, loss, policy and training.
 
 use super::Policy;
-use physgrad::append_starts;
-use physgrad::identify::{Fit, IdentifyError, Options, Segment};
 use crate::commands::accuracy::{Measured, Setting, Study};
 use crate::operations::checks::Results;
 use crate::scenes::presets;
 use crate::scenes::source::SceneSource;
 use crate::settings::Precision;
 use crate::tasks::{self, scene::INITIAL_POLICY};
+use anyhow::{Context, Result, bail};
+use physgrad::append_starts;
+use physgrad::identify::{Fit, IdentifyError, Options, Segment};
 use physgrad::rng::Purpose;
 use physgrad::{DynTask, Float, Number, System, Task};
-use anyhow::{Context, Result, bail};
 use std::ops::Range;
 use toml::{Table, Value};
 
@@ -54,7 +54,12 @@ impl Scene {
     /// # Errors
     /// The section does not suit the task.
     pub fn with_policy(&self, policy: &Policy) -> Result<Self> {
-        let section = policy.scene().settings().get("policy").cloned().context("the scene has no section `policy`")?;
+        let section = policy
+            .scene()
+            .settings()
+            .get("policy")
+            .cloned()
+            .context("the scene has no section `policy`")?;
         self.with([("policy".to_owned(), section)])
     }
 
@@ -136,7 +141,13 @@ impl Scene {
 
     /// Appends the initial states of these samples, `[sample][component]`: the state, then the
     /// parameters of the sample. See [`initial_states`](physgrad::initial_states).
-    pub fn append_starts<F: Float>(&self, seed: u64, purpose: Purpose, samples: Range<usize>, starts: &mut Vec<F>) {
+    pub fn append_starts<F: Float>(
+        &self,
+        seed: u64,
+        purpose: Purpose,
+        samples: Range<usize>,
+        starts: &mut Vec<F>,
+    ) {
         append_starts(&self.task(), seed, purpose, samples, starts);
     }
 
@@ -182,7 +193,8 @@ impl Scene {
             Some(policy) => {
                 policy.check(self)?;
                 let scene = self.with_policy(policy)?;
-                let (found, expected) = (policy.theta().len(), Policy::new(&scene, 0).theta().len());
+                let (found, expected) =
+                    (policy.theta().len(), Policy::new(&scene, 0).theta().len());
                 if found != expected {
                     bail!(
                         "the policy has {found} parameters, but {} trains {expected}; create a policy for this task",

@@ -10,7 +10,6 @@ mod study;
 pub use row::{Errors, Row, Setting};
 pub use study::{Cheapest, Measured, Metric, Study};
 
-use physgrad::text::{rough, short};
 use crate::platform::folder::Folder;
 use crate::platform::json::{self, print_json};
 use crate::platform::terminal::{print_message, print_result, print_text, progress_bar};
@@ -20,6 +19,7 @@ use crate::scenes::presets;
 use crate::settings::Precision;
 use anyhow::{Result, anyhow, bail};
 use indicatif::ProgressBar;
+use physgrad::text::{rough, short};
 use serde_json::json;
 use std::path::PathBuf;
 use study::{ROUNDS, cheapest};
@@ -83,7 +83,13 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     let reserved = Folder::reserve(args.out.as_deref())?;
     let folder = || Folder::or_fresh(reserved, &format!("accuracy_{name}"));
     if args.gradients {
-        return gradients::gradients(&study, &name, &*folder()?, &horizons, [args.quiet, args.json]);
+        return gradients::gradients(
+            &study,
+            &name,
+            &*folder()?,
+            &horizons,
+            [args.quiet, args.json],
+        );
     }
     let settings = study.settings()?;
     let bar = bar(Study::parts(&settings), args.quiet);
@@ -100,7 +106,8 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     let folder = folder()?;
     let conserved = conserved.map(|conserved| conserved.name);
     let list = outputs::write(&folder, &name, &reference, conserved, &rows)?;
-    let scenes = args.target.map_or(Ok(Vec::new()), |target| study.scenes(&rows, args.metric, target))?;
+    let scenes =
+        args.target.map_or(Ok(Vec::new()), |target| study.scenes(&rows, args.metric, target))?;
     let inner = folder.file("scenes");
     if !scenes.is_empty() || args.target.is_some() && inner.is_dir() {
         let inner = Folder::at(inner.clone()).lock()?;
@@ -117,12 +124,20 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
             let by = if fastest.is_some() { "operations" } else { "time" };
             json!({ "setting": row.setting.name(), "error": error, "decided_by": by })
         });
-        print_json(&json!({ "folder": folder.path(), "settings": json::rows(&list)?, "cheapest": object }))?;
+        print_json(
+            &json!({ "folder": folder.path(), "settings": json::rows(&list)?, "cheapest": object }),
+        )?;
     } else {
         print_text(&outputs::summary(&rows, &reference, conserved))?;
-        print_text(&format!("results in {}: accuracy.csv, accuracy.svg, accuracy.md", folder.path().display()))?;
+        print_text(&format!(
+            "results in {}: accuracy.csv, accuracy.svg, accuracy.md",
+            folder.path().display()
+        ))?;
         if !scenes.is_empty() {
-            print_text(&format!("scenes with the cheapest setting of each method are in {}", inner.display()))?;
+            print_text(&format!(
+                "scenes with the cheapest setting of each method are in {}",
+                inner.display()
+            ))?;
         }
     }
     match cheapest {
@@ -139,11 +154,24 @@ fn bar(steps: usize, quiet: bool) -> ProgressBar {
 }
 
 /// Prints the cheapest setting that reaches the target, with its error, and what decided.
-fn print_cheapest(Cheapest { row, error, fastest }: &Cheapest<'_>, metric: Metric, target: f64) -> Result<()> {
-    let costs = |row: &Row| format!("{} µs per step and sample, {} operations", short(metric.time(row) * 1e6), row.operations);
+fn print_cheapest(
+    Cheapest { row, error, fastest }: &Cheapest<'_>,
+    metric: Metric,
+    target: f64,
+) -> Result<()> {
+    let costs = |row: &Row| {
+        format!(
+            "{} µs per step and sample, {} operations",
+            short(metric.time(row) * 1e6),
+            row.operations
+        )
+    };
     let decided = fastest.map_or_else(String::new, |fastest| {
         let name = fastest.setting.name();
-        format!(". Operations decide, because its time overlaps with that of {name} ({})", costs(fastest))
+        format!(
+            ". Operations decide, because its time overlaps with that of {name} ({})",
+            costs(fastest)
+        )
     });
     print_text(&format!(
         "\nthe cheapest setting with an error of the {} of at most {target:e} is {}: error {}, {}{decided}; its lines in a scene \

@@ -4,8 +4,8 @@ use crate::platform::folder::{ANIMATION, Folder};
 use crate::platform::parallel;
 use crate::platform::terminal::print_result;
 use crate::runs::saved;
-use physgrad_plot::Animation;
 use anyhow::{Result, bail};
+use physgrad_plot::Animation;
 use std::path::PathBuf;
 
 /// Animate a trained policy, from an initial state of the test set.
@@ -31,7 +31,9 @@ pub struct Animate {
 pub fn animate(args: &Animate) -> Result<()> {
     for scene in saved::scenes(&Folder::existing(&args.folder)?)? {
         let to = |run: &Folder| match &args.out {
-            Some(out) => Folder::at(out.join(run.path().strip_prefix(&args.folder).unwrap_or(run.path()))),
+            Some(out) => {
+                Folder::at(out.join(run.path().strip_prefix(&args.folder).unwrap_or(run.path())))
+            }
             None => run.clone(),
         };
         let drawn: Vec<Folder> = scene.runs.iter().map(to).collect();
@@ -61,7 +63,11 @@ fn animation(folder: &Folder, sample: usize) -> Result<Animation> {
     saved::restore(folder, &scene, &mut *run)?;
     let samples = run.test_samples();
     if sample >= samples {
-        bail!("--sample is {sample}; allowed: 0 to {}, the test initial states of {}", samples - 1, folder.path().display());
+        bail!(
+            "--sample is {sample}; allowed: 0 to {}, the test initial states of {}",
+            samples - 1,
+            folder.path().display()
+        );
     }
     Ok(scene.animation(&run.rollouts(sample..sample + 1)[0]))
 }

@@ -1,6 +1,5 @@
 //! `physgrad check`: the gradient checks of the library, as a table.
 
-use physgrad::check::{Kink, KinkInput, Stability};
 use crate::operations::checks::{Amplification, Place, Results};
 use crate::platform::json::print_json;
 use crate::platform::terminal::{counted, print_text};
@@ -9,6 +8,7 @@ use crate::scenes::presets;
 use crate::scenes::source::SceneSource;
 use crate::tasks::{self, Scene};
 use anyhow::{Result, bail};
+use physgrad::check::{Kink, KinkInput, Stability};
 use serde_json::json;
 use std::path::PathBuf;
 use toml::Value;
@@ -41,7 +41,8 @@ pub struct Check {
 /// Runs the command.
 pub fn check(args: &Check) -> Result<()> {
     let mut results = Results::new(!args.json);
-    let overrides = Overrides { set: args.set.clone(), policy: args.policy.clone(), ..Overrides::default() };
+    let overrides =
+        Overrides { set: args.set.clone(), policy: args.policy.clone(), ..Overrides::default() };
     let is_changed = args.policy.is_some() || !args.set.is_empty();
     let changed = |name: &str| -> Result<SceneSource> {
         let mut source = presets::source(name)?;
@@ -97,16 +98,21 @@ fn about_rollouts(source: SceneSource, note: &mut dyn FnMut(String) -> Result<()
     let found = match scene.amplification(&theta) {
         Ok(found) => found,
         Err(divergence) => {
-            return note(format!("test rollouts: {divergence}. Time step, kinks, loss and jumps are therefore not checked"));
+            return note(format!(
+                "test rollouts: {divergence}. Time step, kinks, loss and jumps are therefore not checked"
+            ));
         }
     };
     if let Some(divergence) = &found.divergence {
-        note(format!("test rollouts: {divergence}. Kinks, loss and jumps are therefore not checked"))?;
+        note(format!(
+            "test rollouts: {divergence}. Kinks, loss and jumps are therefore not checked"
+        ))?;
     }
     let names = scene.state_names();
     note(stability(&scene, source, &theta, &found)?)?;
     if found.ringing.stability.rings() {
-        let Place { sample, step, stability: Stability { lowest, lowest_component, .. } } = found.ringing;
+        let Place { sample, step, stability: Stability { lowest, lowest_component, .. } } =
+            found.ringing;
         note(format!(
             "time step: the step rings in test rollout {sample}, step {step}: a perturbation of {} changes its sign in nearly \
              every step (multiplier about {lowest:.3}). The step does not resolve this motion. Shorten it, or use an \
@@ -130,11 +136,18 @@ fn about_rollouts(source: SceneSource, note: &mut dyn FnMut(String) -> Result<()
         )?,
         more => note(format!("kinks: {more} more, in other functions or arguments"))?,
     }
-    let plateau = scene.plateau(&theta).map_or_else(|divergence| divergence.to_string(), |plateau| plateau.to_string());
+    let plateau = scene
+        .plateau(&theta)
+        .map_or_else(|divergence| divergence.to_string(), |plateau| plateau.to_string());
     note(format!("loss at the initial parameters: {plateau}"))?;
     let compared = scene.jumps(&theta);
-    let jumps = compared.map(|jumps| jumps.map_or_else(|divergence| divergence.to_string(), |jumps| jumps.to_string()));
-    note(format!("mean loss and R: {}", jumps.as_deref().unwrap_or("not compared beyond 10,000 steps")))
+    let jumps = compared.map(|jumps| {
+        jumps.map_or_else(|divergence| divergence.to_string(), |jumps| jumps.to_string())
+    });
+    note(format!(
+        "mean loss and R: {}",
+        jumps.as_deref().unwrap_or("not compared beyond 10,000 steps")
+    ))
 }
 
 /// Describes a kink with the names of states and controls.
@@ -151,17 +164,26 @@ fn described(kink: &Kink, states: &[String], controls: &[String]) -> String {
 
 /// Describes the stability of the time step, in rollouts with the parameters `theta`. Refines an
 /// unstable step until it is stable or its multiplier converges, if the scene admits substeps.
-fn stability(scene: &Scene, mut refined: SceneSource, theta: &[f64], found: &Amplification) -> Result<String> {
+fn stability(
+    scene: &Scene,
+    mut refined: SceneSource,
+    theta: &[f64],
+    found: &Amplification,
+) -> Result<String> {
     let Amplification { worst: Place { sample, step, stability }, evaluated, states, .. } = *found;
     let (names, horizon) = (scene.state_names(), scene.horizon);
     let Stability { multiplier, component, .. } = stability;
     let name = &names[component];
     let all = if evaluated == states { String::new() } else { format!(" of {states}") };
     let place = format!("in test rollout {sample}, step {step}");
-    let harmless = |found: &Amplification| found.divergence.is_none() && found.worst.stability.is_stable_within(horizon);
+    let harmless = |found: &Amplification| {
+        found.divergence.is_none() && found.worst.stability.is_stable_within(horizon)
+    };
     if harmless(found) || multiplier.is_nan() {
         let said = if stability.is_stable() {
-            format!("stable: no perturbation grows exponentially. The largest multiplier per step is {multiplier:.4}")
+            format!(
+                "stable: no perturbation grows exponentially. The largest multiplier per step is {multiplier:.4}"
+            )
         } else if multiplier.is_nan() {
             stability.to_string()
         } else {
@@ -171,7 +193,9 @@ fn stability(scene: &Scene, mut refined: SceneSource, theta: &[f64], found: &Amp
                 stability.growth(horizon)
             )
         };
-        return Ok(format!("time step, worst of {evaluated}{all} states, {place}, component {component} ({name}): {said}"));
+        return Ok(format!(
+            "time step, worst of {evaluated}{all} states, {place}, component {component} ({name}): {said}"
+        ));
     }
     let unstable = !stability.is_stable_within(horizon);
     let grows = if unstable {
@@ -179,7 +203,11 @@ fn stability(scene: &Scene, mut refined: SceneSource, theta: &[f64], found: &Amp
     } else {
         "time step: the test rollouts diverge".to_owned()
     };
-    let substeps = scene.table.get("integrator").and_then(|section| section.get("substeps")?.as_integer()).unwrap_or(1);
+    let substeps = scene
+        .table
+        .get("integrator")
+        .and_then(|section| section.get("substeps")?.as_integer())
+        .unwrap_or(1);
     let (mut last, mut times) = (None, 1);
     let mut before = (multiplier, found.divergence.is_none());
     while times < MAX_REFINEMENT {
@@ -187,7 +215,11 @@ fn stability(scene: &Scene, mut refined: SceneSource, theta: &[f64], found: &Amp
         let count = substeps * times;
         refined.put("integrator.substeps", Value::Integer(count), "more substeps")?;
         let amplification = |scene: Scene| scene.amplification(theta).ok();
-        let Some(next) = refined.scene().ok().and_then(amplification).filter(|next| !next.worst.stability.multiplier.is_nan())
+        let Some(next) = refined
+            .scene()
+            .ok()
+            .and_then(amplification)
+            .filter(|next| !next.worst.stability.multiplier.is_nan())
         else {
             break;
         };
@@ -202,7 +234,8 @@ fn stability(scene: &Scene, mut refined: SceneSource, theta: &[f64], found: &Amp
         if (now.0 - before.0).abs() < 0.1 * limit.abs() && now.1 == before.1 {
             // Half of the growth of the long step is not physical, or half of the physical growth
             // is missing, or only the long step diverges.
-            let is_too_long = growth > 2.0 * limit || limit > 2.0 * growth || now.1 != found.divergence.is_none();
+            let is_too_long =
+                growth > 2.0 * limit || limit > 2.0 * growth || now.1 != found.divergence.is_none();
             let with = if unstable {
                 format!("by {:.4} with {more} as many substeps", now.0)
             } else {
@@ -215,7 +248,9 @@ fn stability(scene: &Scene, mut refined: SceneSource, theta: &[f64], found: &Amp
             } else if now.1 {
                 format!("{grows}, and {with}: the physics is unstable, not the step")
             } else {
-                format!("{grows}, and {with}, where rollouts diverge too: the physics diverges, or its controls do")
+                format!(
+                    "{grows}, and {with}, where rollouts diverge too: the physics diverges, or its controls do"
+                )
             });
         }
         before = now;

@@ -8,12 +8,13 @@ use crate::platform::json::{print_json, rows};
 use crate::platform::table::Table;
 use crate::platform::terminal::{counted, print_message, print_note, print_text, program};
 use crate::runs::comparison::{
-    Comparison, Ended, check_distinct, check_options, check_runs, check_sessions, read_all, read_plan, train_all, train_shard,
-    write_plan,
+    Comparison, Ended, check_distinct, check_options, check_runs, check_sessions, read_all,
+    read_plan, train_all, train_shard, write_plan,
 };
 use crate::runs::shard::Shard;
 use crate::runs::statistics::{
-    InScene, MAX_DASHED, OPTIONAL, TABLE_NOTE, curves, curves_of_scenes, table_header, table_of_scenes,
+    InScene, MAX_DASHED, OPTIONAL, TABLE_NOTE, curves, curves_of_scenes, table_header,
+    table_of_scenes,
 };
 use crate::scenes::overrides::{Overrides, take_several};
 use crate::scenes::presets;
@@ -22,8 +23,8 @@ use crate::scenes::sweep::Point;
 use crate::settings::FieldName;
 use crate::tasks::Scene;
 use crate::tasks::scene::INITIAL_POLICY;
-use physgrad_plot::{Abscissa, Case, Drawing, comparison, study};
 use anyhow::{Context, Result, bail};
+use physgrad_plot::{Abscissa, Case, Drawing, comparison, study};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::path::PathBuf;
@@ -80,7 +81,12 @@ pub fn compare(args: &Compare) -> Result<()> {
     }
     let names: Vec<String> = args.scenes.iter().map(|scene| presets::short_name(scene)).collect();
     check_distinct("the command", names.iter().map(String::as_str))?;
-    let points = args.scenes.iter().map(|scene| sweep_points(scene, args)).collect::<Result<Vec<_>>>()?.concat();
+    let points = args
+        .scenes
+        .iter()
+        .map(|scene| sweep_points(scene, args))
+        .collect::<Result<Vec<_>>>()?
+        .concat();
     check_distinct("the sweep", points.iter().map(|point| &*point.name))?;
     for point in &points {
         check_options(&args.fields, args.seeds, point.scene.epochs)?;
@@ -108,12 +114,14 @@ pub fn compare(args: &Compare) -> Result<()> {
     // The layout of the folder depends on the number of points. One point has its runs in `runs`.
     // Several points have a subfolder each.
     let saved = folder.has(COMPARISON).then(|| read_plan::<Plan>(&folder)).transpose();
-    let saved =
-        saved.with_context(|| format!("{} holds other results; choose another folder with --out", folder.path().display()))?;
+    let saved = saved.with_context(|| {
+        format!("{} holds other results; choose another folder with --out", folder.path().display())
+    })?;
     if let Some(mut saved) = saved
         && let Some(other) = match (saved.points.len(), &points[..]) {
             (1, [point]) => {
-                let is_same = saved.points.remove(0).open(&folder)?.scene.comparable() == point.scene.comparable();
+                let is_same = saved.points.remove(0).open(&folder)?.scene.comparable()
+                    == point.scene.comparable();
                 (!is_same).then(|| format!("{} with other settings", saved.scenes.join(", ")))
             }
             (1, _) => Some("one scene or point".into()),
@@ -121,11 +129,15 @@ pub fn compare(args: &Compare) -> Result<()> {
             _ => None,
         }
     {
-        bail!("{} holds a comparison of {other}; choose another folder with --out", folder.path().display());
+        bail!(
+            "{} holds a comparison of {other}; choose another folder with --out",
+            folder.path().display()
+        );
     }
     let plan = Plan::new(&names, &points, args);
     for (point, planned) in points.iter().zip(&plan.points) {
-        if let (Some(name), Some(policy)) = (&planned.initial_policy, point.scene.initial_policy()) {
+        if let (Some(name), Some(policy)) = (&planned.initial_policy, point.scene.initial_policy())
+        {
             folder.write(name, policy)?;
         }
     }
@@ -152,14 +164,19 @@ pub fn train(
     };
     if ended.interrupted {
         let text = match shard {
-            Some(_) => format!("interrupted; to resume in {path}, repeat the command, or start any other shard"),
+            Some(_) => format!(
+                "interrupted; to resume in {path}, repeat the command, or start any other shard"
+            ),
             None => format!("interrupted; to resume, repeat the command with --out {path}"),
         };
         let _ = print_note(&text, output.json);
     } else if shard.is_none() {
         write_outputs(comparisons)?;
     } else if !output.quiet {
-        print_message(&format!("to make tables and pictures of all runs:\n{} merge {path}", program()));
+        print_message(&format!(
+            "to make tables and pictures of all runs:\n{} merge {path}",
+            program()
+        ));
     }
     ended.into_result()
 }
@@ -169,7 +186,10 @@ pub fn train(
 pub fn check_folder(folder: &Folder, expected: &str, files: &[(&str, &str)]) -> Result<()> {
     match files.iter().find(|(file, _)| folder.has(file)) {
         Some((_, found)) => {
-            bail!("{} holds a {found} and is not a {expected}; choose another folder with --out", folder.path().display())
+            bail!(
+                "{} holds a {found} and is not a {expected}; choose another folder with --out",
+                folder.path().display()
+            )
         }
         None => Ok(()),
     }
@@ -177,9 +197,11 @@ pub fn check_folder(folder: &Folder, expected: &str, files: &[(&str, &str)]) -> 
 
 /// Makes the tables and pictures of the comparison in the folder from its runs, without training.
 pub fn merge(folder: &Folder, output: Output) -> Result<Ended> {
-    let plan: Plan = read_plan(folder).context("for a figure of `paper`, name the folder that contains its folder")?;
+    let plan: Plan = read_plan(folder)
+        .context("for a figure of `paper`, name the folder that contains its folder")?;
     check_runs(plan.points.len(), plan.fields.len(), plan.seeds)?;
-    let points = plan.points.into_iter().map(|point| point.open(folder)).collect::<Result<Vec<_>>>()?;
+    let points =
+        plan.points.into_iter().map(|point| point.open(folder)).collect::<Result<Vec<_>>>()?;
     let mut comparisons = self::plan(&points, &plan.fields, plan.seeds, folder)?;
     let ended = read_all(&mut comparisons)?;
     write_outputs(&plan.scenes, plan.seeds, &points, &comparisons, folder, output)?;
@@ -194,7 +216,12 @@ pub struct Output {
 }
 
 /// Plans the runs of all points.
-fn plan(points: &[SweepPoint], fields: &[FieldName], seeds: u64, folder: &Folder) -> Result<Vec<Comparison>> {
+fn plan(
+    points: &[SweepPoint],
+    fields: &[FieldName],
+    seeds: u64,
+    folder: &Folder,
+) -> Result<Vec<Comparison>> {
     let plan = |SweepPoint { name, scene, .. }: &SweepPoint| {
         // Several points have one comparison folder each, inside this folder.
         let inner = if points.len() == 1 { folder.clone() } else { folder.inside(name)? };
@@ -222,11 +249,14 @@ fn write_outputs(
     let title = format!("{}, {}", names.join(", "), counted(seeds as usize, "seed"));
     let mut files = vec!["summary.csv"];
     if scenes.len() <= MAX_PANELS {
-        let one_task = points.iter().all(|point| point.scene.task.name() == points[0].scene.task.name());
+        let one_task =
+            points.iter().all(|point| point.scene.task.name() == points[0].scene.task.name());
         folder.write("curves.svg", picture(&title, &scenes, one_task).to_svg())?;
         files.push("curves.svg");
         // Redraws the animations of the runs, with one scale per scene.
-        comparisons.iter().try_for_each(|comparison| draw(&comparison.ended(), 0, &comparison.ended()))?;
+        comparisons
+            .iter()
+            .try_for_each(|comparison| draw(&comparison.ended(), 0, &comparison.ended()))?;
     }
     if let Some(picture) = sweep::picture(&title, points, &scenes) {
         folder.write("sweep.svg", picture.to_svg())?;
@@ -277,7 +307,12 @@ impl Plan {
             // shards with different policies.
             let copy = |checksum| format!("initial_policy_{checksum:08x}.safetensors");
             let initial_policy = scene.initial_policy_checksum().map(copy);
-            PlannedPoint { name: name.clone(), sweep: point.0.clone(), initial_policy, scene: table.to_string() }
+            PlannedPoint {
+                name: name.clone(),
+                sweep: point.0.clone(),
+                initial_policy,
+                scene: table.to_string(),
+            }
         };
         Self {
             physgrad: env!("CARGO_PKG_VERSION").into(),
@@ -291,11 +326,15 @@ impl Plan {
 
 impl PlannedPoint {
     fn open(self, folder: &Folder) -> Result<SweepPoint> {
-        let scene = SceneSource::parse(&format!("the plan of {}", self.name), &self.scene)?.scene()?;
+        let scene =
+            SceneSource::parse(&format!("the plan of {}", self.name), &self.scene)?.scene()?;
         let scene = match &self.initial_policy {
             Some(name) if is_name(name) => scene.starting_from(folder.read(name)?),
             Some(name) => {
-                bail!("{}: `initial_policy` is {name:?}; allowed: a file beside the plan", folder.file(COMPARISON).display())
+                bail!(
+                    "{}: `initial_policy` is {name:?}; allowed: a file beside the plan",
+                    folder.file(COMPARISON).display()
+                )
             }
             None => scene,
         };
@@ -320,9 +359,12 @@ fn sweep_points(name: &str, args: &Compare) -> Result<Vec<SweepPoint>> {
     let mut overrides = args.overrides.clone();
     take_several(&mut overrides.set, &mut sweep)?;
     let points = sweep.points()?;
-    let assigned = overrides.set.iter().filter_map(|assignment| Some(assignment.split_once('=')?.0.trim()));
-    let options = [("epochs", overrides.epochs.is_some()), ("precision", overrides.precision.is_some())];
-    let mut keys = assigned.chain(options.into_iter().filter(|(_, given)| *given).map(|(key, _)| key));
+    let assigned =
+        overrides.set.iter().filter_map(|assignment| Some(assignment.split_once('=')?.0.trim()));
+    let options =
+        [("epochs", overrides.epochs.is_some()), ("precision", overrides.precision.is_some())];
+    let mut keys =
+        assigned.chain(options.into_iter().filter(|(_, given)| *given).map(|(key, _)| key));
     if let Some(key) = keys.find(|key| points[0].0.iter().any(|(varied, _)| varied == key)) {
         bail!("`{key}` is in the sweep and in an option; give its values once");
     }
@@ -332,7 +374,11 @@ fn sweep_points(name: &str, args: &Compare) -> Result<Vec<SweepPoint>> {
         let mut source = source.clone();
         overrides.apply(&mut source)?;
         point.apply(&mut source)?;
-        let name = [short.clone(), point.name()].into_iter().filter(|name| !name.is_empty()).collect::<Vec<_>>().join("+");
+        let name = [short.clone(), point.name()]
+            .into_iter()
+            .filter(|name| !name.is_empty())
+            .collect::<Vec<_>>()
+            .join("+");
         Ok(SweepPoint { name, point, scene: source.scene()? })
     };
     points.into_iter().map(at).collect()
@@ -356,15 +402,25 @@ fn picture(title: &str, scenes: &[InScene], one_task: bool) -> Drawing {
     let row = |x: Abscissa, first: usize, scenes: &[InScene]| -> Vec<Case> {
         // Fills the last row with empty cases, which have no panel.
         let case = |i: usize| Case {
-            title: scenes.get(i).map(|scene| scene.name).filter(|_| x == Abscissa::Epoch).unwrap_or_default().to_owned(),
+            title: scenes
+                .get(i)
+                .map(|scene| scene.name)
+                .filter(|_| x == Abscissa::Epoch)
+                .unwrap_or_default()
+                .to_owned(),
             y_label: "test loss".into(),
             y_axis: if one_task { 0 } else { first + i },
             x,
-            curves: scenes.get(i).map(|scene| curves(&scene.runs, |r| r.test_loss)).unwrap_or_default(),
+            curves: scenes
+                .get(i)
+                .map(|scene| curves(&scene.runs, |r| r.test_loss))
+                .unwrap_or_default(),
         };
         (0..columns).map(case).collect()
     };
     let rows = scenes.chunks(columns).enumerate();
-    let rows = rows.flat_map(|(i, scenes)| [Abscissa::Epoch, Abscissa::Seconds].map(|x| row(x, i * columns, scenes)));
+    let rows = rows.flat_map(|(i, scenes)| {
+        [Abscissa::Epoch, Abscissa::Seconds].map(|x| row(x, i * columns, scenes))
+    });
     study(title, &rows.collect::<Vec<_>>())
 }

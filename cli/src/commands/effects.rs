@@ -1,11 +1,11 @@
 //! `physgrad effects`: the reference page of all effects.
 
-use physgrad::Ops;
 use crate::platform::json::print_json;
 use crate::platform::terminal::{did_you_mean, print_result, wrapped};
 use crate::settings::{ACTUATORS, Info};
 use crate::tasks::{self, AnyTaskSpec};
 use anyhow::{Result, bail};
+use physgrad::Ops;
 use serde_json::{Value, json};
 use std::fmt::Write;
 use toml::Table;
@@ -48,7 +48,10 @@ pub fn effects(args: &Effects) -> Result<()> {
     let names: Vec<&str> = infos.map(|info| info.name).collect();
     if let Some(name) = args.effect.as_deref().filter(|name| !names.contains(name)) {
         let question = did_you_mean(name, names.iter().copied());
-        bail!("there is no effect or actuator `{name}`; effects and actuators: {}{question}", names.join(", "));
+        bail!(
+            "there is no effect or actuator `{name}`; effects and actuators: {}{question}",
+            names.join(", ")
+        );
     }
     if args.json {
         return print_json(&json!({ "effects": objects(args.effect.as_deref())? }));
@@ -56,16 +59,21 @@ pub fn effects(args: &Effects) -> Result<()> {
     let page = page()?;
     let Some(name) = &args.effect else { return print_result(page.trim_end()) };
     let entries = page.split("\n### ").skip(1);
-    let of_name = entries.filter(|entry| entry.lines().next() == Some(name)).map(|entry| entry.split("\n## ").next());
+    let of_name = entries
+        .filter(|entry| entry.lines().next() == Some(name))
+        .map(|entry| entry.split("\n## ").next());
     of_name.flatten().try_for_each(|entry| print_result(&format!("### {}", entry.trim_end())))
 }
 
 /// Returns one object per effect and task, and one per actuator. With `name`, returns only the
 /// objects of that name.
 fn objects(name: Option<&str>) -> Result<Vec<Value>> {
-    let all = tasks::all().iter().flat_map(|&task| task.effects().into_iter().map(move |info| (task, "effects", info)));
+    let all = tasks::all()
+        .iter()
+        .flat_map(|&task| task.effects().into_iter().map(move |info| (task, "effects", info)));
     let actuators = ACTUATORS.iter().map(|&info| (tasks::all()[0], "actuator", info));
-    let chosen = all.chain(actuators).filter(|(.., info)| name.is_none_or(|name| name == info.name));
+    let chosen =
+        all.chain(actuators).filter(|(.., info)| name.is_none_or(|name| name == info.name));
     let object = |(task, section, info): (&'static dyn AnyTaskSpec, &str, Info)| {
         let [step, vjp] = cost(task, section, info.name)?.map(|ops| ops.total());
         let schema = task.schema()["properties"][section]["properties"][info.name].clone();
@@ -97,20 +105,35 @@ fn page() -> Result<String> {
 
 /// Writes a table of the effects of a section, then an entry for each: equation, note, derivative,
 /// costs and parameters.
-fn section(page: &mut String, kind: &'static dyn AnyTaskSpec, section: &str, infos: &[Info]) -> Result<()> {
+fn section(
+    page: &mut String,
+    kind: &'static dyn AnyTaskSpec,
+    section: &str,
+    infos: &[Info],
+) -> Result<()> {
     let schema = kind.schema();
     let of = |info: &Info| &schema["properties"][section]["properties"][info.name];
-    let costs: Vec<[Ops; 2]> = infos.iter().map(|info| cost(kind, section, info.name)).collect::<Result<_>>()?;
+    let costs: Vec<[Ops; 2]> =
+        infos.iter().map(|info| cost(kind, section, info.name)).collect::<Result<_>>()?;
     let _ = writeln!(page, "| | | step | VJP |\n|---|---|--:|--:|");
     for (info, [step, vjp]) in infos.iter().zip(&costs) {
         let name = info.name;
-        let _ = writeln!(page, "| [{name}](#{name}) | {} | {} | {} |", description(of(info)), step.total(), vjp.total());
+        let _ = writeln!(
+            page,
+            "| [{name}](#{name}) | {} | {} | {} |",
+            description(of(info)),
+            step.total(),
+            vjp.total()
+        );
     }
     for (info, [step, vjp]) in infos.iter().zip(&costs) {
         let (equation, note) = info.equation.split_once("; ").unwrap_or((info.equation, ""));
         let _ = writeln!(page, "\n### {}\n\n```text\n{}\n```\n", info.name, lines(equation));
         let note = if note.is_empty() { String::new() } else { format!("{} ", sentence(note)) };
-        let costs = wrapped(&format!("{note}Derivative: {}. Step: {step}. VJP: {vjp}.", info.derivative), WIDTH);
+        let costs = wrapped(
+            &format!("{note}Derivative: {}. Step: {step}. VJP: {vjp}.", info.derivative),
+            WIDTH,
+        );
         let _ = writeln!(page, "{costs}\n");
         parameters(page, &of(info)["properties"]);
     }
@@ -145,7 +168,9 @@ fn lines(equations: &str) -> String {
 
 fn sentence(text: &str) -> String {
     let mut letters = text.chars();
-    letters.next().map_or_else(String::new, |first| format!("{}{}.", first.to_uppercase(), letters.as_str()))
+    letters
+        .next()
+        .map_or_else(String::new, |first| format!("{}{}.", first.to_uppercase(), letters.as_str()))
 }
 
 /// Schema description as one line, with `|` escaped for Markdown tables.
@@ -164,9 +189,19 @@ fn parameters(page: &mut String, schema: &Value) {
         };
         // Appends the description of every variant of an enumeration.
         let choices = of["oneOf"].as_array().into_iter().flatten();
-        let choices =
-            choices.map(|choice| format!("<br>`{}`: {}", choice["const"].as_str().unwrap_or_default(), description(choice)));
-        let _ = writeln!(page, "| `{name}` | {default} | {}{} |", description(of), choices.collect::<String>());
+        let choices = choices.map(|choice| {
+            format!(
+                "<br>`{}`: {}",
+                choice["const"].as_str().unwrap_or_default(),
+                description(choice)
+            )
+        });
+        let _ = writeln!(
+            page,
+            "| `{name}` | {default} | {}{} |",
+            description(of),
+            choices.collect::<String>()
+        );
     }
 }
 

@@ -1,6 +1,5 @@
 //! `physgrad eval`: losses of trained policies from new initial states, with their worst rollouts.
 
-use physgrad::text::{rough, short};
 use crate::operations::evaluation::AnyEvaluation;
 use crate::operations::session::Epoch;
 use crate::platform::csv::csv;
@@ -14,9 +13,10 @@ use crate::runs::trained::Trained;
 use crate::scenes::overrides::Overrides;
 use crate::scenes::presets;
 use crate::tasks::Scene;
+use anyhow::{Context, Result, bail};
+use physgrad::text::{rough, short};
 use physgrad_plot::quantile::{quantile, sorted};
 use physgrad_plot::{Animation, PALETTE, distribution};
-use anyhow::{Context, Result, bail};
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -82,16 +82,22 @@ pub fn eval(args: &Eval) -> Result<()> {
         bail!("--worst is {}; allowed: 0 to {MAX_WORST}", args.worst);
     }
     let policies = Trained::load_all(&args.runs, args.epoch)?;
-    let scenes = policies.iter().map(|policy| scene(args, policy)).collect::<Result<Vec<Scene>>>()?;
+    let scenes =
+        policies.iter().map(|policy| scene(args, policy)).collect::<Result<Vec<Scene>>>()?;
     let reserved = Folder::reserve(args.out.as_deref())?;
     let pairs: Vec<(&Trained, &Scene)> = policies.iter().zip(&scenes).collect();
     let evaluation = |(policy, scene): &(&Trained, &Scene)| {
-        policy.evaluation(scene, args.seed).with_context(|| format!("cannot evaluate {}", policy.name))
+        policy
+            .evaluation(scene, args.seed)
+            .with_context(|| format!("cannot evaluate {}", policy.name))
     };
     let losses = parallel::map(&pairs, |pair| Ok(evaluation(pair)?.losses(args.samples)));
     let losses = losses.into_iter().collect::<Result<Vec<_>>>()?;
-    let results: Vec<Evaluated> =
-        policies.iter().zip(losses).map(|(policy, losses)| Evaluated { name: policy.name.clone(), losses }).collect();
+    let results: Vec<Evaluated> = policies
+        .iter()
+        .zip(losses)
+        .map(|(policy, losses)| Evaluated { name: policy.name.clone(), losses })
+        .collect();
 
     let folder = Folder::or_fresh(reserved, "eval")?;
     folder.write("losses.csv", losses_csv(&results)?)?;
@@ -106,7 +112,9 @@ pub fn eval(args: &Eval) -> Result<()> {
         } else {
             // Several policies have a subfolder each.
             write_worst(
-                &*folder.inside(&format!("{}-{}", i + 1, pair.0.name.replace(is_separator, "-")))?.lock()?,
+                &*folder
+                    .inside(&format!("{}-{}", i + 1, pair.0.name.replace(is_separator, "-")))?
+                    .lock()?,
                 scene,
                 &*evaluation,
                 &samples,
@@ -116,15 +124,24 @@ pub fn eval(args: &Eval) -> Result<()> {
     if args.json {
         return print_json(&json!({ "folder": folder.path(), "runs": rows(&summary)? }));
     }
-    let worst = if args.worst > 0 { ", worst.csv and animations of the worst rollouts" } else { "" };
+    let worst =
+        if args.worst > 0 { ", worst.csv and animations of the worst rollouts" } else { "" };
     let files = format!("losses.svg, losses.csv, summary.csv{worst}");
-    print_text(&format!("{}\nresults in {}: {files}", table(args, &results), folder.path().display()))
+    print_text(&format!(
+        "{}\nresults in {}: {files}",
+        table(args, &results),
+        folder.path().display()
+    ))
 }
 
 /// Checks the number of initial states of an evaluation.
 pub fn check_samples(samples: usize) -> Result<()> {
     const MOST: usize = 1_000_000;
-    if (1..=MOST).contains(&samples) { Ok(()) } else { bail!("--samples is {samples}; allowed: 1 to {MOST}") }
+    if (1..=MOST).contains(&samples) {
+        Ok(())
+    } else {
+        bail!("--samples is {samples}; allowed: 1 to {MOST}")
+    }
 }
 
 /// Scene for the evaluation of a policy. It has the policy section and the precision of the run,
@@ -137,11 +154,15 @@ fn scene(args: &Eval, policy: &Trained) -> Result<Scene> {
     if args.scene.is_some() {
         ["policy", "precision"].into_iter().for_each(|key| source.copy(key, &policy.source));
     }
-    Overrides { set: args.set.clone(), without: args.without.clone(), ..Overrides::default() }.apply(&mut source)?;
+    Overrides { set: args.set.clone(), without: args.without.clone(), ..Overrides::default() }
+        .apply(&mut source)?;
     let scene = source.scene()?;
     let [of_scene, of_run] = [&scene, &policy.scene].map(|scene| scene.task.name());
     if of_scene != of_run {
-        bail!("{} has the task {of_run}, but the scene has the task {of_scene}; name a scene of {of_run}", policy.name);
+        bail!(
+            "{} has the task {of_run}, but the scene has the task {of_scene}; name a scene of {of_run}",
+            policy.name
+        );
     }
     Ok(scene)
 }
@@ -204,22 +225,33 @@ impl Evaluated {
 /// `losses.csv`: one row per policy and initial state.
 fn losses_csv(results: &[Evaluated]) -> Result<Vec<u8>> {
     let rows = results.iter().flat_map(|result| {
-        let row = |(sample, loss): (usize, &f64)| [result.name.clone(), sample.to_string(), loss.to_string()];
+        let row = |(sample, loss): (usize, &f64)| {
+            [result.name.clone(), sample.to_string(), loss.to_string()]
+        };
         result.losses.iter().enumerate().map(row)
     });
     csv(["run", "sample", "loss"], rows)
 }
 
 /// Writes `worst.csv` with the trajectories of the samples, and an animation of each sample.
-fn write_worst(folder: &Folder, scene: &Scene, evaluation: &dyn AnyEvaluation, samples: &[usize]) -> Result<()> {
+fn write_worst(
+    folder: &Folder,
+    scene: &Scene,
+    evaluation: &dyn AnyEvaluation,
+    samples: &[usize],
+) -> Result<()> {
     folder.remove("worst.csv")?;
     folder.remove_all("worst_", ".svg")?;
     if samples.is_empty() {
         return Ok(());
     }
     let rollouts: Vec<_> = samples.iter().map(|&sample| evaluation.rollout(sample)).collect();
-    folder.write("worst.csv", outputs::trajectories(scene, samples.iter().copied().zip(&rollouts))?)?;
-    let mut animations: Vec<Animation> = rollouts.iter().map(|rollout| scene.animation(rollout)).collect();
+    folder.write(
+        "worst.csv",
+        outputs::trajectories(scene, samples.iter().copied().zip(&rollouts))?,
+    )?;
+    let mut animations: Vec<Animation> =
+        rollouts.iter().map(|rollout| scene.animation(rollout)).collect();
     Animation::share_scale(&mut animations.iter_mut().collect::<Vec<_>>());
     for (rank, animation) in animations.iter().enumerate() {
         folder.write(&format!("worst_{}.svg", rank + 1), animation.to_svg())?;
@@ -247,10 +279,17 @@ fn table(args: &Eval, results: &[Evaluated]) -> String {
         let worst = result.losses[result.worst(1)[0]];
         let row = [quantiles[0], quantiles[2], quantiles[4], worst].map(short);
         // One rollout has no standard error.
-        let mean = if error.is_nan() { short(mean) } else { format!("{} ± {}", short(mean), rough(error)) };
+        let mean = if error.is_nan() {
+            short(mean)
+        } else {
+            format!("{} ± {}", short(mean), rough(error))
+        };
         let first = [result.name.clone(), mean];
         table.row(first.into_iter().chain(row).chain([result.diverged().to_string()]));
     }
     let rollouts = counted(args.samples, "rollout");
-    format!("{table}\nlosses of {rollouts}, seed {}; mean ± standard error, without diverged rollouts", args.seed)
+    format!(
+        "{table}\nlosses of {rollouts}, seed {}; mean ± standard error, without diverged rollouts",
+        args.seed
+    )
 }

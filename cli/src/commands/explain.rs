@@ -8,8 +8,8 @@ use crate::scenes::overrides::{Overrides, hide_training};
 use crate::scenes::presets;
 use crate::settings::{ACTUATORS, Info, OPTIONAL};
 use crate::tasks::Scene;
-use physgrad::{Field, OpCount, Ops};
 use anyhow::Result;
+use physgrad::{Field, OpCount, Ops};
 use serde_json::{Value, json};
 
 /// List the present and absent effects of a scene, and count operations and stored bytes.
@@ -53,7 +53,11 @@ pub fn explain(args: &Explain) -> Result<()> {
     let states = scene.state_names();
     print_text(&format!("state, {}: {}", counted(states.len(), "component"), names(&states)))?;
     let controls = scene.control_names();
-    print_text(&format!("control, {}: {}\n", counted(controls.len(), "component"), names(&controls)))?;
+    print_text(&format!(
+        "control, {}: {}\n",
+        counted(controls.len(), "component"),
+        names(&controls)
+    ))?;
     print_result(&effects(&scene).to_string())?;
     print_text(
         "\noperations per step and sample: of the step, of its VJP to state and control (R, M), of its VJP to the control (N, S)\n\
@@ -71,7 +75,9 @@ pub fn explain(args: &Explain) -> Result<()> {
 /// Joins the names. Abbreviates a list of more than 12 names.
 fn names(names: &[String]) -> String {
     match names {
-        [first, second, third, _, .., last] if names.len() > 12 => format!("{first}, {second}, {third} … {last}"),
+        [first, second, third, _, .., last] if names.len() > 12 => {
+            format!("{first}, {second}, {third} … {last}")
+        }
         _ => names.join(", "),
     }
 }
@@ -79,7 +85,11 @@ fn names(names: &[String]) -> String {
 /// Section and documentation of every effect and actuator available in a scene.
 fn parts(scene: &Scene) -> Vec<(&'static str, Info)> {
     let sections = [scene.task.effects(), ACTUATORS.to_vec()];
-    OPTIONAL.into_iter().zip(sections).flat_map(|(section, infos)| infos.into_iter().map(move |info| (section, info))).collect()
+    OPTIONAL
+        .into_iter()
+        .zip(sections)
+        .flat_map(|(section, infos)| infos.into_iter().map(move |info| (section, info)))
+        .collect()
 }
 
 fn is_present(scene: &Scene, section: &str, name: &str) -> bool {
@@ -88,12 +98,20 @@ fn is_present(scene: &Scene, section: &str, name: &str) -> bool {
 
 /// Table of the effects and actuators: those present, then those absent.
 fn effects(scene: &Scene) -> Table {
-    let mut table = Table::new(["state", "effect", "equation", "derivative"]).optional(&["derivative"]);
+    let mut table =
+        Table::new(["state", "effect", "equation", "derivative"]).optional(&["derivative"]);
     let parts = parts(scene);
     for present in [true, false] {
-        for (section, info) in parts.iter().filter(|(section, info)| is_present(scene, section, info.name) == present) {
+        for (section, info) in
+            parts.iter().filter(|(section, info)| is_present(scene, section, info.name) == present)
+        {
             let key = format!("{section}.{}", info.name);
-            table.row([if present { "present" } else { "absent" }, &*key, info.equation, info.derivative]);
+            table.row([
+                if present { "present" } else { "absent" },
+                &*key,
+                info.equation,
+                info.derivative,
+            ]);
         }
     }
     table
@@ -110,7 +128,8 @@ const KINDS: [&str; 8] = ["all", "add", "neg", "mul", "div", "root", "func", "cm
 /// The total, then the count of each kind.
 fn by_kind(counts: Ops) -> [i64; 8] {
     let Ops { add, negate, multiply, divide, sqrt, transcendental, compare } = counts;
-    [counts.total(), add, negate, multiply, divide, sqrt, transcendental, compare].map(|count| count as i64)
+    [counts.total(), add, negate, multiply, divide, sqrt, transcendental, compare]
+        .map(|count| count as i64)
 }
 
 /// Operation counts of the system alone, of each part that is present, and of the whole; then of
@@ -120,15 +139,17 @@ fn by_kind(counts: Ops) -> [i64; 8] {
 /// chained actuators share operations, which the counts of both include. The row "counted twice"
 /// shows these operations.
 fn operations(scene: &Scene) -> Result<Table> {
-    let mut table =
-        Table::new([&["part", "pass"][..], &KINDS].concat()).optional(&["mul", "add", "func", "div", "cmp", "neg", "root"]);
+    let mut table = Table::new([&["part", "pass"][..], &KINDS].concat())
+        .optional(&["mul", "add", "func", "div", "cmp", "neg", "root"]);
     let mut add_rows = |name: &str, passes: &[&str], numbers: &[[i64; 8]]| {
         for (i, (pass, numbers)) in passes.iter().zip(numbers).enumerate() {
             let names = [if i == 0 { name } else { "" }, pass].map(str::to_owned);
             table.row(names.into_iter().chain(numbers.map(|count| count.to_string())));
         }
     };
-    let mut rows = |name: &str, numbers: [[i64; 8]; 3]| add_rows(name, &["step", "VJP", "VJP to control"], &numbers);
+    let mut rows = |name: &str, numbers: [[i64; 8]; 3]| {
+        add_rows(name, &["step", "VJP", "VJP to control"], &numbers)
+    };
     let mut bare = scene.table.clone();
     OPTIONAL.iter().for_each(|section| drop(bare.remove(*section)));
     let alone = numbers(&scene.task.scene(bare)?.cost().system);
@@ -152,9 +173,19 @@ fn operations(scene: &Scene) -> Result<Table> {
         rows("counted twice", shared);
     }
     rows("together", whole);
-    let mut pair = |name: &str, passes: [&str; 2], counts: [Ops; 2]| add_rows(name, &passes, &counts.map(by_kind));
-    pair("running cost", ["value", "gradient"], [counts.running_cost, counts.running_cost_gradient]);
-    pair("terminal cost", ["value", "gradient"], [counts.terminal_cost, counts.terminal_cost_gradient]);
+    let mut pair = |name: &str, passes: [&str; 2], counts: [Ops; 2]| {
+        add_rows(name, &passes, &counts.map(by_kind))
+    };
+    pair(
+        "running cost",
+        ["value", "gradient"],
+        [counts.running_cost, counts.running_cost_gradient],
+    );
+    pair(
+        "terminal cost",
+        ["value", "gradient"],
+        [counts.terminal_cost, counts.terminal_cost_gradient],
+    );
     if counts.observe != Ops::default() {
         pair("observation", ["value", "VJP"], [counts.observe, counts.observe_vjp]);
     }

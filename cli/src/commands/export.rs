@@ -36,7 +36,9 @@ pub fn export(args: &Export) -> Result<()> {
     let mut run = scene.open(1)?;
     saved::restore(&folder, &scene, &mut *run)?;
     let about = scene.about();
-    let model = run.onnx(args.epoch, &about).with_context(|| format!("cannot export {}", args.run.display()))?;
+    let model = run
+        .onnx(args.epoch, &about)
+        .with_context(|| format!("cannot export {}", args.run.display()))?;
     Folder::write_at(&args.onnx, model).context("--onnx")?;
     if args.quiet {
         return Ok(());

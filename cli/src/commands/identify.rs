@@ -4,10 +4,9 @@ mod data;
 mod picture;
 mod table;
 
-use physgrad::Number;
-use physgrad::identify::{Fit, IdentifyError, Options, Segment, Status};
-use physgrad::text::{digits, rough, short};
-use crate::commands::report::identification::{self, FIT, IDENTIFIED, TRAJECTORIES, VALIDATION, WARNING};
+use crate::commands::report::identification::{
+    self, FIT, IDENTIFIED, TRAJECTORIES, VALIDATION, WARNING,
+};
 use crate::platform::csv::csv;
 use crate::platform::folder::{Folder, REPORT, SCENE};
 use crate::platform::json::{object, print_json, rows};
@@ -19,6 +18,9 @@ use crate::scenes::presets;
 use crate::tasks::Scene;
 use anyhow::{Context, Result, anyhow, bail};
 use data::{Measured, measured_components};
+use physgrad::Number;
+use physgrad::identify::{Fit, IdentifyError, Options, Segment, Status};
+use physgrad::text::{digits, rough, short};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -34,7 +36,9 @@ const JUMP: f64 = 1e-3;
 /// Writes a report, the fitted scene, the numbers with their standard errors, and measured beside
 /// simulated trajectories.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example:\n  physgrad identify pendulum.toml --data measured.csv --noise theta_1=0.003,omega_1=0.1")]
+#[command(
+    after_help = "Example:\n  physgrad identify pendulum.toml --data measured.csv --noise theta_1=0.003,omega_1=0.1"
+)]
 #[command(mut_args(hide_training))]
 pub struct Identify {
     /// Preset or path of a scene; its section [fit] lists the unknown numbers
@@ -75,7 +79,10 @@ pub fn identify(args: &Identify) -> Result<()> {
     args.overrides.apply(&mut source)?;
     let scene = source.scene()?;
     if !scene.varied().iter().any(|(_, number)| matches!(number, Number::Trained { .. })) {
-        bail!("{} has no unknown numbers; list them in [fit], as in \"system.gravity\" = {{ start = 9.8 }}", args.scene);
+        bail!(
+            "{} has no unknown numbers; list them in [fit], as in \"system.gravity\" = {{ start = 9.8 }}",
+            args.scene
+        );
     }
     let measured = Measured::read(&args.data, &scene)?;
     if args.every == 0 {
@@ -101,7 +108,9 @@ pub fn identify(args: &Identify) -> Result<()> {
     let segments = measured.chosen(&fitted, &scene);
     let reserved = Folder::reserve(args.out.as_deref())?;
     let begin = Instant::now();
-    let fit = scene.identify(&segments, &options).map_err(|error| in_file(error, &fitted, &measured, &scene));
+    let fit = scene
+        .identify(&segments, &options)
+        .map_err(|error| in_file(error, &fitted, &measured, &scene));
     let fit = fit.with_context(|| format!("{} with {}", args.scene, args.data.display()))?;
     let seconds = begin.elapsed().as_secs_f64();
 
@@ -114,7 +123,8 @@ pub fn identify(args: &Identify) -> Result<()> {
     } else {
         Err(anyhow!("the fit has not converged"))
     };
-    let folder = Folder::or_fresh(reserved, &format!("identify-{}", presets::short_name(&args.scene)))?;
+    let folder =
+        Folder::or_fresh(reserved, &format!("identify-{}", presets::short_name(&args.scene)))?;
     let mut text = format!("{}", table(&fit, &scene));
     for (name, value) in facts(&fit, seconds) {
         text += &format!("{}{name} {value}", if name == "segments" { "\n" } else { ", " });
@@ -126,7 +136,8 @@ pub fn identify(args: &Identify) -> Result<()> {
     let validation = found.as_ref().ok().filter(|_| !others.is_empty()).map(validate).transpose();
     if let Ok(Some(validation)) = &validation {
         let residuals = residuals(validation, &measured.chosen(&others, &scene), &scene);
-        text += &format!("\nvalidation with {}: {residuals}", counted(others.len(), "other segment"));
+        text +=
+            &format!("\nvalidation with {}: {residuals}", counted(others.len(), "other segment"));
     }
     let mut warnings = warnings(&fit, &scene, !args.noise.is_empty());
     warnings.extend(measured.warnings(&fitted, &fit, &scene));
@@ -148,7 +159,9 @@ pub fn identify(args: &Identify) -> Result<()> {
     folder.write(FIT, csv(["name", "value"], facts.chain(warnings))?)?;
     folder.write(TRAJECTORIES, measured.beside(&fitted, &fit, &scene)?)?;
     match &validation {
-        Ok(Some(validation)) => folder.write(VALIDATION, measured.beside(&others, validation, &scene)?)?,
+        Ok(Some(validation)) => {
+            folder.write(VALIDATION, measured.beside(&others, validation, &scene)?)?
+        }
         // An earlier fit may have left its validation.
         _ => folder.remove(VALIDATION)?,
     }
@@ -156,8 +169,10 @@ pub fn identify(args: &Identify) -> Result<()> {
     folder.write(REPORT, identification::page(&Folder::existing(folder.path())?)?)?;
     let results = folder.path().display();
     let failed = validation.as_ref().err().cloned();
-    let failed = failed
-        .map_or(Ok(()), |error| Err(in_file(error, &others, &measured, &scene)).context("validation with the fitted numbers"));
+    let failed = failed.map_or(Ok(()), |error| {
+        Err(in_file(error, &others, &measured, &scene))
+            .context("validation with the fitted numbers")
+    });
     if args.json {
         print_json(&json!({
             "folder": folder.path(),
@@ -168,7 +183,8 @@ pub fn identify(args: &Identify) -> Result<()> {
         return failed;
     }
     let written = if found.is_ok() { "scene.toml (with the fitted numbers), " } else { "" };
-    let validated = if matches!(validation, Ok(Some(_))) { format!(", {VALIDATION}") } else { String::new() };
+    let validated =
+        if matches!(validation, Ok(Some(_))) { format!(", {VALIDATION}") } else { String::new() };
     print_text(&format!(
         "{text}\nresults in {results}: report.html, {written}{IDENTIFIED}, {FIT}, {TRAJECTORIES}, identified.svg{validated}"
     ))?;
@@ -177,7 +193,12 @@ pub fn identify(args: &Identify) -> Result<()> {
 
 /// The error with the index of its segment in the file, and with names of states. `numbers` are the
 /// indices of the chosen segments.
-fn in_file(mut error: IdentifyError, numbers: &[usize], measured: &Measured, scene: &Scene) -> anyhow::Error {
+fn in_file(
+    mut error: IdentifyError,
+    numbers: &[usize],
+    measured: &Measured,
+    scene: &Scene,
+) -> anyhow::Error {
     use IdentifyError::{Diverged, Empty, MissingParam, MissingStart, NonFinite, Shape};
     if let Shape { segment, .. }
     | NonFinite { segment, .. }
@@ -190,7 +211,8 @@ fn in_file(mut error: IdentifyError, numbers: &[usize], measured: &Measured, sce
     }
     if let MissingStart { segment, .. } = error {
         let first = measured.first(segment).iter().zip(scene.state_names());
-        let missing: Vec<String> = first.filter(|(y, _)| y.is_nan()).map(|(_, name)| name).collect();
+        let missing: Vec<String> =
+            first.filter(|(y, _)| y.is_nan()).map(|(_, name)| name).collect();
         return anyhow!(
             "segment {segment}: the first row lacks {}, but --exact-starts takes it as the exact initial state; \
              omit --exact-starts, or begin at a complete row",
@@ -208,7 +230,10 @@ fn facts(fit: &Fit, seconds: f64) -> Vec<(&'static str, String)> {
         ("unknowns with initial states", fit.unknowns.to_string()),
         ("χ²", digits(fit.chi_squared, 7)),
         ("BIC", format!("{:.1}", fit.bic())),
-        ("window", fit.window.map_or_else(|| "whole segments".into(), |steps| counted(steps, "step"))),
+        (
+            "window",
+            fit.window.map_or_else(|| "whole segments".into(), |steps| counted(steps, "step")),
+        ),
         ("iterations", fit.iterations.to_string()),
         ("simulations", fit.simulations.to_string()),
         ("Jacobians", fit.jacobians.to_string()),
@@ -218,7 +243,9 @@ fn facts(fit: &Fit, seconds: f64) -> Vec<(&'static str, String)> {
 
 fn warnings(fit: &Fit, scene: &Scene, noise_is_known: bool) -> Vec<String> {
     let states = scene.state_names();
-    let named = |components: &[usize]| listed(&components.iter().map(|&i| states[i].clone()).collect::<Vec<_>>());
+    let named = |components: &[usize]| {
+        listed(&components.iter().map(|&i| states[i].clone()).collect::<Vec<_>>())
+    };
     let undetermined = fit.undetermined.iter().map(|names| match &names[..] {
         [name] => format!("the data do not determine {name}; fix it, or measure a motion that it affects"),
         names => {
@@ -269,7 +296,8 @@ fn warnings(fit: &Fit, scene: &Scene, noise_is_known: bool) -> Vec<String> {
             rough(ratio.sqrt())
         ));
     }
-    let is_explained = fit.statuses.iter().any(|status| status.is_failure()) || !fit.non_finite_starts.is_empty();
+    let is_explained =
+        fit.statuses.iter().any(|status| status.is_failure()) || !fit.non_finite_starts.is_empty();
     if !fit.converged && !is_explained {
         warnings
             .push("the iterations did not end at a smooth minimum of χ²; try other initial values or another --window".into());
@@ -294,16 +322,23 @@ fn noise(assignments: &[String], scene: &Scene, measured: &[usize]) -> Result<Op
     for assignment in assignments {
         let parsed = assignment.split_once('=').and_then(|(name, value)| {
             let index = names.iter().position(|known| known == name)?;
-            Some((index, value.parse::<f64>().ok().filter(|value| value.is_finite() && *value > 0.0)?))
+            Some((
+                index,
+                value.parse::<f64>().ok().filter(|value| value.is_finite() && *value > 0.0)?,
+            ))
         });
         let (index, value) = parsed.with_context(|| {
-            format!("--noise {assignment}: write NAME=VALUE with a positive value; names: {}", listed(&names))
+            format!(
+                "--noise {assignment}: write NAME=VALUE with a positive value; names: {}",
+                listed(&names)
+            )
         })?;
         if noise[index].replace(value).is_some() {
             bail!("--noise {assignment}: {} is given twice; give each name once", names[index]);
         }
     }
-    let missing: Vec<String> = measured.iter().filter(|&&i| noise[i].is_none()).map(|&i| names[i].clone()).collect();
+    let missing: Vec<String> =
+        measured.iter().filter(|&&i| noise[i].is_none()).map(|&i| names[i].clone()).collect();
     if !missing.is_empty() {
         let all: Vec<String> = measured.iter().map(|&i| names[i].clone()).collect();
         bail!("--noise lacks {}; give all measured states: {}", listed(&missing), listed(&all));
@@ -314,16 +349,26 @@ fn noise(assignments: &[String], scene: &Scene, measured: &[usize]) -> Result<Op
 /// Initial value of each unknown.
 fn starts(fit: &Fit, scene: &Scene) -> Vec<f64> {
     let varied = scene.varied();
-    let start = |name: &String| varied.iter().find(|(known, _)| known == name).map_or(f64::NAN, |(_, number)| number.nominal());
+    let start = |name: &String| {
+        varied
+            .iter()
+            .find(|(known, _)| known == name)
+            .map_or(f64::NAN, |(_, number)| number.nominal())
+    };
     fit.names.iter().map(start).collect()
 }
 
 fn numbers(fit: &Fit, scene: &Scene) -> Result<Vec<u8>> {
-    let mut header = ["name", "start", "value", "standard_error", "robust_error", "status"].map(String::from).to_vec();
+    let mut header = ["name", "start", "value", "standard_error", "robust_error", "status"]
+        .map(String::from)
+        .to_vec();
     header.extend(fit.names.iter().map(|name| format!("correlation with {name}")));
     let rows = starts(fit, scene).into_iter().enumerate().map(|(i, start)| {
         let mut row = vec![fit.names[i].clone()];
-        row.extend([start, fit.values[i], fit.errors[i], fit.robust_errors[i]].map(|number| number.to_string()));
+        row.extend(
+            [start, fit.values[i], fit.errors[i], fit.robust_errors[i]]
+                .map(|number| number.to_string()),
+        );
         row.push(fit.statuses[i].name().into());
         row.extend(fit.correlations[i].iter().map(f64::to_string));
         row
@@ -347,12 +392,18 @@ fn table(fit: &Fit, scene: &Scene) -> Table {
 /// all segments that measure it. Segments have equal weights, also if they differ in length.
 fn residuals(fit: &Fit, segments: &[Segment], scene: &Scene) -> String {
     let rms = |i: usize| {
-        let each = segments.iter().enumerate().map(|(index, segment)| fit.rms(index, i, segment)).filter(|rms| !rms.is_nan());
+        let each = segments
+            .iter()
+            .enumerate()
+            .map(|(index, segment)| fit.rms(index, i, segment))
+            .filter(|rms| !rms.is_nan());
         let squares: Vec<f64> = each.map(|rms| rms * rms).collect();
         (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
     };
     let names = scene.state_names();
-    let parts = measured_components(segments, 1).into_iter().map(|i| format!("{} {}", names[i], short(rms(i))));
+    let parts = measured_components(segments, 1)
+        .into_iter()
+        .map(|i| format!("{} {}", names[i], short(rms(i))));
     let parts: Vec<String> = parts.collect();
     format!("root mean square of the residuals: {}", parts.join(", "))
 }

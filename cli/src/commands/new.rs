@@ -22,7 +22,10 @@ const RESERVED: [(&str, &str); 3] = [
          typeof unsafe unsized use virtual where while yield",
         "is a keyword of Rust",
     ),
-    ("alloc build core deps examples incremental proc_macro std test", "is a crate of Rust or a folder of Cargo"),
+    (
+        "alloc build core deps examples incremental proc_macro std test",
+        "is a crate of Rust or a folder of Cargo",
+    ),
     ("physgrad rand schemars serde", "is a dependency of the new crate"),
 ];
 
@@ -42,10 +45,16 @@ pub fn new(args: &New) -> Result<()> {
     let name = &args.name;
     let valid = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
     if !name.starts_with(|c: char| c.is_ascii_lowercase()) || !name.chars().all(valid) {
-        bail!("`{name}` cannot be the name of a task; allowed: lower case letters, digits and underscores, a letter first");
+        bail!(
+            "`{name}` cannot be the name of a task; allowed: lower case letters, digits and underscores, a letter first"
+        );
     }
-    if let Some((_, reason)) = RESERVED.iter().find(|(names, _)| names.split_whitespace().any(|reserved| reserved == name)) {
-        bail!("`{name}` cannot be the name of a task: it {reason}. Choose another name, for instance `{name}_task`");
+    if let Some((_, reason)) =
+        RESERVED.iter().find(|(names, _)| names.split_whitespace().any(|reserved| reserved == name))
+    {
+        bail!(
+            "`{name}` cannot be the name of a task: it {reason}. Choose another name, for instance `{name}_task`"
+        );
     }
     let type_name = type_name(name);
     if uses(EXAMPLE, &type_name) || uses(TEST, &type_name) {
@@ -66,7 +75,8 @@ pub fn new(args: &New) -> Result<()> {
         ("scene.toml", SCENE.replace("NAME", name)),
         (".gitignore", "/target\n/runs\n".into()),
     ];
-    files::create_tree(Path::new(name), &files).with_context(|| format!("cannot write the folder {name}"))?;
+    files::create_tree(Path::new(name), &files)
+        .with_context(|| format!("cannot write the folder {name}"))?;
     print_result(&format!(
         "created {name}: Cargo.toml, src/main.rs, scene.toml. Replace the equations in src/main.rs with your own. Then:\n\n\
          cd {name}\n\
@@ -83,7 +93,9 @@ fn manifest(name: &str, path: Option<&Path>) -> Result<String> {
         let Some(path) = path else { return Ok(format!("{:?}", env!("CARGO_PKG_VERSION"))) };
         let path = path.join(folder);
         let path = path.canonicalize().unwrap_or(path);
-        let text = path.to_str().with_context(|| format!("--path {}: it is not UTF-8 text", path.display()))?;
+        let text = path
+            .to_str()
+            .with_context(|| format!("--path {}: it is not UTF-8 text", path.display()))?;
         anyhow::Ok(format!("{{ path = {} }}", toml::Value::from(text)))
     };
     let mut text = MANIFEST.replace("NAME", name);

@@ -1,7 +1,5 @@
 //! `physgrad optimize`: controls that minimize the loss of a scene from single initial states.
 
-use physgrad::text::{digits, rough};
-use physgrad::optimize::{Initial, Options, Plan, Stop};
 use crate::operations::trajectory::Trajectory;
 use crate::platform::csv::csv;
 use crate::platform::folder::{Folder, SCENE, TRAJECTORY};
@@ -13,8 +11,10 @@ use crate::runs::{outputs, saved};
 use crate::scenes::overrides::{Overrides, hide_training};
 use crate::scenes::presets;
 use crate::tasks::Scene;
-use physgrad_plot::{Dash, Series, fitted};
 use anyhow::{Context, Result, bail};
+use physgrad::optimize::{Initial, Options, Plan, Stop};
+use physgrad::text::{digits, rough};
+use physgrad_plot::{Dash, Series, fitted};
 use serde_json::json;
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -93,27 +93,41 @@ pub fn optimize(args: &Optimize) -> Result<()> {
         let plan = scene.optimize(&start.states[0], &start.params, initial, &options);
         let plan = plan.with_context(|| format!("initial state {i}"))?;
         if !args.quiet {
-            print_message(&format!("initial state {i}: cost {} after {} iterations", digits(plan.cost, 6), plan.iterations()));
+            print_message(&format!(
+                "initial state {i}: cost {} after {} iterations",
+                digits(plan.cost, 6),
+                plan.iterations()
+            ));
         }
         Ok::<Plan, anyhow::Error>(plan)
     });
     let seconds = begin.elapsed().as_secs_f64();
-    let failures = plans.iter().filter_map(|plan| Some(format!("{:#}", plan.as_ref().err()?))).collect::<Vec<_>>();
+    let failures = plans
+        .iter()
+        .filter_map(|plan| Some(format!("{:#}", plan.as_ref().err()?)))
+        .collect::<Vec<_>>();
     let failed = || match failures.len() {
         0 => Ok(()),
-        count => bail!("{count} of {} optimizations failed:\n{}", starts.len(), failures.join("\n")),
+        count => {
+            bail!("{count} of {} optimizations failed:\n{}", starts.len(), failures.join("\n"))
+        }
     };
-    let plans: Vec<(usize, Plan)> = plans.into_iter().enumerate().filter_map(|(i, plan)| Some((i, plan.ok()?))).collect();
+    let plans: Vec<(usize, Plan)> =
+        plans.into_iter().enumerate().filter_map(|(i, plan)| Some((i, plan.ok()?))).collect();
     if plans.is_empty() {
         return failed();
     }
 
-    let optimized: Vec<(usize, Trajectory)> = plans.iter().map(|(i, plan)| (*i, trajectory(plan))).collect();
+    let optimized: Vec<(usize, Trajectory)> =
+        plans.iter().map(|(i, plan)| (*i, trajectory(plan))).collect();
     let folder = Folder::or_fresh(reserved, &format!("optimize-{name}"))?;
     saved::write_scene(&folder, SCENE, &scene)?;
     let costs = summary(&plans)?;
     folder.write("optimized.csv", &costs)?;
-    folder.write(TRAJECTORY, outputs::trajectories(&scene, optimized.iter().map(|(i, rollout)| (*i, rollout)))?)?;
+    folder.write(
+        TRAJECTORY,
+        outputs::trajectories(&scene, optimized.iter().map(|(i, rollout)| (*i, rollout)))?,
+    )?;
     folder.write("gains.csv", gains(&plans, &scene)?)?;
     let initial = if args.from.is_some() { &starts[..] } else { &[] };
     folder.write("optimized.svg", picture(&scene, &optimized, initial))?;
@@ -123,7 +137,9 @@ pub fn optimize(args: &Optimize) -> Result<()> {
     }
     not_stationary(&plans).iter().for_each(|warning| print_message(warning));
     if args.json {
-        print_json(&json!({ "folder": folder.path(), "seconds": seconds, "plans": rows(&costs)? }))?;
+        print_json(
+            &json!({ "folder": folder.path(), "seconds": seconds, "plans": rows(&costs)? }),
+        )?;
         return failed();
     }
     if args.quiet {
@@ -152,11 +168,15 @@ fn starts(args: &Optimize, scene: &Scene) -> Result<Vec<Trajectory>> {
     }
     let samples = run.test_samples();
     if !(1..=samples).contains(&args.starts) {
-        bail!("--starts is {}; allowed: 1 to {samples}, the number of test initial states (training.test_samples)", args.starts);
+        bail!(
+            "--starts is {}; allowed: 1 to {samples}, the number of test initial states (training.test_samples)",
+            args.starts
+        );
     }
     let chosen = 0..args.starts;
     // Plans have double precision. An unstable plant amplifies the rounding errors of f32 controls.
-    let rollouts = if args.from.is_some() { run.double_rollouts(chosen) } else { run.starts(chosen) };
+    let rollouts =
+        if args.from.is_some() { run.double_rollouts(chosen) } else { run.starts(chosen) };
     match &args.from {
         Some(path) if rollouts.iter().any(|rollout| rollout.controls.len() < scene.horizon) => {
             bail!("the policy of {} diverges; name a scene instead of --from {0}", path.display())
@@ -170,19 +190,32 @@ fn starts(args: &Optimize, scene: &Scene) -> Result<Vec<Trajectory>> {
 /// arguments.
 fn bounds(arguments: &[String], names: &[String]) -> Result<Option<Vec<[f64; 2]>>> {
     let mut bounds = vec![[f64::NEG_INFINITY, f64::INFINITY]; names.len()];
-    let (named, general): (Vec<&String>, Vec<&String>) = arguments.iter().partition(|argument| argument.contains('='));
+    let (named, general): (Vec<&String>, Vec<&String>) =
+        arguments.iter().partition(|argument| argument.contains('='));
     let mut seen = HashSet::new();
     for argument in general.into_iter().chain(named) {
-        let (name, range) = argument.split_once('=').map_or((None, argument.as_str()), |(name, range)| (Some(name), range));
-        let range = range.split_once(':').and_then(|(low, high)| Some([low.parse().ok()?, high.parse().ok()?]));
+        let (name, range) = argument
+            .split_once('=')
+            .map_or((None, argument.as_str()), |(name, range)| (Some(name), range));
+        let range = range
+            .split_once(':')
+            .and_then(|(low, high)| Some([low.parse().ok()?, high.parse().ok()?]));
         let range = range.filter(|[low, high]: &[f64; 2]| low < high);
-        let chosen = bounds.iter_mut().zip(names).filter(|(_, known)| name.is_none_or(|name| name == *known));
+        let chosen = bounds
+            .iter_mut()
+            .zip(names)
+            .filter(|(_, known)| name.is_none_or(|name| name == *known));
         let chosen: Vec<_> = chosen.map(|(bound, _)| bound).collect();
         if !seen.insert(name) {
-            bail!("--bound {argument}: {} has two bounds; give one", name.unwrap_or("every control"));
+            bail!(
+                "--bound {argument}: {} has two bounds; give one",
+                name.unwrap_or("every control")
+            );
         }
         match range {
-            Some(range) if !chosen.is_empty() => chosen.into_iter().for_each(|bound| *bound = range),
+            Some(range) if !chosen.is_empty() => {
+                chosen.into_iter().for_each(|bound| *bound = range)
+            }
             _ => bail!(
                 "--bound {argument}: write [NAME=]LOW:HIGH with LOW below HIGH, as in {}=-10:10; names: {}",
                 names.first().map_or("u", String::as_str),
@@ -203,9 +236,17 @@ fn trajectory(plan: &Plan) -> Trajectory {
 
 /// `optimized.csv`: one row per initial state.
 fn summary(plans: &[(usize, Plan)]) -> Result<Vec<u8>> {
-    let header = ["sample", "initial_cost", "cost", "iterations", "rollouts", "gradient_norm", "stop"];
+    let header =
+        ["sample", "initial_cost", "cost", "iterations", "rollouts", "gradient_norm", "stop"];
     let rows = plans.iter().map(|(i, plan)| {
-        let numbers = [*i as f64, plan.costs[0], plan.cost, plan.iterations() as f64, plan.rollouts as f64, plan.gradient_norm()];
+        let numbers = [
+            *i as f64,
+            plan.costs[0],
+            plan.cost,
+            plan.iterations() as f64,
+            plan.rollouts as f64,
+            plan.gradient_norm(),
+        ];
         numbers.iter().map(f64::to_string).chain([plan.stop.to_string()]).collect::<Vec<_>>()
     });
     csv(header, rows)
@@ -215,7 +256,9 @@ fn summary(plans: &[(usize, Plan)]) -> Result<Vec<u8>> {
 /// `u_t + K_t (x - x_t)`.
 fn gains(plans: &[(usize, Plan)], scene: &Scene) -> Result<Vec<u8>> {
     let (states, controls) = (scene.state_names(), scene.control_names());
-    let columns = controls.iter().flat_map(|control| states.iter().map(move |state| format!("{control} by {state}")));
+    let columns = controls
+        .iter()
+        .flat_map(|control| states.iter().map(move |state| format!("{control} by {state}")));
     let header = ["sample", "step"].map(String::from).into_iter().chain(columns);
     let rows = plans.iter().flat_map(|(i, plan)| {
         let gains = plan.gains.chunks(states.len() * controls.len()).enumerate();
@@ -240,8 +283,10 @@ fn table(plans: &[(usize, Plan)]) -> Table {
 
 /// Warning about plans that end at a gradient above 1e-4 of the cost, if any.
 fn not_stationary(plans: &[(usize, Plan)]) -> Option<String> {
-    let is_steep = |plan: &Plan| plan.stop != Stop::Gradient && plan.gradient_norm() > 1e-4 * plan.cost.abs();
-    let steep: Vec<String> = plans.iter().filter(|(_, plan)| is_steep(plan)).map(|(i, _)| i.to_string()).collect();
+    let is_steep =
+        |plan: &Plan| plan.stop != Stop::Gradient && plan.gradient_norm() > 1e-4 * plan.cost.abs();
+    let steep: Vec<String> =
+        plans.iter().filter(|(_, plan)| is_steep(plan)).map(|(i, _)| i.to_string()).collect();
     (!steep.is_empty()).then(|| {
         format!(
             "warning: the search ended at a gradient above 1e-4 of the cost, so lower costs exist nearby (initial states: {}). \
@@ -255,18 +300,26 @@ fn not_stationary(plans: &[(usize, Plan)]) -> Option<String> {
 /// row for each control, and for each of the first [`COMPONENTS`] state components.
 fn picture(scene: &Scene, optimized: &[(usize, Trajectory)], initial: &[Trajectory]) -> String {
     let dt = scene.dt();
-    let line = |rows: &[Vec<f64>], i: usize| rows.iter().enumerate().map(|(t, row)| (t as f64 * dt, row[i])).collect();
+    let line = |rows: &[Vec<f64>], i: usize| {
+        rows.iter().enumerate().map(|(t, row)| (t as f64 * dt, row[i])).collect()
+    };
     let columns = optimized.iter().take(SHOWN).map(|&(start, ref rollout)| {
         let row = |(i, name): (usize, String), rows: fn(&Trajectory) -> &[Vec<f64>]| {
             let optimized = Series::new("optimized", "#0072B2", line(rows(rollout), i));
-            let policy =
-                initial.get(start).map(|rollout| Series::new("policy", "#D55E00", line(rows(rollout), i)).dash(Dash::Dashed));
+            let policy = initial.get(start).map(|rollout| {
+                Series::new("policy", "#D55E00", line(rows(rollout), i)).dash(Dash::Dashed)
+            });
             (name, [optimized].into_iter().chain(policy).collect())
         };
-        let controls = scene.control_names().into_iter().enumerate().map(|named| row(named, |rollout| &rollout.controls));
+        let controls = scene
+            .control_names()
+            .into_iter()
+            .enumerate()
+            .map(|named| row(named, |rollout| &rollout.controls));
         let states = scene.state_names().into_iter().enumerate().take(COMPONENTS);
         let states = states.map(|named| row(named, |rollout| &rollout.states));
         (format!("initial state {start}"), controls.chain(states).collect())
     });
-    fitted(&format!("{}: optimized controls and states", scene.task.name()), columns.collect()).to_svg()
+    fitted(&format!("{}: optimized controls and states", scene.task.name()), columns.collect())
+        .to_svg()
 }

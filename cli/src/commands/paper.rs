@@ -14,9 +14,9 @@ use crate::runs::comparison::{check_distinct, check_options};
 use crate::runs::run::NoUpdate;
 use crate::runs::shard::Shard;
 use crate::settings::{ClipName, FieldName};
-use physgrad_plot::Drawing;
 use anyhow::{Result, bail};
 use clap::ValueEnum;
+use physgrad_plot::Drawing;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -128,7 +128,10 @@ impl FinishedFigure {
         folder.write(&format!("{name}.md"), format!("{}{note}\n", self.table.markdown()))?;
         if !options.quiet && !options.json {
             let path = folder.path().display();
-            print_text(&format!("{}{note}\n{name}.svg, {name}.png, {name}.csv and {name}.md are in {path}\n", self.table))?;
+            print_text(&format!(
+                "{}{note}\n{name}.svg, {name}.png, {name}.csv and {name}.md are in {path}\n",
+                self.table
+            ))?;
         }
         Ok(json!({ "name": name, "table": self.table.objects() }))
     }
@@ -143,13 +146,18 @@ pub fn paper(args: &Paper) -> Result<()> {
     let folder = Folder::at(args.out.as_deref().unwrap_or(Path::new(default)));
     let folder = if args.shard.is_some() { folder.share()? } else { folder.lock()? };
     let first = args.shard.is_none_or(Shard::is_first);
-    let write =
-        |figure: Figure, finished: Result<FinishedFigure>| Ok((Some(finished?.write(&figure.name(), &folder, options)?), Ok(())));
+    let write = |figure: Figure, finished: Result<FinishedFigure>| {
+        Ok((Some(finished?.write(&figure.name(), &folder, options)?), Ok(())))
+    };
     // Puts the figure with the longest computing time last.
     let none = || Ok((None, Ok(())));
     let figures: [(Figure, &dyn Fn() -> Result<Made>); 5] = [
-        (Figure::Fig1, &|| if first { write(Figure::Fig1, fig1::fig1(options.quick)) } else { none() }),
-        (Figure::Fig2, &|| if first { write(Figure::Fig2, fig2::fig2(options.quick)) } else { none() }),
+        (Figure::Fig1, &|| {
+            if first { write(Figure::Fig1, fig1::fig1(options.quick)) } else { none() }
+        }),
+        (Figure::Fig2, &|| {
+            if first { write(Figure::Fig2, fig2::fig2(options.quick)) } else { none() }
+        }),
         (Figure::Fig4, &|| FIG4.run(options, &folder, args.shard)),
         (Figure::Fig3, &|| FIG3.run(options, &folder, args.shard)),
         (Figure::Fig5, &|| FIG5.run(options, &folder, args.shard)),
@@ -228,7 +236,11 @@ mod tests {
     fn check(header: &str, figure: &FinishedFigure) {
         let svg = figure.drawing.to_svg();
         roxmltree::Document::parse(&svg).expect("an SVG is XML");
-        assert!(!svg.contains("NaN") && svg.len() < 500_000, "an SVG without NaN and below 500 kB, not {} bytes", svg.len());
+        assert!(
+            !svg.contains("NaN") && svg.len() < 500_000,
+            "an SVG without NaN and below 500 kB, not {} bytes",
+            svg.len()
+        );
         let csv = std::str::from_utf8(&figure.csv).expect("CSV is text");
         assert_eq!(csv.lines().next(), Some(header));
         assert!(csv.lines().count() > 100 && !csv.contains("NaN"));

@@ -39,13 +39,16 @@ pub fn scene(args: &Scene) -> Result<()> {
     match &args.preset {
         Some(name) if args.json => print_json(&json!(presets::source(name)?.scene()?.table)),
         None if args.json => {
-            let all = presets::all().map(|(name, about)| json!({ "name": name, "about": about })).collect::<Vec<_>>();
+            let all = presets::all()
+                .map(|(name, about)| json!({ "name": name, "about": about }))
+                .collect::<Vec<_>>();
             print_json(&json!({ "presets": all }))
         }
         Some(name) => print_result(presets::text(name)?.trim_end()),
         None => {
             let width = presets::all().map(|(name, _)| name.len()).max().unwrap_or(0);
-            presets::all().try_for_each(|(name, about)| print_text(&format!("{name:width$}  {about}")))
+            presets::all()
+                .try_for_each(|(name, about)| print_text(&format!("{name:width$}  {about}")))
         }
     }
 }

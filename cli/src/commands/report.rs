@@ -49,7 +49,11 @@ pub fn report(args: &Report) -> Result<()> {
 
 /// The page about the run, the comparison or the identification in the folder.
 pub fn html(folder: &Folder) -> Result<String> {
-    if folder.has(identification::IDENTIFIED) { identification::page(folder) } else { of_runs(folder) }
+    if folder.has(identification::IDENTIFIED) {
+        identification::page(folder)
+    } else {
+        of_runs(folder)
+    }
 }
 
 /// The page about a run in memory. `folder` is the name of its folder, if it has one.
@@ -59,9 +63,12 @@ pub fn of_run(folder: Option<&str>, scene: &Scene, run: &dyn AnyRun) -> Result<S
 
 /// The page about the run or the comparison in the folder.
 fn of_runs(folder: &Folder) -> Result<String> {
-    let scenes = saved::scenes(folder)?.into_iter().map(InspectedScene::read).collect::<Result<Vec<_>>>()?;
+    let scenes =
+        saved::scenes(folder)?.into_iter().map(InspectedScene::read).collect::<Result<Vec<_>>>()?;
     Ok(match &scenes[..] {
-        [InspectedScene { runs, .. }] if saved::has_run(folder) => page::run(Some(&folder.name()), &runs[0]),
+        [InspectedScene { runs, .. }] if saved::has_run(folder) => {
+            page::run(Some(&folder.name()), &runs[0])
+        }
         _ => page::comparison(&folder.name(), &scenes),
     })
 }

@@ -1,6 +1,5 @@
 //! `physgrad robust`: losses of trained policies over a grid of settings.
 
-use physgrad::text::short;
 use crate::commands::eval::check_samples;
 use crate::operations::session::Epoch;
 use crate::platform::csv::csv;
@@ -11,9 +10,10 @@ use crate::platform::table::Table;
 use crate::platform::terminal::{counted, print_text};
 use crate::runs::trained::Trained;
 use crate::tasks::Scene;
+use anyhow::{Context, Result, bail};
+use physgrad::text::short;
 use physgrad_plot::quantile::{quantile, sorted};
 use physgrad_plot::{PALETTE, Series, robustness};
-use anyhow::{Context, Result, bail};
 use serde_json::json;
 use std::path::PathBuf;
 use toml::Value;
@@ -65,8 +65,9 @@ impl Axis {
             let valid = low.is_finite() && high.is_finite() && (2..=200).contains(&count);
             valid.then(|| (key.trim().to_owned(), low, high, count))
         };
-        let (key, low, high, count) =
-            parts().ok_or("allowed: KEY=LOW:HIGH:COUNT with 2 to 200 values, as in system.cart_mass=0.5:2:7")?;
+        let (key, low, high, count) = parts().ok_or(
+            "allowed: KEY=LOW:HIGH:COUNT with 2 to 200 values, as in system.cart_mass=0.5:2:7",
+        )?;
         let step = (high - low) / (count - 1) as f64;
         let value = |i: usize| if i + 1 == count { high } else { low + step * i as f64 };
         Ok(Self { key, values: (0..count).map(value).collect() })
@@ -99,7 +100,9 @@ pub fn robust(args: &Robust) -> Result<()> {
         bail!("--grid gives {} twice; give each setting once", first.key);
     }
     check_samples(args.samples)?;
-    let unused = |axis: &&Axis| ["seed", "epochs"].contains(&&*axis.key) || axis.key.starts_with("training.");
+    let unused = |axis: &&Axis| {
+        ["seed", "epochs"].contains(&&*axis.key) || axis.key.starts_with("training.")
+    };
     if let Some(Axis { key, .. }) = args.grid.iter().find(unused) {
         bail!("--grid {key}: an evaluation does not use this setting; choose a number of the task");
     }
@@ -108,7 +111,9 @@ pub fn robust(args: &Robust) -> Result<()> {
     for run in 0..runs.len() {
         for &first in &args.grid[0].values {
             match args.grid.get(1) {
-                Some(second) => points.extend(second.values.iter().map(|&second| (run, vec![first, second]))),
+                Some(second) => {
+                    points.extend(second.values.iter().map(|&second| (run, vec![first, second])))
+                }
                 None => points.push((run, vec![first])),
             }
         }
@@ -126,7 +131,11 @@ pub fn robust(args: &Robust) -> Result<()> {
     if args.json {
         return print_json(&json!({ "folder": folder.path(), "points": objects(&points)? }));
     }
-    print_text(&format!("{}\nresults in {}: robust.csv, robust.svg", table(args, &runs, &cells), folder.path().display()))
+    print_text(&format!(
+        "{}\nresults in {}: robust.csv, robust.svg",
+        table(args, &runs, &cells),
+        folder.path().display()
+    ))
 }
 
 /// Scene of a policy at one grid point.
@@ -135,7 +144,8 @@ fn scene(policy: &Trained, at: &[f64], args: &Robust) -> Result<Scene> {
     for (axis, &value) in args.grid.iter().zip(at) {
         // Whole-number settings reject 1.0. All numeric settings accept integers.
         let integer = value as i64;
-        let number = if integer as f64 == value { Value::Integer(integer) } else { Value::Float(value) };
+        let number =
+            if integer as f64 == value { Value::Integer(integer) } else { Value::Float(value) };
         source.replace(&axis.key, number, &format!("{} = {value}", axis.key))?;
     }
     source.scene().context("--grid")
@@ -146,14 +156,25 @@ fn evaluate(policy: &Trained, run: usize, at: &[f64], args: &Robust) -> Result<C
     let losses = policy.evaluation(&scene(policy, at, args)?, args.seed)?.losses(args.samples);
     let diverged = losses.iter().filter(|loss| !loss.is_finite()).count();
     let losses = sorted(losses.into_iter());
-    Ok(Cell { run, at: at.to_vec(), quantiles: SHARES.map(|share| quantile(&losses, share)), diverged })
+    Ok(Cell {
+        run,
+        at: at.to_vec(),
+        quantiles: SHARES.map(|share| quantile(&losses, share)),
+        diverged,
+    })
 }
 
 /// Header and rows of `robust.csv`.
-fn rows<'a>(args: &'a Robust, runs: &'a [Trained], cells: &'a [Cell]) -> (Vec<String>, impl Iterator<Item = Vec<String>>) {
+fn rows<'a>(
+    args: &'a Robust,
+    runs: &'a [Trained],
+    cells: &'a [Cell],
+) -> (Vec<String>, impl Iterator<Item = Vec<String>>) {
     let mut header = vec!["run".to_owned()];
     header.extend(args.grid.iter().map(|axis| axis.key.clone()));
-    header.extend(["quartile_1", "median", "quartile_3", "quantile_90", "diverged"].map(String::from));
+    header.extend(
+        ["quartile_1", "median", "quartile_3", "quantile_90", "diverged"].map(String::from),
+    );
     let row = |cell: &Cell| {
         let mut row = vec![runs[cell.run].name.clone()];
         row.extend(cell.at.iter().map(f64::to_string));
@@ -173,7 +194,8 @@ fn table_csv(args: &Robust, runs: &[Trained], cells: &[Cell]) -> Result<Vec<u8>>
 fn table(args: &Robust, runs: &[Trained], cells: &[Cell]) -> String {
     let keys = args.grid.iter().map(|axis| axis.key.clone());
     let names: Vec<&str> = runs.iter().map(|run| &*run.name).collect();
-    let mut table = Table::new(keys.chain(names.iter().map(ToString::to_string))).optional(&names[1..]);
+    let mut table =
+        Table::new(keys.chain(names.iter().map(ToString::to_string))).optional(&names[1..]);
     let points = cells.len() / runs.len();
     for (point, cell) in cells.iter().take(points).enumerate() {
         let losses = (0..runs.len()).map(|run| {
@@ -194,12 +216,16 @@ fn picture(args: &Robust, runs: &[Trained], cells: &[Cell]) -> String {
     };
     let panel = |second: Option<f64>| {
         let series = |(i, run): (usize, &Trained)| {
-            let own: Vec<&Cell> = cells.iter().filter(|cell| cell.run == i && cell.at.get(1).copied() == second).collect();
+            let own: Vec<&Cell> = cells
+                .iter()
+                .filter(|cell| cell.run == i && cell.at.get(1).copied() == second)
+                .collect();
             let line = own.iter().map(|cell| (cell.at[0], cell.quantiles[1])).collect();
             let band = own.iter().map(|cell| (cell.quantiles[0], cell.quantiles[2])).collect();
             Series { band, ..Series::new(&*run.name, PALETTE[i % PALETTE.len()], line) }
         };
-        let title = second.map_or_else(String::new, |value| format!("{} = {}", args.grid[1].key, short(value)));
+        let title = second
+            .map_or_else(String::new, |value| format!("{} = {}", args.grid[1].key, short(value)));
         (title, runs.iter().enumerate().map(series).collect())
     };
     let rollouts = counted(args.samples, "rollout");

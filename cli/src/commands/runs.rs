@@ -1,14 +1,14 @@
 //! `physgrad runs`: saved runs, with their losses.
 
-use physgrad::text::short;
 use crate::platform::csv::csv;
 use crate::platform::folder::{Folder, RUNS};
 use crate::platform::json::{print_json, rows};
 use crate::platform::table::Table;
 use crate::platform::terminal::{counted, print_message, print_note, print_text};
 use crate::runs::listed::{Listed, below};
-use physgrad_plot::{Curve, Dash, PALETTE, comparison};
 use anyhow::Result;
+use physgrad::text::short;
+use physgrad_plot::{Curve, Dash, PALETTE, comparison};
 use serde_json::json;
 use std::collections::HashSet;
 use std::fs;
@@ -17,7 +17,9 @@ use std::time::Duration;
 
 /// List saved runs with their losses, and compare them.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  physgrad runs --sort loss\n  physgrad runs --task cart_pole --tag baseline -o runs/listed")]
+#[command(
+    after_help = "Examples:\n  physgrad runs --sort loss\n  physgrad runs --task cart_pole --tag baseline -o runs/listed"
+)]
 pub struct Runs {
     /// Folders to search, with their subfolders
     #[arg(value_name = "DIR", default_value = RUNS)]
@@ -69,7 +71,9 @@ pub fn runs(args: &Runs) -> Result<()> {
     match args.sort {
         Order::Path => {}
         // NaN ranks above every number.
-        Order::Loss => runs.sort_by(|a, b| a.best().is_nan().cmp(&b.best().is_nan()).then(a.best().total_cmp(&b.best()))),
+        Order::Loss => runs.sort_by(|a, b| {
+            a.best().is_nan().cmp(&b.best().is_nan()).then(a.best().total_cmp(&b.best()))
+        }),
         Order::Age => runs.sort_by_key(|run| std::cmp::Reverse(run.saved)),
     }
     let list = csv(CSV, runs.iter().map(row))?;
@@ -98,7 +102,17 @@ fn curves(runs: Vec<Listed>) -> Vec<Curve> {
     runs.into_iter().enumerate().map(curve).collect()
 }
 
-const CSV: [&str; 9] = ["run", "task", "field", "seed", "epochs", "total_epochs", "test_loss", "best_test_loss", "tags"];
+const CSV: [&str; 9] = [
+    "run",
+    "task",
+    "field",
+    "seed",
+    "epochs",
+    "total_epochs",
+    "test_loss",
+    "best_test_loss",
+    "tags",
+];
 
 /// Row of `runs.csv`.
 fn row(run: &Listed) -> [String; 9] {
@@ -117,12 +131,23 @@ fn row(run: &Listed) -> [String; 9] {
 
 fn table(runs: &[Listed]) -> Table {
     let header = ["run", "task", "field", "seed", "epochs", "test loss", "best", "age", "tags"];
-    let mut table = Table::new(header).optional(&["epochs", "field", "seed", "task", "tags", "age"]);
+    let mut table =
+        Table::new(header).optional(&["epochs", "field", "seed", "task", "tags", "age"]);
     for run in runs {
         let [path, task, field, seed, done, total, _, _, tags] = row(run);
         let epochs = if done == total { done } else { format!("{done} of {total}") };
         let age = run.saved.elapsed().map_or_else(|_| "0 s".into(), age);
-        table.row([path, task, field, seed, epochs, short(run.last()), short(run.best()), age, tags]);
+        table.row([
+            path,
+            task,
+            field,
+            seed,
+            epochs,
+            short(run.last()),
+            short(run.best()),
+            age,
+            tags,
+        ]);
     }
     table
 }
@@ -144,7 +169,8 @@ mod tests {
 
     #[test]
     fn an_age_has_its_largest_unit() {
-        let text = [59, 60, 3599, 3600, 172_799, 172_800].map(|seconds| age(Duration::from_secs(seconds)));
+        let text =
+            [59, 60, 3599, 3600, 172_799, 172_800].map(|seconds| age(Duration::from_secs(seconds)));
         assert_eq!(text, ["59 s", "1 min", "59 min", "1 h", "47 h", "2 days"]);
     }
 }

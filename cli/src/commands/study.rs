@@ -6,7 +6,9 @@ use crate::commands::compare::{Output, check_folder, train};
 use crate::platform::folder::{COMPARISON, Folder, SETTINGS, STUDY};
 use crate::platform::json::{print_json, rows};
 use crate::platform::terminal::{counted, print_text};
-use crate::runs::comparison::{Comparison, Ended, check_runs, check_sessions, read_all, write_plan_file};
+use crate::runs::comparison::{
+    Comparison, Ended, check_runs, check_sessions, read_all, write_plan_file,
+};
 use crate::runs::shard::Shard;
 use crate::scenes::plan::{Cell, Plan};
 use crate::scenes::presets::short_name;
@@ -68,7 +70,9 @@ pub fn study(args: &Study) -> Result<()> {
     }
     write_plan_file(&folder, STUDY, &plan.to_toml()?, args.shard.is_some())?;
     let output = Output { quiet: args.quiet, json: args.json };
-    train(&mut comparisons, args.shard, &folder, output, |comparisons| write_outputs(&plan, &cells, comparisons, &folder, output))
+    train(&mut comparisons, args.shard, &folder, output, |comparisons| {
+        write_outputs(&plan, &cells, comparisons, &folder, output)
+    })
 }
 
 /// Makes the tables and pictures of the study in the folder from its runs, without training.
@@ -91,20 +95,31 @@ fn comparisons(plan: &Plan, cells: &[Cell], folder: &Folder) -> Result<Vec<Compa
     cells.iter().map(comparison).collect()
 }
 
-fn write_outputs(plan: &Plan, cells: &[Cell], comparisons: &[Comparison], folder: &Folder, output: Output) -> Result<()> {
+fn write_outputs(
+    plan: &Plan,
+    cells: &[Cell],
+    comparisons: &[Comparison],
+    folder: &Folder,
+    output: Output,
+) -> Result<()> {
     let results = Results::of(cells, comparisons)?;
     let methods = results.methods_csv()?;
     folder.write("study.csv", &methods)?;
     folder.write("summary.csv", results.runs_csv()?)?;
     folder.write("times.csv", results.times_csv()?)?;
     folder.write("study.md", format!("{}\n\n{NOTE}\n", results.table(false).markdown()))?;
-    let title = format!("{}, each at its best learning rate", counted(plan.seeds() as usize, "seed"));
+    let title =
+        format!("{}, each at its best learning rate", counted(plan.seeds() as usize, "seed"));
     folder.write("study.svg", results.picture(&title).to_svg())?;
     if output.json {
         print_json(&json!({ "folder": folder.path(), "methods": rows(&methods)? }))?;
     } else if !output.quiet {
         let files = "study.svg, study.csv, study.md, summary.csv, times.csv, one folder per task, method and learning rate";
-        print_text(&format!("{}\n{NOTE}\nresults in {}: {files}", results.table(true), folder.path().display()))?;
+        print_text(&format!(
+            "{}\n{NOTE}\nresults in {}: {files}",
+            results.table(true),
+            folder.path().display()
+        ))?;
     }
     Ok(())
 }

@@ -22,7 +22,9 @@ pub struct Tasks {
 
 /// Runs the command.
 pub fn tasks(args: &Tasks) -> Result<()> {
-    let all = tasks::all().iter().filter(|task| args.task.as_ref().is_none_or(|name| name == task.name()));
+    let all = tasks::all()
+        .iter()
+        .filter(|task| args.task.as_ref().is_none_or(|name| name == task.name()));
     let all: Vec<_> = all.collect();
     if let (true, Some(name)) = (all.is_empty(), &args.task) {
         let names: Vec<&str> = tasks::all().iter().map(|task| task.name()).collect();
@@ -32,13 +34,16 @@ pub fn tasks(args: &Tasks) -> Result<()> {
     if args.json {
         let object = |task: &&dyn AnyTaskSpec| {
             let effects: Vec<&str> = task.effects().iter().map(|info| info.name).collect();
-            Ok(json!({ "name": task.name(), "about": task.about(), "effects": effects, "settings": settings(*task)?.objects() }))
+            Ok(
+                json!({ "name": task.name(), "about": task.about(), "effects": effects, "settings": settings(*task)?.objects() }),
+            )
         };
         let tasks = all.iter().map(|task| object(task)).collect::<Result<Vec<_>>>()?;
         return print_json(&json!({ "tasks": tasks }));
     }
     if let (Some(_), [task]) = (&args.task, &all[..]) {
-        let effects = if task.effects().is_empty() { "none".into() } else { names(&task.effects()) };
+        let effects =
+            if task.effects().is_empty() { "none".into() } else { names(&task.effects()) };
         let table = settings(**task)?;
         return print_text(&format!(
             "{}: {}\n{table}\neffects: {effects}\nactuators: {}\n`physgrad effects NAME` describes an effect or an actuator",
@@ -64,7 +69,8 @@ training.optimizer: adam, sgd, momentum, rmsprop, adagrad, adadelta; loss.mode: 
 
 fn describe(task: &dyn AnyTaskSpec) -> Result<()> {
     let settings = presets::source(task.name())?.scene()?.table.to_string();
-    let indented: String = settings.trim_end().lines().map(|line| format!("    {line}\n")).collect();
+    let indented: String =
+        settings.trim_end().lines().map(|line| format!("    {line}\n")).collect();
     let effects = if task.effects().is_empty() { "none".into() } else { names(&task.effects()) };
     print_text(&format!("{}: {}\neffects: {effects}\n", task.name(), task.about()))?;
     print_result(&indented)
@@ -79,7 +85,12 @@ fn settings(task: &dyn AnyTaskSpec) -> Result<Table> {
 }
 
 /// Adds a row per setting of a section and of its subsections.
-fn add_settings(table: &mut Table, section: &str, properties: &Value, defaults: Option<&toml::Table>) {
+fn add_settings(
+    table: &mut Table,
+    section: &str,
+    properties: &Value,
+    defaults: Option<&toml::Table>,
+) {
     for (key, property) in properties.as_object().into_iter().flatten() {
         let name = if section.is_empty() { key.clone() } else { format!("{section}.{key}") };
         if HIDDEN.contains(&&*name) {
@@ -87,20 +98,34 @@ fn add_settings(table: &mut Table, section: &str, properties: &Value, defaults: 
         }
         let default = defaults.and_then(|defaults| defaults.get(key));
         if property["properties"].is_object() {
-            add_settings(table, &name, &property["properties"], default.and_then(toml::Value::as_table));
+            add_settings(
+                table,
+                &name,
+                &property["properties"],
+                default.and_then(toml::Value::as_table),
+            );
             continue;
         }
-        let choices = property["oneOf"].as_array().or(property["enum"].as_array()).into_iter().flatten();
-        let choices = choices.filter_map(|choice| choice.as_str().or(choice["const"].as_str())).collect::<Vec<_>>().join(", ");
+        let choices =
+            property["oneOf"].as_array().or(property["enum"].as_array()).into_iter().flatten();
+        let choices = choices
+            .filter_map(|choice| choice.as_str().or(choice["const"].as_str()))
+            .collect::<Vec<_>>()
+            .join(", ");
         let meaning = property["description"].as_str().unwrap_or_default().replace('\n', " ");
-        let meaning = if choices.is_empty() { meaning } else { format!("{} ({choices})", meaning.trim_end_matches('.')) };
+        let meaning = if choices.is_empty() {
+            meaning
+        } else {
+            format!("{} ({choices})", meaning.trim_end_matches('.'))
+        };
         table.row([name, default.map_or_else(String::new, ToString::to_string), meaning]);
     }
 }
 
 /// Keys that no option sets, and the sections `effects` and `actuator`, whose entries the command
 /// lists by name.
-const HIDDEN: [&str; 8] = ["scene", "physgrad", "task", "effects", "actuator", "vary", "fit", "sweep"];
+const HIDDEN: [&str; 8] =
+    ["scene", "physgrad", "task", "effects", "actuator", "vary", "fit", "sweep"];
 
 fn names(infos: &[Info]) -> String {
     infos.iter().map(|info| info.name).collect::<Vec<_>>().join(", ")

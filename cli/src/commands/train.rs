@@ -1,6 +1,5 @@
 //! `physgrad train`: one training run with progress output.
 
-use physgrad::text::{digits, short};
 use crate::operations::session::AnyRun;
 use crate::platform::folder::Folder;
 use crate::platform::json::print_json;
@@ -15,8 +14,9 @@ use crate::scenes::overrides::Overrides;
 use crate::scenes::presets;
 use crate::scenes::source::SceneSource;
 use crate::tasks::Scene;
-use physgrad::{Ranks, Record, differences, ranks};
 use anyhow::{Context, Result, anyhow, bail};
+use physgrad::text::{digits, short};
+use physgrad::{Ranks, Record, differences, ranks};
 use serde_json::json;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -66,7 +66,8 @@ pub fn train(args: &Train) -> Result<()> {
     // Reports invalid settings before writing anything.
     let (scene, mut run, note) = agreed(ranks, open(args, workers))?;
     if let Some(ranks) = ranks.filter(|ranks| ranks.rank() > 0) {
-        return run::follow(&scene, &mut *run, ranks).with_context(|| format!("rank {}", ranks.rank()));
+        return run::follow(&scene, &mut *run, ranks)
+            .with_context(|| format!("rank {}", ranks.rank()));
     }
     let folder = match (&args.out, args.resume) {
         (Some(out), true) => Folder::existing(out)?.lock()?,
@@ -91,7 +92,8 @@ pub fn train(args: &Train) -> Result<()> {
         scene.large_batch().iter().for_each(|note| print_message(note));
     }
     let save_every = Duration::from_secs_f64(args.save_every);
-    let finished = run::run(&folder, &scene, &mut *run, args.resume, save_every, ranks, &mut progress)?;
+    let finished =
+        run::run(&folder, &scene, &mut *run, args.resume, save_every, ranks, &mut progress)?;
     progress.finish();
     let printed = match (args.json, args.quiet) {
         (true, _) => print_json(&object(&folder, &scene, &finished)),
@@ -114,7 +116,8 @@ pub fn train(args: &Train) -> Result<()> {
             let reason = error.map_or_else(String::new, |error| format!(" ({error})"));
             bail!(NoUpdate(format!("{results}{reason}")))
         }
-        End::Failed(error) => Err(error).with_context(|| format!("the run up to its last complete epoch is in {results}")),
+        End::Failed(error) => Err(error)
+            .with_context(|| format!("the run up to its last complete epoch is in {results}")),
     }
 }
 
@@ -146,14 +149,20 @@ fn open(args: &Train, workers: usize) -> Result<Opened> {
 /// ranks wait until that rank ends them, so that one rank prints the error.
 fn agreed(ranks: Option<&Arc<dyn Ranks>>, opened: Result<Opened>) -> Result<Opened> {
     let Some(ranks) = ranks else { return opened };
-    let settings = |(scene, ..): &Opened| format!("epochs = {}\n{}", scene.epochs, scene.identity());
-    let messages = ranks::gather(&**ranks, opened.as_ref().map_or(String::new(), settings).as_bytes());
+    let settings =
+        |(scene, ..): &Opened| format!("epochs = {}\n{}", scene.epochs, scene.identity());
+    let messages =
+        ranks::gather(&**ranks, opened.as_ref().map_or(String::new(), settings).as_bytes());
     let failed = messages.iter().position(Vec::is_empty);
     let unlike = || messages.iter().position(|message| *message != messages[0]);
     match failed.or_else(unlike) {
         None => opened,
         Some(rank) if rank == ranks.rank() => {
-            let unlike = |_| Err(anyhow!("its settings differ from those of rank 0; give all ranks the same scene and options"));
+            let unlike = |_| {
+                Err(anyhow!(
+                    "its settings differ from those of rank 0; give all ranks the same scene and options"
+                ))
+            };
             opened.and_then(unlike).with_context(|| format!("rank {rank}"))
         }
         Some(_) => loop {
@@ -165,19 +174,31 @@ fn agreed(ranks: Option<&Arc<dyn Ranks>>, opened: Result<Opened>) -> Result<Open
 /// Parses a number of seconds from 0 to 86400 (one day).
 fn seconds(text: &str) -> Result<f64, String> {
     let allowed = |seconds: &f64| (0.0..=86400.0).contains(seconds);
-    text.parse().ok().filter(allowed).ok_or_else(|| "allowed: 0 (after every update) to 86400 s".to_owned())
+    text.parse()
+        .ok()
+        .filter(allowed)
+        .ok_or_else(|| "allowed: 0 (after every update) to 86400 s".to_owned())
 }
 
 /// Checks that a named scene has the task of the resumed run. Returns a note on the settings that
 /// differ between a scene file and the run, if any.
-fn check_scene(folder: &Folder, scene: &Scene, file: &str, overrides: &Overrides) -> Result<Option<String>> {
+fn check_scene(
+    folder: &Folder,
+    scene: &Scene,
+    file: &str,
+    overrides: &Overrides,
+) -> Result<Option<String>> {
     let mut source = presets::source(file)?;
     // The run has a copy of its initial policy, so the file may be gone.
-    let named_scene = |source: &SceneSource| source.scene().or_else(|_| source.starting_from(scene.initial_policy()));
+    let named_scene = |source: &SceneSource| {
+        source.scene().or_else(|_| source.starting_from(scene.initial_policy()))
+    };
     let [named, saved] = [named_scene(&source)?.task.name(), scene.task.name()];
     if named != saved {
         let folder = folder.path().display();
-        bail!("the run in {folder} has the task {saved}, but {file} has the task {named}; name a scene of {saved}");
+        bail!(
+            "the run in {folder} has the task {saved}, but {file} has the task {named}; name a scene of {saved}"
+        );
     }
     if !presets::is_path(file) {
         return Ok(None);
@@ -186,13 +207,19 @@ fn check_scene(folder: &Folder, scene: &Scene, file: &str, overrides: &Overrides
     let (saved, named) = (scene.identity(), named_scene(&source)?.identity());
     let note = || {
         let (folder, differences) = (folder.path().display(), differences(&saved, &named));
-        format!("note: the run in {folder} resumes with its saved settings; {file} differs in:\n{differences}")
+        format!(
+            "note: the run in {folder} resumes with its saved settings; {file} differs in:\n{differences}"
+        )
     };
     Ok((saved != named).then(note))
 }
 
 /// Result of `--json`.
-fn object(folder: &Folder, scene: &Scene, Finished { records, numbers, end }: &Finished) -> serde_json::Value {
+fn object(
+    folder: &Folder,
+    scene: &Scene,
+    Finished { records, numbers, end }: &Finished,
+) -> serde_json::Value {
     let last = |loss: fn(&Record) -> f64| records.last().map(loss);
     json!({
         "folder": folder.path(),
@@ -222,10 +249,15 @@ fn summary(folder: &Folder, scene: &Scene, Finished { records, numbers, .. }: &F
         let seconds: f64 = records.iter().map(|r| r.seconds).sum();
         let [train, test, best] = [last.train_loss, last.test_loss, best(records)].map(short);
         let epochs = counted(records.len(), "epoch");
-        text += &format!("{epochs} in {seconds:.1} s: training loss {train}, test loss {test} (best {best})\n");
+        text += &format!(
+            "{epochs} in {seconds:.1} s: training loss {train}, test loss {test} (best {best})\n"
+        );
         let skipped: usize = records.iter().map(|r| r.skipped).sum();
         if skipped > 0 {
-            text += &format!("skipped because a number was non-finite: {}\n", counted(skipped, "update"));
+            text += &format!(
+                "skipped because a number was non-finite: {}\n",
+                counted(skipped, "update")
+            );
         }
     }
     if records.is_empty() {

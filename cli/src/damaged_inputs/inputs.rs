@@ -1,8 +1,8 @@
 //! Kinds of damaged inputs.
 
 use crate::commands::animate::{self, Animate};
-use crate::damaged_inputs::{Kind, Outcomes, numbers_of};
 use crate::commands::report::{self, Report};
+use crate::damaged_inputs::{Kind, Outcomes, numbers_of};
 use crate::platform::folder::{CHECKPOINT, Folder, METRICS, SETTINGS};
 use crate::runs::run::{self, Unobserved};
 use crate::runs::saved::resumed;
@@ -12,9 +12,9 @@ use crate::scenes::source::SceneSource;
 use crate::settings::ACTUATORS;
 use crate::tasks::scene::flat;
 use crate::tasks::{self, Scene};
+use anyhow::Result;
 use physgrad::rng::Rng;
 use physgrad::{OptimizerKind, Session, Trainer, Training, policy::Mlp, tasks::CartPole};
-use anyhow::Result;
 use rand::RngExt;
 use std::borrow::Cow;
 use std::fs;
@@ -85,7 +85,15 @@ fn damage_text(rng: &mut Rng, text: &mut Vec<u8>) {
             }
         }
         _ => {
-            let keys = ["horizon", "effects.walls", "system.poles", "training", "a", "integrator.substeps", "[loss]"];
+            let keys = [
+                "horizon",
+                "effects.walls",
+                "system.poles",
+                "training",
+                "a",
+                "integrator.substeps",
+                "[loss]",
+            ];
             let entry = format!("{} = {}", one_of(rng, &keys), one_of(rng, &STRANGE));
             changed.insert(line, entry.into_bytes());
         }
@@ -111,7 +119,8 @@ fn damage_bytes(rng: &mut Rng, bytes: &mut Vec<u8>) {
 fn is_scene(read: Result<Scene>) -> bool {
     match read {
         Ok(scene) => {
-            let again = SceneSource::parse("a run", &scene.table.to_string()).and_then(|source| source.scene());
+            let again = SceneSource::parse("a run", &scene.table.to_string())
+                .and_then(|source| source.scene());
             assert_eq!(again.expect("settings that are read back").identity(), scene.identity());
             true
         }
@@ -137,9 +146,14 @@ fn scene(number: u64, outcomes: &mut Outcomes) {
 
 /// Random assignment for `--set`, mostly to a key of this preset or its task.
 fn assignment(rng: &mut Rng, preset: &Table) -> String {
-    let matching = tasks::all().iter().copied().find(|kind| preset.get("task").and_then(Value::as_str) == Some(kind.name()));
-    let task = matching.filter(|_| rng.random_range(0..8) > 0).unwrap_or(*one_of(rng, tasks::all()));
-    let mut keys: Vec<String> = flat(&task.defaults()).into_iter().chain(flat(preset)).map(|(key, _)| key).collect();
+    let matching = tasks::all()
+        .iter()
+        .copied()
+        .find(|kind| preset.get("task").and_then(Value::as_str) == Some(kind.name()));
+    let task =
+        matching.filter(|_| rng.random_range(0..8) > 0).unwrap_or(*one_of(rng, tasks::all()));
+    let mut keys: Vec<String> =
+        flat(&task.defaults()).into_iter().chain(flat(preset)).map(|(key, _)| key).collect();
     keys.extend(task.effects().iter().map(|info| format!("effects.{}", info.name)));
     keys.extend(ACTUATORS.iter().map(|info| format!("actuator.{}", info.name)));
     let mut key = one_of(rng, &keys).clone();
@@ -187,7 +201,8 @@ type Small = Session<CartPole, Mlp, f32>;
 
 fn session(rule: OptimizerKind) -> Small {
     let task = CartPole { horizon: 3, ..CartPole::new(1) };
-    let training = Training { rule, batch: 2, train_samples: 4, test_samples: 4, ..Training::default() };
+    let training =
+        Training { rule, batch: 2, train_samples: 4, test_samples: 4, ..Training::default() };
     Trainer::new(task, Mlp::new([4, 8, 1])).training(training).session().expect("valid settings")
 }
 
@@ -222,7 +237,10 @@ fn checkpoint(number: u64, outcomes: &mut Outcomes) {
             let _ = session.epoch();
             return true;
         }
-        assert!(session.weights().theta() == theta && session.records().is_empty(), "a rejected checkpoint changed the session");
+        assert!(
+            session.weights().theta() == theta && session.records().is_empty(),
+            "a rejected checkpoint changed the session"
+        );
         false
     });
 }
@@ -249,8 +267,15 @@ fn create(rng: &mut Rng, path: &Path) -> Result<()> {
     }
     let mut source = SceneSource::parse("a scene", &String::from_utf8_lossy(&text))?;
     let quantum = source.text("task") == Some("quantum");
-    let sizes = ["horizon=3", "epochs=2", "training.batch=2", "training.train_samples=3", "training.test_samples=3"];
-    let network: &[&str] = if quantum { &["policy.width=3", "system.grid=20"] } else { &["policy.widths=[4]"] };
+    let sizes = [
+        "horizon=3",
+        "epochs=2",
+        "training.batch=2",
+        "training.train_samples=3",
+        "training.test_samples=3",
+    ];
+    let network: &[&str] =
+        if quantum { &["policy.width=3", "system.grid=20"] } else { &["policy.widths=[4]"] };
     let set = sizes.iter().chain(network).map(ToString::to_string).collect();
     Overrides { set, ..Overrides::default() }.apply(&mut source)?;
     let scene = source.scene()?;
@@ -269,7 +294,11 @@ fn create(rng: &mut Rng, path: &Path) -> Result<()> {
         _ => {}
     }
     fs::create_dir_all(path)?;
-    for (name, bytes) in [(SETTINGS, settings), (CHECKPOINT, checkpoint), (METRICS, rng.random::<[u8; 8]>().to_vec())] {
+    for (name, bytes) in [
+        (SETTINGS, settings),
+        (CHECKPOINT, checkpoint),
+        (METRICS, rng.random::<[u8; 8]>().to_vec()),
+    ] {
         fs::write(path.join(name), bytes)?;
     }
     Ok(())

@@ -43,7 +43,9 @@ pub fn norms<F: Float>(
         }
         let mut adjoint = Adjoint::new(task, policy, &rollout, &[flow]).keep_norms();
         // Scales the loss to the mean over samples, as in training.
-        let diverged = adjoint.run(task, policy, weights, &rollout, F::from_f64(1.0 / rollout.samples() as f64)).err();
+        let diverged = adjoint
+            .run(task, policy, weights, &rollout, F::from_f64(1.0 / rollout.samples() as f64))
+            .err();
         AdjointNorms { flow, norms: adjoint.norms(0).to_vec(), diverged }
     })
 }

@@ -1,14 +1,14 @@
 //! Gradient checks of a task and its policy, in a table. Stability of the time step, and slope of
 //! the loss.
 
-use physgrad::check::{self, Failure, Jumps, Kink, Passed, Plateau, Stability};
-use physgrad::text::rough;
 use crate::operations::trajectory;
 use crate::platform::table::Table;
 use crate::platform::terminal::{print_text, progress_bar};
-use physgrad::rng::Purpose;
-use physgrad::{Divergence, DynTask, Flow, Inputs, Policy, System, Task, Weights, initial_states};
 use indicatif::ProgressBar;
+use physgrad::check::{self, Failure, Jumps, Kink, Passed, Plateau, Stability};
+use physgrad::rng::Purpose;
+use physgrad::text::rough;
+use physgrad::{Divergence, DynTask, Flow, Inputs, Policy, System, Task, Weights, initial_states};
 
 /// Adds the checks of one task and policy to the results. Rollouts have the parameters `theta`, or
 /// random ones. The system and the costs are checked in states of rollouts, so that states have the
@@ -16,12 +16,19 @@ use indicatif::ProgressBar;
 ///
 /// One cause fails several checks: rollouts consist of steps, costs and the policy. Rollouts are
 /// therefore skipped if one of these fails, and several flows have one message.
-pub fn check(task: &DynTask, policy: &impl Policy, theta: Option<&[f64]>, variant: &str, results: &mut Results) {
+pub fn check(
+    task: &DynTask,
+    policy: &impl Policy,
+    theta: Option<&[f64]>,
+    variant: &str,
+    results: &mut Results,
+) {
     let system = task.system();
     let (n, m) = (system.state_dim(), system.control_dim());
     let before = results.failures.len();
     let diverges = |failure: &Failure| matches!(failure, Failure::Diverged { .. });
-    let along = results.add(&format!("{variant}: system"), || check::try_system_along(task, policy, theta));
+    let along =
+        results.add(&format!("{variant}: system"), || check::try_system_along(task, policy, theta));
     if along.as_ref().is_some_and(diverges) {
         results.skip(&format!("{variant}: costs"));
     } else {
@@ -29,7 +36,9 @@ pub fn check(task: &DynTask, policy: &impl Policy, theta: Option<&[f64]>, varian
     }
     // Skips the policy check if the dimensions did not change since the last variant.
     if results.dims.replace((n, m)) != Some((n, m)) {
-        results.add(&format!("{variant}: network"), || check::try_policy(policy).map_err(Failure::from));
+        results.add(&format!("{variant}: network"), || {
+            check::try_policy(policy).map_err(Failure::from)
+        });
     }
     let mut first: Option<usize> = None;
     for flow in Flow::ALL {
@@ -81,15 +90,26 @@ pub struct Place {
 ///
 /// # Errors
 /// A rollout diverges in the first step.
-pub fn amplification(task: &DynTask, policy: &impl Policy, theta: &[f64], seed: u64) -> Result<Amplification, Divergence> {
+pub fn amplification(
+    task: &DynTask,
+    policy: &impl Policy,
+    theta: &[f64],
+    seed: u64,
+) -> Result<Amplification, Divergence> {
     let weights = Weights::new(policy, theta.to_vec());
     let starts = initial_states(task, seed, Purpose::Test, ROLLOUTS);
-    let (rollouts, divergence) = trajectory::until_divergence(task, policy, &weights, &starts, 0..ROLLOUTS);
+    let (rollouts, divergence) =
+        trajectory::until_divergence(task, policy, &weights, &starts, 0..ROLLOUTS);
     let states: Vec<(usize, Inputs<'_, f64>)> = rollouts
         .iter()
         .enumerate()
         .flat_map(|(sample, rollout)| {
-            let inputs = |t: usize| Inputs { x: &rollout.states[t][..], u: &rollout.controls[t][..], p: &rollout.params[..], t };
+            let inputs = |t: usize| Inputs {
+                x: &rollout.states[t][..],
+                u: &rollout.controls[t][..],
+                p: &rollout.params[..],
+                t,
+            };
             (0..rollout.controls.len()).map(move |t| (sample, inputs(t)))
         })
         .collect();
@@ -100,12 +120,17 @@ pub fn amplification(task: &DynTask, policy: &impl Policy, theta: &[f64], seed: 
     let places: Vec<Place> = evaluated(task, &states).into_iter().map(place).collect();
     // `check::stability` returns NaN with a positive sign. `total_cmp` ranks this NaN above every
     // number.
-    let worst = places.iter().max_by(|a, b| a.stability.multiplier.total_cmp(&b.stability.multiplier));
+    let worst =
+        places.iter().max_by(|a, b| a.stability.multiplier.total_cmp(&b.stability.multiplier));
     let ringing = places.iter().min_by(|a, b| a.stability.lowest.total_cmp(&b.stability.lowest));
     match (worst, ringing, divergence) {
-        (Some(&worst), Some(&ringing), _) => {
-            Ok(Amplification { worst, ringing, evaluated: places.len(), states: states.len(), divergence })
-        }
+        (Some(&worst), Some(&ringing), _) => Ok(Amplification {
+            worst,
+            ringing,
+            evaluated: places.len(),
+            states: states.len(),
+            divergence,
+        }),
         (_, _, Some(divergence)) => Err(divergence),
         _ => unreachable!("finite rollouts of at least one step have states"),
     }
@@ -130,26 +155,38 @@ fn evaluated(task: &DynTask, states: &[(usize, Inputs<'_, f64>)]) -> Vec<usize> 
     }
     let spaced = |count: usize| (0..states.len()).step_by(states.len().div_ceil(count));
     let candidates = spaced(CANDIDATES.min(states.len()));
-    let mut by_norm: Vec<(f64, usize)> = candidates.map(|i| (check::jacobian_norm(task.system(), states[i].1), i)).collect();
+    let mut by_norm: Vec<(f64, usize)> =
+        candidates.map(|i| (check::jacobian_norm(task.system(), states[i].1), i)).collect();
     by_norm.sort_by(|a, b| b.0.total_cmp(&a.0));
     spaced(most / 2).chain(by_norm.into_iter().take(most / 2).map(|(_, i)| i)).collect()
 }
 
 /// Loss and gradient at the parameters `theta` and at parameters nearby.
-pub fn plateau(task: &DynTask, policy: &impl Policy, theta: &[f64], seed: u64) -> Result<Plateau, Divergence> {
+pub fn plateau(
+    task: &DynTask,
+    policy: &impl Policy,
+    theta: &[f64],
+    seed: u64,
+) -> Result<Plateau, Divergence> {
     let weights = Weights::new(policy, theta.to_vec());
     check::plateau(task, policy, &weights, &initial_states(task, seed, Purpose::Test, ROLLOUTS))
 }
 
 /// Compares R with differences of the mean loss over finite distances, at the parameters `theta`.
 /// `None` for horizons above 10,000 steps.
-pub fn jumps(task: &DynTask, policy: &impl Policy, theta: &[f64], seed: u64) -> Option<Result<Jumps, Divergence>> {
+pub fn jumps(
+    task: &DynTask,
+    policy: &impl Policy,
+    theta: &[f64],
+    seed: u64,
+) -> Option<Result<Jumps, Divergence>> {
     /// Bound on the number of samples times steps.
     const STEPS: usize = 400_000;
     let horizon = Task::horizon(task).max(1);
     let samples = (STEPS / horizon).min(512);
     let starts = || initial_states(task, seed, Purpose::Test, samples);
-    (samples >= 40).then(|| check::jumps(task, policy, &Weights::new(policy, theta.to_vec()), &starts()))
+    (samples >= 40)
+        .then(|| check::jumps(task, policy, &Weights::new(policy, theta.to_vec()), &starts()))
 }
 
 /// Number of test rollouts of [`amplification`] and [`plateau`].
@@ -181,7 +218,8 @@ pub struct Results {
 impl Results {
     /// Results that print each row when it is known, if `prints` is true.
     pub fn new(prints: bool) -> Self {
-        let table = Table::new(["task", "checked", "compared", "worst error", "allowed", "result"]).optional(&["compared"]);
+        let table = Table::new(["task", "checked", "compared", "worst error", "allowed", "result"])
+            .optional(&["compared"]);
         let spinner = progress_bar(0, "{spinner} {msg}", false);
         Self { task: "", dims: None, table, failures: Vec::new(), prints, spinner }
     }
@@ -200,12 +238,23 @@ impl Results {
     }
 
     /// Adds the result of a check. Returns its failure.
-    fn add(&mut self, name: &str, check: impl FnOnce() -> Result<Passed, Failure>) -> Option<Failure> {
+    fn add(
+        &mut self,
+        name: &str,
+        check: impl FnOnce() -> Result<Passed, Failure>,
+    ) -> Option<Failure> {
         let task = self.task;
         self.spinner.set_message(format!("{task}, {name}"));
         match check() {
             Ok(p) => {
-                self.row([task, name, &p.compared.to_string(), &rough(p.worst), &format!("{:.0e}", p.allowed), "ok"]);
+                self.row([
+                    task,
+                    name,
+                    &p.compared.to_string(),
+                    &rough(p.worst),
+                    &format!("{:.0e}", p.allowed),
+                    "ok",
+                ]);
                 None
             }
             Err(failure) => {
@@ -225,7 +274,9 @@ impl Results {
         self.table.row(cells);
         if self.prints {
             let [task, name, compared, worst, allowed, result] = cells;
-            let line = format!("│ {task} ┆ {name:<28} ┆ {compared:>6} ┆ {worst:>7} ┆ {allowed:>5} ┆ {result} │");
+            let line = format!(
+                "│ {task} ┆ {name:<28} ┆ {compared:>6} ┆ {worst:>7} ┆ {allowed:>5} ┆ {result} │"
+            );
             // A closed pipe ends the program with the next result.
             self.spinner.suspend(|| _ = print_text(&line));
         }
@@ -235,9 +286,9 @@ impl Results {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use physgrad::{Cotangent, Real, Scalar};
-    use physgrad::policy::Linear;
     use crate::operations::policy_file;
+    use physgrad::policy::Linear;
+    use physgrad::{Cotangent, Real, Scalar};
     use physgrad::{Cotangents, Start, rng::Rng};
 
     /// `N` components that decay, except in one step of 750, in which the first grows by 3.
@@ -308,7 +359,12 @@ mod tests {
         fn step<T: Scalar>(&self, Inputs { x, u, t, .. }: Inputs<'_, T>, next: &mut [T]) {
             next[0] = x[0] * if t > self.last { f64::NAN } else { 0.5 } + u[0];
         }
-        fn vjp<R: Real, C: Cotangent<R>>(&self, _inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+        fn vjp<R: Real, C: Cotangent<R>>(
+            &self,
+            _inputs: Inputs<'_, R>,
+            next_bar: &[C],
+            cotangents: Cotangents<'_, C>,
+        ) {
             if let Some(x_bar) = cotangents.x {
                 x_bar[0] += next_bar[0] * R::from(0.5 * self.factor);
             }
@@ -338,17 +394,37 @@ mod tests {
     fn one_cause_has_one_message() {
         for (factor, last, expected, rows) in [
             (1.0, 9, None, ["ok"; 7]),
-            (1.1, 9, Some("vjp: x_bar[0]"), ["FAILED", "ok", "ok", "skipped", "skipped", "skipped", "skipped"]),
-            (1.0, 3, Some("not finite"), ["FAILED", "skipped", "ok", "skipped", "skipped", "skipped", "skipped"]),
+            (
+                1.1,
+                9,
+                Some("vjp: x_bar[0]"),
+                ["FAILED", "ok", "ok", "skipped", "skipped", "skipped", "skipped"],
+            ),
+            (
+                1.0,
+                3,
+                Some("not finite"),
+                ["FAILED", "skipped", "ok", "skipped", "skipped", "skipped", "skipped"],
+            ),
         ] {
             let mut results = Results::new(false);
             results.begin("broken");
-            check(&DynTask::new(Broken { factor, last }), &Linear::with_bias(1, 1), None, "scene", &mut results);
+            check(
+                &DynTask::new(Broken { factor, last }),
+                &Linear::with_bias(1, 1),
+                None,
+                "scene",
+                &mut results,
+            );
             let (table, failures) = results.finish();
             assert_eq!(failures.len(), usize::from(expected.is_some()), "{failures:?}");
-            assert!(failures.iter().all(|failure| expected.is_some_and(|text| failure.contains(text))), "{failures:?}");
+            assert!(
+                failures.iter().all(|failure| expected.is_some_and(|text| failure.contains(text))),
+                "{failures:?}"
+            );
             let found = table.objects();
-            let found: Vec<_> = found.as_array().expect("rows").iter().map(|row| row["result"].clone()).collect();
+            let found: Vec<_> =
+                found.as_array().expect("rows").iter().map(|row| row["result"].clone()).collect();
             assert_eq!(found, rows, "{found:?}");
         }
     }

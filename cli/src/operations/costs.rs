@@ -8,7 +8,12 @@ pub const SAMPLES: usize = 8;
 
 /// Bytes in the buffers of a rollout of [`SAMPLES`] samples, and of the adjoint of a field. Without
 /// a field, of a rollout in evaluation mode.
-pub fn stored(task: &DynTask, policy: &impl Policy, precision: Precision, field: Option<Field>) -> usize {
+pub fn stored(
+    task: &DynTask,
+    policy: &impl Policy,
+    precision: Precision,
+    field: Option<Field>,
+) -> usize {
     match precision {
         Precision::F32 => bytes::<f32>(task, policy, field),
         Precision::F64 => bytes::<f64>(task, policy, field),

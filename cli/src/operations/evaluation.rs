@@ -1,12 +1,12 @@
 //! Rollouts of a policy from new initial states.
 
-use physgrad::any::AnyTask;
-use physgrad::policy::AnyPolicy;
 use crate::operations::trajectory::{self, Trajectory};
 use crate::settings::Precision;
+use anyhow::{Result, bail};
+use physgrad::any::AnyTask;
+use physgrad::policy::AnyPolicy;
 use physgrad::rng::{Purpose, stream};
 use physgrad::{DynTask, Float, Policy, Rollout, Weights, initial_states};
-use anyhow::{Result, bail};
 
 /// A policy with its parameters, and a seed of initial states.
 pub trait AnyEvaluation {
@@ -46,8 +46,12 @@ pub fn new<P: Policy + 'static>(
     }
     all[..own].copy_from_slice(theta);
     Ok(match precision {
-        Precision::F32 => Box::new(Evaluation { weights: weights::<f32>(&policy, &all), task, policy, seed }),
-        Precision::F64 => Box::new(Evaluation { weights: weights::<f64>(&policy, &all), task, policy, seed }),
+        Precision::F32 => {
+            Box::new(Evaluation { weights: weights::<f32>(&policy, &all), task, policy, seed })
+        }
+        Precision::F64 => {
+            Box::new(Evaluation { weights: weights::<f64>(&policy, &all), task, policy, seed })
+        }
     })
 }
 
@@ -57,16 +61,27 @@ fn weights<F: Float>(policy: &dyn AnyPolicy<F>, theta: &[f64]) -> Weights<F> {
 
 impl<P: Policy, F: Float> AnyEvaluation for Evaluation<P, F> {
     fn losses(&self, samples: usize) -> Vec<f64> {
-        losses(&self.task, &self.policy, &self.weights, &initial_states(&self.task, self.seed, Purpose::Evaluate, samples))
+        losses(
+            &self.task,
+            &self.policy,
+            &self.weights,
+            &initial_states(&self.task, self.seed, Purpose::Evaluate, samples),
+        )
     }
 
     fn rollout(&self, sample: usize) -> Trajectory {
         let starts = initial_states(&self.task, self.seed, Purpose::Evaluate, sample + 1);
-        trajectory::rollouts(&self.task, &self.policy, &self.weights, &starts, sample..sample + 1).remove(0)
+        trajectory::rollouts(&self.task, &self.policy, &self.weights, &starts, sample..sample + 1)
+            .remove(0)
     }
 }
 
-fn losses<F: Float>(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, weights: &Weights<F>, starts: &[F]) -> Vec<f64> {
+fn losses<F: Float>(
+    task: &dyn AnyTask<F>,
+    policy: &dyn AnyPolicy<F>,
+    weights: &Weights<F>,
+    starts: &[F],
+) -> Vec<f64> {
     /// Largest number of samples in a rollout.
     const BLOCK: usize = 32;
     let samples = starts.len() / task.start_dim();
@@ -74,9 +89,13 @@ fn losses<F: Float>(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, weights: &
     let mut run = |starts: &[F]| {
         rollout.start(starts);
         let outcome = rollout.run(task, policy, weights);
-        outcome.map(|()| (0..rollout.samples()).map(|sample| rollout.cost(sample).as_()).collect::<Vec<f64>>())
+        outcome.map(|()| {
+            (0..rollout.samples()).map(|sample| rollout.cost(sample).as_()).collect::<Vec<f64>>()
+        })
     };
-    let each = |start: &[F], run: &mut dyn FnMut(&[F]) -> Option<Vec<f64>>| run(start).map_or(f64::INFINITY, |cost| cost[0]);
+    let each = |start: &[F], run: &mut dyn FnMut(&[F]) -> Option<Vec<f64>>| {
+        run(start).map_or(f64::INFINITY, |cost| cost[0])
+    };
     let mut losses = Vec::with_capacity(samples);
     for starts in starts.chunks(BLOCK * task.start_dim()) {
         match run(starts) {
@@ -84,7 +103,11 @@ fn losses<F: Float>(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, weights: &
             // Repeats the rollout sample by sample, because a divergence ends the rollout of a
             // block.
             Err(_) => {
-                losses.extend(starts.chunks(task.start_dim()).map(|start| each(start, &mut |start| run(start).ok())));
+                losses.extend(
+                    starts
+                        .chunks(task.start_dim())
+                        .map(|start| each(start, &mut |start| run(start).ok())),
+                );
             }
         }
     }

@@ -1,12 +1,14 @@
 //! Methods of computing a gradient, and their costs.
 
-use physgrad::any::AnyTask;
-use physgrad::policy::AnyPolicy;
 use crate::operations::seconds_per_run;
 use crate::platform::parallel;
 use crate::settings::Precision;
+use physgrad::any::AnyTask;
+use physgrad::policy::AnyPolicy;
 use physgrad::rng::Purpose;
-use physgrad::{Batch, DynTask, Field, Float, Flow, Gradient, Policy, Rollout, Weights, check, initial_states};
+use physgrad::{
+    Batch, DynTask, Field, Float, Flow, Gradient, Policy, Rollout, Weights, check, initial_states,
+};
 use std::sync::Arc;
 
 /// Number of samples in the mean loss.
@@ -88,7 +90,9 @@ pub fn derived<P: Policy + 'static>(
     let slope: Slope = {
         let (task, policy) = (task.clone(), policy.clone());
         let unit = |i: usize, p: usize| f64::from(u8::from(p == i));
-        Box::new(move |theta, starts, i| check::slope_by_duals(&*task, &*policy, theta, starts, Flow::REGULAR, &|p| unit(i, p)))
+        Box::new(move |theta, starts, i| {
+            check::slope_by_duals(&*task, &*policy, theta, starts, Flow::REGULAR, &|p| unit(i, p))
+        })
     };
     match precision {
         Precision::F32 => derive::<f32>(task, policy, inputs, method, slope),
@@ -120,14 +124,23 @@ fn derive<F: Float>(
     match method {
         GradientMethod::Reverse { field, budget, nudged: _ } => {
             match reverse(task, policy, weights, converted, field, budget) {
-                Ok((gradient, bytes, run)) => Derived { gradient: Ok(gradient), bytes, rounds: 1.0, run },
-                Err(error) => Derived { gradient: Err(error), bytes: 0, rounds: 1.0, run: Box::new(|| ()) },
+                Ok((gradient, bytes, run)) => {
+                    Derived { gradient: Ok(gradient), bytes, rounds: 1.0, run }
+                }
+                Err(error) => {
+                    Derived { gradient: Err(error), bytes: 0, rounds: 1.0, run: Box::new(|| ()) }
+                }
             }
         }
         GradientMethod::Forward => {
             let (mut loss, bytes) = losses(task, policy, converted);
             let first = loss(&weights);
-            Derived { gradient: first.map(|_| Vec::new()), bytes, rounds: 1.0, run: Box::new(move || drop(loss(&weights))) }
+            Derived {
+                gradient: first.map(|_| Vec::new()),
+                bytes,
+                rounds: 1.0,
+                run: Box::new(move || drop(loss(&weights))),
+            }
         }
         GradientMethod::Central(step) => {
             let (mut loss, bytes) = losses(task, policy.clone(), converted.clone());
@@ -139,17 +152,29 @@ fn derive<F: Float>(
                     loss(&Weights::new(&*policy, theta)).map(|loss| (loss, perturbed))
                 };
                 // Divides by the difference of the two rounded values of the parameter.
-                Ok((side(step)?, side(-step)?)).map(|((above, right), (below, left))| (above - below) / (right - left))
+                Ok((side(step)?, side(-step)?))
+                    .map(|((above, right), (below, left))| (above - below) / (right - left))
             };
             let gradient = chosen(count).into_iter().map(&mut difference).collect();
-            Derived { gradient, bytes, rounds: count as f64, run: Box::new(move || drop::<Result<f64, String>>(difference(0))) }
+            Derived {
+                gradient,
+                bytes,
+                rounds: count as f64,
+                run: Box::new(move || drop::<Result<f64, String>>(difference(0))),
+            }
         }
         GradientMethod::Duals => {
             // Reports a divergence. The rollout in dual numbers would continue after it.
             let first = losses(task, policy, converted).0(&weights);
             let slope = move |i: usize| slope(&theta, &starts, i);
-            let gradient = first.and_then(|_| chosen(count).into_iter().map(|i| Ok(slope(i))).collect());
-            Derived { gradient, bytes: 0, rounds: count as f64, run: Box::new(move || _ = slope(0)) }
+            let gradient =
+                first.and_then(|_| chosen(count).into_iter().map(|i| Ok(slope(i))).collect());
+            Derived {
+                gradient,
+                bytes: 0,
+                rounds: count as f64,
+                run: Box::new(move || _ = slope(0)),
+            }
         }
     }
 }
@@ -186,7 +211,9 @@ fn reverse<F: Float>(
     let mut batch = batch.map_err(|error| error.to_string())?;
     let bytes = batch.stored_bytes();
     let mut run = move || {
-        batch.run(&*task, &*policy, &weights, &starts).map_err(|divergence| divergence.to_string())?;
+        batch
+            .run(&*task, &*policy, &weights, &starts)
+            .map_err(|divergence| divergence.to_string())?;
         let mut gradient = Gradient::zeros(weights.theta().len());
         field.combine(batch.gradients(), &mut gradient);
         Ok(gradient)
@@ -203,7 +230,13 @@ pub const REFERENCES: usize = FLOWS.len() * CHOSEN;
 
 /// Components of the gradients of R, M and S in double-double arithmetic, at the [`chosen`]
 /// parameters. Calls `done` after each component.
-pub fn reference(task: &DynTask, policy: &impl Policy, theta: &[f64], seed: u64, done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3] {
+pub fn reference(
+    task: &DynTask,
+    policy: &impl Policy,
+    theta: &[f64],
+    seed: u64,
+    done: &(dyn Fn() + Sync),
+) -> [Vec<f64>; 3] {
     let (theta, starts) = inputs(task, theta, seed);
     let derivative: &(dyn Fn((Flow, usize)) -> f64 + Sync) = &|(flow, parameter)| {
         let direction = |i| f64::from(u8::from(i == parameter));
@@ -212,7 +245,8 @@ pub fn reference(task: &DynTask, policy: &impl Policy, theta: &[f64], seed: u64,
         slope
     };
     let parameters = chosen(theta.len());
-    let pairs: Vec<(Flow, usize)> = FLOWS.into_iter().flat_map(|flow| parameters.iter().map(move |&p| (flow, p))).collect();
+    let pairs: Vec<(Flow, usize)> =
+        FLOWS.into_iter().flat_map(|flow| parameters.iter().map(move |&p| (flow, p))).collect();
     let slopes: Vec<f64> = parallel::map(&pairs, |&pair| derivative(pair));
     let mut flows = slopes.chunks(parameters.len()).map(<[f64]>::to_vec);
     [(); 3].map(|()| flows.next().expect("a chunk for every flow"))
@@ -221,19 +255,23 @@ pub fn reference(task: &DynTask, policy: &impl Policy, theta: &[f64], seed: u64,
 #[cfg(test)]
 mod tests {
     use super::*;
-    use physgrad::policy::Mlp;
     use crate::operations::policy_file;
+    use physgrad::policy::Mlp;
     use physgrad::tasks::{CartPole, CartPoleSystem};
 
     #[test]
     fn every_method_reports_a_divergence() {
         let system = CartPoleSystem { gravity: f64::INFINITY.into(), ..CartPoleSystem::default() };
         let task = DynTask::new(CartPole::with_system(system));
-        let reverse = GradientMethod::Reverse { field: Field::regular(), budget: None, nudged: false };
-        for method in [GradientMethod::Forward, reverse, GradientMethod::Central(0.1), GradientMethod::Duals] {
+        let reverse =
+            GradientMethod::Reverse { field: Field::regular(), budget: None, nudged: false };
+        for method in
+            [GradientMethod::Forward, reverse, GradientMethod::Central(0.1), GradientMethod::Duals]
+        {
             let policy = Mlp::new([4, 4, 1]);
             let theta = policy_file::random(&policy, 0);
-            let gradient = derived(task.clone(), policy, &theta, Precision::F64, 0, method).gradient;
+            let gradient =
+                derived(task.clone(), policy, &theta, Precision::F64, 0, method).gradient;
             assert!(gradient.is_err(), "{method:?}: {gradient:?}");
         }
     }

@@ -27,14 +27,26 @@ pub fn identified(
     };
     let unknowns: Vec<Unknown> = named.filter_map(unknown).collect();
     let segments = segments.iter().enumerate().map(|(i, segment)| {
-        let p = params(task, names, &segment.p).map_err(|name| IdentifyError::MissingParam { segment: i, name })?;
+        let p = params(task, names, &segment.p)
+            .map_err(|name| IdentifyError::MissingParam { segment: i, name })?;
         Ok(Segment { p, ..segment.clone() })
     });
     let segments = segments.collect::<Result<Vec<_>, _>>()?;
-    let wraps =
-        |&i: &usize| segments.iter().any(|segment| wrap(segment.x.iter().filter_map(|row| row.get(i)).copied()).is_some());
-    let wrapped = angles.iter().copied().filter(|i| wraps(i) && segments.iter().all(|segment| is_periodic(system, segment, *i)));
-    identify(system, &segments, &unknowns, &Options { angles: wrapped.collect(), ..options.clone() })
+    let wraps = |&i: &usize| {
+        segments
+            .iter()
+            .any(|segment| wrap(segment.x.iter().filter_map(|row| row.get(i)).copied()).is_some())
+    };
+    let wrapped = angles
+        .iter()
+        .copied()
+        .filter(|i| wraps(i) && segments.iter().all(|segment| is_periodic(system, segment, *i)));
+    identify(
+        system,
+        &segments,
+        &unknowns,
+        &Options { angles: wrapped.collect(), ..options.clone() },
+    )
 }
 
 /// Parameters of the system, from those of a segment. Trained numbers have their initial values.
@@ -45,7 +57,9 @@ fn params(task: &DynTask, names: &[String], given: &[f64]) -> Result<Vec<f64>, S
     let system = task.system();
     let known = |index: usize| given.get(index).copied().filter(|value| !value.is_nan());
     let mut p: Vec<Option<f64>> = (0..system.param_dim()).map(known).collect();
-    for (varied, named) in system.varied(system.param_dim()).iter().zip(system.varied(task.param_dim())) {
+    for (varied, named) in
+        system.varied(system.param_dim()).iter().zip(system.varied(task.param_dim()))
+    {
         let known = known(named.index).filter(|_| !matches!(varied.number, Number::Trained { .. }));
         p[varied.index] = Some(known.unwrap_or(varied.number.nominal()));
     }
@@ -58,8 +72,11 @@ pub fn wrap(values: impl Iterator<Item = f64> + Clone) -> Option<(usize, f64)> {
     /// Slack for values that are rounded, rad.
     const ROUNDED: f64 = 0.01;
     let known = values.enumerate().filter(|(_, value)| value.is_finite());
-    let (low, high) = known.clone().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (_, y)| (low.min(y), high.max(y)));
-    let mut jumps = known.clone().zip(known.skip(1)).map(|((_, before), (i, after))| (i, after - before));
+    let (low, high) = known
+        .clone()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (_, y)| (low.min(y), high.max(y)));
+    let mut jumps =
+        known.clone().zip(known.skip(1)).map(|((_, before), (i, after))| (i, after - before));
     if high - low > TAU + ROUNDED { None } else { jumps.find(|(_, jump)| jump.abs() > PI) }
 }
 
@@ -88,7 +105,8 @@ pub fn depends_on_time(task: &DynTask, names: &[String], segment: &Segment) -> b
     for Varied { index, number, .. } in system.varied(system.param_dim()) {
         if let Number::Trained { start, min, max } = number {
             let change = 0.01 * start.abs().max(1.0);
-            p[index] = if start + change <= max { start + change } else { (start - change).max(min) };
+            p[index] =
+                if start + change <= max { start + change } else { (start - change).max(min) };
         }
     }
     let bits = |x: Vec<f64>| x.into_iter().map(f64::to_bits).collect::<Vec<_>>();

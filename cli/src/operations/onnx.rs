@@ -6,14 +6,14 @@
 
 mod messages;
 
-use physgrad::Float;
-use physgrad::policy::{Activation, AnyPolicy, LayerKind, NetworkLayer, Tensor};
 use crate::operations::policy_file::{About, METADATA};
 use anyhow::{Context, Result};
 use messages::{
-    Attribute, DOUBLE, Dimension, Entry, FLOAT, Graph, INT, INT64, Length, Model, Node, OperatorSet, Shape, TensorType, Type,
-    ValueInfo,
+    Attribute, DOUBLE, Dimension, Entry, FLOAT, Graph, INT, INT64, Length, Model, Node,
+    OperatorSet, Shape, TensorType, Type, ValueInfo,
 };
+use physgrad::Float;
+use physgrad::policy::{Activation, AnyPolicy, LayerKind, NetworkLayer, Tensor};
 use prost::Message;
 
 /// Name of the input of a model.
@@ -32,8 +32,14 @@ const FORMAT: i64 = 7;
 /// # Errors
 /// The policy is not a sequence of layers.
 pub fn write<F: Float>(about: &About, policy: &dyn AnyPolicy<F>, theta: &[F]) -> Result<Vec<u8>> {
-    let layers = policy.network().context("the policy is not a sequence of layers, so it has no ONNX model")?;
-    let mut builder = Builder { theta, tensors: policy.tensors(), graph: Graph { name: about.task.clone(), ..Graph::default() } };
+    let layers = policy
+        .network()
+        .context("the policy is not a sequence of layers, so it has no ONNX model")?;
+    let mut builder = Builder {
+        theta,
+        tensors: policy.tensors(),
+        graph: Graph { name: about.task.clone(), ..Graph::default() },
+    };
     let mut width = policy.observation_dim();
     let mut last = INPUT.to_owned();
     for layer in &layers {
@@ -61,7 +67,11 @@ fn batch<F: Float>(name: &str, columns: &[String]) -> ValueInfo {
     let dim = [Length::Name("batch".into()), Length::Value(columns.len() as i64)];
     let shape = Shape { dim: dim.map(|value| Dimension { value: Some(value) }).into() };
     let tensor_type = TensorType { elem_type: data_type::<F>(), shape: Some(shape) };
-    ValueInfo { name: name.into(), kind: Some(Type { tensor_type: Some(tensor_type) }), doc_string: columns.join(", ") }
+    ValueInfo {
+        name: name.into(),
+        kind: Some(Type { tensor_type: Some(tensor_type) }),
+        doc_string: columns.join(", "),
+    }
 }
 
 fn data_type<F: Float>() -> i32 {
@@ -81,7 +91,8 @@ impl<F: Float> Builder<'_, F> {
     /// output after the call.
     fn layer(&mut self, layer: &NetworkLayer, input: String, width: &mut usize) -> Result<String> {
         let find = |name: &String| self.tensors.iter().find(|tensor| tensor.name == *name).cloned();
-        let kernel = find(&layer.kernel).with_context(|| format!("the policy has no tensor {}", layer.kernel))?;
+        let kernel = find(&layer.kernel)
+            .with_context(|| format!("the policy has no tensor {}", layer.kernel))?;
         let outputs = kernel.shape[kernel.shape.len() - 1];
         let bias = layer.bias.as_ref().and_then(find);
         // One row per number that an output reads, one column per output.
@@ -93,9 +104,12 @@ impl<F: Float> Builder<'_, F> {
                 (self.node("Gemm", inputs, None), 1)
             }
             LayerKind::Conv { stride } => {
-                let (window, channels) = (kernel.shape[0], kernel.range.len() / outputs / kernel.shape[0]);
+                let (window, channels) =
+                    (kernel.shape[0], kernel.range.len() / outputs / kernel.shape[0]);
                 let positions = (*width / channels - window) / stride + 1;
-                let places = (0..positions).flat_map(|q| (0..window).map(move |k| (stride * q + k) as i64)).collect();
+                let places = (0..positions)
+                    .flat_map(|q| (0..window).map(move |k| (stride * q + k) as i64))
+                    .collect();
                 let places = self.integers("windows", vec![positions, window], places);
                 let grid = self.reshape(input, vec![0, -1, channels as i64]);
                 let windows = self.node("Gather", vec![grid, places], Some(("axis", 1)));
@@ -125,9 +139,13 @@ impl<F: Float> Builder<'_, F> {
             }
             // The operator `Gelu` needs version 20.
             Activation::Gelu => {
-                let [scale, cube, half, one] =
-                    [("gelu_scale", Activation::GELU.0), ("gelu_cube", Activation::GELU.1), ("half", 0.5), ("one", 1.0)]
-                        .map(|(name, value)| self.number(name, value));
+                let [scale, cube, half, one] = [
+                    ("gelu_scale", Activation::GELU.0),
+                    ("gelu_cube", Activation::GELU.1),
+                    ("half", 0.5),
+                    ("one", 1.0),
+                ]
+                .map(|(name, value)| self.number(name, value));
                 let square = self.node("Mul", vec![z.clone(), z.clone()], None);
                 let third = self.node("Mul", vec![square, z.clone()], None);
                 let third = self.node("Mul", vec![third, cube], None);
@@ -143,8 +161,16 @@ impl<F: Float> Builder<'_, F> {
 
     fn node(&mut self, op: &str, input: Vec<String>, attribute: Option<(&str, i64)>) -> String {
         let output = format!("value{}", self.graph.node.len() + 1);
-        let attribute = attribute.map(|(name, i)| Attribute { name: name.into(), i, kind: INT }).into_iter().collect();
-        self.graph.node.push(Node { input, output: vec![output.clone()], op_type: op.into(), attribute });
+        let attribute = attribute
+            .map(|(name, i)| Attribute { name: name.into(), i, kind: INT })
+            .into_iter()
+            .collect();
+        self.graph.node.push(Node {
+            input,
+            output: vec![output.clone()],
+            op_type: op.into(),
+            attribute,
+        });
         output
     }
 
@@ -156,24 +182,48 @@ impl<F: Float> Builder<'_, F> {
     }
 
     fn parameters(&mut self, tensor: &Tensor, shape: Vec<usize>) -> String {
-        let bytes = self.theta[tensor.range.clone()].iter().flat_map(|t| t.to_le_bytes().as_ref().to_vec()).collect();
+        let bytes = self.theta[tensor.range.clone()]
+            .iter()
+            .flat_map(|t| t.to_le_bytes().as_ref().to_vec())
+            .collect();
         self.constant(tensor.name.clone(), shape, data_type::<F>(), bytes)
     }
 
     fn number(&mut self, name: &str, value: f64) -> String {
-        self.constant(name.into(), Vec::new(), data_type::<F>(), F::from_f64(value).to_le_bytes().as_ref().to_vec())
+        self.constant(
+            name.into(),
+            Vec::new(),
+            data_type::<F>(),
+            F::from_f64(value).to_le_bytes().as_ref().to_vec(),
+        )
     }
 
     fn integers(&mut self, name: &str, shape: Vec<usize>, values: Vec<i64>) -> String {
         let name = format!("{name}{}", self.graph.initializer.len() + 1);
-        self.constant(name, shape, INT64, values.iter().flat_map(|value| value.to_le_bytes()).collect())
+        self.constant(
+            name,
+            shape,
+            INT64,
+            values.iter().flat_map(|value| value.to_le_bytes()).collect(),
+        )
     }
 
     /// Adds a constant, unless there is one of this name.
-    fn constant(&mut self, name: String, shape: Vec<usize>, data_type: i32, raw_data: Vec<u8>) -> String {
+    fn constant(
+        &mut self,
+        name: String,
+        shape: Vec<usize>,
+        data_type: i32,
+        raw_data: Vec<u8>,
+    ) -> String {
         if self.graph.initializer.iter().all(|constant| constant.name != name) {
             let dims = shape.into_iter().map(|length| length as i64).collect();
-            self.graph.initializer.push(messages::Tensor { dims, data_type, name: name.clone(), raw_data });
+            self.graph.initializer.push(messages::Tensor {
+                dims,
+                data_type,
+                name: name.clone(),
+                raw_data,
+            });
         }
         name
     }

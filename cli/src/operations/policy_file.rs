@@ -1,9 +1,9 @@
 //! Policy files: parameters of a policy as named tensors in the safetensors format.
 
+use anyhow::{Context, Result, bail};
 use physgrad::Float;
 use physgrad::policy::{AnyPolicy, NetworkLayer};
 use physgrad::rng::{Purpose, stream};
-use anyhow::{Context, Result, bail};
 use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView};
 use serde::{Deserialize, Serialize};
@@ -55,7 +55,8 @@ pub fn write<F: Float>(about: &About, policy: &dyn AnyPolicy<F>, theta: &[F]) ->
     let dtype = if F::NAME == "f32" { Dtype::F32 } else { Dtype::F64 };
     let width = size_of::<F>();
     let views = policy.tensors().into_iter().map(|t| {
-        let view = TensorView::new(dtype, t.shape, &bytes[t.range.start * width..t.range.end * width])?;
+        let view =
+            TensorView::new(dtype, t.shape, &bytes[t.range.start * width..t.range.end * width])?;
         Ok((t.name, view))
     });
     let views: Vec<_> = views.collect::<Result<_, safetensors::SafeTensorError>>()?;
@@ -78,15 +79,22 @@ pub fn check_numbers(bytes: &[u8], about: &About) -> Result<()> {
         #[serde(default)]
         trained: Vec<TrainedNumber>,
     }
-    let header = SafeTensors::read_metadata(bytes).ok().and_then(|(_, header)| header.metadata().clone());
+    let header =
+        SafeTensors::read_metadata(bytes).ok().and_then(|(_, header)| header.metadata().clone());
     let text = header.and_then(|mut header| header.remove(METADATA));
-    let Some(Described { trained }) = text.and_then(|text| serde_json::from_str(&text).ok()) else { return Ok(()) };
+    let Some(Described { trained }) = text.and_then(|text| serde_json::from_str(&text).ok()) else {
+        return Ok(());
+    };
     if trained.is_empty() || about.trained.is_empty() || trained == about.trained {
         return Ok(());
     }
     let listed = |numbers: &[TrainedNumber]| {
-        let bound = |name: &str, bound: Option<f64>| bound.map_or_else(String::new, |bound| format!(" {name} {bound}"));
-        let number = |TrainedNumber { name, min, max }: &_| format!("{name}{}{}", bound("min", *min), bound("max", *max));
+        let bound = |name: &str, bound: Option<f64>| {
+            bound.map_or_else(String::new, |bound| format!(" {name} {bound}"))
+        };
+        let number = |TrainedNumber { name, min, max }: &_| {
+            format!("{name}{}{}", bound("min", *min), bound("max", *max))
+        };
         numbers.iter().map(number).collect::<Vec<_>>().join(", ")
     };
     bail!(
@@ -110,7 +118,8 @@ pub fn random(policy: &dyn AnyPolicy<f64>, seed: u64) -> Vec<f64> {
 /// The bytes are not in the safetensors format. A tensor is missing, is unknown, has another shape,
 /// or has a type other than F32 and F64. A parameter is not finite.
 pub fn read(bytes: &[u8], policy: &dyn AnyPolicy<f64>, seed: u64) -> Result<Vec<f64>> {
-    let file = SafeTensors::deserialize(bytes).context("it is not a file in the safetensors format")?;
+    let file =
+        SafeTensors::deserialize(bytes).context("it is not a file in the safetensors format")?;
     let tensors = policy.tensors();
     let is_unknown = |name: &&str| *name != NUMBERS && tensors.iter().all(|own| own.name != **name);
     // Names the alphabetically first unknown tensor, because the order of the names is not fixed.
@@ -139,12 +148,24 @@ pub fn read(bytes: &[u8], policy: &dyn AnyPolicy<f64>, seed: u64) -> Result<Vec<
             );
         }
         let values: Vec<f64> = match found.dtype() {
-            Dtype::F32 => found.data().as_chunks().0.iter().map(|&bytes| f32::from_le_bytes(bytes).into()).collect(),
-            Dtype::F64 => found.data().as_chunks().0.iter().map(|&bytes| f64::from_le_bytes(bytes)).collect(),
+            Dtype::F32 => found
+                .data()
+                .as_chunks()
+                .0
+                .iter()
+                .map(|&bytes| f32::from_le_bytes(bytes).into())
+                .collect(),
+            Dtype::F64 => {
+                found.data().as_chunks().0.iter().map(|&bytes| f64::from_le_bytes(bytes)).collect()
+            }
             other => bail!("its tensor {} has the type {other:?}; allowed: F32, F64", own.name),
         };
         if let Some(i) = values.iter().position(|value| !value.is_finite()) {
-            bail!("its tensor {} contains {} at index {i}; allowed: finite numbers", own.name, values[i]);
+            bail!(
+                "its tensor {} contains {} at index {i}; allowed: finite numbers",
+                own.name,
+                values[i]
+            );
         }
         theta[own.range].copy_from_slice(&values);
     }

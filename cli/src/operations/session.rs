@@ -1,15 +1,16 @@
 //! Object-safe training session, independent of task, policy and precision.
 
-use physgrad::any::AnyTask;
 use crate::operations::adjoint_norms::{self, AdjointNorms};
 use crate::operations::onnx;
 use crate::operations::policy_file::{self, About};
 use crate::operations::trajectory::{self, Trajectory};
 use crate::settings::Precision;
-use physgrad::{
-    CheckpointError, DynTask, Field, Float, Policy, Ranks, Record, Session, Task, TrainError, Trainer, Training, Warning, Weights,
-};
 use anyhow::Result;
+use physgrad::any::AnyTask;
+use physgrad::{
+    CheckpointError, DynTask, Field, Float, Policy, Ranks, Record, Session, Task, TrainError,
+    Trainer, Training, Warning, Weights,
+};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -29,7 +30,8 @@ pub trait AnyRun: Send {
     /// Runs to the end of the epoch, or to the first update after which `pause` returns true.
     ///
     /// Returns the record of the epoch, or None if paused.
-    fn advance(&mut self, pause: &(dyn Fn() -> bool + Sync)) -> Result<Option<&Record>, TrainError>;
+    fn advance(&mut self, pause: &(dyn Fn() -> bool + Sync))
+    -> Result<Option<&Record>, TrainError>;
     /// Loss of the test set with the current parameters. NaN if a rollout diverges.
     fn test_loss(&mut self) -> f64;
     /// Lowest recorded test loss and the loss of its parameters now, if they differ; see
@@ -75,7 +77,10 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
         Session::share(self, ranks)
     }
 
-    fn advance(&mut self, pause: &(dyn Fn() -> bool + Sync)) -> Result<Option<&Record>, TrainError> {
+    fn advance(
+        &mut self,
+        pause: &(dyn Fn() -> bool + Sync),
+    ) -> Result<Option<&Record>, TrainError> {
         Session::advance(self, pause)
     }
 
@@ -127,7 +132,10 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
 
     fn theta(&self, epoch: Epoch) -> Vec<f64> {
         let theta = theta(self, epoch);
-        theta[..theta.len() - self.policy().trained_params().len()].iter().map(|theta| theta.as_()).collect()
+        theta[..theta.len() - self.policy().trained_params().len()]
+            .iter()
+            .map(|theta| theta.as_())
+            .collect()
     }
 
     fn test_samples(&self) -> usize {
@@ -139,9 +147,16 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
     }
 
     fn double_rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory> {
-        let double = |numbers: &[F]| numbers.iter().map(|number| number.as_()).collect::<Vec<f64>>();
+        let double =
+            |numbers: &[F]| numbers.iter().map(|number| number.as_()).collect::<Vec<f64>>();
         let weights = Weights::new(self.policy(), double(self.weights().theta()));
-        trajectory::rollouts(self.task(), self.policy(), &weights, &double(self.test_starts()), chosen)
+        trajectory::rollouts(
+            self.task(),
+            self.policy(),
+            &weights,
+            &double(self.test_starts()),
+            chosen,
+        )
     }
 
     fn starts(&self, chosen: Range<usize>) -> Vec<Trajectory> {

@@ -1,11 +1,14 @@
 //! Rollout of a scene, with its adjoints: results, operations, memory and time.
 
-use physgrad::any::AnyTask;
-use physgrad::policy::AnyPolicy;
 use crate::operations::seconds_per_run;
 use crate::settings::Precision;
+use physgrad::any::AnyTask;
+use physgrad::policy::AnyPolicy;
 use physgrad::rng::Purpose;
-use physgrad::{Adjoint, DynTask, Float, Flow, Gradient, OpCount, Policy, Rollout, Task, Weights, initial_states};
+use physgrad::{
+    Adjoint, DynTask, Float, Flow, Gradient, OpCount, Policy, Rollout, Task, Weights,
+    initial_states,
+};
 
 /// Number of samples in the rollout: one full block of lanes.
 const SAMPLES: usize = 8;
@@ -47,7 +50,13 @@ impl Job {
 }
 
 /// Runs a rollout and its adjoints once, and prepares them for timing.
-pub fn job<P: Policy + 'static>(task: DynTask, policy: P, theta: &[f64], precision: Precision, seed: u64) -> Job {
+pub fn job<P: Policy + 'static>(
+    task: DynTask,
+    policy: P,
+    theta: &[f64],
+    precision: Precision,
+    seed: u64,
+) -> Job {
     let cost = OpCount::of(task.system());
     match precision {
         Precision::F32 => prepare::<f32>(Box::new(task), Box::new(policy), cost, theta, seed),
@@ -55,7 +64,13 @@ pub fn job<P: Policy + 'static>(task: DynTask, policy: P, theta: &[f64], precisi
     }
 }
 
-fn prepare<F: Float>(task: Box<dyn AnyTask<F>>, policy: Box<dyn AnyPolicy<F>>, cost: OpCount, theta: &[f64], seed: u64) -> Job {
+fn prepare<F: Float>(
+    task: Box<dyn AnyTask<F>>,
+    policy: Box<dyn AnyPolicy<F>>,
+    cost: OpCount,
+    theta: &[f64],
+    seed: u64,
+) -> Job {
     let (n, horizon) = (task.state_dim(), task.horizon());
     let weights = Weights::new(&*policy, theta.iter().map(|&theta| F::from_f64(theta)).collect());
     let starts = initial_states(&*task, seed, Purpose::Test, SAMPLES);
@@ -68,25 +83,32 @@ fn prepare<F: Float>(task: Box<dyn AnyTask<F>>, policy: Box<dyn AnyPolicy<F>>, c
         rollout.run(&*task, &*policy, &weights)?;
         adjoint.run(&*task, &*policy, &weights, rollout, scale)
     };
-    let found = run(&mut rollout, &mut adjoint).map_err(|divergence| divergence.to_string()).map(|()| {
-        let state = |t: usize| {
-            let rollout = &rollout;
-            (0..SAMPLES).flat_map(move |sample| (0..n).map(move |i| rollout.state(t, sample, i).as_()))
-        };
-        let gradients = [0, 1].map(|k| {
-            let mut theta_bar = Gradient::zeros(weights.theta().len());
-            adjoint.param_gradient(k, &*policy, &weights, &rollout, 0..SAMPLES, &mut theta_bar);
-            theta_bar.to_f64()
+    let found =
+        run(&mut rollout, &mut adjoint).map_err(|divergence| divergence.to_string()).map(|()| {
+            let state = |t: usize| {
+                let rollout = &rollout;
+                (0..SAMPLES)
+                    .flat_map(move |sample| (0..n).map(move |i| rollout.state(t, sample, i).as_()))
+            };
+            let gradients = [0, 1].map(|k| {
+                let mut theta_bar = Gradient::zeros(weights.theta().len());
+                adjoint.param_gradient(k, &*policy, &weights, &rollout, 0..SAMPLES, &mut theta_bar);
+                theta_bar.to_f64()
+            });
+            let loss =
+                (0..SAMPLES).map(|sample| rollout.cost(sample).as_()).sum::<f64>() / SAMPLES as f64;
+            Simulated { states: (0..=horizon).flat_map(state).collect(), loss, gradients }
         });
-        let loss = (0..SAMPLES).map(|sample| rollout.cost(sample).as_()).sum::<f64>() / SAMPLES as f64;
-        Simulated { states: (0..=horizon).flat_map(state).collect(), loss, gradients }
-    });
     // A network with zero parameters outputs zero control.
     let zeros = Weights::new(&*policy, vec![F::zero(); weights.theta().len()]);
     rollout.start(&starts);
     let is_finite = rollout.run(&*task, &*policy, &zeros).is_ok();
-    let state = |sample: usize, t: usize| (0..n).map(|i| rollout.state(t, sample, i).as_()).collect();
-    let idle = (0..SAMPLES).filter(|_| is_finite).map(|sample| (0..=horizon).map(|t| state(sample, t)).collect()).collect();
+    let state =
+        |sample: usize, t: usize| (0..n).map(|i| rollout.state(t, sample, i).as_()).collect();
+    let idle = (0..SAMPLES)
+        .filter(|_| is_finite)
+        .map(|sample| (0..=horizon).map(|t| state(sample, t)).collect())
+        .collect();
     let steps = (SAMPLES * horizon) as f64;
     let bytes = (rollout.stored_bytes() + adjoint.stored_bytes()) as f64 / steps;
     let run = Box::new(move |gradient: bool| {

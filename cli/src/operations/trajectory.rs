@@ -47,12 +47,20 @@ pub fn until_divergence<F: Float>(
     let divergence = rollout.run(task, policy, weights).err();
     let steps = match divergence {
         Some(Divergence::Forward { variable: Variable::State, step, .. }) => step.saturating_sub(1),
-        Some(Divergence::Forward { variable: Variable::Control | Variable::Memory | Variable::Parameter, step, .. }) => step,
+        Some(Divergence::Forward {
+            variable: Variable::Control | Variable::Memory | Variable::Parameter,
+            step,
+            ..
+        }) => step,
         _ => task.horizon(),
     };
     let trajectory = |sample: usize| Trajectory {
-        states: (0..=steps).map(|t| (0..n).map(|i| rollout.state(t, sample, i).as_()).collect()).collect(),
-        controls: (0..steps).map(|t| (0..m).map(|i| rollout.control(t, sample, i).as_()).collect()).collect(),
+        states: (0..=steps)
+            .map(|t| (0..n).map(|i| rollout.state(t, sample, i).as_()).collect())
+            .collect(),
+        controls: (0..steps)
+            .map(|t| (0..m).map(|i| rollout.control(t, sample, i).as_()).collect())
+            .collect(),
         params: rollout.params_of_sample(sample).map(|p| p.as_()).collect(),
     };
     ((0..samples).map(trajectory).collect(), divergence)

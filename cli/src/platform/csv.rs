@@ -19,7 +19,9 @@ pub fn csv(
 
 /// Returns whether a spreadsheet evaluates this cell as a formula.
 fn is_formula(cell: &str) -> bool {
-    cell.len() > 1 && cell.starts_with(['=', '+', '-', '@', '\t', '\r']) && cell.parse::<f64>().is_err()
+    cell.len() > 1
+        && cell.starts_with(['=', '+', '-', '@', '\t', '\r'])
+        && cell.parse::<f64>().is_err()
 }
 
 /// A cell with an apostrophe before a formula. A formula after apostrophes gets one more, so that
@@ -39,14 +41,21 @@ mod tests {
 
     #[test]
     fn formulas_begin_with_an_apostrophe_and_every_cell_is_recovered() {
-        let cells = ["=1+1", "@SUM(A1)", "+x", "-x", "\t=1", "'=1", "''=1", "-", "-1.5e3", "+2", "-inf", "NaN", "'a", "a=b", ""];
+        let cells = [
+            "=1+1", "@SUM(A1)", "+x", "-x", "\t=1", "'=1", "''=1", "-", "-1.5e3", "+2", "-inf",
+            "NaN", "'a", "a=b", "",
+        ];
         let guards = ["'=1+1", "'@SUM(A1)", "'+x", "'-x", "'\t=1", "''=1", concat!("''", "'=1")];
         for (i, &cell) in cells.iter().enumerate() {
             let written = guarded(cell.to_owned());
             assert_eq!(written, *guards.get(i).unwrap_or(&cell));
             assert_eq!(unguarded(&written), cell);
         }
-        let text = csv(["tag", "n"], [["=HYPERLINK(\"x\",1)".to_owned(), "-1".to_owned()]]).expect("CSV");
-        assert_eq!(String::from_utf8(text).expect("text"), "tag,n\n\"'=HYPERLINK(\"\"x\"\",1)\",-1\n");
+        let text =
+            csv(["tag", "n"], [["=HYPERLINK(\"x\",1)".to_owned(), "-1".to_owned()]]).expect("CSV");
+        assert_eq!(
+            String::from_utf8(text).expect("text"),
+            "tag,n\n\"'=HYPERLINK(\"\"x\"\",1)\",-1\n"
+        );
     }
 }

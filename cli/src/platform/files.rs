@@ -63,8 +63,14 @@ pub fn replaced_by(temporary: &str) -> Option<&str> {
 fn remove_abandoned(folder: &Path, name: &str) {
     let now = SystemTime::now();
     let is_abandoned = |entry: &fs::DirEntry| {
-        let modified = entry.metadata().ok().filter(fs::Metadata::is_file).and_then(|file| file.modified().ok());
-        modified.and_then(|modified| now.duration_since(modified).ok()).is_some_and(|age| age > ABANDONED)
+        let modified = entry
+            .metadata()
+            .ok()
+            .filter(fs::Metadata::is_file)
+            .and_then(|file| file.modified().ok());
+        modified
+            .and_then(|modified| now.duration_since(modified).ok())
+            .is_some_and(|age| age > ABANDONED)
     };
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
         if entry.file_name().to_str().and_then(replaced_by) == Some(name) && is_abandoned(&entry) {
@@ -110,7 +116,8 @@ pub fn rename(from: &Path, to: &Path) -> io::Result<()> {
 pub fn create_folders(path: &Path) -> io::Result<()> {
     match create_folder(path) {
         Err(error) if error.kind() == ErrorKind::NotFound => {
-            let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).ok_or(error)?;
+            let parent =
+                path.parent().filter(|parent| !parent.as_os_str().is_empty()).ok_or(error)?;
             create_folders(parent)?;
             unless_exists(path, create_folder(path))
         }
@@ -141,7 +148,8 @@ pub fn create_tree(path: &Path, files: &[(&str, String)]) -> io::Result<()> {
         create_folder(&temporary)?;
         for (file, text) in files {
             let file = temporary.join(file);
-            let (folder, name) = (file.parent().unwrap_or(&temporary), file.file_name().unwrap_or_default());
+            let (folder, name) =
+                (file.parent().unwrap_or(&temporary), file.file_name().unwrap_or_default());
             create_folders(folder)?;
             replace(folder, &name.to_string_lossy(), text.as_bytes())?;
         }
@@ -155,12 +163,14 @@ pub fn create_tree(path: &Path, files: &[(&str, String)]) -> io::Result<()> {
 
 /// Waits until the entries of the parent folder are on disk.
 fn sync_parent(path: &Path) -> io::Result<()> {
-    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let parent =
+        path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     // Only Unix can open a folder as a file.
     if cfg!(unix) {
         match File::open(parent)?.sync_all() {
             // Some network file systems cannot synchronize a folder.
-            Err(error) if [ErrorKind::InvalidInput, ErrorKind::Unsupported].contains(&error.kind()) => {}
+            Err(error)
+                if [ErrorKind::InvalidInput, ErrorKind::Unsupported].contains(&error.kind()) => {}
             synchronized => synchronized?,
         }
     }
@@ -188,10 +198,12 @@ mod tests {
     fn a_replacement_removes_the_old_temporary_files_of_its_file_only() {
         let dir = TempDir::new().expect("a folder");
         let old = SystemTime::now() - 2 * ABANDONED;
-        let names = [".a.svg.1f.new", ".a.svg.2f.new", ".b.svg.1f.new", ".a.svg.new", "a.svg.1f.new"];
+        let names =
+            [".a.svg.1f.new", ".a.svg.2f.new", ".b.svg.1f.new", ".a.svg.new", "a.svg.1f.new"];
         for name in names {
             let file = File::create(dir.path().join(name)).expect("a file");
-            file.set_modified(if name == names[1] { SystemTime::now() } else { old }).expect("a time");
+            file.set_modified(if name == names[1] { SystemTime::now() } else { old })
+                .expect("a time");
         }
         replace(dir.path(), "a.svg", b"new").expect("a file");
         let exist = names.map(|name| dir.path().join(name).exists());

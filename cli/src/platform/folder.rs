@@ -101,7 +101,11 @@ impl Folder {
     /// # Errors
     /// There is no such folder.
     pub fn existing(path: &Path) -> Result<Self> {
-        if path.is_dir() { Ok(Self::at(path)) } else { bail!("there is no folder {}", path.display()) }
+        if path.is_dir() {
+            Ok(Self::at(path))
+        } else {
+            bail!("there is no folder {}", path.display())
+        }
     }
 
     /// The folder with this name inside this one. Creates nothing.
@@ -112,11 +116,17 @@ impl Folder {
     /// The name has several parts or leads elsewhere, as `a/b` and `..` do, or it is that of a link.
     pub fn inside(&self, name: &str) -> Result<Self> {
         if !is_name(name) {
-            bail!("{}: {name:?} cannot be the name of a folder in it; allowed: one part of a path", self.path.display());
+            bail!(
+                "{}: {name:?} cannot be the name of a folder in it; allowed: one part of a path",
+                self.path.display()
+            );
         }
         let path = self.file(name);
         if path.is_symlink() {
-            bail!("{} is a link, which results would follow out of its folder; put the folder itself there", path.display());
+            bail!(
+                "{} is a link, which results would follow out of its folder; put the folder itself there",
+                path.display()
+            );
         }
         Ok(Self { path })
     }
@@ -130,7 +140,10 @@ impl Folder {
             match files::create_folder(&path) {
                 Ok(()) => return Ok(Self { path }),
                 Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
-                Err(error) => return Err(error).with_context(|| format!("cannot create the folder {}", path.display())),
+                Err(error) => {
+                    return Err(error)
+                        .with_context(|| format!("cannot create the folder {}", path.display()));
+                }
             }
         }
         unreachable!("some number is free")
@@ -162,9 +175,18 @@ impl Folder {
     /// Checks that none of these input files is one of the files that a command writes to the
     /// folder.
     pub fn check_inputs(&self, inputs: &[&Path], outputs: &[&str]) -> Result<()> {
-        let written = outputs.iter().filter_map(|name| fs::canonicalize(self.file(name)).ok()).collect::<Vec<_>>();
-        match inputs.iter().find(|input| fs::canonicalize(input).is_ok_and(|input| written.contains(&input))) {
-            Some(input) => bail!("the results would replace {}; choose another folder with --out", input.display()),
+        let written = outputs
+            .iter()
+            .filter_map(|name| fs::canonicalize(self.file(name)).ok())
+            .collect::<Vec<_>>();
+        match inputs
+            .iter()
+            .find(|input| fs::canonicalize(input).is_ok_and(|input| written.contains(&input)))
+        {
+            Some(input) => bail!(
+                "the results would replace {}; choose another folder with --out",
+                input.display()
+            ),
             None => Ok(()),
         }
     }
@@ -205,7 +227,8 @@ impl Folder {
             let entries = fs::read_dir(&self.path)?;
             entries.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned())).collect()
         };
-        let mut names = read().with_context(|| format!("cannot read the folder {}", self.path.display()))?;
+        let mut names =
+            read().with_context(|| format!("cannot read the folder {}", self.path.display()))?;
         names.retain(|name| name != LOCK);
         names.sort();
         Ok(names)
@@ -218,7 +241,8 @@ impl Folder {
 
     /// Replaces a file as [`write`](Folder::write) does. Returns the open file, to append to.
     pub fn start(&self, name: &str, bytes: impl AsRef<[u8]>) -> Result<File> {
-        files::replace(&self.path, name, bytes.as_ref()).with_context(|| format!("cannot write {}", self.file(name).display()))
+        files::replace(&self.path, name, bytes.as_ref())
+            .with_context(|| format!("cannot write {}", self.file(name).display()))
     }
 
     /// Replaces the file at this path, which a user chose, as [`write`](Folder::write) does.
@@ -235,7 +259,8 @@ impl Folder {
             bail!("{shown}: it exists and is not a regular file; choose another name");
         }
         // The parent of a bare name is the empty path.
-        let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let parent =
+            path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
         Self::existing(parent)?.write(name, bytes)
     }
 
@@ -285,15 +310,19 @@ impl Folder {
     /// As [`readable`](Folder::readable), or the file is larger.
     pub fn read_up_to(&self, name: &str, most: usize) -> Result<Vec<u8>> {
         let path = self.readable(name)?;
-        let contents = files::read(&path, most).with_context(|| format!("cannot read {}", path.display()))?;
-        contents.with_context(|| format!("{} has more than {most} bytes, the limit of this file", path.display()))
+        let contents =
+            files::read(&path, most).with_context(|| format!("cannot read {}", path.display()))?;
+        contents.with_context(|| {
+            format!("{} has more than {most} bytes, the limit of this file", path.display())
+        })
     }
 }
 
 /// Returns whether this is the name of a file or folder: one part of a path, and not `..`.
 pub fn is_name(name: &str) -> bool {
     let mut parts = Path::new(name).components();
-    let is_single = matches!(parts.next(), Some(Component::Normal(part)) if part == OsStr::new(name)) && parts.next().is_none();
+    let is_single = matches!(parts.next(), Some(Component::Normal(part)) if part == OsStr::new(name))
+        && parts.next().is_none();
     is_single && !name.contains(['/', '\\']) && !name.contains(char::is_control)
 }
 

@@ -6,8 +6,21 @@ use anyhow::Result;
 use serde_json::{Map, Value};
 
 /// Columns of text. A name such as `1` stays text.
-const TEXT: [&str; 13] =
-    ["run", "scene", "case", "field", "name", "task", "tags", "method", "precision", "stop", "clip", "setting", "checked"];
+const TEXT: [&str; 13] = [
+    "run",
+    "scene",
+    "case",
+    "field",
+    "name",
+    "task",
+    "tags",
+    "method",
+    "precision",
+    "stop",
+    "clip",
+    "setting",
+    "checked",
+];
 
 /// Prints an object. JSON escapes stand for the control characters in it, including those that JSON
 /// permits in text.
@@ -24,7 +37,9 @@ fn escaped(json: &str) -> String {
     if is_plain(json) {
         return json.to_owned();
     }
-    json.chars().map(|c| if is_shown(c) { c.to_string() } else { format!("\\u{:04x}", c as u32) }).collect()
+    json.chars()
+        .map(|c| if is_shown(c) { c.to_string() } else { format!("\\u{:04x}", c as u32) })
+        .collect()
 }
 
 /// Rows of a CSV file from [`csv`](super::csv::csv), as objects whose keys are the columns.
@@ -64,7 +79,8 @@ mod tests {
 
     #[test]
     fn cells_become_numbers_text_and_null() {
-        let found = rows(b"run,seed,loss,failed\n7,3,0.5,true\ntrue,5,1e3,false\nb,4,NaN,false\n").expect("CSV");
+        let found = rows(b"run,seed,loss,failed\n7,3,0.5,true\ntrue,5,1e3,false\nb,4,NaN,false\n")
+            .expect("CSV");
         let expected = json!([
             { "run": "7", "seed": 3, "loss": 0.5, "failed": true },
             { "run": "true", "seed": 5, "loss": 1000.0, "failed": false },

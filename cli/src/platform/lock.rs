@@ -1,7 +1,8 @@
 //! [`Locked`]: a folder that this process has locked, alone or together with other processes.
 
 use super::folder::{
-    COMPARISON, Folder, INITIAL_POLICY, LOCK, LOCKED_FILES, PREVIOUS, RUN_FILES, RUNS, SETTINGS, STUDY, unwritable,
+    COMPARISON, Folder, INITIAL_POLICY, LOCK, LOCKED_FILES, PREVIOUS, RUN_FILES, RUNS, SETTINGS,
+    STUDY, unwritable,
 };
 use super::terminal::{print_message, program};
 use super::{files, signals};
@@ -43,7 +44,9 @@ impl Folder {
 
     fn in_use(&self) -> String {
         let (path, holder) = (self.path().display(), self.holder());
-        format!("the folder {path} is in use by {holder}; wait until it ends, or choose another folder with --out")
+        format!(
+            "the folder {path} is in use by {holder}; wait until it ends, or choose another folder with --out"
+        )
     }
 
     /// Locks the folder as [`lock`](Folder::lock) does, but waits while another process holds the
@@ -55,7 +58,11 @@ impl Folder {
                 return Ok(Some(locked));
             }
             if !reported {
-                print_message(&format!("waiting for the folder {}, in use by {}", self.path().display(), self.holder()));
+                print_message(&format!(
+                    "waiting for the folder {}, in use by {}",
+                    self.path().display(),
+                    self.holder()
+                ));
                 reported = true;
             }
             std::thread::sleep(RETRY_INTERVAL);
@@ -75,7 +82,8 @@ impl Folder {
             if fs::symlink_metadata(&path).is_ok_and(|metadata| !is_plain_file(&metadata)) {
                 bail!("{} is a link or not a regular file; remove it", path.display());
             }
-            let open = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
+            let open =
+                OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
             let mut file = open.with_context(|| unwritable(self.path()))?;
             let held = match mode {
                 Mode::Exclusive => file.try_lock(),
@@ -84,10 +92,14 @@ impl Folder {
             match held {
                 Ok(()) => {}
                 Err(TryLockError::WouldBlock) => return Ok(None),
-                Err(TryLockError::Error(error)) if is_unsupported(&error) && mode == Mode::Shared => bail!(
-                    "the file system of {} has no locks, which --shard needs; choose a folder on another file system with --out",
-                    self.path().display()
-                ),
+                Err(TryLockError::Error(error))
+                    if is_unsupported(&error) && mode == Mode::Shared =>
+                {
+                    bail!(
+                        "the file system of {} has no locks, which --shard needs; choose a folder on another file system with --out",
+                        self.path().display()
+                    )
+                }
                 Err(TryLockError::Error(error)) if is_unsupported(&error) => {
                     print_message(&format!(
                         "warning: this file system has no locks; only one process may write to {}",
@@ -95,11 +107,15 @@ impl Folder {
                     ));
                 }
                 Err(TryLockError::Error(error)) => {
-                    return Err(error).with_context(|| format!("cannot lock the folder {}", self.path().display()));
+                    return Err(error).with_context(|| {
+                        format!("cannot lock the folder {}", self.path().display())
+                    });
                 }
             }
-            let command: Vec<_> = std::env::args_os().map(|part| part.to_string_lossy().into_owned()).collect();
-            let holder = format!("process {}{} (`{}`)", std::process::id(), on_machine(), command.join(" "));
+            let command: Vec<_> =
+                std::env::args_os().map(|part| part.to_string_lossy().into_owned()).collect();
+            let holder =
+                format!("process {}{} (`{}`)", std::process::id(), on_machine(), command.join(" "));
             let write = |file: &mut File| -> io::Result<()> {
                 file.set_len(0)?;
                 file.write_all(holder.as_bytes())
@@ -118,7 +134,8 @@ impl Folder {
         // The holder writes its description shortly after it takes the lock.
         for _ in 0..20 {
             let mut text = String::new();
-            let read = File::open(self.file(LOCK)).and_then(|file| file.take(1000).read_to_string(&mut text));
+            let read = File::open(self.file(LOCK))
+                .and_then(|file| file.take(1000).read_to_string(&mut text));
             if read.is_ok() && !text.trim().is_empty() {
                 return text.split_whitespace().collect::<Vec<_>>().join(" ");
             }
@@ -159,7 +176,11 @@ impl Locked {
     fn is_in_place(&self) -> io::Result<bool> {
         match fs::symlink_metadata(self.folder.file(LOCK)) {
             Ok(current) => Ok(is_same(&current, &self.file.metadata()?)),
-            Err(error) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&error.kind()) => Ok(false),
+            Err(error)
+                if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&error.kind()) =>
+            {
+                Ok(false)
+            }
             Err(error) => Err(error),
         }
     }
@@ -180,7 +201,9 @@ impl Locked {
         if self.is_in_place().with_context(|| format!("cannot read the folder {path}"))? {
             return Ok(());
         }
-        bail!("the folder {path}, or {LOCK} in it, was removed or replaced during the run; leave both in place while it runs")
+        bail!(
+            "the folder {path}, or {LOCK} in it, was removed or replaced during the run; leave both in place while it runs"
+        )
     }
 
     /// Removes the temporary files of [`LOCKED_FILES`] that a killed process left behind.
@@ -188,7 +211,8 @@ impl Locked {
         for name in self.entries()? {
             if files::replaced_by(&name).is_some_and(|name| LOCKED_FILES.contains(&name)) {
                 let path = self.folder.file(&name);
-                fs::remove_file(&path).with_context(|| format!("cannot remove {}", path.display()))?;
+                fs::remove_file(&path)
+                    .with_context(|| format!("cannot remove {}", path.display()))?;
             }
         }
         Ok(())
@@ -204,10 +228,15 @@ impl Locked {
     /// or cannot be renamed. Another process locks the new folder first.
     pub fn without_run(self) -> Result<Self> {
         let path = self.path().to_owned();
-        let (run, other): (Vec<String>, Vec<String>) =
-            self.entries()?.into_iter().partition(|name| RUN_FILES.contains(&files::replaced_by(name).unwrap_or(name)));
+        let (run, other): (Vec<String>, Vec<String>) = self
+            .entries()?
+            .into_iter()
+            .partition(|name| RUN_FILES.contains(&files::replaced_by(name).unwrap_or(name)));
         if let Some(name) = other.iter().find(|name| [RUNS, COMPARISON].contains(&name.as_str())) {
-            bail!("{} holds a comparison ({name}); choose another folder with --out", path.display());
+            bail!(
+                "{} holds a comparison ({name}); choose another folder with --out",
+                path.display()
+            );
         }
         if other.iter().any(|name| name == STUDY) {
             bail!("{} holds a study; choose another folder with --out", path.display());
@@ -215,7 +244,9 @@ impl Locked {
         if !run.iter().any(|name| name == SETTINGS) {
             // A process that is killed before it writes the settings may leave temporary files and
             // the initial policy.
-            let foreign = run.iter().find(|name| *name != INITIAL_POLICY && files::replaced_by(name).is_none());
+            let foreign = run
+                .iter()
+                .find(|name| *name != INITIAL_POLICY && files::replaced_by(name).is_none());
             return match foreign {
                 Some(name) => bail!(
                     "{} holds {name} but no {SETTINGS}, so it is not a run; remove the file, or choose another folder with --out",
@@ -246,8 +277,12 @@ impl Locked {
         // `rename` never replaces a folder with contents. Replacing an empty folder loses nothing.
         let mut aside = free.filter(|path| fs::symlink_metadata(path).is_err());
         let aside = aside.next().context("some number is free")?;
-        let cannot =
-            || format!("cannot rename the folder {} of the earlier run; choose another folder with --out", path.display());
+        let cannot = || {
+            format!(
+                "cannot rename the folder {} of the earlier run; choose another folder with --out",
+                path.display()
+            )
+        };
         files::rename(&whole, &aside).with_context(cannot)?;
         let (from, aside) = (path.display(), aside.display());
         print_message(&format!(

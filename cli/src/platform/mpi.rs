@@ -1,12 +1,12 @@
 //! [`Ranks`] of MPI (feature `mpi`).
 
-use physgrad::Ranks;
 use anyhow::{Context, Result, bail};
 use mpi::Threading;
 use mpi::datatype::{Partition, PartitionMut};
 use mpi::environment::Universe;
 use mpi::topology::SimpleCommunicator;
 use mpi::traits::{Communicator, CommunicatorCollectives};
+use physgrad::Ranks;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Handle of the running MPI library. None before [`start`] and after [`end`].
@@ -25,9 +25,12 @@ struct World {
 /// MPI has already started. The MPI library has no thread level `MPI_THREAD_SERIALIZED`, which
 /// admits calls from several threads, one at a time.
 pub fn start() -> Result<Arc<dyn Ranks>> {
-    let (universe, threading) = mpi::initialize_with_threading(Threading::Serialized).context("MPI has already started")?;
+    let (universe, threading) =
+        mpi::initialize_with_threading(Threading::Serialized).context("MPI has already started")?;
     if threading < Threading::Serialized {
-        bail!("this MPI library has thread level {threading:?}; use one with MPI_THREAD_SERIALIZED");
+        bail!(
+            "this MPI library has thread level {threading:?}; use one with MPI_THREAD_SERIALIZED"
+        );
     }
     let world = universe.world();
     let ranks = World { rank: world.rank() as usize, count: world.size() as usize };
@@ -55,7 +58,9 @@ impl Ranks for World {
     fn exchange(&self, messages: &[&[u8]]) -> Vec<Vec<u8>> {
         let world = SimpleCommunicator::world();
         let length = |bytes: usize| {
-            i32::try_from(bytes).expect("the messages of a rank have 2 GiB or more; use a smaller policy or fewer samples")
+            i32::try_from(bytes).expect(
+                "the messages of a rank have 2 GiB or more; use a smaller policy or fewer samples",
+            )
         };
         let sent: Vec<i32> = messages.iter().map(|message| length(message.len())).collect();
         let mut received = vec![0; self.count];
@@ -76,7 +81,8 @@ impl Ranks for World {
             &Partition::new(&bytes[..], &sent[..], &sent_starts[..]),
             &mut PartitionMut::new(&mut buffer[..], &received[..], &received_starts[..]),
         );
-        let message = |(&start, &bytes): (&i32, &i32)| buffer[start as usize..][..bytes as usize].to_vec();
+        let message =
+            |(&start, &bytes): (&i32, &i32)| buffer[start as usize..][..bytes as usize].to_vec();
         received_starts.iter().zip(&received).map(message).collect()
     }
 }

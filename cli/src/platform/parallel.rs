@@ -1,7 +1,7 @@
 //! Threads, and a parallel map. Limits monomorphization: only a non-generic function calls rayon.
 
-use physgrad::threads;
 use anyhow::{Result, anyhow, bail};
+use physgrad::threads;
 use rayon::ThreadPoolBuilder;
 use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};
@@ -26,11 +26,16 @@ pub fn threads(requested: Option<usize>) -> Result<usize> {
             threads => bail!("--threads is {threads}; allowed: 1 to {max}"),
         };
     }
-    let Some(text) = std::env::var_os(VARIABLE).filter(|text| !text.is_empty()) else { return Ok(cores) };
+    let Some(text) = std::env::var_os(VARIABLE).filter(|text| !text.is_empty()) else {
+        return Ok(cores);
+    };
     match text.to_str().and_then(|text| text.parse().ok()) {
         Some(0) => Ok(cores),
         Some(threads) if threads <= max => Ok(threads),
-        _ => bail!("{VARIABLE} is {}; allowed: 1 to {max}, or 0 for one thread per core", text.display()),
+        _ => bail!(
+            "{VARIABLE} is {}; allowed: 1 to {max}, or 0 for one thread per core",
+            text.display()
+        ),
     }
 }
 
@@ -51,8 +56,11 @@ pub fn start(threads: usize) -> Result<()> {
 /// Maps the items in parallel. Starts them in their order, and returns the results in that order.
 pub fn map<I: Sync, R: Send>(items: &[I], work: impl Fn(&I) -> R + Sync) -> Vec<R> {
     let results: Vec<Mutex<Option<R>>> = items.iter().map(|_| Mutex::new(None)).collect();
-    for_each(items.len(), &|i| *results[i].lock().unwrap_or_else(PoisonError::into_inner) = Some(work(&items[i])));
-    let into_inner = |result: Mutex<Option<R>>| result.into_inner().unwrap_or_else(PoisonError::into_inner);
+    for_each(items.len(), &|i| {
+        *results[i].lock().unwrap_or_else(PoisonError::into_inner) = Some(work(&items[i]))
+    });
+    let into_inner =
+        |result: Mutex<Option<R>>| result.into_inner().unwrap_or_else(PoisonError::into_inner);
     results.into_iter().map(|result| into_inner(result).expect("every item has a result")).collect()
 }
 

@@ -1,9 +1,9 @@
 //! Ranks of a launcher such as `mpirun`. Only `mpi.rs` calls MPI (feature `mpi`).
 
-use physgrad::Ranks;
 #[cfg(feature = "mpi")]
 use crate::platform::mpi;
 use anyhow::{Result, bail};
+use physgrad::Ranks;
 use std::sync::Arc;
 
 /// Environment variables with the number of ranks. Open MPI sets the first, MPICH and Slurm set the

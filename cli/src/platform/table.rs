@@ -63,7 +63,9 @@ impl Table {
     pub fn objects(&self) -> Value {
         let key = |title: &String| title.to_lowercase().replace([' ', ','], "_");
         let keys: Vec<String> = self.header.iter().map(key).collect();
-        let row = |row: &Vec<String>| json::object(keys.iter().map(String::as_str).zip(row.iter().map(String::as_str)));
+        let row = |row: &Vec<String>| {
+            json::object(keys.iter().map(String::as_str).zip(row.iter().map(String::as_str)))
+        };
         self.rows.iter().map(row).collect()
     }
 
@@ -80,9 +82,13 @@ impl Table {
             hidden.push(column);
         }
         let mut table = self.layout(&hidden, UTF8_FULL_CONDENSED);
-        let natural = self.width(&hidden, |i| self.widest(i).min(if width.is_some() { usize::MAX } else { COLUMN }));
+        let natural = self.width(&hidden, |i| {
+            self.widest(i).min(if width.is_some() { usize::MAX } else { COLUMN })
+        });
         table.set_content_arrangement(ContentArrangement::Dynamic);
-        table.set_width(u16::try_from(width.map_or(natural, |width| width.min(natural))).unwrap_or(u16::MAX));
+        table.set_width(
+            u16::try_from(width.map_or(natural, |width| width.min(natural))).unwrap_or(u16::MAX),
+        );
         for i in 0..self.header.len() {
             if let Some(column) = table.column_mut(i).filter(|_| !hidden.contains(&i)) {
                 // Widths of columns include one space on either side.
@@ -90,19 +96,33 @@ impl Table {
                 column.set_constraint(ColumnConstraint::LowerBoundary(lower));
             }
         }
-        let omitted: Vec<&str> = self.optional.iter().filter(|i| hidden.contains(i)).map(|&i| &*self.header[i]).collect();
-        let note = if omitted.is_empty() { String::new() } else { format!("\nomitted at this width: {}", omitted.join(", ")) };
+        let omitted: Vec<&str> = self
+            .optional
+            .iter()
+            .filter(|i| hidden.contains(i))
+            .map(|&i| &*self.header[i])
+            .collect();
+        let note = if omitted.is_empty() {
+            String::new()
+        } else {
+            format!("\nomitted at this width: {}", omitted.join(", "))
+        };
         format!("{table}{note}")
     }
 
     /// The table with the first characters of each cell that is longer than [`CELL`].
     fn shortened(&self) -> Self {
-        let short = |cell: &String| match cell.char_indices().nth(CELL - 1).filter(|_| is_long(cell)) {
-            Some((end, _)) => format!("{}…", &cell[..end]),
-            None => cell.clone(),
-        };
+        let short =
+            |cell: &String| match cell.char_indices().nth(CELL - 1).filter(|_| is_long(cell)) {
+                Some((end, _)) => format!("{}…", &cell[..end]),
+                None => cell.clone(),
+            };
         let row = |cells: &Vec<String>| cells.iter().map(short).collect();
-        Self { header: row(&self.header), rows: self.rows.iter().map(row).collect(), optional: self.optional.clone() }
+        Self {
+            header: row(&self.header),
+            rows: self.rows.iter().map(row).collect(),
+            optional: self.optional.clone(),
+        }
     }
 
     fn layout(&self, hidden: &[usize], style: TableStyle) -> comfy_table::Table {
@@ -139,7 +159,11 @@ impl Table {
     /// Smallest width at which a column is readable: unbroken numbers, or lines of several words.
     fn least(&self, column: usize) -> usize {
         let narrowest = self.narrowest(column);
-        if self.is_numeric(column) { narrowest } else { self.widest(column).min(narrowest.max(WORDS)) }
+        if self.is_numeric(column) {
+            narrowest
+        } else {
+            self.widest(column).min(narrowest.max(WORDS))
+        }
     }
 
     /// Smallest width of a column. In a column of numbers, the longest cell or word of the header
@@ -147,7 +171,9 @@ impl Table {
     fn narrowest(&self, column: usize) -> usize {
         let words = self.header[column].split(' ').map(terminal::width_of).max().unwrap_or(0);
         let numeric = self.is_numeric(column);
-        let cells = self.cells(column).flat_map(|cell| if numeric { vec![cell] } else { cell.split([' ', '\n']).collect() });
+        let cells = self
+            .cells(column)
+            .flat_map(|cell| if numeric { vec![cell] } else { cell.split([' ', '\n']).collect() });
         let longest = cells.map(terminal::width_of).max().unwrap_or(0).max(words);
         if numeric { longest } else { longest.min(WORD) }
     }
@@ -156,10 +182,15 @@ impl Table {
     /// placeholders of a number. A cell that contains a comma or a colon, followed by a space, is
     /// text.
     fn is_numeric(&self, column: usize) -> bool {
-        let starts = |cell: &str| cell.trim_start_matches(['-', '+']).starts_with(|first: char| first.is_ascii_digit());
+        let starts = |cell: &str| {
+            cell.trim_start_matches(['-', '+']).starts_with(|first: char| first.is_ascii_digit())
+        };
         let is_number = |cell: &str| starts(cell) && !cell.contains(", ") && !cell.contains(": ");
-        let is_placeholder = |cell: &str| ["", "-", "NaN", "inf", "-inf", "diverged", "diverges", "non-finite"].contains(&cell);
-        self.cells(column).any(is_number) && self.cells(column).all(|cell| is_number(cell) || is_placeholder(cell))
+        let is_placeholder = |cell: &str| {
+            ["", "-", "NaN", "inf", "-inf", "diverged", "diverges", "non-finite"].contains(&cell)
+        };
+        self.cells(column).any(is_number)
+            && self.cells(column).all(|cell| is_number(cell) || is_placeholder(cell))
     }
 }
 
@@ -182,7 +213,8 @@ mod tests {
     use super::*;
 
     fn table() -> Table {
-        let mut table = Table::new(["field", "lowest loss", "seconds", "remark"]).optional(&["lowest loss", "seconds"]);
+        let mut table = Table::new(["field", "lowest loss", "seconds", "remark"])
+            .optional(&["lowest loss", "seconds"]);
         table.row(["combined", "0.5322", "12.1", "three words here"]);
         table.row(["regular", "NaN", "9.9", "|R|"]);
         table
@@ -214,9 +246,17 @@ mod tests {
         let whole = table().fitted(Some(50));
         assert!(whole.contains("12.1") && whole.contains("0.5322"), "{whole}");
         let one = table().fitted(Some(49));
-        assert!(!one.contains("12.1") && one.contains("0.5322") && one.ends_with("\nomitted at this width: seconds"), "{one}");
+        assert!(
+            !one.contains("12.1")
+                && one.contains("0.5322")
+                && one.ends_with("\nomitted at this width: seconds"),
+            "{one}"
+        );
         let two = table().fitted(Some(32));
-        assert!(!two.contains("0.5322") && two.ends_with("omitted at this width: lowest loss, seconds"), "{two}");
+        assert!(
+            !two.contains("0.5322") && two.ends_with("omitted at this width: lowest loss, seconds"),
+            "{two}"
+        );
     }
 
     #[test]
@@ -250,6 +290,9 @@ mod tests {
     fn markdown_has_every_column_and_one_line_per_row() {
         let text = table().markdown();
         assert_eq!(text.lines().count(), 4, "{text}");
-        assert!(text.contains("three words here") && text.contains("\\|R\\|") && text.contains("12.1"), "{text}");
+        assert!(
+            text.contains("three words here") && text.contains("\\|R\\|") && text.contains("12.1"),
+            "{text}"
+        );
     }
 }

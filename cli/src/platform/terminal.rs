@@ -53,7 +53,8 @@ pub fn plain(text: &str) -> Cow<'_, str> {
     if is_plain(text) {
         return text.into();
     }
-    let escaped = |c: char| if is_shown(c) { c.to_string() } else { c.escape_unicode().to_string() };
+    let escaped =
+        |c: char| if is_shown(c) { c.to_string() } else { c.escape_unicode().to_string() };
     text.chars().map(escaped).collect::<String>().into()
 }
 
@@ -214,7 +215,9 @@ pub fn counted(count: usize, noun: &str) -> String {
 /// Names separated by commas. From 11 names on, the first three, the last one, and their number.
 pub fn listed(names: &[String]) -> String {
     match names {
-        [first @ .., last] if names.len() > 10 => format!("{}, … {last} ({})", first[..3].join(", "), names.len()),
+        [first @ .., last] if names.len() > 10 => {
+            format!("{}, … {last} ({})", first[..3].join(", "), names.len())
+        }
         names => names.join(", "),
     }
 }
@@ -225,7 +228,10 @@ pub fn did_you_mean<'a>(name: &str, names: impl IntoIterator<Item = &'a str>) ->
     /// Least similarity of a suggestion, between 0 and 1.
     const SIMILAR: f64 = 0.8;
     let similarity = |known: &str| strsim::jaro_winkler(name, known);
-    let similar = names.into_iter().map(|known| (similarity(known), known)).filter(|(score, _)| *score >= SIMILAR);
+    let similar = names
+        .into_iter()
+        .map(|known| (similarity(known), known))
+        .filter(|(score, _)| *score >= SIMILAR);
     let best = similar.max_by(|(a, _), (b, _)| a.total_cmp(b));
     best.map_or_else(String::new, |(_, known)| format!("; did you mean `{known}`?"))
 }
@@ -275,7 +281,10 @@ mod tests {
     #[test]
     fn sentences_are_fitted_and_tables_are_not() {
         let text = "one two three\n│ one two three │\n\n  four five six";
-        assert_eq!(fitted(text, Some(9)), "one two\nthree\n│ one two three │\n\n  four\n  five\n  six");
+        assert_eq!(
+            fitted(text, Some(9)),
+            "one two\nthree\n│ one two three │\n\n  four\n  five\n  six"
+        );
         assert_eq!(fitted(text, None), text);
     }
 
@@ -286,8 +295,14 @@ mod tests {
         assert_eq!(plain("\u{9b}2J \u{7f} \u{202e}txt"), "\\u{9b}2J \\u{7f} \\u{202e}txt");
         for c in '\0'..=char::MAX {
             let is_harmless = !c.is_control() || matches!(c, '\n' | '\t');
-            assert!(plain(&c.to_string()).chars().all(|c| !c.is_control() || matches!(c, '\n' | '\t')), "{c:?}");
-            assert!(is_harmless || plain(&c.to_string()) == format!("\\u{{{:x}}}", c as u32), "{c:?}");
+            assert!(
+                plain(&c.to_string()).chars().all(|c| !c.is_control() || matches!(c, '\n' | '\t')),
+                "{c:?}"
+            );
+            assert!(
+                is_harmless || plain(&c.to_string()) == format!("\\u{{{:x}}}", c as u32),
+                "{c:?}"
+            );
         }
     }
 

@@ -17,8 +17,8 @@ use crate::runs::saved::{self, check_resumable};
 use crate::runs::statistics::Outcome;
 use crate::settings::FieldName;
 use crate::tasks::Scene;
-use physgrad::{Field, Record, differences};
 use anyhow::{Context, Result, anyhow, bail};
+use physgrad::{Field, Record, differences};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
@@ -81,7 +81,9 @@ impl Run {
     fn run(&self, observer: &mut dyn Observer) -> Result<Finished> {
         match self.folder.clone().wait_and_lock()? {
             Some(folder) => self.run_in(folder, observer),
-            None => Ok(Finished { records: Vec::new(), numbers: Vec::new(), end: End::Interrupted }),
+            None => {
+                Ok(Finished { records: Vec::new(), numbers: Vec::new(), end: End::Interrupted })
+            }
         }
     }
 
@@ -102,7 +104,15 @@ impl Run {
         let resume = self.resumes()?;
         let folder = if resume { folder } else { folder.without_run()? };
         // One thread per run: the parallel runs occupy all cores.
-        let finished = run::run(&folder, &self.scene, &mut *self.scene.open(1)?, resume, SAVE_EVERY, None, observer)?;
+        let finished = run::run(
+            &folder,
+            &self.scene,
+            &mut *self.scene.open(1)?,
+            resume,
+            SAVE_EVERY,
+            None,
+            observer,
+        )?;
         if let Some(end) = Ending::new(self.scene.epochs, &finished.end) {
             folder.write(END, toml::to_string(&end)?)?;
         }
@@ -131,7 +141,9 @@ impl Run {
         saved::restore(&self.folder, &scene, &mut *run)?;
         let (done, epochs) = (run.records().len(), self.scene.epochs);
         if done > epochs {
-            bail!("the run has {done} epochs, but its comparison has {epochs}; repeat `compare` with --epochs {done}");
+            bail!(
+                "the run has {done} epochs, but its comparison has {epochs}; repeat `compare` with --epochs {done}"
+            );
         }
         Ok(run.records().to_vec())
     }
@@ -184,17 +196,28 @@ pub fn read_plan<T: DeserializeOwned>(folder: &Folder) -> Result<T> {
 
 impl Comparison {
     /// Plans one run per field and seed. The folders need not exist.
-    pub fn plan(label: &str, base: &Scene, fields: &[FieldName], seeds: u64, folder: &Folder) -> Result<Self> {
+    pub fn plan(
+        label: &str,
+        base: &Scene,
+        fields: &[FieldName],
+        seeds: u64,
+        folder: &Folder,
+    ) -> Result<Self> {
         if !(1..=MAX_SEEDS).contains(&seeds) {
             bail!("a comparison has {seeds} seeds; allowed: 1 to {MAX_SEEDS}");
         }
         let last = base.seed.checked_add(seeds - 1).filter(|&last| i64::try_from(last).is_ok());
         let last = last.with_context(|| {
-            format!("{seeds} seeds from {} on exceed the largest seed, {}; use smaller seeds", base.seed, i64::MAX)
+            format!(
+                "{seeds} seeds from {} on exceed the largest seed, {}; use smaller seeds",
+                base.seed,
+                i64::MAX
+            )
         })?;
         check_runs(1, fields.len(), seeds)?;
         let runs = folder.inside(RUNS)?;
-        let pairs = fields.iter().flat_map(|&field| (base.seed..=last).map(move |seed| (field, seed)));
+        let pairs =
+            fields.iter().flat_map(|&field| (base.seed..=last).map(move |seed| (field, seed)));
         let run = |(field, seed): (FieldName, u64)| {
             let scene = base.with(field, seed)?;
             let folder = runs.inside(&format!("{}-{seed}", field.0.letter()))?;
@@ -290,7 +313,10 @@ pub fn check_distinct<'a>(option: &str, names: impl Iterator<Item = &'a str>) ->
 ///
 /// # Errors
 /// A setting is unusable, for example a memory budget that is too small.
-pub fn check_sessions<'a>(bases: impl Iterator<Item = &'a Scene>, fields: &[FieldName]) -> Result<()> {
+pub fn check_sessions<'a>(
+    bases: impl Iterator<Item = &'a Scene>,
+    fields: &[FieldName],
+) -> Result<()> {
     for base in bases {
         for &field in fields {
             base.with(field, base.seed)?.open(1)?;
@@ -314,7 +340,13 @@ pub struct Ended {
 
 impl Ended {
     fn of(runs: usize) -> Self {
-        Self { interrupted: false, failed: Vec::new(), no_update: Vec::new(), missing: Vec::new(), runs }
+        Self {
+            interrupted: false,
+            failed: Vec::new(),
+            no_update: Vec::new(),
+            missing: Vec::new(),
+            runs,
+        }
     }
 
     fn add(&mut self, label: String, end: &Ending) {
@@ -349,7 +381,10 @@ impl Ended {
 
 /// All runs, with their names in messages.
 fn labelled(comparisons: &[Comparison]) -> Vec<(&Run, String)> {
-    comparisons.iter().flat_map(|comparison| comparison.runs.iter().map(|run| (run, comparison.label(run)))).collect()
+    comparisons
+        .iter()
+        .flat_map(|comparison| comparison.runs.iter().map(|run| (run, comparison.label(run))))
+        .collect()
 }
 
 /// Names of the tasks of the runs.
@@ -366,7 +401,11 @@ fn tasks(runs: &[(&Run, String)]) -> String {
 
 fn check_errors(errors: &[String], runs: usize) -> Result<()> {
     if !errors.is_empty() {
-        bail!("{} of {runs} runs could not start or be saved:\n{}", errors.len(), errors.join("\n"));
+        bail!(
+            "{} of {runs} runs could not start or be saved:\n{}",
+            errors.len(),
+            errors.join("\n")
+        );
     }
     Ok(())
 }

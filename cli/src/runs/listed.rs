@@ -2,8 +2,8 @@
 
 use crate::platform::folder::{CHECKPOINT, Folder, MAX_SETTINGS, METRICS, SETTINGS};
 use crate::runs::saved;
-use physgrad_plot::Point;
 use anyhow::{Context, Result, anyhow};
+use physgrad_plot::Point;
 use std::fs;
 use std::time::SystemTime;
 use toml::{Table, Value};
@@ -53,11 +53,21 @@ pub fn below(folder: &Folder) -> (Vec<Listed>, Vec<anyhow::Error>) {
 impl Listed {
     fn read(folder: Folder) -> Result<Self> {
         let path = folder.file(SETTINGS);
-        let damaged = || format!("{} is damaged; restore the file, or delete the folder of the run", path.display());
+        let damaged = || {
+            format!(
+                "{} is damaged; restore the file, or delete the folder of the run",
+                path.display()
+            )
+        };
         let bytes = folder.read_up_to(SETTINGS, MAX_SETTINGS)?;
         // Omits the line of the error, which may be long.
-        let parse = |text: &str| text.parse().map_err(|error: toml::de::Error| anyhow!("{}", error.message()));
-        let table: Table = std::str::from_utf8(&bytes).map_err(Into::into).and_then(parse).with_context(damaged)?;
+        let parse = |text: &str| {
+            text.parse().map_err(|error: toml::de::Error| anyhow!("{}", error.message()))
+        };
+        let table: Table = std::str::from_utf8(&bytes)
+            .map_err(Into::into)
+            .and_then(parse)
+            .with_context(damaged)?;
         let text = |key: &str| table.get(key).and_then(Value::as_str).unwrap_or("?").to_owned();
         let number = |key: &str| table.get(key).and_then(Value::as_integer).unwrap_or(0);
         let tags = table.get("tags").and_then(Value::as_array).into_iter().flatten();
@@ -91,8 +101,12 @@ fn losses(folder: &Folder) -> Result<Vec<Point>> {
     if !folder.has(METRICS) {
         return Ok(Vec::new());
     }
-    let damaged =
-        || format!("{} is damaged; continue the run with `train --resume`, or restore the file", folder.file(METRICS).display());
+    let damaged = || {
+        format!(
+            "{} is damaged; continue the run with `train --resume`, or restore the file",
+            folder.file(METRICS).display()
+        )
+    };
     let bytes = folder.read(METRICS)?;
     let mut rows = csv::Reader::from_reader(&*bytes);
     let header = rows.headers().with_context(damaged)?.clone();
@@ -101,7 +115,8 @@ fn losses(folder: &Folder) -> Result<Vec<Point>> {
     let mut elapsed = 0.0;
     let point = |row: Result<csv::StringRecord, csv::Error>| {
         let row = row.with_context(damaged)?;
-        let [epoch, seconds, value] = columns.map(|column| row[column].parse::<f64>().with_context(damaged));
+        let [epoch, seconds, value] =
+            columns.map(|column| row[column].parse::<f64>().with_context(damaged));
         elapsed += seconds?;
         Ok(Point { epoch: epoch?, seconds: elapsed, value: value? })
     };

@@ -5,8 +5,8 @@ use crate::platform::files;
 use crate::platform::folder::{EVENTS, Folder, METRICS, METRICS_JSONL};
 use crate::runs::tensorboard;
 use crate::settings::LogFormat;
-use physgrad::{Growth, Record};
 use anyhow::{Context, Result};
+use physgrad::{Growth, Record};
 use std::fs::File;
 use std::path::PathBuf;
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -32,7 +32,8 @@ impl Metrics {
     /// Writes `metrics.csv` and the files of `formats`, with the completed epochs. Replaces earlier
     /// files.
     pub fn create(folder: &Folder, formats: &[LogFormat], done: &[Record]) -> Result<Self> {
-        let formats = LogFormat::ALL.into_iter().filter(|format| formats.contains(format)).map(Format::Other);
+        let formats =
+            LogFormat::ALL.into_iter().filter(|format| formats.contains(format)).map(Format::Other);
         let ends = wall_times(done);
         let create = |format: Format| {
             let (name, mut bytes) = (format.file(), format.start(*ends.first().unwrap_or(&now()))?);
@@ -41,7 +42,9 @@ impl Metrics {
             }
             Ok(Log { format, path: folder.file(name), file: folder.start(name, bytes)? })
         };
-        Ok(Self { logs: [Format::Csv].into_iter().chain(formats).map(create).collect::<Result<_>>()? })
+        Ok(Self {
+            logs: [Format::Csv].into_iter().chain(formats).map(create).collect::<Result<_>>()?,
+        })
     }
 
     /// Appends an epoch.
@@ -56,7 +59,9 @@ impl Metrics {
 
     /// Waits until all epochs are on disk.
     pub fn sync(&self) -> Result<()> {
-        self.logs.iter().try_for_each(|log| files::sync(&log.file, &log.path).with_context(|| log.unwritable()))
+        self.logs
+            .iter()
+            .try_for_each(|log| files::sync(&log.file, &log.path).with_context(|| log.unwritable()))
     }
 }
 
@@ -131,8 +136,10 @@ fn row(cells: [impl AsRef<[u8]>; COLUMNS.len()]) -> Result<Vec<u8>> {
 
 /// One line with a JSON object. Absent values, and values that are not finite in f64, are null.
 fn json(cells: &[String; COLUMNS.len()]) -> Vec<u8> {
-    let value = |cell: &str| if cell.parse().is_ok_and(f64::is_finite) { cell } else { "null" }.to_owned();
-    let members = COLUMNS.iter().zip(cells).map(|(name, cell)| format!("\"{name}\":{}", value(cell)));
+    let value =
+        |cell: &str| if cell.parse().is_ok_and(f64::is_finite) { cell } else { "null" }.to_owned();
+    let members =
+        COLUMNS.iter().zip(cells).map(|(name, cell)| format!("\"{name}\":{}", value(cell)));
     format!("{{{}}}\n", members.collect::<Vec<_>>().join(",")).into_bytes()
 }
 
@@ -156,11 +163,26 @@ const COLUMNS: [&str; 14] = [
 
 /// Values of an epoch, in the order of [`COLUMNS`]. Absent values are empty.
 fn cells(record: &Record) -> [String; 14] {
-    let Record { epoch, loss, train_loss, test_loss, grad_norm, cosine, kept, first_order, skipped, seconds, .. } = record;
+    let Record {
+        epoch,
+        loss,
+        train_loss,
+        test_loss,
+        grad_norm,
+        cosine,
+        kept,
+        first_order,
+        skipped,
+        seconds,
+        ..
+    } = record;
     let growth = |growth: Option<Growth>| {
-        growth.map_or_else(Default::default, |Growth { along, worst_window }| [along.to_string(), worst_window.to_string()])
+        growth.map_or_else(Default::default, |Growth { along, worst_window }| {
+            [along.to_string(), worst_window.to_string()]
+        })
     };
-    let [[growth_r, worst_r], [growth_m, worst_m]] = [record.regular_growth, record.modified_growth].map(growth);
+    let [[growth_r, worst_r], [growth_m, worst_m]] =
+        [record.regular_growth, record.modified_growth].map(growth);
     let number = |x: &f64| x.to_string();
     let optional = |x: &Option<f64>| x.as_ref().map_or_else(String::new, number);
     [

@@ -1,10 +1,10 @@
 //! [`Progress`]: progress bar of a run, or of several parallel runs.
 
 use super::run::{EpochEvent, Observer};
-use physgrad::Growth;
-use physgrad::text::short;
 use crate::platform::terminal::{bar_width, plain, print_message, progress_bar};
 use indicatif::ProgressBar;
+use physgrad::Growth;
+use physgrad::text::short;
 
 /// Progress bar with losses, elapsed time and ETA. Without a terminal, prints at most one line of
 /// text per tenth of the epochs instead, unless quiet.
@@ -49,8 +49,13 @@ impl Observer for Progress {
     fn epoch(&mut self, event: EpochEvent) {
         let EpochEvent { record, .. } = event;
         let growths = [("R", record.regular_growth), ("M", record.modified_growth)];
-        let growth = |(flow, growth): (&str, Option<Growth>)| growth.map(|growth| format!("{flow} 10^{:+.1}", growth.along));
-        let losses = [format!("train {}", short(record.train_loss)), format!("test {}", short(record.test_loss))];
+        let growth = |(flow, growth): (&str, Option<Growth>)| {
+            growth.map(|growth| format!("{flow} 10^{:+.1}", growth.along))
+        };
+        let losses = [
+            format!("train {}", short(record.train_loss)),
+            format!("test {}", short(record.test_loss)),
+        ];
         self.advance(losses.into_iter().chain(growths.into_iter().filter_map(growth)).collect());
         self.warn("", event);
     }
@@ -91,7 +96,9 @@ impl Progress {
     /// Removes the bar. Prints the count of each repeated warning, even if quiet.
     pub fn finish(&self) {
         self.bar.finish_and_clear();
-        for Repeated { first, count, last, .. } in self.repeated.iter().filter(|repeated| repeated.count > 1) {
+        for Repeated { first, count, last, .. } in
+            self.repeated.iter().filter(|repeated| repeated.count > 1)
+        {
             print_message(&format!("{first} ({count} times, last in {last})"));
         }
     }

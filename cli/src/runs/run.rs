@@ -2,7 +2,9 @@
 
 use crate::operations::session::{AnyRun, Epoch};
 use crate::operations::trajectory::ROLLOUTS;
-use crate::platform::folder::{ANIMATION, BEST_POLICY, CHECKPOINT, Folder, LEARNING_CURVE, NUMBERS, POLICY, TRAJECTORY};
+use crate::platform::folder::{
+    ANIMATION, BEST_POLICY, CHECKPOINT, Folder, LEARNING_CURVE, NUMBERS, POLICY, TRAJECTORY,
+};
 use crate::platform::lock::Locked;
 use crate::platform::signals;
 use crate::platform::terminal::print_message;
@@ -11,8 +13,8 @@ use crate::runs::outputs;
 use crate::runs::saved;
 use crate::settings::LogFormat;
 use crate::tasks::Scene;
-use physgrad::{Ranks, Record, TrainError, Warning, ranks};
 use anyhow::{Context, Result, bail};
+use physgrad::{Ranks, Record, TrainError, Warning, ranks};
 use std::fmt;
 use std::sync::{Arc, Once};
 use std::time::{Duration, Instant};
@@ -143,7 +145,8 @@ pub fn follow(scene: &Scene, run: &mut dyn AnyRun, ranks: &Arc<dyn Ranks>) -> Re
 
 /// Trains the session of a scene without a folder.
 pub fn in_memory(scene: &Scene, run: &mut dyn AnyRun, observer: &mut dyn Observer) -> Finished {
-    let failure = train(run, None, None, observer).expect("a training without a folder writes no file");
+    let failure =
+        train(run, None, None, observer).expect("a training without a folder writes no file");
     finished(scene, run, failure)
 }
 
@@ -172,7 +175,11 @@ fn train(
         }
         let (begin, poll) = (Instant::now(), observer.poll_every());
         let due = saver.as_deref();
-        let pause = || on_any_rank(due.is_some_and(Saver::is_due) || poll.is_some_and(|poll| begin.elapsed() >= poll));
+        let pause = || {
+            on_any_rank(
+                due.is_some_and(Saver::is_due) || poll.is_some_and(|poll| begin.elapsed() >= poll),
+            )
+        };
         match run.advance(&pause) {
             Ok(record) => {
                 within_epoch = record.is_none();
@@ -230,7 +237,12 @@ struct Saver<'a> {
 impl<'a> Saver<'a> {
     /// Removes leftover temporary files and writes the settings. A folder with settings contains a
     /// run. A run without a checkpoint has not begun its first epoch.
-    fn begin(folder: &'a Locked, scene: &'a Scene, identity: &'a str, save_every: Duration) -> Result<Self> {
+    fn begin(
+        folder: &'a Locked,
+        scene: &'a Scene,
+        identity: &'a str,
+        save_every: Duration,
+    ) -> Result<Self> {
         folder.clean()?;
         saved::write_settings(folder, scene)?;
         let (logs, last) = (&scene.logs[..], Instant::now());
@@ -249,7 +261,8 @@ impl<'a> Saver<'a> {
     }
 
     fn is_due(&self) -> bool {
-        self.last.elapsed() >= self.save_every || (!self.signal_seen && signals::received().is_some())
+        self.last.elapsed() >= self.save_every
+            || (!self.signal_seen && signals::received().is_some())
     }
 
     /// Appends an epoch to the metrics. After an error, the next save rewrites their files.
@@ -280,7 +293,9 @@ impl<'a> Saver<'a> {
             self.signal_seen = true;
             // Parallel runs share one message.
             static REPORTED: Once = Once::new();
-            REPORTED.call_once(|| print_message("finishing the epoch and saving; a second signal stops immediately"));
+            REPORTED.call_once(|| {
+                print_message("finishing the epoch and saving; a second signal stops immediately")
+            });
         }
         if let Err(error) = self.save(run) {
             if self.folder.is_gone() {
@@ -288,7 +303,9 @@ impl<'a> Saver<'a> {
             }
             self.metrics = None;
             self.last = Instant::now();
-            print_message(&format!("warning: the run continues, but could not be saved: {error:#}"));
+            print_message(&format!(
+                "warning: the run continues, but could not be saved: {error:#}"
+            ));
         }
         Ok(())
     }

@@ -1,15 +1,17 @@
 //! Saved runs: search in folders, scenes, restored states.
 
-use physgrad::differences;
-use physgrad::text::digits;
 use crate::operations::session::AnyRun;
-use crate::platform::folder::{CHECKPOINT, Folder, INITIAL_POLICY, METRICS, POLICY, RUNS, SETTINGS};
+use crate::platform::folder::{
+    CHECKPOINT, Folder, INITIAL_POLICY, METRICS, POLICY, RUNS, SETTINGS,
+};
 use crate::platform::terminal::{counted, print_message};
 use crate::scenes::overrides::Overrides;
 use crate::scenes::presets;
 use crate::scenes::source::SceneSource;
 use crate::tasks::{Scene, scene};
 use anyhow::{Context, Result, bail};
+use physgrad::differences;
+use physgrad::text::digits;
 use std::path::PathBuf;
 
 /// Returns whether the folder contains a run.
@@ -46,10 +48,15 @@ pub fn scenes(folder: &Folder) -> Result<Vec<SceneRuns>> {
     match inside.iter().find(|case| has_run(case)) {
         Some(run) => {
             let count = inside.iter().filter(|case| has_run(case)).count() + scenes.len();
-            bail!("{path} holds {count} runs or comparisons; choose one, for example {}", run.path().display())
+            bail!(
+                "{path} holds {count} runs or comparisons; choose one, for example {}",
+                run.path().display()
+            )
         }
         None if scenes.is_empty() => {
-            bail!("there is no run in {path} or {path}/{RUNS}; create one with `train` or `compare`")
+            bail!(
+                "there is no run in {path} or {path}/{RUNS}; create one with `train` or `compare`"
+            )
         }
         None => Ok(scenes),
     }
@@ -70,13 +77,17 @@ pub(super) fn folders(folder: &Folder) -> Result<Vec<Folder>> {
     let path = folder.path();
     let context = || format!("cannot read the folder {}", path.display());
     let entries = std::fs::read_dir(path).with_context(context)?;
-    let mut paths = entries.map(|entry| Ok(entry.with_context(context)?.path())).collect::<Result<Vec<_>>>()?;
+    let mut paths =
+        entries.map(|entry| Ok(entry.with_context(context)?.path())).collect::<Result<Vec<_>>>()?;
     paths.sort();
     let (links, paths): (Vec<&PathBuf>, Vec<&PathBuf>) =
         paths.iter().filter(|path| path.is_dir()).partition(|path| path.is_symlink());
     if let Some(first) = links.first() {
         let count = counted(links.len(), "link");
-        print_message(&format!("warning: omitted {count} to folders, for example {}; name the folder itself", first.display()));
+        print_message(&format!(
+            "warning: omitted {count} to folders, for example {}; name the folder itself",
+            first.display()
+        ));
     }
     Ok(paths.into_iter().map(Folder::at).filter(|folder| !folder.is_previous()).collect())
 }
@@ -129,7 +140,8 @@ pub fn restore(folder: &Folder, scene: &Scene, run: &mut dyn AnyRun) -> Result<(
     let restored = run.restore(&folder.read(CHECKPOINT)?, &scene.identity());
     restored.with_context(|| format!("cannot restore {}", folder.file(CHECKPOINT).display()))?;
     if let Some(losses) = run.changed_test_loss() {
-        let (path, [recorded, computed]) = (folder.path().display(), losses.map(|loss| digits(loss, 9)));
+        let (path, [recorded, computed]) =
+            (folder.path().display(), losses.map(|loss| digits(loss, 9)));
         print_message(&format!(
             "warning: the best policy in {path} had the test loss {recorded} in its training, and has {computed} now. Either the \
              equations of the task have changed since, or this processor rounds differently. If the equations have changed, \
@@ -170,7 +182,10 @@ pub fn check_resumable(folder: &Folder, scene: &Scene) -> Result<()> {
 /// [`scene`](self::scene()).
 pub fn resumed(folder: &Folder, overrides: &Overrides) -> Result<Scene> {
     if !has_run(folder) {
-        bail!("there is no run to resume in {}; omit --resume to start one", folder.path().display());
+        bail!(
+            "there is no run to resume in {}; omit --resume to start one",
+            folder.path().display()
+        );
     }
     let mut source = SceneSource::read(&folder.readable(SETTINGS)?)?;
     overrides.apply_again(&mut source)?;

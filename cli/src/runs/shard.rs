@@ -13,9 +13,12 @@ impl FromStr for Shard {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let parts = text.split_once('/').and_then(|(number, count)| Some((number.parse().ok()?, count.parse().ok()?)));
+        let parts = text
+            .split_once('/')
+            .and_then(|(number, count)| Some((number.parse().ok()?, count.parse().ok()?)));
         let parts = parts.filter(|(number, count): &(u16, u16)| (1..=*count).contains(number));
-        let (number, count) = parts.ok_or("allowed: K/N with K from 1 to N and N up to 65535, for example 3/16")?;
+        let (number, count) =
+            parts.ok_or("allowed: K/N with K from 1 to N and N up to 65535, for example 3/16")?;
         Ok(Self { number: number.into(), count: count.into() })
     }
 }
@@ -34,7 +37,9 @@ impl Shard {
     /// Order in which the process visits all runs: its share, then the shares of the following
     /// processes in cyclic order. Each share contains every `count`-th run.
     pub fn order(self, runs: usize) -> Vec<usize> {
-        (0..self.count).flat_map(|k| (0..runs).skip((self.number - 1 + k) % self.count).step_by(self.count)).collect()
+        (0..self.count)
+            .flat_map(|k| (0..runs).skip((self.number - 1 + k) % self.count).step_by(self.count))
+            .collect()
     }
 }
 

@@ -2,9 +2,9 @@
 
 use physgrad::rng::{Purpose, stream};
 use physgrad::text::short;
+use physgrad::{Field, Record};
 use physgrad_plot::quantile::{quantile, sorted};
 use physgrad_plot::{Curve, Dash, Point, field_color};
-use physgrad::{Field, Record};
 use rand::RngExt;
 use std::fmt;
 
@@ -36,12 +36,18 @@ impl Outcome<'_> {
             *sum += r.seconds;
             Some(*sum)
         });
-        self.records.iter().zip(elapsed).map(|(r, seconds)| Point { epoch: r.epoch as f64, seconds, value: value(r) }).collect()
+        self.records
+            .iter()
+            .zip(elapsed)
+            .map(|(r, seconds)| Point { epoch: r.epoch as f64, seconds, value: value(r) })
+            .collect()
     }
 }
 
 /// Groups runs by field. Runs of a field must be consecutive.
-pub fn by_field<'a, 'r>(runs: &'a [Outcome<'r>]) -> impl Iterator<Item = (Field, &'a [Outcome<'r>])> {
+pub fn by_field<'a, 'r>(
+    runs: &'a [Outcome<'r>],
+) -> impl Iterator<Item = (Field, &'a [Outcome<'r>])> {
     runs.chunk_by(|a, b| a.field == b.field).map(|runs| (runs[0].field, runs))
 }
 
@@ -99,15 +105,24 @@ pub fn table_of_scenes(scenes: &[InScene]) -> Vec<Vec<String>> {
     // Replaces `+` with a space, so that a table can break the name of a sweep point between its
     // settings.
     let row = |name: &str, row: [String; 9]| {
-        [name.replace('+', " ")].into_iter().chain(row).skip(usize::from(scenes.len() < 2)).collect::<Vec<_>>()
+        [name.replace('+', " ")]
+            .into_iter()
+            .chain(row)
+            .skip(usize::from(scenes.len() < 2))
+            .collect::<Vec<_>>()
     };
-    scenes.iter().flat_map(|scene| table(&scene.runs).into_iter().map(|cells| row(scene.name, cells))).collect()
+    scenes
+        .iter()
+        .flat_map(|scene| table(&scene.runs).into_iter().map(|cells| row(scene.name, cells)))
+        .collect()
 }
 
-const TABLE_HEADER: [&str; 9] = ["field", "seeds", "failed", "test loss", "ratio", "lowest", "highest", "best", "seconds"];
+const TABLE_HEADER: [&str; 9] =
+    ["field", "seeds", "failed", "test loss", "ratio", "lowest", "highest", "best", "seconds"];
 
 /// Columns that a narrow terminal omits, the most important first.
-pub const OPTIONAL: [&str; 7] = ["ratio", "best", "seeds", "failed", "highest", "lowest", "seconds"];
+pub const OPTIONAL: [&str; 7] =
+    ["ratio", "best", "seeds", "failed", "highest", "lowest", "seconds"];
 
 /// Explanation of the table.
 pub const TABLE_NOTE: &str = "test loss of the last epoch: median, lowest and highest over the seeds; medians of best loss and seconds\n\
@@ -118,7 +133,8 @@ pub const TABLE_NOTE: &str = "test loss of the last epoch: median, lowest and hi
 fn table(runs: &[Outcome]) -> Vec<[String; 9]> {
     let reference = by_field(runs).min_by_key(|(field, _)| position(field.letter()));
     let row = |(field, of_field): (Field, &[Outcome])| {
-        let median = |value: &dyn Fn(&Outcome) -> f64| quantile(&sorted(of_field.iter().map(value)), 0.5);
+        let median =
+            |value: &dyn Fn(&Outcome) -> f64| quantile(&sorted(of_field.iter().map(value)), 0.5);
         let last = sorted(of_field.iter().map(|run| run.last(|r| r.test_loss)));
         [
             field.to_string(),
@@ -150,8 +166,14 @@ pub fn best(records: &[Record]) -> f64 {
 /// Non-finite values stay unchanged and do not enter the means of other values.
 pub fn trailing_mean(values: &[f64], window: usize) -> Vec<f64> {
     let mean = |end: usize| {
-        let finite = || values[(end + 1).saturating_sub(window)..=end].iter().filter(|value| value.is_finite());
-        if values[end].is_finite() { finite().sum::<f64>() / finite().count() as f64 } else { values[end] }
+        let finite = || {
+            values[(end + 1).saturating_sub(window)..=end].iter().filter(|value| value.is_finite())
+        };
+        if values[end].is_finite() {
+            finite().sum::<f64>() / finite().count() as f64
+        } else {
+            values[end]
+        }
     };
     (0..values.len()).map(mean).collect()
 }
@@ -172,15 +194,24 @@ impl fmt::Display for Ratio {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [low, high] = self.interval;
         f.write_str(&short(self.value))?;
-        if low.is_nan() && high.is_nan() { Ok(()) } else { write!(f, " ({} to {})", short(low), short(high)) }
+        if low.is_nan() && high.is_nan() {
+            Ok(())
+        } else {
+            write!(f, " ({} to {})", short(low), short(high))
+        }
     }
 }
 
 /// [`median_ratio`] of the final test losses of two groups of runs, over the seeds that both groups
 /// contain.
-pub fn loss_ratio<'a>(runs: impl Iterator<Item = Outcome<'a>>, others: impl Iterator<Item = Outcome<'a>> + Clone) -> Ratio {
+pub fn loss_ratio<'a>(
+    runs: impl Iterator<Item = Outcome<'a>>,
+    others: impl Iterator<Item = Outcome<'a>> + Clone,
+) -> Ratio {
     let loss = |run: Outcome| run.last(|r| r.test_loss);
-    let pair = |run: Outcome<'a>| others.clone().find(|other| other.seed == run.seed).map(|other| (loss(run), loss(other)));
+    let pair = |run: Outcome<'a>| {
+        others.clone().find(|other| other.seed == run.seed).map(|other| (loss(run), loss(other)))
+    };
     median_ratio(&runs.filter_map(pair).collect::<Vec<_>>())
 }
 
@@ -194,8 +225,10 @@ pub fn loss_ratio<'a>(runs: impl Iterator<Item = Outcome<'a>>, others: impl Iter
 pub fn median_ratio(pairs: &[(f64, f64)]) -> Ratio {
     let ratio = |pairs: &mut dyn Iterator<Item = (f64, f64)>| {
         let worst = |loss: f64| if loss.is_nan() { f64::INFINITY } else { loss };
-        let (first, second): (Vec<f64>, Vec<f64>) = pairs.map(|(a, b)| (worst(a), worst(b))).unzip();
-        let [first, second] = [first, second].map(|losses| quantile(&sorted(losses.into_iter()), 0.5));
+        let (first, second): (Vec<f64>, Vec<f64>) =
+            pairs.map(|(a, b)| (worst(a), worst(b))).unzip();
+        let [first, second] =
+            [first, second].map(|losses| quantile(&sorted(losses.into_iter()), 0.5));
         first / second
     };
     let resample = |i: u64| {
@@ -203,7 +236,10 @@ pub fn median_ratio(pairs: &[(f64, f64)]) -> Ratio {
         ratio(&mut (0..pairs.len()).map(|_| pairs[rng.random_range(0..pairs.len())]))
     };
     let ratios = if pairs.len() < 2 { Vec::new() } else { sorted((0..RESAMPLES).map(resample)) };
-    Ratio { value: ratio(&mut pairs.iter().copied()), interval: [0.025, 0.975].map(|q| quantile(&ratios, q)) }
+    Ratio {
+        value: ratio(&mut pairs.iter().copied()),
+        interval: [0.025, 0.975].map(|q| quantile(&ratios, q)),
+    }
 }
 
 /// Mean of the logarithm to base 10 of the test loss over the first `duration` seconds of a
@@ -268,14 +304,19 @@ mod tests {
         let point = |seconds: f64, value: f64| Point { epoch: 0.0, seconds, value };
         // From 10^0 to 10^-2 within 2 s, then constant for 2 s: (2 · -1 + 2 · -2) / 4.
         let points = [point(2.0, 1e-2), point(4.0, 1e-2)];
-        let near = |found: f64, expected: f64| assert!((found - expected).abs() < 1e-12, "{found}, expected {expected}");
+        let near = |found: f64, expected: f64| {
+            assert!((found - expected).abs() < 1e-12, "{found}, expected {expected}")
+        };
         near(mean_log_loss(&points, 1.0, 4.0), -1.5);
         // The first second ends at 10^-1, and the first three seconds have the area -2 - 2.
         near(mean_log_loss(&points, 1.0, 1.0), -0.5);
         near(mean_log_loss(&points, 1.0, 3.0), -4.0 / 3.0);
         near(mean_log_loss(&points, f64::NAN, 4.0), -2.0);
         for (initial, duration) in [(1.0, 5.0), (f64::NAN, 5.0)] {
-            assert!(mean_log_loss(&points, initial, duration).is_nan(), "the training ends before {duration} s");
+            assert!(
+                mean_log_loss(&points, initial, duration).is_nan(),
+                "the training ends before {duration} s"
+            );
         }
         assert!(mean_log_loss(&[point(1.0, f64::NAN), point(2.0, 1.0)], 1.0, 2.0).is_nan());
         near(mean_log_loss(&[point(1.0, 0.1), point(2.0, f64::NAN)], 1.0, 1.0), -0.5);
@@ -284,9 +325,13 @@ mod tests {
     #[test]
     fn curves_of_several_scenes_have_field_colours_and_scene_dashes() {
         let outcome = |field| Outcome { field, seed: 0, records: &[], failed: false };
-        let scene = |name| InScene { name, runs: vec![outcome(Field::regular()), outcome(Field::modified())] };
+        let scene = |name| InScene {
+            name,
+            runs: vec![outcome(Field::regular()), outcome(Field::modified())],
+        };
         let curves = curves_of_scenes(&["a", "b"].map(scene), |r| r.test_loss);
-        let looks: Vec<_> = curves.iter().map(|curve| (&*curve.label, curve.color, curve.dash)).collect();
+        let looks: Vec<_> =
+            curves.iter().map(|curve| (&*curve.label, curve.color, curve.dash)).collect();
         let [r, m] = ["R", "M"].map(field_color);
         let (solid, dashed) = (Dash::Solid, Dash::Dashed);
         let expected = [("a: R (regular)", r, solid), ("a: M (modified)", m, solid)];

@@ -40,9 +40,20 @@ pub fn start(wall_time: f64) -> Vec<u8> {
 }
 
 /// Record with values of a step. Numbers beyond the range of f32 become infinite.
-pub fn scalars<'a>(step: usize, wall_time: f64, values: impl Iterator<Item = (&'a str, f64)>) -> Vec<u8> {
-    let value = values.map(|(tag, value)| Value { tag: tag.into(), simple_value: Some(value as f32) }).collect();
-    record(&Event { wall_time, step: step as i64, file_version: None, summary: Some(Summary { value }) })
+pub fn scalars<'a>(
+    step: usize,
+    wall_time: f64,
+    values: impl Iterator<Item = (&'a str, f64)>,
+) -> Vec<u8> {
+    let value = values
+        .map(|(tag, value)| Value { tag: tag.into(), simple_value: Some(value as f32) })
+        .collect();
+    record(&Event {
+        wall_time,
+        step: step as i64,
+        file_version: None,
+        summary: Some(Summary { value }),
+    })
 }
 
 /// Frame of a message: its length, the checksum of the length, the message, its checksum.

@@ -1,6 +1,5 @@
 //! [`Trained`]: the policy of a saved run, with the scene in which it is evaluated.
 
-use physgrad::policy::AnyPolicy;
 use crate::operations::evaluation::AnyEvaluation;
 use crate::operations::session::Epoch;
 use crate::platform::folder::{Folder, SETTINGS};
@@ -8,6 +7,7 @@ use crate::runs::saved;
 use crate::scenes::source::SceneSource;
 use crate::tasks::Scene;
 use anyhow::{Result, bail};
+use physgrad::policy::AnyPolicy;
 use std::collections::HashSet;
 use std::path::PathBuf;
 
@@ -29,12 +29,20 @@ impl Trained {
     /// # Errors
     /// A folder has no run, or a run that cannot be restored. The runs have different tasks.
     pub fn load_all(paths: &[PathBuf], epoch: Epoch) -> Result<Vec<Self>> {
-        let folders = paths.iter().map(|path| Folder::existing(path)).collect::<Result<Vec<_>>>()?;
+        let folders =
+            paths.iter().map(|path| Folder::existing(path)).collect::<Result<Vec<_>>>()?;
         let names: HashSet<String> = folders.iter().map(Folder::name).collect();
         let are_distinct = names.len() == folders.len();
-        let name = |folder: &Folder| if are_distinct { folder.name() } else { folder.path().display().to_string() };
-        let runs = folders.iter().map(|folder| Self::load(name(folder), folder, epoch)).collect::<Result<Vec<_>>>()?;
-        if let Some(other) = runs.iter().find(|run| run.scene.task.name() != runs[0].scene.task.name()) {
+        let name = |folder: &Folder| {
+            if are_distinct { folder.name() } else { folder.path().display().to_string() }
+        };
+        let runs = folders
+            .iter()
+            .map(|folder| Self::load(name(folder), folder, epoch))
+            .collect::<Result<Vec<_>>>()?;
+        if let Some(other) =
+            runs.iter().find(|run| run.scene.task.name() != runs[0].scene.task.name())
+        {
             bail!(
                 "{} has the task {}, but {} has the task {}; compare runs of one task",
                 runs[0].name,

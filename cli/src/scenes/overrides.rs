@@ -71,7 +71,8 @@ impl Overrides {
         if let Some(path) = &self.policy {
             let option = format!("--policy {}", path.display());
             let file = if path.is_dir() { path.join(POLICY) } else { path.clone() };
-            let file = file.to_str().with_context(|| format!("{option}: the path is not UTF-8 text"))?;
+            let file =
+                file.to_str().with_context(|| format!("{option}: the path is not UTF-8 text"))?;
             source.put(INITIAL_POLICY, Value::String(file.into()), &option)?;
         }
         Ok(())
@@ -95,7 +96,9 @@ pub fn hide_training(arg: clap::Arg) -> clap::Arg {
 /// Removes the assignments with several values from `set`, and adds them to the sweep.
 pub fn take_several(set: &mut Vec<String>, sweep: &mut Sweep) -> Result<()> {
     for assignment in std::mem::take(set) {
-        let parts = assignment.split_once('=').and_then(|(key, text)| Some((key.trim(), several(text.trim())?)));
+        let parts = assignment
+            .split_once('=')
+            .and_then(|(key, text)| Some((key.trim(), several(text.trim())?)));
         match parts {
             Some((key, values)) => sweep.add(key, values)?,
             None => set.push(assignment),
@@ -106,20 +109,27 @@ pub fn take_several(set: &mut Vec<String>, sweep: &mut Sweep) -> Result<()> {
 
 /// Converts to an integer of TOML, which is signed.
 fn integer(option: &str, value: u64) -> Result<Value> {
-    let value = i64::try_from(value).ok().with_context(|| format!("{option} is {value}; allowed: up to {}", i64::MAX))?;
+    let value = i64::try_from(value)
+        .ok()
+        .with_context(|| format!("{option} is {value}; allowed: up to {}", i64::MAX))?;
     Ok(Value::Integer(value))
 }
 
 /// Applies one assignment, for example `training.learning_rate=3e-4`.
 pub fn set(source: &mut SceneSource, assignment: &str) -> Result<()> {
     let option = format!("--set {}", short(assignment));
-    let (key, text) =
-        assignment.split_once('=').with_context(|| format!("{option}: write KEY=VALUE, for example system.poles=4"))?;
+    let (key, text) = assignment
+        .split_once('=')
+        .with_context(|| format!("{option}: write KEY=VALUE, for example system.poles=4"))?;
     let (key, text) = (key.trim(), text.trim());
     if ["physgrad", "scene", "task"].contains(&key) {
-        bail!("{option}: `{key}` defines the meaning of the other settings and cannot be set; edit the scene file");
+        bail!(
+            "{option}: `{key}` defines the meaning of the other settings and cannot be set; edit the scene file"
+        );
     }
-    if let Some((section, number)) = key.split_once('.').filter(|(section, _)| ["vary", "fit"].contains(section)) {
+    if let Some((section, number)) =
+        key.split_once('.').filter(|(section, _)| ["vary", "fit"].contains(section))
+    {
         let example = if section == "vary" { "{ uniform = [1, 2] }" } else { "{ start = 1 }" };
         bail!(
             "{option}: only scene files have the section `{section}`; write the setting itself, as in --set '{number}={example}'"

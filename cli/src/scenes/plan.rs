@@ -38,7 +38,8 @@ const MAX_NAME: usize = 100;
 const LEARNING_RATE: &str = "training.learning_rate";
 
 /// Settings of a fast trial run.
-const QUICK: [(&str, i64); 3] = [("epochs", 5), ("training.train_samples", 64), ("training.test_samples", 64)];
+const QUICK: [(&str, i64); 3] =
+    [("epochs", 5), ("training.train_samples", 64), ("training.test_samples", 64)];
 
 /// Keys that a plan cannot set, with the reasons.
 const REFUSED: [(&str, &str); 5] = [
@@ -117,27 +118,41 @@ impl Plan {
     /// The file or a scene cannot be read. A key is unknown or has an invalid value. A scene has an
     /// initial policy. Names are not distinct, or cannot be parts of the names of folders.
     pub fn read(path: &Path) -> Result<Self> {
-        Self::parse(&path.display().to_string(), read_text(path)?, path.parent().unwrap_or(Path::new("")))
+        Self::parse(
+            &path.display().to_string(),
+            read_text(path)?,
+            path.parent().unwrap_or(Path::new("")),
+        )
     }
 
     /// Parses the text of the file with this name in `folder`.
     fn parse(name: &str, text: String, folder: &Path) -> Result<Self> {
         let located = |error: ConfigError| anyhow!("{}: {error}", place(name, &text, &error.key));
-        let contents = read::<Contents>(parse_table(name, &text)?).map_err(|error| located(ConfigError::unreadable(&error)))?;
+        let contents = read::<Contents>(parse_table(name, &text)?)
+            .map_err(|error| located(ConfigError::unreadable(&error)))?;
         contents.validate().map_err(located)?;
         let mut plan = Self { name: name.to_owned(), text, contents, sources: Vec::new() };
         for i in 0..plan.contents.tasks.len() {
             let task = &plan.contents.tasks[i];
             let key = format!("task[{i}].scene");
             let source = match &task.scene {
-                Value::String(scene) if presets::is_path(scene) => presets::source(&folder.join(scene).to_string_lossy()),
+                Value::String(scene) if presets::is_path(scene) => {
+                    presets::source(&folder.join(scene).to_string_lossy())
+                }
                 Value::String(scene) => presets::source(scene),
-                Value::Table(table) => SceneSource::inner(&format!("{name}, `{key}`"), table.clone()),
-                other => Err(anyhow!("`{key}` is {other}; allowed: a preset, or the path of a scene")),
+                Value::Table(table) => {
+                    SceneSource::inner(&format!("{name}, `{key}`"), table.clone())
+                }
+                other => {
+                    Err(anyhow!("`{key}` is {other}; allowed: a preset, or the path of a scene"))
+                }
             };
             let source = source.map_err(|error| anyhow!("{}: {error:#}", plan.place(&key)))?;
             if source.table().contains_key(INITIAL_POLICY) {
-                bail!("{}: the scene sets `{INITIAL_POLICY}`; a study trains from random parameters", plan.place(&key));
+                bail!(
+                    "{}: the scene sets `{INITIAL_POLICY}`; a study trains from random parameters",
+                    plan.place(&key)
+                );
             }
             plan.sources.push(source);
         }
@@ -176,7 +191,9 @@ impl Plan {
             }
             // Some file systems ignore the case of names.
             if !seen.insert(name.to_lowercase()) {
-                bail!("{origin}: two entries [[{list}]] have the name {name:?}; give them distinct names");
+                bail!(
+                    "{origin}: two entries [[{list}]] have the name {name:?}; give them distinct names"
+                );
             }
         }
         Ok(())
@@ -217,7 +234,11 @@ impl Plan {
     /// A setting is invalid.
     pub fn cells(&self) -> Result<Vec<Cell>> {
         let Contents { tasks, methods, learning_rates, .. } = &self.contents;
-        let rates = || learning_rates.as_ref().map_or_else(|| vec![None], |rates| rates.iter().copied().map(Some).collect());
+        let rates = || {
+            learning_rates
+                .as_ref()
+                .map_or_else(|| vec![None], |rates| rates.iter().copied().map(Some).collect())
+        };
         let mut cells = Vec::new();
         for task in 0..tasks.len() {
             for method in 0..methods.len() {
@@ -232,21 +253,27 @@ impl Plan {
     fn cell(&self, task: usize, method: usize, rate: Option<f64>) -> Result<Cell> {
         let Contents { tasks, methods, epochs, .. } = &self.contents;
         let names = [tasks[task].name.clone().unwrap_or_default(), methods[method].name.clone()];
-        let of_cell = |error: anyhow::Error| anyhow!("{error:#} (task {}, method {})", names[0], names[1]);
+        let of_cell =
+            |error: anyhow::Error| anyhow!("{error:#} (task {}, method {})", names[0], names[1]);
         let mut source = self.sources[task].clone();
         if let Some(epochs) = epochs {
             source.replace("epochs", Value::try_from(epochs)?, &self.place("epochs"))?;
         }
         self.set(&mut source, &format!("task[{task}].set"), &tasks[task].set).map_err(of_cell)?;
-        self.set(&mut source, &format!("method[{method}].set"), &methods[method].set).map_err(of_cell)?;
+        self.set(&mut source, &format!("method[{method}].set"), &methods[method].set)
+            .map_err(of_cell)?;
         if let Some(rate) = rate {
             source.replace(LEARNING_RATE, Value::Float(rate), &self.place("learning_rates"))?;
         }
         let scene = source.scene().map_err(of_cell)?;
         if scene.epochs == 0 {
-            return Err(of_cell(anyhow!("{}: `epochs` is 0; allowed: 1 or more", self.place("epochs"))));
+            return Err(of_cell(anyhow!(
+                "{}: `epochs` is 0; allowed: 1 or more",
+                self.place("epochs")
+            )));
         }
-        let learning_rate = scene.table.get("training").and_then(|training| training.get("learning_rate"));
+        let learning_rate =
+            scene.table.get("training").and_then(|training| training.get("learning_rate"));
         let learning_rate = learning_rate.and_then(Value::as_float).unwrap_or(f64::NAN);
         let [task, method] = names;
         let folder = match rate {
@@ -269,11 +296,15 @@ impl Plan {
                     bail!("{origin}: `{key}` cannot be set: {reason}");
                 }
                 if key == LEARNING_RATE && self.contents.learning_rates.is_some() {
-                    bail!("{origin}: `{key}` is set, but `learning_rates` replaces it; remove one of them");
+                    bail!(
+                        "{origin}: `{key}` is set, but `learning_rates` replaces it; remove one of them"
+                    );
                 }
                 match value {
                     // An effect with its defaults, or with the settings of the scene.
-                    Value::Table(section) if section.is_empty() => source.put(&key, value.clone(), &origin)?,
+                    Value::Table(section) if section.is_empty() => {
+                        source.put(&key, value.clone(), &origin)?
+                    }
                     value => source.replace(&key, value.clone(), &origin)?,
                 }
             }
@@ -284,10 +315,14 @@ impl Plan {
 
 /// Appends the settings in the value of a key. The value of a section contains several settings.
 fn settings_of<'a>(key: String, value: &'a Value, settings: &mut Vec<(String, &'a Value)>) {
-    let is_section = key.split_once('.').is_none_or(|(section, name)| OPTIONAL.contains(&section) && !name.contains('.'));
+    let is_section = key
+        .split_once('.')
+        .is_none_or(|(section, name)| OPTIONAL.contains(&section) && !name.contains('.'));
     match value {
         Value::Table(section) if is_section && !section.is_empty() => {
-            section.iter().for_each(|(inner, value)| settings_of(format!("{key}.{inner}"), value, settings));
+            section
+                .iter()
+                .for_each(|(inner, value)| settings_of(format!("{key}.{inner}"), value, settings));
         }
         value => settings.push((key, value)),
     }
@@ -300,7 +335,12 @@ impl Contents {
     }
 
     fn validate(&self) -> Result<(), ConfigError> {
-        allowed("seeds", self.seeds, (1..=MAX as u64).contains(&self.seeds), format!("1 to {MAX}"))?;
+        allowed(
+            "seeds",
+            self.seeds,
+            (1..=MAX as u64).contains(&self.seeds),
+            format!("1 to {MAX}"),
+        )?;
         if let Some(rates) = &self.learning_rates {
             allowed("learning_rates", "[]", !rates.is_empty(), "one learning rate or more")?;
             for (i, rate) in rates.iter().enumerate() {
@@ -314,7 +354,12 @@ impl Contents {
             }
         }
         let cells = self.combinations();
-        allowed("task", format!("{cells} combinations of task, method and learning rate"), cells <= MAX, format!("up to {MAX}"))
+        allowed(
+            "task",
+            format!("{cells} combinations of task, method and learning rate"),
+            cells <= MAX,
+            format!("up to {MAX}"),
+        )
     }
 }
 
@@ -332,11 +377,27 @@ mod tests {
         };
         for (texts, key, value) in [
             (["policy.widths = [4]", "\"policy.widths\" = [4]"], "policy.widths", "[4]"),
-            (["effects.gusty_wind.speed = 3", "\"effects.gusty_wind\" = { speed = 3 }"], "effects.gusty_wind.speed", "3"),
-            (["effects = { gusty_wind.speed = 3 }", "\"effects.gusty_wind.speed\" = 3"], "effects.gusty_wind.speed", "3"),
+            (
+                ["effects.gusty_wind.speed = 3", "\"effects.gusty_wind\" = { speed = 3 }"],
+                "effects.gusty_wind.speed",
+                "3",
+            ),
+            (
+                ["effects = { gusty_wind.speed = 3 }", "\"effects.gusty_wind.speed\" = 3"],
+                "effects.gusty_wind.speed",
+                "3",
+            ),
             (["effects.bumpers = {}", "\"effects.bumpers\" = {}"], "effects.bumpers", "{}"),
-            (["system.gravity = { a = 1 }", "\"system.gravity\" = { a = 1 }"], "system.gravity", "{ a = 1 }"),
-            (["actuator.lag.time = { a = 1 }", "\"actuator.lag\".time = { a = 1 }"], "actuator.lag.time", "{ a = 1 }"),
+            (
+                ["system.gravity = { a = 1 }", "\"system.gravity\" = { a = 1 }"],
+                "system.gravity",
+                "{ a = 1 }",
+            ),
+            (
+                ["actuator.lag.time = { a = 1 }", "\"actuator.lag\".time = { a = 1 }"],
+                "actuator.lag.time",
+                "{ a = 1 }",
+            ),
         ] {
             for text in texts {
                 assert_eq!(settings(text), [(key.to_owned(), value.to_owned())], "{text}");

@@ -42,16 +42,20 @@ pub const RICH: [&str; 3] = ["cart_pole_windy", "guidance_walled", "quantum_doub
 
 /// Name and first line of every preset. Tasks of the user are presets with their default settings.
 pub fn all() -> impl Iterator<Item = (&'static str, &'static str)> {
-    let first_line = |text: &'static str| text.lines().next().unwrap_or_default().trim_start_matches(['#', ' ']);
+    let first_line =
+        |text: &'static str| text.lines().next().unwrap_or_default().trim_start_matches(['#', ' ']);
     let built_in = PRESETS.into_iter().map(move |(name, text)| (name, first_line(text)));
     built_in.chain(tasks::own().iter().map(|task| (task.name(), task.about())))
 }
 
 /// Text of a preset.
 pub fn text(name: &str) -> Result<Cow<'static, str>> {
-    let built_in = PRESETS.into_iter().find(|(preset, _)| *preset == name).map(|(_, text)| text.into());
+    let built_in =
+        PRESETS.into_iter().find(|(preset, _)| *preset == name).map(|(_, text)| text.into());
     let own = || tasks::own().iter().find(|task| task.name() == name);
-    let preset = |task: &&dyn AnyTaskSpec| format!("# {}\nscene = {VERSION}\ntask = {name:?}\n", task.about()).into();
+    let preset = |task: &&dyn AnyTaskSpec| {
+        format!("# {}\nscene = {VERSION}\ntask = {name:?}\n", task.about()).into()
+    };
     built_in.or_else(|| own().map(preset)).with_context(|| {
         let names: Vec<&str> = all().map(|(name, _)| name).collect();
         format!("there is no preset `{name}`; presets: {}", names.join(", "))
@@ -66,14 +70,17 @@ pub fn source(name: &str) -> Result<SceneSource> {
         if scene.exists() {
             bail!("{name} is a folder, not a scene; the scene of its run is {}", scene.display());
         }
-        bail!("{name} is a folder, not a scene; give the path of a scene, which ends in .toml, or the name of a preset");
+        bail!(
+            "{name} is a folder, not a scene; give the path of a scene, which ends in .toml, or the name of a preset"
+        );
     }
     if is_path(name) {
         return SceneSource::read(path);
     }
     let question = did_you_mean(name, all().map(|(preset, _)| preset));
-    let text =
-        text(name).map_err(|error| anyhow!("{error}; to use a scene file, give its path, which ends in .toml{question}"))?;
+    let text = text(name).map_err(|error| {
+        anyhow!("{error}; to use a scene file, give its path, which ends in .toml{question}")
+    })?;
     SceneSource::parse(&format!("preset {name}"), &text)
 }
 

@@ -10,8 +10,14 @@ use toml::{Table, Value};
 /// Validates the settings with `i64::MAX` for this setting: the resulting error names the range.
 /// Elements of lists keep the range of the type. So do settings that code of the user reads, which
 /// could for example allocate as many numbers.
-pub fn with_range(spec: &'static dyn AnyTaskSpec, settings: impl Fn() -> Table, mut error: ConfigError) -> ConfigError {
-    let Some(found) = error.what.strip_suffix(WHOLE_NUMBER).map(str::to_owned) else { return error };
+pub fn with_range(
+    spec: &'static dyn AnyTaskSpec,
+    settings: impl Fn() -> Table,
+    mut error: ConfigError,
+) -> ConfigError {
+    let Some(found) = error.what.strip_suffix(WHOLE_NUMBER).map(str::to_owned) else {
+        return error;
+    };
     if is_read_by_user(spec.name(), &error.key) {
         return error;
     }

@@ -59,12 +59,19 @@ impl SceneSource {
     }
 
     fn of(name: &str, text: &str, table: Table) -> Result<Self> {
-        let mut source =
-            Self { name: name.to_owned(), table, sweep: None, folder: None, text: text.to_owned(), options: HashMap::new() };
+        let mut source = Self {
+            name: name.to_owned(),
+            table,
+            sweep: None,
+            folder: None,
+            text: text.to_owned(),
+            options: HashMap::new(),
+        };
         source.place("vary")?;
         source.place("fit")?;
         if let Some(sweep) = source.table.remove("sweep") {
-            source.sweep = sweep.try_into().with_context(|| format!("{}: `sweep`", source.origin("sweep")))?;
+            source.sweep =
+                sweep.try_into().with_context(|| format!("{}: `sweep`", source.origin("sweep")))?;
         }
         Ok(source)
     }
@@ -72,7 +79,9 @@ impl SceneSource {
     /// Moves the entries of the section `vary` or `fit` to the keys that they name.
     fn place(&mut self, section: &str) -> Result<()> {
         let Some(entries) = self.table.remove(section) else { return Ok(()) };
-        let Value::Table(entries) = entries else { bail!("{}: `{section}` is not a section", self.origin(section)) };
+        let Value::Table(entries) = entries else {
+            bail!("{}: `{section}` is not a section", self.origin(section))
+        };
         for (key, value) in entries {
             let origin = self.origin(&format!("{section}.{key}"));
             let table = value.as_table();
@@ -81,7 +90,10 @@ impl SceneSource {
                     table.is_some_and(|table| table.contains_key("start")),
                     "{ start = value, min = bound, max = bound }; bounds are optional",
                 ),
-                _ => (table.is_some_and(is_drawn), "{ uniform = [low, high] }, or another distribution"),
+                _ => (
+                    table.is_some_and(is_drawn),
+                    "{ uniform = [low, high] }, or another distribution",
+                ),
             };
             if !suits {
                 // TOML splits keys without quotation marks at their dots.
@@ -101,10 +113,13 @@ impl SceneSource {
     fn get(&self, key: &str) -> Option<&Value> {
         let (first, rest) = key.split_once('.').unwrap_or((key, ""));
         let value = self.table.get(first)?;
-        rest.split('.').filter(|part| !part.is_empty()).try_fold(value, |value, part| match element(part) {
-            Some((list, index)) => value.get(list)?.get(index),
-            None => value.get(part),
-        })
+        rest.split('.').filter(|part| !part.is_empty()).try_fold(
+            value,
+            |value, part| match element(part) {
+                Some((list, index)) => value.get(list)?.get(index),
+                None => value.get(part),
+            },
+        )
     }
 
     /// Value of a top-level key. None if the key is absent or its value is not text.
@@ -127,23 +142,31 @@ impl SceneSource {
         for part in sections.split('.').filter(|part| !part.is_empty()) {
             path = join(&path, part);
             if let Some((list, index)) = element(part) {
-                let found = inner.get_mut(list).and_then(|list| list.get_mut(index)?.as_table_mut());
-                inner = found
-                    .with_context(|| format!("{option}: the scene has no `{path}`; list all elements in the scene first"))?;
+                let found =
+                    inner.get_mut(list).and_then(|list| list.get_mut(index)?.as_table_mut());
+                inner = found.with_context(|| {
+                    format!(
+                        "{option}: the scene has no `{path}`; list all elements in the scene first"
+                    )
+                })?;
                 continue;
             }
             let section = inner.entry(part).or_insert_with(|| {
                 self.options.insert(path.clone(), option.to_owned());
                 Value::Table(Table::new())
             });
-            inner = section.as_table_mut().with_context(|| format!("{option}: `{path}` is not a section"))?;
+            inner = section
+                .as_table_mut()
+                .with_context(|| format!("{option}: `{path}` is not a section"))?;
         }
         if let Some(Value::Table(section)) = inner.get(last)
             && !is_number(section)
         {
             // A table replaces only those keys of a section that it contains.
             if let Value::Table(values) = value {
-                return values.into_iter().try_for_each(|(inner, value)| self.put(&format!("{key}.{inner}"), value, option));
+                return values.into_iter().try_for_each(|(inner, value)| {
+                    self.put(&format!("{key}.{inner}"), value, option)
+                });
             }
             let keys: Vec<String> = section.keys().map(|inner| format!("{key}.{inner}")).collect();
             bail!("{option}: `{key}` is a section; set one of its keys: {}", keys.join(", "));
@@ -199,7 +222,9 @@ impl SceneSource {
     /// Returns whether the scene has this effect or part of the actuator.
     pub fn has(&self, name: &str) -> bool {
         let part = part_name(name);
-        sections_of(name).any(|section| self.table.get(section).is_some_and(|section| section.get(part).is_some()))
+        sections_of(name).any(|section| {
+            self.table.get(section).is_some_and(|section| section.get(part).is_some())
+        })
     }
 
     /// Removes an effect or a part of the actuator. A name may begin with the section, as in
@@ -210,11 +235,16 @@ impl SceneSource {
     pub fn without(&mut self, name: &str) -> Result<()> {
         let part = part_name(name);
         let chosen: Vec<&str> = sections_of(name).collect();
-        let parts = |section: &&str| self.table.get(*section).and_then(Value::as_table).into_iter().flat_map(Table::keys);
+        let parts = |section: &&str| {
+            self.table.get(*section).and_then(Value::as_table).into_iter().flat_map(Table::keys)
+        };
         let present: Vec<&str> = OPTIONAL.iter().flat_map(parts).map(String::as_str).collect();
         if !chosen.iter().flat_map(parts).any(|key| key == part) {
             let present = if present.is_empty() { "none".into() } else { present.join(", ") };
-            bail!("--without {name}: {} has no such effect or part of the actuator; it has {present}", self.name);
+            bail!(
+                "--without {name}: {} has no such effect or part of the actuator; it has {present}",
+                self.name
+            );
         }
         for section in chosen {
             if let Some(section) = self.table.get_mut(section).and_then(Value::as_table_mut) {
@@ -236,9 +266,13 @@ impl SceneSource {
     /// does not read its file.
     pub fn starting_from(&self, policy: Option<&[u8]>) -> Result<Scene> {
         if self.sweep.is_some() {
-            bail!("{}: the scene has a sweep, which only `compare` trains; remove the section", self.origin("sweep"));
+            bail!(
+                "{}: the scene has a sweep, which only `compare` trains; remove the section",
+                self.origin("sweep")
+            );
         }
-        let scene = self.validate().map_err(|error| anyhow!("{}: {error}", self.origin(&error.key)))?;
+        let scene =
+            self.validate().map_err(|error| anyhow!("{}: {error}", self.origin(&error.key)))?;
         if let Some(policy) = policy {
             return Ok(scene.starting_from(policy.to_vec()));
         }
@@ -247,30 +281,40 @@ impl SceneSource {
         let is_option = self.options.contains_key(INITIAL_POLICY);
         let folder = self.folder.as_deref().filter(|_| !is_option).unwrap_or(Path::new(""));
         let bytes = Folder::at(folder).read(file);
-        let bytes = bytes.with_context(|| format!("{}: `{INITIAL_POLICY}`", self.origin(INITIAL_POLICY)))?;
+        let bytes = bytes
+            .with_context(|| format!("{}: `{INITIAL_POLICY}`", self.origin(INITIAL_POLICY)))?;
         Ok(scene.starting_from(bytes))
     }
 
     fn validate(&self) -> Result<Scene, ConfigError> {
         match self.table.get("scene") {
             None => {
-                let what = format!("is missing; a scene begins with `scene = {VERSION}`, the version of the scene format");
+                let what = format!(
+                    "is missing; a scene begins with `scene = {VERSION}`, the version of the scene format"
+                );
                 return Err(ConfigError::new("scene", what));
             }
             Some(Value::Integer(VERSION)) => {}
             Some(other) => {
-                let what = format!("is {other}; this version of physgrad reads scenes of version {VERSION}");
+                let what = format!(
+                    "is {other}; this version of physgrad reads scenes of version {VERSION}"
+                );
                 return Err(ConfigError::new("scene", what));
             }
         }
         let names = || tasks::all().iter().map(|task| task.name()).collect::<Vec<_>>().join(", ");
         let task = match self.table.get("task") {
-            None => return Err(ConfigError::new("task", format!("is missing; allowed: {}", names()))),
+            None => {
+                return Err(ConfigError::new("task", format!("is missing; allowed: {}", names())));
+            }
             Some(task) => task,
         };
         let spec = tasks::all().iter().copied().find(|spec| task.as_str() == Some(spec.name()));
         let spec = spec.ok_or_else(|| {
-            ConfigError::new("task", format!("is {task}; allowed: {}, or a task of your own in its program", names()))
+            ConfigError::new(
+                "task",
+                format!("is {task}; allowed: {}, or a task of your own in its program", names()),
+            )
         })?;
         let settings = || {
             let mut settings = spec.defaults();
@@ -288,7 +332,8 @@ impl SceneSource {
 
     /// Option or line that set a key or, for an absent key, its section.
     fn origin(&self, key: &str) -> String {
-        let sections = std::iter::successors(Some(key), |key| key.rfind(['.', '[']).map(|end| &key[..end]));
+        let sections =
+            std::iter::successors(Some(key), |key| key.rfind(['.', '[']).map(|end| &key[..end]));
         // An option replaces everything that the file has below its key.
         if let Some(option) = sections.into_iter().find_map(|key| self.options.get(key)) {
             return option.clone();
@@ -301,7 +346,9 @@ impl SceneSource {
 pub(super) fn read_text(path: &Path) -> Result<String> {
     let name = path.display();
     let bytes = files::read(path, MAX_SETTINGS).with_context(|| format!("cannot read {name}"))?;
-    let bytes = bytes.with_context(|| format!("{name} has more than {MAX_SETTINGS} bytes, the limit of a file of settings"))?;
+    let bytes = bytes.with_context(|| {
+        format!("{name} has more than {MAX_SETTINGS} bytes, the limit of a file of settings")
+    })?;
     String::from_utf8(bytes).with_context(|| format!("{name} is not UTF-8 text"))
 }
 
@@ -334,13 +381,19 @@ pub(super) fn place(name: &str, text: &str, key: &str) -> String {
 
 /// Replaces the error if the unknown key is an effect of another task.
 fn explain_foreign_effect(spec: &dyn AnyTaskSpec, error: ConfigError) -> ConfigError {
-    let has = |spec: &dyn AnyTaskSpec| spec.effects().iter().any(|info| error.key == format!("effects.{}", info.name));
+    let has = |spec: &dyn AnyTaskSpec| {
+        spec.effects().iter().any(|info| error.key == format!("effects.{}", info.name))
+    };
     match tasks::all().iter().find(|other| has(**other)) {
         Some(other) if !has(spec) => {
             let effects = spec.effects();
             let names: Vec<&str> = effects.iter().map(|info| info.name).collect();
             let allowed = if names.is_empty() { "none".into() } else { names.join(", ") };
-            let what = format!("is an effect of {}, not of {}; allowed here: {allowed}", other.name(), spec.name());
+            let what = format!(
+                "is an effect of {}, not of {}; allowed here: {allowed}",
+                other.name(),
+                spec.name()
+            );
             ConfigError::new(error.key, what)
         }
         _ => error,
@@ -351,7 +404,8 @@ fn explain_foreign_effect(spec: &dyn AnyTaskSpec, error: ConfigError) -> ConfigE
 fn suggest(spec: &dyn AnyTaskSpec, mut error: ConfigError) -> ConfigError {
     if error.what.starts_with("is unknown") {
         let (section, name) = error.key.rsplit_once('.').unwrap_or(("", &error.key));
-        let siblings = error.what.split('`').skip(1).step_by(2).map(|sibling| join(section, sibling));
+        let siblings =
+            error.what.split('`').skip(1).step_by(2).map(|sibling| join(section, sibling));
         let settings = flat(&spec.defaults()).into_iter().map(|(key, _)| key);
         let effects = spec.effects().into_iter().map(|info| format!("effects.{}", info.name));
         let is_other = |key: &String| !error.key.starts_with(&format!("{key}."));
@@ -401,7 +455,10 @@ fn line(text: &str, offset: usize) -> usize {
 
 /// Strips the section: `effects.bumpers` and `bumpers` name the same part.
 fn part_name(name: &str) -> &str {
-    OPTIONAL.iter().find_map(|section| name.strip_prefix(section)?.strip_prefix('.')).unwrap_or(name)
+    OPTIONAL
+        .iter()
+        .find_map(|section| name.strip_prefix(section)?.strip_prefix('.'))
+        .unwrap_or(name)
 }
 
 /// Sections that may contain this part: the section that the name begins with, or all.
@@ -449,15 +506,27 @@ mod tests {
         source.without("effects.wind").expect("an effect");
         source.without("lag").expect("a part of the actuator");
         assert!(source.without("wind").is_err(), "an effect is removed only once");
-        source.put("actuator.lag.time", Value::Integer(1), "--set").expect("a part of the actuator");
+        source
+            .put("actuator.lag.time", Value::Integer(1), "--set")
+            .expect("a part of the actuator");
         assert!(source.has("lag") && source.has("actuator.lag") && !source.has("effects.lag"));
         source.without("actuator.lag").expect("a part of the actuator");
         source.put("effects.rain.rate", Value::Integer(2), "--set").expect("a new effect");
         assert_eq!(source.table["effects"]["rain"]["rate"].as_integer(), Some(2));
-        assert_eq!([source.origin("effects.rain"), source.origin("effects.rain.rate")], ["--set"; 2]);
+        assert_eq!(
+            [source.origin("effects.rain"), source.origin("effects.rain.rate")],
+            ["--set"; 2]
+        );
         source.put("effects.walls", Value::Integer(2), "--set walls").expect("a list is a value");
-        assert_eq!(source.origin("effects.walls[0].x"), "--set walls", "the option replaces the line in the file");
-        let error = source.put("effects.rain", Value::Integer(2), "--set").expect_err("a section").to_string();
+        assert_eq!(
+            source.origin("effects.walls[0].x"),
+            "--set walls",
+            "the option replaces the line in the file"
+        );
+        let error = source
+            .put("effects.rain", Value::Integer(2), "--set")
+            .expect_err("a section")
+            .to_string();
         assert!(error.ends_with("set one of its keys: effects.rain.rate"), "{error}");
     }
 }

@@ -16,11 +16,11 @@
 //! seed = 0
 //! ```
 
-use physgrad::Number;
 use crate::scenes::source::SceneSource;
 use crate::settings::reading::is_number;
-use physgrad::rng::{Purpose, stream};
 use anyhow::{Context, Result, anyhow, bail};
+use physgrad::Number;
+use physgrad::rng::{Purpose, stream};
 use rand::RngExt;
 use serde::Deserialize;
 use std::collections::HashSet;
@@ -70,8 +70,13 @@ impl Sweep {
         let mut points = vec![Point::default()];
         for (key, values) in &self.grid {
             let values = values.as_array().filter(|values| !values.is_empty());
-            let values = values.with_context(|| format!("`sweep.grid`: `{key}` needs a list of values, as in [0.1, 0.01]"))?;
-            let axis = values.iter().map(|value| Point(vec![(key.clone(), value.clone())])).collect::<Vec<_>>();
+            let values = values.with_context(|| {
+                format!("`sweep.grid`: `{key}` needs a list of values, as in [0.1, 0.01]")
+            })?;
+            let axis = values
+                .iter()
+                .map(|value| Point(vec![(key.clone(), value.clone())]))
+                .collect::<Vec<_>>();
             points = product(points, &axis)?;
         }
         let points = product(product(points, &list)?, &random)?;
@@ -84,9 +89,13 @@ impl Sweep {
 
     fn list_points(&self) -> Result<Vec<Point>> {
         let points: Vec<Point> = self.list.iter().map(|entry| Point(settings("", entry))).collect();
-        let keys = |point: &Point| point.0.iter().map(|(key, _)| key.clone()).collect::<HashSet<_>>();
+        let keys =
+            |point: &Point| point.0.iter().map(|(key, _)| key.clone()).collect::<HashSet<_>>();
         match points.iter().position(|point| keys(point) != keys(&points[0])) {
-            Some(i) => bail!("`sweep.list`: entry {} has other keys than the first entry; give every entry the same keys", i + 1),
+            Some(i) => bail!(
+                "`sweep.list`: entry {} has other keys than the first entry; give every entry the same keys",
+                i + 1
+            ),
             None => Ok(points),
         }
     }
@@ -95,7 +104,9 @@ impl Sweep {
         match (self.random.is_empty(), self.samples) {
             (true, 0) => return Ok(Vec::new()),
             (true, _) => {
-                bail!("`sweep.samples` has no effect without `sweep.random`; name the keys and their distributions there")
+                bail!(
+                    "`sweep.samples` has no effect without `sweep.random`; name the keys and their distributions there"
+                )
             }
             (false, 0) => bail!("`sweep.samples` is missing or 0; allowed: 1 or more random draws"),
             (false, _) => {}
@@ -107,11 +118,17 @@ impl Sweep {
             let rng = &mut stream(self.seed, Purpose::Sweep, sample as u64);
             let mut value = |(key, distribution): (&String, &Value)| -> Result<(String, Value)> {
                 // Entries of a choice are any values, for example names or whole numbers.
-                if let Some(choice) = distribution.get("choice").and_then(Value::as_array).filter(|list| !list.is_empty()) {
+                if let Some(choice) = distribution
+                    .get("choice")
+                    .and_then(Value::as_array)
+                    .filter(|list| !list.is_empty())
+                {
                     return Ok((key.clone(), choice[rng.random_range(0..choice.len())].clone()));
                 }
                 let number = Number::deserialize(distribution.clone());
-                let number = number.ok().filter(|number| !number.is_fixed() && !matches!(number, Number::Trained { .. }));
+                let number = number.ok().filter(|number| {
+                    !number.is_fixed() && !matches!(number, Number::Trained { .. })
+                });
                 let number = number.with_context(|| {
                     format!(
                         "`sweep.random`: `{key}` is {distribution}; allowed: {{ uniform = [low, high] }}, or another distribution"
@@ -122,7 +139,8 @@ impl Sweep {
                 let drawn = number.draw(rng);
                 let rounded: f64 = format!("{drawn:.3e}").parse()?;
                 let range = number.extremes();
-                let is_inside = range.iter().any(|&end| end <= rounded) && range.iter().any(|&end| rounded <= end);
+                let is_inside = range.iter().any(|&end| end <= rounded)
+                    && range.iter().any(|&end| rounded <= end);
                 Ok((key.clone(), Value::Float(if is_inside { rounded } else { drawn })))
             };
             self.random.iter().map(&mut value).collect::<Result<_>>().map(Point)
@@ -145,7 +163,8 @@ impl Point {
         };
         let short = |key: &str| key.rsplit('.').next().unwrap_or(key).to_owned();
         let name = |(key, found): &(String, Value)| {
-            let is_ambiguous = self.0.iter().filter(|(other, _)| short(other) == short(key)).count() > 1;
+            let is_ambiguous =
+                self.0.iter().filter(|(other, _)| short(other) == short(key)).count() > 1;
             format!("{}={}", if is_ambiguous { key.clone() } else { short(key) }, value(found))
         };
         self.0.iter().map(name).collect::<Vec<_>>().join("+").replace(['/', '\\'], "_")
@@ -155,7 +174,9 @@ impl Point {
     pub fn apply(&self, source: &mut SceneSource) -> Result<()> {
         for (key, value) in &self.0 {
             if ["field", "seed"].contains(&&**key) {
-                bail!("`{key}` is in the sweep, but a comparison trains several; choose them with --fields, --seed and --seeds");
+                bail!(
+                    "`{key}` is in the sweep, but a comparison trains several; choose them with --fields, --seed and --seeds"
+                );
             }
             source.replace(key, value.clone(), &format!("sweep, {key} = {value}"))?;
         }
@@ -181,7 +202,8 @@ fn product(first: Vec<Point>, second: &[Point]) -> Result<Vec<Point>> {
     if count > MAX_POINTS {
         return Err(anyhow!("the sweep has {count} or more points; allowed: up to {MAX_POINTS}"));
     }
-    let joined = first.iter().flat_map(|a| second.iter().map(move |b| Point([&a.0[..], &b.0].concat())));
+    let joined =
+        first.iter().flat_map(|a| second.iter().map(move |b| Point([&a.0[..], &b.0].concat())));
     Ok(joined.collect())
 }
 
@@ -195,7 +217,8 @@ pub fn several(text: &str) -> Option<Vec<Value>> {
     if let Ok(Value::Array(values)) = format!("[{text}]").parse() {
         return Some(values);
     }
-    let value = |part: &str| part.trim().parse().unwrap_or_else(|_| Value::String(part.trim().into()));
+    let value =
+        |part: &str| part.trim().parse().unwrap_or_else(|_| Value::String(part.trim().into()));
     Some(text.split(',').map(value).collect())
 }
 
@@ -219,9 +242,11 @@ mod tests {
     fn points_are_the_product_of_grid_list_and_random_draws() {
         assert_eq!(names(&sweep("")), [""]);
         let grid = "[grid]\n\"training.batch\" = [8, 16]\n\"policy.widths\" = [[8], [8, 4]]\n";
-        let expected = ["batch=8+widths=8", "batch=8+widths=8x4", "batch=16+widths=8", "batch=16+widths=8x4"];
+        let expected =
+            ["batch=8+widths=8", "batch=8+widths=8x4", "batch=16+widths=8", "batch=16+widths=8x4"];
         assert_eq!(names(&sweep(grid)), expected);
-        let list = "[[list]]\n\"a.x\" = 1\n\"b.x\" = \"u\"\n[[list]]\n\"b.x\" = \"v\"\n\"a.x\" = 2\n";
+        let list =
+            "[[list]]\n\"a.x\" = 1\n\"b.x\" = \"u\"\n[[list]]\n\"b.x\" = \"v\"\n\"a.x\" = 2\n";
         assert_eq!(names(&sweep(list)), ["a.x=1+b.x=u", "b.x=v+a.x=2"]);
         // The name of a point is the name of a folder.
         assert_eq!(names(&sweep("grid.file = [\"../u/v\", \"w\"]")), ["file=.._u_v", "file=w"]);
@@ -236,8 +261,15 @@ mod tests {
     #[test]
     fn the_sweep_of_the_documentation_has_80_points() {
         let page = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/runs.md");
-        let page = std::fs::read_to_string(page).expect("a page").replace("sweep.", "").replace("[sweep]", "[ignored]");
-        let block = page.split("```toml").nth(1).and_then(|rest| rest.split("```").next()).expect("a block");
+        let page = std::fs::read_to_string(page)
+            .expect("a page")
+            .replace("sweep.", "")
+            .replace("[sweep]", "[ignored]");
+        let block = page
+            .split("```toml")
+            .nth(1)
+            .and_then(|rest| rest.split("```").next())
+            .expect("a block");
         let (parts, settings) = block.split_once("[ignored]").expect("the section");
         assert_eq!(names(&sweep(&format!("{settings}{parts}"))).len(), 2 * 2 * 2 * 10);
     }
@@ -254,12 +286,17 @@ mod tests {
         let (few, many, other) = (text(3, 0), text(200, 0), text(3, 1));
         assert_eq!(few, many[..3]);
         assert_ne!(few, other);
-        let xs: Vec<f64> = many.iter().map(|point| point.0[0].1.as_float().expect("a number")).collect();
+        let xs: Vec<f64> =
+            many.iter().map(|point| point.0[0].1.as_float().expect("a number")).collect();
         assert!(xs.iter().all(|x| (0.01..1.0).contains(x)));
         // The median of the distribution is 0.1. With a probability above 99.99 %, 70 to 129 of 200
         // draws are below it.
         assert!((70..130).contains(&xs.iter().filter(|&&x| x < 0.1).count()));
-        assert!(["a", "2"].iter().all(|y| many.iter().any(|point| point.name().ends_with(&format!("y={y}")))));
+        assert!(
+            ["a", "2"]
+                .iter()
+                .all(|y| many.iter().any(|point| point.name().ends_with(&format!("y={y}"))))
+        );
     }
 
     #[test]
@@ -268,15 +305,21 @@ mod tests {
         let narrow = sweep("samples = 40\n[random]\nx = { uniform = [0.99996, 0.99999] }\n");
         let points = narrow.points().expect("points");
         assert!(
-            points.iter().all(|point| point.0[0].1.as_float().is_some_and(|x| (0.99996..0.99999).contains(&x))),
+            points.iter().all(|point| point.0[0]
+                .1
+                .as_float()
+                .is_some_and(|x| (0.99996..0.99999).contains(&x))),
             "{points:?}"
         );
     }
 
     #[test]
     fn a_drawn_number_of_a_list_is_one_setting() {
-        let list = sweep("[[list]]\n\"system.cart_mass\" = { normal = [1, 0.1] }\nloss = { mode = \"running\" }\n");
-        let keys: Vec<String> = list.points().expect("points").remove(0).0.into_iter().map(|(key, _)| key).collect();
+        let list = sweep(
+            "[[list]]\n\"system.cart_mass\" = { normal = [1, 0.1] }\nloss = { mode = \"running\" }\n",
+        );
+        let keys: Vec<String> =
+            list.points().expect("points").remove(0).0.into_iter().map(|(key, _)| key).collect();
         assert_eq!(keys, ["system.cart_mass", "loss.mode"]);
     }
 
@@ -301,10 +344,15 @@ mod tests {
 
     #[test]
     fn several_values_are_split_at_commas_outside_of_brackets() {
-        let strings = |text: &str| several(text).map(|values| values.iter().map(Value::to_string).collect::<Vec<_>>());
+        let strings = |text: &str| {
+            several(text).map(|values| values.iter().map(Value::to_string).collect::<Vec<_>>())
+        };
         assert_eq!(strings("0.1,0.01"), Some(vec!["0.1".to_owned(), "0.01".to_owned()]));
         assert_eq!(strings("none, norm"), Some(vec!["\"none\"".to_owned(), "\"norm\"".to_owned()]));
         assert_eq!(strings("[8, 8],[4]").map(|values| values.len()), Some(2));
-        assert_eq!([strings("[8, 8]"), strings("0.1"), strings("norm"), strings("\"a,b\"")], [const { None }; 4]);
+        assert_eq!(
+            [strings("[8, 8]"), strings("0.1"), strings("norm"), strings("\"a,b\"")],
+            [const { None }; 4]
+        );
     }
 }

@@ -36,7 +36,11 @@ pub const ACTUATORS: [Info; 3] = [
         equation: "u' = bound tanh(u / bound), or u clipped at ±bound",
         derivative: "analytic; smoothed or one-sided",
     },
-    Info { name: "delay", equation: "u'_t = u_{t-steps}; the state contains the delayed controls", derivative: "analytic" },
+    Info {
+        name: "delay",
+        equation: "u'_t = u_{t-steps}; the state contains the delayed controls",
+        derivative: "analytic",
+    },
     Info {
         name: "lag",
         equation: "df/dt = (u - f) / time, u' = f; the state contains f, the lagged control",
@@ -105,13 +109,20 @@ impl ActuatorSettings {
             // The oldest control comes first and is applied next.
             controls.iter().map(move |control| format!("{control}_in_{step}"))
         });
-        let lagged = controls.iter().filter(|_| self.lag.is_some()).map(|control| format!("{control}_before"));
+        let lagged = controls
+            .iter()
+            .filter(|_| self.lag.is_some())
+            .map(|control| format!("{control}_before"));
         delayed.chain(lagged).collect()
     }
 
     /// Names of the applied controls. Empty without an actuator.
     pub fn applied_names(&self, controls: &[String]) -> Vec<String> {
-        controls.iter().filter(|_| !self.is_empty()).map(|control| format!("{control}_applied")).collect()
+        controls
+            .iter()
+            .filter(|_| !self.is_empty())
+            .map(|control| format!("{control}_applied"))
+            .collect()
     }
 }
 
@@ -127,7 +138,8 @@ mod tests {
         };
         // Components of the state: the body's, the delayed control, the lagged control.
         let share = 1.0 - (-0.5f64).exp();
-        let all = "limit = { bound = 2.0, kind = 'hard' }\ndelay = { steps = 1 }\nlag = { time = 0.1 }";
+        let all =
+            "limit = { bound = 2.0, kind = 'hard' }\ndelay = { steps = 1 }\nlag = { time = 0.1 }";
         assert!((applied(all, &[7.0, 3.0, 1.0]) - (1.0 + 2.0 * share)).abs() < 1e-12);
         assert_eq!(applied("limit = { bound = 2.0, kind = 'hard' }", &[7.0]), 2.0);
         assert_eq!(applied("delay = { steps = 2 }", &[7.0, 3.0, 4.0]), 3.0);

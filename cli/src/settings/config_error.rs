@@ -1,7 +1,7 @@
 //! Errors in settings, and functions that check single values.
 
-use physgrad::Number;
 use crate::settings::reading::Unreadable;
+use physgrad::Number;
 use std::fmt::Display;
 use std::ops::RangeInclusive;
 use toml::Value;
@@ -25,7 +25,8 @@ const RENAMED_KEYS: [(&str, &str); 4] = [
 ];
 
 /// Values of earlier versions: key, old value, new value.
-const RENAMED_VALUES: [(&str, &str, &str); 2] = [("loss.mode", "final", "terminal"), ("loss.mode", "continuous", "running")];
+const RENAMED_VALUES: [(&str, &str, &str); 2] =
+    [("loss.mode", "final", "terminal"), ("loss.mode", "continuous", "running")];
 
 /// Allowed values of a count whose range is unknown.
 pub const WHOLE_NUMBER: &str = "a whole number, 0 or more";
@@ -38,22 +39,30 @@ impl ConfigError {
     /// Translates a serde error into key, value found and values allowed.
     pub fn unreadable(error: &Unreadable) -> Self {
         let Unreadable { key, message } = error;
-        let within = |field: &str| format!("{key}.{}", field.trim_end_matches('`')).trim_start_matches('.').to_owned();
+        let within = |field: &str| {
+            format!("{key}.{}", field.trim_end_matches('`')).trim_start_matches('.').to_owned()
+        };
         if let Some(field) = message.strip_prefix("missing field `") {
             return Self::new(within(field), "is missing");
         }
-        if let Some((field, expected)) = message.strip_prefix("unknown field `").and_then(|rest| rest.split_once("`, ")) {
-            if let Some((_, new)) = RENAMED_KEYS.into_iter().find(|(old, _)| *old == within(field)) {
+        if let Some((field, expected)) =
+            message.strip_prefix("unknown field `").and_then(|rest| rest.split_once("`, "))
+        {
+            if let Some((_, new)) = RENAMED_KEYS.into_iter().find(|(old, _)| *old == within(field))
+            {
                 return Self::new(within(field), format!("was renamed; write `{new}`"));
             }
-            let allowed = expected.strip_prefix("expected ").map_or("nothing", |names| names.trim_start_matches("one of "));
+            let allowed = expected
+                .strip_prefix("expected ")
+                .map_or("nothing", |names| names.trim_start_matches("one of "));
             return Self::new(within(field), format!("is unknown; allowed: {allowed}"));
         }
         let Some((found, expected)) = message.rsplit_once(", expected ") else {
             return Self::new(key, format!("is invalid: {message}"));
         };
-        if let Some((_, old, new)) =
-            RENAMED_VALUES.into_iter().find(|(renamed, old, _)| renamed == key && found.ends_with(&format!("`{old}`")))
+        if let Some((_, old, new)) = RENAMED_VALUES
+            .into_iter()
+            .find(|(renamed, old, _)| renamed == key && found.ends_with(&format!("`{old}`")))
         {
             return Self::new(key, format!("= \"{old}\" was renamed; write \"{new}\""));
         }
@@ -73,7 +82,11 @@ impl ConfigError {
     }
 
     /// Adds further allowed names to the error of an unknown key of this section.
-    pub fn also_allowed(mut self, section: &str, names: impl Iterator<Item = &'static str>) -> Self {
+    pub fn also_allowed(
+        mut self,
+        section: &str,
+        names: impl Iterator<Item = &'static str>,
+    ) -> Self {
         let is_of_section = self.key.rsplit_once('.').is_some_and(|(parent, _)| parent == section);
         if is_of_section && self.what.starts_with("is unknown") {
             names.for_each(|name| {
@@ -104,12 +117,26 @@ impl ConfigError {
 }
 
 /// Returns an error unless `is_allowed`.
-pub fn allowed(key: &str, value: impl Display, is_allowed: bool, allowed: impl Display) -> Result<(), ConfigError> {
-    if is_allowed { Ok(()) } else { Err(ConfigError::new(key, format!("is {value}; allowed: {allowed}"))) }
+pub fn allowed(
+    key: &str,
+    value: impl Display,
+    is_allowed: bool,
+    allowed: impl Display,
+) -> Result<(), ConfigError> {
+    if is_allowed {
+        Ok(())
+    } else {
+        Err(ConfigError::new(key, format!("is {value}; allowed: {allowed}")))
+    }
 }
 
 /// Returns an error unless the extreme values of the number satisfy `is_allowed`.
-fn every(key: &str, number: Number, is_allowed: fn(f64) -> bool, what: &str) -> Result<(), ConfigError> {
+fn every(
+    key: &str,
+    number: Number,
+    is_allowed: fn(f64) -> bool,
+    what: &str,
+) -> Result<(), ConfigError> {
     number.extremes().into_iter().try_for_each(|value| allowed(key, value, is_allowed(value), what))
 }
 

@@ -3,7 +3,8 @@
 use crate::settings::Precision;
 use crate::settings::config_error::{ConfigError, allowed, count, positive};
 use physgrad::{
-    Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Ode, RungeKutta, Sdirk2, SemiImplicit, Substeps, System, Verlet,
+    Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Ode, RungeKutta, Sdirk2, SemiImplicit,
+    Substeps, System, Verlet,
 };
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -30,7 +31,9 @@ pub struct IntegratorSettings {
 }
 
 /// Integration methods.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, strum::IntoStaticStr)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, strum::IntoStaticStr,
+)]
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
 pub enum Method {
@@ -102,7 +105,12 @@ impl IntegratorSettings {
         for (key, value, methods, floors) in [
             ("rtol", self.rtol, &[Method::Adaptive][..], Some(adaptive)),
             ("atol", self.atol, &[Method::Adaptive][..], None),
-            ("tolerance", self.tolerance, &[Method::ImplicitMidpoint, Method::Sdirk2][..], Some(newton)),
+            (
+                "tolerance",
+                self.tolerance,
+                &[Method::ImplicitMidpoint, Method::Sdirk2][..],
+                Some(newton),
+            ),
         ] {
             let Some(value) = value else { continue };
             let key = format!("integrator.{key}");
@@ -114,7 +122,9 @@ impl IntegratorSettings {
             positive(&key, value)?;
             let Some([single, double]) = floors else { continue };
             let floor = if precision == Precision::F32 { single } else { double };
-            let what = format!("{single:.1e} or more in f32, {double:.1e} or more in f64, because of rounding");
+            let what = format!(
+                "{single:.1e} or more in f32, {double:.1e} or more in f64, because of rounding"
+            );
             allowed(&key, format!("{value:e}"), value >= floor, what)?;
         }
         Ok(())
@@ -155,13 +165,25 @@ impl IntegratorSettings {
                     Precision::F64 => Adaptive::floor::<f64>(),
                 };
                 let rtol = self.rtol.unwrap_or(default.rtol.max(floor));
-                AnyIntegrator::Adaptive(Adaptive { rtol, atol: self.atol.unwrap_or(default.atol), ..default })
+                AnyIntegrator::Adaptive(Adaptive {
+                    rtol,
+                    atol: self.atol.unwrap_or(default.atol),
+                    ..default
+                })
             }
         })
     }
 
     /// Discretizes a system with substeps. `dt` is the time step of one substep.
-    pub fn discretize<S: System + Ode>(&self, system: S, dt: f64, precision: Precision) -> Substeps<Discretized<S>> {
-        Substeps { system: Discretized { system, integrator: self.integrator(precision), dt }, count: self.count() }
+    pub fn discretize<S: System + Ode>(
+        &self,
+        system: S,
+        dt: f64,
+        precision: Precision,
+    ) -> Substeps<Discretized<S>> {
+        Substeps {
+            system: Discretized { system, integrator: self.integrator(precision), dt },
+            count: self.count(),
+        }
     }
 }

@@ -11,7 +11,10 @@ mod training;
 
 pub use actuator::{ACTUATORS, ActuatorSettings};
 pub use integrator::{IntegratorSettings, Method};
-pub use names::{ActivationName, ClipName, DecayName, EstimatorName, FieldName, LogFormat, OptimizerName, Precision};
+pub use names::{
+    ActivationName, ClipName, DecayName, EstimatorName, FieldName, LogFormat, OptimizerName,
+    Precision,
+};
 pub use training::TrainingSettings;
 
 /// Version of the scene format.

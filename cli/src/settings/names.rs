@@ -8,7 +8,18 @@ use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::fmt;
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, clap::ValueEnum, strum::IntoStaticStr)]
+#[derive(
+    Clone,
+    Copy,
+    Debug,
+    PartialEq,
+    Eq,
+    Serialize,
+    Deserialize,
+    JsonSchema,
+    clap::ValueEnum,
+    strum::IntoStaticStr,
+)]
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
 #[allow(missing_docs, reason = "doc comments would enter the schema of scenes")]
@@ -33,7 +44,9 @@ impl Precision {
 }
 
 /// Format of the metrics of a run, besides `metrics.csv`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, clap::ValueEnum)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, clap::ValueEnum,
+)]
 #[serde(rename_all = "snake_case")]
 pub enum LogFormat {
     /// `metrics.jsonl`: one JSON object per epoch.
@@ -57,7 +70,10 @@ impl JsonSchema for FieldName {
     }
 
     fn json_schema(_: &mut SchemaGenerator) -> Schema {
-        let names = Field::ALL.iter().map(|field| field.name()).chain(Field::ALL.iter().map(|field| field.letter()));
+        let names = Field::ALL
+            .iter()
+            .map(|field| field.name())
+            .chain(Field::ALL.iter().map(|field| field.letter()));
         json_schema!({ "type": "string", "enum": names.collect::<Vec<_>>() })
     }
 }
@@ -75,7 +91,18 @@ impl From<FieldName> for String {
     }
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, clap::ValueEnum, strum::IntoStaticStr)]
+#[derive(
+    Clone,
+    Copy,
+    Debug,
+    PartialEq,
+    Eq,
+    Serialize,
+    Deserialize,
+    JsonSchema,
+    clap::ValueEnum,
+    strum::IntoStaticStr,
+)]
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
 pub enum ClipName {
@@ -161,7 +188,11 @@ impl<'de> Deserialize<'de> for OptimizerName {
 
             fn visit_str<E: Error>(self, name: &str) -> Result<OptimizerName, E> {
                 let known = NAMES.contains(&name);
-                if known { Ok(OptimizerName(name.into())) } else { Err(E::unknown_variant(name, NAMES)) }
+                if known {
+                    Ok(OptimizerName(name.into()))
+                } else {
+                    Err(E::unknown_variant(name, NAMES))
+                }
             }
         }
         deserializer.deserialize_string(Name)

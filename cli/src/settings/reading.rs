@@ -4,7 +4,8 @@
 //! The latter reads a list as a section, and its errors omit the allowed values of a choice.
 
 use serde::de::{
-    Deserialize, DeserializeSeed, Deserializer, Error, Expected, IntoDeserializer, MapAccess, SeqAccess, Unexpected, Visitor,
+    Deserialize, DeserializeSeed, Deserializer, Error, Expected, IntoDeserializer, MapAccess,
+    SeqAccess, Unexpected, Visitor,
 };
 use std::fmt::{self, Display};
 use toml::{Table, Value};
@@ -50,7 +51,11 @@ pub fn read<T: for<'de> Deserialize<'de>>(table: Table) -> Result<T, Unreadable>
 pub fn overlay(lower: &mut Table, upper: &Table) {
     for (key, value) in upper {
         match (lower.get_mut(key), value) {
-            (Some(Value::Table(lower)), Value::Table(upper)) if !is_drawn(lower) && !is_drawn(upper) => overlay(lower, upper),
+            (Some(Value::Table(lower)), Value::Table(upper))
+                if !is_drawn(lower) && !is_drawn(upper) =>
+            {
+                overlay(lower, upper)
+            }
             _ => {
                 lower.insert(key.clone(), value.clone());
             }
@@ -61,13 +66,15 @@ pub fn overlay(lower: &mut Table, upper: &Table) {
 /// Returns whether the table is a drawn [`Number`](physgrad::Number).
 pub fn is_drawn(table: &Table) -> bool {
     const DISTRIBUTIONS: [&str; 4] = ["uniform", "normal", "log_uniform", "choice"];
-    table.len() == 1 && table.iter().all(|(key, value)| DISTRIBUTIONS.contains(&&**key) && value.is_array())
+    table.len() == 1
+        && table.iter().all(|(key, value)| DISTRIBUTIONS.contains(&&**key) && value.is_array())
 }
 
 /// Returns whether the table is a drawn or trained [`Number`](physgrad::Number).
 pub fn is_number(table: &Table) -> bool {
     let is_trained = table.get("start").is_some_and(|start| start.is_float() || start.is_integer());
-    is_drawn(table) || is_trained && table.keys().all(|key| ["start", "min", "max"].contains(&&**key))
+    is_drawn(table)
+        || is_trained && table.keys().all(|key| ["start", "min", "max"].contains(&&**key))
 }
 
 /// Implements the methods on the left by the method on the right. The visitor checks the range.
@@ -113,11 +120,19 @@ impl<'de> Deserializer<'de> for Reading<'_> {
     }
 
     fn deserialize_bool<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
-        if let Value::Boolean(value) = self.0 { visitor.visit_bool(*value) } else { Err(self.unexpected(&visitor)) }
+        if let Value::Boolean(value) = self.0 {
+            visitor.visit_bool(*value)
+        } else {
+            Err(self.unexpected(&visitor))
+        }
     }
 
     fn deserialize_i64<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
-        if let Value::Integer(value) = self.0 { visitor.visit_i64(*value) } else { Err(self.unexpected(&visitor)) }
+        if let Value::Integer(value) = self.0 {
+            visitor.visit_i64(*value)
+        } else {
+            Err(self.unexpected(&visitor))
+        }
     }
 
     fn deserialize_u64<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
@@ -125,11 +140,19 @@ impl<'de> Deserializer<'de> for Reading<'_> {
     }
 
     fn deserialize_f64<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
-        if let Value::Float(value) = self.0 { visitor.visit_f64(*value) } else { self.deserialize_i64(visitor) }
+        if let Value::Float(value) = self.0 {
+            visitor.visit_f64(*value)
+        } else {
+            self.deserialize_i64(visitor)
+        }
     }
 
     fn deserialize_string<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
-        if let Value::String(value) = self.0 { visitor.visit_str(value) } else { Err(self.unexpected(&visitor)) }
+        if let Value::String(value) = self.0 {
+            visitor.visit_str(value)
+        } else {
+            Err(self.unexpected(&visitor))
+        }
     }
 
     fn deserialize_seq<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
@@ -137,10 +160,18 @@ impl<'de> Deserializer<'de> for Reading<'_> {
         let mut elements = Elements { list, read: 0 };
         let value = visitor.visit_seq(&mut elements)?;
         let is_complete = elements.read == list.len();
-        if is_complete { Ok(value) } else { Err(Error::invalid_length(list.len(), &"fewer elements")) }
+        if is_complete {
+            Ok(value)
+        } else {
+            Err(Error::invalid_length(list.len(), &"fewer elements"))
+        }
     }
 
-    fn deserialize_tuple<V: Visitor<'de>>(self, _len: usize, visitor: V) -> Result<V::Value, Unreadable> {
+    fn deserialize_tuple<V: Visitor<'de>>(
+        self,
+        _len: usize,
+        visitor: V,
+    ) -> Result<V::Value, Unreadable> {
         self.deserialize_seq(visitor)
     }
 
@@ -163,12 +194,21 @@ impl<'de> Deserializer<'de> for Reading<'_> {
         visitor.visit_some(self)
     }
 
-    fn deserialize_newtype_struct<V: Visitor<'de>>(self, _name: &str, visitor: V) -> Result<V::Value, Unreadable> {
+    fn deserialize_newtype_struct<V: Visitor<'de>>(
+        self,
+        _name: &str,
+        visitor: V,
+    ) -> Result<V::Value, Unreadable> {
         visitor.visit_newtype_struct(self)
     }
 
     /// Variants are strings.
-    fn deserialize_enum<V: Visitor<'de>>(self, _name: &str, names: &[&str], visitor: V) -> Result<V::Value, Unreadable> {
+    fn deserialize_enum<V: Visitor<'de>>(
+        self,
+        _name: &str,
+        names: &[&str],
+        visitor: V,
+    ) -> Result<V::Value, Unreadable> {
         match self.0 {
             Value::String(name) => visitor.visit_enum(name.as_str().into_deserializer()),
             _ => Err(self.unexpected(&format!("`{}`", names.join("`, `")).as_str())),
@@ -200,11 +240,16 @@ struct Elements<'a> {
 impl<'de> SeqAccess<'de> for &mut Elements<'_> {
     type Error = Unreadable;
 
-    fn next_element_seed<T: DeserializeSeed<'de>>(&mut self, seed: T) -> Result<Option<T::Value>, Unreadable> {
+    fn next_element_seed<T: DeserializeSeed<'de>>(
+        &mut self,
+        seed: T,
+    ) -> Result<Option<T::Value>, Unreadable> {
         let Some(value) = self.list.get(self.read) else { return Ok(None) };
         let index = self.read;
         self.read += 1;
-        seed.deserialize(Reading(value)).map(Some).map_err(|error| error.within(&format!("[{index}]")))
+        seed.deserialize(Reading(value))
+            .map(Some)
+            .map_err(|error| error.within(&format!("[{index}]")))
     }
 }
 
@@ -217,14 +262,21 @@ struct Entries<'a> {
 impl<'de> MapAccess<'de> for Entries<'_> {
     type Error = Unreadable;
 
-    fn next_key_seed<K: DeserializeSeed<'de>>(&mut self, seed: K) -> Result<Option<K::Value>, Unreadable> {
+    fn next_key_seed<K: DeserializeSeed<'de>>(
+        &mut self,
+        seed: K,
+    ) -> Result<Option<K::Value>, Unreadable> {
         let Some((key, value)) = self.entries.next() else { return Ok(None) };
         self.value = Some((key, value));
         seed.deserialize(String::as_str(key).into_deserializer()).map(Some)
     }
 
-    fn next_value_seed<V: DeserializeSeed<'de>>(&mut self, seed: V) -> Result<V::Value, Unreadable> {
-        let (key, value) = self.value.take().ok_or_else(|| Unreadable::custom("a value without a key"))?;
+    fn next_value_seed<V: DeserializeSeed<'de>>(
+        &mut self,
+        seed: V,
+    ) -> Result<V::Value, Unreadable> {
+        let (key, value) =
+            self.value.take().ok_or_else(|| Unreadable::custom("a value without a key"))?;
         seed.deserialize(Reading(value)).map_err(|error| error.within(key))
     }
 }
@@ -247,15 +299,27 @@ mod tests {
     #[test]
     fn sections_are_merged_and_drawn_numbers_are_replaced() {
         let table = |text: &str| text.parse::<Table>().expect("TOML");
-        let mut merged = table("a = { uniform = [0, 1] }\nb = { start = 1, min = 0 }\nc = { normal = 1, y = 2 }\n");
-        overlay(&mut merged, &table("a = { normal = [1, 2] }\nb = { start = 2 }\nc = { normal = 3 }\n"));
-        assert_eq!(merged, table("a = { normal = [1, 2] }\nb = { start = 2, min = 0 }\nc = { normal = 3, y = 2 }\n"));
+        let mut merged = table(
+            "a = { uniform = [0, 1] }\nb = { start = 1, min = 0 }\nc = { normal = 1, y = 2 }\n",
+        );
+        overlay(
+            &mut merged,
+            &table("a = { normal = [1, 2] }\nb = { start = 2 }\nc = { normal = 3 }\n"),
+        );
+        assert_eq!(
+            merged,
+            table(
+                "a = { normal = [1, 2] }\nb = { start = 2, min = 0 }\nc = { normal = 3, y = 2 }\n"
+            )
+        );
     }
 
     #[test]
     fn settings_may_be_f32_u32_i8_char_or_map_and_unknown_keys_are_refused() {
         let table = |count: i64| {
-            let text = format!("length = 0.5\ncount = {count}\nlevel = -3\naxis = \"x\"\n[springs]\nleft = 2\n");
+            let text = format!(
+                "length = 0.5\ncount = {count}\nlevel = -3\naxis = \"x\"\n[springs]\nleft = 2\n"
+            );
             text.parse::<Table>().expect("TOML")
         };
         let springs = BTreeMap::from([("left".to_owned(), 2.0)]);

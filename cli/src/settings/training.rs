@@ -71,8 +71,17 @@ pub struct TrainingSettings {
 
 impl Default for TrainingSettings {
     fn default() -> Self {
-        let Training { batch, train_samples, test_samples, shuffle, resample, learning_rate, warm_up, max_skipped, .. } =
-            Training::default();
+        let Training {
+            batch,
+            train_samples,
+            test_samples,
+            shuffle,
+            resample,
+            learning_rate,
+            warm_up,
+            max_skipped,
+            ..
+        } = Training::default();
         Self {
             batch,
             train_samples,
@@ -126,9 +135,19 @@ impl TrainingSettings {
         count("training.train_samples", self.train_samples, 1..=1_000_000)?;
         count("training.test_samples", self.test_samples, 1..=1_000_000)?;
         let rate = self.learning_rate;
-        allowed("training.learning_rate", rate, rate > 0.0 && rate <= 1e6, "a positive number up to 1e6")?;
+        allowed(
+            "training.learning_rate",
+            rate,
+            rate > 0.0 && rate <= 1e6,
+            "a positive number up to 1e6",
+        )?;
         count("training.warm_up", self.warm_up, 0..=1_000_000_000)?;
-        allowed("training.discount", self.discount, (0.0..=1.0).contains(&self.discount), "0 to 1")?;
+        allowed(
+            "training.discount",
+            self.discount,
+            (0.0..=1.0).contains(&self.discount),
+            "0 to 1",
+        )?;
         allowed("training.control", self.control, (0.0..=1.0).contains(&self.control), "0 to 1")?;
         if let Some(steps) = self.truncation {
             count("training.truncation", steps, 1..=1_000_000_000)?;
@@ -139,15 +158,28 @@ impl TrainingSettings {
         if let Some(end) = self.decay_end {
             let exponential = self.decay == DecayName::Exponential;
             let range = if exponential { "a positive number up to 1" } else { "0 to 1" };
-            allowed("training.decay_end", end, (0.0..=1.0).contains(&end) && !(exponential && end == 0.0), range)?;
+            allowed(
+                "training.decay_end",
+                end,
+                (0.0..=1.0).contains(&end) && !(exponential && end == 0.0),
+                range,
+            )?;
         }
-        allowed("training.average", self.average, (0.0..1.0).contains(&self.average), "0 to below 1")?;
+        allowed(
+            "training.average",
+            self.average,
+            (0.0..1.0).contains(&self.average),
+            "0 to below 1",
+        )?;
         if let Some(noise) = self.noise {
             positive("training.noise", noise)?;
         }
         if let Some(pairs) = self.pairs {
             // Variances need two pairs.
-            let weighted = matches!(self.estimator, EstimatorName::InverseVariance | EstimatorName::AlphaOrder);
+            let weighted = matches!(
+                self.estimator,
+                EstimatorName::InverseVariance | EstimatorName::AlphaOrder
+            );
             count("training.pairs", pairs, if weighted { 2 } else { 1 }..=100_000)?;
         }
         if let Some(tolerance) = self.tolerance {
@@ -165,9 +197,15 @@ impl TrainingSettings {
 
     /// Rejects keys that have no effect because of another setting.
     fn reject_unread(&self) -> Result<(), ConfigError> {
-        let (exact, pairs) = (self.estimator == EstimatorName::Exact, self.pairs.map(|pairs| pairs as f64));
+        let (exact, pairs) =
+            (self.estimator == EstimatorName::Exact, self.pairs.map(|pairs| pairs as f64));
         let keys = [
-            ("training.decay_end", self.decay_end, self.decay == DecayName::Constant, "`training.decay` is constant"),
+            (
+                "training.decay_end",
+                self.decay_end,
+                self.decay == DecayName::Constant,
+                "`training.decay` is constant",
+            ),
             ("training.noise", self.noise, exact, "`training.estimator` is exact"),
             ("training.pairs", pairs, exact, "`training.estimator` is exact"),
             (
@@ -176,7 +214,12 @@ impl TrainingSettings {
                 self.estimator != EstimatorName::AlphaOrder,
                 "`training.estimator` is not alpha_order",
             ),
-            ("training.clip_limit", self.clip_limit, self.clip == ClipName::None, "`training.clip` is none"),
+            (
+                "training.clip_limit",
+                self.clip_limit,
+                self.clip == ClipName::None,
+                "`training.clip` is none",
+            ),
         ];
         for (key, value, unread, reason) in keys {
             if let (Some(value), true) = (value, unread) {
@@ -207,7 +250,12 @@ impl TrainingSettings {
     pub fn weighted(&self, field: Field) -> Field {
         field.with_flows(|flow| {
             let flow = flow.discounted(self.discount);
-            Flow { control: flow.control * self.control, truncation: self.truncation, cut: self.cut, ..flow }
+            Flow {
+                control: flow.control * self.control,
+                truncation: self.truncation,
+                cut: self.cut,
+                ..flow
+            }
         })
     }
 
@@ -267,17 +315,27 @@ mod tests {
 
     #[test]
     fn discount_control_truncation_and_cut_apply_to_both_flows_of_c() {
-        let settings =
-            TrainingSettings { discount: 0.5, control: 0.25, truncation: Some(8), cut: Some(2.0), ..TrainingSettings::default() };
-        let expected = [Flow::MODIFIED, Flow::REGULAR]
-            .map(|flow| Flow { control: 0.125 * flow.control, ..flow.discounted(0.5).truncated(8).cut(2.0) });
+        let settings = TrainingSettings {
+            discount: 0.5,
+            control: 0.25,
+            truncation: Some(8),
+            cut: Some(2.0),
+            ..TrainingSettings::default()
+        };
+        let expected = [Flow::MODIFIED, Flow::REGULAR].map(|flow| Flow {
+            control: 0.125 * flow.control,
+            ..flow.discounted(0.5).truncated(8).cut(2.0)
+        });
         assert_eq!(settings.weighted(Field::combined()).flows(), expected);
         assert_eq!(TrainingSettings::default().weighted(Field::combined()), Field::combined());
     }
 
     #[test]
     fn bytes_have_a_positive_number_and_a_unit_from_b_to_gib() {
-        assert_eq!(["64MB", "1.5 kB", "2GiB", "7B"].map(bytes), [Some(64_000_000), Some(1500), Some(1 << 31), Some(7)]);
+        assert_eq!(
+            ["64MB", "1.5 kB", "2GiB", "7B"].map(bytes),
+            [Some(64_000_000), Some(1500), Some(1 << 31), Some(7)]
+        );
         assert_eq!(["64", "MB", "-1MB", "0MB", "1 mb", "nanMB", "1e30GB"].map(bytes), [None; 7]);
     }
 }

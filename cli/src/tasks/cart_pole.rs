@@ -2,15 +2,17 @@
 
 use crate::operations::trajectory::Trajectory;
 use crate::settings::Method;
-use crate::settings::config_error::{ConfigError, count, exclusive, finite, not_negative, positive};
+use crate::settings::config_error::{
+    ConfigError, count, exclusive, finite, not_negative, positive,
+};
 use crate::tasks::effects::{EffectsSection, Present, effects_section};
 use crate::tasks::{Conserved, MlpSettings, SceneEffects, Settings, TaskSpec};
-use physgrad_plot::{Animation, Rail};
 use physgrad::tasks::{
-    self, Bumpers, CartDamping, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind, LossMode,
-    PoleDamping, SteadyWind,
+    self, Bumpers, CartDamping, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole,
+    DryFriction, GustyWind, LossMode, PoleDamping, SteadyWind,
 };
 use physgrad::{DynTask, Effect, Forced, HasModel, Named, Number, System};
+use physgrad_plot::{Animation, Rail};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
@@ -106,13 +108,18 @@ impl CartPoleEffects {
     /// Index of t₀, the start time of the gusts, in the parameters of a rollout.
     fn params_before_gusts(&self) -> usize {
         let effects: Vec<Named<CartPoleEffect>> = self.present();
-        let before = effects.iter().take_while(|effect| !matches!(effect.effect, CartPoleEffect::GustyWind(_)));
+        let before = effects
+            .iter()
+            .take_while(|effect| !matches!(effect.effect, CartPoleEffect::GustyWind(_)));
         before.map(Effect::<CartPoleSystem>::param_dim).sum()
     }
 
     fn validate(&self) -> Result<(), ConfigError> {
         self.validate_values()?;
-        let winds = [("steady_wind", self.steady_wind.is_some()), ("gusty_wind", self.gusty_wind.is_some())];
+        let winds = [
+            ("steady_wind", self.steady_wind.is_some()),
+            ("gusty_wind", self.gusty_wind.is_some()),
+        ];
         exclusive(&winds, "both set the wind speed")
     }
 }
@@ -138,13 +145,24 @@ fn system_dt(settings: &Settings<CartPole>) -> f64 {
 }
 
 /// Swing-up task with this system.
-fn swing_up(system: impl HasModel<CartPoleSystem> + 'static, settings: &Settings<CartPole>) -> DynTask {
+fn swing_up(
+    system: impl HasModel<CartPoleSystem> + 'static,
+    settings: &Settings<CartPole>,
+) -> DynTask {
     DynTask::new(tasks::CartPole { system, loss: settings.loss.mode, horizon: settings.horizon })
 }
 
 /// Task whose effects are a list, with integrator and actuators.
-fn listed(system: CartPoleModel, effects: Vec<Named<CartPoleEffect>>, settings: &Settings<CartPole>) -> DynTask {
-    let system = settings.integrator.discretize(Forced { system, effects }, system_dt(settings), settings.precision);
+fn listed(
+    system: CartPoleModel,
+    effects: Vec<Named<CartPoleEffect>>,
+    settings: &Settings<CartPole>,
+) -> DynTask {
+    let system = settings.integrator.discretize(
+        Forced { system, effects },
+        system_dt(settings),
+        settings.precision,
+    );
     let system = settings.actuator.wrap(system, settings.system.dt);
     swing_up(system, settings)
 }
@@ -164,8 +182,17 @@ impl TaskSpec for CartPole {
     const METHODS: &'static [Method] = &Method::ODE;
 
     fn system() -> CartPoleSettings {
-        let CartPoleSystem { poles: _, cart_mass, pole_mass, half_length, gravity, dt } = CartPoleSystem::default();
-        CartPoleSettings { model: Model::Uncoupled, poles: 2, cart_mass, pole_mass, half_length, gravity, dt }
+        let CartPoleSystem { poles: _, cart_mass, pole_mass, half_length, gravity, dt } =
+            CartPoleSystem::default();
+        CartPoleSettings {
+            model: Model::Uncoupled,
+            poles: 2,
+            cart_mass,
+            pole_mass,
+            half_length,
+            gravity,
+            dt,
+        }
     }
 
     fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
@@ -176,10 +203,12 @@ impl TaskSpec for CartPole {
         positive("system.half_length", system.half_length)?;
         positive("system.dt", system.dt)?;
         finite("system.gravity", system.gravity)?;
-        system
-            .parameters()
-            .check()
-            .map_err(|error| ConfigError::new("system.cart_mass", format!("is {}: {error}", system.cart_mass.nominal())))?;
+        system.parameters().check().map_err(|error| {
+            ConfigError::new(
+                "system.cart_mass",
+                format!("is {}: {error}", system.cart_mass.nominal()),
+            )
+        })?;
         settings.effects.validate()
     }
 
@@ -192,11 +221,17 @@ impl TaskSpec for CartPole {
         let system = CartPoleSystem { dt: system_dt(settings), ..settings.system.parameters() };
         // Uses a separate type only for the paper's system, because each type adds compile time.
         match settings.system.model {
-            Model::Uncoupled if effects.is_empty() && settings.actuator.is_empty() && settings.integrator.is_empty() => {
+            Model::Uncoupled
+                if effects.is_empty()
+                    && settings.actuator.is_empty()
+                    && settings.integrator.is_empty() =>
+            {
                 swing_up(system, settings)
             }
             Model::Uncoupled => listed(CartPoleModel::Uncoupled(system), effects, settings),
-            Model::Coupled => listed(CartPoleModel::Coupled(CoupledCartPole(system)), effects, settings),
+            Model::Coupled => {
+                listed(CartPoleModel::Coupled(CoupledCartPole(system)), effects, settings)
+            }
         }
     }
 
@@ -220,7 +255,8 @@ impl TaskSpec for CartPole {
     }
 
     fn state_names(settings: &Settings<Self>) -> Vec<String> {
-        let poles = (1..=settings.system.poles).flat_map(|i| [format!("theta_{i}"), format!("omega_{i}")]);
+        let poles =
+            (1..=settings.system.poles).flat_map(|i| [format!("theta_{i}"), format!("omega_{i}")]);
         ["x".into(), "x_dot".into()].into_iter().chain(poles).collect()
     }
 
@@ -235,18 +271,27 @@ impl TaskSpec for CartPole {
     fn conserved(settings: &Settings<Self>) -> Option<Conserved> {
         // With several poles, only the exact equations conserve energy.
         let exact = matches!(settings.system.model, Model::Coupled) || settings.system.poles == 1;
-        let free = settings.all_effects::<_, CartPoleEffect>().is_empty() && settings.actuator.is_empty();
+        let free =
+            settings.all_effects::<_, CartPoleEffect>().is_empty() && settings.actuator.is_empty();
         let system = CoupledCartPole(settings.system.parameters());
-        (exact && free).then(|| Conserved { name: "energy", value: Box::new(move |x| system.energy(x)) })
+        (exact && free)
+            .then(|| Conserved { name: "energy", value: Box::new(move |x| system.energy(x)) })
     }
 
-    fn animation(settings: &Settings<Self>, Trajectory { states, controls, params }: &Trajectory) -> Animation {
+    fn animation(
+        settings: &Settings<Self>,
+        Trajectory { states, controls, params }: &Trajectory,
+    ) -> Animation {
         let CartPoleSettings { half_length, dt, .. } = settings.system;
         let half_length = half_length.nominal();
         let dim = System::state_dim(&settings.system.parameters());
-        let forces: Vec<f64> = settings.actuator.applied(dt, states, controls).iter().map(|u| u[0]).collect();
-        let wind = (0..states.len()).filter_map(|t| settings.effects.wind(params, t as f64 * dt)).collect();
-        let rail = Rail { bumpers: settings.effects.bumpers.map(|bumpers| bumpers.half_travel), wind };
+        let forces: Vec<f64> =
+            settings.actuator.applied(dt, states, controls).iter().map(|u| u[0]).collect();
+        let wind = (0..states.len())
+            .filter_map(|t| settings.effects.wind(params, t as f64 * dt))
+            .collect();
+        let rail =
+            Rail { bumpers: settings.effects.bumpers.map(|bumpers| bumpers.half_travel), wind };
         let states: Vec<Vec<f64>> = states.iter().map(|x| x[..dim].to_vec()).collect();
         physgrad_plot::cart_pole_on(&rail, &states, &forces, half_length, dt)
     }

@@ -1,8 +1,8 @@
 //! The `effects` section of a task: each effect is declared once.
 
-use physgrad::Named;
 use crate::settings::Info;
 use crate::settings::config_error::ConfigError;
+use physgrad::Named;
 
 /// An `effects` section.
 pub trait EffectsSection {

@@ -5,9 +5,12 @@ use crate::settings::Method;
 use crate::settings::config_error::{ConfigError, allowed, count, finite, not_negative, positive};
 use crate::tasks::effects::{EffectsSection, effects_section, named};
 use crate::tasks::{MlpSettings, SceneEffects, Settings, TaskSpec};
-use physgrad_plot::{Animation, Field};
-use physgrad::tasks::{self, Drive, Evade, Flock, Friction, GuidanceEffect, GuidanceSystem, LossMode, Obstacles, Spread, Walls};
+use physgrad::tasks::{
+    self, Drive, Evade, Flock, Friction, GuidanceEffect, GuidanceSystem, LossMode, Obstacles,
+    Spread, Walls,
+};
 use physgrad::{DynTask, Forced, HasModel, Named, System};
+use physgrad_plot::{Animation, Field};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -80,7 +83,11 @@ impl GuidanceEffects {
 
     /// Effects of the paper, if they are all present and there are no others.
     fn only_of_the_paper(&self) -> Option<PaperEffects> {
-        let Self { friction, spread, evade, flock, drive: None, obstacles: None, walls: None } = *self else { return None };
+        let Self { friction, spread, evade, flock, drive: None, obstacles: None, walls: None } =
+            *self
+        else {
+            return None;
+        };
         Some((
             named("effects.friction", friction)?,
             named("effects.spread", spread)?,
@@ -91,7 +98,9 @@ impl GuidanceEffects {
 
     /// Obstacles and walls for the animation.
     fn field(&self) -> Field {
-        let discs = |Obstacles { centers, radius, .. }: &Obstacles| centers.iter().map(|&center| (center, *radius)).collect();
+        let discs = |Obstacles { centers, radius, .. }: &Obstacles| {
+            centers.iter().map(|&center| (center, *radius)).collect()
+        };
         let walls = self.walls.map(|walls| [walls.half_width, walls.half_height]);
         Field { obstacles: self.obstacles.as_ref().map_or_else(Vec::new, discs), walls }
     }
@@ -178,13 +187,15 @@ impl TaskSpec for Guidance {
             return herd(Forced { system, effects }, settings);
         }
         let effects: Vec<Named<GuidanceEffect>> = settings.all_effects();
-        let system = settings.integrator.discretize(Forced { system, effects }, dt, settings.precision);
+        let system =
+            settings.integrator.discretize(Forced { system, effects }, dt, settings.precision);
         herd(settings.actuator.wrap(system, settings.system.dt), settings)
     }
 
     fn variants() -> Vec<(String, Settings<Self>)> {
         let variant = |drivers, evaders, mode| {
-            let mut settings = Settings { effects: GuidanceEffects::paper(), ..Settings::<Self>::defaults() };
+            let mut settings =
+                Settings { effects: GuidanceEffects::paper(), ..Settings::<Self>::defaults() };
             (settings.system.drivers, settings.system.evaders) = (drivers, evaders);
             settings.loss.mode = mode;
             settings
@@ -202,16 +213,26 @@ impl TaskSpec for Guidance {
     fn state_names(settings: &Settings<Self>) -> Vec<String> {
         let drivers = (1..=settings.system.drivers).map(|i| format!("driver_{i}"));
         let evaders = (1..=settings.system.evaders).map(|i| format!("evader_{i}"));
-        drivers.chain(evaders).flat_map(|agent| ["x", "y", "vx", "vy"].map(|name| format!("{agent}_{name}"))).collect()
+        drivers
+            .chain(evaders)
+            .flat_map(|agent| ["x", "y", "vx", "vy"].map(|name| format!("{agent}_{name}")))
+            .collect()
     }
 
     fn control_names(settings: &Settings<Self>) -> Vec<String> {
-        (1..=settings.system.drivers).flat_map(|i| [format!("radial_{i}"), format!("tangential_{i}")]).collect()
+        (1..=settings.system.drivers)
+            .flat_map(|i| [format!("radial_{i}"), format!("tangential_{i}")])
+            .collect()
     }
 
     fn animation(settings: &Settings<Self>, Trajectory { states, .. }: &Trajectory) -> Animation {
         let dim = System::state_dim(&settings.system);
         let states: Vec<Vec<f64>> = states.iter().map(|x| x[..dim].to_vec()).collect();
-        physgrad_plot::guidance_in(&settings.effects.field(), &states, settings.system.drivers, settings.system.dt)
+        physgrad_plot::guidance_in(
+            &settings.effects.field(),
+            &states,
+            settings.system.drivers,
+            settings.system.dt,
+        )
     }
 }

@@ -99,6 +99,8 @@ fn upright<K: TaskSpec<Loss = UprightLoss>, O: Ode>(
     Upright { system, first_angle, from, spread, loss, control_weight, horizon: settings.horizon }
 }
 
-fn validate_upright<K: TaskSpec<Loss = UprightLoss>>(settings: &Settings<K>) -> Result<(), ConfigError> {
+fn validate_upright<K: TaskSpec<Loss = UprightLoss>>(
+    settings: &Settings<K>,
+) -> Result<(), ConfigError> {
     not_negative("loss.control_weight", settings.loss.control_weight)
 }

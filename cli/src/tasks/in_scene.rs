@@ -3,7 +3,8 @@
 use crate::tasks::{Settings, TaskSpec};
 use physgrad::rng::Rng;
 use physgrad::{
-    Actuated, AnyActuator, Cotangent, Cotangents, DynSystem, DynTask, Inputs, Real, Scalar, Start, Substeps, System, Task,
+    Actuated, AnyActuator, Cotangent, Cotangents, DynSystem, DynTask, Inputs, Real, Scalar, Start,
+    Substeps, System, Task,
 };
 
 /// The task with horizon, substeps and actuators of a scene. `system` is the physics of the task,
@@ -66,7 +67,12 @@ impl Task for InScene {
         self.task.observe(self.inner(inputs), y);
     }
 
-    fn observe_vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, y_bar: &[C], cotangents: Cotangents<'_, C>) {
+    fn observe_vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        inputs: Inputs<'_, R>,
+        y_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
         self.task.observe_vjp(self.inner(inputs), y_bar, self.inner_cotangents(cotangents));
     }
 
@@ -82,14 +88,25 @@ impl Task for InScene {
         next_bar: &mut [R],
     ) {
         let (next, next_bar) = (&next[..self.states], &mut next_bar[..self.states]);
-        self.task.running_cost_gradient(self.inner(inputs), next, self.inner_cotangents(cotangents), next_bar);
+        self.task.running_cost_gradient(
+            self.inner(inputs),
+            next,
+            self.inner_cotangents(cotangents),
+            next_bar,
+        );
     }
 
     fn terminal_cost<R: Scalar>(&self, x: &[R], p: &[R]) -> R {
         self.task.terminal_cost(&x[..self.states], p)
     }
 
-    fn terminal_cost_gradient<R: Real>(&self, x: &[R], p: &[R], x_bar: &mut [R], p_bar: Option<&mut [R]>) {
+    fn terminal_cost_gradient<R: Real>(
+        &self,
+        x: &[R],
+        p: &[R],
+        x_bar: &mut [R],
+        p_bar: Option<&mut [R]>,
+    ) {
         self.task.terminal_cost_gradient(&x[..self.states], p, &mut x_bar[..self.states], p_bar);
     }
 }

@@ -27,13 +27,13 @@ pub use scene::{DynPolicy, Scene};
 pub use schema::schema;
 pub use settings::Settings;
 
-use physgrad::DynTask;
 use crate::operations::trajectory::Trajectory;
 use crate::settings::config_error::ConfigError;
 use crate::settings::{Info, Method};
-use physgrad_plot::Animation;
 use anyhow::{Result, anyhow, bail};
 use effects::EffectsSection;
+use physgrad::DynTask;
+use physgrad_plot::Animation;
 use schemars::JsonSchema;
 use serde::{Serialize, de::DeserializeOwned};
 use std::fmt::Debug;
@@ -41,8 +41,14 @@ use std::sync::OnceLock;
 use toml::Table;
 
 /// A section of a scene's settings.
-pub trait Section: Clone + Debug + Serialize + DeserializeOwned + JsonSchema + Send + Sync + 'static {}
-impl<T: Clone + Debug + Serialize + DeserializeOwned + JsonSchema + Send + Sync + 'static> Section for T {}
+pub trait Section:
+    Clone + Debug + Serialize + DeserializeOwned + JsonSchema + Send + Sync + 'static
+{
+}
+impl<T: Clone + Debug + Serialize + DeserializeOwned + JsonSchema + Send + Sync + 'static> Section
+    for T
+{
+}
 
 /// Specification of a task: name, settings, defaults and limits. [`task`](TaskSpec::task) creates
 /// the [`Task`](physgrad::Task) of given settings.
@@ -193,11 +199,20 @@ fn own_effects(task: &str) -> Vec<(&'static str, &'static dyn AnyEffectSpec)> {
 /// A name is empty, or has characters other than lower case letters, digits and underscores. Two
 /// tasks, or two effects of a task, have the same name. An effect names an unknown task. The
 /// process has called this function before.
-pub fn register(own: Vec<&'static dyn AnyTaskSpec>, own_effects: Vec<&'static dyn AnyEffectSpec>) -> Result<()> {
+pub fn register(
+    own: Vec<&'static dyn AnyTaskSpec>,
+    own_effects: Vec<&'static dyn AnyEffectSpec>,
+) -> Result<()> {
     let is_name = |name: &str| {
-        !name.is_empty() && name.bytes().all(|byte| byte == b'_' || byte.is_ascii_lowercase() || byte.is_ascii_digit())
+        !name.is_empty()
+            && name
+                .bytes()
+                .all(|byte| byte == b'_' || byte.is_ascii_lowercase() || byte.is_ascii_digit())
     };
-    let names = own.iter().map(|task| task.name()).chain(own_effects.iter().map(|effect| effect.info().name));
+    let names = own
+        .iter()
+        .map(|task| task.name())
+        .chain(own_effects.iter().map(|effect| effect.info().name));
     if let Some(name) = names.into_iter().find(|name| !is_name(name)) {
         bail!("`NAME` is {name:?}; allowed: lower case letters, digits and underscores");
     }
@@ -210,19 +225,24 @@ pub fn register(own: Vec<&'static dyn AnyTaskSpec>, own_effects: Vec<&'static dy
     for (i, effect) in own_effects.iter().enumerate() {
         let (name, of) = (effect.info().name, effect.task());
         let Some(task) = tasks.iter().find(|task| task.name() == of) else {
-            bail!("the effect `{name}` is of the task `{of}`, which is unknown; choose another `TASK`");
+            bail!(
+                "the effect `{name}` is of the task `{of}`, which is unknown; choose another `TASK`"
+            );
         };
         let is_same = |other: &&dyn AnyEffectSpec| other.task() == of && other.info().name == name;
-        if task.effects().iter().any(|info| info.name == name) || own_effects[..i].iter().any(is_same) {
+        if task.effects().iter().any(|info| info.name == name)
+            || own_effects[..i].iter().any(is_same)
+        {
             bail!("two effects of {of} have the name `{name}`; choose another `NAME`");
         }
     }
     // Leaks the keys, because names of effects are static. A process registers once.
-    let key = |name: &str| -> &'static str { Box::leak(format!("effects.{name}").into_boxed_str()) };
+    let key =
+        |name: &str| -> &'static str { Box::leak(format!("effects.{name}").into_boxed_str()) };
     let effects = own_effects.into_iter().map(|effect| (key(effect.info().name), effect)).collect();
-    REGISTERED
-        .set(Registered { tasks, effects })
-        .map_err(|_| anyhow!("this process has already registered tasks and effects; call `main` once"))
+    REGISTERED.set(Registered { tasks, effects }).map_err(|_| {
+        anyhow!("this process has already registered tasks and effects; call `main` once")
+    })
 }
 
 /// Object-safe [`TaskSpec`].
@@ -269,7 +289,8 @@ impl<K: TaskSpec> AnyTaskSpec for K {
     }
 
     fn reference(&self) -> (&'static str, usize) {
-        let best = [Method::Tsit5, Method::Pade].into_iter().find(|method| K::METHODS.contains(method));
+        let best =
+            [Method::Tsit5, Method::Pade].into_iter().find(|method| K::METHODS.contains(method));
         (best.map_or("native", Method::name), 128)
     }
 
@@ -292,6 +313,9 @@ impl<K: TaskSpec> AnyTaskSpec for K {
     }
 
     fn variants(&'static self) -> Vec<(String, Scene)> {
-        K::variants().into_iter().map(|(name, settings)| (name, Scene::new(self, settings))).collect()
+        K::variants()
+            .into_iter()
+            .map(|(name, settings)| (name, Scene::new(self, settings)))
+            .collect()
     }
 }

@@ -6,8 +6,8 @@ use crate::tasks::hard::Nothing;
 use crate::tasks::in_scene::in_scene;
 use crate::tasks::own_numbers::Owner;
 use crate::tasks::{MlpSettings, SceneEffects, Section, Settings, TaskSpec};
-use physgrad_plot::{Animation, Channel, channels_over_time};
 use physgrad::{DynSystem, DynTask, System, Task};
+use physgrad_plot::{Animation, Channel, channels_over_time};
 use std::fmt::{self, Debug};
 use std::marker::PhantomData;
 use toml::Table;
@@ -111,13 +111,15 @@ impl<T: ProgramTask> Own<T> {
     fn physics(settings: &Settings<Self>) -> Result<(DynTask, DynSystem), ConfigError> {
         let task = match settings.own_effects.first() {
             None => settings.system.clone(),
-            Some(key) => settings
-                .system
-                .with_effects(&settings.own_effects)
-                .ok_or_else(|| ConfigError::new(key, "has no effect; implement `ProgramTask::with_effects`"))?,
+            Some(key) => settings.system.with_effects(&settings.own_effects).ok_or_else(|| {
+                ConfigError::new(key, "has no effect; implement `ProgramTask::with_effects`")
+            })?,
         };
         if let Some(key) = settings.own_effects.unused() {
-            return Err(ConfigError::new(key, "has another model than those that `ProgramTask::with_effects` lists"));
+            return Err(ConfigError::new(
+                key,
+                "has another model than those that `ProgramTask::with_effects` lists",
+            ));
         }
         let substeps = settings.integrator.count();
         let refined = if substeps == 1 { Some(task.clone()) } else { task.refined(substeps) };
@@ -149,7 +151,9 @@ impl<T: ProgramTask> TaskSpec for Own<T> {
 
     fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
         let system = Table::try_from(&settings.system).expect("settings are plain tables");
-        let invalid = |(field, allowed)| ConfigError::invalid(&format!("system.{field}"), system.get(field), allowed);
+        let invalid = |(field, allowed)| {
+            ConfigError::invalid(&format!("system.{field}"), system.get(field), allowed)
+        };
         settings.system.validate().map_err(invalid)?;
         let (task, dims) = (&settings.system, settings.system.system());
         for (method, found, expected) in [
@@ -157,28 +161,42 @@ impl<T: ProgramTask> TaskSpec for Own<T> {
             ("control_names", task.control_names().len(), dims.control_dim()),
         ] {
             if found != expected {
-                let what = format!("has {found} names in `ProgramTask::{method}` for {expected} components; name each component");
+                let what = format!(
+                    "has {found} names in `ProgramTask::{method}` for {expected} components; name each component"
+                );
                 return Err(ConfigError::new("task", what));
             }
         }
         if let Some(angle) = task.angles().into_iter().find(|&angle| angle >= dims.state_dim()) {
-            let what = format!("has the angle {angle} in `ProgramTask::angles`, but the state has {}", dims.state_dim());
+            let what = format!(
+                "has the angle {angle} in `ProgramTask::angles`, but the state has {}",
+                dims.state_dim()
+            );
             return Err(ConfigError::new("task", what + " components; count from 0"));
         }
         let owner = Owner { section: "system", method: "System::numbers" };
         owner.check_numbers(&system, dims.numbers(), &dims.varied(dims.param_dim()))?;
-        for (method, names) in [("state_names", task.state_names()), ("control_names", task.control_names())] {
-            if let Some(name) = (1..names.len()).find(|&i| names[..i].contains(&names[i])).map(|i| &names[i]) {
+        for (method, names) in
+            [("state_names", task.state_names()), ("control_names", task.control_names())]
+        {
+            if let Some(name) =
+                (1..names.len()).find(|&i| names[..i].contains(&names[i])).map(|i| &names[i])
+            {
                 return Err(ConfigError::new(
                     "task",
-                    format!("has two components `{name}` in `ProgramTask::{method}`; name each once"),
+                    format!(
+                        "has two components `{name}` in `ProgramTask::{method}`; name each once"
+                    ),
                 ));
             }
         }
         // The default of the setting is the horizon of the default task.
         let (own, default) = (task.horizon(), T::default().horizon());
         if own != default && settings.horizon == default {
-            let what = format!("is {}, but the task has {own} steps with these settings; set it to {own}", settings.horizon);
+            let what = format!(
+                "is {}, but the task has {own} steps with these settings; set it to {own}",
+                settings.horizon
+            );
             return Err(ConfigError::new("horizon", what));
         }
         Self::physics(settings).map(drop)
@@ -218,7 +236,10 @@ impl<T: ProgramTask> TaskSpec for Own<T> {
         settings.system.control_names()
     }
 
-    fn animation(settings: &Settings<Self>, Trajectory { states, controls, params }: &Trajectory) -> Animation {
+    fn animation(
+        settings: &Settings<Self>,
+        Trajectory { states, controls, params }: &Trajectory,
+    ) -> Animation {
         let dim = settings.system.system().state_dim();
         let states: Vec<Vec<f64>> = states.iter().map(|x| x[..dim].to_vec()).collect();
         settings.system.animation(&states, controls, params)

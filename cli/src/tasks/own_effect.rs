@@ -75,15 +75,25 @@ impl<E: ProgramEffect> AnyEffectSpec for OwnEffect<E> {
         let mut settings = table(&E::default());
         reading::overlay(&mut settings, &section);
         let within = |ConfigError { key: inner, what }: ConfigError| {
-            ConfigError::new(if inner.is_empty() { key.into() } else { format!("{key}.{inner}") }, what)
+            ConfigError::new(
+                if inner.is_empty() { key.into() } else { format!("{key}.{inner}") },
+                what,
+            )
         };
-        let effect: E = reading::read(settings).map_err(|error| within(ConfigError::unreadable(&error)))?;
+        let effect: E =
+            reading::read(settings).map_err(|error| within(ConfigError::unreadable(&error)))?;
         let section = table(&effect);
-        let invalid = |(field, allowed)| within(ConfigError::invalid(field, section.get(field), allowed));
+        let invalid =
+            |(field, allowed)| within(ConfigError::invalid(field, section.get(field), allowed));
         effect.validate().map_err(invalid)?;
         let owner = Owner { section: key, method: "Effect::numbers" };
         owner.check_numbers(&section, effect.numbers(), &effect.varied(0))?;
-        Ok(SceneEffect { key, section, effect: Arc::new(DynEffect::new(effect)), used: Arc::default() })
+        Ok(SceneEffect {
+            key,
+            section,
+            effect: Arc::new(DynEffect::new(effect)),
+            used: Arc::default(),
+        })
     }
 }
 
@@ -128,14 +138,19 @@ impl SceneEffects {
     }
 
     /// Effects of the model `B`, converted to elements of a task's list of effects.
-    pub(super) fn listed<B: 'static, E: From<DynEffect<B>>>(&self) -> impl Iterator<Item = Named<E>> {
+    pub(super) fn listed<B: 'static, E: From<DynEffect<B>>>(
+        &self,
+    ) -> impl Iterator<Item = Named<E>> {
         self.of().into_iter().map(|Named { name, effect }| Named { name, effect: E::from(effect) })
     }
 
     /// Returns an error if an effect has another model than `B`.
     pub(super) fn only_of<B: 'static>(&self) -> Result<(), ConfigError> {
         match self.0.iter().find(|effect| effect.of::<B>().is_none()) {
-            Some(effect) => Err(ConfigError::new(effect.key, format!("has another model than {}", std::any::type_name::<B>()))),
+            Some(effect) => Err(ConfigError::new(
+                effect.key,
+                format!("has another model than {}", std::any::type_name::<B>()),
+            )),
             None => Ok(()),
         }
     }
@@ -155,12 +170,16 @@ impl SceneEffects {
         registered: &[(&'static str, &'static dyn AnyEffectSpec)],
         table: &mut Table,
     ) -> Result<Self, ConfigError> {
-        let Some(Value::Table(sections)) = table.get_mut("effects") else { return Ok(Self::default()) };
+        let Some(Value::Table(sections)) = table.get_mut("effects") else {
+            return Ok(Self::default());
+        };
         let mut effects = Vec::new();
         for &(key, spec) in registered {
             match sections.remove(spec.info().name) {
                 Some(Value::Table(section)) => effects.push(spec.read(key, section)?),
-                Some(other) => return Err(ConfigError::new(key, format!("is {other}; allowed: a section"))),
+                Some(other) => {
+                    return Err(ConfigError::new(key, format!("is {other}; allowed: a section")));
+                }
                 None => {}
             }
         }
@@ -172,7 +191,10 @@ impl SceneEffects {
         for SceneEffect { key, section, .. } in &self.0 {
             let sections = table.entry("effects").or_insert_with(|| Value::Table(Table::new()));
             let name = key.trim_start_matches("effects.");
-            sections.as_table_mut().expect("effects are a section").insert(name.into(), Value::Table(section.clone()));
+            sections
+                .as_table_mut()
+                .expect("effects are a section")
+                .insert(name.into(), Value::Table(section.clone()));
         }
     }
 }

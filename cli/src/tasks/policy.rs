@@ -1,9 +1,9 @@
 //! The `policy` section.
 
-use physgrad::policy::{Mlp, TrainedParam};
 use crate::settings::ActivationName;
 use crate::settings::config_error::{ConfigError, allowed};
 use crate::tasks::Section;
+use physgrad::policy::{Mlp, TrainedParam};
 use physgrad::{Number, Policy, Varied};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -48,7 +48,12 @@ pub struct MlpSettings {
 
 impl Default for MlpSettings {
     fn default() -> Self {
-        Self { widths: vec![100, 100], activation: ActivationName::Tanh, bias: true, zero_init_output: true }
+        Self {
+            widths: vec![100, 100],
+            activation: ActivationName::Tanh,
+            bias: true,
+            zero_init_output: true,
+        }
     }
 }
 
@@ -57,10 +62,16 @@ impl PolicySpec for MlpSettings {
 
     fn validate(&self) -> Result<(), ConfigError> {
         let (found, most) = (self.widths.len(), 1000);
-        allowed("policy.widths", format!("a list of {found}"), found <= most, format!("up to {most} layers"))?;
+        allowed(
+            "policy.widths",
+            format!("a list of {found}"),
+            found <= most,
+            format!("up to {most} layers"),
+        )?;
         match self.widths.iter().find(|w| !(1..=10_000).contains(*w)) {
             Some(width) => {
-                let what = format!("has {width}; allowed: 1 to 10000 each, or [] for a linear policy");
+                let what =
+                    format!("has {width}; allowed: 1 to 10000 each, or [] for a linear policy");
                 Err(ConfigError::new("policy.widths", what))
             }
             None => Ok(()),
@@ -69,6 +80,9 @@ impl PolicySpec for MlpSettings {
 
     fn build(&self, state_dim: usize, control_dim: usize) -> Mlp {
         let widths = [&[state_dim], &self.widths[..], &[control_dim]].concat();
-        Mlp::new(widths).activation(self.activation.activation()).bias(self.bias).zero_init_output(self.zero_init_output)
+        Mlp::new(widths)
+            .activation(self.activation.activation())
+            .bias(self.bias)
+            .zero_init_output(self.zero_init_output)
     }
 }

@@ -1,17 +1,19 @@
 //! Quantum control: settings, effects, limits and animation.
 
-use physgrad::policy::Conv;
 use crate::operations::trajectory::Trajectory;
 use crate::settings::Method;
-use crate::settings::config_error::{ConfigError, allowed, count, exclusive, finite, not_negative, positive};
+use crate::settings::config_error::{
+    ConfigError, allowed, count, exclusive, finite, not_negative, positive,
+};
 use crate::tasks::effects::{EffectsSection, effects_section, named};
 use crate::tasks::{Conserved, PolicySpec, SceneEffects, Settings, TaskSpec};
-use physgrad_plot::{Animation, Landscape};
+use physgrad::policy::Conv;
 use physgrad::tasks::{
-    self, Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, LossMode, Pade, QuantumEffect,
-    QuantumScheme, QuantumSystem, Strang, Tabulated,
+    self, Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, LossMode,
+    Pade, QuantumEffect, QuantumScheme, QuantumSystem, Strang, Tabulated,
 };
 use physgrad::{DynTask, Forced, Named, Substeps};
+use physgrad_plot::{Animation, Landscape};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -86,13 +88,16 @@ impl QuantumEffects {
 
     /// Effects that add to the potential.
     fn list(&self, system: &QuantumSystem) -> Vec<Named<QuantumEffect>> {
-        let potential = self.potential(system).map(|Named { name, effect }| Named { name, effect: effect.into() });
+        let potential = self
+            .potential(system)
+            .map(|Named { name, effect }| Named { name, effect: effect.into() });
         potential.into_iter().chain(named("effects.cubic", self.cubic)).collect()
     }
 
     /// Potential and absorbing layers for the animation.
     fn landscape(&self, system: &QuantumSystem) -> Landscape {
-        let potential = self.potential(system).map_or(Vec::new(), |potential| potential.effect.values);
+        let potential =
+            self.potential(system).map_or(Vec::new(), |potential| potential.effect.values);
         Landscape { potential, absorbing: self.absorbing_edges.map(|edges| edges.width) }
     }
 
@@ -102,7 +107,12 @@ impl QuantumEffects {
             within("effects.double_well.separation", separation, length, "the length of the box")?;
         }
         if let Some(AbsorbingEdges { width, .. }) = self.absorbing_edges {
-            within("effects.absorbing_edges.width", width, 0.5 * length, "half the length of the box")?;
+            within(
+                "effects.absorbing_edges.width",
+                width,
+                0.5 * length,
+                "half the length of the box",
+            )?;
         }
         let potentials = [
             ("harmonic", self.harmonic.is_some()),
@@ -115,7 +125,12 @@ impl QuantumEffects {
 
 /// Returns an error unless the value is positive and at most `limit`. `what` describes the limit.
 fn within(key: &str, value: f64, limit: f64, what: &str) -> Result<(), ConfigError> {
-    allowed(key, value, value > 0.0 && value <= limit, format!("more than 0, up to {limit}, {what}"))
+    allowed(
+        key,
+        value,
+        value > 0.0 && value <= limit,
+        format!("more than 0, up to {limit}, {what}"),
+    )
 }
 
 /// The `loss` section of quantum control.
@@ -181,18 +196,31 @@ impl TaskSpec for Quantum {
     }
 
     fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
-        let QuantumSettings { grid, length, dt, target, weighting: [first, second], control: _ } = settings.system;
+        let QuantumSettings { grid, length, dt, target, weighting: [first, second], control: _ } =
+            settings.system;
         // Two convolutions of kernel size 3 and stride 2 need at least seven points.
         count("system.grid", grid, 7..=100_000)?;
         let is_dense = settings.integrator.method == Some(Method::Strang);
-        allowed("system.grid", grid, !is_dense || grid <= 4096, "up to 4096 with the method `strang`, which has a dense matrix")?;
+        allowed(
+            "system.grid",
+            grid,
+            !is_dense || grid <= 4096,
+            "up to 4096 with the method `strang`, which has a dense matrix",
+        )?;
         count("system.target", target, 1..=grid)?;
         positive("system.length", length)?;
         positive("system.dt", dt)?;
         // Within these limits every initial state can be normalized.
-        let can_be_normalized = first.is_finite() && second.is_finite() && (1e-6..=1e6).contains(&first.abs().max(second.abs()));
+        let can_be_normalized = first.is_finite()
+            && second.is_finite()
+            && (1e-6..=1e6).contains(&first.abs().max(second.abs()));
         let weighting = format!("[{first}, {second}]");
-        allowed("system.weighting", weighting, can_be_normalized, "two numbers, the larger magnitude from 1e-6 to 1e6")?;
+        allowed(
+            "system.weighting",
+            weighting,
+            can_be_normalized,
+            "two numbers, the larger magnitude from 1e-6 to 1e6",
+        )?;
         settings.effects.validate(length)?;
         // The convolutions accept no state components besides the wave function.
         settings.actuator.without_state("the network of this task observes only the wave function")
@@ -208,7 +236,10 @@ impl TaskSpec for Quantum {
         effects.extend(settings.own_effects.listed());
         // Uses one type in all scenes: an empty list of effects costs little compared with the
         // tridiagonal solve. Absorbing edges of width 0 leave the state unchanged.
-        let edges = settings.effects.absorbing_edges.unwrap_or(AbsorbingEdges { width: 0.0, strength: 0.0 });
+        let edges = settings
+            .effects
+            .absorbing_edges
+            .unwrap_or(AbsorbingEdges { width: 0.0, strength: 0.0 });
         let count = settings.integrator.count();
         let system = QuantumSystem { dt: system.dt / count as f64, ..system };
         let scheme = match settings.integrator.method {
@@ -216,16 +247,27 @@ impl TaskSpec for Quantum {
             Some(Method::Strang) => QuantumScheme::Strang(Strang::new(system)),
             _ => QuantumScheme::CrankNicolson(system),
         };
-        let system = Substeps { system: Absorbing::new(Forced { system: scheme, effects }, edges), count };
+        let system =
+            Substeps { system: Absorbing::new(Forced { system: scheme, effects }, edges), count };
         let system = settings.actuator.wrap(system, settings.system.dt);
         let QuantumSettings { target, weighting, .. } = settings.system;
-        DynTask::new(tasks::Quantum { system, target, loss: settings.loss.mode, horizon: settings.horizon, weighting })
+        DynTask::new(tasks::Quantum {
+            system,
+            target,
+            loss: settings.loss.mode,
+            horizon: settings.horizon,
+            weighting,
+        })
     }
 
     fn variants() -> Vec<(String, Settings<Self>)> {
         let modes = [(LossMode::Terminal, "terminal"), (LossMode::Running, "running")];
         let variant = |(mode, name)| {
-            let settings = Settings { loss: QuantumLoss { mode }, horizon: 40, ..Settings::<Self>::defaults() };
+            let settings = Settings {
+                loss: QuantumLoss { mode },
+                horizon: 40,
+                ..Settings::<Self>::defaults()
+            };
             (format!("eigenstate 3, {name} loss"), settings)
         };
         modes.map(variant).to_vec()
@@ -249,12 +291,20 @@ impl TaskSpec for Quantum {
 
     fn conserved(settings: &Settings<Self>) -> Option<Conserved> {
         let square = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>();
-        settings.effects.absorbing_edges.is_none().then(|| Conserved { name: "squared norm", value: Box::new(square) })
+        settings
+            .effects
+            .absorbing_edges
+            .is_none()
+            .then(|| Conserved { name: "squared norm", value: Box::new(square) })
     }
 
-    fn animation(settings: &Settings<Self>, Trajectory { states, controls, .. }: &Trajectory) -> Animation {
+    fn animation(
+        settings: &Settings<Self>,
+        Trajectory { states, controls, .. }: &Trajectory,
+    ) -> Animation {
         let system = settings.physics();
-        let tilts: Vec<f64> = settings.actuator.applied(system.dt, states, controls).iter().map(|u| u[0]).collect();
+        let tilts: Vec<f64> =
+            settings.actuator.applied(system.dt, states, controls).iter().map(|u| u[0]).collect();
         let landscape = settings.effects.landscape(&system);
         let target: Vec<f64> = system.eigenstate(settings.system.target).collect();
         physgrad_plot::quantum_in(&landscape, states, &tilts, &target, system.length, system.dt)

@@ -3,10 +3,6 @@
 //! [`Scene`] holds the settings that all tasks share. [`AnySettings`] is the object-safe interface
 //! to the settings of one task.
 
-use physgrad::check::{Jumps, Kink, Plateau};
-use physgrad::identify::{Fit, IdentifyError, Options, Segment};
-use physgrad::optimize::{self, Initial, OptimizeError, Plan};
-use physgrad::policy::AnyPolicy;
 use crate::operations::checks::{Amplification, Results};
 use crate::operations::evaluation::AnyEvaluation;
 use crate::operations::gradients::{Derived, GradientMethod};
@@ -14,13 +10,19 @@ use crate::operations::policy_file::{self, About, TrainedNumber};
 use crate::operations::session::AnyRun;
 use crate::operations::simulation::Job;
 use crate::operations::trajectory::Trajectory;
-use crate::operations::{checks, costs, evaluation, gradients, identification, session, simulation};
+use crate::operations::{
+    checks, costs, evaluation, gradients, identification, session, simulation,
+};
 use crate::settings::config_error::ConfigError;
 use crate::settings::{FieldName, LogFormat, OPTIONAL, Precision};
 use crate::tasks::{AnyTaskSpec, Conserved, Settings, TaskSpec};
-use physgrad_plot::{Animation, Channel};
-use physgrad::{Divergence, DynTask, Field, Number, System, Task, TaskOpCount};
 use anyhow::{Context, Result};
+use physgrad::check::{Jumps, Kink, Plateau};
+use physgrad::identify::{Fit, IdentifyError, Options, Segment};
+use physgrad::optimize::{self, Initial, OptimizeError, Plan};
+use physgrad::policy::AnyPolicy;
+use physgrad::{Divergence, DynTask, Field, Number, System, Task, TaskOpCount};
+use physgrad_plot::{Animation, Channel};
 use std::ops::Deref;
 use std::sync::Arc;
 use toml::{Table, Value};
@@ -114,7 +116,13 @@ pub trait AnySettings: Send + Sync {
     /// Returns whether the physics depends on the time of the segment, at its measured states.
     fn depends_on_time(&self, segment: &Segment) -> bool;
     /// Optimizes the controls from the initial state `x0` with the parameters `p`.
-    fn optimize(&self, x0: &[f64], p: &[f64], initial: Initial, options: &optimize::Options) -> Result<Plan, OptimizeError>;
+    fn optimize(
+        &self,
+        x0: &[f64],
+        p: &[f64],
+        initial: Initial,
+        options: &optimize::Options,
+    ) -> Result<Plan, OptimizeError>;
     /// Names of the control components.
     fn control_names(&self) -> Vec<String>;
     /// Names of the applied controls. Empty without an actuator.
@@ -140,7 +148,14 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
     fn open_from(&self, theta: Vec<f64>, workers: usize) -> Result<Box<dyn AnyRun>> {
         let training = self.training.training(self.epochs, self.seed, workers);
         let (task, policy) = self.task_and_policy();
-        session::open(task, policy, self.precision, self.training.weighted(self.field.0), training, theta)
+        session::open(
+            task,
+            policy,
+            self.precision,
+            self.training.weighted(self.field.0),
+            training,
+            theta,
+        )
     }
 
     fn check(&self, variant: &str, theta: Option<&[f64]>, results: &mut Results) {
@@ -223,7 +238,13 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
 
     fn identify(&self, segments: &[Segment], options: &Options) -> Result<Fit, IdentifyError> {
         let names = AnySettings::param_names(self);
-        identification::identified(&self.task(), &names, &AnySettings::angles(self), segments, options)
+        identification::identified(
+            &self.task(),
+            &names,
+            &AnySettings::angles(self),
+            segments,
+            options,
+        )
     }
 
     fn depends_on_time(&self, segment: &Segment) -> bool {
@@ -247,7 +268,13 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
         }
     }
 
-    fn optimize(&self, x0: &[f64], p: &[f64], initial: Initial, options: &optimize::Options) -> Result<Plan, OptimizeError> {
+    fn optimize(
+        &self,
+        x0: &[f64],
+        p: &[f64],
+        initial: Initial,
+        options: &optimize::Options,
+    ) -> Result<Plan, OptimizeError> {
         optimize::optimize(&self.task(), x0, p, initial, options)
     }
 
@@ -272,7 +299,11 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
         let mut animation = K::animation(self, rollout);
         if animation.time > 0.0 && animation.channels.is_empty() {
             let names = K::control_names(self);
-            animation.channels = Channel::columns(names, &held(&rollout.controls, animation.time / K::dt(self)), CONTROL);
+            animation.channels = Channel::columns(
+                names,
+                &held(&rollout.controls, animation.time / K::dt(self)),
+                CONTROL,
+            );
             for channel in &mut animation.channels {
                 let [low, high] = channel.range();
                 channel.range = Some([low.min(0.0), high.max(0.0)]);
@@ -304,7 +335,18 @@ impl Scene {
     pub fn new<K: TaskSpec>(task: &'static dyn AnyTaskSpec, settings: Settings<K>) -> Self {
         let Settings { field, precision, seed, epochs, horizon, .. } = settings;
         let (table, logs) = (settings.table(), settings.log.clone());
-        Self { task, field, precision, seed, epochs, horizon, logs, table, initial_policy: None, settings: Arc::new(settings) }
+        Self {
+            task,
+            field,
+            precision,
+            seed,
+            epochs,
+            horizon,
+            logs,
+            table,
+            initial_policy: None,
+            settings: Arc::new(settings),
+        }
     }
 
     /// Starts the training from the policy file with these contents.
@@ -326,7 +368,9 @@ impl Scene {
     pub fn about(&self) -> About {
         let finite = |bound: f64| Some(bound).filter(|bound| bound.is_finite());
         let trained = |(name, number)| match number {
-            Number::Trained { min, max, .. } => Some(TrainedNumber { name, min: finite(min), max: finite(max) }),
+            Number::Trained { min, max, .. } => {
+                Some(TrainedNumber { name, min: finite(min), max: finite(max) })
+            }
             _ => None,
         };
         About {
@@ -349,7 +393,9 @@ impl Scene {
     /// The initial policy does not fit the scene.
     pub fn initial_theta(&self) -> Result<Vec<f64>> {
         let policy = self.policy();
-        let Some(bytes) = self.initial_policy() else { return Ok(policy_file::random(&*policy, self.seed)) };
+        let Some(bytes) = self.initial_policy() else {
+            return Ok(policy_file::random(&*policy, self.seed));
+        };
         let read = || {
             policy_file::check_numbers(bytes, &self.about())?;
             policy_file::read(bytes, &*policy, self.seed)
@@ -387,9 +433,17 @@ impl Scene {
     /// by a later version, with a default that preserves the behaviour, does not change the
     /// identity.
     pub fn identity(&self) -> String {
-        let decay = self.table.get("training").and_then(|training| training.get("decay")).and_then(Value::as_str);
+        let decay = self
+            .table
+            .get("training")
+            .and_then(|training| training.get("decay"))
+            .and_then(Value::as_str);
         let is_constant = decay.is_none_or(|decay| decay == "constant");
-        self.differences(if is_constant { &["epochs", "training.memory"] } else { &["training.memory"] })
+        self.differences(if is_constant {
+            &["epochs", "training.memory"]
+        } else {
+            &["training.memory"]
+        })
     }
 
     /// Settings shared by the runs of a comparison: [`identity`](Self::identity) without field,
@@ -407,19 +461,30 @@ impl Scene {
         // parameters.
         let mut defaults = self.task.defaults();
         for section in OPTIONAL {
-            let parts: Vec<&String> =
-                self.table.get(section).and_then(Value::as_table).into_iter().flat_map(Table::keys).collect();
+            let parts: Vec<&String> = self
+                .table
+                .get(section)
+                .and_then(Value::as_table)
+                .into_iter()
+                .flat_map(Table::keys)
+                .collect();
             lines.extend(parts.iter().map(|part| format!("{section}.{part}")));
-            let bare: Table = parts.into_iter().map(|part| (part.clone(), Value::Table(Table::new()))).collect();
+            let bare: Table =
+                parts.into_iter().map(|part| (part.clone(), Value::Table(Table::new()))).collect();
             defaults.insert(section.into(), Value::Table(bare));
         }
         let defaults = flat(&self.task.fill(defaults.clone()).unwrap_or(defaults));
+        let differences = flat(&self.table)
+            .into_iter()
+            .filter(|setting| !defaults.contains(setting) && !but.contains(&&*setting.0));
         let differences =
-            flat(&self.table).into_iter().filter(|setting| !defaults.contains(setting) && !but.contains(&&*setting.0));
-        let differences = differences.filter(|(key, _)| ![INITIAL_POLICY, "tags", "log"].contains(&&**key));
+            differences.filter(|(key, _)| ![INITIAL_POLICY, "tags", "log"].contains(&&**key));
         lines.extend(differences.map(|(key, value)| format!("{key} = {value}")));
         // Identifies the policy file by its contents, not by its path.
-        lines.extend(self.initial_policy_checksum().map(|checksum| format!("{INITIAL_POLICY} = CRC-32C {checksum:08x}")));
+        lines.extend(
+            self.initial_policy_checksum()
+                .map(|checksum| format!("{INITIAL_POLICY} = CRC-32C {checksum:08x}")),
+        );
         lines.join("\n")
     }
 }
@@ -428,9 +493,10 @@ impl Scene {
 /// parameters.
 pub fn flat(table: &Table) -> Vec<(String, Value)> {
     let inner = |(key, value): (&String, &Value)| match value {
-        Value::Table(section) if !section.is_empty() => {
-            flat(section).into_iter().map(|(rest, value)| (format!("{key}.{rest}"), value)).collect()
-        }
+        Value::Table(section) if !section.is_empty() => flat(section)
+            .into_iter()
+            .map(|(rest, value)| (format!("{key}.{rest}"), value))
+            .collect(),
         value => vec![(key.clone(), value.clone())],
     };
     table.iter().flat_map(inner).collect()
@@ -439,12 +505,12 @@ pub fn flat(table: &Table) -> Vec<(String, Value)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use physgrad::DynTask;
     use crate::settings::{Info, Method};
     use crate::tasks::MlpSettings;
     use crate::tasks::effects::EffectsSection;
-    use physgrad_plot as report;
+    use physgrad::DynTask;
     use physgrad::tasks::CartPoleSystem;
+    use physgrad_plot as report;
     use schemars::JsonSchema;
     use serde::{Deserialize, Serialize};
 
@@ -523,7 +589,10 @@ mod tests {
             Vec::new()
         }
 
-        fn animation(_settings: &Settings<Self>, Trajectory { states, .. }: &Trajectory) -> Animation {
+        fn animation(
+            _settings: &Settings<Self>,
+            Trajectory { states, .. }: &Trajectory,
+        ) -> Animation {
             report::cart_pole(states, &[], 1.0, 1.0)
         }
     }
@@ -550,10 +619,16 @@ mod tests {
     #[test]
     fn absent_sections_are_omitted_and_a_schema_has_no_null() {
         assert!(!scene("", 1).table.contains_key("effects"));
-        assert_eq!(scene("effects.wind = {}", 1).table["effects"]["wind"]["speed"].as_float(), Some(3.0));
+        assert_eq!(
+            scene("effects.wind = {}", 1).table["effects"]["wind"]["speed"].as_float(),
+            Some(3.0)
+        );
         let schema = Windy.schema();
         let wind = &schema["properties"]["effects"]["properties"]["wind"];
-        assert_eq!((&wind["type"], &wind["description"]), (&"object".into(), &"Steady wind.".into()));
+        assert_eq!(
+            (&wind["type"], &wind["description"]),
+            (&"object".into(), &"Steady wind.".into())
+        );
         assert_eq!(wind["properties"]["speed"]["default"], 3.0);
         assert!(!schema.to_string().contains("null"), "{schema}");
     }

@@ -9,8 +9,14 @@ use toml::Table;
 
 /// Sections that are not part of [`Settings`](tasks::Settings), with their descriptions.
 const SECTIONS: [(&str, &str); 3] = [
-    ("vary", "Physical numbers that are drawn for each sample, by the dotted names of their settings."),
-    ("fit", "Physical numbers that the training or `identify` determines, by the dotted names of their settings."),
+    (
+        "vary",
+        "Physical numbers that are drawn for each sample, by the dotted names of their settings.",
+    ),
+    (
+        "fit",
+        "Physical numbers that the training or `identify` determines, by the dotted names of their settings.",
+    ),
     ("sweep", "Settings with several values, which `compare` trains."),
 ];
 
@@ -28,7 +34,8 @@ pub fn schema() -> Value {
 /// Schema of a type, with defaults.
 fn with_defaults<S: JsonSchema>(defaults: &Table) -> Value {
     // Inlines subschemas: sections of different tasks share type names but not contents.
-    let settings = SchemaSettings::draft2020_12().with(|settings| settings.inline_subschemas = true);
+    let settings =
+        SchemaSettings::draft2020_12().with(|settings| settings.inline_subschemas = true);
     let mut schema = SchemaGenerator::new(settings).into_root_schema_for::<S>().to_value();
     complete(&mut schema, Some(defaults));
     if let Some(all) = schema.as_object_mut() {
@@ -45,7 +52,10 @@ pub fn of_section<S: JsonSchema>(defaults: &Table) -> Value {
 }
 
 /// Schema of the scenes of one task, with effects of the user.
-pub fn of<S: JsonSchema>(task: &dyn AnyTaskSpec, own_effects: &[(&str, &dyn AnyEffectSpec)]) -> Value {
+pub fn of<S: JsonSchema>(
+    task: &dyn AnyTaskSpec,
+    own_effects: &[(&str, &dyn AnyEffectSpec)],
+) -> Value {
     let mut schema = with_defaults::<S>(&task.defaults());
     for (_, effect) in own_effects {
         schema["properties"]["effects"]["properties"][effect.info().name] = effect.schema();
@@ -72,7 +82,9 @@ fn complete(schema: &mut Value, defaults: Option<&Table>) {
     if defaults.is_some() {
         schema.remove("required");
     }
-    let Some(properties) = schema.get_mut("properties").and_then(Value::as_object_mut) else { return };
+    let Some(properties) = schema.get_mut("properties").and_then(Value::as_object_mut) else {
+        return;
+    };
     for (key, property) in properties {
         let default = defaults.and_then(|defaults| defaults.get(key));
         complete(property, default.and_then(toml::Value::as_table));

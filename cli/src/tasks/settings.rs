@@ -1,15 +1,16 @@
 //! [`Settings`]: settings of a run, generic over the task.
 
-use physgrad::policy::WithParams;
 use crate::operations::memory::{self, Needs};
 use crate::platform::memory::of_this_machine;
 use crate::settings::config_error::{ConfigError, count};
 use crate::settings::{
-    ActuatorSettings, FieldName, IntegratorSettings, LogFormat, OPTIONAL, Precision, TrainingSettings, VERSION, reading,
+    ActuatorSettings, FieldName, IntegratorSettings, LogFormat, OPTIONAL, Precision,
+    TrainingSettings, VERSION, reading,
 };
 use crate::tasks::effects::Present;
 use crate::tasks::policy::trained;
 use crate::tasks::{self, PolicySpec, SceneEffects, TaskSpec};
+use physgrad::policy::WithParams;
 use physgrad::{DynEffect, DynTask, Field, Named, System, Task};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -133,9 +134,11 @@ impl<K: TaskSpec> Settings<K> {
         K::validate(self)?;
         K::validate_own_effects(&self.own_effects)?;
         let TrainingSettings { batch, train_samples, test_samples, .. } = self.training;
-        let samples = self.training.training(self.epochs, self.seed, 1).derived(batch.min(train_samples));
+        let samples =
+            self.training.training(self.epochs, self.seed, 1).derived(batch.min(train_samples));
         let (task, policy) = self.task_and_policy();
-        let Needs { batch: whole, rest } = memory::needs(&task, &policy, self.precision, samples, train_samples + test_samples);
+        let Needs { batch: whole, rest } =
+            memory::needs(&task, &policy, self.precision, samples, train_samples + test_samples);
         // With a budget, the reverse pass recomputes the steps that exceed the budget.
         let batch = self.training.budget().map_or(whole, |budget| whole.min(budget as f64));
         let (needed, most) = (batch + rest, of_this_machine());
@@ -174,8 +177,11 @@ impl<K: TaskSpec> Settings<K> {
     pub fn task_and_policy(&self) -> (DynTask, WithParams<<K::PolicySpec as PolicySpec>::Policy>) {
         let task = self.task();
         let system = task.system();
-        let policy = self.policy.build(task.observation_dim().unwrap_or(system.state_dim()), system.control_dim());
-        let trained = system.varied(task.param_dim()).iter().filter_map(trained).collect::<Vec<_>>();
+        let policy = self
+            .policy
+            .build(task.observation_dim().unwrap_or(system.state_dim()), system.control_dim());
+        let trained =
+            system.varied(task.param_dim()).iter().filter_map(trained).collect::<Vec<_>>();
         (task, WithParams::new(policy, trained))
     }
 }

@@ -18,11 +18,17 @@ const PACKAGES: [&str; 4] = ["numpy", "onnxruntime", "safetensors", "tensorboard
 pub fn run(script: &str, args: &[&Path]) -> Option<String> {
     // A process does not repeat a failed installation.
     static INTERPRETER: LazyLock<Result<PathBuf, String>> = LazyLock::new(interpreter);
-    let python = INTERPRETER.as_ref().map_err(|reason| println!("skipped {script}: {reason}")).ok()?;
+    let python =
+        INTERPRETER.as_ref().map_err(|reason| println!("skipped {script}: {reason}")).ok()?;
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/program").join(script);
     let output = Command::new(python).arg(&script).args(args).output().expect("Python starts");
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
-    assert!(output.status.success(), "{}:\n{text}{}", script.display(), String::from_utf8_lossy(&output.stderr));
+    assert!(
+        output.status.success(),
+        "{}:\n{text}{}",
+        script.display(),
+        String::from_utf8_lossy(&output.stderr)
+    );
     Some(text)
 }
 
@@ -43,14 +49,31 @@ fn interpreter() -> Result<PathBuf, String> {
         fs::remove_file(&installed).map_err(|error| error.to_string())?;
     }
     command(Command::new("python3").args(["-m", "venv", "--clear"]).arg(folder.join("venv")))?;
-    let pip = ["-m", "pip", "install", "--quiet", "--only-binary", ":all:", "--retries", "1", "--timeout", "10"];
+    let pip = [
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--only-binary",
+        ":all:",
+        "--retries",
+        "1",
+        "--timeout",
+        "10",
+    ];
     command(Command::new(&python).args(pip).args(PACKAGES))?;
     fs::write(installed, packages).map_err(|error| error.to_string())?;
     Ok(python)
 }
 
 fn command(command: &mut Command) -> Result<(), String> {
-    let output = command.output().map_err(|error| format!("{}: {error}", command.get_program().display()))?;
+    let output = command
+        .output()
+        .map_err(|error| format!("{}: {error}", command.get_program().display()))?;
     let errors = String::from_utf8_lossy(&output.stderr);
-    output.status.success().then_some(()).ok_or_else(|| errors.lines().last().unwrap_or("no message").to_owned())
+    output
+        .status
+        .success()
+        .then_some(())
+        .ok_or_else(|| errors.lines().last().unwrap_or("no message").to_owned())
 }

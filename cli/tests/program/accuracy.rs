@@ -12,9 +12,20 @@ use tempfile::TempDir;
 fn run(out: &Path, args: &[&str]) -> (String, HashMap<String, HashMap<String, String>>) {
     let small = ["--set", "policy.widths=[4]", "--set", "horizon=20", "--quiet"];
     let mut command = physgrad(&["accuracy", "cart_pole"]);
-    let output = command.args(small).args(args).arg("--out").arg(out).assert().success().get_output().clone();
+    let output = command
+        .args(small)
+        .args(args)
+        .arg("--out")
+        .arg(out)
+        .assert()
+        .success()
+        .get_output()
+        .clone();
     let mut csv = csv_of(&fs::read_to_string(out.join("accuracy.csv")).expect("a table"));
-    let rows = csv.drain(..).map(|row| (format!("{} {} {}", row["method"], row["substeps"], row["precision"]), row)).collect();
+    let rows = csv
+        .drain(..)
+        .map(|row| (format!("{} {} {}", row["method"], row["substeps"], row["precision"]), row))
+        .collect();
     (String::from_utf8(output.stdout).expect("UTF-8"), rows)
 }
 
@@ -55,17 +66,28 @@ fn halving_the_step_reduces_errors_by_the_order_of_the_method_and_doubles_operat
     }
     assert!(number(&rows["tsit5 4 f64"], "trajectory_error") < 1e-11);
     let rounding = number(&rows["tsit5 4 f32"], "trajectory_error");
-    assert!(rounding > 1e-8 && rounding < 1e-4, "the error of tsit5 in f32 is {rounding:e}, not between 1e-8 and 1e-4");
-    assert!(said.contains("the cheapest setting with an error of the trajectory of at most 1e-4 is "), "{said}");
+    assert!(
+        rounding > 1e-8 && rounding < 1e-4,
+        "the error of tsit5 in f32 is {rounding:e}, not between 1e-8 and 1e-4"
+    );
+    assert!(
+        said.contains("the cheapest setting with an error of the trajectory of at most 1e-4 is "),
+        "{said}"
+    );
 
     // The printed lines complete a valid scene.
     let lines = said.split("precision = ").nth(1).expect("lines of a scene");
     let scene = dir.path().join("scene.toml");
-    fs::write(&scene, format!("scene = 1\ntask = \"cart_pole\"\nprecision = {lines}")).expect("a file");
+    fs::write(&scene, format!("scene = 1\ntask = \"cart_pole\"\nprecision = {lines}"))
+        .expect("a file");
     physgrad(&["explain"]).arg(&scene).assert().success();
 
     let svg = fs::read_to_string(dir.path().join("accuracy.svg")).expect("diagrams");
-    assert!(svg.starts_with("<svg") && svg.contains("rk4") && svg.contains("error of the gradient of R"));
+    assert!(
+        svg.starts_with("<svg")
+            && svg.contains("rk4")
+            && svg.contains("error of the gradient of R")
+    );
     let table = fs::read_to_string(dir.path().join("accuracy.md")).expect("a table");
     assert!(table.contains("| rk4 x1 f32"), "{table}");
 }
@@ -73,10 +95,16 @@ fn halving_the_step_reduces_errors_by_the_order_of_the_method_and_doubles_operat
 #[test]
 fn diverged_settings_have_a_message_but_no_errors_and_no_times() {
     let dir = TempDir::new().expect("a folder");
-    let (said, rows) = run(dir.path(), &["--set", "effects.cart_damping.damping=2e3", "--set", "horizon=100"]);
+    let (said, rows) =
+        run(dir.path(), &["--set", "effects.cart_damping.damping=2e3", "--set", "horizon=100"]);
     assert!(said.contains("settings diverged"), "{said}");
     let row = &rows["euler 1 f32"];
-    assert!(row["diverged"].contains("step") && row["trajectory_error"].is_empty() && row["forward_us"] == "NaN", "{row:?}");
+    assert!(
+        row["diverged"].contains("step")
+            && row["trajectory_error"].is_empty()
+            && row["forward_us"] == "NaN",
+        "{row:?}"
+    );
     // The implicit midpoint rule is stable.
     assert!(number(&rows["implicit_midpoint 2 f32"], "trajectory_error") < 1.0);
 }
@@ -84,12 +112,33 @@ fn diverged_settings_have_a_message_but_no_errors_and_no_times() {
 #[test]
 fn an_error_of_1e_minus_30_is_unreached_and_reports_the_most_accurate_setting() {
     let dir = TempDir::new().expect("a folder");
-    let args = ["accuracy", "cart_pole", "--set", "policy.widths=[4]", "--set", "horizon=5", "--quiet", "--target", "1e-30"];
-    let json = physgrad(&args).arg("--json").arg("--out").arg(dir.path()).assert().code(1).get_output().stdout.clone();
+    let args = [
+        "accuracy",
+        "cart_pole",
+        "--set",
+        "policy.widths=[4]",
+        "--set",
+        "horizon=5",
+        "--quiet",
+        "--target",
+        "1e-30",
+    ];
+    let json = physgrad(&args)
+        .arg("--json")
+        .arg("--out")
+        .arg(dir.path())
+        .assert()
+        .code(1)
+        .get_output()
+        .stdout
+        .clone();
     let json: serde_json::Value = serde_json::from_slice(&json).expect("an object");
     assert!(json["cheapest"].is_null(), "{json}");
     let said = error_of(physgrad(&args).arg("--out").arg(dir.path()));
-    assert!(said.contains("no setting reaches this error of the trajectory; the most accurate is "), "{said}");
+    assert!(
+        said.contains("no setting reaches this error of the trajectory; the most accurate is "),
+        "{said}"
+    );
     let said = error_of(&mut physgrad(&["accuracy", "cart_pole", "--target=-1"]));
     assert!(said.contains("--target -1; allowed: a positive error"), "{said}");
 }
@@ -97,8 +146,16 @@ fn an_error_of_1e_minus_30_is_unreached_and_reports_the_most_accurate_setting() 
 #[test]
 fn invalid_integrators_and_budgets_are_refused_with_the_allowed_values() {
     for (task, set, message) in [
-        ("cart_pole", "integrator.method=\"rk5\"", "`integrator.method` is `rk5`; allowed: `euler`, "),
-        ("cart_pole", "integrator.method=\"pade\"", "`integrator.method` is pade; allowed: euler, semi_implicit, "),
+        (
+            "cart_pole",
+            "integrator.method=\"rk5\"",
+            "`integrator.method` is `rk5`; allowed: `euler`, ",
+        ),
+        (
+            "cart_pole",
+            "integrator.method=\"pade\"",
+            "`integrator.method` is pade; allowed: euler, semi_implicit, ",
+        ),
         (
             "quantum",
             "integrator.method=\"rk4\"",
@@ -110,7 +167,11 @@ fn invalid_integrators_and_budgets_are_refused_with_the_allowed_values() {
             "integrator.rtol=1e-3",
             "`integrator.rtol` is 0.001, but has no effect: `integrator.method` is not adaptive",
         ),
-        ("cart_pole", "training.memory=\"64\"", "`training.memory` is \"64\"; allowed: a number of bytes such as \"64MB\""),
+        (
+            "cart_pole",
+            "training.memory=\"64\"",
+            "`training.memory` is \"64\"; allowed: a number of bytes such as \"64MB\"",
+        ),
     ] {
         let said = error_of(&mut physgrad(&["explain", task, "--set", set]));
         assert!(said.contains(message), "{message}\n{said}");
@@ -125,16 +186,39 @@ fn invalid_integrators_and_budgets_are_refused_with_the_allowed_values() {
         // Newton's iteration uses at least 256 machine epsilons.
         ("implicit_midpoint", "tolerance=2e-5", newton),
         ("sdirk2", "tolerance=2e-5", newton),
-        ("rk4", "tolerance=1e-3", "has no effect: `integrator.method` is not implicit_midpoint or sdirk2"),
+        (
+            "rk4",
+            "tolerance=1e-3",
+            "has no effect: `integrator.method` is not implicit_midpoint or sdirk2",
+        ),
     ] {
         let sets = [format!("integrator.method={method}"), format!("integrator.{tight}")];
-        let said = error_of(&mut physgrad(&["explain", "cart_pole", "--set", &sets[0], "--set", &sets[1]]));
+        let said = error_of(&mut physgrad(&[
+            "explain",
+            "cart_pole",
+            "--set",
+            &sets[0],
+            "--set",
+            &sets[1],
+        ]));
         assert!(said.contains(message), "{message}\n{said}");
     }
     let dir = TempDir::new().expect("a folder");
-    let args = ["train", "cart_pole", "--set", "horizon=1000", "--set", "training.memory=\"100kB\"", "--epochs", "1"];
+    let args = [
+        "train",
+        "cart_pole",
+        "--set",
+        "horizon=1000",
+        "--set",
+        "training.memory=\"100kB\"",
+        "--epochs",
+        "1",
+    ];
     let said = error_of(physgrad(&args).arg("--out").arg(dir.path().join("run")));
-    assert!(said.contains("training.memory: 100000 bytes are not enough for the gradients: at least "), "{said}");
+    assert!(
+        said.contains("training.memory: 100000 bytes are not enough for the gradients: at least "),
+        "{said}"
+    );
 }
 
 #[test]
@@ -153,30 +237,44 @@ fn a_budget_of_1_mb_keeps_all_bits_of_a_policy_and_verlet_changes_them() {
     };
     let plain = policy("plain", &[]);
     assert_eq!(parameters(&plain), parameters(&policy("budget", &["training.memory=\"1MB\""])));
-    assert_ne!(parameters(&plain), parameters(&policy("verlet", &["integrator.method=\"verlet\""])));
+    assert_ne!(
+        parameters(&plain),
+        parameters(&policy("verlet", &["integrator.method=\"verlet\""]))
+    );
 }
 
 #[test]
 fn reverse_and_forward_gradients_in_f64_agree_with_double_double_within_1e_minus_13() {
     let dir = TempDir::new().expect("a folder");
-    let small = ["--set", "policy.widths=[4]", "--set", "horizon=20", "--horizons", "40,5", "--quiet"];
+    let small =
+        ["--set", "policy.widths=[4]", "--set", "horizon=20", "--horizons", "40,5", "--quiet"];
     let mut command = physgrad(&["accuracy", "cart_pole", "--gradients"]);
-    let output = command.args(small).arg("--out").arg(dir.path()).assert().success().get_output().clone();
+    let output =
+        command.args(small).arg("--out").arg(dir.path()).assert().success().get_output().clone();
     let said = String::from_utf8(output.stdout).expect("UTF-8");
     assert!(said.contains("up to 40 steps, the longest horizon measured"), "{said}");
     let table = |name: &str| csv_of(&fs::read_to_string(dir.path().join(name)).expect("a table"));
 
     let methods = table("gradients.csv");
     let method = |name: &str, step: &str, precision: &str| {
-        let found = methods.iter().find(|row| row["method"] == name && row["step"] == step && row["precision"] == precision);
+        let found = methods.iter().find(|row| {
+            row["method"] == name && row["step"] == step && row["precision"] == precision
+        });
         found.unwrap_or_else(|| panic!("no row {name} {step} {precision}"))
     };
     for field in ["R", "M", "S", "C"] {
         let name = format!("reverse {field}");
-        let [single, double] = ["f32", "f64"].map(|precision| number(method(&name, "", precision), "error"));
-        assert!(double < 1e-13 && single > 1e-9 && single < 1e-4, "{field}: {single:e}, {double:e}");
+        let [single, double] =
+            ["f32", "f64"].map(|precision| number(method(&name, "", precision), "error"));
+        assert!(
+            double < 1e-13 && single > 1e-9 && single < 1e-4,
+            "{field}: {single:e}, {double:e}"
+        );
         assert!(number(method(&name, "", "f32"), "signs_as_in_f64") > 0.9);
-        assert!(number(method(&name, "", "f64"), "peak_bytes") > number(method("loss alone", "", "f64"), "peak_bytes"));
+        assert!(
+            number(method(&name, "", "f64"), "peak_bytes")
+                > number(method("loss alone", "", "f64"), "peak_bytes")
+        );
     }
     assert!(number(method("forward mode", "", "f64"), "error") < 1e-13);
     // With an output layer of 0, R, M and C would be equal, and so would their errors.
@@ -184,10 +282,16 @@ fn reverse_and_forward_gradients_in_f64_agree_with_double_double_within_1e_minus
     assert_ne!(r, m, "R and M are equal, so the output layer is 0");
     // The truncation error dominates for large steps, the rounding error for small steps.
     let differences = |step: &str| number(method("central differences", step, "f64"), "error");
-    assert!(differences("0.1") > 100.0 * differences("0.01"), "a step of 0.01 has at least 1 % of the error of a step of 0.1");
-    assert!(differences("0.0001") < 1e-6 && differences("0.0000000001") > 10.0 * differences("0.00001"));
+    assert!(
+        differences("0.1") > 100.0 * differences("0.01"),
+        "a step of 0.01 has at least 1 % of the error of a step of 0.1"
+    );
+    assert!(
+        differences("0.0001") < 1e-6 && differences("0.0000000001") > 10.0 * differences("0.00001")
+    );
     // Central differences evaluate the loss twice per parameter.
-    let ratio = number(method("central differences", "0.1", "f64"), "ms") / number(method("loss alone", "", "f64"), "ms");
+    let ratio = number(method("central differences", "0.1", "f64"), "ms")
+        / number(method("loss alone", "", "f64"), "ms");
     assert!(ratio > 20.0, "central differences take {ratio} times a loss, not more than 20");
 
     let checkpoints = table("checkpoints.csv");
@@ -196,8 +300,14 @@ fn reverse_and_forward_gradients_in_f64_agree_with_double_double_within_1e_minus
     assert!(number(&checkpoints[2], "peak_bytes") <= number(&checkpoints[2], "budget_bytes"));
     let horizons = table("horizons.csv");
     assert_eq!(horizons.iter().map(|row| &*row["horizon"]).collect::<Vec<_>>(), ["5", "40"]);
-    assert!(horizons.iter().all(|row| number(row, "f64_error") < number(row, "f32_error")), "{horizons:?}");
-    roxmltree::Document::parse(&fs::read_to_string(dir.path().join("gradients.svg")).expect("diagrams")).expect("XML");
+    assert!(
+        horizons.iter().all(|row| number(row, "f64_error") < number(row, "f32_error")),
+        "{horizons:?}"
+    );
+    roxmltree::Document::parse(
+        &fs::read_to_string(dir.path().join("gradients.svg")).expect("diagrams"),
+    )
+    .expect("XML");
 }
 
 #[test]
@@ -206,7 +316,8 @@ fn halving_the_step_reduces_the_drift_of_the_energy_by_the_order_of_the_method()
     let (said, rows) = run(dir.path(), &["--set", "system.poles=1"]);
     assert!(said.contains("drift of the energy"), "{said}");
     for (method, order) in [("euler", 1.0), ("verlet", 2.0), ("rk4", 4.0)] {
-        let [coarse, fine] = ["2", "4"].map(|substeps| number(&rows[&format!("{method} {substeps} f64")], "drift"));
+        let [coarse, fine] =
+            ["2", "4"].map(|substeps| number(&rows[&format!("{method} {substeps} f64")], "drift"));
         let found = (coarse / fine).log2();
         assert!((found - order).abs() < 1.2, "{method}: order {found}");
     }
@@ -221,10 +332,21 @@ fn scenes_with_errors_below_1e_minus_3_are_written_and_compared_in_training() {
     let (said, _) = run(&dir.path().join("accuracy"), &["--target", "1e-3"]);
     assert!(said.contains("scenes with the cheapest setting of each method are in "), "{said}");
     let scene = |method: &str| dir.path().join(format!("accuracy/scenes/{method}.toml"));
-    let (out, small) = (dir.path().join("compared"), ["--fields", "R,C", "--seeds", "1", "--epochs", "2", "--quiet"]);
+    let (out, small) = (
+        dir.path().join("compared"),
+        ["--fields", "R,C", "--seeds", "1", "--epochs", "2", "--quiet"],
+    );
     let sizes = ["--set", "training.train_samples=16", "--set", "training.test_samples=8"];
     let mut compare = physgrad(&["compare"]);
-    compare.arg(scene("verlet")).arg(scene("rk4")).args(small).args(sizes).arg("--out").arg(&out).assert().success();
+    compare
+        .arg(scene("verlet"))
+        .arg(scene("rk4"))
+        .args(small)
+        .args(sizes)
+        .arg("--out")
+        .arg(&out)
+        .assert()
+        .success();
     let rows = csv_of(&fs::read_to_string(out.join("summary.csv")).expect("a summary"));
     let names = |key: &str| rows.iter().map(|row| row[key].clone()).collect::<Vec<String>>();
     assert_eq!(names("scene"), ["verlet", "verlet", "rk4", "rk4"]);
@@ -240,7 +362,14 @@ fn scenes_with_errors_below_1e_minus_3_are_written_and_compared_in_training() {
 fn a_newton_iteration_that_does_not_converge_is_reported_with_step_and_residual() {
     let dir = TempDir::new().expect("a folder");
     let out = dir.path().join("run");
-    let far = ["--epochs", "5", "--set", "integrator.method=implicit_midpoint", "--set", "system.dt=1e12"];
+    let far = [
+        "--epochs",
+        "5",
+        "--set",
+        "integrator.method=implicit_midpoint",
+        "--set",
+        "system.dt=1e12",
+    ];
     let said = error_of(&mut train(&out, &far));
     for part in ["did not converge for sample 0 at step 1", "residual ", "Use substeps"] {
         assert!(said.contains(part), "{part}: {said}");
@@ -270,7 +399,10 @@ fn operations_decide_between_settings_whose_times_overlap() {
         measured("euler", 1e-5, 900, [13.1, 14.0, 15.0]),
         measured("native", 1e-2, 100, [1.0, 1.0, 1.0]),
     ];
-    let separate = [measured("rk4", 1e-5, 15_039, [9.0, 10.0, 10.4]), measured("heun", 1e-5, 1_558, [10.5, 11.54, 12.0])];
+    let separate = [
+        measured("rk4", 1e-5, 15_039, [9.0, 10.0, 10.4]),
+        measured("heun", 1e-5, 1_558, [10.5, 11.54, 12.0]),
+    ];
     let reference = || Errors { trajectory: 0.0, loss: 0.0, gradients: [0.0; 2], signs: [1.0; 2] };
     let cheapest = |rows: Vec<Row>, metric: Metric| {
         let measured = Measured { rows, reference: reference() };
@@ -291,7 +423,8 @@ fn copy(row: &Row) -> Row {
 #[test]
 fn settings_with_errors_as_large_as_the_states_are_not_pareto_optimal() {
     let dir = TempDir::new().expect("a folder");
-    let (said, rows) = run(dir.path(), &["--set", "effects.cart_damping.damping=2e3", "--set", "horizon=6"]);
+    let (said, rows) =
+        run(dir.path(), &["--set", "effects.cart_damping.damping=2e3", "--set", "horizon=6"]);
     let huge = &rows["euler 1 f64"];
     assert!(number(huge, "trajectory_error") > 1e6 && !said.contains("euler x1 f"), "{said}");
     assert!(said.contains("settings with an error of the trajectory of 1 or more"), "{said}");

@@ -14,12 +14,19 @@ const WIDTHS: [u32; 2] = [400, 1200];
 
 /// Returns the paths of all files in the folder, relative to the folder `book`.
 fn files(book: &Path, folder: &Path) -> Vec<String> {
-    let paths = fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("an entry").path());
+    let paths =
+        fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("an entry").path());
     let nested = paths.map(|path| {
         if path.is_dir() {
             files(book, &path)
         } else {
-            vec![path.strip_prefix(book).expect("a file of the book").to_str().expect("a name in UTF-8").to_owned()]
+            vec![
+                path.strip_prefix(book)
+                    .expect("a file of the book")
+                    .to_str()
+                    .expect("a name in UTF-8")
+                    .to_owned(),
+            ]
         }
     });
     nested.flatten().collect()
@@ -29,32 +36,47 @@ fn files(book: &Path, folder: &Path) -> Vec<String> {
 fn examine(folder: &Path) -> Vec<String> {
     let book = folder.join("book");
     let files = files(&book, &book);
-    let is_page = |file: &&String| file.ends_with(".html") && !["print.html", "toc.html", "404.html"].contains(&&***file);
+    let is_page = |file: &&String| {
+        file.ends_with(".html") && !["print.html", "toc.html", "404.html"].contains(&&***file)
+    };
     let pages: Vec<_> = files.iter().filter(is_page).collect();
     let frame = |width, page| {
-        format!("<iframe data-page='{page}' src='book/{page}' width={width} height=800 style='border:0'></iframe>\n")
+        format!(
+            "<iframe data-page='{page}' src='book/{page}' width={width} height=800 style='border:0'></iframe>\n"
+        )
     };
-    let frames: String = pages.iter().flat_map(|page| WIDTHS.map(|width| frame(width, page))).collect();
+    let frames: String =
+        pages.iter().flat_map(|page| WIDTHS.map(|width| frame(width, page))).collect();
     let script = include_str!("book.js");
     let arguments = serde_json::to_string(&(&pages, &files, WIDTHS)).expect("JSON");
-    let html =
-        format!("<meta charset=utf-8>\n<script>{script}\nonload = () => examine(...{arguments});</script>\n<body>{frames}");
+    let html = format!(
+        "<meta charset=utf-8>\n<script>{script}\nonload = () => examine(...{arguments});</script>\n<body>{frames}"
+    );
     fs::write(folder.join("frames.html"), html).expect("a file");
     let output = Command::new("chromium")
-        .args(["--headless", "--no-sandbox", "--disable-gpu", "--allow-file-access-from-files", "--dump-dom"])
+        .args([
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--allow-file-access-from-files",
+            "--dump-dom",
+        ])
         .arg(format!("--user-data-dir={}", folder.join("profile").display()))
         .arg(format!("file://{}", folder.join("frames.html").display()))
         .output()
         .expect("chromium runs");
     let dom = String::from_utf8(output.stdout).expect("text");
-    let body = dom.split("<body>").nth(1).and_then(|rest| rest.split("</body>").next()).expect("a body");
+    let body =
+        dom.split("<body>").nth(1).and_then(|rest| rest.split("</body>").next()).expect("a body");
     body.trim().lines().map(String::from).collect()
 }
 
 /// Returns whether `mdbook` and `chromium` exist. Prints a message if not.
 fn available() -> bool {
-    let missing: Vec<_> =
-        ["mdbook", "chromium"].into_iter().filter(|name| Command::new(name).arg("--version").output().is_err()).collect();
+    let missing: Vec<_> = ["mdbook", "chromium"]
+        .into_iter()
+        .filter(|name| Command::new(name).arg("--version").output().is_err())
+        .collect();
     if !missing.is_empty() {
         eprintln!("skipped: the test of the book needs {}", missing.join(" and "));
     }
@@ -62,8 +84,11 @@ fn available() -> bool {
 }
 
 fn build(folder: &Path) {
-    let output =
-        Command::new("mdbook").args(["build", "docs", "--dest-dir"]).arg(folder.join("book")).current_dir(root()).output();
+    let output = Command::new("mdbook")
+        .args(["build", "docs", "--dest-dir"])
+        .arg(folder.join("book"))
+        .current_dir(root())
+        .output();
     let output = output.expect("mdbook runs");
     let message = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success() && !message.contains("WARN"), "{message}");
@@ -78,17 +103,23 @@ fn the_book_has_no_broken_link_and_fits_narrow_and_wide_windows() {
     build(dir.path());
     let lines = examine(dir.path());
     assert!(lines.len() == 1, "{}", lines.join("\n"));
-    let [examined, all] = [1, 3].map(|word| lines[0].split(' ').nth(word).expect("a count").parse::<usize>().expect("a number"));
+    let [examined, all] = [1, 3].map(|word| {
+        lines[0].split(' ').nth(word).expect("a count").parse::<usize>().expect("a number")
+    });
     assert!(examined == all && all >= 40, "{}", lines[0]);
 
     // The script finds the faults of a page.
     let page = dir.path().join("book/reliability.html");
     let html = fs::read_to_string(&page).expect("a page");
-    let faulty =
-        "<main><a href='nowhere.html'>a</a><a href='method.html#nowhere'>b</a><img src='no.png'><p style='width:500px'>wide</p>";
+    let faulty = "<main><a href='nowhere.html'>a</a><a href='method.html#nowhere'>b</a><img src='no.png'><p style='width:500px'>wide</p>";
     fs::write(&page, html.replace("<main>", faulty)).expect("a page");
     let lines = examine(dir.path());
-    for fault in ["broken link nowhere.html", "broken link method.html#nowhere", "no image no.png", "at 400 px: P "] {
+    for fault in [
+        "broken link nowhere.html",
+        "broken link method.html#nowhere",
+        "no image no.png",
+        "at 400 px: P ",
+    ] {
         assert!(lines.iter().any(|line| line.contains(fault)), "{fault} is not found: {lines:?}");
     }
 }

@@ -13,7 +13,11 @@ fn columns(path: &Path) -> BTreeMap<String, Vec<String>> {
     let mut rows = text.lines().map(|line| line.split(',').map(String::from).collect::<Vec<_>>());
     let header = rows.next().expect("a header");
     let rows: Vec<_> = rows.collect();
-    header.into_iter().enumerate().map(|(i, name)| (name, rows.iter().map(|row| row[i].clone()).collect())).collect()
+    header
+        .into_iter()
+        .enumerate()
+        .map(|(i, name)| (name, rows.iter().map(|row| row[i].clone()).collect()))
+        .collect()
 }
 
 /// Returns the metrics without the time column.
@@ -33,14 +37,22 @@ fn a_training_run_writes_every_output_file() {
     let out = dir.path().join("deep/run");
     train(&out, &["--epochs", "3", "--set", "system.poles=3"]).assert().success();
     let metrics = fs::read_to_string(out.join("metrics.csv")).expect("metrics");
-    assert!(metrics.starts_with("epoch,loss,train_loss,test_loss,grad_norm,cosine,seconds"), "{metrics}");
+    assert!(
+        metrics.starts_with("epoch,loss,train_loss,test_loss,grad_norm,cosine,seconds"),
+        "{metrics}"
+    );
     assert_eq!(metrics.lines().count(), 4);
     let metrics = columns(&out.join("metrics.csv"));
     assert_eq!(metrics["epoch"], ["1", "2", "3"]);
     assert!(metrics["seconds"].iter().all(|s| s.parse::<f64>().expect("a number") > 0.0));
-    assert!(metrics["cosine"].iter().all(|c| (-1.0..=1.0).contains(&c.parse::<f64>().expect("a number"))));
+    assert!(
+        metrics["cosine"]
+            .iter()
+            .all(|c| (-1.0..=1.0).contains(&c.parse::<f64>().expect("a number")))
+    );
 
-    let settings: toml::Table = fs::read_to_string(out.join("run.toml")).expect("settings").parse().expect("TOML");
+    let settings: toml::Table =
+        fs::read_to_string(out.join("run.toml")).expect("settings").parse().expect("TOML");
     assert_eq!(settings["task"].as_str(), Some("cart_pole"));
     assert_eq!(settings["physgrad"].as_str(), Some(env!("CARGO_PKG_VERSION")));
     assert_eq!(settings["system"]["poles"].as_integer(), Some(3));
@@ -58,14 +70,18 @@ fn a_training_run_writes_every_output_file() {
         let text = fs::read_to_string(out.join(picture)).expect(picture);
         roxmltree::Document::parse(&text).expect("an SVG is XML");
     }
-    assert!(fs::read_to_string(out.join("animation.svg")).expect("an animation").contains("<animate"));
+    assert!(
+        fs::read_to_string(out.join("animation.svg")).expect("an animation").contains("<animate")
+    );
     assert!(out.join("checkpoint.bin").exists());
 }
 
 #[test]
 fn a_saved_run_is_animated_from_any_test_state() {
     let dir = TempDir::new().expect("a folder");
-    let (run, animation) = (dir.path().join("run"), |path: &Path| fs::read(path.join("animation.svg")).expect("an animation"));
+    let (run, animation) = (dir.path().join("run"), |path: &Path| {
+        fs::read(path.join("animation.svg")).expect("an animation")
+    });
     train(&run, &["--epochs", "1"]).assert().success();
     let first = animation(&run);
     let animate = |args: &[&str]| {
@@ -81,10 +97,21 @@ fn a_saved_run_is_animated_from_any_test_state() {
     assert!(text.contains("--sample is 100000; allowed: 0 to "), "{text}");
 
     let compare = dir.path().join("compare");
-    physgrad(&["compare", "cart_pole", "--fields", "R,C", "--seeds", "1", "--epochs", "1", "--quiet", "--out"])
-        .arg(&compare)
-        .assert()
-        .success();
+    physgrad(&[
+        "compare",
+        "cart_pole",
+        "--fields",
+        "R,C",
+        "--seeds",
+        "1",
+        "--epochs",
+        "1",
+        "--quiet",
+        "--out",
+    ])
+    .arg(&compare)
+    .assert()
+    .success();
     let output = physgrad(&["animate"]).arg(&compare).output().expect("the command runs");
     assert_eq!(String::from_utf8_lossy(&output.stdout).lines().count(), 2, "one animation per run");
     let text = error_of(physgrad(&["animate"]).arg(dir.path()));
@@ -200,14 +227,22 @@ fn runs_that_cannot_resume_are_refused_with_the_reason() {
     let own = fs::read(dir.path().join("checkpoint.bin")).expect("a checkpoint");
     fs::copy(other.join("checkpoint.bin"), dir.path().join("checkpoint.bin")).expect("a copy");
     let text = error_of(&mut resume(&[]));
-    assert!(text.contains("another run") && text.contains("checkpoint.bin") && text.contains("widths = [3]"), "{text}");
+    assert!(
+        text.contains("another run")
+            && text.contains("checkpoint.bin")
+            && text.contains("widths = [3]"),
+        "{text}"
+    );
     fs::write(dir.path().join("checkpoint.bin"), &own[..own.len() / 2]).expect("half a checkpoint");
     assert!(error_of(&mut resume(&[])).contains("damaged"));
     fs::write(dir.path().join("checkpoint.bin"), own).expect("a checkpoint");
 
     let settings = fs::read_to_string(dir.path().join("run.toml")).expect("settings");
     let of = |version: &str| {
-        settings.replace(&format!("physgrad = \"{}\"", env!("CARGO_PKG_VERSION")), &format!("physgrad = \"{version}\""))
+        settings.replace(
+            &format!("physgrad = \"{}\"", env!("CARGO_PKG_VERSION")),
+            &format!("physgrad = \"{version}\""),
+        )
     };
     fs::write(dir.path().join("run.toml"), of("99.0.0")).expect("settings");
     assert!(error_of(&mut resume(&[])).contains("99.0.0"));
@@ -219,12 +254,17 @@ fn runs_that_cannot_resume_are_refused_with_the_reason() {
 #[test]
 fn a_policy_without_its_recorded_test_loss_causes_a_warning() {
     let dir = TempDir::new().expect("a folder");
-    let trained = train(dir.path(), &["--epochs", "2", "--json"]).assert().success().get_output().clone();
+    let trained =
+        train(dir.path(), &["--epochs", "2", "--json"]).assert().success().get_output().clone();
     assert!(!String::from_utf8(trained.stderr).expect("text").contains("warning"));
     let result: serde_json::Value = serde_json::from_slice(&trained.stdout).expect("an object");
     let loss = result["best_test_loss"].as_f64().expect("a loss");
     let warnings = |epochs: &str| {
-        let resumed = train(dir.path(), &["--resume", "--quiet", "--epochs", epochs]).assert().success().get_output().clone();
+        let resumed = train(dir.path(), &["--resume", "--quiet", "--epochs", epochs])
+            .assert()
+            .success()
+            .get_output()
+            .clone();
         String::from_utf8(resumed.stderr).expect("text")
     };
     assert_eq!(warnings("3"), "");
@@ -233,21 +273,31 @@ fn a_policy_without_its_recorded_test_loss_causes_a_warning() {
     train(dir.path(), &["--epochs", "2", "--quiet"]).assert().success();
     let path = dir.path().join("checkpoint.bin");
     let mut bytes = fs::read(&path).expect("a checkpoint");
-    let places: Vec<usize> = (0..bytes.len() - 8).filter(|&at| bytes[at..at + 8] == loss.to_le_bytes()).collect();
-    assert!(places.len() >= 2, "the checkpoint has the loss in the record of the epoch and beside the best parameters");
+    let places: Vec<usize> =
+        (0..bytes.len() - 8).filter(|&at| bytes[at..at + 8] == loss.to_le_bytes()).collect();
+    assert!(
+        places.len() >= 2,
+        "the checkpoint has the loss in the record of the epoch and beside the best parameters"
+    );
     for at in places {
         bytes[at..at + 8].copy_from_slice(&(1.001 * loss).to_le_bytes());
     }
     Session::<CartPole, Mlp, f32>::seal(&mut bytes);
     fs::write(&path, bytes).expect("a checkpoint");
     let warning = warnings("3");
-    assert!(warning.contains("warning: the best policy in") && warning.contains("train again"), "{warning}");
+    assert!(
+        warning.contains("warning: the best policy in") && warning.contains("train again"),
+        "{warning}"
+    );
 }
 
 #[test]
 fn a_diverged_run_reports_step_sample_and_component_and_writes_its_policy() {
     let dir = TempDir::new().expect("a folder");
-    let text = error_of(&mut train(dir.path(), &["--epochs", "50", "--set", "system.gravity=1e38", "--set", "system.dt=1e5"]));
+    let text = error_of(&mut train(
+        dir.path(),
+        &["--epochs", "50", "--set", "system.gravity=1e38", "--set", "system.dt=1e5"],
+    ));
     for part in ["forward pass", "step", "sample", "component", "in a row"] {
         assert!(text.contains(part), "{text}");
     }
@@ -258,10 +308,23 @@ fn a_diverged_run_reports_step_sample_and_component_and_writes_its_policy() {
 #[test]
 fn a_comparison_has_one_row_per_run_and_its_runs_equal_single_runs() {
     let dir = TempDir::new().expect("a folder");
-    let mut compare = physgrad(&["compare", "cart_pole", "--fields", "R,combined", "--seeds", "2", "--epochs", "2", "--out"]);
+    let mut compare = physgrad(&[
+        "compare",
+        "cart_pole",
+        "--fields",
+        "R,combined",
+        "--seeds",
+        "2",
+        "--epochs",
+        "2",
+        "--out",
+    ]);
     compare.arg(dir.path()).args(SMALL).assert().success();
     let text = fs::read_to_string(dir.path().join("summary.csv")).expect("a summary");
-    assert!(text.starts_with("field,seed,final_train_loss,final_test_loss,best_test_loss,seconds\n"), "{text}");
+    assert!(
+        text.starts_with("field,seed,final_train_loss,final_test_loss,best_test_loss,seconds\n"),
+        "{text}"
+    );
     let summary = columns(&dir.path().join("summary.csv"));
     assert_eq!(summary["field"], ["R", "R", "C", "C"]);
     assert_eq!(summary["seed"], ["0", "1", "0", "1"]);
@@ -270,20 +333,39 @@ fn a_comparison_has_one_row_per_run_and_its_runs_equal_single_runs() {
 
     // Repeats one run without a comparison, on two threads.
     let alone = dir.path().join("alone");
-    train(&alone, &["--epochs", "2", "--field", "C", "--seed", "1", "--threads", "2"]).assert().success();
+    train(&alone, &["--epochs", "2", "--field", "C", "--seed", "1", "--threads", "2"])
+        .assert()
+        .success();
     assert_eq!(columns(&alone.join("metrics.csv"))["test_loss"][1], summary["final_test_loss"][3]);
 }
 
 #[test]
 fn a_comparison_without_any_update_has_status_3_and_losses_of_nan() {
     let dir = TempDir::new().expect("a folder");
-    let mut compare = physgrad(&["compare", "cart_pole", "--fields", "R,C", "--seeds", "2", "--epochs", "40", "--out"]);
-    compare.arg(dir.path()).args(SMALL).args(["--set", "system.gravity=1e38", "--set", "system.dt=1e5"]);
+    let mut compare = physgrad(&[
+        "compare",
+        "cart_pole",
+        "--fields",
+        "R,C",
+        "--seeds",
+        "2",
+        "--epochs",
+        "40",
+        "--out",
+    ]);
+    compare.arg(dir.path()).args(SMALL).args([
+        "--set",
+        "system.gravity=1e38",
+        "--set",
+        "system.dt=1e5",
+    ]);
     let output = compare.output().expect("the command runs");
     assert_eq!(output.status.code(), Some(3));
     let text = String::from_utf8(output.stderr).expect("text");
     assert!(
-        text.contains("no update was applied in 4 of 4 runs") && text.contains("R seed 1") && text.contains("forward pass"),
+        text.contains("no update was applied in 4 of 4 runs")
+            && text.contains("R seed 1")
+            && text.contains("forward pass"),
         "{text}"
     );
     let summary = columns(&dir.path().join("summary.csv"));
@@ -302,12 +384,16 @@ fn a_comparison_resumes_with_more_epochs_and_refuses_other_settings() {
     compare(&["--fields", "R,S", "--epochs", "3"]).assert().success();
     assert_eq!(columns(&dir.path().join("runs/R-0/metrics.csv"))["epoch"].len(), 3);
     let before = fs::read_to_string(dir.path().join("summary.csv")).expect("a summary");
-    let text = error_of(&mut compare(&["--fields", "R,S", "--epochs", "3", "--set", "system.poles=4"]));
+    let text =
+        error_of(&mut compare(&["--fields", "R,S", "--epochs", "3", "--set", "system.poles=4"]));
     assert!(text.contains("keeps its settings") && text.contains("poles = 4"), "{text}");
     assert!(error_of(&mut compare(&["--fields", "R,regular"])).contains("twice"));
     assert!(error_of(&mut compare(&["--set", "field=S"])).contains("--fields"));
     assert!(error_of(&mut compare(&["--set", "fieldx=1"])).contains("`fieldx` is unknown"));
-    assert!(error_of(&mut compare(&["--seed", "9223372036854775807", "--seeds", "2"])).contains("seeds"));
+    assert!(
+        error_of(&mut compare(&["--seed", "9223372036854775807", "--seeds", "2"]))
+            .contains("seeds")
+    );
     assert_eq!(
         fs::read_to_string(dir.path().join("summary.csv")).expect("a summary"),
         before,
@@ -319,14 +405,39 @@ fn a_comparison_resumes_with_more_epochs_and_refuses_other_settings() {
 fn guidance_and_quantum_train_and_refuse_settings_out_of_range() {
     let dir = TempDir::new().expect("a folder");
     for (task, settings, column) in [
-        ("guidance", ["system.drivers=3", "system.evaders=2", "loss.regularization=0.01", "loss.mode=terminal"], "evader_2_vy"),
-        ("quantum", ["system.grid=16", "system.target=4", "system.weighting=[3, 1]", "policy.width=8"], "im_16"),
+        (
+            "guidance",
+            [
+                "system.drivers=3",
+                "system.evaders=2",
+                "loss.regularization=0.01",
+                "loss.mode=terminal",
+            ],
+            "evader_2_vy",
+        ),
+        (
+            "quantum",
+            ["system.grid=16", "system.target=4", "system.weighting=[3, 1]", "policy.width=8"],
+            "im_16",
+        ),
     ] {
         let out = dir.path().join(task);
-        let mut train = physgrad(&["train", task, "--epochs", "2", "--set", "training.train_samples=16", "--out"]);
+        let mut train = physgrad(&[
+            "train",
+            task,
+            "--epochs",
+            "2",
+            "--set",
+            "training.train_samples=16",
+            "--out",
+        ]);
         train.arg(&out).args(settings.iter().flat_map(|set| ["--set", set])).assert().success();
         assert!(columns(&out.join("trajectory.csv")).contains_key(column));
-        assert!(numbers(&out)["test_loss"].iter().all(|loss| loss.parse::<f64>().expect("a number").is_finite()));
+        assert!(
+            numbers(&out)["test_loss"]
+                .iter()
+                .all(|loss| loss.parse::<f64>().expect("a number").is_finite())
+        );
         let animation = fs::read_to_string(out.join("animation.svg")).expect("an animation");
         roxmltree::Document::parse(&animation).expect("an SVG is XML");
         assert!(animation.contains("<animate"));
@@ -342,7 +453,12 @@ fn guidance_and_quantum_train_and_refuse_settings_out_of_range() {
     ] {
         let text = error_of(&mut physgrad(&["train", task, "--set", set]));
         let (key, value) = set.split_once('=').expect("an assignment");
-        assert!(text.contains(key) && text.contains(value.trim_matches(['[', ']'])) && text.contains(allowed), "{text}");
+        assert!(
+            text.contains(key)
+                && text.contains(value.trim_matches(['[', ']']))
+                && text.contains(allowed),
+            "{text}"
+        );
     }
 }
 
@@ -366,15 +482,23 @@ fn a_check_distinguishes_long_steps_from_unstable_physics() {
     // angular velocity by 1 - 3 + 9/2 - 27/6 + 81/24 = 1.375.
     let rubbed = "task = \"pendulum\"\nhorizon = 10\n[[system.arms]]\nviscous = 0.4\n";
     let text = checked(rubbed);
-    assert!(text.contains("omega_1 grows by 1.3") && text.contains("Shorten the step: `integrator.substeps = 2`"), "{text}");
+    assert!(
+        text.contains("omega_1 grows by 1.3")
+            && text.contains("Shorten the step: `integrator.substeps = 2`"),
+        "{text}"
+    );
     let text = checked(&format!("{rubbed}[integrator]\nsubsteps = 2\n"));
     assert!(text.contains("stable: no perturbation"), "{text}");
     // Steps of RK4 multiply the angular velocity by 83, two half steps by 14, four quarters by less
     // than 1.
     let text = checked("task = \"pendulum\"\nhorizon = 2\n[[system.arms]]\nviscous = 1.0\n");
-    assert!(text.contains("4 times as many substeps. Shorten the step: `integrator.substeps = 4`"), "{text}");
+    assert!(
+        text.contains("4 times as many substeps. Shorten the step: `integrator.substeps = 4`"),
+        "{text}"
+    );
     // Upright rods are unstable, and steps of 10 ms resolve their fall.
-    let text = checked("task = \"double_pendulum\"\nhorizon = 200\n[system]\nstart = \"upright\"\n");
+    let text =
+        checked("task = \"double_pendulum\"\nhorizon = 200\n[system]\nstart = \"upright\"\n");
     assert!(text.contains("the physics is unstable, not the step"), "{text}");
     // Poles that swing on a cart for 128 steps grow by a few percent.
     let text = checked("task = \"cart_pole\"\n");
@@ -402,18 +526,30 @@ fn a_check_reports_steps_that_do_not_resolve_the_motion() {
     let rubbed = "task = \"pendulum\"\nhorizon = 10\n[[system.arms]]\nviscous = 13.333333333333\n[integrator]\nmethod = \"implicit_midpoint\"\n";
     let text = checked(rubbed, &[]);
     assert!(
-        text.contains("rings") && text.contains("omega_1 changes its sign") && text.contains("multiplier about -0.9"),
+        text.contains("rings")
+            && text.contains("omega_1 changes its sign")
+            && text.contains("multiplier about -0.9"),
         "{text}"
     );
     // Control limits: the trained controls of the file exceed them, and the check follows the file.
     let limited = "task = \"pendulum\"\nhorizon = 20\n[actuator]\nlimit = { bound = 0.01 }\n[policy]\nwidths = [4]\n";
     let text = checked(limited, &[]);
     assert!(text.contains("kinks: none"), "{text}");
-    physgrad(&["train", "scene.toml", "--epochs", "3", "--quiet", "-o", "run", "--set", "policy.zero_init_output=false"])
-        .args(["--set", "training.train_samples=8", "--set", "training.test_samples=8"])
-        .current_dir(dir.path())
-        .assert()
-        .success();
+    physgrad(&[
+        "train",
+        "scene.toml",
+        "--epochs",
+        "3",
+        "--quiet",
+        "-o",
+        "run",
+        "--set",
+        "policy.zero_init_output=false",
+    ])
+    .args(["--set", "training.train_samples=8", "--set", "training.test_samples=8"])
+    .current_dir(dir.path())
+    .assert()
+    .success();
     let policy = dir.path().join("run");
     let text = checked(limited, &["--policy", policy.to_str().expect("a path")]);
     assert!(text.contains("kink: step: next[1]"), "{text}");
@@ -423,7 +559,10 @@ fn a_check_reports_steps_that_do_not_resolve_the_motion() {
 fn tasks_are_listed_with_their_settings() {
     let output = physgrad(&["tasks"]).assert().success();
     let text = String::from_utf8(output.get_output().stdout.clone()).expect("text");
-    assert!(text.contains("cart_pole") && text.contains("poles") && text.contains("learning_rate"), "{text}");
+    assert!(
+        text.contains("cart_pole") && text.contains("poles") && text.contains("learning_rate"),
+        "{text}"
+    );
 }
 
 #[test]
@@ -438,7 +577,11 @@ fn a_run_killed_25_times_equals_an_uninterrupted_run() {
     for _ in 0..25 {
         let out = killed.to_str().expect("a path");
         let mut process = std::process::Command::new(assert_cmd::cargo::cargo_bin("physgrad"));
-        process.args(["train", "cart_pole", "--out", out, "--quiet"]).args(SMALL).args(epochs).args(&resume);
+        process
+            .args(["train", "cart_pole", "--out", out, "--quiet"])
+            .args(SMALL)
+            .args(epochs)
+            .args(&resume);
         let mut process = process.spawn().expect("the process starts");
         random = random.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
         std::thread::sleep(std::time::Duration::from_millis(20 + (random >> 33) % 120));

@@ -4,14 +4,16 @@ use super::numbers::{physgrad, read};
 use std::fs;
 use tempfile::TempDir;
 
-const SMALL: &str = "--set training.train_samples=16 --set training.test_samples=8 --set policy.widths=[8]";
+const SMALL: &str =
+    "--set training.train_samples=16 --set training.test_samples=8 --set policy.widths=[8]";
 
 fn succeed(dir: &TempDir, args: &str) {
     physgrad(args, dir.path()).assert().success();
 }
 
 fn error(dir: &TempDir, args: &str) -> String {
-    String::from_utf8(physgrad(args, dir.path()).assert().failure().get_output().stderr.clone()).expect("text")
+    String::from_utf8(physgrad(args, dir.path()).assert().failure().get_output().stderr.clone())
+        .expect("text")
 }
 
 fn bytes(dir: &TempDir, file: &str) -> Vec<u8> {
@@ -19,7 +21,10 @@ fn bytes(dir: &TempDir, file: &str) -> Vec<u8> {
 }
 
 fn column(rows: &[Vec<String>], name: &str) -> Vec<f64> {
-    let index = rows[0].iter().position(|header| header == name).unwrap_or_else(|| panic!("{name} in {:?}", rows[0]));
+    let index = rows[0]
+        .iter()
+        .position(|header| header == name)
+        .unwrap_or_else(|| panic!("{name} in {:?}", rows[0]));
     rows[1..].iter().map(|row| row[index].parse().expect("a number")).collect()
 }
 
@@ -33,27 +38,42 @@ fn a_summary_agrees_with_its_losses_and_with_robust_at_unchanged_settings() {
 
     let losses = column(&read(&dir, "many/losses.csv"), "loss");
     assert_eq!(losses.len(), 40);
-    assert_eq!(column(&read(&dir, "few/losses.csv"), "loss"), losses[..10], "a sample depends on the number of samples");
+    assert_eq!(
+        column(&read(&dir, "few/losses.csv"), "loss"),
+        losses[..10],
+        "a sample depends on the number of samples"
+    );
     let summary = read(&dir, "many/summary.csv");
     let number = |name: &str| column(&summary, name)[0];
     let mean = losses.iter().sum::<f64>() / 40.0;
     let variance = losses.iter().map(|loss| (loss - mean) * (loss - mean)).sum::<f64>() / 39.0;
-    assert!((number("mean") - mean).abs() < 1e-12 && (number("standard_error") - (variance / 40.0).sqrt()).abs() < 1e-12);
+    assert!(
+        (number("mean") - mean).abs() < 1e-12
+            && (number("standard_error") - (variance / 40.0).sqrt()).abs() < 1e-12
+    );
     let mut sorted = losses.clone();
     sorted.sort_by(f64::total_cmp);
     assert_eq!((number("median"), number("worst")), (0.5 * (sorted[19] + sorted[20]), sorted[39]));
     let grid = read(&dir, "grid/robust.csv");
-    assert_eq!(column(&grid, "median")[0], number("median"), "`robust` at the mass of the run has another median than `eval`");
+    assert_eq!(
+        column(&grid, "median")[0],
+        number("median"),
+        "`robust` at the mass of the run has another median than `eval`"
+    );
 
     // The rollouts in `worst.csv` belong to the samples with the largest losses, the worst first.
     // None of their states is an initial state of the test rollouts in the run's `trajectory.csv`.
     let worst = read(&dir, "many/worst.csv");
     let mut samples = column(&worst, "sample");
     samples.dedup();
-    let ranked = [sorted[39], sorted[38]].map(|loss| losses.iter().position(|&l| l == loss).expect("a loss") as f64);
+    let ranked = [sorted[39], sorted[38]]
+        .map(|loss| losses.iter().position(|&l| l == loss).expect("a loss") as f64);
     assert_eq!(samples, ranked);
-    let tested: Vec<String> =
-        read(&dir, "a/trajectory.csv").iter().filter(|row| row[1] == "0").map(|row| row[3..].concat()).collect();
+    let tested: Vec<String> = read(&dir, "a/trajectory.csv")
+        .iter()
+        .filter(|row| row[1] == "0")
+        .map(|row| row[3..].concat())
+        .collect();
     assert!(worst[1..].iter().all(|row| !tested.contains(&row[3..].concat())));
     for rank in 1..=2 {
         let svg = String::from_utf8(bytes(&dir, &format!("many/worst_{rank}.svg"))).expect("text");
@@ -76,7 +96,11 @@ fn losses_are_the_costs_of_the_written_rollouts() {
     for row in ends {
         let (sample, end) = (column(&worst, "sample")[row], column(&worst, "box")[row]);
         let loss = losses[sample as usize];
-        assert!((end * end - loss).abs() < 1e-6 * loss, "sample {sample}: {} and {loss}", end * end);
+        assert!(
+            (end * end - loss).abs() < 1e-6 * loss,
+            "sample {sample}: {} and {loss}",
+            end * end
+        );
     }
 }
 
@@ -84,13 +108,21 @@ fn losses_are_the_costs_of_the_written_rollouts() {
 fn two_policies_are_evaluated_in_another_scene_and_errors_name_the_scene() {
     let dir = TempDir::new().expect("a folder");
     for seed in [1, 2] {
-        succeed(&dir, &format!("train cart_pole_1 {SMALL} --seed {seed} --epochs 1 --quiet --out seed{seed}"));
+        succeed(
+            &dir,
+            &format!("train cart_pole_1 {SMALL} --seed {seed} --epochs 1 --quiet --out seed{seed}"),
+        );
     }
-    succeed(&dir, "eval seed1 seed2 --scene cart_pole_1 --set system.cart_mass=3 --samples 8 --out heavy");
+    succeed(
+        &dir,
+        "eval seed1 seed2 --scene cart_pole_1 --set system.cart_mass=3 --samples 8 --out heavy",
+    );
     succeed(&dir, "eval seed1 seed2 --samples 8 --out nominal");
     let losses = |folder: &str| column(&read(&dir, &format!("{folder}/losses.csv")), "loss");
     assert_eq!(losses("heavy").len(), 16);
-    assert!(losses("heavy").iter().zip(losses("nominal")).all(|(heavy, nominal)| *heavy != nominal));
+    assert!(
+        losses("heavy").iter().zip(losses("nominal")).all(|(heavy, nominal)| *heavy != nominal)
+    );
     assert!(dir.path().join("heavy/2-seed2/worst_1.svg").exists());
     let message = error(&dir, "eval seed1 --scene cart_pole_2");
     assert!(message.contains("use a scene with as many observations and controls"), "{message}");
@@ -98,7 +130,10 @@ fn two_policies_are_evaluated_in_another_scene_and_errors_name_the_scene() {
     let herd = "--set system.drivers=1 --set system.evaders=5 --set policy.widths=[] --set policy.bias=false";
     succeed(&dir, &format!("train guidance {SMALL} {herd} --epochs 1 --quiet --out herd"));
     let message = error(&dir, "eval herd --set system.drivers=2 --set system.evaders=1");
-    assert!(message.contains("24 observations and 2 controls, but this scene has 12 and 4"), "{message}");
+    assert!(
+        message.contains("24 observations and 2 controls, but this scene has 12 and 4"),
+        "{message}"
+    );
     let message = error(&dir, "eval seed1 --scene guidance");
     assert!(message.contains("name a scene of cart_pole"), "{message}");
 }
@@ -110,13 +145,23 @@ fn the_best_policy_is_that_of_the_epoch_with_the_lowest_test_loss() {
     let train = format!("train cart_pole_1 {SMALL} --set training.learning_rate=0.3 --quiet");
     succeed(&dir, &format!("{train} --epochs 6 --out whole"));
     let losses = column(&read(&dir, "whole/metrics.csv"), "test_loss");
-    let best = (0..losses.len()).min_by(|&a, &b| losses[a].total_cmp(&losses[b])).expect("an epoch") + 1;
+    let best =
+        (0..losses.len()).min_by(|&a, &b| losses[a].total_cmp(&losses[b])).expect("an epoch") + 1;
     assert!(best < 6, "the test needs a run whose last epoch is not the best: {losses:?}");
     succeed(&dir, &format!("{train} --epochs {best} --out short"));
-    assert_eq!(bytes(&dir, "whole/best_policy.safetensors"), bytes(&dir, "short/policy.safetensors"));
-    assert_ne!(bytes(&dir, "whole/best_policy.safetensors"), bytes(&dir, "whole/policy.safetensors"));
+    assert_eq!(
+        bytes(&dir, "whole/best_policy.safetensors"),
+        bytes(&dir, "short/policy.safetensors")
+    );
+    assert_ne!(
+        bytes(&dir, "whole/best_policy.safetensors"),
+        bytes(&dir, "whole/policy.safetensors")
+    );
     succeed(&dir, "train --resume --epochs 6 --quiet --out short");
-    assert_eq!(bytes(&dir, "whole/best_policy.safetensors"), bytes(&dir, "short/best_policy.safetensors"));
+    assert_eq!(
+        bytes(&dir, "whole/best_policy.safetensors"),
+        bytes(&dir, "short/best_policy.safetensors")
+    );
 
     succeed(&dir, "eval whole --epoch best --samples 8 --out best");
     succeed(&dir, "eval whole --samples 8 --out last");
@@ -132,8 +177,11 @@ fn a_training_starts_from_a_policy_and_resumes_without_its_file() {
     assert_eq!(bytes(&dir, "none/policy.safetensors"), bytes(&dir, "first/policy.safetensors"));
     succeed(&dir, &format!("{continued} --epochs 2 --out whole"));
     succeed(&dir, &format!("{continued} --epochs 1 --out parts"));
-    fs::write(dir.path().join("moved.toml"), "scene = 1\ntask = \"cart_pole\"\ninitial_policy = \"none/policy.safetensors\"\n")
-        .expect("a file");
+    fs::write(
+        dir.path().join("moved.toml"),
+        "scene = 1\ntask = \"cart_pole\"\ninitial_policy = \"none/policy.safetensors\"\n",
+    )
+    .expect("a file");
     fs::remove_dir_all(dir.path().join("first")).expect("a folder");
     succeed(&dir, "train --resume --epochs 2 --quiet --out parts");
     assert_eq!(bytes(&dir, "parts/policy.safetensors"), bytes(&dir, "whole/policy.safetensors"));
@@ -146,10 +194,16 @@ fn a_training_starts_from_a_policy_and_resumes_without_its_file() {
     )
     .assert()
     .success();
-    assert_eq!(bytes(&dir, "elsewhere/here/policy.safetensors"), bytes(&dir, "none/policy.safetensors"));
+    assert_eq!(
+        bytes(&dir, "elsewhere/here/policy.safetensors"),
+        bytes(&dir, "none/policy.safetensors")
+    );
 
     for (scene, message) in [
-        ("cart_pole_2", "its tensor layer1.kernel has the shape [4, 8], but the policy of the scene has [6, 100]"),
+        (
+            "cart_pole_2",
+            "its tensor layer1.kernel has the shape [4, 8], but the policy of the scene has [6, 100]",
+        ),
         (
             "cart_pole_1 --set policy.bias=false --set policy.widths=[8]",
             "it has the tensor layer1.bias, but the policy of the scene has layer1.kernel, layer2.kernel",

@@ -3,7 +3,9 @@
 
 use assert_cmd::Command;
 use physgrad::policy::Mlp;
-use physgrad::tasks::{CartPole, CartPoleEffect, CartPoleSystem, CoupledCartPole, DryFriction, PoleDamping};
+use physgrad::tasks::{
+    CartPole, CartPoleEffect, CartPoleSystem, CoupledCartPole, DryFriction, PoleDamping,
+};
 use physgrad::{Adjoint, Field, Forced, OpCount, Rollout, System, TaskOpCount};
 use std::fs;
 use tempfile::TempDir;
@@ -22,17 +24,26 @@ fn explained(scene: &str, args: &[&str]) -> Vec<Vec<String>> {
     let output = physgrad(&["explain"]).arg(&file).args(args).output().expect("the command runs");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let text = String::from_utf8(output.stdout).expect("text");
-    let cells = |line: &str| line.split(['│', '┆']).map(|cell| cell.trim().to_owned()).collect::<Vec<_>>();
-    text.lines().map(cells).map(|cells| cells.into_iter().filter(|cell| !cell.is_empty()).collect()).collect()
+    let cells =
+        |line: &str| line.split(['│', '┆']).map(|cell| cell.trim().to_owned()).collect::<Vec<_>>();
+    text.lines()
+        .map(cells)
+        .map(|cells| cells.into_iter().filter(|cell| !cell.is_empty()).collect())
+        .collect()
 }
 
 fn row<'a>(rows: &'a [Vec<String>], name: &str) -> &'a [String] {
-    rows.iter().find(|row| row.first().is_some_and(|first| first == name)).unwrap_or_else(|| panic!("{name}: {rows:?}"))
+    rows.iter()
+        .find(|row| row.first().is_some_and(|first| first == name))
+        .unwrap_or_else(|| panic!("{name}: {rows:?}"))
 }
 
 /// Returns the rows of the three passes of the part with this name, without the name.
 fn passes(rows: &[Vec<String>], name: &str) -> Vec<Vec<String>> {
-    let first = rows.iter().position(|row| row.len() == 10 && row[0] == name).unwrap_or_else(|| panic!("{name}: {rows:?}"));
+    let first = rows
+        .iter()
+        .position(|row| row.len() == 10 && row[0] == name)
+        .unwrap_or_else(|| panic!("{name}: {rows:?}"));
     vec![rows[first][1..].to_vec(), rows[first + 1].clone(), rows[first + 2].clone()]
 }
 
@@ -58,7 +69,8 @@ fn model() -> CartPoleSystem {
 fn operation_counts_of_each_effect_equal_those_of_the_library() {
     let rows = explained(SCENE, &[]);
     let cost = |system: &Forced<CoupledCartPole, Vec<CartPoleEffect>>| OpCount::of(system);
-    let count = |effects: Vec<CartPoleEffect>| cost(&Forced { system: CoupledCartPole(model()), effects });
+    let count =
+        |effects: Vec<CartPoleEffect>| cost(&Forced { system: CoupledCartPole(model()), effects });
     let (alone, damped, all) = (
         count(vec![]),
         count(vec![PoleDamping::default().into()]),
@@ -66,10 +78,16 @@ fn operation_counts_of_each_effect_equal_those_of_the_library() {
     );
     let of = |pass: &str, counts: physgrad::Ops| {
         let physgrad::Ops { add, negate, multiply, divide, sqrt, transcendental, compare } = counts;
-        let numbers = [counts.total(), add, negate, multiply, divide, sqrt, transcendental, compare];
-        [pass.to_owned()].into_iter().chain(numbers.map(|count| count.to_string())).collect::<Vec<_>>()
+        let numbers =
+            [counts.total(), add, negate, multiply, divide, sqrt, transcendental, compare];
+        [pass.to_owned()]
+            .into_iter()
+            .chain(numbers.map(|count| count.to_string()))
+            .collect::<Vec<_>>()
     };
-    let cells = |cost: &OpCount| vec![of("step", cost.step), of("VJP", cost.vjp), of("VJP to control", cost.vjp_control)];
+    let cells = |cost: &OpCount| {
+        vec![of("step", cost.step), of("VJP", cost.vjp), of("VJP to control", cost.vjp_control)]
+    };
     let printed = |name: &str| passes(&rows, name);
     assert_eq!(printed("system alone"), cells(&alone));
     assert_eq!(printed("together"), cells(&all));
@@ -79,7 +97,10 @@ fn operation_counts_of_each_effect_equal_those_of_the_library() {
         vjp_control: damped.vjp_control - alone.vjp_control,
     };
     assert_eq!(printed("effects.pole_damping"), cells(&own));
-    let task = CartPole::with_system(Forced { system: CoupledCartPole(model()), effects: Vec::<CartPoleEffect>::new() });
+    let task = CartPole::with_system(Forced {
+        system: CoupledCartPole(model()),
+        effects: Vec::<CartPoleEffect>::new(),
+    });
     let counts = TaskOpCount::of(&task);
     let pair = |name: &str| {
         let first = rows
@@ -91,21 +112,29 @@ fn operation_counts_of_each_effect_equal_those_of_the_library() {
     let of_pair = |value, gradient| [of("value", value), of("gradient", gradient)];
     assert_eq!(pair("running cost"), of_pair(counts.running_cost, counts.running_cost_gradient));
     assert_eq!(pair("terminal cost"), of_pair(counts.terminal_cost, counts.terminal_cost_gradient));
-    assert!(rows.iter().any(|row| row.first().is_some_and(|cell| cell == "present") && row[1] == "effects.dry_friction"));
-    assert!(rows.iter().any(|row| row.first().is_some_and(|cell| cell == "absent") && row[1] == "effects.bumpers"));
+    assert!(
+        rows.iter().any(|row| row.first().is_some_and(|cell| cell == "present")
+            && row[1] == "effects.dry_friction")
+    );
+    assert!(
+        rows.iter()
+            .any(|row| row.first().is_some_and(|cell| cell == "absent")
+                && row[1] == "effects.bumpers")
+    );
     let without = explained(SCENE, &["--without", "dry_friction"]);
     assert_eq!(passes(&without, "together"), cells(&damped));
 }
 
 #[test]
 fn counts_of_parts_minus_the_overlap_add_up_to_the_whole() {
-    let scene =
-        "scene = 1\ntask = \"cart_pole\"\n[effects.cart_damping]\n[actuator]\nlimit = { bound = 2 }\nlag = { time = 0.1 }\n";
+    let scene = "scene = 1\ntask = \"cart_pole\"\n[effects.cart_damping]\n[actuator]\nlimit = { bound = 2 }\nlag = { time = 0.1 }\n";
     let rows = explained(scene, &[]);
-    let total = |name: &str, pass: usize| passes(&rows, name)[pass][1].parse::<i64>().expect("a number");
+    let total =
+        |name: &str, pass: usize| passes(&rows, name)[pass][1].parse::<i64>().expect("a number");
     let parts = ["effects.cart_damping", "actuator.limit", "actuator.lag"];
     for pass in 0..3 {
-        let sum = total("system alone", pass) + parts.map(|part| total(part, pass)).into_iter().sum::<i64>();
+        let sum = total("system alone", pass)
+            + parts.map(|part| total(part, pass)).into_iter().sum::<i64>();
         assert_eq!(sum - total("counted twice", pass), total("together", pass));
     }
     assert!(total("counted twice", 1) > 0, "limit and lag share no operations in the VJP");
@@ -114,17 +143,27 @@ fn counts_of_parts_minus_the_overlap_add_up_to_the_whole() {
 #[test]
 fn reported_bytes_equal_those_of_the_library() {
     let rows = explained(SCENE, &[]);
-    let system = Forced { system: CoupledCartPole(model()), effects: (PoleDamping::default(), DryFriction::default()) };
+    let system = Forced {
+        system: CoupledCartPole(model()),
+        effects: (PoleDamping::default(), DryFriction::default()),
+    };
     let policy = Mlp::new([system.state_dim(), 20, 1]);
     let samples = 8;
     let stored = |horizon: usize, field: Option<Field>| {
         let task = CartPole { horizon, ..CartPole::with_system(system) };
-        let Some(field) = field else { return Rollout::<f32>::for_evaluation(&task, &policy, samples).stored_bytes() };
+        let Some(field) = field else {
+            return Rollout::<f32>::for_evaluation(&task, &policy, samples).stored_bytes();
+        };
         let rollout = Rollout::<f32>::new(&task, &policy, samples);
-        rollout.stored_bytes() + Adjoint::new(&task, &policy, &rollout, &field.flows()).stored_bytes()
+        rollout.stored_bytes()
+            + Adjoint::new(&task, &policy, &rollout, &field.flows()).stored_bytes()
     };
-    let printed =
-        |name: &str| row(&rows, name)[1..].iter().map(|cell| cell.parse::<usize>().expect("a number")).collect::<Vec<_>>();
+    let printed = |name: &str| {
+        row(&rows, name)[1..]
+            .iter()
+            .map(|cell| cell.parse::<usize>().expect("a number"))
+            .collect::<Vec<_>>()
+    };
     let fields = Field::PAPER.map(|field| (field.to_string(), Some(field)));
     for (name, field) in fields.into_iter().chain([("evaluation".to_owned(), None)]) {
         let (short, long) = (stored(40, field), stored(140, field));
@@ -137,13 +176,19 @@ fn reported_bytes_equal_those_of_the_library() {
         );
     }
     assert_eq!(printed("evaluation")[0], 0, "evaluation stores steps");
-    assert!(printed("modified")[0] < printed("regular")[0], "M stores no fewer bytes per step than R");
+    assert!(
+        printed("modified")[0] < printed("regular")[0],
+        "M stores no fewer bytes per step than R"
+    );
 }
 
 #[test]
 fn a_quantum_step_with_200_grid_points_allocates() {
     // A step with 200 points exceeds the buffers on the stack.
-    let rows = explained("scene = 1\ntask = \"quantum\"\n[system]\ngrid = 200\n[policy]\nwidth = 4\n", &[]);
+    let rows = explained(
+        "scene = 1\ntask = \"quantum\"\n[system]\ngrid = 200\n[policy]\nwidth = 4\n",
+        &[],
+    );
     assert_ne!(row(&rows, "evaluation")[4], "0");
 }
 
@@ -151,13 +196,22 @@ fn a_quantum_step_with_200_grid_points_allocates() {
 fn the_presets_with_more_effects_than_the_paper_pass_the_gradient_checks() {
     let dir = TempDir::new().expect("a folder");
     for preset in ["cart_pole_windy", "guidance_walled", "quantum_double_well"] {
-        let scene = String::from_utf8(physgrad(&["scene", preset]).output().expect("the command runs").stdout).expect("text");
+        let scene = String::from_utf8(
+            physgrad(&["scene", preset]).output().expect("the command runs").stdout,
+        )
+        .expect("text");
         // A short rollout covers every derivative.
-        let short = |line: &str| if line.starts_with("horizon") { "horizon = 20".to_owned() } else { line.to_owned() };
+        let short = |line: &str| {
+            if line.starts_with("horizon") { "horizon = 20".to_owned() } else { line.to_owned() }
+        };
         let file = dir.path().join(format!("{preset}.toml"));
         fs::write(&file, scene.lines().map(short).collect::<Vec<_>>().join("\n")).expect("a file");
         let output = physgrad(&["check"]).arg(&file).output().expect("the command runs");
         let text = String::from_utf8_lossy(&output.stdout);
-        assert!(output.status.success() && text.contains("rollout, R"), "{text}{}", String::from_utf8_lossy(&output.stderr));
+        assert!(
+            output.status.success() && text.contains("rollout, R"),
+            "{text}{}",
+            String::from_utf8_lossy(&output.stderr)
+        );
     }
 }

@@ -7,12 +7,17 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
-const SMALL: &str = "--set training.train_samples=16 --set training.test_samples=8 --set horizon=25";
+const SMALL: &str =
+    "--set training.train_samples=16 --set training.test_samples=8 --set horizon=25";
 
 /// Trains for one epoch in the folder `name`, and exports the policy.
 fn trained(dir: &TempDir, name: &str, scene: &str) -> PathBuf {
-    physgrad(&format!("train {scene} {SMALL} --epochs 1 --quiet --out {name}"), dir.path()).assert().success();
-    physgrad(&format!("export {name} --onnx {name}/policy.onnx --quiet"), dir.path()).assert().success();
+    physgrad(&format!("train {scene} {SMALL} --epochs 1 --quiet --out {name}"), dir.path())
+        .assert()
+        .success();
+    physgrad(&format!("export {name} --onnx {name}/policy.onnx --quiet"), dir.path())
+        .assert()
+        .success();
     dir.path().join(name)
 }
 
@@ -21,7 +26,8 @@ fn trained(dir: &TempDir, name: &str, scene: &str) -> PathBuf {
 fn about(file: &Path) -> Value {
     let bytes = fs::read(file).expect("a policy");
     let (length, rest) = bytes.split_first_chunk().expect("a length");
-    let header: Value = serde_json::from_slice(&rest[..u64::from_le_bytes(*length) as usize]).expect("JSON");
+    let header: Value =
+        serde_json::from_slice(&rest[..u64::from_le_bytes(*length) as usize]).expect("JSON");
     serde_json::from_str(header["__metadata__"]["physgrad"].as_str().expect("text")).expect("JSON")
 }
 
@@ -40,7 +46,8 @@ fn other_programs_compute_the_controls_of_a_rollout() {
         ("quantum", "quantum --set policy.width=20".into()),
         ("quantum_f64", "quantum --set policy.width=9 --set system.grid=17 --precision f64".into()),
     ];
-    let folders: Vec<PathBuf> = runs.iter().map(|(name, scene)| trained(&dir, name, scene)).collect();
+    let folders: Vec<PathBuf> =
+        runs.iter().map(|(name, scene)| trained(&dir, name, scene)).collect();
     let folders: Vec<&Path> = folders.iter().map(PathBuf::as_path).collect();
     if let Some(text) = python::run("check_policies.py", &folders) {
         assert_eq!(text.lines().count(), 3 * runs.len(), "three readings of every policy\n{text}");
@@ -51,9 +58,11 @@ fn other_programs_compute_the_controls_of_a_rollout() {
 fn a_policy_file_describes_its_network() {
     let dir = TempDir::new().expect("a folder");
     let layer = |kind: Value, i: usize, activation: Value| {
-        let mut layer =
-            json!({ "kernel": format!("layer{i}.kernel"), "bias": format!("layer{i}.bias"), "activation": activation });
-        layer.as_object_mut().expect("an object").extend(kind.as_object().expect("an object").clone());
+        let mut layer = json!({ "kernel": format!("layer{i}.kernel"), "bias": format!("layer{i}.bias"), "activation": activation });
+        layer
+            .as_object_mut()
+            .expect("an object")
+            .extend(kind.as_object().expect("an object").clone());
         layer
     };
     let (dense, conv) = (json!({ "kind": "dense" }), json!({ "kind": "conv", "stride": 2 }));
@@ -68,14 +77,20 @@ fn a_policy_file_describes_its_network() {
     });
     assert_eq!(about(&run.join("policy.safetensors")), expected);
     let run = trained(&dir, "conv", "quantum --set policy.width=3");
-    let layers = json!([layer(conv.clone(), 1, json!("tanh")), layer(conv, 2, json!("tanh")), layer(dense, 3, Value::Null)]);
+    let layers = json!([
+        layer(conv.clone(), 1, json!("tanh")),
+        layer(conv, 2, json!("tanh")),
+        layer(dense, 3, Value::Null)
+    ]);
     assert_eq!(about(&run.join("best_policy.safetensors"))["layers"], layers);
 }
 
 #[test]
 fn an_export_names_its_inputs_and_outputs_and_selects_the_epoch() {
     let dir = TempDir::new().expect("a folder");
-    let train = format!("train cart_pole_1 {SMALL} --set policy.widths=[6] --set training.learning_rate=0.3 --quiet");
+    let train = format!(
+        "train cart_pole_1 {SMALL} --set policy.widths=[6] --set training.learning_rate=0.3 --quiet"
+    );
     physgrad(&format!("{train} --epochs 4 --out run"), dir.path()).assert().success();
     let output = physgrad("export run --onnx last.onnx", dir.path()).assert().success();
     let text = String::from_utf8(output.get_output().stdout.clone()).expect("text");
@@ -85,10 +100,14 @@ fn an_export_names_its_inputs_and_outputs_and_selects_the_epoch() {
     // A model contains the bytes of every tensor of the policy file.
     for (model, policy) in [("last", "policy"), ("best", "best_policy")] {
         let model = fs::read(dir.path().join(format!("{model}.onnx"))).expect("a model");
-        let file = fs::read(dir.path().join(format!("run/{policy}.safetensors"))).expect("a policy");
+        let file =
+            fs::read(dir.path().join(format!("run/{policy}.safetensors"))).expect("a policy");
         let tensors = safetensors::SafeTensors::deserialize(&file).expect("safetensors");
         for (name, tensor) in tensors.tensors() {
-            assert!(model.windows(tensor.data().len()).any(|bytes| bytes == tensor.data()), "{name} of {policy}");
+            assert!(
+                model.windows(tensor.data().len()).any(|bytes| bytes == tensor.data()),
+                "{name} of {policy}"
+            );
         }
     }
     for (args, message) in [

@@ -24,19 +24,54 @@ const NUMBERS: [&str; 7] = ["0.0", "1e38", "-1e38", "1e300", "-1e300", "1e-300",
 const COUNTS: [&str; 5] = ["0", "-1", "1", "9223372036854775807", "1e38"];
 
 /// Fast training settings for any scene.
-const TINY: [&str; 6] =
-    ["epochs=1", "horizon=6", "training.train_samples=4", "training.test_samples=4", "training.batch=4", "seed=1"];
+const TINY: [&str; 6] = [
+    "epochs=1",
+    "horizon=6",
+    "training.train_samples=4",
+    "training.test_samples=4",
+    "training.batch=4",
+    "seed=1",
+];
 
 /// Presets with changes: effects, actuators, integrators and precisions that no preset combines.
 const MORE: [(&str, &[&str]); 9] = [
-    ("cart_pole", &["effects.steady_wind.speed=3", "effects.cart_damping.damping=0.1", "actuator.delay.steps=2"]),
+    (
+        "cart_pole",
+        &[
+            "effects.steady_wind.speed=3",
+            "effects.cart_damping.damping=0.1",
+            "actuator.delay.steps=2",
+        ],
+    ),
     ("cart_pole", &["integrator.method=adaptive", "integrator.rtol=1e-4", "integrator.atol=1e-6"]),
-    ("cart_pole", &["integrator.method=implicit_midpoint", "integrator.tolerance=1e-4", "integrator.substeps=2"]),
-    ("cart_pole", &["integrator.method=sdirk2", "integrator.tolerance=1e-4", "integrator.substeps=2"]),
-    ("cart_pole_windy", &["precision=f64", "integrator.method=rk4", "effects.cart_damping.damping=0.1"]),
-    ("guidance", &["effects.drive.strength=0.2", "integrator.method=tsit5", "actuator.lag.time=0.1"]),
-    ("quantum", &["effects.harmonic.stiffness=10", "integrator.method=pade", "integrator.substeps=2"]),
-    ("quantum", &["effects.barrier.height=10", "integrator.method=strang", "effects.cubic.strength=1"]),
+    (
+        "cart_pole",
+        &[
+            "integrator.method=implicit_midpoint",
+            "integrator.tolerance=1e-4",
+            "integrator.substeps=2",
+        ],
+    ),
+    (
+        "cart_pole",
+        &["integrator.method=sdirk2", "integrator.tolerance=1e-4", "integrator.substeps=2"],
+    ),
+    (
+        "cart_pole_windy",
+        &["precision=f64", "integrator.method=rk4", "effects.cart_damping.damping=0.1"],
+    ),
+    (
+        "guidance",
+        &["effects.drive.strength=0.2", "integrator.method=tsit5", "actuator.lag.time=0.1"],
+    ),
+    (
+        "quantum",
+        &["effects.harmonic.stiffness=10", "integrator.method=pade", "integrator.substeps=2"],
+    ),
+    (
+        "quantum",
+        &["effects.barrier.height=10", "integrator.method=strang", "effects.cubic.strength=1"],
+    ),
     ("quantum_double_well", &["precision=f64", "integrator.substeps=2", "training.clip=value"]),
 ];
 
@@ -72,7 +107,11 @@ fn extremes(key: &str, value: &Value, found: &mut Vec<String>) {
     match value {
         Value::Table(table) => {
             for (name, value) in table {
-                extremes(&if key.is_empty() { name.clone() } else { format!("{key}.{name}") }, value, found);
+                extremes(
+                    &if key.is_empty() { name.clone() } else { format!("{key}.{name}") },
+                    value,
+                    found,
+                );
             }
         }
         Value::Float(_) => found.extend(NUMBERS.map(|number| format!("{key}={number}"))),
@@ -83,7 +122,13 @@ fn extremes(key: &str, value: &Value, found: &mut Vec<String>) {
                 let mut of_one = Vec::new();
                 extremes("", &list[i], &mut of_one);
                 found.extend(of_one.iter().map(|extreme| {
-                    let of = |j: usize| if i == j { extreme.trim_start_matches('=').to_owned() } else { list[j].to_string() };
+                    let of = |j: usize| {
+                        if i == j {
+                            extreme.trim_start_matches('=').to_owned()
+                        } else {
+                            list[j].to_string()
+                        }
+                    };
                     format!("{key}=[{}]", (0..list.len()).map(of).collect::<Vec<_>>().join(", "))
                 }));
             }
@@ -95,8 +140,11 @@ fn extremes(key: &str, value: &Value, found: &mut Vec<String>) {
 /// Returns an override that shrinks the network, if the policy has hidden layers.
 fn small_network(settings: &Table) -> Option<&'static str> {
     let policy = settings.get("policy")?.as_table()?;
-    let key =
-        |name: &str| policy.get(name).is_some_and(|value| value.is_integer() || value.as_array().is_some_and(|w| !w.is_empty()));
+    let key = |name: &str| {
+        policy.get(name).is_some_and(|value| {
+            value.is_integer() || value.as_array().is_some_and(|w| !w.is_empty())
+        })
+    };
     ["width", "widths"]
         .into_iter()
         .find(|name| key(name))
@@ -113,9 +161,12 @@ fn cases(dir: &Path) -> Vec<Case> {
         let mut found = Vec::new();
         extremes("", &Value::Table(table.clone()), &mut found);
         // Excludes the scene version, which is fixed, and an epoch count that no run completes.
-        let no_case = |setting: &String| setting.starts_with("scene=") || setting == "epochs=9223372036854775807";
+        let no_case = |setting: &String| {
+            setting.starts_with("scene=") || setting == "epochs=9223372036854775807"
+        };
         found.retain(|setting| !no_case(setting));
-        let tiny: Vec<&str> = TINY.iter().chain(changes).copied().chain(small_network(&table)).collect();
+        let tiny: Vec<&str> =
+            TINY.iter().chain(changes).copied().chain(small_network(&table)).collect();
         cases.extend(found.into_iter().map(|extreme| Case {
             preset: preset.to_owned(),
             settings: tiny.iter().map(|&setting| setting.to_owned()).chain([extreme]).collect(),
@@ -145,21 +196,33 @@ fn run(mut args: Vec<String>, case: &Case) -> Result<End, String> {
     if errors.contains("panicked") || !matches!(output.status.code(), Some(0..=100)) {
         return Err(describe());
     }
-    let Some(blamed) = errors.split("the forces of ").nth(1).and_then(|rest| rest.split(' ').next()) else {
+    let Some(blamed) =
+        errors.split("the forces of ").nth(1).and_then(|rest| rest.split(' ').next())
+    else {
         let silent = !output.status.success() && errors.trim().is_empty();
-        return if silent { Err(describe()) } else { Ok(if output.status.success() { End::Done } else { End::Refused }) };
+        return if silent {
+            Err(describe())
+        } else {
+            Ok(if output.status.success() { End::Done } else { End::Refused })
+        };
     };
-    let known = ["pole_damping", "cart_damping", "dry_friction", "steady_wind", "gusty_wind", "bumpers"]
-        .into_iter()
-        .chain(["friction", "spread", "evade", "flock", "drive", "obstacles", "walls"])
-        .chain(["harmonic", "barrier", "double_well", "cubic"]);
-    if known.map(|name| format!("effects.{name}")).any(|key| key == blamed) { Ok(End::Blamed) } else { Err(describe()) }
+    let known =
+        ["pole_damping", "cart_damping", "dry_friction", "steady_wind", "gusty_wind", "bumpers"]
+            .into_iter()
+            .chain(["friction", "spread", "evade", "flock", "drive", "obstacles", "walls"])
+            .chain(["harmonic", "barrier", "double_well", "cubic"]);
+    if known.map(|name| format!("effects.{name}")).any(|key| key == blamed) {
+        Ok(End::Blamed)
+    } else {
+        Err(describe())
+    }
 }
 
 /// Runs the command on all cases in parallel. Panics with the list of all faults, if there are any.
 fn run_all(command: &str, cases: &[Case]) {
     let dir = TempDir::new().expect("a folder");
-    let (next, ends, wrong) = (Mutex::new(cases.iter().enumerate()), Mutex::new(Vec::new()), Mutex::new(Vec::new()));
+    let (next, ends, wrong) =
+        (Mutex::new(cases.iter().enumerate()), Mutex::new(Vec::new()), Mutex::new(Vec::new()));
     let work = || {
         loop {
             let Some((i, case)) = next.lock().expect("no panic").next() else { break };
@@ -184,7 +247,8 @@ fn run_all(command: &str, cases: &[Case]) {
         let workers = std::thread::available_parallelism().map_or(2, |count| count.get());
         (0..workers).for_each(|_| drop(scope.spawn(work)));
     });
-    let (ends, wrong) = (ends.into_inner().expect("no panic"), wrong.into_inner().expect("no panic"));
+    let (ends, wrong) =
+        (ends.into_inner().expect("no panic"), wrong.into_inner().expect("no panic"));
     let count = |end| ends.iter().filter(|&&other| other == end).count();
     println!(
         "{command}: {} cases, {} done, {} refused, {} messages with the key of an effect, {} faults",
@@ -194,7 +258,13 @@ fn run_all(command: &str, cases: &[Case]) {
         count(End::Blamed),
         wrong.len()
     );
-    assert!(wrong.is_empty(), "{} faults in {} cases:\n{}", wrong.len(), cases.len(), wrong.join("\n"));
+    assert!(
+        wrong.is_empty(),
+        "{} faults in {} cases:\n{}",
+        wrong.len(),
+        cases.len(),
+        wrong.join("\n")
+    );
 }
 
 /// Returns all cases if `PHYSGRAD_EXTREMES` is `all`. Otherwise returns a deterministic sample of
@@ -222,7 +292,16 @@ fn extreme_settings_train_or_are_refused_without_a_panic() {
 #[test]
 fn errors_of_extreme_effects_name_the_key_of_the_effect() {
     let dir = TempDir::new().expect("a folder");
-    let few = ["--epochs", "1", "--set", "training.train_samples=8", "--set", "training.test_samples=8", "--set", "horizon=6"];
+    let few = [
+        "--epochs",
+        "1",
+        "--set",
+        "training.train_samples=8",
+        "--set",
+        "training.test_samples=8",
+        "--set",
+        "horizon=6",
+    ];
     let errors = |command: &str, preset: &str, setting: &str| -> String {
         let mut program = physgrad(&[command, preset, "--set", setting]);
         program.args(few);
@@ -231,7 +310,10 @@ fn errors_of_extreme_effects_name_the_key_of_the_effect() {
         }
         let output = program.timeout(TIME_LIMIT).output().expect("the command runs");
         let errors = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(!errors.contains("panicked") && output.status.code() != Some(101), "{command} {preset} {setting}: {errors}");
+        assert!(
+            !errors.contains("panicked") && output.status.code() != Some(101),
+            "{command} {preset} {setting}: {errors}"
+        );
         errors
     };
     for (preset, setting, key) in [
@@ -246,7 +328,10 @@ fn errors_of_extreme_effects_name_the_key_of_the_effect() {
         errors("explain", preset, setting);
         for command in ["train", "compare"] {
             let errors = errors(command, preset, setting);
-            assert!(errors.contains(&format!("the forces of {key} ")), "{command} {preset} {setting}: {errors}");
+            assert!(
+                errors.contains(&format!("the forces of {key} ")),
+                "{command} {preset} {setting}: {errors}"
+            );
         }
     }
     // The messages about an excessive time step name no effect.

@@ -15,13 +15,25 @@ const TIME_LIMIT: Duration = Duration::from_secs(20);
 const ESCAPES: &str = "\u{1b}]0;title\u{7}\u{9b}2J\u{202e}";
 
 fn compare(out: &Path, args: &[&str]) -> Command {
-    let mut command = physgrad(&["compare", "cart_pole", "--fields", "R", "--seeds", "1", "--epochs", "1", "-q", "--out"]);
+    let mut command = physgrad(&[
+        "compare",
+        "cart_pole",
+        "--fields",
+        "R",
+        "--seeds",
+        "1",
+        "--epochs",
+        "1",
+        "-q",
+        "--out",
+    ]);
     command.arg(out).args(SMALL).args(args);
     command
 }
 
 fn run(args: &[&str], folder: &Path) -> [String; 2] {
-    let output = physgrad(args).current_dir(folder).timeout(TIME_LIMIT).output().expect("the command runs");
+    let output =
+        physgrad(args).current_dir(folder).timeout(TIME_LIMIT).output().expect("the command runs");
     [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).expect("text"))
 }
 
@@ -36,16 +48,22 @@ fn names_in_a_plan_do_not_lead_out_of_its_folder() {
     let plan = fs::read_to_string(two.join("comparison.toml")).expect("a plan");
     let absolute = other.display().to_string();
     for name in ["../other", &*absolute, "..", "a\\\\b"] {
-        fs::write(two.join("comparison.toml"), plan.replace("\"batch=4\"", &format!("\"{name}\""))).expect("a plan");
+        fs::write(two.join("comparison.toml"), plan.replace("\"batch=4\"", &format!("\"{name}\"")))
+            .expect("a plan");
         let error = error_of(physgrad(&["merge"]).arg(&two).timeout(TIME_LIMIT));
         assert!(error.contains("cannot be the name of a folder in it"), "{name}: {error}");
         assert_eq!(fs::read_to_string(&picture).expect("a file"), "mine", "{name}");
     }
     // A name of a policy does not lead out of the folder either.
     let policy = "initial_policy = \"../other/runs/R-0/policy.safetensors\"\nname = \"batch=4\"";
-    fs::write(two.join("comparison.toml"), plan.replace("name = \"batch=4\"", policy)).expect("a plan");
+    fs::write(two.join("comparison.toml"), plan.replace("name = \"batch=4\"", policy))
+        .expect("a plan");
     let error = error_of(physgrad(&["merge"]).arg(&two));
-    assert!(error.contains("`initial_policy` is \"../other/runs") && error.contains("a file beside the plan"), "{error}");
+    assert!(
+        error.contains("`initial_policy` is \"../other/runs")
+            && error.contains("a file beside the plan"),
+        "{error}"
+    );
 }
 
 #[cfg(unix)]
@@ -84,7 +102,10 @@ fn a_schema_replaces_a_file_and_not_the_target_of_a_link() {
     let dir = TempDir::new().expect("a folder");
     fs::write(dir.path().join("target"), "mine").expect("a file");
     std::os::unix::fs::symlink("target", dir.path().join("link")).expect("a link");
-    assert!(run(&["schema", "--out", "link"], dir.path())[1].contains("--out: link: it exists and is not a regular file"));
+    assert!(
+        run(&["schema", "--out", "link"], dir.path())[1]
+            .contains("--out: link: it exists and is not a regular file")
+    );
     assert_eq!(fs::read_to_string(dir.path().join("target")).expect("a file"), "mine");
     assert_eq!(run(&["schema", "--out", "target"], dir.path()), ["", ""]);
     assert!(fs::read_to_string(dir.path().join("target")).expect("a file").contains("\"$schema\""));
@@ -93,16 +114,27 @@ fn a_schema_replaces_a_file_and_not_the_target_of_a_link() {
 #[test]
 fn oversized_files_and_long_tags_do_not_hide_the_other_runs() {
     let dir = TempDir::new().expect("a folder");
-    let settings = |tag: &str| format!("task = \"lqr\"\nfield = \"regular\"\nseed = 1\nepochs = 1\ntags = [\"{tag}\"]\n");
-    for (name, tag) in [("a", "short"), ("b", &*"x".repeat(900_000)), ("c", &*"x ".repeat(450_000)), ("d", ""), ("e", "")] {
+    let settings = |tag: &str| {
+        format!("task = \"lqr\"\nfield = \"regular\"\nseed = 1\nepochs = 1\ntags = [\"{tag}\"]\n")
+    };
+    for (name, tag) in [
+        ("a", "short"),
+        ("b", &*"x".repeat(900_000)),
+        ("c", &*"x ".repeat(450_000)),
+        ("d", ""),
+        ("e", ""),
+    ] {
         fs::create_dir(dir.path().join(name)).expect("a folder");
         fs::write(dir.path().join(name).join("run.toml"), settings(tag)).expect("a file");
     }
     let sparse = |path: &str| {
-        let file = File::options().write(true).create(true).truncate(false).open(dir.path().join(path));
+        let file =
+            File::options().write(true).create(true).truncate(false).open(dir.path().join(path));
         file.and_then(|file| file.set_len(1 << 40)).expect("a sparse file");
     };
-    ["d/metrics.csv", "e/run.toml", "a/checkpoint.bin", "large.safetensors"].into_iter().for_each(sparse);
+    ["d/metrics.csv", "e/run.toml", "a/checkpoint.bin", "large.safetensors"]
+        .into_iter()
+        .for_each(sparse);
     let [said, error] = run(&["runs", "."], dir.path());
     assert!(said.ends_with("3 runs\n") && said.len() < 20_000, "{error}{said:.2000}");
     for file in ["d/metrics.csv", "e/run.toml"] {
@@ -110,7 +142,11 @@ fn oversized_files_and_long_tags_do_not_hide_the_other_runs() {
     }
     assert!(run(&["scene"], dir.path())[1].is_empty());
     let policy = ["train", "lqr", "--policy", "large.safetensors", "-o", "run"];
-    assert!(run(&policy, dir.path())[1].contains("large.safetensors has more than "), "{:?}", run(&policy, dir.path()));
+    assert!(
+        run(&policy, dir.path())[1].contains("large.safetensors has more than "),
+        "{:?}",
+        run(&policy, dir.path())
+    );
 }
 
 #[test]
@@ -119,12 +155,18 @@ fn control_characters_of_others_do_not_reach_the_terminal() {
     let tagged = dir.path().join(format!("run{ESCAPES}"));
     fs::create_dir(&tagged).expect("a folder");
     let tag: String = ESCAPES.chars().map(|c| format!("\\u{:04x}", c as u32)).collect();
-    let settings = format!("task = \"{tag}\"\nfield = \"{tag}\"\nseed = 1\nepochs = 1\ntags = [\"{tag}\"]\n");
+    let settings =
+        format!("task = \"{tag}\"\nfield = \"{tag}\"\nseed = 1\nepochs = 1\ntags = [\"{tag}\"]\n");
     fs::write(tagged.join("run.toml"), &settings).expect("a file");
     fs::create_dir(dir.path().join("held")).expect("a folder");
     fs::write(dir.path().join("held/.physgrad.lock"), ESCAPES).expect("a file");
-    fs::write(dir.path().join("bad.toml"), format!("scene = 1\ntask = \"lqr\"\n[system]\n\"a{tag}\" = 1\n")).expect("a file");
-    fs::write(dir.path().join("worse.toml"), format!("scene = 1\ntask = {ESCAPES}\n")).expect("a file");
+    fs::write(
+        dir.path().join("bad.toml"),
+        format!("scene = 1\ntask = \"lqr\"\n[system]\n\"a{tag}\" = 1\n"),
+    )
+    .expect("a file");
+    fs::write(dir.path().join("worse.toml"), format!("scene = 1\ntask = {ESCAPES}\n"))
+        .expect("a file");
     fs::write(dir.path().join("data.csv"), format!("t,x{ESCAPES}\n0,{ESCAPES}\n")).expect("a file");
     let held = File::open(dir.path().join("held/.physgrad.lock")).expect("a file");
     held.lock().expect("a lock");
@@ -152,12 +194,18 @@ fn control_characters_of_others_do_not_reach_the_terminal() {
     for args in cases {
         let said = run(args, dir.path()).concat();
         assert!(!said.is_empty(), "{args:?}");
-        let bad = said.chars().find(|&c| (c.is_control() && !matches!(c, '\n' | '\t')) || c == '\u{202e}');
+        let bad = said
+            .chars()
+            .find(|&c| (c.is_control() && !matches!(c, '\n' | '\t')) || c == '\u{202e}');
         assert_eq!(bad, None, "{args:?}: {said:?}");
     }
     // The escaped JSON has the original text, and a label of a picture is XML.
-    let list: serde_json::Value = serde_json::from_str(&run(&["runs", ".", "--json"], dir.path())[0]).expect("JSON");
-    assert_eq!((&list["runs"][0]["tags"], &list["runs"][0]["run"]), (&ESCAPES.into(), &format!("./run{ESCAPES}").into()));
+    let list: serde_json::Value =
+        serde_json::from_str(&run(&["runs", ".", "--json"], dir.path())[0]).expect("JSON");
+    assert_eq!(
+        (&list["runs"][0]["tags"], &list["runs"][0]["run"]),
+        (&ESCAPES.into(), &format!("./run{ESCAPES}").into())
+    );
     let picture = fs::read_to_string(dir.path().join("listed/curves.svg")).expect("a picture");
     roxmltree::Document::parse(&picture).expect("an SVG is XML");
     let [_, error] = run(&["train", "lqr", "--epochs", "0", "-o", "held"], dir.path());
@@ -170,18 +218,27 @@ fn an_identification_without_a_header_keeps_its_report() {
     fs::write(dir.path().join("report.html"), "mine").expect("a file");
     for text in ["", "name,start\n"] {
         fs::write(dir.path().join("identified.csv"), text).expect("a file");
-        assert!(run(&["report", "."], dir.path())[1].contains("./identified.csv is damaged"), "{text:?}");
+        assert!(
+            run(&["report", "."], dir.path())[1].contains("./identified.csv is damaged"),
+            "{text:?}"
+        );
         assert_eq!(fs::read_to_string(dir.path().join("report.html")).expect("a file"), "mine");
     }
     let files = [
         ("identified.csv", "name,start,value,standard_error,robust_error\nm,1,2,0.1,0.1\n"),
         ("fit.csv", "name,value\nchi2,1\n"),
-        ("trajectories.csv", "segment,t,x_measured,x_simulated\na,0,inf,1\na,1,1,2\na,2,NaN,1\na,inf,1,1\n"),
+        (
+            "trajectories.csv",
+            "segment,t,x_measured,x_simulated\na,0,inf,1\na,1,1,2\na,2,NaN,1\na,inf,1,1\n",
+        ),
     ];
     files.iter().for_each(|(name, text)| fs::write(dir.path().join(name), text).expect("a file"));
     assert_eq!(run(&["report", "."], dir.path()), ["./report.html\n", ""]);
     let page = fs::read_to_string(dir.path().join("report.html")).expect("a page");
-    assert!(page.contains("x, segment a") && !page.contains("NaN") && !page.contains("inf\""), "{page}");
+    assert!(
+        page.contains("x, segment a") && !page.contains("NaN") && !page.contains("inf\""),
+        "{page}"
+    );
 }
 
 #[test]
@@ -189,7 +246,8 @@ fn a_formula_in_a_tag_is_text_in_csv_and_unchanged_in_json() {
     let dir = TempDir::new().expect("a folder");
     let tag = "=HYPERLINK(1)";
     fs::create_dir(dir.path().join("a")).expect("a folder");
-    fs::write(dir.path().join("a/run.toml"), format!("task = \"lqr\"\ntags = [\"{tag}\"]\n")).expect("a file");
+    fs::write(dir.path().join("a/run.toml"), format!("task = \"lqr\"\ntags = [\"{tag}\"]\n"))
+        .expect("a file");
     let [said, error] = run(&["runs", ".", "--json", "-o", "listed"], dir.path());
     let list: serde_json::Value = serde_json::from_str(&said).expect("JSON");
     assert_eq!(list["runs"][0]["tags"], tag, "{error}");
@@ -203,14 +261,24 @@ fn reports_and_animations_of_a_folder_are_written_elsewhere() {
     let out = dir.path().join("one");
     train(&out, &["--epochs", "1", "-q"]).assert().success();
     compare(&dir.path().join("two"), &[]).assert().success();
-    let modified = |file: &str| fs::metadata(dir.path().join(file)).and_then(|file| file.modified()).expect("a time");
+    let modified = |file: &str| {
+        fs::metadata(dir.path().join(file)).and_then(|file| file.modified()).expect("a time")
+    };
     let files = ["one/animation.svg", "two/runs/R-0/animation.svg"];
     let before = files.map(modified);
-    assert_eq!(run(&["report", "one", "-o", "pages/new"], dir.path()), ["pages/new/report.html\n", ""]);
-    assert_eq!(run(&["animate", "two", "-o", "pages"], dir.path()), ["pages/runs/R-0/animation.svg\n", ""]);
+    assert_eq!(
+        run(&["report", "one", "-o", "pages/new"], dir.path()),
+        ["pages/new/report.html\n", ""]
+    );
+    assert_eq!(
+        run(&["animate", "two", "-o", "pages"], dir.path()),
+        ["pages/runs/R-0/animation.svg\n", ""]
+    );
     assert_eq!(run(&["animate", "one", "-o", "pages"], dir.path()), ["pages/animation.svg\n", ""]);
     let read = |file: &str| fs::read(dir.path().join(file)).expect(file);
     assert_eq!(read("pages/animation.svg"), read("one/animation.svg"));
     assert_eq!(files.map(modified), before);
-    assert!(!read("pages/new/report.html").is_empty() && !dir.path().join("one/report.html").exists());
+    assert!(
+        !read("pages/new/report.html").is_empty() && !dir.path().join("one/report.html").exists()
+    );
 }

@@ -34,16 +34,27 @@ fn assert_says(said: &str, message: &str) {
 #[test]
 fn a_scene_with_80000_unknown_sections_is_refused_within_10_s() {
     let headers: String = (0..80_000).map(|i| format!("[a{i}]\n")).collect();
-    assert_says(&explain(&format!("scene = 1\ntask = \"cart_pole\"\n{headers}")), "large.toml:3: `a0` is unknown");
+    assert_says(
+        &explain(&format!("scene = 1\ntask = \"cart_pole\"\n{headers}")),
+        "large.toml:3: `a0` is unknown",
+    );
 }
 
 #[test]
 fn lists_of_100000_obstacles_and_400000_layers_are_refused() {
     let obstacles = "[0,0],\n".repeat(100_000);
-    let scene = format!("scene = 1\ntask = \"guidance\"\n[effects.obstacles]\ncenters = [\n{obstacles}]\n");
-    assert_says(&explain(&scene), "large.toml:4: `effects.obstacles.centers` is a list of 100000; allowed: up to 1000 centers");
-    let scene = format!("scene = 1\ntask = \"cart_pole\"\n[policy]\nwidths = [{}]\n", "1,".repeat(400_000));
-    assert_says(&explain(&scene), "large.toml:4: `policy.widths` is a list of 400000; allowed: up to 1000 layers");
+    let scene =
+        format!("scene = 1\ntask = \"guidance\"\n[effects.obstacles]\ncenters = [\n{obstacles}]\n");
+    assert_says(
+        &explain(&scene),
+        "large.toml:4: `effects.obstacles.centers` is a list of 100000; allowed: up to 1000 centers",
+    );
+    let scene =
+        format!("scene = 1\ntask = \"cart_pole\"\n[policy]\nwidths = [{}]\n", "1,".repeat(400_000));
+    assert_says(
+        &explain(&scene),
+        "large.toml:4: `policy.widths` is a list of 400000; allowed: up to 1000 layers",
+    );
 }
 
 #[test]
@@ -51,17 +62,35 @@ fn a_scene_of_100_mb_is_refused() {
     let dir = TempDir::new().expect("a folder");
     let file: PathBuf = dir.path().join("large.toml");
     File::create(&file).and_then(|file| file.set_len(100_000_000)).expect("a file");
-    assert_says(&refusal(physgrad(&["explain"]).arg(&file)), "large.toml has more than 1000000 bytes");
+    assert_says(
+        &refusal(physgrad(&["explain"]).arg(&file)),
+        "large.toml has more than 1000000 bytes",
+    );
 }
 
 #[test]
 fn values_nested_100000_deep_and_keys_of_50001_parts_are_refused() {
     for (open, close) in [("[", "]"), ("{a=", "}")] {
-        let scene = format!("scene = 1\ntask = \"cart_pole\"\na = {}1{}\n", open.repeat(100_000), close.repeat(100_000));
-        assert_says(&explain(&scene), "large.toml:3: cannot recurse further; max recursion depth met");
+        let scene = format!(
+            "scene = 1\ntask = \"cart_pole\"\na = {}1{}\n",
+            open.repeat(100_000),
+            close.repeat(100_000)
+        );
+        assert_says(
+            &explain(&scene),
+            "large.toml:3: cannot recurse further; max recursion depth met",
+        );
     }
-    assert_says(&explain(&format!("scene = 1\n{}a = 1\n", "a.".repeat(50_000))), "large.toml cannot be read: recursion limit");
-    let said = refusal(&mut physgrad(&["explain", "cart_pole", "--set", &format!("{}a=1", "a.".repeat(50_000))]));
+    assert_says(
+        &explain(&format!("scene = 1\n{}a = 1\n", "a.".repeat(50_000))),
+        "large.toml cannot be read: recursion limit",
+    );
+    let said = refusal(&mut physgrad(&[
+        "explain",
+        "cart_pole",
+        "--set",
+        &format!("{}a=1", "a.".repeat(50_000)),
+    ]));
     assert_says(&said, "the key has 50001 parts; allowed: up to 8");
 }
 
@@ -77,7 +106,9 @@ fn two_thousand_threads_are_refused() {
     let out = dir.path().join("run");
     let said = refusal(physgrad(&["train", "cart_pole", "--threads", "2000", "--out"]).arg(&out));
     assert_says(&said, "--threads is 2000; allowed: 1 to ");
-    let said = refusal(physgrad(&["train", "cart_pole", "--out"]).arg(&out).env("RAYON_NUM_THREADS", "2000"));
+    let said = refusal(
+        physgrad(&["train", "cart_pole", "--out"]).arg(&out).env("RAYON_NUM_THREADS", "2000"),
+    );
     assert_says(&said, "RAYON_NUM_THREADS is 2000; allowed: 1 to ");
     assert!(!out.exists(), "a refused command creates a folder");
 }
@@ -92,7 +123,14 @@ fn a_horizon_of_1e8_and_500_wide_layers_exceed_the_memory_and_are_refused() {
     // The parameters of 500 layers of width 10,000 need 200 GB in f32.
     let widths = format!("policy.widths=[{}]", ["10000"; 500].join(","));
     assert_says(
-        &refusal(&mut physgrad(&["explain", "cart_pole", "--set", &widths, "--set", "training.memory=\"1GB\""])),
+        &refusal(&mut physgrad(&[
+            "explain",
+            "cart_pole",
+            "--set",
+            &widths,
+            "--set",
+            "training.memory=\"1GB\"",
+        ])),
         "this machine has ",
     );
 }
@@ -103,7 +141,10 @@ fn threads_that_cannot_be_created_are_an_error_and_no_panic() {
     let physgrad = |args: &[&str]| {
         let mut command = physgrad(args);
         // A stack of 1 PB exceeds the address space, so the system refuses every thread.
-        command.current_dir(dir.path()).env("RUST_MIN_STACK", (1_u64 << 50).to_string()).env("RAYON_NUM_THREADS", "2");
+        command
+            .current_dir(dir.path())
+            .env("RUST_MIN_STACK", (1_u64 << 50).to_string())
+            .env("RAYON_NUM_THREADS", "2");
         command
     };
     let parallel: [&[&str]; 14] = [
@@ -127,16 +168,27 @@ fn threads_that_cannot_be_created_are_an_error_and_no_panic() {
         assert_says(&said, "error: cannot start 2 threads (");
         assert_says(&said, "choose fewer with --threads or RAYON_NUM_THREADS");
     }
-    assert_eq!(fs::read_dir(dir.path()).expect("a folder").count(), 0, "a refused command creates files");
-    for args in [&["runs", "."][..], &["explain", "lqr"], &["scene"], &["schema"], &["tasks"], &["effects"]] {
+    assert_eq!(
+        fs::read_dir(dir.path()).expect("a folder").count(),
+        0,
+        "a refused command creates files"
+    );
+    for args in
+        [&["runs", "."][..], &["explain", "lqr"], &["scene"], &["schema"], &["tasks"], &["effects"]]
+    {
         physgrad(args).assert().success();
     }
 }
 
 #[test]
 fn the_variable_of_the_number_of_threads_is_checked_by_every_command() {
-    for (value, message) in [("100000", "is 100000; allowed: 1 to "), ("1e30", "is 1e30; allowed"), ("-1", "is -1; allowed")] {
-        for args in [&["check", "lqr"][..], &["report", "absent"], &["explain", "lqr"], &["scene"]] {
+    for (value, message) in [
+        ("100000", "is 100000; allowed: 1 to "),
+        ("1e30", "is 1e30; allowed"),
+        ("-1", "is -1; allowed"),
+    ] {
+        for args in [&["check", "lqr"][..], &["report", "absent"], &["explain", "lqr"], &["scene"]]
+        {
             let said = refusal(physgrad(args).env("RAYON_NUM_THREADS", value));
             assert_says(&said, &format!("RAYON_NUM_THREADS {message}"));
         }
@@ -147,14 +199,21 @@ fn the_variable_of_the_number_of_threads_is_checked_by_every_command() {
 #[test]
 fn products_of_two_limits_have_a_limit_of_their_own() {
     let dir = TempDir::new().expect("a folder");
-    let rates = format!("training.learning_rate={}", (1..=11).map(|i| format!("{i}e-4")).collect::<Vec<_>>().join(","));
+    let rates = format!(
+        "training.learning_rate={}",
+        (1..=11).map(|i| format!("{i}e-4")).collect::<Vec<_>>().join(",")
+    );
     let compare = ["compare", "lqr", "--fields", "R", "--seeds", "10000", "--set", &rates];
     let said = refusal(physgrad(&compare).current_dir(dir.path()));
-    assert_says(&said, "11 combinations of settings, 1 field and 10000 seeds give 110000 runs; allowed: up to 100000");
+    assert_says(
+        &said,
+        "11 combinations of settings, 1 field and 10000 seeds give 110000 runs; allowed: up to 100000",
+    );
     let said = refusal(physgrad(&["paper", "fig4", "--seeds", "10000"]).current_dir(dir.path()));
     assert_says(&said, "12 combinations of settings, 4 fields and 10000 seeds give 480000 runs");
     let plan = "seeds = 10000\nlearning_rates = [1e-1, 1e-2, 1e-3]\n[[task]]\nscene = \"lqr\"\n";
-    let methods = ["R", "M", "S", "C"].map(|field| format!("[[method]]\nname = \"{field}\"\nset = {{ field = \"{field}\" }}\n"));
+    let methods = ["R", "M", "S", "C"]
+        .map(|field| format!("[[method]]\nname = \"{field}\"\nset = {{ field = \"{field}\" }}\n"));
     fs::write(dir.path().join("plan.toml"), plan.to_owned() + &methods.concat()).expect("a plan");
     let said = refusal(physgrad(&["study", "plan.toml"]).current_dir(dir.path()));
     assert_says(&said, "12 combinations of settings, 1 field and 10000 seeds give 120000 runs");
@@ -165,7 +224,8 @@ fn products_of_two_limits_have_a_limit_of_their_own() {
 #[test]
 fn the_largest_number_of_epochs_is_a_thousand_million() {
     for epochs in ["9223372036854775807", "1000000001"] {
-        let said = refusal(&mut physgrad(&["explain", "lqr", "--set", &format!("epochs={epochs}")]));
+        let said =
+            refusal(&mut physgrad(&["explain", "lqr", "--set", &format!("epochs={epochs}")]));
         assert_says(&said, &format!("`epochs` is {epochs}; allowed: 0 to 1000000000"));
     }
 }

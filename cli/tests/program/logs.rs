@@ -21,7 +21,8 @@ fn metrics(run: &Path) -> (Vec<String>, Vec<Vec<String>>) {
 /// Masked CRC-32C, bit by bit (Castagnoli, reflected polynomial 0x82f63b78).
 fn masked_crc(bytes: &[u8]) -> u32 {
     let step = |crc: u32| (crc >> 1) ^ (0x82f6_3b78 & (crc & 1).wrapping_neg());
-    let crc = !bytes.iter().fold(!0, |crc, &byte| (0..8).fold(crc ^ u32::from(byte), |crc, _| step(crc)));
+    let crc =
+        !bytes.iter().fold(!0, |crc, &byte| (0..8).fold(crc ^ u32::from(byte), |crc, _| step(crc)));
     crc.rotate_left(17).wrapping_add(0xa282_ead8)
 }
 
@@ -69,7 +70,9 @@ struct Event {
 fn events(run: &Path) -> Vec<Event> {
     let bytes = fs::read(run.join(EVENTS)).expect("events");
     let (mut rest, mut events) = (&bytes[..], Vec::new());
-    let u32_at = |bytes: &[u8], at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().expect("4 bytes"));
+    let u32_at = |bytes: &[u8], at: usize| {
+        u32::from_le_bytes(bytes[at..at + 4].try_into().expect("4 bytes"))
+    };
     while !rest.is_empty() {
         let length = u64::from_le_bytes(rest[..8].try_into().expect("8 bytes")) as usize;
         assert_eq!(u32_at(rest, 8), masked_crc(&rest[..8]), "checksum of a length");
@@ -102,7 +105,8 @@ fn check(run: &Path, epochs: usize) {
     let (names, rows) = metrics(run);
     assert_eq!(rows.len(), epochs);
     let lines = fs::read_to_string(run.join("metrics.jsonl")).expect("JSON lines");
-    let objects: Vec<Value> = lines.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
+    let objects: Vec<Value> =
+        lines.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
     let events = events(run);
     assert_eq!((objects.len(), events.len()), (epochs, epochs + 1));
     assert_eq!((events[0].step, events[0].version.as_deref()), (0, Some("brain.Event:2")));
@@ -114,7 +118,10 @@ fn check(run: &Path, epochs: usize) {
                 Ok(number) if number.is_finite() => {
                     // `serde_json` reads numbers with an error of up to one unit in the last place.
                     let found = object[name].as_f64().expect("a number");
-                    assert!((found - number).abs() <= f64::EPSILON * number.abs(), "{name}: {found} and {number}");
+                    assert!(
+                        (found - number).abs() <= f64::EPSILON * number.abs(),
+                        "{name}: {found} and {number}"
+                    );
                 }
                 _ => assert_eq!(object[name], Value::Null, "{name}"),
             }
@@ -130,16 +137,21 @@ fn check(run: &Path, epochs: usize) {
     }
     let now = SystemTime::now().duration_since(UNIX_EPOCH).expect("a time").as_secs_f64();
     let times: Vec<f64> = events.iter().map(|event| event.wall_time).collect();
-    assert!(times.is_sorted() && times[0] > now - 3600.0 && times[epochs] <= now, "{times:?} now {now}");
+    assert!(
+        times.is_sorted() && times[0] > now - 3600.0 && times[epochs] <= now,
+        "{times:?} now {now}"
+    );
 }
 
 #[test]
 fn logs_have_the_rows_of_the_metrics_for_all_runs_of_a_comparison() {
     let dir = TempDir::new().expect("a folder");
-    let compare =
-        format!("compare cart_pole {SMALL} --fields R,C --seeds 1 --epochs 3 --log jsonl,tensorboard --quiet --out all");
+    let compare = format!(
+        "compare cart_pole {SMALL} --fields R,C --seeds 1 --epochs 3 --log jsonl,tensorboard --quiet --out all"
+    );
     physgrad(&compare, dir.path()).assert().success();
-    let runs: Vec<PathBuf> = ["R-0", "C-0"].iter().map(|run| dir.path().join("all/runs").join(run)).collect();
+    let runs: Vec<PathBuf> =
+        ["R-0", "C-0"].iter().map(|run| dir.path().join("all/runs").join(run)).collect();
     for run in &runs {
         check(run, 3);
     }
@@ -158,9 +170,12 @@ fn logs_have_the_rows_of_the_metrics_for_all_runs_of_a_comparison() {
 fn a_resumed_run_has_no_duplicate_rows_and_keeps_its_formats() {
     let dir = TempDir::new().expect("a folder");
     let run = dir.path().join("run");
-    physgrad(&format!("train cart_pole {SMALL} --epochs 2 --log jsonl,tensorboard --quiet --out run"), dir.path())
-        .assert()
-        .success();
+    physgrad(
+        &format!("train cart_pole {SMALL} --epochs 2 --log jsonl,tensorboard --quiet --out run"),
+        dir.path(),
+    )
+    .assert()
+    .success();
     let checkpoint = fs::read(run.join("checkpoint.bin")).expect("a checkpoint");
     physgrad("train --resume --epochs 3 --quiet --out run", dir.path()).assert().success();
     check(&run, 3);
@@ -173,14 +188,20 @@ fn a_resumed_run_has_no_duplicate_rows_and_keeps_its_formats() {
 fn a_complete_run_gets_a_log_and_others_have_none() {
     let dir = TempDir::new().expect("a folder");
     let run = dir.path().join("run");
-    physgrad(&format!("train cart_pole {SMALL} --epochs 2 --quiet --out run"), dir.path()).assert().success();
+    physgrad(&format!("train cart_pole {SMALL} --epochs 2 --quiet --out run"), dir.path())
+        .assert()
+        .success();
     assert!(!run.join("metrics.jsonl").exists() && !run.join(EVENTS).exists());
     physgrad("train --resume --quiet --out run --log jsonl", dir.path()).assert().success();
     assert!(run.join("metrics.jsonl").exists() && !run.join(EVENTS).exists());
-    physgrad("train --resume --quiet --out run --log tensorboard,jsonl", dir.path()).assert().success();
+    physgrad("train --resume --quiet --out run --log tensorboard,jsonl", dir.path())
+        .assert()
+        .success();
     check(&run, 2);
     // A new run in the folder renames the folder of the earlier run to `run.previous-1`.
-    physgrad(&format!("train cart_pole {SMALL} --epochs 1 --quiet --out run"), dir.path()).assert().success();
+    physgrad(&format!("train cart_pole {SMALL} --epochs 1 --quiet --out run"), dir.path())
+        .assert()
+        .success();
     assert!(!run.join("metrics.jsonl").exists() && !run.join(EVENTS).exists());
     check(&dir.path().join("run.previous-1"), 2);
 }

@@ -26,7 +26,8 @@ impl Page {
     pub fn read(path: impl AsRef<Path>) -> Self {
         let path = path.as_ref().to_owned();
         let text = fs::read_to_string(root().join(&path)).expect("a page");
-        let mut page = Self { path, text, blocks: vec![], spans: vec![], links: vec![], anchors: vec![] };
+        let mut page =
+            Self { path, text, blocks: vec![], spans: vec![], links: vec![], anchors: vec![] };
         page.parse();
         page
     }
@@ -35,7 +36,8 @@ impl Page {
         let text = mem::take(&mut self.text);
         // Text of the current heading or block, language of the block, and number of earlier
         // headings by anchor.
-        let (mut current, mut language, mut earlier) = (String::new(), String::new(), BTreeMap::<String, usize>::new());
+        let (mut current, mut language, mut earlier) =
+            (String::new(), String::new(), BTreeMap::<String, usize>::new());
         for event in Parser::new_ext(&text, Options::ENABLE_TABLES) {
             match event {
                 Event::Start(Tag::Heading { .. }) => current.clear(),
@@ -46,7 +48,9 @@ impl Page {
                         CodeBlockKind::Indented => String::new(),
                     };
                 }
-                Event::Start(Tag::Link { dest_url, .. } | Tag::Image { dest_url, .. }) => self.links.push(dest_url.into_string()),
+                Event::Start(Tag::Link { dest_url, .. } | Tag::Image { dest_url, .. }) => {
+                    self.links.push(dest_url.into_string())
+                }
                 Event::Text(part) => current.push_str(&part),
                 Event::Code(code) => {
                     current.push_str(&code);
@@ -55,10 +59,16 @@ impl Page {
                 Event::End(TagEnd::Heading(_)) => {
                     let anchor = anchor(&current);
                     let count = earlier.entry(anchor.clone()).or_default();
-                    self.anchors.push(if *count == 0 { anchor } else { format!("{anchor}-{count}") });
+                    self.anchors.push(if *count == 0 {
+                        anchor
+                    } else {
+                        format!("{anchor}-{count}")
+                    });
                     *count += 1;
                 }
-                Event::End(TagEnd::CodeBlock) => self.blocks.push((mem::take(&mut language), mem::take(&mut current))),
+                Event::End(TagEnd::CodeBlock) => {
+                    self.blocks.push((mem::take(&mut language), mem::take(&mut current)))
+                }
                 _ => {}
             }
         }

@@ -5,8 +5,7 @@ use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
 
-const SCENE: &str =
-    "scene = 1\ntask = \"cart_pole\"\nepochs = 2\n[system]\npoles = 1\n[training]\ntrain_samples = 16\ntest_samples = 8\n";
+const SCENE: &str = "scene = 1\ntask = \"cart_pole\"\nepochs = 2\n[system]\npoles = 1\n[training]\ntrain_samples = 16\ntest_samples = 8\n";
 
 const VARIED: &str = "[vary]\n\"system.cart_mass\" = { log_uniform = [0.5, 2] }\n\"effects.gusty_wind.gust\" = { choice = [1, 2] }\n\
                       [fit]\n\"effects.pole_damping.damping\" = { start = 0.1, min = 0 }\n";
@@ -39,11 +38,21 @@ fn a_scene_draws_masses_and_gusts_and_trains_a_damping() {
 
     let rows = read(&dir, "run/trajectory.csv");
     let column = |name: &str| {
-        let index = rows[0].iter().position(|header| header == name).unwrap_or_else(|| panic!("{name} in {:?}", rows[0]));
-        rows[1..].iter().map(|row| row[index].parse::<f64>().expect("a number")).collect::<Vec<f64>>()
+        let index = rows[0]
+            .iter()
+            .position(|header| header == name)
+            .unwrap_or_else(|| panic!("{name} in {:?}", rows[0]));
+        rows[1..]
+            .iter()
+            .map(|row| row[index].parse::<f64>().expect("a number"))
+            .collect::<Vec<f64>>()
     };
     // f32 rounds the trained value.
-    assert!(column("effects.pole_damping.damping").iter().all(|damping| (damping - trained).abs() < 1e-7));
+    assert!(
+        column("effects.pole_damping.damping")
+            .iter()
+            .all(|damping| (damping - trained).abs() < 1e-7)
+    );
     let masses = column("system.cart_mass");
     assert!(masses.iter().all(|mass| (0.5..=2.0).contains(mass)));
     assert!(masses.iter().any(|&mass| mass != masses[0]), "all samples have equal masses");
@@ -51,13 +60,19 @@ fn a_scene_draws_masses_and_gusts_and_trains_a_damping() {
     assert!(column("start_of_gusts").iter().all(|start| (0.0..=1.0).contains(start)));
 
     // The resumed run equals an uninterrupted run.
-    physgrad("train scene.toml --quiet --out run --resume --epochs 3", dir.path()).assert().success();
+    physgrad("train scene.toml --quiet --out run --resume --epochs 3", dir.path())
+        .assert()
+        .success();
     physgrad("train scene.toml --quiet --out whole --epochs 3", dir.path()).assert().success();
-    let policy = |run: &str| fs::read(dir.path().join(run).join("policy.safetensors")).expect("a policy");
+    let policy =
+        |run: &str| fs::read(dir.path().join(run).join("policy.safetensors")).expect("a policy");
     assert_eq!(policy("run"), policy("whole"));
-    for command in
-        ["check scene.toml", "report run", "explain scene.toml", "compare scene.toml --fields R,C --seeds 1 --epochs 1"]
-    {
+    for command in [
+        "check scene.toml",
+        "report run",
+        "explain scene.toml",
+        "compare scene.toml --fields R,C --seeds 1 --epochs 1",
+    ] {
         physgrad(command, dir.path()).assert().success();
     }
 }
@@ -66,12 +81,13 @@ fn a_scene_draws_masses_and_gusts_and_trains_a_damping() {
 #[test]
 fn scenes_with_inline_tables_and_with_vary_and_fit_train_equal_policies() {
     let dir = folder(&format!("{SCENE}{VARIED}"));
-    let inline =
-        "[effects]\npole_damping = { damping = { start = 0.1, min = 0 } }\ngusty_wind = { gust = { choice = [1, 2] } }\n";
+    let inline = "[effects]\npole_damping = { damping = { start = 0.1, min = 0 } }\ngusty_wind = { gust = { choice = [1, 2] } }\n";
     let scene = SCENE.replace("poles = 1", "poles = 1\ncart_mass = { log_uniform = [0.5, 2] }");
     fs::write(dir.path().join("inline.toml"), format!("{scene}{inline}")).expect("a file");
     for scene in ["scene", "inline"] {
-        physgrad(&format!("train {scene}.toml --quiet --out {scene}"), dir.path()).assert().success();
+        physgrad(&format!("train {scene}.toml --quiet --out {scene}"), dir.path())
+            .assert()
+            .success();
     }
     let file = |run: &str, file: &str| fs::read(dir.path().join(run).join(file)).expect(file);
     assert_eq!(file("scene", "policy.safetensors"), file("inline", "policy.safetensors"));
@@ -80,15 +96,43 @@ fn scenes_with_inline_tables_and_with_vary_and_fit_train_equal_policies() {
 #[test]
 fn errors_of_drawn_and_trained_numbers_name_line_and_allowed_values() {
     for (section, line, message) in [
-        ("[vary]\n\"system.cart_mass\" = { uniform = [-1, 1] }", 11, "`system.cart_mass` is -1; allowed: a positive number"),
-        ("[vary]\n\"system.cart_mass\" = { uniform = [2, 1] }", 11, "allowed: [low, high], with low <= high"),
-        ("[vary]\n\"system.cart_mass\" = { start = 1 }", 11, "allowed in [vary]: { uniform = [low, high] }"),
-        ("[fit]\n\"system.cart_mass\" = { uniform = [1, 2] }", 11, "allowed in [fit]: { start = value"),
-        ("[fit]\n\"system.cart_mass\" = { start = 1, min = 2 }", 11, "`start = 1` is not strictly between its bounds"),
+        (
+            "[vary]\n\"system.cart_mass\" = { uniform = [-1, 1] }",
+            11,
+            "`system.cart_mass` is -1; allowed: a positive number",
+        ),
+        (
+            "[vary]\n\"system.cart_mass\" = { uniform = [2, 1] }",
+            11,
+            "allowed: [low, high], with low <= high",
+        ),
+        (
+            "[vary]\n\"system.cart_mass\" = { start = 1 }",
+            11,
+            "allowed in [vary]: { uniform = [low, high] }",
+        ),
+        (
+            "[fit]\n\"system.cart_mass\" = { uniform = [1, 2] }",
+            11,
+            "allowed in [fit]: { start = value",
+        ),
+        (
+            "[fit]\n\"system.cart_mass\" = { start = 1, min = 2 }",
+            11,
+            "`start = 1` is not strictly between its bounds",
+        ),
         ("[fit]\n\"system.cart_mass\" = { start = 1, max = 2 }", 11, "`max` requires `min`"),
-        ("[vary]\n\"system.mass\" = { uniform = [1, 2] }", 11, "`system.mass` is unknown; allowed: `model`, `poles`"),
+        (
+            "[vary]\n\"system.mass\" = { uniform = [1, 2] }",
+            11,
+            "`system.mass` is unknown; allowed: `model`, `poles`",
+        ),
         ("[vary]\n\"system.poles\" = { choice = [1, 2] }", 11, "`system.poles` is set twice"),
-        ("[vary]\n\"training.batch\" = { choice = [1, 2] }", 11, "`training.batch` is a section; allowed: a whole number"),
+        (
+            "[vary]\n\"training.batch\" = { choice = [1, 2] }",
+            11,
+            "`training.batch` is a section; allowed: a whole number",
+        ),
         (
             "[effects.pole_damping]\ndamping = 1\n[vary]\n\"effects.pole_damping.damping\" = { uniform = [0, 1] }",
             13,
@@ -96,9 +140,13 @@ fn errors_of_drawn_and_trained_numbers_name_line_and_allowed_values() {
         ),
     ] {
         let dir = folder(&format!("{SCENE}\n{section}\n"));
-        let output = physgrad("train scene.toml", dir.path()).assert().failure().get_output().stderr.clone();
+        let output =
+            physgrad("train scene.toml", dir.path()).assert().failure().get_output().stderr.clone();
         let output = String::from_utf8(output).expect("text");
-        assert!(output.contains(&format!("scene.toml:{line}: ")) && output.contains(message), "{section}: {output}");
+        assert!(
+            output.contains(&format!("scene.toml:{line}: ")) && output.contains(message),
+            "{section}: {output}"
+        );
     }
 }
 
@@ -108,8 +156,7 @@ fn two_policies_are_evaluated_over_a_grid_of_4_by_2_settings() {
     physgrad("train scene.toml --quiet --out first", dir.path()).assert().success();
     fs::write(dir.path().join("varied.toml"), format!("{SCENE}{VARIED}")).expect("a file");
     physgrad("train varied.toml --quiet --out second", dir.path()).assert().success();
-    let grid =
-        "robust first second --grid system.cart_mass=0.5:2:4 --grid effects.cart_damping.damping=0:1:2 --samples 16 --out grid";
+    let grid = "robust first second --grid system.cart_mass=0.5:2:4 --grid effects.cart_damping.damping=0:1:2 --samples 16 --out grid";
     physgrad(grid, dir.path()).assert().success();
     let rows = read(&dir, "grid/robust.csv");
     assert_eq!(rows[0][..3], ["run", "system.cart_mass", "effects.cart_damping.damping"]);
@@ -122,20 +169,36 @@ fn two_policies_are_evaluated_over_a_grid_of_4_by_2_settings() {
         assert!(svg.contains(label), "{label}");
     }
     // Whole numbers may be on a grid.
-    physgrad("robust first --grid horizon=10:20:3 --samples 4 --out horizons", dir.path()).assert().success();
-    let horizons: Vec<String> = read(&dir, "horizons/robust.csv").into_iter().skip(1).map(|row| row[1].clone()).collect();
+    physgrad("robust first --grid horizon=10:20:3 --samples 4 --out horizons", dir.path())
+        .assert()
+        .success();
+    let horizons: Vec<String> =
+        read(&dir, "horizons/robust.csv").into_iter().skip(1).map(|row| row[1].clone()).collect();
     assert_eq!(horizons, ["10", "15", "20"]);
     for (command, message) in [
         ("robust first --grid system.cart_mass=1:2", "KEY=LOW:HIGH:COUNT"),
         ("robust first --grid system.mass=1:2:3", "`system.mass` is unknown"),
-        ("robust first --grid system.dt=1:2:3 --grid system.dt=3:4:2", "--grid gives system.dt twice"),
+        (
+            "robust first --grid system.dt=1:2:3 --grid system.dt=3:4:2",
+            "--grid gives system.dt twice",
+        ),
         ("robust first --grid system.poles=1:3:3 --samples 4", "but this scene has 6 and 1"),
-        ("robust first --grid system.poles=1:2:3 --samples 4", "`system.poles` is floating point `1.5`; allowed: a whole number"),
-        ("robust first --grid system.cart_mass=-1:2:3", "`system.cart_mass` is -1; allowed: a positive number"),
+        (
+            "robust first --grid system.poles=1:2:3 --samples 4",
+            "`system.poles` is floating point `1.5`; allowed: a whole number",
+        ),
+        (
+            "robust first --grid system.cart_mass=-1:2:3",
+            "`system.cart_mass` is -1; allowed: a positive number",
+        ),
         ("robust third --grid system.cart_mass=1:2:3", "there is no folder third"),
     ] {
         let stderr = physgrad(command, dir.path()).assert().failure().get_output().stderr.clone();
-        assert!(String::from_utf8_lossy(&stderr).contains(message), "{command}: {}", String::from_utf8_lossy(&stderr));
+        assert!(
+            String::from_utf8_lossy(&stderr).contains(message),
+            "{command}: {}",
+            String::from_utf8_lossy(&stderr)
+        );
     }
 }
 
@@ -154,14 +217,23 @@ fn measured_parameters_are_those_of_their_columns() {
     for file in ["fit/trajectories.csv", "fit/validation.csv"] {
         let rows = read(&dir, file);
         for (i, row) in rows.iter().enumerate().skip(1) {
-            let numbers: Vec<f64> = row[2..].iter().map(|number| number.parse().expect("a number")).collect();
-            assert!(numbers.chunks(2).all(|pair| (pair[0] - pair[1]).abs() < 1e-5), "{file}, row {i}: {row:?}");
+            let numbers: Vec<f64> =
+                row[2..].iter().map(|number| number.parse().expect("a number")).collect();
+            assert!(
+                numbers.chunks(2).all(|pair| (pair[0] - pair[1]).abs() < 1e-5),
+                "{file}, row {i}: {row:?}"
+            );
         }
     }
-    let text = |output: assert_cmd::assert::Assert| String::from_utf8_lossy(&output.get_output().stderr).into_owned();
+    let text = |output: assert_cmd::assert::Assert| {
+        String::from_utf8_lossy(&output.get_output().stderr).into_owned()
+    };
     let overwriting = fit.replace("identify scene.toml", "identify fit/scene.toml");
     assert!(text(run(&overwriting).failure()).contains("the results would replace fit/scene.toml"));
-    assert!(text(run(&fit.replace("--out fit", "--out run")).failure()).contains("run holds a run; choose another folder"));
+    assert!(
+        text(run(&fit.replace("--out fit", "--out run")).failure())
+            .contains("run holds a run; choose another folder")
+    );
     // The first 7 columns have no parameters.
     let rows = read(&dir, "run/trajectory.csv");
     let lines: Vec<String> = rows.iter().map(|row| row[..7].join(",")).collect();
@@ -179,13 +251,16 @@ fn text(rows: &[Vec<String>]) -> String {
 /// true mass is 1. The results keep the times of the data.
 #[test]
 fn recordings_begin_at_their_time() {
-    let dir = folder(&format!("{SCENE}[effects.gusty_wind]\nspeed = 1.0\ngust = 8.0\nperiod = 1.3\n"));
+    let dir =
+        folder(&format!("{SCENE}[effects.gusty_wind]\nspeed = 1.0\ngust = 8.0\nperiod = 1.3\n"));
     let run = |command: &str| physgrad(command, dir.path()).assert();
     run("train scene.toml --epochs 1 --precision f64 --quiet --out run").success();
     let rows = read(&dir, "run/trajectory.csv");
     let time = rows[0].iter().position(|name| name == "time").expect("times");
     let part = |key: &str, steps: std::ops::Range<usize>, shift: f64| -> Vec<Vec<String>> {
-        let rows = rows[1..].iter().filter(|row| row[0] == "0" && steps.contains(&row[1].parse().expect("a step")));
+        let rows = rows[1..]
+            .iter()
+            .filter(|row| row[0] == "0" && steps.contains(&row[1].parse().expect("a step")));
         let moved = |row: &Vec<String>| {
             let mut row = row.clone();
             row[0] = key.to_owned();
@@ -197,7 +272,9 @@ fn recordings_begin_at_their_time() {
     let fit = |parts: &[Vec<Vec<String>>], set: &str| {
         let data = text(&[vec![rows[0].clone()], parts.concat()].concat());
         fs::write(dir.path().join("part.csv"), data).expect("data");
-        run(&format!("identify scene.toml --set system.cart_mass={{start=1.3}} {set}--data part.csv --out fit"))
+        run(&format!(
+            "identify scene.toml --set system.cart_mass={{start=1.3}} {set}--data part.csv --out fit"
+        ))
     };
     for (parts, begins) in [
         (vec![part("a", 17..90, 0.0)], vec!["0.17"]),
@@ -208,19 +285,29 @@ fn recordings_begin_at_their_time() {
         assert!((found - 1.0).abs() < 1e-6, "{begins:?}: {found}");
         let written = read(&dir, "fit/trajectories.csv");
         for (i, begin) in begins.iter().enumerate() {
-            assert!(written.iter().any(|row| row[0] == i.to_string() && row[1] == *begin), "{begin}: {:?}", written[1]);
+            assert!(
+                written.iter().any(|row| row[0] == i.to_string() && row[1] == *begin),
+                "{begin}: {:?}",
+                written[1]
+            );
         }
     }
     for shift in [-0.3, 0.004] {
         let stderr = fit(&[part("a", 17..60, shift)], "").failure().get_output().stderr.clone();
         let stderr = String::from_utf8_lossy(&stderr).into_owned();
-        assert!(stderr.contains("part.csv:2: the segment begins at ") && stderr.contains("depends on time"), "{stderr}");
+        assert!(
+            stderr.contains("part.csv:2: the segment begins at ")
+                && stderr.contains("depends on time"),
+            "{stderr}"
+        );
     }
     // Without gusts, the physics does not depend on time.
     let still = dir.path().join("still");
     fs::create_dir(&still).expect("a folder");
     fs::write(still.join("scene.toml"), SCENE).expect("a scene");
-    physgrad("train scene.toml --epochs 1 --precision f64 --quiet --out run", &still).assert().success();
+    physgrad("train scene.toml --epochs 1 --precision f64 --quiet --out run", &still)
+        .assert()
+        .success();
     let still_rows = fs::read_to_string(still.join("run/trajectory.csv")).expect("rows");
     let moved: Vec<String> = still_rows
         .lines()
@@ -234,7 +321,12 @@ fn recordings_begin_at_their_time() {
         })
         .collect();
     fs::write(still.join("moved.csv"), moved.join("\n")).expect("data");
-    physgrad("identify scene.toml --set system.cart_mass={start=1.3} --data moved.csv --out fit", &still).assert().success();
+    physgrad(
+        "identify scene.toml --set system.cart_mass={start=1.3} --data moved.csv --out fit",
+        &still,
+    )
+    .assert()
+    .success();
 }
 
 /// Free swings of the pendulum of the scene, `[t, θ, ω]` every `dt` in s.
@@ -242,7 +334,11 @@ fn swings(theta: f64, steps: usize, dt: f64) -> Vec<[f64; 3]> {
     use physgrad::tasks::{Arm, MultiPendulum};
     use physgrad::{Inputs, Integrated, RungeKutta, System};
     let arm = Arm { center: 0.15.into(), viscous: 0.004.into(), ..Arm::default() };
-    let system = Integrated { ode: MultiPendulum { arms: vec![arm], gravity: 9.81.into() }, integrator: RungeKutta::RK4, dt };
+    let system = Integrated {
+        ode: MultiPendulum { arms: vec![arm], gravity: 9.81.into() },
+        integrator: RungeKutta::RK4,
+        dt,
+    };
     let mut x = vec![theta, 0.0];
     (0..steps)
         .map(|t| {
@@ -264,8 +360,12 @@ const PENDULUM: &str = "scene = 1\ntask = \"pendulum\"\n[system]\ndt = DT\n[[sys
 fn check_pendulum(dt: &str, rows: &str, tolerance: f64) -> (TempDir, String) {
     let dir = folder(&PENDULUM.replace("DT", dt));
     fs::write(dir.path().join("data.csv"), rows).expect("data");
-    let output =
-        physgrad("identify scene.toml --data data.csv --out found", dir.path()).assert().success().get_output().stdout.clone();
+    let output = physgrad("identify scene.toml --data data.csv --out found", dir.path())
+        .assert()
+        .success()
+        .get_output()
+        .stdout
+        .clone();
     let found = read(&dir, "found/identified.csv");
     for (row, truth) in found[1..].iter().zip([0.15, 0.004]) {
         let value: f64 = row[2].parse().expect("a number");
@@ -280,7 +380,9 @@ fn wrapped_angles_identify_center_and_friction() {
     use std::f64::consts::{PI, TAU};
     let rows = [PI + 0.5, PI - 0.8].into_iter().enumerate().flat_map(|(segment, theta)| {
         let wrap = |theta: f64| PI - (PI - theta).rem_euclid(TAU);
-        swings(theta, 150, 0.01).into_iter().map(move |[t, theta, omega]| format!("{segment},{t},{},{omega}\n", wrap(theta)))
+        swings(theta, 150, 0.01)
+            .into_iter()
+            .map(move |[t, theta, omega]| format!("{segment},{t},{},{omega}\n", wrap(theta)))
     });
     let data = format!("segment,t,theta_1,omega_1\n{}", rows.collect::<String>());
     let (dir, output) = check_pendulum("0.01", &data, 1e-6);
@@ -308,20 +410,31 @@ fn times_may_be_rounded_to_their_decimals() {
 /// Rows are missing while the torque changes from 0 to 0.01 N m. A state without angles jumps.
 #[test]
 fn missing_rows_and_turns_are_named() {
-    let dir = folder("scene = 1\ntask = \"cart_pole\"\n[system]\npoles = 1\n[fit]\n\"system.cart_mass\" = { start = 1.0 }\n");
+    let dir = folder(
+        "scene = 1\ntask = \"cart_pole\"\n[system]\npoles = 1\n[fit]\n\"system.cart_mass\" = { start = 1.0 }\n",
+    );
     let row = |t: usize| {
         let x = if t < 30 { 3.0 } else { -3.0 };
         format!("{},{x},0,3.14159,0,{}\n", t as f64 * 0.01, if t < 20 { 0.0 } else { 0.01 })
     };
     let rows: String = (0..60).filter(|t| !(15..25).contains(t)).map(row).collect();
-    fs::write(dir.path().join("data.csv"), format!("t,x,x_dot,theta_1,omega_1,force\n{rows}")).expect("data");
-    let output =
-        physgrad("identify scene.toml --data data.csv --out found", dir.path()).assert().success().get_output().stdout.clone();
+    fs::write(dir.path().join("data.csv"), format!("t,x,x_dot,theta_1,omega_1,force\n{rows}"))
+        .expect("data");
+    let output = physgrad("identify scene.toml --data data.csv --out found", dir.path())
+        .assert()
+        .success()
+        .get_output()
+        .stdout
+        .clone();
     let output = String::from_utf8(output).expect("text");
-    let missing =
-        "warning: rows are missing before 1 row of data.csv, where the control changes (at most 11 steps, before line 17)";
+    let missing = "warning: rows are missing before 1 row of data.csv, where the control changes (at most 11 steps, before line 17)";
     assert!(output.contains(missing), "{output}");
-    assert!(output.contains("warning: data.csv:22: x jumps by -6.000 from the row before; if it is an angle"), "{output}");
+    assert!(
+        output.contains(
+            "warning: data.csv:22: x jumps by -6.000 from the row before; if it is an angle"
+        ),
+        "{output}"
+    );
 }
 
 /// Identifies the measured pendulum of the example. The length of the first arm agrees with the
@@ -334,7 +447,9 @@ fn measured_trajectories_identify_length_within_1_and_center_within_2_percent() 
         fs::copy(example.join(file), dir.path().join(file)).expect(file);
     }
     let noise = "theta_1=0.003,omega_1=0.1,theta_2=0.003,omega_2=0.1";
-    let command = format!("identify double_pendulum.toml --data double_pendulum.csv --noise {noise} --every 2 --out found");
+    let command = format!(
+        "identify double_pendulum.toml --data double_pendulum.csv --noise {noise} --every 2 --out found"
+    );
     let output = physgrad(&command, dir.path()).assert().success().get_output().stdout.clone();
     let output = String::from_utf8(output).expect("text");
     assert!(output.contains("validation with 2 other segments"), "{output}");
@@ -344,7 +459,8 @@ fn measured_trajectories_identify_length_within_1_and_center_within_2_percent() 
     assert_eq!(warnings, ["warning: system.arms[1].dry is at its bound"], "{output}");
     let rows = read(&dir, "found/identified.csv");
     let value = |name: &str| -> f64 {
-        let row = rows.iter().find(|row| row[0] == name).unwrap_or_else(|| panic!("{name} in {rows:?}"));
+        let row =
+            rows.iter().find(|row| row[0] == name).unwrap_or_else(|| panic!("{name} in {rows:?}"));
         row[2].parse().expect("a number")
     };
     assert!((value("system.arms[0].length") / 0.172719 - 1.0).abs() < 0.01);
@@ -354,14 +470,25 @@ fn measured_trajectories_identify_length_within_1_and_center_within_2_percent() 
     // The report depends on the files only.
     for _ in 0..2 {
         let page = fs::read_to_string(dir.path().join("found/report.html")).expect("a page");
-        for text in ["Residuals of theta_1", "Validation", "system.arms[1].dry is at its bound", "Correlations"] {
+        for text in [
+            "Residuals of theta_1",
+            "Validation",
+            "system.arms[1].dry is at its bound",
+            "Correlations",
+        ] {
             assert!(page.contains(text), "{text}");
         }
         fs::remove_file(dir.path().join("found/report.html")).expect("a page");
         physgrad("report found", dir.path()).assert().success();
     }
     // The segments keep their numbers.
-    assert_eq!((&*read(&dir, "found/trajectories.csv")[500][0], &*read(&dir, "found/validation.csv")[1][0]), ("2", "1"));
+    assert_eq!(
+        (
+            &*read(&dir, "found/trajectories.csv")[500][0],
+            &*read(&dir, "found/validation.csv")[1][0]
+        ),
+        ("2", "1")
+    );
     // Validation segments have free initial states, even if those of the fitted segments are exact.
     let exact = command.replace("found", "exact --exact-starts --window 0 --json");
     let output = physgrad(&exact, dir.path()).assert().success().get_output().stdout.clone();
@@ -370,22 +497,43 @@ fn measured_trajectories_identify_length_within_1_and_center_within_2_percent() 
     assert_eq!(object["numbers"].as_array().map(Vec::len), Some(rows.len() - 1));
     assert_eq!(read(&dir, "exact/validation.csv").len(), read(&dir, "found/validation.csv").len());
     // Trains a controller for the measured pendulum in the fitted scene.
-    physgrad("train found/scene.toml --epochs 1 --set training.train_samples=8 --quiet --out run", dir.path()).assert().success();
+    physgrad(
+        "train found/scene.toml --epochs 1 --set training.train_samples=8 --quiet --out run",
+        dir.path(),
+    )
+    .assert()
+    .success();
 
     for (command, message) in [
-        ("identify pendulum --data double_pendulum.csv", "pendulum has no unknown numbers; list them in [fit]"),
+        (
+            "identify pendulum --data double_pendulum.csv",
+            "pendulum has no unknown numbers; list them in [fit]",
+        ),
         ("identify double_pendulum.toml --data none.csv", "cannot read none.csv"),
         ("identify double_pendulum.toml --data double_pendulum.toml", "unknown column"),
-        ("identify double_pendulum.toml --data double_pendulum.csv --noise theta_1=0", "write NAME=VALUE with a positive value"),
+        (
+            "identify double_pendulum.toml --data double_pendulum.csv --noise theta_1=0",
+            "write NAME=VALUE with a positive value",
+        ),
         (
             "identify double_pendulum.toml --data double_pendulum.csv --noise theta_1=1",
             "--noise lacks omega_1, theta_2, omega_2; give all measured states: theta_1",
         ),
-        ("identify double_pendulum.toml --data double_pendulum.csv --noise theta_1=1,theta_1=2", "theta_1 is given twice"),
-        ("identify double_pendulum.toml --data double_pendulum.csv --set system.dt=0.007", "is not a later step of 0.007 s"),
+        (
+            "identify double_pendulum.toml --data double_pendulum.csv --noise theta_1=1,theta_1=2",
+            "theta_1 is given twice",
+        ),
+        (
+            "identify double_pendulum.toml --data double_pendulum.csv --set system.dt=0.007",
+            "is not a later step of 0.007 s",
+        ),
     ] {
         let stderr = physgrad(command, dir.path()).assert().failure().get_output().stderr.clone();
-        assert!(String::from_utf8_lossy(&stderr).contains(message), "{command}: {}", String::from_utf8_lossy(&stderr));
+        assert!(
+            String::from_utf8_lossy(&stderr).contains(message),
+            "{command}: {}",
+            String::from_utf8_lossy(&stderr)
+        );
     }
 }
 
@@ -394,36 +542,74 @@ fn unusable_measurements_are_refused_with_place_and_advice() {
     let dir = TempDir::new().expect("a folder");
     let scene = crate::markdown::root().join("examples/data/double_pendulum.toml");
     fs::copy(scene, dir.path().join("scene.toml")).expect("a scene");
-    let [long, long_name] =
-        [format!("t,theta_1\n0,1\n0.005,{}x", "0".repeat(100_000)), format!("{},theta_1\n0,1", "t".repeat(1000))];
+    let [long, long_name] = [
+        format!("t,theta_1\n0,1\n0.005,{}x", "0".repeat(100_000)),
+        format!("{},theta_1\n0,1", "t".repeat(1000)),
+    ];
     let (long, long_name, utf_16) = (long.as_str(), long_name.as_str(), "\0t\0,\0x");
     for (data, message) in [
-        ("t,theta_1,theta_1\n0,1,2", "data.csv: the columns `theta_1` and `theta_1` have one meaning; remove one of them"),
+        (
+            "t,theta_1,theta_1\n0,1,2",
+            "data.csv: the columns `theta_1` and `theta_1` have one meaning; remove one of them",
+        ),
         ("t,theta_1,time\n0,1,2", "data.csv: the columns `t` and `time` have one meaning"),
-        ("segment,t,sample\n0,1,2", "data.csv: the columns `segment` and `sample` have one meaning"),
-        ("t,theta_1\n0,1\n0.005,-inf", "data.csv:3: `-inf` is infinite; leave the cell of a missing sample empty"),
+        (
+            "segment,t,sample\n0,1,2",
+            "data.csv: the columns `segment` and `sample` have one meaning",
+        ),
+        (
+            "t,theta_1\n0,1\n0.005,-inf",
+            "data.csv:3: `-inf` is infinite; leave the cell of a missing sample empty",
+        ),
         ("t,theta_1\n0,1\n0.005,x", "data.csv:3: `x` is not a number"),
         (long, "data.csv:3: `0000000000000000000000000000000000000000…` is not a number"),
-        (long_name, "unknown column `tttttttttttttttttttttttttttttttttttttttt…`; allowed: segment, t, theta_1"),
-        ("t;theta_1\n0;1", "data.csv: the columns are separated by semicolons; allowed: commas, and points in numbers"),
+        (
+            long_name,
+            "unknown column `tttttttttttttttttttttttttttttttttttttttt…`; allowed: segment, t, theta_1",
+        ),
+        (
+            "t;theta_1\n0;1",
+            "data.csv: the columns are separated by semicolons; allowed: commas, and points in numbers",
+        ),
         ("t\ttheta_1\n0\t1", "data.csv: the columns are separated by tabs"),
-        ("t,theta_1,\n0,1,", "data.csv: column 3 has no name; remove the column, or the comma at the end of each line"),
-        ("t,theta_1\n0,1\n0.005,1,", "data.csv:3: the line ends in a comma, but the header does not"),
+        (
+            "t,theta_1,\n0,1,",
+            "data.csv: column 3 has no name; remove the column, or the comma at the end of each line",
+        ),
+        (
+            "t,theta_1\n0,1\n0.005,1,",
+            "data.csv:3: the line ends in a comma, but the header does not",
+        ),
         ("t,theta_1\n0,1\n0.005", "data.csv:3: the row has 1 cells; expected 2, as in the header"),
         (utf_16, "data.csv is in UTF-16 or is no text; save it as text in UTF-8"),
-        ("t,theta_1\n0,1\n10,2\n15,3", "data.csv: all rows are 1000 or more steps of 0.005 s apart; give `t` in s, not in ms"),
+        (
+            "t,theta_1\n0,1\n10,2\n15,3",
+            "data.csv: all rows are 1000 or more steps of 0.005 s apart; give `t` in s, not in ms",
+        ),
         // Segments of 2e6 steps each exceed the limit only together.
         (
             "segment,t,theta_1\na,0,1\na,0.005,1\na,1e4,2\nb,0,1\nb,1e4,2",
             "data.csv:6: the segments have 4000002 steps of 0.005 s up to here; allowed: ",
         ),
         // Two decimals do not show steps of 5 ms.
-        ("t,theta_1\n0,1\n0.01,2\n0.03,2\n0.042,3", "data.csv:5: the time 0.042 s is not a later step"),
-        ("segment,t\na,0\nb,0\na,0.005", "data.csv:4: the rows of segment a are not contiguous; sort the rows by segment"),
+        (
+            "t,theta_1\n0,1\n0.01,2\n0.03,2\n0.042,3",
+            "data.csv:5: the time 0.042 s is not a later step",
+        ),
+        (
+            "segment,t\na,0\nb,0\na,0.005",
+            "data.csv:4: the rows of segment a are not contiguous; sort the rows by segment",
+        ),
         ("t,theta_1\n0,1\n,2", "data.csv:3: the time is missing"),
-        ("t,theta_1\n0,1\n0.01,2\n0.005,3", "data.csv:4: the time 0.005 s is not later than in the row before"),
+        (
+            "t,theta_1\n0,1\n0.01,2\n0.005,3",
+            "data.csv:4: the time 0.005 s is not later than in the row before",
+        ),
         ("t,theta_1\n0,1\n0.007,2", "data.csv:3: the time 0.007 s is not a later step of 0.005 s"),
-        ("t,theta_1\n0,1\n1e6,2", "data.csv:3: the segments have 200000001 steps of 0.005 s up to here; allowed: "),
+        (
+            "t,theta_1\n0,1\n1e6,2",
+            "data.csv:3: the segments have 200000001 steps of 0.005 s up to here; allowed: ",
+        ),
         // Fits segments 0 and 2. Messages name the index in the file.
         (
             "segment,t,theta_1,theta_2,omega_1,omega_2\n0,0,1,1,0,0\n1,0,1,1,0,0\n2,0,,1,0,",
@@ -433,7 +619,11 @@ fn unusable_measurements_are_refused_with_place_and_advice() {
         fs::write(dir.path().join("data.csv"), format!("{data}\n")).expect("a file");
         let command = "identify scene.toml --data data.csv --every 2 --exact-starts";
         let stderr = physgrad(command, dir.path()).assert().failure().get_output().stderr.clone();
-        assert!(String::from_utf8_lossy(&stderr).contains(message), "{message}: {}", String::from_utf8_lossy(&stderr));
+        assert!(
+            String::from_utf8_lossy(&stderr).contains(message),
+            "{message}: {}",
+            String::from_utf8_lossy(&stderr)
+        );
     }
 }
 
@@ -444,25 +634,44 @@ fn messages_about_unmeasured_states_name_measured_ones_only() {
     let dir = TempDir::new().expect("a folder");
     let scene = "scene = 1\ntask = \"cart_pole\"\n[system]\npoles = 1\n[fit]\n\"system.gravity\" = { start = 9.81 }\n";
     fs::write(dir.path().join("scene.toml"), scene).expect("a scene");
-    let row =
-        |t: i32| format!("{},{}", f64::from(t) * 0.01, 0.1 * (f64::from(t) * 0.05).cos() + if t % 2 == 0 { 1e-3 } else { 0.0 });
+    let row = |t: i32| {
+        format!(
+            "{},{}",
+            f64::from(t) * 0.01,
+            0.1 * (f64::from(t) * 0.05).cos() + if t % 2 == 0 { 1e-3 } else { 0.0 }
+        )
+    };
     let data = |first: &str| {
         let rows: Vec<String> = (1..60).map(|t| format!("{},,,", row(t))).collect();
-        fs::write(dir.path().join("data.csv"), format!("t,theta_1,x,x_dot,omega_1\n{}{first}\n{}\n", row(0), rows.join("\n")))
+        fs::write(
+            dir.path().join("data.csv"),
+            format!("t,theta_1,x,x_dot,omega_1\n{}{first}\n{}\n", row(0), rows.join("\n")),
+        )
     };
     data(",,,").expect("data");
     let command = "identify scene.toml --data data.csv --out found --noise theta_1=10";
     let output = physgrad(command, dir.path()).assert().success().get_output().stdout.clone();
     let output = String::from_utf8(output).expect("text");
-    assert!(output.contains("warning: the data do not determine the initial values of x"), "{output}");
+    assert!(
+        output.contains("warning: the data do not determine the initial values of x"),
+        "{output}"
+    );
     assert!(output.contains("warning: χ² per degree of freedom is "), "{output}");
-    assert!(output.contains("root mean square of the residuals: theta_1 ") && !output.contains("NaN"), "{output}");
-    let picture = || fs::read_to_string(dir.path().join("found/identified.svg")).expect("a picture");
+    assert!(
+        output.contains("root mean square of the residuals: theta_1 ") && !output.contains("NaN"),
+        "{output}"
+    );
+    let picture =
+        || fs::read_to_string(dir.path().join("found/identified.svg")).expect("a picture");
     assert!(picture().contains("residual of theta_1") && !picture().contains("omega_1"));
     // An exact initial state has no noise.
     data(",0,0,0").expect("data");
     let stderr = physgrad(command, dir.path()).assert().failure().get_output().stderr.clone();
-    assert!(String::from_utf8_lossy(&stderr).contains("--noise lacks x, x_dot, omega_1"), "{}", String::from_utf8_lossy(&stderr));
+    assert!(
+        String::from_utf8_lossy(&stderr).contains("--noise lacks x, x_dot, omega_1"),
+        "{}",
+        String::from_utf8_lossy(&stderr)
+    );
     physgrad(&format!("{command} --exact-starts"), dir.path()).assert().success();
     assert!(!picture().contains("omega_1"));
 }
@@ -471,21 +680,36 @@ fn messages_about_unmeasured_states_name_measured_ones_only() {
 #[test]
 fn a_fit_outside_of_the_range_of_a_setting_is_written() {
     let dir = TempDir::new().expect("a folder");
-    let scene =
-        "scene = 1\ntask = \"cart_pole\"\n[effects.cart_damping]\n[fit]\n\"effects.cart_damping.damping\" = { start = 0.1 }\n";
+    let scene = "scene = 1\ntask = \"cart_pole\"\n[effects.cart_damping]\n[fit]\n\"effects.cart_damping.damping\" = { start = 0.1 }\n";
     fs::write(dir.path().join("scene.toml"), scene).expect("a scene");
     // The cart accelerates without a force.
     let rows: Vec<String> = (0..30)
-        .map(|t| format!("0,{},{},{},0,0", f64::from(t) * 0.01, 0.01 * f64::from(t * t), f64::from(t) * 0.5 + 1.0))
+        .map(|t| {
+            format!(
+                "0,{},{},{},0,0",
+                f64::from(t) * 0.01,
+                0.01 * f64::from(t * t),
+                f64::from(t) * 0.5 + 1.0
+            )
+        })
         .collect();
-    fs::write(dir.path().join("data.csv"), format!("segment,t,x,x_dot,theta_1,omega_1\n{}\n", rows.join("\n"))).expect("data");
+    fs::write(
+        dir.path().join("data.csv"),
+        format!("segment,t,x,x_dot,theta_1,omega_1\n{}\n", rows.join("\n")),
+    )
+    .expect("data");
     let command = "identify scene.toml --data data.csv --out found --window 0";
     let output = physgrad(command, dir.path()).assert().success().get_output().stdout.clone();
     let output = String::from_utf8(output).expect("text");
     assert!(output.contains("warning: there is no scene.toml and no validation: "), "{output}");
     assert!(output.contains("; add bounds to [fit]"), "{output}");
-    assert!(read(&dir, "found/identified.csv")[1][2].parse::<f64>().is_ok_and(|damping| damping < 0.0));
-    assert!(!dir.path().join("found/scene.toml").exists() && dir.path().join("found/report.html").exists());
+    assert!(
+        read(&dir, "found/identified.csv")[1][2].parse::<f64>().is_ok_and(|damping| damping < 0.0)
+    );
+    assert!(
+        !dir.path().join("found/scene.toml").exists()
+            && dir.path().join("found/report.html").exists()
+    );
 }
 
 /// A force does not move a cart that is held, so the fitted mass grows without limit. Numbers
@@ -494,9 +718,19 @@ fn a_fit_outside_of_the_range_of_a_setting_is_written() {
 fn a_number_that_runs_away_has_no_error_and_no_scene() {
     let scene = SCENE.to_owned() + "[fit]\n\"system.cart_mass\" = { start = 1, min = 0.1 }\n";
     let dir = folder(&scene);
-    let row = |t: u32| format!("{},{},0,0,0,1", f64::from(t) * 0.01, if t.is_multiple_of(2) { 1e-4 } else { -1e-4 });
+    let row = |t: u32| {
+        format!(
+            "{},{},0,0,0,1",
+            f64::from(t) * 0.01,
+            if t.is_multiple_of(2) { 1e-4 } else { -1e-4 }
+        )
+    };
     let rows: Vec<String> = (0..30).map(row).collect();
-    fs::write(dir.path().join("data.csv"), format!("t,x,x_dot,theta_1,omega_1,force\n{}\n", rows.join("\n"))).expect("data");
+    fs::write(
+        dir.path().join("data.csv"),
+        format!("t,x,x_dot,theta_1,omega_1,force\n{}\n", rows.join("\n")),
+    )
+    .expect("data");
     fs::create_dir(dir.path().join("found")).expect("a folder");
     let command = "identify scene.toml --data data.csv --out found --json";
     let output = physgrad(command, dir.path()).assert().success().get_output().stdout.clone();
@@ -504,13 +738,17 @@ fn a_number_that_runs_away_has_no_error_and_no_scene() {
     let number = &object["numbers"][0];
     assert!(number["status"] == "ran away" && number["standard_error"].is_null(), "{object}");
     let warnings = object["warnings"].to_string();
-    for text in
-        ["system.cart_mass ran away from 1.00000 to ", "there is no scene.toml and no validation: the fit has not converged"]
-    {
+    for text in [
+        "system.cart_mass ran away from 1.00000 to ",
+        "there is no scene.toml and no validation: the fit has not converged",
+    ] {
         assert!(warnings.contains(text), "{text}: {warnings}");
     }
     assert!(!warnings.contains("do not determine system.cart_mass"), "{warnings}");
-    assert!(!dir.path().join("found/scene.toml").exists() && dir.path().join("found/report.html").exists());
+    assert!(
+        !dir.path().join("found/scene.toml").exists()
+            && dir.path().join("found/report.html").exists()
+    );
 }
 
 /// The value in the message is one that the reader accepts.

@@ -8,9 +8,17 @@ use tempfile::TempDir;
 /// Returns the columns `names` of a CSV file, row by row. Cells that are not numbers become NaN.
 fn columns(dir: &TempDir, file: &str, names: &[&str]) -> Vec<Vec<f64>> {
     let rows = read(dir, file);
-    let index = |name: &&str| rows[0].iter().position(|known| known == name).unwrap_or_else(|| panic!("{name} in {:?}", rows[0]));
+    let index = |name: &&str| {
+        rows[0]
+            .iter()
+            .position(|known| known == name)
+            .unwrap_or_else(|| panic!("{name} in {:?}", rows[0]))
+    };
     let indices: Vec<usize> = names.iter().map(index).collect();
-    rows[1..].iter().map(|row| indices.iter().map(|&i| row[i].parse().unwrap_or(f64::NAN)).collect()).collect()
+    rows[1..]
+        .iter()
+        .map(|row| indices.iter().map(|&i| row[i].parse().unwrap_or(f64::NAN)).collect())
+        .collect()
 }
 
 /// The Riccati equation gives the least loss from every initial state, and one optimal gain for all
@@ -18,11 +26,17 @@ fn columns(dir: &TempDir, file: &str, names: &[&str]) -> Vec<Vec<f64>> {
 #[test]
 fn costs_and_gains_of_lqr_equal_the_riccati_solution_within_1e_minus_9_and_1e_minus_6() {
     let dir = TempDir::new().expect("a folder");
-    let output = physgrad("optimize lqr --starts 3 --out plan", dir.path()).assert().success().get_output().stdout.clone();
+    let output = physgrad("optimize lqr --starts 3 --out plan", dir.path())
+        .assert()
+        .success()
+        .get_output()
+        .stdout
+        .clone();
     let printed = String::from_utf8(output).expect("text");
     let states = ["x", "x_dot", "theta_1", "omega_1"];
     let trajectory = columns(&dir, "plan/trajectory.csv", &[&["step"][..], &states].concat());
-    let starts: Vec<&[f64]> = trajectory.iter().filter(|row| row[0] == 0.0).map(|row| &row[1..]).collect();
+    let starts: Vec<&[f64]> =
+        trajectory.iter().filter(|row| row[0] == 0.0).map(|row| &row[1..]).collect();
     let costs = columns(&dir, "plan/optimized.csv", &["cost", "iterations"]);
     assert_eq!((starts.len(), costs.len()), (3, 3), "{printed}");
     let lqr = Lqr::upright_cart_pole();
@@ -30,13 +44,25 @@ fn costs_and_gains_of_lqr_equal_the_riccati_solution_within_1e_minus_9_and_1e_mi
         let least = lqr.least_loss(start);
         assert!((cost[0] / least - 1.0).abs() < 1e-9, "{} against {least}", cost[0]);
         let mut cells = printed.split([' ', '│', '┆']).filter_map(|cell| cell.parse::<f64>().ok());
-        assert!(cells.any(|cell| (cell / cost[0] - 1.0).abs() < 5e-6), "six digits of {}: {printed}", cost[0]);
+        assert!(
+            cells.any(|cell| (cell / cost[0] - 1.0).abs() < 5e-6),
+            "six digits of {}: {printed}",
+            cost[0]
+        );
     }
-    let gains = columns(&dir, "plan/gains.csv", &states.map(|state| format!("force by {state}")).each_ref().map(String::as_str));
+    let gains = columns(
+        &dir,
+        "plan/gains.csv",
+        &states.map(|state| format!("force by {state}")).each_ref().map(String::as_str),
+    );
     let gain = &lqr.optimum().gain;
     assert_eq!(gains.len(), 3 * 100);
     assert!(
-        gains.iter().flatten().zip(gain.iter().cycle()).all(|(found, gain)| (found - gain).abs() < 1e-6),
+        gains
+            .iter()
+            .flatten()
+            .zip(gain.iter().cycle())
+            .all(|(found, gain)| (found - gain).abs() < 1e-6),
         "{gain:?} {:?}",
         gains[0]
     );
@@ -47,14 +73,24 @@ fn optimized_forces_stay_within_minus_4_and_5_n_and_cost_less_than_the_policy() 
     let dir = TempDir::new().expect("a folder");
     // With one test sample, the test loss is the cost of the policy.
     let settings = "--set training.train_samples=32 --set training.test_samples=1 --set horizon=40 --precision f64 --epochs 3";
-    physgrad(&format!("train cart_pole_1 {settings} --quiet --out run"), dir.path()).assert().success();
+    physgrad(&format!("train cart_pole_1 {settings} --quiet --out run"), dir.path())
+        .assert()
+        .success();
     // The bound of one control replaces that of all controls.
     let optimize = "optimize --from run --bound force=-4:5 --bound=-1:1 --out plan --quiet";
     physgrad(optimize, dir.path()).assert().success().stdout("");
-    physgrad("optimize --from run --iterations 0 --out policy --quiet", dir.path()).assert().success();
-    let costs = |plan: &str| columns(&dir, &format!("{plan}/optimized.csv"), &["initial_cost", "cost"]).remove(0);
+    physgrad("optimize --from run --iterations 0 --out policy --quiet", dir.path())
+        .assert()
+        .success();
+    let costs = |plan: &str| {
+        columns(&dir, &format!("{plan}/optimized.csv"), &["initial_cost", "cost"]).remove(0)
+    };
     let policy = columns(&dir, "run/metrics.csv", &["test_loss"])[2][0];
-    assert!((costs("policy")[1] / policy - 1.0).abs() < 1e-9, "{:?} against {policy}", costs("policy"));
+    assert!(
+        (costs("policy")[1] / policy - 1.0).abs() < 1e-9,
+        "{:?} against {policy}",
+        costs("policy")
+    );
     assert!(costs("plan")[1] < policy, "{:?} against {policy}", costs("plan"));
     let forces: Vec<f64> = columns(&dir, "plan/trajectory.csv", &["force"]).concat();
     let forces = &forces[..40];
@@ -69,15 +105,25 @@ fn optimized_forces_stay_within_minus_4_and_5_n_and_cost_less_than_the_policy() 
             "optimize --from run --bound torque=-1:1",
             "write [NAME=]LOW:HIGH with LOW below HIGH, as in force=-10:10; names: force",
         ),
-        ("optimize --from run --bound force=-1:1 --bound force=-2:2", "--bound force=-2:2: force has two bounds; give one"),
-        ("optimize cart_pole --bound 1:-1", "--bound 1:-1: write [NAME=]LOW:HIGH with LOW below HIGH"),
+        (
+            "optimize --from run --bound force=-1:1 --bound force=-2:2",
+            "--bound force=-2:2: force has two bounds; give one",
+        ),
+        (
+            "optimize cart_pole --bound 1:-1",
+            "--bound 1:-1: write [NAME=]LOW:HIGH with LOW below HIGH",
+        ),
         ("optimize cart_pole --starts 0", "--starts is 0; allowed: 1 to "),
         ("optimize cart_pole --from run", "cannot be used with"),
         ("optimize --from run --set horizon=30", "cannot be used with"),
         ("optimize", "required arguments were not provided"),
     ] {
         let stderr = physgrad(command, dir.path()).assert().failure().get_output().stderr.clone();
-        assert!(String::from_utf8_lossy(&stderr).contains(message), "{command}: {}", String::from_utf8_lossy(&stderr));
+        assert!(
+            String::from_utf8_lossy(&stderr).contains(message),
+            "{command}: {}",
+            String::from_utf8_lossy(&stderr)
+        );
     }
 }
 
@@ -86,7 +132,8 @@ fn optimized_forces_stay_within_minus_4_and_5_n_and_cost_less_than_the_policy() 
 fn plans_of_other_initial_states_are_written_if_one_fails() {
     let dir = TempDir::new().expect("a folder");
     let command = "optimize scene.toml --starts 6 --out plan --set horizon=5 --iterations 3";
-    let scene = "scene = 1\ntask = \"cart_pole\"\n[vary]\n\"system.gravity\" = { choice = [9.8, 1e300] }\n";
+    let scene =
+        "scene = 1\ntask = \"cart_pole\"\n[vary]\n\"system.gravity\" = { choice = [9.8, 1e300] }\n";
     fs::write(dir.path().join("scene.toml"), scene).expect("a scene");
     let stderr = physgrad(command, dir.path()).assert().failure().get_output().stderr.clone();
     let stderr = String::from_utf8(stderr).expect("text");
@@ -103,9 +150,26 @@ fn plans_of_other_initial_states_are_written_if_one_fails() {
 #[test]
 fn the_folder_of_a_run_is_not_overwritten_by_plans() {
     let dir = TempDir::new().expect("a folder");
-    physgrad("train cart_pole_1 --epochs 1 --set training.train_samples=8 --quiet --out run", dir.path()).assert().success();
-    let stderr = physgrad("optimize --from run --out run", dir.path()).assert().failure().get_output().stderr.clone();
-    assert!(String::from_utf8_lossy(&stderr).contains("run holds a run; choose another folder"), "{stderr:?}");
-    let stderr = physgrad("eval run --out run", dir.path()).assert().failure().get_output().stderr.clone();
-    assert!(String::from_utf8_lossy(&stderr).contains("run holds a run; choose another folder"), "{stderr:?}");
+    physgrad(
+        "train cart_pole_1 --epochs 1 --set training.train_samples=8 --quiet --out run",
+        dir.path(),
+    )
+    .assert()
+    .success();
+    let stderr = physgrad("optimize --from run --out run", dir.path())
+        .assert()
+        .failure()
+        .get_output()
+        .stderr
+        .clone();
+    assert!(
+        String::from_utf8_lossy(&stderr).contains("run holds a run; choose another folder"),
+        "{stderr:?}"
+    );
+    let stderr =
+        physgrad("eval run --out run", dir.path()).assert().failure().get_output().stderr.clone();
+    assert!(
+        String::from_utf8_lossy(&stderr).contains("run holds a run; choose another folder"),
+        "{stderr:?}"
+    );
 }

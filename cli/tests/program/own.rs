@@ -31,7 +31,8 @@ fn output(args: &[&str], folder: &Path) -> String {
 }
 
 fn output_of(program: &Path, args: &[&str], folder: &Path) -> String {
-    let output = Command::new(program).args(args).current_dir(folder).output().expect("the command runs");
+    let output =
+        Command::new(program).args(args).current_dir(folder).output().expect("the command runs");
     assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).expect("text")
 }
@@ -42,7 +43,8 @@ fn error(args: &[&str], folder: &Path) -> String {
 }
 
 fn error_of(program: &Path, args: &[&str], folder: &Path) -> String {
-    let output = Command::new(program).args(args).current_dir(folder).output().expect("the command runs");
+    let output =
+        Command::new(program).args(args).current_dir(folder).output().expect("the command runs");
     assert!(!output.status.success(), "{args:?} succeeds; expected an error");
     String::from_utf8(output.stderr).expect("text")
 }
@@ -53,41 +55,108 @@ fn thirteen_commands_take_the_task_of_the_user() {
     let run = |args: &[&str]| output(args, dir.path());
     run(&["train", "ball_beam", "--epochs", "4", "--quiet", "--out", "run"]);
     let state = "r,r_dot,alpha,alpha_dot,torque";
-    let trajectory = std::fs::read_to_string(dir.path().join("run/trajectory.csv")).expect("a trajectory");
+    let trajectory =
+        std::fs::read_to_string(dir.path().join("run/trajectory.csv")).expect("a trajectory");
     assert!(trajectory.starts_with(&format!("sample,step,time,{state}")), "{}", &trajectory[..200]);
-    let animation = std::fs::read_to_string(dir.path().join("run/animation.svg")).expect("an animation");
-    assert!(animation.contains("roll a ball to the middle"), "the animation lacks the title of the task");
+    let animation =
+        std::fs::read_to_string(dir.path().join("run/animation.svg")).expect("an animation");
+    assert!(
+        animation.contains("roll a ball to the middle"),
+        "the animation lacks the title of the task"
+    );
 
     run(&["train", "run/run.toml", "--resume", "--epochs", "6", "--quiet", "--out", "run"]);
-    assert_eq!(std::fs::read_to_string(dir.path().join("run/metrics.csv")).expect("metrics").lines().count(), 7);
+    assert_eq!(
+        std::fs::read_to_string(dir.path().join("run/metrics.csv"))
+            .expect("metrics")
+            .lines()
+            .count(),
+        7
+    );
     run(&["report", "run"]);
     run(&["animate", "run"]);
-    run(&["compare", "ball_beam", "--fields", "R,C", "--seeds", "2", "--epochs", "2", "--quiet", "--out", "compared"]);
+    run(&[
+        "compare",
+        "ball_beam",
+        "--fields",
+        "R,C",
+        "--seeds",
+        "2",
+        "--epochs",
+        "2",
+        "--quiet",
+        "--out",
+        "compared",
+    ]);
     assert!(run(&["check", "ball_beam"]).contains("rollout, R"));
     assert!(run(&["explain", "ball_beam"]).contains("running cost"));
-    assert!(run(&["accuracy", "ball_beam", "--quiet", "--set", "horizon=5"]).contains("native x16"));
+    assert!(
+        run(&["accuracy", "ball_beam", "--quiet", "--set", "horizon=5"]).contains("native x16")
+    );
     assert!(run(&["schema"]).contains("Moment of inertia of the beam J, kg m²"));
     assert!(run(&["tasks"]).contains("roll a ball to the middle"));
     let scene = run(&["scene", "ball_beam"]);
-    std::fs::write(dir.path().join("own.toml"), format!("{scene}[system]\nball = 0.2\n[actuator.lag]\ntime = 0.1\n"))
-        .expect("a scene");
+    std::fs::write(
+        dir.path().join("own.toml"),
+        format!("{scene}[system]\nball = 0.2\n[actuator.lag]\ntime = 0.1\n"),
+    )
+    .expect("a scene");
     run(&["train", "own.toml", "--epochs", "2", "--quiet", "--out", "lag"]);
     let settings = std::fs::read_to_string(dir.path().join("lag/run.toml")).expect("settings");
     assert!(settings.contains("ball = 0.2"), "{settings}");
     // Draws a number of the task for each sample.
-    run(&["train", "ball_beam", "--set", "system.ball={uniform=[0.05, 0.2]}", "--epochs", "2", "--quiet", "--out", "varied"]);
-    let trajectory = std::fs::read_to_string(dir.path().join("varied/trajectory.csv")).expect("a trajectory");
-    assert!(trajectory.lines().next().expect("a header").contains("system.ball"), "{}", &trajectory[..200]);
+    run(&[
+        "train",
+        "ball_beam",
+        "--set",
+        "system.ball={uniform=[0.05, 0.2]}",
+        "--epochs",
+        "2",
+        "--quiet",
+        "--out",
+        "varied",
+    ]);
+    let trajectory =
+        std::fs::read_to_string(dir.path().join("varied/trajectory.csv")).expect("a trajectory");
+    assert!(
+        trajectory.lines().next().expect("a header").contains("system.ball"),
+        "{}",
+        &trajectory[..200]
+    );
     // Identification from simulated trajectories finds the setting 0.1 of the simulation.
-    let unknown = "scene = 1\ntask = \"ball_beam\"\n[fit]\n\"system.ball\" = { start = 0.15, min = 0.01 }\n";
+    let unknown =
+        "scene = 1\ntask = \"ball_beam\"\n[fit]\n\"system.ball\" = { start = 0.15, min = 0.01 }\n";
     std::fs::write(dir.path().join("unknown.toml"), unknown).expect("a scene");
     run(&["identify", "unknown.toml", "--data", "run/trajectory.csv", "--out", "identified"]);
-    let identified = std::fs::read_to_string(dir.path().join("identified/identified.csv")).expect("numbers");
-    let ball: f64 = identified.lines().nth(1).and_then(|row| row.split(',').nth(2)).expect("a row").parse().expect("a number");
+    let identified =
+        std::fs::read_to_string(dir.path().join("identified/identified.csv")).expect("numbers");
+    let ball: f64 = identified
+        .lines()
+        .nth(1)
+        .and_then(|row| row.split(',').nth(2))
+        .expect("a row")
+        .parse()
+        .expect("a number");
     assert!((ball - 0.1).abs() < 1e-6, "{ball}");
     assert!(run(&["optimize", "ball_beam", "--out", "plan"]).contains("within its tolerance"));
-    run(&["robust", "run", "varied", "--grid", "system.ball=0.05:0.2:3", "--samples", "8", "--out", "grid"]);
-    assert_eq!(std::fs::read_to_string(dir.path().join("grid/robust.csv")).expect("a table").lines().count(), 7);
+    run(&[
+        "robust",
+        "run",
+        "varied",
+        "--grid",
+        "system.ball=0.05:0.2:3",
+        "--samples",
+        "8",
+        "--out",
+        "grid",
+    ]);
+    assert_eq!(
+        std::fs::read_to_string(dir.path().join("grid/robust.csv"))
+            .expect("a table")
+            .lines()
+            .count(),
+        7
+    );
 }
 
 #[test]
@@ -100,14 +169,21 @@ fn policies_depend_on_the_mass_of_the_ball_and_not_on_the_number_of_threads() {
     };
     let one = trained("one", &["--threads", "1"]);
     assert_eq!(one, trained("two", &["--threads", "2"]), "results depend on the number of threads");
-    assert_ne!(one, trained("heavy", &["--set", "system.ball=0.2"]), "a setting of the task does not change the policy");
+    assert_ne!(
+        one,
+        trained("heavy", &["--set", "system.ball=0.2"]),
+        "a setting of the task does not change the policy"
+    );
 }
 
 #[test]
 fn errors_of_a_task_of_the_user_name_the_allowed_settings() {
     let dir = TempDir::new().expect("a folder");
     let message = |setting: &str| error(&["train", "ball_beam", "--set", setting], dir.path());
-    assert!(message("system.bal=1").contains("`system.bal` is unknown; allowed: `ball`, `friction`, `beam`, `dt`"));
+    assert!(
+        message("system.bal=1")
+            .contains("`system.bal` is unknown; allowed: `ball`, `friction`, `beam`, `dt`")
+    );
     assert!(message("system.ball=-1").contains("`system.ball` is -1; allowed: a positive number"));
     assert!(message("integrator.method=\"rk4\"").contains("native"));
     assert!(error(&["train", "ball_bean"], dir.path()).contains("ball_beam"));
@@ -126,13 +202,31 @@ fn scenes_add_effects_of_the_user_to_built_in_and_own_tasks() {
     run(&["train", "brake.toml", "--epochs", "2", "--quiet", "--out", "run"]);
     run(&["train", "run/run.toml", "--resume", "--epochs", "3", "--quiet", "--out", "run"]);
     run(&["report", "run"]);
-    let trajectory = std::fs::read_to_string(dir.path().join("run/trajectory.csv")).expect("a trajectory");
-    assert!(trajectory.contains("start_of_gusts,effects.eddy_brake.force,force"), "{}", &trajectory[..200]);
-    run(&["train", "brake.toml", "--epochs", "1", "--quiet", "--without", "eddy_brake", "--out", "without"]);
+    let trajectory =
+        std::fs::read_to_string(dir.path().join("run/trajectory.csv")).expect("a trajectory");
+    assert!(
+        trajectory.contains("start_of_gusts,effects.eddy_brake.force,force"),
+        "{}",
+        &trajectory[..200]
+    );
+    run(&[
+        "train",
+        "brake.toml",
+        "--epochs",
+        "1",
+        "--quiet",
+        "--without",
+        "eddy_brake",
+        "--out",
+        "without",
+    ]);
     assert!(run(&["schema"]).contains("Largest force, N."));
     // Adds an effect of the user to a task of the user. `explain` counts a product and a sum.
     let explained = run(&["explain", "puck", "--set", "effects.spring.stiffness=3"]);
-    let row = explained.lines().find(|line| line.contains("effects.spring") && line.contains("┆ step")).expect("a row");
+    let row = explained
+        .lines()
+        .find(|line| line.contains("effects.spring") && line.contains("┆ step"))
+        .expect("a row");
     assert_eq!(row.split('┆').nth(2).map(str::trim), Some("2"), "{row}");
     let trained = |name: &str, more: &[&str]| {
         run(&[&["train", "puck", "--epochs", "1", "--quiet", "--out", name], more].concat());
@@ -145,12 +239,20 @@ fn scenes_add_effects_of_the_user_to_built_in_and_own_tasks() {
     );
 
     let message = |setting: &str| failed(&["train", "cart_pole", "--set", setting]);
-    assert!(message("effects.eddy_brake.sped=3").contains("`effects.eddy_brake.sped` is unknown; allowed: `force` or `speed`"));
+    assert!(
+        message("effects.eddy_brake.sped=3")
+            .contains("`effects.eddy_brake.sped` is unknown; allowed: `force` or `speed`")
+    );
     assert!(message("effects.eddy_brake.speed=-3").contains("is -3; allowed: a positive number"));
     assert!(message("effects.eddy_brake.force=nan").contains("is NaN; allowed: a finite number"));
     assert!(message("effects.edy_brake.speed=3").contains("`bumpers`, `eddy_brake`"));
-    assert!(message("effects.spring.stiffness=3").contains("is an effect of puck, not of cart_pole"));
-    assert!(failed(&["train", "lqr", "--set", "effects.spring.stiffness=3"]).contains("allowed here: none"));
+    assert!(
+        message("effects.spring.stiffness=3").contains("is an effect of puck, not of cart_pole")
+    );
+    assert!(
+        failed(&["train", "lqr", "--set", "effects.spring.stiffness=3"])
+            .contains("allowed here: none")
+    );
 }
 
 /// Returns the command `physgrad new` with these arguments, to run in `folder`.
@@ -164,13 +266,22 @@ fn new(args: &[&str], folder: &Path) -> Command {
 fn a_new_crate_has_the_name_of_the_task_and_overwrites_nothing() {
     let dir = TempDir::new().expect("a folder");
     new(&["swing_boat"], dir.path()).assert().success();
-    let read = |file: &str| std::fs::read_to_string(dir.path().join("swing_boat").join(file)).expect(file);
+    let read =
+        |file: &str| std::fs::read_to_string(dir.path().join("swing_boat").join(file)).expect(file);
     let source = read("src/main.rs");
-    assert!(source.contains("impl System for SwingBoat") && source.contains("= \"swing_boat\";"), "{source}");
+    assert!(
+        source.contains("impl System for SwingBoat") && source.contains("= \"swing_boat\";"),
+        "{source}"
+    );
     assert!(!source.contains("BallBeam") && !source.contains("own_program"), "{source}");
-    assert!(read("Cargo.toml").contains("name = \"swing_boat\"") && read("scene.toml").contains("task = \"swing_boat\""));
-    let refused =
-        |name: &str| String::from_utf8(new(&[name], dir.path()).assert().failure().get_output().stderr.clone()).expect("text");
+    assert!(
+        read("Cargo.toml").contains("name = \"swing_boat\"")
+            && read("scene.toml").contains("task = \"swing_boat\"")
+    );
+    let refused = |name: &str| {
+        String::from_utf8(new(&[name], dir.path()).assert().failure().get_output().stderr.clone())
+            .expect("text")
+    };
     assert!(refused("swing_boat").contains("cannot create the folder swing_boat"));
     assert!(refused("slider").contains("built-in task"));
     assert!(refused("Swing-Boat").contains("lower case letters"));
@@ -190,8 +301,16 @@ fn a_new_crate_has_the_name_of_the_task_and_overwrites_nothing() {
         ("exit_code", "its type would be `ExitCode`"),
     ] {
         let error = refused(name);
-        assert!(error.contains(&format!("`{name}` cannot be the name of a task")) && error.contains(reason), "{error}");
-        assert!(error.contains(&format!("for instance `{name}_task`")) && !dir.path().join(name).exists(), "{error}");
+        assert!(
+            error.contains(&format!("`{name}` cannot be the name of a task"))
+                && error.contains(reason),
+            "{error}"
+        );
+        assert!(
+            error.contains(&format!("for instance `{name}_task`"))
+                && !dir.path().join(name).exists(),
+            "{error}"
+        );
     }
     assert!(refused("Self").contains("allowed: lower case letters"));
     // `Moment` is only a word of a comment in the source of the new crate, so `moment` is allowed.
@@ -206,11 +325,20 @@ fn a_new_crate_is_complete_or_absent_and_its_manifest_has_any_path() {
     std::fs::create_dir(&crates).expect("a folder");
     // A limit of one block on the size of files fails as a full disk does.
     let mut limited = std::process::Command::new("sh");
-    limited.args(["-c", "ulimit -f 1 && exec \"$0\" new swing_boat"]).arg(assert_cmd::cargo::cargo_bin!("physgrad"));
+    limited
+        .args(["-c", "ulimit -f 1 && exec \"$0\" new swing_boat"])
+        .arg(assert_cmd::cargo::cargo_bin!("physgrad"));
     let output = limited.current_dir(&crates).output().expect("the command runs");
     let error = String::from_utf8_lossy(&output.stderr);
-    assert!(!output.status.success() && error.contains("cannot write the folder swing_boat"), "{error}");
-    assert_eq!(std::fs::read_dir(&crates).expect("a folder").count(), 0, "an incomplete crate is left");
+    assert!(
+        !output.status.success() && error.contains("cannot write the folder swing_boat"),
+        "{error}"
+    );
+    assert_eq!(
+        std::fs::read_dir(&crates).expect("a folder").count(),
+        0,
+        "an incomplete crate is left"
+    );
     new(&["swing_boat"], &crates).assert().success();
 
     let sources = dir.path().join("e\u{301} \"x\"\n\u{7f}");
@@ -231,12 +359,30 @@ fn a_new_crate_passes_its_test_and_trains() {
     new(&["swing_boat"], dir.path()).assert().success();
     let cargo = |args: &[&str]| {
         let mut command = std::process::Command::new(env!("CARGO"));
-        command.args(args).current_dir(dir.path().join("swing_boat")).env_remove("CARGO_TARGET_DIR");
+        command
+            .args(args)
+            .current_dir(dir.path().join("swing_boat"))
+            .env_remove("CARGO_TARGET_DIR");
         assert!(command.status().expect("cargo runs").success(), "{args:?}");
     };
     cargo(&["test", "--release"]);
-    for command in ["check swing_boat", "train scene.toml --epochs 3 --quiet --out run", "report run"] {
+    for command in
+        ["check swing_boat", "train scene.toml --epochs 3 --quiet --out run", "report run"]
+    {
         cargo(&[&["run", "--release", "--"], &command.split(' ').collect::<Vec<_>>()[..]].concat());
     }
-    cargo(&["run", "--release", "--", "compare", "scene.toml", "--fields", "R,C", "--seeds", "2", "--epochs", "2", "--quiet"]);
+    cargo(&[
+        "run",
+        "--release",
+        "--",
+        "compare",
+        "scene.toml",
+        "--fields",
+        "R,C",
+        "--seeds",
+        "2",
+        "--epochs",
+        "2",
+        "--quiet",
+    ]);
 }

@@ -42,7 +42,10 @@ fn scenes_md_quotes_an_output_of_explain_and_four_errors() {
     let mut explain = physgrad(&["explain", "windy.toml"]);
     let output = explain.current_dir(dir.path()).output().expect("the command runs");
     let output = String::from_utf8(output.stdout).expect("text");
-    let shown = page.blocks("text").find(|block| block.starts_with("windy.toml: ")).expect("an explanation");
+    let shown = page
+        .blocks("text")
+        .find(|block| block.starts_with("windy.toml: "))
+        .expect("an explanation");
     // The page omits some rows of the output.
     for line in shown.lines() {
         assert!(output.lines().any(|said| said == line), "{line}\n{output}");
@@ -54,7 +57,10 @@ fn scenes_md_quotes_an_output_of_explain_and_four_errors() {
         first.replace("steady_wind", "walls").replace("speed = 4.0\n", ""),
     ] {
         fs::write(&file, mistaken).expect("a file");
-        let output = physgrad(&["train", "windy.toml"]).current_dir(dir.path()).output().expect("the command runs");
+        let output = physgrad(&["train", "windy.toml"])
+            .current_dir(dir.path())
+            .output()
+            .expect("the command runs");
         let said = String::from_utf8(output.stderr).expect("text");
         assert!(!output.status.success() && page.text.contains(&said), "{said}");
     }

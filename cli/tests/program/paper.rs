@@ -32,30 +32,51 @@ fn figures_1_and_2_are_written_as_svg_png_csv_and_table() {
     for figure in ["fig1", "fig2"] {
         let said = paper(figure, dir.path(), &[]).assert().success();
         assert_figure(dir.path(), figure);
-        assert!(String::from_utf8_lossy(&said.get_output().stdout).contains(&format!("{figure}.svg")));
+        assert!(
+            String::from_utf8_lossy(&said.get_output().stdout).contains(&format!("{figure}.svg"))
+        );
     }
 }
 
 #[test]
 fn figures_3_and_4_have_one_csv_row_per_run_and_one_table_row_per_case_and_field() {
     let dir = TempDir::new().expect("a folder");
-    let args = ["--seeds", "2", "--epochs", "1", "--fields", "R,C", "--clip", "none,norm", "--quiet"];
+    let args =
+        ["--seeds", "2", "--epochs", "1", "--fields", "R,C", "--clip", "none,norm", "--quiet"];
     for (figure, cases, panel) in [("fig3", 4, "regularization 0.001"), ("fig4", 4, "poles: 4")] {
         paper(figure, dir.path(), &args).assert().success();
         assert_figure(dir.path(), figure);
         let (clips, fields, seeds) = (2, 2, 2);
-        assert_eq!(read(&dir.path().join(format!("{figure}.csv"))).lines().count(), 1 + cases * clips * fields * seeds);
+        assert_eq!(
+            read(&dir.path().join(format!("{figure}.csv"))).lines().count(),
+            1 + cases * clips * fields * seeds
+        );
         let table = read(&dir.path().join(format!("{figure}.md")));
-        assert_eq!(table.lines().filter(|line| line.starts_with('|')).count(), 2 + cases * clips * fields);
-        assert!(table.contains("medians over the seeds"), "the note below the table does not explain the lines");
-        assert!(table.contains(panel) && read(&dir.path().join(format!("{figure}.svg"))).contains(panel));
+        assert_eq!(
+            table.lines().filter(|line| line.starts_with('|')).count(),
+            2 + cases * clips * fields
+        );
+        assert!(
+            table.contains("medians over the seeds"),
+            "the note below the table does not explain the lines"
+        );
+        assert!(
+            table.contains(panel)
+                && read(&dir.path().join(format!("{figure}.svg"))).contains(panel)
+        );
     }
 }
 
 #[test]
 fn figure_5_shows_the_update_size_of_eigenstate_5() {
     let dir = TempDir::new().expect("a folder");
-    paper("fig5", dir.path(), &["--seeds", "1", "--epochs", "1", "--fields", "C", "--clip", "none"]).assert().success();
+    paper(
+        "fig5",
+        dir.path(),
+        &["--seeds", "1", "--epochs", "1", "--fields", "C", "--clip", "none"],
+    )
+    .assert()
+    .success();
     assert_figure(dir.path(), "fig5");
     assert!(read(&dir.path().join("fig5.svg")).contains("eigenstate 5: update size"));
 }
@@ -80,7 +101,11 @@ fn a_figure_extended_from_2_to_3_epochs_equals_a_figure_of_3_epochs() {
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(text.contains("already has 3 epochs, but `epochs` is 1"), "{text}");
     let kept = dir.path().join("once");
-    assert_eq!((read(&kept.join("fig3.svg")), read(&kept.join("fig3.md"))), once, "a refused command changes earlier results");
+    assert_eq!(
+        (read(&kept.join("fig3.svg")), read(&kept.join("fig3.md"))),
+        once,
+        "a refused command changes earlier results"
+    );
 }
 
 #[test]
@@ -88,12 +113,17 @@ fn an_interrupted_figure_writes_only_the_started_run_and_resumes() {
     let dir = TempDir::new().expect("a folder");
     let args = ["--seeds", "2", "--fields", "R,C", "--clip", "none", "--threads", "1"];
     let mut command = std::process::Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));
-    command.args(["paper", "fig3", "--quick", "--epochs", "1000000", "--out"]).arg(dir.path()).args(args);
+    command
+        .args(["paper", "fig3", "--quick", "--epochs", "1000000", "--out"])
+        .arg(dir.path())
+        .args(args);
     command.stdout(std::process::Stdio::piped()).stderr(std::process::Stdio::null());
     let child = command.spawn().expect("the command runs");
     let runs = || -> Vec<_> {
         let cases = fs::read_dir(dir.path().join("fig3")).into_iter().flatten().flatten();
-        let runs = cases.flat_map(|case| fs::read_dir(case.path().join("runs")).into_iter().flatten().flatten());
+        let runs = cases.flat_map(|case| {
+            fs::read_dir(case.path().join("runs")).into_iter().flatten().flatten()
+        });
         runs.filter(|run| run.path().join("metrics.csv").exists()).map(|run| run.path()).collect()
     };
     let begin = std::time::Instant::now();
@@ -102,7 +132,8 @@ fn an_interrupted_figure_writes_only_the_started_run_and_resumes() {
         std::thread::sleep(std::time::Duration::from_millis(5));
     }
     std::thread::sleep(std::time::Duration::from_millis(100));
-    let killed = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status();
+    let killed =
+        std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status();
     assert!(killed.expect("kill runs").success());
     let output = child.wait_with_output().expect("the process ends");
     assert_eq!(output.status.code(), Some(130));

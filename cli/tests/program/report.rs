@@ -35,9 +35,15 @@ fn assert_stands_alone(page: &str) {
     for (at, _) in page.match_indices("://") {
         let (before, after) = page.split_at(at);
         let end = after.find(['"', ' ', '<']).unwrap_or(after.len());
-        assert!(before.ends_with("http") && after.starts_with("://www.w3.org/"), "{}", &after[..end]);
+        assert!(
+            before.ends_with("http") && after.starts_with("://www.w3.org/"),
+            "{}",
+            &after[..end]
+        );
     }
-    for (attribute, allowed) in [(" src=\"", "data:"), (" href=\"", "#"), ("url(", "#"), ("<link", "no"), ("@import", "no")] {
+    for (attribute, allowed) in
+        [(" src=\"", "data:"), (" href=\"", "#"), ("url(", "#"), ("<link", "no"), ("@import", "no")]
+    {
         for (at, _) in page.match_indices(attribute) {
             assert!(page[at + attribute.len()..].starts_with(allowed), "{}", &page[at..at + 40]);
         }
@@ -52,7 +58,8 @@ fn assert_nested(page: &str) {
     while let Some(start) = rest.find('<') {
         rest = &rest[start + 1..];
         let tag = &rest[..rest.find('>').expect("a tag ends")];
-        let name = tag.split([' ', '/', '\n']).find(|part| !part.is_empty()).expect("a tag has a name");
+        let name =
+            tag.split([' ', '/', '\n']).find(|part| !part.is_empty()).expect("a tag has a name");
         if tag.starts_with('/') {
             assert_eq!(open.pop(), Some(name), "before {}", &rest[..40.min(rest.len())]);
         } else if !tag.starts_with('!') && !tag.ends_with('/') && !["meta", "wbr"].contains(&name) {
@@ -72,17 +79,27 @@ fn between<'a>(page: &'a str, start: &str, end: &str) -> Vec<&'a str> {
 
 /// Returns the data of a diagram by its title, as (label, points), without thin lines.
 fn diagram(page: &str, title: &str) -> Vec<(String, Vec<Vec<f64>>)> {
-    let figure = page.split("<figure>").find(|figure| figure.contains(&format!("<h3>{title}</h3>")));
+    let figure =
+        page.split("<figure>").find(|figure| figure.contains(&format!("<h3>{title}</h3>")));
     let figure = figure.unwrap_or_else(|| panic!("there is no diagram {title}"));
     let data = between(figure, "<script type=\"application/json\">", "</script>");
-    let data: Value = serde_json::from_str(data.first().unwrap_or_else(|| panic!("{title} is empty"))).expect("JSON");
+    let data: Value =
+        serde_json::from_str(data.first().unwrap_or_else(|| panic!("{title} is empty")))
+            .expect("JSON");
     let picture = between(figure, "<svg ", "</svg>");
     roxmltree::Document::parse(&format!("<svg {}</svg>", picture[0])).expect("an SVG is XML");
     let numbers = |point: &Value| serde_json::from_value(point.clone()).expect("numbers");
-    let points = |line: &Value| line["points"].as_array().expect("points").iter().map(numbers).collect();
+    let points =
+        |line: &Value| line["points"].as_array().expect("points").iter().map(numbers).collect();
     let label = |line: &Value| line["label"].as_str().expect("a label").to_owned();
     let bold = |line: &&Value| line["thin"] == false;
-    data["series"].as_array().expect("series").iter().filter(bold).map(|line| (label(line), points(line))).collect()
+    data["series"]
+        .as_array()
+        .expect("series")
+        .iter()
+        .filter(bold)
+        .map(|line| (label(line), points(line)))
+        .collect()
 }
 
 fn labels(lines: &[(String, Vec<Vec<f64>>)]) -> Vec<&str> {
@@ -127,8 +144,11 @@ fn the_page_of_a_run_has_its_settings_metrics_adjoint_norms_and_animation() {
 
     let metrics = fs::read_to_string(out.join("metrics.csv")).expect("metrics");
     // Empty cells, such as those of `first_order`, become NaN.
-    let rows: Vec<Vec<f64>> =
-        metrics.lines().skip(1).map(|row| row.split(',').map(|cell| cell.parse().unwrap_or(f64::NAN)).collect()).collect();
+    let rows: Vec<Vec<f64>> = metrics
+        .lines()
+        .skip(1)
+        .map(|row| row.split(',').map(|cell| cell.parse().unwrap_or(f64::NAN)).collect())
+        .collect();
     for (title, line, column) in [
         ("Loss by epoch", 0, 2),
         ("Loss by epoch", 1, 3),
@@ -140,13 +160,21 @@ fn the_page_of_a_run_has_its_settings_metrics_adjoint_norms_and_animation() {
         assert_eq!(points.len(), 4, "{title}");
         for (point, row) in points.iter().zip(&rows) {
             assert_eq!(point[0], row[0], "{title}");
-            assert!((point[1] / row[column] - 1.0).abs() < 1e-4, "{title}: {} in place of {}", point[1], row[column]);
+            assert!(
+                (point[1] / row[column] - 1.0).abs() < 1e-4,
+                "{title}: {} in place of {}",
+                point[1],
+                row[column]
+            );
         }
     }
     let times = &diagram(&page, "Loss by time")[0].1;
     assert!((times[3][0] / rows.iter().map(|row| row[6]).sum::<f64>() - 1.0).abs() < 1e-4);
     let growth = diagram(&page, "Growth of the adjoint");
-    assert_eq!(labels(&growth), ["R before training", "M before training", "R as trained", "M as trained"]);
+    assert_eq!(
+        labels(&growth),
+        ["R before training", "M before training", "R as trained", "M as trained"]
+    );
     assert!(
         growth.iter().all(|(_, points)| points.len() == 26 && points[25][0] == 25.0),
         "not one norm at each of the 26 states"
@@ -160,8 +188,15 @@ fn the_page_of_a_run_has_its_settings_metrics_adjoint_norms_and_animation() {
         rows[3][3]
     );
     assert_eq!((row[0], row[3], row[5]), ("4", &*format!("{:.3}", rows[3][3]), "0"));
-    assert_eq!(animations(&page), [fs::read_to_string(out.join("animation.svg")).expect("an animation")]);
-    assert_eq!(between(&page, "<script>", "</script>").len(), 1, "the page does not have exactly one script");
+    assert_eq!(
+        animations(&page),
+        [fs::read_to_string(out.join("animation.svg")).expect("an animation")]
+    );
+    assert_eq!(
+        between(&page, "<script>", "</script>").len(),
+        1,
+        "the page does not have exactly one script"
+    );
 
     assert!(report(&out) == page, "a second report has other bytes");
     train(&out, &["--epochs", "1"]).assert().success();
@@ -176,7 +211,10 @@ fn the_page_of_field_m_states_why_the_cosine_is_absent() {
     let dir = TempDir::new().expect("a folder");
     train(dir.path(), &["--epochs", "2", "--field", "M"]).assert().success();
     let page = report(dir.path());
-    assert!(!page.contains("Agreement of M and R") && page.contains("recorded only for fields that combine two gradients"));
+    assert!(
+        !page.contains("Agreement of M and R")
+            && page.contains("recorded only for fields that combine two gradients")
+    );
 }
 
 #[test]
@@ -187,12 +225,19 @@ fn the_page_of_a_comparison_has_the_printed_table_and_curves_of_all_seeds() {
     let printed = String::from_utf8(printed).expect("text");
     let page = report(dir.path());
     assert!(page.contains("<th scope=\"row\">field</th><td>regular, combined</td>"));
-    assert!(page.contains("<th scope=\"row\">seed</th><td>9, 10</td>"), "the seeds are not in increasing order");
+    assert!(
+        page.contains("<th scope=\"row\">seed</th><td>9, 10</td>"),
+        "the seeds are not in increasing order"
+    );
     assert!(page.contains("<th scope=\"row\">horizon</th><td>25</td>"));
     let rows = cells(&page);
     assert_eq!((rows[0][0], rows[1][0]), ("regular", "combined"));
-    let cells_of =
-        |line: &str| line.trim_matches(['│', '|']).split(['┆', '|']).map(|cell| cell.trim().to_owned()).collect::<Vec<_>>();
+    let cells_of = |line: &str| {
+        line.trim_matches(['│', '|'])
+            .split(['┆', '|'])
+            .map(|cell| cell.trim().to_owned())
+            .collect::<Vec<_>>()
+    };
     for row in &rows {
         let line = printed.lines().find(|line| cells_of(line)[0] == row[0]).expect("the same row");
         assert_eq!(cells_of(line), *row);
@@ -206,16 +251,22 @@ fn the_page_of_a_comparison_has_the_printed_table_and_curves_of_all_seeds() {
         );
     }
     diagram(&page, "Test loss by time");
-    assert_eq!(labels(&diagram(&page, "Every run")), ["R seed 9", "R seed 10", "C seed 9", "C seed 10"]);
+    assert_eq!(
+        labels(&diagram(&page, "Every run")),
+        ["R seed 9", "R seed 10", "C seed 9", "C seed 10"]
+    );
     assert_eq!(labels(&diagram(&page, "Share of components kept")), ["C seed 9", "C seed 10"]);
     assert_eq!(labels(&diagram(&page, "Growth of the adjoint before training")), ["R", "M"]);
     assert_eq!(labels(&diagram(&page, "Growth of M as trained")), ["R seed 9", "C seed 9"]);
 
     let file = |run: &str| -> PathBuf { dir.path().join("runs").join(run).join("animation.svg") };
-    let [regular, combined] = animations(&page)[..] else { panic!("the page does not have one animation per field") };
+    let [regular, combined] = animations(&page)[..] else {
+        panic!("the page does not have one animation per field")
+    };
     assert_same_scale(regular, combined);
     physgrad(&["animate"]).arg(dir.path()).assert().success();
-    let animated = ["R-9", "R-10", "C-9", "C-10"].map(|run| fs::read_to_string(file(run)).expect("an animation"));
+    let animated = ["R-9", "R-10", "C-9", "C-10"]
+        .map(|run| fs::read_to_string(file(run)).expect("an animation"));
     animated.iter().for_each(|animation| assert_same_scale(&animated[0], animation));
     fs::remove_file(file("C-9")).expect("the file exists");
     assert!(report(dir.path()) == page, "the page depends on the file of an animation");
@@ -224,38 +275,67 @@ fn the_page_of_a_comparison_has_the_printed_table_and_curves_of_all_seeds() {
 #[test]
 fn a_comparison_of_several_scenes_has_one_page_and_all_animations() {
     let dir = TempDir::new().expect("a folder");
-    let mut command = physgrad(&["compare", "cart_pole_1", "cart_pole_2", "--fields", "R,M", "--seeds", "2", "--epochs", "2"]);
+    let mut command = physgrad(&[
+        "compare",
+        "cart_pole_1",
+        "cart_pole_2",
+        "--fields",
+        "R,M",
+        "--seeds",
+        "2",
+        "--epochs",
+        "2",
+    ]);
     command.args(&SMALL[..]).arg("--out").arg(dir.path()).assert().success();
     let page = report(dir.path());
     assert!(page.contains("<title>cart_pole_1, cart_pole_2: fields R, M, 2 seeds ("));
     let rows = cells(&page);
     let names: Vec<[&str; 2]> = rows.iter().map(|row| [row[0], row[1]]).collect();
-    let expected = ["cart_pole_1", "cart_pole_2"].map(|scene| ["regular", "modified"].map(|field| [scene, field]));
+    let expected = ["cart_pole_1", "cart_pole_2"]
+        .map(|scene| ["regular", "modified"].map(|field| [scene, field]));
     assert_eq!(names, expected.concat());
     let medians = diagram(&page, "Test loss by epoch");
-    let expected =
-        ["cart_pole_1: R (regular)", "cart_pole_1: M (modified)", "cart_pole_2: R (regular)", "cart_pole_2: M (modified)"];
+    let expected = [
+        "cart_pole_1: R (regular)",
+        "cart_pole_1: M (modified)",
+        "cart_pole_2: R (regular)",
+        "cart_pole_2: M (modified)",
+    ];
     assert_eq!(labels(&medians), expected);
     for section in ["Animation", "Gradients", "Settings"] {
         for scene in ["cart_pole_1", "cart_pole_2"] {
             assert!(page.contains(&format!("<h2>{scene}: {section}</h2>")), "{scene}: {section}");
         }
     }
-    assert_eq!(animations(&page).len(), 4, "the page does not have one animation per field and scene");
+    assert_eq!(
+        animations(&page).len(),
+        4,
+        "the page does not have one animation per field and scene"
+    );
     // The field of a curve determines its colour, the scene its dashes.
     let curves = fs::read_to_string(dir.path().join("curves.svg")).expect("a picture");
     let line = |label: &str| {
-        let (_, after) = curves.split_once(&format!(">{label}</text><line ")).unwrap_or_else(|| panic!("no entry {label}"));
+        let (_, after) = curves
+            .split_once(&format!(">{label}</text><line "))
+            .unwrap_or_else(|| panic!("no entry {label}"));
         after[..after.find("/>").expect("an end")].to_owned()
     };
     for (field, color) in [("R (regular)", "#0072b2"), ("M (modified)", "#d55e00")] {
-        let [one, two] = ["cart_pole_1", "cart_pole_2"].map(|scene| line(&format!("{scene}: {field}")));
+        let [one, two] =
+            ["cart_pole_1", "cart_pole_2"].map(|scene| line(&format!("{scene}: {field}")));
         assert!(one.contains(color) && two.contains(color), "{one} {two}");
-        assert!(!one.contains("stroke-dasharray") && two.contains("stroke-dasharray"), "{one} {two}");
+        assert!(
+            !one.contains("stroke-dasharray") && two.contains("stroke-dasharray"),
+            "{one} {two}"
+        );
     }
 
     let output = physgrad(&["animate"]).arg(dir.path()).output().expect("the command runs");
-    assert_eq!(String::from_utf8_lossy(&output.stdout).lines().count(), 8, "`animate` does not print one animation per run");
+    assert_eq!(
+        String::from_utf8_lossy(&output.stdout).lines().count(),
+        8,
+        "`animate` does not print one animation per run"
+    );
 }
 
 #[test]
@@ -266,10 +346,15 @@ fn more_than_three_scenes_have_one_panel_each() {
     let mut command = physgrad(&["compare", "--fields", "R,M", "--seeds", "1", "--epochs", "1"]);
     command.args(scenes).args(sizes).arg("--out").arg(dir.path()).assert().success();
     let curves = fs::read_to_string(dir.path().join("curves.svg")).expect("a picture");
-    for (text, count) in [("R (regular)", 1), ("M (modified)", 1), ("epoch", 5), ("wall time (s)", 5)] {
+    for (text, count) in
+        [("R (regular)", 1), ("M (modified)", 1), ("epoch", 5), ("wall time (s)", 5)]
+    {
         assert_eq!(curves.matches(&format!(">{text}</text>")).count(), count, "{text}");
     }
-    assert!(scenes.iter().all(|scene| curves.contains(&format!(">{scene}</text>"))) && !curves.contains("stroke-dasharray"));
+    assert!(
+        scenes.iter().all(|scene| curves.contains(&format!(">{scene}</text>")))
+            && !curves.contains("stroke-dasharray")
+    );
     let page = report(dir.path());
     for scene in scenes {
         diagram(&page, &format!("{scene}: Test loss by epoch"));
@@ -284,7 +369,10 @@ fn a_page_animates_sample_0_whatever_the_animation_in_the_folder() {
     let page = report(dir.path());
     // Animates sample 3 in the folder. The page still animates sample 0.
     physgrad(&["animate", "--sample", "3"]).arg(dir.path()).assert().success();
-    assert_ne!(fs::read_to_string(dir.path().join("animation.svg")).expect("an animation"), animation);
+    assert_ne!(
+        fs::read_to_string(dir.path().join("animation.svg")).expect("an animation"),
+        animation
+    );
     assert!(report(dir.path()) == page && animations(&page) == [animation]);
 }
 
@@ -302,7 +390,10 @@ fn runs_with_different_poles_or_tasks_are_not_a_comparison() {
         .assert()
         .success();
     let text = refusal(dir.path());
-    assert!(text.contains("(cart_pole)") && text.contains("(guidance) are not runs of one comparison"), "{text}");
+    assert!(
+        text.contains("(cart_pole)") && text.contains("(guidance) are not runs of one comparison"),
+        "{text}"
+    );
     fs::rename(dir.path().join("runs"), dir.path().join("others")).expect("the folder exists");
     let text = refusal(&dir.path().join("others"));
     assert!(text.contains("holds 2 runs or comparisons; choose one"), "{text}");
@@ -320,17 +411,32 @@ fn folder_names_are_escaped_in_html() {
 #[test]
 fn pages_state_that_a_run_failed_was_interrupted_or_has_no_epoch() {
     let dir = TempDir::new().expect("a folder");
-    let (broken, all, none, one) =
-        (dir.path().join("broken"), dir.path().join("all"), dir.path().join("none"), dir.path().join("one"));
+    let (broken, all, none, one) = (
+        dir.path().join("broken"),
+        dir.path().join("all"),
+        dir.path().join("none"),
+        dir.path().join("one"),
+    );
     train(&broken, &["--epochs", "40"]).args(DIVERGES).assert().failure();
     let page = report(&broken);
-    assert!(page.contains("This run failed after 3 epochs of 40: training stopped: 11 updates in a row"));
     assert!(
-        page.contains("losses of 3 epochs, because a rollout diverged.") && page.contains("There are no finite values to draw.")
+        page.contains(
+            "This run failed after 3 epochs of 40: training stopped: 11 updates in a row"
+        )
     );
-    assert!(page.contains("Before training, a rollout diverged") && page.contains("state component 0 of sample 0"));
+    assert!(
+        page.contains("losses of 3 epochs, because a rollout diverged.")
+            && page.contains("There are no finite values to draw.")
+    );
+    assert!(
+        page.contains("Before training, a rollout diverged")
+            && page.contains("state component 0 of sample 0")
+    );
 
-    compare(&all, &["--fields", "R,C", "--seeds", "2", "--epochs", "40"]).args(DIVERGES).assert().failure();
+    compare(&all, &["--fields", "R,C", "--seeds", "2", "--epochs", "40"])
+        .args(DIVERGES)
+        .assert()
+        .failure();
     let page = report(&all);
     assert!(page.contains("4 warnings") && page.contains("C seed 1 failed after 3 epochs of 40"));
     assert_eq!(cells(&page)[0][..4], ["regular", "2", "2", "NaN"]);
@@ -344,12 +450,18 @@ fn pages_state_that_a_run_failed_was_interrupted_or_has_no_epoch() {
     assert_eq!(diagram(&report(&one), "Loss by epoch")[0].1.len(), 1);
     // Imitates an interrupted run.
     let settings = fs::read_to_string(one.join("run.toml")).expect("settings");
-    fs::write(one.join("run.toml"), settings.replace("epochs = 1", "epochs = 5")).expect("settings");
+    fs::write(one.join("run.toml"), settings.replace("epochs = 1", "epochs = 5"))
+        .expect("settings");
     let before = fs::read(one.join("checkpoint.bin")).expect("a checkpoint");
     let page = report(&one);
-    assert!(page.contains("This run has 1 epoch of 5: it is still training, or was interrupted and can be resumed."));
+    assert!(page.contains(
+        "This run has 1 epoch of 5: it is still training, or was interrupted and can be resumed."
+    ));
     assert_eq!(cells(&page)[0][0], "1 of 5");
-    assert!(fs::read(one.join("checkpoint.bin")).expect("a checkpoint") == before, "`report` changed the checkpoint");
+    assert!(
+        fs::read(one.join("checkpoint.bin")).expect("a checkpoint") == before,
+        "`report` changed the checkpoint"
+    );
 }
 
 #[test]
@@ -357,8 +469,19 @@ fn adjoint_norms_above_the_largest_f32_are_drawn_to_step_0() {
     let dir = TempDir::new().expect("a folder");
     // The cart is so light that the controls of the untrained policy move it strongly: states stay
     // finite, and their derivatives grow. For lighter carts, finiteness depends on rounding.
-    let light = ["--set", "system.cart_mass=2e-4", "--set", "system.pole_mass=2e-4", "--set", "policy.zero_init_output=false"];
-    train(dir.path(), &["--epochs", "0"]).args(light).args(["--set", "horizon=1500"]).assert().success();
+    let light = [
+        "--set",
+        "system.cart_mass=2e-4",
+        "--set",
+        "system.pole_mass=2e-4",
+        "--set",
+        "policy.zero_init_output=false",
+    ];
+    train(dir.path(), &["--epochs", "0"])
+        .args(light)
+        .args(["--set", "horizon=1500"])
+        .assert()
+        .success();
     let page = report(dir.path());
     assert!(!page.contains("the adjoint of R diverged"));
     let growth = diagram(&page, "Growth of the adjoint");
@@ -376,7 +499,8 @@ fn folders_without_a_run_or_with_half_a_checkpoint_are_refused() {
     let out = dir.path().join("run");
     train(&out, &["--epochs", "1"]).assert().success();
     let checkpoint = fs::read(out.join("checkpoint.bin")).expect("a checkpoint");
-    fs::write(out.join("checkpoint.bin"), &checkpoint[..checkpoint.len() / 2]).expect("half a checkpoint");
+    fs::write(out.join("checkpoint.bin"), &checkpoint[..checkpoint.len() / 2])
+        .expect("half a checkpoint");
     let text = refusal(&out);
     assert!(text.contains("checkpoint.bin") && text.contains("damaged"), "{text}");
     assert!(!out.join("report.html").exists());
@@ -403,17 +527,24 @@ fn the_csv_of_a_chart_has_the_values_of_its_curves() {
         println!("skipped: there is no Node.js");
         return;
     };
-    let rows: Vec<Vec<&str>> = csv.lines().filter(|row| !row.is_empty()).map(|row| row.split(',').collect()).collect();
+    let rows: Vec<Vec<&str>> =
+        csv.lines().filter(|row| !row.is_empty()).map(|row| row.split(',').collect()).collect();
     assert_eq!(rows[0], ["series", "epoch", "test loss", "low", "high"]);
     // Labels of single runs contain a comma and are quoted.
-    let medians: Vec<&Vec<&str>> = rows[1..].iter().filter(|row| !row[0].starts_with('"')).collect();
+    let medians: Vec<&Vec<&str>> =
+        rows[1..].iter().filter(|row| !row[0].starts_with('"')).collect();
     let mut expected = Vec::new();
     for (label, points) in diagram(&page, "Test loss by epoch") {
-        let cells = |point: Vec<f64>| [vec![label.clone()], point.iter().map(f64::to_string).collect()].concat();
+        let cells = |point: Vec<f64>| {
+            [vec![label.clone()], point.iter().map(f64::to_string).collect()].concat()
+        };
         expected.extend(points.into_iter().map(cells));
     }
     assert_eq!(medians.len(), 4);
-    assert!(medians.iter().zip(&expected).all(|(found, expected)| *found == expected), "{medians:?} {expected:?}");
+    assert!(
+        medians.iter().zip(&expected).all(|(found, expected)| *found == expected),
+        "{medians:?} {expected:?}"
+    );
     assert_eq!(rows.len(), 1 + 4 + 8, "medians and single runs");
 }
 
@@ -428,7 +559,9 @@ fn ticks_of_a_zoomed_axis_are_round_numbers_within_its_range() {
         ("[-0.1, 0]", true, r#"["0.8","0.85","0.9","0.95","1"]"#),
     ] {
         let names = if log { ".map((tick) => tick[1])" } else { "" };
-        let Some(found) = evaluated(&page, &format!("JSON.stringify(ticks({range}, {log}){names})")) else {
+        let Some(found) =
+            evaluated(&page, &format!("JSON.stringify(ticks({range}, {log}){names})"))
+        else {
             println!("skipped: there is no Node.js");
             return;
         };
@@ -463,8 +596,14 @@ fn a_damaged_file_of_an_identification_is_named() {
 fn infinite_samples_of_an_identification_are_not_drawn() {
     let dir = TempDir::new().expect("a folder");
     let write = |file: &str, text: &str| fs::write(dir.path().join(file), text).expect("a file");
-    write("identified.csv", "name,start,value,standard_error,robust_error,correlation with a\na,1,2,0.1,0.1,1\n");
+    write(
+        "identified.csv",
+        "name,start,value,standard_error,robust_error,correlation with a\na,1,2,0.1,0.1,1\n",
+    );
     write("fit.csv", "name,value\nsegments,1\n");
-    write("trajectories.csv", "segment,t,x_measured,x_simulated\n0,0,1,1\n0,1,inf,1\n0,2,1,-inf\n0,inf,1,1\n0,3,1,1.5\n");
+    write(
+        "trajectories.csv",
+        "segment,t,x_measured,x_simulated\n0,0,1,1\n0,1,inf,1\n0,2,1,-inf\n0,inf,1,1\n0,3,1,1.5\n",
+    );
     assert!(!report(dir.path()).contains("NaN"));
 }

@@ -21,7 +21,10 @@ fn stdout(args: &[&str]) -> String {
 }
 
 fn presets() -> Vec<String> {
-    stdout(&["scene"]).lines().map(|line| line.split(' ').next().expect("a name").to_owned()).collect()
+    stdout(&["scene"])
+        .lines()
+        .map(|line| line.split(' ').next().expect("a name").to_owned())
+        .collect()
 }
 
 fn settings(run: &Path) -> Table {
@@ -45,8 +48,18 @@ fn every_preset_has_the_task_and_the_number_in_its_name() {
     assert!(names.len() >= 14, "{names:?}");
     for name in &names {
         let out = dir.path().join(name);
-        assert!(stdout(&["scene", name]).starts_with("# "), "the first line of {name} is no description");
-        let options = ["--epochs", "0", "--set", "training.train_samples=4", "--set", "training.test_samples=4"];
+        assert!(
+            stdout(&["scene", name]).starts_with("# "),
+            "the first line of {name} is no description"
+        );
+        let options = [
+            "--epochs",
+            "0",
+            "--set",
+            "training.train_samples=4",
+            "--set",
+            "training.test_samples=4",
+        ];
         train_scene(Path::new(name), &out, &options).assert().success();
         let settings = settings(&out);
         assert!(name.starts_with(settings["task"].as_str().expect("a task")), "{name}");
@@ -54,7 +67,9 @@ fn every_preset_has_the_task_and_the_number_in_its_name() {
         let value = match settings["task"].as_str() {
             Some("cart_pole") => settings["system"]["poles"].as_integer().map(|poles| poles as f64),
             Some("guidance") => settings["loss"]["regularization"].as_float(),
-            Some("quantum") => settings["system"]["target"].as_integer().map(|target| target as f64),
+            Some("quantum") => {
+                settings["system"]["target"].as_integer().map(|target| target as f64)
+            }
             _ => None,
         };
         assert!(number.is_none() || number == value, "{name}: {value:?}");
@@ -95,14 +110,19 @@ fn a_preset_its_text_and_its_saved_run_train_equally() {
 #[test]
 fn absent_settings_have_the_defaults_of_the_task() {
     let dir = TempDir::new().expect("a folder");
-    let file =
-        write(&dir, "scene = 1\ntask = \"cart_pole\"\nepochs = 0\n[system]\ncart_mass = 2\n[training]\ntrain_samples = 8\n");
+    let file = write(
+        &dir,
+        "scene = 1\ntask = \"cart_pole\"\nepochs = 0\n[system]\ncart_mass = 2\n[training]\ntrain_samples = 8\n",
+    );
     let out = dir.path().join("run");
     train_scene(&file, &out, &["--quiet"]).assert().success();
     let settings = settings(&out);
     assert_eq!(settings["system"]["cart_mass"].as_float(), Some(2.0));
     assert_eq!(settings["system"]["poles"].as_integer(), Some(2), "the default of the task");
-    assert!(!settings.contains_key("effects") && !settings.contains_key("actuator"), "absent sections are written");
+    assert!(
+        !settings.contains_key("effects") && !settings.contains_key("actuator"),
+        "absent sections are written"
+    );
     assert!(settings["training"].get("clip_limit").is_none(), "an unused setting is written");
 
     // `compare` and `check` also accept a scene file.
@@ -132,12 +152,22 @@ fn a_resampled_run_resumes_with_equal_bits_and_a_decay_fixes_the_number_of_epoch
     // A decay over two epochs has other learning rates than a decay over three.
     train_scene(&file, &part, &[&SMALL[..], &["--epochs", "2"]].concat()).assert().success();
     let error = error_of(&mut train_scene(&file, &part, &["--resume", "--epochs", "3"]));
-    assert!(error.contains("only while `training.decay` is constant") && error.contains("epochs = 3"), "{error}");
+    assert!(
+        error.contains("only while `training.decay` is constant") && error.contains("epochs = 3"),
+        "{error}"
+    );
     // With a constant rate after the warm-up, a run can resume with more epochs.
     let constant = |out: &Path, args: &[&str]| {
-        train_scene(&file, out, &[&SMALL[..], &["--set", "training.decay=constant"], args].concat()).assert().success();
+        train_scene(
+            &file,
+            out,
+            &[&SMALL[..], &["--set", "training.decay=constant"], args].concat(),
+        )
+        .assert()
+        .success();
     };
-    let [whole, part, other] = ["constant", "constant_part", "fixed"].map(|name| dir.path().join(name));
+    let [whole, part, other] =
+        ["constant", "constant_part", "fixed"].map(|name| dir.path().join(name));
     constant(&whole, &[]);
     constant(&part, &["--epochs", "2"]);
     constant(&part, &["--epochs", "3", "--resume"]);
@@ -153,18 +183,29 @@ fn discount_control_truncation_and_cut_change_r_and_their_neutral_values_do_not(
     // In the 25 steps of `SMALL`, the adjoint of R does not grow. The horizon is therefore 100.
     let trained = |field: &str, setting: &str| {
         let out = dir.path().join(format!("{field}_{setting}"));
-        train_scene(&file, &out, &[&SMALL[..], &["--field", field, "--set", setting, "--set", "horizon=100"]].concat())
-            .assert()
-            .success();
+        train_scene(
+            &file,
+            &out,
+            &[&SMALL[..], &["--field", field, "--set", setting, "--set", "horizon=100"]].concat(),
+        )
+        .assert()
+        .success();
         policy(&out)
     };
-    let (regular, stopped) = (trained("R", "training.discount=1"), trained("S", "training.discount=1"));
+    let (regular, stopped) =
+        (trained("R", "training.discount=1"), trained("S", "training.discount=1"));
     assert!(trained("R", "training.discount=0") == stopped, "R without any path differs from S");
-    assert!(trained("R", "training.control=0") == trained("M", "training.control=1"), "R without observations differs from M");
+    assert!(
+        trained("R", "training.control=0") == trained("M", "training.control=1"),
+        "R without observations differs from M"
+    );
     let mut different = vec![regular.clone(), stopped];
-    for (key, neutral, value) in
-        [("discount", "1", "0.9"), ("control", "1", "0.9"), ("truncation", "100", "10"), ("cut", "300", "0.001")]
-    {
+    for (key, neutral, value) in [
+        ("discount", "1", "0.9"),
+        ("control", "1", "0.9"),
+        ("truncation", "100", "10"),
+        ("cut", "300", "0.001"),
+    ] {
         let of = |value: &str| trained("R", &format!("training.{key}={value}"));
         assert!(of(neutral) == regular, "{key} of {neutral} changes R");
         different.push(of(value));
@@ -189,27 +230,48 @@ fn errors_in_a_file_name_the_line_and_the_allowed_values() {
         ("\n[sytem]\npoles = 1\n", "my_scene.toml:4: `sytem` is unknown; allowed: "),
         ("[effects.wind]\nspeed = 1\n", "my_scene.toml:3: `effects.wind` is unknown; allowed: "),
         ("[actuator]\nlog = 1\n", "my_scene.toml:4: `actuator.log` is unknown; allowed: "),
-        ("[system]\nenabled = false\n", "my_scene.toml:4: `system.enabled` is unknown; allowed: `model`, `poles`"),
+        (
+            "[system]\nenabled = false\n",
+            "my_scene.toml:4: `system.enabled` is unknown; allowed: `model`, `poles`",
+        ),
         (
             "[training]\nclip_limit = 2\n",
             "my_scene.toml:4: `training.clip_limit` is 2, but has no effect: `training.clip` is none",
         ),
-        ("[system]\npoles = \"two\"\n", "my_scene.toml:4: `system.poles` is string \"two\"; allowed: a whole number"),
+        (
+            "[system]\npoles = \"two\"\n",
+            "my_scene.toml:4: `system.poles` is string \"two\"; allowed: a whole number",
+        ),
         (
             "[policy]\nwidths = [\n  8,\n  true,\n]\n",
             "my_scene.toml:6: `policy.widths[1]` is boolean `true`; allowed: a whole number",
         ),
-        ("policy = { widths = [0] }\n", "my_scene.toml:3: `policy.widths` has 0; allowed: 1 to 10000"),
+        (
+            "policy = { widths = [0] }\n",
+            "my_scene.toml:3: `policy.widths` has 0; allowed: 1 to 10000",
+        ),
         ("system = 4\n", "my_scene.toml:3: `system` is integer `4`; allowed: a section"),
         ("system = [4]\n", "my_scene.toml:3: `system` is a list; allowed: a section"),
-        ("policy = { widths = 4 }\n", "my_scene.toml:3: `policy.widths` is integer `4`; allowed: a list"),
-        ("[training]\noptimizer = 3\n", "my_scene.toml:4: `training.optimizer` is integer `3`; allowed: `adam`, "),
+        (
+            "policy = { widths = 4 }\n",
+            "my_scene.toml:3: `policy.widths` is integer `4`; allowed: a list",
+        ),
+        (
+            "[training]\noptimizer = 3\n",
+            "my_scene.toml:4: `training.optimizer` is integer `3`; allowed: `adam`, ",
+        ),
         ("system.dt = -1\n", "my_scene.toml:3: `system.dt` is -1; allowed: a positive number"),
         ("epochs = -1\n", "my_scene.toml:3: `epochs` is integer `-1`; allowed: a whole number"),
-        ("field = \"sideways\"\n", "my_scene.toml:3: `field` is invalid: unknown field `sideways`; expected combined, "),
+        (
+            "field = \"sideways\"\n",
+            "my_scene.toml:3: `field` is invalid: unknown field `sideways`; expected combined, ",
+        ),
         ("precision = \"f16\"\n", "my_scene.toml:3: `precision` is `f16`; allowed: `f32` or `f64`"),
         ("horizon = \n", "my_scene.toml:3: "),
-        ("[effects.bumpers]\nenabled = false\n", "my_scene.toml:4: `effects.bumpers.enabled` is unknown; allowed: `half_travel`"),
+        (
+            "[effects.bumpers]\nenabled = false\n",
+            "my_scene.toml:4: `effects.bumpers.enabled` is unknown; allowed: `half_travel`",
+        ),
         (
             "[effects.bumpers]\nhalf_travel = \"far\"\n",
             "my_scene.toml:4: `effects.bumpers.half_travel` is string \"far\"; allowed: a number",
@@ -218,7 +280,10 @@ fn errors_in_a_file_name_the_line_and_the_allowed_values() {
             "[effects.bumpers]\nreach = 2\n",
             "my_scene.toml:4: `effects.bumpers.reach` was renamed; write `effects.bumpers.half_travel`",
         ),
-        ("[training]\nresample = 1\n", "my_scene.toml:4: `training.resample` is integer `1`; allowed: a boolean"),
+        (
+            "[training]\nresample = 1\n",
+            "my_scene.toml:4: `training.resample` is integer `1`; allowed: a boolean",
+        ),
         (
             "[training]\ndecay = \"linear\"\n",
             "my_scene.toml:4: `training.decay` is `linear`; allowed: `constant`, `cosine`, `exponential`",
@@ -231,17 +296,38 @@ fn errors_in_a_file_name_the_line_and_the_allowed_values() {
             "[training]\ndecay = \"exponential\"\ndecay_end = 0\n",
             "my_scene.toml:5: `training.decay_end` is 0; allowed: a positive number up to 1",
         ),
-        ("[training]\ndecay = \"cosine\"\ndecay_end = 2\n", "my_scene.toml:5: `training.decay_end` is 2; allowed: 0 to 1"),
-        ("[training]\nwarm_up = -1\n", "my_scene.toml:4: `training.warm_up` is integer `-1`; allowed: a whole number"),
-        ("[training]\ndiscount = 1.5\n", "my_scene.toml:4: `training.discount` is 1.5; allowed: 0 to 1"),
-        ("[training]\naverage = 1\n", "my_scene.toml:4: `training.average` is 1; allowed: 0 to below 1"),
-        ("[training]\ntruncation = 0\n", "my_scene.toml:4: `training.truncation` is 0; allowed: 1 to 1000000000"),
-        ("[training]\ncut = 0\n", "my_scene.toml:4: `training.cut` is 0; allowed: a positive number"),
+        (
+            "[training]\ndecay = \"cosine\"\ndecay_end = 2\n",
+            "my_scene.toml:5: `training.decay_end` is 2; allowed: 0 to 1",
+        ),
+        (
+            "[training]\nwarm_up = -1\n",
+            "my_scene.toml:4: `training.warm_up` is integer `-1`; allowed: a whole number",
+        ),
+        (
+            "[training]\ndiscount = 1.5\n",
+            "my_scene.toml:4: `training.discount` is 1.5; allowed: 0 to 1",
+        ),
+        (
+            "[training]\naverage = 1\n",
+            "my_scene.toml:4: `training.average` is 1; allowed: 0 to below 1",
+        ),
+        (
+            "[training]\ntruncation = 0\n",
+            "my_scene.toml:4: `training.truncation` is 0; allowed: 1 to 1000000000",
+        ),
+        (
+            "[training]\ncut = 0\n",
+            "my_scene.toml:4: `training.cut` is 0; allowed: a positive number",
+        ),
         (
             "[training]\nestimator = \"best\"\n",
             "my_scene.toml:4: `training.estimator` is `best`; allowed: `exact`, `first_order`, ",
         ),
-        ("[training]\npairs = 4\n", "my_scene.toml:4: `training.pairs` is 4, but has no effect: `training.estimator` is exact"),
+        (
+            "[training]\npairs = 4\n",
+            "my_scene.toml:4: `training.pairs` is 4, but has no effect: `training.estimator` is exact",
+        ),
         (
             "[training]\nestimator = \"zeroth_order\"\ntolerance = 1\n",
             "my_scene.toml:5: `training.tolerance` is 1, but has no effect: `training.estimator` is not alpha_order",
@@ -250,13 +336,22 @@ fn errors_in_a_file_name_the_line_and_the_allowed_values() {
             "[training]\nestimator = \"inverse_variance\"\npairs = 1\n",
             "my_scene.toml:5: `training.pairs` is 1; allowed: 2 to 100000",
         ),
-        ("[policy]\nzero_last = true\n", "my_scene.toml:4: `policy.zero_last` was renamed; write `policy.zero_init_output`"),
-        ("[loss]\nmode = \"final\"\n", "my_scene.toml:4: `loss.mode` = \"final\" was renamed; write \"terminal\""),
+        (
+            "[policy]\nzero_last = true\n",
+            "my_scene.toml:4: `policy.zero_last` was renamed; write `policy.zero_init_output`",
+        ),
+        (
+            "[loss]\nmode = \"final\"\n",
+            "my_scene.toml:4: `loss.mode` = \"final\" was renamed; write \"terminal\"",
+        ),
         (
             "[effects.dry_friction]\n\nsmoothing = 0\n",
             "my_scene.toml:5: `effects.dry_friction.smoothing` is 0; allowed: a positive number",
         ),
-        ("[effects.steady_wind]\ngust = 1\n", "my_scene.toml:4: `effects.steady_wind.gust` is unknown; allowed: `speed`"),
+        (
+            "[effects.steady_wind]\ngust = 1\n",
+            "my_scene.toml:4: `effects.steady_wind.gust` is unknown; allowed: `speed`",
+        ),
         (
             "[effects.steady_wind]\n[effects.gusty_wind]\n",
             "my_scene.toml:4: `effects.gusty_wind` cannot be combined with `effects.steady_wind`: both set the wind speed; allowed: one of them",
@@ -265,9 +360,18 @@ fn errors_in_a_file_name_the_line_and_the_allowed_values() {
             "[effects.cubic]\nstrength = 1\n",
             "my_scene.toml:3: `effects.cubic` is an effect of quantum, not of cart_pole; allowed here: pole_damping, ",
         ),
-        ("[actuator.limit]\nkind = \"hard\"\n", "my_scene.toml:3: `actuator.limit.bound` is missing"),
-        ("[actuator.lag]\ntime = 0\n", "my_scene.toml:4: `actuator.lag.time` is 0; allowed: a positive number"),
-        ("[actuator.delay]\nsteps = 0\n", "my_scene.toml:4: `actuator.delay.steps` is 0; allowed: 1 to 1000"),
+        (
+            "[actuator.limit]\nkind = \"hard\"\n",
+            "my_scene.toml:3: `actuator.limit.bound` is missing",
+        ),
+        (
+            "[actuator.lag]\ntime = 0\n",
+            "my_scene.toml:4: `actuator.lag.time` is 0; allowed: a positive number",
+        ),
+        (
+            "[actuator.delay]\nsteps = 0\n",
+            "my_scene.toml:4: `actuator.delay.steps` is 0; allowed: 1 to 1000",
+        ),
         ("epochs = 1\nepochs = 2\n", "my_scene.toml:4: "),
     ] {
         let file = write(&dir, &format!("{CART_POLE}{text}"));
@@ -276,7 +380,10 @@ fn errors_in_a_file_name_the_line_and_the_allowed_values() {
         assert!(!out.exists(), "a refused scene creates a folder");
     }
     for (text, message) in [
-        ("task = \"cart_pole\"\n", "my_scene.toml: `scene` is missing; a scene begins with `scene = 1`"),
+        (
+            "task = \"cart_pole\"\n",
+            "my_scene.toml: `scene` is missing; a scene begins with `scene = 1`",
+        ),
         ("scene = 1\n", "my_scene.toml: `task` is missing; allowed: cart_pole, guidance, quantum"),
         (
             "scene = 2\ntask = \"cart_pole\"\n",
@@ -306,7 +413,10 @@ fn errors_in_a_file_name_the_line_and_the_allowed_values() {
             "scene = 1\ntask = \"quantum\"\n[effects.absorbing_edges]\nwidth = 1.5\n",
             "my_scene.toml:4: `effects.absorbing_edges.width` is 1.5; allowed: more than 0, up to 1, half the length of the box",
         ),
-        ("scene = 1\ntask = \"cart_pool\"\n", "my_scene.toml:2: `task` is \"cart_pool\"; allowed: cart_pole, guidance, quantum"),
+        (
+            "scene = 1\ntask = \"cart_pool\"\n",
+            "my_scene.toml:2: `task` is \"cart_pool\"; allowed: cart_pole, guidance, quantum",
+        ),
     ] {
         let error = error_of(&mut train_scene(&write(&dir, text), &out, &[]));
         assert!(error.contains(message), "{message}\n{error}");
@@ -314,7 +424,11 @@ fn errors_in_a_file_name_the_line_and_the_allowed_values() {
     let error = error_of(&mut train_scene(&dir.path().join("nowhere.toml"), &out, &[]));
     assert!(error.contains("cannot read") && error.contains("nowhere.toml"), "{error}");
     let error = error_of(&mut physgrad(&["train", "cart_pool"]));
-    assert!(error.contains("there is no preset `cart_pool`; presets: cart_pole, ") && error.contains("ends in .toml"), "{error}");
+    assert!(
+        error.contains("there is no preset `cart_pool`; presets: cart_pole, ")
+            && error.contains("ends in .toml"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -342,13 +456,22 @@ fn set_adds_steady_wind_and_without_removes_gusty_wind_and_lag() {
     let dir = TempDir::new().expect("a folder");
     let out = dir.path().join("run");
     let options = [&SMALL[..], &["--epochs", "1"]].concat();
-    let change = ["--without", "gusty_wind", "--without", "lag", "--set", "effects.steady_wind.speed=1"];
-    train_scene(Path::new("cart_pole_windy"), &out, &[&options[..], &change[..]].concat()).assert().success();
+    let change =
+        ["--without", "gusty_wind", "--without", "lag", "--set", "effects.steady_wind.speed=1"];
+    train_scene(Path::new("cart_pole_windy"), &out, &[&options[..], &change[..]].concat())
+        .assert()
+        .success();
     let settings = settings(&out);
-    let parts = |section: &str| settings[section].as_table().expect("a section").keys().cloned().collect::<Vec<_>>();
+    let parts = |section: &str| {
+        settings[section].as_table().expect("a section").keys().cloned().collect::<Vec<_>>()
+    };
     assert_eq!(parts("effects"), ["pole_damping", "dry_friction", "steady_wind", "bumpers"]);
     assert_eq!(parts("actuator"), ["limit"]);
-    assert_eq!(settings["effects"]["steady_wind"]["cart_drag"].as_float(), Some(0.06), "the default of the effect");
+    assert_eq!(
+        settings["effects"]["steady_wind"]["cart_drag"].as_float(),
+        Some(0.06),
+        "the default of the effect"
+    );
 }
 
 #[test]
@@ -361,9 +484,16 @@ fn the_same_command_resumes_a_run_and_another_scene_prints_its_differences() {
     train_scene(Path::new("cart_pole_windy"), &out, &resume).assert().success();
 
     let file = write(&dir, &format!("{CART_POLE}[system]\ndt = 0.5\n"));
-    let output = train_scene(&file, &out, &["--epochs", "3", "--resume"]).assert().success().get_output().clone();
+    let output = train_scene(&file, &out, &["--epochs", "3", "--resume"])
+        .assert()
+        .success()
+        .get_output()
+        .clone();
     let stderr = String::from_utf8(output.stderr).expect("UTF-8");
-    assert!(stderr.contains("resumes with its saved settings") && stderr.contains("system.dt = 0.5"), "{stderr}");
+    assert!(
+        stderr.contains("resumes with its saved settings") && stderr.contains("system.dt = 0.5"),
+        "{stderr}"
+    );
 
     let error = error_of(&mut train_scene(&out, &dir.path().join("again"), &[]));
     assert!(error.contains("is a folder, not a scene") && error.contains("run.toml"), "{error}");
@@ -376,9 +506,17 @@ fn trajectories_name_actuator_states_the_phase_of_gusts_and_applied_forces() {
     train_scene(Path::new("cart_pole_windy"), dir.path(), &options).assert().success();
     let text = fs::read_to_string(dir.path().join("trajectory.csv")).expect("trajectories");
     let header = text.lines().next().expect("a header");
-    assert!(header.ends_with("omega_2,force_in_1,force_in_2,force_before,start_of_gusts,force,force_applied"), "{header}");
+    assert!(
+        header.ends_with(
+            "omega_2,force_in_1,force_in_2,force_before,start_of_gusts,force,force_applied"
+        ),
+        "{header}"
+    );
     let widths: Vec<usize> = text.lines().map(|line| line.split(',').count()).collect();
-    assert!(widths.iter().all(|&width| width == widths[0]), "the rows have different numbers of columns");
+    assert!(
+        widths.iter().all(|&width| width == widths[0]),
+        "the rows have different numbers of columns"
+    );
 }
 
 /// Checks, at each step, Newton's second law for a block without friction, and the limit, delay and
@@ -404,8 +542,10 @@ fn the_force_of_a_row_accelerates_the_block_to_the_next_row() {
         header.iter().collect::<Vec<_>>()[3..],
         ["x", "x_dot", "push_in_1", "push_in_2", "push_before", "push", "push_applied"]
     );
-    let rows: Vec<Vec<Option<f64>>> =
-        csv.records().map(|row| row.expect("a row").iter().map(|cell| cell.parse().ok()).collect()).collect();
+    let rows: Vec<Vec<Option<f64>>> = csv
+        .records()
+        .map(|row| row.expect("a row").iter().map(|cell| cell.parse().ok()).collect())
+        .collect();
     assert_eq!(rows.len(), 2 * 13);
     let column = |name: &str| header.iter().position(|own| own == name).expect("a column");
     let mut largest = 0.0f64;
@@ -417,14 +557,20 @@ fn the_force_of_a_row_accelerates_the_block_to_the_next_row() {
             motor = delayed + (motor - delayed) * (-0.05f64 / 0.1).exp();
             let accelerating = 2.0 * (number(t + 1, "x_dot") - number(t, "x_dot")) / 0.05;
             for force in [motor, accelerating] {
-                assert!((number(t, "push_applied") - force).abs() < 1e-12, "step {t}: {force}, {row:?}");
+                assert!(
+                    (number(t, "push_applied") - force).abs() < 1e-12,
+                    "step {t}: {force}, {row:?}"
+                );
             }
             assert_eq!(number(t + 1, "push_before"), number(t, "push_applied"));
             largest = largest.max(motor.abs());
         }
         assert_eq!([rollout[12][column("push")], rollout[12][column("push_applied")]], [None; 2]);
     }
-    assert!(largest > 0.005, "the largest force of the motor is {largest} N, not more than 0.005 N");
+    assert!(
+        largest > 0.005,
+        "the largest force of the motor is {largest} N, not more than 0.005 N"
+    );
 }
 
 #[test]
@@ -446,7 +592,10 @@ fn assert_described(schema: &Value, table: &Table, path: &str) {
         assert!(property["description"].is_string(), "{path}.{key} is not described");
         match value {
             toml::Value::Table(section) => assert_described(property, section, key),
-            _ => assert!(!property["default"].is_null() || ["scene", "task"].contains(&&**key), "{path}.{key} has no default"),
+            _ => assert!(
+                !property["default"].is_null() || ["scene", "task"].contains(&&**key),
+                "{path}.{key} has no default"
+            ),
         }
     }
     assert_eq!(schema["additionalProperties"], false, "{path}");
@@ -467,10 +616,18 @@ fn the_schema_has_one_branch_per_task_with_every_setting() {
         assert_eq!(branch["required"], serde_json::json!(["scene", "task"]));
         assert_described(branch, &stdout(&["scene", task]).parse().expect("TOML"), task);
         // Scenes may also have these sections. The schema does not restrict their keys.
-        assert!(["vary", "fit", "sweep"].iter().all(|section| branch["properties"][section]["type"] == "object"), "{branch}");
+        assert!(
+            ["vary", "fit", "sweep"]
+                .iter()
+                .all(|section| branch["properties"][section]["type"] == "object"),
+            "{branch}"
+        );
         let training = &branch["properties"]["training"]["properties"];
         assert!(training["clip_limit"].is_object() && training["decay_end"].is_object());
-        assert_eq!(training["decay"]["enum"], serde_json::json!(["constant", "cosine", "exponential"]));
+        assert_eq!(
+            training["decay"]["enum"],
+            serde_json::json!(["constant", "cosine", "exponential"])
+        );
         // Keys without a default are required within a section. The section itself is optional.
         let actuator = &branch["properties"]["actuator"];
         assert_eq!(actuator["required"], Value::Null);

@@ -7,7 +7,9 @@ use std::process::Output;
 /// Returns the commands of a block of shell code, without comments, redirections and pipes.
 pub fn commands(block: &str) -> Vec<Vec<String>> {
     let lines = block.replace("\\\n", " ");
-    let words = lines.lines().map(|line| shlex::split(line).unwrap_or_else(|| panic!("unfinished quotation: {line}")));
+    let words = lines
+        .lines()
+        .map(|line| shlex::split(line).unwrap_or_else(|| panic!("unfinished quotation: {line}")));
     words
         .filter(|words| !words.is_empty())
         .map(|words| words.into_iter().take_while(|word| word != ">" && word != "|").collect())
@@ -19,7 +21,9 @@ pub fn commands(block: &str) -> Vec<Vec<String>> {
 pub fn arguments(command: &[String]) -> Option<&[String]> {
     match command {
         [program, arguments @ ..] if program == "physgrad" || program == "own" => Some(arguments),
-        [cargo, run, release, dashes, arguments @ ..] if [cargo, run, release, dashes] == ["cargo", "run", "--release", "--"] => {
+        [cargo, run, release, dashes, arguments @ ..]
+            if [cargo, run, release, dashes] == ["cargo", "run", "--release", "--"] =>
+        {
             Some(arguments)
         }
         _ => None,
@@ -27,7 +31,11 @@ pub fn arguments(command: &[String]) -> Option<&[String]> {
 }
 
 fn physgrad(arguments: &[String]) -> Output {
-    Command::cargo_bin("physgrad").expect("the program is built").args(arguments).output().expect("the command runs")
+    Command::cargo_bin("physgrad")
+        .expect("the program is built")
+        .args(arguments)
+        .output()
+        .expect("the command runs")
 }
 
 /// Replaces the placeholders N, E and P by example values. Returns other words unchanged.
@@ -42,8 +50,14 @@ fn value(word: String) -> String {
 /// Returns the calls of the program in blocks and in inline code, with example values in place of
 /// placeholders.
 fn calls(page: &Page) -> Vec<Vec<String>> {
-    let spans = page.spans.iter().filter(|span| span.starts_with("physgrad ") && !span.starts_with("physgrad = "));
-    let shown = page.blocks("sh").flat_map(commands).chain(spans.flat_map(|span| commands(&span.replace('\n', " "))));
+    let spans = page
+        .spans
+        .iter()
+        .filter(|span| span.starts_with("physgrad ") && !span.starts_with("physgrad = "));
+    let shown = page
+        .blocks("sh")
+        .flat_map(commands)
+        .chain(spans.flat_map(|span| commands(&span.replace('\n', " "))));
     let calls = shown.filter_map(|command| arguments(&command).map(<[String]>::to_vec));
     calls.map(|call| call.into_iter().map(value).collect()).collect()
 }
@@ -62,12 +76,16 @@ fn mistake(call: &[String]) -> Option<String> {
 fn explanation(call: &[String], presets: &[String]) -> Option<Vec<String>> {
     let scene = call.get(1).filter(|scene| presets.contains(scene))?;
     let mut explain = vec!["explain".to_owned(), scene.clone()];
-    let in_capitals = |word: &str| word.rsplit('=').next().is_some_and(|value| value.chars().all(|c| c.is_ascii_uppercase()));
-    let changes = |pair: &&[String]| ["--set", "--without"].contains(&&*pair[0]) && !in_capitals(&pair[1]);
+    let in_capitals = |word: &str| {
+        word.rsplit('=').next().is_some_and(|value| value.chars().all(|c| c.is_ascii_uppercase()))
+    };
+    let changes =
+        |pair: &&[String]| ["--set", "--without"].contains(&&*pair[0]) && !in_capitals(&pair[1]);
     for pair in call.windows(2).filter(changes) {
         // Takes the first value of a sweep.
         let in_brackets = pair[1].contains(['[', '{']);
-        let change = if in_brackets { &pair[1] } else { pair[1].split(',').next().expect("a value") };
+        let change =
+            if in_brackets { &pair[1] } else { pair[1].split(',').next().expect("a value") };
         explain.extend([pair[0].clone(), change.to_owned()]);
     }
     Some(explain)
@@ -76,20 +94,34 @@ fn explanation(call: &[String], presets: &[String]) -> Option<Vec<String>> {
 #[test]
 fn every_command_has_existing_options_and_settings() {
     let list = physgrad(&["scene".to_owned()]).stdout;
-    let presets: Vec<_> =
-        String::from_utf8(list).expect("text").lines().filter_map(|line| line.split(' ').next().map(String::from)).collect();
+    let presets: Vec<_> = String::from_utf8(list)
+        .expect("text")
+        .lines()
+        .filter_map(|line| line.split(' ').next().map(String::from))
+        .collect();
     let (mut parsed, mut explained) = (0, 0);
     for page in pages() {
         for call in calls(&page) {
             let mistake = mistake(&call);
-            assert!(mistake.is_none(), "{}: physgrad {}: {}", page.path.display(), call.join(" "), mistake.unwrap_or_default());
+            assert!(
+                mistake.is_none(),
+                "{}: physgrad {}: {}",
+                page.path.display(),
+                call.join(" "),
+                mistake.unwrap_or_default()
+            );
             parsed += 1;
             let Some(explain) = explanation(&call, &presets) else { continue };
             let output = physgrad(&explain);
             let message = String::from_utf8_lossy(&output.stderr);
             // Pages show one mistake with its message.
             let quoted = !message.trim().is_empty() && page.text.contains(&*message);
-            assert!(output.status.success() || quoted, "{}: physgrad {}: {message}", page.path.display(), call.join(" "));
+            assert!(
+                output.status.success() || quoted,
+                "{}: physgrad {}: {message}",
+                page.path.display(),
+                call.join(" ")
+            );
             explained += 1;
         }
     }
@@ -98,7 +130,12 @@ fn every_command_has_existing_options_and_settings() {
 
 #[test]
 fn wrong_subcommands_options_and_values_are_found() {
-    let wrong = |line: &str| commands(line).iter().filter_map(|command| arguments(command)).all(|call| mistake(call).is_some());
+    let wrong = |line: &str| {
+        commands(line)
+            .iter()
+            .filter_map(|command| arguments(command))
+            .all(|call| mistake(call).is_some())
+    };
     assert!(wrong("physgrad trian cart_pole # a comment"));
     assert!(wrong("cargo run --release -- train cart_pole --epoch 3"));
     assert!(wrong("physgrad compare cart_pole \\\n  --fields R,X"));

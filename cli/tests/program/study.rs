@@ -43,7 +43,8 @@ fn folder(plan: &str) -> TempDir {
 }
 
 fn error(dir: &TempDir, args: &str) -> String {
-    String::from_utf8(physgrad(args, dir.path()).assert().failure().get_output().stderr.clone()).expect("text")
+    String::from_utf8(physgrad(args, dir.path()).assert().failure().get_output().stderr.clone())
+        .expect("text")
 }
 
 #[test]
@@ -55,22 +56,50 @@ fn errors_of_a_plan_name_the_line_and_the_allowed_values() {
             "plan.toml:1: `sedes` is unknown; allowed: `seeds`, `epochs`, `learning_rates`, `task`, `method`",
         ),
         ("seeds = 2", "seeds = 0", "plan.toml:1: `seeds` is 0; allowed: 1 to 10000"),
-        ("seeds = 2", "seeds = \"two\"", "plan.toml:1: `seeds` is string \"two\"; allowed: a whole number, 0 or more"),
+        (
+            "seeds = 2",
+            "seeds = \"two\"",
+            "plan.toml:1: `seeds` is string \"two\"; allowed: a whole number, 0 or more",
+        ),
         ("epochs = 2", "epochs = 0", "plan.toml:2: `epochs` is 0; allowed: 1 or more"),
-        ("[0.001, 0.1]", "[]", "plan.toml:3: `learning_rates` is []; allowed: one learning rate or more"),
-        ("[0.001, 0.1]", "[0.1, 0.1]", "plan.toml:3: `learning_rates[1]` is 0.1; allowed: distinct learning rates"),
-        ("[0.001, 0.1]", "[-0.1, 0.1]", "plan.toml:3: `training.learning_rate` is -0.1; allowed: a positive number up to 1e6"),
+        (
+            "[0.001, 0.1]",
+            "[]",
+            "plan.toml:3: `learning_rates` is []; allowed: one learning rate or more",
+        ),
+        (
+            "[0.001, 0.1]",
+            "[0.1, 0.1]",
+            "plan.toml:3: `learning_rates[1]` is 0.1; allowed: distinct learning rates",
+        ),
+        (
+            "[0.001, 0.1]",
+            "[-0.1, 0.1]",
+            "plan.toml:3: `training.learning_rate` is -0.1; allowed: a positive number up to 1e6",
+        ),
         (
             "scene = \"cart_pole_1\"",
             "scen = \"cart_pole_1\"",
             "plan.toml:6: `task[0].scen` is unknown; allowed: `name`, `scene`, `set`",
         ),
         ("\"cart_pole_1\"", "\"cart_pole_l\"", "plan.toml:6: there is no preset `cart_pole_l`"),
-        ("\"cart_pole_1\"", "7", "plan.toml:6: `task[0].scene` is 7; allowed: a preset, or the path of a scene"),
-        ("\"scenes/mine.toml\"", "\"scenes/yours.toml\"", "plan.toml:11: cannot read plans/scenes/yours.toml"),
+        (
+            "\"cart_pole_1\"",
+            "7",
+            "plan.toml:6: `task[0].scene` is 7; allowed: a preset, or the path of a scene",
+        ),
+        (
+            "\"scenes/mine.toml\"",
+            "\"scenes/yours.toml\"",
+            "plan.toml:11: cannot read plans/scenes/yours.toml",
+        ),
         ("policy.widths = [4]", "policy.width = [4]", "plan.toml:7: `policy.width` is unknown"),
         ("name = \"C\"\n", "", "plan.toml:17: `method[1].name` is missing"),
-        ("name = \"C\"", "name = \"R, clipped\"", "plan.toml:18: two entries [[method]] have the name \"R, clipped\""),
+        (
+            "name = \"C\"",
+            "name = \"R, clipped\"",
+            "plan.toml:18: two entries [[method]] have the name \"R, clipped\"",
+        ),
         (
             "name = \"mine\"",
             "name = \"../mine\"",
@@ -78,12 +107,32 @@ fn errors_of_a_plan_name_the_line_and_the_allowed_values() {
         ),
         ("field = \"C\"", "training.field = \"C\"", "plan.toml:19: `training.field` is unknown"),
         ("field = \"C\"", "field = \"X\"", "plan.toml:19: `field`"),
-        ("field = \"C\"", "seed = 3", "plan.toml:19: `seed` cannot be set: a study trains several seeds"),
+        (
+            "field = \"C\"",
+            "seed = 3",
+            "plan.toml:19: `seed` cannot be set: a study trains several seeds",
+        ),
         ("field = \"C\"", "task = \"push\"", "plan.toml:19: `task` cannot be set"),
-        ("field = \"C\"", "initial_policy = \"p\"", "plan.toml:19: `initial_policy` cannot be set: a study trains from random"),
-        ("name = \"C\"", "name = \"C.previous-1\"", "plan.toml:18: `method[1].name` is \"C.previous-1\"; allowed: a name of up"),
-        ("name = \"C\"", "name = \"r, Clipped\"", "plan.toml:18: two entries [[method]] have the name"),
-        ("field = \"C\"", "\"training.learning_rate\" = 1", "`learning_rates` replaces it; remove one of them"),
+        (
+            "field = \"C\"",
+            "initial_policy = \"p\"",
+            "plan.toml:19: `initial_policy` cannot be set: a study trains from random",
+        ),
+        (
+            "name = \"C\"",
+            "name = \"C.previous-1\"",
+            "plan.toml:18: `method[1].name` is \"C.previous-1\"; allowed: a name of up",
+        ),
+        (
+            "name = \"C\"",
+            "name = \"r, Clipped\"",
+            "plan.toml:18: two entries [[method]] have the name",
+        ),
+        (
+            "field = \"C\"",
+            "\"training.learning_rate\" = 1",
+            "`learning_rates` replaces it; remove one of them",
+        ),
         ("field = \"C\"", "\"system.masses\" = 1", "(task cart_pole_1, method C)"),
         ("seeds = 2", "seeds = ", "plan.toml:1: "),
     ] {
@@ -95,21 +144,34 @@ fn errors_of_a_plan_name_the_line_and_the_allowed_values() {
     }
     let found = error(&folder("[[task]]\nscene = \"push\"\n"), "study plans/plan.toml");
     assert!(found.contains("`method` is missing; add an entry [[method]]"), "{found}");
-    assert!(error(&folder(PLAN), "study plans/other.toml").contains("cannot read plans/other.toml"));
+    assert!(
+        error(&folder(PLAN), "study plans/other.toml").contains("cannot read plans/other.toml")
+    );
 }
 
 #[test]
 fn a_study_trains_every_combination_and_equals_single_runs() {
     let dir = folder(PLAN);
     let study = "study plans/plan.toml -o out";
-    let output = physgrad(&format!("{study} --json"), dir.path()).assert().success().get_output().stdout.clone();
+    let output = physgrad(&format!("{study} --json"), dir.path())
+        .assert()
+        .success()
+        .get_output()
+        .stdout
+        .clone();
     let object: Value = serde_json::from_slice(&output).expect("JSON");
     check("study", &object);
     let methods = object["methods"].as_array().expect("rows");
-    let names = methods.iter().map(|row| [&row["task"], &row["method"]].map(|name| name.as_str().expect("a name")));
-    let expected = ["cart_pole_1", "mine"].map(|task| ["R, clipped", "C"].map(|method| [task, method]));
+    let names = methods
+        .iter()
+        .map(|row| [&row["task"], &row["method"]].map(|name| name.as_str().expect("a name")));
+    let expected =
+        ["cart_pole_1", "mine"].map(|task| ["R, clipped", "C"].map(|method| [task, method]));
     assert_eq!(names.collect::<Vec<_>>(), expected.concat());
-    assert!(methods.iter().all(|row| row["seeds"] == 2 && row["median_test_loss"].is_number()), "{object}");
+    assert!(
+        methods.iter().all(|row| row["seeds"] == 2 && row["median_test_loss"].is_number()),
+        "{object}"
+    );
 
     // Both tasks have equal settings, so C has equal results.
     assert_eq!(methods[1]["median_test_loss"], methods[3]["median_test_loss"]);
@@ -130,10 +192,16 @@ fn a_study_trains_every_combination_and_equals_single_runs() {
 
     // The program refuses a method with other settings, and the folder keeps its plan.
     let plan = bytes("out/study.toml");
-    fs::write(dir.path().join("plans/plan.toml"), PLAN.replace("clip_limit = 0.5", "clip_limit = 0.7")).expect("a file");
+    fs::write(
+        dir.path().join("plans/plan.toml"),
+        PLAN.replace("clip_limit = 0.5", "clip_limit = 0.7"),
+    )
+    .expect("a file");
     assert!(error(&dir, study).contains("keeps its settings"));
     assert_eq!(plan, bytes("out/study.toml"));
-    let changed = String::from_utf8(plan.clone()).expect("text").replace("clip_limit = 0.5", "clip_limit = 0.7");
+    let changed = String::from_utf8(plan.clone())
+        .expect("text")
+        .replace("clip_limit = 0.5", "clip_limit = 0.7");
     fs::write(dir.path().join("out/study.toml"), changed).expect("a file");
     assert!(error(&dir, "merge out").contains("keeps its settings"));
     fs::write(dir.path().join("out/study.toml"), plan).expect("a file");
@@ -151,8 +219,12 @@ fn a_study_trains_every_combination_and_equals_single_runs() {
     physgrad("report out", dir.path()).assert().success();
 
     // The program refuses folders with other contents.
-    assert!(error(&dir, "study out/study.toml -o one").contains("one holds a run and is not a study"));
-    assert!(error(&dir, "compare push -o out").contains("out holds a study and is not a comparison"));
+    assert!(
+        error(&dir, "study out/study.toml -o one").contains("one holds a run and is not a study")
+    );
+    assert!(
+        error(&dir, "compare push -o out").contains("out holds a study and is not a comparison")
+    );
     let missing = fs::remove_dir_all(dir.path().join("out/mine+C+learning_rate=0.1"));
     missing.expect("a folder");
     assert!(error(&dir, "merge out --quiet").contains("2 of 16 runs are missing or not complete"));
@@ -160,14 +232,19 @@ fn a_study_trains_every_combination_and_equals_single_runs() {
 
 #[test]
 fn a_plan_without_learning_rates_uses_those_of_the_scenes_and_methods() {
-    let plan = PLAN.replace("learning_rates = [0.001, 0.1]\n", "").replace("field = \"C\"", "training.learning_rate = 0.02");
+    let plan = PLAN
+        .replace("learning_rates = [0.001, 0.1]\n", "")
+        .replace("field = \"C\"", "training.learning_rate = 0.02");
     let dir = folder(&plan);
     physgrad("study plans/plan.toml --quiet -o out", dir.path()).assert().success();
     let rows = read(&dir, "out/times.csv");
     assert_eq!(rows.len(), 1 + 4);
     let csv = fs::read_to_string(dir.path().join("out/study.csv")).expect("a table");
     assert!(csv.contains("mine,C,0.02,2,"), "{csv}");
-    assert!(dir.path().join("out/mine+C/runs/R-0").exists(), "the method does not keep the field of the scene");
+    assert!(
+        dir.path().join("out/mine+C/runs/R-0").exists(),
+        "the method does not keep the field of the scene"
+    );
 }
 
 #[test]
@@ -184,6 +261,12 @@ fn the_plans_of_the_repository_are_valid_and_the_guide_quotes_one() {
             assert!(found.contains("holds a comparison and is not a study"), "{path}: {found}");
         }
     }
-    let (page, plan) = (include_str!("../../../docs/study.md"), include_str!("../../../examples/plans/fields.toml"));
-    assert!(page.contains(&format!("```toml\n{plan}```")), "docs/study.md and examples/plans/fields.toml differ");
+    let (page, plan) = (
+        include_str!("../../../docs/study.md"),
+        include_str!("../../../examples/plans/fields.toml"),
+    );
+    assert!(
+        page.contains(&format!("```toml\n{plan}```")),
+        "docs/study.md and examples/plans/fields.toml differ"
+    );
 }

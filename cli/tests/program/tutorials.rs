@@ -14,7 +14,11 @@ use tempfile::TempDir;
 /// Returns a quick form of a call of the program. A call without arguments becomes a training of
 /// `cart_pole`.
 fn quick(call: &[String]) -> Vec<String> {
-    let mut words = if call.is_empty() { vec!["train".to_owned(), "cart_pole".to_owned()] } else { call.to_vec() };
+    let mut words = if call.is_empty() {
+        vec!["train".to_owned(), "cart_pole".to_owned()]
+    } else {
+        call.to_vec()
+    };
     let mut replace = |option: &str, value: &str| {
         if let Some(i) = words.iter().position(|word| word == option) {
             words.drain(i..i + 2);
@@ -27,8 +31,11 @@ fn quick(call: &[String]) -> Vec<String> {
         "train" if resumed => replace("--epochs", "3"),
         "train" | "compare" => {
             replace("--epochs", "2");
-            let small = ["training.train_samples=16", "training.test_samples=16", "policy.widths=[8]"];
-            words.extend(small.iter().flat_map(|setting| ["--set".to_owned(), (*setting).to_owned()]));
+            let small =
+                ["training.train_samples=16", "training.test_samples=16", "policy.widths=[8]"];
+            words.extend(
+                small.iter().flat_map(|setting| ["--set".to_owned(), (*setting).to_owned()]),
+            );
         }
         "robust" => replace("--samples", "8"),
         "accuracy" => {
@@ -44,7 +51,9 @@ fn quick(call: &[String]) -> Vec<String> {
 
 /// Replaces every word with a digit by `#`, and every gap by one space.
 fn shape(line: &str) -> String {
-    let word = |word: &str| if word.contains(|c: char| c.is_ascii_digit()) { "#".to_owned() } else { word.to_owned() };
+    let word = |word: &str| {
+        if word.contains(|c: char| c.is_ascii_digit()) { "#".to_owned() } else { word.to_owned() }
+    };
     line.split_whitespace().map(word).collect::<Vec<_>>().join(" ")
 }
 
@@ -52,10 +61,9 @@ fn shape(line: &str) -> String {
 /// rest.
 fn contains(output: &str, line: &str) -> bool {
     let line = shape(line);
-    output
-        .lines()
-        .map(shape)
-        .any(|said| line.strip_suffix("...").map_or(said == line, |begin| said.starts_with(begin.trim_end())))
+    output.lines().map(shape).any(|said| {
+        line.strip_suffix("...").map_or(said == line, |begin| said.starts_with(begin.trim_end()))
+    })
 }
 
 /// Runs a page in an empty folder. Returns the number of commands that ran.
@@ -69,7 +77,11 @@ fn run(page: &str) -> usize {
     for (language, text) in &page.blocks {
         match &**language {
             "toml" => {
-                let name = text.lines().next().and_then(|line| line.strip_prefix("# ")).expect("the name of the file");
+                let name = text
+                    .lines()
+                    .next()
+                    .and_then(|line| line.strip_prefix("# "))
+                    .expect("the name of the file");
                 fs::write(folder.join(name), text).expect("a file");
             }
             "sh" => {
@@ -81,14 +93,24 @@ fn run(page: &str) -> usize {
                     }
                     // Studies take too long. The tests of studies check the plans of the
                     // repository.
-                    let Some(call) = arguments(&command).filter(|call| call.first().is_none_or(|first| first != "study")) else {
+                    let Some(call) = arguments(&command)
+                        .filter(|call| call.first().is_none_or(|first| first != "study"))
+                    else {
                         continue;
                     };
-                    let program =
-                        if command[0] == "physgrad" { assert_cmd::cargo::cargo_bin("physgrad") } else { PROGRAM.clone() };
+                    let program = if command[0] == "physgrad" {
+                        assert_cmd::cargo::cargo_bin("physgrad")
+                    } else {
+                        PROGRAM.clone()
+                    };
                     measure(&folder, &command);
-                    let output = Command::new(program).args(quick(call)).current_dir(&folder).output().expect("the command runs");
-                    let [out, err] = [output.stdout, output.stderr].map(|text| String::from_utf8(text).expect("text"));
+                    let output = Command::new(program)
+                        .args(quick(call))
+                        .current_dir(&folder)
+                        .output()
+                        .expect("the command runs");
+                    let [out, err] = [output.stdout, output.stderr]
+                        .map(|text| String::from_utf8(text).expect("text"));
                     // A page shows a mistake with its message.
                     let quoted = !err.trim().is_empty() && page.text.contains(&err);
                     assert!(output.status.success() || quoted, "{command:?}: {err}");
@@ -100,8 +122,15 @@ fn run(page: &str) -> usize {
                 }
             }
             "text" => {
-                for line in text.lines().filter(|line| line.trim() != "..." && !line.starts_with(['┌', '╞', '└'])) {
-                    assert!(contains(&said, line), "{}: not in the output: {line}\n{said}", page.path.display());
+                for line in text
+                    .lines()
+                    .filter(|line| line.trim() != "..." && !line.starts_with(['┌', '╞', '└']))
+                {
+                    assert!(
+                        contains(&said, line),
+                        "{}: not in the output: {line}\n{said}",
+                        page.path.display()
+                    );
                 }
             }
             _ => {}
@@ -120,7 +149,8 @@ fn redirection<'a>(block: &'a str, command: &[String]) -> Option<&'a str> {
 /// this file.
 fn measure(folder: &Path, command: &[String]) {
     if command.iter().any(|word| word == "measured.csv") {
-        fs::copy(folder.join("runs/first/trajectory.csv"), folder.join("measured.csv")).expect("a simulation");
+        fs::copy(folder.join("runs/first/trajectory.csv"), folder.join("measured.csv"))
+            .expect("a simulation");
     }
 }
 

@@ -62,23 +62,42 @@ fn text(bytes: &[u8]) -> String {
 }
 
 fn assert_complete(out: &Path) {
-    for name in ["run.toml", "checkpoint.bin", "metrics.csv", "policy.safetensors", "learning_curve.svg", "trajectory.csv"] {
+    for name in [
+        "run.toml",
+        "checkpoint.bin",
+        "metrics.csv",
+        "policy.safetensors",
+        "learning_curve.svg",
+        "trajectory.csv",
+    ] {
         assert!(fs::metadata(out.join(name)).is_ok_and(|file| file.len() > 0), "{name}");
     }
-    let left: Vec<_> = fs::read_dir(out).expect("a folder").map(|entry| entry.expect("an entry").file_name()).collect();
+    let left: Vec<_> = fs::read_dir(out)
+        .expect("a folder")
+        .map(|entry| entry.expect("an entry").file_name())
+        .collect();
     assert!(!left.iter().any(|name| name.to_string_lossy().ends_with(".new")), "{left:?}");
 }
 
 #[test]
 fn one_of_100_simultaneous_starts_runs_and_99_are_refused() {
     let (_dir, out) = folder();
-    let mut children: Vec<Child> =
-        (0..100).map(|_| process(&out, &["--epochs", ENDLESS, "--threads", "1"]).spawn().expect("the process starts")).collect();
+    let mut children: Vec<Child> = (0..100)
+        .map(|_| {
+            process(&out, &["--epochs", ENDLESS, "--threads", "1"])
+                .spawn()
+                .expect("the process starts")
+        })
+        .collect();
     let mut refused: Vec<Output> = Vec::new();
     wait_until("99 processes end", || {
-        while let Some(ended) = children.iter_mut().position(|child| child.try_wait().expect("the process is a child").is_some())
+        while let Some(ended) = children
+            .iter_mut()
+            .position(|child| child.try_wait().expect("the process is a child").is_some())
         {
-            refused.push(children.swap_remove(ended).wait_with_output().expect("the process has ended"));
+            refused.push(
+                children.swap_remove(ended).wait_with_output().expect("the process has ended"),
+            );
         }
         refused.len() >= 99
     });
@@ -87,13 +106,20 @@ fn one_of_100_simultaneous_starts_runs_and_99_are_refused() {
     for output in &refused {
         let error = text(&output.stderr);
         assert_eq!(output.status.code(), Some(1), "{error}");
-        assert!(error.contains("is in use by process") && error.contains(&survivor.id().to_string()), "{error}");
+        assert!(
+            error.contains("is in use by process") && error.contains(&survivor.id().to_string()),
+            "{error}"
+        );
     }
     wait_for_epochs(&out, 2);
     signal(&survivor, "TERM");
     assert_eq!(survivor.wait_with_output().expect("the process ends").status.code(), Some(143));
     assert_complete(&out);
-    assert_eq!(fs::read_dir(out.parent().expect("a parent")).expect("a folder").count(), 1, "a run was renamed");
+    assert_eq!(
+        fs::read_dir(out.parent().expect("a parent")).expect("a folder").count(),
+        1,
+        "a run was renamed"
+    );
 }
 
 #[test]
@@ -107,10 +133,15 @@ fn two_simultaneous_resumes_give_the_metrics_of_one_uninterrupted_run() {
             let mut command = process(&out, &["--resume", "--epochs", epochs]);
             command.spawn().expect("the process starts")
         };
-        let pair = [resume(), resume()].map(|child| child.wait_with_output().expect("the process ends"));
+        let pair =
+            [resume(), resume()].map(|child| child.wait_with_output().expect("the process ends"));
         assert!(pair.iter().any(|output| output.status.success()));
         for output in pair {
-            assert!(output.status.success() || text(&output.stderr).contains("in use by"), "{}", text(&output.stderr));
+            assert!(
+                output.status.success() || text(&output.stderr).contains("in use by"),
+                "{}",
+                text(&output.stderr)
+            );
         }
     }
     assert_eq!(metrics(&out), metrics(&whole));
@@ -124,15 +155,42 @@ fn a_comparison_waits_for_a_run_of_another_process() {
     let mut first = process(&run, &["--epochs", ENDLESS]).spawn().expect("the process starts");
     wait_for_epochs(&run, 1);
     let mut compare = Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));
-    compare.args(["compare", "cart_pole", "--fields", "C", "--seeds", "1", "--epochs", ENDLESS, "--out"]).arg(dir.path());
-    let mut compare = compare.args(SMALL).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("the process starts");
+    compare
+        .args([
+            "compare",
+            "cart_pole",
+            "--fields",
+            "C",
+            "--seeds",
+            "1",
+            "--epochs",
+            ENDLESS,
+            "--out",
+        ])
+        .arg(dir.path());
+    let mut compare = compare
+        .args(SMALL)
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the process starts");
     let mut messages = BufReader::new(compare.stderr.take().expect("a pipe"));
     let mut printed = String::new();
     while !printed.contains("waiting for the folder") {
         assert!(messages.read_line(&mut printed).expect("text") > 0, "{printed}");
     }
     // The program refuses a second comparison in the folder.
-    let mut second = physgrad(&["compare", "cart_pole", "--fields", "C", "--seeds", "1", "--epochs", ENDLESS, "--out"]);
+    let mut second = physgrad(&[
+        "compare",
+        "cart_pole",
+        "--fields",
+        "C",
+        "--seeds",
+        "1",
+        "--epochs",
+        ENDLESS,
+        "--out",
+    ]);
     assert!(error_of(second.arg(dir.path()).args(SMALL)).contains("in use by process"));
     let done = metrics(&run).len();
     first.kill().expect("the process is killed");
@@ -175,11 +233,13 @@ fn full() -> File {
 #[test]
 fn a_full_standard_error_is_ignored_and_a_full_standard_output_is_an_error() {
     let (_dir, out) = folder();
-    let status = process(&out, &["--epochs", "2"]).stderr(full()).status().expect("the command runs");
+    let status =
+        process(&out, &["--epochs", "2"]).stderr(full()).status().expect("the command runs");
     assert!(status.success(), "{status}");
     assert_complete(&out);
     let (_dir, out) = folder();
-    let output = process(&out, &["--epochs", "2"]).stdout(full()).output().expect("the command runs");
+    let output =
+        process(&out, &["--epochs", "2"]).stdout(full()).output().expect("the command runs");
     assert_eq!(output.status.code(), Some(1));
     assert!(text(&output.stderr).contains("standard output"), "{}", text(&output.stderr));
     assert_complete(&out);
@@ -192,9 +252,18 @@ fn a_full_standard_error_is_ignored_and_a_full_standard_output_is_an_error() {
         &["explain", "lqr"],
     ] {
         let mut command = Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));
-        let output = command.args(args).stdout(full()).stderr(Stdio::piped()).output().expect("the command runs");
+        let output = command
+            .args(args)
+            .stdout(full())
+            .stderr(Stdio::piped())
+            .output()
+            .expect("the command runs");
         assert_eq!(output.status.code(), Some(1), "{args:?}");
-        assert!(text(&output.stderr).contains("No space left"), "{args:?}: {}", text(&output.stderr));
+        assert!(
+            text(&output.stderr).contains("No space left"),
+            "{args:?}: {}",
+            text(&output.stderr)
+        );
     }
 }
 
@@ -236,7 +305,10 @@ fn sixty_staggered_starts_lose_no_finished_run() {
     let start = |seed: usize| {
         std::thread::sleep(Duration::from_millis(7));
         let seed = seed.to_string();
-        (seed.clone(), process(&out, &["--epochs", "1", "--seed", &seed]).spawn().expect("the process starts"))
+        (
+            seed.clone(),
+            process(&out, &["--epochs", "1", "--seed", &seed]).spawn().expect("the process starts"),
+        )
     };
     let children: Vec<(String, Child)> = (0..60).map(start).collect();
     let mut finished = Vec::new();
@@ -246,7 +318,8 @@ fn sixty_staggered_starts_lose_no_finished_run() {
         assert!(output.status.success() || error.contains("in use by process"), "{error}");
         finished.extend(output.status.success().then_some(format!("seed = {seed}")));
     }
-    let folders = fs::read_dir(dir.path()).expect("a folder").map(|entry| entry.expect("an entry").path());
+    let folders =
+        fs::read_dir(dir.path()).expect("a folder").map(|entry| entry.expect("an entry").path());
     let seed_of = |folder: PathBuf| {
         assert_complete(&folder);
         let settings = fs::read_to_string(folder.join("run.toml")).expect("settings");
@@ -275,7 +348,17 @@ fn an_earlier_run_behind_a_symbolic_link_is_renamed() {
 fn a_run_is_refused_in_the_folder_of_a_comparison_and_vice_versa() {
     let (_dir, out) = folder();
     let compare = || {
-        let mut compare = physgrad(&["compare", "cart_pole", "--fields", "C", "--seeds", "1", "--epochs", "1", "--out"]);
+        let mut compare = physgrad(&[
+            "compare",
+            "cart_pole",
+            "--fields",
+            "C",
+            "--seeds",
+            "1",
+            "--epochs",
+            "1",
+            "--out",
+        ]);
         compare.arg(&out).args(SMALL);
         compare
     };
@@ -283,8 +366,18 @@ fn a_run_is_refused_in_the_folder_of_a_comparison_and_vice_versa() {
     assert!(error_of(&mut train(&out, &["--epochs", "1"])).contains("holds a comparison"));
     // The runs of several scenes are in subfolders with the names of the scenes.
     let (_dir, out) = folder();
-    let mut scenes =
-        physgrad(&["compare", "cart_pole_1", "cart_pole_2", "--fields", "C", "--seeds", "1", "--epochs", "1", "--out"]);
+    let mut scenes = physgrad(&[
+        "compare",
+        "cart_pole_1",
+        "cart_pole_2",
+        "--fields",
+        "C",
+        "--seeds",
+        "1",
+        "--epochs",
+        "1",
+        "--out",
+    ]);
     scenes.arg(&out).args(SMALL).assert().success();
     assert!(error_of(&mut train(&out, &["--epochs", "1"])).contains("holds a comparison"));
     let (_dir, out) = folder();
@@ -300,7 +393,8 @@ fn a_run_starts_in_a_folder_with_the_initial_policy_of_a_killed_run() {
     train(&first, &["--epochs", "1"]).assert().success();
     fs::create_dir(&out).expect("a folder");
     // A kill between the first two files of a run leaves this file only.
-    fs::copy(first.join("policy.safetensors"), out.join("initial_policy.safetensors")).expect("a copy");
+    fs::copy(first.join("policy.safetensors"), out.join("initial_policy.safetensors"))
+        .expect("a copy");
     let policy = first.to_str().expect("a path in UTF-8");
     train(&out, &["--epochs", "1", "--policy", policy]).assert().success();
     assert_complete(&out);
@@ -308,7 +402,9 @@ fn a_run_starts_in_a_folder_with_the_initial_policy_of_a_killed_run() {
 
 #[test]
 fn named_pipes_are_refused_and_hard_links_are_not_written_through() {
-    let fifo = |path: &Path| assert!(Command::new("mkfifo").arg(path).status().expect("the command runs").success());
+    let fifo = |path: &Path| {
+        assert!(Command::new("mkfifo").arg(path).status().expect("the command runs").success())
+    };
     let (_dir, out) = folder();
     fs::create_dir(&out).expect("a folder");
     fifo(&out.join(".physgrad.lock"));
@@ -321,7 +417,9 @@ fn named_pipes_are_refused_and_hard_links_are_not_written_through() {
         fs::remove_file(out.join(name)).expect("a file");
         fifo(&out.join(name));
         let mut resume = train(&out, &["--resume", "--epochs", "2"]);
-        for command in [&mut resume, physgrad(&["report"]).arg(&out), physgrad(&["animate"]).arg(&out)] {
+        for command in
+            [&mut resume, physgrad(&["report"]).arg(&out), physgrad(&["animate"]).arg(&out)]
+        {
             let error = error_of(command.timeout(Duration::from_secs(20)));
             assert!(error.contains(name) && error.contains("not a file"), "{error}");
         }
@@ -339,7 +437,9 @@ fn named_pipes_are_refused_and_hard_links_are_not_written_through() {
 #[cfg(target_os = "linux")]
 #[test]
 fn a_folder_that_cannot_be_made_is_an_error() {
-    let error = error_of(train(Path::new("/proc/physgrad/run"), &["--epochs", "1"]).timeout(Duration::from_secs(20)));
+    let error = error_of(
+        train(Path::new("/proc/physgrad/run"), &["--epochs", "1"]).timeout(Duration::from_secs(20)),
+    );
     assert!(error.contains("cannot be written to"), "{error}");
 }
 
@@ -379,7 +479,8 @@ fn the_first_signal_saves_a_complete_run_that_resumes() {
 }
 
 /// Settings whose epochs last for minutes.
-const LONG_EPOCHS: [&str; 4] = ["--set", "training.train_samples=100000", "--set", "training.batch=1"];
+const LONG_EPOCHS: [&str; 4] =
+    ["--set", "training.train_samples=100000", "--set", "training.batch=1"];
 
 #[test]
 fn the_second_signal_stops_within_the_epoch_and_keeps_the_checkpoint() {
@@ -395,8 +496,9 @@ fn the_second_signal_stops_within_the_epoch_and_keeps_the_checkpoint() {
     // After the first signal, the program prints a message within the epoch. A newer checkpoint is
     // no evidence of the signal, because the program also saves periodically.
     let messages = BufReader::new(child.stderr.take().expect("standard error is piped")).lines();
-    let answer =
-        messages.map(|line| line.expect("the messages are text")).find(|line| line.contains("a second signal stops immediately"));
+    let answer = messages
+        .map(|line| line.expect("the messages are text"))
+        .find(|line| line.contains("a second signal stops immediately"));
     assert!(answer.is_some(), "no message follows the first signal");
     signal(&child, "HUP");
     assert_eq!(child.wait().expect("the process ends").code(), Some(129));
@@ -411,7 +513,11 @@ fn an_ignored_signal_stays_ignored() {
     let mut shell = Command::new("sh");
     shell.args(["-c", "trap '' HUP; exec \"$@\"", "sh"]);
     let train = process(&out, &["--epochs", ENDLESS]);
-    shell.arg(train.get_program()).args(train.get_args()).stdout(Stdio::null()).stderr(Stdio::null());
+    shell
+        .arg(train.get_program())
+        .args(train.get_args())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null());
     let mut child = shell.spawn().expect("the process starts");
     wait_for_epochs(&out, 1);
     signal(&child, "HUP");
@@ -424,11 +530,22 @@ fn an_ignored_signal_stays_ignored() {
 #[test]
 fn a_run_killed_within_an_epoch_resumes_there_to_the_same_bits() {
     let (dir, out) = folder();
-    let args = ["--epochs", "2", "--save-every", "0", "--set", "training.train_samples=2000", "--set", "training.shuffle=true"];
+    let args = [
+        "--epochs",
+        "2",
+        "--save-every",
+        "0",
+        "--set",
+        "training.train_samples=2000",
+        "--set",
+        "training.shuffle=true",
+    ];
     let mut child = process(&out, &args).spawn().expect("the process starts");
     let mut states = Vec::new();
     wait_until("the run writes six checkpoints in its first epoch", || {
-        states.extend(fs::read(out.join("checkpoint.bin")).ok().filter(|state| states.last() != Some(state)));
+        states.extend(
+            fs::read(out.join("checkpoint.bin")).ok().filter(|state| states.last() != Some(state)),
+        );
         states.len() > 5
     });
     child.kill().expect("the process is killed");
@@ -443,18 +560,30 @@ fn a_run_killed_within_an_epoch_resumes_there_to_the_same_bits() {
 
 #[test]
 fn a_training_without_an_update_exits_with_status_3() {
-    let diverges = ["--set", "system.gravity=1e38", "--set", "system.dt=1e5", "--quiet", "--epochs", "2"];
+    let diverges =
+        ["--set", "system.gravity=1e38", "--set", "system.dt=1e5", "--quiet", "--epochs", "2"];
     let (_dir, out) = folder();
     let output = train(&out, &diverges).output().expect("the command runs");
     let error = text(&output.stderr);
     assert_eq!(output.status.code(), Some(3), "{error}");
-    assert!(error.contains("no update was applied") && error.contains("3 update(s) skipped"), "{error}");
+    assert!(
+        error.contains("no update was applied") && error.contains("3 update(s) skipped"),
+        "{error}"
+    );
     let (_dir, out) = folder();
-    let output = train(&out, &[&diverges[..5], &["--epochs", "100"]].concat()).output().expect("the command runs");
-    assert_eq!(output.status.code(), Some(3), "too many skipped updates in a row: {}", text(&output.stderr));
+    let output = train(&out, &[&diverges[..5], &["--epochs", "100"]].concat())
+        .output()
+        .expect("the command runs");
+    assert_eq!(
+        output.status.code(),
+        Some(3),
+        "too many skipped updates in a row: {}",
+        text(&output.stderr)
+    );
 
     let (_dir, out) = folder();
-    let mut compare = physgrad(&["compare", "cart_pole", "--fields", "R,C", "--seeds", "1", "--out"]);
+    let mut compare =
+        physgrad(&["compare", "cart_pole", "--fields", "R,C", "--seeds", "1", "--out"]);
     let output = compare.arg(&out).args(SMALL).args(diverges).output().expect("the command runs");
     let error = text(&output.stderr);
     assert_eq!(output.status.code(), Some(3), "{error}");
@@ -471,12 +600,15 @@ fn commands_with_invalid_settings_change_and_create_no_folder() {
     assert!(error.contains("training.memory"), "{error}");
     assert!(policy(&out) == first && fs::read_dir(dir.path()).expect("a folder").count() == 1);
 
-    let error = error_of(physgrad(&["train", "cart_pole", "--resume", "--out"]).arg(dir.path().join("typo/a/b")));
+    let error = error_of(
+        physgrad(&["train", "cart_pole", "--resume", "--out"]).arg(dir.path().join("typo/a/b")),
+    );
     assert!(error.contains("there is no folder"), "{error}");
     assert!(!dir.path().join("typo").exists());
 
     let compare = dir.path().join("compare");
-    let mut command = physgrad(&["compare", "cart_pole", "--set", "training.memory=\"1kB\"", "--out"]);
+    let mut command =
+        physgrad(&["compare", "cart_pole", "--set", "training.memory=\"1kB\"", "--out"]);
     assert!(error_of(command.arg(&compare)).contains("training.memory"));
     assert!(!compare.exists());
 }
@@ -488,7 +620,8 @@ fn exceeding_the_file_size_limit_is_an_error() {
     // Blocks have 512 bytes in POSIX, 1,024 in some shells.
     shell.args(["-c", "ulimit -f 4; exec \"$@\"", "sh"]);
     let train = process(&out, &["--epochs", "60"]);
-    let output = shell.arg(train.get_program()).args(train.get_args()).output().expect("the command runs");
+    let output =
+        shell.arg(train.get_program()).args(train.get_args()).output().expect("the command runs");
     let error = text(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{error}");
     assert!(error.contains("cannot write") && error.contains("File too large"), "{error}");
@@ -498,7 +631,9 @@ fn exceeding_the_file_size_limit_is_an_error() {
 fn a_folder_that_is_renamed_or_replaced_during_the_run_is_an_error() {
     for replaced in [false, true] {
         let (dir, out) = folder();
-        let child = process(&out, &["--epochs", "2000", "--save-every", "0.05"]).spawn().expect("the process starts");
+        let child = process(&out, &["--epochs", "2000", "--save-every", "0.05"])
+            .spawn()
+            .expect("the process starts");
         wait_for_epochs(&out, 2);
         fs::rename(&out, dir.path().join("moved")).expect("a folder");
         if replaced {

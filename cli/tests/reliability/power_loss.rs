@@ -59,7 +59,9 @@ impl Disk {
         let number = self.nodes.len();
         if path.is_dir() {
             self.nodes.push(Node::Folder { now: Names::new(), synced: Names::new() });
-            let entries = fs::read_dir(path).expect("a folder").map(|entry| entry.expect("an entry").file_name());
+            let entries = fs::read_dir(path)
+                .expect("a folder")
+                .map(|entry| entry.expect("an entry").file_name());
             let names: Names = entries
                 .map(|name| (name.to_string_lossy().into_owned(), self.load(&path.join(name))))
                 .filter(|(name, _)| name != ".physgrad.lock")
@@ -106,7 +108,9 @@ impl Disk {
         } else if let Some(path) = path("create") {
             self.add(&path, Node::File { now: Vec::new(), synced: Vec::new() });
         } else if let Some(path) = path("append") {
-            let bytes = BASE64_STANDARD.decode(operation["bytes"].as_str().expect("bytes")).expect("base64");
+            let bytes = BASE64_STANDARD
+                .decode(operation["bytes"].as_str().expect("bytes"))
+                .expect("base64");
             let file = self.find(&path);
             match &mut self.nodes[file] {
                 Node::File { now, .. } => now.extend(bytes),
@@ -161,7 +165,10 @@ fn states(mut disk: Disk, log: &[Value]) -> BTreeSet<Tree> {
     for operation in [None].into_iter().chain(log.iter().map(Some)) {
         operation.into_iter().for_each(|operation| disk.replay(operation));
         for keeps_names in [true, false] {
-            states.extend([Bytes::All, Bytes::None, Bytes::Half].map(|bytes| disk.after_power_loss(keeps_names, bytes)));
+            states.extend(
+                [Bytes::All, Bytes::None, Bytes::Half]
+                    .map(|bytes| disk.after_power_loss(keeps_names, bytes)),
+            );
         }
     }
     states
@@ -179,7 +186,11 @@ fn write(tree: &Tree, root: &Path) {
 /// Runs the program in the folder. Returns its messages on failure.
 fn run(folder: &Path, args: &[&str]) -> Result<(), String> {
     let output = physgrad(args).args(SMALL).current_dir(folder).output().expect("the command runs");
-    if output.status.success() { Ok(()) } else { Err(String::from_utf8_lossy(&output.stderr).into_owned()) }
+    if output.status.success() {
+        Ok(())
+    } else {
+        Err(String::from_utf8_lossy(&output.stderr).into_owned())
+    }
 }
 
 /// Folder in which a command ran, its contents before, and the logged file operations.
@@ -200,9 +211,15 @@ impl Scenario {
         let before = Disk::of(folder.path());
         let log = logs.path().join("log");
         let mut recorded = physgrad(command);
-        recorded.args(SMALL).current_dir(folder.path()).env("PHYSGRAD_FILE_LOG", &log).assert().success();
+        recorded
+            .args(SMALL)
+            .current_dir(folder.path())
+            .env("PHYSGRAD_FILE_LOG", &log)
+            .assert()
+            .success();
         let log = fs::read_to_string(log).expect("a log");
-        let log = log.lines().map(|line| serde_json::from_str::<Value>(line).expect("JSON")).collect();
+        let log =
+            log.lines().map(|line| serde_json::from_str::<Value>(line).expect("JSON")).collect();
         Self { folder, before, log }
     }
 
@@ -218,8 +235,10 @@ impl Scenario {
         let failed = states.iter().filter_map(|tree| {
             let folder = TempDir::new().expect("a folder");
             write(tree, folder.path());
-            let names: Vec<_> =
-                tree.iter().map(|(path, file)| (path.display().to_string(), file.as_ref().map(Vec::len))).collect();
+            let names: Vec<_> = tree
+                .iter()
+                .map(|(path, file)| (path.display().to_string(), file.as_ref().map(Vec::len)))
+                .collect();
             recover(folder.path()).err().map(|error| format!("{error}\nfrom {names:?}"))
         });
         (states.len(), failed.collect())
@@ -228,7 +247,11 @@ impl Scenario {
     fn assert_recovers(&self, recover: &dyn Fn(&Path) -> Result<(), String>) {
         let (states, failed) = self.recover(recover);
         println!("{} operations, {states} states", self.log.len());
-        assert!(states > self.log.len() / 2, "only {states} states for {} operations", self.log.len());
+        assert!(
+            states > self.log.len() / 2,
+            "only {states} states for {} operations",
+            self.log.len()
+        );
         assert!(failed.is_empty(), "{} of {states} states: {}", failed.len(), failed[0]);
     }
 }
@@ -241,13 +264,27 @@ fn same(folder: &Path, path: &str, expected: &[u8]) -> Result<(), String> {
 /// Resumes the run, or starts it if its settings file is missing.
 fn go_on(folder: &Path, start: &[&str]) -> Result<(), String> {
     if folder.join("run/run.toml").exists() {
-        run(folder, &["train", "cart_pole", "--out", "run", "--resume", "--epochs", "2", "--save-every", "0"])
+        run(
+            folder,
+            &[
+                "train",
+                "cart_pole",
+                "--out",
+                "run",
+                "--resume",
+                "--epochs",
+                "2",
+                "--save-every",
+                "0",
+            ],
+        )
     } else {
         run(folder, start)
     }
 }
 
-const TRAIN: [&str; 8] = ["train", "cart_pole", "--out", "run", "--epochs", "2", "--save-every", "0"];
+const TRAIN: [&str; 8] =
+    ["train", "cart_pole", "--out", "run", "--epochs", "2", "--save-every", "0"];
 
 #[test]
 fn a_training_gives_the_same_policy_after_any_power_loss() {
@@ -260,7 +297,8 @@ fn a_training_gives_the_same_policy_after_any_power_loss() {
     scenario.assert_recovers(&recover);
 
     // Without synchronization of files, recovery fails from some states.
-    let log = scenario.log.iter().filter(|operation| operation.get("sync").is_none()).cloned().collect();
+    let log =
+        scenario.log.iter().filter(|operation| operation.get("sync").is_none()).cloned().collect();
     let unsafe_scenario = Scenario { log, ..Scenario::record(None, &TRAIN) };
     assert!(!unsafe_scenario.recover(&recover).1.is_empty());
 }
@@ -268,7 +306,8 @@ fn a_training_gives_the_same_policy_after_any_power_loss() {
 #[test]
 fn a_resumed_training_gives_the_same_policy_after_any_power_loss() {
     let first = ["train", "cart_pole", "--out", "run", "--epochs", "1"];
-    let resume = ["train", "cart_pole", "--out", "run", "--resume", "--epochs", "2", "--save-every", "0"];
+    let resume =
+        ["train", "cart_pole", "--out", "run", "--resume", "--epochs", "2", "--save-every", "0"];
     let scenario = Scenario::record(Some(&first), &resume);
     let policy = scenario.file("run/policy.safetensors");
     scenario.assert_recovers(&|folder| {
@@ -280,11 +319,17 @@ fn a_resumed_training_gives_the_same_policy_after_any_power_loss() {
 #[test]
 fn renaming_an_earlier_run_loses_no_policy_after_any_power_loss() {
     let second = ["train", "cart_pole", "--out", "run", "--epochs", "2", "--seed", "1"];
-    let scenario = Scenario::record(Some(&["train", "cart_pole", "--out", "run", "--epochs", "2"]), &second);
-    let [old, new] = ["run.previous-1", "run"].map(|run| scenario.file(&format!("{run}/policy.safetensors")));
+    let scenario =
+        Scenario::record(Some(&["train", "cart_pole", "--out", "run", "--epochs", "2"]), &second);
+    let [old, new] =
+        ["run.previous-1", "run"].map(|run| scenario.file(&format!("{run}/policy.safetensors")));
     scenario.assert_recovers(&|folder| {
         let is_moved = folder.join("run.previous-1").exists();
-        same(folder, if is_moved { "run.previous-1/policy.safetensors" } else { "run/policy.safetensors" }, &old)?;
+        same(
+            folder,
+            if is_moved { "run.previous-1/policy.safetensors" } else { "run/policy.safetensors" },
+            &old,
+        )?;
         if is_moved {
             go_on(folder, &second)?
         } else {
@@ -297,7 +342,20 @@ fn renaming_an_earlier_run_loses_no_policy_after_any_power_loss() {
 
 #[test]
 fn a_comparison_gives_the_same_policies_after_any_power_loss() {
-    let compare = ["compare", "cart_pole", "--fields", "R,C", "--seeds", "1", "--epochs", "1", "--threads", "1", "--out", "both"];
+    let compare = [
+        "compare",
+        "cart_pole",
+        "--fields",
+        "R,C",
+        "--seeds",
+        "1",
+        "--epochs",
+        "1",
+        "--threads",
+        "1",
+        "--out",
+        "both",
+    ];
     let scenario = Scenario::record(None, &compare);
     let paths = ["R-0", "C-0"].map(|run| format!("both/runs/{run}/policy.safetensors"));
     let policies = paths.each_ref().map(|path| scenario.file(path));

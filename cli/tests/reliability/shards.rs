@@ -21,12 +21,19 @@ fn options(fields: &str, seeds: usize, epochs: usize) -> Vec<String> {
 fn shard(options: &[String], out: &Path, shard: &str) -> Child {
     let mut command = Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));
     command.args(options).args(["--shard", shard, "--out"]).arg(out);
-    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("the process starts")
+    command
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the process starts")
 }
 
 /// Number of runs in the folder that have ended. A study has a subfolder per comparison.
 fn ended(out: &Path) -> usize {
-    let inside = |folder: &Path| fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    let inside = |folder: &Path| {
+        fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path())
+    };
     let comparisons = inside(out).chain([out.to_owned()]);
     comparisons
         .flat_map(|folder| inside(&folder.join("runs")).collect::<Vec<_>>())
@@ -52,9 +59,15 @@ fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
                 ".physgrad.lock" | "checkpoint.bin" | "curves.svg" | "times.csv" => {}
                 _ => {
                     let bytes = fs::read(&path).expect("a file");
-                    let bytes =
-                        if name.ends_with("metrics.csv") || name == "summary.csv" { without_seconds(&bytes) } else { bytes };
-                    found.insert(path.strip_prefix(folder).expect("a path below the folder").to_owned(), bytes);
+                    let bytes = if name.ends_with("metrics.csv") || name == "summary.csv" {
+                        without_seconds(&bytes)
+                    } else {
+                        bytes
+                    };
+                    found.insert(
+                        path.strip_prefix(folder).expect("a path below the folder").to_owned(),
+                        bytes,
+                    );
                 }
             }
         }
@@ -120,7 +133,10 @@ fn eight_shards_with_three_kills_give_the_bytes_of_one_process() {
 
     // Runs resumed from both checkpoints write equal files.
     for out in [&one, &many] {
-        physgrad(&["train", "--resume", "--epochs", "3", "--quiet", "--out"]).arg(out.join("runs/C-24")).assert().success();
+        physgrad(&["train", "--resume", "--epochs", "3", "--quiet", "--out"])
+            .arg(out.join("runs/C-24"))
+            .assert()
+            .success();
     }
     assert_equal(&one.join("runs/C-24"), &many.join("runs/C-24"));
 }
@@ -132,11 +148,26 @@ fn a_comparison_that_starts_from_policies_is_merged() {
         train(&dir.path().join(seed), &["--epochs", "1", "--seed", seed]).assert().success();
     }
     // The policy is an option of all points, or differs between the points of a sweep.
-    let [first, second] = ["0", "1"].map(|seed| dir.path().join(seed).join("policy.safetensors").display().to_string());
+    let [first, second] = ["0", "1"]
+        .map(|seed| dir.path().join(seed).join("policy.safetensors").display().to_string());
     for (name, policies) in [("one", vec![first.clone()]), ("two", vec![first, second])] {
         let out = dir.path().join(name);
-        let set = format!("initial_policy={}", policies.iter().map(|path| format!("{path:?}")).collect::<Vec<_>>().join(","));
-        let mut compare = physgrad(&["compare", "cart_pole", "--fields", "C", "--seeds", "1", "--epochs", "1", "--set", &set]);
+        let set = format!(
+            "initial_policy={}",
+            policies.iter().map(|path| format!("{path:?}")).collect::<Vec<_>>().join(",")
+        );
+        let mut compare = physgrad(&[
+            "compare",
+            "cart_pole",
+            "--fields",
+            "C",
+            "--seeds",
+            "1",
+            "--epochs",
+            "1",
+            "--set",
+            &set,
+        ]);
         compare.args(SMALL).arg("--out").arg(&out).assert().success();
         let summary = fs::read(out.join("summary.csv")).expect("a summary");
         fs::remove_file(out.join("summary.csv")).expect("a summary");
@@ -162,7 +193,10 @@ fn the_next_shard_completes_a_killed_one_and_merge_names_missing_runs() {
     if ended(&many) < 4 {
         let error = error_of(physgrad(&["merge"]).arg(&many));
         let missing = 4 - ended(&many);
-        assert!(error.contains(&format!("{missing} of 4 runs are missing or not complete")), "{error}");
+        assert!(
+            error.contains(&format!("{missing} of 4 runs are missing or not complete")),
+            "{error}"
+        );
         assert!(error.contains("C seed 1") || error.contains("R seed 0"), "{error}");
         assert!(many.join("summary.csv").exists(), "merge writes no tables of the other runs");
     }
@@ -175,7 +209,10 @@ fn the_next_shard_completes_a_killed_one_and_merge_names_missing_runs() {
     let other: Vec<&str> = other.iter().map(String::as_str).collect();
     let error = error_of(physgrad(&other).args(["--shard", "1/2", "--out"]).arg(&many));
     assert!(error.contains("plan of another comparison") && error.contains("seeds = 3"), "{error}");
-    assert!(error_of(physgrad(&["merge"]).arg(dir.path())).contains("is not the folder of a comparison, a study or figures"));
+    assert!(
+        error_of(physgrad(&["merge"]).arg(dir.path()))
+            .contains("is not the folder of a comparison, a study or figures")
+    );
 }
 
 #[test]
@@ -196,7 +233,13 @@ fn a_killed_study_and_two_shards_give_the_bytes_of_one_process() {
     physgrad(&whole).arg("--quiet").arg("--out").arg(&one).assert().success();
 
     let mut command = Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));
-    command.args(&options).arg("--out").arg(&resumed).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    command
+        .args(&options)
+        .arg("--out")
+        .arg(&resumed)
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null());
     let mut killed = command.spawn().expect("the process starts");
     wait_until("three runs end", || ended(&resumed) >= 3);
     killed.kill().expect("the process is killed");
@@ -215,5 +258,8 @@ fn a_killed_study_and_two_shards_give_the_bytes_of_one_process() {
 
     // The program refuses a shard with other options.
     let error = error_of(physgrad(&whole).args(["--quick", "--shard", "1/2", "--out"]).arg(&many));
-    assert!(error.contains("plan of another comparison") && error.contains("epochs = 5"), "{error}");
+    assert!(
+        error.contains("plan of another comparison") && error.contains("epochs = 5"),
+        "{error}"
+    );
 }

@@ -67,7 +67,14 @@ impl<'a> Below<'a> {
     fn time_axis(&self, width: f64) -> Axes {
         let left = if self.0.channels.is_empty() { SIDES[1] } else { SIDES[0] };
         let bottom = self.bottom();
-        Axes { left, right: width - SIDES[1], bottom, top: bottom, x: [0.0, self.0.time], y: [0.0, 1.0] }
+        Axes {
+            left,
+            right: width - SIDES[1],
+            bottom,
+            top: bottom,
+            x: [0.0, self.0.time],
+            y: [0.0, 1.0],
+        }
     }
 
     /// Static parts. `scale` is the number of pixels per unit of length.
@@ -81,7 +88,12 @@ impl<'a> Below<'a> {
         }
         if self.0.time > 0.0 {
             let axis = self.time_axis(width);
-            let line = |color, to: f64| Shape::Line { from: axis.at(0.0, 0.0), to: axis.at(to, 0.0), width: 1.0, color };
+            let line = |color, to: f64| Shape::Line {
+                from: axis.at(0.0, 0.0),
+                to: axis.at(to, 0.0),
+                width: 1.0,
+                color,
+            };
             shapes.push(line(INK, self.0.time));
             shapes.extend(axis.ticks_below(&ticks(0.0, self.0.time, 6.0)));
             shapes.push(text([(axis.left + axis.right) / 2.0, 6.0], "time (s)"));
@@ -118,7 +130,8 @@ impl<'a> Below<'a> {
             return Vec::new();
         }
         let channels = &self.0.channels;
-        let steps = channels.iter().map(|channel| channel.values.len()).max().unwrap_or(2).max(2) - 1;
+        let steps =
+            channels.iter().map(|channel| channel.values.len()).max().unwrap_or(2).max(2) - 1;
         let count = if channels.is_empty() { 2 } else { (steps + 1).min(MAX_FRAMES) };
         let axis = self.time_axis(width);
         let top = self.bottom() + self.band() * channels.len() as f64 + 4.0;
@@ -129,8 +142,14 @@ impl<'a> Below<'a> {
             let dot = |(i, channel): (usize, &Channel)| {
                 let values = channel.finite();
                 let at = (share * (channel.values.len().max(1) - 1) as f64).round() as usize;
-                let [_, y] = self.axes(i, width).at(0.0, values.get(at.min(values.len().max(1) - 1)).copied().unwrap_or(0.0));
-                Shape::Circle { center: [x, y], radius: if values.is_empty() { 0.0 } else { 4.0 }, color: channel.color }
+                let [_, y] = self
+                    .axes(i, width)
+                    .at(0.0, values.get(at.min(values.len().max(1) - 1)).copied().unwrap_or(0.0));
+                Shape::Circle {
+                    center: [x, y],
+                    radius: if values.is_empty() { 0.0 } else { 4.0 },
+                    color: channel.color,
+                }
             };
             std::iter::once(cursor).chain(channels.iter().enumerate().map(dot)).collect()
         };
@@ -151,7 +170,8 @@ fn length(unit: &str, scale: f64, y: f64) -> [Shape; 4] {
 
 /// Centered row of dots and names.
 pub fn legend(entries: &[(String, &'static str)], width: f64, y: f64) -> Vec<Shape> {
-    let widths: Vec<f64> = entries.iter().map(|(name, _)| 34.0 + LETTER * name.chars().count() as f64).collect();
+    let widths: Vec<f64> =
+        entries.iter().map(|(name, _)| 34.0 + LETTER * name.chars().count() as f64).collect();
     let mut x = (width - widths.iter().sum::<f64>()) / 2.0 + 17.0;
     let mut shapes = Vec::new();
     for ((name, color), width) in entries.iter().zip(widths) {

@@ -21,7 +21,12 @@ impl Element {
         let (x, y) = (|x: f64| px((x - left) * scale), |y: f64| px((top - y) * scale));
         let length = |length: f64| px(length.max(0.0) * scale);
         let rectangle = |[cx, cy]: [f64; 2], [w, h]: [f64; 2]| {
-            vec![("x", x(cx - w / 2.0)), ("y", y(cy + h / 2.0)), ("width", length(w)), ("height", length(h))]
+            vec![
+                ("x", x(cx - w / 2.0)),
+                ("y", y(cy + h / 2.0)),
+                ("width", length(w)),
+                ("height", length(h)),
+            ]
         };
         let (tag, numbers, style) = match shape {
             Shape::Line { from, to, width, color } => (
@@ -35,26 +40,44 @@ impl Element {
                 ],
                 format!("stroke=\"{color}\" stroke-linecap=\"round\""),
             ),
-            Shape::Circle { center, radius, color } => {
-                ("circle", vec![("cx", x(center[0])), ("cy", y(center[1])), ("r", length(*radius))], format!("fill=\"{color}\""))
+            Shape::Circle { center, radius, color } => (
+                "circle",
+                vec![("cx", x(center[0])), ("cy", y(center[1])), ("r", length(*radius))],
+                format!("fill=\"{color}\""),
+            ),
+            Shape::Rect { center, size, color } => {
+                ("rect", rectangle(*center, *size), format!("rx=\"2\" fill=\"{color}\""))
             }
-            Shape::Rect { center, size, color } => ("rect", rectangle(*center, *size), format!("rx=\"2\" fill=\"{color}\"")),
             Shape::Curve { points, width, color } => {
-                let points: Vec<String> = points.iter().map(|point| format!("{},{}", x(point[0]), y(point[1]))).collect();
-                let style = format!("fill=\"none\" stroke=\"{color}\" stroke-linecap=\"round\" stroke-linejoin=\"round\"");
-                ("polyline", vec![("points", points.join(" ")), ("stroke-width", length(*width))], style)
+                let points: Vec<String> =
+                    points.iter().map(|point| format!("{},{}", x(point[0]), y(point[1]))).collect();
+                let style = format!(
+                    "fill=\"none\" stroke=\"{color}\" stroke-linecap=\"round\" stroke-linejoin=\"round\""
+                );
+                (
+                    "polyline",
+                    vec![("points", points.join(" ")), ("stroke-width", length(*width))],
+                    style,
+                )
             }
             Shape::Image { center, size, raster } => {
                 // Both rules keep cell edges sharp. Viewers that do not support `pixelated` use
                 // `optimizeSpeed`.
                 let style = "preserveAspectRatio=\"none\" style=\"image-rendering:optimizeSpeed;image-rendering:pixelated\"";
-                ("image", rectangle(*center, *size), format!("{style} href=\"{}\"", raster.data_uri()))
+                (
+                    "image",
+                    rectangle(*center, *size),
+                    format!("{style} href=\"{}\"", raster.data_uri()),
+                )
             }
-            Shape::Text { at, size, color, .. } => {
-                ("text", vec![("x", x(at[0])), ("y", y(at[1])), ("font-size", length(*size))], format!("fill=\"{color}\""))
-            }
+            Shape::Text { at, size, color, .. } => (
+                "text",
+                vec![("x", x(at[0])), ("y", y(at[1])), ("font-size", length(*size))],
+                format!("fill=\"{color}\""),
+            ),
         };
-        let content = if let Shape::Text { text, .. } = shape { escaped(text) } else { String::new() };
+        let content =
+            if let Shape::Text { text, .. } = shape { escaped(text) } else { String::new() };
         Self { tag, numbers, style, content }
     }
 }
@@ -64,7 +87,14 @@ impl Element {
 ///
 /// # Panics
 /// Panics if the frames differ in the kinds or order of their shapes.
-pub fn write(svg: &mut String, still: &[Shape], frames: &[Vec<Shape>], corner: [f64; 2], scale: f64, seconds: f64) {
+pub fn write(
+    svg: &mut String,
+    still: &[Shape],
+    frames: &[Vec<Shape>],
+    corner: [f64; 2],
+    scale: f64,
+    seconds: f64,
+) {
     let elements = |shapes: &[Shape]| -> Vec<Element> {
         shapes.iter().map(|shape| Element::new(shape, corner[0], corner[1], scale)).collect()
     };
@@ -75,8 +105,12 @@ pub fn write(svg: &mut String, still: &[Shape], frames: &[Vec<Shape>], corner: [
     }
     let Some(first) = frames.first() else { return };
     for frame in &frames {
-        let kinds = |elements: &[Element]| elements.iter().map(|element| element.tag).collect::<Vec<_>>();
-        assert!(kinds(frame) == kinds(first), "every frame of an animation needs the same shapes in the same order");
+        let kinds =
+            |elements: &[Element]| elements.iter().map(|element| element.tag).collect::<Vec<_>>();
+        assert!(
+            kinds(frame) == kinds(first),
+            "every frame of an animation needs the same shapes in the same order"
+        );
     }
     for i in 0..first.len() {
         let history: Vec<&Element> = frames.iter().map(|frame| &frame[i]).collect();
@@ -96,7 +130,8 @@ impl Times {
     fn new(frames: usize, seconds: f64) -> Self {
         let seconds = if seconds.is_finite() { seconds.max(0.1) } else { 0.1 };
         let share = seconds / (seconds + HOLD) / frames.saturating_sub(1).max(1) as f64;
-        let mut key_times: Vec<String> = (0..frames).map(|i| trimmed(i as f64 * share, 4)).collect();
+        let mut key_times: Vec<String> =
+            (0..frames).map(|i| trimmed(i as f64 * share, 4)).collect();
         key_times.push("1".into());
         Self { key_times: key_times.join(";"), duration: trimmed(seconds + HOLD, 2) }
     }
@@ -108,7 +143,8 @@ impl Times {
         let mut animations = String::new();
         for (i, (name, start)) in numbers.iter().enumerate() {
             let _ = write!(svg, " {name}=\"{start}\"");
-            let mut values: Vec<&str> = history.iter().map(|element| element.numbers[i].1.as_str()).collect();
+            let mut values: Vec<&str> =
+                history.iter().map(|element| element.numbers[i].1.as_str()).collect();
             if values.iter().any(|value| value != start) {
                 values.push(values[values.len() - 1]);
                 let _ = write!(
@@ -133,7 +169,8 @@ pub fn px(value: f64) -> String {
 /// Formats with at most `decimals` decimals, without trailing zeros.
 fn trimmed(value: f64, decimals: usize) -> String {
     let text = format!("{value:.decimals$}");
-    let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
+    let text =
+        if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
     if text == "-0" { "0".into() } else { text.into() }
 }
 

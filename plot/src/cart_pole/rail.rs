@@ -43,7 +43,11 @@ impl Bumpers {
     pub fn new(half_travel: f64, states: &[&Vec<f64>], unit: f64) -> Option<Self> {
         let deepest = states.iter().map(|state| state[0].abs() - half_travel).fold(0.0, f64::max);
         let spring = (1.25 * deepest).max(SPRING * unit);
-        (half_travel.is_finite() && half_travel >= 0.0).then_some(Self { half_travel, spring, unit })
+        (half_travel.is_finite() && half_travel >= 0.0).then_some(Self {
+            half_travel,
+            spring,
+            unit,
+        })
     }
 
     /// Distance of the end of the rail from the origin, m.
@@ -54,19 +58,30 @@ impl Bumpers {
     /// Shapes of both bumpers for a cart at `x`, in coordinates relative to `camera`. Beyond the
     /// point of contact, the cart pushes a pad outward.
     pub fn shapes(&self, x: f64, camera: f64) -> Vec<Shape> {
-        [-1.0, 1.0].into_iter().flat_map(|side| self.one(side, self.half_travel.max(side * x), camera)).collect()
+        [-1.0, 1.0]
+            .into_iter()
+            .flat_map(|side| self.one(side, self.half_travel.max(side * x), camera))
+            .collect()
     }
 
     fn one(&self, side: f64, pressed: f64, camera: f64) -> [Shape; 3] {
         let unit = self.unit;
         let (low, high) = (HEIGHTS[0] * unit, HEIGHTS[1] * unit);
         let at = |x: f64| side * x - camera;
-        let plate =
-            |x: f64, width: f64, color| Shape::Rect { center: [at(x), (low + high) / 2.0], size: [width, high - low], color };
+        let plate = |x: f64, width: f64, color| Shape::Rect {
+            center: [at(x), (low + high) / 2.0],
+            size: [width, high - low],
+            color,
+        };
         let (pad, post) = (pressed + HALF_CART * unit, self.end() - POST * unit);
         let width = 0.03 * unit;
         let coil = post - pad - width;
-        let tooth = |i: u8| [at(pad + width + coil * f64::from(i) / 8.0), [0.0, 0.07, 0.0, -0.07][usize::from(i % 4)] * unit];
+        let tooth = |i: u8| {
+            [
+                at(pad + width + coil * f64::from(i) / 8.0),
+                [0.0, 0.07, 0.0, -0.07][usize::from(i % 4)] * unit,
+            ]
+        };
         [
             Shape::Curve { points: (0..=8).map(tooth).collect(), width: 0.02 * unit, color: RAIL },
             plate(pad + width / 2.0, width, RAIL),
@@ -86,7 +101,8 @@ pub(super) struct Wind {
 
 impl Wind {
     pub fn new(speeds: &[f64]) -> Option<Self> {
-        let speeds: Vec<f64> = speeds.iter().map(|speed| if speed.is_finite() { *speed } else { 0.0 }).collect();
+        let speeds: Vec<f64> =
+            speeds.iter().map(|speed| if speed.is_finite() { *speed } else { 0.0 }).collect();
         let strongest = speeds.iter().map(|speed| speed.abs()).fold(0.0, f64::max);
         let back = speeds.iter().any(|speed| *speed < 0.0);
         (!speeds.is_empty()).then_some(Self { speeds, strongest, back })
@@ -97,7 +113,10 @@ impl Wind {
     pub fn shapes(&self, stage: &Stage, step: usize) -> Vec<Shape> {
         let (unit, size) = (stage.length, 0.12 * stage.length);
         let longest = WIND * unit;
-        let from = [stage.low[0] + 0.15 * unit + if self.back { longest } else { 0.0 }, stage.high[1] - 0.12 * unit];
+        let from = [
+            stage.low[0] + 0.15 * unit + if self.back { longest } else { 0.0 },
+            stage.high[1] - 0.12 * unit,
+        ];
         let speed = self.speeds.get(step).or(self.speeds.last()).copied().unwrap_or(0.0);
         let length = if self.strongest > 0.0 { longest * speed / self.strongest } else { 0.0 };
         let steady = self.speeds.iter().all(|speed| *speed == self.speeds[0]);
@@ -134,7 +153,9 @@ mod tests {
     /// Left and right edges of the rectangles of a colour and height.
     fn plates(animation: &Animation, frame: usize, of: &str, height: f64) -> Vec<[f64; 2]> {
         let edges = |shape: &Shape| match shape {
-            Shape::Rect { center, size, color } if *color == of && (size[1] - height).abs() < 1e-9 => {
+            Shape::Rect { center, size, color }
+                if *color == of && (size[1] - height).abs() < 1e-9 =>
+            {
                 Some([center[0] - size[0] / 2.0, center[0] + size[0] / 2.0])
             }
             _ => None,
@@ -148,7 +169,8 @@ mod tests {
 
     #[test]
     fn an_empty_rail_does_not_change_the_animation() {
-        let states: Vec<Vec<f64>> = (0..50).map(f64::from).map(|t| vec![t * 0.1, 5.0, t, 1.0, -t, 1.0]).collect();
+        let states: Vec<Vec<f64>> =
+            (0..50).map(f64::from).map(|t| vec![t * 0.1, 5.0, t, 1.0, -t, 1.0]).collect();
         let forces: Vec<f64> = (0..50).map(|t| f64::from(t).sin()).collect();
         let bare = cart_pole(&states, &forces, 0.5, 0.02).to_svg();
         assert!(cart_pole_on(&Rail::default(), &states, &forces, 0.5, 0.02).to_svg() == bare);
@@ -156,13 +178,19 @@ mod tests {
 
     #[test]
     fn a_cart_at_or_beyond_a_bumper_touches_its_pad() {
-        let animation = animation(&Rail { bumpers: Some(2.0), ..Rail::default() }, &[1.0, 2.0, 2.3]);
-        let right = |frame: usize| (plates(&animation, frame, CART, 0.2)[0][1], plates(&animation, frame, RAIL, 0.3)[1][0]);
+        let animation =
+            animation(&Rail { bumpers: Some(2.0), ..Rail::default() }, &[1.0, 2.0, 2.3]);
+        let right = |frame: usize| {
+            (plates(&animation, frame, CART, 0.2)[0][1], plates(&animation, frame, RAIL, 0.3)[1][0])
+        };
         assert!(right(0).0 < right(0).1);
         assert!(same(right(1).0, right(1).1) && same(right(2).0, right(2).1), "{:?}", right(2));
         let post = plates(&animation, 2, DARK, 0.3)[1];
         assert!(right(2).1 + 0.03 < post[0], "a compressed spring keeps a positive length");
-        assert!(animation.view.1[0] > post[1] && animation.view.0[0] < -post[1], "the view contains both posts");
+        assert!(
+            animation.view.1[0] > post[1] && animation.view.0[0] < -post[1],
+            "the view contains both posts"
+        );
     }
 
     #[test]
@@ -174,17 +202,24 @@ mod tests {
             .iter()
             .filter_map(|shapes| {
                 shapes.iter().find_map(|shape| match shape {
-                    Shape::Line { from, to, color, .. } if *color == RAIL && from[1] > 1.0 && from[1] == to[1] => {
+                    Shape::Line { from, to, color, .. }
+                        if *color == RAIL && from[1] > 1.0 && from[1] == to[1] =>
+                    {
                         Some(to[0] - from[0])
                     }
                     _ => None,
                 })
             })
             .collect();
-        assert!(same(lengths[0], 0.5) && same(lengths[1], -0.25) && same(lengths[2], 0.0), "{lengths:?}");
+        assert!(
+            same(lengths[0], 0.5) && same(lengths[1], -0.25) && same(lengths[2], 0.0),
+            "{lengths:?}"
+        );
         let svg = windy.to_svg();
         assert!(svg.contains("wind, up to 4 m/s") && !svg.contains("NaN"));
-        let words = |speed: f64| animation(&Rail { wind: vec![speed; 3], ..Rail::default() }, &[0.0; 3]).to_svg();
+        let words = |speed: f64| {
+            animation(&Rail { wind: vec![speed; 3], ..Rail::default() }, &[0.0; 3]).to_svg()
+        };
         assert!(words(-3.0).contains("wind, 3 m/s") && words(0.0).contains("no wind"));
     }
 

@@ -18,8 +18,11 @@ pub struct Field {
 impl Field {
     /// Copy that omits obstacles and walls with non-finite numbers, and walls of non-positive size.
     pub(super) fn finite(&self) -> Self {
-        let is_finite = |(center, radius): &&([f64; 2], f64)| center.iter().all(|c| c.is_finite()) && radius.is_finite();
-        let walls = self.walls.filter(|walls| walls.iter().all(|half| half.is_finite() && *half > 0.0));
+        let is_finite = |(center, radius): &&([f64; 2], f64)| {
+            center.iter().all(|c| c.is_finite()) && radius.is_finite()
+        };
+        let walls =
+            self.walls.filter(|walls| walls.iter().all(|half| half.is_finite() && *half > 0.0));
         Self { obstacles: self.obstacles.iter().filter(is_finite).copied().collect(), walls }
     }
 
@@ -37,7 +40,11 @@ impl Field {
     pub(super) fn shapes(&self, layout: &Layout) -> Vec<Shape> {
         let thin = 0.006 * layout.unit();
         let disc = |&(center, radius): &([f64; 2], f64)| {
-            [(radius, WALL), (radius - thin, OBSTACLE)].map(|(radius, color)| Shape::Circle { center, radius, color })
+            [(radius, WALL), (radius - thin, OBSTACLE)].map(|(radius, color)| Shape::Circle {
+                center,
+                radius,
+                color,
+            })
         };
         let fence = |[w, h]: [f64; 2]| Shape::Curve {
             points: vec![[-w, -h], [w, -h], [w, h], [-w, h], [-w, -h]],
@@ -60,7 +67,10 @@ mod tests {
     use super::*;
 
     fn trajectory() -> Vec<Vec<f64>> {
-        (0..30).map(f64::from).map(|t| vec![3.0 - t * 0.1, 1.0, -1.0, 0.0, 0.1 * t, 0.5, 1.0, 0.0]).collect()
+        (0..30)
+            .map(f64::from)
+            .map(|t| vec![3.0 - t * 0.1, 1.0, -1.0, 0.0, 0.1 * t, 0.5, 1.0, 0.0])
+            .collect()
     }
 
     #[test]
@@ -75,7 +85,8 @@ mod tests {
         let animation = guidance_in(&field, &trajectory(), 1, 0.1);
         let is = |shape: &Shape| matches!(shape, Shape::Circle { center: [1.0, -3.0], radius, .. } if *radius == 0.4);
         assert!(animation.still.iter().any(is));
-        let fence = |shape: &Shape| matches!(shape, Shape::Curve { points, .. } if points[2] == [5.0, 4.5]);
+        let fence =
+            |shape: &Shape| matches!(shape, Shape::Curve { points, .. } if points[2] == [5.0, 4.5]);
         assert!(animation.still.iter().any(fence));
         let (low, high) = animation.view;
         assert!(low[0] < -5.0 && low[1] < -4.5 && high[0] > 5.0 && high[1] > 4.5);
@@ -85,14 +96,22 @@ mod tests {
 
     #[test]
     fn walls_at_1_km_do_not_widen_the_view() {
-        let animation = guidance_in(&Field { obstacles: vec![], walls: Some([1e3, 1e3]) }, &trajectory(), 1, 0.1);
+        let animation = guidance_in(
+            &Field { obstacles: vec![], walls: Some([1e3, 1e3]) },
+            &trajectory(),
+            1,
+            0.1,
+        );
         assert!(animation.view.1[0] < 20.0);
     }
 
     #[test]
     fn extreme_and_non_finite_numbers_give_a_picture() {
         for wild in [f64::NAN, f64::INFINITY, -1.0, 0.0, 1e300] {
-            let field = Field { obstacles: vec![([wild, 0.0], 0.4), ([0.0; 2], wild)], walls: Some([wild, 1.0]) };
+            let field = Field {
+                obstacles: vec![([wild, 0.0], 0.4), ([0.0; 2], wild)],
+                walls: Some([wild, 1.0]),
+            };
             for states in [vec![], vec![vec![0.0; 4]], trajectory()] {
                 let svg = guidance_in(&field, &states, 1, 0.1).to_svg();
                 roxmltree::Document::parse(&svg).expect("an SVG is XML");

@@ -25,7 +25,8 @@ impl Landscape {
     pub(super) fn drawn(&self, length: f64) -> Self {
         let finite = self.potential.iter().all(|v| v.is_finite());
         let potential = if finite { averaged(&self.potential, MAX_ROWS) } else { Vec::new() };
-        let absorbing = self.absorbing.filter(|width| *width >= 0.0).map(|width| width.min(length / 2.0));
+        let absorbing =
+            self.absorbing.filter(|width| *width >= 0.0).map(|width| width.min(length / 2.0));
         Self { potential, absorbing }
     }
 
@@ -39,19 +40,27 @@ impl Landscape {
         if !self.tilted() {
             return Vec::new();
         }
-        let (low, high) = self.potential.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &v| (l.min(v), h.max(v)));
+        let (low, high) = self
+            .potential
+            .iter()
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &v| (l.min(v), h.max(v)));
         let room = if (high - low).is_normal() { 0.04 * (high - low) } else { 1.0 };
         let Axes { left, right, bottom, top, y, .. } = *profile;
         let panel = Axes { left, right, bottom, top, x: [low - room, high + room], y };
         let row = y[1] / (self.potential.len() + 1) as f64;
         let position = |i: usize| row * (i + 1) as f64;
         let bar = |(i, &v): (usize, &f64)| {
-            let (center, size) = panel.area([panel.x[0], position(i) - 0.5 * row], [v, position(i) + 0.5 * row]);
+            let (center, size) =
+                panel.area([panel.x[0], position(i) - 0.5 * row], [v, position(i) + 0.5 * row]);
             // Overlaps the next bar, so that no gap shows.
             Shape::Rect { center, size: [size[0], size[1] + 0.6], color: BELOW }
         };
         let mut shapes: Vec<Shape> = self.potential.iter().enumerate().map(bar).collect();
-        shapes.push(panel.curve(self.potential.iter().enumerate().map(|(i, &v)| [v, position(i)]), 2.0, POTENTIAL));
+        shapes.push(panel.curve(
+            self.potential.iter().enumerate().map(|(i, &v)| [v, position(i)]),
+            2.0,
+            POTENTIAL,
+        ));
         shapes.extend(panel.ticks_above(&ticks(panel.x[0], panel.x[1], 3.0)));
         shapes
     }
@@ -63,7 +72,9 @@ impl Landscape {
             let (center, size) = panel.area([panel.x[0], from], [panel.x[1], to]);
             Shape::Rect { center, size, color: ABSORBING }
         };
-        let both = |width: f64| panels.iter().flat_map(move |panel| [false, true].map(|side| strip(panel, width, side)));
+        let both = |width: f64| {
+            panels.iter().flat_map(move |panel| [false, true].map(|side| strip(panel, width, side)))
+        };
         self.absorbing.into_iter().flat_map(both).collect()
     }
 
@@ -72,10 +83,16 @@ impl Landscape {
     pub(super) fn legend(&self, layout: &Layout) -> Vec<Shape> {
         let x = layout.profile.left + 14.0;
         // Texts are centered; letters are about 0.55 of the font size wide.
-        let name = |y: f64, words: &str| text([x + 20.0 + 3.3 * words.chars().count() as f64, y], words);
+        let name =
+            |y: f64, words: &str| text([x + 20.0 + 3.3 * words.chars().count() as f64, y], words);
         let mut shapes = Vec::new();
         if self.tilted() {
-            shapes.push(Shape::Line { from: [x - 13.0, 124.0], to: [x + 13.0, 124.0], width: 2.0, color: POTENTIAL });
+            shapes.push(Shape::Line {
+                from: [x - 13.0, 124.0],
+                to: [x + 13.0, 124.0],
+                width: 2.0,
+                color: POTENTIAL,
+            });
             shapes.push(name(120.0, "V, scale above"));
         }
         if self.absorbing.is_some() {
@@ -94,13 +111,19 @@ mod tests {
     use super::*;
 
     fn states() -> Vec<Vec<f64>> {
-        (0..20).map(f64::from).map(|t| (0..14).map(|i| (0.1 * t + f64::from(i)).sin() / 3.0).collect()).collect()
+        (0..20)
+            .map(f64::from)
+            .map(|t| (0..14).map(|i| (0.1 * t + f64::from(i)).sin() / 3.0).collect())
+            .collect()
     }
 
     #[test]
     fn an_empty_landscape_does_not_change_the_animation() {
         let bare = quantum(&states(), &[1.0; 19], &[0.3; 7], 2.0, 0.1).to_svg();
-        assert!(quantum_in(&Landscape::default(), &states(), &[1.0; 19], &[0.3; 7], 2.0, 0.1).to_svg() == bare);
+        assert!(
+            quantum_in(&Landscape::default(), &states(), &[1.0; 19], &[0.3; 7], 2.0, 0.1).to_svg()
+                == bare
+        );
     }
 
     #[test]
@@ -113,7 +136,10 @@ mod tests {
         });
         let curve = curve.expect("a curve");
         let share = |i: usize| (curve[i][0] - 548.0) / 156.0;
-        assert!((share(0) - 52.0 / 54.0).abs() < 1e-9 && (share(1) - 2.0 / 54.0).abs() < 1e-9, "{curve:?}");
+        assert!(
+            (share(0) - 52.0 / 54.0).abs() < 1e-9 && (share(1) - 2.0 / 54.0).abs() < 1e-9,
+            "{curve:?}"
+        );
         assert!((share(2) - 0.5).abs() < 1e-9 && (curve[1][1] - 344.0).abs() < 1e-9, "{curve:?}");
         assert!(animation.title.contains("of the empty box"));
     }
@@ -121,13 +147,21 @@ mod tests {
     #[test]
     fn absorbing_edges_are_drawn_and_the_remaining_probability_is_labelled() {
         let landscape = Landscape { absorbing: Some(0.5), ..Landscape::default() };
-        let animation =
-            quantum_in(&landscape, &[vec![0.0, 1.0, 0.0, 0.0], vec![0.5, 0.0, 0.0, 0.5]], &[1.0], &[1.0, 0.0], 2.0, 0.1);
+        let animation = quantum_in(
+            &landscape,
+            &[vec![0.0, 1.0, 0.0, 0.0], vec![0.5, 0.0, 0.0, 0.5]],
+            &[1.0],
+            &[1.0, 0.0],
+            2.0,
+            0.1,
+        );
         let strips: Vec<_> = animation
             .still
             .iter()
             .filter_map(|shape| match shape {
-                Shape::Rect { size, color, .. } if *color == ABSORBING && size[0] > 30.0 => Some(*size),
+                Shape::Rect { size, color, .. } if *color == ABSORBING && size[0] > 30.0 => {
+                    Some(*size)
+                }
                 _ => None,
             })
             .collect();
@@ -143,7 +177,9 @@ mod tests {
                 for states in [vec![], states()] {
                     let svg = quantum_in(&landscape, &states, &[], &[0.3; 7], 2.0, 0.1).to_svg();
                     roxmltree::Document::parse(&svg).expect("an SVG is XML");
-                    assert!(!svg.contains("NaN") && !svg.contains("inf<") && !svg.contains("inf\""));
+                    assert!(
+                        !svg.contains("NaN") && !svg.contains("inf<") && !svg.contains("inf\"")
+                    );
                 }
             }
         }

@@ -83,7 +83,12 @@ impl<A: Actuator, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, A, R, C> 
             let n = actuator.state_dim(m);
             let mut next_state: SmallVec<[R; 4 * STACK]> = smallvec![R::zero(); n];
             let mut out: Controls<R> = smallvec![R::zero(); m];
-            actuator.step(&state[begin..begin + n], &given[given.len() - m..], &mut next_state, &mut out);
+            actuator.step(
+                &state[begin..begin + n],
+                &given[given.len() - m..],
+                &mut next_state,
+                &mut out,
+            );
             given.extend_from_slice(&out);
             begin += n;
         }

@@ -66,7 +66,9 @@ impl Actuator for Limit {
                     let share = (u * R::from(1.0 / self.bound)).tanh();
                     out_bar * (R::one() - share * share)
                 }
-                LimitKind::Hard => out_bar * R::select_lt(R::from(self.bound), u.abs(), R::zero(), R::one()),
+                LimitKind::Hard => {
+                    out_bar * R::select_lt(R::from(self.bound), u.abs(), R::zero(), R::one())
+                }
             };
         }
     }
@@ -89,7 +91,10 @@ impl Lag {
     /// If the time constant or the time step is not positive.
     #[track_caller]
     pub fn new(time: f64, dt: f64) -> Self {
-        assert!(time > 0.0 && dt > 0.0, "time constant and time step of a lag are positive, not {time} s and {dt} s");
+        assert!(
+            time > 0.0 && dt > 0.0,
+            "time constant and time step of a lag are positive, not {time} s and {dt} s"
+        );
         Self { share: -(-dt / time).exp_m1() }
     }
 }
@@ -102,7 +107,8 @@ impl Actuator for Lag {
     #[inline(always)]
     fn step<T: Scalar>(&self, state: &[T], u: &[T], next_state: &mut [T], out: &mut [T]) {
         let share = T::from(self.share);
-        for (((next_state, out), &state), &u) in zip(zip(zip(next_state.iter_mut(), out), state), u) {
+        for (((next_state, out), &state), &u) in zip(zip(zip(next_state.iter_mut(), out), state), u)
+        {
             *next_state = state + (u - state) * share;
             *out = *next_state;
         }

@@ -6,8 +6,8 @@ use crate::dynamics::inputs::{Cotangents, OdeInputs};
 use crate::dynamics::number::{Numbers, Varied};
 use crate::dynamics::outline::outline;
 use crate::numbers::instances::{
-    CotangentFunction, EFFECT_SCALARS, RealFunction, SCALARS, ScalarFunction, cotangent_pointer, diagnosis_pointer,
-    scalar_pointer_of_effect,
+    CotangentFunction, EFFECT_SCALARS, RealFunction, SCALARS, ScalarFunction, cotangent_pointer,
+    diagnosis_pointer, scalar_pointer_of_effect,
 };
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
@@ -115,7 +115,9 @@ impl<B: 'static, E: Effect<B> + 'static> ScalarFunction for Forces<E, B> {
 
     fn pointer<T: Scalar>() -> Self::Pointer<T> {
         |effect, model, inputs, forces| {
-            let effect = effect.downcast_ref::<E>().expect("the argument is the effect that wrote the pointer");
+            let effect = effect
+                .downcast_ref::<E>()
+                .expect("the argument is the effect that wrote the pointer");
             outline::<T>(AddForces { effect, model, inputs, forces });
         }
     }
@@ -129,7 +131,9 @@ impl<B: 'static, E: Effect<B> + 'static> CotangentFunction for Reverse<E, B> {
 
     fn pointer<R: Real, C: Cotangent<R>>() -> Self::Pointer<R, C> {
         |effect, model, inputs, forces_bar, cotangents| {
-            let effect = effect.downcast_ref::<E>().expect("the argument is the effect that wrote the pointer");
+            let effect = effect
+                .downcast_ref::<E>()
+                .expect("the argument is the effect that wrote the pointer");
             outline::<R>(Vjp { effect, model, inputs, forces_bar, cotangents });
         }
     }
@@ -143,7 +147,9 @@ impl<B: 'static, E: Effect<B> + 'static> RealFunction for Diagnose<E, B> {
 
     fn pointer<R: Real>() -> Self::Pointer<R> {
         |effect, model, inputs, forces| {
-            let effect = effect.downcast_ref::<E>().expect("the argument is the effect that wrote the pointer");
+            let effect = effect
+                .downcast_ref::<E>()
+                .expect("the argument is the effect that wrote the pointer");
             effect.diagnose(model, inputs, forces)
         }
     }
@@ -202,7 +208,12 @@ impl<B: 'static> Effect<B> for DynEffect<B> {
         }
     }
 
-    fn diagnose<R: Real>(&self, model: &B, inputs: OdeInputs<'_, R>, forces: usize) -> Option<&'static str> {
+    fn diagnose<R: Real>(
+        &self,
+        model: &B,
+        inputs: OdeInputs<'_, R>,
+        forces: usize,
+    ) -> Option<&'static str> {
         let mut slot: Option<DiagnoseOf<B, R>> = None;
         self.0.diagnose(&mut slot);
         slot.and_then(|diagnose| diagnose(self.0.as_any(), model, inputs, forces))

@@ -59,7 +59,12 @@ impl<B, E: Effect<B>> Effect<B> for Vec<E> {
         self.iter().any(Effect::state_dependent)
     }
 
-    fn diagnose<R: Real>(&self, model: &B, mut inputs: OdeInputs<'_, R>, forces: usize) -> Option<&'static str> {
+    fn diagnose<R: Real>(
+        &self,
+        model: &B,
+        mut inputs: OdeInputs<'_, R>,
+        forces: usize,
+    ) -> Option<&'static str> {
         self.iter().find_map(|effect| {
             let name = effect.diagnose(model, inputs, forces);
             inputs = inputs.skip_params(effect.param_dim());

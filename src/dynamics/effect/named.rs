@@ -29,7 +29,8 @@ impl<B, E: Effect<B>> Effect<B> for Named<E> {
     }
 
     fn varied(&self, first: usize) -> Vec<Varied> {
-        let named = |varied: Varied| Varied { name: format!("{}.{}", self.name, varied.name), ..varied };
+        let named =
+            |varied: Varied| Varied { name: format!("{}.{}", self.name, varied.name), ..varied };
         self.effect.varied(first).into_iter().map(named).collect()
     }
 
@@ -58,7 +59,12 @@ impl<B, E: Effect<B>> Effect<B> for Named<E> {
         self.effect.state_dependent()
     }
 
-    fn diagnose<R: Real>(&self, model: &B, inputs: OdeInputs<'_, R>, forces: usize) -> Option<&'static str> {
+    fn diagnose<R: Real>(
+        &self,
+        model: &B,
+        inputs: OdeInputs<'_, R>,
+        forces: usize,
+    ) -> Option<&'static str> {
         self.effect.diagnose(model, inputs, forces).map(|_| self.name)
     }
 }

@@ -11,12 +11,24 @@ impl<B> Effect<B> for () {
     #[inline(always)]
     fn add_forces<T: Scalar>(&self, _model: &B, _inputs: OdeInputs<'_, T>, _forces: &mut [T]) {}
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, _model: &B, _inputs: OdeInputs<'_, R>, _forces_bar: &[C], _bars: Cotangents<'_, C>) {}
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        _model: &B,
+        _inputs: OdeInputs<'_, R>,
+        _forces_bar: &[C],
+        _bars: Cotangents<'_, C>,
+    ) {
+    }
     #[inline(always)]
     fn state_dependent(&self) -> bool {
         false
     }
-    fn diagnose<R: Real>(&self, _model: &B, _inputs: OdeInputs<'_, R>, _forces: usize) -> Option<&'static str> {
+    fn diagnose<R: Real>(
+        &self,
+        _model: &B,
+        _inputs: OdeInputs<'_, R>,
+        _forces: usize,
+    ) -> Option<&'static str> {
         None
     }
 }

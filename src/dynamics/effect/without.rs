@@ -23,7 +23,11 @@ macro_rules! system_without_effects {
             }
 
             #[inline(always)]
-            fn step<T: crate::numbers::scalar::Scalar>(&self, inputs: crate::dynamics::inputs::Inputs<'_, T>, next: &mut [T]) {
+            fn step<T: crate::numbers::scalar::Scalar>(
+                &self,
+                inputs: crate::dynamics::inputs::Inputs<'_, T>,
+                next: &mut [T],
+            ) {
                 crate::dynamics::effect::ForcedSystem::forced_step(self, &(), inputs, next);
             }
 
@@ -34,20 +38,42 @@ macro_rules! system_without_effects {
                 next_bar: &[C],
                 mut cotangents: crate::dynamics::inputs::Cotangents<'_, C>,
             ) {
-                if cotangents.p.is_some() && crate::dynamics::effect::ForcedSystem::numbers(self).varied() > 0 {
-                    crate::dynamics::effect::step_param_vjp(self, inputs, next_bar, cotangents.p.take());
+                if cotangents.p.is_some()
+                    && crate::dynamics::effect::ForcedSystem::numbers(self).varied() > 0
+                {
+                    crate::dynamics::effect::step_param_vjp(
+                        self,
+                        inputs,
+                        next_bar,
+                        cotangents.p.take(),
+                    );
                 }
-                crate::dynamics::effect::ForcedSystem::forced_vjp(self, &(), inputs, next_bar, cotangents);
+                crate::dynamics::effect::ForcedSystem::forced_vjp(
+                    self,
+                    &(),
+                    inputs,
+                    next_bar,
+                    cotangents,
+                );
             }
         }
 
-        impl crate::dynamics::effect::HasModel<<$system as crate::dynamics::effect::ForcedSystem>::Model> for $system {
+        impl
+            crate::dynamics::effect::HasModel<
+                <$system as crate::dynamics::effect::ForcedSystem>::Model,
+            > for $system
+        {
             #[inline(always)]
             fn model(&self) -> &<$system as crate::dynamics::effect::ForcedSystem>::Model {
                 crate::dynamics::effect::ForcedSystem::model(self)
             }
 
-            fn start_extra(&self, _rng: &mut crate::numbers::rng::Rng, _start: crate::dynamics::inputs::Start<'_>) {}
+            fn start_extra(
+                &self,
+                _rng: &mut crate::numbers::rng::Rng,
+                _start: crate::dynamics::inputs::Start<'_>,
+            ) {
+            }
         }
     };
 }

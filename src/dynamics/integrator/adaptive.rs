@@ -123,13 +123,23 @@ impl Adaptive {
 
 /// Inputs of a step of duration `step` s that begins at `time` s; see [`RungeKutta::run`].
 #[inline(always)]
-fn span<T: Scalar>(inputs: Inputs<'_, T>, time: T, step: T) -> Inputs<'_, T, impl Fn(f64) -> T + Copy> {
+fn span<T: Scalar>(
+    inputs: Inputs<'_, T>,
+    time: T,
+    step: T,
+) -> Inputs<'_, T, impl Fn(f64) -> T + Copy> {
     inputs.at(move |fraction| time + step * fraction)
 }
 
 impl Integrator for Adaptive {
     #[inline(always)]
-    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) {
+    fn advance<T: Scalar>(
+        &self,
+        ode: &dyn DynOde<T>,
+        dt: f64,
+        inputs: Inputs<'_, T>,
+        next: &mut [T],
+    ) {
         self.attempts(ode, dt, inputs, next, |_, _, _| {});
     }
 
@@ -155,7 +165,13 @@ impl Integrator for Adaptive {
             before.fill(C::null());
             let mut step_bars = cotangents.reborrow();
             step_bars.x = Some(&mut before);
-            RungeKutta::TSIT5.run_back(ode, step, span(inputs, time, step).with_x(state), &bar, step_bars);
+            RungeKutta::TSIT5.run_back(
+                ode,
+                step,
+                span(inputs, time, step).with_x(state),
+                &bar,
+                step_bars,
+            );
             std::mem::swap(&mut bar, &mut before);
         }
         if let Some(x_bar) = cotangents.x {

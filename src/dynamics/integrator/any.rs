@@ -75,7 +75,12 @@ impl<O: Ode> Ode for Outlined<'_, O> {
     }
 
     #[inline(always)]
-    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], cotangents: Cotangents<'_, C>) {
+    fn rate_vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        inputs: OdeInputs<'_, R>,
+        rate_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
         outline::<R>(RateBack { ode: self.0, inputs, rate_bar, cotangents });
     }
 
@@ -122,18 +127,31 @@ impl<I: Integrator, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, I, R, C
 
 impl Integrator for AnyIntegrator {
     #[inline(always)]
-    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) {
+    fn advance<T: Scalar>(
+        &self,
+        ode: &dyn DynOde<T>,
+        dt: f64,
+        inputs: Inputs<'_, T>,
+        next: &mut [T],
+    ) {
         match self {
             Self::RungeKutta(method) => outline::<T>(Advance { method, ode, dt, inputs, next }),
             Self::SemiImplicit(method) => outline::<T>(Advance { method, ode, dt, inputs, next }),
             Self::Verlet(method) => outline::<T>(Advance { method, ode, dt, inputs, next }),
             Self::Adaptive(method) => outline::<T>(Advance { method, ode, dt, inputs, next }),
-            Self::ImplicitMidpoint(method) => outline::<T>(Advance { method, ode, dt, inputs, next }),
+            Self::ImplicitMidpoint(method) => {
+                outline::<T>(Advance { method, ode, dt, inputs, next })
+            }
             Self::Sdirk2(method) => outline::<T>(Advance { method, ode, dt, inputs, next }),
         }
     }
 
-    fn unsolved<R: Real>(&self, ode: &dyn DynOde<R>, dt: f64, inputs: Inputs<'_, R>) -> Option<f64> {
+    fn unsolved<R: Real>(
+        &self,
+        ode: &dyn DynOde<R>,
+        dt: f64,
+        inputs: Inputs<'_, R>,
+    ) -> Option<f64> {
         match self {
             Self::ImplicitMidpoint(method) => method.unsolved(ode, dt, inputs),
             Self::Sdirk2(method) => method.unsolved(ode, dt, inputs),
@@ -151,12 +169,24 @@ impl Integrator for AnyIntegrator {
         cotangents: Cotangents<'_, C>,
     ) {
         match self {
-            Self::RungeKutta(method) => outline::<R>(Reverse { method, ode, dt, inputs, next_bar, cotangents }),
-            Self::SemiImplicit(method) => outline::<R>(Reverse { method, ode, dt, inputs, next_bar, cotangents }),
-            Self::Verlet(method) => outline::<R>(Reverse { method, ode, dt, inputs, next_bar, cotangents }),
-            Self::Adaptive(method) => outline::<R>(Reverse { method, ode, dt, inputs, next_bar, cotangents }),
-            Self::ImplicitMidpoint(method) => outline::<R>(Reverse { method, ode, dt, inputs, next_bar, cotangents }),
-            Self::Sdirk2(method) => outline::<R>(Reverse { method, ode, dt, inputs, next_bar, cotangents }),
+            Self::RungeKutta(method) => {
+                outline::<R>(Reverse { method, ode, dt, inputs, next_bar, cotangents })
+            }
+            Self::SemiImplicit(method) => {
+                outline::<R>(Reverse { method, ode, dt, inputs, next_bar, cotangents })
+            }
+            Self::Verlet(method) => {
+                outline::<R>(Reverse { method, ode, dt, inputs, next_bar, cotangents })
+            }
+            Self::Adaptive(method) => {
+                outline::<R>(Reverse { method, ode, dt, inputs, next_bar, cotangents })
+            }
+            Self::ImplicitMidpoint(method) => {
+                outline::<R>(Reverse { method, ode, dt, inputs, next_bar, cotangents })
+            }
+            Self::Sdirk2(method) => {
+                outline::<R>(Reverse { method, ode, dt, inputs, next_bar, cotangents })
+            }
         }
     }
 }

@@ -49,15 +49,25 @@ impl<S: System + Ode> System for Discretized<S> {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
         match &self.integrator {
             None => outline::<R>(Reverse { system: &self.system, inputs, next_bar, cotangents }),
-            Some(integrator) => integrator.vjp(&Outlined(&self.system), self.dt, inputs, next_bar, cotangents),
+            Some(integrator) => {
+                integrator.vjp(&Outlined(&self.system), self.dt, inputs, next_bar, cotangents)
+            }
         }
     }
 
     fn diagnose<R: Real>(&self, inputs: Inputs<'_, R>) -> Option<Cause> {
-        let unsolved = self.integrator.as_ref().and_then(|method| method.unsolved(&Outlined(&self.system), self.dt, inputs));
+        let unsolved = self
+            .integrator
+            .as_ref()
+            .and_then(|method| method.unsolved(&Outlined(&self.system), self.dt, inputs));
         System::diagnose(&self.system, inputs).or(unsolved.map(Cause::Unsolved))
     }
 }

@@ -46,7 +46,11 @@ impl ImplicitMidpoint {
 
     /// The equation for the next state.
     #[inline(always)]
-    fn stage<'a, T: Scalar>(ode: &'a dyn DynOde<T>, dt: f64, inputs: Inputs<'a, T>) -> Stage<'a, T> {
+    fn stage<'a, T: Scalar>(
+        ode: &'a dyn DynOde<T>,
+        dt: f64,
+        inputs: Inputs<'a, T>,
+    ) -> Stage<'a, T> {
         let halfway = inputs.at(stage_time(inputs.t, dt, 0.5));
         Stage { ode, inputs: halfway, base: inputs.x, h: T::from(dt), place: Place::Middle }
     }
@@ -54,7 +58,13 @@ impl ImplicitMidpoint {
     /// Solves for the next state to `tolerance`. Returns 0 in lanes that converged, else a positive
     /// number.
     #[inline(always)]
-    fn solve<T: Scalar>(tolerance: f64, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) -> T {
+    fn solve<T: Scalar>(
+        tolerance: f64,
+        ode: &dyn DynOde<T>,
+        dt: f64,
+        inputs: Inputs<'_, T>,
+        next: &mut [T],
+    ) -> T {
         let (h, x, n) = (T::from(dt), inputs.x, inputs.x.len());
         let stage = Self::stage(ode, dt, inputs);
         ode.rate(inputs.continuous(dt), next);
@@ -70,17 +80,29 @@ impl ImplicitMidpoint {
 
 impl Integrator for ImplicitMidpoint {
     #[inline(always)]
-    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) {
+    fn advance<T: Scalar>(
+        &self,
+        ode: &dyn DynOde<T>,
+        dt: f64,
+        inputs: Inputs<'_, T>,
+        next: &mut [T],
+    ) {
         let to_go = Self::solve(self.tolerance, ode, dt, inputs, next);
         newton::mark_unsolved(to_go, next);
     }
 
-    fn unsolved<R: Real>(&self, ode: &dyn DynOde<R>, dt: f64, inputs: Inputs<'_, R>) -> Option<f64> {
+    fn unsolved<R: Real>(
+        &self,
+        ode: &dyn DynOde<R>,
+        dt: f64,
+        inputs: Inputs<'_, R>,
+    ) -> Option<f64> {
         let mut next = buffer(R::zero(), inputs.x.len());
         // The tolerance of the forward pass, then that of the reverse pass.
         [self.tolerance, 0.0].into_iter().find_map(|tolerance| {
             let to_go = Self::solve(tolerance, ode, dt, inputs, &mut next);
-            R::any_lt(R::zero(), to_go).then(|| Self::stage(ode, dt, inputs).largest_residual(&next))
+            R::any_lt(R::zero(), to_go)
+                .then(|| Self::stage(ode, dt, inputs).largest_residual(&next))
         })
     }
 

@@ -89,7 +89,8 @@ impl<T: Scalar> Stage<'_, T> {
     #[inline(always)]
     fn differences(&self, z: &[T], matrix: &mut [T]) {
         let n = z.len();
-        let (mut at, mut before, mut after) = (buffer(T::zero(), n), buffer(T::zero(), n), buffer(T::zero(), n));
+        let (mut at, mut before, mut after) =
+            (buffer(T::zero(), n), buffer(T::zero(), n), buffer(T::zero(), n));
         // Slices: indexing a `SmallVec` may compile to a call.
         let (at, before, after) = (&mut at[..], &mut before[..], &mut after[..]);
         self.argument(z, at);
@@ -176,7 +177,8 @@ impl<T: Scalar> Stage<'_, T> {
     fn solve_renewed(&self, tolerance: T, mut to_go: T, z: &mut [T]) -> T {
         let n = z.len();
         let (zero, one, rounds) = (T::zero(), T::one(), T::from(SMALL_ROUNDS));
-        let (mut y, mut residual, mut step, mut trial) = (buffer(zero, n), buffer(zero, n), buffer(zero, n), buffer(zero, n));
+        let (mut y, mut residual, mut step, mut trial) =
+            (buffer(zero, n), buffer(zero, n), buffer(zero, n), buffer(zero, n));
         let (mut matrix, mut inverse) = (buffer(zero, n * n), buffer(zero, n * n));
         to_go = T::select_lt(zero, to_go, rounds, to_go).detach();
         let mut sigma = one;
@@ -201,16 +203,24 @@ impl<T: Scalar> Stage<'_, T> {
             let missed = multiply(&inverse, &residual, z, &mut y);
             // Differences of rounding errors are accepted.
             let allowed = (length * 0.5).max(tolerance);
-            let accepted = T::select_lt(missed, allowed, T::select_lt(zero, determinant, one, zero), zero).detach();
+            let accepted =
+                T::select_lt(missed, allowed, T::select_lt(zero, determinant, one, zero), zero)
+                    .detach();
             // A lane has converged only without a shift; positive shifts are at least 1/128.
-            let small = T::select_lt(sigma, T::from(1e-3), T::select_lt(length, tolerance, one, zero), zero);
+            let small = T::select_lt(
+                sigma,
+                T::from(1e-3),
+                T::select_lt(length, tolerance, one, zero),
+                zero,
+            );
             let next_to_go = T::select_lt(zero, small * accepted, to_go - one, rounds).detach();
             let moves = T::select_lt(zero, left, accepted, zero);
             for i in 0..n {
                 z[i] = T::select_lt(zero, moves, trial[i], z[i]);
             }
             let smaller = T::select_lt(sigma, T::from(1.0 / 16.0), zero, sigma * 0.125);
-            let next_sigma = T::select_lt(zero, accepted, smaller, sigma * 4.0 + T::from(1.0 / 16.0));
+            let next_sigma =
+                T::select_lt(zero, accepted, smaller, sigma * 4.0 + T::from(1.0 / 16.0));
             sigma = T::select_lt(zero, left, next_sigma, sigma).detach();
             to_go = T::select_lt(zero, left, next_to_go, to_go);
         }
@@ -225,7 +235,10 @@ impl<T: Scalar> Stage<'_, T> {
         let (mut y, mut residual) = (buffer(T::zero(), z.len()), buffer(T::zero(), z.len()));
         self.residual(z, &mut y, &mut residual);
         let sizes = residual.iter().map(|residual| residual.lane(0).to_f64().abs());
-        sizes.fold(0.0, |largest, size| if size.is_nan() { f64::INFINITY } else { size.max(largest) })
+        sizes.fold(
+            0.0,
+            |largest, size| if size.is_nan() { f64::INFINITY } else { size.max(largest) },
+        )
     }
 }
 

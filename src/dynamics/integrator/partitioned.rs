@@ -18,7 +18,13 @@ pub struct SemiImplicit;
 
 impl Integrator for SemiImplicit {
     #[inline(always)]
-    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) {
+    fn advance<T: Scalar>(
+        &self,
+        ode: &dyn DynOde<T>,
+        dt: f64,
+        inputs: Inputs<'_, T>,
+        next: &mut [T],
+    ) {
         let (h, x) = (T::from(dt), inputs.x);
         let mut rate = buffer(T::zero(), x.len());
         ode.rate(inputs.continuous(dt), &mut rate);
@@ -99,7 +105,13 @@ impl Verlet {
 
 impl Integrator for Verlet {
     #[inline(always)]
-    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) {
+    fn advance<T: Scalar>(
+        &self,
+        ode: &dyn DynOde<T>,
+        dt: f64,
+        inputs: Inputs<'_, T>,
+        next: &mut [T],
+    ) {
         let (h, x) = (T::from(dt), inputs.x);
         let (mut first, mut second) = (buffer(T::zero(), x.len()), buffer(T::zero(), x.len()));
         ode.rate(inputs.continuous(dt), &mut first);

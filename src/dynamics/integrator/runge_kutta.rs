@@ -36,8 +36,11 @@ impl RungeKutta {
     /// Heun's method, the explicit trapezoidal rule: order 2, two evaluations.
     pub const HEUN: Self = Self(&Tableau::new(2, &[&[1.0]], &[0.5, 0.5]));
     /// Classical Runge–Kutta method: order 4, four evaluations.
-    pub const RK4: Self =
-        Self(&Tableau::new(4, &[&[0.5], &[0.0, 0.5], &[0.0, 0.0, 1.0]], &[1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0]));
+    pub const RK4: Self = Self(&Tableau::new(
+        4,
+        &[&[0.5], &[0.0, 0.5], &[0.0, 0.0, 1.0]],
+        &[1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0],
+    ));
     /// Tsitouras 2011 (doi:10.1016/j.camwa.2011.06.002): order 5, six evaluations.
     pub const TSIT5: Self = Self(&Tableau::new(
         6,
@@ -45,7 +48,12 @@ impl RungeKutta {
             &[0.161],
             &[-0.008_480_655_492_356_989, 0.335_480_655_492_357],
             &[2.897_153_057_105_493, -6.359_448_489_975_075, 4.362_295_432_869_581_5],
-            &[5.325_864_828_439_257, -11.748_883_564_062_828, 7.495_539_342_889_836_5, -0.092_495_066_361_755_25],
+            &[
+                5.325_864_828_439_257,
+                -11.748_883_564_062_828,
+                7.495_539_342_889_836_5,
+                -0.092_495_066_361_755_25,
+            ],
             &[
                 5.861_455_442_946_42,
                 -12.920_969_317_847_11,
@@ -120,7 +128,8 @@ impl RungeKutta {
 
 impl Tableau {
     const fn new(stages: usize, rows: &[&[f64]], weights: &[f64]) -> Self {
-        let (mut a, mut b, mut c) = ([[0.0; MAX_STAGES - 1]; MAX_STAGES], [0.0; MAX_STAGES], [0.0; MAX_STAGES]);
+        let (mut a, mut b, mut c) =
+            ([[0.0; MAX_STAGES - 1]; MAX_STAGES], [0.0; MAX_STAGES], [0.0; MAX_STAGES]);
         let mut i = 0;
         while i < weights.len() {
             b[i] = weights[i];
@@ -158,7 +167,8 @@ impl RungeKutta {
         let n = inputs.x.len();
         let (mut at, mut rates) = self.stage_buffers(n);
         self.run(ode, h, inputs, &mut at, &mut rates);
-        let (mut at_bar, mut rate_bar) = (buffer(C::null(), self.0.stages * n), buffer(C::null(), n));
+        let (mut at_bar, mut rate_bar) =
+            (buffer(C::null(), self.0.stages * n), buffer(C::null(), n));
         // Slices: indexing a `SmallVec` may compile to a call.
         let (at_bar, rate_bar) = (&mut at_bar[..], &mut rate_bar[..]);
         for i in (0..self.0.stages).rev() {
@@ -172,7 +182,11 @@ impl RungeKutta {
             }
             let mut stage_bars = cotangents.reborrow();
             stage_bars.x = Some(&mut at_bar[i * n..(i + 1) * n]);
-            ode.rate_vjp(inputs.at((inputs.t)(self.0.c[i])).with_x(&at[i * n..(i + 1) * n]), rate_bar, stage_bars);
+            ode.rate_vjp(
+                inputs.at((inputs.t)(self.0.c[i])).with_x(&at[i * n..(i + 1) * n]),
+                rate_bar,
+                stage_bars,
+            );
         }
         if let Some(x_bar) = cotangents.x {
             add(x_bar, next_bar);
@@ -185,7 +199,13 @@ impl RungeKutta {
 
 impl Integrator for RungeKutta {
     #[inline(always)]
-    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) {
+    fn advance<T: Scalar>(
+        &self,
+        ode: &dyn DynOde<T>,
+        dt: f64,
+        inputs: Inputs<'_, T>,
+        next: &mut [T],
+    ) {
         let (h, (mut at, mut rates)) = (T::from(dt), self.stage_buffers(inputs.x.len()));
         self.run(ode, h, inputs.at(|c| stage_time(inputs.t, dt, c)), &mut at, &mut rates);
         next.copy_from_slice(inputs.x);
@@ -201,6 +221,12 @@ impl Integrator for RungeKutta {
         next_bar: &[C],
         cotangents: Cotangents<'_, C>,
     ) {
-        self.run_back(ode, R::from(dt), inputs.at(|c| stage_time(inputs.t, dt, c)), next_bar, cotangents);
+        self.run_back(
+            ode,
+            R::from(dt),
+            inputs.at(|c| stage_time(inputs.t, dt, c)),
+            next_bar,
+            cotangents,
+        );
     }
 }

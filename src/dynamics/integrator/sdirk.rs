@@ -80,25 +80,38 @@ impl Sdirk2 {
             newton::mark_unsolved(to_go, z);
             to_go
         };
-        let stage = Stage { ode, inputs: Self::inputs(dt, inputs, GAMMA), base: x, h, place: Place::End };
+        let stage =
+            Stage { ode, inputs: Self::inputs(dt, inputs, GAMMA), base: x, h, place: Place::End };
         stage.linearize(x, inverse);
         let to_go = solve(stage, inverse, x, first);
         for i in 0..n {
             base[i] = x[i] + (first[i] - x[i]) * WEIGHT;
         }
-        let stage = Stage { ode, inputs: Self::inputs(dt, inputs, 1.0), base, h, place: Place::End };
+        let stage =
+            Stage { ode, inputs: Self::inputs(dt, inputs, 1.0), base, h, place: Place::End };
         to_go.max(solve(stage, inverse, first, next))
     }
 }
 
 impl Integrator for Sdirk2 {
     #[inline(always)]
-    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) {
+    fn advance<T: Scalar>(
+        &self,
+        ode: &dyn DynOde<T>,
+        dt: f64,
+        inputs: Inputs<'_, T>,
+        next: &mut [T],
+    ) {
         let mut first = buffer(T::zero(), next.len());
         Self::solve(self.tolerance, ode, dt, inputs, [&mut first, next], |_, _| {});
     }
 
-    fn unsolved<R: Real>(&self, ode: &dyn DynOde<R>, dt: f64, inputs: Inputs<'_, R>) -> Option<f64> {
+    fn unsolved<R: Real>(
+        &self,
+        ode: &dyn DynOde<R>,
+        dt: f64,
+        inputs: Inputs<'_, R>,
+    ) -> Option<f64> {
         let n = inputs.x.len();
         let (mut first, mut next) = (buffer(R::zero(), n), buffer(R::zero(), n));
         let mut residual = None;
@@ -125,7 +138,8 @@ impl Integrator for Sdirk2 {
         let to_go = Self::solve(0.0, ode, dt, inputs, [&mut first, &mut next], |_, _| {});
         let mut inverse = buffer(R::zero(), n * n);
         let inverse = &mut inverse[..];
-        let (mut bar, mut v, mut rate_bar) = (buffer(C::null(), n), buffer(C::null(), n), buffer(C::null(), n));
+        let (mut bar, mut v, mut rate_bar) =
+            (buffer(C::null(), n), buffer(C::null(), n), buffer(C::null(), n));
         let (bar, v, rate_bar) = (&mut bar[..], &mut v[..], &mut rate_bar[..]);
         let mut x_bar = cotangents.x.take();
         bar.copy_from_slice(next_bar);

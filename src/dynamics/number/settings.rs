@@ -17,7 +17,9 @@ impl Serialize for Number {
         match self {
             Self::Fixed(_) => {}
             Self::Uniform { low, high } => map.serialize_entry("uniform", &[low, high])?,
-            Self::Normal { mean, deviation } => map.serialize_entry("normal", &[mean, deviation])?,
+            Self::Normal { mean, deviation } => {
+                map.serialize_entry("normal", &[mean, deviation])?
+            }
             Self::LogUniform { low, high } => map.serialize_entry("log_uniform", &[low, high])?,
             Self::Choice(choice) => map.serialize_entry("choice", choice.values())?,
             Self::Trained { start, min, max } => {
@@ -71,24 +73,34 @@ impl<'de> Visitor<'de> for NumberVisitor {
                 "start" => start = Some(map.next_value()?),
                 "min" => min = Some(map.next_value()?),
                 "max" => max = Some(map.next_value()?),
-                key if KEYS.contains(&key) && drawn.is_none() => drawn = Some(distribution(key, &map.next_value::<Vec<f64>>()?)),
-                key if KEYS.contains(&key) => return Err(A::Error::custom("two distributions; choose one")),
+                key if KEYS.contains(&key) && drawn.is_none() => {
+                    drawn = Some(distribution(key, &map.next_value::<Vec<f64>>()?))
+                }
+                key if KEYS.contains(&key) => {
+                    return Err(A::Error::custom("two distributions; choose one"));
+                }
                 _ => return Err(A::Error::unknown_field(&key, &KEYS)),
             }
         }
         match (drawn, start) {
-            (Some(number), None) if min.is_none() && max.is_none() => number.map_err(A::Error::custom),
+            (Some(number), None) if min.is_none() && max.is_none() => {
+                number.map_err(A::Error::custom)
+            }
             (None, Some(start)) => {
                 let (min, max) = (min.unwrap_or(f64::NEG_INFINITY), max.unwrap_or(f64::INFINITY));
                 if max.is_finite() && !min.is_finite() {
                     return Err(A::Error::custom("`max` requires `min`"));
                 }
                 if !(min < start && start < max && start.is_finite()) {
-                    return Err(A::Error::custom(format!("`start = {start}` is not strictly between its bounds")));
+                    return Err(A::Error::custom(format!(
+                        "`start = {start}` is not strictly between its bounds"
+                    )));
                 }
                 Ok(Number::Trained { start, min, max })
             }
-            _ => Err(A::Error::custom("the table needs either one distribution, or `start` with optional `min` and `max`")),
+            _ => Err(A::Error::custom(
+                "the table needs either one distribution, or `start` with optional `min` and `max`",
+            )),
         }
     }
 }
@@ -100,8 +112,12 @@ fn distribution(key: &str, values: &[f64]) -> Result<Number, String> {
     }
     let number = match (key, values) {
         ("uniform", &[low, high]) if low <= high => Some(Number::Uniform { low, high }),
-        ("normal", &[mean, deviation]) if deviation >= 0.0 => Some(Number::Normal { mean, deviation }),
-        ("log_uniform", &[low, high]) if 0.0 < low && low <= high => Some(Number::LogUniform { low, high }),
+        ("normal", &[mean, deviation]) if deviation >= 0.0 => {
+            Some(Number::Normal { mean, deviation })
+        }
+        ("log_uniform", &[low, high]) if 0.0 < low && low <= high => {
+            Some(Number::LogUniform { low, high })
+        }
         ("choice", values) => Choice::new(values).map(Number::Choice),
         _ => None,
     };

@@ -27,8 +27,11 @@ pub(crate) fn param_vjp<R: Real, C: Cotangent<R>>(
     let mut slopes = vec![R::zero(); params * output_bars.len()];
     let mut outputs = vec![ParamDual::from_re(0.0); output_bars.len()];
     for lane in 0..R::LANES {
-        let [x, u, mut p] =
-            inputs.map(|list| list.iter().map(|value| ParamDual::from_re(value.lane(lane).to_f64())).collect::<Vec<_>>());
+        let [x, u, mut p] = inputs.map(|list| {
+            list.iter()
+                .map(|value| ParamDual::from_re(value.lane(lane).to_f64()))
+                .collect::<Vec<_>>()
+        });
         for i in 0..params {
             p[i].eps = 1.0;
             function(lane, [&x, &u, &p], &mut outputs);

@@ -64,8 +64,11 @@ impl<F: Float, const K: usize> Exponents<F, K> {
     ) -> Result<(), NonFinite> {
         let Pass { rollout, scale, .. } = *pass;
         let (n, outputs) = (rollout.state_dim, rollout.control_dim + rollout.memory_dim);
-        for (index, block) in self.blocks.iter_mut().enumerate().take(rollout.samples.div_ceil(WIDTH)) {
-            let (lambda, u_bar) = (&mut lambda[index * n..][..n], &mut u_bar[index * outputs..][..outputs]);
+        for (index, block) in
+            self.blocks.iter_mut().enumerate().take(rollout.samples.div_ceil(WIDTH))
+        {
+            let (lambda, u_bar) =
+                (&mut lambda[index * n..][..n], &mut u_bar[index * outputs..][..outputs]);
             for (k, flow) in flows.into_iter().enumerate() {
                 for lane in 0..WIDTH {
                     block.rescale(flow, (k, lane), scale, lambda, u_bar)?;
@@ -149,7 +152,11 @@ impl<F: Float> Limits<F> {
 
 impl<F: Float, const K: usize> BlockExponents<F, K> {
     fn new() -> Self {
-        Self { of: [[0; WIDTH]; K], inject: CotangentPack([Lane::splat(F::zero()); K]), shifts: [[0; WIDTH]; K] }
+        Self {
+            of: [[0; WIDTH]; K],
+            inject: CotangentPack([Lane::splat(F::zero()); K]),
+            shifts: [[0; WIDTH]; K],
+        }
     }
 
     /// Sets all exponents to 0, for a pass with this `scale`.
@@ -208,7 +215,8 @@ impl<F: Float, const K: usize> BlockExponents<F, K> {
                 return Err(NonFinite);
             }
             // The sum of finite numbers overflows. The largest of them gives an exponent.
-            size = sizes().fold(F::zero(), |largest, size| if size > largest { size } else { largest });
+            size = sizes()
+                .fold(F::zero(), |largest, size| if size > largest { size } else { largest });
         }
         // The adjoint of S covers one step, so it cannot explode or vanish.
         let carries = [flow.physics, flow.control, flow.memory].iter().any(|&weight| weight != 0.0);

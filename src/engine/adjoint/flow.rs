@@ -66,7 +66,12 @@ impl Flow {
 
     /// Multiplies all weights by `factor`.
     pub const fn discounted(self, factor: f64) -> Self {
-        Self { physics: self.physics * factor, control: self.control * factor, memory: self.memory * factor, ..self }
+        Self {
+            physics: self.physics * factor,
+            control: self.control * factor,
+            memory: self.memory * factor,
+            ..self
+        }
     }
 
     /// Detaches all paths every `steps` steps: truncated backpropagation through time.
@@ -86,7 +91,8 @@ impl Flow {
 
     /// Returns the flow at step `t`. All weights are 0 at a truncation.
     pub(crate) fn at(self, t: usize) -> Self {
-        let truncated = t > 0 && self.truncation.is_some_and(|steps| t.is_multiple_of(steps.max(1)));
+        let truncated =
+            t > 0 && self.truncation.is_some_and(|steps| t.is_multiple_of(steps.max(1)));
         if truncated { self.discounted(0.0) } else { self }
     }
 
@@ -107,7 +113,10 @@ impl fmt::Display for Flow {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.letter())?;
         let own = [self.physics, self.control, self.memory];
-        let plain = Self::ALL.into_iter().find(|flow| flow.letter() == self.letter()).unwrap_or(Self::STOPPED);
+        let plain = Self::ALL
+            .into_iter()
+            .find(|flow| flow.letter() == self.letter())
+            .unwrap_or(Self::STOPPED);
         let plain = [plain.physics, plain.control, plain.memory];
         let factor = own.into_iter().fold(0.0, f64::max);
         if own != plain {

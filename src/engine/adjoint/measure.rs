@@ -32,7 +32,8 @@ pub(super) fn record_norms<F: Float, const K: usize>(
         let nonzero = |x: &f64| *x != 0.0 && x.is_finite();
         let largest = all().filter(nonzero).map(exponent_of).max().unwrap_or(0);
         let squares: f64 = all().map(|x| times_power_of_two(x, -largest)).map(|x| x * x).sum();
-        norms[t] = times_power_of_two((squares / rollout.samples as f64).sqrt(), largest) / scale.as_();
+        norms[t] =
+            times_power_of_two((squares / rollout.samples as f64).sqrt(), largest) / scale.as_();
     }
 }
 
@@ -72,7 +73,8 @@ impl<const K: usize> GrowthMeters<K> {
         for (lane, meters) in self.meters[samples].iter_mut().enumerate() {
             for (k, (_, before, exponent)) in meters.iter_mut().enumerate() {
                 let sum = |(lambda, cost): (&CotangentPack<Lane<F>, K>, &Lane<F>)| -> f64 {
-                    (lambda.0[k].lane(lane) + cost.lane(lane) * exponents.inject.0[k].lane(lane)).as_()
+                    (lambda.0[k].lane(lane) + cost.lane(lane) * exponents.inject.0[k].lane(lane))
+                        .as_()
                 };
                 let terms = zip(lambda.iter(), cost_next).map(sum);
                 (*before, *exponent) = (terms.map(|x| x * x).sum(), exponents.of[k][lane]);
@@ -97,7 +99,8 @@ impl<const K: usize> GrowthMeters<K> {
                     meter.cut();
                     continue;
                 }
-                let of_lane = |lambda: &CotangentPack<Lane<F>, K>| -> f64 { lambda.0[k].lane(lane).as_() };
+                let of_lane =
+                    |lambda: &CotangentPack<Lane<F>, K>| -> f64 { lambda.0[k].lane(lane).as_() };
                 let after = lambda[block * n..][..n].iter().map(of_lane).map(|x| x * x).sum();
                 meter.step(*before, after, exponents.of(k, sample) - *exponent);
             }

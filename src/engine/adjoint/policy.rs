@@ -79,14 +79,17 @@ impl PolicyBufferSizes {
         flows: &[Flow],
     ) -> Self {
         let columns = samples * kept;
-        let (inputs, outputs, memory_dim) = (policy.input_dim(), policy.output_dim(), policy.memory_dim());
+        let (inputs, outputs, memory_dim) =
+            (policy.input_dim(), policy.output_dim(), policy.memory_dim());
         let sizes = policy.sizes(columns);
         // With one output, ∂N/∂y and the cotangents of all layers are known up to the factor h
         // before the loop. One linearization, in matrix products over all steps of a unit, then
         // suffices for all flows. Several outputs would require one linearization each.
-        let through_inputs = flows.iter().any(|flow| flow.control != 0.0 || flow.memory != 0.0 && memory_dim > 0);
+        let through_inputs =
+            flows.iter().any(|flow| flow.control != 0.0 || flow.memory != 0.0 && memory_dim > 0);
         let linearized = outputs == 1 && through_inputs;
-        let (blocks, observed) = (samples.div_ceil(WIDTH), through_inputs && task.own_observation().is_some());
+        let (blocks, observed) =
+            (samples.div_ceil(WIDTH), through_inputs && task.own_observation().is_some());
         Self {
             control_dim: policy.control_dim(),
             memory_dim,
@@ -107,7 +110,11 @@ impl PolicyBufferSizes {
     }
 
     pub(super) fn bytes<F: Float>(&self) -> usize {
-        let numbers = self.flows * self.controls_bar + self.inputs_bar + self.ones + self.columns + self.params;
+        let numbers = self.flows * self.controls_bar
+            + self.inputs_bar
+            + self.ones
+            + self.columns
+            + self.params;
         let vectors = self.flows * size_of::<Vec<F>>() + numbers * size_of::<F>();
         let tapes = self.tapes * (size_of::<Aligned<F>>() + Aligned::<F>::bytes_of(self.tape_bar));
         let scaled = self.flows * (size_of::<Vec<i32>>() + self.columns * size_of::<i32>());
@@ -139,8 +146,10 @@ impl<F: Float> PolicyAdjoint<F> {
     }
 
     pub(super) fn stored_bytes(&self) -> usize {
-        let flat = [&self.inputs_bar, &self.ones, &self.weights, &self.part].map(|flat| size_of_val(&flat[..]));
-        let tapes = size_of_val(&self.tape_bar[..]) + self.tape_bar.iter().map(Aligned::stored_bytes).sum::<usize>();
+        let flat = [&self.inputs_bar, &self.ones, &self.weights, &self.part]
+            .map(|flat| size_of_val(&flat[..]));
+        let tapes = size_of_val(&self.tape_bar[..])
+            + self.tape_bar.iter().map(Aligned::stored_bytes).sum::<usize>();
         let nested = nested_bytes(&self.controls_bar) + tapes + nested_bytes(&self.exponents);
         let lanes = size_of_val(&self.observed_bar[..]) + size_of_val(&self.states_bar[..]);
         lanes + flat.into_iter().sum::<usize>() + self.scratch.stored_bytes() + nested
@@ -174,7 +183,14 @@ impl<F: Float> PolicyAdjoint<F> {
         exponents: &Exponents<F, K>,
     ) {
         let outputs = self.control_dim + self.memory_dim;
-        gather(u_bar, |h, lane| h.0[k].lane(lane), outputs, at, &mut self.controls_bar[k], (0, outputs));
+        gather(
+            u_bar,
+            |h, lane| h.0[k].lane(lane),
+            outputs,
+            at,
+            &mut self.controls_bar[k],
+            (0, outputs),
+        );
         if exponents.any {
             self.scaled = true;
             for (sample, c) in at.iter().enumerate() {
@@ -206,10 +222,14 @@ impl<F: Float> PolicyAdjoint<F> {
         let observed = 0..self.observed_dim;
         if task.own_observation().is_none() {
             let weight = F::from_f64(flow.control);
-            return self.each_input_bar(k, rollout.columns(t), observed, |i, lane, bar| lambda[i].0[k].0[lane] += bar * weight);
+            return self.each_input_bar(k, rollout.columns(t), observed, |i, lane, bar| {
+                lambda[i].0[k].0[lane] += bar * weight
+            });
         }
         let mut observed_bar = std::mem::take(&mut self.observed_bar);
-        self.each_input_bar(k, rollout.columns(t), observed, |i, lane, bar| observed_bar[i].0[0].0[lane] = bar);
+        self.each_input_bar(k, rollout.columns(t), observed, |i, lane, bar| {
+            observed_bar[i].0[0].0[lane] = bar
+        });
         let states_bar = &mut self.states_bar[..rollout.states_at(t).len()];
         states_bar.fill(One::null());
         let params_bar = starts.as_mut().map(|starts| {
@@ -247,7 +267,13 @@ impl<F: Float> PolicyAdjoint<F> {
 
     /// Calls `visit(i, lane, bar)` with the cotangents of the policy inputs `range` in the columns
     /// `at`. `i` is an index of `[block][component]`, with the components of the range.
-    fn each_input_bar(&self, k: usize, at: PolicyColumns, range: Range<usize>, mut visit: impl FnMut(usize, usize, F)) {
+    fn each_input_bar(
+        &self,
+        k: usize,
+        at: PolicyColumns,
+        range: Range<usize>,
+        mut visit: impl FnMut(usize, usize, F),
+    ) {
         let n = self.observed_dim + self.memory_dim;
         for block in 0..at.count.div_ceil(WIDTH) {
             for lane in 0..WIDTH {
@@ -272,15 +298,21 @@ impl<F: Float> PolicyAdjoint<F> {
         theta_bar: &mut Gradient<F>,
     ) {
         let range = pass.at.as_range();
-        let one_exponent = !self.scaled || self.exponents[k][range.clone()].iter().all(|&exponent| exponent == 0);
+        let one_exponent =
+            !self.scaled || self.exponents[k][range.clone()].iter().all(|&exponent| exponent == 0);
         let exponent = if one_exponent { 0 } else { self.weigh(k, range, policy.output_dim()) };
         let h = &self.controls_bar[k];
-        let (u_bar, tape_bar, plain_weight) =
-            if self.linearized { (&self.ones, &self.tape_bar[0], Some(&h[..])) } else { (h, &self.tape_bar[k], None) };
+        let (u_bar, tape_bar, plain_weight) = if self.linearized {
+            (&self.ones, &self.tape_bar[0], Some(&h[..]))
+        } else {
+            (h, &self.tape_bar[k], None)
+        };
         let weight = if one_exponent { plain_weight } else { Some(&self.weights[..]) };
         let record = PolicyRecord { tape, u_bar, tape_bar, weight };
         match theta_bar.unscaled_sum() {
-            Some(sum) if one_exponent => policy.param_gradient(pass, record, &mut self.scratch, sum),
+            Some(sum) if one_exponent => {
+                policy.param_gradient(pass, record, &mut self.scratch, sum)
+            }
             _ => {
                 self.part.fill(F::zero());
                 policy.param_gradient(pass, record, &mut self.scratch, &mut self.part);
@@ -303,7 +335,8 @@ impl<F: Float> PolicyAdjoint<F> {
         let largest = columns.clone().filter_map(leading).max().unwrap_or(0);
         for c in columns {
             let own = if self.linearized { h[c] } else { F::one() };
-            self.weights[c] = if leading(c).is_none() { F::zero() } else { scaled(own, exponents[c] - largest) };
+            self.weights[c] =
+                if leading(c).is_none() { F::zero() } else { scaled(own, exponents[c] - largest) };
         }
         largest
     }
@@ -319,7 +352,8 @@ impl<F: Float> PolicyAdjoint<F> {
         steps: Range<usize>,
         through_inputs: bool,
     ) {
-        let columns = PolicyPass::new(pass.weights.packed(), at, pass.rollout.inputs()).at_steps(steps);
+        let columns =
+            PolicyPass::new(pass.weights.packed(), at, pass.rollout.inputs()).at_steps(steps);
         let u_bar = if self.linearized { &self.ones } else { &self.controls_bar[k] };
         let x_bar = through_inputs.then_some(&mut self.inputs_bar[..]);
         pass.policy.backward(columns, &pass.rollout.tape, u_bar, &mut self.tape_bar[k], x_bar);

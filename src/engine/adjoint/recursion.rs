@@ -201,19 +201,27 @@ impl<F: Float, const K: usize> Recursion<F, K> {
 
     /// Returns the [`stored_bytes`](Self::stored_bytes) for these numbers of state, control and
     /// memory components, and of parameters if their gradients are recorded.
-    pub(super) fn bytes_of([n, m, memory]: [usize; 3], params: Option<usize>, samples: usize) -> usize {
+    pub(super) fn bytes_of(
+        [n, m, memory]: [usize; 3],
+        params: Option<usize>,
+        samples: usize,
+    ) -> usize {
         let blocks = samples.div_ceil(WIDTH);
         blocks * (2 * n + m + memory) * size_of::<CotangentPack<Lane<F>, K>>()
             + CostGradient::<Lane<F>>::bytes_of(n, m)
             + Exponents::<F, K>::bytes_of(blocks)
             + GrowthMeters::<K>::bytes_of(samples)
-            + params.map_or(0, |p| StartGradients::<F, K>::bytes_of(samples, n, p) + p * size_of::<Lane<F>>())
+            + params.map_or(0, |p| {
+                StartGradients::<F, K>::bytes_of(samples, n, p) + p * size_of::<Lane<F>>()
+            })
     }
 
     pub(super) fn stored_bytes(&self) -> usize {
-        let columns = [&self.lambda, &self.x_bar, &self.u_bar].map(|columns| size_of_val(&columns[..]));
+        let columns =
+            [&self.lambda, &self.x_bar, &self.u_bar].map(|columns| size_of_val(&columns[..]));
         let costs = CostGradient::<Lane<F>>::bytes_of(self.cost.x.len(), self.cost.u.len());
-        let starts = self.starts.as_ref().map_or(0, StartGradients::stored_bytes) + size_of_val(&self.cost.p[..]);
+        let starts = self.starts.as_ref().map_or(0, StartGradients::stored_bytes)
+            + size_of_val(&self.cost.p[..]);
         let others = [costs, self.exponents.stored_bytes(), self.growth.stored_bytes(), starts];
         columns.into_iter().chain(others).sum()
     }
@@ -264,7 +272,8 @@ impl<F: Float, const K: usize> Recursion<F, K> {
                 starts.add_terms(pass.rollout.samples, pass.scale, &self.exponents);
             }
             if !in_range {
-                let rescaled = self.exponents.rescale(flows, pass, &mut self.lambda, &mut self.u_bar);
+                let rescaled =
+                    self.exponents.rescale(flows, pass, &mut self.lambda, &mut self.u_bar);
                 rescaled.map_err(|_| self.divergence(pass, flows, t))?;
                 self.restart_small(pass, t, Place::BeforePolicy);
             }
@@ -328,7 +337,14 @@ impl<F: Float, const K: usize> Recursion<F, K> {
     /// Measures growth and norms after step `t`. Cuts adjoints that have grown by more than `cut`.
     /// Adds the effect of p on the observation. After step 0, completes the gradients with respect
     /// to initial states and p.
-    fn after_step(&mut self, pass: &Pass<'_, F>, flows: [Flow; K], at_t: [Flow; K], t: usize, norms: &mut [Vec<f64>]) {
+    fn after_step(
+        &mut self,
+        pass: &Pass<'_, F>,
+        flows: [Flow; K],
+        at_t: [Flow; K],
+        t: usize,
+        norms: &mut [Vec<f64>],
+    ) {
         let samples = pass.rollout.samples;
         if pass.measured {
             self.growth.after(pass.rollout, &self.lambda, &self.exponents, flows, t);
@@ -374,19 +390,25 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         let find = |columns: &[CotangentPack<Lane<F>, K>], n: usize, k: usize| {
             find_non_finite(columns, n, rollout.samples, |c, lane| c.0[k].lane(lane))
         };
-        let state = |k: usize| find(&self.lambda, rollout.state_dim, k).map(|place| (k, Variable::State, place));
+        let state = |k: usize| {
+            find(&self.lambda, rollout.state_dim, k).map(|place| (k, Variable::State, place))
+        };
         let outputs = rollout.control_dim + rollout.memory_dim;
         let output = |k: usize| {
-            find(&self.u_bar, outputs, k).map(|(sample, i)| match i.checked_sub(rollout.control_dim) {
-                None => (k, Variable::Control, (sample, i)),
-                Some(i) => (k, Variable::Memory, (sample, i)),
+            find(&self.u_bar, outputs, k).map(|(sample, i)| {
+                match i.checked_sub(rollout.control_dim) {
+                    None => (k, Variable::Control, (sample, i)),
+                    Some(i) => (k, Variable::Memory, (sample, i)),
+                }
             })
         };
         let all = (0..K).flat_map(|k| state(k).into_iter().chain(output(k)));
         let first = all.min_by_key(|&(.., (sample, _))| sample);
-        let (k, variable, (sample, component)) = first.expect("`rescale` fails only for non-finite cotangents");
-        let of =
-            |lanes: &[Lane<F>]| -> Vec<Single<F>> { lanes.iter().map(|number| Lanes([number.lane(sample % WIDTH)])).collect() };
+        let (k, variable, (sample, component)) =
+            first.expect("`rescale` fails only for non-finite cotangents");
+        let of = |lanes: &[Lane<F>]| -> Vec<Single<F>> {
+            lanes.iter().map(|number| Lanes([number.lane(sample % WIDTH)])).collect()
+        };
         let inputs = rollout.inputs_of(step, sample / WIDTH);
         let (x, u, p) = (of(inputs.x), of(inputs.u), of(inputs.p));
         let cause = task.diagnose(Inputs { x: &x, u: &u, p: &p, t: step });

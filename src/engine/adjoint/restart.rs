@@ -24,7 +24,8 @@ impl<F: Float, const K: usize> Recursion<F, K> {
     pub(super) fn restart_small(&mut self, pass: &Pass<'_, F>, t: usize, place: Place) {
         for k in 0..K {
             for sample in 0..pass.rollout.samples {
-                if self.exponents.of(k, sample) > 0 && self.is_small(k, sample, pass.rollout, place) {
+                if self.exponents.of(k, sample) > 0 && self.is_small(k, sample, pass.rollout, place)
+                {
                     self.restart(pass, k, sample, t, place);
                 }
             }
@@ -35,7 +36,8 @@ impl<F: Float, const K: usize> Recursion<F, K> {
     /// Ranges in `lambda` and `u_bar` of the cotangents that [`restart`](Self::restart) changes in
     /// one block.
     fn carried(block: usize, rollout: &Rollout<F>, place: Place) -> [Range<usize>; 2] {
-        let (n, m, outputs) = (rollout.state_dim, rollout.control_dim, rollout.control_dim + rollout.memory_dim);
+        let (n, m, outputs) =
+            (rollout.state_dim, rollout.control_dim, rollout.control_dim + rollout.memory_dim);
         let controls = if place == Place::BeforePolicy { 0 } else { m };
         [block * n..(block + 1) * n, block * outputs + controls..(block + 1) * outputs]
     }
@@ -45,7 +47,8 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         let [of_lambda, of_outputs] = Self::carried(sample / WIDTH, rollout, place);
         // Sums in the order of `reverse_step`, as `rescale` does.
         let bars = self.u_bar[of_outputs].iter().chain(&self.lambda[of_lambda]);
-        bars.fold(F::zero(), |sum, bar| sum + bar.0[k].lane(sample % WIDTH).abs()) < Limits::new().low
+        bars.fold(F::zero(), |sum, bar| sum + bar.0[k].lane(sample % WIDTH).abs())
+            < Limits::new().low
     }
 
     /// Sets the exponent of one flow and sample, in step `t`, to the exponent of the cotangents
@@ -54,7 +57,14 @@ impl<F: Float, const K: usize> Recursion<F, K> {
     ///
     /// With a large previous exponent, the cost gradients would underflow.
     #[cold]
-    pub(super) fn restart(&mut self, pass: &Pass<'_, F>, k: usize, sample: usize, t: usize, place: Place) {
+    pub(super) fn restart(
+        &mut self,
+        pass: &Pass<'_, F>,
+        k: usize,
+        sample: usize,
+        t: usize,
+        place: Place,
+    ) {
         let Pass { rollout, scale, .. } = *pass;
         let block = sample / WIDTH;
         self.evaluate_cost(pass, t, block);

@@ -32,7 +32,8 @@ pub(super) struct StartGradients<F: Float, const K: usize> {
 impl<F: Float, const K: usize> StartGradients<F, K> {
     pub(super) fn new(samples: usize, state_dim: usize, param_dim: usize) -> Self {
         let params = samples.div_ceil(WIDTH) * param_dim;
-        let gradients = |len: usize| (0..samples).map(|_| [(); K].map(|()| Gradient::zeros(len))).collect();
+        let gradients =
+            |len: usize| (0..samples).map(|_| [(); K].map(|()| Gradient::zeros(len))).collect();
         Self {
             gradients: gradients(state_dim + param_dim),
             sums: gradients(param_dim),
@@ -45,15 +46,22 @@ impl<F: Float, const K: usize> StartGradients<F, K> {
     }
 
     pub(super) fn bytes_of(samples: usize, state_dim: usize, param_dim: usize) -> usize {
-        let gradients = 2 * size_of::<[Gradient<F>; K]>() + K * Gradient::<F>::bytes_of(state_dim + 2 * param_dim);
-        let terms = size_of::<CotangentPack<Lane<F>, K>>() + size_of::<Lane<F>>() + K * size_of::<One<Lane<F>>>();
+        let gradients = 2 * size_of::<[Gradient<F>; K]>()
+            + K * Gradient::<F>::bytes_of(state_dim + 2 * param_dim);
+        let terms = size_of::<CotangentPack<Lane<F>, K>>()
+            + size_of::<Lane<F>>()
+            + K * size_of::<One<Lane<F>>>();
         samples * gradients + samples.div_ceil(WIDTH) * param_dim * terms
     }
 
     pub(super) fn stored_bytes(&self) -> usize {
         let gradients = self.gradients.iter().chain(&self.sums);
-        let gradients = gradients.flatten().map(|gradient| size_of_val(gradient) + gradient.stored_bytes()).sum::<usize>();
-        let observed = self.observed.iter().map(|observed| size_of_val(&observed[..])).sum::<usize>();
+        let gradients = gradients
+            .flatten()
+            .map(|gradient| size_of_val(gradient) + gradient.stored_bytes())
+            .sum::<usize>();
+        let observed =
+            self.observed.iter().map(|observed| size_of_val(&observed[..])).sum::<usize>();
         gradients + size_of_val(&self.terms[..]) + size_of_val(&self.costs[..]) + observed
     }
 
@@ -91,7 +99,10 @@ impl<F: Float, const K: usize> StartGradients<F, K> {
             let (first, lane) = (sample / WIDTH * self.param_dim, sample % WIDTH);
             for (k, sum) in sums.iter_mut().enumerate() {
                 for i in 0..self.param_dim {
-                    let (term, cost) = (self.terms[first + i].0[k].lane(lane), scale * self.costs[first + i].lane(lane));
+                    let (term, cost) = (
+                        self.terms[first + i].0[k].lane(lane),
+                        scale * self.costs[first + i].lane(lane),
+                    );
                     match exponents.of(k, sample) {
                         0 => sum.add_at(i, term + cost, 0),
                         exponent => {
@@ -106,7 +117,13 @@ impl<F: Float, const K: usize> StartGradients<F, K> {
 
     /// Adds the terms of the observation of flow `k`, times `weight`, to the gradients with respect
     /// to p.
-    pub(super) fn add_observed(&mut self, k: usize, weight: f64, samples: usize, exponents: &Exponents<F, K>) {
+    pub(super) fn add_observed(
+        &mut self,
+        k: usize,
+        weight: f64,
+        samples: usize,
+        exponents: &Exponents<F, K>,
+    ) {
         for (sample, sums) in self.sums[..samples].iter_mut().enumerate() {
             let terms = &self.observed[k][sample / WIDTH * self.param_dim..][..self.param_dim];
             for (i, CotangentPack([term])) in terms.iter().enumerate() {
@@ -118,13 +135,20 @@ impl<F: Float, const K: usize> StartGradients<F, K> {
 
     /// Sets to 0 the terms of the observation of flow `k` in one lane of a block.
     pub(super) fn cut(&mut self, k: usize, block: usize, lane: usize) {
-        for CotangentPack([term]) in &mut self.observed[k][block * self.param_dim..][..self.param_dim] {
+        for CotangentPack([term]) in
+            &mut self.observed[k][block * self.param_dim..][..self.param_dim]
+        {
             term.set_lane(lane, F::zero());
         }
     }
 
     /// Adds λ after step 0, and completes the gradients.
-    pub(super) fn finish(&mut self, lambda: &[CotangentPack<Lane<F>, K>], samples: usize, exponents: &Exponents<F, K>) {
+    pub(super) fn finish(
+        &mut self,
+        lambda: &[CotangentPack<Lane<F>, K>],
+        samples: usize,
+        exponents: &Exponents<F, K>,
+    ) {
         for (sample, gradients) in self.gradients[..samples].iter_mut().enumerate() {
             let lambda = &lambda[sample / WIDTH * self.state_dim..][..self.state_dim];
             for (k, gradient) in gradients.iter_mut().enumerate() {

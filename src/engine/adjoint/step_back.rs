@@ -12,11 +12,23 @@ use crate::numbers::scalar::Float;
 pub trait StepBack<F: Float, const K: usize> {
     /// Applies costs and physics to all blocks. Returns false if rescaling is needed or a cotangent
     /// is non-finite.
-    fn step_back(&self, flows: [Flow; K], rollout: &Rollout<F>, t: usize, carried: &mut Recursion<F, K>) -> bool;
+    fn step_back(
+        &self,
+        flows: [Flow; K],
+        rollout: &Rollout<F>,
+        t: usize,
+        carried: &mut Recursion<F, K>,
+    ) -> bool;
 }
 
 impl<T: Task, F: Float, const K: usize> StepBack<F, K> for T {
-    fn step_back(&self, flows: [Flow; K], rollout: &Rollout<F>, t: usize, carried: &mut Recursion<F, K>) -> bool {
+    fn step_back(
+        &self,
+        flows: [Flow; K],
+        rollout: &Rollout<F>,
+        t: usize,
+        carried: &mut Recursion<F, K>,
+    ) -> bool {
         let mut in_range = true;
         dispatch_lanes(Back { task: self, flows, rollout, t, carried, in_range: &mut in_range });
         in_range

@@ -19,7 +19,12 @@ pub(super) struct BufferSizes {
 }
 
 impl BufferSizes {
-    pub(super) fn new<F: Float>(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize, kept: usize) -> Self {
+    pub(super) fn new<F: Float>(
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
+        samples: usize,
+        kept: usize,
+    ) -> Self {
         let carried = task.state_dim() + policy.memory_dim();
         let (blocks, columns) = (samples.div_ceil(WIDTH), samples * kept);
         Self {
@@ -36,6 +41,8 @@ impl BufferSizes {
 
     pub(super) fn bytes<F: Float>(&self) -> usize {
         let lanes = self.states + self.controls + self.params + self.observations + 2 * self.costs;
-        lanes * size_of::<Lane<F>>() + (self.inputs + self.outputs) * size_of::<F>() + Aligned::<F>::bytes_of(self.tape)
+        lanes * size_of::<Lane<F>>()
+            + (self.inputs + self.outputs) * size_of::<F>()
+            + Aligned::<F>::bytes_of(self.tape)
     }
 }

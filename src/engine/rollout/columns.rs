@@ -13,9 +13,9 @@ pub(crate) fn find_non_finite<L, F: Float>(
     samples: usize,
     lane: impl Fn(&L, usize) -> F,
 ) -> Option<(usize, usize)> {
-    (0..samples)
-        .flat_map(|sample| (0..n).map(move |i| (sample, i)))
-        .find(|&(sample, i)| !lane(&blocks[(sample / WIDTH) * n + i], sample % WIDTH).as_().is_finite())
+    (0..samples).flat_map(|sample| (0..n).map(move |i| (sample, i))).find(|&(sample, i)| {
+        !lane(&blocks[(sample / WIDTH) * n + i], sample % WIDTH).as_().is_finite()
+    })
 }
 
 /// Copies blocks of lanes, `n` numbers per sample, to the entries `offset .. offset + n` of policy

@@ -11,11 +11,21 @@ use crate::numbers::scalar::{Float, Real, Scalar};
 pub trait StepForward<F: Float> {
     /// Steps all blocks and adds their costs. Returns true if all next states and controls are
     /// finite.
-    fn step_forward(&self, inputs: Inputs<'_, Lane<F>>, next: &mut [Lane<F>], costs: &mut [Lane<F>]) -> bool;
+    fn step_forward(
+        &self,
+        inputs: Inputs<'_, Lane<F>>,
+        next: &mut [Lane<F>],
+        costs: &mut [Lane<F>],
+    ) -> bool;
 }
 
 impl<T: Task, F: Float> StepForward<F> for T {
-    fn step_forward(&self, inputs: Inputs<'_, Lane<F>>, next: &mut [Lane<F>], costs: &mut [Lane<F>]) -> bool {
+    fn step_forward(
+        &self,
+        inputs: Inputs<'_, Lane<F>>,
+        next: &mut [Lane<F>],
+        costs: &mut [Lane<F>],
+    ) -> bool {
         let mut finite = true;
         dispatch_lanes(Step { task: self, inputs, next, costs, finite: &mut finite });
         finite
@@ -38,17 +48,26 @@ fn advance<T: Task, R: Real>(task: &T, inputs: Inputs<'_, R>, next: &mut [R]) ->
     task.system().step(inputs, next);
     // 0·x is NaN if x is infinite or NaN, else 0.
     let probed = |probe: R, &number: &R| probe + number * R::zero();
-    (task.running_cost(inputs, next), next.iter().fold(inputs.u.iter().fold(R::zero(), probed), probed))
+    (
+        task.running_cost(inputs, next),
+        next.iter().fold(inputs.u.iter().fold(R::zero(), probed), probed),
+    )
 }
 
 impl<T: Task, F: Float> Vectorized for Step<'_, T, F> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         let Self { task, inputs: Inputs { x, u, p, t }, next, costs, finite } = self;
-        let (n, m, params) = (task.system().state_dim(), task.system().control_dim(), task.param_dim());
+        let (n, m, params) =
+            (task.system().state_dim(), task.system().control_dim(), task.param_dim());
         let mut probe = Lane::<F>::zero();
         for (block, next) in next.chunks_exact_mut(n).enumerate() {
-            let inputs = Inputs { x: &x[block * n..][..n], u: &u[block * m..][..m], p: &p[block * params..][..params], t };
+            let inputs = Inputs {
+                x: &x[block * n..][..n],
+                u: &u[block * m..][..m],
+                p: &p[block * params..][..params],
+                t,
+            };
             let (more, seen) = advance(task, inputs, next);
             costs[block] += more;
             probe += seen;

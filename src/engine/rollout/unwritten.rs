@@ -33,11 +33,14 @@ impl<F: Float> Rollout<F> {
         let (from_nans, from_zeros) = (stepped(f64::NAN), stepped(0.0));
         let outputs = policy.control_dim() + policy.memory_dim();
         let lanes = |a: &[Lane<F>], b: &[Lane<F>]| {
-            let is_unwritten = |(a, b): (&Lane<F>, &Lane<F>)| (0..WIDTH).any(|i| unwritten(a.lane(i), b.lane(i)));
+            let is_unwritten =
+                |(a, b): (&Lane<F>, &Lane<F>)| (0..WIDTH).any(|i| unwritten(a.lane(i), b.lane(i)));
             a.iter().zip(b).position(is_unwritten)
         };
         let observed = lanes(&from_nans.observations, &from_zeros.observations);
-        let acted = || from_nans.outputs.iter().zip(&from_zeros.outputs).position(|(&a, &b)| unwritten(a, b));
+        let acted = || {
+            from_nans.outputs.iter().zip(&from_zeros.outputs).position(|(&a, &b)| unwritten(a, b))
+        };
         let moved = || lanes(from_nans.states_at(1), from_zeros.states_at(1));
         let place = |method, at: Option<usize>, of: usize| at.map(|at| (method, at % of));
         // The first one causes those after it.
@@ -55,7 +58,11 @@ fn unwritten<F: Float>(from_nan: F, from_zero: F) -> bool {
 /// First parameter of a sample that is 0, if the step is finite with 1 in its place. `inputs` are
 /// those of the block of the sample.
 #[cold]
-pub(super) fn zero_param<F: Float>(task: &dyn AnyTask<F>, inputs: Inputs<'_, Lane<F>>, lane: usize) -> Option<usize> {
+pub(super) fn zero_param<F: Float>(
+    task: &dyn AnyTask<F>,
+    inputs: Inputs<'_, Lane<F>>,
+    lane: usize,
+) -> Option<usize> {
     let is_finite = |i: &usize| {
         let (mut p, mut next, mut costs) = (inputs.p.to_vec(), inputs.x.to_vec(), [Lane::zero()]);
         p[*i].set_lane(lane, F::from_f64(1.0));

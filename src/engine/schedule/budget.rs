@@ -30,7 +30,11 @@ impl Schedule {
     /// checkpoints as fit. Returns the smallest of these schedules whose recomputed steps exceed
     /// the minimum within the budget by at most 1 % of the horizon. `bytes` returns the size of a
     /// schedule.
-    pub(crate) fn within(horizon: usize, budget: u64, bytes: impl Fn(&Self) -> usize) -> Result<Self, MemoryError> {
+    pub(crate) fn within(
+        horizon: usize,
+        budget: u64,
+        bytes: impl Fn(&Self) -> usize,
+    ) -> Result<Self, MemoryError> {
         let bytes = |schedule: &Self| bytes(schedule) as u64;
         let all = Self::store_all(horizon);
         if bytes(&all) <= budget {
@@ -42,13 +46,17 @@ impl Schedule {
             .map(|schedule| (schedule, bytes(&schedule)))
             .take_while(|&(_, least)| least <= budget)
             .map(|(schedule, least)| {
-                let one_more = bytes(&Self { checkpoints: schedule.checkpoints + 1, ..schedule }) - least;
+                let one_more =
+                    bytes(&Self { checkpoints: schedule.checkpoints + 1, ..schedule }) - least;
                 let more = ((budget - least) / one_more).min(schedule.segments() as u64);
                 Self::new(horizon, schedule.segment, schedule.checkpoints + more as usize)
             });
-        let fitting: Vec<_> = fitting.map(|schedule| (schedule.recomputed_steps(), schedule)).collect();
+        let fitting: Vec<_> =
+            fitting.map(|schedule| (schedule.recomputed_steps(), schedule)).collect();
         let fewest = fitting.iter().map(|&(again, _)| again).min().unwrap_or(0);
-        let hardly_more = fitting.iter().filter(|&&(again, _)| again <= fewest.saturating_add(horizon as u64 / TOLERANCE));
+        let hardly_more = fitting
+            .iter()
+            .filter(|&&(again, _)| again <= fewest.saturating_add(horizon as u64 / TOLERANCE));
         let best = hardly_more.min_by_key(|(again, schedule)| (bytes(schedule), *again));
         best.map(|&(_, schedule)| schedule).ok_or_else(|| {
             let smallest = bytes(&Self::binomial(horizon, 1)).min(bytes(&all));

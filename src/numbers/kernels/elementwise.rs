@@ -28,7 +28,8 @@ pub fn times<F: Float>(level: SimdLevel, slopes: &[F], bar: &mut [F], columns: S
         #[inline(always)]
         fn run<const FMA: bool>(self) {
             for start in self.2.starts() {
-                let (slopes, bar) = (&self.0[start..][..self.2.len], &mut self.1[start..][..self.2.len]);
+                let (slopes, bar) =
+                    (&self.0[start..][..self.2.len], &mut self.1[start..][..self.2.len]);
                 for i in 0..slopes.len() {
                     bar[i] *= slopes[i];
                 }
@@ -75,7 +76,15 @@ pub fn scale<F: Float>(level: SimdLevel, from: &[F], weight: &[F], len: usize, t
 
 /// `out[c·out_step + r]` is the dot product of row r of `a` and column c of `b`. Rows and columns
 /// have equal length.
-pub fn dots<F: Float>(level: SimdLevel, a: &[F], rows: Strided, b: &[F], columns: Strided, out: &mut [F], out_step: usize) {
+pub fn dots<F: Float>(
+    level: SimdLevel,
+    a: &[F],
+    rows: Strided,
+    b: &[F],
+    columns: Strided,
+    out: &mut [F],
+    out_step: usize,
+) {
     struct Work<'a, F>(&'a [F], Strided, &'a [F], Strided, &'a mut [F], usize);
     impl<F: Float> Vectorized for Work<'_, F> {
         #[inline(always)]

@@ -108,7 +108,11 @@ unsafe fn panels<R: Register, const MAX: usize, const NR: usize>(p: Product<'_, 
 /// # Safety
 /// As for [`panels`].
 #[inline(always)]
-unsafe fn tiles<R: Register, const H: usize, const NR: usize>(p: &Product<'_, R::Float>, c: *mut R::Float, row: usize) {
+unsafe fn tiles<R: Register, const H: usize, const NR: usize>(
+    p: &Product<'_, R::Float>,
+    c: *mut R::Float,
+    row: usize,
+) {
     let mut col = 0;
     while col < p.cols {
         // The remainder is one narrower tile: two tiles would have too few independent sums each.
@@ -227,7 +231,9 @@ macro_rules! gemm {
                 |value| Array([value; $half]),
                 |from: *const $float| Array(*from.cast()),
                 |to: *mut $float, Array(from)| *to.cast() = from,
-                |a: Array, b: Array, c: Array| Array(std::array::from_fn(|i| a.0[i] * b.0[i] + c.0[i]))
+                |a: Array, b: Array, c: Array| Array(std::array::from_fn(
+                    |i| a.0[i] * b.0[i] + c.0[i]
+                ))
             );
             #[cfg(target_arch = "aarch64")]
             register!($neon, $float, $quarter, $s1, $l1, $st1, |a, b, c| $f1(c, a, b));

@@ -18,7 +18,8 @@ pub const REACH: f64 = 1e6;
 const ROUND: f64 = 6_755_399_441_055_744.0;
 /// π/2 in three parts. The first two have 33 significant bits, so their products with |n| < 2^20
 /// are exact (fdlibm).
-const HALF_PI: [f64; 3] = [1.570_796_326_734_125_6, 6.077_100_506_303_966e-11, 2.022_266_248_795_950_6e-21];
+const HALF_PI: [f64; 3] =
+    [1.570_796_326_734_125_6, 6.077_100_506_303_966e-11, 2.022_266_248_795_950_6e-21];
 
 /// Reduces `x = n·π/2 + r` with |r| ≤ π/4 up to rounding. Returns `r` and a word with the low bits
 /// of `n`.

@@ -34,7 +34,8 @@ thread_local! {
 }
 
 impl Ops {
-    const NONE: Self = Self { add: 0, negate: 0, multiply: 0, divide: 0, sqrt: 0, transcendental: 0, compare: 0 };
+    const NONE: Self =
+        Self { add: 0, negate: 0, multiply: 0, divide: 0, sqrt: 0, transcendental: 0, compare: 0 };
 
     /// Runs `work`; returns its operations on [`Counted`] numbers and its result.
     ///

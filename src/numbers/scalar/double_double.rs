@@ -116,9 +116,11 @@ impl Functions for Quad {
     /// The absolute error grows by up to 1e-31 per revolution of the angle.
     fn sin_cos(self) -> (Self, Self) {
         // π/2 in three parts: the product of `quarter` and the first is exact in double-double.
-        const HALF_PI: [f64; 3] = [std::f64::consts::FRAC_PI_2, 6.123_233_995_736_766e-17, -1.497_384_904_859_169_8e-33];
+        const HALF_PI: [f64; 3] =
+            [std::f64::consts::FRAC_PI_2, 6.123_233_995_736_766e-17, -1.497_384_904_859_169_8e-33];
         let quarter = (self.0 / HALF_PI[0]).round();
-        let rest = HALF_PI.iter().fold(self, |rest, &part| rest - Quad(quarter, 0.0) * Quad(part, 0.0));
+        let rest =
+            HALF_PI.iter().fold(self, |rest, &part| rest - Quad(quarter, 0.0) * Quad(part, 0.0));
         let square = rest * rest;
         let (sin, cos) = (rest * series(square, 1, -1.0), series(square, 0, -1.0));
         match quarter.rem_euclid(4.0) {
@@ -241,7 +243,13 @@ mod tests {
         close("exp", one, Quad::exp(one), e, 1e-31);
         close("sin", one, one.sin_cos().0, sin_1, 2e-30);
         close("atan2", one, Functions::atan2(one, one) * Quad(4.0, 0.0), Quad::PI, 1e-31);
-        close("atan2", one, Functions::atan2(one, -one) * Quad(4.0, 0.0), Quad::PI * Quad(3.0, 0.0), 1e-31);
+        close(
+            "atan2",
+            one,
+            Functions::atan2(one, -one) * Quad(4.0, 0.0),
+            Quad::PI * Quad(3.0, 0.0),
+            1e-31,
+        );
     }
 
     #[test]

@@ -120,7 +120,9 @@ impl<T: Scalar, const N: usize> Div for Dual<T, N> {
     fn div(self, other: Self) -> Self {
         let (value, inverse) = (self.value / other.value, T::one() / other.value);
         let size = inverse.abs();
-        self.binary(other, value, |a, b| T::select_lt(T::zero(), size, (a - value * b) * inverse, inverse))
+        self.binary(other, value, |a, b| {
+            T::select_lt(T::zero(), size, (a - value * b) * inverse, inverse)
+        })
     }
 }
 
@@ -238,7 +240,8 @@ impl<T: Scalar, const N: usize> Scalar for Dual<T, N> {
     #[inline(always)]
     fn atan2(self, x: Self) -> Self {
         let [by_x, by_y] = Scaled::new(self.value, x.value).per_square();
-        let (across, along) = (self.unary_if_nonzero(T::zero(), by_y), x.unary_if_nonzero(T::zero(), by_x));
+        let (across, along) =
+            (self.unary_if_nonzero(T::zero(), by_y), x.unary_if_nonzero(T::zero(), by_x));
         across.binary(along, self.value.atan2(x.value), |a, b| a - b)
     }
 
@@ -274,12 +277,18 @@ impl<T: Scalar, const N: usize> Scalar for Dual<T, N> {
             return Self::constant(power);
         }
         let slope = self.value.powi(exponent.saturating_sub(1)) * f64::from(exponent);
-        if exponent < 0 { self.unary_if_nonzero(power, slope) } else { self.unary(power, |tangent| tangent * slope) }
+        if exponent < 0 {
+            self.unary_if_nonzero(power, slope)
+        } else {
+            self.unary(power, |tangent| tangent * slope)
+        }
     }
 
     #[inline(always)]
     fn abs(self) -> Self {
-        self.unary(self.value.abs(), |tangent| T::select_lt(self.value, T::zero(), -tangent, tangent))
+        self.unary(self.value.abs(), |tangent| {
+            T::select_lt(self.value, T::zero(), -tangent, tangent)
+        })
     }
 
     #[inline(always)]

@@ -129,7 +129,11 @@ macro_rules! float {
             }
             #[inline(always)]
             fn sin_cos(self) -> (Self, Self) {
-                if $float::abs(self) > trig::REACH as $float { $float::sin_cos(self) } else { trig::$sin_cos(self) }
+                if $float::abs(self) > trig::REACH as $float {
+                    $float::sin_cos(self)
+                } else {
+                    trig::$sin_cos(self)
+                }
             }
             #[inline(always)]
             fn tanh(self) -> Self {

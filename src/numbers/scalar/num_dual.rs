@@ -59,7 +59,8 @@ impl Scalar for Dual64 {
     }
     #[inline]
     fn powi(self, exponent: i32) -> Self {
-        let slope = if exponent == 0 { 0.0 } else { f64::from(exponent) * self.re.powi(exponent - 1) };
+        let slope =
+            if exponent == 0 { 0.0 } else { f64::from(exponent) * self.re.powi(exponent - 1) };
         chain(self, Scalar::powi(self.re, exponent), slope)
     }
     #[inline]

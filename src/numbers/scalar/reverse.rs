@@ -242,7 +242,11 @@ impl<R: Real> Scalar for Reverse<R> {
 
     #[inline(always)]
     fn hypot(self, other: Self) -> Self {
-        self.two(other, self.value.hypot(other.value), Scaled::new(self.value, other.value).direction())
+        self.two(
+            other,
+            self.value.hypot(other.value),
+            Scaled::new(self.value, other.value).direction(),
+        )
     }
 
     #[inline(always)]

@@ -99,7 +99,11 @@ impl Layer {
             },
         );
         let len = self.positions * self.slot_out;
-        elementwise::tanh(level, output, Strided { first: 0, step: self.output(), count: columns, len });
+        elementwise::tanh(
+            level,
+            output,
+            Strided { first: 0, step: self.output(), count: columns, len },
+        );
         for column in output.chunks_exact_mut(self.output()).take(columns) {
             let (inside, outside) = column.split_at_mut(len);
             inside.chunks_exact_mut(self.slot_out).for_each(|position| position[width] = F::one());
@@ -141,7 +145,9 @@ impl Layer {
         for (q, window) in windows.chunks_exact(self.entries).take(self.positions).enumerate() {
             for k in 0..KERNEL {
                 let from = &window[k * self.slot..][..self.channels];
-                for (to, &bar) in zip(to[(STRIDE * q + k) * slot..][..self.channels].iter_mut(), from) {
+                for (to, &bar) in
+                    zip(to[(STRIDE * q + k) * slot..][..self.channels].iter_mut(), from)
+                {
                     *to += bar;
                 }
             }

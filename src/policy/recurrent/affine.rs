@@ -52,12 +52,19 @@ impl Affine {
     /// Component `i` of `Wᵀ z_bar`.
     #[inline(always)]
     pub(super) fn input_bar<R: Real>(self, theta: &[R::Real], i: usize, z_bar: &[R]) -> R {
-        zip(self.row(theta, i).iter(), z_bar).fold(R::zero(), |sum, (&weight, &bar)| sum + R::splat(weight) * bar)
+        zip(self.row(theta, i).iter(), z_bar)
+            .fold(R::zero(), |sum, (&weight, &bar)| sum + R::splat(weight) * bar)
     }
 
     /// Adds `factor·v z_barᵀ` to the gradient with respect to `Wᵀ`, and `factor·z_bar` to the
     /// gradient with respect to the bias.
-    pub(super) fn add_gradient<F: Float>(self, v: impl Iterator<Item = F>, z_bar: &[F], factor: F, theta_bar: &mut [F]) {
+    pub(super) fn add_gradient<F: Float>(
+        self,
+        v: impl Iterator<Item = F>,
+        z_bar: &[F],
+        factor: F,
+        theta_bar: &mut [F],
+    ) {
         // Without outputs, there are no rows.
         let rows = theta_bar[self.first..self.end()].chunks_exact_mut(self.outputs.max(1));
         for (v, row) in v.chain([F::one()]).zip(rows) {
@@ -71,7 +78,8 @@ impl Affine {
     /// Draws Glorot-uniform weights (Glorot and Bengio 2010) and sets the bias to 0.
     pub(super) fn init(self, rng: &mut Rng, theta: &mut [f64]) {
         let limit = (6.0 / (self.inputs + self.outputs) as f64).sqrt();
-        let (weights, bias) = theta[self.first..self.end()].split_at_mut(self.inputs * self.outputs);
+        let (weights, bias) =
+            theta[self.first..self.end()].split_at_mut(self.inputs * self.outputs);
         weights.fill_with(|| rng.random_range(-limit..limit));
         bias.fill(0.0);
     }
@@ -79,8 +87,16 @@ impl Affine {
     pub(super) fn tensors(self, name: &str) -> [Tensor; 2] {
         let bias = self.first + self.inputs * self.outputs;
         [
-            Tensor { name: format!("{name}.kernel"), shape: vec![self.inputs, self.outputs], range: self.first..bias },
-            Tensor { name: format!("{name}.bias"), shape: vec![self.outputs], range: bias..self.end() },
+            Tensor {
+                name: format!("{name}.kernel"),
+                shape: vec![self.inputs, self.outputs],
+                range: self.first..bias,
+            },
+            Tensor {
+                name: format!("{name}.bias"),
+                shape: vec![self.outputs],
+                range: bias..self.end(),
+            },
         ]
     }
 }

@@ -43,7 +43,12 @@ impl Effect<CartPoleSystem> for Bumpers {
     }
 
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, OdeInputs { x, p, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
+    fn add_forces<T: Scalar>(
+        &self,
+        _model: &CartPoleSystem,
+        OdeInputs { x, p, .. }: OdeInputs<'_, T>,
+        forces: &mut [T],
+    ) {
         let [stiffness, damping] = self.numbers().of(p);
         let (right, left) = self.sides(x, damping).into();
         forces[0] += stiffness * (left.depth * left.factor - right.depth * right.factor);
@@ -83,7 +88,10 @@ impl Bumpers {
     #[inline(always)]
     fn sides<T: Scalar>(&self, x: &[T], damping: T) -> [Side<T>; 2] {
         let (zero, half_travel) = (T::zero(), T::from(self.half_travel));
-        let side = |x: T, speed: T| Side { depth: (x - half_travel).max(zero), factor: (T::one() + damping * speed).max(zero) };
+        let side = |x: T, speed: T| Side {
+            depth: (x - half_travel).max(zero),
+            factor: (T::one() + damping * speed).max(zero),
+        };
         [side(x[0], x[1]), side(-x[0], -x[1])]
     }
 }

@@ -50,7 +50,10 @@ impl CoupledCartPole {
     /// ```
     pub fn energy(&self, x: &[f64]) -> f64 {
         let [moment, weight, mass, per_inertia] = self.derived(self.0.nominal());
-        let of_pole = |pole: &[f64]| 0.5 * pole[1] * pole[1] / per_inertia + (moment * x[1] * pole[1] + weight) * pole[0].cos();
+        let of_pole = |pole: &[f64]| {
+            0.5 * pole[1] * pole[1] / per_inertia
+                + (moment * x[1] * pole[1] + weight) * pole[0].cos()
+        };
         0.5 * mass * x[1] * x[1] + self.0.poles_of(x).map(of_pole).sum::<f64>()
     }
 
@@ -103,9 +106,15 @@ impl ForcedSystem for CoupledCartPole {
     }
 
     #[inline(always)]
-    fn forced_step<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]) {
+    fn forced_step<E: Effect<CartPoleSystem>, T: Scalar>(
+        &self,
+        effects: &E,
+        inputs: Inputs<'_, T>,
+        next: &mut [T],
+    ) {
         let (k, x) = (self.constants(inputs.p), inputs.x);
-        let a = self.accelerate(&k, effects, inputs.continuous(self.0.dt), &mut next[2..], moved(k.dt));
+        let a =
+            self.accelerate(&k, effects, inputs.continuous(self.0.dt), &mut next[2..], moved(k.dt));
         next[1] = x[1] + k.dt * a;
         next[0] = x[0] + k.dt * next[1];
     }
@@ -125,7 +134,13 @@ impl ForcedSystem for CoupledCartPole {
             x_bar[1] += speed_bar;
         }
         let inputs = inputs.continuous(self.0.dt);
-        self.accelerate_reverse(effects, inputs, speed_bar * k.dt, moved_bar(next_bar, k.dt), cotangents);
+        self.accelerate_reverse(
+            effects,
+            inputs,
+            speed_bar * k.dt,
+            moved_bar(next_bar, k.dt),
+            cotangents,
+        );
     }
 }
 
@@ -151,7 +166,9 @@ impl CoupledCartPole {
         }
         let a = push / mass;
         let moments = zip(&trig, &forces[1..]);
-        for ((pole, out), (&[_, cos], &torque)) in zip(zip(self.0.poles_of(x), poles.chunks_exact_mut(2)), moments) {
+        for ((pole, out), (&[_, cos], &torque)) in
+            zip(zip(self.0.poles_of(x), poles.chunks_exact_mut(2)), moments)
+        {
             [out[0], out[1]] = of_pole(pole, (torque - k.moment * cos * a) * k.per_inertia);
         }
         a
@@ -218,8 +235,14 @@ impl CoupledCartPole {
 
 impl ForcedOde for CoupledCartPole {
     #[inline(always)]
-    fn forced_rate<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, inputs: OdeInputs<'_, T>, rate: &mut [T]) {
-        rate[1] = self.accelerate(&self.constants(inputs.p), effects, inputs, &mut rate[2..], rate_of);
+    fn forced_rate<E: Effect<CartPoleSystem>, T: Scalar>(
+        &self,
+        effects: &E,
+        inputs: OdeInputs<'_, T>,
+        rate: &mut [T],
+    ) {
+        rate[1] =
+            self.accelerate(&self.constants(inputs.p), effects, inputs, &mut rate[2..], rate_of);
         rate[0] = inputs.x[1];
     }
 

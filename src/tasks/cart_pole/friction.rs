@@ -33,7 +33,12 @@ impl Effect<CartPoleSystem> for PoleDamping {
     }
 
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, model: &CartPoleSystem, OdeInputs { x, p, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
+    fn add_forces<T: Scalar>(
+        &self,
+        model: &CartPoleSystem,
+        OdeInputs { x, p, .. }: OdeInputs<'_, T>,
+        forces: &mut [T],
+    ) {
         let [damping] = self.numbers().of(p);
         for (pole, torque) in zip(model.poles_of(x), &mut forces[1..]) {
             *torque -= damping * pole[1];
@@ -50,7 +55,9 @@ impl Effect<CartPoleSystem> for PoleDamping {
     ) {
         let Some(x_bar) = cotangents.x else { return };
         let [damping] = self.numbers().of(p);
-        for (pole_bar, &torque_bar) in zip(x_bar[2..2 + 2 * model.poles].chunks_exact_mut(2), &forces_bar[1..]) {
+        for (pole_bar, &torque_bar) in
+            zip(x_bar[2..2 + 2 * model.poles].chunks_exact_mut(2), &forces_bar[1..])
+        {
             pole_bar[1] -= torque_bar * damping;
         }
     }
@@ -78,7 +85,12 @@ impl Effect<CartPoleSystem> for CartDamping {
     }
 
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, OdeInputs { x, p, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
+    fn add_forces<T: Scalar>(
+        &self,
+        _model: &CartPoleSystem,
+        OdeInputs { x, p, .. }: OdeInputs<'_, T>,
+        forces: &mut [T],
+    ) {
         let [damping] = self.numbers().of(p);
         forces[0] -= x[1] * damping;
     }
@@ -127,7 +139,12 @@ impl Effect<CartPoleSystem> for DryFriction {
     }
 
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, OdeInputs { x, p, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
+    fn add_forces<T: Scalar>(
+        &self,
+        _model: &CartPoleSystem,
+        OdeInputs { x, p, .. }: OdeInputs<'_, T>,
+        forces: &mut [T],
+    ) {
         let [force] = self.numbers().of(p);
         forces[0] -= (x[1] * (1.0 / self.smoothing)).tanh() * force;
     }

@@ -27,7 +27,9 @@ pub enum MassError {
         poles: f64,
     },
     /// A number of a chain of poles is not fixed.
-    #[error("{number} is not fixed; allowed: fixed numbers, because a chain of poles computes with constants")]
+    #[error(
+        "{number} is not fixed; allowed: fixed numbers, because a chain of poles computes with constants"
+    )]
     Varies {
         /// Name of the number.
         number: String,
@@ -67,10 +69,15 @@ impl CartPoleSystem {
         if !(1..=most).contains(&self.poles) {
             return Err(MassError::Poles { poles: self.poles, most });
         }
-        let parameters =
-            [("the cart's mass", self.cart_mass), ("a pole's mass", self.pole_mass), ("a pole's half length", self.half_length)];
+        let parameters = [
+            ("the cart's mass", self.cart_mass),
+            ("a pole's mass", self.pole_mass),
+            ("a pole's half length", self.half_length),
+        ];
         for (what, number) in parameters {
-            if let Some(value) = number.extremes().into_iter().find(|value| !(*value > 0.0 && value.is_finite())) {
+            if let Some(value) =
+                number.extremes().into_iter().find(|value| !(*value > 0.0 && value.is_finite()))
+            {
                 return Err(MassError::NotPositive { what, value });
             }
         }

@@ -49,7 +49,12 @@ impl ForcedSystem for CartPoleModel {
     }
 
     #[inline(always)]
-    fn forced_step<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]) {
+    fn forced_step<E: Effect<CartPoleSystem>, T: Scalar>(
+        &self,
+        effects: &E,
+        inputs: Inputs<'_, T>,
+        next: &mut [T],
+    ) {
         match self {
             Self::Uncoupled(system) => system.forced_step(effects, inputs, next),
             Self::Coupled(system) => system.forced_step(effects, inputs, next),
@@ -73,7 +78,12 @@ impl ForcedSystem for CartPoleModel {
 
 impl ForcedOde for CartPoleModel {
     #[inline(always)]
-    fn forced_rate<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, inputs: OdeInputs<'_, T>, rate: &mut [T]) {
+    fn forced_rate<E: Effect<CartPoleSystem>, T: Scalar>(
+        &self,
+        effects: &E,
+        inputs: OdeInputs<'_, T>,
+        rate: &mut [T],
+    ) {
         match self {
             Self::Uncoupled(system) => system.forced_rate(effects, inputs, rate),
             Self::Coupled(system) => system.forced_rate(effects, inputs, rate),
@@ -89,7 +99,9 @@ impl ForcedOde for CartPoleModel {
         cotangents: Cotangents<'_, C>,
     ) {
         match self {
-            Self::Uncoupled(system) => system.forced_rate_vjp(effects, inputs, rate_bar, cotangents),
+            Self::Uncoupled(system) => {
+                system.forced_rate_vjp(effects, inputs, rate_bar, cotangents)
+            }
             Self::Coupled(system) => system.forced_rate_vjp(effects, inputs, rate_bar, cotangents),
         }
     }

@@ -16,7 +16,10 @@ pub(super) fn moved<T: Scalar>(dt: T) -> impl Fn(&[T], T) -> [T; 2] {
 /// Reverse of [`moved`], as a function of the pole index. The function returns the cotangents of
 /// angle and rate that do not pass through α, and the cotangent of α.
 #[inline(always)]
-pub(super) fn moved_bar<R: Real, C: Cotangent<R>>(next_bar: &[C], dt: R) -> impl Fn(usize) -> ([C; 2], C) {
+pub(super) fn moved_bar<R: Real, C: Cotangent<R>>(
+    next_bar: &[C],
+    dt: R,
+) -> impl Fn(usize) -> ([C; 2], C) {
     move |i| {
         let theta_bar = next_bar[2 + 2 * i];
         let omega_bar = next_bar[3 + 2 * i] + theta_bar * dt;
@@ -34,7 +37,9 @@ pub(super) fn rate_of<T: Scalar>(pole: &[T], alpha: T) -> [T; 2] {
 /// angle and rate, and the cotangent of α. The caller adds the cotangent of the rate ω due to
 /// `dθ/dt = ω`.
 #[inline(always)]
-pub(super) fn rate_of_bar<R: Real, C: Cotangent<R>>(rate_bar: &[C]) -> impl Fn(usize) -> ([C; 2], C) {
+pub(super) fn rate_of_bar<R: Real, C: Cotangent<R>>(
+    rate_bar: &[C],
+) -> impl Fn(usize) -> ([C; 2], C) {
     move |i| ([C::null(); 2], rate_bar[3 + 2 * i])
 }
 

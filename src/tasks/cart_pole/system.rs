@@ -48,7 +48,14 @@ pub struct CartPoleSystem {
 
 impl Default for CartPoleSystem {
     fn default() -> Self {
-        Self { poles: 1, cart_mass: 1.0.into(), pole_mass: 0.1.into(), half_length: 0.5.into(), gravity: 9.8.into(), dt: 0.01 }
+        Self {
+            poles: 1,
+            cart_mass: 1.0.into(),
+            pole_mass: 0.1.into(),
+            half_length: 0.5.into(),
+            gravity: 9.8.into(),
+            dt: 0.01,
+        }
     }
 }
 
@@ -63,12 +70,18 @@ impl CartPoleSystem {
     #[inline(always)]
     pub(crate) fn numbers(&self) -> Numbers<'_> {
         let Self { cart_mass, pole_mass, half_length, gravity, .. } = self;
-        Numbers::new([("cart_mass", cart_mass), ("pole_mass", pole_mass), ("half_length", half_length), ("gravity", gravity)])
+        Numbers::new([
+            ("cart_mass", cart_mass),
+            ("pole_mass", pole_mass),
+            ("half_length", half_length),
+            ("gravity", gravity),
+        ])
     }
 
     /// Nominal cart mass and pole mass in kg, half length in m, and gravity in m/s².
     pub fn nominal(&self) -> [f64; 4] {
-        [self.cart_mass, self.pole_mass, self.half_length, self.gravity].map(|number| number.nominal())
+        [self.cart_mass, self.pole_mass, self.half_length, self.gravity]
+            .map(|number| number.nominal())
     }
 
     /// Half the length of a pole, m.
@@ -135,7 +148,13 @@ impl CartPoleSystem {
     #[inline(always)]
     fn derived<T: Scalar>([cart_mass, pole_mass, half_length, gravity]: [T; 4]) -> [T; 5] {
         let (mass, moment) = (cart_mass + pole_mass, pole_mass * half_length);
-        [moment, moment * gravity, T::one() / mass, moment * (4.0 / 3.0) * half_length, moment * moment / mass]
+        [
+            moment,
+            moment * gravity,
+            T::one() / mass,
+            moment * (4.0 / 3.0) * half_length,
+            moment * moment / mass,
+        ]
     }
 }
 
@@ -168,9 +187,15 @@ impl ForcedSystem for CartPoleSystem {
     }
 
     #[inline(always)]
-    fn forced_step<E: Effect<Self>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]) {
+    fn forced_step<E: Effect<Self>, T: Scalar>(
+        &self,
+        effects: &E,
+        inputs: Inputs<'_, T>,
+        next: &mut [T],
+    ) {
         let (k, x) = (self.constants(inputs.p), inputs.x);
-        let push = self.accelerate(&k, effects, inputs.continuous(self.dt), &mut next[2..], moved(k.dt));
+        let push =
+            self.accelerate(&k, effects, inputs.continuous(self.dt), &mut next[2..], moved(k.dt));
         next[1] = x[1] + k.dt * push * k.per_mass;
         next[0] = x[0] + k.dt * next[1];
     }
@@ -190,7 +215,13 @@ impl ForcedSystem for CartPoleSystem {
             x_bar[1] += speed_bar;
         }
         let inputs = inputs.continuous(self.dt);
-        self.accelerate_reverse(effects, inputs, speed_bar * (k.dt * k.per_mass), moved_bar(next_bar, k.dt), cotangents);
+        self.accelerate_reverse(
+            effects,
+            inputs,
+            speed_bar * (k.dt * k.per_mass),
+            moved_bar(next_bar, k.dt),
+            cotangents,
+        );
     }
 }
 
@@ -210,7 +241,9 @@ impl CartPoleSystem {
         let force = forces[0];
         let mut push = force;
         let moments = zip(&trig, &forces[1..]);
-        for ((pole, out), (&[sin, cos], &torque)) in zip(zip(self.poles_of(x), poles.chunks_exact_mut(2)), moments) {
+        for ((pole, out), (&[sin, cos], &torque)) in
+            zip(zip(self.poles_of(x), poles.chunks_exact_mut(2)), moments)
+        {
             let omega = pole[1];
             let lever = k.moment * cos;
             let centrifugal = k.moment * sin * omega * omega;
@@ -243,7 +276,9 @@ impl CartPoleSystem {
 
         let mut force_bar = push_bar;
         forces_bar.push(push_bar);
-        for (i, ((pole, &[sin, cos]), &torque)) in zip(zip(self.poles_of(x), &trig), &forces[1..]).enumerate() {
+        for (i, ((pole, &[sin, cos]), &torque)) in
+            zip(zip(self.poles_of(x), &trig), &forces[1..]).enumerate()
+        {
             let omega = pole[1];
             let (lever, spin) = (k.moment * cos, omega * omega);
             let a = (force + k.moment * sin * spin) * k.per_mass;
@@ -261,8 +296,8 @@ impl CartPoleSystem {
             if let Some(x_bar) = &mut cotangents.x {
                 let centrifugal_bar = push_bar + thrust_bar;
                 let sin_bar = torque_bar * k.weight + centrifugal_bar * (k.moment * spin);
-                let cos_bar =
-                    torque_bar * (R::from(2.0) * k.coupling * cos * alpha - k.moment * a) - push_bar * (k.moment * alpha);
+                let cos_bar = torque_bar * (R::from(2.0) * k.coupling * cos * alpha - k.moment * a)
+                    - push_bar * (k.moment * alpha);
                 x_bar[2 + 2 * i] += theta_bar;
                 x_bar[2 + 2 * i] += sin_bar * cos;
                 x_bar[2 + 2 * i] -= cos_bar * sin;
@@ -280,7 +315,12 @@ impl CartPoleSystem {
 
 impl ForcedOde for CartPoleSystem {
     #[inline(always)]
-    fn forced_rate<E: Effect<Self>, T: Scalar>(&self, effects: &E, inputs: OdeInputs<'_, T>, rate: &mut [T]) {
+    fn forced_rate<E: Effect<Self>, T: Scalar>(
+        &self,
+        effects: &E,
+        inputs: OdeInputs<'_, T>,
+        rate: &mut [T],
+    ) {
         let k = self.constants(inputs.p);
         rate[1] = self.accelerate(&k, effects, inputs, &mut rate[2..], rate_of) * k.per_mass;
         rate[0] = inputs.x[1];
@@ -300,7 +340,13 @@ impl ForcedOde for CartPoleSystem {
                 x_bar[i + 1] += rate_bar[i];
             }
         }
-        self.accelerate_reverse(effects, inputs, rate_bar[1] * k.per_mass, rate_of_bar(rate_bar), cotangents);
+        self.accelerate_reverse(
+            effects,
+            inputs,
+            rate_bar[1] * k.per_mass,
+            rate_of_bar(rate_bar),
+            cotangents,
+        );
     }
 
     fn velocity_of(&self, i: usize) -> Option<usize> {

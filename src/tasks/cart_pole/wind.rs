@@ -77,11 +77,20 @@ impl SteadyWind {
 impl Effect<CartPoleSystem> for SteadyWind {
     #[inline(always)]
     fn numbers(&self) -> Numbers<'_> {
-        Numbers::new([("speed", &self.speed), ("cart_drag", &self.cart_drag), ("pole_drag", &self.pole_drag)])
+        Numbers::new([
+            ("speed", &self.speed),
+            ("cart_drag", &self.cart_drag),
+            ("pole_drag", &self.pole_drag),
+        ])
     }
 
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, model: &CartPoleSystem, OdeInputs { x, p, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
+    fn add_forces<T: Scalar>(
+        &self,
+        model: &CartPoleSystem,
+        OdeInputs { x, p, .. }: OdeInputs<'_, T>,
+        forces: &mut [T],
+    ) {
         let (speed, drag) = self.values(model, p);
         drag.add_forces(model, speed, x, forces);
     }
@@ -133,11 +142,19 @@ impl Default for GustyWind {
 impl GustyWind {
     /// Wind speed, m/s, its derivative with respect to time, m/s², and drag.
     #[inline(always)]
-    fn values<T: Scalar>(&self, model: &CartPoleSystem, OdeInputs { p, t, .. }: OdeInputs<'_, T>) -> (T, T, Drag<T>) {
+    fn values<T: Scalar>(
+        &self,
+        model: &CartPoleSystem,
+        OdeInputs { p, t, .. }: OdeInputs<'_, T>,
+    ) -> (T, T, Drag<T>) {
         let [speed, gust, cart, pole] = Effect::<CartPoleSystem>::numbers(self).of(&p[1..]);
         let rate = TAU / self.period;
         let (sin, cos) = ((t + p[0]) * rate).sin_cos();
-        (speed + gust * sin, gust * rate * cos, Drag { cart, pole, half_length: model.half_length(p) })
+        (
+            speed + gust * sin,
+            gust * rate * cos,
+            Drag { cart, pole, half_length: model.half_length(p) },
+        )
     }
 }
 
@@ -150,7 +167,12 @@ impl Effect<CartPoleSystem> for GustyWind {
     #[inline(always)]
     fn numbers(&self) -> Numbers<'_> {
         let Self { speed, gust, period: _, cart_drag, pole_drag } = self;
-        Numbers::new([("speed", speed), ("gust", gust), ("cart_drag", cart_drag), ("pole_drag", pole_drag)])
+        Numbers::new([
+            ("speed", speed),
+            ("gust", gust),
+            ("cart_drag", cart_drag),
+            ("pole_drag", pole_drag),
+        ])
     }
 
     fn draw_params(&self, rng: &mut Rng, p: &mut [f64]) {
@@ -158,7 +180,12 @@ impl Effect<CartPoleSystem> for GustyWind {
     }
 
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, model: &CartPoleSystem, inputs: OdeInputs<'_, T>, forces: &mut [T]) {
+    fn add_forces<T: Scalar>(
+        &self,
+        model: &CartPoleSystem,
+        inputs: OdeInputs<'_, T>,
+        forces: &mut [T],
+    ) {
         let (wind, _, drag) = self.values(model, inputs);
         drag.add_forces(model, wind, inputs.x, forces);
     }
@@ -210,7 +237,14 @@ impl<R: Real> Drag<R> {
     /// Adds the cotangents of the state, if requested, and returns the cotangent of the wind speed.
     /// The derivative of `|v| v` is `2 |v|`, also at `v = 0`.
     #[inline(always)]
-    fn vjp<C: Cotangent<R>>(self, model: &CartPoleSystem, wind: R, x: &[R], forces_bar: &[C], mut x_bar: Option<&mut [C]>) -> C {
+    fn vjp<C: Cotangent<R>>(
+        self,
+        model: &CartPoleSystem,
+        wind: R,
+        x: &[R],
+        forces_bar: &[C],
+        mut x_bar: Option<&mut [C]>,
+    ) -> C {
         let (pole_drag, l) = (self.pole, self.half_length);
         let headwind = wind - x[1];
         let push_bar = forces_bar[0];

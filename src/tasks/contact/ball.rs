@@ -30,7 +30,12 @@ pub struct BouncingBall {
 
 impl Default for BouncingBall {
     fn default() -> Self {
-        Self { mass: 1.0, gravity: 9.81, contact: Contact::TimeOfImpact { restitution: 0.8 }, dt: 0.01 }
+        Self {
+            mass: 1.0,
+            gravity: 9.81,
+            contact: Contact::TimeOfImpact { restitution: 0.8 },
+            dt: 0.01,
+        }
     }
 }
 
@@ -46,7 +51,12 @@ impl System for BouncingBall {
     #[inline(always)]
     fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
         let acceleration = u[0] * (1.0 / self.mass) - self.gravity;
-        let gap = self.contact.advance(Gap { width: x[0], speed: x[1] }, acceleration, self.mass, self.dt);
+        let gap = self.contact.advance(
+            Gap { width: x[0], speed: x[1] },
+            acceleration,
+            self.mass,
+            self.dt,
+        );
         (next[0], next[1]) = (gap.width, gap.speed);
     }
 }
@@ -95,7 +105,13 @@ impl Task for Bounce {
     }
 
     #[inline(always)]
-    fn terminal_cost_gradient<R: Real>(&self, x: &[R], _p: &[R], x_bar: &mut [R], _p_bar: Option<&mut [R]>) {
+    fn terminal_cost_gradient<R: Real>(
+        &self,
+        x: &[R],
+        _p: &[R],
+        x_bar: &mut [R],
+        _p_bar: Option<&mut [R]>,
+    ) {
         x_bar[0] += R::from(2.0) * (x[0] - R::from(self.target));
     }
 }

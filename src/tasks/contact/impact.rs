@@ -34,7 +34,8 @@ impl<T: Scalar> Impact<T> {
     #[inline(always)]
     fn next(gap: Gap<T>, acceleration: T, dt: f64) -> Self {
         let (zero, one, never) = (T::zero(), T::one(), T::from(4.0 * dt));
-        let (speed_squared, gain) = (gap.speed * gap.speed, -(acceleration + acceleration) * gap.width);
+        let (speed_squared, gain) =
+            (gap.speed * gap.speed, -(acceleration + acceleration) * gap.width);
         let square = speed_squared + gain;
         let certain = T::select_lt(gap.width, zero, speed_squared - gain.abs(), square);
         let root = T::select_lt(zero, square, square, one).sqrt();
@@ -55,7 +56,12 @@ impl<T: Scalar> Impact<T> {
 /// impact, the width is the constant 0, with derivative 0. The impact time enters the result
 /// through the remaining time.
 #[inline(always)]
-pub(super) fn advance<T: Scalar>(mut gap: Gap<T>, acceleration: T, restitution: f64, dt: f64) -> Gap<T> {
+pub(super) fn advance<T: Scalar>(
+    mut gap: Gap<T>,
+    acceleration: T,
+    restitution: f64,
+    dt: f64,
+) -> Gap<T> {
     let (zero, restitution) = (T::zero(), T::from(restitution));
     let mut left = T::from(dt);
     for _ in 0..IMPACTS {

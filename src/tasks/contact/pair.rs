@@ -35,13 +35,22 @@ pub struct TwoBodies {
 impl TwoBodies {
     /// Creates two equal, elastic balls of 1 kg with a radius of 5 cm.
     pub fn balls() -> Self {
-        Self { masses: [1.0, 1.0], contact_distance: 0.1, contact: Contact::TimeOfImpact { restitution: 1.0 }, dt: 0.01 }
+        Self {
+            masses: [1.0, 1.0],
+            contact_distance: 0.1,
+            contact: Contact::TimeOfImpact { restitution: 1.0 },
+            dt: 0.01,
+        }
     }
 
     /// Creates a pusher of 1 kg and a box of 2 kg. After contact, both stay together until the
     /// control pulls the pusher back.
     pub fn pusher() -> Self {
-        Self { masses: [1.0, 2.0], contact: Contact::TimeOfImpact { restitution: 0.0 }, ..Self::balls() }
+        Self {
+            masses: [1.0, 2.0],
+            contact: Contact::TimeOfImpact { restitution: 0.0 },
+            ..Self::balls()
+        }
     }
 }
 
@@ -61,7 +70,10 @@ impl System for TwoBodies {
         let (dt, push) = (T::from(self.dt), u[0] * (1.0 / first));
 
         let gap = Gap { width: x[1] - x[0] - self.contact_distance, speed: x[3] - x[2] };
-        let (free, after) = (gap.free(-push, dt), self.contact.advance(gap, -push, first * second / total, self.dt));
+        let (free, after) = (
+            gap.free(-push, dt),
+            self.contact.advance(gap, -push, first * second / total, self.dt),
+        );
         // Each body takes a share of the change of the gap that the contact causes. The share is
         // proportional to the mass of the other body, which preserves the center of mass.
         let (wider, faster) = (after.width - free.width, after.speed - free.speed);
@@ -115,7 +127,13 @@ impl Task for Push {
     }
 
     #[inline(always)]
-    fn terminal_cost_gradient<R: Real>(&self, x: &[R], _p: &[R], x_bar: &mut [R], _p_bar: Option<&mut [R]>) {
+    fn terminal_cost_gradient<R: Real>(
+        &self,
+        x: &[R],
+        _p: &[R],
+        x_bar: &mut [R],
+        _p_bar: Option<&mut [R]>,
+    ) {
         x_bar[1] += R::from(2.0) * x[1];
     }
 }

@@ -43,7 +43,12 @@ impl Drive {
 
 impl Effect<GuidanceSystem> for Drive {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, model: &GuidanceSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
+    fn add_forces<T: Scalar>(
+        &self,
+        model: &GuidanceSystem,
+        OdeInputs { x, .. }: OdeInputs<'_, T>,
+        forces: &mut [T],
+    ) {
         from_to(model, self.law(), model.all_evaders(), model.all_drivers(), x, forces);
     }
 
@@ -56,6 +61,14 @@ impl Effect<GuidanceSystem> for Drive {
         cotangents: Cotangents<'_, C>,
     ) {
         let Some(x_bar) = cotangents.x else { return };
-        from_to_vjp(model, self.law(), model.all_evaders(), model.all_drivers(), x, forces_bar, x_bar);
+        from_to_vjp(
+            model,
+            self.law(),
+            model.all_evaders(),
+            model.all_drivers(),
+            x,
+            forces_bar,
+            x_bar,
+        );
     }
 }

@@ -39,7 +39,12 @@ impl Evade {
 
 impl Effect<GuidanceSystem> for Evade {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, model: &GuidanceSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
+    fn add_forces<T: Scalar>(
+        &self,
+        model: &GuidanceSystem,
+        OdeInputs { x, .. }: OdeInputs<'_, T>,
+        forces: &mut [T],
+    ) {
         from_to(model, self.law(), model.all_drivers(), model.all_evaders(), x, forces);
     }
 
@@ -52,6 +57,14 @@ impl Effect<GuidanceSystem> for Evade {
         cotangents: Cotangents<'_, C>,
     ) {
         let Some(x_bar) = cotangents.x else { return };
-        from_to_vjp(model, self.law(), model.all_drivers(), model.all_evaders(), x, forces_bar, x_bar);
+        from_to_vjp(
+            model,
+            self.law(),
+            model.all_drivers(),
+            model.all_evaders(),
+            x,
+            forces_bar,
+            x_bar,
+        );
     }
 }

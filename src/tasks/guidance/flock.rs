@@ -46,7 +46,12 @@ impl Flock {
 
 impl Effect<GuidanceSystem> for Flock {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, model: &GuidanceSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
+    fn add_forces<T: Scalar>(
+        &self,
+        model: &GuidanceSystem,
+        OdeInputs { x, .. }: OdeInputs<'_, T>,
+        forces: &mut [T],
+    ) {
         among(model, self.law(), model.all_evaders(), x, forces);
     }
 

@@ -33,9 +33,16 @@ impl Default for Friction {
 
 impl Effect<GuidanceSystem> for Friction {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, model: &GuidanceSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
+    fn add_forces<T: Scalar>(
+        &self,
+        model: &GuidanceSystem,
+        OdeInputs { x, .. }: OdeInputs<'_, T>,
+        forces: &mut [T],
+    ) {
         let (forces, agents) = (forces.as_chunks_mut::<2>().0, x.as_chunks::<AGENT>().0);
-        for (friction, range) in [(self.drivers, model.all_drivers()), (self.evaders, model.all_evaders())] {
+        for (friction, range) in
+            [(self.drivers, model.all_drivers()), (self.evaders, model.all_evaders())]
+        {
             let friction = T::from(friction);
             for (force, agent) in zip(forces[range.clone()].iter_mut(), &agents[range]) {
                 force[0] -= friction * agent[2];
@@ -53,8 +60,11 @@ impl Effect<GuidanceSystem> for Friction {
         cotangents: Cotangents<'_, C>,
     ) {
         let Some(x_bar) = cotangents.x else { return };
-        let (forces_bar, cotangents) = (forces_bar.as_chunks::<2>().0, x_bar.as_chunks_mut::<AGENT>().0);
-        for (friction, range) in [(self.drivers, model.all_drivers()), (self.evaders, model.all_evaders())] {
+        let (forces_bar, cotangents) =
+            (forces_bar.as_chunks::<2>().0, x_bar.as_chunks_mut::<AGENT>().0);
+        for (friction, range) in
+            [(self.drivers, model.all_drivers()), (self.evaders, model.all_evaders())]
+        {
             let friction = R::from(friction);
             for (force_bar, bar) in zip(forces_bar[range.clone()].iter(), &mut cotangents[range]) {
                 bar[2] -= force_bar[0] * friction;

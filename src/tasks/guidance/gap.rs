@@ -95,7 +95,13 @@ impl<R: Real> Gap<R> {
     /// Returns `r̄ = (∂F/∂r)ᵀ F̄` of the force `F = stiffness max(0, radius - |r|) r / d`. The
     /// derivative is 0 at `|r| = radius`, as outside the radius.
     #[inline(always)]
-    pub(super) fn depth_vjp<C: Cotangent<R>>(&self, radius: f64, softening: f64, stiffness: f64, force_bar: [C; 2]) -> [C; 2] {
+    pub(super) fn depth_vjp<C: Cotangent<R>>(
+        &self,
+        radius: f64,
+        softening: f64,
+        stiffness: f64,
+        force_bar: [C; 2],
+    ) -> [C; 2] {
         let (zero, stiffness, share) = (R::zero(), R::from(stiffness), self.depth_share(radius));
         let along = -(R::from(radius + softening) * self.inverse_d * self.norm_over_d);
         let along = R::select_lt(zero, share, along, zero);

@@ -39,7 +39,11 @@ pub struct Obstacles {
 
 impl Default for Obstacles {
     fn default() -> Self {
-        Self { centers: vec![[1.0, 0.0], [-0.5, 0.85], [-0.5, -0.85]], radius: 0.5, stiffness: 10.0 }
+        Self {
+            centers: vec![[1.0, 0.0], [-0.5, 0.85], [-0.5, -0.85]],
+            radius: 0.5,
+            stiffness: 10.0,
+        }
     }
 }
 
@@ -51,7 +55,12 @@ fn offset<T: Scalar>(agent: &[T], center: [f64; 2]) -> [T; 2] {
 
 impl Effect<GuidanceSystem> for Obstacles {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, model: &GuidanceSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
+    fn add_forces<T: Scalar>(
+        &self,
+        model: &GuidanceSystem,
+        OdeInputs { x, .. }: OdeInputs<'_, T>,
+        forces: &mut [T],
+    ) {
         let stiffness = T::from(self.stiffness);
         for (force, agent) in zip(forces.chunks_exact_mut(2), x.chunks_exact(AGENT)) {
             for &center in &self.centers {
@@ -77,7 +86,8 @@ impl Effect<GuidanceSystem> for Obstacles {
             let force_bar = [force_bar[0], force_bar[1]];
             for &center in &self.centers {
                 let gap = Gap::new(offset(agent, center), model.softening);
-                let [by_x, by_y] = gap.depth_vjp(self.radius, model.softening, self.stiffness, force_bar);
+                let [by_x, by_y] =
+                    gap.depth_vjp(self.radius, model.softening, self.stiffness, force_bar);
                 x_bar[0] += by_x;
                 x_bar[1] += by_y;
             }

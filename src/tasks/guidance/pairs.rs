@@ -18,8 +18,15 @@ fn gap<T: Scalar>(model: &GuidanceSystem, a: &[T; AGENT], b: &[T; AGENT]) -> Gap
 
 /// Adds the mutual forces of every pair of `agents`.
 #[inline(always)]
-pub(super) fn among<T: Scalar>(model: &GuidanceSystem, law: Law, agents: Range<usize>, x: &[T], forces: &mut [T]) {
-    let (x, forces) = (&x.as_chunks().0[agents.clone()], &mut forces.as_chunks_mut::<2>().0[agents]);
+pub(super) fn among<T: Scalar>(
+    model: &GuidanceSystem,
+    law: Law,
+    agents: Range<usize>,
+    x: &[T],
+    forces: &mut [T],
+) {
+    let (x, forces) =
+        (&x.as_chunks().0[agents.clone()], &mut forces.as_chunks_mut::<2>().0[agents]);
     for (b, at) in x.iter().enumerate() {
         let (before, own) = forces.split_at_mut(b);
         let mut force_sum = own[0];
@@ -44,7 +51,8 @@ pub(super) fn among_vjp<R: Real, C: Cotangent<R>>(
     forces_bar: &[C],
     x_bar: &mut [C],
 ) {
-    let (x, forces_bar) = (&x.as_chunks().0[agents.clone()], &forces_bar.as_chunks::<2>().0[agents.clone()]);
+    let (x, forces_bar) =
+        (&x.as_chunks().0[agents.clone()], &forces_bar.as_chunks::<2>().0[agents.clone()]);
     let x_bar = &mut x_bar.as_chunks_mut::<AGENT>().0[agents];
     for (b, (at, force_bar)) in zip(x.iter(), forces_bar).enumerate() {
         let (before, own) = x_bar.split_at_mut(b);
@@ -94,7 +102,8 @@ pub(super) fn from_to_vjp<R: Real, C: Cotangent<R>>(
     forces_bar: &[C],
     x_bar: &mut [C],
 ) {
-    let (x, forces_bar, x_bar) = (x.as_chunks().0, forces_bar.as_chunks::<2>().0, x_bar.as_chunks_mut::<AGENT>().0);
+    let (x, forces_bar, x_bar) =
+        (x.as_chunks().0, forces_bar.as_chunks::<2>().0, x_bar.as_chunks_mut::<AGENT>().0);
     for b in agents {
         let mut own_bar = [x_bar[b][0], x_bar[b][1]];
         for (source, source_bar) in zip(x[sources.clone()].iter(), &mut x_bar[sources.clone()]) {

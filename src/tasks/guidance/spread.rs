@@ -38,7 +38,12 @@ impl Spread {
 
 impl Effect<GuidanceSystem> for Spread {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, model: &GuidanceSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
+    fn add_forces<T: Scalar>(
+        &self,
+        model: &GuidanceSystem,
+        OdeInputs { x, .. }: OdeInputs<'_, T>,
+        forces: &mut [T],
+    ) {
         among(model, self.law(), model.all_drivers(), x, forces);
     }
 

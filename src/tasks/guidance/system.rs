@@ -116,7 +116,9 @@ impl GuidanceSystem {
     fn reverse_control<R: Real, C: Cotangent<R>>(&self, x: &[R], next_bar: &[C], u_bar: &mut [C]) {
         let dt = R::from(self.dt);
         let herd = self.herd(x);
-        for ((c_bar, x), next) in zip(zip(u_bar.chunks_exact_mut(2), x.chunks_exact(AGENT)), next_bar.chunks_exact(AGENT)) {
+        for ((c_bar, x), next) in
+            zip(zip(u_bar.chunks_exact_mut(2), x.chunks_exact(AGENT)), next_bar.chunks_exact(AGENT))
+        {
             let q = [(x[0] - herd[0]) * dt, (x[1] - herd[1]) * dt];
             c_bar[0] += next[2] * q[0] + next[3] * q[1];
             c_bar[1] += next[3] * q[0] - next[2] * q[1];
@@ -125,11 +127,18 @@ impl GuidanceSystem {
 
     /// Adds the cotangents of the state due to steering, given those of the accelerations.
     #[inline(always)]
-    fn reverse_steering<R: Real, C: Cotangent<R>>(&self, u: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+    fn reverse_steering<R: Real, C: Cotangent<R>>(
+        &self,
+        u: &[R],
+        forces_bar: &[C],
+        x_bar: &mut [C],
+    ) {
         // q̄ = (∂v̇/∂q)ᵀ v̇̄. Every evader receives the negative sum of q̄ over the drivers, times
         // its weight in the center.
         let mut herd_bar = [C::null(); 2];
-        for ((bar, force), c) in zip(zip(x_bar.chunks_exact_mut(AGENT), forces_bar.chunks_exact(2)), u.chunks_exact(2)) {
+        for ((bar, force), c) in
+            zip(zip(x_bar.chunks_exact_mut(AGENT), forces_bar.chunks_exact(2)), u.chunks_exact(2))
+        {
             let q_bar = [force[0] * c[0] + force[1] * c[1], force[1] * c[0] - force[0] * c[1]];
             for axis in 0..2 {
                 bar[axis] += q_bar[axis];
@@ -148,10 +157,17 @@ impl GuidanceSystem {
 impl GuidanceSystem {
     /// Writes the accelerations of all agents to `forces`.
     #[inline(always)]
-    fn accelerate<E: Effect<Self>, T: Scalar>(&self, effects: &E, inputs: OdeInputs<'_, T>, forces: &mut [T]) {
+    fn accelerate<E: Effect<Self>, T: Scalar>(
+        &self,
+        effects: &E,
+        inputs: OdeInputs<'_, T>,
+        forces: &mut [T],
+    ) {
         let Inputs { x, u, .. } = inputs;
         let herd = self.herd(x);
-        for ((force, x), c) in zip(zip(forces.chunks_exact_mut(2), x.chunks_exact(AGENT)), u.chunks_exact(2)) {
+        for ((force, x), c) in
+            zip(zip(forces.chunks_exact_mut(2), x.chunks_exact(AGENT)), u.chunks_exact(2))
+        {
             let q = [x[0] - herd[0], x[1] - herd[1]];
             force[0] = c[0] * q[0] - c[1] * q[1];
             force[1] = c[0] * q[1] + c[1] * q[0];
@@ -186,7 +202,12 @@ impl ForcedSystem for GuidanceSystem {
     }
 
     #[inline(always)]
-    fn forced_step<E: Effect<Self>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]) {
+    fn forced_step<E: Effect<Self>, T: Scalar>(
+        &self,
+        effects: &E,
+        inputs: Inputs<'_, T>,
+        next: &mut [T],
+    ) {
         // Stores the accelerations in the second half of the next state.
         let half = 2 * self.agents();
         self.accelerate(effects, inputs.continuous(self.dt), &mut next[half..2 * half]);
@@ -233,14 +254,20 @@ impl ForcedSystem for GuidanceSystem {
 
 impl ForcedOde for GuidanceSystem {
     #[inline(always)]
-    fn forced_rate<E: Effect<Self>, T: Scalar>(&self, effects: &E, inputs: OdeInputs<'_, T>, rate: &mut [T]) {
+    fn forced_rate<E: Effect<Self>, T: Scalar>(
+        &self,
+        effects: &E,
+        inputs: OdeInputs<'_, T>,
+        rate: &mut [T],
+    ) {
         let half = 2 * self.agents();
         self.accelerate(effects, inputs, &mut rate[half..2 * half]);
         let x = inputs.x;
         for agent in 0..self.agents() {
             // Each agent overwrites only the accelerations of itself and of earlier agents.
             let (force, at) = ([rate[half + 2 * agent], rate[half + 2 * agent + 1]], AGENT * agent);
-            (rate[at], rate[at + 1], rate[at + 2], rate[at + 3]) = (x[at + 2], x[at + 3], force[0], force[1]);
+            (rate[at], rate[at + 1], rate[at + 2], rate[at + 3]) =
+                (x[at + 2], x[at + 3], force[0], force[1]);
         }
     }
 
@@ -266,7 +293,10 @@ impl ForcedOde for GuidanceSystem {
         if let Some(u_bar) = &mut cotangents.u {
             let x = inputs.x;
             let herd = self.herd(x);
-            for ((c_bar, x), force) in zip(zip(u_bar.chunks_exact_mut(2), x.chunks_exact(AGENT)), forces_bar.chunks_exact(2)) {
+            for ((c_bar, x), force) in zip(
+                zip(u_bar.chunks_exact_mut(2), x.chunks_exact(AGENT)),
+                forces_bar.chunks_exact(2),
+            ) {
                 let q = [x[0] - herd[0], x[1] - herd[1]];
                 c_bar[0] += force[0] * q[0] + force[1] * q[1];
                 c_bar[1] += force[1] * q[0] - force[0] * q[1];

@@ -49,12 +49,18 @@ impl Walls {
 
 impl Effect<GuidanceSystem> for Walls {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, _model: &GuidanceSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
+    fn add_forces<T: Scalar>(
+        &self,
+        _model: &GuidanceSystem,
+        OdeInputs { x, .. }: OdeInputs<'_, T>,
+        forces: &mut [T],
+    ) {
         let (zero, stiffness) = (T::zero(), T::from(self.stiffness));
         for (force, agent) in zip(forces.chunks_exact_mut(2), x.chunks_exact(AGENT)) {
             for (axis, half) in self.halves().into_iter().enumerate() {
                 let half = T::from(half);
-                let (right, left) = ((agent[axis] - half).max(zero), (-agent[axis] - half).max(zero));
+                let (right, left) =
+                    ((agent[axis] - half).max(zero), (-agent[axis] - half).max(zero));
                 force[axis] += stiffness * (left - right);
             }
         }

@@ -50,16 +50,34 @@ impl Lqr {
     /// If Q or R is not symmetric or has a non-finite entry, Q is not `state_dim × state_dim`, or R
     /// is not `control_dim × control_dim`.
     #[track_caller]
-    pub fn new(plant: LinearPlant, state_cost: Vec<f64>, control_cost: Vec<f64>) -> Result<Self, NoOptimum> {
+    pub fn new(
+        plant: LinearPlant,
+        state_cost: Vec<f64>,
+        control_cost: Vec<f64>,
+    ) -> Result<Self, NoOptimum> {
         let (n, m) = (plant.state_dim(), plant.control_dim());
         for (name, cost, n) in [("Q", &state_cost, n), ("R", &control_cost, m)] {
             assert_eq!(cost.len(), n * n, "{name} for {n} components needs {} entries", n * n);
-            assert!(cost.iter().all(|entry| entry.is_finite()), "{name} has an entry that is not finite");
+            assert!(
+                cost.iter().all(|entry| entry.is_finite()),
+                "{name} has an entry that is not finite"
+            );
             let symmetric = (0..n).all(|i| (0..i).all(|j| cost[i * n + j] == cost[j * n + i]));
-            assert!(symmetric, "{name} is not symmetric; use ({name} + {name}ᵀ)/2, which has the same cost");
+            assert!(
+                symmetric,
+                "{name} is not symmetric; use ({name} + {name}ᵀ)/2, which has the same cost"
+            );
         }
         let optimum = Optimum::of(&plant, &state_cost, &control_cost)?;
-        Ok(Self { start: vec![0.0; n], spread: 1.0, horizon: 100, plant, state_cost, control_cost, optimum })
+        Ok(Self {
+            start: vec![0.0; n],
+            spread: 1.0,
+            horizon: 100,
+            plant,
+            state_cost,
+            control_cost,
+            optimum,
+        })
     }
 
     /// Creates a task with a stable plant, in semi-implicit steps of 0.1 s. The plant is a mass of
@@ -78,12 +96,17 @@ impl Lqr {
     /// steps.
     pub fn upright_cart_pole() -> Self {
         let system = CartPoleSystem::default();
-        Self::per_second(LinearPlant::linearized(&system, Inputs::new(&[0.0; 4], &[0.0])), system.dt)
+        Self::per_second(
+            LinearPlant::linearized(&system, Inputs::new(&[0.0; 4], &[0.0])),
+            system.dt,
+        )
     }
 
     /// Creates a task with unit costs per second.
     fn per_second(plant: LinearPlant, dt: f64) -> Self {
-        let diagonal = |n: usize| (0..n * n).map(|i| if i.is_multiple_of(n + 1) { dt } else { 0.0 }).collect::<Vec<f64>>();
+        let diagonal = |n: usize| {
+            (0..n * n).map(|i| if i.is_multiple_of(n + 1) { dt } else { 0.0 }).collect::<Vec<f64>>()
+        };
         let (q, r) = (diagonal(plant.state_dim()), diagonal(plant.control_dim()));
         Self::new(plant, q, r).expect("both plants can be held at 0 by their control")
     }
@@ -101,7 +124,10 @@ impl Lqr {
     #[track_caller]
     pub fn least_loss(&self, starts: &[f64]) -> f64 {
         let (found, n) = (starts.len(), self.plant.state_dim());
-        assert!(found > 0 && found.is_multiple_of(n), "`starts` has {found} numbers; expected one or more samples of {n}");
+        assert!(
+            found > 0 && found.is_multiple_of(n),
+            "`starts` has {found} numbers; expected one or more samples of {n}"
+        );
         let samples = starts.chunks_exact(self.plant.state_dim());
         let count = samples.len() as f64;
         samples.map(|x| self.terminal_cost(x, &[])).sum::<f64>() / count
@@ -139,7 +165,10 @@ impl Task for Lqr {
 
     fn start(&self, rng: &mut Rng, start: Start<'_>) {
         let (found, expected) = (self.start.len(), start.x.len());
-        assert_eq!(found, expected, "`Lqr::start` has {found} components, but the plant has {expected}");
+        assert_eq!(
+            found, expected,
+            "`Lqr::start` has {found} components, but the plant has {expected}"
+        );
         for (x, &center) in zip(start.x.iter_mut(), &self.start) {
             *x = center + self.spread * rng.random_range(-1.0..1.0);
         }
@@ -170,7 +199,13 @@ impl Task for Lqr {
     }
 
     #[inline(always)]
-    fn terminal_cost_gradient<R: Real>(&self, x: &[R], _p: &[R], x_bar: &mut [R], _p_bar: Option<&mut [R]>) {
+    fn terminal_cost_gradient<R: Real>(
+        &self,
+        x: &[R],
+        _p: &[R],
+        x_bar: &mut [R],
+        _p_bar: Option<&mut [R]>,
+    ) {
         quadratic_gradient(&self.optimum.cost_to_go, x, x_bar);
     }
 }

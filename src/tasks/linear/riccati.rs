@@ -27,7 +27,9 @@ pub struct Optimum {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum NoOptimum {
     /// R is not positive definite.
-    #[error("the cost R of controls is not positive definite, so no optimal control exists; use an R with positive eigenvalues")]
+    #[error(
+        "the cost R of controls is not positive definite, so no optimal control exists; use an R with positive eigenvalues"
+    )]
     ControlCost,
     /// Q has a negative eigenvalue. `R + Bᵀ W B`, with the W of [`Optimum`], is not positive
     /// definite, or W differs from `Q + P`. In exact arithmetic, both faults require a negative
@@ -83,15 +85,23 @@ impl Optimum {
     /// Returns [`NoOptimum`] if R or `R + Bᵀ W B` is not positive definite, if the iteration does
     /// not converge, or if the result W differs from `Q + P`. If Q has no negative eigenvalue, also
     /// returns it for a closed loop that does not decay.
-    pub(super) fn of(plant: &LinearPlant, state_cost: &[f64], control_cost: &[f64]) -> Result<Self, NoOptimum> {
+    pub(super) fn of(
+        plant: &LinearPlant,
+        state_cost: &[f64],
+        control_cost: &[f64],
+    ) -> Result<Self, NoOptimum> {
         let (n, m) = (plant.state_dim(), plant.control_dim());
         let (a, b) = (plant.a(), plant.b());
-        let (q, r) = (DMatrix::from_row_slice(n, n, state_cost), DMatrix::from_row_slice(m, m, control_cost));
+        let (q, r) = (
+            DMatrix::from_row_slice(n, n, state_cost),
+            DMatrix::from_row_slice(m, m, control_cost),
+        );
         let g = &b * r.clone().cholesky().ok_or(NoOptimum::ControlCost)?.solve(&b.transpose());
         let w = doubled(a.clone(), g, q.clone())?;
         let towards = b.transpose() * &w;
         // The bound on the rounding error of computed eigenvalues grows with n.
-        let is_convex = symmetric(q.clone()).symmetric_eigenvalues().min() >= -4.0 * n as f64 * f64::EPSILON * q.amax();
+        let is_convex = symmetric(q.clone()).symmetric_eigenvalues().min()
+            >= -4.0 * n as f64 * f64::EPSILON * q.amax();
         let failure = if is_convex { NoOptimum::Unstabilizable } else { NoOptimum::StateCost };
         let factor = (&r + &towards * &b).cholesky().ok_or(failure.clone())?;
         let gain = -factor.solve(&(towards * &a));
@@ -101,7 +111,10 @@ impl Optimum {
         let p = symmetric(closed.transpose() * &w * closed + gain.transpose() * r * &gain);
         // Doubling may converge where the recursion of single steps oscillates.
         let residual = (&w - &q - &p).amax();
-        if residual.is_nan() || residual > 1e-6 * w.amax().max(p.amax()) || is_convex && radius > SLOWEST {
+        if residual.is_nan()
+            || residual > 1e-6 * w.amax().max(p.amax())
+            || is_convex && radius > SLOWEST
+        {
             return Err(failure);
         }
         Ok(Self { gain: row_major(&gain), cost_to_go: row_major(&p) })
@@ -113,7 +126,11 @@ fn symmetric(matrix: DMatrix<f64>) -> DMatrix<f64> {
 }
 
 /// Computes W from the A, G and H of one step.
-fn doubled(mut a: DMatrix<f64>, mut g: DMatrix<f64>, mut h: DMatrix<f64>) -> Result<DMatrix<f64>, NoOptimum> {
+fn doubled(
+    mut a: DMatrix<f64>,
+    mut g: DMatrix<f64>,
+    mut h: DMatrix<f64>,
+) -> Result<DMatrix<f64>, NoOptimum> {
     let mut change = f64::INFINITY;
     for doublings in 0..MAX_DOUBLINGS {
         let inverse = (DMatrix::identity(a.nrows(), a.nrows()) + &g * &h).try_inverse();

@@ -42,7 +42,10 @@ pub(in crate::tasks) fn factor<T: Scalar>(matrix: &mut [T], n: usize) {
 /// Solves `M y = b` in place. `b` holds numbers or cotangents: M is symmetric, hence its own
 /// adjoint.
 #[inline(always)]
-pub(in crate::tasks) fn solve<T: Scalar, V: Copy + SubAssign + Mul<T, Output = V>>(factors: &[T], b: &mut [V]) {
+pub(in crate::tasks) fn solve<T: Scalar, V: Copy + SubAssign + Mul<T, Output = V>>(
+    factors: &[T],
+    b: &mut [V],
+) {
     let n = b.len();
     for i in 0..n {
         for j in 0..i {

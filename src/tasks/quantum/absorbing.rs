@@ -105,7 +105,12 @@ impl<S: HasModel<QuantumSystem>> System for Absorbing<S> {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
         let mut bar: Wave<C> = SmallVec::from_slice(next_bar);
         self.damp::<R, C>(&mut bar);
         self.system.vjp(inputs, &bar, cotangents);

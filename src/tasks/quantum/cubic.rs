@@ -40,7 +40,12 @@ impl Cubic {
 
 impl Effect<QuantumSystem> for Cubic {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, model: &QuantumSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, potential: &mut [T]) {
+    fn add_forces<T: Scalar>(
+        &self,
+        model: &QuantumSystem,
+        OdeInputs { x, .. }: OdeInputs<'_, T>,
+        potential: &mut [T],
+    ) {
         let strength = T::from(self.per_probability(model));
         // Indexing with bounds checks deliberately prevents vectorization over grid points. Lanes
         // fill the registers already.
@@ -60,7 +65,9 @@ impl Effect<QuantumSystem> for Cubic {
     ) {
         let Some(x_bar) = cotangents.x else { return };
         let slope = R::from(2.0 * self.per_probability(model));
-        for ((&v_bar, [re, im]), bar) in zip(zip(potential_bar.iter(), x.as_chunks().0), x_bar.as_chunks_mut::<2>().0) {
+        for ((&v_bar, [re, im]), bar) in
+            zip(zip(potential_bar.iter(), x.as_chunks().0), x_bar.as_chunks_mut::<2>().0)
+        {
             let v_bar = v_bar * slope;
             bar[0] += v_bar * *re;
             bar[1] += v_bar * *im;

@@ -10,7 +10,10 @@ pub(super) trait Vector<T>:
 {
 }
 
-impl<T, V> Vector<T> for V where V: Copy + Add<Output = V> + Sub<Output = V> + Neg<Output = V> + Mul<T, Output = V> {}
+impl<T, V> Vector<T> for V where
+    V: Copy + Add<Output = V> + Sub<Output = V> + Neg<Output = V> + Mul<T, Output = V>
+{
+}
 
 /// Successive pivots of `A = I + i dt/2 (H + shift)` with `H = -D₂ + diag(V)`. D₂ is the second
 /// difference over dx².
@@ -56,7 +59,11 @@ pub(super) struct Rows<'a, T> {
 
 impl<'a, T: Scalar> Rows<'a, T> {
     #[inline(always)]
-    pub(super) fn new(pivots: Pivots<T>, grid: usize, per_pivot: &'a mut PerPoint<Pair<T>>) -> Self {
+    pub(super) fn new(
+        pivots: Pivots<T>,
+        grid: usize,
+        per_pivot: &'a mut PerPoint<Pair<T>>,
+    ) -> Self {
         per_pivot.reserve(grid);
         Self { pivots, per_pivot }
     }
@@ -87,12 +94,17 @@ impl<T: Scalar> Elimination<'_, T> {
     #[inline(always)]
     pub(super) fn solve<V: Vector<T>>(&self, rhs: &[V], y: &mut [V]) {
         let (b, n) = (self.b, self.per_pivot.len());
-        let (rhs, y, per_pivot) = (&rhs.as_chunks::<2>().0[..n], &mut y.as_chunks_mut::<2>().0[..n], &self.per_pivot[..n]);
+        let (rhs, y, per_pivot) = (
+            &rhs.as_chunks::<2>().0[..n],
+            &mut y.as_chunks_mut::<2>().0[..n],
+            &self.per_pivot[..n],
+        );
         // The first row of each pass precedes the loop. Scalar variables, not arrays, carry the
         // values of a row to the next. Other forms make compilers shuffle lanes.
         // Forward, with the pivots p_j: s_j = (rhs_j + ib s_{j-1}) / p_j.
         let (q_re, q_im) = per_pivot[0];
-        let (mut s_re, mut s_im) = (rhs[0][0] * q_re - rhs[0][1] * q_im, rhs[0][0] * q_im + rhs[0][1] * q_re);
+        let (mut s_re, mut s_im) =
+            (rhs[0][0] * q_re - rhs[0][1] * q_im, rhs[0][0] * q_im + rhs[0][1] * q_re);
         (y[0][0], y[0][1]) = (s_re, s_im);
         for j in 1..n {
             let (q_re, q_im) = per_pivot[j];
@@ -105,7 +117,8 @@ impl<T: Scalar> Elimination<'_, T> {
         for j in (0..n - 1).rev() {
             let (q_re, q_im) = per_pivot[j];
             let (f_re, f_im) = (q_re * b, q_im * b);
-            (y_re, y_im) = (y[j][0] - (y_re * f_im + y_im * f_re), y[j][1] + (y_re * f_re - y_im * f_im));
+            (y_re, y_im) =
+                (y[j][0] - (y_re * f_im + y_im * f_re), y[j][1] + (y_re * f_re - y_im * f_im));
             (y[j][0], y[j][1]) = (y_re, y_im);
         }
     }

@@ -103,10 +103,16 @@ impl ForcedSystem for Pade {
     }
 
     #[inline(always)]
-    fn forced_step<E: Effect<QuantumSystem>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]) {
+    fn forced_step<E: Effect<QuantumSystem>, T: Scalar>(
+        &self,
+        effects: &E,
+        inputs: Inputs<'_, T>,
+        next: &mut [T],
+    ) {
         let x = inputs.x;
         let (mut minus, mut plus, mut chi) = (PerPoint::new(), PerPoint::new(), PerPoint::new());
-        let (minus, plus) = self.eliminate(effects, inputs.continuous(self.0.dt), &mut minus, &mut plus);
+        let (minus, plus) =
+            self.eliminate(effects, inputs.continuous(self.0.dt), &mut minus, &mut plus);
         chi.resize(self.0.grid, [T::zero(); 2]);
         let chi = chi.as_flattened_mut();
         minus.solve(x, chi);
@@ -146,7 +152,8 @@ impl ForcedSystem for Pade {
             return;
         }
         // Recomputes the solutions, because the forward pass does not store them.
-        let (mut y_minus, mut chi, mut y_plus) = (PerPoint::new(), PerPoint::new(), PerPoint::new());
+        let (mut y_minus, mut chi, mut y_plus) =
+            (PerPoint::new(), PerPoint::new(), PerPoint::new());
         y_minus.resize(model.grid, [R::zero(); 2]);
         let y_minus = &mut y_minus[..];
         minus.solve(x, y_minus.as_flattened_mut());
@@ -167,13 +174,28 @@ impl ForcedSystem for Pade {
         let control_bar = if effects_read {
             first.resize(model.grid, C::null());
             second.resize(model.grid, C::null());
-            let plus_bar = model.reverse_potential(dt, y_plus, next_bar, chi_bar, with_control, Some(&mut *first));
+            let plus_bar = model.reverse_potential(
+                dt,
+                y_plus,
+                next_bar,
+                chi_bar,
+                with_control,
+                Some(&mut *first),
+            );
             minus.solve(chi_bar, wave_bar);
-            let minus_bar = model.reverse_potential(dt, y_minus, chi_bar, wave_bar, with_control, Some(&mut *second));
+            let minus_bar = model.reverse_potential(
+                dt,
+                y_minus,
+                chi_bar,
+                wave_bar,
+                with_control,
+                Some(&mut *second),
+            );
             add(&mut first, &second);
             plus_bar + minus_bar
         } else {
-            let plus_bar = model.reverse_potential(dt, y_plus, next_bar, chi_bar, with_control, None);
+            let plus_bar =
+                model.reverse_potential(dt, y_plus, next_bar, chi_bar, with_control, None);
             minus.solve(chi_bar, wave_bar);
             plus_bar + model.reverse_potential(dt, y_minus, chi_bar, wave_bar, with_control, None)
         };

@@ -164,8 +164,17 @@ impl Tabulated {
 
 impl Effect<QuantumSystem> for Tabulated {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, _model: &QuantumSystem, _inputs: OdeInputs<'_, T>, potential: &mut [T]) {
-        assert_eq!(self.values.len(), potential.len(), "a tabulated potential needs one value per grid point");
+    fn add_forces<T: Scalar>(
+        &self,
+        _model: &QuantumSystem,
+        _inputs: OdeInputs<'_, T>,
+        potential: &mut [T],
+    ) {
+        assert_eq!(
+            self.values.len(),
+            potential.len(),
+            "a tabulated potential needs one value per grid point"
+        );
         for (v, &value) in zip(potential.iter_mut(), &self.values) {
             *v += value;
         }

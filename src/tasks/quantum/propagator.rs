@@ -40,7 +40,8 @@ impl Propagator {
     /// Creates the propagator for one step of `system`, in O(grid²).
     pub(super) fn new(system: &QuantumSystem) -> Self {
         let (grid, intervals) = (system.grid, system.grid + 1);
-        let cosines: Vec<f64> = (0..2 * intervals).map(|d| Scalar::cos(PI * d as f64 / intervals as f64)).collect();
+        let cosines: Vec<f64> =
+            (0..2 * intervals).map(|d| Scalar::cos(PI * d as f64 / intervals as f64)).collect();
         let phase = |m: usize| {
             let sine = Scalar::sin(0.5 * PI * m as f64 / intervals as f64) / system.spacing();
             Scalar::sin_cos(-4.0 * sine * sine * system.dt)
@@ -74,7 +75,11 @@ impl Propagator {
     /// Computes `out ← K psi`. In both slices, real and imaginary parts alternate. With `ADJOINT`,
     /// applies the conjugate, which is the adjoint because K is symmetric.
     #[inline(always)]
-    pub(super) fn apply<T: Scalar, V: Vector<T>, const ADJOINT: bool>(&self, psi: &[V], out: &mut [V]) {
+    pub(super) fn apply<T: Scalar, V: Vector<T>, const ADJOINT: bool>(
+        &self,
+        psi: &[V],
+        out: &mut [V],
+    ) {
         let (n, half) = (self.grid, self.grid.div_ceil(2));
         let (psi, out) = (&psi.as_chunks::<2>().0[..n], &mut out.as_chunks_mut::<2>().0[..n]);
         let mut parts = SmallVec::<[[V; 4]; STACK / 2]>::new();
@@ -99,7 +104,12 @@ impl Propagator {
 
     /// Returns the products of entry (j, k) of both matrices with the even and the odd part.
     #[inline(always)]
-    fn term<T: Scalar, V: Vector<T>, const ADJOINT: bool>(&self, j: usize, k: usize, parts: &[[V; 4]]) -> [V; 4] {
+    fn term<T: Scalar, V: Vector<T>, const ADJOINT: bool>(
+        &self,
+        j: usize,
+        k: usize,
+        parts: &[[V; 4]],
+    ) -> [V; 4] {
         let (place, [a_re, a_im, b_re, b_im]) = (j * parts.len() + k, parts[k]);
         // `array::map` would not be inlined.
         let (even_re, even_im, odd_re, odd_im) = if size_of::<T::Real>() == size_of::<f32>() {

@@ -97,7 +97,12 @@ impl<S: HasModel<QuantumSystem>> System for Renormalized<S> {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
         self.system.vjp(inputs, &self.reverse(inputs, next_bar), cotangents);
     }
 

@@ -52,7 +52,9 @@ struct Reverse<'a, H, E, R, C> {
     cotangents: Cotangents<'a, C>,
 }
 
-impl<H: ForcedSystem, E: Effect<H::Model>, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, H, E, R, C> {
+impl<H: ForcedSystem, E: Effect<H::Model>, R: Real, C: Cotangent<R>> Vectorized
+    for Reverse<'_, H, E, R, C>
+{
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         let Self { system, effects, inputs, next_bar, cotangents } = self;
@@ -89,7 +91,12 @@ impl ForcedSystem for QuantumScheme {
     }
 
     #[inline(always)]
-    fn forced_step<E: Effect<QuantumSystem>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]) {
+    fn forced_step<E: Effect<QuantumSystem>, T: Scalar>(
+        &self,
+        effects: &E,
+        inputs: Inputs<'_, T>,
+        next: &mut [T],
+    ) {
         match self {
             Self::CrankNicolson(system) => outline::<T>(Step { system, effects, inputs, next }),
             Self::Pade(system) => outline::<T>(Step { system, effects, inputs, next }),
@@ -106,9 +113,15 @@ impl ForcedSystem for QuantumScheme {
         cotangents: Cotangents<'_, C>,
     ) {
         match self {
-            Self::CrankNicolson(system) => outline::<R>(Reverse { system, effects, inputs, next_bar, cotangents }),
-            Self::Pade(system) => outline::<R>(Reverse { system, effects, inputs, next_bar, cotangents }),
-            Self::Strang(system) => outline::<R>(Reverse { system, effects, inputs, next_bar, cotangents }),
+            Self::CrankNicolson(system) => {
+                outline::<R>(Reverse { system, effects, inputs, next_bar, cotangents })
+            }
+            Self::Pade(system) => {
+                outline::<R>(Reverse { system, effects, inputs, next_bar, cotangents })
+            }
+            Self::Strang(system) => {
+                outline::<R>(Reverse { system, effects, inputs, next_bar, cotangents })
+            }
         }
     }
 }

@@ -45,12 +45,20 @@ pub struct Strang {
 
 /// Computes `out_j ← psi_j exp(-i dt/2 V_j)`. With `ADJOINT`, the sign in the exponent is opposite.
 #[inline(always)]
-fn turn<T: Scalar, V: Vector<T>, const ADJOINT: bool>(phases: &[Pair<T>], psi: &[V], out: &mut [V]) {
+fn turn<T: Scalar, V: Vector<T>, const ADJOINT: bool>(
+    phases: &[Pair<T>],
+    psi: &[V],
+    out: &mut [V],
+) {
     let n = phases.len();
     let (psi, out) = (&psi.as_chunks::<2>().0[..n], &mut out.as_chunks_mut::<2>().0[..n]);
     for j in 0..n {
         let ((cos, sin), [re, im]) = (phases[j], psi[j]);
-        out[j] = if ADJOINT { [re * cos - im * sin, im * cos + re * sin] } else { [re * cos + im * sin, im * cos - re * sin] };
+        out[j] = if ADJOINT {
+            [re * cos - im * sin, im * cos + re * sin]
+        } else {
+            [re * cos + im * sin, im * cos - re * sin]
+        };
     }
 }
 
@@ -100,7 +108,8 @@ impl Strang {
         mut potential_bar: Option<&mut [C]>,
     ) -> C {
         let model = &self.system;
-        let (half_dt, dx, origin, n) = (R::from(0.5 * model.dt), model.spacing(), model.control_origin(), model.grid);
+        let (half_dt, dx, origin, n) =
+            (R::from(0.5 * model.dt), model.spacing(), model.control_origin(), model.grid);
         let (psi, psi_bar) = (&psi.as_chunks::<2>().0[..n], &psi_bar.as_chunks::<2>().0[..n]);
         let mut control_bar = C::null();
         for j in 0..n {
@@ -140,7 +149,12 @@ impl ForcedSystem for Strang {
     }
 
     #[inline(always)]
-    fn forced_step<E: Effect<QuantumSystem>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]) {
+    fn forced_step<E: Effect<QuantumSystem>, T: Scalar>(
+        &self,
+        effects: &E,
+        inputs: Inputs<'_, T>,
+        next: &mut [T],
+    ) {
         let inputs = inputs.continuous(self.system.dt);
         let (mut phases, mut state) = (PerPoint::new(), Wave::from_slice(inputs.x));
         let turning = self.phases(effects, inputs, &mut phases);
@@ -148,8 +162,11 @@ impl ForcedSystem for Strang {
         turn::<T, T, false>(turning, inputs.x, state);
         self.kinetic.apply::<T, T, false>(state, next);
         state.copy_from_slice(next);
-        let turning =
-            if effects.state_dependent() { self.phases(effects, inputs.with_x(state), &mut phases) } else { &phases[..] };
+        let turning = if effects.state_dependent() {
+            self.phases(effects, inputs.with_x(state), &mut phases)
+        } else {
+            &phases[..]
+        };
         turn::<T, T, false>(turning, state, next);
     }
 

@@ -240,7 +240,12 @@ impl ForcedSystem for QuantumSystem {
     }
 
     #[inline(always)]
-    fn forced_step<E: Effect<Self>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]) {
+    fn forced_step<E: Effect<Self>, T: Scalar>(
+        &self,
+        effects: &E,
+        inputs: Inputs<'_, T>,
+        next: &mut [T],
+    ) {
         let mut per_pivot = PerPoint::new();
         self.eliminate(effects, inputs.continuous(self.dt), &mut per_pivot).solve(inputs.x, next);
         for (next, &x) in zip(next.iter_mut(), inputs.x) {
@@ -268,7 +273,9 @@ impl ForcedSystem for QuantumSystem {
             if let Some(x_bar) = cotangents.x {
                 a.conjugate();
                 a.solve(next_bar, wave_bar);
-                for (x_bar, (&w, &next_bar)) in zip(x_bar.iter_mut(), zip(wave_bar.iter(), next_bar)) {
+                for (x_bar, (&w, &next_bar)) in
+                    zip(x_bar.iter_mut(), zip(wave_bar.iter(), next_bar))
+                {
                     *x_bar += w + w - next_bar;
                 }
             }
@@ -288,8 +295,21 @@ impl ForcedSystem for QuantumSystem {
             &mut potential_bar[..]
         });
         let (control_bar, potential_bar) = match potential_bar {
-            Some(bar) => (self.reverse_potential(self.dt, y, next_bar, wave_bar, with_control, Some(&mut *bar)), &bar[..]),
-            None => (self.reverse_potential(self.dt, y, next_bar, wave_bar, with_control, None), &[][..]),
+            Some(bar) => (
+                self.reverse_potential(
+                    self.dt,
+                    y,
+                    next_bar,
+                    wave_bar,
+                    with_control,
+                    Some(&mut *bar),
+                ),
+                &bar[..],
+            ),
+            None => (
+                self.reverse_potential(self.dt, y, next_bar, wave_bar, with_control, None),
+                &[][..],
+            ),
         };
         if let Some(x_bar) = &mut cotangents.x {
             add(x_bar, wave_bar);

@@ -53,11 +53,25 @@ fn on_cart_poles() -> Vec<(CartPoleEffect, Applied)> {
             (0..=model.poles).map(|i| if i == 0 { 0.0 } else { -0.03 * x[2 * i + 1] }).collect()
         }),
         (CartDamping { damping: 0.7.into() }.into(), |model, x| on_cart(model, -0.7 * x[1])),
-        (DryFriction { force: 1.7.into(), smoothing: 1.9 }.into(), |model, x| on_cart(model, -1.7 * (x[1] / 1.9).tanh())),
-        (SteadyWind { speed: 2.3.into(), cart_drag: 0.05.into(), pole_drag: 0.02.into() }.into(), |model, x| drag(model, 2.3, x)),
+        (DryFriction { force: 1.7.into(), smoothing: 1.9 }.into(), |model, x| {
+            on_cart(model, -1.7 * (x[1] / 1.9).tanh())
+        }),
         (
-            GustyWind { speed: 1.1.into(), gust: 1.9.into(), period: 1.7, cart_drag: 0.05.into(), pole_drag: 0.02.into() }.into(),
-            |model, x| drag(model, 1.1 + 1.9 * (TAU * (STEP as f64 * model.dt + PHASE) / 1.7).sin(), x),
+            SteadyWind { speed: 2.3.into(), cart_drag: 0.05.into(), pole_drag: 0.02.into() }.into(),
+            |model, x| drag(model, 2.3, x),
+        ),
+        (
+            GustyWind {
+                speed: 1.1.into(),
+                gust: 1.9.into(),
+                period: 1.7,
+                cart_drag: 0.05.into(),
+                pole_drag: 0.02.into(),
+            }
+            .into(),
+            |model, x| {
+                drag(model, 1.1 + 1.9 * (TAU * (STEP as f64 * model.dt + PHASE) / 1.7).sin(), x)
+            },
         ),
         (Bumpers { half_travel: 0.9, stiffness: 40.0.into(), damping: 0.3.into() }.into(), bumper),
     ]
@@ -109,10 +123,24 @@ impl<E: Effect<CartPoleSystem>> System for EffectAlone<E> {
     }
     fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
         next.fill(T::zero());
-        self.effect.add_forces(&self.model, inputs.continuous(self.model.dt), &mut next[..1 + self.model.poles]);
+        self.effect.add_forces(
+            &self.model,
+            inputs.continuous(self.model.dt),
+            &mut next[..1 + self.model.poles],
+        );
     }
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
-        self.effect.vjp(&self.model, inputs.continuous(self.model.dt), &next_bar[..1 + self.model.poles], cotangents);
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
+        self.effect.vjp(
+            &self.model,
+            inputs.continuous(self.model.dt),
+            &next_bar[..1 + self.model.poles],
+            cotangents,
+        );
     }
 }
 
@@ -120,10 +148,16 @@ impl<E: Effect<CartPoleSystem>> System for EffectAlone<E> {
 fn steps_of_cart_poles_with_each_effect_equal_their_formulas() {
     for poles in [1, 3] {
         cart_pole_steps_as(model(poles), uncoupled);
-        let coupled = |model: &CartPoleSystem, x: &[f64], forces: &[f64]| on_cart(model, false).accelerations(x, forces);
+        let coupled = |model: &CartPoleSystem, x: &[f64], forces: &[f64]| {
+            on_cart(model, false).accelerations(x, forces)
+        };
         cart_pole_steps_as(CoupledCartPole(model(poles)), coupled);
         for (x, _) in states(2 + 2 * poles, 1) {
-            near("energy", &[CoupledCartPole(model(poles)).energy(&x)], &[on_cart(&model(poles), false).energy(&x)]);
+            near(
+                "energy",
+                &[CoupledCartPole(model(poles)).energy(&x)],
+                &[on_cart(&model(poles), false).energy(&x)],
+            );
         }
     }
 }
@@ -155,13 +189,17 @@ fn drag_at_the_middle_equals_strip_theory_without_spin_and_has_half_its_torque_w
         })
     };
     // The sum over the strips is accurate to 1e-9.
-    let is = |found: f64, expected: f64| assert!((found / expected - 1.0).abs() < 1e-6, "{found} is not {expected}");
+    let is = |found: f64, expected: f64| {
+        assert!((found / expected - 1.0).abs() < 1e-6, "{found} is not {expected}")
+    };
     for i in 0..2 {
         is(strips(3.0, 0.0)[i], here(3.0, 0.0)[i]);
         is(strips(0.0, 5.0)[i], here(0.0, 5.0)[i] * [4.0 / 3.0, 2.0][i]);
     }
     is(strips(0.0, 5.0)[1], -2.0 * c * l.powi(3) * 25.0);
-    let slope = |torque: &dyn Fn(f64, f64) -> [f64; 2]| (torque(3.0, 1e-4)[1] - torque(3.0, -1e-4)[1]) / 2e-4;
+    let slope = |torque: &dyn Fn(f64, f64) -> [f64; 2]| {
+        (torque(3.0, 1e-4)[1] - torque(3.0, -1e-4)[1]) / 2e-4
+    };
     is(slope(&strips), -8.0 / 3.0 * c * l * l * 3.0);
     is(slope(&here), -2.0 * c * l * l * 3.0);
 }

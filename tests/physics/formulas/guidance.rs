@@ -12,9 +12,15 @@ fn between() -> Vec<(GuidanceEffect, Pull)> {
         [by * x, by * y]
     }
     vec![
-        (Spread { strength: 0.7 }.into(), |k, i, r, d| times(if k < 2 && i < 2 { 0.7 / (d * d) } else { 0.0 }, r)),
-        (Evade { strength: 3.1 }.into(), |k, i, r, d| times(if k >= 2 && i < 2 { 3.1 / (d * d) } else { 0.0 }, r)),
-        (Drive { strength: 1.9 }.into(), |k, i, r, d| times(if k < 2 && i >= 2 { -1.9 / (d * d) } else { 0.0 }, r)),
+        (Spread { strength: 0.7 }.into(), |k, i, r, d| {
+            times(if k < 2 && i < 2 { 0.7 / (d * d) } else { 0.0 }, r)
+        }),
+        (Evade { strength: 3.1 }.into(), |k, i, r, d| {
+            times(if k >= 2 && i < 2 { 3.1 / (d * d) } else { 0.0 }, r)
+        }),
+        (Drive { strength: 1.9 }.into(), |k, i, r, d| {
+            times(if k < 2 && i >= 2 { -1.9 / (d * d) } else { 0.0 }, r)
+        }),
         (Flock { strength: 0.8, distance: 1.4 }.into(), |k, i, r, d| {
             times(if k >= 2 && i >= 2 { -0.8 * (1.4 / d - 1.0) / d } else { 0.0 }, r)
         }),
@@ -26,7 +32,8 @@ type Alone = fn(usize, &[f64]) -> [f64; 2];
 
 /// Returns the effects on single agents, with their accelerations. Agents 0 and 1 are drivers.
 fn alone() -> Vec<(GuidanceEffect, Alone)> {
-    let obstacles = Obstacles { centers: vec![[0.5, -0.3], [-1.5, 1.0]], radius: 1.2, stiffness: 9.0 };
+    let obstacles =
+        Obstacles { centers: vec![[0.5, -0.3], [-1.5, 1.0]], radius: 1.2, stiffness: 9.0 };
     vec![
         (Friction { drivers: 1.3, evaders: 3.7 }.into(), |k, x| {
             let friction = if k < 2 { 1.3 } else { 3.7 };
@@ -41,7 +48,8 @@ fn alone() -> Vec<(GuidanceEffect, Alone)> {
             })
         }),
         (Walls { half_width: 1.5, half_height: 0.8, stiffness: 7.0 }.into(), |_, x| {
-            [(x[0], 1.5), (x[1], 0.8)].map(|(x, half)| -7.0 * x.signum() * (x.abs() - half).max(0.0))
+            [(x[0], 1.5), (x[1], 0.8)]
+                .map(|(x, half)| -7.0 * x.signum() * (x.abs() - half).max(0.0))
         }),
     ]
 }
@@ -55,7 +63,8 @@ fn steps_of_guidance_with_each_effect_equal_their_formulas() {
         let next = |x: &[f64], u: &[f64], added: &dyn Fn(usize) -> [f64; 2]| -> Vec<f64> {
             let agents: Vec<&[f64]> = x.chunks_exact(4).collect();
             let share = if matches!(center, Center::Sum) { 1.0 } else { 1.0 / 3.0 };
-            let herd = [0, 1].map(|axis| share * agents[2..].iter().map(|agent| agent[axis]).sum::<f64>());
+            let herd =
+                [0, 1].map(|axis| share * agents[2..].iter().map(|agent| agent[axis]).sum::<f64>());
             let moved = |(k, agent): (usize, &&[f64])| {
                 let mut a = added(k);
                 if k < 2 {
@@ -80,7 +89,9 @@ fn steps_of_guidance_with_each_effect_equal_their_formulas() {
         }
         for (effect, alone) in alone() {
             let system = Forced { system: model, effects: effect.clone() };
-            steps_as(&format!("{effect:?}"), &system, |x, u| next(x, u, &|k| alone(k, &x[4 * k..4 * k + 4])));
+            steps_as(&format!("{effect:?}"), &system, |x, u| {
+                next(x, u, &|k| alone(k, &x[4 * k..4 * k + 4]))
+            });
         }
     }
 }

@@ -6,25 +6,39 @@ use super::*;
 /// Compares rates and energy of an [`Ode`] with a mechanism. Compares the derivatives of a
 /// semi-implicit step with dual numbers. Positions and speeds alternate in the state.
 #[track_caller]
-fn moves_as<O: Ode + Clone>(what: &str, ode: O, energy: impl Fn(&[f64]) -> f64, mechanism: &Mechanism) {
+fn moves_as<O: Ode + Clone>(
+    what: &str,
+    ode: O,
+    energy: impl Fn(&[f64]) -> f64,
+    mechanism: &Mechanism,
+) {
     for (x, u) in states(ode.state_dim(), 1) {
         let mut applied = vec![0.0; x.len() / 2];
         applied[0] = u[0];
-        let expected: Vec<f64> =
-            mechanism.accelerations(&x, &applied).iter().zip(x.chunks_exact(2)).flat_map(|(a, pair)| [pair[1], *a]).collect();
+        let expected: Vec<f64> = mechanism
+            .accelerations(&x, &applied)
+            .iter()
+            .zip(x.chunks_exact(2))
+            .flat_map(|(a, pair)| [pair[1], *a])
+            .collect();
         let mut rate = vec![f64::NAN; x.len()];
         ode.rate(Inputs::new(&x, &u).continuous(0.0), &mut rate);
         near(what, &rate, &expected);
         near(&format!("energy of a {what}"), &[energy(&x)], &[mechanism.energy(&x)]);
     }
-    let passed = check::try_system(&physgrad::Integrated { ode, integrator: physgrad::SemiImplicit, dt: 0.02 });
+    let passed = check::try_system(&physgrad::Integrated {
+        ode,
+        integrator: physgrad::SemiImplicit,
+        dt: 0.02,
+    });
     passed.unwrap_or_else(|mismatch| panic!("{what}: {mismatch}"));
 }
 
 #[test]
 fn a_double_pendulum_moves_as_two_point_masses() {
     let pendulum = DoublePendulum { masses: [1.3, 0.4], lengths: [0.7, 1.1], gravity: 9.1 };
-    let points = vec![Point { mass: 1.3, arms: vec![0.7, 0.0] }, Point { mass: 0.4, arms: vec![0.7, 1.1] }];
+    let points =
+        vec![Point { mass: 1.3, arms: vec![0.7, 0.0] }, Point { mass: 0.4, arms: vec![0.7, 1.1] }];
     let mechanism = Mechanism { points, cart: false, gravity: 9.1 };
     moves_as("double pendulum", pendulum, |x| pendulum.energy(x), &mechanism);
 }
@@ -38,7 +52,8 @@ fn rigid_arms(friction: [f64; 3]) -> (MultiPendulum, Mechanism) {
     let sizes = [[1.3, 0.4, 0.7, 0.05], [0.6, 0.5, 0.9, 0.11], [0.8, 0.3, 0.2, 0.02]];
     let [viscous, dry, quadratic] = friction.map(PhysicalNumber::from);
     let arm = |[mass, center, length, inertia]: [f64; 4]| {
-        let [mass, center, length, inertia] = [mass, center, length, inertia].map(PhysicalNumber::from);
+        let [mass, center, length, inertia] =
+            [mass, center, length, inertia].map(PhysicalNumber::from);
         Arm { mass, center, length, inertia, viscous, dry, quadratic }
     };
     let points = sizes.into_iter().enumerate().flat_map(|(i, [mass, center, _, inertia])| {
@@ -66,10 +81,12 @@ fn friction_of_a_joint_acts_on_both_arms() {
         let speeds: Vec<f64> = x.chunks_exact(2).map(|pair| pair[1]).collect();
         // The support does not turn. The library smooths dry friction below 0.01 rad/s.
         let torque = |r: f64| -(0.2 * r + 0.3 * (r / 0.01).tanh() + 0.4 * r * r.abs());
-        let joints = [torque(speeds[0]), torque(speeds[1] - speeds[0]), torque(speeds[2] - speeds[1])];
+        let joints =
+            [torque(speeds[0]), torque(speeds[1] - speeds[0]), torque(speeds[2] - speeds[1])];
         let applied = [u[0] + joints[0] - joints[1], joints[1] - joints[2], joints[2]];
         let accelerations = mechanism.accelerations(&x, &applied);
-        let expected: Vec<f64> = speeds.iter().zip(accelerations).flat_map(|(&speed, a)| [speed, a]).collect();
+        let expected: Vec<f64> =
+            speeds.iter().zip(accelerations).flat_map(|(&speed, a)| [speed, a]).collect();
         let mut rate = vec![f64::NAN; 6];
         pendulum.rate(Inputs::new(&x, &u).continuous(0.0), &mut rate);
         near("pendulum with friction", &rate, &expected);
@@ -92,7 +109,8 @@ fn linear_plants_equal_a_damped_spring_and_a_linearized_pole() {
     // Equations linearized in θ, ω, F about 0.
     let [cart_mass, pole_mass, l, gravity] = CartPoleSystem::default().nominal();
     let dt = CartPoleSystem::default().dt;
-    let (mass, moment, inertia) = (cart_mass + pole_mass, pole_mass * l, 4.0 / 3.0 * pole_mass * l * l);
+    let (mass, moment, inertia) =
+        (cart_mass + pole_mass, pole_mass * l, 4.0 / 3.0 * pole_mass * l * l);
     steps_as("upright pole", Lqr::upright_cart_pole().system(), |x, u| {
         let right = vec![u[0], moment * gravity * x[2]];
         semi_implicit(x, &solve(vec![vec![mass, moment], vec![moment, inertia]], right), dt)
@@ -101,7 +119,13 @@ fn linear_plants_equal_a_damped_spring_and_a_linearized_pole() {
 
 #[test]
 fn a_block_slides_with_smoothed_coulomb_friction() {
-    let slider = SliderSystem { mass: 1.7, coefficient: 0.6, smoothing: 0.8, dt: 0.05, scheme: FrictionScheme::Explicit };
+    let slider = SliderSystem {
+        mass: 1.7,
+        coefficient: 0.6,
+        smoothing: 0.8,
+        dt: 0.05,
+        scheme: FrictionScheme::Explicit,
+    };
     // Newton's law with friction μ m g tanh(v / ε).
     let friction = |v: f64| 0.6 * 1.7 * 9.81 * (v / 0.8).tanh();
     steps_as("explicit", &slider, |x, u| semi_implicit(x, &[(u[0] - friction(x[1])) / 1.7], 0.05));
@@ -180,7 +204,8 @@ fn steps_of_two_bodies_equal_formulas_of_impact_and_spring() {
             let ([a, va], b) = (fall(x[0], x[2], push, time), x[1] + time * x[3]);
             // Momentum is conserved, and the bodies separate with 0.6 of their approach speed.
             let (center, separation) = ((m1 * va + m2 * x[3]) / (m1 + m2), 0.6 * (va - x[3]));
-            let (after, other) = (center - m2 / (m1 + m2) * separation, center + m1 / (m1 + m2) * separation);
+            let (after, other) =
+                (center - m2 / (m1 + m2) * separation, center + m1 / (m1 + m2) * separation);
             let [a, va] = fall(a, after, push, dt - time);
             expected = [a, b + (dt - time) * other, va, other];
         }
@@ -192,7 +217,11 @@ fn steps_of_two_bodies_equal_formulas_of_impact_and_spring() {
         let force = 30.0 * 0.2 * (1.0 - 0.2 * (x[3] - x[2])).max(0.0);
         let [a, va] = fall(x[0], x[2], push, dt);
         let (back, on) = (dt * force / m1, dt * force / m2);
-        near("spring", &step(&springy, &x, &u), &[a - dt * back, x[1] + dt * x[3] + dt * on, va - back, x[3] + on]);
+        near(
+            "spring",
+            &step(&springy, &x, &u),
+            &[a - dt * back, x[1] + dt * x[3] + dt * on, va - back, x[3] + on],
+        );
     }
     assert!(hits > 5, "{hits}");
 }

@@ -33,7 +33,8 @@ impl Mechanism {
     /// `Σ m J_i · (J q̈ + dJ/dt q̇ - g) = Q_i`. The sum is over the points. J is the Jacobian of
     /// the position of a point, with the columns J_i. The vector g is the acceleration of gravity.
     pub(super) fn accelerations(&self, x: &[f64], applied: &[f64]) -> Vec<f64> {
-        let (q, speed): (Vec<f64>, Vec<f64>) = x.chunks_exact(2).map(|pair| (pair[0], pair[1])).unzip();
+        let (q, speed): (Vec<f64>, Vec<f64>) =
+            x.chunks_exact(2).map(|pair| (pair[0], pair[1])).unzip();
         let (n, first) = (q.len(), usize::from(self.cart));
         let (mut matrix, mut right) = (vec![vec![0.0; n]; n], applied.to_vec());
         for point in &self.points {
@@ -56,7 +57,8 @@ impl Mechanism {
 
     /// Returns kinetic plus potential energy.
     pub(super) fn energy(&self, x: &[f64]) -> f64 {
-        let (q, speed): (Vec<f64>, Vec<f64>) = x.chunks_exact(2).map(|pair| (pair[0], pair[1])).unzip();
+        let (q, speed): (Vec<f64>, Vec<f64>) =
+            x.chunks_exact(2).map(|pair| (pair[0], pair[1])).unzip();
         let of_point = |point: &Point| {
             let (mut v, mut height) = ([0.0; 2], 0.0);
             for (i, speed) in speed.iter().enumerate() {
@@ -74,7 +76,13 @@ impl Mechanism {
 
 /// Returns point masses with the mass, center and inertia of a uniform rod. Each end has a sixth of
 /// the mass, and the middle has the rest.
-pub(super) fn rod(mass: f64, half_length: f64, base: &[f64], of_poles: usize, pole: usize) -> impl Iterator<Item = Point> {
+pub(super) fn rod(
+    mass: f64,
+    half_length: f64,
+    base: &[f64],
+    of_poles: usize,
+    pole: usize,
+) -> impl Iterator<Item = Point> {
     [(1.0 / 6.0, 0.0), (4.0 / 6.0, 1.0), (1.0 / 6.0, 2.0)].into_iter().map(move |(share, place)| {
         let mut arms = base.to_vec();
         arms.resize(of_poles, 0.0);
@@ -85,7 +93,14 @@ pub(super) fn rod(mass: f64, half_length: f64, base: &[f64], of_poles: usize, po
 
 /// Returns a model whose numbers differ from the defaults.
 pub(super) fn model(poles: usize) -> CartPoleSystem {
-    CartPoleSystem { poles, cart_mass: 1.3.into(), pole_mass: 0.4.into(), half_length: 0.7.into(), gravity: 9.1.into(), dt: 0.02 }
+    CartPoleSystem {
+        poles,
+        cart_mass: 1.3.into(),
+        pole_mass: 0.4.into(),
+        half_length: 0.7.into(),
+        gravity: 9.1.into(),
+        dt: 0.02,
+    }
 }
 
 /// Returns a cart with all poles hinged on it. If `chained`, only the first pole is hinged on the

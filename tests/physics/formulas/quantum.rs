@@ -70,17 +70,21 @@ fn hamiltonian(potential: &[f64]) -> Matrix {
 }
 
 fn times(matrix: &Matrix, psi: &[Complex]) -> Vec<Complex> {
-    let dot = |row: &Vec<Complex>| row.iter().zip(psi).fold(Complex(0.0, 0.0), |sum, (&entry, &psi)| sum + entry * psi);
+    let dot = |row: &Vec<Complex>| {
+        row.iter().zip(psi).fold(Complex(0.0, 0.0), |sum, (&entry, &psi)| sum + entry * psi)
+    };
     matrix.iter().map(dot).collect()
 }
 
 /// Returns `(1 + i z/2 - tail z²)⁻¹ (1 - i z/2 - tail z²) ψ`.
 fn rational(z: &Matrix, tail: f64, psi: &[Complex]) -> Vec<Complex> {
-    let square: Matrix = (0..GRID).map(|j| times(z, &z.iter().map(|row| row[j]).collect::<Vec<_>>())).collect();
+    let square: Matrix =
+        (0..GRID).map(|j| times(z, &z.iter().map(|row| row[j]).collect::<Vec<_>>())).collect();
     let factor = |sign: f64| {
         matrix(|j, k| {
             let one = f64::from(u8::from(j == k));
-            Complex(one, 0.0) + Complex(0.0, sign * 0.5) * z[j][k] - Complex(tail, 0.0) * square[k][j]
+            Complex(one, 0.0) + Complex(0.0, sign * 0.5) * z[j][k]
+                - Complex(tail, 0.0) * square[k][j]
         })
     };
     solve(factor(1.0), times(&factor(-1.0), psi))
@@ -106,8 +110,12 @@ fn potentials() -> Vec<(QuantumEffect, Potential)> {
     let table: Vec<f64> = (0..GRID).map(|j| 1.5 + DX * (j as f64 + 1.0)).collect();
     vec![
         (Harmonic { stiffness: 3.1, center: 0.2 }.into(), |xi, _| 3.1 * (xi - 0.2) * (xi - 0.2)),
-        (Barrier { height: 4.3, width: 0.6, center: -0.3 }.into(), |xi, _| 4.3 / ((xi + 0.3) / 0.6).cosh().powi(2)),
-        (DoubleWell { height: 2.7, separation: 1.3 }.into(), |xi, _| 2.7 * ((xi / 0.65) * (xi / 0.65) - 1.0).powi(2)),
+        (Barrier { height: 4.3, width: 0.6, center: -0.3 }.into(), |xi, _| {
+            4.3 / ((xi + 0.3) / 0.6).cosh().powi(2)
+        }),
+        (DoubleWell { height: 2.7, separation: 1.3 }.into(), |xi, _| {
+            2.7 * ((xi / 0.65) * (xi / 0.65) - 1.0).powi(2)
+        }),
         (Cubic { strength: 0.4 }.into(), |_, density| 0.4 * density),
         (Tabulated { values: table }.into(), |xi, _| 1.5 + xi + 0.5 * LENGTH),
     ]
@@ -122,7 +130,8 @@ fn steps_of_quantum_schemes_with_each_effect_equal_dense_matrices() {
             let at = |psi: &[Complex], u: &[f64]| -> Vec<f64> {
                 let v = |(j, psi): (usize, &Complex)| {
                     let place = DX * (j as f64 + 1.0);
-                    u[0] * (place - origin) + potential(place - 0.5 * LENGTH, (psi.0 * psi.0 + psi.1 * psi.1) / DX)
+                    u[0] * (place - origin)
+                        + potential(place - 0.5 * LENGTH, (psi.0 * psi.0 + psi.1 * psi.1) / DX)
                 };
                 psi.iter().enumerate().map(v).collect()
             };
@@ -156,25 +165,41 @@ fn steps_of_quantum_schemes_with_each_effect_equal_dense_matrices() {
                 steps_as(&what, &Forced { system: Strang::new(model), effects: effect }, strang);
             }
             let edges = AbsorbingEdges { width: 0.7, strength: 4.0 };
-            steps_as(&what, &Absorbing::new(Forced { system: model, effects: effects() }, edges), |x, u| {
-                let mut next = by(0.0)(x, u);
-                for j in 0..GRID {
-                    let place = DX * (j as f64 + 1.0);
-                    let depth = (0.7 - place.min(LENGTH - place)).max(0.0) / 0.7;
-                    next[2 * j..2 * j + 2].iter_mut().for_each(|psi| *psi *= (-DT * 4.0 * depth * depth).exp());
-                }
-                next
-            });
-            steps_as(&what, &Renormalized { system: Forced { system: model, effects: effects() } }, |x, u| {
-                let next = by(0.0)(x, u);
-                let norm = next.iter().map(|psi| psi * psi).sum::<f64>().sqrt();
-                next.iter().map(|psi| psi / norm).collect()
-            });
+            steps_as(
+                &what,
+                &Absorbing::new(Forced { system: model, effects: effects() }, edges),
+                |x, u| {
+                    let mut next = by(0.0)(x, u);
+                    for j in 0..GRID {
+                        let place = DX * (j as f64 + 1.0);
+                        let depth = (0.7 - place.min(LENGTH - place)).max(0.0) / 0.7;
+                        next[2 * j..2 * j + 2]
+                            .iter_mut()
+                            .for_each(|psi| *psi *= (-DT * 4.0 * depth * depth).exp());
+                    }
+                    next
+                },
+            );
+            steps_as(
+                &what,
+                &Renormalized { system: Forced { system: model, effects: effects() } },
+                |x, u| {
+                    let next = by(0.0)(x, u);
+                    let norm = next.iter().map(|psi| psi * psi).sum::<f64>().sqrt();
+                    next.iter().map(|psi| psi / norm).collect()
+                },
+            );
         }
         for number in 1..=GRID {
-            let sine =
-                |j: usize| (2.0 / (GRID + 1) as f64).sqrt() * (PI * number as f64 * (j + 1) as f64 / (GRID + 1) as f64).sin();
-            near("eigenstate", &model.eigenstate(number).collect::<Vec<_>>(), &(0..GRID).map(sine).collect::<Vec<_>>());
+            let sine = |j: usize| {
+                (2.0 / (GRID + 1) as f64).sqrt()
+                    * (PI * number as f64 * (j + 1) as f64 / (GRID + 1) as f64).sin()
+            };
+            near(
+                "eigenstate",
+                &model.eigenstate(number).collect::<Vec<_>>(),
+                &(0..GRID).map(sine).collect::<Vec<_>>(),
+            );
         }
     }
 }

@@ -6,10 +6,19 @@ use super::*;
 
 /// Compares running and terminal costs, and their gradients, with formulas.
 #[track_caller]
-fn costs<T: Task>(what: &str, task: &T, running: impl Fn(&[f64], &[f64]) -> f64, terminal: impl Fn(&[f64]) -> f64) {
+fn costs<T: Task>(
+    what: &str,
+    task: &T,
+    running: impl Fn(&[f64], &[f64]) -> f64,
+    terminal: impl Fn(&[f64]) -> f64,
+) {
     let (n, m) = (task.system().state_dim(), task.system().control_dim());
     for (x, u) in states(n, m) {
-        near(what, &[task.running_cost(Inputs::new(&x, &u), &x), task.terminal_cost(&x, &[])], &[running(&x, &u), terminal(&x)]);
+        near(
+            what,
+            &[task.running_cost(Inputs::new(&x, &u), &x), task.terminal_cost(&x, &[])],
+            &[running(&x, &u), terminal(&x)],
+        );
         let (mut x_bar, mut u_bar, mut last_bar) = (vec![0.0; n], vec![0.0; m], vec![0.0; n]);
         task.running_cost_gradient(
             Inputs::new(&x, &u),
@@ -18,7 +27,8 @@ fn costs<T: Task>(what: &str, task: &T, running: impl Fn(&[f64], &[f64]) -> f64,
             &mut x_bar,
         );
         task.terminal_cost_gradient(&x, &[], &mut last_bar, None);
-        let by_slopes = slopes(|xu| vec![running(&xu[..n], &xu[n..])], &[&x[..], &u].concat()).concat();
+        let by_slopes =
+            slopes(|xu| vec![running(&xu[..n], &xu[n..])], &[&x[..], &u].concat()).concat();
         near_slopes(what, &[x_bar, u_bar].concat(), &by_slopes);
         near_slopes(what, &last_bar, &slopes(|x| vec![terminal(x)], &x).concat());
     }
@@ -26,7 +36,12 @@ fn costs<T: Task>(what: &str, task: &T, running: impl Fn(&[f64], &[f64]) -> f64,
 
 /// Calls [`costs`], and compares the gradients of whole rollouts with dual numbers.
 #[track_caller]
-fn costs_of<T: Task>(what: &str, task: &T, running: impl Fn(&[f64], &[f64]) -> f64, terminal: impl Fn(&[f64]) -> f64) {
+fn costs_of<T: Task>(
+    what: &str,
+    task: &T,
+    running: impl Fn(&[f64], &[f64]) -> f64,
+    terminal: impl Fn(&[f64]) -> f64,
+) {
     costs(what, task, running, terminal);
     check::task(task, &Linear::new(task.system().state_dim(), task.system().control_dim()));
 }
@@ -34,7 +49,9 @@ fn costs_of<T: Task>(what: &str, task: &T, running: impl Fn(&[f64], &[f64]) -> f
 #[test]
 fn costs_equal_their_formulas() {
     let none = |_: &[f64], _: &[f64]| 0.0;
-    let height = |angles: &[f64]| angles.iter().map(|theta| 1.0 - theta.cos()).sum::<f64>() / angles.len() as f64;
+    let height = |angles: &[f64]| {
+        angles.iter().map(|theta| 1.0 - theta.cos()).sum::<f64>() / angles.len() as f64
+    };
     let swing = CartPole { horizon: 5, ..CartPole::with_system(model(2)) };
     costs_of("last angles", &swing, none, |x| height(&[x[2], x[4]]));
     let all = CartPole { loss: LossMode::Running, ..swing };
@@ -43,13 +60,26 @@ fn costs_equal_their_formulas() {
     let upright = Upright { horizon: 5, control_weight: 0.3, ..Upright::double_pendulum() };
     costs_of("upright", &upright, |_, u| 0.3 * u[0] * u[0] / 2.0 / 5.0, |x| height(&[x[0], x[2]]));
     let held = Upright { loss: LossMode::Running, ..upright };
-    costs_of("held", &held, |x, u| (height(&[x[0], x[2]]) + 0.3 * u[0] * u[0] / 2.0) / 5.0, |_| 0.0);
+    costs_of(
+        "held",
+        &held,
+        |x, u| (height(&[x[0], x[2]]) + 0.3 * u[0] * u[0] / 2.0) / 5.0,
+        |_| 0.0,
+    );
     let chain = Upright { horizon: 5, ..Upright::pole_chain(2) };
     costs_of("chain", &chain, none, |x| height(&[x[2], x[4]]));
 
-    let herding = Guidance { horizon: 5, regularization: 0.7, loss: LossMode::Terminal, ..Guidance::new(2, 3) };
+    let herding = Guidance {
+        horizon: 5,
+        regularization: 0.7,
+        loss: LossMode::Terminal,
+        ..Guidance::new(2, 3)
+    };
     let control_weight = |u: &[f64]| 0.7 * u.iter().map(|u| u * u).sum::<f64>() / 4.0 / 5.0;
-    let away = |x: &[f64]| x[8..].chunks_exact(4).map(|agent| agent[0] * agent[0] + agent[1] * agent[1]).sum::<f64>() / 6.0;
+    let away = |x: &[f64]| {
+        x[8..].chunks_exact(4).map(|agent| agent[0] * agent[0] + agent[1] * agent[1]).sum::<f64>()
+            / 6.0
+    };
     costs_of("herding", &herding, |_, u| control_weight(u), away);
     let always = Guidance { loss: LossMode::Running, ..herding };
     costs_of("herding always", &always, |x, u| control_weight(u) + away(x) / 5.0, |_| 0.0);
@@ -61,7 +91,9 @@ fn costs_equal_their_formulas() {
     };
     let missing = |x: &[f64]| {
         let phi: Vec<f64> = (1..=GRID).map(|j| 0.5 * (2.0 * PI * j as f64 / 8.0).sin()).collect();
-        let part = |part: usize| phi.iter().zip(x.chunks_exact(2)).map(|(phi, psi)| phi * psi[part]).sum::<f64>();
+        let part = |part: usize| {
+            phi.iter().zip(x.chunks_exact(2)).map(|(phi, psi)| phi * psi[part]).sum::<f64>()
+        };
         1.0 - part(0).powi(2) - part(1).powi(2)
     };
     costs("infidelity", &quantum, none, missing);
@@ -129,7 +161,8 @@ fn initial_states_span_the_documented_ranges() {
         starts_within("cart", &swing, -1.0, 1.0, |x| x[i]);
     }
     starts_within("pole", &swing, PI - within, PI + within, |x| x[2]);
-    let windy = Forced { system: model(1), effects: GustyWind { period: 1.7, ..GustyWind::default() } };
+    let windy =
+        Forced { system: model(1), effects: GustyWind { period: 1.7, ..GustyWind::default() } };
     starts_within("phase of the gusts", &CartPole::with_system(windy), 0.0, 1.7, |x| x[4]);
     starts_within("pendulum", &Upright::double_pendulum(), PI - within, PI + within, |x| x[2]);
     starts_within("rate", &Upright::double_pendulum(), -within, within, |x| x[3]);
@@ -151,11 +184,13 @@ fn initial_states_span_the_documented_ranges() {
     let many = Guidance::new(1, 40);
     let spread = range(&many, |x| {
         let xs: Vec<f64> = x[4..].chunks_exact(4).map(|agent| agent[0]).collect();
-        xs.iter().fold(f64::MIN, |most, x| most.max(*x)) - xs.iter().fold(f64::MAX, |least, x| least.min(*x))
+        xs.iter().fold(f64::MIN, |most, x| most.max(*x))
+            - xs.iter().fold(f64::MAX, |least, x| least.min(*x))
     });
     assert!(spread[1] <= 1.0 && spread[1] > 0.99, "{spread:?}");
     let center = range(&many, |x| {
-        let mean = |axis: usize| x[4..].chunks_exact(4).map(|agent| agent[axis]).sum::<f64>() / 40.0;
+        let mean =
+            |axis: usize| x[4..].chunks_exact(4).map(|agent| agent[axis]).sum::<f64>() / 40.0;
         mean(0).hypot(mean(1))
     });
     // The center is 1 m to 2 m from the origin. The mean of 40 evaders deviates from the center by
@@ -164,7 +199,14 @@ fn initial_states_span_the_documented_ranges() {
     // Initial states mix the eigenstates 1 and 2 with any share from 0 to 1.
     let mixture = Quantum::new(3);
     let share = |number: usize, x: &[f64]| {
-        let part = |part| mixture.system.eigenstate(number).zip(x.chunks_exact(2)).map(|(phi, psi)| phi * psi[part]).sum::<f64>();
+        let part = |part| {
+            mixture
+                .system
+                .eigenstate(number)
+                .zip(x.chunks_exact(2))
+                .map(|(phi, psi)| phi * psi[part])
+                .sum::<f64>()
+        };
         part(0).powi(2) + part(1).powi(2)
     };
     starts_within("ground state", &mixture, 0.0, 1.0, |x| share(1, x));
@@ -211,17 +253,33 @@ fn defaults_equal_the_documented_ones() {
     is(CartDamping { damping: 0.1.into() });
     is(DryFriction { force: 0.5.into(), smoothing: 0.05 });
     is(SteadyWind { speed: 3.0.into(), cart_drag: 0.06.into(), pole_drag: 0.013.into() });
-    is(GustyWind { speed: 3.0.into(), gust: 2.0.into(), period: 1.0, cart_drag: 0.06.into(), pole_drag: 0.013.into() });
+    is(GustyWind {
+        speed: 3.0.into(),
+        gust: 2.0.into(),
+        period: 1.0,
+        cart_drag: 0.06.into(),
+        pole_drag: 0.013.into(),
+    });
     is(Bumpers { half_travel: 2.4, stiffness: 1e3.into(), damping: 0.5.into() });
     is(DoublePendulum { masses: [1.0, 1.0], lengths: [1.0, 1.0], gravity: 9.81 });
     // 60 steps in 4 s. Friction, spread, evade and flock have the constants of the authors' code.
-    is(GuidanceSystem { drivers: 2, evaders: 4, center: Center::Sum, softening: 0.1, dt: 4.0 / 60.0 });
+    is(GuidanceSystem {
+        drivers: 2,
+        evaders: 4,
+        center: Center::Sum,
+        softening: 0.1,
+        dt: 4.0 / 60.0,
+    });
     is(Friction { drivers: 1.0, evaders: 4.0 });
     is(Spread { strength: 0.2 });
     is(Evade { strength: 15.0 });
     is(Flock { strength: 0.2, distance: 0.5 });
     is(Drive { strength: 0.2 });
-    is(Obstacles { centers: vec![[1.0, 0.0], [-0.5, 0.85], [-0.5, -0.85]], radius: 0.5, stiffness: 10.0 });
+    is(Obstacles {
+        centers: vec![[1.0, 0.0], [-0.5, 0.85], [-0.5, -0.85]],
+        radius: 0.5,
+        stiffness: 10.0,
+    });
     is(Walls { half_width: 6.0, half_height: 4.0, stiffness: 10.0 });
     // 128 steps in 8 units of time, a box of length 2.
     is(QuantumSystem { grid: 32, length: 2.0, dt: 8.0 / 128.0, control: ControlShape::Tilt });
@@ -230,18 +288,48 @@ fn defaults_equal_the_documented_ones() {
     is(DoubleWell { height: 30.0, separation: 1.2 });
     is(Cubic { strength: 5.0 });
     is(AbsorbingEdges { width: 0.2, strength: 10.0 });
-    is(SliderSystem { mass: 1.0, coefficient: 0.5, smoothing: 1e-3, dt: 0.01, scheme: FrictionScheme::Implicit });
+    is(SliderSystem {
+        mass: 1.0,
+        coefficient: 0.5,
+        smoothing: 1e-3,
+        dt: 0.01,
+        scheme: FrictionScheme::Implicit,
+    });
     let slider = Slider::default();
     assert_eq!((slider.speed_weight, slider.horizon), (0.1, 100));
-    is(BouncingBall { mass: 1.0, gravity: 9.81, contact: Contact::TimeOfImpact { restitution: 0.8 }, dt: 0.01 });
+    is(BouncingBall {
+        mass: 1.0,
+        gravity: 9.81,
+        contact: Contact::TimeOfImpact { restitution: 0.8 },
+        dt: 0.01,
+    });
     assert_eq!((Bounce::default().target, Bounce::default().horizon), (1.0, 100));
     let restitution = |restitution: f64| Contact::TimeOfImpact { restitution };
-    assert_eq!(TwoBodies::balls(), TwoBodies { masses: [1.0, 1.0], contact_distance: 0.1, contact: restitution(1.0), dt: 0.01 });
-    assert_eq!(TwoBodies::pusher(), TwoBodies { masses: [1.0, 2.0], contact_distance: 0.1, contact: restitution(0.0), dt: 0.01 });
+    assert_eq!(
+        TwoBodies::balls(),
+        TwoBodies {
+            masses: [1.0, 1.0],
+            contact_distance: 0.1,
+            contact: restitution(1.0),
+            dt: 0.01
+        }
+    );
+    assert_eq!(
+        TwoBodies::pusher(),
+        TwoBodies {
+            masses: [1.0, 2.0],
+            contact_distance: 0.1,
+            contact: restitution(0.0),
+            dt: 0.01
+        }
+    );
     is(Reach { system: Accumulator { dim: 1 }, start: -0.3, target: 2.0, horizon: 4 });
     is(Bowl { system: Accumulator { dim: 2 }, curvatures: [1.0, 4.0], angle: FRAC_PI_6 });
     let (swing, chain) = (Upright::double_pendulum(), Upright::pole_chain(2));
-    assert_eq!((swing.system.dt, swing.control_weight, chain.system.dt, chain.system.ode.0.poles), (0.01, 0.0, 0.01, 2));
+    assert_eq!(
+        (swing.system.dt, swing.control_weight, chain.system.dt, chain.system.ode.0.poles),
+        (0.01, 0.0, 0.01, 2)
+    );
     assert_eq!(swing.held().control_weight, 1e-3);
     assert_eq!((Guidance::new(1, 1).regularization, Quantum::new(3).weighting), (1.0, [1.0, 1.0]));
 }

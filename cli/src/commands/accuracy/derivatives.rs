@@ -67,8 +67,13 @@ impl Derivative {
         right: &[f64],
         full: Option<&Vec<f64>>,
     ) -> Self {
-        let error = derived.gradient.as_ref().map(|found| compare(&at_chosen(found, right.len()), right).0).map_err(Clone::clone);
-        let signs = full.zip(derived.gradient.as_ref().ok()).map(|(full, found)| compare(found, full).1);
+        let error = derived
+            .gradient
+            .as_ref()
+            .map(|found| compare(&at_chosen(found, right.len()), right).0)
+            .map_err(Clone::clone);
+        let signs =
+            full.zip(derived.gradient.as_ref().ok()).map(|(full, found)| compare(found, full).1);
         Self { method, precision, error, signs, seconds: spread(times), bytes: derived.bytes }
     }
 }
@@ -89,7 +94,13 @@ pub struct Checkpoint {
 }
 
 impl Checkpoint {
-    pub fn new(horizon: usize, budget: u64, derived: &Derived, times: Vec<f64>, all: &Result<Vec<f64>, String>) -> Self {
+    pub fn new(
+        horizon: usize,
+        budget: u64,
+        derived: &Derived,
+        times: Vec<f64>,
+        all: &Result<Vec<f64>, String>,
+    ) -> Self {
         let bits = |x: &[f64]| x.iter().map(|x| x.to_bits()).collect::<Vec<u64>>();
         let same = match (&derived.gradient, all) {
             (Ok(found), Ok(all)) => Ok(bits(found) == bits(all)),

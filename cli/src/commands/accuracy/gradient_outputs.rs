@@ -1,6 +1,5 @@
 //! Output files of `physgrad accuracy --gradients`: CSV, charts and tables.
 
-use physgrad::text::rough;
 use crate::commands::accuracy::derivatives::{Checkpoint, Derivative, Horizon};
 use crate::operations::gradients::GradientMethod;
 use crate::platform::csv::csv;
@@ -8,8 +7,9 @@ use crate::platform::folder::Folder;
 use crate::platform::json::rows;
 use crate::platform::table::Table;
 use crate::settings::Precision;
-use physgrad_plot::{Dash, Series, Work, work_precision};
 use anyhow::Result;
+use physgrad::text::rough;
+use physgrad_plot::{Dash, Series, Work, work_precision};
 use serde_json::{Value, json};
 
 fn small(x: f64) -> String {
@@ -21,7 +21,11 @@ fn percent(share: Option<f64>) -> String {
 }
 
 fn time([low, median, high]: [f64; 3]) -> String {
-    if median.is_nan() { "-".into() } else { format!("{:.3} ±{:.0} %", median * 1e3, 50.0 * (high - low) / median) }
+    if median.is_nan() {
+        "-".into()
+    } else {
+        format!("{:.3} ±{:.0} %", median * 1e3, 50.0 * (high - low) / median)
+    }
 }
 
 fn megabytes(bytes: usize) -> String {
@@ -34,9 +38,11 @@ fn table(header: &[&str], optional: &[&str], rows: impl Iterator<Item = Vec<Stri
     table
 }
 
-const METHODS: [&str; 8] = ["method", "f32 error", "f32 signs", "f32 ms", "f32 MB", "f64 error", "f64 ms", "f64 MB"];
+const METHODS: [&str; 8] =
+    ["method", "f32 error", "f32 signs", "f32 ms", "f32 MB", "f64 error", "f64 ms", "f64 MB"];
 const CHECKPOINTS: [&str; 4] = ["budget, MB", "peak memory, MB", "time, ms", "bits"];
-const HORIZONS: [&str; 6] = ["horizon", "norm of R", "f32 error", "f32 signs", "f64 error", "f64 signs"];
+const HORIZONS: [&str; 6] =
+    ["horizon", "norm of R", "f32 error", "f32 signs", "f64 error", "f64 signs"];
 
 fn tables(methods: &[Derivative], checkpoints: &[Checkpoint], along: &[Horizon]) -> [Table; 3] {
     let error = |row: &Derivative| match (&row.error, row.method) {
@@ -53,10 +59,21 @@ fn tables(methods: &[Derivative], checkpoints: &[Checkpoint], along: &[Horizon])
     let mut names: Vec<GradientMethod> = methods.iter().map(|row| row.method).collect();
     names.dedup();
     let cells = |method: &GradientMethod| {
-        let of = |precision| one(methods.iter().find(|row| row.method == *method && row.precision == precision));
+        let of = |precision| {
+            one(methods.iter().find(|row| row.method == *method && row.precision == precision))
+        };
         let ([single, signs, single_time, single_bytes], [double, _, double_time, double_bytes]) =
             (of(Precision::F32), of(Precision::F64));
-        vec![method.to_string(), single, signs, single_time, single_bytes, double, double_time, double_bytes]
+        vec![
+            method.to_string(),
+            single,
+            signs,
+            single_time,
+            single_bytes,
+            double,
+            double_time,
+            double_bytes,
+        ]
     };
     // A rollout that diverges without a budget also diverges with one.
     let diverged = checkpoints.first().is_some_and(|row| row.same.is_err());
@@ -95,12 +112,20 @@ fn trusted(along: &[Horizon], which: usize) -> String {
     let precision = ["f32", "f64"][which];
     match along.iter().take_while(right).last() {
         Some(row) if row.horizon == along.last().map_or(0, |row| row.horizon) => {
-            format!("99 % of the signs of R are correct in {precision} up to {} steps, the longest horizon measured", row.horizon)
+            format!(
+                "99 % of the signs of R are correct in {precision} up to {} steps, the longest horizon measured",
+                row.horizon
+            )
         }
         Some(row) => {
-            format!("99 % of the signs of R are correct in {precision} up to {} steps, but not at the next horizon", row.horizon)
+            format!(
+                "99 % of the signs of R are correct in {precision} up to {} steps, but not at the next horizon",
+                row.horizon
+            )
         }
-        None => format!("fewer than 99 % of the signs of R are correct in {precision} at the first horizon"),
+        None => format!(
+            "fewer than 99 % of the signs of R are correct in {precision} at the first horizon"
+        ),
     }
 }
 
@@ -113,7 +138,8 @@ pub fn write(
     along: &[Horizon],
 ) -> Result<(String, Value)> {
     let lists = [methods_csv(methods)?, checkpoints_csv(checkpoints)?, horizons_csv(along)?];
-    for (file, list) in ["gradients.csv", "checkpoints.csv", "horizons.csv"].into_iter().zip(&lists) {
+    for (file, list) in ["gradients.csv", "checkpoints.csv", "horizons.csv"].into_iter().zip(&lists)
+    {
         folder.write(file, list)?;
     }
     let [methods_list, checkpoints_list, horizons_list] = lists.map(|list| rows(&list));
@@ -134,8 +160,11 @@ pub fn write(
     };
     let tables = tables(methods, checkpoints, along);
     let markdown = text(tables.each_ref().map(Table::markdown));
-    folder
-        .write("gradients.md", format!("# Costs of gradients: {name}\n\n![errors](gradients.svg)\n\n{markdown}\n").as_bytes())?;
+    folder.write(
+        "gradients.md",
+        format!("# Costs of gradients: {name}\n\n![errors](gradients.svg)\n\n{markdown}\n")
+            .as_bytes(),
+    )?;
     Ok((text(tables.map(|table| table.to_string())), object))
 }
 
@@ -148,16 +177,36 @@ fn optional(x: Option<f64>) -> String {
 }
 
 fn methods_csv(methods: &[Derivative]) -> Result<Vec<u8>> {
-    let header =
-        ["method", "step", "precision", "diverged", "error", "signs_as_in_f64", "ms", "ms_lowest", "ms_highest", "peak_bytes"];
+    let header = [
+        "method",
+        "step",
+        "precision",
+        "diverged",
+        "error",
+        "signs_as_in_f64",
+        "ms",
+        "ms_lowest",
+        "ms_highest",
+        "peak_bytes",
+    ];
     let row = |row: &Derivative| {
         let (name, step) = match row.method {
             GradientMethod::Central(step) => ("central differences".to_owned(), step.to_string()),
             method => (method.to_string(), String::new()),
         };
-        let error = if row.method == GradientMethod::Forward { None } else { row.error.as_ref().ok().copied() };
-        let head = [name, step, row.precision.name().into(), row.error.as_ref().err().cloned().unwrap_or_default()];
-        let tail = [optional(error), optional(row.signs)].into_iter().chain(milliseconds(row.seconds));
+        let error = if row.method == GradientMethod::Forward {
+            None
+        } else {
+            row.error.as_ref().ok().copied()
+        };
+        let head = [
+            name,
+            step,
+            row.precision.name().into(),
+            row.error.as_ref().err().cloned().unwrap_or_default(),
+        ];
+        let tail =
+            [optional(error), optional(row.signs)].into_iter().chain(milliseconds(row.seconds));
         head.into_iter().chain(tail).chain([row.bytes.to_string()])
     };
     csv(header, methods.iter().map(row))
@@ -169,7 +218,10 @@ fn checkpoints_csv(checkpoints: &[Checkpoint]) -> Result<Vec<u8>> {
         let head = [row.horizon.to_string(), row.budget.to_string(), row.bytes.to_string()];
         head.into_iter().chain(milliseconds(row.seconds)).chain([same])
     };
-    csv(["horizon", "budget_bytes", "peak_bytes", "ms", "ms_lowest", "ms_highest", "same_bits"], checkpoints.iter().map(row))
+    csv(
+        ["horizon", "budget_bytes", "peak_bytes", "ms", "ms_lowest", "ms_highest", "same_bits"],
+        checkpoints.iter().map(row),
+    )
 }
 
 fn horizons_csv(along: &[Horizon]) -> Result<Vec<u8>> {
@@ -181,12 +233,17 @@ fn horizons_csv(along: &[Horizon]) -> Result<Vec<u8>> {
         let head = [row.horizon.to_string(), row.norm.to_string()];
         head.into_iter().chain(row.found.iter().flat_map(cells)).collect::<Vec<_>>()
     };
-    csv(["horizon", "r_norm", "f32_error", "f32_signs_right", "f64_error", "f64_signs_right"], along.iter().map(row))
+    csv(
+        ["horizon", "r_norm", "f32_error", "f32_signs_right", "f64_error", "f64_signs_right"],
+        along.iter().map(row),
+    )
 }
 
 fn diagrams(name: &str, methods: &[Derivative], along: &[Horizon]) -> physgrad_plot::Drawing {
     let colors = [("f32", "#D55E00"), ("f64", "#0072B2")];
-    let of = |precision: &'static str| methods.iter().filter(move |row| row.precision.name() == precision);
+    let of = |precision: &'static str| {
+        methods.iter().filter(move |row| row.precision.name() == precision)
+    };
     let steps = colors.iter().flat_map(|&(precision, color)| {
         let central = of(precision).filter_map(|row| match row.method {
             GradientMethod::Central(step) => Some((step, row.error.clone().ok()?)),
@@ -205,17 +262,38 @@ fn diagrams(name: &str, methods: &[Derivative], along: &[Horizon]) -> physgrad_p
     });
     let horizons = |read: fn(&(f64, f64)) -> f64| {
         let line = move |which: usize| {
-            along.iter().filter_map(move |row| Some((row.horizon as f64, read(row.found[which].as_ref().ok()?)))).collect()
+            along
+                .iter()
+                .filter_map(move |row| {
+                    Some((row.horizon as f64, read(row.found[which].as_ref().ok()?)))
+                })
+                .collect()
         };
-        colors.iter().enumerate().map(move |(which, &(precision, color))| Series::new(precision, color, line(which))).collect()
+        colors
+            .iter()
+            .enumerate()
+            .map(move |(which, &(precision, color))| Series::new(precision, color, line(which)))
+            .collect()
     };
     work_precision(
         &format!("{name}: errors of the gradient of R"),
         &[],
         vec![
-            Work { x_label: "step of the differences", y_label: "error of the gradient of R", series: steps.collect() },
-            Work { x_label: "horizon, steps", y_label: "error of the gradient of R", series: horizons(|found| found.0) },
-            Work { x_label: "horizon, steps", y_label: "share of wrong signs of R", series: horizons(|found| 1.0 - found.1) },
+            Work {
+                x_label: "step of the differences",
+                y_label: "error of the gradient of R",
+                series: steps.collect(),
+            },
+            Work {
+                x_label: "horizon, steps",
+                y_label: "error of the gradient of R",
+                series: horizons(|found| found.0),
+            },
+            Work {
+                x_label: "horizon, steps",
+                y_label: "share of wrong signs of R",
+                series: horizons(|found| 1.0 - found.1),
+            },
         ],
     )
 }

@@ -11,9 +11,9 @@ use crate::platform::parallel;
 use crate::platform::terminal::{print_message, print_text};
 use crate::settings::Precision;
 use crate::tasks::Scene;
-use physgrad::{Combination, Field, GradientCombiner};
 use anyhow::{Result, bail};
 use indicatif::ProgressBar;
+use physgrad::{Combination, Field, GradientCombiner};
 use toml::Value;
 
 /// Step sizes of central differences.
@@ -37,7 +37,13 @@ const fn reverse(field: Field, budget: Option<u64>) -> GradientMethod {
 }
 
 /// Measures methods, budgets and horizons, and writes and prints the results.
-pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize], [quiet, json]: [bool; 2]) -> Result<()> {
+pub fn gradients(
+    study: &Study,
+    name: &str,
+    folder: &Folder,
+    horizons: &[usize],
+    [quiet, json]: [bool; 2],
+) -> Result<()> {
     let fields = [Field::regular(), Field::modified(), Field::stopped(), Field::combined()];
     let exact = fields.map(|field| reverse(field, None));
     let both = exact
@@ -48,7 +54,8 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
     let methods: Vec<(GradientMethod, Precision)> =
         forward.into_iter().chain(both).chain([(GradientMethod::Duals, Precision::F64)]).collect();
 
-    let bar = bar(methods.len() * (1 + ROUNDS) + REFERENCES + 3 * horizons.len() + PARTS.len(), quiet);
+    let bar =
+        bar(methods.len() * (1 + ROUNDS) + REFERENCES + 3 * horizons.len() + PARTS.len(), quiet);
     if !quiet && bar.is_hidden() {
         print_message(&format!(
             "measuring {} gradient methods, {REFERENCES} double-double derivatives, {} horizons",
@@ -59,7 +66,10 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
     bar.set_message("double-double reference");
     let scene = study.source.scene()?;
     // Rejects invalid horizons before the measurements.
-    let scenes = horizons.iter().map(|&horizon| with_horizon(study, horizon)).collect::<Result<Vec<Scene>>>()?;
+    let scenes = horizons
+        .iter()
+        .map(|&horizon| with_horizon(study, horizon))
+        .collect::<Result<Vec<Scene>>>()?;
     let theta = scene.initial_theta()?;
     let [r, m, s] = scene.refer(&theta, &|| bar.inc(1));
     let mut c = vec![0.0; r.len()];
@@ -93,7 +103,8 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
     }
     // Compares signs with the gradient in f64, because the reference has only chosen components.
     let full = |field: Field| {
-        let found = methods.iter().position(|method| *method == (reverse(field, None), Precision::F64));
+        let found =
+            methods.iter().position(|method| *method == (reverse(field, None), Precision::F64));
         found.and_then(|i| derived[i].gradient.as_ref().ok())
     };
     let derivatives: Vec<Derivative> = methods
@@ -101,7 +112,11 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
         .zip(&derived)
         .zip(times)
         .map(|(((method, precision), derived), times)| {
-            let full = if let GradientMethod::Reverse { field, .. } = method { full(*field) } else { None };
+            let full = if let GradientMethod::Reverse { field, .. } = method {
+                full(*field)
+            } else {
+                None
+            };
             Derivative::new(*method, *precision, derived, times, right(method), full)
         })
         .collect();
@@ -134,7 +149,8 @@ fn with_horizon(study: &Study, horizon: usize) -> Result<Scene> {
 fn checkpoints(study: &Study, bar: &ProgressBar) -> Result<Vec<Checkpoint>> {
     let scene = with_horizon(study, study.scene.horizon.max(CHECKPOINTED))?;
     let theta = scene.initial_theta()?;
-    let run = |budget| scene.derive(&theta, study.scene.precision, reverse(Field::regular(), budget));
+    let run =
+        |budget| scene.derive(&theta, study.scene.precision, reverse(Field::regular(), budget));
     let mut all = run(None);
     let (bytes, gradient) = (all.bytes as u64, all.gradient.clone());
     let mut jobs: Vec<Derived> = PARTS[1..].iter().map(|part| run(Some(bytes / part))).collect();
@@ -158,9 +174,11 @@ fn checkpoints(study: &Study, bar: &ProgressBar) -> Result<Vec<Checkpoint>> {
 fn along(scenes: &[Scene], theta: &[f64], bar: &ProgressBar) -> Vec<Horizon> {
     bar.set_message("horizons");
     let runs = [(Precision::F32, false), (Precision::F64, false), (Precision::F64, true)];
-    let jobs: Vec<(&Scene, (Precision, bool))> = scenes.iter().flat_map(|scene| runs.map(|run| (scene, run))).collect();
+    let jobs: Vec<(&Scene, (Precision, bool))> =
+        scenes.iter().flat_map(|scene| runs.map(|run| (scene, run))).collect();
     let run = |(scene, (precision, nudged)): (&Scene, (Precision, bool))| {
-        let method = GradientMethod::Reverse { field: Field::regular(), budget: Some(BUDGET), nudged };
+        let method =
+            GradientMethod::Reverse { field: Field::regular(), budget: Some(BUDGET), nudged };
         let gradient = scene.derive(theta, precision, method).gradient;
         bar.inc(1);
         gradient
@@ -169,7 +187,11 @@ fn along(scenes: &[Scene], theta: &[f64], bar: &ProgressBar) -> Vec<Horizon> {
     let jobs: Vec<_> = jobs.into_iter().rev().collect();
     let mut gradients: Vec<Result<Vec<f64>, String>> = parallel::map(&jobs, |&job| run(job));
     gradients.reverse();
-    scenes.iter().zip(gradients.chunks(3)).map(|(scene, found)| Horizon::new(scene.horizon, found)).collect()
+    scenes
+        .iter()
+        .zip(gradients.chunks(3))
+        .map(|(scene, found)| Horizon::new(scene.horizon, found))
+        .collect()
 }
 
 /// Checks the horizons, sorts them and removes duplicates.

@@ -1,18 +1,20 @@
 //! Output files of `physgrad accuracy`: CSV, charts and a table.
 
-use physgrad::text::rough;
 use crate::commands::accuracy::row::{Errors, Row};
 use crate::commands::accuracy::study::ROUNDS;
 use crate::platform::csv::csv;
 use crate::platform::folder::Folder;
 use crate::platform::table::Table;
 use crate::platform::terminal::counted;
-use physgrad_plot::{Dash, Series, Work, work_precision};
 use anyhow::Result;
+use physgrad::text::rough;
+use physgrad_plot::{Dash, Series, Work, work_precision};
 
 /// Okabe-Ito colours, grey and brown.
-const COLORS: [&str; 10] =
-    ["#000000", "#E69F00", "#56B4E9", "#009E73", "#F0E442", "#0072B2", "#D55E00", "#CC79A7", "#888888", "#8B5A2B"];
+const COLORS: [&str; 10] = [
+    "#000000", "#E69F00", "#56B4E9", "#009E73", "#F0E442", "#0072B2", "#D55E00", "#CC79A7",
+    "#888888", "#8B5A2B",
+];
 
 const HEADER: [&str; 19] = [
     "method",
@@ -37,7 +39,13 @@ const HEADER: [&str; 19] = [
 ];
 
 /// Writes all files. Returns the contents of `accuracy.csv`.
-pub fn write(folder: &Folder, name: &str, check: &Errors, conserved: Option<&str>, rows: &[Row]) -> Result<Vec<u8>> {
+pub fn write(
+    folder: &Folder,
+    name: &str,
+    check: &Errors,
+    conserved: Option<&str>,
+    rows: &[Row],
+) -> Result<Vec<u8>> {
     let list = csv(HEADER, rows.iter().map(record))?;
     folder.write("accuracy.csv", &list)?;
     folder.write("accuracy.svg", diagrams(name, rows).to_svg().as_bytes())?;
@@ -53,8 +61,10 @@ fn record(row: &Row) -> Vec<String> {
         }
         Err(_) => vec![String::new(); 6],
     };
-    let times = [forward[1], forward[0], forward[2], gradient[1], gradient[0], gradient[2]].map(|s| (s * 1e6).to_string());
-    let head = [setting.method.into(), setting.substeps.to_string(), setting.precision.name().into()];
+    let times = [forward[1], forward[0], forward[2], gradient[1], gradient[0], gradient[2]]
+        .map(|s| (s * 1e6).to_string());
+    let head =
+        [setting.method.into(), setting.substeps.to_string(), setting.precision.name().into()];
     let diverged = row.errors.as_ref().err().cloned().unwrap_or_default();
     let drift = if row.drift.is_nan() { String::new() } else { row.drift.to_string() };
     let counts = [drift, row.operations.to_string(), row.bytes.to_string()];
@@ -69,10 +79,14 @@ fn diagrams(name: &str, rows: &[Row]) -> physgrad_plot::Drawing {
     let series = |work: fn(&Row) -> [f64; 3], error: fn(&Errors) -> f64| {
         let of_method = |(i, method): (usize, &&'static str)| {
             ["f32", "f64"].map(|precision| {
-                let selected =
-                    rows.iter().filter(|row| row.setting.method == *method && row.setting.precision.name() == precision);
-                let points = selected.filter_map(|row| Some((work(row), error(row.errors.as_ref().ok()?))));
-                let (line, spread) = points.map(|([low, median, high], error)| ((median, error), (low, high))).unzip();
+                let selected = rows.iter().filter(|row| {
+                    row.setting.method == *method && row.setting.precision.name() == precision
+                });
+                let points =
+                    selected.filter_map(|row| Some((work(row), error(row.errors.as_ref().ok()?))));
+                let (line, spread) = points
+                    .map(|([low, median, high], error)| ((median, error), (low, high)))
+                    .unzip();
                 let dash = if precision == "f32" { Dash::Dashed } else { Dash::Solid };
                 Series { spread, ..Series::new(*method, COLORS[i % COLORS.len()], line).dash(dash) }
             })
@@ -107,8 +121,10 @@ const COSTS: [&str; 3] = ["operations", "forward, µs", "with gradients, µs"];
 
 fn table(conserved: Option<&str>, rows: &mut dyn Iterator<Item = &Row>) -> Table {
     let drift = conserved.map(|name| format!("drift of the {name}"));
-    let header: Vec<String> = COLUMNS.map(String::from).into_iter().chain(drift).chain(COSTS.map(String::from)).collect();
-    let most_important = ["R", "with gradients, µs", "loss", "signs of R", "operations", "M", "signs of M"];
+    let header: Vec<String> =
+        COLUMNS.map(String::from).into_iter().chain(drift).chain(COSTS.map(String::from)).collect();
+    let most_important =
+        ["R", "with gradients, µs", "loss", "signs of R", "operations", "M", "signs of M"];
     let mut table = Table::new(header).optional(&most_important);
     let error = |error: f64| if error.is_nan() { "-".to_owned() } else { rough(error) };
     for row in rows {
@@ -120,7 +136,14 @@ fn table(conserved: Option<&str>, rows: &mut dyn Iterator<Item = &Row>) -> Table
         match &row.errors {
             Ok(Errors { trajectory, loss, gradients: [r, m], signs: [r_signs, m_signs] }) => {
                 let share = |share: f64| format!("{:.1} %", 100.0 * share);
-                cells.extend([error(*trajectory), error(*loss), error(*r), share(*r_signs), error(*m), share(*m_signs)]);
+                cells.extend([
+                    error(*trajectory),
+                    error(*loss),
+                    error(*r),
+                    share(*r_signs),
+                    error(*m),
+                    share(*m_signs),
+                ]);
             }
             Err(_) => cells.extend(["diverged"; 6].map(String::from)),
         }
@@ -135,8 +158,17 @@ fn table(conserved: Option<&str>, rows: &mut dyn Iterator<Item = &Row>) -> Table
 fn floors(rows: &[Row]) -> String {
     let of = |precision: &str| {
         let errors = rows.iter().filter(|row| row.setting.precision.name() == precision);
-        let least = errors.filter_map(|row| Some((row, row.errors.as_ref().ok()?.trajectory))).min_by(|a, b| a.1.total_cmp(&b.1));
-        least.map(|(row, error)| format!("{} in {precision} ({} x{})", rough(error), row.setting.method, row.setting.substeps))
+        let least = errors
+            .filter_map(|row| Some((row, row.errors.as_ref().ok()?.trajectory)))
+            .min_by(|a, b| a.1.total_cmp(&b.1));
+        least.map(|(row, error)| {
+            format!(
+                "{} in {precision} ({} x{})",
+                rough(error),
+                row.setting.method,
+                row.setting.substeps
+            )
+        })
     };
     let found: Vec<String> = ["f32", "f64"].into_iter().filter_map(of).collect();
     match &found[..] {
@@ -175,7 +207,10 @@ pub fn summary(rows: &[Row], check: &Errors, conserved: Option<&str>) -> String 
     let is_useful = |error: &f64| *error < 1.0;
     let point = |row: &Row| Some((row.seconds[0][1], error(row).filter(is_useful)?));
     let dominates = |a: (f64, f64), b: (f64, f64)| a.0 <= b.0 && a.1 <= b.1 && a != b;
-    let best = |row: &&Row| point(row).is_some_and(|own| !rows.iter().filter_map(point).any(|other| dominates(other, own)));
+    let best = |row: &&Row| {
+        point(row)
+            .is_some_and(|own| !rows.iter().filter_map(point).any(|other| dominates(other, own)))
+    };
     let mut front: Vec<&Row> = rows.iter().filter(best).collect();
     front.sort_by(|a, b| a.seconds[0][1].total_cmp(&b.seconds[0][1]));
     let diverged = rows.iter().filter(|row| row.errors.is_err()).count();
@@ -187,8 +222,10 @@ pub fn summary(rows: &[Row], check: &Errors, conserved: Option<&str>) -> String 
     );
     let useless = rows.iter().filter_map(error).filter(|error| !is_useful(error)).count();
     if useless > 0 {
-        text +=
-            &format!("\n{} with an error of the trajectory of 1 or more, as large as the states", counted(useless, "setting"));
+        text += &format!(
+            "\n{} with an error of the trajectory of 1 or more, as large as the states",
+            counted(useless, "setting")
+        );
     }
     if diverged > 0 {
         text += &format!("\n{} diverged", counted(diverged, "setting"));

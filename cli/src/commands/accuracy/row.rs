@@ -95,10 +95,23 @@ pub struct Row {
 }
 
 impl Row {
-    pub(super) fn new(setting: Setting, job: &Job, reference: &Simulated, conserved: Option<&Conserved>) -> Self {
-        let errors = job.found.as_ref().map(|found| Errors::of(found, reference)).map_err(Clone::clone);
+    pub(super) fn new(
+        setting: Setting,
+        job: &Job,
+        reference: &Simulated,
+        conserved: Option<&Conserved>,
+    ) -> Self {
+        let errors =
+            job.found.as_ref().map(|found| Errors::of(found, reference)).map_err(Clone::clone);
         let drift = conserved.map_or(f64::NAN, |conserved| conserved.drift(&job.idle));
-        Self { setting, errors, drift, operations: job.operations, bytes: job.bytes, seconds: [[f64::NAN; 3]; 2] }
+        Self {
+            setting,
+            errors,
+            drift,
+            operations: job.operations,
+            bytes: job.bytes,
+            seconds: [[f64::NAN; 3]; 2],
+        }
     }
 
     /// Sets the times from those of all rounds, `[forward, with adjoints of R and M]`.
@@ -110,10 +123,12 @@ impl Row {
 impl Errors {
     pub(super) fn of(found: &Simulated, reference: &Simulated) -> Self {
         let largest = |x: &[f64]| x.iter().fold(0.0_f64, |largest, x| largest.max(x.abs()));
-        let differences = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a - b).collect::<Vec<f64>>();
+        let differences =
+            |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a - b).collect::<Vec<f64>>();
         let [r, m] = [0, 1].map(|k| compare(&found.gradients[k], &reference.gradients[k]));
         Self {
-            trajectory: largest(&differences(&found.states, &reference.states)) / largest(&reference.states),
+            trajectory: largest(&differences(&found.states, &reference.states))
+                / largest(&reference.states),
             loss: ((found.loss - reference.loss) / reference.loss).abs(),
             gradients: [r.0, m.0],
             signs: [r.1, m.1],

@@ -91,11 +91,19 @@ pub struct Cheapest<'a> {
 
 /// Cheapest of the rows with at most this error: the one with the fewest operations among those whose
 /// range of times overlaps that of the lowest median. Among equal counts, the lowest median decides.
-pub fn cheapest<'a>(rows: impl Iterator<Item = &'a Row>, metric: Metric, target: f64) -> Option<Cheapest<'a>> {
-    let error = |row: &Row| row.errors.as_ref().ok().map(|errors| metric.read(errors)).filter(|error| *error <= target);
+pub fn cheapest<'a>(
+    rows: impl Iterator<Item = &'a Row>,
+    metric: Metric,
+    target: f64,
+) -> Option<Cheapest<'a>> {
+    let error = |row: &Row| {
+        row.errors.as_ref().ok().map(|errors| metric.read(errors)).filter(|error| *error <= target)
+    };
     let reached: Vec<(&Row, f64)> = rows.filter_map(|row| Some((row, error(row)?))).collect();
-    let &(fastest, _) = reached.iter().min_by(|a, b| metric.time(a.0).total_cmp(&metric.time(b.0)))?;
-    let as_fast = reached.iter().filter(|(row, _)| metric.times(row)[0] <= metric.times(fastest)[2]);
+    let &(fastest, _) =
+        reached.iter().min_by(|a, b| metric.time(a.0).total_cmp(&metric.time(b.0)))?;
+    let as_fast =
+        reached.iter().filter(|(row, _)| metric.times(row)[0] <= metric.times(fastest)[2]);
     let cost = |row: &Row| (row.operations, metric.time(row));
     let &(row, error) = as_fast.min_by(|a, b| {
         let ((few, fast), (many, slow)) = (cost(a.0), cost(b.0));
@@ -117,7 +125,8 @@ pub struct Study {
 impl Study {
     pub fn new(given: SceneSource) -> Result<Self> {
         let (scene, mut source) = (given.scene()?, given.clone());
-        if scene.table.get("policy").is_some_and(|policy| policy.get("zero_init_output").is_some()) {
+        if scene.table.get("policy").is_some_and(|policy| policy.get("zero_init_output").is_some())
+        {
             source.put("policy.zero_init_output", Value::Boolean(false), "accuracy")?;
         }
         Ok(Self { given, scene, source })
@@ -129,11 +138,13 @@ impl Study {
     /// The task does not support other time steps.
     pub fn settings(&self) -> Result<Vec<Setting>> {
         let refined = Setting { method: "native", substeps: 2, precision: Precision::F64 };
-        let context = "accuracy varies the time step, which this task does not support; choose another task";
+        let context =
+            "accuracy varies the time step, which this task does not support; choose another task";
         refined.of(&self.source).context(context)?;
         // Omits methods that the scene does not support, for example `strang` on large grids.
-        let is_valid =
-            |&method: &&'static str| Setting { method, substeps: 1, precision: Precision::F64 }.of(&self.source).is_ok();
+        let is_valid = |&method: &&'static str| {
+            Setting { method, substeps: 1, precision: Precision::F64 }.of(&self.source).is_ok()
+        };
         let others = self.scene.task.methods().iter().map(|method| method.name()).filter(is_valid);
         let methods = ["native"].into_iter().chain(others);
         let each = methods.flat_map(|method| {
@@ -142,7 +153,11 @@ impl Study {
             counts.iter().map(move |&substeps| (method, substeps))
         });
         let settings = each.flat_map(|(method, substeps)| {
-            [Precision::F32, Precision::F64].map(|precision| Setting { method, substeps, precision })
+            [Precision::F32, Precision::F64].map(|precision| Setting {
+                method,
+                substeps,
+                precision,
+            })
         });
         Ok(settings.collect())
     }
@@ -156,7 +171,11 @@ impl Study {
     ///
     /// # Errors
     /// The reference diverges, or `begin` returns an error.
-    pub fn measure(&self, settings: Vec<Setting>, begin: &mut dyn FnMut(String) -> Result<()>) -> Result<Measured> {
+    pub fn measure(
+        &self,
+        settings: Vec<Setting>,
+        begin: &mut dyn FnMut(String) -> Result<()>,
+    ) -> Result<Measured> {
         let (reference, check) = self.reference(begin)?;
         let conserved = self.scene.conserved();
         let mut rows = Vec::new();
@@ -186,7 +205,10 @@ impl Study {
     }
 
     /// Reference solution, and its difference from the solution with half as many steps.
-    fn reference(&self, begin: &mut dyn FnMut(String) -> Result<()>) -> Result<(Simulated, Errors)> {
+    fn reference(
+        &self,
+        begin: &mut dyn FnMut(String) -> Result<()>,
+    ) -> Result<(Simulated, Errors)> {
         let (method, substeps) = self.scene.task.reference();
         let mut run = |substeps| {
             let setting = Setting { method, substeps, precision: Precision::F64 };
@@ -207,11 +229,19 @@ impl Study {
 
     /// Scene with the cheapest setting that reaches the target, for every method with such a
     /// setting.
-    pub fn scenes(&self, rows: &[Row], metric: Metric, target: f64) -> Result<Vec<(&'static str, Scene)>> {
+    pub fn scenes(
+        &self,
+        rows: &[Row],
+        metric: Metric,
+        target: f64,
+    ) -> Result<Vec<(&'static str, Scene)>> {
         let mut methods: Vec<&str> = rows.iter().map(|row| row.setting.method).collect();
         methods.dedup();
-        let cheapest = |method: &str| cheapest(rows.iter().filter(|row| row.setting.method == method), metric, target);
+        let cheapest = |method: &str| {
+            cheapest(rows.iter().filter(|row| row.setting.method == method), metric, target)
+        };
         let all = methods.into_iter().filter_map(cheapest);
-        all.map(|Cheapest { row, .. }| Ok((row.setting.method, row.setting.of(&self.given)?))).collect()
+        all.map(|Cheapest { row, .. }| Ok((row.setting.method, row.setting.of(&self.given)?)))
+            .collect()
     }
 }

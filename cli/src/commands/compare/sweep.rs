@@ -1,13 +1,13 @@
 //! Outputs of a comparison that sweeps settings.
 
 use super::SweepPoint;
-use physgrad::Field;
-use physgrad::text::short;
 use crate::platform::csv::csv;
 use crate::runs::statistics::{InScene, Outcome, best, by_field, field_label};
+use anyhow::Result;
+use physgrad::Field;
+use physgrad::text::short;
 use physgrad_plot::quantile::{quantile, sorted};
 use physgrad_plot::{Drawing, Series, field_color, settings};
-use anyhow::Result;
 use toml::Value;
 
 /// Swept keys of all points.
@@ -32,14 +32,23 @@ pub fn summary(points: &[SweepPoint], scenes: &[InScene]) -> Result<Vec<u8>> {
     let keys = keys(points);
     // Omits the name of a single scene.
     let name = if scenes.len() > 1 { &["scene"][..] } else { &[] };
-    let results = ["field", "seed", "final_train_loss", "final_test_loss", "best_test_loss", "seconds"];
+    let results =
+        ["field", "seed", "final_train_loss", "final_test_loss", "best_test_loss", "seconds"];
     let header = name.iter().copied().chain(keys.iter().map(String::as_str)).chain(results);
-    let runs = points.iter().zip(scenes).flat_map(|(point, scene)| scene.runs.iter().map(move |run| (point, run)));
+    let runs = points
+        .iter()
+        .zip(scenes)
+        .flat_map(|(point, scene)| scene.runs.iter().map(move |run| (point, run)));
     let rows = runs.map(|(point, run)| {
         let name = name.iter().map(|_| point.name.clone());
         let swept = keys.iter().map(|key| value(point, key).map_or_else(String::new, text));
         let names = [run.field.letter().to_owned(), run.seed.to_string()];
-        let numbers = [run.last(|r| r.train_loss), run.last(|r| r.test_loss), best(run.records), run.seconds()];
+        let numbers = [
+            run.last(|r| r.train_loss),
+            run.last(|r| r.test_loss),
+            best(run.records),
+            run.seconds(),
+        ];
         name.chain(swept).chain(names).chain(numbers.map(|x| x.to_string())).collect::<Vec<_>>()
     });
     csv(header, rows)
@@ -61,31 +70,44 @@ pub fn picture(title: &str, points: &[SweepPoint], scenes: &[InScene]) -> Option
         }
     }
     let panel = |key: &String| {
-        let mut values: Vec<f64> = points.iter().filter_map(|point| number(value(point, key)?)).collect();
+        let mut values: Vec<f64> =
+            points.iter().filter_map(|point| number(value(point, key)?)).collect();
         values.sort_by(f64::total_cmp);
         values.dedup();
         let losses = |field: Field, at: f64| {
-            let there = points.iter().zip(scenes).filter(move |(point, _)| value(point, key).and_then(number) == Some(at));
-            let runs = there.flat_map(|(_, scene)| &scene.runs).filter(move |run| run.field == field);
+            let there = points
+                .iter()
+                .zip(scenes)
+                .filter(move |(point, _)| value(point, key).and_then(number) == Some(at));
+            let runs =
+                there.flat_map(|(_, scene)| &scene.runs).filter(move |run| run.field == field);
             sorted(runs.map(|run| run.last(|r| r.test_loss)))
         };
         let series = |&field: &Field| {
-            let losses: Vec<(f64, Vec<f64>)> = values.iter().map(|&at| (at, losses(field, at))).collect();
+            let losses: Vec<(f64, Vec<f64>)> =
+                values.iter().map(|&at| (at, losses(field, at))).collect();
             let line = losses.iter().map(|(at, losses)| (*at, quantile(losses, 0.5))).collect();
-            let band = losses.iter().map(|(_, losses)| (quantile(losses, 0.25), quantile(losses, 0.75))).collect();
+            let band = losses
+                .iter()
+                .map(|(_, losses)| (quantile(losses, 0.25), quantile(losses, 0.75)))
+                .collect();
             Series { band, ..Series::new(field_label(field), field_color(field.letter()), line) }
         };
         (values.len() > 1).then(|| (key.clone(), fields.iter().map(series).collect()))
     };
     let panels: Vec<_> = keys(points).iter().filter_map(panel).collect();
-    (!panels.is_empty()).then(|| settings(&format!("{title}: median and quartiles of the final test loss"), panels))
+    (!panels.is_empty())
+        .then(|| settings(&format!("{title}: median and quartiles of the final test loss"), panels))
 }
 
 /// Line with the scene and field of the lowest median final test loss. Empty for a single scene, or
 /// if every median is NaN.
 pub fn lowest(scenes: &[InScene]) -> String {
-    let median = |runs: &[Outcome]| quantile(&sorted(runs.iter().map(|run| run.last(|r| r.test_loss))), 0.5);
-    let all = scenes.iter().flat_map(|scene| by_field(&scene.runs).map(|(field, runs)| (median(runs), scene.name, field)));
+    let median =
+        |runs: &[Outcome]| quantile(&sorted(runs.iter().map(|run| run.last(|r| r.test_loss))), 0.5);
+    let all = scenes.iter().flat_map(|scene| {
+        by_field(&scene.runs).map(|(field, runs)| (median(runs), scene.name, field))
+    });
     match all.filter(|(loss, ..)| !loss.is_nan()).min_by(|a, b| a.0.total_cmp(&b.0)) {
         Some((loss, scene, field)) if scenes.len() > 1 => {
             format!("\nlowest median final test loss: {scene}, {field}: {}", short(loss))

@@ -1,13 +1,13 @@
 //! Measured trajectories on the time grid of a scene.
 
-use physgrad::identify::{Fit, Segment};
-use physgrad::text::short;
 use crate::commands::identify::table::{Row, Table, quoted};
 use crate::operations::identification::wrap;
 use crate::platform::csv::csv;
 use crate::platform::terminal::counted;
 use crate::tasks::Scene;
 use anyhow::{Context, Result, bail};
+use physgrad::identify::{Fit, Segment};
+use physgrad::text::short;
 use std::collections::HashSet;
 use std::path::Path;
 
@@ -25,7 +25,8 @@ const MOST_BYTES: f64 = 1e9;
 const SPARSE: usize = 1000;
 
 /// Advice on times that are too far apart.
-const FAR_APART: &str = "give `t` in s, not in ms; or set system.dt near the sampling time, with integrator.substeps";
+const FAR_APART: &str =
+    "give `t` in s, not in ms; or set system.dt near the sampling time, with integrator.substeps";
 
 /// State components with a measurement in or after the row `first` of a segment.
 pub fn measured_components(segments: &[Segment], first: usize) -> Vec<usize> {
@@ -108,16 +109,23 @@ impl Measured {
             if measured.segments.last().is_none_or(|last| last.key != row.key) {
                 if !seen.insert(row.key.clone()) {
                     let key = quoted(&row.key);
-                    bail!("{name}:{line}: the rows of segment {key} are not contiguous; sort the rows by segment");
+                    bail!(
+                        "{name}:{line}: the rows of segment {key} are not contiguous; sort the rows by segment"
+                    );
                 }
                 before += measured.segments.last().map_or(0, Recording::steps);
                 measured.segments.push(Recording::new(&row, &grid));
             }
-            let recording = measured.segments.last_mut().context("a segment begins with its first sample")?;
-            recording.push(row, &grid, &measured.params).with_context(|| format!("{name}:{line}"))?;
+            let recording =
+                measured.segments.last_mut().context("a segment begins with its first sample")?;
+            recording
+                .push(row, &grid, &measured.params)
+                .with_context(|| format!("{name}:{line}"))?;
             let steps = before + recording.steps();
             if steps > most {
-                bail!("{name}:{line}: the segments have {steps} steps of {dt} s up to here; allowed: {most}; {FAR_APART}");
+                bail!(
+                    "{name}:{line}: the segments have {steps} steps of {dt} s up to here; allowed: {most}; {FAR_APART}"
+                );
             }
         }
         measured.check(scene)?;
@@ -129,12 +137,16 @@ impl Measured {
         if self.segments.is_empty() {
             bail!("{name} has no samples");
         }
-        if let Some(distance) = self.segments.iter().flat_map(Recording::distances).map(|(steps, _)| steps).min() {
+        if let Some(distance) =
+            self.segments.iter().flat_map(Recording::distances).map(|(steps, _)| steps).min()
+        {
             if distance >= SPARSE {
                 bail!("{name}: all rows are {distance} or more steps of {dt} s apart; {FAR_APART}");
             }
         }
-        for (i, segment) in self.segments.iter().enumerate().filter(|(_, segment)| segment.first_step.is_none()) {
+        for (i, segment) in
+            self.segments.iter().enumerate().filter(|(_, segment)| segment.first_step.is_none())
+        {
             if scene.depends_on_time(&self.chosen(&[i], scene)[0]) {
                 let Sample { line, time, .. } = segment.rows[0];
                 bail!(
@@ -174,12 +186,14 @@ impl Measured {
     /// one.
     pub fn chosen(&self, numbers: &[usize], scene: &Scene) -> Vec<Segment> {
         let names = scene.param_names();
-        let places: Vec<_> = names.iter().map(|name| self.params.iter().position(|known| known == name)).collect();
+        let places: Vec<_> =
+            names.iter().map(|name| self.params.iter().position(|known| known == name)).collect();
         let segment = |&i: &usize| {
             let Recording { rows, p, first_step, .. } = &self.segments[i];
             let p = places.iter().map(|place| place.map_or(f64::NAN, |place| p[place])).collect();
             let nearest = || (rows[0].time / scene.dt()).round() as usize;
-            let mut segment = Segment { p, first_step: first_step.unwrap_or_else(nearest), ..Segment::default() };
+            let mut segment =
+                Segment { p, first_step: first_step.unwrap_or_else(nearest), ..Segment::default() };
             for row in rows {
                 segment.x.resize(row.step, vec![f64::NAN; row.x.len()]);
                 let held = segment.u.last().cloned().unwrap_or_default();
@@ -206,7 +220,9 @@ impl Measured {
                 self.name
             ));
         }
-        for (i, state) in scene.state_names().iter().enumerate().filter(|(i, _)| !fit.angles.contains(i)) {
+        for (i, state) in
+            scene.state_names().iter().enumerate().filter(|(i, _)| !fit.angles.contains(i))
+        {
             if let Some((line, jump)) = chosen().find_map(|recording| recording.turn(i)) {
                 warnings.push(format!(
                     "{}:{line}: {state} jumps by {} from the row before; if it is an angle that wraps, remove the jumps, as \
@@ -225,10 +241,13 @@ impl Measured {
     pub fn beside(&self, numbers: &[usize], fit: &Fit, scene: &Scene) -> Result<Vec<u8>> {
         let names = scene.state_names();
         let mut header = vec!["segment".to_owned(), "t".to_owned()];
-        header.extend(names.iter().flat_map(|name| [format!("{name}_measured"), format!("{name}_simulated")]));
+        header.extend(
+            names.iter().flat_map(|name| [format!("{name}_measured"), format!("{name}_simulated")]),
+        );
         let segments = numbers.iter().zip(&fit.states);
         let rows = segments.flat_map(|(&number, states)| {
-            let measured = self.segments[number].rows.iter().filter(|row| !row.x.iter().all(|x| x.is_nan()));
+            let measured =
+                self.segments[number].rows.iter().filter(|row| !row.x.iter().all(|x| x.is_nan()));
             measured.map(move |Sample { step, time, x: measured, .. }| {
                 let cell = |x: f64| if x.is_nan() { String::new() } else { x.to_string() };
                 let pairs = measured.iter().zip(&states[*step]).enumerate();
@@ -245,7 +264,12 @@ impl Recording {
     fn new(row: &Row, grid: &Grid) -> Self {
         // Numbers of steps beyond the exact integers of f64 have no meaning.
         let first_step = grid.steps(0.0, row.time).filter(|step| (0.0..9e15).contains(step));
-        Self { key: row.key.clone(), rows: Vec::new(), p: row.p.clone(), first_step: first_step.map(|step| step as usize) }
+        Self {
+            key: row.key.clone(),
+            rows: Vec::new(),
+            p: row.p.clone(),
+            first_step: first_step.map(|step| step as usize),
+        }
     }
 
     /// Number of steps from the first row to the last, both included.
@@ -253,16 +277,29 @@ impl Recording {
         self.rows.last().map_or(0, |row| row.step + 1)
     }
 
-    fn push(&mut self, Row { line, time, x, mut u, p, .. }: Row, grid: &Grid, params: &[String]) -> Result<()> {
-        for (i, (p, known)) in p.into_iter().zip(&mut self.p).enumerate().filter(|(_, (p, _))| !p.is_nan()) {
+    fn push(
+        &mut self,
+        Row { line, time, x, mut u, p, .. }: Row,
+        grid: &Grid,
+        params: &[String],
+    ) -> Result<()> {
+        for (i, (p, known)) in
+            p.into_iter().zip(&mut self.p).enumerate().filter(|(_, (p, _))| !p.is_nan())
+        {
             if !known.is_nan() && *known != p {
-                bail!("`{}` differs from an earlier row; a parameter is constant in a segment", params[i]);
+                bail!(
+                    "`{}` differs from an earlier row; a parameter is constant in a segment",
+                    params[i]
+                );
             }
             *known = p;
         }
         let begin = self.rows.first().map_or(time, |row| row.time);
         let Some(step) = grid.steps(begin, time) else {
-            bail!("the time {time:?} s is not a later step of {} s; resample, or set system.dt", grid.dt);
+            bail!(
+                "the time {time:?} s is not a later step of {} s; resample, or set system.dt",
+                grid.dt
+            );
         };
         if self.rows.last().is_some_and(|last| step <= last.step as f64) {
             bail!("the time {time:?} s is not later than in the row before; sort the rows by time");
@@ -287,7 +324,9 @@ impl Recording {
         let mut distances: Vec<usize> = self.distances().map(|(steps, _)| steps).collect();
         distances.sort_unstable();
         let median = distances.get(distances.len() / 2).copied().unwrap_or(1);
-        let gaps = self.distances().filter(|(steps, [before, after])| *steps >= 2 * median && before.u != after.u);
+        let gaps = self
+            .distances()
+            .filter(|(steps, [before, after])| *steps >= 2 * median && before.u != after.u);
         gaps.map(|(steps, [_, after])| (steps, after)).collect()
     }
 
@@ -297,7 +336,8 @@ impl Recording {
         let values = self.rows.iter().map(|row| row.x[component]);
         let known: Vec<f64> = values.clone().filter(|y| !y.is_nan()).collect();
         let jumps = known.windows(2).filter(|pair| (pair[1] - pair[0]).abs() > 1.0).count();
-        let (row, jump) = wrap(values).filter(|(_, jump)| jump.abs() > NEAR && 10 * jumps < known.len())?;
+        let (row, jump) =
+            wrap(values).filter(|(_, jump)| jump.abs() > NEAR && 10 * jumps < known.len())?;
         Some((self.rows[row].line, jump))
     }
 }
@@ -305,6 +345,7 @@ impl Recording {
 /// Memory of a step of a segment during a fit, bytes: states and controls of two copies, and the
 /// simulated states. A list of numbers has 40 bytes besides.
 fn bytes_per_step(scene: &Scene) -> f64 {
-    let [states, controls] = [scene.state_names(), scene.control_names()].map(|names| 40.0 + 8.0 * names.len() as f64);
+    let [states, controls] =
+        [scene.state_names(), scene.control_names()].map(|names| 40.0 + 8.0 * names.len() as f64);
     3.0 * states + 2.0 * controls
 }

@@ -61,21 +61,34 @@ impl Table {
         if bytes.len() as u64 > MOST_BYTES {
             bail!("{name} has more than {} MB; split the file", MOST_BYTES / 1_000_000);
         }
-        let is_utf_16 =
-            bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) || bytes.iter().take(4).any(|&b| b == 0);
+        let is_utf_16 = bytes.starts_with(&[0xff, 0xfe])
+            || bytes.starts_with(&[0xfe, 0xff])
+            || bytes.iter().take(4).any(|&b| b == 0);
         if is_utf_16 {
             bail!("{name} is in UTF-16 or is no text; save it as text in UTF-8");
         }
         let names = [scene.state_names(), scene.control_names(), scene.param_names()];
-        let mut table = Self { name, bytes, columns: Vec::new(), sizes: names.each_ref().map(Vec::len) };
-        let header = table.reader().headers().with_context(|| format!("cannot read {}", table.name))?.clone();
+        let mut table =
+            Self { name, bytes, columns: Vec::new(), sizes: names.each_ref().map(Vec::len) };
+        let header = table
+            .reader()
+            .headers()
+            .with_context(|| format!("cannot read {}", table.name))?
+            .clone();
         let ignored = [scene.applied_names(), vec!["step".into()]].concat();
         let columns = header.iter().map(|header| column(header, &names, &ignored));
-        table.columns = columns.collect::<Option<_>>().ok_or_else(|| table.unknown(&header, &names, &ignored))?;
-        for (i, column) in table.columns.iter().enumerate().filter(|(_, column)| **column != Column::Ignored) {
+        table.columns = columns
+            .collect::<Option<_>>()
+            .ok_or_else(|| table.unknown(&header, &names, &ignored))?;
+        for (i, column) in
+            table.columns.iter().enumerate().filter(|(_, column)| **column != Column::Ignored)
+        {
             if let Some(first) = table.columns[..i].iter().position(|earlier| earlier == column) {
                 let [first, second] = [first, i].map(|i| &header[i]);
-                bail!("{}: the columns `{first}` and `{second}` have one meaning; remove one of them", table.name);
+                bail!(
+                    "{}: the columns `{first}` and `{second}` have one meaning; remove one of them",
+                    table.name
+                );
             }
         }
         if !table.columns.contains(&Column::Time) {
@@ -85,35 +98,58 @@ impl Table {
     }
 
     fn reader(&self) -> csv::Reader<&[u8]> {
-        csv::ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::All).flexible(true).from_reader(&self.bytes)
+        csv::ReaderBuilder::new()
+            .comment(Some(b'#'))
+            .trim(csv::Trim::All)
+            .flexible(true)
+            .from_reader(&self.bytes)
     }
 
     /// The error of a header with a column that has no meaning.
-    fn unknown(&self, header: &csv::StringRecord, names: &[Vec<String>; 3], ignored: &[String]) -> anyhow::Error {
+    fn unknown(
+        &self,
+        header: &csv::StringRecord,
+        names: &[Vec<String>; 3],
+        ignored: &[String],
+    ) -> anyhow::Error {
         let name = &self.name;
         for (separator, what) in [(';', "semicolons"), ('\t', "tabs")] {
             if header.iter().any(|cell| cell.contains(separator)) {
-                return anyhow!("{name}: the columns are separated by {what}; allowed: commas, and points in numbers");
+                return anyhow!(
+                    "{name}: the columns are separated by {what}; allowed: commas, and points in numbers"
+                );
             }
         }
-        let unknown = header.iter().position(|cell| column(cell, names, ignored).is_none()).unwrap_or(0);
+        let unknown =
+            header.iter().position(|cell| column(cell, names, ignored).is_none()).unwrap_or(0);
         if header[unknown].is_empty() {
             return anyhow!(
                 "{name}: column {} has no name; remove the column, or the comma at the end of each line",
                 unknown + 1
             );
         }
-        let known: Vec<String> = names.iter().filter(|names| !names.is_empty()).map(|names| listed(names)).collect();
-        anyhow!("{name}: unknown column `{}`; allowed: segment, t, {}", quoted(&header[unknown]), known.join(", "))
+        let known: Vec<String> =
+            names.iter().filter(|names| !names.is_empty()).map(|names| listed(names)).collect();
+        anyhow!(
+            "{name}: unknown column `{}`; allowed: segment, t, {}",
+            quoted(&header[unknown]),
+            known.join(", ")
+        )
     }
 
     /// Smallest decimal unit of the times in s, for instance 0.001 for three decimals. Writers may
     /// omit zeros at the end, so the unit is that of all rows.
     pub fn unit(&self) -> f64 {
         let time = self.columns.iter().position(|column| *column == Column::Time).unwrap_or(0);
-        let (mut reader, mut record, mut least) = (self.reader(), csv::ByteRecord::new(), f64::INFINITY);
+        let (mut reader, mut record, mut least) =
+            (self.reader(), csv::ByteRecord::new(), f64::INFINITY);
         while reader.read_byte_record(&mut record).is_ok_and(|is_row| is_row) {
-            least = least.min(record.get(time).and_then(|cell| std::str::from_utf8(cell).ok()).map_or(least, unit));
+            least = least.min(
+                record
+                    .get(time)
+                    .and_then(|cell| std::str::from_utf8(cell).ok())
+                    .map_or(least, unit),
+            );
         }
         least
     }
@@ -124,17 +160,25 @@ impl Table {
     /// The file has no rows. A row has more or fewer cells than the header. A cell is not a finite
     /// number. A time is missing.
     pub fn rows(&self) -> impl Iterator<Item = Result<Row>> {
-        self.reader().into_records().map(|record| self.row(&record.with_context(|| format!("cannot read {}", self.name))?))
+        self.reader()
+            .into_records()
+            .map(|record| self.row(&record.with_context(|| format!("cannot read {}", self.name))?))
     }
 
     fn row(&self, record: &csv::StringRecord) -> Result<Row> {
-        let (name, line, [n, m, params]) = (&self.name, record.position().map_or(0, csv::Position::line), self.sizes);
+        let (name, line, [n, m, params]) =
+            (&self.name, record.position().map_or(0, csv::Position::line), self.sizes);
         let columns = self.columns.len();
         if record.len() == columns + 1 && record[columns].is_empty() {
-            bail!("{name}:{line}: the line ends in a comma, but the header does not; remove the comma");
+            bail!(
+                "{name}:{line}: the line ends in a comma, but the header does not; remove the comma"
+            );
         }
         if record.len() != columns {
-            bail!("{name}:{line}: the row has {} cells; expected {columns}, as in the header", record.len());
+            bail!(
+                "{name}:{line}: the row has {} cells; expected {columns}, as in the header",
+                record.len()
+            );
         }
         let [x, u, p] = [n, m, params].map(|count| vec![f64::NAN; count]);
         let mut row = Row { line, key: String::new(), time: 0.0, x, u, p };
@@ -180,7 +224,8 @@ fn number(cell: &str) -> Result<f64> {
     if cell.is_empty() {
         return Ok(f64::NAN);
     }
-    let number = cell.parse::<f64>().ok().with_context(|| format!("`{}` is not a number", quoted(cell)))?;
+    let number =
+        cell.parse::<f64>().ok().with_context(|| format!("`{}` is not a number", quoted(cell)))?;
     if number.is_infinite() {
         bail!("`{}` is infinite; leave the cell of a missing sample empty", quoted(cell));
     }

@@ -1,15 +1,15 @@
 //! Figure 1: loss, R and M over the two parameters of a quadratic policy.
 
-use physgrad::Field;
-use physgrad::text::rough;
-use physgrad::policy::Quadratic;
 use crate::commands::paper::FinishedFigure;
 use crate::platform::table::Table;
+use anyhow::Result;
+use physgrad::Field;
+use physgrad::policy::Quadratic;
+use physgrad::tasks::Reach;
+use physgrad::text::rough;
+use physgrad::vector_field::{self, Sample};
 use physgrad_plot::quantile::{quantile, sorted};
 use physgrad_plot::{Map, Plane, maps};
-use physgrad::tasks::Reach;
-use physgrad::vector_field::{self, Sample};
-use anyhow::Result;
 
 /// Half the range of each parameter, which is centered at 0.
 const HALF_WIDTH: f64 = 4.0;
@@ -20,10 +20,16 @@ const DECADES: [i32; 2] = [-2, 6];
 pub fn fig1(quick: bool) -> Result<FinishedFigure> {
     let (cells, arrows) = if quick { (40, 14) } else { (80, 18) };
     let (fine, coarse) = (Fields::sample(cells)?, Fields::sample(arrows)?);
-    let plane = Plane { labels: ["θ₁", "θ₂"], half_width: HALF_WIDTH, decades: DECADES, values: "loss, |R|, |M|" };
+    let plane = Plane {
+        labels: ["θ₁", "θ₂"],
+        half_width: HALF_WIDTH,
+        decades: DECADES,
+        values: "loss, |R|, |M|",
+    };
     // x_4 - y for the target y. This difference vanishes at the minima. The first component of M,
     // (x_4 - y) Σ x_t², has the same sign.
-    let signs: Vec<f64> = fine.modified.iter().map(|m| (2.0 * m.loss).sqrt().copysign(m.vector[0])).collect();
+    let signs: Vec<f64> =
+        fine.modified.iter().map(|m| (2.0 * m.loss).sqrt().copysign(m.vector[0])).collect();
     let vectors = |title: &str, fine: &[Sample], coarse: &[Sample]| Map {
         title: title.into(),
         values: fine.iter().map(Sample::norm).collect(),
@@ -35,7 +41,12 @@ pub fn fig1(quick: bool) -> Result<FinishedFigure> {
     let drawing = maps(
         &plane,
         &[
-            Map { title: "(a) loss (line: x₄ = y)".into(), values: losses, signs: signs.clone(), ..Map::default() },
+            Map {
+                title: "(a) loss (line: x₄ = y)".into(),
+                values: losses,
+                signs: signs.clone(),
+                ..Map::default()
+            },
             vectors("(b) regular gradient R", &fine.regular, &coarse.regular),
             vectors("(c) modified gradient M", &fine.modified, &coarse.modified),
         ],

@@ -1,21 +1,23 @@
 //! Figures 3 to 5: learning curves of several fields, for several values of one setting.
 
-use physgrad::text::short;
 use crate::commands::compare::Output;
 use crate::commands::paper::{FinishedFigure, Made, Options};
 use crate::platform::csv::csv;
 use crate::platform::folder::Folder;
 use crate::platform::table::Table;
 use crate::platform::terminal::{print_message, print_note, program};
-use crate::runs::comparison::{Comparison, check_runs, read_all, read_plan, train_all, train_shard, write_plan};
+use crate::runs::comparison::{
+    Comparison, check_runs, read_all, read_plan, train_all, train_shard, write_plan,
+};
 use crate::runs::shard::Shard;
 use crate::runs::statistics::{Outcome, best, by_field, curves, loss_ratio, trailing_mean};
 use crate::scenes::{overrides, presets};
 use crate::settings::ClipName;
+use anyhow::Result;
+use physgrad::text::short;
+use physgrad::{Field, Record};
 use physgrad_plot::quantile::{quantile, sorted};
 use physgrad_plot::{Abscissa, Case, Curve, Drawing};
-use physgrad::{Field, Record};
-use anyhow::Result;
 use serde_json::Value as Json;
 use toml::Value;
 
@@ -99,12 +101,18 @@ impl Study {
         };
         let path = folder.path().display();
         if ended.interrupted {
-            let _ = print_note(&format!("interrupted; to resume in {path}, repeat the same command"), options.json);
+            let _ = print_note(
+                &format!("interrupted; to resume in {path}, repeat the same command"),
+                options.json,
+            );
             return Ok((None, ended.into_result()));
         }
         if shard.is_some() {
             if !options.quiet {
-                print_message(&format!("to make tables and pictures of all runs:\n{} merge {path}", program()));
+                print_message(&format!(
+                    "to make tables and pictures of all runs:\n{} merge {path}",
+                    program()
+                ));
             }
             return Ok((None, ended.into_result()));
         }
@@ -113,7 +121,8 @@ impl Study {
 
     /// Writes the figure from existing runs.
     pub fn merge(&self, folder: &Folder, output: Output) -> Result<Made> {
-        let options = Options { quiet: output.quiet, json: output.json, ..read_plan(&self.folder(folder)?)? };
+        let options =
+            Options { quiet: output.quiet, json: output.json, ..read_plan(&self.folder(folder)?)? };
         let mut comparisons = self.comparisons(&options, folder)?;
         let ended = read_all(&mut comparisons)?;
         Ok((Some(self.write(&options, folder, &comparisons)?), ended.into_result()))
@@ -128,7 +137,10 @@ impl Study {
     }
 
     /// Values and kinds of clipping of all cells.
-    fn cells<'a>(&self, options: &'a Options) -> impl Iterator<Item = (&'static str, ClipName)> + use<'a> {
+    fn cells<'a>(
+        &self,
+        options: &'a Options,
+    ) -> impl Iterator<Item = (&'static str, ClipName)> + use<'a> {
         let values = self.values;
         options.clip.iter().flat_map(move |&clip| values.iter().map(move |&value| (value, clip)))
     }
@@ -139,13 +151,25 @@ impl Study {
         self.cells(options).map(|(value, clip)| self.plan(value, clip, options, folder)).collect()
     }
 
-    fn write(&self, options: &Options, folder: &Folder, comparisons: &[Comparison]) -> Result<Json> {
+    fn write(
+        &self,
+        options: &Options,
+        folder: &Folder,
+        comparisons: &[Comparison],
+    ) -> Result<Json> {
         let outcomes = comparisons.iter().map(Comparison::outcomes);
-        let cells: Vec<Cell> =
-            self.cells(options).zip(outcomes).map(|((value, clip), runs)| Cell { value, clip, runs }).collect();
+        let cells: Vec<Cell> = self
+            .cells(options)
+            .zip(outcomes)
+            .map(|((value, clip), runs)| Cell { value, clip, runs })
+            .collect();
         let drawing = self.drawing(options, &cells);
-        let finished =
-            FinishedFigure { drawing, csv: self.csv(&cells)?, table: self.table(&cells, options.fields[0].0), note: NOTE };
+        let finished = FinishedFigure {
+            drawing,
+            csv: self.csv(&cells)?,
+            table: self.table(&cells, options.fields[0].0),
+            note: NOTE,
+        };
         finished.write(self.name, folder, options)
     }
 
@@ -154,7 +178,13 @@ impl Study {
     }
 
     /// Plans the runs of one cell, in a folder that `physgrad report` accepts.
-    fn plan(&self, value: &str, clip: ClipName, options: &Options, folder: &Folder) -> Result<Comparison> {
+    fn plan(
+        &self,
+        value: &str,
+        clip: ClipName,
+        options: &Options,
+        folder: &Folder,
+    ) -> Result<Comparison> {
         let mut source = presets::source(self.scene)?;
         overrides::set(&mut source, &format!("{}={}", self.key, value))?;
         source.put("training.clip", Value::try_from(clip)?, "--clip")?;
@@ -166,7 +196,8 @@ impl Study {
         }
         let label = format!("{}, clip {}", self.panel(value), clip.name());
         let setting = self.key.rsplit('.').next().unwrap_or(self.key);
-        let inner = self.folder(folder)?.inside(&format!("{setting}-{value}-clip-{}", clip.name()))?;
+        let inner =
+            self.folder(folder)?.inside(&format!("{setting}-{value}-clip-{}", clip.name()))?;
         Comparison::plan(&label, &source.scene()?, &options.fields, options.seeds, &inner)
     }
 
@@ -183,27 +214,47 @@ impl Study {
                 x: Abscissa::Epoch,
                 curves: smooth(&cell.runs, |r| r.test_loss),
             });
-            let sizes = row.iter().filter(|cell| self.update_size_of == Some(cell.value)).map(|cell| Case {
-                title: title(format!("{}: update size", self.panel(cell.value))),
-                y_label: "norm of the field".into(),
-                y_axis: self.values.len(),
-                x: Abscissa::Epoch,
-                curves: smooth(&cell.runs, |r| r.grad_norm.get()),
-            });
+            let sizes =
+                row.iter().filter(|cell| self.update_size_of == Some(cell.value)).map(|cell| {
+                    Case {
+                        title: title(format!("{}: update size", self.panel(cell.value))),
+                        y_label: "norm of the field".into(),
+                        y_axis: self.values.len(),
+                        x: Abscissa::Epoch,
+                        curves: smooth(&cell.runs, |r| r.grad_norm.get()),
+                    }
+                });
             losses.chain(sizes).collect()
         });
         let seeds = format!("{} seed{}", options.seeds, if options.seeds == 1 { "" } else { "s" });
-        physgrad_plot::study(&format!("{}, {seeds}, means of {SMOOTHING} epochs", self.title), &rows.collect::<Vec<_>>())
+        physgrad_plot::study(
+            &format!("{}, {seeds}, means of {SMOOTHING} epochs", self.title),
+            &rows.collect::<Vec<_>>(),
+        )
     }
 
     /// One row per run.
     fn csv(&self, cells: &[Cell]) -> Result<Vec<u8>> {
-        let header = [self.key, "clip", "field", "seed", "epochs", "final_train_loss", "final_test_loss", "best_test_loss"];
+        let header = [
+            self.key,
+            "clip",
+            "field",
+            "seed",
+            "epochs",
+            "final_train_loss",
+            "final_test_loss",
+            "best_test_loss",
+        ];
         let runs = cells.iter().flat_map(|cell| cell.runs.iter().map(move |run| (cell, run)));
         let rows = runs.map(|(cell, run)| {
             let names = [cell.value, cell.clip.name(), run.field.letter()].map(String::from);
             let counts = [run.seed.to_string(), run.records.len().to_string()];
-            let losses = [run.last(|r| r.train_loss), run.last(|r| r.test_loss), best(run.records), run.seconds()];
+            let losses = [
+                run.last(|r| r.train_loss),
+                run.last(|r| r.test_loss),
+                best(run.records),
+                run.seconds(),
+            ];
             let skipped: usize = run.records.iter().map(|r| r.skipped).sum();
             let ends = [skipped.to_string(), run.failed.to_string()];
             names.into_iter().chain(counts).chain(losses.map(|x| x.to_string())).chain(ends)
@@ -214,9 +265,22 @@ impl Study {
     /// Table of final and best losses over the seeds, one row per cell and field. Ratios are those
     /// to the field `reference`.
     fn table(&self, cells: &[Cell], reference: Field) -> Table {
-        let header = ["case", "clip", "field", "seeds", "median final test loss", "quartiles", "ratio", "median best", "failed"];
-        let mut table = Table::new(header).optional(&["median best", "failed", "seeds", "quartiles"]);
-        for (cell, (field, runs)) in cells.iter().flat_map(|cell| by_field(&cell.runs).map(move |runs| (cell, runs))) {
+        let header = [
+            "case",
+            "clip",
+            "field",
+            "seeds",
+            "median final test loss",
+            "quartiles",
+            "ratio",
+            "median best",
+            "failed",
+        ];
+        let mut table =
+            Table::new(header).optional(&["median best", "failed", "seeds", "quartiles"]);
+        for (cell, (field, runs)) in
+            cells.iter().flat_map(|cell| by_field(&cell.runs).map(move |runs| (cell, runs)))
+        {
             let first = by_field(&cell.runs).find(|(field, _)| *field == reference);
             let last = sorted(runs.iter().map(|run| run.last(|r| r.test_loss)));
             let lowest = sorted(runs.iter().map(|run| best(run.records)));
@@ -229,7 +293,9 @@ impl Study {
                 format!("{} to {}", short(quantile(&last, 0.25)), short(quantile(&last, 0.75))),
                 match first {
                     _ if field == reference => "1".into(),
-                    Some((_, first)) => loss_ratio(runs.iter().copied(), first.iter().copied()).to_string(),
+                    Some((_, first)) => {
+                        loss_ratio(runs.iter().copied(), first.iter().copied()).to_string()
+                    }
                     None => "-".into(),
                 },
                 short(quantile(&lowest, 0.5)),

@@ -5,8 +5,8 @@ use crate::commands::report::inspected::{Inspected, RolloutData};
 use crate::commands::report::learning::{field_keys, lines};
 use crate::operations::adjoint_norms::AdjointNorms;
 use crate::runs::statistics::{Outcome, curves};
-use physgrad_plot::{Abscissa, Chart, Dash, Series, field_color};
 use physgrad::{Flow, Record};
+use physgrad_plot::{Abscissa, Chart, Dash, Series, field_color};
 
 const EPOCH: &str = "epoch";
 const STEP: &str = "step of the rollout";
@@ -14,10 +14,16 @@ const NORM: &str = "norm of the adjoint";
 
 /// Charts of gradient quantities against epochs, for one run or several.
 pub fn of_epochs(runs: &[Inspected]) -> Vec<Figure> {
-    let by_epoch =
-        |value: fn(&Record) -> f64| lines(runs, |run: &Outcome| run.records.iter().map(|r| (r.epoch as f64, value(r))).collect());
+    let by_epoch = |value: fn(&Record) -> f64| {
+        lines(runs, |run: &Outcome| {
+            run.records.iter().map(|r| (r.epoch as f64, value(r))).collect()
+        })
+    };
     let outcomes: Vec<Outcome> = runs.iter().map(Inspected::outcome).collect();
-    let norms = curves(&outcomes, |r| r.grad_norm.get()).iter().flat_map(|curve| curve.series(Abscissa::Epoch)).collect();
+    let norms = curves(&outcomes, |r| r.grad_norm.get())
+        .iter()
+        .flat_map(|curve| curve.series(Abscissa::Epoch))
+        .collect();
     let mut figures = vec![Figure::new(
         "Norm of the field",
         Chart::log(EPOCH, "gradient norm", norms),
@@ -54,16 +60,23 @@ pub fn of_epochs(runs: &[Inspected]) -> Vec<Figure> {
 /// Chart of the growth of adjoints over epochs.
 fn growth_by_epoch(runs: &[Inspected]) -> Figure {
     let line = |run: &Inspected, flow: Flow| {
-        let growth = |r: &Record| if flow == Flow::REGULAR { r.regular_growth } else { r.modified_growth };
+        let growth =
+            |r: &Record| if flow == Flow::REGULAR { r.regular_growth } else { r.modified_growth };
         let points = run.records.iter().filter_map(|r| Some((r.epoch as f64, growth(r)?.along)));
-        let series = Series::new(format!("{flow} of {}", run.name()), field_color(&flow.to_string()), points.collect());
+        let series = Series::new(
+            format!("{flow} of {}", run.name()),
+            field_color(&flow.to_string()),
+            points.collect(),
+        );
         // Dashes the lines of runs whose field combines two flows, such as C. Other runs have solid
         // lines.
         if run.field.flows().len() > 1 { series.dash(Dash::Dashed) } else { series }
     };
-    let both = runs.iter().flat_map(|run| [Flow::REGULAR, Flow::MODIFIED].map(|flow| line(run, flow)));
+    let both =
+        runs.iter().flat_map(|run| [Flow::REGULAR, Flow::MODIFIED].map(|flow| line(run, flow)));
     let series: Vec<Series> = both.filter(|series| !series.line.is_empty()).collect();
-    let finite = || series.iter().flat_map(|series| &series.line).map(|p| p.1).filter(|y| y.is_finite());
+    let finite =
+        || series.iter().flat_map(|series| &series.line).map(|p| p.1).filter(|y| y.is_finite());
     let range = [finite().fold(-1.0, f64::min), finite().fold(1.0, f64::max)];
     let warnings = runs.iter().filter_map(|run| {
         let warnings = run.records.last()?.warnings(run.horizon, run.epsilon);
@@ -94,35 +107,50 @@ pub fn of_run(rollouts: &RolloutData) -> Figure {
         let letter = growth.flow.to_string();
         Series::new(format!("{letter} {when}"), field_color(&letter), growth.points())
     };
-    let before = rollouts.before.iter().map(|growth| series(growth, "before training").dash(Dash::Dashed));
+    let before =
+        rollouts.before.iter().map(|growth| series(growth, "before training").dash(Dash::Dashed));
     let after = rollouts.after.iter().map(|growth| series(growth, "as trained"));
-    Figure::new("Growth of the adjoint", Chart::log(STEP, NORM, before.chain(after).collect()), GROWTH).notes(
-        [diverged(&rollouts.before, "Before training"), diverged(&rollouts.after, "As trained"), coincide(&rollouts.before)]
-            .concat(),
+    Figure::new(
+        "Growth of the adjoint",
+        Chart::log(STEP, NORM, before.chain(after).collect()),
+        GROWTH,
+    )
+    .notes(
+        [
+            diverged(&rollouts.before, "Before training"),
+            diverged(&rollouts.after, "As trained"),
+            coincide(&rollouts.before),
+        ]
+        .concat(),
     )
 }
 
 /// Charts of adjoint norms: before training for the first run, and after training for the first
 /// run of every field.
 pub fn of_comparison(runs: &[Inspected]) -> Vec<Figure> {
-    let firsts: Vec<(&Inspected, &RolloutData)> = runs.iter().filter_map(|run| Some((run, run.rollouts.as_ref()?))).collect();
+    let firsts: Vec<(&Inspected, &RolloutData)> =
+        runs.iter().filter_map(|run| Some((run, run.rollouts.as_ref()?))).collect();
     let Some((_, first)) = firsts.first() else { return Vec::new() };
     let before = first.before.iter().map(|growth| {
         let letter = growth.flow.to_string();
         Series::new(letter.clone(), field_color(&letter), growth.points())
     });
     let trained = |title, flow: usize, caption| {
-        let series = firsts
-            .iter()
-            .map(|(run, rollouts)| Series::new(run.name(), field_color(run.field.letter()), rollouts.after[flow].points()));
-        let notes = firsts
-            .iter()
-            .flat_map(|(run, rollouts)| diverged(&rollouts.after[flow..=flow], &format!("{}, as trained", run.name())));
+        let series = firsts.iter().map(|(run, rollouts)| {
+            Series::new(run.name(), field_color(run.field.letter()), rollouts.after[flow].points())
+        });
+        let notes = firsts.iter().flat_map(|(run, rollouts)| {
+            diverged(&rollouts.after[flow..=flow], &format!("{}, as trained", run.name()))
+        });
         Figure::new(title, Chart::log(STEP, NORM, series.collect()), caption).notes(notes.collect())
     };
     vec![
-        Figure::new("Growth of the adjoint before training", Chart::log(STEP, NORM, before.collect()), GROWTH)
-            .notes([diverged(&first.before, "Before training"), coincide(&first.before)].concat()),
+        Figure::new(
+            "Growth of the adjoint before training",
+            Chart::log(STEP, NORM, before.collect()),
+            GROWTH,
+        )
+        .notes([diverged(&first.before, "Before training"), coincide(&first.before)].concat()),
         trained(
             "Growth of R as trained",
             0,
@@ -150,8 +178,11 @@ fn diverged(growths: &[AdjointNorms], when: &str) -> Vec<String> {
     {
         return vec![format!("{when}, a rollout diverged, so there is no reverse pass: {why}.")];
     }
-    let of =
-        |growth: &AdjointNorms| growth.diverged.map(|why| format!("{when}, the adjoint of {} diverged: {why}.", growth.flow));
+    let of = |growth: &AdjointNorms| {
+        growth
+            .diverged
+            .map(|why| format!("{when}, the adjoint of {} diverged: {why}.", growth.flow))
+    };
     growths.iter().filter_map(of).collect()
 }
 

@@ -1,7 +1,7 @@
 //! A chart on the page, with legend, caption and data for the script.
 
-use physgrad_plot::{Chart, Dash, Series};
 use maud::{Markup, PreEscaped, html};
+use physgrad_plot::{Chart, Dash, Series};
 use serde::Serialize;
 
 /// A chart with its texts.
@@ -36,10 +36,16 @@ impl Figure {
         // The entry of a summary also stands for its single seeds.
         let belongs = |s: &Series, other: &Series| {
             std::ptr::eq(s, other)
-                || other.thin && other.label.strip_prefix(&*s.label).is_some_and(|rest| rest.starts_with(", run "))
+                || other.thin
+                    && other
+                        .label
+                        .strip_prefix(&*s.label)
+                        .is_some_and(|rest| rest.starts_with(", run "))
         };
-        let members = |s: &Series| series().filter(|(_, other)| belongs(s, other)).map(|(i, _)| i).collect();
-        let key = |s: &Series| Key { label: label(s), color: s.color, dash: s.dash, series: members(s) };
+        let members =
+            |s: &Series| series().filter(|(_, other)| belongs(s, other)).map(|(i, _)| i).collect();
+        let key =
+            |s: &Series| Key { label: label(s), color: s.color, dash: s.dash, series: members(s) };
         let keys = series().filter(|(_, s)| !s.thin).map(|(_, s)| key(s)).collect();
         Self { title: title.into(), chart, keys, caption: caption.into(), notes: Vec::new() }
     }
@@ -48,7 +54,10 @@ impl Figure {
     pub fn keys(self, mut keys: Vec<Key>) -> Self {
         for key in &mut keys {
             let series = self.chart.series().iter().enumerate();
-            key.series = series.filter(|(_, s)| (s.color, s.dash) == (key.color, key.dash)).map(|(i, _)| i).collect();
+            key.series = series
+                .filter(|(_, s)| (s.color, s.dash) == (key.color, key.dash))
+                .map(|(i, _)| i)
+                .collect();
         }
         Self { keys, ..self }
     }
@@ -59,7 +68,8 @@ impl Figure {
 
     pub fn html(&self) -> Markup {
         let chart = &self.chart;
-        let label = format!("{} against {}; arrow keys read values", chart.y_label(), chart.x_label());
+        let label =
+            format!("{} against {}; arrow keys read values", chart.y_label(), chart.x_label());
         html! {
             figure {
                 h3 { (self.title) }

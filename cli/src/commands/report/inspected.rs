@@ -9,9 +9,9 @@ use crate::runs::saved;
 use crate::runs::saved::SceneRuns;
 use crate::runs::statistics::{InScene, Outcome, position};
 use crate::tasks::Scene;
-use physgrad_plot::Animation;
-use physgrad::{Field, Record, differences};
 use anyhow::{Result, bail};
+use physgrad::{Field, Record, differences};
+use physgrad_plot::Animation;
 use toml::Table;
 
 /// Data of one run, independent of task and precision.
@@ -44,7 +44,9 @@ impl InspectedScene {
     pub fn read(scene: SceneRuns) -> Result<Self> {
         let mut runs = inspect(&scene.runs)?;
         let rollouts = runs.iter_mut().filter_map(|run| run.rollouts.as_mut());
-        Animation::share_scale(&mut rollouts.map(|rollouts| &mut rollouts.animation).collect::<Vec<_>>());
+        Animation::share_scale(
+            &mut rollouts.map(|rollouts| &mut rollouts.animation).collect::<Vec<_>>(),
+        );
         Ok(Self { name: scene.name, runs })
     }
 
@@ -83,7 +85,12 @@ impl Inspected {
     }
 
     pub fn outcome(&self) -> Outcome<'_> {
-        Outcome { field: self.field, seed: self.seed, records: &self.records, failed: matches!(self.end, End::Failed(_)) }
+        Outcome {
+            field: self.field,
+            seed: self.seed,
+            records: &self.records,
+            failed: matches!(self.end, End::Failed(_)),
+        }
     }
 
     pub fn name(&self) -> String {
@@ -96,9 +103,9 @@ impl Inspected {
         let total = self.epochs;
         match &self.end {
             End::Done => None,
-            End::Interrupted => {
-                Some(format!("has {done} of {total}: it is still training, or was interrupted and can be resumed"))
-            }
+            End::Interrupted => Some(format!(
+                "has {done} of {total}: it is still training, or was interrupted and can be resumed"
+            )),
             End::Failed(error) => Some(format!("failed after {done} of {total}: {error}")),
         }
     }
@@ -107,7 +114,10 @@ impl Inspected {
 /// Reads the runs in these folders, sorted by field and seed. Adds rollout data for the first run
 /// of each field.
 fn inspect(folders: &[Folder]) -> Result<Vec<Inspected>> {
-    let mut runs = folders.iter().map(|folder| Ok((folder, saved::scene(folder)?))).collect::<Result<Vec<_>>>()?;
+    let mut runs = folders
+        .iter()
+        .map(|folder| Ok((folder, saved::scene(folder)?)))
+        .collect::<Result<Vec<_>>>()?;
     for run in &runs {
         check_comparable(&runs[0], run)?;
     }
@@ -115,8 +125,11 @@ fn inspect(folders: &[Folder]) -> Result<Vec<Inspected>> {
     runs.sort_by_key(|(_, scene)| (position(scene.field.0.letter()), scene.seed));
     let first = |i: usize| i == 0 || runs[i - 1].1.field != runs[i].1.field;
     let all: Vec<(usize, &(&Folder, Scene))> = runs.iter().enumerate().collect();
-    let saved = |folder, scene, first| inspected(scene, |run| saved::restore(folder, scene, run), first);
-    parallel::map(&all, |&(i, (folder, scene))| saved(folder, scene, first(i))).into_iter().collect()
+    let saved =
+        |folder, scene, first| inspected(scene, |run| saved::restore(folder, scene, run), first);
+    parallel::map(&all, |&(i, (folder, scene))| saved(folder, scene, first(i)))
+        .into_iter()
+        .collect()
 }
 
 /// Checks that two runs belong to the same comparison.
@@ -127,7 +140,9 @@ fn check_comparable(first: &(&Folder, Scene), other: &(&Folder, Scene)) -> Resul
     let [(path, task), (other_path, other_task)] =
         [first, other].map(|(folder, scene)| (folder.path().display(), scene.task.name()));
     if task != other_task {
-        bail!("{path} ({task}) and {other_path} ({other_task}) are not runs of one comparison; report each separately");
+        bail!(
+            "{path} ({task}) and {other_path} ({other_task}) are not runs of one comparison; report each separately"
+        );
     }
     let [first, other] = [first, other].map(|(_, scene)| scene.comparable());
     if first != other {
@@ -141,12 +156,20 @@ fn check_comparable(first: &(&Folder, Scene), other: &(&Folder, Scene)) -> Resul
 }
 
 /// Opens a run, restores its saved state by `restore`, and collects its data.
-fn inspected(scene: &Scene, restore: impl FnOnce(&mut dyn AnyRun) -> Result<()>, with_rollouts: bool) -> Result<Inspected> {
+fn inspected(
+    scene: &Scene,
+    restore: impl FnOnce(&mut dyn AnyRun) -> Result<()>,
+    with_rollouts: bool,
+) -> Result<Inspected> {
     let mut run = scene.open(1)?;
     let before = with_rollouts.then(|| run.adjoint_norms());
     restore(&mut *run)?;
     let animation = || scene.animation(&run.rollouts(0..1)[0]);
-    let rollouts = before.map(|before| RolloutData { before, after: run.adjoint_norms(), animation: animation() });
+    let rollouts = before.map(|before| RolloutData {
+        before,
+        after: run.adjoint_norms(),
+        animation: animation(),
+    });
     Ok(Inspected {
         task: scene.task.name(),
         field: scene.field.0,

@@ -1,10 +1,12 @@
 //! Charts of losses.
 
-use physgrad::Record;
 use crate::commands::report::figure::{Figure, Key};
 use crate::commands::report::inspected::{Inspected, InspectedScene};
 use crate::platform::terminal::counted;
-use crate::runs::statistics::{InScene, MAX_DASHED, Outcome, by_field, curves_of_scenes, field_label};
+use crate::runs::statistics::{
+    InScene, MAX_DASHED, Outcome, by_field, curves_of_scenes, field_label,
+};
+use physgrad::Record;
 use physgrad_plot::{Abscissa, Chart, Dash, Point, Series, field_color, statistic};
 
 const EPOCH: &str = "epoch";
@@ -15,7 +17,10 @@ pub fn of_run(run: &Inspected) -> Vec<Figure> {
     let outcome = run.outcome();
     let series = |x: fn(&Point) -> f64| {
         let line = |loss| outcome.points(loss).iter().map(|p| (x(p), p.value)).collect();
-        vec![Series::new("training", "#0072B2", line(|r| r.train_loss)), Series::new("test", "#D55E00", line(|r| r.test_loss))]
+        vec![
+            Series::new("training", "#0072B2", line(|r| r.train_loss)),
+            Series::new("test", "#D55E00", line(|r| r.test_loss)),
+        ]
     };
     vec![
         Figure::new(
@@ -35,10 +40,13 @@ pub fn of_run(run: &Inspected) -> Vec<Figure> {
 pub fn of_comparison(scenes: &[InspectedScene]) -> Vec<Figure> {
     let all: Vec<InScene> = scenes.iter().map(InspectedScene::outcomes).collect();
     let groups = all.chunks(if scenes.len() <= MAX_DASHED { scenes.len().max(1) } else { 1 });
-    let mut figures: Vec<Figure> = groups.flat_map(|group| medians(group, all.len() > group.len())).collect();
+    let mut figures: Vec<Figure> =
+        groups.flat_map(|group| medians(group, all.len() > group.len())).collect();
     for scene in scenes {
         if by_field(&scene.outcomes().runs).any(|(_, runs)| runs.len() > 1) {
-            let line = |run: &Outcome| run.points(|r| r.test_loss).iter().map(|p| (p.epoch, p.value)).collect();
+            let line = |run: &Outcome| {
+                run.points(|r| r.test_loss).iter().map(|p| (p.epoch, p.value)).collect()
+            };
             figures.push(
                 Figure::new(
                     scene.title("Every run"),
@@ -56,8 +64,10 @@ pub fn of_comparison(scenes: &[InspectedScene]) -> Vec<Figure> {
 fn medians(scenes: &[InScene], titled: bool) -> [Figure; 2] {
     let curves = curves_of_scenes(scenes, |r| r.test_loss);
     let series = |x| curves.iter().flat_map(|curve| curve.series(x)).collect();
-    let title = |title: &str| if titled { format!("{}: {title}", scenes[0].name) } else { title.into() };
-    let outcomes: Vec<Outcome> = scenes.iter().flat_map(|scene| scene.runs.iter().copied()).collect();
+    let title =
+        |title: &str| if titled { format!("{}: {title}", scenes[0].name) } else { title.into() };
+    let outcomes: Vec<Outcome> =
+        scenes.iter().flat_map(|scene| scene.runs.iter().copied()).collect();
     let caption = "Loss of the test set after every epoch.";
     let caption = match statistic(curves.iter().map(|curve| curve.runs.len())) {
         "" => format!("{caption} A level line shows a field that does not reduce the loss."),
@@ -66,8 +76,12 @@ fn medians(scenes: &[InScene], titled: bool) -> [Figure; 2] {
         ),
     };
     [
-        Figure::new(title("Test loss by epoch"), Chart::log(EPOCH, "test loss", series(Abscissa::Epoch)), caption)
-            .notes(left_out(&outcomes, &[|r| r.test_loss])),
+        Figure::new(
+            title("Test loss by epoch"),
+            Chart::log(EPOCH, "test loss", series(Abscissa::Epoch)),
+            caption,
+        )
+        .notes(left_out(&outcomes, &[|r| r.test_loss])),
         Figure::new(
             title("Test loss by time"),
             Chart::log(SECONDS, "test loss", series(Abscissa::Seconds)),
@@ -79,7 +93,9 @@ fn medians(scenes: &[InScene], titled: bool) -> [Figure; 2] {
 
 /// One line per run, in the colour of its field.
 pub fn lines(runs: &[Inspected], line: impl Fn(&Outcome) -> Vec<(f64, f64)>) -> Vec<Series> {
-    runs.iter().map(|run| Series::new(run.name(), field_color(run.field.letter()), line(&run.outcome()))).collect()
+    runs.iter()
+        .map(|run| Series::new(run.name(), field_color(run.field.letter()), line(&run.outcome())))
+        .collect()
 }
 
 /// Legend entries of the fields, without duplicates.
@@ -105,6 +121,7 @@ fn left_out(runs: &[Outcome], losses: &[fn(&Record) -> f64]) -> Vec<String> {
         (epochs(|loss| !loss.is_finite()), "because a rollout diverged"),
         (epochs(|loss| loss <= 0.0), "because a logarithmic axis has no zero"),
     ];
-    let note = |(count, why)| format!("The chart omits losses of {}, {why}.", counted(count, "epoch"));
+    let note =
+        |(count, why)| format!("The chart omits losses of {}, {why}.", counted(count, "epoch"));
     reasons.into_iter().filter(|&(count, _)| count > 0).map(note).collect()
 }

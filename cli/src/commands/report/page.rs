@@ -1,6 +1,5 @@
 //! HTML page: a single document that embeds style, script, charts and animations.
 
-use physgrad::text::short;
 use crate::commands::report::figure::Figure;
 use crate::commands::report::inspected::{Inspected, InspectedScene};
 use crate::commands::report::{diagnostics, learning};
@@ -9,6 +8,7 @@ use crate::platform::terminal::counted;
 use crate::runs::statistics::{self, InScene, best, field_label, position};
 use crate::tasks::scene::flat;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
+use physgrad::text::short;
 use toml::Value;
 
 /// Explanation of the letters of the fields.
@@ -43,10 +43,15 @@ pub fn comparison(folder: &str, scenes: &[InspectedScene]) -> String {
     letters.sort_by_key(|letter| position(letter));
     letters.dedup();
     let seeds = by_field().map(|(_, runs)| runs.len()).max().unwrap_or(0);
-    let names: Vec<&str> = scenes.iter().map(|scene| if scenes.len() > 1 { &*scene.name } else { scene.runs[0].task }).collect();
-    let title = format!("{}: fields {}, {}", names.join(", "), letters.join(", "), counted(seeds, "seed"));
+    let names: Vec<&str> = scenes
+        .iter()
+        .map(|scene| if scenes.len() > 1 { &*scene.name } else { scene.runs[0].task })
+        .collect();
+    let title =
+        format!("{}: fields {}, {}", names.join(", "), letters.join(", "), counted(seeds, "seed"));
     let incomplete = |scene: &InspectedScene| {
-        let reason = |run: &Inspected| Some(format!("{} {}.", scene.title(&run.name()), run.incomplete()?));
+        let reason =
+            |run: &Inspected| Some(format!("{} {}.", scene.title(&run.name()), run.incomplete()?));
         scene.runs.iter().filter_map(reason).collect::<Vec<_>>()
     };
     let trouble: Vec<String> = scenes.iter().flat_map(incomplete).collect();
@@ -84,7 +89,14 @@ fn version(run: &Inspected) -> &str {
 
 /// A page with a header and this content. `folder` is the name of the folder of the results, if
 /// they have one.
-pub fn document(title: &str, folder: Option<&str>, version: &str, note: &str, trouble: &[String], content: &Markup) -> String {
+pub fn document(
+    title: &str,
+    folder: Option<&str>,
+    version: &str,
+    note: &str,
+    trouble: &[String],
+    content: &Markup,
+) -> String {
     html! {
         (DOCTYPE)
         html lang="en" {
@@ -162,14 +174,25 @@ pub fn table(header: &[impl AsRef<str>], rows: &[impl AsRef<[String]>]) -> Marku
 
 /// Table with the results of one run.
 fn result(run: &Inspected) -> Markup {
-    let header = ["epochs", "seconds", "final training loss", "final test loss", "best test loss", "skipped updates"];
+    let header = [
+        "epochs",
+        "seconds",
+        "final training loss",
+        "final test loss",
+        "best test loss",
+        "skipped updates",
+    ];
     let records = &run.records;
     let Some(last) = records.last() else {
         return html! { p { "No epoch is complete, so there are no losses." } };
     };
     let skipped: usize = records.iter().map(|r| r.skipped).sum();
     let row = [
-        if records.len() < run.epochs { format!("{} of {}", records.len(), run.epochs) } else { records.len().to_string() },
+        if records.len() < run.epochs {
+            format!("{} of {}", records.len(), run.epochs)
+        } else {
+            records.len().to_string()
+        },
         format!("{:.1}", run.outcome().seconds()),
         short(last.train_loss),
         short(last.test_loss),

@@ -1,12 +1,12 @@
 //! [`train_all`]: all runs of comparisons, in one process.
 
 use super::{Comparison, Ended, Ending, check_errors, labelled, tasks};
-use physgrad::text::short;
 use crate::platform::parallel;
 use crate::platform::terminal::print_message;
 use crate::runs::progress::Progress;
 use crate::runs::run::{EpochEvent, Finished, Observer};
 use anyhow::Result;
+use physgrad::text::short;
 use std::sync::Mutex;
 
 /// Trains all runs. A run that fails at a non-finite number counts as a result, and the other runs
@@ -80,7 +80,10 @@ impl Observer for SharedProgress<'_> {
 
     fn epoch(&mut self, event: EpochEvent) {
         if let Ok(mut progress) = self.progress.lock() {
-            progress.advance(vec![format!("test {}", short(event.record.test_loss)), self.label.to_owned()]);
+            progress.advance(vec![
+                format!("test {}", short(event.record.test_loss)),
+                self.label.to_owned(),
+            ]);
             progress.warn(&format!("{}, ", self.label), event);
         }
     }

@@ -26,12 +26,17 @@ pub fn train_shard(comparisons: &[Comparison], shard: Shard, quiet: bool) -> Res
     }
     let share = shard.share(runs.len());
     let order: Vec<(usize, usize)> = shard.order(runs.len()).into_iter().enumerate().collect();
-    let epochs = order[..share].iter().fold(0, |sum: usize, &(_, run)| sum.saturating_add(runs[run].0.scene.epochs));
+    let epochs = order[..share]
+        .iter()
+        .fold(0, |sum: usize, &(_, run)| sum.saturating_add(runs[run].0.scene.epochs));
     let progress = Mutex::new(Progress::new(epochs, quiet));
     let threads = rayon::current_num_threads();
     if !quiet {
         let task = tasks(&runs);
-        print_message(&format!("{task}: shard {shard}, {share} of {} runs, {epochs} epochs, {threads} threads", runs.len()));
+        print_message(&format!(
+            "{task}: shard {shard}, {share} of {} runs, {epochs} epochs, {threads} threads",
+            runs.len()
+        ));
     }
     let mut outcome = Ended::of(runs.len());
     let mut trained = 0;
@@ -42,7 +47,11 @@ pub fn train_shard(comparisons: &[Comparison], shard: Shard, quiet: bool) -> Res
                 return Ok(None);
             }
             let (epochs, counted) = (run.scene.epochs, round == 0 && place < share);
-            let mut observer = ShardProgress { shared: SharedProgress { progress: &progress, label }, epochs, counted };
+            let mut observer = ShardProgress {
+                shared: SharedProgress { progress: &progress, label },
+                epochs,
+                counted,
+            };
             let finished = run.run_if_free(&mut observer);
             if counted
                 && matches!(finished, Ok(None))
@@ -82,8 +91,13 @@ pub fn train_shard(comparisons: &[Comparison], shard: Shard, quiet: bool) -> Res
             ended += usize::from(run.saved_end()?.is_some());
         }
         let rest = runs.len() - ended;
-        let held = if rest == 0 { String::new() } else { format!(", {rest} in use by other processes") };
-        let text = format!("shard {shard}: trained {}; {ended} of {} have ended", counted(trained, "run"), runs.len());
+        let held =
+            if rest == 0 { String::new() } else { format!(", {rest} in use by other processes") };
+        let text = format!(
+            "shard {shard}: trained {}; {ended} of {} have ended",
+            counted(trained, "run"),
+            runs.len()
+        );
         print_message(&if outcome.interrupted { text } else { text + &held });
     }
     Ok(outcome)

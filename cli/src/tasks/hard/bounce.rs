@@ -1,13 +1,13 @@
 //! Bouncing ball: settings, limits and animation.
 
-use physgrad::DynTask;
 use crate::operations::trajectory::Trajectory;
 use crate::settings::config_error::{ConfigError, finite, positive};
 use crate::tasks::hard::contact::ContactSettings;
 use crate::tasks::hard::{Nothing, in_scene, names, small_step};
 use crate::tasks::{MlpSettings, Settings, TaskSpec};
-use physgrad_plot::{Animation, Posture, Stage, mechanics};
+use physgrad::DynTask;
 use physgrad::tasks::{self, BouncingBall};
+use physgrad_plot::{Animation, Posture, Stage, mechanics};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -50,7 +50,8 @@ impl TaskSpec for Bounce {
     type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "bounce";
-    const ABOUT: &'static str = "bring a bouncing ball to a target height at the final time, by thrust";
+    const ABOUT: &'static str =
+        "bring a bouncing ball to a target height at the final time, by thrust";
     const EPOCHS: usize = 300;
     fn horizon() -> usize {
         100
@@ -72,8 +73,10 @@ impl TaskSpec for Bounce {
 
     fn task(settings: &Settings<Self>) -> DynTask {
         let BounceSettings { mass, gravity, dt: _, contact } = settings.system;
-        let system = BouncingBall { mass, gravity, dt: small_step(settings), contact: contact.contact(0.8) };
-        let task = tasks::Bounce { system, target: settings.loss.target, horizon: settings.horizon };
+        let system =
+            BouncingBall { mass, gravity, dt: small_step(settings), contact: contact.contact(0.8) };
+        let task =
+            tasks::Bounce { system, target: settings.loss.target, horizon: settings.horizon };
         in_scene(settings, task)
     }
 
@@ -98,7 +101,12 @@ impl TaskSpec for Bounce {
     fn animation(settings: &Settings<Self>, Trajectory { states, .. }: &Trajectory) -> Animation {
         let target = settings.loss.target;
         let posture = |x: &Vec<f64>| Posture { chain: vec![[0.0, x[0]]], boxes: Vec::new() };
-        let stage = Stage { title: "Bouncing ball".into(), size: 0.3, floor: Some(0.0), mark: Some([-0.3, target]) };
+        let stage = Stage {
+            title: "Bouncing ball".into(),
+            size: 0.3,
+            floor: Some(0.0),
+            mark: Some([-0.3, target]),
+        };
         mechanics(&stage, &states.iter().map(posture).collect::<Vec<_>>(), settings.system.dt)
     }
 }

@@ -34,7 +34,8 @@ enum Model {
 
 impl ContactSettings {
     /// Contact by time of impact, with the default restitution of the task.
-    pub(super) const DEFAULT: Self = Self { model: Model::TimeOfImpact, restitution: None, stiffness: None, damping: None };
+    pub(super) const DEFAULT: Self =
+        Self { model: Model::TimeOfImpact, restitution: None, stiffness: None, damping: None };
 
     pub(super) fn validate(&self) -> Result<(), ConfigError> {
         let Self { model, restitution, stiffness, damping } = *self;
@@ -61,8 +62,13 @@ impl ContactSettings {
     /// Contact model of these settings. `restitution` is the default of the task.
     pub(super) fn contact(&self, restitution: f64) -> Contact {
         match self.model {
-            Model::TimeOfImpact => Contact::TimeOfImpact { restitution: self.restitution.unwrap_or(restitution) },
-            Model::Penalty => Contact::Penalty { stiffness: self.stiffness.unwrap_or(1e4), damping: self.damping.unwrap_or(0.0) },
+            Model::TimeOfImpact => {
+                Contact::TimeOfImpact { restitution: self.restitution.unwrap_or(restitution) }
+            }
+            Model::Penalty => Contact::Penalty {
+                stiffness: self.stiffness.unwrap_or(1e4),
+                damping: self.damping.unwrap_or(0.0),
+            },
         }
     }
 

@@ -1,13 +1,13 @@
 //! Double pendulum: settings, limits and animation.
 
-use physgrad::DynTask;
 use crate::operations::trajectory::Trajectory;
 use crate::settings::Method;
 use crate::settings::config_error::{ConfigError, finite, positive};
 use crate::tasks::hard::{Nothing, Start, UprightLoss, in_scene, names, upright, validate_upright};
 use crate::tasks::{Conserved, MlpSettings, Settings, TaskSpec};
-use physgrad_plot::{Animation, Posture, Stage, mechanics};
+use physgrad::DynTask;
 use physgrad::tasks;
+use physgrad_plot::{Animation, Posture, Stage, mechanics};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -43,7 +43,8 @@ impl TaskSpec for DoublePendulum {
     type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "double_pendulum";
-    const ABOUT: &'static str = "swing up a double pendulum, which is chaotic, by a torque on its first joint";
+    const ABOUT: &'static str =
+        "swing up a double pendulum, which is chaotic, by a torque on its first joint";
     const EPOCHS: usize = 300;
     fn horizon() -> usize {
         100
@@ -89,7 +90,10 @@ impl TaskSpec for DoublePendulum {
 
     fn conserved(settings: &Settings<Self>) -> Option<Conserved> {
         let body = body(settings);
-        settings.actuator.is_empty().then(|| Conserved { name: "energy", value: Box::new(move |x| body.energy(x)) })
+        settings
+            .actuator
+            .is_empty()
+            .then(|| Conserved { name: "energy", value: Box::new(move |x| body.energy(x)) })
     }
 
     fn animation(settings: &Settings<Self>, Trajectory { states, .. }: &Trajectory) -> Animation {

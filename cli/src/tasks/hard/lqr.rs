@@ -1,12 +1,12 @@
 //! Linear-quadratic regulator: settings, limits and animation.
 
-use physgrad::DynTask;
 use crate::operations::trajectory::Trajectory;
 use crate::settings::config_error::{ConfigError, allowed, positive};
 use crate::tasks::hard::{Nothing, in_scene, names};
 use crate::tasks::{MlpSettings, Settings, TaskSpec};
-use physgrad_plot::{Animation, Posture, Stage, mechanics};
+use physgrad::DynTask;
 use physgrad::tasks::{self, CartPoleSystem};
+use physgrad_plot::{Animation, Posture, Stage, mechanics};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -41,7 +41,8 @@ impl TaskSpec for Lqr {
     type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "lqr";
-    const ABOUT: &'static str = "regulate a linear plant to rest, with a quadratic cost of known minimum";
+    const ABOUT: &'static str =
+        "regulate a linear plant to rest, with a quadratic cost of known minimum";
     const EPOCHS: usize = 300;
     fn horizon() -> usize {
         100
@@ -54,7 +55,12 @@ impl TaskSpec for Lqr {
     fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
         positive("system.spread", settings.system.spread)?;
         let substeps = settings.integrator.count();
-        allowed("integrator.substeps", substeps, substeps == 1, "1, because a linear plant is discrete in time")
+        allowed(
+            "integrator.substeps",
+            substeps,
+            substeps == 1,
+            "1, because a linear plant is discrete in time",
+        )
     }
 
     fn task(settings: &Settings<Self>) -> DynTask {
@@ -101,7 +107,9 @@ impl TaskSpec for Lqr {
             let chain = match settings.system.plant {
                 Plant::Spring => Vec::new(),
                 // Draws the tip at the angle of the linear model, which may be arbitrarily large.
-                Plant::UprightCartPole => vec![cart, [x[0] + length * x[2].sin(), length * x[2].cos()]],
+                Plant::UprightCartPole => {
+                    vec![cart, [x[0] + length * x[2].sin(), length * x[2].cos()]]
+                }
             };
             Posture { chain, boxes: vec![cart] }
         };
@@ -109,7 +117,8 @@ impl TaskSpec for Lqr {
             Plant::Spring => "A mass on a spring",
             Plant::UprightCartPole => "A cart with an upright pole, linearized",
         };
-        let stage = Stage { title: title.into(), size: 0.2, floor: Some(-0.1), mark: Some([0.0, -0.1]) };
+        let stage =
+            Stage { title: title.into(), size: 0.2, floor: Some(-0.1), mark: Some([0.0, -0.1]) };
         mechanics(&stage, &states.iter().map(posture).collect::<Vec<_>>(), Self::dt(settings))
     }
 }

@@ -1,14 +1,14 @@
 //! Pendulum of several arms with friction: settings, limits and animation.
 
-use physgrad::DynTask;
-use physgrad::Number;
 use crate::operations::trajectory::Trajectory;
 use crate::settings::Method;
 use crate::settings::config_error::{ConfigError, count, finite, not_negative, positive};
 use crate::tasks::hard::{Nothing, Start, UprightLoss, in_scene, names, upright, validate_upright};
 use crate::tasks::{Conserved, MlpSettings, Settings, TaskSpec};
-use physgrad_plot::{Animation, Posture, Stage, mechanics};
+use physgrad::DynTask;
+use physgrad::Number;
 use physgrad::tasks::{self, Arm, MultiPendulum};
+use physgrad_plot::{Animation, Posture, Stage, mechanics};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -42,7 +42,8 @@ impl TaskSpec for Pendulum {
     type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "pendulum";
-    const ABOUT: &'static str = "swing up a pendulum of rigid arms with friction by a torque on its first joint";
+    const ABOUT: &'static str =
+        "swing up a pendulum of rigid arms with friction by a torque on its first joint";
     const EPOCHS: usize = 300;
     fn horizon() -> usize {
         100
@@ -60,8 +61,16 @@ impl TaskSpec for Pendulum {
         for (i, arm) in arms.iter().enumerate() {
             let tasks::Arm { mass, center, length, inertia, viscous, dry, quadratic } = *arm;
             let key = |name: &str| format!("system.arms[{i}].{name}");
-            [("mass", mass), ("center", center)].into_iter().try_for_each(|(name, value)| positive(&key(name), value))?;
-            let rest = [("length", length), ("inertia", inertia), ("viscous", viscous), ("dry", dry), ("quadratic", quadratic)];
+            [("mass", mass), ("center", center)]
+                .into_iter()
+                .try_for_each(|(name, value)| positive(&key(name), value))?;
+            let rest = [
+                ("length", length),
+                ("inertia", inertia),
+                ("viscous", viscous),
+                ("dry", dry),
+                ("quadratic", quadratic),
+            ];
             rest.into_iter().try_for_each(|(name, value)| not_negative(&key(name), value))?;
         }
         finite("system.gravity", *gravity)?;
@@ -77,7 +86,11 @@ impl TaskSpec for Pendulum {
     fn variants() -> Vec<(String, Settings<Self>)> {
         let mut rubbed = Settings::<Self>::defaults();
         let friction = Number::Uniform { low: 1e-4, high: 2e-4 };
-        rubbed.system.arms.iter_mut().for_each(|arm| (arm.viscous, arm.dry, arm.quadratic) = (friction, friction, friction));
+        rubbed
+            .system
+            .arms
+            .iter_mut()
+            .for_each(|arm| (arm.viscous, arm.dry, arm.quadratic) = (friction, friction, friction));
         vec![("two arms".into(), Settings::defaults()), ("drawn friction".into(), rubbed)]
     }
 
@@ -86,7 +99,9 @@ impl TaskSpec for Pendulum {
     }
 
     fn state_names(settings: &Settings<Self>) -> Vec<String> {
-        (1..=settings.system.arms.len()).flat_map(|i| [format!("theta_{i}"), format!("omega_{i}")]).collect()
+        (1..=settings.system.arms.len())
+            .flat_map(|i| [format!("theta_{i}"), format!("omega_{i}")])
+            .collect()
     }
 
     fn control_names(_settings: &Settings<Self>) -> Vec<String> {
@@ -96,13 +111,19 @@ impl TaskSpec for Pendulum {
     fn conserved(settings: &Settings<Self>) -> Option<Conserved> {
         let body = body(settings);
         let zero = Number::Fixed(0.0);
-        let is_free = body.arms.iter().all(|arm| [arm.viscous, arm.dry, arm.quadratic] == [zero; 3]);
+        let is_free =
+            body.arms.iter().all(|arm| [arm.viscous, arm.dry, arm.quadratic] == [zero; 3]);
         let energy = || Conserved { name: "energy", value: Box::new(move |x| body.energy(x)) };
         (is_free && settings.actuator.is_empty()).then(energy)
     }
 
     fn animation(settings: &Settings<Self>, Trajectory { states, .. }: &Trajectory) -> Animation {
-        let lengths: Vec<f64> = settings.system.arms.iter().map(|arm| arm.length.nominal().max(arm.center.nominal())).collect();
+        let lengths: Vec<f64> = settings
+            .system
+            .arms
+            .iter()
+            .map(|arm| arm.length.nominal().max(arm.center.nominal()))
+            .collect();
         let posture = |x: &Vec<f64>| {
             let mut chain = vec![[0.0; 2]];
             for (length, pair) in lengths.iter().zip(x.chunks_exact(2)) {
@@ -112,7 +133,12 @@ impl TaskSpec for Pendulum {
             Posture { chain, boxes: Vec::new() }
         };
         let reach: f64 = lengths.iter().sum();
-        let stage = Stage { title: "Pendulum".into(), size: 0.15 * reach, floor: None, mark: Some([0.0, reach]) };
+        let stage = Stage {
+            title: "Pendulum".into(),
+            size: 0.15 * reach,
+            floor: None,
+            mark: Some([0.0, reach]),
+        };
         mechanics(&stage, &states.iter().map(posture).collect::<Vec<_>>(), settings.system.dt)
     }
 }

@@ -1,14 +1,14 @@
 //! Chain of poles on a cart: settings, limits and animation.
 
-use physgrad::DynTask;
-use physgrad::Number;
 use crate::operations::trajectory::Trajectory;
 use crate::settings::Method;
 use crate::settings::config_error::{ConfigError, count, finite, positive};
 use crate::tasks::hard::{Nothing, Start, UprightLoss, in_scene, upright, validate_upright};
 use crate::tasks::{Conserved, MlpSettings, Settings, TaskSpec};
-use physgrad_plot::{Animation, Posture, Stage, mechanics};
+use physgrad::DynTask;
+use physgrad::Number;
 use physgrad::tasks::{self, CartPoleSystem};
+use physgrad_plot::{Animation, Posture, Stage, mechanics};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -37,8 +37,10 @@ pub struct PoleChainSettings {
 }
 
 fn chain(settings: &Settings<PoleChain>) -> tasks::PoleChain {
-    let PoleChainSettings { poles, cart_mass, pole_mass, half_length, gravity, dt, start: _ } = settings.system;
-    let [cart_mass, pole_mass, half_length, gravity] = [cart_mass, pole_mass, half_length, gravity].map(Number::Fixed);
+    let PoleChainSettings { poles, cart_mass, pole_mass, half_length, gravity, dt, start: _ } =
+        settings.system;
+    let [cart_mass, pole_mass, half_length, gravity] =
+        [cart_mass, pole_mass, half_length, gravity].map(Number::Fixed);
     tasks::PoleChain(CartPoleSystem { poles, cart_mass, pole_mass, half_length, gravity, dt })
 }
 
@@ -59,18 +61,29 @@ impl TaskSpec for PoleChain {
     fn system() -> PoleChainSettings {
         let (model, dt) = (CartPoleSystem::default(), CartPoleSystem::default().dt);
         let [cart_mass, pole_mass, half_length, gravity] = model.nominal();
-        PoleChainSettings { poles: 2, cart_mass, pole_mass, half_length, gravity, dt, start: Start::Hanging }
+        PoleChainSettings {
+            poles: 2,
+            cart_mass,
+            pole_mass,
+            half_length,
+            gravity,
+            dt,
+            start: Start::Hanging,
+        }
     }
 
     fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
-        let PoleChainSettings { poles, cart_mass, pole_mass, half_length, gravity, dt, start: _ } = settings.system;
+        let PoleChainSettings { poles, cart_mass, pole_mass, half_length, gravity, dt, start: _ } =
+            settings.system;
         count("system.poles", poles, 1..=20)?;
         positive("system.cart_mass", cart_mass)?;
         positive("system.pole_mass", pole_mass)?;
         positive("system.half_length", half_length)?;
         finite("system.gravity", gravity)?;
         positive("system.dt", dt)?;
-        chain(settings).check().map_err(|error| ConfigError::new("system.cart_mass", format!("is {cart_mass}: {error}")))?;
+        chain(settings).check().map_err(|error| {
+            ConfigError::new("system.cart_mass", format!("is {cart_mass}: {error}"))
+        })?;
         validate_upright(settings)
     }
 
@@ -93,7 +106,8 @@ impl TaskSpec for PoleChain {
     }
 
     fn state_names(settings: &Settings<Self>) -> Vec<String> {
-        let poles = (1..=settings.system.poles).flat_map(|i| [format!("theta_{i}"), format!("omega_{i}")]);
+        let poles =
+            (1..=settings.system.poles).flat_map(|i| [format!("theta_{i}"), format!("omega_{i}")]);
         ["x".into(), "x_dot".into()].into_iter().chain(poles).collect()
     }
 
@@ -103,7 +117,10 @@ impl TaskSpec for PoleChain {
 
     fn conserved(settings: &Settings<Self>) -> Option<Conserved> {
         let chain = chain(settings);
-        settings.actuator.is_empty().then(|| Conserved { name: "energy", value: Box::new(move |x| chain.energy(x)) })
+        settings
+            .actuator
+            .is_empty()
+            .then(|| Conserved { name: "energy", value: Box::new(move |x| chain.energy(x)) })
     }
 
     fn animation(settings: &Settings<Self>, Trajectory { states, .. }: &Trajectory) -> Animation {
@@ -113,12 +130,16 @@ impl TaskSpec for PoleChain {
             let mut chain = vec![cart];
             for pole in x[2..2 + 2 * poles].chunks_exact(2) {
                 let [end_x, end_y] = chain[chain.len() - 1];
-                chain.push([end_x + 2.0 * half_length * pole[0].sin(), end_y + 2.0 * half_length * pole[0].cos()]);
+                chain.push([
+                    end_x + 2.0 * half_length * pole[0].sin(),
+                    end_y + 2.0 * half_length * pole[0].cos(),
+                ]);
             }
             Posture { chain, boxes: vec![cart] }
         };
         let title = format!("Chain of {poles} pole{} on a cart", if poles == 1 { "" } else { "s" });
-        let stage = Stage { title, size: 0.5 * half_length, floor: Some(-0.25 * half_length), mark: None };
+        let stage =
+            Stage { title, size: 0.5 * half_length, floor: Some(-0.25 * half_length), mark: None };
         mechanics(&stage, &states.iter().map(posture).collect::<Vec<_>>(), dt)
     }
 }

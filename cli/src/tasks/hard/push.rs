@@ -1,13 +1,13 @@
 //! Pusher and box: settings, limits and animation.
 
-use physgrad::DynTask;
 use crate::operations::trajectory::Trajectory;
 use crate::settings::config_error::{ConfigError, positive};
 use crate::tasks::hard::contact::ContactSettings;
 use crate::tasks::hard::{Nothing, in_scene, names, small_step};
 use crate::tasks::{MlpSettings, Settings, TaskSpec};
-use physgrad_plot::{Animation, Posture, Stage, mechanics};
+use physgrad::DynTask;
 use physgrad::tasks::{self, TwoBodies};
+use physgrad_plot::{Animation, Posture, Stage, mechanics};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -57,7 +57,12 @@ impl TaskSpec for Push {
 
     fn task(settings: &Settings<Self>) -> DynTask {
         let PushSettings { masses, contact_distance, dt: _, contact } = settings.system;
-        let system = TwoBodies { masses, contact_distance, dt: small_step(settings), contact: contact.contact(0.0) };
+        let system = TwoBodies {
+            masses,
+            contact_distance,
+            dt: small_step(settings),
+            contact: contact.contact(0.0),
+        };
         in_scene(settings, tasks::Push { system, horizon: settings.horizon })
     }
 
@@ -82,7 +87,10 @@ impl TaskSpec for Push {
     fn animation(settings: &Settings<Self>, Trajectory { states, .. }: &Trajectory) -> Animation {
         let PushSettings { contact_distance, dt, .. } = settings.system;
         let height = 0.5 * contact_distance;
-        let posture = |x: &Vec<f64>| Posture { boxes: vec![[x[0], height], [x[1], height]], chain: Vec::new() };
+        let posture = |x: &Vec<f64>| Posture {
+            boxes: vec![[x[0], height], [x[1], height]],
+            chain: Vec::new(),
+        };
         let stage = Stage {
             title: "A pusher and a box".into(),
             size: contact_distance,
@@ -90,7 +98,10 @@ impl TaskSpec for Push {
             mark: Some([0.0, -0.2 * contact_distance]),
         };
         let animation = mechanics(&stage, &states.iter().map(posture).collect::<Vec<_>>(), dt);
-        let boxes = ["pusher", "box"].into_iter().zip(physgrad_plot::BOXES).map(|(name, color)| (name.to_owned(), color));
+        let boxes = ["pusher", "box"]
+            .into_iter()
+            .zip(physgrad_plot::BOXES)
+            .map(|(name, color)| (name.to_owned(), color));
         Animation { legend: boxes.chain(animation.legend).collect(), ..animation }
     }
 }

@@ -1,12 +1,12 @@
 //! Block with dry friction: settings, limits and animation.
 
-use physgrad::DynTask;
 use crate::operations::trajectory::Trajectory;
 use crate::settings::config_error::{ConfigError, not_negative, positive};
 use crate::tasks::hard::{Nothing, in_scene, names, small_step};
 use crate::tasks::{MlpSettings, Settings, TaskSpec};
-use physgrad_plot::{Animation, Posture, Stage, mechanics};
+use physgrad::DynTask;
 use physgrad::tasks::{self, FrictionScheme, SliderSystem};
+use physgrad_plot::{Animation, Posture, Stage, mechanics};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -87,8 +87,13 @@ impl TaskSpec for Slider {
             Scheme::Explicit => FrictionScheme::Explicit,
             Scheme::Implicit => FrictionScheme::Implicit,
         };
-        let system = SliderSystem { mass, coefficient, smoothing, dt: small_step(settings), scheme };
-        let task = tasks::Slider { system, speed_weight: settings.loss.speed_weight, horizon: settings.horizon };
+        let system =
+            SliderSystem { mass, coefficient, smoothing, dt: small_step(settings), scheme };
+        let task = tasks::Slider {
+            system,
+            speed_weight: settings.loss.speed_weight,
+            horizon: settings.horizon,
+        };
         in_scene(settings, task)
     }
 
@@ -112,7 +117,12 @@ impl TaskSpec for Slider {
 
     fn animation(settings: &Settings<Self>, Trajectory { states, .. }: &Trajectory) -> Animation {
         let posture = |x: &Vec<f64>| Posture { boxes: vec![[x[0], 0.1]], chain: Vec::new() };
-        let stage = Stage { title: "A block with dry friction".into(), size: 0.2, floor: Some(0.0), mark: Some([0.0, -0.05]) };
+        let stage = Stage {
+            title: "A block with dry friction".into(),
+            size: 0.2,
+            floor: Some(0.0),
+            mark: Some([0.0, -0.05]),
+        };
         mechanics(&stage, &states.iter().map(posture).collect::<Vec<_>>(), settings.system.dt)
     }
 }
