@@ -16,7 +16,7 @@ pub enum Purpose {
     Policy = 3,
     /// Order of the training samples.
     Shuffle = 4,
-    /// Random inputs, parameters and directions of checks, and damaged inputs of `physgrad fuzz`.
+    /// Random inputs, parameters and directions of checks, and damaged inputs of tests.
     Check = 5,
     /// Initial states and parameters of an evaluation. No training draws from these streams.
     Evaluate = 6,

@@ -351,7 +351,7 @@ fn a_new_crate_is_complete_or_absent_and_its_manifest_has_any_path() {
 }
 
 /// Builds all dependencies, which takes minutes. To run the test:
-/// `cargo test --release --test program -- --ignored`.
+/// `cargo test --release -p physgrad-cli --test program -- --ignored`.
 #[test]
 #[ignore = "builds a crate with all its dependencies"]
 fn a_new_crate_passes_its_test_and_trains() {
