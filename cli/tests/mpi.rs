@@ -15,7 +15,9 @@ use tempfile::TempDir;
 /// Returns whether the tests can run. Prints the reason if not.
 fn available() -> bool {
     if !cfg!(feature = "mpi") {
-        println!("skipped: the feature `mpi` is off; run `cargo test -p physgrad-cli --features mpi --test mpi`");
+        println!(
+            "skipped: the feature `mpi` is off; run `cargo test -p physgrad-cli --features mpi --test mpi`"
+        );
         return false;
     }
     match launcher(2).arg("true").output() {

@@ -123,7 +123,7 @@ pub enum IdentifyError {
     },
     /// A state or a squared residual of the simulation with the initial values is non-finite.
     #[error(
-        "segment {segment} diverges at step {step} with the initial values; choose values closer to the physics"
+        "segment {segment} diverges at step {step} with the initial values; choose values closer to the physics, or a shorter time step, such as more substeps"
     )]
     Diverged {
         /// Index of the segment.

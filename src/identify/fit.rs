@@ -60,8 +60,9 @@ pub struct Options {
     /// iterations. All weights of continuity but the last use 1e-2 instead.
     pub tolerance: f64,
     /// State components that are angles in rad with measurements known up to full turns, as those
-    /// of an encoder that wraps. Differences of these components are modulo 2π. A step must commute
-    /// with full turns of them. Default: none, measured angles are continuous.
+    /// of an encoder that wraps. The fit removes the full turns between consecutive measurements,
+    /// which must differ by less than half a turn without them. A step must commute with full turns
+    /// of these components. Default: none, measured angles are continuous.
     pub angles: Vec<usize>,
     /// Flag that another thread sets to stop the identification with [`IdentifyError::Stopped`].
     /// Read before every simulation of a window.
@@ -191,8 +192,25 @@ impl Fit {
     }
 }
 
+/// The segments, with full turns added to these components, so that consecutive measurements of an
+/// angle differ by at most half a turn. Residuals modulo 2π would have false minima instead.
+fn continuous(segments: &[Segment], angles: &[usize]) -> Vec<Segment> {
+    let mut segments = segments.to_vec();
+    for segment in &mut segments {
+        for &i in angles {
+            let mut before = None;
+            let measured = segment.x.iter_mut().filter_map(|row| row.get_mut(i));
+            for angle in measured.filter(|angle| angle.is_finite()) {
+                *angle += full_turns(before.map_or(0.0, |before| before - *angle));
+                before = Some(*angle);
+            }
+        }
+    }
+    segments
+}
+
 /// The full turns that are nearest to an angle, in rad. 0 up to half a turn.
-pub(super) fn full_turns(angle: f64) -> f64 {
+fn full_turns(angle: f64) -> f64 {
     (angle / TAU).round() * TAU
 }
 
@@ -235,6 +253,8 @@ pub fn identify<S: System>(
     unknowns: &[Unknown],
     options: &Options,
 ) -> Result<Fit, IdentifyError> {
+    let continuous = (!options.angles.is_empty()).then(|| continuous(segments, &options.angles));
+    let segments = continuous.as_deref().unwrap_or(segments);
     let problem = Problem::new(system, segments, unknowns, options)?;
     let mut counts = Counts::default();
     let mut best = attempt(&problem, options, &mut counts)?;

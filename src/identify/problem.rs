@@ -2,7 +2,7 @@
 
 use super::elimination::{Linearized, triangle};
 use super::error::IdentifyError;
-use super::fit::{Options, Segment, Unknown, full_turns};
+use super::fit::{Options, Segment, Unknown};
 use super::jacobian::{Model, Run};
 #[cfg(feature = "parallel")]
 use crate::numbers::threads;
@@ -238,16 +238,6 @@ impl<'a> Problem<'a> {
         }
     }
 
-    /// Difference of two values of a state component, modulo 2π for an angle.
-    fn difference(&self, component: usize, a: f64, b: f64) -> f64 {
-        let difference = a - b;
-        if self.angles.contains(&component) {
-            difference - full_turns(difference)
-        } else {
-            difference
-        }
-    }
-
     /// Calls `add(step, component, residual)` for the finite measurements of a window, without a
     /// first sample that is exact. `step` counts from the start of the window.
     fn residuals(
@@ -268,7 +258,7 @@ impl<'a> Problem<'a> {
                 .enumerate()
                 .filter(|(_, (_, y))| y.is_finite())
             {
-                add(step, i, self.difference(i, *x, *y) * self.per_noise[i]);
+                add(step, i, (*x - *y) * self.per_noise[i]);
             }
         }
     }
@@ -302,7 +292,7 @@ impl<'a> Problem<'a> {
             let mut misfit = Misfit::default();
             self.residuals(window, &states, |_, _, residual| misfit.samples += residual * residual);
             for (i, (end, start)) in end.iter().zip(point.after(k).unwrap_or(end)).enumerate() {
-                let jump = (self.difference(i, *end, *start) * self.per_noise[i]).abs();
+                let jump = ((*end - *start) * self.per_noise[i]).abs();
                 misfit.jumps += jump * jump;
                 misfit.largest_jump = misfit.largest_jump.max(jump);
             }
@@ -321,20 +311,14 @@ impl<'a> Problem<'a> {
     }
 
     /// States of all segments. The first state of a window replaces the last state of the previous
-    /// window. Full turns of angles make both equal up to the jump.
+    /// window.
     pub fn states(&self, point: &Point) -> Result<Vec<Vec<Vec<f64>>>, IdentifyError> {
         let mut states: Vec<Vec<Vec<f64>>> = vec![Vec::new(); self.segments.len()];
         for window in &point.windows {
             self.check_stop()?;
-            let mut run = self
+            let run = self
                 .run(window, &self.parameters(window.segment, &point.values))
                 .simulate(self.model);
-            if let Some(end) = states[window.segment].get(window.first) {
-                for &i in self.angles {
-                    let turns = full_turns(end[i] - run[0][i]);
-                    run.iter_mut().for_each(|x| x[i] += turns);
-                }
-            }
             states[window.segment].truncate(window.first);
             states[window.segment].extend(run);
         }
@@ -387,11 +371,7 @@ impl<'a> Problem<'a> {
             let (end, slopes) = (&states[window.steps], &slopes[window.steps]);
             let jump = point.after(k).map_or(DMatrix::zeros(0, columns), |start| {
                 DMatrix::from_fn(end.len(), columns, |i, j| {
-                    if j + 1 < columns {
-                        slopes[(i, j)]
-                    } else {
-                        self.difference(i, end[i], start[i])
-                    }
+                    if j + 1 < columns { slopes[(i, j)] } else { end[i] - start[i] }
                 })
             });
             Linearized { samples, jump, slopes: largest }

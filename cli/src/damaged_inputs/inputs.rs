@@ -248,7 +248,8 @@ fn checkpoint(number: u64, outcomes: &mut Outcomes) {
 /// Reports, animates and resumes a run folder whose scene and files may be damaged.
 fn folder(number: u64, outcomes: &mut Outcomes) {
     let rng = &mut numbers_of(number);
-    let path = std::env::temp_dir().join(format!("physgrad-damaged-{}-{number}", std::process::id()));
+    let path =
+        std::env::temp_dir().join(format!("physgrad-damaged-{}-{number}", std::process::id()));
     outcomes.record(number, 1_000_000_000, || {
         let accepted = create(rng, &path).and_then(|()| use_folder(&path)).is_ok();
         let _ = fs::remove_dir_all(&path);

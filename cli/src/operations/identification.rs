@@ -2,12 +2,12 @@
 
 use physgrad::identify::{Fit, IdentifyError, Options, Segment, Unknown, identify};
 use physgrad::{DynTask, Inputs, Number, System, Task, Varied};
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 /// Fits the trained numbers of a task to measured segments. `names` are the names of the parameters
 /// of a rollout, in the order of the parameters of the segments. Numbers without a value in a
-/// segment have their nominal values. Ignores the values of trained numbers in a segment. Compares
-/// those of the components `angles` modulo 2π that wrap in the data.
+/// segment have their nominal values. Ignores the values of trained numbers in a segment. Removes
+/// full turns from those of the components `angles` that wrap in the data.
 pub fn identified(
     task: &DynTask,
     names: &[String],
@@ -66,18 +66,22 @@ fn params(task: &DynTask, names: &[String], given: &[f64]) -> Result<Vec<f64>, S
     p.into_iter().zip(names).map(|(p, name)| p.ok_or_else(|| name.clone())).collect()
 }
 
-/// A jump of an angle by more than half a turn, in values that a turn contains: index of the value
-/// after it, and its size in rad. Values that are NaN are missing.
+/// The first jump of an angle by more than half a turn, if the values wrap: the jumps are about k
+/// full turns, which contain all values. Index of the value after the jump, and its size in rad.
+/// Values that are NaN are missing.
 pub fn wrap(values: impl Iterator<Item = f64> + Clone) -> Option<(usize, f64)> {
-    /// Slack for values that are rounded, rad.
-    const ROUNDED: f64 = 0.01;
+    /// Slack for noise that is added after the wrap, rad.
+    const NOISE: f64 = FRAC_PI_2;
     let known = values.enumerate().filter(|(_, value)| value.is_finite());
     let (low, high) = known
         .clone()
         .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (_, y)| (low.min(y), high.max(y)));
-    let mut jumps =
+    let jumps =
         known.clone().zip(known.skip(1)).map(|((_, before), (i, after))| (i, after - before));
-    if high - low > TAU + ROUNDED { None } else { jumps.find(|(_, jump)| jump.abs() > PI) }
+    let largest = jumps.clone().fold(0.0_f64, |largest, (_, jump)| largest.max(jump.abs()));
+    let turn = TAU * (largest / TAU).round().max(1.0);
+    let mut far = jumps.filter(|(_, jump)| jump.abs() > PI);
+    if high - low > turn + NOISE { None } else { far.next() }
 }
 
 /// Number of rows of a segment at which a property of the system is tested.

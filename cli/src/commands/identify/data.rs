@@ -220,13 +220,20 @@ impl Measured {
                 self.name
             ));
         }
+        let angles = scene.angles();
         for (i, state) in
             scene.state_names().iter().enumerate().filter(|(i, _)| !fit.angles.contains(i))
         {
-            if let Some((line, jump)) = chosen().find_map(|recording| recording.turn(i)) {
+            let is_angle = angles.contains(&i);
+            if let Some((line, jump)) = chosen().find_map(|recording| recording.turn(i, is_angle)) {
+                let turns = jump.abs() / 360.0;
+                let advice = if turns > 0.5 && (turns - turns.round()).abs() < 0.1 {
+                    "angles are in rad, and this may be a full turn in degrees; convert it"
+                } else {
+                    "if it is an angle that wraps, remove the jumps, as numpy.unwrap does"
+                };
                 warnings.push(format!(
-                    "{}:{line}: {state} jumps by {} from the row before; if it is an angle that wraps, remove the jumps, as \
-                     numpy.unwrap does",
+                    "{}:{line}: {state} jumps by {} from the row before; {advice}",
                     self.name,
                     short(jump)
                 ));
@@ -330,14 +337,21 @@ impl Recording {
         gaps.map(|(steps, [_, after])| (steps, after)).collect()
     }
 
-    /// First jump of a smooth component by almost a full turn: its line and size.
-    fn turn(&self, component: usize) -> Option<(u64, f64)> {
+    /// First jump that may be a full turn: its line and size. For an angle, any jump by more than
+    /// half a turn; for another component, one of few by almost a full turn.
+    fn turn(&self, component: usize, is_angle: bool) -> Option<(u64, f64)> {
         const NEAR: f64 = 1.5 * std::f64::consts::PI;
+        let known = || self.rows.iter().filter(|row| !row.x[component].is_nan());
+        let mut jumps = known()
+            .zip(known().skip(1))
+            .map(|(before, after)| (after.line, after.x[component] - before.x[component]));
+        if is_angle {
+            return jumps.find(|(_, jump)| jump.abs() > std::f64::consts::PI);
+        }
+        let far = jumps.filter(|(_, jump)| jump.abs() > 1.0).count();
         let values = self.rows.iter().map(|row| row.x[component]);
-        let known: Vec<f64> = values.clone().filter(|y| !y.is_nan()).collect();
-        let jumps = known.windows(2).filter(|pair| (pair[1] - pair[0]).abs() > 1.0).count();
         let (row, jump) =
-            wrap(values).filter(|(_, jump)| jump.abs() > NEAR && 10 * jumps < known.len())?;
+            wrap(values).filter(|(_, jump)| jump.abs() > NEAR && 10 * far < known().count())?;
         Some((self.rows[row].line, jump))
     }
 }
