@@ -127,6 +127,27 @@ def _refuse_second(function: Function, tangents: Iterable[Any]) -> None:
         )
 
 
+def _refuse_tangents(function: Function, call: Any) -> None:
+    """Makes an operator raise for tensors with a tangent, which reach it from a graph only.
+
+    Operators have no rule of forward mode. Without the error, exported and traced graphs would lose
+    the tangents. PyTorch has no public function for this.
+    """
+    autograd = torch._library.autograd.make_autograd_impl(call._opoverload, call)
+
+    def checked(keyset: Any, *arguments: Any, **named: Any) -> Tensor:
+        level = torch.autograd.forward_ad._current_level
+        tensors = (argument for argument in (*arguments, *named.values()) if isinstance(argument, Tensor))
+        if level >= 0 and any(torch._unpack_dual(tensor, level=level).tangent is not None for tensor in tensors):
+            raise RuntimeError(
+                f"`{function.name}`: exported and traced graphs do not support forward mode through the physics. Call "
+                "`torch.func.jvp` and `forward_ad` on the function itself"
+            )
+        return autograd(keyset, *arguments, **named)
+
+    call._lib.impl(call._name, checked, "Autograd", with_keyset=True, allow_override=True)
+
+
 def _operators(function: Function) -> _Operators:
     """Registers the operators ``physgrad::NAME``, ``physgrad::NAME_vjp`` and ``physgrad::NAME_jvp``.
 
@@ -265,6 +286,7 @@ def _operators(function: Function) -> _Operators:
 
         return rule
 
+    _refuse_tangents(function, call)
     call.register_vmap(batched(call, 1))
     vjp.register_vmap(batched(vjp, count))
     jvp.register_vmap(batched(jvp, 1))

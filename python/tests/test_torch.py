@@ -259,6 +259,24 @@ def test_compiled_functions_refuse_forward_mode():
         compiled(u)
 
 
+def test_exported_and_traced_graphs_refuse_forward_mode():
+    of = task("terminal")
+    x, u, _ = (tensor.detach() for tensor in batch(of))
+    step = pg.torch.step(of)
+
+    class Step(torch.nn.Module):
+        def forward(self, u):
+            return step(x, u)
+
+    exported = torch.export.export(Step(), (u,)).module()
+    traced = torch.fx.experimental.proxy_tensor.make_fx(lambda u: step(x, u))(u)
+    for graph in (exported, traced):
+        torch.testing.assert_close(graph(u), step(x, u))
+        for product in (lambda: torch.func.jvp(graph, (u,), (u,)), lambda: torch.func.jacfwd(graph)(u)):
+            with pytest.raises(RuntimeError, match="do not support forward mode"):
+                product()
+
+
 def test_a_graph_outlives_the_task():
     of = task("terminal")
     x, u, _ = batch(of)

@@ -5,7 +5,8 @@ use crate::platform::memory::of_this_machine;
 /// An array that does not fit into the memory of this machine.
 #[derive(Debug, thiserror::Error)]
 #[error(
-    "{what} would take {:.1} GB, but this machine has {:.1} GB; pass fewer rows, or choose a shorter horizon",
+    "{what} would take {:.1} GB, but this machine has {:.1} GB, or its limit for this process is lower; pass fewer rows, or \
+     choose a shorter horizon",
     bytes / 1e9,
     most / 1e9
 )]
@@ -25,6 +26,12 @@ const SMALL: f64 = 5e7;
 /// The array is larger than the memory of this machine, or than the limit of this process.
 pub fn fits(what: &'static str, dims: &[usize], size: usize) -> Result<(), TooLarge> {
     let bytes = dims.iter().fold(size as f64, |bytes, &dim| bytes * dim as f64);
-    let most = if bytes > SMALL { of_this_machine() } else { SMALL };
-    if bytes > most { Err(TooLarge { what, bytes, most }) } else { Ok(()) }
+    if bytes <= SMALL {
+        return Ok(());
+    }
+    let most = of_this_machine();
+    // A limit of the process can be lower than the memory of the machine. An allocation beyond it
+    // would end the process.
+    let is_granted = bytes <= most && Vec::<u8>::new().try_reserve_exact(bytes as usize).is_ok();
+    if is_granted { Ok(()) } else { Err(TooLarge { what, bytes, most }) }
 }

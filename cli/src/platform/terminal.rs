@@ -119,7 +119,8 @@ pub fn progress_bar(steps: usize, template: &str, quiet: bool) -> ProgressBar {
         false => ProgressDrawTarget::hidden(),
     });
     bar.set_style(ProgressStyle::with_template(template).expect("a fixed template"));
-    if steps == 0 {
+    // The spinner turns on a thread of its own, which the system may refuse.
+    if steps == 0 && is_visible && std::thread::Builder::new().spawn(|| ()).is_ok() {
         bar.enable_steady_tick(Duration::from_millis(100));
     }
     *BAR.lock().unwrap_or_else(PoisonError::into_inner) = Some(bar.clone());
