@@ -7,7 +7,7 @@ use crate::policy::{Policy, replace_file};
 use crate::settings::keywords;
 use crate::task::{TOP, Task};
 use crate::threads;
-use physgrad::Record;
+use physgrad::{Record, Warning};
 use physgrad_cli::api::{self, EpochEvent, Observer};
 use pyo3::exceptions::{PyRuntimeError, PyRuntimeWarning};
 use pyo3::prelude::*;
@@ -212,18 +212,24 @@ fn row(record: &Record) -> [f64; 12] {
 struct Watcher {
     callback: Option<Py<PyAny>>,
     error: Option<PyErr>,
-    /// Kinds of warnings that were reported.
-    warned: Vec<&'static str>,
+    /// Kinds of warnings that were reported, with the number of a kind that has one warning per
+    /// number.
+    warned: Vec<(&'static str, Option<String>)>,
 }
 
 impl Watcher {
     fn report(&mut self, py: Python<'_>, event: EpochEvent<'_>) -> PyResult<()> {
-        for warning in event.warnings.iter().filter(|warning| !self.warned.contains(&warning.kind))
+        let kind = |warning: &Warning| (warning.kind, warning.number.clone());
+        for warning in event.warnings.iter().filter(|warning| !self.warned.contains(&kind(warning)))
         {
             let text = std::ffi::CString::new(warning.to_string()).unwrap_or_default();
             PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &text, 1)?;
         }
-        self.warned.extend(event.warnings.iter().map(|warning| warning.kind));
+        for warning in event.warnings.iter().map(kind) {
+            if !self.warned.contains(&warning) {
+                self.warned.push(warning);
+            }
+        }
         let Some(callback) = &self.callback else { return Ok(()) };
         let record = PyDict::new(py);
         for (name, value) in COLUMNS.into_iter().zip(row(event.record)) {

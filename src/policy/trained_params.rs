@@ -15,6 +15,9 @@ pub struct TrainedParam {
     scale: Scale,
 }
 
+/// Factor by which a distance changes before an entry counts as lost, or as at its bound.
+const FACTOR: f64 = 1e6;
+
 /// Map from r to the entry of `p`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Scale {
@@ -100,18 +103,29 @@ impl TrainedParam {
     }
 
     /// Returns whether r is so far from its start that the training has lost the entry. An
-    /// unbounded entry exceeds a million times its start, or 1e6 if it starts within ±1. The distance
-    /// to a bound has changed by a factor of a million.
+    /// unbounded entry exceeds a million times its start, or 1e6 if it starts within ±1. An entry
+    /// with only a lower bound is a million times as far from the bound as at its start.
     pub(crate) fn has_run_away(&self, r: f64) -> bool {
-        const FACTOR: f64 = 1e6;
         let within = match self.scale {
             Scale::Linear => r.abs() <= FACTOR * self.initial.abs().max(1.0),
-            Scale::Above { .. } | Scale::Bounded { .. } => {
-                (r - self.initial()).abs() <= FACTOR.ln()
-            }
+            Scale::Above { .. } => r - self.initial() <= FACTOR.ln(),
+            Scale::Bounded { .. } => !r.is_nan(),
         };
         // True for NaN.
         !within
+    }
+
+    /// Returns whether the distance of the entry to a bound is below a millionth of the distance at
+    /// its start, and of half the distance of both bounds. The slope of the entry is then almost 0.
+    pub(crate) fn is_at_bound(&self, r: f64) -> bool {
+        let start = self.initial();
+        match self.scale {
+            Scale::Linear => false,
+            Scale::Above { .. } => r < start - FACTOR.ln(),
+            Scale::Bounded { .. } => {
+                r < start.min(0.0) - FACTOR.ln() || r > start.max(0.0) + FACTOR.ln()
+            }
+        }
     }
 
     /// Returns the derivative of [`value`](Self::value).

@@ -113,14 +113,14 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     }
 
     /// Warnings about the last epoch: skipped updates, non-finite losses, unreliable gradients, and
-    /// trained numbers that run away or have no slope.
+    /// trained numbers that run away, are at a bound or have no slope.
     /// Each states the epoch. Each states a remedy, unless the causes of skips are unknown after
     /// [`restore`](Session::restore). A session returns each kind of warning once.
     ///
     /// Empty within an epoch. [`Trainer::run`](crate::Trainer::run) prints them.
     pub fn warnings(&mut self) -> Vec<String> {
         self.state
-            .new_warnings(self.task.horizon(), &self.numbers())
+            .new_warnings(self.task.horizon(), &self.numbers(&[]))
             .iter()
             .map(Warning::to_string)
             .collect()
@@ -129,15 +129,22 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     /// All warnings about the last epoch, including kinds that [`warnings`](Self::warnings) has
     /// already returned.
     pub fn epoch_warnings(&self) -> Vec<Warning> {
-        self.state.warnings(self.task.horizon(), &self.numbers())
+        self.epoch_warnings_with(&[])
+    }
+
+    /// [`epoch_warnings`](Self::epoch_warnings) with these names of the parameters `p`. Further
+    /// parameters have the names that the system gives them.
+    pub fn epoch_warnings_with(&self, names: &[String]) -> Vec<Warning> {
+        self.state.warnings(self.task.horizon(), &self.numbers(names))
     }
 
     /// The numbers that are trained with the policy.
-    fn numbers(&self) -> Vec<TrainedNumber> {
+    fn numbers(&self, names: &[String]) -> Vec<TrainedNumber> {
         let varied = self.task.system().varied(self.task.param_dim());
-        let name = |index: usize| {
+        let of_system = |index: usize| {
             varied.iter().find(|varied| varied.index == index).map(|varied| varied.name.clone())
         };
+        let name = |index: usize| names.get(index).cloned().or_else(|| of_system(index));
         let number = |&param: &TrainedParam| {
             let name = name(param.index()).unwrap_or_else(|| format!("p[{}]", param.index()));
             TrainedNumber { name, param }

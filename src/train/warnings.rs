@@ -16,6 +16,8 @@ pub struct Warning {
     pub epoch: usize,
     /// Kind of the cause. Epochs may have causes of one kind with different texts.
     pub kind: &'static str,
+    /// Name of the trained number, if the kind has one warning per number.
+    pub number: Option<String>,
     /// Cause, and remedy if known.
     pub cause: String,
 }
@@ -27,7 +29,7 @@ impl fmt::Display for Warning {
 }
 
 /// Kinds of warnings, in the order of their reports.
-const KINDS: [&str; 11] = [
+const KINDS: [&str; 12] = [
     "some skipped",
     "all skipped",
     "training loss",
@@ -37,6 +39,7 @@ const KINDS: [&str; 11] = [
     "field of 0",
     "no first order",
     "number ran away",
+    "number at its bound",
     "number acts by comparison",
     "number without effect",
 ];
@@ -84,6 +87,7 @@ impl<F: Float> State<F> {
             zero,
             self.without_first_order(record),
             self.run_away(numbers),
+            self.at_bound(numbers),
             self.without_slope(numbers, true).map(|names| {
                 format!(
                     "the slope of the loss with respect to {names} is exactly 0, but other values change the loss. The number acts \
@@ -99,30 +103,55 @@ impl<F: Float> State<F> {
             }),
         ];
         let warning = |(kind, cause): (&'static str, Option<String>)| {
-            Some(Warning { epoch: record.epoch, kind, cause: cause? })
+            Some(Warning { epoch: record.epoch, kind, number: None, cause: cause? })
         };
         KINDS.into_iter().zip(causes).filter_map(warning).collect()
     }
 
     /// Warning about numbers that are far from their start, or not finite.
     fn run_away(&self, numbers: &[TrainedNumber]) -> Option<String> {
-        let theta = self.weights.theta();
-        let values = numbers.iter().zip(&theta[theta.len() - numbers.len()..]);
-        let lost = values.filter(|(number, r)| number.param.has_run_away(r.as_()));
-        let lost = lost.map(|(TrainedNumber { name, param }, r)| {
-            format!("{name} = {:.3e}", param.value::<f64>(r.as_()))
-        });
-        let lost = list(lost.collect())?;
+        let lost = self.values_of(numbers, TrainedParam::has_run_away)?;
         Some(format!(
-            "training runs away: {lost}, more than a factor of a million from the start or from a bound. The number is not \
-             determined, or the learning rate is too large. Give it bounds, reduce the learning rate, or use a fixed value"
+            "training runs away: {lost}, more than a factor of a million from the start. The number is not determined, or the \
+             learning rate is too large. Give it bounds, reduce the learning rate, or use a fixed value"
         ))
     }
 
+    /// Warning about numbers at a bound.
+    fn at_bound(&self, numbers: &[TrainedNumber]) -> Option<String> {
+        let bounded = self.values_of(numbers, TrainedParam::is_at_bound)?;
+        Some(format!(
+            "a trained number is at its bound: {bounded}. The loss may be lower beyond the bound, or the learning rate too \
+             large. Check the bounds, reduce the learning rate, or use a fixed value"
+        ))
+    }
+
+    /// Names and values of the numbers whose entry r of `θ` is `selected`. `None` without such
+    /// numbers.
+    fn values_of(
+        &self,
+        numbers: &[TrainedNumber],
+        selected: fn(&TrainedParam, f64) -> bool,
+    ) -> Option<String> {
+        let theta = self.weights.theta();
+        let values = numbers.iter().zip(&theta[theta.len() - numbers.len()..]);
+        let chosen = values.filter(|(number, r)| selected(&number.param, r.as_()));
+        let chosen = chosen.map(|(TrainedNumber { name, param }, r)| {
+            format!("{name} = {:.3e}", param.value::<f64>(r.as_()))
+        });
+        list(chosen.collect())
+    }
+
     /// Names of the numbers without a slope in all updates of the last epoch. `changes` selects those
-    /// that change the loss nevertheless, or those that do not.
+    /// that change the loss nevertheless, or those that do not. Omits numbers at a bound, where the
+    /// slope rounds to 0.
     fn without_slope(&self, numbers: &[TrainedNumber], changes: bool) -> Option<String> {
-        let selected = self.without_slope.iter().filter(|(_, found)| *found == changes);
+        let values = &self.weights.theta()[self.weights.theta().len() - numbers.len()..];
+        let is_free = |number: usize| !numbers[number].param.is_at_bound(values[number].as_());
+        let selected = self
+            .without_slope
+            .iter()
+            .filter(|&&(number, found)| found == changes && is_free(number));
         list(selected.map(|&(number, _)| numbers[number].name.clone()).collect())
     }
 

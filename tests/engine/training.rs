@@ -348,28 +348,43 @@ impl Task for Pushed {
 #[test]
 fn trained_numbers_that_training_cannot_determine_are_named_once_with_a_remedy() {
     let start = 0.55;
-    for (role, learning_rate, expected, remedy) in [
+    let free = TrainedParam::linear(0, start);
+    let [above, bounded] =
+        [TrainedParam::above(0, start, 0.5), TrainedParam::bounded(0, start, 0.5, 0.7)];
+    for (param, role, learning_rate, expected, remedy) in [
         (
+            free,
             Role::Comparison,
             1e-3,
             "with respect to off is exactly 0, but other values change the loss",
             "smooth transition",
         ),
         (
+            free,
             Role::Absent,
             1e-3,
             "the loss does not depend on off, so training cannot change it",
             "Use a fixed value",
         ),
-        (Role::Linear(1.0), 1e6, "training runs away: off = -1.000e7", "Give it bounds"),
-        (Role::Linear(1e200), 1e-3, "component 1 is the trained number off", "Shorten the horizon"),
-        (Role::Linear(1.0), 1e-3, "", ""),
+        (free, Role::Linear(1.0), 1e6, "training runs away: off = -1.000e7", "Give it bounds"),
+        (above, Role::Linear(1.0), 1e3, "at its bound: off = 5.000e-1", "Check the bounds"),
+        (bounded, Role::Linear(1.0), 1e3, "at its bound: off = 5.000e-1", "Check the bounds"),
+        (bounded, Role::Linear(-1.0), 1e3, "at its bound: off = 7.000e-1", "Check the bounds"),
+        (
+            free,
+            Role::Linear(1e200),
+            1e-3,
+            "component 1 is the trained number off",
+            "Shorten the horizon",
+        ),
+        (free, Role::Linear(1.0), 1e-3, "", ""),
+        (bounded, Role::Linear(1.0), 1e-3, "", ""),
     ] {
         let task = Pushed {
             off: Number::Trained { start, min: f64::NEG_INFINITY, max: f64::INFINITY },
             role,
         };
-        let policy = WithParams::new(Constant::new(1, 1), [TrainedParam::linear(0, start)]);
+        let policy = WithParams::new(Constant::new(1, 1), [param]);
         let training = Training {
             epochs: 3,
             train_samples: 4,

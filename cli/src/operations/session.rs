@@ -43,8 +43,9 @@ pub trait AnyRun: Send {
     fn is_done(&self) -> bool;
     /// Records of the completed epochs.
     fn records(&self) -> &[Record];
-    /// Warnings about the last epoch. Empty within an epoch.
-    fn warnings(&self) -> Vec<Warning>;
+    /// Warnings about the last epoch, with these names of the parameters of a rollout. Empty within
+    /// an epoch.
+    fn warnings(&self, names: &[String]) -> Vec<Warning>;
     /// Serializes the run. [`restore`](Self::restore) requires an equal label.
     fn checkpoint(&self, label: &str) -> Vec<u8>;
     /// Restores a checkpoint with an equal label. On an error, the session is unchanged.
@@ -104,8 +105,8 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
         Session::records(self)
     }
 
-    fn warnings(&self) -> Vec<Warning> {
-        Session::epoch_warnings(self)
+    fn warnings(&self, names: &[String]) -> Vec<Warning> {
+        Session::epoch_warnings_with(self, names)
     }
 
     fn checkpoint(&self, label: &str) -> Vec<u8> {

@@ -3,6 +3,7 @@
 //! Imports all parts of the program except `commands` and `api`. Start with `run`.
 
 pub mod comparison;
+mod limits;
 pub mod listed;
 pub mod metrics;
 pub mod outputs;

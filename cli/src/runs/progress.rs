@@ -17,11 +17,13 @@ pub struct Progress {
 /// A kind of warning, and its repetitions.
 struct Repeated {
     kind: &'static str,
-    /// Text of the first warning, which was printed.
-    first: String,
+    /// Run and number of a kind with one warning per number.
+    number: Option<(String, String)>,
+    /// Text and place of the first warning, which was printed.
+    first: [String; 2],
     count: usize,
-    /// Place of the last warning.
-    last: String,
+    /// Text and place of the last warning.
+    last: [String; 2],
 }
 
 /// Smallest width of the line, in columns, at which the bar shows the elapsed time.
@@ -77,29 +79,39 @@ impl Progress {
         }
     }
 
-    /// Prints the first warning of each kind, even if quiet, and counts the others. `run` is a
-    /// prefix that names the run.
+    /// Prints the first warning of each kind, even if quiet, and counts the others. Kinds with one
+    /// warning per number count by run and number. `run` is a prefix that names the run.
     pub fn warn(&mut self, run: &str, event: EpochEvent) {
         for warning in event.warnings {
-            let last = format!("{run}epoch {}", warning.epoch);
-            match self.repeated.iter_mut().find(|repeated| repeated.kind == warning.kind) {
+            let text = format!("warning: {run}{warning}");
+            let last = [text, format!("{run}epoch {}", warning.epoch)];
+            let kind = warning.kind;
+            let number = warning.number.clone().map(|number| (run.to_owned(), number));
+            let is_same =
+                |repeated: &&mut Repeated| repeated.kind == kind && repeated.number == number;
+            match self.repeated.iter_mut().find(is_same) {
                 Some(repeated) => (repeated.count, repeated.last) = (repeated.count + 1, last),
                 None => {
-                    let first = format!("warning: {run}{warning}");
-                    print_message(&first);
-                    self.repeated.push(Repeated { kind: warning.kind, first, count: 1, last });
+                    print_message(&last[0]);
+                    let first = last.clone();
+                    self.repeated.push(Repeated { kind, number, first, count: 1, last });
                 }
             }
         }
     }
 
-    /// Removes the bar. Prints the count of each repeated warning, even if quiet.
+    /// Removes the bar. Prints the count of each repeated warning, even if quiet. The text of a
+    /// warning about one number is that of the last epoch with the warning.
     pub fn finish(&self) {
         self.bar.finish_and_clear();
-        for Repeated { first, count, last, .. } in
+        for Repeated { number, first, count, last, .. } in
             self.repeated.iter().filter(|repeated| repeated.count > 1)
         {
-            print_message(&format!("{first} ({count} times, last in {last})"));
+            let [[first, begin], [last, end]] = [first, last];
+            print_message(&match number {
+                Some(_) => format!("{last} ({count} times, first in {begin})"),
+                None => format!("{first} ({count} times, last in {end})"),
+            });
         }
     }
 }

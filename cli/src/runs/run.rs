@@ -8,6 +8,7 @@ use crate::platform::folder::{
 use crate::platform::lock::Locked;
 use crate::platform::signals;
 use crate::platform::terminal::print_message;
+use crate::runs::limits::Limits;
 use crate::runs::metrics::Metrics;
 use crate::runs::outputs;
 use crate::runs::saved;
@@ -126,7 +127,7 @@ pub fn run(
     }
     let mut saver = Saver::begin(folder, scene, &identity, save_every)?;
     saver.save(run)?;
-    let failure = train(run, ranks, Some(&mut saver), observer)?;
+    let failure = train(scene, run, ranks, Some(&mut saver), observer)?;
     saver.end(scene, run)?;
     Ok(finished(scene, run, failure))
 }
@@ -140,13 +141,13 @@ pub fn follow(scene: &Scene, run: &mut dyn AnyRun, ranks: &Arc<dyn Ranks>) -> Re
     run.restore(&state, &scene.identity()).context("the state of rank 0 does not fit this rank")?;
     run.share(ranks)?;
     // All ranks fail alike, and rank 0 reports the failure.
-    train(run, Some(ranks), None, &mut Unobserved).map(drop)
+    train(scene, run, Some(ranks), None, &mut Unobserved).map(drop)
 }
 
 /// Trains the session of a scene without a folder.
 pub fn in_memory(scene: &Scene, run: &mut dyn AnyRun, observer: &mut dyn Observer) -> Finished {
-    let failure =
-        train(run, None, None, observer).expect("a training without a folder writes no file");
+    let failure = train(scene, run, None, None, observer)
+        .expect("a training without a folder writes no file");
     finished(scene, run, failure)
 }
 
@@ -161,12 +162,15 @@ pub fn save(folder: &Locked, scene: &Scene, run: &dyn AnyRun) -> Result<()> {
 /// # Errors
 /// The folder was removed or replaced.
 fn train(
+    scene: &Scene,
     run: &mut dyn AnyRun,
     ranks: Option<&Arc<dyn Ranks>>,
     mut saver: Option<&mut Saver>,
     observer: &mut dyn Observer,
 ) -> Result<Option<TrainError>> {
     let on_any_rank = |value| ranks.map_or(value, |ranks| ranks::any(&**ranks, value));
+    let names = scene.param_names();
+    let mut limits = Limits::new(scene, &names);
     let mut within_epoch = false;
     while !run.is_done() {
         let stops = observer.is_stopped() || (!within_epoch && signals::received().is_some());
@@ -189,8 +193,11 @@ fn train(
             }
             Err(error) => return Ok(Some(error)),
         }
-        let warnings = run.warnings();
         if let Some(record) = run.records().last().filter(|_| !within_epoch) {
+            let mut warnings = run.warnings(&names);
+            if !limits.is_empty() {
+                warnings.extend(limits.warnings(record.epoch, &run.trained(Epoch::Last)));
+            }
             observer.epoch(EpochEvent { record, warnings: &warnings });
         }
         if let Some(saver) = saver.as_deref_mut().filter(|saver| saver.is_due()) {

@@ -286,6 +286,12 @@ impl SceneSource {
         Ok(scene.starting_from(bytes))
     }
 
+    /// Error of a setting for which the scene is refused, if any. Does not read the file of an
+    /// initial policy.
+    pub fn refusal(&self) -> Option<ConfigError> {
+        self.validate().err()
+    }
+
     fn validate(&self) -> Result<Scene, ConfigError> {
         match self.table.get("scene") {
             None => {

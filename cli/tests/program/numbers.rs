@@ -1,6 +1,7 @@
 //! Drawn and trained numbers of a scene, grids of settings, and identification.
 
 use assert_cmd::Command;
+use physgrad::text::digits;
 use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
@@ -749,6 +750,43 @@ fn a_number_that_runs_away_has_no_error_and_no_scene() {
         !dir.path().join("found/scene.toml").exists()
             && dir.path().join("found/report.html").exists()
     );
+}
+
+/// Nothing bounds the masses, so a large learning rate leads past 0.
+#[test]
+fn trained_numbers_outside_of_their_ranges_are_named_at_the_first_and_the_last_epoch() {
+    let train = |cart: &str| {
+        let scene = format!(
+            "scene = 1\ntask = \"cart_pole\"\nprecision = \"f64\"\nepochs = 12\nhorizon = 20\n[system]\npoles = 1\n\
+             [policy]\nwidths = []\n[training]\ntrain_samples = 8\ntest_samples = 8\nlearning_rate = 0.3\n\
+             [fit]\n\"system.cart_mass\" = {cart}\n"
+        );
+        let dir = folder(&scene);
+        let output = physgrad("train scene.toml --quiet --out run", dir.path())
+            .assert()
+            .success()
+            .get_output()
+            .clone();
+        let mass: f64 = read(&dir, "run/numbers.csv")[1][1].parse().expect("a number");
+        (String::from_utf8(output.stderr).expect("UTF-8"), mass)
+    };
+    let (said, mass) = train("{ start = 1 }");
+    assert!(mass < 0.0, "{mass}");
+    let lines: Vec<&str> =
+        said.lines().filter(|line| line.contains("training moves system.cart_mass to -")).collect();
+    assert_eq!(lines.len(), 2, "{said}");
+    for line in &lines {
+        for text in
+            ["outside of its range; allowed: a positive number", "to [fit]: min, or min and max"]
+        {
+            assert!(line.contains(text), "{line}");
+        }
+    }
+    assert!(lines[1].starts_with("warning: epoch 12: "), "{said}");
+    assert!(lines[1].contains(&format!("to {}, ", digits(mass, 6))), "{said}");
+    assert!(lines[1].contains(" times, first in epoch "), "{said}");
+    let (said, mass) = train("{ start = 1, min = 0.5, max = 2 }");
+    assert!((0.5..=2.0).contains(&mass) && !said.contains("outside of its range"), "{said}");
 }
 
 /// The value in the message is one that the reader accepts.
