@@ -11,6 +11,7 @@ use crate::engine::rollout::{Lane, WIDTH};
 use crate::numbers::rng::{Purpose, Rng, stream};
 use crate::numbers::scalar::{Cotangent, CotangentPack, Lanes, Real, Scalar};
 use num_dual::Dual64;
+use std::cell::OnceCell;
 
 /// Object-safe system for all scalar types that the check uses.
 pub(super) trait Checked: AnySystem<f64> {
@@ -73,6 +74,73 @@ fn step_vjp(system: &dyn Checked, at: Inputs<'_, f64>, next_bar: &[f64]) -> Valu
     [x_bar, u_bar, p_bar]
 }
 
+/// Relative change of an input, or error of the solution of an implicit step, that counts as
+/// rounding. Implicit integrators have this tolerance by default.
+const PERTURBATION: f64 = 1e-12;
+
+/// Allowed errors of a derivative in units of its [`Uncertainty`]: the errors of several solves
+/// add, and the perturbation of an input is not the error of a stage.
+const UNCERTAINTIES: f64 = 10.0;
+
+/// Absolute differences of the components.
+fn changes(a: &Values<f64>, b: &Values<f64>) -> Values<f64> {
+    std::array::from_fn(|k| a[k].iter().zip(&b[k]).map(|(a, b)| (a - b).abs()).collect())
+}
+
+/// Allowed absolute errors of the derivatives by [`step_vjp`] that rounding explains: changes of
+/// the reference between inputs that agree to rounding. Evaluated when first needed.
+///
+/// An implicit step ends its iteration within the tolerance or rounding of the solution. Two correct
+/// derivatives are taken at solutions that differ by as much, and a stiff step has derivatives that
+/// change strongly with the solution. Both are evaluated, since each has rounding errors of its own:
+/// the linear equations of the reverse pass are as badly conditioned as the step. A wrong derivative
+/// does not gain from this, as it changes as little as a correct one. The sum of the changes by [`PERTURBATION`] of each input bounds
+/// the change by any perturbation of this size, to first order.
+struct Uncertainty<'a> {
+    system: &'a dyn Checked,
+    at: Inputs<'a, f64>,
+    next: &'a [f64],
+    next_bar: &'a [f64],
+    expected: &'a Values<f64>,
+    allowed: OnceCell<Values<f64>>,
+}
+
+impl Uncertainty<'_> {
+    fn allowed(&self) -> &Values<f64> {
+        self.allowed.get_or_init(|| {
+            let Self { at, next, .. } = *self;
+            let mut allowed = self.expected.clone().map(|bars| vec![0.0; bars.len()]);
+            let found = vjp(self.system, at, self.next_bar);
+            // The measure of states by which Newton's iteration ends.
+            let state = at.x.iter().zip(next).map(|(x, next)| 1.0 + x.abs().max(next.abs()));
+            let sizes: Values<f64> = [
+                state.collect(),
+                at.u.iter().map(|u| u.abs()).collect(),
+                at.p.iter().map(|p| p.abs()).collect(),
+            ];
+            for (k, sizes) in sizes.iter().enumerate() {
+                for (i, size) in sizes.iter().enumerate().filter(|(_, size)| **size > 0.0) {
+                    let [below, above] = [-1.0, 1.0].map(|sign| {
+                        let mut values = [at.x, at.u, at.p].map(<[f64]>::to_vec);
+                        values[k][i] += sign * PERTURBATION * size;
+                        let at = inputs(&values, at.t);
+                        let found_there = vjp(self.system, at, self.next_bar);
+                        let there = step_vjp(self.system, at, self.next_bar);
+                        [changes(&there, self.expected), changes(&found_there, &found)]
+                    });
+                    for j in 0..3 {
+                        for (l, allowed) in allowed[j].iter_mut().enumerate() {
+                            let all = below.iter().chain(&above).map(|changes| changes[j][l]);
+                            *allowed += UNCERTAINTIES * all.fold(0.0, f64::max);
+                        }
+                    }
+                }
+            }
+            allowed
+        })
+    }
+}
+
 /// Draws a state, a control and parameters.
 type Draw<'a> = &'a dyn Fn(&mut Rng, &mut [f64], &mut [f64], &mut [f64]);
 
@@ -115,7 +183,15 @@ pub(super) fn check(system: &dyn Checked, draw: Draw, horizon: usize) -> Result<
         c.equal("step leaves a component unwritten: next", &from_nans, &from_zeros)?;
 
         let expected = step_vjp(system, at, &next_bar);
-        requests(system, at, &next_bar, &expected, &mut c)?;
+        let uncertainty = Uncertainty {
+            system,
+            at,
+            next: &from_zeros,
+            next_bar: &next_bar,
+            expected: &expected,
+            allowed: OnceCell::new(),
+        };
+        requests(&uncertainty, &mut c)?;
 
         let mut all = sizes.map(|len| vec![0.0; len]);
         let mut sum = vec![0.0; sizes[0]];
@@ -132,7 +208,10 @@ pub(super) fn check(system: &dyn Checked, draw: Draw, horizon: usize) -> Result<
                 |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a * b).abs()).sum::<f64>();
             let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
             let scale = terms(&next_bar, &next_tan).max(terms(&expected[k], &tangent));
-            c.one(name, 0, dot(&next_bar, &next_tan), dot(&expected[k], &tangent), scale)?;
+            let [found, expected] = [dot(&next_bar, &next_tan), dot(&expected[k], &tangent)];
+            c.one_within(name, 0, found, expected, scale, &|| {
+                terms(&uncertainty.allowed()[k], &tangent)
+            })?;
         }
         let mut next_tan = vec![f64::NAN; sizes[0]];
         let [x, u, p] = &all;
@@ -197,13 +276,8 @@ const KINK: f64 = 1e-4;
 
 /// Compares [`System::vjp`] with dual numbers for each combination of requested cotangents. Checks
 /// that a second call adds the same cotangents again.
-fn requests(
-    system: &dyn Checked,
-    at: Inputs<'_, f64>,
-    next_bar: &[f64],
-    expected: &Values<f64>,
-    c: &mut Comparison,
-) -> Result<(), Mismatch> {
+fn requests(uncertainty: &Uncertainty<'_>, c: &mut Comparison) -> Result<(), Mismatch> {
+    let Uncertainty { system, at, next_bar, expected, .. } = *uncertainty;
     let next_bar: Vec<One<f64>> = next_bar.iter().map(|&bar| CotangentPack([bar])).collect();
     // Starts with the request of all three: the message for a `vjp` that is always wrong then names
     // no combination.
@@ -226,7 +300,7 @@ fn requests(
                     (7, _) => format!("vjp: {}", NAMES[k]),
                     _ => format!("vjp with only some cotangents requested: {}", NAMES[k]),
                 };
-                c.slices(&what, &found, &expected[k])?;
+                c.slices_within(&what, &found, &expected[k], &|i| uncertainty.allowed()[k][i])?;
             }
         }
     }

@@ -113,6 +113,9 @@ pub trait Scalar:
     #[doc(hidden)]
     const VECTORIZED: bool = false;
 
+    /// True if values carry derivatives. Iterative solvers then iterate until these converge too.
+    const DIFFERENTIATES: bool = false;
+
     /// Drops the derivative and returns the value ("stop gradient").
     fn detach(self) -> Self;
 

@@ -10,6 +10,12 @@ pub fn rough(x: f64) -> String {
     digits(x, 2)
 }
 
+/// The growth of a perturbation per step, with four decimals, so that 1.0002 differs from 1. From
+/// 1000 on, it has four significant digits.
+pub fn growth(x: f64) -> String {
+    if x.abs() < 1e3 { format!("{x:.4}") } else { short(x) }
+}
+
 /// A number with `count` significant digits, rounded to nearest.
 ///
 /// The rounded absolute value selects the format. Below 1e-3 and from 1e5 on, the number has an
@@ -54,6 +60,14 @@ mod tests {
         assert_eq!(
             [0.000_999_96, 0.099_999, 9.9999, 99_999.6].map(short),
             ["0.001000", "0.1000", "10.00", "1.000e5"]
+        );
+    }
+
+    #[test]
+    fn growths_have_four_decimals_or_four_digits() {
+        assert_eq!(
+            [1.0002, -12.5, 4321.0, -7e200, f64::NAN].map(growth),
+            ["1.0002", "-12.5000", "4321", "-7.000e200", "NaN"]
         );
     }
 

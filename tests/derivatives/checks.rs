@@ -4,8 +4,8 @@ use physgrad::check::{self, KinkInput};
 use physgrad::policy::{Constant, Linear, Mlp};
 use physgrad::rng::Rng;
 use physgrad::{
-    Cotangent, Cotangents, DynTask, Flow, Inputs, Real, Scalar, Start, System, Task, Trainer,
-    Training, Weights,
+    AnyIntegrator, Cotangent, Cotangents, DynTask, Flow, ImplicitMidpoint, Inputs, Integrated, Ode,
+    OdeInputs, Real, Scalar, Sdirk2, Start, System, Task, Trainer, Training, Weights,
 };
 use rand::RngExt;
 
@@ -302,4 +302,86 @@ fn a_training_names_the_parameter_that_start_leaves_unwritten() {
     assert!(!text.contains("learning rate") && !text.contains("time step"), "{text}");
     // The derivative of the same task with a mass is finite.
     assert!(check::try_flow(&Forgetful(Output::None), &Constant::new(2, 2), Flow::REGULAR).is_ok());
+}
+
+/// A mass of 1 kg with dry friction of at most 5 N, reached at speeds of some 1e-4 m/s. State
+/// [position, speed], control: force.
+#[derive(Clone, Debug)]
+struct Rubbed;
+
+impl Ode for Rubbed {
+    fn state_dim(&self) -> usize {
+        2
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn rate<T: Scalar>(&self, OdeInputs { x, u, .. }: OdeInputs<'_, T>, rate: &mut [T]) {
+        rate[0] = x[1];
+        rate[1] = u[0] - x[0].sin() - (x[1] * 1e4).tanh() * 5.0;
+    }
+}
+
+/// A system whose VJP is wrong by a relative `fault`.
+struct Wrong<S> {
+    system: S,
+    fault: f64,
+}
+
+impl<S: System> System for Wrong<S> {
+    fn state_dim(&self) -> usize {
+        self.system.state_dim()
+    }
+    fn control_dim(&self) -> usize {
+        self.system.control_dim()
+    }
+    fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
+        self.system.step(inputs, next);
+    }
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
+        let factor = R::from(1.0 + self.fault);
+        let next_bar: Vec<C> = next_bar.iter().map(|&bar| bar * factor).collect();
+        self.system.vjp(inputs, &next_bar, cotangents);
+    }
+}
+
+#[test]
+fn stiff_implicit_steps_pass_and_their_wrong_derivatives_do_not() {
+    fn checked(
+        integrator: AnyIntegrator,
+        speed: f64,
+        fault: f64,
+    ) -> Result<check::Passed, check::Mismatch> {
+        let system = Integrated { ode: Rubbed, integrator, dt: 0.02 };
+        check::try_system_at(&Wrong { system, fault }, |rng, x, u, _| {
+            x[0] = rng.random_range(-1.0..1.0);
+            x[1] = speed * rng.random_range(-1.0..1.0);
+            u[0] = rng.random_range(-5.0..5.0);
+        })
+    }
+    for integrator in [
+        AnyIntegrator::Sdirk2(Sdirk2::default()),
+        AnyIntegrator::ImplicitMidpoint(ImplicitMidpoint::default()),
+    ] {
+        // Steps that stick, and steps that slide until they stick.
+        for speed in [1e-3, 0.3] {
+            checked(integrator, speed, 0.0).unwrap_or_else(|mismatch| panic!("{mismatch}"));
+            let wrong = checked(integrator, speed, 1e-6).expect_err("a wrong derivative");
+            assert!(wrong.what.starts_with("vjp: ") && wrong.allowed == 1e-12, "{wrong}");
+        }
+    }
+    // A derivative that hardly changes within rounding.
+    let reactor = |fault| {
+        check::try_system_at(&Wrong { system: Reactor { fault: 1.0 }, fault }, |rng, x, u, _| {
+            x[0] = rng.random_range(0.4..0.6);
+            x[1] = rng.random_range(330.0..350.0);
+            u[0] = rng.random_range(-1.0..1.0);
+        })
+    };
+    assert!(reactor(0.0).is_ok() && reactor(1e-9).is_err());
 }

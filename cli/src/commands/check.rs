@@ -9,6 +9,7 @@ use crate::scenes::source::SceneSource;
 use crate::tasks::{self, Scene};
 use anyhow::{Result, bail};
 use physgrad::check::{Kink, KinkInput, Stability};
+use physgrad::text::growth;
 use serde_json::json;
 use std::path::PathBuf;
 use toml::Value;
@@ -110,9 +111,8 @@ fn about_rollouts(source: SceneSource, note: &mut dyn FnMut(String) -> Result<()
     }
     let names = scene.state_names();
     note(stability(&scene, source, &theta, &found)?)?;
-    if found.ringing.stability.rings() {
-        let Place { sample, step, stability: Stability { lowest, lowest_component, .. } } =
-            found.ringing;
+    if let Some(ringing) = found.ringing {
+        let Place { sample, step, stability: Stability { lowest, lowest_component, .. } } = ringing;
         note(format!(
             "time step: the step rings in test rollout {sample}, step {step}: a perturbation of {} changes its sign in nearly \
              every step (multiplier about {lowest:.3}). The step does not resolve this motion. Shorten it, or use an \
@@ -182,14 +182,16 @@ fn stability(
     if harmless(found) || multiplier.is_nan() {
         let said = if stability.is_stable() {
             format!(
-                "stable: no perturbation grows exponentially. The largest multiplier per step is {multiplier:.4}"
+                "stable: no perturbation grows exponentially. The largest multiplier per step is {}",
+                growth(multiplier)
             )
         } else if multiplier.is_nan() {
             stability.to_string()
         } else {
             format!(
-                "harmless: a perturbation grows by {multiplier:.4} per step, at most by {:.2} over the {horizon} steps of a \
+                "harmless: a perturbation grows by {} per step, at most by {:.2} over the {horizon} steps of a \
                  rollout",
+                growth(multiplier),
                 stability.growth(horizon)
             )
         };
@@ -199,7 +201,8 @@ fn stability(
     }
     let unstable = !stability.is_stable_within(horizon);
     let grows = if unstable {
-        format!("time step: a perturbation of {name} grows by {multiplier:.4} per step {place}")
+        let multiplier = growth(multiplier);
+        format!("time step: a perturbation of {name} grows by {multiplier} per step {place}")
     } else {
         "time step: the test rollouts diverge".to_owned()
     };
@@ -230,14 +233,14 @@ fn stability(
             ));
         }
         let now = (next.worst.stability.multiplier, next.divergence.is_none());
-        let (growth, limit) = (multiplier - 1.0, now.0 - 1.0);
+        let (excess, limit) = (multiplier - 1.0, now.0 - 1.0);
         if (now.0 - before.0).abs() < 0.1 * limit.abs() && now.1 == before.1 {
             // Half of the growth of the long step is not physical, or half of the physical growth
             // is missing, or only the long step diverges.
             let is_too_long =
-                growth > 2.0 * limit || limit > 2.0 * growth || now.1 != found.divergence.is_none();
+                excess > 2.0 * limit || limit > 2.0 * excess || now.1 != found.divergence.is_none();
             let with = if unstable {
-                format!("by {:.4} with {more} as many substeps", now.0)
+                format!("by {} with {more} as many substeps", growth(now.0))
             } else {
                 format!("with {more} as many substeps")
             };
@@ -258,8 +261,9 @@ fn stability(
     }
     Ok(match last {
         Some(last) => format!(
-            "{grows}, and by {last:.4} with {times} times as many substeps. Use an implicit integrator or more damping, or \
-             reduce the time step further"
+            "{grows}, and by {} with {times} times as many substeps. Use an implicit integrator or more damping, or \
+             reduce the time step further",
+            growth(last)
         ),
         None => format!("{grows}. Without substeps, step and physics cannot be distinguished"),
     })

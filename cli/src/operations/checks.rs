@@ -9,6 +9,7 @@ use physgrad::check::{self, Failure, Jumps, Kink, Passed, Plateau, Stability};
 use physgrad::rng::Purpose;
 use physgrad::text::rough;
 use physgrad::{Divergence, DynTask, Flow, Inputs, Policy, System, Task, Weights, initial_states};
+use std::collections::BTreeMap;
 
 /// Adds the checks of one task and policy to the results. Rollouts have the parameters `theta`, or
 /// random ones. The system and the costs are checked in states of rollouts, so that states have the
@@ -66,8 +67,9 @@ pub fn check(
 pub struct Amplification {
     /// State with the largest amplification of a perturbation by a step.
     pub worst: Place,
-    /// State in which a perturbation alternates in sign and decays most slowly.
-    pub ringing: Place,
+    /// State in which a perturbation alternates in sign and decays most slowly, among consecutive
+    /// steps that [ring](Stability::rings). `None` if only single steps ring, such as impacts.
+    pub ringing: Option<Place>,
     /// Number of states that were evaluated.
     pub evaluated: usize,
     /// Number of states of the test rollouts.
@@ -117,21 +119,41 @@ pub fn amplification(
         let (sample, inputs) = states[i];
         Place { sample, step: inputs.t, stability: check::stability(task.system(), inputs) }
     };
-    let places: Vec<Place> = evaluated(task, &states).into_iter().map(place).collect();
+    let indices = evaluated(task, &states);
+    let places: Vec<Place> = indices.iter().map(|&i| place(i)).collect();
     // `check::stability` returns NaN with a positive sign. `total_cmp` ranks this NaN above every
     // number.
     let worst =
         places.iter().max_by(|a, b| a.stability.multiplier.total_cmp(&b.stability.multiplier));
-    let ringing = places.iter().min_by(|a, b| a.stability.lowest.total_cmp(&b.stability.lowest));
-    match (worst, ringing, divergence) {
-        (Some(&worst), Some(&ringing), _) => Ok(Amplification {
+    let mut known: BTreeMap<usize, Place> = indices.into_iter().zip(places.clone()).collect();
+    let mut candidates: Vec<(usize, Place)> = known
+        .iter()
+        .map(|(&i, &place)| (i, place))
+        .filter(|(_, at)| at.stability.rings())
+        .collect();
+    candidates.sort_by(|a, b| a.1.stability.lowest.total_cmp(&b.1.stability.lowest));
+    let ringing = candidates.into_iter().find_map(|(i, candidate)| {
+        let mut rings = |i: usize| {
+            i < states.len() && {
+                let at = known.entry(i).or_insert_with(|| place(i));
+                at.sample == candidate.sample && at.stability.rings()
+            }
+        };
+        // Lengths of the runs of steps that ring, before and after this one.
+        let before = (1..CONSECUTIVE).take_while(|k| i.checked_sub(*k).is_some_and(&mut rings));
+        let before = before.count();
+        let after = (1..CONSECUTIVE - before).take_while(|k| rings(i + k)).count();
+        (before + 1 + after >= CONSECUTIVE).then_some(candidate)
+    });
+    match (worst, divergence) {
+        (Some(&worst), _) => Ok(Amplification {
             worst,
             ringing,
             evaluated: places.len(),
             states: states.len(),
             divergence,
         }),
-        (_, _, Some(divergence)) => Err(divergence),
+        (_, Some(divergence)) => Err(divergence),
         _ => unreachable!("finite rollouts of at least one step have states"),
     }
 }
@@ -189,6 +211,9 @@ pub fn jumps(
         .then(|| check::jumps(task, policy, &Weights::new(policy, theta.to_vec()), &starts()))
 }
 
+/// Number of consecutive steps that must ring. A single impact with restitution reverses a
+/// perturbation too.
+const CONSECUTIVE: usize = 3;
 /// Number of test rollouts of [`amplification`] and [`plateau`].
 const ROLLOUTS: usize = 4;
 /// Bound on the number of evaluated states times the cubed number of state components. The time is
@@ -340,6 +365,55 @@ mod tests {
         for some in [found::<40>(), found::<201>()] {
             assert!(some.worst.step == 7 && some.evaluated < some.states);
         }
+    }
+
+    /// Speeds that decay slowly, but change their sign in the first `self.0` steps of every `self.1`.
+    struct Reversals<const N: usize>(usize, usize);
+
+    impl<const N: usize> System for Reversals<N> {
+        fn state_dim(&self) -> usize {
+            N
+        }
+        fn control_dim(&self) -> usize {
+            1
+        }
+        fn step<T: Scalar>(&self, Inputs { x, u, t, .. }: Inputs<'_, T>, next: &mut [T]) {
+            let factor = if t % self.1 < self.0 { -0.8 } else { 0.99 };
+            for (next, &x) in next.iter_mut().zip(x) {
+                *next = x * 0.5;
+            }
+            next[0] = x[0] * factor + u[0];
+        }
+    }
+
+    impl<const N: usize> Task for Reversals<N> {
+        type System = Self;
+        fn system(&self) -> &Self {
+            self
+        }
+        fn horizon(&self) -> usize {
+            600
+        }
+        fn start(&self, _rng: &mut Rng, Start { x, .. }: Start<'_>) {
+            x.fill(1.0);
+        }
+    }
+
+    #[test]
+    fn consecutive_steps_ring_and_single_impacts_do_not() {
+        fn rings<const N: usize>(steps: usize, of: usize) -> bool {
+            let policy = Linear::new(N, 1);
+            let (task, theta) = (Reversals::<N>(steps, of), policy_file::random(&policy, 0));
+            let found = amplification(&DynTask::new(task), &policy, &theta, 0)
+                .unwrap_or_else(|divergence| panic!("{divergence}"));
+            assert!(found.ringing.is_none_or(|at| at.step % of < steps));
+            found.ringing.is_some()
+        }
+        assert!(!rings::<2>(1, 30) && !rings::<2>(2, 30));
+        // The last steps of a rollout and the first ones of the next do not add up.
+        assert!(rings::<2>(3, 30) && rings::<2>(3, 600) && !rings::<2>(2, 300));
+        // Only some of the states are evaluated at first.
+        assert!(!rings::<40>(1, 2) && rings::<40>(3, 4));
     }
 
     /// A component that decays. Its VJP is wrong by `factor`, and the state is not finite after the

@@ -23,9 +23,14 @@ const MOST_RENEWED: usize = 200;
 /// A lane gives up at a larger shift σ, for example if the rate at the guess is NaN.
 const LARGEST_SHIFT: f64 = 1e8;
 
-/// The correction must be small in two successive iterations: tangents of dual numbers converge one
-/// iteration after the values.
+/// The correction must be small in two successive iterations: tangents of dual numbers converge
+/// after the values.
 const SMALL_ROUNDS: f64 = 2.0;
+
+/// Further iterations for the derivatives that numbers carry. Each one multiplies their error by the
+/// relative error of a new Jacobian, about 1e-3 where a stiff field bends within 1e-4. At rest, the values
+/// converge at once, and the derivatives do not.
+const TANGENT_ROUNDS: usize = 6;
 
 /// Where a stage evaluates the vector field.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -131,7 +136,7 @@ impl<T: Scalar> Stage<'_, T> {
         let mut to_go = rounds;
         for _ in 0..MOST_FROZEN {
             if !T::any_lt(T::zero(), to_go) {
-                return to_go;
+                break;
             }
             self.residual(z, y, residual);
             let mut largest = T::zero();
@@ -153,6 +158,18 @@ impl<T: Scalar> Stage<'_, T> {
                 z[i] = T::select_lt(T::zero(), to_go, again[i], z[i]);
             }
             to_go = self.solve_renewed(tolerance, to_go, z);
+        }
+        if T::DIFFERENTIATES {
+            let mut inverse = buffer(T::zero(), n * n);
+            self.linearize(z, &mut inverse);
+            for _ in 0..TANGENT_ROUNDS {
+                self.residual(z, y, residual);
+                for i in 0..n {
+                    let row = inverse[i * n..][..n].iter().zip(residual.iter());
+                    let correction = row.fold(T::zero(), |sum, (&entry, &r)| sum + entry * r);
+                    z[i] = T::select_lt(T::zero(), to_go, z[i], z[i] - correction);
+                }
+            }
         }
         to_go
     }

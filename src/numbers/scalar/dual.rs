@@ -199,6 +199,7 @@ macro_rules! assign {
 assign!(AddAssign add_assign +, SubAssign sub_assign -, MulAssign mul_assign *, DivAssign div_assign /);
 
 impl<T: Scalar, const N: usize> Scalar for Dual<T, N> {
+    const DIFFERENTIATES: bool = true;
     type Real = T::Real;
 
     #[inline(always)]

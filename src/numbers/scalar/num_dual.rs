@@ -16,6 +16,7 @@ fn chain(dual: Dual64, value: f64, slope: f64) -> Dual64 {
 }
 
 impl Scalar for Dual64 {
+    const DIFFERENTIATES: bool = true;
     type Real = f64;
     #[inline]
     fn detach(self) -> Self {

@@ -198,6 +198,7 @@ macro_rules! assign {
 assign!(AddAssign add_assign +, SubAssign sub_assign -, MulAssign mul_assign *, DivAssign div_assign /);
 
 impl<R: Real> Scalar for Reverse<R> {
+    const DIFFERENTIATES: bool = true;
     type Real = R::Real;
 
     #[inline(always)]
