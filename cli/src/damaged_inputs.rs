@@ -1,6 +1,8 @@
 //! Damaged scenes, assignments, checkpoints and run folders: no panic, within limits of time and
 //! memory. The number of an input alone determines it.
 
+#![expect(clippy::print_stdout, reason = "a test prints what happened to its inputs")]
+
 mod inputs;
 
 use crate::platform::parallel;

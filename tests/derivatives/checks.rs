@@ -293,10 +293,10 @@ fn a_training_names_the_parameter_that_start_leaves_unwritten() {
     let error = Trainer::new(Forgetful(Output::Mass), Constant::new(2, 2))
         .training(settings)
         .run()
-        .expect_err("a mass of 0");
+        .expect_err("a mass that nothing sets");
     let text = error.to_string();
     assert!(
-        text.contains("p[0] of this sample is 0") && text.contains("Write p[0] in `start`"),
+        text.contains("the parameter p[0] of sample") && text.contains("Write it in `Task::start`"),
         "{text}"
     );
     assert!(!text.contains("learning rate") && !text.contains("time step"), "{text}");

@@ -470,6 +470,7 @@ fn every_segment_is_simulated_from_its_own_step() {
         min: f64::NEG_INFINITY,
         max: f64::INFINITY,
     };
+    #[expect(clippy::single_range_in_vec_init, reason = "a segment is a range of rows")]
     for parts in [vec![0..121], vec![37..121], vec![5..40, 63..101]] {
         let part = |part: std::ops::Range<usize>| Segment {
             first_step: part.start,

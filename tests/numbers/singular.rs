@@ -178,7 +178,8 @@ fn derivatives_at_singular_points_are_right_in_every_mode_and_precision() {
 #[test]
 fn second_derivatives_at_singular_points_are_right() {
     type Second = Dual<Dual<f64, 1>, 1>;
-    let all: [(&str, f64, f64, fn(Second) -> Second); 20] = [
+    type Row = (&'static str, f64, f64, fn(Second) -> Second);
+    let all: [Row; 20] = [
         ("|x|^1.5", 4.0, 0.375, |x| x.abs().powf(1.5)),
         ("|x|^1.5", 0.0, INF, |x| x.abs().powf(1.5)),
         ("x^2", 0.0, 2.0, |x| x.powf(2.0)),

@@ -184,7 +184,7 @@ impl Policy {
     /// samples.
     ///
     /// # Errors
-    /// The policy does not fit the task, a [`Divergence`], or [`TooLarge`](super::TooLarge). `stop`
+    /// The policy does not fit the task, a [`Divergence`](physgrad::Divergence), or [`TooLarge`](super::TooLarge). `stop`
     /// is true.
     ///
     /// # Panics
@@ -216,7 +216,7 @@ impl Policy {
     /// Losses of rollouts from `starts`, one per sample. Reads `stop` before each block of samples.
     ///
     /// # Errors
-    /// The policy does not fit the task, or a [`Divergence`]. `stop` is true.
+    /// The policy does not fit the task, or a [`Divergence`](physgrad::Divergence). `stop` is true.
     ///
     /// # Panics
     /// If `starts` is not a whole number of initial states.
@@ -236,7 +236,7 @@ impl Policy {
     /// `starts`. All fields share the forward passes. Reads `stop` before each block of samples.
     ///
     /// # Errors
-    /// The policy does not fit the task, `starts` is empty, a [`Divergence`], or
+    /// The policy does not fit the task, `starts` is empty, a [`Divergence`](physgrad::Divergence), or
     /// [`TooLarge`](super::TooLarge). `stop` is true.
     ///
     /// # Panics

@@ -64,10 +64,7 @@ pub fn explain(args: &Explain) -> Result<()> {
          add: with subtractions; func: sine, tanh and others; the count of an effect is the whole minus the scene without it",
     )?;
     print_result(&operations(&scene)?.to_string())?;
-    print_text(&format!(
-        "\nmemory per sample in {}, and allocations per step of a block of {SAMPLES} samples after the first run",
-        scene.precision.name()
-    ))?;
+    print_text(&format!("\nmemory per sample in {}", scene.precision.name()))?;
     print_result(&bytes(&scene)?.to_string())?;
     Ok(())
 }

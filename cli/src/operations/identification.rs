@@ -119,6 +119,7 @@ pub fn depends_on_time(task: &DynTask, names: &[String], segment: &Segment) -> b
 
 /// Measured states of a segment, at most [`TESTED`], each with its step as a function of a state, a
 /// delay in steps and the parameters. Missing components keep their last value, from 0.
+#[expect(clippy::type_complexity, reason = "an iterator of closures has no shorter name")]
 fn steps<'a>(
     system: &'a impl System,
     segment: &'a Segment,

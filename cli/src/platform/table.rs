@@ -72,7 +72,7 @@ impl Table {
     /// Text of the table, fitted to a width in characters. The note about omitted columns may be
     /// longer.
     fn fitted(&self, width: Option<usize>) -> String {
-        if self.header.iter().chain(self.rows.iter().flatten()).any(is_long) {
+        if self.header.iter().chain(self.rows.iter().flatten()).any(|cell| is_long(cell)) {
             return self.shortened().fitted(width);
         }
         let mut hidden: Vec<usize> = Vec::new();
@@ -194,7 +194,7 @@ impl Table {
     }
 }
 
-fn is_long(cell: &String) -> bool {
+fn is_long(cell: &str) -> bool {
     cell.chars().nth(CELL).is_some()
 }
 

@@ -43,7 +43,7 @@ fn number(row: &HashMap<String, String>, key: &str) -> f64 {
 fn halving_the_step_reduces_errors_by_the_order_of_the_method_and_doubles_operations() {
     let dir = TempDir::new().expect("a folder");
     let (said, rows) = run(dir.path(), &["--target", "1e-4"]);
-    assert_eq!(rows.len(), 2 * (5 + 7 * 5 + 1));
+    assert_eq!(rows.len(), 2 * (5 + 8 * 5 + 1));
     for (method, order) in [
         ("native", 1.0),
         ("euler", 1.0),

@@ -536,7 +536,7 @@ fn a_check_reports_steps_that_do_not_resolve_the_motion() {
     let text = String::from_utf8(output.stdout).expect("text");
     assert!(text.contains("time step, worst of") && !text.contains("rings"), "{text}");
     // Control limits: the trained controls of the file exceed them, and the check follows the file.
-    let limited = "task = \"pendulum\"\nhorizon = 20\n[actuator]\nlimit = { bound = 0.01 }\n[policy]\nwidths = [4]\n";
+    let limited = "task = \"pendulum\"\nhorizon = 20\n[actuator]\nlimit = { bound = 0.85, kind = \"hard\" }\n[policy]\nwidths = [4]\n";
     let text = checked(limited, &[]);
     assert!(text.contains("kinks: none"), "{text}");
     physgrad(&[

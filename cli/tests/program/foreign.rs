@@ -225,7 +225,10 @@ fn an_identification_without_a_header_keeps_its_report() {
         assert_eq!(fs::read_to_string(dir.path().join("report.html")).expect("a file"), "mine");
     }
     let files = [
-        ("identified.csv", "name,start,value,standard_error,robust_error\nm,1,2,0.1,0.1\n"),
+        (
+            "identified.csv",
+            "name,start,value,standard_error,robust_error,status\nm,1,2,0.1,0.1,estimated\n",
+        ),
         ("fit.csv", "name,value\nchi2,1\n"),
         (
             "trajectories.csv",

@@ -147,7 +147,7 @@ fn threads_that_cannot_be_created_are_an_error_and_no_panic() {
             .env("RAYON_NUM_THREADS", "2");
         command
     };
-    let parallel: [&[&str]; 14] = [
+    let parallel: [&[&str]; 13] = [
         &["train", "lqr"],
         &["compare", "lqr"],
         &["study", "absent.toml"],
@@ -161,7 +161,6 @@ fn threads_that_cannot_be_created_are_an_error_and_no_panic() {
         &["check", "lqr"],
         &["paper", "fig1"],
         &["accuracy", "lqr"],
-        &["stress", "--list"],
     ];
     for args in parallel {
         let said = refusal(&mut physgrad(args));

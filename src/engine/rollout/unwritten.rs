@@ -19,6 +19,10 @@ impl<F: Float> Rollout<F> {
         weights: &Weights<F>,
         starts: &[F],
     ) -> Option<(&'static str, usize)> {
+        // A rollout names parameters that nothing sets. They are NaN.
+        if starts.iter().any(|number| number.as_().is_nan()) {
+            return None;
+        }
         let stepped = |initial: f64| {
             let initial = F::from_f64(initial);
             let mut rollout = Self::with_steps(task, policy, starts.len() / task.start_dim(), 1);

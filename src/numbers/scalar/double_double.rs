@@ -60,7 +60,7 @@ macro_rules! operators {
             fn $method(self, other: Self) -> Self {
                 let result = self.0.$method(other.0);
                 // The corrections of `qd` are NaN beside infinities and zero divisors.
-                let is_finite = (result.0 + result.1).is_finite();
+                let is_finite = result.0.is_finite() && result.1.is_finite();
                 if is_finite { Self(result) } else { Self::from(self.0.0.$method(other.0.0)) }
             }
         }

@@ -137,12 +137,9 @@ impl Measured {
         if self.segments.is_empty() {
             bail!("{name} has no samples");
         }
-        if let Some(distance) =
-            self.segments.iter().flat_map(Recording::distances).map(|(steps, _)| steps).min()
-        {
-            if distance >= SPARSE {
-                bail!("{name}: all rows are {distance} or more steps of {dt} s apart; {FAR_APART}");
-            }
+        let distances = self.segments.iter().flat_map(Recording::distances);
+        if let Some(distance) = distances.map(|(steps, _)| steps).min().filter(|&d| d >= SPARSE) {
+            bail!("{name}: all rows are {distance} or more steps of {dt} s apart; {FAR_APART}");
         }
         for (i, segment) in
             self.segments.iter().enumerate().filter(|(_, segment)| segment.first_step.is_none())
