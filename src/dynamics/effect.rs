@@ -13,14 +13,13 @@ mod tuples;
 mod without;
 
 use crate::dynamics::cause::Cause;
-use crate::dynamics::default_vjp::{Function, default_vjp};
+use crate::dynamics::default_vjp::{Add, Function, default_vjp};
 use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs, Start};
 use crate::dynamics::number::{Numbers, ParamDual, Varied, param_vjp};
 use crate::dynamics::outline;
 use crate::dynamics::system::{System, step_vjp};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, CotangentPack, Over, Real, Scalar};
-use crate::numbers::zip::zip;
 pub use dyn_effect::DynEffect;
 pub(crate) use list::{AddForces, Vjp, any_effect};
 pub use named::Named;
@@ -155,11 +154,7 @@ pub(crate) fn default_effect_vjp<B, E: Effect<B>, R: Real, C: Cotangent<R>>(
     cotangents: Cotangents<'_, C>,
 ) {
     let forces = Forces { effect, model, t: inputs.t };
-    default_vjp(&forces, inputs.lists(), forces_bar, cotangents.lists(), |bar, column| {
-        for (&force_bar, &slope) in zip(forces_bar.iter(), column) {
-            *bar += force_bar * slope;
-        }
-    });
+    default_vjp(&forces, inputs.lists(), forces_bar, cotangents.lists(), Add::Each);
 }
 
 /// Returns whether the forces of an effect and their derivatives with respect to state and control

@@ -15,6 +15,7 @@
 //! Depends on `numbers` only. Start reading in `system.rs`.
 
 pub(crate) mod actuator;
+mod adapted;
 pub(crate) mod cause;
 pub(crate) mod default_vjp;
 pub(crate) mod dyn_task;

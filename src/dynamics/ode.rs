@@ -4,7 +4,7 @@
 //! [`System`](crate::System); see [`Integrated`](crate::Integrated).
 
 use crate::dynamics::cause::Cause;
-use crate::dynamics::default_vjp::{Function, add_product, default_vjp};
+use crate::dynamics::default_vjp::{Add, Function, default_vjp};
 use crate::dynamics::effect::{Effect, Forced, ForcedSystem};
 use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs};
 use crate::dynamics::number::{Numbers, ParamDual, Varied, param_vjp};
@@ -76,7 +76,7 @@ pub trait Ode: Send + Sync {
         cotangents: Cotangents<'_, C>,
     ) {
         let rate = Rate { ode: self, t: inputs.t };
-        default_vjp(&rate, inputs.lists(), rate_bar, cotangents.lists(), add_product(rate_bar));
+        default_vjp(&rate, inputs.lists(), rate_bar, cotangents.lists(), Add::Sum);
     }
 
     /// Index of the velocity of component `i`, or `None` if `i` is not a position.

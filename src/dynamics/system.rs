@@ -1,12 +1,11 @@
 //! [`System`]: one discrete time step of a physical system, and its Jacobian products.
 
 use crate::dynamics::cause::Cause;
-use crate::dynamics::default_vjp::{Function, add_product, default_vjp};
+use crate::dynamics::default_vjp::{Add, Function, default_vjp};
 use crate::dynamics::inputs::{Cotangents, Inputs, Tangents};
 use crate::dynamics::number::{Numbers, Varied};
 use crate::dynamics::outline;
 use crate::numbers::forward_mode::Chunk;
-use crate::numbers::kernels::Vectorized;
 use crate::numbers::scalar::{Cotangent, Over, Real, Scalar};
 use crate::numbers::zip::zip;
 use smallvec::SmallVec;
@@ -114,39 +113,13 @@ pub(crate) fn step_vjp<S: System + ?Sized, R: Real, C: Cotangent<R>>(
     next_bar: &[C],
     cotangents: Cotangents<'_, C>,
 ) {
-    outlined_vjp(system, inputs, next_bar, cotangents, &mut add_product(next_bar));
-}
-
-/// [`default_vjp`] of a step. Outlined.
-#[inline(never)]
-fn outlined_vjp<S: System + ?Sized, R: Real, C: Cotangent<R>>(
-    system: &S,
-    inputs: Inputs<'_, R>,
-    next_bar: &[C],
-    cotangents: Cotangents<'_, C>,
-    visit: &mut dyn FnMut(&mut C, &[R]),
-) {
-    struct Work<'a, S: ?Sized, R, C> {
-        system: &'a S,
-        inputs: Inputs<'a, R>,
-        next_bar: &'a [C],
-        cotangents: Cotangents<'a, C>,
-        visit: &'a mut dyn FnMut(&mut C, &[R]),
-    }
-    impl<S: System + ?Sized, R: Real, C: Cotangent<R>> Vectorized for Work<'_, S, R, C> {
-        #[inline(always)]
-        fn run<const FMA: bool>(self) {
-            let Self { system, inputs, next_bar, cotangents, visit } = self;
-            default_vjp(
-                &Step { system, t: inputs.t },
-                inputs.lists(),
-                next_bar,
-                cotangents.lists(),
-                visit,
-            );
-        }
-    }
-    outline::outline::<R>(Work { system, inputs, next_bar, cotangents, visit });
+    default_vjp(
+        &Step { system, t: inputs.t },
+        inputs.lists(),
+        next_bar,
+        cotangents.lists(),
+        Add::Sum,
+    );
 }
 
 /// Dual numbers whose first tangents are `tangents`, or 0.

@@ -1,6 +1,6 @@
 //! [`Task`]: an optimal control problem over a [`System`].
 
-use crate::dynamics::default_vjp::{Function, add_product, default_vjp};
+use crate::dynamics::default_vjp::{Add, Function, default_vjp};
 use crate::dynamics::inputs::{Cotangents, Inputs, Start};
 use crate::dynamics::number::Varied;
 use crate::dynamics::system::System;
@@ -92,7 +92,7 @@ pub trait Task: Send + Sync {
         cotangents: Cotangents<'_, C>,
     ) {
         let observation = Observation { task: self, t: inputs.t };
-        default_vjp(&observation, inputs.lists(), y_bar, cotangents.lists(), add_product(y_bar));
+        default_vjp(&observation, inputs.lists(), y_bar, cotangents.lists(), Add::Sum);
     }
 
     /// Running cost `l` of the step from `inputs` to the state `next`. Default: 0.
@@ -120,7 +120,7 @@ pub trait Task: Send + Sync {
     ) {
         let (cost, Inputs { x, u, p, .. }) = (RunningCost { task: self, t: inputs.t }, inputs);
         let cotangents = [cotangents.x, cotangents.u, cotangents.p, Some(next_bar)];
-        default_vjp(&cost, [x, u, p, next], &[R::one()], cotangents, |bar, slope| *bar += slope[0]);
+        default_vjp(&cost, [x, u, p, next], &[R::one()], cotangents, Add::Sum);
     }
     /// Adds the gradient of [`terminal_cost`](Task::terminal_cost) to `x_bar`, and to `p_bar` if
     /// requested.
@@ -134,13 +134,7 @@ pub trait Task: Send + Sync {
         x_bar: &mut [R],
         p_bar: Option<&mut [R]>,
     ) {
-        default_vjp(
-            &TerminalCost(self),
-            [x, p],
-            &[R::one()],
-            [Some(x_bar), p_bar],
-            |bar, slope| *bar += slope[0],
-        );
+        default_vjp(&TerminalCost(self), [x, p], &[R::one()], [Some(x_bar), p_bar], Add::Sum);
     }
 }
 

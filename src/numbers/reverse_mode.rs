@@ -66,7 +66,7 @@ impl<R: Real> Recording<R> {
     /// Calls `finish` with the cotangents of the requested inputs, in order, for given cotangents
     /// of the outputs.
     #[inline(never)]
-    pub(crate) fn pull<C: Cotangent<R>>(&self, output_bars: &[C], finish: impl FnOnce(&[C])) {
+    pub(crate) fn pull<C: Cotangent<R>>(&self, output_bars: &[C], finish: &mut dyn FnMut(&[C])) {
         struct Sweep<'a, R, C> {
             tape: &'a Tape<R>,
             cotangents: &'a mut [C],

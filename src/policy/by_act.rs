@@ -142,7 +142,7 @@ fn each_cotangent<P: Policy + ?Sized, F: Float>(
         for (t, at) in pass.blocks() {
             dispatch_lanes(Recorded { policy, pass, by, t, at, recording });
             gather(u_bar, outputs, at, cotangents);
-            recording.pull(cotangents, |pulled| visit(at, pulled));
+            recording.pull(cotangents, &mut |pulled| visit(at, pulled));
         }
     });
 }

@@ -5,6 +5,7 @@
 //! - Small tasks: [`Lqr`], [`Upright`], [`Slider`], [`Bounce`], [`Push`].
 
 mod cart_pole;
+mod compiled;
 mod contact;
 mod double_pendulum;
 mod guidance;
@@ -21,6 +22,8 @@ pub use cart_pole::{
     Bumpers, CartDamping, CartPole, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole,
     DryFriction, GustyWind, MassError, PoleDamping, SteadyWind,
 };
+#[doc(hidden)]
+pub use compiled::compiled;
 pub use contact::{Bounce, BouncingBall, Contact, Push, TwoBodies};
 pub use double_pendulum::DoublePendulum;
 pub use guidance::{

@@ -96,7 +96,8 @@ impl ActuatorSettings {
         states.iter().zip(controls).map(step).collect()
     }
 
-    fn chain(&self, dt: f64) -> Vec<AnyActuator> {
+    /// The parts, in order, for the time step `dt` of the policy.
+    pub fn chain(&self, dt: f64) -> Vec<AnyActuator> {
         let limit = self.limit.map(AnyActuator::Limit);
         let delay = self.delay.map(AnyActuator::Delay);
         let lag = self.lag.map(|lag| AnyActuator::Lag(Lag::new(lag.time, dt)));

@@ -21,7 +21,7 @@ pub use slider::Slider;
 use crate::settings::Info;
 use crate::settings::config_error::{ConfigError, not_negative};
 use crate::tasks::effects::EffectsSection;
-use crate::tasks::{Settings, TaskSpec, in_scene};
+use crate::tasks::{Settings, TaskSpec};
 use physgrad::tasks::{LossMode, Upright};
 use physgrad::{AnyIntegrator, DynTask, Integrated, Ode, RungeKutta, Task};
 use schemars::JsonSchema;
@@ -46,7 +46,7 @@ impl EffectsSection for Nothing {
 fn in_scene<K: TaskSpec>(settings: &Settings<K>, task: impl Task + 'static) -> DynTask {
     let task = DynTask::new(task);
     let system = task.system().clone();
-    in_scene::in_scene(settings, task, system)
+    settings.adapted(task, system)
 }
 
 /// Time step of the physics: the control step divided by the number of substeps.

@@ -10,7 +10,6 @@ mod cart_pole;
 mod effects;
 mod guidance;
 mod hard;
-mod in_scene;
 mod own;
 mod own_effect;
 mod own_numbers;

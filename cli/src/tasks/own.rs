@@ -3,7 +3,6 @@
 use crate::operations::trajectory::Trajectory;
 use crate::settings::config_error::{ConfigError, allowed};
 use crate::tasks::hard::Nothing;
-use crate::tasks::in_scene::in_scene;
 use crate::tasks::own_numbers::Owner;
 use crate::tasks::{MlpSettings, SceneEffects, Section, Settings, TaskSpec};
 use physgrad::{DynSystem, DynTask, System, Task};
@@ -209,7 +208,7 @@ impl<T: ProgramTask> TaskSpec for Own<T> {
 
     fn task(settings: &Settings<Self>) -> DynTask {
         let (task, system) = Self::physics(settings).expect("validated settings");
-        in_scene(settings, task, system)
+        settings.adapted(task, system)
     }
 
     fn variants() -> Vec<(String, Settings<Self>)> {

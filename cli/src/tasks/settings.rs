@@ -11,7 +11,7 @@ use crate::tasks::effects::Present;
 use crate::tasks::policy::trained;
 use crate::tasks::{self, PolicySpec, SceneEffects, TaskSpec};
 use physgrad::policy::WithParams;
-use physgrad::{DynEffect, DynTask, Field, Named, System, Task};
+use physgrad::{DynEffect, DynSystem, DynTask, Field, Named, System, Task};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
@@ -166,6 +166,13 @@ impl<K: TaskSpec> Settings<K> {
         let mut effects = self.effects.present();
         effects.extend(self.own_effects.listed());
         effects
+    }
+
+    /// Adds horizon, substeps and actuators of the scene to a task. `system` is the physics of the
+    /// task, with the time step of a substep.
+    pub fn adapted(&self, task: DynTask, system: DynSystem) -> DynTask {
+        let actuator = self.actuator.chain(K::dt(self));
+        task.adapted(system, self.integrator.count(), actuator, self.horizon)
     }
 
     /// The task.

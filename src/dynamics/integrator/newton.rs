@@ -3,6 +3,8 @@
 use super::buffer;
 use crate::dynamics::inputs::OdeInputs;
 use crate::dynamics::ode::{DynOde, DynOdeVjp};
+use crate::dynamics::outline::outline;
+use crate::numbers::kernels::Vectorized;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 
 /// Smallest effective tolerance, in machine epsilons: corrections of stiff fields stagnate near
@@ -115,19 +117,23 @@ impl<T: Scalar> Stage<'_, T> {
         }
     }
 
-    /// Writes the inverse of the Jacobian of the residual at `z`, `(I - h ∂f/∂z)⁻¹`.
-    #[inline(always)]
+    /// Writes the inverse of the Jacobian of the residual at `z`, `(I - h ∂f/∂z)⁻¹`. Outlined.
     pub fn linearize(&self, z: &[T], inverse: &mut [T]) {
-        let mut matrix = buffer(T::zero(), inverse.len());
-        self.differences(z, &mut matrix);
-        invert_minus(T::one(), &mut matrix, inverse, z.len());
+        outline::<T>(Linearize { stage: self, z, inverse });
     }
 
     /// Solves for `z` from the guess in `z`. `inverse` is that of [`linearize`](Self::linearize) at
     /// a point nearby. Lanes that do not converge with it start again from the guess `again`.
-    /// Returns 0 in lanes that converged, else a positive number.
-    #[inline(always)]
+    /// Returns 0 in lanes that converged, else a positive number. Outlined.
     pub fn solve(&self, tolerance: f64, inverse: &[T], again: &[T], z: &mut [T]) -> T {
+        let mut to_go = T::zero();
+        outline::<T>(Solve { stage: self, tolerance, inverse, again, z, to_go: &mut to_go });
+        to_go
+    }
+
+    /// [`solve`](Self::solve), inlined.
+    #[inline(always)]
+    fn iterate(&self, tolerance: f64, inverse: &[T], again: &[T], z: &mut [T]) -> T {
         let n = z.len();
         let tolerance = T::from(tolerance.max(floor::<T::Real>()));
         let rounds = T::from(SMALL_ROUNDS);
@@ -259,6 +265,41 @@ impl<T: Scalar> Stage<'_, T> {
     }
 }
 
+/// Outlined [`Stage::linearize`].
+struct Linearize<'a, 's, T> {
+    stage: &'a Stage<'s, T>,
+    z: &'a [T],
+    inverse: &'a mut [T],
+}
+
+impl<T: Scalar> Vectorized for Linearize<'_, '_, T> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        let Self { stage, z, inverse } = self;
+        let mut matrix = buffer(T::zero(), inverse.len());
+        stage.differences(z, &mut matrix);
+        invert_minus(T::one(), &mut matrix, inverse, z.len());
+    }
+}
+
+/// Outlined [`Stage::solve`].
+struct Solve<'a, 's, T> {
+    stage: &'a Stage<'s, T>,
+    tolerance: f64,
+    inverse: &'a [T],
+    again: &'a [T],
+    z: &'a mut [T],
+    to_go: &'a mut T,
+}
+
+impl<T: Scalar> Vectorized for Solve<'_, '_, T> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        let Self { stage, tolerance, inverse, again, z, to_go } = self;
+        *to_go = stage.iterate(tolerance, inverse, again, z);
+    }
+}
+
 /// Writes `matrix vector` to `product`. Returns the largest `|product_i| / (1 + |z_i|)`; infinite or
 /// NaN if an entry is.
 #[inline(always)]
@@ -322,9 +363,32 @@ pub(super) fn transposed<R: Real, C: Cotangent<R>>(inverse: &[R], bar: &[C], j: 
 /// Returns a number with the sign of the determinant.
 ///
 /// Pivoting is branch-free. In each column, conditional row swaps move the entry of largest
-/// absolute value, on or below the diagonal, to the diagonal.
-#[inline(always)]
+/// absolute value, on or below the diagonal, to the diagonal. Outlined.
 fn invert_minus<T: Scalar>(diagonal: T, matrix: &mut [T], inverse: &mut [T], n: usize) -> T {
+    let mut sign = T::one();
+    outline::<T>(Invert { diagonal, matrix, inverse, n, sign: &mut sign });
+    sign
+}
+
+/// Outlined [`invert_minus`].
+struct Invert<'a, T> {
+    diagonal: T,
+    matrix: &'a mut [T],
+    inverse: &'a mut [T],
+    n: usize,
+    sign: &'a mut T,
+}
+
+impl<T: Scalar> Vectorized for Invert<'_, T> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        *self.sign = eliminate(self.diagonal, self.matrix, self.inverse, self.n);
+    }
+}
+
+/// [`invert_minus`], inlined.
+#[inline(always)]
+fn eliminate<T: Scalar>(diagonal: T, matrix: &mut [T], inverse: &mut [T], n: usize) -> T {
     let mut sign = T::one();
     for i in 0..n {
         for j in 0..n {

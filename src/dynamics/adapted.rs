@@ -1,34 +1,46 @@
-//! [`in_scene`]: adds horizon, substeps and actuators of a scene to any task.
+//! [`DynTask::adapted`]: a task with another horizon, with substeps, and with actuators.
 
-use crate::tasks::{Settings, TaskSpec};
-use physgrad::rng::Rng;
-use physgrad::{
-    Actuated, AnyActuator, Cotangent, Cotangents, DynSystem, DynTask, Inputs, Real, Scalar, Start,
-    Substeps, System, Task,
-};
+use crate::dynamics::actuator::{Actuated, AnyActuator};
+use crate::dynamics::dyn_task::{DynSystem, DynTask};
+use crate::dynamics::inputs::{Cotangents, Inputs, Start};
+use crate::dynamics::substeps::Substeps;
+use crate::dynamics::system::System;
+use crate::dynamics::task::Task;
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
-/// The task with horizon, substeps and actuators of a scene. `system` is the physics of the task,
-/// with the time step of a substep.
-pub fn in_scene<K: TaskSpec>(settings: &Settings<K>, task: DynTask, system: DynSystem) -> DynTask {
-    let count = settings.integrator.count();
-    if count == 1 && settings.actuator.is_empty() && settings.horizon == task.horizon() {
-        return task;
+impl DynTask {
+    /// The task with another horizon, with `substeps` steps of `system` in place of one step of its
+    /// own system, and with an actuator between policy and system.
+    ///
+    /// `system` is the physics of the task with the time step of a substep. Components that the
+    /// actuator adds to the state follow those of the system; observations and costs do not see them.
+    pub fn adapted(
+        self,
+        system: DynSystem,
+        substeps: usize,
+        actuator: Vec<AnyActuator>,
+        horizon: usize,
+    ) -> Self {
+        if substeps == 1 && actuator.is_empty() && horizon == self.horizon() {
+            return self;
+        }
+        let states = system.state_dim();
+        let system = Actuated { system: Substeps { system, count: substeps }, actuator };
+        Self::new(Adapted { task: self, system, states, horizon })
     }
-    let states = system.state_dim();
-    let system = settings.actuator.wrap(Substeps { system, count }, K::dt(settings));
-    DynTask::new(InScene { task, system, states, horizon: settings.horizon })
 }
 
-/// Task with horizon, substeps and actuators of a scene. The first `states` components of the state
-/// belong to the inner task, the others to the actuators.
-struct InScene {
+/// Result of [`DynTask::adapted`]. The first `states` components of the state belong to the inner
+/// task, the others to the actuator.
+struct Adapted {
     task: DynTask,
     system: Actuated<Substeps<DynSystem>, Vec<AnyActuator>>,
     states: usize,
     horizon: usize,
 }
 
-impl InScene {
+impl Adapted {
     /// Inputs without the state of the actuators.
     fn inner<'a, R: Scalar>(&self, inputs: Inputs<'a, R>) -> Inputs<'a, R> {
         inputs.with_x(&inputs.x[..self.states])
@@ -40,7 +52,7 @@ impl InScene {
     }
 }
 
-impl Task for InScene {
+impl Task for Adapted {
     type System = Actuated<Substeps<DynSystem>, Vec<AnyActuator>>;
 
     fn system(&self) -> &Self::System {
