@@ -72,6 +72,8 @@
 //! - `parallel` splits mini-batches, data sets, arrays of [`rows`] and the windows of an
 //!   identification over threads.
 //! - `schema` provides a JSON schema for the settings of systems and effects.
+//! - `compiled` compiles the engine and the built-in tasks in this crate, for programs that use
+//!   them through [`DynTask`]. Without it, they are compiled where they are used.
 //! - `double-double` adds `DoubleDouble`, a 31-digit scalar type for reference results and their
 //!   derivatives.
 //!
@@ -81,6 +83,9 @@
 #![deny(missing_docs, unsafe_op_in_unsafe_fn)]
 
 pub mod check;
+// Unit tests need no instances for other crates.
+#[cfg(all(not(test), feature = "compiled"))]
+mod compiled;
 mod dynamics;
 mod engine;
 pub mod identify;
@@ -90,6 +95,9 @@ pub mod policy;
 pub mod tasks;
 mod train;
 
+#[cfg(all(not(test), feature = "compiled"))]
+#[doc(hidden)]
+pub use compiled::compiled;
 pub use dynamics::actuator::{
     Actuated, Actuator, AnyActuator, Delay, Lag, Limit, LimitKind, OutputCotangents,
 };

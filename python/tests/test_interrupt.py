@@ -53,7 +53,7 @@ SETUPS = {
     "gradients": (LONG, "pg.gradients(task, policy, starts)"),
     "policy": (LONG, "[policy(np.zeros((10**7, 4))) for _ in range(100)]"),
     "starts": (LONG, "task.starts(10**8)"),
-    "step": (LONG, "task.step(np.zeros((10**7, 4)), np.zeros((10**7, 1)))"),
+    "step": (LONG, "[task.step(np.zeros((10**7, 4)), np.zeros((10**7, 1))) for _ in range(100)]"),
     "check": ("task = pg.task('cart_pole', poles=20, horizon=400)", "pg.check(task)"),
     "accuracy": ("task = pg.task('cart_pole', poles=8)", "pg.accuracy(task, target=1e-4)"),
 }

@@ -108,6 +108,7 @@ impl fmt::Display for Jumps {
 /// # Panics
 /// If the shapes of task and policy differ, or if `starts` is empty or not a whole number of
 /// samples.
+#[inline(never)]
 pub fn jumps<T: Task, P: Policy>(
     task: &T,
     policy: &P,

@@ -115,6 +115,7 @@ impl Kink {
 /// # Panics
 /// If the shapes of task and policy differ, or if `starts` is empty or not a whole number of
 /// samples.
+#[inline(never)]
 pub fn kinks<T: Task, P: Policy>(
     task: &T,
     policy: &P,

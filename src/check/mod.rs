@@ -410,6 +410,7 @@ fn described(flow: Flow) -> String {
 /// Panics if the flow has a [`cut`](Flow::cut). The adjoint determines the steps of a cut, and dual
 /// numbers do not evaluate the adjoint.
 #[track_caller]
+#[inline(never)]
 pub fn try_flow<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Result<Passed, Failure> {
     check_flow_of(task, policy, flow, None)
 }
@@ -427,6 +428,7 @@ pub fn try_flow<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Result<
 /// Panics if the flow has a [`cut`](Flow::cut), or if the length of `theta` is not
 /// [`Policy::param_count`].
 #[track_caller]
+#[inline(never)]
 pub fn try_flow_at<T: Task, P: Policy>(
     task: &T,
     policy: &P,

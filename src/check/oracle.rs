@@ -43,6 +43,7 @@ pub fn weights(
 
 /// Mean loss of rollouts from `starts`, initial states with parameters. Differentiable along the
 /// paths of `flow`.
+#[inline(never)]
 pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(
     task: &T,
     policy: &P,

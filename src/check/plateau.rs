@@ -84,6 +84,7 @@ impl fmt::Display for Plateau {
 /// # Panics
 /// If the shapes of task and policy differ, or if `starts` is empty or not a whole number of
 /// samples.
+#[inline(never)]
 pub fn plateau<T: Task, P: Policy>(
     task: &T,
     policy: &P,

@@ -46,6 +46,7 @@ pub fn policy<P: Policy>(policy: &P) -> Passed {
 ///
 /// # Errors
 /// Returns the first [`Mismatch`].
+#[inline(never)]
 pub fn try_policy<P: Policy>(policy: &P) -> Result<Passed, Mismatch> {
     check(policy, &|theta, x, c, u| act_on(policy, theta, x, c % STEPS, u), &|theta, x, c, u| {
         act_on(policy, theta, x, c % STEPS, u)

@@ -154,6 +154,7 @@ impl fmt::Display for Stability {
 /// assert!(!found.is_stable() && (found.multiplier - 3.905).abs() < 1e-6);
 /// assert!(check::stability(&SliderSystem::default(), Inputs::new(&[0.0, 0.0], &[0.0])).is_stable());
 /// ```
+#[inline(never)]
 pub fn stability<S: System>(system: &S, inputs: Inputs<'_, f64>) -> Stability {
     of_any(system, inputs)
 }
@@ -268,6 +269,7 @@ fn by_products(product: &dyn Fn(&[f64], &mut [f64]), n: usize) -> Radius {
 
 /// Frobenius norm of the state Jacobian ∂S/∂x, or beyond [`DENSE`] components, the norm of its
 /// product with a random vector. Infinite if an entry is NaN.
+#[inline(never)]
 pub fn jacobian_norm<S: System>(system: &S, inputs: Inputs<'_, f64>) -> f64 {
     let n = inputs.x.len();
     let slopes = if n <= DENSE {

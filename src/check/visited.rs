@@ -129,6 +129,7 @@ impl Visited {
 /// # Panics
 /// If the shapes of task and policy differ, or the length of `theta` is not
 /// [`Policy::param_count`].
+#[inline(never)]
 pub fn try_system_along<T: Task, P: Policy>(
     task: &T,
     policy: &P,
@@ -163,6 +164,7 @@ pub fn try_system_along<T: Task, P: Policy>(
 ///
 /// # Panics
 /// As [`try_system_along`].
+#[inline(never)]
 pub fn try_cost_along<T: Task, P: Policy>(
     task: &T,
     policy: &P,

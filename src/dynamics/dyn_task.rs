@@ -45,7 +45,7 @@ pub struct DynSystem(Arc<dyn AnyTask>);
 
 impl DynTask {
     /// Wraps a task.
-    #[inline(never)] // see `tasks::compiled`
+    #[inline(never)] // see `compiled.rs`
     pub fn new<T: Task + 'static>(task: T) -> Self {
         Self(DynSystem(Arc::new(task)))
     }

@@ -37,6 +37,7 @@ pub struct OpCount {
 
 impl OpCount {
     /// Counts the operations of `system`.
+    #[inline(never)]
     pub fn of<S: System>(system: &S) -> Self {
         let (n, m) = (system.state_dim(), system.control_dim());
         let (x, u, next_bar) = (numbers(n), numbers(m), numbers(n));
@@ -89,6 +90,7 @@ pub struct TaskOpCount {
 
 impl TaskOpCount {
     /// Counts the operations of `task`.
+    #[inline(never)]
     pub fn of<T: Task>(task: &T) -> Self {
         let (n, m) = (task.system().state_dim(), task.system().control_dim());
         let (x, u, p, next) = (numbers(n), numbers(m), numbers(task.param_dim()), numbers(n));

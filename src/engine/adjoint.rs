@@ -77,6 +77,7 @@ impl<F: Float> Adjoint<F> {
     /// # Panics
     /// If `flows` does not have one or two elements, or `rollout` has no tape.
     #[track_caller]
+    #[inline(never)]
     pub fn new(
         task: &dyn AnyTask<F>,
         policy: &dyn AnyPolicy<F>,
@@ -292,6 +293,7 @@ impl<F: Float> Adjoint<F> {
     /// # Panics
     /// If the rollout has no tape, another horizon, or more samples than the workspace.
     #[track_caller]
+    #[inline(never)]
     pub fn run(
         &mut self,
         task: &dyn AnyTask<F>,
@@ -370,6 +372,7 @@ impl<F: Float> Adjoint<F> {
     /// If `samples` exceeds the samples of the rollout, the rollout has no tape, or `k` is not
     /// below the number of flows.
     #[track_caller]
+    #[inline(never)]
     pub fn param_gradient(
         &mut self,
         k: usize,

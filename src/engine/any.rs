@@ -94,10 +94,12 @@ impl<T: Task, F: Float> AnyTask<F> for T {
         Task::draw_start(self, rng, start);
     }
 
+    #[inline(never)]
     fn terminal_cost(&self, x: &[Lane<F>], p: &[Lane<F>]) -> Lane<F> {
         Task::terminal_cost(self, x, p)
     }
 
+    #[inline(never)]
     fn terminal_cost_gradient(
         &self,
         x: &[Lane<F>],
@@ -108,6 +110,7 @@ impl<T: Task, F: Float> AnyTask<F> for T {
         Task::terminal_cost_gradient(self, x, p, x_bar, p_bar);
     }
 
+    #[inline(never)]
     fn running_cost_gradient(
         &self,
         inputs: Inputs<'_, Lane<F>>,
@@ -118,6 +121,7 @@ impl<T: Task, F: Float> AnyTask<F> for T {
         Task::running_cost_gradient(self, inputs, next, cotangents, next_bar);
     }
 
+    #[inline(never)]
     fn diagnose(&self, inputs: Inputs<'_, Single<F>>) -> Option<Cause> {
         self.system().diagnose(inputs)
     }

@@ -113,6 +113,7 @@ impl<F: Float> Batch<F> {
     /// # Panics
     /// As [`new`](Batch::new).
     #[track_caller]
+    #[inline(never)]
     pub fn within(
         task: &dyn AnyTask<F>,
         policy: &dyn AnyPolicy<F>,
@@ -132,6 +133,7 @@ impl<F: Float> Batch<F> {
     /// # Panics
     /// As [`new`](Batch::new), or if the horizons of schedule and task differ.
     #[track_caller]
+    #[inline(never)]
     pub fn scheduled(
         task: &dyn AnyTask<F>,
         policy: &dyn AnyPolicy<F>,
@@ -170,6 +172,7 @@ impl<F: Float> Batch<F> {
     /// # Panics
     /// If `samples` is 0.
     #[track_caller]
+    #[inline(never)]
     pub fn bytes_of(
         task: &dyn AnyTask<F>,
         policy: &dyn AnyPolicy<F>,
@@ -263,6 +266,7 @@ impl<F: Float> Batch<F> {
     /// # Panics
     /// If `starts` is empty, exceeds the capacity, or is not a whole number of samples.
     #[track_caller]
+    #[inline(never)]
     pub fn run(
         &mut self,
         task: &dyn AnyTask<F>,

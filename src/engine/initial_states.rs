@@ -30,6 +30,7 @@ pub fn initial_states<F: Float>(
 }
 
 /// Appends the [`initial_states`] of these samples.
+#[inline(never)]
 pub fn append_starts<F: Float>(
     task: &dyn AnyTask<F>,
     seed: u64,

@@ -25,10 +25,12 @@ pub trait Observe<F: Float> {
 }
 
 impl<T: Task, F: Float> Observe<F> for T {
+    #[inline(never)]
     fn observe(&self, inputs: Inputs<'_, Lane<F>>, y: &mut [Lane<F>]) {
         dispatch_lanes(Forward { task: self, inputs, y });
     }
 
+    #[inline(never)]
     fn observe_back(
         &self,
         inputs: Inputs<'_, Lane<F>>,

@@ -111,6 +111,7 @@ impl<F: Float> Rollout<F> {
 
     /// Allocates `samples` rollouts that store the last `kept` steps for differentiation.
     #[track_caller]
+    #[inline(never)]
     pub(crate) fn with_steps(
         task: &dyn AnyTask<F>,
         policy: &dyn AnyPolicy<F>,
@@ -194,6 +195,7 @@ impl<F: Float> Rollout<F> {
     }
 
     /// Returns the [`stored_bytes`](Rollout::stored_bytes) of a rollout that stores `kept` steps.
+    #[inline(never)]
     pub fn bytes_of(
         task: &dyn AnyTask<F>,
         policy: &dyn AnyPolicy<F>,
@@ -209,6 +211,7 @@ impl<F: Float> Rollout<F> {
     /// # Panics
     /// If `starts` is empty, exceeds the capacity, or is not a whole number of samples.
     #[track_caller]
+    #[inline(never)]
     pub fn start(&mut self, starts: &[F]) {
         let (n, params) = (self.state_dim, self.param_dim);
         let each = n + params;
@@ -241,6 +244,7 @@ impl<F: Float> Rollout<F> {
     ///
     /// # Errors
     /// [`Divergence`] if a control, memory, state or cost is non-finite.
+    #[inline(never)]
     pub fn run(
         &mut self,
         task: &dyn AnyTask<F>,

@@ -41,7 +41,8 @@ use smallvec::SmallVec;
 pub const CHUNK: usize = 512;
 
 /// Writes the next states, `[row][state]`.
-pub fn step<F: Float>(task: &impl Task, inputs: Inputs<'_, F>, next: &mut [F]) {
+#[inline(never)]
+pub fn step<F: Float, T: Task>(task: &T, inputs: Inputs<'_, F>, next: &mut [F]) {
     let rows = rows(task, &inputs);
     check("next", next, rows, task.system().state_dim());
     for_blocks(rows, [inputs.x, inputs.u, inputs.p], [next], |[x, u, p], [next]| {
@@ -51,8 +52,9 @@ pub fn step<F: Float>(task: &impl Task, inputs: Inputs<'_, F>, next: &mut [F]) {
 
 /// Writes the products of `next_bar` with the transposed Jacobians of the step: cotangents of
 /// `[x, u, p]`.
-pub fn step_vjp<F: Float>(
-    task: &impl Task,
+#[inline(never)]
+pub fn step_vjp<F: Float, T: Task>(
+    task: &T,
     inputs: Inputs<'_, F>,
     next_bar: &[F],
     cotangents: [&mut [F]; 3],
@@ -78,8 +80,9 @@ pub fn step_vjp<F: Float>(
 
 /// Writes the sum of the products of the Jacobians of the step with the tangents. `None` is a zero
 /// tangent.
-pub fn step_jvp<F: Float>(
-    task: &impl Task,
+#[inline(never)]
+pub fn step_jvp<F: Float, T: Task>(
+    task: &T,
     inputs: Inputs<'_, F>,
     tangents: Tangents<'_, F>,
     next_tan: &mut [F],
@@ -109,7 +112,8 @@ pub fn step_jvp<F: Float>(
 }
 
 /// Writes the observations, `[row][component]`. Ignores the controls, which may be empty.
-pub fn observe<F: Float>(task: &impl Task, inputs: Inputs<'_, F>, y: &mut [F]) {
+#[inline(never)]
+pub fn observe<F: Float, T: Task>(task: &T, inputs: Inputs<'_, F>, y: &mut [F]) {
     let rows = rows_without_controls(task, &inputs);
     check("y", y, rows, observed_dim(task));
     if task.observation_dim().is_none() {
@@ -122,8 +126,9 @@ pub fn observe<F: Float>(task: &impl Task, inputs: Inputs<'_, F>, y: &mut [F]) {
 
 /// Writes the products of `y_bar` with the transposed Jacobians of the observation: cotangents of
 /// `[x, p]`.
-pub fn observe_vjp<F: Float>(
-    task: &impl Task,
+#[inline(never)]
+pub fn observe_vjp<F: Float, T: Task>(
+    task: &T,
     inputs: Inputs<'_, F>,
     y_bar: &[F],
     [x_bar, p_bar]: [&mut [F]; 2],
@@ -151,7 +156,13 @@ pub fn observe_vjp<F: Float>(
 }
 
 /// Writes to `cost` the running cost of each row, for the step that ends in `next`.
-pub fn running_cost<F: Float>(task: &impl Task, inputs: Inputs<'_, F>, next: &[F], cost: &mut [F]) {
+#[inline(never)]
+pub fn running_cost<F: Float, T: Task>(
+    task: &T,
+    inputs: Inputs<'_, F>,
+    next: &[F],
+    cost: &mut [F],
+) {
     let rows = rows(task, &inputs);
     check("next", next, rows, task.system().state_dim());
     check("cost", cost, rows, 1);
@@ -162,8 +173,9 @@ pub fn running_cost<F: Float>(task: &impl Task, inputs: Inputs<'_, F>, next: &[F
 
 /// Writes the gradients of the running costs, multiplied by `cost_bar` of each row: cotangents of
 /// `[x, u, next, p]`.
-pub fn running_cost_vjp<F: Float>(
-    task: &impl Task,
+#[inline(never)]
+pub fn running_cost_vjp<F: Float, T: Task>(
+    task: &T,
     inputs: Inputs<'_, F>,
     next: &[F],
     cost_bar: &[F],
@@ -192,7 +204,8 @@ pub fn running_cost_vjp<F: Float>(
 }
 
 /// Writes the terminal cost of each row.
-pub fn terminal_cost<F: Float>(task: &impl Task, x: &[F], p: &[F], cost: &mut [F]) {
+#[inline(never)]
+pub fn terminal_cost<F: Float, T: Task>(task: &T, x: &[F], p: &[F], cost: &mut [F]) {
     let rows = rows_without_controls(task, &Inputs { x, u: &[], p, t: 0 });
     check("cost", cost, rows, 1);
     for_blocks(rows, [x, p], [cost], |[x, p], [cost]| cost[0] = task.terminal_cost(x, p));
@@ -200,8 +213,9 @@ pub fn terminal_cost<F: Float>(task: &impl Task, x: &[F], p: &[F], cost: &mut [F
 
 /// Writes the gradients of the terminal costs, multiplied by `cost_bar` of each row: cotangents of
 /// `[x, p]`.
-pub fn terminal_cost_vjp<F: Float>(
-    task: &impl Task,
+#[inline(never)]
+pub fn terminal_cost_vjp<F: Float, T: Task>(
+    task: &T,
     x: &[F],
     p: &[F],
     cost_bar: &[F],

@@ -247,6 +247,7 @@ const BETTER: f64 = 1e-3;
 ///
 /// # Errors
 /// See [`IdentifyError`].
+#[inline(never)]
 pub fn identify<S: System>(
     system: &S,
     segments: &[Segment],

@@ -77,6 +77,7 @@ use trajectory::Problem;
 /// - the initial trajectory or its cost is not finite,
 /// - a derivative at the initial trajectory is not finite,
 /// - [`Options::stop`] is set.
+#[inline(never)]
 pub fn optimize<T: Task>(
     task: &T,
     x0: &[f64],

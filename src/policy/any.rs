@@ -86,10 +86,12 @@ impl<P: Policy, F: Float> AnyPolicy<F> for P {
         Policy::init(self, rng, theta);
     }
 
+    #[inline(never)]
     fn tensors(&self) -> Vec<Tensor> {
         Policy::tensors(self)
     }
 
+    #[inline(never)]
     fn network(&self) -> Option<Vec<NetworkLayer>> {
         Policy::network(self)
     }
@@ -98,14 +100,17 @@ impl<P: Policy, F: Float> AnyPolicy<F> for P {
         Policy::sizes::<F>(self, columns)
     }
 
+    #[inline(never)]
     fn pack(&self, theta: &[F], packed: &mut [F]) {
         Policy::pack(self, theta, packed);
     }
 
+    #[inline(never)]
     fn forward(&self, pass: PolicyPass<F>, tape: &mut [F], u: &mut [F]) {
         Policy::forward(self, pass, tape, u);
     }
 
+    #[inline(never)]
     fn backward(
         &self,
         pass: PolicyPass<F>,
@@ -117,6 +122,7 @@ impl<P: Policy, F: Float> AnyPolicy<F> for P {
         Policy::backward(self, pass, tape, u_bar, tape_bar, x_bar);
     }
 
+    #[inline(never)]
     fn param_gradient(
         &self,
         pass: PolicyPass<F>,

@@ -5,7 +5,6 @@
 //! - Small tasks: [`Lqr`], [`Upright`], [`Slider`], [`Bounce`], [`Push`].
 
 mod cart_pole;
-mod compiled;
 mod contact;
 mod double_pendulum;
 mod guidance;
@@ -22,8 +21,6 @@ pub use cart_pole::{
     Bumpers, CartDamping, CartPole, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole,
     DryFriction, GustyWind, MassError, PoleDamping, SteadyWind,
 };
-#[doc(hidden)]
-pub use compiled::compiled;
 pub use contact::{Bounce, BouncingBall, Contact, Push, TwoBodies};
 pub use double_pendulum::DoublePendulum;
 pub use guidance::{

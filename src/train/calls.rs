@@ -49,6 +49,7 @@ pub fn rollout<F: Float>(
 ///
 /// # Errors
 /// As [`rollout`].
+#[inline(never)]
 pub fn rollout_until<F: Float>(
     task: &dyn AnyTask<F>,
     policy: &dyn AnyPolicy<F>,
@@ -100,6 +101,7 @@ pub fn losses<F: Float>(
 ///
 /// # Errors
 /// As [`losses`].
+#[inline(never)]
 pub fn losses_until<F: Float>(
     task: &dyn AnyTask<F>,
     policy: &dyn AnyPolicy<F>,
@@ -156,6 +158,7 @@ pub fn gradients<F: Float>(
 ///
 /// # Errors
 /// As [`gradients`].
+#[inline(never)]
 pub fn gradients_until<F: Float>(
     task: &dyn AnyTask<F>,
     policy: &dyn AnyPolicy<F>,

@@ -123,6 +123,7 @@ pub(super) fn seal(bytes: &mut [u8]) {
 impl<F: Float> State<F> {
     /// Serializes the training in progress, see
     /// [`Session::checkpoint`](crate::Session::checkpoint).
+    #[inline(never)]
     pub(super) fn checkpoint(&self, label: &str) -> Vec<u8> {
         let header = Header {
             version: env!("CARGO_PKG_VERSION").into(),
@@ -146,6 +147,7 @@ impl<F: Float> State<F> {
     }
 
     /// Restores a checkpoint, or returns an error and changes nothing.
+    #[inline(never)]
     pub(super) fn restore(
         &mut self,
         policy: &dyn AnyPolicy<F>,

@@ -125,6 +125,7 @@ pub(super) struct State<F: Float> {
 }
 
 impl<F: Float> State<F> {
+    #[inline(never)]
     pub(super) fn new(
         task: &dyn AnyTask<F>,
         policy: &dyn AnyPolicy<F>,
@@ -196,6 +197,7 @@ impl<F: Float> State<F> {
     }
 
     /// Shares the samples of mini-batches and data sets among ranks.
+    #[inline(never)]
     pub(super) fn share(
         &mut self,
         task: &dyn AnyTask<F>,
@@ -215,6 +217,7 @@ impl<F: Float> State<F> {
     /// Runs to the end of the epoch, or until `pause` returns true after an update. Returns whether
     /// the epoch ended. With several workers and the feature `parallel`, the epoch runs on a worker
     /// thread.
+    #[inline(never)]
     pub(super) fn advance(
         &mut self,
         problem: Problem<'_, F>,
@@ -325,12 +328,14 @@ impl<F: Float> State<F> {
     }
 
     /// Loss of the test set. A diverged loss is NaN.
+    #[inline(never)]
     pub(super) fn test_loss(&mut self, task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>) -> f64 {
         self.evaluation.run(task, policy, &self.weights, &self.test).unwrap_or(f64::NAN)
     }
 
     /// Test loss of the best parameters, as recorded and as computed now. None if both are equal up
     /// to rounding, or if no loss is recorded.
+    #[inline(never)]
     pub(super) fn changed_test_loss(
         &mut self,
         task: &dyn AnyTask<F>,

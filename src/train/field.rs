@@ -193,6 +193,7 @@ impl<C: GradientCombiner> Field<C> {
     ///
     /// # Panics
     /// If the number of gradients differs from the number of flows.
+    #[inline(never)]
     pub fn combine<F: Float>(&self, gradients: &[Gradient<F>], out: &mut Gradient<F>) {
         match (self, gradients) {
             (Self::Flow(_), [gradient]) => out.copy_from(gradient),

@@ -53,6 +53,7 @@ pub(super) struct TrainedNumber {
 
 impl<F: Float> State<F> {
     /// Warnings about the last epoch, without the kinds that an earlier call returned.
+    #[inline(never)]
     pub(super) fn new_warnings(
         &mut self,
         horizon: usize,
@@ -65,6 +66,7 @@ impl<F: Float> State<F> {
     }
 
     /// All warnings about the last epoch.
+    #[inline(never)]
     pub(super) fn warnings(&self, horizon: usize, numbers: &[TrainedNumber]) -> Vec<Warning> {
         let updates = self.updates_per_epoch();
         let Some(record) = self.records.last().filter(|_| self.epoch.is_none()) else {

@@ -22,6 +22,7 @@ pub trait StepBack<F: Float, const K: usize> {
 }
 
 impl<T: Task, F: Float, const K: usize> StepBack<F, K> for T {
+    #[inline(never)]
     fn step_back(
         &self,
         flows: [Flow; K],

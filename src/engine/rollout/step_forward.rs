@@ -20,6 +20,7 @@ pub trait StepForward<F: Float> {
 }
 
 impl<T: Task, F: Float> StepForward<F> for T {
+    #[inline(never)]
     fn step_forward(
         &self,
         inputs: Inputs<'_, Lane<F>>,

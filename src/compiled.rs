@@ -1,0 +1,136 @@
+//! Code that is compiled with this crate, for the crates that depend on it.
+//!
+//! Rust compiles a generic function in every crate that uses it. Functions with
+//! `#[inline(never)]` are an exception: a crate links to their instances in its dependencies. The
+//! functions below are of this kind, and most code for a task, a policy and a precision is reached
+//! from them. The program therefore links to the engine and the built-in tasks, and may itself be
+//! compiled at a low level of optimization. Other tasks and policies are compiled where they are
+//! used.
+
+use crate::dynamics::actuator::{Actuated, AnyActuator};
+use crate::dynamics::dyn_task::{DynSystem, DynTask};
+use crate::dynamics::effect::{Forced, Named};
+use crate::dynamics::integrator::{AnyIntegrator, Discretized, Integrated};
+use crate::dynamics::op_count::{OpCount, TaskOpCount};
+use crate::dynamics::substeps::Substeps;
+use crate::engine::adjoint::{Adjoint, Flow};
+use crate::engine::batch::Batch;
+use crate::engine::initial_states::append_starts;
+use crate::engine::rollout::Rollout;
+use crate::engine::rows;
+use crate::numbers::scalar::Float;
+use crate::policy::{Conv, Mlp, Policy, WithParams};
+use crate::tasks::*;
+use crate::train::calls;
+use crate::train::combination::Combination;
+use crate::train::field::Field;
+use crate::train::{Session, Trainer};
+use crate::{check, identify, optimize};
+
+/// A system with the integrator, the substeps and the actuator of a scene.
+type Adjusted<S> = Actuated<Substeps<S>, Vec<AnyActuator>>;
+/// An [`Adjusted`] system with a list of effects.
+type Listed<S, E> = Adjusted<Discretized<Forced<S, Vec<Named<E>>>>>;
+/// Swing-up with the integrator of a scene.
+type Swung<O> = Upright<Integrated<O, AnyIntegrator>>;
+/// The effects of guidance in the paper.
+type PaperEffects = (Named<Friction>, Named<Spread>, Named<Evade>, Named<Flock>);
+
+type Function = *const ();
+
+/// All instances.
+#[doc(hidden)]
+#[inline(never)]
+pub fn compiled() -> Vec<Function> {
+    let tasks = [
+        DynTask::new::<CartPole<CartPoleSystem>> as Function,
+        DynTask::new::<CartPole<Listed<CartPoleModel, CartPoleEffect>>> as Function,
+        DynTask::new::<Guidance<Forced<GuidanceSystem, PaperEffects>>> as Function,
+        DynTask::new::<Guidance<Listed<GuidanceSystem, GuidanceEffect>>> as Function,
+        DynTask::new::<Quantum<Adjusted<Absorbing<Forced<QuantumScheme, Vec<Named<QuantumEffect>>>>>>>
+            as Function,
+        DynTask::new::<Lqr> as Function,
+        DynTask::new::<Swung<DoublePendulum>> as Function,
+        DynTask::new::<Swung<MultiPendulum>> as Function,
+        DynTask::new::<Swung<PoleChain>> as Function,
+        DynTask::new::<Slider> as Function,
+        DynTask::new::<Bounce> as Function,
+        DynTask::new::<Push> as Function,
+    ];
+    let any_policy = [
+        OpCount::of::<DynSystem> as Function,
+        TaskOpCount::of::<DynTask> as Function,
+        check::stability::<DynSystem> as Function,
+        check::jacobian_norm::<DynSystem> as Function,
+        identify::identify::<DynSystem> as Function,
+        optimize::optimize::<DynTask> as Function,
+    ];
+    [&tasks[..], &any_policy, &of_policy::<WithParams<Mlp>>(), &of_policy::<WithParams<Conv>>()]
+        .into_iter()
+        .chain([&of_precision::<f32>()[..], &of_precision::<f64>()])
+        .flatten()
+        .copied()
+        .collect()
+}
+
+fn of_precision<F: Float>() -> [Function; 21] {
+    [
+        Rollout::<F>::with_steps as Function,
+        Rollout::<F>::bytes_of as Function,
+        Rollout::<F>::start as Function,
+        Rollout::<F>::run as Function,
+        Adjoint::<F>::new as Function,
+        Adjoint::<F>::run as Function,
+        Adjoint::<F>::param_gradient as Function,
+        Batch::<F>::within as Function,
+        Batch::<F>::run as Function,
+        Field::<Combination>::combine::<F> as Function,
+        append_starts::<F> as Function,
+        calls::gradients_until::<F> as Function,
+        rows::step::<F, DynTask> as Function,
+        rows::step_vjp::<F, DynTask> as Function,
+        rows::step_jvp::<F, DynTask> as Function,
+        rows::observe::<F, DynTask> as Function,
+        rows::observe_vjp::<F, DynTask> as Function,
+        rows::running_cost::<F, DynTask> as Function,
+        rows::running_cost_vjp::<F, DynTask> as Function,
+        rows::terminal_cost::<F, DynTask> as Function,
+        rows::terminal_cost_vjp::<F, DynTask> as Function,
+    ]
+}
+
+fn of_policy<P: Policy + 'static>() -> Vec<Function> {
+    let checks = [
+        check::try_system_along::<DynTask, P> as Function,
+        check::try_cost_along::<DynTask, P> as Function,
+        check::try_policy::<P> as Function,
+        check::try_flow::<DynTask, P> as Function,
+        check::try_flow_at::<DynTask, P> as Function,
+        check::kinks::<DynTask, P> as Function,
+        check::plateau::<DynTask, P> as Function,
+        check::jumps::<DynTask, P> as Function,
+        check::slope_by_duals::<DynTask, P> as Function,
+        #[cfg(feature = "double-double")]
+        (reference::<P> as Function),
+    ];
+    [&checks[..], &sessions::<P, f32>(), &sessions::<P, f64>()].concat()
+}
+
+/// Uses the reference derivative, whose last argument is a function.
+#[cfg(feature = "double-double")]
+fn reference<P: Policy>(task: &DynTask, policy: &P, direction: &dyn Fn(usize) -> f64) -> [f64; 2] {
+    check::slope(task, policy, &[], &[], Flow::REGULAR, direction)
+}
+
+fn sessions<P: Policy + 'static, F: Float>() -> [Function; 8] {
+    [
+        Trainer::<DynTask, P, F>::session as Function,
+        Session::<DynTask, P, F>::share as Function,
+        Session::<DynTask, P, F>::advance as Function,
+        Session::<DynTask, P, F>::test_loss as Function,
+        Session::<DynTask, P, F>::changed_test_loss as Function,
+        Session::<DynTask, P, F>::epoch_warnings_with as Function,
+        Session::<DynTask, P, F>::checkpoint as Function,
+        Session::<DynTask, P, F>::restore as Function,
+    ]
+}
