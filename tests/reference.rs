@@ -3,7 +3,7 @@
 //!
 //! `tests/reference/README.md` describes the files. `PHYSGRAD_REFERENCE` selects another folder.
 //! Errors of cosines are absolute. Other errors are relative to the largest expected component.
-//! `cargo test --test reference -- --nocapture` prints all errors.
+//! `cargo test -p physgrad-tests reference -- --nocapture` prints all errors.
 
 use physgrad::policy::{Conv, Mlp};
 use physgrad::tasks::{
@@ -18,7 +18,7 @@ use std::path::PathBuf;
 
 /// Returns names and contents of the files `{task}*_{kind}.json`. Panics if there are none.
 fn files(task: &str, kind: &str) -> Vec<(String, Value)> {
-    let own = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/reference");
+    let own = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("reference");
     let folder = std::env::var_os("PHYSGRAD_REFERENCE").map_or(own, PathBuf::from);
     let mut found = Vec::new();
     for entry in std::fs::read_dir(&folder).unwrap_or_else(|e| panic!("{}: {e}", folder.display()))

@@ -1,6 +1,6 @@
 //! [`Counted`] counts the correct operations and computes the same values as `f64`.
 
-use crate::operations::{NUMBERS, operations};
+use crate::common::operations::{NUMBERS, operations};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{CartPole, Guidance, Quantum};
 use physgrad::{

@@ -241,7 +241,7 @@ fn check_system_names_a_step_that_is_not_finite() {
 #[test]
 #[should_panic(expected = "`starts` has 1 numbers; expected one or more samples of")]
 fn check_slope_refuses_initial_states_without_parameters() {
-    let (task, policy) = (crate::inputs::tracking::<1>(), Linear::with_bias(3, 1));
+    let (task, policy) = (super::inputs::tracking::<1>(), Linear::with_bias(3, 1));
     check::slope_by_duals(&task, &policy, &[0.0; 4], &[0.0], Flow::REGULAR, &|_| 1.0);
 }
 

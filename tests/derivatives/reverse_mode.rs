@@ -1,6 +1,6 @@
 //! Default derivatives of more than 16 inputs, in reverse mode, against dual numbers.
 
-use crate::operations::{Operation, compositions, operations};
+use crate::common::operations::{Operation, compositions, operations};
 use physgrad::policy::{Action, Linear, Observed};
 use physgrad::rng::Rng;
 use physgrad::{

@@ -1,6 +1,6 @@
 //! Trained parameters: nested lists, and refused entries.
 
-use crate::inputs::{gradients, tracking};
+use super::inputs::{gradients, tracking};
 use physgrad::policy::{Bounded, Constant, Linear, TrainedParam, WithParams};
 use physgrad::rng::{Purpose, stream};
 use physgrad::{Policy, Weights, check};

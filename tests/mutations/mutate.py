@@ -130,7 +130,7 @@ def main():
             return
         library = folder / "src/lib.rs"
         library.write_text(library.read_text() + LIBRARY.replace("FACTOR", args.factor))
-        build = ["cargo", "test", "--no-default-features", "--test", "physics", "--no-run"]
+        build = ["cargo", "test", "-p", "physgrad-tests", "--no-run"]
         environment = {**os.environ, "CARGO_TARGET_DIR": args.target, "CARGO_PROFILE_DEV_DEBUG": "0"}
         built = subprocess.run(build, cwd=folder, env=environment, stderr=subprocess.PIPE, text=True)
         program = re.search(r"\((\S*deps/physics-\w+)\)", built.stderr)

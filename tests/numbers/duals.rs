@@ -1,7 +1,7 @@
 //! Tangents of [`Dual`] agree with num-dual. Values have the bits of plain numbers, and lanes have
 //! the bits of scalars.
 
-use crate::operations::{NUMBERS, Operation, compositions, operations};
+use crate::common::operations::{NUMBERS, Operation, compositions, operations};
 use num_dual::Dual64;
 use physgrad::{Dual, Lanes, Real, Scalar, Single};
 

@@ -144,7 +144,6 @@ fn derivatives_at_singular_points_are_right_in_every_mode_and_precision() {
         if !name.contains("infinity") {
             all.push(("Dual64", f64::EPSILON, by_num_dual));
         }
-        #[cfg(feature = "double-double")]
         {
             let fine = by_dual::<physgrad::DoubleDouble>(row, point).map(|t| t.to_f64());
             all.push(("Dual<DoubleDouble>", f64::EPSILON, fine));
@@ -232,7 +231,6 @@ fn powers_and_lengths_have_the_values_of_the_standard_library() {
     }
 }
 
-#[cfg(feature = "double-double")]
 #[test]
 fn powers_in_double_double_have_31_digits() {
     use physgrad::DoubleDouble;

@@ -1,6 +1,6 @@
 //! Absent effects cost no operations. Tests compare operation counts and results, not times.
 
-use crate::by_hand::{cart_pole::ByHand, guidance, quantum};
+use super::by_hand::{cart_pole::ByHand, guidance, quantum};
 use physgrad::policy::Mlp;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{

@@ -88,7 +88,7 @@ fn gradients_of_rollouts_equal_dual_numbers_in_every_flow() {
 
 /// Returns the contents of a reference file.
 fn reference(kind: &str) -> Value {
-    let path = format!("{}/tests/reference/quantum_nx32_{kind}.json", env!("CARGO_MANIFEST_DIR"));
+    let path = format!("{}/reference/quantum_nx32_{kind}.json", env!("CARGO_MANIFEST_DIR"));
     serde_json::from_str(&std::fs::read_to_string(path).expect("a readable file")).expect("JSON")
 }
 

@@ -1,7 +1,7 @@
 //! Effects of quantum control, absorbing edges, renormalization and control shapes: derivatives,
 //! equal results of lists, tuples and tables, and operation counts.
 
-use crate::boxes::{
+use super::boxes::{
     Swinging, box_of, check_lively, dipole, every_effect, every_effect_typed, lively, norm, step,
 };
 use physgrad::policy::Linear;

@@ -1,6 +1,6 @@
 //! Documented physics of the effects of quantum control.
 
-use crate::boxes::{
+use super::boxes::{
     box_of, densities, dipole, every_effect, largest_difference, lively, norm, overlap, packet,
     run, step, wave,
 };

@@ -1,6 +1,6 @@
 //! Schemes for Schrödinger's equation: derivatives, norm, order, phases.
 
-use crate::boxes::{
+use super::boxes::{
     Swinging, box_of, check_lively, dipole, every_effect, every_effect_typed, largest_difference,
     lively, norm, overlap, step,
 };

@@ -1,8 +1,8 @@
 //! Stress case: close approaches that the time step does not resolve.
 
+use super::step;
 use super::steps::finite;
 use super::{Case, Finding};
-use crate::step;
 use physgrad::Forced;
 use physgrad::Inputs;
 use physgrad::Substeps;

@@ -1,8 +1,8 @@
 //! Stress case: derivatives through impacts.
 
+use super::step;
 use super::steps::{derivative, larger, states};
 use super::{Case, Finding};
-use crate::step;
 use physgrad::Inputs;
 use physgrad::System;
 use physgrad::check;
@@ -156,7 +156,7 @@ impl Example {
     }
 
     /// Error of the reverse pass.
-    fn error(&self, system: &dyn crate::AnySystem<f64>, dt: f64) -> f64 {
+    fn error(&self, system: &dyn super::AnySystem<f64>, dt: f64) -> f64 {
         let states = states(system, &self.start, self.control, self.steps(dt));
         let (mut found, by_control) = derivative(system, &states, self.control, self.component);
         found.push(by_control);
@@ -186,7 +186,7 @@ impl Example {
         self.off(x[self.component].tangents)
     }
 
-    fn exact(&self, system: &dyn crate::AnySystem<f64>, dt: f64) -> Finding {
+    fn exact(&self, system: &dyn super::AnySystem<f64>, dt: f64) -> Finding {
         Finding::at_most(
             format!("{}, time of impact: relative error of derivatives", self.name),
             self.error(system, dt),

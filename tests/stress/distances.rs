@@ -1,9 +1,9 @@
 //! Stress case: coincident and very distant agents.
 
+use super::step;
 use super::steps::{error, finite, larger, vjp_by_jvps};
+use super::{AnySystem, vjp};
 use super::{Case, Finding};
-use crate::step;
-use crate::{AnySystem, vjp};
 use physgrad::Forced;
 use physgrad::System;
 use physgrad::tasks::{

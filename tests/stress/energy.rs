@@ -1,8 +1,8 @@
 //! Stress case: energy over long free motion.
 
+use super::step;
 use super::steps::larger;
 use super::{Case, Finding};
-use crate::step;
 use physgrad::Ode;
 use physgrad::Scalar;
 use physgrad::tasks::{CartPoleSystem, DoublePendulum, PoleChain};

@@ -1,8 +1,8 @@
 //! Stress case: norms of waves and adjoints over very many steps.
 
+use super::step;
 use super::steps::larger;
 use super::{Case, Finding};
-use crate::step;
 use physgrad::Substeps;
 use physgrad::System;
 use physgrad::Task;

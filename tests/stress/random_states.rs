@@ -1,8 +1,8 @@
 //! Stress case: gradients at many random states.
 
 use super::steps::{error, finite, larger, vjp_by_jvps};
+use super::{AnySystem, vjp};
 use super::{Case, Finding};
-use crate::{AnySystem, vjp};
 use physgrad::Inputs;
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{

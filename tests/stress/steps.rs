@@ -1,6 +1,6 @@
 //! Helpers of the stress cases: rollouts, adjoints and error norms.
 
-use crate::{AnySystem, vjp};
+use super::{AnySystem, vjp};
 use physgrad::{Float, Real};
 use physgrad::{Inputs, Tangents};
 

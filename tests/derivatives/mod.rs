@@ -1,9 +1,6 @@
 //! Derivatives: comparison with dual numbers, identities of the flows, numbers of calls and
 //! operations, norms of adjoints.
 
-#[path = "../common/operations.rs"]
-mod operations;
-
 mod adjoint_norms;
 mod checks;
 mod counts;

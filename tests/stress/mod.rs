@@ -1,7 +1,7 @@
 //! Hard cases: long horizons, stiffness, chaos, singular geometry and overflow.
 //!
 //! Each [`Case`] states a pass criterion, fixed before the first measurement, and reports its
-//! [`Finding`]s. `cargo test --release --test stress -- --nocapture` prints them, and
+//! [`Finding`]s. `cargo test --release -p physgrad-tests stress -- --nocapture` prints them, and
 //! `docs/stability.md` explains them.
 
 mod approach;
@@ -39,17 +39,6 @@ pub struct Case {
 }
 
 impl Case {
-    /// Creates a case from its fields.
-    pub const fn new(
-        name: &'static str,
-        about: &'static str,
-        criterion: &'static str,
-        explanation: &'static str,
-        run: fn() -> Vec<Finding>,
-    ) -> Self {
-        Self { name, about, criterion, explanation, run }
-    }
-
     /// Runs the case. Takes up to several seconds.
     pub fn run(&self) -> Vec<Finding> {
         (self.run)()
@@ -184,7 +173,7 @@ macro_rules! tests {
         mod case {
             $(#[test]
             fn $name() {
-                crate::passes(stringify!($name));
+                $crate::stress::passes(stringify!($name));
             })+
         }
 
