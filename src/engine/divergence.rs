@@ -79,7 +79,8 @@ impl Divergence {
     /// because of a parameter of the task, or in the initial state.
     pub(crate) fn is_of_task(&self) -> bool {
         let Self::Forward { variable, step, cause, .. } = self else { return false };
-        matches!(cause, Some(Cause::ZeroParam(_))) || (*variable == Variable::State && *step == 0)
+        matches!(cause, Some(Cause::ZeroParam(_)))
+            || (matches!(variable, Variable::State | Variable::Parameter) && *step == 0)
     }
 
     /// Adds `first` to the sample index, if the variant has one.

@@ -197,7 +197,7 @@ fn a_run_that_warns() {
 #[test]
 fn a_run_prints_its_warnings_to_standard_error() {
     let mut process = Command::new(std::env::current_exe().expect("a path"));
-    process.args(["--exact", "training::a_run_that_warns", "--ignored", "--nocapture"]);
+    process.args(["--exact", "engine::training::a_run_that_warns", "--ignored", "--nocapture"]);
     let output = process.output().expect("the test program starts");
     let printed = String::from_utf8(output.stderr).expect("text");
     assert!(output.status.success(), "{printed}");

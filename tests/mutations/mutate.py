@@ -115,8 +115,8 @@ def main():
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
-        # Cargo also requires `python`, a member of the workspace.
-        for name in ["Cargo.toml", "Cargo.lock", "src", "tests", "benches", "examples", "python", "README.md"]:
+        # Cargo also requires the other members of the workspace.
+        for name in ["Cargo.toml", "Cargo.lock", "src", "tests", "benches", "examples", "docs", "plot", "cli", "python", "README.md"]:
             source = ROOT / name
             if source.is_dir():
                 shutil.copytree(source, folder / name, ignore=PRODUCTS)
@@ -133,14 +133,14 @@ def main():
         build = ["cargo", "test", "-p", "physgrad-tests", "--no-run"]
         environment = {**os.environ, "CARGO_TARGET_DIR": args.target, "CARGO_PROFILE_DEV_DEBUG": "0"}
         built = subprocess.run(build, cwd=folder, env=environment, stderr=subprocess.PIPE, text=True)
-        program = re.search(r"\((\S*deps/physics-\w+)\)", built.stderr)
+        program = re.search(r"\((\S*deps/physgrad_tests-\w+)\)", built.stderr)
         if built.returncode != 0 or not program:
             sys.exit(built.stderr)
 
         def fails(at):
             environment = {**os.environ, "MUTATION": str(at), "RUST_BACKTRACE": "0"}
             try:
-                run = subprocess.run([folder / program[1], "-q"], env=environment, capture_output=True, timeout=300)
+                run = subprocess.run([folder / program[1], "-q", "physics::"], env=environment, capture_output=True, timeout=300)
             except subprocess.TimeoutExpired:
                 return True
             return run.returncode != 0

@@ -122,6 +122,14 @@ serde = { version = "1", features = ["derive"] }
 opt-level = 1
 [profile.dev.package.physgrad]
 opt-level = 3
+
+# Of the packages of physgrad, only the library needs optimization.
+[profile.release.package]
+physgrad = { codegen-units = 4 }
+physgrad-cli = { opt-level = 1 }
+physgrad-plot = { opt-level = 1 }
+kuva = { opt-level = 0 }
+clap_builder = { opt-level = 0 }
 "#;
 
 /// Type of the task `name`: `SwingBoat` for `swing_boat`.
