@@ -396,11 +396,7 @@ impl Scene {
         let Some(bytes) = self.initial_policy() else {
             return Ok(policy_file::random(&*policy, self.seed));
         };
-        let read = || {
-            policy_file::check_numbers(bytes, &self.about())?;
-            policy_file::read(bytes, &*policy, self.seed)
-        };
-        read().with_context(|| {
+        policy_file::read(bytes, &self.about(), &*policy, self.seed).with_context(|| {
             let file = self.table.get(INITIAL_POLICY).map_or_else(String::new, Value::to_string);
             format!("`{INITIAL_POLICY}` {file}")
         })
