@@ -190,7 +190,6 @@ impl Measured {
                 let (name, line) = (&self.name, segment.rows[0].line);
                 format!("{name}:{line}: segment {}", self.label(number))
             };
-            let mut fixed = source.clone();
             for &i in given {
                 let name = &self.params[i];
                 if segment.p[i].is_nan() {
@@ -200,13 +199,15 @@ impl Measured {
                         place()
                     );
                 }
-                if varied.iter().any(|(known, _)| known == name) {
-                    fixed.fix(name, segment.p[i])?;
-                }
             }
             let bits: Vec<u64> = given.iter().map(|&i| segment.p[i].to_bits()).collect();
             if seen.insert(bits) {
-                fixed.scene().with_context(place)?;
+                let given = given.iter().map(|&i| (&*self.params[i], segment.p[i]));
+                let numbers =
+                    given.filter(|(name, _)| varied.iter().any(|(known, _)| known == name));
+                if let Some(error) = source.refusal_with(numbers)? {
+                    bail!("{}: {error}", place());
+                }
             }
         }
         Ok(())
