@@ -20,6 +20,8 @@ const NEGLIGIBLE: f64 = 1e-6;
 /// Share of the largest neighbouring gradient norm, times the distance of the neighbours, that the
 /// change of a smooth loss reaches at least.
 const SMOOTH: f64 = 1e-3;
+/// Relative rounding error of a mean loss.
+const ROUNDING: f64 = 1e-13;
 
 /// Result of [`plateau`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,8 +48,9 @@ impl Plateau {
     /// True if the loss changes far less than its gradients predict, as in rollouts that amplify
     /// rounding errors. Gradients then do not describe the loss at this distance.
     pub fn is_unresolved(&self) -> bool {
+        let rounding = ROUNDING * self.loss.abs();
         AWAY * self.gradient.max(SMOOTH * self.gradient_nearby)
-            > (self.loss - self.lowest_nearby).abs()
+            > (self.loss - self.lowest_nearby).abs() + rounding
     }
 }
 
@@ -141,6 +144,8 @@ mod tests {
         };
         assert!(at(0.0, 0.5, 1.0).starts_with("a plateau"));
         assert!(at(0.0, 1.5, 1.0).starts_with("a minimum"));
+        // Changes of the loss below its rounding errors.
+        assert!(at(0.0, 1.0, 1e-9).starts_with("a minimum"));
         // Gradients of rollouts that amplify rounding errors, beside small changes of the loss.
         assert!(at(1.8e8, 0.956, 2.5e16).starts_with("unresolved"));
         assert!(at(1e-3, 0.956, 2.5e16).starts_with("unresolved"));
