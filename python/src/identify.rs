@@ -178,6 +178,9 @@ fn segment(scene: &Scene, i: usize, data: &Bound<'_, PyAny>) -> PyResult<Segment
         })?;
         p[place] = value;
     }
+    scene
+        .check_params(&p)
+        .map_err(|error| PyValueError::new_err(format!("segment {i}: {error}")))?;
     let t = dict.get_item("t")?.map_or(Ok(0.0), |t| t.extract::<f64>())?;
     let step = t / scene.dt();
     if !step.is_finite() || step.abs() > 9e15 {

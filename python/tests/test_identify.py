@@ -86,6 +86,14 @@ def test_names_without_a_value_are_refused():
         pg.identify(task, data, params="system.pole_mass")
 
 
+def test_parameters_out_of_their_range_are_refused():
+    task, data = measured()
+    drawn = task.replace(pole_mass={"uniform": [0.1, 0.2]})
+    segment = {"x": data[0][0], "u": data[0][1], "p": {"system.pole_mass": -0.24}}
+    with pytest.raises(ValueError, match="segment 0: `system.pole_mass` is -0.24; allowed: a positive number"):
+        pg.identify(drawn, [segment], params={"system.cart_mass": 1.3})
+
+
 def test_checks_return_a_table():
     table = pg.check(pg.task("pendulum", horizon=10))
     assert "rollout" in table and "FAILED" not in table

@@ -17,6 +17,11 @@ const NEIGHBOURS: u64 = 4;
 const AWAY: f64 = 0.01;
 /// Gradient norms of at most this share of the largest neighbouring gradient norm count as zero.
 const NEGLIGIBLE: f64 = 1e-6;
+/// Share of the largest neighbouring gradient norm, times the distance of the neighbours, that the
+/// change of a smooth loss reaches at least.
+const SMOOTH: f64 = 1e-3;
+/// Relative rounding error of a mean loss.
+const ROUNDING: f64 = 1e-13;
 
 /// Result of [`plateau`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -35,7 +40,17 @@ impl Plateau {
     /// True if the gradient vanishes although a neighbour has a lower loss, as at a maximum or a
     /// saddle.
     pub fn is_stuck(&self) -> bool {
-        self.gradient <= NEGLIGIBLE * self.gradient_nearby && self.lowest_nearby < self.loss
+        self.gradient <= NEGLIGIBLE * self.gradient_nearby
+            && self.lowest_nearby < self.loss
+            && !self.is_unresolved()
+    }
+
+    /// True if the loss changes far less than its gradients predict, as in rollouts that amplify
+    /// rounding errors. Gradients then do not describe the loss at this distance.
+    pub fn is_unresolved(&self) -> bool {
+        let rounding = ROUNDING * self.loss.abs();
+        AWAY * self.gradient.max(SMOOTH * self.gradient_nearby)
+            > (self.loss - self.lowest_nearby).abs() + rounding
     }
 }
 
@@ -53,6 +68,13 @@ impl fmt::Display for Plateau {
             )
         } else if *gradient == 0.0 && *gradient_nearby == 0.0 {
             write!(f, "flat: {numbers}")
+        } else if *gradient <= NEGLIGIBLE * gradient_nearby && self.is_unresolved() {
+            write!(
+                f,
+                "unresolved: {numbers}, where the loss changes by {} only, far less than the gradients predict. Rollouts amplify \
+                 perturbations, so these gradients do not describe the loss. Use shorter time steps or a shorter horizon",
+                rough((loss - lowest_nearby).abs())
+            )
         } else if *gradient <= NEGLIGIBLE * gradient_nearby {
             write!(f, "a minimum: {numbers}, and no lower loss there")
         } else {
@@ -123,6 +145,11 @@ mod tests {
         };
         assert!(at(0.0, 0.5, 1.0).starts_with("a plateau"));
         assert!(at(0.0, 1.5, 1.0).starts_with("a minimum"));
+        // Changes of the loss below its rounding errors.
+        assert!(at(0.0, 1.0, 1e-9).starts_with("a minimum"));
+        // Gradients of rollouts that amplify rounding errors, beside small changes of the loss.
+        assert!(at(1.8e8, 0.956, 2.5e16).starts_with("unresolved"));
+        assert!(at(1e-3, 0.956, 2.5e16).starts_with("unresolved"));
         assert!(at(0.0, 1.0, 0.0).starts_with("flat"));
         assert!(at(0.1, 0.5, 1.0).starts_with("a slope"));
     }

@@ -4,6 +4,7 @@ use super::elimination::{Eliminated, Linearized, Weights, gradient, solve, stack
 use super::error::IdentifyError;
 use super::fit::Unknown;
 use super::problem::{Point, Problem, largest, map};
+use super::statistics::rank;
 use nalgebra::{DMatrix, DVector};
 
 /// Numbers of computations so far.
@@ -164,12 +165,29 @@ fn held(unknowns: &[Unknown], values: &[f64], equations: &DMatrix<f64>) -> Vec<b
     unknowns.iter().enumerate().map(is_held).collect()
 }
 
+/// Rank of the derivatives of the samples of a segment by its initial state. Perturbations that grow
+/// hide the others in the samples of a whole segment, but not in those of its beginning.
+fn start_rank(windows: &[Linearized], params: usize) -> usize {
+    let mut greatest = 0;
+    let lengths = std::iter::successors(Some(1), |length| Some(2 * length));
+    for length in lengths.take_while(|&length| length < windows.len()).chain([windows.len()]) {
+        let rows = start_rows(&windows[..length], params);
+        greatest = greatest.max(rank(&rows));
+        if greatest == rows.ncols() {
+            break;
+        }
+    }
+    greatest
+}
+
 /// Linear equations at the end of the iterations.
 pub(super) struct Equations {
     /// Equations `[δq | 1]` of the parameters with negligible damping, for each segment.
     pub params: Vec<DMatrix<f64>>,
     /// Rows of the initial state, for each segment.
     pub starts: Vec<DMatrix<f64>>,
+    /// Number of combinations of the components of all initial states that the samples determine.
+    pub start_rank: usize,
     /// Whether each parameter stays at a bound.
     pub held: Vec<bool>,
     /// Norms of the columns of the parameters below which the elimination of the initial states
@@ -206,6 +224,7 @@ impl Equations {
         };
         Ok(Self {
             starts: map(linearized.len(), |i| start_rows(&linearized[i], params)),
+            start_rank: map(linearized.len(), |i| start_rank(&linearized[i], params)).iter().sum(),
             held: held(problem.unknowns, &point.values, &stacked(&segments, params)),
             negligible: { norms(&linearized, params) }
                 .into_iter()
@@ -216,6 +235,15 @@ impl Equations {
             params: segments.into_iter().map(|segment| segment.reduced).collect(),
         })
     }
+
+    /// Number of unknowns that affect a sample, or for parameters, a state.
+    pub fn seen(&self, unknowns: &[Unknown]) -> usize {
+        let columns = self.starts.iter().flat_map(|rows| rows.column_iter());
+        let starts = columns.filter(|column| column.iter().any(|slope| *slope != 0.0)).count();
+        let params = unknowns.iter().zip(&self.slopes);
+        starts + params.filter(|(u, slope)| u.min < u.max && **slope != 0.0).count()
+    }
+
     /// Largest absolute derivative of a state by each parameter. NaN if one of them is non-finite.
     pub fn slopes(linearized: &[Vec<Linearized>], params: usize) -> Vec<f64> {
         let of_window =

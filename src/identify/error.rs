@@ -21,7 +21,7 @@ pub enum IdentifyError {
     TooFewMeasurements {
         /// Number of finite measurements, without first samples that are exact.
         measurements: usize,
-        /// Number of unknown parameters and components of initial states.
+        /// Number of unknown parameters and components of initial states that affect the data.
         unknowns: usize,
     },
     /// A list has the wrong length.

@@ -130,8 +130,8 @@ pub struct Fit {
     pub chi_squared: f64,
     /// Number of finite measurements, without first samples that are exact.
     pub measurements: usize,
-    /// Number of unknown parameters and components of initial states, without parameters at a
-    /// bound.
+    /// Number of combinations of unknown parameters and components of initial states that the data
+    /// determine, without parameters at a bound: the rank of the Jacobian of the residuals.
     pub unknowns: usize,
     /// Whether the fit is at a minimum of χ²: the iterations with the last weight of continuity
     /// ended by the tolerance, or no step decreases the objective. Moreover, all derivatives are
@@ -151,15 +151,15 @@ pub struct Fit {
 
 impl Fit {
     /// Bayesian information criterion up to a constant (Schwarz 1978, doi:10.1214/aos/1176344136),
-    /// for noise of unknown size: `N ln(χ²/N) + k ln N`, for N measurements and k unknowns.
+    /// for noise of unknown size: `N ln(χ²/N) + k ln N`, for N measurements and k determined unknowns.
     pub fn bic(&self) -> f64 {
         let (count, unknowns) = (self.measurements as f64, self.unknowns as f64);
         count * (self.chi_squared / count).ln() + unknowns * count.ln()
     }
 
-    /// Degrees of freedom: measurements minus unknowns.
+    /// Degrees of freedom: measurements minus determined unknowns.
     pub fn freedom(&self) -> usize {
-        self.measurements - self.unknowns
+        self.measurements.saturating_sub(self.unknowns)
     }
 
     /// For noise of known size, returns whether the distribution of χ² does not explain its value
@@ -176,19 +176,18 @@ impl Fit {
     /// Root mean square of the residuals of a component in a segment, over its finite measurements,
     /// the first sample included. NaN without a finite measurement.
     pub fn rms(&self, segment: usize, component: usize, measured: &Segment) -> f64 {
-        let rows =
-            self.states[segment].iter().zip(&measured.x).map(|(x, y)| (x[component], y[component]));
-        let residuals = rows
-            .map(|(x, y)| x - self.near(component, y, x))
-            .filter(|residual| residual.is_finite());
+        let measured = self.measured(component, measured);
+        let residuals = self.states[segment].iter().zip(measured).map(|(x, y)| x[component] - y);
+        let residuals = residuals.filter(|residual| residual.is_finite());
         let (sum, count) = residuals.fold((0.0, 0), |(sum, count), r| (sum + r * r, count + 1));
         (sum / f64::from(count)).sqrt()
     }
 
-    /// The measured value `y` of a component next to the simulated value `x`. An angle of
-    /// [`angles`](Fit::angles) is moved by full turns to within half a turn of `x`.
-    pub fn near(&self, component: usize, y: f64, x: f64) -> f64 {
-        if self.angles.contains(&component) { y + full_turns(x - y) } else { y }
+    /// Measurements of a component as in the residuals of the fit, by step. An angle of
+    /// [`angles`](Fit::angles) is continuous.
+    pub fn measured(&self, component: usize, segment: &Segment) -> Vec<f64> {
+        let measured = segment.x.iter().map(|row| row[component]);
+        if self.angles.contains(&component) { unwrapped(measured) } else { measured.collect() }
     }
 }
 
@@ -198,15 +197,26 @@ fn continuous(segments: &[Segment], angles: &[usize]) -> Vec<Segment> {
     let mut segments = segments.to_vec();
     for segment in &mut segments {
         for &i in angles {
-            let mut before = None;
+            let column = unwrapped(segment.x.iter().filter_map(|row| row.get(i)).copied());
             let measured = segment.x.iter_mut().filter_map(|row| row.get_mut(i));
-            for angle in measured.filter(|angle| angle.is_finite()) {
-                *angle += full_turns(before.map_or(0.0, |before| before - *angle));
-                before = Some(*angle);
-            }
+            measured.zip(column).for_each(|(angle, continuous)| *angle = continuous);
         }
     }
     segments
+}
+
+/// Removes the full turns between consecutive finite angles.
+fn unwrapped(angles: impl Iterator<Item = f64>) -> Vec<f64> {
+    let mut before = None;
+    let angles = angles.map(|angle| {
+        if !angle.is_finite() {
+            return angle;
+        }
+        let angle = angle + full_turns(before.map_or(0.0, |before: f64| before - angle));
+        before = Some(angle);
+        angle
+    });
+    angles.collect()
 }
 
 /// The full turns that are nearest to an angle, in rad. 0 up to half a turn.
@@ -258,6 +268,7 @@ pub fn identify<S: System>(
     let segments = continuous.as_deref().unwrap_or(segments);
     let problem = Problem::new(system, segments, unknowns, options)?;
     let mut counts = Counts::default();
+    check_count(&problem, options, &mut counts)?;
     let mut best = attempt(&problem, options, &mut counts)?;
     if best.is_doubtful {
         match attempt(&problem, &Options { window: None, ..options.clone() }, &mut counts) {
@@ -269,6 +280,23 @@ pub fn identify<S: System>(
     }
     let Counts { iterations, simulations, jacobians } = counts;
     Ok(Fit { iterations, simulations, jacobians, ..best.fit })
+}
+
+/// Refuses data with fewer measurements than unknowns that affect them.
+fn check_count(
+    problem: &Problem<'_>,
+    options: &Options,
+    counts: &mut Counts,
+) -> Result<(), IdentifyError> {
+    let (measurements, mut unknowns) = (problem.measurements(), problem.free());
+    if (1..unknowns).contains(&measurements) {
+        let point = problem.begin(options.window)?;
+        unknowns = Equations::new(problem, &point, 1.0, counts)?.seen(problem.unknowns);
+    }
+    if measurements < unknowns {
+        return Err(IdentifyError::TooFewMeasurements { measurements, unknowns });
+    }
+    Ok(())
 }
 
 struct Attempt {
@@ -328,7 +356,14 @@ fn result(
     let names: Vec<String> = problem.unknowns.iter().map(|unknown| unknown.name.clone()).collect();
     let equations = Equations::new(problem, &point, continuity, counts)?;
     let free: Vec<usize> = (0..names.len()).filter(|&i| !equations.held[i]).collect();
-    let (measurements, unknowns) = (problem.measurements(), problem.count(free.len()));
+    let is_finite = equations.non_finite_starts.is_empty()
+        && equations.slopes.iter().all(|slope| slope.is_finite());
+    let found = if is_finite {
+        statistics(&equations.params, &free, &equations.negligible)
+    } else {
+        Statistics::unknown(free.len())
+    };
+    let (measurements, unknowns) = (problem.measurements(), equations.start_rank + found.rank);
     let misfit = problem.misfit(&point)?;
     let chi_squared = misfit.map_or(f64::INFINITY, |misfit| misfit.samples);
     let smallest = SMALLEST * problem.size();
@@ -338,7 +373,7 @@ fn result(
             if problem.noise_is_known || misfit.largest_jump == 0.0 { 1.0 } else { residual() };
         misfit.largest_jump / unit
     });
-    let residual = match measurements - unknowns {
+    let residual = match measurements.saturating_sub(unknowns) {
         // The residuals are 0 and do not show the size of the noise.
         0 => f64::INFINITY,
         freedom => (chi_squared / freedom as f64).sqrt(),
@@ -347,13 +382,6 @@ fn result(
     // A wrong model has residuals above its noise. Their size is unknown without degrees of
     // freedom.
     let spread = if residual.is_finite() { noise.max(residual) } else { noise };
-    let is_finite = equations.non_finite_starts.is_empty()
-        && equations.slopes.iter().all(|slope| slope.is_finite());
-    let found = if is_finite {
-        statistics(&equations.params, &free, &equations.negligible)
-    } else {
-        Statistics::unknown(free.len())
-    };
     let is_minimum = found.offset <= OFFSET * spread.max(smallest);
     let place = |i: usize| free.iter().position(|&free| free == i);
     let of_all = |of_free: &[f64], unit: f64| -> Vec<f64> {

@@ -131,15 +131,17 @@ impl<'a> Problem<'a> {
             angles,
             stop,
         };
-        let free = unknowns.iter().filter(|unknown| unknown.min < unknown.max).count();
-        let (measurements, unknowns) = (problem.measurements(), problem.count(free));
-        if unknowns == 0 {
+        if problem.free() == 0 {
             return Err(IdentifyError::NothingUnknown);
         }
-        if measurements < unknowns {
-            return Err(IdentifyError::TooFewMeasurements { measurements, unknowns });
-        }
         Ok(problem)
+    }
+
+    /// Number of unknowns that no bounds fix: parameters, and the components of the initial states
+    /// of segments if they are unknown. Continuity determines the initial states of later windows.
+    pub fn free(&self) -> usize {
+        let params = self.unknowns.iter().filter(|unknown| unknown.min < unknown.max).count();
+        params + if self.free_starts { self.segments.len() * self.model.sizes()[0] } else { 0 }
     }
 
     /// Finite measurements, in units of the noise. Without free initial states, the first sample of
@@ -160,13 +162,6 @@ impl<'a> Problem<'a> {
     /// units of the noise.
     pub fn size(&self) -> f64 {
         (self.finite().map(|y| y * y).sum::<f64>() / self.measurements() as f64).sqrt()
-    }
-
-    /// Number of unknowns, with this number of free parameters: also the components of the initial
-    /// states of segments if they are unknown. Continuity determines the initial states of the
-    /// later windows.
-    pub fn count(&self, params: usize) -> usize {
-        params + if self.free_starts { self.segments.len() * self.model.sizes()[0] } else { 0 }
     }
 
     /// Initial values. Splits the segments into windows of `length` steps. The last window of a

@@ -24,6 +24,12 @@ const DAMPING: f64 = 1e-12;
 /// Norm of a column that is 0.
 const NO_EFFECT: f64 = 1e-100;
 
+/// Threshold for singular values of the derivatives by an initial state, with columns of norm 1,
+/// relative to the largest. At or below it, the data do not determine the combination of its
+/// components. Exceeds the rounding errors of windows; short beginnings of a segment decide where
+/// perturbations grow.
+const INDEPENDENT: f64 = 1e-10;
+
 /// Magnitude of an eigenvector component above which a combination names the parameter.
 const NAMED: f64 = 1e-3;
 
@@ -38,6 +44,8 @@ pub(super) struct Statistics {
     pub correlations: Vec<Vec<f64>>,
     /// Indices of the parameters in each undetermined combination.
     pub undetermined: Vec<Vec<usize>>,
+    /// Number of combinations of parameters that the data determine.
+    pub rank: usize,
     /// Largest step of Gauss and Newton along an eigenvector of the scaled information matrix, in
     /// standard errors at unit noise. 0 at a minimum (Bates and Watts 1981,
     /// doi:10.1080/00401706.1981.10486251).
@@ -49,7 +57,8 @@ impl Statistics {
     pub fn unknown(count: usize) -> Self {
         let unknown = vec![f64::INFINITY; count];
         let correlations = vec![vec![f64::NAN; count]; count];
-        Self { errors: unknown.clone(), robust_errors: unknown, correlations, ..Self::default() }
+        let errors = unknown.clone();
+        Self { errors, robust_errors: unknown, correlations, rank: count, ..Self::default() }
     }
 }
 
@@ -84,7 +93,7 @@ pub(super) fn statistics(
     let least = DETERMINED * eigenvalues.iter().copied().fold(0.0, f64::max);
     // The covariance is `factor factorᵀ`.
     let mut factor = DMatrix::<f64>::zeros(count, count);
-    let (mut undetermined, mut is_open) = (Vec::new(), vec![false; count]);
+    let (mut undetermined, mut is_open, mut rank) = (Vec::new(), vec![false; count], 0);
     for (k, &eigenvalue) in eigenvalues.iter().enumerate() {
         let vector = eigenvectors.column(k);
         if eigenvalue.is_nan() || eigenvalue <= least {
@@ -96,6 +105,7 @@ pub(super) fn statistics(
             }
             continue;
         }
+        rank += 1;
         factor.set_column(k, &(vector / eigenvalue.sqrt()));
     }
     let covariance = &factor * factor.transpose();
@@ -126,6 +136,7 @@ pub(super) fn statistics(
         robust_errors,
         correlations,
         undetermined,
+        rank,
         offset: step.amax(),
     }
 }
@@ -135,6 +146,26 @@ pub(super) fn statistics(
 fn transform(scale: &[f64], factor: &DMatrix<f64>) -> DMatrix<f64> {
     let per_scale = scale.iter().map(|&scale| if scale > 0.0 { 1.0 / scale } else { 0.0 });
     DMatrix::from_diagonal(&DVector::from_iterator(scale.len(), per_scale)) * factor
+}
+
+/// Number of combinations of the components of an initial state that the samples determine. `rows`
+/// are its linear equations. All components if an equation is not finite.
+pub(super) fn rank(rows: &DMatrix<f64>) -> usize {
+    if !rows.iter().all(|slope| slope.is_finite()) {
+        return rows.ncols();
+    }
+    let seen: Vec<usize> = (0..rows.ncols()).filter(|&i| rows.column(i).amax() > 0.0).collect();
+    if seen.is_empty() {
+        return 0;
+    }
+    let mut scaled = rows.select_columns(&seen);
+    // The largest entry first: squares of large numbers overflow.
+    for mut column in scaled.column_iter_mut() {
+        column /= column.amax();
+        column /= column.norm();
+    }
+    let sizes = scaled.singular_values();
+    sizes.iter().filter(|size| **size > INDEPENDENT * sizes.amax()).count()
 }
 
 /// Components of an initial state that the samples do not determine. `rows` are its linear

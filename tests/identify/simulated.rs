@@ -533,6 +533,15 @@ fn angles_that_wrap_give_the_fit_of_continuous_angles() {
             assert!(steps.map(|pair| (pair[1][0] - pair[0][0]).abs()).fold(0.0, f64::max) < 0.5);
         }
     }
+    // Also for angles that do not fit, the residuals are those of χ².
+    let rows = (0..4).map(|t| vec![4.0 * f64::from(t), f64::NAN]);
+    let far = Segment { x: rows.collect(), p: TRUTH.to_vec(), ..Segment::default() };
+    let options =
+        Options { angles: vec![0], max_iterations: 1, window: None, ..Options::default() };
+    let found = identify(&pendulum(), std::slice::from_ref(&far), &[], &options);
+    let found = found.expect("valid data");
+    let (squares, chi_squared) = (4.0 * found.rms(0, 0, &far).powi(2), found.chi_squared);
+    assert!(chi_squared > PI && (squares / chi_squared - 1.0).abs() < 1e-12, "{found:?}");
     let error = identify(
         &pendulum(),
         &continuous,

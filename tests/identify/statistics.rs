@@ -150,6 +150,67 @@ fn numbers_at_a_bound_are_known_in_all_statistics() {
     }
 }
 
+/// [`Line`] beside a second component that no measurement depends on, with the sum of `p_0` and
+/// `p_3` in place of `p_0`.
+struct Beside;
+
+impl System for Beside {
+    fn state_dim(&self) -> usize {
+        2
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn param_dim(&self) -> usize {
+        4
+    }
+    fn step<T: Scalar>(&self, Inputs { x, p, u, t }: Inputs<'_, T>, next: &mut [T]) {
+        let p_line = [p[0] + p[3], p[1], p[2]];
+        Line.step(Inputs { x: &x[..1], p: &p_line, u, t }, &mut next[..1]);
+        next[1] = x[1] * 0.9 + x[0];
+    }
+}
+
+/// The degrees of freedom count what the data determine: neither the initial values of an unmeasured
+/// state without influence, nor two numbers of which only the sum has an influence.
+#[test]
+fn undetermined_unknowns_take_no_degree_of_freedom() {
+    let beside = |segment: Segment| Segment {
+        x: segment.x.iter().map(|row| vec![row[0], f64::NAN]).collect(),
+        p: vec![0.0; 4],
+        ..segment
+    };
+    let wide: Vec<Segment> = segments().into_iter().map(beside).collect();
+    let all: Vec<Unknown> = (0..3).map(|i| unknown(i, 0.0, FREE)).collect();
+    for window in [None, Some(3)] {
+        let options = Options { window, ..Options::default() };
+        let expected = identify(&Line, &segments(), &all, &options).expect("valid data");
+        let found = identify(&Beside, &wide, &all, &options).expect("valid data");
+        assert_eq!((found.unknowns, found.freedom()), (8, expected.freedom()), "{window:?}");
+        assert_close(found.bic(), expected.bic(), "BIC");
+        for i in 0..3 {
+            assert_close(found.values[i], expected.values[i], "value");
+            assert_close(found.errors[i], expected.errors[i], "error");
+        }
+        let twice = [&all[..], &[unknown(3, 0.1, FREE)]].concat();
+        let found = identify(&Beside, &wide, &twice, &options).expect("valid data");
+        assert_eq!(found.undetermined, [["p_0", "p_3"]]);
+        assert_eq!((found.unknowns, found.freedom()), (8, expected.freedom()), "{window:?}");
+        assert_close(found.errors[1], expected.errors[1], "error");
+    }
+    // Four measurements determine one initial value and three numbers, but three do not.
+    let short = |rows: usize| {
+        let x = wide[0].x[..rows].to_vec();
+        let segment = Segment { x, ..wide[0].clone() };
+        identify(&Beside, &[segment], &all, &Options::default())
+    };
+    assert_eq!(short(4).expect("enough data").freedom(), 0);
+    assert_eq!(
+        short(3).expect_err("too few data").to_string(),
+        "3 measurements cannot determine 4 unknowns; use more samples or fewer unknowns"
+    );
+}
+
 /// A number that starts at a bound leaves it if χ² decreases within the bounds.
 #[test]
 fn a_number_leaves_a_bound_towards_the_minimum() {

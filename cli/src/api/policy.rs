@@ -54,12 +54,12 @@ impl Policy {
     /// Policy with the parameters of a policy file.
     ///
     /// # Errors
-    /// The bytes are not a policy file, or are one of another policy. A parameter is not finite.
+    /// The bytes are not a policy file, or are one of another policy or task. A parameter is not
+    /// finite.
     /// The file and the scene train different numbers, or the bounds of these numbers differ.
     pub fn read(scene: &Scene, bytes: &[u8]) -> Result<Self> {
-        policy_file::check_numbers(bytes, &scene.scene.about())?;
         let policy = scene.scene.policy();
-        let theta = policy_file::read(bytes, f64::policy(&*policy), 0)?;
+        let theta = policy_file::read(bytes, &scene.scene.about(), f64::policy(&*policy), 0)?;
         let mut read = Self { scene: scene.clone(), policy, theta: Vec::new() };
         read.check_finite(&theta)?;
         read.theta = theta;

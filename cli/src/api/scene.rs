@@ -163,6 +163,26 @@ impl Scene {
         self.scene.identify(segments, options)
     }
 
+    /// Checks values of the parameters of a rollout, against the ranges of their settings. NaN is a
+    /// missing value.
+    ///
+    /// # Errors
+    /// A value is out of range.
+    pub fn check_params(&self, p: &[f64]) -> Result<()> {
+        let (names, varied) = (self.param_names(), self.scene.varied());
+        let is_drawn = |name: &String| {
+            let is_this = |(known, number): &&(String, Number)| {
+                known == name && !matches!(number, Number::Trained { .. })
+            };
+            varied.iter().find(is_this).is_some()
+        };
+        let given = names.iter().zip(p).filter(|(name, value)| !value.is_nan() && is_drawn(name));
+        match self.source.refusal_with(given.map(|(name, value)| (&**name, *value)))? {
+            Some(error) => bail!("{error}"),
+            None => Ok(()),
+        }
+    }
+
     /// Returns whether the physics depends on the time of a segment. A recording that begins between
     /// two steps, or before the time 0, then has no exact [`Segment::first_step`].
     pub fn depends_on_time(&self, segment: &Segment) -> bool {

@@ -22,7 +22,7 @@ use indicatif::ProgressBar;
 use physgrad::text::{rough, short};
 use serde_json::json;
 use std::path::PathBuf;
-use study::{ROUNDS, cheapest};
+use study::ROUNDS;
 
 /// Simulate a scene with every integrator, step size and precision, and report errors and times.
 ///
@@ -96,7 +96,7 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     if !args.quiet && bar.is_hidden() {
         print_message(&format!("measuring {} settings, {ROUNDS} rounds of timing", settings.len()));
     }
-    let Measured { rows, reference } = study.measure(settings, &mut |part| {
+    let measured = study.measure(settings, &mut |part| {
         bar.set_message(part);
         bar.inc(1);
         Ok(())
@@ -105,9 +105,11 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     let conserved = study.scene.conserved();
     let folder = folder()?;
     let conserved = conserved.map(|conserved| conserved.name);
-    let list = outputs::write(&folder, &name, &reference, conserved, &rows)?;
+    let Measured { rows, reference } = &measured;
+    let list = outputs::write(&folder, &name, reference, conserved, rows)?;
+    let resolved = args.target.filter(|&target| measured.resolves(args.metric, target));
     let scenes =
-        args.target.map_or(Ok(Vec::new()), |target| study.scenes(&rows, args.metric, target))?;
+        resolved.map_or(Ok(Vec::new()), |target| study.scenes(rows, args.metric, target))?;
     let inner = folder.file("scenes");
     if !scenes.is_empty() || args.target.is_some() && inner.is_dir() {
         let inner = Folder::at(inner.clone()).lock()?;
@@ -117,7 +119,7 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
             saved::write_scene(&inner, &format!("{method}.toml"), scene)?;
         }
     }
-    let cheapest = args.target.map(|target| (target, cheapest(rows.iter(), args.metric, target)));
+    let cheapest = args.target.map(|target| (target, measured.cheapest(args.metric, target)));
     if args.json {
         let object = cheapest.and_then(|(_, found)| found);
         let object = object.map(|Cheapest { row, error, fastest }| {
@@ -128,7 +130,7 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
             &json!({ "folder": folder.path(), "settings": json::rows(&list)?, "cheapest": object }),
         )?;
     } else {
-        print_text(&outputs::summary(&rows, &reference, conserved))?;
+        print_text(&outputs::summary(rows, reference, conserved))?;
         print_text(&format!(
             "results in {}: accuracy.csv, accuracy.svg, accuracy.md",
             folder.path().display()
@@ -142,7 +144,7 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     }
     match cheapest {
         None => Ok(()),
-        Some((target, None)) => Err(unreached(&rows, args.metric, target)),
+        Some((target, None)) => Err(unreached(&measured, args.metric, target)),
         Some(_) if args.json => Ok(()),
         Some((target, Some(found))) => print_cheapest(&found, args.metric, target),
     }
@@ -184,9 +186,19 @@ fn print_cheapest(
     print_result(&row.setting.lines())
 }
 
-/// Error message for a target that no setting reaches. Names the most accurate setting, or states
-/// that every setting diverged.
-fn unreached(rows: &[Row], metric: Metric, target: f64) -> anyhow::Error {
+/// Error message for a target that no setting reaches, or that the reference does not resolve. Names
+/// the most accurate setting, or states that every setting diverged.
+fn unreached(measured: &Measured, metric: Metric, target: f64) -> anyhow::Error {
+    let (rows, reference) = (&measured.rows, metric.read(&measured.reference));
+    let reaches = |row: &Row| row.errors.as_ref().is_ok_and(|found| metric.read(found) <= target);
+    if !measured.resolves(metric, target) && (reference.is_nan() || rows.iter().any(reaches)) {
+        return anyhow!(
+            "--target {target:e}: no setting can be recommended, because the {} of the reference itself has an error of about \
+             {}; choose a larger target, a shorter `horizon`, or a scene that amplifies errors less",
+            metric.name(),
+            rough(reference)
+        );
+    }
     let finite = rows.iter().filter_map(|row| Some((row, metric.read(row.errors.as_ref().ok()?))));
     let best = finite.min_by(|a, b| a.1.total_cmp(&b.1));
     let Some((row, error)) = best else {

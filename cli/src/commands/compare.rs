@@ -8,8 +8,8 @@ use crate::platform::json::{print_json, rows};
 use crate::platform::table::Table;
 use crate::platform::terminal::{counted, print_message, print_note, print_text, program};
 use crate::runs::comparison::{
-    Comparison, Ended, check_distinct, check_options, check_runs, check_sessions, read_all,
-    read_plan, train_all, train_shard, write_plan,
+    Comparison, Ended, check_distinct, check_estimator, check_options, check_runs, check_sessions,
+    read_all, read_plan, train_all, train_shard, write_plan,
 };
 use crate::runs::shard::Shard;
 use crate::runs::statistics::{
@@ -90,6 +90,7 @@ pub fn compare(args: &Compare) -> Result<()> {
     check_distinct("the sweep", points.iter().map(|point| &*point.name))?;
     for point in &points {
         check_options(&args.fields, args.seeds, point.scene.epochs)?;
+        check_estimator(&point.scene, &args.fields)?;
     }
     check_runs(points.len(), args.fields.len(), args.seeds)?;
     if !args.quiet

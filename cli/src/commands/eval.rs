@@ -144,9 +144,29 @@ pub fn check_samples(samples: usize) -> Result<()> {
     }
 }
 
+/// Refuses settings of trainings.
+fn check_set(set: &[String]) -> Result<()> {
+    for option in set {
+        let key = option.split('=').next().unwrap_or_default().trim();
+        if key == "seed" {
+            bail!(
+                "--set {option} has no effect on an evaluation; give the seed of the initial states by --seed"
+            );
+        }
+        // The budget of a training is also that of rollouts.
+        let is_of_training = key.starts_with("training.") && key != "training.memory"
+            || ["epochs", "field", "tags", "log", "initial_policy"].contains(&key);
+        if is_of_training {
+            bail!("--set {option} has no effect on an evaluation, which trains nothing; remove it");
+        }
+    }
+    Ok(())
+}
+
 /// Scene for the evaluation of a policy. It has the policy section and the precision of the run,
 /// unless `--set` changes them.
 fn scene(args: &Eval, policy: &Trained) -> Result<Scene> {
+    check_set(&args.set)?;
     let mut source = match &args.scene {
         Some(name) => presets::source(name)?,
         None => policy.source.clone(),

@@ -5,7 +5,7 @@ mod picture;
 mod table;
 
 use crate::commands::report::identification::{
-    self, FIT, IDENTIFIED, TRAJECTORIES, VALIDATION, WARNING,
+    self, ASSUMED, FIT, IDENTIFIED, TRAJECTORIES, VALIDATION, WARNING,
 };
 use crate::platform::csv::csv;
 use crate::platform::folder::{Folder, REPORT, SCENE};
@@ -84,7 +84,7 @@ pub fn identify(args: &Identify) -> Result<()> {
             args.scene
         );
     }
-    let measured = Measured::read(&args.data, &scene)?;
+    let measured = Measured::read(&args.data, &scene, &source)?;
     if args.every == 0 {
         bail!("--every is 0; allowed: 1 or more");
     }
@@ -141,9 +141,14 @@ pub fn identify(args: &Identify) -> Result<()> {
     }
     let mut warnings = warnings(&fit, &scene, !args.noise.is_empty());
     warnings.extend(measured.warnings(&fitted, &fit, &scene));
+    if args.noise.is_empty() {
+        warnings.extend(misfit(&fit, &segments, &scene));
+    }
+    let notes = measured.notes(&fitted, &fit, &scene);
     if let Err(error) = &found {
         warnings.push(format!("there is no scene.toml and no validation: {error:#}"));
     }
+    notes.iter().for_each(|note| text += &format!("\n{ASSUMED}: {note}"));
     warnings.iter().for_each(|warning| text += &format!("\n{WARNING}: {warning}"));
 
     match &found {
@@ -152,11 +157,11 @@ pub fn identify(args: &Identify) -> Result<()> {
     }
     let identified = numbers(&fit, &scene)?;
     folder.write(IDENTIFIED, &identified)?;
-    let listed = warnings.clone();
-    let warnings = warnings.into_iter().map(|warning| [WARNING.to_owned(), warning]);
+    let all_notes = notes.iter().map(|note| [ASSUMED.to_owned(), note.clone()]);
+    let all_warnings = warnings.iter().map(|warning| [WARNING.to_owned(), warning.clone()]);
     let all_facts = facts(&fit, seconds);
     let facts = all_facts.iter().map(|(name, value)| [(*name).to_owned(), value.clone()]);
-    folder.write(FIT, csv(["name", "value"], facts.chain(warnings))?)?;
+    folder.write(FIT, csv(["name", "value"], facts.chain(all_notes).chain(all_warnings))?)?;
     folder.write(TRAJECTORIES, measured.beside(&fitted, &fit, &scene)?)?;
     match &validation {
         Ok(Some(validation)) => {
@@ -178,7 +183,8 @@ pub fn identify(args: &Identify) -> Result<()> {
             "folder": folder.path(),
             "numbers": rows(&identified)?,
             "fit": object(all_facts.iter().map(|(name, value)| (*name, value.as_str()))),
-            "warnings": listed,
+            "notes": notes,
+            "warnings": warnings,
         }))?;
         return failed;
     }
@@ -191,35 +197,37 @@ pub fn identify(args: &Identify) -> Result<()> {
     failed
 }
 
-/// The error with the index of its segment in the file, and with names of states. `numbers` are the
+/// The error with the name of its segment in the file, and with names of states. `numbers` are the
 /// indices of the chosen segments.
 fn in_file(
-    mut error: IdentifyError,
+    error: IdentifyError,
     numbers: &[usize],
     measured: &Measured,
     scene: &Scene,
 ) -> anyhow::Error {
     use IdentifyError::{Diverged, Empty, MissingParam, MissingStart, NonFinite, Shape};
-    if let Shape { segment, .. }
+    let (Shape { segment, .. }
     | NonFinite { segment, .. }
     | Empty { segment }
     | MissingParam { segment, .. }
     | MissingStart { segment, .. }
-    | Diverged { segment, .. } = &mut error
-    {
-        *segment = numbers[*segment];
-    }
-    if let MissingStart { segment, .. } = error {
-        let first = measured.first(segment).iter().zip(scene.state_names());
+    | Diverged { segment, .. }) = error
+    else {
+        return error.into();
+    };
+    let (number, label) = (numbers[segment], measured.label(numbers[segment]));
+    if matches!(error, MissingStart { .. }) {
+        let first = measured.first(number).iter().zip(scene.state_names());
         let missing: Vec<String> =
             first.filter(|(y, _)| y.is_nan()).map(|(_, name)| name).collect();
         return anyhow!(
-            "segment {segment}: the first row lacks {}, but --exact-starts takes it as the exact initial state; \
+            "segment {label}: the first row lacks {}, but --exact-starts takes it as the exact initial state; \
              omit --exact-starts, or begin at a complete row",
             listed(&missing)
         );
     }
-    error.into()
+    let index = format!("segment {segment}");
+    anyhow!("{}", error.to_string().replacen(&index, &format!("segment {label}"), 1))
 }
 
 /// Sizes, χ², BIC and effort of the fit, by name.
@@ -388,22 +396,67 @@ fn table(fit: &Fit, scene: &Scene) -> Table {
     table
 }
 
-/// Root mean square of the residuals of each component with a measurement after the first row, over
-/// all segments that measure it. Segments have equal weights, also if they differ in length.
-fn residuals(fit: &Fit, segments: &[Segment], scene: &Scene) -> String {
-    let rms = |i: usize| {
-        let each = segments
+/// Share of the deviation of the data from their mean, above which residuals without a known noise
+/// show a misfit.
+const MISFIT: f64 = 0.5;
+
+/// Size of residuals that are rounding errors, relative to the largest deviation of the data.
+const ROUNDING: f64 = 1e-6;
+
+/// A warning about components with residuals as large as their motion.
+fn misfit(fit: &Fit, segments: &[Segment], scene: &Scene) -> Option<String> {
+    let deviation = |i: usize| {
+        let measured: Vec<f64> = segments
             .iter()
-            .enumerate()
-            .map(|(index, segment)| fit.rms(index, i, segment))
-            .filter(|rms| !rms.is_nan());
-        let squares: Vec<f64> = each.map(|rms| rms * rms).collect();
-        (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+            .flat_map(|segment| fit.measured(i, segment))
+            .filter(|y| y.is_finite())
+            .collect();
+        let mean = measured.iter().sum::<f64>() / measured.len() as f64;
+        let squares = measured.iter().map(|y| (y - mean).powi(2)).sum::<f64>();
+        (squares / measured.len() as f64).sqrt()
     };
+    let rows: Vec<(usize, f64, f64)> = measured_components(segments, 1)
+        .into_iter()
+        .map(|i| (i, rms(fit, segments, i), deviation(i)))
+        .collect();
+    let largest = rows.iter().map(|(.., deviation)| *deviation).fold(0.0, f64::max);
+    let names = scene.state_names();
+    let is_misfit = |&&(_, rms, deviation): &&(usize, f64, f64)| {
+        rms > MISFIT * deviation && rms > ROUNDING * largest
+    };
+    let bad: Vec<String> = { rows.iter().filter(is_misfit) }
+        .map(|&(i, rms, deviation)| {
+            format!("{} ({} of {})", names[i], short(rms), short(deviation))
+        })
+        .collect();
+    (!bad.is_empty()).then(|| {
+        format!(
+            "the residuals are nearly as large as the deviation of the data from their mean for {}: the simulation does not \
+             explain these data, unless they are mostly noise; check the signs and units of states and controls, the times, the \
+             segments, and the model",
+            listed(&bad)
+        )
+    })
+}
+
+/// Root mean square of the residuals of a component over all segments that measure it. Segments have
+/// equal weights, also if they differ in length.
+fn rms(fit: &Fit, segments: &[Segment], component: usize) -> f64 {
+    let each = segments
+        .iter()
+        .enumerate()
+        .map(|(index, segment)| fit.rms(index, component, segment))
+        .filter(|rms| !rms.is_nan());
+    let squares: Vec<f64> = each.map(|rms| rms * rms).collect();
+    (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+}
+
+/// Root mean square of the residuals of each component with a measurement after the first row.
+fn residuals(fit: &Fit, segments: &[Segment], scene: &Scene) -> String {
     let names = scene.state_names();
     let parts = measured_components(segments, 1)
         .into_iter()
-        .map(|i| format!("{} {}", names[i], short(rms(i))));
+        .map(|i| format!("{} {}", names[i], short(rms(fit, segments, i))));
     let parts: Vec<String> = parts.collect();
     format!("root mean square of the residuals: {}", parts.join(", "))
 }

@@ -136,7 +136,11 @@ fn open(args: &Train, workers: usize) -> Result<Opened> {
             }
             scene
         }
-        _ => changed(args.scene.as_deref().context("name a scene")?, &args.overrides)?,
+        _ => {
+            let scene = changed(args.scene.as_deref().context("name a scene")?, &args.overrides)?;
+            scene.check_field()?;
+            scene
+        }
     };
     let run = scene.open(workers)?;
     Ok((scene, run, note))

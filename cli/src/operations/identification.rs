@@ -7,7 +7,8 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 /// Fits the trained numbers of a task to measured segments. `names` are the names of the parameters
 /// of a rollout, in the order of the parameters of the segments. Numbers without a value in a
 /// segment have their nominal values. Ignores the values of trained numbers in a segment. Removes
-/// full turns from those of the components `angles` that wrap in the data.
+/// full turns from those of the components `angles` that wrap in the data. If jumps may also be
+/// motion, fits these components as recorded too, and returns the fit with the lower χ².
 pub fn identified(
     task: &DynTask,
     names: &[String],
@@ -37,16 +38,40 @@ pub fn identified(
             .iter()
             .any(|segment| wrap(segment.x.iter().filter_map(|row| row.get(i)).copied()).is_some())
     };
-    let wrapped = angles
+    let wrapped: Vec<usize> = angles
         .iter()
         .copied()
-        .filter(|i| wraps(i) && segments.iter().all(|segment| is_periodic(system, segment, *i)));
-    identify(
-        system,
-        &segments,
-        &unknowns,
-        &Options { angles: wrapped.collect(), ..options.clone() },
-    )
+        .filter(|i| wraps(i) && segments.iter().all(|segment| is_periodic(system, segment, *i)))
+        .collect();
+    let is_clear = |i: &usize| {
+        !segments.iter().any(|segment| may_be_motion(segment.x.iter().map(|row| row[*i])))
+    };
+    let clear: Vec<usize> = wrapped.iter().copied().filter(is_clear).collect();
+    let fit = |angles: Vec<usize>| {
+        identify(system, &segments, &unknowns, &Options { angles, ..options.clone() })
+    };
+    if clear.len() == wrapped.len() {
+        return fit(wrapped);
+    }
+    match (fit(wrapped), fit(clear)) {
+        (Ok(without), Ok(recorded)) if recorded.chi_squared < without.chi_squared => Ok(recorded),
+        // A wrong reading can diverge.
+        (Err(IdentifyError::Diverged { .. }), recorded) => recorded,
+        (without, Ok(_) | Err(IdentifyError::Diverged { .. })) => without,
+        (_, error) => error,
+    }
+}
+
+/// Returns whether a jump by more than half a turn between angles may be motion: the angle then
+/// also turns by more than a quarter turn if the jump is a full turn.
+pub fn may_be_motion(angles: impl Iterator<Item = f64>) -> bool {
+    let mut before = f64::NAN;
+    let mut jumps = angles.filter(|angle| angle.is_finite()).map(|angle| {
+        let jump = (angle - before).abs();
+        before = angle;
+        jump
+    });
+    jumps.any(|jump| jump > PI && (jump - TAU).abs() > FRAC_PI_2)
 }
 
 /// Parameters of the system, from those of a segment. Trained numbers have their initial values.

@@ -1,5 +1,6 @@
 //! Policy files: parameters of a policy as named tensors in the safetensors format.
 
+use crate::platform::terminal::listed;
 use anyhow::{Context, Result, bail};
 use physgrad::Float;
 use physgrad::policy::{AnyPolicy, NetworkLayer};
@@ -7,6 +8,7 @@ use physgrad::rng::{Purpose, stream};
 use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView};
 use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
 
 /// Key of the description in the metadata of policy files and ONNX models.
 pub const METADATA: &str = "physgrad";
@@ -68,23 +70,76 @@ pub fn write<F: Float>(about: &About, policy: &dyn AnyPolicy<F>, theta: &[F]) ->
 /// Name of the tensor with the trained numbers of a scene.
 const NUMBERS: &str = "trained_params";
 
+/// Description in a file. Files of other programs lack some of it.
+#[derive(Default, Deserialize)]
+struct Described {
+    task: Option<String>,
+    observations: Option<Vec<String>>,
+    controls: Option<Vec<String>>,
+    #[serde(default)]
+    trained: Vec<TrainedNumber>,
+    layers: Option<Vec<Map<String, Value>>>,
+}
+
+impl Described {
+    fn read(bytes: &[u8]) -> Self {
+        let header = SafeTensors::read_metadata(bytes)
+            .ok()
+            .and_then(|(_, header)| header.metadata().clone());
+        let text = header.and_then(|mut header| header.remove(METADATA));
+        text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default()
+    }
+}
+
+/// Checks that a file and a scene have one task, one meaning of observations and controls, and one
+/// function of every layer: tensors of equal shapes have another meaning otherwise. Accepts a file
+/// without a description.
+///
+/// # Errors
+/// One of them differs.
+fn check_meaning(bytes: &[u8], about: &About, policy: &dyn AnyPolicy<f64>) -> Result<()> {
+    let Described { task, observations, controls, layers, .. } = Described::read(bytes);
+    if let Some(task) = task.filter(|task| *task != about.task) {
+        bail!(
+            "it is a policy of the task `{task}`, but the task of the scene is `{}`; choose a policy of this task",
+            about.task
+        );
+    }
+    for (what, found, own) in [
+        ("observations", observations, &about.observations),
+        ("controls", controls, &about.controls),
+    ] {
+        if let Some(found) = found.filter(|found| found != own) {
+            bail!(
+                "its {what} are {}, but those of the scene are {}; use the system, effects and actuator of its run",
+                listed(&found),
+                listed(own)
+            );
+        }
+    }
+    let own = serde_json::to_value(policy.network())?;
+    for (i, (found, own)) in
+        layers.iter().flatten().zip(own.as_array().into_iter().flatten()).enumerate()
+    {
+        for (key, value) in found.iter().filter(|(key, value)| own.get(key) != Some(*value)) {
+            let own = own.get(key).unwrap_or(&Value::Null);
+            bail!(
+                "the {key} of its layer {} is {value}, but {own} in the scene; use the `policy` section of its run, as in \
+                 `policy.activation = \"relu\"`",
+                i + 1
+            );
+        }
+    }
+    Ok(())
+}
+
 /// Checks that a file and a scene train the same numbers within the same bounds. Accepts a file
 /// without a list of numbers, and a scene that trains none.
 ///
 /// # Errors
 /// The numbers or bounds differ.
-pub fn check_numbers(bytes: &[u8], about: &About) -> Result<()> {
-    #[derive(Deserialize)]
-    struct Described {
-        #[serde(default)]
-        trained: Vec<TrainedNumber>,
-    }
-    let header =
-        SafeTensors::read_metadata(bytes).ok().and_then(|(_, header)| header.metadata().clone());
-    let text = header.and_then(|mut header| header.remove(METADATA));
-    let Some(Described { trained }) = text.and_then(|text| serde_json::from_str(&text).ok()) else {
-        return Ok(());
-    };
+fn check_numbers(bytes: &[u8], about: &About) -> Result<()> {
+    let Described { trained, .. } = Described::read(bytes);
     if trained.is_empty() || about.trained.is_empty() || trained == about.trained {
         return Ok(());
     }
@@ -111,13 +166,28 @@ pub fn random(policy: &dyn AnyPolicy<f64>, seed: u64) -> Vec<f64> {
     theta
 }
 
-/// Parameters of the policy from a file. Numbers that the scene trains keep their initial values if
-/// the file has no tensor of trained numbers. Ignores this tensor if the scene trains no numbers.
+/// Parameters of the policy of a scene from a file. Numbers that the scene trains keep their initial
+/// values if the file has no tensor of trained numbers. Ignores this tensor if the scene trains no
+/// numbers.
 ///
 /// # Errors
 /// The bytes are not in the safetensors format. A tensor is missing, is unknown, has another shape,
-/// or has a type other than F32 and F64. A parameter is not finite.
-pub fn read(bytes: &[u8], policy: &dyn AnyPolicy<f64>, seed: u64) -> Result<Vec<f64>> {
+/// or has a type other than F32 and F64. A parameter is not finite. The description in the file
+/// names another task, other observations, controls, trained numbers, or other functions of layers.
+pub fn read(
+    bytes: &[u8],
+    about: &About,
+    policy: &dyn AnyPolicy<f64>,
+    seed: u64,
+) -> Result<Vec<f64>> {
+    check_numbers(bytes, about)?;
+    let theta = tensors(bytes, policy, seed)?;
+    check_meaning(bytes, about, policy)?;
+    Ok(theta)
+}
+
+/// Parameters from the tensors of a file.
+fn tensors(bytes: &[u8], policy: &dyn AnyPolicy<f64>, seed: u64) -> Result<Vec<f64>> {
     let file =
         SafeTensors::deserialize(bytes).context("it is not a file in the safetensors format")?;
     let tensors = policy.tensors();

@@ -22,6 +22,7 @@ use physgrad::{Field, Record, differences};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
+use toml::Value;
 
 /// Runs of one training configuration with several fields and seeds.
 pub struct Comparison {
@@ -298,6 +299,22 @@ pub fn check_options(fields: &[FieldName], seeds: u64, epochs: usize) -> Result<
         bail!("--epochs is 0; allowed: 1 or more");
     }
     check_distinct("--fields", fields.iter().map(|field| field.0.name()))
+}
+
+/// Checks that fields differ with the estimator of a scene.
+///
+/// # Errors
+/// There are several fields, but the estimator reads losses only.
+pub fn check_estimator(scene: &Scene, fields: &[FieldName]) -> Result<()> {
+    let estimator = scene.table.get("training").and_then(|training| training.get("estimator"));
+    if fields.len() > 1 && estimator.and_then(Value::as_str) == Some("zeroth_order") {
+        bail!(
+            "--fields names {} fields, but has no effect: `training.estimator` is zeroth_order, which follows differences of \
+             losses; name one field, as in --fields R, or choose another estimator",
+            fields.len()
+        );
+    }
+    Ok(())
 }
 
 /// Returns an error if an option contains a name twice.

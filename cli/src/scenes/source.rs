@@ -292,6 +292,21 @@ impl SceneSource {
         self.validate().err()
     }
 
+    /// [`refusal`](Self::refusal) with these values of numbers that vary, by key.
+    ///
+    /// # Errors
+    /// A key is no setting.
+    pub fn refusal_with<'a>(
+        &self,
+        numbers: impl Iterator<Item = (&'a str, f64)>,
+    ) -> Result<Option<ConfigError>> {
+        let mut fixed = self.clone();
+        for (key, value) in numbers {
+            fixed.fix(key, value)?;
+        }
+        Ok(fixed.refusal())
+    }
+
     fn validate(&self) -> Result<Scene, ConfigError> {
         match self.table.get("scene") {
             None => {

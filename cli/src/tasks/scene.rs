@@ -382,6 +382,28 @@ impl Scene {
         }
     }
 
+    /// Refuses settings of the training that its field does not read. Scenes of comparisons have
+    /// them for the other fields.
+    ///
+    /// # Errors
+    /// The scene has such a setting.
+    pub fn check_field(&self) -> Result<(), ConfigError> {
+        let number = |key: &str| self.table.get("training")?.get(key)?.as_float();
+        let (field, flows) = (self.field.0.name(), self.field.0.flows());
+        let unread = |key: &str, value: f64, because: String| {
+            Err(ConfigError::unread(&format!("training.{key}"), value, &because))
+        };
+        if let Some(average) = number("average").filter(|&value| value > 0.0 && flows.len() == 1) {
+            return unread("average", average, format!("field {field} has no second gradient"));
+        }
+        let is_blind = flows.iter().all(|flow| flow.control == 0.0);
+        if let Some(control) = number("control").filter(|&value| value != 1.0 && is_blind) {
+            let because = format!("field {field} omits the path through the observation");
+            return unread("control", control, because);
+        }
+        Ok(())
+    }
+
     /// Opens a run before its first epoch.
     pub fn open(&self, workers: usize) -> Result<Box<dyn AnyRun>> {
         self.settings.open_from(self.initial_theta()?, workers)
@@ -396,11 +418,7 @@ impl Scene {
         let Some(bytes) = self.initial_policy() else {
             return Ok(policy_file::random(&*policy, self.seed));
         };
-        let read = || {
-            policy_file::check_numbers(bytes, &self.about())?;
-            policy_file::read(bytes, &*policy, self.seed)
-        };
-        read().with_context(|| {
+        policy_file::read(bytes, &self.about(), &*policy, self.seed).with_context(|| {
             let file = self.table.get(INITIAL_POLICY).map_or_else(String::new, Value::to_string);
             format!("`{INITIAL_POLICY}` {file}")
         })

@@ -409,6 +409,13 @@ fn operations_decide_between_settings_whose_times_overlap() {
         let found = measured.cheapest(metric, 1e-4).expect("a setting");
         (found.row.setting.method, found.fastest.map(|row| row.setting.method))
     };
+    // Errors below that of the reference, or below an unknown one, have no meaning.
+    for error in [2e-4, f64::NAN] {
+        let rows = noisy.iter().map(copy).collect();
+        let measured = Measured { rows, reference: Errors { trajectory: error, ..reference() } };
+        assert!(measured.cheapest(Metric::Trajectory, 1e-4).is_none());
+        assert!(measured.cheapest(Metric::R, 1e-4).is_some());
+    }
     let [noisy, again] = [0, 1].map(|_| noisy.iter().map(copy).collect());
     assert_eq!(cheapest(noisy, Metric::Trajectory), ("heun", Some("rk4")));
     assert_eq!(cheapest(again, Metric::R), ("heun", Some("rk4")));

@@ -389,6 +389,8 @@ fn a_comparison_resumes_with_more_epochs_and_refuses_other_settings() {
     assert!(text.contains("keeps its settings") && text.contains("poles = 4"), "{text}");
     assert!(error_of(&mut compare(&["--fields", "R,regular"])).contains("twice"));
     assert!(error_of(&mut compare(&["--set", "field=S"])).contains("--fields"));
+    let alike = ["--fields", "R,S", "--set", "training.estimator=zeroth_order"];
+    assert!(error_of(&mut compare(&alike)).contains("--fields names 2 fields, but has no effect"));
     assert!(error_of(&mut compare(&["--set", "fieldx=1"])).contains("`fieldx` is unknown"));
     assert!(
         error_of(&mut compare(&["--seed", "9223372036854775807", "--seeds", "2"]))

@@ -129,6 +129,19 @@ fn two_policies_are_evaluated_in_another_scene_and_errors_name_the_scene() {
     // The policies of both scenes have 48 parameters.
     let herd = "--set system.drivers=1 --set system.evaders=5 --set policy.widths=[] --set policy.bias=false";
     succeed(&dir, &format!("train guidance {SMALL} {herd} --epochs 1 --quiet --out herd"));
+    for (set, message) in [
+        (
+            "seed=3",
+            "--set seed=3 has no effect on an evaluation; give the seed of the initial states by --seed",
+        ),
+        (
+            "training.batch=4",
+            "--set training.batch=4 has no effect on an evaluation, which trains nothing",
+        ),
+    ] {
+        let found = error(&dir, &format!("eval herd --set {set}"));
+        assert!(found.contains(message), "{found}");
+    }
     let message = error(&dir, "eval herd --set system.drivers=2 --set system.evaders=1");
     assert!(
         message.contains("24 observations and 2 controls, but this scene has 12 and 4"),
@@ -209,9 +222,35 @@ fn a_training_starts_from_a_policy_and_resumes_without_its_file() {
             "it has the tensor layer1.bias, but the policy of the scene has layer1.kernel, layer2.kernel",
         ),
         ("cart_pole_1 --set policy.widths=[8,8]", "its tensor layer2.kernel has the shape [8, 1]"),
+        (
+            "cart_pole_1 --set policy.widths=[8] --set policy.activation=relu",
+            "the activation of its layer 1 is \"tanh\", but \"relu\" in the scene; use the `policy` section",
+        ),
     ] {
         let found = error(&dir, &format!("train {scene} --policy none"));
         assert!(found.contains(message), "{scene}: {found}");
+    }
+    // Tensors of equal shapes, of another task or other observations.
+    let policy = bytes(&dir, "none/policy.safetensors");
+    for (own, other, message) in [
+        (
+            "cart_pole",
+            "cart_bole",
+            "it is a policy of the task `cart_bole`, but the task of the scene is `cart_pole`; choose a policy",
+        ),
+        (
+            "x_dot",
+            "y_dot",
+            "its observations are x, y_dot, theta_1, omega_1, but those of the scene are x, x_dot, theta_1, omega_1; use",
+        ),
+    ] {
+        let at = policy.windows(own.len()).position(|part| part == own.as_bytes()).expect(own);
+        let mut changed = policy.clone();
+        changed[at..at + other.len()].copy_from_slice(other.as_bytes());
+        fs::write(dir.path().join("other.safetensors"), changed).expect("a file");
+        let command = "train cart_pole_1 --set policy.widths=[8] --policy other.safetensors";
+        let found = error(&dir, command);
+        assert!(found.contains(message), "{found}");
     }
     fs::write(dir.path().join("text"), "no policy").expect("a file");
     let message = error(&dir, "train cart_pole_1 --policy text");

@@ -287,7 +287,7 @@ fn recordings_begin_at_their_time() {
         let written = read(&dir, "fit/trajectories.csv");
         for (i, begin) in begins.iter().enumerate() {
             assert!(
-                written.iter().any(|row| row[0] == i.to_string() && row[1] == *begin),
+                written.iter().any(|row| row[0] == ["a", "b"][i] && row[1] == *begin),
                 "{begin}: {:?}",
                 written[1]
             );
@@ -388,9 +388,121 @@ fn wrapped_angles_identify_center_and_friction() {
     let data = format!("segment,t,theta_1,omega_1\n{}", rows.collect::<String>());
     let (dir, output) = check_pendulum("0.01", &data, 1e-6);
     assert!(!output.contains("warning"), "{output}");
+    assert!(output.contains("note: theta_1 wraps: the fit removes "), "{output}");
     for row in &read(&dir, "found/trajectories.csv")[1..] {
         let [measured, simulated] = [2, 3].map(|i| row[i].parse::<f64>().expect("a number"));
         assert!((measured - simulated).abs() < 1e-6, "{row:?}");
+    }
+}
+
+/// Samples of a swing are far apart: the angle moves by more than half a turn between two rows, and
+/// stays within one turn, as an angle that wraps does. The fit as recorded explains the data.
+#[test]
+fn motion_by_more_than_half_a_turn_is_no_wrap() {
+    use std::f64::consts::PI;
+    let all = swings(0.3, 200, 0.01);
+    let rows = |every: usize| -> Vec<[f64; 3]> { all.iter().copied().step_by(every).collect() };
+    let largest = |rows: &[[f64; 3]]| {
+        rows.windows(2).map(|pair| (pair[1][1] - pair[0][1]).abs()).fold(0.0, f64::max)
+    };
+    let rows = (10..60).map(rows).find(|rows| largest(rows) > 1.03 * PI).expect("a fast swing");
+    assert!(largest(&rows) < 1.4 * PI);
+    let text: String =
+        rows.iter().map(|[t, theta, omega]| format!("{t},{theta},{omega}\n")).collect();
+    let (_, output) = check_pendulum("0.01", &format!("t,theta_1,omega_1\n{text}"), 1e-6);
+    assert!(!output.contains("the fit removes"), "{output}");
+}
+
+/// The speed has the wrong sign, so no pendulum explains the data.
+#[test]
+fn residuals_as_large_as_the_motion_are_named() {
+    let dir = folder(&PENDULUM.replace("DT", "0.01"));
+    let rows: String = { swings(2.0, 100, 0.01).into_iter() }
+        .map(|[t, theta, omega]| format!("{t},{theta},{}\n", -omega))
+        .collect();
+    fs::write(dir.path().join("data.csv"), format!("t,theta_1,omega_1\n{rows}")).expect("data");
+    let run = |noise: &str| {
+        let command = format!("identify scene.toml --data data.csv --out found{noise}");
+        let output = physgrad(&command, dir.path()).assert().success().get_output().stdout.clone();
+        String::from_utf8(output).expect("text")
+    };
+    let output = run("");
+    let warning = "warning: the residuals are nearly as large as the deviation of the data";
+    assert!(output.contains(warning) && output.contains("theta_1 ("), "{output}");
+    // χ² shows the misfit if the noise is known.
+    let output = run(" --noise theta_1=0.01,omega_1=0.1");
+    assert!(!output.contains(warning) && output.contains("χ² per degree of freedom"), "{output}");
+}
+
+/// Rows of a cart at rest without a force, in two segments.
+#[test]
+fn controls_and_parameters_without_a_value_are_named() {
+    let fit = "[actuator.limit]\nbound = 3.0\n[fit]\n\"effects.cart_damping.damping\" = { start = 0.3 }\n\
+               [effects.cart_damping]\n[vary]\n\"system.cart_mass\" = { uniform = [0.5, 2] }\n";
+    let dir = folder(&format!("{SCENE}{fit}"));
+    let identify = |columns: &str, cells: [[&str; 2]; 2]| {
+        let rows = ["a", "b"].iter().zip(cells).flat_map(|(key, cells)| {
+            let row = move |t: usize| {
+                let time = t as f64 * 0.01;
+                let x = 1.0 + 0.5 * time - 0.01 * time * time;
+                format!("{key},{time},{x}{}\n", cells[usize::from(t > 5)])
+            };
+            (0..20).map(row)
+        });
+        let data = format!("segment,t,x{columns}\n{}", rows.collect::<String>());
+        fs::write(dir.path().join("data.csv"), data).expect("data");
+        let command = "identify scene.toml --data data.csv --out found --window 0";
+        let output = physgrad(command, dir.path()).output().expect("the command runs");
+        let text = [output.stdout, output.stderr].concat();
+        (output.status.success(), String::from_utf8(text).expect("text"))
+    };
+    let both = |cells| [cells; 2];
+    for (columns, cells, succeeds, message) in [
+        (
+            ",force_applied",
+            both([",0.5", ",0.4"]),
+            false,
+            "data.csv: the column `force` is missing; `force_applied` is the output of the actuator",
+        ),
+        (",force,force_applied", both([",,0.5", ",,0.4"]), false, "the column `force` is empty"),
+        (
+            "",
+            both(["", ""]),
+            true,
+            "note: there is no column force, which is taken as 0 in all rows",
+        ),
+        (
+            ",force",
+            [[",0", ",0"], [",", ","]],
+            true,
+            "note: force has no value in segment b, and is taken as 0 there",
+        ),
+        (
+            ",force,system.cart_mass",
+            [[",0,1", ",0,"], [",0,", ",0,"]],
+            false,
+            "data.csv:22: segment b: the column `system.cart_mass` has no value; give it in every segment",
+        ),
+        (
+            ",force,system.cart_mass",
+            [[",0,1", ",0,"], [",0,", ",0,-0.24"]],
+            false,
+            "data.csv:22: segment b: ",
+        ),
+        (
+            ",force,system.cart_mass",
+            [[",0,1", ",0,"], [",0,", ",0,-0.24"]],
+            false,
+            "`system.cart_mass` is -0.24; allowed: a positive number",
+        ),
+    ] {
+        let (success, output) = identify(columns, cells);
+        assert!(success == succeeds && output.contains(message), "{message}: {output}");
+        if success {
+            let facts = fs::read_to_string(dir.path().join("found/fit.csv")).expect("facts");
+            assert!(facts.contains("note,"), "{facts}");
+            assert!(!output.contains("warning: "), "{output}");
+        }
     }
 }
 
@@ -601,6 +713,10 @@ fn unusable_measurements_are_refused_with_place_and_advice() {
             "segment,t\na,0\nb,0\na,0.005",
             "data.csv:4: the rows of segment a are not contiguous; sort the rows by segment",
         ),
+        (
+            "t,theta_1\n0,1\n0.005,1\n0.01,1\n0.015,1\n1000,2",
+            "data.csv:6: the row is 199997 steps of 0.005 s after the row before, but the median of the 5 rows",
+        ),
         ("t,theta_1\n0,1\n,2", "data.csv:3: the time is missing"),
         (
             "t,theta_1\n0,1\n0.01,2\n0.005,3",
@@ -611,10 +727,18 @@ fn unusable_measurements_are_refused_with_place_and_advice() {
             "t,theta_1\n0,1\n1e6,2",
             "data.csv:3: the segments have 200000001 steps of 0.005 s up to here; allowed: ",
         ),
-        // Fits segments 0 and 2. Messages name the index in the file.
+        // Fits the first and the third segment. Messages have the name in the file.
         (
-            "segment,t,theta_1,theta_2,omega_1,omega_2\n0,0,1,1,0,0\n1,0,1,1,0,0\n2,0,,1,0,",
-            "segment 2: the first row lacks theta_1, omega_2, but",
+            "segment,t,theta_1,theta_2,omega_1,omega_2\n3,0,1,1,0,0\n1,0,1,1,0,0\nlast,0,,1,0,",
+            "segment last: the first row lacks theta_1, omega_2, but",
+        ),
+        (
+            "segment,t,theta_1,theta_2,omega_1,omega_2\nb,0,1,1,0,0\nb,0.005,1,1,1e300,0\nb,0.01,1,1,0,0\nb,0.015,1,1,0,0\nc,0,1,1,0,0",
+            "segment b diverges at step 1 with",
+        ),
+        (
+            "t,theta_1,torque\n0,1,\n0.005,1,",
+            "data.csv: the column `torque` is empty; give the control of every row, or zeros if it was 0",
         ),
     ] {
         fs::write(dir.path().join("data.csv"), format!("{data}\n")).expect("a file");

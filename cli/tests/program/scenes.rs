@@ -192,6 +192,24 @@ fn discount_control_truncation_and_cut_change_r_and_their_neutral_values_do_not(
         .success();
         policy(&out)
     };
+    for (field, setting, message) in [
+        (
+            "R",
+            "average=0.9",
+            "`training.average` is 0.9, but has no effect: field regular has no second gradient",
+        ),
+        (
+            "M",
+            "control=0.5",
+            "`training.control` is 0.5, but has no effect: field modified omits the path",
+        ),
+    ] {
+        let setting = format!("training.{setting}");
+        let args = [&SMALL[..], &["--field", field, "--set", &setting]].concat();
+        let refused = train_scene(&file, &dir.path().join("refused"), &args).output();
+        let stderr = refused.expect("the command runs").stderr;
+        assert!(String::from_utf8_lossy(&stderr).contains(message), "{message}");
+    }
     let (regular, stopped) =
         (trained("R", "training.discount=1"), trained("S", "training.discount=1"));
     assert!(trained("R", "training.discount=0") == stopped, "R without any path differs from S");

@@ -71,9 +71,15 @@ pub struct Measured {
 }
 
 impl Measured {
-    /// Cheapest setting with at most this error.
+    /// Cheapest setting with at most this error. None also if the reference does not resolve it.
     pub fn cheapest(&self, metric: Metric, target: f64) -> Option<Cheapest<'_>> {
-        cheapest(self.rows.iter(), metric, target)
+        cheapest(self.rows.iter(), metric, target).filter(|_| self.resolves(metric, target))
+    }
+
+    /// Returns whether the estimated error of the reference is at most `target`. Errors relative to
+    /// the reference have no meaning below.
+    pub fn resolves(&self, metric: Metric, target: f64) -> bool {
+        metric.read(&self.reference) <= target
     }
 }
 

@@ -1,14 +1,17 @@
 //! Measured trajectories on the time grid of a scene.
 
 use crate::commands::identify::table::{Row, Table, quoted};
-use crate::operations::identification::wrap;
+use crate::operations::identification::{may_be_motion, wrap};
 use crate::platform::csv::csv;
-use crate::platform::terminal::counted;
+use crate::platform::terminal::{counted, listed};
+use crate::scenes::source::SceneSource;
 use crate::tasks::Scene;
 use anyhow::{Context, Result, bail};
+use physgrad::Number;
 use physgrad::identify::{Fit, Segment};
 use physgrad::text::short;
 use std::collections::HashSet;
+use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
 /// Largest distance in time of a sample from the nearest step of the scene, relative to the time
@@ -23,6 +26,10 @@ const MOST_BYTES: f64 = 1e9;
 
 /// Smallest number of steps between all rows that shows times in another unit than s.
 const SPARSE: usize = 1000;
+
+/// Smallest distance of a row from the row before that shows a wrong time, relative to the median
+/// distance of the segment times its number of rows.
+const ASTRAY: usize = 100;
 
 /// Advice on times that are too far apart.
 const FAR_APART: &str =
@@ -42,6 +49,8 @@ pub struct Measured {
     segments: Vec<Recording>,
     /// Names of the parameters of the segments.
     params: Vec<String>,
+    /// Names of the controls, and whether each has a column.
+    controls: Vec<(String, bool)>,
 }
 
 /// Rows of a segment.
@@ -50,6 +59,8 @@ struct Recording {
     rows: Vec<Sample>,
     /// Parameters; NaN without a value.
     p: Vec<f64>,
+    /// Whether each control has a value in a row.
+    has_control: Vec<bool>,
     /// Number of the step at the first row. None between two steps, and before the time 0.
     first_step: Option<usize>,
 }
@@ -87,20 +98,24 @@ impl Grid {
 impl Measured {
     /// Reads a file, for example `trajectory.csv` of a run. States of steps without a sample are
     /// NaN. A control stays constant until its next value, and is 0 before the first. Parameters
-    /// without a column are NaN.
+    /// without a column are NaN. `source` is that of the scene.
     ///
     /// # Errors
     /// See [`Table::read`] and [`Table::rows`]. There are no rows. The rows of a segment are not
     /// contiguous, a parameter changes within a segment, or a time is not a later step on the time
-    /// grid of the scene. The steps of all segments need more than 1 GB, or all rows are 1000 or
-    /// more steps apart. A segment begins between two steps, or before the time 0, and the physics
-    /// depends on time.
-    pub fn read(path: &Path, scene: &Scene) -> Result<Self> {
+    /// grid of the scene. A column of a control is empty. A column of a parameter has no value in a
+    /// segment, or one outside of the range of its setting. The steps of all segments need more than
+    /// 1 GB, or all rows are 1000 or more steps apart. A segment begins between two steps, or before
+    /// the time 0, and the physics depends on time.
+    pub fn read(path: &Path, scene: &Scene, source: &SceneSource) -> Result<Self> {
         let table = Table::read(path, scene)?;
         let (name, dt, unit) = (table.name.clone(), scene.dt(), table.unit());
         // Both times of a distance are wrong by up to half a unit.
         let grid = Grid { dt, rounding: if unit <= COARSEST * dt { unit } else { 0.0 } };
-        let mut measured = Self { name, segments: Vec::new(), params: scene.param_names() };
+        let controls = scene.control_names().into_iter().enumerate();
+        let controls = controls.map(|(i, name)| (name, table.has_control(i))).collect();
+        let params = scene.param_names();
+        let mut measured = Self { name, segments: Vec::new(), params, controls };
         let most = (MOST_BYTES / bytes_per_step(scene)) as usize;
         let (mut seen, mut before) = (HashSet::new(), 0);
         for row in table.rows() {
@@ -129,7 +144,137 @@ impl Measured {
             }
         }
         measured.check(scene)?;
+        measured.check_controls()?;
+        let varied = scene.varied();
+        let is_trained = |name: &String| {
+            let number = varied.iter().find(|(known, _)| known == name).map(|(_, number)| number);
+            matches!(number, Some(Number::Trained { .. }))
+        };
+        let given: Vec<usize> = (0..measured.params.len())
+            .filter(|&i| table.has_param(i) && !is_trained(&measured.params[i]))
+            .collect();
+        measured.check_params(&given, &varied, source)?;
         Ok(measured)
+    }
+
+    /// Refuses a column of a control without a value.
+    fn check_controls(&self) -> Result<()> {
+        // The control of a single row has no effect.
+        let mut moving = self.segments.iter().filter(|segment| segment.rows.len() > 1).peekable();
+        if moving.peek().is_none() {
+            return Ok(());
+        }
+        let moving: Vec<&Recording> = moving.collect();
+        for (i, (control, has_column)) in self.controls.iter().enumerate() {
+            if *has_column && !moving.iter().any(|segment| segment.has_control[i]) {
+                bail!(
+                    "{}: the column `{control}` is empty; give the control of every row, or zeros if it was 0",
+                    self.name
+                );
+            }
+        }
+        Ok(())
+    }
+
+    /// Refuses segments that lack one of the parameters `given`, or have one that the scene would
+    /// refuse.
+    fn check_params(
+        &self,
+        given: &[usize],
+        varied: &[(String, Number)],
+        source: &SceneSource,
+    ) -> Result<()> {
+        let mut seen = HashSet::new();
+        for (number, segment) in self.segments.iter().enumerate() {
+            let place = || {
+                let (name, line) = (&self.name, segment.rows[0].line);
+                format!("{name}:{line}: segment {}", self.label(number))
+            };
+            for &i in given {
+                let name = &self.params[i];
+                if segment.p[i].is_nan() {
+                    bail!(
+                        "{}: the column `{name}` has no value; give it in every segment, or remove the column, so that all \
+                         segments have the nominal value",
+                        place()
+                    );
+                }
+            }
+            let bits: Vec<u64> = given.iter().map(|&i| segment.p[i].to_bits()).collect();
+            if seen.insert(bits) {
+                let given = given.iter().map(|&i| (&*self.params[i], segment.p[i]));
+                let numbers =
+                    given.filter(|(name, _)| varied.iter().any(|(known, _)| known == name));
+                if let Some(error) = source.refusal_with(numbers)? {
+                    bail!("{}: {error}", place());
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Name of a segment: that in the file, or its number.
+    pub fn label(&self, segment: usize) -> String {
+        match &*self.segments[segment].key {
+            "" => segment.to_string(),
+            key => quoted(key),
+        }
+    }
+
+    /// Sentences about what the fit assumes of these segments: controls without a value, and full
+    /// turns that it removes.
+    pub fn notes(&self, numbers: &[usize], fit: &Fit, scene: &Scene) -> Vec<String> {
+        let mut notes = Vec::new();
+        let missing: Vec<String> = self
+            .controls
+            .iter()
+            .filter(|(_, has_column)| !has_column)
+            .map(|(name, _)| name.clone())
+            .collect();
+        if !missing.is_empty() {
+            let (column, is) =
+                if missing.len() == 1 { ("column", "is") } else { ("columns", "are") };
+            notes.push(format!(
+                "there is no {column} {}, which {is} taken as 0 in all rows",
+                listed(&missing)
+            ));
+        }
+        for (i, (control, has_column)) in self.controls.iter().enumerate() {
+            let is_bare = |&&number: &&usize| {
+                let Recording { rows, has_control, .. } = &self.segments[number];
+                *has_column && rows.len() > 1 && !has_control[i]
+            };
+            let bare: Vec<String> =
+                numbers.iter().filter(is_bare).map(|&number| self.label(number)).collect();
+            if !bare.is_empty() {
+                notes.push(format!(
+                    "{control} has no value in segment {}, and is taken as 0 there",
+                    listed(&bare)
+                ));
+            }
+        }
+        let states = scene.state_names();
+        for &i in &fit.angles {
+            let turns: Vec<(u64, f64)> =
+                numbers.iter().flat_map(|&number| self.segments[number].turns(i)).collect();
+            let Some((line, _)) = turns.first() else { continue };
+            let count = turns.iter().map(|(_, turns)| turns.abs()).sum::<f64>() as usize;
+            let compared = if numbers
+                .iter()
+                .any(|&number| may_be_motion(self.segments[number].rows.iter().map(|row| row.x[i])))
+            {
+                ". Some of these jumps may be motion, but the fit as recorded has a larger χ²"
+            } else {
+                ""
+            };
+            notes.push(format!(
+                "{} wraps: the fit removes {} between rows, at {} (first line {line}){compared}",
+                states[i],
+                counted(count, "full turn"),
+                counted(turns.len(), "jump")
+            ));
+        }
+        notes
     }
 
     fn check(&self, scene: &Scene) -> Result<()> {
@@ -140,6 +285,18 @@ impl Measured {
         let distances = self.segments.iter().flat_map(Recording::distances);
         if let Some(distance) = distances.map(|(steps, _)| steps).min().filter(|&d| d >= SPARSE) {
             bail!("{name}: all rows are {distance} or more steps of {dt} s apart; {FAR_APART}");
+        }
+        for segment in &self.segments {
+            let (median, rows) = (segment.median(), segment.rows.len());
+            let most = ASTRAY * rows * median;
+            if let Some((steps, [_, Sample { line, .. }])) =
+                segment.distances().find(|(steps, _)| *steps > most)
+            {
+                bail!(
+                    "{name}:{line}: the row is {steps} steps of {dt} s after the row before, but the median of the {rows} rows of \
+                     its segment is {median}; correct its time, or begin another segment there"
+                );
+            }
         }
         for (i, segment) in
             self.segments.iter().enumerate().filter(|(_, segment)| segment.first_step.is_none())
@@ -250,13 +407,20 @@ impl Measured {
         );
         let segments = numbers.iter().zip(&fit.states);
         let rows = segments.flat_map(|(&number, states)| {
+            let segment = &self.chosen(&[number], scene)[0];
+            let columns: Vec<Vec<f64>> =
+                (0..names.len()).map(|i| fit.measured(i, segment)).collect();
+            let key = match &*self.segments[number].key {
+                "" => number.to_string(),
+                key => key.to_owned(),
+            };
             let measured =
                 self.segments[number].rows.iter().filter(|row| !row.x.iter().all(|x| x.is_nan()));
-            measured.map(move |Sample { step, time, x: measured, .. }| {
+            measured.map(move |Sample { step, time, .. }| {
                 let cell = |x: f64| if x.is_nan() { String::new() } else { x.to_string() };
-                let pairs = measured.iter().zip(&states[*step]).enumerate();
-                let cells = pairs.flat_map(|(i, (&y, &x))| [cell(fit.near(i, y, x)), cell(x)]);
-                [number.to_string(), time.to_string()].into_iter().chain(cells).collect::<Vec<_>>()
+                let pairs = columns.iter().zip(&states[*step]);
+                let cells = pairs.flat_map(|(column, &x)| [cell(column[*step]), cell(x)]);
+                [key.clone(), time.to_string()].into_iter().chain(cells).collect::<Vec<_>>()
             })
         });
         csv(header, rows)
@@ -272,6 +436,7 @@ impl Recording {
             key: row.key.clone(),
             rows: Vec::new(),
             p: row.p.clone(),
+            has_control: vec![false; row.u.len()],
             first_step: first_step.map(|step| step as usize),
         }
     }
@@ -308,6 +473,7 @@ impl Recording {
         if self.rows.last().is_some_and(|last| step <= last.step as f64) {
             bail!("the time {time:?} s is not later than in the row before; sort the rows by time");
         }
+        self.has_control.iter_mut().zip(&u).for_each(|(has, u)| *has |= !u.is_nan());
         let held = self.rows.last().map(|row| &row.u);
         for (i, u) in u.iter_mut().enumerate().filter(|(_, u)| u.is_nan()) {
             *u = held.map_or(0.0, |held| held[i]);
@@ -317,17 +483,33 @@ impl Recording {
         Ok(())
     }
 
+    /// Full turns between successive measured angles, where there are any, each with the line after
+    /// the jump.
+    fn turns(&self, component: usize) -> impl Iterator<Item = (u64, f64)> {
+        let known = move || self.rows.iter().filter(move |row| !row.x[component].is_nan());
+        let jumps = known().zip(known().skip(1)).map(move |(before, after)| {
+            let jump = after.x[component] - before.x[component];
+            (after.line, (jump / TAU).round())
+        });
+        jumps.filter(|(_, turns)| *turns != 0.0)
+    }
+
     /// Steps between successive rows, each with both rows.
     fn distances(&self) -> impl Iterator<Item = (usize, [&Sample; 2])> {
         self.rows.windows(2).map(|pair| (pair[1].step - pair[0].step, [&pair[0], &pair[1]]))
     }
 
+    /// Median number of steps between successive rows, 1 for a single row.
+    fn median(&self) -> usize {
+        let mut distances: Vec<usize> = self.distances().map(|(steps, _)| steps).collect();
+        distances.sort_unstable();
+        distances.get(distances.len() / 2).copied().unwrap_or(1)
+    }
+
     /// Distances of at least twice the median between rows with different controls, each with its
     /// second row.
     fn gaps(&self) -> Vec<(usize, &Sample)> {
-        let mut distances: Vec<usize> = self.distances().map(|(steps, _)| steps).collect();
-        distances.sort_unstable();
-        let median = distances.get(distances.len() / 2).copied().unwrap_or(1);
+        let median = self.median();
         let gaps = self
             .distances()
             .filter(|(steps, [before, after])| *steps >= 2 * median && before.u != after.u);
@@ -337,13 +519,13 @@ impl Recording {
     /// First jump that may be a full turn: its line and size. For an angle, any jump by more than
     /// half a turn; for another component, one of few by almost a full turn.
     fn turn(&self, component: usize, is_angle: bool) -> Option<(u64, f64)> {
-        const NEAR: f64 = 1.5 * std::f64::consts::PI;
+        const NEAR: f64 = 1.5 * PI;
         let known = || self.rows.iter().filter(|row| !row.x[component].is_nan());
         let mut jumps = known()
             .zip(known().skip(1))
             .map(|(before, after)| (after.line, after.x[component] - before.x[component]));
         if is_angle {
-            return jumps.find(|(_, jump)| jump.abs() > std::f64::consts::PI);
+            return jumps.find(|(_, jump)| jump.abs() > PI);
         }
         let far = jumps.filter(|(_, jump)| jump.abs() > 1.0).count();
         let values = self.rows.iter().map(|row| row.x[component]);

@@ -21,14 +21,12 @@ pub fn picture(
     let components = measured_components(segments, 1);
     let shown = numbers.iter().zip(segments).zip(&fit.states).take(SEGMENTS);
     let columns = shown.map(|((number, segment), states)| {
-        let begin = measured.begin(*number);
+        let (begin, label) = (measured.begin(*number), measured.label(*number));
         let rows = components.iter().flat_map(|&i| {
-            let name = &names[i];
+            let (name, column) = (&names[i], fit.measured(i, segment));
             let points = |value: &dyn Fn(f64, f64) -> f64| -> Vec<(f64, f64)> {
-                let rows = segment.x.iter().zip(states).enumerate();
-                let points = rows.map(|(step, (y, x))| {
-                    (begin + step as f64 * dt, value(fit.near(i, y[i], x[i]), x[i]))
-                });
+                let rows = column.iter().zip(states).enumerate();
+                let points = rows.map(|(step, (&y, x))| (begin + step as f64 * dt, value(y, x[i])));
                 points.filter(|(_, value)| value.is_finite()).collect()
             };
             let simulated =
@@ -38,7 +36,7 @@ pub fn picture(
                 vec![Series::new("simulated - measured", "#009E73", points(&|y, x| x - y))];
             [(name.clone(), values), (format!("residual of {name}"), residual)]
         });
-        (format!("segment {number}"), rows.collect())
+        (format!("segment {label}"), rows.collect())
     });
     fitted(&format!("{}: measured and simulated", scene.task.name()), columns.collect()).to_svg()
 }

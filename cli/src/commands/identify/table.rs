@@ -53,8 +53,8 @@ impl Table {
     ///
     /// # Errors
     /// The file cannot be read, has more than 500 MB, or is in UTF-16. The header has no column `t`
-    /// or `time`, or an unknown, repeated or unnamed one. Columns are separated by semicolons or
-    /// tabs.
+    /// or `time`, or an unknown, repeated or unnamed one, or an applied control without its control.
+    /// Columns are separated by semicolons or tabs.
     pub fn read(path: &Path, scene: &Scene) -> Result<Self> {
         let name = path.display().to_string();
         let bytes = read(path).with_context(|| format!("cannot read {name}"))?;
@@ -94,7 +94,27 @@ impl Table {
         if !table.columns.contains(&Column::Time) {
             bail!("{}: there is no column `t` with the time in s", table.name);
         }
+        for (i, (control, applied)) in names[1].iter().zip(scene.applied_names()).enumerate() {
+            if !table.has_control(i) && header.iter().any(|header| header == applied) {
+                bail!(
+                    "{}: the column `{control}` is missing; `{applied}` is the output of the actuator, which the simulation \
+                     computes from `{control}`. Add this column, with zeros if the control was 0; or rename `{applied}` to \
+                     `{control}`, and remove [actuator] from the scene",
+                    table.name
+                );
+            }
+        }
         Ok(table)
+    }
+
+    /// Returns whether there is a column of this control.
+    pub fn has_control(&self, i: usize) -> bool {
+        self.columns.contains(&Column::Control(i))
+    }
+
+    /// Returns whether there is a column of this parameter.
+    pub fn has_param(&self, i: usize) -> bool {
+        self.columns.contains(&Column::Param(i))
     }
 
     fn reader(&self) -> csv::Reader<&[u8]> {

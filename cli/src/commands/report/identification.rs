@@ -21,6 +21,9 @@ pub const VALIDATION: &str = "validation.csv";
 /// Name of a row of [`FIT`] with a warning.
 pub const WARNING: &str = "warning";
 
+/// Name of a row of [`FIT`] with a note about what the fit assumes.
+pub const ASSUMED: &str = "note";
+
 /// Number of columns of [`IDENTIFIED`] before the correlations.
 const NUMBERS: usize = 6;
 
@@ -36,6 +39,7 @@ pub fn page(folder: &Folder) -> Result<String> {
     let (_, fit) = rows(folder, FIT, 2)?;
     let (warnings, facts): (Vec<_>, Vec<_>) = fit.iter().partition(|row| row[0] == WARNING);
     let warnings: Vec<String> = warnings.into_iter().map(|row| row[1].clone()).collect();
+    let (notes, facts): (Vec<_>, Vec<_>) = facts.into_iter().partition(|row| row[0] == ASSUMED);
     let (names, values): (Vec<String>, Vec<String>) =
         facts.into_iter().map(|row| (row[0].clone(), row[1].clone())).unzip();
     let names_and = |row: &[String], cells: Vec<String>| [vec![row[0].clone()], cells].concat();
@@ -53,7 +57,10 @@ pub fn page(folder: &Folder) -> Result<String> {
     let content = html! {
         (section("Numbers", table(&headers, &errors)))
         (section("Correlations", table(&columns, &correlations)))
-        (section("Fit", table(&names, &[values])))
+        (section("Fit", html! {
+            (table(&names, &[values]))
+            @for note in notes { p { "Note: " (note[1]) } }
+        }))
         (compared("Fitted segments", &Trajectories::read(folder, TRAJECTORIES)?))
         @if folder.has(VALIDATION) {
             (compared("Validation: segments that were not fitted", &Trajectories::read(folder, VALIDATION)?))
