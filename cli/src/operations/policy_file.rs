@@ -121,7 +121,7 @@ fn check_meaning(bytes: &[u8], about: &About, policy: &dyn AnyPolicy<f64>) -> Re
     for (i, (found, own)) in
         layers.iter().flatten().zip(own.as_array().into_iter().flatten()).enumerate()
     {
-        for (key, value) in found.iter().filter(|(key, value)| own.get(key) != Some(*value)) {
+        if let Some((key, value)) = found.iter().find(|(key, value)| own.get(key) != Some(*value)) {
             let own = own.get(key).unwrap_or(&Value::Null);
             bail!(
                 "the {key} of its layer {} is {value}, but {own} in the scene; use the `policy` section of its run, as in \
