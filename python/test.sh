@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Builds the wheel, installs it in a new virtual environment and runs the tests. Skips with a
 # message if Python 3.10 or newer, its module venv or a package index is missing.
+# PHYSGRAD_MODULE, the path of a compiled module, is installed in place of a wheel.
 # PHYSGRAD_PYTHON_ALL=1 also installs PyTorch and Stable-Baselines3, and runs slow tests.
 set -euo pipefail
 cd "$(dirname "$0")"
@@ -16,19 +17,25 @@ venv=$target/python-venv
 rm -rf "$venv"
 "$python" -m venv "$venv"
 pip() { "$venv/bin/python" -m pip --quiet --disable-pip-version-check --retries 1 "$@"; }
-pip install 'maturin>=1.9,<2' numpy pytest || skip "pip cannot install packages"
+pip install numpy pytest || skip "pip cannot install packages"
 # Tests of missing packages skip with a reason.
 pip install gymnasium jax || echo "gymnasium or jax is missing: their tests are skipped"
 if [ "${PHYSGRAD_PYTHON_ALL:-0}" = 1 ]; then
     pip install torch stable-baselines3
 fi
 
-export PYO3_PYTHON=$venv/bin/python
-wheels=$target/wheels
-rm -rf "$wheels"
-# Builds the wheel. Tests of the program run the release binary, if it exists.
-"$venv/bin/maturin" build --release --interpreter "$venv/bin/python" --out "$wheels"
-pip install --force-reinstall --no-deps "$wheels"/physgrad-*.whl
+if [ -n "${PHYSGRAD_MODULE:-}" ]; then
+    packages=$("$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
+    cp -r physgrad "$packages/physgrad"
+    cp "$PHYSGRAD_MODULE" "$packages/physgrad/_core.abi3.so"
+else
+    pip install 'maturin>=1.9,<2' || skip "pip cannot install maturin"
+    wheels=$target/wheels
+    rm -rf "$wheels"
+    PYO3_PYTHON=$venv/bin/python "$venv/bin/maturin" build --release --interpreter "$venv/bin/python" --out "$wheels"
+    pip install --force-reinstall --no-deps "$wheels"/physgrad-*.whl
+fi
+# Tests of the program run the release binary, if it exists.
 if [ -x "$target/release/physgrad" ]; then
     export PHYSGRAD=$target/release/physgrad
 fi

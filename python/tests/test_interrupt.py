@@ -8,6 +8,8 @@ import pytest
 SCRIPT = """
 import os, signal, threading, time
 import physgrad as pg
+# A shell ignores the signal in background processes.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 {setup}
 sent = []
 def send():
