@@ -190,6 +190,8 @@ def test_exceptions_of_callbacks_stop_the_run_and_it_continues():
 
 INTERRUPTED = """
 import os, signal, threading, physgrad as pg
+# A shell ignores the signal in background processes.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 threading.Timer(1.0, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
 try:
     pg.train(pg.task("cart_pole"), epochs=100000, seed=1)
