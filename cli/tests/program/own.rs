@@ -9,18 +9,23 @@ use tempfile::TempDir;
 pub static PROGRAM: LazyLock<PathBuf> = LazyLock::new(|| example("own_program"));
 static WITH_EFFECTS: LazyLock<PathBuf> = LazyLock::new(|| example("scene_effect"));
 
-/// Builds an example in the profile of this test. Returns the path of its program.
+/// Builds an example in the profile of this test, from the packages and features of `cargo test` in
+/// the root of the repository, so that no package is compiled again. `PHYSGRAD_WORKSPACE` stands for
+/// its option `--workspace`. Returns the path of the program.
 fn example(name: &str) -> PathBuf {
     let mut build = std::process::Command::new(env!("CARGO"));
     build.args(["build", "--quiet", "--example", name]);
     if cfg!(feature = "mpi") {
-        // Shares the compiled library.
-        build.args(["--features", "mpi"]);
+        build.args(["--features", "physgrad-cli/mpi"]);
+    }
+    if std::env::var_os("PHYSGRAD_WORKSPACE").is_some() {
+        build.arg("--workspace");
     }
     if !cfg!(debug_assertions) {
         build.arg("--release");
     }
-    assert!(build.current_dir(env!("CARGO_MANIFEST_DIR")).status().expect("cargo runs").success());
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the root");
+    assert!(build.current_dir(root).status().expect("cargo runs").success());
     let tests = std::env::current_exe().expect("the path of this test");
     tests.ancestors().nth(2).expect("a target folder").join("examples").join(name)
 }
