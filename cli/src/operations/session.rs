@@ -200,25 +200,3 @@ pub fn open<P: Policy + 'static>(
         Precision::F64 => Box::new(trainer.precision::<f64>().session()?),
     })
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use physgrad::policy::{Mlp, WithParams};
-    use physgrad::tasks::Lqr;
-    use physgrad::{Rollout, check};
-
-    /// A function that this crate compiled for itself has another address.
-    #[test]
-    fn the_program_links_to_the_physics_of_the_library() {
-        type Policy = WithParams<Mlp>;
-        let compiled = physgrad::compiled();
-        for (what, function) in [
-            ("tasks", DynTask::new::<Lqr> as *const ()),
-            ("rollouts", Rollout::<f32>::run as *const ()),
-            ("checks", check::try_flow::<DynTask, Policy> as *const ()),
-        ] {
-            assert!(compiled.contains(&function), "{what} are compiled again in the program");
-        }
-    }
-}
