@@ -8,12 +8,11 @@
 //! used.
 
 use crate::dynamics::actuator::{Actuated, AnyActuator};
-use crate::dynamics::dyn_task::{DynSystem, DynTask};
+use crate::dynamics::dyn_task::{DynSystem, DynTask, frequent};
 use crate::dynamics::effect::{Forced, Named};
 use crate::dynamics::integrator::{AnyIntegrator, Discretized, Integrated};
-use crate::dynamics::op_count::{OpCount, TaskOpCount};
 use crate::dynamics::substeps::Substeps;
-use crate::engine::adjoint::{Adjoint, Flow};
+use crate::engine::adjoint::Adjoint;
 use crate::engine::batch::Batch;
 use crate::engine::initial_states::append_starts;
 use crate::engine::rollout::Rollout;
@@ -25,7 +24,7 @@ use crate::train::calls;
 use crate::train::combination::Combination;
 use crate::train::field::Field;
 use crate::train::{Session, Trainer};
-use crate::{check, identify, optimize};
+use crate::{identify, optimize};
 
 /// A system with the integrator, the substeps and the actuator of a scene.
 type Adjusted<S> = Actuated<Substeps<S>, Vec<AnyActuator>>;
@@ -42,35 +41,30 @@ type Function = *const ();
 #[doc(hidden)]
 #[inline(never)]
 pub fn compiled() -> Vec<Function> {
-    let tasks = [
-        DynTask::new::<CartPole<CartPoleSystem>> as Function,
-        DynTask::new::<CartPole<Listed<CartPoleModel, CartPoleEffect>>> as Function,
-        DynTask::new::<Guidance<Forced<GuidanceSystem, PaperEffects>>> as Function,
-        DynTask::new::<Guidance<Listed<GuidanceSystem, GuidanceEffect>>> as Function,
-        DynTask::new::<Quantum<Adjusted<Absorbing<Forced<QuantumScheme, Vec<Named<QuantumEffect>>>>>>>
-            as Function,
-        DynTask::new::<Lqr> as Function,
-        DynTask::new::<Swung<DoublePendulum>> as Function,
-        DynTask::new::<Swung<MultiPendulum>> as Function,
-        DynTask::new::<Swung<PoleChain>> as Function,
-        DynTask::new::<Slider> as Function,
-        DynTask::new::<Bounce> as Function,
-        DynTask::new::<Push> as Function,
+    let tasks: [fn() -> Vec<Function>; 12] = [
+        frequent::<CartPole<CartPoleSystem>>,
+        frequent::<CartPole<Listed<CartPoleModel, CartPoleEffect>>>,
+        frequent::<Guidance<Forced<GuidanceSystem, PaperEffects>>>,
+        frequent::<Guidance<Listed<GuidanceSystem, GuidanceEffect>>>,
+        frequent::<Quantum<Adjusted<Absorbing<Forced<QuantumScheme, Vec<Named<QuantumEffect>>>>>>>,
+        frequent::<Lqr>,
+        frequent::<Swung<DoublePendulum>>,
+        frequent::<Swung<MultiPendulum>>,
+        frequent::<Swung<PoleChain>>,
+        frequent::<Slider>,
+        frequent::<Bounce>,
+        frequent::<Push>,
     ];
-    let any_policy = [
-        OpCount::of::<DynSystem> as Function,
-        TaskOpCount::of::<DynTask> as Function,
-        check::stability::<DynSystem> as Function,
-        check::jacobian_norm::<DynSystem> as Function,
-        identify::identify::<DynSystem> as Function,
-        optimize::optimize::<DynTask> as Function,
+    let any_policy =
+        [identify::identify::<DynSystem> as Function, optimize::optimize::<DynTask> as Function];
+    let others = [
+        &any_policy[..],
+        &of_policy::<WithParams<Mlp>>(),
+        &of_policy::<WithParams<Conv>>(),
+        &of_precision::<f32>(),
+        &of_precision::<f64>(),
     ];
-    [&tasks[..], &any_policy, &of_policy::<WithParams<Mlp>>(), &of_policy::<WithParams<Conv>>()]
-        .into_iter()
-        .chain([&of_precision::<f32>()[..], &of_precision::<f64>()])
-        .flatten()
-        .copied()
-        .collect()
+    tasks.iter().flat_map(|frequent| frequent()).chain(others.concat()).collect()
 }
 
 fn of_precision<F: Float>() -> [Function; 21] {
@@ -100,26 +94,7 @@ fn of_precision<F: Float>() -> [Function; 21] {
 }
 
 fn of_policy<P: Policy + 'static>() -> Vec<Function> {
-    let checks = [
-        check::try_system_along::<DynTask, P> as Function,
-        check::try_cost_along::<DynTask, P> as Function,
-        check::try_policy::<P> as Function,
-        check::try_flow::<DynTask, P> as Function,
-        check::try_flow_at::<DynTask, P> as Function,
-        check::kinks::<DynTask, P> as Function,
-        check::plateau::<DynTask, P> as Function,
-        check::jumps::<DynTask, P> as Function,
-        check::slope_by_duals::<DynTask, P> as Function,
-        #[cfg(feature = "double-double")]
-        (reference::<P> as Function),
-    ];
-    [&checks[..], &sessions::<P, f32>(), &sessions::<P, f64>()].concat()
-}
-
-/// Uses the reference derivative, whose last argument is a function.
-#[cfg(feature = "double-double")]
-fn reference<P: Policy>(task: &DynTask, policy: &P, direction: &dyn Fn(usize) -> f64) -> [f64; 2] {
-    check::slope(task, policy, &[], &[], Flow::REGULAR, direction)
+    [sessions::<P, f32>(), sessions::<P, f64>()].concat()
 }
 
 fn sessions<P: Policy + 'static, F: Float>() -> [Function; 8] {

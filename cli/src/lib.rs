@@ -171,7 +171,9 @@ impl Program {
     pub fn main(self) -> ExitCode {
         set_program();
         signals::ignore_file_limits();
-        let outcome = tasks::register(self.own, self.effects)
+        let outcome = physgrad::kernels::check_processor()
+            .map_err(anyhow::Error::msg)
+            .and_then(|()| tasks::register(self.own, self.effects))
             .and_then(|()| execute(&parsed().command.unwrap_or_else(default_run)));
         let failure = outcome.err().map(|error| {
             print_message(&format!("error: {error:#}"));

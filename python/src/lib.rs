@@ -17,10 +17,13 @@ mod task;
 mod threads;
 mod timing;
 
+use physgrad::kernels;
+use pyo3::exceptions::PyImportError;
 use pyo3::prelude::*;
 
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    kernels::check_processor().map_err(PyImportError::new_err)?;
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add("Divergence", module.py().get_type::<errors::Divergence>())?;
     module.add_class::<task::Task>()?;

@@ -8,8 +8,8 @@ use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::numbers::instances::{
     COST_SCALARS, COTANGENTS, CotangentFunction, DIAGNOSED, REALS, RealFunction, SCALARS,
-    STEP_SCALARS, ScalarFunction, cotangent_pointer, diagnosis_pointer, fill, real_pointer,
-    scalar_pointer, scalar_pointer_of_cost, scalar_pointer_of_step,
+    ScalarFunction, cotangent_pointer, diagnosis_pointer, fill, real_pointer, scalar_pointer,
+    scalar_pointer_of_cost,
 };
 use crate::numbers::kernels::Vectorized;
 use crate::numbers::rng::Rng;
@@ -124,7 +124,7 @@ impl<T: Task + 'static> AnyTask for T {
         Task::draw_start(self, rng, start);
     }
     fn step(&self, slot: &mut dyn Any) {
-        scalar_pointer_of_step::<Step<T>>(slot);
+        scalar_pointer::<Step<T>>(slot);
     }
     fn vjp(&self, slot: &mut dyn Any) {
         cotangent_pointer::<Vjp<T>>(slot);
@@ -251,6 +251,42 @@ function!(
     }
 );
 
+/// Functions of a task that run in rollouts, reverse passes, optimization and identification. See
+/// `compiled.rs`.
+#[cfg(feature = "compiled")]
+pub(crate) fn frequent<T: Task + 'static>() -> Vec<*const ()> {
+    fn of_scalar<T: Task + 'static, R: Real>() -> [*const (); 7] {
+        [
+            Step::<T>::pointer::<R>() as *const (),
+            Jvp::<T>::pointer::<R>() as *const (),
+            Observe::<T>::pointer::<R>() as *const (),
+            RunningCost::<T>::pointer::<R>() as *const (),
+            RunningCostGradient::<T>::pointer::<R>() as *const (),
+            TerminalCost::<T>::pointer::<R>() as *const (),
+            TerminalCostGradient::<T>::pointer::<R>() as *const (),
+        ]
+    }
+    fn of_cotangent<T: Task + 'static, R: Real, const K: usize>() -> *const () {
+        Vjp::<T>::pointer::<R, CotangentPack<R, K>>() as *const ()
+    }
+    fn of_lanes<T: Task + 'static, R: Real>() -> [*const (); 3] {
+        [
+            of_cotangent::<T, R, 1>(),
+            of_cotangent::<T, R, 2>(),
+            ObserveVjp::<T>::pointer::<R, CotangentPack<R, 1>>() as *const (),
+        ]
+    }
+    [
+        &of_scalar::<T, f64>()[..],
+        &of_scalar::<T, Lanes<f32, 8>>(),
+        &of_scalar::<T, Lanes<f64, 8>>(),
+        &[of_cotangent::<T, f64, 1>()],
+        &of_lanes::<T, Lanes<f32, 8>>(),
+        &of_lanes::<T, Lanes<f64, 8>>(),
+    ]
+    .concat()
+}
+
 /// Calls a generic function of the task in `$object`. `$scalar` is the requested type. `$set`
 /// describes the available types, for the panic message.
 macro_rules! call {
@@ -294,7 +330,7 @@ impl System for DynSystem {
     }
 
     fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
-        call!(self.0, step: StepOf<T> [T] in STEP_SCALARS, inputs, next);
+        call!(self.0, step: StepOf<T> [T] in SCALARS, inputs, next);
     }
 
     fn vjp<R: Real, C: Cotangent<R>>(

@@ -13,7 +13,7 @@ use crate::engine::adjoint::StepBack;
 use crate::engine::observe::Observe;
 use crate::engine::rollout::{Lane, StepForward};
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real, Single};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real};
 
 /// Object-safe [`Task`] for one precision.
 ///
@@ -56,7 +56,7 @@ pub trait AnyTask<F: Float>:
         next_bar: &mut [Lane<F>],
     );
     #[doc(hidden)]
-    fn diagnose(&self, inputs: Inputs<'_, Single<F>>) -> Option<Cause>;
+    fn diagnose(&self, inputs: Inputs<'_, Lane<F>>) -> Option<Cause>;
 
     /// Number of components that the policy observes.
     fn observed_dim(&self) -> usize {
@@ -122,7 +122,7 @@ impl<T: Task, F: Float> AnyTask<F> for T {
     }
 
     #[inline(never)]
-    fn diagnose(&self, inputs: Inputs<'_, Single<F>>) -> Option<Cause> {
+    fn diagnose(&self, inputs: Inputs<'_, Lane<F>>) -> Option<Cause> {
         self.system().diagnose(inputs)
     }
 }

@@ -10,7 +10,7 @@ use crate::dynamics::inputs::Inputs;
 use crate::engine::any::AnyTask;
 use crate::engine::divergence::{Divergence, Variable};
 use crate::numbers::aligned::Aligned;
-use crate::numbers::scalar::{Float, Lanes, Real, Scalar, Single};
+use crate::numbers::scalar::{Float, Lanes, Real, Scalar};
 use crate::policy::AnyPolicy;
 use crate::policy::{PolicyColumns, PolicyPass, Weights};
 use buffer_sizes::BufferSizes;
@@ -437,9 +437,10 @@ impl<F: Float> Rollout<F> {
             .or_else(state);
         let (variable, step, (sample, component)) =
             first.expect("`step_forward` returns false only for a non-finite value");
-        let of = |lanes: &[Lane<F>], n: usize| -> Vec<Single<F>> {
+        // The sample in all lanes.
+        let of = |lanes: &[Lane<F>], n: usize| -> Vec<Lane<F>> {
             let block = &lanes[sample / WIDTH * n..][..n];
-            block.iter().map(|number| Lanes([number.lane(sample % WIDTH)])).collect()
+            block.iter().map(|number| Lanes([number.lane(sample % WIDTH); WIDTH])).collect()
         };
         let cause = match variable {
             Variable::State => {

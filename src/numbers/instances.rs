@@ -6,9 +6,7 @@
 use super::forward_mode::CHUNK;
 #[cfg(feature = "double-double")]
 use super::scalar::DoubleDouble;
-use super::scalar::{
-    Cotangent, CotangentPack, Counted, Dual, Lanes, Real, Reverse, Scalar, Single,
-};
+use super::scalar::{Cotangent, CotangentPack, Counted, Dual, Lanes, Real, Reverse, Scalar};
 use num_dual::Dual64;
 use std::any::Any;
 
@@ -64,15 +62,6 @@ pub(crate) fn scalar_pointer<G: ScalarFunction>(slot: &mut dyn Any) -> bool {
     found
 }
 
-/// Scalars of [`scalar_pointer_of_step`], for messages.
-pub(crate) const STEP_SCALARS: &str = "`Single<F>`, `Lanes<f32, 8>`, `Lanes<f64, 8>`, `f64`, `Dual64`, `Counted`, `Dual<f64, 4>` \
-                                       and, with the feature `double-double`, `Dual<DoubleDouble, 1>`";
-
-/// Extends [`scalar_pointer`] by the scalars of diagnoses, which simulate substeps.
-pub(crate) fn scalar_pointer_of_step<G: ScalarFunction>(slot: &mut dyn Any) -> bool {
-    scalar_pointer::<G>(slot) || fill_scalars!(slot, G: Single<f32>, Single<f64>)
-}
-
 /// Scalars of [`scalar_pointer_of_cost`], for messages.
 pub(crate) const COST_SCALARS: &str = "the scalars of `observe` and `Dual<Dual<f64, 4>, 4>`";
 
@@ -83,16 +72,13 @@ pub(crate) fn scalar_pointer_of_cost<G: ScalarFunction>(slot: &mut dyn Any) -> b
 
 /// Scalars that [`scalar_pointer_of_effect`] adds, for messages.
 pub(crate) const EFFECT_SCALARS: &str =
-    "`Single<F>`; `Dual<R, 4>` and `Reverse<R>` for each of these scalars `R` without derivatives";
+    "`Dual<R, 4>` and `Reverse<R>` for each of these scalars `R` without derivatives";
 
-/// Extends [`scalar_pointer`] by the scalars of default derivatives and diagnoses.
+/// Extends [`scalar_pointer`] by the scalars of default derivatives.
 pub(crate) fn scalar_pointer_of_effect<G: ScalarFunction>(slot: &mut dyn Any) -> bool {
     scalar_pointer::<G>(slot)
-        || fill_scalars!(slot, G: Single<f32>, Single<f64>, Reverse<f64>)
         || fill_scalars!(slot, G: Dual<Lanes<f32, 8>, CHUNK>, Dual<Lanes<f64, 8>, CHUNK>, Dual<Counted, CHUNK>)
-        || fill_scalars!(slot, G: Reverse<Lanes<f32, 8>>, Reverse<Lanes<f64, 8>>, Reverse<Counted>)
-        || fill_scalars!(slot, G: Dual<Single<f32>, CHUNK>, Dual<Single<f64>, CHUNK>)
-        || fill_scalars!(slot, G: Reverse<Single<f32>>, Reverse<Single<f64>>)
+        || fill_scalars!(slot, G: Reverse<f64>, Reverse<Lanes<f32, 8>>, Reverse<Lanes<f64, 8>>, Reverse<Counted>)
 }
 
 /// Scalars and cotangents of [`cotangent_pointer`], for messages.
@@ -114,15 +100,15 @@ pub(crate) fn cotangent_pointer<G: CotangentFunction>(slot: &mut dyn Any) {
 }
 
 /// Scalars of [`diagnosis_pointer`], for messages.
-pub(crate) const DIAGNOSED: &str = "`Single<f32>`, `Single<f64>` and `f64`";
+pub(crate) const DIAGNOSED: &str = "`Lanes<f32, 8>`, `Lanes<f64, 8>` and `f64`";
 
 /// Writes the function pointer to `slot`, an `Option<G::Pointer<R>>` for the scalar `R` of the
 /// caller.
 ///
 /// Leaves `None` unless `R` is the scalar of a diagnosis.
 pub(crate) fn diagnosis_pointer<G: RealFunction>(slot: &mut dyn Any) {
-    let _found = fill(slot, G::pointer::<Single<f32>>)
-        || fill(slot, G::pointer::<Single<f64>>)
+    let _found = fill(slot, G::pointer::<Lanes<f32, 8>>)
+        || fill(slot, G::pointer::<Lanes<f64, 8>>)
         || fill(slot, G::pointer::<f64>);
 }
 

@@ -2,8 +2,8 @@
 //!
 //! Builds use default target flags. [`SimdLevel::best`] therefore detects the instruction set of
 //! the processor at run time, and [`dispatch`] runs code compiled for a given instruction set. A
-//! portable path serves x86-64 processors without AVX2 or fused multiply-add, and architectures
-//! other than x86-64 and aarch64. Contains the only unsafe code of the library. Start with
+//! portable path serves architectures other than x86-64 and aarch64. Simulators and policies have
+//! it on x86-64 only with the feature `portable`, because it lengthens the build by a quarter. Contains the only unsafe code of the library. Start with
 //! [`dispatch`].
 
 pub mod elementwise;
@@ -111,10 +111,13 @@ pub fn dispatch(level: SimdLevel, work: impl Vectorized) {
     work.run::<false>();
 }
 
-/// Runs `work` with AVX2 or NEON if available, else with the portable path.
+/// Runs `work` with AVX2 or NEON, or with the portable path, bit for bit equal.
 ///
 /// Used for simulators and policies on eight lanes, which gain little from wider registers. A
 /// further level would increase compile time.
+///
+/// # Panics
+/// Where [`check_processor`] returns an error.
 #[inline]
 pub fn dispatch_lanes(work: impl Vectorized) {
     if portable::is_forced() {
@@ -130,9 +133,33 @@ pub fn dispatch_lanes(work: impl Vectorized) {
             // SAFETY: all levels above `Portable` include these instructions.
             return unsafe { avx2(work) };
         }
+        #[cfg(not(any(test, feature = "portable")))]
+        unsupported();
     }
     // NEON has fused multiply-add.
+    #[cfg(any(test, feature = "portable", not(target_arch = "x86_64")))]
     work.run::<{ cfg!(target_arch = "aarch64") }>();
+}
+
+/// Returns an error if simulations need instructions that this processor does not have.
+///
+/// # Errors
+/// The processor is an x86-64 processor without AVX2 and fused multiply-add, and the build has no
+/// feature `portable`. Rollouts then panic with the same message.
+pub fn check_processor() -> Result<(), &'static str> {
+    let runs = cfg!(any(feature = "portable", not(target_arch = "x86_64")))
+        || SimdLevel::best() != SimdLevel::Portable;
+    if runs { Ok(()) } else { Err(UNSUPPORTED) }
+}
+
+const UNSUPPORTED: &str = "this processor has no AVX2 and fused multiply-add, which physgrad needs on x86-64; build it with the feature \
+                           `portable`, as in `cargo build --release --features portable`";
+
+#[cfg(all(target_arch = "x86_64", not(any(test, feature = "portable"))))]
+#[cold]
+#[inline(never)]
+fn unsupported() -> ! {
+    panic!("{UNSUPPORTED}")
 }
 
 /// Forces the portable path of [`dispatch_lanes`], for tests.

@@ -125,7 +125,7 @@ opt-level = 3
 
 # Of the packages of physgrad, only the library needs optimization.
 [profile.release.package]
-physgrad = { codegen-units = 4 }
+physgrad = { codegen-units = 8 }
 physgrad-cli = { opt-level = 1 }
 physgrad-plot = { opt-level = 1 }
 kuva = { opt-level = 0 }

@@ -21,7 +21,7 @@ use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::engine::divergence::{Divergence, Variable};
 use crate::engine::rollout::{Lane, Rollout, WIDTH, find_non_finite};
-use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Lanes, Real, Scalar, Single};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Lanes, Real, Scalar};
 use crate::numbers::zip::zip;
 use std::ops::Range;
 
@@ -406,8 +406,9 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         let first = all.min_by_key(|&(.., (sample, _))| sample);
         let (k, variable, (sample, component)) =
             first.expect("`rescale` fails only for non-finite cotangents");
-        let of = |lanes: &[Lane<F>]| -> Vec<Single<F>> {
-            lanes.iter().map(|number| Lanes([number.lane(sample % WIDTH)])).collect()
+        // The sample in all lanes.
+        let of = |lanes: &[Lane<F>]| -> Vec<Lane<F>> {
+            lanes.iter().map(|number| Lanes([number.lane(sample % WIDTH); WIDTH])).collect()
         };
         let inputs = rollout.inputs_of(step, sample / WIDTH);
         let (x, u, p) = (of(inputs.x), of(inputs.u), of(inputs.p));
