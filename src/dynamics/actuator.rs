@@ -42,6 +42,12 @@ pub trait Actuator: Clone + Send + Sync {
     /// Writes the actuator's next state and the system's control.
     fn step<T: Scalar>(&self, state: &[T], u: &[T], next_state: &mut [T], out: &mut [T]);
 
+    /// Range to which the actuator limits every control, in the units of the control. Default:
+    /// `None`, no limit.
+    fn range(&self) -> Option<[f64; 2]> {
+        None
+    }
+
     /// Returns true for the identity. [`Actuated`] then skips the actuator.
     #[doc(hidden)]
     #[inline(always)]
@@ -137,6 +143,10 @@ impl Actuator for () {
 impl<A: Actuator, B: Actuator> Actuator for (A, B) {
     fn state_dim(&self, controls: usize) -> usize {
         self.0.state_dim(controls) + self.1.state_dim(controls)
+    }
+
+    fn range(&self) -> Option<[f64; 2]> {
+        self.0.range().or_else(|| self.1.range())
     }
 
     #[inline(always)]

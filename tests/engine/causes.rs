@@ -82,7 +82,7 @@ fn wrappers_forward_the_cause_of_the_wrapped_system() {
     // Newton's iteration does not converge for this time step.
     let integrator = AnyIntegrator::ImplicitMidpoint(ImplicitMidpoint::default());
     let stepped = Integrated { ode: DoublePendulum::default(), integrator, dt: 1e12 };
-    let Upright { first_angle, from, spread, loss, control_weight, horizon, .. } =
+    let Upright { first_angle, from, spread, loss, control_weight, control_bound, horizon, .. } =
         Upright::double_pendulum();
     let hard = DynTask::new(Upright {
         system: stepped,
@@ -91,6 +91,7 @@ fn wrappers_forward_the_cause_of_the_wrapped_system() {
         spread,
         loss,
         control_weight,
+        control_bound,
         horizon,
     });
     let hard = hard.system();

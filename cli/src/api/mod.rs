@@ -26,6 +26,11 @@ pub use policy::{Policy, Precise};
 pub use run::Run;
 pub use scene::Scene;
 
+/// Names of all tasks, each of which is also the name of a preset.
+pub fn task_names() -> Vec<&'static str> {
+    crate::tasks::all().iter().map(|task| task.name()).collect()
+}
+
 /// Replaces the file at this path as a whole, by a temporary file beside it.
 ///
 /// # Errors

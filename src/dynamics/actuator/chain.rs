@@ -14,6 +14,11 @@ impl<A: Actuator> Actuator for Vec<A> {
         self.iter().map(|actuator| actuator.state_dim(controls)).sum()
     }
 
+    /// The range of the first actuator that has one.
+    fn range(&self) -> Option<[f64; 2]> {
+        self.iter().find_map(Actuator::range)
+    }
+
     #[inline(always)]
     fn is_identity(&self) -> bool {
         self.is_empty()

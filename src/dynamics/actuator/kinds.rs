@@ -39,6 +39,10 @@ impl Actuator for Limit {
         0
     }
 
+    fn range(&self) -> Option<[f64; 2]> {
+        Some([-self.bound, self.bound])
+    }
+
     #[inline(always)]
     fn step<T: Scalar>(&self, _state: &[T], u: &[T], _next_state: &mut [T], out: &mut [T]) {
         let bound = T::from(self.bound);
@@ -200,6 +204,14 @@ impl Actuator for AnyActuator {
             Self::Limit(limit) => limit.state_dim(controls),
             Self::Delay(delay) => delay.state_dim(controls),
             Self::Lag(lag) => lag.state_dim(controls),
+        }
+    }
+
+    fn range(&self) -> Option<[f64; 2]> {
+        match self {
+            Self::Limit(limit) => limit.range(),
+            Self::Delay(delay) => delay.range(),
+            Self::Lag(lag) => lag.range(),
         }
     }
 
