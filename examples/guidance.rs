@@ -14,7 +14,7 @@ fn main() -> Result<(), TrainError> {
         let herds = task.system.model();
         let n = task.system.state_dim();
         let policy = Mlp::new([n, 100, 100, task.system.control_dim()]).zero_init_output(true);
-        check::system(&task.system);
+        check::system(&task.system).unwrap();
         println!("regularization {regularization}");
         for field in [Field::regular(), Field::combined()] {
             let mut session =

@@ -70,8 +70,8 @@ fn main() -> Result<(), TrainError> {
     let system = CartPoleSystem { poles: 2, ..CartPoleSystem::default() };
     let brake = EddyBrake { force: 5.0, speed: 1.0 };
     // Compares both derivatives with dual numbers, and panics if they differ.
-    check::system(&Forced { system, effects: brake });
-    check::system(&Forced { system, effects: ByHand(brake) });
+    check::system(&Forced { system, effects: brake }).unwrap();
+    check::system(&Forced { system, effects: ByHand(brake) }).unwrap();
 
     // Counts operations. Absent effects cost nothing.
     let (alone, by_duals) = (OpCount::of(&system), OpCount::of(&Forced { system, effects: brake }));

@@ -64,7 +64,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         Rod { stiffness: 800.0, hardening: 2000.0, damping: 0.05, dt: 0.03 },
         Linear::new(2 * MASSES, 4),
     );
-    check::system(&task);
+    check::system(&task).unwrap();
     let training = Training {
         epochs,
         clip: Clip::Norm(1.0),

@@ -101,11 +101,10 @@ fn of_precision<F: Float>() -> [Function; 21] {
 
 fn of_policy<P: Policy + 'static>() -> Vec<Function> {
     let checks = [
-        check::try_system_along::<DynTask, P> as Function,
-        check::try_cost_along::<DynTask, P> as Function,
-        check::try_policy::<P> as Function,
-        check::try_flow::<DynTask, P> as Function,
-        check::try_flow_at::<DynTask, P> as Function,
+        check::system_along::<DynTask, P> as Function,
+        check::cost_along::<DynTask, P> as Function,
+        check::policy::<P> as Function,
+        check::flow::<DynTask, P> as Function,
         check::kinks::<DynTask, P> as Function,
         check::plateau::<DynTask, P> as Function,
         check::jumps::<DynTask, P> as Function,

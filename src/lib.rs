@@ -59,7 +59,7 @@
 //! let windy = Forced { system, effects: (PoleDamping::default(), SteadyWind { speed: 4.0.into(), ..SteadyWind::default() }) };
 //! assert_eq!(OpCount::of(&Forced { system, effects: () }), OpCount::of(&system));
 //! let task = CartPole::with_system(Actuated { system: windy, actuator: Lag::new(0.05, system.dt) });
-//! check::system(&task.system);
+//! check::system(&task.system).unwrap();
 //! ```
 //! `docs/scenes.md` and `examples/own_effect.rs` show how to write a custom effect.
 //!

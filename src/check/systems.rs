@@ -144,7 +144,7 @@ impl Uncertainty<'_> {
 /// Draws a state, a control and parameters.
 type Draw<'a> = &'a dyn Fn(&mut Rng, &mut [f64], &mut [f64], &mut [f64]);
 
-/// Performs the check of [`try_system_at`](super::try_system_at), at steps before `horizon`.
+/// Performs the check of [`system_at`](super::system_at), at steps before `horizon`.
 pub(super) fn check(system: &dyn Checked, draw: Draw, horizon: usize) -> Result<Passed, Mismatch> {
     let sizes = [system.state_dim(), system.control_dim(), system.param_dim()];
     let mut c = Comparison::new(ONE_STEP);
@@ -176,10 +176,7 @@ pub(super) fn check(system: &dyn Checked, draw: Draw, horizon: usize) -> Result<
             system.step(at, &mut next);
             next
         });
-        c.finite(
-            "step is not finite here; draw other states with `try_system_at`: next",
-            &from_zeros,
-        )?;
+        c.finite("step is not finite here; draw other states with `system_at`: next", &from_zeros)?;
         c.equal("step leaves a component unwritten: next", &from_nans, &from_zeros)?;
 
         let expected = step_vjp(system, at, &next_bar);

@@ -34,7 +34,7 @@ use rand_distr::{Distribution as _, StandardNormal};
 ///     }
 /// }
 ///
-/// check::system(&Puck { mass: Number::Uniform { low: 0.5, high: 2.0 } });
+/// check::system(&Puck { mass: Number::Uniform { low: 0.5, high: 2.0 } }).unwrap();
 /// assert_eq!(Puck { mass: 1.0.into() }.param_dim(), 0);
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -37,7 +37,7 @@ use smallvec::{SmallVec, smallvec};
 /// }
 ///
 /// let system = Integrated { ode: Spring { stiffness: 3.0 }, integrator: RungeKutta::RK4, dt: 0.1 };
-/// check::system(&system);
+/// check::system(&system).unwrap();
 /// ```
 pub trait Ode: Send + Sync {
     /// Number of state components.

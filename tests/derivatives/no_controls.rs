@@ -55,11 +55,11 @@ fn parameters_of_systems_without_controls_are_trained() {
         WithParams::new(Linear::with_bias(1, 0), [TrainedParam::log(0, 0.2)]),
     ];
     for policy in policies {
-        check::policy(&policy);
-        check::task(&Measured(Decay), &policy);
+        check::policy(&policy).unwrap();
+        check::task(&Measured(Decay), &policy).unwrap();
     }
     let policy = WithParams::new(Constant::new(1, 0), [TrainedParam::log(0, 0.2)]);
-    check::task(&Measured(Decay), &policy);
+    check::task(&Measured(Decay), &policy).unwrap();
     let training = Training {
         epochs: 60,
         train_samples: 8,
@@ -86,12 +86,12 @@ fn chains_of_actuators_on_systems_without_controls_are_the_identity() {
         vec![limit, AnyActuator::Delay(Delay { steps: 2 }), AnyActuator::Lag(Lag::new(0.1, 0.1))],
     ] {
         let system = Actuated { system: Decay, actuator };
-        check::system(&system);
+        check::system(&system).unwrap();
         let (mut next, mut alone) = ([0.0], [0.0]);
         system.step::<f64>(Inputs { x: &[0.4], u: &[], p: &[0.3], t: 0 }, &mut next);
         Decay.step::<f64>(Inputs { x: &[0.4], u: &[], p: &[0.3], t: 0 }, &mut alone);
         assert_eq!(next, alone);
-        check::task(&Measured(system), &Constant::new(1, 0));
+        check::task(&Measured(system), &Constant::new(1, 0)).unwrap();
     }
 }
 
@@ -132,8 +132,8 @@ impl Task for Blind {
 
 #[test]
 fn policies_without_observations_are_trained() {
-    check::policy(&Linear::with_bias(0, 2));
-    check::task(&Blind, &Linear::with_bias(0, 1));
-    check::task(&Blind, &Constant::new(0, 1));
-    check::task(&Blind, &OpenLoop::new(0, 1, 5));
+    check::policy(&Linear::with_bias(0, 2)).unwrap();
+    check::task(&Blind, &Linear::with_bias(0, 1)).unwrap();
+    check::task(&Blind, &Constant::new(0, 1)).unwrap();
+    check::task(&Blind, &OpenLoop::new(0, 1, 5)).unwrap();
 }

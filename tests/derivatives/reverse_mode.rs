@@ -325,13 +325,13 @@ impl Policy for Layer {
 
 #[test]
 fn default_derivatives_of_a_task_with_24_states_are_exact_in_every_flow() {
-    check::system(&Chain);
-    check::task(&Chain, &Linear::new(MASSES, 2));
+    check::system(&Chain).unwrap();
+    check::task(&Chain, &Linear::new(MASSES, 2)).unwrap();
 }
 
 #[test]
 fn default_derivatives_of_act_only_policies_are_exact_in_every_flow() {
-    check::policy(&Layer { inputs: 5, outputs: 3 });
-    check::policy(&Layer { inputs: 20, outputs: 2 });
-    check::task(&Chain, &Layer { inputs: MASSES, outputs: 2 });
+    check::policy(&Layer { inputs: 5, outputs: 3 }).unwrap();
+    check::policy(&Layer { inputs: 20, outputs: 2 }).unwrap();
+    check::task(&Chain, &Layer { inputs: MASSES, outputs: 2 }).unwrap();
 }

@@ -122,7 +122,7 @@ fn steps_as<S: System>(what: &str, system: &S, expected: impl Fn(&[f64], &[f64])
     let draw = |rng: &mut Rng, x: &mut [f64], u: &mut [f64], p: &mut [f64]| {
         x.iter_mut().chain(u).chain(p).for_each(|x| *x = rng.random_range(-3.0..3.0));
     };
-    check::try_system_at(system, draw).unwrap_or_else(|mismatch| panic!("{what}: {mismatch}"));
+    check::system_at(system, draw).unwrap_or_else(|mismatch| panic!("{what}: {mismatch}"));
 }
 
 /// Solves `a x = b` by Gaussian elimination with partial pivoting.

@@ -40,11 +40,11 @@ fn effects(of: impl Fn(f64) -> Number) -> Vec<CartPoleEffect> {
 #[test]
 fn derivatives_with_respect_to_varied_numbers_equal_dual_numbers() {
     let every = |value: f64| Number::LogUniform { low: 0.5 * value, high: 2.0 * value };
-    check::system(&varied(2));
-    check::system(&CoupledCartPole(varied(2)));
+    check::system(&varied(2)).unwrap();
+    check::system(&CoupledCartPole(varied(2))).unwrap();
     for effect in effects(every) {
-        check::system(&Forced { system: varied(2), effects: effect.clone() });
-        check::system(&Forced { system: CartPoleSystem::default(), effects: effect });
+        check::system(&Forced { system: varied(2), effects: effect.clone() }).unwrap();
+        check::system(&Forced { system: CartPoleSystem::default(), effects: effect }).unwrap();
     }
     let all = Forced {
         system: CartPoleModel::Coupled(CoupledCartPole(varied(2))),
@@ -52,7 +52,7 @@ fn derivatives_with_respect_to_varied_numbers_equal_dual_numbers() {
     };
     // Numbers of the model, numbers of the effects, and t₀ of the gusts.
     assert_eq!(all.param_dim(), 4 + 12 + 1);
-    check::system(&all);
+    check::system(&all).unwrap();
 }
 
 /// Checks derivatives with respect to the parameters by central differences, without dual numbers.

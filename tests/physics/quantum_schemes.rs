@@ -52,7 +52,7 @@ fn derivatives_of_time_dependent_effects_and_wrappers_equal_dual_numbers() {
         };
         check_lively(&system);
         let task = Quantum { horizon: 6, ..Quantum::with_system(system, 2) };
-        check::task(&task, &Linear::with_bias(18, 1));
+        check::task(&task, &Linear::with_bias(18, 1)).unwrap();
     }
 }
 

@@ -24,7 +24,7 @@ use std::sync::Arc;
 /// use physgrad::{DynEffect, Forced, check};
 ///
 /// let effects: Vec<DynEffect<CartPoleSystem>> = vec![DynEffect::new(CartDamping::default())];
-/// check::system(&Forced { system: CartPoleSystem::default(), effects });
+/// check::system(&Forced { system: CartPoleSystem::default(), effects }).unwrap();
 /// ```
 pub struct DynEffect<B>(Arc<dyn AnyEffect<B>>);
 
