@@ -10,8 +10,8 @@ pub use kinds::{AnyActuator, Delay, Lag, Limit, LimitKind};
 
 use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::HasModel;
+use crate::dynamics::forward::forward;
 use crate::dynamics::inputs::{Cotangents, Inputs, Start, Tangents, add};
-use crate::dynamics::number::Varied;
 use crate::dynamics::system::{System, along};
 use crate::numbers::forward_mode::{concat, jacobian};
 use crate::numbers::rng::Rng;
@@ -211,17 +211,7 @@ impl<S: System, A: Actuator> System for Actuated<S, A> {
         self.system.state_dim() + self.actuator.state_dim(self.system.control_dim())
     }
 
-    fn control_dim(&self) -> usize {
-        self.system.control_dim()
-    }
-
-    fn param_dim(&self) -> usize {
-        self.system.param_dim()
-    }
-
-    fn varied(&self, params: usize) -> Vec<Varied> {
-        self.system.varied(params)
-    }
+    forward!(System of system: control_dim, param_dim, varied);
 
     #[inline(always)]
     fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
