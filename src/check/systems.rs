@@ -7,9 +7,8 @@ use crate::dynamics::number::Varied;
 use crate::dynamics::outline::{One, step};
 use crate::dynamics::system::System;
 use crate::engine::any::{AnySystem, vjp};
-use crate::engine::rollout::{Lane, WIDTH};
 use crate::numbers::rng::{Purpose, Rng, stream};
-use crate::numbers::scalar::{Cotangent, CotangentPack, Lanes, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, CotangentPack, LANES, Lane, Lanes, Real, Scalar};
 use num_dual::Dual64;
 use std::cell::OnceCell;
 
@@ -312,7 +311,7 @@ fn lanes(
     next_bar: &[f64],
     c: &mut Comparison,
 ) -> Result<(), Mismatch> {
-    const W: usize = WIDTH;
+    const W: usize = LANES;
     let vary = |v: &[f64], lane: usize| {
         v.iter().map(|v| v * (1.0 + lane as f64 / 64.0)).collect::<Vec<f64>>()
     };

@@ -29,6 +29,7 @@ mod starts;
 mod step_back;
 
 use crate::engine::any::AnyTask;
+use crate::engine::closed::Closed;
 use crate::engine::divergence::Divergence;
 use crate::engine::gradient::Gradient;
 use crate::engine::rollout::Rollout;
@@ -316,7 +317,8 @@ impl<F: Float> Adjoint<F> {
             found <= capacity,
             "the rollout has {found} samples, but the adjoint has space for {capacity}"
         );
-        let pass = Pass { task, policy, weights, rollout, scale, measured: self.measures() };
+        let closed = Closed { task, policy, weights };
+        let pass = Pass { closed, rollout, scale, measured: self.measures() };
         self.begin(&pass);
         Rollout::<F>::units(0..rollout.horizon).try_for_each(|unit| self.back(&pass, unit))
     }
@@ -347,10 +349,10 @@ impl<F: Float> Adjoint<F> {
         let steps = unit.clone();
         match &mut self.carried {
             Carried::One(flows, recursion) => {
-                recursion.back(pass, pass.task, *flows, steps, &mut self.policy, norms)?
+                recursion.back(pass, pass.closed.task, *flows, steps, &mut self.policy, norms)?
             }
             Carried::Two(flows, recursion) => {
-                recursion.back(pass, pass.task, *flows, steps, &mut self.policy, norms)?
+                recursion.back(pass, pass.closed.task, *flows, steps, &mut self.policy, norms)?
             }
         }
         for k in 0..self.flows().len() {
@@ -390,7 +392,9 @@ impl<F: Float> Adjoint<F> {
         );
         theta_bar.clear();
         for unit in Rollout::<F>::units(0..rollout.horizon) {
-            self.add_param_gradient(k, policy, weights, rollout, &unit, samples.clone(), theta_bar);
+            let at = rollout.columns_of(&unit, samples.clone());
+            let pass = PolicyPass::new(weights.packed(), at, rollout.inputs()).at_steps(unit);
+            self.policy.add_param_gradient(k, policy, pass, &rollout.tape, theta_bar);
         }
         self.add_trained_gradient(k, policy, weights, samples, theta_bar);
         theta_bar.normalize();
@@ -420,17 +424,15 @@ impl<F: Float> Adjoint<F> {
     }
 
     /// Adds the contribution of a unit to the parameter gradient, after [`back`](Self::back).
-    #[allow(clippy::too_many_arguments)]
     pub(crate) fn add_param_gradient(
         &mut self,
         k: usize,
-        policy: &dyn AnyPolicy<F>,
-        weights: &Weights<F>,
-        rollout: &Rollout<F>,
+        pass: &Pass<'_, F>,
         unit: &Range<usize>,
         samples: Range<usize>,
         theta_bar: &mut Gradient<F>,
     ) {
+        let (Closed { policy, weights, .. }, rollout) = (pass.closed, pass.rollout);
         let at = rollout.columns_of(unit, samples);
         let pass = PolicyPass::new(weights.packed(), at, rollout.inputs()).at_steps(unit.clone());
         self.policy.add_param_gradient(k, policy, pass, &rollout.tape, theta_bar);
@@ -439,9 +441,7 @@ impl<F: Float> Adjoint<F> {
 
 /// Constant arguments of one reverse pass.
 pub(crate) struct Pass<'a, F: Float> {
-    pub(crate) task: &'a dyn AnyTask<F>,
-    pub(crate) policy: &'a dyn AnyPolicy<F>,
-    pub(crate) weights: &'a Weights<F>,
+    pub(crate) closed: Closed<'a, F>,
     pub(crate) rollout: &'a Rollout<F>,
     /// Factor of all cotangents.
     pub(crate) scale: F,

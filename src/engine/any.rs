@@ -11,9 +11,9 @@ use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::engine::adjoint::StepBack;
 use crate::engine::observe::Observe;
-use crate::engine::rollout::{Lane, StepForward};
+use crate::engine::rollout::StepForward;
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real, Single};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Lane, Real, Single};
 
 /// Object-safe [`Task`] for one precision.
 ///

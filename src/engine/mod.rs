@@ -18,6 +18,7 @@ pub(crate) mod adjoint;
 pub mod any;
 pub(crate) mod batch;
 pub(crate) mod checkpointed;
+pub(crate) mod closed;
 pub(crate) mod divergence;
 pub(crate) mod evaluation;
 pub(crate) mod gradient;
