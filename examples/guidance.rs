@@ -2,9 +2,10 @@
 //!
 //! Run: `cargo run --release --example guidance -- [epochs]`
 
+use physgrad::effect::HasModel;
 use physgrad::policy::Mlp;
 use physgrad::tasks::Guidance;
-use physgrad::{Field, HasModel, Rollout, System, TrainError, Trainer, check};
+use physgrad::{Field, Rollout, System, TrainError, Trainer, check};
 
 fn main() -> Result<(), TrainError> {
     let epochs =

@@ -2,9 +2,10 @@
 //!
 //! Run: `cargo run --release --example own_effect -- [epochs]`
 
+use physgrad::count::OpCount;
 use physgrad::prelude::*;
 use physgrad::tasks::{CartPole, CartPoleSystem, PoleDamping};
-use physgrad::{Cotangent, Cotangents, Effect, Forced, OdeInputs, OpCount, Real, TrainError};
+use physgrad::{Cotangent, Cotangents, Effect, Forced, OdeInputs, Real, TrainError};
 
 /// Magnet on the cart above a metal rail: F = -2 force s / (1 + s²), with `s = ẋ / speed`.
 ///

@@ -5,7 +5,8 @@
 use physgrad::policy::Linear;
 use physgrad::prelude::*;
 use physgrad::rng::Purpose;
-use physgrad::{Clip, Decay, Rollout, Training, initial_states};
+use physgrad::train::Decay;
+use physgrad::{Clip, Rollout, Training, initial_states};
 use physgrad_plot::{Posture, Stage, mechanics};
 
 const MASSES: usize = 100;

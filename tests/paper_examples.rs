@@ -4,8 +4,9 @@
 use approx::assert_relative_eq;
 use physgrad::policy::{Constant, Linear, Quadratic};
 use physgrad::tasks::{Accumulator, Bowl, Reach};
-use physgrad::vector_field::{self, LEARNING_RATE, ROTATION, Rotated, START};
-use physgrad::{Field, Gradient, GradientCombiner, Optimizer, OptimizerKind, check};
+use physgrad::train::vector_field::{self, LEARNING_RATE, ROTATION, Rotated, START};
+use physgrad::train::{GradientCombiner, OptimizerKind};
+use physgrad::{Field, Gradient, Optimizer, check};
 
 #[test]
 fn derivatives_of_the_examples_equal_dual_numbers() {

@@ -1,6 +1,6 @@
 //! Python bindings of physgrad: the module `physgrad._core`.
 //!
-//! Classes and functions convert arguments and call `physgrad_cli::api`, `physgrad::rows`,
+//! Classes and functions convert arguments and call `physgrad_cli::api`, `physgrad::engine::rows`,
 //! `physgrad::optimize` and `physgrad::identify`. `physgrad/__init__.py` names the public ones.
 
 mod accuracy;

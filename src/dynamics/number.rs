@@ -299,7 +299,7 @@ impl<'a> Numbers<'a> {
 pub struct Varied {
     /// Index in `p`.
     pub index: usize,
-    /// Name of the number. If the effect is [`Named`](crate::Named), the name of the effect
+    /// Name of the number. If the effect is [`Named`](crate::effect::Named), the name of the effect
     /// precedes it: `wind.speed`.
     pub name: String,
     /// The number.

@@ -65,7 +65,7 @@ pub trait Task: Send + Sync {
     /// bounds.
     ///
     /// Nothing enforces these bounds. Searches over controls and environments that scale actions
-    /// use them. An [`Actuator`](crate::Actuator) limits controls.
+    /// use them. An [`Actuator`](crate::actuator::Actuator) limits controls.
     fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
         None
     }

@@ -269,8 +269,8 @@ impl<F: Float> Adjoint<F> {
         self.measured || self.flows().iter().any(|flow| flow.cut.is_some())
     }
 
-    /// Calls `add` with the two numbers of [`Growth`](crate::Growth) of flow `k`, for each sample
-    /// of the last run. Both are 0 if not measured.
+    /// Calls `add` with the two numbers of [`Growth`](crate::engine::Growth) of flow `k`, for each
+    /// sample of the last run. Both are 0 if not measured.
     pub(crate) fn growth(&self, k: usize, samples: usize, add: &mut dyn FnMut([f64; 2])) {
         match &self.carried {
             Carried::One(_, recursion) => {

@@ -17,7 +17,7 @@ use crate::policy::Weights;
 /// The constructor allocates all buffers. A run allocates only in the cases that [`Adjoint`] lists.
 /// Gradients are bitwise equal to those of [`Rollout`] and [`Adjoint`], for every schedule.
 /// ```
-/// use physgrad::{Checkpointed, Flow, Gradient, Schedule, Weights, initial_states, policy::Mlp, rng, tasks::CartPole};
+/// use physgrad::{Flow, Gradient, Weights, initial_states, policy::Mlp, rng, tasks::CartPole, engine::{Checkpointed, Schedule}};
 ///
 /// let (task, policy) = (CartPole { horizon: 1000, ..CartPole::new(1) }, Mlp::new([4, 16, 1]));
 /// let weights = Weights::<f64>::init(&policy, &mut rng::stream(0, rng::Purpose::Policy, 0));
@@ -246,8 +246,8 @@ impl<F: Float> Checkpointed<F> {
         self.adjoint.measure(measured);
     }
 
-    /// Calls `add` with the two numbers of [`Growth`](crate::Growth) of flow `k`, for each sample
-    /// of the last run. Both are 0 if not measured.
+    /// Calls `add` with the two numbers of [`Growth`](crate::engine::Growth) of flow `k`, for each
+    /// sample of the last run. Both are 0 if not measured.
     pub(crate) fn growth(&self, k: usize, add: &mut dyn FnMut([f64; 2])) {
         self.adjoint.growth(k, self.rollout.samples(), add);
     }

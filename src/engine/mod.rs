@@ -30,3 +30,17 @@ pub mod ranks;
 pub(crate) mod rollout;
 pub mod rows;
 pub(crate) mod schedule;
+
+pub use crate::dynamics::cause::Cause;
+#[doc(hidden)]
+pub use crate::numbers::kernels;
+#[cfg(feature = "parallel")]
+pub use crate::numbers::threads;
+pub use batch::Batch;
+pub use checkpointed::Checkpointed;
+pub use divergence::Variable;
+pub use evaluation::Evaluation;
+pub use growth::Growth;
+pub use initial_states::append_starts;
+pub use ranks::Ranks;
+pub use schedule::{MemoryError, Schedule};

@@ -10,7 +10,7 @@
 //! requests nothing. Three cotangents are required: `x_bar` of [`observe_vjp`] and
 //! [`terminal_cost_vjp`], and `next_bar` of [`running_cost_vjp`].
 //! ```
-//! use physgrad::{Inputs, initial_states, rng::Purpose, rows, tasks::CartPole};
+//! use physgrad::{Inputs, initial_states, rng::Purpose, tasks::CartPole, engine::rows};
 //!
 //! let task = CartPole::new(1);
 //! let x: Vec<f32> = initial_states(&task, 0, Purpose::Train, 100);

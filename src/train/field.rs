@@ -28,7 +28,7 @@ pub enum Field<C = Combination> {
 /// [`Combination`] contains the rules of the library.
 ///
 /// ```
-/// use physgrad::{GradientCombiner, Field, Float, Flow};
+/// use physgrad::{Field, Float, Flow, train::GradientCombiner};
 ///
 /// /// Mean of both gradients.
 /// #[derive(Clone, Copy)]

@@ -27,8 +27,12 @@ mod smoothing;
 pub mod vector_field;
 mod warnings;
 
+pub use calls::Trajectories;
 pub use checkpoint::{CheckpointError, differences};
+pub use combination::Combination;
 pub use decay::Decay;
+pub use field::{GradientCombiner, UnknownField};
+pub use optim::OptimizerKind;
 pub use record::{Record, Skip};
 pub use session::Session;
 pub use smoothing::{Estimator, Smoothing};
@@ -41,9 +45,8 @@ use crate::engine::schedule::MemoryError;
 use crate::numbers::rng::{Purpose, stream};
 use crate::numbers::scalar::Float;
 use crate::policy::{Policy, Weights};
-use crate::train::combination::Combination;
-use crate::train::field::{Field, GradientCombiner};
-use crate::train::optim::{Clip, OptimizerKind};
+use crate::train::field::Field;
+use crate::train::optim::Clip;
 use std::io::Write as _;
 use std::marker::PhantomData;
 
@@ -92,8 +95,8 @@ pub struct Training {
     /// Number of threads that share a mini-batch. Results do not depend on it.
     pub workers: usize,
     /// Upper bound in bytes on the workspace of a mini-batch, over all workers. Steps whose tape
-    /// does not fit are recomputed, see [`Schedule`](crate::Schedule). `None` stores everything.
-    /// Results do not depend on the bound.
+    /// does not fit are recomputed, see [`Schedule`](crate::engine::Schedule). `None` stores
+    /// everything. Results do not depend on the bound.
     pub memory: Option<u64>,
 }
 

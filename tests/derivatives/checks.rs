@@ -1,11 +1,12 @@
 //! Checks of tasks in states of rollouts: in the units of the task, and kinks on the way.
 
 use physgrad::check::{self, KinkInput};
+use physgrad::integrator::{AnyIntegrator, ImplicitMidpoint, Sdirk2};
 use physgrad::policy::{Constant, Linear, Mlp};
 use physgrad::rng::Rng;
 use physgrad::{
-    AnyIntegrator, Cotangent, Cotangents, DynTask, Flow, ImplicitMidpoint, Inputs, Integrated, Ode,
-    OdeInputs, Real, Scalar, Sdirk2, Start, System, Task, Trainer, Training, Weights,
+    Cotangent, Cotangents, DynTask, Flow, Inputs, Integrated, Ode, OdeInputs, Real, Scalar, Start,
+    System, Task, Trainer, Training, Weights,
 };
 use rand::RngExt;
 

@@ -1,11 +1,10 @@
 //! Weights, truncation and cuts of flows.
 
 use super::memory::{AngleOnly, Whole};
+use physgrad::engine::Batch;
 use physgrad::policy::{Gru, Linear, Mlp, OpenLoop};
 use physgrad::rng::{Purpose, Rng, stream};
-use physgrad::{
-    Batch, Flow, Inputs, Policy, Scalar, Start, System, Task, Weights, check, initial_states,
-};
+use physgrad::{Flow, Inputs, Policy, Scalar, Start, System, Task, Weights, check, initial_states};
 
 /// Gradient of one flow over five samples.
 fn gradient<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Vec<f64> {

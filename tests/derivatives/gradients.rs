@@ -6,10 +6,11 @@ use physgrad::policy::{
     PolicyRecord, Sizes, Sum, Tensor,
 };
 use physgrad::rng::{Purpose, Rng, stream};
+use physgrad::scalar::CotangentPack;
 use physgrad::tasks::{CartPole, CartPoleSystem, LossMode, Quantum};
 use physgrad::{
-    Cotangent, CotangentPack, Cotangents, Float, Flow, Inputs, Policy, Real, Scalar, Start, System,
-    Tangents, Task, check,
+    Cotangent, Cotangents, Float, Flow, Inputs, Policy, Real, Scalar, Start, System, Tangents,
+    Task, check,
 };
 use rand::RngExt;
 

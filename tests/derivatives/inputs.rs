@@ -2,11 +2,12 @@
 //! The observation uses all but the control. The terminal cost uses the state and the parameters.
 
 use physgrad::check::Failure;
+use physgrad::engine::{Batch, Checkpointed, Schedule};
 use physgrad::policy::{Constant, Gru, Linear, Mlp, TrainedParam, WithParams};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::{
-    Batch, Checkpointed, Cotangent, Cotangents, DynTask, Flow, Gradient, Inputs, Policy, Real,
-    Rollout, Scalar, Schedule, Start, System, Task, Weights, check, initial_states,
+    Cotangent, Cotangents, DynTask, Flow, Gradient, Inputs, Policy, Real, Rollout, Scalar, Start,
+    System, Task, Weights, check, initial_states,
 };
 use rand::RngExt;
 

@@ -1,11 +1,12 @@
 //! Policies with a memory or a dependence on time: recurrent policies, control sequences, the
 //! memory path of flows.
 
+use physgrad::engine::{Checkpointed, Schedule};
 use physgrad::policy::{Action, Elman, Gru, Observed, OpenLoop, PolicyPass, PolicyRecord, Sizes};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::{
-    Checkpointed, Divergence, Float, Flow, Gradient, Inputs, Policy, Scalar, Schedule, Start,
-    System, Task, Weights, check, initial_states,
+    Divergence, Float, Flow, Gradient, Inputs, Policy, Scalar, Start, System, Task, Weights, check,
+    initial_states,
 };
 use rand::RngExt;
 

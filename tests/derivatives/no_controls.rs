@@ -1,11 +1,9 @@
 //! Systems without controls, and tasks without observations.
 
+use physgrad::actuator::{AnyActuator, Delay, Lag, Limit, LimitKind};
 use physgrad::policy::{Constant, Linear, OpenLoop, TrainedParam, WithParams};
 use physgrad::rng::Rng;
-use physgrad::{
-    Actuated, AnyActuator, Delay, Field, Inputs, Lag, Limit, LimitKind, Scalar, Start, System,
-    Task, Trainer, Training, check,
-};
+use physgrad::{Actuated, Field, Inputs, Scalar, Start, System, Task, Trainer, Training, check};
 use rand::RngExt;
 
 /// Decay `x' = x - p x/10` without controls.
@@ -68,7 +66,7 @@ fn parameters_of_systems_without_controls_are_trained() {
         learning_rate: 0.1,
         ..Training::default()
     };
-    let training = Training { decay: physgrad::Decay::Cosine { end: 0.0 }, ..training };
+    let training = Training { decay: physgrad::train::Decay::Cosine { end: 0.0 }, ..training };
     let report = Trainer::new(Measured(Decay), policy.clone())
         .precision::<f64>()
         .field(Field::regular())

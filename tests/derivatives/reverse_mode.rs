@@ -1,12 +1,11 @@
 //! Default derivatives of more than 16 inputs, in reverse mode, against dual numbers.
 
 use crate::common::operations::{Operation, compositions, operations};
+use physgrad::count::{Counted, Ops};
 use physgrad::policy::{Action, Linear, Observed};
 use physgrad::rng::Rng;
-use physgrad::{
-    CotangentPack, Cotangents, Counted, Dual, Inputs, Lanes, Ops, Policy, Real, Scalar, Start,
-    System, Task, check,
-};
+use physgrad::scalar::{CotangentPack, Dual, Lanes};
+use physgrad::{Cotangents, Inputs, Policy, Real, Scalar, Start, System, Task, check};
 use rand::RngExt;
 
 /// Number of states: more than the 16 inputs up to which forward mode computes derivatives.

@@ -1,13 +1,17 @@
 //! Wrappers of systems forward the cause of a non-finite number.
 
+use physgrad::actuator::Delay;
+use physgrad::effect::{DynEffect, ForcedSystem, Named};
+use physgrad::engine::Cause;
+use physgrad::integrator::{AnyIntegrator, ImplicitMidpoint};
+use physgrad::scalar::{CotangentPack, Dual, Lanes};
 use physgrad::tasks::{
     Barrier, CartPoleSystem, Cubic, DoublePendulum, Evade, GuidanceSystem, GustyWind, Pade,
     QuantumEffect, QuantumScheme, QuantumSystem, Renormalized, Strang, Tabulated, Upright,
 };
 use physgrad::{
-    Actuated, AnyIntegrator, Cause, CotangentPack, Cotangents, Delay, Dual, DynEffect, DynSystem,
-    DynTask, Effect, Forced, ForcedSystem, ImplicitMidpoint, Inputs, Integrated, Lanes, Named,
-    OdeInputs, Real, Scalar, Substeps, System, Task, check,
+    Actuated, Cotangents, DynSystem, DynTask, Effect, Forced, Inputs, Integrated, OdeInputs, Real,
+    Scalar, Substeps, System, Task, check,
 };
 
 /// Effect whose force is infinite at a state of ones.

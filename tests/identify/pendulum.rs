@@ -1,7 +1,8 @@
 //! The pendulum of several arms.
 
+use physgrad::integrator::RungeKutta;
 use physgrad::tasks::{Arm, MultiPendulum};
-use physgrad::{Integrated, Number, Ode, OdeInputs, RungeKutta, System, check};
+use physgrad::{Integrated, Number, Ode, OdeInputs, System, check};
 
 /// Returns an arm without symmetry, with all numbers proportional to `scale`. If `varied`, each
 /// number is uniform within 20 % of its value.

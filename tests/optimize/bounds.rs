@@ -2,12 +2,11 @@
 
 use super::linear::by_adjoint;
 use super::problems::{Coupled, Pendulum, Saturating};
+use physgrad::actuator::{AnyActuator, Delay, Limit, LimitKind};
 use physgrad::optimize::{Initial, Options, Plan, optimize};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{CartPole, Guidance, Lqr, Upright};
-use physgrad::{
-    AnyActuator, Delay, DynTask, Inputs, Limit, LimitKind, Scalar, Start, System, Task,
-};
+use physgrad::{DynTask, Inputs, Scalar, Start, System, Task};
 use rand::RngExt;
 use std::f64::consts::PI;
 

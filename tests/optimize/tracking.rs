@@ -1,12 +1,14 @@
 //! [`Tracking`]: the task to follow a plan.
 
 use super::problems::{Coupled, Pendulum, SwingUp};
+use physgrad::engine::Evaluation;
 use physgrad::optimize::{Initial, OptimizeError, Options, Plan, Tracking, optimize};
 use physgrad::policy::{Linear, OpenLoop, Sum};
 use physgrad::rng::{Purpose, Rng};
+use physgrad::train::Decay;
 use physgrad::{
-    Decay, Evaluation, Field, Inputs, Number, Numbers, Rollout, Scalar, Start, System, Task,
-    Trainer, Training, Weights, check, initial_states,
+    Field, Inputs, Number, Numbers, Rollout, Scalar, Start, System, Task, Trainer, Training,
+    Weights, check, initial_states,
 };
 use std::f64::consts::PI;
 

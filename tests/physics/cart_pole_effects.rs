@@ -1,5 +1,7 @@
 //! Effects of cart-pole, its coupled model, and actuators: derivatives, and the documented physics.
 
+use physgrad::actuator::{AnyActuator, Delay, Lag, Limit, LimitKind};
+use physgrad::effect::{ForcedSystem, HasModel};
 use physgrad::policy::Linear;
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{
@@ -7,8 +9,7 @@ use physgrad::tasks::{
     DryFriction, GustyWind, PoleDamping, SteadyWind,
 };
 use physgrad::{
-    Actuated, AnyActuator, Cotangents, Delay, Effect, Forced, ForcedSystem, HasModel, Inputs, Lag,
-    Limit, LimitKind, OdeInputs, Scalar, Substeps, System, check,
+    Actuated, Cotangents, Effect, Forced, Inputs, OdeInputs, Scalar, Substeps, System, check,
 };
 use rand::RngExt;
 
@@ -260,7 +261,7 @@ fn actuators_follow_their_formulas() {
     // The control is constant, and the cart starts at rest. The pole has negligible mass. The force
     // is therefore M / dt times the change of the cart's speed, with the cart mass M = 1 kg.
     let model = CartPoleSystem { pole_mass: (1e-12).into(), dt: 0.1, ..poles(1) };
-    fn applied<A: physgrad::Actuator>(
+    fn applied<A: physgrad::actuator::Actuator>(
         model: CartPoleSystem,
         actuator: A,
         u: f64,

@@ -15,13 +15,14 @@ mod mechanism;
 mod quantum;
 mod tasks;
 
+use physgrad::actuator::{Actuator, AnyActuator, Delay, Lag, Limit, LimitKind};
+use physgrad::effect::ForcedSystem;
 use physgrad::policy::{Conv, Linear};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::*;
 use physgrad::{
-    Actuated, Actuator, AnyActuator, Cotangent, Cotangents, Delay, Effect, Forced, ForcedSystem,
-    Inputs, Lag, Limit, LimitKind, Number as PhysicalNumber, Ode, Real, Scalar, Start, System,
-    Task, check,
+    Actuated, Cotangent, Cotangents, Effect, Forced, Inputs, Number as PhysicalNumber, Ode, Real,
+    Scalar, Start, System, Task, check,
 };
 use rand::RngExt;
 use std::f64::consts::{FRAC_PI_6, PI, TAU};

@@ -2,12 +2,13 @@
 
 use physgrad::policy::Mlp;
 use physgrad::rng::Purpose;
+use physgrad::scalar::{CotangentPack, Single};
 use physgrad::tasks::{
     Center, Evade, Flock, Friction, Guidance, GuidanceSystem, Herding, LossMode, Spread,
 };
 use physgrad::{
-    Cotangent, CotangentPack, Cotangents, Float, Forced, Inputs, Real, Scalar, Single, System,
-    Tangents, Task, check, initial_states,
+    Cotangent, Cotangents, Float, Forced, Inputs, Real, Scalar, System, Tangents, Task, check,
+    initial_states,
 };
 use rand::RngExt;
 use serde_json::Value;
@@ -346,11 +347,12 @@ fn lanes_with_distances_from_0_to_1e160_equal_single_samples() {
     let system = system(2, 2);
     let distances = [0.0, 1e-160, 1.0, 1e160];
     let starts: [Vec<f64>; W] = distances.map(|distance| row_of_agents(4, distance, true));
-    let x: Vec<physgrad::Lanes<f64, W>> =
-        (0..16).map(|i| physgrad::Lanes(std::array::from_fn(|l| starts[l][i]))).collect();
-    let u = [physgrad::Lanes([0.3; W]); 4];
-    let cotangents: Vec<_> =
-        (0..16).map(|i| CotangentPack([physgrad::Lanes([f64::from(i) - 7.5; W])])).collect();
+    let x: Vec<physgrad::scalar::Lanes<f64, W>> =
+        (0..16).map(|i| physgrad::scalar::Lanes(std::array::from_fn(|l| starts[l][i]))).collect();
+    let u = [physgrad::scalar::Lanes([0.3; W]); 4];
+    let cotangents: Vec<_> = (0..16)
+        .map(|i| CotangentPack([physgrad::scalar::Lanes([f64::from(i) - 7.5; W])]))
+        .collect();
     let (mut next, mut x_bar, mut u_bar) =
         (x.clone(), vec![CotangentPack::null(); 16], vec![CotangentPack::null(); 4]);
     system.step(Inputs::new(&x, &u), &mut next);

@@ -1,14 +1,15 @@
 //! Effects of guidance: derivatives, and documented physics.
 
+use physgrad::actuator::{AnyActuator, Delay, Lag, Limit, LimitKind};
 use physgrad::policy::Linear;
 use physgrad::rng::{Purpose, Rng, stream};
+use physgrad::scalar::{Lanes, Single};
 use physgrad::tasks::{
     Center, Drive, Evade, Flock, Friction, Guidance, GuidanceEffect, GuidanceSystem, Obstacles,
     Spread, Walls,
 };
 use physgrad::{
-    Actuated, AnyActuator, Cotangent, Cotangents, Delay, Effect, Forced, Inputs, Lag, Lanes, Limit,
-    LimitKind, Real, Single, Substeps, System, check,
+    Actuated, Cotangent, Cotangents, Effect, Forced, Inputs, Real, Substeps, System, check,
 };
 use rand::RngExt;
 

@@ -1,10 +1,11 @@
 //! Dry friction and impacts: gradients, and the documented properties.
 
 use physgrad::policy::Mlp;
+use physgrad::scalar::Single;
 use physgrad::tasks::{
     Bounce, BouncingBall, Contact, FrictionScheme, Push, Slider, SliderSystem, TwoBodies,
 };
-use physgrad::{Cotangents, Float, Inputs, Real, Scalar, Single, System, check};
+use physgrad::{Cotangents, Float, Inputs, Real, Scalar, System, check};
 use rand::RngExt;
 
 /// Spring with a stiffness of 1000 N/m and a damping of 0.3 s/m.

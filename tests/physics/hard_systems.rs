@@ -1,16 +1,15 @@
 //! Linear plants with a known optimum, the double pendulum, and the chain of poles: derivatives,
 //! optimal gains, energies, and refused masses.
 
+use physgrad::engine::Evaluation;
+use physgrad::integrator::{ImplicitMidpoint, RungeKutta, SemiImplicit, Verlet};
 use physgrad::policy::Linear;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{
     CartPoleSystem, CoupledCartPole, DoublePendulum, LinearPlant, LossMode, Lqr, MassError,
     NoOptimum, PoleChain, Upright,
 };
-use physgrad::{
-    Evaluation, ImplicitMidpoint, Inputs, Integrated, Ode, RungeKutta, SemiImplicit, Substeps,
-    System, Task, Verlet, Weights, check,
-};
+use physgrad::{Inputs, Integrated, Ode, Substeps, System, Task, Weights, check};
 use rand::RngExt;
 
 fn chain(poles: usize) -> PoleChain {

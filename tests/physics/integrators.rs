@@ -1,14 +1,19 @@
 //! Integrators: derivatives, order, and documented properties.
 
+use physgrad::engine::{Cause, Variable};
+use physgrad::integrator::{
+    Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Integrator, RungeKutta, Sdirk2,
+    SemiImplicit, Verlet,
+};
 use physgrad::rng::{Purpose, stream};
+use physgrad::scalar::{Lanes, Single};
 use physgrad::tasks::{
     Bumpers, CartDamping, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole,
     DryFriction, GuidanceSystem, GustyWind, PoleDamping, SteadyWind,
 };
 use physgrad::{
-    Adaptive, AnyIntegrator, Cause, Cotangents, Discretized, Divergence, Flow, Forced,
-    ImplicitMidpoint, Inputs, Integrated, Integrator, Lanes, Ode, OdeInputs, Real, RungeKutta,
-    Scalar, Sdirk2, SemiImplicit, Single, Substeps, System, Tangents, Variable, Verlet, check,
+    Cotangents, Divergence, Flow, Forced, Inputs, Integrated, Ode, OdeInputs, Real, Scalar,
+    Substeps, System, Tangents, check,
 };
 use rand::RngExt;
 

@@ -1,5 +1,8 @@
 //! Physical numbers that vary between samples or are trained.
 
+use physgrad::count::OpCount;
+use physgrad::integrator::Adaptive;
+use physgrad::number::Choice;
 use physgrad::policy::Constant;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{
@@ -7,8 +10,8 @@ use physgrad::tasks::{
     DryFriction, GustyWind, PoleDamping, SteadyWind,
 };
 use physgrad::{
-    Adaptive, Adjoint, Choice, Cotangents, Flow, Forced, Inputs, Integrated, Number, Numbers,
-    OpCount, Rollout, Scalar, System, Weights, check, initial_states,
+    Adjoint, Cotangents, Flow, Forced, Inputs, Integrated, Number, Numbers, Rollout, Scalar,
+    System, Weights, check, initial_states,
 };
 use std::borrow::Cow;
 

@@ -4,6 +4,9 @@
 use super::boxes::{
     Swinging, box_of, check_lively, dipole, every_effect, every_effect_typed, lively, norm, step,
 };
+use physgrad::actuator::{Delay, Limit, LimitKind};
+use physgrad::count::{Counted, Ops};
+use physgrad::effect::HasModel;
 use physgrad::policy::Linear;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{
@@ -11,8 +14,8 @@ use physgrad::tasks::{
     Renormalized, Tabulated,
 };
 use physgrad::{
-    Actuated, Cotangents, Counted, Delay, Effect, Forced, HasModel, Inputs, Limit, LimitKind, Ops,
-    Scalar, Start, Substeps, System, Task, check, initial_states,
+    Actuated, Cotangents, Effect, Forced, Inputs, Scalar, Start, Substeps, System, Task, check,
+    initial_states,
 };
 
 #[test]

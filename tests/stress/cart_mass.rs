@@ -3,12 +3,14 @@
 use super::steps::larger;
 use super::{Case, Finding};
 use physgrad::Inputs;
+use physgrad::Integrated;
 use physgrad::Ode;
 use physgrad::check;
+use physgrad::integrator::SemiImplicit;
 use physgrad::rng::{Purpose, stream};
+use physgrad::scalar::Single;
 use physgrad::tasks::{CartPoleSystem, CoupledCartPole, MassError, PoleChain};
-use physgrad::{Float, Real, Single};
-use physgrad::{Integrated, SemiImplicit};
+use physgrad::{Float, Real};
 use rand::RngExt;
 use std::f64::consts::PI;
 

@@ -20,8 +20,8 @@ pub use crate::commands::accuracy::{Cheapest, Errors, Measured, Metric, Row, Set
 pub use crate::runs::run::{EpochEvent, Observer};
 pub use crate::settings::Precision;
 pub use memory::{TooLarge, fits};
-pub use physgrad::Trajectories;
-pub use physgrad::threads;
+pub use physgrad::engine::threads;
+pub use physgrad::train::Trajectories;
 pub use policy::{Policy, Precise};
 pub use run::Run;
 pub use scene::Scene;

@@ -2,7 +2,8 @@
 
 use crate::settings::Info;
 use crate::settings::config_error::{ConfigError, count, positive};
-use physgrad::{Actuated, Actuator, AnyActuator, Delay, Lag, Limit, System};
+use physgrad::actuator::{Actuator, AnyActuator, Delay, Lag, Limit};
+use physgrad::{Actuated, System};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 

@@ -21,7 +21,7 @@ use std::sync::Arc;
 ///
 /// ```
 /// use physgrad::tasks::{CartDamping, CartPoleSystem};
-/// use physgrad::{DynEffect, Forced, check};
+/// use physgrad::{Forced, check, effect::DynEffect};
 ///
 /// let effects: Vec<DynEffect<CartPoleSystem>> = vec![DynEffect::new(CartDamping::default())];
 /// check::system(&Forced { system: CartPoleSystem::default(), effects }).unwrap();
