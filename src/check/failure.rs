@@ -1,8 +1,8 @@
 //! Failed checks, and their messages.
 
 use super::ROLLOUT;
-use crate::engine::adjoint::Flow;
 use crate::engine::divergence::Divergence;
+use crate::engine::flow::Flow;
 use std::fmt;
 
 /// Largest relative error of a rollout that may be due to rounding.

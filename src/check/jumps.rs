@@ -1,9 +1,10 @@
 //! Detection of jumps of the loss, which bias the gradient of a mean loss.
 
 use crate::dynamics::task::Task;
-use crate::engine::adjoint::{Adjoint, Flow};
+use crate::engine::adjoint::Adjoint;
 use crate::engine::any::AnyTask;
 use crate::engine::divergence::Divergence;
+use crate::engine::flow::Flow;
 use crate::engine::gradient::Gradient;
 use crate::engine::rollout::Rollout;
 use crate::numbers::scalar::LANES;

@@ -189,30 +189,7 @@ pub(super) fn check(system: &dyn Checked, draw: Draw, horizon: usize) -> Result<
         };
         requests(&uncertainty, &mut c)?;
 
-        let mut all = sizes.map(|len| vec![0.0; len]);
-        let mut sum = vec![0.0; sizes[0]];
-        for (k, name) in ["jvp of x", "jvp of u", "jvp of p"].into_iter().enumerate() {
-            let tangent = normal(&mut rng, sizes[k]);
-            let mut tangents = Tangents::default();
-            *[&mut tangents.x, &mut tangents.u, &mut tangents.p][k] = Some(&tangent);
-            // `jvp` writes every component.
-            let mut next_tan = vec![f64::NAN; sizes[0]];
-            system.jvp(at, tangents, &mut next_tan);
-            sum.iter_mut().zip(&next_tan).for_each(|(sum, tan)| *sum += tan);
-            all[k].copy_from_slice(&tangent);
-            let terms =
-                |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a * b).abs()).sum::<f64>();
-            let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-            let scale = terms(&next_bar, &next_tan).max(terms(&expected[k], &tangent));
-            let [found, expected] = [dot(&next_bar, &next_tan), dot(&expected[k], &tangent)];
-            c.one_within(name, 0, found, expected, scale, &|| {
-                terms(&uncertainty.allowed()[k], &tangent)
-            })?;
-        }
-        let mut next_tan = vec![f64::NAN; sizes[0]];
-        let [x, u, p] = &all;
-        system.jvp(at, Tangents { x: Some(x), u: Some(u), p: Some(p) }, &mut next_tan);
-        c.slices("jvp of x, u and p: next", &next_tan, &sum)?;
+        jvps(&uncertainty, &mut rng, &mut c)?;
         lanes(system, at, &next_bar, &mut c)?;
     }
     Ok(c.passed)
@@ -301,6 +278,36 @@ fn requests(uncertainty: &Uncertainty<'_>, c: &mut Comparison) -> Result<(), Mis
         }
     }
     Ok(())
+}
+
+/// Compares [`System::jvp`] with derivatives by dual numbers, along random tangents of each input
+/// and of all inputs.
+fn jvps(uncertainty: &Uncertainty<'_>, rng: &mut Rng, c: &mut Comparison) -> Result<(), Mismatch> {
+    let Uncertainty { system, at, next_bar, expected, .. } = *uncertainty;
+    let n = at.x.len();
+    let mut all = [at.x, at.u, at.p].map(|values| vec![0.0; values.len()]);
+    let mut sum = vec![0.0; n];
+    for (k, name) in ["jvp of x", "jvp of u", "jvp of p"].into_iter().enumerate() {
+        let tangent = normal(rng, all[k].len());
+        let mut tangents = Tangents::default();
+        *[&mut tangents.x, &mut tangents.u, &mut tangents.p][k] = Some(&tangent);
+        // `jvp` writes every component.
+        let mut next_tan = vec![f64::NAN; n];
+        system.jvp(at, tangents, &mut next_tan);
+        sum.iter_mut().zip(&next_tan).for_each(|(sum, tan)| *sum += tan);
+        all[k].copy_from_slice(&tangent);
+        let terms = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a * b).abs()).sum::<f64>();
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let scale = terms(next_bar, &next_tan).max(terms(&expected[k], &tangent));
+        let [found, expected] = [dot(next_bar, &next_tan), dot(&expected[k], &tangent)];
+        c.one_within(name, 0, found, expected, scale, &|| {
+            terms(&uncertainty.allowed()[k], &tangent)
+        })?;
+    }
+    let mut next_tan = vec![f64::NAN; n];
+    let [x, u, p] = &all;
+    system.jvp(at, Tangents { x: Some(x), u: Some(u), p: Some(p) }, &mut next_tan);
+    c.slices("jvp of x, u and p: next", &next_tan, &sum)
 }
 
 /// Compares SIMD lanes with scalars, without tolerance. Every lane has different inputs. The VJP

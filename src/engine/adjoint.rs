@@ -20,7 +20,6 @@
 //! numbers.
 
 mod exponents;
-mod flow;
 mod measure;
 mod policy;
 mod recursion;
@@ -29,14 +28,14 @@ mod starts;
 mod step_back;
 
 use crate::engine::any::AnyTask;
-use crate::engine::closed::Closed;
 use crate::engine::divergence::Divergence;
+use crate::engine::flow::Flow;
 use crate::engine::gradient::Gradient;
+use crate::engine::pass::{Closed, Pass};
 use crate::engine::rollout::Rollout;
 use crate::numbers::scalar::Float;
 use crate::policy::AnyPolicy;
 use crate::policy::{PolicyPass, Weights};
-pub use flow::Flow;
 use policy::{PolicyAdjoint, PolicyBufferSizes, nested_bytes};
 use recursion::Recursion;
 use std::ops::Range;
@@ -437,16 +436,6 @@ impl<F: Float> Adjoint<F> {
         let pass = PolicyPass::new(weights.packed(), at, rollout.inputs()).at_steps(unit.clone());
         self.policy.add_param_gradient(k, policy, pass, &rollout.tape, theta_bar);
     }
-}
-
-/// Constant arguments of one reverse pass.
-pub(crate) struct Pass<'a, F: Float> {
-    pub(crate) closed: Closed<'a, F>,
-    pub(crate) rollout: &'a Rollout<F>,
-    /// Factor of all cotangents.
-    pub(crate) scale: F,
-    /// True if the pass measures the growth of the adjoints.
-    pub(crate) measured: bool,
 }
 
 #[cfg(test)]

@@ -4,14 +4,14 @@
 //! over fixed groups of samples, then over fixed blocks of groups, then over all blocks in order.
 //! If several [`Ranks`] share the blocks, the sums do not change.
 
-use crate::engine::adjoint::Flow;
 use crate::engine::any::AnyTask;
 use crate::engine::checkpointed::Checkpointed;
-use crate::engine::closed::Closed;
 use crate::engine::divergence::Divergence;
+use crate::engine::flow::Flow;
 use crate::engine::gradient::Gradient;
 use crate::engine::growth::{Growth, GrowthStats};
 use crate::engine::parallel::for_each;
+use crate::engine::pass::Closed;
 use crate::engine::ranks::{Ranks, add_blocks, gather, gather_f64, samples_of};
 use crate::engine::schedule::{MemoryError, Schedule};
 use crate::numbers::scalar::Float;

@@ -1,11 +1,12 @@
 //! [`Checkpointed`]: forward and reverse passes of a batch of samples, with checkpoints by a
 //! [`Schedule`].
 
-use crate::engine::adjoint::{Adjoint, Flow, Pass};
+use crate::engine::adjoint::Adjoint;
 use crate::engine::any::AnyTask;
-use crate::engine::closed::Closed;
 use crate::engine::divergence::Divergence;
+use crate::engine::flow::Flow;
 use crate::engine::gradient::Gradient;
+use crate::engine::pass::{Closed, Pass};
 use crate::engine::rollout::Rollout;
 use crate::engine::schedule::{MemoryError, Schedule, split};
 use crate::numbers::scalar::{Float, LANES, Lane, Real, Scalar};

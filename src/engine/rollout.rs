@@ -2,14 +2,13 @@
 
 mod buffer_sizes;
 mod columns;
-mod step_forward;
 mod unwritten;
 
 use crate::dynamics::cause::Cause;
 use crate::dynamics::inputs::Inputs;
 use crate::engine::any::AnyTask;
-use crate::engine::closed::Closed;
 use crate::engine::divergence::{Divergence, Variable};
+use crate::engine::pass::Closed;
 use crate::numbers::aligned::Aligned;
 use crate::numbers::scalar::{Float, LANES, Lane, Lanes, Real, Scalar, Single};
 use crate::policy::AnyPolicy;
@@ -18,7 +17,6 @@ use buffer_sizes::BufferSizes;
 use columns::scatter;
 pub(crate) use columns::{find_non_finite, gather};
 use std::ops::Range;
-pub use step_forward::StepForward;
 use unwritten::zero_param;
 
 /// Number of steps in a unit. Units divide a rollout; the last one may be shorter.

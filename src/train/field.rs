@@ -1,6 +1,6 @@
 //! [`Field`]: the vector field that the optimizer follows. [`GradientCombiner`]: custom fields.
 
-use crate::engine::adjoint::Flow;
+use crate::engine::flow::Flow;
 use crate::engine::gradient::Gradient;
 use crate::numbers::scalar::Float;
 use crate::train::combination::Combination;

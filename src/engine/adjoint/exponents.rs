@@ -6,7 +6,8 @@
 //! numbers.
 
 use super::recursion::CostGradient;
-use super::{Flow, Pass};
+use crate::engine::flow::Flow;
+use crate::engine::pass::Pass;
 use crate::numbers::extended::{exponent_of, scaled};
 use crate::numbers::scalar::{CotangentPack, Float, LANES, Lane, Real};
 

@@ -2,8 +2,9 @@
 //! with a `cut` depend on them.
 
 use super::exponents::{BlockExponents, Exponents};
-use super::{Flow, Pass};
+use crate::engine::flow::Flow;
 use crate::engine::growth::Meter;
+use crate::engine::pass::Pass;
 use crate::engine::rollout::Rollout;
 use crate::numbers::extended::{exponent_of, times_power_of_two};
 use crate::numbers::scalar::{CotangentPack, Float, LANES, Lane, Real};

@@ -1,12 +1,12 @@
 //! Policy part of the reverse pass: cotangents, buffers and parameter gradients.
 
 use super::exponents::Exponents;
-use super::recursion::Recursion;
-use super::{Flow, Pass};
+use super::starts::StartGradients;
 use crate::dynamics::outline::One;
 use crate::engine::any::AnyTask;
-use crate::engine::closed::Closed;
+use crate::engine::flow::Flow;
 use crate::engine::gradient::Gradient;
+use crate::engine::pass::{Closed, Pass};
 use crate::engine::rollout::gather;
 use crate::numbers::aligned::Aligned;
 use crate::numbers::extended::{exponent_of, scaled};
@@ -216,10 +216,10 @@ impl<F: Float> PolicyAdjoint<F> {
         flow: Flow,
         pass: &Pass<'_, F>,
         t: usize,
-        carried: &mut Recursion<F, K>,
+        lambda: &mut [CotangentPack<Lane<F>, K>],
+        starts: Option<&mut StartGradients<F, K>>,
     ) {
         let (task, rollout) = (pass.closed.task, pass.rollout);
-        let Recursion { lambda, starts, .. } = carried;
         let observed = 0..self.observed_dim;
         if task.own_observation().is_none() {
             let weight = F::from_f64(flow.control);
@@ -233,7 +233,7 @@ impl<F: Float> PolicyAdjoint<F> {
         });
         let states_bar = &mut self.states_bar[..rollout.states_at(t).len()];
         states_bar.fill(One::null());
-        let params_bar = starts.as_mut().map(|starts| {
+        let params_bar = starts.map(|starts| {
             starts.observed[k].fill(One::null());
             &mut starts.observed[k][..]
         });

@@ -12,14 +12,16 @@
 
 use super::exponents::Exponents;
 use super::measure::{GrowthMeters, record_norms};
+use super::policy::PolicyAdjoint;
 use super::restart::Place;
 use super::starts::StartGradients;
 use super::step_back::StepBack;
-use super::{Flow, Pass, PolicyAdjoint};
 use crate::dynamics::inputs::{Cotangents, Inputs};
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::engine::divergence::{Divergence, Variable};
+use crate::engine::flow::Flow;
+use crate::engine::pass::Pass;
 use crate::engine::rollout::{Rollout, find_non_finite};
 use crate::numbers::scalar::{
     Cotangent, CotangentPack, Float, LANES, Lane, Lanes, Real, Scalar, Single,
@@ -294,7 +296,8 @@ impl<F: Float, const K: usize> Recursion<F, K> {
                 }
                 if flow.control != 0.0 {
                     // λ ← λ + control·(∂y/∂x)ᵀ ȳ
-                    policy.add_inputs_bar(k, flow, pass, t, self);
+                    let (lambda, starts) = (&mut self.lambda, self.starts.as_mut());
+                    policy.add_inputs_bar(k, flow, pass, t, lambda, starts);
                 }
                 // μ ← memory·m̄
                 policy.set_memory_bar(k, flow, pass.rollout.columns(t), &mut self.u_bar);

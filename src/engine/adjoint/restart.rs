@@ -1,8 +1,8 @@
 //! [`Recursion::restart`]: lower exponents for cotangents that have become small.
 
-use super::Pass;
 use super::exponents::Limits;
 use super::recursion::Recursion;
+use crate::engine::pass::Pass;
 use crate::engine::rollout::Rollout;
 use crate::numbers::extended::{exponent_of, scaled};
 use crate::numbers::scalar::{Float, LANES, Lane, Real};

@@ -3,7 +3,7 @@
 use super::Rollout;
 use crate::dynamics::inputs::Inputs;
 use crate::engine::any::AnyTask;
-use crate::engine::closed::Closed;
+use crate::engine::pass::Closed;
 use crate::numbers::scalar::{Float, LANES, Lane, Real, Scalar};
 use crate::policy::{AnyPolicy, Weights};
 
