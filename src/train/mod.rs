@@ -90,7 +90,7 @@ pub struct Training {
     /// Clipping of the field, before the optimizer. `docs/learning.md` compares the variants.
     pub clip: Clip,
     /// Largest number of consecutive updates skipped because of a
-    /// [`Divergence`](crate::Divergence). One more stops the training.
+    /// [`Divergence`]. One more stops the training.
     pub max_skipped: usize,
     /// Number of threads that share a mini-batch. Results do not depend on it.
     pub workers: usize,
@@ -374,7 +374,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     }
 
     /// Creates a session from given parameters and initial states; see
-    /// [`initial_states`](crate::initial_states). Ignores [`start_from`](Self::start_from).
+    /// [`initial_states`]. Ignores [`start_from`](Self::start_from).
     ///
     /// With [`Training::resample`], updates draw their initial states from the task. `train` then
     /// serves for losses only, and its length sets the number of samples of an epoch.
