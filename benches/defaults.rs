@@ -8,11 +8,13 @@
 mod measure;
 
 use measure::{median, ratio, rounds};
+use physgrad::engine::Batch;
 use physgrad::policy::{Action, Linear, Mlp, Observed};
 use physgrad::rng::{Purpose, Rng, stream};
+use physgrad::scalar::{CotangentPack, Dual, Lanes};
 use physgrad::{
-    Batch, Cotangent, CotangentPack, Cotangents, Dual, Field, Float, Flow, Inputs, Lanes, Policy,
-    Real, Scalar, Start, System, Task, Trainer, Training, Weights, initial_states,
+    Cotangent, Cotangents, Field, Float, Flow, Inputs, Policy, Real, Scalar, Start, System, Task,
+    Trainer, Training, Weights, initial_states,
 };
 use rand::RngExt;
 use std::hint::black_box;

@@ -16,7 +16,7 @@ mod measure;
 
 use by_hand::{cart_pole, guidance, quantum};
 use measure::{Nothing, median, ratio, rounds};
-use physgrad::any::AnyTask;
+use physgrad::engine::any::AnyTask;
 use physgrad::policy::AnyPolicy;
 use physgrad::policy::{Conv, Mlp, Policy};
 use physgrad::rng::{Purpose, stream};

@@ -8,14 +8,15 @@
 mod measure;
 
 use measure::{Nothing, median, ratio, rounds};
-use physgrad::kernels::elementwise::{self, Strided};
-use physgrad::kernels::gemm::Product;
-use physgrad::kernels::{SimdLevel, gemm};
+use physgrad::engine::Batch;
+use physgrad::engine::kernels::elementwise::{self, Strided};
+use physgrad::engine::kernels::gemm::Product;
+use physgrad::engine::kernels::{SimdLevel, gemm};
 use physgrad::policy::{Mlp, Policy};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::CartPole;
 use physgrad::{
-    Adjoint, Batch, Field, Float, Flow, Gradient, Rollout, System, Trainer, Training, Weights,
+    Adjoint, Field, Float, Flow, Gradient, Rollout, System, Trainer, Training, Weights,
     initial_states,
 };
 use std::hint::black_box;

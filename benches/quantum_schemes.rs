@@ -12,11 +12,12 @@
 mod measure;
 
 use measure::{Nothing, median, ratio, rounds};
+use physgrad::effect::{ForcedSystem, HasModel};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{Cubic, Harmonic, Pade, Quantum, QuantumScheme, QuantumSystem, Strang};
 use physgrad::{
-    Adjoint, Effect, Float, Flow, Forced, ForcedSystem, HasModel, Inputs, Rollout, Substeps,
-    System, Task, Weights, initial_states,
+    Adjoint, Effect, Float, Flow, Forced, Inputs, Rollout, Substeps, System, Task, Weights,
+    initial_states,
 };
 use std::f64::consts::PI;
 use std::hint::black_box;

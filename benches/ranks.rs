@@ -9,10 +9,11 @@
 mod measure;
 
 use measure::{median, ratio, rounds};
+use physgrad::engine::{Batch, Ranks};
 use physgrad::policy::{Mlp, Policy};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::CartPole;
-use physgrad::{Batch, Flow, Ranks, Weights, initial_states};
+use physgrad::{Flow, Weights, initial_states};
 use std::sync::{Arc, Barrier, Mutex};
 
 const FLOWS: [Flow; 2] = [Flow::MODIFIED, Flow::REGULAR];

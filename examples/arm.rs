@@ -74,8 +74,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let epochs = args.next().map_or(Ok(400), |text| text.parse())?;
     let (task, policy) =
         (Arm { mass: 1.0, length: 0.5, damping: 0.2, dt: 0.05 }, Mlp::new([8, 32, 32, 2]));
-    check::system(&task);
-    check::task(&task, &policy);
+    check::system(&task).unwrap();
+    check::task(&task, &policy).unwrap();
     let training = Training { epochs, clip: Clip::Norm(1.0), ..Training::default() };
     let report = Trainer::new(task.clone(), policy.clone())
         .field(Field::regular())

@@ -13,7 +13,7 @@ fn main() -> Result<(), TrainError> {
     let task = CartPole::new(numbers.next().unwrap_or(2));
     let n = task.system.state_dim();
     let policy = Mlp::new([n, 100, 100, 1]);
-    check::system(&task.system);
+    check::system(&task.system).unwrap();
 
     for field in [Field::regular(), Field::combined()] {
         let mut session =

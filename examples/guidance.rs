@@ -2,9 +2,10 @@
 //!
 //! Run: `cargo run --release --example guidance -- [epochs]`
 
+use physgrad::effect::HasModel;
 use physgrad::policy::Mlp;
 use physgrad::tasks::Guidance;
-use physgrad::{Field, HasModel, Rollout, System, TrainError, Trainer, check};
+use physgrad::{Field, Rollout, System, TrainError, Trainer, check};
 
 fn main() -> Result<(), TrainError> {
     let epochs =
@@ -14,7 +15,7 @@ fn main() -> Result<(), TrainError> {
         let herds = task.system.model();
         let n = task.system.state_dim();
         let policy = Mlp::new([n, 100, 100, task.system.control_dim()]).zero_init_output(true);
-        check::system(&task.system);
+        check::system(&task.system).unwrap();
         println!("regularization {regularization}");
         for field in [Field::regular(), Field::combined()] {
             let mut session =

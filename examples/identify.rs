@@ -8,8 +8,9 @@
 //! writes `scipy.csv`, the numbers that SciPy finds. The example compares the errors of both fits.
 
 use physgrad::identify::{Fit, IdentifyError, Options, Segment, Unknown, identify};
+use physgrad::integrator::RungeKutta;
 use physgrad::tasks::{Arm, MultiPendulum};
-use physgrad::{Integrated, Number, RungeKutta};
+use physgrad::{Integrated, Number};
 use std::error::Error;
 use std::time::Instant;
 

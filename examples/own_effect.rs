@@ -2,9 +2,10 @@
 //!
 //! Run: `cargo run --release --example own_effect -- [epochs]`
 
+use physgrad::count::OpCount;
 use physgrad::prelude::*;
 use physgrad::tasks::{CartPole, CartPoleSystem, PoleDamping};
-use physgrad::{Cotangent, Cotangents, Effect, Forced, OdeInputs, OpCount, Real, TrainError};
+use physgrad::{Cotangent, Cotangents, Effect, Forced, OdeInputs, Real, TrainError};
 
 /// Magnet on the cart above a metal rail: F = -2 force s / (1 + s²), with `s = ẋ / speed`.
 ///
@@ -70,8 +71,8 @@ fn main() -> Result<(), TrainError> {
     let system = CartPoleSystem { poles: 2, ..CartPoleSystem::default() };
     let brake = EddyBrake { force: 5.0, speed: 1.0 };
     // Compares both derivatives with dual numbers, and panics if they differ.
-    check::system(&Forced { system, effects: brake });
-    check::system(&Forced { system, effects: ByHand(brake) });
+    check::system(&Forced { system, effects: brake }).unwrap();
+    check::system(&Forced { system, effects: ByHand(brake) }).unwrap();
 
     // Counts operations. Absent effects cost nothing.
     let (alone, by_duals) = (OpCount::of(&system), OpCount::of(&Forced { system, effects: brake }));

@@ -5,7 +5,7 @@
 
 use physgrad::policy::{Constant, Quadratic};
 use physgrad::tasks::{Bowl, Reach};
-use physgrad::vector_field::{self, LEARNING_RATE, ROTATION, Rotated, START, Sample};
+use physgrad::train::vector_field::{self, LEARNING_RATE, ROTATION, Rotated, START, Sample};
 use physgrad::{Divergence, Field};
 
 fn main() -> Result<(), Divergence> {

@@ -42,7 +42,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let task =
         PositionsOnly { cart_pole: CartPoleSystem { dt: 0.02, ..CartPoleSystem::default() } };
     let policy = Gru::new(3, 24, 1);
-    check::task(&task, &policy);
+    check::task(&task, &policy).unwrap();
     let training = Training {
         epochs,
         learning_rate: 1e-2,

@@ -31,8 +31,8 @@ impl Task for Pendulum {
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let pendulum = Pendulum { mass: 1.0, length: 0.5, dt: 0.05 };
     let policy = Mlp::new([2, 32, 32, 1]);
-    check::system(&pendulum); // Panics if a derivative is wrong, and names it with both values.
-    check::task(&pendulum, &policy); // Compares whole rollouts, in all flows, with dual numbers.
+    check::system(&pendulum).unwrap(); // Panics if a derivative is wrong, and names it with both values.
+    check::task(&pendulum, &policy).unwrap(); // Compares whole rollouts, in all flows, with dual numbers.
     let records = Trainer::new(pendulum, policy).field(Field::combined()).epochs(30).run()?.records;
     println!("test loss {:.3}, then {:.4}", records[0].test_loss, records[29].test_loss);
     Ok(())

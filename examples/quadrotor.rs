@@ -62,8 +62,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut args = std::env::args().skip(1);
     let epochs = args.next().map_or(Ok(300), |text| text.parse())?;
     let (task, policy) = (Quadrotor { mass: 0.8, arm: 0.2, dt: 0.05 }, Mlp::new([7, 32, 32, 2]));
-    check::system(&task);
-    check::task(&task, &policy);
+    check::system(&task).unwrap();
+    check::task(&task, &policy).unwrap();
     let training = Training { epochs, clip: Clip::Norm(1.0), ..Training::default() };
     let report = Trainer::new(task.clone(), policy.clone())
         .field(Field::regular())

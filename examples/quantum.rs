@@ -13,7 +13,7 @@ fn main() -> Result<(), TrainError> {
     let task = Quantum::new(3);
     let n = task.system.state_dim();
     let policy = Conv::new(task.system.grid, 60);
-    check::system(&task.system);
+    check::system(&task.system).unwrap();
 
     let mut session =
         Trainer::new(task, policy.clone()).field(Field::combined()).epochs(epochs).session()?;

@@ -3,10 +3,11 @@
 //!
 //! Run: `cargo run --release --example robust -- [epochs]`
 
+use physgrad::engine::Evaluation;
 use physgrad::policy::Mlp;
 use physgrad::rng::Purpose;
 use physgrad::tasks::{CartPole, CartPoleSystem, LossMode};
-use physgrad::{Evaluation, Number, TrainError, Trainer, Weights, initial_states};
+use physgrad::{Number, TrainError, Trainer, Weights, initial_states};
 
 /// Swing-up of one pole whose half length, in m, is fixed, drawn or trained.
 fn task(half_length: Number) -> CartPole {

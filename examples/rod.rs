@@ -5,7 +5,8 @@
 use physgrad::policy::Linear;
 use physgrad::prelude::*;
 use physgrad::rng::Purpose;
-use physgrad::{Clip, Decay, Rollout, Training, initial_states};
+use physgrad::train::Decay;
+use physgrad::{Clip, Rollout, Training, initial_states};
 use physgrad_plot::{Posture, Stage, mechanics};
 
 const MASSES: usize = 100;
@@ -64,7 +65,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         Rod { stiffness: 800.0, hardening: 2000.0, damping: 0.05, dt: 0.03 },
         Linear::new(2 * MASSES, 4),
     );
-    check::system(&task);
+    check::system(&task).unwrap();
     let training = Training {
         epochs,
         clip: Clip::Norm(1.0),

@@ -47,19 +47,20 @@
 //!
 //! # Effects
 //! An [`Effect`] is an optional part of the physics: friction, wind, obstacles, potentials. The
-//! effects of a system are part of its type, so absent effects cost nothing. [`OpCount`] counts the
-//! operations of a system exactly. An [`Actuator`] transforms controls between policy and system.
-//! [`Substeps`] performs several small steps of a system as one. [`Integrated`] combines an [`Ode`]
-//! and an [`Integrator`] into a system.
+//! effects of a system are part of its type, so absent effects cost nothing.
+//! [`OpCount`](count::OpCount) counts the operations of a system exactly. An
+//! [`Actuator`](actuator::Actuator) transforms controls between policy and system. [`Substeps`]
+//! performs several small steps of a system as one. [`Integrated`] combines an [`Ode`] and an
+//! [`Integrator`](integrator::Integrator) into a system.
 //! ```
 //! use physgrad::tasks::{CartPole, CartPoleSystem, PoleDamping, SteadyWind};
-//! use physgrad::{Actuated, OpCount, Lag, Forced, check};
+//! use physgrad::{Actuated, Forced, check, actuator::Lag, count::OpCount};
 //!
 //! let system = CartPoleSystem { poles: 2, ..CartPoleSystem::default() };
 //! let windy = Forced { system, effects: (PoleDamping::default(), SteadyWind { speed: 4.0.into(), ..SteadyWind::default() }) };
 //! assert_eq!(OpCount::of(&Forced { system, effects: () }), OpCount::of(&system));
 //! let task = CartPole::with_system(Actuated { system: windy, actuator: Lag::new(0.05, system.dt) });
-//! check::system(&task.system);
+//! check::system(&task.system).unwrap();
 //! ```
 //! `docs/scenes.md` and `examples/own_effect.rs` show how to write a custom effect.
 //!
@@ -69,11 +70,13 @@
 //! - [`optimize`]: controls that minimize the loss from one initial state.
 //!
 //! # Features
-//! - `parallel` splits mini-batches, data sets, arrays of [`rows`] and the windows of an
-//!   identification over threads.
+//! - `parallel` splits mini-batches, data sets, arrays of [`rows`](engine::rows) and the windows of
+//!   an identification over threads.
 //! - `schema` provides a JSON schema for the settings of systems and effects.
 //! - `compiled` compiles the engine and the built-in tasks in this crate, for programs that use
 //!   them through [`DynTask`]. Without it, they are compiled where they are used.
+//! - `portable` also simulates on x86-64 processors without AVX2 and fused multiply-add. Without it,
+//!   rollouts panic there; with it, the build takes a quarter longer.
 //! - `double-double` adds `DoubleDouble`, a 31-digit scalar type for reference results and their
 //!   derivatives.
 //!
@@ -87,68 +90,83 @@ pub mod check;
 #[cfg(all(not(test), feature = "compiled"))]
 mod compiled;
 mod dynamics;
-mod engine;
+pub mod engine;
 pub mod identify;
 mod numbers;
 pub mod optimize;
 pub mod policy;
 pub mod tasks;
-mod train;
+pub mod train;
 
 #[cfg(all(not(test), feature = "compiled"))]
 #[doc(hidden)]
 pub use compiled::compiled;
-pub use dynamics::actuator::{
-    Actuated, Actuator, AnyActuator, Delay, Lag, Limit, LimitKind, OutputCotangents,
-};
-pub use dynamics::cause::Cause;
+pub use dynamics::actuator::Actuated;
 pub use dynamics::dyn_task::{DynSystem, DynTask};
-pub use dynamics::effect::{DynEffect, Effect, Forced, ForcedSystem, HasModel, Named};
+pub use dynamics::effect::{Effect, Forced};
 pub use dynamics::inputs::{Cotangents, Inputs, OdeInputs, Start, Tangents};
-pub use dynamics::integrator::{
-    Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Integrated, Integrator, RungeKutta,
-    Sdirk2, SemiImplicit, Verlet,
-};
-pub use dynamics::number::{Choice, Number, Numbers, Varied};
-pub use dynamics::ode::{DynOde, DynOdeVjp, ForcedOde, Ode};
-pub use dynamics::op_count::{OpCount, TaskOpCount};
+pub use dynamics::integrator::Integrated;
+pub use dynamics::number::{Number, Numbers};
+pub use dynamics::ode::Ode;
 pub use dynamics::substeps::Substeps;
 pub use dynamics::system::System;
 pub use dynamics::task::Task;
-pub use engine::adjoint::{Adjoint, Flow};
-pub use engine::any;
-pub use engine::batch::Batch;
-pub use engine::checkpointed::Checkpointed;
-pub use engine::divergence::{Divergence, Variable};
-pub use engine::evaluation::Evaluation;
+pub use engine::adjoint::Adjoint;
+pub use engine::divergence::Divergence;
+pub use engine::flow::Flow;
 pub use engine::gradient::Gradient;
-pub use engine::growth::Growth;
-pub use engine::initial_states::{append_starts, initial_states};
-pub use engine::ranks::{self, Ranks};
+pub use engine::initial_states::initial_states;
 pub use engine::rollout::Rollout;
-pub use engine::rows;
-pub use engine::schedule::{MemoryError, Schedule};
-pub use numbers::extended::ExtendedF64;
-#[doc(hidden)]
-pub use numbers::kernels;
 pub use numbers::rng;
-#[cfg(feature = "double-double")]
-pub use numbers::scalar::DoubleDouble;
-pub use numbers::scalar::{
-    Cotangent, CotangentPack, Counted, Dual, Float, Lanes, Ops, Real, Scalar, Single,
-};
+pub use numbers::scalar::{Cotangent, Float, Real, Scalar};
 pub use numbers::text;
-#[cfg(feature = "parallel")]
-pub use numbers::threads;
 pub use policy::{Policy, Weights};
-pub use train::calls::{self, Trajectories, gradients, losses, rollout};
-pub use train::combination::Combination;
-pub use train::field::{Field, GradientCombiner, UnknownField};
-pub use train::optim::{Clip, Optimizer, OptimizerKind};
-pub use train::{
-    CheckpointError, Decay, Estimator, Record, Report, Session, Skip, Smoothing, TrainError,
-    Trainer, Training, Warning, differences, vector_field,
-};
+pub use train::calls::{gradients, losses, rollout};
+pub use train::field::Field;
+pub use train::optim::{Clip, Optimizer};
+pub use train::{TrainError, Trainer, Training};
+
+/// Maps from the control of a policy to that of a system: limits, lags, delays. [`Actuated`]
+/// combines a system and an actuator.
+pub mod actuator {
+    pub use crate::dynamics::actuator::{
+        Actuator, AnyActuator, Delay, Lag, Limit, LimitKind, OutputCotangents,
+    };
+}
+
+/// Exact counts of the operations of steps and derivatives.
+pub mod count {
+    pub use crate::dynamics::op_count::{OpCount, TaskOpCount};
+    pub use crate::numbers::scalar::{Counted, Ops};
+}
+
+/// Systems to whose forces an [`Effect`] can add, and forms of effects.
+pub mod effect {
+    pub use crate::dynamics::effect::{DynEffect, ForcedSystem, HasModel, Named};
+    pub use crate::dynamics::ode::ForcedOde;
+}
+
+/// Methods that advance an [`Ode`] by a time step. [`Integrated`] combines both into a system.
+pub mod integrator {
+    pub use crate::dynamics::integrator::{
+        Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Integrator, RungeKutta, Sdirk2,
+        SemiImplicit, Verlet,
+    };
+    pub use crate::dynamics::ode::{DynOde, DynOdeVjp};
+}
+
+/// Parts of a [`Number`] that varies between samples.
+pub mod number {
+    pub use crate::dynamics::number::{Choice, Varied};
+}
+
+/// Types that implement [`Scalar`] and [`Cotangent`].
+pub mod scalar {
+    pub use crate::numbers::extended::ExtendedF64;
+    #[cfg(feature = "double-double")]
+    pub use crate::numbers::scalar::DoubleDouble;
+    pub use crate::numbers::scalar::{CotangentPack, Dual, Lanes, Single};
+}
 
 /// Imports for a file that defines a system and trains a controller for it.
 pub mod prelude {

@@ -4,19 +4,20 @@
 use approx::assert_relative_eq;
 use physgrad::policy::{Constant, Linear, Quadratic};
 use physgrad::tasks::{Accumulator, Bowl, Reach};
-use physgrad::vector_field::{self, LEARNING_RATE, ROTATION, Rotated, START};
-use physgrad::{Field, Gradient, GradientCombiner, Optimizer, OptimizerKind, check};
+use physgrad::train::vector_field::{self, LEARNING_RATE, ROTATION, Rotated, START};
+use physgrad::train::{GradientCombiner, OptimizerKind};
+use physgrad::{Field, Gradient, Optimizer, check};
 
 #[test]
 fn derivatives_of_the_examples_equal_dual_numbers() {
     for dim in [1, 2, 5] {
-        check::system(&Accumulator { dim });
+        check::system(&Accumulator { dim }).unwrap();
     }
-    check::policy(&Quadratic);
-    check::policy(&Constant::new(3, 2));
-    check::task(&Reach::default(), &Quadratic);
-    check::task(&Reach { horizon: 11, ..Reach::default() }, &Linear::with_bias(1, 1));
-    check::task(&Bowl::default(), &Constant::new(2, 2));
+    check::policy(&Quadratic).unwrap();
+    check::policy(&Constant::new(3, 2)).unwrap();
+    check::task(&Reach::default(), &Quadratic).unwrap();
+    check::task(&Reach { horizon: 11, ..Reach::default() }, &Linear::with_bias(1, 1)).unwrap();
+    check::task(&Bowl::default(), &Constant::new(2, 2)).unwrap();
 }
 
 /// Returns a grid of parameters over the area of figure 1.

@@ -5,13 +5,15 @@
 //! Errors of cosines are absolute. Other errors are relative to the largest expected component.
 //! `cargo test -p physgrad-tests reference -- --nocapture` prints all errors.
 
+use physgrad::engine::{Batch, Evaluation};
 use physgrad::policy::{Conv, Mlp};
 use physgrad::tasks::{
     CartPole, CartPoleSystem, Guidance, GuidanceSystem, LossMode, Quantum, QuantumSystem,
 };
+use physgrad::train::OptimizerKind;
 use physgrad::{
-    Batch, Clip, Cotangents, Evaluation, Field, Flow, Gradient, Inputs, Optimizer, OptimizerKind,
-    Policy, Rollout, System, Task, Trainer, Training, Weights,
+    Clip, Cotangents, Field, Flow, Gradient, Inputs, Optimizer, Policy, Rollout, System, Task,
+    Trainer, Training, Weights,
 };
 use serde_json::Value;
 use std::path::PathBuf;

@@ -1,9 +1,10 @@
 //! Handwritten step and VJP of the cart-pole with friction and wind.
 
 use arrayvec::ArrayVec;
+use physgrad::effect::HasModel;
 use physgrad::rng::Rng;
 use physgrad::tasks::{CartDamping, CartPoleSystem, PoleDamping, SteadyWind};
-use physgrad::{Cotangent, Cotangents, HasModel, Inputs, Real, Scalar, Start, System};
+use physgrad::{Cotangent, Cotangents, Inputs, Real, Scalar, Start, System};
 
 /// Physics of [`CartPoleSystem`] for at most 16 poles. The const generics enable friction and wind.
 #[derive(Clone)]

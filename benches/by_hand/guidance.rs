@@ -2,9 +2,10 @@
 //! evaders that flee and flock.
 
 use arrayvec::ArrayVec;
+use physgrad::effect::HasModel;
 use physgrad::rng::Rng;
 use physgrad::tasks::{Evade, Flock, Friction, GuidanceSystem, Spread};
-use physgrad::{Cotangent, Cotangents, Float, HasModel, Inputs, Real, Scalar, Start, System};
+use physgrad::{Cotangent, Cotangents, Float, Inputs, Real, Scalar, Start, System};
 
 /// [`GuidanceSystem::herding`] for at most 32 agents. The reference point of the controls is the
 /// sum of the evaders' positions.

@@ -2,9 +2,10 @@
 //! control is the slope of a linear potential. [`QuantumSystem`] documents the equations.
 
 use arrayvec::ArrayVec;
+use physgrad::effect::HasModel;
 use physgrad::rng::Rng;
 use physgrad::tasks::{Cubic, Harmonic, QuantumSystem};
-use physgrad::{Cotangent, Cotangents, HasModel, Inputs, Real, Scalar, Start, System};
+use physgrad::{Cotangent, Cotangents, Inputs, Real, Scalar, Start, System};
 use std::ops::{Add, Mul, Sub};
 
 /// Physics for at most 64 grid points. The const generics enable the trap and the cubic term.

@@ -4,9 +4,10 @@
 //! Run:
 //! `cargo run --release --example scene_effect -- explain cart_pole --set effects.eddy_brake={}`
 
+use physgrad::effect::{DynEffect, Named};
 use physgrad::prelude::*;
 use physgrad::tasks::CartPoleSystem;
-use physgrad::{DynEffect, Effect, Named, OdeInputs};
+use physgrad::{Effect, OdeInputs};
 use physgrad_cli::{ProgramEffect, ProgramTask, SceneEffects};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -171,7 +171,7 @@ impl Program {
     pub fn main(self) -> ExitCode {
         set_program();
         signals::ignore_file_limits();
-        let outcome = physgrad::kernels::check_processor()
+        let outcome = physgrad::engine::kernels::check_processor()
             .map_err(anyhow::Error::msg)
             .and_then(|()| tasks::register(self.own, self.effects))
             .and_then(|()| execute(&parsed().command.unwrap_or_else(default_run)));

@@ -10,8 +10,8 @@ step numbers. After ``import physgrad.gym``, the ids ``physgrad/NAME-v0`` work w
 - The reward is minus the running cost; the last one also subtracts the terminal cost. The sum of
   the rewards of an episode is therefore minus the loss of its rollout.
 - The observation is that of a policy, without normalization.
-- The action space is the box from -1 to 1. The control is the action, clipped to the box, times
-  ``bound``.
+- The action space is the box from -1 to 1. Action -1 is the control ``low``, action 1 the control
+  ``high``; other actions lie on the line between them. Actions are clipped to the box.
 - ``info`` of a step is empty, except in the mode ``SAME_STEP`` of a vector environment. There is no
   ``render``.
 """
@@ -29,29 +29,16 @@ from gymnasium.vector.utils import batch_space
 
 import physgrad as pg
 
-__all__ = ["BOUNDS", "TaskEnv", "TaskVectorEnv", "make", "make_vec"]
+from . import _core
 
-BOUNDS: dict[str, float] = {
-    "cart_pole": 60.0,
-    "guidance": 5.0,
-    "quantum": 20.0,
-    "lqr": 50.0,
-    "double_pendulum": 30.0,
-    "pendulum": 1.0,
-    "pole_chain": 30.0,
-    "slider": 5.0,
-    "bounce": 5.0,
-    "push": 10.0,
-}
-"""Control at action 1 by task, in units of the control, if neither ``bound`` nor the setting
-``actuator.limit.bound`` is given. Policies of short trainings use smaller controls."""
+__all__ = ["TaskEnv", "TaskVectorEnv", "make", "make_vec"]
 
 
 def make(name: str, *, bound: float | Sequence[float] | None = None, **settings: Any) -> TaskEnv:
     """Creates an environment over ``pg.task(name, **settings)``.
 
-    ``bound`` is the control at action 1, one number or one per control, in units of the control.
-    Default: ``actuator.limit.bound``, else the entry of the task in ``BOUNDS``.
+    Controls range from ``-bound`` to ``bound``, one number or one per control, in units of the
+    control. Default: ``task.control_bounds``. Raises ``ValueError`` if neither is finite.
     """
     return TaskEnv(pg.task(name, **settings), bound)
 
@@ -69,16 +56,16 @@ def make_vec(
 class TaskEnv(gymnasium.Env):
     """One environment over ``task``, a ``Task``. See the module for rewards and ends of episodes.
 
-    Attributes: ``task``; ``bound``, the control at action 1, shape (control_dim,); ``state``,
-    shape (state_dim,); ``params``, shape (param_dim,).
+    Attributes: ``task``; ``low`` and ``high``, the controls at actions -1 and 1, shape
+    (control_dim,); ``state``, shape (state_dim,); ``params``, shape (param_dim,).
     """
 
     metadata: dict[str, Any] = {"render_modes": []}
 
     def __init__(self, task: pg.Task, bound: float | Sequence[float] | None = None) -> None:
-        self.task, self.bound = task, _bound(task, bound)
+        self.task, (self.low, self.high) = task, _range(task, bound)
         self.observation_space, self.action_space = _spaces(task)
-        self._rows = _Rows(task, self.bound, 1)
+        self._rows = _Rows(task, self.low, self.high, 1)
 
     @property
     def state(self) -> np.ndarray:
@@ -113,7 +100,7 @@ class TaskEnv(gymnasium.Env):
         if self._rows.t[0] >= self.task.horizon:
             raise RuntimeError(f"step {self._rows.t[0]}: the episode has ended or not begun. Call `reset` first")
         action = np.asarray(action)
-        _check_shape("action", action, self.bound.shape)
+        _check_shape("action", action, self.high.shape)
         reward, truncated = self._rows.step(action[None], np.ones(1, bool))
         return self._rows.observe()[0], float(reward[0]), False, bool(truncated[0]), {}
 
@@ -135,14 +122,15 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv):
         bound: float | Sequence[float] | None = None,
         autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
     ) -> None:
-        self.task, self.bound, self.num_envs = task, _bound(task, bound), operator.index(num_envs)
+        self.task, self.num_envs = task, operator.index(num_envs)
+        self.low, self.high = _range(task, bound)
         if self.num_envs < 1:
             raise ValueError(f"`num_envs` is {num_envs}; allowed: at least 1")
         self.single_observation_space, self.single_action_space = _spaces(task)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode(autoreset_mode)}
-        self._rows = _Rows(task, self.bound, num_envs)
+        self._rows = _Rows(task, self.low, self.high, num_envs)
 
     @property
     def state(self) -> np.ndarray:
@@ -184,7 +172,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv):
             which = np.flatnonzero(ended)
             raise RuntimeError(f"environments {which}: the episode has ended or not begun. Call `reset` first")
         actions = np.asarray(actions)
-        _check_shape("actions", actions, (self.num_envs, len(self.bound)))
+        _check_shape("actions", actions, (self.num_envs, len(self.high)))
         reward, truncated = rows.step(actions, ~ended)
         if mode == AutoresetMode.SAME_STEP and truncated.any():
             final, y = np.full(self.num_envs, None, object), rows.observe()
@@ -218,8 +206,8 @@ def _check_shape(name: str, array: np.ndarray, expected: tuple[int, ...]) -> Non
 class _Rows:
     """States of several rollouts, which may be at different steps."""
 
-    def __init__(self, task: pg.Task, bound: np.ndarray, count: int) -> None:
-        self.task, self.bound = task, bound
+    def __init__(self, task: pg.Task, low: np.ndarray, high: np.ndarray, count: int) -> None:
+        self.task, self.middle, self.half = task, 0.5 * (low + high), 0.5 * (high - low)
         self.x = np.zeros((count, task.state_dim), task.dtype)
         self.p = np.zeros((count, task.param_dim), task.dtype)
         self.t = np.full(count, task.horizon)
@@ -253,7 +241,7 @@ class _Rows:
         bad = mask[:, None] & ~np.isfinite(actions)
         if bad.any():
             raise ValueError(f"environment {np.argwhere(bad)[0][0]}: the action is not finite")
-        u = (np.clip(actions, -1.0, 1.0) * self.bound).astype(self.x.dtype)
+        u = (self.middle + self.half * np.clip(actions, -1.0, 1.0)).astype(self.x.dtype)
         cost, after = np.zeros(len(self.x)), self.x.copy()
         for t in np.unique(self.t[mask]):
             rows = mask & (self.t == t)
@@ -293,19 +281,22 @@ def _spaces(task: pg.Task) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
     return observations, gymnasium.spaces.Box(-1.0, 1.0, (task.control_dim,), np.float32)
 
 
-def _bound(task: pg.Task, bound: float | Sequence[float] | None) -> np.ndarray:
-    """Control at action 1, shape (control_dim,)."""
+def _range(task: pg.Task, bound: float | Sequence[float] | None) -> tuple[np.ndarray, np.ndarray]:
+    """Controls at the actions -1 and 1, shape (control_dim,) each."""
     if bound is None:
-        limit = task.settings.get("actuator", {}).get("limit", {}).get("bound")
-        bound = BOUNDS[task.name] if limit is None else limit
+        low, high = np.array(task.control_bounds or [(-np.inf, np.inf)] * task.control_dim).T.reshape(2, -1)
+        if not np.isfinite([low, high]).all():
+            raise ValueError(f"the task {task.name} has no bounds of its controls: pass `bound`, the control at action 1")
+        return low, high
     bound = np.asarray(bound, float)
     if bound.ndim > 1 or bound.size not in (1, task.control_dim) or not (np.isfinite(bound) & (bound > 0)).all():
         raise ValueError(f"`bound` is {bound.tolist()}: use one positive number, or {task.control_dim}, one per control")
-    return np.broadcast_to(bound, (task.control_dim,)).copy()
+    bound = np.broadcast_to(bound, (task.control_dim,))
+    return -bound, bound
 
 
 def _register() -> None:
-    for name in BOUNDS:
+    for name in _core.task_names():
         gymnasium.register(
             f"physgrad/{name}-v0",
             entry_point="physgrad.gym:make",

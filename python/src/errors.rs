@@ -1,6 +1,7 @@
 //! Errors of the library as Python exceptions.
 
-use physgrad::{TrainError, Variable};
+use physgrad::TrainError;
+use physgrad::engine::Variable;
 use physgrad_cli::api;
 use pyo3::create_exception;
 use pyo3::exceptions::{PyArithmeticError, PyMemoryError, PyOSError, PyRuntimeError, PyValueError};

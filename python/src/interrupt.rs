@@ -65,7 +65,7 @@ pub fn in_parts(
     mut size: usize,
     mut work: impl FnMut(Range<usize>) + Send,
 ) -> PyResult<()> {
-    if count > physgrad::rows::CHUNK {
+    if count > physgrad::engine::rows::CHUNK {
         threads::ready()?;
     }
     let mut first = 0;

@@ -1,6 +1,6 @@
 //! Python bindings of physgrad: the module `physgrad._core`.
 //!
-//! Classes and functions convert arguments and call `physgrad_cli::api`, `physgrad::rows`,
+//! Classes and functions convert arguments and call `physgrad_cli::api`, `physgrad::engine::rows`,
 //! `physgrad::optimize` and `physgrad::identify`. `physgrad/__init__.py` names the public ones.
 
 mod accuracy;
@@ -17,7 +17,7 @@ mod task;
 mod threads;
 mod timing;
 
-use physgrad::kernels;
+use physgrad::engine::kernels;
 use pyo3::exceptions::PyImportError;
 use pyo3::prelude::*;
 
@@ -27,6 +27,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add("Divergence", module.py().get_type::<errors::Divergence>())?;
     module.add_class::<task::Task>()?;
+    module.add_function(wrap_pyfunction!(task::task_names, module)?)?;
     module.add_class::<policy::Policy>()?;
     module.add_class::<run::Run>()?;
     module.add_function(wrap_pyfunction!(identify::identify, module)?)?;

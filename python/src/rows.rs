@@ -3,7 +3,7 @@
 use crate::arrays::{Argument, Number, PerRow, array, zeros};
 use crate::interrupt::in_parts;
 use physgrad::Inputs;
-use physgrad::rows::CHUNK;
+use physgrad::engine::rows::CHUNK;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 use std::ops::Range;

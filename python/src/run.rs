@@ -7,7 +7,7 @@ use crate::policy::{Policy, replace_file};
 use crate::settings::keywords;
 use crate::task::{TOP, Task};
 use crate::threads;
-use physgrad::{Record, Warning};
+use physgrad::train::{Record, Warning};
 use physgrad_cli::api::{self, EpochEvent, Observer};
 use pyo3::exceptions::{PyRuntimeError, PyRuntimeWarning};
 use pyo3::prelude::*;

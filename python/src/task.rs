@@ -5,8 +5,9 @@ use crate::errors::{check_regular, fits, value_error};
 use crate::interrupt::in_parts;
 use crate::rows::Rows;
 use crate::settings::{keywords, table_to_python};
+use physgrad::engine::rows;
 use physgrad::rng::Purpose;
-use physgrad::{DynTask, Inputs, Tangents, Task as _, rows};
+use physgrad::{DynTask, Inputs, Tangents, Task as _};
 use physgrad_cli::api::Scene;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -71,6 +72,12 @@ impl Task {
     }
 }
 
+/// Names of all tasks, each of which is also the name of a preset.
+#[pyfunction]
+pub fn task_names() -> Vec<&'static str> {
+    physgrad_cli::api::task_names()
+}
+
 #[pymethods]
 impl Task {
     /// Opens a preset or a scene file. See `physgrad.task`.
@@ -124,6 +131,14 @@ impl Task {
     #[getter]
     fn observation_dim(&self) -> usize {
         self.observed()
+    }
+
+    /// Smallest and largest value of each control that the task is meant for, in its units: a list
+    /// of m pairs, or None without bounds. `actuator.limit.bound` replaces those of the task.
+    #[getter]
+    fn control_bounds(&self) -> Option<Vec<(f64, f64)>> {
+        let bounds = self.task.control_bounds()?;
+        Some(bounds.into_iter().map(|[low, high]| (low, high)).collect())
     }
 
     /// Length of a row of `starts`: state_dim + param_dim.

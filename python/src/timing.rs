@@ -3,7 +3,8 @@
 use crate::arrays::{Argument, Number, is_f32, with_precision, zeros};
 use crate::task::Task;
 use crate::threads;
-use physgrad::{DynTask, Inputs, rows};
+use physgrad::engine::rows;
+use physgrad::{DynTask, Inputs};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::hint::black_box;

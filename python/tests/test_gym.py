@@ -21,7 +21,7 @@ def warnings_are_errors():
         yield
 
 
-@pytest.mark.parametrize("name", sorted(__import__("physgrad.gym").gym.BOUNDS))
+@pytest.mark.parametrize("name", sorted(pg._core.task_names()))
 def test_all_tasks_pass_the_checks(name):
     check_env(gymnasium.make(f"physgrad/{name}-v0").unwrapped)
 
@@ -67,12 +67,14 @@ def test_actions_are_clipped_and_scaled():
     assert np.array_equal(results[0], results[1]) and np.array_equal(results[1], results[2])
 
 
-def test_bounds_come_from_the_argument_the_actuator_or_the_table():
-    assert pg.gym.make("cart_pole").bound == pg.gym.BOUNDS["cart_pole"]
+def test_bounds_come_from_the_argument_the_actuator_or_the_task():
+    assert pg.task("guidance").control_bounds == [(-5.0, 5.0)] * pg.task("guidance").control_dim
+    assert pg.gym.make("cart_pole").low == -60.0
+    assert pg.gym.make("cart_pole").high == 60.0
     limited = {"settings": {"actuator.limit.bound": 7.0}}
-    assert pg.gym.make("cart_pole", **limited).bound == 7.0
-    assert pg.gym.make("cart_pole", bound=3.0, **limited).bound == 3.0
-    assert gymnasium.make("physgrad/cart_pole-v0", bound=3.0, poles=3).unwrapped.bound == 3.0
+    assert pg.gym.make("cart_pole", **limited).high == 7.0
+    assert pg.gym.make("cart_pole", bound=3.0, **limited).high == 3.0
+    assert gymnasium.make("physgrad/cart_pole-v0", bound=3.0, poles=3).unwrapped.high == 3.0
     for bound in [-1.0, 0.0, [1.0, 2.0], np.inf]:
         with pytest.raises(ValueError, match="`bound`"):
             pg.gym.make("cart_pole", bound=bound)

@@ -2,28 +2,11 @@
 
 use super::oracle::pulled_back;
 use super::visited::Step;
-use super::{CASES, Comparison, Mismatch, ONE_STEP, Passed, normal};
+use super::{CASES, Comparison, Failure, Mismatch, ONE_STEP, Passed, normal};
 use crate::dynamics::inputs::{Cotangents, Inputs, Start};
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::numbers::rng::{Purpose, Rng, stream};
-
-/// Checks the derivatives of the costs and of the observation of a task. See [`try_cost`].
-///
-/// # Panics
-/// Panics on the first [`Mismatch`].
-#[track_caller]
-pub fn cost<T: Task>(task: &T) -> Passed {
-    try_cost(task).unwrap_or_else(|mismatch| {
-        if mismatch.is_not_finite() {
-            panic!("the task cannot be checked: {mismatch}. The check adds noise of 0.1 to the initial states");
-        }
-        panic!(
-            "the task's derivatives are wrong: {mismatch}. Correct the named method. A method for derivatives can also be \
-             removed: dual numbers then provide them"
-        )
-    })
-}
 
 /// Checks the costs and the observation of a task near its initial states, with drawn parameters
 /// and random controls, at evenly spaced steps.
@@ -39,7 +22,11 @@ pub fn cost<T: Task>(task: &T) -> Passed {
 ///
 /// # Errors
 /// Returns the first [`Mismatch`].
-pub fn try_cost<T: Task>(task: &T) -> Result<Passed, Mismatch> {
+pub fn cost<T: Task>(task: &T) -> Result<Passed, Failure> {
+    check(task).map_err(Failure::of_costs)
+}
+
+fn check<T: Task>(task: &T) -> Result<Passed, Mismatch> {
     let (n, m, params) = (task.system().state_dim(), task.system().control_dim(), task.param_dim());
     let mut c = Comparison::new(ONE_STEP);
     for case in 0..CASES {
@@ -67,44 +54,64 @@ pub(super) fn check_at<T: Task>(
     rng: &mut Rng,
     c: &mut Comparison,
 ) -> Result<(), Mismatch> {
-    let (n, m, params, t) = (x.len(), u.len(), p.len(), *t);
-    let inputs = Inputs { x, u, p, t };
-    if let Some(observed) = task.observation_dim() {
-        let [from_zeros, from_nans] = [0.0, f64::NAN].map(|initial| {
-            let mut y = vec![initial; observed];
-            task.observe(inputs.with_u(&[]), &mut y);
-            y
-        });
-        c.equal("observe leaves a component unwritten: y", &from_nans, &from_zeros)?;
-        c.finite(&format!("observe is not finite {place}: y"), &from_zeros)?;
-        let y_bar = normal(rng, observed);
-        let expected = pulled_back(&[&x[..], p].concat(), &y_bar, &|all, y| {
-            task.observe(Inputs { x: &all[..n], u: &[], p: &all[n..], t }, y);
-        });
-        let mut cotangents = [vec![-0.0; n], vec![-0.0; params]];
-        c.adds("observe_vjp", ["x_bar", "p_bar"], &mut cotangents, &expected, &mut |[x, p]| {
-            let cotangents = Cotangents { x: Some(x), u: None, p: (params > 0).then_some(p) };
-            task.observe_vjp(inputs.with_u(&[]), &y_bar, cotangents);
-        })?;
-        let (by_x, by_p) = expected.split_at(n);
-        let (mut x_bar, mut p_bar) = (vec![0.0; n], vec![0.0; params]);
-        task.observe_vjp(
-            inputs.with_u(&[]),
-            &y_bar,
-            Cotangents { x: Some(&mut x_bar), u: None, p: None },
-        );
-        task.observe_vjp(
-            inputs.with_u(&[]),
-            &y_bar,
-            Cotangents { x: None, u: None, p: (params > 0).then_some(&mut p_bar) },
-        );
-        c.slices("observe_vjp with x alone requested: x_bar", &x_bar, by_x)?;
-        c.slices("observe_vjp with p alone requested: p_bar", &p_bar, by_p)?;
-    }
-
+    let inputs = Inputs { x, u, p, t: *t };
+    check_observation(task, inputs.with_u(&[]), place, rng, c)?;
     let costs = [task.running_cost(inputs, next), task.terminal_cost(x, p)];
     c.finite(&format!("the cost is not finite {place}: (running, terminal)"), &costs)?;
-    let expected = pulled_back(&[&x[..], u, p, next].concat(), &[1.0], &|all, cost| {
+    check_running_cost(task, inputs, next, c)?;
+    check_terminal_cost(task, x, p, c)
+}
+
+/// Checks the observation. `inputs` has no control.
+fn check_observation<T: Task>(
+    task: &T,
+    inputs: Inputs<'_, f64>,
+    place: &str,
+    rng: &mut Rng,
+    c: &mut Comparison,
+) -> Result<(), Mismatch> {
+    let Some(observed) = task.observation_dim() else { return Ok(()) };
+    let Inputs { x, p, t, .. } = inputs;
+    let (n, params) = (x.len(), p.len());
+    let [from_zeros, from_nans] = [0.0, f64::NAN].map(|initial| {
+        let mut y = vec![initial; observed];
+        task.observe(inputs, &mut y);
+        y
+    });
+    c.equal("observe leaves a component unwritten: y", &from_nans, &from_zeros)?;
+    c.finite(&format!("observe is not finite {place}: y"), &from_zeros)?;
+    let y_bar = normal(rng, observed);
+    let expected = pulled_back(&[x, p].concat(), &y_bar, &|all, y| {
+        task.observe(Inputs { x: &all[..n], u: &[], p: &all[n..], t }, y);
+    });
+    let mut cotangents = [vec![-0.0; n], vec![-0.0; params]];
+    c.adds("observe_vjp", ["x_bar", "p_bar"], &mut cotangents, &expected, &mut |[x, p]| {
+        let cotangents = Cotangents { x: Some(x), u: None, p: (params > 0).then_some(p) };
+        task.observe_vjp(inputs, &y_bar, cotangents);
+    })?;
+    let (by_x, by_p) = expected.split_at(n);
+    let (mut x_bar, mut p_bar) = (vec![0.0; n], vec![0.0; params]);
+    task.observe_vjp(inputs, &y_bar, Cotangents { x: Some(&mut x_bar), u: None, p: None });
+    task.observe_vjp(
+        inputs,
+        &y_bar,
+        Cotangents { x: None, u: None, p: (params > 0).then_some(&mut p_bar) },
+    );
+    c.slices("observe_vjp with x alone requested: x_bar", &x_bar, by_x)?;
+    c.slices("observe_vjp with p alone requested: p_bar", &p_bar, by_p)?;
+    Ok(())
+}
+
+/// Checks the gradient of the running cost.
+fn check_running_cost<T: Task>(
+    task: &T,
+    inputs: Inputs<'_, f64>,
+    next: &[f64],
+    c: &mut Comparison,
+) -> Result<(), Mismatch> {
+    let Inputs { x, u, p, t } = inputs;
+    let (n, m, params) = (x.len(), u.len(), p.len());
+    let expected = pulled_back(&[x, u, p, next].concat(), &[1.0], &|all, cost| {
         let (x, rest) = all.split_at(n);
         let (u, rest) = rest.split_at(m);
         let (p, next) = rest.split_at(params);
@@ -155,8 +162,18 @@ pub(super) fn check_at<T: Task>(
             by_next,
         )?;
     }
+    Ok(())
+}
 
-    let expected = pulled_back(&[&x[..], p].concat(), &[1.0], &|all, cost| {
+/// Checks the gradient of the terminal cost.
+fn check_terminal_cost<T: Task>(
+    task: &T,
+    x: &[f64],
+    p: &[f64],
+    c: &mut Comparison,
+) -> Result<(), Mismatch> {
+    let (n, params) = (x.len(), p.len());
+    let expected = pulled_back(&[x, p].concat(), &[1.0], &|all, cost| {
         cost[0] = task.terminal_cost(&all[..n], &all[n..]);
     });
     let mut cotangents = [vec![-0.0; n], vec![-0.0; params]];
@@ -168,8 +185,7 @@ pub(super) fn check_at<T: Task>(
     })?;
     let mut x_bar = vec![0.0; n];
     task.terminal_cost_gradient(x, p, &mut x_bar, None);
-    c.slices("terminal_cost_gradient with x alone requested: x_bar", &x_bar, &expected[..n])?;
-    Ok(())
+    c.slices("terminal_cost_gradient with x alone requested: x_bar", &x_bar, &expected[..n])
 }
 
 impl Comparison {

@@ -1,11 +1,13 @@
 //! Detection of jumps of the loss, which bias the gradient of a mean loss.
 
 use crate::dynamics::task::Task;
-use crate::engine::adjoint::{Adjoint, Flow};
+use crate::engine::adjoint::Adjoint;
 use crate::engine::any::AnyTask;
 use crate::engine::divergence::Divergence;
+use crate::engine::flow::Flow;
 use crate::engine::gradient::Gradient;
-use crate::engine::rollout::{Rollout, WIDTH};
+use crate::engine::rollout::Rollout;
+use crate::numbers::scalar::LANES;
 use crate::numbers::text::rough;
 use crate::policy::{AnyPolicy, Policy, Weights};
 use std::fmt;
@@ -180,11 +182,11 @@ fn gradients(
     starts: &[f64],
     each: &mut dyn FnMut(usize, &[f64]),
 ) -> Result<(), Divergence> {
-    let mut rollout = Rollout::new(task, policy, WIDTH);
+    let mut rollout = Rollout::new(task, policy, LANES);
     let mut adjoint = Adjoint::new(task, policy, &rollout, &[Flow::REGULAR]);
     let mut gradient = Gradient::zeros(weights.theta().len());
-    for (block, starts) in starts.chunks(WIDTH * task.start_dim()).enumerate() {
-        let first = block * WIDTH;
+    for (block, starts) in starts.chunks(LANES * task.start_dim()).enumerate() {
+        let first = block * LANES;
         rollout.start(starts);
         rollout.run(task, policy, weights).map_err(|divergence| divergence.offset(first))?;
         adjoint
@@ -205,9 +207,9 @@ fn losses(
     weights: &Weights<f64>,
     starts: &[f64],
 ) -> Result<Vec<f64>, Divergence> {
-    let mut rollout = Rollout::for_evaluation(task, policy, WIDTH);
+    let mut rollout = Rollout::for_evaluation(task, policy, LANES);
     let mut losses = Vec::new();
-    for starts in starts.chunks(WIDTH * task.start_dim()) {
+    for starts in starts.chunks(LANES * task.start_dim()) {
         rollout.start(starts);
         rollout.run(task, policy, weights).map_err(|divergence| divergence.offset(losses.len()))?;
         losses.extend((0..rollout.samples()).map(|sample| rollout.cost(sample)));

@@ -1,10 +1,10 @@
 //! Derivative checks: analytic and batched derivatives against dual numbers.
 //!
-//! Start with [`system`], [`cost`], [`policy`] and [`task`], one line each in a test. They panic on
-//! the first [`Mismatch`]. The message names the compared quantity, the index, the expected and
-//! found values, and the random case. [`task`] also panics on non-finite rollouts. The `try_`
-//! functions return the error instead. All checks run in double precision. Errors are relative to
-//! the largest component of the reference unless stated otherwise.
+//! Start with [`system`], [`cost`], [`policy`] and [`task`], one line each in a test:
+//! `check::system(&system).unwrap()`. They return [`Passed`], or the first [`Failure`], whose
+//! message names the compared quantity, the index, the expected and found values, the random case,
+//! and what to do. All checks run in double precision. Errors are relative to the largest component
+//! of the reference unless stated otherwise.
 //!
 //! [`system`] draws states from a standard normal distribution, whatever their units. [`task`]
 //! therefore checks system and costs in states of rollouts too.
@@ -20,6 +20,7 @@
 //! `double-double`) computes the loss and this derivative in double-double arithmetic.
 
 mod costs;
+mod failure;
 mod jumps;
 mod kinks;
 mod oracle;
@@ -31,30 +32,31 @@ mod stability;
 mod systems;
 mod visited;
 
-pub use costs::{cost, try_cost};
+pub use costs::cost;
+pub use failure::{Failure, Finding, Mismatch};
 pub use jumps::{Jumps, jumps};
 pub use kinks::{Kink, KinkInput, kinks};
 pub use oracle::slope_by_duals;
 pub use plateau::{Plateau, plateau};
-pub use policies::{policy, try_policy};
+pub use policies::policy;
 #[cfg(feature = "double-double")]
 pub use reference::slope;
 pub use stability::{DENSE, Stability, jacobian_norm, stability};
-pub use visited::{try_cost_along, try_system_along};
+pub use visited::{cost_along, system_along};
 
 use crate::dynamics::inputs::Start;
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
-use crate::engine::adjoint::{Adjoint, Flow};
+use crate::engine::adjoint::Adjoint;
 use crate::engine::any::AnyTask;
 use crate::engine::batch::Batch;
 use crate::engine::divergence::Divergence;
+use crate::engine::flow::Flow;
 use crate::engine::rollout::Rollout;
 use crate::numbers::rng::{Purpose, Rng, stream};
 use crate::policy::AnyPolicy;
 use crate::policy::{Policy, Tensor, Weights};
 use rand_distr::{Distribution, StandardNormal};
-use std::fmt;
 
 /// Number of random cases per check of a system or of costs.
 const CASES: u64 = 20;
@@ -65,9 +67,6 @@ const CASES_OF_LONG_CHECKS: u64 = 2;
 const ONE_STEP: f64 = 1e-12;
 /// Tolerance for the loss and the gradients of a whole rollout.
 const ROLLOUT: f64 = 1e-10;
-
-/// Largest relative error of a rollout that may be due to rounding.
-const ROUNDED: f64 = 1e-6;
 
 /// Summary of a passed check.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -80,80 +79,6 @@ pub struct Passed {
     /// Tolerance of the relative error.
     pub allowed: f64,
 }
-
-/// First failed comparison of a check.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Mismatch {
-    /// Compared quantity, for instance `vjp: x_bar`.
-    pub what: String,
-    /// Index of the first mismatching component or random direction; 0 for the inner product of a
-    /// JVP.
-    pub index: usize,
-    /// Reference value, from dual numbers or from an equivalent reference form. NaN if the tested
-    /// function is non-finite.
-    pub expected: f64,
-    /// Value of the tested form.
-    pub found: f64,
-    /// Relative error; absolute for an exact comparison or a zero reference. NaN if the tested
-    /// function is non-finite.
-    pub error: f64,
-    /// Tolerance of the relative error; 0 for an exact comparison or a non-finite function.
-    pub allowed: f64,
-    /// Index of the random case. The check draws inputs from `stream(case, Purpose::Check, 0)`.
-    pub case: u64,
-}
-
-/// Error of a check of whole rollouts.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum Failure {
-    /// The error of a derivative or loss exceeds the tolerance.
-    #[error(transparent)]
-    Mismatch(#[from] Mismatch),
-    /// The rollout or its gradient is non-finite.
-    #[error("case {case} cannot be checked: {divergence}")]
-    Diverged {
-        /// Index of the random case.
-        case: u64,
-        /// First non-finite value.
-        divergence: Divergence,
-    },
-}
-
-impl Mismatch {
-    /// Returns true if the tested function is non-finite. The check then has no reference value.
-    fn is_not_finite(&self) -> bool {
-        self.expected.is_nan() && self.allowed == 0.0
-    }
-}
-
-impl fmt::Display for Mismatch {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { what, index, expected, found, error, allowed, case } = self;
-        if self.is_not_finite() {
-            return write!(f, "{what}[{index}] is {found:e} (case {case})");
-        }
-        write!(f, "{what}[{index}] is {found:e}, expected {expected:e}: ")?;
-        // Only exact comparisons allow no error.
-        if *allowed == 0.0 {
-            return write!(f, "both must be equal, but differ by {error:.1e} (case {case})");
-        }
-        let scale = (found - expected).abs() / error;
-        write!(
-            f,
-            "relative error {error:.1e} at the scale {scale:.1e}, allowed {allowed:.0e} (case {case})"
-        )?;
-        if *allowed == ROLLOUT && *error < ROUNDED {
-            write!(
-                f,
-                ". Rounding errors may cause this if the rollout amplifies them: repeat the check with shorter time steps or a \
-                 shorter horizon"
-            )?;
-        }
-        Ok(())
-    }
-}
-
-impl std::error::Error for Mismatch {}
 
 /// Accumulates the comparisons of consecutive random cases.
 struct Comparison {
@@ -285,35 +210,21 @@ fn normal(rng: &mut Rng, len: usize) -> Vec<f64> {
 }
 
 /// Checks a system at states, controls and parameters from a standard normal distribution, and at
-/// the state 0. Physical numbers that vary have their own distributions. See [`try_system_at`].
-///
-/// # Panics
-/// Panics on the first [`Mismatch`].
-#[track_caller]
-pub fn system<S: System>(system: &S) -> Passed {
-    self::try_system(system).unwrap_or_else(|mismatch| {
-        if mismatch.is_not_finite() {
-            panic!(
-                "the system cannot be checked: {mismatch}. This check draws all states from a standard normal distribution. \
-                 If a task uses the system, `check::task` checks it in the states of rollouts"
-            );
-        }
-        panic!(
-            "the system's derivatives are wrong: {mismatch}. Correct the named method. `vjp` and `jvp` can also be removed: dual \
-             numbers then provide the derivatives"
-        )
-    })
-}
-
-/// Non-panicking form of [`system`].
+/// the state 0. Physical numbers that vary have their own distributions. See [`system_at`].
 ///
 /// # Errors
 /// Returns the first [`Mismatch`].
-pub fn try_system<S: System>(system: &S) -> Result<Passed, Mismatch> {
-    try_system_at(system, |rng, x, u, p| {
+pub fn system<S: System>(system: &S) -> Result<Passed, Failure> {
+    let normal = |rng: &mut Rng, x: &mut [f64], u: &mut [f64], p: &mut [f64]| {
         for values in [x, u, p] {
             values.copy_from_slice(&normal(rng, values.len()));
         }
+    };
+    systems::check(system, &normal, usize::MAX).map_err(|mismatch| {
+        Failure::of_system(mismatch).to_refuse(
+            "This check draws all states from a standard normal distribution. If a task uses the \
+             system, `check::task` checks it in the states of rollouts",
+        )
     })
 }
 
@@ -341,15 +252,15 @@ pub fn try_system<S: System>(system: &S) -> Result<Passed, Mismatch> {
 ///
 /// # Errors
 /// Returns the first [`Mismatch`].
-pub fn try_system_at<S: System>(
+pub fn system_at<S: System>(
     system: &S,
     draw: impl Fn(&mut Rng, &mut [f64], &mut [f64], &mut [f64]),
-) -> Result<Passed, Mismatch> {
-    systems::check(system, &draw, usize::MAX)
+) -> Result<Passed, Failure> {
+    systems::check(system, &draw, usize::MAX).map_err(Failure::of_system)
 }
 
 /// Checks the gradients of whole rollouts for all flows (R, M, N, S), and the system and the costs in
-/// states of rollouts ([`try_system_along`], [`try_cost_along`]).
+/// states of rollouts ([`system_along`], [`cost_along`]).
 ///
 /// The reference is the same rollout in dual numbers, with the paths that the flow omits detached.
 /// The check compares the loss, directional derivatives along random directions, and single
@@ -359,112 +270,60 @@ pub fn try_system_at<S: System>(
 /// Errors of components are relative to the largest component of the gradient. Errors of
 /// directional derivatives are relative to the norm of the gradient.
 ///
-/// # Panics
-/// Panics on the first [`Mismatch`], or if the rollouts or their gradients are non-finite.
-#[track_caller]
-pub fn task<T: Task, P: Policy>(task: &T, policy: &P) -> Passed {
-    let flows = Flow::ALL.map(|flow| {
-        try_flow(task, policy, flow).unwrap_or_else(|failure| {
-            if let Failure::Diverged { .. } = failure {
-                panic!("the gradient of {} is not finite: {failure}", described(flow));
-            }
-            panic!(
-                "the gradient of {} is wrong: {failure}. `check::system`, `check::cost` and `check::policy` find the method to \
-                 correct",
-                described(flow)
-            )
-        })
-    });
-    let along = |checked: Result<Passed, Failure>| {
-        checked.unwrap_or_else(|failure| {
-            panic!("in a state of a rollout: {failure}. Correct the named method. Methods for derivatives can also be removed")
-        })
-    };
-    let parts =
-        [along(try_system_along(task, policy, None)), along(try_cost_along(task, policy, None))];
-    flows.into_iter().chain(parts).fold(Passed::default(), |sum, p| Passed {
-        compared: sum.compared + p.compared,
-        worst: sum.worst.max(p.worst),
-        allowed: sum.allowed.max(p.allowed),
-    })
-}
-
-/// Flow in words.
-fn described(flow: Flow) -> String {
-    let words = match flow.letter() {
-        "R" => "full backpropagation",
-        "M" => "the physics path, observations detached",
-        "N" => "the policy path, physics detached",
-        _ => "each step alone, all paths detached",
-    };
-    format!("flow {flow} ({words})")
-}
-
-/// Non-panicking form of [`task`] for one flow.
-///
 /// # Errors
-/// Returns the first [`Mismatch`], or [`Failure::Diverged`] if the rollouts or their gradients are
+/// Returns the first [`Mismatch`], or [`Finding::Diverged`] if the rollouts or their gradients are
 /// non-finite.
-///
-/// # Panics
-/// Panics if the flow has a [`cut`](Flow::cut). The adjoint determines the steps of a cut, and dual
-/// numbers do not evaluate the adjoint.
-#[track_caller]
-#[inline(never)]
-pub fn try_flow<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Result<Passed, Failure> {
-    check_flow_of(task, policy, flow, None)
+pub fn task<T: Task, P: Policy>(task: &T, policy: &P) -> Result<Passed, Failure> {
+    let mut sum = Passed::default();
+    let mut add = |passed: Passed| {
+        sum.compared += passed.compared;
+        sum.worst = sum.worst.max(passed.worst);
+        sum.allowed = sum.allowed.max(passed.allowed);
+    };
+    for flow in Flow::ALL {
+        add(self::flow(task, policy, flow, None)?);
+    }
+    add(system_along(task, policy, None)?);
+    add(cost_along(task, policy, None)?);
+    Ok(sum)
 }
 
-/// [`try_flow`] at the parameters `theta` of the policy, instead of random ones.
+/// Checks the gradients of whole rollouts for one flow; see [`task`]. The policy has the parameters
+/// `theta`, or random ones.
 ///
 /// Rollouts that amplify rounding errors by about 1e6 exceed the tolerance of 1e-10, although all
 /// derivatives are exact.
 ///
 /// # Errors
-/// Returns the first [`Mismatch`], or [`Failure::Diverged`] if the rollouts or their gradients are
+/// Returns the first [`Mismatch`], or [`Finding::Diverged`] if the rollouts or their gradients are
 /// non-finite.
 ///
 /// # Panics
-/// Panics if the flow has a [`cut`](Flow::cut), or if the length of `theta` is not
-/// [`Policy::param_count`].
+/// Panics if the length of `theta` is not [`Policy::param_count`], or if the flow has a
+/// [`cut`](Flow::cut). The adjoint determines the steps of a cut, and dual numbers do not evaluate
+/// the adjoint.
 #[track_caller]
 #[inline(never)]
-pub fn try_flow_at<T: Task, P: Policy>(
-    task: &T,
-    policy: &P,
-    flow: Flow,
-    theta: &[f64],
-) -> Result<Passed, Failure> {
-    assert_eq!(
-        theta.len(),
-        policy.param_count(),
-        "`theta` needs one number per parameter of the policy"
-    );
-    check_flow_of(task, policy, flow, Some(theta))
-}
-
-#[track_caller]
-fn check_flow_of<T: Task, P: Policy>(
+pub fn flow<T: Task, P: Policy>(
     task: &T,
     policy: &P,
     flow: Flow,
     theta: Option<&[f64]>,
 ) -> Result<Passed, Failure> {
     assert!(flow.cut.is_none(), "dual numbers cannot check `cut`: set `cut` to `None`");
+    assert!(
+        theta.is_none_or(|theta| theta.len() == policy.param_count()),
+        "`theta` needs one number per parameter of the policy"
+    );
     let slope = |theta: &[f64], starts: &[f64], tangent: &dyn Fn(usize) -> f64| {
         oracle::slope_by_duals(task, policy, theta, starts, flow, tangent)
     };
     let start_slope = |theta: &[f64], starts: &[f64], tangent: &dyn Fn(usize) -> f64| {
         oracle::start_slope_by_duals(task, policy, theta, starts, flow, tangent)
     };
-    check_flow(
-        task,
-        policy,
-        theta,
-        flow,
-        &|theta, starts| oracle::loss(task, policy, theta, starts),
-        [&slope, &start_slope],
-    )
+    let loss = |theta: &[f64], starts: &[f64]| oracle::loss(task, policy, theta, starts);
+    check_flow(task, policy, theta, flow, &loss, [&slope, &start_slope])
+        .map_err(|finding| Failure::of_flow(finding, flow))
 }
 
 /// Mean loss for parameters and initial states.
@@ -473,7 +332,7 @@ type Loss<'a> = &'a dyn Fn(&[f64], &[f64]) -> f64;
 /// parameter or per entry of the initial states.
 type Slope<'a> = &'a dyn Fn(&[f64], &[f64], &dyn Fn(usize) -> f64) -> f64;
 
-/// Object-safe part of [`try_flow`] and [`try_flow_at`]; limits monomorphization.
+/// Object-safe part of [`flow`]; limits monomorphization.
 fn check_flow(
     task: &dyn AnyTask<f64>,
     policy: &dyn AnyPolicy<f64>,
@@ -481,7 +340,7 @@ fn check_flow(
     flow: Flow,
     loss_by_duals: Loss,
     [slope, start_slope]: [Slope; 2],
-) -> Result<Passed, Failure> {
+) -> Result<Passed, Finding> {
     const SAMPLES: usize = 3;
     let (n, len) = (task.state_dim(), task.start_dim());
     let mut c = Comparison::new(ROLLOUT);
@@ -501,7 +360,7 @@ fn check_flow(
             let mut batch = Batch::new(task, policy, SAMPLES, flows, 1);
             let loss = batch.run(task, policy, &weights, &starts);
             loss.map(|loss| (loss, batch.gradients()[flows.len() - 1].to_vec()))
-                .map_err(|divergence| Failure::Diverged { case, divergence })
+                .map_err(|divergence| Finding::Diverged { case, divergence })
         };
         let (loss, gradient_alone) = gradient(&[flow])?;
         let (_, gradient_beside) = gradient(&[Flow::MODIFIED, flow])?;
@@ -531,7 +390,7 @@ fn check_flow(
             )?;
         }
         let by_starts = start_gradients(task, policy, &weights, &starts, flow);
-        let by_starts = by_starts.map_err(|divergence| Failure::Diverged { case, divergence })?;
+        let by_starts = by_starts.map_err(|divergence| Finding::Diverged { case, divergence })?;
         let largest = by_starts.iter().fold(0.0, |s: f64, g| s.max(g.abs()));
         let components = oracle::some_components(starts.len(), &mut rng, &|tangent| {
             start_slope(theta, &starts, tangent)
@@ -586,7 +445,7 @@ fn finite_weights(
     theta: Option<&[f64]>,
     starts: &[f64],
     case: u64,
-) -> Result<Weights<f64>, Failure> {
+) -> Result<Weights<f64>, Finding> {
     let mut rollout = Rollout::for_evaluation(task, policy, starts.len() / task.start_dim());
     rollout.start(starts);
     let mut found = Ok(());
@@ -599,7 +458,7 @@ fn finite_weights(
         rollout.start(starts);
     }
     Err(found.map_or_else(
-        |divergence| Failure::Diverged { case, divergence },
+        |divergence| Finding::Diverged { case, divergence },
         |()| unreachable!("a finite run is returned"),
     ))
 }

@@ -7,7 +7,7 @@ use crate::dynamics::inputs::Inputs;
 use crate::dynamics::outline::step;
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
-use crate::engine::adjoint::Flow;
+use crate::engine::flow::Flow;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::Scalar;
 use crate::policy::AnyPolicy;

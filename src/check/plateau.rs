@@ -2,10 +2,10 @@
 
 use super::normal;
 use crate::dynamics::task::Task;
-use crate::engine::adjoint::Flow;
 use crate::engine::any::AnyTask;
 use crate::engine::batch::Batch;
 use crate::engine::divergence::Divergence;
+use crate::engine::flow::Flow;
 use crate::numbers::rng::{Purpose, stream};
 use crate::numbers::text::rough;
 use crate::policy::{Policy, Weights};

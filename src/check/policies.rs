@@ -1,6 +1,8 @@
 //! Check of the batched passes of a policy. A column is one sample at one step.
 
-use super::{CASES_OF_LONG_CHECKS, Comparison, Mismatch, ONE_STEP, Passed, normal, oracle};
+use super::{
+    CASES_OF_LONG_CHECKS, Comparison, Failure, Mismatch, ONE_STEP, Passed, normal, oracle,
+};
 use crate::numbers::rng::{Purpose, Rng, stream};
 use crate::policy::{Policy, PolicyColumns, PolicyPass, PolicyRecord, Tensor, act_on};
 
@@ -12,18 +14,6 @@ const OF_EACH: usize = 64;
 const STEPS: usize = 3;
 
 /// Checks the batched passes of a policy against [`Policy::act`] and its dual-number derivatives.
-/// See [`try_policy`].
-///
-/// # Panics
-/// Panics on the first [`Mismatch`].
-#[track_caller]
-pub fn policy<P: Policy>(policy: &P) -> Passed {
-    try_policy(policy).unwrap_or_else(|mismatch| {
-        panic!("the policy is wrong: {mismatch}. Correct the named method, or remove all batched passes: `act` then defines them")
-    })
-}
-
-/// Non-panicking form of [`policy`].
 ///
 /// The check requires that `act` writes every component. It compares the outputs of the forward
 /// pass with `act`, and the input cotangents of the backward pass with dual numbers. In every
@@ -47,16 +37,17 @@ pub fn policy<P: Policy>(policy: &P) -> Passed {
 /// # Errors
 /// Returns the first [`Mismatch`].
 #[inline(never)]
-pub fn try_policy<P: Policy>(policy: &P) -> Result<Passed, Mismatch> {
+pub fn policy<P: Policy>(policy: &P) -> Result<Passed, Failure> {
     check(policy, &|theta, x, c, u| act_on(policy, theta, x, c % STEPS, u), &|theta, x, c, u| {
         act_on(policy, theta, x, c % STEPS, u)
     })
+    .map_err(Failure::of_policy)
 }
 
 /// Policy in double precision: θ, the inputs x, the index of the column, and the outputs u.
 type Act<'a> = &'a dyn Fn(&[f64], &[f64], usize, &mut [f64]);
 
-/// Object-safe part of [`try_policy`]; limits monomorphization.
+/// Object-safe part of [`policy`]; limits monomorphization.
 fn check(
     policy: &dyn crate::policy::AnyPolicy<f64>,
     act: Act,

@@ -2,7 +2,7 @@
 
 use super::oracle::rollouts;
 use crate::dynamics::task::Task;
-use crate::engine::adjoint::Flow;
+use crate::engine::flow::Flow;
 use crate::numbers::scalar::{DoubleDouble, Dual};
 use crate::policy::Policy;
 

@@ -7,9 +7,8 @@ use crate::dynamics::number::Varied;
 use crate::dynamics::outline::{One, step};
 use crate::dynamics::system::System;
 use crate::engine::any::{AnySystem, vjp};
-use crate::engine::rollout::{Lane, WIDTH};
 use crate::numbers::rng::{Purpose, Rng, stream};
-use crate::numbers::scalar::{Cotangent, CotangentPack, Lanes, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, CotangentPack, LANES, Lane, Lanes, Real, Scalar};
 use num_dual::Dual64;
 use std::cell::OnceCell;
 
@@ -144,7 +143,7 @@ impl Uncertainty<'_> {
 /// Draws a state, a control and parameters.
 type Draw<'a> = &'a dyn Fn(&mut Rng, &mut [f64], &mut [f64], &mut [f64]);
 
-/// Performs the check of [`try_system_at`](super::try_system_at), at steps before `horizon`.
+/// Performs the check of [`system_at`](super::system_at), at steps before `horizon`.
 pub(super) fn check(system: &dyn Checked, draw: Draw, horizon: usize) -> Result<Passed, Mismatch> {
     let sizes = [system.state_dim(), system.control_dim(), system.param_dim()];
     let mut c = Comparison::new(ONE_STEP);
@@ -176,10 +175,7 @@ pub(super) fn check(system: &dyn Checked, draw: Draw, horizon: usize) -> Result<
             system.step(at, &mut next);
             next
         });
-        c.finite(
-            "step is not finite here; draw other states with `try_system_at`: next",
-            &from_zeros,
-        )?;
+        c.finite("step is not finite here; draw other states with `system_at`: next", &from_zeros)?;
         c.equal("step leaves a component unwritten: next", &from_nans, &from_zeros)?;
 
         let expected = step_vjp(system, at, &next_bar);
@@ -193,30 +189,7 @@ pub(super) fn check(system: &dyn Checked, draw: Draw, horizon: usize) -> Result<
         };
         requests(&uncertainty, &mut c)?;
 
-        let mut all = sizes.map(|len| vec![0.0; len]);
-        let mut sum = vec![0.0; sizes[0]];
-        for (k, name) in ["jvp of x", "jvp of u", "jvp of p"].into_iter().enumerate() {
-            let tangent = normal(&mut rng, sizes[k]);
-            let mut tangents = Tangents::default();
-            *[&mut tangents.x, &mut tangents.u, &mut tangents.p][k] = Some(&tangent);
-            // `jvp` writes every component.
-            let mut next_tan = vec![f64::NAN; sizes[0]];
-            system.jvp(at, tangents, &mut next_tan);
-            sum.iter_mut().zip(&next_tan).for_each(|(sum, tan)| *sum += tan);
-            all[k].copy_from_slice(&tangent);
-            let terms =
-                |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a * b).abs()).sum::<f64>();
-            let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-            let scale = terms(&next_bar, &next_tan).max(terms(&expected[k], &tangent));
-            let [found, expected] = [dot(&next_bar, &next_tan), dot(&expected[k], &tangent)];
-            c.one_within(name, 0, found, expected, scale, &|| {
-                terms(&uncertainty.allowed()[k], &tangent)
-            })?;
-        }
-        let mut next_tan = vec![f64::NAN; sizes[0]];
-        let [x, u, p] = &all;
-        system.jvp(at, Tangents { x: Some(x), u: Some(u), p: Some(p) }, &mut next_tan);
-        c.slices("jvp of x, u and p: next", &next_tan, &sum)?;
+        jvps(&uncertainty, &mut rng, &mut c)?;
         lanes(system, at, &next_bar, &mut c)?;
     }
     Ok(c.passed)
@@ -307,6 +280,36 @@ fn requests(uncertainty: &Uncertainty<'_>, c: &mut Comparison) -> Result<(), Mis
     Ok(())
 }
 
+/// Compares [`System::jvp`] with derivatives by dual numbers, along random tangents of each input
+/// and of all inputs.
+fn jvps(uncertainty: &Uncertainty<'_>, rng: &mut Rng, c: &mut Comparison) -> Result<(), Mismatch> {
+    let Uncertainty { system, at, next_bar, expected, .. } = *uncertainty;
+    let n = at.x.len();
+    let mut all = [at.x, at.u, at.p].map(|values| vec![0.0; values.len()]);
+    let mut sum = vec![0.0; n];
+    for (k, name) in ["jvp of x", "jvp of u", "jvp of p"].into_iter().enumerate() {
+        let tangent = normal(rng, all[k].len());
+        let mut tangents = Tangents::default();
+        *[&mut tangents.x, &mut tangents.u, &mut tangents.p][k] = Some(&tangent);
+        // `jvp` writes every component.
+        let mut next_tan = vec![f64::NAN; n];
+        system.jvp(at, tangents, &mut next_tan);
+        sum.iter_mut().zip(&next_tan).for_each(|(sum, tan)| *sum += tan);
+        all[k].copy_from_slice(&tangent);
+        let terms = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a * b).abs()).sum::<f64>();
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let scale = terms(next_bar, &next_tan).max(terms(&expected[k], &tangent));
+        let [found, expected] = [dot(next_bar, &next_tan), dot(&expected[k], &tangent)];
+        c.one_within(name, 0, found, expected, scale, &|| {
+            terms(&uncertainty.allowed()[k], &tangent)
+        })?;
+    }
+    let mut next_tan = vec![f64::NAN; n];
+    let [x, u, p] = &all;
+    system.jvp(at, Tangents { x: Some(x), u: Some(u), p: Some(p) }, &mut next_tan);
+    c.slices("jvp of x, u and p: next", &next_tan, &sum)
+}
+
 /// Compares SIMD lanes with scalars, without tolerance. Every lane has different inputs. The VJP
 /// carries two flows with cotangents of opposite sign, so the results have opposite signs too.
 fn lanes(
@@ -315,7 +318,7 @@ fn lanes(
     next_bar: &[f64],
     c: &mut Comparison,
 ) -> Result<(), Mismatch> {
-    const W: usize = WIDTH;
+    const W: usize = LANES;
     let vary = |v: &[f64], lane: usize| {
         v.iter().map(|v| v * (1.0 + lane as f64 / 64.0)).collect::<Vec<f64>>()
     };

@@ -1,6 +1,6 @@
 //! States, controls and parameters of rollouts, at which a task is checked in its own units.
 
-use super::{Comparison, Failure, Passed, finite_weights, systems};
+use super::{Comparison, Failure, Finding, Passed, finite_weights, systems};
 use crate::dynamics::inputs::{Inputs, Start};
 use crate::dynamics::task::Task;
 use crate::engine::any::{AnySystem, AnyTask};
@@ -67,7 +67,7 @@ impl Visited {
         task: &dyn AnyTask<f64>,
         policy: &dyn AnyPolicy<f64>,
         theta: Option<&[f64]>,
-    ) -> Result<Self, Failure> {
+    ) -> Result<Self, Finding> {
         let mut starts = vec![0.0; SAMPLES * task.start_dim()];
         let mut rng = stream(0, Purpose::Check, 4);
         for start in starts.chunks_exact_mut(task.start_dim()) {
@@ -111,30 +111,38 @@ impl Visited {
 }
 
 /// Checks the derivatives of the system of a task in states, controls and parameters of rollouts,
-/// and between them. See [`try_system_at`](super::try_system_at).
+/// and between them. See [`system_at`](super::system_at).
 ///
 /// The rollouts start from initial states of the task. The policy has the parameters `theta` or
 /// random ones, with noise. The states therefore have the units and the range of the task, for
-/// instance temperatures of 300 K, unlike those of [`try_system`](super::try_system).
+/// instance temperatures of 300 K, unlike those of [`system`](super::system).
 /// ```
 /// use physgrad::{check, policy::Linear, tasks::CartPole};
 ///
-/// assert!(check::try_system_along(&CartPole::new(1), &Linear::new(4, 1), None).is_ok());
+/// check::system_along(&CartPole::new(1), &Linear::new(4, 1), None).unwrap();
 /// ```
 ///
 /// # Errors
-/// Returns the first [`Mismatch`](super::Mismatch), or [`Failure::Diverged`] if the rollouts are
+/// Returns the first [`Mismatch`](super::Mismatch), or [`Finding::Diverged`] if the rollouts are
 /// non-finite.
 ///
 /// # Panics
 /// If the shapes of task and policy differ, or the length of `theta` is not
 /// [`Policy::param_count`].
 #[inline(never)]
-pub fn try_system_along<T: Task, P: Policy>(
+pub fn system_along<T: Task, P: Policy>(
     task: &T,
     policy: &P,
     theta: Option<&[f64]>,
 ) -> Result<Passed, Failure> {
+    check_system(task, policy, theta).map_err(Failure::along)
+}
+
+fn check_system<T: Task, P: Policy>(
+    task: &T,
+    policy: &P,
+    theta: Option<&[f64]>,
+) -> Result<Passed, Finding> {
     let visited = Visited::near(task, policy, theta)?;
     let system = task.system();
     let is_finite = |step: &Step| {
@@ -157,19 +165,27 @@ pub fn try_system_along<T: Task, P: Policy>(
 }
 
 /// Checks the costs and the observation of a task in rollouts; see
-/// [`try_system_along`] and [`try_cost`](super::try_cost).
+/// [`system_along`] and [`cost`](super::cost).
 ///
 /// # Errors
-/// As [`try_system_along`].
+/// As [`system_along`].
 ///
 /// # Panics
-/// As [`try_system_along`].
+/// As [`system_along`].
 #[inline(never)]
-pub fn try_cost_along<T: Task, P: Policy>(
+pub fn cost_along<T: Task, P: Policy>(
     task: &T,
     policy: &P,
     theta: Option<&[f64]>,
 ) -> Result<Passed, Failure> {
+    check_costs(task, policy, theta).map_err(Failure::along)
+}
+
+fn check_costs<T: Task, P: Policy>(
+    task: &T,
+    policy: &P,
+    theta: Option<&[f64]>,
+) -> Result<Passed, Finding> {
     let visited = Visited::near(task, policy, theta)?;
     let is_finite = |Step { x, u, p, next, t }: &Step| {
         let mut y = vec![0.0; task.observation_dim().unwrap_or(0)];

@@ -10,8 +10,8 @@ pub use kinds::{AnyActuator, Delay, Lag, Limit, LimitKind};
 
 use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::HasModel;
+use crate::dynamics::forward::forward;
 use crate::dynamics::inputs::{Cotangents, Inputs, Start, Tangents, add};
-use crate::dynamics::number::Varied;
 use crate::dynamics::system::{System, along};
 use crate::numbers::forward_mode::{concat, jacobian};
 use crate::numbers::rng::Rng;
@@ -33,14 +33,21 @@ type Controls<T> = SmallVec<[T; STACK]>;
 /// and [`step`](Actuator::step).
 ///
 /// # Shapes
-/// `u` and `out` have one entry per control of the system. `state` and `next_state` have
-/// [`state_dim`](Actuator::state_dim) entries.
+/// `inputs.u` is the control of the policy. It and `out` have one entry per control of the system.
+/// `inputs.x` is the state of the actuator. It and `next` have [`state_dim`](Actuator::state_dim)
+/// entries. `inputs.p` is empty, and `inputs.t` is 0.
 pub trait Actuator: Clone + Send + Sync {
     /// Number of state components for a system with `controls` controls.
     fn state_dim(&self, controls: usize) -> usize;
 
     /// Writes the actuator's next state and the system's control.
-    fn step<T: Scalar>(&self, state: &[T], u: &[T], next_state: &mut [T], out: &mut [T]);
+    fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T], out: &mut [T]);
+
+    /// Range to which the actuator limits every control, in the units of the control. Default:
+    /// `None`, no limit.
+    fn range(&self) -> Option<[f64; 2]> {
+        None
+    }
 
     /// Returns true for the identity. [`Actuated`] then skips the actuator.
     #[doc(hidden)]
@@ -49,20 +56,18 @@ pub trait Actuator: Clone + Send + Sync {
         false
     }
 
-    /// VJP of [`step`](Actuator::step). Adds to `state_bar` and `u_bar` if given.
+    /// VJP of [`step`](Actuator::step). Adds to the requested cotangents.
     ///
     /// Defaults to exact derivatives by dual numbers. Override it with an analytic derivative for
     /// speed.
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(
         &self,
-        state: &[R],
-        u: &[R],
+        inputs: Inputs<'_, R>,
         next_bar: OutputCotangents<'_, C>,
-        state_bar: Option<&mut [C]>,
-        u_bar: Option<&mut [C]>,
+        cotangents: Cotangents<'_, C>,
     ) {
-        reverse_by_duals(self, state, u, next_bar, state_bar, u_bar);
+        reverse_by_duals(self, inputs, next_bar, cotangents);
     }
 }
 
@@ -79,17 +84,16 @@ pub struct OutputCotangents<'a, C> {
 #[inline]
 fn reverse_by_duals<A: Actuator, R: Real, C: Cotangent<R>>(
     actuator: &A,
-    state: &[R],
-    u: &[R],
+    Inputs { x: state, u, .. }: Inputs<'_, R>,
     next_bar: OutputCotangents<'_, C>,
-    mut state_bar: Option<&mut [C]>,
-    mut u_bar: Option<&mut [C]>,
+    cotangents: Cotangents<'_, C>,
 ) {
     let (n, m) = (state.len(), u.len());
+    let Cotangents { x: mut state_bar, u: mut u_bar, .. } = cotangents;
     let wrt = if state_bar.is_some() { 0 } else { n }..if u_bar.is_some() { n + m } else { n };
     let step = |x: &[_], next: &mut [_]| {
-        let (next_state, out) = next.split_at_mut(n);
-        actuator.step(&x[..n], &x[n..], next_state, out);
+        let (next, out) = next.split_at_mut(n);
+        actuator.step(Inputs::new(&x[..n], &x[n..]), next, out);
     };
     jacobian(&concat(state, u), wrt, n + m, step, |i, column: &[R]| {
         let mut bar = C::null();
@@ -114,20 +118,18 @@ impl Actuator for () {
     }
 
     #[inline(always)]
-    fn step<T: Scalar>(&self, _state: &[T], u: &[T], _next_state: &mut [T], out: &mut [T]) {
-        out.copy_from_slice(u);
+    fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, _next: &mut [T], out: &mut [T]) {
+        out.copy_from_slice(inputs.u);
     }
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(
         &self,
-        _state: &[R],
-        _u: &[R],
+        _inputs: Inputs<'_, R>,
         next_bar: OutputCotangents<'_, C>,
-        _own_bar: Option<&mut [C]>,
-        u_bar: Option<&mut [C]>,
+        cotangents: Cotangents<'_, C>,
     ) {
-        if let Some(u_bar) = u_bar {
+        if let Some(u_bar) = cotangents.u {
             add(u_bar, next_bar.out);
         }
     }
@@ -139,37 +141,42 @@ impl<A: Actuator, B: Actuator> Actuator for (A, B) {
         self.0.state_dim(controls) + self.1.state_dim(controls)
     }
 
+    fn range(&self) -> Option<[f64; 2]> {
+        self.0.range().or_else(|| self.1.range())
+    }
+
     #[inline(always)]
-    fn step<T: Scalar>(&self, state: &[T], u: &[T], next_state: &mut [T], out: &mut [T]) {
-        let n = self.0.state_dim(u.len());
-        let mut between: Controls<T> = SmallVec::from_slice(u);
-        self.0.step(&state[..n], u, &mut next_state[..n], &mut between);
-        self.1.step(&state[n..], &between, &mut next_state[n..], out);
+    fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T], out: &mut [T]) {
+        let (first, second) = inputs.x.split_at(self.0.state_dim(inputs.u.len()));
+        let (next_first, next_second) = next.split_at_mut(first.len());
+        let mut between: Controls<T> = SmallVec::from_slice(inputs.u);
+        self.0.step(Inputs::new(first, inputs.u), next_first, &mut between);
+        self.1.step(Inputs::new(second, &between), next_second, out);
     }
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(
         &self,
-        state: &[R],
-        u: &[R],
+        Inputs { x: state, u, .. }: Inputs<'_, R>,
         next_bar: OutputCotangents<'_, C>,
-        state_bar: Option<&mut [C]>,
-        u_bar: Option<&mut [C]>,
+        cotangents: Cotangents<'_, C>,
     ) {
         let n = self.0.state_dim(u.len());
         let mut between: Controls<R> = SmallVec::from_slice(u);
         let mut next_state: SmallVec<[R; 4 * STACK]> = smallvec![R::zero(); n];
-        self.0.step(&state[..n], u, &mut next_state, &mut between);
+        self.0.step(Inputs::new(&state[..n], u), &mut next_state, &mut between);
         let mut between_bar: Controls<C> = smallvec![C::null(); u.len()];
-        let (first, second) = state_bar.map(|bar| bar.split_at_mut(n)).unzip();
-        let cotangents = OutputCotangents { state: &next_bar.state[n..], out: next_bar.out };
-        self.1.vjp(&state[n..], &between, cotangents, second, Some(&mut between_bar));
+        let (first, second) = cotangents.x.map(|bar| bar.split_at_mut(n)).unzip();
+        let (first_bar, second_bar) = next_bar.state.split_at(n);
+        self.1.vjp(
+            Inputs::new(&state[n..], &between),
+            OutputCotangents { state: second_bar, out: next_bar.out },
+            Cotangents { x: second, u: Some(&mut between_bar), p: None },
+        );
         self.0.vjp(
-            &state[..n],
-            u,
-            OutputCotangents { state: &next_bar.state[..n], out: &between_bar },
-            first,
-            u_bar,
+            Inputs::new(&state[..n], u),
+            OutputCotangents { state: first_bar, out: &between_bar },
+            Cotangents { x: first, u: cotangents.u, p: None },
         );
     }
 }
@@ -191,7 +198,7 @@ impl<S: System, A: Actuator> Actuated<S, A> {
     fn control<R: Real>(&self, state: &[R], u: &[R]) -> Controls<R> {
         let mut out: Controls<R> = SmallVec::from_slice(u);
         let mut next_state: SmallVec<[R; 4 * STACK]> = SmallVec::from_slice(state);
-        self.actuator.step(state, u, &mut next_state, &mut out);
+        self.actuator.step(Inputs::new(state, u), &mut next_state, &mut out);
         out
     }
 }
@@ -201,17 +208,7 @@ impl<S: System, A: Actuator> System for Actuated<S, A> {
         self.system.state_dim() + self.actuator.state_dim(self.system.control_dim())
     }
 
-    fn control_dim(&self) -> usize {
-        self.system.control_dim()
-    }
-
-    fn param_dim(&self) -> usize {
-        self.system.param_dim()
-    }
-
-    fn varied(&self, params: usize) -> Vec<Varied> {
-        self.system.varied(params)
-    }
+    forward!(System of system: control_dim, param_dim, varied);
 
     #[inline(always)]
     fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
@@ -221,7 +218,7 @@ impl<S: System, A: Actuator> System for Actuated<S, A> {
         let (x, state) = inputs.x.split_at(self.system.state_dim());
         let mut out: Controls<T> = SmallVec::from_slice(inputs.u);
         let (next, next_state) = next.split_at_mut(x.len());
-        self.actuator.step(state, inputs.u, next_state, &mut out);
+        self.actuator.step(Inputs::new(state, inputs.u), next_state, &mut out);
         self.system.step(inputs.with_x(x).with_u(&out), next);
     }
 
@@ -250,11 +247,9 @@ impl<S: System, A: Actuator> System for Actuated<S, A> {
         self.system.vjp(inputs.with_x(x).with_u(&out), next_bar, system_bars);
         if through_control {
             self.actuator.vjp(
-                state,
-                inputs.u,
+                Inputs::new(state, inputs.u),
                 OutputCotangents { state: next_state_bar, out: &out_bar },
-                state_bar,
-                cotangents.u,
+                Cotangents { x: state_bar, u: cotangents.u, p: None },
             );
         }
     }
@@ -268,7 +263,7 @@ impl<S: System, A: Actuator> System for Actuated<S, A> {
         let (next_tan, next_state_tan) = next_tan.split_at_mut(x.len());
         let (state, u) = (along(state, state_tan), along(inputs.u, tangents.u));
         let (mut next_state, mut out) = (state.clone(), u.clone());
-        self.actuator.step(&state, &u, &mut next_state, &mut out);
+        self.actuator.step(Inputs::new(&state, &u), &mut next_state, &mut out);
         for (tan, next) in zip(next_state_tan.iter_mut(), &next_state) {
             *tan = next.tangents[0];
         }

@@ -1,6 +1,6 @@
 //! [`DynTask::adapted`]: a task with another horizon, with substeps, and with actuators.
 
-use crate::dynamics::actuator::{Actuated, AnyActuator};
+use crate::dynamics::actuator::{Actuated, Actuator, AnyActuator};
 use crate::dynamics::dyn_task::{DynSystem, DynTask};
 use crate::dynamics::inputs::{Cotangents, Inputs, Start};
 use crate::dynamics::substeps::Substeps;
@@ -69,6 +69,13 @@ impl Task for Adapted {
 
     fn start(&self, rng: &mut Rng, start: Start<'_>) {
         self.task.start(rng, Start { x: &mut start.x[..self.states], p: start.p });
+    }
+
+    /// The range to which the actuators limit the controls, otherwise the bounds of the task.
+    fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
+        let limited =
+            self.system.actuator.range().map(|range| vec![range; self.system.control_dim()]);
+        limited.or_else(|| self.task.control_bounds())
     }
 
     fn observation_dim(&self) -> Option<usize> {

@@ -71,6 +71,7 @@ trait AnyTask: Send + Sync {
     fn varied(&self, params: usize) -> Vec<Varied>;
     fn horizon(&self) -> usize;
     fn param_dim(&self) -> usize;
+    fn control_bounds(&self) -> Option<Vec<[f64; 2]>>;
     fn observation_dim(&self) -> Option<usize>;
     fn start(&self, rng: &mut Rng, start: Start<'_>);
     fn draw_start(&self, rng: &mut Rng, start: Start<'_>);
@@ -113,6 +114,9 @@ impl<T: Task + 'static> AnyTask for T {
     }
     fn param_dim(&self) -> usize {
         Task::param_dim(self)
+    }
+    fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
+        Task::control_bounds(self)
     }
     fn observation_dim(&self) -> Option<usize> {
         Task::observation_dim(self)
@@ -253,7 +257,7 @@ function!(
 
 /// Functions of a task that run in rollouts, reverse passes, optimization and identification. See
 /// `compiled.rs`.
-#[cfg(feature = "compiled")]
+#[cfg(all(not(test), feature = "compiled"))]
 pub(crate) fn frequent<T: Task + 'static>() -> Vec<*const ()> {
     fn of_scalar<T: Task + 'static, R: Real>() -> [*const (); 7] {
         [
@@ -374,6 +378,10 @@ impl Task for DynTask {
 
     fn draw_start(&self, rng: &mut Rng, start: Start<'_>) {
         self.0.0.draw_start(rng, start);
+    }
+
+    fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
+        self.0.0.control_bounds()
     }
 
     fn observation_dim(&self) -> Option<usize> {

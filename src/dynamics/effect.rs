@@ -50,7 +50,7 @@ pub(crate) use without::system_without_effects;
 /// }
 ///
 /// let system = Forced { system: CartPoleSystem::default(), effects: Spring { stiffness: 3.0 } };
-/// check::system(&system);
+/// check::system(&system).unwrap();
 /// ```
 pub trait Effect<B>: Clone + Debug + Send + Sync {
     /// Number of parameters of this effect. They are the first entries of the `p` that it receives.

@@ -28,11 +28,10 @@ pub use sdirk::Sdirk2;
 
 use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::HasModel;
-use crate::dynamics::inputs::{Cotangents, Inputs, Start};
-use crate::dynamics::number::Varied;
+use crate::dynamics::forward::{forward, forward_model};
+use crate::dynamics::inputs::{Cotangents, Inputs};
 use crate::dynamics::ode::{DynOde, DynOdeVjp, Ode};
 use crate::dynamics::system::System;
-use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use smallvec::{SmallVec, smallvec};
 use std::fmt::Debug;
@@ -97,21 +96,7 @@ pub struct Integrated<O, I> {
 }
 
 impl<O: Ode, I: Integrator> System for Integrated<O, I> {
-    fn state_dim(&self) -> usize {
-        self.ode.state_dim()
-    }
-
-    fn control_dim(&self) -> usize {
-        self.ode.control_dim()
-    }
-
-    fn param_dim(&self) -> usize {
-        self.ode.param_dim()
-    }
-
-    fn varied(&self, params: usize) -> Vec<Varied> {
-        self.ode.varied(params)
-    }
+    forward!(Ode of ode: state_dim, control_dim, param_dim, varied);
 
     #[inline(always)]
     fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
@@ -135,12 +120,5 @@ impl<O: Ode, I: Integrator> System for Integrated<O, I> {
 }
 
 impl<B, O: Ode + HasModel<B>, I: Integrator> HasModel<B> for Integrated<O, I> {
-    #[inline(always)]
-    fn model(&self) -> &B {
-        self.ode.model()
-    }
-
-    fn start_extra(&self, rng: &mut Rng, start: Start<'_>) {
-        self.ode.start_extra(rng, start);
-    }
+    forward_model!(ode, B);
 }

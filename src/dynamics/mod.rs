@@ -20,6 +20,7 @@ pub(crate) mod cause;
 pub(crate) mod default_vjp;
 pub(crate) mod dyn_task;
 pub(crate) mod effect;
+pub(crate) mod forward;
 pub(crate) mod inputs;
 pub(crate) mod integrator;
 pub(crate) mod number;

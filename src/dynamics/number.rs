@@ -7,9 +7,11 @@ pub(crate) use vjp::{ParamDual, param_vjp};
 
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::Scalar;
-use arrayvec::ArrayVec;
 use rand::RngExt as _;
 use rand_distr::{Distribution as _, StandardNormal};
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::sync::{Mutex, PoisonError};
 
 /// A physical number of a system or effect: fixed, drawn for each sample, or trained.
 ///
@@ -34,7 +36,7 @@ use rand_distr::{Distribution as _, StandardNormal};
 ///     }
 /// }
 ///
-/// check::system(&Puck { mass: Number::Uniform { low: 0.5, high: 2.0 } });
+/// check::system(&Puck { mass: Number::Uniform { low: 0.5, high: 2.0 } }).unwrap();
 /// assert_eq!(Puck { mass: 1.0.into() }.param_dim(), 0);
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -76,27 +78,24 @@ pub enum Number {
     },
 }
 
-/// List of one to eight values.
+/// List of one or more values. Equal lists share their memory, which remains allocated until the
+/// program ends, so that numbers and systems are `Copy`.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Choice {
-    values: [f64; Choice::MAX],
-    count: usize,
-}
+pub struct Choice(&'static [f64]);
 
 impl Choice {
-    /// Largest number of values.
-    pub const MAX: usize = 8;
-
-    /// Creates a list of one to eight values; `None` for other lengths.
+    /// Creates a list; `None` if it is empty.
     pub fn new(list: &[f64]) -> Option<Self> {
-        let mut values = [0.0; Self::MAX];
-        values.get_mut(..list.len())?.copy_from_slice(list);
-        (!list.is_empty()).then_some(Self { values, count: list.len() })
+        static LISTS: Mutex<BTreeMap<Vec<u64>, Choice>> = Mutex::new(BTreeMap::new());
+        let key = list.iter().map(|value| value.to_bits()).collect();
+        let mut lists = LISTS.lock().unwrap_or_else(PoisonError::into_inner);
+        let shared = || *lists.entry(key).or_insert_with(|| Self(Box::leak(list.into())));
+        (!list.is_empty()).then(shared)
     }
 
     /// The values.
-    pub fn values(&self) -> &[f64] {
-        &self.values[..self.count]
+    pub fn values(&self) -> &'static [f64] {
+        self.0
     }
 }
 
@@ -122,23 +121,21 @@ impl Number {
             Self::Uniform { low, high } => 0.5 * (low + high),
             Self::Normal { mean, .. } => mean,
             Self::LogUniform { low, high } => (low * high).sqrt(),
-            Self::Choice(choice) => choice.values()[choice.count / 2],
+            Self::Choice(Choice(values)) => values[values.len() / 2],
             Self::Trained { start, .. } => start,
         }
     }
 
     /// Returns values that include the smallest and the largest possible value, for validation.
     /// Omits infinite bounds of a trained number.
-    pub fn extremes(&self) -> ArrayVec<f64, { Choice::MAX }> {
+    pub fn extremes(&self) -> Vec<f64> {
         match *self {
-            Self::Fixed(value) => [value].into_iter().collect(),
-            Self::Uniform { low, high } | Self::LogUniform { low, high } => {
-                [low, high].into_iter().collect()
-            }
+            Self::Fixed(value) => vec![value],
+            Self::Uniform { low, high } | Self::LogUniform { low, high } => vec![low, high],
             Self::Normal { mean, deviation } => {
-                [mean - TRUNCATION * deviation, mean + TRUNCATION * deviation].into_iter().collect()
+                vec![mean - TRUNCATION * deviation, mean + TRUNCATION * deviation]
             }
-            Self::Choice(choice) => choice.values().iter().copied().collect(),
+            Self::Choice(Choice(values)) => values.to_vec(),
             Self::Trained { start, min, max } => {
                 let bounds = [min, max].into_iter().filter(|value| !value.is_infinite());
                 [start].into_iter().chain(bounds).collect()
@@ -157,7 +154,7 @@ impl Number {
                 }
             },
             Self::LogUniform { low, high } => low * (high / low).powf(rng.random()),
-            Self::Choice(choice) => choice.values()[rng.random_range(0..choice.count)],
+            Self::Choice(Choice(values)) => values[rng.random_range(0..values.len())],
             Self::Fixed(value) | Self::Trained { start: value, .. } => value,
         }
     }
@@ -170,46 +167,72 @@ const TRUNCATION: f64 = 3.0;
 ///
 /// Numbers that are not fixed are entries of `p`, in the same order. For a system they are the last
 /// entries of `p`, for an effect the last of its own entries.
+///
+/// [`new`](Self::new) takes up to eight fields of a type. A type that stores a list of numbers, of
+/// any length, returns it with [`all`](Self::all).
 #[derive(Clone, Copy, Debug)]
 pub struct Numbers<'a> {
-    list: [(&'static str, &'a Number); Numbers::MAX],
+    fields: [(&'a str, &'a Number); FIELDS],
     count: usize,
+    list: &'a [(Cow<'static, str>, Number)],
 }
+
+/// Largest number of fields in [`Numbers::new`]. They are passed by value in every step.
+const FIELDS: usize = 8;
 
 impl Default for Numbers<'_> {
     #[inline(always)]
     fn default() -> Self {
-        Self { list: [("", &Number::Fixed(0.0)); Self::MAX], count: 0 }
+        Self::all(&[])
     }
 }
 
 impl<'a> Numbers<'a> {
-    /// Largest count of numbers.
-    pub const MAX: usize = 8;
-
-    /// Lists names and numbers.
-    ///
-    /// # Panics
-    /// If there are more than [`MAX`](Self::MAX) numbers.
+    /// Lists names and numbers, up to eight.
     #[inline(always)]
-    pub fn new<const N: usize>(numbers: [(&'static str, &'a Number); N]) -> Self {
+    pub fn new<const N: usize>(numbers: [(&'a str, &'a Number); N]) -> Self {
+        const {
+            assert!(N <= FIELDS, "`Numbers::new` takes up to 8 numbers, `Numbers::all` any number");
+        }
         let mut all = Self { count: N, ..Self::default() };
-        all.list[..N].copy_from_slice(&numbers);
+        all.fields[..N].copy_from_slice(&numbers);
         all
     }
 
+    /// Lists the names and numbers of a list, of any length.
+    #[inline(always)]
+    pub fn all(list: &'a [(Cow<'static, str>, Number)]) -> Self {
+        Self { fields: [("", &Number::Fixed(0.0)); FIELDS], count: 0, list }
+    }
+
+    /// Count of all numbers.
+    #[inline(always)]
+    fn len(&self) -> usize {
+        self.count + self.list.len()
+    }
+
+    #[inline(always)]
+    fn get(&self, i: usize) -> (&'a str, &'a Number) {
+        if i < self.count {
+            self.fields[i]
+        } else {
+            let (name, number) = &self.list[i - self.count];
+            (name, number)
+        }
+    }
+
     /// Names and numbers, in order.
-    pub fn listed(&self) -> impl Iterator<Item = (&'static str, &'a Number)> + use<'a> {
-        let (list, count) = (self.list, self.count);
-        list.into_iter().take(count)
+    pub fn listed(&self) -> impl Iterator<Item = (&'a str, &'a Number)> + use<'a> {
+        let all = *self;
+        (0..all.len()).map(move |i| all.get(i))
     }
 
     /// Count of the numbers that are not fixed.
     #[inline(always)]
     pub fn varied(&self) -> usize {
         let mut varied = 0;
-        for i in 0..self.count {
-            varied += usize::from(!self.list[i].1.is_fixed());
+        for i in 0..self.len() {
+            varied += usize::from(!self.get(i).1.is_fixed());
         }
         varied
     }
@@ -220,14 +243,25 @@ impl<'a> Numbers<'a> {
     /// If `N` is not the count of numbers, or if `p` has too few entries.
     #[inline(always)]
     pub fn of<T: Scalar, const N: usize>(&self, p: &[T]) -> [T; N] {
+        let mut values = [T::zero(); N];
+        self.write(p, &mut values);
+        values
+    }
+
+    /// Writes the values of all numbers: constants, and the first entries of `p`.
+    ///
+    /// # Panics
+    /// If the length of `values` is not the count of numbers, or if `p` has too few entries.
+    #[inline(always)]
+    pub fn write<T: Scalar>(&self, p: &[T], values: &mut [T]) {
         assert_eq!(
-            self.count, N,
+            self.len(),
+            values.len(),
             "numbers in the list, and values requested from it; list each number once"
         );
-        let mut values = [T::zero(); N];
         let mut entry = 0;
-        for (value, (_, number)) in values.iter_mut().zip(&self.list) {
-            *value = match number {
+        for (i, value) in values.iter_mut().enumerate() {
+            *value = match self.get(i).1 {
                 Number::Fixed(constant) => T::from(*constant),
                 _ => {
                     entry += 1;
@@ -235,7 +269,6 @@ impl<'a> Numbers<'a> {
                 }
             };
         }
-        values
     }
 
     /// Values of all numbers: constants, and the last entries of `p`.
@@ -253,10 +286,10 @@ impl<'a> Numbers<'a> {
 
     /// The numbers that are not fixed, as entries of `p` from `first`.
     pub fn placed(&self, first: usize) -> Vec<Varied> {
-        let varied = self.list[..self.count].iter().filter(|(_, number)| !number.is_fixed());
+        let varied = self.listed().filter(|(_, number)| !number.is_fixed());
         varied
             .enumerate()
-            .map(|(i, &(name, &number))| Varied { index: first + i, name: name.into(), number })
+            .map(|(i, (name, &number))| Varied { index: first + i, name: name.into(), number })
             .collect()
     }
 }
@@ -266,7 +299,7 @@ impl<'a> Numbers<'a> {
 pub struct Varied {
     /// Index in `p`.
     pub index: usize,
-    /// Name of the number. If the effect is [`Named`](crate::Named), the name of the effect
+    /// Name of the number. If the effect is [`Named`](crate::effect::Named), the name of the effect
     /// precedes it: `wind.speed`.
     pub name: String,
     /// The number.

@@ -1,6 +1,6 @@
 //! [`Ode`]: a vector field in continuous time.
 //!
-//! An [`Integrator`](crate::Integrator) discretizes the vector field into a
+//! An [`Integrator`](crate::integrator::Integrator) discretizes the vector field into a
 //! [`System`](crate::System); see [`Integrated`](crate::Integrated).
 
 use crate::dynamics::cause::Cause;
@@ -22,7 +22,7 @@ use smallvec::{SmallVec, smallvec};
 /// [`Integrated`](crate::Integrated) turns an `Ode` into a [`System`](crate::System).
 ///
 /// ```
-/// use physgrad::{Integrated, Ode, OdeInputs, RungeKutta, Scalar, check};
+/// use physgrad::{Integrated, Ode, OdeInputs, Scalar, check, integrator::RungeKutta};
 ///
 /// /// A mass on a spring, pulled by u: x = [position in m, velocity in m/s].
 /// struct Spring { stiffness: f64 }
@@ -37,7 +37,7 @@ use smallvec::{SmallVec, smallvec};
 /// }
 ///
 /// let system = Integrated { ode: Spring { stiffness: 3.0 }, integrator: RungeKutta::RK4, dt: 0.1 };
-/// check::system(&system);
+/// check::system(&system).unwrap();
 /// ```
 pub trait Ode: Send + Sync {
     /// Number of state components.
@@ -82,8 +82,8 @@ pub trait Ode: Send + Sync {
     /// Index of the velocity of component `i`, or `None` if `i` is not a position.
     ///
     /// `Some(j)` requires `f_i = x_j` exactly, as partitioned integrators
-    /// ([`SemiImplicit`](crate::SemiImplicit), [`Verlet`](crate::Verlet)) assume. Component `j`
-    /// must not be a position itself.
+    /// ([`SemiImplicit`](crate::integrator::SemiImplicit), [`Verlet`](crate::integrator::Verlet))
+    /// assume. Component `j` must not be a position itself.
     #[inline(always)]
     fn velocity(&self, _i: usize) -> Option<usize> {
         None

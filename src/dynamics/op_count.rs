@@ -11,12 +11,14 @@ use crate::numbers::scalar::{Counted, Ops};
 /// on the `f64` constants of a system are not counted.
 ///
 /// Systems do not branch on values, so the counts are independent of the state. The integrators
-/// [`Adaptive`](crate::Adaptive), [`ImplicitMidpoint`](crate::ImplicitMidpoint) and
-/// [`Sdirk2`](crate::Sdirk2) are exceptions. Their iterations are counted at one fixed state.
+/// [`Adaptive`](crate::integrator::Adaptive),
+/// [`ImplicitMidpoint`](crate::integrator::ImplicitMidpoint) and
+/// [`Sdirk2`](crate::integrator::Sdirk2) are exceptions. Their iterations are counted at one fixed
+/// state.
 ///
 /// ```
 /// use physgrad::tasks::{CartDamping, CartPoleSystem};
-/// use physgrad::{OpCount, Forced};
+/// use physgrad::{Forced, count::OpCount};
 ///
 /// let system = CartPoleSystem::default();
 /// let alone = OpCount::of(&system);
@@ -61,7 +63,7 @@ impl OpCount {
 /// Counting is exact, as in [`OpCount`].
 ///
 /// ```
-/// use physgrad::TaskOpCount;
+/// use physgrad::count::TaskOpCount;
 /// use physgrad::tasks::CartPole;
 ///
 /// let counts = TaskOpCount::of(&CartPole::new(2));

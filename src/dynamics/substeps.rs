@@ -2,10 +2,9 @@
 
 use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::HasModel;
-use crate::dynamics::inputs::{Cotangents, Inputs, Start, Tangents, add};
-use crate::dynamics::number::Varied;
+use crate::dynamics::forward::{forward, forward_model};
+use crate::dynamics::inputs::{Cotangents, Inputs, Tangents, add};
 use crate::dynamics::system::System;
-use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use smallvec::{SmallVec, smallvec};
 
@@ -48,21 +47,7 @@ impl<S: System> Substeps<S> {
 }
 
 impl<S: System> System for Substeps<S> {
-    fn state_dim(&self) -> usize {
-        self.system.state_dim()
-    }
-
-    fn control_dim(&self) -> usize {
-        self.system.control_dim()
-    }
-
-    fn param_dim(&self) -> usize {
-        self.system.param_dim()
-    }
-
-    fn varied(&self, params: usize) -> Vec<Varied> {
-        self.system.varied(params)
-    }
+    forward!(System of system: state_dim, control_dim, param_dim, varied);
 
     #[inline(always)]
     fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
@@ -129,12 +114,5 @@ impl<S: System> System for Substeps<S> {
 }
 
 impl<B, S: HasModel<B>> HasModel<B> for Substeps<S> {
-    #[inline(always)]
-    fn model(&self) -> &B {
-        self.system.model()
-    }
-
-    fn start_extra(&self, rng: &mut Rng, start: Start<'_>) {
-        self.system.start_extra(rng, start);
-    }
+    forward_model!(system, B);
 }

@@ -60,6 +60,16 @@ pub trait Task: Send + Sync {
         p.iter_mut().filter(|p| p.to_bits() == unwritten.to_bits()).for_each(|p| *p = f64::NAN);
     }
 
+    /// Smallest and largest value of each control that the task is meant for, in the units of the
+    /// controls. One entry per control; infinite where there is no bound. Default: `None`, no
+    /// bounds.
+    ///
+    /// Nothing enforces these bounds. Searches over controls and environments that scale actions
+    /// use them. An [`Actuator`](crate::actuator::Actuator) limits controls.
+    fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
+        None
+    }
+
     /// Number of components of [`observe`](Task::observe). Default: `None`, the policy observes the
     /// state.
     fn observation_dim(&self) -> Option<usize> {

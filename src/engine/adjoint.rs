@@ -20,7 +20,6 @@
 //! numbers.
 
 mod exponents;
-mod flow;
 mod measure;
 mod policy;
 mod recursion;
@@ -30,12 +29,13 @@ mod step_back;
 
 use crate::engine::any::AnyTask;
 use crate::engine::divergence::Divergence;
+use crate::engine::flow::Flow;
 use crate::engine::gradient::Gradient;
+use crate::engine::pass::{Closed, Pass};
 use crate::engine::rollout::Rollout;
 use crate::numbers::scalar::Float;
 use crate::policy::AnyPolicy;
 use crate::policy::{PolicyPass, Weights};
-pub use flow::Flow;
 use policy::{PolicyAdjoint, PolicyBufferSizes, nested_bytes};
 use recursion::Recursion;
 use std::ops::Range;
@@ -268,8 +268,8 @@ impl<F: Float> Adjoint<F> {
         self.measured || self.flows().iter().any(|flow| flow.cut.is_some())
     }
 
-    /// Calls `add` with the two numbers of [`Growth`](crate::Growth) of flow `k`, for each sample
-    /// of the last run. Both are 0 if not measured.
+    /// Calls `add` with the two numbers of [`Growth`](crate::engine::Growth) of flow `k`, for each
+    /// sample of the last run. Both are 0 if not measured.
     pub(crate) fn growth(&self, k: usize, samples: usize, add: &mut dyn FnMut([f64; 2])) {
         match &self.carried {
             Carried::One(_, recursion) => {
@@ -316,7 +316,8 @@ impl<F: Float> Adjoint<F> {
             found <= capacity,
             "the rollout has {found} samples, but the adjoint has space for {capacity}"
         );
-        let pass = Pass { task, policy, weights, rollout, scale, measured: self.measures() };
+        let closed = Closed { task, policy, weights };
+        let pass = Pass { closed, rollout, scale, measured: self.measures() };
         self.begin(&pass);
         Rollout::<F>::units(0..rollout.horizon).try_for_each(|unit| self.back(&pass, unit))
     }
@@ -347,10 +348,10 @@ impl<F: Float> Adjoint<F> {
         let steps = unit.clone();
         match &mut self.carried {
             Carried::One(flows, recursion) => {
-                recursion.back(pass, pass.task, *flows, steps, &mut self.policy, norms)?
+                recursion.back(pass, pass.closed.task, *flows, steps, &mut self.policy, norms)?
             }
             Carried::Two(flows, recursion) => {
-                recursion.back(pass, pass.task, *flows, steps, &mut self.policy, norms)?
+                recursion.back(pass, pass.closed.task, *flows, steps, &mut self.policy, norms)?
             }
         }
         for k in 0..self.flows().len() {
@@ -390,7 +391,9 @@ impl<F: Float> Adjoint<F> {
         );
         theta_bar.clear();
         for unit in Rollout::<F>::units(0..rollout.horizon) {
-            self.add_param_gradient(k, policy, weights, rollout, &unit, samples.clone(), theta_bar);
+            let at = rollout.columns_of(&unit, samples.clone());
+            let pass = PolicyPass::new(weights.packed(), at, rollout.inputs()).at_steps(unit);
+            self.policy.add_param_gradient(k, policy, pass, &rollout.tape, theta_bar);
         }
         self.add_trained_gradient(k, policy, weights, samples, theta_bar);
         theta_bar.normalize();
@@ -420,33 +423,19 @@ impl<F: Float> Adjoint<F> {
     }
 
     /// Adds the contribution of a unit to the parameter gradient, after [`back`](Self::back).
-    #[allow(clippy::too_many_arguments)]
     pub(crate) fn add_param_gradient(
         &mut self,
         k: usize,
-        policy: &dyn AnyPolicy<F>,
-        weights: &Weights<F>,
-        rollout: &Rollout<F>,
+        pass: &Pass<'_, F>,
         unit: &Range<usize>,
         samples: Range<usize>,
         theta_bar: &mut Gradient<F>,
     ) {
+        let (Closed { policy, weights, .. }, rollout) = (pass.closed, pass.rollout);
         let at = rollout.columns_of(unit, samples);
         let pass = PolicyPass::new(weights.packed(), at, rollout.inputs()).at_steps(unit.clone());
         self.policy.add_param_gradient(k, policy, pass, &rollout.tape, theta_bar);
     }
-}
-
-/// Constant arguments of one reverse pass.
-pub(crate) struct Pass<'a, F: Float> {
-    pub(crate) task: &'a dyn AnyTask<F>,
-    pub(crate) policy: &'a dyn AnyPolicy<F>,
-    pub(crate) weights: &'a Weights<F>,
-    pub(crate) rollout: &'a Rollout<F>,
-    /// Factor of all cotangents.
-    pub(crate) scale: F,
-    /// True if the pass measures the growth of the adjoints.
-    pub(crate) measured: bool,
 }
 
 #[cfg(test)]

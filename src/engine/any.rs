@@ -11,9 +11,9 @@ use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::engine::adjoint::StepBack;
 use crate::engine::observe::Observe;
-use crate::engine::rollout::{Lane, StepForward};
+use crate::engine::step_forward::StepForward;
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Lane, Real};
 
 /// Object-safe [`Task`] for one precision.
 ///

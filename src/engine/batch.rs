@@ -4,13 +4,14 @@
 //! over fixed groups of samples, then over fixed blocks of groups, then over all blocks in order.
 //! If several [`Ranks`] share the blocks, the sums do not change.
 
-use crate::engine::adjoint::Flow;
 use crate::engine::any::AnyTask;
 use crate::engine::checkpointed::Checkpointed;
 use crate::engine::divergence::Divergence;
+use crate::engine::flow::Flow;
 use crate::engine::gradient::Gradient;
 use crate::engine::growth::{Growth, GrowthStats};
 use crate::engine::parallel::for_each;
+use crate::engine::pass::Closed;
 use crate::engine::ranks::{Ranks, add_blocks, gather, gather_f64, samples_of};
 use crate::engine::schedule::{MemoryError, Schedule};
 use crate::numbers::scalar::Float;
@@ -48,12 +49,10 @@ pub struct Batch<F: Float> {
     shared: Option<Box<Shared<F>>>,
 }
 
-/// Task, policy, weights and sizes of one mini-batch.
+/// Closed loop and sizes of one mini-batch.
 #[derive(Clone, Copy)]
 struct MiniBatch<'a, F: Float> {
-    task: &'a dyn AnyTask<F>,
-    policy: &'a dyn AnyPolicy<F>,
-    weights: &'a Weights<F>,
+    closed: Closed<'a, F>,
     /// Weight of a sample in the mean loss.
     scale: F,
     /// Number of groups in a block.
@@ -283,9 +282,7 @@ impl<F: Float> Batch<F> {
             starts.len()
         );
         let mini_batch = MiniBatch {
-            task,
-            policy,
-            weights,
+            closed: Closed { task, policy, weights },
             scale: F::from_f64(1.0 / samples as f64),
             block: block_of(samples),
         };
@@ -310,7 +307,7 @@ impl<F: Float> Batch<F> {
         shared: &mut Shared<F>,
     ) -> Result<f64, Divergence> {
         let ranks = shared.ranks.clone();
-        let n = mini_batch.task.start_dim();
+        let n = mini_batch.closed.task.start_dim();
         let samples = starts.len() / n;
         let own = |rank: usize| samples_of(samples, GROUP * mini_batch.block, rank, ranks.count());
         let Range { start, end } = own(ranks.rank());
@@ -345,7 +342,7 @@ impl<F: Float> Batch<F> {
         starts: &[F],
         mut shared: Option<&mut Shared<F>>,
     ) -> Result<f64, Divergence> {
-        let (n, block) = (mini_batch.task.start_dim(), mini_batch.block);
+        let (n, block) = (mini_batch.closed.task.start_dim(), mini_batch.block);
         let chunk = self.workers[0].rollout.capacity();
         let groups = (starts.len() / n).div_ceil(GROUP);
         let (mut loss, mut diverged) = (0.0, None);
@@ -492,11 +489,11 @@ impl<F: Float> Worker<F> {
     }
 
     fn run(&mut self, mini_batch: MiniBatch<'_, F>, starts: &[F]) -> Result<(), Divergence> {
-        let MiniBatch { task, policy, weights, scale, .. } = mini_batch;
+        let MiniBatch { closed, scale, .. } = mini_batch;
         if starts.is_empty() {
             return Ok(());
         }
-        self.rollout.run_unnormalized(task, policy, weights, starts, scale, GROUP, &mut self.groups)
+        self.rollout.run_unnormalized(closed, starts, scale, GROUP, &mut self.groups)
     }
 }
 

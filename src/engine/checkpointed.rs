@@ -1,13 +1,15 @@
 //! [`Checkpointed`]: forward and reverse passes of a batch of samples, with checkpoints by a
 //! [`Schedule`].
 
-use crate::engine::adjoint::{Adjoint, Flow, Pass};
+use crate::engine::adjoint::Adjoint;
 use crate::engine::any::AnyTask;
 use crate::engine::divergence::Divergence;
+use crate::engine::flow::Flow;
 use crate::engine::gradient::Gradient;
-use crate::engine::rollout::{Lane, Rollout, WIDTH};
+use crate::engine::pass::{Closed, Pass};
+use crate::engine::rollout::Rollout;
 use crate::engine::schedule::{MemoryError, Schedule, split};
-use crate::numbers::scalar::{Float, Real, Scalar};
+use crate::numbers::scalar::{Float, LANES, Lane, Real, Scalar};
 use crate::policy::AnyPolicy;
 use crate::policy::Weights;
 
@@ -16,7 +18,7 @@ use crate::policy::Weights;
 /// The constructor allocates all buffers. A run allocates only in the cases that [`Adjoint`] lists.
 /// Gradients are bitwise equal to those of [`Rollout`] and [`Adjoint`], for every schedule.
 /// ```
-/// use physgrad::{Checkpointed, Flow, Gradient, Schedule, Weights, initial_states, policy::Mlp, rng, tasks::CartPole};
+/// use physgrad::{Flow, Gradient, Weights, initial_states, policy::Mlp, rng, tasks::CartPole, engine::{Checkpointed, Schedule}};
 ///
 /// let (task, policy) = (CartPole { horizon: 1000, ..CartPole::new(1) }, Mlp::new([4, 16, 1]));
 /// let weights = Weights::<f64>::init(&policy, &mut rng::stream(0, rng::Purpose::Policy, 0));
@@ -67,7 +69,7 @@ impl<F: Float> Checkpointed<F> {
         );
         let rollout = Rollout::with_steps(task, policy, samples, schedule.segment());
         let adjoint = Adjoint::of_kept(task, policy, &rollout, flows);
-        let blocks = samples.div_ceil(WIDTH);
+        let blocks = samples.div_ceil(LANES);
         let state_len = blocks * (task.state_dim() + policy.memory_dim());
         Self {
             schedule,
@@ -108,7 +110,7 @@ impl<F: Float> Checkpointed<F> {
         flows: &[Flow],
         schedule: &Schedule,
     ) -> usize {
-        let (segment, blocks) = (schedule.segment(), samples.div_ceil(WIDTH));
+        let (segment, blocks) = (schedule.segment(), samples.div_ceil(LANES));
         let checkpoint = blocks * (task.state_dim() + policy.memory_dim()) * size_of::<Lane<F>>()
             + size_of::<usize>();
         Rollout::<F>::bytes_of(task, policy, samples, segment)
@@ -151,7 +153,7 @@ impl<F: Float> Checkpointed<F> {
             "there is no sample {sample}: the run has {}",
             self.samples()
         );
-        self.costs[sample / WIDTH].lane(sample % WIDTH)
+        self.costs[sample / LANES].lane(sample % LANES)
     }
 
     /// Runs rollouts from `starts` (see [`initial_states`](crate::initial_states)) and their
@@ -180,7 +182,8 @@ impl<F: Float> Checkpointed<F> {
         group: usize,
         gradients: &mut [Vec<Gradient<F>>],
     ) -> Result<(), Divergence> {
-        self.run_unnormalized(task, policy, weights, starts, scale, group, gradients)?;
+        let closed = Closed { task, policy, weights };
+        self.run_unnormalized(closed, starts, scale, group, gradients)?;
         gradients.iter_mut().flatten().for_each(Gradient::normalize);
         Ok(())
     }
@@ -188,18 +191,15 @@ impl<F: Float> Checkpointed<F> {
     /// Like [`run`](Checkpointed::run), but without a common exponent: callers sum and normalize
     /// the gradients.
     #[track_caller]
-    #[allow(clippy::too_many_arguments)]
     pub(crate) fn run_unnormalized(
         &mut self,
-        task: &dyn AnyTask<F>,
-        policy: &dyn AnyPolicy<F>,
-        weights: &Weights<F>,
+        closed: Closed<'_, F>,
         starts: &[F],
         scale: F,
         group: usize,
         gradients: &mut [Vec<Gradient<F>>],
     ) -> Result<(), Divergence> {
-        let samples = starts.len() / task.start_dim();
+        let samples = starts.len() / closed.task.start_dim();
         let groups = samples.div_ceil(group);
         assert!(
             groups <= gradients.len(),
@@ -214,51 +214,29 @@ impl<F: Float> Checkpointed<F> {
         gradients.iter_mut().flatten().for_each(Gradient::clear);
 
         let segments = self.schedule.segments();
-        self.forward(task, policy, weights, starts)?;
+        self.forward(closed, starts)?;
         let measured = self.adjoint.measures();
-        self.adjoint.begin(&Pass {
-            task,
-            policy,
-            weights,
-            rollout: &self.rollout,
-            scale,
-            measured,
-        });
+        self.adjoint.begin(&Pass { closed, rollout: &self.rollout, scale, measured });
+        let samples_of = |g: usize| g * group..samples.min((g + 1) * group);
         for index in (0..segments).rev() {
             if index + 1 < segments {
-                self.tape_again(task, policy, weights, index)?;
+                self.tape_again(closed, index)?;
             }
             // Adds the parameter gradient of a unit while its cotangents are in the cache.
             for unit in Rollout::<F>::units(self.schedule.steps(index)) {
-                self.adjoint.back(
-                    &Pass { task, policy, weights, rollout: &self.rollout, scale, measured },
-                    unit.clone(),
-                )?;
+                let pass = Pass { closed, rollout: &self.rollout, scale, measured };
+                self.adjoint.back(&pass, unit.clone())?;
                 for (g, gradient) in gradients.iter_mut().enumerate() {
-                    let own = g * group..samples.min((g + 1) * group);
                     for (k, sum) in gradient.iter_mut().enumerate() {
-                        self.adjoint.add_param_gradient(
-                            k,
-                            policy,
-                            weights,
-                            &self.rollout,
-                            &unit,
-                            own.clone(),
-                            sum,
-                        );
+                        self.adjoint.add_param_gradient(k, &pass, &unit, samples_of(g), sum);
                     }
                 }
             }
         }
+        let Closed { policy, weights, .. } = closed;
         for (g, gradient) in gradients.iter_mut().enumerate() {
             for (k, sum) in gradient.iter_mut().enumerate() {
-                self.adjoint.add_trained_gradient(
-                    k,
-                    policy,
-                    weights,
-                    g * group..samples.min((g + 1) * group),
-                    sum,
-                );
+                self.adjoint.add_trained_gradient(k, policy, weights, samples_of(g), sum);
             }
         }
         Ok(())
@@ -269,20 +247,14 @@ impl<F: Float> Checkpointed<F> {
         self.adjoint.measure(measured);
     }
 
-    /// Calls `add` with the two numbers of [`Growth`](crate::Growth) of flow `k`, for each sample
-    /// of the last run. Both are 0 if not measured.
+    /// Calls `add` with the two numbers of [`Growth`](crate::engine::Growth) of flow `k`, for each
+    /// sample of the last run. Both are 0 if not measured.
     pub(crate) fn growth(&self, k: usize, add: &mut dyn FnMut([f64; 2])) {
         self.adjoint.growth(k, self.rollout.samples(), add);
     }
 
     /// Runs the forward pass. Stores checkpoints and the tape of the last segment.
-    fn forward(
-        &mut self,
-        task: &dyn AnyTask<F>,
-        policy: &dyn AnyPolicy<F>,
-        weights: &Weights<F>,
-        starts: &[F],
-    ) -> Result<(), Divergence> {
+    fn forward(&mut self, closed: Closed<'_, F>, starts: &[F]) -> Result<(), Divergence> {
         self.kept.clear();
         self.rollout.start(starts);
         self.rollout.clear_costs();
@@ -290,20 +262,14 @@ impl<F: Float> Checkpointed<F> {
         if last > 0 {
             self.keep(0);
         }
-        self.advance(task, policy, weights, 0, last)?;
-        let finished = self.rollout.finish(task);
+        self.advance(closed, 0, last)?;
+        let finished = self.rollout.finish(closed.task);
         self.costs.copy_from_slice(&self.rollout.costs);
         finished
     }
 
     /// Recomputes the tape of segment `index` from the last checkpoint at or before its start.
-    fn tape_again(
-        &mut self,
-        task: &dyn AnyTask<F>,
-        policy: &dyn AnyPolicy<F>,
-        weights: &Weights<F>,
-        index: usize,
-    ) -> Result<(), Divergence> {
+    fn tape_again(&mut self, closed: Closed<'_, F>, index: usize) -> Result<(), Divergence> {
         // Discards checkpoints after this segment.
         self.kept.truncate(self.kept.partition_point(|&kept| kept <= index));
         let slot = self.kept.len() - 1;
@@ -311,34 +277,27 @@ impl<F: Float> Checkpointed<F> {
         let state = self.rollout.carried_at_mut(self.schedule.steps(from).start);
         let len = state.len();
         state.copy_from_slice(&self.states[slot * self.state_len..][..len]);
-        self.advance(task, policy, weights, from, index)
+        self.advance(closed, from, index)
     }
 
     /// Runs from the start of segment `from` to the end of segment `to`, and stores checkpoints in
     /// between.
     ///
     /// Afterwards, `rollout` contains the tape of segment `to`.
-    fn advance(
-        &mut self,
-        task: &dyn AnyTask<F>,
-        policy: &dyn AnyPolicy<F>,
-        weights: &Weights<F>,
-        from: usize,
-        to: usize,
-    ) -> Result<(), Divergence> {
+    fn advance(&mut self, closed: Closed<'_, F>, from: usize, to: usize) -> Result<(), Divergence> {
         let mut at = from;
         while at < to {
             let free = self.schedule.checkpoints() - self.kept.len();
             let next = at + split(to + 1 - at, free + 1);
             let steps = self.schedule.steps(at).start..self.schedule.steps(next).start;
-            self.rollout.pass_over(task, policy, weights, steps)?;
+            self.rollout.pass_over(closed, steps)?;
             at = next;
             // Segment `to` needs no checkpoint: its tape is stored next.
             if at < to {
                 self.keep(at);
             }
         }
-        self.rollout.advance(task, policy, weights, self.schedule.steps(to))
+        self.rollout.advance(closed, self.schedule.steps(to))
     }
 
     /// Stores the states and memories at the start of segment `index`.

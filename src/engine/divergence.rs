@@ -1,7 +1,7 @@
 //! [`Divergence`]: place of a non-finite or too large number.
 
 use crate::dynamics::cause::Cause;
-use crate::engine::adjoint::Flow;
+use crate::engine::flow::Flow;
 use crate::numbers::extended::ExtendedF64;
 use std::fmt;
 

@@ -1,6 +1,6 @@
 //! [`Growth`]: growth of an adjoint along a rollout, and the warnings derived from it.
 
-use crate::engine::adjoint::Flow;
+use crate::engine::flow::Flow;
 use serde::{Deserialize, Serialize};
 
 /// Growth of the adjoint of one flow along a rollout, in decades (log10 of a ratio of norms).

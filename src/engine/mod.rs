@@ -1,18 +1,18 @@
-//! Rollouts and their gradients.
+//! Rollouts and their gradients: the parts behind [`Rollout`](crate::Rollout) and
+//! [`Adjoint`](crate::Adjoint).
 //!
-//! - [`rollout`]: forward pass of a task under a policy.
-//! - [`adjoint`]: reverse pass for one or two flows of one forward pass.
-//!   `adjoint/recursion.rs` contains the recursion.
-//! - [`initial_states`]: initial states, drawn by a task from seeded streams.
-//! - [`observe`]: observations of all samples.
-//! - [`schedule`], [`checkpointed`]: recomputation of steps from checkpoints.
-//! - [`batch`], [`evaluation`]: mini-batches and data sets, split over threads and ranks.
-//! - [`ranks`]: processes that share mini-batches and data sets.
-//! - [`gradient`], [`growth`], [`divergence`]: results and errors of the passes.
+//! - `rollout.rs`: forward pass of a task under a policy. Read this file first.
+//! - `adjoint.rs`: reverse pass for one or two flows (`flow.rs`) of one forward pass.
+//!   `adjoint/recursion.rs` contains the recursion. `pass.rs` has the arguments of both passes.
+//! - `initial_states.rs`: initial states, drawn by a task from seeded streams.
+//! - `observe.rs`: observations of all samples.
+//! - [`Schedule`], [`Checkpointed`]: recomputation of steps from checkpoints.
+//! - [`Batch`], [`Evaluation`]: mini-batches and data sets, split over threads and [`ranks`].
+//! - `gradient.rs`, [`Growth`], `divergence.rs`: results and errors of the passes.
 //! - [`rows`]: steps and costs of many samples as arrays, outside of rollouts.
-//! - [`any`]: object-safe tasks and systems. [`parallel`]: threads.
+//! - [`any`]: object-safe tasks and systems.
 //!
-//! Imports `numbers`, `dynamics` and `policy`, but no concrete task. Read `rollout.rs` first.
+//! Imports `numbers`, `dynamics` and `policy`, but no concrete task.
 
 pub(crate) mod adjoint;
 pub mod any;
@@ -20,12 +20,29 @@ pub(crate) mod batch;
 pub(crate) mod checkpointed;
 pub(crate) mod divergence;
 pub(crate) mod evaluation;
+pub(crate) mod flow;
 pub(crate) mod gradient;
 pub(crate) mod growth;
 pub(crate) mod initial_states;
 pub(crate) mod observe;
 pub(crate) mod parallel;
+pub(crate) mod pass;
 pub mod ranks;
 pub(crate) mod rollout;
 pub mod rows;
 pub(crate) mod schedule;
+pub(crate) mod step_forward;
+
+pub use crate::dynamics::cause::Cause;
+#[doc(hidden)]
+pub use crate::numbers::kernels;
+#[cfg(feature = "parallel")]
+pub use crate::numbers::threads;
+pub use batch::Batch;
+pub use checkpointed::Checkpointed;
+pub use divergence::Variable;
+pub use evaluation::Evaluation;
+pub use growth::Growth;
+pub use initial_states::append_starts;
+pub use ranks::Ranks;
+pub use schedule::{MemoryError, Schedule};

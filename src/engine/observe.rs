@@ -4,9 +4,8 @@ use crate::dynamics::inputs::{Cotangents, Inputs};
 use crate::dynamics::outline::One;
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
-use crate::engine::rollout::Lane;
 use crate::numbers::kernels::{Vectorized, dispatch_lanes};
-use crate::numbers::scalar::Float;
+use crate::numbers::scalar::{Float, Lane};
 
 /// Observations of a task for all samples at once. Inputs concatenate the states and parameters of
 /// all blocks; controls are empty.

@@ -2,26 +2,22 @@
 
 mod buffer_sizes;
 mod columns;
-mod step_forward;
 mod unwritten;
 
 use crate::dynamics::cause::Cause;
 use crate::dynamics::inputs::Inputs;
 use crate::engine::any::AnyTask;
 use crate::engine::divergence::{Divergence, Variable};
+use crate::engine::pass::Closed;
 use crate::numbers::aligned::Aligned;
-use crate::numbers::scalar::{Float, Lanes, Real, Scalar};
+use crate::numbers::scalar::{Float, LANES, Lane, Lanes, Real, Scalar};
 use crate::policy::AnyPolicy;
 use crate::policy::{PolicyColumns, PolicyPass, Weights};
 use buffer_sizes::BufferSizes;
 use columns::scatter;
 pub(crate) use columns::{find_non_finite, gather};
 use std::ops::Range;
-pub use step_forward::StepForward;
 use unwritten::zero_param;
-
-/// Number of samples in a block. One call of the system steps all samples of a block.
-pub(crate) const WIDTH: usize = 8;
 
 /// Number of steps in a unit. Units divide a rollout; the last one may be shorter.
 ///
@@ -34,9 +30,6 @@ pub(crate) const UNIT: usize = 129;
 
 /// End of the error messages about steps that are not stored.
 const STORED: &str = "a rollout with a tape stores all steps, one for evaluation only the last";
-
-/// One component of the state, the control or another vector, for [`WIDTH`] samples.
-pub(crate) type Lane<F> = Lanes<F, WIDTH>;
 
 /// Batch of rollouts. The constructor allocates all buffers.
 ///
@@ -226,9 +219,9 @@ impl<F: Float> Rollout<F> {
         for block in 0..self.blocks() {
             let (x, p) =
                 (&mut self.states[block * n..][..n], &mut self.params[block * params..][..params]);
-            for lane in 0..WIDTH {
+            for lane in 0..LANES {
                 // Unused lanes repeat the last sample, so they add no non-finite numbers.
-                let sample = (block * WIDTH + lane).min(samples - 1);
+                let sample = (block * LANES + lane).min(samples - 1);
                 for (number, &start) in x.iter_mut().chain(&mut *p).zip(&starts[sample * each..]) {
                     number.set_lane(lane, start);
                 }
@@ -252,12 +245,12 @@ impl<F: Float> Rollout<F> {
         weights: &Weights<F>,
     ) -> Result<(), Divergence> {
         self.clear_costs();
-        self.advance(task, policy, weights, 0..self.horizon)?;
+        self.advance(Closed { task, policy, weights }, 0..self.horizon)?;
         self.finish(task)
     }
 
     /// Replaces the trained entries of the parameters of all samples.
-    fn set_trained_params(&mut self, policy: &dyn AnyPolicy<F>, weights: &Weights<F>) {
+    fn set_trained_params(&mut self, Closed { policy, weights, .. }: Closed<'_, F>) {
         for (param, r) in policy.trained_params().iter().zip(weights.trained(policy)) {
             let value = Lane::splat(F::from_f64(param.value(r.as_())));
             self.params
@@ -272,7 +265,7 @@ impl<F: Float> Rollout<F> {
     fn check_params(&self) -> Result<(), Divergence> {
         let is_nan = |&(sample, i): &(usize, usize)| {
             let value: f64 =
-                self.params[sample / WIDTH * self.param_dim + i].lane(sample % WIDTH).as_();
+                self.params[sample / LANES * self.param_dim + i].lane(sample % LANES).as_();
             value.is_nan()
         };
         let all =
@@ -291,12 +284,10 @@ impl<F: Float> Rollout<F> {
     /// Runs `steps` from the stored state at their start, and adds their costs.
     pub(crate) fn advance(
         &mut self,
-        task: &dyn AnyTask<F>,
-        policy: &dyn AnyPolicy<F>,
-        weights: &Weights<F>,
+        closed: Closed<'_, F>,
         steps: Range<usize>,
     ) -> Result<(), Divergence> {
-        steps.into_iter().try_for_each(|t| self.step(task, policy, weights, t))
+        steps.into_iter().try_for_each(|t| self.step(closed, t))
     }
 
     /// Runs `steps` with storage for one step, which stays in the cache.
@@ -304,13 +295,11 @@ impl<F: Float> Rollout<F> {
     /// Only the last state is available afterwards; previously stored steps are lost.
     pub(crate) fn pass_over(
         &mut self,
-        task: &dyn AnyTask<F>,
-        policy: &dyn AnyPolicy<F>,
-        weights: &Weights<F>,
+        closed: Closed<'_, F>,
         steps: Range<usize>,
     ) -> Result<(), Divergence> {
         let kept = self.keep_from(steps.start, 1);
-        let outcome = self.advance(task, policy, weights, steps.clone());
+        let outcome = self.advance(closed, steps.clone());
         self.keep_from(steps.end, kept);
         outcome
     }
@@ -355,33 +344,28 @@ impl<F: Float> Rollout<F> {
         bad.map_or(Ok(()), |sample| Err(Divergence::Cost { sample }))
     }
 
-    fn step(
-        &mut self,
-        task: &dyn AnyTask<F>,
-        policy: &dyn AnyPolicy<F>,
-        weights: &Weights<F>,
-        t: usize,
-    ) -> Result<(), Divergence> {
+    /// Runs step `t`, and adds its cost.
+    fn step(&mut self, closed: Closed<'_, F>, t: usize) -> Result<(), Divergence> {
         if t == 0 {
-            self.set_trained_params(policy, weights);
+            self.set_trained_params(closed);
             self.check_params()?;
         }
-        let (n, m) = (self.state_dim, self.control_dim);
-        let (now, next) = (self.slot(t), self.slot(t + 1));
-        let at = self.columns(t);
-        let blocks = self.blocks();
-        let (observed, memory_dim) = (self.observed_dim, self.memory_dim);
-        // The two slots are adjacent, or the first and the last of the ring.
-        let (now, next) = if now.start < next.start {
-            let (before, after) = self.states.split_at_mut(next.start);
-            (&before[now], &mut after[..next.len()])
-        } else {
-            let (before, after) = self.states.split_at_mut(now.start);
-            (&after[..now.len()], &mut before[next])
-        };
-        let ((x, memory), (next, next_memory)) =
-            (now.split_at(blocks * n), next.split_at_mut(blocks * n));
+        self.observe(closed.task, t);
+        self.act(closed, t);
+        if !self.integrate(closed.task, t) {
+            return Err(self.located(closed.task, t));
+        }
+        if (t + 1).is_multiple_of(UNIT) {
+            self.add_unit_costs();
+        }
+        Ok(())
+    }
 
+    /// Writes the inputs of the policy at step `t`: the observations and the memories.
+    fn observe(&mut self, task: &dyn AnyTask<F>, t: usize) {
+        let (observed, memory_dim) = (self.observed_dim, self.memory_dim);
+        let (at, blocks, now) = (self.columns(t), self.blocks(), self.slot(t));
+        let (x, memory) = self.states[now].split_at(blocks * self.state_dim);
         let seen = match task.own_observation() {
             None => x,
             Some(_) => {
@@ -393,69 +377,80 @@ impl<F: Float> Rollout<F> {
         let input_dim = observed + memory_dim;
         gather(seen, Real::lane, observed, at, &mut self.inputs, (0, input_dim));
         gather(memory, Real::lane, memory_dim, at, &mut self.inputs, (observed, input_dim));
-        let inputs = &self.inputs[..self.samples * self.kept * input_dim];
+    }
+
+    /// Writes the controls of step `t`, and the memories after it.
+    fn act(&mut self, Closed { policy, weights, .. }: Closed<'_, F>, t: usize) {
+        let (m, memory_dim) = (self.control_dim, self.memory_dim);
+        let (at, blocks, next) = (self.columns(t), self.blocks(), self.slot(t + 1));
+        let inputs = &self.inputs[..self.samples * self.kept * (self.observed_dim + memory_dim)];
         let pass = PolicyPass::new(weights.packed(), at, inputs).at_steps(t..t + 1);
         policy.forward(pass, &mut self.tape, &mut self.outputs);
         let controls = &mut self.controls[blocks * m * (t % self.kept)..][..blocks * m];
         scatter(&self.outputs, (0, m + memory_dim), m, at, controls);
+        let next_memory = &mut self.states[next][blocks * self.state_dim..];
         scatter(&self.outputs, (m, m + memory_dim), memory_dim, at, next_memory);
+    }
 
-        let finite = task.step_forward(
-            Inputs { x, u: controls, p: &self.params, t },
-            next,
-            &mut self.unit_costs,
-        );
-        let bad_memory = find_non_finite(next_memory, memory_dim, self.samples, Real::lane);
-        if finite && bad_memory.is_none() {
-            if (t + 1).is_multiple_of(UNIT) {
-                self.add_unit_costs();
-            }
-            return Ok(());
-        }
-        let start = if t == 0 { find_non_finite(x, n, self.samples, Real::lane) } else { None };
-        if let Some((sample, component)) = start {
-            return Err(Divergence::Forward {
-                variable: Variable::State,
-                step: 0,
-                sample,
-                component,
-                cause: None,
-            });
-        }
-        let control = find_non_finite(controls, m, self.samples, Real::lane)
-            .map(|place| (Variable::Control, t, place));
-        let state = || {
-            find_non_finite(next, n, self.samples, Real::lane)
-                .map(|place| (Variable::State, t + 1, place))
+    /// Writes the states after step `t`, and adds its costs to those of the unit. Returns whether
+    /// controls, states and memories are finite.
+    fn integrate(&mut self, task: &dyn AnyTask<F>, t: usize) -> bool {
+        let (now, next) = (self.slot(t), self.slot(t + 1));
+        let (states, controls) = (self.blocks() * self.state_dim, self.blocks() * self.control_dim);
+        // The two slots are adjacent, or the first and the last of the ring.
+        let (now, next) = if now.start < next.start {
+            let (before, after) = self.states.split_at_mut(next.start);
+            (&before[now], &mut after[..next.len()])
+        } else {
+            let (before, after) = self.states.split_at_mut(now.start);
+            (&after[..now.len()], &mut before[next])
         };
-        let memory = bad_memory.map(|place| (Variable::Memory, t, place));
+        let (next, next_memory) = next.split_at_mut(states);
+        let u = &self.controls[controls * (t % self.kept)..][..controls];
+        let inputs = Inputs { x: &now[..states], u, p: &self.params, t };
+        let finite = task.step_forward(inputs, next, &mut self.unit_costs);
+        let (memory_dim, samples) = (self.memory_dim, self.samples);
+        finite && find_non_finite(next_memory, memory_dim, samples, Real::lane).is_none()
+    }
+
+    /// First non-finite number of step `t`, with its cause.
+    #[cold]
+    fn located(&self, task: &dyn AnyTask<F>, t: usize) -> Divergence {
+        let find = |lanes: &[Lane<F>], dim| find_non_finite(lanes, dim, self.samples, Real::lane);
+        let x = self.states_at(t);
+        let start = if t == 0 { find(x, self.state_dim) } else { None };
+        if let Some((sample, component)) = start {
+            let variable = Variable::State;
+            return Divergence::Forward { variable, step: 0, sample, component, cause: None };
+        }
+        let next_memory = &self.carried_at(t + 1)[x.len()..];
+        let control = find(self.controls_at(t), self.control_dim);
+        let memory = find(next_memory, self.memory_dim);
+        let state = || find(self.states_at(t + 1), self.state_dim);
         // In the order of `Divergence::order`: the first sample of a step.
         let first = control
+            .map(|place| (Variable::Control, t, place))
             .into_iter()
-            .chain(memory)
+            .chain(memory.map(|place| (Variable::Memory, t, place)))
             .min_by_key(|&(.., (sample, _))| sample)
-            .or_else(state);
+            .or_else(|| state().map(|place| (Variable::State, t + 1, place)));
         let (variable, step, (sample, component)) =
             first.expect("`step_forward` returns false only for a non-finite value");
+        let is_state = matches!(variable, Variable::State);
+        let cause = if is_state { self.cause(task, t, sample) } else { None };
+        Divergence::Forward { variable, step, sample, component, cause }
+    }
+
+    /// Cause of a non-finite state of `sample` after step `t`.
+    fn cause(&self, task: &dyn AnyTask<F>, t: usize, sample: usize) -> Option<Cause> {
+        let (inputs, lane) = (self.inputs_of(t, sample / LANES), sample % LANES);
         // The sample in all lanes.
-        let of = |lanes: &[Lane<F>], n: usize| -> Vec<Lane<F>> {
-            let block = &lanes[sample / WIDTH * n..][..n];
-            block.iter().map(|number| Lanes([number.lane(sample % WIDTH); WIDTH])).collect()
+        let of = |lanes: &[Lane<F>]| -> Vec<Lane<F>> {
+            lanes.iter().map(|number| Lanes([number.lane(lane); LANES])).collect()
         };
-        let cause = match variable {
-            Variable::State => {
-                let (own_x, own_u, own_p) =
-                    (of(x, n), of(controls, m), of(&self.params, self.param_dim));
-                let cause = task.diagnose(Inputs { x: &own_x, u: &own_u, p: &own_p, t });
-                let block = sample / WIDTH;
-                let p = &self.params[block * self.param_dim..][..self.param_dim];
-                let inputs =
-                    Inputs { x: &x[block * n..][..n], u: &controls[block * m..][..m], p, t };
-                cause.or_else(|| zero_param(task, inputs, sample % WIDTH).map(Cause::ZeroParam))
-            }
-            Variable::Control | Variable::Memory | Variable::Parameter => None,
-        };
-        Err(Divergence::Forward { variable, step, sample, component, cause })
+        let [x, u, p] = inputs.lists().map(of);
+        let cause = task.diagnose(Inputs { x: &x, u: &u, p: &p, t });
+        cause.or_else(|| zero_param(task, inputs, lane).map(Cause::ZeroParam))
     }
 
     /// Policy columns of step `t`, one per sample.
@@ -488,7 +483,7 @@ impl<F: Float> Rollout<F> {
     }
 
     fn blocks(&self) -> usize {
-        self.samples.div_ceil(WIDTH)
+        self.samples.div_ceil(LANES)
     }
 
     /// Range of the states and memories at step `t` in `states`.
@@ -498,7 +493,7 @@ impl<F: Float> Rollout<F> {
         slot * len..(slot + 1) * len
     }
 
-    /// States of all samples at step `t`, in blocks of [`WIDTH`].
+    /// States of all samples at step `t`, in blocks of [`LANES`].
     pub(crate) fn states_at(&self, t: usize) -> &[Lane<F>] {
         &self.states[self.slot(t).start..][..self.blocks() * self.state_dim]
     }
@@ -514,7 +509,7 @@ impl<F: Float> Rollout<F> {
         &mut self.states[range]
     }
 
-    /// Controls of all samples at step `t`, in blocks of [`WIDTH`].
+    /// Controls of all samples at step `t`, in blocks of [`LANES`].
     pub(crate) fn controls_at(&self, t: usize) -> &[Lane<F>] {
         let len = self.blocks() * self.control_dim;
         &self.controls[len * (t % self.kept)..][..len]
@@ -527,7 +522,7 @@ impl<F: Float> Rollout<F> {
 
     /// Returns the parameters of a sample, with the values of trained entries.
     pub fn params_of_sample(&self, sample: usize) -> impl Iterator<Item = F> {
-        self.params_of(sample / WIDTH).iter().map(move |p| p.0[sample % WIDTH])
+        self.params_of(sample / LANES).iter().map(move |p| p.0[sample % LANES])
     }
 
     /// Inputs of step `t` for block `block`.
@@ -558,7 +553,7 @@ impl<F: Float> Rollout<F> {
             "there is no sample {sample}: the rollout has {}",
             self.samples
         );
-        self.costs[sample / WIDTH].lane(sample % WIDTH)
+        self.costs[sample / LANES].lane(sample % LANES)
     }
 
     /// Component `i` of the state of `sample` at step `t`, from 0 (initial state) to `horizon`.
@@ -577,7 +572,7 @@ impl<F: Float> Rollout<F> {
             sample < self.samples && i < self.state_dim,
             "there is no state component {i} of sample {sample}"
         );
-        self.states_at(t)[(sample / WIDTH) * self.state_dim + i].lane(sample % WIDTH)
+        self.states_at(t)[(sample / LANES) * self.state_dim + i].lane(sample % LANES)
     }
 
     /// Component `i` of the control of `sample` at step `t`, `t < horizon`.
@@ -596,6 +591,6 @@ impl<F: Float> Rollout<F> {
             sample < self.samples && i < self.control_dim,
             "there is no control {i} of sample {sample}"
         );
-        self.controls_at(t)[(sample / WIDTH) * self.control_dim + i].lane(sample % WIDTH)
+        self.controls_at(t)[(sample / LANES) * self.control_dim + i].lane(sample % LANES)
     }
 }

@@ -10,7 +10,7 @@
 //! requests nothing. Three cotangents are required: `x_bar` of [`observe_vjp`] and
 //! [`terminal_cost_vjp`], and `next_bar` of [`running_cost_vjp`].
 //! ```
-//! use physgrad::{Inputs, initial_states, rng::Purpose, rows, tasks::CartPole};
+//! use physgrad::{Inputs, initial_states, rng::Purpose, tasks::CartPole, engine::rows};
 //!
 //! let task = CartPole::new(1);
 //! let x: Vec<f32> = initial_states(&task, 0, Purpose::Train, 100);
@@ -32,12 +32,11 @@ use crate::dynamics::outline::One;
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::engine::parallel::for_each;
-use crate::engine::rollout::{Lane, WIDTH};
-use crate::numbers::scalar::{CotangentPack, Float, Real, Scalar};
+use crate::numbers::scalar::{CotangentPack, Float, LANES, Lane, Real, Scalar};
 use smallvec::SmallVec;
 
 /// Number of rows in one unit of parallel work. Calls with at most as many rows use no other thread.
-// A multiple of `WIDTH`, large enough to outweigh waking a thread.
+// A multiple of `LANES`, large enough to outweigh waking a thread.
 pub const CHUNK: usize = 512;
 
 /// Writes the next states, `[row][state]`.
@@ -301,7 +300,7 @@ fn scale<F: Float>(values: &mut [Lane<F>], factor: Lane<F>) {
     values.iter_mut().for_each(|value| *value *= factor);
 }
 
-/// Calls `work` for each block of [`WIDTH`] rows, with the lanes of the inputs and outputs. Outputs
+/// Calls `work` for each block of [`LANES`] rows, with the lanes of the inputs and outputs. Outputs
 /// are 0 before each call.
 fn for_blocks<F: Float, const I: usize, const O: usize>(
     rows: usize,
@@ -345,10 +344,10 @@ fn blocks<F: Float, const I: usize, const O: usize>(
     let lanes = |len: usize| vec![Lane::<F>::zero(); len / rows];
     let mut input_lanes = inputs.map(|array| lanes(array.len()));
     let mut output_lanes = outputs.each_ref().map(|array| lanes(array.len()));
-    for first in (0..rows).step_by(WIDTH) {
+    for first in (0..rows).step_by(LANES) {
         for (array, lanes) in inputs.iter().zip(&mut input_lanes) {
             let width = lanes.len();
-            for lane in 0..WIDTH {
+            for lane in 0..LANES {
                 // Unused lanes repeat the last row, so they add no non-finite numbers.
                 let row = (first + lane).min(rows - 1);
                 for (number, &value) in lanes.iter_mut().zip(&array[row * width..]) {
@@ -363,7 +362,7 @@ fn blocks<F: Float, const I: usize, const O: usize>(
         );
         for (array, lanes) in outputs.iter_mut().zip(&output_lanes) {
             let width = lanes.len();
-            for lane in 0..WIDTH.min(rows - first) {
+            for lane in 0..LANES.min(rows - first) {
                 for (value, number) in array[(first + lane) * width..].iter_mut().zip(lanes) {
                     *value = number.lane(lane);
                 }

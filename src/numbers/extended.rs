@@ -10,7 +10,7 @@ use std::ops::{Add, Div, Mul};
 /// Represents norms of gradients that explode or vanish beyond the range of `f64`.
 ///
 /// ```
-/// use physgrad::ExtendedF64;
+/// use physgrad::scalar::ExtendedF64;
 ///
 /// let long = ExtendedF64::new(1.5, 5849);
 /// assert_eq!(long.to_string(), "7.95309e1760");

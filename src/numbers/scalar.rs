@@ -25,6 +25,7 @@ pub use counted::{Counted, Ops};
 pub use double_double::DoubleDouble;
 pub use dual::Dual;
 pub use float::Float;
+pub(crate) use lanes::{LANES, Lane};
 pub use lanes::{Lanes, Single};
 pub(crate) use reverse::Reverse;
 

@@ -1,14 +1,8 @@
 //! Blocks of at most eight columns, with the columns in lanes.
 
 use super::PolicyColumns;
-use crate::numbers::scalar::{Float, Lanes, Real};
+use crate::numbers::scalar::{Float, LANES, Lane, Lanes, Real};
 use crate::numbers::zip::zip;
-
-/// Largest number of columns of a block.
-pub(super) const BLOCK: usize = 8;
-
-/// One number of each column of a block.
-pub(super) type Lane<F> = Lanes<F, BLOCK>;
 
 /// Numbers of the columns `at`, `n` per column. Unused lanes repeat the last column.
 pub(super) fn gathered<F: Float>(
@@ -18,8 +12,8 @@ pub(super) fn gathered<F: Float>(
 ) -> impl Iterator<Item = Lane<F>> {
     let column = move |lane: usize| at.first + lane.min(at.count - 1) * at.step;
     (0..n).map(move |i| {
-        let mut numbers = Lanes([F::zero(); BLOCK]);
-        (0..BLOCK).for_each(|lane| numbers.set_lane(lane, columns[column(lane) * n + i]));
+        let mut numbers = Lanes([F::zero(); LANES]);
+        (0..LANES).for_each(|lane| numbers.set_lane(lane, columns[column(lane) * n + i]));
         numbers
     })
 }

@@ -3,13 +3,13 @@
 //! Derivatives use forward mode for at most 16 inputs and parameters together, else reverse mode.
 //! The forward pass and reverse mode reuse buffers of the current thread.
 
-use super::blocks::{Lane, gather, gathered, scatter};
+use super::blocks::{gather, gathered, scatter};
 use super::{Policy, PolicyColumns, PolicyPass, PolicyRecord, act_on, dims};
 use crate::numbers::forward_mode::{Chunk, jacobian};
 use crate::numbers::kernels::{Vectorized, dispatch_lanes};
 use crate::numbers::pool::lend;
 use crate::numbers::reverse_mode::{REVERSE_ABOVE, Recording};
-use crate::numbers::scalar::{Float, Real, Scalar};
+use crate::numbers::scalar::{Float, Lane, Real, Scalar};
 use smallvec::SmallVec;
 
 /// Inputs or parameters of a block in forward mode, on the stack.

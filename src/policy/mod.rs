@@ -43,8 +43,7 @@ pub use two_params::{Constant, Quadratic};
 
 use crate::numbers::aligned::Aligned;
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Float, Scalar};
-use blocks::BLOCK;
+use crate::numbers::scalar::{Float, LANES, Scalar};
 use std::ops::Range;
 
 /// A controller `(u_t, m_{t+1}) = N(y_t, m_t, t; θ)` with parameters `θ` in one flat slice.
@@ -252,9 +251,9 @@ impl<'a, F> PolicyPass<'a, F> {
         (0..steps).map(move |i| (first_step + i, columns(i)))
     }
 
-    /// Iterates over blocks of at most [`BLOCK`] samples at one step, each with its step.
+    /// Iterates over blocks of at most [`LANES`] samples at one step, each with its step.
     fn blocks(&self) -> impl Iterator<Item = (usize, PolicyColumns)> + use<F> {
-        self.each_step().flat_map(|(t, columns)| columns.blocks(BLOCK).map(move |block| (t, block)))
+        self.each_step().flat_map(|(t, columns)| columns.blocks(LANES).map(move |block| (t, block)))
     }
 }
 

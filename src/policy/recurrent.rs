@@ -12,12 +12,12 @@ mod gru;
 pub use elman::Elman;
 pub use gru::Gru;
 
-use super::blocks::{Lane, gather, scatter};
+use super::blocks::{gather, scatter};
 use super::{Action, Observed, Policy, PolicyPass, PolicyRecord, Sizes, Tensor};
 use crate::numbers::kernels::{Vectorized, dispatch_lanes};
 use crate::numbers::pool::lend;
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Float, Real, Scalar};
+use crate::numbers::scalar::{Float, Lane, Real, Scalar};
 use affine::Affine;
 use smallvec::SmallVec;
 

@@ -151,7 +151,7 @@ impl TrainedParam {
 /// ```
 /// use physgrad::policy::{Constant, TrainedParam, WithParams};
 /// use physgrad::prelude::*;
-/// use physgrad::{Decay, Training};
+/// use physgrad::{Training, train::Decay};
 ///
 /// /// Decay at an unknown rate, compared with measurements: p = [rate in 1/s].
 /// struct Cooling { measured: Vec<f64> }

@@ -113,6 +113,11 @@ impl<S: HasModel<CartPoleSystem>> Task for CartPole<S> {
         self.horizon
     }
 
+    /// ±60 N, more than policies of short trainings use.
+    fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
+        Some(vec![[-60.0, 60.0]; self.system.control_dim()])
+    }
+
     /// Draws angles within ±30° of hanging, and the other components of cart and poles within ±1,
     /// in SI units.
     fn start(&self, rng: &mut Rng, start: Start<'_>) {

@@ -149,6 +149,11 @@ impl<S: HasModel<GuidanceSystem>> Task for Guidance<S> {
         self.horizon
     }
 
+    /// ±5 1/s².
+    fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
+        Some(vec![[-5.0, 5.0]; self.system.control_dim()])
+    }
+
     /// Draws agents at rest. Every driver is 3 to 4 m from the origin. The evaders lie within ±0.5
     /// m, in both coordinates, of a common point 1 to 2 m from the origin.
     fn start(&self, rng: &mut Rng, start: Start<'_>) {

@@ -141,6 +141,11 @@ impl<S: HasModel<QuantumSystem>> Task for Quantum<S> {
         self.horizon
     }
 
+    /// ±20, in units of the control.
+    fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
+        Some(vec![[-20.0, 20.0]; self.system.control_dim()])
+    }
+
     /// Draws `(c₁ e^{ip₁} φ₁ + c₂ e^{ip₂} φ₂) / sqrt(c₁² + c₂²)`. The amplitudes c are standard
     /// normal, times the weights. The phases p are uniform.
     ///

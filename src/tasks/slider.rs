@@ -211,6 +211,11 @@ impl Task for Slider {
         self.horizon
     }
 
+    /// ±5 N.
+    fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
+        Some(vec![[-5.0, 5.0]; self.system.control_dim()])
+    }
+
     fn start(&self, rng: &mut Rng, start: Start<'_>) {
         start.x[0] = rng.random_range(-1.0..1.0);
         start.x[1] = rng.random_range(-2.0..2.0);

@@ -34,6 +34,8 @@ pub struct Upright<S> {
     pub loss: LossMode,
     /// Weight of `|u|²/2` in the loss, per squared unit of the control.
     pub control_weight: f64,
+    /// Largest control that the task is meant for, by magnitude, in units of the control.
+    pub control_bound: f64,
     /// Number of steps.
     pub horizon: usize,
 }
@@ -42,7 +44,7 @@ pub struct Upright<S> {
 type Stepped<O> = Integrated<O, RungeKutta>;
 
 impl<S> Upright<S> {
-    /// Creates a swing-up: 100 steps, terminal loss, no control cost. Initial angles lie within
+    /// Creates a swing-up: 100 steps, terminal loss, no control cost, controls up to 30. Initial angles lie within
     /// ±π/6 of hanging, other components within ±π/6 of 0.
     fn swing_up(system: S, first_angle: usize) -> Self {
         Self {
@@ -52,6 +54,7 @@ impl<S> Upright<S> {
             spread: PI / 6.0,
             loss: LossMode::Terminal,
             control_weight: 0.0,
+            control_bound: 30.0,
             horizon: 100,
         }
     }
@@ -138,6 +141,11 @@ impl<S: System> Task for Upright<S> {
 
     fn horizon(&self) -> usize {
         self.horizon
+    }
+
+    /// ±[`control_bound`](Upright::control_bound).
+    fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
+        Some(vec![[-self.control_bound, self.control_bound]; self.system.control_dim()])
     }
 
     fn start(&self, rng: &mut Rng, start: Start<'_>) {

@@ -4,10 +4,11 @@
 //! Each has a variant that ends early, with `None`, once a condition holds. The condition is read
 //! before every block of 32 samples.
 
-use crate::engine::adjoint::{Adjoint, Flow};
+use crate::engine::adjoint::Adjoint;
 use crate::engine::any::AnyTask;
 use crate::engine::batch::GROUP;
 use crate::engine::divergence::Divergence;
+use crate::engine::flow::Flow;
 use crate::engine::gradient::Gradient;
 use crate::engine::rollout::Rollout;
 use crate::numbers::scalar::Float;

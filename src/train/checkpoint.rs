@@ -1,4 +1,4 @@
-//! Checkpoints: serialization of a [`Session`](crate::Session).
+//! Checkpoints: serialization of a [`Session`](crate::train::Session).
 //!
 //! A checkpoint consists of a magic number, a format number, a CRC-32C of the contents, and the
 //! contents in the format of the crate postcard. A label in the contents identifies the run. To
@@ -38,7 +38,7 @@ struct Body<'a, F: Clone> {
     epoch: Option<(Epoch, Cow<'a, Snapshot<F>>)>,
 }
 
-/// Error of [`Session::restore`](crate::Session::restore). The session is unchanged.
+/// Error of [`Session::restore`](crate::train::Session::restore). The session is unchanged.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CheckpointError {
     /// Bytes that are not a checkpoint.
@@ -122,7 +122,7 @@ pub(super) fn seal(bytes: &mut [u8]) {
 
 impl<F: Float> State<F> {
     /// Serializes the training in progress, see
-    /// [`Session::checkpoint`](crate::Session::checkpoint).
+    /// [`Session::checkpoint`](crate::train::Session::checkpoint).
     #[inline(never)]
     pub(super) fn checkpoint(&self, label: &str) -> Vec<u8> {
         let header = Header {

@@ -32,7 +32,7 @@ impl Decay {
     /// The first `warm_up` updates have the factors `1 / (warm_up + 1)`, `2 / (warm_up + 1)`, and
     /// so on. Then `s = (update - warm_up) / (total - warm_up)`, at most 1.
     /// ```
-    /// use physgrad::Decay;
+    /// use physgrad::train::Decay;
     ///
     /// let decay = Decay::Cosine { end: 0.0 };
     /// assert_eq!([0, 1].map(|update| decay.factor(1, update, 5)), [0.5, 1.0]);

@@ -6,22 +6,22 @@ use super::average::average_direction;
 use super::record::{Means, Record, Skip, Step};
 use super::smoothing::Estimates;
 use super::{TrainError, Training};
-use crate::engine::adjoint::Flow;
 use crate::engine::any::AnyTask;
 use crate::engine::batch::Batch;
 use crate::engine::divergence::Divergence;
 use crate::engine::evaluation::Evaluation;
+use crate::engine::flow::Flow;
 use crate::engine::gradient::Gradient;
 use crate::engine::growth::Growth;
 use crate::engine::initial_states::append_start;
 #[cfg(feature = "parallel")]
 use crate::engine::parallel::among_workers;
 use crate::engine::ranks::Ranks;
-use crate::engine::rollout::{Rollout, WIDTH};
+use crate::engine::rollout::Rollout;
 use crate::numbers::extended::ExtendedF64;
 use crate::numbers::kernels::{SimdLevel, elementwise};
 use crate::numbers::rng::{Purpose, stream};
-use crate::numbers::scalar::Float;
+use crate::numbers::scalar::{Float, LANES};
 use crate::policy::AnyPolicy;
 use crate::policy::Weights;
 use crate::train::field::AnyField;
@@ -153,7 +153,7 @@ impl<F: Float> State<F> {
             None => Batch::new(task, policy, derived, &flows, training.workers),
             Some(budget) => Batch::within(task, policy, derived, &flows, training.workers, budget)?,
         };
-        let first = &train[..train.len().min(WIDTH * n)];
+        let first = &train[..train.len().min(LANES * n)];
         if let Some((method, component)) = Rollout::first_unwritten(task, policy, &weights, first) {
             return Err(TrainError::Unwritten { method, component });
         }

@@ -1,6 +1,6 @@
 //! [`Field`]: the vector field that the optimizer follows. [`GradientCombiner`]: custom fields.
 
-use crate::engine::adjoint::Flow;
+use crate::engine::flow::Flow;
 use crate::engine::gradient::Gradient;
 use crate::numbers::scalar::Float;
 use crate::train::combination::Combination;
@@ -28,7 +28,7 @@ pub enum Field<C = Combination> {
 /// [`Combination`] contains the rules of the library.
 ///
 /// ```
-/// use physgrad::{GradientCombiner, Field, Float, Flow};
+/// use physgrad::{Field, Float, Flow, train::GradientCombiner};
 ///
 /// /// Mean of both gradients.
 /// #[derive(Clone, Copy)]

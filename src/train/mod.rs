@@ -27,8 +27,12 @@ mod smoothing;
 pub mod vector_field;
 mod warnings;
 
+pub use calls::Trajectories;
 pub use checkpoint::{CheckpointError, differences};
+pub use combination::Combination;
 pub use decay::Decay;
+pub use field::{GradientCombiner, UnknownField};
+pub use optim::OptimizerKind;
 pub use record::{Record, Skip};
 pub use session::Session;
 pub use smoothing::{Estimator, Smoothing};
@@ -41,9 +45,8 @@ use crate::engine::schedule::MemoryError;
 use crate::numbers::rng::{Purpose, stream};
 use crate::numbers::scalar::Float;
 use crate::policy::{Policy, Weights};
-use crate::train::combination::Combination;
-use crate::train::field::{Field, GradientCombiner};
-use crate::train::optim::{Clip, OptimizerKind};
+use crate::train::field::Field;
+use crate::train::optim::Clip;
 use std::io::Write as _;
 use std::marker::PhantomData;
 
@@ -87,13 +90,13 @@ pub struct Training {
     /// Clipping of the field, before the optimizer. `docs/learning.md` compares the variants.
     pub clip: Clip,
     /// Largest number of consecutive updates skipped because of a
-    /// [`Divergence`](crate::Divergence). One more stops the training.
+    /// [`Divergence`]. One more stops the training.
     pub max_skipped: usize,
     /// Number of threads that share a mini-batch. Results do not depend on it.
     pub workers: usize,
     /// Upper bound in bytes on the workspace of a mini-batch, over all workers. Steps whose tape
-    /// does not fit are recomputed, see [`Schedule`](crate::Schedule). `None` stores everything.
-    /// Results do not depend on the bound.
+    /// does not fit are recomputed, see [`Schedule`](crate::engine::Schedule). `None` stores
+    /// everything. Results do not depend on the bound.
     pub memory: Option<u64>,
 }
 
@@ -371,7 +374,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     }
 
     /// Creates a session from given parameters and initial states; see
-    /// [`initial_states`](crate::initial_states). Ignores [`start_from`](Self::start_from).
+    /// [`initial_states`]. Ignores [`start_from`](Self::start_from).
     ///
     /// With [`Training::resample`], updates draw their initial states from the task. `train` then
     /// serves for losses only, and its length sets the number of samples of an epoch.

@@ -276,7 +276,8 @@ impl<F: Float> Optimizer<F> {
         self.step_at(self.learning_rate, theta, gradient);
     }
 
-    /// Takes one step with another learning rate, for example one with a [`Decay`](crate::Decay).
+    /// Takes one step with another learning rate, for example one with a
+    /// [`Decay`](crate::train::Decay).
     ///
     /// # Panics
     /// If a length differs from the number of parameters.

@@ -1,7 +1,7 @@
 //! [`Record`]: results of one epoch. [`Skip`]: a skipped update.
 
-use crate::engine::adjoint::Flow;
 use crate::engine::divergence::Divergence;
+use crate::engine::flow::Flow;
 use crate::engine::growth::Growth;
 use crate::numbers::extended::ExtendedF64;
 use serde::{Deserialize, Serialize};

@@ -11,9 +11,9 @@
 //! All vectors come from rollouts of these tasks; no derivative is coded separately.
 
 use crate::dynamics::task::Task;
-use crate::engine::adjoint::Flow;
 use crate::engine::batch::Batch;
 use crate::engine::divergence::Divergence;
+use crate::engine::flow::Flow;
 use crate::engine::gradient::Gradient;
 use crate::engine::initial_states::initial_states;
 use crate::numbers::rng::Purpose;

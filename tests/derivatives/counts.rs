@@ -1,12 +1,11 @@
 //! [`Counted`] counts the correct operations and computes the same values as `f64`.
 
 use crate::common::operations::{NUMBERS, operations};
+use physgrad::count::{Counted, Ops};
 use physgrad::rng::{Purpose, stream};
+use physgrad::scalar::{CotangentPack, Dual};
 use physgrad::tasks::{CartPole, Guidance, Quantum};
-use physgrad::{
-    Cotangent, CotangentPack, Cotangents, Counted, Dual, Inputs, Ops, Real, Scalar, System, Task,
-    initial_states,
-};
+use physgrad::{Cotangent, Cotangents, Inputs, Real, Scalar, System, Task, initial_states};
 use rand::RngExt;
 
 const NONE: Ops =

@@ -1,11 +1,10 @@
 //! Weights, truncation and cuts of flows.
 
 use super::memory::{AngleOnly, Whole};
+use physgrad::engine::Batch;
 use physgrad::policy::{Gru, Linear, Mlp, OpenLoop};
 use physgrad::rng::{Purpose, Rng, stream};
-use physgrad::{
-    Batch, Flow, Inputs, Policy, Scalar, Start, System, Task, Weights, check, initial_states,
-};
+use physgrad::{Flow, Inputs, Policy, Scalar, Start, System, Task, Weights, check, initial_states};
 
 /// Gradient of one flow over five samples.
 fn gradient<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Vec<f64> {
@@ -33,10 +32,10 @@ fn weighted_flows() -> Vec<Flow> {
 fn weighted_and_truncated_flows_agree_with_dual_numbers() {
     for flow in weighted_flows() {
         let checked = [
-            check::try_flow(&AngleOnly, &Linear::with_bias(1, 1), flow),
-            check::try_flow(&AngleOnly, &Gru::new(1, 3, 1), flow),
-            check::try_flow(&Whole, &Mlp::new([2, 5, 2]), flow),
-            check::try_flow(&Whole, &Gru::new(2, 3, 2), flow),
+            check::flow(&AngleOnly, &Linear::with_bias(1, 1), flow, None),
+            check::flow(&AngleOnly, &Gru::new(1, 3, 1), flow, None),
+            check::flow(&Whole, &Mlp::new([2, 5, 2]), flow, None),
+            check::flow(&Whole, &Gru::new(2, 3, 2), flow, None),
         ];
         for checked in checked {
             checked.unwrap_or_else(|failure| panic!("{flow}: {failure}"));

@@ -6,17 +6,18 @@ use physgrad::policy::{
     PolicyRecord, Sizes, Sum, Tensor,
 };
 use physgrad::rng::{Purpose, Rng, stream};
+use physgrad::scalar::CotangentPack;
 use physgrad::tasks::{CartPole, CartPoleSystem, LossMode, Quantum};
 use physgrad::{
-    Cotangent, CotangentPack, Cotangents, Float, Flow, Inputs, Policy, Real, Scalar, Start, System,
-    Tangents, Task, check,
+    Cotangent, Cotangents, Float, Flow, Inputs, Policy, Real, Scalar, Start, System, Tangents,
+    Task, check,
 };
 use rand::RngExt;
 
 #[test]
 fn cart_pole_derivatives_are_exact_for_1_2_3_and_7_poles() {
     for poles in [1, 2, 3, 7] {
-        check::system(&CartPole::new(poles).system);
+        check::system(&CartPole::new(poles).system).unwrap();
     }
 }
 
@@ -26,7 +27,7 @@ fn cart_pole_derivatives_are_exact_up_to_30_in_state_and_100_n_in_force() {
         x.fill_with(|| rng.random_range(-30.0..30.0));
         u.fill_with(|| rng.random_range(-100.0..100.0));
     };
-    let passed = check::try_system_at(&CartPole::new(2).system, draw)
+    let passed = check::system_at(&CartPole::new(2).system, draw)
         .unwrap_or_else(|mismatch| panic!("{mismatch}"));
     assert!(passed.compared > 0 && passed.worst <= passed.allowed);
 }
@@ -42,30 +43,30 @@ fn policy_derivatives_are_exact_for_many_shapes_and_activations() {
         &[5, 16, 15, 64, 2],
     ] {
         for bias in [false, true] {
-            check::policy(&Mlp::new(widths).bias(bias));
+            check::policy(&Mlp::new(widths).bias(bias)).unwrap();
         }
     }
-    check::policy(&Linear::new(3, 2));
-    check::policy(&Linear::with_bias(4, 1));
+    check::policy(&Linear::new(3, 2)).unwrap();
+    check::policy(&Linear::with_bias(4, 1)).unwrap();
     for activation in [Activation::Relu, Activation::Silu, Activation::Gelu] {
         for bias in [true, false] {
-            check::policy(&Mlp::new([3, 40, 7, 2]).activation(activation).bias(bias));
-            check::policy(&Mlp::new([2, 100, 1]).activation(activation).bias(bias));
+            check::policy(&Mlp::new([3, 40, 7, 2]).activation(activation).bias(bias)).unwrap();
+            check::policy(&Mlp::new([2, 100, 1]).activation(activation).bias(bias)).unwrap();
         }
     }
     let inner = Mlp::new([3, 9, 2]).activation(Activation::Silu);
-    check::policy(&Bounded::new(inner.clone(), [0.5, 2.0]));
-    check::policy(&Bounded::new(Gru::new(3, 4, 2), [0.5, 2.0]));
-    check::policy(&Sum::new(Linear::new(3, 2), OpenLoop::new(3, 2, 5)));
-    check::policy(&Sum::new(Bounded::new(inner, [1.0, 0.1]), Mlp::new([3, 5, 4, 2])));
+    check::policy(&Bounded::new(inner.clone(), [0.5, 2.0])).unwrap();
+    check::policy(&Bounded::new(Gru::new(3, 4, 2), [0.5, 2.0])).unwrap();
+    check::policy(&Sum::new(Linear::new(3, 2), OpenLoop::new(3, 2, 5))).unwrap();
+    check::policy(&Sum::new(Bounded::new(inner, [1.0, 0.1]), Mlp::new([3, 5, 4, 2]))).unwrap();
 }
 
 #[test]
 fn rollout_gradients_of_every_flow_agree_with_dual_numbers() {
     for loss in [LossMode::Terminal, LossMode::Running] {
         let task = CartPole { loss, ..CartPole::new(2) };
-        check::task(&task, &Mlp::new([6, 24, 24, 1]));
-        check::task(&task, &Linear::with_bias(6, 1));
+        check::task(&task, &Mlp::new([6, 24, 24, 1])).unwrap();
+        check::task(&task, &Linear::with_bias(6, 1)).unwrap();
     }
 }
 
@@ -109,9 +110,9 @@ impl Task for TwoControls {
 
 #[test]
 fn default_derivatives_of_a_system_with_two_controls_are_exact() {
-    check::system(&TwoControls);
-    check::task(&TwoControls, &Mlp::new([3, 9, 7, 2]));
-    check::task(&TwoControls, &Linear::with_bias(3, 2));
+    check::system(&TwoControls).unwrap();
+    check::task(&TwoControls, &Mlp::new([3, 9, 7, 2])).unwrap();
+    check::task(&TwoControls, &Linear::with_bias(3, 2)).unwrap();
 }
 
 /// Cart-pole with one planted fault.
@@ -212,7 +213,8 @@ fn check_system_names_the_wrong_output_for_nine_planted_faults() {
         (Fault::JvpOfOne, "jvp of x, u and p: next", 0),
     ] {
         let diagnose = Faulty { system: CartPole::new(1).system, fault };
-        let mismatch = check::try_system(&diagnose).expect_err(what);
+        let failure = check::system(&diagnose).expect_err(what);
+        let mismatch = failure.mismatch().expect("a finite step");
         assert_eq!((mismatch.what.as_str(), mismatch.index), (what, index));
         let text = mismatch.to_string();
         assert!(
@@ -227,15 +229,15 @@ fn check_system_names_the_wrong_output_for_nine_planted_faults() {
 #[test]
 #[should_panic(expected = "vjp: x_bar[3]")]
 fn check_system_panics_and_names_the_wrong_component() {
-    check::system(&Faulty { system: CartPole::new(1).system, fault: Fault::State });
+    check::system(&Faulty { system: CartPole::new(1).system, fault: Fault::State }).unwrap();
 }
 
 #[test]
 #[should_panic(
-    expected = "the system cannot be checked: step is not finite here; draw other states with `try_system_at`: next[1] is NaN"
+    expected = "the system cannot be checked: step is not finite here; draw other states with `system_at`: next[1] is NaN"
 )]
 fn check_system_names_a_step_that_is_not_finite() {
-    check::system(&Faulty { system: CartPole::new(1).system, fault: Fault::Root });
+    check::system(&Faulty { system: CartPole::new(1).system, fault: Fault::Root }).unwrap();
 }
 
 #[test]
@@ -277,7 +279,7 @@ impl Task for WrongCost {
 #[test]
 #[should_panic(expected = "the gradient of flow R (full backpropagation) is wrong: gradient by ")]
 fn check_task_finds_a_relative_error_of_1e_6_in_a_cost_gradient() {
-    check::task(&WrongCost(CartPole::new(1)), &Mlp::new([4, 5, 1]));
+    check::task(&WrongCost(CartPole::new(1)), &Mlp::new([4, 5, 1])).unwrap();
 }
 
 /// Linear policy whose reverse pass overwrites `x_bar[1]` with 0. This component is the derivative
@@ -318,7 +320,7 @@ impl Policy for Forgetting {
 #[test]
 #[should_panic(expected = "backward: x_bar[1]")]
 fn check_policy_finds_a_batched_input_derivative_set_to_0() {
-    check::policy(&Forgetting(Linear::new(3, 1)));
+    check::policy(&Forgetting(Linear::new(3, 1))).unwrap();
 }
 
 /// Convolution with an error in one component of its parameter gradient. The error is a thousandth
@@ -397,15 +399,17 @@ fn one_off(index: usize) -> OneOff {
 
 #[test]
 fn check_policy_finds_a_gradient_that_is_overwritten() {
-    let mismatch = check::try_policy(&OneOff { overwrites: true, ..one_off(0) })
-        .expect_err("a wrong gradient");
+    let failure =
+        check::policy(&OneOff { overwrites: true, ..one_off(0) }).expect_err("a wrong gradient");
+    let mismatch = failure.mismatch().expect("a finite gradient");
     assert_eq!(mismatch.what, "param_gradient, second call that adds: theta_bar");
 }
 
 #[test]
 fn check_policy_names_one_wrong_weight_among_more_than_1000() {
     for index in (0..120).step_by(11) {
-        let mismatch = check::try_policy(&one_off(index)).expect_err("a wrong gradient");
+        let failure = check::policy(&one_off(index)).expect_err("a wrong gradient");
+        let mismatch = failure.mismatch().expect("a finite gradient");
         assert_eq!((mismatch.what.as_str(), mismatch.index), ("param_gradient: theta_bar", index));
         assert!(mismatch.error > 1e-4 && mismatch.error < 2e-3, "{mismatch}");
     }
@@ -415,7 +419,7 @@ fn check_policy_names_one_wrong_weight_among_more_than_1000() {
 fn rollout_checks_find_one_wrong_weight_among_more_than_1000() {
     let task = Quantum { horizon: 5, ..Quantum::new(3) };
     for flow in Flow::ALL {
-        let failure = check::try_flow(&task, &one_off(37), flow).expect_err("a wrong gradient");
+        let failure = check::flow(&task, &one_off(37), flow, None).expect_err("a wrong gradient");
         assert!(failure.to_string().starts_with("gradient"), "{failure}");
     }
 }
@@ -427,17 +431,20 @@ fn rollout_checks_are_at_the_given_parameters() {
     conv.init(&mut stream(1, Purpose::Policy, 0), &mut theta);
     let huge = vec![f64::MAX; theta.len()];
     for flow in Flow::ALL {
-        let passed = check::try_flow_at(&task, &conv, flow, &theta).expect("correct gradients");
+        let passed = check::flow(&task, &conv, flow, Some(&theta)).expect("correct gradients");
         let others: Vec<f64> = theta.iter().map(|theta| theta * 0.5).collect();
         assert_ne!(
-            check::try_flow_at(&task, &conv, flow, &others).expect("correct gradients").worst,
+            check::flow(&task, &conv, flow, Some(&others)).expect("correct gradients").worst,
             passed.worst
         );
         let wrong =
-            check::try_flow_at(&task, &one_off(37), flow, &theta).expect_err("a wrong gradient");
+            check::flow(&task, &one_off(37), flow, Some(&theta)).expect_err("a wrong gradient");
         assert!(wrong.to_string().starts_with("gradient"), "{wrong}");
-        let diverged = check::try_flow_at(&task, &conv, flow, &huge);
-        assert!(matches!(diverged, Err(check::Failure::Diverged { .. })), "{diverged:?}");
+        let diverged = check::flow(&task, &conv, flow, Some(&huge));
+        assert!(
+            diverged.as_ref().is_err_and(|failure| failure.mismatch().is_none()),
+            "{diverged:?}"
+        );
     }
 }
 

@@ -1,13 +1,12 @@
 //! Identities between the four flows, combinations of two gradients, and names of fields.
 
 use approx::assert_relative_eq;
+use physgrad::engine::Batch;
 use physgrad::policy::{Action, Mlp, Observed};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{CartPole, LossMode};
-use physgrad::{
-    Batch, Combination, Field, Flow, GradientCombiner, Inputs, Policy, Scalar, Start, System, Task,
-    Weights,
-};
+use physgrad::train::{Combination, GradientCombiner};
+use physgrad::{Field, Flow, Inputs, Policy, Scalar, Start, System, Task, Weights};
 use rand::RngExt;
 
 /// Returns the gradients of R, M, N and S of one mini-batch.

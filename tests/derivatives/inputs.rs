@@ -1,11 +1,13 @@
 //! Derivatives of a task whose step and running cost use the state, control, parameters and time.
 //! The observation uses all but the control. The terminal cost uses the state and the parameters.
 
+use physgrad::check::Failure;
+use physgrad::engine::{Batch, Checkpointed, Schedule};
 use physgrad::policy::{Constant, Gru, Linear, Mlp, TrainedParam, WithParams};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::{
-    Batch, Checkpointed, Cotangent, Cotangents, DynTask, Flow, Gradient, Inputs, Policy, Real,
-    Rollout, Scalar, Schedule, Start, System, Task, Weights, check, initial_states,
+    Cotangent, Cotangents, DynTask, Flow, Gradient, Inputs, Policy, Real, Rollout, Scalar, Start,
+    System, Task, Weights, check, initial_states,
 };
 use rand::RngExt;
 
@@ -185,23 +187,23 @@ impl<T: Task> Task for ByDuals<T> {
 
 #[test]
 fn step_derivatives_agree_with_dual_numbers_for_all_inputs() {
-    check::system(&tracking::<1>());
-    check::system(&tracking::<3>());
+    check::system(&tracking::<1>()).unwrap();
+    check::system(&tracking::<3>()).unwrap();
 }
 
 #[test]
 fn rollout_gradients_of_every_flow_agree_with_dual_numbers() {
-    check::task(&tracking::<1>(), &Mlp::new([3, 7, 1]));
-    check::task(&tracking::<2>(), &Mlp::new([3, 7, 2]));
-    check::task(&ByDuals(tracking::<1>()), &Linear::with_bias(3, 1));
-    check::task(&ByDuals(tracking::<2>()), &Linear::with_bias(3, 2));
+    check::task(&tracking::<1>(), &Mlp::new([3, 7, 1])).unwrap();
+    check::task(&tracking::<2>(), &Mlp::new([3, 7, 2])).unwrap();
+    check::task(&ByDuals(tracking::<1>()), &Linear::with_bias(3, 1)).unwrap();
+    check::task(&ByDuals(tracking::<2>()), &Linear::with_bias(3, 2)).unwrap();
 }
 
 #[test]
 fn rollout_checks_find_wrong_derivatives_of_observations_and_costs() {
     let passes = |fault: Fault| {
         let (task, policy) = (Tracking::<1> { fault }, Linear::with_bias(3, 1));
-        Flow::ALL.map(|flow| check::try_flow(&task, &policy, flow).is_ok())
+        Flow::ALL.map(|flow| check::flow(&task, &policy, flow, None).is_ok())
     };
     assert_eq!(passes(Fault::None), [true; 4]);
     // M and S detach the observation.
@@ -215,13 +217,13 @@ fn rollout_checks_find_wrong_derivatives_of_observations_and_costs() {
 
 #[test]
 fn check_cost_names_the_wrong_method_and_output() {
-    let found =
-        |fault: Fault| check::try_cost(&Tracking::<1> { fault }).map_err(|mismatch| mismatch.what);
-    assert!(found(Fault::None).is_ok() && check::try_cost(&ByDuals(tracking::<2>())).is_ok());
+    let what = |failure: Failure| failure.mismatch().expect("a finite cost").what.clone();
+    let found = |fault: Fault| check::cost(&Tracking::<1> { fault }).map_err(what);
+    assert!(found(Fault::None).is_ok() && check::cost(&ByDuals(tracking::<2>())).is_ok());
     let names = |fault: Fault, name: &str| assert_eq!(found(fault), Err(name.to_owned()));
-    assert!(check::try_cost(&DynTask::new(tracking::<2>())).is_ok());
-    let boxed = check::try_cost(&DynTask::new(Tracking::<1> { fault: Fault::Observation }))
-        .map_err(|mismatch| mismatch.what);
+    assert!(check::cost(&DynTask::new(tracking::<2>())).is_ok());
+    let boxed =
+        check::cost(&DynTask::new(Tracking::<1> { fault: Fault::Observation })).map_err(what);
     assert_eq!(boxed, Err("observe_vjp: x_bar".to_owned()));
     names(Fault::Observation, "observe_vjp: x_bar");
     names(Fault::ObservationOfParams, "observe_vjp: p_bar");
@@ -231,9 +233,8 @@ fn check_cost_names_the_wrong_method_and_output() {
     names(Fault::Unwritten, "observe leaves a component unwritten: y");
     names(Fault::LateCost, "running_cost_gradient: next_bar");
     names(Fault::Overwrites, "terminal_cost_gradient, second call that adds: x_bar");
-    let message = |fault: Fault| {
-        check::try_cost(&Tracking::<1> { fault }).expect_err("a mismatch").to_string()
-    };
+    let message =
+        |fault: Fault| check::cost(&Tracking::<1> { fault }).expect_err("a mismatch").to_string();
     assert!(message(Fault::CostOfState).contains(": relative error "));
     let bitwise = message(Fault::Unwritten);
     assert!(
@@ -245,7 +246,7 @@ fn check_cost_names_the_wrong_method_and_output() {
 #[test]
 #[should_panic(expected = "the task's derivatives are wrong: observe_vjp: p_bar[1] is")]
 fn check_cost_panics_with_the_wrong_method_and_component() {
-    check::cost(&Tracking::<1> { fault: Fault::ObservationOfParams });
+    check::cost(&Tracking::<1> { fault: Fault::ObservationOfParams }).unwrap();
 }
 
 #[test]
@@ -254,7 +255,8 @@ fn check_task_panics_with_sample_and_index_of_a_wrong_gradient_of_p() {
     check::task(
         &Tracking::<1> { fault: Fault::CostOfParams },
         &WithParams::new(Constant::new(3, 1), []),
-    );
+    )
+    .unwrap();
 }
 
 /// Declares an observation with the dimension of the state, and does not override the default
@@ -339,22 +341,28 @@ fn check_bits_and_bytes(policy: &impl Policy) {
 #[test]
 fn gradients_of_trained_parameters_are_exact_for_every_scale_and_flow() {
     let trained = [TrainedParam::log(0, 0.8), TrainedParam::bounded(1, 0.2, -1.0, 0.5)];
-    check::task(&tracking::<1>(), &WithParams::new(Linear::with_bias(3, 1), trained));
-    check::task(&tracking::<2>(), &WithParams::new(Gru::new(3, 2, 2), trained));
+    check::task(&tracking::<1>(), &WithParams::new(Linear::with_bias(3, 1), trained)).unwrap();
+    check::task(&tracking::<2>(), &WithParams::new(Gru::new(3, 2, 2), trained)).unwrap();
     check::task(
         &ByDuals(tracking::<2>()),
         &WithParams::new(Mlp::new([3, 4, 2]), [TrainedParam::linear(1, 0.3)]),
-    );
+    )
+    .unwrap();
     for flow in [Flow::REGULAR.truncated(4), Flow::MODIFIED.discounted(0.8)] {
         let policy = WithParams::new(Linear::with_bias(3, 1), trained);
-        check::try_flow(&tracking::<1>(), &policy, flow)
+        check::flow(&tracking::<1>(), &policy, flow, None)
             .unwrap_or_else(|failure| panic!("{flow}: {failure}"));
     }
     // The gradients of trained parameters include the gradients with respect to p.
     let faulty = Tracking::<1> { fault: Fault::CostOfParams };
     assert!(
-        check::try_flow(&faulty, &WithParams::new(Linear::with_bias(3, 1), trained), Flow::REGULAR)
-            .is_err()
+        check::flow(
+            &faulty,
+            &WithParams::new(Linear::with_bias(3, 1), trained),
+            Flow::REGULAR,
+            None
+        )
+        .is_err()
     );
 }
 
@@ -379,5 +387,6 @@ fn training_p_2_of_a_task_with_2_parameters_is_refused() {
     check::task(
         &tracking::<1>(),
         &WithParams::new(Linear::with_bias(3, 1), [TrainedParam::linear(2, 1.0)]),
-    );
+    )
+    .unwrap();
 }

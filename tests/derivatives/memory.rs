@@ -1,11 +1,12 @@
 //! Policies with a memory or a dependence on time: recurrent policies, control sequences, the
 //! memory path of flows.
 
+use physgrad::engine::{Checkpointed, Schedule};
 use physgrad::policy::{Action, Elman, Gru, Observed, OpenLoop, PolicyPass, PolicyRecord, Sizes};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::{
-    Checkpointed, Divergence, Float, Flow, Gradient, Inputs, Policy, Scalar, Schedule, Start,
-    System, Task, Weights, check, initial_states,
+    Divergence, Float, Flow, Gradient, Inputs, Policy, Scalar, Start, System, Task, Weights, check,
+    initial_states,
 };
 use rand::RngExt;
 
@@ -170,40 +171,40 @@ impl<P: Policy> Policy for Forgetting<P> {
 #[test]
 fn batched_passes_of_policies_with_memory_agree_with_act() {
     for (observations, units, controls) in [(1, 1, 1), (2, 8, 1), (3, 5, 2), (4, 40, 3)] {
-        check::policy(&Gru::new(observations, units, controls));
-        check::policy(&Elman::new(observations, units, controls));
+        check::policy(&Gru::new(observations, units, controls)).unwrap();
+        check::policy(&Elman::new(observations, units, controls)).unwrap();
     }
-    check::policy(&Integral);
-    check::policy(&OpenLoop::new(3, 2, 20));
+    check::policy(&Integral).unwrap();
+    check::policy(&OpenLoop::new(3, 2, 20)).unwrap();
 }
 
 #[test]
 fn rollout_gradients_of_every_flow_agree_with_dual_numbers() {
-    check::task(&AngleOnly, &Gru::new(1, 6, 1));
-    check::task(&AngleOnly, &Elman::new(1, 3, 1));
-    check::task(&AngleOnly, &Integral);
-    check::task(&AngleOnly, &OpenLoop::new(1, 1, 12));
-    check::task(&Whole, &Gru::new(2, 3, 2));
-    check::task(&Whole, &Elman::new(2, 9, 2));
-    check::task(&Whole, &OpenLoop::new(2, 2, 11));
+    check::task(&AngleOnly, &Gru::new(1, 6, 1)).unwrap();
+    check::task(&AngleOnly, &Elman::new(1, 3, 1)).unwrap();
+    check::task(&AngleOnly, &Integral).unwrap();
+    check::task(&AngleOnly, &OpenLoop::new(1, 1, 12)).unwrap();
+    check::task(&Whole, &Gru::new(2, 3, 2)).unwrap();
+    check::task(&Whole, &Elman::new(2, 9, 2)).unwrap();
+    check::task(&Whole, &OpenLoop::new(2, 2, 11)).unwrap();
 }
 
 #[test]
 #[should_panic(expected = "backward: x_bar")]
 fn check_policy_finds_an_omitted_cotangent_of_the_memory() {
-    check::policy(&Forgetting(Gru::new(1, 3, 1)));
+    check::policy(&Forgetting(Gru::new(1, 3, 1))).unwrap();
 }
 
 #[test]
 #[should_panic(expected = "flow")]
 fn check_task_finds_an_omitted_cotangent_of_the_memory() {
-    check::task(&AngleOnly, &Forgetting(Gru::new(1, 3, 1)));
+    check::task(&AngleOnly, &Forgetting(Gru::new(1, 3, 1))).unwrap();
 }
 
 #[test]
 #[should_panic(expected = "controls for 11 steps, but the rollout has more")]
 fn a_sequence_of_11_controls_is_refused_for_12_steps() {
-    check::task(&AngleOnly, &OpenLoop::new(1, 1, 11));
+    check::task(&AngleOnly, &OpenLoop::new(1, 1, 11)).unwrap();
 }
 
 /// Gradient of `flow` over eleven samples. The schedule stores all steps, because the horizon is

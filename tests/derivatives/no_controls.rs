@@ -1,11 +1,9 @@
 //! Systems without controls, and tasks without observations.
 
+use physgrad::actuator::{AnyActuator, Delay, Lag, Limit, LimitKind};
 use physgrad::policy::{Constant, Linear, OpenLoop, TrainedParam, WithParams};
 use physgrad::rng::Rng;
-use physgrad::{
-    Actuated, AnyActuator, Delay, Field, Inputs, Lag, Limit, LimitKind, Scalar, Start, System,
-    Task, Trainer, Training, check,
-};
+use physgrad::{Actuated, Field, Inputs, Scalar, Start, System, Task, Trainer, Training, check};
 use rand::RngExt;
 
 /// Decay `x' = x - p x/10` without controls.
@@ -55,11 +53,11 @@ fn parameters_of_systems_without_controls_are_trained() {
         WithParams::new(Linear::with_bias(1, 0), [TrainedParam::log(0, 0.2)]),
     ];
     for policy in policies {
-        check::policy(&policy);
-        check::task(&Measured(Decay), &policy);
+        check::policy(&policy).unwrap();
+        check::task(&Measured(Decay), &policy).unwrap();
     }
     let policy = WithParams::new(Constant::new(1, 0), [TrainedParam::log(0, 0.2)]);
-    check::task(&Measured(Decay), &policy);
+    check::task(&Measured(Decay), &policy).unwrap();
     let training = Training {
         epochs: 60,
         train_samples: 8,
@@ -68,7 +66,7 @@ fn parameters_of_systems_without_controls_are_trained() {
         learning_rate: 0.1,
         ..Training::default()
     };
-    let training = Training { decay: physgrad::Decay::Cosine { end: 0.0 }, ..training };
+    let training = Training { decay: physgrad::train::Decay::Cosine { end: 0.0 }, ..training };
     let report = Trainer::new(Measured(Decay), policy.clone())
         .precision::<f64>()
         .field(Field::regular())
@@ -86,12 +84,12 @@ fn chains_of_actuators_on_systems_without_controls_are_the_identity() {
         vec![limit, AnyActuator::Delay(Delay { steps: 2 }), AnyActuator::Lag(Lag::new(0.1, 0.1))],
     ] {
         let system = Actuated { system: Decay, actuator };
-        check::system(&system);
+        check::system(&system).unwrap();
         let (mut next, mut alone) = ([0.0], [0.0]);
         system.step::<f64>(Inputs { x: &[0.4], u: &[], p: &[0.3], t: 0 }, &mut next);
         Decay.step::<f64>(Inputs { x: &[0.4], u: &[], p: &[0.3], t: 0 }, &mut alone);
         assert_eq!(next, alone);
-        check::task(&Measured(system), &Constant::new(1, 0));
+        check::task(&Measured(system), &Constant::new(1, 0)).unwrap();
     }
 }
 
@@ -132,8 +130,8 @@ impl Task for Blind {
 
 #[test]
 fn policies_without_observations_are_trained() {
-    check::policy(&Linear::with_bias(0, 2));
-    check::task(&Blind, &Linear::with_bias(0, 1));
-    check::task(&Blind, &Constant::new(0, 1));
-    check::task(&Blind, &OpenLoop::new(0, 1, 5));
+    check::policy(&Linear::with_bias(0, 2)).unwrap();
+    check::task(&Blind, &Linear::with_bias(0, 1)).unwrap();
+    check::task(&Blind, &Constant::new(0, 1)).unwrap();
+    check::task(&Blind, &OpenLoop::new(0, 1, 5)).unwrap();
 }

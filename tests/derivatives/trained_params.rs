@@ -12,8 +12,8 @@ fn nested_trained_parameters_are_those_of_one_list() {
     // Wrappers between both lists forward the inner entries.
     let nested = WithParams::new(Bounded::new(inner.clone(), [2.0]), [trained[1]]);
     assert_eq!(Policy::trained_params(&nested), trained);
-    check::policy(&nested);
-    check::task(&tracking::<1>(), &nested);
+    check::policy(&nested).unwrap();
+    check::task(&tracking::<1>(), &nested).unwrap();
 
     let (nested, flat) =
         (WithParams::new(inner, [trained[1]]), WithParams::new(Linear::with_bias(3, 1), trained));

@@ -1,10 +1,12 @@
 //! Combinations with a moving average of the direction of R equal their definition.
 
 use approx::assert_relative_eq;
+use physgrad::engine::Batch;
 use physgrad::policy::Mlp;
 use physgrad::rng::Purpose;
 use physgrad::tasks::CartPole;
-use physgrad::{Batch, Field, OptimizerKind, Policy, Session, Trainer, Training, initial_states};
+use physgrad::train::{OptimizerKind, Session};
+use physgrad::{Field, Policy, Trainer, Training, initial_states};
 
 const UPDATES: usize = 4;
 const RATE: f64 = 3.0;

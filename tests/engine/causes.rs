@@ -1,13 +1,17 @@
 //! Wrappers of systems forward the cause of a non-finite number.
 
+use physgrad::actuator::Delay;
+use physgrad::effect::{DynEffect, ForcedSystem, Named};
+use physgrad::engine::Cause;
+use physgrad::integrator::{AnyIntegrator, ImplicitMidpoint};
+use physgrad::scalar::{CotangentPack, Dual, Lanes};
 use physgrad::tasks::{
     Barrier, CartPoleSystem, Cubic, DoublePendulum, Evade, GuidanceSystem, GustyWind, Pade,
     QuantumEffect, QuantumScheme, QuantumSystem, Renormalized, Strang, Tabulated, Upright,
 };
 use physgrad::{
-    Actuated, AnyIntegrator, Cause, CotangentPack, Cotangents, Delay, Dual, DynEffect, DynSystem,
-    DynTask, Effect, Forced, ForcedSystem, ImplicitMidpoint, Inputs, Integrated, Lanes, Named,
-    OdeInputs, Real, Scalar, Substeps, System, Task, check,
+    Actuated, Cotangents, DynSystem, DynTask, Effect, Forced, Inputs, Integrated, OdeInputs, Real,
+    Scalar, Substeps, System, Task, check,
 };
 
 /// Effect whose force is infinite at a state of ones.
@@ -82,7 +86,7 @@ fn wrappers_forward_the_cause_of_the_wrapped_system() {
     // Newton's iteration does not converge for this time step.
     let integrator = AnyIntegrator::ImplicitMidpoint(ImplicitMidpoint::default());
     let stepped = Integrated { ode: DoublePendulum::default(), integrator, dt: 1e12 };
-    let Upright { first_angle, from, spread, loss, control_weight, horizon, .. } =
+    let Upright { first_angle, from, spread, loss, control_weight, control_bound, horizon, .. } =
         Upright::double_pendulum();
     let hard = DynTask::new(Upright {
         system: stepped,
@@ -91,6 +95,7 @@ fn wrappers_forward_the_cause_of_the_wrapped_system() {
         spread,
         loss,
         control_weight,
+        control_bound,
         horizon,
     });
     let hard = hard.system();

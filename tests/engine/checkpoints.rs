@@ -1,6 +1,7 @@
 //! Checkpoints that have a valid checksum but damaged contents, or that belong to another training.
 
-use physgrad::{OptimizerKind, Session, Trainer, Training, policy::Mlp, tasks::CartPole};
+use physgrad::train::{OptimizerKind, Session};
+use physgrad::{Trainer, Training, policy::Mlp, tasks::CartPole};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 type Small = Session<CartPole, Mlp, f32>;

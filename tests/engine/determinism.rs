@@ -1,13 +1,15 @@
 //! Results are bitwise equal for any split of the work and after any interruption. Single and
 //! double precision agree to rounding.
 
-use physgrad::any;
+use physgrad::engine::any;
+use physgrad::engine::{Batch, Evaluation};
 use physgrad::policy::{self, Mlp};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{CartPole, CartPoleSystem, Guidance, LossMode, Quantum};
+use physgrad::train::{CheckpointError, Record, Session};
 use physgrad::{
-    Batch, CheckpointError, Evaluation, Field, Float, Flow, Gradient, Record, Rollout, Scalar,
-    Session, Start, Task, Trainer, Training, Weights, initial_states,
+    Field, Float, Flow, Gradient, Rollout, Scalar, Start, Task, Trainer, Training, Weights,
+    initial_states,
 };
 use std::sync::Mutex;
 

@@ -1,11 +1,12 @@
 //! Rollouts and reverse passes report non-finite numbers. Training skips the affected updates.
 
+use physgrad::engine::{Batch, Evaluation, Variable};
 use physgrad::policy::{Action, Linear, Mlp, Observed, Policy};
 use physgrad::rng::Rng;
+use physgrad::train::{GradientCombiner, OptimizerKind};
 use physgrad::{
-    Batch, Clip, Divergence, Evaluation, Field, Float, Flow, GradientCombiner, Inputs,
-    OptimizerKind, Rollout, Scalar, Start, System, Task, TrainError, Trainer, Training, Variable,
-    Weights,
+    Clip, Divergence, Field, Float, Flow, Inputs, Rollout, Scalar, Start, System, Task, TrainError,
+    Trainer, Training, Weights,
 };
 
 /// Type and place of a fault.

@@ -1,12 +1,13 @@
 //! Gradients are bitwise independent of the checkpoint schedule, and memory stays within its
 //! budget.
 
+use physgrad::engine::{Batch, Checkpointed, Schedule};
 use physgrad::policy::{Action, Conv, Gru, Mlp, Observed};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{CartPole, Guidance, LossMode, Quantum};
 use physgrad::{
-    Adjoint, Batch, Checkpointed, Divergence, Field, Float, Flow, Gradient, Policy, Rollout,
-    Scalar, Schedule, Task, initial_states,
+    Adjoint, Divergence, Field, Float, Flow, Gradient, Policy, Rollout, Scalar, Task,
+    initial_states,
 };
 use physgrad::{TrainError, Trainer, Training, Weights};
 use rand::RngExt;

@@ -1,10 +1,11 @@
 //! Binomial checkpoint schedules recompute the fewest steps. All schedules recompute exactly as
 //! many steps as they report.
 
+use physgrad::engine::{Checkpointed, Schedule};
 use physgrad::policy::{Action, Observed, PolicyPass};
 use physgrad::rng::Rng;
 use physgrad::tasks::CartPole;
-use physgrad::{Checkpointed, Float, Flow, Gradient, Policy, Scalar, Schedule, Weights};
+use physgrad::{Float, Flow, Gradient, Policy, Scalar, Weights};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 const UNIT: usize = Schedule::UNIT;

@@ -4,9 +4,10 @@ use approx::assert_relative_eq;
 use physgrad::policy::{Constant, Mlp, Quadratic};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{Accumulator, Bowl, CartPole, Reach};
+use physgrad::train::{Estimator, OptimizerKind, Record, Session, Smoothing, vector_field};
 use physgrad::{
-    Clip, Cotangent, Cotangents, Estimator, Field, Inputs, OptimizerKind, Policy, Real, Record,
-    Scalar, Session, Smoothing, Start, System, Task, TrainError, Trainer, Training, vector_field,
+    Clip, Cotangent, Cotangents, Field, Inputs, Policy, Real, Scalar, Start, System, Task,
+    TrainError, Trainer, Training,
 };
 use rand_distr::{Distribution, StandardNormal};
 

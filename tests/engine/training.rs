@@ -1,12 +1,14 @@
 //! Learning rates, refused settings, warnings and best parameters of trainings on plants with known
 //! gradients.
 
+use physgrad::engine::Variable;
+use physgrad::number::Varied;
 use physgrad::policy::{Constant, TrainedParam, WithParams};
 use physgrad::rng::{Purpose, Rng};
+use physgrad::train::{Decay, OptimizerKind, Session};
 use physgrad::{
-    Adjoint, Clip, Decay, Divergence, Field, Flow, Gradient, Inputs, Number, Numbers, Optimizer,
-    OptimizerKind, Rollout, Scalar, Session, Start, System, Task, Trainer, Training, Variable,
-    Varied, Weights, initial_states,
+    Adjoint, Clip, Divergence, Field, Flow, Gradient, Inputs, Number, Numbers, Optimizer, Rollout,
+    Scalar, Start, System, Task, Trainer, Training, Weights, initial_states,
 };
 use std::process::Command;
 

@@ -1,9 +1,10 @@
 //! Multiple shooting: trajectories that single shooting cannot fit.
 
 use physgrad::identify::{Fit, Options, Segment, Unknown, identify};
+use physgrad::integrator::RungeKutta;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{Arm, MultiPendulum};
-use physgrad::{Inputs, Integrated, Number, RungeKutta, Scalar, System};
+use physgrad::{Inputs, Integrated, Number, Scalar, System};
 use rand_distr::{Distribution, StandardNormal};
 
 type Pendulum = Integrated<MultiPendulum, RungeKutta>;

@@ -1,9 +1,10 @@
 //! Identification on simulated data, whose true values are known.
 
 use physgrad::identify::{Fit, IdentifyError, Options, Segment, Unknown, identify};
+use physgrad::integrator::RungeKutta;
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{Arm, MultiPendulum};
-use physgrad::{Inputs, Integrated, Number, RungeKutta, Scalar, System};
+use physgrad::{Inputs, Integrated, Number, Scalar, System};
 use rand_distr::{Distribution, StandardNormal};
 use std::f64::consts::{PI, TAU};
 

@@ -2,14 +2,16 @@
 //! f64 has lost all digits.
 
 use num_dual::Dual64;
+use physgrad::engine::Batch;
+use physgrad::integrator::{ImplicitMidpoint, RungeKutta};
 use physgrad::policy::Linear;
 use physgrad::rng::{Purpose, stream};
+use physgrad::scalar::{DoubleDouble, Dual};
 use physgrad::tasks::{
     CartPole, CoupledCartPole, Guidance, GuidanceSystem, Pade, Quantum, QuantumSystem, Strang,
 };
 use physgrad::{
-    Batch, DoubleDouble, Dual, Flow, ImplicitMidpoint, Inputs, Integrated, Policy, RungeKutta,
-    Scalar, System, Task, Weights, check, initial_states,
+    Flow, Inputs, Integrated, Policy, Scalar, System, Task, Weights, check, initial_states,
 };
 
 /// Compares value and directional derivative of a step between double-double and num-dual.

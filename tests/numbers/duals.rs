@@ -3,7 +3,8 @@
 
 use crate::common::operations::{NUMBERS, Operation, compositions, operations};
 use num_dual::Dual64;
-use physgrad::{Dual, Lanes, Real, Scalar, Single};
+use physgrad::scalar::{Dual, Lanes, Single};
+use physgrad::{Real, Scalar};
 
 const TANGENTS: [[f64; 2]; 2] = [[0.5, -1.25], [-2.0, 0.75]];
 

@@ -2,10 +2,11 @@
 //! nalgebra, and sine, cosine and tanh with double-double.
 
 use nalgebra::DMatrix;
-use physgrad::kernels::gemm::{self, Product};
-use physgrad::kernels::{SimdLevel, Vectorized, dispatch, elementwise, tanh, trig};
+use physgrad::engine::kernels::gemm::{self, Product};
+use physgrad::engine::kernels::{SimdLevel, Vectorized, dispatch, elementwise, tanh, trig};
 use physgrad::rng::{Purpose, Rng, stream};
-use physgrad::{DoubleDouble, Float, Lanes, Scalar};
+use physgrad::scalar::{DoubleDouble, Lanes};
+use physgrad::{Float, Scalar};
 use rand::RngExt;
 
 /// Shapes (rows, depth, columns): depth 1, fewer and more columns than a tile, several remainders.

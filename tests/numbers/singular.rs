@@ -1,11 +1,13 @@
 //! Derivatives at singular points: powers, lengths, inverse functions, and 0 times infinity. The
 //! right values are limits and formulas. Forward and reverse mode agree in every precision.
 
+use physgrad::count::Counted;
+use physgrad::engine::Batch;
 use physgrad::policy::Linear;
 use physgrad::rng::Rng;
+use physgrad::scalar::{Dual, Lanes, Single};
 use physgrad::{
-    Batch, Cotangents, Counted, Dual, Float, Flow, Inputs, Lanes, Real, Scalar, Single, Start,
-    System, Task, Weights, check,
+    Cotangents, Float, Flow, Inputs, Real, Scalar, Start, System, Task, Weights, check,
 };
 
 type Function<T> = fn(T, T) -> T;
@@ -145,7 +147,7 @@ fn derivatives_at_singular_points_are_right_in_every_mode_and_precision() {
             all.push(("Dual64", f64::EPSILON, by_num_dual));
         }
         {
-            let fine = by_dual::<physgrad::DoubleDouble>(row, point).map(|t| t.to_f64());
+            let fine = by_dual::<physgrad::scalar::DoubleDouble>(row, point).map(|t| t.to_f64());
             all.push(("Dual<DoubleDouble>", f64::EPSILON, fine));
         }
         if point.iter().all(|x| x.abs() < 1e38 && (*x == 0.0 || x.abs() > 1e-38)) {
@@ -233,7 +235,7 @@ fn powers_and_lengths_have_the_values_of_the_standard_library() {
 
 #[test]
 fn powers_in_double_double_have_31_digits() {
-    use physgrad::DoubleDouble;
+    use physgrad::scalar::DoubleDouble;
     for (base, exponent, square) in
         [(2.0, 0.5, 2.0), (3.0, 1.5, 27.0), (10.0, -0.5, 0.1), (2.0, 100.0, 2f64.powi(200))]
     {
@@ -330,8 +332,8 @@ impl System for AtRest {
 #[test]
 fn the_check_of_a_system_visits_the_state_0() {
     for correct in 0..3 {
-        check::try_system(&AtRest(correct)).unwrap_or_else(|error| panic!("{correct}: {error}"));
+        check::system(&AtRest(correct)).unwrap_or_else(|error| panic!("{correct}: {error}"));
     }
-    let error = check::try_system(&AtRest(3)).expect_err("NaN at rest").to_string();
+    let error = check::system(&AtRest(3)).expect_err("NaN at rest").to_string();
     assert!(error.starts_with("the derivative of step is not finite at the state 0"), "{error}");
 }

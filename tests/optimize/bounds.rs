@@ -2,10 +2,11 @@
 
 use super::linear::by_adjoint;
 use super::problems::{Coupled, Pendulum, Saturating};
+use physgrad::actuator::{AnyActuator, Delay, Limit, LimitKind};
 use physgrad::optimize::{Initial, Options, Plan, optimize};
 use physgrad::rng::{Purpose, Rng, stream};
-use physgrad::tasks::Lqr;
-use physgrad::{Inputs, Scalar, Start, System, Task};
+use physgrad::tasks::{CartPole, Guidance, Lqr, Upright};
+use physgrad::{DynTask, Inputs, Scalar, Start, System, Task};
 use rand::RngExt;
 use std::f64::consts::PI;
 
@@ -215,5 +216,23 @@ fn smoothly_saturating_controls_reach_the_optimum_of_bounded_controls() {
             least.cost,
             plan.stop
         );
+    }
+}
+
+/// A task states the controls that it is meant for. An actuator that limits them replaces these.
+#[test]
+fn tasks_and_actuators_state_bounds_of_the_controls() {
+    let bounds = |task: &DynTask| task.control_bounds();
+    assert_eq!(bounds(&DynTask::new(Saturating { limit: None })), None);
+    assert_eq!(bounds(&DynTask::new(CartPole::new(2))), Some(vec![[-60.0, 60.0]]));
+    assert_eq!(bounds(&DynTask::new(Upright::double_pendulum())), Some(vec![[-30.0, 30.0]]));
+    let two_controls = DynTask::new(Guidance::new(1, 1));
+    assert_eq!(bounds(&two_controls), Some(vec![[-5.0, 5.0]; 2]));
+    let delay = AnyActuator::Delay(Delay { steps: 1 });
+    let limit = AnyActuator::Limit(Limit { bound: 7.0, kind: LimitKind::Hard });
+    for (chain, expected) in [(vec![delay], 5.0), (vec![delay, limit], 7.0)] {
+        let system = two_controls.system().clone();
+        let adapted = two_controls.clone().adapted(system, 1, chain, 3);
+        assert_eq!(bounds(&adapted), Some(vec![[-expected, expected]; 2]));
     }
 }

@@ -1,11 +1,12 @@
 //! Optima of linear plants by Riccati's equation, and exact gradients and Hessians of costs.
 
 use super::problems::{Coupled, SwingUp};
+use physgrad::engine::Batch;
 use physgrad::optimize::{Initial, Options, Plan, Stop, optimize};
 use physgrad::policy::OpenLoop;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{CartPole, LinearPlant, LossMode, Lqr};
-use physgrad::{Batch, Flow, System, Task, Weights, initial_states};
+use physgrad::{Flow, System, Task, Weights, initial_states};
 use rand::RngExt;
 
 /// Returns a regulator of a random plant with four states and two controls. Q couples the states,

@@ -1,12 +1,14 @@
 //! [`Tracking`]: the task to follow a plan.
 
 use super::problems::{Coupled, Pendulum, SwingUp};
+use physgrad::engine::Evaluation;
 use physgrad::optimize::{Initial, OptimizeError, Options, Plan, Tracking, optimize};
 use physgrad::policy::{Linear, OpenLoop, Sum};
 use physgrad::rng::{Purpose, Rng};
+use physgrad::train::Decay;
 use physgrad::{
-    Decay, Evaluation, Field, Inputs, Number, Numbers, Rollout, Scalar, Start, System, Task,
-    Trainer, Training, Weights, check, initial_states,
+    Field, Inputs, Number, Numbers, Rollout, Scalar, Start, System, Task, Trainer, Training,
+    Weights, check, initial_states,
 };
 use std::f64::consts::PI;
 
@@ -46,8 +48,8 @@ fn derivatives_of_tracking_equal_dual_numbers() {
     let mut tracking = Tracking::new(&Coupled, &plan).expect("fits");
     (tracking.state_weights, tracking.control_weights, tracking.spread) =
         (vec![1.0, 3.0], vec![0.1, 0.2], 0.5);
-    check::cost(&tracking);
-    check::task(&tracking, &Linear::new(2, 2));
+    check::cost(&tracking).unwrap();
+    check::task(&tracking, &Linear::new(2, 2)).unwrap();
     let starts: Vec<f64> = initial_states(&tracking, 0, Purpose::Train, 3);
     assert!(
         starts.chunks(3).all(|start| start[2] == 0.3 && (start[0] - 0.4).abs() < 0.5),

@@ -127,6 +127,6 @@ impl Effect<QuantumSystem> for Swinging {
 /// Checks the derivatives of a system at the states and controls of [`lively`].
 #[track_caller]
 pub fn check_lively<S: System>(system: &S) {
-    check::try_system_at(system, lively)
+    check::system_at(system, lively)
         .unwrap_or_else(|mismatch| panic!("{} state components: {mismatch}", system.state_dim()));
 }

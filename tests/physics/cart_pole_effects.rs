@@ -1,5 +1,7 @@
 //! Effects of cart-pole, its coupled model, and actuators: derivatives, and the documented physics.
 
+use physgrad::actuator::{AnyActuator, Delay, Lag, Limit, LimitKind};
+use physgrad::effect::{ForcedSystem, HasModel};
 use physgrad::policy::Linear;
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{
@@ -7,8 +9,7 @@ use physgrad::tasks::{
     DryFriction, GustyWind, PoleDamping, SteadyWind,
 };
 use physgrad::{
-    Actuated, AnyActuator, Cotangents, Delay, Effect, Forced, ForcedSystem, HasModel, Inputs, Lag,
-    Limit, LimitKind, OdeInputs, Scalar, Substeps, System, check,
+    Actuated, Cotangents, Effect, Forced, Inputs, OdeInputs, Scalar, Substeps, System, check,
 };
 use rand::RngExt;
 
@@ -34,7 +35,7 @@ fn draw_large(rng: &mut Rng, x: &mut [f64], u: &mut [f64], p: &mut [f64]) {
 }
 
 fn check_large<S: System>(system: &S) {
-    check::try_system_at(system, draw_large).unwrap_or_else(|mismatch| panic!("{mismatch}"));
+    check::system_at(system, draw_large).unwrap_or_else(|mismatch| panic!("{mismatch}"));
 }
 
 #[test]
@@ -78,8 +79,9 @@ fn a_wrong_derivative_of_an_effect_is_found() {
             }
         }
     }
-    let mismatch = check::try_system(&Forced { system: poles(1), effects: Spring })
+    let failure = check::system(&Forced { system: poles(1), effects: Spring })
         .expect_err("the derivative is wrong");
+    let mismatch = failure.mismatch().expect("a finite step");
     assert_eq!((mismatch.what.as_str(), mismatch.index), ("vjp: x_bar", 0));
 }
 
@@ -112,7 +114,8 @@ fn derivatives_with_actuators_and_substeps_equal_dual_numbers() {
     };
     let n = full.state_dim();
     assert_eq!((n, full.param_dim()), (6 + 2, 1));
-    check::task(&CartPole { horizon: 20, ..CartPole::with_system(full) }, &Linear::with_bias(n, 1));
+    check::task(&CartPole { horizon: 20, ..CartPole::with_system(full) }, &Linear::with_bias(n, 1))
+        .unwrap();
 }
 
 fn step<S: System>(system: &S, x: &[f64], u: f64) -> Vec<f64> {
@@ -258,7 +261,7 @@ fn actuators_follow_their_formulas() {
     // The control is constant, and the cart starts at rest. The pole has negligible mass. The force
     // is therefore M / dt times the change of the cart's speed, with the cart mass M = 1 kg.
     let model = CartPoleSystem { pole_mass: (1e-12).into(), dt: 0.1, ..poles(1) };
-    fn applied<A: physgrad::Actuator>(
+    fn applied<A: physgrad::actuator::Actuator>(
         model: CartPoleSystem,
         actuator: A,
         u: f64,

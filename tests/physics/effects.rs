@@ -1,6 +1,10 @@
 //! Absent effects cost no operations. Tests compare operation counts and results, not times.
 
 use super::by_hand::{cart_pole::ByHand, guidance, quantum};
+use physgrad::actuator::{AnyActuator, Delay, Lag, Limit, LimitKind};
+use physgrad::count::{OpCount, Ops};
+use physgrad::effect::{ForcedSystem, HasModel};
+use physgrad::engine::Batch;
 use physgrad::policy::Mlp;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{
@@ -10,9 +14,8 @@ use physgrad::tasks::{
     QuantumEffect, QuantumSystem, Spread, SteadyWind, Walls,
 };
 use physgrad::{
-    Actuated, AnyActuator, Batch, Cotangents, Delay, Effect, Float, Flow, Forced, ForcedSystem,
-    HasModel, Inputs, Lag, Limit, LimitKind, OpCount, Ops, Rollout, Start, System, Task, Weights,
-    initial_states,
+    Actuated, Cotangents, Effect, Float, Flow, Forced, Inputs, Rollout, Start, System, Task,
+    Weights, initial_states,
 };
 
 fn cart_pole(poles: usize) -> CartPoleSystem {

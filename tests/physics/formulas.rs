@@ -15,13 +15,14 @@ mod mechanism;
 mod quantum;
 mod tasks;
 
+use physgrad::actuator::{Actuator, AnyActuator, Delay, Lag, Limit, LimitKind};
+use physgrad::effect::ForcedSystem;
 use physgrad::policy::{Conv, Linear};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::*;
 use physgrad::{
-    Actuated, Actuator, AnyActuator, Cotangent, Cotangents, Delay, Effect, Forced, ForcedSystem,
-    Inputs, Lag, Limit, LimitKind, Number as PhysicalNumber, Ode, Real, Scalar, Start, System,
-    Task, check,
+    Actuated, Cotangent, Cotangents, Effect, Forced, Inputs, Number as PhysicalNumber, Ode, Real,
+    Scalar, Start, System, Task, check,
 };
 use rand::RngExt;
 use std::f64::consts::{FRAC_PI_6, PI, TAU};
@@ -122,7 +123,7 @@ fn steps_as<S: System>(what: &str, system: &S, expected: impl Fn(&[f64], &[f64])
     let draw = |rng: &mut Rng, x: &mut [f64], u: &mut [f64], p: &mut [f64]| {
         x.iter_mut().chain(u).chain(p).for_each(|x| *x = rng.random_range(-3.0..3.0));
     };
-    check::try_system_at(system, draw).unwrap_or_else(|mismatch| panic!("{what}: {mismatch}"));
+    check::system_at(system, draw).unwrap_or_else(|mismatch| panic!("{what}: {mismatch}"));
 }
 
 /// Solves `a x = b` by Gaussian elimination with partial pivoting.

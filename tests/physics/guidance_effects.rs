@@ -1,14 +1,15 @@
 //! Effects of guidance: derivatives, and documented physics.
 
+use physgrad::actuator::{AnyActuator, Delay, Lag, Limit, LimitKind};
 use physgrad::policy::Linear;
 use physgrad::rng::{Purpose, Rng, stream};
+use physgrad::scalar::{Lanes, Single};
 use physgrad::tasks::{
     Center, Drive, Evade, Flock, Friction, Guidance, GuidanceEffect, GuidanceSystem, Obstacles,
     Spread, Walls,
 };
 use physgrad::{
-    Actuated, AnyActuator, Cotangent, Cotangents, Delay, Effect, Forced, Inputs, Lag, Lanes, Limit,
-    LimitKind, Real, Single, Substeps, System, check,
+    Actuated, Cotangent, Cotangents, Effect, Forced, Inputs, Real, Substeps, System, check,
 };
 use rand::RngExt;
 
@@ -43,7 +44,7 @@ fn draw_large(rng: &mut Rng, x: &mut [f64], u: &mut [f64], _p: &mut [f64]) {
 }
 
 fn check_large<S: System>(system: &S) {
-    check::try_system_at(system, draw_large).unwrap_or_else(|mismatch| panic!("{mismatch}"));
+    check::system_at(system, draw_large).unwrap_or_else(|mismatch| panic!("{mismatch}"));
 }
 
 /// Returns a hundred random states of a herd.
@@ -111,7 +112,8 @@ fn derivatives_with_actuators_and_substeps_equal_dual_numbers() {
         Actuated { system: system(), actuator: vec![AnyActuator::Delay(Delay { steps: 2 })] };
     let (n, m) = (full.state_dim(), full.control_dim());
     assert_eq!((n, m), (4 * 5 + 2 * 4, 4));
-    check::task(&Guidance { horizon: 20, ..Guidance::with_system(full) }, &Linear::with_bias(n, m));
+    check::task(&Guidance { horizon: 20, ..Guidance::with_system(full) }, &Linear::with_bias(n, m))
+        .unwrap();
 }
 
 #[test]
@@ -330,7 +332,7 @@ fn obstacles_have_finite_derivatives_at_distances_from_0_to_1e308() {
     let system =
         Forced { system: GuidanceSystem { dt: 0.5, ..agents(2, 2) }, effects: obstacles() };
     for scale in [0.0, 1e-200, 1e-20, 1e-6, 1e-2] {
-        let passed = check::try_system_at(&system, |rng, x, u, p| {
+        let passed = check::system_at(&system, |rng, x, u, p| {
             draw_large(rng, x, u, p);
             for agent in x.chunks_exact_mut(4) {
                 let [a, b] = [rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0)];

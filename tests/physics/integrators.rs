@@ -1,14 +1,19 @@
 //! Integrators: derivatives, order, and documented properties.
 
+use physgrad::engine::{Cause, Variable};
+use physgrad::integrator::{
+    Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Integrator, RungeKutta, Sdirk2,
+    SemiImplicit, Verlet,
+};
 use physgrad::rng::{Purpose, stream};
+use physgrad::scalar::{Lanes, Single};
 use physgrad::tasks::{
     Bumpers, CartDamping, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole,
     DryFriction, GuidanceSystem, GustyWind, PoleDamping, SteadyWind,
 };
 use physgrad::{
-    Adaptive, AnyIntegrator, Cause, Cotangents, Discretized, Divergence, Flow, Forced,
-    ImplicitMidpoint, Inputs, Integrated, Integrator, Lanes, Ode, OdeInputs, Real, RungeKutta,
-    Scalar, Sdirk2, SemiImplicit, Single, Substeps, System, Tangents, Variable, Verlet, check,
+    Cotangents, Divergence, Flow, Forced, Inputs, Integrated, Ode, OdeInputs, Real, Scalar,
+    Substeps, System, Tangents, check,
 };
 use rand::RngExt;
 
@@ -64,13 +69,14 @@ fn derivatives_of_every_integrator_equal_dual_numbers() {
         .into_iter()
         .chain([adaptive(1e-6), adaptive(1e-3)]);
     for integrator in all {
-        check::system(&integrated(cart_pole(), integrator, 0.05));
-        check::system(&integrated(coupled(), integrator, 0.05));
-        check::system(&integrated(GuidanceSystem::default().herding(), integrator, 0.05));
-        check::system(&integrated(ByDuals, integrator, 0.1));
-        check::system(&Discretized { system: cart_pole(), integrator: Some(integrator), dt: 0.05 });
+        check::system(&integrated(cart_pole(), integrator, 0.05)).unwrap();
+        check::system(&integrated(coupled(), integrator, 0.05)).unwrap();
+        check::system(&integrated(GuidanceSystem::default().herding(), integrator, 0.05)).unwrap();
+        check::system(&integrated(ByDuals, integrator, 0.1)).unwrap();
+        check::system(&Discretized { system: cart_pole(), integrator: Some(integrator), dt: 0.05 })
+            .unwrap();
     }
-    check::system(&Discretized { system: cart_pole(), integrator: None, dt: 0.01 });
+    check::system(&Discretized { system: cart_pole(), integrator: None, dt: 0.01 }).unwrap();
 }
 
 /// Van der Pol's vector field, with derivatives by dual numbers and without declared velocities.
@@ -567,7 +573,7 @@ fn derivatives_of_bumpers_and_dry_friction_equal_dual_numbers_in_every_integrato
         vec![DryFriction::default().into(), Bumpers::default().into()];
     let rough = Forced { system: CartPoleModel::Uncoupled(poles(1)), effects };
     for (_, integrator, _) in FIXED {
-        check::system(&integrated(rough.clone(), integrator, 0.01));
+        check::system(&integrated(rough.clone(), integrator, 0.01)).unwrap();
     }
 }
 

@@ -1,5 +1,8 @@
 //! Physical numbers that vary between samples or are trained.
 
+use physgrad::count::OpCount;
+use physgrad::integrator::Adaptive;
+use physgrad::number::Choice;
 use physgrad::policy::Constant;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{
@@ -7,9 +10,10 @@ use physgrad::tasks::{
     DryFriction, GustyWind, PoleDamping, SteadyWind,
 };
 use physgrad::{
-    Adaptive, Adjoint, Choice, Cotangents, Flow, Forced, Inputs, Integrated, Number, OpCount,
-    Rollout, System, Weights, check, initial_states,
+    Adjoint, Cotangents, Flow, Forced, Inputs, Integrated, Number, Numbers, Rollout, Scalar,
+    System, Weights, check, initial_states,
 };
+use std::borrow::Cow;
 
 const RANGE: Number = Number::Uniform { low: 0.5, high: 1.5 };
 
@@ -40,11 +44,11 @@ fn effects(of: impl Fn(f64) -> Number) -> Vec<CartPoleEffect> {
 #[test]
 fn derivatives_with_respect_to_varied_numbers_equal_dual_numbers() {
     let every = |value: f64| Number::LogUniform { low: 0.5 * value, high: 2.0 * value };
-    check::system(&varied(2));
-    check::system(&CoupledCartPole(varied(2)));
+    check::system(&varied(2)).unwrap();
+    check::system(&CoupledCartPole(varied(2))).unwrap();
     for effect in effects(every) {
-        check::system(&Forced { system: varied(2), effects: effect.clone() });
-        check::system(&Forced { system: CartPoleSystem::default(), effects: effect });
+        check::system(&Forced { system: varied(2), effects: effect.clone() }).unwrap();
+        check::system(&Forced { system: CartPoleSystem::default(), effects: effect }).unwrap();
     }
     let all = Forced {
         system: CartPoleModel::Coupled(CoupledCartPole(varied(2))),
@@ -52,7 +56,7 @@ fn derivatives_with_respect_to_varied_numbers_equal_dual_numbers() {
     };
     // Numbers of the model, numbers of the effects, and t₀ of the gusts.
     assert_eq!(all.param_dim(), 4 + 12 + 1);
-    check::system(&all);
+    check::system(&all).unwrap();
 }
 
 /// Checks derivatives with respect to the parameters by central differences, without dual numbers.
@@ -214,7 +218,47 @@ fn draws_have_the_range_and_share_below_a_threshold_of_their_distribution() {
         assert!(draws.iter().all(|draw| (low..=high).contains(draw)), "{number:?}");
     }
     assert_eq!(Choice::new(&[]), None);
-    assert_eq!(Choice::new(&[0.0; 9]), None);
+    let many: Vec<f64> = (0..100).map(f64::from).collect();
+    let [one, same] = [0; 2].map(|_| Choice::new(&many).expect("values"));
+    assert_eq!((one.values(), one), (&many[..], same));
+    assert!(std::ptr::eq(one.values(), same.values()), "equal lists share their memory");
+}
+
+/// A point with twenty springs, each second one drawn.
+struct Springs(Vec<(Cow<'static, str>, Number)>);
+
+impl System for Springs {
+    fn state_dim(&self) -> usize {
+        1
+    }
+    fn control_dim(&self) -> usize {
+        0
+    }
+    fn numbers(&self) -> Numbers<'_> {
+        Numbers::all(&self.0)
+    }
+    fn step<T: Scalar>(&self, Inputs { x, p, .. }: Inputs<'_, T>, next: &mut [T]) {
+        let stiffness: [T; 20] = self.numbers().last_of(p);
+        next[0] = x[0];
+        for (i, stiffness) in stiffness.into_iter().enumerate() {
+            next[0] -= (x[0] - T::from(i as f64)) * stiffness * 1e-3;
+        }
+    }
+}
+
+#[test]
+fn a_system_has_any_number_of_varied_numbers() {
+    let number = |i: usize| if i.is_multiple_of(2) { RANGE } else { Number::Fixed(i as f64) };
+    let springs = Springs((0..20).map(|i| (format!("spring_{i}").into(), number(i))).collect());
+    assert_eq!(springs.param_dim(), 10);
+    let varied = springs.varied(12);
+    assert_eq!((varied[9].index, varied[9].name.as_str()), (11, "spring_18"));
+    check::system(&springs).unwrap();
+    let mut next = [0.0];
+    springs.step(Inputs { x: &[2.0], u: &[], p: &[1.0; 10], t: 0 }, &mut next);
+    let stiffness = |i: usize| if i.is_multiple_of(2) { 1.0 } else { i as f64 };
+    let expected = (0..20).fold(2.0, |x, i| x - (2.0 - i as f64) * stiffness(i) * 1e-3);
+    assert!((next[0] - expected).abs() < 1e-14);
 }
 
 #[test]

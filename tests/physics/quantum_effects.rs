@@ -4,6 +4,9 @@
 use super::boxes::{
     Swinging, box_of, check_lively, dipole, every_effect, every_effect_typed, lively, norm, step,
 };
+use physgrad::actuator::{Delay, Limit, LimitKind};
+use physgrad::count::{Counted, Ops};
+use physgrad::effect::HasModel;
 use physgrad::policy::Linear;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{
@@ -11,8 +14,8 @@ use physgrad::tasks::{
     Renormalized, Tabulated,
 };
 use physgrad::{
-    Actuated, Cotangents, Counted, Delay, Effect, Forced, HasModel, Inputs, Limit, LimitKind, Ops,
-    Scalar, Start, Substeps, System, Task, check, initial_states,
+    Actuated, Cotangents, Effect, Forced, Inputs, Scalar, Start, Substeps, System, Task, check,
+    initial_states,
 };
 
 #[test]
@@ -42,7 +45,7 @@ fn time_dependent_effect_depends_on_time_plus_phase() {
     assert_eq!(after(4, 0.5), after(0, 0.75));
     assert_ne!(after(4, 0.5), after(0, 0.5));
     let task = Quantum { horizon: 6, ..Quantum::with_system(system, 2) };
-    check::task(&task, &Linear::with_bias(16, 1));
+    check::task(&task, &Linear::with_bias(16, 1)).unwrap();
     let start: Vec<f64> = initial_states(&task, 0, Purpose::Train, 1);
     assert!((norm(&start[..16]) - 1.0).abs() < 1e-13 && start[16] > 0.0 && start[16] <= 1.0);
 }
@@ -76,7 +79,7 @@ fn gradients_of_rollouts_equal_dual_numbers_in_every_flow() {
         let n = system.state_dim();
         assert_eq!(n, 16 + 2);
         let task = Quantum { loss, horizon: 12, ..Quantum::with_system(system, 2) };
-        check::task(&task, &Linear::with_bias(n, 1));
+        check::task(&task, &Linear::with_bias(n, 1)).unwrap();
     }
 }
 

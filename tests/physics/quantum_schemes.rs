@@ -4,6 +4,9 @@ use super::boxes::{
     Swinging, box_of, check_lively, dipole, every_effect, every_effect_typed, largest_difference,
     lively, norm, overlap, step,
 };
+use physgrad::actuator::{Delay, Limit, LimitKind};
+use physgrad::count::{Counted, Ops};
+use physgrad::effect::ForcedSystem;
 use physgrad::policy::Linear;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{
@@ -11,8 +14,8 @@ use physgrad::tasks::{
     QuantumSystem, Strang,
 };
 use physgrad::{
-    Actuated, Cotangents, Counted, Delay, Effect, Forced, ForcedSystem, Inputs, Limit, LimitKind,
-    OdeInputs, Ops, Scalar, Substeps, System, Task, check, initial_states,
+    Actuated, Cotangents, Effect, Forced, Inputs, OdeInputs, Scalar, Substeps, System, Task, check,
+    initial_states,
 };
 use std::f64::consts::{PI, TAU};
 
@@ -52,7 +55,7 @@ fn derivatives_of_time_dependent_effects_and_wrappers_equal_dual_numbers() {
         };
         check_lively(&system);
         let task = Quantum { horizon: 6, ..Quantum::with_system(system, 2) };
-        check::task(&task, &Linear::with_bias(18, 1));
+        check::task(&task, &Linear::with_bias(18, 1)).unwrap();
     }
 }
 

@@ -5,11 +5,12 @@ use super::steps::finite;
 use super::{Case, Finding};
 use physgrad::Forced;
 use physgrad::Inputs;
+use physgrad::Integrated;
 use physgrad::Substeps;
 use physgrad::System;
 use physgrad::check::{self, Stability};
+use physgrad::integrator::{AnyIntegrator, ImplicitMidpoint, SemiImplicit};
 use physgrad::tasks::{GuidanceEffect, GuidanceSystem, Spread, Walls};
-use physgrad::{AnyIntegrator, ImplicitMidpoint, Integrated, SemiImplicit};
 
 pub(super) const CASES: &[Case] = &[Case {
     name: "guidance_close_approach",

@@ -6,10 +6,11 @@
 //! trajectories agree.
 
 use super::{Case, Finding};
+use physgrad::Integrated;
 use physgrad::System;
+use physgrad::integrator::RungeKutta;
 use physgrad::tasks::DoublePendulum;
 use physgrad::{Cotangents, Inputs, Tangents};
-use physgrad::{Integrated, RungeKutta};
 
 pub(super) const CASES: &[Case] = &[Case {
     name: "double_pendulum",

@@ -4,10 +4,11 @@ use super::step;
 use super::steps::{derivative, larger, states};
 use super::{Case, Finding};
 use physgrad::Inputs;
+use physgrad::Scalar;
 use physgrad::System;
 use physgrad::check;
+use physgrad::scalar::Dual;
 use physgrad::tasks::{BouncingBall, Contact, TwoBodies};
-use physgrad::{Dual, Scalar};
 use std::f64::consts::PI;
 
 pub(super) const CASES: &[Case] = &[Case {

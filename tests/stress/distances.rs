@@ -6,10 +6,11 @@ use super::{AnySystem, vjp};
 use super::{Case, Finding};
 use physgrad::Forced;
 use physgrad::System;
+use physgrad::scalar::Single;
 use physgrad::tasks::{
     Evade, Flock, Friction, GuidanceEffect, GuidanceSystem, Obstacles, Spread, Walls,
 };
-use physgrad::{Float, Real, Scalar, Single};
+use physgrad::{Float, Real, Scalar};
 use physgrad::{Inputs, Tangents};
 
 pub(super) const CASES: &[Case] = &[Case {

@@ -3,11 +3,12 @@
 use super::step;
 use super::steps::larger;
 use super::{Case, Finding};
+use physgrad::Integrated;
 use physgrad::Ode;
 use physgrad::Scalar;
+use physgrad::integrator::{Integrator, RungeKutta, SemiImplicit};
 use physgrad::tasks::{CartPoleSystem, DoublePendulum, PoleChain};
 use physgrad::{Inputs, OdeInputs};
-use physgrad::{Integrated, Integrator, RungeKutta, SemiImplicit};
 use std::f64::consts::PI;
 
 pub(super) const CASES: &[Case] = &[Case {

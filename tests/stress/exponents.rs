@@ -1,15 +1,15 @@
 //! Stress case: adjoints that explode or vanish far beyond the floating-point range.
 
 use super::{Case, Finding};
-use physgrad::Batch;
-use physgrad::ExtendedF64;
 use physgrad::Field;
 use physgrad::Flow;
 use physgrad::Gradient;
 use physgrad::System;
 use physgrad::Task;
+use physgrad::engine::Batch;
 use physgrad::policy::{Linear, Weights};
 use physgrad::rng::Rng;
+use physgrad::scalar::ExtendedF64;
 use physgrad::{Float, Scalar};
 use physgrad::{Inputs, Start};
 

@@ -1,16 +1,18 @@
 //! Stress case: location of non-finite values, and skipped updates.
 
 use super::{Case, Finding};
-use physgrad::Batch;
-use physgrad::Cause;
+use physgrad::Divergence;
 use physgrad::Field;
 use physgrad::Flow;
 use physgrad::Scalar;
 use physgrad::Task;
+use physgrad::effect::ForcedSystem;
+use physgrad::engine::Batch;
+use physgrad::engine::Cause;
+use physgrad::engine::Variable;
 use physgrad::policy::{Linear, Weights};
 use physgrad::rng::{Purpose, Rng, stream};
-use physgrad::{Divergence, Variable};
-use physgrad::{Effect, Forced, ForcedSystem};
+use physgrad::{Effect, Forced};
 use physgrad::{Inputs, OdeInputs, Start};
 use physgrad::{Trainer, Training};
 use rand::RngExt;

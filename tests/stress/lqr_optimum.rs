@@ -1,12 +1,12 @@
 //! Stress case: all fields vanish at the optimum of the linear-quadratic regulator.
 
 use super::{Case, Finding};
-use physgrad::Batch;
 use physgrad::Field;
 use physgrad::Flow;
 use physgrad::Gradient;
 use physgrad::System;
 use physgrad::Task;
+use physgrad::engine::Batch;
 use physgrad::initial_states;
 use physgrad::policy::{Linear, Weights};
 use physgrad::rng::Purpose;

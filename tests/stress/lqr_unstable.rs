@@ -7,19 +7,20 @@
 //! components of M that agree in sign with R.
 
 use super::{Case, Finding};
-use physgrad::Batch;
+use physgrad::Clip;
 use physgrad::Field;
-use physgrad::Growth;
 use physgrad::Inputs;
 use physgrad::Rollout;
 use physgrad::System;
 use physgrad::Task;
+use physgrad::engine::Batch;
+use physgrad::engine::Growth;
 use physgrad::initial_states;
 use physgrad::policy::{Linear, Weights};
 use physgrad::rng::Purpose;
 use physgrad::tasks::Lqr;
+use physgrad::train::OptimizerKind;
 use physgrad::{Adjoint, Flow};
-use physgrad::{Clip, OptimizerKind};
 use physgrad::{Trainer, Training};
 
 pub(super) const CASES: &[Case] = &[Case {

@@ -21,7 +21,8 @@ mod quantum_plateau;
 mod random_states;
 mod steps;
 
-use physgrad::{Cotangent as _, CotangentPack, Cotangents, Inputs, Real, Scalar, System, Tangents};
+use physgrad::scalar::CotangentPack;
+use physgrad::{Cotangent as _, Cotangents, Inputs, Real, Scalar, System, Tangents};
 use std::fmt;
 
 /// Numerically difficult problem with a pass criterion.

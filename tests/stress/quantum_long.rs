@@ -7,9 +7,10 @@ use physgrad::Substeps;
 use physgrad::System;
 use physgrad::Task;
 use physgrad::rng::{Purpose, stream};
+use physgrad::scalar::Single;
 use physgrad::tasks::{Quantum, QuantumSystem, Renormalized};
 use physgrad::{Cotangents, Inputs, Start};
-use physgrad::{Float, Real, Single};
+use physgrad::{Float, Real};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 

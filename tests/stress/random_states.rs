@@ -4,12 +4,13 @@ use super::steps::{error, finite, larger, vjp_by_jvps};
 use super::{AnySystem, vjp};
 use super::{Case, Finding};
 use physgrad::Inputs;
+use physgrad::Real;
 use physgrad::rng::{Purpose, Rng, stream};
+use physgrad::scalar::Single;
 use physgrad::tasks::{
     BouncingBall, CartPoleSystem, Contact, CoupledCartPole, FrictionScheme, GuidanceSystem,
     QuantumSystem, Renormalized, SliderSystem, TwoBodies,
 };
-use physgrad::{Real, Single};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 

@@ -20,11 +20,16 @@ pub use crate::commands::accuracy::{Cheapest, Errors, Measured, Metric, Row, Set
 pub use crate::runs::run::{EpochEvent, Observer};
 pub use crate::settings::Precision;
 pub use memory::{TooLarge, fits};
-pub use physgrad::Trajectories;
-pub use physgrad::threads;
+pub use physgrad::engine::threads;
+pub use physgrad::train::Trajectories;
 pub use policy::{Policy, Precise};
 pub use run::Run;
 pub use scene::Scene;
+
+/// Names of all tasks, each of which is also the name of a preset.
+pub fn task_names() -> Vec<&'static str> {
+    crate::tasks::all().iter().map(|task| task.name()).collect()
+}
 
 /// Replaces the file at this path as a whole, by a temporary file beside it.
 ///

@@ -4,10 +4,11 @@ use super::{Scene, fits};
 use crate::operations::policy_file;
 use crate::tasks::DynPolicy;
 use anyhow::{Result, anyhow, bail};
-use physgrad::any::AnyTask;
+use physgrad::engine::any::AnyTask;
 use physgrad::policy::AnyPolicy;
 use physgrad::rng::{Purpose, stream};
-use physgrad::{DynTask, Field, Float, Rollout, Trajectories, Weights, calls};
+use physgrad::train::{Trajectories, calls};
+use physgrad::{DynTask, Field, Float, Rollout, Weights};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 

@@ -8,7 +8,8 @@ use crate::runs::run::{self, End, NoUpdate, Observer, SAVE_EVERY};
 use crate::runs::saved;
 use crate::scenes::source::SceneSource;
 use anyhow::{Context, Result};
-use physgrad::{Record, TrainError};
+use physgrad::TrainError;
+use physgrad::train::Record;
 use std::path::{Path, PathBuf};
 use toml::Value;
 

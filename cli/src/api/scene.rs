@@ -8,7 +8,7 @@ use crate::scenes::source::SceneSource;
 use crate::settings::Precision;
 use crate::tasks::{self, scene::INITIAL_POLICY};
 use anyhow::{Context, Result, bail};
-use physgrad::append_starts;
+use physgrad::engine::append_starts;
 use physgrad::identify::{Fit, IdentifyError, Options, Segment};
 use physgrad::rng::Purpose;
 use physgrad::{DynTask, Float, Number, System, Task};

@@ -5,7 +5,7 @@ use crate::platform::terminal::{did_you_mean, print_result, wrapped};
 use crate::settings::{ACTUATORS, Info};
 use crate::tasks::{self, AnyTaskSpec};
 use anyhow::{Result, bail};
-use physgrad::Ops;
+use physgrad::count::Ops;
 use serde_json::{Value, json};
 use std::fmt::Write;
 use toml::Table;

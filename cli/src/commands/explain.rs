@@ -9,7 +9,8 @@ use crate::scenes::presets;
 use crate::settings::{ACTUATORS, Info, OPTIONAL};
 use crate::tasks::Scene;
 use anyhow::Result;
-use physgrad::{Field, OpCount, Ops};
+use physgrad::Field;
+use physgrad::count::{OpCount, Ops};
 use serde_json::{Value, json};
 
 /// List the present and absent effects of a scene, and count operations and stored bytes.

@@ -171,7 +171,7 @@ mod tests {
         let task = TYPE::default();
         let observations = task.observation_dim().unwrap_or(task.state_dim());
         // Also checks the step and the costs, in states of rollouts.
-        check::task(&task, &Mlp::new([observations, 16, task.control_dim()]));
+        check::task(&task, &Mlp::new([observations, 16, task.control_dim()])).unwrap();
     }
 }
 ";

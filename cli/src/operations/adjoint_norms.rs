@@ -1,6 +1,6 @@
 //! Norms of the adjoints along a rollout.
 
-use physgrad::any::AnyTask;
+use physgrad::engine::any::AnyTask;
 use physgrad::policy::AnyPolicy;
 use physgrad::{Adjoint, Divergence, Float, Flow, Rollout, Weights};
 

@@ -5,7 +5,7 @@ use crate::operations::trajectory;
 use crate::platform::table::Table;
 use crate::platform::terminal::{print_text, progress_bar};
 use indicatif::ProgressBar;
-use physgrad::check::{self, Failure, Jumps, Kink, Passed, Plateau, Stability};
+use physgrad::check::{self, Failure, Finding, Jumps, Kink, Passed, Plateau, Stability};
 use physgrad::rng::Purpose;
 use physgrad::text::rough;
 use physgrad::{Divergence, DynTask, Flow, Inputs, Policy, System, Task, Weights, initial_states};
@@ -27,19 +27,17 @@ pub fn check(
     let system = task.system();
     let (n, m) = (system.state_dim(), system.control_dim());
     let before = results.failures.len();
-    let diverges = |failure: &Failure| matches!(failure, Failure::Diverged { .. });
+    let diverges = |failure: &Failure| matches!(failure.finding, Finding::Diverged { .. });
     let along =
-        results.add(&format!("{variant}: system"), || check::try_system_along(task, policy, theta));
+        results.add(&format!("{variant}: system"), || check::system_along(task, policy, theta));
     if along.as_ref().is_some_and(diverges) {
         results.skip(&format!("{variant}: costs"));
     } else {
-        results.add(&format!("{variant}: costs"), || check::try_cost_along(task, policy, theta));
+        results.add(&format!("{variant}: costs"), || check::cost_along(task, policy, theta));
     }
     // Skips the policy check if the dimensions did not change since the last variant.
     if results.dims.replace((n, m)) != Some((n, m)) {
-        results.add(&format!("{variant}: network"), || {
-            check::try_policy(policy).map_err(Failure::from)
-        });
+        results.add(&format!("{variant}: network"), || check::policy(policy));
     }
     let mut first: Option<usize> = None;
     for flow in Flow::ALL {
@@ -48,10 +46,7 @@ pub fn check(
             results.skip(&name);
             continue;
         }
-        let failed = results.add(&name, || match theta {
-            Some(theta) => check::try_flow_at(task, policy, flow, theta),
-            None => check::try_flow(task, policy, flow),
-        });
+        let failed = results.add(&name, || check::flow(task, policy, flow, theta));
         match (failed, first) {
             (Some(_), Some(index)) => {
                 results.failures.pop();

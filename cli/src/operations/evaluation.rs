@@ -3,7 +3,7 @@
 use crate::operations::trajectory::{self, Trajectory};
 use crate::settings::Precision;
 use anyhow::{Result, bail};
-use physgrad::any::AnyTask;
+use physgrad::engine::any::AnyTask;
 use physgrad::policy::AnyPolicy;
 use physgrad::rng::{Purpose, stream};
 use physgrad::{DynTask, Float, Policy, Rollout, Weights, initial_states};

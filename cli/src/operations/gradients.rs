@@ -3,11 +3,12 @@
 use crate::operations::seconds_per_run;
 use crate::platform::parallel;
 use crate::settings::Precision;
-use physgrad::any::AnyTask;
+use physgrad::engine::Batch;
+use physgrad::engine::any::AnyTask;
 use physgrad::policy::AnyPolicy;
 use physgrad::rng::Purpose;
 use physgrad::{
-    Batch, DynTask, Field, Float, Flow, Gradient, Policy, Rollout, Weights, check, initial_states,
+    DynTask, Field, Float, Flow, Gradient, Policy, Rollout, Weights, check, initial_states,
 };
 use std::sync::Arc;
 

@@ -1,7 +1,8 @@
 //! Identification of the trained numbers of a scene.
 
 use physgrad::identify::{Fit, IdentifyError, Options, Segment, Unknown, identify};
-use physgrad::{DynTask, Inputs, Number, System, Task, Varied};
+use physgrad::number::Varied;
+use physgrad::{DynTask, Inputs, Number, System, Task};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 /// Fits the trained numbers of a task to measured segments. `names` are the names of the parameters

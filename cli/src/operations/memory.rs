@@ -2,8 +2,9 @@
 
 use crate::operations::trajectory::ROLLOUTS;
 use crate::settings::Precision;
-use physgrad::any::AnyTask;
-use physgrad::{Batch, DynTask, Float, Flow, Policy, Schedule, System, Task};
+use physgrad::engine::any::AnyTask;
+use physgrad::engine::{Batch, Schedule};
+use physgrad::{DynTask, Float, Flow, Policy, System, Task};
 
 /// Memory of a run, in bytes.
 pub struct Needs {

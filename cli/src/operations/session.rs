@@ -6,11 +6,10 @@ use crate::operations::policy_file::{self, About};
 use crate::operations::trajectory::{self, Trajectory};
 use crate::settings::Precision;
 use anyhow::Result;
-use physgrad::any::AnyTask;
-use physgrad::{
-    CheckpointError, DynTask, Field, Float, Policy, Ranks, Record, Session, Task, TrainError,
-    Trainer, Training, Warning, Weights,
-};
+use physgrad::engine::Ranks;
+use physgrad::engine::any::AnyTask;
+use physgrad::train::{CheckpointError, Record, Session, Warning};
+use physgrad::{DynTask, Field, Float, Policy, Task, TrainError, Trainer, Training, Weights};
 use std::ops::Range;
 use std::sync::Arc;
 

@@ -2,12 +2,12 @@
 
 use crate::operations::seconds_per_run;
 use crate::settings::Precision;
-use physgrad::any::AnyTask;
+use physgrad::count::OpCount;
+use physgrad::engine::any::AnyTask;
 use physgrad::policy::AnyPolicy;
 use physgrad::rng::Purpose;
 use physgrad::{
-    Adjoint, DynTask, Float, Flow, Gradient, OpCount, Policy, Rollout, Task, Weights,
-    initial_states,
+    Adjoint, DynTask, Float, Flow, Gradient, Policy, Rollout, Task, Weights, initial_states,
 };
 
 /// Number of samples in the rollout: one full block of lanes.

@@ -1,8 +1,9 @@
 //! Trajectories of a policy, independent of task and policy types.
 
-use physgrad::any::AnyTask;
+use physgrad::engine::Variable;
+use physgrad::engine::any::AnyTask;
 use physgrad::policy::AnyPolicy;
-use physgrad::{Divergence, Float, Rollout, Variable, Weights};
+use physgrad::{Divergence, Float, Rollout, Weights};
 use std::ops::Range;
 
 /// Largest number of test rollouts in the `trajectory.csv` of a run.

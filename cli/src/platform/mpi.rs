@@ -6,7 +6,7 @@ use mpi::datatype::{Partition, PartitionMut};
 use mpi::environment::Universe;
 use mpi::topology::SimpleCommunicator;
 use mpi::traits::{Communicator, CommunicatorCollectives};
-use physgrad::Ranks;
+use physgrad::engine::Ranks;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Handle of the running MPI library. None before [`start`] and after [`end`].

@@ -1,7 +1,7 @@
 //! Threads, and a parallel map. Limits monomorphization: only a non-generic function calls rayon.
 
 use anyhow::{Result, anyhow, bail};
-use physgrad::threads;
+use physgrad::engine::threads;
 use rayon::ThreadPoolBuilder;
 use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};

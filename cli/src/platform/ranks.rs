@@ -3,7 +3,7 @@
 #[cfg(feature = "mpi")]
 use crate::platform::mpi;
 use anyhow::{Result, bail};
-use physgrad::Ranks;
+use physgrad::engine::Ranks;
 use std::sync::Arc;
 
 /// Environment variables with the number of ranks. Open MPI sets the first, MPICH and Slurm set the

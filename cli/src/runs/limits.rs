@@ -2,8 +2,9 @@
 
 use crate::scenes::source::SceneSource;
 use crate::tasks::Scene;
+use physgrad::Number;
 use physgrad::text::digits;
-use physgrad::{Number, Warning};
+use physgrad::train::Warning;
 
 /// Kind of the warnings. There is one per number.
 const KIND: &str = "number outside of its range";

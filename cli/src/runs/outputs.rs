@@ -4,7 +4,7 @@ use crate::operations::trajectory::Trajectory;
 use crate::platform::csv::csv;
 use crate::tasks::Scene;
 use anyhow::Result;
-use physgrad::Record;
+use physgrad::train::Record;
 use physgrad_plot as report;
 
 /// SVG chart of training and test loss over epochs.

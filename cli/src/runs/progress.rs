@@ -3,7 +3,7 @@
 use super::run::{EpochEvent, Observer};
 use crate::platform::terminal::{bar_width, plain, print_message, progress_bar};
 use indicatif::ProgressBar;
-use physgrad::Growth;
+use physgrad::engine::Growth;
 use physgrad::text::short;
 
 /// Progress bar with losses, elapsed time and ETA. Without a terminal, prints at most one line of

@@ -4,7 +4,7 @@ use crate::operations::session::{AnyRun, Epoch};
 use crate::scenes::presets;
 use crate::tasks::Scene;
 use anyhow::Result;
-use physgrad::Record;
+use physgrad::train::Record;
 use toml::Value;
 
 const EPOCHS: usize = 3;

@@ -10,8 +10,8 @@ use crate::scenes::presets;
 use crate::scenes::source::SceneSource;
 use crate::tasks::{Scene, scene};
 use anyhow::{Context, Result, bail};
-use physgrad::differences;
 use physgrad::text::digits;
+use physgrad::train::differences;
 use std::path::PathBuf;
 
 /// Returns whether the folder contains a run.

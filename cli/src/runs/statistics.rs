@@ -1,8 +1,9 @@
 //! Statistics over runs with several seeds: tables and learning curves.
 
+use physgrad::Field;
 use physgrad::rng::{Purpose, stream};
 use physgrad::text::short;
-use physgrad::{Field, Record};
+use physgrad::train::Record;
 use physgrad_plot::quantile::{quantile, sorted};
 use physgrad_plot::{Curve, Dash, Point, field_color};
 use rand::RngExt;

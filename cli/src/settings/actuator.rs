@@ -2,7 +2,9 @@
 
 use crate::settings::Info;
 use crate::settings::config_error::{ConfigError, count, positive};
-use physgrad::{Actuated, Actuator, AnyActuator, Delay, Lag, Limit, System};
+use physgrad::Inputs;
+use physgrad::actuator::{Actuator, AnyActuator, Delay, Lag, Limit};
+use physgrad::{Actuated, System};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -90,7 +92,7 @@ impl ActuatorSettings {
             // The actuator's state is the last part of the state.
             let internal = &state[state.len() - chain.state_dim(control.len())..];
             let (mut internal_next, mut applied) = (internal.to_vec(), control.clone());
-            chain.step(internal, control, &mut internal_next, &mut applied);
+            chain.step(Inputs::new(internal, control), &mut internal_next, &mut applied);
             applied
         };
         states.iter().zip(controls).map(step).collect()

@@ -2,10 +2,11 @@
 
 use crate::settings::Precision;
 use crate::settings::config_error::{ConfigError, allowed, count, positive};
-use physgrad::{
-    Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Ode, RungeKutta, Sdirk2, SemiImplicit,
-    Substeps, System, Verlet,
+use physgrad::integrator::{
+    Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, RungeKutta, Sdirk2, SemiImplicit,
+    Verlet,
 };
+use physgrad::{Ode, Substeps, System};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 

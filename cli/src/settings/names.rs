@@ -1,7 +1,8 @@
 //! Settings with a fixed set of values.
 
+use physgrad::Field;
 use physgrad::policy::Activation;
-use physgrad::{Field, OptimizerKind};
+use physgrad::train::OptimizerKind;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::{Deserializer, Error, Visitor};
 use serde::{Deserialize, Serialize};
@@ -79,7 +80,7 @@ impl JsonSchema for FieldName {
 }
 
 impl TryFrom<String> for FieldName {
-    type Error = physgrad::UnknownField;
+    type Error = physgrad::train::UnknownField;
     fn try_from(name: String) -> Result<Self, Self::Error> {
         name.parse().map(Self)
     }

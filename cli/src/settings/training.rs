@@ -2,7 +2,8 @@
 
 use crate::settings::config_error::{ConfigError, allowed, count, positive};
 use crate::settings::{ClipName, DecayName, EstimatorName, OptimizerName};
-use physgrad::{Clip, Decay, Estimator, Field, Flow, Smoothing, Training};
+use physgrad::train::{Decay, Estimator, Smoothing};
+use physgrad::{Clip, Field, Flow, Training};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 

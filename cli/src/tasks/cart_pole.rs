@@ -7,11 +7,12 @@ use crate::settings::config_error::{
 };
 use crate::tasks::effects::{EffectsSection, Present, effects_section};
 use crate::tasks::{Conserved, MlpSettings, SceneEffects, Settings, TaskSpec};
+use physgrad::effect::{HasModel, Named};
 use physgrad::tasks::{
     self, Bumpers, CartDamping, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole,
     DryFriction, GustyWind, LossMode, PoleDamping, SteadyWind,
 };
-use physgrad::{DynTask, Effect, Forced, HasModel, Named, Number, System};
+use physgrad::{DynTask, Effect, Forced, Number, System};
 use physgrad_plot::{Animation, Rail};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -2,7 +2,7 @@
 
 use crate::settings::Info;
 use crate::settings::config_error::ConfigError;
-use physgrad::Named;
+use physgrad::effect::Named;
 
 /// An `effects` section.
 pub trait EffectsSection {
@@ -65,7 +65,7 @@ macro_rules! effects_section {
         where
             $(E: From<$effect>),*
         {
-            fn present(&self) -> Vec<physgrad::Named<E>> {
+            fn present(&self) -> Vec<physgrad::effect::Named<E>> {
                 let effects = [
                     $(crate::tasks::effects::named(concat!("effects.", stringify!($key)), self.$key.clone())),*
                 ];

@@ -5,11 +5,12 @@ use crate::settings::Method;
 use crate::settings::config_error::{ConfigError, allowed, count, finite, not_negative, positive};
 use crate::tasks::effects::{EffectsSection, effects_section, named};
 use crate::tasks::{MlpSettings, SceneEffects, Settings, TaskSpec};
+use physgrad::effect::{HasModel, Named};
 use physgrad::tasks::{
     self, Drive, Evade, Flock, Friction, GuidanceEffect, GuidanceSystem, LossMode, Obstacles,
     Spread, Walls,
 };
-use physgrad::{DynTask, Forced, HasModel, Named, System};
+use physgrad::{DynTask, Forced, System};
 use physgrad_plot::{Animation, Field};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -22,8 +22,9 @@ use crate::settings::Info;
 use crate::settings::config_error::{ConfigError, not_negative};
 use crate::tasks::effects::EffectsSection;
 use crate::tasks::{Settings, TaskSpec};
+use physgrad::integrator::{AnyIntegrator, RungeKutta};
 use physgrad::tasks::{LossMode, Upright};
-use physgrad::{AnyIntegrator, DynTask, Integrated, Ode, RungeKutta, Task};
+use physgrad::{DynTask, Integrated, Ode, Task};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
@@ -87,6 +88,7 @@ fn upright<K: TaskSpec<Loss = UprightLoss>, O: Ode>(
     ode: O,
     first_angle: usize,
     start: Start,
+    control_bound: f64,
 ) -> Upright<Integrated<O, AnyIntegrator>> {
     let UprightLoss { mode: loss, control_weight } = settings.loss;
     let default = AnyIntegrator::RungeKutta(RungeKutta::RK4);
@@ -96,7 +98,8 @@ fn upright<K: TaskSpec<Loss = UprightLoss>, O: Ode>(
         Start::Hanging => (PI, PI / 6.0),
         Start::Upright => (0.0, 0.05),
     };
-    Upright { system, first_angle, from, spread, loss, control_weight, horizon: settings.horizon }
+    let horizon = settings.horizon;
+    Upright { system, first_angle, from, spread, loss, control_weight, control_bound, horizon }
 }
 
 fn validate_upright<K: TaskSpec<Loss = UprightLoss>>(

@@ -2,7 +2,8 @@
 
 use crate::settings::config_error::ConfigError;
 use crate::settings::reading::is_number;
-use physgrad::{Numbers, Varied};
+use physgrad::Numbers;
+use physgrad::number::Varied;
 use toml::{Table, Value};
 
 /// Owner of the numbers.

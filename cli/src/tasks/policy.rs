@@ -3,8 +3,9 @@
 use crate::settings::ActivationName;
 use crate::settings::config_error::{ConfigError, allowed};
 use crate::tasks::Section;
+use physgrad::number::Varied;
 use physgrad::policy::{Mlp, TrainedParam};
-use physgrad::{Number, Policy, Varied};
+use physgrad::{Number, Policy};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 

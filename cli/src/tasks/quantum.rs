@@ -7,12 +7,13 @@ use crate::settings::config_error::{
 };
 use crate::tasks::effects::{EffectsSection, effects_section, named};
 use crate::tasks::{Conserved, PolicySpec, SceneEffects, Settings, TaskSpec};
+use physgrad::effect::Named;
 use physgrad::policy::Conv;
 use physgrad::tasks::{
     self, Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, LossMode,
     Pade, QuantumEffect, QuantumScheme, QuantumSystem, Strang, Tabulated,
 };
-use physgrad::{DynTask, Forced, Named, Substeps};
+use physgrad::{DynTask, Forced, Substeps};
 use physgrad_plot::{Animation, Landscape};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

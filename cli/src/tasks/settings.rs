@@ -10,8 +10,9 @@ use crate::settings::{
 use crate::tasks::effects::Present;
 use crate::tasks::policy::trained;
 use crate::tasks::{self, PolicySpec, SceneEffects, TaskSpec};
+use physgrad::effect::{DynEffect, Named};
 use physgrad::policy::WithParams;
-use physgrad::{DynEffect, DynSystem, DynTask, Field, Named, System, Task};
+use physgrad::{DynSystem, DynTask, Field, System, Task};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};

@@ -1,7 +1,8 @@
 //! Interface of the program: output files, CSV headers, messages, exit codes.
 
 use crate::running::{SMALL, error_of, physgrad, train};
-use physgrad::{Session, policy::Mlp, tasks::CartPole};
+use physgrad::train::Session;
+use physgrad::{policy::Mlp, tasks::CartPole};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;

@@ -2,11 +2,12 @@
 //! `physgrad check`.
 
 use assert_cmd::Command;
+use physgrad::count::{OpCount, TaskOpCount};
 use physgrad::policy::Mlp;
 use physgrad::tasks::{
     CartPole, CartPoleEffect, CartPoleSystem, CoupledCartPole, DryFriction, PoleDamping,
 };
-use physgrad::{Adjoint, Field, Forced, OpCount, Rollout, System, TaskOpCount};
+use physgrad::{Adjoint, Field, Forced, Rollout, System};
 use std::fs;
 use tempfile::TempDir;
 
@@ -76,8 +77,9 @@ fn operation_counts_of_each_effect_equal_those_of_the_library() {
         count(vec![PoleDamping::default().into()]),
         count(vec![PoleDamping::default().into(), DryFriction::default().into()]),
     );
-    let of = |pass: &str, counts: physgrad::Ops| {
-        let physgrad::Ops { add, negate, multiply, divide, sqrt, transcendental, compare } = counts;
+    let of = |pass: &str, counts: physgrad::count::Ops| {
+        let physgrad::count::Ops { add, negate, multiply, divide, sqrt, transcendental, compare } =
+            counts;
         let numbers =
             [counts.total(), add, negate, multiply, divide, sqrt, transcendental, compare];
         [pass.to_owned()]

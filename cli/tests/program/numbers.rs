@@ -332,8 +332,9 @@ fn recordings_begin_at_their_time() {
 
 /// Free swings of the pendulum of the scene, `[t, θ, ω]` every `dt` in s.
 fn swings(theta: f64, steps: usize, dt: f64) -> Vec<[f64; 3]> {
+    use physgrad::integrator::RungeKutta;
     use physgrad::tasks::{Arm, MultiPendulum};
-    use physgrad::{Inputs, Integrated, RungeKutta, System};
+    use physgrad::{Inputs, Integrated, System};
     let arm = Arm { center: 0.15.into(), viscous: 0.004.into(), ..Arm::default() };
     let system = Integrated {
         ode: MultiPendulum { arms: vec![arm], gravity: 9.81.into() },

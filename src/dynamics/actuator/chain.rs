@@ -1,7 +1,7 @@
 //! Chains of actuators chosen at run time.
 
 use super::{Actuator, Controls, OutputCotangents, STACK};
-use crate::dynamics::inputs::add;
+use crate::dynamics::inputs::{Cotangents, Inputs, add};
 use crate::dynamics::outline::outline;
 use crate::numbers::kernels::Vectorized;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
@@ -14,67 +14,69 @@ impl<A: Actuator> Actuator for Vec<A> {
         self.iter().map(|actuator| actuator.state_dim(controls)).sum()
     }
 
+    /// The range of the first actuator that has one.
+    fn range(&self) -> Option<[f64; 2]> {
+        self.iter().find_map(Actuator::range)
+    }
+
     #[inline(always)]
     fn is_identity(&self) -> bool {
         self.is_empty()
     }
 
     #[inline(always)]
-    fn step<T: Scalar>(&self, state: &[T], u: &[T], next_state: &mut [T], out: &mut [T]) {
-        outline::<T>(Step { chain: self, state, u, next_state, out });
+    fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T], out: &mut [T]) {
+        outline::<T>(ChainStep { chain: self, inputs, next, out });
     }
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(
         &self,
-        state: &[R],
-        u: &[R],
+        inputs: Inputs<'_, R>,
         next_bar: OutputCotangents<'_, C>,
-        state_bar: Option<&mut [C]>,
-        u_bar: Option<&mut [C]>,
+        cotangents: Cotangents<'_, C>,
     ) {
-        outline::<R>(Reverse { chain: self, state, u, next_bar, state_bar, u_bar });
+        outline::<R>(ChainVjp { chain: self, inputs, next_bar, cotangents });
     }
 }
 
 /// Outlined [`Actuator::step`] of a chain.
-struct Step<'a, A, T> {
+struct ChainStep<'a, A, T> {
     chain: &'a [A],
-    state: &'a [T],
-    u: &'a [T],
-    next_state: &'a mut [T],
+    inputs: Inputs<'a, T>,
+    next: &'a mut [T],
     out: &'a mut [T],
 }
 
-impl<A: Actuator, T: Scalar> Vectorized for Step<'_, A, T> {
+impl<A: Actuator, T: Scalar> Vectorized for ChainStep<'_, A, T> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        let Self { chain, mut state, u, mut next_state, out } = self;
+        let Self { chain, inputs: Inputs { x: mut state, u, .. }, next: mut next_state, out } =
+            self;
         out.copy_from_slice(u);
         for actuator in chain {
             let n = actuator.state_dim(u.len());
             let before: Controls<T> = SmallVec::from_slice(out);
             let (here, rest) = next_state.split_at_mut(n);
-            actuator.step(&state[..n], &before, here, out);
+            actuator.step(Inputs::new(&state[..n], &before), here, out);
             (state, next_state) = (&state[n..], rest);
         }
     }
 }
 
 /// Outlined [`Actuator::vjp`] of a chain.
-struct Reverse<'a, A, R, C> {
+struct ChainVjp<'a, A, R, C> {
     chain: &'a [A],
-    state: &'a [R],
-    u: &'a [R],
+    inputs: Inputs<'a, R>,
     next_bar: OutputCotangents<'a, C>,
-    state_bar: Option<&'a mut [C]>,
-    u_bar: Option<&'a mut [C]>,
+    cotangents: Cotangents<'a, C>,
 }
 
-impl<A: Actuator, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, A, R, C> {
+impl<A: Actuator, R: Real, C: Cotangent<R>> Vectorized for ChainVjp<'_, A, R, C> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        let Self { chain, state, u, next_bar, mut state_bar, u_bar } = self;
+        let Self { chain, inputs: Inputs { x: state, u, .. }, next_bar, cotangents } = self;
+        let Cotangents { x: mut state_bar, u: u_bar, .. } = cotangents;
         // Recomputes the input of every actuator, but not the output of the last.
         let m = u.len();
         let mut given: SmallVec<[R; 4 * STACK]> = SmallVec::from_slice(u);
@@ -83,12 +85,8 @@ impl<A: Actuator, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, A, R, C> 
             let n = actuator.state_dim(m);
             let mut next_state: SmallVec<[R; 4 * STACK]> = smallvec![R::zero(); n];
             let mut out: Controls<R> = smallvec![R::zero(); m];
-            actuator.step(
-                &state[begin..begin + n],
-                &given[given.len() - m..],
-                &mut next_state,
-                &mut out,
-            );
+            let inputs = Inputs::new(&state[begin..begin + n], &given[given.len() - m..]);
+            actuator.step(inputs, &mut next_state, &mut out);
             given.extend_from_slice(&out);
             begin += n;
         }
@@ -98,13 +96,15 @@ impl<A: Actuator, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, A, R, C> 
         for (i, actuator) in chain.iter().enumerate().rev() {
             let given = &given[i * m..][..m];
             let begin = end - actuator.state_dim(m);
-            let cotangents = OutputCotangents { state: &next_bar.state[begin..end], out: &out_bar };
-            let here = state_bar.as_deref_mut().map(|state_bar| &mut state_bar[begin..end]);
+            let inputs = Inputs::new(&state[begin..end], given);
+            let next_bar = OutputCotangents { state: &next_bar.state[begin..end], out: &out_bar };
+            let x = state_bar.as_deref_mut().map(|state_bar| &mut state_bar[begin..end]);
             if i == 0 {
-                return actuator.vjp(&state[begin..end], given, cotangents, here, u_bar);
+                return actuator.vjp(inputs, next_bar, Cotangents { x, u: u_bar, p: None });
             }
             before_bar.fill(C::null());
-            actuator.vjp(&state[begin..end], given, cotangents, here, Some(&mut before_bar));
+            let cotangents = Cotangents { x, u: Some(&mut before_bar), p: None };
+            actuator.vjp(inputs, next_bar, cotangents);
             std::mem::swap(&mut out_bar, &mut before_bar);
             end = begin;
         }

@@ -1,7 +1,7 @@
 //! Built-in actuators: [`Limit`], [`Lag`], [`Delay`], and [`AnyActuator`], a choice at run time.
 
 use super::{Actuator, OutputCotangents};
-use crate::dynamics::inputs::add;
+use crate::dynamics::inputs::{Cotangents, Inputs, add};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
@@ -39,10 +39,14 @@ impl Actuator for Limit {
         0
     }
 
+    fn range(&self) -> Option<[f64; 2]> {
+        Some([-self.bound, self.bound])
+    }
+
     #[inline(always)]
-    fn step<T: Scalar>(&self, _state: &[T], u: &[T], _next_state: &mut [T], out: &mut [T]) {
+    fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, _next: &mut [T], out: &mut [T]) {
         let bound = T::from(self.bound);
-        for (out, &u) in zip(out.iter_mut(), u) {
+        for (out, &u) in zip(out.iter_mut(), inputs.u) {
             *out = match self.kind {
                 LimitKind::Smooth => bound * (u * (1.0 / self.bound)).tanh(),
                 // `min` and `max` return their argument if an operand is NaN, so NaN propagates.
@@ -54,12 +58,11 @@ impl Actuator for Limit {
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(
         &self,
-        _state: &[R],
-        u: &[R],
+        inputs: Inputs<'_, R>,
         next_bar: OutputCotangents<'_, C>,
-        _state_bar: Option<&mut [C]>,
-        u_bar: Option<&mut [C]>,
+        cotangents: Cotangents<'_, C>,
     ) {
+        let (u, u_bar) = (inputs.u, cotangents.u);
         for ((u_bar, &out_bar), &u) in zip(zip(u_bar.into_iter().flatten(), next_bar.out), u) {
             *u_bar += match self.kind {
                 LimitKind::Smooth => {
@@ -105,24 +108,22 @@ impl Actuator for Lag {
     }
 
     #[inline(always)]
-    fn step<T: Scalar>(&self, state: &[T], u: &[T], next_state: &mut [T], out: &mut [T]) {
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T], out: &mut [T]) {
         let share = T::from(self.share);
-        for (((next_state, out), &state), &u) in zip(zip(zip(next_state.iter_mut(), out), state), u)
-        {
-            *next_state = state + (u - state) * share;
-            *out = *next_state;
+        for (((next, out), &state), &u) in zip(zip(zip(next.iter_mut(), out), x), u) {
+            *next = state + (u - state) * share;
+            *out = *next;
         }
     }
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(
         &self,
-        _state: &[R],
-        _u: &[R],
+        _inputs: Inputs<'_, R>,
         next_bar: OutputCotangents<'_, C>,
-        state_bar: Option<&mut [C]>,
-        u_bar: Option<&mut [C]>,
+        cotangents: Cotangents<'_, C>,
     ) {
+        let (state_bar, u_bar) = (cotangents.x, cotangents.u);
         let cotangents = || zip(next_bar.state.iter(), next_bar.out);
         let (share, rest) = (R::from(self.share), R::from(1.0 - self.share));
         for (state_bar, (&state, &out)) in zip(state_bar.into_iter().flatten(), cotangents()) {
@@ -154,26 +155,25 @@ impl Actuator for Delay {
     }
 
     #[inline(always)]
-    fn step<T: Scalar>(&self, state: &[T], u: &[T], next_state: &mut [T], out: &mut [T]) {
-        let (oldest, pending) = state.split_at(u.len());
+    fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T], out: &mut [T]) {
+        let (oldest, pending) = inputs.x.split_at(inputs.u.len());
         out.copy_from_slice(oldest);
-        let (shifted, newest) = next_state.split_at_mut(pending.len());
+        let (shifted, newest) = next.split_at_mut(pending.len());
         shifted.copy_from_slice(pending);
-        newest.copy_from_slice(u);
+        newest.copy_from_slice(inputs.u);
     }
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(
         &self,
-        state: &[R],
-        u: &[R],
+        inputs: Inputs<'_, R>,
         next_bar: OutputCotangents<'_, C>,
-        state_bar: Option<&mut [C]>,
-        u_bar: Option<&mut [C]>,
+        cotangents: Cotangents<'_, C>,
     ) {
-        let (shifted, newest) = next_bar.state.split_at(state.len() - u.len());
+        let Cotangents { x: state_bar, u: u_bar, .. } = cotangents;
+        let (shifted, newest) = next_bar.state.split_at(inputs.x.len() - inputs.u.len());
         if let Some(state_bar) = state_bar {
-            let (oldest, pending) = state_bar.split_at_mut(u.len());
+            let (oldest, pending) = state_bar.split_at_mut(inputs.u.len());
             add(oldest, next_bar.out);
             add(pending, shifted);
         }
@@ -194,37 +194,38 @@ pub enum AnyActuator {
     Lag(Lag),
 }
 
+/// Evaluates an expression for the actuator that an [`AnyActuator`] holds.
+macro_rules! each {
+    ($any:expr, $actuator:ident => $value:expr) => {
+        match $any {
+            AnyActuator::Limit($actuator) => $value,
+            AnyActuator::Delay($actuator) => $value,
+            AnyActuator::Lag($actuator) => $value,
+        }
+    };
+}
+
 impl Actuator for AnyActuator {
     fn state_dim(&self, controls: usize) -> usize {
-        match self {
-            Self::Limit(limit) => limit.state_dim(controls),
-            Self::Delay(delay) => delay.state_dim(controls),
-            Self::Lag(lag) => lag.state_dim(controls),
-        }
+        each!(self, actuator => actuator.state_dim(controls))
+    }
+
+    fn range(&self) -> Option<[f64; 2]> {
+        each!(self, actuator => actuator.range())
     }
 
     #[inline(always)]
-    fn step<T: Scalar>(&self, state: &[T], u: &[T], next_state: &mut [T], out: &mut [T]) {
-        match self {
-            Self::Limit(limit) => limit.step(state, u, next_state, out),
-            Self::Delay(delay) => delay.step(state, u, next_state, out),
-            Self::Lag(lag) => lag.step(state, u, next_state, out),
-        }
+    fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T], out: &mut [T]) {
+        each!(self, actuator => actuator.step(inputs, next, out));
     }
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(
         &self,
-        state: &[R],
-        u: &[R],
+        inputs: Inputs<'_, R>,
         next_bar: OutputCotangents<'_, C>,
-        state_bar: Option<&mut [C]>,
-        u_bar: Option<&mut [C]>,
+        cotangents: Cotangents<'_, C>,
     ) {
-        match self {
-            Self::Limit(limit) => limit.vjp(state, u, next_bar, state_bar, u_bar),
-            Self::Delay(delay) => delay.vjp(state, u, next_bar, state_bar, u_bar),
-            Self::Lag(lag) => lag.vjp(state, u, next_bar, state_bar, u_bar),
-        }
+        each!(self, actuator => actuator.vjp(inputs, next_bar, cotangents));
     }
 }

@@ -21,10 +21,10 @@ use std::sync::Arc;
 ///
 /// ```
 /// use physgrad::tasks::{CartDamping, CartPoleSystem};
-/// use physgrad::{DynEffect, Forced, check};
+/// use physgrad::{Forced, check, effect::DynEffect};
 ///
 /// let effects: Vec<DynEffect<CartPoleSystem>> = vec![DynEffect::new(CartDamping::default())];
-/// check::system(&Forced { system: CartPoleSystem::default(), effects });
+/// check::system(&Forced { system: CartPoleSystem::default(), effects }).unwrap();
 /// ```
 pub struct DynEffect<B>(Arc<dyn AnyEffect<B>>);
 

@@ -4,12 +4,11 @@ use super::any::Outlined;
 use super::{AnyIntegrator, Integrator};
 use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::HasModel;
-use crate::dynamics::inputs::{Cotangents, Inputs, Start};
-use crate::dynamics::number::Varied;
+use crate::dynamics::forward::{forward, forward_model};
+use crate::dynamics::inputs::{Cotangents, Inputs};
 use crate::dynamics::ode::Ode;
 use crate::dynamics::outline::{Reverse, Step, outline};
 use crate::dynamics::system::System;
-use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
 /// A system that is also a vector field, advanced by its native scheme or by an integrator.
@@ -24,21 +23,7 @@ pub struct Discretized<S> {
 }
 
 impl<S: System + Ode> System for Discretized<S> {
-    fn state_dim(&self) -> usize {
-        System::state_dim(&self.system)
-    }
-
-    fn control_dim(&self) -> usize {
-        System::control_dim(&self.system)
-    }
-
-    fn param_dim(&self) -> usize {
-        System::param_dim(&self.system)
-    }
-
-    fn varied(&self, params: usize) -> Vec<Varied> {
-        System::varied(&self.system, params)
-    }
+    forward!(System of system: state_dim, control_dim, param_dim, varied);
 
     #[inline(always)]
     fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
@@ -73,12 +58,5 @@ impl<S: System + Ode> System for Discretized<S> {
 }
 
 impl<B, S: Ode + HasModel<B>> HasModel<B> for Discretized<S> {
-    #[inline(always)]
-    fn model(&self) -> &B {
-        self.system.model()
-    }
-
-    fn start_extra(&self, rng: &mut Rng, start: Start<'_>) {
-        self.system.start_extra(rng, start);
-    }
+    forward_model!(system, B);
 }

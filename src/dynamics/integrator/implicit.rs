@@ -7,8 +7,8 @@ use crate::dynamics::ode::{DynOde, DynOdeVjp};
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 
 /// The implicit midpoint rule, `x' = x + h f((x + x')/2, u, p, t + h/2)`: order 2, symplectic,
-/// A-stable. Stiff components oscillate with slowly decaying amplitude; [`Sdirk2`](crate::Sdirk2)
-/// damps them.
+/// A-stable. Stiff components oscillate with slowly decaying amplitude;
+/// [`Sdirk2`](crate::integrator::Sdirk2) damps them.
 ///
 /// Newton's iteration solves the equation. Its first 30 iterations have one Jacobian: central
 /// differences at the midpoint of an explicit Euler step. Samples that do not converge start again

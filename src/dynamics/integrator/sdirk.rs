@@ -14,8 +14,9 @@ use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 /// x' = x + (1 - γ)/γ (Y - x) + γ h f(x', u, p, t + h)
 /// ```
 ///
-/// Newton's iteration solves one stage after the other, as in [`ImplicitMidpoint`](crate::ImplicitMidpoint).
-/// Both stages begin with one Jacobian: central differences at the state.
+/// Newton's iteration solves one stage after the other, as in
+/// [`ImplicitMidpoint`](crate::integrator::ImplicitMidpoint). Both stages begin with one Jacobian:
+/// central differences at the state.
 ///
 /// The reverse pass recomputes the stages with a tolerance of 256 machine epsilons, for any
 /// `tolerance`, and differentiates the solutions by the implicit function theorem. With

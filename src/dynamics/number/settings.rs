@@ -124,7 +124,7 @@ fn distribution(key: &str, values: &[f64]) -> Result<Number, String> {
     let allowed = match key {
         "normal" => "[mean, deviation], with a deviation of 0 or more",
         "log_uniform" => "[low, high], with 0 < low <= high",
-        "choice" => "a list of 1 to 8 numbers",
+        "choice" => "a list of one or more numbers",
         _ => "[low, high], with low <= high",
     };
     number.ok_or_else(|| format!("`{key} = {values:?}`; allowed: {allowed}"))
@@ -150,7 +150,7 @@ impl schemars::JsonSchema for Number {
                 { "type": "object", "properties": { "log_uniform": pair }, "required": ["log_uniform"], "additionalProperties": false },
                 {
                     "type": "object",
-                    "properties": { "choice": { "type": "array", "items": { "type": "number" }, "minItems": 1, "maxItems": 8 } },
+                    "properties": { "choice": { "type": "array", "items": { "type": "number" }, "minItems": 1 } },
                     "required": ["choice"],
                     "additionalProperties": false
                 },

@@ -6,10 +6,10 @@
 //! numbers.
 
 use super::recursion::CostGradient;
-use super::{Flow, Pass};
-use crate::engine::rollout::{Lane, WIDTH};
+use crate::engine::flow::Flow;
+use crate::engine::pass::Pass;
 use crate::numbers::extended::{exponent_of, scaled};
-use crate::numbers::scalar::{CotangentPack, Float, Real};
+use crate::numbers::scalar::{CotangentPack, Float, LANES, Lane, Real};
 
 /// Exponents of all samples, for `K` flows.
 #[derive(Debug)]
@@ -45,7 +45,7 @@ impl<F: Float, const K: usize> Exponents<F, K> {
 
     /// Exponent of one flow and sample.
     pub(super) fn of(&self, k: usize, sample: usize) -> i32 {
-        self.blocks[sample / WIDTH].of[k][sample % WIDTH]
+        self.blocks[sample / LANES].of[k][sample % LANES]
     }
 
     /// Returns true if an exponent is so low that scaled cost gradients may overflow.
@@ -65,12 +65,12 @@ impl<F: Float, const K: usize> Exponents<F, K> {
         let Pass { rollout, scale, .. } = *pass;
         let (n, outputs) = (rollout.state_dim, rollout.control_dim + rollout.memory_dim);
         for (index, block) in
-            self.blocks.iter_mut().enumerate().take(rollout.samples.div_ceil(WIDTH))
+            self.blocks.iter_mut().enumerate().take(rollout.samples.div_ceil(LANES))
         {
             let (lambda, u_bar) =
                 (&mut lambda[index * n..][..n], &mut u_bar[index * outputs..][..outputs]);
             for (k, flow) in flows.into_iter().enumerate() {
-                for lane in 0..WIDTH {
+                for lane in 0..LANES {
                     block.rescale(flow, (k, lane), scale, lambda, u_bar)?;
                 }
             }
@@ -90,7 +90,7 @@ impl<F: Float, const K: usize> Exponents<F, K> {
         u_bar: &mut [CotangentPack<Lane<F>, K>],
         cost: &CostGradient<Lane<F>>,
     ) {
-        for lane in 0..WIDTH {
+        for lane in 0..LANES {
             if cost.values().any(|cost| cost.lane(lane) != F::zero()) {
                 (0..K).for_each(|k| self.blocks[block].raise((k, lane), scale, lambda, u_bar));
             }
@@ -99,7 +99,7 @@ impl<F: Float, const K: usize> Exponents<F, K> {
 
     /// Ends a step in which [`rescale`](Self::rescale) was called.
     pub(super) fn clear_shifts(&mut self) {
-        self.blocks.iter_mut().for_each(|block| block.shifts = [[0; WIDTH]; K]);
+        self.blocks.iter_mut().for_each(|block| block.shifts = [[0; LANES]; K]);
     }
 
     /// Updates `any` and [`any_low`](Self::any_low) after a change of exponents.
@@ -113,11 +113,11 @@ impl<F: Float, const K: usize> Exponents<F, K> {
 #[derive(Clone, Debug)]
 pub(super) struct BlockExponents<F: Float, const K: usize> {
     /// Exponents, `[flow][lane]`: λ, h and μ are the stored values times 2^exponent.
-    pub(super) of: [[i32; WIDTH]; K],
+    pub(super) of: [[i32; LANES]; K],
     /// Factor of the cost gradients: `scale` of the pass times 2^-exponent.
     pub(super) inject: CotangentPack<Lane<F>, K>,
     /// Increase of each exponent by [`rescale`](Exponents::rescale) in the current step.
-    shifts: [[i32; WIDTH]; K],
+    shifts: [[i32; LANES]; K],
 }
 
 /// Range of the size Σ|λ| + Σ|h| + Σ|μ|, `low` to `high`, that needs no rescaling.
@@ -153,9 +153,9 @@ impl<F: Float> Limits<F> {
 impl<F: Float, const K: usize> BlockExponents<F, K> {
     fn new() -> Self {
         Self {
-            of: [[0; WIDTH]; K],
+            of: [[0; LANES]; K],
             inject: CotangentPack([Lane::splat(F::zero()); K]),
-            shifts: [[0; WIDTH]; K],
+            shifts: [[0; LANES]; K],
         }
     }
 

@@ -2,11 +2,12 @@
 //! with a `cut` depend on them.
 
 use super::exponents::{BlockExponents, Exponents};
-use super::{Flow, Pass};
+use crate::engine::flow::Flow;
 use crate::engine::growth::Meter;
-use crate::engine::rollout::{Lane, Rollout, WIDTH};
+use crate::engine::pass::Pass;
+use crate::engine::rollout::Rollout;
 use crate::numbers::extended::{exponent_of, times_power_of_two};
-use crate::numbers::scalar::{CotangentPack, Float, Real};
+use crate::numbers::scalar::{CotangentPack, Float, LANES, Lane, Real};
 use crate::numbers::zip::zip;
 use std::ops::Range;
 
@@ -23,9 +24,9 @@ pub(super) fn record_norms<F: Float, const K: usize>(
 ) {
     let Pass { rollout, scale, .. } = *pass;
     let of_sample = |k: usize, sample: usize| {
-        let block = &lambda[sample / WIDTH * rollout.state_dim..][..rollout.state_dim];
+        let block = &lambda[sample / LANES * rollout.state_dim..][..rollout.state_dim];
         let exponent = exponents.of(k, sample);
-        block.iter().map(move |c| times_power_of_two(c.0[k].lane(sample % WIDTH).as_(), exponent))
+        block.iter().map(move |c| times_power_of_two(c.0[k].lane(sample % LANES).as_(), exponent))
     };
     for (k, norms) in norms.iter_mut().enumerate() {
         let all = || (0..rollout.samples).flat_map(|sample| of_sample(k, sample));
@@ -93,7 +94,7 @@ impl<const K: usize> GrowthMeters<K> {
     ) {
         let n = rollout.state_dim;
         for (sample, meters) in self.meters[..rollout.samples].iter_mut().enumerate() {
-            let (block, lane) = (sample / WIDTH, sample % WIDTH);
+            let (block, lane) = (sample / LANES, sample % LANES);
             for (k, (meter, before, exponent)) in meters.iter_mut().enumerate() {
                 if flows[k].at(t) != flows[k] {
                     meter.cut();

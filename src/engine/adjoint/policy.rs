@@ -1,15 +1,16 @@
 //! Policy part of the reverse pass: cotangents, buffers and parameter gradients.
 
 use super::exponents::Exponents;
-use super::recursion::Recursion;
-use super::{Flow, Pass};
+use super::starts::StartGradients;
 use crate::dynamics::outline::One;
 use crate::engine::any::AnyTask;
+use crate::engine::flow::Flow;
 use crate::engine::gradient::Gradient;
-use crate::engine::rollout::{Lane, WIDTH, gather};
+use crate::engine::pass::{Closed, Pass};
+use crate::engine::rollout::gather;
 use crate::numbers::aligned::Aligned;
 use crate::numbers::extended::{exponent_of, scaled};
-use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Float, LANES, Lane, Real, Scalar};
 use crate::numbers::zip::zip;
 use crate::policy::AnyPolicy;
 use crate::policy::{PolicyColumns, PolicyPass, PolicyRecord};
@@ -89,7 +90,7 @@ impl PolicyBufferSizes {
             flows.iter().any(|flow| flow.control != 0.0 || flow.memory != 0.0 && memory_dim > 0);
         let linearized = outputs == 1 && through_inputs;
         let (blocks, observed) =
-            (samples.div_ceil(WIDTH), through_inputs && task.own_observation().is_some());
+            (samples.div_ceil(LANES), through_inputs && task.own_observation().is_some());
         Self {
             control_dim: policy.control_dim(),
             memory_dim,
@@ -215,10 +216,10 @@ impl<F: Float> PolicyAdjoint<F> {
         flow: Flow,
         pass: &Pass<'_, F>,
         t: usize,
-        carried: &mut Recursion<F, K>,
+        lambda: &mut [CotangentPack<Lane<F>, K>],
+        starts: Option<&mut StartGradients<F, K>>,
     ) {
-        let Pass { task, rollout, .. } = *pass;
-        let Recursion { lambda, starts, .. } = carried;
+        let (task, rollout) = (pass.closed.task, pass.rollout);
         let observed = 0..self.observed_dim;
         if task.own_observation().is_none() {
             let weight = F::from_f64(flow.control);
@@ -232,7 +233,7 @@ impl<F: Float> PolicyAdjoint<F> {
         });
         let states_bar = &mut self.states_bar[..rollout.states_at(t).len()];
         states_bar.fill(One::null());
-        let params_bar = starts.as_mut().map(|starts| {
+        let params_bar = starts.map(|starts| {
             starts.observed[k].fill(One::null());
             &mut starts.observed[k][..]
         });
@@ -275,9 +276,9 @@ impl<F: Float> PolicyAdjoint<F> {
         mut visit: impl FnMut(usize, usize, F),
     ) {
         let n = self.observed_dim + self.memory_dim;
-        for block in 0..at.count.div_ceil(WIDTH) {
-            for lane in 0..WIDTH {
-                let sample = (block * WIDTH + lane).min(at.count - 1);
+        for block in 0..at.count.div_ceil(LANES) {
+            for lane in 0..LANES {
+                let sample = (block * LANES + lane).min(at.count - 1);
                 let c = at.first + sample * at.step;
                 // If linearized, `inputs_bar` contains ∂N/∂y without the factor h.
                 let factor = if self.linearized { self.controls_bar[k][c] } else { F::one() };
@@ -352,11 +353,11 @@ impl<F: Float> PolicyAdjoint<F> {
         steps: Range<usize>,
         through_inputs: bool,
     ) {
-        let columns =
-            PolicyPass::new(pass.weights.packed(), at, pass.rollout.inputs()).at_steps(steps);
+        let (Closed { policy, weights, .. }, rollout) = (pass.closed, pass.rollout);
+        let columns = PolicyPass::new(weights.packed(), at, rollout.inputs()).at_steps(steps);
         let u_bar = if self.linearized { &self.ones } else { &self.controls_bar[k] };
         let x_bar = through_inputs.then_some(&mut self.inputs_bar[..]);
-        pass.policy.backward(columns, &pass.rollout.tape, u_bar, &mut self.tape_bar[k], x_bar);
+        policy.backward(columns, &rollout.tape, u_bar, &mut self.tape_bar[k], x_bar);
     }
 }
 

@@ -12,16 +12,18 @@
 
 use super::exponents::Exponents;
 use super::measure::{GrowthMeters, record_norms};
+use super::policy::PolicyAdjoint;
 use super::restart::Place;
 use super::starts::StartGradients;
 use super::step_back::StepBack;
-use super::{Flow, Pass, PolicyAdjoint};
 use crate::dynamics::inputs::{Cotangents, Inputs};
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::engine::divergence::{Divergence, Variable};
-use crate::engine::rollout::{Lane, Rollout, WIDTH, find_non_finite};
-use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Lanes, Real, Scalar};
+use crate::engine::flow::Flow;
+use crate::engine::pass::Pass;
+use crate::engine::rollout::{Rollout, find_non_finite};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Float, LANES, Lane, Lanes, Real, Scalar};
 use crate::numbers::zip::zip;
 use std::ops::Range;
 
@@ -179,7 +181,7 @@ pub struct Recursion<F: Float, const K: usize> {
 impl<F: Float, const K: usize> Recursion<F, K> {
     pub(super) fn new(rollout: &Rollout<F>) -> Self {
         let (n, m, memory) = (rollout.state_dim, rollout.control_dim, rollout.memory_dim);
-        let blocks = rollout.capacity().div_ceil(WIDTH);
+        let blocks = rollout.capacity().div_ceil(LANES);
         let columns = |len: usize| vec![CotangentPack([Lane::zero(); K]); len];
         Self {
             lambda: columns(blocks * n),
@@ -206,7 +208,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         params: Option<usize>,
         samples: usize,
     ) -> usize {
-        let blocks = samples.div_ceil(WIDTH);
+        let blocks = samples.div_ceil(LANES);
         blocks * (2 * n + m + memory) * size_of::<CotangentPack<Lane<F>, K>>()
             + CostGradient::<Lane<F>>::bytes_of(n, m)
             + Exponents::<F, K>::bytes_of(blocks)
@@ -229,7 +231,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
     /// Starts the recursion: `λ ← scale ∂φ/∂x_T`, `μ ← 0`. `norms` has one row per flow, or no
     /// rows.
     pub(super) fn begin(&mut self, pass: &Pass<'_, F>, norms: &mut [Vec<f64>]) {
-        let Pass { task, rollout, scale, .. } = *pass;
+        let Pass { closed, rollout, scale, .. } = *pass;
         let n = rollout.state_dim;
         self.exponents.reset(scale);
         self.growth.reset();
@@ -237,7 +239,12 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         for (block, x) in rollout.states_at(rollout.horizon).chunks_exact(n).enumerate() {
             self.cost.clear();
             let p_bar = (!self.cost.p.is_empty()).then_some(&mut self.cost.p[..]);
-            task.terminal_cost_gradient(x, rollout.params_of(block), &mut self.cost.next, p_bar);
+            closed.task.terminal_cost_gradient(
+                x,
+                rollout.params_of(block),
+                &mut self.cost.next,
+                p_bar,
+            );
             if let Some(starts) = &mut self.starts {
                 starts.set_cost(block, &self.cost.p);
             }
@@ -253,7 +260,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
     }
 
     /// Runs the recursion (see [`adjoint`](super)) backwards through `steps`, for all flows at
-    /// once. `task` must be `pass.task`.
+    /// once. `task` must be `pass.closed.task`.
     pub(super) fn back(
         &mut self,
         pass: &Pass<'_, F>,
@@ -287,7 +294,8 @@ impl<F: Float, const K: usize> Recursion<F, K> {
                 }
                 if flow.control != 0.0 {
                     // λ ← λ + control·(∂y/∂x)ᵀ ȳ
-                    policy.add_inputs_bar(k, flow, pass, t, self);
+                    let (lambda, starts) = (&mut self.lambda, self.starts.as_mut());
+                    policy.add_inputs_bar(k, flow, pass, t, lambda, starts);
                 }
                 // μ ← memory·m̄
                 policy.set_memory_bar(k, flow, pass.rollout.columns(t), &mut self.u_bar);
@@ -306,7 +314,12 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         self.cost.clear();
         let (cotangents, next_bar) = self.cost.requests();
         let next = &rollout.states_at(t + 1)[block * n..][..n];
-        pass.task.running_cost_gradient(rollout.inputs_of(t, block), next, cotangents, next_bar);
+        pass.closed.task.running_cost_gradient(
+            rollout.inputs_of(t, block),
+            next,
+            cotangents,
+            next_bar,
+        );
     }
 
     /// Prepares step `t`: raises exponents too low for its cost gradients. If `pass.measured`,
@@ -318,7 +331,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             return;
         }
         let n = rollout.state_dim;
-        for block in 0..rollout.samples.div_ceil(WIDTH) {
+        for block in 0..rollout.samples.div_ceil(LANES) {
             self.evaluate_cost(pass, t, block);
             let lambda = &mut self.lambda[block * n..][..n];
             let outputs = rollout.control_dim + rollout.memory_dim;
@@ -327,7 +340,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
                 self.exponents.raise(block, scale, lambda, u_bar, &self.cost);
             }
             if measured {
-                let samples = block * WIDTH..rollout.samples.min((block + 1) * WIDTH);
+                let samples = block * LANES..rollout.samples.min((block + 1) * LANES);
                 self.growth.before(samples, lambda, &self.cost.next, &self.exponents.blocks[block]);
             }
         }
@@ -357,7 +370,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             }
             if let Some(starts) = &mut self.starts
                 && at_t[k].control != 0.0
-                && pass.task.own_observation().is_some()
+                && pass.closed.task.own_observation().is_some()
             {
                 starts.add_observed(k, at_t[k].control, samples, &self.exponents);
             }
@@ -386,7 +399,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
     /// Cotangents of the state precede those of control and memory.
     #[cold]
     fn divergence(&self, pass: &Pass<'_, F>, flows: [Flow; K], step: usize) -> Divergence {
-        let Pass { task, rollout, .. } = *pass;
+        let (task, rollout) = (pass.closed.task, pass.rollout);
         let find = |columns: &[CotangentPack<Lane<F>, K>], n: usize, k: usize| {
             find_non_finite(columns, n, rollout.samples, |c, lane| c.0[k].lane(lane))
         };
@@ -408,9 +421,9 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             first.expect("`rescale` fails only for non-finite cotangents");
         // The sample in all lanes.
         let of = |lanes: &[Lane<F>]| -> Vec<Lane<F>> {
-            lanes.iter().map(|number| Lanes([number.lane(sample % WIDTH); WIDTH])).collect()
+            lanes.iter().map(|number| Lanes([number.lane(sample % LANES); LANES])).collect()
         };
-        let inputs = rollout.inputs_of(step, sample / WIDTH);
+        let inputs = rollout.inputs_of(step, sample / LANES);
         let (x, u, p) = (of(inputs.x), of(inputs.u), of(inputs.p));
         let cause = task.diagnose(Inputs { x: &x, u: &u, p: &p, t: step });
         Divergence::Cotangent { flow: flows[k], variable, step, sample, component, cause }

@@ -1,11 +1,11 @@
 //! [`Recursion::restart`]: lower exponents for cotangents that have become small.
 
-use super::Pass;
 use super::exponents::Limits;
 use super::recursion::Recursion;
-use crate::engine::rollout::{Lane, Rollout, WIDTH};
+use crate::engine::pass::Pass;
+use crate::engine::rollout::Rollout;
 use crate::numbers::extended::{exponent_of, scaled};
-use crate::numbers::scalar::{Float, Real};
+use crate::numbers::scalar::{Float, LANES, Lane, Real};
 use std::ops::Range;
 
 /// Place of a [`restart`](Recursion::restart) within a step.
@@ -44,10 +44,10 @@ impl<F: Float, const K: usize> Recursion<F, K> {
 
     /// Returns whether the cotangents of one flow and sample are too small for their exponent.
     fn is_small(&self, k: usize, sample: usize, rollout: &Rollout<F>, place: Place) -> bool {
-        let [of_lambda, of_outputs] = Self::carried(sample / WIDTH, rollout, place);
+        let [of_lambda, of_outputs] = Self::carried(sample / LANES, rollout, place);
         // Sums in the order of `reverse_step`, as `rescale` does.
         let bars = self.u_bar[of_outputs].iter().chain(&self.lambda[of_lambda]);
-        bars.fold(F::zero(), |sum, bar| sum + bar.0[k].lane(sample % WIDTH).abs())
+        bars.fold(F::zero(), |sum, bar| sum + bar.0[k].lane(sample % LANES).abs())
             < Limits::new().low
     }
 
@@ -66,7 +66,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         place: Place,
     ) {
         let Pass { rollout, scale, .. } = *pass;
-        let block = sample / WIDTH;
+        let block = sample / LANES;
         self.evaluate_cost(pass, t, block);
         let [of_lambda, of_outputs] = Self::carried(block, rollout, place);
         let (lambda, outputs) = (&mut self.lambda[of_lambda], &mut self.u_bar[of_outputs]);
@@ -77,8 +77,8 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         let costs = || self.cost.x.iter().chain(of_controls).chain(std::iter::repeat(&no_cost));
         let exponents = &mut self.exponents.blocks[block];
         // The unused lanes of the last block are copies of the last sample.
-        let end = if sample + 1 == rollout.samples { WIDTH } else { sample % WIDTH + 1 };
-        for lane in sample % WIDTH..end {
+        let end = if sample + 1 == rollout.samples { LANES } else { sample % LANES + 1 };
+        for lane in sample % LANES..end {
             let own = exponents.of[k][lane];
             for (bar, cost) in lambda.iter_mut().chain(&mut *outputs).zip(costs()) {
                 let later = bar.0[k].lane(lane) - exponents.added(k, lane, cost.lane(lane), scale);

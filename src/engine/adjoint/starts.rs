@@ -4,8 +4,7 @@
 use super::exponents::Exponents;
 use crate::dynamics::outline::One;
 use crate::engine::gradient::Gradient;
-use crate::engine::rollout::{Lane, WIDTH};
-use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Float, LANES, Lane, Real};
 
 /// Gradients with respect to `x_0` and p for `K` flows.
 ///
@@ -31,7 +30,7 @@ pub(super) struct StartGradients<F: Float, const K: usize> {
 
 impl<F: Float, const K: usize> StartGradients<F, K> {
     pub(super) fn new(samples: usize, state_dim: usize, param_dim: usize) -> Self {
-        let params = samples.div_ceil(WIDTH) * param_dim;
+        let params = samples.div_ceil(LANES) * param_dim;
         let gradients =
             |len: usize| (0..samples).map(|_| [(); K].map(|()| Gradient::zeros(len))).collect();
         Self {
@@ -51,7 +50,7 @@ impl<F: Float, const K: usize> StartGradients<F, K> {
         let terms = size_of::<CotangentPack<Lane<F>, K>>()
             + size_of::<Lane<F>>()
             + K * size_of::<One<Lane<F>>>();
-        samples * gradients + samples.div_ceil(WIDTH) * param_dim * terms
+        samples * gradients + samples.div_ceil(LANES) * param_dim * terms
     }
 
     pub(super) fn stored_bytes(&self) -> usize {
@@ -96,7 +95,7 @@ impl<F: Float, const K: usize> StartGradients<F, K> {
     /// than λ.
     pub(super) fn add_terms(&mut self, samples: usize, scale: F, exponents: &Exponents<F, K>) {
         for (sample, sums) in self.sums[..samples].iter_mut().enumerate() {
-            let (first, lane) = (sample / WIDTH * self.param_dim, sample % WIDTH);
+            let (first, lane) = (sample / LANES * self.param_dim, sample % LANES);
             for (k, sum) in sums.iter_mut().enumerate() {
                 for i in 0..self.param_dim {
                     let (term, cost) = (
@@ -125,9 +124,9 @@ impl<F: Float, const K: usize> StartGradients<F, K> {
         exponents: &Exponents<F, K>,
     ) {
         for (sample, sums) in self.sums[..samples].iter_mut().enumerate() {
-            let terms = &self.observed[k][sample / WIDTH * self.param_dim..][..self.param_dim];
+            let terms = &self.observed[k][sample / LANES * self.param_dim..][..self.param_dim];
             for (i, CotangentPack([term])) in terms.iter().enumerate() {
-                let part = (*term * weight).lane(sample % WIDTH);
+                let part = (*term * weight).lane(sample % LANES);
                 sums[k].add_at(i, part, exponents.of(k, sample));
             }
         }
@@ -150,10 +149,10 @@ impl<F: Float, const K: usize> StartGradients<F, K> {
         exponents: &Exponents<F, K>,
     ) {
         for (sample, gradients) in self.gradients[..samples].iter_mut().enumerate() {
-            let lambda = &lambda[sample / WIDTH * self.state_dim..][..self.state_dim];
+            let lambda = &lambda[sample / LANES * self.state_dim..][..self.state_dim];
             for (k, gradient) in gradients.iter_mut().enumerate() {
                 for (i, bar) in lambda.iter().enumerate() {
-                    gradient.add_at(i, bar.0[k].lane(sample % WIDTH), exponents.of(k, sample));
+                    gradient.add_at(i, bar.0[k].lane(sample % LANES), exponents.of(k, sample));
                 }
                 for i in 0..self.param_dim {
                     let (value, exponent) = self.sums[sample][k].part(i);

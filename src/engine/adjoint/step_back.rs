@@ -1,9 +1,9 @@
 //! [`reverse_step`] for all samples, one block of lanes at a time.
 
-use super::Flow;
 use super::exponents::Limits;
 use super::recursion::{Recursion, Step, reverse_step};
 use crate::dynamics::task::Task;
+use crate::engine::flow::Flow;
 use crate::engine::rollout::Rollout;
 use crate::numbers::kernels::{Vectorized, dispatch_lanes};
 use crate::numbers::scalar::Float;

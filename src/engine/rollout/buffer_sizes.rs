@@ -1,9 +1,8 @@
 //! Buffer lengths of a rollout, for allocation and for size estimates.
 
-use super::{Lane, WIDTH};
 use crate::engine::any::AnyTask;
 use crate::numbers::aligned::Aligned;
-use crate::numbers::scalar::Float;
+use crate::numbers::scalar::{Float, LANES, Lane};
 use crate::policy::AnyPolicy;
 
 /// Buffer lengths of a rollout: in numbers for inputs, outputs and tape, in lanes for the others.
@@ -26,7 +25,7 @@ impl BufferSizes {
         kept: usize,
     ) -> Self {
         let carried = task.state_dim() + policy.memory_dim();
-        let (blocks, columns) = (samples.div_ceil(WIDTH), samples * kept);
+        let (blocks, columns) = (samples.div_ceil(LANES), samples * kept);
         Self {
             states: (kept + 1) * blocks * carried,
             controls: kept * blocks * task.control_dim(),

@@ -1,7 +1,6 @@
 //! Conversion between blocks of lanes and policy columns.
 
-use super::{Lane, WIDTH};
-use crate::numbers::scalar::{Float, Real};
+use crate::numbers::scalar::{Float, LANES, Lane, Real};
 use crate::numbers::zip::zip;
 use crate::policy::PolicyColumns;
 
@@ -14,7 +13,7 @@ pub(crate) fn find_non_finite<L, F: Float>(
     lane: impl Fn(&L, usize) -> F,
 ) -> Option<(usize, usize)> {
     (0..samples).flat_map(|sample| (0..n).map(move |i| (sample, i))).find(|&(sample, i)| {
-        !lane(&blocks[(sample / WIDTH) * n + i], sample % WIDTH).as_().is_finite()
+        !lane(&blocks[(sample / LANES) * n + i], sample % LANES).as_().is_finite()
     })
 }
 
@@ -29,7 +28,7 @@ pub(crate) fn gather<L, F: Float>(
     (offset, stride): (usize, usize),
 ) {
     // Without components, `blocks` is empty. A chunk length of 0 would panic.
-    for (block, at) in zip(blocks.chunks_exact(n.max(1)), at.blocks(WIDTH)) {
+    for (block, at) in zip(blocks.chunks_exact(n.max(1)), at.blocks(LANES)) {
         for (index, c) in at.iter().enumerate() {
             for (column, lanes) in zip(columns[c * stride + offset..][..n].iter_mut(), block) {
                 *column = lane(lanes, index);
@@ -49,8 +48,8 @@ pub(crate) fn scatter<F: Float>(
 ) {
     // Without components, `blocks` is empty. A chunk length of 0 would panic.
     for (b, block) in blocks.chunks_exact_mut(n.max(1)).enumerate() {
-        for lane in 0..WIDTH {
-            let sample = (b * WIDTH + lane).min(at.count - 1);
+        for lane in 0..LANES {
+            let sample = (b * LANES + lane).min(at.count - 1);
             let c = at.first + sample * at.step;
             for (lanes, &column) in zip(block.iter_mut(), &columns[c * stride + offset..][..n]) {
                 lanes.set_lane(lane, column);

@@ -1,9 +1,10 @@
 //! Outputs that a task or policy leaves unwritten, and parameters that an initial state leaves at 0.
 
-use super::{Lane, Rollout, WIDTH};
+use super::Rollout;
 use crate::dynamics::inputs::Inputs;
 use crate::engine::any::AnyTask;
-use crate::numbers::scalar::{Float, Real, Scalar};
+use crate::engine::pass::Closed;
+use crate::numbers::scalar::{Float, LANES, Lane, Real, Scalar};
 use crate::policy::{AnyPolicy, Weights};
 
 impl<F: Float> Rollout<F> {
@@ -31,14 +32,14 @@ impl<F: Float> Rollout<F> {
             rollout.observations.fill(Lane::splat(initial));
             rollout.outputs.fill(initial);
             // The step is complete even if it returns an error.
-            _ = rollout.step(task, policy, weights, 0);
+            _ = rollout.step(Closed { task, policy, weights }, 0);
             rollout
         };
         let (from_nans, from_zeros) = (stepped(f64::NAN), stepped(0.0));
         let outputs = policy.control_dim() + policy.memory_dim();
         let lanes = |a: &[Lane<F>], b: &[Lane<F>]| {
             let is_unwritten =
-                |(a, b): (&Lane<F>, &Lane<F>)| (0..WIDTH).any(|i| unwritten(a.lane(i), b.lane(i)));
+                |(a, b): (&Lane<F>, &Lane<F>)| (0..LANES).any(|i| unwritten(a.lane(i), b.lane(i)));
             a.iter().zip(b).position(is_unwritten)
         };
         let observed = lanes(&from_nans.observations, &from_zeros.observations);

@@ -105,19 +105,19 @@ pub fn dots<F: Float>(
 #[inline(always)]
 fn dot<F: Float, const FMA: bool>(a: &[F], b: &[F]) -> F {
     /// Number of partial sums.
-    const WIDTH: usize = 16;
-    let mut sum = [F::zero(); WIDTH];
-    let (a, a_rest) = a.as_chunks::<WIDTH>();
-    let (b, b_rest) = b.as_chunks::<WIDTH>();
+    const LANES: usize = 16;
+    let mut sum = [F::zero(); LANES];
+    let (a, a_rest) = a.as_chunks::<LANES>();
+    let (b, b_rest) = b.as_chunks::<LANES>();
     for c in 0..a.len().min(b.len()) {
-        for i in 0..WIDTH {
+        for i in 0..LANES {
             sum[i] = F::plus_product::<FMA>(sum[i], a[c][i], b[c][i]);
         }
     }
     for i in 0..a_rest.len().min(b_rest.len()) {
         sum[i] = F::plus_product::<FMA>(sum[i], a_rest[i], b_rest[i]);
     }
-    let mut half = WIDTH / 2;
+    let mut half = LANES / 2;
     while half > 0 {
         for i in 0..half {
             sum[i] += sum[i + half];
@@ -150,8 +150,8 @@ impl Strided {
 /// `(Σ a·b, Σ a², Σ b²)` in double precision, summed in an order independent of the processor.
 pub fn moments<F: Float>(level: SimdLevel, a: &[F], b: &[F]) -> (f64, f64, f64) {
     /// Number of partial sums.
-    const WIDTH: usize = 16;
-    struct Work<'a, F>(&'a [F], &'a [F], &'a mut [[f64; WIDTH]; 3]);
+    const LANES: usize = 16;
+    struct Work<'a, F>(&'a [F], &'a [F], &'a mut [[f64; LANES]; 3]);
     impl<F: Float> Vectorized for Work<'_, F> {
         #[inline(always)]
         fn run<const FMA: bool>(self) {
@@ -162,10 +162,10 @@ pub fn moments<F: Float>(level: SimdLevel, a: &[F], b: &[F]) -> (f64, f64, f64) 
                 sums[1][i] += a * a;
                 sums[2][i] += b * b;
             };
-            let (a, a_rest) = a.as_chunks::<WIDTH>();
-            let (b, b_rest) = b.as_chunks::<WIDTH>();
+            let (a, a_rest) = a.as_chunks::<LANES>();
+            let (b, b_rest) = b.as_chunks::<LANES>();
             for c in 0..a.len().min(b.len()) {
-                for i in 0..WIDTH {
+                for i in 0..LANES {
                     add(i, a[c][i], b[c][i]);
                 }
             }
@@ -174,7 +174,7 @@ pub fn moments<F: Float>(level: SimdLevel, a: &[F], b: &[F]) -> (f64, f64, f64) 
             }
         }
     }
-    let mut sums = [[0.0; WIDTH]; 3];
+    let mut sums = [[0.0; LANES]; 3];
     dispatch(level, Work(a, b, &mut sums));
     let [ab, aa, bb] = sums.map(|sum| sum.iter().sum());
     (ab, aa, bb)

@@ -68,7 +68,7 @@ impl<F> Product<'_, F> {
 trait Register: Copy {
     type Float: Copy;
     /// Numbers per register.
-    const WIDTH: usize;
+    const LANES: usize;
     unsafe fn zero() -> Self;
     unsafe fn splat(value: Self::Float) -> Self;
     unsafe fn load(from: *const Self::Float) -> Self;
@@ -89,7 +89,7 @@ unsafe fn panels<R: Register, const MAX: usize, const NR: usize>(p: Product<'_, 
     let c = p.c.as_mut_ptr();
     let mut row = 0;
     while row < p.rows {
-        let registers = match (p.rows - row) / R::WIDTH {
+        let registers = match (p.rows - row) / R::LANES {
             // Splits four registers as 2 + 2, which is faster than 3 + 1.
             4 if MAX == 3 => 2,
             left => left.min(MAX),
@@ -99,7 +99,7 @@ unsafe fn panels<R: Register, const MAX: usize, const NR: usize>(p: Product<'_, 
             2 if MAX >= 2 => unsafe { tiles::<R, 2, NR>(&p, c, row) },
             _ => unsafe { tiles::<R, 1, NR>(&p, c, row) },
         }
-        row += registers * R::WIDTH;
+        row += registers * R::LANES;
     }
 }
 
@@ -150,7 +150,7 @@ unsafe fn tile<R: Register, const H: usize, const NR: usize>(
         if p.accumulate {
             for (j, column) in sum.iter_mut().enumerate() {
                 for (i, sum) in column.iter_mut().enumerate() {
-                    *sum = R::load(c.add(i * R::WIDTH + j * p.ldc));
+                    *sum = R::load(c.add(i * R::LANES + j * p.ldc));
                 }
             }
         }
@@ -158,7 +158,7 @@ unsafe fn tile<R: Register, const H: usize, const NR: usize>(
             let a = a.add(k * p.lda);
             let mut a_k = [R::zero(); H];
             for (i, a_k) in a_k.iter_mut().enumerate() {
-                *a_k = R::load(a.add(i * R::WIDTH));
+                *a_k = R::load(a.add(i * R::LANES));
             }
             for (j, column) in sum.iter_mut().enumerate() {
                 let b_kj = R::splat(*b.add(k * p.b_row + j * p.b_col));
@@ -170,7 +170,7 @@ unsafe fn tile<R: Register, const H: usize, const NR: usize>(
         }
         for (j, column) in sum.iter().enumerate() {
             for (i, sum) in column.iter().enumerate() {
-                sum.store(c.add(i * R::WIDTH + j * p.ldc));
+                sum.store(c.add(i * R::LANES + j * p.ldc));
             }
         }
     }
@@ -182,7 +182,7 @@ macro_rules! register {
         #[allow(unused_unsafe)]
         impl Register for $register {
             type Float = $float;
-            const WIDTH: usize = $width;
+            const LANES: usize = $width;
             #[inline(always)]
             unsafe fn zero() -> Self {
                 unsafe { $splat(0.0) }

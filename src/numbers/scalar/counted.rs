@@ -122,7 +122,7 @@ impl fmt::Display for Ops {
 /// slopes and on the cotangents.
 ///
 /// ```
-/// use physgrad::{Counted, Ops, Scalar};
+/// use physgrad::{Scalar, count::{Counted, Ops}};
 ///
 /// let (counts, y) = Ops::of(|| Counted(2.0) * Counted(3.0) + Counted(0.5).sqrt());
 /// assert_eq!(y, Counted(6.0 + 0.5_f64.sqrt()));

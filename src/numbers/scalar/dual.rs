@@ -15,7 +15,7 @@ use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssi
 /// as much as variables: there is no branch on tangents.
 ///
 /// ```
-/// use physgrad::{Dual, Scalar};
+/// use physgrad::{Scalar, scalar::Dual};
 ///
 /// let x: Dual<f64, 1> = Dual::variable(3.0, 0);
 /// let y = x * x + Dual::constant(1.0);

@@ -7,6 +7,12 @@ use std::cell::RefCell;
 use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 
+/// Number of samples that one call of the physics steps, and of columns in a block of a policy.
+pub(crate) const LANES: usize = 8;
+
+/// One number of each of [`LANES`] samples.
+pub(crate) type Lane<F> = Lanes<F, LANES>;
+
 /// `W` numbers with elementwise operations, where `W` is 1, 2, 4 or 8.
 ///
 /// Every lane is bit-identical to the computation on a plain `F`: no operation is fused, reordered

@@ -24,7 +24,7 @@ use crate::numbers::zip::zip;
 /// use physgrad::{check, policy::Gru};
 ///
 /// // From two observed components to one control, with a memory of eight units.
-/// check::policy(&Gru::new(2, 8, 1));
+/// check::policy(&Gru::new(2, 8, 1)).unwrap();
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Gru(pub(super) Shape);

@@ -93,6 +93,11 @@ impl Task for Bounce {
         self.horizon
     }
 
+    /// ±5 N.
+    fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
+        Some(vec![[-5.0, 5.0]; self.system.control_dim()])
+    }
+
     fn start(&self, rng: &mut Rng, start: Start<'_>) {
         start.x[0] = rng.random_range(0.5..1.5);
         start.x[1] = rng.random_range(-1.0..1.0);

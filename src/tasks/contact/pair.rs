@@ -116,6 +116,11 @@ impl Task for Push {
         self.horizon
     }
 
+    /// ±10 N.
+    fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
+        Some(vec![[-10.0, 10.0]; self.system.control_dim()])
+    }
+
     fn start(&self, rng: &mut Rng, Start { x, .. }: Start<'_>) {
         x[1] = -rng.random_range(0.5..1.5);
         x[0] = x[1] - self.system.contact_distance - rng.random_range(0.1..0.3);

@@ -163,6 +163,11 @@ impl Task for Lqr {
         self.horizon
     }
 
+    /// ±50, in units of the control.
+    fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
+        Some(vec![[-50.0, 50.0]; self.plant.control_dim()])
+    }
+
     fn start(&self, rng: &mut Rng, start: Start<'_>) {
         let (found, expected) = (self.start.len(), start.x.len());
         assert_eq!(

@@ -4,10 +4,9 @@ use super::QuantumSystem;
 use super::system::Wave;
 use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::HasModel;
-use crate::dynamics::inputs::{Cotangents, Inputs, Start};
-use crate::dynamics::number::Varied;
+use crate::dynamics::forward::{forward, forward_model};
+use crate::dynamics::inputs::{Cotangents, Inputs};
 use crate::dynamics::system::System;
-use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use smallvec::smallvec;
 
@@ -70,21 +69,7 @@ impl<S: HasModel<QuantumSystem>> Renormalized<S> {
 }
 
 impl<S: HasModel<QuantumSystem>> System for Renormalized<S> {
-    fn state_dim(&self) -> usize {
-        self.system.state_dim()
-    }
-
-    fn control_dim(&self) -> usize {
-        self.system.control_dim()
-    }
-
-    fn param_dim(&self) -> usize {
-        self.system.param_dim()
-    }
-
-    fn varied(&self, params: usize) -> Vec<Varied> {
-        self.system.varied(params)
-    }
+    forward!(System of system: state_dim, control_dim, param_dim, varied);
 
     #[inline(always)]
     fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
@@ -112,12 +97,5 @@ impl<S: HasModel<QuantumSystem>> System for Renormalized<S> {
 }
 
 impl<S: HasModel<QuantumSystem>> HasModel<QuantumSystem> for Renormalized<S> {
-    #[inline(always)]
-    fn model(&self) -> &QuantumSystem {
-        self.system.model()
-    }
-
-    fn start_extra(&self, rng: &mut Rng, start: Start<'_>) {
-        self.system.start_extra(rng, start);
-    }
+    forward_model!(system, QuantumSystem);
 }

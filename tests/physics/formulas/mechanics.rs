@@ -26,9 +26,9 @@ fn moves_as<O: Ode + Clone>(
         near(what, &rate, &expected);
         near(&format!("energy of a {what}"), &[energy(&x)], &[mechanism.energy(&x)]);
     }
-    let passed = check::try_system(&physgrad::Integrated {
+    let passed = check::system(&physgrad::Integrated {
         ode,
-        integrator: physgrad::SemiImplicit,
+        integrator: physgrad::integrator::SemiImplicit,
         dt: 0.02,
     });
     passed.unwrap_or_else(|mismatch| panic!("{what}: {mismatch}"));

@@ -43,7 +43,8 @@ fn costs_of<T: Task>(
     terminal: impl Fn(&[f64]) -> f64,
 ) {
     costs(what, task, running, terminal);
-    check::task(task, &Linear::new(task.system().state_dim(), task.system().control_dim()));
+    check::task(task, &Linear::new(task.system().state_dim(), task.system().control_dim()))
+        .unwrap();
 }
 
 #[test]
@@ -97,10 +98,10 @@ fn costs_equal_their_formulas() {
         1.0 - part(0).powi(2) - part(1).powi(2)
     };
     costs("infidelity", &quantum, none, missing);
-    check::task(&quantum, &Conv::new(GRID, 2));
+    check::task(&quantum, &Conv::new(GRID, 2)).unwrap();
     let every = Quantum { loss: LossMode::Running, ..quantum };
     costs("infidelity always", &every, |x, _| missing(x), |_| 0.0);
-    check::task(&every, &Conv::new(GRID, 2));
+    check::task(&every, &Conv::new(GRID, 2)).unwrap();
 
     let slider = Slider { speed_weight: 0.3, horizon: 5, ..Slider::default() };
     costs_of("slider", &slider, none, |x| x[0] * x[0] + 0.3 * x[1] * x[1]);

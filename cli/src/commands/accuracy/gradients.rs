@@ -13,7 +13,8 @@ use crate::settings::Precision;
 use crate::tasks::Scene;
 use anyhow::{Result, bail};
 use indicatif::ProgressBar;
-use physgrad::{Combination, Field, GradientCombiner};
+use physgrad::Field;
+use physgrad::train::{Combination, GradientCombiner};
 use toml::Value;
 
 /// Step sizes of central differences.

@@ -7,7 +7,7 @@ use physgrad::Field;
 use physgrad::policy::Quadratic;
 use physgrad::tasks::Reach;
 use physgrad::text::rough;
-use physgrad::vector_field::{self, Sample};
+use physgrad::train::vector_field::{self, Sample};
 use physgrad_plot::quantile::{quantile, sorted};
 use physgrad_plot::{Map, Plane, maps};
 

@@ -6,7 +6,7 @@ use anyhow::Result;
 use physgrad::policy::Constant;
 use physgrad::tasks::Bowl;
 use physgrad::text::rough;
-use physgrad::vector_field::{self, LEARNING_RATE, Rotated, START, Sample};
+use physgrad::train::vector_field::{self, LEARNING_RATE, Rotated, START, Sample};
 use physgrad_plot::{Map, Plane, field_color, maps};
 
 /// Half the range of each parameter, which is centered at 0.

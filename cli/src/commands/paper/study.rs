@@ -14,8 +14,9 @@ use crate::runs::statistics::{Outcome, best, by_field, curves, loss_ratio, trail
 use crate::scenes::{overrides, presets};
 use crate::settings::ClipName;
 use anyhow::Result;
+use physgrad::Field;
 use physgrad::text::short;
-use physgrad::{Field, Record};
+use physgrad::train::Record;
 use physgrad_plot::quantile::{quantile, sorted};
 use physgrad_plot::{Abscissa, Case, Curve, Drawing};
 use serde_json::Value as Json;

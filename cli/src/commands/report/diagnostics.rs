@@ -5,7 +5,8 @@ use crate::commands::report::inspected::{Inspected, RolloutData};
 use crate::commands::report::learning::{field_keys, lines};
 use crate::operations::adjoint_norms::AdjointNorms;
 use crate::runs::statistics::{Outcome, curves};
-use physgrad::{Flow, Record};
+use physgrad::Flow;
+use physgrad::train::Record;
 use physgrad_plot::{Abscissa, Chart, Dash, Series, field_color};
 
 const EPOCH: &str = "epoch";

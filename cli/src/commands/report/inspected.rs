@@ -10,7 +10,8 @@ use crate::runs::saved::SceneRuns;
 use crate::runs::statistics::{InScene, Outcome, position};
 use crate::tasks::Scene;
 use anyhow::{Result, bail};
-use physgrad::{Field, Record, differences};
+use physgrad::Field;
+use physgrad::train::{Record, differences};
 use physgrad_plot::Animation;
 use toml::Table;
 

@@ -6,7 +6,7 @@ use crate::platform::terminal::counted;
 use crate::runs::statistics::{
     InScene, MAX_DASHED, Outcome, by_field, curves_of_scenes, field_label,
 };
-use physgrad::Record;
+use physgrad::train::Record;
 use physgrad_plot::{Abscissa, Chart, Dash, Point, Series, field_color, statistic};
 
 const EPOCH: &str = "epoch";

@@ -332,7 +332,8 @@ impl<'a> Results<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use physgrad::{Field, Record};
+    use physgrad::Field;
+    use physgrad::train::Record;
 
     /// Records of epochs of 1 s each, with these test losses.
     fn records(losses: &[f64]) -> Vec<Record> {

@@ -66,7 +66,7 @@ impl TaskSpec for DoublePendulum {
     }
 
     fn task(settings: &Settings<Self>) -> DynTask {
-        let task = upright(settings, body(settings), 0, settings.system.start);
+        let task = upright(settings, body(settings), 0, settings.system.start, 30.0);
         in_scene(settings, task)
     }
 

@@ -79,7 +79,7 @@ impl TaskSpec for Pendulum {
     }
 
     fn task(settings: &Settings<Self>) -> DynTask {
-        let task = upright(settings, body(settings), 0, settings.system.start);
+        let task = upright(settings, body(settings), 0, settings.system.start, 1.0);
         in_scene(settings, task)
     }
 

@@ -88,7 +88,7 @@ impl TaskSpec for PoleChain {
     }
 
     fn task(settings: &Settings<Self>) -> DynTask {
-        let task = upright(settings, chain(settings), 2, settings.system.start);
+        let task = upright(settings, chain(settings), 2, settings.system.start, 30.0);
         in_scene(settings, task)
     }
 

@@ -41,9 +41,9 @@ pub struct Flow {
     pub truncation: Option<usize>,
     /// Growth in decades above which the adjoint of a sample is cut. `None` for no cut.
     ///
-    /// The growth, defined as in [`Growth::along`](crate::Growth), begins at the last cut or
-    /// truncation, or where the adjoint of the sample last became 0. At a cut, all weights of the
-    /// sample are 0 for one step.
+    /// The growth, defined as in [`Growth::along`](crate::engine::Growth), begins at the last cut
+    /// or truncation, or where the adjoint of the sample last became 0. At a cut, all weights of
+    /// the sample are 0 for one step.
     pub cut: Option<f64>,
 }
 

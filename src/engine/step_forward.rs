@@ -1,11 +1,10 @@
 //! Forward step of all samples.
 
-use super::Lane;
 use crate::dynamics::inputs::Inputs;
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::numbers::kernels::{Vectorized, dispatch_lanes};
-use crate::numbers::scalar::{Float, Real, Scalar};
+use crate::numbers::scalar::{Float, Lane, Real, Scalar};
 
 /// Forward step of a task for all samples at once.
 pub trait StepForward<F: Float> {
