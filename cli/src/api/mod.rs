@@ -22,7 +22,7 @@ pub use crate::settings::Precision;
 pub use memory::{TooLarge, fits};
 pub use physgrad::Trajectories;
 pub use physgrad::threads;
-pub use policy::{Policy, Precise};
+pub use policy::Policy;
 pub use run::Run;
 pub use scene::Scene;
 

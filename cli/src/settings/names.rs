@@ -1,6 +1,6 @@
 //! Settings with a fixed set of values.
 
-use physgrad::policy::Activation;
+use crate::settings::config_error::one_of;
 use physgrad::{Field, OptimizerKind};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::{Deserializer, Error, Visitor};
@@ -136,27 +136,6 @@ pub enum EstimatorName {
     AlphaOrder,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum ActivationName {
-    Tanh,
-    Relu,
-    Silu,
-    Gelu,
-}
-
-impl ActivationName {
-    /// Activation function of the library.
-    pub fn activation(self) -> Activation {
-        match self {
-            Self::Tanh => Activation::Tanh,
-            Self::Relu => Activation::Relu,
-            Self::Silu => Activation::Silu,
-            Self::Gelu => Activation::Gelu,
-        }
-    }
-}
-
 /// [`OptimizerKind`] with default parameters, by name.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(into = "String")]
@@ -183,7 +162,7 @@ impl<'de> Deserialize<'de> for OptimizerName {
             type Value = OptimizerName;
 
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                write!(f, "one of `{}`", NAMES.join("`, `"))
+                f.write_str(&one_of(NAMES))
             }
 
             fn visit_str<E: Error>(self, name: &str) -> Result<OptimizerName, E> {
