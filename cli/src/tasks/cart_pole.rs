@@ -267,3 +267,23 @@ impl TaskSpec for CartPole {
         physgrad_plot::cart_pole_on(&rail, &states, &forces, half_length.nominal(), dt)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::PI;
+
+    #[test]
+    fn the_wind_of_an_animation_has_the_drawn_numbers_of_the_rollout() {
+        let effects: CartPoleEffects = toml::from_str(
+            "pole_damping = { damping = { uniform = [1, 2] } }\n\
+             gusty_wind = { speed = 3, gust = { uniform = [1, 2] }, period = 4 }",
+        )
+        .expect("settings");
+        // The damping, then the start of the gusts and their amplitude.
+        let wind = effects.wind(&[1.5, 1.0, 1.25], [0.0, 0.5].into_iter());
+        assert_eq!(wind[0], 3.0 + 1.25);
+        assert!((wind[1] - (3.0 + 1.25 * (0.75 * PI).sin())).abs() < 1e-15, "{wind:?}");
+        assert!(CartPoleEffects::default().wind(&[], [0.0].into_iter()).is_empty());
+    }
+}
