@@ -18,7 +18,7 @@ use crate::engine::initial_states::append_starts;
 use crate::engine::rollout::Rollout;
 use crate::engine::rows;
 use crate::numbers::scalar::Float;
-use crate::policy::{Conv, Mlp, Policy, WithParams};
+use crate::policy::{AnyNetwork, Policy, WithParams};
 use crate::tasks::*;
 use crate::train::calls;
 use crate::train::combination::Combination;
@@ -59,8 +59,7 @@ pub fn compiled() -> Vec<Function> {
         [identify::identify::<DynSystem> as Function, optimize::optimize::<DynTask> as Function];
     let others = [
         &any_policy[..],
-        &of_policy::<WithParams<Mlp>>(),
-        &of_policy::<WithParams<Conv>>(),
+        &of_policy::<WithParams<AnyNetwork>>(),
         &of_precision::<f32>(),
         &of_precision::<f64>(),
     ];

@@ -6,7 +6,7 @@
 //!
 //! 1. `platform`: files, folders, locks, signals, ranks, tables, threads, terminal, CSV, JSON.
 //! 2. `settings`: sections of a scene, errors in settings.
-//! 3. `operations`: computations on any task, generic over the policy.
+//! 3. `operations`: computations on any task and its policy.
 //! 4. `tasks`: built-in tasks; `Scene`, independent of the type of its task.
 //! 5. `scenes`: scene files, presets, overrides, sweeps, plans of studies.
 //! 6. `runs`: training, resuming, comparisons, output files, statistics.
@@ -41,7 +41,7 @@ use platform::{parallel, ranks, signals};
 use runs::run;
 use scenes::overrides::Overrides;
 use std::process::ExitCode;
-use tasks::{AnyEffectSpec, AnyTaskSpec, Own, OwnEffect};
+use tasks::{AnyEffectSpec, AnyTaskSpec, OwnEffect};
 
 pub use tasks::{ProgramEffect, ProgramTask, SceneEffects};
 
@@ -155,7 +155,7 @@ impl Program {
     /// Adds a task of the user to the built-in tasks.
     #[must_use = "call `main` to run the program"]
     pub fn task<T: ProgramTask>(mut self) -> Self {
-        self.own.push(&const { Own::<T>::NEW });
+        self.own.push(tasks::entry::<T>());
         self
     }
 
@@ -261,7 +261,7 @@ fn execute(command: &Command) -> Result<()> {
 
 fn default_run() -> Command {
     Command::Train(train::Train {
-        scene: Some(tasks::own().first().map_or("cart_pole", |task| task.name()).into()),
+        scene: Some(tasks::own().first().unwrap_or(&tasks::all()[0]).name().into()),
         overrides: Overrides::default(),
         threads: None,
         out: None,

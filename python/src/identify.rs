@@ -102,9 +102,10 @@ fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
         };
         return starts.iter().map(unknown).collect();
     }
+    let settings = task.scene.settings();
     let unknown = |key: String| {
         let setting = key.split('.').try_fold(None, |found: Option<&Value>, part| {
-            let table = found.map_or(Some(task.scene.settings()), Value::as_table)?;
+            let table = found.map_or(Some(&settings), Value::as_table)?;
             table.get(part).map(Some)
         });
         match setting.flatten() {

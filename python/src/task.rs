@@ -193,7 +193,7 @@ impl Task {
     /// tuples. `replace` returns a task with other settings.
     #[getter]
     fn settings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        table_to_python(py, self.scene.settings())
+        table_to_python(py, &self.scene.settings())
     }
 
     /// Draws initial states, (count, state_dim + param_dim).

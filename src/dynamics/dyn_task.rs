@@ -41,7 +41,7 @@ pub struct DynTask(DynSystem);
 
 /// System of a [`DynTask`].
 #[derive(Clone)]
-pub struct DynSystem(Arc<dyn AnyTask>);
+pub struct DynSystem(Arc<dyn Erased>);
 
 impl DynTask {
     /// Wraps a task.
@@ -60,7 +60,7 @@ impl fmt::Debug for DynTask {
 /// Object-safe [`Task`]. A method with a `slot` writes a function pointer to the slot, for the
 /// generic method of equal name. The type of the slot determines the scalar of the function. The
 /// slot stays empty if the method has no instance for this scalar.
-trait AnyTask: Send + Sync {
+trait Erased: Send + Sync {
     fn name(&self) -> &'static str;
     fn as_any(&self) -> &dyn Any;
     fn state_dim(&self) -> usize;
@@ -87,7 +87,7 @@ trait AnyTask: Send + Sync {
     fn terminal_cost_gradient(&self, slot: &mut dyn Any);
 }
 
-impl<T: Task + 'static> AnyTask for T {
+impl<T: Task + 'static> Erased for T {
     fn name(&self) -> &'static str {
         type_name::<T>()
     }

@@ -3,10 +3,11 @@
 use crate::numbers::kernels::elementwise::Strided;
 use crate::numbers::kernels::{SimdLevel, Vectorized, dispatch};
 use crate::numbers::scalar::{Float, Scalar};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Activation of the hidden layers of an [`Mlp`](super::Mlp).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Activation {
     /// `tanh z`, the activation of the source paper (ICLR 2024).

@@ -5,6 +5,7 @@
 //! - Open loop: a control sequence, [`OpenLoop`], or one control for all steps, [`Constant`].
 //! - Combinations: [`Bounded`] controls, the [`Sum`] of two policies, and [`WithParams`] for
 //!   trained parameters of the system.
+//! - [`AnyNetwork`]: a network whose kind is chosen at run time.
 //! - [`AnyPolicy`]: object-safe [`Policy`] for one precision.
 //! - [`NetworkLayer`]: layers of a policy, for files that other programs read.
 //! - [`Weights`]: parameters together with their packed form.
@@ -13,6 +14,7 @@
 
 mod activation;
 mod any;
+mod any_network;
 mod blocks;
 mod bounded;
 mod by_act;
@@ -29,6 +31,7 @@ mod two_params;
 
 pub use activation::Activation;
 pub use any::AnyPolicy;
+pub use any_network::AnyNetwork;
 pub use bounded::Bounded;
 pub use controls::controls;
 pub use conv::Conv;

@@ -4,6 +4,7 @@
 use crate::dynamics::inputs::{Cotangents, OdeInputs};
 use crate::dynamics::ode::Ode;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
+use serde::{Deserialize, Serialize};
 
 /// Two point masses on massless rods, the second hanging from the first, with a torque on the first
 /// joint.
@@ -18,7 +19,9 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 ///
 /// The code computes the determinant of the mass matrix as `m₂ l₁² l₂² (m₁ + m₂ sin² Δ)`. The
 /// difference of the products of matrix entries would lose all digits for small m₁ and sin Δ.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields, default)]
 pub struct DoublePendulum {
     /// Masses m₁ and m₂, kg.
     pub masses: [f64; 2],

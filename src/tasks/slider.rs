@@ -6,6 +6,7 @@ use crate::dynamics::task::Task;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use rand::RngExt;
+use serde::{Deserialize, Serialize};
 
 /// Gravitational acceleration g, m/s².
 const GRAVITY: f64 = 9.81;
@@ -27,7 +28,9 @@ const ROUNDS: usize = 24;
 /// sticking. The [`FrictionScheme`] determines v'.
 ///
 /// Source: Andersson, Söderberg and Björklund 2007 (doi:10.1016/j.triboint.2005.11.014), eq. 3.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields, default)]
 pub struct SliderSystem {
     /// Mass m, kg, positive.
     pub mass: f64,
@@ -43,7 +46,9 @@ pub struct SliderSystem {
 }
 
 /// Speed at which a step evaluates friction.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "snake_case")]
 pub enum FrictionScheme {
     /// Speed before the step: `v' = v + dt (u/m - μ g tanh(v/ε))`.
     ///

@@ -2,43 +2,23 @@
 
 use super::{Scene, fits};
 use crate::operations::policy_file;
-use crate::tasks::DynPolicy;
+use crate::tasks::ScenePolicy;
 use anyhow::{Result, anyhow, bail};
 use physgrad::engine::any::AnyTask;
 use physgrad::policy::AnyPolicy;
-use physgrad::rng::{Purpose, stream};
 use physgrad::train::{Trajectories, calls};
 use physgrad::{DynTask, Field, Float, Rollout, Weights};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Largest number of samples in one rollout.
 const BLOCK: usize = 32;
-
-/// Precision of a computation with a [`Policy`]: `f32` or `f64`.
-pub trait Precise: Float {
-    #[doc(hidden)]
-    fn policy(policy: &dyn DynPolicy) -> &dyn AnyPolicy<Self>;
-}
-
-impl Precise for f32 {
-    fn policy(policy: &dyn DynPolicy) -> &dyn AnyPolicy<f32> {
-        policy
-    }
-}
-
-impl Precise for f64 {
-    fn policy(policy: &dyn DynPolicy) -> &dyn AnyPolicy<f64> {
-        policy
-    }
-}
 
 /// The policy of a scene with its parameters θ. If the scene trains numbers, the last parameters
 /// determine them; see [`TrainedParam`](physgrad::policy::TrainedParam).
 #[derive(Clone)]
 pub struct Policy {
     scene: Scene,
-    policy: Arc<dyn DynPolicy>,
+    policy: ScenePolicy,
     theta: Vec<f64>,
 }
 
@@ -46,9 +26,8 @@ impl Policy {
     /// Policy with random parameters. A training with this seed starts from them, unless the scene
     /// has an initial policy.
     pub fn new(scene: &Scene, seed: u64) -> Self {
-        let policy = scene.scene.policy();
-        let mut theta = vec![0.0; f64::policy(&*policy).param_count()];
-        f64::policy(&*policy).init(&mut stream(seed, Purpose::Policy, 0), &mut theta);
+        let policy = scene.scene.policy().clone();
+        let theta = policy_file::random(&policy, seed);
         Self { scene: scene.clone(), policy, theta }
     }
 
@@ -59,8 +38,8 @@ impl Policy {
     /// finite.
     /// The file and the scene train different numbers, or the bounds of these numbers differ.
     pub fn read(scene: &Scene, bytes: &[u8]) -> Result<Self> {
-        let policy = scene.scene.policy();
-        let theta = policy_file::read(bytes, &scene.scene.about(), f64::policy(&*policy), 0)?;
+        let policy = scene.scene.policy().clone();
+        let theta = policy_file::read(bytes, &scene.scene.about(), &policy, 0)?;
         let mut read = Self { scene: scene.clone(), policy, theta: Vec::new() };
         read.check_finite(&theta)?;
         read.theta = theta;
@@ -112,9 +91,9 @@ impl Policy {
     pub fn safetensors(&self) -> Result<Vec<u8>> {
         let about = self.scene.scene.about();
         if self.scene.is_f64() {
-            return policy_file::write(&about, f64::policy(&*self.policy), &self.theta);
+            return policy_file::write(&about, &self.policy, &self.theta);
         }
-        policy_file::write(&about, f32::policy(&*self.policy), &self.rounded::<f32>())
+        policy_file::write(&about, &self.policy, &self.rounded::<f32>())
     }
 
     /// The parameters in the precision `F`.
@@ -127,8 +106,8 @@ impl Policy {
     ///
     /// # Errors
     /// The policy has a memory, or `y` is not a whole number of rows.
-    pub fn act<F: Precise>(&self, y: &[F]) -> Result<Vec<F>> {
-        let policy = F::policy(&*self.policy);
+    pub fn act<F: Float>(&self, y: &[F]) -> Result<Vec<F>> {
+        let policy = &self.policy as &dyn AnyPolicy<F>;
         let (width, rows) = (policy.observation_dim(), y.len() / policy.observation_dim());
         if policy.memory_dim() > 0 {
             bail!("the policy has a memory; use rollouts");
@@ -142,7 +121,7 @@ impl Policy {
 
     /// Returns the task of a scene, after a check that the policy fits it.
     pub(super) fn check(&self, task: &Scene) -> Result<DynTask> {
-        let (policy, dyn_task) = (f64::policy(&*self.policy), task.task());
+        let (policy, dyn_task) = (&self.policy as &dyn AnyPolicy<f64>, task.task());
         let any: &dyn AnyTask<f64> = &dyn_task;
         let [found, expected] = [
             [policy.observation_dim(), policy.control_dim()],
@@ -190,13 +169,13 @@ impl Policy {
     ///
     /// # Panics
     /// If `starts` is not a whole number of initial states.
-    pub fn rollouts<F: Precise>(
+    pub fn rollouts<F: Float>(
         &self,
         task: &Scene,
         starts: &[F],
         stop: &AtomicBool,
     ) -> Result<Trajectories<F>> {
-        let (dyn_task, policy) = (self.check(task)?, F::policy(&*self.policy));
+        let (dyn_task, policy) = (self.check(task)?, &self.policy as &dyn AnyPolicy<F>);
         let any: &dyn AnyTask<F> = &dyn_task;
         let (horizon, count) = (any.horizon(), starts.len() / any.start_dim());
         fits(
@@ -221,13 +200,13 @@ impl Policy {
     ///
     /// # Panics
     /// If `starts` is not a whole number of initial states.
-    pub fn losses<F: Precise>(
+    pub fn losses<F: Float>(
         &self,
         task: &Scene,
         starts: &[F],
         stop: &AtomicBool,
     ) -> Result<Vec<F>> {
-        let (dyn_task, policy) = (self.check(task)?, F::policy(&*self.policy));
+        let (dyn_task, policy) = (self.check(task)?, &self.policy as &dyn AnyPolicy<F>);
         let weights = Weights::new(policy, self.rounded());
         calls::losses_until(&dyn_task, policy, &weights, starts, &|| is_set(stop))?
             .ok_or_else(interrupted)
@@ -242,14 +221,14 @@ impl Policy {
     ///
     /// # Panics
     /// If `starts` is not a whole number of initial states.
-    pub fn gradients<F: Precise>(
+    pub fn gradients<F: Float>(
         &self,
         task: &Scene,
         starts: &[F],
         chosen: &[Field],
         stop: &AtomicBool,
     ) -> Result<Vec<Vec<F>>> {
-        let (dyn_task, policy) = (self.check(task)?, F::policy(&*self.policy));
+        let (dyn_task, policy) = (self.check(task)?, &self.policy as &dyn AnyPolicy<F>);
         let any: &dyn AnyTask<F> = &dyn_task;
         if starts.is_empty() {
             bail!("`starts` has no rows; pass at least one initial state");

@@ -32,7 +32,8 @@ impl Scene {
     /// parameters.
     ///
     /// # Errors
-    /// There is no such preset or file. A setting is unknown or out of range.
+    /// There is no such preset or file. A setting is unknown or out of range. A run does not fit in
+    /// the memory of this machine.
     pub fn open(name: &str, settings: impl IntoIterator<Item = (String, Value)>) -> Result<Self> {
         Self::changed(presets::source(name)?, settings, None)
     }
@@ -54,12 +55,8 @@ impl Scene {
     /// # Errors
     /// The section does not suit the task.
     pub fn with_policy(&self, policy: &Policy) -> Result<Self> {
-        let section = policy
-            .scene()
-            .settings()
-            .get("policy")
-            .cloned()
-            .context("the scene has no section `policy`")?;
+        let section = policy.scene().settings().remove("policy");
+        let section = section.context("the scene has no section `policy`")?;
         self.with([("policy".to_owned(), section)])
     }
 
@@ -68,8 +65,7 @@ impl Scene {
     /// # Errors
     /// The task does not support them.
     pub fn with_setting(&self, setting: &Setting) -> Result<Self> {
-        let source = setting.source(&self.source)?;
-        Ok(Self { scene: source.starting_from(self.scene.initial_policy())?, source })
+        Self::of(setting.source(&self.source)?, self.scene.initial_policy())
     }
 
     /// Scene of the source, with other values of some settings. `policy` is as in
@@ -80,13 +76,15 @@ impl Scene {
         policy: Option<&[u8]>,
     ) -> Result<Self> {
         for (key, value) in settings {
-            if value.as_table().is_some_and(Table::is_empty) {
-                source.put(&key, value, OPTION)?;
-            } else {
-                source.replace(&key, value, OPTION)?;
-            }
+            source.replace(&key, value, OPTION)?;
         }
-        Ok(Self { scene: source.starting_from(policy)?, source })
+        Self::of(source, policy)
+    }
+
+    fn of(source: SceneSource, policy: Option<&[u8]>) -> Result<Self> {
+        let scene = source.starting_from(policy)?;
+        scene.check_memory()?;
+        Ok(Self { source, scene })
     }
 
     /// Name of the task.
@@ -95,8 +93,8 @@ impl Scene {
     }
 
     /// All settings, including defaults.
-    pub fn settings(&self) -> &Table {
-        &self.scene.table
+    pub fn settings(&self) -> Table {
+        self.scene.table()
     }
 
     /// Returns true if the scene computes in f64, and false for f32.
@@ -106,7 +104,7 @@ impl Scene {
 
     /// The task.
     pub fn task(&self) -> DynTask {
-        self.scene.task()
+        self.scene.task().clone()
     }
 
     /// Number of time steps of a rollout.

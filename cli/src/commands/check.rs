@@ -58,6 +58,7 @@ pub fn check(args: &Check) -> Result<()> {
         print_text("task, checked, number of compared values, worst and allowed error, result")?;
     }
     for (variant, scene) in scenes {
+        scene.check_memory()?;
         results.begin(scene.task.name());
         let theta = scene.initial_policy().map(|_| scene.initial_theta()).transpose()?;
         scene.check(&variant, theta.as_deref(), &mut results);
@@ -211,11 +212,7 @@ fn stability(
     } else {
         "time step: the test rollouts diverge".to_owned()
     };
-    let substeps = scene
-        .table
-        .get("integrator")
-        .and_then(|section| section.get("substeps")?.as_integer())
-        .unwrap_or(1);
+    let substeps = scene.integrator.count() as i64;
     let (mut last, mut times) = (None, 1);
     let mut before = (multiplier, found.divergence.is_none());
     while times < MAX_REFINEMENT {

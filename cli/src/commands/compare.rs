@@ -302,7 +302,7 @@ struct PlannedPoint {
 impl Plan {
     fn new(names: &[String], points: &[SweepPoint], args: &Compare) -> Self {
         let point = |SweepPoint { name, point, scene }: &SweepPoint| {
-            let mut table = scene.table.clone();
+            let mut table = scene.table();
             table.remove(INITIAL_POLICY);
             // One copy per point, because a sweep may vary the policy. The checksum differs for
             // shards with different policies.

@@ -89,7 +89,7 @@ fn objects(name: Option<&str>) -> Result<Vec<Value>> {
 fn page() -> Result<String> {
     let mut page = HEAD.to_owned();
     for &kind in tasks::all().iter().filter(|kind| !kind.effects().is_empty()) {
-        let intro = wrapped(&format!("{} {}", sentence(kind.about()), symbols(kind.name())), WIDTH);
+        let intro = wrapped(&format!("{} {}", sentence(kind.about()), kind.symbols()), WIDTH);
         let _ = writeln!(page, "\n## {}\n\n{intro}\n", kind.name());
         section(&mut page, kind, "effects", &kind.effects())?;
     }
@@ -202,29 +202,6 @@ fn parameters(page: &mut String, schema: &Value) {
             description(of),
             choices.collect::<String>()
         );
-    }
-}
-
-/// Sentences that define the symbols in the equations of a built-in task with effects, and state
-/// the size of the counted system. Empty for other tasks.
-fn symbols(task: &str) -> &'static str {
-    match task {
-        "cart_pole" => {
-            "x is the position of the cart. θ_i and ω_i are angle and angular velocity of pole i. l is `half_length`. F is the \
-             force on the cart. τ_i is the torque on pole i. D_i is the drag of pole i, and v_i the speed of the air across it. δ \
-             is the depth of contact. Costs are for 2 poles."
-        }
-        "guidance" => {
-            "D_j and E_k are the positions of driver j and evader k. (x, y), v and a are position, velocity and acceleration of \
-             an agent. d is `softening` plus the distance between two agents, or between an agent and the center of an \
-             obstacle. Costs are for 2 drivers and 4 evaders."
-        }
-        "quantum" => {
-            "V is the potential. ξ is the position, from the middle of the box. ψ_j is the wave at grid point j, dx the spacing \
-             of the grid, and dt the time step. Units: ħ = 1, and the mass is 1/2. A scene has at most one static potential: \
-             `harmonic`, `barrier` or `double_well`. Costs are for 32 grid points."
-        }
-        _ => "",
     }
 }
 

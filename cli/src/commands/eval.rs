@@ -172,7 +172,11 @@ fn scene(args: &Eval, policy: &Trained) -> Result<Scene> {
         None => policy.source.clone(),
     };
     if args.scene.is_some() {
-        ["policy", "precision"].into_iter().for_each(|key| source.copy(key, &policy.source));
+        for key in ["policy", "precision"] {
+            if let Some(value) = policy.source.table().get(key) {
+                source.replace(key, value.clone(), policy.source.name())?;
+            }
+        }
     }
     Overrides { set: args.set.clone(), without: args.without.clone(), ..Overrides::default() }
         .apply(&mut source)?;

@@ -91,7 +91,7 @@ fn parts(scene: &Scene) -> Vec<(&'static str, Info)> {
 }
 
 fn is_present(scene: &Scene, section: &str, name: &str) -> bool {
-    scene.table.get(section).and_then(|section| section.get(name)).is_some()
+    scene.table().get(section).and_then(|section| section.get(name)).is_some()
 }
 
 /// Table of the effects and actuators: those present, then those absent.
@@ -148,7 +148,7 @@ fn operations(scene: &Scene) -> Result<Table> {
     let mut rows = |name: &str, numbers: [[i64; 8]; 3]| {
         add_rows(name, &["step", "VJP", "VJP to control"], &numbers)
     };
-    let mut bare = scene.table.clone();
+    let mut bare = scene.table();
     OPTIONAL.iter().for_each(|section| drop(bare.remove(*section)));
     let alone = numbers(&scene.task.scene(bare)?.cost().system);
     rows("system alone", alone);
@@ -159,7 +159,7 @@ fn operations(scene: &Scene) -> Result<Table> {
         if !is_present(scene, section, info.name) {
             continue;
         }
-        let mut without = scene.table.clone();
+        let mut without = scene.table();
         if let Some(section) = without.get_mut(section).and_then(toml::Value::as_table_mut) {
             section.remove(info.name);
         }
@@ -212,7 +212,7 @@ fn bytes(scene: &Scene) -> Result<Table> {
     let mut table = Table::new(["field", "bytes per step", "constant", "whole rollout"]);
     let steps = scene.horizon;
     let with_horizon = |horizon: usize| {
-        let mut table = scene.table.clone();
+        let mut table = scene.table();
         table.insert("horizon".into(), toml::Value::Integer(horizon as i64));
         scene.task.scene(table)
     };

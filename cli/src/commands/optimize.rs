@@ -80,6 +80,7 @@ pub fn optimize(args: &Optimize) -> Result<()> {
     if let Some(out) = args.out.as_deref().map(Folder::at) {
         out.check_inputs(&args.scene.iter().map(Path::new).collect::<Vec<_>>(), &[SCENE])?;
     }
+    scene.check_memory()?;
     let bounds = bounds(&args.bound, &scene.control_names())?;
     let options = Options { max_iterations: args.iterations, bounds, ..Options::default() };
     let starts = starts(args, &scene)?;

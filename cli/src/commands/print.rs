@@ -37,7 +37,7 @@ pub struct Schema {
 /// Runs `scene`.
 pub fn scene(args: &Scene) -> Result<()> {
     match &args.preset {
-        Some(name) if args.json => print_json(&json!(presets::source(name)?.scene()?.table)),
+        Some(name) if args.json => print_json(&json!(presets::source(name)?.scene()?.table())),
         None if args.json => {
             let all = presets::all()
                 .map(|(name, about)| json!({ "name": name, "about": about }))

@@ -68,7 +68,7 @@ training.optimizer: adam, sgd, momentum, rmsprop, adagrad, adadelta; loss.mode: 
 }
 
 fn describe(task: &dyn AnyTaskSpec) -> Result<()> {
-    let settings = presets::source(task.name())?.scene()?.table.to_string();
+    let settings = presets::source(task.name())?.scene()?.table().to_string();
     let indented: String =
         settings.trim_end().lines().map(|line| format!("    {line}\n")).collect();
     let effects = if task.effects().is_empty() { "none".into() } else { names(&task.effects()) };
@@ -78,7 +78,7 @@ fn describe(task: &dyn AnyTaskSpec) -> Result<()> {
 
 /// Settings of a task with defaults and, from the schema, meanings and units.
 fn settings(task: &dyn AnyTaskSpec) -> Result<Table> {
-    let defaults = presets::source(task.name())?.scene()?.table;
+    let defaults = presets::source(task.name())?.scene()?.table();
     let mut table = Table::new(["setting", "default", "meaning"]);
     add_settings(&mut table, "", &task.schema()["properties"], Some(&defaults));
     Ok(table)

@@ -120,7 +120,7 @@ fn damage_bytes(rng: &mut Rng, bytes: &mut Vec<u8>) {
 fn is_scene(read: Result<Scene>) -> bool {
     match read {
         Ok(scene) => {
-            let again = SceneSource::parse("a run", &scene.table.to_string())
+            let again = SceneSource::parse("a run", &scene.table().to_string())
                 .and_then(|source| source.scene());
             assert_eq!(again.expect("settings that are read back").identity(), scene.identity());
             true
@@ -285,7 +285,7 @@ fn create(rng: &mut Rng, path: &Path) -> Result<()> {
     // A divergence leaves the run unchanged.
     let _ = run.advance(&|| false);
     let mut checkpoint = run.checkpoint(&scene.identity());
-    let mut settings = scene.table.to_string().into_bytes();
+    let mut settings = scene.table().to_string().into_bytes();
     match rng.random_range(0..8) {
         0 => damage_text(rng, &mut settings),
         1 => damage_bytes(rng, &mut checkpoint),

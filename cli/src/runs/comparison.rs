@@ -15,7 +15,7 @@ use crate::platform::terminal::counted;
 use crate::runs::run::{self, End, Finished, NoUpdate, Observer, SAVE_EVERY};
 use crate::runs::saved::{self, check_resumable};
 use crate::runs::statistics::Outcome;
-use crate::settings::FieldName;
+use crate::settings::{EstimatorName, FieldName};
 use crate::tasks::Scene;
 use anyhow::{Context, Result, anyhow, bail};
 use physgrad::Field;
@@ -23,7 +23,6 @@ use physgrad::train::{Record, differences};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
-use toml::Value;
 
 /// Runs of one training configuration with several fields and seeds.
 pub struct Comparison {
@@ -221,7 +220,7 @@ impl Comparison {
         let pairs =
             fields.iter().flat_map(|&field| (base.seed..=last).map(move |seed| (field, seed)));
         let run = |(field, seed): (FieldName, u64)| {
-            let scene = base.with(field, seed)?;
+            let scene = base.with(field, seed);
             let folder = runs.inside(&format!("{}-{seed}", field.0.letter()))?;
             Ok(Run { field: field.0, seed, folder, scene, records: Vec::new(), end: None })
         };
@@ -307,8 +306,7 @@ pub fn check_options(fields: &[FieldName], seeds: u64, epochs: usize) -> Result<
 /// # Errors
 /// There are several fields, but the estimator reads losses only.
 pub fn check_estimator(scene: &Scene, fields: &[FieldName]) -> Result<()> {
-    let estimator = scene.table.get("training").and_then(|training| training.get("estimator"));
-    if fields.len() > 1 && estimator.and_then(Value::as_str) == Some("zeroth_order") {
+    if fields.len() > 1 && scene.training.estimator == EstimatorName::ZerothOrder {
         bail!(
             "--fields names {} fields, but has no effect: `training.estimator` is zeroth_order, which follows differences of \
              losses; name one field, as in --fields R, or choose another estimator",
@@ -337,7 +335,7 @@ pub fn check_sessions<'a>(
 ) -> Result<()> {
     for base in bases {
         for &field in fields {
-            base.with(field, base.seed)?.open(1)?;
+            base.with(field, base.seed).open(1)?;
         }
     }
     Ok(())

@@ -1,6 +1,7 @@
 //! [`Limits`]: limits of the settings whose values a run trains.
 
 use crate::scenes::source::SceneSource;
+use crate::settings::config_error::Problem;
 use crate::tasks::Scene;
 use physgrad::Number;
 use physgrad::text::digits;
@@ -41,7 +42,7 @@ impl Limits {
         };
         let numbers: Vec<Limited> = scene.varied().into_iter().filter_map(limited).collect();
         let source = (!numbers.is_empty())
-            .then(|| SceneSource::inner("the scene", scene.table.clone()).ok())
+            .then(|| SceneSource::inner("the scene", scene.table()).ok())
             .flatten();
         Self { source, numbers }
     }
@@ -76,18 +77,19 @@ impl Limited {
         let mut source = source.clone();
         source.fix(&self.name, value).ok()?;
         let section = |key: &str| key.split('.').next().map(str::to_owned);
-        // Other settings, as the horizon, have limits that depend on this machine.
+        // Other settings may have limits that depend on this number.
         let error = source.refusal().filter(|error| section(&error.key) == section(&self.name));
         let Some(error) = error else {
             self.allowed = [low.min(value), high.max(value)];
             return None;
         };
         let Self { name, .. } = self;
-        let of_number = error.what.split_once("; allowed: ").filter(|_| error.key == *name);
-        let why = of_number.map_or_else(
-            || format!("which a scene cannot have: {error}"),
-            |(_, range)| format!("outside of its range; allowed: {range}"),
-        );
+        let why = match &error.problem {
+            Problem::Value { allowed, .. } if error.key == *name => {
+                format!("outside of its range; allowed: {allowed}")
+            }
+            _ => format!("which a scene cannot have: {error}"),
+        };
         Some(format!(
             "training moves {name} to {}, {why}. Add bounds within the range to [fit]: min, or min and max",
             digits(value, 6)

@@ -121,7 +121,7 @@ pub fn write_settings(folder: &Folder, scene: &Scene) -> Result<()> {
 /// Writes a scene to this file, and a copy of its initial policy, if any. The written scene names
 /// the copy.
 pub fn write_scene(folder: &Folder, name: &str, scene: &Scene) -> Result<()> {
-    let mut table = scene.table.clone();
+    let mut table = scene.table();
     if let Some(policy) = scene.initial_policy() {
         folder.write(INITIAL_POLICY, policy)?;
         table.insert(scene::INITIAL_POLICY.into(), INITIAL_POLICY.into());

@@ -7,7 +7,7 @@ use crate::runs::saved;
 use crate::scenes::source::SceneSource;
 use crate::tasks::Scene;
 use anyhow::{Result, bail};
-use physgrad::policy::AnyPolicy;
+use physgrad::Policy;
 use std::collections::HashSet;
 use std::path::PathBuf;
 
@@ -61,7 +61,7 @@ impl Trained {
     pub fn evaluation(&self, scene: &Scene, seed: u64) -> Result<Box<dyn AnyEvaluation>> {
         let [own, other] = [&self.scene, scene].map(|scene| {
             let policy = scene.policy();
-            [AnyPolicy::<f64>::observation_dim(&*policy), AnyPolicy::<f64>::control_dim(&*policy)]
+            [policy.observation_dim(), policy.control_dim()]
         });
         if own != other {
             bail!(

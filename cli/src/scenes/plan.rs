@@ -128,8 +128,7 @@ impl Plan {
     /// Parses the text of the file with this name in `folder`.
     fn parse(name: &str, text: String, folder: &Path) -> Result<Self> {
         let located = |error: ConfigError| anyhow!("{}: {error}", place(name, &text, &error.key));
-        let contents = read::<Contents>(parse_table(name, &text)?)
-            .map_err(|error| located(ConfigError::unreadable(&error)))?;
+        let contents = read::<Contents>(parse_table(name, &text)?).map_err(located)?;
         contents.validate().map_err(located)?;
         let mut plan = Self { name: name.to_owned(), text, contents, sources: Vec::new() };
         for i in 0..plan.contents.tasks.len() {
@@ -272,9 +271,7 @@ impl Plan {
                 self.place("epochs")
             )));
         }
-        let learning_rate =
-            scene.table.get("training").and_then(|training| training.get("learning_rate"));
-        let learning_rate = learning_rate.and_then(Value::as_float).unwrap_or(f64::NAN);
+        let learning_rate = scene.training.learning_rate;
         let [task, method] = names;
         let folder = match rate {
             Some(rate) => format!("{task}+{method}+learning_rate={rate}"),

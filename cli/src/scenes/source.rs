@@ -9,7 +9,7 @@ use crate::platform::folder::{Folder, MAX_SETTINGS};
 use crate::platform::terminal::did_you_mean;
 use crate::scenes::ranges::with_range;
 use crate::scenes::sweep::Sweep;
-use crate::settings::config_error::ConfigError;
+use crate::settings::config_error::{ConfigError, Problem};
 use crate::settings::reading::{is_drawn, is_number, overlay};
 use crate::settings::{OPTIONAL, VERSION};
 use crate::tasks::scene::{INITIAL_POLICY, flat};
@@ -176,6 +176,11 @@ impl SceneSource {
         Ok(())
     }
 
+    /// Name in messages.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
     /// Settings, without defaults.
     pub fn table(&self) -> &Table {
         &self.table
@@ -188,11 +193,15 @@ impl SceneSource {
 
     /// Replaces a number by a fixed value, even if it is drawn or trained.
     pub fn fix(&mut self, key: &str, value: f64) -> Result<()> {
-        self.replace(key, Value::Float(value), &format!("{key} = {value}"))
+        self.put(key, Value::Float(value), &format!("{key} = {value}"))
     }
 
-    /// Replaces the value of a dotted key, even if the present value is a section.
+    /// Replaces the value of a dotted key, even if the present value is a section. An empty table
+    /// keeps a section that is present.
     pub fn replace(&mut self, key: &str, value: Value, option: &str) -> Result<()> {
+        if value.as_table().is_some_and(Table::is_empty) {
+            return self.put(key, value, option);
+        }
         let (section, last) = key.rsplit_once('.').unwrap_or(("", key));
         let mut path = section.split('.').filter(|part| !part.is_empty());
         let section = path.try_fold(&mut self.table, |table, part| match element(part) {
@@ -203,15 +212,6 @@ impl SceneSource {
             section.remove(last);
         }
         self.put(key, value, option)
-    }
-
-    /// Replaces the value of a top-level key by the value in another source, if that source has
-    /// one.
-    pub fn copy(&mut self, key: &str, from: &Self) {
-        if let Some(value) = from.table.get(key) {
-            self.table.insert(key.into(), value.clone());
-            self.options.insert(key.into(), from.name.clone());
-        }
     }
 
     /// Removes a section if it is present.
@@ -421,12 +421,11 @@ fn explain_foreign_effect(spec: &dyn AnyTaskSpec, error: ConfigError) -> ConfigE
     }
 }
 
-/// Appends the most similar key to the error of an unknown key.
+/// Adds the most similar key to the error of an unknown key.
 fn suggest(spec: &dyn AnyTaskSpec, mut error: ConfigError) -> ConfigError {
-    if error.what.starts_with("is unknown") {
+    if let Problem::Unknown { allowed, hint } = &mut error.problem {
         let (section, name) = error.key.rsplit_once('.').unwrap_or(("", &error.key));
-        let siblings =
-            error.what.split('`').skip(1).step_by(2).map(|sibling| join(section, sibling));
+        let siblings = allowed.iter().map(|sibling| join(section, sibling));
         let settings = flat(&spec.defaults()).into_iter().map(|(key, _)| key);
         let effects = spec.effects().into_iter().map(|info| format!("effects.{}", info.name));
         let is_other = |key: &String| !error.key.starts_with(&format!("{key}."));
@@ -434,11 +433,10 @@ fn suggest(spec: &dyn AnyTaskSpec, mut error: ConfigError) -> ConfigError {
         // Prefers a key of this name in another section, as in `training.learning_rate` for
         // `learning_rate`, to a key with a similar name.
         let same = keys.iter().find(|key| key.rsplit('.').next() == Some(name));
-        let question = match same {
+        *hint = match same {
             Some(key) => format!("; did you mean `{key}`?"),
             None => did_you_mean(&error.key, keys.iter().map(String::as_str)),
         };
-        error.what += &question;
     }
     error
 }

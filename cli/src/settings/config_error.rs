@@ -1,84 +1,119 @@
 //! Errors in settings, and functions that check single values.
 
-use crate::settings::reading::Unreadable;
 use physgrad::Number;
-use std::fmt::Display;
+use serde::de::{self, Expected, Unexpected};
+use std::fmt::{self, Display};
 use std::ops::RangeInclusive;
 use toml::Value;
 
 /// An invalid setting. The caller adds file and line.
 #[derive(Debug, thiserror::Error)]
-#[error("`{key}` {what}")]
+#[error("`{key}` {problem}")]
 pub struct ConfigError {
-    /// Dotted key: `system.dt`.
+    /// Dotted key, for example `policy.widths[1]`. Empty for the whole table.
     pub key: String,
-    /// Message after the key: value found and values allowed.
-    pub what: String,
+    /// What is wrong with the setting.
+    pub problem: Problem,
 }
 
-/// Keys of earlier versions and their replacements.
-const RENAMED_KEYS: [(&str, &str); 4] = [
-    ("policy.zero_last", "policy.zero_init_output"),
-    ("effects.bumpers.reach", "effects.bumpers.half_travel"),
-    ("system.reach", "system.contact_distance"),
-    ("loss.effort", "loss.control_weight"),
-];
+/// What is wrong with a setting.
+#[derive(Debug)]
+pub enum Problem {
+    Missing,
+    /// No setting has this key. `hint` is a question about a similar key, or empty.
+    Unknown {
+        allowed: Vec<&'static str>,
+        hint: String,
+    },
+    /// A value that is not allowed.
+    Value {
+        found: String,
+        allowed: String,
+    },
+    /// A value that should be a whole number, with the range of the setting if it is known.
+    NotWhole {
+        found: String,
+        range: Option<String>,
+    },
+    /// Any other problem, as text after the key.
+    Other(String),
+}
 
-/// Values of earlier versions: key, old value, new value.
-const RENAMED_VALUES: [(&str, &str, &str); 2] =
-    [("loss.mode", "final", "terminal"), ("loss.mode", "continuous", "running")];
+impl Display for Problem {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Missing => write!(f, "is missing"),
+            Self::Unknown { allowed, hint } => {
+                write!(f, "is unknown; allowed: {}{hint}", one_of(allowed))
+            }
+            Self::Value { found, allowed } => write!(f, "is {found}; allowed: {allowed}"),
+            Self::NotWhole { found, range } => {
+                let range = range.as_deref().unwrap_or("0 or more");
+                write!(f, "is {found}; allowed: a whole number, {range}")
+            }
+            Self::Other(what) => f.write_str(what),
+        }
+    }
+}
 
-/// Allowed values of a count whose range is unknown.
-pub const WHOLE_NUMBER: &str = "a whole number, 0 or more";
+/// Lists names in messages.
+pub fn one_of(names: &[&str]) -> String {
+    match names {
+        [] => "nothing".into(),
+        [first, second] => format!("`{first}` or `{second}`"),
+        names => format!("`{}`", names.join("`, `")),
+    }
+}
 
-impl ConfigError {
-    pub fn new(key: impl Into<String>, what: impl Into<String>) -> Self {
-        Self { key: key.into(), what: what.into() }
+impl de::Error for ConfigError {
+    fn custom<T: Display>(message: T) -> Self {
+        Self::new("", format!("is invalid: {message}"))
     }
 
-    /// Translates a serde error into key, value found and values allowed.
-    pub fn unreadable(error: &Unreadable) -> Self {
-        let Unreadable { key, message } = error;
-        let within = |field: &str| {
-            format!("{key}.{}", field.trim_end_matches('`')).trim_start_matches('.').to_owned()
+    fn invalid_type(found: Unexpected<'_>, expected: &dyn Expected) -> Self {
+        let found = match found {
+            Unexpected::Seq => "a list".into(),
+            Unexpected::Map => "a section".into(),
+            found => found.to_string(),
         };
-        if let Some(field) = message.strip_prefix("missing field `") {
-            return Self::new(within(field), "is missing");
-        }
-        if let Some((field, expected)) =
-            message.strip_prefix("unknown field `").and_then(|rest| rest.split_once("`, "))
-        {
-            if let Some((_, new)) = RENAMED_KEYS.into_iter().find(|(old, _)| *old == within(field))
-            {
-                return Self::new(within(field), format!("was renamed; write `{new}`"));
-            }
-            let allowed = expected
-                .strip_prefix("expected ")
-                .map_or("nothing", |names| names.trim_start_matches("one of "));
-            return Self::new(within(field), format!("is unknown; allowed: {allowed}"));
-        }
-        let Some((found, expected)) = message.rsplit_once(", expected ") else {
-            return Self::new(key, format!("is invalid: {message}"));
-        };
-        if let Some((_, old, new)) = RENAMED_VALUES
-            .into_iter()
-            .find(|(renamed, old, _)| renamed == key && found.ends_with(&format!("`{old}`")))
-        {
-            return Self::new(key, format!("= \"{old}\" was renamed; write \"{new}\""));
-        }
-        let starts = ["invalid type: ", "invalid value: ", "invalid length ", "unknown variant "];
-        let found = starts.iter().find_map(|start| found.strip_prefix(start)).unwrap_or(found);
-        let found = if found == "sequence" { "a list" } else { found };
-        let expected = match expected {
-            "usize" | "u64" => WHOLE_NUMBER,
-            "f64" => "a number",
-            "a sequence" => "a list",
-            "an array of length 2" => "a list of 2",
-            "fewer elements" => "a shorter list",
-            section if section.starts_with("struct ") => "a section",
-            names => names.trim_start_matches("one of "),
-        };
-        Self::new(key, format!("is {found}; allowed: {expected}"))
+        Self::of("", Problem::Value { found, allowed: expected.to_string() })
+    }
+
+    fn invalid_value(found: Unexpected<'_>, expected: &dyn Expected) -> Self {
+        Self::invalid_type(found, expected)
+    }
+
+    fn invalid_length(length: usize, expected: &dyn Expected) -> Self {
+        Self::of("", Problem::Value { found: length.to_string(), allowed: expected.to_string() })
+    }
+
+    fn unknown_variant(found: &str, names: &'static [&'static str]) -> Self {
+        Self::of("", Problem::Value { found: format!("`{found}`"), allowed: one_of(names) })
+    }
+
+    fn unknown_field(key: &str, names: &'static [&'static str]) -> Self {
+        Self::of(key, Problem::Unknown { allowed: names.to_vec(), hint: String::new() })
+    }
+
+    fn missing_field(key: &'static str) -> Self {
+        Self::of(key, Problem::Missing)
+    }
+}
+
+impl ConfigError {
+    /// Error with a text after the key.
+    pub fn new(key: impl Into<String>, what: impl Into<String>) -> Self {
+        Self::of(key, Problem::Other(what.into()))
+    }
+
+    pub fn of(key: impl Into<String>, problem: Problem) -> Self {
+        Self { key: key.into(), problem }
+    }
+
+    /// Prepends the name of the section, or the index in the list, to the key.
+    pub fn within(self, name: &str) -> Self {
+        let dot = if self.key.is_empty() || self.key.starts_with('[') { "" } else { "." };
+        Self { key: format!("{name}{dot}{}", self.key), ..self }
     }
 
     /// Adds further allowed names to the error of an unknown key of this section.
@@ -88,13 +123,10 @@ impl ConfigError {
         names: impl Iterator<Item = &'static str>,
     ) -> Self {
         let is_of_section = self.key.rsplit_once('.').is_some_and(|(parent, _)| parent == section);
-        if is_of_section && self.what.starts_with("is unknown") {
-            names.for_each(|name| {
-                self.what = match self.what.strip_suffix("nothing") {
-                    Some(none) => format!("{none}`{name}`"),
-                    None => format!("{}, `{name}`", self.what),
-                };
-            });
+        if let Problem::Unknown { allowed, .. } = &mut self.problem
+            && is_of_section
+        {
+            allowed.extend(names);
         }
         self
     }
@@ -107,7 +139,7 @@ impl ConfigError {
             Some(value) => value.to_string(),
             None => "invalid".into(),
         };
-        Self::new(key, format!("is {found}; allowed: {allowed}"))
+        Self::of(key, Problem::Value { found, allowed: allowed.into() })
     }
 
     /// Error of a setting that another setting makes ineffective.
@@ -126,7 +158,8 @@ pub fn allowed(
     if is_allowed {
         Ok(())
     } else {
-        Err(ConfigError::new(key, format!("is {value}; allowed: {allowed}")))
+        let (found, allowed) = (value.to_string(), allowed.to_string());
+        Err(ConfigError::of(key, Problem::Value { found, allowed }))
     }
 }
 

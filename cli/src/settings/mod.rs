@@ -5,15 +5,16 @@
 mod actuator;
 pub mod config_error;
 mod integrator;
+mod joined;
 mod names;
 pub mod reading;
 mod training;
 
 pub use actuator::{ACTUATORS, ActuatorSettings};
 pub use integrator::{IntegratorSettings, Method};
+pub use joined::Joined;
 pub use names::{
-    ActivationName, ClipName, DecayName, EstimatorName, FieldName, LogFormat, OptimizerName,
-    Precision,
+    ClipName, DecayName, EstimatorName, FieldName, LogFormat, OptimizerName, Precision,
 };
 pub use training::TrainingSettings;
 

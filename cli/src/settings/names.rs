@@ -1,7 +1,7 @@
 //! Settings with a fixed set of values.
 
+use crate::settings::config_error::one_of;
 use physgrad::Field;
-use physgrad::policy::Activation;
 use physgrad::train::OptimizerKind;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::{Deserializer, Error, Visitor};
@@ -137,27 +137,6 @@ pub enum EstimatorName {
     AlphaOrder,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum ActivationName {
-    Tanh,
-    Relu,
-    Silu,
-    Gelu,
-}
-
-impl ActivationName {
-    /// Activation function of the library.
-    pub fn activation(self) -> Activation {
-        match self {
-            Self::Tanh => Activation::Tanh,
-            Self::Relu => Activation::Relu,
-            Self::Silu => Activation::Silu,
-            Self::Gelu => Activation::Gelu,
-        }
-    }
-}
-
 /// [`OptimizerKind`] with default parameters, by name.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(into = "String")]
@@ -184,7 +163,7 @@ impl<'de> Deserialize<'de> for OptimizerName {
             type Value = OptimizerName;
 
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                write!(f, "one of `{}`", NAMES.join("`, `"))
+                f.write_str(&one_of(NAMES))
             }
 
             fn visit_str<E: Error>(self, name: &str) -> Result<OptimizerName, E> {

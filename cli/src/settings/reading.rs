@@ -3,46 +3,17 @@
 //! The program uses this module instead of `serde_path_to_error` and the deserializer of `toml`.
 //! The latter reads a list as a section, and its errors omit the allowed values of a choice.
 
+use crate::settings::config_error::{ConfigError, Problem, one_of};
+use crate::settings::joined::JOINED;
 use serde::de::{
     Deserialize, DeserializeSeed, Deserializer, Error, Expected, IntoDeserializer, MapAccess,
     SeqAccess, Unexpected, Visitor,
 };
-use std::fmt::{self, Display};
+use std::fmt::Display;
 use toml::{Table, Value};
 
-/// Serde error with the key of the value, for example `policy.widths[1]`.
-///
-/// The key is empty for the whole table.
-#[derive(Debug)]
-pub struct Unreadable {
-    pub key: String,
-    pub message: String,
-}
-
-impl Unreadable {
-    /// Prepends the name of the section, or the index in the list.
-    fn within(self, name: &str) -> Self {
-        let dot = if self.key.is_empty() || self.key.starts_with('[') { "" } else { "." };
-        Self { key: format!("{name}{dot}{}", self.key), ..self }
-    }
-}
-
-impl Display for Unreadable {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "`{}`: {}", self.key, self.message)
-    }
-}
-
-impl std::error::Error for Unreadable {}
-
-impl Error for Unreadable {
-    fn custom<T: Display>(message: T) -> Self {
-        Self { key: String::new(), message: message.to_string() }
-    }
-}
-
 /// Deserializes a table.
-pub fn read<T: for<'de> Deserialize<'de>>(table: Table) -> Result<T, Unreadable> {
+pub fn read<T: for<'de> Deserialize<'de>>(table: Table) -> Result<T, ConfigError> {
     T::deserialize(Reading(&Value::Table(table)))
 }
 
@@ -80,7 +51,7 @@ pub fn is_number(table: &Table) -> bool {
 /// Implements the methods on the left by the method on the right. The visitor checks the range.
 macro_rules! read_as {
     ($($($method:ident)+: $other:ident;)+) => {$($(
-        fn $method<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
+        fn $method<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, ConfigError> {
             self.$other(visitor)
         }
     )+)+};
@@ -90,7 +61,13 @@ macro_rules! read_as {
 struct Reading<'a>(&'a Value);
 
 impl Reading<'_> {
-    fn unexpected(&self, expected: &dyn Expected) -> Unreadable {
+    /// Error of a value of another type.
+    fn unexpected(&self, allowed: impl Display) -> ConfigError {
+        let (found, allowed) = (self.found(), allowed.to_string());
+        ConfigError::of("", Problem::Value { found, allowed })
+    }
+
+    fn found(&self) -> String {
         let found = match self.0 {
             Value::Boolean(value) => Unexpected::Bool(*value),
             Value::Integer(value) => Unexpected::Signed(*value),
@@ -100,79 +77,91 @@ impl Reading<'_> {
             Value::Array(_) => Unexpected::Other("a list"),
             Value::Table(_) => Unexpected::Other("a section"),
         };
-        Error::invalid_type(found, expected)
+        found.to_string()
     }
 }
 
 impl<'de> Deserializer<'de> for Reading<'_> {
-    type Error = Unreadable;
+    type Error = ConfigError;
 
     /// Used by settings that are a number or a section, and by values of any type except dates.
-    fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
+    fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, ConfigError> {
         match self.0 {
-            Value::Float(_) | Value::Integer(_) => self.deserialize_f64(visitor),
+            Value::Float(value) => visitor.visit_f64(*value),
+            Value::Integer(value) => visitor.visit_i64(*value),
             Value::String(_) => self.deserialize_string(visitor),
             Value::Boolean(_) => self.deserialize_bool(visitor),
             Value::Array(_) => self.deserialize_seq(visitor),
             Value::Table(_) => self.deserialize_map(visitor),
-            Value::Datetime(_) => Err(self.unexpected(&visitor)),
+            Value::Datetime(_) => Err(self.unexpected(&visitor as &dyn Expected)),
         }
     }
 
-    fn deserialize_bool<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
+    fn deserialize_bool<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, ConfigError> {
         if let Value::Boolean(value) = self.0 {
             visitor.visit_bool(*value)
         } else {
-            Err(self.unexpected(&visitor))
+            Err(self.unexpected("a boolean"))
         }
     }
 
-    fn deserialize_i64<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
+    fn deserialize_i64<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, ConfigError> {
         if let Value::Integer(value) = self.0 {
             visitor.visit_i64(*value)
         } else {
-            Err(self.unexpected(&visitor))
+            Err(self.unexpected("a whole number"))
         }
     }
 
-    fn deserialize_u64<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
-        self.deserialize_i64(visitor)
-    }
-
-    fn deserialize_f64<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
-        if let Value::Float(value) = self.0 {
-            visitor.visit_f64(*value)
-        } else {
-            self.deserialize_i64(visitor)
+    fn deserialize_u64<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, ConfigError> {
+        match self.0 {
+            Value::Integer(value @ 0..) => visitor.visit_i64(*value),
+            _ => {
+                let problem = Problem::NotWhole { found: self.found(), range: None };
+                Err(ConfigError::of("", problem))
+            }
         }
     }
 
-    fn deserialize_string<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
+    fn deserialize_f64<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, ConfigError> {
+        match self.0 {
+            Value::Float(value) => visitor.visit_f64(*value),
+            Value::Integer(value) => visitor.visit_i64(*value),
+            _ => Err(self.unexpected("a number")),
+        }
+    }
+
+    fn deserialize_string<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, ConfigError> {
         if let Value::String(value) = self.0 {
             visitor.visit_str(value)
         } else {
-            Err(self.unexpected(&visitor))
+            Err(self.unexpected(&visitor as &dyn Expected))
         }
     }
 
-    fn deserialize_seq<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
-        let Value::Array(list) = self.0 else { return Err(self.unexpected(&visitor)) };
+    fn deserialize_seq<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, ConfigError> {
+        let Value::Array(list) = self.0 else { return Err(self.unexpected("a list")) };
         let mut elements = Elements { list, read: 0 };
         let value = visitor.visit_seq(&mut elements)?;
         let is_complete = elements.read == list.len();
         if is_complete {
             Ok(value)
         } else {
-            Err(Error::invalid_length(list.len(), &"fewer elements"))
+            Err(Error::invalid_length(list.len(), &"a shorter list"))
         }
     }
 
     fn deserialize_tuple<V: Visitor<'de>>(
         self,
-        _len: usize,
+        len: usize,
         visitor: V,
-    ) -> Result<V::Value, Unreadable> {
-        self.deserialize_seq(visitor)
+    ) -> Result<V::Value, ConfigError> {
+        match self.0 {
+            Value::Array(list) if list.len() < len => {
+                Err(Error::invalid_length(list.len(), &&*format!("a list of {len}")))
+            }
+            _ => self.deserialize_seq(visitor),
+        }
     }
 
     /// Refuses unknown keys, also of structs without `deny_unknown_fields`.
@@ -181,7 +170,7 @@ impl<'de> Deserializer<'de> for Reading<'_> {
         _name: &str,
         keys: &'static [&'static str],
         visitor: V,
-    ) -> Result<V::Value, Unreadable> {
+    ) -> Result<V::Value, ConfigError> {
         if let Value::Table(table) = self.0
             && let Some(key) = table.keys().find(|key| !keys.contains(&key.as_str()))
         {
@@ -190,7 +179,7 @@ impl<'de> Deserializer<'de> for Reading<'_> {
         self.deserialize_map(visitor)
     }
 
-    fn deserialize_option<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
+    fn deserialize_option<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, ConfigError> {
         visitor.visit_some(self)
     }
 
@@ -198,7 +187,7 @@ impl<'de> Deserializer<'de> for Reading<'_> {
         self,
         _name: &str,
         visitor: V,
-    ) -> Result<V::Value, Unreadable> {
+    ) -> Result<V::Value, ConfigError> {
         visitor.visit_newtype_struct(self)
     }
 
@@ -208,16 +197,16 @@ impl<'de> Deserializer<'de> for Reading<'_> {
         _name: &str,
         names: &[&str],
         visitor: V,
-    ) -> Result<V::Value, Unreadable> {
+    ) -> Result<V::Value, ConfigError> {
         match self.0 {
             Value::String(name) => visitor.visit_enum(name.as_str().into_deserializer()),
-            _ => Err(self.unexpected(&format!("`{}`", names.join("`, `")).as_str())),
+            _ => Err(self.unexpected(one_of(names))),
         }
     }
 
-    fn deserialize_map<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
-        let Value::Table(table) = self.0 else { return Err(self.unexpected(&visitor)) };
-        visitor.visit_map(Entries { entries: table.iter(), value: None })
+    fn deserialize_map<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, ConfigError> {
+        let Value::Table(table) = self.0 else { return Err(self.unexpected("a section")) };
+        visitor.visit_map(Entries { entries: table.iter(), of: None, value: None })
     }
 
     read_as! {
@@ -226,9 +215,77 @@ impl<'de> Deserializer<'de> for Reading<'_> {
         deserialize_char deserialize_str: deserialize_string;
     }
 
+    /// Reads [`Joined`](crate::settings::Joined) structs from one section.
+    fn deserialize_tuple_struct<V: Visitor<'de>>(
+        self,
+        name: &str,
+        _len: usize,
+        visitor: V,
+    ) -> Result<V::Value, ConfigError> {
+        if name != JOINED {
+            return self.deserialize_seq(visitor);
+        }
+        let mut parts = Parts { section: self.0, allowed: Vec::new() };
+        let value = visitor.visit_seq(&mut parts)?;
+        let Parts { section, allowed } = parts;
+        let keys = section.as_table().into_iter().flat_map(Table::keys);
+        match keys.into_iter().find(|key| !allowed.contains(&key.as_str())) {
+            None => Ok(value),
+            Some(key) => {
+                Err(ConfigError::of(key, Problem::Unknown { allowed, hint: String::new() }))
+            }
+        }
+    }
+
     serde::forward_to_deserialize_any! {
-        i128 u128 bytes byte_buf unit unit_struct tuple_struct identifier
-        ignored_any
+        i128 u128 bytes byte_buf unit unit_struct identifier ignored_any
+    }
+}
+
+/// The structs of a [`Joined`] section.
+struct Parts<'a> {
+    section: &'a Value,
+    /// Keys of the structs that were read.
+    allowed: Vec<&'static str>,
+}
+
+impl<'de> SeqAccess<'de> for &mut Parts<'_> {
+    type Error = ConfigError;
+
+    fn next_element_seed<T: DeserializeSeed<'de>>(
+        &mut self,
+        seed: T,
+    ) -> Result<Option<T::Value>, ConfigError> {
+        seed.deserialize(Part(self)).map(Some)
+    }
+}
+
+/// Deserializer of one struct of a [`Joined`] section: reads only the keys of the struct.
+struct Part<'p, 'a>(&'p mut Parts<'a>);
+
+impl<'de> Deserializer<'de> for Part<'_, '_> {
+    type Error = ConfigError;
+
+    fn deserialize_struct<V: Visitor<'de>>(
+        self,
+        _name: &str,
+        keys: &'static [&'static str],
+        visitor: V,
+    ) -> Result<V::Value, ConfigError> {
+        let Value::Table(table) = self.0.section else {
+            return Err(Reading(self.0.section).unexpected("a section"));
+        };
+        self.0.allowed.extend(keys);
+        visitor.visit_map(Entries { entries: table.iter(), of: Some(keys), value: None })
+    }
+
+    fn deserialize_any<V: Visitor<'de>>(self, _visitor: V) -> Result<V::Value, ConfigError> {
+        Err(Error::custom("a part of a section is not a struct"))
+    }
+
+    serde::forward_to_deserialize_any! {
+        bool i8 i16 i32 i64 i128 u8 u16 u32 u64 u128 f32 f64 char str string bytes byte_buf option
+        unit unit_struct newtype_struct seq tuple tuple_struct map enum identifier ignored_any
     }
 }
 
@@ -238,35 +295,40 @@ struct Elements<'a> {
 }
 
 impl<'de> SeqAccess<'de> for &mut Elements<'_> {
-    type Error = Unreadable;
+    type Error = ConfigError;
 
     fn next_element_seed<T: DeserializeSeed<'de>>(
         &mut self,
         seed: T,
-    ) -> Result<Option<T::Value>, Unreadable> {
+    ) -> Result<Option<T::Value>, ConfigError> {
         let Some(value) = self.list.get(self.read) else { return Ok(None) };
         let index = self.read;
         self.read += 1;
         seed.deserialize(Reading(value))
             .map(Some)
-            .map_err(|error| error.within(&format!("[{index}]")))
+            .map_err(|error: ConfigError| error.within(&format!("[{index}]")))
     }
 }
 
 struct Entries<'a> {
     entries: toml::map::Iter<'a, String, Value>,
+    /// Keys to read. None for all keys.
+    of: Option<&'static [&'static str]>,
     /// Entry of the last key that was read.
     value: Option<(&'a str, &'a Value)>,
 }
 
 impl<'de> MapAccess<'de> for Entries<'_> {
-    type Error = Unreadable;
+    type Error = ConfigError;
 
     fn next_key_seed<K: DeserializeSeed<'de>>(
         &mut self,
         seed: K,
-    ) -> Result<Option<K::Value>, Unreadable> {
-        let Some((key, value)) = self.entries.next() else { return Ok(None) };
+    ) -> Result<Option<K::Value>, ConfigError> {
+        let of = self.of;
+        let entry =
+            self.entries.find(|(key, _)| of.is_none_or(|keys| keys.contains(&key.as_str())));
+        let Some((key, value)) = entry else { return Ok(None) };
         self.value = Some((key, value));
         seed.deserialize(String::as_str(key).into_deserializer()).map(Some)
     }
@@ -274,10 +336,10 @@ impl<'de> MapAccess<'de> for Entries<'_> {
     fn next_value_seed<V: DeserializeSeed<'de>>(
         &mut self,
         seed: V,
-    ) -> Result<V::Value, Unreadable> {
+    ) -> Result<V::Value, ConfigError> {
         let (key, value) =
-            self.value.take().ok_or_else(|| Unreadable::custom("a value without a key"))?;
-        seed.deserialize(Reading(value)).map_err(|error| error.within(key))
+            self.value.take().ok_or_else(|| Error::custom("a value without a key"))?;
+        seed.deserialize(Reading(value)).map_err(|error: ConfigError| error.within(key))
     }
 }
 

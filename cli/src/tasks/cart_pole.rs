@@ -1,10 +1,10 @@
 //! Cart-pole: settings, effects, limits and animation.
 
 use crate::operations::trajectory::Trajectory;
-use crate::settings::Method;
 use crate::settings::config_error::{
     ConfigError, count, exclusive, finite, not_negative, positive,
 };
+use crate::settings::{Joined, Method};
 use crate::tasks::effects::{EffectsSection, Present, effects_section};
 use crate::tasks::{Conserved, MlpSettings, SceneEffects, Settings, TaskSpec};
 use physgrad::effect::{HasModel, Named};
@@ -12,34 +12,21 @@ use physgrad::tasks::{
     self, Bumpers, CartDamping, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole,
     DryFriction, GustyWind, LossMode, PoleDamping, SteadyWind,
 };
-use physgrad::{DynTask, Effect, Forced, Number, System};
+use physgrad::{DynTask, Effect, Forced, System};
 use physgrad_plot::{Animation, Rail};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::f64::consts::TAU;
 
 /// Task `cart_pole`.
 #[derive(Clone, Debug)]
 pub struct CartPole;
 
-/// The `system` section of cart-pole.
+/// Settings that the task adds to the section `system`.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct CartPoleSettings {
+pub struct Equations {
     /// Equations of motion: uncoupled or coupled poles.
     model: Model,
-    /// Number of poles.
-    poles: usize,
-    /// Mass of the cart, kg.
-    cart_mass: Number,
-    /// Mass of a pole, kg.
-    pole_mass: Number,
-    /// Half the length of a pole, m.
-    half_length: Number,
-    /// Gravitational acceleration, m/s².
-    gravity: Number,
-    /// Time step, s.
-    dt: f64,
 }
 
 /// Equations of motion.
@@ -96,23 +83,21 @@ effects_section! {
 }
 
 impl CartPoleEffects {
-    /// Wind speed in m/s at `time` in s, with nominal numbers. None without wind.
-    fn wind(&self, params: &[f64], time: f64) -> Option<f64> {
-        let steady = self.steady_wind.map(|wind| wind.speed.nominal());
-        let gusty = self.gusty_wind.map(|wind| {
-            let phase = TAU * (time + params[self.params_before_gusts()]) / wind.period;
-            wind.speed.nominal() + wind.gust.nominal() * phase.sin()
-        });
-        steady.or(gusty)
-    }
-
-    /// Index of t₀, the start time of the gusts, in the parameters of a rollout.
-    fn params_before_gusts(&self) -> usize {
-        let effects: Vec<Named<CartPoleEffect>> = self.present();
-        let before = effects
-            .iter()
-            .take_while(|effect| !matches!(effect.effect, CartPoleEffect::GustyWind(_)));
-        before.map(Effect::<CartPoleSystem>::param_dim).sum()
+    /// Wind speed in m/s at these times in s. Empty without wind. `params` are the parameters of
+    /// the rollout.
+    fn wind(&self, mut params: &[f64], times: impl Iterator<Item = f64>) -> Vec<f64> {
+        for Named { effect, .. } in Present::<CartPoleEffect>::present(self) {
+            match effect {
+                CartPoleEffect::SteadyWind(wind) => {
+                    return times.map(|_| wind.speed_at(params)).collect();
+                }
+                CartPoleEffect::GustyWind(wind) => {
+                    return times.map(|time| wind.speed_at(params, time)[0]).collect();
+                }
+                effect => params = &params[Effect::<CartPoleSystem>::param_dim(&effect)..],
+            }
+        }
+        Vec::new()
     }
 
     fn validate(&self) -> Result<(), ConfigError> {
@@ -133,16 +118,9 @@ pub struct CartPoleLoss {
     mode: LossMode,
 }
 
-impl CartPoleSettings {
-    fn parameters(&self) -> CartPoleSystem {
-        let Self { model: _, poles, cart_mass, pole_mass, half_length, gravity, dt } = *self;
-        CartPoleSystem { poles, cart_mass, pole_mass, half_length, gravity, dt }
-    }
-}
-
 /// Time step of the physics: the control step divided by the number of substeps.
 fn system_dt(settings: &Settings<CartPole>) -> f64 {
-    settings.system.dt / settings.integrator.count() as f64
+    settings.system.1.dt / settings.integrator.count() as f64
 }
 
 /// Swing-up task with this system.
@@ -164,12 +142,12 @@ fn listed(
         system_dt(settings),
         settings.precision,
     );
-    let system = settings.actuator.wrap(system, settings.system.dt);
+    let system = settings.actuator.wrap(system, settings.system.1.dt);
     swing_up(system, settings)
 }
 
 impl TaskSpec for CartPole {
-    type System = CartPoleSettings;
+    type System = Joined<Equations, CartPoleSystem>;
     type Effects = CartPoleEffects;
     type Loss = CartPoleLoss;
     type PolicySpec = MlpSettings;
@@ -180,31 +158,25 @@ impl TaskSpec for CartPole {
     fn horizon() -> usize {
         100
     }
+    const SYMBOLS: &'static str = "x is the position of the cart. θ_i and ω_i are angle and angular velocity of pole i. l is `half_length`. F is the \
+             force on the cart. τ_i is the torque on pole i. D_i is the drag of pole i, and v_i the speed of the air across it. δ \
+             is the depth of contact. Costs are for 2 poles.";
     const METHODS: &'static [Method] = &Method::ODE;
 
-    fn system() -> CartPoleSettings {
-        let CartPoleSystem { poles: _, cart_mass, pole_mass, half_length, gravity, dt } =
-            CartPoleSystem::default();
-        CartPoleSettings {
-            model: Model::Uncoupled,
-            poles: 2,
-            cart_mass,
-            pole_mass,
-            half_length,
-            gravity,
-            dt,
-        }
+    fn system() -> Self::System {
+        let system = CartPoleSystem { poles: 2, ..CartPoleSystem::default() };
+        Joined(Equations { model: Model::Uncoupled }, system)
     }
 
     fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
-        let system = &settings.system;
+        let system = &settings.system.1;
         count("system.poles", system.poles, 1..=CartPoleSystem::MAX_POLES)?;
         positive("system.cart_mass", system.cart_mass)?;
         positive("system.pole_mass", system.pole_mass)?;
         positive("system.half_length", system.half_length)?;
         positive("system.dt", system.dt)?;
         finite("system.gravity", system.gravity)?;
-        system.parameters().check().map_err(|error| {
+        system.check().map_err(|error| {
             ConfigError::new(
                 "system.cart_mass",
                 format!("is {}: {error}", system.cart_mass.nominal()),
@@ -219,9 +191,9 @@ impl TaskSpec for CartPole {
 
     fn task(settings: &Settings<Self>) -> DynTask {
         let effects = settings.all_effects();
-        let system = CartPoleSystem { dt: system_dt(settings), ..settings.system.parameters() };
+        let system = CartPoleSystem { dt: system_dt(settings), ..settings.system.1 };
         // Uses a separate type only for the paper's system, because each type adds compile time.
-        match settings.system.model {
+        match settings.system.0.model {
             Model::Uncoupled
                 if effects.is_empty()
                     && settings.actuator.is_empty()
@@ -240,7 +212,7 @@ impl TaskSpec for CartPole {
         let modes = [(LossMode::Terminal, "terminal"), (LossMode::Running, "running")];
         let variant = |poles: usize, (mode, name): (LossMode, &str)| {
             let mut settings = Settings::<Self>::defaults();
-            settings.system.poles = poles;
+            settings.system.1.poles = poles;
             settings.loss.mode = mode;
             (format!("{poles} pole{}, {name} loss", if poles == 1 { "" } else { "s" }), settings)
         };
@@ -252,12 +224,12 @@ impl TaskSpec for CartPole {
     }
 
     fn dt(settings: &Settings<Self>) -> f64 {
-        settings.system.dt
+        settings.system.1.dt
     }
 
     fn state_names(settings: &Settings<Self>) -> Vec<String> {
-        let poles =
-            (1..=settings.system.poles).flat_map(|i| [format!("theta_{i}"), format!("omega_{i}")]);
+        let poles = (1..=settings.system.1.poles)
+            .flat_map(|i| [format!("theta_{i}"), format!("omega_{i}")]);
         ["x".into(), "x_dot".into()].into_iter().chain(poles).collect()
     }
 
@@ -271,10 +243,11 @@ impl TaskSpec for CartPole {
 
     fn conserved(settings: &Settings<Self>) -> Option<Conserved> {
         // With several poles, only the exact equations conserve energy.
-        let exact = matches!(settings.system.model, Model::Coupled) || settings.system.poles == 1;
+        let exact =
+            matches!(settings.system.0.model, Model::Coupled) || settings.system.1.poles == 1;
         let free =
             settings.all_effects::<_, CartPoleEffect>().is_empty() && settings.actuator.is_empty();
-        let system = CoupledCartPole(settings.system.parameters());
+        let system = CoupledCartPole(settings.system.1);
         (exact && free)
             .then(|| Conserved { name: "energy", value: Box::new(move |x| system.energy(x)) })
     }
@@ -283,17 +256,35 @@ impl TaskSpec for CartPole {
         settings: &Settings<Self>,
         Trajectory { states, controls, params }: &Trajectory,
     ) -> Animation {
-        let CartPoleSettings { half_length, dt, .. } = settings.system;
-        let half_length = half_length.nominal();
-        let dim = System::state_dim(&settings.system.parameters());
+        let CartPoleSystem { half_length, dt, .. } = settings.system.1;
+        let dim = System::state_dim(&settings.system.1);
         let forces: Vec<f64> =
             settings.actuator.applied(dt, states, controls).iter().map(|u| u[0]).collect();
-        let wind = (0..states.len())
-            .filter_map(|t| settings.effects.wind(params, t as f64 * dt))
-            .collect();
+        let times = (0..states.len()).map(|t| t as f64 * dt);
+        let wind = settings.effects.wind(params, times);
         let rail =
             Rail { bumpers: settings.effects.bumpers.map(|bumpers| bumpers.half_travel), wind };
         let states: Vec<Vec<f64>> = states.iter().map(|x| x[..dim].to_vec()).collect();
-        physgrad_plot::cart_pole_on(&rail, &states, &forces, half_length, dt)
+        physgrad_plot::cart_pole_on(&rail, &states, &forces, half_length.nominal(), dt)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::PI;
+
+    #[test]
+    fn the_wind_of_an_animation_has_the_drawn_numbers_of_the_rollout() {
+        let effects: CartPoleEffects = toml::from_str(
+            "pole_damping = { damping = { uniform = [1, 2] } }\n\
+             gusty_wind = { speed = 3, gust = { uniform = [1, 2] }, period = 4 }",
+        )
+        .expect("settings");
+        // The damping, then the start of the gusts and their amplitude.
+        let wind = effects.wind(&[1.5, 1.0, 1.25], [0.0, 0.5].into_iter());
+        assert_eq!(wind[0], 3.0 + 1.25);
+        assert!((wind[1] - (3.0 + 1.25 * (0.75 * PI).sin())).abs() < 1e-15, "{wind:?}");
+        assert!(CartPoleEffects::default().wind(&[], [0.0].into_iter()).is_empty());
     }
 }

@@ -156,6 +156,9 @@ impl TaskSpec for Guidance {
     fn horizon() -> usize {
         60
     }
+    const SYMBOLS: &'static str = "D_j and E_k are the positions of driver j and evader k. (x, y), v and a are position, velocity and acceleration of \
+             an agent. d is `softening` plus the distance between two agents, or between an agent and the center of an \
+             obstacle. Costs are for 2 drivers and 4 evaders.";
     const METHODS: &'static [Method] = &Method::ODE;
 
     fn system() -> GuidanceSystem {

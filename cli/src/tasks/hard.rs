@@ -71,6 +71,20 @@ pub struct UprightLoss {
     control_weight: f64,
 }
 
+/// Settings that swing-up and balancing tasks add to the section `system`.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Swing {
+    /// Time step, s.
+    dt: f64,
+    /// Distribution of initial states.
+    start: Start,
+}
+
+impl Swing {
+    const DEFAULT: Self = Self { dt: 0.01, start: Start::Hanging };
+}
+
 /// Distribution of initial states of swing-up and balancing tasks.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]

@@ -19,10 +19,10 @@ pub mod scene;
 mod schema;
 mod settings;
 
-pub use own::{Own, ProgramTask};
+pub use own::ProgramTask;
 pub use own_effect::{AnyEffectSpec, OwnEffect, ProgramEffect, SceneEffects};
-pub use policy::{MlpSettings, PolicySpec};
-pub use scene::{DynPolicy, Scene};
+pub use policy::{MlpSettings, PolicySpec, ScenePolicy};
+pub use scene::Scene;
 pub use schema::schema;
 pub use settings::Settings;
 
@@ -36,6 +36,7 @@ use physgrad_plot::Animation;
 use schemars::JsonSchema;
 use serde::{Serialize, de::DeserializeOwned};
 use std::fmt::Debug;
+use std::marker::PhantomData;
 use std::sync::OnceLock;
 use toml::Table;
 
@@ -71,6 +72,10 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     fn horizon() -> usize;
     /// Integrators that can replace the task's native scheme.
     const METHODS: &'static [Method] = &[];
+
+    /// Sentences that define the symbols in the equations of the effects, and state the size of the
+    /// system whose operations the documentation counts.
+    const SYMBOLS: &'static str = "";
 
     /// The default physics.
     fn system() -> Self::System;
@@ -147,16 +152,16 @@ impl Conserved {
 
 /// Built-in tasks. Each has a [`TaskSpec`], an entry here, and a preset in `scenes/presets`.
 const BUILT_IN: [&dyn AnyTaskSpec; 10] = [
-    &cart_pole::CartPole,
-    &guidance::Guidance,
-    &quantum::Quantum,
-    &hard::Lqr,
-    &hard::DoublePendulum,
-    &hard::Pendulum,
-    &hard::PoleChain,
-    &hard::Slider,
-    &hard::Bounce,
-    &hard::Push,
+    entry::<cart_pole::CartPole>(),
+    entry::<guidance::Guidance>(),
+    entry::<quantum::Quantum>(),
+    entry::<hard::Lqr>(),
+    entry::<hard::DoublePendulum>(),
+    entry::<hard::Pendulum>(),
+    entry::<hard::PoleChain>(),
+    entry::<hard::Slider>(),
+    entry::<hard::Bounce>(),
+    entry::<hard::Push>(),
 ];
 
 /// Tasks and effects of this process, set once by [`register`].
@@ -252,6 +257,8 @@ pub trait AnyTaskSpec: Send + Sync {
     fn about(&self) -> &'static str;
     /// Documentation of every effect.
     fn effects(&self) -> Vec<Info>;
+    /// Sentences about the symbols in the equations of the effects. Empty without built-in effects.
+    fn symbols(&self) -> &'static str;
     /// Integrators that can replace the task's native scheme.
     fn methods(&self) -> &'static [Method];
     /// Integrator of the reference solution, and its number of substeps per control step. The
@@ -269,7 +276,14 @@ pub trait AnyTaskSpec: Send + Sync {
     fn variants(&'static self) -> Vec<(String, Scene)>;
 }
 
-impl<K: TaskSpec> AnyTaskSpec for K {
+/// Entry of a task in the list of tasks, built-in or of the user.
+pub const fn entry<K: TaskSpec>() -> &'static dyn AnyTaskSpec {
+    &const { Entry::<K>(PhantomData) }
+}
+
+struct Entry<K>(PhantomData<fn() -> K>);
+
+impl<K: TaskSpec> AnyTaskSpec for Entry<K> {
     fn name(&self) -> &'static str {
         K::NAME
     }
@@ -281,6 +295,10 @@ impl<K: TaskSpec> AnyTaskSpec for K {
     fn effects(&self) -> Vec<Info> {
         let own = own_effects(K::NAME).into_iter().map(|(_, effect)| effect.info());
         K::Effects::INFO.iter().copied().chain(own).collect()
+    }
+
+    fn symbols(&self) -> &'static str {
+        K::SYMBOLS
     }
 
     fn methods(&self) -> &'static [Method] {

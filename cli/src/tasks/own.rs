@@ -7,8 +7,6 @@ use crate::tasks::own_numbers::Owner;
 use crate::tasks::{MlpSettings, SceneEffects, Section, Settings, TaskSpec};
 use physgrad::{DynSystem, DynTask, System, Task};
 use physgrad_plot::{Animation, Channel, channels_over_time};
-use std::fmt::{self, Debug};
-use std::marker::PhantomData;
 use toml::Table;
 
 /// A task that the program trains, checks, compares and animates.
@@ -86,59 +84,37 @@ fn numbered(letter: &str, count: usize) -> Vec<String> {
     (1..=count).map(|i| format!("{letter}_{i}")).collect()
 }
 
-/// Entry of a [`ProgramTask`] in the list of tasks.
-pub struct Own<T>(PhantomData<fn() -> T>);
-
-impl<T> Own<T> {
-    pub const NEW: Self = Self(PhantomData);
-}
-
-impl<T> Clone for Own<T> {
-    fn clone(&self) -> Self {
-        Self::NEW
+/// The task with the effects of the scene, and its physics with the time step of a substep.
+fn physics<T: ProgramTask>(settings: &Settings<T>) -> Result<(DynTask, DynSystem), ConfigError> {
+    let task = match settings.own_effects.first() {
+        None => settings.system.clone(),
+        Some(key) => settings.system.with_effects(&settings.own_effects).ok_or_else(|| {
+            ConfigError::new(key, "has no effect; implement `ProgramTask::with_effects`")
+        })?,
+    };
+    if let Some(key) = settings.own_effects.unused() {
+        return Err(ConfigError::new(
+            key,
+            "has another model than those that `ProgramTask::with_effects` lists",
+        ));
     }
+    let substeps = settings.integrator.count();
+    let refined = if substeps == 1 { Some(task.clone()) } else { task.refined(substeps) };
+    let what = "1; for others, implement `ProgramTask::refined`";
+    allowed("integrator.substeps", substeps, refined.is_some(), what)?;
+    let (task, refined) = (DynTask::new(task), refined.map(DynTask::new));
+    let system = refined.as_ref().unwrap_or(&task).system().clone();
+    Ok((task, system))
 }
-
-impl<T> Debug for Own<T> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(std::any::type_name::<T>())
-    }
-}
-
-impl<T: ProgramTask> Own<T> {
-    /// The task with the effects of the scene, and its physics with the time step of a substep.
-    fn physics(settings: &Settings<Self>) -> Result<(DynTask, DynSystem), ConfigError> {
-        let task = match settings.own_effects.first() {
-            None => settings.system.clone(),
-            Some(key) => settings.system.with_effects(&settings.own_effects).ok_or_else(|| {
-                ConfigError::new(key, "has no effect; implement `ProgramTask::with_effects`")
-            })?,
-        };
-        if let Some(key) = settings.own_effects.unused() {
-            return Err(ConfigError::new(
-                key,
-                "has another model than those that `ProgramTask::with_effects` lists",
-            ));
-        }
-        let substeps = settings.integrator.count();
-        let refined = if substeps == 1 { Some(task.clone()) } else { task.refined(substeps) };
-        let what = "1; for others, implement `ProgramTask::refined`";
-        allowed("integrator.substeps", substeps, refined.is_some(), what)?;
-        let (task, refined) = (DynTask::new(task), refined.map(DynTask::new));
-        let system = refined.as_ref().unwrap_or(&task).system().clone();
-        Ok((task, system))
-    }
-}
-
-impl<T: ProgramTask> TaskSpec for Own<T> {
+impl<T: ProgramTask> TaskSpec for T {
     type System = T;
     type Effects = Nothing;
     type Loss = Nothing;
     type PolicySpec = MlpSettings;
 
-    const NAME: &'static str = T::NAME;
-    const ABOUT: &'static str = T::ABOUT;
-    const EPOCHS: usize = T::EPOCHS;
+    const NAME: &'static str = <T as ProgramTask>::NAME;
+    const ABOUT: &'static str = <T as ProgramTask>::ABOUT;
+    const EPOCHS: usize = <T as ProgramTask>::EPOCHS;
 
     fn horizon() -> usize {
         T::default().horizon()
@@ -198,7 +174,7 @@ impl<T: ProgramTask> TaskSpec for Own<T> {
             );
             return Err(ConfigError::new("horizon", what));
         }
-        Self::physics(settings).map(drop)
+        physics(settings).map(drop)
     }
 
     fn validate_own_effects(_effects: &SceneEffects) -> Result<(), ConfigError> {
@@ -207,7 +183,7 @@ impl<T: ProgramTask> TaskSpec for Own<T> {
     }
 
     fn task(settings: &Settings<Self>) -> DynTask {
-        let (task, system) = Self::physics(settings).expect("validated settings");
+        let (task, system) = physics(settings).expect("validated settings");
         settings.adapted(task, system)
     }
 

@@ -75,17 +75,10 @@ impl<E: ProgramEffect> AnyEffectSpec for OwnEffect<E> {
     fn read(&self, key: &'static str, section: Table) -> Result<SceneEffect, ConfigError> {
         let mut settings = table(&E::default());
         reading::overlay(&mut settings, &section);
-        let within = |ConfigError { key: inner, what }: ConfigError| {
-            ConfigError::new(
-                if inner.is_empty() { key.into() } else { format!("{key}.{inner}") },
-                what,
-            )
-        };
-        let effect: E =
-            reading::read(settings).map_err(|error| within(ConfigError::unreadable(&error)))?;
+        let effect: E = reading::read(settings).map_err(|error| error.within(key))?;
         let section = table(&effect);
         let invalid =
-            |(field, allowed)| within(ConfigError::invalid(field, section.get(field), allowed));
+            |(field, allowed)| ConfigError::invalid(field, section.get(field), allowed).within(key);
         effect.validate().map_err(invalid)?;
         let owner = Owner { section: key, method: "Effect::numbers" };
         owner.check_numbers(&section, effect.numbers(), &effect.varied(0))?;

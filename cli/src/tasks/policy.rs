@@ -1,23 +1,23 @@
 //! The `policy` section.
 
-use crate::settings::ActivationName;
 use crate::settings::config_error::{ConfigError, allowed};
 use crate::tasks::Section;
+use physgrad::Number;
 use physgrad::number::Varied;
-use physgrad::policy::{Mlp, TrainedParam};
-use physgrad::{Number, Policy};
+use physgrad::policy::{Activation, AnyNetwork, Mlp, TrainedParam, WithParams};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+/// The policy of a scene, with the trained numbers of its system.
+pub type ScenePolicy = WithParams<AnyNetwork>;
+
 /// The `policy` section of a task's settings.
 pub trait PolicySpec: Section + Default {
-    /// Policy built from these settings.
-    type Policy: Policy + Clone + 'static;
     /// Checks the ranges of all settings.
     fn validate(&self) -> Result<(), ConfigError>;
-    /// Builds the policy for these dimensions of observation and control. By default, a task
+    /// Builds the network for these dimensions of observation and control. By default, a task
     /// observes its state.
-    fn build(&self, state_dim: usize, control_dim: usize) -> Self::Policy;
+    fn build(&self, state_dim: usize, control_dim: usize) -> AnyNetwork;
 }
 
 /// Converts a trained number to an entry of `θ`. None for other numbers.
@@ -40,7 +40,7 @@ pub struct MlpSettings {
     /// Widths of the hidden layers; an empty list gives a linear policy.
     widths: Vec<usize>,
     /// Activation of the hidden layers.
-    activation: ActivationName,
+    activation: Activation,
     /// Adds a bias to every layer.
     bias: bool,
     /// Initializes the weights of the output layer with zeros.
@@ -51,7 +51,7 @@ impl Default for MlpSettings {
     fn default() -> Self {
         Self {
             widths: vec![100, 100],
-            activation: ActivationName::Tanh,
+            activation: Activation::Tanh,
             bias: true,
             zero_init_output: true,
         }
@@ -59,8 +59,6 @@ impl Default for MlpSettings {
 }
 
 impl PolicySpec for MlpSettings {
-    type Policy = Mlp;
-
     fn validate(&self) -> Result<(), ConfigError> {
         let (found, most) = (self.widths.len(), 1000);
         allowed(
@@ -79,11 +77,9 @@ impl PolicySpec for MlpSettings {
         }
     }
 
-    fn build(&self, state_dim: usize, control_dim: usize) -> Mlp {
+    fn build(&self, state_dim: usize, control_dim: usize) -> AnyNetwork {
         let widths = [&[state_dim], &self.widths[..], &[control_dim]].concat();
-        Mlp::new(widths)
-            .activation(self.activation.activation())
-            .bias(self.bias)
-            .zero_init_output(self.zero_init_output)
+        let network = Mlp::new(widths).activation(self.activation).bias(self.bias);
+        AnyNetwork::Mlp(network.zero_init_output(self.zero_init_output))
     }
 }

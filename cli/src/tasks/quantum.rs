@@ -1,14 +1,14 @@
 //! Quantum control: settings, effects, limits and animation.
 
 use crate::operations::trajectory::Trajectory;
-use crate::settings::Method;
 use crate::settings::config_error::{
     ConfigError, allowed, count, exclusive, finite, not_negative, positive,
 };
+use crate::settings::{Joined, Method};
 use crate::tasks::effects::{EffectsSection, effects_section, named};
 use crate::tasks::{Conserved, PolicySpec, SceneEffects, Settings, TaskSpec};
 use physgrad::effect::Named;
-use physgrad::policy::Conv;
+use physgrad::policy::{AnyNetwork, Conv};
 use physgrad::tasks::{
     self, Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, LossMode,
     Pade, QuantumEffect, QuantumScheme, QuantumSystem, Strang, Tabulated,
@@ -22,18 +22,10 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug)]
 pub struct Quantum;
 
-/// The `system` section of quantum control.
+/// Settings that the task adds to the section `system`.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct QuantumSettings {
-    /// Number of grid points between the walls.
-    grid: usize,
-    /// Length of the box, in units with ħ = 1 and m = 1/2.
-    length: f64,
-    /// Time step, in units with ħ = 1 and m = 1/2.
-    dt: f64,
-    /// Shape of the control potential.
-    control: ControlShape,
+pub struct States {
     /// Index of the target eigenstate; 1 is the ground state.
     target: usize,
     /// Weights of the first and the second eigenstate in initial states.
@@ -165,19 +157,18 @@ impl Default for ConvSettings {
 }
 
 impl PolicySpec for ConvSettings {
-    type Policy = Conv;
-
     fn validate(&self) -> Result<(), ConfigError> {
         count("policy.width", self.width, 1..=10_000)
     }
 
-    fn build(&self, state_dim: usize, _control_dim: usize) -> Conv {
-        Conv::new(state_dim / 2, self.width).zero_init_output(self.zero_init_output)
+    fn build(&self, state_dim: usize, _control_dim: usize) -> AnyNetwork {
+        let network = Conv::new(state_dim / 2, self.width);
+        AnyNetwork::Conv(network.zero_init_output(self.zero_init_output))
     }
 }
 
 impl TaskSpec for Quantum {
-    type System = QuantumSettings;
+    type System = Joined<QuantumSystem, States>;
     type Effects = QuantumEffects;
     type Loss = QuantumLoss;
     type PolicySpec = ConvSettings;
@@ -188,17 +179,19 @@ impl TaskSpec for Quantum {
     fn horizon() -> usize {
         128
     }
+    const SYMBOLS: &'static str = "V is the potential. ξ is the position, from the middle of the box. ψ_j is the wave at grid point j, dx the spacing \
+             of the grid, and dt the time step. Units: ħ = 1, and the mass is 1/2. A scene has at most one static potential: \
+             `harmonic`, `barrier` or `double_well`. Costs are for 32 grid points.";
     const METHODS: &'static [Method] = &Method::QUANTUM;
 
-    fn system() -> QuantumSettings {
+    fn system() -> Self::System {
         let tasks::Quantum { system, target, weighting, .. } = tasks::Quantum::new(3);
-        let QuantumSystem { grid, length, dt, control } = system;
-        QuantumSettings { grid, length, dt, control, target, weighting }
+        Joined(system, States { target, weighting })
     }
 
     fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
-        let QuantumSettings { grid, length, dt, target, weighting: [first, second], control: _ } =
-            settings.system;
+        let Joined(QuantumSystem { grid, length, dt, control: _ }, states) = settings.system;
+        let States { target, weighting: [first, second] } = states;
         // Two convolutions of kernel size 3 and stride 2 need at least seven points.
         count("system.grid", grid, 7..=100_000)?;
         let is_dense = settings.integrator.method == Some(Method::Strang);
@@ -232,7 +225,7 @@ impl TaskSpec for Quantum {
     }
 
     fn task(settings: &Settings<Self>) -> DynTask {
-        let system = settings.physics();
+        let system = settings.system.0;
         let mut effects = settings.effects.list(&system);
         effects.extend(settings.own_effects.listed());
         // Uses one type in all scenes: an empty list of effects costs little compared with the
@@ -250,8 +243,8 @@ impl TaskSpec for Quantum {
         };
         let system =
             Substeps { system: Absorbing::new(Forced { system: scheme, effects }, edges), count };
-        let system = settings.actuator.wrap(system, settings.system.dt);
-        let QuantumSettings { target, weighting, .. } = settings.system;
+        let system = settings.actuator.wrap(system, settings.system.0.dt);
+        let States { target, weighting } = settings.system.1;
         DynTask::new(tasks::Quantum {
             system,
             target,
@@ -275,15 +268,15 @@ impl TaskSpec for Quantum {
     }
 
     fn dt(settings: &Settings<Self>) -> f64 {
-        settings.system.dt
+        settings.system.0.dt
     }
 
     fn state_names(settings: &Settings<Self>) -> Vec<String> {
-        (1..=settings.system.grid).flat_map(|j| [format!("re_{j}"), format!("im_{j}")]).collect()
+        (1..=settings.system.0.grid).flat_map(|j| [format!("re_{j}"), format!("im_{j}")]).collect()
     }
 
     fn control_names(settings: &Settings<Self>) -> Vec<String> {
-        let name = match settings.system.control {
+        let name = match settings.system.0.control {
             ControlShape::Tilt => "tilt",
             ControlShape::Dipole => "dipole",
         };
@@ -303,18 +296,11 @@ impl TaskSpec for Quantum {
         settings: &Settings<Self>,
         Trajectory { states, controls, .. }: &Trajectory,
     ) -> Animation {
-        let system = settings.physics();
+        let system = settings.system.0;
         let tilts: Vec<f64> =
             settings.actuator.applied(system.dt, states, controls).iter().map(|u| u[0]).collect();
         let landscape = settings.effects.landscape(&system);
-        let target: Vec<f64> = system.eigenstate(settings.system.target).collect();
+        let target: Vec<f64> = system.eigenstate(settings.system.1.target).collect();
         physgrad_plot::quantum_in(&landscape, states, &tilts, &target, system.length, system.dt)
-    }
-}
-
-impl Settings<Quantum> {
-    fn physics(&self) -> QuantumSystem {
-        let QuantumSettings { grid, length, dt, control, .. } = self.system;
-        QuantumSystem { grid, length, dt, control }
     }
 }

@@ -1,11 +1,9 @@
-//! Scenes: validated settings, independent of the task.
-//!
-//! [`Scene`] holds the settings that all tasks share. [`AnySettings`] is the object-safe interface
-//! to the settings of one task.
+//! Scenes: validated settings with their task and policy, independent of the type of the task.
 
 use crate::operations::checks::{Amplification, Results};
 use crate::operations::evaluation::AnyEvaluation;
 use crate::operations::gradients::{Derived, GradientMethod};
+use crate::operations::memory::{self, Needs};
 use crate::operations::policy_file::{self, About, TrainedNumber};
 use crate::operations::session::AnyRun;
 use crate::operations::simulation::Job;
@@ -13,18 +11,22 @@ use crate::operations::trajectory::Trajectory;
 use crate::operations::{
     checks, costs, evaluation, gradients, identification, session, simulation,
 };
+use crate::platform::memory::of_this_machine;
 use crate::settings::config_error::ConfigError;
-use crate::settings::{FieldName, LogFormat, OPTIONAL, Precision};
-use crate::tasks::{AnyTaskSpec, Conserved, Settings, TaskSpec};
+use crate::settings::{
+    ActuatorSettings, DecayName, FieldName, IntegratorSettings, LogFormat, OPTIONAL, Precision,
+    TrainingSettings,
+};
+use crate::tasks::policy::{ScenePolicy, trained};
+use crate::tasks::{AnyTaskSpec, Conserved, PolicySpec, Settings, TaskSpec};
 use anyhow::{Context, Result};
 use physgrad::check::{Jumps, Kink, Plateau};
 use physgrad::count::TaskOpCount;
 use physgrad::identify::{Fit, IdentifyError, Options, Segment};
 use physgrad::optimize::{self, Initial, OptimizeError, Plan};
-use physgrad::policy::AnyPolicy;
+use physgrad::policy::WithParams;
 use physgrad::{Divergence, DynTask, Field, Number, System, Task};
 use physgrad_plot::{Animation, Channel};
-use std::ops::Deref;
 use std::sync::Arc;
 use toml::{Table, Value};
 
@@ -33,7 +35,7 @@ pub const INITIAL_POLICY: &str = "initial_policy";
 
 const CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI);
 
-/// Validated settings of a run, independent of the type of the task.
+/// Validated settings of a run, with the task and the policy of these settings.
 #[derive(Clone)]
 pub struct Scene {
     /// Specification of the task.
@@ -50,267 +52,63 @@ pub struct Scene {
     pub horizon: usize,
     /// Formats of the metrics besides CSV.
     pub logs: Vec<LogFormat>,
-    /// All settings.
-    pub table: Table,
-    /// Contents of the policy file from which the training starts.
+    /// Optimizer, data sets and memory.
+    pub training: TrainingSettings,
+    /// Integrator of the physics.
+    pub integrator: IntegratorSettings,
+    actuator: ActuatorSettings,
+    physics: DynTask,
+    policy: ScenePolicy,
+    /// Path of the policy file from which the training starts.
+    initial_policy_file: Option<String>,
+    /// Contents of this file.
     initial_policy: Option<Arc<[u8]>>,
     settings: Arc<dyn AnySettings>,
 }
 
-/// Object-safe policy in both precisions.
-pub trait DynPolicy: AnyPolicy<f32> + AnyPolicy<f64> {}
-impl<P: AnyPolicy<f32> + AnyPolicy<f64>> DynPolicy for P {}
-
-/// Object-safe operations on the settings of a task.
-pub trait AnySettings: Send + Sync {
-    /// The task.
-    fn task(&self) -> DynTask;
-    /// The policy, with the trained numbers of the system.
-    fn policy(&self) -> Arc<dyn DynPolicy>;
-    /// Opens a run before its first epoch, with these parameters.
-    fn open_from(&self, theta: Vec<f64>, workers: usize) -> Result<Box<dyn AnyRun>>;
-    /// Checks the gradients of system, policy and rollout. In rollouts, the policy has the
-    /// parameters `theta`, or random ones. Results carry the name `variant`.
-    fn check(&self, variant: &str, theta: Option<&[f64]>, results: &mut Results);
-    /// Stability of the steps of test rollouts.
-    ///
-    /// # Errors
-    /// A rollout diverges in the first step.
-    fn amplification(&self, theta: &[f64]) -> Result<Amplification, Divergence>;
-    /// Kinks and jumps of the step, the observation and the costs along test rollouts.
-    fn kinks(&self, theta: &[f64]) -> Vec<Kink>;
-    /// Loss and gradient at the parameters `theta` and at parameters nearby.
-    fn plateau(&self, theta: &[f64]) -> Result<Plateau, Divergence>;
-    /// Compares R with differences of the mean loss over finite distances. None for horizons above
-    /// 10,000 steps.
-    fn jumps(&self, theta: &[f64]) -> Option<Result<Jumps, Divergence>>;
-    /// Runs a rollout and its adjoints, and prepares them for timing.
-    fn prepare(&self, theta: &[f64]) -> Job;
-    /// Gradient and its costs, by the given method in the given precision.
-    fn derive(&self, theta: &[f64], precision: Precision, method: GradientMethod) -> Derived;
-    /// Components of the gradients of R, M and S, in double-double arithmetic. The indices of their
-    /// parameters are evenly spaced. Calls `done` after each component.
-    fn refer(&self, theta: &[f64], done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3];
-    /// Operation counts of a physics step and of its VJPs, and of the costs and the observation.
-    fn cost(&self) -> TaskOpCount;
-    /// Bytes of a rollout of 8 samples, for evaluation or with the adjoint of a
-    /// field.
-    fn stored(&self, field: Option<Field>) -> usize;
-    /// Prepares the policy with these parameters for rollouts from new initial states. Numbers that
-    /// the scene trains have their initial values.
-    fn evaluation(&self, theta: &[f64], seed: u64) -> Result<Box<dyn AnyEvaluation>>;
-    /// Time step, in the unit of time of the task: s, except for `quantum`.
+/// The part of [`Settings`] that depends on the type of the task, as an object.
+trait AnySettings: Send + Sync {
+    fn table(&self) -> Table;
     fn dt(&self) -> f64;
-    /// Names of the state components.
     fn state_names(&self) -> Vec<String>;
-    /// Names of the components that the policy observes: those of the state, or y_1, y_2, … if the
-    /// task has an observation of its own.
-    fn observation_names(&self) -> Vec<String>;
-    /// Names of the parameters of a rollout.
-    fn param_names(&self) -> Vec<String>;
-    /// Keys and values of the numbers that are not fixed.
-    fn varied(&self) -> Vec<(String, Number)>;
-    /// Indices of the state components that are angles in rad.
     fn angles(&self) -> Vec<usize>;
-    /// Fits the trained numbers to measured segments.
-    fn identify(&self, segments: &[Segment], options: &Options) -> Result<Fit, IdentifyError>;
-    /// Returns whether the physics depends on the time of the segment, at its measured states.
-    fn depends_on_time(&self, segment: &Segment) -> bool;
-    /// Optimizes the controls from the initial state `x0` with the parameters `p`.
-    fn optimize(
-        &self,
-        x0: &[f64],
-        p: &[f64],
-        initial: Initial,
-        options: &optimize::Options,
-    ) -> Result<Plan, OptimizeError>;
-    /// Names of the control components.
+    fn param_names(&self) -> Vec<String>;
     fn control_names(&self) -> Vec<String>;
-    /// Names of the applied controls. Empty without an actuator.
-    fn applied_names(&self) -> Vec<String>;
-    /// Controls that the actuator applies, for these states and controls of the policy.
-    fn applied(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Vec<Vec<f64>>;
-    /// A quantity that is conserved while the control is zero. None also if numbers are drawn or
-    /// trained.
     fn conserved(&self) -> Option<Conserved>;
-    /// Animation of one rollout, from its states, controls and parameters.
     fn animation(&self, rollout: &Trajectory) -> Animation;
 }
 
 impl<K: TaskSpec> AnySettings for Settings<K> {
-    fn task(&self) -> DynTask {
-        Settings::task(self)
-    }
-
-    fn policy(&self) -> Arc<dyn DynPolicy> {
-        Arc::new(self.task_and_policy().1)
-    }
-
-    fn open_from(&self, theta: Vec<f64>, workers: usize) -> Result<Box<dyn AnyRun>> {
-        let training = self.training.training(self.epochs, self.seed, workers);
-        let (task, policy) = self.task_and_policy();
-        session::open(
-            task,
-            policy,
-            self.precision,
-            self.training.weighted(self.field.0),
-            training,
-            theta,
-        )
-    }
-
-    fn check(&self, variant: &str, theta: Option<&[f64]>, results: &mut Results) {
-        let (task, policy) = self.task_and_policy();
-        checks::check(&task, &policy, theta, variant, results);
-    }
-
-    fn amplification(&self, theta: &[f64]) -> Result<Amplification, Divergence> {
-        let (task, policy) = self.task_and_policy();
-        checks::amplification(&task, &policy, theta, self.seed)
-    }
-
-    fn kinks(&self, theta: &[f64]) -> Vec<Kink> {
-        let (task, policy) = self.task_and_policy();
-        checks::kinks(&task, &policy, theta, self.seed)
-    }
-
-    fn plateau(&self, theta: &[f64]) -> Result<Plateau, Divergence> {
-        let (task, policy) = self.task_and_policy();
-        checks::plateau(&task, &policy, theta, self.seed)
-    }
-
-    fn jumps(&self, theta: &[f64]) -> Option<Result<Jumps, Divergence>> {
-        let (task, policy) = self.task_and_policy();
-        checks::jumps(&task, &policy, theta, self.seed)
-    }
-
-    fn prepare(&self, theta: &[f64]) -> Job {
-        let (task, policy) = self.task_and_policy();
-        simulation::job(task, policy, theta, self.precision, self.seed)
-    }
-
-    fn derive(&self, theta: &[f64], precision: Precision, method: GradientMethod) -> Derived {
-        let (task, policy) = self.task_and_policy();
-        gradients::derived(task, policy, theta, precision, self.seed, method)
-    }
-
-    fn refer(&self, theta: &[f64], done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3] {
-        let (task, policy) = self.task_and_policy();
-        gradients::reference(&task, &policy, theta, self.seed, done)
-    }
-
-    fn cost(&self) -> TaskOpCount {
-        TaskOpCount::of(&self.task())
-    }
-
-    fn stored(&self, field: Option<Field>) -> usize {
-        let (task, policy) = self.task_and_policy();
-        costs::stored(&task, &policy, self.precision, field)
-    }
-
-    fn evaluation(&self, theta: &[f64], seed: u64) -> Result<Box<dyn AnyEvaluation>> {
-        let (task, policy) = self.task_and_policy();
-        evaluation::new(task, policy, self.precision, theta, seed)
+    fn table(&self) -> Table {
+        Settings::table(self)
     }
 
     fn dt(&self) -> f64 {
         K::dt(self)
     }
 
-    fn param_names(&self) -> Vec<String> {
-        let task = self.task();
-        let (params, varied) = (task.param_dim(), task.system().varied(task.param_dim()));
-        let mut own = K::param_names(self).into_iter();
-        let name = |i: usize| match varied.iter().find(|varied| varied.index == i) {
-            // Names of numbers of effects start with the key of the effect's section.
-            Some(varied) if varied.name.starts_with("effects.") => varied.name.clone(),
-            Some(varied) => format!("system.{}", varied.name),
-            None => own.next().unwrap_or_else(|| format!("p_{}", i + 1)),
-        };
-        (0..params).map(name).collect()
-    }
-
-    fn varied(&self) -> Vec<(String, Number)> {
-        let names = AnySettings::param_names(self);
-        let task = self.task();
-        let varied = task.system().varied(task.param_dim());
-        varied.into_iter().map(|varied| (names[varied.index].clone(), varied.number)).collect()
-    }
-
-    fn identify(&self, segments: &[Segment], options: &Options) -> Result<Fit, IdentifyError> {
-        let names = AnySettings::param_names(self);
-        identification::identified(
-            &self.task(),
-            &names,
-            &AnySettings::angles(self),
-            segments,
-            options,
-        )
-    }
-
-    fn depends_on_time(&self, segment: &Segment) -> bool {
-        identification::depends_on_time(&self.task(), &AnySettings::param_names(self), segment)
+    fn state_names(&self) -> Vec<String> {
+        K::state_names(self)
     }
 
     fn angles(&self) -> Vec<usize> {
         K::angles(self)
     }
 
-    fn state_names(&self) -> Vec<String> {
-        let mut names = K::state_names(self);
-        names.extend(self.actuator.state_names(&K::control_names(self)));
-        names
-    }
-
-    fn observation_names(&self) -> Vec<String> {
-        match self.task().observation_dim() {
-            None => AnySettings::state_names(self),
-            Some(observations) => (1..=observations).map(|i| format!("y_{i}")).collect(),
-        }
-    }
-
-    fn optimize(
-        &self,
-        x0: &[f64],
-        p: &[f64],
-        initial: Initial,
-        options: &optimize::Options,
-    ) -> Result<Plan, OptimizeError> {
-        optimize::optimize(&self.task(), x0, p, initial, options)
+    fn param_names(&self) -> Vec<String> {
+        K::param_names(self)
     }
 
     fn control_names(&self) -> Vec<String> {
         K::control_names(self)
     }
 
-    fn applied_names(&self) -> Vec<String> {
-        self.actuator.applied_names(&K::control_names(self))
-    }
-
-    fn applied(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Vec<Vec<f64>> {
-        self.actuator.applied(K::dt(self), states, controls)
-    }
-
     fn conserved(&self) -> Option<Conserved> {
-        // The quantity has fixed numbers, but the drawn or trained numbers of a sample may differ.
-        K::conserved(self).filter(|_| self.varied().is_empty())
+        K::conserved(self)
     }
 
     fn animation(&self, rollout: &Trajectory) -> Animation {
-        let mut animation = K::animation(self, rollout);
-        if animation.time > 0.0 && animation.channels.is_empty() {
-            let names = K::control_names(self);
-            animation.channels = Channel::columns(
-                names,
-                &held(&rollout.controls, animation.time / K::dt(self)),
-                CONTROL,
-            );
-            for channel in &mut animation.channels {
-                let [low, high] = channel.range();
-                channel.range = Some([low.min(0.0), high.max(0.0)]);
-            }
-        }
-        animation
+        K::animation(self, rollout)
     }
 }
 
@@ -323,31 +121,57 @@ fn held(controls: &[Vec<f64>], steps: f64) -> Vec<Vec<f64>> {
     [shown, shown.last().map_or(&[], std::slice::from_ref)].concat()
 }
 
-impl Deref for Scene {
-    type Target = dyn AnySettings;
-
-    fn deref(&self) -> &Self::Target {
-        &*self.settings
-    }
-}
-
 impl Scene {
     /// Creates a scene from validated settings.
     pub fn new<K: TaskSpec>(task: &'static dyn AnyTaskSpec, settings: Settings<K>) -> Self {
-        let Settings { field, precision, seed, epochs, horizon, .. } = settings;
-        let (table, logs) = (settings.table(), settings.log.clone());
+        let physics = K::task(&settings);
+        let system = physics.system();
+        let network = settings
+            .policy
+            .build(physics.observation_dim().unwrap_or(system.state_dim()), system.control_dim());
+        let trained: Vec<_> =
+            system.varied(physics.param_dim()).iter().filter_map(trained).collect();
+        let policy = WithParams::new(network, trained);
         Self {
             task,
-            field,
-            precision,
-            seed,
-            epochs,
-            horizon,
-            logs,
-            table,
+            field: settings.field,
+            precision: settings.precision,
+            seed: settings.seed,
+            epochs: settings.epochs,
+            horizon: settings.horizon,
+            logs: settings.log.clone(),
+            training: settings.training.clone(),
+            integrator: settings.integrator,
+            actuator: settings.actuator.clone(),
+            physics,
+            policy,
+            initial_policy_file: settings.initial_policy.clone(),
             initial_policy: None,
             settings: Arc::new(settings),
         }
+    }
+
+    /// All settings, without empty optional sections. A scene file with this table has this scene.
+    pub fn table(&self) -> Table {
+        let mut table = self.settings.table();
+        table.insert("field".into(), Value::String(self.field.into()));
+        table.insert("seed".into(), Value::Integer(self.seed as i64));
+        table
+    }
+
+    /// Copy with another field and seed.
+    pub fn with(&self, field: FieldName, seed: u64) -> Self {
+        Self { field, seed, ..self.clone() }
+    }
+
+    /// The task.
+    pub fn task(&self) -> &DynTask {
+        &self.physics
+    }
+
+    /// The policy, with the trained numbers of the system.
+    pub fn policy(&self) -> &ScenePolicy {
+        &self.policy
     }
 
     /// Starts the training from the policy file with these contents.
@@ -363,6 +187,177 @@ impl Scene {
     /// Contents of the policy file from which the training starts.
     pub fn initial_policy(&self) -> Option<&[u8]> {
         self.initial_policy.as_deref()
+    }
+
+    /// Checks the gradients of system, policy and rollout. In rollouts, the policy has the
+    /// parameters `theta`, or random ones. Results carry the name `variant`.
+    pub fn check(&self, variant: &str, theta: Option<&[f64]>, results: &mut Results) {
+        checks::check(&self.physics, &self.policy, theta, variant, results);
+    }
+
+    /// Stability of the steps of test rollouts.
+    ///
+    /// # Errors
+    /// A rollout diverges in the first step.
+    pub fn amplification(&self, theta: &[f64]) -> Result<Amplification, Divergence> {
+        checks::amplification(&self.physics, &self.policy, theta, self.seed)
+    }
+
+    /// Kinks and jumps of the step, the observation and the costs along test rollouts.
+    pub fn kinks(&self, theta: &[f64]) -> Vec<Kink> {
+        checks::kinks(&self.physics, &self.policy, theta, self.seed)
+    }
+
+    /// Loss and gradient at the parameters `theta` and at parameters nearby.
+    pub fn plateau(&self, theta: &[f64]) -> Result<Plateau, Divergence> {
+        checks::plateau(&self.physics, &self.policy, theta, self.seed)
+    }
+
+    /// Compares R with differences of the mean loss over finite distances. None for horizons above
+    /// 10,000 steps.
+    pub fn jumps(&self, theta: &[f64]) -> Option<Result<Jumps, Divergence>> {
+        checks::jumps(&self.physics, &self.policy, theta, self.seed)
+    }
+
+    /// Runs a rollout and its adjoints, and prepares them for timing.
+    pub fn prepare(&self, theta: &[f64]) -> Job {
+        let (task, policy) = (self.physics.clone(), self.policy.clone());
+        simulation::job(task, policy, theta, self.precision, self.seed)
+    }
+
+    /// Gradient and its costs, by the given method in the given precision.
+    pub fn derive(&self, theta: &[f64], precision: Precision, method: GradientMethod) -> Derived {
+        let (task, policy) = (self.physics.clone(), self.policy.clone());
+        gradients::derived(task, policy, theta, precision, self.seed, method)
+    }
+
+    /// Components of the gradients of R, M and S, in double-double arithmetic. The indices of their
+    /// parameters are evenly spaced. Calls `done` after each component.
+    pub fn refer(&self, theta: &[f64], done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3] {
+        gradients::reference(&self.physics, &self.policy, theta, self.seed, done)
+    }
+
+    /// Operation counts of a physics step and of its VJPs, and of the costs and the observation.
+    pub fn cost(&self) -> TaskOpCount {
+        TaskOpCount::of(&self.physics)
+    }
+
+    /// Bytes of a rollout of 8 samples, for evaluation or with the adjoint of a field.
+    pub fn stored(&self, field: Option<Field>) -> usize {
+        costs::stored(&self.physics, &self.policy, self.precision, field)
+    }
+
+    /// Prepares the policy with these parameters for rollouts from new initial states. Numbers that
+    /// the scene trains have their initial values.
+    pub fn evaluation(&self, theta: &[f64], seed: u64) -> Result<Box<dyn AnyEvaluation>> {
+        self.check_memory()?;
+        let (task, policy) = (self.physics.clone(), self.policy.clone());
+        evaluation::new(task, policy, self.precision, theta, seed)
+    }
+
+    /// Fits the trained numbers to measured segments.
+    pub fn identify(&self, segments: &[Segment], options: &Options) -> Result<Fit, IdentifyError> {
+        let (names, angles) = (self.param_names(), self.angles());
+        identification::identified(&self.physics, &names, &angles, segments, options)
+    }
+
+    /// Returns whether the physics depends on the time of the segment, at its measured states.
+    pub fn depends_on_time(&self, segment: &Segment) -> bool {
+        identification::depends_on_time(&self.physics, &self.param_names(), segment)
+    }
+
+    /// Optimizes the controls from the initial state `x0` with the parameters `p`.
+    pub fn optimize(
+        &self,
+        x0: &[f64],
+        p: &[f64],
+        initial: Initial,
+        options: &optimize::Options,
+    ) -> Result<Plan, OptimizeError> {
+        optimize::optimize(&self.physics, x0, p, initial, options)
+    }
+
+    /// Time step, in the unit of time of the task: s, except for `quantum`.
+    pub fn dt(&self) -> f64 {
+        self.settings.dt()
+    }
+
+    /// Names of the state components.
+    pub fn state_names(&self) -> Vec<String> {
+        let mut names = self.settings.state_names();
+        names.extend(self.actuator.state_names(&self.control_names()));
+        names
+    }
+
+    /// Names of the components that the policy observes: those of the state, or y_1, y_2, … if the
+    /// task has an observation of its own.
+    pub fn observation_names(&self) -> Vec<String> {
+        match self.physics.observation_dim() {
+            None => self.state_names(),
+            Some(observations) => (1..=observations).map(|i| format!("y_{i}")).collect(),
+        }
+    }
+
+    /// Names of the parameters of a rollout.
+    pub fn param_names(&self) -> Vec<String> {
+        let params = self.physics.param_dim();
+        let varied = self.physics.system().varied(params);
+        let mut own = self.settings.param_names().into_iter();
+        let name = |i: usize| match varied.iter().find(|varied| varied.index == i) {
+            // Names of numbers of effects start with the key of the effect's section.
+            Some(varied) if varied.name.starts_with("effects.") => varied.name.clone(),
+            Some(varied) => format!("system.{}", varied.name),
+            None => own.next().unwrap_or_else(|| format!("p_{}", i + 1)),
+        };
+        (0..params).map(name).collect()
+    }
+
+    /// Keys and values of the numbers that are not fixed.
+    pub fn varied(&self) -> Vec<(String, Number)> {
+        let names = self.param_names();
+        let varied = self.physics.system().varied(self.physics.param_dim());
+        varied.into_iter().map(|varied| (names[varied.index].clone(), varied.number)).collect()
+    }
+
+    /// Indices of the state components that are angles in rad.
+    pub fn angles(&self) -> Vec<usize> {
+        self.settings.angles()
+    }
+
+    /// Names of the control components.
+    pub fn control_names(&self) -> Vec<String> {
+        self.settings.control_names()
+    }
+
+    /// Names of the applied controls. Empty without an actuator.
+    pub fn applied_names(&self) -> Vec<String> {
+        self.actuator.applied_names(&self.control_names())
+    }
+
+    /// Controls that the actuator applies, for these states and controls of the policy.
+    pub fn applied(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Vec<Vec<f64>> {
+        self.actuator.applied(self.dt(), states, controls)
+    }
+
+    /// A quantity that is conserved while the control is zero. None also if numbers are drawn or
+    /// trained.
+    pub fn conserved(&self) -> Option<Conserved> {
+        // The quantity has fixed numbers, but the drawn or trained numbers of a sample may differ.
+        self.settings.conserved().filter(|_| self.varied().is_empty())
+    }
+
+    /// Animation of one rollout, from its states, controls and parameters.
+    pub fn animation(&self, rollout: &Trajectory) -> Animation {
+        let mut animation = self.settings.animation(rollout);
+        if animation.time > 0.0 && animation.channels.is_empty() {
+            let controls = held(&rollout.controls, animation.time / self.dt());
+            animation.channels = Channel::columns(self.control_names(), &controls, CONTROL);
+            for channel in &mut animation.channels {
+                let [low, high] = channel.range();
+                channel.range = Some([low.min(0.0), high.max(0.0)]);
+            }
+        }
+        animation
     }
 
     /// Description of the policy, for other programs.
@@ -389,16 +384,16 @@ impl Scene {
     /// # Errors
     /// The scene has such a setting.
     pub fn check_field(&self) -> Result<(), ConfigError> {
-        let number = |key: &str| self.table.get("training")?.get(key)?.as_float();
         let (field, flows) = (self.field.0.name(), self.field.0.flows());
         let unread = |key: &str, value: f64, because: String| {
             Err(ConfigError::unread(&format!("training.{key}"), value, &because))
         };
-        if let Some(average) = number("average").filter(|&value| value > 0.0 && flows.len() == 1) {
+        let TrainingSettings { average, control, .. } = self.training;
+        if average > 0.0 && flows.len() == 1 {
             return unread("average", average, format!("field {field} has no second gradient"));
         }
         let is_blind = flows.iter().all(|flow| flow.control == 0.0);
-        if let Some(control) = number("control").filter(|&value| value != 1.0 && is_blind) {
+        if control != 1.0 && is_blind {
             let because = format!("field {field} omits the path through the observation");
             return unread("control", control, because);
         }
@@ -406,43 +401,71 @@ impl Scene {
     }
 
     /// Opens a run before its first epoch.
+    ///
+    /// # Errors
+    /// The run does not fit in the memory of this machine. The initial policy does not fit the
+    /// scene.
     pub fn open(&self, workers: usize) -> Result<Box<dyn AnyRun>> {
-        self.settings.open_from(self.initial_theta()?, workers)
+        let theta = self.initial_theta()?;
+        let training = self.training.training(self.epochs, self.seed, workers);
+        let field = self.training.weighted(self.field.0);
+        let (task, policy) = (self.physics.clone(), self.policy.clone());
+        session::open(task, policy, self.precision, field, training, theta)
     }
 
     /// Parameters before the first epoch: those of the initial policy, or random ones.
     ///
     /// # Errors
-    /// The initial policy does not fit the scene.
+    /// A run does not fit in the memory of this machine. The initial policy does not fit the scene.
     pub fn initial_theta(&self) -> Result<Vec<f64>> {
-        let policy = self.policy();
+        self.check_memory()?;
         let Some(bytes) = self.initial_policy() else {
-            return Ok(policy_file::random(&*policy, self.seed));
+            return Ok(policy_file::random(&self.policy, self.seed));
         };
-        policy_file::read(bytes, &self.about(), &*policy, self.seed).with_context(|| {
-            let file = self.table.get(INITIAL_POLICY).map_or_else(String::new, Value::to_string);
-            format!("`{INITIAL_POLICY}` {file}")
+        policy_file::read(bytes, &self.about(), &self.policy, self.seed).with_context(|| {
+            let file = self.initial_policy_file.as_deref().unwrap_or_default();
+            format!("`{INITIAL_POLICY}` {file:?}")
         })
+    }
+
+    /// Checks that a run fits in the memory of this machine.
+    ///
+    /// # Errors
+    /// The run needs more memory.
+    pub fn check_memory(&self) -> Result<(), ConfigError> {
+        let TrainingSettings { batch, train_samples, test_samples, .. } = self.training;
+        let samples =
+            self.training.training(self.epochs, self.seed, 1).derived(batch.min(train_samples));
+        let starts = train_samples + test_samples;
+        let Needs { batch: whole, rest } =
+            memory::needs(&self.physics, &self.policy, self.precision, samples, starts);
+        // With a budget, the reverse pass recomputes the steps that exceed the budget.
+        let batch = self.training.budget().map_or(whole, |budget| whole.min(budget as f64));
+        let (needed, most) = (batch + rest, of_this_machine());
+        if needed <= most {
+            return Ok(());
+        }
+        let what = format!(
+            "is {}: a run with mini-batches of {samples} samples needs about {:.1} GB, of which {:.1} GB for a mini-batch, \
+             but this machine has {:.1} GB; choose a smaller `training.batch`, `horizon` or policy, or set a budget for the \
+             mini-batch, as in `training.memory = \"1GB\"`",
+            self.horizon,
+            needed * 1e-9,
+            batch * 1e-9,
+            most * 1e-9
+        );
+        Err(ConfigError::new("horizon", what))
     }
 
     /// Note about the mini-batch if it is larger than the training set. None otherwise.
     pub fn large_batch(&self) -> Option<String> {
-        let count = |key: &str| self.table.get("training")?.get(key)?.as_integer();
-        let (batch, samples) = (count("batch")?, count("train_samples")?);
+        let TrainingSettings { batch, train_samples: samples, .. } = self.training;
         (batch > samples).then(|| {
             format!(
                 "note: `training.batch` is {batch}, but `training.train_samples` is {samples}: each epoch has one update, with \
                  all samples"
             )
         })
-    }
-
-    /// Copy with another field and seed.
-    pub fn with(&self, field: FieldName, seed: u64) -> Result<Self, ConfigError> {
-        let mut table = self.table.clone();
-        table.insert("field".into(), Value::String(field.into()));
-        table.insert("seed".into(), Value::Integer(seed as i64));
-        Ok(Self { initial_policy: self.initial_policy.clone(), ..self.task.scene(table)? })
     }
 
     /// Identity of a run: the settings that a resumed run must share, one per line.
@@ -452,12 +475,7 @@ impl Scene {
     /// by a later version, with a default that preserves the behaviour, does not change the
     /// identity.
     pub fn identity(&self) -> String {
-        let decay = self
-            .table
-            .get("training")
-            .and_then(|training| training.get("decay"))
-            .and_then(Value::as_str);
-        let is_constant = decay.is_none_or(|decay| decay == "constant");
+        let is_constant = self.training.decay == DecayName::Constant;
         self.differences(if is_constant {
             &["epochs", "training.memory"]
         } else {
@@ -476,24 +494,21 @@ impl Scene {
     /// keys in `but`, and the keys `tags` and `log`.
     fn differences(&self, but: &[&str]) -> String {
         let mut lines = vec![format!("task = {:?}", self.task.name())];
+        let table = self.table();
         // Default settings with the same effects and parts of the actuator, each with its default
         // parameters.
         let mut defaults = self.task.defaults();
         for section in OPTIONAL {
-            let parts: Vec<&String> = self
-                .table
-                .get(section)
-                .and_then(Value::as_table)
-                .into_iter()
-                .flat_map(Table::keys)
-                .collect();
-            lines.extend(parts.iter().map(|part| format!("{section}.{part}")));
-            let bare: Table =
-                parts.into_iter().map(|part| (part.clone(), Value::Table(Table::new()))).collect();
-            defaults.insert(section.into(), Value::Table(bare));
+            let mut bare = Table::new();
+            let parts = table.get(section).and_then(Value::as_table);
+            for part in parts.into_iter().flat_map(Table::keys) {
+                lines.push(format!("{section}.{part}"));
+                bare.insert(part.clone(), Value::Table(Table::new()));
+            }
+            defaults.insert(section.into(), bare.into());
         }
         let defaults = flat(&self.task.fill(defaults.clone()).unwrap_or(defaults));
-        let differences = flat(&self.table)
+        let differences = flat(&table)
             .into_iter()
             .filter(|setting| !defaults.contains(setting) && !but.contains(&&*setting.0));
         let differences =
@@ -524,131 +539,56 @@ pub fn flat(table: &Table) -> Vec<(String, Value)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::settings::{Info, Method};
-    use crate::tasks::MlpSettings;
-    use crate::tasks::effects::EffectsSection;
-    use physgrad::DynTask;
-    use physgrad::tasks::CartPoleSystem;
-    use physgrad_plot as report;
-    use schemars::JsonSchema;
-    use serde::{Deserialize, Serialize};
+    use crate::tasks;
 
-    /// Task with one effect.
-    #[derive(Clone, Debug)]
-    struct Windy;
-
-    #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
-    #[serde(deny_unknown_fields)]
-    struct Effects {
-        /// Steady wind.
-        #[serde(skip_serializing_if = "Option::is_none")]
-        wind: Option<Wind>,
+    fn task() -> &'static dyn AnyTaskSpec {
+        tasks::all()[0]
     }
 
-    #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
-    #[serde(deny_unknown_fields, default)]
-    struct Wind {
-        /// Wind speed, m/s.
-        speed: f64,
-    }
-
-    impl Default for Wind {
-        fn default() -> Self {
-            Self { speed: 3.0 }
-        }
-    }
-
-    impl EffectsSection for Effects {
-        const INFO: &'static [Info] = &[];
-
-        fn validate_values(&self) -> Result<(), ConfigError> {
-            Ok(())
-        }
-    }
-
-    impl TaskSpec for Windy {
-        type System = CartPoleSystem;
-        type Effects = Effects;
-        type Loss = Effects;
-        type PolicySpec = MlpSettings;
-
-        const NAME: &'static str = "windy";
-        const ABOUT: &'static str = "a test";
-        const EPOCHS: usize = 1;
-        fn horizon() -> usize {
-            2
-        }
-        const METHODS: &'static [Method] = &[];
-
-        fn system() -> CartPoleSystem {
-            CartPoleSystem::default()
-        }
-
-        fn validate(_settings: &Settings<Self>) -> Result<(), ConfigError> {
-            Ok(())
-        }
-
-        fn task(_settings: &Settings<Self>) -> DynTask {
-            unreachable!("these tests need settings only")
-        }
-
-        fn variants() -> Vec<(String, Settings<Self>)> {
-            Vec::new()
-        }
-
-        fn dt(_settings: &Settings<Self>) -> f64 {
-            1.0
-        }
-
-        fn state_names(_settings: &Settings<Self>) -> Vec<String> {
-            Vec::new()
-        }
-
-        fn control_names(_settings: &Settings<Self>) -> Vec<String> {
-            Vec::new()
-        }
-
-        fn animation(
-            _settings: &Settings<Self>,
-            Trajectory { states, .. }: &Trajectory,
-        ) -> Animation {
-            report::cart_pole(states, &[], 1.0, 1.0)
-        }
-    }
-
-    fn scene(effects: &str, epochs: i64) -> Scene {
-        let mut table = Windy.defaults();
+    fn scene(settings: &str, epochs: i64) -> Scene {
+        let mut table = task().defaults();
         table.insert("epochs".into(), Value::Integer(epochs));
-        table.extend(effects.parse::<Table>().expect("TOML"));
-        Scene::new(&Windy, Settings::<Windy>::fill(table).expect("settings"))
+        table.extend(settings.parse::<Table>().expect("TOML"));
+        task().scene(table).expect("settings")
     }
 
     #[test]
     fn an_identity_lists_the_differences_from_the_defaults() {
-        assert_eq!(scene("", 7).identity(), "task = \"windy\"");
-        assert_eq!(scene("seed = 4", 1).identity(), "task = \"windy\"\nseed = 4");
-        assert_eq!(scene("seed = 4", 1).comparable(), "task = \"windy\"");
+        let bare = "task = \"cart_pole\"";
+        assert_eq!(scene("", 7).identity(), bare);
+        assert_eq!(scene("seed = 4", 1).identity(), format!("{bare}\nseed = 4"));
+        assert_eq!(scene("seed = 4", 1).comparable(), bare);
         // Lists an effect even if all its parameters have their defaults.
-        assert_eq!(scene("effects.wind = {}", 1).identity(), "task = \"windy\"\neffects.wind");
-        let fast = scene("effects.wind.speed = 5", 1);
-        assert_eq!(fast.identity(), "task = \"windy\"\neffects.wind\neffects.wind.speed = 5.0");
-        assert_eq!(scene("seed = 4\neffects.wind.speed = 5", 1).comparable(), fast.identity());
+        let windy = format!("{bare}\neffects.steady_wind");
+        assert_eq!(scene("effects.steady_wind = {}", 1).identity(), windy);
+        let fast = scene("effects.steady_wind.speed = 5", 1);
+        assert_eq!(fast.identity(), format!("{windy}\neffects.steady_wind.speed = 5.0"));
+        let other = scene("seed = 4\neffects.steady_wind.speed = 5", 1);
+        assert_eq!(other.comparable(), fast.identity());
+    }
+
+    #[test]
+    fn a_copy_with_another_field_and_seed_has_them_in_its_table() {
+        let field: Field = "stopped".parse().expect("a field");
+        let copy = scene("", 1).with(FieldName(field), 9);
+        let again = task().scene(copy.table()).expect("settings");
+        assert_eq!((again.field.0, again.seed), (field, 9));
+        assert_eq!(copy.identity(), again.identity());
     }
 
     #[test]
     fn absent_sections_are_omitted_and_a_schema_has_no_null() {
-        assert!(!scene("", 1).table.contains_key("effects"));
+        assert!(!scene("", 1).table().contains_key("effects"));
+        let damped = scene("effects.pole_damping = {}", 1).table();
+        let default = damped["effects"]["pole_damping"]["damping"].as_float();
+        assert!(default.is_some_and(|damping| damping > 0.0), "{damped}");
+        let schema = task().schema();
+        let effect = &schema["properties"]["effects"]["properties"]["pole_damping"];
         assert_eq!(
-            scene("effects.wind = {}", 1).table["effects"]["wind"]["speed"].as_float(),
-            Some(3.0)
+            (&effect["type"], &effect["description"]),
+            (&"object".into(), &"Viscous friction in the joints of the poles.".into())
         );
-        let schema = Windy.schema();
-        let wind = &schema["properties"]["effects"]["properties"]["wind"];
-        assert_eq!(
-            (&wind["type"], &wind["description"]),
-            (&"object".into(), &"Steady wind.".into())
-        );
-        assert_eq!(wind["properties"]["speed"]["default"], 3.0);
+        assert_eq!(effect["properties"]["damping"]["default"].as_f64(), default);
         assert!(!schema.to_string().contains("null"), "{schema}");
     }
 }

@@ -1,18 +1,14 @@
 //! [`Settings`]: settings of a run, generic over the task.
 
-use crate::operations::memory::{self, Needs};
-use crate::platform::memory::of_this_machine;
 use crate::settings::config_error::{ConfigError, count};
 use crate::settings::{
     ActuatorSettings, FieldName, IntegratorSettings, LogFormat, OPTIONAL, Precision,
     TrainingSettings, VERSION, reading,
 };
 use crate::tasks::effects::Present;
-use crate::tasks::policy::trained;
 use crate::tasks::{self, PolicySpec, SceneEffects, TaskSpec};
 use physgrad::effect::{DynEffect, Named};
-use physgrad::policy::WithParams;
-use physgrad::{DynSystem, DynTask, Field, System, Task};
+use physgrad::{DynSystem, DynTask, Field};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
@@ -116,15 +112,14 @@ impl<K: TaskSpec> Settings<K> {
         let registered = tasks::own_effects(K::NAME);
         let own_effects = SceneEffects::take(&registered, &mut table)?;
         let names = registered.iter().map(|(_, effect)| effect.info().name);
-        let unreadable = |error| ConfigError::unreadable(&error).also_allowed("effects", names);
-        let settings: Self = reading::read(table).map_err(unreadable)?;
+        let settings: Self =
+            reading::read(table).map_err(|error| error.also_allowed("effects", names))?;
         let mut settings = Self { own_effects, ..settings };
         settings.training.complete();
         Ok(settings)
     }
 
-    /// Checks all ranges, refuses unused settings, and checks that a run fits in the memory of this
-    /// machine.
+    /// Checks all ranges, and refuses unused settings.
     pub fn validate(&self) -> Result<(), ConfigError> {
         count("horizon", self.horizon, 1..=100_000_000)?;
         count("epochs", self.epochs, 0..=1_000_000_000)?;
@@ -133,29 +128,7 @@ impl<K: TaskSpec> Settings<K> {
         self.actuator.validate()?;
         self.integrator.validate(self.precision, K::METHODS)?;
         K::validate(self)?;
-        K::validate_own_effects(&self.own_effects)?;
-        let TrainingSettings { batch, train_samples, test_samples, .. } = self.training;
-        let samples =
-            self.training.training(self.epochs, self.seed, 1).derived(batch.min(train_samples));
-        let (task, policy) = self.task_and_policy();
-        let Needs { batch: whole, rest } =
-            memory::needs(&task, &policy, self.precision, samples, train_samples + test_samples);
-        // With a budget, the reverse pass recomputes the steps that exceed the budget.
-        let batch = self.training.budget().map_or(whole, |budget| whole.min(budget as f64));
-        let (needed, most) = (batch + rest, of_this_machine());
-        if needed > most {
-            let what = format!(
-                "is {}: a run with mini-batches of {samples} samples needs about {:.1} GB, of which {:.1} GB for a mini-batch, \
-                 but this machine has {:.1} GB; choose a smaller `training.batch`, `horizon` or policy, or set a budget for the \
-                 mini-batch, as in `training.memory = \"1GB\"`",
-                self.horizon,
-                needed * 1e-9,
-                batch * 1e-9,
-                most * 1e-9
-            );
-            return Err(ConfigError::new("horizon", what));
-        }
-        Ok(())
+        K::validate_own_effects(&self.own_effects)
     }
 
     /// Effects that are present, in order of evaluation: first built-in effects, then effects of
@@ -174,22 +147,5 @@ impl<K: TaskSpec> Settings<K> {
     pub fn adapted(&self, task: DynTask, system: DynSystem) -> DynTask {
         let actuator = self.actuator.chain(K::dt(self));
         task.adapted(system, self.integrator.count(), actuator, self.horizon)
-    }
-
-    /// The task.
-    pub fn task(&self) -> DynTask {
-        K::task(self)
-    }
-
-    /// The task and a policy for it, with the trained numbers of its system.
-    pub fn task_and_policy(&self) -> (DynTask, WithParams<<K::PolicySpec as PolicySpec>::Policy>) {
-        let task = self.task();
-        let system = task.system();
-        let policy = self
-            .policy
-            .build(task.observation_dim().unwrap_or(system.state_dim()), system.control_dim());
-        let trained =
-            system.varied(task.param_dim()).iter().filter_map(trained).collect::<Vec<_>>();
-        (task, WithParams::new(policy, trained))
     }
 }

@@ -114,25 +114,32 @@ fn two_thousand_threads_are_refused() {
 }
 
 #[test]
-fn a_horizon_of_1e8_and_500_wide_layers_exceed_the_memory_and_are_refused() {
-    let long = ["explain", "cart_pole", "--set", "horizon=100000000"];
+fn runs_that_exceed_the_memory_are_refused_although_their_scenes_are_valid() {
+    let dir = TempDir::new().expect("a folder");
+    let large = |command: &str| {
+        let mut command = physgrad(&[command, "cart_pole", "--set", "horizon=100000000"]);
+        command.current_dir(dir.path());
+        command
+    };
+    large("explain").assert().success();
     for budget in ["1GB", "900000GB"] {
-        let said = refusal(physgrad(&long).args(["--set", &format!("training.memory={budget:?}")]));
-        assert_says(&said, "this machine has ");
+        for command in ["train", "check", "optimize", "accuracy"] {
+            let budget = format!("training.memory={budget:?}");
+            let said = refusal(large(command).args(["--set", &budget]));
+            assert_says(&said, "this machine has ");
+        }
     }
     // The parameters of 500 layers of width 10,000 need 200 GB in f32.
     let widths = format!("policy.widths=[{}]", ["10000"; 500].join(","));
     assert_says(
-        &refusal(&mut physgrad(&[
-            "explain",
-            "cart_pole",
-            "--set",
-            &widths,
-            "--set",
-            "training.memory=\"1GB\"",
-        ])),
+        &refusal(
+            physgrad(&["train", "cart_pole", "--set", &widths])
+                .args(["--set", "training.memory=\"1GB\""])
+                .current_dir(dir.path()),
+        ),
         "this machine has ",
     );
+    assert_eq!(fs::read_dir(dir.path()).expect("a folder").count(), 0, "a refusal creates files");
 }
 
 #[test]

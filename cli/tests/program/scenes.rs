@@ -295,10 +295,6 @@ fn errors_in_a_file_name_the_line_and_the_allowed_values() {
             "my_scene.toml:4: `effects.bumpers.half_travel` is string \"far\"; allowed: a number",
         ),
         (
-            "[effects.bumpers]\nreach = 2\n",
-            "my_scene.toml:4: `effects.bumpers.reach` was renamed; write `effects.bumpers.half_travel`",
-        ),
-        (
             "[training]\nresample = 1\n",
             "my_scene.toml:4: `training.resample` is integer `1`; allowed: a boolean",
         ),
@@ -355,12 +351,8 @@ fn errors_in_a_file_name_the_line_and_the_allowed_values() {
             "my_scene.toml:5: `training.pairs` is 1; allowed: 2 to 100000",
         ),
         (
-            "[policy]\nzero_last = true\n",
-            "my_scene.toml:4: `policy.zero_last` was renamed; write `policy.zero_init_output`",
-        ),
-        (
             "[loss]\nmode = \"final\"\n",
-            "my_scene.toml:4: `loss.mode` = \"final\" was renamed; write \"terminal\"",
+            "my_scene.toml:4: `loss.mode` is `final`; allowed: `terminal` or `running`",
         ),
         (
             "[effects.dry_friction]\n\nsmoothing = 0\n",

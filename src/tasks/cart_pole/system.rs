@@ -32,7 +32,7 @@ pub(super) type Forces<T> = ArrayVec<T, { CartPoleSystem::MAX_POLES + 1 }>;
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct CartPoleSystem {
-    /// Number of poles, at most [`MAX_POLES`](CartPoleSystem::MAX_POLES).
+    /// Number of poles, 1 to 64.
     pub poles: usize,
     /// Mass of the cart, kg. M is the sum of this mass and `pole_mass`.
     pub cart_mass: Number,

@@ -66,6 +66,12 @@ impl Default for SteadyWind {
 }
 
 impl SteadyWind {
+    /// Wind speed, m/s. `p` contains the numbers of the effect that vary.
+    pub fn speed_at(&self, p: &[f64]) -> f64 {
+        let [speed, _, _] = Effect::<CartPoleSystem>::numbers(self).of(p);
+        speed
+    }
+
     /// Wind speed, m/s, and drag.
     #[inline(always)]
     fn values<T: Scalar>(&self, model: &CartPoleSystem, p: &[T]) -> (T, Drag<T>) {
@@ -140,6 +146,16 @@ impl Default for GustyWind {
 }
 
 impl GustyWind {
+    /// Wind speed, m/s, and its derivative with respect to time, m/s², at the time `t` in s. `p`
+    /// contains t₀ and the numbers of the effect that vary.
+    #[inline(always)]
+    pub fn speed_at<T: Scalar>(&self, p: &[T], t: T) -> [T; 2] {
+        let [speed, gust, _, _] = Effect::<CartPoleSystem>::numbers(self).of(&p[1..]);
+        let rate = TAU / self.period;
+        let (sin, cos) = ((t + p[0]) * rate).sin_cos();
+        [speed + gust * sin, gust * rate * cos]
+    }
+
     /// Wind speed, m/s, its derivative with respect to time, m/s², and drag.
     #[inline(always)]
     fn values<T: Scalar>(
@@ -147,14 +163,9 @@ impl GustyWind {
         model: &CartPoleSystem,
         OdeInputs { p, t, .. }: OdeInputs<'_, T>,
     ) -> (T, T, Drag<T>) {
-        let [speed, gust, cart, pole] = Effect::<CartPoleSystem>::numbers(self).of(&p[1..]);
-        let rate = TAU / self.period;
-        let (sin, cos) = ((t + p[0]) * rate).sin_cos();
-        (
-            speed + gust * sin,
-            gust * rate * cos,
-            Drag { cart, pole, half_length: model.half_length(p) },
-        )
+        let [_, _, cart, pole] = Effect::<CartPoleSystem>::numbers(self).of(&p[1..]);
+        let [speed, slope] = self.speed_at(p, t);
+        (speed, slope, Drag { cart, pole, half_length: model.half_length(p) })
     }
 }
 

@@ -131,7 +131,10 @@ pub struct Study {
 impl Study {
     pub fn new(given: SceneSource) -> Result<Self> {
         let (scene, mut source) = (given.scene()?, given.clone());
-        if scene.table.get("policy").is_some_and(|policy| policy.get("zero_init_output").is_some())
+        if scene
+            .table()
+            .get("policy")
+            .is_some_and(|policy| policy.get("zero_init_output").is_some())
         {
             source.put("policy.zero_init_output", Value::Boolean(false), "accuracy")?;
         }

@@ -178,7 +178,7 @@ fn inspected(
         epochs: scene.epochs,
         horizon: scene.horizon,
         epsilon: scene.precision.epsilon(),
-        settings: scene.table.clone(),
+        settings: scene.table(),
         records: run.records().to_vec(),
         rollouts,
         end: end(&mut *run, scene.epochs),

@@ -1,42 +1,21 @@
 //! Pendulum of several arms with friction: settings, limits and animation.
 
 use crate::operations::trajectory::Trajectory;
-use crate::settings::Method;
 use crate::settings::config_error::{ConfigError, count, finite, not_negative, positive};
-use crate::tasks::hard::{Nothing, Start, UprightLoss, in_scene, names, upright, validate_upright};
+use crate::settings::{Joined, Method};
+use crate::tasks::hard::{Nothing, Swing, UprightLoss, in_scene, names, upright, validate_upright};
 use crate::tasks::{Conserved, MlpSettings, Settings, TaskSpec};
 use physgrad::DynTask;
 use physgrad::Number;
-use physgrad::tasks::{self, Arm, MultiPendulum};
+use physgrad::tasks::{self, MultiPendulum};
 use physgrad_plot::{Animation, Posture, Stage, mechanics};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 /// Task `pendulum`.
 #[derive(Clone, Debug)]
 pub struct Pendulum;
 
-/// The `system` section of the pendulum.
-#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct PendulumSettings {
-    /// The arms, from the support.
-    arms: Vec<Arm>,
-    /// Gravitational acceleration, m/s².
-    gravity: Number,
-    /// Time step, s.
-    dt: f64,
-    /// Distribution of initial states.
-    start: Start,
-}
-
-fn body(settings: &Settings<Pendulum>) -> MultiPendulum {
-    let PendulumSettings { arms, gravity, .. } = &settings.system;
-    MultiPendulum { arms: arms.clone(), gravity: *gravity }
-}
-
 impl TaskSpec for Pendulum {
-    type System = PendulumSettings;
+    type System = Joined<MultiPendulum, Swing>;
     type Effects = Nothing;
     type Loss = UprightLoss;
     type PolicySpec = MlpSettings;
@@ -50,13 +29,12 @@ impl TaskSpec for Pendulum {
     }
     const METHODS: &'static [Method] = &Method::ODE;
 
-    fn system() -> PendulumSettings {
-        let MultiPendulum { arms, gravity } = MultiPendulum::default();
-        PendulumSettings { arms, gravity, dt: 0.01, start: Start::Hanging }
+    fn system() -> Self::System {
+        Joined(MultiPendulum::default(), Swing::DEFAULT)
     }
 
     fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
-        let PendulumSettings { arms, gravity, dt, start: _ } = &settings.system;
+        let Joined(MultiPendulum { arms, gravity }, swing) = &settings.system;
         count("system.arms", arms.len(), 1..=8)?;
         for (i, arm) in arms.iter().enumerate() {
             let tasks::Arm { mass, center, length, inertia, viscous, dry, quadratic } = *arm;
@@ -74,12 +52,12 @@ impl TaskSpec for Pendulum {
             rest.into_iter().try_for_each(|(name, value)| not_negative(&key(name), value))?;
         }
         finite("system.gravity", *gravity)?;
-        positive("system.dt", *dt)?;
+        positive("system.dt", swing.dt)?;
         validate_upright(settings)
     }
 
     fn task(settings: &Settings<Self>) -> DynTask {
-        let task = upright(settings, body(settings), 0, settings.system.start, 1.0);
+        let task = upright(settings, settings.system.0.clone(), 0, settings.system.1.start, 1.0);
         in_scene(settings, task)
     }
 
@@ -88,6 +66,7 @@ impl TaskSpec for Pendulum {
         let friction = Number::Uniform { low: 1e-4, high: 2e-4 };
         rubbed
             .system
+            .0
             .arms
             .iter_mut()
             .for_each(|arm| (arm.viscous, arm.dry, arm.quadratic) = (friction, friction, friction));
@@ -95,11 +74,11 @@ impl TaskSpec for Pendulum {
     }
 
     fn dt(settings: &Settings<Self>) -> f64 {
-        settings.system.dt
+        settings.system.1.dt
     }
 
     fn state_names(settings: &Settings<Self>) -> Vec<String> {
-        (1..=settings.system.arms.len())
+        (1..=settings.system.0.arms.len())
             .flat_map(|i| [format!("theta_{i}"), format!("omega_{i}")])
             .collect()
     }
@@ -109,7 +88,7 @@ impl TaskSpec for Pendulum {
     }
 
     fn conserved(settings: &Settings<Self>) -> Option<Conserved> {
-        let body = body(settings);
+        let body = settings.system.0.clone();
         let zero = Number::Fixed(0.0);
         let is_free =
             body.arms.iter().all(|arm| [arm.viscous, arm.dry, arm.quadratic] == [zero; 3]);
@@ -120,6 +99,7 @@ impl TaskSpec for Pendulum {
     fn animation(settings: &Settings<Self>, Trajectory { states, .. }: &Trajectory) -> Animation {
         let lengths: Vec<f64> = settings
             .system
+            .0
             .arms
             .iter()
             .map(|arm| arm.length.nominal().max(arm.center.nominal()))
@@ -139,6 +119,6 @@ impl TaskSpec for Pendulum {
             floor: None,
             mark: Some([0.0, reach]),
         };
-        mechanics(&stage, &states.iter().map(posture).collect::<Vec<_>>(), settings.system.dt)
+        mechanics(&stage, &states.iter().map(posture).collect::<Vec<_>>(), settings.system.1.dt)
     }
 }

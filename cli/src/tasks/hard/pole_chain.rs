@@ -1,8 +1,8 @@
 //! Chain of poles on a cart: settings, limits and animation.
 
 use crate::operations::trajectory::Trajectory;
-use crate::settings::Method;
-use crate::settings::config_error::{ConfigError, count, finite, positive};
+use crate::settings::config_error::{ConfigError, allowed, count, finite, positive};
+use crate::settings::{Joined, Method};
 use crate::tasks::hard::{Nothing, Start, UprightLoss, in_scene, upright, validate_upright};
 use crate::tasks::{Conserved, MlpSettings, Settings, TaskSpec};
 use physgrad::DynTask;
@@ -16,36 +16,22 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug)]
 pub struct PoleChain;
 
-/// The `system` section of the pole chain.
+/// Settings that the task adds to the section `system`.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct PoleChainSettings {
-    /// Number of poles, hinged end to end.
-    poles: usize,
-    /// Mass of the cart, kg.
-    cart_mass: f64,
-    /// Mass of a pole, kg.
-    pole_mass: f64,
-    /// Half the length of a pole, m.
-    half_length: f64,
-    /// Gravitational acceleration, m/s².
-    gravity: f64,
-    /// Time step, s.
-    dt: f64,
+pub struct InitialStates {
     /// Distribution of initial states.
     start: Start,
 }
 
-fn chain(settings: &Settings<PoleChain>) -> tasks::PoleChain {
-    let PoleChainSettings { poles, cart_mass, pole_mass, half_length, gravity, dt, start: _ } =
-        settings.system;
-    let [cart_mass, pole_mass, half_length, gravity] =
-        [cart_mass, pole_mass, half_length, gravity].map(Number::Fixed);
-    tasks::PoleChain(CartPoleSystem { poles, cart_mass, pole_mass, half_length, gravity, dt })
+/// Returns an error if the number varies.
+fn fixed(name: &str, number: Number) -> Result<(), ConfigError> {
+    let value = toml::Value::try_from(number).expect("a number is a plain value");
+    allowed(&format!("system.{name}"), value, number.is_fixed(), "a number, which does not vary")
 }
 
 impl TaskSpec for PoleChain {
-    type System = PoleChainSettings;
+    type System = Joined<CartPoleSystem, InitialStates>;
     type Effects = Nothing;
     type Loss = UprightLoss;
     type PolicySpec = MlpSettings;
@@ -58,56 +44,52 @@ impl TaskSpec for PoleChain {
     }
     const METHODS: &'static [Method] = &Method::ODE;
 
-    fn system() -> PoleChainSettings {
-        let (model, dt) = (CartPoleSystem::default(), CartPoleSystem::default().dt);
-        let [cart_mass, pole_mass, half_length, gravity] = model.nominal();
-        PoleChainSettings {
-            poles: 2,
-            cart_mass,
-            pole_mass,
-            half_length,
-            gravity,
-            dt,
-            start: Start::Hanging,
-        }
+    fn system() -> Self::System {
+        let system = CartPoleSystem { poles: 2, ..CartPoleSystem::default() };
+        Joined(system, InitialStates { start: Start::Hanging })
     }
 
     fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
-        let PoleChainSettings { poles, cart_mass, pole_mass, half_length, gravity, dt, start: _ } =
-            settings.system;
+        let system = settings.system.0;
+        let CartPoleSystem { poles, cart_mass, pole_mass, half_length, gravity, dt } = system;
         count("system.poles", poles, 1..=20)?;
-        positive("system.cart_mass", cart_mass)?;
-        positive("system.pole_mass", pole_mass)?;
-        positive("system.half_length", half_length)?;
+        for (name, number) in
+            [("cart_mass", cart_mass), ("pole_mass", pole_mass), ("half_length", half_length)]
+        {
+            fixed(name, number)?;
+            positive(&format!("system.{name}"), number)?;
+        }
+        fixed("gravity", gravity)?;
         finite("system.gravity", gravity)?;
         positive("system.dt", dt)?;
-        chain(settings).check().map_err(|error| {
-            ConfigError::new("system.cart_mass", format!("is {cart_mass}: {error}"))
+        tasks::PoleChain(system).check().map_err(|error| {
+            ConfigError::new("system.cart_mass", format!("is {}: {error}", cart_mass.nominal()))
         })?;
         validate_upright(settings)
     }
 
     fn task(settings: &Settings<Self>) -> DynTask {
-        let task = upright(settings, chain(settings), 2, settings.system.start, 30.0);
+        let chain = tasks::PoleChain(settings.system.0);
+        let task = upright(settings, chain, 2, settings.system.1.start, 30.0);
         in_scene(settings, task)
     }
 
     fn variants() -> Vec<(String, Settings<Self>)> {
         let of = |poles: usize| {
             let mut settings = Settings::<Self>::defaults();
-            settings.system.poles = poles;
+            settings.system.0.poles = poles;
             (format!("{poles} poles"), settings)
         };
         vec![of(2), of(5)]
     }
 
     fn dt(settings: &Settings<Self>) -> f64 {
-        settings.system.dt
+        settings.system.0.dt
     }
 
     fn state_names(settings: &Settings<Self>) -> Vec<String> {
-        let poles =
-            (1..=settings.system.poles).flat_map(|i| [format!("theta_{i}"), format!("omega_{i}")]);
+        let poles = (1..=settings.system.0.poles)
+            .flat_map(|i| [format!("theta_{i}"), format!("omega_{i}")]);
         ["x".into(), "x_dot".into()].into_iter().chain(poles).collect()
     }
 
@@ -116,7 +98,7 @@ impl TaskSpec for PoleChain {
     }
 
     fn conserved(settings: &Settings<Self>) -> Option<Conserved> {
-        let chain = chain(settings);
+        let chain = tasks::PoleChain(settings.system.0);
         settings
             .actuator
             .is_empty()
@@ -124,7 +106,8 @@ impl TaskSpec for PoleChain {
     }
 
     fn animation(settings: &Settings<Self>, Trajectory { states, .. }: &Trajectory) -> Animation {
-        let PoleChainSettings { poles, half_length, dt, .. } = settings.system;
+        let CartPoleSystem { poles, half_length, dt, .. } = settings.system.0;
+        let half_length = half_length.nominal();
         let posture = |x: &Vec<f64>| {
             let cart = [x[0], 0.0];
             let mut chain = vec![cart];

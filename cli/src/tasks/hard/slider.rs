@@ -14,32 +14,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug)]
 pub struct Slider;
 
-/// The `system` section of the block.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct SliderSettings {
-    /// Mass, kg.
-    mass: f64,
-    /// Coefficient of friction.
-    coefficient: f64,
-    /// Speed below which the friction law is smoothed, m/s.
-    smoothing: f64,
-    /// Time step, s.
-    dt: f64,
-    /// Speed at which a step evaluates friction.
-    scheme: Scheme,
-}
-
-/// Speed at which a step evaluates friction.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-enum Scheme {
-    /// Speed before the step: oscillates where `dt μ g` exceeds twice the smoothing.
-    Explicit,
-    /// Speed after the step: stable for any smoothing.
-    Implicit,
-}
-
 /// The `loss` section of the block.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -55,7 +29,7 @@ impl Default for SliderLoss {
 }
 
 impl TaskSpec for Slider {
-    type System = SliderSettings;
+    type System = SliderSystem;
     type Effects = Nothing;
     type Loss = SliderLoss;
     type PolicySpec = MlpSettings;
@@ -67,13 +41,12 @@ impl TaskSpec for Slider {
         100
     }
 
-    fn system() -> SliderSettings {
-        let SliderSystem { mass, coefficient, smoothing, dt, scheme: _ } = SliderSystem::default();
-        SliderSettings { mass, coefficient, smoothing, dt, scheme: Scheme::Implicit }
+    fn system() -> SliderSystem {
+        SliderSystem::default()
     }
 
     fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
-        let SliderSettings { mass, coefficient, smoothing, dt, scheme: _ } = settings.system;
+        let SliderSystem { mass, coefficient, smoothing, dt, scheme: _ } = settings.system;
         positive("system.mass", mass)?;
         not_negative("system.coefficient", coefficient)?;
         positive("system.smoothing", smoothing)?;
@@ -82,15 +55,8 @@ impl TaskSpec for Slider {
     }
 
     fn task(settings: &Settings<Self>) -> DynTask {
-        let SliderSettings { mass, coefficient, smoothing, dt: _, scheme } = settings.system;
-        let scheme = match scheme {
-            Scheme::Explicit => FrictionScheme::Explicit,
-            Scheme::Implicit => FrictionScheme::Implicit,
-        };
-        let system =
-            SliderSystem { mass, coefficient, smoothing, dt: small_step(settings), scheme };
         let task = tasks::Slider {
-            system,
+            system: SliderSystem { dt: small_step(settings), ..settings.system },
             speed_weight: settings.loss.speed_weight,
             horizon: settings.horizon,
         };
@@ -99,7 +65,7 @@ impl TaskSpec for Slider {
 
     fn variants() -> Vec<(String, Settings<Self>)> {
         let mut explicit = Settings::<Self>::defaults();
-        (explicit.system.scheme, explicit.system.smoothing) = (Scheme::Explicit, 0.1);
+        (explicit.system.scheme, explicit.system.smoothing) = (FrictionScheme::Explicit, 0.1);
         vec![("implicit".into(), Settings::defaults()), ("explicit".into(), explicit)]
     }
 
