@@ -4,6 +4,7 @@ use crate::scenes::source::SceneSource;
 use crate::tasks::Scene;
 use physgrad::text::digits;
 use physgrad::{Number, Warning};
+use std::path::Path;
 
 /// Kind of the warnings. There is one per number.
 const KIND: &str = "number outside of its range";
@@ -40,7 +41,7 @@ impl Limits {
         };
         let numbers: Vec<Limited> = scene.varied().into_iter().filter_map(limited).collect();
         let source = (!numbers.is_empty())
-            .then(|| SceneSource::inner("the scene", scene.table.clone()).ok())
+            .then(|| SceneSource::inner("the scene", scene.table.clone(), Path::new("")).ok())
             .flatten();
         Self { source, numbers }
     }
