@@ -8,7 +8,7 @@
 //! 2. `settings`: sections of a scene, errors in settings.
 //! 3. `operations`: computations on any task and its policy.
 //! 4. `tasks`: built-in tasks; `Scene`, independent of the type of its task.
-//! 5. `scenes`: scene files, presets, overrides, sweeps, plans of studies.
+//! 5. `scenes`: scene files, presets, overrides, plans of many trainings.
 //! 6. `runs`: training, resuming, comparisons, output files, statistics.
 //! 7. `commands`: the commands; `print` contains `scene` and `schema`.
 //! 8. `api`: scenes, policies and runs for other programs, for example the Python bindings.
@@ -203,11 +203,11 @@ impl Command {
     fn threads(&self) -> Option<usize> {
         match self {
             Self::Train(args) => args.threads,
-            Self::Compare(args) => args.threads,
-            Self::Study(args) => args.threads,
+            Self::Compare(args) => args.running.threads,
+            Self::Study(args) => args.running.threads,
             Self::Identify(args) => args.threads,
             Self::Optimize(args) => args.threads,
-            Self::Paper(args) => args.threads,
+            Self::Paper(args) => args.running.threads,
             _ => None,
         }
     }

@@ -2,27 +2,36 @@
 
 mod fig1;
 mod fig2;
-mod study;
 
-use crate::commands::compare::Output;
-use crate::platform::folder::{COMPARISON, Folder};
-use crate::platform::json::print_json;
+use crate::commands::merge::AllMade;
+use crate::commands::study::{Made, Running, Trainings};
+use crate::platform::folder::Folder;
 use crate::platform::signals;
 use crate::platform::table::Table;
 use crate::platform::terminal::print_text;
 use crate::runs::comparison::{check_distinct, check_options};
-use crate::runs::run::NoUpdate;
 use crate::runs::shard::Shard;
+use crate::scenes::plan::Plan;
 use crate::settings::{ClipName, FieldName};
-use anyhow::{Result, bail};
+use anyhow::{Context, Result};
 use clap::ValueEnum;
 use physgrad_plot::Drawing;
-use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use std::path::{Path, PathBuf};
-use study::{FIG3, FIG4, FIG5};
+use std::path::Path;
+use toml::Value as Setting;
+
+/// Names and texts of the plans of figures 3 to 5. The figure with the longest computing time is
+/// last.
+const PLANS: [(Figure, &str); 3] = [
+    (Figure::Fig4, include_str!("../../../examples/plans/fig4.toml")),
+    (Figure::Fig3, include_str!("../../../examples/plans/fig3.toml")),
+    (Figure::Fig5, include_str!("../../../examples/plans/fig5.toml")),
+];
 
 /// Reproduce a figure of the paper, with several seeds: picture, numbers and table.
+///
+/// The default folder is runs/paper, or runs/paper-quick with --quick. Figures 3 to 5 are plans,
+/// examples/plans/fig3.toml to fig5.toml, and have a folder each. Shard 1 makes figures 1 and 2.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Examples:\n  physgrad paper fig4 --quick\n  physgrad paper all --seeds 8 -o runs/paper\n  physgrad paper fig4 --shard 3/16 -o runs/paper"
@@ -31,48 +40,23 @@ pub struct Paper {
     /// Figure to reproduce
     #[arg(value_enum)]
     pub figure: Figure,
-    #[command(flatten)]
-    pub options: Options,
-    /// Number of threads, one run each [default: RAYON_NUM_THREADS, or all cores]
-    #[arg(long, value_name = "N")]
-    pub threads: Option<usize>,
-    /// Folder for the results; runs already in it are resumed [default: runs/paper, or
-    /// runs/paper-quick with --quick]
-    #[arg(short, long, value_name = "DIR")]
-    pub out: Option<PathBuf>,
-    /// Train share K of N of the runs, then all other runs that no process holds. Other shards may
-    /// train in the same folder, on any machine. Run `physgrad merge` afterwards
-    /// (docs/clusters.md). Shard 1 makes figures 1 and 2
-    #[arg(long, value_name = "K/N", requires = "out", conflicts_with = "json")]
-    pub shard: Option<Shard>,
-}
-
-/// Options of the figures. Figures 1 and 2 train nothing.
-#[derive(Debug, clap::Args, Serialize, Deserialize)]
-pub struct Options {
-    /// Number of seeds, counted from 0
-    #[arg(long, value_name = "K", default_value_t = 3)]
-    pub seeds: u64,
+    /// Number of seeds, counted from 0 [default: 3]
+    #[arg(long, value_name = "K")]
+    pub seeds: Option<u64>,
     /// Epochs of every run [default: 1000, or 5 with --quick]
     #[arg(long, value_name = "N")]
     pub epochs: Option<usize>,
-    /// Fields to compare
-    #[arg(long, value_delimiter = ',', default_value = "R,M,S,C", value_parser = |name: &str| name.parse().map(FieldName))]
-    pub fields: Vec<FieldName>,
-    /// Kinds of clipping, one row of panels each
-    #[arg(long, value_delimiter = ',', default_value = "none,value,norm", value_enum)]
-    pub clip: Vec<ClipName>,
+    /// Fields to compare [default: R,M,S,C]
+    #[arg(long, value_delimiter = ',', value_parser = |name: &str| name.parse().map(FieldName))]
+    pub fields: Option<Vec<FieldName>>,
+    /// Kinds of clipping, one row of panels each [default: none,value,norm]
+    #[arg(long, value_delimiter = ',', value_enum)]
+    pub clip: Option<Vec<ClipName>>,
     /// Make a fast trial run: few epochs, small data sets, coarse grids
     #[arg(long)]
     pub quick: bool,
-    /// Print only warnings and errors
-    #[arg(short, long)]
-    #[serde(skip)]
-    pub quiet: bool,
-    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
-    #[arg(long)]
-    #[serde(skip)]
-    pub json: bool,
+    #[command(flatten)]
+    pub running: Running,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -98,38 +82,28 @@ impl Figure {
     }
 }
 
-impl Options {
-    /// Number of epochs of every run.
-    fn epochs(&self) -> usize {
-        self.epochs.unwrap_or(if self.quick { 5 } else { 1000 })
-    }
-}
-
-/// A finished figure.
+/// Figure 1 or 2, which train nothing.
 pub struct FinishedFigure {
     pub drawing: Drawing,
     /// Figure 1: loss, R and M at the parameters of the maps. Figure 2: parameters and losses along
-    /// the paths. Figures 3 to 5: final and best losses, one row per run.
+    /// the paths.
     pub csv: Vec<u8>,
     /// Summary.
     pub table: Table,
-    /// Note below the table. May be empty.
-    pub note: &'static str,
 }
 
 impl FinishedFigure {
-    /// Writes `<name>.svg`, `.png`, `.csv` and `.md`. Prints the table, unless `options.quiet` or
-    /// `options.json` is true. Returns name and table as JSON.
-    pub fn write(&self, name: &str, folder: &Folder, options: &Options) -> Result<Value> {
+    /// Writes `<name>.svg`, `.png`, `.csv` and `.md`. Prints the table, unless an option forbids it.
+    /// Returns name and table as JSON.
+    fn write(&self, name: &str, folder: &Folder, running: &Running) -> Result<Value> {
         folder.write(&format!("{name}.svg"), self.drawing.to_svg())?;
         folder.write(&format!("{name}.png"), self.drawing.to_png())?;
         folder.write(&format!("{name}.csv"), &self.csv)?;
-        let note = if self.note.is_empty() { String::new() } else { format!("\n\n{}", self.note) };
-        folder.write(&format!("{name}.md"), format!("{}{note}\n", self.table.markdown()))?;
-        if !options.quiet && !options.json {
+        folder.write(&format!("{name}.md"), format!("{}\n", self.table.markdown()))?;
+        if !running.quiet && !running.json {
             let path = folder.path().display();
             print_text(&format!(
-                "{}{note}\n{name}.svg, {name}.png, {name}.csv and {name}.md are in {path}\n",
+                "{}\n{name}.svg, {name}.png, {name}.csv and {name}.md are in {path}\n",
                 self.table
             ))?;
         }
@@ -139,92 +113,51 @@ impl FinishedFigure {
 
 /// Runs the command.
 pub fn paper(args: &Paper) -> Result<()> {
-    let options = &args.options;
-    check_options(&options.fields, options.seeds, options.epochs())?;
-    check_distinct("--clip", options.clip.iter().map(|clip| clip.name()))?;
-    let default = if options.quick { "runs/paper-quick" } else { "runs/paper" };
-    let folder = Folder::at(args.out.as_deref().unwrap_or(Path::new(default)));
-    let folder = if args.shard.is_some() { folder.share()? } else { folder.lock()? };
-    let first = args.shard.is_none_or(Shard::is_first);
-    let write = |figure: Figure, finished: Result<FinishedFigure>| {
-        Ok((Some(finished?.write(&figure.name(), &folder, options)?), Ok(())))
+    let running = &args.running;
+    check_options(args.fields.as_deref(), args.seeds, args.epochs)?;
+    check_distinct("--clip", args.clip.iter().flatten().map(|clip| clip.name()))?;
+    let default = Path::new(if args.quick { "runs/paper-quick" } else { "runs/paper" });
+    let folder = Folder::at(running.out.as_deref().unwrap_or(default));
+    let folder = if running.shard.is_some() { folder.share()? } else { folder.lock()? };
+    let is_wanted = |figure: Figure| {
+        [figure, Figure::All].contains(&args.figure) && signals::received().is_none()
     };
-    // Puts the figure with the longest computing time last.
-    let none = || Ok((None, Ok(())));
-    let figures: [(Figure, &dyn Fn() -> Result<Made>); 5] = [
-        (Figure::Fig1, &|| {
-            if first { write(Figure::Fig1, fig1::fig1(options.quick)) } else { none() }
-        }),
-        (Figure::Fig2, &|| {
-            if first { write(Figure::Fig2, fig2::fig2(options.quick)) } else { none() }
-        }),
-        (Figure::Fig4, &|| FIG4.run(options, &folder, args.shard)),
-        (Figure::Fig3, &|| FIG3.run(options, &folder, args.shard)),
-        (Figure::Fig5, &|| FIG5.run(options, &folder, args.shard)),
-    ];
     // Continues with the other figures after an error.
     let mut all = AllMade::default();
-    for (figure, make) in figures {
-        if [figure, Figure::All].contains(&args.figure) && signals::received().is_none() {
-            all.add(&figure.name(), make());
+    let toys: [(Figure, fn(bool) -> Result<FinishedFigure>); 2] =
+        [(Figure::Fig1, fig1::fig1), (Figure::Fig2, fig2::fig2)];
+    for (figure, make) in toys {
+        if is_wanted(figure) && running.shard.is_none_or(Shard::is_first) {
+            let name = figure.name();
+            let made = make(args.quick).and_then(|made| made.write(&name, &folder, running));
+            all.add_table(&name, made.map(Some));
         }
     }
-    if options.json {
-        print_json(&json!({ "folder": folder.path(), "figures": all.tables }))?;
+    for (figure, text) in PLANS {
+        if is_wanted(figure) {
+            all.add(&figure.name(), train(&figure.name(), text, args, &folder));
+        }
     }
-    all.into_result()
+    all.print(&folder, running.output())
 }
 
-/// Name and table of a figure, if it was written, and the failures of its runs.
-type Made = (Option<Value>, Result<()>);
-
-/// Tables and failures of several figures.
-#[derive(Default)]
-struct AllMade {
-    tables: Vec<Value>,
-    failures: Vec<(String, anyhow::Error)>,
-}
-
-impl AllMade {
-    fn add(&mut self, name: &str, made: Result<Made>) {
-        let (table, failures) = made.unwrap_or_else(|error| (None, Err(error)));
-        self.tables.extend(table);
-        self.failures.extend(failures.err().map(|error| (name.to_owned(), error)));
+/// Trains the plan of a figure, with the changes of the options, in a folder inside `folder`.
+fn train(name: &str, text: &str, args: &Paper, folder: &Folder) -> Result<Made> {
+    let plan = Plan::built_in(&format!("plan {name}"), text)?;
+    let mut plan = if args.quick { plan.quick() } else { plan };
+    let contents = &mut plan.contents;
+    contents.seeds = args.seeds.unwrap_or(contents.seeds);
+    contents.epochs = args.epochs.or(contents.epochs);
+    contents.fields = args.fields.clone().unwrap_or(std::mem::take(&mut contents.fields));
+    if let Some(clip) = &args.clip {
+        contents.grid.insert("training.clip".into(), Setting::try_from(clip)?);
     }
-
-    /// Returns one error that lists all failures, if there are any. It is [`NoUpdate`] if every
-    /// failure is.
-    fn into_result(self) -> Result<()> {
-        let no_update = |(name, error): &(String, anyhow::Error)| {
-            error.downcast_ref::<NoUpdate>().map(|NoUpdate(runs)| format!("{name}: {runs}"))
-        };
-        if self.failures.is_empty() {
-            return Ok(());
-        }
-        match self.failures.iter().map(no_update).collect::<Option<Vec<_>>>() {
-            Some(runs) => bail!(NoUpdate(runs.join(", "))),
-            None => {
-                let lines = self.failures.iter().map(|(name, error)| format!("{name}: {error:#}"));
-                bail!("{}", lines.collect::<Vec<_>>().join("\n"))
-            }
-        }
-    }
-}
-
-/// Makes the figures in the folder from their runs, without training. Returns false if the folder
-/// has no figure with runs.
-pub fn merge(folder: &Folder, output: Output) -> Result<bool> {
-    let (mut all, mut any) = (AllMade::default(), false);
-    for study in [FIG3, FIG4, FIG5] {
-        if Folder::at(folder.file(study.name)).has(COMPARISON) {
-            any = true;
-            all.add(study.name, study.merge(folder, output));
-        }
-    }
-    if output.json && !all.tables.is_empty() {
-        print_json(&json!({ "folder": folder.path(), "figures": all.tables }))?;
-    }
-    all.into_result().map(|()| any)
+    let trainings = Trainings::new(plan)?;
+    let own = folder.inside(name)?;
+    own.create()?;
+    trainings
+        .train(&own, &args.running, folder.path())
+        .with_context(|| format!("the plan of {name}, examples/plans/{name}.toml"))
 }
 
 #[cfg(test)]

@@ -124,8 +124,7 @@ fn add_settings(
 
 /// Keys that no option sets, and the sections `effects` and `actuator`, whose entries the command
 /// lists by name.
-const HIDDEN: [&str; 8] =
-    ["scene", "physgrad", "task", "effects", "actuator", "vary", "fit", "sweep"];
+const HIDDEN: [&str; 7] = ["scene", "physgrad", "task", "effects", "actuator", "vary", "fit"];
 
 fn names(infos: &[Info]) -> String {
     infos.iter().map(|info| info.name).collect::<Vec<_>>().join(", ")

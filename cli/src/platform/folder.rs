@@ -29,11 +29,8 @@ pub const SCENE: &str = "scene.toml";
 /// Records how a run of a comparison ended.
 pub const END: &str = "end.toml";
 
-/// Plan of a comparison, beside [`RUNS`].
+/// Plan of a comparison, beside [`RUNS`] or beside the folders that contain [`RUNS`].
 pub const COMPARISON: &str = "comparison.toml";
-
-/// Plan of a study, beside the folders of its comparisons.
-pub const STUDY: &str = "study.toml";
 
 /// Subfolder with the runs of a comparison. Also the folder in which [`Folder::fresh`] creates
 /// folders.
@@ -160,7 +157,7 @@ impl Folder {
     /// The folder holds a training. Another process has locked it, or it cannot be written.
     pub fn reserve(path: Option<&Path>) -> Result<Option<Locked>> {
         let Some(folder) = path.map(Self::at) else { return Ok(None) };
-        let trainings = [(SETTINGS, "run"), (COMPARISON, "comparison"), (STUDY, "study")];
+        let trainings = [(SETTINGS, "run"), (COMPARISON, "comparison")];
         if let Some((_, training)) = trainings.into_iter().find(|(file, _)| folder.has(file)) {
             bail!("{} holds a {training}; choose another folder with --out", folder.path.display());
         }

@@ -2,7 +2,7 @@
 
 use super::folder::{
     COMPARISON, Folder, INITIAL_POLICY, LOCK, LOCKED_FILES, PREVIOUS, RUN_FILES, RUNS, SETTINGS,
-    STUDY, unwritable,
+    unwritable,
 };
 use super::terminal::{print_message, program};
 use super::{files, signals};
@@ -222,7 +222,7 @@ impl Locked {
     /// place. Otherwise returns the folder unchanged.
     ///
     /// # Errors
-    /// The folder contains a comparison or a study. It contains a run and files that are not part
+    /// The folder contains a comparison. It contains a run and files that are not part
     /// of a run. Without [`SETTINGS`], it contains files of a run other than temporary files and
     /// [`INITIAL_POLICY`]. The folder of a run is the current folder, contains the current folder,
     /// or cannot be renamed. Another process locks the new folder first.
@@ -237,9 +237,6 @@ impl Locked {
                 "{} holds a comparison ({name}); choose another folder with --out",
                 path.display()
             );
-        }
-        if other.iter().any(|name| name == STUDY) {
-            bail!("{} holds a study; choose another folder with --out", path.display());
         }
         if !run.iter().any(|name| name == SETTINGS) {
             // A process that is killed before it writes the settings may leave temporary files and

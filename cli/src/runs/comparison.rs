@@ -11,11 +11,11 @@ pub use train_shard::train_shard;
 use crate::platform::folder::{COMPARISON, END, Folder, RUNS};
 use crate::platform::lock::Locked;
 use crate::platform::parallel;
-use crate::platform::terminal::counted;
 use crate::runs::run::{self, End, Finished, NoUpdate, Observer, SAVE_EVERY};
 use crate::runs::saved::{self, check_resumable};
-use crate::runs::statistics::Outcome;
-use crate::settings::{EstimatorName, FieldName};
+use crate::runs::statistics::{Method, Outcome};
+use crate::scenes::plan::MAX_PLAN;
+use crate::settings::FieldName;
 use crate::tasks::Scene;
 use anyhow::{Context, Result, anyhow, bail};
 use physgrad::Field;
@@ -26,6 +26,8 @@ use std::collections::HashSet;
 
 /// Runs of one training configuration with several fields and seeds.
 pub struct Comparison {
+    /// Folder of the folders of the runs.
+    folder: Folder,
     runs: Vec<Run>,
     /// Prefix of messages, which distinguishes several comparisons. May be empty.
     label: String,
@@ -149,14 +151,22 @@ impl Run {
         Ok(run.records().to_vec())
     }
 
-    fn outcome(&self) -> Option<Outcome<'_>> {
-        let failed = self.end.as_ref()?.error.is_some();
-        Some(Outcome { field: self.field, seed: self.seed, records: &self.records, failed })
+    /// Outcome of the run, with the test loss of its initial policy. None if the run has not ended.
+    ///
+    /// # Errors
+    /// The settings of the run cannot be read.
+    fn outcome(&self) -> Result<Option<Outcome<'_>>> {
+        let Some(end) = &self.end else { return Ok(None) };
+        Ok(Some(Outcome {
+            method: Method::Field(self.field),
+            field: self.field,
+            seed: self.seed,
+            records: &self.records,
+            untrained: saved::scene(&self.folder)?.open(1)?.test_loss(),
+            diverged: end.error.is_some(),
+        }))
     }
 }
-
-/// Largest size of a plan or of `end.toml`, in bytes. A plan has up to 10,000 scenes.
-const MAX_PLAN: usize = 40_000_000;
 
 /// Contents of a TOML file in the folder.
 fn read_toml<T: DeserializeOwned>(folder: &Folder, name: &str) -> Result<T> {
@@ -167,32 +177,23 @@ fn read_toml<T: DeserializeOwned>(folder: &Folder, name: &str) -> Result<T> {
     read().with_context(|| format!("cannot read {}", folder.file(name).display()))
 }
 
-/// Writes the plan of a comparison, which `merge` reads.
+/// Writes a plan, which `merge` reads.
 ///
 /// # Errors
 /// `shard` is true, and the folder has another plan. The file cannot be read or written.
-pub fn write_plan(folder: &Folder, plan: &impl Serialize, shard: bool) -> Result<()> {
-    write_plan_file(folder, COMPARISON, &toml::to_string(plan)?, shard)
-}
-
-/// Writes the plan of a comparison or a study to this file, as [`write_plan`] does.
-pub fn write_plan_file(folder: &Folder, name: &str, plan: &str, shard: bool) -> Result<()> {
-    let saved = if folder.has(name) { Some(folder.read_up_to(name, MAX_PLAN)?) } else { None };
+pub fn write_plan(folder: &Folder, plan: &str, shard: bool) -> Result<()> {
+    let is_there = folder.has(COMPARISON);
+    let saved = is_there.then(|| folder.read_up_to(COMPARISON, MAX_PLAN)).transpose()?;
     match saved {
         Some(saved) if saved == plan.as_bytes() => Ok(()),
         Some(saved) if shard => bail!(
-            "{} has the plan of another comparison or study; give all shards equal options, or choose another folder with --out. \
+            "{} has the plan of another comparison; give all shards equal options, or choose another folder with --out. \
              These lines differ:\n{}",
-            folder.file(name).display(),
+            folder.file(COMPARISON).display(),
             differences(&String::from_utf8_lossy(&saved), plan)
         ),
-        _ => folder.write(name, plan),
+        _ => folder.write(COMPARISON, plan),
     }
-}
-
-/// Plan of the comparison in the folder.
-pub fn read_plan<T: DeserializeOwned>(folder: &Folder) -> Result<T> {
-    read_toml(folder, COMPARISON)
 }
 
 impl Comparison {
@@ -204,10 +205,10 @@ impl Comparison {
         seeds: u64,
         folder: &Folder,
     ) -> Result<Self> {
-        if !(1..=MAX_SEEDS).contains(&seeds) {
-            bail!("a comparison has {seeds} seeds; allowed: 1 to {MAX_SEEDS}");
-        }
-        let last = base.seed.checked_add(seeds - 1).filter(|&last| i64::try_from(last).is_ok());
+        let last = base
+            .seed
+            .checked_add(seeds.saturating_sub(1))
+            .filter(|&last| i64::try_from(last).is_ok());
         let last = last.with_context(|| {
             format!(
                 "{seeds} seeds from {} on exceed the largest seed, {}; use smaller seeds",
@@ -215,7 +216,6 @@ impl Comparison {
                 i64::MAX
             )
         })?;
-        check_runs(1, fields.len(), seeds)?;
         let runs = folder.inside(RUNS)?;
         let pairs =
             fields.iter().flat_map(|&field| (base.seed..=last).map(move |seed| (field, seed)));
@@ -224,7 +224,8 @@ impl Comparison {
             let folder = runs.inside(&format!("{}-{seed}", field.0.letter()))?;
             Ok(Run { field: field.0, seed, folder, scene, records: Vec::new(), end: None })
         };
-        Ok(Self { runs: pairs.map(run).collect::<Result<_>>()?, label: label.to_owned() })
+        let all = pairs.map(run).collect::<Result<_>>()?;
+        Ok(Self { runs: all, folder: runs, label: label.to_owned() })
     }
 
     /// Returns whether at least one run of the comparison is in its folder.
@@ -232,22 +233,27 @@ impl Comparison {
         self.runs.iter().any(|run| saved::has_run(&run.folder))
     }
 
-    /// Checks that every existing run has the settings of the comparison.
+    /// Checks that every existing run has the settings of the comparison, up to field and seed.
     ///
     /// # Errors
     /// A run has other settings, or settings that cannot be read.
     pub fn check_resumable(&self) -> Result<()> {
-        self.runs.iter().try_for_each(|run| run.resumes().map(drop))
-    }
-
-    /// Test losses of the initial policies of the runs that ended, in the order of
-    /// [`outcomes`](Self::outcomes).
-    ///
-    /// # Errors
-    /// The settings of a run cannot be read.
-    pub fn initial_losses(&self) -> Result<Vec<f64>> {
-        let loss = |run: &Run| Ok(saved::scene(&run.folder)?.open(1)?.test_loss());
-        self.runs.iter().filter(|run| run.end.is_some()).map(loss).collect()
+        self.runs.iter().try_for_each(|run| run.resumes().map(drop))?;
+        // Runs of other fields or seeds have the settings of the first one.
+        let is_there = self.folder.path().is_dir();
+        let folders = if is_there { saved::folders(&self.folder)? } else { Vec::new() };
+        let first = folders.iter().find(|folder| saved::has_run(folder));
+        let (Some(first), Some(run)) = (first, self.runs.first()) else { return Ok(()) };
+        let [found, expected] = [saved::scene(first)?, run.scene.clone()];
+        let [found, expected] = [found, expected].map(|scene| scene.comparable());
+        if found != expected {
+            bail!(
+                "{} holds a run with other settings; choose another folder with --out. These lines differ:\n{}",
+                first.path().display(),
+                differences(&found, &expected)
+            );
+        }
+        Ok(())
     }
 
     /// Folders of the runs that ended.
@@ -256,8 +262,11 @@ impl Comparison {
     }
 
     /// Outcomes of the runs that ended, grouped by field.
-    pub fn outcomes(&self) -> Vec<Outcome<'_>> {
-        self.runs.iter().filter_map(Run::outcome).collect()
+    ///
+    /// # Errors
+    /// The settings of a run cannot be read.
+    pub fn outcomes(&self) -> Result<Vec<Outcome<'_>>> {
+        self.runs.iter().filter_map(|run| run.outcome().transpose()).collect()
     }
 
     fn label(&self, run: &Run) -> String {
@@ -269,51 +278,22 @@ impl Comparison {
 /// Largest number of seeds of a comparison.
 const MAX_SEEDS: u64 = 10_000;
 
-/// Largest number of runs of a comparison or study. A run takes about 5 kB before it starts.
-const MAX_RUNS: u64 = 100_000;
-
-/// Checks the number of runs before they are planned.
-///
-/// # Errors
-/// Combinations of settings, fields and seeds give more than [`MAX_RUNS`] runs.
-pub fn check_runs(combinations: usize, fields: usize, seeds: u64) -> Result<()> {
-    let runs = (combinations as u64).saturating_mul(fields as u64).saturating_mul(seeds);
-    if runs > MAX_RUNS {
-        bail!(
-            "{combinations} combinations of settings, {} and {seeds} seeds give {runs} runs; allowed: up to {MAX_RUNS}",
-            counted(fields, "field")
-        );
-    }
-    Ok(())
-}
-
-/// Checks the options of a comparison.
+/// Checks the options of a comparison that are given.
 ///
 /// # Errors
 /// `seeds` is 0 or above [`MAX_SEEDS`], `epochs` is 0, or a field occurs twice.
-pub fn check_options(fields: &[FieldName], seeds: u64, epochs: usize) -> Result<()> {
-    if !(1..=MAX_SEEDS).contains(&seeds) {
+pub fn check_options(
+    fields: Option<&[FieldName]>,
+    seeds: Option<u64>,
+    epochs: Option<usize>,
+) -> Result<()> {
+    if let Some(seeds) = seeds.filter(|seeds| !(1..=MAX_SEEDS).contains(seeds)) {
         bail!("--seeds is {seeds}; allowed: 1 to {MAX_SEEDS}");
     }
-    if epochs == 0 {
+    if epochs == Some(0) {
         bail!("--epochs is 0; allowed: 1 or more");
     }
-    check_distinct("--fields", fields.iter().map(|field| field.0.name()))
-}
-
-/// Checks that fields differ with the estimator of a scene.
-///
-/// # Errors
-/// There are several fields, but the estimator reads losses only.
-pub fn check_estimator(scene: &Scene, fields: &[FieldName]) -> Result<()> {
-    if fields.len() > 1 && scene.training.estimator == EstimatorName::ZerothOrder {
-        bail!(
-            "--fields names {} fields, but has no effect: `training.estimator` is zeroth_order, which follows differences of \
-             losses; name one field, as in --fields R, or choose another estimator",
-            fields.len()
-        );
-    }
-    Ok(())
+    check_distinct("--fields", fields.into_iter().flatten().map(|field| field.0.name()))
 }
 
 /// Returns an error if an option contains a name twice.
@@ -325,20 +305,12 @@ pub fn check_distinct<'a>(option: &str, names: impl Iterator<Item = &'a str>) ->
     }
 }
 
-/// Checks that each scene and field can open a session.
+/// Checks that a scene can open a session with each field.
 ///
 /// # Errors
 /// A setting is unusable, for example a memory budget that is too small.
-pub fn check_sessions<'a>(
-    bases: impl Iterator<Item = &'a Scene>,
-    fields: &[FieldName],
-) -> Result<()> {
-    for base in bases {
-        for &field in fields {
-            base.with(field, base.seed).open(1)?;
-        }
-    }
-    Ok(())
+pub fn check_sessions(scene: &Scene, fields: &[FieldName]) -> Result<()> {
+    fields.iter().try_for_each(|&field| scene.with(field, scene.seed).open(1).map(drop))
 }
 
 /// Runs that failed, applied no update or have not ended.

@@ -6,6 +6,7 @@ use crate::tasks::Scene;
 use physgrad::Number;
 use physgrad::text::digits;
 use physgrad::train::Warning;
+use std::path::Path;
 
 /// Kind of the warnings. There is one per number.
 const KIND: &str = "number outside of its range";
@@ -42,7 +43,7 @@ impl Limits {
         };
         let numbers: Vec<Limited> = scene.varied().into_iter().filter_map(limited).collect();
         let source = (!numbers.is_empty())
-            .then(|| SceneSource::inner("the scene", scene.table()).ok())
+            .then(|| SceneSource::inner("the scene", scene.table(), Path::new("")).ok())
             .flatten();
         Self { source, numbers }
     }

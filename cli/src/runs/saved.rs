@@ -73,7 +73,7 @@ fn compared(folder: &Folder) -> Result<Vec<Folder>> {
 
 /// Subfolders, sorted by name. Omits renamed earlier runs, and links to folders with a warning: they
 /// may lead out of the folder, or back into it.
-pub(super) fn folders(folder: &Folder) -> Result<Vec<Folder>> {
+pub fn folders(folder: &Folder) -> Result<Vec<Folder>> {
     let path = folder.path();
     let context = || format!("cannot read the folder {}", path.display());
     let entries = std::fs::read_dir(path).with_context(context)?;

@@ -5,24 +5,80 @@ use physgrad::rng::{Purpose, stream};
 use physgrad::text::short;
 use physgrad::train::Record;
 use physgrad_plot::quantile::{quantile, sorted};
-use physgrad_plot::{Curve, Dash, Point, field_color};
+use physgrad_plot::{Curve, Dash, PALETTE, Point, field_color};
 use rand::RngExt;
 use std::fmt;
 
-/// Field, seed and records of one run.
+/// Method of a run, by which tables and pictures group runs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Method<'a> {
+    Field(Field),
+    /// Index and name in a plan.
+    Named(usize, &'a str),
+}
+
+impl Method<'_> {
+    /// Name in tables.
+    pub fn name(self) -> String {
+        match self {
+            Self::Field(field) => field.to_string(),
+            Self::Named(_, name) => name.into(),
+        }
+    }
+
+    /// Legend entry.
+    pub fn label(self) -> String {
+        match self {
+            Self::Field(field) => field_label(field),
+            Self::Named(_, name) => name.into(),
+        }
+    }
+
+    pub fn color(self) -> &'static str {
+        match self {
+            Self::Field(field) => field_color(field.letter()),
+            Self::Named(i, _) => PALETTE[i % PALETTE.len()],
+        }
+    }
+
+    /// Ratios refer to the method of the lowest rank.
+    fn rank(self) -> Option<usize> {
+        match self {
+            Self::Field(field) => position(field.letter()),
+            Self::Named(i, _) => Some(i),
+        }
+    }
+}
+
+/// Method, field, seed and records of one run.
 #[derive(Clone, Copy)]
 pub struct Outcome<'a> {
+    pub method: Method<'a>,
     pub field: Field,
     pub seed: u64,
     pub records: &'a [Record],
-    /// True if the training failed. A failed run has no final losses.
-    pub failed: bool,
+    /// Test loss of the initial policy.
+    pub untrained: f64,
+    /// True if a non-finite number ended the training. Such a run has no final losses.
+    pub diverged: bool,
 }
 
 impl Outcome<'_> {
-    /// Loss of the last epoch. NaN for a failed run, and for a run without an epoch.
+    /// Loss of the last epoch. NaN for a run that diverged, and for a run without an epoch.
     pub fn last(&self, loss: fn(&Record) -> f64) -> f64 {
-        self.records.last().filter(|_| !self.failed).map_or(f64::NAN, loss)
+        self.records.last().filter(|_| !self.diverged).map_or(f64::NAN, loss)
+    }
+
+    /// Final test loss.
+    pub fn loss(&self) -> f64 {
+        self.last(|r| r.test_loss)
+    }
+
+    /// Returns whether the final test loss is NaN or not below the loss of the untrained policy. A
+    /// NaN loss of the untrained policy counts as infinite.
+    pub fn has_failed(&self) -> bool {
+        let untrained = if self.untrained.is_nan() { f64::INFINITY } else { self.untrained };
+        self.loss().is_nan() || self.loss() >= untrained
     }
 
     /// Training time of all epochs, s.
@@ -45,11 +101,26 @@ impl Outcome<'_> {
     }
 }
 
-/// Groups runs by field. Runs of a field must be consecutive.
-pub fn by_field<'a, 'r>(
+/// Groups runs by method. Runs of a method must be consecutive.
+pub fn by_method<'a, 'r>(
     runs: &'a [Outcome<'r>],
-) -> impl Iterator<Item = (Field, &'a [Outcome<'r>])> {
-    runs.chunk_by(|a, b| a.field == b.field).map(|runs| (runs[0].field, runs))
+) -> impl Iterator<Item = (Method<'r>, &'a [Outcome<'r>])> {
+    runs.chunk_by(|a, b| a.method == b.method).map(|runs| (runs[0].method, runs))
+}
+
+/// Final test losses in ascending order, with NaN last.
+pub fn losses(runs: &[Outcome]) -> Vec<f64> {
+    sorted(runs.iter().map(Outcome::loss))
+}
+
+/// Median of the final test loss. NaN ranks above every number.
+pub fn median_loss(runs: &[Outcome]) -> f64 {
+    quantile(&losses(runs), 0.5)
+}
+
+/// Median of a number of each run. NaN ranks above every number.
+pub fn median<'a>(runs: &[Outcome<'a>], value: impl Fn(&Outcome<'a>) -> f64) -> f64 {
+    quantile(&sorted(runs.iter().map(value)), 0.5)
 }
 
 /// Position of a field in tables and legends, by its letters.
@@ -62,29 +133,31 @@ pub fn field_label(field: Field) -> String {
     format!("{} ({field})", field.letter())
 }
 
-/// One curve per field: the loss, or another positive quantity per epoch.
+/// One curve per method: the loss, or another positive quantity per epoch.
 pub fn curves(runs: &[Outcome], loss: fn(&Record) -> f64) -> Vec<Curve> {
-    let curve = |(field, runs): (Field, &[Outcome])| Curve {
-        label: field_label(field),
-        color: field_color(field.letter()),
+    let curve = |(method, runs): (Method, &[Outcome])| Curve {
+        label: method.label(),
+        color: method.color(),
         dash: Dash::Solid,
         runs: runs.iter().map(|run| run.points(loss)).collect(),
     };
-    by_field(runs).map(curve).collect()
+    by_method(runs).map(curve).collect()
 }
 
-/// Runs of one scene of a comparison.
+/// Runs of one case of a comparison: a scene, or a task at a point of a grid.
 pub struct InScene<'a> {
-    /// Name of the scene. Empty if the comparison has only one scene.
+    /// Name of the case. Empty if the comparison has only one.
     pub name: &'a str,
-    /// Runs, grouped by field.
+    /// Runs, grouped by method.
     pub runs: Vec<Outcome<'a>>,
+    /// Chosen values of each method, with one cell for each column of chosen values.
+    pub chosen: Vec<Vec<String>>,
 }
 
 /// Largest number of scenes in one chart, with different dashes.
 pub const MAX_DASHED: usize = 3;
 
-/// Curves of all scenes, one per scene and field: colours of the fields, and dashes of the scenes.
+/// Curves of all scenes, one per scene and method: colours of the methods, dashes of the scenes.
 pub fn curves_of_scenes(scenes: &[InScene], loss: fn(&Record) -> f64) -> Vec<Curve> {
     let of_scene = |(scene, &dash): (&InScene, &Dash)| {
         let named = |curve: Curve| match scene.name {
@@ -96,65 +169,72 @@ pub fn curves_of_scenes(scenes: &[InScene], loss: fn(&Record) -> f64) -> Vec<Cur
     scenes.iter().zip(Dash::ALL.iter().cycle()).flat_map(of_scene).collect()
 }
 
-/// Header of [`table_of_scenes`].
-pub fn table_header(scenes: &[InScene]) -> Vec<&'static str> {
-    ["scene"].into_iter().chain(TABLE_HEADER).skip(usize::from(scenes.len() < 2)).collect()
+/// Columns of every table, after those of names and of chosen values.
+const NUMBERS: [&str; 8] =
+    ["seeds", "failed", "test loss", "ratio", "lowest", "highest", "best", "seconds"];
+
+/// Header of [`table_of_scenes`], with a column for each key of chosen values.
+pub fn table_header<'a>(scenes: &[InScene], chosen: &[&'a str]) -> Vec<&'a str> {
+    let is_named = |run: &Outcome| matches!(run.method, Method::Named(..));
+    let named = scenes.iter().flat_map(|scene| scene.runs.first()).any(is_named);
+    let method = if named { "method" } else { "field" };
+    let case = (scenes.len() > 1).then_some("scene");
+    case.into_iter().chain([method]).chain(chosen.iter().copied()).chain(NUMBERS).collect()
 }
 
-/// One row per scene and field, with medians over the seeds. NaN ranks above every number.
+/// One row per scene and method, with medians over the seeds and their ratio to R, or to the first
+/// method of a plan. Without R, the first field in the order of [`position`] replaces it. NaN ranks
+/// above every number.
 pub fn table_of_scenes(scenes: &[InScene]) -> Vec<Vec<String>> {
-    // Replaces `+` with a space, so that a table can break the name of a sweep point between its
-    // settings.
-    let row = |name: &str, row: [String; 9]| {
-        [name.replace('+', " ")]
-            .into_iter()
-            .chain(row)
-            .skip(usize::from(scenes.len() < 2))
-            .collect::<Vec<_>>()
-    };
-    scenes
-        .iter()
-        .flat_map(|scene| table(&scene.runs).into_iter().map(|cells| row(scene.name, cells)))
-        .collect()
+    let mut rows = Vec::new();
+    for scene in scenes {
+        for (i, (method, runs)) in by_method(&scene.runs).enumerate() {
+            // Replaces `+` with a space, so that a table can break the name of a case between its
+            // settings.
+            let case = (scenes.len() > 1).then(|| scene.name.replace('+', " "));
+            let chosen = scene.chosen.get(i).into_iter().flatten().cloned();
+            let ratio = match ratio(&scene.runs, method) {
+                Some(ratio) => ratio.to_string(),
+                None => "1".into(),
+            };
+            let last = losses(runs);
+            let numbers = [
+                runs.len().to_string(),
+                runs.iter().filter(|run| run.has_failed()).count().to_string(),
+                short(quantile(&last, 0.5)),
+                ratio,
+                short(last[0]),
+                short(last[last.len() - 1]),
+                short(median(runs, |run| best(run.records))),
+                format!("{:.1}", median(runs, Outcome::seconds)),
+            ];
+            let names = case.into_iter().chain([method.name()]);
+            rows.push(names.chain(chosen).chain(numbers).collect());
+        }
+    }
+    rows
 }
-
-const TABLE_HEADER: [&str; 9] =
-    ["field", "seeds", "failed", "test loss", "ratio", "lowest", "highest", "best", "seconds"];
 
 /// Columns that a narrow terminal omits, the most important first.
 pub const OPTIONAL: [&str; 7] =
     ["ratio", "best", "seeds", "failed", "highest", "lowest", "seconds"];
 
 /// Explanation of the table.
-pub const TABLE_NOTE: &str = "test loss of the last epoch: median, lowest and highest over the seeds; medians of best loss and seconds\n\
-     ratio of the median to that of R (otherwise M, S or C), with a 95 % interval (bootstrap over the seeds); undecided if it contains 1";
+pub fn table_note(is_named: bool) -> String {
+    let reference = if is_named { "the first method" } else { "R (otherwise M, S or C)" };
+    format!(
+        "test loss of the last epoch: median, lowest and highest over the seeds; medians of best loss and seconds\n\
+         ratio of the median to that of {reference}, with a 95 % interval (bootstrap over the seeds); undecided if it contains 1\n\
+         failed: runs whose test loss is not a number or not below that of the untrained policy"
+    )
+}
 
-/// One row per field, with medians over the seeds and their ratio to R. Without R, the first
-/// field in the order of [`position`] replaces it. NaN ranks above every number.
-fn table(runs: &[Outcome]) -> Vec<[String; 9]> {
-    let reference = by_field(runs).min_by_key(|(field, _)| position(field.letter()));
-    let row = |(field, of_field): (Field, &[Outcome])| {
-        let median =
-            |value: &dyn Fn(&Outcome) -> f64| quantile(&sorted(of_field.iter().map(value)), 0.5);
-        let last = sorted(of_field.iter().map(|run| run.last(|r| r.test_loss)));
-        [
-            field.to_string(),
-            of_field.len().to_string(),
-            of_field.iter().filter(|run| run.failed).count().to_string(),
-            short(quantile(&last, 0.5)),
-            match reference {
-                Some((first, others)) if first != field => {
-                    loss_ratio(of_field.iter().copied(), others.iter().copied()).to_string()
-                }
-                _ => "1".into(),
-            },
-            short(last[0]),
-            short(last[last.len() - 1]),
-            short(median(&|run| best(run.records))),
-            format!("{:.1}", median(&|run| run.seconds())),
-        ]
-    };
-    by_field(runs).map(row).collect()
+/// Ratio of the median loss of a method to that of the method of the lowest rank. None for that
+/// method itself.
+pub fn ratio(runs: &[Outcome], method: Method) -> Option<Ratio> {
+    let (first, others) = by_method(runs).min_by_key(|(method, _)| method.rank())?;
+    let (_, own) = by_method(runs).find(|(other, _)| *other == method)?;
+    (first != method).then(|| loss_ratio(own.iter().copied(), others.iter().copied()))
 }
 
 /// Lowest test loss. NaN if no loss is a number.
@@ -205,13 +285,13 @@ impl fmt::Display for Ratio {
 
 /// [`median_ratio`] of the final test losses of two groups of runs, over the seeds that both groups
 /// contain.
-pub fn loss_ratio<'a>(
+fn loss_ratio<'a>(
     runs: impl Iterator<Item = Outcome<'a>>,
     others: impl Iterator<Item = Outcome<'a>> + Clone,
 ) -> Ratio {
-    let loss = |run: Outcome| run.last(|r| r.test_loss);
     let pair = |run: Outcome<'a>| {
-        others.clone().find(|other| other.seed == run.seed).map(|other| (loss(run), loss(other)))
+        let other = others.clone().find(|other| other.seed == run.seed);
+        other.map(|other| (run.loss(), other.loss()))
     };
     median_ratio(&runs.filter_map(pair).collect::<Vec<_>>())
 }
@@ -223,7 +303,7 @@ pub fn loss_ratio<'a>(
 /// The interval extends from the 2.5 % to the 97.5 % quantile of the ratio over 10,000 resamples of
 /// the pairs with replacement. Source: percentile bootstrap, Efron and Tibshirani 1993, section
 /// 13.3.
-pub fn median_ratio(pairs: &[(f64, f64)]) -> Ratio {
+fn median_ratio(pairs: &[(f64, f64)]) -> Ratio {
     let ratio = |pairs: &mut dyn Iterator<Item = (f64, f64)>| {
         let worst = |loss: f64| if loss.is_nan() { f64::INFINITY } else { loss };
         let (first, second): (Vec<f64>, Vec<f64>) =
@@ -273,6 +353,24 @@ pub fn mean_log_loss(points: &[Point], initial: f64, duration: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn outcome(seed: u64, records: &[Record]) -> Outcome<'_> {
+        let (field, untrained) = (Field::combined(), 1.0);
+        Outcome { method: Method::Field(field), field, seed, records, untrained, diverged: false }
+    }
+
+    #[test]
+    fn a_run_fails_unless_it_ends_below_the_untrained_policy() {
+        let failed = |test_loss: f64, untrained: f64| {
+            let records = [Record { epoch: 1, test_loss, ..Record::default() }];
+            Outcome { untrained, ..outcome(0, &records) }.has_failed()
+        };
+        assert!(failed(1.0, 1.0) && failed(2.0, 1.0));
+        assert!(failed(f64::NAN, 1.0) && failed(f64::NAN, f64::NAN));
+        assert!(!failed(0.9, 1.0) && !failed(2.0, f64::NAN));
+        let records = [Record { epoch: 1, test_loss: 0.1, ..Record::default() }];
+        assert!(Outcome { diverged: true, ..outcome(0, &records) }.has_failed());
+    }
 
     #[test]
     fn the_ratio_of_medians_has_an_interval_that_covers_the_resamples() {
@@ -325,11 +423,9 @@ mod tests {
 
     #[test]
     fn curves_of_several_scenes_have_field_colours_and_scene_dashes() {
-        let outcome = |field| Outcome { field, seed: 0, records: &[], failed: false };
-        let scene = |name| InScene {
-            name,
-            runs: vec![outcome(Field::regular()), outcome(Field::modified())],
-        };
+        let outcome = |field| Outcome { method: Method::Field(field), field, ..outcome(0, &[]) };
+        let runs = || vec![outcome(Field::regular()), outcome(Field::modified())];
+        let scene = |name| InScene { name, runs: runs(), chosen: Vec::new() };
         let curves = curves_of_scenes(&["a", "b"].map(scene), |r| r.test_loss);
         let looks: Vec<_> =
             curves.iter().map(|curve| (&*curve.label, curve.color, curve.dash)).collect();

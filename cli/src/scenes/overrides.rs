@@ -1,13 +1,13 @@
 //! Options of the command line that override settings of a scene or of a resumed run.
 
 use crate::platform::folder::POLICY;
+use crate::scenes::grid::several;
 use crate::scenes::source::{SceneSource, short};
-use crate::scenes::sweep::{Sweep, several};
 use crate::settings::{FieldName, LogFormat, Precision};
 use crate::tasks::scene::INITIAL_POLICY;
 use anyhow::{Context, Result, bail};
 use std::path::PathBuf;
-use toml::Value;
+use toml::{Table, Value};
 
 /// Options that replace settings of a scene.
 #[derive(Clone, Debug, Default, clap::Args)]
@@ -93,18 +93,30 @@ pub fn hide_training(arg: clap::Arg) -> clap::Arg {
     if is_hidden { arg.hide(true) } else { arg }
 }
 
-/// Removes the assignments with several values from `set`, and adds them to the sweep.
-pub fn take_several(set: &mut Vec<String>, sweep: &mut Sweep) -> Result<()> {
-    for assignment in std::mem::take(set) {
-        let parts = assignment
-            .split_once('=')
-            .and_then(|(key, text)| Some((key.trim(), several(text.trim())?)));
-        match parts {
-            Some((key, values)) => sweep.add(key, values)?,
-            None => set.push(assignment),
+/// Removes the assignments with several values from `set`. Returns their keys with lists of values.
+///
+/// # Errors
+/// Another assignment or an option sets a key with several values.
+pub fn take_several(overrides: &mut Overrides) -> Result<Table> {
+    let mut grid = Table::new();
+    let (mut single, mut keys) = (Vec::new(), Vec::new());
+    for assignment in std::mem::take(&mut overrides.set) {
+        let (key, text) = assignment.split_once('=').unwrap_or((&*assignment, ""));
+        let key = key.trim().to_owned();
+        match several(text.trim()) {
+            Some(values) => drop(grid.insert(key.clone(), Value::Array(values))),
+            None => single.push(assignment),
         }
+        keys.push(key);
     }
-    Ok(())
+    overrides.set = single;
+    let options =
+        [("epochs", overrides.epochs.is_some()), ("precision", overrides.precision.is_some())];
+    keys.extend(options.into_iter().filter(|(_, given)| *given).map(|(key, _)| key.to_owned()));
+    match grid.keys().find(|key| keys.iter().filter(|other| other == key).count() > 1) {
+        Some(key) => bail!("`{key}` has several values and is set twice; give its values once"),
+        None => Ok(grid),
+    }
 }
 
 /// Converts to an integer of TOML, which is signed.

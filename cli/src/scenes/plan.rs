@@ -1,138 +1,251 @@
-//! [`Plan`]: tasks, methods and learning rates of a study.
+//! [`Plan`]: many trainings. A plan lists tasks, methods, values of further settings, and seeds.
 //!
 //! ```toml
 //! seeds = 5
 //! epochs = 100
-//! learning_rates = [0.01, 0.003]
 //!
 //! [[task]]
 //! scene = "cart_pole"
 //! set = { "system.poles" = 2 }
 //!
-//! [[method]]
+//! [[method]]                            # or `fields = ["R", "C"]`
 //! name = "C, clipped"
 //! set = { field = "C", "training.clip" = "norm" }
+//!
+//! [grid]                                # every combination; [[list]] gives chosen combinations
+//! "training.batch" = [8, 32]
+//!
+//! [best]                                # every combination; results show the best one
+//! "training.learning_rate" = [0.01, 0.003]
 //! ```
 
+use crate::platform::folder::{COMPARISON, Folder, is_name};
+use crate::platform::terminal::counted;
+use crate::scenes::grid::{Point, combinations, count};
 use crate::scenes::presets;
 use crate::scenes::source::{SceneSource, parse_table, place, read_text};
-use crate::settings::OPTIONAL;
+use crate::settings::EstimatorName;
 use crate::settings::config_error::{ConfigError, allowed};
 use crate::settings::reading::read;
+use crate::settings::{FieldName, OPTIONAL};
 use crate::tasks::Scene;
-use crate::tasks::scene::INITIAL_POLICY;
-use anyhow::{Result, anyhow, bail};
+use crate::tasks::scene::{INITIAL_POLICY, checksum};
+use anyhow::{Context, Result, anyhow, bail};
 use serde::{Deserialize, Serialize};
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::Path;
 use toml::{Table, Value};
 
-/// Largest number of combinations of a task, a method and a learning rate. Also the largest number
-/// of seeds.
+/// Largest number of combinations of tasks, methods and values. Also the largest number of seeds.
 const MAX: usize = 10_000;
+
+/// Largest number of runs. A run takes about 5 kB before it starts.
+const MAX_RUNS: u64 = 100_000;
+
+/// Largest size of the plan in a folder, in bytes.
+pub const MAX_PLAN: usize = 40_000_000;
 
 /// Largest length of a name, in bytes. The name of a folder contains two such names.
 const MAX_NAME: usize = 100;
 
-/// Key of the learning rate in a scene.
-const LEARNING_RATE: &str = "training.learning_rate";
+/// Number of epochs of a fast trial run.
+const QUICK_EPOCHS: usize = 5;
 
-/// Settings of a fast trial run.
-const QUICK: [(&str, i64); 3] =
-    [("epochs", 5), ("training.train_samples", 64), ("training.test_samples", 64)];
+/// Number of samples of each data set of a fast trial run.
+const QUICK_SAMPLES: i64 = 64;
 
 /// Keys that a plan cannot set, with the reasons.
-const REFUSED: [(&str, &str); 5] = [
-    (INITIAL_POLICY, "a study trains from random parameters"),
-    ("seed", "a study trains several seeds; choose their number with `seeds`"),
+const REFUSED: [(&str, &str); 4] = [
+    ("seed", "every combination trains several seeds; choose their number with `seeds` (--seeds)"),
     ("task", "it defines the meaning of the other settings; name another `scene`"),
     ("scene", "it defines the meaning of the other settings; name another `scene`"),
     ("physgrad", "it is the version of the program"),
 ];
 
-/// Tasks, methods and learning rates of a study. A study trains every combination with each seed.
+/// A validated plan.
 #[derive(Clone, Debug)]
 pub struct Plan {
     /// Name of the file in messages.
     name: String,
     /// Text of the file, for line numbers.
     text: String,
-    contents: Contents,
+    pub contents: Contents,
     /// Scene of each task.
     sources: Vec<SceneSource>,
+    /// Contents of the initial policies, by the names of their copies beside the plan.
+    policies: BTreeMap<String, Vec<u8>>,
 }
 
 /// Contents of the file.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-struct Contents {
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Contents {
+    /// Title of the pictures. Default: the names of the tasks.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub title: Option<String>,
+    /// Number of consecutive seeds. The first one is the seed of the scene.
     #[serde(default = "default_seeds")]
-    seeds: u64,
+    pub seeds: u64,
     /// Replaces the number of epochs of every scene. A table `set` may replace it again.
     #[serde(skip_serializing_if = "Option::is_none")]
-    epochs: Option<usize>,
-    /// Learning rates of every method. None if the scenes and the tables `set` determine the rates.
+    pub epochs: Option<usize>,
+    /// Short form of methods that differ in the field only.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub fields: Vec<FieldName>,
+    /// Keys with lists of values. Results show every combination.
+    #[serde(default, skip_serializing_if = "Table::is_empty")]
+    pub grid: Table,
+    /// Keys with lists of values. Results show the best combination for each method.
+    #[serde(default, skip_serializing_if = "Table::is_empty")]
+    pub best: Table,
     #[serde(skip_serializing_if = "Option::is_none")]
-    learning_rates: Option<Vec<f64>>,
+    pub figure: Option<FigureLayout>,
+    /// Chosen combinations of values, which `grid` combines with its own.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub list: Vec<Table>,
     #[serde(rename = "task", default)]
-    tasks: Vec<PlannedTask>,
-    #[serde(rename = "method", default)]
-    methods: Vec<PlannedMethod>,
+    pub tasks: Vec<PlannedTask>,
+    #[serde(rename = "method", default, skip_serializing_if = "Vec::is_empty")]
+    pub methods: Vec<PlannedMethod>,
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
-struct PlannedTask {
+pub struct PlannedTask {
     /// Name of the task. Default: the name of the scene, or `task` if the plan contains the
-    /// settings of the scene.
-    name: Option<String>,
+    /// settings of the scene. A single task may have the empty name, which no folder and no table
+    /// shows.
+    pub name: Option<String>,
     /// Name of a preset, path relative to the plan, or settings of a scene.
-    scene: Value,
+    pub scene: Value,
     #[serde(default, skip_serializing_if = "Table::is_empty")]
-    set: Table,
+    pub set: Table,
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
-struct PlannedMethod {
-    name: String,
+pub struct PlannedMethod {
+    pub name: String,
     #[serde(default, skip_serializing_if = "Table::is_empty")]
-    set: Table,
+    pub set: Table,
 }
+
+/// Layout of a picture with a panel of learning curves per case.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct FigureLayout {
+    /// Key of the grid, or `task`, with one row of panels per value.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rows: Option<String>,
+    /// Key of the grid, or `task`, with one column of panels per value.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub columns: Option<String>,
+    /// Title of a column. `{}` stands for the value.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub panel: Option<String>,
+    /// Number of epochs of the trailing mean of the curves.
+    #[serde(default = "one")]
+    pub mean: usize,
+    /// Value of `columns` with a further panel, which shows the norm of the field.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub update_size: Option<Value>,
+}
+
+/// Name of the axis of a [`FigureLayout`] that consists of the tasks.
+pub const TASK: &str = "task";
 
 fn default_seeds() -> u64 {
     3
 }
 
-/// Combination of a task, a method and a learning rate.
+fn one() -> usize {
+    1
+}
+
+/// A task at a point of the grid.
+pub struct Case {
+    /// Index of the task.
+    pub task: usize,
+    pub point: Point,
+    /// Names of task and point, joined by `+`. Empty if neither has a name.
+    pub name: String,
+}
+
+/// Trainings that differ only in field and seed.
 pub struct Cell {
-    pub task: String,
-    pub method: String,
-    pub learning_rate: f64,
-    /// Name of the folder with its runs.
+    /// Index of the case.
+    pub case: usize,
+    /// Index of the method. None if the fields are the methods.
+    pub method: Option<usize>,
+    /// Index of the combination of the values in `best`.
+    pub chosen: usize,
+    /// Name of the folder with its runs. Empty for the folder of the plan.
     pub folder: String,
+    pub fields: Vec<FieldName>,
     pub scene: Scene,
+}
+
+/// All trainings of a plan.
+pub struct Expanded {
+    pub cases: Vec<Case>,
+    /// Combinations of the values in `best`.
+    pub chosen: Vec<Point>,
+    /// One cell per case, method and combination, in this order.
+    pub cells: Vec<Cell>,
+}
+
+/// A value that a plan gives to a setting, and the place where it does.
+struct Setting {
+    key: String,
+    value: Value,
+    origin: String,
 }
 
 impl Plan {
     /// Reads the file at this path, and the scenes that it names.
     ///
     /// # Errors
-    /// The file or a scene cannot be read. A key is unknown or has an invalid value. A scene has an
-    /// initial policy. Names are not distinct, or cannot be parts of the names of folders.
+    /// The file or a scene cannot be read. A key is unknown or has an invalid value. Names are not
+    /// distinct, or cannot be parts of the names of folders.
     pub fn read(path: &Path) -> Result<Self> {
-        Self::parse(
-            &path.display().to_string(),
-            read_text(path)?,
-            path.parent().unwrap_or(Path::new("")),
-        )
+        let folder = path.parent().unwrap_or(Path::new(""));
+        Self::parse(&path.display().to_string(), read_text(path)?, folder)?.with_policies(folder)
+    }
+
+    /// Plan in the folder of its runs.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read), or an initial policy is not beside the plan.
+    pub fn stored(folder: &Folder) -> Result<Self> {
+        let name = folder.file(COMPARISON).display().to_string();
+        let text = String::from_utf8(folder.read_up_to(COMPARISON, MAX_PLAN)?);
+        let mut plan = Self::parse(&name, text.with_context(|| name.clone())?, folder.path())?;
+        plan.policies_mut(|name, _| match is_name(name) {
+            true => Ok(()),
+            false => bail!("`{INITIAL_POLICY}` is {name:?}; allowed: a file beside the plan"),
+        })?;
+        plan.with_policies(folder.path())
+    }
+
+    /// Plan with this name in messages and this text, which names presets only.
+    pub fn built_in(name: &str, text: &str) -> Result<Self> {
+        Self::parse(name, text.to_owned(), Path::new(""))
+    }
+
+    /// Plan of these scenes, of which options name the other contents. Messages name `option` as
+    /// the source of the contents.
+    pub fn of(option: &str, scenes: Vec<SceneSource>, contents: Contents) -> Result<Self> {
+        let (name, text) = (option.to_owned(), String::new());
+        let plan = Self { name, text, contents, sources: scenes, policies: BTreeMap::new() };
+        plan.contents.validate().map_err(|error| plan.located(&error))?;
+        plan.named()?.with_policies(Path::new(""))
     }
 
     /// Parses the text of the file with this name in `folder`.
     fn parse(name: &str, text: String, folder: &Path) -> Result<Self> {
-        let located = |error: ConfigError| anyhow!("{}: {error}", place(name, &text, &error.key));
-        let contents = read::<Contents>(parse_table(name, &text)?).map_err(located)?;
-        contents.validate().map_err(located)?;
-        let mut plan = Self { name: name.to_owned(), text, contents, sources: Vec::new() };
-        for i in 0..plan.contents.tasks.len() {
-            let task = &plan.contents.tasks[i];
+        let contents = read::<Contents>(parse_table(name, &text)?)
+            .map_err(|error| anyhow!("{}: {error}", place(name, &text, &error.key)))?;
+        let (name, policies) = (name.to_owned(), BTreeMap::new());
+        let mut plan = Self { name, text, contents, sources: Vec::new(), policies };
+        plan.contents.flatten();
+        plan.contents.validate().map_err(|error| plan.located(&error))?;
+        for (i, task) in plan.contents.tasks.iter().enumerate() {
             let key = format!("task[{i}].scene");
             let source = match &task.scene {
                 Value::String(scene) if presets::is_path(scene) => {
@@ -140,43 +253,36 @@ impl Plan {
                 }
                 Value::String(scene) => presets::source(scene),
                 Value::Table(table) => {
-                    SceneSource::inner(&format!("{name}, `{key}`"), table.clone())
+                    SceneSource::inner(&format!("{}, `{key}`", plan.name), table.clone(), folder)
                 }
                 other => {
                     Err(anyhow!("`{key}` is {other}; allowed: a preset, or the path of a scene"))
                 }
             };
-            let source = source.map_err(|error| anyhow!("{}: {error:#}", plan.place(&key)))?;
-            if source.table().contains_key(INITIAL_POLICY) {
-                bail!(
-                    "{}: the scene sets `{INITIAL_POLICY}`; a study trains from random parameters",
-                    plan.place(&key)
-                );
-            }
-            plan.sources.push(source);
+            plan.sources.push(source.map_err(|error| anyhow!("{}: {error:#}", plan.place(&key)))?);
         }
-        plan.name_tasks()?;
-        Ok(plan)
+        plan.named()
     }
 
-    /// Gives each task a name. Replaces the scenes by their settings, so that the plan does not
-    /// depend on other files. Checks the names of tasks and methods.
-    fn name_tasks(&mut self) -> Result<()> {
-        for (task, source) in self.contents.tasks.iter_mut().zip(&self.sources) {
-            let scene = task.scene.as_str().map_or_else(|| "task".into(), presets::short_name);
+    /// Gives each task a name. Checks the names of tasks and methods.
+    fn named(mut self) -> Result<Self> {
+        for task in &mut self.contents.tasks {
+            let scene = task.scene.as_str().map_or_else(|| TASK.into(), presets::short_name);
             task.name.get_or_insert(scene);
-            task.scene = Value::Table(source.table().clone());
         }
         let Contents { tasks, methods, .. } = &self.contents;
-        self.check_names("task", tasks.iter().filter_map(|task| task.name.as_deref()))?;
-        self.check_names("method", methods.iter().map(|method| &*method.name))
+        let is_single = tasks.len() == 1;
+        let names = tasks.iter().filter_map(|task| task.name.as_deref());
+        self.check_names("task", names.filter(|name| !(is_single && name.is_empty())))?;
+        self.check_names("method", methods.iter().map(|method| &*method.name))?;
+        Ok(self)
     }
 
     /// Checks that names are distinct and can be parts of the names of folders.
     fn check_names<'a>(&self, list: &str, names: impl Iterator<Item = &'a str>) -> Result<()> {
         let mut seen = HashSet::new();
         for (i, name) in names.enumerate() {
-            let origin = self.place(&format!("{list}[{i}].name"));
+            let origin = || self.place(&format!("{list}[{i}].name"));
             let is_reserved = name.starts_with('.') || name.contains(".previous-");
             if name.is_empty()
                 || is_reserved
@@ -184,15 +290,80 @@ impl Plan {
                 || name.contains(|c: char| "/\\+:".contains(c) || c.is_control())
             {
                 bail!(
-                    "{origin}: `{list}[{i}].name` is {name:?}; allowed: a name of up to {MAX_NAME} bytes without `/`, `\\`, \
-                     `+`, `:`, `.previous-` and control characters, and without a dot at its start"
+                    "{}: `{list}[{i}].name` is {name:?}; allowed: a name of up to {MAX_NAME} bytes without `/`, `\\`, \
+                     `+`, `:`, `.previous-` and control characters, and without a dot at its start",
+                    origin()
                 );
             }
             // Some file systems ignore the case of names.
             if !seen.insert(name.to_lowercase()) {
                 bail!(
-                    "{origin}: two entries [[{list}]] have the name {name:?}; give them distinct names"
+                    "{}: two entries [[{list}]] have the name {name:?}; give them distinct names",
+                    origin()
                 );
+            }
+        }
+        Ok(())
+    }
+
+    /// Reads the initial policies, and replaces their paths by the names of copies beside the plan.
+    /// Replaces the scenes by their settings. The plan then depends on no other file.
+    fn with_policies(mut self, folder: &Path) -> Result<Self> {
+        let mut policies = BTreeMap::new();
+        // Points of a grid may have different policies. Names differ with the contents.
+        let mut copy = |bytes: Vec<u8>| {
+            let name = format!("{INITIAL_POLICY}_{:08x}.safetensors", checksum(&bytes));
+            policies.insert(name.clone(), bytes);
+            name
+        };
+        for source in &mut self.sources {
+            if let Some(policy) = source.initial_policy()? {
+                source.replace(INITIAL_POLICY, Value::String(copy(policy)), "the plan")?;
+            }
+        }
+        for (task, source) in self.contents.tasks.iter_mut().zip(&self.sources) {
+            task.scene = Value::Table(source.table().clone());
+        }
+        self.policies_mut(|path, is_of_scene| {
+            if !is_of_scene {
+                let policy = Folder::at(folder).read(path);
+                *path = copy(policy.with_context(|| format!("`{INITIAL_POLICY}`"))?);
+            }
+            Ok(())
+        })?;
+        self.policies = policies;
+        Ok(self)
+    }
+
+    /// Calls `change` with every path of an initial policy, and with true for the path in a scene.
+    fn policies_mut(
+        &mut self,
+        mut change: impl FnMut(&mut String, bool) -> Result<()>,
+    ) -> Result<()> {
+        let Contents { grid, best, list, tasks, methods, .. } = &mut self.contents;
+        let mut found: Vec<(String, Option<&mut Value>, bool)> = Vec::new();
+        for (i, PlannedTask { scene, set, .. }) in tasks.iter_mut().enumerate() {
+            found.push((format!("task[{i}].scene"), scene.get_mut(INITIAL_POLICY), true));
+            found.push((format!("task[{i}].set"), set.get_mut(INITIAL_POLICY), false));
+        }
+        for (i, method) in methods.iter_mut().enumerate() {
+            found.push((format!("method[{i}].set"), method.set.get_mut(INITIAL_POLICY), false));
+        }
+        for (i, entry) in list.iter_mut().enumerate() {
+            found.push((format!("list[{i}]"), entry.get_mut(INITIAL_POLICY), false));
+        }
+        for (section, table) in [("grid", grid), ("best", best)] {
+            let values = table.get_mut(INITIAL_POLICY).and_then(Value::as_array_mut);
+            let values = values.into_iter().flatten();
+            found.extend(values.map(|value| (section.to_owned(), Some(value), false)));
+        }
+        for (section, value, is_of_scene) in found {
+            if let Some(Value::String(path)) = value {
+                change(path, is_of_scene).map_err(|error| {
+                    let place =
+                        place(&self.name, &self.text, &format!("{section}.{INITIAL_POLICY}"));
+                    anyhow!("{place}: {error:#}")
+                })?;
             }
         }
         Ok(())
@@ -203,23 +374,48 @@ impl Plan {
         place(&self.name, &self.text, key)
     }
 
+    fn located(&self, error: &ConfigError) -> anyhow::Error {
+        anyhow!("{}: {error}", self.place(&error.key))
+    }
+
     /// Sets few epochs and small data sets, for a fast trial run.
     #[must_use]
     pub fn quick(mut self) -> Self {
-        for method in &mut self.contents.methods {
-            method.set.extend(QUICK.map(|(key, value)| (key.to_owned(), Value::Integer(value))));
+        let Contents { epochs, tasks, methods, .. } = &mut self.contents;
+        *epochs = Some(QUICK_EPOCHS);
+        let sets = tasks.iter_mut().map(|task| &mut task.set);
+        for set in sets.chain(methods.iter_mut().map(|method| &mut method.set)) {
+            set.remove("epochs");
+            for key in ["training.train_samples", "training.test_samples"] {
+                set.insert(key.into(), Value::Integer(QUICK_SAMPLES));
+            }
         }
         self
     }
 
-    /// Number of consecutive seeds. The first one is the seed of the scene.
-    pub fn seeds(&self) -> u64 {
-        self.contents.seeds
+    /// Title of the pictures.
+    pub fn title(&self) -> String {
+        let names = || self.contents.tasks.iter().filter_map(|task| task.name.as_deref());
+        self.contents.title.clone().unwrap_or_else(|| names().collect::<Vec<_>>().join(", "))
     }
 
-    /// Number of combinations of a task, a method and a learning rate.
-    pub fn combinations(&self) -> usize {
-        self.contents.combinations()
+    /// Returns whether the scenes of all tasks have equal `task`, so that their losses are comparable.
+    pub fn has_one_task(&self) -> bool {
+        let mut names = self.sources.iter().map(|source| source.text("task"));
+        names.next().is_none_or(|first| names.all(|other| other == first))
+    }
+
+    /// Returns whether the plan has one cell, whose runs are in the folder of the plan.
+    pub fn is_single(&self) -> bool {
+        let Contents { tasks, methods, best, .. } = &self.contents;
+        let is_unnamed = tasks.iter().all(|task| task.name.as_deref() == Some(""));
+        let is_varied = !best.is_empty() || self.contents.varied_keys().next().is_some();
+        is_unnamed && methods.is_empty() && !is_varied
+    }
+
+    /// Names and contents of the initial policies, which a folder holds beside the plan.
+    pub fn policies(&self) -> impl Iterator<Item = (&str, &[u8])> {
+        self.policies.iter().map(|(name, bytes)| (&**name, &**bytes))
     }
 
     /// Plan as a TOML file, with the settings of every scene.
@@ -227,136 +423,332 @@ impl Plan {
         Ok(toml::to_string(&self.contents)?)
     }
 
-    /// All combinations, grouped by task, then by method.
+    /// All trainings.
     ///
     /// # Errors
-    /// A setting is invalid.
-    pub fn cells(&self) -> Result<Vec<Cell>> {
-        let Contents { tasks, methods, learning_rates, .. } = &self.contents;
-        let rates = || {
-            learning_rates
-                .as_ref()
-                .map_or_else(|| vec![None], |rates| rates.iter().copied().map(Some).collect())
+    /// There are too many. A setting is invalid. Two combinations have one name. There are several
+    /// fields, but an estimator follows no field.
+    pub fn expand(&self) -> Result<Expanded> {
+        let Contents { grid, list, best, tasks, methods, fields, seeds, .. } = &self.contents;
+        check_runs(self.contents.combinations(), fields.len().max(1), *seeds)?;
+        let (points, chosen) = (combinations(grid, list), combinations(best, &[]));
+        let task_sets: Vec<Vec<Setting>> =
+            (0..tasks.len()).map(|i| self.set(&format!("task[{i}].set"), &tasks[i].set)).collect();
+        let method_sets: Vec<Vec<Setting>> = (0..methods.len())
+            .map(|i| self.set(&format!("method[{i}].set"), &methods[i].set))
+            .collect();
+        let varied =
+            |section: &str, key: &String| (key.clone(), self.place(&format!("{section}.{key}")));
+        let origins: HashMap<String, String> = grid
+            .keys()
+            .map(|key| varied("grid", key))
+            .chain(best.keys().map(|key| varied("best", key)))
+            .chain(list.iter().take(1).flat_map(Table::keys).map(|key| varied("list[0]", key)))
+            .collect();
+        let indices: Vec<Option<usize>> = match methods.len() {
+            0 => vec![None],
+            count => (0..count).map(Some).collect(),
         };
-        let mut cells = Vec::new();
-        for task in 0..tasks.len() {
-            for method in 0..methods.len() {
-                for rate in rates() {
-                    cells.push(self.cell(task, method, rate)?);
+        let (mut cases, mut cells, mut seen) = (Vec::new(), Vec::new(), HashSet::new());
+        for (task, planned) in tasks.iter().enumerate() {
+            let base = self.base(task, &task_sets[task])?;
+            let task_name = planned.name.as_deref().unwrap_or_default();
+            for point in &points {
+                let name = joined(&[task_name, &point.name()]);
+                for &method in &indices {
+                    let method_name = method.map_or("", |method| &methods[method].name);
+                    let place = [("task", task_name), ("method", method_name)]
+                        .into_iter()
+                        .filter(|(_, name)| !name.is_empty())
+                        .map(|(kind, name)| format!("{kind} {name}"))
+                        .collect::<Vec<_>>()
+                        .join(", ");
+                    let of_cell = |error: anyhow::Error| match &*place {
+                        "" => error,
+                        place => anyhow!("{error:#} ({place})"),
+                    };
+                    for (i, chosen) in chosen.iter().enumerate() {
+                        let mut source = base.clone();
+                        for (key, value) in point.iter().chain(chosen.iter()) {
+                            source.replace(key, value.clone(), &origins[key]).map_err(of_cell)?;
+                        }
+                        if let Some(method) = method {
+                            apply(&mut source, &method_sets[method]).map_err(of_cell)?;
+                        }
+                        let folder = joined(&[&name, method_name, &chosen.name()]);
+                        if !seen.insert(folder.to_lowercase()) {
+                            bail!(
+                                "{}: two combinations have the name {folder}; give distinct values",
+                                self.name
+                            );
+                        }
+                        let scene = self.scene(&source).map_err(of_cell)?;
+                        let fields =
+                            if fields.is_empty() { vec![scene.field] } else { fields.clone() };
+                        self.check_estimator(&scene, &fields).map_err(of_cell)?;
+                        let case = cases.len();
+                        cells.push(Cell { case, method, chosen: i, folder, fields, scene });
+                    }
                 }
+                cases.push(Case { task, point: point.clone(), name });
             }
         }
-        Ok(cells)
+        Ok(Expanded { cases, chosen, cells })
     }
 
-    fn cell(&self, task: usize, method: usize, rate: Option<f64>) -> Result<Cell> {
-        let Contents { tasks, methods, epochs, .. } = &self.contents;
-        let names = [tasks[task].name.clone().unwrap_or_default(), methods[method].name.clone()];
-        let of_cell =
-            |error: anyhow::Error| anyhow!("{error:#} (task {}, method {})", names[0], names[1]);
+    /// Scene of a task with its table `set`.
+    fn base(&self, task: usize, set: &[Setting]) -> Result<SceneSource> {
         let mut source = self.sources[task].clone();
-        if let Some(epochs) = epochs {
+        if let Some(epochs) = self.contents.epochs {
             source.replace("epochs", Value::try_from(epochs)?, &self.place("epochs"))?;
         }
-        self.set(&mut source, &format!("task[{task}].set"), &tasks[task].set).map_err(of_cell)?;
-        self.set(&mut source, &format!("method[{method}].set"), &methods[method].set)
-            .map_err(of_cell)?;
-        if let Some(rate) = rate {
-            source.replace(LEARNING_RATE, Value::Float(rate), &self.place("learning_rates"))?;
-        }
-        let scene = source.scene().map_err(of_cell)?;
-        if scene.epochs == 0 {
-            return Err(of_cell(anyhow!(
-                "{}: `epochs` is 0; allowed: 1 or more",
-                self.place("epochs")
-            )));
-        }
-        let learning_rate = scene.training.learning_rate;
-        let [task, method] = names;
-        let folder = match rate {
-            Some(rate) => format!("{task}+{method}+learning_rate={rate}"),
-            None => format!("{task}+{method}"),
-        };
-        Ok(Cell { task, method, learning_rate, folder, scene })
+        apply(&mut source, set)?;
+        Ok(source)
     }
 
-    /// Sets the values of the table `set`, which has the key `path` in the plan. In TOML, a dotted
-    /// key without quotation marks, as in `policy.widths = [4]`, is a table inside a table. Such a
-    /// table replaces only those keys of a section that it contains.
-    fn set(&self, source: &mut SceneSource, path: &str, set: &Table) -> Result<()> {
-        for (key, value) in set {
-            let mut settings = Vec::new();
-            settings_of(key.clone(), value, &mut settings);
-            for (key, value) in settings {
-                let origin = self.place(&format!("{path}.{key}"));
-                if let Some((_, reason)) = REFUSED.iter().find(|(refused, _)| *refused == key) {
-                    bail!("{origin}: `{key}` cannot be set: {reason}");
-                }
-                if key == LEARNING_RATE && self.contents.learning_rates.is_some() {
-                    bail!(
-                        "{origin}: `{key}` is set, but `learning_rates` replaces it; remove one of them"
-                    );
-                }
-                match value {
-                    // An effect with its defaults, or with the settings of the scene.
-                    Value::Table(section) if section.is_empty() => {
-                        source.put(&key, value.clone(), &origin)?
-                    }
-                    value => source.replace(&key, value.clone(), &origin)?,
-                }
-            }
+    /// Validates the scene of a cell.
+    fn scene(&self, source: &SceneSource) -> Result<Scene> {
+        let policy = source.text(INITIAL_POLICY).and_then(|name| self.policies.get(name));
+        let scene = source.starting_from(policy.map(Vec::as_slice))?;
+        if scene.epochs == 0 {
+            bail!("{}: `epochs` is 0; allowed: 1 or more", self.place("epochs"));
+        }
+        Ok(scene)
+    }
+
+    /// Checks that fields differ with the estimator of a scene.
+    ///
+    /// # Errors
+    /// There are several fields, but the estimator reads losses only.
+    fn check_estimator(&self, scene: &Scene, fields: &[FieldName]) -> Result<()> {
+        if fields.len() > 1 && scene.training.estimator == EstimatorName::ZerothOrder {
+            bail!(
+                "{}: `fields` names {} fields, but has no effect: `training.estimator` is zeroth_order, which follows differences \
+                 of losses; name one field, for example R, or choose another estimator",
+                self.place("fields"),
+                fields.len()
+            );
         }
         Ok(())
     }
+
+    /// Settings of the table `set`, which has the key `path` in the plan.
+    fn set(&self, path: &str, set: &Table) -> Vec<Setting> {
+        let setting = |(key, value): (String, &Value)| {
+            let origin = self.place(&format!("{path}.{key}"));
+            Setting { key, value: value.clone(), origin }
+        };
+        settings_of(set).into_iter().map(setting).collect()
+    }
+}
+
+/// Checks the number of runs before they are planned.
+///
+/// # Errors
+/// Combinations of settings, fields and seeds give more than [`MAX_RUNS`] runs.
+fn check_runs(combinations: usize, fields: usize, seeds: u64) -> Result<()> {
+    let runs = (combinations as u64).saturating_mul(fields as u64).saturating_mul(seeds);
+    if runs > MAX_RUNS {
+        bail!(
+            "{combinations} combinations of settings, {} and {seeds} seeds give {runs} runs; allowed: up to {MAX_RUNS}",
+            counted(fields, "field")
+        );
+    }
+    Ok(())
+}
+
+/// Sets values in a scene.
+fn apply(source: &mut SceneSource, settings: &[Setting]) -> Result<()> {
+    for Setting { key, value, origin } in settings {
+        match value {
+            // An effect with its defaults, or with the settings of the scene.
+            Value::Table(section) if section.is_empty() => {
+                source.put(key, value.clone(), origin)?
+            }
+            value => source.replace(key, value.clone(), origin)?,
+        }
+    }
+    Ok(())
+}
+
+/// Joins the names that are not empty by `+`.
+fn joined(names: &[&str]) -> String {
+    names.iter().filter(|name| !name.is_empty()).copied().collect::<Vec<_>>().join("+")
+}
+
+/// Settings of a table by dotted key. In TOML, a dotted key without quotation marks, as in
+/// `policy.widths = [4]`, is a table inside a table. Such a table gives values only to those keys of
+/// a section that it contains.
+fn settings_of(table: &Table) -> Vec<(String, &Value)> {
+    let mut settings = Vec::new();
+    table.iter().for_each(|(key, value)| push_settings(key.clone(), value, &mut settings));
+    settings
 }
 
 /// Appends the settings in the value of a key. The value of a section contains several settings.
-fn settings_of<'a>(key: String, value: &'a Value, settings: &mut Vec<(String, &'a Value)>) {
+fn push_settings<'a>(key: String, value: &'a Value, settings: &mut Vec<(String, &'a Value)>) {
     let is_section = key
         .split_once('.')
         .is_none_or(|(section, name)| OPTIONAL.contains(&section) && !name.contains('.'));
     match value {
         Value::Table(section) if is_section && !section.is_empty() => {
-            section
-                .iter()
-                .for_each(|(inner, value)| settings_of(format!("{key}.{inner}"), value, settings));
+            section.iter().for_each(|(inner, value)| {
+                push_settings(format!("{key}.{inner}"), value, settings)
+            });
         }
         value => settings.push((key, value)),
     }
 }
 
 impl Contents {
+    /// Number of combinations of a task, a method and values. Fields are no methods here.
     fn combinations(&self) -> usize {
-        let rates = self.learning_rates.as_ref().map_or(1, Vec::len);
-        self.tasks.len().saturating_mul(self.methods.len()).saturating_mul(rates)
+        [self.methods.len().max(1), count(&self.grid, &self.list), count(&self.best, &[])]
+            .into_iter()
+            .fold(self.tasks.len(), usize::saturating_mul)
+    }
+
+    /// Keys of the grid and of the list.
+    pub fn varied_keys(&self) -> impl Iterator<Item = &str> {
+        let list = self.list.first().into_iter().flat_map(Table::keys);
+        self.grid.keys().chain(list).map(String::as_str)
+    }
+
+    /// Gives varied settings their dotted keys.
+    fn flatten(&mut self) {
+        for table in [&mut self.grid, &mut self.best].into_iter().chain(&mut self.list) {
+            let flat = settings_of(table).into_iter().map(|(key, value)| (key, value.clone()));
+            *table = flat.collect();
+        }
     }
 
     fn validate(&self) -> Result<(), ConfigError> {
-        allowed(
-            "seeds",
-            self.seeds,
-            (1..=MAX as u64).contains(&self.seeds),
-            format!("1 to {MAX}"),
-        )?;
-        if let Some(rates) = &self.learning_rates {
-            allowed("learning_rates", "[]", !rates.is_empty(), "one learning rate or more")?;
-            for (i, rate) in rates.iter().enumerate() {
-                let key = format!("learning_rates[{i}]");
-                allowed(&key, rate, !rates[..i].contains(rate), "distinct learning rates")?;
-            }
+        let seeds = self.seeds;
+        allowed("seeds", seeds, (1..=MAX as u64).contains(&seeds), format!("1 to {MAX}"))?;
+        let names: Vec<&str> = self.fields.iter().map(|field| field.0.name()).collect();
+        for (i, name) in names.iter().enumerate() {
+            let is_new = !names[..i].contains(name);
+            allowed(&format!("fields[{i}]"), name, is_new, "distinct fields")?;
         }
-        for (key, count) in [("task", self.tasks.len()), ("method", self.methods.len())] {
-            if count == 0 {
-                return Err(ConfigError::new(key, format!("is missing; add an entry [[{key}]]")));
+        if self.tasks.is_empty() {
+            return Err(ConfigError::new("task", "is missing; add an entry [[task]]"));
+        }
+        match (self.fields.is_empty(), self.methods.is_empty()) {
+            (true, true) => {
+                let what = "is missing; add an entry [[method]], or a list `fields`";
+                return Err(ConfigError::new("method", what));
+            }
+            (false, false) => {
+                let what = "is given, but `fields` replaces methods; remove one of them";
+                return Err(ConfigError::new("method", what));
+            }
+            _ => {}
+        }
+        let varied = self.varied()?;
+        let set = |list: &'static str| move |(i, set)| (format!("{list}[{i}].set"), set);
+        let tasks = self.tasks.iter().map(|task| &task.set).enumerate().map(set("task"));
+        let methods = self.methods.iter().map(|method| &method.set).enumerate().map(set("method"));
+        for (path, set) in tasks.chain(methods) {
+            for (key, _) in settings_of(set) {
+                check_key(&format!("{path}.{key}"), &key)?;
+                if let Some(section) = varied.get(&*key) {
+                    let what = format!("is set, but `{section}` replaces it; remove one of them");
+                    return Err(ConfigError::new(format!("{path}.{key}"), what));
+                }
             }
         }
         let cells = self.combinations();
         allowed(
             "task",
-            format!("{cells} combinations of task, method and learning rate"),
+            format!("{cells} combinations of tasks, methods and values"),
             cells <= MAX,
             format!("up to {MAX}"),
-        )
+        )?;
+        self.figure.as_ref().map_or(Ok(()), |figure| figure.validate(self))
+    }
+
+    /// Varied keys, with the names of their sections.
+    fn varied(&self) -> Result<HashMap<&str, &'static str>, ConfigError> {
+        let mut varied = HashMap::new();
+        if !self.fields.is_empty() {
+            varied.insert("field", "fields");
+        }
+        for (section, table) in [("grid", &self.grid), ("best", &self.best)] {
+            for (key, values) in table {
+                let path = format!("{section}.{key}");
+                let list = values.as_array().filter(|values| !values.is_empty());
+                let list = list.ok_or_else(|| {
+                    ConfigError::invalid(&path, Some(values), "a list of values, as in [0.1, 0.01]")
+                })?;
+                for (i, value) in list.iter().enumerate() {
+                    let is_new = !list[..i].contains(value);
+                    allowed(&format!("{path}[{i}]"), value, is_new, "distinct values")?;
+                }
+            }
+        }
+        for (i, entry) in self.list.iter().enumerate() {
+            let is_same = entry.len() == self.list[0].len()
+                && entry.keys().all(|key| self.list[0].contains_key(key));
+            if !is_same {
+                let what = "has other keys than the first entry; give every entry the same keys";
+                return Err(ConfigError::new(format!("list[{i}]"), what));
+            }
+        }
+        let first = self.list.first().map(|entry| ("list[0]", "list", entry));
+        for (path, section, table) in
+            [("grid", "grid", &self.grid), ("best", "best", &self.best)].into_iter().chain(first)
+        {
+            for key in table.keys() {
+                let path = format!("{path}.{key}");
+                check_key(&path, key)?;
+                if key == "field" {
+                    let what = "cannot be varied: list fields in `fields` (--fields), or set the field of a [[method]]";
+                    return Err(ConfigError::new(path, what));
+                }
+                if let Some(other) = varied.insert(key, section) {
+                    let what = format!("is also in `{other}`; give its values once");
+                    return Err(ConfigError::new(path, what));
+                }
+            }
+        }
+        Ok(varied)
+    }
+}
+
+/// Refuses a key that a plan cannot set. The plan has it at `path`.
+fn check_key(path: &str, key: &str) -> Result<(), ConfigError> {
+    match REFUSED.iter().find(|(refused, _)| *refused == key) {
+        Some((_, reason)) => Err(ConfigError::new(path, format!("cannot be set: {reason}"))),
+        None => Ok(()),
+    }
+}
+
+impl FigureLayout {
+    fn validate(&self, contents: &Contents) -> Result<(), ConfigError> {
+        allowed("figure.mean", self.mean, self.mean > 0, "1 or more epochs")?;
+        if !contents.list.is_empty() {
+            let what = "has no axis for the entries of [[list]]; use [grid]";
+            return Err(ConfigError::new("figure", what));
+        }
+        let axes = || [TASK].into_iter().chain(contents.grid.keys().map(String::as_str));
+        let axes_of_figure = [("figure.rows", &self.rows), ("figure.columns", &self.columns)];
+        for (key, axis) in axes_of_figure {
+            if let Some(axis) = axis {
+                let names: Vec<&str> = axes().collect();
+                allowed(key, axis, names.contains(&&**axis), format!("`{}`", names.join("`, `")))?;
+            }
+        }
+        let is_shown = |axis: &str| {
+            axes_of_figure.iter().filter(|(_, shown)| shown.as_deref() == Some(axis)).count() == 1
+        };
+        let needed = axes().skip(usize::from(contents.tasks.len() < 2));
+        match needed.into_iter().find(|axis| !is_shown(axis)) {
+            Some(axis) => Err(ConfigError::new(
+                "figure",
+                format!("needs `{axis}` as either `rows` or `columns`"),
+            )),
+            None => Ok(()),
+        }
     }
 }
 
@@ -368,8 +760,7 @@ mod tests {
     fn sections_and_dotted_keys_give_equal_settings() {
         let settings = |text: &str| {
             let table: Table = text.parse().expect("TOML");
-            let mut found = Vec::new();
-            table.iter().for_each(|(key, value)| settings_of(key.clone(), value, &mut found));
+            let found = settings_of(&table);
             found.into_iter().map(|(key, value)| (key, value.to_string())).collect::<Vec<_>>()
         };
         for (texts, key, value) in [
@@ -400,5 +791,40 @@ mod tests {
                 assert_eq!(settings(text), [(key.to_owned(), value.to_owned())], "{text}");
             }
         }
+    }
+
+    /// A plan with one task, the field C and these further lines.
+    fn plan(lines: &str) -> Result<Plan> {
+        let text = format!("fields = [\"C\"]\n{lines}\n[[task]]\nscene = \"lqr\"\n");
+        Plan::built_in("plan", &text)
+    }
+
+    #[test]
+    fn varied_keys_have_distinct_values_in_one_section() {
+        for (lines, message) in [
+            ("grid.x = []", "`grid.x` is []; allowed: a list of values"),
+            ("grid.x = 3", "`grid.x` is 3; allowed: a list of values"),
+            ("grid.x = [1, 2, 1]", "`grid.x[2]` is 1; allowed: distinct values"),
+            ("grid.x = [1]\nbest.x = [2]", "plan:3: `best.x` is also in `grid`"),
+            ("grid.x = [1]\n[[list]]\nx = 2", "`list[0].x` is also in `grid`"),
+            ("[[list]]\nx = 1\n[[list]]\ny = 1", "`list[1]` has other keys than the first entry"),
+            ("grid.field = [\"R\"]", "`grid.field` cannot be varied"),
+            ("grid.seed = [1]", "`grid.seed` cannot be set"),
+            ("[figure]\nmean = 0", "`figure.mean` is 0; allowed: 1 or more"),
+            ("[figure]\nrows = \"x\"", "`figure.rows` is x; allowed: `task`"),
+            ("grid.x = [1]\n[figure]", "`figure` needs `x` as either `rows` or `columns`"),
+            ("[[method]]\nname = \"a\"", "`fields` replaces methods"),
+        ] {
+            let found = plan(lines).expect_err(lines).to_string();
+            assert!(found.contains(message), "{lines}: {found}");
+        }
+        let name = "grid.\"training.batch\" = [8, 4]\nbest.training.learning_rate = [0.1, 1.0]";
+        let expanded = plan(name).expect("a plan").expand().expect("trainings");
+        let folders: Vec<&str> = expanded.cells.iter().map(|cell| &*cell.folder).collect();
+        assert_eq!(folders[0], "lqr+batch=8+learning_rate=0.1");
+        assert_eq!(folders[3], "lqr+batch=4+learning_rate=1");
+        let same = plan("grid.\"training.clip_limit\" = [1, 1.0]\n").expect("distinct values");
+        let error = same.expand().err().expect("one name").to_string();
+        assert!(error.contains("two combinations have the name lqr+clip_limit=1"), "{error}");
     }
 }

@@ -8,7 +8,6 @@ use crate::platform::files;
 use crate::platform::folder::{Folder, MAX_SETTINGS};
 use crate::platform::terminal::did_you_mean;
 use crate::scenes::ranges::with_range;
-use crate::scenes::sweep::Sweep;
 use crate::settings::config_error::{ConfigError, Problem};
 use crate::settings::reading::{is_drawn, is_number, overlay};
 use crate::settings::{OPTIONAL, VERSION};
@@ -31,9 +30,7 @@ pub struct SceneSource {
     /// Name in messages.
     name: String,
     table: Table,
-    /// Section `sweep`, which only `compare` reads.
-    sweep: Option<Sweep>,
-    /// Folder of the file. None for a preset, and for a scene that is part of another file.
+    /// Folder of the file. None for a preset.
     folder: Option<PathBuf>,
     /// Text of the file, for line numbers.
     text: String,
@@ -53,26 +50,22 @@ impl SceneSource {
         Self::of(name, text, parse_table(name, text)?)
     }
 
-    /// Source of a scene that is part of another file. Messages about its settings name no line.
-    pub fn inner(name: &str, table: Table) -> Result<Self> {
-        Self::of(name, "", table)
+    /// Source of a scene that is part of another file in `folder`. Messages about its settings name
+    /// no line.
+    pub fn inner(name: &str, table: Table, folder: &Path) -> Result<Self> {
+        Ok(Self { folder: Some(folder.to_owned()), ..Self::of(name, "", table)? })
     }
 
     fn of(name: &str, text: &str, table: Table) -> Result<Self> {
         let mut source = Self {
             name: name.to_owned(),
             table,
-            sweep: None,
             folder: None,
             text: text.to_owned(),
             options: HashMap::new(),
         };
         source.place("vary")?;
         source.place("fit")?;
-        if let Some(sweep) = source.table.remove("sweep") {
-            source.sweep =
-                sweep.try_into().with_context(|| format!("{}: `sweep`", source.origin("sweep")))?;
-        }
         Ok(source)
     }
 
@@ -186,11 +179,6 @@ impl SceneSource {
         &self.table
     }
 
-    /// Takes the section `sweep`. Empty if absent.
-    pub fn take_sweep(&mut self) -> Sweep {
-        self.sweep.take().unwrap_or_default()
-    }
-
     /// Replaces a number by a fixed value, even if it is drawn or trained.
     pub fn fix(&mut self, key: &str, value: f64) -> Result<()> {
         self.put(key, Value::Float(value), &format!("{key} = {value}"))
@@ -257,7 +245,7 @@ impl SceneSource {
     /// Validates the scene. Absent settings get the task's defaults. Absent effects stay absent.
     ///
     /// # Errors
-    /// A setting is invalid. The scene has a sweep. The file of the initial policy cannot be read.
+    /// A setting is invalid. The file of the initial policy cannot be read.
     pub fn scene(&self) -> Result<Scene> {
         self.starting_from(None)
     }
@@ -265,25 +253,26 @@ impl SceneSource {
     /// Validates the scene as [`scene`](Self::scene) does. With the contents of an initial policy,
     /// does not read its file.
     pub fn starting_from(&self, policy: Option<&[u8]>) -> Result<Scene> {
-        if self.sweep.is_some() {
-            bail!(
-                "{}: the scene has a sweep, which only `compare` trains; remove the section",
-                self.origin("sweep")
-            );
-        }
         let scene =
             self.validate().map_err(|error| anyhow!("{}: {error}", self.origin(&error.key)))?;
-        if let Some(policy) = policy {
-            return Ok(scene.starting_from(policy.to_vec()));
-        }
-        let Some(file) = self.text(INITIAL_POLICY) else { return Ok(scene) };
+        let policy = policy.map(|policy| Ok(Some(policy.to_vec())));
+        let policy = policy.unwrap_or_else(|| self.initial_policy())?;
+        Ok(policy.into_iter().fold(scene, Scene::starting_from))
+    }
+
+    /// Contents of the file of the initial policy. None if the scene names no file.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn initial_policy(&self) -> Result<Option<Vec<u8>>> {
+        let Some(file) = self.text(INITIAL_POLICY) else { return Ok(None) };
         // The path in an option is relative to the working folder.
         let is_option = self.options.contains_key(INITIAL_POLICY);
         let folder = self.folder.as_deref().filter(|_| !is_option).unwrap_or(Path::new(""));
         let bytes = Folder::at(folder).read(file);
-        let bytes = bytes
-            .with_context(|| format!("{}: `{INITIAL_POLICY}`", self.origin(INITIAL_POLICY)))?;
-        Ok(scene.starting_from(bytes))
+        bytes
+            .map(Some)
+            .with_context(|| format!("{}: `{INITIAL_POLICY}`", self.origin(INITIAL_POLICY)))
     }
 
     /// Error of a setting for which the scene is refused, if any. Does not read the file of an

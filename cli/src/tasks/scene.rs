@@ -35,6 +35,11 @@ pub const INITIAL_POLICY: &str = "initial_policy";
 
 const CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI);
 
+/// CRC-32C of a file.
+pub fn checksum(bytes: &[u8]) -> u32 {
+    CRC.checksum(bytes)
+}
+
 /// Validated settings of a run, with the task and the policy of these settings.
 #[derive(Clone)]
 pub struct Scene {
@@ -181,7 +186,7 @@ impl Scene {
 
     /// CRC-32C of the policy file from which the training starts.
     pub fn initial_policy_checksum(&self) -> Option<u32> {
-        self.initial_policy.as_deref().map(|bytes| CRC.checksum(bytes))
+        self.initial_policy.as_deref().map(checksum)
     }
 
     /// Contents of the policy file from which the training starts.

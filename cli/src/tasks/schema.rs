@@ -8,7 +8,7 @@ use serde_json::{Map, Value, json};
 use toml::Table;
 
 /// Sections that are not part of [`Settings`](tasks::Settings), with their descriptions.
-const SECTIONS: [(&str, &str); 3] = [
+const SECTIONS: [(&str, &str); 2] = [
     (
         "vary",
         "Physical numbers that are drawn for each sample, by the dotted names of their settings.",
@@ -17,7 +17,6 @@ const SECTIONS: [(&str, &str); 3] = [
         "fit",
         "Physical numbers that the training or `identify` determines, by the dotted names of their settings.",
     ),
-    ("sweep", "Settings with several values, which `compare` trains."),
 ];
 
 /// Schema of all scenes.

@@ -349,7 +349,7 @@ fn scenes_with_errors_below_1e_minus_3_are_written_and_compared_in_training() {
         .success();
     let rows = csv_of(&fs::read_to_string(out.join("summary.csv")).expect("a summary"));
     let names = |key: &str| rows.iter().map(|row| row[key].clone()).collect::<Vec<String>>();
-    assert_eq!(names("scene"), ["verlet", "verlet", "rk4", "rk4"]);
+    assert_eq!(names("task"), ["verlet", "verlet", "rk4", "rk4"]);
     assert_eq!(names("field"), ["R", "C", "R", "C"]);
     assert!(fs::read_to_string(out.join("curves.svg")).expect("curves").contains("verlet: R"));
     // The folder of each scene is a complete comparison.

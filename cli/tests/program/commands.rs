@@ -323,7 +323,9 @@ fn a_comparison_has_one_row_per_run_and_its_runs_equal_single_runs() {
     compare.arg(dir.path()).args(SMALL).assert().success();
     let text = fs::read_to_string(dir.path().join("summary.csv")).expect("a summary");
     assert!(
-        text.starts_with("field,seed,final_train_loss,final_test_loss,best_test_loss,seconds\n"),
+        text.starts_with(
+            "field,seed,epochs,untrained_test_loss,final_train_loss,final_test_loss,best_test_loss,failed,skipped,seconds\n"
+        ),
         "{text}"
     );
     let summary = columns(&dir.path().join("summary.csv"));
@@ -391,7 +393,7 @@ fn a_comparison_resumes_with_more_epochs_and_refuses_other_settings() {
     assert!(error_of(&mut compare(&["--fields", "R,regular"])).contains("twice"));
     assert!(error_of(&mut compare(&["--set", "field=S"])).contains("--fields"));
     let alike = ["--fields", "R,S", "--set", "training.estimator=zeroth_order"];
-    assert!(error_of(&mut compare(&alike)).contains("--fields names 2 fields, but has no effect"));
+    assert!(error_of(&mut compare(&alike)).contains("`fields` names 2 fields, but has no effect"));
     assert!(error_of(&mut compare(&["--set", "fieldx=1"])).contains("`fieldx` is unknown"));
     assert!(
         error_of(&mut compare(&["--seed", "9223372036854775807", "--seeds", "2"]))

@@ -41,29 +41,39 @@ fn run(args: &[&str], folder: &Path) -> [String; 2] {
 fn names_in_a_plan_do_not_lead_out_of_its_folder() {
     let dir = TempDir::new().expect("a folder");
     let [two, other] = ["two", "other"].map(|name| dir.path().join(name));
-    compare(&two, &["--set", "training.batch=4,8"]).assert().success();
-    fs::rename(two.join("batch=4"), &other).expect("a moved folder");
+    let scenes = ["cart_pole_1", "--set", "training.batch=4,8"];
+    compare(&two, &scenes).assert().success();
+    fs::rename(two.join("cart_pole+batch=4"), &other).expect("a moved folder");
     let picture = other.join("runs/R-0/animation.svg");
     fs::write(&picture, "mine").expect("a file");
     let plan = fs::read_to_string(two.join("comparison.toml")).expect("a plan");
     let absolute = other.display().to_string();
-    for name in ["../other", &*absolute, "..", "a\\\\b"] {
-        fs::write(two.join("comparison.toml"), plan.replace("\"batch=4\"", &format!("\"{name}\"")))
-            .expect("a plan");
+    let refusal = |from: &str, to: &str| {
+        assert!(plan.contains(from), "{from}: {plan}");
+        fs::write(two.join("comparison.toml"), plan.replacen(from, to, 1)).expect("a plan");
         let error = error_of(physgrad(&["merge"]).arg(&two).timeout(TIME_LIMIT));
-        assert!(error.contains("cannot be the name of a folder in it"), "{name}: {error}");
-        assert_eq!(fs::read_to_string(&picture).expect("a file"), "mine", "{name}");
+        assert_eq!(fs::read_to_string(&picture).expect("a file"), "mine", "{to}");
+        error
+    };
+    for name in ["../other", &*absolute, "..", "a\\\\b", ""] {
+        let error = refusal("name = \"cart_pole\"", &format!("name = \"{name}\""));
+        assert!(error.contains("`task[0].name` is"), "{name}: {error}");
     }
-    // A name of a policy does not lead out of the folder either.
-    let policy = "initial_policy = \"../other/runs/R-0/policy.safetensors\"\nname = \"batch=4\"";
-    fs::write(two.join("comparison.toml"), plan.replace("name = \"batch=4\"", policy))
-        .expect("a plan");
-    let error = error_of(physgrad(&["merge"]).arg(&two));
-    assert!(
-        error.contains("`initial_policy` is \"../other/runs")
-            && error.contains("a file beside the plan"),
-        "{error}"
-    );
+    // Values in the names of folders do not lead out of the folder either, nor do names of policies.
+    for value in ["..", "../other", &*absolute, "a\\u0000b"] {
+        let error = refusal("[4, 8]", &format!("[\"{value}\"]"));
+        assert!(error.contains("`training.batch` is string"), "{value}: {error}");
+    }
+    let beside = "`initial_policy` is \"../other/runs/R-0/policy.safetensors\"; allowed: a file beside the plan";
+    let path = "initial_policy = \"../other/runs/R-0/policy.safetensors\"";
+    for (from, to) in [
+        ("[task.scene]", format!("[task.scene]\n{path}")),
+        ("[task.scene]", format!("[task.set]\n{path}\n[task.scene]")),
+        ("[grid]", format!("[grid]\n{}]", path.replace("= ", "= ["))),
+    ] {
+        let error = refusal(from, &to);
+        assert!(error.contains(beside), "{to}: {error}");
+    }
 }
 
 #[cfg(unix)]

@@ -217,7 +217,7 @@ fn products_of_two_limits_have_a_limit_of_their_own() {
     );
     let said = refusal(physgrad(&["paper", "fig4", "--seeds", "10000"]).current_dir(dir.path()));
     assert_says(&said, "12 combinations of settings, 4 fields and 10000 seeds give 480000 runs");
-    let plan = "seeds = 10000\nlearning_rates = [1e-1, 1e-2, 1e-3]\n[[task]]\nscene = \"lqr\"\n";
+    let plan = "seeds = 10000\nbest = { \"training.learning_rate\" = [1e-1, 1e-2, 1e-3] }\n[[task]]\nscene = \"lqr\"\n";
     let methods = ["R", "M", "S", "C"]
         .map(|field| format!("[[method]]\nname = \"{field}\"\nset = {{ field = \"{field}\" }}\n"));
     fs::write(dir.path().join("plan.toml"), plan.to_owned() + &methods.concat()).expect("a plan");

@@ -1,4 +1,4 @@
-//! `physgrad paper`: output files, and resumption of stopped runs.
+//! `physgrad paper`: output files, and resumption with more epochs.
 
 use assert_cmd::Command;
 use std::fs;
@@ -16,8 +16,15 @@ fn read(path: &Path) -> String {
 }
 
 /// Checks that the SVG is XML with data in every panel, and that PNG, CSV and table are not empty.
+/// Figures 3 to 5 have the folder of their plan.
 fn assert_figure(dir: &Path, name: &str) {
-    let file = |extension: &str| dir.join(format!("{name}.{extension}"));
+    let is_plan = dir.join(name).is_dir();
+    let file = |extension: &str| match extension {
+        _ if !is_plan => dir.join(format!("{name}.{extension}")),
+        "csv" => dir.join(name).join("summary.csv"),
+        "md" => dir.join(name).join("table.md"),
+        extension => dir.join(name).join(format!("figure.{extension}")),
+    };
     let svg = read(&file("svg"));
     roxmltree::Document::parse(&svg).expect("an SVG is XML");
     assert!(!svg.contains("no data"), "a panel has no data");
@@ -43,27 +50,28 @@ fn figures_3_and_4_have_one_csv_row_per_run_and_one_table_row_per_case_and_field
     let dir = TempDir::new().expect("a folder");
     let args =
         ["--seeds", "2", "--epochs", "1", "--fields", "R,C", "--clip", "none,norm", "--quiet"];
-    for (figure, cases, panel) in [("fig3", 4, "regularization 0.001"), ("fig4", 4, "poles: 4")] {
+    for (figure, cases, panel, case) in [
+        ("fig3", 4, "regularization 0.001", "clip=norm regularization=0.001"),
+        ("fig4", 4, "poles: 4", "clip=norm poles=4"),
+    ] {
+        let file = |name: &str| read(&dir.path().join(figure).join(name));
         paper(figure, dir.path(), &args).assert().success();
         assert_figure(dir.path(), figure);
         let (clips, fields, seeds) = (2, 2, 2);
-        assert_eq!(
-            read(&dir.path().join(format!("{figure}.csv"))).lines().count(),
-            1 + cases * clips * fields * seeds
-        );
-        let table = read(&dir.path().join(format!("{figure}.md")));
+        assert_eq!(file("summary.csv").lines().count(), 1 + cases * clips * fields * seeds);
+        let table = file("table.md");
         assert_eq!(
             table.lines().filter(|line| line.starts_with('|')).count(),
             2 + cases * clips * fields
         );
         assert!(
-            table.contains("medians over the seeds"),
-            "the note below the table does not explain the lines"
+            table.contains("ratio of the median to that of R") && table.contains(case),
+            "{table}"
         );
-        assert!(
-            table.contains(panel)
-                && read(&dir.path().join(format!("{figure}.svg"))).contains(panel)
-        );
+        let picture = file("figure.svg");
+        for label in [panel, "test loss (clip: norm)", "2 seeds, means of 30 epochs"] {
+            assert!(picture.contains(label), "{label}");
+        }
     }
 }
 
@@ -78,7 +86,7 @@ fn figure_5_shows_the_update_size_of_eigenstate_5() {
     .assert()
     .success();
     assert_figure(dir.path(), "fig5");
-    assert!(read(&dir.path().join("fig5.svg")).contains("eigenstate 5: update size"));
+    assert!(read(&dir.path().join("fig5/figure.svg")).contains("eigenstate 5: update size"));
 }
 
 #[test]
@@ -87,8 +95,8 @@ fn a_figure_extended_from_2_to_3_epochs_equals_a_figure_of_3_epochs() {
     let figure = |out: &str, epochs: &str| {
         let args = ["--seeds", "1", "--fields", "C", "--clip", "none", "--epochs", epochs];
         paper("fig3", &dir.path().join(out), &args).assert().success();
-        let table = read(&dir.path().join(out).join("fig3.md"));
-        (read(&dir.path().join(out).join("fig3.svg")), table)
+        let file = |name: &str| read(&dir.path().join(out).join("fig3").join(name));
+        (file("figure.svg"), file("table.md"))
     };
     let once = figure("once", "3");
     assert_ne!(figure("twice", "2"), once);
@@ -102,50 +110,10 @@ fn a_figure_extended_from_2_to_3_epochs_equals_a_figure_of_3_epochs() {
     assert!(text.contains("already has 3 epochs, but `epochs` is 1"), "{text}");
     let kept = dir.path().join("once");
     assert_eq!(
-        (read(&kept.join("fig3.svg")), read(&kept.join("fig3.md"))),
+        (read(&kept.join("fig3/figure.svg")), read(&kept.join("fig3/table.md"))),
         once,
         "a refused command changes earlier results"
     );
-}
-
-#[test]
-fn an_interrupted_figure_writes_only_the_started_run_and_resumes() {
-    let dir = TempDir::new().expect("a folder");
-    let args = ["--seeds", "2", "--fields", "R,C", "--clip", "none", "--threads", "1"];
-    let mut command = std::process::Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));
-    command
-        .args(["paper", "fig3", "--quick", "--epochs", "1000000", "--out"])
-        .arg(dir.path())
-        .args(args);
-    command.stdout(std::process::Stdio::piped()).stderr(std::process::Stdio::null());
-    let child = command.spawn().expect("the command runs");
-    let runs = || -> Vec<_> {
-        let cases = fs::read_dir(dir.path().join("fig3")).into_iter().flatten().flatten();
-        let runs = cases.flat_map(|case| {
-            fs::read_dir(case.path().join("runs")).into_iter().flatten().flatten()
-        });
-        runs.filter(|run| run.path().join("metrics.csv").exists()).map(|run| run.path()).collect()
-    };
-    let begin = std::time::Instant::now();
-    while runs().is_empty() {
-        assert!(begin.elapsed() < std::time::Duration::from_secs(120), "no run began within 120 s");
-        std::thread::sleep(std::time::Duration::from_millis(5));
-    }
-    std::thread::sleep(std::time::Duration::from_millis(100));
-    let killed =
-        std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status();
-    assert!(killed.expect("kill runs").success());
-    let output = child.wait_with_output().expect("the process ends");
-    assert_eq!(output.status.code(), Some(130));
-    assert!(String::from_utf8_lossy(&output.stdout).contains("repeat the same command"));
-    assert!(!dir.path().join("fig3.svg").exists());
-    let [run] = &runs()[..] else { panic!("one thread begins one run, not {:?}", runs()) };
-    let done = read(&run.join("metrics.csv")).lines().count() - 1;
-    assert!(done > 0);
-
-    paper("fig3", dir.path(), &args).args(["--epochs", &(done + 1).to_string()]).assert().success();
-    assert_figure(dir.path(), "fig3");
-    assert_eq!(read(&run.join("metrics.csv")).lines().count() - 1, done + 1);
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Interruptions, power loss, damaged inputs, and comparisons and studies in several processes.
+//! Interruptions, power loss, damaged inputs, and plans in several processes.
 
 #[path = "../common/running.rs"]
 mod running;

@@ -1,4 +1,4 @@
-//! Comparisons and studies: the runs of several processes, some of them killed, equal those of one
+//! Plans: the runs of several processes, some of them interrupted or killed, equal those of one
 //! process.
 
 use crate::running::{SMALL, error_of, physgrad, train};
@@ -18,27 +18,35 @@ fn options(fields: &str, seeds: usize, epochs: usize) -> Vec<String> {
     text.split(' ').map(String::from).collect()
 }
 
-fn shard(options: &[String], out: &Path, shard: &str) -> Child {
+fn start(options: &[String], out: &Path, more: &[&str]) -> Child {
     let mut command = Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));
-    command.args(options).args(["--shard", shard, "--out"]).arg(out);
+    command.args(options).args(more).arg("--out").arg(out);
     command
         .stdin(Stdio::null())
-        .stdout(Stdio::null())
+        .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()
         .expect("the process starts")
 }
 
-/// Number of runs in the folder that have ended. A study has a subfolder per comparison.
-fn ended(out: &Path) -> usize {
-    let inside = |folder: &Path| {
-        fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path())
+fn shard(options: &[String], out: &Path, shard: &str) -> Child {
+    start(options, out, &["--shard", shard])
+}
+
+/// Trains all runs in one process.
+fn whole(options: &[String], out: &Path) {
+    let options: Vec<&str> = options.iter().map(String::as_str).collect();
+    physgrad(&options).arg("--quiet").arg("--out").arg(out).assert().success();
+}
+
+/// Number of runs below the folder that have ended.
+fn ended(folder: &Path) -> usize {
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    let count = |path: PathBuf| match path.is_dir() {
+        true => ended(&path),
+        false => usize::from(path.ends_with("end.toml")),
     };
-    let comparisons = inside(out).chain([out.to_owned()]);
-    comparisons
-        .flat_map(|folder| inside(&folder.join("runs")).collect::<Vec<_>>())
-        .filter(|run| run.join("end.toml").exists())
-        .count()
+    entries.map(count).sum()
 }
 
 /// Returns all files below the folder, without lock files, temporary files and wall times.
@@ -104,8 +112,7 @@ fn eight_shards_with_three_kills_give_the_bytes_of_one_process() {
     let dir = TempDir::new().expect("a folder");
     let (one, many) = (dir.path().join("one"), dir.path().join("many"));
     let options = options("R,M,S,C", 25, 2);
-    let whole: Vec<&str> = options.iter().map(String::as_str).collect();
-    physgrad(&whole).arg("--quiet").arg("--out").arg(&one).assert().success();
+    whole(&options, &one);
 
     let start = |number: usize| shard(&options, &many, &format!("{number}/8"));
     let mut shards: Vec<Child> = (1..=8).map(start).collect();
@@ -181,13 +188,13 @@ fn the_next_shard_completes_a_killed_one_and_merge_names_missing_runs() {
     let dir = TempDir::new().expect("a folder");
     let (one, many) = (dir.path().join("one"), dir.path().join("many"));
     let options = options("R,C", 2, 40);
-    let whole: Vec<&str> = options.iter().map(String::as_str).collect();
-    physgrad(&whole).arg("--quiet").arg("--out").arg(&one).assert().success();
+    whole(&options, &one);
 
     let mut killed = shard(&options, &many, "2/2");
     wait_until("a run ends", || ended(&many) > 0);
     // The program refuses a command without `--shard` while a shard runs.
-    assert!(error_of(physgrad(&whole).arg("--out").arg(&many)).contains("in use by process"));
+    let args: Vec<&str> = options.iter().map(String::as_str).collect();
+    assert!(error_of(physgrad(&args).arg("--out").arg(&many)).contains("in use by process"));
     killed.kill().expect("the process is killed");
     killed.wait().expect("the process ends");
     if ended(&many) < 4 {
@@ -204,62 +211,90 @@ fn the_next_shard_completes_a_killed_one_and_merge_names_missing_runs() {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     physgrad(&["merge", "--quiet"]).arg(&many).assert().success();
     assert_equal(&one, &many);
-
-    let other = self::options("R,C", 3, 40);
-    let other: Vec<&str> = other.iter().map(String::as_str).collect();
-    let error = error_of(physgrad(&other).args(["--shard", "1/2", "--out"]).arg(&many));
-    assert!(error.contains("plan of another comparison") && error.contains("seeds = 3"), "{error}");
     assert!(
-        error_of(physgrad(&["merge"]).arg(dir.path()))
-            .contains("is not the folder of a comparison, a study or figures")
+        error_of(physgrad(&["merge"]).arg(one.join("runs")))
+            .contains("is not the folder of a comparison")
     );
 }
 
+/// A plan file, and the short forms that make plans, with a change that a shard refuses, and the
+/// name of the folder of the plan.
+#[cfg(unix)]
 #[test]
-fn a_killed_study_and_two_shards_give_the_bytes_of_one_process() {
+fn interrupted_killed_and_shared_plans_give_the_bytes_of_one_process() {
     let dir = TempDir::new().expect("a folder");
     let small = "set = { horizon = 5, policy.widths = [4], \"training.train_samples\" = 8, \"training.test_samples\" = 4 }";
     let plan = format!(
-        "seeds = 5\nepochs = 20\nlearning_rates = [0.001, 0.01]\n[[task]]\nscene = \"cart_pole_1\"\n{small}\n\
+        "seeds = 3\nepochs = 20\nbest = {{ \"training.learning_rate\" = [0.001, 0.01] }}\n[[task]]\nscene = \"cart_pole_1\"\n{small}\n\
          [[task]]\nscene = \"cart_pole_2\"\n{small}\n[[method]]\nname = \"R\"\nset = {{ field = \"R\" }}\n\
          [[method]]\nname = \"C\"\nset = {{ field = \"C\" }}\n"
     );
     let path = dir.path().join("plan.toml");
     fs::write(&path, plan).expect("a file");
-    let path = path.to_str().expect("a path in UTF-8");
-    let options = ["study", path, "--threads", "1"].map(String::from);
-    let whole = options.each_ref().map(String::as_str);
-    let [one, resumed, many] = ["one", "resumed", "many"].map(|name| dir.path().join(name));
-    physgrad(&whole).arg("--quiet").arg("--out").arg(&one).assert().success();
+    let study = ["study", path.to_str().expect("a path in UTF-8"), "--threads", "1"];
+    let mut compare = options("R,C", 3, 20);
+    compare.extend(["--set", "training.batch=2,4"].map(String::from));
+    let paper = "paper fig3 --quick --epochs 4 --seeds 1 --fields R,C --clip none,norm --threads 1";
+    for (name, options, change, inner) in [
+        ("study", study.map(String::from).to_vec(), ["--quick", "epochs = 5"], ""),
+        ("compare", compare, ["--seed=7", "seed = 7"], ""),
+        (
+            "paper",
+            paper.split(' ').map(String::from).collect(),
+            ["--epochs=3", "epochs = 3"],
+            "fig3",
+        ),
+    ] {
+        let [one, resumed, many] =
+            ["one", "resumed", "many"].map(|folder| dir.path().join(name).join(folder));
+        whole(&options, &one);
+        let runs = ended(&one);
 
-    let mut command = Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));
-    command
-        .args(&options)
-        .arg("--out")
-        .arg(&resumed)
-        .stdin(Stdio::null())
-        .stdout(Stdio::null())
-        .stderr(Stdio::null());
-    let mut killed = command.spawn().expect("the process starts");
-    wait_until("three runs end", || ended(&resumed) >= 3);
-    killed.kill().expect("the process is killed");
-    killed.wait().expect("the process ends");
-    assert!(ended(&resumed) < 40, "the kill comes too late");
-    physgrad(&whole).arg("--quiet").arg("--out").arg(&resumed).assert().success();
-    assert_equal(&one, &resumed);
-
-    for child in ["1/2", "2/2"].map(|number| shard(&options, &many, number)) {
+        // A signal, and then a kill, after some runs.
+        let child = start(&options, &resumed, &[]);
+        wait_until("a run ends", || ended(&resumed) >= 1);
+        let signal = Command::new("kill").args(["-INT", &child.id().to_string()]).status();
+        assert!(signal.expect("kill runs").success());
         let output = child.wait_with_output().expect("the process ends");
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    }
-    assert!(!many.join("study.csv").exists(), "a shard writes tables");
-    physgrad(&["merge", "--quiet"]).arg(&many).assert().success();
-    assert_equal(&one, &many);
+        assert_eq!(output.status.code(), Some(130), "{name}");
+        let text = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(text.contains("interrupted; to resume, repeat the command with --out"), "{text}");
+        let begun = ended(&resumed);
+        let mut child = start(&options, &resumed, &["--quiet"]);
+        wait_until("another run ends", || ended(&resumed) > begun);
+        child.kill().expect("the process is killed");
+        child.wait().expect("the process ends");
+        assert!(ended(&resumed) < runs, "{name}: the kill comes too late");
+        assert!(!resumed.join(inner).join("summary.csv").exists(), "{name}: tables of some runs");
+        whole(&options, &resumed);
+        assert_equal(&one, &resumed);
 
-    // The program refuses a shard with other options.
-    let error = error_of(physgrad(&whole).args(["--quick", "--shard", "1/2", "--out"]).arg(&many));
-    assert!(
-        error.contains("plan of another comparison") && error.contains("epochs = 5"),
-        "{error}"
-    );
+        for child in ["1/2", "2/2"].map(|number| shard(&options, &many, number)) {
+            let output = child.wait_with_output().expect("the process ends");
+            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        }
+        assert!(!many.join(inner).join("summary.csv").exists(), "{name}: a shard writes tables");
+        physgrad(&["merge", "--quiet"]).arg(&many).assert().success();
+        assert_equal(&one, &many);
+
+        // The program refuses a shard with other options.
+        let [change, line] = change;
+        let changed: Vec<&str> = options.iter().map(String::as_str).collect();
+        let changed: Vec<&str> = match change.split_once('=') {
+            Some((option, value)) => {
+                let at = changed.iter().position(|word| *word == option);
+                let rest = changed
+                    .iter()
+                    .enumerate()
+                    .filter(|(i, _)| at.is_none_or(|at| *i != at && *i != at + 1));
+                rest.map(|(_, word)| *word).chain([option, value]).collect()
+            }
+            None => changed.into_iter().chain([change]).collect(),
+        };
+        let error = error_of(physgrad(&changed).args(["--shard", "1/2", "--out"]).arg(&many));
+        assert!(
+            error.contains("plan of another comparison") && error.contains(line),
+            "{name}: {error}"
+        );
+    }
 }

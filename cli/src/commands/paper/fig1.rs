@@ -52,7 +52,7 @@ pub fn fig1(quick: bool) -> Result<FinishedFigure> {
         ],
         &[],
     );
-    Ok(FinishedFigure { drawing, csv: fine.csv()?, table: fine.table(), note: "" })
+    Ok(FinishedFigure { drawing, csv: fine.csv()?, table: fine.table() })
 }
 
 /// Samples of R and M at the same parameters.

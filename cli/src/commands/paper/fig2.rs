@@ -53,10 +53,5 @@ pub fn fig2(quick: bool) -> Result<FinishedFigure> {
         });
         runs.push((LETTERS[i], colors[i], path.iter().map(|s| s.loss).collect()));
     }
-    Ok(FinishedFigure {
-        drawing: maps(&plane, &panels, &runs),
-        csv: csv.into_inner()?,
-        table,
-        note: "",
-    })
+    Ok(FinishedFigure { drawing: maps(&plane, &panels, &runs), csv: csv.into_inner()?, table })
 }

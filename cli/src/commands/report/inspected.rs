@@ -7,7 +7,7 @@ use crate::platform::parallel;
 use crate::platform::terminal::counted;
 use crate::runs::saved;
 use crate::runs::saved::SceneRuns;
-use crate::runs::statistics::{InScene, Outcome, position};
+use crate::runs::statistics::{InScene, Method, Outcome, position};
 use crate::tasks::Scene;
 use anyhow::{Result, bail};
 use physgrad::Field;
@@ -28,6 +28,8 @@ pub struct Inspected {
     pub epsilon: f64,
     pub settings: Table,
     pub records: Vec<Record>,
+    /// Test loss of the initial policy.
+    pub untrained: f64,
     pub end: End,
     /// Present only for the first run of each field.
     pub rollouts: Option<RolloutData>,
@@ -52,7 +54,8 @@ impl InspectedScene {
     }
 
     pub fn outcomes(&self) -> InScene<'_> {
-        InScene { name: &self.name, runs: self.runs.iter().map(Inspected::outcome).collect() }
+        let runs = self.runs.iter().map(Inspected::outcome).collect();
+        InScene { name: &self.name, runs, chosen: Vec::new() }
     }
 
     /// Title of a section about this scene.
@@ -87,10 +90,12 @@ impl Inspected {
 
     pub fn outcome(&self) -> Outcome<'_> {
         Outcome {
+            method: Method::Field(self.field),
             field: self.field,
             seed: self.seed,
             records: &self.records,
-            failed: matches!(self.end, End::Failed(_)),
+            untrained: self.untrained,
+            diverged: matches!(self.end, End::Failed(_)),
         }
     }
 
@@ -164,6 +169,7 @@ fn inspected(
 ) -> Result<Inspected> {
     let mut run = scene.open(1)?;
     let before = with_rollouts.then(|| run.adjoint_norms());
+    let untrained = run.test_loss();
     restore(&mut *run)?;
     let animation = || scene.animation(&run.rollouts(0..1)[0]);
     let rollouts = before.map(|before| RolloutData {
@@ -180,6 +186,7 @@ fn inspected(
         epsilon: scene.precision.epsilon(),
         settings: scene.table(),
         records: run.records().to_vec(),
+        untrained,
         rollouts,
         end: end(&mut *run, scene.epochs),
     })

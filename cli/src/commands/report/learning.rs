@@ -4,7 +4,7 @@ use crate::commands::report::figure::{Figure, Key};
 use crate::commands::report::inspected::{Inspected, InspectedScene};
 use crate::platform::terminal::counted;
 use crate::runs::statistics::{
-    InScene, MAX_DASHED, Outcome, by_field, curves_of_scenes, field_label,
+    InScene, MAX_DASHED, Outcome, by_method, curves_of_scenes, field_label,
 };
 use physgrad::train::Record;
 use physgrad_plot::{Abscissa, Chart, Dash, Point, Series, field_color, statistic};
@@ -43,7 +43,7 @@ pub fn of_comparison(scenes: &[InspectedScene]) -> Vec<Figure> {
     let mut figures: Vec<Figure> =
         groups.flat_map(|group| medians(group, all.len() > group.len())).collect();
     for scene in scenes {
-        if by_field(&scene.outcomes().runs).any(|(_, runs)| runs.len() > 1) {
+        if by_method(&scene.outcomes().runs).any(|(_, runs)| runs.len() > 1) {
             let line = |run: &Outcome| {
                 run.points(|r| r.test_loss).iter().map(|p| (p.epoch, p.value)).collect()
             };

@@ -38,8 +38,8 @@ pub fn run(folder: Option<&str>, run: &Inspected) -> String {
 /// Page about the runs of a comparison, of one scene or several.
 pub fn comparison(folder: &str, scenes: &[InspectedScene]) -> String {
     let outcomes: Vec<InScene> = scenes.iter().map(InspectedScene::outcomes).collect();
-    let by_field = || outcomes.iter().flat_map(|scene| statistics::by_field(&scene.runs));
-    let mut letters: Vec<&str> = by_field().map(|(field, _)| field.letter()).collect();
+    let by_field = || outcomes.iter().flat_map(|scene| statistics::by_method(&scene.runs));
+    let mut letters: Vec<&str> = by_field().map(|(_, runs)| runs[0].field.letter()).collect();
     letters.sort_by_key(|letter| position(letter));
     letters.dedup();
     let seeds = by_field().map(|(_, runs)| runs.len()).max().unwrap_or(0);
@@ -57,12 +57,13 @@ pub fn comparison(folder: &str, scenes: &[InspectedScene]) -> String {
     let trouble: Vec<String> = scenes.iter().flat_map(incomplete).collect();
     let content = html! {
         (section("Result", html! {
-            (table(&statistics::table_header(&outcomes), &statistics::table_of_scenes(&outcomes)))
+            (table(&statistics::table_header(&outcomes, &[]), &statistics::table_of_scenes(&outcomes)))
             p.note {
                 "Median, lowest and highest value over the seeds. Ratio of the median to that of R (otherwise M, S or C), with a 95 % \
                  interval over the seeds; undecided if it contains 1."
-                @if outcomes.iter().flat_map(|scene| &scene.runs).any(|run| run.failed) {
-                    " A failed run has no final loss (NaN), which ranks as the worst."
+                " A run failed if its final loss is not below that of the untrained policy."
+                @if outcomes.iter().flat_map(|scene| &scene.runs).any(|run| run.diverged) {
+                    " A run that ends at a non-finite number has no final loss (NaN), which ranks as the worst."
                 }
             }
         }))
