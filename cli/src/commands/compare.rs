@@ -62,13 +62,13 @@ pub struct Compare {
     #[arg(long, requires = "out")]
     pub resume: bool,
     /// Train share K of N of the runs, then all other runs that no process holds. Other shards may
-    /// train in the same folder, on any machine. Run `physgrad merge` afterwards (docs/clusters.md)
+    /// train in the same folder, on any machine. Run `physgrad merge` afterwards (docs/runs.md)
     #[arg(long, value_name = "K/N", requires = "out", conflicts_with_all = ["resume", "json"])]
     pub shard: Option<Shard>,
     /// Print only warnings and errors
     #[arg(short, long)]
     pub quiet: bool,
-    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    /// Print the result as one JSON object; messages stay on standard error (docs/runs.md)
     #[arg(long)]
     pub json: bool,
 }

@@ -42,7 +42,7 @@ pub struct Paper {
     pub out: Option<PathBuf>,
     /// Train share K of N of the runs, then all other runs that no process holds. Other shards may
     /// train in the same folder, on any machine. Run `physgrad merge` afterwards
-    /// (docs/clusters.md). Shard 1 makes figures 1 and 2
+    /// (docs/runs.md). Shard 1 makes figures 1 and 2
     #[arg(long, value_name = "K/N", requires = "out", conflicts_with = "json")]
     pub shard: Option<Shard>,
 }
@@ -69,7 +69,7 @@ pub struct Options {
     #[arg(short, long)]
     #[serde(skip)]
     pub quiet: bool,
-    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    /// Print the result as one JSON object; messages stay on standard error (docs/runs.md)
     #[arg(long)]
     #[serde(skip)]
     pub json: bool,
