@@ -1,7 +1,7 @@
 //! Model of the time of an update on several machines, with constants measured on this machine.
 //!
 //! Usage: `cargo bench --bench ranks -- [LATENCY µs] [BANDWIDTH Gbit/s] [CORES per machine]`, with
-//! defaults 20, 10 and 32. Four poles, field C, f32. `docs/clusters.md` explains the formula.
+//! defaults 20, 10 and 32. Four poles, field C, f32. `docs/runs.md` explains the formula.
 //!
 //! Measures the gradient of a sample on one core, and the exchange of two ranks, which are threads
 //! here. Latency, bandwidth and cores per machine are parameters.

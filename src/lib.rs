@@ -62,7 +62,7 @@
 //! let task = CartPole::with_system(Actuated { system: windy, actuator: Lag::new(0.05, system.dt) });
 //! check::system(&task.system).unwrap();
 //! ```
-//! `docs/scenes.md` and `examples/own_effect.rs` show how to write a custom effect.
+//! `docs/systems.md` and `examples/own_effect.rs` show how to write a custom effect.
 //!
 //! # Physical numbers, measurements and plans
 //! - [`Number`]: a physical number that is fixed, drawn for each sample, or trained.
@@ -185,10 +185,6 @@ struct Readme;
 #[cfg(doctest)]
 #[doc = include_str!("../docs/optimize.md")]
 struct Optimization;
-
-#[cfg(doctest)]
-#[doc = include_str!("../docs/scenes.md")]
-struct Scenes;
 
 #[cfg(doctest)]
 #[doc = include_str!("../docs/systems.md")]

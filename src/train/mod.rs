@@ -87,7 +87,7 @@ pub struct Training {
     /// Noise in the parameters, and the estimator that uses it. With `None`, updates follow the
     /// field at the unperturbed parameters.
     pub smoothing: Option<Smoothing>,
-    /// Clipping of the field, before the optimizer. `docs/learning.md` compares the variants.
+    /// Clipping of the field, before the optimizer. `docs/results.md` compares the variants.
     pub clip: Clip,
     /// Largest number of consecutive updates skipped because of a
     /// [`Divergence`]. One more stops the training.

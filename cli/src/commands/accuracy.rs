@@ -63,7 +63,7 @@ pub struct Accuracy {
     /// Print only the results
     #[arg(short, long)]
     pub quiet: bool,
-    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    /// Print the result as one JSON object; messages stay on standard error (docs/runs.md)
     #[arg(long)]
     pub json: bool,
 }

@@ -34,7 +34,7 @@ pub struct Check {
     /// Parameters of the policy: a file `policy.safetensors`, or the folder of a run
     #[arg(long, value_name = "FILE", requires = "scene")]
     pub policy: Option<PathBuf>,
-    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    /// Print the result as one JSON object; messages stay on standard error (docs/runs.md)
     #[arg(long)]
     pub json: bool,
 }

@@ -12,7 +12,7 @@ use toml::{Table, Value};
 /// Train with several fields and seeds, in one scene or several, and compare the results.
 ///
 /// Scenes may differ in any setting, for example in integrator or precision. `--set
-/// KEY=VALUE,VALUE` trains every combination of values. docs/study.md describes plans, which also
+/// KEY=VALUE,VALUE` trains every combination of values. docs/runs.md describes plans, which also
 /// compare other methods than fields.
 #[derive(Debug, clap::Args)]
 #[command(

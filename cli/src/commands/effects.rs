@@ -17,7 +17,7 @@ use toml::Table;
 pub struct Effects {
     /// An effect or an actuator [default: the whole page]
     pub effect: Option<String>,
-    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    /// Print the result as one JSON object; messages stay on standard error (docs/runs.md)
     #[arg(long)]
     pub json: bool,
 }

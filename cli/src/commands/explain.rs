@@ -26,7 +26,7 @@ pub struct Explain {
     pub scene: String,
     #[command(flatten)]
     pub overrides: Overrides,
-    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    /// Print the result as one JSON object; messages stay on standard error (docs/runs.md)
     #[arg(long)]
     pub json: bool,
 }

@@ -22,7 +22,7 @@ pub struct Merge {
     /// Print only warnings and errors
     #[arg(short, long)]
     pub quiet: bool,
-    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    /// Print the result as one JSON object; messages stay on standard error (docs/runs.md)
     #[arg(long)]
     pub json: bool,
 }

@@ -20,7 +20,7 @@ use std::path::PathBuf;
 pub struct Scene {
     /// Name of the preset [default: list all]
     pub preset: Option<String>,
-    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    /// Print the result as one JSON object; messages stay on standard error (docs/runs.md)
     #[arg(long)]
     pub json: bool,
 }

@@ -36,7 +36,7 @@ pub struct Runs {
     /// Write runs.csv and the learning curves curves.svg to this folder
     #[arg(short, long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    /// Print the result as one JSON object; messages stay on standard error (docs/runs.md)
     #[arg(long)]
     pub json: bool,
 }

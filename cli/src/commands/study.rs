@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 
 /// Train several methods on several tasks, with several settings and seeds, from a plan.
 ///
-/// docs/study.md describes plans and results. `compare` and `paper` are short forms.
+/// docs/runs.md describes plans and results. `compare` and `paper` are short forms.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Examples:\n  physgrad study examples/plans/fields.toml --quick\n  physgrad study examples/plans/fields.toml -o runs/study\n  physgrad study examples/plans/fields.toml --shard 3/16 -o runs/study"
@@ -46,13 +46,13 @@ pub struct Running {
     #[arg(short, long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Train share K of N of the runs, then all other runs that no process holds. Other shards may
-    /// train in the same folder, on any machine. Run `physgrad merge` afterwards (docs/clusters.md)
+    /// train in the same folder, on any machine. Run `physgrad merge` afterwards (docs/runs.md)
     #[arg(long, value_name = "K/N", requires = "out", conflicts_with = "json")]
     pub shard: Option<Shard>,
     /// Print only warnings and errors
     #[arg(short, long)]
     pub quiet: bool,
-    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    /// Print the result as one JSON object; messages stay on standard error (docs/runs.md)
     #[arg(long)]
     pub json: bool,
 }

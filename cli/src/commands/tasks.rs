@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 pub struct Tasks {
     /// A task [default: all tasks]
     pub task: Option<String>,
-    /// Print the result as one JSON object; messages stay on standard error (docs/json.md)
+    /// Print the result as one JSON object; messages stay on standard error (docs/runs.md)
     #[arg(long)]
     pub json: bool,
 }

@@ -106,10 +106,10 @@ fn the_book_has_no_broken_link_and_fits_narrow_and_wide_windows() {
     let [examined, all] = [1, 3].map(|word| {
         lines[0].split(' ').nth(word).expect("a count").parse::<usize>().expect("a number")
     });
-    assert!(examined == all && all >= 40, "{}", lines[0]);
+    assert!(examined == all && all >= 30, "{}", lines[0]);
 
     // The script finds the faults of a page.
-    let page = dir.path().join("book/reliability.html");
+    let page = dir.path().join("book/when_not.html");
     let html = fs::read_to_string(&page).expect("a page");
     let faulty = "<main><a href='nowhere.html'>a</a><a href='method.html#nowhere'>b</a><img src='no.png'><p style='width:500px'>wide</p>";
     fs::write(&page, html.replace("<main>", faulty)).expect("a page");

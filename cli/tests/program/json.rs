@@ -1,4 +1,4 @@
-//! `--json`: one object on standard output, with the keys of docs/json.md.
+//! `--json`: one object on standard output, with the keys of docs/runs.md.
 
 use crate::running::{SMALL, physgrad};
 use serde_json::Value;
@@ -15,9 +15,9 @@ fn object(folder: &Path, args: &[&str]) -> Value {
     serde_json::from_str(&text).unwrap_or_else(|error| panic!("{args:?}: {error}: {text}"))
 }
 
-/// Keys of a command in docs/json.md.
+/// Keys of a command in docs/runs.md.
 fn documented(command: &str) -> Vec<String> {
-    let page = fs::read_to_string(crate::markdown::root().join("docs/json.md")).expect("a page");
+    let page = fs::read_to_string(crate::markdown::root().join("docs/runs.md")).expect("a page");
     let row = page
         .lines()
         .find_map(|line| line.strip_prefix(&format!("| `{command}` | ")))
@@ -26,11 +26,11 @@ fn documented(command: &str) -> Vec<String> {
     row.split('`').skip(1).step_by(2).map(String::from).collect()
 }
 
-/// Checks that every key of the object is in the row of the command in docs/json.md.
+/// Checks that every key of the object is in the row of the command in docs/runs.md.
 pub fn check(command: &str, object: &Value) {
     let documented = documented(command);
     for key in object.as_object().expect("an object").keys() {
-        assert!(documented.contains(key), "docs/json.md lacks the key {key} of {command}");
+        assert!(documented.contains(key), "docs/runs.md lacks the key {key} of {command}");
     }
 }
 

@@ -160,8 +160,8 @@ fn the_first_hour_runs_and_prints_the_quoted_lines() {
 }
 
 #[test]
-fn the_commands_of_which_field_run() {
-    assert!(run("docs/which_field.md") >= 5);
+fn the_commands_that_choose_a_field_run() {
+    assert!(run("docs/method.md") >= 5);
 }
 
 #[test]
