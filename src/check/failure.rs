@@ -90,7 +90,7 @@ pub enum Finding {
 #[error("{finding}")]
 pub struct Failure {
     /// What the check found.
-    pub finding: Finding,
+    pub finding: Box<Finding>,
     /// What was checked, with the verdict.
     verdict: String,
     advice: &'static str,
@@ -106,19 +106,19 @@ impl fmt::Debug for Failure {
 
 impl Failure {
     fn new(finding: impl Into<Finding>, verdict: impl Into<String>, advice: &'static str) -> Self {
-        Self { finding: finding.into(), verdict: verdict.into(), advice }
+        Self { finding: Box::new(finding.into()), verdict: verdict.into(), advice }
     }
 
     /// The failed comparison, if the rollouts were finite.
     pub fn mismatch(&self) -> Option<&Mismatch> {
-        match &self.finding {
+        match &*self.finding {
             Finding::Mismatch(mismatch) => Some(mismatch),
             Finding::Diverged { .. } => None,
         }
     }
 
     /// Replaces the advice if the tested function is not finite.
-    pub(super) fn to_refuse(self, advice: &'static str) -> Self {
+    pub(super) fn refused_with(self, advice: &'static str) -> Self {
         let refused = self.mismatch().is_some_and(Mismatch::is_not_finite);
         if refused { Self { advice, ..self } } else { self }
     }

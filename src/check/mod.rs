@@ -221,7 +221,7 @@ pub fn system<S: System>(system: &S) -> Result<Passed, Failure> {
         }
     };
     systems::check(system, &normal, usize::MAX).map_err(|mismatch| {
-        Failure::of_system(mismatch).to_refuse(
+        Failure::of_system(mismatch).refused_with(
             "This check draws all states from a standard normal distribution. If a task uses the \
              system, `check::task` checks it in the states of rollouts",
         )

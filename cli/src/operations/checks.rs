@@ -27,7 +27,7 @@ pub fn check(
     let system = task.system();
     let (n, m) = (system.state_dim(), system.control_dim());
     let before = results.failures.len();
-    let diverges = |failure: &Failure| matches!(failure.finding, Finding::Diverged { .. });
+    let diverges = |failure: &Failure| matches!(*failure.finding, Finding::Diverged { .. });
     let along =
         results.add(&format!("{variant}: system"), || check::system_along(task, policy, theta));
     if along.as_ref().is_some_and(diverges) {
