@@ -399,7 +399,8 @@ impl Plan {
         self.contents.title.clone().unwrap_or_else(|| names().collect::<Vec<_>>().join(", "))
     }
 
-    /// Returns whether the scenes of all tasks have equal `task`, so that their losses are comparable.
+    /// Returns whether the scenes of all tasks have equal `task`, so that a chart can compare their
+    /// losses.
     pub fn has_one_task(&self) -> bool {
         let mut names = self.sources.iter().map(|source| source.text("task"));
         names.next().is_none_or(|first| names.all(|other| other == first))
@@ -577,8 +578,8 @@ fn joined(names: &[&str]) -> String {
 }
 
 /// Settings of a table by dotted key. In TOML, a dotted key without quotation marks, as in
-/// `policy.widths = [4]`, is a table inside a table. Such a table gives values only to those keys of
-/// a section that it contains.
+/// `policy.widths = [4]`, is a table inside a table. Such a table gives values only to those keys
+/// of a section that it contains.
 fn settings_of(table: &Table) -> Vec<(String, &Value)> {
     let mut settings = Vec::new();
     table.iter().for_each(|(key, value)| push_settings(key.clone(), value, &mut settings));

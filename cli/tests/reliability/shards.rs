@@ -154,7 +154,7 @@ fn a_comparison_that_starts_from_policies_is_merged() {
     for seed in ["0", "1"] {
         train(&dir.path().join(seed), &["--epochs", "1", "--seed", seed]).assert().success();
     }
-    // The policy is an option of all points, or differs between the points of a sweep.
+    // The policy is an option of all points, or differs between the points of a grid.
     let [first, second] = ["0", "1"]
         .map(|seed| dir.path().join(seed).join("policy.safetensors").display().to_string());
     for (name, policies) in [("one", vec![first.clone()]), ("two", vec![first, second])] {
@@ -234,7 +234,7 @@ fn interrupted_killed_and_shared_plans_give_the_bytes_of_one_process() {
     let study = ["study", path.to_str().expect("a path in UTF-8"), "--threads", "1"];
     let mut compare = options("R,C", 3, 20);
     compare.extend(["--set", "training.batch=2,4"].map(String::from));
-    let paper = "paper fig3 --quick --epochs 4 --seeds 1 --fields R,C --clip none,norm --threads 1";
+    let paper = "paper fig3 --quick --epochs 2 --seeds 1 --fields R --clip none,norm --threads 1";
     for (name, options, change, inner) in [
         ("study", study.map(String::from).to_vec(), ["--quick", "epochs = 5"], ""),
         ("compare", compare, ["--seed=7", "seed = 7"], ""),

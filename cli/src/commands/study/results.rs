@@ -103,8 +103,8 @@ impl<'a> Results<'a> {
         self.cases.iter().enumerate().map(scene).collect()
     }
 
-    /// Cells of the columns of chosen values. The smallest and the largest of several numbers have a
-    /// mark: values beyond them may be better.
+    /// Cells of the columns of chosen values. The smallest and the largest of several numbers have
+    /// a mark: values beyond them may be better.
     fn chosen(&self, group: &Group) -> Vec<String> {
         let cell = |(key, value): (&str, &toml::Value)| {
             let values = self.plan.contents.best[key].as_array().into_iter().flatten();
@@ -145,8 +145,8 @@ impl<'a> Results<'a> {
         note
     }
 
-    /// Line with the point and method of the lowest median final test loss. Empty for a single point
-    /// or several tasks, or if every median is NaN.
+    /// Line with the point and method of the lowest median final test loss. Empty for a single
+    /// point or several tasks, or if every median is NaN.
     pub fn lowest(&self) -> String {
         let medians = self.best().map(|group| (median_loss(&group.runs), group));
         let lowest = medians.filter(|(loss, _)| !loss.is_nan()).min_by(|a, b| a.0.total_cmp(&b.0));
