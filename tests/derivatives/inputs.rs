@@ -3,8 +3,9 @@
 
 use physgrad::check::Failure;
 use physgrad::engine::{Batch, Checkpointed, Schedule};
-use physgrad::policy::{Constant, Gru, Linear, Mlp, TrainedParam, WithParams};
+use physgrad::policy::{AnyNetwork, Constant, Conv, Gru, Linear, Mlp, TrainedParam, WithParams};
 use physgrad::rng::{Purpose, Rng, stream};
+use physgrad::tasks::Quantum;
 use physgrad::{
     Cotangent, Cotangents, DynTask, Flow, Gradient, Inputs, Policy, Real, Rollout, Scalar, Start,
     System, Task, Weights, check, initial_states,
@@ -315,6 +316,17 @@ fn observing_the_whole_state_gives_the_bits_of_no_observation() {
         gradients(&Copied(tracking()), &policy, 1),
         gradients(&Plain(tracking()), &policy, 1)
     );
+}
+
+#[test]
+fn a_network_chosen_at_run_time_has_the_bits_of_the_network() {
+    let mlp = Mlp::new([3, 7, 1]);
+    let chosen = AnyNetwork::Mlp(mlp.clone());
+    assert_eq!(gradients(&tracking::<1>(), &chosen, 1), gradients(&tracking::<1>(), &mlp, 1));
+    let (task, conv) = (Quantum { horizon: 5, ..Quantum::new(3) }, Conv::new(32, 4));
+    let chosen = AnyNetwork::Conv(conv.clone());
+    assert_eq!(gradients(&task, &chosen, 1), gradients(&task, &conv, 1));
+    check::policy(&AnyNetwork::Mlp(mlp)).unwrap();
 }
 
 #[test]
