@@ -11,6 +11,7 @@ use crate::platform::terminal::{print_message, print_note, print_text, program};
 use crate::runs::comparison::{
     Comparison, Ended, check_sessions, read_all, train_all, train_shard, write_plan,
 };
+use crate::runs::saved;
 use crate::runs::shard::Shard;
 use crate::scenes::plan::{Cell, Expanded, Plan};
 use crate::scenes::presets::short_name;
@@ -136,6 +137,11 @@ impl Trainings {
         let (plan, output) = (&self.plan, running.output());
         let mut comparisons = comparisons(plan, &self.expanded, folder)?;
         check_folder(folder, plan.is_single())?;
+        let is_other = folder.has(COMPARISON) && !comparisons.iter().any(Comparison::has_folder);
+        if is_other && saved::scenes(folder).is_ok() {
+            let path = folder.path().display();
+            bail!("{path} holds another comparison; choose another folder with --out");
+        }
         // Shards compare their plan with that of the folder.
         if running.shard.is_none() {
             comparisons.iter().try_for_each(Comparison::check_resumable)?;

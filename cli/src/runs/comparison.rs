@@ -228,6 +228,11 @@ impl Comparison {
         Ok(Self { runs: all, folder: runs, label: label.to_owned() })
     }
 
+    /// Returns whether the folder of its runs exists.
+    pub fn has_folder(&self) -> bool {
+        self.folder.path().is_dir()
+    }
+
     /// Returns whether at least one run of the comparison is in its folder.
     pub fn has_runs(&self) -> bool {
         self.runs.iter().any(|run| saved::has_run(&run.folder))

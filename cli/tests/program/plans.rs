@@ -367,7 +367,9 @@ fn a_comparison_of_one_scene_does_not_mix_with_another_one() {
     run(&one, "first").success();
     run(&several, "second").success();
     let other = one.replace("cart_pole_1", "cart_pole_2").replace("--fields R", "--fields M");
+    let others = several.replace("batch=2,4", "batch=1,8");
     for (command, folder, found) in [
+        (others, "second", "second holds another comparison"),
         (several, "first", "first holds a comparison of one scene"),
         (one, "second", "second holds a comparison of several scenes"),
         (other, "first", "first/runs/R-0 holds a run with other settings"),
