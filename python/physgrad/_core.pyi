@@ -146,6 +146,10 @@ class _Fit(TypedDict):
     """Combinations of numbers that the data do not determine."""
     at_bound: list[str]
     """Numbers with the status "at bound": the sum of squares decreases beyond a bound."""
+    notes: list[str]
+    """What the fit assumes of the data, such as full turns that it removes."""
+    warnings: list[str]
+    """What limits the result. Each sentence is also a `UserWarning`."""
 
 @type_check_only
 class _Rows(TypedDict):
@@ -244,7 +248,7 @@ def identify(
     """Fits physical numbers to measured trajectories.
 
     `data` is a list of pairs: measured states, (steps, n), NaN where missing, and controls,
-    (steps, m). A dict in place of a pair has "x", "u", and optionally "t", the time of the first
+    (steps, m); that of the last state may be absent. A dict in place of a pair has "x", "u", and optionally "t", the time of the first
     row in s, and "p", a dict of parameters of the task. `params` is a list of dotted keys, a dict with initial values, or a dict of dicts
     with "start", "min" and "max". `noise` has the standard deviation of the measurement noise of
     each state, (n,).

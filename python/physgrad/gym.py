@@ -84,7 +84,7 @@ class TaskEnv(gymnasium.Env):
         replace those drawn. Raises ``ValueError`` for other options.
         """
         _check_names(options, {"state", "params"})
-        given = {name: np.asarray(value) for name, value in (options or {}).items()}
+        given = {name: _array(name, value) for name, value in (options or {}).items()}
         for name, size in (("state", self.task.state_dim), ("params", self.task.param_dim)):
             if name in given:
                 _check_shape(name, given[name], (size,))
@@ -99,7 +99,7 @@ class TaskEnv(gymnasium.Env):
         """Applies an action, shape (control_dim,)."""
         if self._rows.t[0] >= self.task.horizon:
             raise RuntimeError(f"step {self._rows.t[0]}: the episode has ended or not begun. Call `reset` first")
-        action = np.asarray(action)
+        action = _array("action", action)
         _check_shape("action", action, self.high.shape)
         reward, truncated = self._rows.step(action[None], np.ones(1, bool))
         return self._rows.observe()[0], float(reward[0]), False, bool(truncated[0]), {}
@@ -153,6 +153,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv):
         _check_names(options, {"reset_mask", "state", "params"})
         options = dict(options or {})
         mask = options.pop("reset_mask", np.ones(self.num_envs, bool))
+        _refuse_masked("reset_mask", mask)
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
             kind = f"an array of {mask.dtype}" if isinstance(mask, np.ndarray) else f"of type {type(mask).__name__}"
             raise TypeError(f"`reset_mask` is {kind}; expected an array of bool, shape ({self.num_envs},)")
@@ -167,11 +168,14 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv):
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
         """Applies actions, shape (num_envs, control_dim)."""
         mode, rows, infos = self.metadata["autoreset_mode"], self._rows, {}
+        if not rows.begun.all():
+            which = np.flatnonzero(~rows.begun)
+            raise RuntimeError(f"environments {which}: the episode has not begun. Call `reset` first")
         ended = rows.t >= self.task.horizon
         if ended.any() and mode != AutoresetMode.NEXT_STEP:
             which = np.flatnonzero(ended)
-            raise RuntimeError(f"environments {which}: the episode has ended or not begun. Call `reset` first")
-        actions = np.asarray(actions)
+            raise RuntimeError(f"environments {which}: the episode has ended. Call `reset` first")
+        actions = _array("actions", actions)
         _check_shape("actions", actions, (self.num_envs, len(self.high)))
         reward, truncated = rows.step(actions, ~ended)
         if mode == AutoresetMode.SAME_STEP and truncated.any():
@@ -198,6 +202,18 @@ def _read_only(array: np.ndarray) -> np.ndarray:
     return copy
 
 
+def _refuse_masked(name: str, value: Any) -> None:
+    if isinstance(value, np.ma.MaskedArray):
+        raise ValueError(f"`{name}` is a masked array; fill it, as in `{name}.filled(numpy.nan)`")
+
+
+def _array(name: str, value: Any) -> np.ndarray:
+    """The array of an argument. Refuses a masked one, whose mask would be lost."""
+    for part in (value, *value) if isinstance(value, (list, tuple)) else (value,):
+        _refuse_masked(name, part)
+    return np.asarray(value)
+
+
 def _check_shape(name: str, array: np.ndarray, expected: tuple[int, ...]) -> None:
     if array.shape != expected:
         raise ValueError(f"`{name}` has the shape {array.shape}; expected {expected}")
@@ -211,12 +227,13 @@ class _Rows:
         self.x = np.zeros((count, task.state_dim), task.dtype)
         self.p = np.zeros((count, task.param_dim), task.dtype)
         self.t = np.full(count, task.horizon)
+        self.begun = np.zeros(count, bool)
 
     def given(self, arrays: dict[str, Any], mask: np.ndarray) -> dict[str, np.ndarray]:
         """Checks states and parameters that a caller gives for the rows in ``mask``."""
         checked = {}
         for name, array in arrays.items():
-            array = np.asarray(array)
+            array = _array(name, array)
             own = {"state": self.x, "params": self.p}[name]
             if array.dtype.kind not in "fiu":
                 raise TypeError(f"`{name}` is an array of {array.dtype}; expected numbers")
@@ -225,6 +242,9 @@ class _Rows:
                 checked[name] = array.astype(own.dtype)
             if not np.isfinite(checked[name][mask]).all():
                 raise ValueError(f"`{name}` is not finite in {own.dtype}")
+        # An observation checks the ranges of the parameters, such as those of drawn masses.
+        if "params" in checked:
+            self.task.observe(checked.get("state", self.x)[mask], p=checked["params"][mask])
         return checked
 
     def start(self, mask: np.ndarray, rng: np.random.Generator, given: dict[str, np.ndarray] | None = None) -> None:
@@ -232,7 +252,7 @@ class _Rows:
         starts = self.task.starts(int(mask.sum()), seed=int(rng.integers(2**63)))
         self.x[mask] = starts[:, : self.task.state_dim]
         self.p[mask] = starts[:, self.task.state_dim :]
-        self.t[mask] = 0
+        self.t[mask], self.begun[mask] = 0, True
         for name, array in (given or {}).items():
             {"state": self.x, "params": self.p}[name][mask] = array[mask]
 
@@ -288,7 +308,7 @@ def _range(task: pg.Task, bound: float | Sequence[float] | None) -> tuple[np.nda
         if not np.isfinite([low, high]).all():
             raise ValueError(f"the task {task.name} has no bounds of its controls: pass `bound`, the control at action 1")
         return low, high
-    bound = np.asarray(bound, float)
+    bound = _array("bound", bound).astype(float)
     if bound.ndim > 1 or bound.size not in (1, task.control_dim) or not (np.isfinite(bound) & (bound > 0)).all():
         raise ValueError(f"`bound` is {bound.tolist()}: use one positive number, or {task.control_dim}, one per control")
     bound = np.broadcast_to(bound, (task.control_dim,))

@@ -123,7 +123,8 @@ def _arrays(tensors: tuple[Tensor | None, ...]) -> list:
 def _refuse_second(function: Function, tangents: Iterable[Any]) -> None:
     if any(tangents):
         raise RuntimeError(
-            f"`{function.name}` has no second derivatives: the physics is differentiable once, in reverse or forward mode"
+            f"`{function.name}` has no second derivatives: the physics is differentiable once, in reverse or forward mode. "
+            "`torch.autograd.functional.jvp` differentiates twice for a first derivative; use `torch.func.jvp` instead"
         )
 
 

@@ -45,7 +45,7 @@ pub struct Argument<'py, F: Number>(PyReadonlyArrayDyn<'py, F>);
 
 impl<'py, F: Number> Argument<'py, F> {
     /// Reads an argument whose shape passes `check`. Checks before it copies.
-    fn read(
+    pub fn read(
         name: &str,
         object: &Bound<'py, PyAny>,
         check: &dyn Fn(&[usize]) -> Result<(), String>,
@@ -143,12 +143,22 @@ impl<'py, F: Number> Argument<'py, F> {
     }
 }
 
-/// Reads an argument of any shape.
+/// Reads an argument of any shape with this number of elements.
 pub fn any_shape<'py, F: Number>(
     name: &str,
     object: &Bound<'py, PyAny>,
+    count: usize,
 ) -> PyResult<Argument<'py, F>> {
-    Argument::read(name, object, &|_| Ok(()))
+    Argument::read(name, object, &|shape| {
+        let found = shape.iter().try_fold(1_usize, |product, &size| product.checked_mul(size));
+        match found {
+            Some(found) if found == count => Ok(()),
+            found => {
+                let found = found.map_or_else(|| tuple(shape), |found| found.to_string());
+                Err(format!("`{name}` has {found} numbers; expected {count}"))
+            }
+        }
+    })
 }
 
 /// Numbers of an argument, the same number for each row.

@@ -16,6 +16,12 @@ create_exception!(
      \"memory\", \"cost\" or \"gradient\"). For \"gradient\", `component` is the index of the parameter."
 );
 
+/// `ValueError` with this text. Text of foreign files in it has escapes in place of characters that
+/// a terminal obeys.
+pub fn invalid(text: impl AsRef<str>) -> PyErr {
+    PyValueError::new_err(api::plain(text.as_ref()).into_owned())
+}
+
 /// Converts an error in settings or arguments. A divergence becomes `Divergence`, an error of the
 /// file system `OSError`, too large an array `MemoryError`, and every other error `ValueError`.
 pub fn value_error(error: anyhow::Error) -> PyErr {
@@ -37,7 +43,7 @@ pub fn caught<R>(work: impl FnOnce() -> R) -> PyResult<R> {
             .or_else(|| panic.downcast_ref::<&str>().copied());
         PyRuntimeError::new_err(format!(
             "internal error of physgrad, please report it: {}",
-            text.unwrap_or("a panic")
+            api::plain(text.unwrap_or("a panic"))
         ))
     })
 }
@@ -46,9 +52,7 @@ pub fn caught<R>(work: impl FnOnce() -> R) -> PyResult<R> {
 /// could wait forever.
 pub fn check_regular(path: &Path) -> PyResult<()> {
     match std::fs::metadata(path) {
-        Ok(found) if !found.is_file() => {
-            Err(PyValueError::new_err(format!("{} is not a file", path.display())))
-        }
+        Ok(found) if !found.is_file() => Err(invalid(format!("{} is not a file", path.display()))),
         _ => Ok(()),
     }
 }
@@ -59,7 +63,7 @@ pub fn fits(what: &'static str, dims: &[usize], size: usize) -> PyResult<()> {
 }
 
 fn convert(error: anyhow::Error, other: fn(String) -> PyErr) -> PyErr {
-    let text = format!("{error:#}");
+    let text = api::plain(&format!("{error:#}")).into_owned();
     let diverged = error.chain().find_map(|cause| match cause.downcast_ref::<TrainError>() {
         Some(TrainError::Diverged { last, .. }) => Some(last.divergence),
         _ => cause.downcast_ref::<physgrad::Divergence>().copied(),

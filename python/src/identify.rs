@@ -1,24 +1,25 @@
 //! `identify` and `check`: physical numbers from measurements, and checks of derivatives.
 
-use crate::arrays::{any_shape, array, tuple};
-use crate::errors::value_error;
+use crate::arrays::{Argument, array, tuple};
+use crate::errors::{invalid, value_error};
 use crate::interrupt::interruptible;
 use crate::policy::Policy;
-use crate::settings::{Settings, value_of};
+use crate::settings::{Settings, setting, value_of};
 use crate::task::Task;
 use numpy::IntoPyArray;
 use physgrad::identify::{IdentifyError, Options, Segment};
-use physgrad_cli::api::Scene;
-use pyo3::exceptions::{PyAssertionError, PyTypeError, PyValueError};
+use physgrad_cli::api::{self, Scene};
+use pyo3::exceptions::{PyAssertionError, PyMemoryError, PyTypeError, PyUserWarning};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
 use std::collections::HashMap;
+use std::ffi::CString;
 use toml::{Table, Value};
 
 /// Fits physical numbers to measured trajectories, as `physgrad identify` does, in f64.
 ///
-/// `data` is a list of pairs: measured states, (steps, n), and controls, (steps, m). NaN marks a
-/// missing measurement. A dict in place of a pair has the states "x", the controls "u", and
+/// `data` is a list of pairs: measured states, (steps, n), and controls, (steps, m), one per state;
+/// that of the last state has no effect and may be absent. NaN marks a missing measurement. A dict in place of a pair has the states "x", the controls "u", and
 /// optionally "t", the time of the first row in s since the start of a rollout (default: 0), and
 /// "p", a dict of parameters of the task by name. `t` matters if the physics depends on time, as
 /// with gusts. Angles may wrap as those of an encoder do. `params` names the unknown numbers by dotted keys. With a list, as in
@@ -32,8 +33,12 @@ use toml::{Table, Value};
 /// "converged", "undetermined" and "at_bound". A status is "estimated", "at bound",
 /// "undetermined", "ran away", "non-finite derivative", "zero derivative" or "not converged". Only
 /// estimated numbers have errors; that of a number at a bound is NaN, and others are infinite. "robust_errors", (K,), and "correlations", (K, K), refer to the K
-/// unknown numbers. Raises `ValueError` if no number is unknown, if an argument does not fit the
-/// task, or if the simulation with the initial values diverges. Ctrl-C raises `KeyboardInterrupt`.
+/// unknown numbers. "notes" has sentences about what the fit assumes of the data, such as full turns
+/// that it removes. "warnings" has sentences about what limits the result, such as a χ² that the
+/// noise does not explain; each is also a `UserWarning`. Raises `ValueError` if no number is
+/// unknown, if an argument does not fit the task, or if the simulation with the initial values
+/// diverges, and `MemoryError` if all segments together need more than 1 GB, or the fit more than
+/// the memory. Ctrl-C raises `KeyboardInterrupt`.
 #[pyfunction]
 #[pyo3(signature = (task, data, params=None, noise=None))]
 pub fn identify<'py>(
@@ -45,6 +50,7 @@ pub fn identify<'py>(
 ) -> PyResult<Bound<'py, PyDict>> {
     let unknowns = params.map_or(Ok(Vec::new()), |params| unknowns(task, params))?;
     let scene = task.scene.with(unknowns).map_err(value_error)?;
+    check_memory(&scene, &data)?;
     let segments = data
         .iter()
         .enumerate()
@@ -52,10 +58,13 @@ pub fn identify<'py>(
         .collect::<PyResult<Vec<_>>>()?;
     let fit = interruptible(py, move |stop| {
         let options = Options { noise, stop: Some(stop.clone()), ..Options::default() };
-        scene.identify(&segments, &options)
+        scene.identify(&segments, &options).map(|fit| {
+            let remarks = scene.remarks(&fit, &segments, options.noise.is_some());
+            (fit, remarks)
+        })
     })?;
-    let fit = fit.map_err(|error| {
-        PyValueError::new_err(match error {
+    let (fit, remarks) = fit.map_err(|error| {
+        invalid(match error {
             IdentifyError::NothingUnknown => {
                 "the task has no unknown numbers; name them in `params`, as in {\"system.pole_mass\": 0.2}".to_owned()
             }
@@ -84,6 +93,12 @@ pub fn identify<'py>(
     result.set_item("converged", fit.converged)?;
     result.set_item("undetermined", fit.undetermined)?;
     result.set_item("at_bound", fit.at_bound)?;
+    for warning in &remarks.warnings {
+        let text = CString::new(&*api::plain(warning)).unwrap_or_default();
+        PyErr::warn(py, &py.get_type::<PyUserWarning>(), &text, 1)?;
+    }
+    result.set_item("notes", remarks.notes)?;
+    result.set_item("warnings", remarks.warnings)?;
     Ok(result)
 }
 
@@ -94,7 +109,7 @@ fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
             let key: String = key.extract()?;
             let value = value_of(&key, &value)?;
             if value.as_table().is_some_and(|table| !table.contains_key("start")) {
-                return Err(PyValueError::new_err(format!(
+                return Err(invalid(format!(
                     "`params`: the dict of `{key}` has no \"start\", the initial value"
                 )));
             }
@@ -102,26 +117,15 @@ fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
         };
         return starts.iter().map(unknown).collect();
     }
-    let settings = task.scene.settings();
-    let unknown = |key: String| {
-        let setting = key.split('.').try_fold(None, |found: Option<&Value>, part| {
-            let table = found.map_or(Some(&settings), Value::as_table)?;
-            table.get(part).map(Some)
-        });
-        match setting.flatten() {
-            Some(value @ (Value::Float(_) | Value::Integer(_))) => {
-                Ok((key, starting_at(value.clone())))
-            }
-            Some(value @ Value::Table(table)) if table.contains_key("start") => {
-                Ok((key, value.clone()))
-            }
-            Some(_) => Err(PyValueError::new_err(format!(
-                "`{key}` is no single number in the task; give an initial value, as in params={{\"{key}\": 0.2}}"
-            ))),
-            None => Err(PyValueError::new_err(format!(
-                "`{key}` in `params` is no setting of the task; see `task.settings`"
-            ))),
-        }
+    let unknown = |key: String| match setting(&task.scene, &key) {
+        Some(value @ (Value::Float(_) | Value::Integer(_))) => Ok((key, starting_at(value))),
+        Some(Value::Table(table)) if table.contains_key("start") => Ok((key, Value::Table(table))),
+        Some(_) => Err(invalid(format!(
+            "`{key}` is no single number in the task; give an initial value, as in params={{\"{key}\": 0.2}}"
+        ))),
+        None => Err(invalid(format!(
+            "`{key}` in `params` is no setting of the task; see `task.settings`"
+        ))),
     };
     if params.is_instance_of::<PyString>() {
         return Err(PyTypeError::new_err(
@@ -139,30 +143,46 @@ fn starting_at(start: Value) -> Value {
 /// Distance of a time from the nearest step that counts as rounding, relative to the time step.
 const OFF_GRID: f64 = 1e-3;
 
+/// Refuses segments that do not fit into memory together, before anything is copied. Segments that
+/// are no pair or dict of arrays are refused later.
+fn check_memory(scene: &Scene, data: &[Bound<'_, PyAny>]) -> PyResult<()> {
+    let rows = |data: &Bound<'_, PyAny>| -> PyResult<usize> {
+        match data.cast::<PyDict>() {
+            Ok(dict) => dict.get_item("x")?.map_or(Ok(0), |x| x.len()),
+            Err(_) => data.get_item(0)?.len(),
+        }
+    };
+    let each = data.iter().map(|data| rows(data).unwrap_or(0).max(1));
+    let (rows, most) = (each.fold(0_usize, usize::saturating_add), scene.most_rows());
+    if rows > most {
+        return Err(PyMemoryError::new_err(format!(
+            "the segments have {rows} rows in total; allowed: {most}, which take 1 GB; pass fewer rows, or a task with a longer \
+             time step"
+        )));
+    }
+    scene.fits_rows(rows).map_err(|error| PyMemoryError::new_err(error.to_string()))
+}
+
 /// A measured segment, from a pair or a dict.
 fn segment(scene: &Scene, i: usize, data: &Bound<'_, PyAny>) -> PyResult<Segment> {
     let [n, m, _] = scene.dims();
     let Ok(dict) = data.cast::<PyDict>() else {
         let (x, u): (Bound<'_, PyAny>, Bound<'_, PyAny>) = data.extract()?;
-        return Ok(Segment {
-            x: rows("states", i, &x, n)?,
-            u: rows("controls", i, &u, m)?,
-            ..Segment::default()
-        });
+        let (x, u) = states_and_controls(i, [&x, &u], [n, m])?;
+        return Ok(Segment { x, u, ..Segment::default() });
     };
     for key in dict.keys() {
         let key: String = key.extract()?;
         if !["x", "u", "t", "p"].contains(&&*key) {
-            return Err(PyValueError::new_err(format!(
+            return Err(invalid(format!(
                 "segment {i} has the key {key:?}; allowed: \"x\", \"u\", \"t\" and \"p\""
             )));
         }
     }
     let matrix = |key: &str| {
-        dict.get_item(key)?
-            .ok_or_else(|| PyValueError::new_err(format!("segment {i} has no {key:?}")))
+        dict.get_item(key)?.ok_or_else(|| invalid(format!("segment {i} has no {key:?}")))
     };
-    let (x, u) = (rows("states", i, &matrix("x")?, n)?, rows("controls", i, &matrix("u")?, m)?);
+    let (x, u) = states_and_controls(i, [&matrix("x")?, &matrix("u")?], [n, m])?;
     let names = scene.param_names();
     let mut p = vec![f64::NAN; names.len()];
     for (name, value) in dict
@@ -172,27 +192,23 @@ fn segment(scene: &Scene, i: usize, data: &Bound<'_, PyAny>) -> PyResult<Segment
         .unwrap_or_default()
     {
         let place = names.iter().position(|known| *known == name).ok_or_else(|| {
-            PyValueError::new_err(format!(
+            invalid(format!(
                 "segment {i}: {name:?} in \"p\" is no parameter of the task; allowed: {}",
                 names.join(", ")
             ))
         })?;
         p[place] = value;
     }
-    scene
-        .check_params(&p)
-        .map_err(|error| PyValueError::new_err(format!("segment {i}: {error}")))?;
+    scene.check_params(&p).map_err(|error| invalid(format!("segment {i}: {error}")))?;
     let t = dict.get_item("t")?.map_or(Ok(0.0), |t| t.extract::<f64>())?;
     let step = t / scene.dt();
     if !step.is_finite() || step.abs() > 9e15 {
-        return Err(PyValueError::new_err(format!(
-            "segment {i}: \"t\" is {t}; allowed: finite times in s"
-        )));
+        return Err(invalid(format!("segment {i}: \"t\" is {t}; allowed: finite times in s")));
     }
     let segment = Segment { x, u, p, first_step: step.round().max(0.0) as usize };
     let is_step = (step - step.round()).abs() < OFF_GRID && step.round() >= 0.0;
     if !is_step && scene.depends_on_time(&segment) {
-        return Err(PyValueError::new_err(format!(
+        return Err(invalid(format!(
             "segment {i}: \"t\" is {t} s, but the physics depends on time and has steps of {} s from 0; begin at a step",
             scene.dt()
         )));
@@ -200,24 +216,53 @@ fn segment(scene: &Scene, i: usize, data: &Bound<'_, PyAny>) -> PyResult<Segment
     Ok(segment)
 }
 
-/// Rows of a matrix.
+/// Rows of the states and of the controls of a segment. NaN marks a missing state.
+fn states_and_controls(
+    segment: usize,
+    objects: [&Bound<'_, PyAny>; 2],
+    widths: [usize; 2],
+) -> PyResult<(Vec<Vec<f64>>, Vec<Vec<f64>>)> {
+    let [x, u] = objects;
+    let x = rows("states", segment, x, widths[0], &|_| true)?;
+    let count = x.len();
+    let u = rows("controls", segment, u, widths[1], &|found| found == count || found + 1 == count)?;
+    let kinds = [
+        ("states", &x, "finite numbers, and NaN for a missing one"),
+        ("controls", &u, "finite numbers"),
+    ];
+    for (name, rows, allowed) in kinds {
+        for (row, numbers) in rows.iter().enumerate() {
+            let is_bad = |y: &f64| y.is_infinite() || (y.is_nan() && name == "controls");
+            if let Some(column) = numbers.iter().position(is_bad) {
+                let found = numbers[column];
+                return Err(invalid(format!(
+                    "{name} of segment {segment}: row {row} has {found} in column {column}; allowed: {allowed}"
+                )));
+            }
+        }
+    }
+    Ok((x, u))
+}
+
+/// Rows of a matrix, a number that `is_allowed`.
 fn rows(
     name: &str,
     segment: usize,
     object: &Bound<'_, PyAny>,
     width: usize,
+    is_allowed: &dyn Fn(usize) -> bool,
 ) -> PyResult<Vec<Vec<f64>>> {
     let name = format!("{name} of segment {segment}");
-    let array = any_shape::<f64>(&name, object)?;
-    match array.shape() {
-        [_, found] if *found == width => {
-            Ok(array.slice().chunks(width).map(<[f64]>::to_vec).collect())
-        }
-        shape => Err(PyValueError::new_err(format!(
-            "the {name} have the shape {}; expected (steps, {width})",
-            tuple(shape)
-        ))),
-    }
+    let array = Argument::<f64>::read(&name, object, &|shape| match *shape {
+        [steps, found] if found == width && is_allowed(steps) => Ok(()),
+        [steps, found] if found == width => Err(format!(
+            "the {name} have {steps} rows; expected as many as the states, or one less"
+        )),
+        _ => Err(format!("the {name} have the shape {}; expected (steps, {width})", tuple(shape))),
+    })?;
+    // A matrix without columns has rows too.
+    let row = |i: usize| array.slice()[i * width..(i + 1) * width].to_vec();
+    Ok((0..array.shape()[0]).map(row).collect())
 }
 
 /// Checks the derivatives of a task and a policy against dual numbers, as `physgrad check` does.

@@ -1,11 +1,11 @@
 //! `optimize`: controls that minimize the loss from one initial state.
 
 use crate::arrays::{any_shape, array};
+use crate::errors::invalid;
 use crate::interrupt::interruptible;
 use crate::task::Task;
 use numpy::IntoPyArray;
 use physgrad::optimize::{Initial, Options, optimize as minimize};
-use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -30,14 +30,8 @@ pub fn optimize<'py>(
     iterations: Option<usize>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let [n, m, params] = task.scene.dims();
-    let start = any_shape::<f64>("start", start)?;
-    if start.slice().len() != n + params {
-        return Err(PyValueError::new_err(format!(
-            "`start` has {} numbers; expected {}",
-            start.slice().len(),
-            n + params
-        )));
-    }
+    let start = any_shape::<f64>("start", start, n + params)?;
+    task.check_params(start.slice(), n + params)?;
     let mut options = Options { bounds, ..Options::default() };
     options.max_iterations = iterations.unwrap_or(options.max_iterations);
     let (problem, start) = (task.scene.task(), start.slice().to_vec());
@@ -46,7 +40,7 @@ pub fn optimize<'py>(
         let (x0, p) = start.split_at(n);
         minimize(&problem, x0, p, Initial::Zeros, &options)
     })?;
-    let plan = plan.map_err(|error| PyValueError::new_err(error.to_string()))?;
+    let plan = plan.map_err(|error| invalid(error.to_string()))?;
     let (horizon, result) = (plan.horizon(), PyDict::new(py));
     result.set_item("cost", plan.cost)?;
     result.set_item("iterations", plan.iterations())?;

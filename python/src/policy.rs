@@ -1,7 +1,7 @@
 //! [`Policy`]: a policy with its parameters.
 
 use crate::arrays::{Argument, any_shape, array, is_f32, read_only, with_precision};
-use crate::errors::{check_regular, fits, runtime_error, value_error};
+use crate::errors::{check_regular, fits, invalid, runtime_error, value_error};
 use crate::interrupt::{in_parts, interruptible};
 use crate::settings::keywords;
 use crate::task::{TOP, Task};
@@ -51,7 +51,8 @@ impl Policy {
 
     #[setter]
     fn set_theta(&self, theta: &Bound<'_, PyAny>) -> PyResult<()> {
-        let theta = any_shape::<f64>("theta", theta)?.to_vec()?;
+        let count = self.lock().theta().len();
+        let theta = any_shape::<f64>("theta", theta, count)?.to_vec()?;
         self.lock().set_theta(theta).map_err(value_error)
     }
 
@@ -86,16 +87,24 @@ impl Policy {
     /// Replaces the parameters by those of a policy file. The tensors of the network must have the
     /// names and shapes of this policy. If file and policy have trained numbers, their names and
     /// bounds must be equal. Without trained numbers in the file, those of this policy get their
-    /// initial values. Raises `ValueError` if the path is no file, for example a pipe.
+    /// initial values. Raises `ValueError` if the path is no file, for example a pipe, or if the
+    /// file is larger than one of this policy can be. Ctrl-C raises `KeyboardInterrupt`.
     fn load(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         check_regular(&path)?;
-        let bytes = py
-            .detach(|| std::fs::read(&path))
-            .map_err(|error| with_path(PyErr::from(error), &path))?;
-        let scene = self.lock().scene().clone();
-        let read = api::Policy::read(&scene, &bytes)
-            .map_err(|error| value_error(error.context(path.display().to_string())))?;
-        *self.lock() = read;
+        let policy = self.lock().clone();
+        let (shown, most) = (path.display().to_string(), policy.most_bytes());
+        let read = interruptible(py, move |_| {
+            let bytes = api::read_file(&path, most)
+                .map_err(|error| with_path(PyErr::from(error), &path))?
+                .ok_or_else(|| {
+                    invalid(format!(
+                        "{} has more than {most} bytes, the limit of a file of this policy",
+                        path.display()
+                    ))
+                })?;
+            PyResult::Ok(api::Policy::read(policy.scene(), &bytes))
+        })??;
+        *self.lock() = read.map_err(|error| value_error(error.context(shown)))?;
         Ok(())
     }
 
@@ -116,7 +125,8 @@ impl Policy {
 /// An error of the file system with the path in its message.
 pub fn with_path(error: PyErr, path: &Path) -> PyErr {
     Python::attach(|py| {
-        PyErr::from_type(error.get_type(py), format!("{}: {}", path.display(), error.value(py)))
+        let text = format!("{}: {}", path.display(), error.value(py));
+        PyErr::from_type(error.get_type(py), api::plain(&text).into_owned())
     })
 }
 
@@ -136,6 +146,7 @@ pub fn rollout<'py>(
     let [n, m, params] = task.scene.dims();
     with_precision!(is_f32([starts]), F => {
         let (starts, b) = Argument::<F>::first("starts", starts, n + params)?;
+        task.check_params(starts.slice(), n + params)?;
         let (starts, scene) = (starts.to_vec()?, task.scene.clone());
         let found = interruptible(py, move |stop| policy.rollouts::<F>(&scene, &starts, stop))?.map_err(value_error)?;
         let horizon = task.scene.horizon();
@@ -158,6 +169,7 @@ pub fn losses<'py>(
     let [n, _, params] = task.scene.dims();
     with_precision!(is_f32([starts]), F => {
         let (starts, b) = Argument::<F>::first("starts", starts, n + params)?;
+        task.check_params(starts.slice(), n + params)?;
         let (starts, scene) = (starts.to_vec()?, task.scene.clone());
         let losses = interruptible(py, move |stop| policy.losses::<F>(&scene, &starts, stop))?.map_err(value_error)?;
         Ok(array(py, losses, &[b])?.into_any())
@@ -188,6 +200,7 @@ pub fn gradients<'py>(
     let chosen = fields.iter().map(parse).collect::<PyResult<Vec<Field>>>()?;
     with_precision!(is_f32([starts]), F => {
         let (starts, b) = Argument::<F>::first("starts", starts, n + params)?;
+        task.check_params(starts.slice(), n + params)?;
         if b == 0 {
             return Err(PyValueError::new_err("`starts` has no rows; a mean loss needs at least one"));
         }
@@ -208,6 +221,6 @@ pub fn replace_file(path: &Path, bytes: &[u8]) -> PyResult<()> {
         let kind = error
             .downcast_ref::<std::io::Error>()
             .map_or(std::io::ErrorKind::Other, std::io::Error::kind);
-        PyErr::from(std::io::Error::new(kind, format!("{error:#}")))
+        PyErr::from(std::io::Error::new(kind, api::plain(&format!("{error:#}")).into_owned()))
     })
 }

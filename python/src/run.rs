@@ -1,10 +1,10 @@
 //! [`Run`]: a training.
 
 use crate::arrays::dict_of_vectors;
-use crate::errors::{caught, runtime_error, value_error};
+use crate::errors::{caught, invalid, runtime_error, value_error};
 use crate::interrupt::{POLL, interruptible};
 use crate::policy::{Policy, replace_file};
-use crate::settings::keywords;
+use crate::settings::{Settings, is_same, keywords, setting};
 use crate::task::{TOP, Task};
 use crate::threads;
 use physgrad::train::{Record, Warning};
@@ -36,6 +36,24 @@ impl Run {
     }
 }
 
+/// Refuses settings of the policy that differ from those of the given one, which a training keeps.
+fn check_policy_settings(settings: &Settings, scene: &api::Scene) -> PyResult<()> {
+    for (key, value) in settings {
+        let own = match &**key {
+            "initial_policy" => None,
+            key if key.starts_with("policy.") => setting(scene, key),
+            _ => continue,
+        };
+        if own.as_ref().is_none_or(|own| !is_same(own, value)) {
+            let own = own.map_or_else(|| "another value".to_owned(), |own| own.to_string());
+            return Err(invalid(format!(
+                "`{key}` is {value}, but the given policy has {own}; create the policy with this setting, or omit `policy`"
+            )));
+        }
+    }
+    Ok(())
+}
+
 fn lock(run: &Mutex<api::Run>) -> PyResult<MutexGuard<'_, api::Run>> {
     use std::sync::TryLockError;
     match run.try_lock() {
@@ -60,8 +78,12 @@ impl Run {
     ) -> PyResult<Self> {
         let threads = threads
             .map_or_else(threads::number, |threads| threads::checked("`threads`", threads))?;
-        let scene = task.scene.with(keywords(settings, "training", &TOP)?).map_err(value_error)?;
+        let settings = keywords(settings, "training", &TOP)?;
         let policy = policy.map(|policy| policy.lock().clone());
+        if let Some(policy) = &policy {
+            check_policy_settings(&settings, policy.scene())?;
+        }
+        let scene = task.scene.with(settings).map_err(value_error)?;
         Self::of(interruptible(py, move |_| api::Run::new(&scene, policy.as_ref(), threads))?)
     }
 
@@ -222,7 +244,8 @@ impl Watcher {
         let kind = |warning: &Warning| (warning.kind, warning.number.clone());
         for warning in event.warnings.iter().filter(|warning| !self.warned.contains(&kind(warning)))
         {
-            let text = std::ffi::CString::new(warning.to_string()).unwrap_or_default();
+            let text =
+                std::ffi::CString::new(&*api::plain(&warning.to_string())).unwrap_or_default();
             PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &text, 1)?;
         }
         for warning in event.warnings.iter().map(kind) {

@@ -1,9 +1,12 @@
 //! Settings of a scene as Python objects.
 
+use crate::errors::invalid;
+use physgrad_cli::api::Scene;
 use pyo3::IntoPyObjectExt;
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
+use std::collections::HashMap;
 use toml::{Table, Value};
 
 /// Sections whose values are sections.
@@ -18,6 +21,9 @@ pub type Settings = Vec<(String, Value)>;
 /// Settings from keyword arguments. The argument `settings` is a dict. Each key of this dict is
 /// dotted, or names a setting outside of sections, or names a section whose value is a dict. Other
 /// arguments are sections, settings in `top`, or settings of `section`.
+///
+/// # Errors
+/// `ValueError` if a setting has two different values.
 pub fn keywords(
     kwargs: Option<&Bound<'_, PyDict>>,
     section: &str,
@@ -36,7 +42,28 @@ pub fn keywords(
             settings.push((format!("{section}.{key}"), value_of(&key, &value)?));
         }
     }
+    let mut seen = HashMap::new();
+    for (key, value) in &settings {
+        if let Some(before) = seen.insert(key, value).filter(|before| !is_same(before, value)) {
+            return Err(invalid(format!("`{key}` is {before} and {value}; give one value")));
+        }
+    }
     Ok(settings)
+}
+
+/// The value of a setting of a scene.
+pub fn setting(scene: &Scene, key: &str) -> Option<Value> {
+    let settings = Value::Table(scene.settings());
+    key.split('.').try_fold(&settings, |found, part| found.as_table()?.get(part)).cloned()
+}
+
+/// Returns whether two values of a setting are equal. Integers are also numbers, as 1 and 1.0.
+pub fn is_same(a: &Value, b: &Value) -> bool {
+    let number = |value: &Value| value.as_float().or(value.as_integer().map(|value| value as f64));
+    match (number(a), number(b)) {
+        (Some(a), Some(b)) => a == b,
+        _ => a == b,
+    }
 }
 
 /// Adds one setting, or all settings of a section.

@@ -13,6 +13,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 use std::path::Path;
+use std::sync::OnceLock;
 
 /// Settings outside of all sections that functions accept as keyword arguments.
 pub const TOP: [&str; 7] = ["horizon", "precision", "field", "epochs", "seed", "tags", "log"];
@@ -32,12 +33,38 @@ pub struct Task {
     n: usize,
     m: usize,
     params: usize,
+    /// Parameters without negative values, and whether each may be 0.
+    ranges: OnceLock<Vec<(usize, bool)>>,
 }
 
 impl Task {
     pub fn new(scene: Scene) -> Self {
         let [n, m, params] = scene.dims();
-        Self { task: scene.task(), scene, n, m, params }
+        Self { task: scene.task(), scene, n, m, params, ranges: OnceLock::new() }
+    }
+
+    /// Refuses parameters outside of the ranges of their settings, such as a mass of 0. They are the
+    /// last numbers of the rows, which have this width.
+    pub fn check_params<F: Number>(&self, rows: &[F], width: usize) -> PyResult<()> {
+        if self.params == 0 {
+            return Ok(());
+        }
+        let ranges = self.ranges.get_or_init(|| self.scene.signed_params());
+        if ranges.is_empty() {
+            return Ok(());
+        }
+        for (row, numbers) in rows.chunks(width).enumerate() {
+            let p = &numbers[width - self.params..];
+            let is_bad = |&(i, allows_zero): &(usize, bool)| {
+                p[i] < F::zero() || (p[i] == F::zero() && !allows_zero)
+            };
+            if ranges.iter().any(is_bad) {
+                let p: Vec<f64> = p.iter().map(|p| p.to_f64()).collect();
+                let named = |error: anyhow::Error| value_error(error.context(format!("row {row}")));
+                self.scene.check_params(&p).map_err(named)?;
+            }
+        }
+        Ok(())
     }
 
     fn observed(&self) -> usize {
@@ -56,7 +83,11 @@ impl Task {
         let (x, count) = Argument::first("x", x, self.n)?;
         let u = u.map(|u| Argument::matrix("u", u, count, self.m)).transpose()?;
         let p = match p {
-            Some(p) => Argument::matrix("p", p, count, self.params)?,
+            Some(p) => {
+                let p = Argument::<F>::matrix("p", p, count, self.params)?;
+                self.check_params(p.slice(), self.params)?;
+                p
+            }
             None if self.params == 0 => {
                 Argument::matrix("p", array::<F>(py, Vec::new(), &[count, 0])?.as_any(), count, 0)?
             }

@@ -125,6 +125,47 @@ def test_masked_arrays_are_refused_and_numpy_booleans_are_booleans():
         task.step(x, u)
 
 
+def test_drawn_numbers_out_of_their_range_are_refused():
+    task = pg.task("cart_pole", poles=1, horizon=5, pole_mass={"uniform": [0.1, 0.2]}, precision="f64")
+    starts, policy, u = task.starts(3, seed=1), pg.Policy(task), np.zeros((3, 1))
+    for value in (0.0, -0.1):
+        bad = starts.copy()
+        bad[1, -1] = value
+        x, p = bad[:, :4], bad[:, 4:]
+        for call in (
+            lambda: task.step(x, u, p=p),
+            lambda: task.step_vjp(x, u, x, p=p),
+            lambda: task.observe(x, p=p),
+            lambda: task.terminal_cost(x, p=p),
+            lambda: pg.losses(task, policy, bad),
+            lambda: pg.gradients(task, policy, bad.astype("f4")),
+            lambda: pg.rollout(task, policy, bad),
+        ):
+            with pytest.raises(ValueError, match="row 1: `system.pole_mass` is .*; allowed: a positive number"):
+                call()
+        with pytest.raises(ValueError, match="`system.pole_mass` is .*; allowed: a positive number"):
+            pg.optimize(task, bad[1])
+
+
+def test_two_values_of_one_setting_are_refused():
+    task = pg.task("cart_pole", poles=1)
+    policy = pg.Mlp(task, [8], seed=1)
+    for call, message in [
+        (lambda: pg.task("cart_pole", system={"poles": 1}, poles=2), "`system.poles` is 1 and 2; give one value"),
+        (lambda: pg.task("cart_pole", settings={"system.poles": 1}, poles=2), "`system.poles` is 1 and 2"),
+        (lambda: task.replace(settings={"horizon": 5}, horizon=6), "`horizon` is 5 and 6"),
+        (lambda: pg.Mlp(task, [8], policy={"widths": [5]}), "`policy.widths` is "),
+        (lambda: pg.Run(task, training={"learning_rate": 0.5}, learning_rate=0.25), "`training.learning_rate` is 0.5 and 0.25"),
+        (lambda: pg.Run(task, policy, settings={"policy.widths": [5]}), r"`policy.widths` is \[5\], but the given policy has \[8\]"),
+        (lambda: pg.Run(task, policy, policy={"activation": "relu"}), None),
+        (lambda: pg.Run(task, policy, settings={"initial_policy": "x.safetensors"}), "`initial_policy` is "),
+    ]:
+        with pytest.raises((ValueError, TypeError), match=message):
+            call()
+    pg.task("cart_pole", system={"poles": 1}, poles=1)
+    pg.Run(task, policy, settings={"policy.widths": [8]}, epochs=1)
+
+
 def test_attributes_and_settings():
     task = pg.task("cart_pole", poles=2, horizon=20, effects={"pole_damping": {}}, settings={"training.batch": 4})
     assert (task.name, task.state_dim, task.control_dim, task.param_dim, task.horizon) == ("cart_pole", 6, 1, 0, 20)

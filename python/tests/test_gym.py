@@ -131,6 +131,7 @@ def test_partial_resets_keep_other_environments():
         (np.array([True, False]), ValueError, r"the shape \(2,\); expected \(3,\)"),
         (np.ones((3, 1), bool), ValueError, r"the shape \(3, 1\)"),
         (np.zeros(3, bool), ValueError, "selects no environment"),
+        (np.ma.masked_array([False, True, False], [True, False, False]), ValueError, "`reset_mask` is a masked array"),
     ],
 )
 def test_masks_of_another_type_or_shape_are_refused(mask, error, message):
@@ -194,6 +195,48 @@ def test_states_that_are_not_finite_are_named():
     with pytest.raises(FloatingPointError, match="environment 0, step .*: `.*` is not finite. Use a smaller `bound`"):
         for _ in range(100):
             env.step(np.ones(1, np.float32))
+
+
+def test_masked_arrays_are_refused():
+    env, envs = pg.gym.make("cart_pole", poles=1), pg.gym.make_vec("cart_pole", 2, poles=1)
+    env.reset(seed=0)
+    envs.reset(seed=0)
+    before = env.state, envs.state
+    state, action = np.ma.masked_array(np.zeros(4), [True] + [False] * 3), np.ma.masked_array([0.5], [True])
+    for call, name in [
+        (lambda: env.reset(options={"state": state}), "state"),
+        (lambda: envs.reset(options={"state": [state, state]}), "state"),
+        (lambda: env.step(action), "action"),
+        (lambda: envs.step([action, action]), "actions"),
+        (lambda: pg.gym.make("cart_pole", poles=1, bound=action), "bound"),
+    ]:
+        with pytest.raises(ValueError, match=f"`{name}` is a masked array"):
+            call()
+    assert np.array_equal(env.state, before[0]) and np.array_equal(envs.state, before[1])
+
+
+def test_parameters_out_of_their_range_are_refused_at_the_reset():
+    settings = {"poles": 1, "pole_mass": {"uniform": [0.1, 0.2]}}
+    env, envs = pg.gym.make("cart_pole", **settings), pg.gym.make_vec("cart_pole", 2, **settings)
+    env.reset(seed=0)
+    envs.reset(seed=0)
+    before = env.state, env.params, envs.params
+    for value in (0.0, -0.2):
+        with pytest.raises(ValueError, match="`system.pole_mass` is .*; allowed: a positive number"):
+            env.reset(options={"params": [value]})
+        with pytest.raises(ValueError, match="`system.pole_mass` is .*; allowed: a positive number"):
+            envs.reset(options={"params": [[0.1], [value]]})
+    assert all(map(np.array_equal, (env.state, env.params, envs.params), before))
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_a_step_before_the_first_reset_is_refused(mode):
+    envs = pg.gym.TaskVectorEnv(pg.task("cart_pole", poles=1), 2, 5.0, mode)
+    with pytest.raises(RuntimeError, match=r"environments \[0 1\]: the episode has not begun. Call `reset` first"):
+        envs.step(np.zeros((2, 1), np.float32))
+    envs.reset(options={"reset_mask": np.array([True, False])})
+    with pytest.raises(RuntimeError, match=r"environments \[1\]: the episode has not begun"):
+        envs.step(np.zeros((2, 1), np.float32))
 
 
 def test_actions_that_are_not_finite_are_refused():

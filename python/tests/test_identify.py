@@ -1,6 +1,9 @@
 """Identification and checks of derivatives."""
 
 import re
+import subprocess
+import sys
+import warnings
 
 import numpy as np
 import pytest
@@ -59,6 +62,105 @@ def test_angles_may_wrap():
     assert (np.abs(np.diff(x[..., 2])) > np.pi).any()
     fit = pg.identify(task, [(x[i, :-1], u[i]) for i in range(4)], params={"system.pole_mass": 0.1})
     assert np.isclose(fit["values"]["system.pole_mass"], 0.17, rtol=1e-6)
+
+
+def test_warnings_of_a_fit_are_in_its_result_and_are_raised():
+    task, data = measured()
+    params, noise = {"system.pole_mass": 0.1}, [1e-3] * 4
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        fit = pg.identify(task, data, params)
+    assert fit["warnings"] == [] and fit["notes"] == []
+    rng = np.random.default_rng(0)
+    noisy = [(x + 0.1 * rng.normal(size=x.shape), u) for x, u in data]
+    unseen = [(np.where(np.arange(4) == 0, np.nan, x), u) for x, u in data]
+    for given, noise, start in [
+        (noisy, noise, "χ² per degree of freedom is "),
+        (unseen, None, "the data do not determine the initial values of x; measure them in the first row of each segment"),
+    ]:
+        with pytest.warns(UserWarning) as raised:
+            fit = pg.identify(task, given, params, noise)
+        assert [str(warning.message) for warning in raised] == fit["warnings"]
+        assert any(warning.startswith(start) for warning in fit["warnings"]), fit["warnings"]
+        assert "--" not in "".join(fit["warnings"]), "options of the command line"
+
+
+def test_angles_that_turn_by_more_than_half_a_turn_between_rows_are_a_warning():
+    task = pg.task("cart_pole", poles=1, horizon=40, precision="f64")
+    u = np.random.default_rng(1).normal(size=(2, 40, 1))
+    x = np.zeros((2, 40, 4))
+    x[:, 0, 2:] = [[3.0, 60.0], [3.0, -60.0]]
+    for t in range(39):
+        x[:, t + 1] = task.replace(cart_mass=1.3).step(x[:, t], u[:, t])
+    x[..., 2] = np.pi - np.mod(np.pi - x[..., 2], 2 * np.pi)
+    x[:, np.arange(40) % 8 != 0, 2] = np.nan
+    with pytest.warns(UserWarning, match="theta_1 is more than half a turn from the simulated one in .* rows"):
+        fit = pg.identify(task, list(zip(x, u)), ["system.cart_mass"], [0.01, 0.05, 0.01, 0.05])
+    assert fit["notes"][0].startswith("theta_1 wraps: the fit removes ") and "(first row 8 of segment 0)" in fit["notes"][0]
+
+
+def test_numbers_of_rows_have_a_limit():
+    task = pg.task("cart_pole", poles=1)
+
+    def segment(rows):
+        return np.broadcast_to(np.zeros(4), (rows, 4)), np.broadcast_to(np.zeros(1), (rows, 1))
+
+    x, u = segment(10**6)
+    for data in ([segment(10**12)], [segment(3 * 10**7)], [(x, u)] * 60, [{"x": x, "u": u}] * 60):
+        with pytest.raises(MemoryError, match="rows in total; allowed: "):
+            pg.identify(task, data, ["system.cart_mass"])
+    # Wrong shapes are found before a copy.
+    with pytest.raises(ValueError, match="states of segment 0 have the shape"):
+        pg.identify(task, [(np.broadcast_to(np.zeros(1), (3, 10**9)), u[:3])], ["system.cart_mass"])
+    with pytest.raises(ValueError, match="controls of segment 0 have 1000000 rows"):
+        pg.identify(task, [(x[:3], u)], ["system.cart_mass"])
+
+
+LARGE = """
+import numpy as np, physgrad as pg, resource
+task = pg.task("cart_pole", poles=1)
+resource.setrlimit(resource.RLIMIT_AS, (3 << 30, 3 << 30))
+x, u = np.broadcast_to(np.zeros(4), (3 * 10**6, 4)), np.broadcast_to(np.zeros(1), (3 * 10**6, 1))
+try:
+    pg.identify(task, [(x, u)], ["system.cart_mass"])
+except MemoryError as error:
+    print(error)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits the memory as Linux does")
+def test_a_fit_that_does_not_fit_into_memory_is_refused_before_it_begins():
+    ran = subprocess.run([sys.executable, "-c", LARGE], capture_output=True, text=True, timeout=120)
+    assert ran.returncode == 0 and ran.stdout.startswith("the fit would take"), ran.stdout + ran.stderr
+
+
+@pytest.mark.parametrize("rows, is_allowed", [(40, True), (39, True), (38, False), (41, False), (50, False), (0, False)])
+def test_controls_have_as_many_rows_as_the_states_or_one_less(rows, is_allowed):
+    task, [(x, u), *_] = measured()
+    u = np.resize(u, (rows, 1))
+    if is_allowed:
+        assert pg.identify(task, [(x, u)], {"system.pole_mass": 0.1})["converged"]
+    else:
+        message = f"the controls of segment 0 have {rows} rows; expected as many as the states, or one less"
+        with pytest.raises(ValueError, match=message):
+            pg.identify(task, [(x, u)], {"system.pole_mass": 0.1})
+
+
+def test_only_nan_marks_a_missing_measurement():
+    task, [(x, u), *_] = measured()
+    for name, array, value in [("states", x, np.inf), ("states", x, -np.inf), ("controls", u, np.inf), ("controls", u, np.nan)]:
+        changed = {"states": x.copy(), "controls": u.copy()}
+        changed[name][7, -1] = value
+        message = f"{name} of segment 0: row 7 has {str(value).replace('nan', 'NaN')} in column {array.shape[1] - 1}"
+        with pytest.raises(ValueError, match=message):
+            pg.identify(task, [tuple(changed.values())], {"system.pole_mass": 0.1})
+
+
+@pytest.mark.parametrize("noise", [1e-200, 1e200, 0.0, -1.0, np.nan])
+def test_noise_without_a_size_is_refused(noise):
+    task, data = measured()
+    with pytest.raises(ValueError, match=r"the noise of state component 2 is .*; allowed: 1e-100 to 1e100"):
+        pg.identify(task, data, {"system.pole_mass": 0.1}, [0.1, 0.1, noise, 0.1])
 
 
 def test_names_start_at_the_values_of_the_task():

@@ -241,6 +241,12 @@ def test_second_derivatives_are_refused(mode):
             print(name, SECOND[mode](lambda x: f(x, *others), x))
 
 
+def test_the_error_of_second_derivatives_names_forward_mode():
+    f, (x, *others) = cases(task("params"))["step"]
+    with pytest.raises(RuntimeError, match="use `torch.func.jvp` instead"):
+        torch.autograd.functional.jvp(lambda x: f(x, *others), x, torch.ones_like(x))
+
+
 def test_products_are_differentiable_by_their_tangents():
     of = task("params")
     x, u, p = (tensor.detach() for tensor in batch(of))

@@ -156,6 +156,59 @@ def test_policies_of_other_trained_numbers_are_refused(tmp_path):
             pg.Policy(other).load(tmp_path / "policy.safetensors")
 
 
+def test_policies_of_another_task_are_refused():
+    slider, bounce = pg.task("slider", horizon=5), pg.task("bounce", horizon=5)
+    sizes = [(task.observation_dim, task.control_dim, task.start_dim) for task in (slider, bounce)]
+    assert sizes[0] == sizes[1]
+    policy, starts = pg.Policy(slider), bounce.starts(2)
+    for call in (
+        lambda: pg.rollout(bounce, policy, starts),
+        lambda: pg.losses(bounce, policy, starts),
+        lambda: pg.gradients(bounce, policy, starts),
+        lambda: pg.Run(bounce, policy),
+        lambda: pg.check(bounce, policy),
+    ):
+        with pytest.raises(ValueError, match="it is a policy of the task `slider`, but the task of the scene is `bounce`"):
+            call()
+
+
+def test_large_policy_files_are_refused(tmp_path):
+    path, policy = tmp_path / "policy.safetensors", pg.Policy(pg.task("pendulum"))
+    with path.open("wb") as file:
+        file.truncate(10**12)
+    with pytest.raises(ValueError, match="has more than .* bytes, the limit of a file of this policy"):
+        policy.load(path)
+
+
+def test_exceptions_have_no_escape_sequences_of_foreign_files(tmp_path):
+    escape = chr(27) + "]0;name" + chr(7)
+    scene = tmp_path / "scene.toml"
+    for lines in (
+        ['field = "\\u001b]0;name\\u0007"'],
+        ['"\\u001b]0;name\\u0007" = 1'],
+        ['initial_policy = "\\u001b]0;name\\u0007"'],
+        [f"[x{escape}"],
+    ):
+        scene.write_text("\n".join(['scene = 1', 'task = "cart_pole"', *lines]))
+        with pytest.raises(Exception) as error:
+            pg.Run(pg.task(scene), epochs=1)
+        assert chr(27) not in str(error.value) and chr(7) not in str(error.value)
+        assert "u{1b}" in str(error.value) or "u001b" in str(error.value), str(error.value)
+    task, path = pg.task("pendulum"), tmp_path / "policy.safetensors"
+    pg.Policy(task).save(path)
+    header, (name, forged) = path.read_bytes(), (b"layer1.kernel", b"\\u001b[31mred[")
+    assert name in header
+    size = int.from_bytes(header[:8], "little")
+    text = header[8 : 8 + size].replace(b'"' + name + b'"', b'"' + forged + b'"')
+    path.write_bytes(len(text).to_bytes(8, "little") + text + header[8 + size :])
+    with pytest.raises(ValueError) as error:
+        pg.Policy(task).load(path)
+    assert chr(27) not in str(error.value) and "u{1b}[31mred" in str(error.value), str(error.value)
+    with pytest.raises(Exception) as error:
+        pg.Policy(task).load(tmp_path / f"{escape}.safetensors")
+    assert chr(27) not in str(error.value)
+
+
 def test_saving_in_a_folder_with_another_run_keeps_both(tmp_path, monkeypatch):
     runs = [pg.train(small(), field="C", epochs=1, seed=seed, **FAST) for seed in (1, 2)]
     for run in (runs[0], runs[1], runs[0], runs[0]):

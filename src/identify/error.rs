@@ -36,12 +36,12 @@ pub enum IdentifyError {
         /// Length expected.
         expected: usize,
     },
-    /// A control or a parameter is non-finite.
+    /// A control or a parameter is non-finite, or a measured state is infinite.
     #[error("segment {segment}: a {what} is not finite; allowed: finite numbers")]
     NonFinite {
         /// Index of the segment.
         segment: usize,
-        /// `control` or `parameter`.
+        /// `control`, `parameter` or `measured state`.
         what: &'static str,
     },
     /// A segment has no samples.
@@ -82,10 +82,8 @@ pub enum IdentifyError {
         /// Number of state components.
         expected: usize,
     },
-    /// A standard deviation of the noise is not positive and finite.
-    #[error(
-        "the noise of state component {component} is {noise}; allowed: positive finite numbers"
-    )]
+    /// A standard deviation of the noise is not positive and finite, or its square is out of range.
+    #[error("the noise of state component {component} is {noise}; allowed: 1e-100 to 1e100")]
     Noise {
         /// Component of the state.
         component: usize,

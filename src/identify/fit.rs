@@ -14,8 +14,8 @@ use std::sync::atomic::AtomicBool;
 /// A measured trajectory, one row per step of the system.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Segment {
-    /// Measured states, `[step][component]`. NaN marks a missing number. Infinite numbers also
-    /// count as missing.
+    /// Measured states, `[step][component]`. NaN marks a missing number.
+    /// [`identify`] refuses infinite numbers.
     pub x: Vec<Vec<f64>>,
     /// Controls, `[step][component]`, one row per step from each measured state to the next.
     /// Without any row, all controls are 0.

@@ -7,6 +7,7 @@ use super::jacobian::{Model, Run};
 #[cfg(feature = "parallel")]
 use crate::numbers::threads;
 use nalgebra::DMatrix;
+use std::ops::RangeInclusive;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Consecutive steps of a segment, with their own initial state.
@@ -26,6 +27,9 @@ pub(super) struct Point {
     pub values: Vec<f64>,
     pub windows: Vec<Window>,
 }
+
+/// Standard deviations of the noise whose squared ratios to measurements neither overflow nor vanish.
+const NOISE: RangeInclusive<f64> = 1e-100..=1e100;
 
 /// Relative changes of a number without derivative that may change the simulation.
 const CHANGES: [f64; 5] = [1e-3, 1e-2, 0.1, 0.5, 1.0];
@@ -66,9 +70,7 @@ impl<'a> Problem<'a> {
             return Err(IdentifyError::NoiseCount { found: noise.len(), expected: n });
         }
         let noise = options.noise.iter().flatten().copied().enumerate();
-        if let Some((component, noise)) = { noise }
-            .find(|(_, noise)| !(*noise > 0.0 && noise.is_finite() && noise.recip().is_finite()))
-        {
+        if let Some((component, noise)) = { noise }.find(|(_, noise)| !NOISE.contains(noise)) {
             return Err(IdentifyError::Noise { component, noise });
         }
         if let Some(&component) = options.angles.iter().find(|&&component| component >= n) {
@@ -93,6 +95,9 @@ impl<'a> Problem<'a> {
                 if numbers.drain(..).any(|number| !number.is_finite()) {
                     return Err(IdentifyError::NonFinite { segment, what });
                 }
+            }
+            if x.iter().flatten().any(|y| y.is_infinite()) {
+                return Err(IdentifyError::NonFinite { segment, what: "measured state" });
             }
             let first = x.first().ok_or(IdentifyError::Empty { segment })?;
             if let (false, Some(component)) =

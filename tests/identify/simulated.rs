@@ -409,14 +409,21 @@ fn wrong_data_are_refused() {
         short,
         "the list of noise levels has 1 numbers; expected 2, one per state component"
     );
-    for noise in [0.0, -0.1, f64::NAN, f64::INFINITY] {
+    let mut infinite = good.clone();
+    infinite.x[1][0] = f64::NEG_INFINITY;
+    assert_eq!(
+        with(&[infinite], Options::default()),
+        "segment 0: a measured state is not finite; allowed: finite numbers"
+    );
+    // The squares of residuals in units of the last two would overflow, and vanish.
+    for noise in [0.0, -0.1, f64::NAN, f64::INFINITY, 1e-200, 1e200] {
         let error = with(
             std::slice::from_ref(&good),
             Options { noise: Some(vec![0.1, noise]), ..Options::default() },
         );
         assert_eq!(
             error,
-            format!("the noise of state component 1 is {noise}; allowed: positive finite numbers")
+            format!("the noise of state component 1 is {noise}; allowed: 1e-100 to 1e100")
         );
     }
 }

@@ -17,6 +17,8 @@ mod run;
 mod scene;
 
 pub use crate::commands::accuracy::{Cheapest, Errors, Measured, Metric, Row, Setting};
+pub use crate::commands::identify::remarks::Remarks;
+pub use crate::platform::terminal::plain;
 pub use crate::runs::run::{EpochEvent, Observer};
 pub use crate::settings::Precision;
 pub use memory::{TooLarge, fits};
@@ -29,6 +31,14 @@ pub use scene::Scene;
 /// Names of all tasks, each of which is also the name of a preset.
 pub fn task_names() -> Vec<&'static str> {
     crate::tasks::all().iter().map(|task| task.name()).collect()
+}
+
+/// Contents of a file of up to `most` bytes. None if it has more.
+///
+/// # Errors
+/// The file cannot be read.
+pub fn read_file(path: &std::path::Path, most: usize) -> std::io::Result<Option<Vec<u8>>> {
+    crate::platform::files::read(path, most)
 }
 
 /// Replaces the file at this path as a whole, by a temporary file beside it.

@@ -1,9 +1,9 @@
 //! [`Policy`]: the policy of a scene with its parameters.
 
 use super::{Scene, fits};
-use crate::operations::policy_file;
+use crate::operations::policy_file::{self, About};
 use crate::tasks::ScenePolicy;
-use anyhow::{Result, anyhow, bail};
+use anyhow::{Context, Result, anyhow, bail};
 use physgrad::engine::any::AnyTask;
 use physgrad::policy::AnyPolicy;
 use physgrad::train::{Trajectories, calls};
@@ -54,6 +54,29 @@ impl Policy {
     /// The parameters.
     pub fn theta(&self) -> &[f64] {
         &self.theta
+    }
+
+    /// Largest size of a file of this policy, bytes: its numbers in f64, those of trained numbers in
+    /// another scene, and descriptions.
+    pub fn most_bytes(&self) -> usize {
+        const DESCRIPTIONS: usize = 1 << 20;
+        8 * self.theta.len() + DESCRIPTIONS
+    }
+
+    /// Checks that a scene has the task, the observations and the controls of the policy, as for a
+    /// policy file.
+    ///
+    /// # Errors
+    /// One of them differs.
+    pub(super) fn check_meaning(&self, task: &Scene) -> Result<()> {
+        let About { task: name, observations, controls, .. } = self.scene.scene.about();
+        policy_file::check_names(
+            Some(name),
+            Some(observations),
+            Some(controls),
+            &task.scene.about(),
+        )
+        .context("the policy does not fit the task")
     }
 
     /// Replaces the parameters.
@@ -157,6 +180,7 @@ impl Policy {
                 task.name()
             );
         }
+        self.check_meaning(task)?;
         Ok(dyn_task)
     }
 

@@ -31,6 +31,7 @@ impl Run {
     pub fn new(scene: &Scene, policy: Option<&Policy>, threads: usize) -> Result<Self> {
         let mut scene = scene.clone();
         if let Some(policy) = policy {
+            policy.check_meaning(&scene)?;
             scene = scene.with_policy(policy)?;
             let random = Policy::new(&scene, scene.scene.seed);
             let is_random = if scene.is_f64() {

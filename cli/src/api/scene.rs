@@ -1,8 +1,10 @@
 //! [`Scene`]: task, physics, loss, policy and training.
 
-use super::Policy;
+use super::{Policy, TooLarge, fits};
 use crate::commands::accuracy::{Measured, Setting, Study};
+use crate::commands::identify::remarks::{CALL, Remarks, remarks};
 use crate::operations::checks::Results;
+use crate::operations::identification::{MOST_BYTES, bytes_per_fitted_step, bytes_per_step};
 use crate::scenes::presets;
 use crate::scenes::source::SceneSource;
 use crate::settings::Precision;
@@ -161,6 +163,29 @@ impl Scene {
         self.scene.identify(segments, options)
     }
 
+    /// Largest number of rows of all segments of [`identify`](Self::identify), which then take 1 GB.
+    pub fn most_rows(&self) -> usize {
+        let [states, controls, _] = self.dims();
+        (MOST_BYTES / bytes_per_step(states, controls)) as usize
+    }
+
+    /// Checks that a fit to segments with this number of rows in total fits into memory.
+    ///
+    /// # Errors
+    /// [`TooLarge`].
+    pub fn fits_rows(&self, rows: usize) -> Result<(), TooLarge> {
+        let [states, controls, _] = self.dims();
+        let varied = self.scene.varied();
+        let unknowns = varied.iter().filter(|(_, number)| matches!(number, Number::Trained { .. }));
+        let bytes = bytes_per_fitted_step(states, controls, unknowns.count());
+        fits("the fit", &[rows], bytes as usize)
+    }
+
+    /// Sentences about a fit of [`identify`](Self::identify), as `physgrad identify` prints them.
+    pub fn remarks(&self, fit: &Fit, segments: &[Segment], noise_is_known: bool) -> Remarks {
+        remarks(fit, &self.scene, segments, segments, noise_is_known, &CALL)
+    }
+
     /// Checks values of the parameters of a rollout, against the ranges of their settings. NaN is a
     /// missing value.
     ///
@@ -179,6 +204,19 @@ impl Scene {
             Some(error) => bail!("{error}"),
             None => Ok(()),
         }
+    }
+
+    /// Drawn parameters of a rollout that the ranges of their settings keep from being negative:
+    /// their indices, and whether each may be 0.
+    pub fn signed_params(&self) -> Vec<(usize, bool)> {
+        let count = self.param_names().len();
+        let refuses = |i: usize, value: f64| {
+            let mut p = vec![f64::NAN; count];
+            p[i] = value;
+            self.check_params(&p).is_err()
+        };
+        let negative = (0..count).filter(|&i| refuses(i, -1.0) && !refuses(i, 1.0));
+        negative.map(|i| (i, !refuses(i, 0.0))).collect()
     }
 
     /// Returns whether the physics depends on the time of a segment. A recording that begins between

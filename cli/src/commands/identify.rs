@@ -2,6 +2,7 @@
 
 mod data;
 mod picture;
+pub mod remarks;
 mod table;
 
 use crate::commands::report::identification::{
@@ -17,19 +18,17 @@ use crate::scenes::overrides::{Overrides, hide_training};
 use crate::scenes::presets;
 use crate::tasks::Scene;
 use anyhow::{Context, Result, anyhow, bail};
-use data::{Measured, measured_components};
+use data::Measured;
 use physgrad::Number;
 use physgrad::identify::{Fit, IdentifyError, Options, Segment, Status};
 use physgrad::text::{digits, rough, short};
+use remarks::{COMMAND, Remarks, Rows, measured_components, rms, starts};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// File of the picture.
 const PICTURE: &str = "identified.svg";
-
-/// Largest jump between windows without a warning, in the units of [`Fit::jump`].
-const JUMP: f64 = 1e-3;
 
 /// Fit the numbers in [fit] of a scene to measured trajectories.
 ///
@@ -139,12 +138,13 @@ pub fn identify(args: &Identify) -> Result<()> {
         text +=
             &format!("\nvalidation with {}: {residuals}", counted(others.len(), "other segment"));
     }
-    let mut warnings = warnings(&fit, &scene, !args.noise.is_empty());
-    warnings.extend(measured.warnings(&fitted, &fit, &scene));
-    if args.noise.is_empty() {
-        warnings.extend(misfit(&fit, &segments, &scene));
-    }
-    let notes = measured.notes(&fitted, &fit, &scene);
+    let given = Fitted { measured: &measured, numbers: &fitted };
+    let noise_is_known = !args.noise.is_empty();
+    let Remarks { notes: turns, mut warnings } =
+        remarks::remarks(&fit, &scene, &segments, &given, noise_is_known, &COMMAND);
+    warnings.extend(measured.warnings(&fitted));
+    let mut notes = measured.notes(&fitted);
+    notes.extend(turns);
     if let Err(error) = &found {
         warnings.push(format!("there is no scene.toml and no validation: {error:#}"));
     }
@@ -195,6 +195,23 @@ pub fn identify(args: &Identify) -> Result<()> {
         "{text}\nresults in {results}: report.html, {written}{IDENTIFIED}, {FIT}, {TRAJECTORIES}, identified.svg{validated}"
     ))?;
     failed
+}
+
+/// The fitted segments of a file.
+struct Fitted<'a> {
+    measured: &'a Measured,
+    /// Indices of the segments in the file.
+    numbers: &'a [usize],
+}
+
+impl Rows for Fitted<'_> {
+    fn values(&self, segment: usize, component: usize) -> Vec<f64> {
+        self.measured.values(self.numbers[segment], component)
+    }
+
+    fn place(&self, segment: usize, row: usize) -> [String; 2] {
+        self.measured.place(self.numbers[segment], row)
+    }
 }
 
 /// The error with the name of its segment in the file, and with names of states. `numbers` are the
@@ -249,76 +266,6 @@ fn facts(fit: &Fit, seconds: f64) -> Vec<(&'static str, String)> {
     ]
 }
 
-fn warnings(fit: &Fit, scene: &Scene, noise_is_known: bool) -> Vec<String> {
-    let states = scene.state_names();
-    let named = |components: &[usize]| {
-        listed(&components.iter().map(|&i| states[i].clone()).collect::<Vec<_>>())
-    };
-    let undetermined = fit.undetermined.iter().map(|names| match &names[..] {
-        [name] => format!("the data do not determine {name}; fix it, or measure a motion that it affects"),
-        names => {
-            format!("the data do not determine {} separately; fix one of them, or measure a motion with forces", names.join(", "))
-        }
-    });
-    let rows = fit.names.iter().zip(starts(fit, scene)).zip(fit.values.iter().zip(&fit.statuses));
-    let of_number = rows.filter_map(|((name, start), (&value, status))| match status {
-        Status::AtBound => Some(format!("{name} is at its bound")),
-        Status::RanAway => Some(format!(
-            "{name} ran away from {} to {}, where it has almost no influence, so χ² has no minimum; give it bounds or another \
-             initial value, and check the model",
-            digits(start, 6),
-            digits(value, 6)
-        )),
-        Status::NonFinite => Some(format!(
-            "a derivative of the simulated states by {name} is not finite at {}, so the iterations ended; choose another \
-             initial value, or bounds without such values",
-            digits(value, 6)
-        )),
-        Status::NoSlope => Some(format!(
-            "all derivatives of the simulated states by {name} are 0 at {}, although other values change the states, as for a \
-             number that is only compared; it kept its initial value; fix it, and compare χ² of several values",
-            digits(value, 6)
-        )),
-        Status::Estimated | Status::Undetermined | Status::NotConverged => None,
-    });
-    let mut warnings: Vec<String> = undetermined.chain(of_number).collect();
-    if !fit.non_finite_starts.is_empty() {
-        warnings.push(format!(
-            "a derivative by the initial value of {} is not finite, so the iterations ended; choose other initial values",
-            named(&fit.non_finite_starts)
-        ));
-    }
-    if !fit.undetermined_starts.is_empty() {
-        warnings.push(format!(
-            "the data do not determine the initial values of {}; measure them in the first row of each segment, use \
-             --exact-starts with complete first rows, or choose a longer --window",
-            named(&fit.undetermined_starts)
-        ));
-    }
-    if noise_is_known && fit.is_unlikely() {
-        let ratio = fit.chi_squared / fit.freedom() as f64;
-        warnings.push(format!(
-            "χ² per degree of freedom is {}, far from 1: the residuals are {} times the given noise; check --noise, the units \
-             of the data, and the model",
-            rough(ratio),
-            rough(ratio.sqrt())
-        ));
-    }
-    let is_explained =
-        fit.statuses.iter().any(|status| status.is_failure()) || !fit.non_finite_starts.is_empty();
-    if !fit.converged && !is_explained {
-        warnings
-            .push("the iterations did not end at a smooth minimum of χ²; try other initial values or another --window".into());
-    }
-    if fit.jump > JUMP {
-        warnings.push(format!(
-            "the simulated states jump by {} times the noise between windows; try other initial values or another --window",
-            rough(fit.jump)
-        ));
-    }
-    warnings
-}
-
 /// Standard deviations in the order of the state components. The components `measured` need an
 /// assignment. The default is 1 for others. None without assignments.
 fn noise(assignments: &[String], scene: &Scene, measured: &[usize]) -> Result<Option<Vec<f64>>> {
@@ -354,18 +301,6 @@ fn noise(assignments: &[String], scene: &Scene, measured: &[usize]) -> Result<Op
     Ok(Some(noise.into_iter().map(|noise| noise.unwrap_or(1.0)).collect()))
 }
 
-/// Initial value of each unknown.
-fn starts(fit: &Fit, scene: &Scene) -> Vec<f64> {
-    let varied = scene.varied();
-    let start = |name: &String| {
-        varied
-            .iter()
-            .find(|(known, _)| known == name)
-            .map_or(f64::NAN, |(_, number)| number.nominal())
-    };
-    fit.names.iter().map(start).collect()
-}
-
 fn numbers(fit: &Fit, scene: &Scene) -> Result<Vec<u8>> {
     let mut header = ["name", "start", "value", "standard_error", "robust_error", "status"]
         .map(String::from)
@@ -394,61 +329,6 @@ fn table(fit: &Fit, scene: &Scene) -> Table {
         table.row([fit.names[i].clone(), digits(start, 6), digits(fit.values[i], 6), error]);
     }
     table
-}
-
-/// Share of the deviation of the data from their mean, above which residuals without a known noise
-/// show a misfit.
-const MISFIT: f64 = 0.5;
-
-/// Size of residuals that are rounding errors, relative to the largest deviation of the data.
-const ROUNDING: f64 = 1e-6;
-
-/// A warning about components with residuals as large as their motion.
-fn misfit(fit: &Fit, segments: &[Segment], scene: &Scene) -> Option<String> {
-    let deviation = |i: usize| {
-        let measured: Vec<f64> = segments
-            .iter()
-            .flat_map(|segment| fit.measured(i, segment))
-            .filter(|y| y.is_finite())
-            .collect();
-        let mean = measured.iter().sum::<f64>() / measured.len() as f64;
-        let squares = measured.iter().map(|y| (y - mean).powi(2)).sum::<f64>();
-        (squares / measured.len() as f64).sqrt()
-    };
-    let rows: Vec<(usize, f64, f64)> = measured_components(segments, 1)
-        .into_iter()
-        .map(|i| (i, rms(fit, segments, i), deviation(i)))
-        .collect();
-    let largest = rows.iter().map(|(.., deviation)| *deviation).fold(0.0, f64::max);
-    let names = scene.state_names();
-    let is_misfit = |&&(_, rms, deviation): &&(usize, f64, f64)| {
-        rms > MISFIT * deviation && rms > ROUNDING * largest
-    };
-    let bad: Vec<String> = { rows.iter().filter(is_misfit) }
-        .map(|&(i, rms, deviation)| {
-            format!("{} ({} of {})", names[i], short(rms), short(deviation))
-        })
-        .collect();
-    (!bad.is_empty()).then(|| {
-        format!(
-            "the residuals are nearly as large as the deviation of the data from their mean for {}: the simulation does not \
-             explain these data, unless they are mostly noise; check the signs and units of states and controls, the times, the \
-             segments, and the model",
-            listed(&bad)
-        )
-    })
-}
-
-/// Root mean square of the residuals of a component over all segments that measure it. Segments have
-/// equal weights, also if they differ in length.
-fn rms(fit: &Fit, segments: &[Segment], component: usize) -> f64 {
-    let each = segments
-        .iter()
-        .enumerate()
-        .map(|(index, segment)| fit.rms(index, component, segment))
-        .filter(|rms| !rms.is_nan());
-    let squares: Vec<f64> = each.map(|rms| rms * rms).collect();
-    (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
 }
 
 /// Root mean square of the residuals of each component with a measurement after the first row.

@@ -63,6 +63,52 @@ pub fn identified(
     }
 }
 
+/// Largest memory of all segments, bytes.
+pub const MOST_BYTES: f64 = 1e9;
+
+/// Memory of a step of a segment during a fit, bytes: states and controls of two copies, and the
+/// simulated states. A list of numbers has 40 bytes besides.
+pub fn bytes_per_step(states: usize, controls: usize) -> f64 {
+    let [states, controls] = [states, controls].map(|count| 40.0 + 8.0 * count as f64);
+    3.0 * states + 2.0 * controls
+}
+
+/// Memory of a step in a fit of whole segments, bytes: that of [`bytes_per_step`], a copy without
+/// full turns, another simulation, and the derivatives by the initial state and by the unknowns,
+/// whose rows are gathered, copied and factored.
+pub fn bytes_per_fitted_step(states: usize, controls: usize, unknowns: usize) -> f64 {
+    let columns = 1 + states + unknowns;
+    let copies = 160.0 + 8.0 * (2 * states + controls) as f64;
+    bytes_per_step(states, controls) + copies + 40.0 * (states * columns) as f64
+}
+
+/// First jump of the measured values of a state that may be a full turn: the index of the value
+/// after it, and its size. For an angle, any jump by more than half a turn; for another state, one
+/// of few by almost a full turn. Values that are NaN are missing.
+pub fn turn(values: impl Iterator<Item = f64> + Clone, is_angle: bool) -> Option<(usize, f64)> {
+    const NEAR: f64 = 1.5 * PI;
+    let jumps = jumps(values.clone());
+    if is_angle {
+        return jumps.into_iter().find(|(_, jump)| jump.abs() > PI);
+    }
+    let far = jumps.iter().filter(|(_, jump)| jump.abs() > 1.0).count();
+    wrap(values).filter(|(_, jump)| jump.abs() > NEAR && 10 * far < jumps.len() + 1)
+}
+
+/// Full turns between successive measured angles, where there are any, each with the index of the
+/// angle after the jump.
+pub fn turns(values: impl Iterator<Item = f64>) -> impl Iterator<Item = (usize, f64)> {
+    let turns = jumps(values).into_iter().map(|(i, jump)| (i, (jump / TAU).round()));
+    turns.filter(|(_, turns)| *turns != 0.0)
+}
+
+/// Differences of successive values that are not missing, each with the index of the second one.
+fn jumps(values: impl Iterator<Item = f64>) -> Vec<(usize, f64)> {
+    let known: Vec<(usize, f64)> =
+        values.enumerate().filter(|(_, value)| !value.is_nan()).collect();
+    known.windows(2).map(|pair| (pair[1].0, pair[1].1 - pair[0].1)).collect()
+}
+
 /// Returns whether a jump by more than half a turn between angles may be motion: the angle then
 /// also turns by more than a quarter turn if the jump is a full turn.
 pub fn may_be_motion(angles: impl Iterator<Item = f64>) -> bool {

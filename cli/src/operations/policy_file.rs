@@ -99,6 +99,33 @@ impl Described {
 /// One of them differs.
 fn check_meaning(bytes: &[u8], about: &About, policy: &dyn AnyPolicy<f64>) -> Result<()> {
     let Described { task, observations, controls, layers, .. } = Described::read(bytes);
+    check_names(task, observations, controls, about)?;
+    let own = serde_json::to_value(policy.network())?;
+    for (i, (found, own)) in
+        layers.iter().flatten().zip(own.as_array().into_iter().flatten()).enumerate()
+    {
+        if let Some((key, value)) = found.iter().find(|(key, value)| own.get(key) != Some(*value)) {
+            let own = own.get(key).unwrap_or(&Value::Null);
+            bail!(
+                "the {key} of its layer {} is {value}, but {own} in the scene; use the `policy` section of its run, as in \
+                 `policy.activation = \"relu\"`",
+                i + 1
+            );
+        }
+    }
+    Ok(())
+}
+
+/// Checks that a policy and a scene have one task, and one meaning of observations and controls.
+///
+/// # Errors
+/// One of them differs.
+pub fn check_names(
+    task: Option<String>,
+    observations: Option<Vec<String>>,
+    controls: Option<Vec<String>>,
+    about: &About,
+) -> Result<()> {
     if let Some(task) = task.filter(|task| *task != about.task) {
         bail!(
             "it is a policy of the task `{task}`, but the task of the scene is `{}`; choose a policy of this task",
@@ -114,19 +141,6 @@ fn check_meaning(bytes: &[u8], about: &About, policy: &dyn AnyPolicy<f64>) -> Re
                 "its {what} are {}, but those of the scene are {}; use the system, effects and actuator of its run",
                 listed(&found),
                 listed(own)
-            );
-        }
-    }
-    let own = serde_json::to_value(policy.network())?;
-    for (i, (found, own)) in
-        layers.iter().flatten().zip(own.as_array().into_iter().flatten()).enumerate()
-    {
-        if let Some((key, value)) = found.iter().find(|(key, value)| own.get(key) != Some(*value)) {
-            let own = own.get(key).unwrap_or(&Value::Null);
-            bail!(
-                "the {key} of its layer {} is {value}, but {own} in the scene; use the `policy` section of its run, as in \
-                 `policy.activation = \"relu\"`",
-                i + 1
             );
         }
     }

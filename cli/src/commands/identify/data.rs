@@ -1,7 +1,7 @@
 //! Measured trajectories on the time grid of a scene.
 
 use crate::commands::identify::table::{Row, Table, quoted};
-use crate::operations::identification::{may_be_motion, wrap};
+use crate::operations::identification::{MOST_BYTES, bytes_per_step};
 use crate::platform::csv::csv;
 use crate::platform::terminal::{counted, listed};
 use crate::scenes::source::SceneSource;
@@ -9,9 +9,7 @@ use crate::tasks::Scene;
 use anyhow::{Context, Result, bail};
 use physgrad::Number;
 use physgrad::identify::{Fit, Segment};
-use physgrad::text::short;
 use std::collections::HashSet;
-use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
 /// Largest distance in time of a sample from the nearest step of the scene, relative to the time
@@ -20,9 +18,6 @@ const OFF_GRID: f64 = 1e-3;
 
 /// Largest decimal unit of the times that counts as their rounding, relative to the time step.
 const COARSEST: f64 = 0.2;
-
-/// Largest memory of all segments, bytes.
-const MOST_BYTES: f64 = 1e9;
 
 /// Smallest number of steps between all rows that shows times in another unit than s.
 const SPARSE: usize = 1000;
@@ -34,13 +29,6 @@ const ASTRAY: usize = 100;
 /// Advice on times that are too far apart.
 const FAR_APART: &str =
     "give `t` in s, not in ms; or set system.dt near the sampling time, with integrator.substeps";
-
-/// State components with a measurement in or after the row `first` of a segment.
-pub fn measured_components(segments: &[Segment], first: usize) -> Vec<usize> {
-    let rows = || segments.iter().flat_map(|segment| segment.x.iter().skip(first));
-    let count = rows().next().map_or(0, Vec::len);
-    (0..count).filter(|&i| rows().any(|row| row[i].is_finite())).collect()
-}
 
 /// Measured trajectories on the time grid of a scene.
 pub struct Measured {
@@ -116,7 +104,8 @@ impl Measured {
         let controls = controls.map(|(i, name)| (name, table.has_control(i))).collect();
         let params = scene.param_names();
         let mut measured = Self { name, segments: Vec::new(), params, controls };
-        let most = (MOST_BYTES / bytes_per_step(scene)) as usize;
+        let [states, controls] = [scene.state_names().len(), scene.control_names().len()];
+        let most = (MOST_BYTES / bytes_per_step(states, controls)) as usize;
         let (mut seen, mut before) = (HashSet::new(), 0);
         for row in table.rows() {
             let row = row?;
@@ -221,9 +210,8 @@ impl Measured {
         }
     }
 
-    /// Sentences about what the fit assumes of these segments: controls without a value, and full
-    /// turns that it removes.
-    pub fn notes(&self, numbers: &[usize], fit: &Fit, scene: &Scene) -> Vec<String> {
+    /// Sentences about what the fit assumes of these segments: controls without a value.
+    pub fn notes(&self, numbers: &[usize]) -> Vec<String> {
         let mut notes = Vec::new();
         let missing: Vec<String> = self
             .controls
@@ -252,27 +240,6 @@ impl Measured {
                     listed(&bare)
                 ));
             }
-        }
-        let states = scene.state_names();
-        for &i in &fit.angles {
-            let turns: Vec<(u64, f64)> =
-                numbers.iter().flat_map(|&number| self.segments[number].turns(i)).collect();
-            let Some((line, _)) = turns.first() else { continue };
-            let count = turns.iter().map(|(_, turns)| turns.abs()).sum::<f64>() as usize;
-            let compared = if numbers
-                .iter()
-                .any(|&number| may_be_motion(self.segments[number].rows.iter().map(|row| row.x[i])))
-            {
-                ". Some of these jumps may be motion, but the fit as recorded has a larger χ²"
-            } else {
-                ""
-            };
-            notes.push(format!(
-                "{} wraps: the fit removes {} between rows, at {} (first line {line}){compared}",
-                states[i],
-                counted(count, "full turn"),
-                counted(turns.len(), "jump")
-            ));
         }
         notes
     }
@@ -360,9 +327,19 @@ impl Measured {
         numbers.iter().map(segment).collect()
     }
 
-    /// Sentences about rows of the chosen segments that the fit cannot read as they are meant:
-    /// missing rows while a control changes, and jumps of a state that look like a full turn.
-    pub fn warnings(&self, numbers: &[usize], fit: &Fit, scene: &Scene) -> Vec<String> {
+    /// Measured values of a state in a segment, by row.
+    pub fn values(&self, segment: usize, component: usize) -> Vec<f64> {
+        self.segments[segment].rows.iter().map(|row| row.x[component]).collect()
+    }
+
+    /// The line of a row, and the same with the name of the file.
+    pub fn place(&self, segment: usize, row: usize) -> [String; 2] {
+        let line = self.segments[segment].rows[row].line;
+        [format!("line {line}"), format!("{}:{line}", self.name)]
+    }
+
+    /// Sentences about missing rows of the chosen segments while a control changes.
+    pub fn warnings(&self, numbers: &[usize]) -> Vec<String> {
         let chosen = || numbers.iter().map(|&i| &self.segments[i]);
         let mut warnings = Vec::new();
         let gaps: Vec<(usize, &Sample)> = chosen().flat_map(Recording::gaps).collect();
@@ -373,25 +350,6 @@ impl Measured {
                 counted(gaps.len(), "row"),
                 self.name
             ));
-        }
-        let angles = scene.angles();
-        for (i, state) in
-            scene.state_names().iter().enumerate().filter(|(i, _)| !fit.angles.contains(i))
-        {
-            let is_angle = angles.contains(&i);
-            if let Some((line, jump)) = chosen().find_map(|recording| recording.turn(i, is_angle)) {
-                let turns = jump.abs() / 360.0;
-                let advice = if turns > 0.5 && (turns - turns.round()).abs() < 0.1 {
-                    "angles are in rad, and this may be a full turn in degrees; convert it"
-                } else {
-                    "if it is an angle that wraps, remove the jumps, as numpy.unwrap does"
-                };
-                warnings.push(format!(
-                    "{}:{line}: {state} jumps by {} from the row before; {advice}",
-                    self.name,
-                    short(jump)
-                ));
-            }
         }
         warnings
     }
@@ -483,17 +441,6 @@ impl Recording {
         Ok(())
     }
 
-    /// Full turns between successive measured angles, where there are any, each with the line after
-    /// the jump.
-    fn turns(&self, component: usize) -> impl Iterator<Item = (u64, f64)> {
-        let known = move || self.rows.iter().filter(move |row| !row.x[component].is_nan());
-        let jumps = known().zip(known().skip(1)).map(move |(before, after)| {
-            let jump = after.x[component] - before.x[component];
-            (after.line, (jump / TAU).round())
-        });
-        jumps.filter(|(_, turns)| *turns != 0.0)
-    }
-
     /// Steps between successive rows, each with both rows.
     fn distances(&self) -> impl Iterator<Item = (usize, [&Sample; 2])> {
         self.rows.windows(2).map(|pair| (pair[1].step - pair[0].step, [&pair[0], &pair[1]]))
@@ -515,30 +462,4 @@ impl Recording {
             .filter(|(steps, [before, after])| *steps >= 2 * median && before.u != after.u);
         gaps.map(|(steps, [_, after])| (steps, after)).collect()
     }
-
-    /// First jump that may be a full turn: its line and size. For an angle, any jump by more than
-    /// half a turn; for another component, one of few by almost a full turn.
-    fn turn(&self, component: usize, is_angle: bool) -> Option<(u64, f64)> {
-        const NEAR: f64 = 1.5 * PI;
-        let known = || self.rows.iter().filter(|row| !row.x[component].is_nan());
-        let mut jumps = known()
-            .zip(known().skip(1))
-            .map(|(before, after)| (after.line, after.x[component] - before.x[component]));
-        if is_angle {
-            return jumps.find(|(_, jump)| jump.abs() > PI);
-        }
-        let far = jumps.filter(|(_, jump)| jump.abs() > 1.0).count();
-        let values = self.rows.iter().map(|row| row.x[component]);
-        let (row, jump) =
-            wrap(values).filter(|(_, jump)| jump.abs() > NEAR && 10 * far < known().count())?;
-        Some((self.rows[row].line, jump))
-    }
-}
-
-/// Memory of a step of a segment during a fit, bytes: states and controls of two copies, and the
-/// simulated states. A list of numbers has 40 bytes besides.
-fn bytes_per_step(scene: &Scene) -> f64 {
-    let [states, controls] =
-        [scene.state_names(), scene.control_names()].map(|names| 40.0 + 8.0 * names.len() as f64);
-    3.0 * states + 2.0 * controls
 }

@@ -1,6 +1,7 @@
 //! Picture of measured and simulated trajectories.
 
-use crate::commands::identify::data::{Measured, measured_components};
+use crate::commands::identify::data::Measured;
+use crate::commands::identify::remarks::measured_components;
 use crate::tasks::Scene;
 use physgrad::identify::{Fit, Segment};
 use physgrad_plot::{Dash, Series, fitted};
