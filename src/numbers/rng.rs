@@ -20,8 +20,6 @@ pub enum Purpose {
     Check = 5,
     /// Initial states and parameters of an evaluation. No training draws from these streams.
     Evaluate = 6,
-    /// Random points of a sweep over settings.
-    Sweep = 7,
     /// Resamples of a bootstrap interval.
     Bootstrap = 8,
     /// Perturbations of the parameters in updates with smoothing.
