@@ -39,7 +39,7 @@ pub use plateau::{Plateau, plateau};
 pub use policies::{policy, try_policy};
 #[cfg(feature = "double-double")]
 pub use reference::slope;
-pub use stability::{DENSE, Stability, jacobian_norm, stability};
+pub use stability::{DENSE, HARMLESS, Stability, growth_along, jacobian_norm, stability};
 pub use visited::{try_cost_along, try_system_along};
 
 use crate::dynamics::inputs::Start;
@@ -79,6 +79,8 @@ pub struct Passed {
     pub worst: f64,
     /// Tolerance of the relative error.
     pub allowed: f64,
+    /// Number of compared values beyond the range of `f64`, which agree if both forms leave it.
+    pub infinite: usize,
 }
 
 /// First failed comparison of a check.
@@ -179,14 +181,16 @@ impl Comparison {
         expected: &[f64],
         uncertainty: &dyn Fn(usize) -> f64,
     ) -> Result<(), Mismatch> {
-        let scale = expected.iter().fold(0.0, |scale: f64, e| scale.max(e.abs()));
+        let scale = largest(expected);
         let mut pairs = found.iter().zip(expected).enumerate();
         pairs.try_for_each(|(index, (&found, &expected))| {
             self.one_within(what, index, found, expected, scale, &|| uncertainty(index))
         })
     }
 
-    /// Compares two numbers; the error is relative to `scale`, or absolute if `scale` is zero.
+    /// Compares two numbers; the error is relative to `scale`, or absolute if `scale` is zero. Numbers
+    /// below the smallest normal one have fewer digits, so a difference up to it counts as none. Equal
+    /// infinities agree, also with a reference that is then `∞ - ∞`: both leave the range of `f64`.
     fn one(
         &mut self,
         what: &str,
@@ -209,11 +213,15 @@ impl Comparison {
         scale: f64,
         uncertainty: &dyn Fn() -> f64,
     ) -> Result<(), Mismatch> {
+        self.passed.compared += 1;
+        if found.is_infinite() && (found == expected || expected.is_nan()) {
+            self.passed.infinite += 1;
+            return Ok(());
+        }
         let scale = if scale > 0.0 { scale } else { 1.0 };
         let difference = (found - expected).abs();
-        let error = difference / scale;
+        let error = if difference <= f64::MIN_POSITIVE { 0.0 } else { difference / scale };
         let allowed = self.passed.allowed;
-        self.passed.compared += 1;
         // Relative to a scale with which `allowed` includes the uncertainty. Infinite and NaN
         // uncertainties allow nothing.
         let within = || {
@@ -277,6 +285,12 @@ impl Comparison {
             }
         }
     }
+}
+
+/// Largest absolute value of the finite numbers.
+fn largest(numbers: &[f64]) -> f64 {
+    let finite = numbers.iter().filter(|number| number.is_finite());
+    finite.fold(0.0, |largest: f64, number| largest.max(number.abs()))
 }
 
 /// Draws standard normal samples.
@@ -386,6 +400,7 @@ pub fn task<T: Task, P: Policy>(task: &T, policy: &P) -> Passed {
         compared: sum.compared + p.compared,
         worst: sum.worst.max(p.worst),
         allowed: sum.allowed.max(p.allowed),
+        infinite: sum.infinite + p.infinite,
     })
 }
 
@@ -509,18 +524,24 @@ fn check_flow(
         c.slices("loss", &[loss], &[loss_by_duals(theta, &starts)])?;
         c.slices("gradient computed beside M", &gradient_beside, &gradient_alone)?;
 
-        let largest = gradient_alone.iter().fold(0.0, |s: f64, g| s.max(g.abs()));
+        let scale = largest(&gradient_alone);
         for (index, expected) in oracle::some_components(theta.len(), &mut rng, &|tangent| {
             slope(theta, &starts, tangent)
         }) {
             let what = format!("gradient by {}: theta_bar", parameter(&policy.tensors(), index));
-            c.one(&what, index, gradient_alone[index], expected, largest.max(expected.abs()))?;
+            c.one(&what, index, gradient_alone[index], expected, scale.max(largest(&[expected])))?;
         }
-        let norm = gradient_alone.iter().map(|g| g * g).sum::<f64>().sqrt();
+        // Without overflow of the squares.
+        let share = |g: &f64| if scale > 0.0 { g / scale } else { 0.0 };
+        let norm = scale * gradient_alone.iter().map(|g| share(g).powi(2)).sum::<f64>().sqrt();
+        // Sums of infinite components can be NaN.
+        let is_finite = norm.is_finite() && gradient_alone.iter().all(|g| g.is_finite());
         let directions = oracle::some_directions(theta.len(), &mut rng, &|tangent| {
             slope(theta, &starts, tangent)
         });
-        for (index, (direction, expected)) in directions.into_iter().enumerate() {
+        for (index, (direction, expected)) in
+            directions.into_iter().enumerate().filter(|_| is_finite)
+        {
             let found = direction.iter().zip(&gradient_alone).map(|(d, g)| d * g).sum();
             c.one(
                 "gradient in random direction",
@@ -532,7 +553,7 @@ fn check_flow(
         }
         let by_starts = start_gradients(task, policy, &weights, &starts, flow);
         let by_starts = by_starts.map_err(|divergence| Failure::Diverged { case, divergence })?;
-        let largest = by_starts.iter().fold(0.0, |s: f64, g| s.max(g.abs()));
+        let scale = largest(&by_starts);
         let components = oracle::some_components(starts.len(), &mut rng, &|tangent| {
             start_slope(theta, &starts, tangent)
         });
@@ -540,7 +561,7 @@ fn check_flow(
             let (sample, i) = (index / len, index % len);
             let (name, i) = if i < n { ("initial state", i) } else { ("parameters p", i - n) };
             let what = format!("gradient by the {name} of sample {sample}, component");
-            c.one(&what, i, by_starts[index], expected, largest.max(expected.abs()))?;
+            c.one(&what, i, by_starts[index], expected, scale.max(largest(&[expected])))?;
         }
     }
     Ok(c.passed)

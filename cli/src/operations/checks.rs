@@ -1,7 +1,7 @@
 //! Gradient checks of a task and its policy, in a table. Stability of the time step, and slope of
 //! the loss.
 
-use crate::operations::trajectory;
+use crate::operations::trajectory::{self, Trajectory};
 use crate::platform::table::Table;
 use crate::platform::terminal::{print_text, progress_bar};
 use indicatif::ProgressBar;
@@ -65,8 +65,13 @@ pub fn check(
 
 /// Stability of the steps of test rollouts.
 pub struct Amplification {
-    /// State with the largest amplification of a perturbation by a step.
+    /// State with the largest amplification of a perturbation by a step: among those after which
+    /// perturbations grow more than [`check::HARMLESS`], otherwise among all.
     pub worst: Place,
+    /// Growth of a perturbation over the steps after `worst`, or a bound. NaN if that of `worst` is.
+    pub growth: f64,
+    /// State between two that alternate, if `worst` is there.
+    pub chatter: Option<Between>,
     /// State in which a perturbation alternates in sign and decays most slowly, among consecutive
     /// steps that [ring](Stability::rings). `None` if only single steps ring, such as impacts.
     pub ringing: Option<Place>,
@@ -76,6 +81,24 @@ pub struct Amplification {
     pub states: usize,
     /// First non-finite number of the test rollouts.
     pub divergence: Option<Divergence>,
+}
+
+/// State halfway between two consecutive states of a rollout, with the control of the first one.
+#[derive(Clone)]
+pub struct Between {
+    sample: usize,
+    x: Vec<f64>,
+    u: Vec<f64>,
+    p: Vec<f64>,
+    t: usize,
+}
+
+impl Between {
+    fn place(&self, task: &DynTask) -> Place {
+        let Self { sample, x, u, p, t } = self;
+        let stability = check::stability(task.system(), Inputs { x, u, p, t: *t });
+        Place { sample: *sample, step: *t, stability }
+    }
 }
 
 /// Stability of one step of a test rollout.
@@ -90,6 +113,10 @@ pub struct Place {
 
 /// Stability in states of test rollouts with the parameters `theta`.
 ///
+/// A step that chatters jumps over a state of rest to and fro, with a stable multiplier on either
+/// side: the state between them is unstable. `known` is such a state of a longer step. Without it,
+/// the rollouts are searched for alternating states.
+///
 /// # Errors
 /// A rollout diverges in the first step.
 pub fn amplification(
@@ -97,6 +124,7 @@ pub fn amplification(
     policy: &impl Policy,
     theta: &[f64],
     seed: u64,
+    known: Option<&Between>,
 ) -> Result<Amplification, Divergence> {
     let weights = Weights::new(policy, theta.to_vec());
     let starts = initial_states(task, seed, Purpose::Test, ROLLOUTS);
@@ -121,21 +149,45 @@ pub fn amplification(
     };
     let indices = evaluated(task, &states);
     let places: Vec<Place> = indices.iter().map(|&i| place(i)).collect();
-    // `check::stability` returns NaN with a positive sign. `total_cmp` ranks this NaN above every
-    // number.
-    let worst =
-        places.iter().max_by(|a, b| a.stability.multiplier.total_cmp(&b.stability.multiplier));
-    let mut known: BTreeMap<usize, Place> = indices.into_iter().zip(places.clone()).collect();
-    let mut candidates: Vec<(usize, Place)> = known
-        .iter()
-        .map(|(&i, &place)| (i, place))
-        .filter(|(_, at)| at.stability.rings())
-        .collect();
+    let horizon = Task::horizon(task);
+    let after = |place: &Place| {
+        let from = place.step;
+        let steps: Vec<Inputs<'_, f64>> = states
+            .iter()
+            .filter(|(sample, inputs)| *sample == place.sample && inputs.t >= from)
+            .map(|(_, inputs)| *inputs)
+            .collect();
+        check::growth_along(task.system(), &steps)
+    };
+    let mut worst = worst(&places, horizon, after);
+    let between = match known {
+        Some(known) => vec![known.clone()],
+        None => alternating(&rollouts),
+    };
+    let mut chatter = None;
+    for between in
+        between.into_iter().filter(|between| between.x.len() == task.system().state_dim())
+    {
+        let place = between.place(task);
+        let Stability { multiplier, lowest, .. } = place.stability;
+        let is_chatter = !place.stability.is_stable_within(horizon)
+            && (known.is_some() || lowest < -1.0)
+            && worst.is_some_and(|(worst, growth)| {
+                growth <= check::HARMLESS || multiplier > worst.stability.multiplier
+            });
+        if is_chatter {
+            worst = Some((place, place.stability.growth(horizon)));
+            chatter = Some(between);
+        }
+    }
+    let mut seen: BTreeMap<usize, Place> = indices.into_iter().zip(places.clone()).collect();
+    let mut candidates: Vec<(usize, Place)> =
+        seen.iter().map(|(&i, &place)| (i, place)).filter(|(_, at)| at.stability.rings()).collect();
     candidates.sort_by(|a, b| a.1.stability.lowest.total_cmp(&b.1.stability.lowest));
     let ringing = candidates.into_iter().find_map(|(i, candidate)| {
         let mut rings = |i: usize| {
             i < states.len() && {
-                let at = known.entry(i).or_insert_with(|| place(i));
+                let at = seen.entry(i).or_insert_with(|| place(i));
                 at.sample == candidate.sample && at.stability.rings()
             }
         };
@@ -146,8 +198,10 @@ pub fn amplification(
         (before + 1 + after >= CONSECUTIVE).then_some(candidate)
     });
     match (worst, divergence) {
-        (Some(&worst), _) => Ok(Amplification {
+        (Some((worst, growth)), _) => Ok(Amplification {
             worst,
+            growth,
+            chatter,
             ringing,
             evaluated: places.len(),
             states: states.len(),
@@ -156,6 +210,75 @@ pub fn amplification(
         (_, Some(divergence)) => Err(divergence),
         _ => unreachable!("finite rollouts of at least one step have states"),
     }
+}
+
+/// The place of [`Amplification::worst`], with the growth over the steps after it. `after` computes
+/// the growth over the rest of a rollout. A multiplier that is harmless also if every step has it
+/// bounds the growth without this computation.
+fn worst(places: &[Place], horizon: usize, after: impl Fn(&Place) -> f64) -> Option<(Place, f64)> {
+    let mut sorted = places.to_vec();
+    // `check::stability` returns NaN with a positive sign. `total_cmp` ranks this NaN above every
+    // number.
+    sorted.sort_by(|a, b| b.stability.multiplier.total_cmp(&a.stability.multiplier));
+    let first = *sorted.first()?;
+    if first.stability.multiplier.is_nan() {
+        return Some((first, f64::NAN));
+    }
+    sorted.retain(|place| !place.stability.is_stable_within(horizon));
+    let mut begins = BTreeMap::new();
+    for place in &sorted {
+        let begin = begins.entry(place.sample).or_insert(*place);
+        *begin = if place.step < begin.step { *place } else { *begin };
+    }
+    // The largest multipliers, and the longest parts of rollouts.
+    let spaced = sorted.iter().step_by(sorted.len().div_ceil(WINDOWS).max(1));
+    let mut growth = 0.0_f64;
+    for place in spaced.chain(begins.values()) {
+        let over = after(place);
+        if over > check::HARMLESS {
+            return Some((*place, over));
+        }
+        growth = growth.max(over);
+    }
+    let is_bound = sorted.is_empty();
+    Some((first, if is_bound { first.stability.growth(horizon) } else { growth }))
+}
+
+/// States between two of each run of steps in which a component alternates: its increments change
+/// their sign and keep their size. At most [`WINDOWS`], those of the longest runs.
+fn alternating(rollouts: &[Trajectory]) -> Vec<Between> {
+    /// Smallest increment, relative to the largest value of the component.
+    const RESOLVED: f64 = 1e-9;
+    let mut found: Vec<(usize, Between)> = Vec::new();
+    for (sample, Trajectory { states, controls, params }) in rollouts.iter().enumerate() {
+        for i in 0..states[0].len() {
+            let largest = states.iter().fold(0.0_f64, |largest, x| largest.max(x[i].abs()));
+            let step = |t: usize| states[t + 1][i] - states[t][i];
+            let turns = |t: usize| {
+                let (now, next) = (step(t), step(t + 1));
+                now * next < 0.0
+                    && now.abs().max(next.abs()) <= 2.0 * now.abs().min(next.abs())
+                    && now.abs() > RESOLVED * largest
+            };
+            let mut run = 0;
+            for t in 0..controls.len() {
+                run = if t + 1 < controls.len() && turns(t) { run + 1 } else { 0 };
+                if run >= CONSECUTIVE {
+                    // The next state of the same run.
+                    if run > CONSECUTIVE {
+                        found.pop();
+                    }
+                    let half = states[t].iter().zip(&states[t + 1]);
+                    let x = half.map(|(a, b)| 0.5 * (a + b)).collect();
+                    let (u, p) = (controls[t].clone(), params.clone());
+                    found.push((run, Between { sample, x, u, p, t }));
+                }
+            }
+        }
+    }
+    found.sort_by(|a, b| b.0.cmp(&a.0));
+    found.truncate(WINDOWS);
+    found.into_iter().map(|(_, between)| between).collect()
 }
 
 /// Kinks and jumps of the step, the observation and the costs along test rollouts.
@@ -214,6 +337,9 @@ pub fn jumps(
 /// Number of consecutive steps that must ring. A single impact with restitution reverses a
 /// perturbation too.
 const CONSECUTIVE: usize = 3;
+/// Largest number of states after which the growth is computed, and of states between two that
+/// alternate.
+const WINDOWS: usize = 16;
 /// Number of test rollouts of [`amplification`] and [`plateau`].
 const ROLLOUTS: usize = 4;
 /// Bound on the number of evaluated states times the cubed number of state components. The time is
@@ -272,13 +398,17 @@ impl Results {
         self.spinner.set_message(format!("{task}, {name}"));
         match check() {
             Ok(p) => {
+                let beyond = match p.infinite {
+                    0 => "ok".to_owned(),
+                    count => format!("ok, {count} beyond {:.1e}", f64::MAX),
+                };
                 self.row([
                     task,
                     name,
                     &p.compared.to_string(),
                     &rough(p.worst),
                     &format!("{:.0e}", p.allowed),
-                    "ok",
+                    &beyond,
                 ]);
                 None
             }
@@ -352,7 +482,7 @@ mod tests {
 
     fn found<const N: usize>() -> Amplification {
         let policy = Linear::new(N, 1);
-        amplification(&DynTask::new(Kick::<N>), &policy, &policy_file::random(&policy, 0), 0)
+        amplification(&DynTask::new(Kick::<N>), &policy, &policy_file::random(&policy, 0), 0, None)
             .unwrap_or_else(|divergence| panic!("{divergence}"))
     }
 
@@ -404,7 +534,7 @@ mod tests {
         fn rings<const N: usize>(steps: usize, of: usize) -> bool {
             let policy = Linear::new(N, 1);
             let (task, theta) = (Reversals::<N>(steps, of), policy_file::random(&policy, 0));
-            let found = amplification(&DynTask::new(task), &policy, &theta, 0)
+            let found = amplification(&DynTask::new(task), &policy, &theta, 0, None)
                 .unwrap_or_else(|divergence| panic!("{divergence}"));
             assert!(found.ringing.is_none_or(|at| at.step % of < steps));
             found.ringing.is_some()

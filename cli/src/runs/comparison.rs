@@ -22,7 +22,6 @@ use physgrad::{Field, Record, differences};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
-use toml::Value;
 
 /// Runs of one training configuration with several fields and seeds.
 pub struct Comparison {
@@ -301,20 +300,19 @@ pub fn check_options(fields: &[FieldName], seeds: u64, epochs: usize) -> Result<
     check_distinct("--fields", fields.iter().map(|field| field.0.name()))
 }
 
-/// Checks that fields differ with the estimator of a scene.
+/// Checks that fields differ with the estimator of a scene, and read the settings of its training.
 ///
 /// # Errors
-/// There are several fields, but the estimator reads losses only.
+/// There are several fields, but the estimator reads losses only. No field reads a setting.
 pub fn check_estimator(scene: &Scene, fields: &[FieldName]) -> Result<()> {
-    let estimator = scene.table.get("training").and_then(|training| training.get("estimator"));
-    if fields.len() > 1 && estimator.and_then(Value::as_str) == Some("zeroth_order") {
+    if fields.len() > 1 && scene.reads_losses_only() {
         bail!(
             "--fields names {} fields, but has no effect: `training.estimator` is zeroth_order, which follows differences of \
              losses; name one field, as in --fields R, or choose another estimator",
             fields.len()
         );
     }
-    Ok(())
+    Ok(scene.check_fields(&fields.iter().map(|field| field.0).collect::<Vec<_>>())?)
 }
 
 /// Returns an error if an option contains a name twice.

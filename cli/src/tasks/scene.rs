@@ -3,7 +3,7 @@
 //! [`Scene`] holds the settings that all tasks share. [`AnySettings`] is the object-safe interface
 //! to the settings of one task.
 
-use crate::operations::checks::{Amplification, Results};
+use crate::operations::checks::{Amplification, Between, Results};
 use crate::operations::evaluation::AnyEvaluation;
 use crate::operations::gradients::{Derived, GradientMethod};
 use crate::operations::policy_file::{self, About, TrainedNumber};
@@ -56,6 +56,9 @@ pub struct Scene {
     settings: Arc<dyn AnySettings>,
 }
 
+/// Why a setting has no effect on an estimator that reads losses only.
+const LOSSES: &str = "`training.estimator` is zeroth_order, which follows differences of losses";
+
 /// Object-safe policy in both precisions.
 pub trait DynPolicy: AnyPolicy<f32> + AnyPolicy<f64> {}
 impl<P: AnyPolicy<f32> + AnyPolicy<f64>> DynPolicy for P {}
@@ -71,11 +74,16 @@ pub trait AnySettings: Send + Sync {
     /// Checks the gradients of system, policy and rollout. In rollouts, the policy has the
     /// parameters `theta`, or random ones. Results carry the name `variant`.
     fn check(&self, variant: &str, theta: Option<&[f64]>, results: &mut Results);
-    /// Stability of the steps of test rollouts.
+    /// Stability of the steps of test rollouts, and at a state between two that alternate with
+    /// longer steps.
     ///
     /// # Errors
     /// A rollout diverges in the first step.
-    fn amplification(&self, theta: &[f64]) -> Result<Amplification, Divergence>;
+    fn amplification(
+        &self,
+        theta: &[f64],
+        known: Option<&Between>,
+    ) -> Result<Amplification, Divergence>;
     /// Kinks and jumps of the step, the observation and the costs along test rollouts.
     fn kinks(&self, theta: &[f64]) -> Vec<Kink>;
     /// Loss and gradient at the parameters `theta` and at parameters nearby.
@@ -163,9 +171,13 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
         checks::check(&task, &policy, theta, variant, results);
     }
 
-    fn amplification(&self, theta: &[f64]) -> Result<Amplification, Divergence> {
+    fn amplification(
+        &self,
+        theta: &[f64],
+        known: Option<&Between>,
+    ) -> Result<Amplification, Divergence> {
         let (task, policy) = self.task_and_policy();
-        checks::amplification(&task, &policy, theta, self.seed)
+        checks::amplification(&task, &policy, theta, self.seed, known)
     }
 
     fn kinks(&self, theta: &[f64]) -> Vec<Kink> {
@@ -382,24 +394,67 @@ impl Scene {
         }
     }
 
-    /// Refuses settings of the training that its field does not read. Scenes of comparisons have
-    /// them for the other fields.
+    /// Refuses settings of the training that its field does not read.
+    ///
+    /// # Errors
+    /// As [`check_fields`](Self::check_fields). Also if `training.truncation` exceeds the horizon, or
+    /// if an estimator that reads losses only has a field other than C, the default, and R.
+    pub fn check_field(&self) -> Result<(), ConfigError> {
+        let field = self.field.0.name();
+        if self.reads_losses_only() && !["combined", "regular"].contains(&field) {
+            return Err(ConfigError::unread("field", field, LOSSES));
+        }
+        let training = self.table.get("training");
+        let truncation = training.and_then(|training| training.get("truncation")?.as_integer());
+        if let Some(steps) = truncation.filter(|&steps| steps > self.horizon as i64) {
+            let because = format!("`horizon` is {}", self.horizon);
+            return Err(ConfigError::unread("training.truncation", steps, &because));
+        }
+        self.check_fields(&[self.field.0])
+    }
+
+    /// Whether the estimator of the training reads losses only, without derivatives.
+    pub fn reads_losses_only(&self) -> bool {
+        let estimator = self.table.get("training").and_then(|training| training.get("estimator"));
+        estimator.and_then(Value::as_str) == Some("zeroth_order")
+    }
+
+    /// Refuses settings of the training that none of the fields reads.
     ///
     /// # Errors
     /// The scene has such a setting.
-    pub fn check_field(&self) -> Result<(), ConfigError> {
-        let number = |key: &str| self.table.get("training")?.get(key)?.as_float();
-        let (field, flows) = (self.field.0.name(), self.field.0.flows());
-        let unread = |key: &str, value: f64, because: String| {
-            Err(ConfigError::unread(&format!("training.{key}"), value, &because))
+    pub fn check_fields(&self, fields: &[Field]) -> Result<(), ConfigError> {
+        let number = |key: &str| {
+            let value = self.table.get("training")?.get(key)?;
+            value.as_float().or_else(|| value.as_integer().map(|value| value as f64))
         };
-        if let Some(average) = number("average").filter(|&value| value > 0.0 && flows.len() == 1) {
-            return unread("average", average, format!("field {field} has no second gradient"));
-        }
-        let is_blind = flows.iter().all(|flow| flow.control == 0.0);
-        if let Some(control) = number("control").filter(|&value| value != 1.0 && is_blind) {
-            let because = format!("field {field} omits the path through the observation");
-            return unread("control", control, because);
+        let names: Vec<&str> = fields.iter().map(Field::name).collect();
+        let [verb, have, omit] =
+            if fields.len() == 1 { ["field", "has", "omits"] } else { ["fields", "have", "omit"] };
+        let named = format!("{verb} {}", names.join(", "));
+        let flows = || fields.iter().flat_map(Field::flows);
+        let losses = self.reads_losses_only();
+        let has_second = fields.iter().any(|field| field.flows().len() > 1);
+        let sees = flows().any(|flow| flow.control != 0.0);
+        let has_path = flows().any(|flow| [flow.physics, flow.control, flow.memory] != [0.0; 3]);
+        let second = format!("{named} {have} no second gradient");
+        let observation = format!("{named} {omit} the path through the observation");
+        let paths = format!("{named} {omit} all paths between steps");
+        // Value without effect, and what reads the setting.
+        let settings = [
+            ("average", 0.0, has_second, &*second),
+            ("control", 1.0, sees, &*observation),
+            ("discount", 1.0, has_path, &*paths),
+            ("truncation", f64::NAN, has_path, &*paths),
+            ("cut", f64::NAN, has_path, &*paths),
+        ];
+        for (key, neutral, is_read, because) in settings {
+            if let Some(value) = number(key).filter(|value| *value != neutral)
+                && (losses || !is_read)
+            {
+                let because = if losses { LOSSES } else { because };
+                return Err(ConfigError::unread(&format!("training.{key}"), value, because));
+            }
         }
         Ok(())
     }
