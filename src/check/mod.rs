@@ -624,3 +624,25 @@ fn finite_weights(
         |()| unreachable!("a finite run is returned"),
     ))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{Comparison, ROLLOUT};
+
+    #[test]
+    fn numbers_outside_of_the_normal_range_agree_if_both_forms_leave_it() {
+        let mut c = Comparison::new(ROLLOUT);
+        let mut compare = |found: &[f64], expected: &[f64]| c.slices("x", found, expected).is_ok();
+        // Gradients of a slider and of a cart-pole, with 7 and 10 digits.
+        assert!(compare(&[-4.916_649_3e-317], &[-4.916_65e-317]));
+        assert!(compare(&[1.204_600_449e-314], &[1.204_600_448_4e-314]));
+        assert!(compare(&[2e-323], &[2.5e-323]));
+        assert!(!compare(&[1.000_001e-300], &[1e-300]));
+        assert!(compare(&[f64::INFINITY, 1.0], &[f64::INFINITY, 1.0]));
+        assert!(!compare(&[f64::INFINITY], &[f64::NEG_INFINITY]));
+        assert!(!compare(&[f64::INFINITY], &[1e308]) && !compare(&[f64::NAN], &[f64::NAN]));
+        // An infinite component does not hide an error of another one.
+        assert!(!compare(&[f64::INFINITY, 1.1], &[f64::INFINITY, 1.0]));
+        assert_eq!(c.passed.infinite, 2);
+    }
+}

@@ -83,7 +83,7 @@ pub struct Amplification {
     pub divergence: Option<Divergence>,
 }
 
-/// State halfway between two consecutive states of a rollout, with the control of the first one.
+/// State between two consecutive states of a rollout, with the control of the first one.
 #[derive(Clone)]
 pub struct Between {
     sample: usize,
@@ -94,6 +94,43 @@ pub struct Between {
 }
 
 impl Between {
+    /// The state where component i of the next state decreases most steeply with component i, on the
+    /// line from the state of step t to the next one.
+    ///
+    /// The step exchanges two alternating states, so its mean slope between them is -1. If the slopes
+    /// at both ends are larger, that of a state between them is below -1.
+    fn steepest(
+        task: &DynTask,
+        sample: usize,
+        Trajectory { states, controls, params }: &Trajectory,
+        [t, i]: [usize; 2],
+    ) -> Self {
+        /// Halvings of the line.
+        const HALVINGS: usize = 40;
+        let (u, p) = (controls[t].clone(), params.clone());
+        let at = |share: f64| -> Vec<f64> {
+            let pairs = states[t].iter().zip(&states[t + 1]);
+            pairs.map(|(a, b)| a + share * (b - a)).collect()
+        };
+        let next = |share: f64| {
+            let (x, mut next) = (at(share), states[t].clone());
+            System::step(task.system(), Inputs { x: &x, u: &u, p: &p, t }, &mut next);
+            next[i]
+        };
+        let rise = |[a, b]: [f64; 2]| (next(b) - next(a)) / (states[t + 1][i] - states[t][i]);
+        let mut line = [0.0, 1.0];
+        for _ in 0..HALVINGS {
+            let middle = 0.5 * (line[0] + line[1]);
+            let halves = [[line[0], middle], [middle, line[1]]];
+            line = if rise(halves[0]) < rise(halves[1]) { halves[0] } else { halves[1] };
+            // Rounding errors exceed the differences of shorter lines.
+            if line[1] - line[0] < 1e-7 {
+                break;
+            }
+        }
+        Self { sample, x: at(0.5 * (line[0] + line[1])), u, p, t }
+    }
+
     fn place(&self, task: &DynTask) -> Place {
         let Self { sample, x, u, p, t } = self;
         let stability = check::stability(task.system(), Inputs { x, u, p, t: *t });
@@ -162,7 +199,9 @@ pub fn amplification(
     let mut worst = worst(&places, horizon, after);
     let between = match known {
         Some(known) => vec![known.clone()],
-        None => alternating(&rollouts),
+        None => { alternating(&rollouts).into_iter() }
+            .map(|(sample, place)| Between::steepest(task, sample, &rollouts[sample], place))
+            .collect(),
     };
     let mut chatter = None;
     for between in
@@ -244,13 +283,13 @@ fn worst(places: &[Place], horizon: usize, after: impl Fn(&Place) -> f64) -> Opt
     Some((first, if is_bound { first.stability.growth(horizon) } else { growth }))
 }
 
-/// States between two of each run of steps in which a component alternates: its increments change
-/// their sign and keep their size. At most [`WINDOWS`], those of the longest runs.
-fn alternating(rollouts: &[Trajectory]) -> Vec<Between> {
+/// Sample, step and component of each run of steps in which a component alternates: its increments
+/// change their sign and keep their size. At most [`WINDOWS`], those of the longest runs.
+fn alternating(rollouts: &[Trajectory]) -> Vec<(usize, [usize; 2])> {
     /// Smallest increment, relative to the largest value of the component.
     const RESOLVED: f64 = 1e-9;
-    let mut found: Vec<(usize, Between)> = Vec::new();
-    for (sample, Trajectory { states, controls, params }) in rollouts.iter().enumerate() {
+    let mut found: Vec<(usize, (usize, [usize; 2]))> = Vec::new();
+    for (sample, Trajectory { states, controls, .. }) in rollouts.iter().enumerate() {
         for i in 0..states[0].len() {
             let largest = states.iter().fold(0.0_f64, |largest, x| largest.max(x[i].abs()));
             let step = |t: usize| states[t + 1][i] - states[t][i];
@@ -268,17 +307,14 @@ fn alternating(rollouts: &[Trajectory]) -> Vec<Between> {
                     if run > CONSECUTIVE {
                         found.pop();
                     }
-                    let half = states[t].iter().zip(&states[t + 1]);
-                    let x = half.map(|(a, b)| 0.5 * (a + b)).collect();
-                    let (u, p) = (controls[t].clone(), params.clone());
-                    found.push((run, Between { sample, x, u, p, t }));
+                    found.push((run, (sample, [t, i])));
                 }
             }
         }
     }
     found.sort_by(|a, b| b.0.cmp(&a.0));
     found.truncate(WINDOWS);
-    found.into_iter().map(|(_, between)| between).collect()
+    found.into_iter().map(|(_, place)| place).collect()
 }
 
 /// Kinks and jumps of the step, the observation and the costs along test rollouts.
@@ -443,6 +479,7 @@ mod tests {
     use super::*;
     use crate::operations::policy_file;
     use physgrad::policy::Linear;
+    use physgrad::tasks::{FrictionScheme, Slider};
     use physgrad::{Cotangent, Real, Scalar};
     use physgrad::{Cotangents, Start, rng::Rng};
 
@@ -494,6 +531,72 @@ mod tests {
         // Beyond 200 components, by power iteration.
         for some in [found::<40>(), found::<201>()] {
             assert!(some.worst.step == 7 && some.evaluated < some.states);
+        }
+    }
+
+    /// Speeds that a brake stops: the first of `self.0` steps lets a perturbation grow by 6 %.
+    struct Brake(usize);
+
+    impl System for Brake {
+        fn state_dim(&self) -> usize {
+            1
+        }
+        fn control_dim(&self) -> usize {
+            1
+        }
+        fn step<T: Scalar>(&self, Inputs { x, u, t, .. }: Inputs<'_, T>, next: &mut [T]) {
+            next[0] = x[0] * if t % self.0 == 0 { 1.06 } else { 0.99 } + u[0];
+        }
+    }
+
+    impl Task for Brake {
+        type System = Self;
+        fn system(&self) -> &Self {
+            self
+        }
+        fn horizon(&self) -> usize {
+            100
+        }
+        fn start(&self, _rng: &mut Rng, Start { x, .. }: Start<'_>) {
+            x.fill(1.0);
+        }
+    }
+
+    fn found_in(task: impl Task + 'static) -> Amplification {
+        let task = DynTask::new(task);
+        let policy = Linear::new(task.system().state_dim(), 1);
+        amplification(&task, &policy, &vec![0.0; task.system().state_dim()], 0, None)
+            .unwrap_or_else(|divergence| panic!("{divergence}"))
+    }
+
+    #[test]
+    fn growth_is_that_of_the_steps_that_follow() {
+        // One step of 1.06 would be 1.06^100 = 340, if all steps were like it.
+        for (every, growth) in [(100, 1.06), (2, 1.06 * (1.06_f64 * 0.99).powi(14))] {
+            let found = found_in(Brake(every));
+            assert!((found.worst.stability.multiplier - 1.06).abs() < 1e-6);
+            assert_eq!(found.growth > check::HARMLESS, every == 2, "{}", found.growth);
+            assert!((found.growth / growth - 1.0).abs() < 0.3, "{} {growth}", found.growth);
+        }
+    }
+
+    /// `1 - dt μ g/ε` at rest, beside multipliers of 1 in all states of the rollouts.
+    #[test]
+    fn a_step_that_chatters_is_unstable_between_its_states() {
+        for (smoothing, scheme, expected) in [
+            (0.01, FrictionScheme::Explicit, Some(3.905)),
+            (0.001, FrictionScheme::Explicit, Some(48.05)),
+            (0.03, FrictionScheme::Explicit, None),
+            (0.001, FrictionScheme::Implicit, None),
+        ] {
+            let mut slider = Slider::default();
+            (slider.system.smoothing, slider.system.scheme) = (smoothing, scheme);
+            let found = found_in(slider);
+            let multiplier = found.chatter.as_ref().map(|_| found.worst.stability.multiplier);
+            assert_eq!(multiplier.is_some(), expected.is_some(), "{smoothing}: {multiplier:?}");
+            if let (Some(found), Some(expected)) = (multiplier, expected) {
+                assert!((found / expected - 1.0_f64).abs() < 1e-3, "{found}, not {expected}");
+            }
         }
     }
 
