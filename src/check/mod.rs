@@ -41,7 +41,7 @@ pub use plateau::{Plateau, plateau};
 pub use policies::policy;
 #[cfg(feature = "double-double")]
 pub use reference::slope;
-pub use stability::{DENSE, Stability, jacobian_norm, stability};
+pub use stability::{DENSE, HARMLESS, Stability, growth_along, jacobian_norm, stability};
 pub use visited::{cost_along, system_along};
 
 use crate::dynamics::inputs::Start;
@@ -78,6 +78,8 @@ pub struct Passed {
     pub worst: f64,
     /// Tolerance of the relative error.
     pub allowed: f64,
+    /// Number of compared values beyond the range of `f64`, which agree if both forms leave it.
+    pub infinite: usize,
 }
 
 /// Accumulates the comparisons of consecutive random cases.
@@ -104,14 +106,16 @@ impl Comparison {
         expected: &[f64],
         uncertainty: &dyn Fn(usize) -> f64,
     ) -> Result<(), Mismatch> {
-        let scale = expected.iter().fold(0.0, |scale: f64, e| scale.max(e.abs()));
+        let scale = largest(expected);
         let mut pairs = found.iter().zip(expected).enumerate();
         pairs.try_for_each(|(index, (&found, &expected))| {
             self.one_within(what, index, found, expected, scale, &|| uncertainty(index))
         })
     }
 
-    /// Compares two numbers; the error is relative to `scale`, or absolute if `scale` is zero.
+    /// Compares two numbers; the error is relative to `scale`, or absolute if `scale` is zero. Numbers
+    /// below the smallest normal one have fewer digits, so a difference up to it counts as none. Equal
+    /// infinities agree, also with a reference that is then `∞ - ∞`: both leave the range of `f64`.
     fn one(
         &mut self,
         what: &str,
@@ -134,11 +138,15 @@ impl Comparison {
         scale: f64,
         uncertainty: &dyn Fn() -> f64,
     ) -> Result<(), Mismatch> {
+        self.passed.compared += 1;
+        if found.is_infinite() && (found == expected || expected.is_nan()) {
+            self.passed.infinite += 1;
+            return Ok(());
+        }
         let scale = if scale > 0.0 { scale } else { 1.0 };
         let difference = (found - expected).abs();
-        let error = difference / scale;
+        let error = if difference <= f64::MIN_POSITIVE { 0.0 } else { difference / scale };
         let allowed = self.passed.allowed;
-        self.passed.compared += 1;
         // Relative to a scale with which `allowed` includes the uncertainty. Infinite and NaN
         // uncertainties allow nothing.
         let within = || {
@@ -202,6 +210,12 @@ impl Comparison {
             }
         }
     }
+}
+
+/// Largest absolute value of the finite numbers.
+fn largest(numbers: &[f64]) -> f64 {
+    let finite = numbers.iter().filter(|number| number.is_finite());
+    finite.fold(0.0, |largest: f64, number| largest.max(number.abs()))
 }
 
 /// Draws standard normal samples.
@@ -279,6 +293,7 @@ pub fn task<T: Task, P: Policy>(task: &T, policy: &P) -> Result<Passed, Failure>
         sum.compared += passed.compared;
         sum.worst = sum.worst.max(passed.worst);
         sum.allowed = sum.allowed.max(passed.allowed);
+        sum.infinite += passed.infinite;
     };
     for flow in Flow::ALL {
         add(self::flow(task, policy, flow, None)?);
@@ -368,18 +383,24 @@ fn check_flow(
         c.slices("loss", &[loss], &[loss_by_duals(theta, &starts)])?;
         c.slices("gradient computed beside M", &gradient_beside, &gradient_alone)?;
 
-        let largest = gradient_alone.iter().fold(0.0, |s: f64, g| s.max(g.abs()));
+        let scale = largest(&gradient_alone);
         for (index, expected) in oracle::some_components(theta.len(), &mut rng, &|tangent| {
             slope(theta, &starts, tangent)
         }) {
             let what = format!("gradient by {}: theta_bar", parameter(&policy.tensors(), index));
-            c.one(&what, index, gradient_alone[index], expected, largest.max(expected.abs()))?;
+            c.one(&what, index, gradient_alone[index], expected, scale.max(largest(&[expected])))?;
         }
-        let norm = gradient_alone.iter().map(|g| g * g).sum::<f64>().sqrt();
+        // Without overflow of the squares.
+        let share = |g: &f64| if scale > 0.0 { g / scale } else { 0.0 };
+        let norm = scale * gradient_alone.iter().map(|g| share(g).powi(2)).sum::<f64>().sqrt();
+        // Sums of infinite components can be NaN.
+        let is_finite = norm.is_finite() && gradient_alone.iter().all(|g| g.is_finite());
         let directions = oracle::some_directions(theta.len(), &mut rng, &|tangent| {
             slope(theta, &starts, tangent)
         });
-        for (index, (direction, expected)) in directions.into_iter().enumerate() {
+        for (index, (direction, expected)) in
+            directions.into_iter().enumerate().filter(|_| is_finite)
+        {
             let found = direction.iter().zip(&gradient_alone).map(|(d, g)| d * g).sum();
             c.one(
                 "gradient in random direction",
@@ -391,7 +412,7 @@ fn check_flow(
         }
         let by_starts = start_gradients(task, policy, &weights, &starts, flow);
         let by_starts = by_starts.map_err(|divergence| Finding::Diverged { case, divergence })?;
-        let largest = by_starts.iter().fold(0.0, |s: f64, g| s.max(g.abs()));
+        let scale = largest(&by_starts);
         let components = oracle::some_components(starts.len(), &mut rng, &|tangent| {
             start_slope(theta, &starts, tangent)
         });
@@ -399,7 +420,7 @@ fn check_flow(
             let (sample, i) = (index / len, index % len);
             let (name, i) = if i < n { ("initial state", i) } else { ("parameters p", i - n) };
             let what = format!("gradient by the {name} of sample {sample}, component");
-            c.one(&what, i, by_starts[index], expected, largest.max(expected.abs()))?;
+            c.one(&what, i, by_starts[index], expected, scale.max(largest(&[expected])))?;
         }
     }
     Ok(c.passed)
@@ -461,4 +482,26 @@ fn finite_weights(
         |divergence| Finding::Diverged { case, divergence },
         |()| unreachable!("a finite run is returned"),
     ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Comparison, ROLLOUT};
+
+    #[test]
+    fn numbers_outside_of_the_normal_range_agree_if_both_forms_leave_it() {
+        let mut c = Comparison::new(ROLLOUT);
+        let mut compare = |found: &[f64], expected: &[f64]| c.slices("x", found, expected).is_ok();
+        // Gradients of a slider and of a cart-pole, with 7 and 10 digits.
+        assert!(compare(&[-4.916_649_3e-317], &[-4.916_65e-317]));
+        assert!(compare(&[1.204_600_449e-314], &[1.204_600_448_4e-314]));
+        assert!(compare(&[2e-323], &[2.5e-323]));
+        assert!(!compare(&[1.000_001e-300], &[1e-300]));
+        assert!(compare(&[f64::INFINITY, 1.0], &[f64::INFINITY, 1.0]));
+        assert!(!compare(&[f64::INFINITY], &[f64::NEG_INFINITY]));
+        assert!(!compare(&[f64::INFINITY], &[1e308]) && !compare(&[f64::NAN], &[f64::NAN]));
+        // An infinite component does not hide an error of another one.
+        assert!(!compare(&[f64::INFINITY, 1.1], &[f64::INFINITY, 1.0]));
+        assert_eq!(c.passed.infinite, 2);
+    }
 }

@@ -23,8 +23,9 @@ pub const DENSE: usize = 200;
 const ITERATIONS: [usize; 2] = [2048, 8192];
 /// Total growth in the evaluated products, as a logarithm, that counts as none: a multiplier of 1 ± 3e-5.
 const UNRESOLVED: f64 = 0.25;
-/// Growth over a horizon up to which [`Stability::is_stable_within`] is true.
-const HARMLESS: f64 = 2.0;
+/// Growth over a rollout up to which perturbations are harmless, see
+/// [`Stability::is_stable_within`] and [`growth_along`].
+pub const HARMLESS: f64 = 2.0;
 /// Range of [`Stability::lowest`] of a step that rings. The lower bound admits the error of the
 /// estimate. Below it, the perturbation grows, and the step is unstable.
 const RINGING: std::ops::RangeInclusive<f64> = -1.1..=-0.6;
@@ -190,6 +191,86 @@ fn of_any(system: &dyn AnySystem<f64>, inputs: Inputs<'_, f64>) -> Stability {
     }
 }
 
+/// Growth of perturbations over consecutive steps of a rollout: the largest spectral radius of the
+/// product of the Jacobians of the first k steps, for growing k. Ends at the first k with a growth
+/// above [`HARMLESS`]. 0 without steps, NaN if a Jacobian is non-finite.
+///
+/// A single step of a motion that brakes can have a multiplier above 1, although nothing grows over
+/// the steps after it. [`Stability::growth`] extrapolates one step and does not see this. Beyond 200
+/// state components, the spectral radius is estimated by power iteration.
+/// ```
+/// use physgrad::{Inputs, check, tasks::CartPole, Task};
+///
+/// // A pole that stands upright falls: its perturbation doubles in about ten steps.
+/// let steps = [0; 20].map(|t| Inputs { t, ..Inputs::new(&[0.0; 4], &[0.0]) });
+/// assert!(check::growth_along(CartPole::new(1).system(), &steps[..2]) < 1.5);
+/// assert!(check::growth_along(CartPole::new(1).system(), &steps) > check::HARMLESS);
+/// ```
+#[inline(never)]
+pub fn growth_along<S: System>(system: &S, steps: &[Inputs<'_, f64>]) -> f64 {
+    along(system, steps)
+}
+
+fn along(system: &dyn AnySystem<f64>, steps: &[Inputs<'_, f64>]) -> f64 {
+    let n = steps.first().map_or(0, |inputs| inputs.x.len());
+    let mut product: Option<Vec<f64>> = None;
+    let (mut scale, mut growth, mut due) = (0.0, 0.0_f64, 1);
+    for k in 1..=steps.len() {
+        if n <= DENSE {
+            let step = jacobian(system, steps[k - 1]);
+            let mut next = match &product {
+                None => step,
+                Some(product) => times(&step, product, n, &mut false),
+            };
+            let largest = next.iter().fold(0.0, |largest: f64, slope| largest.max(slope.abs()));
+            // Far from overflow.
+            if largest > 1e100 && largest.is_finite() {
+                next.iter_mut().for_each(|slope| *slope /= largest);
+                scale += largest.ln();
+            }
+            product = Some(next);
+        }
+        if k < due && k < steps.len() {
+            continue;
+        }
+        due = (k + 1).max(k * 5 / 4);
+        let radius = match &product {
+            Some(product) => by_squaring(product, n, SQUARINGS).0 * f64::exp(scale),
+            None => by_rounds(system, &steps[..k]),
+        };
+        if radius.is_nan() {
+            return f64::NAN;
+        }
+        growth = growth.max(radius);
+        if growth > HARMLESS {
+            break;
+        }
+    }
+    growth
+}
+
+/// Spectral radius of the product of the Jacobians of consecutive steps, by power iteration.
+fn by_rounds(system: &dyn AnySystem<f64>, steps: &[Inputs<'_, f64>]) -> f64 {
+    /// Rounds before those that count, and all rounds.
+    const ROUNDS: [u32; 2] = [4, 8];
+    let n = steps[0].x.len();
+    let mut v = normal(&mut stream(0, Purpose::Check, 3), n);
+    let (mut next, mut logarithm) = (vec![0.0; n], 0.0);
+    for round in 0..ROUNDS[1] {
+        for &inputs in steps {
+            system.jvp(inputs, Tangents { x: Some(&v), ..Tangents::default() }, &mut next);
+            std::mem::swap(&mut v, &mut next);
+        }
+        let norm = v.iter().map(|v| v * v).sum::<f64>().sqrt();
+        if norm == 0.0 || norm.is_nan() {
+            return norm;
+        }
+        v.iter_mut().for_each(|v| *v /= norm);
+        logarithm += if round < ROUNDS[0] { 0.0 } else { norm.ln() };
+    }
+    (logarithm / f64::from(ROUNDS[1] - ROUNDS[0])).exp()
+}
+
 /// [`Radius`] of a matrix in row-major order, by Gelfand's formula. NaN if an entry is non-finite.
 fn by_squaring(matrix: &[f64], n: usize, squarings: usize) -> Radius {
     let mut power = matrix.to_vec();
@@ -225,7 +306,7 @@ fn by_squaring(matrix: &[f64], n: usize, squarings: usize) -> Radius {
             |i: usize| power[i * n..(i + 1) * n].iter().map(|slope| slope * slope).sum::<f64>();
         component = (0..n).max_by(|&i, &j| weight(i).total_cmp(&weight(j))).unwrap_or(0);
         if round < squarings {
-            power = square(&power, n, &mut underflows);
+            power = times(&power, &power, n, &mut underflows);
         }
     }
     (logarithm.exp(), component)
@@ -298,15 +379,15 @@ fn jacobian(system: &dyn AnySystem<f64>, inputs: Inputs<'_, f64>) -> Vec<f64> {
     matrix
 }
 
-/// Square of a matrix. Sets `underflows` if a product of two nonzero entries is 0.
-fn square(matrix: &[f64], n: usize, underflows: &mut bool) -> Vec<f64> {
+/// Product of two matrices. Sets `underflows` if a product of two nonzero entries is 0.
+fn times(left: &[f64], right: &[f64], n: usize, underflows: &mut bool) -> Vec<f64> {
     let mut product = vec![0.0; n * n];
     for i in 0..n {
         for k in 0..n {
-            let factor = matrix[i * n + k];
+            let factor = left[i * n + k];
             for j in 0..n {
-                let term = factor * matrix[k * n + j];
-                *underflows |= term == 0.0 && factor != 0.0 && matrix[k * n + j] != 0.0;
+                let term = factor * right[k * n + j];
+                *underflows |= term == 0.0 && factor != 0.0 && right[k * n + j] != 0.0;
                 product[i * n + j] += term;
             }
         }

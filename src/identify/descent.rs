@@ -22,6 +22,23 @@ pub(super) struct Stop {
     /// fraction.
     pub tolerance: f64,
     pub max_iterations: usize,
+    /// Objective that ends the loop with [`IdentifyError::Worse`], if its minimum will be higher.
+    pub give_up: f64,
+}
+
+impl Stop {
+    /// Returns whether the objective stays above [`give_up`](Self::give_up) in all remaining
+    /// iterations, if it decreases as fast as in the last ones. `objectives` are those after each
+    /// iteration.
+    fn is_hopeless(&self, objectives: &[f64]) -> bool {
+        /// Iterations that show how fast the objective decreases.
+        const SHOWN: usize = 20;
+        let count = objectives.len();
+        let Some(before) = count.checked_sub(SHOWN + 1) else { return false };
+        let now = objectives[count - 1];
+        let remaining = (self.max_iterations + 1).saturating_sub(count) as f64 / SHOWN as f64;
+        now * (now / objectives[before]).powf(remaining) > self.give_up
+    }
 }
 
 /// Rounding error of the elimination of initial states, relative to the weight of continuity and to
@@ -35,7 +52,8 @@ const ROUNDING: f64 = 1e-14;
 /// objective and all residuals and derivatives are finite. Also returns the minimum.
 ///
 /// # Errors
-/// [`IdentifyError::Stopped`] if the stop flag is set.
+/// [`IdentifyError::Stopped`] if the stop flag is set. [`IdentifyError::Worse`] if the minimum exceeds
+/// `stop.give_up`.
 pub(super) fn minimize(
     problem: &Problem<'_>,
     point: &mut Point,
@@ -52,6 +70,10 @@ pub(super) fn minimize(
     };
     let (mut damping, mut quiet) = (1e-3, 0);
     let mut least = objective(point, counts)?;
+    let mut objectives = vec![least];
+    let ended = |converged: bool, least: f64| {
+        if least > stop.give_up { Err(IdentifyError::Worse) } else { Ok((converged, least)) }
+    };
     for _ in 0..stop.max_iterations {
         counts.iterations += 1;
         counts.jacobians += 1;
@@ -79,13 +101,17 @@ pub(super) fn minimize(
             Some(_) => quiet + 1,
             // No step decreases the objective: a minimum up to rounding, if all residuals and
             // derivatives are finite.
-            None => return Ok((linearized.iter().flatten().all(Linearized::is_finite), least)),
+            None => return ended(linearized.iter().flatten().all(Linearized::is_finite), least),
         };
         if quiet >= 2 {
-            return Ok((true, least));
+            return ended(true, least);
+        }
+        objectives.push(least);
+        if stop.is_hopeless(&objectives) {
+            return Err(IdentifyError::Worse);
         }
     }
-    Ok((false, least))
+    ended(false, least)
 }
 
 /// The point after one damped step, within the bounds. `None` for singular equations.

@@ -132,4 +132,7 @@ pub enum IdentifyError {
     /// The flag of the options stopped the identification.
     #[error("the identification was stopped before its end; start it again")]
     Stopped,
+    /// χ² will be higher than that of the options.
+    #[error("χ² will be higher than `give_up`; raise it, or choose another model")]
+    Worse,
 }

@@ -64,6 +64,10 @@ pub struct Options {
     /// which must differ by less than half a turn without them. A step must commute with full turns
     /// of these components. Default: none, measured angles are continuous.
     pub angles: Vec<usize>,
+    /// χ² of another model or reading of the same data. Ends the identification with
+    /// [`IdentifyError::Worse`] if its own χ² will be higher, judged by the last iterations. Default:
+    /// infinite.
+    pub give_up: f64,
     /// Flag that another thread sets to stop the identification with [`IdentifyError::Stopped`].
     /// Read before every simulation of a window.
     pub stop: Option<Arc<AtomicBool>>,
@@ -78,6 +82,7 @@ impl Default for Options {
             max_iterations: 300,
             tolerance: 1e-10,
             angles: Vec::new(),
+            give_up: f64::INFINITY,
             stop: None,
         }
     }
@@ -269,12 +274,19 @@ pub fn identify<S: System>(
     let problem = Problem::new(system, segments, unknowns, options)?;
     let mut counts = Counts::default();
     check_count(&problem, options, &mut counts)?;
-    let mut best = attempt(&problem, options, &mut counts)?;
+    let whole = Options { window: None, ..options.clone() };
+    let mut best = match attempt(&problem, options, &mut counts) {
+        // Windows may have led to a wrong minimum.
+        Err(IdentifyError::Worse) if options.window.is_some() => {
+            attempt(&problem, &whole, &mut counts)?
+        }
+        other => other?,
+    };
     if best.is_doubtful {
-        match attempt(&problem, &Options { window: None, ..options.clone() }, &mut counts) {
+        match attempt(&problem, &whole, &mut counts) {
             Ok(whole) if whole.is_better(&best) => best = whole,
             // Whole segments can diverge where windows do not.
-            Ok(_) | Err(IdentifyError::Diverged { .. }) => {}
+            Ok(_) | Err(IdentifyError::Diverged { .. } | IdentifyError::Worse) => {}
             Err(error) => return Err(error),
         }
     }
@@ -327,7 +339,8 @@ fn attempt(
     let mut converged = false;
     for (i, &continuity) in CONTINUITY[..stages].iter().enumerate() {
         let tolerance = if i + 1 == stages { options.tolerance } else { COARSE };
-        let stop = Stop { tolerance, max_iterations: options.max_iterations };
+        let stop =
+            Stop { tolerance, max_iterations: options.max_iterations, give_up: options.give_up };
         (converged, objective) = minimize(problem, &mut point, continuity, stop, counts)?;
         first.get_or_insert(objective);
         all_converged &= converged;

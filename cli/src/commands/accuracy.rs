@@ -46,7 +46,7 @@ pub struct Accuracy {
     #[arg(long, value_name = "ERROR")]
     pub target: Option<f64>,
     /// Error that --target refers to
-    #[arg(long, value_enum, default_value_t = Metric::Trajectory)]
+    #[arg(long, value_enum, default_value_t = Metric::Trajectory, requires = "target")]
     pub metric: Metric,
     /// Measure the costs of gradients instead: reverse passes, forward mode, differences,
     /// checkpoints, horizons
@@ -74,6 +74,12 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
         && (target.is_nan() || target <= 0.0)
     {
         bail!("--target {target}; allowed: a positive error, for example 1e-3");
+    }
+    if !args.gradients {
+        args.overrides.refuse(
+            |key| key == "precision" || key.starts_with("integrator."),
+            "this command, which tries every integrator, step size and precision",
+        )?;
     }
     let mut source = presets::source(&args.scene)?;
     args.overrides.apply(&mut source)?;

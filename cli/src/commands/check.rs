@@ -8,7 +8,7 @@ use crate::scenes::presets;
 use crate::scenes::source::SceneSource;
 use crate::tasks::{self, Scene};
 use anyhow::{Result, bail};
-use physgrad::check::{Kink, KinkInput, Stability};
+use physgrad::check::{HARMLESS, Kink, KinkInput, Stability};
 use physgrad::text::growth;
 use serde_json::json;
 use std::path::PathBuf;
@@ -101,7 +101,7 @@ const MAX_KINKS: usize = 8;
 fn about_rollouts(source: SceneSource, note: &mut dyn FnMut(String) -> Result<()>) -> Result<()> {
     let scene = source.scene()?;
     let theta = scene.initial_theta()?;
-    let found = match scene.amplification(&theta) {
+    let found = match scene.amplification(&theta, None) {
         Ok(found) => found,
         Err(divergence) => {
             return note(format!(
@@ -182,9 +182,7 @@ fn stability(
     let name = &names[component];
     let all = if evaluated == states { String::new() } else { format!(" of {states}") };
     let place = format!("in test rollout {sample}, step {step}");
-    let harmless = |found: &Amplification| {
-        found.divergence.is_none() && found.worst.stability.is_stable_within(horizon)
-    };
+    let harmless = |found: &Amplification| found.divergence.is_none() && found.growth <= HARMLESS;
     if harmless(found) || multiplier.is_nan() {
         let said = if stability.is_stable() {
             format!(
@@ -198,15 +196,20 @@ fn stability(
                 "harmless: a perturbation grows by {} per step, at most by {:.2} over the {horizon} steps of a \
                  rollout",
                 growth(multiplier),
-                stability.growth(horizon)
+                found.growth
             )
         };
         return Ok(format!(
             "time step, worst of {evaluated}{all} states, {place}, component {component} ({name}): {said}"
         ));
     }
-    let unstable = !stability.is_stable_within(horizon);
-    let grows = if unstable {
+    let unstable = found.growth > HARMLESS;
+    let grows = if found.chatter.is_some() {
+        let multiplier = growth(multiplier);
+        format!(
+            "time step: {name} alternates {place}, and the step chatters: between the two states, a perturbation grows by {multiplier} per step"
+        )
+    } else if unstable {
         let multiplier = growth(multiplier);
         format!("time step: a perturbation of {name} grows by {multiplier} per step {place}")
     } else {
@@ -219,7 +222,7 @@ fn stability(
         times *= 2;
         let count = substeps * times;
         refined.put("integrator.substeps", Value::Integer(count), "more substeps")?;
-        let amplification = |scene: Scene| scene.amplification(theta).ok();
+        let amplification = |scene: Scene| scene.amplification(theta, found.chatter.as_ref()).ok();
         let Some(next) = refined
             .scene()
             .ok()

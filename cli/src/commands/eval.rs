@@ -10,7 +10,7 @@ use crate::platform::table::Table;
 use crate::platform::terminal::{counted, print_text};
 use crate::runs::outputs;
 use crate::runs::trained::Trained;
-use crate::scenes::overrides::Overrides;
+use crate::scenes::overrides::{Overrides, is_of_training};
 use crate::scenes::presets;
 use crate::tasks::Scene;
 use anyhow::{Context, Result, bail};
@@ -145,28 +145,23 @@ pub fn check_samples(samples: usize) -> Result<()> {
 }
 
 /// Refuses settings of trainings.
-fn check_set(set: &[String]) -> Result<()> {
-    for option in set {
-        let key = option.split('=').next().unwrap_or_default().trim();
-        if key == "seed" {
+fn check_set(overrides: &Overrides) -> Result<()> {
+    for option in &overrides.set {
+        if option.split('=').next().is_some_and(|key| key.trim() == "seed") {
             bail!(
                 "--set {option} has no effect on an evaluation; give the seed of the initial states by --seed"
             );
         }
-        // The budget of a training is also that of rollouts.
-        let is_of_training = key.starts_with("training.") && key != "training.memory"
-            || ["epochs", "field", "tags", "log", "initial_policy"].contains(&key);
-        if is_of_training {
-            bail!("--set {option} has no effect on an evaluation, which trains nothing; remove it");
-        }
     }
-    Ok(())
+    overrides.refuse(is_of_training, "an evaluation, which trains nothing")
 }
 
 /// Scene for the evaluation of a policy. It has the policy section and the precision of the run,
 /// unless `--set` changes them.
 fn scene(args: &Eval, policy: &Trained) -> Result<Scene> {
-    check_set(&args.set)?;
+    let overrides =
+        Overrides { set: args.set.clone(), without: args.without.clone(), ..Overrides::default() };
+    check_set(&overrides)?;
     let mut source = match &args.scene {
         Some(name) => presets::source(name)?,
         None => policy.source.clone(),
@@ -178,8 +173,7 @@ fn scene(args: &Eval, policy: &Trained) -> Result<Scene> {
             }
         }
     }
-    Overrides { set: args.set.clone(), without: args.without.clone(), ..Overrides::default() }
-        .apply(&mut source)?;
+    overrides.apply(&mut source)?;
     let scene = source.scene()?;
     let [of_scene, of_run] = [&scene, &policy.scene].map(|scene| scene.task.name());
     if of_scene != of_run {

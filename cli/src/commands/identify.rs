@@ -14,7 +14,7 @@ use crate::platform::json::{object, print_json, rows};
 use crate::platform::table::Table;
 use crate::platform::terminal::{counted, listed, print_text};
 use crate::runs::saved;
-use crate::scenes::overrides::{Overrides, hide_training};
+use crate::scenes::overrides::{Overrides, hide_training, is_of_training};
 use crate::scenes::presets;
 use crate::tasks::Scene;
 use anyhow::{Context, Result, anyhow, bail};
@@ -74,6 +74,14 @@ pub struct Identify {
 
 /// Runs the command.
 pub fn identify(args: &Identify) -> Result<()> {
+    let is_unread = |key: &str| {
+        let is_of_rollouts = ["loss.", "policy."].iter().any(|section| key.starts_with(section));
+        is_of_training(key) || is_of_rollouts || ["seed", "precision", "horizon"].contains(&key)
+    };
+    args.overrides.refuse(
+        is_unread,
+        "an identification, which trains no policy and simulates the measured steps in f64",
+    )?;
     let mut source = presets::source(&args.scene)?;
     args.overrides.apply(&mut source)?;
     let scene = source.scene()?;

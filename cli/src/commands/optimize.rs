@@ -8,7 +8,7 @@ use crate::platform::parallel;
 use crate::platform::table::Table;
 use crate::platform::terminal::{counted, print_message, print_text};
 use crate::runs::{outputs, saved};
-use crate::scenes::overrides::{Overrides, hide_training};
+use crate::scenes::overrides::{Overrides, hide_training, is_of_training};
 use crate::scenes::presets;
 use crate::tasks::Scene;
 use anyhow::{Context, Result, bail};
@@ -70,6 +70,10 @@ const COMPONENTS: usize = 8;
 
 /// Runs the command.
 pub fn optimize(args: &Optimize) -> Result<()> {
+    let is_unread = |key: &str| {
+        is_of_training(key) && key != "training.test_samples" || key.starts_with("policy.")
+    };
+    args.overrides.refuse(is_unread, "optimized controls, which need no policy and no training")?;
     let (name, scene) = match &args.from {
         Some(path) => (Folder::existing(path)?.name(), saved::scene(&Folder::existing(path)?)?),
         None => {

@@ -1,7 +1,7 @@
 //! Gradient checks of a task and its policy, in a table. Stability of the time step, and slope of
 //! the loss.
 
-use crate::operations::trajectory;
+use crate::operations::trajectory::{self, Trajectory};
 use crate::platform::table::Table;
 use crate::platform::terminal::{print_text, progress_bar};
 use indicatif::ProgressBar;
@@ -60,8 +60,13 @@ pub fn check(
 
 /// Stability of the steps of test rollouts.
 pub struct Amplification {
-    /// State with the largest amplification of a perturbation by a step.
+    /// State with the largest amplification of a perturbation by a step: among those after which
+    /// perturbations grow more than [`check::HARMLESS`], otherwise among all.
     pub worst: Place,
+    /// Growth of a perturbation over the steps after `worst`, or a bound. NaN if that of `worst` is.
+    pub growth: f64,
+    /// State between two that alternate, if `worst` is there.
+    pub chatter: Option<Between>,
     /// State in which a perturbation alternates in sign and decays most slowly, among consecutive
     /// steps that [ring](Stability::rings). `None` if only single steps ring, such as impacts.
     pub ringing: Option<Place>,
@@ -71,6 +76,61 @@ pub struct Amplification {
     pub states: usize,
     /// First non-finite number of the test rollouts.
     pub divergence: Option<Divergence>,
+}
+
+/// State between two consecutive states of a rollout, with the control of the first one.
+#[derive(Clone)]
+pub struct Between {
+    sample: usize,
+    x: Vec<f64>,
+    u: Vec<f64>,
+    p: Vec<f64>,
+    t: usize,
+}
+
+impl Between {
+    /// The state where component i of the next state decreases most steeply with component i, on the
+    /// line from the state of step t to the next one.
+    ///
+    /// The step exchanges two alternating states, so its mean slope between them is -1. If the slopes
+    /// at both ends are larger, that of a state between them is below -1.
+    fn steepest(
+        task: &DynTask,
+        sample: usize,
+        Trajectory { states, controls, params }: &Trajectory,
+        [t, i]: [usize; 2],
+    ) -> Self {
+        /// Halvings of the line.
+        const HALVINGS: usize = 40;
+        let (u, p) = (controls[t].clone(), params.clone());
+        let at = |share: f64| -> Vec<f64> {
+            let pairs = states[t].iter().zip(&states[t + 1]);
+            pairs.map(|(a, b)| a + share * (b - a)).collect()
+        };
+        let next = |share: f64| {
+            let (x, mut next) = (at(share), states[t].clone());
+            System::step(task.system(), Inputs { x: &x, u: &u, p: &p, t }, &mut next);
+            next[i]
+        };
+        let rise = |[a, b]: [f64; 2]| (next(b) - next(a)) / (states[t + 1][i] - states[t][i]);
+        let mut line = [0.0, 1.0];
+        for _ in 0..HALVINGS {
+            let middle = 0.5 * (line[0] + line[1]);
+            let halves = [[line[0], middle], [middle, line[1]]];
+            line = if rise(halves[0]) < rise(halves[1]) { halves[0] } else { halves[1] };
+            // Rounding errors exceed the differences of shorter lines.
+            if line[1] - line[0] < 1e-7 {
+                break;
+            }
+        }
+        Self { sample, x: at(0.5 * (line[0] + line[1])), u, p, t }
+    }
+
+    fn place(&self, task: &DynTask) -> Place {
+        let Self { sample, x, u, p, t } = self;
+        let stability = check::stability(task.system(), Inputs { x, u, p, t: *t });
+        Place { sample: *sample, step: *t, stability }
+    }
 }
 
 /// Stability of one step of a test rollout.
@@ -85,6 +145,10 @@ pub struct Place {
 
 /// Stability in states of test rollouts with the parameters `theta`.
 ///
+/// A step that chatters jumps over a state of rest to and fro, with a stable multiplier on either
+/// side: the state between them is unstable. `known` is such a state of a longer step. Without it,
+/// the rollouts are searched for alternating states.
+///
 /// # Errors
 /// A rollout diverges in the first step.
 pub fn amplification(
@@ -92,6 +156,7 @@ pub fn amplification(
     policy: &impl Policy,
     theta: &[f64],
     seed: u64,
+    known: Option<&Between>,
 ) -> Result<Amplification, Divergence> {
     let weights = Weights::new(policy, theta.to_vec());
     let starts = initial_states(task, seed, Purpose::Test, ROLLOUTS);
@@ -116,21 +181,47 @@ pub fn amplification(
     };
     let indices = evaluated(task, &states);
     let places: Vec<Place> = indices.iter().map(|&i| place(i)).collect();
-    // `check::stability` returns NaN with a positive sign. `total_cmp` ranks this NaN above every
-    // number.
-    let worst =
-        places.iter().max_by(|a, b| a.stability.multiplier.total_cmp(&b.stability.multiplier));
-    let mut known: BTreeMap<usize, Place> = indices.into_iter().zip(places.clone()).collect();
-    let mut candidates: Vec<(usize, Place)> = known
-        .iter()
-        .map(|(&i, &place)| (i, place))
-        .filter(|(_, at)| at.stability.rings())
-        .collect();
+    let horizon = Task::horizon(task);
+    let after = |place: &Place| {
+        let from = place.step;
+        let steps: Vec<Inputs<'_, f64>> = states
+            .iter()
+            .filter(|(sample, inputs)| *sample == place.sample && inputs.t >= from)
+            .map(|(_, inputs)| *inputs)
+            .collect();
+        check::growth_along(task.system(), &steps)
+    };
+    let mut worst = worst(&places, horizon, after);
+    let between = match known {
+        Some(known) => vec![known.clone()],
+        None => { alternating(&rollouts).into_iter() }
+            .map(|(sample, place)| Between::steepest(task, sample, &rollouts[sample], place))
+            .collect(),
+    };
+    let mut chatter = None;
+    for between in
+        between.into_iter().filter(|between| between.x.len() == task.system().state_dim())
+    {
+        let place = between.place(task);
+        let Stability { multiplier, lowest, .. } = place.stability;
+        let is_chatter = !place.stability.is_stable_within(horizon)
+            && (known.is_some() || lowest < -1.0)
+            && worst.is_some_and(|(worst, growth)| {
+                growth <= check::HARMLESS || multiplier > worst.stability.multiplier
+            });
+        if is_chatter {
+            worst = Some((place, place.stability.growth(horizon)));
+            chatter = Some(between);
+        }
+    }
+    let mut seen: BTreeMap<usize, Place> = indices.into_iter().zip(places.clone()).collect();
+    let mut candidates: Vec<(usize, Place)> =
+        seen.iter().map(|(&i, &place)| (i, place)).filter(|(_, at)| at.stability.rings()).collect();
     candidates.sort_by(|a, b| a.1.stability.lowest.total_cmp(&b.1.stability.lowest));
     let ringing = candidates.into_iter().find_map(|(i, candidate)| {
         let mut rings = |i: usize| {
             i < states.len() && {
-                let at = known.entry(i).or_insert_with(|| place(i));
+                let at = seen.entry(i).or_insert_with(|| place(i));
                 at.sample == candidate.sample && at.stability.rings()
             }
         };
@@ -141,8 +232,10 @@ pub fn amplification(
         (before + 1 + after >= CONSECUTIVE).then_some(candidate)
     });
     match (worst, divergence) {
-        (Some(&worst), _) => Ok(Amplification {
+        (Some((worst, growth)), _) => Ok(Amplification {
             worst,
+            growth,
+            chatter,
             ringing,
             evaluated: places.len(),
             states: states.len(),
@@ -151,6 +244,72 @@ pub fn amplification(
         (_, Some(divergence)) => Err(divergence),
         _ => unreachable!("finite rollouts of at least one step have states"),
     }
+}
+
+/// The place of [`Amplification::worst`], with the growth over the steps after it. `after` computes
+/// the growth over the rest of a rollout. A multiplier that is harmless also if every step has it
+/// bounds the growth without this computation.
+fn worst(places: &[Place], horizon: usize, after: impl Fn(&Place) -> f64) -> Option<(Place, f64)> {
+    let mut sorted = places.to_vec();
+    // `check::stability` returns NaN with a positive sign. `total_cmp` ranks this NaN above every
+    // number.
+    sorted.sort_by(|a, b| b.stability.multiplier.total_cmp(&a.stability.multiplier));
+    let first = *sorted.first()?;
+    if first.stability.multiplier.is_nan() {
+        return Some((first, f64::NAN));
+    }
+    sorted.retain(|place| !place.stability.is_stable_within(horizon));
+    let mut begins = BTreeMap::new();
+    for place in &sorted {
+        let begin = begins.entry(place.sample).or_insert(*place);
+        *begin = if place.step < begin.step { *place } else { *begin };
+    }
+    // The largest multipliers, and the longest parts of rollouts.
+    let spaced = sorted.iter().step_by(sorted.len().div_ceil(WINDOWS).max(1));
+    let mut growth = 0.0_f64;
+    for place in spaced.chain(begins.values()) {
+        let over = after(place);
+        if over > check::HARMLESS {
+            return Some((*place, over));
+        }
+        growth = growth.max(over);
+    }
+    let is_bound = sorted.is_empty();
+    Some((first, if is_bound { first.stability.growth(horizon) } else { growth }))
+}
+
+/// Sample, step and component of each run of steps in which a component alternates: its increments
+/// change their sign and keep their size. At most [`WINDOWS`], those of the longest runs.
+fn alternating(rollouts: &[Trajectory]) -> Vec<(usize, [usize; 2])> {
+    /// Smallest increment, relative to the largest value of the component.
+    const RESOLVED: f64 = 1e-9;
+    let mut found: Vec<(usize, (usize, [usize; 2]))> = Vec::new();
+    for (sample, Trajectory { states, controls, .. }) in rollouts.iter().enumerate() {
+        for i in 0..states[0].len() {
+            let largest = states.iter().fold(0.0_f64, |largest, x| largest.max(x[i].abs()));
+            let step = |t: usize| states[t + 1][i] - states[t][i];
+            let turns = |t: usize| {
+                let (now, next) = (step(t), step(t + 1));
+                now * next < 0.0
+                    && now.abs().max(next.abs()) <= 2.0 * now.abs().min(next.abs())
+                    && now.abs() > RESOLVED * largest
+            };
+            let mut run = 0;
+            for t in 0..controls.len() {
+                run = if t + 1 < controls.len() && turns(t) { run + 1 } else { 0 };
+                if run >= CONSECUTIVE {
+                    // The next state of the same run.
+                    if run > CONSECUTIVE {
+                        found.pop();
+                    }
+                    found.push((run, (sample, [t, i])));
+                }
+            }
+        }
+    }
+    found.sort_by(|a, b| b.0.cmp(&a.0));
+    found.truncate(WINDOWS);
+    found.into_iter().map(|(_, place)| place).collect()
 }
 
 /// Kinks and jumps of the step, the observation and the costs along test rollouts.
@@ -209,6 +368,9 @@ pub fn jumps(
 /// Number of consecutive steps that must ring. A single impact with restitution reverses a
 /// perturbation too.
 const CONSECUTIVE: usize = 3;
+/// Largest number of states after which the growth is computed, and of states between two that
+/// alternate.
+const WINDOWS: usize = 16;
 /// Number of test rollouts of [`amplification`] and [`plateau`].
 const ROLLOUTS: usize = 4;
 /// Bound on the number of evaluated states times the cubed number of state components. The time is
@@ -267,13 +429,17 @@ impl Results {
         self.spinner.set_message(format!("{task}, {name}"));
         match check() {
             Ok(p) => {
+                let beyond = match p.infinite {
+                    0 => "ok".to_owned(),
+                    count => format!("ok, {count} beyond {:.1e}", f64::MAX),
+                };
                 self.row([
                     task,
                     name,
                     &p.compared.to_string(),
                     &rough(p.worst),
                     &format!("{:.0e}", p.allowed),
-                    "ok",
+                    &beyond,
                 ]);
                 None
             }
@@ -308,6 +474,7 @@ mod tests {
     use super::*;
     use crate::operations::policy_file;
     use physgrad::policy::Linear;
+    use physgrad::tasks::{FrictionScheme, Slider};
     use physgrad::{Cotangent, Real, Scalar};
     use physgrad::{Cotangents, Start, rng::Rng};
 
@@ -347,7 +514,7 @@ mod tests {
 
     fn found<const N: usize>() -> Amplification {
         let policy = Linear::new(N, 1);
-        amplification(&DynTask::new(Kick::<N>), &policy, &policy_file::random(&policy, 0), 0)
+        amplification(&DynTask::new(Kick::<N>), &policy, &policy_file::random(&policy, 0), 0, None)
             .unwrap_or_else(|divergence| panic!("{divergence}"))
     }
 
@@ -359,6 +526,72 @@ mod tests {
         // Beyond 200 components, by power iteration.
         for some in [found::<40>(), found::<201>()] {
             assert!(some.worst.step == 7 && some.evaluated < some.states);
+        }
+    }
+
+    /// Speeds that a brake stops: the first of `self.0` steps lets a perturbation grow by 6 %.
+    struct Brake(usize);
+
+    impl System for Brake {
+        fn state_dim(&self) -> usize {
+            1
+        }
+        fn control_dim(&self) -> usize {
+            1
+        }
+        fn step<T: Scalar>(&self, Inputs { x, u, t, .. }: Inputs<'_, T>, next: &mut [T]) {
+            next[0] = x[0] * if t % self.0 == 0 { 1.06 } else { 0.99 } + u[0];
+        }
+    }
+
+    impl Task for Brake {
+        type System = Self;
+        fn system(&self) -> &Self {
+            self
+        }
+        fn horizon(&self) -> usize {
+            100
+        }
+        fn start(&self, _rng: &mut Rng, Start { x, .. }: Start<'_>) {
+            x.fill(1.0);
+        }
+    }
+
+    fn found_in(task: impl Task + 'static) -> Amplification {
+        let task = DynTask::new(task);
+        let policy = Linear::new(task.system().state_dim(), 1);
+        amplification(&task, &policy, &vec![0.0; task.system().state_dim()], 0, None)
+            .unwrap_or_else(|divergence| panic!("{divergence}"))
+    }
+
+    #[test]
+    fn growth_is_that_of_the_steps_that_follow() {
+        // One step of 1.06 would be 1.06^100 = 340, if all steps were like it.
+        for (every, growth) in [(100, 1.06), (2, 1.06 * (1.06_f64 * 0.99).powi(14))] {
+            let found = found_in(Brake(every));
+            assert!((found.worst.stability.multiplier - 1.06).abs() < 1e-6);
+            assert_eq!(found.growth > check::HARMLESS, every == 2, "{}", found.growth);
+            assert!((found.growth / growth - 1.0).abs() < 0.3, "{} {growth}", found.growth);
+        }
+    }
+
+    /// `1 - dt μ g/ε` at rest, beside multipliers of 1 in all states of the rollouts.
+    #[test]
+    fn a_step_that_chatters_is_unstable_between_its_states() {
+        for (smoothing, scheme, expected) in [
+            (0.01, FrictionScheme::Explicit, Some(3.905)),
+            (0.001, FrictionScheme::Explicit, Some(48.05)),
+            (0.03, FrictionScheme::Explicit, None),
+            (0.001, FrictionScheme::Implicit, None),
+        ] {
+            let mut slider = Slider::default();
+            (slider.system.smoothing, slider.system.scheme) = (smoothing, scheme);
+            let found = found_in(slider);
+            let multiplier = found.chatter.as_ref().map(|_| found.worst.stability.multiplier);
+            assert_eq!(multiplier.is_some(), expected.is_some(), "{smoothing}: {multiplier:?}");
+            if let (Some(found), Some(expected)) = (multiplier, expected) {
+                assert!((found / expected - 1.0_f64).abs() < 1e-3, "{found}, not {expected}");
+            }
         }
     }
 
@@ -399,7 +632,7 @@ mod tests {
         fn rings<const N: usize>(steps: usize, of: usize) -> bool {
             let policy = Linear::new(N, 1);
             let (task, theta) = (Reversals::<N>(steps, of), policy_file::random(&policy, 0));
-            let found = amplification(&DynTask::new(task), &policy, &theta, 0)
+            let found = amplification(&DynTask::new(task), &policy, &theta, 0, None)
                 .unwrap_or_else(|divergence| panic!("{divergence}"));
             assert!(found.ringing.is_none_or(|at| at.step % of < steps));
             found.ringing.is_some()

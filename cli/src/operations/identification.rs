@@ -48,17 +48,20 @@ pub fn identified(
         !segments.iter().any(|segment| may_be_motion(segment.x.iter().map(|row| row[*i])))
     };
     let clear: Vec<usize> = wrapped.iter().copied().filter(is_clear).collect();
-    let fit = |angles: Vec<usize>| {
-        identify(system, &segments, &unknowns, &Options { angles, ..options.clone() })
+    let fit = |angles: Vec<usize>, give_up: f64| {
+        identify(system, &segments, &unknowns, &Options { angles, give_up, ..options.clone() })
     };
-    if clear.len() == wrapped.len() {
-        return fit(wrapped);
+    let is_clear = clear.len() == wrapped.len();
+    let without = fit(wrapped, f64::INFINITY);
+    if is_clear {
+        return without;
     }
-    match (fit(wrapped), fit(clear)) {
+    let least = without.as_ref().map_or(f64::INFINITY, |without| without.chi_squared);
+    match (without, fit(clear, least)) {
         (Ok(without), Ok(recorded)) if recorded.chi_squared < without.chi_squared => Ok(recorded),
         // A wrong reading can diverge.
         (Err(IdentifyError::Diverged { .. }), recorded) => recorded,
-        (without, Ok(_) | Err(IdentifyError::Diverged { .. })) => without,
+        (without, Ok(_) | Err(IdentifyError::Diverged { .. } | IdentifyError::Worse)) => without,
         (_, error) => error,
     }
 }

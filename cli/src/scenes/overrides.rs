@@ -78,6 +78,30 @@ impl Overrides {
         Ok(())
     }
 
+    /// Refuses options for settings that a command does not read. `is_unread` decides by the key,
+    /// `what` names the command.
+    pub fn refuse(&self, is_unread: impl Fn(&str) -> bool, what: &str) -> Result<()> {
+        let options = [
+            ("field", self.field.is_some(), "--field"),
+            ("epochs", self.epochs.is_some(), "--epochs"),
+            ("seed", self.seed.is_some(), "--seed"),
+            ("precision", self.precision.is_some(), "--precision"),
+            ("tags", !self.tag.is_empty(), "--tag"),
+            ("log", !self.log.is_empty(), "--log"),
+            (INITIAL_POLICY, self.policy.is_some(), "--policy"),
+        ];
+        let options = options.into_iter().filter(|(_, is_given, _)| *is_given);
+        let assigned = self.set.iter().map(|assignment| {
+            let key = assignment.split('=').next().unwrap_or_default().trim();
+            (key, format!("--set {}", short(assignment)))
+        });
+        let given = options.map(|(key, _, option)| (key, option.to_owned())).chain(assigned);
+        match { given }.find(|(key, _)| is_unread(key)) {
+            Some((_, option)) => bail!("{option} has no effect on {what}; remove it"),
+            None => Ok(()),
+        }
+    }
+
     /// Applies the overrides to a scene that may already contain them.
     ///
     /// Ignores names in `--without` that the scene does not contain.
@@ -85,6 +109,13 @@ impl Overrides {
         let without = self.without.iter().filter(|name| source.has(name)).cloned().collect();
         Self { without, ..self.clone() }.apply(source)
     }
+}
+
+/// Whether only trainings read the setting with this key. The budget of a training is also that of
+/// rollouts.
+pub fn is_of_training(key: &str) -> bool {
+    key.starts_with("training.") && key != "training.memory"
+        || ["epochs", "field", "tags", "log", INITIAL_POLICY].contains(&key)
 }
 
 /// Hides an option in the help text of a command if only training uses the option.
@@ -143,6 +174,10 @@ pub fn set(source: &mut SceneSource, assignment: &str) -> Result<()> {
         key.split_once('.').filter(|(section, _)| ["vary", "fit"].contains(section))
     {
         let example = if section == "vary" { "{ uniform = [1, 2] }" } else { "{ start = 1 }" };
+        // A key of the section is quoted, and a key of its value may follow.
+        let number = number
+            .strip_prefix(['"', '\''])
+            .map_or(number, |quoted| quoted.split(['"', '\'']).next().unwrap_or_default());
         bail!(
             "{option}: only scene files have the section `{section}`; write the setting itself, as in --set '{number}={example}'"
         );

@@ -24,7 +24,6 @@ use crate::platform::terminal::counted;
 use crate::scenes::grid::{Point, combinations, count};
 use crate::scenes::presets;
 use crate::scenes::source::{SceneSource, parse_table, place, read_text};
-use crate::settings::EstimatorName;
 use crate::settings::config_error::{ConfigError, allowed};
 use crate::settings::reading::read;
 use crate::settings::{FieldName, OPTIONAL};
@@ -517,18 +516,23 @@ impl Plan {
         Ok(scene)
     }
 
-    /// Checks that fields differ with the estimator of a scene.
+    /// Checks that fields differ with the estimator of a scene, and read the settings of its
+    /// training.
     ///
     /// # Errors
-    /// There are several fields, but the estimator reads losses only.
+    /// There are several fields, but the estimator reads losses only. No field reads a setting.
     fn check_estimator(&self, scene: &Scene, fields: &[FieldName]) -> Result<()> {
-        if fields.len() > 1 && scene.training.estimator == EstimatorName::ZerothOrder {
+        if fields.len() > 1 && scene.reads_losses_only() {
             bail!(
                 "{}: `fields` names {} fields, but has no effect: `training.estimator` is zeroth_order, which follows differences \
                  of losses; name one field, for example R, or choose another estimator",
                 self.place("fields"),
                 fields.len()
             );
+        }
+        // A setting of a task is one of all its methods.
+        if self.contents.methods.is_empty() {
+            scene.check_fields(&fields.iter().map(|field| field.0).collect::<Vec<_>>())?;
         }
         Ok(())
     }

@@ -67,6 +67,10 @@ impl PolicySpec for MlpSettings {
             found <= most,
             format!("up to {most} layers"),
         )?;
+        if self.widths.is_empty() && self.activation != Activation::Tanh {
+            let name = format!("{:?}", self.activation).to_lowercase();
+            return Err(ConfigError::unread("policy.activation", name, "`policy.widths` is []"));
+        }
         match self.widths.iter().find(|w| !(1..=10_000).contains(*w)) {
             Some(width) => {
                 let what =

@@ -1,6 +1,6 @@
 //! Scenes: validated settings with their task and policy, independent of the type of the task.
 
-use crate::operations::checks::{Amplification, Results};
+use crate::operations::checks::{Amplification, Between, Results};
 use crate::operations::evaluation::AnyEvaluation;
 use crate::operations::gradients::{Derived, GradientMethod};
 use crate::operations::memory::{self, Needs};
@@ -14,8 +14,8 @@ use crate::operations::{
 use crate::platform::memory::of_this_machine;
 use crate::settings::config_error::ConfigError;
 use crate::settings::{
-    ActuatorSettings, DecayName, FieldName, IntegratorSettings, LogFormat, OPTIONAL, Precision,
-    TrainingSettings,
+    ActuatorSettings, DecayName, EstimatorName, FieldName, IntegratorSettings, LogFormat, OPTIONAL,
+    Precision, TrainingSettings,
 };
 use crate::tasks::policy::{ScenePolicy, trained};
 use crate::tasks::{AnyTaskSpec, Conserved, PolicySpec, Settings, TaskSpec};
@@ -70,6 +70,9 @@ pub struct Scene {
     initial_policy: Option<Arc<[u8]>>,
     settings: Arc<dyn AnySettings>,
 }
+
+/// Why a setting has no effect on an estimator that reads losses only.
+const LOSSES: &str = "`training.estimator` is zeroth_order, which follows differences of losses";
 
 /// The part of [`Settings`] that depends on the type of the task, as an object.
 trait AnySettings: Send + Sync {
@@ -200,12 +203,17 @@ impl Scene {
         checks::check(&self.physics, &self.policy, theta, variant, results);
     }
 
-    /// Stability of the steps of test rollouts.
+    /// Stability of the steps of test rollouts, and at a state between two that alternate with
+    /// longer steps.
     ///
     /// # Errors
     /// A rollout diverges in the first step.
-    pub fn amplification(&self, theta: &[f64]) -> Result<Amplification, Divergence> {
-        checks::amplification(&self.physics, &self.policy, theta, self.seed)
+    pub fn amplification(
+        &self,
+        theta: &[f64],
+        known: Option<&Between>,
+    ) -> Result<Amplification, Divergence> {
+        checks::amplification(&self.physics, &self.policy, theta, self.seed, known)
     }
 
     /// Kinks and jumps of the step, the observation and the costs along test rollouts.
@@ -383,24 +391,59 @@ impl Scene {
         }
     }
 
-    /// Refuses settings of the training that its field does not read. Scenes of comparisons have
-    /// them for the other fields.
+    /// Refuses settings of the training that its field does not read.
+    ///
+    /// # Errors
+    /// As [`check_fields`](Self::check_fields). Also if `training.truncation` exceeds the horizon, or
+    /// if an estimator that reads losses only has a field other than C, the default, and R.
+    pub fn check_field(&self) -> Result<(), ConfigError> {
+        let field = self.field.0.name();
+        if self.reads_losses_only() && !["combined", "regular"].contains(&field) {
+            return Err(ConfigError::unread("field", field, LOSSES));
+        }
+        if let Some(steps) = self.training.truncation.filter(|&steps| steps > self.horizon) {
+            let because = format!("`horizon` is {}", self.horizon);
+            return Err(ConfigError::unread("training.truncation", steps, &because));
+        }
+        self.check_fields(&[self.field.0])
+    }
+
+    /// Whether the estimator of the training reads losses only, without derivatives.
+    pub fn reads_losses_only(&self) -> bool {
+        self.training.estimator == EstimatorName::ZerothOrder
+    }
+
+    /// Refuses settings of the training that none of the fields reads.
     ///
     /// # Errors
     /// The scene has such a setting.
-    pub fn check_field(&self) -> Result<(), ConfigError> {
-        let (field, flows) = (self.field.0.name(), self.field.0.flows());
-        let unread = |key: &str, value: f64, because: String| {
-            Err(ConfigError::unread(&format!("training.{key}"), value, &because))
-        };
-        let TrainingSettings { average, control, .. } = self.training;
-        if average > 0.0 && flows.len() == 1 {
-            return unread("average", average, format!("field {field} has no second gradient"));
-        }
-        let is_blind = flows.iter().all(|flow| flow.control == 0.0);
-        if control != 1.0 && is_blind {
-            let because = format!("field {field} omits the path through the observation");
-            return unread("control", control, because);
+    pub fn check_fields(&self, fields: &[Field]) -> Result<(), ConfigError> {
+        let names: Vec<&str> = fields.iter().map(Field::name).collect();
+        let [verb, have, omit] =
+            if fields.len() == 1 { ["field", "has", "omits"] } else { ["fields", "have", "omit"] };
+        let named = format!("{verb} {}", names.join(", "));
+        let flows = || fields.iter().flat_map(Field::flows);
+        let losses = self.reads_losses_only();
+        let has_second = fields.iter().any(|field| field.flows().len() > 1);
+        let sees = flows().any(|flow| flow.control != 0.0);
+        let has_path = flows().any(|flow| [flow.physics, flow.control, flow.memory] != [0.0; 3]);
+        let second = format!("{named} {have} no second gradient");
+        let observation = format!("{named} {omit} the path through the observation");
+        let paths = format!("{named} {omit} all paths between steps");
+        let TrainingSettings { average, control, discount, truncation, cut, .. } = self.training;
+        // Value of a setting that is given, whether a field reads it, and why not.
+        let settings = [
+            ("average", Some(average).filter(|&x| x != 0.0), has_second, &*second),
+            ("control", Some(control).filter(|&x| x != 1.0), sees, &*observation),
+            ("discount", Some(discount).filter(|&x| x != 1.0), has_path, &*paths),
+            ("truncation", truncation.map(|steps| steps as f64), has_path, &*paths),
+            ("cut", cut, has_path, &*paths),
+        ];
+        for (key, value, is_read, because) in settings {
+            if let Some(value) = value.filter(|_| losses || !is_read) {
+                let because = if losses { LOSSES } else { because };
+                return Err(ConfigError::unread(&format!("training.{key}"), value, because));
+            }
         }
         Ok(())
     }

@@ -394,6 +394,8 @@ fn a_comparison_resumes_with_more_epochs_and_refuses_other_settings() {
     assert!(error_of(&mut compare(&["--set", "field=S"])).contains("--fields"));
     let alike = ["--fields", "R,S", "--set", "training.estimator=zeroth_order"];
     assert!(error_of(&mut compare(&alike)).contains("`fields` names 2 fields, but has no effect"));
+    let blind = ["--fields", "M,S", "--set", "training.control=0.5"];
+    assert!(error_of(&mut compare(&blind)).contains("fields modified, stopped omit the path"));
     assert!(error_of(&mut compare(&["--set", "fieldx=1"])).contains("`fieldx` is unknown"));
     assert!(
         error_of(&mut compare(&["--seed", "9223372036854775807", "--seeds", "2"]))

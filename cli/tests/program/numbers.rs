@@ -441,14 +441,14 @@ fn controls_and_parameters_without_a_value_are_named() {
     let fit = "[actuator.limit]\nbound = 3.0\n[fit]\n\"effects.cart_damping.damping\" = { start = 0.3 }\n\
                [effects.cart_damping]\n[vary]\n\"system.cart_mass\" = { uniform = [0.5, 2] }\n";
     let dir = folder(&format!("{SCENE}{fit}"));
-    let identify = |columns: &str, cells: [[&str; 2]; 2]| {
+    let identify = |columns: &str, cells: [[&str; 2]; 2], every: usize| {
         let rows = ["a", "b"].iter().zip(cells).flat_map(|(key, cells)| {
             let row = move |t: usize| {
                 let time = t as f64 * 0.01;
                 let x = 1.0 + 0.5 * time - 0.01 * time * time;
                 format!("{key},{time},{x}{}\n", cells[usize::from(t > 5)])
             };
-            (0..20).map(row)
+            (0..20).step_by(every).map(row)
         });
         let data = format!("segment,t,x{columns}\n{}", rows.collect::<String>());
         fs::write(dir.path().join("data.csv"), data).expect("data");
@@ -479,6 +479,12 @@ fn controls_and_parameters_without_a_value_are_named() {
             "note: force has no value in segment b, and is taken as 0 there",
         ),
         (
+            ",force",
+            both([",0", ",0.001"]),
+            true,
+            "note: the rows are 2 steps apart, and the fit holds each control over these steps",
+        ),
+        (
             ",force,system.cart_mass",
             [[",0,1", ",0,"], [",0,", ",0,"]],
             false,
@@ -497,7 +503,8 @@ fn controls_and_parameters_without_a_value_are_named() {
             "`system.cart_mass` is -0.24; allowed: a positive number",
         ),
     ] {
-        let (success, output) = identify(columns, cells);
+        let every = if message.contains("2 steps apart") { 2 } else { 1 };
+        let (success, output) = identify(columns, cells, every);
         assert!(success == succeeds && output.contains(message), "{message}: {output}");
         if success {
             let facts = fs::read_to_string(dir.path().join("found/fit.csv")).expect("facts");
@@ -638,6 +645,18 @@ fn measured_trajectories_identify_length_within_1_and_center_within_2_percent() 
             "theta_1 is given twice",
         ),
         (
+            "identify double_pendulum.toml --data double_pendulum.csv --field S",
+            "--field has no effect on an identification, which trains no policy",
+        ),
+        (
+            "identify double_pendulum.toml --data double_pendulum.csv --set horizon=3",
+            "--set horizon=3 has no effect on an identification",
+        ),
+        (
+            "identify double_pendulum.toml --data double_pendulum.csv --seed 1",
+            "--seed has no effect on an identification",
+        ),
+        (
             "identify double_pendulum.toml --data double_pendulum.csv --set system.dt=0.007",
             "is not a later step of 0.007 s",
         ),
@@ -699,6 +718,10 @@ fn unusable_measurements_are_refused_with_place_and_advice() {
         (
             "t,theta_1\n0,1\n10,2\n15,3",
             "data.csv: all rows are 1000 or more steps of 0.005 s apart; give `t` in s, not in ms",
+        ),
+        (
+            "t,theta_1\n0,1\n0.005,1e200",
+            "data.csv:3: theta_1 is 1e200; allowed: angles in rad up to 1e9, or an empty cell",
         ),
         // Segments of 2e6 steps each exceed the limit only together.
         (
@@ -919,12 +942,15 @@ fn trained_numbers_outside_of_their_ranges_are_named_at_the_first_and_the_last_e
 fn advice_on_varied_and_trained_numbers_is_accepted() {
     let dir = folder(SCENE);
     for section in ["vary", "fit"] {
-        let refused = format!("explain scene.toml --set {section}.system.cart_mass=1");
-        let output = physgrad(&refused, dir.path()).assert().failure().get_output().clone();
-        let said = String::from_utf8(output.stderr).expect("UTF-8");
-        let advice = said.split("as in --set '").nth(1).and_then(|rest| rest.split('\'').next());
-        let advice = advice.unwrap_or_else(|| panic!("no advice: {said}"));
-        let mut accepted = physgrad("explain scene.toml --set", dir.path());
-        accepted.arg(advice).assert().success();
+        for key in ["system.cart_mass", "\"system.cart_mass\"", "\"system.cart_mass\".start"] {
+            let refused = format!("explain scene.toml --set {section}.{key}=1");
+            let output = physgrad(&refused, dir.path()).assert().failure().get_output().clone();
+            let said = String::from_utf8(output.stderr).expect("UTF-8");
+            let advice =
+                said.split("as in --set '").nth(1).and_then(|rest| rest.split('\'').next());
+            let advice = advice.unwrap_or_else(|| panic!("no advice: {said}"));
+            let mut accepted = physgrad("explain scene.toml --set", dir.path());
+            accepted.arg(advice).assert().success();
+        }
     }
 }

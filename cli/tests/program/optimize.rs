@@ -116,6 +116,11 @@ fn optimized_forces_stay_within_minus_4_and_5_n_and_cost_less_than_the_policy() 
         ("optimize cart_pole --starts 0", "--starts is 0; allowed: 1 to "),
         ("optimize cart_pole --from run", "cannot be used with"),
         ("optimize --from run --set horizon=30", "cannot be used with"),
+        ("optimize cart_pole --field S", "--field has no effect on optimized controls"),
+        (
+            "optimize cart_pole --set training.batch=3",
+            "--set training.batch=3 has no effect on optimized controls",
+        ),
         ("optimize", "required arguments were not provided"),
     ] {
         let stderr = physgrad(command, dir.path()).assert().failure().get_output().stderr.clone();

@@ -193,6 +193,15 @@ fn discount_control_truncation_and_cut_change_r_and_their_neutral_values_do_not(
         policy(&out)
     };
     for (field, setting, message) in [
+        ("S", "discount=0.5", "`training.discount` is 0.5, but has no effect: field stopped omits"),
+        ("S", "truncation=5", "`training.truncation` is 5, but has no effect: field stopped omits"),
+        ("S", "cut=5", "`training.cut` is 5, but has no effect: field stopped omits all paths"),
+        ("R", "truncation=99", "`training.truncation` is 99, but has no effect: `horizon` is 25"),
+        (
+            "S",
+            "estimator=zeroth_order",
+            "`field` is stopped, but has no effect: `training.estimator` is zeroth_order",
+        ),
         (
             "R",
             "average=0.9",
@@ -345,6 +354,14 @@ fn errors_in_a_file_name_the_line_and_the_allowed_values() {
         (
             "[training]\nestimator = \"zeroth_order\"\ntolerance = 1\n",
             "my_scene.toml:5: `training.tolerance` is 1, but has no effect: `training.estimator` is not alpha_order",
+        ),
+        (
+            "[training]\nestimator = \"zeroth_order\"\ncut = 1\n",
+            "`training.cut` is 1, but has no effect: `training.estimator` is zeroth_order",
+        ),
+        (
+            "[policy]\nwidths = []\nactivation = \"relu\"\n",
+            "my_scene.toml:5: `policy.activation` is relu, but has no effect: `policy.widths` is []",
         ),
         (
             "[training]\nestimator = \"inverse_variance\"\npairs = 1\n",

@@ -22,6 +22,9 @@ const COARSEST: f64 = 0.2;
 /// Smallest number of steps between all rows that shows times in another unit than s.
 const SPARSE: usize = 1000;
 
+/// Largest measured angle, rad. Turns of far larger ones have no meaning in f64.
+const LARGEST_ANGLE: f64 = 1e9;
+
 /// Smallest distance of a row from the row before that shows a wrong time, relative to the median
 /// distance of the segment times its number of rows.
 const ASTRAY: usize = 100;
@@ -241,13 +244,44 @@ impl Measured {
                 ));
             }
         }
+        notes.extend(self.held(numbers));
         notes
+    }
+
+    /// A sentence about controls that change between rows that are all several steps apart. Rows
+    /// further apart than others have a warning.
+    fn held(&self, numbers: &[usize]) -> Option<String> {
+        let most = |&i: &usize| {
+            let segment = &self.segments[i];
+            let (median, mut pairs) = (segment.median(), segment.distances());
+            let is_held = median > 1
+                && pairs.any(|(steps, [before, after])| steps > 1 && before.u != after.u);
+            is_held.then_some(median)
+        };
+        let steps = numbers.iter().filter_map(most).max()?;
+        Some(format!(
+            "the rows are {steps} steps apart, and the fit holds each control over these steps; this is right only if the \
+             experiment held it too, and not if rows were left out"
+        ))
     }
 
     fn check(&self, scene: &Scene) -> Result<()> {
         let (name, dt) = (&self.name, scene.dt());
         if self.segments.is_empty() {
             bail!("{name} has no samples");
+        }
+        let names = scene.state_names();
+        for i in scene.angles() {
+            let rows = self.segments.iter().flat_map(|segment| &segment.rows);
+            if let Some(Sample { line, x, .. }) =
+                { rows }.find(|row| row.x[i].abs() > LARGEST_ANGLE)
+            {
+                bail!(
+                    "{name}:{line}: {} is {:e}; allowed: angles in rad up to {LARGEST_ANGLE:e}, or an empty cell",
+                    names[i],
+                    x[i]
+                );
+            }
         }
         let distances = self.segments.iter().flat_map(Recording::distances);
         if let Some(distance) = distances.map(|(steps, _)| steps).min().filter(|&d| d >= SPARSE) {
