@@ -523,8 +523,15 @@ fn angles_that_wrap_give_the_fit_of_continuous_angles() {
             let options =
                 Options { noise: Some(NOISE.into()), window, free_starts, ..Options::default() };
             let expected = fit(&with_gap, 1.1, &options);
-            let found = fit(&wrapped, 1.1, &Options { angles: vec![0], ..options });
+            let found = fit(&wrapped, 1.1, &Options { angles: vec![0], ..options.clone() });
             assert!(expected.converged && found.converged, "{window:?} {free_starts}");
+            // As recorded, the wrapped angles cannot reach this χ². A limit above it changes nothing.
+            let give_up = found.chi_squared;
+            let recorded = Options { give_up, ..options.clone() };
+            let recorded = identify(&pendulum(), &wrapped, &unknowns(1.1), &recorded);
+            assert_eq!(recorded, Err(IdentifyError::Worse), "{window:?} {free_starts}");
+            let limited = Options { angles: vec![0], give_up: 1.01 * give_up, ..options };
+            assert_eq!(fit(&wrapped, 1.1, &limited).values, found.values);
             for i in 0..2 {
                 // The iterations end within a small fraction of a standard error.
                 assert!(
