@@ -89,14 +89,14 @@ def test_angles_that_turn_by_more_than_half_a_turn_between_rows_are_a_warning():
     task = pg.task("cart_pole", poles=1, horizon=40, precision="f64")
     u = np.random.default_rng(1).normal(size=(2, 40, 1))
     x = np.zeros((2, 40, 4))
-    x[:, 0, 2:] = [[3.0, 60.0], [3.0, -60.0]]
+    x[:, 0, 2:] = [[3.0, 66.0], [3.0, -66.0]]
     for t in range(39):
         x[:, t + 1] = task.replace(cart_mass=1.3).step(x[:, t], u[:, t])
     x[..., 2] = np.pi - np.mod(np.pi - x[..., 2], 2 * np.pi)
     x[:, np.arange(40) % 8 != 0, 2] = np.nan
     with pytest.warns(UserWarning, match="theta_1 is more than half a turn from the simulated one in .* rows"):
         fit = pg.identify(task, list(zip(x, u)), ["system.cart_mass"], [0.01, 0.05, 0.01, 0.05])
-    assert fit["notes"][0].startswith("theta_1 wraps: the fit removes ") and "(first row 8 of segment 0)" in fit["notes"][0]
+    assert fit["notes"][0].startswith("theta_1 wraps: the fit removes ") and "(first row 8 of segment 1)" in fit["notes"][0]
 
 
 def test_numbers_of_rows_have_a_limit():
