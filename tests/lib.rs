@@ -1,4 +1,5 @@
 //! Tests of the library, by topic. `cargo test --release -p physgrad-tests TOPIC` runs one topic.
+//! `simulations.rs` has those of the built-in systems, so that both compile at the same time.
 
 #![cfg(test)]
 
@@ -10,7 +11,3 @@ mod engine;
 mod identify;
 mod numbers;
 mod optimize;
-mod paper_examples;
-mod physics;
-mod reference;
-mod stress;

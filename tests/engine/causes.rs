@@ -106,9 +106,9 @@ fn wrappers_forward_the_cause_of_the_wrapped_system() {
     let lagging = Actuated { system: Substeps { system, count: 2 }, actuator: Delay { steps: 1 } };
     let zeros = vec![0.0; 5];
     assert!(check::stability(&lagging, Inputs::new(&zeros, &zeros[..1])).multiplier.is_finite());
-    // The engine diagnoses the step of one sample, with a single lane.
+    // The engine diagnoses the step of one sample, which fills all lanes.
     let substeps = Substeps { system: hard.clone(), count: 2 };
-    let ones = [Lanes([1.0_f64]); 4];
+    let ones = [Lanes([1.0_f64; 8]); 4];
     assert!(matches!(substeps.diagnose(Inputs::new(&ones, &ones[..1])), Some(Cause::Unsolved(_))));
 }
 

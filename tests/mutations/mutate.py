@@ -130,10 +130,10 @@ def main():
             return
         library = folder / "src/lib.rs"
         library.write_text(library.read_text() + LIBRARY.replace("FACTOR", args.factor))
-        build = ["cargo", "test", "-p", "physgrad-tests", "--no-run"]
+        build = ["cargo", "test", "-p", "physgrad-tests", "--test", "simulations", "--no-run"]
         environment = {**os.environ, "CARGO_TARGET_DIR": args.target, "CARGO_PROFILE_DEV_DEBUG": "0"}
         built = subprocess.run(build, cwd=folder, env=environment, stderr=subprocess.PIPE, text=True)
-        program = re.search(r"\((\S*deps/physgrad_tests-\w+)\)", built.stderr)
+        program = re.search(r"\((\S*deps/simulations-\w+)\)", built.stderr)
         if built.returncode != 0 or not program:
             sys.exit(built.stderr)
 
