@@ -168,7 +168,7 @@ fn segment(scene: &Scene, i: usize, data: &Bound<'_, PyAny>) -> PyResult<Segment
     let [n, m, _] = scene.dims();
     let Ok(dict) = data.cast::<PyDict>() else {
         let (x, u): (Bound<'_, PyAny>, Bound<'_, PyAny>) = data.extract()?;
-        let (x, u) = states_and_controls(i, [&x, &u], [n, m])?;
+        let [x, u] = states_and_controls(i, [&x, &u], [n, m])?;
         return Ok(Segment { x, u, ..Segment::default() });
     };
     for key in dict.keys() {
@@ -182,7 +182,7 @@ fn segment(scene: &Scene, i: usize, data: &Bound<'_, PyAny>) -> PyResult<Segment
     let matrix = |key: &str| {
         dict.get_item(key)?.ok_or_else(|| invalid(format!("segment {i} has no {key:?}")))
     };
-    let (x, u) = states_and_controls(i, [&matrix("x")?, &matrix("u")?], [n, m])?;
+    let [x, u] = states_and_controls(i, [&matrix("x")?, &matrix("u")?], [n, m])?;
     let names = scene.param_names();
     let mut p = vec![f64::NAN; names.len()];
     for (name, value) in dict
@@ -221,7 +221,7 @@ fn states_and_controls(
     segment: usize,
     objects: [&Bound<'_, PyAny>; 2],
     widths: [usize; 2],
-) -> PyResult<(Vec<Vec<f64>>, Vec<Vec<f64>>)> {
+) -> PyResult<[Vec<Vec<f64>>; 2]> {
     let [x, u] = objects;
     let x = rows("states", segment, x, widths[0], &|_| true)?;
     let count = x.len();
@@ -241,7 +241,7 @@ fn states_and_controls(
             }
         }
     }
-    Ok((x, u))
+    Ok([x, u])
 }
 
 /// Rows of a matrix, a number that `is_allowed`.

@@ -111,6 +111,9 @@ impl FinishedFigure {
     }
 }
 
+/// Makes a figure that trains nothing, fast or in full.
+type Toy = fn(bool) -> Result<FinishedFigure>;
+
 /// Runs the command.
 pub fn paper(args: &Paper) -> Result<()> {
     let running = &args.running;
@@ -124,8 +127,7 @@ pub fn paper(args: &Paper) -> Result<()> {
     };
     // Continues with the other figures after an error.
     let mut all = AllMade::default();
-    let toys: [(Figure, fn(bool) -> Result<FinishedFigure>); 2] =
-        [(Figure::Fig1, fig1::fig1), (Figure::Fig2, fig2::fig2)];
+    let toys: [(Figure, Toy); 2] = [(Figure::Fig1, fig1::fig1), (Figure::Fig2, fig2::fig2)];
     for (figure, make) in toys {
         if is_wanted(figure) && running.shard.is_none_or(Shard::is_first) {
             let name = figure.name();

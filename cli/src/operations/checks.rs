@@ -307,7 +307,7 @@ fn alternating(rollouts: &[Trajectory]) -> Vec<(usize, [usize; 2])> {
             }
         }
     }
-    found.sort_by(|a, b| b.0.cmp(&a.0));
+    found.sort_by_key(|found| std::cmp::Reverse(found.0));
     found.truncate(WINDOWS);
     found.into_iter().map(|(_, place)| place).collect()
 }
