@@ -223,7 +223,7 @@ class _Rows:
     """States of several rollouts, which may be at different steps."""
 
     def __init__(self, task: pg.Task, low: np.ndarray, high: np.ndarray, count: int) -> None:
-        self.task, self.middle, self.half = task, 0.5 * (low + high), 0.5 * (high - low)
+        self.task, self.middle, self.half = task, 0.5 * low + 0.5 * high, 0.5 * high - 0.5 * low
         self.x = np.zeros((count, task.state_dim), task.dtype)
         self.p = np.zeros((count, task.param_dim), task.dtype)
         self.t = np.full(count, task.horizon)

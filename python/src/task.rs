@@ -168,7 +168,7 @@ impl Task {
     /// of m pairs, or None without bounds. `actuator.limit.bound` replaces those of the task.
     #[getter]
     fn control_bounds(&self) -> Option<Vec<(f64, f64)>> {
-        let bounds = self.task.control_bounds()?;
+        let bounds = self.scene.control_bounds()?;
         Some(bounds.into_iter().map(|[low, high]| (low, high)).collect())
     }
 

@@ -23,6 +23,7 @@ def warnings_are_errors():
 
 @pytest.mark.parametrize("name", sorted(pg._core.task_names()))
 def test_all_tasks_pass_the_checks(name):
+    assert pg.gym, "the import registers the environments"
     check_env(gymnasium.make(f"physgrad/{name}-v0").unwrapped)
 
 

@@ -114,6 +114,11 @@ impl Scene {
         self.scene.horizon
     }
 
+    /// Range of each control, None without bounds. A limit replaces the bounds of the task.
+    pub fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
+        self.scene.control_bounds()
+    }
+
     /// Time step, in the unit of time of the task: s, except for `quantum`.
     pub fn dt(&self) -> f64 {
         self.scene.dt()

@@ -20,6 +20,7 @@ use crate::settings::{
 use crate::tasks::policy::{ScenePolicy, trained};
 use crate::tasks::{AnyTaskSpec, Conserved, PolicySpec, Settings, TaskSpec};
 use anyhow::{Context, Result};
+use physgrad::actuator::Actuator;
 use physgrad::check::{Jumps, Kink, Plateau};
 use physgrad::count::TaskOpCount;
 use physgrad::identify::{Fit, IdentifyError, Options, Segment};
@@ -180,6 +181,15 @@ impl Scene {
     /// The policy, with the trained numbers of the system.
     pub fn policy(&self) -> &ScenePolicy {
         &self.policy
+    }
+
+    /// Range of each control, None without bounds: the range to which the actuators limit all
+    /// controls, otherwise the bounds of the task.
+    pub fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
+        let limited = self.actuator.chain(self.dt()).range();
+        limited
+            .map(|range| vec![range; self.physics.system().control_dim()])
+            .or_else(|| self.physics.control_bounds())
     }
 
     /// Starts the training from the policy file with these contents.
