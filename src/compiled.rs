@@ -18,13 +18,14 @@ use crate::engine::initial_states::append_starts;
 use crate::engine::rollout::Rollout;
 use crate::engine::rows;
 use crate::numbers::scalar::Float;
-use crate::policy::{AnyNetwork, Policy, WithParams};
+use crate::policy::{AnyNetwork, Conv, Mlp, Policy, WithParams};
 use crate::tasks::*;
 use crate::train::calls;
 use crate::train::combination::Combination;
 use crate::train::field::Field;
 use crate::train::{Session, Trainer};
 use crate::{identify, optimize};
+use num_dual::Dual64;
 
 /// A system with the integrator, the substeps and the actuator of a scene.
 type Adjusted<S> = Actuated<Substeps<S>, Vec<AnyActuator>>;
@@ -60,6 +61,8 @@ pub fn compiled() -> Vec<Function> {
     let others = [
         &any_policy[..],
         &of_policy::<WithParams<AnyNetwork>>(),
+        &of_network::<Mlp>(),
+        &of_network::<Conv>(),
         &of_precision::<f32>(),
         &of_precision::<f64>(),
     ];
@@ -90,6 +93,11 @@ fn of_precision<F: Float>() -> [Function; 21] {
         rows::terminal_cost::<F, DynTask> as Function,
         rows::terminal_cost_vjp::<F, DynTask> as Function,
     ]
+}
+
+/// Most of the time of a check passes in networks of dual numbers.
+fn of_network<P: Policy>() -> [Function; 2] {
+    [P::act::<f64> as Function, P::act::<Dual64> as Function]
 }
 
 fn of_policy<P: Policy + 'static>() -> Vec<Function> {

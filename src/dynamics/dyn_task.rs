@@ -255,8 +255,8 @@ function!(
     }
 );
 
-/// Functions of a task that run in rollouts, reverse passes, optimization and identification. See
-/// `compiled.rs`.
+/// Functions of a task that run in rollouts, reverse passes, optimization and identification, and
+/// the steps of checks. See `compiled.rs`.
 #[cfg(all(not(test), feature = "compiled"))]
 pub(crate) fn frequent<T: Task + 'static>() -> Vec<*const ()> {
     fn of_scalar<T: Task + 'static, R: Real>() -> [*const (); 7] {
@@ -284,7 +284,7 @@ pub(crate) fn frequent<T: Task + 'static>() -> Vec<*const ()> {
         &of_scalar::<T, f64>()[..],
         &of_scalar::<T, Lanes<f32, 8>>(),
         &of_scalar::<T, Lanes<f64, 8>>(),
-        &[of_cotangent::<T, f64, 1>()],
+        &[of_cotangent::<T, f64, 1>(), Step::<T>::pointer::<num_dual::Dual64>() as *const ()],
         &of_lanes::<T, Lanes<f32, 8>>(),
         &of_lanes::<T, Lanes<f64, 8>>(),
     ]

@@ -120,6 +120,7 @@ impl Policy for Conv {
         }
     }
 
+    #[inline(never)] // see `compiled.rs`
     fn act<T: Scalar>(
         &self,
         theta: &[T],

@@ -190,6 +190,7 @@ impl Policy for Mlp {
         }
     }
 
+    #[inline(never)] // see `compiled.rs`
     fn act<T: Scalar>(
         &self,
         theta: &[T],
