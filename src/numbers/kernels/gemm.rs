@@ -250,13 +250,12 @@ macro_rules! gemm {
             pub fn product(level: SimdLevel, p: Product<'_, $float>) {
                 p.check(PAD);
                 let level = level.checked();
-                // A tile of H × NR registers needs H · NR + H + 1 of them: 11 of 16 with AVX2, 28
-                // of 32 with AVX-512 and NEON. With AVX2, 6 columns would leave 2 of the 8 samples
-                // of a chunk to a tile with too few sums in flight.
+                // A tile of H × NR registers needs H · NR + H + 1 of them: 15 of 16 with AVX2, 28
+                // of 32 with AVX-512 and NEON.
                 #[cfg(target_arch = "x86_64")]
                 #[target_feature(enable = "avx2,fma")]
                 unsafe fn avx2(p: Product<'_, $float>) {
-                    unsafe { panels::<$avx2, 2, 4>(p) }
+                    unsafe { panels::<$avx2, 2, 6>(p) }
                 }
                 #[cfg(target_arch = "x86_64")]
                 #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx512bw,avx2,fma")]
