@@ -3,6 +3,7 @@
 use crate::json::check;
 use crate::markdown::root;
 use crate::numbers::{physgrad, read};
+use crate::runs::{SMALL, error, succeed};
 use serde_json::Value;
 use std::fs;
 use tempfile::TempDir;
@@ -40,18 +41,6 @@ fn folder(plan: &str) -> TempDir {
     fs::write(dir.path().join("plans/plan.toml"), plan).expect("a file");
     fs::write(dir.path().join("plans/scenes/mine.toml"), SCENE).expect("a file");
     dir
-}
-
-const SMALL: &str = "--set training.train_samples=16 --set training.test_samples=8 --epochs 1";
-
-fn succeed(dir: &TempDir, args: &str) -> String {
-    String::from_utf8(physgrad(args, dir.path()).assert().success().get_output().stdout.clone())
-        .expect("text")
-}
-
-fn error(dir: &TempDir, args: &str) -> String {
-    String::from_utf8(physgrad(args, dir.path()).assert().failure().get_output().stderr.clone())
-        .expect("text")
 }
 
 #[test]

@@ -4,14 +4,14 @@ use super::numbers::{physgrad, read};
 use std::fs;
 use tempfile::TempDir;
 
-const SMALL: &str = "--set training.train_samples=16 --set training.test_samples=8 --epochs 1";
+pub const SMALL: &str = "--set training.train_samples=16 --set training.test_samples=8 --epochs 1";
 
-fn succeed(dir: &TempDir, args: &str) -> String {
+pub fn succeed(dir: &TempDir, args: &str) -> String {
     String::from_utf8(physgrad(args, dir.path()).assert().success().get_output().stdout.clone())
         .expect("text")
 }
 
-fn error(dir: &TempDir, args: &str) -> String {
+pub fn error(dir: &TempDir, args: &str) -> String {
     String::from_utf8(physgrad(args, dir.path()).assert().failure().get_output().stderr.clone())
         .expect("text")
 }
