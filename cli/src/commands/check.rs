@@ -1,6 +1,7 @@
 //! `physgrad check`: the gradient checks of the library, as a table.
 
-use crate::operations::checks::{Amplification, Place, Results};
+use crate::operations::amplification::{Amplification, Place};
+use crate::operations::checks::Results;
 use crate::platform::json::print_json;
 use crate::platform::terminal::{counted, print_text};
 use crate::scenes::overrides::Overrides;

@@ -5,6 +5,7 @@
 //! Imports `platform` and `settings`. Start with `session`.
 
 pub mod adjoint_norms;
+pub mod amplification;
 pub mod checks;
 pub mod costs;
 pub mod evaluation;

@@ -1,6 +1,7 @@
 //! Scenes: validated settings with their task and policy, independent of the type of the task.
 
-use crate::operations::checks::{Amplification, Between, Results};
+use crate::operations::amplification::{self, Amplification, Between};
+use crate::operations::checks::Results;
 use crate::operations::evaluation::AnyEvaluation;
 use crate::operations::gradients::{Derived, GradientMethod};
 use crate::operations::memory::{self, Needs};
@@ -223,7 +224,7 @@ impl Scene {
         theta: &[f64],
         known: Option<&Between>,
     ) -> Result<Amplification, Divergence> {
-        checks::amplification(&self.physics, &self.policy, theta, self.seed, known)
+        amplification::amplification(&self.physics, &self.policy, theta, self.seed, known)
     }
 
     /// Kinks and jumps of the step, the observation and the costs along test rollouts.
