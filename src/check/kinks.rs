@@ -245,13 +245,33 @@ impl Segment<'_> {
             let slopes = [a.slope, m.slope, b.slope, b.value - a.value];
             let largest =
                 slopes.into_iter().fold(0.0, |largest: f64, slope| largest.max(slope.abs()));
-            let rounding = 1e-12 * (a.value.abs() + b.value.abs());
+            let values = 1e-12 * (a.value.abs() + b.value.abs());
             // False for NaN.
-            let is_suspicious =
-                by_value.abs().max(by_slope.abs()) > SUSPICIOUS * largest + rounding;
-            if is_suspicious { self.locate(shape, i, [a, b], largest, rounding) } else { None }
+            let is_suspicious = |rounding: f64| {
+                by_value.abs().max(by_slope.abs()) > SUSPICIOUS * largest + rounding
+            };
+            if !is_suspicious(values) {
+                return None;
+            }
+            let rounding = values + self.rounding(i);
+            if is_suspicious(rounding) {
+                self.locate(shape, i, [a, b], largest, rounding)
+            } else {
+                None
+            }
         };
         outputs.filter_map(of).collect()
+    }
+
+    /// Rounding error of an output by those of its arguments, times a margin. Terms that depend on
+    /// them may cancel, so it may exceed the output itself.
+    fn rounding(&self, i: usize) -> f64 {
+        let by_argument = |z: &[f64], k: usize| {
+            let slope = self.eval(z, &|j| f64::from(u8::from(j == k)))[i].eps;
+            1e-12 * (z[k] * slope).abs()
+        };
+        let at = |z: &[f64]| (0..z.len()).map(|k| by_argument(z, k)).sum::<f64>();
+        at(&self.from).max(at(&self.to))
     }
 
     /// Halves the segment around the largest change of the slope of an output. None if the change

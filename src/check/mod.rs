@@ -273,8 +273,8 @@ pub fn system_at<S: System>(
     systems::check(system, &draw, usize::MAX).map_err(Failure::of_system)
 }
 
-/// Checks the gradients of whole rollouts for all flows (R, M, N, S), and the system and the costs in
-/// states of rollouts ([`system_along`], [`cost_along`]).
+/// Checks the system and the costs in states of rollouts ([`system_along`], [`cost_along`]), and then
+/// the gradients of whole rollouts for all flows (R, M, N, S).
 ///
 /// The reference is the same rollout in dual numbers, with the paths that the flow omits detached.
 /// The check compares the loss, directional derivatives along random directions, and single
@@ -295,11 +295,12 @@ pub fn task<T: Task, P: Policy>(task: &T, policy: &P) -> Result<Passed, Failure>
         sum.allowed = sum.allowed.max(passed.allowed);
         sum.infinite += passed.infinite;
     };
+    // First the checks that name the method to correct.
+    add(system_along(task, policy, None)?);
+    add(cost_along(task, policy, None)?);
     for flow in Flow::ALL {
         add(self::flow(task, policy, flow, None)?);
     }
-    add(system_along(task, policy, None)?);
-    add(cost_along(task, policy, None)?);
     Ok(sum)
 }
 

@@ -144,7 +144,17 @@ impl Number {
     }
 
     /// Draws a value. A fixed number yields its constant, a trained number its initial value.
+    ///
+    /// # Panics
+    /// If bounds are not in ascending order, or if those of [`LogUniform`](Self::LogUniform) are not
+    /// positive.
     pub fn draw(&self, rng: &mut Rng) -> f64 {
+        match *self {
+            Self::Uniform { low, high } | Self::LogUniform { low, high } => {
+                assert!(low <= high, "{self:?} has no values: `low` is above `high`");
+            }
+            _ => {}
+        }
         match *self {
             Self::Uniform { low, high } => low + (high - low) * rng.random::<f64>(),
             Self::Normal { mean, deviation } => loop {
@@ -153,7 +163,10 @@ impl Number {
                     break mean + deviation * normal;
                 }
             },
-            Self::LogUniform { low, high } => low * (high / low).powf(rng.random()),
+            Self::LogUniform { low, high } => {
+                assert!(low > 0.0, "{self:?} has no values: `low` is not positive");
+                low * (high / low).powf(rng.random())
+            }
             Self::Choice(Choice(values)) => values[rng.random_range(0..values.len())],
             Self::Fixed(value) | Self::Trained { start: value, .. } => value,
         }

@@ -372,6 +372,19 @@ impl<F: Float> Weights<F> {
         Self::new(policy, theta.into_iter().map(F::from_f64).collect())
     }
 
+    /// Panics if the number of parameters is not that of the policy.
+    #[track_caller]
+    pub(crate) fn assert_fits(&self, policy: &dyn AnyPolicy<F>) {
+        let sizes = [self.theta.len(), self.packed.len()];
+        let expected = [policy.param_count(), policy.sizes(1).packed];
+        assert!(
+            sizes == expected,
+            "the weights have {} parameters in another layout than the {} of the policy; make them with the same policy",
+            sizes[0],
+            expected[0]
+        );
+    }
+
     /// The parameters `θ`.
     pub fn theta(&self) -> &[F] {
         &self.theta

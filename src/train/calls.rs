@@ -36,7 +36,8 @@ pub struct Trajectories<F> {
 /// The first [`Divergence`].
 ///
 /// # Panics
-/// If `starts` is not a whole number of initial states.
+/// If `starts` is not a whole number of initial states, or if `weights` are those of a policy with
+/// other sizes.
 pub fn rollout<F: Float>(
     task: &dyn AnyTask<F>,
     policy: &dyn AnyPolicy<F>,
@@ -58,6 +59,7 @@ pub fn rollout_until<F: Float>(
     starts: &[F],
     is_stopped: &dyn Fn() -> bool,
 ) -> Result<Option<Trajectories<F>>, Divergence> {
+    weights.assert_fits(policy);
     let (n, m, width, horizon) =
         (task.state_dim(), task.control_dim(), task.start_dim(), task.horizon());
     let (mut states, mut controls) = (Vec::new(), Vec::new());
@@ -88,7 +90,8 @@ pub fn rollout_until<F: Float>(
 /// The first [`Divergence`].
 ///
 /// # Panics
-/// If `starts` is not a whole number of initial states.
+/// If `starts` is not a whole number of initial states, or if `weights` are those of a policy with
+/// other sizes.
 pub fn losses<F: Float>(
     task: &dyn AnyTask<F>,
     policy: &dyn AnyPolicy<F>,
@@ -110,6 +113,7 @@ pub fn losses_until<F: Float>(
     starts: &[F],
     is_stopped: &dyn Fn() -> bool,
 ) -> Result<Option<Vec<F>>, Divergence> {
+    weights.assert_fits(policy);
     let mut rollout = Rollout::for_evaluation(task, policy, BLOCK);
     let mut losses = Vec::new();
     for (block, starts) in starts.chunks(BLOCK * task.start_dim()).enumerate() {
@@ -144,7 +148,8 @@ pub fn losses_until<F: Float>(
 /// The first [`Divergence`].
 ///
 /// # Panics
-/// If `starts` is empty or not a whole number of initial states.
+/// If `starts` is empty or not a whole number of initial states, or if `weights` are those of a
+/// policy with other sizes.
 pub fn gradients<F: Float>(
     task: &dyn AnyTask<F>,
     policy: &dyn AnyPolicy<F>,
@@ -168,6 +173,7 @@ pub fn gradients_until<F: Float>(
     fields: &[Field],
     is_stopped: &dyn Fn() -> bool,
 ) -> Result<Option<Vec<Vec<F>>>, Divergence> {
+    weights.assert_fits(policy);
     let mut flows: Vec<Flow> = Vec::new();
     for flow in fields.iter().flat_map(Field::flows) {
         if !flows.contains(&flow) {

@@ -194,6 +194,49 @@ fn planted_kinks_and_jumps_are_found_with_their_places() {
     );
 }
 
+/// A pendulum with friction, which comes to rest: x = [angle, rate], hanging at π.
+struct Hanging;
+
+impl System for Hanging {
+    fn state_dim(&self) -> usize {
+        2
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
+        let rate = |x: [T; 2]| [x[1], x[0].sin() * 9.81 - x[1] * 2.0 + u[0]];
+        let first = rate([x[0], x[1]]);
+        let second = rate([x[0] + first[0] * 0.05, x[1] + first[1] * 0.05]);
+        for (i, next) in next.iter_mut().enumerate() {
+            *next = x[i] + (first[i] + second[i]) * 0.025;
+        }
+    }
+}
+
+impl Task for Hanging {
+    type System = Self;
+    fn system(&self) -> &Self {
+        self
+    }
+    fn horizon(&self) -> usize {
+        800
+    }
+    fn start(&self, _rng: &mut Rng, Start { x, .. }: Start<'_>) {
+        x.copy_from_slice(&[1.0, 0.0]);
+    }
+}
+
+/// At rest, terms of the size of 1 cancel, so values near 0 have rounding errors of the size of
+/// 1e-16.
+#[test]
+fn rounding_errors_of_a_state_of_rest_are_no_kinks() {
+    let policy = Linear::new(2, 1);
+    let weights = Weights::new(&policy, vec![0.0; 2]);
+    let found = check::kinks(&Hanging, &policy, &weights, &[1.0, 0.0, 2.0, 1.0]);
+    assert!(found.is_empty(), "{found:?}");
+}
+
 /// Output that a [`Forgetful`] task leaves unwritten.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Output {

@@ -153,6 +153,16 @@ pub fn identify(args: &Identify) -> Result<()> {
     warnings.extend(measured.warnings(&fitted));
     let mut notes = measured.notes(&fitted);
     notes.extend(turns);
+    if let (Ok(found), Ok(Some(validation))) = (&found, &validation) {
+        let given = Fitted { measured: &measured, numbers: &others };
+        let segments = measured.chosen(&others, found);
+        let Remarks { notes: turns, warnings: of_fit } =
+            remarks::remarks(validation, found, &segments, &given, noise_is_known, &COMMAND);
+        let of_validation = |text: String| format!("validation: {text}");
+        notes.extend(measured.notes(&others).into_iter().chain(turns).map(of_validation));
+        let of_data = measured.warnings(&others).into_iter();
+        warnings.extend(of_data.chain(of_fit).map(of_validation));
+    }
     if let Err(error) = &found {
         warnings.push(format!("there is no scene.toml and no validation: {error:#}"));
     }

@@ -1,6 +1,6 @@
 //! [`csv`]: tables as comma-separated values. Callers write the bytes to a file.
 
-use ::csv::Writer;
+use ::csv::WriterBuilder;
 use anyhow::Result;
 
 /// A header and rows of cells, quoted as in RFC 4180. Each record ends in `\n`. A cell that a
@@ -9,7 +9,8 @@ pub fn csv(
     header: impl IntoIterator<Item = impl AsRef<[u8]>>,
     rows: impl IntoIterator<Item = impl IntoIterator<Item = String>>,
 ) -> Result<Vec<u8>> {
-    let mut csv = Writer::from_writer(Vec::new());
+    // Quotes a cell that begins with `#`, because a reader may take the line for a comment.
+    let mut csv = WriterBuilder::new().comment(Some(b'#')).from_writer(Vec::new());
     csv.write_record(header)?;
     for row in rows {
         csv.write_record(row.into_iter().map(guarded))?;

@@ -193,9 +193,14 @@ impl Plan {
         let mut seen = HashSet::new();
         for (i, name) in names.enumerate() {
             let origin = || self.place(&format!("{list}[{i}].name"));
+            if name.is_empty() {
+                bail!(
+                    "{}: `{list}[{i}].name` is empty; only a single task may have no name",
+                    origin()
+                );
+            }
             let is_reserved = name.starts_with('.') || name.contains(".previous-");
-            if name.is_empty()
-                || is_reserved
+            if is_reserved
                 || name.len() > MAX_NAME
                 || name.contains(|c: char| "/\\+:".contains(c) || c.is_control())
             {
@@ -424,6 +429,7 @@ impl Plan {
         if scene.epochs == 0 {
             bail!("{}: `epochs` is 0; allowed: 1 or more", self.place("epochs"));
         }
+        scene.check_truncation()?;
         Ok(scene)
     }
 
@@ -515,6 +521,14 @@ mod tests {
             ("grid.seed = [1]", "`grid.seed` cannot be set"),
             ("[figure]\nmean = 0", "`figure.mean` is 0; allowed: 1 or more"),
             ("[figure]\nrows = \"x\"", "`figure.rows` is x; allowed: `task`"),
+            (
+                "grid.x = [1, 2]\n[figure]\ncolumns = \"x\"\nupdate_size = 3",
+                "`figure.update_size` is 3; allowed: 1, 2",
+            ),
+            (
+                "grid.x = [1, 2]\n[figure]\nrows = \"x\"\nupdate_size = 2",
+                "`figure.update_size` is 2; allowed: a value of the key `columns`",
+            ),
             ("grid.x = [1]\n[figure]", "`figure` needs `x` as either `rows` or `columns`"),
             ("[[method]]\nname = \"a\"", "`fields` replaces methods"),
         ] {

@@ -94,8 +94,12 @@ impl SceneSource {
                 let quoted = if is_split { "; write dotted keys in quotation marks" } else { "" };
                 bail!("{origin}: `{key}` is {value}; allowed in [{section}]: {allowed}{quoted}");
             }
-            if self.get(&key).is_some() {
-                bail!("{origin}: `{key}` is set twice: in [{section}] and in its own section");
+            if let Some(before) = self.get(&key) {
+                let other = match section {
+                    "fit" if before.as_table().is_some_and(is_drawn) => "as a number that varies",
+                    _ => "in its own section",
+                };
+                bail!("{origin}: `{key}` is set twice: in [{section}] and {other}");
             }
             self.put(&key, value, &origin)?;
         }

@@ -412,11 +412,22 @@ impl Scene {
         if self.reads_losses_only() && !["combined", "regular"].contains(&field) {
             return Err(ConfigError::unread("field", field, LOSSES));
         }
-        if let Some(steps) = self.training.truncation.filter(|&steps| steps > self.horizon) {
-            let because = format!("`horizon` is {}", self.horizon);
-            return Err(ConfigError::unread("training.truncation", steps, &because));
-        }
+        self.check_truncation()?;
         self.check_fields(&[self.field.0])
+    }
+
+    /// Refuses a truncation that no rollout reaches.
+    ///
+    /// # Errors
+    /// `training.truncation` exceeds the horizon.
+    pub fn check_truncation(&self) -> Result<(), ConfigError> {
+        match self.training.truncation.filter(|&steps| steps > self.horizon) {
+            Some(steps) => {
+                let because = format!("`horizon` is {}", self.horizon);
+                Err(ConfigError::unread("training.truncation", steps, &because))
+            }
+            None => Ok(()),
+        }
     }
 
     /// Whether the estimator of the training reads losses only, without derivatives.

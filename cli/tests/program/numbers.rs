@@ -512,6 +512,13 @@ fn controls_and_parameters_without_a_value_are_named() {
             assert!(!output.contains("warning: "), "{output}");
         }
     }
+    // The second segment validates the fit of the first. Its data are examined, too.
+    identify(",force", [[",0", ",0"], [",", ","]], 1);
+    let command = "identify scene.toml --data data.csv --out found --window 0 --every 2";
+    let output = physgrad(command, dir.path()).output().expect("the command runs").stdout;
+    let output = String::from_utf8(output).expect("text");
+    let message = "note: validation: force has no value in segment b, and is taken as 0 there";
+    assert!(output.contains(message), "{output}");
 }
 
 /// A camera at 30 Hz writes 0.033, 0.067, 0.1. The angles are exact.
@@ -695,6 +702,10 @@ fn unusable_measurements_are_refused_with_place_and_advice() {
             "data.csv:3: `-inf` is infinite; leave the cell of a missing sample empty",
         ),
         ("t,theta_1\n0,1\n0.005,x", "data.csv:3: `x` is not a number"),
+        (
+            "# made by a sensor\nsegment,t,theta_1\n0,0,1\n#1,0,1",
+            "data.csv:4: the line begins with `#`; comments are allowed before the header only",
+        ),
         (long, "data.csv:3: `0000000000000000000000000000000000000000…` is not a number"),
         (
             long_name,

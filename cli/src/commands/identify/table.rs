@@ -54,6 +54,7 @@ impl Table {
     /// # Errors
     /// The file cannot be read, has more than 500 MB, or is in UTF-16. The header has no column `t`
     /// or `time`, or an unknown, repeated or unnamed one, or an applied control without its control.
+    /// A line after the header is a comment.
     /// Columns are separated by semicolons or tabs.
     pub fn read(path: &Path, scene: &Scene) -> Result<Self> {
         let name = path.display().to_string();
@@ -75,6 +76,7 @@ impl Table {
             .headers()
             .with_context(|| format!("cannot read {}", table.name))?
             .clone();
+        table.refuse_comments()?;
         let ignored = [scene.applied_names(), vec!["step".into()]].concat();
         let columns = header.iter().map(|header| column(header, &names, &ignored));
         table.columns = columns
@@ -105,6 +107,23 @@ impl Table {
             }
         }
         Ok(table)
+    }
+
+    /// Refuses a row that begins with `#`, which may be a comment or the name of a segment.
+    fn refuse_comments(&self) -> Result<()> {
+        let is_comment = |line: &[u8]| line.trim_ascii_start().starts_with(b"#");
+        let is_blank = |line: &[u8]| line.trim_ascii().is_empty();
+        let mut rows = (1..)
+            .zip(self.bytes.split(|&byte| byte == b'\n'))
+            .skip_while(|(_, line)| is_comment(line) || is_blank(line));
+        match rows.find(|(_, line)| is_comment(line)) {
+            Some((number, _)) => bail!(
+                "{}:{number}: the line begins with `#`; comments are allowed before the header only; remove the line, or \
+                 write a name in quotation marks",
+                self.name
+            ),
+            None => Ok(()),
+        }
     }
 
     /// Returns whether there is a column of this control.

@@ -263,6 +263,17 @@ impl FigureLayout {
                 allowed(key, axis, names.contains(&&**axis), format!("`{}`", names.join("`, `")))?;
             }
         }
+        if let Some(value) = &self.update_size {
+            let values = self.columns.as_ref().and_then(|key| contents.grid.get(key)?.as_array());
+            let values = values.map_or(&[][..], |values| values);
+            let allowed_values = match values.iter().map(Value::to_string).collect::<Vec<_>>() {
+                none if none.is_empty() => {
+                    "a value of the key `columns`, which is not in [grid]".into()
+                }
+                values => values.join(", "),
+            };
+            allowed("figure.update_size", value, values.contains(value), allowed_values)?;
+        }
         let is_shown = |axis: &str| {
             axes_of_figure.iter().filter(|(_, shown)| shown.as_deref() == Some(axis)).count() == 1
         };
