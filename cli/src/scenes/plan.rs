@@ -177,8 +177,7 @@ impl Plan {
     /// Gives each task a name. Checks the names of tasks and methods.
     fn named(mut self) -> Result<Self> {
         for task in &mut self.contents.tasks {
-            let scene = task.scene.as_str().map_or_else(|| TASK.into(), presets::short_name);
-            task.name.get_or_insert(scene);
+            task.name = Some(task.name());
         }
         let Contents { tasks, methods, .. } = &self.contents;
         let is_single = tasks.len() == 1;
@@ -527,7 +526,7 @@ mod tests {
             ),
             (
                 "grid.x = [1, 2]\n[figure]\nrows = \"x\"\nupdate_size = 2",
-                "`figure.update_size` is 2; allowed: a value of the key `columns`",
+                "`figure.update_size` is 2; allowed: a value of `columns`, which is missing",
             ),
             ("grid.x = [1]\n[figure]", "`figure` needs `x` as either `rows` or `columns`"),
             ("[[method]]\nname = \"a\"", "`fields` replaces methods"),

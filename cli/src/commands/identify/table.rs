@@ -76,7 +76,6 @@ impl Table {
             .headers()
             .with_context(|| format!("cannot read {}", table.name))?
             .clone();
-        table.refuse_comments()?;
         let ignored = [scene.applied_names(), vec!["step".into()]].concat();
         let columns = header.iter().map(|header| column(header, &names, &ignored));
         table.columns = columns
@@ -96,6 +95,7 @@ impl Table {
         if !table.columns.contains(&Column::Time) {
             bail!("{}: there is no column `t` with the time in s", table.name);
         }
+        table.refuse_comments()?;
         for (i, (control, applied)) in names[1].iter().zip(scene.applied_names()).enumerate() {
             if !table.has_control(i) && header.iter().any(|header| header == applied) {
                 bail!(

@@ -2,6 +2,7 @@
 //! scenes that they name.
 
 use crate::scenes::grid::count;
+use crate::scenes::presets;
 use crate::settings::config_error::{ConfigError, allowed};
 use crate::settings::{FieldName, OPTIONAL};
 use serde::{Deserialize, Serialize};
@@ -61,6 +62,14 @@ pub struct PlannedTask {
     pub scene: Value,
     #[serde(default, skip_serializing_if = "Table::is_empty")]
     pub set: Table,
+}
+
+impl PlannedTask {
+    /// Name of the task, or its default.
+    pub(super) fn name(&self) -> String {
+        let of_scene = || self.scene.as_str().map_or_else(|| TASK.into(), presets::short_name);
+        self.name.clone().unwrap_or_else(of_scene)
+    }
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -264,15 +273,16 @@ impl FigureLayout {
             }
         }
         if let Some(value) = &self.update_size {
-            let values = self.columns.as_ref().and_then(|key| contents.grid.get(key)?.as_array());
-            let values = values.map_or(&[][..], |values| values);
-            let allowed_values = match values.iter().map(Value::to_string).collect::<Vec<_>>() {
-                none if none.is_empty() => {
-                    "a value of the key `columns`, which is not in [grid]".into()
-                }
-                values => values.join(", "),
+            let values: Vec<Value> = match self.columns.as_deref() {
+                Some(TASK) => contents.tasks.iter().map(|task| task.name().into()).collect(),
+                Some(key) => contents.grid[key].as_array().cloned().unwrap_or_default(),
+                None => Vec::new(),
             };
-            allowed("figure.update_size", value, values.contains(value), allowed_values)?;
+            let names = match values.iter().map(Value::to_string).collect::<Vec<_>>() {
+                none if none.is_empty() => "a value of `columns`, which is missing".into(),
+                names => names.join(", "),
+            };
+            allowed("figure.update_size", value, values.contains(value), names)?;
         }
         let is_shown = |axis: &str| {
             axes_of_figure.iter().filter(|(_, shown)| shown.as_deref() == Some(axis)).count() == 1
