@@ -252,12 +252,10 @@ fn check_cost_panics_with_the_wrong_method_and_component() {
 
 #[test]
 #[should_panic(expected = "gradient by the parameters p of sample 0, component[0] is")]
-fn check_task_panics_with_sample_and_index_of_a_wrong_gradient_of_p() {
-    check::task(
-        &Tracking::<1> { fault: Fault::CostOfParams },
-        &WithParams::new(Constant::new(3, 1), []),
-    )
-    .unwrap();
+fn check_flow_panics_with_sample_and_index_of_a_wrong_gradient_of_p() {
+    let task = Tracking::<1> { fault: Fault::CostOfParams };
+    let policy = WithParams::new(Constant::new(3, 1), []);
+    check::flow(&task, &policy, Flow::REGULAR, None).unwrap();
 }
 
 /// Declares an observation with the dimension of the state, and does not override the default
