@@ -86,12 +86,12 @@ impl fmt::Display for Jumps {
 /// Compares the change of the mean loss between two parameter vectors with the integral of R.
 ///
 /// The vectors lie 0.03 from `weights`, along R and against it. The integral is a Gauss-Legendre
-/// rule with eight nodes. It equals the change if the loss is continuous. A smooth loss may vary too
-/// fast for eight nodes, and then equally in all rollouts. A difference is therefore confirmed with
-/// eight nodes on each half, whose distance from the first result counts as an error. R is the derivative of
-/// the discrete steps for fixed branches. A force that jumps at contact changes the loss of the
-/// samples that just reach or just miss the contact. R omits this change. Source: Suh et al. 2022,
-/// arXiv:2202.00817.
+/// rule with eight nodes. It equals the change if the loss is continuous. A smooth loss may vary
+/// too fast for eight nodes, and then equally in all rollouts. A difference is therefore confirmed
+/// with eight nodes on each half, whose distance from the first result counts as an error. R is the
+/// derivative of the discrete steps for fixed branches. A force that jumps at contact changes the
+/// loss of the samples that just reach or just miss the contact. R omits this change. Source: Suh
+/// et al. 2022, arXiv:2202.00817.
 ///
 /// `starts` concatenates the initial states of the samples, each followed by its parameters. The
 /// standard error decreases with the number of samples; some hundred are useful. The result is NaN

@@ -150,13 +150,10 @@ impl Number {
     /// positive.
     pub fn draw(&self, rng: &mut Rng) -> f64 {
         match *self {
-            Self::Uniform { low, high } | Self::LogUniform { low, high } => {
+            Self::Uniform { low, high } => {
                 assert!(low <= high, "{self:?} has no values: `low` is above `high`");
+                low + (high - low) * rng.random::<f64>()
             }
-            _ => {}
-        }
-        match *self {
-            Self::Uniform { low, high } => low + (high - low) * rng.random::<f64>(),
             Self::Normal { mean, deviation } => loop {
                 let normal: f64 = StandardNormal.sample(rng);
                 if normal.abs() <= TRUNCATION {
@@ -164,7 +161,8 @@ impl Number {
                 }
             },
             Self::LogUniform { low, high } => {
-                assert!(low > 0.0, "{self:?} has no values: `low` is not positive");
+                let is_valid = 0.0 < low && low <= high;
+                assert!(is_valid, "{self:?} has no values: `low` is not positive, or above `high`");
                 low * (high / low).powf(rng.random())
             }
             Self::Choice(Choice(values)) => values[rng.random_range(0..values.len())],

@@ -3,8 +3,8 @@
 //! Builds use default target flags. [`SimdLevel::best`] therefore detects the instruction set of
 //! the processor at run time, and [`dispatch`] runs code compiled for a given instruction set. A
 //! portable path serves architectures other than x86-64 and aarch64. Simulators and policies have
-//! it on x86-64 only with the feature `portable`, because it lengthens the build by a quarter. Contains the only unsafe code of the library. Start with
-//! [`dispatch`].
+//! it on x86-64 only with the feature `portable`, because it lengthens the build by a quarter.
+//! Contains the only unsafe code of the library. Start with [`dispatch`].
 
 pub mod elementwise;
 pub mod gemm;
