@@ -11,4 +11,8 @@ pub enum Cause {
     Effect(&'static str),
     /// The parameter `p` with this index is 0, and the step is finite with 1 in its place.
     ZeroParam(usize),
+    /// The state before the step is so large that the fourth power of a component overflows. Holds
+    /// the largest magnitude of a component, in its unit. The rollout has grown before, so an
+    /// [`Effect`](Self::Effect) whose forces overflow there is not the cause.
+    Grown(f64),
 }

@@ -216,7 +216,13 @@ fn advice(cause: &Option<Cause>, general: &str) -> String {
                  or handle 0 in `step`"
             )
         }
-        _ => format!(". {general}"),
+        Some(Cause::Grown(largest)) => {
+            format!(
+                ". The state before the step has grown to {largest:.1e}, where the forces of an effect overflow. Reduce the time \
+                 step or the learning rate"
+            )
+        }
+        Some(Cause::Unsolved(_)) | None => format!(". {general}"),
     }
 }
 

@@ -443,14 +443,30 @@ impl<F: Float> Rollout<F> {
 
     /// Cause of a non-finite state of `sample` after step `t`.
     fn cause(&self, task: &dyn AnyTask<F>, t: usize, sample: usize) -> Option<Cause> {
-        let (inputs, lane) = (self.inputs_of(t, sample / LANES), sample % LANES);
+        self.diagnosis(task, t, sample).or_else(|| {
+            zero_param(task, self.inputs_of(t, sample / LANES), sample % LANES)
+                .map(Cause::ZeroParam)
+        })
+    }
+
+    /// Cause of a non-finite number of `sample` in step `t` or its derivatives, if the system knows
+    /// it.
+    pub(crate) fn diagnosis(
+        &self,
+        task: &dyn AnyTask<F>,
+        t: usize,
+        sample: usize,
+    ) -> Option<Cause> {
         // The sample in all lanes.
         let of = |lanes: &[Lane<F>]| -> Vec<Lane<F>> {
-            lanes.iter().map(|number| Lanes([number.lane(lane); LANES])).collect()
+            lanes.iter().map(|number| Lanes([number.lane(sample % LANES); LANES])).collect()
         };
-        let [x, u, p] = inputs.lists().map(of);
-        let cause = task.diagnose(Inputs { x: &x, u: &u, p: &p, t });
-        cause.or_else(|| zero_param(task, inputs, lane).map(Cause::ZeroParam))
+        let [x, u, p] = self.inputs_of(t, sample / LANES).lists().map(of);
+        let cause = task.diagnose(Inputs { x: &x, u: &u, p: &p, t })?;
+        let largest: f64 = x.iter().map(|x| x.lane(0).to_f64().abs()).fold(0.0, f64::max);
+        let overflows = largest.powi(4) > F::MAX;
+        let grown = overflows && matches!(cause, Cause::Effect(_));
+        Some(if grown { Cause::Grown(largest) } else { cause })
     }
 
     /// Policy columns of step `t`, one per sample.

@@ -73,8 +73,9 @@ impl Record {
         let plateau = (self.grad_norm == ExtendedF64::default()).then(|| {
             let disagreement = if self.cosine.is_some() { ", or the combination of the two gradients is 0" } else { "" };
             format!(
-                "the field is exactly 0: along its paths, the loss does not depend on the parameters here{disagreement}. \
-                 Try another seed, or initialize the output layer with nonzero weights"
+                "the field is exactly 0: along its paths, the loss does not depend on the parameters here, or has its \
+                 minimum{disagreement}. `check` tells which. On a plateau, try another seed, or initialize the output layer with \
+                 nonzero weights"
             )
         });
         [regular, modified, plateau]

@@ -4,14 +4,16 @@ use physgrad::actuator::Delay;
 use physgrad::effect::{DynEffect, ForcedSystem, Named};
 use physgrad::engine::Cause;
 use physgrad::integrator::{AnyIntegrator, ImplicitMidpoint};
+use physgrad::policy::Linear;
 use physgrad::scalar::{CotangentPack, Dual, Lanes};
 use physgrad::tasks::{
-    Barrier, CartPoleSystem, Cubic, DoublePendulum, Evade, GuidanceSystem, GustyWind, Pade,
-    QuantumEffect, QuantumScheme, QuantumSystem, Renormalized, Strang, Tabulated, Upright,
+    Barrier, Bumpers, CartPole, CartPoleEffect, CartPoleSystem, Cubic, DoublePendulum, Evade,
+    GuidanceSystem, GustyWind, Pade, QuantumEffect, QuantumScheme, QuantumSystem, Renormalized,
+    SteadyWind, Strang, Tabulated, Upright,
 };
 use physgrad::{
-    Actuated, Cotangents, DynSystem, DynTask, Effect, Forced, Inputs, Integrated, OdeInputs, Real,
-    Scalar, Substeps, System, Task, check,
+    Actuated, Cotangents, Divergence, DynSystem, DynTask, Effect, Forced, Inputs, Integrated,
+    OdeInputs, Real, Scalar, Substeps, System, Task, Weights, check, rollout,
 };
 
 /// Effect whose force is infinite at a state of ones.
@@ -162,6 +164,37 @@ impl Effect<Overflows> for AddsState {
 fn a_non_finite_state_is_not_attributed_to_an_effect() {
     let system = Forced { system: Overflows, effects: AddsState };
     assert_eq!(cause(&Substeps { system, count: 4 }), None);
+}
+
+/// The wind overflows at the speed that bumpers cause with long time steps.
+#[test]
+fn an_effect_that_overflows_at_a_grown_state_is_not_the_cause() {
+    let effects =
+        || -> Vec<CartPoleEffect> { vec![SteadyWind::default().into(), Bumpers::default().into()] };
+    let end = |dt: f64, effects: Vec<CartPoleEffect>| {
+        let system = CartPoleSystem { dt, ..CartPoleSystem::default() };
+        let task = CartPole::with_system(Forced { system, effects });
+        let policy = Linear::with_bias(task.system().state_dim(), 1);
+        let weights = Weights::new(&policy, vec![0.0_f32; task.system().state_dim() + 1]);
+        let mut start = vec![0.0; task.system().state_dim()];
+        // Beyond the bumpers, at 2 m.
+        start[0] = 3.0;
+        rollout(&task, &policy, &weights, &start).map(drop)
+    };
+    assert_eq!(end(0.02, effects()), Ok(()));
+    let divergence = end(1.0, effects()).expect_err("the bumpers are unstable");
+    let Divergence::Forward { cause: Some(Cause::Grown(largest)), .. } = divergence else {
+        panic!("{divergence:?}")
+    };
+    assert!(largest > 4e9, "{largest:e}, whose fourth power must exceed the range of f32");
+    let message = divergence.to_string();
+    assert!(message.contains("Reduce the time step") && !message.contains("wind"), "{message}");
+    // An effect that overflows at an ordinary state is the cause.
+    let storm = SteadyWind { speed: 1e30.into(), ..SteadyWind::default() };
+    let divergence = end(0.02, vec![storm.into()]).expect_err("the wind overflows");
+    let Divergence::Forward { cause: Some(Cause::Effect(_)), .. } = divergence else {
+        panic!("{divergence:?}")
+    };
 }
 
 /// User-defined effect with an infinite force.

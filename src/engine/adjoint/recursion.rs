@@ -23,7 +23,7 @@ use crate::engine::divergence::{Divergence, Variable};
 use crate::engine::flow::Flow;
 use crate::engine::pass::Pass;
 use crate::engine::rollout::{Rollout, find_non_finite};
-use crate::numbers::scalar::{Cotangent, CotangentPack, Float, LANES, Lane, Lanes, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Float, LANES, Lane, Real, Scalar};
 use crate::numbers::zip::zip;
 use std::ops::Range;
 
@@ -419,13 +419,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         let first = all.min_by_key(|&(.., (sample, _))| sample);
         let (k, variable, (sample, component)) =
             first.expect("`rescale` fails only for non-finite cotangents");
-        // The sample in all lanes.
-        let of = |lanes: &[Lane<F>]| -> Vec<Lane<F>> {
-            lanes.iter().map(|number| Lanes([number.lane(sample % LANES); LANES])).collect()
-        };
-        let inputs = rollout.inputs_of(step, sample / LANES);
-        let (x, u, p) = (of(inputs.x), of(inputs.u), of(inputs.p));
-        let cause = task.diagnose(Inputs { x: &x, u: &u, p: &p, t: step });
+        let cause = rollout.diagnosis(task, step, sample);
         Divergence::Cotangent { flow: flows[k], variable, step, sample, component, cause }
     }
 }
