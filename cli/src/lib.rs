@@ -259,10 +259,14 @@ fn execute(command: &Command) -> Result<()> {
     }
 }
 
+/// Training of a program without a command: of its own first task, or of cart-pole, which swings up
+/// well before its last epoch.
 fn default_run() -> Command {
+    let own = tasks::own().first();
+    let overrides = Overrides { epochs: own.is_none().then_some(400), ..Overrides::default() };
     Command::Train(train::Train {
-        scene: Some(tasks::own().first().unwrap_or(&tasks::all()[0]).name().into()),
-        overrides: Overrides::default(),
+        scene: Some(own.unwrap_or(&tasks::all()[0]).name().into()),
+        overrides,
         threads: None,
         out: None,
         resume: false,
