@@ -27,7 +27,7 @@ impl Run {
     /// `threads` is the number of threads; results do not depend on it.
     ///
     /// # Errors
-    /// A setting is invalid, or the policy does not fit the scene.
+    /// A setting is invalid or not read by the field, or the policy does not fit the scene.
     pub fn new(scene: &Scene, policy: Option<&Policy>, threads: usize) -> Result<Self> {
         let mut scene = scene.clone();
         if let Some(policy) = policy {
@@ -45,6 +45,7 @@ impl Run {
                 scene.scene = scene.scene.starting_from(policy.safetensors()?);
             }
         }
+        scene.scene.check_field().map_err(|error| scene.source.located(&error))?;
         Ok(Self { run: scene.scene.open(threads)?, scene, threads, folder: None })
     }
 

@@ -8,7 +8,7 @@ use crate::platform::terminal::{counted, print_message, print_note, print_text, 
 use crate::runs::metrics;
 use crate::runs::progress::Progress;
 use crate::runs::run::{self, End, Finished, NoUpdate, SAVE_EVERY};
-use crate::runs::saved::{changed, resumed};
+use crate::runs::saved::{resumed, trainable};
 use crate::runs::statistics::best;
 use crate::scenes::overrides::Overrides;
 use crate::scenes::presets;
@@ -90,7 +90,7 @@ pub fn train(args: &Train) -> Result<()> {
             if workers == 1 { "" } else { "s" },
             ranks.map_or_else(String::new, |ranks| format!(" on each of {} ranks", ranks.count()))
         ));
-        scene.large_batch().iter().for_each(|note| print_message(note));
+        scene.notes().iter().for_each(|note| print_message(note));
     }
     let save_every = Duration::from_secs_f64(args.save_every);
     let finished =
@@ -137,11 +137,7 @@ fn open(args: &Train, workers: usize) -> Result<Opened> {
             }
             scene
         }
-        _ => {
-            let scene = changed(args.scene.as_deref().context("name a scene")?, &args.overrides)?;
-            scene.check_field()?;
-            scene
-        }
+        _ => trainable(args.scene.as_deref().context("name a scene")?, &args.overrides)?,
     };
     let run = scene.open(workers)?;
     Ok((scene, run, note))

@@ -400,7 +400,7 @@ impl Plan {
                         let scene = self.scene(&source).map_err(of_cell)?;
                         let fields =
                             if fields.is_empty() { vec![scene.field] } else { fields.clone() };
-                        self.check_estimator(&scene, &fields).map_err(of_cell)?;
+                        self.check_estimator(&source, &scene, &fields).map_err(of_cell)?;
                         let case = cases.len();
                         cells.push(Cell { case, method, chosen: i, folder, fields, scene });
                     }
@@ -428,7 +428,7 @@ impl Plan {
         if scene.epochs == 0 {
             bail!("{}: `epochs` is 0; allowed: 1 or more", self.place("epochs"));
         }
-        scene.check_truncation()?;
+        scene.check_truncation().map_err(|error| source.located(&error))?;
         Ok(scene)
     }
 
@@ -437,7 +437,12 @@ impl Plan {
     ///
     /// # Errors
     /// There are several fields, but the estimator reads losses only. No field reads a setting.
-    fn check_estimator(&self, scene: &Scene, fields: &[FieldName]) -> Result<()> {
+    fn check_estimator(
+        &self,
+        source: &SceneSource,
+        scene: &Scene,
+        fields: &[FieldName],
+    ) -> Result<()> {
         if fields.len() > 1 && scene.reads_losses_only() {
             bail!(
                 "{}: `fields` names {} fields, but has no effect: `training.estimator` is zeroth_order, which follows differences \
@@ -448,7 +453,8 @@ impl Plan {
         }
         // A setting of a task is one of all its methods.
         if self.contents.methods.is_empty() {
-            scene.check_fields(&fields.iter().map(|field| field.0).collect::<Vec<_>>())?;
+            let fields: Vec<_> = fields.iter().map(|field| field.0).collect();
+            scene.check_fields(&fields).map_err(|error| source.located(&error))?;
         }
         Ok(())
     }

@@ -257,11 +257,15 @@ impl SceneSource {
     /// Validates the scene as [`scene`](Self::scene) does. With the contents of an initial policy,
     /// does not read its file.
     pub fn starting_from(&self, policy: Option<&[u8]>) -> Result<Scene> {
-        let scene =
-            self.validate().map_err(|error| anyhow!("{}: {error}", self.origin(&error.key)))?;
+        let scene = self.validate().map_err(|error| self.located(&error))?;
         let policy = policy.map(|policy| Ok(Some(policy.to_vec())));
         let policy = policy.unwrap_or_else(|| self.initial_policy())?;
         Ok(policy.into_iter().fold(scene, Scene::starting_from))
+    }
+
+    /// The error with the line or option of its setting.
+    pub fn located(&self, error: &ConfigError) -> anyhow::Error {
+        anyhow!("{}: {error}", self.origin(&error.key))
     }
 
     /// Contents of the file of the initial policy. None if the scene names no file.
@@ -341,7 +345,19 @@ impl SceneSource {
             settings
         };
         let explained = |error| suggest(spec, explain_foreign_effect(spec, error));
-        spec.scene(settings()).map_err(|error| with_range(spec, settings, explained(error)))
+        let scene = spec.scene(settings());
+        scene.map_err(|error| self.with_distribution(with_range(spec, settings, explained(error))))
+    }
+
+    /// Adds the distribution of a number that varies to an error of one of its values.
+    fn with_distribution(&self, mut error: ConfigError) -> ConfigError {
+        let value = self.get(&error.key).filter(|value| value.as_table().is_some_and(is_drawn));
+        if let (Some(value), Problem::Value { found, .. }) = (value, &mut error.problem) {
+            let normal = value.get("normal").is_some();
+            let reach = if normal { ", which reaches 3 standard deviations" } else { "" };
+            *found = format!("{found} in {value}{reach}");
+        }
+        error
     }
 
     /// Option or line that set a key or, for an absent key, its section.

@@ -5,7 +5,9 @@ use crate::settings::{ClipName, DecayName, EstimatorName, OptimizerName};
 use physgrad::train::{Decay, Estimator, Smoothing};
 use physgrad::{Clip, Field, Flow, Training};
 use schemars::JsonSchema;
+use serde::de::{self, Deserializer, Visitor};
 use serde::{Deserialize, Serialize};
+use std::fmt;
 
 /// Settings of the training.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -64,7 +66,7 @@ pub struct TrainingSettings {
     pub clip_limit: Option<f64>,
     /// Bound on the bytes of states and tapes of a mini-batch, over all threads, such as "64MB".
     /// The reverse pass recomputes the rest, with bit-identical results. By default, unbounded.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "text_of_bytes")]
     pub memory: Option<String>,
     /// Consecutive updates that may be skipped because of a non-finite number.
     pub max_skipped: usize,
@@ -190,8 +192,7 @@ impl TrainingSettings {
             positive("training.clip_limit", limit)?;
         }
         if let Some(memory) = &self.memory {
-            let what = "a number of bytes such as \"64MB\", in B, kB, MB, GB, KiB, MiB or GiB";
-            allowed("training.memory", format!("{memory:?}"), bytes(memory).is_some(), what)?;
+            allowed("training.memory", format!("{memory:?}"), bytes(memory).is_some(), BYTES)?;
         }
         Ok(())
     }
@@ -290,6 +291,28 @@ impl TrainingSettings {
             memory: self.budget(),
         }
     }
+}
+
+/// Allowed values of `training.memory`.
+const BYTES: &str = "a number of bytes such as \"64MB\", in B, kB, MB, GB, KiB, MiB or GiB";
+
+/// Reads a text, with [`BYTES`] as the allowed values in the error of another type.
+fn text_of_bytes<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<String>, D::Error> {
+    struct Text;
+
+    impl Visitor<'_> for Text {
+        type Value = String;
+
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            f.write_str(BYTES)
+        }
+
+        fn visit_str<E: de::Error>(self, text: &str) -> Result<String, E> {
+            Ok(text.to_owned())
+        }
+    }
+
+    deserializer.deserialize_str(Text).map(Some)
 }
 
 /// Parses a number of bytes with its unit, from 1 B to below 1e15 B.

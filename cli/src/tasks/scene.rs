@@ -416,7 +416,7 @@ impl Scene {
         self.check_fields(&[self.field.0])
     }
 
-    /// Refuses a truncation that no rollout reaches.
+    /// Refuses a truncation that no rollout reaches. The horizon itself is the neutral value.
     ///
     /// # Errors
     /// `training.truncation` exceeds the horizon.
@@ -527,15 +527,25 @@ impl Scene {
         Err(ConfigError::new("horizon", what))
     }
 
-    /// Note about the mini-batch if it is larger than the training set. None otherwise.
-    pub fn large_batch(&self) -> Option<String> {
-        let TrainingSettings { batch, train_samples: samples, .. } = self.training;
-        (batch > samples).then(|| {
+    /// Notes about settings of the training that another setting limits: a mini-batch that is larger
+    /// than the training set, a warm-up that does not end.
+    pub fn notes(&self) -> Vec<String> {
+        let TrainingSettings { batch, train_samples: samples, warm_up, .. } = self.training;
+        let large_batch = (batch > samples).then(|| {
             format!(
                 "note: `training.batch` is {batch}, but `training.train_samples` is {samples}: each epoch has one update, with \
                  all samples"
             )
-        })
+        });
+        let updates = samples.div_ceil(batch).saturating_mul(self.epochs);
+        let endless = (warm_up >= updates && updates > 0).then(|| {
+            format!(
+                "note: `training.warm_up` is {warm_up} updates, but {} epochs have {updates}: the learning rate never \
+                 reaches `training.learning_rate`",
+                self.epochs
+            )
+        });
+        large_batch.into_iter().chain(endless).collect()
     }
 
     /// Identity of a run: the settings that a resumed run must share, one per line.

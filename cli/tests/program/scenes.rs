@@ -217,7 +217,13 @@ fn discount_control_truncation_and_cut_change_r_and_their_neutral_values_do_not(
         let args = [&SMALL[..], &["--field", field, "--set", &setting]].concat();
         let refused = train_scene(&file, &dir.path().join("refused"), &args).output();
         let stderr = refused.expect("the command runs").stderr;
-        assert!(String::from_utf8_lossy(&stderr).contains(message), "{message}");
+        let key = if message.starts_with("`field`") {
+            "--field".to_owned()
+        } else {
+            format!("--set {setting}")
+        };
+        let (stderr, message) = (String::from_utf8_lossy(&stderr), format!("{key}: {message}"));
+        assert!(stderr.contains(&message), "{message}\n{stderr}");
     }
     let (regular, stopped) =
         (trained("R", "training.discount=1"), trained("S", "training.discount=1"));
@@ -302,6 +308,19 @@ fn errors_in_a_file_name_the_line_and_the_allowed_values() {
         (
             "[effects.bumpers]\nhalf_travel = \"far\"\n",
             "my_scene.toml:4: `effects.bumpers.half_travel` is string \"far\"; allowed: a number",
+        ),
+        (
+            "[training]\nmemory = 10\n",
+            "my_scene.toml:4: `training.memory` is integer `10`; allowed: a number of bytes such as \"64MB\"",
+        ),
+        (
+            "[vary]\n\"system.dt\" = { uniform = [0.01, 0.02] }\n",
+            "my_scene.toml:4: `system.dt` is a section in { uniform = [0.01, 0.02] }; allowed: a number",
+        ),
+        (
+            "[vary]\n\"system.pole_mass\" = { normal = [1.0, 0.5] }\n",
+            "my_scene.toml:4: `system.pole_mass` is -0.5 in { normal = [1.0, 0.5] }, which reaches 3 standard deviations; \
+             allowed: a positive number",
         ),
         (
             "[training]\nresample = 1\n",
