@@ -6,7 +6,7 @@ use physgrad::policy::{Constant, Linear, Quadratic};
 use physgrad::tasks::{Accumulator, Bowl, Reach};
 use physgrad::train::vector_field::{self, LEARNING_RATE, ROTATION, Rotated, START};
 use physgrad::train::{GradientCombiner, OptimizerKind};
-use physgrad::{Field, Gradient, Optimizer, check};
+use physgrad::{DynTask, Field, Gradient, Optimizer, check};
 
 #[test]
 fn derivatives_of_the_examples_equal_dual_numbers() {
@@ -205,21 +205,16 @@ fn adam_converges_by_gradient_and_combined_field_but_not_by_rotated_field() {
 #[test]
 fn combined_field_reduces_the_loss_of_adam_to_a_tenth_of_that_of_rotated_field() {
     let [_, (_, rotated), (_, combined)] = Rotated::figure();
+    let bowl = DynTask::new(Bowl::default());
     for (rate, arrivals) in [(LEARNING_RATE, 10), (10.0 * LEARNING_RATE, 2)] {
         let mut arrived = 0;
         for i in 0..16 {
             let (sin, cos) = (std::f64::consts::PI / 8.0 * (f64::from(i) + 0.5) + 0.1).sin_cos();
             let [rotation, combination] = [&rotated, &combined].map(|field| {
                 let start = [2.0 * cos, 2.0 * sin];
-                let path = vector_field::descend(
-                    &Bowl::default(),
-                    &Constant::new(2, 2),
-                    field,
-                    start,
-                    rate,
-                    3000,
-                )
-                .expect("finite");
+                let path =
+                    vector_field::descend(&bowl, &Constant::new(2, 2), field, start, rate, 3000)
+                        .expect("finite");
                 path[2700..].iter().map(|s| s.loss).fold(0.0, f64::max)
             });
             assert!(
@@ -241,7 +236,7 @@ fn adam_orbits_in_a_rotated_field_where_sgd_converges() {
     for (curvature, rate, strength) in
         [(1.0, 0.1, 3.0), (5.0, 0.1, 3.0), (1.0, 0.1, 8.0), (1.0, 0.05, 8.0)]
     {
-        let round = Bowl { curvatures: [curvature; 2], ..Bowl::default() };
+        let round = DynTask::new(Bowl { curvatures: [curvature; 2], ..Bowl::default() });
         let (policy, field) = (Constant::new(2, 2), Rotated::field(strength));
         let path =
             vector_field::descend(&round, &policy, &field, START, rate, 8000).expect("finite");

@@ -2,11 +2,11 @@
 //! budget.
 
 use physgrad::engine::{Batch, Checkpointed, Schedule};
-use physgrad::policy::{Action, Conv, Gru, Mlp, Observed};
+use physgrad::policy::{Action, AnyNetwork, Conv, Gru, Mlp, Observed, WithParams};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{CartPole, Guidance, LossMode, Quantum};
 use physgrad::{
-    Adjoint, Divergence, Field, Float, Flow, Gradient, Policy, Rollout, Scalar, Task,
+    Adjoint, Divergence, DynTask, Field, Float, Flow, Gradient, Policy, Rollout, Scalar, Task,
     initial_states,
 };
 use physgrad::{TrainError, Trainer, Training, Weights};
@@ -125,13 +125,18 @@ fn assert_bits_of_store_all<F: Float, T: Task, P: Policy>(task: &T, policy: &P, 
     }
 }
 
-fn cart_pole(horizon: usize) -> CartPole {
-    CartPole { horizon, loss: LossMode::Running, ..CartPole::new(1) }
+/// Returns a network of the type whose passes the library compiles.
+fn network(mlp: Mlp) -> WithParams<AnyNetwork> {
+    WithParams::new(AnyNetwork::Mlp(mlp), [])
+}
+
+fn cart_pole(horizon: usize) -> DynTask {
+    DynTask::new(CartPole { horizon, loss: LossMode::Running, ..CartPole::new(1) })
 }
 
 #[test]
 fn all_schedules_have_the_bits_of_store_all_with_one_control() {
-    let (task, policy) = (cart_pole(4 * UNIT + 17), Mlp::new([4, 8, 8, 1]));
+    let (task, policy) = (cart_pole(4 * UNIT + 17), network(Mlp::new([4, 8, 8, 1])));
     assert_bits_of_store_all::<f32, _, _>(&task, &policy, &[3, 11]);
     assert_bits_of_store_all::<f64, _, _>(&task, &policy, &[3, 11]);
     // Horizons whose last segment has one step or full length.
@@ -142,20 +147,20 @@ fn all_schedules_have_the_bits_of_store_all_with_one_control() {
 
 #[test]
 fn all_schedules_have_the_bits_of_store_all_with_several_controls() {
-    let task = Guidance { horizon: 3 * UNIT + 5, ..Guidance::new(1, 1) };
-    let policy = Mlp::new([physgrad::System::state_dim(&task.system), 8, 2]);
+    let task = DynTask::new(Guidance { horizon: 3 * UNIT + 5, ..Guidance::new(1, 1) });
+    let policy = network(Mlp::new([physgrad::System::state_dim(task.system()), 8, 2]));
     assert_bits_of_store_all::<f32, _, _>(&task, &policy, &[5]);
     assert_bits_of_store_all::<f64, _, _>(&task, &policy, &[9]);
 }
 
 #[test]
 fn all_schedules_have_the_bits_of_store_all_with_a_convolution_and_with_derivatives_by_duals() {
-    let task = Quantum { horizon: 2 * UNIT + 9, ..Quantum::new(1) };
-    let n = physgrad::System::state_dim(&task.system);
+    let task = DynTask::new(Quantum { horizon: 2 * UNIT + 9, ..Quantum::new(1) });
+    let n = physgrad::System::state_dim(task.system());
     let flows = [Flow::MODIFIED, Flow::REGULAR];
     let conv = Conv::new(n / 2, 4);
     let all = stored::<f32, _, _>(&task, &conv, 5, &flows).expect("finite");
-    for schedule in schedules(task.horizon) {
+    for schedule in schedules(task.horizon()) {
         assert_eq!(scheduled(&task, &conv, 5, &flows, schedule), Ok(all.clone()), "{schedule:?}");
     }
     assert_bits_of_store_all::<f64, _, _>(&cart_pole(2 * UNIT + 9), &Plain, &[3]);
@@ -174,7 +179,7 @@ fn mini_batches_over_several_workers_have_the_bits_of_store_all() {
     assert_bits_of_mini_batches(&cart_pole(UNIT + 20), &Gru::new(4, 5, 1));
 }
 
-fn assert_bits_of_mini_batches(task: &CartPole, policy: &impl Policy) {
+fn assert_bits_of_mini_batches(task: &DynTask, policy: &impl Policy) {
     let (weights, starts) = (weights::<f32, _>(policy), starts::<f32, _>(task, 13));
     let flows = Field::combined().flows();
     let run = |mut batch: Batch<f32>| {
@@ -183,7 +188,7 @@ fn assert_bits_of_mini_batches(task: &CartPole, policy: &impl Policy) {
     };
     let all = run(Batch::new(task, policy, 17, &flows, 1));
     for workers in [1, 2, 5] {
-        for schedule in schedules(task.horizon) {
+        for schedule in schedules(task.horizon()) {
             assert_eq!(run(Batch::scheduled(task, policy, 17, &flows, workers, schedule)), all);
         }
     }
@@ -191,12 +196,12 @@ fn assert_bits_of_mini_batches(task: &CartPole, policy: &impl Policy) {
 
 #[test]
 fn every_schedule_reports_the_divergence_of_store_all() {
-    let task = CartPole { horizon: 3 * UNIT, ..CartPole::new(1) };
+    let task = DynTask::new(CartPole { horizon: 3 * UNIT, ..CartPole::new(1) });
     // The control grows with the state.
     for factor in [1e4, 1e10, 1e30] {
         let policy = Growing(factor);
         let all = stored::<f32, _, _>(&task, &policy, 3, &[Flow::REGULAR]);
-        for schedule in schedules(task.horizon) {
+        for schedule in schedules(task.horizon()) {
             assert_eq!(scheduled::<f32, _, _>(&task, &policy, 3, &[Flow::REGULAR], schedule), all);
         }
     }
@@ -256,12 +261,12 @@ impl Policy for Growing {
 }
 
 fn assert_exact_bytes<F: Float>() {
-    let (task, policy) = (cart_pole(6 * UNIT + 40), Mlp::new([4, 8, 1]));
+    let (task, policy) = (cart_pole(6 * UNIT + 40), network(Mlp::new([4, 8, 1])));
     let (weights, starts) = (weights::<F, _>(&policy), starts::<F, _>(&task, 17));
     // The first run of a process detects the processor's features, which allocates.
     stored::<F, _, _>(&cart_pole(2), &policy, 1, &[Flow::REGULAR]).expect("finite");
     for flows in flows() {
-        for schedule in schedules(task.horizon) {
+        for schedule in schedules(task.horizon()) {
             let (mut rollout, bytes, most) =
                 held(|| Checkpointed::<F>::new(&task, &policy, 17, &flows, schedule));
             assert_eq!((rollout.stored_bytes(), most), (bytes, bytes), "{schedule:?}, {flows:?}");
@@ -305,7 +310,7 @@ fn batches_stay_within_the_budget_and_recompute_the_fewest_steps() {
     let (weights, starts) = (weights::<f32, _>(&policy), starts::<f32, _>(&task, 6));
     let flows = Field::combined().flows();
     let all =
-        Batch::<f32>::bytes_of(&task, &policy, 6, &flows, 1, &Schedule::store_all(task.horizon))
+        Batch::<f32>::bytes_of(&task, &policy, 6, &flows, 1, &Schedule::store_all(task.horizon()))
             as u64;
     let error = Batch::<f32>::within(&task, &policy, 6, &flows, 1, 1000).unwrap_err();
     assert_eq!((error.budget, error.everything), (1000, all));
@@ -342,7 +347,7 @@ fn batches_stay_within_the_budget_and_recompute_the_fewest_steps() {
         // No other schedule within the budget recomputes fewer steps.
         for units in 1..=40 {
             for checkpoints in 1..=40 {
-                let other = Schedule::new(task.horizon, units * UNIT, checkpoints);
+                let other = Schedule::new(task.horizon(), units * UNIT, checkpoints);
                 let bytes = Batch::<f32>::bytes_of(&task, &policy, 6, &flows, 1, &other) as u64;
                 assert!(
                     bytes > budget || other.recomputed_steps() >= last,

@@ -6,11 +6,10 @@
 //! trajectories agree.
 
 use super::{Case, Finding};
-use physgrad::Integrated;
-use physgrad::System;
-use physgrad::integrator::RungeKutta;
-use physgrad::tasks::DoublePendulum;
-use physgrad::{Cotangents, Inputs, Tangents};
+use physgrad::integrator::{AnyIntegrator, RungeKutta};
+use physgrad::scalar::CotangentPack;
+use physgrad::tasks::{DoublePendulum, LossMode, Upright};
+use physgrad::{Cotangents, DynSystem, DynTask, Inputs, Integrated, System, Tangents, Task};
 
 pub(super) const CASES: &[Case] = &[Case {
     name: "double_pendulum",
@@ -28,7 +27,6 @@ pub(super) const CASES: &[Case] = &[Case {
     run: double_pendulum,
 }];
 
-type Pendulum = Integrated<DoublePendulum, RungeKutta>;
 type State = [f64; 4];
 
 const STEPS: usize = 1_000_000;
@@ -39,10 +37,26 @@ const DT: f64 = 2e-3;
 /// Initial state at rest, both rods 1 rad from upright. The Lyapunov exponent Λ is about 1.45/s.
 const START: State = [1.0, 0.0, 1.0, 0.0];
 
+/// Returns the system of a task, which the library compiles. Only the system of the task matters.
+fn pendulum() -> DynSystem {
+    let integrator = AnyIntegrator::RungeKutta(RungeKutta::RK4);
+    let task = Upright {
+        system: Integrated { ode: DoublePendulum::default(), integrator, dt: DT },
+        first_angle: 0,
+        from: 0.0,
+        spread: 0.0,
+        loss: LossMode::Terminal,
+        control_weight: 0.0,
+        control_bound: 0.0,
+        horizon: STEPS,
+    };
+    DynTask::new(task).system().clone()
+}
+
 fn double_pendulum() -> Vec<Finding> {
-    let system = Pendulum { ode: DoublePendulum::default(), integrator: RungeKutta::RK4, dt: DT };
+    let system = pendulum();
     let states = rollout(&system, START, STEPS);
-    let energies = [&states[0], &states[STEPS]].map(|x| system.ode.energy(x));
+    let energies = [&states[0], &states[STEPS]].map(|x| DoublePendulum::default().energy(x));
     let finite = states.iter().flatten().all(|x| x.is_finite());
     let exponent = by_tangents(&system, &states);
     let (growth, direction) = adjoint(&system, &states);
@@ -67,7 +81,7 @@ fn double_pendulum() -> Vec<Finding> {
     findings
 }
 
-fn rollout(system: &Pendulum, start: State, steps: usize) -> Vec<State> {
+fn rollout(system: &DynSystem, start: State, steps: usize) -> Vec<State> {
     let mut states = Vec::with_capacity(steps + 1);
     states.push(start);
     for t in 0..steps {
@@ -87,7 +101,7 @@ fn normalize(v: &mut State) -> f64 {
 
 /// Growth of a tangent along a rollout, in e-foldings: Benettin et al. 1980
 /// (doi:10.1007/BF02128237).
-fn by_tangents(system: &Pendulum, states: &[State]) -> f64 {
+fn by_tangents(system: &DynSystem, states: &[State]) -> f64 {
     let (mut tangent, mut next, mut growth) = ([0.5; 4], [0.0; 4], 0.0);
     for x in &states[..states.len() - 1] {
         system.jvp(
@@ -103,15 +117,16 @@ fn by_tangents(system: &Pendulum, states: &[State]) -> f64 {
 
 /// Derivative of the first angle at the last state with respect to the initial state: growth of the
 /// adjoint in e-foldings, and its normalized value.
-fn adjoint(system: &Pendulum, states: &[State]) -> (f64, State) {
+fn adjoint(system: &DynSystem, states: &[State]) -> (f64, State) {
     let (mut bar, mut growth) = ([1.0, 0.0, 0.0, 0.0], 0.0);
     for x in states[..states.len() - 1].iter().rev() {
-        let mut x_bar = [0.0; 4];
+        let mut x_bar = [CotangentPack([0.0]); 4];
         system.vjp(
             Inputs::new(x, &[0.0]),
-            &bar,
+            &bar.map(|bar| CotangentPack([bar])),
             Cotangents { x: Some(&mut x_bar), ..Cotangents::default() },
         );
+        let mut x_bar = x_bar.map(|CotangentPack([bar])| bar);
         growth += normalize(&mut x_bar);
         bar = x_bar;
     }
@@ -120,7 +135,7 @@ fn adjoint(system: &Pendulum, states: &[State]) -> (f64, State) {
 
 /// Agreement of adjoint directions within pairs of rollouts whose initial states differ by one
 /// rounding error.
-fn signs(system: &Pendulum, lambda: f64) -> Vec<Finding> {
+fn signs(system: &DynSystem, lambda: f64) -> Vec<Finding> {
     let horizon = (1.0 / f64::EPSILON).ln() / (lambda * DT);
     let horizons = [0.5, 2.0].map(|factor| (factor * horizon) as usize);
     let mut cosines = [[0.0; PAIRS]; 2];

@@ -3,12 +3,13 @@
 use super::step;
 use super::steps::{derivative, larger, states};
 use super::{Case, Finding};
+use num_dual::Dual64;
 use physgrad::Inputs;
 use physgrad::Scalar;
 use physgrad::System;
 use physgrad::check;
-use physgrad::scalar::Dual;
-use physgrad::tasks::{BouncingBall, Contact, TwoBodies};
+use physgrad::tasks::{Bounce, BouncingBall, Contact, Push, TwoBodies};
+use physgrad::{DynSystem, DynTask, Task};
 use std::f64::consts::PI;
 
 pub(super) const CASES: &[Case] = &[Case {
@@ -167,24 +168,22 @@ impl Example {
 
     /// Error of forward mode, which stores no states; suited to very many steps.
     fn forward_error<S: System>(&self, system: &S, dt: f64) -> f64 {
-        let inputs: Vec<f64> = self.start.iter().copied().chain([self.control]).collect();
-        let mut index = 0;
-        let mut seeded = |(value, expected): (&f64, &f64)| {
-            index += usize::from(!expected.is_nan());
-            if expected.is_nan() {
-                Dual::constant(*value)
-            } else {
-                Dual::variable(*value, index - 1)
-            }
-        };
-        let mut x: Vec<Dual<f64, 4>> = inputs.iter().zip(&self.expected).map(&mut seeded).collect();
+        let compared = (0..self.expected.len()).filter(|&input| !self.expected[input].is_nan());
+        self.off(compared.map(|input| self.forward(system, dt, input)))
+    }
+
+    /// Derivative with respect to one of the inputs, the initial state and the control.
+    fn forward<S: System>(&self, system: &S, dt: f64, input: usize) -> f64 {
+        let inputs = self.start.iter().copied().chain([self.control]).enumerate();
+        let dual = |(i, value)| Dual64::new(value, if i == input { 1.0 } else { 0.0 });
+        let mut x: Vec<Dual64> = inputs.map(dual).collect();
         let u = x.pop().expect("a control");
         let mut next = x.clone();
         for _ in 0..self.steps(dt) {
             step(system, Inputs::new(&x, &[u]), &mut next);
             std::mem::swap(&mut x, &mut next);
         }
-        self.off(x[self.component].tangents)
+        x[self.component].eps
     }
 
     fn exact(&self, system: &dyn super::AnySystem<f64>, dt: f64) -> Finding {
@@ -225,6 +224,16 @@ impl Example {
     }
 }
 
+/// Returns the ball as the system of a task, which the library compiles.
+fn compiled_ball(system: BouncingBall) -> DynSystem {
+    DynTask::new(Bounce { system, ..Bounce::default() }).system().clone()
+}
+
+/// Returns the bodies as the system of a task, which the library compiles.
+fn compiled_bodies(system: TwoBodies) -> DynSystem {
+    DynTask::new(Push { system, ..Push::default() }).system().clone()
+}
+
 fn contact() -> Vec<Finding> {
     let bouncing = BouncingBall::default();
     let mut findings = Vec::new();
@@ -240,17 +249,13 @@ fn contact() -> Vec<Finding> {
         findings.push(reflected(&example));
     }
     let elastic = ball("elastic ball from near the floor", 1.0, 0.01, -4.0, 0.0525);
-    findings.extend(elastic.springs(bouncing.mass, |contact, dt| BouncingBall {
-        contact,
-        dt,
-        ..bouncing
+    findings.extend(elastic.springs(bouncing.mass, |contact, dt| {
+        compiled_ball(BouncingBall { contact, dt, ..bouncing })
     }));
     findings.push(balls(0.5, 0.8).exact(&TwoBodies::balls(), 0.01));
     let equal = TwoBodies::balls();
-    findings.extend(balls(0.11, 0.06).springs(reduced_mass(&equal), |contact, dt| TwoBodies {
-        contact,
-        dt,
-        ..equal
+    findings.extend(balls(0.11, 0.06).springs(reduced_mass(&equal), |contact, dt| {
+        compiled_bodies(TwoBodies { contact, dt, ..equal })
     }));
     findings.push(pusher().exact(&TwoBodies::pusher(), 0.01));
     findings.extend(damped_pusher());
@@ -296,7 +301,8 @@ fn reflected(example: &Example) -> Finding {
 fn damped_pusher() -> [Finding; 2] {
     let error = |stiffness: f64, dt: f64| {
         let contact = Contact::Penalty { stiffness, damping: 5.0 };
-        pusher().forward_error(&TwoBodies { contact, dt, ..TwoBodies::pusher() }, dt)
+        let system = compiled_bodies(TwoBodies { contact, dt, ..TwoBodies::pusher() });
+        pusher().forward_error(&system, dt)
     };
     let biased = STIFFNESSES.map(|stiffness| error(stiffness, resolved(stiffness)));
     // Steps of an undamped contact. Damping changes the duration.
@@ -333,7 +339,8 @@ fn damped_ball() -> [Finding; 2] {
     }
     let errors = STIFFNESSES.map(|stiffness| {
         let (contact, dt) = (Contact::Penalty { stiffness, damping: low }, short(stiffness));
-        example.forward_error(&BouncingBall { contact, dt, ..BouncingBall::default() }, dt)
+        let system = compiled_ball(BouncingBall { contact, dt, ..BouncingBall::default() });
+        example.forward_error(&system, dt)
     });
     let what = format!(
         "ball, springs with a damping of {low:.3} s/m, with equal rebound (biased): errors"

@@ -1,7 +1,7 @@
 //! Stress case: coincident and very distant agents.
 
 use super::step;
-use super::steps::{error, finite, larger, vjp_by_jvps};
+use super::steps::{error, finite, larger, vjp_by_duals};
 use super::{AnySystem, vjp};
 use super::{Case, Finding};
 use physgrad::Forced;
@@ -136,7 +136,7 @@ fn derivatives<R: Real>(system: &dyn AnySystem<R>, distance: f64) -> (bool, f64)
         let mut bar = vec![R::zero(); n];
         (bar[4 * agent + 2], bar[4 * agent + 3]) = (R::one(), R::from(0.5));
         let [x_bar, u_bar, _] = vjp(system, Inputs::new(&x, &u), &bar);
-        let [x_dual, u_dual] = vjp_by_jvps(system, &x, &u, &bar);
+        let [x_dual, u_dual] = vjp_by_duals(system, &x, &u, &bar);
         let positions = |v: &[R]| (0..n).filter(|k| k % 4 < 2).map(|k| v[k]).collect::<Vec<R>>();
         all_finite &= [&x_bar, &u_bar, &x_dual, &u_dual].into_iter().all(|bar| finite(bar));
         for error in [

@@ -8,6 +8,7 @@
 
 use super::{Case, Finding};
 use physgrad::Clip;
+use physgrad::DynTask;
 use physgrad::Field;
 use physgrad::Inputs;
 use physgrad::Rollout;
@@ -120,9 +121,10 @@ fn starts(lqr: &Lqr, seed: u64, purpose: Purpose, count: usize) -> Vec<f64> {
 fn metered(lqr: &Lqr, gain: &[f64]) -> Option<Growth> {
     let policy = Linear::new(lqr.system().state_dim(), 1);
     let weights = Weights::<f64>::new(&policy, gain.to_vec());
-    let mut batch = Batch::new(lqr, &policy, 8, &Field::combined().flows(), 1);
+    let task = DynTask::new(lqr.clone());
+    let mut batch = Batch::new(&task, &policy, 8, &Field::combined().flows(), 1);
     batch.measure(true);
-    batch.run(lqr, &policy, &weights, &starts(lqr, 0, Purpose::Train, 8)).ok()?;
+    batch.run(&task, &policy, &weights, &starts(lqr, 0, Purpose::Train, 8)).ok()?;
     batch.growth(0)
 }
 
@@ -130,13 +132,14 @@ fn metered(lqr: &Lqr, gain: &[f64]) -> Option<Growth> {
 fn norms(lqr: &Lqr, gain: &[f64]) -> [Vec<f64>; 2] {
     let policy = Linear::new(lqr.system().state_dim(), 1);
     let weights = Weights::<f64>::new(&policy, gain.to_vec());
-    let mut rollout = Rollout::new(lqr, &policy, 8);
+    let task = DynTask::new(lqr.clone());
+    let mut rollout = Rollout::new(&task, &policy, 8);
     rollout.start(&starts(lqr, 0, Purpose::Train, 8));
     let mut adjoint =
-        Adjoint::new(lqr, &policy, &rollout, &[Flow::REGULAR, Flow::MODIFIED]).keep_norms();
+        Adjoint::new(&task, &policy, &rollout, &[Flow::REGULAR, Flow::MODIFIED]).keep_norms();
     // After a divergence, the norms are NaN, and every finding with a limit fails.
-    let ran = rollout.run(lqr, &policy, &weights);
-    let _ = ran.and_then(|()| adjoint.run(lqr, &policy, &weights, &rollout, 1.0));
+    let ran = rollout.run(&task, &policy, &weights);
+    let _ = ran.and_then(|()| adjoint.run(&task, &policy, &weights, &rollout, 1.0));
     [0, 1].map(|k| adjoint.norms(k).to_vec())
 }
 
@@ -148,12 +151,13 @@ fn directions(lqr: &Lqr, name: &str, gain: &[f64]) -> [Finding; 2] {
     let policy = Linear::new(n, 1);
     let weights = Weights::<f64>::new(&policy, gain.to_vec());
     let (loop_closed, radius) = (lqr.system().closed_by(gain), lqr.system().spectral_radius());
-    let mut batch = Batch::new(lqr, &policy, 1, &[Flow::MODIFIED, Flow::REGULAR], 1);
+    let task = DynTask::new(lqr.clone());
+    let mut batch = Batch::new(&task, &policy, 1, &[Flow::MODIFIED, Flow::REGULAR], 1);
     let (mut least, mut descends) = (f64::INFINITY, 0);
     for x in starts(lqr, 0, Purpose::Train, STARTS).chunks_exact(n) {
         let (mut x, mut next, mut direction, mut weight) =
             (x.to_vec(), vec![0.0; n], vec![0.0; n], 1.0);
-        let ran = batch.run(lqr, &policy, &weights, &x);
+        let ran = batch.run(&task, &policy, &weights, &x);
         for _ in 0..lqr.horizon {
             (0..n).for_each(|i| direction[i] += weight * x[i]);
             weight /= radius;
@@ -250,7 +254,7 @@ fn train(lqr: &Lqr, field: Field, gain: &[f64], training: Training) -> Trained {
     let sets = [(Purpose::Train, EPOCH * training.batch), (Purpose::Test, 64)];
     let [train, test] = sets.map(|(purpose, count)| starts(lqr, training.seed, purpose, count));
     let least = lqr.least_loss(&test);
-    let trainer = Trainer::new(lqr.clone(), Linear::new(gain.len(), 1))
+    let trainer = Trainer::new(DynTask::new(lqr.clone()), Linear::new(gain.len(), 1))
         .precision::<f64>()
         .field(field)
         .training(training);

@@ -21,7 +21,7 @@ mod quantum_plateau;
 mod random_states;
 mod steps;
 
-use physgrad::scalar::CotangentPack;
+use physgrad::scalar::{CotangentPack, Dual};
 use physgrad::{Cotangent as _, Cotangents, Inputs, Real, Scalar, System, Tangents};
 use std::fmt;
 
@@ -213,10 +213,14 @@ trait AnySystem<R: Real> {
     fn step(&self, inputs: Inputs<'_, R>, next: &mut [R]);
     fn vjp(&self, inputs: Inputs<'_, R>, next_bar: &[One<R>], cotangents: Cotangents<'_, One<R>>);
     fn jvp(&self, inputs: Inputs<'_, R>, tangents: Tangents<'_, R>, next_tan: &mut [R]);
+    fn step_by_duals(&self, inputs: Inputs<'_, Four<R>>, next: &mut [Four<R>]);
 }
 
 /// One cotangent.
 type One<R> = CotangentPack<R, 1>;
+
+/// Dual number with four tangents.
+type Four<R> = Dual<R, 4>;
 
 impl<S: System, R: Real> AnySystem<R> for S {
     fn state_dim(&self) -> usize {
@@ -233,6 +237,9 @@ impl<S: System, R: Real> AnySystem<R> for S {
     }
     fn jvp(&self, inputs: Inputs<'_, R>, tangents: Tangents<'_, R>, next_tan: &mut [R]) {
         System::jvp(self, inputs, tangents, next_tan);
+    }
+    fn step_by_duals(&self, inputs: Inputs<'_, Four<R>>, next: &mut [Four<R>]) {
+        System::step(self, inputs, next);
     }
 }
 

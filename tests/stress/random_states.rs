@@ -1,6 +1,6 @@
 //! Stress case: gradients at many random states.
 
-use super::steps::{error, finite, larger, vjp_by_jvps};
+use super::steps::{error, finite, larger, vjp_by_duals};
 use super::{AnySystem, vjp};
 use super::{Case, Finding};
 use physgrad::Inputs;
@@ -162,7 +162,7 @@ fn at<R: Real>(system: &dyn AnySystem<R>, sample: &Sample<R>) -> Outcome {
     let mut next = x.clone();
     system.step(Inputs::new(x, u), &mut next);
     let [x_bar, u_bar] = reverse(system, sample);
-    let [x_dual, u_dual] = vjp_by_jvps(system, x, u, bar);
+    let [x_dual, u_dual] = vjp_by_duals(system, x, u, bar);
     let finite = [&next, &x_bar, &u_bar, &x_dual, &u_dual].into_iter().all(|v| finite(v));
     // State and control cotangents share one scale: a single-component cotangent may vanish by
     // chance.

@@ -1,8 +1,8 @@
 //! Helpers of the stress cases: rollouts, adjoints and error norms.
 
-use super::{AnySystem, vjp};
+use super::{AnySystem, Four, vjp};
+use physgrad::Inputs;
 use physgrad::{Float, Real};
-use physgrad::{Inputs, Tangents};
 
 /// States `x_0 .. x_T` under a constant control.
 pub(super) fn states(
@@ -39,40 +39,32 @@ pub(super) fn derivative(
     (bar, u_bar)
 }
 
-/// `(∂S/∂x)ᵀ bar` and `(∂S/∂u)ᵀ bar` for the step S of a system, by forward mode, one component of
-/// x or u at a time.
-pub(super) fn vjp_by_jvps<R: Real>(
+/// `(∂S/∂x)ᵀ bar` and `(∂S/∂u)ᵀ bar` for the step S of a system, by forward mode, four components
+/// of x and u at a time.
+pub(super) fn vjp_by_duals<R: Real>(
     system: &dyn AnySystem<R>,
     x: &[R],
     u: &[R],
     bar: &[R],
 ) -> [Vec<R>; 2] {
-    let mut next = x.to_vec();
-    let mut along = |len: usize, jvp: &dyn Fn(&[R], &mut [R])| -> Vec<R> {
-        let component = |i: usize| {
-            let mut tangent = vec![R::zero(); len];
-            tangent[i] = R::one();
-            jvp(&tangent, &mut next);
-            next.iter().zip(bar).fold(R::zero(), |sum, (&next, &bar)| sum + next * bar)
-        };
-        (0..len).map(component).collect()
-    };
-    [
-        along(x.len(), &|tangent, next| {
-            system.jvp(
-                Inputs::new(x, u),
-                Tangents { x: Some(tangent), ..Tangents::default() },
-                next,
-            )
-        }),
-        along(u.len(), &|tangent, next| {
-            system.jvp(
-                Inputs::new(x, u),
-                Tangents { u: Some(tangent), ..Tangents::default() },
-                next,
-            )
-        }),
-    ]
+    let inputs = [x, u].concat();
+    let mut cotangents = Vec::with_capacity(inputs.len());
+    let mut next = vec![Four::constant(R::zero()); x.len()];
+    for first in (0..inputs.len()).step_by(4) {
+        let count = (inputs.len() - first).min(4);
+        let mut duals: Vec<Four<R>> = inputs.iter().map(|&input| Four::constant(input)).collect();
+        for (index, dual) in duals[first..][..count].iter_mut().enumerate() {
+            dual.tangents[index] = R::one();
+        }
+        let (x, u) = duals.split_at(x.len());
+        system.step_by_duals(Inputs::new(x, u), &mut next);
+        cotangents.extend((0..count).map(|index| {
+            let terms = next.iter().zip(bar).map(|(next, &bar)| next.tangents[index] * bar);
+            terms.fold(R::zero(), |sum, term| sum + term)
+        }));
+    }
+    let by_control = cotangents.split_off(x.len());
+    [cotangents, by_control]
 }
 
 /// True if all numbers are finite. Reads lane 0 only.
