@@ -1,13 +1,16 @@
 //! Multiple shooting: trajectories that single shooting cannot fit.
 
 use physgrad::identify::{Fit, Options, Segment, Unknown, identify};
-use physgrad::integrator::RungeKutta;
+use physgrad::integrator::{AnyIntegrator, RungeKutta};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{Arm, MultiPendulum};
 use physgrad::{Inputs, Integrated, Number, Scalar, System};
 use rand_distr::{Distribution, StandardNormal};
 
-type Pendulum = Integrated<MultiPendulum, RungeKutta>;
+/// The library compiles derivatives with this integrator.
+type Pendulum = Integrated<MultiPendulum, AnyIntegrator>;
+
+const RK4: AnyIntegrator = AnyIntegrator::RungeKutta(RungeKutta::RK4);
 
 const VARIES: Number = Number::Trained { start: 1.0, min: 0.0, max: f64::INFINITY };
 const DT: f64 = 0.01;
@@ -98,7 +101,7 @@ fn a_chaotic_swing_is_identified() {
     let arm = Arm { center: VARIES, length: VARIES, viscous: VARIES, ..Arm::default() };
     let last = Arm { center: VARIES, ..Arm::default() };
     let ode = MultiPendulum { arms: vec![arm, last], gravity: 9.81.into() };
-    let system = Integrated { ode, integrator: RungeKutta::RK4, dt: DT };
+    let system = Integrated { ode, integrator: RK4, dt: DT };
     let p = [0.1, 0.2, 1e-4, 0.11];
     let simulated = |theta: f64| simulate(&system, &[theta, 0.0, -0.5, 0.0], &p, 2000);
     let (x, near) = (simulated(0.5), simulated(0.5 + 1e-9));
@@ -166,7 +169,7 @@ fn a_fit_with_unknown_noise_does_not_depend_on_the_unit_of_the_data() {
 fn an_unstable_balance_is_identified() {
     let arm = Arm { inertia: VARIES, viscous: VARIES, ..Arm::default() };
     let ode = MultiPendulum { arms: vec![arm], gravity: 9.81.into() };
-    let system = Integrated { ode, integrator: RungeKutta::RK4, dt: DT };
+    let system = Integrated { ode, integrator: RK4, dt: DT };
     let p = [4e-4, 5e-4];
     // Bisects the initial rate between falling back and falling over.
     let (mut low, mut high) = (0.0, 20.0);

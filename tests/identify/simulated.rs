@@ -1,14 +1,17 @@
 //! Identification on simulated data, whose true values are known.
 
 use physgrad::identify::{Fit, IdentifyError, Options, Segment, Unknown, identify};
-use physgrad::integrator::RungeKutta;
+use physgrad::integrator::{AnyIntegrator, RungeKutta};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{Arm, MultiPendulum};
 use physgrad::{Inputs, Integrated, Number, Scalar, System};
 use rand_distr::{Distribution, StandardNormal};
 use std::f64::consts::{PI, TAU};
 
-type Pendulum = Integrated<MultiPendulum, RungeKutta>;
+/// The library compiles derivatives with this integrator.
+type Pendulum = Integrated<MultiPendulum, AnyIntegrator>;
+
+const RK4: AnyIntegrator = AnyIntegrator::RungeKutta(RungeKutta::RK4);
 
 const VARIES: Number = Number::Trained { start: 1.0, min: f64::NEG_INFINITY, max: f64::INFINITY };
 
@@ -17,7 +20,7 @@ fn pendulum() -> Pendulum {
     let arm = Arm { center: VARIES, viscous: VARIES, ..Arm::default() };
     Integrated {
         ode: MultiPendulum { arms: vec![arm], gravity: 9.81.into() },
-        integrator: RungeKutta::RK4,
+        integrator: RK4,
         dt: 0.01,
     }
 }
@@ -313,7 +316,7 @@ fn missing_samples_do_not_matter() {
 fn undetermined_combinations_are_named() {
     let arm = Arm { mass: VARIES, inertia: VARIES, viscous: VARIES, ..Arm::default() };
     let ode = MultiPendulum { arms: vec![arm], gravity: 9.81.into() };
-    let system = Integrated { ode, integrator: RungeKutta::RK4, dt: 0.01 };
+    let system = Integrated { ode, integrator: RK4, dt: 0.01 };
     let truth = [0.1, 4e-4, 3e-4];
     let mut x = vec![vec![1.5, 0.0]];
     for t in 0..300 {
