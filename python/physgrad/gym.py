@@ -53,19 +53,39 @@ def make_vec(
     return TaskVectorEnv(pg.task(name, **settings), num_envs, bound)
 
 
-class TaskEnv(gymnasium.Env):
+class _Fixed:
+    """Attributes that both environments share. Assignments raise an error: they would have no effect."""
+
+    _rows: _Rows
+
+    @property
+    def task(self) -> pg.Task:
+        """The task."""
+        return self._rows.task
+
+    @property
+    def low(self) -> np.ndarray:
+        """Controls at action -1, shape (control_dim,). A copy that refuses assignments."""
+        return _read_only(self._rows.low)
+
+    @property
+    def high(self) -> np.ndarray:
+        """Controls at action 1, shape (control_dim,). A copy that refuses assignments."""
+        return _read_only(self._rows.high)
+
+
+class TaskEnv(_Fixed, gymnasium.Env):
     """One environment over ``task``, a ``Task``. See the module for rewards and ends of episodes.
 
-    Attributes: ``task``; ``low`` and ``high``, the controls at actions -1 and 1, shape
-    (control_dim,); ``state``, shape (state_dim,); ``params``, shape (param_dim,).
+    Attributes, which do not change: ``task``; ``low`` and ``high``, the controls at actions -1 and
+    1, shape (control_dim,); ``state``, shape (state_dim,); ``params``, shape (param_dim,).
     """
 
     metadata: dict[str, Any] = {"render_modes": []}
 
     def __init__(self, task: pg.Task, bound: float | Sequence[float] | None = None) -> None:
-        self.task, (self.low, self.high) = task, _range(task, bound)
         self.observation_space, self.action_space = _spaces(task)
-        self._rows = _Rows(task, self.low, self.high, 1)
+        self._rows = _Rows(task, *_range(task, bound), 1)
 
     @property
     def state(self) -> np.ndarray:
@@ -100,12 +120,12 @@ class TaskEnv(gymnasium.Env):
         if self._rows.t[0] >= self.task.horizon:
             raise RuntimeError(f"step {self._rows.t[0]}: the episode has ended or not begun. Call `reset` first")
         action = _array("action", action)
-        _check_shape("action", action, self.high.shape)
+        _check_shape("action", action, self._rows.high.shape)
         reward, truncated = self._rows.step(action[None], np.ones(1, bool))
         return self._rows.observe()[0], float(reward[0]), False, bool(truncated[0]), {}
 
 
-class TaskVectorEnv(gymnasium.vector.VectorEnv):
+class TaskVectorEnv(_Fixed, gymnasium.vector.VectorEnv):
     """``num_envs`` environments over ``task``, stepped together. See the module and ``TaskEnv``.
 
     ``autoreset_mode`` is that of Gymnasium. With ``NEXT_STEP``, the default, the step after the
@@ -122,15 +142,14 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv):
         bound: float | Sequence[float] | None = None,
         autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
     ) -> None:
-        self.task, self.num_envs = task, operator.index(num_envs)
-        self.low, self.high = _range(task, bound)
+        self.num_envs = operator.index(num_envs)
         if self.num_envs < 1:
             raise ValueError(f"`num_envs` is {num_envs}; allowed: at least 1")
         self.single_observation_space, self.single_action_space = _spaces(task)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode(autoreset_mode)}
-        self._rows = _Rows(task, self.low, self.high, num_envs)
+        self._rows = _Rows(task, *_range(task, bound), num_envs)
 
     @property
     def state(self) -> np.ndarray:
@@ -176,7 +195,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv):
             which = np.flatnonzero(ended)
             raise RuntimeError(f"environments {which}: the episode has ended. Call `reset` first")
         actions = _array("actions", actions)
-        _check_shape("actions", actions, (self.num_envs, len(self.high)))
+        _check_shape("actions", actions, (self.num_envs, len(self._rows.high)))
         reward, truncated = rows.step(actions, ~ended)
         if mode == AutoresetMode.SAME_STEP and truncated.any():
             final, y = np.full(self.num_envs, None, object), rows.observe()
@@ -192,7 +211,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv):
 def _check_names(options: dict[str, Any] | None, allowed: set[str]) -> None:
     unknown = sorted(map(str, set(options or {}) - allowed))
     if unknown:
-        raise ValueError(f"`options` has {', '.join(unknown)}; allowed: {', '.join(sorted(allowed))}")
+        raise ValueError(f"`options` has {', '.join(map(repr, unknown))}; allowed: {', '.join(sorted(allowed))}")
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:
@@ -223,7 +242,8 @@ class _Rows:
     """States of several rollouts, which may be at different steps."""
 
     def __init__(self, task: pg.Task, low: np.ndarray, high: np.ndarray, count: int) -> None:
-        self.task, self.middle, self.half = task, 0.5 * low + 0.5 * high, 0.5 * high - 0.5 * low
+        self.task, self.low, self.high = task, low, high
+        self.middle, self.half = 0.5 * low + 0.5 * high, 0.5 * high - 0.5 * low
         self.x = np.zeros((count, task.state_dim), task.dtype)
         self.p = np.zeros((count, task.param_dim), task.dtype)
         self.t = np.full(count, task.horizon)

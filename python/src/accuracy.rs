@@ -1,11 +1,10 @@
 //! `accuracy`: errors and costs of integrators, step sizes and precisions.
 
-use crate::errors::value_error;
+use crate::errors::{invalid, value_error};
 use crate::interrupt::interruptible;
 use crate::task::Task;
 use numpy::IntoPyArray;
 use physgrad_cli::api::{Cheapest, Errors, Measured, Metric, Row};
-use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::atomic::Ordering;
@@ -53,10 +52,10 @@ pub fn accuracy<'py>(
 ) -> PyResult<Bound<'py, PyDict>> {
     let Some(&(_, measure)) = METRICS.iter().find(|(name, _)| *name == metric) else {
         let names = METRICS.map(|(name, _)| format!("\"{name}\"")).join(", ");
-        return Err(PyValueError::new_err(format!("`metric` is \"{metric}\"; allowed: {names}")));
+        return Err(invalid(format!("`metric` is \"{metric}\"; allowed: {names}")));
     };
     if let Some(target) = target.filter(|target| target.is_nan() || *target <= 0.0) {
-        return Err(PyValueError::new_err(format!(
+        return Err(invalid(format!(
             "`target` is {target}; allowed: a positive error, for example 1e-4"
         )));
     }

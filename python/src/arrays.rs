@@ -1,12 +1,12 @@
 //! Row-major numpy arrays: arguments, results and their shapes.
 
-use crate::errors::fits;
+use crate::errors::{fits, invalid};
 use numpy::{Element, IntoPyArray, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods};
 use numpy::{PyReadonlyArrayDyn, PyUntypedArray, PyUntypedArrayMethods, dtype};
 use physgrad::Float;
-use pyo3::exceptions::{PyException, PyMemoryError, PyTypeError, PyValueError};
+use pyo3::exceptions::{PyException, PyMemoryError, PyTypeError};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyList, PyTuple};
 use std::ops::Range;
 
 /// Number type of arrays: `f32` or `f64`.
@@ -39,6 +39,27 @@ pub fn is_f32<'a, 'py: 'a>(arguments: impl IntoIterator<Item = &'a Bound<'py, Py
     arguments.into_iter().all(is_f32)
 }
 
+/// Returns whether the object is a masked array, a subclass of `numpy.ndarray` whose mask a
+/// conversion drops.
+fn is_masked(object: &Bound<'_, PyAny>) -> PyResult<bool> {
+    let is_subclass =
+        object.cast::<PyUntypedArray>().is_ok() && !object.is_exact_instance_of::<PyUntypedArray>();
+    Ok(is_subclass && object.hasattr("mask")?)
+}
+
+/// Index of the first masked array in a list or tuple.
+fn masked_element(object: &Bound<'_, PyAny>) -> PyResult<Option<usize>> {
+    if !object.is_instance_of::<PyList>() && !object.is_instance_of::<PyTuple>() {
+        return Ok(None);
+    }
+    for (i, element) in object.try_iter()?.enumerate() {
+        if is_masked(&element?)? {
+            return Ok(Some(i));
+        }
+    }
+    Ok(None)
+}
+
 /// Contiguous argument of the number type `F`. Copies the given array only if its layout or type
 /// differs.
 pub struct Argument<'py, F: Number>(PyReadonlyArrayDyn<'py, F>);
@@ -51,12 +72,14 @@ impl<'py, F: Number> Argument<'py, F> {
         check: &dyn Fn(&[usize]) -> Result<(), String>,
     ) -> PyResult<Self> {
         let py = object.py();
-        // A masked array is a subclass of `numpy.ndarray`.
-        let is_subclass = object.cast::<PyUntypedArray>().is_ok()
-            && !object.is_exact_instance_of::<PyUntypedArray>();
-        if is_subclass && object.hasattr("mask")? {
-            return Err(PyValueError::new_err(format!(
+        if is_masked(object)? {
+            return Err(invalid(format!(
                 "`{name}` is a masked array; fill it, as in `{name}.filled(numpy.nan)`"
+            )));
+        }
+        if let Some(row) = masked_element(object)? {
+            return Err(invalid(format!(
+                "`{name}` is a list with a masked array, element {row}; fill it, as in `row.filled(numpy.nan)`"
             )));
         }
         let numpy = py.import("numpy")?;
@@ -67,7 +90,7 @@ impl<'py, F: Number> Argument<'py, F> {
                 converted.map_err(|error| named(py, name, error))?.cast_into::<PyUntypedArray>()?
             }
         };
-        check(given.shape()).map_err(PyValueError::new_err)?;
+        check(given.shape()).map_err(invalid)?;
         let array = match given.cast::<PyArrayDyn<F>>() {
             Ok(array) if array.is_c_contiguous() && array.is_aligned() => array.clone(),
             _ => {
@@ -79,7 +102,7 @@ impl<'py, F: Number> Argument<'py, F> {
         array
             .try_readonly()
             .map(Self)
-            .map_err(|error| PyValueError::new_err(format!("`{name}` cannot be read: {error}")))
+            .map_err(|error| invalid(format!("`{name}` cannot be read: {error}")))
     }
 
     /// Reads the first argument, which sets the number of rows.
@@ -189,7 +212,7 @@ fn named(py: Python<'_>, name: &str, error: PyErr) -> PyErr {
     } else if error.is_instance_of::<PyTypeError>(py) {
         PyTypeError::new_err(format!("`{name}` is no array of numbers: {text}"))
     } else {
-        PyValueError::new_err(format!("`{name}` is no array of numbers: {text}"))
+        invalid(format!("`{name}` is no array of numbers: {text}"))
     };
     own.set_cause(py, Some(error));
     own

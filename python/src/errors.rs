@@ -4,7 +4,9 @@ use physgrad::TrainError;
 use physgrad::engine::Variable;
 use physgrad_cli::api;
 use pyo3::create_exception;
-use pyo3::exceptions::{PyArithmeticError, PyMemoryError, PyOSError, PyRuntimeError, PyValueError};
+use pyo3::exceptions::{
+    PyArithmeticError, PyMemoryError, PyOSError, PyRuntimeError, PyTypeError, PyValueError,
+};
 use pyo3::prelude::*;
 use std::path::Path;
 
@@ -20,6 +22,11 @@ create_exception!(
 /// a terminal obeys.
 pub fn invalid(text: impl AsRef<str>) -> PyErr {
     PyValueError::new_err(api::plain(text.as_ref()).into_owned())
+}
+
+/// `TypeError` with this text, as [`invalid`].
+pub fn wrong_type(text: impl AsRef<str>) -> PyErr {
+    PyTypeError::new_err(api::plain(text.as_ref()).into_owned())
 }
 
 /// Converts an error in settings or arguments. A divergence becomes `Divergence`, an error of the

@@ -4,7 +4,7 @@ use crate::arrays::{Argument, array, tuple};
 use crate::errors::{invalid, value_error};
 use crate::interrupt::interruptible;
 use crate::policy::Policy;
-use crate::settings::{Settings, setting, value_of};
+use crate::settings::{Settings, value_of};
 use crate::task::Task;
 use numpy::IntoPyArray;
 use physgrad::identify::{IdentifyError, Options, Segment};
@@ -117,7 +117,7 @@ fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
         };
         return starts.iter().map(unknown).collect();
     }
-    let unknown = |key: String| match setting(&task.scene, &key) {
+    let unknown = |key: String| match task.scene.setting(&key) {
         Some(value @ (Value::Float(_) | Value::Integer(_))) => Ok((key, starting_at(value))),
         Some(Value::Table(table)) if table.contains_key("start") => Ok((key, Value::Table(table))),
         Some(_) => Err(invalid(format!(
@@ -197,6 +197,11 @@ fn segment(scene: &Scene, i: usize, data: &Bound<'_, PyAny>) -> PyResult<Segment
                 names.join(", ")
             ))
         })?;
+        if value.is_nan() {
+            return Err(invalid(format!(
+                "segment {i}: {name:?} in \"p\" is NaN; give its value, or omit it for the nominal value of the task"
+            )));
+        }
         p[place] = value;
     }
     scene.check_params(&p).map_err(|error| invalid(format!("segment {i}: {error}")))?;

@@ -1,14 +1,13 @@
 //! [`Policy`]: a policy with its parameters.
 
 use crate::arrays::{Argument, any_shape, array, is_f32, read_only, with_precision};
-use crate::errors::{check_regular, fits, invalid, runtime_error, value_error};
+use crate::errors::{check_regular, fits, invalid, runtime_error, value_error, wrong_type};
 use crate::interrupt::{in_parts, interruptible};
 use crate::settings::keywords;
 use crate::task::{TOP, Task};
 use numpy::{IntoPyArray, PyArray1};
 use physgrad::Field;
 use physgrad_cli::api;
-use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 use std::path::{Path, PathBuf};
@@ -20,15 +19,34 @@ use std::sync::{Mutex, MutexGuard};
 /// them, unless the task has an initial policy. Keyword arguments are settings of the section
 /// `policy`. `physgrad.Mlp` has an argument for the widths of the hidden layers.
 #[pyclass(frozen, module = "physgrad")]
-pub struct Policy(Mutex<api::Policy>);
+pub struct Policy {
+    policy: Mutex<api::Policy>,
+    /// True for a copy of the policy of a run, which refuses changes: they would not reach the run.
+    of_run: bool,
+}
 
 impl Policy {
     pub fn new(policy: api::Policy) -> Self {
-        Self(Mutex::new(policy))
+        Self { policy: Mutex::new(policy), of_run: false }
+    }
+
+    /// Copy of the policy of a run.
+    pub fn of_run(policy: api::Policy) -> Self {
+        Self { of_run: true, ..Self::new(policy) }
     }
 
     pub fn lock(&self) -> MutexGuard<'_, api::Policy> {
-        self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+        self.policy.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+    }
+
+    fn check_changeable(&self) -> PyResult<()> {
+        if self.of_run {
+            return Err(wrong_type(
+                "the policy of a run refuses changes, which would not reach the run; change `run.policy.copy()`, and train it \
+                 with `physgrad.train(task, policy)`",
+            ));
+        }
+        Ok(())
     }
 }
 
@@ -51,6 +69,7 @@ impl Policy {
 
     #[setter]
     fn set_theta(&self, theta: &Bound<'_, PyAny>) -> PyResult<()> {
+        self.check_changeable()?;
         let count = self.lock().theta().len();
         let theta = any_shape::<f64>("theta", theta, count)?.to_vec()?;
         self.lock().set_theta(theta).map_err(value_error)
@@ -90,6 +109,7 @@ impl Policy {
     /// initial values. Raises `ValueError` if the path is no file, for example a pipe, or if the
     /// file is larger than one of this policy can be. Ctrl-C raises `KeyboardInterrupt`.
     fn load(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
+        self.check_changeable()?;
         check_regular(&path)?;
         let policy = self.lock().clone();
         let (shown, most) = (path.display().to_string(), policy.most_bytes());
@@ -106,6 +126,11 @@ impl Policy {
         })??;
         *self.lock() = read.map_err(|error| value_error(error.context(shown)))?;
         Ok(())
+    }
+
+    /// A copy, which accepts changes.
+    fn copy(&self) -> Self {
+        Self::new(self.lock().clone())
     }
 
     fn __len__(&self) -> usize {
@@ -194,15 +219,13 @@ pub fn gradients<'py>(
 ) -> PyResult<Bound<'py, PyDict>> {
     let policy = policy.lock().clone();
     let [n, _, params] = task.scene.dims();
-    let parse = |name: &String| {
-        name.parse::<Field>().map_err(|error| PyValueError::new_err(error.to_string()))
-    };
+    let parse = |name: &String| name.parse::<Field>().map_err(|error| invalid(error.to_string()));
     let chosen = fields.iter().map(parse).collect::<PyResult<Vec<Field>>>()?;
     with_precision!(is_f32([starts]), F => {
         let (starts, b) = Argument::<F>::first("starts", starts, n + params)?;
         task.check_params(starts.slice(), n + params)?;
         if b == 0 {
-            return Err(PyValueError::new_err("`starts` has no rows; a mean loss needs at least one"));
+            return Err(invalid("`starts` has no rows; a mean loss needs at least one"));
         }
         let (starts, scene) = (starts.to_vec()?, task.scene.clone());
         let vectors = interruptible(py, move |stop| policy.gradients::<F>(&scene, &starts, &chosen, stop))?;

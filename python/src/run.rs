@@ -4,7 +4,7 @@ use crate::arrays::dict_of_vectors;
 use crate::errors::{caught, invalid, runtime_error, value_error};
 use crate::interrupt::{POLL, interruptible};
 use crate::policy::{Policy, replace_file};
-use crate::settings::{Settings, is_same, keywords, setting};
+use crate::settings::{Settings, is_same, keywords};
 use crate::task::{TOP, Task};
 use crate::threads;
 use physgrad::train::{Record, Warning};
@@ -41,7 +41,7 @@ fn check_policy_settings(settings: &Settings, scene: &api::Scene) -> PyResult<()
     for (key, value) in settings {
         let own = match &**key {
             "initial_policy" => None,
-            key if key.starts_with("policy.") => setting(scene, key),
+            key if key.starts_with("policy.") => scene.setting(key),
             _ => continue,
         };
         if own.as_ref().is_none_or(|own| !is_same(own, value)) {
@@ -136,17 +136,18 @@ impl Run {
     }
 
     /// The policy with the current parameters: those after the last completed epoch, or after the
-    /// last update if Ctrl-C interrupted an epoch.
+    /// last update if Ctrl-C interrupted an epoch. A copy that refuses changes, which would not reach
+    /// the run; `copy` returns one that accepts them.
     #[getter]
     fn policy(&self) -> PyResult<Policy> {
-        self.lock()?.policy(false).map(Policy::new).map_err(runtime_error)
+        self.lock()?.policy(false).map(Policy::of_run).map_err(runtime_error)
     }
 
     /// The policy after the epoch with the lowest test loss. Before the first epoch whose test loss
-    /// is a number, the initial policy.
+    /// is a number, the initial policy. A copy that refuses changes, as `policy` is.
     #[getter]
     fn best_policy(&self) -> PyResult<Policy> {
-        self.lock()?.policy(true).map(Policy::new).map_err(runtime_error)
+        self.lock()?.policy(true).map(Policy::of_run).map_err(runtime_error)
     }
 
     /// The task with all settings of the run.

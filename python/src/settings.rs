@@ -1,11 +1,9 @@
 //! Settings of a scene as Python objects.
 
-use crate::errors::invalid;
-use physgrad_cli::api::Scene;
+use crate::errors::{invalid, wrong_type};
 use pyo3::IntoPyObjectExt;
-use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyTuple};
+use pyo3::types::{PyDict, PyMapping, PyTuple};
 use std::collections::HashMap;
 use toml::{Table, Value};
 
@@ -33,13 +31,15 @@ pub fn keywords(
     for (key, value) in kwargs.into_iter().flatten() {
         let key: String = key.extract()?;
         if key == "settings" {
-            for (key, value) in value.cast::<PyDict>()? {
+            for (key, value) in
+                mapping(&value)?.ok_or_else(|| wrong_type("`settings` is no dict"))?
+            {
                 add(&mut settings, key.extract()?, &value)?;
             }
         } else if SECTIONS.contains(&&*key) || top.contains(&&*key) {
             add(&mut settings, key, &value)?;
         } else {
-            settings.push((format!("{section}.{key}"), value_of(&key, &value)?));
+            add(&mut settings, format!("{section}.{key}"), &value)?;
         }
     }
     let mut seen = HashMap::new();
@@ -49,12 +49,6 @@ pub fn keywords(
         }
     }
     Ok(settings)
-}
-
-/// The value of a setting of a scene.
-pub fn setting(scene: &Scene, key: &str) -> Option<Value> {
-    let settings = Value::Table(scene.settings());
-    key.split('.').try_fold(&settings, |found, part| found.as_table()?.get(part)).cloned()
 }
 
 /// Returns whether two values of a setting are equal. Integers are also numbers, as 1 and 1.0.
@@ -68,10 +62,16 @@ pub fn is_same(a: &Value, b: &Value) -> bool {
 
 /// Adds one setting, or all settings of a section.
 fn add(settings: &mut Settings, key: String, value: &Bound<'_, PyAny>) -> PyResult<()> {
+    if key.len() > MAX_KEY {
+        let begin: String = key.chars().take(40).collect();
+        return Err(invalid(format!(
+            "the key that begins with `{begin}` has more than {MAX_KEY} bytes"
+        )));
+    }
     let is_section = SECTIONS.contains(&&*key)
         || NESTED.iter().any(|section| key.strip_prefix(section).is_some_and(is_part));
-    match value.cast::<PyDict>() {
-        Ok(section) if is_section && !(section.is_empty() && key.contains('.')) => {
+    match mapping(value)? {
+        Some(section) if is_section && !(section.is_empty() && key.contains('.')) => {
             for (inner, value) in section {
                 add(settings, format!("{key}.{}", inner.extract::<String>()?), &value)?;
             }
@@ -85,11 +85,24 @@ fn add(settings: &mut Settings, key: String, value: &Bound<'_, PyAny>) -> PyResu
     }
 }
 
+/// A dict, or another mapping as a dict. None for other objects.
+fn mapping<'py>(value: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyDict>>> {
+    if let Ok(dict) = value.cast::<PyDict>() {
+        return Ok(Some(dict.clone()));
+    }
+    let Ok(mapping) = value.cast::<PyMapping>() else { return Ok(None) };
+    let dict = PyDict::new(value.py());
+    dict.update(mapping)?;
+    Ok(Some(dict))
+}
+
 /// Returns whether the rest of a key names one effect or one part of an actuator.
 fn is_part(rest: &str) -> bool {
     rest.strip_prefix('.').is_some_and(|name| !name.contains('.'))
 }
 
+/// Largest number of bytes of a key.
+const MAX_KEY: usize = 1000;
 /// Largest depth of the value of a setting: a number in a list has the depth 1.
 const MAX_DEPTH: usize = 16;
 /// Largest number of elements of the value of a setting, nested ones included.
@@ -116,19 +129,17 @@ impl Reader<'_> {
         let key = self.key;
         self.elements += 1;
         if self.elements > MAX_ELEMENTS {
-            return Err(PyValueError::new_err(format!(
-                "`{key}` has more than {MAX_ELEMENTS} elements"
-            )));
+            return Err(invalid(format!("`{key}` has more than {MAX_ELEMENTS} elements")));
         }
         if depth > MAX_DEPTH {
-            return Err(PyValueError::new_err(format!(
+            return Err(invalid(format!(
                 "`{key}` is nested more than {MAX_DEPTH} times, or contains itself"
             )));
         }
         if let Ok(flag) = value.extract::<bool>() {
             return Ok(Value::Boolean(flag));
         }
-        if let Ok(table) = value.cast::<PyDict>() {
+        if let Some(table) = mapping(value)? {
             let mut entry = |(inner, value): (Bound<'_, PyAny>, Bound<'_, PyAny>)| {
                 Ok((inner.extract::<String>()?, self.value(&value, depth + 1)?))
             };
@@ -151,7 +162,7 @@ impl Reader<'_> {
             ));
         }
         let kind = value.get_type().name()?;
-        Err(PyTypeError::new_err(format!(
+        Err(wrong_type(format!(
             "`{key}` is of type {kind}; allowed: bool, int, float, str, list and dict of these"
         )))
     }

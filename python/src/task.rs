@@ -1,7 +1,7 @@
 //! [`Task`]: a scene, and its steps, observations and costs on arrays.
 
 use crate::arrays::{Argument, Number, array, is_f32, with_precision};
-use crate::errors::{check_regular, fits, value_error};
+use crate::errors::{check_regular, fits, invalid, value_error};
 use crate::interrupt::in_parts;
 use crate::rows::Rows;
 use crate::settings::{keywords, table_to_python};
@@ -9,7 +9,6 @@ use physgrad::engine::rows;
 use physgrad::rng::Purpose;
 use physgrad::{DynTask, Inputs, Tangents, Task as _};
 use physgrad_cli::api::Scene;
-use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 use std::path::Path;
@@ -94,7 +93,7 @@ impl Task {
             None => {
                 let names = self.scene.param_names().join(", ");
                 let (params, name) = (self.params, self.scene.name());
-                return Err(PyValueError::new_err(format!(
+                return Err(invalid(format!(
                     "{name} has {params} parameters ({names}); pass `p` of shape ({count}, {params})"
                 )));
             }
@@ -248,7 +247,7 @@ impl Task {
             "train" => Purpose::Train,
             "test" => Purpose::Test,
             _ => {
-                return Err(PyValueError::new_err(format!(
+                return Err(invalid(format!(
                     "`split` is {split:?}; allowed: \"new\", \"train\", \"test\""
                 )));
             }
@@ -265,7 +264,7 @@ impl Task {
                     "float32" => true,
                     "float64" => false,
                     _ => {
-                        return Err(PyValueError::new_err(format!(
+                        return Err(invalid(format!(
                             "`dtype` is {name}; allowed: float32, float64"
                         )));
                     }

@@ -1,7 +1,8 @@
 //! Threads of the calls: their number, and their start in this process.
 
+use crate::errors::invalid;
 use physgrad_cli::api::threads::{is_prepared, prepare};
-use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use std::thread::available_parallelism;
 
@@ -18,7 +19,7 @@ pub fn checked(source: &str, threads: usize) -> PyResult<usize> {
     if (1..=max).contains(&threads) {
         return Ok(threads);
     }
-    Err(PyValueError::new_err(format!("{source} is {threads}; allowed: 1 to {max}")))
+    Err(invalid(format!("{source} is {threads}; allowed: 1 to {max}")))
 }
 
 /// Number of threads by default: that of the variable `RAYON_NUM_THREADS`, else that of the cores.
@@ -31,10 +32,7 @@ pub fn number() -> PyResult<usize> {
         // As in Rayon.
         Some(0) => Ok(cores()),
         Some(threads) => checked(SOURCE, threads),
-        None => Err(PyValueError::new_err(format!(
-            "{SOURCE} is {}; allowed: a whole number",
-            text.display()
-        ))),
+        None => Err(invalid(format!("{SOURCE} is {}; allowed: a whole number", text.display()))),
     }
 }
 

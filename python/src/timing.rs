@@ -1,11 +1,11 @@
 //! [`step_seconds`]: the time of a step in Rust, for `examples/speed.py`.
 
 use crate::arrays::{Argument, Number, is_f32, with_precision, zeros};
+use crate::errors::invalid;
 use crate::task::Task;
 use crate::threads;
 use physgrad::engine::rows;
 use physgrad::{DynTask, Inputs};
-use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::hint::black_box;
 use std::time::Instant;
@@ -22,9 +22,7 @@ pub fn step_seconds(
 ) -> PyResult<f64> {
     let [n, m, params] = task.scene.dims();
     if params > 0 {
-        return Err(PyValueError::new_err(
-            "the task has parameters; time a task without drawn numbers",
-        ));
+        return Err(invalid("the task has parameters; time a task without drawn numbers"));
     }
     let step = task.scene.task();
     with_precision!(is_f32([x, u]), F => {

@@ -3,6 +3,7 @@
 import copy
 import itertools
 import json
+import types
 
 import numpy as np
 import pytest
@@ -123,6 +124,9 @@ def test_masked_arrays_are_refused_and_numpy_booleans_are_booleans():
     x, u = np.zeros((2, 4)), np.ma.masked_equal(np.zeros((2, 1)), 0.0)
     with pytest.raises(ValueError, match="`u` is a masked array; fill it"):
         task.step(x, u)
+    for rows in ([*x[:1], np.ma.array(x[1], mask=[1, 0, 0, 0])], (np.ma.array(x[0], mask=[1, 0, 0, 0]), x[1])):
+        with pytest.raises(ValueError, match="`starts` is a list with a masked array, element"):
+            pg.losses(task, pg.Policy(task), rows)
 
 
 def test_drawn_numbers_out_of_their_range_are_refused():
@@ -199,6 +203,28 @@ def test_settings_and_parameters_refuse_changes_that_would_have_no_effect():
         policy.theta[0] = 5.0
     policy.theta = np.full(len(policy), 0.25)
     assert (policy.theta == 0.25).all()
+
+
+def test_policies_of_a_run_refuse_changes_and_their_copies_accept_them(tmp_path):
+    task = pg.task("cart_pole", poles=1, horizon=5)
+    run = pg.Run(task, epochs=1, train_samples=4, test_samples=4)
+    run.policy.save(tmp_path / "policy.safetensors")
+    for policy in (run.policy, run.best_policy):
+        for change in (lambda: setattr(policy, "theta", policy.theta), lambda: policy.load(tmp_path / "policy.safetensors")):
+            with pytest.raises(TypeError, match="the policy of a run refuses changes, which would not reach the run"):
+                change()
+    copied = run.policy.copy()
+    copied.theta = np.zeros(len(copied))
+    assert (copied.theta == 0.0).all() and not (run.policy.theta == 0.0).all()
+
+
+def test_mappings_are_settings_and_long_keys_are_refused_at_once():
+    effects = types.MappingProxyType({"steady_wind": types.MappingProxyType({"speed": 2.0})})
+    assert pg.task("cart_pole", effects=effects).settings["effects"]["steady_wind"]["speed"] == 2.0
+    for key in ("a" * 10**6, "é" * 10**6):
+        with pytest.raises(ValueError, match=r"the key that begins with `.{40}` has more than 1000 bytes") as error:
+            pg.task("cart_pole", settings={key: 1})
+        assert len(str(error.value)) < 200
 
 
 @pytest.mark.parametrize(

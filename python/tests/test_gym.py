@@ -160,7 +160,7 @@ def test_episodes_begin_at_given_states_and_other_options_are_refused():
     envs.reset(options={"reset_mask": mask, "state": np.stack([x, 2 * x, 3 * x])})
     assert np.array_equal(envs.state, np.stack([before[0], 2 * x, 3 * x]))
     for options, error, message in [
-        ({"sate": x}, ValueError, "`options` has sate; allowed: "),
+        ({"sate": x}, ValueError, "`options` has 'sate'; allowed: "),
         ({"state": x[:3]}, ValueError, "`state` has the shape"),
         ({"state": x * np.nan}, ValueError, "`state` is not finite"),
         ({"state": np.array(["a"] * 4)}, TypeError, "`state` is an array of"),
@@ -180,6 +180,12 @@ def test_states_of_an_environment_refuse_assignments():
     for array in (env.state, env.params, envs.state, envs.params):
         with pytest.raises(ValueError, match="read-only"):
             array[..., 0:1] = 5.0
+    for environment in (env, envs):
+        with pytest.raises(ValueError, match="read-only"):
+            environment.high[0] = 1.0
+        for name in ("task", "low", "high", "state", "params"):
+            with pytest.raises(AttributeError):
+                setattr(environment, name, getattr(environment, name))
 
 
 def test_equal_seeds_give_equal_episodes():

@@ -188,9 +188,29 @@ def test_names_without_a_value_are_refused():
         pg.identify(task, data, params="system.pole_mass")
 
 
+def test_fitted_values_out_of_the_range_of_their_setting_are_a_warning():
+    # A wrong fixed mass of the cart makes the mass of the pole negative.
+    task, data = measured(pole_mass=0.01)
+    with pytest.warns(UserWarning):
+        fit = pg.identify(task.replace(cart_mass=1.5), data, {"system.half_length": 0.4, "system.pole_mass": 0.2})
+    assert fit["converged"] and fit["values"]["system.pole_mass"] < 0.0, fit["values"]
+    assert any("outside of the range of its setting: `system.pole_mass` is -" in text for text in fit["warnings"]), fit
+
+
+def test_names_of_list_elements_start_at_the_values_of_the_task():
+    task = pg.task("pendulum", horizon=20, precision="f64")
+    x, u = pg.rollout(task, pg.Policy(task), task.starts(2, seed=1))
+    key = "system.arms[0].mass"
+    fit = pg.identify(task, [(x[i, :-1], u[i]) for i in range(2)], params=[key])
+    assert np.isclose(fit["values"][key], task.settings["system"]["arms"][0]["mass"])
+
+
 def test_parameters_out_of_their_range_are_refused():
     task, data = measured()
     drawn = task.replace(pole_mass={"uniform": [0.1, 0.2]})
+    segment = {"x": data[0][0], "u": data[0][1], "p": {"system.pole_mass": float("nan")}}
+    with pytest.raises(ValueError, match="segment 0: \"system.pole_mass\" in \"p\" is NaN; give its value, or omit it"):
+        pg.identify(drawn, [segment], params={"system.cart_mass": 1.3})
     segment = {"x": data[0][0], "u": data[0][1], "p": {"system.pole_mass": -0.24}}
     with pytest.raises(ValueError, match="segment 0: `system.pole_mass` is -0.24; allowed: a positive number"):
         pg.identify(drawn, [segment], params={"system.cart_mass": 1.3})

@@ -194,6 +194,17 @@ def test_exceptions_have_no_escape_sequences_of_foreign_files(tmp_path):
             pg.Run(pg.task(scene), epochs=1)
         assert chr(27) not in str(error.value) and chr(7) not in str(error.value)
         assert "u{1b}" in str(error.value) or "u001b" in str(error.value), str(error.value)
+    name, pendulum = chr(27) + "[2J", pg.task("pendulum", horizon=3)
+    for call in (
+        lambda: pg.gradients(pendulum, pg.Policy(pendulum), pendulum.starts(1), fields=[name]),
+        lambda: pg.accuracy(pendulum, metric=name),
+        lambda: pg.task("pendulum", effects={name: None}),
+        lambda: pg.task("pendulum", **{name: None}),
+        lambda: pg.gym.make("pendulum", bound=1.0).reset(options={name: 1}),
+    ):
+        with pytest.raises((ValueError, TypeError)) as error:
+            call()
+        assert chr(27) not in str(error.value), str(error.value)
     task, path = pg.task("pendulum"), tmp_path / "policy.safetensors"
     pg.Policy(task).save(path)
     header, (name, forged) = path.read_bytes(), (b"layer1.kernel", b"\\u001b[31mred[")
@@ -207,6 +218,12 @@ def test_exceptions_have_no_escape_sequences_of_foreign_files(tmp_path):
     with pytest.raises(Exception) as error:
         pg.Policy(task).load(tmp_path / f"{escape}.safetensors")
     assert chr(27) not in str(error.value)
+
+
+def test_settings_that_the_field_does_not_read_are_refused():
+    for field, setting in [("S", {"discount": 0.5}), ("M", {"control": 0.5}), ("R", {"average": 0.5})]:
+        with pytest.raises(ValueError, match=f"`training.{next(iter(setting))}` is 0.5, but has no effect"):
+            pg.train(small(), field=field, epochs=1, **FAST, **setting)
 
 
 def test_saving_in_a_folder_with_another_run_keeps_both(tmp_path, monkeypatch):

@@ -6,7 +6,7 @@ use crate::commands::identify::remarks::{CALL, Remarks, remarks};
 use crate::operations::checks::Results;
 use crate::operations::identification::{MOST_BYTES, bytes_per_fitted_step, bytes_per_step};
 use crate::scenes::presets;
-use crate::scenes::source::SceneSource;
+use crate::scenes::source::{SceneSource, find};
 use crate::settings::Precision;
 use crate::tasks::{self, scene::INITIAL_POLICY};
 use anyhow::{Context, Result, bail};
@@ -99,6 +99,11 @@ impl Scene {
         self.scene.table()
     }
 
+    /// Value of the setting with this dotted key, as in `system.arms[0].mass`.
+    pub fn setting(&self, key: &str) -> Option<Value> {
+        find(&self.scene.table(), key).cloned()
+    }
+
     /// Returns true if the scene computes in f64, and false for f32.
     pub fn is_f64(&self) -> bool {
         self.scene.precision == Precision::F64
@@ -188,7 +193,15 @@ impl Scene {
 
     /// Sentences about a fit of [`identify`](Self::identify), as `physgrad identify` prints them.
     pub fn remarks(&self, fit: &Fit, segments: &[Segment], noise_is_known: bool) -> Remarks {
-        remarks(fit, &self.scene, segments, segments, noise_is_known, &CALL)
+        let mut remarks = remarks(fit, &self.scene, segments, segments, noise_is_known, &CALL);
+        let fitted = fit.names.iter().map(String::as_str).zip(fit.values.iter().copied());
+        // Values of a fit that has not converged have warnings of their own.
+        if let (true, Ok(Some(error))) = (fit.converged, self.source.refusal_with(fitted)) {
+            remarks.warnings.push(format!(
+                "a fitted value is outside of the range of its setting: {error}; give it bounds"
+            ));
+        }
+        remarks
     }
 
     /// Checks values of the parameters of a rollout, against the ranges of their settings. NaN is a

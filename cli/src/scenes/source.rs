@@ -108,15 +108,7 @@ impl SceneSource {
 
     /// Value of a dotted key.
     fn get(&self, key: &str) -> Option<&Value> {
-        let (first, rest) = key.split_once('.').unwrap_or((key, ""));
-        let value = self.table.get(first)?;
-        rest.split('.').filter(|part| !part.is_empty()).try_fold(
-            value,
-            |value, part| match element(part) {
-                Some((list, index)) => value.get(list)?.get(index),
-                None => value.get(part),
-            },
-        )
+        find(&self.table, key)
     }
 
     /// Value of a top-level key. None if the key is absent or its value is not text.
@@ -492,6 +484,17 @@ fn part_name(name: &str) -> &str {
 /// Sections that may contain this part: the section that the name begins with, or all.
 fn sections_of(name: &str) -> impl Iterator<Item = &'static str> {
     OPTIONAL.into_iter().filter(move |section| part_name(name) == name || name.starts_with(section))
+}
+
+/// Value of a dotted key.
+pub fn find<'a>(table: &'a Table, key: &str) -> Option<&'a Value> {
+    let (first, rest) = key.split_once('.').unwrap_or((key, ""));
+    rest.split('.').filter(|part| !part.is_empty()).try_fold(table.get(first)?, |value, part| {
+        match element(part) {
+            Some((list, index)) => value.get(list)?.get(index),
+            None => value.get(part),
+        }
+    })
 }
 
 /// List and index of a part of a key, as in `arms[0]`.
