@@ -84,6 +84,7 @@ fn exact_data_give_the_truth() {
 /// Coverage of the 95 % intervals in 100 repetitions. Each of the four counts is binomial, and
 /// below 88 with a probability of 0.15 %.
 #[test]
+#[ignore = "long: hundreds of fits"]
 fn confidence_intervals_have_their_nominal_coverage() {
     let options = [
         Options { noise: Some(NOISE.into()), ..Options::default() },
@@ -148,6 +149,7 @@ fn coverage(fits: &[Fit], quantile: f64, errors: fn(&Fit) -> &[f64]) -> [f64; 2]
 }
 
 #[test]
+#[ignore = "long: hundreds of fits"]
 fn with_correlated_noise_only_robust_errors_have_their_coverage() {
     let fits = correlated(20, 100);
     let [plain, robust] =
@@ -159,6 +161,7 @@ fn with_correlated_noise_only_robust_errors_have_their_coverage() {
 /// Three segments, with the quantile 4.303 of Student's t for two degrees of freedom. The
 /// uncorrected sandwich covers 90 % for the friction.
 #[test]
+#[ignore = "long: hundreds of fits"]
 fn robust_errors_of_three_segments_have_their_coverage() {
     let robust = coverage(&correlated(3, 400), 4.303, |fit| &fit.robust_errors);
     assert!(robust.iter().all(|&covered| covered >= 0.925), "{robust:?}");

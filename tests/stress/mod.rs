@@ -168,19 +168,25 @@ fn passes(name: &str) {
     );
 }
 
-/// Defines one test per case, with the name of the case, and a test that no case is missing.
+/// Defines one test per case, with the name of the case, and a test that no case is missing. Long
+/// cases are ignored by default.
 macro_rules! tests {
-    ($($name:ident),+ $(,)?) => {
+    ($($name:ident),+ $(,)?; long: $($long:ident),+ $(,)?) => {
         mod case {
             $(#[test]
             fn $name() {
                 $crate::stress::passes(stringify!($name));
             })+
+            $(#[test]
+            #[ignore = "long: up to a minute"]
+            fn $long() {
+                $crate::stress::passes(stringify!($long));
+            })+
         }
 
         #[test]
         fn every_case_has_a_test() {
-            let tested = [$(stringify!($name)),+];
+            let tested = [$(stringify!($name)),+, $(stringify!($long)),+];
             for case in cases() {
                 assert!(tested.contains(&case.name), "no test runs `{}`", case.name);
             }
@@ -191,7 +197,6 @@ macro_rules! tests {
 tests!(
     exploding_adjoint,
     lqr_optimum,
-    lqr_unstable,
     double_pendulum,
     energy,
     cart_mass,
@@ -202,8 +207,8 @@ tests!(
     dry_friction,
     contact,
     saturated_policy,
-    random_states,
-    injected_nan,
+    injected_nan;
+    long: lqr_unstable, random_states
 );
 
 /// [`System`] for one scalar type, behind a pointer, so that loops over systems compile once.
