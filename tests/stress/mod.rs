@@ -1,8 +1,7 @@
 //! Hard cases: long horizons, stiffness, chaos, singular geometry and overflow.
 //!
 //! Each [`Case`] states a pass criterion, fixed before the first measurement, and reports its
-//! [`Finding`]s. `cargo test --release -p physgrad-tests stress -- --nocapture` prints them, and
-//! `docs/stability.md` explains them.
+//! [`Finding`]s, which `docs/stability.md` explains. It also has the command that prints them.
 
 mod approach;
 mod cart_mass;
