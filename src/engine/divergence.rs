@@ -218,7 +218,7 @@ fn advice(cause: &Option<Cause>, general: &str) -> String {
         }
         Some(Cause::Grown(largest)) => {
             format!(
-                ". The state before the step has grown to {largest:.1e}, where the forces of an effect overflow. Reduce the time \
+                ". The state before the step has grown to {largest:.1e}, where forces overflow. Reduce the time \
                  step or the learning rate"
             )
         }

@@ -100,7 +100,7 @@ fn errors_of_drawn_and_trained_numbers_name_line_and_allowed_values() {
         (
             "[vary]\n\"system.cart_mass\" = { uniform = [-1, 1] }",
             11,
-            "`system.cart_mass` is -1; allowed: a positive number",
+            "`system.cart_mass` is -1 in { uniform = [-1, 1] }; allowed: a positive number",
         ),
         (
             "[vary]\n\"system.cart_mass\" = { uniform = [2, 1] }",
@@ -132,7 +132,7 @@ fn errors_of_drawn_and_trained_numbers_name_line_and_allowed_values() {
         (
             "[vary]\n\"training.batch\" = { choice = [1, 2] }",
             11,
-            "`training.batch` is a section; allowed: a whole number",
+            "`training.batch` is a section in { choice = [1, 2] }; allowed: a whole number",
         ),
         (
             "[effects.pole_damping]\ndamping = 1\n[vary]\n\"effects.pole_damping.damping\" = { uniform = [0, 1] }",
