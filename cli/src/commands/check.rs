@@ -116,7 +116,7 @@ fn about_rollouts(source: SceneSource, note: &mut dyn FnMut(String) -> Result<()
         ))?;
     }
     let names = scene.state_names();
-    note(stability(&scene, source, &theta, &found)?)?;
+    note(stability(&scene, source, &theta, &found))?;
     if let Some(ringing) = found.ringing {
         let Place { sample, step, stability: Stability { lowest, lowest_component, .. } } = ringing;
         note(format!(
@@ -171,20 +171,14 @@ fn described(kink: &Kink, states: &[String], controls: &[String]) -> String {
 /// Describes the stability of the time step, in rollouts with the parameters `theta`. Refines an
 /// unstable step until it is stable, or until its multiplier converges and the substeps resolve it,
 /// if the scene admits substeps.
-fn stability(
-    scene: &Scene,
-    mut refined: SceneSource,
-    theta: &[f64],
-    found: &Amplification,
-) -> Result<String> {
+fn stability(scene: &Scene, refined: SceneSource, theta: &[f64], found: &Amplification) -> String {
     let Amplification { worst: Place { sample, step, stability }, evaluated, states, .. } = *found;
     let (names, horizon) = (scene.state_names(), scene.horizon);
     let Stability { multiplier, component, .. } = stability;
     let name = &names[component];
     let all = if evaluated == states { String::new() } else { format!(" of {states}") };
     let place = format!("in test rollout {sample}, step {step}");
-    let harmless = |found: &Amplification| found.divergence.is_none() && found.growth <= HARMLESS;
-    if harmless(found) || multiplier.is_nan() {
+    if is_harmless(found) || multiplier.is_nan() {
         let said = if stability.is_stable() {
             format!(
                 "stable: no perturbation grows exponentially. The largest multiplier per step is {}",
@@ -200,9 +194,9 @@ fn stability(
                 found.growth
             )
         };
-        return Ok(format!(
+        return format!(
             "time step, worst of {evaluated}{all} states, {place}, component {component} ({name}): {said}"
-        ));
+        );
     }
     let unstable = found.growth > HARMLESS;
     let grows = if found.chatter.is_some() {
@@ -216,27 +210,46 @@ fn stability(
     } else {
         "time step: the test rollouts diverge".to_owned()
     };
+    refinement(scene, refined, theta, found, &grows)
+}
+
+/// Returns whether no perturbation grows noticeably over a rollout.
+fn is_harmless(found: &Amplification) -> bool {
+    found.divergence.is_none() && found.growth <= HARMLESS
+}
+
+/// Tells whether an unstable step is too long or the physics is unstable, by more substeps. Begins
+/// with the description `grows` of the unstable step.
+fn refinement(
+    scene: &Scene,
+    mut refined: SceneSource,
+    theta: &[f64],
+    found: &Amplification,
+    grows: &str,
+) -> String {
+    let multiplier = found.worst.stability.multiplier;
+    let unstable = found.growth > HARMLESS;
     let substeps = scene.integrator.count() as i64;
     let (mut last, mut times) = (None, 1);
     let mut before = (multiplier, found.divergence.is_none());
     while times < MAX_REFINEMENT {
         times *= 2;
         let count = substeps * times;
-        refined.put("integrator.substeps", Value::Integer(count), "more substeps")?;
-        let amplification = |scene: Scene| scene.amplification(theta, found.chatter.as_ref()).ok();
-        let Some(next) = refined
-            .scene()
+        let amplification = |scene: Scene| scene.amplification(theta, found.chatter.as_ref());
+        let substeps = refined.put("integrator.substeps", Value::Integer(count), "more substeps");
+        let Some(next) = substeps
+            .and_then(|()| refined.scene())
             .ok()
-            .and_then(amplification)
+            .and_then(|scene| amplification(scene).ok())
             .filter(|next| !next.worst.stability.multiplier.is_nan())
         else {
             break;
         };
         let more = if times == 2 { "twice".to_owned() } else { format!("{times} times") };
-        if harmless(&next) {
-            return Ok(format!(
+        if is_harmless(&next) {
+            return format!(
                 "{grows}, but not with {more} as many substeps. Shorten the step: `integrator.substeps = {count}`"
-            ));
+            );
         }
         let now = (next.worst.stability.multiplier, next.divergence.is_none());
         let (excess, limit) = (multiplier - 1.0, now.0 - 1.0);
@@ -250,7 +263,7 @@ fn stability(
             } else {
                 format!("with {more} as many substeps")
             };
-            return Ok(if is_too_long {
+            return if is_too_long {
                 format!(
                     "{grows}, but {with}. The physics is unstable, and the step is too long. Shorten the step: `integrator.substeps = {count}`"
                 )
@@ -260,19 +273,19 @@ fn stability(
                 format!(
                     "{grows}, and {with}, where rollouts diverge too: the physics diverges, or its controls do"
                 )
-            });
+            };
         }
         before = now;
         last = Some(now.0);
     }
-    Ok(match last {
+    match last {
         Some(last) => format!(
             "{grows}, and by {} with {times} times as many substeps. Use an implicit integrator or more damping, or \
              reduce the time step further",
             growth(last)
         ),
         None => format!("{grows}. Without substeps, step and physics cannot be distinguished"),
-    })
+    }
 }
 
 /// Returns whether the multiplier of a step has converged: with `count` substeps it is `now`, and

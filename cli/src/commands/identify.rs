@@ -16,6 +16,7 @@ use crate::platform::terminal::{counted, listed, print_text};
 use crate::runs::saved;
 use crate::scenes::overrides::{Overrides, hide_training, is_of_training};
 use crate::scenes::presets;
+use crate::scenes::source::SceneSource;
 use crate::tasks::Scene;
 use anyhow::{Context, Result, anyhow, bail};
 use data::Measured;
@@ -74,40 +75,9 @@ pub struct Identify {
 
 /// Runs the command.
 pub fn identify(args: &Identify) -> Result<()> {
-    let is_unread = |key: &str| {
-        let is_of_rollouts = ["loss.", "policy."].iter().any(|section| key.starts_with(section));
-        is_of_training(key) || is_of_rollouts || ["seed", "precision", "horizon"].contains(&key)
-    };
-    args.overrides.refuse(
-        is_unread,
-        "an identification, which trains no policy and simulates the measured steps in f64",
-    )?;
-    let mut source = presets::source(&args.scene)?;
-    args.overrides.apply(&mut source)?;
-    let scene = source.scene()?;
-    if !scene.varied().iter().any(|(_, number)| matches!(number, Number::Trained { .. })) {
-        bail!(
-            "{} has no unknown numbers; list them in [fit], as in \"system.gravity\" = {{ start = 9.8 }}",
-            args.scene
-        );
-    }
+    let (mut source, scene) = read(args)?;
     let measured = Measured::read(&args.data, &scene, &source)?;
-    if args.every == 0 {
-        bail!("--every is 0; allowed: 1 or more");
-    }
-    // Exact first samples have no noise. Those of validation segments are not exact.
-    let first = usize::from(args.exact_starts && args.every == 1);
-    let noise = noise(&args.noise, &scene, &measured.components(first))?;
-    if let Some(out) = args.out.as_deref().map(Folder::at) {
-        let outputs = [SCENE, IDENTIFIED, FIT, TRAJECTORIES, VALIDATION, PICTURE, REPORT];
-        out.check_inputs(&[Path::new(&args.scene), &args.data], &outputs)?;
-    }
-    let options = Options {
-        noise,
-        free_starts: !args.exact_starts,
-        window: (args.window > 0).then_some(args.window),
-        ..Options::default()
-    };
+    let options = options(args, &scene, &measured)?;
     let [fitted, others] = measured.split(args.every);
     if args.every > 1 && others.is_empty() {
         bail!("--every {}: no segment remains for validation", args.every);
@@ -130,89 +100,187 @@ pub fn identify(args: &Identify) -> Result<()> {
     } else {
         Err(anyhow!("the fit has not converged"))
     };
-    let folder =
-        Folder::or_fresh(reserved, &format!("identify-{}", presets::short_name(&args.scene)))?;
-    let mut text = format!("{}", table(&fit, &scene));
-    for (name, value) in facts(&fit, seconds) {
-        text += &format!("{}{name} {value}", if name == "segments" { "\n" } else { ", " });
-    }
-    text += &format!("\n{}", residuals(&fit, &segments, &scene));
     // The validation fixes the numbers, and fits only the initial states.
     let validating = Options { free_starts: true, ..options };
     let validate = |found: &Scene| found.identify(&measured.chosen(&others, found), &validating);
     let validation = found.as_ref().ok().filter(|_| !others.is_empty()).map(validate).transpose();
-    if let Ok(Some(validation)) = &validation {
-        let residuals = residuals(validation, &measured.chosen(&others, &scene), &scene);
-        text +=
-            &format!("\nvalidation with {}: {residuals}", counted(others.len(), "other segment"));
-    }
-    let given = Fitted { measured: &measured, numbers: &fitted };
-    let noise_is_known = !args.noise.is_empty();
-    let Remarks { notes: turns, mut warnings } =
-        remarks::remarks(&fit, &scene, &segments, &given, noise_is_known, &COMMAND);
-    warnings.extend(measured.warnings(&fitted));
-    let mut notes = measured.notes(&fitted);
-    notes.extend(turns);
-    if let (Ok(found), Ok(Some(validation))) = (&found, &validation) {
-        let given = Fitted { measured: &measured, numbers: &others };
-        let segments = measured.chosen(&others, found);
-        let Remarks { notes: turns, warnings: of_fit } =
-            remarks::remarks(validation, found, &segments, &given, noise_is_known, &COMMAND);
-        let of_validation = |text: String| format!("validation: {text}");
-        notes.extend(measured.notes(&others).into_iter().chain(turns).map(of_validation));
-        let of_data = measured.warnings(&others).into_iter();
-        warnings.extend(of_data.chain(of_fit).map(of_validation));
-    }
-    if let Err(error) = &found {
-        warnings.push(format!("there is no scene.toml and no validation: {error:#}"));
-    }
-    notes.iter().for_each(|note| text += &format!("\n{ASSUMED}: {note}"));
-    warnings.iter().for_each(|warning| text += &format!("\n{WARNING}: {warning}"));
+    let folder =
+        Folder::or_fresh(reserved, &format!("identify-{}", presets::short_name(&args.scene)))?;
+    let outcome = Outcome {
+        scene: &scene,
+        measured: &measured,
+        fitted: &fitted,
+        others: &others,
+        segments: &segments,
+        facts: facts(&fit, seconds),
+        fit,
+        found,
+        validation,
+    };
+    let remarks = outcome.remarks(!args.noise.is_empty());
+    let identified = outcome.write(&folder, &remarks)?;
+    outcome.print(&folder, &remarks, args.json.then_some(&*identified))?;
+    let failed = outcome.validation.err().map(|error| in_file(error, &others, &measured, &scene));
+    failed.map_or(Ok(()), |error| Err(error).context("validation with the fitted numbers"))
+}
 
-    match &found {
-        Ok(found) => saved::write_scene(&folder, SCENE, found)?,
-        Err(_) => folder.remove(SCENE)?,
+/// Scene of the command, with its source.
+///
+/// # Errors
+/// An option has no effect on an identification. The scene has no unknown numbers.
+fn read(args: &Identify) -> Result<(SceneSource, Scene)> {
+    let is_unread = |key: &str| {
+        let is_of_rollouts = ["loss.", "policy."].iter().any(|section| key.starts_with(section));
+        is_of_training(key) || is_of_rollouts || ["seed", "precision", "horizon"].contains(&key)
+    };
+    args.overrides.refuse(
+        is_unread,
+        "an identification, which trains no policy and simulates the measured steps in f64",
+    )?;
+    let mut source = presets::source(&args.scene)?;
+    args.overrides.apply(&mut source)?;
+    let scene = source.scene()?;
+    if !scene.varied().iter().any(|(_, number)| matches!(number, Number::Trained { .. })) {
+        bail!(
+            "{} has no unknown numbers; list them in [fit], as in \"system.gravity\" = {{ start = 9.8 }}",
+            args.scene
+        );
     }
-    let identified = numbers(&fit, &scene)?;
-    folder.write(IDENTIFIED, &identified)?;
-    let all_notes = notes.iter().map(|note| [ASSUMED.to_owned(), note.clone()]);
-    let all_warnings = warnings.iter().map(|warning| [WARNING.to_owned(), warning.clone()]);
-    let all_facts = facts(&fit, seconds);
-    let facts = all_facts.iter().map(|(name, value)| [(*name).to_owned(), value.clone()]);
-    folder.write(FIT, csv(["name", "value"], facts.chain(all_notes).chain(all_warnings))?)?;
-    folder.write(TRAJECTORIES, measured.beside(&fitted, &fit, &scene)?)?;
-    match &validation {
-        Ok(Some(validation)) => {
-            folder.write(VALIDATION, measured.beside(&others, validation, &scene)?)?
+    Ok((source, scene))
+}
+
+/// Options of the fit.
+///
+/// # Errors
+/// An option is invalid, or a result would replace an input.
+fn options(args: &Identify, scene: &Scene, measured: &Measured) -> Result<Options> {
+    if args.every == 0 {
+        bail!("--every is 0; allowed: 1 or more");
+    }
+    // Exact first samples have no noise. Those of validation segments are not exact.
+    let first = usize::from(args.exact_starts && args.every == 1);
+    let noise = noise(&args.noise, scene, &measured.components(first))?;
+    if let Some(out) = args.out.as_deref().map(Folder::at) {
+        let outputs = [SCENE, IDENTIFIED, FIT, TRAJECTORIES, VALIDATION, PICTURE, REPORT];
+        out.check_inputs(&[Path::new(&args.scene), &args.data], &outputs)?;
+    }
+    Ok(Options {
+        noise,
+        free_starts: !args.exact_starts,
+        window: (args.window > 0).then_some(args.window),
+        ..Options::default()
+    })
+}
+
+/// A fit with its data and its validation.
+struct Outcome<'a> {
+    scene: &'a Scene,
+    measured: &'a Measured,
+    /// Indices of the fitted segments in the file, and of those of the validation.
+    fitted: &'a [usize],
+    others: &'a [usize],
+    segments: &'a [Segment],
+    fit: Fit,
+    facts: Vec<(&'static str, String)>,
+    /// Scene with the fitted numbers, or the reason why there is none.
+    found: Result<Scene>,
+    validation: Result<Option<Fit>, IdentifyError>,
+}
+
+impl Outcome<'_> {
+    /// Fit of the validation, with the scene of the fitted numbers.
+    fn validated(&self) -> Option<(&Scene, &Fit)> {
+        self.found.as_ref().ok().zip(self.validation.as_ref().ok()?.as_ref())
+    }
+
+    /// Remarks about the data, the fit and the validation.
+    fn remarks(&self, noise_is_known: bool) -> Remarks {
+        let Self { scene, measured, fitted, others, segments, fit, .. } = self;
+        let of = |fit: &Fit, scene: &Scene, segments: &[Segment], numbers: &[usize]| {
+            let given = Fitted { measured, numbers };
+            let Remarks { notes: turns, mut warnings } =
+                remarks::remarks(fit, scene, segments, &given, noise_is_known, &COMMAND);
+            let mut notes = measured.notes(numbers);
+            notes.extend(turns);
+            warnings.extend(measured.warnings(numbers));
+            Remarks { notes, warnings }
+        };
+        let mut all = of(fit, scene, segments, fitted);
+        if let Some((found, validation)) = self.validated() {
+            let segments = measured.chosen(others, found);
+            let Remarks { notes, warnings } = of(validation, found, &segments, others);
+            let of_validation = |text: String| format!("validation: {text}");
+            all.notes.extend(notes.into_iter().map(of_validation));
+            all.warnings.extend(warnings.into_iter().map(of_validation));
         }
-        // An earlier fit may have left its validation.
-        _ => folder.remove(VALIDATION)?,
+        if let Err(error) = &self.found {
+            all.warnings.push(format!("there is no scene.toml and no validation: {error:#}"));
+        }
+        all
     }
-    folder.write(PICTURE, picture::picture(&measured, &fitted, &segments, &fit, &scene))?;
-    folder.write(REPORT, identification::page(&Folder::existing(folder.path())?)?)?;
-    let results = folder.path().display();
-    let failed = validation.as_ref().err().cloned();
-    let failed = failed.map_or(Ok(()), |error| {
-        Err(in_file(error, &others, &measured, &scene))
-            .context("validation with the fitted numbers")
-    });
-    if args.json {
-        print_json(&json!({
-            "folder": folder.path(),
-            "numbers": rows(&identified)?,
-            "fit": object(all_facts.iter().map(|(name, value)| (*name, value.as_str()))),
-            "notes": notes,
-            "warnings": warnings,
-        }))?;
-        return failed;
+
+    /// Writes the results. Returns the table of the numbers.
+    fn write(&self, folder: &Folder, remarks: &Remarks) -> Result<Vec<u8>> {
+        let Self { scene, measured, fitted, others, segments, fit, .. } = self;
+        match &self.found {
+            Ok(found) => saved::write_scene(folder, SCENE, found)?,
+            Err(_) => folder.remove(SCENE)?,
+        }
+        let identified = numbers(fit, scene)?;
+        folder.write(IDENTIFIED, &identified)?;
+        let notes = remarks.notes.iter().map(|note| [ASSUMED.to_owned(), note.clone()]);
+        let warnings = remarks.warnings.iter().map(|warning| [WARNING.to_owned(), warning.clone()]);
+        let facts = self.facts.iter().map(|(name, value)| [(*name).to_owned(), value.clone()]);
+        folder.write(FIT, csv(["name", "value"], facts.chain(notes).chain(warnings))?)?;
+        folder.write(TRAJECTORIES, measured.beside(fitted, fit, scene)?)?;
+        match self.validated() {
+            Some((_, validation)) => {
+                folder.write(VALIDATION, measured.beside(others, validation, scene)?)?
+            }
+            // An earlier fit may have left its validation.
+            None => folder.remove(VALIDATION)?,
+        }
+        folder.write(PICTURE, picture::picture(measured, fitted, segments, fit, scene))?;
+        folder.write(REPORT, identification::page(&Folder::existing(folder.path())?)?)?;
+        Ok(identified)
     }
-    let written = if found.is_ok() { "scene.toml (with the fitted numbers), " } else { "" };
-    let validated =
-        if matches!(validation, Ok(Some(_))) { format!(", {VALIDATION}") } else { String::new() };
-    print_text(&format!(
-        "{text}\nresults in {results}: report.html, {written}{IDENTIFIED}, {FIT}, {TRAJECTORIES}, identified.svg{validated}"
-    ))?;
-    failed
+
+    /// Prints the results as text or, with the table of the numbers, as JSON.
+    fn print(&self, folder: &Folder, remarks: &Remarks, json: Option<&[u8]>) -> Result<()> {
+        let Remarks { notes, warnings } = remarks;
+        if let Some(identified) = json {
+            return print_json(&json!({
+                "folder": folder.path(),
+                "numbers": rows(identified)?,
+                "fit": object(self.facts.iter().map(|(name, value)| (*name, value.as_str()))),
+                "notes": notes,
+                "warnings": warnings,
+            }));
+        }
+        let mut text = table(&self.fit, self.scene).to_string();
+        for (name, value) in &self.facts {
+            text += &format!("{}{name} {value}", if *name == "segments" { "\n" } else { ", " });
+        }
+        text += &format!("\n{}", residuals(&self.fit, self.segments, self.scene));
+        let mut validated = String::new();
+        if let Some((_, validation)) = self.validated() {
+            let segments = self.measured.chosen(self.others, self.scene);
+            text += &format!(
+                "\nvalidation with {}: {}",
+                counted(self.others.len(), "other segment"),
+                residuals(validation, &segments, self.scene)
+            );
+            validated = format!(", {VALIDATION}");
+        }
+        notes.iter().for_each(|note| text += &format!("\n{ASSUMED}: {note}"));
+        warnings.iter().for_each(|warning| text += &format!("\n{WARNING}: {warning}"));
+        let written =
+            if self.found.is_ok() { "scene.toml (with the fitted numbers), " } else { "" };
+        print_text(&format!(
+            "{text}\nresults in {}: report.html, {written}{IDENTIFIED}, {FIT}, {TRAJECTORIES}, identified.svg{validated}",
+            folder.path().display()
+        ))
+    }
 }
 
 /// The fitted segments of a file.
