@@ -286,10 +286,17 @@ fn table(plans: &[(usize, Plan)]) -> Table {
     table
 }
 
+/// Share of the initial cost below which a cost counts as 0. Its gradient then exceeds any share of
+/// the cost.
+const AS_GOOD_AS_0: f64 = 1e-9;
+
 /// Warning about plans that end at a gradient above 1e-4 of the cost, if any.
 fn not_stationary(plans: &[(usize, Plan)]) -> Option<String> {
-    let is_steep =
-        |plan: &Plan| plan.stop != Stop::Gradient && plan.gradient_norm() > 1e-4 * plan.cost.abs();
+    let is_steep = |plan: &Plan| {
+        plan.stop != Stop::Gradient
+            && plan.gradient_norm() > 1e-4 * plan.cost.abs()
+            && plan.cost.abs() > AS_GOOD_AS_0 * plan.costs[0].abs()
+    };
     let steep: Vec<String> =
         plans.iter().filter(|(_, plan)| is_steep(plan)).map(|(i, _)| i.to_string()).collect();
     (!steep.is_empty()).then(|| {

@@ -3,6 +3,7 @@
 use crate::operations::identification::{may_be_motion, turn, turns};
 use crate::platform::terminal::{counted, listed};
 use crate::tasks::Scene;
+use physgrad::Number;
 use physgrad::identify::{Fit, Segment, Status};
 use physgrad::text::{digits, rough, short};
 use std::f64::consts::PI;
@@ -66,7 +67,35 @@ pub fn remarks(
     if !noise_is_known {
         warnings.extend(misfit(fit, segments, scene));
     }
-    Remarks { notes: removed_turns(fit, scene, rows), warnings }
+    let mut notes = nominal(scene, segments);
+    notes.extend(removed_turns(fit, scene, rows));
+    Remarks { notes, warnings }
+}
+
+/// Sentences about numbers that vary between rollouts, and that segments do not give.
+fn nominal(scene: &Scene, segments: &[Segment]) -> Vec<String> {
+    let names = scene.param_names();
+    let mut notes = Vec::new();
+    for (name, number) in scene.varied() {
+        let place = names.iter().position(|known| *known == name);
+        let is_given = |segment: &&Segment| {
+            let value = place.and_then(|i| segment.p.get(i));
+            value.is_some_and(|value| !value.is_nan())
+        };
+        let without = segments.len() - segments.iter().filter(is_given).count();
+        if without > 0 && !matches!(number, Number::Trained { .. }) {
+            notes.push(format!(
+                "{} {name}, so the fit uses {}, the nominal value of its distribution",
+                if without == 1 {
+                    "1 segment lacks".into()
+                } else {
+                    format!("{without} segments lack")
+                },
+                digits(number.nominal(), 6)
+            ));
+        }
+    }
+    notes
 }
 
 /// Sentences about the full turns that the fit removes.
