@@ -209,6 +209,8 @@ def test_parameters_out_of_their_range_are_refused():
     task, data = measured()
     drawn = task.replace(pole_mass={"uniform": [0.1, 0.2]})
     segment = {"x": data[0][0], "u": data[0][1], "p": {"system.pole_mass": float("nan")}}
+    fit = pg.identify(drawn, data[:1], params={"system.cart_mass": 1.3})
+    assert any(note.startswith("1 segment without system.pole_mass: the fit uses 0.15") for note in fit["notes"]), fit
     with pytest.raises(ValueError, match="segment 0: \"system.pole_mass\" in \"p\" is NaN; give its value, or omit it"):
         pg.identify(drawn, [segment], params={"system.cart_mass": 1.3})
     segment = {"x": data[0][0], "u": data[0][1], "p": {"system.pole_mass": -0.24}}

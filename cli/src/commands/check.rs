@@ -236,8 +236,8 @@ fn refinement(
         times *= 2;
         let count = substeps * times;
         let amplification = |scene: Scene| scene.amplification(theta, found.chatter.as_ref());
-        let substeps = refined.put("integrator.substeps", Value::Integer(count), "more substeps");
-        let Some(next) = substeps
+        let put = refined.put("integrator.substeps", Value::Integer(count), "more substeps");
+        let Some(next) = put
             .and_then(|()| refined.scene())
             .ok()
             .and_then(|scene| amplification(scene).ok())

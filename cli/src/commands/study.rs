@@ -150,9 +150,11 @@ impl Trainings {
             folder.write(name, policy)?;
         }
         write_plan(folder, &plan.to_toml()?, running.shard.is_some())?;
-        let notes = self.expanded.cells.iter().map(|cell| cell.scene.notes());
-        let first = notes.filter(|notes| !notes.is_empty()).find(|_| !output.quiet);
-        first.iter().flatten().for_each(|note| print_message(note));
+        if !output.quiet {
+            let mut notes = self.expanded.cells.iter().map(|cell| cell.scene.notes());
+            let first = notes.find(|notes| !notes.is_empty());
+            first.iter().flatten().for_each(|note| print_message(note));
+        }
         let ended = match running.shard {
             Some(shard) => train_shard(&comparisons, shard, output.quiet)?,
             None => train_all(&mut comparisons, output.quiet)?,

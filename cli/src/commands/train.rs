@@ -8,7 +8,7 @@ use crate::platform::terminal::{counted, print_message, print_note, print_text, 
 use crate::runs::metrics;
 use crate::runs::progress::Progress;
 use crate::runs::run::{self, End, Finished, NoUpdate, SAVE_EVERY};
-use crate::runs::saved::{resumed, trainable};
+use crate::runs::saved::resumed;
 use crate::runs::statistics::best;
 use crate::scenes::overrides::Overrides;
 use crate::scenes::presets;
@@ -137,7 +137,13 @@ fn open(args: &Train, workers: usize) -> Result<Opened> {
             }
             scene
         }
-        _ => trainable(args.scene.as_deref().context("name a scene")?, &args.overrides)?,
+        _ => {
+            let mut source = presets::source(args.scene.as_deref().context("name a scene")?)?;
+            args.overrides.apply(&mut source)?;
+            let scene = source.scene()?;
+            scene.check_field().map_err(|error| source.located(&error))?;
+            scene
+        }
     };
     let run = scene.open(workers)?;
     Ok((scene, run, note))

@@ -153,21 +153,9 @@ pub fn restore(folder: &Folder, scene: &Scene, run: &mut dyn AnyRun) -> Result<(
 
 /// Scene of the preset or file with this name, with overrides.
 pub fn changed(name: &str, overrides: &Overrides) -> Result<Scene> {
-    changed_source(name, overrides)?.scene()
-}
-
-/// [`changed`], for a training: also refuses settings that the field does not read.
-pub fn trainable(name: &str, overrides: &Overrides) -> Result<Scene> {
-    let source = changed_source(name, overrides)?;
-    let scene = source.scene()?;
-    scene.check_field().map_err(|error| source.located(&error))?;
-    Ok(scene)
-}
-
-fn changed_source(name: &str, overrides: &Overrides) -> Result<SceneSource> {
     let mut source = presets::source(name)?;
     overrides.apply(&mut source)?;
-    Ok(source)
+    source.scene()
 }
 
 /// Checks that the run in the folder and the scene have equal identities; see [`Scene::identity`].

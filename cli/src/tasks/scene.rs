@@ -540,9 +540,8 @@ impl Scene {
         let updates = samples.div_ceil(batch).saturating_mul(self.epochs);
         let endless = (warm_up >= updates && updates > 0).then(|| {
             format!(
-                "note: `training.warm_up` is {warm_up} updates, but {} epochs have {updates}: the learning rate never \
-                 reaches `training.learning_rate`",
-                self.epochs
+                "note: `training.warm_up` is {warm_up} updates, but the run has {updates}: the learning rate never \
+                 reaches `training.learning_rate`"
             )
         });
         large_batch.into_iter().chain(endless).collect()

@@ -509,7 +509,7 @@ fn controls_and_parameters_without_a_value_are_named() {
         if success {
             let facts = fs::read_to_string(dir.path().join("found/fit.csv")).expect("facts");
             assert!(facts.contains("note,"), "{facts}");
-            let nominal = "note: 2 segments lack system.cart_mass, so the fit uses 1.25";
+            let nominal = "note: 2 segments without system.cart_mass: the fit uses 1.25";
             assert!(output.contains(nominal), "{output}");
             assert!(!output.contains("warning: "), "{output}");
         }

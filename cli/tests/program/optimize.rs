@@ -21,6 +21,18 @@ fn columns(dir: &TempDir, file: &str, names: &[&str]) -> Vec<Vec<f64>> {
         .collect()
 }
 
+/// The loss of an upright pendulum at rest is 0, the least one. The search ends there at a gradient
+/// above any share of the cost.
+#[test]
+fn a_search_that_ends_at_a_cost_of_0_has_no_warning() {
+    let dir = TempDir::new().expect("a folder");
+    let output = physgrad("optimize pendulum --out plan", dir.path()).assert().success();
+    let costs = columns(&dir, "plan/optimized.csv", &["cost"]);
+    assert!(costs[0][0].abs() < 1e-9, "{costs:?}");
+    let messages = String::from_utf8_lossy(&output.get_output().stderr).into_owned();
+    assert!(!messages.contains("warning"), "{messages}");
+}
+
 /// The Riccati equation gives the least loss from every initial state, and one optimal gain for all
 /// steps.
 #[test]

@@ -206,20 +206,19 @@ fn a_repeated_warning_is_printed_once_with_a_count_at_the_end() {
 }
 
 #[test]
-fn a_batch_beyond_the_training_set_is_noted() {
+fn settings_that_another_setting_limits_are_noted() {
     let dir = TempDir::new().expect("a folder");
-    let note = "`training.batch` is 100, but `training.train_samples` is 16";
-    for command in ["train", "compare"] {
-        let [_, err] = said(
-            dir.path(),
-            None,
-            &[
-                &small(&[command, "cart_pole", "--epochs", "1", "-o", command])[..],
-                &["--set", "training.train_samples=16", "--set", "training.batch=100"],
-            ]
-            .concat(),
-        );
-        assert_eq!(err.matches(note).count(), 1, "{command}: {err}");
+    for (setting, note) in [
+        ("training.batch=100", "`training.batch` is 100, but `training.train_samples` is 16"),
+        ("training.warm_up=1000", "`training.warm_up` is 1000 updates, but the run has "),
+    ] {
+        for command in ["train", "compare"] {
+            let out = format!("{command}_{setting}");
+            let args = small(&[command, "cart_pole", "--epochs", "1", "-o", &out]);
+            let set = ["--set", "training.train_samples=16", "--set", setting];
+            let [_, err] = said(dir.path(), None, &[&args[..], &set].concat());
+            assert_eq!(err.matches(note).count(), 1, "{command}: {err}");
+        }
     }
     let [_, err] = said(
         dir.path(),

@@ -85,12 +85,8 @@ fn nominal(scene: &Scene, segments: &[Segment]) -> Vec<String> {
         let without = segments.len() - segments.iter().filter(is_given).count();
         if without > 0 && !matches!(number, Number::Trained { .. }) {
             notes.push(format!(
-                "{} {name}, so the fit uses {}, the nominal value of its distribution",
-                if without == 1 {
-                    "1 segment lacks".into()
-                } else {
-                    format!("{without} segments lack")
-                },
+                "{} without {name}: the fit uses {}, the nominal value of its distribution",
+                counted(without, "segment"),
                 digits(number.nominal(), 6)
             ));
         }
