@@ -16,6 +16,9 @@ use std::time::Duration;
 /// Time between two attempts to get a lock.
 const RETRY_INTERVAL: Duration = Duration::from_millis(100);
 
+/// Largest number of attempts to open a lock file whose folder other processes move.
+const MOST_MOVES: usize = 100;
+
 #[derive(Clone, Copy, PartialEq)]
 enum Mode {
     Exclusive,
@@ -76,6 +79,7 @@ impl Folder {
     }
 
     fn try_to_hold(&self, mode: Mode) -> Result<Option<Locked>> {
+        let mut moves = 0;
         loop {
             self.create()?;
             let path = self.file(LOCK);
@@ -84,7 +88,14 @@ impl Folder {
             }
             let open =
                 OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
-            let mut file = open.with_context(|| unwritable(self.path()))?;
+            let mut file = match open {
+                // A holder of the lock may have moved the folder between `create` and `open`.
+                Err(error) if error.kind() == ErrorKind::NotFound && moves < MOST_MOVES => {
+                    moves += 1;
+                    continue;
+                }
+                open => open.with_context(|| unwritable(self.path()))?,
+            };
             let held = match mode {
                 Mode::Exclusive => file.try_lock(),
                 Mode::Shared => file.try_lock_shared(),
