@@ -11,6 +11,8 @@ use crate::numbers::text::rough;
 use crate::policy::{Policy, Weights};
 use num_dual::Dual64;
 use rand::RngExt;
+use std::cell::{OnceCell, RefCell};
+use std::collections::BTreeMap;
 use std::fmt;
 
 /// Largest number of segments between consecutive states that are examined.
@@ -194,6 +196,10 @@ struct Segment<'a> {
     p: Vec<Dual64>,
     sample: usize,
     t: usize,
+    /// Outputs at the shares that were evaluated, by their bits: most outputs ask for the same ones.
+    known: RefCell<BTreeMap<u64, Vec<Dual64>>>,
+    /// Rounding errors of the outputs, see [`Self::rounding`].
+    rounding: OnceCell<Vec<f64>>,
 }
 
 /// Share of the segment, value and slope of one output.
@@ -217,13 +223,12 @@ impl Segment<'_> {
         self.functions.eval(&z, &self.p, self.t)
     }
 
-    /// All outputs at the share `s`, with their derivatives by `s`.
-    fn along(&self, s: f64) -> Vec<Dual64> {
-        self.eval(&self.at(s), &|k| self.to[k] - self.from[k])
-    }
-
+    /// An output at the share `s`, with its derivative by `s`.
     fn point(&self, s: f64, output: usize) -> Point {
-        let Dual64 { re: value, eps: slope, .. } = self.along(s)[output];
+        let mut known = self.known.borrow_mut();
+        let along = || self.eval(&self.at(s), &|k| self.to[k] - self.from[k]);
+        let Dual64 { re: value, eps: slope, .. } =
+            known.entry(s.to_bits()).or_insert_with(along)[output];
         Point { s, value, slope }
     }
 
@@ -232,13 +237,8 @@ impl Segment<'_> {
         if self.from == self.to {
             return Vec::new();
         }
-        let ends = [0.0, 0.5, 1.0].map(|s| self.along(s));
         let of = |i: usize| {
-            let [a, m, b] = [0, 1, 2].map(|e: usize| Point {
-                s: 0.5 * e as f64,
-                value: ends[e][i].re,
-                slope: ends[e][i].eps,
-            });
+            let [a, m, b] = [0.0, 0.5, 1.0].map(|s| self.point(s, i));
             // Value and slope in the middle of the cubic polynomial through both ends.
             let by_value = m.value - (0.5 * (a.value + b.value) + 0.125 * (a.slope - b.slope));
             let by_slope = m.slope - (1.5 * (b.value - a.value) - 0.25 * (a.slope + b.slope));
@@ -253,7 +253,7 @@ impl Segment<'_> {
             if !is_suspicious(values) {
                 return None;
             }
-            let rounding = values + self.rounding(i);
+            let rounding = values + self.rounding.get_or_init(|| self.rounding())[i];
             if is_suspicious(rounding) {
                 self.locate(shape, i, [a, b], largest, rounding)
             } else {
@@ -263,15 +263,20 @@ impl Segment<'_> {
         outputs.filter_map(of).collect()
     }
 
-    /// Rounding error of an output by those of its arguments, times a margin. Terms that depend on
-    /// them may cancel, so it may exceed the output itself.
-    fn rounding(&self, i: usize) -> f64 {
-        let by_argument = |z: &[f64], k: usize| {
-            let slope = self.eval(z, &|j| f64::from(u8::from(j == k)))[i].eps;
-            1e-12 * (z[k] * slope).abs()
+    /// Rounding errors of the outputs by those of their arguments, times a margin. Terms that depend
+    /// on them may cancel, so they may exceed the outputs themselves.
+    fn rounding(&self) -> Vec<f64> {
+        let at = |z: &[f64]| {
+            let mut errors = Vec::new();
+            for k in 0..z.len() {
+                let slopes = self.eval(z, &|j| f64::from(u8::from(j == k)));
+                errors.resize(slopes.len(), 0.0);
+                let by_argument = slopes.iter().map(|slope| 1e-12 * (z[k] * slope.eps).abs());
+                errors.iter_mut().zip(by_argument).for_each(|(error, by)| *error += by);
+            }
+            errors
         };
-        let at = |z: &[f64]| (0..z.len()).map(|k| by_argument(z, k)).sum::<f64>();
-        at(&self.from).max(at(&self.to))
+        at(&self.from).into_iter().zip(at(&self.to)).map(|(from, to)| from.max(to)).collect()
     }
 
     /// Halves the segment around the largest change of the slope of an output. None if the change
@@ -346,7 +351,8 @@ fn of_any(functions: &dyn Functions, shape: Shape, samples: &[Sample]) -> Vec<Ki
     let mut search =
         |from: Vec<f64>, to: Vec<f64>, sample: usize, t: usize, outputs: std::ops::Range<usize>| {
             let p = samples[sample].p.iter().map(|&p| Dual64::from_re(p)).collect();
-            let segment = Segment { functions, from, to, p, sample, t };
+            let (known, rounding) = (RefCell::default(), OnceCell::new());
+            let segment = Segment { functions, from, to, p, sample, t, known, rounding };
             for (output, input, kink) in segment.kinks(shape, outputs) {
                 match found.iter_mut().find(|(o, i, _)| (*o, *i) == (output, input)) {
                     Some((.., known)) => known.found += 1,

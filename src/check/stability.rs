@@ -19,6 +19,8 @@ const ROUNDING: f64 = 1e-6;
 /// Largest number of state components for which [`stability`] stores the Jacobian. With more, the
 /// function evaluates products with the Jacobian only.
 pub const DENSE: usize = 200;
+/// Largest number of state components for which [`jacobian_norm`] evaluates the Jacobian.
+const SMALL: usize = 50;
 /// Products of the power iteration before those that it evaluates, and up to the last one.
 const ITERATIONS: [usize; 2] = [2048, 8192];
 /// Total growth in the evaluated products, as a logarithm, that counts as none: a multiplier of 1 ± 3e-5.
@@ -348,12 +350,12 @@ fn by_products(product: &dyn Fn(&[f64], &mut [f64]), n: usize) -> Radius {
     ((slope / ITERATIONS[1] as f64).exp(), component)
 }
 
-/// Frobenius norm of the state Jacobian ∂S/∂x, or beyond [`DENSE`] components, the norm of its
-/// product with a random vector. Infinite if an entry is NaN.
+/// Frobenius norm of the state Jacobian ∂S/∂x, or beyond 50 components, the norm of its product with
+/// a vector of random normal numbers, the same in each call. Infinite if an entry is NaN.
 #[inline(never)]
 pub fn jacobian_norm<S: System>(system: &S, inputs: Inputs<'_, f64>) -> f64 {
     let n = inputs.x.len();
-    let slopes = if n <= DENSE {
+    let slopes = if n <= SMALL {
         jacobian(system, inputs)
     } else {
         let (v, mut product) = (normal(&mut stream(0, Purpose::Check, 3), n), vec![0.0; n]);

@@ -95,6 +95,10 @@ const MAX_REFINEMENT: i64 = 64;
 /// one do not resolve the motion, and their multipliers may agree by chance.
 const RESOLVED: f64 = 1.1;
 
+/// Largest factor between the norms of the derivatives of a step with so many substeps and with twice
+/// as many, if the substeps resolve the motion.
+const SAME: f64 = 2.0;
+
 /// Largest number of kinks in the notes.
 const MAX_KINKS: usize = 8;
 
@@ -220,6 +224,10 @@ fn is_harmless(found: &Amplification) -> bool {
 
 /// Tells whether an unstable step is too long or the physics is unstable, by more substeps. Begins
 /// with the description `grows` of the unstable step.
+///
+/// The growth over a whole step may look harmless although its substeps chatter: they then multiply
+/// perturbations by large factors with both signs. So a number of substeps is advised only if the
+/// derivatives stay similar with twice as many.
 fn refinement(
     scene: &Scene,
     mut refined: SceneSource,
@@ -232,7 +240,9 @@ fn refinement(
     let substeps = scene.integrator.count() as i64;
     let (mut last, mut times) = (None, 1);
     let mut before = (multiplier, found.divergence.is_none());
-    while times < MAX_REFINEMENT {
+    // A number of substeps with which no perturbation grows, and the norm of the derivatives.
+    let mut harmless: Option<(i64, f64)> = None;
+    while times < MAX_REFINEMENT || harmless.is_some() && times == MAX_REFINEMENT {
         times *= 2;
         let count = substeps * times;
         let amplification = |scene: Scene| scene.amplification(theta, found.chatter.as_ref());
@@ -245,12 +255,24 @@ fn refinement(
         else {
             break;
         };
-        let more = if times == 2 { "twice".to_owned() } else { format!("{times} times") };
-        if is_harmless(&next) {
+        if let Some((times, norm)) = harmless
+            && is_harmless(&next)
+            && norm <= SAME * next.norm
+            && next.norm <= SAME * norm
+        {
             return format!(
-                "{grows}, but not with {more} as many substeps. Shorten the step: `integrator.substeps = {count}`"
+                "{grows}, but not with {} as many substeps. Shorten the step: `integrator.substeps = {}`",
+                multiple(times),
+                substeps * times
             );
         }
+        let more = multiple(times);
+        if is_harmless(&next) {
+            harmless = Some((times, next.norm));
+            (before, last) = ((f64::NAN, true), None);
+            continue;
+        }
+        harmless = None;
         let now = (next.worst.stability.multiplier, next.divergence.is_none());
         let (excess, limit) = (multiplier - 1.0, now.0 - 1.0);
         if is_settled(before.0, now.0, count) && now.1 == before.1 {
@@ -279,6 +301,11 @@ fn refinement(
         last = Some(now.0);
     }
     match last {
+        _ if harmless.is_some() => format!(
+            "{grows}. With {times} times as many substeps, no perturbation grows over whole steps, but the derivatives have not \
+             converged: the substeps do not resolve the motion. Use an implicit integrator or more damping, or \
+             reduce the time step further"
+        ),
         Some(last) => format!(
             "{grows}, and by {} with {times} times as many substeps. Use an implicit integrator or more damping, or \
              reduce the time step further",
@@ -286,6 +313,10 @@ fn refinement(
         ),
         None => format!("{grows}. Without substeps, step and physics cannot be distinguished"),
     }
+}
+
+fn multiple(times: i64) -> String {
+    if times == 2 { "twice".to_owned() } else { format!("{times} times") }
 }
 
 /// Returns whether the multiplier of a step has converged: with `count` substeps it is `now`, and

@@ -32,6 +32,8 @@ pub struct Amplification {
     pub worst: Place,
     /// Growth of a perturbation over the steps after `worst`, or a bound. NaN if that of `worst` is.
     pub growth: f64,
+    /// Largest [norm](check::jacobian_norm) of ∂S/∂x among the states that were evaluated.
+    pub norm: f64,
     /// State between two that alternate, if `worst` is there.
     pub chatter: Option<Between>,
     /// State in which a perturbation alternates in sign and decays most slowly, among consecutive
@@ -93,10 +95,14 @@ impl Between {
         Self { sample, x: at(0.5 * (line[0] + line[1])), u, p, t }
     }
 
+    fn inputs(&self) -> Inputs<'_, f64> {
+        let Self { x, u, p, t, .. } = self;
+        Inputs { x, u, p, t: *t }
+    }
+
     fn place(&self, task: &DynTask) -> Place {
-        let Self { sample, x, u, p, t } = self;
-        let stability = check::stability(task.system(), Inputs { x, u, p, t: *t });
-        Place { sample: *sample, step: *t, stability }
+        let stability = check::stability(task.system(), self.inputs());
+        Place { sample: self.sample, step: self.t, stability }
     }
 }
 
@@ -159,6 +165,8 @@ pub fn amplification(
         check::growth_along(task.system(), &steps)
     };
     let mut worst = worst(&places, horizon, after);
+    let norm = |inputs: Inputs<'_, f64>| check::jacobian_norm(task.system(), inputs);
+    let mut largest = indices.iter().fold(0.0_f64, |largest, &i| largest.max(norm(states[i].1)));
     let between = match known {
         Some(known) => vec![known.clone()],
         None => { alternating(&rollouts).into_iter() }
@@ -170,6 +178,7 @@ pub fn amplification(
         between.into_iter().filter(|between| between.x.len() == task.system().state_dim())
     {
         let place = between.place(task);
+        largest = largest.max(norm(between.inputs()));
         let Stability { multiplier, lowest, .. } = place.stability;
         let is_chatter = !place.stability.is_stable_within(horizon)
             && (known.is_some() || lowest < -1.0)
@@ -202,6 +211,7 @@ pub fn amplification(
         (Some((worst, growth)), _) => Ok(Amplification {
             worst,
             growth,
+            norm: largest,
             chatter,
             ringing,
             evaluated: places.len(),
