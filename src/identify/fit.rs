@@ -64,6 +64,10 @@ pub struct Options {
     /// which must differ by less than half a turn without them. A step must commute with full turns
     /// of these components. Default: none, measured angles are continuous.
     pub angles: Vec<usize>,
+    /// Initial states from which the fit also begins if the residuals of the fit before are not noise.
+    /// Only components without a measurement in the first row of a segment use them; at first, these
+    /// components are 0. The result is the better fit. Default: none.
+    pub guesses: Vec<Vec<f64>>,
     /// χ² of another model or reading of the same data. Ends the identification with
     /// [`IdentifyError::Worse`] if its own χ² will be higher, judged by the last iterations. Default:
     /// infinite.
@@ -82,6 +86,7 @@ impl Default for Options {
             max_iterations: 300,
             tolerance: 1e-10,
             angles: Vec::new(),
+            guesses: Vec::new(),
             give_up: f64::INFINITY,
             stop: None,
         }
@@ -178,6 +183,47 @@ impl Fit {
         freedom > 0.0 && !(low.min(0.5)..=high.max(2.0)).contains(&(self.chi_squared / freedom))
     }
 
+    /// State components whose residuals are no independent noise: the correlation of successive
+    /// residuals exceeds 1/2, by more than chance explains. Returns the correlations too. A wrong
+    /// model, wrong initial values of unmeasured states, a local minimum, integration errors and
+    /// filtered measurements have such residuals. Standard errors are then too small.
+    ///
+    /// Without correlation, the estimate from N pairs has the standard deviation 1/√N (Bartlett 1946,
+    /// doi:10.2307/2983611), of which four are chance. Residuals below 1e-6 of the measurements are
+    /// rounding errors, and do not count.
+    pub fn correlated(&self, segments: &[Segment]) -> Vec<(usize, f64)> {
+        const LARGE: f64 = 0.5;
+        const CHANCE: f64 = 4.0;
+        const ROUNDING: f64 = 1e-6;
+        let correlation = |i: usize| {
+            let (mut products, mut squares, mut pairs) = (0.0, 0.0, 0.0_f64);
+            let (mut sum, mut size) = (0.0_f64, 0.0_f64);
+            for (segment, states) in segments.iter().zip(&self.states) {
+                let mut before = f64::NAN;
+                for (x, y) in states.iter().zip(self.measured(i, segment)) {
+                    let now = x[i] - y;
+                    if now.is_nan() {
+                        continue;
+                    }
+                    (sum, size) = (sum + now * now, size + y * y);
+                    if !before.is_nan() {
+                        products += now * before;
+                        squares += 0.5 * (now * now + before * before);
+                        pairs += 1.0;
+                    }
+                    before = now;
+                }
+            }
+            let correlation = products / squares;
+            let is_real = correlation > LARGE
+                && correlation * pairs.sqrt() > CHANCE
+                && sum.sqrt() > ROUNDING * size.sqrt();
+            is_real.then_some((i, correlation))
+        };
+        let count = segments.first().and_then(|segment| segment.x.first()).map_or(0, Vec::len);
+        (0..count).filter_map(correlation).collect()
+    }
+
     /// Root mean square of the residuals of a component in a segment, over its finite measurements,
     /// the first sample included. NaN without a finite measurement.
     pub fn rms(&self, segment: usize, component: usize, measured: &Segment) -> f64 {
@@ -258,7 +304,8 @@ const BETTER: f64 = 1e-3;
 /// Segments consist of windows, each with its own initial state. Iterations with growing weights of
 /// continuity join the windows. Windows that are long compared with fast unmeasured states can
 /// lead to a wrong minimum. If the result has not converged or does not explain the data, a second
-/// fit uses whole segments, and the better fit is the result.
+/// fit uses whole segments, and the better fit is the result. So can initial values of unmeasured
+/// states: see [`Options::guesses`].
 ///
 /// # Errors
 /// See [`IdentifyError`].
@@ -274,24 +321,51 @@ pub fn identify<S: System>(
     let problem = Problem::new(system, segments, unknowns, options)?;
     let mut counts = Counts::default();
     check_count(&problem, options, &mut counts)?;
+    let states = system.state_dim();
+    let mut best = from_guess(&problem, options, &vec![0.0; states], &mut counts);
+    let is_missing = segments.iter().any(|segment| segment.x[0].iter().any(|y| y.is_nan()));
+    for guess in options.guesses.iter().filter(|guess| is_missing && guess.len() == states) {
+        match &best {
+            Ok(best) if !best.is_suspicious(&problem) => break,
+            Ok(_) | Err(IdentifyError::Diverged { .. } | IdentifyError::Worse) => {}
+            Err(_) => break,
+        }
+        match (from_guess(&problem, options, guess, &mut counts), &best) {
+            (Ok(next), Ok(before)) if !next.is_better(before) => {}
+            (Err(IdentifyError::Diverged { .. } | IdentifyError::Worse), _) => {}
+            (next, _) => best = next,
+        }
+    }
+    let best = best?;
+    let Counts { iterations, simulations, jacobians } = counts;
+    Ok(Fit { iterations, simulations, jacobians, ..best.fit })
+}
+
+/// Fits with the windows of the options, and again with whole segments if windows may have led to a
+/// wrong minimum. Components without a measurement begin at `guess`.
+fn from_guess(
+    problem: &Problem<'_>,
+    options: &Options,
+    guess: &[f64],
+    counts: &mut Counts,
+) -> Result<Attempt, IdentifyError> {
     let whole = Options { window: None, ..options.clone() };
-    let mut best = match attempt(&problem, options, &mut counts) {
+    let mut best = match attempt(problem, options, guess, counts) {
         // Windows may have led to a wrong minimum.
         Err(IdentifyError::Worse) if options.window.is_some() => {
-            attempt(&problem, &whole, &mut counts)?
+            attempt(problem, &whole, guess, counts)?
         }
         other => other?,
     };
     if best.is_doubtful {
-        match attempt(&problem, &whole, &mut counts) {
+        match attempt(problem, &whole, guess, counts) {
             Ok(whole) if whole.is_better(&best) => best = whole,
             // Whole segments can diverge where windows do not.
             Ok(_) | Err(IdentifyError::Diverged { .. } | IdentifyError::Worse) => {}
             Err(error) => return Err(error),
         }
     }
-    let Counts { iterations, simulations, jacobians } = counts;
-    Ok(Fit { iterations, simulations, jacobians, ..best.fit })
+    Ok(best)
 }
 
 /// Refuses data with fewer measurements than unknowns that affect them.
@@ -302,7 +376,7 @@ fn check_count(
 ) -> Result<(), IdentifyError> {
     let (measurements, mut unknowns) = (problem.measurements(), problem.free());
     if (1..unknowns).contains(&measurements) {
-        let point = problem.begin(options.window)?;
+        let point = problem.begin(options.window, &vec![0.0; problem.per_noise.len()])?;
         unknowns = Equations::new(problem, &point, 1.0, counts)?.seen(problem.unknowns);
     }
     if measurements < unknowns {
@@ -320,6 +394,12 @@ struct Attempt {
 }
 
 impl Attempt {
+    /// Whether the residuals are not noise, or the fit has not converged.
+    fn is_suspicious(&self, problem: &Problem<'_>) -> bool {
+        let is_unlikely = problem.noise_is_known && self.fit.is_unlikely();
+        is_unlikely || !self.fit.converged || !self.fit.correlated(problem.segments).is_empty()
+    }
+
     fn is_better(&self, other: &Self) -> bool {
         let converges = self.fit.converged && !other.fit.converged;
         self.objective < other.objective * if converges { 1.0 + BETTER } else { 1.0 - BETTER }
@@ -330,9 +410,10 @@ impl Attempt {
 fn attempt(
     problem: &Problem<'_>,
     options: &Options,
+    guess: &[f64],
     counts: &mut Counts,
 ) -> Result<Attempt, IdentifyError> {
-    let mut point = problem.begin(options.window)?;
+    let mut point = problem.begin(options.window, guess)?;
     // Without windows to join, the weights have no influence.
     let stages = if point.windows.len() == problem.segments.len() { 1 } else { CONTINUITY.len() };
     let (mut objective, mut first, mut all_converged) = (f64::INFINITY, None, true);
@@ -395,7 +476,12 @@ fn result(
     // A wrong model has residuals above its noise. Their size is unknown without degrees of
     // freedom.
     let spread = if residual.is_finite() { noise.max(residual) } else { noise };
-    let is_minimum = found.offset <= OFFSET * spread.max(smallest);
+    // Rounding of a number whose error is smaller still would change the residuals by more than
+    // the noise, so no minimum can be told.
+    let is_rounded = free.iter().zip(&found.errors).any(|(&i, error)| {
+        error * spread.max(smallest) < 0.5 * f64::EPSILON * point.values[i].abs()
+    });
+    let is_minimum = found.offset <= OFFSET * spread.max(smallest) && !is_rounded;
     let place = |i: usize| free.iter().position(|&free| free == i);
     let of_all = |of_free: &[f64], unit: f64| -> Vec<f64> {
         let of = |k: usize| {

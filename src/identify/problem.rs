@@ -172,18 +172,18 @@ impl<'a> Problem<'a> {
     /// Initial values. Splits the segments into windows of `length` steps. The last window of a
     /// segment may be shorter. `None`: one window per segment. A window starts at the measured
     /// state. Components without a measurement continue the simulation of the previous window. In
-    /// the first window of a segment, they start at 0.
+    /// the first window of a segment, they start at `guess`.
     ///
     /// # Errors
     /// [`IdentifyError::Diverged`] if a state or a squared residual is non-finite.
     /// [`IdentifyError::Stopped`] if the stop flag is set.
-    pub fn begin(&self, length: Option<usize>) -> Result<Point, IdentifyError> {
+    pub fn begin(&self, length: Option<usize>, guess: &[f64]) -> Result<Point, IdentifyError> {
         let values: Vec<f64> = self.unknowns.iter().map(|unknown| unknown.start).collect();
         let mut windows = Vec::new();
         for (index, segment) in self.segments.iter().enumerate() {
             let last = segment.x.len().saturating_sub(1);
             let p = self.parameters(index, &values);
-            let mut start = vec![0.0; self.model.sizes()[0]];
+            let mut start = guess.to_vec();
             let length = length.unwrap_or(last).max(1);
             for first in (0..last.max(1)).step_by(length) {
                 let steps = length.min(last - first);

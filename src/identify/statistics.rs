@@ -9,8 +9,9 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 /// long simulations.
 const DETERMINED: f64 = 1e-12;
 
-/// Threshold for the fraction of the information from all segments but one. At or below it, these
-/// segments do not determine the combination of parameters.
+/// Threshold for the fraction of the information from a segment, or from all segments but one. At or
+/// below it, a segment does not depend on a parameter, or the others do not determine the combination
+/// of parameters.
 const SHARED: f64 = 1e-9;
 
 /// Factor by which other unknown initial values increase the standard error of an undetermined one,
@@ -111,8 +112,11 @@ pub(super) fn statistics(
     let covariance = &factor * factor.transpose();
     let errors = (0..count)
         .map(|i| if is_open[i] { f64::INFINITY } else { covariance[(i, i)].sqrt() / scale[i] });
-    let informative =
-        equations.iter().filter(|rows| rows.columns(0, count).iter().any(|slope| *slope != 0.0));
+    // Elimination of initial states leaves rounding errors where a segment has no information.
+    let depends = |rows: &DMatrix<f64>, i: usize| {
+        rows.column(i).norm_squared() > SHARED * scale[i] * scale[i]
+    };
+    let informative = equations.iter().filter(|rows| (0..count).any(|i| depends(rows, i)));
     let informative: Vec<&DMatrix<f64>> = informative.collect();
     let variances = if informative.len() > count {
         jackknife(&informative, &scale, &factor)

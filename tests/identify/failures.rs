@@ -28,6 +28,8 @@ enum Model {
     Kink,
     /// `x' = x/2 + y + p_0` with an unmeasured constant y.
     Hidden,
+    /// `x' = x/2 + sin(1e25 p_0) / 1000`: rounding of p_0 changes the phase by a billion rad.
+    Steep,
 }
 
 impl System for Model {
@@ -53,6 +55,7 @@ impl System for Model {
             Self::Offset => x[0] * 0.5 + p[0],
             Self::Kink => x[0] * 0.5 + (p[0] - 0.7).abs() + 0.3,
             Self::Hidden => x[0] * 0.5 + x[1] + p[0],
+            Self::Steep => x[0] * 0.5 + (p[0] * 1e25).sin() * 1e-3,
         };
         if let [_, constant] = next {
             *constant = x[1];
@@ -223,5 +226,34 @@ fn windows_with_fast_unmeasured_states_do_not_end_in_a_wrong_minimum() {
         // Five standard deviations.
         assert!((reduced - 1.0).abs() < 5.0 * (2.0 / found.freedom() as f64).sqrt(), "{reduced}");
         assert_eq!(found.window, window);
+    }
+}
+
+/// A number with a standard error below its own rounding error: its values that a computer has lie
+/// in different minima.
+#[test]
+fn an_error_below_the_rounding_of_the_number_is_no_error() {
+    let rng = &mut stream(2, Purpose::Check, 0);
+    let mut normal = || Distribution::<f64>::sample(&StandardNormal, rng);
+    let x = (0..40).map(|_| vec![normal()]).collect();
+    let segment = Segment { x, p: vec![1.0, 0.0], ..Segment::default() };
+    let unknown = Unknown {
+        name: "p_0".into(),
+        index: 0,
+        start: 1.0,
+        min: f64::NEG_INFINITY,
+        max: f64::INFINITY,
+    };
+    for noise in [None, Some(vec![1.0])] {
+        let options = Options { noise, window: None, ..Options::default() };
+        let found = identify(
+            &Model::Steep,
+            std::slice::from_ref(&segment),
+            std::slice::from_ref(&unknown),
+            &options,
+        );
+        let found = found.expect("valid data");
+        assert!(!found.converged && found.errors[0].is_infinite(), "{found:?}");
+        assert_eq!(found.statuses, [Status::NotConverged]);
     }
 }

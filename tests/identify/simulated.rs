@@ -81,6 +81,27 @@ fn exact_data_give_the_truth() {
     }
 }
 
+/// A gyroscope measures an arm that swings about its upper position, and the fit begins at the lower
+/// one. The residuals show that the minimum is wrong, and another initial angle finds the right one.
+#[test]
+fn residuals_that_are_no_noise_show_a_wrong_minimum_and_guesses_avoid_it() {
+    let rng = &mut stream(3, Purpose::Check, 0);
+    let segments = [2.6, 2.9].map(|theta| {
+        let mut segment = simulated(rng, &pendulum(), [theta, 0.0], 150, [0.0, 0.05]);
+        segment.x.iter_mut().for_each(|x| x[0] = f64::NAN);
+        segment
+    });
+    let wrong = fit(&segments, 1.3, &Options::default());
+    let found = wrong.correlated(&segments);
+    assert!(matches!(found[..], [(1, r)] if r > 0.5), "{found:?} {:?}", wrong.values);
+    let guesses = vec![vec![PI, 0.0]];
+    let right = fit(&segments, 1.3, &Options { guesses, ..Options::default() });
+    assert!(right.converged && right.correlated(&segments).is_empty(), "{:?}", right.values);
+    for ((value, truth), error) in right.values.iter().zip(TRUTH).zip(&right.errors) {
+        assert!((value - truth).abs() < 4.0 * error, "{:?} {:?}", right.values, right.errors);
+    }
+}
+
 /// Coverage of the 95 % intervals in 100 repetitions. Each of the four counts is binomial, and
 /// below 88 with a probability of 0.15 %.
 #[test]

@@ -112,6 +112,34 @@ fn errors_are_those_of_linear_regression_and_of_fits_without_a_segment() {
     }
 }
 
+/// A segment whose only sample determines its initial state adds nothing to the scatter between
+/// segments, whether or not it has rows without samples.
+#[test]
+fn segments_without_information_do_not_count_in_robust_errors() {
+    let all: Vec<Unknown> = (0..3).map(|i| unknown(i, 0.0, FREE)).collect();
+    for (kept, window) in [(5, None), (5, Some(3)), (3, None), (3, Some(3))] {
+        let options = Options { window, ..Options::default() };
+        let mut segments = segments()[..kept].to_vec();
+        let expected = identify(&Line, &segments, &all, &options).expect("valid data");
+        for (first, rows) in [(1.0, STEPS), (f64::NAN, STEPS), (1.0, 1)] {
+            let mut empty = segments[0].clone();
+            empty.x = vec![vec![f64::NAN]; rows];
+            empty.x[0][0] = first;
+            segments.push(empty);
+        }
+        let found = identify(&Line, &segments, &all, &options).expect("valid data");
+        for i in 0..3 {
+            assert_close(found.errors[i], expected.errors[i], "error");
+            let [found, expected] = [&found, &expected].map(|fit| fit.robust_errors[i]);
+            assert!(
+                found == expected || (found / expected - 1.0).abs() < 1e-6,
+                "{window:?}: {found}"
+            );
+            assert_eq!(expected.is_infinite(), kept == 3);
+        }
+    }
+}
+
 /// A number at a bound that χ² pushes it beyond, or with equal bounds, is known in the statistics
 /// of the others. The reference is a fit in which this number is not unknown.
 #[test]

@@ -2,14 +2,16 @@
 
 use physgrad::identify::{Fit, IdentifyError, Options, Segment, Unknown, identify};
 use physgrad::number::Varied;
-use physgrad::{DynTask, Inputs, Number, System, Task};
+use physgrad::rng::Purpose;
+use physgrad::{DynTask, Inputs, Number, System, Task, initial_states};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 /// Fits the trained numbers of a task to measured segments. `names` are the names of the parameters
 /// of a rollout, in the order of the parameters of the segments. Numbers without a value in a
 /// segment have their nominal values. Ignores the values of trained numbers in a segment. Removes
 /// full turns from those of the components `angles` that wrap in the data. If jumps may also be
-/// motion, fits these components as recorded too, and returns the fit with the lower χ².
+/// motion, fits these components as recorded too, and returns the fit with the lower χ². Unmeasured
+/// components begin at 0, and at other initial states if the residuals are not noise.
 pub fn identified(
     task: &DynTask,
     names: &[String],
@@ -44,12 +46,15 @@ pub fn identified(
         .copied()
         .filter(|i| wraps(i) && segments.iter().all(|segment| is_periodic(system, segment, *i)))
         .collect();
+    let guesses = guesses(task, angles);
     let is_clear = |i: &usize| {
         !segments.iter().any(|segment| may_be_motion(segment.x.iter().map(|row| row[*i])))
     };
     let clear: Vec<usize> = wrapped.iter().copied().filter(is_clear).collect();
     let fit = |angles: Vec<usize>, give_up: f64| {
-        identify(system, &segments, &unknowns, &Options { angles, give_up, ..options.clone() })
+        let guesses = guesses.clone();
+        let options = Options { angles, guesses, give_up, ..options.clone() };
+        identify(system, &segments, &unknowns, &options)
     };
     let is_clear = clear.len() == wrapped.len();
     let without = fit(wrapped, f64::INFINITY);
@@ -64,6 +69,18 @@ pub fn identified(
         (without, Ok(_) | Err(IdentifyError::Diverged { .. } | IdentifyError::Worse)) => without,
         (_, error) => error,
     }
+}
+
+/// Initial states of a fit for components without a measurement: half a turn for angles, where a
+/// pendulum may hang or stand, then initial states of test rollouts.
+fn guesses(task: &DynTask, angles: &[usize]) -> Vec<Vec<f64>> {
+    const DRAWN: usize = 2;
+    let (states, params) = (task.system().state_dim(), task.param_dim());
+    let turned = (0..states).map(|i| if angles.contains(&i) { PI } else { 0.0 }).collect();
+    let drawn = initial_states(task, 0, Purpose::Test, DRAWN);
+    let drawn = drawn.chunks(states + params).map(|start| start[..states].to_vec());
+    let turned: Option<Vec<f64>> = (!angles.is_empty()).then_some(turned);
+    turned.into_iter().chain(drawn).collect()
 }
 
 /// Largest memory of all segments, bytes.

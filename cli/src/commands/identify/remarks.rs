@@ -64,6 +64,7 @@ pub fn remarks(
     let mut warnings = of_fit(fit, scene, noise_is_known, words);
     warnings.extend(jumps(fit, scene, rows));
     warnings.extend(astray(fit, scene, segments));
+    warnings.extend(correlated(fit, scene, segments));
     if !noise_is_known {
         warnings.extend(misfit(fit, segments, scene));
     }
@@ -168,6 +169,29 @@ fn astray(fit: &Fit, scene: &Scene, segments: &[Segment]) -> Vec<String> {
         }
     }
     warnings
+}
+
+/// A warning about residuals that are no independent noise.
+fn correlated(fit: &Fit, scene: &Scene, segments: &[Segment]) -> Option<String> {
+    let names = scene.state_names();
+    let found: Vec<String> = { fit.correlated(segments).into_iter() }
+        .map(|(i, correlation)| format!("{} ({correlation:.2})", names[i]))
+        .collect();
+    let is_open = |i: &usize| segments.iter().any(|segment| segment.x[0][*i].is_nan());
+    let open: Vec<String> = (0..names.len()).filter(is_open).map(|i| names[i].clone()).collect();
+    let starts = if open.is_empty() {
+        String::new()
+    } else {
+        format!(", wrong initial values of {}", listed(&open))
+    };
+    (!found.is_empty()).then(|| {
+        format!(
+            "successive residuals are correlated for {}, so they are not independent noise: the cause may be the model{starts}, \
+             a local minimum, the error of the integrator, or a filter of the sensor. The standard errors are too small; the \
+             robust errors allow for the correlation, but not for wrong values",
+            listed(&found)
+        )
+    })
 }
 
 /// Largest jump between windows without a warning, in the units of [`Fit::jump`].
