@@ -182,13 +182,14 @@ fn stability(scene: &Scene, refined: SceneSource, theta: &[f64], found: &Amplifi
     let name = &names[component];
     let all = if evaluated == states { String::new() } else { format!(" of {states}") };
     let place = format!("in test rollout {sample}, step {step}");
-    if is_harmless(found) || multiplier.is_nan() {
+    let is_unknown = multiplier.is_nan() && found.divergence.is_none();
+    if is_harmless(found) || is_unknown {
         let said = if stability.is_stable() {
             format!(
                 "stable: no perturbation grows exponentially. The largest multiplier per step is {}",
                 growth(multiplier)
             )
-        } else if multiplier.is_nan() {
+        } else if is_unknown {
             stability.to_string()
         } else {
             format!(
@@ -235,70 +236,39 @@ fn refinement(
     found: &Amplification,
     grows: &str,
 ) -> String {
-    let multiplier = found.worst.stability.multiplier;
-    let unstable = found.growth > HARMLESS;
+    let first = Growth::of(Some(found));
     let substeps = scene.integrator.count() as i64;
-    let (mut last, mut times) = (None, 1);
-    let mut before = (multiplier, found.divergence.is_none());
-    // A number of substeps with which no perturbation grows, and the norm of the derivatives.
+    let (mut before, mut times) = (first, 1);
+    let mut last = None;
+    // With this many times the substeps, no perturbation grows.
     let mut harmless: Option<(i64, f64)> = None;
     while times < MAX_REFINEMENT || harmless.is_some() && times == MAX_REFINEMENT {
-        times *= 2;
-        let count = substeps * times;
-        let amplification = |scene: Scene| scene.amplification(theta, found.chatter.as_ref());
+        let count = substeps * (2 * times);
         let put = refined.put("integrator.substeps", Value::Integer(count), "more substeps");
-        let Some(next) = put
-            .and_then(|()| refined.scene())
-            .ok()
-            .and_then(|scene| amplification(scene).ok())
-            .filter(|next| !next.worst.stability.multiplier.is_nan())
-        else {
-            break;
-        };
-        if let Some((times, norm)) = harmless
-            && is_harmless(&next)
-            && norm <= SAME * next.norm
-            && next.norm <= SAME * norm
-        {
-            return format!(
-                "{grows}, but not with {} as many substeps. Shorten the step: `integrator.substeps = {}`",
-                multiple(times),
-                substeps * times
-            );
-        }
-        let more = multiple(times);
-        if is_harmless(&next) {
+        let Some(scene) = put.and_then(|()| refined.scene()).ok() else { break };
+        times *= 2;
+        let next = scene.amplification(theta, found.chatter.as_ref()).ok();
+        let now = Growth::of(next.as_ref());
+        if let Some(next) = next.filter(is_harmless) {
+            if let Some((times, norm)) = harmless
+                && (1.0 / SAME..=SAME).contains(&(next.norm / norm))
+            {
+                return format!(
+                    "{grows}, but not with {} as many substeps. Shorten the step: `integrator.substeps = {}`",
+                    multiple(times),
+                    substeps * times
+                );
+            }
             harmless = Some((times, next.norm));
-            (before, last) = ((f64::NAN, true), None);
-            continue;
+        } else {
+            harmless = None;
+            if is_settled(before.multiplier, now.multiplier, count)
+                && now.is_finite == before.is_finite
+            {
+                return verdict(grows, first, now, times, count);
+            }
         }
-        harmless = None;
-        let now = (next.worst.stability.multiplier, next.divergence.is_none());
-        let (excess, limit) = (multiplier - 1.0, now.0 - 1.0);
-        if is_settled(before.0, now.0, count) && now.1 == before.1 {
-            // Half of the growth of the long step is not physical, or half of the physical growth
-            // is missing, or only the long step diverges.
-            let is_too_long =
-                excess > 2.0 * limit || limit > 2.0 * excess || now.1 != found.divergence.is_none();
-            let with = if unstable {
-                format!("by {} with {more} as many substeps", growth(now.0))
-            } else {
-                format!("with {more} as many substeps")
-            };
-            return if is_too_long {
-                format!(
-                    "{grows}, but {with}. The physics is unstable, and the step is too long. Shorten the step: `integrator.substeps = {count}`"
-                )
-            } else if now.1 {
-                format!("{grows}, and {with}: the physics is unstable, not the step")
-            } else {
-                format!(
-                    "{grows}, and {with}, where rollouts diverge too: the physics diverges, or its controls do"
-                )
-            };
-        }
-        before = now;
-        last = Some(now.0);
+        (before, last) = (now, Some(now.multiplier));
     }
     match last {
         _ if harmless.is_some() => format!(
@@ -306,13 +276,67 @@ fn refinement(
              converged: the substeps do not resolve the motion. Use an implicit integrator or more damping, or \
              reduce the time step further"
         ),
-        Some(last) => format!(
+        Some(last) if last.is_finite() => format!(
             "{grows}, and by {} with {times} times as many substeps. Use an implicit integrator or more damping, or \
              reduce the time step further",
             growth(last)
         ),
+        Some(_) => format!(
+            "{grows}, and test rollouts diverge with {times} times as many substeps too: the physics or its controls diverge, or a \
+             state leaves the domain of a function"
+        ),
         None => format!("{grows}. Without substeps, step and physics cannot be distinguished"),
     }
+}
+
+/// Growth of a perturbation over a step of test rollouts.
+#[derive(Clone, Copy)]
+struct Growth {
+    /// Infinite if a derivative overflows, or if the first step does.
+    multiplier: f64,
+    /// Whether perturbations grow noticeably over a rollout.
+    is_unstable: bool,
+    /// Whether the rollouts are finite.
+    is_finite: bool,
+}
+
+impl Growth {
+    fn of(found: Option<&Amplification>) -> Self {
+        let multiplier = found.map_or(f64::NAN, |found| found.worst.stability.multiplier);
+        Self {
+            multiplier: if multiplier.is_nan() { f64::INFINITY } else { multiplier },
+            is_unstable: found.is_some_and(|found| found.growth > HARMLESS),
+            is_finite: found.is_some_and(|found| found.divergence.is_none()),
+        }
+    }
+}
+
+/// Compares the growth with that over `count` substeps, `times` as many, which has converged.
+fn verdict(grows: &str, first: Growth, now: Growth, times: i64, count: i64) -> String {
+    let (more, by) = (multiple(times), growth(now.multiplier));
+    if !now.is_finite {
+        return format!(
+            "{grows}, and test rollouts diverge with {more} as many substeps too: the physics or its controls diverge, or a state \
+             leaves the domain of a function"
+        );
+    }
+    let [excess, limit] = [first, now].map(|growth| growth.multiplier - 1.0);
+    // Half of the growth of the long step is not physical, or half of the physical growth is
+    // missing, or only the long step diverges.
+    let is_too_long = excess > 2.0 * limit || limit > 2.0 * excess || !first.is_finite;
+    if !is_too_long {
+        return format!(
+            "{grows}, and by {by} with {more} as many substeps: the physics is unstable, not the step"
+        );
+    }
+    let but = if first.is_unstable {
+        format!("but by {by} with {more} as many substeps")
+    } else {
+        format!("but not with {more} as many substeps, where a perturbation grows by {by} per step")
+    };
+    format!(
+        "{grows}, {but}. The physics is unstable, and the step is too long. Shorten the step: `integrator.substeps = {count}`"
+    )
 }
 
 fn multiple(times: i64) -> String {
