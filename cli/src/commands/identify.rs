@@ -405,14 +405,20 @@ fn numbers(fit: &Fit, scene: &Scene) -> Result<Vec<u8>> {
     csv(header, rows)
 }
 
+/// The numbers, with a column of robust errors if there are any.
 fn table(fit: &Fit, scene: &Scene) -> Table {
-    let mut table = Table::new(["number", "start", "value", "standard error"]);
+    let has_robust = fit.robust_errors.iter().any(|error| error.is_finite());
+    let header = ["number", "start", "value", "standard error", "robust error"];
+    let columns = if has_robust { header.len() } else { header.len() - 1 };
+    let mut table = Table::new(header[..columns].iter().copied());
     for (i, start) in starts(fit, scene).into_iter().enumerate() {
-        let error = match fit.statuses[i] {
-            Status::Estimated => rough(fit.errors[i]),
-            status => status.name().into(),
+        let error = |error: f64| if error.is_finite() { rough(error) } else { "none".into() };
+        let [own, robust] = match fit.statuses[i] {
+            Status::Estimated => [fit.errors[i], fit.robust_errors[i]].map(error),
+            status => [status.name().into(), String::new()],
         };
-        table.row([fit.names[i].clone(), digits(start, 6), digits(fit.values[i], 6), error]);
+        let cells = [fit.names[i].clone(), digits(start, 6), digits(fit.values[i], 6), own, robust];
+        table.row(cells.into_iter().take(columns));
     }
     table
 }
