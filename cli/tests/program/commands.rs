@@ -515,6 +515,20 @@ fn a_check_distinguishes_long_steps_from_unstable_physics() {
     assert!(text.contains("loss at the initial parameters: flat"), "{text}");
 }
 
+/// With 32 substeps, no perturbation grows over a whole step, but the substeps chatter.
+#[test]
+#[ignore = "long: more than a hundred substeps of six poles"]
+fn substeps_that_chatter_are_not_advised() {
+    let dir = TempDir::new().expect("a folder");
+    let file = dir.path().join("scene.toml");
+    let scene = "scene = 1\ntask = \"cart_pole\"\nhorizon = 100\n[system]\npoles = 6\n\
+                 [effects.dry_friction]\nforce = 50.0\nsmoothing = 1e-3\n";
+    fs::write(&file, scene).expect("a scene");
+    let output = physgrad(&["check"]).arg(&file).output().expect("the command runs");
+    let text = String::from_utf8(output.stdout).expect("text");
+    assert!(text.contains("chatters") && text.contains("Use an implicit integrator"), "{text}");
+}
+
 #[test]
 fn a_check_reports_steps_that_do_not_resolve_the_motion() {
     let dir = TempDir::new().expect("a folder");
@@ -527,6 +541,10 @@ fn a_check_reports_steps_that_do_not_resolve_the_motion() {
     // Steps of 3 s, in which a pole falls and turns.
     let text = checked("task = \"cart_pole\"\nhorizon = 20\n[system]\ndt = 3\n", &[]);
     assert!(!text.contains("not the step"), "{text}");
+    // Rollouts diverge with one step, and with two half steps in place of it.
+    let damped = "task = \"cart_pole\"\nhorizon = 50\n[system]\ndt = 0.08\n[effects.pole_damping]\ndamping = 5.0\n";
+    let text = checked(damped, &[]);
+    assert!(text.contains("not with 8 times as many substeps. Shorten the step"), "{text}");
     // Friction damps the angular velocity at λ = 750 / (s viscous) with viscous = 13.33, so λ dt is
     // 100. The implicit midpoint rule multiplies it by (1 - 50) / (1 + 50) = -0.961; the
     // printed bound is -0.92.

@@ -396,6 +396,19 @@ fn wrapped_angles_identify_center_and_friction() {
     }
 }
 
+/// Only the speed is measured. The fit first begins at an angle of 0, far from the swings.
+#[test]
+fn unmeasured_angles_begin_at_half_a_turn_too() {
+    use std::f64::consts::PI;
+    let rows = [PI + 0.5, PI - 0.8].into_iter().enumerate().flat_map(|(segment, theta)| {
+        let rows = swings(theta, 150, 0.01).into_iter();
+        rows.map(move |[t, _, omega]| format!("{segment},{t},{omega}\n"))
+    });
+    let data = format!("segment,t,omega_1\n{}", rows.collect::<String>());
+    let (_, output) = check_pendulum("0.01", &data, 1e-6);
+    assert!(!output.contains("warning"), "{output}");
+}
+
 /// Samples of a swing are far apart: the angle moves by more than half a turn between two rows, and
 /// stays within one turn, as an angle that wraps does. The fit as recorded explains the data.
 #[test]
