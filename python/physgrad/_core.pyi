@@ -128,7 +128,11 @@ class Run:
 
 @type_check_only
 class _Fit(TypedDict):
-    """Result of `identify`, for K unknown numbers. A dict."""
+    """Result of `identify`, for K unknown numbers. A dict.
+
+    All dicts, lists and arrays have the numbers in the order of `params`. Without `params`, and for
+    further numbers in the section `fit`, the order is that of the task.
+    """
 
     values: dict[str, float]
     """Fitted numbers by dotted key, in the units of the task."""

@@ -7,7 +7,7 @@ use crate::policy::Policy;
 use crate::settings::{Settings, value_of};
 use crate::task::Task;
 use numpy::IntoPyArray;
-use physgrad::identify::{IdentifyError, Options, Segment};
+use physgrad::identify::{Fit, IdentifyError, Options, Segment};
 use physgrad_cli::api::{self, Scene};
 use pyo3::exceptions::{PyAssertionError, PyMemoryError, PyTypeError, PyUserWarning};
 use pyo3::prelude::*;
@@ -32,9 +32,11 @@ use toml::{Table, Value};
 /// Returns a dict: "values", "errors" (standard errors) and "statuses" by name, "chi_squared",
 /// "converged", "undetermined" and "at_bound". A status is "estimated", "at bound",
 /// "undetermined", "ran away", "non-finite derivative", "zero derivative" or "not converged". Only
-/// estimated numbers have errors; that of a number at a bound is NaN, and others are infinite. "robust_errors", (K,), and "correlations", (K, K), refer to the K
-/// unknown numbers. "notes" has sentences about what the fit assumes of the data, such as full turns
-/// that it removes. "warnings" has sentences about what limits the result, such as a χ² that the
+/// estimated numbers have errors; that of a number at a bound is NaN, and others are infinite.
+/// "robust_errors", (K,), and "correlations", (K, K), refer to the K unknown numbers. All dicts,
+/// lists and arrays have the numbers in the order of `params`; without `params`, and for further
+/// numbers in the section `fit`, in the order of the task. "notes" has sentences about what the fit
+/// assumes of the data, such as full turns that it removes. "warnings" has sentences about what limits the result, such as a χ² that the
 /// noise does not explain; each is also a `UserWarning`. Raises `ValueError` if no number is
 /// unknown, if an argument does not fit the task, or if the simulation with the initial values
 /// diverges, and `MemoryError` if all segments together need more than 1 GB, or the fit more than
@@ -49,6 +51,7 @@ pub fn identify<'py>(
     noise: Option<Vec<f64>>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let unknowns = params.map_or(Ok(Vec::new()), |params| unknowns(task, params))?;
+    let order: Vec<String> = unknowns.iter().map(|(key, _)| key.clone()).collect();
     let scene = task.scene.with(unknowns).map_err(value_error)?;
     check_memory(&scene, &data)?;
     let segments = data
@@ -59,6 +62,7 @@ pub fn identify<'py>(
     let fit = interruptible(py, move |stop| {
         let options = Options { noise, stop: Some(stop.clone()), ..Options::default() };
         scene.identify(&segments, &options).map(|fit| {
+            let fit = ordered(fit, &order);
             let remarks = scene.remarks(&fit, &segments, options.noise.is_some());
             (fit, remarks)
         })
@@ -100,6 +104,34 @@ pub fn identify<'py>(
     result.set_item("notes", remarks.notes)?;
     result.set_item("warnings", remarks.warnings)?;
     Ok(result)
+}
+
+/// The fit with its numbers in the order of these keys. Numbers without a key follow in the order
+/// of the task.
+fn ordered(fit: Fit, keys: &[String]) -> Fit {
+    let mut places = HashMap::new();
+    for (place, key) in keys.iter().enumerate() {
+        places.entry(&**key).or_insert(place);
+    }
+    let place = |name: &String| places.get(&**name).copied().unwrap_or(keys.len());
+    let mut order: Vec<usize> = (0..fit.names.len()).collect();
+    order.sort_by_key(|&i| place(&fit.names[i]));
+    let numbers = |of: &[f64]| order.iter().map(|&i| of[i]).collect::<Vec<_>>();
+    let sorted = |mut names: Vec<String>| {
+        names.sort_by_key(place);
+        names
+    };
+    Fit {
+        names: order.iter().map(|&i| fit.names[i].clone()).collect(),
+        values: numbers(&fit.values),
+        statuses: order.iter().map(|&i| fit.statuses[i]).collect(),
+        errors: numbers(&fit.errors),
+        robust_errors: numbers(&fit.robust_errors),
+        correlations: order.iter().map(|&i| numbers(&fit.correlations[i])).collect(),
+        undetermined: fit.undetermined.into_iter().map(sorted).collect(),
+        at_bound: sorted(fit.at_bound),
+        ..fit
+    }
 }
 
 /// Settings that make numbers of the task unknown.
