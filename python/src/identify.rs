@@ -3,15 +3,16 @@
 use crate::arrays::{Argument, array, tuple};
 use crate::errors::{invalid, value_error};
 use crate::interrupt::interruptible;
+use crate::lists::List;
 use crate::policy::Policy;
 use crate::settings::{Settings, value_of};
 use crate::task::Task;
 use numpy::IntoPyArray;
 use physgrad::identify::{Fit, IdentifyError, Options, Segment};
 use physgrad_cli::api::{self, Scene};
-use pyo3::exceptions::{PyAssertionError, PyMemoryError, PyTypeError, PyUserWarning};
+use pyo3::exceptions::{PyAssertionError, PyMemoryError, PyUserWarning};
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyString};
+use pyo3::types::PyDict;
 use std::collections::HashMap;
 use std::ffi::CString;
 use toml::{Table, Value};
@@ -46,13 +47,26 @@ use toml::{Table, Value};
 pub fn identify<'py>(
     py: Python<'py>,
     task: &Task,
-    data: Vec<Bound<'py, PyAny>>,
+    data: &Bound<'py, PyAny>,
     params: Option<&Bound<'py, PyAny>>,
-    noise: Option<Vec<f64>>,
+    noise: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let unknowns = params.map_or(Ok(Vec::new()), |params| unknowns(task, params))?;
     let order: Vec<String> = unknowns.iter().map(|(key, _)| key.clone()).collect();
     let scene = task.scene.with(unknowns).map_err(value_error)?;
+    let segments = List {
+        name: "data",
+        most: (scene.most_rows(), "which take 1 GB with one row each"),
+        of: "pairs or dicts of arrays",
+    };
+    let data = segments.read(data, Ok)?;
+    let deviations = List {
+        name: "noise",
+        most: (scene.dims()[0], "one standard deviation for each state"),
+        of: "numbers",
+    };
+    let deviation = |deviation: Bound<'py, PyAny>| deviation.extract::<f64>();
+    let noise = noise.map(|noise| deviations.read(noise, deviation)).transpose()?;
     check_memory(&scene, &data)?;
     let segments = data
         .iter()
@@ -159,12 +173,21 @@ fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
             "`{key}` in `params` is no setting of the task; see `task.settings`"
         ))),
     };
-    if params.is_instance_of::<PyString>() {
-        return Err(PyTypeError::new_err(
-            "`params` is a str; allowed: a list of keys, or a dict with initial values",
-        ));
+    let keys = List {
+        name: "params",
+        most: (leaves(&Value::Table(task.scene.settings())), "the number of settings of the task"),
+        of: "keys, or a dict with initial values",
+    };
+    keys.read(params, |key| unknown(key.extract()?))
+}
+
+/// Number of single values in a value.
+fn leaves(value: &Value) -> usize {
+    match value {
+        Value::Table(table) => table.values().map(leaves).sum(),
+        Value::Array(list) => list.iter().map(leaves).sum(),
+        _ => 1,
     }
-    params.extract::<Vec<String>>()?.into_iter().map(unknown).collect()
 }
 
 /// Value of a setting that makes its number unknown, with this initial value.

@@ -1,9 +1,10 @@
 //! Settings of a scene as Python objects.
 
 use crate::errors::{invalid, wrong_type};
+use crate::lists::{check_order, mapping};
 use pyo3::IntoPyObjectExt;
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyMapping, PyTuple};
+use pyo3::types::{PyDict, PyTuple};
 use std::collections::HashMap;
 use toml::{Table, Value};
 
@@ -31,8 +32,8 @@ pub fn keywords(
     for (key, value) in kwargs.into_iter().flatten() {
         let key: String = key.extract()?;
         if key == "settings" {
-            for (key, value) in
-                mapping(&value)?.ok_or_else(|| wrong_type("`settings` is no dict"))?
+            for (key, value) in mapping(&key, &value, MAX_ELEMENTS)?
+                .ok_or_else(|| wrong_type("`settings` is no dict"))?
             {
                 add(&mut settings, key.extract()?, &value)?;
             }
@@ -70,7 +71,7 @@ fn add(settings: &mut Settings, key: String, value: &Bound<'_, PyAny>) -> PyResu
     }
     let is_section = SECTIONS.contains(&&*key)
         || NESTED.iter().any(|section| key.strip_prefix(section).is_some_and(is_part));
-    match mapping(value)? {
+    match mapping(&key, value, MAX_ELEMENTS)? {
         Some(section) if is_section && !(section.is_empty() && key.contains('.')) => {
             for (inner, value) in section {
                 add(settings, format!("{key}.{}", inner.extract::<String>()?), &value)?;
@@ -83,17 +84,6 @@ fn add(settings: &mut Settings, key: String, value: &Bound<'_, PyAny>) -> PyResu
             Ok(())
         }
     }
-}
-
-/// A dict, or another mapping as a dict. None for other objects.
-fn mapping<'py>(value: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyDict>>> {
-    if let Ok(dict) = value.cast::<PyDict>() {
-        return Ok(Some(dict.clone()));
-    }
-    let Ok(mapping) = value.cast::<PyMapping>() else { return Ok(None) };
-    let dict = PyDict::new(value.py());
-    dict.update(mapping)?;
-    Ok(Some(dict))
 }
 
 /// Returns whether the rest of a key names one effect or one part of an actuator.
@@ -139,7 +129,7 @@ impl Reader<'_> {
         if let Ok(flag) = value.extract::<bool>() {
             return Ok(Value::Boolean(flag));
         }
-        if let Some(table) = mapping(value)? {
+        if let Some(table) = mapping(key, value, MAX_ELEMENTS)? {
             let mut entry = |(inner, value): (Bound<'_, PyAny>, Bound<'_, PyAny>)| {
                 Ok((inner.extract::<String>()?, self.value(&value, depth + 1)?))
             };
@@ -154,6 +144,7 @@ impl Reader<'_> {
         if let Ok(number) = value.extract::<f64>() {
             return Ok(Value::Float(number));
         }
+        check_order(key, value)?;
         if let Ok(elements) = value.try_iter() {
             return Ok(Value::Array(
                 elements
