@@ -159,13 +159,15 @@ fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
                     "`params`: the dict of `{key}` has no \"start\", the initial value"
                 )));
             }
-            Ok((key, if value.is_table() { value } else { starting_at(value) }))
+            Ok((key, Some(if value.is_table() { value } else { starting_at(value) })))
         };
         return starts.iter().map(unknown).collect();
     }
     let unknown = |key: String| match task.scene.setting(&key) {
-        Some(value @ (Value::Float(_) | Value::Integer(_))) => Ok((key, starting_at(value))),
-        Some(Value::Table(table)) if table.contains_key("start") => Ok((key, Value::Table(table))),
+        Some(value @ (Value::Float(_) | Value::Integer(_))) => Ok((key, Some(starting_at(value)))),
+        Some(Value::Table(table)) if table.contains_key("start") => {
+            Ok((key, Some(Value::Table(table))))
+        }
         Some(_) => Err(invalid(format!(
             "`{key}` is no single number in the task; give an initial value, as in params={{\"{key}\": 0.2}}"
         ))),

@@ -407,3 +407,69 @@ def test_numbers_of_iterations_have_a_limit(iterations):
     for epochs in (10**10, 10**18, 2**64 - 1):
         with pytest.raises(ValueError, match="`epochs` is .*; allowed: 0 to 1000000000"):
             run.train(epochs=epochs)
+
+
+def test_none_removes_effects_and_parts_of_the_actuator():
+    task = pg.task("cart_pole_windy", actuator={"limit": {"bound": 2.0}, "lag": {"time": 0.1}})
+    every = list(task.settings["effects"])
+    assert len(every) > 1 and "gusty_wind" in every
+    rest = [name for name in every if name != "gusty_wind"]
+    for change in ({"effects": {"gusty_wind": None}}, {"effects.gusty_wind": None}, {"settings": {"effects": {"gusty_wind": None}}}):
+        for calm in (task.replace(**change), pg.Run(task, **change, epochs=1).task):
+            assert list(calm.settings["effects"]) == rest, change
+    assert list(pg.task("cart_pole_windy", effects={"gusty_wind": None}).settings["effects"]) == rest
+    free = task.replace(effects=dict.fromkeys(every), actuator={"limit": None, "lag": None})
+    assert not free.settings.get("effects") and not free.settings.get("actuator")
+    assert free.state_names == pg.task("cart_pole").state_names
+    # A table changes only its keys, also beside a removal.
+    other = task.replace(effects={"gusty_wind": None, "bumpers": {}}, actuator={"limit": {"bound": 3.0}})
+    assert set(other.settings["effects"]) == {*rest, "bumpers"} and other.settings["actuator"]["limit"]["bound"] == 3.0
+    assert other.settings["actuator"]["lag"]["time"] == 0.1
+    assert task.replace(effects={"gusty_wind": {}}).settings == task.settings
+    # Numbers of a removed effect neither vary nor train.
+    drawn = pg.task("cart_pole", effects={"steady_wind": {"speed": {"uniform": [1.0, 2.0]}}})
+    assert drawn.param_dim == 1 and drawn.replace(effects={"steady_wind": None}).param_dim == 0
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"effects": {"rain": None}}, "`effects.rain` is None: .* has no such effect or part of the actuator; it has .*gusty_wind"),
+        ({"effects": None}, "`effects` is None, which removes single effects and parts of the actuator only; give a value"),
+        ({"actuator": {"delay": None}}, "`actuator.delay` is None: .* has no such effect or part of the actuator; it has "),
+        ({"actuator": {"gusty_wind": None}}, "`actuator.gusty_wind` is None: .* has no such effect"),
+        ({"effects": {"gusty_wind": {"gust": None}}}, "`effects.gusty_wind.gust` is None, which removes single effects"),
+        ({"poles": None}, "`system.poles` is None, which removes single effects"),
+        ({"horizon": None}, "`horizon` is None, which removes single effects"),
+        ({"integrator": {"method": None}}, "`integrator.method` is None, which removes single effects"),
+        ({"effects": {"gusty_wind": None}, "settings": {"effects.gusty_wind": {}}}, "`effects.gusty_wind` is (None and {}|{} and None); give one value"),
+        ({"effects": {}}, r"`effects` is an empty table, which changes nothing; a table changes only its keys, and None removes one of .*"),
+        ({"settings": {"effects": {}}}, "`effects` is an empty table"),
+        ({"actuator": {}}, '`actuator` is an empty table, which changes nothing; .* None removes one of limit, lag, as in {"limit": None}'),
+        ({"integrator": {}}, "`integrator` is an empty table, which changes nothing; a table changes only its keys: .*method"),
+        ({"system": {}}, "`system` is an empty table, which changes nothing; a table changes only its keys: .*poles"),
+        ({"training": {}}, "`training` is an empty table"),
+    ],
+)
+def test_what_cannot_be_removed_is_refused_with_the_reason(change, message):
+    first = {"actuator": {"limit": {"bound": 2.0}, "lag": {"time": 0.1}}, "integrator": {"method": "rk4"}}
+    task = pg.task("cart_pole_windy", **first)
+    for call in (lambda: task.replace(**change), lambda: pg.Run(task, settings=change.get("settings", {}) | keys(change))):
+        with pytest.raises(ValueError, match=message):
+            call()
+
+
+def keys(change):
+    """The same change as dotted keys, for a call with other defaults of keyword arguments."""
+    return {key if key != "poles" else "system.poles": value for key, value in change.items() if key != "settings"}
+
+
+def test_an_empty_section_is_refused_where_the_task_has_none_and_kept_where_it_has_no_settings():
+    with pytest.raises(ValueError, match="`effects` is an empty table, which changes nothing; omit it"):
+        pg.task("cart_pole", effects={})
+    task = pg.task("lqr")
+    assert task.settings["loss"] == {} and task.replace(settings=task.settings).settings == task.settings
+    with pytest.raises(ValueError, match="`training.learning_rate` is None, which removes"):
+        pg.train(task, pg.Policy(task), learning_rate=None)
+    with pytest.raises(ValueError, match="`policy.widths` is None, which removes"):
+        pg.train(task, pg.Policy(task), settings={"policy.widths": None})
