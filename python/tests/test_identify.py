@@ -228,7 +228,7 @@ def test_names_without_a_value_are_refused():
         pg.identify(drawn, data, params=["system.pole_mass"])
     with pytest.raises(ValueError, match="`system.pole_weight` in `params` is no setting of the task"):
         pg.identify(task, data, params=["system.pole_weight"])
-    with pytest.raises(TypeError, match="`params` is a str; allowed: a list of keys"):
+    with pytest.raises(TypeError, match="`params` is of type str; allowed: a list or tuple of keys, or a dict"):
         pg.identify(task, data, params="system.pole_mass")
 
 
