@@ -51,6 +51,10 @@ def task(name, **settings):
     as in `settings={"system.poles": 4}`. Other keyword arguments are settings of the section
     `system`, as in `poles=4`.
 
+    A dict changes only its keys. `{}` adds an effect or a part of the actuator with its default
+    values, and None removes one, as in `effects={"bumpers": None}` or
+    `**{"effects.bumpers": None}`. A section that is an empty dict is refused.
+
     Raises `ValueError` with the key and its allowed values if a setting is invalid.
     """
     return Task(str(name), **settings)
@@ -66,7 +70,7 @@ def Mlp(task, widths=(100, 100), seed=0, **settings):
 
     Other keyword arguments are settings of the section `policy`, as in `activation="relu"`.
     """
-    return Policy(task, seed=seed, widths=list(widths), **settings)
+    return Policy(task, seed=seed, widths=widths, **settings)
 
 
 def train(task, policy=None, *, callback=None, out=None, threads=None, **settings):

@@ -128,7 +128,11 @@ class Run:
 
 @type_check_only
 class _Fit(TypedDict):
-    """Result of `identify`, for K unknown numbers. A dict."""
+    """Result of `identify`, for K unknown numbers. A dict.
+
+    All dicts, lists and arrays have the numbers in the order of `params`. Without `params`, and for
+    further numbers in the section `fit`, the order is that of the task.
+    """
 
     values: dict[str, float]
     """Fitted numbers by dotted key, in the units of the task."""
@@ -239,7 +243,7 @@ class _Accuracy(TypedDict):
 
 def rollout(task: Task, policy: Policy, starts: ArrayLike) -> tuple[Array, Array]: ...
 def losses(task: Task, policy: Policy, starts: ArrayLike) -> Array: ...
-def gradients(task: Task, policy: Policy, starts: ArrayLike, fields: list[str] = ...) -> dict[str, Array]: ...
+def gradients(task: Task, policy: Policy, starts: ArrayLike, fields: list[str] | None = None) -> dict[str, Array]: ...
 def identify(
     task: Task,
     data: Sequence[tuple[ArrayLike, ArrayLike] | _Segment],
@@ -252,7 +256,7 @@ def identify(
     (steps, m); that of the last state may be absent. A dict in place of a pair has "x", "u", and optionally "t", the time of the first
     row in s, and "p", a dict of parameters of the task. `params` is a list of dotted keys, a dict with initial values, or a dict of dicts
     with "start", "min" and "max". `noise` has the standard deviation of the measurement noise of
-    each state, (n,).
+    each state, (n,). Results have the numbers in the order of `params`.
     """
 
 def check(task: Task, policy: Policy | None = None) -> str:
@@ -279,5 +283,5 @@ def optimize(
     """Optimizes the controls from one initial state `start`, (start_dim,).
 
     `bounds` has the low and high bound of each control, (m, 2). `iterations` is the largest number
-    of iterations, 200 by default.
+    of iterations, 200 by default, up to 1,000,000.
     """

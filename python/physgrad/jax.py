@@ -10,7 +10,8 @@ calls the physics once for all samples with equal ``t``. Arrays are all float32,
 after ``jax.config.update("jax_enable_x64", True)``. The context manager ``jax.enable_x64`` has no
 effect in other threads, which may call the physics. Leading dimensions are batch dimensions and
 broadcast. ``p`` are the parameters of the rows, shape (..., np), and ``t`` is the step number, an
-int or an integer array. The dimensions of an array ``t`` are the first batch dimensions. Gradients
+int or an integer array, which broadcasts to the batch dimensions as NumPy arrays do: t of shape (4,)
+has one number for each column of a batch (2, 4), and t of shape (2, 1) one for each row. Gradients
 are the exact derivatives of the task (reverse mode, once differentiable). Errors: ``ValueError``
 for a shape, ``TypeError`` for a dtype.
 """
@@ -114,8 +115,13 @@ def _function(function: Function, task: Any) -> Callable[..., jax.Array]:
         shape, t = lead(function.name, {label: array.shape for label, array in zip(dims, arrays)}), jnp.asarray(t)
         if not jnp.issubdtype(t.dtype, jnp.integer):
             raise TypeError(f"`{function.name}`: `t` has the dtype {t.dtype}. Use an int or an integer array")
-        if t.ndim > len(shape) or any(size not in (1, batch) for size, batch in zip(t.shape, shape)):
-            raise ValueError(f"`{function.name}`: `t` has shape {t.shape}, but the batch dimensions are {shape}")
+        # All dimensions, so that those which `vmap` inserts in front stay aligned with those of the arrays.
+        aligned = (1,) * (len(shape) - t.ndim) + t.shape
+        if len(aligned) > len(shape) or any(size not in (1, batch) for size, batch in zip(aligned, shape)):
+            raise ValueError(
+                f"`{function.name}`: `t` has shape {t.shape}, which does not broadcast to the batch dimensions {shape}"
+            )
+        t = t.reshape(aligned)
         return call(tuple(jnp.broadcast_to(array, (*shape, array.shape[-1])) for array in arrays), t)
 
     return checked
@@ -145,8 +151,6 @@ def _host(
         raise TypeError(
             f"JAX rounded {dtype} to {arrays[0].dtype}. Call `jax.config.update('jax_enable_x64', True)` at the start"
         )
-    dims = arrays[0].ndim - 1
-    t = t.reshape(t.shape + (1,) * (dims - t.ndim))
     shape = np.broadcast_shapes(t.shape, output_lead, *(array.shape[:-1] for array in arrays))
     return t, shape, [np.broadcast_to(array, (*shape, array.shape[-1])) for array in arrays]
 

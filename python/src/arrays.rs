@@ -6,7 +6,7 @@ use numpy::{PyReadonlyArrayDyn, PyUntypedArray, PyUntypedArrayMethods, dtype};
 use physgrad::Float;
 use pyo3::exceptions::{PyException, PyMemoryError, PyTypeError};
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyList, PyTuple};
+use pyo3::types::{PyDict, PyList, PySequence, PyTuple};
 use std::ops::Range;
 
 /// Number type of arrays: `f32` or `f64`.
@@ -45,6 +45,19 @@ fn is_masked(object: &Bound<'_, PyAny>) -> PyResult<bool> {
     let is_subclass =
         object.cast::<PyUntypedArray>().is_ok() && !object.is_exact_instance_of::<PyUntypedArray>();
     Ok(is_subclass && object.hasattr("mask")?)
+}
+
+/// Refuses a sequence, such as a range, whose elements do not fit into memory: NumPy reads all of
+/// them before it knows the shape.
+fn check_elements(object: &Bound<'_, PyAny>) -> PyResult<()> {
+    /// A reference, and the number.
+    const ELEMENT: usize = 40;
+    match object.len() {
+        Ok(count) if object.cast::<PySequence>().is_ok() => {
+            fits("the elements of an argument", &[count], ELEMENT)
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Index of the first masked array in a list or tuple.
@@ -86,6 +99,7 @@ impl<'py, F: Number> Argument<'py, F> {
         let given = match object.cast::<PyUntypedArray>() {
             Ok(array) => array.clone(),
             Err(_) => {
+                check_elements(object)?;
                 let converted = numpy.call_method1("asarray", (object,));
                 converted.map_err(|error| named(py, name, error))?.cast_into::<PyUntypedArray>()?
             }

@@ -3,15 +3,16 @@
 use crate::arrays::{Argument, array, tuple};
 use crate::errors::{invalid, value_error};
 use crate::interrupt::interruptible;
+use crate::lists::List;
 use crate::policy::Policy;
 use crate::settings::{Settings, value_of};
 use crate::task::Task;
 use numpy::IntoPyArray;
-use physgrad::identify::{IdentifyError, Options, Segment};
+use physgrad::identify::{Fit, IdentifyError, Options, Segment};
 use physgrad_cli::api::{self, Scene};
-use pyo3::exceptions::{PyAssertionError, PyMemoryError, PyTypeError, PyUserWarning};
+use pyo3::exceptions::{PyAssertionError, PyMemoryError, PyUserWarning};
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyString};
+use pyo3::types::PyDict;
 use std::collections::HashMap;
 use std::ffi::CString;
 use toml::{Table, Value};
@@ -32,9 +33,11 @@ use toml::{Table, Value};
 /// Returns a dict: "values", "errors" (standard errors) and "statuses" by name, "chi_squared",
 /// "converged", "undetermined" and "at_bound". A status is "estimated", "at bound",
 /// "undetermined", "ran away", "non-finite derivative", "zero derivative" or "not converged". Only
-/// estimated numbers have errors; that of a number at a bound is NaN, and others are infinite. "robust_errors", (K,), and "correlations", (K, K), refer to the K
-/// unknown numbers. "notes" has sentences about what the fit assumes of the data, such as full turns
-/// that it removes. "warnings" has sentences about what limits the result, such as a χ² that the
+/// estimated numbers have errors; that of a number at a bound is NaN, and others are infinite.
+/// "robust_errors", (K,), and "correlations", (K, K), refer to the K unknown numbers. All dicts,
+/// lists and arrays have the numbers in the order of `params`; without `params`, and for further
+/// numbers in the section `fit`, in the order of the task. "notes" has sentences about what the fit
+/// assumes of the data, such as full turns that it removes. "warnings" has sentences about what limits the result, such as a χ² that the
 /// noise does not explain; each is also a `UserWarning`. Raises `ValueError` if no number is
 /// unknown, if an argument does not fit the task, or if the simulation with the initial values
 /// diverges, and `MemoryError` if all segments together need more than 1 GB, or the fit more than
@@ -44,12 +47,26 @@ use toml::{Table, Value};
 pub fn identify<'py>(
     py: Python<'py>,
     task: &Task,
-    data: Vec<Bound<'py, PyAny>>,
+    data: &Bound<'py, PyAny>,
     params: Option<&Bound<'py, PyAny>>,
-    noise: Option<Vec<f64>>,
+    noise: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let unknowns = params.map_or(Ok(Vec::new()), |params| unknowns(task, params))?;
+    let order: Vec<String> = unknowns.iter().map(|(key, _)| key.clone()).collect();
     let scene = task.scene.with(unknowns).map_err(value_error)?;
+    let segments = List {
+        name: "data",
+        most: (scene.most_rows(), "which take 1 GB with one row each"),
+        of: "pairs or dicts of arrays",
+    };
+    let data = segments.read(data, Ok)?;
+    let deviations = List {
+        name: "noise",
+        most: (scene.dims()[0], "one standard deviation for each state"),
+        of: "numbers",
+    };
+    let deviation = |deviation: Bound<'py, PyAny>| deviation.extract::<f64>();
+    let noise = noise.map(|noise| deviations.read(noise, deviation)).transpose()?;
     check_memory(&scene, &data)?;
     let segments = data
         .iter()
@@ -59,6 +76,7 @@ pub fn identify<'py>(
     let fit = interruptible(py, move |stop| {
         let options = Options { noise, stop: Some(stop.clone()), ..Options::default() };
         scene.identify(&segments, &options).map(|fit| {
+            let fit = ordered(fit, &order);
             let remarks = scene.remarks(&fit, &segments, options.noise.is_some());
             (fit, remarks)
         })
@@ -102,6 +120,34 @@ pub fn identify<'py>(
     Ok(result)
 }
 
+/// The fit with its numbers in the order of these keys. Numbers without a key follow in the order
+/// of the task.
+fn ordered(fit: Fit, keys: &[String]) -> Fit {
+    let mut places = HashMap::new();
+    for (place, key) in keys.iter().enumerate() {
+        places.entry(&**key).or_insert(place);
+    }
+    let place = |name: &String| places.get(&**name).copied().unwrap_or(keys.len());
+    let mut order: Vec<usize> = (0..fit.names.len()).collect();
+    order.sort_by_key(|&i| place(&fit.names[i]));
+    let numbers = |of: &[f64]| order.iter().map(|&i| of[i]).collect::<Vec<_>>();
+    let sorted = |mut names: Vec<String>| {
+        names.sort_by_key(place);
+        names
+    };
+    Fit {
+        names: order.iter().map(|&i| fit.names[i].clone()).collect(),
+        values: numbers(&fit.values),
+        statuses: order.iter().map(|&i| fit.statuses[i]).collect(),
+        errors: numbers(&fit.errors),
+        robust_errors: numbers(&fit.robust_errors),
+        correlations: order.iter().map(|&i| numbers(&fit.correlations[i])).collect(),
+        undetermined: fit.undetermined.into_iter().map(sorted).collect(),
+        at_bound: sorted(fit.at_bound),
+        ..fit
+    }
+}
+
 /// Settings that make numbers of the task unknown.
 fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
     if let Ok(starts) = params.cast::<PyDict>() {
@@ -113,13 +159,15 @@ fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
                     "`params`: the dict of `{key}` has no \"start\", the initial value"
                 )));
             }
-            Ok((key, if value.is_table() { value } else { starting_at(value) }))
+            Ok((key, Some(if value.is_table() { value } else { starting_at(value) })))
         };
         return starts.iter().map(unknown).collect();
     }
     let unknown = |key: String| match task.scene.setting(&key) {
-        Some(value @ (Value::Float(_) | Value::Integer(_))) => Ok((key, starting_at(value))),
-        Some(Value::Table(table)) if table.contains_key("start") => Ok((key, Value::Table(table))),
+        Some(value @ (Value::Float(_) | Value::Integer(_))) => Ok((key, Some(starting_at(value)))),
+        Some(Value::Table(table)) if table.contains_key("start") => {
+            Ok((key, Some(Value::Table(table))))
+        }
         Some(_) => Err(invalid(format!(
             "`{key}` is no single number in the task; give an initial value, as in params={{\"{key}\": 0.2}}"
         ))),
@@ -127,12 +175,21 @@ fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
             "`{key}` in `params` is no setting of the task; see `task.settings`"
         ))),
     };
-    if params.is_instance_of::<PyString>() {
-        return Err(PyTypeError::new_err(
-            "`params` is a str; allowed: a list of keys, or a dict with initial values",
-        ));
+    let keys = List {
+        name: "params",
+        most: (leaves(&Value::Table(task.scene.settings())), "the number of settings of the task"),
+        of: "keys, or a dict with initial values",
+    };
+    keys.read(params, |key| unknown(key.extract()?))
+}
+
+/// Number of single values in a value.
+fn leaves(value: &Value) -> usize {
+    match value {
+        Value::Table(table) => table.values().map(leaves).sum(),
+        Value::Array(list) => list.iter().map(leaves).sum(),
+        _ => 1,
     }
-    params.extract::<Vec<String>>()?.into_iter().map(unknown).collect()
 }
 
 /// Value of a setting that makes its number unknown, with this initial value.

@@ -8,6 +8,7 @@ mod arrays;
 mod errors;
 mod identify;
 mod interrupt;
+mod lists;
 mod optimize;
 mod policy;
 mod rows;

@@ -3,6 +3,7 @@
 use crate::arrays::{any_shape, array};
 use crate::errors::invalid;
 use crate::interrupt::interruptible;
+use crate::lists::List;
 use crate::task::Task;
 use numpy::IntoPyArray;
 use physgrad::optimize::{Initial, Options, optimize as minimize};
@@ -13,7 +14,7 @@ use pyo3::types::PyDict;
 /// does, in f64.
 ///
 /// `bounds` has the low and high bound of each control, (m, 2). `iterations` is the largest number
-/// of iterations, 200 by default. The search starts at controls of 0.
+/// of iterations, 200 by default, up to 1,000,000. The search starts at controls of 0.
 ///
 /// Returns a dict: controls "u", (T, m), states "x", (T+1, n), "cost", "iterations",
 /// "gradient_norm", "converged" and "stop". "gains", (T, m, n), are those of the feedback
@@ -26,12 +27,19 @@ pub fn optimize<'py>(
     py: Python<'py>,
     task: &Task,
     start: &Bound<'py, PyAny>,
-    bounds: Option<Vec<[f64; 2]>>,
+    bounds: Option<&Bound<'py, PyAny>>,
     iterations: Option<usize>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let [n, m, params] = task.scene.dims();
     let start = any_shape::<f64>("start", start, n + params)?;
     task.check_params(start.slice(), n + params)?;
+    let pairs = List {
+        name: "bounds",
+        most: (m, "one pair of a low and a high bound for each control"),
+        of: "pairs of numbers",
+    };
+    let pair = |pair: Bound<'py, PyAny>| pair.extract::<[f64; 2]>();
+    let bounds = bounds.map(|bounds| pairs.read(bounds, pair)).transpose()?;
     let mut options = Options { bounds, ..Options::default() };
     options.max_iterations = iterations.unwrap_or(options.max_iterations);
     let (problem, start) = (task.scene.task(), start.slice().to_vec());

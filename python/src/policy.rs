@@ -3,6 +3,7 @@
 use crate::arrays::{Argument, any_shape, array, is_f32, read_only, with_precision};
 use crate::errors::{check_regular, fits, invalid, runtime_error, value_error, wrong_type};
 use crate::interrupt::{in_parts, interruptible};
+use crate::lists::List;
 use crate::settings::keywords;
 use crate::task::{TOP, Task};
 use numpy::{IntoPyArray, PyArray1};
@@ -205,20 +206,29 @@ pub fn losses<'py>(
 /// share the forward passes.
 ///
 /// Returns a dict from the names in `fields` to vectors over the parameters. Fields are "R", "M",
-/// "N", "S", "C", "P", "F", "MR" and "RM". R is the gradient of the mean loss. Raises `Divergence`
+/// "N", "S", "C", "P", "F", "MR" and "RM"; by default R, M, S and C. R is the gradient of the mean loss. Raises `Divergence`
 /// if a number is not finite, and `MemoryError` if a block of 32 rollouts does not fit into memory.
 /// Ctrl-C raises `KeyboardInterrupt`.
 #[pyfunction]
-#[pyo3(signature = (task, policy, starts, fields=vec!["R".into(), "M".into(), "S".into(), "C".into()]))]
+#[pyo3(signature = (task, policy, starts, fields=None))]
 pub fn gradients<'py>(
     py: Python<'py>,
     task: &Task,
     policy: &Policy,
     starts: &Bound<'py, PyAny>,
-    fields: Vec<String>,
+    fields: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let policy = policy.lock().clone();
     let [n, _, params] = task.scene.dims();
+    let names = List {
+        name: "fields",
+        most: (Field::ALL.len(), "the number of fields"),
+        of: "names of fields",
+    };
+    let fields = match fields {
+        Some(fields) => names.read(fields, |name| name.extract::<String>())?,
+        None => ["R", "M", "S", "C"].map(str::to_owned).to_vec(),
+    };
     let parse = |name: &String| name.parse::<Field>().map_err(|error| invalid(error.to_string()));
     let chosen = fields.iter().map(parse).collect::<PyResult<Vec<Field>>>()?;
     with_precision!(is_f32([starts]), F => {

@@ -39,6 +39,8 @@ impl Run {
 /// Refuses settings of the policy that differ from those of the given one, which a training keeps.
 fn check_policy_settings(settings: &Settings, scene: &api::Scene) -> PyResult<()> {
     for (key, value) in settings {
+        // The task refuses None.
+        let Some(value) = value else { continue };
         let own = match &**key {
             "initial_policy" => None,
             key if key.starts_with("policy.") => scene.setting(key),

@@ -1,9 +1,11 @@
 //! Settings of a scene as Python objects.
 
 use crate::errors::{invalid, wrong_type};
+use crate::lists::{check_order, mapping};
+use physgrad_cli::api::Change;
 use pyo3::IntoPyObjectExt;
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyMapping, PyTuple};
+use pyo3::types::{PyDict, PyTuple};
 use std::collections::HashMap;
 use toml::{Table, Value};
 
@@ -13,12 +15,12 @@ const NESTED: [&str; 2] = ["effects", "actuator"];
 const SECTIONS: [&str; 7] =
     ["system", "effects", "actuator", "integrator", "loss", "policy", "training"];
 
-/// A list of dotted keys and values.
-pub type Settings = Vec<(String, Value)>;
+/// A list of dotted keys and values. None removes an effect or a part of the actuator.
+pub type Settings = Vec<Change>;
 
 /// Settings from keyword arguments. The argument `settings` is a dict. Each key of this dict is
 /// dotted, or names a setting outside of sections, or names a section whose value is a dict. Other
-/// arguments are sections, settings in `top`, or settings of `section`.
+/// arguments are sections, dotted keys in sections, settings in `top`, or settings of `section`.
 ///
 /// # Errors
 /// `ValueError` if a setting has two different values.
@@ -31,20 +33,29 @@ pub fn keywords(
     for (key, value) in kwargs.into_iter().flatten() {
         let key: String = key.extract()?;
         if key == "settings" {
-            for (key, value) in
-                mapping(&value)?.ok_or_else(|| wrong_type("`settings` is no dict"))?
+            for (key, value) in mapping(&key, &value, MAX_ELEMENTS)?
+                .ok_or_else(|| wrong_type("`settings` is no dict"))?
             {
                 add(&mut settings, key.extract()?, &value)?;
             }
-        } else if SECTIONS.contains(&&*key) || top.contains(&&*key) {
+        } else if SECTIONS.contains(&key.split('.').next().unwrap_or_default())
+            || top.contains(&&*key)
+        {
             add(&mut settings, key, &value)?;
         } else {
             add(&mut settings, format!("{section}.{key}"), &value)?;
         }
     }
     let mut seen = HashMap::new();
+    let text =
+        |value: &Option<Value>| value.as_ref().map_or_else(|| "None".to_owned(), Value::to_string);
     for (key, value) in &settings {
-        if let Some(before) = seen.insert(key, value).filter(|before| !is_same(before, value)) {
+        let differs = |before: &&Option<Value>| match (before, value) {
+            (Some(before), Some(value)) => !is_same(before, value),
+            (before, value) => before.is_some() || value.is_some(),
+        };
+        if let Some(before) = seen.insert(key, value).filter(differs) {
+            let (before, value) = (text(before), text(value));
             return Err(invalid(format!("`{key}` is {before} and {value}; give one value")));
         }
     }
@@ -70,30 +81,19 @@ fn add(settings: &mut Settings, key: String, value: &Bound<'_, PyAny>) -> PyResu
     }
     let is_section = SECTIONS.contains(&&*key)
         || NESTED.iter().any(|section| key.strip_prefix(section).is_some_and(is_part));
-    match mapping(value)? {
-        Some(section) if is_section && !(section.is_empty() && key.contains('.')) => {
+    match mapping(&key, value, MAX_ELEMENTS)? {
+        Some(section) if is_section && !section.is_empty() => {
             for (inner, value) in section {
                 add(settings, format!("{key}.{}", inner.extract::<String>()?), &value)?;
             }
             Ok(())
         }
         _ => {
-            let value = value_of(&key, value)?;
+            let value = if value.is_none() { None } else { Some(value_of(&key, value)?) };
             settings.push((key, value));
             Ok(())
         }
     }
-}
-
-/// A dict, or another mapping as a dict. None for other objects.
-fn mapping<'py>(value: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyDict>>> {
-    if let Ok(dict) = value.cast::<PyDict>() {
-        return Ok(Some(dict.clone()));
-    }
-    let Ok(mapping) = value.cast::<PyMapping>() else { return Ok(None) };
-    let dict = PyDict::new(value.py());
-    dict.update(mapping)?;
-    Ok(Some(dict))
 }
 
 /// Returns whether the rest of a key names one effect or one part of an actuator.
@@ -139,7 +139,7 @@ impl Reader<'_> {
         if let Ok(flag) = value.extract::<bool>() {
             return Ok(Value::Boolean(flag));
         }
-        if let Some(table) = mapping(value)? {
+        if let Some(table) = mapping(key, value, MAX_ELEMENTS)? {
             let mut entry = |(inner, value): (Bound<'_, PyAny>, Bound<'_, PyAny>)| {
                 Ok((inner.extract::<String>()?, self.value(&value, depth + 1)?))
             };
@@ -154,6 +154,7 @@ impl Reader<'_> {
         if let Ok(number) = value.extract::<f64>() {
             return Ok(Value::Float(number));
         }
+        check_order(key, value)?;
         if let Ok(elements) = value.try_iter() {
             return Ok(Value::Array(
                 elements

@@ -121,7 +121,8 @@ impl Task {
         py.detach(|| Scene::open(name, settings)).map(Self::new).map_err(value_error)
     }
 
-    /// Copy with other settings, given as in `physgrad.task`.
+    /// Copy with other settings, given as in `physgrad.task`. A dict changes only its keys, and None
+    /// removes an effect or a part of the actuator, as in `effects={"bumpers": None}`.
     #[pyo3(signature = (**settings))]
     fn replace(&self, py: Python<'_>, settings: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         let settings = keywords(settings, "system", &TOP)?;

@@ -1,8 +1,11 @@
 """Array functions: derivatives, shapes, dtypes and errors."""
 
+import collections.abc
 import copy
 import itertools
 import json
+import subprocess
+import sys
 import types
 
 import numpy as np
@@ -296,3 +299,177 @@ def test_settings_without_an_end_are_refused(value):
     ):
         with pytest.raises((ValueError, TypeError), match=message):
             call()
+
+
+ENDLESS = """
+import resource, sys
+import numpy as np, physgrad as pg
+resource.setrlimit(resource.RLIMIT_AS, (8 << 30, 8 << 30))
+task, cart = pg.task("lqr", horizon=5), pg.task("cart_pole", poles=1)
+policy, start, view = pg.Policy(task), task.starts(1), np.broadcast_to
+data, mass = [(cart.starts(3), np.zeros((3, 1)))], ["system.cart_mass"]
+calls = {
+    "`bounds` has 10000000000000 elements; allowed: at most 1, one pair": lambda: pg.optimize(task, start[0], bounds=view(1.0, (10**13, 2))),
+    "`bounds` has 100000000000000 elements": lambda: pg.optimize(task, start[0], bounds=range(10**14)),
+    "`bounds` has too many elements": lambda: pg.optimize(task, start[0], bounds=range(10**30)),
+    "expected a sequence of length 2": lambda: pg.optimize(task, start[0], bounds=[range(10**14)]),
+    "`fields` has 100000000000000 elements; allowed: at most 9, the number": lambda: pg.gradients(task, policy, start, fields=range(10**14)),
+    "`params` has 100000000000000 elements; allowed: at most ": lambda: pg.identify(cart, data, params=range(10**14)),
+    "`noise` has 100000000000000 elements; allowed: at most 4, one": lambda: pg.identify(cart, data, mass, view(1.0, 10**14)),
+    "`data` has 100000000000000 elements; allowed: at most ": lambda: pg.identify(cart, range(10**14), mass),
+    "`policy.widths` has more than 100000 elements": lambda: pg.Mlp(task, range(10**14)),
+    "`system.masses` has more than 100000 elements": lambda: pg.task("double_pendulum", masses=view(1.0, 10**14)),
+    "`tags` has more than 100000 elements": lambda: pg.task("lqr", tags=range(10**14)),
+}
+arrays = {
+    "start": lambda: pg.optimize(task, range(10**14)),
+    "theta": lambda: setattr(policy, "theta", range(10**14)),
+    "starts": lambda: pg.losses(task, policy, range(10**14)),
+}
+for message, call in calls.items():
+    try:
+        call()
+    except ValueError as error:
+        print("ok" if message in str(error) else f"{message}: {error}")
+for name, call in arrays.items():
+    try:
+        call()
+    except MemoryError as error:
+        print("ok" if "the elements of an argument would take" in str(error) else f"{name}: {error}")
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits the memory as Linux does")
+def test_long_sequences_are_refused_with_their_limit_before_memory_is_reserved():
+    ran = subprocess.run([sys.executable, "-c", ENDLESS], capture_output=True, text=True, timeout=120)
+    assert ran.returncode == 0 and ran.stdout.split() == ["ok"] * 14, ran.stdout + ran.stderr
+
+
+class Endless(collections.abc.Mapping):
+    def __getitem__(self, key):
+        return 1
+
+    def __iter__(self):
+        return map(str, itertools.count())
+
+    def __len__(self):
+        return 1
+
+
+def test_mappings_without_an_end_are_refused():
+    for change in ({"system": Endless()}, {"effects": {"steady_wind": Endless()}}, {"settings": Endless()}):
+        with pytest.raises(ValueError, match="more than 100000 elements"):
+            pg.task("cart_pole", **change)
+
+
+def test_sets_are_no_lists():
+    task = pg.task("lqr", horizon=5)
+    cart = pg.task("cart_pole", poles=1)
+    data, policy = [(cart.starts(3), np.zeros((3, 1)))], pg.Policy(task)
+    for name, kind, call in (
+        ("system.masses", "set", lambda: pg.task("double_pendulum", masses={2.0, 1.0})),
+        ("system.masses", "frozenset", lambda: pg.task("double_pendulum", masses=frozenset((2.0, 1.0)))),
+        ("system.masses", "set", lambda: pg.task("double_pendulum", settings={"system": {"masses": {2.0, 1.0}}})),
+        ("effects.obstacles.centers", "set", lambda: pg.task("guidance", effects={"obstacles": {"centers": [{1.0, 2.0}]}})),
+        ("policy.widths", "set", lambda: pg.Mlp(task, {8, 4})),
+        ("policy.widths", "set", lambda: pg.Policy(task, widths={8, 4})),
+        ("tags", "set", lambda: pg.task("lqr", tags={"a", "b"})),
+        ("bounds", "set", lambda: pg.optimize(task, [0.0] * task.start_dim, bounds={(1.0, 2.0)})),
+        ("fields", "set", lambda: pg.gradients(task, policy, task.starts(1), fields={"R", "M"})),
+        ("params", "set", lambda: pg.identify(cart, data, {"system.cart_mass", "system.pole_mass"})),
+        ("noise", "set", lambda: pg.identify(cart, data, ["system.cart_mass"], {0.1, 0.2})),
+        ("data", "set", lambda: pg.identify(cart, {1, 2}, ["system.cart_mass"])),
+    ):
+        with pytest.raises(TypeError, match=f"^`{name}` is of type {kind}, which has no order; give a list or a tuple$"):
+            call()
+    # Keys and values of a dict have its order, and a generator that of its work.
+    for masses in ({2.0: 0, 1.0: 0}.keys(), {0: 2.0, 1: 1.0}.values(), (m for m in (2.0, 1.0))):
+        assert pg.task("double_pendulum", masses=masses).settings["system"]["masses"] == (2.0, 1.0)
+
+
+def test_other_objects_are_no_lists():
+    task = pg.task("lqr", horizon=5)
+    policy, start = pg.Policy(task), task.starts(1)
+    for fields, kind in (("R", "str"), (b"R", "bytes"), ({"R": 1}, "dict"), (3, "int"), (iter("R"), "str_ascii_iterator|str_iterator")):
+        with pytest.raises(TypeError, match=f"`fields` is of type ({kind}); allowed: a list or tuple of names of fields"):
+            pg.gradients(task, policy, start, fields=fields)
+    assert list(pg.gradients(task, policy, start, fields=np.array(["M", "R"]))) == ["M", "R"]
+    assert list(pg.gradients(task, policy, start)) == ["R", "M", "S", "C"]
+
+
+@pytest.mark.parametrize("iterations", [1_000_001, 10**18])
+def test_numbers_of_iterations_have_a_limit(iterations):
+    task = pg.task("lqr", horizon=5)
+    with pytest.raises(ValueError, match=f"the largest number of iterations is {iterations}; allowed: 0 to 1000000$"):
+        pg.optimize(task, task.starts(1)[0], iterations=iterations)
+    assert pg.optimize(task, task.starts(1)[0], iterations=1_000_000)["converged"]
+    run = pg.Run(task, epochs=1, train_samples=4, test_samples=4)
+    for epochs in (10**10, 10**18, 2**64 - 1):
+        with pytest.raises(ValueError, match="`epochs` is .*; allowed: 0 to 1000000000"):
+            run.train(epochs=epochs)
+
+
+def test_none_removes_effects_and_parts_of_the_actuator():
+    task = pg.task("cart_pole_windy", actuator={"limit": {"bound": 2.0}, "lag": {"time": 0.1}})
+    every = list(task.settings["effects"])
+    assert len(every) > 1 and "gusty_wind" in every
+    rest = [name for name in every if name != "gusty_wind"]
+    for change in ({"effects": {"gusty_wind": None}}, {"effects.gusty_wind": None}, {"settings": {"effects": {"gusty_wind": None}}}):
+        for calm in (task.replace(**change), pg.Run(task, **change, epochs=1).task):
+            assert list(calm.settings["effects"]) == rest, change
+    assert list(pg.task("cart_pole_windy", effects={"gusty_wind": None}).settings["effects"]) == rest
+    free = task.replace(effects=dict.fromkeys(every), actuator={"limit": None, "lag": None})
+    assert not free.settings.get("effects") and not free.settings.get("actuator")
+    assert free.state_names == pg.task("cart_pole").state_names
+    # A table changes only its keys, also beside a removal.
+    other = task.replace(effects={"gusty_wind": None, "bumpers": {}}, actuator={"limit": {"bound": 3.0}})
+    assert set(other.settings["effects"]) == {*rest, "bumpers"} and other.settings["actuator"]["limit"]["bound"] == 3.0
+    assert other.settings["actuator"]["lag"]["time"] == 0.1
+    assert task.replace(effects={"gusty_wind": {}}).settings == task.settings
+    # Numbers of a removed effect neither vary nor train.
+    drawn = pg.task("cart_pole", effects={"steady_wind": {"speed": {"uniform": [1.0, 2.0]}}})
+    assert drawn.param_dim == 1 and drawn.replace(effects={"steady_wind": None}).param_dim == 0
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"effects": {"rain": None}}, "`effects.rain` is None: .* has no such effect or part of the actuator; it has .*gusty_wind"),
+        ({"effects": None}, "`effects` is None, which removes single effects and parts of the actuator only; give a value"),
+        ({"actuator": {"delay": None}}, "`actuator.delay` is None: .* has no such effect or part of the actuator; it has "),
+        ({"actuator": {"gusty_wind": None}}, "`actuator.gusty_wind` is None: .* has no such effect"),
+        ({"effects": {"gusty_wind": {"gust": None}}}, "`effects.gusty_wind.gust` is None, which removes single effects"),
+        ({"poles": None}, "`system.poles` is None, which removes single effects"),
+        ({"horizon": None}, "`horizon` is None, which removes single effects"),
+        ({"integrator": {"method": None}}, "`integrator.method` is None, which removes single effects"),
+        ({"effects": {"gusty_wind": None}, "settings": {"effects.gusty_wind": {}}}, "`effects.gusty_wind` is (None and {}|{} and None); give one value"),
+        ({"effects": {}}, r"`effects` is an empty table, which changes nothing; a table changes only its keys, and None removes one of .*"),
+        ({"settings": {"effects": {}}}, "`effects` is an empty table"),
+        ({"actuator": {}}, '`actuator` is an empty table, which changes nothing; .* None removes one of limit, lag, as in {"limit": None}'),
+        ({"integrator": {}}, "`integrator` is an empty table, which changes nothing; a table changes only its keys: .*method"),
+        ({"system": {}}, "`system` is an empty table, which changes nothing; a table changes only its keys: .*poles"),
+        ({"training": {}}, "`training` is an empty table"),
+    ],
+)
+def test_what_cannot_be_removed_is_refused_with_the_reason(change, message):
+    first = {"actuator": {"limit": {"bound": 2.0}, "lag": {"time": 0.1}}, "integrator": {"method": "rk4"}}
+    task = pg.task("cart_pole_windy", **first)
+    for call in (lambda: task.replace(**change), lambda: pg.Run(task, settings=change.get("settings", {}) | keys(change))):
+        with pytest.raises(ValueError, match=message):
+            call()
+
+
+def keys(change):
+    """The same change as dotted keys, for a call with other defaults of keyword arguments."""
+    return {key if key != "poles" else "system.poles": value for key, value in change.items() if key != "settings"}
+
+
+def test_an_empty_section_is_refused_where_the_task_has_none_and_kept_where_it_has_no_settings():
+    with pytest.raises(ValueError, match="`effects` is an empty table, which changes nothing; omit it"):
+        pg.task("cart_pole", effects={})
+    task = pg.task("lqr")
+    assert task.settings["loss"] == {} and task.replace(settings=task.settings).settings == task.settings
+    with pytest.raises(ValueError, match="`training.learning_rate` is None, which removes"):
+        pg.train(task, pg.Policy(task), learning_rate=None)
+    with pytest.raises(ValueError, match="`policy.widths` is None, which removes"):
+        pg.train(task, pg.Policy(task), settings={"policy.widths": None})

@@ -177,6 +177,50 @@ def test_names_start_at_the_values_of_the_task():
     assert again["values"] == by_name["values"]
 
 
+@pytest.mark.parametrize("kind", [list, dict.fromkeys])
+def test_results_have_the_order_of_the_parameters(kind):
+    task, data = measured()
+    names = ["system.pole_mass", "system.half_length", "system.cart_mass"]
+    starts = {"system.pole_mass": 0.1, "system.half_length": 0.45, "system.cart_mass": {"start": 1.2, "min": 1.1}}
+    rng = np.random.default_rng(0)
+    noisy = [(x + 0.01 * rng.normal(size=x.shape), u) for x, u in data]
+    task = task.replace(pole_mass=0.1, half_length=0.45, cart_mass=starts["system.cart_mass"])
+
+    def fit(order):
+        if kind is list:
+            # Numbers that only the section `fit` of the task names follow those in `params`.
+            return pg.identify(task, noisy, [name for name in order if name != "system.cart_mass"], [0.01] * 4)
+        return pg.identify(task, noisy, {name: starts[name] for name in order}, [0.01] * 4)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        one, other = fit(names), fit([names[1], names[0], names[2]])
+    assert one["at_bound"] == ["system.cart_mass"] and (one["errors"]["system.pole_mass"] > 0.0)
+    place = [1, 0, 2]
+    for key in ("values", "errors", "statuses"):
+        assert list(one[key]) == names and list(other[key]) == [names[i] for i in place], key
+        np.testing.assert_equal(dict(one[key]), dict(other[key]))
+    assert one["robust_errors"][0] != one["robust_errors"][1]
+    np.testing.assert_equal(other["robust_errors"], one["robust_errors"][place])
+    np.testing.assert_equal(other["correlations"], one["correlations"][np.ix_(place, place)])
+
+
+def test_bounds_and_combinations_have_the_order_of_the_parameters():
+    task, data = measured()
+    names = ["system.pole_mass", "system.cart_mass"]
+    bounds = {"system.pole_mass": {"start": 0.1, "min": 0.05, "max": 0.12}, "system.cart_mass": {"start": 1.2, "min": 1.15}}
+    masses = ["system.gravity", "system.half_length", "system.cart_mass", "system.pole_mass"]
+    rest = [(np.zeros((20, 4)), np.zeros((20, 1)))]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for order in (names, names[::-1]):
+            fit = pg.identify(task, data, {name: bounds[name] for name in order})
+            assert fit["at_bound"] == order, fit
+        for order in (masses, masses[::-1]):
+            for combination in pg.identify(task, rest, order)["undetermined"]:
+                assert combination == [name for name in order if name in combination]
+
+
 def test_names_without_a_value_are_refused():
     task, data = measured()
     drawn = task.replace(pole_mass={"uniform": [0.1, 0.2]})
@@ -184,7 +228,7 @@ def test_names_without_a_value_are_refused():
         pg.identify(drawn, data, params=["system.pole_mass"])
     with pytest.raises(ValueError, match="`system.pole_weight` in `params` is no setting of the task"):
         pg.identify(task, data, params=["system.pole_weight"])
-    with pytest.raises(TypeError, match="`params` is a str; allowed: a list of keys"):
+    with pytest.raises(TypeError, match="`params` is of type str; allowed: a list or tuple of keys, or a dict"):
         pg.identify(task, data, params="system.pole_mass")
 
 

@@ -180,6 +180,38 @@ def test_vmap_of_the_step_number_or_the_cotangent_only():
     assert relative(scaled[2], 3 * scaled[0]) < 1e-12
 
 
+@pytest.mark.parametrize("lead", [(4, 4), (2, 4), (3, 2, 4)])
+@pytest.mark.parametrize("shape", [(4,), (1, 4), (2, 1), (4, 1), (2, 4), (1,), (3, 1, 1)])
+def test_step_numbers_broadcast_as_in_numpy(lead, shape):
+    of = task("params")
+    x, u, p = (np.asarray(array).reshape(*lead, -1) for array in batch(of, int(np.prod(lead))))
+    t = 7 * np.arange(np.prod(shape)).reshape(shape)
+    step, running_cost = pg.jax.step(of), pg.jax.running_cost(of)
+    try:
+        every = np.broadcast_to(t, lead)
+    except ValueError:
+        with pytest.raises(ValueError, match="`step`: `t` has shape .*, which does not broadcast to the batch dimensions"):
+            step(x, u, p, t)
+        return
+    rows = list(np.ndindex(*lead))
+    next = np.empty_like(x)
+    for row in rows:
+        next[row] = of.step(x[row][None], u[row][None], p=p[row][None], t=int(every[row]))[0]
+    found, pull = jax.vjp(jax.jit(lambda x, u, p: step(x, u, p, t)), x, u, p)
+    assert np.array_equal(found, next)
+    bar = np.random.default_rng(1).normal(size=x.shape)
+    bars = pull(bar)
+    for row in rows:
+        own = of.step_vjp(x[row][None], u[row][None], bar[row][None], p=p[row][None], t=int(every[row]))
+        assert all(np.array_equal(all_rows[row], one[0]) for all_rows, one in zip(bars, own))
+    # An outer `vmap` over another batch keeps the alignment, for mapped and for equal step numbers.
+    twice = [np.stack([array, array]) for array in (x, u, p)]
+    assert np.array_equal(jax.vmap(lambda x, u, p: step(x, u, p, t))(*twice)[1], next)
+    assert np.array_equal(jax.vmap(step)(*twice, np.stack([t + 1, t]))[1], next)
+    costs = running_cost(x, u, next, p, t)
+    assert costs.shape == lead and np.array_equal(costs, running_cost(x, u, next, p, every))
+
+
 @pytest.mark.parametrize("t, error", [(1.5, TypeError), (np.arange(3), ValueError), (np.zeros((5, 1), int), ValueError)])
 def test_wrong_step_numbers_are_named(t, error):
     of = task("terminal")

@@ -323,3 +323,15 @@ def test_memory_does_not_grow():
     for _ in range(500):
         task.step_vjp(x, u, x)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 5000
+
+
+def test_only_a_training_advises_on_the_learning_rate():
+    task = pg.task("cart_pole", poles=1, dt=5.0, horizon=60, effects={"bumpers": {}})
+    policy = pg.Policy(task, seed=1, zero_init_output=False)
+    with pytest.raises(AssertionError, match="Reduce the time step$") as failed:
+        pg.check(task)
+    with pytest.raises(pg.Divergence, match="Reduce the time step$"):
+        pg.losses(task, policy, task.starts(64))
+    assert "learning rate" not in str(failed.value)
+    with pytest.raises(pg.Divergence, match=r"Reduce the time step or the learning rate\)"):
+        pg.train(task, policy, epochs=1)

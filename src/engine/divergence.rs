@@ -125,6 +125,23 @@ impl fmt::Display for Variable {
 
 impl fmt::Display for Divergence {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.write(f, false)
+    }
+}
+
+/// A divergence in a training, whose message also has advice about the learning rate.
+pub(crate) struct InTraining<'a>(pub &'a Divergence);
+
+impl fmt::Display for InTraining<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.write(f, true)
+    }
+}
+
+impl Divergence {
+    fn write(&self, f: &mut fmt::Formatter<'_>, is_trained: bool) -> fmt::Result {
+        let if_trained = |text: &'static str| if is_trained { text } else { "" };
+        let or_rate = if_trained(" or the learning rate");
         match self {
             Self::Forward { cause: Some(Cause::Unsolved(residual)), step, sample, .. } => write!(
                 f,
@@ -144,7 +161,8 @@ impl fmt::Display for Divergence {
             Self::Forward { variable, step: 0, sample, component, .. } => write!(
                 f,
                 "forward pass: {variable} component {component} of sample {sample} is not finite at step 0, although the initial \
-                 state is finite. Check the parameters p that `start` draws, and `observe`; if these are finite, reduce the learning rate"
+                 state is finite. Check the parameters p that `start` draws, and `observe`{}",
+                if_trained("; if these are finite, reduce the learning rate")
             ),
             Self::Forward {
                 variable: Variable::State,
@@ -156,13 +174,14 @@ impl fmt::Display for Divergence {
                 f,
                 "forward pass: state component {component} of sample {sample} is not finite after the first step, although the initial \
                  state and the control are finite. Check `step` for division by 0, and for roots and logarithms of negative \
-                 numbers. If earlier updates succeeded, reduce the learning rate"
+                 numbers{}",
+                if_trained(". If earlier updates succeeded, reduce the learning rate")
             ),
             Self::Forward { variable, step, sample, component, cause } => {
                 write!(
                     f,
                     "forward pass: {variable} component {component} of sample {sample} is not finite at step {step}{}",
-                    advice(cause, "Reduce the time step or the learning rate")
+                    advice(cause, &format!("Reduce the time step{or_rate}"), or_rate)
                 )
             }
             Self::Cost { sample } => {
@@ -184,7 +203,7 @@ impl fmt::Display for Divergence {
                 f,
                 "reverse pass of {flow}: the cotangent of {variable} component {component} of sample {sample} is not finite at \
                  step {step}{}",
-                advice(cause, "Shorten the horizon or use another field")
+                advice(cause, "Shorten the horizon or use another field", or_rate)
             ),
             Self::Gradient { flow, parameter } => {
                 write!(
@@ -202,8 +221,9 @@ impl fmt::Display for Divergence {
     }
 }
 
-/// Advice for the effect that caused the divergence, if known. Otherwise returns `general`.
-fn advice(cause: &Option<Cause>, general: &str) -> String {
+/// Advice for the effect that caused the divergence, if known. Otherwise returns `general`. A
+/// smaller time step helps against growth; `or_rate` adds the learning rate.
+fn advice(cause: &Option<Cause>, general: &str, or_rate: &str) -> String {
     match cause {
         Some(Cause::Effect(name)) => {
             format!(
@@ -219,7 +239,7 @@ fn advice(cause: &Option<Cause>, general: &str) -> String {
         Some(Cause::Grown(largest)) => {
             format!(
                 ". The state before the step has grown to {largest:.1e}, where forces overflow. Reduce the time \
-                 step or the learning rate"
+                 step{or_rate}"
             )
         }
         Some(Cause::Unsolved(_)) | None => format!(". {general}"),
@@ -227,3 +247,41 @@ fn advice(cause: &Option<Cause>, general: &str) -> String {
 }
 
 impl std::error::Error for Divergence {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Only a training has a learning rate.
+    #[test]
+    fn messages_advise_on_the_learning_rate_in_a_training_only() {
+        let at = |variable, step, cause| Divergence::Forward {
+            variable,
+            step,
+            sample: 2,
+            component: 1,
+            cause,
+        };
+        for (divergence, advice) in [
+            (at(Variable::Control, 0, None), "`observe`; if these are finite, reduce"),
+            (at(Variable::State, 1, None), "numbers. If earlier updates succeeded, reduce"),
+            (at(Variable::State, 9, None), "Reduce the time step or"),
+            (at(Variable::Memory, 9, Some(Cause::Grown(1e30))), "Reduce the time step or"),
+        ] {
+            let [plain, trained] = [divergence.to_string(), InTraining(&divergence).to_string()];
+            assert_eq!(trained, format!("{plain}{}", &trained[plain.len()..]));
+            assert!(!plain.contains("learning rate"), "{plain}");
+            assert!(trained.ends_with(&format!("{advice} the learning rate")), "{trained}");
+        }
+        // Other advice is the same.
+        for divergence in [
+            at(Variable::State, 0, None),
+            at(Variable::State, 9, Some(Cause::Effect("Wind"))),
+            at(Variable::State, 9, Some(Cause::Unsolved(1.0))),
+            Divergence::Cost { sample: 0 },
+            Divergence::Gradient { flow: Flow::REGULAR, parameter: 3 },
+        ] {
+            assert_eq!(divergence.to_string(), InTraining(&divergence).to_string());
+        }
+    }
+}

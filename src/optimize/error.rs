@@ -15,6 +15,15 @@ pub enum OptimizeError {
         /// Found length.
         found: usize,
     },
+    /// [`Options::max_iterations`](super::Options::max_iterations) exceeds its limit.
+    #[error(
+        "the largest number of iterations is {found}; allowed: 0 to {}",
+        super::Options::MOST_ITERATIONS
+    )]
+    Iterations {
+        /// Number in the options.
+        found: usize,
+    },
     /// A number of an argument is not finite.
     #[error("number {index} of {argument} is not finite; give finite numbers")]
     NotFinite {

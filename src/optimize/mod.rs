@@ -112,6 +112,9 @@ fn minimize(
         }
     }
     let bounds = Bounds::new(options, m)?;
+    if options.max_iterations > Options::MOST_ITERATIONS {
+        return Err(OptimizeError::Iterations { found: options.max_iterations });
+    }
     let problem = Problem { model, p, n, m, stop: options.stop.as_deref() };
     let start = problem.simulate(x0, |t, x, u| {
         match initial {

@@ -7,7 +7,8 @@ use std::sync::atomic::AtomicBool;
 /// Settings of [`optimize`](super::optimize).
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Largest number of iterations. Each linearizes its accepted trajectory once.
+    /// Largest number of iterations, up to [`Options::MOST_ITERATIONS`]. Each linearizes its accepted
+    /// trajectory once.
     pub max_iterations: usize,
     /// Converged if no absolute component of the projected gradient exceeds this number. Unit: cost
     /// per unit of control. At an active bound, a component whose descent direction points out of
@@ -41,6 +42,9 @@ impl Default for Options {
 }
 
 impl Options {
+    /// Upper limit of [`max_iterations`](Self::max_iterations).
+    pub const MOST_ITERATIONS: usize = 1_000_000;
+
     /// Sets equal bounds `[-size, size]` for `controls` controls.
     pub fn bounded(mut self, controls: usize, size: f64) -> Self {
         self.bounds = Some(vec![[-size, size]; controls]);

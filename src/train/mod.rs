@@ -39,7 +39,7 @@ pub use smoothing::{Estimator, Smoothing};
 pub use warnings::Warning;
 
 use crate::dynamics::task::Task;
-use crate::engine::divergence::Divergence;
+use crate::engine::divergence::{Divergence, InTraining};
 use crate::engine::initial_states::initial_states;
 use crate::engine::schedule::MemoryError;
 use crate::numbers::rng::{Purpose, stream};
@@ -194,7 +194,7 @@ pub enum TrainError {
     #[error(
         "training stopped: {count} updates in a row were skipped, the last in epoch {}, update {} ({}). \
          The parameters are those before this epoch{}",
-        last.epoch, last.update, last.divergence, advice(&last.divergence)
+        last.epoch, last.update, InTraining(&last.divergence), advice(&last.divergence)
     )]
     Diverged {
         /// Number of consecutive skipped updates.

@@ -4,7 +4,7 @@
 use super::epoch::State;
 use super::record::{Record, Skip};
 use super::smoothing::Estimator;
-use crate::engine::divergence::Divergence;
+use crate::engine::divergence::{Divergence, InTraining};
 use crate::numbers::scalar::Float;
 use crate::policy::TrainedParam;
 use std::fmt;
@@ -77,7 +77,9 @@ impl<F: Float> State<F> {
             self.number_at(divergence, numbers)
         });
         let [train, test] = self.diverged;
-        let loss = |set, divergence| format!("the {set} loss is not finite ({divergence})");
+        let loss = |set, divergence: Divergence| {
+            format!("the {set} loss is not finite ({})", InTraining(&divergence))
+        };
         let [regular, modified, zero] = record.gradient_warnings(horizon, F::EPSILON);
         let causes: [Option<String>; KINDS.len()] = [
             some_skipped,
@@ -198,7 +200,7 @@ fn skipped(
     more: &dyn Fn(&Divergence) -> String,
 ) -> [Option<String>; 2] {
     let cause = known
-        .map(|skip| format!(" ({}{})", skip.divergence, more(&skip.divergence)))
+        .map(|skip| format!(" ({}{})", InTraining(&skip.divergence), more(&skip.divergence)))
         .unwrap_or_default();
     let place =
         known.map(|skip| format!(", for example update {}", skip.update)).unwrap_or_default();

@@ -155,11 +155,17 @@ fn warnings(trainer: Trainer<Plant, Constant, f64>) -> Vec<String> {
 fn each_kind_of_warning_appears_once_in_its_first_epoch() {
     let expected = [
         ("epoch 1: M grows by 10^4 along a rollout", "Clip by norm"),
-        ("epoch 4: the training loss is not finite (forward pass", "Reduce"),
-        ("epoch 4: the test loss is not finite (forward pass", "Reduce"),
+        (
+            "epoch 4: the training loss is not finite (forward pass",
+            "Reduce the time step or the learning rate",
+        ),
+        (
+            "epoch 4: the test loss is not finite (forward pass",
+            "Reduce the time step or the learning rate",
+        ),
         (
             "epoch 5: all 1 update(s) skipped, so the parameters did not change (forward pass",
-            "Reduce",
+            "Reduce the time step or the learning rate",
         ),
     ];
     let found = warnings(doubling());

@@ -214,3 +214,12 @@ fn a_flag_stops_an_optimization_before_the_next_step() {
         assert_eq!((stopped, taken), (Err(OptimizeError::Stopped), at + 1));
     }
 }
+
+#[test]
+fn the_number_of_iterations_has_a_limit() {
+    let options = |max_iterations| Options { max_iterations, ..Options::default() };
+    let run = |most| optimize(&Coupled, &[0.0; 2], &[0.0], Initial::Zeros, &options(most));
+    let found = Options::MOST_ITERATIONS + 1;
+    assert_eq!(run(found).expect_err("too many"), OptimizeError::Iterations { found });
+    run(Options::MOST_ITERATIONS).expect("the limit is allowed");
+}

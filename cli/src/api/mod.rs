@@ -6,7 +6,7 @@
 //! ```
 //! use physgrad_cli::api::Scene;
 //!
-//! let scene = Scene::open("cart_pole", [("system.poles".into(), 2.into()), ("epochs".into(), 1.into())])?;
+//! let scene = Scene::open("cart_pole", [("system.poles".into(), Some(2.into())), ("epochs".into(), Some(1.into()))])?;
 //! assert_eq!((scene.name(), scene.state_names().len()), ("cart_pole", 6));
 //! # Ok::<(), anyhow::Error>(())
 //! ```
@@ -26,7 +26,7 @@ pub use physgrad::engine::threads;
 pub use physgrad::train::Trajectories;
 pub use policy::Policy;
 pub use run::Run;
-pub use scene::Scene;
+pub use scene::{Change, Scene};
 
 /// Names of all tasks, each of which is also the name of a preset.
 pub fn task_names() -> Vec<&'static str> {

@@ -90,8 +90,9 @@ impl Run {
     /// # Errors
     /// The learning rate decays over the epochs, or the number exceeds the range of the setting.
     pub fn set_epochs(&mut self, epochs: u64) -> Result<()> {
-        let scene =
-            self.scene.with([("epochs".to_owned(), Value::Integer(i64::try_from(epochs)?))])?;
+        // The scene refuses the largest integer too, and names its limit.
+        let epochs = i64::try_from(epochs).unwrap_or(i64::MAX);
+        let scene = self.scene.with([("epochs".to_owned(), Some(Value::Integer(epochs)))])?;
         let mut run = scene.scene.open(self.threads)?;
         run.restore(&self.run.checkpoint(&self.scene.scene.identity()), &scene.scene.identity())?;
         (self.scene, self.run) = (scene, run);

@@ -7,7 +7,7 @@ use crate::operations::checks::Results;
 use crate::operations::identification::{MOST_BYTES, bytes_per_fitted_step, bytes_per_step};
 use crate::scenes::presets;
 use crate::scenes::source::{SceneSource, find};
-use crate::settings::Precision;
+use crate::settings::{OPTIONAL, Precision};
 use crate::tasks::{self, scene::INITIAL_POLICY};
 use anyhow::{Context, Result, bail};
 use physgrad::engine::append_starts;
@@ -20,6 +20,11 @@ use toml::{Table, Value};
 /// Source of settings in messages.
 const OPTION: &str = "settings";
 
+/// The dotted key of a setting, for example `system.poles`, and its value. A table changes only its
+/// keys. An empty table adds an effect with its default parameters, and is refused for a whole
+/// section. None removes an effect or a part of the actuator, as in `effects.bumpers`.
+pub type Change = (String, Option<Value>);
+
 /// A validated scene: task, physics, loss, policy and training.
 #[derive(Clone)]
 pub struct Scene {
@@ -29,23 +34,21 @@ pub struct Scene {
 
 impl Scene {
     /// Opens the preset or the scene file with this name, with other values of some settings.
-    ///
-    /// Keys are dotted, for example `system.poles`. An empty table adds an effect with its default
-    /// parameters.
+    /// Removes effects and parts of the actuator first.
     ///
     /// # Errors
-    /// There is no such preset or file. A setting is unknown or out of range. A run does not fit in
-    /// the memory of this machine.
-    pub fn open(name: &str, settings: impl IntoIterator<Item = (String, Value)>) -> Result<Self> {
-        Self::changed(presets::source(name)?, settings, None)
+    /// There is no such preset or file. A setting is unknown or out of range. A section is an empty
+    /// table. An effect to remove is not present. A run does not fit in the memory of this machine.
+    pub fn open(name: &str, changes: impl IntoIterator<Item = Change>) -> Result<Self> {
+        Self::changed(presets::source(name)?, changes.into_iter().collect(), None)
     }
 
-    /// Copy with other values of some settings.
+    /// Copy with other values of some settings, as in [`open`](Self::open).
     ///
     /// # Errors
-    /// A setting is unknown or out of range.
-    pub fn with(&self, settings: impl IntoIterator<Item = (String, Value)>) -> Result<Self> {
-        let settings: Vec<(String, Value)> = settings.into_iter().collect();
+    /// Those of [`open`](Self::open).
+    pub fn with(&self, changes: impl IntoIterator<Item = Change>) -> Result<Self> {
+        let settings: Vec<Change> = changes.into_iter().collect();
         // Keeps the contents of the initial policy: its file may have changed or moved.
         let replaced = settings.iter().any(|(key, _)| key == INITIAL_POLICY);
         let policy = self.scene.initial_policy().filter(|_| !replaced);
@@ -59,7 +62,7 @@ impl Scene {
     pub fn with_policy(&self, policy: &Policy) -> Result<Self> {
         let section = policy.scene().settings().remove("policy");
         let section = section.context("the scene has no section `policy`")?;
-        self.with([("policy".to_owned(), section)])
+        self.with([("policy".to_owned(), Some(section))])
     }
 
     /// Copy with another integrator, number of substeps and precision.
@@ -70,17 +73,56 @@ impl Scene {
         Self::of(setting.source(&self.source)?, self.scene.initial_policy())
     }
 
-    /// Scene of the source, with other values of some settings. `policy` is as in
-    /// [`SceneSource::starting_from`].
+    /// Scene of the source with these changes. `policy` is as in [`SceneSource::starting_from`].
     fn changed(
         mut source: SceneSource,
-        settings: impl IntoIterator<Item = (String, Value)>,
+        changes: Vec<Change>,
         policy: Option<&[u8]>,
     ) -> Result<Self> {
-        for (key, value) in settings {
+        for (key, _) in changes.iter().filter(|(_, value)| value.is_none()) {
+            let option = format!("{OPTION}: `{key}` is None");
+            let is_part = |section: &&str| {
+                let name = key.strip_prefix(*section).and_then(|rest| rest.strip_prefix('.'));
+                name.is_some_and(|name| !name.contains('.'))
+            };
+            if !OPTIONAL.iter().any(|section| is_part(section)) {
+                bail!(
+                    "{option}, which removes single effects and parts of the actuator only; give a value"
+                );
+            }
+            source.remove(key, &option)?;
+        }
+        let mut empty = Vec::new();
+        for (key, value) in changes {
+            let Some(value) = value else { continue };
+            if !key.contains('.') && value.as_table().is_some_and(Table::is_empty) {
+                empty.push(key.clone());
+            }
             source.replace(&key, value, OPTION)?;
         }
-        Self::of(source, policy)
+        let scene = Self::of(source, policy)?;
+        empty.iter().try_for_each(|section| scene.refuse_empty(section))?;
+        Ok(scene)
+    }
+
+    /// Refuses an empty table for a section that is not empty, which it would leave unchanged.
+    fn refuse_empty(&self, section: &str) -> Result<()> {
+        let settings = self.settings();
+        let keys: Vec<&str> = match settings.get(section).and_then(Value::as_table) {
+            Some(table) if table.is_empty() => return Ok(()),
+            Some(table) => table.keys().map(String::as_str).collect(),
+            None => Vec::new(),
+        };
+        let rule = match OPTIONAL.contains(&section) {
+            _ if keys.is_empty() => "omit it".to_owned(),
+            true => format!(
+                "a table changes only its keys, and None removes one of {}, as in {{\"{}\": None}}",
+                keys.join(", "),
+                keys[0]
+            ),
+            false => format!("a table changes only its keys: {}", keys.join(", ")),
+        };
+        bail!("{OPTION}: `{section}` is an empty table, which changes nothing; {rule}")
     }
 
     fn of(source: SceneSource, policy: Option<&[u8]>) -> Result<Self> {

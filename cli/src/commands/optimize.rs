@@ -44,7 +44,7 @@ pub struct Optimize {
     /// Number of initial states, from the beginning of the test set
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub starts: usize,
-    /// Largest number of iterations
+    /// Largest number of iterations, up to 1000000
     #[arg(long, value_name = "N", default_value_t = Options::default().max_iterations)]
     pub iterations: usize,
     /// Number of threads [default: RAYON_NUM_THREADS, or all cores]; results do not depend on it

@@ -217,6 +217,11 @@ impl SceneSource {
     /// # Errors
     /// The scene has no such effect or part.
     pub fn without(&mut self, name: &str) -> Result<()> {
+        self.remove(name, &format!("--without {name}"))
+    }
+
+    /// [`without`](Self::without) for a name from `option`.
+    pub fn remove(&mut self, name: &str, option: &str) -> Result<()> {
         let part = part_name(name);
         let chosen: Vec<&str> = sections_of(name).collect();
         let parts = |section: &&str| {
@@ -226,7 +231,7 @@ impl SceneSource {
         if !chosen.iter().flat_map(parts).any(|key| key == part) {
             let present = if present.is_empty() { "none".into() } else { present.join(", ") };
             bail!(
-                "--without {name}: {} has no such effect or part of the actuator; it has {present}",
+                "{option}: {} has no such effect or part of the actuator; it has {present}",
                 self.name
             );
         }
