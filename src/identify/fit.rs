@@ -2,7 +2,7 @@
 
 use super::descent::{Counts, Equations, Stop, minimize};
 use super::error::IdentifyError;
-use super::problem::{Point, Problem};
+use super::problem::{Misfit, Point, Problem};
 use super::statistics::{Statistics, statistics, undetermined_components};
 use super::status::{Status, statuses};
 use crate::dynamics::system::System;
@@ -439,6 +439,59 @@ fn attempt(
     Ok(Attempt { fit, objective, is_doubtful })
 }
 
+/// Sizes of residuals, in units of the noise.
+struct Sizes {
+    /// The noise. Infinite if it is unknown and there are no degrees of freedom.
+    noise: f64,
+    /// The noise, or the residuals if they are larger, as those of a wrong model are.
+    spread: f64,
+    /// Residuals that are rounding errors.
+    smallest: f64,
+}
+
+impl Sizes {
+    fn of(problem: &Problem<'_>, chi_squared: f64, freedom: usize) -> Self {
+        let residual = match freedom {
+            // The residuals are 0 and do not show the size of the noise.
+            0 => f64::INFINITY,
+            freedom => (chi_squared / freedom as f64).sqrt(),
+        };
+        let noise = if problem.noise_is_known { 1.0 } else { residual };
+        let spread = if residual.is_finite() { noise.max(residual) } else { noise };
+        Self { noise, spread, smallest: SMALLEST * problem.size() }
+    }
+
+    /// Whether a step of Gauss and Newton from `values` of the parameters `free` is small.
+    fn is_minimum(&self, found: &Statistics, free: &[usize], values: &[f64]) -> bool {
+        let spread = self.spread.max(self.smallest);
+        // Rounding of a number whose error is smaller still would change the residuals by more than
+        // the noise, so no minimum can be told.
+        let is_rounded = free
+            .iter()
+            .zip(&found.errors)
+            .any(|(&i, error)| error * spread < 0.5 * f64::EPSILON * values[i].abs());
+        found.offset <= OFFSET * spread && !is_rounded
+    }
+
+    /// Errors of all parameters, from those of `free` at unit noise. NaN for the others.
+    fn errors(&self, of_free: &[f64], free: &[usize], unit: f64, count: usize) -> Vec<f64> {
+        let mut errors = vec![f64::NAN; count];
+        for (&i, error) in free.iter().zip(of_free) {
+            let is_known = error.is_finite() && self.noise.is_finite();
+            errors[i] = if is_known { error * unit } else { f64::INFINITY };
+        }
+        errors
+    }
+}
+
+/// Largest jump between windows, see [`Fit::jump`].
+fn jump(problem: &Problem<'_>, misfit: Option<Misfit>, smallest: f64) -> f64 {
+    let Some(Misfit { samples, largest_jump, .. }) = misfit else { return f64::INFINITY };
+    let residual = || (samples / problem.measurements() as f64).sqrt().max(smallest);
+    let unit = if problem.noise_is_known || largest_jump == 0.0 { 1.0 } else { residual() };
+    largest_jump / unit
+}
+
 fn result(
     problem: &Problem<'_>,
     point: Point,
@@ -448,8 +501,9 @@ fn result(
     counts: &mut Counts,
 ) -> Result<Fit, IdentifyError> {
     let names: Vec<String> = problem.unknowns.iter().map(|unknown| unknown.name.clone()).collect();
+    let count = names.len();
     let equations = Equations::new(problem, &point, continuity, counts)?;
-    let free: Vec<usize> = (0..names.len()).filter(|&i| !equations.held[i]).collect();
+    let free: Vec<usize> = (0..count).filter(|&i| !equations.held[i]).collect();
     let is_finite = equations.non_finite_starts.is_empty()
         && equations.slopes.iter().all(|slope| slope.is_finite());
     let found = if is_finite {
@@ -460,62 +514,27 @@ fn result(
     let (measurements, unknowns) = (problem.measurements(), equations.start_rank + found.rank);
     let misfit = problem.misfit(&point)?;
     let chi_squared = misfit.map_or(f64::INFINITY, |misfit| misfit.samples);
-    let smallest = SMALLEST * problem.size();
-    let jump = misfit.map_or(f64::INFINITY, |misfit| {
-        let residual = || (misfit.samples / measurements as f64).sqrt().max(smallest);
-        let unit =
-            if problem.noise_is_known || misfit.largest_jump == 0.0 { 1.0 } else { residual() };
-        misfit.largest_jump / unit
-    });
-    let residual = match measurements.saturating_sub(unknowns) {
-        // The residuals are 0 and do not show the size of the noise.
-        0 => f64::INFINITY,
-        freedom => (chi_squared / freedom as f64).sqrt(),
-    };
-    let noise = if problem.noise_is_known { 1.0 } else { residual };
-    // A wrong model has residuals above its noise. Their size is unknown without degrees of
-    // freedom.
-    let spread = if residual.is_finite() { noise.max(residual) } else { noise };
-    // Rounding of a number whose error is smaller still would change the residuals by more than
-    // the noise, so no minimum can be told.
-    let is_rounded = free.iter().zip(&found.errors).any(|(&i, error)| {
-        error * spread.max(smallest) < 0.5 * f64::EPSILON * point.values[i].abs()
-    });
-    let is_minimum = found.offset <= OFFSET * spread.max(smallest) && !is_rounded;
-    let place = |i: usize| free.iter().position(|&free| free == i);
-    let of_all = |of_free: &[f64], unit: f64| -> Vec<f64> {
-        let of = |k: usize| {
-            if of_free[k].is_finite() && noise.is_finite() {
-                of_free[k] * unit
-            } else {
-                f64::INFINITY
-            }
-        };
-        (0..names.len()).map(|i| place(i).map_or(f64::NAN, of)).collect()
-    };
+    let sizes = Sizes::of(problem, chi_squared, measurements.saturating_sub(unknowns));
     let undetermined: Vec<Vec<usize>> = found
         .undetermined
         .iter()
         .map(|combination| combination.iter().map(|&k| free[k]).collect())
         .collect();
-    let at_minimum = converged && is_finite && is_minimum;
-    let spreads = of_all(&found.errors, spread);
+    let at_minimum = converged && is_finite && sizes.is_minimum(&found, &free, &point.values);
+    let spreads = sizes.errors(&found.errors, &free, sizes.spread, count);
     let statuses =
         statuses(problem, &point, &equations, &spreads, &undetermined, at_minimum, counts)?;
-    let known = |errors: Vec<f64>| {
+    let known = |of_free: &[f64], unit: f64| -> Vec<f64> {
         let is_known = |status: &Status| matches!(status, Status::Estimated | Status::AtBound);
-        let errors = errors.into_iter().zip(&statuses);
-        errors
-            .map(|(error, status)| if is_known(status) { error } else { f64::INFINITY })
-            .collect::<Vec<f64>>()
+        let errors = sizes.errors(of_free, &free, unit, count).into_iter().zip(&statuses);
+        errors.map(|(error, status)| if is_known(status) { error } else { f64::INFINITY }).collect()
     };
-    let correlation = |i: usize, j: usize| {
-        place(i).zip(place(j)).map_or(f64::NAN, |(i, j)| found.correlations[i][j])
-    };
-    let correlations =
-        (0..names.len()).map(|i| (0..names.len()).map(|j| correlation(i, j)).collect()).collect();
+    let mut correlations = vec![vec![f64::NAN; count]; count];
+    for (&i, row) in free.iter().zip(&found.correlations) {
+        free.iter().zip(row).for_each(|(&j, correlation)| correlations[i][j] = *correlation);
+    }
     let with = |status: Status| {
-        (0..names.len()).filter(|&i| statuses[i] == status).map(|i| names[i].clone()).collect()
+        (0..count).filter(|&i| statuses[i] == status).map(|i| names[i].clone()).collect()
     };
     let is_open = |combination: &&Vec<usize>| {
         combination.iter().any(|&i| statuses[i] == Status::Undetermined)
@@ -523,10 +542,10 @@ fn result(
     let named = |combination: &Vec<usize>| combination.iter().map(|&i| names[i].clone()).collect();
     let states = problem.states(&point)?;
     let starts = equations.starts.iter().zip(&states);
-    let open = starts.flat_map(|(rows, states)| undetermined_components(rows, noise, states));
+    let open = starts.flat_map(|(rows, states)| undetermined_components(rows, sizes.noise, states));
     Ok(Fit {
-        errors: known(of_all(&found.errors, noise)),
-        robust_errors: known(of_all(&found.robust_errors, 1.0)),
+        errors: known(&found.errors, sizes.noise),
+        robust_errors: known(&found.robust_errors, 1.0),
         correlations,
         undetermined: undetermined.iter().filter(is_open).map(named).collect(),
         undetermined_starts: open.collect::<BTreeSet<usize>>().into_iter().collect(),
@@ -534,7 +553,7 @@ fn result(
         at_bound: with(Status::AtBound),
         states,
         angles: problem.angles.to_vec(),
-        jump,
+        jump: jump(problem, misfit, sizes.smallest),
         chi_squared,
         measurements,
         unknowns,
