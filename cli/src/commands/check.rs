@@ -4,9 +4,10 @@ use crate::operations::amplification::{Amplification, Place};
 use crate::operations::checks::Results;
 use crate::platform::json::print_json;
 use crate::platform::terminal::{counted, print_text};
-use crate::scenes::overrides::Overrides;
+use crate::scenes::overrides::{Overrides, is_of_training};
 use crate::scenes::presets;
 use crate::scenes::source::SceneSource;
+use crate::tasks::scene::INITIAL_POLICY;
 use crate::tasks::{self, Scene};
 use anyhow::{Result, bail};
 use physgrad::check::{HARMLESS, Kink, KinkInput, Stability};
@@ -45,6 +46,8 @@ pub fn check(args: &Check) -> Result<()> {
     let mut results = Results::new(!args.json);
     let overrides =
         Overrides { set: args.set.clone(), policy: args.policy.clone(), ..Overrides::default() };
+    let is_unread = |key: &str| is_of_training(key) && key != INITIAL_POLICY || key == "precision";
+    overrides.refuse(is_unread, "the checks, which train nothing and compute in f64")?;
     let is_changed = args.policy.is_some() || !args.set.is_empty();
     let changed = |name: &str| -> Result<SceneSource> {
         let mut source = presets::source(name)?;

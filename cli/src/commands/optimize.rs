@@ -8,7 +8,7 @@ use crate::platform::parallel;
 use crate::platform::table::Table;
 use crate::platform::terminal::{counted, print_message, print_text};
 use crate::runs::{outputs, saved};
-use crate::scenes::overrides::{Overrides, hide_training, is_of_training};
+use crate::scenes::overrides::{Overrides, hide, is_of_training};
 use crate::scenes::presets;
 use crate::tasks::Scene;
 use anyhow::{Context, Result, bail};
@@ -27,7 +27,7 @@ use std::time::Instant;
 #[command(
     after_help = "Examples:\n  physgrad optimize cart_pole_1 --bound=-20:20 --starts 3\n  physgrad optimize --from runs/one"
 )]
-#[command(mut_args(hide_training))]
+#[command(mut_args(hide(is_unread)))]
 pub struct Optimize {
     /// Task, preset or path of a scene
     #[arg(required_unless_present = "from", conflicts_with = "from")]
@@ -62,6 +62,11 @@ pub struct Optimize {
     pub json: bool,
 }
 
+/// Whether the command does not read the setting with this key.
+fn is_unread(key: &str) -> bool {
+    is_of_training(key) && key != "training.test_samples" || key.starts_with("policy.")
+}
+
 /// Largest number of animations, and of initial states in the picture.
 const SHOWN: usize = 3;
 
@@ -70,9 +75,6 @@ const COMPONENTS: usize = 8;
 
 /// Runs the command.
 pub fn optimize(args: &Optimize) -> Result<()> {
-    let is_unread = |key: &str| {
-        is_of_training(key) && key != "training.test_samples" || key.starts_with("policy.")
-    };
     args.overrides.refuse(is_unread, "optimized controls, which need no policy and no training")?;
     let (name, scene) = match &args.from {
         Some(path) => (Folder::existing(path)?.name(), saved::scene(&Folder::existing(path)?)?),

@@ -17,10 +17,10 @@ pub struct Overrides {
     #[arg(long, value_parser = |name: &str| name.parse().map(FieldName))]
     pub field: Option<FieldName>,
     /// Total number of epochs, including those before --resume
-    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    #[arg(long, value_name = "N")]
     pub epochs: Option<u64>,
     /// Seed of initial states and initial parameters
-    #[arg(long, value_name = "S", allow_negative_numbers = true)]
+    #[arg(long, value_name = "S")]
     pub seed: Option<u64>,
     /// Floating-point precision of all computations
     #[arg(long, value_enum)]
@@ -41,6 +41,17 @@ pub struct Overrides {
     #[arg(long, value_name = "NAME")]
     pub without: Vec<String>,
 }
+
+/// Options that set a key each, with the key.
+const OPTIONS: [(&str, &str); 7] = [
+    ("field", "field"),
+    ("epochs", "epochs"),
+    ("seed", "seed"),
+    ("precision", "precision"),
+    ("tag", "tags"),
+    ("log", "log"),
+    ("policy", INITIAL_POLICY),
+];
 
 impl Overrides {
     /// Applies the overrides to a scene: first `--without`, then `--set`, then the other options.
@@ -81,22 +92,22 @@ impl Overrides {
     /// Refuses options for settings that a command does not read. `is_unread` decides by the key,
     /// `what` names the command.
     pub fn refuse(&self, is_unread: impl Fn(&str) -> bool, what: &str) -> Result<()> {
-        let options = [
-            ("field", self.field.is_some(), "--field"),
-            ("epochs", self.epochs.is_some(), "--epochs"),
-            ("seed", self.seed.is_some(), "--seed"),
-            ("precision", self.precision.is_some(), "--precision"),
-            ("tags", !self.tag.is_empty(), "--tag"),
-            ("log", !self.log.is_empty(), "--log"),
-            (INITIAL_POLICY, self.policy.is_some(), "--policy"),
+        let is_given = [
+            self.field.is_some(),
+            self.epochs.is_some(),
+            self.seed.is_some(),
+            self.precision.is_some(),
+            !self.tag.is_empty(),
+            !self.log.is_empty(),
+            self.policy.is_some(),
         ];
-        let options = options.into_iter().filter(|(_, is_given, _)| *is_given);
+        let options = OPTIONS.into_iter().zip(is_given).filter(|(_, is_given)| *is_given);
         let assigned = self.set.iter().map(|assignment| {
             let key = assignment.split('=').next().unwrap_or_default().trim();
             (key, format!("--set {}", short(assignment)))
         });
-        let given = options.map(|(key, _, option)| (key, option.to_owned())).chain(assigned);
-        match { given }.find(|(key, _)| is_unread(key)) {
+        let given = options.map(|((option, key), _)| (key, format!("--{option}")));
+        match given.chain(assigned).find(|(key, _)| is_unread(key)) {
             Some((_, option)) => bail!("{option} has no effect on {what}; remove it"),
             None => Ok(()),
         }
@@ -118,10 +129,13 @@ pub fn is_of_training(key: &str) -> bool {
         || ["epochs", "field", "tags", "log", INITIAL_POLICY].contains(&key)
 }
 
-/// Hides an option in the help text of a command if only training uses the option.
-pub fn hide_training(arg: clap::Arg) -> clap::Arg {
-    let is_hidden = ["epochs", "policy", "tag", "log"].contains(&arg.get_id().as_str());
-    if is_hidden { arg.hide(true) } else { arg }
+/// Hides the options that a command refuses in its help. `is_unread` as in [`Overrides::refuse`].
+pub fn hide(is_unread: impl Fn(&str) -> bool) -> impl Fn(clap::Arg) -> clap::Arg {
+    move |arg| {
+        let option = OPTIONS.iter().find(|(option, _)| *option == arg.get_id().as_str());
+        let is_hidden = option.is_some_and(|(_, key)| is_unread(key));
+        if is_hidden { arg.hide(true) } else { arg }
+    }
 }
 
 /// Removes the assignments with several values from `set`. Returns their keys with lists of values.
