@@ -69,11 +69,9 @@ pub struct Accuracy {
     pub json: bool,
 }
 
-/// Whether the command does not read the setting with this key. It sets the memory of each
-/// measurement itself.
+/// Whether the command does not read the setting with this key. It draws all parameters itself.
 fn is_unread(key: &str) -> bool {
-    is_of_training(key) && key != INITIAL_POLICY
-        || ["training.memory", "policy.zero_init_output"].contains(&key)
+    is_of_training(key) && key != INITIAL_POLICY || key == "policy.zero_init_output"
 }
 
 /// Runs the command.

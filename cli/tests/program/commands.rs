@@ -226,7 +226,7 @@ fn options_and_settings_without_effect_are_refused_and_not_listed() {
     let identify = "identify scene.toml --data data.csv";
     for (command, others) in [
         ("check pendulum", &["precision=f64"][..]),
-        ("accuracy pendulum", &["training.memory=1MB", "integrator.substeps=2", "precision=f64"]),
+        ("accuracy pendulum", &["integrator.substeps=2", "precision=f64"]),
         ("accuracy pendulum --gradients", &["policy.zero_init_output=true"]),
         ("explain pendulum", &["training.memory=1MB", "seed=3"]),
         ("optimize pendulum", &["policy.widths=[4]"]),
