@@ -54,9 +54,10 @@ pub fn check(args: &Check) -> Result<()> {
         overrides.apply(&mut source)?;
         Ok(source)
     };
-    let scenes = match &args.scene {
-        Some(name) if is_changed => vec![(name.clone(), changed(name)?.scene()?)],
-        name => scenes(name.as_deref())?,
+    let source = args.scene.as_deref().map(changed).transpose()?;
+    let scenes = match (&args.scene, &source) {
+        (Some(name), Some(source)) if is_changed => vec![(name.clone(), source.scene()?)],
+        (name, _) => scenes(name.as_deref())?,
     };
     if !args.json {
         print_text("task, checked, number of compared values, worst and allowed error, result")?;
@@ -79,8 +80,8 @@ pub fn check(args: &Check) -> Result<()> {
     if !args.json {
         print_text("errors in f64 against dual numbers, relative to the largest component")?;
     }
-    if let Some(name) = &args.scene {
-        about_rollouts(changed(name)?, &mut note)?;
+    if let Some(source) = source {
+        about_rollouts(source, &mut note)?;
     }
     if args.json {
         print_json(&json!({ "checks": table.objects(), "notes": notes, "failures": failures }))?;

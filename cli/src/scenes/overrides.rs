@@ -1,8 +1,10 @@
 //! Options of the command line that override settings of a scene or of a resumed run.
 
 use crate::platform::folder::POLICY;
+use crate::platform::terminal::print_message;
 use crate::scenes::grid::several;
-use crate::scenes::source::{SceneSource, short};
+use crate::scenes::source::{SceneSource, find, short};
+use crate::settings::reading::{NUMBER_KEYS, is_drawn, is_number};
 use crate::settings::{FieldName, LogFormat, Precision};
 use crate::tasks::scene::INITIAL_POLICY;
 use anyhow::{Context, Result, bail};
@@ -188,10 +190,14 @@ pub fn set(source: &mut SceneSource, assignment: &str) -> Result<()> {
         key.split_once('.').filter(|(section, _)| ["vary", "fit"].contains(section))
     {
         let example = if section == "vary" { "{ uniform = [1, 2] }" } else { "{ start = 1 }" };
-        // A key of the section is quoted, and a key of its value may follow.
-        let number = number
-            .strip_prefix(['"', '\''])
-            .map_or(number, |quoted| quoted.split(['"', '\'']).next().unwrap_or_default());
+        // A key of the section may be quoted, and a key of its value may follow.
+        let number = match number.strip_prefix(['"', '\'']) {
+            Some(quoted) => quoted.split(['"', '\'']).next().unwrap_or_default(),
+            None => number
+                .rsplit_once('.')
+                .filter(|(_, key)| NUMBER_KEYS.contains(key))
+                .map_or(number, |(key, _)| key),
+        };
         bail!(
             "{option}: only scene files have the section `{section}`; write the setting itself, as in --set '{number}={example}'"
         );
@@ -201,5 +207,15 @@ pub fn set(source: &mut SceneSource, assignment: &str) -> Result<()> {
     }
     // Reads text that is not a TOML value as a string, because shells remove quotes.
     let value = text.parse().unwrap_or_else(|_| Value::String(text.into()));
+    if let Some(before) = find(source.table(), key).and_then(Value::as_table)
+        && is_number(before)
+        && !value.is_table()
+    {
+        let what = if is_drawn(before) { "varies" } else { "is unknown" };
+        print_message(&format!(
+            "note: {option} replaces {}, so that the number no longer {what}",
+            Value::Table(before.clone())
+        ));
+    }
     source.put(key, value, &option)
 }
