@@ -450,7 +450,7 @@ fn errors_in_a_file_name_the_line_and_the_allowed_values() {
         ),
         (
             "scene = 1\ntask = \"guidance\"\n[effects.obstacles]\ncenters = [[0, 0, 1]]\n",
-            "my_scene.toml:4: `effects.obstacles.centers[0]` is 3; allowed: a shorter list",
+            "my_scene.toml:4: `effects.obstacles.centers[0]` has 3 entries; allowed: a list of 2",
         ),
         (
             "scene = 1\ntask = \"guidance\"\n[effects.obstacles]\ncenters = []\n",
