@@ -1,5 +1,5 @@
-//! What a task allows, in errors of its settings: ranges of whole numbers, numbers that may vary, and
-//! integration methods. The validation of other values tells it.
+//! What a task allows, in errors of its settings: ranges of whole numbers, numbers that may vary,
+//! and integration methods. The validation of other values tells it.
 
 use crate::scenes::source::find;
 use crate::settings::config_error::{ConfigError, Problem};
@@ -33,7 +33,8 @@ pub fn with_range(
     error
 }
 
-/// Replaces the error of a setting that varies or is unknown, but cannot: lists the settings that can.
+/// Replaces the error of a setting that varies or is unknown, but cannot: lists the settings that
+/// can.
 pub fn with_numbers(
     spec: &'static dyn AnyTaskSpec,
     settings: impl Fn() -> Table,
