@@ -31,7 +31,7 @@ mod settings;
 mod tasks;
 
 use anyhow::Result;
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use commands::{
     accuracy, animate, check, compare, completions, effects, eval, explain, export, identify,
     merge, new, optimize, paper, print, report, robust, study, train,
@@ -40,7 +40,9 @@ use platform::terminal::{is_plain, print_message, set_program};
 use platform::{parallel, ranks, signals};
 use runs::run;
 use scenes::overrides::Overrides;
+use std::any::TypeId;
 use std::process::ExitCode;
+use std::str::FromStr;
 use tasks::{AnyEffectSpec, AnyTaskSpec, OwnEffect};
 
 pub use tasks::{ProgramEffect, ProgramTask, SceneEffects};
@@ -186,9 +188,31 @@ impl Program {
     }
 }
 
+/// The commands with their options. Options of numbers take negative ones as values, and refuse them
+/// with the range.
+fn commands_with_options() -> clap::Command {
+    let number = |arg: clap::Arg| {
+        let kind = arg.get_value_parser().type_id();
+        let arg = match kind {
+            _ if kind == TypeId::of::<u64>() => arg.value_parser(whole::<u64>),
+            _ if kind == TypeId::of::<usize>() => arg.value_parser(whole::<usize>),
+            _ if kind == TypeId::of::<f64>() => arg,
+            _ => return arg,
+        };
+        arg.allow_negative_numbers(true)
+    };
+    Arguments::command().mut_subcommands(|command| command.mut_args(number))
+}
+
+/// Parses a whole number.
+fn whole<T: FromStr>(text: &str) -> Result<T, &'static str> {
+    text.parse().map_err(|_| "allowed: a whole number, 0 or more")
+}
+
 /// The process arguments. Invalid arguments, `--help` and `--version` end the process.
 fn parsed() -> Arguments {
-    Arguments::try_parse().unwrap_or_else(|error| {
+    let matches = commands_with_options().try_get_matches();
+    matches.and_then(|matches| Arguments::from_arg_matches(&matches)).unwrap_or_else(|error| {
         if std::env::args_os().all(|argument| is_plain(&argument.to_string_lossy())) {
             error.exit();
         }
@@ -255,7 +279,7 @@ fn execute(command: &Command) -> Result<()> {
         Command::Schema(args) => print::schema(args),
         Command::Explain(args) => explain::explain(args),
         Command::Effects(args) => effects::effects(args),
-        Command::Completions(args) => completions::completions(args, Arguments::command()),
+        Command::Completions(args) => completions::completions(args, commands_with_options()),
     }
 }
 

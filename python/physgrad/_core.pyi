@@ -187,6 +187,8 @@ class _Plan(TypedDict):
     """Largest absolute component of the projected gradient, cost per unit of control."""
     converged: bool
     stop: str
+    warnings: list[str]
+    """Sentences about a search that may have ended far from a minimum."""
     """Reason for the termination."""
 
 @type_check_only

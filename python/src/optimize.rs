@@ -7,8 +7,11 @@ use crate::lists::List;
 use crate::task::Task;
 use numpy::IntoPyArray;
 use physgrad::optimize::{Initial, Options, optimize as minimize};
+use physgrad_cli::api;
+use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use std::ffi::CString;
 
 /// Optimizes the controls from one initial state `start`, (start_dim,), as `physgrad optimize`
 /// does, in f64.
@@ -18,7 +21,9 @@ use pyo3::types::PyDict;
 ///
 /// Returns a dict: controls "u", (T, m), states "x", (T+1, n), "cost", "iterations",
 /// "gradient_norm", "converged" and "stop". "gains", (T, m, n), are those of the feedback
-/// u_t + K_t (x - x_t). "costs" holds the initial cost, then the cost after each iteration. Raises
+/// u_t + K_t (x - x_t). "costs" holds the initial cost, then the cost after each iteration.
+/// "warnings" has sentences about a search that may have ended far from a minimum, each also a
+/// `UserWarning`. Raises
 /// `ValueError` if an argument is invalid, or if the initial trajectory, the initial cost or a
 /// derivative is not finite. Ctrl-C raises `KeyboardInterrupt`.
 #[pyfunction]
@@ -55,6 +60,11 @@ pub fn optimize<'py>(
     result.set_item("gradient_norm", plan.gradient_norm())?;
     result.set_item("converged", plan.converged())?;
     result.set_item("stop", plan.stop.to_string())?;
+    for warning in plan.warnings() {
+        let text = CString::new(&*api::plain(warning)).unwrap_or_default();
+        PyErr::warn(py, &py.get_type::<PyUserWarning>(), &text, 1)?;
+    }
+    result.set_item("warnings", plan.warnings())?;
     result.set_item("costs", plan.costs.into_pyarray(py))?;
     result.set_item("u", array(py, plan.u, &[horizon, m])?)?;
     result.set_item("x", array(py, plan.x, &[horizon + 1, n])?)?;

@@ -64,8 +64,9 @@ pub trait Task: Send + Sync {
     /// controls. One entry per control; infinite where there is no bound. Default: `None`, no
     /// bounds.
     ///
-    /// Nothing enforces these bounds. Searches over controls and environments that scale actions
-    /// use them. An [`Actuator`](crate::actuator::Actuator) limits controls.
+    /// Nothing enforces these bounds. Environments that scale actions use them, and the command
+    /// `optimize` names controls that leave them. [`optimize`](crate::optimize::optimize) has the
+    /// bounds of its options only. An [`Actuator`](crate::actuator::Actuator) limits controls.
     fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
         None
     }

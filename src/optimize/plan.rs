@@ -43,7 +43,38 @@ pub enum Stop {
     Iterations,
 }
 
+/// Share of the initial cost below which a cost counts as 0. Its gradient then exceeds any share of
+/// the cost.
+const AS_GOOD_AS_0: f64 = 1e-9;
+
 impl Plan {
+    /// Sentences about a search that may have ended far from a minimum: at a gradient above 1e-4 of
+    /// the cost, or at initial controls with a gradient of exactly 0.
+    pub fn warnings(&self) -> Vec<&'static str> {
+        let is_steep = self.stop != Stop::Gradient
+            && self.gradient_norm > 1e-4 * self.cost.abs()
+            && self.cost.abs() > AS_GOOD_AS_0 * self.costs[0].abs();
+        let is_flat = self.iterations() == 0
+            && self.cost != 0.0
+            && !self.gradient.is_empty()
+            && self.gradient.iter().all(|&slope| slope == 0.0);
+        let warnings = [
+            (
+                is_steep,
+                "the search ended at a gradient above 1e-4 of the cost, so lower costs exist nearby. A saturation of the controls \
+                 inside the step may cause this, because its derivative is 0 at its limits and beyond. Remove it from the step and \
+                 bound the controls, or keep the bounds strictly inside its limits. Otherwise allow more iterations",
+            ),
+            (
+                is_flat,
+                "the gradient is exactly 0 at the initial controls, so the search ended there. Either the cost has a minimum or \
+                 another stationary point there, or no control acts: each is at the kink of a function such as max(u, 0), or beyond \
+                 a saturation inside the step. Start from other controls, or bound them strictly inside the saturation",
+            ),
+        ];
+        warnings.into_iter().filter(|(applies, _)| *applies).map(|(_, text)| text).collect()
+    }
+
     /// Number of iterations.
     pub fn iterations(&self) -> usize {
         self.costs.len() - 1

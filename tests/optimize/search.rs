@@ -240,3 +240,66 @@ fn gains_of_undetermined_controls_are_those_of_the_least_regularization() {
         assert!((gain + 1.0 / 2.01).abs() < 1e-12, "{gain}");
     }
 }
+
+/// A tank that a pump fills: x' = x + max(u, 0), cost (x' - 1)².
+struct Pump;
+
+impl System for Pump {
+    fn state_dim(&self) -> usize {
+        1
+    }
+
+    fn control_dim(&self) -> usize {
+        1
+    }
+
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
+        next[0] = x[0] + u[0].max(T::zero());
+    }
+}
+
+impl Task for Pump {
+    type System = Self;
+
+    fn system(&self) -> &Self {
+        self
+    }
+
+    fn horizon(&self) -> usize {
+        3
+    }
+
+    fn start(&self, _: &mut Rng, Start { x, .. }: Start<'_>) {
+        x[0] = 0.0;
+    }
+
+    fn running_cost<T: Scalar>(&self, _: Inputs<'_, T>, next: &[T]) -> T {
+        (next[0] - T::one()) * (next[0] - T::one())
+    }
+}
+
+#[test]
+fn a_search_that_ends_at_a_kink_or_at_a_steep_slope_has_a_warning() {
+    let flat = "the gradient is exactly 0 at the initial controls";
+    let steep = "the search ended at a gradient above 1e-4 of the cost";
+    for (x0, u, low, iterations, expected) in [
+        (0.0, 0.0, f64::NEG_INFINITY, 200, Some(flat)),
+        (0.0, -2.0, f64::NEG_INFINITY, 200, Some(flat)),
+        (0.0, 0.0, 0.0, 200, Some(flat)),
+        (0.0, 0.0, 0.01, 200, None),
+        (0.0, 0.1, f64::NEG_INFINITY, 0, Some(steep)),
+        (0.0, 0.1, f64::NEG_INFINITY, 200, None),
+        (1.0, 0.0, f64::NEG_INFINITY, 200, None),
+    ] {
+        let bounds = Some(vec![[low, f64::INFINITY]]);
+        let options = Options { bounds, max_iterations: iterations, ..Options::default() };
+        let plan =
+            optimize(&Pump, &[x0], &[], Initial::Controls(&[u; 3]), &options).expect("finite");
+        let found = plan.warnings();
+        let is_expected = match expected {
+            Some(text) => matches!(&found[..], [found] if found.starts_with(text)),
+            None => found.is_empty() && plan.cost < 0.1,
+        };
+        assert!(is_expected, "{x0}, {u}, {low}, {iterations}: {found:?}, cost {}", plan.cost);
+    }
+}

@@ -14,9 +14,10 @@ use crate::platform::folder::Folder;
 use crate::platform::json::{self, print_json};
 use crate::platform::terminal::{print_message, print_result, print_text, progress_bar};
 use crate::runs::saved;
-use crate::scenes::overrides::{Overrides, hide_training};
+use crate::scenes::overrides::{Overrides, hide, is_of_training};
 use crate::scenes::presets;
 use crate::settings::Precision;
+use crate::tasks::scene::INITIAL_POLICY;
 use anyhow::{Result, anyhow, bail};
 use indicatif::ProgressBar;
 use physgrad::text::{rough, short};
@@ -35,7 +36,7 @@ use study::ROUNDS;
 #[command(
     after_help = "Examples:\n  physgrad accuracy my_scene.toml --target 1e-4\n  physgrad accuracy cart_pole --target 0.01 --metric r\n  physgrad accuracy cart_pole --gradients"
 )]
-#[command(mut_args(hide_training), mut_arg("policy", |arg| arg.hide(false).help("Parameters of the policy: a file `policy.safetensors`, or the folder of a run")))]
+#[command(mut_args(hide(is_unread)), mut_arg("policy", |arg| arg.help("Parameters of the policy: a file `policy.safetensors`, or the folder of a run")))]
 pub struct Accuracy {
     /// A task, a preset (see `physgrad scene`), or the path of a scene
     pub scene: String,
@@ -68,6 +69,11 @@ pub struct Accuracy {
     pub json: bool,
 }
 
+/// Whether the command does not read the setting with this key. It draws all parameters itself.
+fn is_unread(key: &str) -> bool {
+    is_of_training(key) && key != INITIAL_POLICY || key == "policy.zero_init_output"
+}
+
 /// Runs the command.
 pub fn accuracy(args: &Accuracy) -> Result<()> {
     if let Some(target) = args.target
@@ -75,6 +81,10 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     {
         bail!("--target {target}; allowed: a positive error, for example 1e-3");
     }
+    args.overrides.refuse(
+        is_unread,
+        "this command, which trains nothing and has nonzero parameters in every layer",
+    )?;
     if !args.gradients {
         args.overrides.refuse(
             |key| key == "precision" || key.starts_with("integrator."),

@@ -4,9 +4,10 @@ use crate::operations::amplification::{Amplification, Place};
 use crate::operations::checks::Results;
 use crate::platform::json::print_json;
 use crate::platform::terminal::{counted, print_text};
-use crate::scenes::overrides::Overrides;
+use crate::scenes::overrides::{Overrides, is_of_training};
 use crate::scenes::presets;
 use crate::scenes::source::SceneSource;
+use crate::tasks::scene::INITIAL_POLICY;
 use crate::tasks::{self, Scene};
 use anyhow::{Result, bail};
 use physgrad::check::{HARMLESS, Kink, KinkInput, Stability};
@@ -45,15 +46,18 @@ pub fn check(args: &Check) -> Result<()> {
     let mut results = Results::new(!args.json);
     let overrides =
         Overrides { set: args.set.clone(), policy: args.policy.clone(), ..Overrides::default() };
+    let is_unread = |key: &str| is_of_training(key) && key != INITIAL_POLICY || key == "precision";
+    overrides.refuse(is_unread, "the checks, which train nothing and compute in f64")?;
     let is_changed = args.policy.is_some() || !args.set.is_empty();
     let changed = |name: &str| -> Result<SceneSource> {
         let mut source = presets::source(name)?;
         overrides.apply(&mut source)?;
         Ok(source)
     };
-    let scenes = match &args.scene {
-        Some(name) if is_changed => vec![(name.clone(), changed(name)?.scene()?)],
-        name => scenes(name.as_deref())?,
+    let source = args.scene.as_deref().map(changed).transpose()?;
+    let scenes = match (&args.scene, &source) {
+        (Some(name), Some(source)) if is_changed => vec![(name.clone(), source.scene()?)],
+        (name, _) => scenes(name.as_deref())?,
     };
     if !args.json {
         print_text("task, checked, number of compared values, worst and allowed error, result")?;
@@ -76,8 +80,8 @@ pub fn check(args: &Check) -> Result<()> {
     if !args.json {
         print_text("errors in f64 against dual numbers, relative to the largest component")?;
     }
-    if let Some(name) = &args.scene {
-        about_rollouts(changed(name)?, &mut note)?;
+    if let Some(source) = source {
+        about_rollouts(source, &mut note)?;
     }
     if args.json {
         print_json(&json!({ "checks": table.objects(), "notes": notes, "failures": failures }))?;

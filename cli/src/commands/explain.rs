@@ -4,7 +4,7 @@ use crate::operations::costs::SAMPLES;
 use crate::platform::json::print_json;
 use crate::platform::table::Table;
 use crate::platform::terminal::{counted, print_result, print_text};
-use crate::scenes::overrides::{Overrides, hide_training};
+use crate::scenes::overrides::{Overrides, hide, is_of_training};
 use crate::scenes::presets;
 use crate::settings::{ACTUATORS, Info, OPTIONAL};
 use crate::tasks::Scene;
@@ -20,7 +20,7 @@ use serde_json::{Value, json};
 /// All numbers are counts, not timings, so they are equal on every machine.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  physgrad explain cart_pole --set effects.steady_wind.speed=4")]
-#[command(mut_args(hide_training))]
+#[command(mut_args(hide(is_unread)))]
 pub struct Explain {
     /// A task, a preset (see `physgrad scene`), or the path of a scene
     pub scene: String,
@@ -31,6 +31,11 @@ pub struct Explain {
     pub json: bool,
 }
 
+/// Whether the command does not read the setting with this key.
+fn is_unread(key: &str) -> bool {
+    is_of_training(key) || ["seed", "training.memory"].contains(&key)
+}
+
 /// Time steps of the shorter of the two rollouts for the table of memory.
 const FEW_STEPS: usize = 8;
 
@@ -39,6 +44,7 @@ pub fn explain(args: &Explain) -> Result<()> {
     let mut source = presets::source(&args.scene)?;
     args.overrides.apply(&mut source)?;
     let scene = source.scene()?;
+    args.overrides.refuse(is_unread, "counts of operations and bytes, which need no training")?;
     if args.json {
         return print_json(&json!({
             "scene": args.scene,

@@ -14,10 +14,10 @@ use crate::platform::json::{object, print_json, rows};
 use crate::platform::table::Table;
 use crate::platform::terminal::{counted, listed, print_text};
 use crate::runs::saved;
-use crate::scenes::overrides::{Overrides, hide_training, is_of_training};
+use crate::scenes::overrides::{Overrides, hide, is_of_training};
 use crate::scenes::presets;
 use crate::scenes::source::SceneSource;
-use crate::tasks::Scene;
+use crate::tasks::{self, Scene};
 use anyhow::{Context, Result, anyhow, bail};
 use data::Measured;
 use physgrad::Number;
@@ -39,7 +39,7 @@ const PICTURE: &str = "identified.svg";
 #[command(
     after_help = "Example:\n  physgrad identify pendulum.toml --data measured.csv --noise theta_1=0.003,omega_1=0.1"
 )]
-#[command(mut_args(hide_training))]
+#[command(mut_args(hide(is_unread)))]
 pub struct Identify {
     /// Preset or path of a scene; its section [fit] lists the unknown numbers
     pub scene: String,
@@ -124,15 +124,24 @@ pub fn identify(args: &Identify) -> Result<()> {
     failed.map_or(Ok(()), |error| Err(error).context("validation with the fitted numbers"))
 }
 
+/// Whether the command does not read the setting with this key.
+fn is_unread(key: &str) -> bool {
+    let sections = ["training.", "loss.", "policy."];
+    is_of_training(key)
+        || sections.iter().any(|section| key.starts_with(section))
+        || ["seed", "precision", "horizon"].contains(&key)
+}
+
+/// Whether only initial states and costs of a built-in task depend on the setting with this key.
+fn is_of_starts(key: &str) -> bool {
+    ["system.start", "system.spread", "system.weighting", "system.target"].contains(&key)
+}
+
 /// Scene of the command, with its source.
 ///
 /// # Errors
 /// An option has no effect on an identification. The scene has no unknown numbers.
 fn read(args: &Identify) -> Result<(SceneSource, Scene)> {
-    let is_unread = |key: &str| {
-        let is_of_rollouts = ["loss.", "policy."].iter().any(|section| key.starts_with(section));
-        is_of_training(key) || is_of_rollouts || ["seed", "precision", "horizon"].contains(&key)
-    };
     args.overrides.refuse(
         is_unread,
         "an identification, which trains no policy and simulates the measured steps in f64",
@@ -140,6 +149,10 @@ fn read(args: &Identify) -> Result<(SceneSource, Scene)> {
     let mut source = presets::source(&args.scene)?;
     args.overrides.apply(&mut source)?;
     let scene = source.scene()?;
+    if !tasks::own().iter().any(|own| own.name() == scene.task.name()) {
+        let what = "an identification, which takes initial states from the data and has no cost";
+        args.overrides.refuse(is_of_starts, what)?;
+    }
     if !scene.varied().iter().any(|(_, number)| matches!(number, Number::Trained { .. })) {
         bail!(
             "{} has no unknown numbers; list them in [fit], as in \"system.gravity\" = {{ start = 9.8 }}",
@@ -159,7 +172,7 @@ fn options(args: &Identify, scene: &Scene, measured: &Measured) -> Result<Option
     }
     // Exact first samples have no noise. Those of validation segments are not exact.
     let first = usize::from(args.exact_starts && args.every == 1);
-    let noise = noise(&args.noise, scene, &measured.components(first))?;
+    let noise = noise(&args.noise, scene, [first, 0].map(|first| measured.components(first)))?;
     if let Some(out) = args.out.as_deref().map(Folder::at) {
         let outputs = [SCENE, IDENTIFIED, FIT, TRAJECTORIES, VALIDATION, PICTURE, REPORT];
         out.check_inputs(&[Path::new(&args.scene), &args.data], &outputs)?;
@@ -352,13 +365,21 @@ fn facts(fit: &Fit, seconds: f64) -> Vec<(&'static str, String)> {
     ]
 }
 
-/// Standard deviations in the order of the state components. The components `measured` need an
-/// assignment. The default is 1 for others. None without assignments.
-fn noise(assignments: &[String], scene: &Scene, measured: &[usize]) -> Result<Option<Vec<f64>>> {
+/// Standard deviations in the order of the state components. The components `fitted` need an
+/// assignment, and components without a measurement have none. The default is 1 for others. None
+/// without assignments.
+fn noise(
+    assignments: &[String],
+    scene: &Scene,
+    [fitted, measured]: [Vec<usize>; 2],
+) -> Result<Option<Vec<f64>>> {
     if assignments.is_empty() {
         return Ok(None);
     }
     let names = scene.state_names();
+    let list = |states: &[usize]| {
+        listed(&states.iter().map(|&i| names[i].clone()).collect::<Vec<String>>())
+    };
     let mut noise = vec![None; names.len()];
     for assignment in assignments {
         let parsed = assignment.split_once('=').and_then(|(name, value)| {
@@ -374,15 +395,20 @@ fn noise(assignments: &[String], scene: &Scene, measured: &[usize]) -> Result<Op
                 listed(&names)
             )
         })?;
+        if !measured.contains(&index) {
+            bail!(
+                "--noise {assignment} has no effect: the file has no measurement of {}; measured states: {}",
+                names[index],
+                list(&measured)
+            );
+        }
         if noise[index].replace(value).is_some() {
             bail!("--noise {assignment}: {} is given twice; give each name once", names[index]);
         }
     }
-    let missing: Vec<String> =
-        measured.iter().filter(|&&i| noise[i].is_none()).map(|&i| names[i].clone()).collect();
+    let missing: Vec<usize> = fitted.iter().copied().filter(|&i| noise[i].is_none()).collect();
     if !missing.is_empty() {
-        let all: Vec<String> = measured.iter().map(|&i| names[i].clone()).collect();
-        bail!("--noise lacks {}; give all measured states: {}", listed(&missing), listed(&all));
+        bail!("--noise lacks {}; give all measured states: {}", list(&missing), list(&fitted));
     }
     Ok(Some(noise.into_iter().map(|noise| noise.unwrap_or(1.0)).collect()))
 }

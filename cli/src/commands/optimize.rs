@@ -8,12 +8,12 @@ use crate::platform::parallel;
 use crate::platform::table::Table;
 use crate::platform::terminal::{counted, print_message, print_text};
 use crate::runs::{outputs, saved};
-use crate::scenes::overrides::{Overrides, hide_training, is_of_training};
+use crate::scenes::overrides::{Overrides, hide, is_of_training};
 use crate::scenes::presets;
 use crate::tasks::Scene;
 use anyhow::{Context, Result, bail};
-use physgrad::optimize::{Initial, Options, Plan, Stop};
-use physgrad::text::{digits, rough};
+use physgrad::optimize::{Initial, Options, Plan};
+use physgrad::text::{digits, rough, short};
 use physgrad_plot::{Dash, Series, fitted};
 use serde_json::json;
 use std::collections::HashSet;
@@ -27,7 +27,7 @@ use std::time::Instant;
 #[command(
     after_help = "Examples:\n  physgrad optimize cart_pole_1 --bound=-20:20 --starts 3\n  physgrad optimize --from runs/one"
 )]
-#[command(mut_args(hide_training))]
+#[command(mut_args(hide(is_unread)))]
 pub struct Optimize {
     /// Task, preset or path of a scene
     #[arg(required_unless_present = "from", conflicts_with = "from")]
@@ -62,6 +62,11 @@ pub struct Optimize {
     pub json: bool,
 }
 
+/// Whether the command does not read the setting with this key.
+fn is_unread(key: &str) -> bool {
+    is_of_training(key) && key != "training.test_samples" || key.starts_with("policy.")
+}
+
 /// Largest number of animations, and of initial states in the picture.
 const SHOWN: usize = 3;
 
@@ -70,9 +75,6 @@ const COMPONENTS: usize = 8;
 
 /// Runs the command.
 pub fn optimize(args: &Optimize) -> Result<()> {
-    let is_unread = |key: &str| {
-        is_of_training(key) && key != "training.test_samples" || key.starts_with("policy.")
-    };
     args.overrides.refuse(is_unread, "optimized controls, which need no policy and no training")?;
     let (name, scene) = match &args.from {
         Some(path) => (Folder::existing(path)?.name(), saved::scene(&Folder::existing(path)?)?),
@@ -86,6 +88,11 @@ pub fn optimize(args: &Optimize) -> Result<()> {
     }
     scene.check_memory()?;
     let bounds = bounds(&args.bound, &scene.control_names())?;
+    if let Some(bound) = unused(&args.bound, scene.control_names().len()) {
+        print_message(&format!(
+            "warning: --bound {bound} has no effect, because each control has a bound of its own"
+        ));
+    }
     let options = Options { max_iterations: args.iterations, bounds, ..Options::default() };
     let starts = starts(args, &scene)?;
     let reserved = Folder::reserve(args.out.as_deref())?;
@@ -140,7 +147,10 @@ pub fn optimize(args: &Optimize) -> Result<()> {
     for (i, rollout) in optimized.iter().take(SHOWN) {
         folder.write(&format!("animation-{i}.svg"), scene.animation(rollout).to_svg())?;
     }
-    not_stationary(&plans).iter().for_each(|warning| print_message(warning));
+    warnings(&plans).iter().for_each(|warning| print_message(warning));
+    if args.bound.is_empty() && !args.quiet {
+        outside(&plans, &scene).iter().for_each(|note| print_message(note));
+    }
     if args.json {
         print_json(
             &json!({ "folder": folder.path(), "seconds": seconds, "plans": rows(&costs)? }),
@@ -231,6 +241,13 @@ fn bounds(arguments: &[String], names: &[String]) -> Result<Option<Vec<[f64; 2]>
     Ok((!arguments.is_empty()).then_some(bounds))
 }
 
+/// The bound of all controls, if each of them has a bound of its own.
+fn unused(arguments: &[String], controls: usize) -> Option<&String> {
+    let (named, general): (Vec<&String>, Vec<&String>) =
+        arguments.iter().partition(|argument| argument.contains('='));
+    general.first().copied().filter(|_| named.len() == controls)
+}
+
 fn trajectory(plan: &Plan) -> Trajectory {
     Trajectory {
         states: (0..=plan.horizon()).map(|t| plan.state(t).to_vec()).collect(),
@@ -286,26 +303,44 @@ fn table(plans: &[(usize, Plan)]) -> Table {
     table
 }
 
-/// Share of the initial cost below which a cost counts as 0. Its gradient then exceeds any share of
-/// the cost.
-const AS_GOOD_AS_0: f64 = 1e-9;
-
-/// Warning about plans that end at a gradient above 1e-4 of the cost, if any.
-fn not_stationary(plans: &[(usize, Plan)]) -> Option<String> {
-    let is_steep = |plan: &Plan| {
-        plan.stop != Stop::Gradient
-            && plan.gradient_norm() > 1e-4 * plan.cost.abs()
-            && plan.cost.abs() > AS_GOOD_AS_0 * plan.costs[0].abs()
+/// Warnings about the searches, each with its initial states.
+fn warnings(plans: &[(usize, Plan)]) -> Vec<String> {
+    let mut warnings: Vec<(&str, Vec<String>)> = Vec::new();
+    for (i, plan) in plans {
+        for text in plan.warnings() {
+            match warnings.iter_mut().find(|(known, _)| *known == text) {
+                Some((_, starts)) => starts.push(i.to_string()),
+                None => warnings.push((text, vec![i.to_string()])),
+            }
+        }
+    }
+    let line = |(text, starts): (&str, Vec<String>)| {
+        format!("warning: {text} (initial states: {})", starts.join(", "))
     };
-    let steep: Vec<String> =
-        plans.iter().filter(|(_, plan)| is_steep(plan)).map(|(i, _)| i.to_string()).collect();
-    (!steep.is_empty()).then(|| {
-        format!(
-            "warning: the search ended at a gradient above 1e-4 of the cost, so lower costs exist nearby (initial states: {}). \
-             Controls that saturate inside the step may cause this; use --bound instead. Otherwise raise --iterations",
-            steep.join(", ")
-        )
-    })
+    warnings.into_iter().map(line).collect()
+}
+
+/// A note about controls outside of the range for which the task is meant, if any.
+fn outside(plans: &[(usize, Plan)], scene: &Scene) -> Option<String> {
+    let (names, ranges) = (scene.control_names(), scene.control_bounds()?);
+    let farthest = |(i, &[low, high]): (usize, &[f64; 2])| {
+        let controls =
+            plans.iter().flat_map(|(_, plan)| plan.u.iter().skip(i).step_by(names.len()));
+        let beyond = |u: f64| (low - u).max(u - high);
+        let u = controls.copied().max_by(|a, b| beyond(*a).total_cmp(&beyond(*b)))?;
+        let range = [low, high].map(short);
+        (beyond(u) > 0.0).then(|| (i, short(u), range))
+    };
+    let found: Vec<_> = ranges.iter().enumerate().filter_map(farthest).collect();
+    let (i, _, [low, high]) = found.first()?;
+    let example = format!("--bound {}={low}:{high}", names[*i]);
+    let list = found.iter().map(|(i, u, [low, high])| {
+        format!("{} reaches {u}, but the task is meant for {low} to {high}", names[*i])
+    });
+    Some(format!(
+        "note: {}; the search has no bounds without --bound, as in {example}",
+        list.collect::<Vec<_>>().join("; ")
+    ))
 }
 
 /// Controls and states over time. One column for each of the first [`SHOWN`] initial states. One

@@ -9,6 +9,7 @@ use crate::platform::parallel;
 use crate::platform::table::Table;
 use crate::platform::terminal::{counted, print_text};
 use crate::runs::trained::Trained;
+use crate::scenes::overrides::is_of_training;
 use crate::tasks::Scene;
 use anyhow::{Context, Result, bail};
 use physgrad::text::short;
@@ -100,9 +101,7 @@ pub fn robust(args: &Robust) -> Result<()> {
         bail!("--grid gives {} twice; give each setting once", first.key);
     }
     check_samples(args.samples)?;
-    let unused = |axis: &&Axis| {
-        ["seed", "epochs"].contains(&&*axis.key) || axis.key.starts_with("training.")
-    };
+    let unused = |axis: &&Axis| axis.key == "seed" || is_of_training(&axis.key);
     if let Some(Axis { key, .. }) = args.grid.iter().find(unused) {
         bail!("--grid {key}: an evaluation does not use this setting; choose a number of the task");
     }

@@ -318,6 +318,9 @@ pub fn check_sessions(scene: &Scene, fields: &[FieldName]) -> Result<()> {
     fields.iter().try_for_each(|&field| scene.with(field, scene.seed).open(1).map(drop))
 }
 
+/// Largest number of missing runs that a message names.
+const FEW: usize = 4;
+
 /// Runs that failed, applied no update or have not ended.
 pub struct Ended {
     pub interrupted: bool,
@@ -350,15 +353,18 @@ impl Ended {
         }
     }
 
-    /// Returns an error that lists the runs that have not ended, if any. Otherwise, the error lists
+    /// Returns an error that counts the runs that have not ended and names the first ones, if any. Otherwise, the error lists
     /// the runs that failed, if any, or else the runs that applied no update, if any.
     pub fn into_result(self) -> Result<()> {
         if !self.missing.is_empty() {
+            let count = self.missing.len();
+            let mut names = self.missing[..count.min(FEW)].join(", ");
+            if count > FEW {
+                names += &format!(" and {} more", count - FEW);
+            }
             bail!(
-                "{} of {} runs are missing or not complete; repeat the command that trains them:\n{}",
-                self.missing.len(),
-                self.runs,
-                self.missing.join("\n")
+                "{count} of {} runs are missing or not complete; repeat the command that trains them: {names}",
+                self.runs
             )
         }
         if !self.failed.is_empty() {

@@ -220,21 +220,43 @@ pub const OPTIONAL: [&str; 7] =
     ["ratio", "best", "seeds", "failed", "highest", "lowest", "seconds"];
 
 /// Explanation of the table.
-pub fn table_note(is_named: bool) -> String {
+pub fn table_note(scenes: &[InScene], is_named: bool) -> String {
     let reference = if is_named { "the first method" } else { "R (otherwise M, S or C)" };
+    let interval = interval_note(scenes);
     format!(
         "test loss of the last epoch: median, lowest and highest over the seeds; medians of best loss and seconds\n\
-         ratio of the median to that of {reference}, with a 95 % interval (bootstrap over the seeds); undecided if it contains 1\n\
+         ratio of the median to that of {reference}, with {interval}\n\
          failed: runs whose test loss is not a number or not below that of the untrained policy"
     )
+}
+
+/// What the intervals of the ratios mean, as the end of a sentence without a point.
+pub fn interval_note(scenes: &[InScene]) -> String {
+    let seeds = |scene: &InScene| {
+        let (first, others) = reference(&scene.runs)?;
+        let methods = by_method(&scene.runs).filter(|(method, _)| *method != first);
+        methods.map(|(_, runs)| pairs(runs, others).len()).min()
+    };
+    match scenes.iter().filter_map(seeds).min() {
+        Some(seeds) if seeds < SEEDS_OF_INTERVAL => format!(
+            "a bootstrap interval over the seeds. It is no confidence interval and decides nothing, because fewer than \
+             {SEEDS_OF_INTERVAL} seeds do not support 95 %"
+        ),
+        _ => "a 95 % interval (bootstrap over the seeds); undecided if it contains 1".into(),
+    }
 }
 
 /// Ratio of the median loss of a method to that of the method of the lowest rank. None for that
 /// method itself.
 pub fn ratio(runs: &[Outcome], method: Method) -> Option<Ratio> {
-    let (first, others) = by_method(runs).min_by_key(|(method, _)| method.rank())?;
+    let (first, others) = reference(runs)?;
     let (_, own) = by_method(runs).find(|(other, _)| *other == method)?;
-    (first != method).then(|| loss_ratio(own.iter().copied(), others.iter().copied()))
+    (first != method).then(|| median_ratio(&pairs(own, others)))
+}
+
+/// Method to which ratios refer, with its runs.
+fn reference<'a, 'r>(runs: &'a [Outcome<'r>]) -> Option<(Method<'r>, &'a [Outcome<'r>])> {
+    by_method(runs).min_by_key(|(method, _)| method.rank())
 }
 
 /// Lowest test loss. NaN if no loss is a number.
@@ -262,6 +284,11 @@ pub fn trailing_mean(values: &[f64], window: usize) -> Vec<f64> {
 /// Number of resamples of a bootstrap interval.
 const RESAMPLES: u64 = 10_000;
 
+/// Least number of seeds of a 95 % interval. All of n seeds lie on one side of the median with the
+/// probability 2^(1 - n), 6 % for 5: of fewer than 6 seeds, not even the range from the lowest to
+/// the highest one covers a median with 95 %.
+const SEEDS_OF_INTERVAL: usize = 6;
+
 /// Ratio of two medians with its bootstrap interval.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ratio {
@@ -269,6 +296,21 @@ pub struct Ratio {
     pub value: f64,
     /// Lower and upper end of the 95 % interval. NaN for fewer than two pairs.
     pub interval: [f64; 2],
+    /// Number of seeds that both groups contain.
+    pub seeds: usize,
+}
+
+impl Ratio {
+    /// What the interval decides about the first numbers.
+    pub fn verdict(&self) -> String {
+        let [low, high] = self.interval;
+        match () {
+            () if self.seeds < SEEDS_OF_INTERVAL => format!("fewer than {SEEDS_OF_INTERVAL} seeds"),
+            () if high < 1.0 => "lower".into(),
+            () if low > 1.0 => "higher".into(),
+            () => "undecided".into(),
+        }
+    }
 }
 
 impl fmt::Display for Ratio {
@@ -283,17 +325,13 @@ impl fmt::Display for Ratio {
     }
 }
 
-/// [`median_ratio`] of the final test losses of two groups of runs, over the seeds that both groups
-/// contain.
-fn loss_ratio<'a>(
-    runs: impl Iterator<Item = Outcome<'a>>,
-    others: impl Iterator<Item = Outcome<'a>> + Clone,
-) -> Ratio {
-    let pair = |run: Outcome<'a>| {
-        let other = others.clone().find(|other| other.seed == run.seed);
+/// Final test losses of two groups of runs, a pair for each seed that both groups contain.
+fn pairs(runs: &[Outcome], others: &[Outcome]) -> Vec<(f64, f64)> {
+    let pair = |run: &Outcome| {
+        let other = others.iter().find(|other| other.seed == run.seed);
         other.map(|other| (run.loss(), other.loss()))
     };
-    median_ratio(&runs.filter_map(pair).collect::<Vec<_>>())
+    runs.iter().filter_map(pair).collect()
 }
 
 /// Ratio of the medians of pairs of losses, one pair per seed. NaN stands for the loss of a failed
@@ -320,6 +358,7 @@ fn median_ratio(pairs: &[(f64, f64)]) -> Ratio {
     Ratio {
         value: ratio(&mut pairs.iter().copied()),
         interval: [0.025, 0.975].map(|q| quantile(&ratios, q)),
+        seeds: pairs.len(),
     }
 }
 
@@ -376,16 +415,43 @@ mod tests {
     fn the_ratio_of_medians_has_an_interval_that_covers_the_resamples() {
         // Medians 2 and 8. Each pair has the ratio 1/4, and so has every resample.
         let ratio = median_ratio(&[(1.0, 4.0), (2.0, 8.0), (3.0, 12.0)]);
-        assert_eq!(ratio, Ratio { value: 0.25, interval: [0.25; 2] });
+        assert_eq!(ratio, Ratio { value: 0.25, interval: [0.25; 2], seeds: 3 });
         // A resample of two seeds is the first one twice, the second one twice, or both. The
         // probabilities are 1/4, 1/4 and 1/2, the ratios 1, 9 and 5.
         let ratio = median_ratio(&[(1.0, 1.0), (9.0, 1.0)]);
-        assert_eq!(ratio, Ratio { value: 5.0, interval: [1.0, 9.0] });
+        assert_eq!(ratio, Ratio { value: 5.0, interval: [1.0, 9.0], seeds: 2 });
         // One of 9 seeds has the ratio 100. It is the median only if at least 5 of 9 draws choose
         // this seed. The probability is 0.0014.
         let mut pairs = [(2.0, 1.0); 9];
         pairs[4].0 = 100.0;
-        assert_eq!(median_ratio(&pairs), Ratio { value: 2.0, interval: [2.0; 2] });
+        assert_eq!(median_ratio(&pairs), Ratio { value: 2.0, interval: [2.0; 2], seeds: 9 });
+    }
+
+    #[test]
+    fn an_interval_decides_with_six_seeds_but_not_with_five() {
+        for (ratio, seeds, verdict, note) in [
+            (2.0, 6, "higher", "a 95 % interval"),
+            (0.5, 6, "lower", "a 95 % interval"),
+            (1.0, 6, "undecided", "a 95 % interval"),
+            (2.0, 5, "fewer than 6 seeds", "is no confidence interval and decides nothing"),
+            (0.5, 2, "fewer than 6 seeds", "is no confidence interval and decides nothing"),
+        ] {
+            let of = |loss| [Record { epoch: 1, test_loss: loss, ..Record::default() }];
+            let (first, second) = (of(1.0), of(ratio));
+            let run = |field, seed, records| {
+                let method = Method::Field(field);
+                Outcome { method, field, ..outcome(seed, records) }
+            };
+            let modified = Method::Field(Field::modified());
+            let runs: Vec<Outcome> = (0..seeds)
+                .map(|seed| run(Field::regular(), seed, &first))
+                .chain((0..seeds).map(|seed| run(Field::modified(), seed, &second)))
+                .collect();
+            let found = super::ratio(&runs, modified).expect("a ratio").verdict();
+            assert_eq!(found, verdict, "{ratio}, {seeds} seeds");
+            let found = table_note(&[InScene { name: "", runs, chosen: Vec::new() }], false);
+            assert!(found.contains(note), "{ratio}, {seeds} seeds: {found}");
+        }
     }
 
     #[test]

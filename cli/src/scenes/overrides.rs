@@ -1,8 +1,10 @@
 //! Options of the command line that override settings of a scene or of a resumed run.
 
 use crate::platform::folder::POLICY;
+use crate::platform::terminal::print_message;
 use crate::scenes::grid::several;
-use crate::scenes::source::{SceneSource, short};
+use crate::scenes::source::{SceneSource, find, short};
+use crate::settings::reading::{NUMBER_KEYS, is_drawn, is_number};
 use crate::settings::{FieldName, LogFormat, Precision};
 use crate::tasks::scene::INITIAL_POLICY;
 use anyhow::{Context, Result, bail};
@@ -17,10 +19,10 @@ pub struct Overrides {
     #[arg(long, value_parser = |name: &str| name.parse().map(FieldName))]
     pub field: Option<FieldName>,
     /// Total number of epochs, including those before --resume
-    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    #[arg(long, value_name = "N")]
     pub epochs: Option<u64>,
     /// Seed of initial states and initial parameters
-    #[arg(long, value_name = "S", allow_negative_numbers = true)]
+    #[arg(long, value_name = "S")]
     pub seed: Option<u64>,
     /// Floating-point precision of all computations
     #[arg(long, value_enum)]
@@ -41,6 +43,17 @@ pub struct Overrides {
     #[arg(long, value_name = "NAME")]
     pub without: Vec<String>,
 }
+
+/// Options that set a key each, with the key.
+const OPTIONS: [(&str, &str); 7] = [
+    ("field", "field"),
+    ("epochs", "epochs"),
+    ("seed", "seed"),
+    ("precision", "precision"),
+    ("tag", "tags"),
+    ("log", "log"),
+    ("policy", INITIAL_POLICY),
+];
 
 impl Overrides {
     /// Applies the overrides to a scene: first `--without`, then `--set`, then the other options.
@@ -81,22 +94,22 @@ impl Overrides {
     /// Refuses options for settings that a command does not read. `is_unread` decides by the key,
     /// `what` names the command.
     pub fn refuse(&self, is_unread: impl Fn(&str) -> bool, what: &str) -> Result<()> {
-        let options = [
-            ("field", self.field.is_some(), "--field"),
-            ("epochs", self.epochs.is_some(), "--epochs"),
-            ("seed", self.seed.is_some(), "--seed"),
-            ("precision", self.precision.is_some(), "--precision"),
-            ("tags", !self.tag.is_empty(), "--tag"),
-            ("log", !self.log.is_empty(), "--log"),
-            (INITIAL_POLICY, self.policy.is_some(), "--policy"),
+        let is_given = [
+            self.field.is_some(),
+            self.epochs.is_some(),
+            self.seed.is_some(),
+            self.precision.is_some(),
+            !self.tag.is_empty(),
+            !self.log.is_empty(),
+            self.policy.is_some(),
         ];
-        let options = options.into_iter().filter(|(_, is_given, _)| *is_given);
+        let options = OPTIONS.into_iter().zip(is_given).filter(|(_, is_given)| *is_given);
         let assigned = self.set.iter().map(|assignment| {
             let key = assignment.split('=').next().unwrap_or_default().trim();
             (key, format!("--set {}", short(assignment)))
         });
-        let given = options.map(|(key, _, option)| (key, option.to_owned())).chain(assigned);
-        match { given }.find(|(key, _)| is_unread(key)) {
+        let given = options.map(|((option, key), _)| (key, format!("--{option}")));
+        match given.chain(assigned).find(|(key, _)| is_unread(key)) {
             Some((_, option)) => bail!("{option} has no effect on {what}; remove it"),
             None => Ok(()),
         }
@@ -118,10 +131,13 @@ pub fn is_of_training(key: &str) -> bool {
         || ["epochs", "field", "tags", "log", INITIAL_POLICY].contains(&key)
 }
 
-/// Hides an option in the help text of a command if only training uses the option.
-pub fn hide_training(arg: clap::Arg) -> clap::Arg {
-    let is_hidden = ["epochs", "policy", "tag", "log"].contains(&arg.get_id().as_str());
-    if is_hidden { arg.hide(true) } else { arg }
+/// Hides the options that a command refuses in its help. `is_unread` as in [`Overrides::refuse`].
+pub fn hide(is_unread: impl Fn(&str) -> bool) -> impl Fn(clap::Arg) -> clap::Arg {
+    move |arg| {
+        let option = OPTIONS.iter().find(|(option, _)| *option == arg.get_id().as_str());
+        let is_hidden = option.is_some_and(|(_, key)| is_unread(key));
+        if is_hidden { arg.hide(true) } else { arg }
+    }
 }
 
 /// Removes the assignments with several values from `set`. Returns their keys with lists of values.
@@ -174,10 +190,14 @@ pub fn set(source: &mut SceneSource, assignment: &str) -> Result<()> {
         key.split_once('.').filter(|(section, _)| ["vary", "fit"].contains(section))
     {
         let example = if section == "vary" { "{ uniform = [1, 2] }" } else { "{ start = 1 }" };
-        // A key of the section is quoted, and a key of its value may follow.
-        let number = number
-            .strip_prefix(['"', '\''])
-            .map_or(number, |quoted| quoted.split(['"', '\'']).next().unwrap_or_default());
+        // A key of the section may be quoted, and a key of its value may follow.
+        let number = match number.strip_prefix(['"', '\'']) {
+            Some(quoted) => quoted.split(['"', '\'']).next().unwrap_or_default(),
+            None => number
+                .rsplit_once('.')
+                .filter(|(_, key)| NUMBER_KEYS.contains(key))
+                .map_or(number, |(key, _)| key),
+        };
         bail!(
             "{option}: only scene files have the section `{section}`; write the setting itself, as in --set '{number}={example}'"
         );
@@ -187,5 +207,15 @@ pub fn set(source: &mut SceneSource, assignment: &str) -> Result<()> {
     }
     // Reads text that is not a TOML value as a string, because shells remove quotes.
     let value = text.parse().unwrap_or_else(|_| Value::String(text.into()));
+    if let Some(before) = find(source.table(), key).and_then(Value::as_table)
+        && is_number(before)
+        && !value.is_table()
+    {
+        let what = if is_drawn(before) { "varies" } else { "is unknown" };
+        print_message(&format!(
+            "note: {option} replaces {}, so that the number no longer {what}",
+            Value::Table(before.clone())
+        ));
+    }
     source.put(key, value, &option)
 }

@@ -7,7 +7,7 @@
 use crate::platform::files;
 use crate::platform::folder::{Folder, MAX_SETTINGS};
 use crate::platform::terminal::did_you_mean;
-use crate::scenes::ranges::with_range;
+use crate::scenes::ranges::{with_methods, with_numbers, with_range};
 use crate::settings::config_error::{ConfigError, Problem};
 use crate::settings::reading::{is_drawn, is_number, overlay};
 use crate::settings::{OPTIONAL, VERSION};
@@ -343,7 +343,11 @@ impl SceneSource {
         };
         let explained = |error| suggest(spec, explain_foreign_effect(spec, error));
         let scene = spec.scene(settings());
-        scene.map_err(|error| self.with_distribution(with_range(spec, settings, explained(error))))
+        scene.map_err(|error| {
+            let error =
+                with_methods(spec, settings, with_numbers(spec, settings, explained(error)));
+            self.with_distribution(with_range(spec, settings, error))
+        })
     }
 
     /// Adds the distribution of a number that varies to an error of one of its values.

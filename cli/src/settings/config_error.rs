@@ -84,7 +84,8 @@ impl de::Error for ConfigError {
     }
 
     fn invalid_length(length: usize, expected: &dyn Expected) -> Self {
-        Self::of("", Problem::Value { found: length.to_string(), allowed: expected.to_string() })
+        let entries = if length == 1 { "entry" } else { "entries" };
+        Self::new("", format!("has {length} {entries}; allowed: {expected}"))
     }
 
     fn unknown_variant(found: &str, names: &'static [&'static str]) -> Self {

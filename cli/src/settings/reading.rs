@@ -34,18 +34,20 @@ pub fn overlay(lower: &mut Table, upper: &Table) {
     }
 }
 
+/// Keys of the table of a drawn or trained [`Number`](physgrad::Number).
+pub const NUMBER_KEYS: [&str; 7] =
+    ["uniform", "normal", "log_uniform", "choice", "start", "min", "max"];
+
 /// Returns whether the table is a drawn [`Number`](physgrad::Number).
 pub fn is_drawn(table: &Table) -> bool {
-    const DISTRIBUTIONS: [&str; 4] = ["uniform", "normal", "log_uniform", "choice"];
     table.len() == 1
-        && table.iter().all(|(key, value)| DISTRIBUTIONS.contains(&&**key) && value.is_array())
+        && table.iter().all(|(key, value)| NUMBER_KEYS[..4].contains(&&**key) && value.is_array())
 }
 
 /// Returns whether the table is a drawn or trained [`Number`](physgrad::Number).
 pub fn is_number(table: &Table) -> bool {
     let is_trained = table.get("start").is_some_and(|start| start.is_float() || start.is_integer());
-    is_drawn(table)
-        || is_trained && table.keys().all(|key| ["start", "min", "max"].contains(&&**key))
+    is_drawn(table) || is_trained && table.keys().all(|key| NUMBER_KEYS[4..].contains(&&**key))
 }
 
 /// Implements the methods on the left by the method on the right. The visitor checks the range.
@@ -157,7 +159,7 @@ impl<'de> Deserializer<'de> for Reading<'_> {
         visitor: V,
     ) -> Result<V::Value, ConfigError> {
         match self.0 {
-            Value::Array(list) if list.len() < len => {
+            Value::Array(list) if list.len() != len => {
                 Err(Error::invalid_length(list.len(), &&*format!("a list of {len}")))
             }
             _ => self.deserialize_seq(visitor),

@@ -1,5 +1,6 @@
 //! Interface of the program: output files, CSV headers, messages, exit codes.
 
+use crate::numbers as of_numbers;
 use crate::running::{SMALL, error_of, physgrad, train};
 use physgrad::train::Session;
 use physgrad::{policy::Mlp, tasks::CartPole};
@@ -196,6 +197,71 @@ fn errors_name_the_key_and_the_allowed_values() {
     assert!(text.contains("sideways") && text.contains("combined"), "{text}");
     let text = error_of(&mut physgrad(&["train", "cart_pool"]));
     assert!(text.contains("cart_pool") && text.contains("cart_pole"), "{text}");
+}
+
+/// Every command refuses options and settings that it does not read, and does not list the options.
+#[test]
+fn options_and_settings_without_effect_are_refused_and_not_listed() {
+    let dir = TempDir::new().expect("a folder");
+    let scene = "scene = 1\ntask = \"pendulum\"\n[fit]\n\"system.gravity\" = { start = 9 }\n";
+    fs::write(dir.path().join("scene.toml"), scene).expect("a scene");
+    fs::write(dir.path().join("data.csv"), "t,theta_1\n0,0\n0.01,0\n0.02,0\n").expect("data");
+    let run = |command: &str| {
+        let output = of_numbers::physgrad(command, dir.path()).output().expect("the program runs");
+        (output.status.success(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    let of_trainings = [
+        "field=S",
+        "epochs=3",
+        "tags=[\"a\"]",
+        "log=[\"jsonl\"]",
+        "training.batch=4",
+        "training.learning_rate=0.5",
+        "training.discount=0.5",
+        "training.control=0.5",
+        "training.truncation=5",
+        "training.cut=1",
+        "training.clip=value",
+    ];
+    let identify = "identify scene.toml --data data.csv";
+    for (command, others) in [
+        ("check pendulum", &["precision=f64"][..]),
+        ("accuracy pendulum", &["integrator.substeps=2", "precision=f64"]),
+        ("accuracy pendulum --gradients", &["policy.zero_init_output=true"]),
+        ("explain pendulum", &["training.memory=1MB", "seed=3"]),
+        ("optimize pendulum", &["policy.widths=[4]"]),
+        (identify, &["training.memory=1MB", "horizon=5", "system.start=upright"]),
+    ] {
+        for setting in of_trainings.iter().chain(others) {
+            let (succeeds, said) = run(&format!("{command} --set {setting}"));
+            let expected = format!("error: --set {setting} has no effect on ");
+            assert!(!succeeds && said.contains(&expected), "{command}: {said}");
+        }
+    }
+    for (command, refused, read) in [
+        ("accuracy", &["field", "epochs", "tag", "log"][..], &["precision", "seed", "policy"][..]),
+        ("explain", &["field", "epochs", "seed", "tag", "log", "policy"], &["precision", "set"]),
+        ("optimize", &["field", "epochs", "tag", "log", "policy"], &["seed", "precision"]),
+        ("identify", &["field", "epochs", "seed", "precision", "policy"], &["set", "without"]),
+    ] {
+        let output =
+            of_numbers::physgrad(&format!("{command} --help"), dir.path()).output().expect("help");
+        let help = String::from_utf8_lossy(&output.stdout).into_owned();
+        let lists = |option: &&str| help.contains(&format!(" --{option} "));
+        assert!(!refused.iter().any(lists) && read.iter().all(lists), "{command}: {help}");
+    }
+    let (succeeds, said) = run(&format!("{identify} --noise theta_1=1,omega_1=0.1"));
+    let expected = "--noise omega_1=0.1 has no effect: the file has no measurement of omega_1; measured states: theta_1";
+    assert!(!succeeds && said.contains(expected), "{said}");
+    for (command, expected) in [
+        ("train pendulum --epochs -1", "'--epochs <N>': allowed: a whole number, 0 or more"),
+        ("compare pendulum --seeds -1", "'--seeds <K>': allowed: a whole number, 0 or more"),
+        ("animate run --sample -1", "'--sample <N>': allowed: a whole number, 0 or more"),
+        ("accuracy pendulum --target -1", "--target -1; allowed: a positive error"),
+    ] {
+        let (succeeds, said) = run(command);
+        assert!(!succeeds && said.contains(expected), "{command}: {said}");
+    }
 }
 
 #[test]

@@ -132,7 +132,7 @@ fn errors_of_drawn_and_trained_numbers_name_line_and_allowed_values() {
         (
             "[vary]\n\"training.batch\" = { choice = [1, 2] }",
             11,
-            "`training.batch` is a section; allowed: a whole number",
+            "`training.batch` cannot vary and cannot be fitted; settings that can: `system.cart_mass`, ",
         ),
         (
             "[effects.pole_damping]\ndamping = 1\n[vary]\n\"effects.pole_damping.damping\" = { uniform = [0, 1] }",
@@ -963,12 +963,45 @@ fn trained_numbers_outside_of_their_ranges_are_named_at_the_first_and_the_last_e
     assert!((0.5..=2.0).contains(&mass) && !said.contains("outside of its range"), "{said}");
 }
 
+#[test]
+fn a_note_says_that_a_set_number_no_longer_varies_or_is_no_longer_unknown() {
+    let varied = "[vary]\n\"system.gravity\" = { uniform = [9, 10] }\n";
+    let fitted = "[fit]\n\"system.gravity\" = { start = 9 }\n";
+    for (section, set, note) in [
+        (
+            varied,
+            "system.gravity=9.8",
+            "{ uniform = [9, 10] }, so that the number no longer varies",
+        ),
+        (fitted, "system.gravity=9.8", "{ start = 9 }, so that the number no longer is unknown"),
+        (fitted, "system.pole_mass=0.2", ""),
+    ] {
+        let dir = folder(&format!("{SCENE}\n{section}"));
+        for command in ["explain", "check"] {
+            let command =
+                format!("{command} scene.toml --set horizon=5 --set policy.widths=[2] --set {set}");
+            let output = physgrad(&command, dir.path()).assert().success().get_output().clone();
+            let said = String::from_utf8(output.stderr).expect("UTF-8");
+            let expected = format!("note: --set {set} replaces {note}\n");
+            let is_noted = said.matches(&expected).count() == 1;
+            assert_eq!(is_noted, !note.is_empty(), "{command}: {said}");
+            assert_eq!(said.contains("note: "), is_noted, "{command}: {said}");
+        }
+    }
+}
+
 /// The value in the message is one that the reader accepts.
 #[test]
 fn advice_on_varied_and_trained_numbers_is_accepted() {
     let dir = folder(SCENE);
     for section in ["vary", "fit"] {
-        for key in ["system.cart_mass", "\"system.cart_mass\"", "\"system.cart_mass\".start"] {
+        for key in [
+            "system.cart_mass",
+            "\"system.cart_mass\"",
+            "\"system.cart_mass\".start",
+            "system.cart_mass.start",
+            "system.cart_mass.uniform",
+        ] {
             let refused = format!("explain scene.toml --set {section}.{key}=1");
             let output = physgrad(&refused, dir.path()).assert().failure().get_output().clone();
             let said = String::from_utf8(output.stderr).expect("UTF-8");

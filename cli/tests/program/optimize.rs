@@ -33,6 +33,21 @@ fn a_search_that_ends_at_a_cost_of_0_has_no_warning() {
     assert!(!messages.contains("warning"), "{messages}");
 }
 
+/// The task is meant for forces of up to 50 N.
+#[test]
+fn a_note_names_controls_beyond_those_that_the_task_is_meant_for() {
+    let dir = TempDir::new().expect("a folder");
+    let note = "note: force reaches ";
+    for (options, is_noted) in [("", true), (" --bound=-1000:1000", false), (" --quiet", false)] {
+        let command = format!("optimize lqr --set system.spread=100{options}");
+        let output = physgrad(&command, dir.path()).assert().success();
+        let said = String::from_utf8_lossy(&output.get_output().stderr).into_owned();
+        assert_eq!(said.contains(note), is_noted, "{command}: {said}");
+        let example = "but the task is meant for -50.00 to 50.00; the search has no bounds without --bound, as in --bound force=-50.00:50.00";
+        assert!(!is_noted || said.contains(example), "{said}");
+    }
+}
+
 /// The Riccati equation gives the least loss from every initial state, and one optimal gain for all
 /// steps.
 #[test]
@@ -90,7 +105,10 @@ fn optimized_forces_stay_within_minus_4_and_5_n_and_cost_less_than_the_policy() 
         .success();
     // The bound of one control replaces that of all controls.
     let optimize = "optimize --from run --bound force=-4:5 --bound=-1:1 --out plan --quiet";
-    physgrad(optimize, dir.path()).assert().success().stdout("");
+    let output = physgrad(optimize, dir.path()).assert().success().stdout("");
+    let said = String::from_utf8_lossy(&output.get_output().stderr).into_owned();
+    let expected = "--bound -1:1 has no effect, because each control has a bound of its own";
+    assert!(said.contains(expected), "{said}");
     physgrad("optimize --from run --iterations 0 --out policy --quiet", dir.path())
         .assert()
         .success();

@@ -109,6 +109,12 @@ fn thirteen_commands_take_the_task_of_the_user() {
     run(&["train", "own.toml", "--epochs", "2", "--quiet", "--out", "lag"]);
     let settings = std::fs::read_to_string(dir.path().join("lag/run.toml")).expect("settings");
     assert!(settings.contains("ball = 0.2"), "{settings}");
+    let fitted = "[fit]\n\"system.beam\" = { start = 1 }\n";
+    std::fs::write(dir.path().join("fitted.toml"), format!("{scene}{fitted}")).expect("a scene");
+    let said = error(&["explain", "fitted.toml"], dir.path());
+    let expected = "`system.beam` cannot vary and cannot be fitted; settings that can: `system.ball`, `system.friction` (fields of the \
+                    type `Number` that `System::numbers` lists)";
+    assert!(said.contains(expected), "{said}");
     // Draws a number of the task for each sample.
     run(&[
         "train",

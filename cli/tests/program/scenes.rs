@@ -315,7 +315,8 @@ fn errors_in_a_file_name_the_line_and_the_allowed_values() {
         ),
         (
             "[vary]\n\"system.dt\" = { uniform = [0.01, 0.02] }\n",
-            "my_scene.toml:4: `system.dt` is a section in { uniform = [0.01, 0.02] }; allowed: a number",
+            "my_scene.toml:4: `system.dt` cannot vary and cannot be fitted; settings that can: `system.cart_mass`, `system.pole_mass`, \
+             `system.half_length`, `system.gravity`",
         ),
         (
             "[vary]\n\"system.pole_mass\" = { normal = [1.0, 0.5] }\n",
@@ -449,7 +450,7 @@ fn errors_in_a_file_name_the_line_and_the_allowed_values() {
         ),
         (
             "scene = 1\ntask = \"guidance\"\n[effects.obstacles]\ncenters = [[0, 0, 1]]\n",
-            "my_scene.toml:4: `effects.obstacles.centers[0]` is 3; allowed: a shorter list",
+            "my_scene.toml:4: `effects.obstacles.centers[0]` has 3 entries; allowed: a list of 2",
         ),
         (
             "scene = 1\ntask = \"guidance\"\n[effects.obstacles]\ncenters = []\n",
@@ -491,8 +492,22 @@ fn errors_distinguish_command_line_and_file() {
         ("task=quantum", "`task` defines the meaning of the other settings"),
         ("scene=2", "`scene` defines the meaning of the other settings"),
         ("system.dt.unit=s", "`system.dt` is not a section"),
+        (
+            "integrator.method=rk5",
+            "`integrator.method` is `rk5`; allowed: euler, semi_implicit, verlet, heun, implicit_midpoint, sdirk2, rk4, tsit5, \
+             adaptive; or omit it for the native scheme\n",
+        ),
     ] {
         let error = error_of(&mut train_scene(&file, &out, &["--set", set]));
+        assert!(error.contains(message), "{message}\n{error}");
+    }
+    for (task, set, message) in [
+        ("push", "system.masses=[1]", "`system.masses` has 1 entry; allowed: a list of 2"),
+        ("push", "system.masses=[1, 2, 3]", "`system.masses` has 3 entries; allowed: a list of 2"),
+        ("quantum", "integrator.method=rk5", "is `rk5`; allowed: pade, strang; or omit it"),
+        ("lqr", "system.spread={start = 1}", "cannot be fitted, nor can another setting"),
+    ] {
+        let error = error_of(&mut physgrad(&["explain", task, "--set", set]));
         assert!(error.contains(message), "{message}\n{error}");
     }
 }

@@ -59,8 +59,8 @@ pub fn comparison(folder: &str, scenes: &[InspectedScene]) -> String {
         (section("Result", html! {
             (table(&statistics::table_header(&outcomes, &[]), &statistics::table_of_scenes(&outcomes)))
             p.note {
-                "Median, lowest and highest value over the seeds. Ratio of the median to that of R (otherwise M, S or C), with a 95 % \
-                 interval over the seeds; undecided if it contains 1."
+                "Median, lowest and highest value over the seeds. Ratio of the median to that of R (otherwise M, S or C), with "
+                (statistics::interval_note(&outcomes)) "."
                 " A run failed if its final loss is not below that of the untrained policy."
                 @if outcomes.iter().flat_map(|scene| &scene.runs).any(|run| run.diverged) {
                     " A run that ends at a non-finite number has no final loss (NaN), which ranks as the worst."

@@ -137,7 +137,7 @@ impl<'a> Results<'a> {
 
     /// Explanation of the table.
     pub fn note(&self) -> String {
-        let mut note = table_note(self.is_named());
+        let mut note = table_note(&self.scenes(), self.is_named());
         if !self.plan.contents.best.is_empty() {
             note += "\neach method at its combination of values with the lowest median; (end): the smallest or largest value, add \
                      values beyond it to the plan";
@@ -236,6 +236,7 @@ impl<'a> Results<'a> {
             "ratio",
             "ratio_low",
             "ratio_high",
+            "verdict",
             "median_best_test_loss",
         ];
         let header = self.columns().into_iter().chain(numbers);
@@ -244,16 +245,18 @@ impl<'a> Results<'a> {
             let (runs, losses) = (&group.runs, losses(&group.runs));
             let failed = runs.iter().filter(|run| run.has_failed()).count();
             let ratio = ratio(&scenes[group.case].runs, group.method);
+            let verdict = ratio.map_or_else(|| "reference".into(), |ratio| ratio.verdict());
             let [value, low, high] =
                 ratio.map_or([1.0; 3], |r| [r.value, r.interval[0], r.interval[1]]);
             let [median_loss, first, third] = [0.5, 0.25, 0.75].map(|q| quantile(&losses, q));
             let (lowest, highest) = (losses[0], losses[losses.len() - 1]);
             let best = median(runs, |run| best(run.records));
-            let numbers = [median_loss, first, third, lowest, highest, value, low, high, best];
+            let numbers = [median_loss, first, third, lowest, highest, value, low, high];
             self.names(group)
                 .into_iter()
                 .chain([runs.len().to_string(), failed.to_string()])
                 .chain(numbers.map(|x| x.to_string()))
+                .chain([verdict, best.to_string()])
                 .collect::<Vec<_>>()
         });
         csv(header, rows)
@@ -347,10 +350,10 @@ mod tests {
         // and infinity. At the same seeds, the ratios are 4, 4 and infinity.
         assert_eq!(
             rows[1],
-            "task,A,0.1,3,1,0.2,0.15000000000000002,0.8500000000000001,0.1,1.5,1,1,1,0.1"
+            "task,A,0.1,3,1,0.2,0.15000000000000002,0.8500000000000001,0.1,1.5,1,1,1,reference,0.1"
         );
         assert!(rows[2].starts_with("task,B,0.01,3,1,0.8,"), "{methods}");
-        assert!(rows[2].ends_with(",0.4,NaN,4,4,inf,0.1"), "{methods}");
+        assert!(rows[2].ends_with(",0.4,NaN,4,4,inf,fewer than 6 seeds,0.1"), "{methods}");
         let runs = text(results.runs_csv().expect("CSV"));
         assert_eq!(runs.lines().count(), 1 + 9, "also the runs with another learning rate");
         assert_eq!(runs.lines().filter(|row| row.contains(",true,C,")).count(), 6);
