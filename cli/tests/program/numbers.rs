@@ -69,7 +69,7 @@ fn a_scene_draws_masses_and_gusts_and_trains_a_damping() {
         |run: &str| fs::read(dir.path().join(run).join("policy.safetensors")).expect("a policy");
     assert_eq!(policy("run"), policy("whole"));
     for command in [
-        "check scene.toml",
+        "check scene.toml --set policy.widths=[8]",
         "report run",
         "explain scene.toml",
         "compare scene.toml --fields R,C --seeds 1 --epochs 1",
