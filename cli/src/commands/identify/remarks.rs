@@ -171,7 +171,7 @@ fn astray(fit: &Fit, scene: &Scene, segments: &[Segment]) -> Vec<String> {
     warnings
 }
 
-/// A warning about residuals that are no independent noise.
+/// A warning about residuals that are no independent noise, of a fit with numbers.
 fn correlated(fit: &Fit, scene: &Scene, segments: &[Segment]) -> Option<String> {
     let names = scene.state_names();
     let found: Vec<String> = { fit.correlated(segments).into_iter() }
@@ -182,13 +182,12 @@ fn correlated(fit: &Fit, scene: &Scene, segments: &[Segment]) -> Option<String> 
     let starts = if open.is_empty() {
         String::new()
     } else {
-        format!(", wrong initial values of {}", listed(&open))
+        format!("wrong initial values of {}, ", listed(&open))
     };
-    (!found.is_empty()).then(|| {
+    (!found.is_empty() && !fit.names.is_empty()).then(|| {
         format!(
-            "successive residuals are correlated for {}, so they are not independent noise: the cause may be the model{starts}, \
-             a local minimum, the error of the integrator, or a filter of the sensor. The standard errors are too small; the \
-             robust errors allow for the correlation, but not for wrong values",
+            "successive residuals are correlated for {}: they are not noise, and the standard errors are too small; use the \
+             robust errors. The cause may be the model, {starts}a local minimum, integration errors, or a filter of the sensor",
             listed(&found)
         )
     })
