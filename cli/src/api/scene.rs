@@ -85,7 +85,7 @@ impl Scene {
                 let name = key.strip_prefix(*section).and_then(|rest| rest.strip_prefix('.'));
                 name.is_some_and(|name| !name.contains('.'))
             };
-            if !OPTIONAL.iter().any(|section| is_part(section)) {
+            if !OPTIONAL.iter().any(is_part) {
                 bail!(
                     "{option}, which removes single effects and parts of the actuator only; give a value"
                 );
