@@ -1,12 +1,12 @@
 //! Row-major numpy arrays: arguments, results and their shapes.
 
-use crate::errors::{fits, invalid};
+use crate::errors::{fits, invalid, wrong_type};
 use numpy::{Element, IntoPyArray, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods};
 use numpy::{PyReadonlyArrayDyn, PyUntypedArray, PyUntypedArrayMethods, dtype};
 use physgrad::Float;
 use pyo3::exceptions::{PyException, PyMemoryError, PyTypeError};
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyList, PySequence, PyTuple};
+use pyo3::types::{PyDict, PyList, PyMapping, PySequence, PyTuple};
 use std::ops::Range;
 
 /// Number type of arrays: `f32` or `f64`.
@@ -47,11 +47,15 @@ fn is_masked(object: &Bound<'_, PyAny>) -> PyResult<bool> {
     Ok(is_subclass && object.hasattr("mask")?)
 }
 
-/// Refuses a sequence, such as a range, whose elements do not fit into memory: NumPy reads all of
-/// them before it knows the shape.
-fn check_elements(object: &Bound<'_, PyAny>) -> PyResult<()> {
+/// Refuses a sequence, such as a range, whose elements do not fit into memory, and a mapping: NumPy
+/// reads all elements before it knows the shape.
+fn check_elements(name: &str, object: &Bound<'_, PyAny>) -> PyResult<()> {
     /// A reference, and the number.
     const ELEMENT: usize = 40;
+    if object.cast::<PyMapping>().is_ok() && object.cast::<PySequence>().is_err() {
+        let kind = object.get_type().name()?;
+        return Err(wrong_type(format!("`{name}` is of type {kind}; allowed: an array")));
+    }
     match object.len() {
         Ok(count) if object.cast::<PySequence>().is_ok() => {
             fits("the elements of an argument", &[count], ELEMENT)
@@ -99,7 +103,7 @@ impl<'py, F: Number> Argument<'py, F> {
         let given = match object.cast::<PyUntypedArray>() {
             Ok(array) => array.clone(),
             Err(_) => {
-                check_elements(object)?;
+                check_elements(name, object)?;
                 let converted = numpy.call_method1("asarray", (object,));
                 converted.map_err(|error| named(py, name, error))?.cast_into::<PyUntypedArray>()?
             }

@@ -393,6 +393,9 @@ def test_other_objects_are_no_lists():
     for fields, kind in (("R", "str"), (b"R", "bytes"), ({"R": 1}, "dict"), (3, "int"), (iter("R"), "str_ascii_iterator|str_iterator")):
         with pytest.raises(TypeError, match=f"`fields` is of type ({kind}); allowed: a list or tuple of names of fields"):
             pg.gradients(task, policy, start, fields=fields)
+    for call in (pg.losses, pg.rollout, pg.gradients):
+        with pytest.raises(TypeError, match="`starts` is of type dict; allowed: an array$"):
+            call(task, policy, {0: 1.0})
     assert list(pg.gradients(task, policy, start, fields=np.array(["M", "R"]))) == ["M", "R"]
     assert list(pg.gradients(task, policy, start)) == ["R", "M", "S", "C"]
 

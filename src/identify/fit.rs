@@ -176,15 +176,24 @@ impl Fit {
     /// per degree of freedom, and the value is not between 1/2 and 2. The bounds are four standard
     /// deviations of a normal variable (Wilson and Hilferty 1931, doi:10.1073/pnas.17.12.684).
     pub fn is_unlikely(&self) -> bool {
+        let [low, high] = self.chance();
         let freedom = self.freedom() as f64;
-        let variance = 2.0 / (9.0 * freedom);
-        let [low, high] =
-            [-4.0, 4.0].map(|z| (1.0 - variance + z * variance.sqrt()).max(0.0).powi(3));
         freedom > 0.0 && !(low.min(0.5)..=high.max(2.0)).contains(&(self.chi_squared / freedom))
     }
 
+    /// Bounds of χ² per degree of freedom that its distribution explains, for noise of known size.
+    fn chance(&self) -> [f64; 2] {
+        let variance = 2.0 / (9.0 * self.freedom() as f64);
+        [-4.0, 4.0].map(|z| (1.0 - variance + z * variance.sqrt()).max(0.0).powi(3))
+    }
+
+    /// For noise of known size, returns whether χ² is larger than its distribution explains.
+    fn exceeds_chance(&self) -> bool {
+        self.chi_squared / self.freedom() as f64 > self.chance()[1]
+    }
+
     /// State components whose residuals are no independent noise: the correlation of successive
-    /// residuals exceeds 1/2, by more than chance explains. Returns the correlations too. A wrong
+    /// residuals exceeds 0.2, by more than chance explains. Returns the correlations too. A wrong
     /// model, wrong initial values of unmeasured states, a local minimum, integration errors and
     /// filtered measurements have such residuals. Standard errors are then too small.
     ///
@@ -192,7 +201,7 @@ impl Fit {
     /// doi:10.2307/2983611), of which four are chance. Residuals below 1e-6 of the measurements are
     /// rounding errors, and do not count.
     pub fn correlated(&self, segments: &[Segment]) -> Vec<(usize, f64)> {
-        const LARGE: f64 = 0.5;
+        const LARGE: f64 = 0.2;
         const CHANCE: f64 = 4.0;
         const ROUNDING: f64 = 1e-6;
         let correlation = |i: usize| {
@@ -394,10 +403,11 @@ struct Attempt {
 }
 
 impl Attempt {
-    /// Whether the residuals are not noise, or the fit has not converged.
+    /// Whether the residuals are not noise, or exceed a known one by more than chance, or the fit has
+    /// not converged.
     fn is_suspicious(&self, problem: &Problem<'_>) -> bool {
-        let is_unlikely = problem.noise_is_known && self.fit.is_unlikely();
-        is_unlikely || !self.fit.converged || !self.fit.correlated(problem.segments).is_empty()
+        let is_excess = problem.noise_is_known && self.fit.exceeds_chance();
+        is_excess || !self.fit.converged || !self.fit.correlated(problem.segments).is_empty()
     }
 
     fn is_better(&self, other: &Self) -> bool {
@@ -429,7 +439,7 @@ fn attempt(
     let window = options.window.map(|steps| steps.max(1));
     let fit = result(problem, point, window, CONTINUITY[stages - 1], converged, counts)?;
     let is_misfit = if problem.noise_is_known {
-        fit.is_unlikely()
+        fit.exceeds_chance()
     } else {
         first.is_some_and(|first| fit.chi_squared > MISFIT * first)
     };
