@@ -159,7 +159,8 @@ fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
                     "`params`: the dict of `{key}` has no \"start\", the initial value"
                 )));
             }
-            Ok((key, Some(if value.is_table() { value } else { starting_at(value) })))
+            let value = if value.is_table() { value } else { starting_at(value) };
+            Ok((key.clone(), Some(with_bounds_of(task.scene.setting(&key), value))))
         };
         return starts.iter().map(unknown).collect();
     }
@@ -195,6 +196,18 @@ fn leaves(value: &Value) -> usize {
 /// Value of a setting that makes its number unknown, with this initial value.
 fn starting_at(start: Value) -> Value {
     Value::Table(Table::from_iter([("start".to_owned(), start)]))
+}
+
+/// A table with an initial value, and with the bounds of the setting if it has none of its own.
+fn with_bounds_of(setting: Option<Value>, mut value: Value) -> Value {
+    let bounds =
+        setting.as_ref().and_then(Value::as_table).filter(|known| known.contains_key("start"));
+    if let (Some(known), Some(table)) = (bounds, value.as_table_mut()) {
+        for (key, bound) in known.iter().filter(|(key, _)| ["min", "max"].contains(&key.as_str())) {
+            table.entry(key.clone()).or_insert_with(|| bound.clone());
+        }
+    }
+    value
 }
 
 /// Distance of a time from the nearest step that counts as rounding, relative to the time step.

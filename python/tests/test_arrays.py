@@ -429,6 +429,8 @@ def test_none_removes_effects_and_parts_of_the_actuator():
     assert set(other.settings["effects"]) == {*rest, "bumpers"} and other.settings["actuator"]["limit"]["bound"] == 3.0
     assert other.settings["actuator"]["lag"]["time"] == 0.1
     assert task.replace(effects={"gusty_wind": {}}).settings == task.settings
+    with pytest.raises(ValueError, match="`effects.gusty_wind` is None, but `effects.gusty_wind.speed` has a value"):
+        task.replace(**{"effects.gusty_wind": None, "effects.gusty_wind.speed": 2.0})
     # Numbers of a removed effect neither vary nor train.
     drawn = pg.task("cart_pole", effects={"steady_wind": {"speed": {"uniform": [1.0, 2.0]}}})
     assert drawn.param_dim == 1 and drawn.replace(effects={"steady_wind": None}).param_dim == 0

@@ -177,6 +177,17 @@ def test_names_start_at_the_values_of_the_task():
     assert again["values"] == by_name["values"]
 
 
+def test_bounds_of_the_section_fit_hold_for_other_initial_values():
+    task, data = measured()
+    task = task.replace(cart_mass={"start": 1.0, "min": 0.5, "max": 1.1})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for params in (["system.cart_mass"], {"system.cart_mass": 0.9}, {"system.cart_mass": {"start": 0.9, "min": 0.6}}):
+            assert pg.identify(task, data, params)["values"] == {"system.cart_mass": 1.1}, params
+        free = pg.identify(task, data, {"system.cart_mass": {"start": 0.9, "max": 9.0}})
+    assert free["values"]["system.cart_mass"] > 1.1
+
+
 @pytest.mark.parametrize("kind", [list, dict.fromkeys])
 def test_results_have_the_order_of_the_parameters(kind):
     task, data = measured()

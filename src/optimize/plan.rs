@@ -49,15 +49,15 @@ const AS_GOOD_AS_0: f64 = 1e-9;
 
 impl Plan {
     /// Sentences about a search that may have ended far from a minimum: at a gradient above 1e-4 of
-    /// the cost, or at initial controls with a gradient of exactly 0.
+    /// the cost, or at initial controls with a gradient within the tolerance.
     pub fn warnings(&self) -> Vec<&'static str> {
         let is_steep = self.stop != Stop::Gradient
             && self.gradient_norm > 1e-4 * self.cost.abs()
             && self.cost.abs() > AS_GOOD_AS_0 * self.costs[0].abs();
         let is_flat = self.iterations() == 0
             && self.cost != 0.0
-            && !self.gradient.is_empty()
-            && self.gradient.iter().all(|&slope| slope == 0.0);
+            && self.stop == Stop::Gradient
+            && !self.gradient.is_empty();
         let warnings = [
             (
                 is_steep,
@@ -67,7 +67,7 @@ impl Plan {
             ),
             (
                 is_flat,
-                "the gradient is exactly 0 at the initial controls, so the search ended there. Either the cost has a minimum or \
+                "the gradient is within its tolerance at the initial controls, so the search ended there. Either the cost has a minimum or \
                  another stationary point there, or no control acts: each is at the kink of a function such as max(u, 0), or beyond \
                  a saturation inside the step. Start from other controls, or bound them strictly inside the saturation",
             ),

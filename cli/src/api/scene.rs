@@ -90,6 +90,12 @@ impl Scene {
                     "{option}, which removes single effects and parts of the actuator only; give a value"
                 );
             }
+            let is_inside = |other: &str| {
+                other.strip_prefix(key.as_str()).is_some_and(|rest| rest.starts_with('.'))
+            };
+            if let Some((other, _)) = changes.iter().find(|(other, _)| is_inside(other)) {
+                bail!("{option}, but `{other}` has a value; give one of them");
+            }
             source.remove(key, &option)?;
         }
         let mut empty = Vec::new();

@@ -69,9 +69,11 @@ pub struct Accuracy {
     pub json: bool,
 }
 
-/// Whether the command does not read the setting with this key. It draws all parameters itself.
+/// Whether the command does not read the setting with this key. It draws all parameters itself, and
+/// tries both precisions.
 fn is_unread(key: &str) -> bool {
-    is_of_training(key) && key != INITIAL_POLICY || key == "policy.zero_init_output"
+    let of_parameters = is_of_training(key) && key != INITIAL_POLICY;
+    of_parameters || ["policy.zero_init_output", "precision"].contains(&key)
 }
 
 /// Runs the command.
@@ -83,12 +85,12 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     }
     args.overrides.refuse(
         is_unread,
-        "this command, which trains nothing and has nonzero parameters in every layer",
+        "this command, which trains nothing, has nonzero parameters in every layer, and tries every precision",
     )?;
     if !args.gradients {
         args.overrides.refuse(
-            |key| key == "precision" || key.starts_with("integrator."),
-            "this command, which tries every integrator, step size and precision",
+            |key| key.starts_with("integrator."),
+            "this command, which tries every integrator and step size",
         )?;
     }
     let mut source = presets::source(&args.scene)?;

@@ -132,9 +132,9 @@ fn is_unread(key: &str) -> bool {
         || ["seed", "precision", "horizon"].contains(&key)
 }
 
-/// Whether only initial states and costs of a built-in task depend on the setting with this key.
-fn is_of_starts(key: &str) -> bool {
-    ["system.start", "system.spread", "system.weighting", "system.target"].contains(&key)
+/// Whether only costs of a built-in task depend on the setting with this key.
+fn is_of_costs(key: &str) -> bool {
+    ["system.weighting", "system.target"].contains(&key)
 }
 
 /// Scene of the command, with its source.
@@ -150,8 +150,7 @@ fn read(args: &Identify) -> Result<(SceneSource, Scene)> {
     args.overrides.apply(&mut source)?;
     let scene = source.scene()?;
     if !tasks::own().iter().any(|own| own.name() == scene.task.name()) {
-        let what = "an identification, which takes initial states from the data and has no cost";
-        args.overrides.refuse(is_of_starts, what)?;
+        args.overrides.refuse(is_of_costs, "an identification, which has no cost")?;
     }
     if !scene.varied().iter().any(|(_, number)| matches!(number, Number::Trained { .. })) {
         bail!(

@@ -227,10 +227,10 @@ fn options_and_settings_without_effect_are_refused_and_not_listed() {
     for (command, others) in [
         ("check pendulum", &["precision=f64"][..]),
         ("accuracy pendulum", &["integrator.substeps=2", "precision=f64"]),
-        ("accuracy pendulum --gradients", &["policy.zero_init_output=true"]),
+        ("accuracy pendulum --gradients", &["policy.zero_init_output=true", "precision=f32"]),
         ("explain pendulum", &["training.memory=1MB", "seed=3"]),
         ("optimize pendulum", &["policy.widths=[4]"]),
-        (identify, &["training.memory=1MB", "horizon=5", "system.start=upright"]),
+        (identify, &["training.memory=1MB", "horizon=5", "precision=f32"]),
     ] {
         for setting in of_trainings.iter().chain(others) {
             let (succeeds, said) = run(&format!("{command} --set {setting}"));
@@ -239,7 +239,7 @@ fn options_and_settings_without_effect_are_refused_and_not_listed() {
         }
     }
     for (command, refused, read) in [
-        ("accuracy", &["field", "epochs", "tag", "log"][..], &["precision", "seed", "policy"][..]),
+        ("accuracy", &["field", "epochs", "tag", "log", "precision"][..], &["seed", "policy"][..]),
         ("explain", &["field", "epochs", "seed", "tag", "log", "policy"], &["precision", "set"]),
         ("optimize", &["field", "epochs", "tag", "log", "policy"], &["seed", "precision"]),
         ("identify", &["field", "epochs", "seed", "precision", "policy"], &["set", "without"]),
