@@ -188,7 +188,7 @@ impl Fit {
     }
 
     /// For noise of known size, returns whether χ² is larger than its distribution explains.
-    fn exceeds_chance(&self) -> bool {
+    pub fn exceeds_chance(&self) -> bool {
         self.chi_squared / self.freedom() as f64 > self.chance()[1]
     }
 

@@ -58,12 +58,18 @@ impl Plan {
             && self.cost != 0.0
             && self.stop == Stop::Gradient
             && !self.gradient.is_empty();
+        let is_unfinished = is_steep && self.stop == Stop::Iterations;
         let warnings = [
             (
-                is_steep,
+                is_unfinished,
+                "the search ended at a gradient above 1e-4 of the cost, because it reached the largest number of iterations. Allow \
+                 more iterations",
+            ),
+            (
+                is_steep && !is_unfinished,
                 "the search ended at a gradient above 1e-4 of the cost, so lower costs exist nearby. A saturation of the controls \
                  inside the step may cause this, because its derivative is 0 at its limits and beyond. Remove it from the step and \
-                 bound the controls, or keep the bounds strictly inside its limits. Otherwise allow more iterations",
+                 bound the controls, or keep the bounds strictly inside its limits",
             ),
             (
                 is_flat,

@@ -61,7 +61,8 @@ pub fn remarks(
     noise_is_known: bool,
     words: &Words,
 ) -> Remarks {
-    let mut warnings = of_fit(fit, scene, noise_is_known, words);
+    let has_open_starts = segments.iter().any(|segment| segment.x[0].iter().any(|y| y.is_nan()));
+    let mut warnings = of_fit(fit, scene, noise_is_known, has_open_starts, words);
     warnings.extend(jumps(fit, scene, rows));
     warnings.extend(astray(fit, scene, segments));
     warnings.extend(correlated(fit, scene, segments));
@@ -197,7 +198,13 @@ fn correlated(fit: &Fit, scene: &Scene, segments: &[Segment]) -> Option<String> 
 const JUMP: f64 = 1e-3;
 
 /// Sentences about what the fit does not determine, explain or reach.
-fn of_fit(fit: &Fit, scene: &Scene, noise_is_known: bool, words: &Words) -> Vec<String> {
+fn of_fit(
+    fit: &Fit,
+    scene: &Scene,
+    noise_is_known: bool,
+    has_open_starts: bool,
+    words: &Words,
+) -> Vec<String> {
     let states = scene.state_names();
     let named = |components: &[usize]| {
         listed(&components.iter().map(|&i| states[i].clone()).collect::<Vec<_>>())
@@ -243,14 +250,17 @@ fn of_fit(fit: &Fit, scene: &Scene, noise_is_known: bool, words: &Words) -> Vec<
             words.starts
         ));
     }
-    if noise_is_known && fit.is_unlikely() {
+    // Without measured initial states, a small excess may be that of a wrong minimum.
+    let is_excess = has_open_starts && fit.exceeds_chance();
+    if noise_is_known && (fit.is_unlikely() || is_excess) {
         let ratio = fit.chi_squared / fit.freedom() as f64;
         warnings.push(format!(
             "χ² per degree of freedom is {}, far from 1: the residuals are {} times the given noise; check {}, the units \
-             of the data, and the model",
+             of the data, {}and the model",
             rough(ratio),
             rough(ratio.sqrt()),
-            words.noise
+            words.noise,
+            if has_open_starts { "the initial values of unmeasured states, " } else { "" }
         ));
     }
     let is_explained =
