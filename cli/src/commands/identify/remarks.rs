@@ -255,7 +255,7 @@ fn of_fit(
     if noise_is_known && (fit.is_unlikely() || is_excess) {
         let ratio = fit.chi_squared / fit.freedom() as f64;
         warnings.push(format!(
-            "χ² per degree of freedom is {}, far from 1: the residuals are {} times the given noise; check {}, the units \
+            "χ² per degree of freedom is {}, which chance does not explain: the residuals are {} times the given noise; check {}, the units \
              of the data, {}and the model",
             rough(ratio),
             rough(ratio.sqrt()),
