@@ -176,20 +176,26 @@ impl Fit {
     /// per degree of freedom, and the value is not between 1/2 and 2. The bounds are four standard
     /// deviations of a normal variable (Wilson and Hilferty 1931, doi:10.1073/pnas.17.12.684).
     pub fn is_unlikely(&self) -> bool {
-        let [low, high] = self.chance();
+        let [low, high] = [-CHANCE, CHANCE].map(|z| self.explained(z));
         let freedom = self.freedom() as f64;
         freedom > 0.0 && !(low.min(0.5)..=high.max(2.0)).contains(&(self.chi_squared / freedom))
     }
 
-    /// Bounds of χ² per degree of freedom that its distribution explains, for noise of known size.
-    fn chance(&self) -> [f64; 2] {
-        let variance = 2.0 / (9.0 * self.freedom() as f64);
-        [-4.0, 4.0].map(|z| (1.0 - variance + z * variance.sqrt()).max(0.0).powi(3))
-    }
-
     /// For noise of known size, returns whether χ² is larger than its distribution explains.
     pub fn exceeds_chance(&self) -> bool {
-        self.chi_squared / self.freedom() as f64 > self.chance()[1]
+        self.exceeds(CHANCE)
+    }
+
+    /// Whether χ² is more than `z` standard deviations above its expectation.
+    fn exceeds(&self, z: f64) -> bool {
+        self.chi_squared / self.freedom() as f64 > self.explained(z)
+    }
+
+    /// χ² per degree of freedom `z` standard deviations above its expectation, for noise of known
+    /// size.
+    fn explained(&self, z: f64) -> f64 {
+        let variance = 2.0 / (9.0 * self.freedom() as f64);
+        (1.0 - variance + z * variance.sqrt()).max(0.0).powi(3)
     }
 
     /// State components whose residuals are no independent noise: the correlation of successive
@@ -201,8 +207,12 @@ impl Fit {
     /// doi:10.2307/2983611), of which four are chance. Residuals below 1e-6 of the measurements are
     /// rounding errors, and do not count.
     pub fn correlated(&self, segments: &[Segment]) -> Vec<(usize, f64)> {
-        const LARGE: f64 = 0.2;
-        const CHANCE: f64 = 4.0;
+        self.correlated_beyond(segments, CORRELATED, CHANCE)
+    }
+
+    /// Components whose successive residuals have a correlation above `large`, and above `z` standard
+    /// deviations of independent ones.
+    fn correlated_beyond(&self, segments: &[Segment], large: f64, z: f64) -> Vec<(usize, f64)> {
         const ROUNDING: f64 = 1e-6;
         let correlation = |i: usize| {
             let (mut products, mut squares, mut pairs) = (0.0, 0.0, 0.0_f64);
@@ -224,8 +234,8 @@ impl Fit {
                 }
             }
             let correlation = products / squares;
-            let is_real = correlation > LARGE
-                && correlation * pairs.sqrt() > CHANCE
+            let is_real = correlation > large
+                && correlation * pairs.sqrt() > z
                 && sum.sqrt() > ROUNDING * size.sqrt();
             is_real.then_some((i, correlation))
         };
@@ -283,6 +293,15 @@ fn unwrapped(angles: impl Iterator<Item = f64>) -> Vec<f64> {
 fn full_turns(angle: f64) -> f64 {
     (angle / TAU).round() * TAU
 }
+
+/// Standard deviations that chance explains.
+const CHANCE: f64 = 4.0;
+
+/// Standard deviations above which another fit is worth its time.
+const SUSPICIOUS: f64 = 2.0;
+
+/// Correlation of successive residuals that makes standard errors too small.
+const CORRELATED: f64 = 0.2;
 
 /// Weights of the continuity between windows, in turn, relative to the weights of the samples.
 ///
@@ -406,8 +425,9 @@ impl Attempt {
     /// Whether the residuals are not noise, or exceed a known one by more than chance, or the fit has
     /// not converged.
     fn is_suspicious(&self, problem: &Problem<'_>) -> bool {
-        let is_excess = problem.noise_is_known && self.fit.exceeds_chance();
-        is_excess || !self.fit.converged || !self.fit.correlated(problem.segments).is_empty()
+        let is_excess = problem.noise_is_known && self.fit.exceeds(SUSPICIOUS);
+        let correlated = self.fit.correlated_beyond(problem.segments, 0.0, SUSPICIOUS);
+        is_excess || !self.fit.converged || !correlated.is_empty()
     }
 
     fn is_better(&self, other: &Self) -> bool {

@@ -74,7 +74,7 @@ pub fn identified(
 /// Initial states of a fit for components without a measurement: half a turn for angles, where a
 /// pendulum may hang or stand, then initial states of test rollouts.
 fn guesses(task: &DynTask, angles: &[usize]) -> Vec<Vec<f64>> {
-    const DRAWN: usize = 2;
+    const DRAWN: usize = 6;
     let (states, params) = (task.system().state_dim(), task.param_dim());
     let turned = (0..states).map(|i| if angles.contains(&i) { PI } else { 0.0 }).collect();
     let drawn = initial_states(task, 0, Purpose::Test, DRAWN);

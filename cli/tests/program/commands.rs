@@ -603,23 +603,22 @@ fn a_check_reports_steps_that_do_not_resolve_the_motion() {
     let checked = |scene: &str, args: &[&str]| {
         let file = dir.path().join("scene.toml");
         fs::write(&file, format!("scene = 1\n{scene}")).expect("a scene");
-        let small = ["--set", "policy.widths=[8]"];
-        let mut check = physgrad(&["check"]);
-        let output = check.arg(&file).args(small).args(args).output().expect("the command runs");
+        let output = physgrad(&["check"]).arg(&file).args(args).output().expect("the command runs");
         String::from_utf8(output.stdout).expect("text")
     };
+    let small = ["--set", "policy.widths=[8]"];
     // Steps of 3 s, in which a pole falls and turns.
-    let text = checked("task = \"cart_pole\"\nhorizon = 20\n[system]\ndt = 3\n", &[]);
+    let text = checked("task = \"cart_pole\"\nhorizon = 20\n[system]\ndt = 3\n", &small);
     assert!(!text.contains("not the step"), "{text}");
     // Rollouts diverge with one step, and with two half steps in place of it.
     let damped = "task = \"cart_pole\"\nhorizon = 50\n[system]\ndt = 0.08\n[effects.pole_damping]\ndamping = 5.0\n";
-    let text = checked(damped, &[]);
+    let text = checked(damped, &small);
     assert!(text.contains("not with 8 times as many substeps. Shorten the step"), "{text}");
     // Friction damps the angular velocity at λ = 750 / (s viscous) with viscous = 13.33, so λ dt is
     // 100. The implicit midpoint rule multiplies it by (1 - 50) / (1 + 50) = -0.961; the
     // printed bound is -0.92.
     let rubbed = "task = \"pendulum\"\nhorizon = 10\n[[system.arms]]\nviscous = 13.333333333333\n[integrator]\nmethod = \"implicit_midpoint\"\n";
-    let text = checked(rubbed, &[]);
+    let text = checked(rubbed, &small);
     assert!(
         text.contains("rings")
             && text.contains("omega_1 changes its sign")
