@@ -23,8 +23,7 @@ use std::ffi::CString;
 /// "gradient_norm", "converged" and "stop". "gains", (T, m, n), are those of the feedback
 /// u_t + K_t (x - x_t). "costs" holds the initial cost, then the cost after each iteration.
 /// "warnings" has sentences about a search that may have ended far from a minimum, each also a
-/// `UserWarning`. Raises
-/// `ValueError` if an argument is invalid, or if the initial trajectory, the initial cost or a
+/// `UserWarning`. Raises `ValueError` if an argument is invalid, or if the initial trajectory, the initial cost or a
 /// derivative is not finite. Ctrl-C raises `KeyboardInterrupt`.
 #[pyfunction]
 #[pyo3(signature = (task, start, bounds=None, iterations=None))]

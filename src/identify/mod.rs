@@ -19,15 +19,18 @@
 //!
 //! Imports `numbers` and `dynamics`. Start reading in `fit.rs`.
 
+mod angles;
 mod descent;
 mod elimination;
 mod error;
 mod fit;
 mod jacobian;
 mod problem;
+mod result;
 mod statistics;
 mod status;
 
 pub use error::IdentifyError;
-pub use fit::{Fit, Options, Segment, Unknown, identify};
+pub use fit::{Options, Segment, Unknown, identify};
+pub use result::Fit;
 pub use status::Status;

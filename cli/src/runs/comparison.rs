@@ -353,8 +353,9 @@ impl Ended {
         }
     }
 
-    /// Returns an error that counts the runs that have not ended and names the first ones, if any. Otherwise, the error lists
-    /// the runs that failed, if any, or else the runs that applied no update, if any.
+    /// Returns an error that counts the runs that have not ended and names the first ones, if any.
+    /// Otherwise, the error lists the runs that failed, if any, or else the runs that applied no
+    /// update, if any.
     pub fn into_result(self) -> Result<()> {
         if !self.missing.is_empty() {
             let count = self.missing.len();

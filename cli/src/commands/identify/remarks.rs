@@ -61,11 +61,11 @@ pub fn remarks(
     noise_is_known: bool,
     words: &Words,
 ) -> Remarks {
-    let has_open_starts = segments.iter().any(|segment| segment.x[0].iter().any(|y| y.is_nan()));
-    let mut warnings = of_fit(fit, scene, noise_is_known, has_open_starts, words);
+    let open = open_starts(scene, segments);
+    let mut warnings = of_fit(fit, scene, noise_is_known, !open.is_empty(), words);
     warnings.extend(jumps(fit, scene, rows));
     warnings.extend(astray(fit, scene, segments));
-    warnings.extend(correlated(fit, scene, segments));
+    warnings.extend(correlated(fit, scene, segments, &open));
     if !noise_is_known {
         warnings.extend(misfit(fit, segments, scene));
     }
@@ -172,18 +172,24 @@ fn astray(fit: &Fit, scene: &Scene, segments: &[Segment]) -> Vec<String> {
     warnings
 }
 
-/// A warning about residuals that are no independent noise, of a fit with numbers.
-fn correlated(fit: &Fit, scene: &Scene, segments: &[Segment]) -> Option<String> {
+/// States without a measurement in the first row of a segment.
+fn open_starts(scene: &Scene, segments: &[Segment]) -> Vec<String> {
+    let is_open = |i: usize| segments.iter().any(|segment| segment.x[0][i].is_nan());
+    let names = scene.state_names().into_iter().enumerate();
+    names.filter(|(i, _)| is_open(*i)).map(|(_, name)| name).collect()
+}
+
+/// A warning about residuals that are no independent noise, of a fit with numbers. The initial
+/// values of `open` are unmeasured.
+fn correlated(fit: &Fit, scene: &Scene, segments: &[Segment], open: &[String]) -> Option<String> {
     let names = scene.state_names();
     let found: Vec<String> = { fit.correlated(segments).into_iter() }
         .map(|(i, correlation)| format!("{} ({correlation:.2})", names[i]))
         .collect();
-    let is_open = |i: &usize| segments.iter().any(|segment| segment.x[0][*i].is_nan());
-    let open: Vec<String> = (0..names.len()).filter(is_open).map(|i| names[i].clone()).collect();
     let starts = if open.is_empty() {
         String::new()
     } else {
-        format!("wrong initial values of {}, ", listed(&open))
+        format!("wrong initial values of {}, ", listed(open))
     };
     (!found.is_empty() && !fit.names.is_empty()).then(|| {
         format!(
