@@ -58,7 +58,7 @@ pub struct Fit {
     pub at_bound: Vec<String>,
     /// Simulated states of each segment. Angles are continuous.
     pub states: Vec<Vec<Vec<f64>>>,
-    /// State components with differences modulo 2π, see [`Options::angles`].
+    /// State components with differences modulo 2π, see [`Options::angles`](super::Options::angles).
     pub angles: Vec<usize>,
     /// Largest jump of the simulated states between windows, in units of the noise. If the noise is
     /// unknown, the unit is the root mean square of the residuals. This substitute is at least 1e-9
@@ -77,7 +77,7 @@ pub struct Fit {
     /// finite, no parameter ran away or has a derivative of 0 despite its influence, and no step of
     /// Gauss and Newton exceeds a tenth of its standard error.
     pub converged: bool,
-    /// Length of the windows of this result: [`Options::window`], or `None` if a fit of whole
+    /// Length of the windows of this result: [`Options::window`](super::Options::window), or `None` if a fit of whole
     /// segments had a lower χ².
     pub window: Option<usize>,
     /// Number of iterations.
