@@ -268,12 +268,16 @@ def check(task: Task, policy: Policy | None = None) -> str:
     """
 
 def accuracy(
-    task: Task, target: float | None = None, metric: Literal["trajectory", "loss", "R", "M"] = "trajectory"
+    task: Task,
+    target: float | None = None,
+    metric: Literal["trajectory", "loss", "R", "M"] = "trajectory",
+    rounds: int = 5,
 ) -> _Accuracy:
     """Measures errors and costs of all integrators, substeps and precisions of a task.
 
     Errors are relative to a reference in f64 with small steps. `target` is the largest error of
-    the cheapest setting, measured by `metric`.
+    the cheapest setting, measured by `metric`. With fewer `rounds` of timing the call ends sooner,
+    and times are less certain.
     """
 
 def optimize(

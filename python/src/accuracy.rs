@@ -20,8 +20,8 @@ const METRICS: [(&str, Metric); 4] = [
 /// Errors and costs of all integrators, substeps and precisions, as `physgrad accuracy` measures
 /// them.
 ///
-/// Simulates the task with the S settings of the program, and times them on one thread, in 5 to
-/// 30 s. Errors are relative to a reference in f64 with small steps. The policy has the initial
+/// Simulates the task with the S settings of the program, and times each `rounds` times on one
+/// thread, in 5 to 30 s. With fewer rounds it ends sooner, and times are less certain. Errors are relative to a reference in f64 with small steps. The policy has the initial
 /// parameters of the task, with a nonzero output layer.
 ///
 /// Returns a dict:
@@ -43,12 +43,13 @@ const METRICS: [(&str, Metric); 4] = [
 /// support other time steps. Ctrl-C raises `KeyboardInterrupt`. A simulation that has begun still
 /// runs to its end, on another thread.
 #[pyfunction]
-#[pyo3(signature = (task, target=None, metric="trajectory"))]
+#[pyo3(signature = (task, target=None, metric="trajectory", rounds=5))]
 pub fn accuracy<'py>(
     py: Python<'py>,
     task: &Task,
     target: Option<f64>,
     metric: &str,
+    rounds: usize,
 ) -> PyResult<Bound<'py, PyDict>> {
     let Some(&(_, measure)) = METRICS.iter().find(|(name, _)| *name == metric) else {
         let names = METRICS.map(|(name, _)| format!("\"{name}\"")).join(", ");
@@ -59,9 +60,12 @@ pub fn accuracy<'py>(
             "`target` is {target}; allowed: a positive error, for example 1e-4"
         )));
     }
+    if !(1..=1000).contains(&rounds) {
+        return Err(invalid(format!("`rounds` is {rounds}; allowed: an integer from 1 to 1000")));
+    }
     let scene = task.scene.clone();
     let measured = interruptible(py, move |stop| {
-        scene.accuracy(&mut |_| {
+        scene.accuracy(rounds, &mut |_| {
             if stop.load(Ordering::Relaxed) { anyhow::bail!("stopped") } else { Ok(()) }
         })
     })?;

@@ -52,10 +52,7 @@ fn is_masked(object: &Bound<'_, PyAny>) -> PyResult<bool> {
 fn check_elements(name: &str, object: &Bound<'_, PyAny>) -> PyResult<()> {
     /// A reference, and the number.
     const ELEMENT: usize = 40;
-    if object.cast::<PyMapping>().is_ok() && object.cast::<PySequence>().is_err() {
-        let kind = object.get_type().name()?;
-        return Err(wrong_type(format!("`{name}` is of type {kind}; allowed: an array")));
-    }
+    check_kind(name, object)?;
     match object.len() {
         Ok(count) if object.cast::<PySequence>().is_ok() => {
             fits("the elements of an argument", &[count], ELEMENT)
@@ -64,17 +61,31 @@ fn check_elements(name: &str, object: &Bound<'_, PyAny>) -> PyResult<()> {
     }
 }
 
-/// Index of the first masked array in a list or tuple.
-fn masked_element(object: &Bound<'_, PyAny>) -> PyResult<Option<usize>> {
+/// Refuses a list or tuple with a masked array or a mapping, of which NumPy reads the masked values
+/// or the keys.
+fn check_list(name: &str, object: &Bound<'_, PyAny>) -> PyResult<()> {
     if !object.is_instance_of::<PyList>() && !object.is_instance_of::<PyTuple>() {
-        return Ok(None);
+        return Ok(());
     }
     for (i, element) in object.try_iter()?.enumerate() {
-        if is_masked(&element?)? {
-            return Ok(Some(i));
+        let element = element?;
+        if is_masked(&element)? {
+            return Err(invalid(format!(
+                "`{name}` is a list with a masked array, element {i}; fill it, as in `row.filled(numpy.nan)`"
+            )));
         }
+        check_kind(&format!("{name}[{i}]"), &element)?;
     }
-    Ok(None)
+    Ok(())
+}
+
+/// Refuses a mapping, which is no array.
+fn check_kind(name: &str, object: &Bound<'_, PyAny>) -> PyResult<()> {
+    if object.cast::<PyMapping>().is_ok() && object.cast::<PySequence>().is_err() {
+        let kind = object.get_type().name()?;
+        return Err(wrong_type(format!("`{name}` is of type {kind}; allowed: an array")));
+    }
+    Ok(())
 }
 
 /// Contiguous argument of the number type `F`. Copies the given array only if its layout or type
@@ -94,11 +105,7 @@ impl<'py, F: Number> Argument<'py, F> {
                 "`{name}` is a masked array; fill it, as in `{name}.filled(numpy.nan)`"
             )));
         }
-        if let Some(row) = masked_element(object)? {
-            return Err(invalid(format!(
-                "`{name}` is a list with a masked array, element {row}; fill it, as in `row.filled(numpy.nan)`"
-            )));
-        }
+        check_list(name, object)?;
         let numpy = py.import("numpy")?;
         let given = match object.cast::<PyUntypedArray>() {
             Ok(array) => array.clone(),

@@ -44,7 +44,7 @@ def test_the_cheapest_setting_reaches_the_target_and_is_a_task(found):
 
 def test_errors_are_those_of_the_program(found, tmp_path):
     program = os.environ.get("PHYSGRAD", shutil.which("physgrad")) or pytest.skip("set PHYSGRAD to the program")
-    options = ["--set", "system.poles=1", "--set", "horizon=10", "--json", "-o", str(tmp_path / "accuracy")]
+    options = ["--set", "system.poles=1", "--set", "horizon=10", "--json", "--rounds", "1", "-o", str(tmp_path / "accuracy")]
     done = subprocess.run([program, "accuracy", "cart_pole", *options], check=True, capture_output=True, text=True)
     rows = json.loads(done.stdout)["settings"]
     columns = {"method": "method", "substeps": "substeps", "trajectory": "trajectory_error", "R": "r_error", "M": "m_error"}
@@ -58,3 +58,6 @@ def test_invalid_arguments_name_allowed_ones():
         pg.accuracy(task, metric="r2")
     with pytest.raises(ValueError, match="`target` is -1; allowed: a positive error"):
         pg.accuracy(task, target=-1.0)
+    for rounds in (0, 1001):
+        with pytest.raises(ValueError, match=f"`rounds` is {rounds}; allowed: an integer from 1 to 1000"):
+            pg.accuracy(task, rounds=rounds)

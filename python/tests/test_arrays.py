@@ -362,6 +362,17 @@ def test_mappings_without_an_end_are_refused():
             pg.task("cart_pole", **change)
 
 
+def test_mappings_are_no_arrays_in_a_list_either():
+    row = collections.ChainMap({i: 0.1 * i for i in range(4)})
+    task = pg.task("cart_pole", poles=1)
+    for name, call in (
+        ("x", lambda: task.step([row], np.zeros((1, 1)))),
+        ("starts", lambda: pg.losses(task, pg.Policy(task), [row])),
+    ):
+        with pytest.raises(TypeError, match=f"^`{name}\\[0\\]` is of type ChainMap; allowed: an array$"):
+            call()
+
+
 def test_sets_are_no_lists():
     task = pg.task("lqr", horizon=5)
     cart = pg.task("cart_pole", poles=1)

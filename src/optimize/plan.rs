@@ -46,17 +46,19 @@ pub enum Stop {
 /// Share of the initial cost below which a cost counts as 0. Its gradient then exceeds any share of
 /// the cost.
 const AS_GOOD_AS_0: f64 = 1e-9;
+/// Decrease relative to the cost up to which a search has ended where it began.
+const UNCHANGED: f64 = 1e-8;
 
 impl Plan {
     /// Sentences about a search that may have ended far from a minimum: at a gradient above 1e-4 of
-    /// the cost, or at initial controls with a gradient within the tolerance.
+    /// the cost, or where it began.
     pub fn warnings(&self) -> Vec<&'static str> {
         let is_steep = self.stop != Stop::Gradient
             && self.gradient_norm > 1e-4 * self.cost.abs()
             && self.cost.abs() > AS_GOOD_AS_0 * self.costs[0].abs();
-        let is_flat = self.iterations() == 0
+        let is_flat = self.converged()
             && self.cost != 0.0
-            && self.stop == Stop::Gradient
+            && self.costs[0] - self.cost <= UNCHANGED * self.cost.abs()
             && !self.gradient.is_empty();
         let is_unfinished = is_steep && self.stop == Stop::Iterations;
         let warnings = [
@@ -73,9 +75,9 @@ impl Plan {
             ),
             (
                 is_flat,
-                "the gradient is within its tolerance at the initial controls, so the search ended there. Either the cost has a minimum or \
-                 another stationary point there, or no control acts: each is at the kink of a function such as max(u, 0), or beyond \
-                 a saturation inside the step. Start from other controls, or bound them strictly inside the saturation",
+                "the search ended where it began. Either the cost has a minimum there, or another stationary point, for example \
+                 a pendulum that hangs or balances, or no control acts: each is at the kink of a function such as max(u, 0), or \
+                 beyond a saturation inside the step. Start from other controls, or bound them strictly inside the saturation",
             ),
         ];
         warnings.into_iter().filter(|(applies, _)| *applies).map(|(_, text)| text).collect()

@@ -280,7 +280,7 @@ impl Task for Pump {
 
 #[test]
 fn a_search_that_ends_at_a_kink_or_at_a_steep_slope_has_a_warning() {
-    let flat = "the gradient is within its tolerance at the initial controls";
+    let flat = "the search ended where it began";
     let steep = "the search ended at a gradient above 1e-4 of the cost";
     for (x0, u, low, iterations, expected) in [
         (0.0, 0.0, f64::NEG_INFINITY, 200, Some(flat)),
@@ -301,5 +301,20 @@ fn a_search_that_ends_at_a_kink_or_at_a_steep_slope_has_a_warning() {
             None => found.is_empty() && plan.cost < 0.1,
         };
         assert!(is_expected, "{x0}, {u}, {low}, {iterations}: {found:?}, cost {}", plan.cost);
+    }
+}
+
+/// At its highest and lowest points, and close by, a pendulum at rest keeps its cost: a search without
+/// torque ends where it began.
+#[test]
+fn a_search_that_ends_at_a_stationary_start_has_a_warning() {
+    let task = SwingUp::new();
+    for (offset, expected) in [(0.0, true), (1e-7, true), (0.1, false)] {
+        let mut x0 = SwingUp::START;
+        x0[2] += offset;
+        let plan = optimize(&task, &x0, &[], Initial::Zeros, &Options::default()).expect("finite");
+        let found = plan.warnings();
+        let is_flat = found.iter().any(|text| text.starts_with("the search ended where it began"));
+        assert_eq!(is_flat, expected, "{offset}: {found:?}, {:?}, cost {}", plan.costs, plan.cost);
     }
 }

@@ -292,14 +292,19 @@ impl Scene {
     }
 
     /// Errors and costs of all integrators, numbers of substeps and precisions, as `physgrad
-    /// accuracy` measures them. Calls `begin` with a description before each simulation and timing.
+    /// accuracy` measures them, in `rounds` rounds of timing. Calls `begin` with a description before
+    /// each simulation and timing.
     ///
     /// # Errors
     /// The task does not support other time steps, the reference diverges, or `begin` returns an
     /// error.
-    pub fn accuracy(&self, begin: &mut dyn FnMut(String) -> Result<()>) -> Result<Measured> {
+    pub fn accuracy(
+        &self,
+        rounds: usize,
+        begin: &mut dyn FnMut(String) -> Result<()>,
+    ) -> Result<Measured> {
         let study = Study::new(self.source.clone())?;
-        study.measure(study.settings()?, begin)
+        study.measure(study.settings()?, rounds, begin)
     }
 
     /// Checks the derivatives of system, policy and rollout against dual numbers, as `physgrad

@@ -8,11 +8,11 @@ mod row;
 mod study;
 
 pub use row::{Errors, Row, Setting};
-pub use study::{Cheapest, Measured, Metric, Study};
+pub use study::{Cheapest, Measured, Metric, ROUNDS, Study};
 
 use crate::platform::folder::Folder;
 use crate::platform::json::{self, print_json};
-use crate::platform::terminal::{print_message, print_result, print_text, progress_bar};
+use crate::platform::terminal::{counted, print_message, print_result, print_text, progress_bar};
 use crate::runs::saved;
 use crate::scenes::overrides::{Overrides, hide, is_of_training};
 use crate::scenes::presets;
@@ -23,7 +23,6 @@ use indicatif::ProgressBar;
 use physgrad::text::{rough, short};
 use serde_json::json;
 use std::path::PathBuf;
-use study::ROUNDS;
 
 /// Simulate a scene with every integrator, step size and precision, and report errors and times.
 ///
@@ -57,6 +56,9 @@ pub struct Accuracy {
     #[arg(long, value_name = "STEPS", value_delimiter = ',', requires = "gradients",
           default_values_t = [10, 32, 100, 316, 1000, 3162, 10_000, 31_623, 100_000])]
     pub horizons: Vec<usize>,
+    /// Number of timing rounds; with fewer the command ends sooner, and times are less certain
+    #[arg(long, value_name = "N", default_value_t = ROUNDS, value_parser = rounds)]
+    pub rounds: usize,
     /// Folder for the results; replaces earlier results of this command in it [default: a new one
     /// in `runs`]
     #[arg(short, long, value_name = "DIR")]
@@ -74,6 +76,15 @@ pub struct Accuracy {
 fn is_unread(key: &str) -> bool {
     let of_parameters = is_of_training(key) && key != INITIAL_POLICY;
     of_parameters || ["policy.zero_init_output", "precision"].contains(&key)
+}
+
+/// Reads a number of timing rounds.
+///
+/// # Errors
+/// The text is no number from 1 to 1000.
+pub fn rounds(text: &str) -> Result<usize, String> {
+    let count = text.parse().ok().filter(|count| (1..=1000).contains(count));
+    count.ok_or_else(|| "allowed: an integer from 1 to 1000".into())
 }
 
 /// Runs the command.
@@ -106,15 +117,20 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
             &name,
             &*folder()?,
             &horizons,
+            args.rounds,
             [args.quiet, args.json],
         );
     }
     let settings = study.settings()?;
-    let bar = bar(Study::parts(&settings), args.quiet);
+    let bar = bar(Study::parts(&settings, args.rounds), args.quiet);
     if !args.quiet && bar.is_hidden() {
-        print_message(&format!("measuring {} settings, {ROUNDS} rounds of timing", settings.len()));
+        let settings = settings.len();
+        print_message(&format!(
+            "measuring {settings} settings, {} of timing",
+            counted(args.rounds, "round")
+        ));
     }
-    let measured = study.measure(settings, &mut |part| {
+    let measured = study.measure(settings, args.rounds, &mut |part| {
         bar.set_message(part);
         bar.inc(1);
         Ok(())
@@ -123,8 +139,8 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     let conserved = study.scene.conserved();
     let folder = folder()?;
     let conserved = conserved.map(|conserved| conserved.name);
-    let Measured { rows, reference } = &measured;
-    let list = outputs::write(&folder, &name, reference, conserved, rows)?;
+    let list = outputs::write(&folder, &name, conserved, &measured)?;
+    let rows = &measured.rows;
     let resolved = args.target.filter(|&target| measured.resolves(args.metric, target));
     let scenes =
         resolved.map_or(Ok(Vec::new()), |target| study.scenes(rows, args.metric, target))?;
@@ -148,7 +164,7 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
             &json!({ "folder": folder.path(), "settings": json::rows(&list)?, "cheapest": object }),
         )?;
     } else {
-        print_text(&outputs::summary(rows, reference, conserved))?;
+        print_text(&outputs::summary(rows, &measured.reference, conserved))?;
         print_text(&format!(
             "results in {}: accuracy.csv, accuracy.svg, accuracy.md",
             folder.path().display()

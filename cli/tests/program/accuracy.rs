@@ -10,7 +10,7 @@ use tempfile::TempDir;
 /// Runs the command on a small scene. Returns its output, and the rows of its table by method,
 /// substeps and precision.
 fn run(out: &Path, args: &[&str]) -> (String, HashMap<String, HashMap<String, String>>) {
-    let small = ["--set", "policy.widths=[4]", "--set", "horizon=20", "--quiet"];
+    let small = ["--set", "policy.widths=[4]", "--set", "horizon=20", "--quiet", "--rounds", "1"];
     let mut command = physgrad(&["accuracy", "cart_pole"]);
     let output = command
         .args(small)
@@ -119,6 +119,8 @@ fn an_error_of_1e_minus_30_is_unreached_and_reports_the_most_accurate_setting() 
         "policy.widths=[4]",
         "--set",
         "horizon=5",
+        "--rounds",
+        "1",
         "--quiet",
         "--target",
         "1e-30",
@@ -132,8 +134,13 @@ fn an_error_of_1e_minus_30_is_unreached_and_reports_the_most_accurate_setting() 
         said.contains("no setting reaches this error of the trajectory; the most accurate is "),
         "{said}"
     );
-    let said = error_of(&mut physgrad(&["accuracy", "cart_pole", "--target=-1"]));
-    assert!(said.contains("--target -1; allowed: a positive error"), "{said}");
+    for (option, expected) in [
+        ("--target=-1", "--target -1; allowed: a positive error"),
+        ("--rounds=0", "allowed: an integer from 1 to 1000"),
+    ] {
+        let said = error_of(&mut physgrad(&["accuracy", "cart_pole", option]));
+        assert!(said.contains(expected), "{said}");
+    }
 }
 
 #[test]
@@ -239,8 +246,17 @@ fn a_budget_of_1_mb_keeps_all_bits_of_a_policy_and_verlet_changes_them() {
 #[test]
 fn reverse_and_forward_gradients_in_f64_agree_with_double_double_within_1e_minus_13() {
     let dir = TempDir::new().expect("a folder");
-    let small =
-        ["--set", "policy.widths=[4]", "--set", "horizon=20", "--horizons", "40,5", "--quiet"];
+    let small = [
+        "--set",
+        "policy.widths=[4]",
+        "--set",
+        "horizon=20",
+        "--horizons",
+        "40,5",
+        "--rounds",
+        "1",
+        "--quiet",
+    ];
     let mut command = physgrad(&["accuracy", "cart_pole", "--gradients"]);
     let output =
         command.args(small).arg("--out").arg(dir.path()).assert().success().get_output().clone();
@@ -398,14 +414,15 @@ fn operations_decide_between_settings_whose_times_overlap() {
     ];
     let reference = || Errors { trajectory: 0.0, loss: 0.0, gradients: [0.0; 2], signs: [1.0; 2] };
     let cheapest = |rows: Vec<Row>, metric: Metric| {
-        let measured = Measured { rows, reference: reference() };
+        let measured = Measured { rows, rounds: 5, reference: reference() };
         let found = measured.cheapest(metric, 1e-4).expect("a setting");
         (found.row.setting.method, found.fastest.map(|row| row.setting.method))
     };
     // Errors below that of the reference, or below an unknown one, have no meaning.
     for error in [2e-4, f64::NAN] {
         let rows = noisy.iter().map(copy).collect();
-        let measured = Measured { rows, reference: Errors { trajectory: error, ..reference() } };
+        let measured =
+            Measured { rows, rounds: 5, reference: Errors { trajectory: error, ..reference() } };
         assert!(measured.cheapest(Metric::Trajectory, 1e-4).is_none());
         assert!(measured.cheapest(Metric::R, 1e-4).is_some());
     }

@@ -169,8 +169,8 @@ fn descriptions_and_checks_print_one_object() {
 fn accuracy_and_paper_print_one_object() {
     let dir = TempDir::new().expect("a folder");
     let tiny = ["--set", "policy.widths=[4]", "--set", "horizon=5", "--quiet"];
-    let accuracy =
-        [&["accuracy", "cart_pole", "--target", "0.1", "-o", "accuracy"][..], &tiny].concat();
+    let command = ["accuracy", "cart_pole", "--target", "0.1", "--rounds", "1", "-o", "accuracy"];
+    let accuracy = [&command[..], &tiny].concat();
     let accuracy = object(dir.path(), &accuracy);
     check("accuracy", &accuracy);
     assert_eq!(

@@ -39,7 +39,10 @@ fn quick(call: &[String]) -> Vec<String> {
         }
         "robust" => replace("--samples", "8"),
         "accuracy" => {
-            words.extend(["--set", "horizon=5", "--set", "policy.widths=[4]"].map(String::from));
+            words.extend(
+                ["--rounds", "1", "--set", "horizon=5", "--set", "policy.widths=[4]"]
+                    .map(String::from),
+            );
             if call.iter().any(|word| word == "--gradients") {
                 words.extend(["--horizons", "5"].map(String::from));
             }

@@ -19,8 +19,6 @@ use toml::Value;
 
 /// Step sizes of central differences.
 const STEPS: [f64; 10] = [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10];
-/// Number of timing rounds.
-const ROUNDS: usize = 5;
 /// Minimum time per round, method and precision, s.
 const MIN_TIME: f64 = 0.01;
 /// Minimum horizon of the checkpoint measurements, in steps.
@@ -43,6 +41,7 @@ pub fn gradients(
     name: &str,
     folder: &Folder,
     horizons: &[usize],
+    rounds: usize,
     [quiet, json]: [bool; 2],
 ) -> Result<()> {
     let fields = [Field::regular(), Field::modified(), Field::stopped(), Field::combined()];
@@ -56,7 +55,7 @@ pub fn gradients(
         forward.into_iter().chain(both).chain([(GradientMethod::Duals, Precision::F64)]).collect();
 
     let bar =
-        bar(methods.len() * (1 + ROUNDS) + REFERENCES + 3 * horizons.len() + PARTS.len(), quiet);
+        bar(methods.len() * (1 + rounds) + REFERENCES + 3 * horizons.len() + PARTS.len(), quiet);
     if !quiet && bar.is_hidden() {
         print_message(&format!(
             "measuring {} gradient methods, {REFERENCES} double-double derivatives, {} horizons",
@@ -93,8 +92,8 @@ pub fn gradients(
     }
     // Interleaves the methods: other load on the machine then affects all methods.
     let mut times = vec![Vec::new(); methods.len()];
-    for round in 0..ROUNDS {
-        bar.set_message(format!("round {} of {ROUNDS}", round + 1));
+    for round in 1..=rounds {
+        bar.set_message(format!("round {round} of {rounds}"));
         for (derived, times) in derived.iter_mut().zip(&mut times) {
             if derived.gradient.is_ok() {
                 times.push(derived.time(MIN_TIME));
@@ -121,7 +120,7 @@ pub fn gradients(
             Derivative::new(*method, *precision, derived, times, right(method), full)
         })
         .collect();
-    let checkpoints = checkpoints(study, &bar)?;
+    let checkpoints = checkpoints(study, rounds, &bar)?;
     let horizons = along(&scenes, &theta, &bar);
     bar.finish_and_clear();
     let (text, object) = write(folder, name, &derivatives, &checkpoints, &horizons)?;
@@ -147,7 +146,7 @@ fn with_horizon(study: &Study, horizon: usize) -> Result<Scene> {
 }
 
 /// Measures the reverse pass of R without a memory budget, then with decreasing budgets.
-fn checkpoints(study: &Study, bar: &ProgressBar) -> Result<Vec<Checkpoint>> {
+fn checkpoints(study: &Study, rounds: usize, bar: &ProgressBar) -> Result<Vec<Checkpoint>> {
     let scene = with_horizon(study, study.scene.horizon.max(CHECKPOINTED))?;
     let theta = scene.initial_theta()?;
     let run =
@@ -157,7 +156,7 @@ fn checkpoints(study: &Study, bar: &ProgressBar) -> Result<Vec<Checkpoint>> {
     let mut jobs: Vec<Derived> = PARTS[1..].iter().map(|part| run(Some(bytes / part))).collect();
     let mut jobs: Vec<&mut Derived> = std::iter::once(&mut all).chain(&mut jobs).collect();
     let mut times = vec![Vec::new(); jobs.len()];
-    for _ in 0..ROUNDS {
+    for _ in 0..rounds {
         for (job, times) in jobs.iter_mut().zip(&mut times) {
             if job.gradient.is_ok() {
                 times.push(job.time(MIN_TIME));

@@ -1,7 +1,7 @@
 //! Output files of `physgrad accuracy`: CSV, charts and a table.
 
 use crate::commands::accuracy::row::{Errors, Row};
-use crate::commands::accuracy::study::ROUNDS;
+use crate::commands::accuracy::study::Measured;
 use crate::platform::csv::csv;
 use crate::platform::folder::Folder;
 use crate::platform::table::Table;
@@ -42,14 +42,13 @@ const HEADER: [&str; 19] = [
 pub fn write(
     folder: &Folder,
     name: &str,
-    check: &Errors,
     conserved: Option<&str>,
-    rows: &[Row],
+    Measured { rows, rounds, reference }: &Measured,
 ) -> Result<Vec<u8>> {
     let list = csv(HEADER, rows.iter().map(record))?;
     folder.write("accuracy.csv", &list)?;
-    folder.write("accuracy.svg", diagrams(name, rows).to_svg().as_bytes())?;
-    folder.write("accuracy.md", markdown(name, check, conserved, rows).as_bytes())?;
+    folder.write("accuracy.svg", diagrams(name, rows, *rounds).to_svg().as_bytes())?;
+    folder.write("accuracy.md", markdown(name, reference, conserved, rows).as_bytes())?;
     Ok(list)
 }
 
@@ -72,7 +71,7 @@ fn record(row: &Row) -> Vec<String> {
 }
 
 /// Charts of errors against computing time and operations, with one line per method and precision.
-fn diagrams(name: &str, rows: &[Row]) -> physgrad_plot::Drawing {
+fn diagrams(name: &str, rows: &[Row], rounds: usize) -> physgrad_plot::Drawing {
     let mut methods: Vec<&str> = rows.iter().map(|row| row.setting.method).collect();
     methods.dedup();
     // Points (work, error). A time has a spread from its lowest to its highest value.
@@ -94,7 +93,10 @@ fn diagrams(name: &str, rows: &[Row]) -> physgrad_plot::Drawing {
         methods.iter().enumerate().flat_map(of_method).collect::<Vec<Series>>()
     };
     work_precision(
-        &format!("{name}: error by cost; times are median and range of {ROUNDS} rounds"),
+        &format!(
+            "{name}: error by cost; times are median and range of {}",
+            counted(rounds, "round")
+        ),
         &[("f32", Dash::Dashed), ("f64", Dash::Solid)],
         vec![
             Work {

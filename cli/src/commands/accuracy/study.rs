@@ -10,7 +10,7 @@ use toml::Value;
 
 /// Numbers of physics steps per control step.
 const SUBSTEPS: [usize; 5] = [1, 2, 4, 8, 16];
-/// Number of timing rounds.
+/// Number of timing rounds by default.
 pub const ROUNDS: usize = 5;
 /// Minimum time per round, setting and pass, s.
 const MIN_TIME: f64 = 0.003;
@@ -65,6 +65,8 @@ impl Metric {
 pub struct Measured {
     /// One row per method, number of substeps and precision.
     pub rows: Vec<Row>,
+    /// Number of timing rounds.
+    pub rounds: usize,
     /// Difference of the reference from a solution with half as many steps: an estimate of the
     /// errors of the reference.
     pub reference: Errors,
@@ -172,17 +174,19 @@ impl Study {
     }
 
     /// Number of calls of `begin` by [`measure`](Self::measure).
-    pub fn parts(settings: &[Setting]) -> usize {
-        2 + settings.len() * (1 + ROUNDS)
+    pub fn parts(settings: &[Setting], rounds: usize) -> usize {
+        2 + settings.len() * (1 + rounds)
     }
 
-    /// Simulates and times all settings. Calls `begin` with a description before each part.
+    /// Simulates all settings, and times each `rounds` times. Calls `begin` with a description before
+    /// each part.
     ///
     /// # Errors
     /// The reference diverges, or `begin` returns an error.
     pub fn measure(
         &self,
         settings: Vec<Setting>,
+        rounds: usize,
         begin: &mut dyn FnMut(String) -> Result<()>,
     ) -> Result<Measured> {
         let (reference, check) = self.reference(begin)?;
@@ -196,16 +200,16 @@ impl Study {
         // Interleaves the settings: other load on the machine then affects all settings. Each round
         // prepares its rollouts anew, so that only one rollout at a time is in memory.
         let mut times = vec![Vec::new(); rows.len()];
-        for round in 1..=ROUNDS {
+        for round in 1..=rounds {
             for (row, times) in rows.iter().zip(&mut times) {
-                begin(format!("round {round} of {ROUNDS}"))?;
+                begin(format!("round {round} of {rounds}"))?;
                 if row.errors.is_ok() {
                     times.push(self.job(&row.setting)?.time(MIN_TIME));
                 }
             }
         }
         rows.iter_mut().zip(&times).for_each(|(row, times)| row.set_times(times));
-        Ok(Measured { rows, reference: check })
+        Ok(Measured { rows, rounds, reference: check })
     }
 
     fn job(&self, setting: &Setting) -> Result<Job> {

@@ -65,7 +65,7 @@ pub fn remarks(
     let mut warnings = of_fit(fit, scene, noise_is_known, !open.is_empty(), words);
     warnings.extend(jumps(fit, scene, rows));
     warnings.extend(astray(fit, scene, segments));
-    warnings.extend(correlated(fit, scene, segments, &open));
+    warnings.extend(correlated(fit, scene, segments, &open, noise_is_known, words));
     if !noise_is_known {
         warnings.extend(misfit(fit, segments, scene));
     }
@@ -181,7 +181,14 @@ fn open_starts(scene: &Scene, segments: &[Segment]) -> Vec<String> {
 
 /// A warning about residuals that are no independent noise, of a fit with numbers. The initial
 /// values of `open` are unmeasured.
-fn correlated(fit: &Fit, scene: &Scene, segments: &[Segment], open: &[String]) -> Option<String> {
+fn correlated(
+    fit: &Fit,
+    scene: &Scene,
+    segments: &[Segment],
+    open: &[String],
+    noise_is_known: bool,
+    words: &Words,
+) -> Option<String> {
     let names = scene.state_names();
     let found: Vec<String> = { fit.correlated(segments).into_iter() }
         .map(|(i, correlation)| format!("{} ({correlation:.2})", names[i]))
@@ -191,10 +198,16 @@ fn correlated(fit: &Fit, scene: &Scene, segments: &[Segment], open: &[String]) -
     } else {
         format!("wrong initial values of {}, ", listed(open))
     };
+    let weights = if noise_is_known {
+        String::new()
+    } else {
+        format!(", or states of unequal noise without {}", words.noise)
+    };
     (!found.is_empty() && !fit.names.is_empty()).then(|| {
         format!(
             "successive residuals are correlated for {}: they are not noise, and the standard errors are too small; use the \
-             robust errors. The cause may be the model, {starts}a local minimum, integration errors, or a filter of the sensor",
+             robust errors. The cause may be the model, {starts}a local minimum, integration errors, a filter of the \
+             sensor{weights}",
             listed(&found)
         )
     })
