@@ -442,20 +442,15 @@ impl<F: Float> Adjoint<F> {
 mod tests {
     use super::*;
     use crate::Task;
-    use crate::dynamics::effect::Forced;
     use crate::dynamics::inputs::Start;
     use crate::numbers::kernels::portable;
     use crate::numbers::rng::{Purpose, stream};
     use crate::policy::Mlp;
-    use crate::tasks::{Bumpers, CartDamping, CartPole, CartPoleSystem};
+    use crate::tasks::CartPole;
 
     /// Returns costs, the first state component at step 100, and the gradients of three flows.
     fn results<F: Float>(samples: usize) -> Vec<F> {
-        let system = CartPoleSystem { poles: 2, ..CartPoleSystem::default() };
-        let task = CartPole::with_system(Forced {
-            system,
-            effects: (CartDamping::default(), Bumpers::default()),
-        });
+        let task = CartPole::new(2);
         let policy = Mlp::new(vec![6, 8, 1]);
         let weights = Weights::<F>::init(&policy, &mut stream(0, Purpose::Policy, 0));
         let mut starts = vec![0.0; 6 * samples];

@@ -516,65 +516,6 @@ fn chunks(samples: usize, workers: usize) -> (usize, usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::evaluation::Evaluation;
-    use crate::engine::initial_states::initial_states;
-    use crate::engine::ranks::tests::Threads;
-    use crate::numbers::rng::{Purpose, stream};
-    use crate::policy::Mlp;
-    use crate::tasks::CartPole;
-
-    /// Losses of a batch and of an evaluation, gradients and growth.
-    type Found = (f64, f64, Vec<Gradient<f32>>, Vec<Option<Growth>>);
-
-    fn found(samples: usize, ranks: Option<Arc<dyn Ranks>>, workers: usize) -> Found {
-        let (task, policy) = (CartPole { horizon: 5, ..CartPole::new(1) }, Mlp::new([4, 6, 1]));
-        let weights = Weights::<f32>::init(&policy, &mut stream(0, Purpose::Policy, 0));
-        let starts: Vec<f32> = initial_states(&task, 0, Purpose::Train, samples);
-        let flows = [Flow::MODIFIED, Flow::REGULAR];
-        let evaluation = Evaluation::new(&task, &policy, workers);
-        let (mut batch, mut evaluation) = match ranks {
-            None => (Batch::new(&task, &policy, samples, &flows, workers), evaluation),
-            Some(ranks) => {
-                let batch =
-                    Batch::shared(ranks.clone(), &task, &policy, samples, &flows, workers, None);
-                (batch.expect("no limit"), evaluation.shared(ranks))
-            }
-        };
-        batch.measure(true);
-        let loss = batch.run(&task, &policy, &weights, &starts).expect("finite");
-        let evaluated = evaluation.run(&task, &policy, &weights, &starts).expect("finite");
-        (loss, evaluated, batch.gradients().to_vec(), (0..2).map(|k| batch.growth(k)).collect())
-    }
-
-    #[test]
-    fn ranks_and_workers_have_the_bits_of_one_worker() {
-        // Blocks of 1, 1, 2 and 3 groups. The last group is incomplete except for 128 samples. The
-        // last block of 130 and of 269 samples has fewer groups.
-        for samples in [3, 128, 130, 269] {
-            let one = found(samples, None, 1);
-            for workers in [2, 3] {
-                assert_eq!(
-                    one,
-                    found(samples, None, workers),
-                    "{samples} samples, {workers} workers"
-                );
-            }
-            for count in [1, 2, 3, 8] {
-                std::thread::scope(|scope| {
-                    let one = &one;
-                    for ranks in Threads::all(count) {
-                        scope.spawn(move || {
-                            assert_eq!(
-                                one,
-                                &found(samples, Some(ranks), 2),
-                                "{samples} samples, {count} ranks"
-                            )
-                        });
-                    }
-                });
-            }
-        }
-    }
 
     #[test]
     fn a_batch_has_at_most_32_blocks() {

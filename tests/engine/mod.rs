@@ -9,6 +9,8 @@ mod determinism;
 mod divergence;
 mod empty;
 mod memory;
+mod ranks;
+mod rows;
 mod schedule;
 mod smoothing;
 mod training;
