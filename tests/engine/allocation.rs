@@ -131,7 +131,10 @@ fn default_derivatives_of_200_states_do_not_allocate_after_the_first_epoch() {
 
 #[test]
 fn large_recurrent_policies_do_not_allocate_after_the_first_epoch() {
-    for field in Field::ALL {
+    // All flows; other fields combine the same gradients.
+    for field in
+        [Field::combined(), Field::regular(), Field::modified(), Field::network(), Field::stopped()]
+    {
         assert_eq!(
             allocations_after_the_first_epoch(Gru::new(STATES, 40, 1), field),
             0,

@@ -196,18 +196,15 @@ macro_rules! tests {
 tests!(
     exploding_adjoint,
     lqr_optimum,
-    double_pendulum,
     energy,
     cart_mass,
     guidance_distances,
     guidance_close_approach,
-    quantum_long,
     quantum_plateau,
     dry_friction,
-    contact,
     saturated_policy,
     injected_nan;
-    long: lqr_unstable, random_states
+    long: lqr_unstable, double_pendulum, quantum_long, contact, random_states
 );
 
 /// [`System`] for one scalar type, behind a pointer, so that loops over systems compile once.

@@ -221,6 +221,7 @@ fn the_next_shard_completes_a_killed_one_and_merge_names_missing_runs() {
 /// name of the folder of the plan.
 #[cfg(unix)]
 #[test]
+#[ignore = "long: many processes"]
 fn interrupted_killed_and_shared_plans_give_the_bytes_of_one_process() {
     let dir = TempDir::new().expect("a folder");
     let small = "set = { horizon = 5, policy.widths = [4], \"training.train_samples\" = 8, \"training.test_samples\" = 4 }";

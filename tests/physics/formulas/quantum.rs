@@ -90,12 +90,13 @@ fn rational(z: &Matrix, tail: f64, psi: &[Complex]) -> Vec<Complex> {
     solve(factor(1.0), times(&factor(-1.0), psi))
 }
 
-/// Returns `exp(-i z) ψ` by 64 factors `exp(-i z / 64)`, each by its power series.
+/// Returns `exp(-i z) ψ` by 4 factors `exp(-i z / 4)`, each by its power series. The norm of z
+/// is about 1.
 fn exponential(z: &Matrix, psi: &[Complex]) -> Vec<Complex> {
-    (0..64).fold(psi.to_vec(), |psi, _| {
+    (0..4).fold(psi.to_vec(), |psi, _| {
         let (mut sum, mut term) = (psi.clone(), psi);
         for n in 1..30 {
-            let by = Complex(0.0, -1.0 / 64.0 / f64::from(n));
+            let by = Complex(0.0, -0.25 / f64::from(n));
             term = times(z, &term).into_iter().map(|psi| by * psi).collect();
             sum = sum.iter().zip(&term).map(|(&sum, &term)| sum + term).collect();
         }
