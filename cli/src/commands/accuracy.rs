@@ -57,7 +57,7 @@ pub struct Accuracy {
           default_values_t = [10, 32, 100, 316, 1000, 3162, 10_000, 31_623, 100_000])]
     pub horizons: Vec<usize>,
     /// Number of timing rounds; with fewer the command ends sooner, and times are less certain
-    #[arg(long, value_name = "N", default_value_t = ROUNDS, value_parser = rounds)]
+    #[arg(long, value_name = "N", default_value_t = ROUNDS)]
     pub rounds: usize,
     /// Folder for the results; replaces earlier results of this command in it [default: a new one
     /// in `runs`]
@@ -78,21 +78,15 @@ fn is_unread(key: &str) -> bool {
     of_parameters || ["policy.zero_init_output", "precision"].contains(&key)
 }
 
-/// Reads a number of timing rounds.
-///
-/// # Errors
-/// The text is no number from 1 to 1000.
-pub fn rounds(text: &str) -> Result<usize, String> {
-    let count = text.parse().ok().filter(|count| (1..=1000).contains(count));
-    count.ok_or_else(|| "allowed: an integer from 1 to 1000".into())
-}
-
 /// Runs the command.
 pub fn accuracy(args: &Accuracy) -> Result<()> {
     if let Some(target) = args.target
         && (target.is_nan() || target <= 0.0)
     {
         bail!("--target {target}; allowed: a positive error, for example 1e-3");
+    }
+    if !(1..=1000).contains(&args.rounds) {
+        bail!("--rounds {}; allowed: an integer from 1 to 1000", args.rounds);
     }
     args.overrides.refuse(
         is_unread,
