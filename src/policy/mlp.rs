@@ -151,7 +151,7 @@ fn padded<F: Float>(n: usize) -> usize {
 }
 
 impl Layer {
-    /// The input columns `at` in a tape of `total` columns.
+    /// The input columns `at` in a tape of `total` columns, each with its padding.
     fn input_columns(&self, total: usize, at: PolicyColumns) -> Strided {
         let ld = self.ld_in;
         Strided {
@@ -312,16 +312,18 @@ impl Policy for Mlp {
                     continue;
                 }
                 let (before, after) = tape.split_at_mut(total * (l.tape + l.ld_in));
+                // Whole registers, not the whole padding, of which no result depends.
+                let rows = l.outputs.next_multiple_of(F::lanes(level));
                 let output = Strided {
                     first: at.first * l.ld_out,
                     step: at.step * l.ld_out,
                     count: at.count,
-                    len: l.ld_out,
+                    len: rows,
                 };
                 F::product(
                     level,
                     Product {
-                        rows: l.ld_out,
+                        rows,
                         depth: l.rows,
                         cols: at.count,
                         a: &packed[l.packed..],
@@ -367,7 +369,8 @@ impl Policy for Mlp {
                 if first_layer && x_bar.is_none() {
                     break;
                 }
-                let input = l.input_columns(total, at);
+                let rows = l.inputs.next_multiple_of(F::lanes(level));
+                let input = Strided { len: rows, ..l.input_columns(total, at) };
                 let (before, after) = tape_bar.split_at_mut(total * (l.tape + l.ld_in));
                 let (b, b_col) = if l.tape == self.last::<F>().tape {
                     (&u_bar[at.first * l.outputs..], at.step * l.outputs)
@@ -377,7 +380,7 @@ impl Policy for Mlp {
                 F::product(
                     level,
                     Product {
-                        rows: l.ld_in,
+                        rows,
                         depth: l.outputs,
                         cols: at.count,
                         a: &packed[l.transposed..],
@@ -426,7 +429,9 @@ impl Policy for Mlp {
             };
             let input = &tape[total * l.tape..];
             // The last layer has few outputs; its transposed product avoids padding them.
-            let (rows, cols) = if is_last { (l.ld_in, l.outputs) } else { (l.ld_out, l.rows) };
+            let (ld, rows, cols) =
+                if is_last { (l.ld_in, l.rows, l.outputs) } else { (l.ld_out, l.outputs, l.rows) };
+            let rows = rows.next_multiple_of(F::lanes(level));
             let (sum, scaled) = scratch.split_at_mut(rows * cols);
             for block in at.blocks(DEPTH) {
                 let columns = block.as_range();
@@ -450,7 +455,7 @@ impl Policy for Mlp {
                     depth: block.count,
                     cols,
                     a,
-                    lda: rows,
+                    lda: ld,
                     b,
                     b_row,
                     b_col: 1,

@@ -1,7 +1,7 @@
 //! A register-tiled matrix product for small matrices, such as those of policy layers.
 //!
-//! `C = A·B` or `C += A·B`. `A` (m × k) and `C` (m × n) are column-major and padded to whole cache
-//! lines; `B` (k × n) has arbitrary strides. Start with [`Product`].
+//! `C = A·B` or `C += A·B`. `A` (m × k) and `C` (m × n) are column-major and padded to whole
+//! registers; `B` (k × n) has arbitrary strides. Start with [`Product`].
 //!
 //! Every element of `C` is one sequential sum over `k`, independent of tile, vector width and
 //! number of columns. The result of a column is therefore independent of the other columns, and of
@@ -10,7 +10,7 @@
 /// Operands of one matrix product. The product checks the shapes against the slices before any
 /// access.
 pub struct Product<'a, F> {
-    /// Rows of `A` and `C`, including padding: a multiple of one cache line (64 bytes).
+    /// Rows of `A` and `C`, including padding: a multiple of the numbers per register.
     pub rows: usize,
     /// Columns of `A`, rows of `B`.
     pub depth: usize,
@@ -77,8 +77,12 @@ trait Register: Copy {
     unsafe fn plus_product(self, a: Self, b: Self) -> Self;
 }
 
+/// Largest number of columns in a tile of one register of rows.
+const SINGLE: usize = 8;
+
 /// Computes the product in panels of up to `MAX` registers of rows, and tiles of up to `NR`
-/// columns.
+/// columns, [`SINGLE`] for one register. The widths of the tiles differ by at most one column: a
+/// narrow tile has too few independent sums for the latency of the processor.
 ///
 /// The panel of `A` stays in the L1 cache for all its tiles.
 ///
@@ -97,7 +101,8 @@ unsafe fn panels<R: Register, const MAX: usize, const NR: usize>(p: Product<'_, 
         match registers {
             3 if MAX >= 3 => unsafe { tiles::<R, 3, NR>(&p, c, row) },
             2 if MAX >= 2 => unsafe { tiles::<R, 2, NR>(&p, c, row) },
-            _ => unsafe { tiles::<R, 1, NR>(&p, c, row) },
+            _ if MAX == 1 => unsafe { tiles::<R, 1, NR>(&p, c, row) },
+            _ => unsafe { tiles::<R, 1, SINGLE>(&p, c, row) },
         }
         row += registers * R::LANES;
     }
@@ -113,18 +118,19 @@ unsafe fn tiles<R: Register, const H: usize, const NR: usize>(
     c: *mut R::Float,
     row: usize,
 ) {
+    let count = p.cols.div_ceil(NR);
+    let (narrow, wider) = (p.cols / count, p.cols % count);
     let mut col = 0;
-    while col < p.cols {
-        // The remainder is one narrower tile: two tiles would have too few independent sums each.
-        let width = NR.min(p.cols - col);
+    for i in 0..count {
+        let width = narrow + usize::from(i < wider);
         match width {
             1 => unsafe { tile::<R, H, 1>(p, c, row, col) },
             2 => unsafe { tile::<R, H, 2>(p, c, row, col) },
             3 => unsafe { tile::<R, H, 3>(p, c, row, col) },
-            4 => unsafe { tile::<R, H, 4>(p, c, row, col) },
-            5 => unsafe { tile::<R, H, 5>(p, c, row, col) },
-            6 => unsafe { tile::<R, H, 6>(p, c, row, col) },
-            7 => unsafe { tile::<R, H, 7>(p, c, row, col) },
+            4 if NR > 4 => unsafe { tile::<R, H, 4>(p, c, row, col) },
+            5 if NR > 5 => unsafe { tile::<R, H, 5>(p, c, row, col) },
+            6 if NR > 6 => unsafe { tile::<R, H, 6>(p, c, row, col) },
+            7 if NR > 7 => unsafe { tile::<R, H, 7>(p, c, row, col) },
             _ => unsafe { tile::<R, H, NR>(p, c, row, col) },
         }
         col += width;
@@ -219,8 +225,21 @@ macro_rules! gemm {
             #[cfg(target_arch = "x86_64")]
             use std::arch::x86_64::*;
 
-            /// Entries per cache line. The number of rows is a multiple of it.
+            /// Entries per cache line.
             pub const PAD: usize = $pad;
+
+            /// Numbers per register. The number of rows of a product is a multiple of it.
+            pub fn lanes(level: SimdLevel) -> usize {
+                match level {
+                    SimdLevel::Portable => $half,
+                    #[cfg(target_arch = "aarch64")]
+                    SimdLevel::Neon => $quarter,
+                    #[cfg(target_arch = "x86_64")]
+                    SimdLevel::Avx2 => $half,
+                    #[cfg(target_arch = "x86_64")]
+                    SimdLevel::Avx512 => $pad,
+                }
+            }
 
             #[derive(Clone, Copy)]
             struct Array([$float; $half]);
@@ -248,7 +267,7 @@ macro_rules! gemm {
             /// If a dimension is 0, if the shapes do not fit the slices or the padding, or if the
             /// processor does not support `level`.
             pub fn product(level: SimdLevel, p: Product<'_, $float>) {
-                p.check(PAD);
+                p.check(lanes(level));
                 let level = level.checked();
                 // A tile of H × NR registers needs H · NR + H + 1 of them: 15 of 16 with AVX2, 28
                 // of 32 with AVX-512 and NEON.

@@ -66,9 +66,12 @@ pub trait Float:
     #[doc(hidden)]
     fn powf(self, exponent: f64) -> Self;
 
-    /// Entries per cache line. Row counts of matrices are multiples of it.
+    /// Entries per cache line.
     #[doc(hidden)]
     const PAD: usize;
+    /// Entries per register. Row counts of matrix products are multiples of it.
+    #[doc(hidden)]
+    fn lanes(level: SimdLevel) -> usize;
     /// Matrix product with the instruction set `level`.
     #[doc(hidden)]
     fn product(level: SimdLevel, product: Product<'_, Self>);
@@ -151,6 +154,11 @@ macro_rules! float {
             #[inline]
             fn product(level: SimdLevel, product: Product<'_, Self>) {
                 gemm::$gemm::product(level, product);
+            }
+
+            #[inline]
+            fn lanes(level: SimdLevel) -> usize {
+                gemm::$gemm::lanes(level)
             }
 
             #[inline(always)]
