@@ -1,23 +1,17 @@
 //! Multiple shooting: trajectories that single shooting cannot fit.
 
+use super::swinging;
 use physgrad::identify::{Fit, Options, Segment, Unknown, identify};
-use physgrad::integrator::{AnyIntegrator, RungeKutta};
 use physgrad::rng::{Purpose, stream};
-use physgrad::tasks::{Arm, MultiPendulum};
-use physgrad::{Inputs, Integrated, Number, Scalar, System};
+use physgrad::tasks::Arm;
+use physgrad::{DynSystem, Inputs, Number, Scalar, System};
 use rand_distr::{Distribution, StandardNormal};
 
-/// The library compiles derivatives with this integrator.
-type Pendulum = Integrated<MultiPendulum, AnyIntegrator>;
-
-const RK4: AnyIntegrator = AnyIntegrator::RungeKutta(RungeKutta::RK4);
-
 const VARIES: Number = Number::Trained { start: 1.0, min: 0.0, max: f64::INFINITY };
-const DT: f64 = 0.01;
 /// Standard deviations of the noise, rad and rad/s. Rates are not measured.
 const NOISE: [f64; 2] = [0.01, 0.1];
 
-fn simulate(system: &Pendulum, start: &[f64], p: &[f64], steps: usize) -> Vec<Vec<f64>> {
+fn simulate(system: &DynSystem, start: &[f64], p: &[f64], steps: usize) -> Vec<Vec<f64>> {
     let mut x = vec![start.to_vec()];
     for t in 0..steps {
         let mut next = vec![0.0; start.len()];
@@ -40,7 +34,7 @@ fn measured(mut x: Vec<Vec<f64>>, p: &[f64]) -> Segment {
 
 /// Fits from initial values that are alternately 1.3 times the true values and the true values
 /// divided by 1.3.
-fn fit(system: &Pendulum, segment: &Segment, window: Option<usize>) -> Fit {
+fn fit(system: &DynSystem, segment: &Segment, window: Option<usize>) -> Fit {
     let start = |i: usize, truth: f64| if i.is_multiple_of(2) { truth * 1.3 } else { truth / 1.3 };
     let unknown = |(index, &truth): (usize, &f64)| Unknown {
         name: format!("p{index}"),
@@ -62,7 +56,7 @@ fn reduced(fit: &Fit) -> f64 {
 
 /// Returns the largest difference between a state of the fit and a step of the system from the
 /// previous state, in units of the noise.
-fn largest_jump(system: &Pendulum, fit: &Fit, p: &[f64]) -> f64 {
+fn largest_jump(system: &DynSystem, fit: &Fit, p: &[f64]) -> f64 {
     let of_step = |t: usize| {
         let next = &simulate(system, &fit.states[0][t], p, 1)[1];
         let jumps = next
@@ -78,7 +72,7 @@ fn largest_jump(system: &Pendulum, fit: &Fit, p: &[f64]) -> f64 {
 /// Checks that multiple shooting finds the true values within four standard errors, with standard
 /// errors below 3 %, and determines the initial state. Checks that the fitted states follow the
 /// steps of the system, and that single shooting does not fit the data.
-fn check(system: &Pendulum, segment: &Segment) {
+fn check(system: &DynSystem, segment: &Segment) {
     let found = fit(system, segment, Options::default().window);
     let single = fit(system, segment, None);
     assert!(found.converged && (reduced(&found) - 1.0).abs() < 0.2, "{}", reduced(&found));
@@ -100,8 +94,7 @@ fn check(system: &Pendulum, segment: &Segment) {
 fn a_chaotic_swing_is_identified() {
     let arm = Arm { center: VARIES, length: VARIES, viscous: VARIES, ..Arm::default() };
     let last = Arm { center: VARIES, ..Arm::default() };
-    let ode = MultiPendulum { arms: vec![arm, last], gravity: 9.81.into() };
-    let system = Integrated { ode, integrator: RK4, dt: DT };
+    let system = swinging(vec![arm, last]);
     let p = [0.1, 0.2, 1e-4, 0.11];
     let simulated = |theta: f64| simulate(&system, &[theta, 0.0, -0.5, 0.0], &p, 2000);
     let (x, near) = (simulated(0.5), simulated(0.5 + 1e-9));
@@ -168,8 +161,7 @@ fn a_fit_with_unknown_noise_does_not_depend_on_the_unit_of_the_data() {
 #[test]
 fn an_unstable_balance_is_identified() {
     let arm = Arm { inertia: VARIES, viscous: VARIES, ..Arm::default() };
-    let ode = MultiPendulum { arms: vec![arm], gravity: 9.81.into() };
-    let system = Integrated { ode, integrator: RK4, dt: DT };
+    let system = swinging(vec![arm]);
     let p = [4e-4, 5e-4];
     // Bisects the initial rate between falling back and falling over.
     let (mut low, mut high) = (0.0, 20.0);

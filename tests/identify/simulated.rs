@@ -1,28 +1,18 @@
 //! Identification on simulated data, whose true values are known.
 
+use super::swinging;
 use physgrad::identify::{Fit, IdentifyError, Options, Segment, Unknown, identify};
-use physgrad::integrator::{AnyIntegrator, RungeKutta};
 use physgrad::rng::{Purpose, Rng, stream};
-use physgrad::tasks::{Arm, MultiPendulum};
-use physgrad::{Inputs, Integrated, Number, Scalar, System};
+use physgrad::tasks::Arm;
+use physgrad::{DynSystem, Inputs, Number, Scalar, System};
 use rand_distr::{Distribution, StandardNormal};
 use std::f64::consts::{PI, TAU};
-
-/// The library compiles derivatives with this integrator.
-type Pendulum = Integrated<MultiPendulum, AnyIntegrator>;
-
-const RK4: AnyIntegrator = AnyIntegrator::RungeKutta(RungeKutta::RK4);
 
 const VARIES: Number = Number::Trained { start: 1.0, min: f64::NEG_INFINITY, max: f64::INFINITY };
 
 /// Returns a pendulum with one arm and p = [center in m, viscous friction in N m s/rad].
-fn pendulum() -> Pendulum {
-    let arm = Arm { center: VARIES, viscous: VARIES, ..Arm::default() };
-    Integrated {
-        ode: MultiPendulum { arms: vec![arm], gravity: 9.81.into() },
-        integrator: RK4,
-        dt: 0.01,
-    }
+fn pendulum() -> DynSystem {
+    swinging(vec![Arm { center: VARIES, viscous: VARIES, ..Arm::default() }])
 }
 
 const TRUTH: [f64; 2] = [0.12, 4e-4];
@@ -42,7 +32,7 @@ fn unknowns(factor: f64) -> Vec<Unknown> {
 
 fn simulated(
     rng: &mut Rng,
-    system: &Pendulum,
+    system: &DynSystem,
     start: [f64; 2],
     steps: usize,
     noise: [f64; 2],
@@ -339,8 +329,7 @@ fn missing_samples_do_not_matter() {
 #[test]
 fn undetermined_combinations_are_named() {
     let arm = Arm { mass: VARIES, inertia: VARIES, viscous: VARIES, ..Arm::default() };
-    let ode = MultiPendulum { arms: vec![arm], gravity: 9.81.into() };
-    let system = Integrated { ode, integrator: RK4, dt: 0.01 };
+    let system = swinging(vec![arm]);
     let truth = [0.1, 4e-4, 3e-4];
     let mut x = vec![vec![1.5, 0.0]];
     for t in 0..300 {
