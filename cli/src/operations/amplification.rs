@@ -135,38 +135,15 @@ pub fn amplification(
     let starts = initial_states(task, seed, Purpose::Test, ROLLOUTS);
     let (rollouts, divergence) =
         trajectory::until_divergence(task, policy, &weights, &starts, 0..ROLLOUTS);
-    let states: Vec<(usize, Inputs<'_, f64>)> = rollouts
-        .iter()
-        .enumerate()
-        .flat_map(|(sample, rollout)| {
-            let inputs = |t: usize| Inputs {
-                x: &rollout.states[t][..],
-                u: &rollout.controls[t][..],
-                p: &rollout.params[..],
-                t,
-            };
-            (0..rollout.controls.len()).map(move |t| (sample, inputs(t)))
-        })
-        .collect();
-    let place = |i: usize| {
-        let (sample, inputs) = states[i];
-        Place { sample, step: inputs.t, stability: check::stability(task.system(), inputs) }
-    };
-    let indices = evaluated(task, &states);
-    let places: Vec<Place> = indices.iter().map(|&i| place(i)).collect();
+    let visited = Visited::of(task, &rollouts);
+    let indices = evaluated(task, &visited.states);
+    let places: BTreeMap<usize, Place> =
+        indices.into_iter().map(|i| (i, visited.place(i))).collect();
     let horizon = Task::horizon(task);
-    let after = |place: &Place| {
-        let from = place.step;
-        let steps: Vec<Inputs<'_, f64>> = states
-            .iter()
-            .filter(|(sample, inputs)| *sample == place.sample && inputs.t >= from)
-            .map(|(_, inputs)| *inputs)
-            .collect();
-        check::growth_along(task.system(), &steps)
-    };
-    let mut worst = worst(&places, horizon, after);
+    let mut worst = worst(&places, horizon, |place| visited.growth_after(place));
     let norm = |inputs: Inputs<'_, f64>| check::jacobian_norm(task.system(), inputs);
-    let mut largest = indices.iter().fold(0.0_f64, |largest, &i| largest.max(norm(states[i].1)));
+    let mut largest =
+        places.keys().fold(0.0_f64, |largest, &i| largest.max(norm(visited.states[i].1)));
     let between = match known {
         Some(known) => vec![known.clone()],
         None => { alternating(&rollouts).into_iter() }
@@ -190,23 +167,8 @@ pub fn amplification(
             chatter = Some(between);
         }
     }
-    let mut seen: BTreeMap<usize, Place> = indices.into_iter().zip(places.clone()).collect();
-    let mut candidates: Vec<(usize, Place)> =
-        seen.iter().map(|(&i, &place)| (i, place)).filter(|(_, at)| at.stability.rings()).collect();
-    candidates.sort_by(|a, b| a.1.stability.lowest.total_cmp(&b.1.stability.lowest));
-    let ringing = candidates.into_iter().find_map(|(i, candidate)| {
-        let mut rings = |i: usize| {
-            i < states.len() && {
-                let at = seen.entry(i).or_insert_with(|| place(i));
-                at.sample == candidate.sample && at.stability.rings()
-            }
-        };
-        // Lengths of the runs of steps that ring, before and after this one.
-        let before = (1..CONSECUTIVE).take_while(|k| i.checked_sub(*k).is_some_and(&mut rings));
-        let before = before.count();
-        let after = (1..CONSECUTIVE - before).take_while(|k| rings(i + k)).count();
-        (before + 1 + after >= CONSECUTIVE).then_some(candidate)
-    });
+    let evaluated = places.len();
+    let ringing = visited.ringing(places);
     match (worst, divergence) {
         (Some((worst, growth)), _) => Ok(Amplification {
             worst,
@@ -214,8 +176,8 @@ pub fn amplification(
             norm: largest,
             chatter,
             ringing,
-            evaluated: places.len(),
-            states: states.len(),
+            evaluated,
+            states: visited.states.len(),
             divergence,
         }),
         (_, Some(divergence)) => Err(divergence),
@@ -223,11 +185,69 @@ pub fn amplification(
     }
 }
 
+/// The states of test rollouts.
+struct Visited<'a> {
+    task: &'a DynTask,
+    /// Rollout and inputs of each step, in order.
+    states: Vec<(usize, Inputs<'a, f64>)>,
+}
+
+impl<'a> Visited<'a> {
+    fn of(task: &'a DynTask, rollouts: &'a [Trajectory]) -> Self {
+        let of_rollout =
+            |(sample, Trajectory { states, controls, params }): (_, &'a Trajectory)| {
+                let inputs =
+                    move |t: usize| Inputs { x: &states[t], u: &controls[t], p: params, t };
+                (0..controls.len()).map(move |t| (sample, inputs(t)))
+            };
+        Self { task, states: rollouts.iter().enumerate().flat_map(of_rollout).collect() }
+    }
+
+    fn place(&self, i: usize) -> Place {
+        let (sample, inputs) = self.states[i];
+        Place { sample, step: inputs.t, stability: check::stability(self.task.system(), inputs) }
+    }
+
+    /// Growth of a perturbation over the rest of a rollout.
+    fn growth_after(&self, place: &Place) -> f64 {
+        let rest = { self.states.iter() }
+            .filter(|(sample, inputs)| *sample == place.sample && inputs.t >= place.step);
+        let steps: Vec<Inputs<'_, f64>> = rest.map(|(_, inputs)| *inputs).collect();
+        check::growth_along(self.task.system(), &steps)
+    }
+
+    /// The place of [`Amplification::ringing`]. `seen` has the places that are evaluated already, by
+    /// the index of the state.
+    fn ringing(&self, mut seen: BTreeMap<usize, Place>) -> Option<Place> {
+        let mut candidates: Vec<(usize, Place)> = { seen.iter().map(|(&i, &place)| (i, place)) }
+            .filter(|(_, at)| at.stability.rings())
+            .collect();
+        candidates.sort_by(|a, b| a.1.stability.lowest.total_cmp(&b.1.stability.lowest));
+        candidates.into_iter().find_map(|(i, candidate)| {
+            let mut rings = |i: usize| {
+                i < self.states.len() && {
+                    let at = seen.entry(i).or_insert_with(|| self.place(i));
+                    at.sample == candidate.sample && at.stability.rings()
+                }
+            };
+            // Lengths of the runs of steps that ring, before and after this one.
+            let before = (1..CONSECUTIVE).take_while(|k| i.checked_sub(*k).is_some_and(&mut rings));
+            let before = before.count();
+            let after = (1..CONSECUTIVE - before).take_while(|k| rings(i + k)).count();
+            (before + 1 + after >= CONSECUTIVE).then_some(candidate)
+        })
+    }
+}
+
 /// The place of [`Amplification::worst`], with the growth over the steps after it. `after` computes
 /// the growth over the rest of a rollout. A multiplier that is harmless also if every step has it
 /// bounds the growth without this computation.
-fn worst(places: &[Place], horizon: usize, after: impl Fn(&Place) -> f64) -> Option<(Place, f64)> {
-    let mut sorted = places.to_vec();
+fn worst(
+    places: &BTreeMap<usize, Place>,
+    horizon: usize,
+    after: impl Fn(&Place) -> f64,
+) -> Option<(Place, f64)> {
+    let mut sorted: Vec<Place> = places.values().copied().collect();
     // `check::stability` returns NaN with a positive sign. `total_cmp` ranks this NaN above every
     // number.
     sorted.sort_by(|a, b| b.stability.multiplier.total_cmp(&a.stability.multiplier));
