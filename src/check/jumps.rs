@@ -168,21 +168,25 @@ fn of_any(
         [losses(task, policy, &at(-1.0), starts)?, losses(task, policy, &at(1.0), starts)?];
     let differences: Vec<f64> =
         before.iter().zip(&after).map(|(before, after)| (after - before) / (2.0 * STEP)).collect();
-    let average = |values: &[f64]| values.iter().sum::<f64>() / samples as f64;
-    let compare = |predicted: &[f64]| {
-        let biases: Vec<f64> = differences.iter().zip(predicted).map(|(d, p)| d - p).collect();
-        let bias = average(&biases);
-        let squares = biases.iter().map(|b| (b - bias) * (b - bias)).sum::<f64>();
-        let error = (squares / (samples as f64 - 1.0) / samples as f64).sqrt();
-        let (predicted, difference) = (average(predicted), average(&differences));
-        Jumps { samples, predicted, difference, error }
-    };
-    let found = compare(&integral(&[[-1.0, 1.0]])?);
+    let found = compare(&differences, &integral(&[[-1.0, 1.0]])?);
     if !found.is_biased() {
         return Ok(found);
     }
-    let finer = compare(&integral(&[[-1.0, 0.0], [0.0, 1.0]])?);
+    let finer = compare(&differences, &integral(&[[-1.0, 0.0], [0.0, 1.0]])?);
     Ok(Jumps { error: finer.error + (finer.predicted - found.predicted).abs(), ..finer })
+}
+
+/// Means of the differences and of the predicted slopes, given per sample, with the standard error
+/// of the difference of the means.
+fn compare(differences: &[f64], predicted: &[f64]) -> Jumps {
+    let samples = differences.len();
+    let average = |values: &[f64]| values.iter().sum::<f64>() / samples as f64;
+    let biases: Vec<f64> = differences.iter().zip(predicted).map(|(d, p)| d - p).collect();
+    let bias = average(&biases);
+    let squares = biases.iter().map(|b| (b - bias) * (b - bias)).sum::<f64>();
+    let error = (squares / (samples as f64 - 1.0) / samples as f64).sqrt();
+    let (predicted, difference) = (average(predicted), average(differences));
+    Jumps { samples, predicted, difference, error }
 }
 
 /// Calls `each` with the index of every sample and the gradient R of its loss.

@@ -172,6 +172,43 @@ impl Comparison {
         }
     }
 
+    /// Compares single components of a gradient, given by their indices, relative to its largest
+    /// one. `name(index)` is what a message calls the component, and its index there.
+    fn gradient_components(
+        &mut self,
+        found: &[f64],
+        expected: &[(usize, f64)],
+        name: &dyn Fn(usize) -> (String, usize),
+    ) -> Result<(), Mismatch> {
+        let scale = largest(found);
+        expected.iter().try_for_each(|&(index, expected)| {
+            let (what, i) = name(index);
+            self.one(&what, i, found[index], expected, scale.max(largest(&[expected])))
+        })
+    }
+
+    /// Compares the derivatives along directions with those of a finite gradient, relative to its
+    /// norm. Compares nothing if the gradient is not finite.
+    fn gradient_directions(
+        &mut self,
+        gradient: &[f64],
+        directions: &[(Vec<f64>, f64)],
+    ) -> Result<(), Mismatch> {
+        let scale = largest(gradient);
+        // Without overflow of the squares.
+        let share = |g: &f64| if scale > 0.0 { g / scale } else { 0.0 };
+        let norm = scale * gradient.iter().map(|g| share(g).powi(2)).sum::<f64>().sqrt();
+        // Sums of infinite components can be NaN.
+        if !norm.is_finite() || !gradient.iter().all(|g| g.is_finite()) {
+            return Ok(());
+        }
+        directions.iter().enumerate().try_for_each(|(index, (direction, expected))| {
+            let found = direction.iter().zip(gradient).map(|(d, g)| d * g).sum();
+            let scale = norm.max(expected.abs());
+            self.one("gradient in random direction", index, found, *expected, scale)
+        })
+    }
+
     /// Returns an error if a number is non-finite.
     fn finite(&mut self, what: &str, found: &[f64]) -> Result<(), Mismatch> {
         match found.iter().position(|found| !found.is_finite()) {
@@ -363,11 +400,7 @@ fn check_flow(
     for case in 0..CASES_OF_LONG_CHECKS {
         c.case = case;
         let mut rng = stream(case, Purpose::Check, 0);
-        let mut starts = vec![0.0; SAMPLES * len];
-        for start in starts.chunks_exact_mut(len) {
-            let (x, p) = start.split_at_mut(n);
-            task.start(&mut rng, Start { x, p });
-        }
+        let starts = draw_starts(task, SAMPLES, &mut rng);
         let weights = match theta {
             Some(theta) => Weights::new(policy, theta.to_vec()),
             None => finite_weights(task, policy, None, &starts, case)?,
@@ -384,47 +417,35 @@ fn check_flow(
         c.slices("loss", &[loss], &[loss_by_duals(theta, &starts)])?;
         c.slices("gradient computed beside M", &gradient_beside, &gradient_alone)?;
 
-        let scale = largest(&gradient_alone);
-        for (index, expected) in oracle::some_components(theta.len(), &mut rng, &|tangent| {
-            slope(theta, &starts, tangent)
-        }) {
-            let what = format!("gradient by {}: theta_bar", parameter(&policy.tensors(), index));
-            c.one(&what, index, gradient_alone[index], expected, scale.max(largest(&[expected])))?;
-        }
-        // Without overflow of the squares.
-        let share = |g: &f64| if scale > 0.0 { g / scale } else { 0.0 };
-        let norm = scale * gradient_alone.iter().map(|g| share(g).powi(2)).sum::<f64>().sqrt();
-        // Sums of infinite components can be NaN.
-        let is_finite = norm.is_finite() && gradient_alone.iter().all(|g| g.is_finite());
-        let directions = oracle::some_directions(theta.len(), &mut rng, &|tangent| {
-            slope(theta, &starts, tangent)
-        });
-        for (index, (direction, expected)) in
-            directions.into_iter().enumerate().filter(|_| is_finite)
-        {
-            let found = direction.iter().zip(&gradient_alone).map(|(d, g)| d * g).sum();
-            c.one(
-                "gradient in random direction",
-                index,
-                found,
-                expected,
-                norm.max(expected.abs()),
-            )?;
-        }
+        let along = |tangent: &dyn Fn(usize) -> f64| slope(theta, &starts, tangent);
+        let components = oracle::some_components(theta.len(), &mut rng, &along);
+        c.gradient_components(&gradient_alone, &components, &|index| {
+            (format!("gradient by {}: theta_bar", parameter(&policy.tensors(), index)), index)
+        })?;
+        let directions = oracle::some_directions(theta.len(), &mut rng, &along);
+        c.gradient_directions(&gradient_alone, &directions)?;
         let by_starts = start_gradients(task, policy, &weights, &starts, flow);
         let by_starts = by_starts.map_err(|divergence| Finding::Diverged { case, divergence })?;
-        let scale = largest(&by_starts);
         let components = oracle::some_components(starts.len(), &mut rng, &|tangent| {
             start_slope(theta, &starts, tangent)
         });
-        for (index, expected) in components {
+        c.gradient_components(&by_starts, &components, &|index| {
             let (sample, i) = (index / len, index % len);
             let (name, i) = if i < n { ("initial state", i) } else { ("parameters p", i - n) };
-            let what = format!("gradient by the {name} of sample {sample}, component");
-            c.one(&what, i, by_starts[index], expected, scale.max(largest(&[expected])))?;
-        }
+            (format!("gradient by the {name} of sample {sample}, component"), i)
+        })?;
     }
     Ok(c.passed)
+}
+
+/// Draws the initial states and parameters of `samples` samples, concatenated.
+fn draw_starts(task: &dyn AnyTask<f64>, samples: usize, rng: &mut Rng) -> Vec<f64> {
+    let mut starts = vec![0.0; samples * task.start_dim()];
+    for start in starts.chunks_exact_mut(task.start_dim()) {
+        let (x, p) = start.split_at_mut(task.state_dim());
+        task.start(rng, Start { x, p });
+    }
+    starts
 }
 
 /// Name of a parameter of θ, for instance `layer1.kernel[3, 7]`.

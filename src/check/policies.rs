@@ -10,8 +10,12 @@ use crate::policy::{Policy, PolicyColumns, PolicyPass, PolicyRecord, Tensor, act
 const FEW: usize = 1000;
 /// Largest number of components compared per tensor of a larger policy.
 const OF_EACH: usize = 64;
+/// Number of samples per random case.
+const SAMPLES: usize = 3;
 /// Number of steps per sample.
 const STEPS: usize = 3;
+/// Number of columns per random case.
+const COLUMNS: usize = SAMPLES * STEPS;
 
 /// Checks the batched passes of a policy against [`Policy::act`] and its dual-number derivatives.
 ///
@@ -47,6 +51,9 @@ pub fn policy<P: Policy>(policy: &P) -> Result<Passed, Failure> {
 /// Policy in double precision: θ, the inputs x, the index of the column, and the outputs u.
 type Act<'a> = &'a dyn Fn(&[f64], &[f64], usize, &mut [f64]);
 
+/// Indices of parameters, each with the slopes of the outputs per column.
+type Components = Vec<(usize, Vec<f64>)>;
+
 /// Object-safe part of [`policy`]; limits monomorphization.
 fn check(
     policy: &dyn crate::policy::AnyPolicy<f64>,
@@ -54,48 +61,24 @@ fn check(
     by_duals: oracle::Act,
 ) -> Result<Passed, Mismatch> {
     let (n, m, params) = (policy.input_dim(), policy.output_dim(), policy.param_count());
-    // Each forward pass covers one step of all samples. One backward pass covers all steps, as in
-    // a rollout.
-    let (samples, steps) = (3, STEPS);
-    let total = samples * steps;
     let mut c = Comparison::new(ONE_STEP);
     for case in 0..CASES_OF_LONG_CHECKS {
         c.case = case;
         let mut rng = stream(case, Purpose::Check, 0);
         let weights = oracle::weights(policy, None, 0.1, &mut rng);
-        let (x, u_bar, weight) =
-            (normal(&mut rng, total * n), normal(&mut rng, total * m), normal(&mut rng, total));
-        let sizes = policy.sizes(total);
-        let mut tape = vec![0.0; sizes.tape];
-        let mut u = vec![f64::NAN; total * m];
-        for t in 0..steps {
-            let at = PolicyColumns { first: t, step: steps, count: samples };
-            policy.forward(
-                PolicyPass::new(weights.packed(), at, &x).at_steps(t..t + 1),
-                &mut tape,
-                &mut u,
-            );
-        }
-        let [expected, from_nans] = [0.0, f64::NAN].map(|initial| {
-            let mut u = vec![initial; total * m];
-            for c in 0..total {
-                act(weights.theta(), &x[c * n..][..n], c, &mut u[c * m..][..m]);
-            }
-            u
-        });
+        let [x, u_bar, weight] = [n, m, 1].map(|len| normal(&mut rng, COLUMNS * len));
+        let (tape, u) = forward(policy, weights.packed(), &x);
+        let [expected, from_nans] =
+            [0.0, f64::NAN].map(|initial| outputs(act, (n, m), weights.theta(), &x, initial));
         c.equal("act leaves a component unwritten: (control, memory)", &from_nans, &expected)?;
         c.slices("forward: u", &u, &expected)?;
 
-        let mut tape_bar = vec![0.0; sizes.tape_bar];
-        let mut x_bar = vec![f64::NAN; total * n];
-        let all = PolicyPass::new(weights.packed(), PolicyColumns::range(0..total), &x)
-            .at_steps(0..steps);
-        policy.backward(all, &tape, &u_bar, &mut tape_bar, Some(&mut x_bar));
-        c.slices(
-            "backward: x_bar",
-            &x_bar,
-            &oracle::policy_input_gradient(by_duals, (n, m), weights.theta(), &x, &u_bar),
-        )?;
+        // One backward pass covers all steps, as in a rollout.
+        let all = PolicyPass::new(weights.packed(), PolicyColumns::range(0..COLUMNS), &x)
+            .at_steps(0..STEPS);
+        let (mut tape_bar, x_bar) = backward(policy, all, &tape, &u_bar);
+        let expected = oracle::policy_input_gradient(by_duals, (n, m), weights.theta(), &x, &u_bar);
+        c.slices("backward: x_bar", &x_bar, &expected)?;
         // Rollouts reuse `tape_bar`, so the backward pass must not read the old values. Flows
         // without a path through the inputs request no `x_bar`.
         if case % 2 == 1 {
@@ -109,30 +92,61 @@ fn check(
         let some = components(&some_parameters(&policy.tensors(), &mut rng));
         let directions =
             oracle::policy_directions(by_duals, (n, m), weights.theta(), &x, &u_bar, &mut rng);
-        let mut scratch = vec![0.0; sizes.scratch];
+        let mut scratch = vec![0.0; policy.sizes(COLUMNS).scratch];
         for weight in [None, Some(&weight[..])] {
+            let mut add = |theta_bar: &mut [f64]| {
+                let (tape, u_bar, tape_bar) = (&tape[..], &u_bar[..], &tape_bar[..]);
+                let record = PolicyRecord { tape, u_bar, tape_bar, weight };
+                policy.param_gradient(all, record, &mut scratch, theta_bar);
+            };
             let mut theta_bar = vec![0.0; params];
-            let record = PolicyRecord { tape: &tape, u_bar: &u_bar, tape_bar: &tape_bar, weight };
-            policy.param_gradient(all, record, &mut scratch, &mut theta_bar);
+            add(&mut theta_bar);
             c.components(&theta_bar, &some, weight)?;
-            for (index, (direction, slopes)) in directions.iter().enumerate() {
-                if let Err(mismatch) = c.direction(index, &theta_bar, direction, slopes, weight) {
-                    c.components(
-                        &theta_bar,
-                        &components(&(0..params).collect::<Vec<_>>()),
-                        weight,
-                    )?;
-                    return Err(mismatch);
-                }
-            }
+            c.directions(&theta_bar, &directions, weight, &components)?;
             let once = theta_bar.clone();
-            let record = PolicyRecord { tape: &tape, u_bar: &u_bar, tape_bar: &tape_bar, weight };
-            policy.param_gradient(all, record, &mut scratch, &mut theta_bar);
+            add(&mut theta_bar);
             theta_bar.iter_mut().for_each(|bar| *bar *= 0.5);
             c.slices("param_gradient, second call that adds: theta_bar", &theta_bar, &once)?;
         }
     }
     Ok(c.passed)
+}
+
+/// Tape and outputs of the forward passes. Each pass covers one step of all samples.
+fn forward(
+    policy: &dyn crate::policy::AnyPolicy<f64>,
+    packed: &[f64],
+    x: &[f64],
+) -> (Vec<f64>, Vec<f64>) {
+    let mut tape = vec![0.0; policy.sizes(COLUMNS).tape];
+    let mut u = vec![f64::NAN; COLUMNS * policy.output_dim()];
+    for t in 0..STEPS {
+        let at = PolicyColumns { first: t, step: STEPS, count: SAMPLES };
+        policy.forward(PolicyPass::new(packed, at, x).at_steps(t..t + 1), &mut tape, &mut u);
+    }
+    (tape, u)
+}
+
+/// Cotangents of the tape and of the inputs, from one backward pass.
+fn backward(
+    policy: &dyn crate::policy::AnyPolicy<f64>,
+    pass: PolicyPass<f64>,
+    tape: &[f64],
+    u_bar: &[f64],
+) -> (Vec<f64>, Vec<f64>) {
+    let mut tape_bar = vec![0.0; policy.sizes(COLUMNS).tape_bar];
+    let mut x_bar = vec![f64::NAN; pass.x.len()];
+    policy.backward(pass, tape, u_bar, &mut tape_bar, Some(&mut x_bar));
+    (tape_bar, x_bar)
+}
+
+/// Outputs of `act` in all columns. `initial` is their value before `act` writes them.
+fn outputs(act: Act, (n, m): (usize, usize), theta: &[f64], x: &[f64], initial: f64) -> Vec<f64> {
+    let mut u = vec![initial; COLUMNS * m];
+    for c in 0..COLUMNS {
+        act(theta, &x[c * n..][..n], c, &mut u[c * m..][..m]);
+    }
+    u
 }
 
 /// Selects parameter indices: all of at most [`FEW`], otherwise up to [`OF_EACH`] per tensor.
@@ -175,6 +189,26 @@ impl Comparison {
         expected.iter().try_for_each(|&(index, e)| {
             self.one("param_gradient: theta_bar", index, found[index], e, scale)
         })
+    }
+
+    /// Compares the parameter gradient along random directions with the slopes, given per column.
+    /// If a direction fails, compares all components to locate the error. `components` computes the
+    /// slopes of parameters.
+    fn directions(
+        &mut self,
+        found: &[f64],
+        directions: &[(Vec<f64>, Vec<f64>)],
+        weight: Option<&[f64]>,
+        components: &dyn Fn(&[usize]) -> Components,
+    ) -> Result<(), Mismatch> {
+        for (index, (direction, slopes)) in directions.iter().enumerate() {
+            if let Err(mismatch) = self.direction(index, found, direction, slopes, weight) {
+                let all: Vec<usize> = (0..found.len()).collect();
+                self.components(found, &components(&all), weight)?;
+                return Err(mismatch);
+            }
+        }
+        Ok(())
     }
 
     /// Compares `⟨g, v⟩`, for the parameter gradient g and the direction v, with the slopes of

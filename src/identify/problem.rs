@@ -66,59 +66,11 @@ impl<'a> Problem<'a> {
         options: &'a Options,
     ) -> Result<Self, IdentifyError> {
         let [n, m, params] = model.sizes();
-        if let Some(noise) = options.noise.as_ref().filter(|noise| noise.len() != n) {
-            return Err(IdentifyError::NoiseCount { found: noise.len(), expected: n });
+        check_options(options, n)?;
+        for (index, segment) in segments.iter().enumerate() {
+            check_segment(index, segment, [n, m, params], options.free_starts)?;
         }
-        let noise = options.noise.iter().flatten().copied().enumerate();
-        if let Some((component, noise)) = { noise }.find(|(_, noise)| !NOISE.contains(noise)) {
-            return Err(IdentifyError::Noise { component, noise });
-        }
-        if let Some(&component) = options.angles.iter().find(|&&component| component >= n) {
-            return Err(IdentifyError::Angle { component, states: n });
-        }
-        for (segment, Segment { x, u, p, .. }) in segments.iter().enumerate() {
-            let shape =
-                |what, found, expected| IdentifyError::Shape { segment, what, found, expected };
-            if let Some(row) = x.iter().find(|row| row.len() != n) {
-                return Err(shape("a measured state", row.len(), n));
-            }
-            if let Some(row) = u.iter().find(|row| row.len() != m) {
-                return Err(shape("a control", row.len(), m));
-            }
-            if p.len() != params {
-                return Err(shape("the list of parameters", p.len(), params));
-            }
-            if !u.is_empty() && u.len() + 1 < x.len() {
-                return Err(shape("the list of controls", u.len(), x.len() - 1));
-            }
-            for (what, mut numbers) in [("control", u.concat()), ("parameter", p.clone())] {
-                if numbers.drain(..).any(|number| !number.is_finite()) {
-                    return Err(IdentifyError::NonFinite { segment, what });
-                }
-            }
-            if x.iter().flatten().any(|y| y.is_infinite()) {
-                return Err(IdentifyError::NonFinite { segment, what: "measured state" });
-            }
-            let first = x.first().ok_or(IdentifyError::Empty { segment })?;
-            if let (false, Some(component)) =
-                (options.free_starts, first.iter().position(|y| !y.is_finite()))
-            {
-                return Err(IdentifyError::MissingStart { segment, component });
-            }
-        }
-        for (i, Unknown { name, index, start, min, max }) in unknowns.iter().enumerate() {
-            let is_inside = start.is_finite() && min <= start && start <= max && *index < params;
-            if !is_inside {
-                let (name, start, min, max, index) = (name.clone(), *start, *min, *max, *index);
-                return Err(IdentifyError::Unknown { name, start, min, max, index, params });
-            }
-            if let Some(before) = unknowns[..i].iter().find(|before| before.index == *index) {
-                return Err(IdentifyError::Twice {
-                    names: [before.name.clone(), name.clone()],
-                    index: *index,
-                });
-            }
-        }
+        check_unknowns(unknowns, params)?;
         let per_noise = options
             .noise
             .as_ref()
@@ -392,6 +344,76 @@ impl Point {
             .filter(|next| next.segment == self.windows[k].segment)
             .map(|next| &next.start)
     }
+}
+
+/// Refuses standard deviations of the noise and angles that do not fit `n` state components.
+fn check_options(options: &Options, n: usize) -> Result<(), IdentifyError> {
+    if let Some(noise) = options.noise.as_ref().filter(|noise| noise.len() != n) {
+        return Err(IdentifyError::NoiseCount { found: noise.len(), expected: n });
+    }
+    let noise = options.noise.iter().flatten().copied().enumerate();
+    if let Some((component, noise)) = { noise }.find(|(_, noise)| !NOISE.contains(noise)) {
+        return Err(IdentifyError::Noise { component, noise });
+    }
+    if let Some(&component) = options.angles.iter().find(|&&component| component >= n) {
+        return Err(IdentifyError::Angle { component, states: n });
+    }
+    Ok(())
+}
+
+/// Refuses a segment whose sizes differ from `[n, m, params]` of the model, or whose numbers are
+/// not finite. A measurement may be missing, but in the first row only if `free_starts`.
+fn check_segment(
+    segment: usize,
+    Segment { x, u, p, .. }: &Segment,
+    [n, m, params]: [usize; 3],
+    free_starts: bool,
+) -> Result<(), IdentifyError> {
+    let shape = |what, found, expected| IdentifyError::Shape { segment, what, found, expected };
+    if let Some(row) = x.iter().find(|row| row.len() != n) {
+        return Err(shape("a measured state", row.len(), n));
+    }
+    if let Some(row) = u.iter().find(|row| row.len() != m) {
+        return Err(shape("a control", row.len(), m));
+    }
+    if p.len() != params {
+        return Err(shape("the list of parameters", p.len(), params));
+    }
+    if !u.is_empty() && u.len() + 1 < x.len() {
+        return Err(shape("the list of controls", u.len(), x.len() - 1));
+    }
+    for (what, mut numbers) in [("control", u.concat()), ("parameter", p.clone())] {
+        if numbers.drain(..).any(|number| !number.is_finite()) {
+            return Err(IdentifyError::NonFinite { segment, what });
+        }
+    }
+    if x.iter().flatten().any(|y| y.is_infinite()) {
+        return Err(IdentifyError::NonFinite { segment, what: "measured state" });
+    }
+    let first = x.first().ok_or(IdentifyError::Empty { segment })?;
+    if let (false, Some(component)) = (free_starts, first.iter().position(|y| !y.is_finite())) {
+        return Err(IdentifyError::MissingStart { segment, component });
+    }
+    Ok(())
+}
+
+/// Refuses unknowns whose start is outside of their bounds, or whose index is not below `params` or
+/// occurs twice.
+fn check_unknowns(unknowns: &[Unknown], params: usize) -> Result<(), IdentifyError> {
+    for (i, Unknown { name, index, start, min, max }) in unknowns.iter().enumerate() {
+        let is_inside = start.is_finite() && min <= start && start <= max && *index < params;
+        if !is_inside {
+            let (name, start, min, max, index) = (name.clone(), *start, *min, *max, *index);
+            return Err(IdentifyError::Unknown { name, start, min, max, index, params });
+        }
+        if let Some(before) = unknowns[..i].iter().find(|before| before.index == *index) {
+            return Err(IdentifyError::Twice {
+                names: [before.name.clone(), name.clone()],
+                index: *index,
+            });
+        }
+    }
+    Ok(())
 }
 
 /// Largest absolute number. NaN if a number is non-finite.

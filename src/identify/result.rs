@@ -248,6 +248,50 @@ fn jump(problem: &Problem<'_>, misfit: Option<Misfit>, smallest: f64) -> f64 {
     largest_jump / unit
 }
 
+/// Statistics of the parameters `free`. `None` if a derivative is not finite.
+fn finite_statistics(equations: &Equations, free: &[usize]) -> Option<Statistics> {
+    let is_finite = equations.non_finite_starts.is_empty()
+        && equations.slopes.iter().all(|slope| slope.is_finite());
+    is_finite.then(|| statistics(&equations.params, free, &equations.negligible))
+}
+
+/// The errors of parameters that are estimated or at a bound. Infinite for the others.
+fn known_errors(errors: Vec<f64>, statuses: &[Status]) -> Vec<f64> {
+    let is_known = |status: &Status| matches!(status, Status::Estimated | Status::AtBound);
+    let errors = errors.into_iter().zip(statuses);
+    errors.map(|(error, status)| if is_known(status) { error } else { f64::INFINITY }).collect()
+}
+
+/// Correlations of all parameters, from those of `free`. NaN for the others.
+fn correlations(of_free: &[Vec<f64>], free: &[usize], count: usize) -> Vec<Vec<f64>> {
+    let mut correlations = vec![vec![f64::NAN; count]; count];
+    for (&i, row) in free.iter().zip(of_free) {
+        free.iter().zip(row).for_each(|(&j, correlation)| correlations[i][j] = *correlation);
+    }
+    correlations
+}
+
+/// Names of the parameters in each combination with an undetermined parameter.
+fn undetermined_names(
+    combinations: &[Vec<usize>],
+    statuses: &[Status],
+    names: &[String],
+) -> Vec<Vec<String>> {
+    let is_open = |combination: &&Vec<usize>| {
+        combination.iter().any(|&i| statuses[i] == Status::Undetermined)
+    };
+    let named = |combination: &Vec<usize>| combination.iter().map(|&i| names[i].clone()).collect();
+    combinations.iter().filter(is_open).map(named).collect()
+}
+
+/// State components whose initial values are undetermined in at least one segment, sorted.
+/// `states` are the simulated states of the segments.
+fn undetermined_starts(equations: &Equations, noise: f64, states: &[Vec<Vec<f64>>]) -> Vec<usize> {
+    let starts = equations.starts.iter().zip(states);
+    let open = starts.flat_map(|(rows, states)| undetermined_components(rows, noise, states));
+    open.collect::<BTreeSet<usize>>().into_iter().collect()
+}
+
 /// The result at the last point of the iterations.
 pub(super) fn result(
     problem: &Problem<'_>,
@@ -261,13 +305,9 @@ pub(super) fn result(
     let count = names.len();
     let equations = Equations::new(problem, &point, continuity, counts)?;
     let free: Vec<usize> = (0..count).filter(|&i| !equations.held[i]).collect();
-    let is_finite = equations.non_finite_starts.is_empty()
-        && equations.slopes.iter().all(|slope| slope.is_finite());
-    let found = if is_finite {
-        statistics(&equations.params, &free, &equations.negligible)
-    } else {
-        Statistics::unknown(free.len())
-    };
+    let found = finite_statistics(&equations, &free);
+    let is_finite = found.is_some();
+    let found = found.unwrap_or_else(|| Statistics::unknown(free.len()));
     let (measurements, unknowns) = (problem.measurements(), equations.start_rank + found.rank);
     let misfit = problem.misfit(&point)?;
     let chi_squared = misfit.map_or(f64::INFINITY, |misfit| misfit.samples);
@@ -282,30 +322,18 @@ pub(super) fn result(
     let statuses =
         statuses(problem, &point, &equations, &spreads, &undetermined, at_minimum, counts)?;
     let known = |of_free: &[f64], unit: f64| -> Vec<f64> {
-        let is_known = |status: &Status| matches!(status, Status::Estimated | Status::AtBound);
-        let errors = sizes.errors(of_free, &free, unit, count).into_iter().zip(&statuses);
-        errors.map(|(error, status)| if is_known(status) { error } else { f64::INFINITY }).collect()
+        known_errors(sizes.errors(of_free, &free, unit, count), &statuses)
     };
-    let mut correlations = vec![vec![f64::NAN; count]; count];
-    for (&i, row) in free.iter().zip(&found.correlations) {
-        free.iter().zip(row).for_each(|(&j, correlation)| correlations[i][j] = *correlation);
-    }
     let with = |status: Status| {
         (0..count).filter(|&i| statuses[i] == status).map(|i| names[i].clone()).collect()
     };
-    let is_open = |combination: &&Vec<usize>| {
-        combination.iter().any(|&i| statuses[i] == Status::Undetermined)
-    };
-    let named = |combination: &Vec<usize>| combination.iter().map(|&i| names[i].clone()).collect();
     let states = problem.states(&point)?;
-    let starts = equations.starts.iter().zip(&states);
-    let open = starts.flat_map(|(rows, states)| undetermined_components(rows, sizes.noise, states));
     Ok(Fit {
         errors: known(&found.errors, sizes.noise),
         robust_errors: known(&found.robust_errors, 1.0),
-        correlations,
-        undetermined: undetermined.iter().filter(is_open).map(named).collect(),
-        undetermined_starts: open.collect::<BTreeSet<usize>>().into_iter().collect(),
+        correlations: correlations(&found.correlations, &free, count),
+        undetermined: undetermined_names(&undetermined, &statuses, &names),
+        undetermined_starts: undetermined_starts(&equations, sizes.noise, &states),
         non_finite_starts: equations.non_finite_starts,
         at_bound: with(Status::AtBound),
         states,

@@ -78,55 +78,17 @@ pub(super) fn statistics(
     let columns: Vec<usize> = free.iter().copied().chain([negligible.len()]).collect();
     let equations: Vec<DMatrix<f64>> =
         equations.iter().map(|rows| rows.select_columns(&columns)).collect();
-    let information = equations.iter().fold(DMatrix::zeros(count, count), |sum, rows| {
-        let slopes = rows.columns(0, count);
-        sum + slopes.tr_mul(&slopes)
-    });
-    let scale = |i: usize| {
-        Some(information[(i, i)].max(0.0).sqrt()).filter(|scale| *scale > negligible[free[i]])
-    };
-    let scale: Vec<f64> = (0..count).map(|i| scale(i).unwrap_or(0.0)).collect();
-    let scaled = DMatrix::from_fn(count, count, |i, j| {
-        let product = scale[i] * scale[j];
-        if product > 0.0 { information[(i, j)] / product } else { 0.0 }
-    });
-    let SymmetricEigen { eigenvalues, eigenvectors } = SymmetricEigen::new(scaled);
-    let least = DETERMINED * eigenvalues.iter().copied().fold(0.0, f64::max);
-    // The covariance is `factor factorᵀ`.
-    let mut factor = DMatrix::<f64>::zeros(count, count);
-    let (mut undetermined, mut is_open, mut rank) = (Vec::new(), vec![false; count], 0);
-    for (k, &eigenvalue) in eigenvalues.iter().enumerate() {
-        let vector = eigenvectors.column(k);
-        if eigenvalue.is_nan() || eigenvalue <= least {
-            let members: Vec<usize> =
-                (0..count).filter(|&i| vector[i].is_nan() || vector[i].abs() > NAMED).collect();
-            members.iter().for_each(|&i| is_open[i] = true);
-            if !undetermined.contains(&members) {
-                undetermined.push(members);
-            }
-            continue;
-        }
-        rank += 1;
-        factor.set_column(k, &(vector / eigenvalue.sqrt()));
-    }
+    let negligible: Vec<f64> = free.iter().map(|&i| negligible[i]).collect();
+    let (scaled, scale) = scaled_information(&equations, &negligible);
+    let (factor, undetermined, rank) = combinations(scaled);
     let covariance = &factor * factor.transpose();
-    let errors = (0..count)
-        .map(|i| if is_open[i] { f64::INFINITY } else { covariance[(i, i)].sqrt() / scale[i] });
-    // Elimination of initial states leaves rounding errors where a segment has no information.
-    let depends = |rows: &DMatrix<f64>, i: usize| {
-        rows.column(i).norm_squared() > SHARED * scale[i] * scale[i]
+    let variances = robust_variances(&equations, &scale, &factor);
+    // Standard errors of determined parameters.
+    let errors = |variance: &dyn Fn(usize) -> f64| {
+        let is_open = |i: usize| undetermined.iter().any(|members| members.contains(&i));
+        let error = |i| if is_open(i) { f64::INFINITY } else { variance(i).sqrt() / scale[i] };
+        (0..count).map(error).collect()
     };
-    let informative = equations.iter().filter(|rows| (0..count).any(|i| depends(rows, i)));
-    let informative: Vec<&DMatrix<f64>> = informative.collect();
-    let variances = if informative.len() > count {
-        jackknife(&informative, &scale, &factor)
-    } else {
-        Vec::new()
-    };
-    let is_known = |i: usize| !is_open[i] && i < variances.len();
-    let robust_errors = (0..count)
-        .map(|i| if is_known(i) { variances[i].sqrt() / scale[i] } else { f64::INFINITY });
-    let robust_errors = robust_errors.collect();
     let correlation =
         |i: usize, j: usize| covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt();
     let correlations =
@@ -136,13 +98,73 @@ pub(super) fn statistics(
         .iter()
         .fold(DVector::zeros(count), |sum, rows| sum + transform.tr_mul(&gradient(rows)));
     Statistics {
-        errors: errors.collect(),
-        robust_errors,
+        errors: errors(&|i| covariance[(i, i)]),
+        robust_errors: variances
+            .map_or_else(|| vec![f64::INFINITY; count], |variances| errors(&|i| variances[i])),
         correlations,
         undetermined,
         rank,
         offset: step.amax(),
     }
+}
+
+/// Information matrix of all segments with a unit diagonal, and the square roots of its diagonal
+/// before. Both are 0 for parameters with a root up to `negligible`.
+fn scaled_information(equations: &[DMatrix<f64>], negligible: &[f64]) -> (DMatrix<f64>, Vec<f64>) {
+    let count = negligible.len();
+    let information = equations.iter().fold(DMatrix::zeros(count, count), |sum, rows| {
+        let slopes = rows.columns(0, count);
+        sum + slopes.tr_mul(&slopes)
+    });
+    let scale =
+        |i: usize| Some(information[(i, i)].max(0.0).sqrt()).filter(|scale| *scale > negligible[i]);
+    let scale: Vec<f64> = (0..count).map(|i| scale(i).unwrap_or(0.0)).collect();
+    let scaled = DMatrix::from_fn(count, count, |i, j| {
+        let product = scale[i] * scale[j];
+        if product > 0.0 { information[(i, j)] / product } else { 0.0 }
+    });
+    (scaled, scale)
+}
+
+/// A `factor` of the covariance `factor factorᵀ` of the determined combinations of parameters, the
+/// indices of the parameters in each undetermined combination, and the number of determined ones.
+fn combinations(scaled: DMatrix<f64>) -> (DMatrix<f64>, Vec<Vec<usize>>, usize) {
+    let count = scaled.ncols();
+    let SymmetricEigen { eigenvalues, eigenvectors } = SymmetricEigen::new(scaled);
+    let least = DETERMINED * eigenvalues.iter().copied().fold(0.0, f64::max);
+    let mut factor = DMatrix::<f64>::zeros(count, count);
+    let (mut undetermined, mut rank) = (Vec::new(), 0);
+    for (k, &eigenvalue) in eigenvalues.iter().enumerate() {
+        let vector = eigenvectors.column(k);
+        if eigenvalue.is_nan() || eigenvalue <= least {
+            let members: Vec<usize> =
+                (0..count).filter(|&i| vector[i].is_nan() || vector[i].abs() > NAMED).collect();
+            if !undetermined.contains(&members) {
+                undetermined.push(members);
+            }
+            continue;
+        }
+        rank += 1;
+        factor.set_column(k, &(vector / eigenvalue.sqrt()));
+    }
+    (factor, undetermined, rank)
+}
+
+/// Variances of the scaled parameters from the scatter between segments. `None`, unless the
+/// segments that depend on a parameter outnumber the parameters.
+fn robust_variances(
+    equations: &[DMatrix<f64>],
+    scale: &[f64],
+    factor: &DMatrix<f64>,
+) -> Option<Vec<f64>> {
+    let count = scale.len();
+    // Elimination of initial states leaves rounding errors where a segment has no information.
+    let depends = |rows: &DMatrix<f64>, i: usize| {
+        rows.column(i).norm_squared() > SHARED * scale[i] * scale[i]
+    };
+    let informative = equations.iter().filter(|rows| (0..count).any(|i| depends(rows, i)));
+    let informative: Vec<&DMatrix<f64>> = informative.collect();
+    (informative.len() > count).then(|| jackknife(&informative, scale, factor))
 }
 
 /// Transforms coordinates in which the information of all segments is the unit matrix to steps of

@@ -16,8 +16,8 @@ mod layer;
 mod layout;
 
 use super::{
-    Action, Activation, LayerKind, NetworkLayer, Observed, Policy, PolicyPass, PolicyRecord, Sizes,
-    Tensor,
+    Action, Activation, LayerKind, NetworkLayer, Observed, Policy, PolicyColumns, PolicyPass,
+    PolicyRecord, Sizes, Tensor,
 };
 use crate::numbers::kernels::SimdLevel;
 use crate::numbers::kernels::elementwise::{self, Strided};
@@ -277,21 +277,8 @@ impl Policy for Conv {
             let (bar1, bar2) = cotangents.split_at_mut(second - first);
             let bar1 = &mut bar1[at.first * len1..][..at.count * len1];
             let bar2 = &mut bar2[at.first * len2..][..at.count * len2];
-            let (a, b) = (&packed[self.packed_dense(two)..], &u_bar[at.first..]);
-            let outer = Product {
-                rows: len2,
-                depth: 1,
-                cols: at.count,
-                a,
-                lda: len2,
-                b,
-                b_row: 1,
-                b_col: 1,
-                c: &mut *bar2,
-                ldc: len2,
-                accumulate: false,
-            };
-            F::product(level, outer);
+            let dense = &packed[self.packed_dense(two)..];
+            dense_bar(level, dense, &u_bar[at.first..][..at.count], len2, bar2);
             // 1 - h² is 0 at the constant ones; the weights of unused positions are 0.
             let whole = |len: usize| Strided { first: 0, step: len, count: at.count, len };
             elementwise::tanh_bar(
@@ -346,36 +333,9 @@ impl Policy for Conv {
         let places = self.places::<F>(&layers, total);
         let cotangents = Self::places_bar(&layers, total);
         for (i, l) in layers.iter().enumerate() {
-            let (sum, scaled) = scratch.split_at_mut(l.slot_out * l.depth());
-            let (all_inputs, all_bars) = (&tape[places.all[i]..], &tape_bar[cotangents[i]..]);
-            for block in at.blocks(DEPTH.max(l.capacity) / l.capacity) {
-                let columns = block.as_range();
-                let mut input = &all_inputs[columns.start * l.input()..columns.end * l.input()];
-                let mut bar = &all_bars[columns.start * l.output()..columns.end * l.output()];
-                if let Some(weight) = weight {
-                    // Scales the smaller factor.
-                    let smaller = l.input().min(l.output());
-                    let factor = if l.output() <= l.input() { &mut bar } else { &mut input };
-                    elementwise::scale(level, factor, &weight[columns], smaller, scaled);
-                    *factor = &scaled[..block.count * smaller];
-                }
-                F::product(
-                    level,
-                    Product {
-                        rows: l.slot_out,
-                        depth: l.windows(block.count),
-                        cols: l.depth(),
-                        a: bar,
-                        lda: l.slot_out,
-                        b: input,
-                        b_row: l.stride(),
-                        b_col: 1,
-                        c: sum,
-                        ldc: l.slot_out,
-                        accumulate: block.first != at.first,
-                    },
-                );
-            }
+            let (inputs, bars) = (&tape[places.all[i]..], &tape_bar[cotangents[i]..]);
+            l.weight_gradient(level, at, inputs, bars, weight, scratch);
+            let sum = &scratch[..l.slot_out * l.depth()];
             for (j, sum) in sum.chunks_exact(l.slot_out).enumerate() {
                 let Some(start) = l.weight(j, w) else { continue };
                 for (bar, &sum) in zip(theta_bar[start..start + w].iter_mut(), sum) {
@@ -384,32 +344,9 @@ impl Policy for Conv {
             }
         }
 
-        let len = two.output();
-        let (sum, scaled) = scratch.split_at_mut(len);
-        for block in at.blocks(DEPTH) {
-            let columns = block.as_range();
-            let mut b = &u_bar[columns.clone()];
-            if let Some(weight) = weight {
-                elementwise::scale(level, b, &weight[columns], 1, scaled);
-                b = scaled;
-            }
-            let a = &tape[places.all[2] + block.first * len..];
-            let accumulate = block.first != at.first;
-            let product = Product {
-                rows: len,
-                depth: block.count,
-                cols: 1,
-                a,
-                lda: len,
-                b,
-                b_row: 1,
-                b_col: 1,
-                c: sum,
-                ldc: len,
-                accumulate,
-            };
-            F::product(level, product);
-        }
+        let second = &tape[places.all[2]..];
+        dense_gradient(level, at, second, u_bar, weight, two.output(), scratch);
+        let sum = &scratch[..two.output()];
         let (kernel, bias) = theta_bar[self.dense()..].split_at_mut(two.positions * w);
         for (bar, sum) in zip(kernel.chunks_exact_mut(w), sum.chunks_exact(two.slot_out)) {
             for (bar, &sum) in zip(bar.iter_mut(), sum) {
@@ -418,4 +355,64 @@ impl Policy for Conv {
         }
         bias[0] += sum[w];
     }
+}
+
+/// Writes the gradient of the packed output weights, `Σ u_bar h₂` over the columns, to the start of
+/// `scratch`. `second` are the columns of h₂, of length `len`. The rest of `scratch` receives
+/// `u_bar` scaled by `weight`.
+#[inline(always)]
+fn dense_gradient<F: Float>(
+    level: SimdLevel,
+    at: PolicyColumns,
+    second: &[F],
+    u_bar: &[F],
+    weight: Option<&[F]>,
+    len: usize,
+    scratch: &mut [F],
+) {
+    let (sum, scaled) = scratch.split_at_mut(len);
+    for block in at.blocks(DEPTH) {
+        let columns = block.as_range();
+        let mut b = &u_bar[columns.clone()];
+        if let Some(weight) = weight {
+            elementwise::scale(level, b, &weight[columns], 1, scaled);
+            b = scaled;
+        }
+        let a = &second[block.first * len..];
+        let accumulate = block.first != at.first;
+        let product = Product {
+            rows: len,
+            depth: block.count,
+            cols: 1,
+            a,
+            lda: len,
+            b,
+            b_row: 1,
+            b_col: 1,
+            c: sum,
+            ldc: len,
+            accumulate,
+        };
+        F::product(level, product);
+    }
+}
+
+/// Writes `W₃ᵀ u_bar`, the cotangents of h₂ in adjacent columns. `dense` are the packed output
+/// weights.
+#[inline(always)]
+fn dense_bar<F: Float>(level: SimdLevel, dense: &[F], u_bar: &[F], len: usize, bar: &mut [F]) {
+    let outer = Product {
+        rows: len,
+        depth: 1,
+        cols: u_bar.len(),
+        a: dense,
+        lda: len,
+        b: u_bar,
+        b_row: 1,
+        b_col: 1,
+        c: bar,
+        ldc: len,
+        accumulate: false,
+    };
+    F::product(level, outer);
 }

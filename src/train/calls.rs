@@ -174,12 +174,7 @@ pub fn gradients_until<F: Float>(
     is_stopped: &dyn Fn() -> bool,
 ) -> Result<Option<Vec<Vec<F>>>, Divergence> {
     weights.assert_fits(policy);
-    let mut flows: Vec<Flow> = Vec::new();
-    for flow in fields.iter().flat_map(Field::flows) {
-        if !flows.contains(&flow) {
-            flows.push(flow);
-        }
-    }
+    let flows = distinct_flows(fields);
     let zeros = || Gradient::<F>::zeros(weights.theta().len());
     let mut sums: Vec<Gradient<F>> = flows.iter().map(|_| zeros()).collect();
     let mut one = zeros();
@@ -213,16 +208,29 @@ pub fn gradients_until<F: Float>(
         }
     }
     sums.iter_mut().for_each(Gradient::normalize);
-    let vector = |field: &Field| {
-        let own: Vec<Gradient<F>> = field
-            .flows()
-            .iter()
-            .filter_map(|flow| flows.iter().position(|known| known == flow))
-            .map(|k| sums[k].clone())
-            .collect();
-        let mut out = zeros();
-        field.combine(&own, &mut out);
-        out.to_vec()
-    };
-    Ok(Some(fields.iter().map(vector).collect()))
+    Ok(Some(fields.iter().map(|field| vector(field, &flows, &sums)).collect()))
+}
+
+/// Flows of all fields, each once, in the order of their first field.
+fn distinct_flows(fields: &[Field]) -> Vec<Flow> {
+    let mut flows: Vec<Flow> = Vec::new();
+    for flow in fields.iter().flat_map(Field::flows) {
+        if !flows.contains(&flow) {
+            flows.push(flow);
+        }
+    }
+    flows
+}
+
+/// Vector of a field, from the gradients of `flows`.
+fn vector<F: Float>(field: &Field, flows: &[Flow], gradients: &[Gradient<F>]) -> Vec<F> {
+    let own: Vec<Gradient<F>> = field
+        .flows()
+        .iter()
+        .filter_map(|flow| flows.iter().position(|known| known == flow))
+        .map(|k| gradients[k].clone())
+        .collect();
+    let mut out = Gradient::zeros(gradients[0].values().len());
+    field.combine(&own, &mut out);
+    out.to_vec()
 }

@@ -138,25 +138,15 @@ impl<F: Float> State<F> {
         let params = policy.param_count();
         let n = task.start_dim();
         training.validate()?;
-        for (setting, starts) in [("train_samples", &train), ("test_samples", &test)] {
-            if starts.is_empty() || !starts.len().is_multiple_of(n) {
-                let problem = format!(
-                    "has {} numbers; allowed: one or more initial states of {n} numbers each",
-                    starts.len()
-                );
-                return Err(TrainError::Setting { setting, problem });
-            }
-        }
+        check_starts("train_samples", &train, n)?;
+        check_starts("test_samples", &test, n)?;
         let samples = training.batch.min(train.len() / n);
         let derived = training.derived(samples);
         let batch = match training.memory {
             None => Batch::new(task, policy, derived, &flows, training.workers),
             Some(budget) => Batch::within(task, policy, derived, &flows, training.workers, budget)?,
         };
-        let first = &train[..train.len().min(LANES * n)];
-        if let Some((method, component)) = Rollout::first_unwritten(task, policy, &weights, first) {
-            return Err(TrainError::Unwritten { method, component });
-        }
+        check_written(task, policy, &weights, &train)?;
         let optimizer = Optimizer::new(training.rule, training.learning_rate, params);
         let averaged = training.average > 0.0 && flows.len() > 1;
         let direction = vec![F::zero(); if averaged { params } else { 0 }];
@@ -545,6 +535,34 @@ impl<F: Float> State<F> {
             .iter()
             .position(|own| own.letter() == flow.letter())
             .and_then(|k| self.batch.growth(k))
+    }
+}
+
+/// Refuses `starts` that are not one or more initial states of `n` numbers each. `setting` names
+/// them.
+fn check_starts<F>(setting: &'static str, starts: &[F], n: usize) -> Result<(), TrainError> {
+    if starts.is_empty() || !starts.len().is_multiple_of(n) {
+        let problem = format!(
+            "has {} numbers; allowed: one or more initial states of {n} numbers each",
+            starts.len()
+        );
+        return Err(TrainError::Setting { setting, problem });
+    }
+    Ok(())
+}
+
+/// Refuses a task or policy that leaves a component unwritten in rollouts from the first samples of
+/// `starts`.
+fn check_written<F: Float>(
+    task: &dyn AnyTask<F>,
+    policy: &dyn AnyPolicy<F>,
+    weights: &Weights<F>,
+    starts: &[F],
+) -> Result<(), TrainError> {
+    let first = &starts[..starts.len().min(LANES * task.start_dim())];
+    match Rollout::first_unwritten(task, policy, weights, first) {
+        Some((method, component)) => Err(TrainError::Unwritten { method, component }),
+        None => Ok(()),
     }
 }
 

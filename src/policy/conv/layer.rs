@@ -1,11 +1,12 @@
 //! [`Layer`]: one convolution as matrix products on padded buffers.
 
-use super::{KERNEL, STRIDE};
+use super::{DEPTH, KERNEL, STRIDE};
 use crate::numbers::kernels::SimdLevel;
 use crate::numbers::kernels::elementwise::{self, Strided};
 use crate::numbers::kernels::gemm::Product;
 use crate::numbers::scalar::Float;
 use crate::numbers::zip::zip;
+use crate::policy::PolicyColumns;
 
 /// Shape of one convolution, and its offsets in `θ` and in the padded buffers.
 #[derive(Clone, Copy, Debug)]
@@ -137,6 +138,49 @@ impl Layer {
                 accumulate: false,
             },
         );
+    }
+
+    /// Writes the gradient of the padded weights, one column of filters per window entry, to the
+    /// start of `scratch`. The rest of `scratch` receives the factors scaled by `weight`.
+    #[inline(always)]
+    pub fn weight_gradient<F: Float>(
+        &self,
+        level: SimdLevel,
+        at: PolicyColumns,
+        input: &[F],
+        bar: &[F],
+        weight: Option<&[F]>,
+        scratch: &mut [F],
+    ) {
+        let (sum, scaled) = scratch.split_at_mut(self.slot_out * self.depth());
+        for block in at.blocks(DEPTH.max(self.capacity) / self.capacity) {
+            let columns = block.as_range();
+            let mut input = &input[columns.start * self.input()..columns.end * self.input()];
+            let mut bar = &bar[columns.start * self.output()..columns.end * self.output()];
+            if let Some(weight) = weight {
+                // Scales the smaller factor.
+                let smaller = self.input().min(self.output());
+                let factor = if self.output() <= self.input() { &mut bar } else { &mut input };
+                elementwise::scale(level, factor, &weight[columns], smaller, scaled);
+                *factor = &scaled[..block.count * smaller];
+            }
+            F::product(
+                level,
+                Product {
+                    rows: self.slot_out,
+                    depth: self.windows(block.count),
+                    cols: self.depth(),
+                    a: bar,
+                    lda: self.slot_out,
+                    b: input,
+                    b_row: self.stride(),
+                    b_col: 1,
+                    c: sum,
+                    ldc: self.slot_out,
+                    accumulate: block.first != at.first,
+                },
+            );
+        }
     }
 
     /// Adds the window cotangents of one column to the cotangents of its input positions. `slot` is
