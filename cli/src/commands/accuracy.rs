@@ -17,6 +17,7 @@ use crate::runs::saved;
 use crate::scenes::overrides::{Overrides, hide, is_of_training};
 use crate::scenes::presets;
 use crate::settings::Precision;
+use crate::tasks::Scene;
 use crate::tasks::scene::INITIAL_POLICY;
 use anyhow::{Result, anyhow, bail};
 use indicatif::ProgressBar;
@@ -80,24 +81,7 @@ fn is_unread(key: &str) -> bool {
 
 /// Runs the command.
 pub fn accuracy(args: &Accuracy) -> Result<()> {
-    if let Some(target) = args.target
-        && (target.is_nan() || target <= 0.0)
-    {
-        bail!("--target {target}; allowed: a positive error, for example 1e-3");
-    }
-    if !(1..=1000).contains(&args.rounds) {
-        bail!("--rounds {}; allowed: an integer from 1 to 1000", args.rounds);
-    }
-    args.overrides.refuse(
-        is_unread,
-        "this command, which trains nothing, has nonzero parameters in every layer, and tries every precision",
-    )?;
-    if !args.gradients {
-        args.overrides.refuse(
-            |key| key.starts_with("integrator."),
-            "this command, which tries every integrator and step size",
-        )?;
-    }
+    check(args)?;
     let mut source = presets::source(&args.scene)?;
     args.overrides.apply(&mut source)?;
     let study = Study::new(source)?;
@@ -116,20 +100,7 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
         );
     }
     let settings = study.settings()?;
-    let bar = bar(Study::parts(&settings, args.rounds), args.quiet);
-    if !args.quiet && bar.is_hidden() {
-        let settings = settings.len();
-        print_message(&format!(
-            "measuring {settings} settings, {} of timing",
-            counted(args.rounds, "round")
-        ));
-    }
-    let measured = study.measure(settings, args.rounds, &mut |part| {
-        bar.set_message(part);
-        bar.inc(1);
-        Ok(())
-    })?;
-    bar.finish_and_clear();
+    let measured = measured(args, &study, settings)?;
     let conserved = study.scene.conserved();
     let folder = folder()?;
     let conserved = conserved.map(|conserved| conserved.name);
@@ -140,20 +111,11 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
         resolved.map_or(Ok(Vec::new()), |target| study.scenes(rows, args.metric, target))?;
     let inner = folder.file("scenes");
     if !scenes.is_empty() || args.target.is_some() && inner.is_dir() {
-        let inner = Folder::at(inner.clone()).lock()?;
-        // The error of a scene of an earlier command may exceed the current target.
-        rows.iter().try_for_each(|row| inner.remove(&format!("{}.toml", row.setting.method)))?;
-        for (method, scene) in &scenes {
-            saved::write_scene(&inner, &format!("{method}.toml"), scene)?;
-        }
+        write_scenes(Folder::at(inner.clone()), rows, &scenes)?;
     }
     let cheapest = args.target.map(|target| (target, measured.cheapest(args.metric, target)));
     if args.json {
-        let object = cheapest.and_then(|(_, found)| found);
-        let object = object.map(|Cheapest { row, error, fastest }| {
-            let by = if fastest.is_some() { "operations" } else { "time" };
-            json!({ "setting": row.setting.name(), "error": error, "decided_by": by })
-        });
+        let object = cheapest.and_then(|(_, found)| found).as_ref().map(decision);
         print_json(
             &json!({ "folder": folder.path(), "settings": json::rows(&list)?, "cheapest": object }),
         )?;
@@ -176,6 +138,68 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
         Some(_) if args.json => Ok(()),
         Some((target, Some(found))) => print_cheapest(&found, args.metric, target),
     }
+}
+
+/// Checks options, and refuses changes of settings that the command does not read or tries itself.
+fn check(args: &Accuracy) -> Result<()> {
+    if let Some(target) = args.target
+        && (target.is_nan() || target <= 0.0)
+    {
+        bail!("--target {target}; allowed: a positive error, for example 1e-3");
+    }
+    if !(1..=1000).contains(&args.rounds) {
+        bail!("--rounds {}; allowed: an integer from 1 to 1000", args.rounds);
+    }
+    args.overrides.refuse(
+        is_unread,
+        "this command, which trains nothing, has nonzero parameters in every layer, and tries every precision",
+    )?;
+    if !args.gradients {
+        args.overrides.refuse(
+            |key| key.starts_with("integrator."),
+            "this command, which tries every integrator and step size",
+        )?;
+    }
+    Ok(())
+}
+
+/// Measures the settings, with a progress bar, or with a message where no bar is visible.
+fn measured(args: &Accuracy, study: &Study, settings: Vec<Setting>) -> Result<Measured> {
+    let bar = bar(Study::parts(&settings, args.rounds), args.quiet);
+    if !args.quiet && bar.is_hidden() {
+        let settings = settings.len();
+        print_message(&format!(
+            "measuring {settings} settings, {} of timing",
+            counted(args.rounds, "round")
+        ));
+    }
+    let measured = study.measure(settings, args.rounds, &mut |part| {
+        bar.set_message(part);
+        bar.inc(1);
+        Ok(())
+    })?;
+    bar.finish_and_clear();
+    Ok(measured)
+}
+
+/// Replaces the scenes of all methods of `rows` by these, each with the name of its method.
+///
+/// # Errors
+/// Another process has locked the folder, or it cannot be written to.
+fn write_scenes(folder: Folder, rows: &[Row], scenes: &[(&str, Scene)]) -> Result<()> {
+    let folder = folder.lock()?;
+    // The error of a scene of an earlier command may exceed the current target.
+    rows.iter().try_for_each(|row| folder.remove(&format!("{}.toml", row.setting.method)))?;
+    for (method, scene) in scenes {
+        saved::write_scene(&folder, &format!("{method}.toml"), scene)?;
+    }
+    Ok(())
+}
+
+/// The cheapest setting in the result of `--json`, with its error, and what decided.
+fn decision(Cheapest { row, error, fastest }: &Cheapest<'_>) -> serde_json::Value {
+    let by = if fastest.is_some() { "operations" } else { "time" };
+    json!({ "setting": row.setting.name(), "error": error, "decided_by": by })
 }
 
 /// Progress bar with the given number of steps.

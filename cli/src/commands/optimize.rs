@@ -76,13 +76,7 @@ const COMPONENTS: usize = 8;
 /// Runs the command.
 pub fn optimize(args: &Optimize) -> Result<()> {
     args.overrides.refuse(is_unread, "optimized controls, which need no policy and no training")?;
-    let (name, scene) = match &args.from {
-        Some(path) => (Folder::existing(path)?.name(), saved::scene(&Folder::existing(path)?)?),
-        None => {
-            let name = args.scene.as_deref().context("no scene is given")?;
-            (presets::short_name(name), saved::changed(name, &args.overrides)?)
-        }
-    };
+    let (name, scene) = named_scene(args)?;
     if let Some(out) = args.out.as_deref().map(Folder::at) {
         out.check_inputs(&args.scene.iter().map(Path::new).collect::<Vec<_>>(), &[SCENE])?;
     }
@@ -98,55 +92,21 @@ pub fn optimize(args: &Optimize) -> Result<()> {
     let reserved = Folder::reserve(args.out.as_deref())?;
 
     let begin = Instant::now();
-    let plans = parallel::map(&starts.iter().enumerate().collect::<Vec<_>>(), |&(i, start)| {
-        let zeros = args.from.is_none();
-        let controls = start.controls.concat();
-        let initial = if zeros { Initial::Zeros } else { Initial::Controls(&controls) };
-        let plan = scene.optimize(&start.states[0], &start.params, initial, &options);
-        let plan = plan.with_context(|| format!("initial state {i}"))?;
-        if !args.quiet {
-            print_message(&format!(
-                "initial state {i}: cost {} after {} iterations",
-                digits(plan.cost, 6),
-                plan.iterations()
-            ));
-        }
-        Ok::<Plan, anyhow::Error>(plan)
-    });
+    let plans = plans(args, &scene, &starts, &options);
     let seconds = begin.elapsed().as_secs_f64();
     let failures = plans
         .iter()
         .filter_map(|plan| Some(format!("{:#}", plan.as_ref().err()?)))
         .collect::<Vec<_>>();
-    let failed = || match failures.len() {
-        0 => Ok(()),
-        count => {
-            bail!("{count} of {} optimizations failed:\n{}", starts.len(), failures.join("\n"))
-        }
-    };
     let plans: Vec<(usize, Plan)> =
         plans.into_iter().enumerate().filter_map(|(i, plan)| Some((i, plan.ok()?))).collect();
     if plans.is_empty() {
-        return failed();
+        return check_failures(&failures, starts.len());
     }
 
-    let optimized: Vec<(usize, Trajectory)> =
-        plans.iter().map(|(i, plan)| (*i, trajectory(plan))).collect();
     let folder = Folder::or_fresh(reserved, &format!("optimize-{name}"))?;
-    saved::write_scene(&folder, SCENE, &scene)?;
-    let costs = summary(&plans)?;
-    folder.write("optimized.csv", &costs)?;
-    folder.write(
-        TRAJECTORY,
-        outputs::trajectories(&scene, optimized.iter().map(|(i, rollout)| (*i, rollout)))?,
-    )?;
-    folder.write("gains.csv", gains(&plans, &scene)?)?;
     let initial = if args.from.is_some() { &starts[..] } else { &[] };
-    folder.write("optimized.svg", picture(&scene, &optimized, initial))?;
-    folder.remove_all("animation-", ".svg")?;
-    for (i, rollout) in optimized.iter().take(SHOWN) {
-        folder.write(&format!("animation-{i}.svg"), scene.animation(rollout).to_svg())?;
-    }
+    let costs = write(&folder, &scene, &plans, initial)?;
     warnings(&plans).iter().for_each(|warning| print_message(warning));
     if args.bound.is_empty() && !args.quiet {
         outside(&plans, &scene).iter().for_each(|note| print_message(note));
@@ -155,19 +115,88 @@ pub fn optimize(args: &Optimize) -> Result<()> {
         print_json(
             &json!({ "folder": folder.path(), "seconds": seconds, "plans": rows(&costs)? }),
         )?;
-        return failed();
+    } else if !args.quiet {
+        let results = folder.path().display();
+        print_text(&format!(
+            "{}\n{}, {seconds:.1} s\nresults in {results}: {TRAJECTORY}, gains.csv, optimized.csv, optimized.svg, \
+             animation-*.svg, scene.toml",
+            table(&plans),
+            counted(scene.horizon, "step")
+        ))?;
     }
-    if args.quiet {
-        return failed();
+    check_failures(&failures, starts.len())
+}
+
+/// Name for a new folder, and the scene: that of the run in `--from`, or of the argument with its
+/// overrides.
+fn named_scene(args: &Optimize) -> Result<(String, Scene)> {
+    Ok(match &args.from {
+        Some(path) => (Folder::existing(path)?.name(), saved::scene(&Folder::existing(path)?)?),
+        None => {
+            let name = args.scene.as_deref().context("no scene is given")?;
+            (presets::short_name(name), saved::changed(name, &args.overrides)?)
+        }
+    })
+}
+
+/// Optimizes in parallel from each of the initial states, and prints each cost unless `--quiet` is
+/// given. An error names its initial state.
+fn plans(
+    args: &Optimize,
+    scene: &Scene,
+    starts: &[Trajectory],
+    options: &Options,
+) -> Vec<Result<Plan>> {
+    parallel::map(&starts.iter().enumerate().collect::<Vec<_>>(), |&(i, start)| {
+        let zeros = args.from.is_none();
+        let controls = start.controls.concat();
+        let initial = if zeros { Initial::Zeros } else { Initial::Controls(&controls) };
+        let plan = scene.optimize(&start.states[0], &start.params, initial, options);
+        let plan = plan.with_context(|| format!("initial state {i}"))?;
+        if !args.quiet {
+            print_message(&format!(
+                "initial state {i}: cost {} after {} iterations",
+                digits(plan.cost, 6),
+                plan.iterations()
+            ));
+        }
+        Ok(plan)
+    })
+}
+
+/// Returns an error that lists the messages of failed optimizations, if any, and counts them among
+/// `all`.
+fn check_failures(failures: &[String], all: usize) -> Result<()> {
+    match failures.len() {
+        0 => Ok(()),
+        count => bail!("{count} of {all} optimizations failed:\n{}", failures.join("\n")),
     }
-    let results = folder.path().display();
-    print_text(&format!(
-        "{}\n{}, {seconds:.1} s\nresults in {results}: {TRAJECTORY}, gains.csv, optimized.csv, optimized.svg, \
-         animation-*.svg, scene.toml",
-        table(&plans),
-        counted(scene.horizon, "step")
-    ))?;
-    failed()
+}
+
+/// Writes all files. `initial` has the rollouts of the policy, if any. Returns the contents of
+/// `optimized.csv`.
+fn write(
+    folder: &Folder,
+    scene: &Scene,
+    plans: &[(usize, Plan)],
+    initial: &[Trajectory],
+) -> Result<Vec<u8>> {
+    let optimized: Vec<(usize, Trajectory)> =
+        plans.iter().map(|(i, plan)| (*i, trajectory(plan))).collect();
+    saved::write_scene(folder, SCENE, scene)?;
+    let costs = summary(plans)?;
+    folder.write("optimized.csv", &costs)?;
+    folder.write(
+        TRAJECTORY,
+        outputs::trajectories(scene, optimized.iter().map(|(i, rollout)| (*i, rollout)))?,
+    )?;
+    folder.write("gains.csv", gains(plans, scene)?)?;
+    folder.write("optimized.svg", picture(scene, &optimized, initial))?;
+    folder.remove_all("animation-", ".svg")?;
+    for (i, rollout) in optimized.iter().take(SHOWN) {
+        folder.write(&format!("animation-{i}.svg"), scene.animation(rollout).to_svg())?;
+    }
+    Ok(costs)
 }
 
 /// Rollouts of the policy of the run in `--from`, from the first test initial states. Without

@@ -80,16 +80,7 @@ pub fn train(args: &Train) -> Result<()> {
     let mut progress = Progress::new(scene.epochs, args.quiet);
     if !args.quiet {
         note.iter().for_each(|note| print_message(note));
-        print_message(&format!(
-            "{} ({}): field {}, seed {}, {}, {workers} thread{}{}",
-            scene.task.name(),
-            scene.task.about(),
-            scene.field.0,
-            scene.seed,
-            scene.precision.name(),
-            if workers == 1 { "" } else { "s" },
-            ranks.map_or_else(String::new, |ranks| format!(" on each of {} ranks", ranks.count()))
-        ));
+        print_message(&description(&scene, workers, ranks));
         scene.notes().iter().for_each(|note| print_message(note));
     }
     let save_every = Duration::from_secs_f64(args.save_every);
@@ -105,12 +96,7 @@ pub fn train(args: &Train) -> Result<()> {
     match finished.end {
         End::Complete => printed,
         End::Interrupted => {
-            let done = finished.records.len();
-            let command = format!("{} train --resume --out {results}", program());
-            // Ignores errors: the terminal may be closed, and the signal determines the exit
-            // status.
-            let text = format!("interrupted after epoch {done}; to resume:\n{command}");
-            let _ = print_note(&text, args.json);
+            print_how_to_resume(&folder, finished.records.len(), args.json);
             Ok(())
         }
         End::NoUpdate(error) => {
@@ -120,6 +106,28 @@ pub fn train(args: &Train) -> Result<()> {
         End::Failed(error) => Err(error)
             .with_context(|| format!("the run up to its last complete epoch is in {results}")),
     }
+}
+
+/// Description of the training before it starts: task, field, seed, precision, threads and ranks.
+fn description(scene: &Scene, workers: usize, ranks: Option<&Arc<dyn Ranks>>) -> String {
+    format!(
+        "{} ({}): field {}, seed {}, {}, {workers} thread{}{}",
+        scene.task.name(),
+        scene.task.about(),
+        scene.field.0,
+        scene.seed,
+        scene.precision.name(),
+        if workers == 1 { "" } else { "s" },
+        ranks.map_or_else(String::new, |ranks| format!(" on each of {} ranks", ranks.count()))
+    )
+}
+
+/// Prints the command that resumes the run in a folder, interrupted after `done` epochs.
+fn print_how_to_resume(folder: &Folder, done: usize, json: bool) {
+    let command = format!("{} train --resume --out {}", program(), folder.path().display());
+    // Ignores errors: the terminal may be closed, and the signal determines the exit status.
+    let text = format!("interrupted after epoch {done}; to resume:\n{command}");
+    let _ = print_note(&text, json);
 }
 
 /// A scene with its session, and a note on settings of a resumed run.

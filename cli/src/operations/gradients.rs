@@ -114,13 +114,8 @@ fn derive<F: Float>(
 ) -> Derived {
     let count = theta.len();
     if let GradientMethod::Reverse { nudged: true, .. } = method {
-        let nudge = |(i, x): (usize, &mut f64)| {
-            let sign = if i % 2 == 0 { 1.0 } else { -1.0 };
-            *x = if *x == 0.0 { sign * ROUNDING } else { *x * (1.0 + sign * ROUNDING) };
-        };
-        starts.iter_mut().enumerate().for_each(nudge);
+        nudge(&mut starts);
     }
-    let convert = |numbers: &[f64]| numbers.iter().map(|&x| F::from_f64(x)).collect::<Vec<F>>();
     let (weights, converted) = (Weights::new(&*policy, convert(&theta)), convert(&starts));
     match method {
         GradientMethod::Reverse { field, budget, nudged: _ } => {
@@ -143,27 +138,7 @@ fn derive<F: Float>(
                 run: Box::new(move || drop(loss(&weights))),
             }
         }
-        GradientMethod::Central(step) => {
-            let (mut loss, bytes) = losses(task, policy.clone(), converted.clone());
-            let mut difference = move |i: usize| {
-                let mut side = |step: f64| {
-                    let mut theta = convert(&theta);
-                    theta[i] = F::from_f64(theta[i].as_() + step);
-                    let perturbed = theta[i].as_();
-                    loss(&Weights::new(&*policy, theta)).map(|loss| (loss, perturbed))
-                };
-                // Divides by the difference of the two rounded values of the parameter.
-                Ok((side(step)?, side(-step)?))
-                    .map(|((above, right), (below, left))| (above - below) / (right - left))
-            };
-            let gradient = chosen(count).into_iter().map(&mut difference).collect();
-            Derived {
-                gradient,
-                bytes,
-                rounds: count as f64,
-                run: Box::new(move || drop::<Result<f64, String>>(difference(0))),
-            }
-        }
+        GradientMethod::Central(step) => central(task, policy, theta, converted, step),
         GradientMethod::Duals => {
             // Reports a divergence. The rollout in dual numbers would continue after it.
             let first = losses(task, policy, converted).0(&weights);
@@ -177,6 +152,48 @@ fn derive<F: Float>(
                 run: Box::new(move || _ = slope(0)),
             }
         }
+    }
+}
+
+/// Perturbs each number by one rounding in f64, in alternating directions.
+fn nudge(numbers: &mut [f64]) {
+    for (i, x) in numbers.iter_mut().enumerate() {
+        let sign = if i % 2 == 0 { 1.0 } else { -1.0 };
+        *x = if *x == 0.0 { sign * ROUNDING } else { *x * (1.0 + sign * ROUNDING) };
+    }
+}
+
+fn convert<F: Float>(numbers: &[f64]) -> Vec<F> {
+    numbers.iter().map(|&x| F::from_f64(x)).collect()
+}
+
+/// Central differences of the loss with this step of the parameters, at the [`chosen`] parameters.
+fn central<F: Float>(
+    task: Arc<dyn AnyTask<F>>,
+    policy: Arc<dyn AnyPolicy<F>>,
+    theta: Vec<f64>,
+    starts: Vec<F>,
+    step: f64,
+) -> Derived {
+    let count = theta.len();
+    let (mut loss, bytes) = losses(task, policy.clone(), starts);
+    let mut difference = move |i: usize| {
+        let mut side = |step: f64| {
+            let mut theta: Vec<F> = convert(&theta);
+            theta[i] = F::from_f64(theta[i].as_() + step);
+            let perturbed = theta[i].as_();
+            loss(&Weights::new(&*policy, theta)).map(|loss| (loss, perturbed))
+        };
+        // Divides by the difference of the two rounded values of the parameter.
+        Ok((side(step)?, side(-step)?))
+            .map(|((above, right), (below, left))| (above - below) / (right - left))
+    };
+    let gradient = chosen(count).into_iter().map(&mut difference).collect();
+    Derived {
+        gradient,
+        bytes,
+        rounds: count as f64,
+        run: Box::new(move || drop::<Result<f64, String>>(difference(0))),
     }
 }
 

@@ -10,7 +10,7 @@ use anyhow::{Context, Result, bail};
 use std::fs::{self, File, Metadata, OpenOptions, TryLockError};
 use std::io::{self, ErrorKind, Read, Write};
 use std::ops::Deref;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Time between two attempts to get a lock.
@@ -78,6 +78,7 @@ impl Folder {
         self.try_to_hold(Mode::Exclusive)
     }
 
+    /// Locks the folder in this mode. Returns None if another process holds the lock.
     fn try_to_hold(&self, mode: Mode) -> Result<Option<Locked>> {
         let mut moves = 0;
         loop {
@@ -96,37 +97,10 @@ impl Folder {
                 }
                 open => open.with_context(|| unwritable(self.path()))?,
             };
-            let held = match mode {
-                Mode::Exclusive => file.try_lock(),
-                Mode::Shared => file.try_lock_shared(),
-            };
-            match held {
-                Ok(()) => {}
-                Err(TryLockError::WouldBlock) => return Ok(None),
-                Err(TryLockError::Error(error))
-                    if is_unsupported(&error) && mode == Mode::Shared =>
-                {
-                    bail!(
-                        "the file system of {} has no locks, which --shard needs; choose a folder on another file system with --out",
-                        self.path().display()
-                    )
-                }
-                Err(TryLockError::Error(error)) if is_unsupported(&error) => {
-                    print_message(&format!(
-                        "warning: this file system has no locks; only one process may write to {}",
-                        self.path().display()
-                    ));
-                }
-                Err(TryLockError::Error(error)) => {
-                    return Err(error).with_context(|| {
-                        format!("cannot lock the folder {}", self.path().display())
-                    });
-                }
+            if !self.hold_file(&file, mode)? {
+                return Ok(None);
             }
-            let command: Vec<_> =
-                std::env::args_os().map(|part| part.to_string_lossy().into_owned()).collect();
-            let holder =
-                format!("process {}{} (`{}`)", std::process::id(), on_machine(), command.join(" "));
+            let holder = own_description();
             let write = |file: &mut File| -> io::Result<()> {
                 file.set_len(0)?;
                 file.write_all(holder.as_bytes())
@@ -137,6 +111,37 @@ impl Folder {
             if locked.is_in_place().with_context(|| unwritable(self.path()))? {
                 return Ok(Some(locked));
             }
+        }
+    }
+
+    /// Locks the file. Returns false if another process holds the lock. On a file system without
+    /// locks, prints a warning and returns true.
+    ///
+    /// # Errors
+    /// The file cannot be locked, or is to be shared on a file system without locks.
+    fn hold_file(&self, file: &File, mode: Mode) -> Result<bool> {
+        let held = match mode {
+            Mode::Exclusive => file.try_lock(),
+            Mode::Shared => file.try_lock_shared(),
+        };
+        match held {
+            Ok(()) => Ok(true),
+            Err(TryLockError::WouldBlock) => Ok(false),
+            Err(TryLockError::Error(error)) if is_unsupported(&error) && mode == Mode::Shared => {
+                bail!(
+                    "the file system of {} has no locks, which --shard needs; choose a folder on another file system with --out",
+                    self.path().display()
+                )
+            }
+            Err(TryLockError::Error(error)) if is_unsupported(&error) => {
+                print_message(&format!(
+                    "warning: this file system has no locks; only one process may write to {}",
+                    self.path().display()
+                ));
+                Ok(true)
+            }
+            Err(TryLockError::Error(error)) => Err(error)
+                .with_context(|| format!("cannot lock the folder {}", self.path().display())),
         }
     }
 
@@ -277,30 +282,52 @@ impl Locked {
                 path.display()
             );
         }
-        let free = (1..).map(|i| {
-            let mut name = whole.clone().into_os_string();
-            name.push(format!("{PREVIOUS}{i}"));
-            PathBuf::from(name)
-        });
-        // `rename` never replaces a folder with contents. Replacing an empty folder loses nothing.
-        let mut aside = free.filter(|path| fs::symlink_metadata(path).is_err());
-        let aside = aside.next().context("some number is free")?;
-        let cannot = || {
-            format!(
-                "cannot rename the folder {} of the earlier run; choose another folder with --out",
-                path.display()
-            )
-        };
-        files::rename(&whole, &aside).with_context(cannot)?;
-        let (from, aside) = (path.display(), aside.display());
-        print_message(&format!(
-            "moved the earlier run in {from} to {aside}; to resume it: {} train --resume --out {aside}",
-            program()
-        ));
+        move_aside(&path, &whole)?;
         // The lock moved with the folder. Another process may lock the new folder first.
         Folder::at(&whole).create()?;
         Folder::at(&path).lock()?.without_run()
     }
+}
+
+/// Renames the folder of an earlier run, and prints its new path. `whole` is its absolute path, and
+/// messages show `path`.
+///
+/// # Errors
+/// The folder cannot be renamed.
+fn move_aside(path: &Path, whole: &Path) -> Result<()> {
+    let aside = aside(whole)?;
+    let cannot = || {
+        format!(
+            "cannot rename the folder {} of the earlier run; choose another folder with --out",
+            path.display()
+        )
+    };
+    files::rename(whole, &aside).with_context(cannot)?;
+    let (from, aside) = (path.display(), aside.display());
+    print_message(&format!(
+        "moved the earlier run in {from} to {aside}; to resume it: {} train --resume --out {aside}",
+        program()
+    ));
+    Ok(())
+}
+
+/// First free path for the earlier run in the folder `whole`, beside it.
+fn aside(whole: &Path) -> Result<PathBuf> {
+    let free = (1..).map(|i| {
+        let mut name = whole.as_os_str().to_owned();
+        name.push(format!("{PREVIOUS}{i}"));
+        PathBuf::from(name)
+    });
+    // `rename` never replaces a folder with contents. Replacing an empty folder loses nothing.
+    let mut aside = free.filter(|path| fs::symlink_metadata(path).is_err());
+    aside.next().context("some number is free")
+}
+
+/// Description of this process for the messages of others: id, machine and command line.
+fn own_description() -> String {
+    let command: Vec<_> =
+        std::env::args_os().map(|part| part.to_string_lossy().into_owned()).collect();
+    format!("process {}{} (`{}`)", std::process::id(), on_machine(), command.join(" "))
 }
 
 /// " on NAME" with the name of this machine, because several machines may share a folder. Empty if

@@ -352,14 +352,7 @@ impl Plan {
         let method_sets: Vec<Vec<Setting>> = (0..methods.len())
             .map(|i| self.set(&format!("method[{i}].set"), &methods[i].set))
             .collect();
-        let varied =
-            |section: &str, key: &String| (key.clone(), self.place(&format!("{section}.{key}")));
-        let origins: HashMap<String, String> = grid
-            .keys()
-            .map(|key| varied("grid", key))
-            .chain(best.keys().map(|key| varied("best", key)))
-            .chain(list.iter().take(1).flat_map(Table::keys).map(|key| varied("list[0]", key)))
-            .collect();
+        let origins = self.origins();
         let indices: Vec<Option<usize>> = match methods.len() {
             0 => vec![None],
             count => (0..count).map(Some).collect(),
@@ -372,16 +365,7 @@ impl Plan {
                 let name = joined(&[task_name, &point.name()]);
                 for &method in &indices {
                     let method_name = method.map_or("", |method| &methods[method].name);
-                    let place = [("task", task_name), ("method", method_name)]
-                        .into_iter()
-                        .filter(|(_, name)| !name.is_empty())
-                        .map(|(kind, name)| format!("{kind} {name}"))
-                        .collect::<Vec<_>>()
-                        .join(", ");
-                    let of_cell = |error: anyhow::Error| match &*place {
-                        "" => error,
-                        place => anyhow!("{error:#} ({place})"),
-                    };
+                    let of_cell = |error| in_cell(error, task_name, method_name);
                     for (i, chosen) in chosen.iter().enumerate() {
                         let mut source = base.clone();
                         for (key, value) in point.iter().chain(chosen.iter()) {
@@ -409,6 +393,18 @@ impl Plan {
             }
         }
         Ok(Expanded { cases, chosen, cells })
+    }
+
+    /// File and line of each varied setting, by its key.
+    fn origins(&self) -> HashMap<String, String> {
+        let Contents { grid, list, best, .. } = &self.contents;
+        let varied =
+            |section: &str, key: &String| (key.clone(), self.place(&format!("{section}.{key}")));
+        grid.keys()
+            .map(|key| varied("grid", key))
+            .chain(best.keys().map(|key| varied("best", key)))
+            .chain(list.iter().take(1).flat_map(Table::keys).map(|key| varied("list[0]", key)))
+            .collect()
     }
 
     /// Scene of a task with its table `set`.
@@ -482,6 +478,20 @@ fn check_runs(combinations: usize, fields: usize, seeds: u64) -> Result<()> {
         );
     }
     Ok(())
+}
+
+/// Appends the names of task and method to an error, except for empty names.
+fn in_cell(error: anyhow::Error, task: &str, method: &str) -> anyhow::Error {
+    let place = [("task", task), ("method", method)]
+        .into_iter()
+        .filter(|(_, name)| !name.is_empty())
+        .map(|(kind, name)| format!("{kind} {name}"))
+        .collect::<Vec<_>>()
+        .join(", ");
+    match &*place {
+        "" => error,
+        place => anyhow!("{error:#} ({place})"),
+    }
 }
 
 /// Sets values in a scene.

@@ -44,16 +44,7 @@ pub fn gradients(
     rounds: usize,
     [quiet, json]: [bool; 2],
 ) -> Result<()> {
-    let fields = [Field::regular(), Field::modified(), Field::stopped(), Field::combined()];
-    let exact = fields.map(|field| reverse(field, None));
-    let both = exact
-        .into_iter()
-        .chain(STEPS.map(GradientMethod::Central))
-        .flat_map(|method| PRECISIONS.map(|precision| (method, precision)));
-    let forward = PRECISIONS.map(|precision| (GradientMethod::Forward, precision));
-    let methods: Vec<(GradientMethod, Precision)> =
-        forward.into_iter().chain(both).chain([(GradientMethod::Duals, Precision::F64)]).collect();
-
+    let methods = methods();
     let bar =
         bar(methods.len() * (1 + rounds) + REFERENCES + 3 * horizons.len() + PARTS.len(), quiet);
     if !quiet && bar.is_hidden() {
@@ -71,55 +62,7 @@ pub fn gradients(
         .map(|&horizon| with_horizon(study, horizon))
         .collect::<Result<Vec<Scene>>>()?;
     let theta = scene.initial_theta()?;
-    let [r, m, s] = scene.refer(&theta, &|| bar.inc(1));
-    let mut c = vec![0.0; r.len()];
-    Combination::SignAgreement.combine(&m, &r, &mut c);
-    let right = |method: &GradientMethod| match method {
-        GradientMethod::Reverse { field, .. } => match field.letter() {
-            "M" => &m,
-            "S" => &s,
-            "C" => &c,
-            _ => &r,
-        },
-        _ => &r,
-    };
-
-    let mut derived = Vec::new();
-    for (method, precision) in &methods {
-        bar.set_message(format!("{method} {}", precision.name()));
-        derived.push(scene.derive(&theta, *precision, *method));
-        bar.inc(1);
-    }
-    // Interleaves the methods: other load on the machine then affects all methods.
-    let mut times = vec![Vec::new(); methods.len()];
-    for round in 1..=rounds {
-        bar.set_message(format!("round {round} of {rounds}"));
-        for (derived, times) in derived.iter_mut().zip(&mut times) {
-            if derived.gradient.is_ok() {
-                times.push(derived.time(MIN_TIME));
-            }
-            bar.inc(1);
-        }
-    }
-    // Compares signs with the gradient in f64, because the reference has only chosen components.
-    let full = |field: Field| {
-        let found =
-            methods.iter().position(|method| *method == (reverse(field, None), Precision::F64));
-        found.and_then(|i| derived[i].gradient.as_ref().ok())
-    };
-    let derivatives: Vec<Derivative> = methods
-        .iter()
-        .zip(&derived)
-        .zip(times)
-        .map(|(((method, precision), derived), times)| {
-            let full = if let GradientMethod::Reverse { field, .. } = method {
-                full(*field)
-            } else {
-                None
-            };
-            Derivative::new(*method, *precision, derived, times, right(method), full)
-        })
-        .collect();
+    let derivatives = derivatives(&scene, &theta, &methods, rounds, &bar);
     let checkpoints = checkpoints(study, rounds, &bar)?;
     let horizons = along(&scenes, &theta, &bar);
     bar.finish_and_clear();
@@ -133,6 +76,83 @@ pub fn gradients(
         folder.path().display()
     ))?;
     Ok(())
+}
+
+/// Measures every method: errors against the double-double reference, and seconds.
+fn derivatives(
+    scene: &Scene,
+    theta: &[f64],
+    methods: &[(GradientMethod, Precision)],
+    rounds: usize,
+    bar: &ProgressBar,
+) -> Vec<Derivative> {
+    let [r, m, s] = scene.refer(theta, &|| bar.inc(1));
+    let mut c = vec![0.0; r.len()];
+    Combination::SignAgreement.combine(&m, &r, &mut c);
+    let right = |method: &GradientMethod| match method {
+        GradientMethod::Reverse { field, .. } => match field.letter() {
+            "M" => &m,
+            "S" => &s,
+            "C" => &c,
+            _ => &r,
+        },
+        _ => &r,
+    };
+
+    let mut derived = Vec::new();
+    for (method, precision) in methods {
+        bar.set_message(format!("{method} {}", precision.name()));
+        derived.push(scene.derive(theta, *precision, *method));
+        bar.inc(1);
+    }
+    let times = times(&mut derived, rounds, bar);
+    // Compares signs with the gradient in f64, because the reference has only chosen components.
+    let full = |field: Field| {
+        let found =
+            methods.iter().position(|method| *method == (reverse(field, None), Precision::F64));
+        found.and_then(|i| derived[i].gradient.as_ref().ok())
+    };
+    methods
+        .iter()
+        .zip(&derived)
+        .zip(times)
+        .map(|(((method, precision), derived), times)| {
+            let full = if let GradientMethod::Reverse { field, .. } = method {
+                full(*field)
+            } else {
+                None
+            };
+            Derivative::new(*method, *precision, derived, times, right(method), full)
+        })
+        .collect()
+}
+
+/// All gradient methods, each with its precision, in the order of the results.
+fn methods() -> Vec<(GradientMethod, Precision)> {
+    let fields = [Field::regular(), Field::modified(), Field::stopped(), Field::combined()];
+    let exact = fields.map(|field| reverse(field, None));
+    let both = exact
+        .into_iter()
+        .chain(STEPS.map(GradientMethod::Central))
+        .flat_map(|method| PRECISIONS.map(|precision| (method, precision)));
+    let forward = PRECISIONS.map(|precision| (GradientMethod::Forward, precision));
+    forward.into_iter().chain(both).chain([(GradientMethod::Duals, Precision::F64)]).collect()
+}
+
+/// Seconds of each of the gradients in each round. Empty for a gradient with an error.
+fn times(derived: &mut [Derived], rounds: usize, bar: &ProgressBar) -> Vec<Vec<f64>> {
+    // Interleaves the methods: other load on the machine then affects all methods.
+    let mut times = vec![Vec::new(); derived.len()];
+    for round in 1..=rounds {
+        bar.set_message(format!("round {round} of {rounds}"));
+        for (derived, times) in derived.iter_mut().zip(&mut times) {
+            if derived.gradient.is_ok() {
+                times.push(derived.time(MIN_TIME));
+            }
+            bar.inc(1);
+        }
+    }
+    times
 }
 
 /// Scene with another horizon, and with a nonzero initial output layer.

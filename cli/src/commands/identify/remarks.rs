@@ -228,34 +228,7 @@ fn of_fit(
     let named = |components: &[usize]| {
         listed(&components.iter().map(|&i| states[i].clone()).collect::<Vec<_>>())
     };
-    let undetermined = fit.undetermined.iter().map(|names| match &names[..] {
-        [name] => format!("the data do not determine {name}; fix it, or measure a motion that it affects"),
-        names => {
-            format!("the data do not determine {} separately; fix one of them, or measure a motion with forces", names.join(", "))
-        }
-    });
-    let rows = fit.names.iter().zip(starts(fit, scene)).zip(fit.values.iter().zip(&fit.statuses));
-    let of_number = rows.filter_map(|((name, start), (&value, status))| match status {
-        Status::AtBound => Some(format!("{name} is at its bound")),
-        Status::RanAway => Some(format!(
-            "{name} ran away from {} to {}, where it has almost no influence, so χ² has no minimum; give it bounds or another \
-             initial value, and check the model",
-            digits(start, 6),
-            digits(value, 6)
-        )),
-        Status::NonFinite => Some(format!(
-            "a derivative of the simulated states by {name} is not finite at {}, so the iterations ended; choose another \
-             initial value, or bounds without such values",
-            digits(value, 6)
-        )),
-        Status::NoSlope => Some(format!(
-            "all derivatives of the simulated states by {name} are 0 at {}, although other values change the states, as for a \
-             number that is only compared; it kept its initial value; fix it, and compare χ² of several values",
-            digits(value, 6)
-        )),
-        Status::Estimated | Status::Undetermined | Status::NotConverged => None,
-    });
-    let mut warnings: Vec<String> = undetermined.chain(of_number).collect();
+    let mut warnings = of_numbers(fit, scene);
     if !fit.non_finite_starts.is_empty() {
         warnings.push(format!(
             "a derivative by the initial value of {} is not finite, so the iterations ended; choose other initial values",
@@ -298,6 +271,39 @@ fn of_fit(
         ));
     }
     warnings
+}
+
+/// Sentences about numbers that the data do not determine, then about numbers that are at a bound or
+/// have no estimate.
+fn of_numbers(fit: &Fit, scene: &Scene) -> Vec<String> {
+    let undetermined = fit.undetermined.iter().map(|names| match &names[..] {
+        [name] => format!("the data do not determine {name}; fix it, or measure a motion that it affects"),
+        names => {
+            format!("the data do not determine {} separately; fix one of them, or measure a motion with forces", names.join(", "))
+        }
+    });
+    let rows = fit.names.iter().zip(starts(fit, scene)).zip(fit.values.iter().zip(&fit.statuses));
+    let of_number = rows.filter_map(|((name, start), (&value, status))| match status {
+        Status::AtBound => Some(format!("{name} is at its bound")),
+        Status::RanAway => Some(format!(
+            "{name} ran away from {} to {}, where it has almost no influence, so χ² has no minimum; give it bounds or another \
+             initial value, and check the model",
+            digits(start, 6),
+            digits(value, 6)
+        )),
+        Status::NonFinite => Some(format!(
+            "a derivative of the simulated states by {name} is not finite at {}, so the iterations ended; choose another \
+             initial value, or bounds without such values",
+            digits(value, 6)
+        )),
+        Status::NoSlope => Some(format!(
+            "all derivatives of the simulated states by {name} are 0 at {}, although other values change the states, as for a \
+             number that is only compared; it kept its initial value; fix it, and compare χ² of several values",
+            digits(value, 6)
+        )),
+        Status::Estimated | Status::Undetermined | Status::NotConverged => None,
+    });
+    undetermined.chain(of_number).collect()
 }
 
 /// State components with a measurement in or after the row `first` of a segment.

@@ -83,37 +83,9 @@ fn learning_curves(title: &str, results: &Results, scenes: &[InScene]) -> Drawin
 
 /// The picture that a plan lays out.
 fn figure(title: &str, layout: &FigureLayout, results: &Results, scenes: &[InScene]) -> Drawing {
-    let axis = |key: &Option<String>| -> Vec<Option<Value>> {
-        let tasks = results.plan.contents.tasks.iter();
-        match key.as_deref() {
-            None => vec![None],
-            Some(TASK) => tasks.map(|task| task.name.clone().map(Value::String)).collect(),
-            Some(key) => {
-                let values = results.plan.contents.grid[key].as_array().into_iter().flatten();
-                values.cloned().map(Some).collect()
-            }
-        }
-    };
-    // Position of a case on an axis.
-    let is_at =
-        |case: &plan::Case, key: &Option<String>, value: &Option<Value>| match key.as_deref() {
-            None => true,
-            Some(TASK) => {
-                let name = results.plan.contents.tasks[case.task].name.as_deref();
-                name == value.as_ref().and_then(Value::as_str)
-            }
-            Some(key) => case.point.get(key) == value.as_ref(),
-        };
-    let panel = |value: &Option<Value>| {
-        let Some(value) = value else { return String::new() };
-        let shown = number(value).map_or_else(|| text(value), |number| number.to_string());
-        let key = layout.columns.as_deref().map_or("", last_part);
-        let whole = if key == TASK { "{}".to_owned() } else { format!("{key}: {{}}") };
-        layout.panel.as_ref().unwrap_or(&whole).replace("{}", &shown)
-    };
-    let columns = axis(&layout.columns);
+    let columns = axis(results, layout.columns.as_deref());
     let mut rows = Vec::new();
-    for (i, row) in axis(&layout.rows).iter().enumerate() {
+    for (i, row) in axis(results, layout.rows.as_deref()).iter().enumerate() {
         // Puts titles above the first row only.
         let titled = |text: String| if i == 0 { text } else { String::new() };
         let of_row = match (row, layout.rows.as_deref().map(last_part)) {
@@ -123,7 +95,8 @@ fn figure(title: &str, layout: &FigureLayout, results: &Results, scenes: &[InSce
         let (mut losses, mut sizes) = (Vec::new(), Vec::new());
         for (j, column) in columns.iter().enumerate() {
             let is_here = |case: &&plan::Case| {
-                is_at(case, &layout.rows, row) && is_at(case, &layout.columns, column)
+                is_at(results, case, layout.rows.as_deref(), row)
+                    && is_at(results, case, layout.columns.as_deref(), column)
             };
             let runs = results.cases.iter().position(|case| is_here(&case));
             let runs = runs.map_or(&[][..], |case| &scenes[case].runs);
@@ -134,11 +107,12 @@ fn figure(title: &str, layout: &FigureLayout, results: &Results, scenes: &[InSce
                 x: Abscissa::Epoch,
                 curves: smooth(runs, layout.mean, value),
             };
+            let title = panel_title(layout, column);
             // Shares the loss axis within a column. Losses of different columns differ by orders of
             // magnitude.
-            losses.push(case(panel(column), format!("test loss{of_row}"), j, |r| r.test_loss));
+            losses.push(case(title.clone(), format!("test loss{of_row}"), j, |r| r.test_loss));
             if column.is_some() && *column == layout.update_size {
-                let title = format!("{}: update size", panel(column));
+                let title = format!("{title}: update size");
                 let axis = columns.len();
                 sizes.push(case(title, "norm of the field".into(), axis, |r| r.grad_norm.get()));
             }
@@ -151,6 +125,41 @@ fn figure(title: &str, layout: &FigureLayout, results: &Results, scenes: &[InSce
         epochs => format!(", means of {epochs} epochs"),
     };
     study(&format!("{title}{smoothed}"), &rows)
+}
+
+/// Values along an axis of the figure: names of tasks, or values of a setting. A single None if no
+/// key varies along the axis.
+fn axis(results: &Results, key: Option<&str>) -> Vec<Option<Value>> {
+    let tasks = results.plan.contents.tasks.iter();
+    match key {
+        None => vec![None],
+        Some(TASK) => tasks.map(|task| task.name.clone().map(Value::String)).collect(),
+        Some(key) => {
+            let values = results.plan.contents.grid[key].as_array().into_iter().flatten();
+            values.cloned().map(Some).collect()
+        }
+    }
+}
+
+/// Whether a case has this value along the [`axis`] of a key.
+fn is_at(results: &Results, case: &plan::Case, key: Option<&str>, value: &Option<Value>) -> bool {
+    match key {
+        None => true,
+        Some(TASK) => {
+            let name = results.plan.contents.tasks[case.task].name.as_deref();
+            name == value.as_ref().and_then(Value::as_str)
+        }
+        Some(key) => case.point.get(key) == value.as_ref(),
+    }
+}
+
+/// Title of the panels in the column with this value. Empty without a value.
+fn panel_title(layout: &FigureLayout, value: &Option<Value>) -> String {
+    let Some(value) = value else { return String::new() };
+    let shown = number(value).map_or_else(|| text(value), |number| number.to_string());
+    let key = layout.columns.as_deref().map_or("", last_part);
+    let whole = if key == TASK { "{}".to_owned() } else { format!("{key}: {{}}") };
+    layout.panel.as_ref().unwrap_or(&whole).replace("{}", &shown)
 }
 
 /// One curve per method, with trailing means over this number of epochs.

@@ -1,7 +1,7 @@
 //! [`train_shard`]: the runs of comparisons that no other process trains.
 
 use super::train_all::SharedProgress;
-use super::{Comparison, Ended, Ending, check_errors, labelled, tasks};
+use super::{Comparison, Ended, Ending, Run, check_errors, labelled, tasks};
 use crate::platform::parallel;
 use crate::platform::signals;
 use crate::platform::terminal::{counted, print_message};
@@ -42,24 +42,7 @@ pub fn train_shard(comparisons: &[Comparison], shard: Shard, quiet: bool) -> Res
     let mut trained = 0;
     for round in 0.. {
         let visited: Vec<Result<Option<Finished>>> = parallel::map(&order, |&(place, run)| {
-            let (run, label) = &runs[run];
-            if signals::received().is_some() {
-                return Ok(None);
-            }
-            let (epochs, counted) = (run.scene.epochs, round == 0 && place < share);
-            let mut observer = ShardProgress {
-                shared: SharedProgress { progress: &progress, label },
-                epochs,
-                counted,
-            };
-            let finished = run.run_if_free(&mut observer);
-            if counted
-                && matches!(finished, Ok(None))
-                && let Ok(progress) = progress.lock()
-            {
-                progress.bar.dec_length(epochs as u64);
-            }
-            finished
+            visit(&runs[run], round == 0 && place < share, &progress)
         });
         let (mut found, mut errors) = (0, Vec::new());
         for (finished, &(_, run)) in visited.into_iter().zip(&order) {
@@ -86,21 +69,57 @@ pub fn train_shard(comparisons: &[Comparison], shard: Shard, quiet: bool) -> Res
         }
     }
     if !quiet {
-        let mut ended = 0;
-        for (run, _) in &runs {
-            ended += usize::from(run.saved_end()?.is_some());
-        }
-        let rest = runs.len() - ended;
-        let held =
-            if rest == 0 { String::new() } else { format!(", {rest} in use by other processes") };
-        let text = format!(
-            "shard {shard}: trained {}; {ended} of {} have ended",
-            counted(trained, "run"),
-            runs.len()
-        );
-        print_message(&if outcome.interrupted { text } else { text + &held });
+        print_end(&runs, shard, trained, outcome.interrupted)?;
     }
     Ok(outcome)
+}
+
+/// Trains a run, unless it has ended, another process holds it, or a signal has arrived. `counted`
+/// is true if the length of the bar contains the epochs of the run, which are subtracted if the run
+/// has ended or another process holds it.
+fn visit(
+    (run, label): &(&Run, String),
+    counted: bool,
+    progress: &Mutex<Progress>,
+) -> Result<Option<Finished>> {
+    if signals::received().is_some() {
+        return Ok(None);
+    }
+    let epochs = run.scene.epochs;
+    let mut observer =
+        ShardProgress { shared: SharedProgress { progress, label }, epochs, counted };
+    let finished = run.run_if_free(&mut observer);
+    if counted
+        && matches!(finished, Ok(None))
+        && let Ok(progress) = progress.lock()
+    {
+        progress.bar.dec_length(epochs as u64);
+    }
+    finished
+}
+
+/// Prints how many runs this process trained, how many have ended, and, unless a signal interrupted
+/// the shard, how many other processes hold.
+fn print_end(
+    runs: &[(&Run, String)],
+    shard: Shard,
+    trained: usize,
+    interrupted: bool,
+) -> Result<()> {
+    let mut ended = 0;
+    for (run, _) in runs {
+        ended += usize::from(run.saved_end()?.is_some());
+    }
+    let rest = runs.len() - ended;
+    let held =
+        if rest == 0 { String::new() } else { format!(", {rest} in use by other processes") };
+    let text = format!(
+        "shard {shard}: trained {}; {ended} of {} have ended",
+        counted(trained, "run"),
+        runs.len()
+    );
+    print_message(&if interrupted { text } else { text + &held });
+    Ok(())
 }
 
 /// Reports the epochs of one run of a shard. The length of the bar counts the epochs of the share,
