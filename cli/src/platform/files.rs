@@ -114,19 +114,27 @@ pub fn rename(from: &Path, to: &Path) -> io::Result<()> {
 
 /// Creates a folder and its parents, and waits until they are on disk.
 pub fn create_folders(path: &Path) -> io::Result<()> {
-    match create_folder(path) {
-        Err(error) if error.kind() == ErrorKind::NotFound => {
-            let parent =
-                path.parent().filter(|parent| !parent.as_os_str().is_empty()).ok_or(error)?;
-            create_folders(parent)?;
-            unless_exists(path, create_folder(path))
+    loop {
+        let result = match create_folder(path) {
+            Err(error) if error.kind() == ErrorKind::NotFound => {
+                let parent =
+                    path.parent().filter(|parent| !parent.as_os_str().is_empty()).ok_or(error)?;
+                create_folders(parent)?;
+                create_folder(path)
+            }
+            result => result,
+        };
+        if path.is_dir() {
+            return Ok(());
         }
-        result => unless_exists(path, result),
+        // Another process may have renamed the folder that existed.
+        let existed = matches!(&result, Err(error) if error.kind() == ErrorKind::AlreadyExists);
+        let is_absent =
+            matches!(fs::symlink_metadata(path), Err(error) if error.kind() == ErrorKind::NotFound);
+        if !(existed && is_absent) {
+            return result;
+        }
     }
-}
-
-fn unless_exists(path: &Path, result: io::Result<()>) -> io::Result<()> {
-    if path.is_dir() { Ok(()) } else { result }
 }
 
 /// Creates one folder, and waits until it is on disk.
