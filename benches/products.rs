@@ -25,47 +25,71 @@ fn aligned<F>(memory: &mut [F]) -> &mut [F] {
     &mut memory[offset..]
 }
 
+/// Multiply-adds in chains that hide the latency, and their number. None where the peak is not
+/// measured.
+#[cfg(target_arch = "x86_64")]
+mod peak {
+    use super::{SimdLevel, WORK, black_box};
+    use std::arch::x86_64::*;
+
+    const CHAINS: usize = 10;
+
+    macro_rules! chains {
+        ($name:ident, $features:literal, $float:ident, $register:ident, $set:ident, $fma:ident) => {
+            #[target_feature(enable = $features)]
+            fn $name() -> Option<usize> {
+                let (a, mut sums) = (black_box($set(0.5)), [$set(1.0); CHAINS]);
+                let lanes = size_of::<$register>() / size_of::<$float>();
+                let count = WORK / (CHAINS * lanes);
+                for _ in 0..count {
+                    for sum in &mut sums {
+                        *sum = $fma(a, a, *sum);
+                    }
+                }
+                black_box(sums);
+                Some(count * CHAINS * lanes)
+            }
+        };
+    }
+
+    chains!(single_avx2, "avx2,fma", f32, __m256, _mm256_set1_ps, _mm256_fmadd_ps);
+    chains!(single_avx512, "avx512f", f32, __m512, _mm512_set1_ps, _mm512_fmadd_ps);
+    chains!(double_avx2, "avx2,fma", f64, __m256d, _mm256_set1_pd, _mm256_fmadd_pd);
+    chains!(double_avx512, "avx512f", f64, __m512d, _mm512_set1_pd, _mm512_fmadd_pd);
+
+    macro_rules! dispatch {
+        ($name:ident, $avx2:ident, $avx512:ident) => {
+            pub fn $name(level: SimdLevel) -> Option<usize> {
+                // SAFETY: the processor supports the level.
+                match level {
+                    SimdLevel::Avx512 => unsafe { $avx512() },
+                    SimdLevel::Avx2 => unsafe { $avx2() },
+                    SimdLevel::Portable => None,
+                }
+            }
+        };
+    }
+
+    dispatch!(single, single_avx2, single_avx512);
+    dispatch!(double, double_avx2, double_avx512);
+}
+
+#[cfg(not(target_arch = "x86_64"))]
+mod peak {
+    use super::SimdLevel;
+
+    pub fn single(_: SimdLevel) -> Option<usize> {
+        None
+    }
+    pub use single as double;
+}
+
 macro_rules! bench {
-    ($name:ident, $float:ident, $module:ident, $avx2:ident, $set2:ident, $fma2:ident, $avx512:ident, $set5:ident, $fma5:ident) => {
+    ($name:ident, $float:ident) => {
         fn $name() {
-            use std::arch::x86_64::*;
-            const CHAINS: usize = 10;
-            /// Multiply-adds in chains that hide the latency.
-            #[target_feature(enable = "avx2,fma")]
-            fn avx2() -> usize {
-                let (a, mut sums) = (black_box($set2(0.5)), [$set2(1.0); CHAINS]);
-                let lanes = size_of::<$avx2>() / size_of::<$float>();
-                let count = WORK / (CHAINS * lanes);
-                for _ in 0..count {
-                    for sum in &mut sums {
-                        *sum = $fma2(a, a, *sum);
-                    }
-                }
-                black_box(sums);
-                count * CHAINS * lanes
-            }
-            #[target_feature(enable = "avx512f")]
-            fn avx512() -> usize {
-                let (a, mut sums) = (black_box($set5(0.5)), [$set5(1.0); CHAINS]);
-                let lanes = size_of::<$avx512>() / size_of::<$float>();
-                let count = WORK / (CHAINS * lanes);
-                for _ in 0..count {
-                    for sum in &mut sums {
-                        *sum = $fma5(a, a, *sum);
-                    }
-                }
-                black_box(sums);
-                count * CHAINS * lanes
-            }
             let level = SimdLevel::best();
-            let mut done = 0;
-            // SAFETY: the processor supports the level.
-            let mut peak = || {
-                done = match level {
-                    SimdLevel::Avx512 => unsafe { avx512() },
-                    _ => unsafe { avx2() },
-                }
-            };
+            let mut done = None;
+            let mut peak = || done = peak::$name(level);
             let shapes: Vec<(usize, usize, usize)> = LAYERS
                 .iter()
                 .flat_map(|&(rows, depth)| COLUMNS.map(|cols| (rows, depth, cols)))
@@ -85,7 +109,7 @@ macro_rules! bench {
                             let (a, b) = (black_box(&a[..]), black_box(&b[..]));
                             let (lda, ldc, b_row, b_col) = (rows, rows, 1, depth);
                             let accumulate = false;
-                            gemm::$module::product(
+                            gemm::$name::product(
                                 level,
                                 Product {
                                     rows,
@@ -109,42 +133,29 @@ macro_rules! bench {
             let mut all: Vec<&mut dyn FnMut()> = vec![&mut peak];
             all.extend(jobs.iter_mut().map(|job| job as &mut dyn FnMut()));
             let times = rounds(ROUNDS, &mut all);
-            println!(
-                "\n{}, {level:?}: peak {:.1} GFLOP/s",
-                stringify!($float),
-                2.0 * done as f64 / (median(&times[0]) * 1e3)
-            );
+            println!("\n{}, {level:?}", stringify!($float));
+            let billions = |work: usize, times: &[f64]| 2.0 * work as f64 / (median(times) * 1e3);
+            if let Some(done) = done {
+                println!("  peak               {:5.1} GFLOP/s", billions(done, &times[0]));
+            }
             for ((rows, depth, cols), times_of) in shapes.iter().zip(&times[1..]) {
                 let work = WORK.div_ceil(rows * depth * cols) * rows * depth * cols;
-                let share = ratio(&times[0], times_of) * work as f64 / done as f64;
-                println!("  {rows:>3} x {depth:>3} x {cols:>2}   {share:.2} of the peak");
+                let share = done.map(|done| {
+                    let share = ratio(&times[0], times_of) * work as f64 / done as f64;
+                    format!("   {share:.2} of the peak")
+                });
+                println!(
+                    "  {rows:>3} x {depth:>3} x {cols:>3}    {:5.1} GFLOP/s{}",
+                    billions(work, times_of),
+                    share.unwrap_or_default()
+                );
             }
         }
     };
 }
 
-bench!(
-    single,
-    f32,
-    single,
-    __m256,
-    _mm256_set1_ps,
-    _mm256_fmadd_ps,
-    __m512,
-    _mm512_set1_ps,
-    _mm512_fmadd_ps
-);
-bench!(
-    double,
-    f64,
-    double,
-    __m256d,
-    _mm256_set1_pd,
-    _mm256_fmadd_pd,
-    __m512d,
-    _mm512_set1_pd,
-    _mm512_fmadd_pd
-);
+bench!(single, f32);
+bench!(double, f64);
 
 fn main() {
     single();

@@ -33,8 +33,8 @@ macro_rules! products {
             let mut rng = stream(0, Purpose::Check, 0);
             for (m, k, n) in SHAPES.into_iter().take(if cfg!(miri) { 5 } else { SHAPES.len() }) {
                 let pad = gemm::$module::PAD;
-                let rows = m.div_ceil(pad) * pad;
-                let (lda, ldc, ldb) = (rows + pad, rows, k + 3);
+                let ldc = m.next_multiple_of(pad);
+                let (lda, ldb) = (ldc + pad, k + 3);
                 let mut random = |len: usize| -> Vec<$float> {
                     (0..len).map(|_| rng.random_range(-1.0..1.0)).collect()
                 };
@@ -49,6 +49,7 @@ macro_rules! products {
                 for accumulate in [false, true] {
                     let mut first: Option<Vec<$float>> = None;
                     for level in SimdLevel::available() {
+                        let rows = m.next_multiple_of(gemm::$module::lanes(level));
                         for (b, b_row, b_col) in [(&b, 1, ldb), (&b_rows, n, 1)] {
                             let mut c = start.clone();
                             let product = Product {
@@ -74,8 +75,13 @@ macro_rules! products {
                                     "{level:?} {m}x{k}x{n} [{i}, {j}]: {error:e}"
                                 );
                             }
+                            for (c, start) in c.chunks(ldc).zip(start.chunks(ldc)) {
+                                assert_eq!(c[rows..], start[rows..], "{level:?} {m}x{k}x{n}");
+                            }
                             if level != SimdLevel::Portable {
                                 // All fused levels sum in the same order.
+                                let c: Vec<$float> =
+                                    c.chunks(ldc).flat_map(|c| c[..m].to_vec()).collect();
                                 assert_eq!(
                                     *first.get_or_insert_with(|| c.clone()),
                                     c,
