@@ -91,6 +91,7 @@ pub mod check;
 mod compiled;
 mod dynamics;
 pub mod engine;
+pub mod graph;
 pub mod identify;
 mod numbers;
 pub mod optimize;

@@ -8,6 +8,7 @@ mod common {
 }
 mod derivatives;
 mod engine;
+mod graph;
 mod identify;
 mod numbers;
 mod optimize;

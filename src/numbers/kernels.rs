@@ -8,6 +8,7 @@
 
 pub mod elementwise;
 pub mod gemm;
+pub mod interpreter;
 pub mod tanh;
 pub mod trig;
 

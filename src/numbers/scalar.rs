@@ -239,7 +239,7 @@ pub trait Scalar:
 /// A vector in the plane times a power of two that lets squares neither overflow nor underflow.
 /// The power is 1 for lengths of usual size, so the numbers then keep their bits.
 #[derive(Clone, Copy)]
-struct Scaled<T> {
+pub(crate) struct Scaled<T> {
     x: T,
     y: T,
     /// `x² + y²`.
@@ -252,7 +252,7 @@ struct Scaled<T> {
 
 impl<T: Scalar> Scaled<T> {
     #[inline(always)]
-    fn new(x: T, y: T) -> Self {
+    pub(crate) fn new(x: T, y: T) -> Self {
         // Squares of numbers within 2^±range, and their reciprocals, are normal numbers.
         // Multiplication by 2^∓shift brings all other finite, nonzero numbers into this range.
         let (range, shift) = if T::Real::EPSILON < 1e-10 { (500, 600) } else { (60, 90) };
@@ -280,14 +280,14 @@ impl<T: Scalar> Scaled<T> {
 
     /// Derivatives of the length with respect to x and y.
     #[inline(always)]
-    fn direction(&self) -> [T; 2] {
+    pub(crate) fn direction(&self) -> [T; 2] {
         let root = self.root();
         [self.where_nonzero(self.x / root), self.where_nonzero(self.y / root)]
     }
 
     /// `[x, y] / (x² + y²)` of the vector before scaling.
     #[inline(always)]
-    fn per_square(&self) -> [T; 2] {
+    pub(crate) fn per_square(&self) -> [T; 2] {
         [self.x / self.square * self.unit, self.y / self.square * self.unit]
     }
 }

@@ -1,0 +1,418 @@
+//! [`Equations`]: a system as names, numbers and expressions, and its functions as graphs.
+
+use super::function::{Function, LISTS};
+use super::op::{Graph, Id};
+use super::parse::{ParseError, Parser, Term, name_problem, names};
+use crate::dynamics::number::Number;
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, HashMap};
+
+/// A system of equations. Its fields are the settings of a scene.
+///
+/// # Expressions
+/// Numbers; names of states, controls, parameters, tables and definitions; `t`, the time in s;
+/// `pi`. Operators are `+ - * / ^`, where `**` is the same as `^`. Their order of evaluation is
+/// that of Python. Functions are `sin cos tan asin acos atan atan2(y, x) sinh cosh tanh exp log
+/// sqrt abs sign min(a, b) max(a, b) clip(a, low, high) hypot(a, b) wrap(angle) pow(a, b)
+/// where(condition, a, b) detach(a)`. Conditions compare by `< <= > >=`, with `and`, `or` and `not`.
+/// `detach` drops the derivative, and `wrap` returns an angle between -π and π.
+///
+/// A whole exponent is repeated multiplication. `min`, `max` and `clip` of NaN are NaN; at equality
+/// they have the derivative of the second argument, or of the only one that is not a constant.
+/// Derivatives at singular points are those of [`Scalar`](crate::Scalar).
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Equations {
+    /// Names of the state components.
+    pub states: Vec<String>,
+    /// Names of the control components.
+    pub controls: Vec<String>,
+    /// Time step, s.
+    pub dt: f64,
+    /// States that are angles in rad.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub angles: Vec<String>,
+    /// Smallest and largest value of controls, by name.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub bounds: BTreeMap<String, [f64; 2]>,
+    /// Units of states, controls, parameters and tables, by name.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub units: BTreeMap<String, String>,
+    /// Numbers by name: constants, or drawn for each sample, or trained.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub parameters: BTreeMap<String, Number>,
+    /// Initial values of states, by name: constants, or drawn for each sample. 0 if absent.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub start: BTreeMap<String, Number>,
+    /// Values over time, by name: one per step, and the last one afterwards.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub tables: BTreeMap<String, Vec<f64>>,
+    /// Expressions by name, for use in all other expressions.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub define: BTreeMap<String, String>,
+    /// Derivative of each state with respect to time, for an integrator. Either `rate` or `next`.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub rate: BTreeMap<String, String>,
+    /// Each state after one step. Either `rate` or `next`.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub next: BTreeMap<String, String>,
+    /// What the policy observes. Default: the states.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub observe: Vec<String>,
+}
+
+/// Costs as expressions. An empty expression is no cost.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Costs {
+    /// Cost of each step. `next.NAME` is a state after the step.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub running: String,
+    /// Cost of the final state.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub terminal: String,
+}
+
+/// Why equations are not a system.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("`{key}` {what}")]
+pub struct EquationError {
+    /// Key of the setting, for example `rate.h1`; that of a cost begins with `loss`.
+    pub key: String,
+    /// What is wrong, as text after the key.
+    pub what: String,
+}
+
+impl EquationError {
+    pub(super) fn new(key: impl Into<String>, what: impl Into<String>) -> Self {
+        Self { key: key.into(), what: what.into() }
+    }
+}
+
+/// Largest numbers of components, parameters and tables, and of operations. They bound the memory
+/// of equations that somebody else wrote.
+const NAMES: usize = 4096;
+const OPERATIONS: usize = 200_000;
+
+/// Functions of the equations.
+#[derive(Debug)]
+pub(super) struct Functions {
+    pub(super) motion: Function,
+    /// Index of the velocity of each state that is a position.
+    pub(super) velocities: Vec<Option<usize>>,
+    pub(super) observe: Option<Function>,
+    pub(super) running: Option<Function>,
+    pub(super) terminal: Option<Function>,
+}
+
+/// Lists of inputs: x, u, p, next state, and time followed by the tables.
+const X: usize = 0;
+const U: usize = 1;
+const P: usize = 2;
+const NEXT: usize = 3;
+const TIME: usize = 4;
+
+impl Equations {
+    /// Returns whether the equations give rates, rather than next states.
+    pub fn is_continuous(&self) -> bool {
+        !self.rate.is_empty()
+    }
+
+    /// Functions of the equations and the costs.
+    pub(super) fn functions(&self, costs: &Costs) -> Result<Functions, EquationError> {
+        self.check_names()?;
+        self.check_numbers()?;
+        let mut reader = Reader::new(self);
+        self.define(&mut reader)?;
+        let (section, motion, other) = if self.is_continuous() {
+            ("rate", &self.rate, &self.next)
+        } else {
+            ("next", &self.next, &self.rate)
+        };
+        if !other.is_empty() {
+            return Err(EquationError::new("next", "and `rate` are both there; keep one of them"));
+        }
+        self.check_keys(section, motion.keys(), &self.states, "a state")?;
+        let motion: Vec<Id> = self
+            .states
+            .iter()
+            .map(|state| {
+                let key = format!("{section}.{state}");
+                let Some(text) = motion.get(state) else {
+                    return Err(EquationError::new(key, "is missing; each state needs an equation"));
+                };
+                reader.expression(&key, text)
+            })
+            .collect::<Result<_, _>>()?;
+        let observe: Vec<Id> = self
+            .observe
+            .iter()
+            .enumerate()
+            .map(|(i, text)| reader.expression(&format!("observe[{i}]"), text))
+            .collect::<Result<_, _>>()?;
+        let [running, terminal] = [("loss.running", &costs.running), ("loss.terminal", &costs.terminal)]
+            .map(|(key, text)| {
+                (!text.is_empty()).then(|| reader.expression(key, text)).transpose()
+            });
+        let velocities = velocities(&motion, self.states.len());
+        let function = |name: &str, outputs: Vec<Id>, allowed: &[usize]| {
+            reader.function(name, outputs, allowed)
+        };
+        let one = |name: &str, id: Option<Id>, allowed: &[usize]| {
+            id.map(|id| function(name, vec![id], allowed)).transpose()
+        };
+        Ok(Functions {
+            motion: function(section, motion, &[X, U, P, TIME])?,
+            velocities,
+            observe: (!observe.is_empty())
+                .then(|| function("observe", observe, &[X, P, TIME]))
+                .transpose()?,
+            running: one("loss.running", running?, &[X, U, P, NEXT, TIME])?,
+            terminal: one("loss.terminal", terminal?, &[X, P])?,
+        })
+    }
+
+    /// Names of numbers that vary, in the order of `p`.
+    fn varied(&self) -> impl Iterator<Item = &String> {
+        self.parameters.iter().filter(|(_, number)| !number.is_fixed()).map(|(name, _)| name)
+    }
+
+    /// Lengths of the lists of inputs.
+    fn lengths(&self) -> [usize; LISTS] {
+        let (states, controls) = (self.states.len(), self.controls.len());
+        [states, controls, self.varied().count(), states, 1 + self.tables.len()]
+    }
+
+    fn check_names(&self) -> Result<(), EquationError> {
+        let mut seen: HashMap<&str, &str> = HashMap::new();
+        let lists = [
+            ("states", self.states.iter().collect::<Vec<_>>()),
+            ("controls", self.controls.iter().collect()),
+            ("parameters", self.parameters.keys().collect()),
+            ("tables", self.tables.keys().collect()),
+            ("define", self.define.keys().collect()),
+        ];
+        for (key, list) in lists {
+            let limit = if key == "define" { OPERATIONS } else { NAMES };
+            if list.len() > limit {
+                let what = format!("has {} names; allowed: at most {limit}", list.len());
+                return Err(EquationError::new(key, what));
+            }
+            for name in list {
+                if let Some(problem) = name_problem(name) {
+                    return Err(EquationError::new(key, format!("has `{name}`, which {problem}")));
+                }
+                if let Some(other) = seen.insert(name, key) {
+                    let what = format!("has `{name}`, which is also in `{other}`; rename one");
+                    return Err(EquationError::new(key, what));
+                }
+            }
+        }
+        if self.states.is_empty() {
+            return Err(EquationError::new("states", "is empty; name at least one state"));
+        }
+        let numbers = [&self.states[..], &self.controls].concat();
+        let tables = self.tables.keys().chain(self.parameters.keys()).cloned();
+        let all: Vec<String> = numbers.into_iter().chain(tables).collect();
+        self.check_keys("angles", self.angles.iter(), &self.states, "a state")?;
+        self.check_keys("bounds", self.bounds.keys(), &self.controls, "a control")?;
+        self.check_keys("start", self.start.keys(), &self.states, "a state")?;
+        self.check_keys("units", self.units.keys(), &all, "a state, control, parameter or table")
+    }
+
+    fn check_keys<'a>(
+        &self,
+        section: &str,
+        mut keys: impl Iterator<Item = &'a String>,
+        allowed: &[String],
+        what: &str,
+    ) -> Result<(), EquationError> {
+        keys.try_for_each(|key| {
+            if allowed.contains(key) {
+                return Ok(());
+            }
+            let names = listed(allowed.iter().map(String::as_str));
+            let what = format!("has `{key}`, which is not {what}; allowed: {names}");
+            Err(EquationError::new(section, what))
+        })
+    }
+
+    fn check_numbers(&self) -> Result<(), EquationError> {
+        if !(self.dt.is_finite() && self.dt > 0.0) {
+            return Err(EquationError::new("dt", format!("is {}; allowed: a positive number", self.dt)));
+        }
+        for (section, numbers) in [("parameters", &self.parameters), ("start", &self.start)] {
+            for (name, number) in numbers {
+                let key = format!("{section}.{name}");
+                if let Some(value) = number.extremes().into_iter().find(|value| !value.is_finite()) {
+                    return Err(EquationError::new(key, format!("is {value}; allowed: a finite number")));
+                }
+                if section == "start" && matches!(number, Number::Trained { .. }) {
+                    let what = "is trained; allowed: a number or a distribution";
+                    return Err(EquationError::new(key, what));
+                }
+            }
+        }
+        for (name, values) in &self.tables {
+            if values.is_empty() || values.iter().any(|value| !value.is_finite()) {
+                let what = "is empty or has a number that is not finite; allowed: one value per step";
+                return Err(EquationError::new(format!("tables.{name}"), what));
+            }
+        }
+        for (name, [low, high]) in &self.bounds {
+            if low.is_nan() || high.is_nan() || low >= high {
+                let what = format!("is [{low}, {high}]; allowed: the smaller bound first");
+                return Err(EquationError::new(format!("bounds.{name}"), what));
+            }
+        }
+        Ok(())
+    }
+
+    /// Reads all definitions, each after those that it names.
+    fn define<'a>(&'a self, reader: &mut Reader<'a>) -> Result<(), EquationError> {
+        let mut waits: HashMap<&str, usize> = HashMap::new();
+        let mut followers: HashMap<&str, Vec<&str>> = HashMap::new();
+        for (name, text) in &self.define {
+            let mut before = names(text);
+            before.retain(|name| self.define.contains_key(*name));
+            before.sort_unstable();
+            before.dedup();
+            waits.insert(name, before.len());
+            before.into_iter().for_each(|before| followers.entry(before).or_default().push(name));
+        }
+        let names = self.define.keys().map(String::as_str);
+        let mut ready: Vec<&str> = names.filter(|name| waits[name] == 0).collect();
+        ready.reverse();
+        while let Some(name) = ready.pop() {
+            waits.remove(name);
+            let term = reader.term(&format!("define.{name}"), &self.define[name])?;
+            reader.known.insert(name.to_owned(), term);
+            for follower in followers.remove(name).unwrap_or_default() {
+                let count = waits.get_mut(follower).expect("a definition that waits");
+                *count -= 1;
+                if *count == 0 {
+                    ready.push(follower);
+                }
+            }
+        }
+        let Some(name) = waits.keys().min() else { return Ok(()) };
+        let what = "depends on itself, directly or through other definitions; allowed: no circle";
+        Err(EquationError::new(format!("define.{name}"), what))
+    }
+}
+
+/// Names in a message, at most a dozen.
+fn listed<'a>(names: impl Iterator<Item = &'a str>) -> String {
+    let names: Vec<&str> = names.collect();
+    let shown = names.iter().take(12).map(|name| format!("`{name}`")).collect::<Vec<_>>();
+    match names.len() {
+        0 => "nothing".into(),
+        count if count > 12 => format!("{} and {} more", shown.join(", "), count - 12),
+        _ => shown.join(", "),
+    }
+}
+
+/// Velocities of positions: the rate of a position is a state that is no position itself.
+fn velocities(rates: &[Id], states: usize) -> Vec<Option<usize>> {
+    let state_of = |i: usize| {
+        let of = rates[i] as usize;
+        (of < states && of != i).then_some(of)
+    };
+    (0..states).map(|i| state_of(i).filter(|&velocity| state_of(velocity).is_none())).collect()
+}
+
+/// A graph in which names have numbers.
+struct Reader<'a> {
+    equations: &'a Equations,
+    graph: Graph,
+    known: HashMap<String, Term>,
+}
+
+impl<'a> Reader<'a> {
+    fn new(equations: &'a Equations) -> Self {
+        let lengths = equations.lengths();
+        let mut graph = Graph::new(lengths.iter().sum());
+        let mut known = HashMap::new();
+        let next: Vec<String> = equations.states.iter().map(|name| format!("next.{name}")).collect();
+        let inputs = equations
+            .states
+            .iter()
+            .chain(&equations.controls)
+            .chain(equations.varied())
+            .cloned()
+            .chain(next)
+            .chain(["t".to_owned()])
+            .chain(equations.tables.keys().cloned());
+        known.extend(inputs.zip((0..).map(Term::Number)));
+        for (name, number) in &equations.parameters {
+            if let Number::Fixed(value) = *number {
+                known.insert(name.clone(), Term::Number(graph.constant(value)));
+            }
+        }
+        Self { equations, graph, known }
+    }
+
+    fn term(&mut self, key: &str, text: &str) -> Result<Term, EquationError> {
+        let (known, equations) = (&self.known, self.equations);
+        let resolve = |name: &str| known.get(name).copied().ok_or_else(|| unknown(equations, name));
+        let term = Parser::read(text, &mut self.graph, &resolve);
+        if self.graph.ops().len() > OPERATIONS {
+            let what = format!("exceeds {OPERATIONS} operations in all equations; allowed: fewer");
+            return Err(EquationError::new(key, what));
+        }
+        term.map_err(|ParseError { column, what }| EquationError::new(key, located(text, column, &what)))
+    }
+
+    fn expression(&mut self, key: &str, text: &str) -> Result<Id, EquationError> {
+        Ok(self.term(key, text)?.id(&mut self.graph))
+    }
+
+    /// Function of these outputs, which may depend on the `allowed` lists.
+    fn function(
+        &self,
+        name: &str,
+        outputs: Vec<Id>,
+        allowed: &[usize],
+    ) -> Result<Function, EquationError> {
+        let error = |what: String| EquationError::new(name, what);
+        let function = Function::new(self.graph.clone(), outputs, self.equations.lengths());
+        let function = function.map_err(|_| error("has too many numbers at once".into()))?;
+        for (list, what) in [
+            (U, "the control, which is not known there"),
+            (NEXT, "`next`, which only `loss.running` knows"),
+            (TIME, "the time or a table, which is not known there"),
+        ] {
+            if function.reads(list) && !allowed.contains(&list) {
+                return Err(error(format!("depends on {what}")));
+            }
+        }
+        Ok(function)
+    }
+}
+
+/// Message of an unknown name.
+fn unknown(equations: &Equations, name: &str) -> String {
+    let states = || equations.states.iter().map(String::as_str);
+    if let Some(state) = name.strip_prefix("next.") {
+        return format!("`{state}` is not a state; states are {}", listed(states()));
+    }
+    let all = states()
+        .chain(equations.controls.iter().map(String::as_str))
+        .chain(equations.parameters.keys().map(String::as_str))
+        .chain(equations.tables.keys().map(String::as_str))
+        .chain(equations.define.keys().map(String::as_str));
+    format!("`{name}` is unknown; known are {} and `t`, `pi`", listed(all))
+}
+
+/// A problem at a column of an expression, with the text around it.
+fn located(text: &str, column: usize, what: &str) -> String {
+    let around: String = text.chars().skip(column.saturating_sub(21)).take(41).collect();
+    let around = around.trim();
+    if text.chars().count() <= 41 {
+        format!("has an error in column {column} of `{text}`: {what}")
+    } else {
+        format!("has an error in column {column}, at `…{around}…`: {what}")
+    }
+}

@@ -1,0 +1,566 @@
+//! [`Parser`]: an expression as text, appended to a graph.
+//!
+//! The operations of the graph are those of the text, in its order: nothing is reassociated.
+//! Operations on literals alone are computed in f64 when the text is read.
+
+use super::op::{Graph, Id, Op};
+use crate::numbers::scalar::Scalar;
+use std::f64::consts::PI;
+use std::fmt;
+
+/// An error in an expression, with its place.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct ParseError {
+    /// Column of the first character that does not fit, from 1.
+    pub(super) column: usize,
+    /// What is wrong, and what to write instead.
+    pub(super) what: String,
+}
+
+/// A number of an expression.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Term {
+    /// A literal, or the result of operations on literals.
+    Literal(f64),
+    /// A number of the graph.
+    Number(Id),
+}
+
+impl Term {
+    pub(super) fn id(self, graph: &mut Graph) -> Id {
+        match self {
+            Self::Literal(value) => graph.constant(value),
+            Self::Number(id) => id,
+        }
+    }
+}
+
+/// A comparison of numbers, or several of them.
+#[derive(Debug)]
+enum Condition {
+    Less(Id, Id),
+    LessOrEqual(Id, Id),
+    And(Box<[Condition; 2]>),
+    Or(Box<[Condition; 2]>),
+    Not(Box<Condition>),
+}
+
+impl Condition {
+    /// `yes` where the condition holds, else `no`.
+    fn select(&self, graph: &mut Graph, yes: Id, no: Id) -> Id {
+        match self {
+            Self::Less(a, b) => graph.add(Op::Select(*a, *b, yes, no)),
+            Self::LessOrEqual(a, b) => graph.add(Op::SelectLe(*a, *b, yes, no)),
+            Self::And(both) => {
+                let second = both[1].select(graph, yes, no);
+                both[0].select(graph, second, no)
+            }
+            Self::Or(both) => {
+                let second = both[1].select(graph, yes, no);
+                both[0].select(graph, yes, second)
+            }
+            Self::Not(condition) => condition.select(graph, no, yes),
+        }
+    }
+}
+
+enum Value {
+    Term(Term),
+    Condition(Condition),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Token<'a> {
+    Number(f64),
+    Name(&'a str),
+    Symbol(&'static str),
+    End,
+}
+
+impl fmt::Display for Token<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Number(value) => write!(f, "`{value}`"),
+            Self::Name(name) => write!(f, "`{name}`"),
+            Self::Symbol(symbol) => write!(f, "`{symbol}`"),
+            Self::End => f.write_str("the end"),
+        }
+    }
+}
+
+/// Symbols, longer ones first.
+const SYMBOLS: [&str; 14] =
+    ["**", "<=", ">=", "==", "!=", "<", ">", "+", "-", "*", "/", "^", "(", ")"];
+
+/// Functions with their numbers of arguments.
+const FUNCTIONS: [(&str, usize); 23] = [
+    ("sin", 1),
+    ("cos", 1),
+    ("tan", 1),
+    ("asin", 1),
+    ("acos", 1),
+    ("atan", 1),
+    ("atan2", 2),
+    ("sinh", 1),
+    ("cosh", 1),
+    ("tanh", 1),
+    ("exp", 1),
+    ("log", 1),
+    ("sqrt", 1),
+    ("abs", 1),
+    ("sign", 1),
+    ("min", 2),
+    ("max", 2),
+    ("hypot", 2),
+    ("clip", 3),
+    ("where", 3),
+    ("detach", 1),
+    ("wrap", 1),
+    ("pow", 2),
+];
+
+/// Words that cannot be names.
+const WORDS: [&str; 6] = ["pi", "t", "next", "and", "or", "not"];
+
+/// Why a name cannot be that of a number, or None.
+pub(super) fn name_problem(name: &str) -> Option<&'static str> {
+    let mut letters = name.chars();
+    let begins = letters.next().is_some_and(|first| first.is_ascii_alphabetic() || first == '_');
+    if !begins || !letters.all(|letter| letter.is_ascii_alphanumeric() || letter == '_') {
+        return Some("is not a name; allowed: letters, digits and `_`, and no digit first");
+    }
+    let is_taken =
+        WORDS.contains(&name) || FUNCTIONS.iter().any(|(function, _)| *function == name);
+    is_taken.then_some("has a meaning of its own in equations; choose another name")
+}
+
+/// Names in an expression, for the order of definitions. Invalid text has the names before the
+/// first invalid character.
+pub(super) fn names(text: &str) -> Vec<&str> {
+    let mut lexer = Lexer { text, at: 0 };
+    let mut names = Vec::new();
+    while let Ok((_, token)) = lexer.token() {
+        match token {
+            Token::Name(name) => names.push(name),
+            Token::End => break,
+            _ => {}
+        }
+    }
+    names
+}
+
+struct Lexer<'a> {
+    text: &'a str,
+    /// Bytes that were read.
+    at: usize,
+}
+
+impl<'a> Lexer<'a> {
+    fn error(&self, at: usize, what: impl Into<String>) -> ParseError {
+        ParseError { column: self.text[..at].chars().count() + 1, what: what.into() }
+    }
+
+    /// The next token and its place.
+    fn token(&mut self) -> Result<(usize, Token<'a>), ParseError> {
+        let rest = self.text[self.at..].trim_start();
+        let start = self.text.len() - rest.len();
+        let Some(first) = rest.chars().next() else {
+            self.at = start;
+            return Ok((start, Token::End));
+        };
+        let is_of_name = |letter: char| letter.is_ascii_alphanumeric() || letter == '_';
+        let (length, token) = if first.is_ascii_digit() || first == '.' {
+            let length = number_length(rest);
+            let value: Option<f64> = rest[..length].parse().ok();
+            let Some(value) = value.filter(|value| value.is_finite()) else {
+                return Err(self.error(start, format!("`{}` is not a number", &rest[..length])));
+            };
+            (length, Token::Number(value))
+        } else if first.is_ascii_alphabetic() || first == '_' {
+            // `next.name` is one name.
+            let dotted = |letter: char| is_of_name(letter) || letter == '.';
+            let length = rest.find(|letter| !dotted(letter)).unwrap_or(rest.len());
+            (length, Token::Name(&rest[..length]))
+        } else if first == ',' {
+            (1, Token::Symbol(","))
+        } else if let Some(symbol) = SYMBOLS.into_iter().find(|symbol| rest.starts_with(symbol)) {
+            (symbol.len(), Token::Symbol(if symbol == "**" { "^" } else { symbol }))
+        } else {
+            return Err(self.error(start, format!("`{first}` has no meaning here")));
+        };
+        self.at = start + length;
+        Ok((start, token))
+    }
+}
+
+/// Length of the number at the start of the text: digits, a point, an exponent.
+fn number_length(text: &str) -> usize {
+    let bytes = text.as_bytes();
+    let digits = |from: usize| bytes[from..].iter().take_while(|byte| byte.is_ascii_digit()).count();
+    let mut length = digits(0);
+    if bytes.get(length) == Some(&b'.') {
+        length += 1 + digits(length + 1);
+    }
+    if matches!(bytes.get(length), Some(b'e' | b'E')) {
+        let sign = usize::from(matches!(bytes.get(length + 1), Some(b'+' | b'-')));
+        let exponent = digits((length + 1 + sign).min(bytes.len()));
+        if exponent > 0 {
+            length += 1 + sign + exponent;
+        }
+    }
+    length
+}
+
+/// Strengths of operators: a higher one binds first.
+mod strength {
+    pub(super) const OR: u8 = 1;
+    pub(super) const AND: u8 = 2;
+    pub(super) const NOT: u8 = 3;
+    pub(super) const COMPARISON: u8 = 4;
+    pub(super) const SUM: u8 = 5;
+    pub(super) const PRODUCT: u8 = 6;
+    pub(super) const SIGN: u8 = 7;
+    pub(super) const POWER: u8 = 8;
+}
+
+/// Largest depth of parentheses, functions and signs.
+const DEPTH: usize = 100;
+/// Largest whole exponent that is repeated multiplication.
+const MULTIPLIED: f64 = 64.0;
+
+/// Reads one expression.
+pub(super) struct Parser<'a, 'g> {
+    lexer: Lexer<'a>,
+    /// The next token and its place.
+    next: (usize, Token<'a>),
+    depth: usize,
+    graph: &'g mut Graph,
+    /// The number with this name, or what is wrong with the name.
+    resolve: &'g dyn Fn(&str) -> Result<Term, String>,
+}
+
+impl<'a, 'g> Parser<'a, 'g> {
+    /// Appends the expression to the graph.
+    pub(super) fn read(
+        text: &'a str,
+        graph: &'g mut Graph,
+        resolve: &'g dyn Fn(&str) -> Result<Term, String>,
+    ) -> Result<Term, ParseError> {
+        let mut lexer = Lexer { text, at: 0 };
+        let next = lexer.token()?;
+        let mut parser = Self { lexer, next, depth: 0, graph, resolve };
+        let value = parser.expression(0)?;
+        let term = parser.term(value, 0)?;
+        match parser.next {
+            (_, Token::End) => Ok(term),
+            (at, token) => Err(parser.unexpected(at, token, "an operator")),
+        }
+    }
+
+    fn error(&self, at: usize, what: impl Into<String>) -> ParseError {
+        self.lexer.error(at, what)
+    }
+
+    fn unexpected(&self, at: usize, token: Token<'_>, expected: &str) -> ParseError {
+        let hint = match token {
+            Token::Symbol("==" | "!=") => "; numbers are hardly ever equal, compare them with `<`",
+            _ => "",
+        };
+        self.error(at, format!("{token} where {expected} is expected{hint}"))
+    }
+
+    fn advance(&mut self) -> Result<(usize, Token<'a>), ParseError> {
+        let token = self.lexer.token()?;
+        Ok(std::mem::replace(&mut self.next, token))
+    }
+
+    fn expect(&mut self, symbol: &'static str) -> Result<(), ParseError> {
+        match self.next {
+            (_, token) if token == Token::Symbol(symbol) => self.advance().map(drop),
+            (at, token) => Err(self.unexpected(at, token, &format!("`{symbol}`"))),
+        }
+    }
+
+    fn term(&self, value: Value, at: usize) -> Result<Term, ParseError> {
+        match value {
+            Value::Term(term) => Ok(term),
+            Value::Condition(_) => {
+                let what = "a condition where a number is expected; write `where(condition, a, b)`";
+                Err(self.error(at, what))
+            }
+        }
+    }
+
+    fn condition(&self, value: Value, at: usize) -> Result<Condition, ParseError> {
+        match value {
+            Value::Condition(condition) => Ok(condition),
+            Value::Term(_) => {
+                Err(self.error(at, "a number where a condition is expected, such as `a < b`"))
+            }
+        }
+    }
+
+    /// Reads an expression whose operators bind at least as strongly as `least`.
+    fn expression(&mut self, least: u8) -> Result<Value, ParseError> {
+        self.depth += 1;
+        if self.depth > DEPTH {
+            let what = format!("more than {DEPTH} levels; name a part of it in `define`");
+            return Err(self.error(self.next.0, what));
+        }
+        let start = self.next.0;
+        let mut left = self.operand()?;
+        loop {
+            let (at, token) = self.next;
+            let (operator, strength, right) = match token {
+                Token::Symbol(symbol @ ("+" | "-")) => {
+                    (symbol, strength::SUM, strength::SUM + 1)
+                }
+                Token::Symbol(symbol @ ("*" | "/")) => {
+                    (symbol, strength::PRODUCT, strength::PRODUCT + 1)
+                }
+                // From right to left; an exponent may have a sign.
+                Token::Symbol(symbol @ "^") => (symbol, strength::POWER, strength::SIGN),
+                Token::Symbol(symbol @ ("<" | "<=" | ">" | ">=")) => {
+                    (symbol, strength::COMPARISON, strength::COMPARISON + 1)
+                }
+                Token::Name("and") => ("and", strength::AND, strength::AND + 1),
+                Token::Name("or") => ("or", strength::OR, strength::OR + 1),
+                _ => break,
+            };
+            if strength < least {
+                break;
+            }
+            self.advance()?;
+            let second = self.next.0;
+            let right = self.expression(right)?;
+            left = self.combined(operator, (left, start), (right, second), at)?;
+        }
+        self.depth -= 1;
+        Ok(left)
+    }
+
+    /// Result of an operator between two values with their places.
+    fn combined(
+        &mut self,
+        operator: &str,
+        (left, start): (Value, usize),
+        (right, second): (Value, usize),
+        at: usize,
+    ) -> Result<Value, ParseError> {
+        if let "and" | "or" = operator {
+            let both =
+                Box::new([self.condition(left, start)?, self.condition(right, second)?]);
+            let joined = if operator == "and" { Condition::And(both) } else { Condition::Or(both) };
+            return Ok(Value::Condition(joined));
+        }
+        if let ("<" | "<=" | ">" | ">=", Value::Condition(_)) = (operator, &left) {
+            return Err(self.error(at, "two comparisons in a row; write `a < b and b < c`"));
+        }
+        let (left, right) = (self.term(left, start)?, self.term(right, second)?);
+        if let "<" | "<=" | ">" | ">=" = operator {
+            let (a, b) = (left.id(self.graph), right.id(self.graph));
+            return Ok(Value::Condition(match operator {
+                "<" => Condition::Less(a, b),
+                "<=" => Condition::LessOrEqual(a, b),
+                ">" => Condition::Less(b, a),
+                _ => Condition::LessOrEqual(b, a),
+            }));
+        }
+        let term = match operator {
+            "+" => self.binary(left, right, Op::Add, |a, b| a + b),
+            "-" => self.binary(left, right, Op::Sub, |a, b| a - b),
+            "*" => self.binary(left, right, Op::Mul, |a, b| a * b),
+            "/" => self.binary(left, right, Op::Div, |a, b| a / b),
+            _ => self.power(left, right),
+        };
+        self.checked(term, at).map(Value::Term)
+    }
+
+    /// Refuses literals such as `1 / 0`.
+    fn checked(&self, term: Term, at: usize) -> Result<Term, ParseError> {
+        match term {
+            Term::Literal(value) if !value.is_finite() => {
+                Err(self.error(at, format!("the result of these literals is {value}")))
+            }
+            term => Ok(term),
+        }
+    }
+
+    fn binary(
+        &mut self,
+        a: Term,
+        b: Term,
+        op: fn(Id, Id) -> Op,
+        of_literals: fn(f64, f64) -> f64,
+    ) -> Term {
+        if let (Term::Literal(a), Term::Literal(b)) = (a, b) {
+            return Term::Literal(of_literals(a, b));
+        }
+        let (a, b) = (a.id(self.graph), b.id(self.graph));
+        Term::Number(self.graph.add(op(a, b)))
+    }
+
+    fn unary(&mut self, a: Term, op: fn(Id) -> Op, of_literal: fn(f64) -> f64) -> Term {
+        match a {
+            Term::Literal(a) => Term::Literal(of_literal(a)),
+            Term::Number(a) => Term::Number(self.graph.add(op(a))),
+        }
+    }
+
+    /// A power with a whole literal exponent is a product, as [`Scalar::powi`] is. Another literal
+    /// exponent is [`Scalar::powf`]; `a^b` is `exp(b log(a))`.
+    fn power(&mut self, base: Term, exponent: Term) -> Term {
+        let Term::Literal(power) = exponent else {
+            let log = self.unary(base, Op::Ln, Scalar::ln);
+            let product = self.binary(log, exponent, Op::Mul, |a, b| a * b);
+            return self.unary(product, Op::Exp, Scalar::exp);
+        };
+        let Term::Number(a) = base else {
+            let Term::Literal(base) = base else { unreachable!("a term is one of two") };
+            return Term::Literal(base.powf(power));
+        };
+        if power.fract() != 0.0 || power.abs() > MULTIPLIED {
+            let exponent = self.graph.constant(power);
+            return Term::Number(self.graph.add(Op::Powf(a, exponent)));
+        }
+        let one = self.graph.constant(1.0);
+        let product =
+            (0..power.abs() as u32).fold(one, |product, _| self.graph.add(Op::Mul(product, a)));
+        let is_negative = power < 0.0;
+        Term::Number(if is_negative { self.graph.add(Op::Div(one, product)) } else { product })
+    }
+
+    /// Reads a number, a name, a function, a sign or parentheses.
+    fn operand(&mut self) -> Result<Value, ParseError> {
+        let (at, token) = self.advance()?;
+        match token {
+            Token::Number(value) => Ok(Value::Term(Term::Literal(value))),
+            Token::Symbol("(") => {
+                let value = self.expression(0)?;
+                self.expect(")")?;
+                Ok(value)
+            }
+            Token::Symbol("-") => {
+                let value = self.expression(strength::SIGN)?;
+                let term = self.term(value, at)?;
+                Ok(Value::Term(self.unary(term, Op::Neg, |a| -a)))
+            }
+            Token::Symbol("+") => self.expression(strength::SIGN),
+            Token::Name("not") => {
+                let value = self.expression(strength::NOT)?;
+                let condition = self.condition(value, at)?;
+                Ok(Value::Condition(Condition::Not(Box::new(condition))))
+            }
+            Token::Name("pi") => Ok(Value::Term(Term::Literal(PI))),
+            Token::Name(name) if self.next.1 == Token::Symbol("(") => self.call(name, at),
+            Token::Name(name) if !["and", "or"].contains(&name) => {
+                let term = (self.resolve)(name).map_err(|what| self.error(at, what))?;
+                Ok(Value::Term(term))
+            }
+            token => Err(self.unexpected(at, token, "a number, a name or `(`")),
+        }
+    }
+
+    /// Reads the arguments of a function.
+    fn call(&mut self, name: &str, at: usize) -> Result<Value, ParseError> {
+        let Some((_, count)) = FUNCTIONS.iter().find(|(function, _)| *function == name) else {
+            let known = FUNCTIONS.map(|(function, _)| function).join(", ");
+            let what = if (self.resolve)(name).is_ok() {
+                format!("`{name}` is a number, not a function; write `{name} * (...)` for a product")
+            } else {
+                format!("`{name}` is not a function; functions are {known}")
+            };
+            return Err(self.error(at, what));
+        };
+        self.expect("(")?;
+        let mut arguments = Vec::new();
+        loop {
+            let start = self.next.0;
+            arguments.push((self.expression(0)?, start));
+            match self.next.1 {
+                Token::Symbol(",") if arguments.len() < *count => drop(self.advance()?),
+                _ => break,
+            }
+        }
+        if arguments.len() < *count || self.next.1 == Token::Symbol(",") {
+            let more = if arguments.len() < *count { "fewer" } else { "more" };
+            return Err(self.error(at, format!("`{name}` takes {count} arguments, here are {more}")));
+        }
+        self.expect(")")?;
+        let condition = if name == "where" {
+            let (first, start) = arguments.remove(0);
+            Some(self.condition(first, start)?)
+        } else {
+            None
+        };
+        let mut terms = [Term::Literal(0.0); 3];
+        for (term, (value, start)) in terms.iter_mut().zip(arguments) {
+            *term = self.term(value, start)?;
+        }
+        let term = match condition {
+            Some(condition) => {
+                let [yes, no] = [terms[0], terms[1]].map(|term| term.id(self.graph));
+                Term::Number(condition.select(self.graph, yes, no))
+            }
+            None => self.function(name, terms),
+        };
+        self.checked(term, at).map(Value::Term)
+    }
+
+    /// Result of a function of numbers.
+    fn function(&mut self, name: &str, [a, b, c]: [Term; 3]) -> Term {
+        match name {
+            "sin" => self.unary(a, Op::Sin, Scalar::sin),
+            "cos" => self.unary(a, Op::Cos, Scalar::cos),
+            "tan" => {
+                let (sin, cos) = (self.function("sin", [a; 3]), self.function("cos", [a; 3]));
+                self.binary(sin, cos, Op::Div, |a, b| a / b)
+            }
+            "asin" => self.unary(a, Op::Asin, Scalar::asin),
+            "acos" => self.unary(a, Op::Acos, Scalar::acos),
+            "atan" => self.binary(a, Term::Literal(1.0), Op::Atan2, Scalar::atan2),
+            "atan2" => self.binary(a, b, Op::Atan2, Scalar::atan2),
+            "tanh" => self.unary(a, Op::Tanh, Scalar::tanh),
+            "cosh" => {
+                let minus = self.unary(a, Op::Neg, |a| -a);
+                let [up, down] = [a, minus].map(|a| self.unary(a, Op::Exp, Scalar::exp));
+                let sum = self.binary(up, down, Op::Add, |a, b| a + b);
+                self.binary(sum, Term::Literal(0.5), Op::Mul, |a, b| a * b)
+            }
+            // Accurate near 0, where the difference of exponentials is not.
+            "sinh" => {
+                let (tanh, cosh) = (self.function("tanh", [a; 3]), self.function("cosh", [a; 3]));
+                self.binary(tanh, cosh, Op::Mul, |a, b| a * b)
+            }
+            "exp" => self.unary(a, Op::Exp, Scalar::exp),
+            "log" => self.unary(a, Op::Ln, Scalar::ln),
+            "sqrt" => self.unary(a, Op::Sqrt, Scalar::sqrt),
+            "abs" => self.unary(a, Op::Abs, Scalar::abs),
+            "detach" => self.unary(a, Op::Detach, |a| a),
+            "min" => self.binary(a, b, Op::Min, f64::min),
+            "max" => self.binary(a, b, Op::Max, f64::max),
+            "hypot" => self.binary(a, b, Op::Hypot, Scalar::hypot),
+            "pow" => self.power(a, b),
+            "clip" => {
+                let above = self.binary(a, b, Op::Max, f64::max);
+                self.binary(above, c, Op::Min, f64::min)
+            }
+            "wrap" => {
+                let (sin, cos) = (self.function("sin", [a; 3]), self.function("cos", [a; 3]));
+                self.binary(sin, cos, Op::Atan2, Scalar::atan2)
+            }
+            _ => self.sign(a),
+        }
+    }
+
+    /// -1, 0 or 1, without a derivative.
+    fn sign(&mut self, a: Term) -> Term {
+        let Term::Number(a) = a else {
+            return self.unary(a, Op::Detach, |a| if a == 0.0 { a } else { a.signum() });
+        };
+        let [zero, one, minus] = [0.0, 1.0, -1.0].map(|value| self.graph.constant(value));
+        let value = self.graph.add(Op::Detach(a));
+        let not_negative = self.graph.add(Op::Select(zero, value, one, value));
+        Term::Number(self.graph.add(Op::Select(value, zero, minus, not_negative)))
+    }
+}

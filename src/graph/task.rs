@@ -1,0 +1,455 @@
+//! [`GraphTask`] and [`GraphSystem`]: equations, or a recorded task, as a task and its system.
+
+use super::equations::{Costs, EquationError, Equations, Functions};
+use super::function::Function;
+use super::op::Graph;
+use super::record::{Branches, Recorded, record};
+use crate::dynamics::cause::Cause;
+use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs, Start};
+use crate::dynamics::integrator::{AnyIntegrator, Integrator as _};
+use crate::dynamics::number::{Number, Varied};
+use crate::dynamics::ode::Ode;
+use crate::dynamics::system::System;
+use crate::dynamics::task::Task;
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
+use smallvec::SmallVec;
+use std::sync::Arc;
+
+type StartFn = dyn Fn(&mut Rng, Start<'_>) + Send + Sync;
+
+/// A task whose system, observation and costs are graphs.
+#[derive(Clone)]
+pub struct GraphTask {
+    system: GraphSystem,
+    observe: Option<Arc<Function>>,
+    running: Option<Arc<Function>>,
+    terminal: Option<Arc<Function>>,
+    start: Arc<StartFn>,
+    params: usize,
+    horizon: usize,
+    control_bounds: Option<Vec<[f64; 2]>>,
+    /// Steps of the system per step of the task.
+    substeps: usize,
+}
+
+/// System of a [`GraphTask`].
+#[derive(Clone)]
+pub struct GraphSystem {
+    states: usize,
+    controls: usize,
+    /// Parameters that the graph reads, the last entries of `p`.
+    params: usize,
+    /// Numbers that vary, with their indices among these parameters.
+    varied: Vec<Varied>,
+    motion: Arc<Function>,
+    /// Method and velocities of rates; None if the graph gives next states.
+    rate: Option<(AnyIntegrator, Arc<[Option<usize>]>)>,
+    /// Time of one step, s.
+    dt: f64,
+    tables: Arc<[Vec<f64>]>,
+    /// Steps per value of a table.
+    steps_per_value: usize,
+}
+
+/// Why a task cannot be recorded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum RecordError {
+    /// Code branches on values, as iterative solvers and adaptive integrators do.
+    #[error("the code branches on values (`any_lt`), which a graph cannot; use a fixed number of iterations")]
+    Branches,
+    /// The step depends on the step number.
+    #[error("the step, the observation or the cost depends on the step number `t`")]
+    DependsOnStep,
+    /// There are too many numbers at once.
+    #[error("there are more than 65,535 numbers at once")]
+    TooLarge,
+}
+
+impl GraphTask {
+    /// Task of these equations.
+    ///
+    /// Rates are discretized by `method`, with `substeps` steps per time step. They are fixed for
+    /// equations that give the next states, where `substeps` must be 1.
+    ///
+    /// # Errors
+    /// An expression does not fit, or a number has no valid value. The error has the key of the
+    /// setting.
+    pub fn new(
+        equations: &Equations,
+        costs: &Costs,
+        method: AnyIntegrator,
+        substeps: usize,
+        horizon: usize,
+    ) -> Result<Self, EquationError> {
+        let Functions { motion, velocities, observe, running, terminal } =
+            equations.functions(costs)?;
+        if substeps != 1 && !equations.is_continuous() {
+            let what = format!("gives the state after a whole step, but there are {substeps} substeps; write `rate`");
+            return Err(EquationError::new("next", what));
+        }
+        let start: Vec<Number> = equations
+            .states
+            .iter()
+            .map(|state| equations.start.get(state).copied().unwrap_or(Number::Fixed(0.0)))
+            .collect();
+        let varied = equations.parameters.iter().filter(|(_, number)| !number.is_fixed());
+        let varied: Vec<Varied> = varied
+            .enumerate()
+            .map(|(index, (name, &number))| {
+                Varied { index, name: format!("parameters.{name}"), number }
+            })
+            .collect();
+        let unbounded = [f64::NEG_INFINITY, f64::INFINITY];
+        let bounds = equations.controls.iter().map(|control| {
+            equations.bounds.get(control).copied().unwrap_or(unbounded)
+        });
+        let system = GraphSystem {
+            states: equations.states.len(),
+            controls: equations.controls.len(),
+            params: varied.len(),
+            varied,
+            motion: Arc::new(motion),
+            rate: equations.is_continuous().then(|| (method, velocities.into())),
+            dt: equations.dt / substeps as f64,
+            tables: equations.tables.values().cloned().collect(),
+            steps_per_value: substeps,
+        };
+        Ok(Self {
+            observe: observe.map(Arc::new),
+            running: running.map(Arc::new),
+            terminal: terminal.map(Arc::new),
+            start: Arc::new(move |rng, Start { x, .. }| {
+                x.iter_mut().zip(&start).for_each(|(x, number)| *x = number.draw(rng));
+            }),
+            params: system.params,
+            horizon,
+            control_bounds: (!equations.bounds.is_empty()).then(|| bounds.collect()),
+            substeps,
+            system,
+        })
+    }
+
+    /// Records a task. Values of the graph have the bits of the task.
+    ///
+    /// # Errors
+    /// The code branches on values or depends on the step number.
+    pub fn of<T: Task + Clone + 'static>(task: &T) -> Result<Self, RecordError> {
+        let system = task.system();
+        let (n, m, k) = (system.state_dim(), system.control_dim(), task.param_dim());
+        let lengths = [n, m, k, n, 0];
+        let at = |work: &dyn Fn(Inputs<'_, Recorded>, &[Recorded]) -> Vec<Recorded>| {
+            let functions = [0, 1].map(|t| {
+                let mut graph = Graph::new(lengths.iter().sum());
+                let outputs = record(&mut graph, |all| {
+                    let (x, rest) = all.split_at(n);
+                    let (u, rest) = rest.split_at(m);
+                    let (p, next) = rest.split_at(k);
+                    work(Inputs { x, u, p, t }, next)
+                });
+                outputs.map(|outputs| (graph, outputs.iter().map(|number| number.0).collect::<Vec<_>>()))
+            });
+            let [first, second] = functions;
+            let ((graph, outputs), (other, other_outputs)) =
+                (first.map_err(branches)?, second.map_err(branches)?);
+            if !same(&graph, &outputs, &other, &other_outputs) {
+                return Err(RecordError::DependsOnStep);
+            }
+            let function = Function::new(graph, outputs, lengths);
+            function.map(Arc::new).map_err(|_| RecordError::TooLarge)
+        };
+        let motion = at(&|inputs, _| {
+            let mut next = inputs.x.to_vec();
+            system.step(inputs, &mut next);
+            next
+        })?;
+        let observe = task.observation_dim().map(|dim| {
+            at(&|inputs, _| {
+                let mut y = vec![Recorded::zero(); dim];
+                task.observe(Inputs { u: &[], ..inputs }, &mut y);
+                y
+            })
+        });
+        let running = at(&|inputs, next| vec![task.running_cost(inputs, next)])?;
+        let terminal = at(&|Inputs { x, p, .. }, _| vec![task.terminal_cost(x, p)])?;
+        let own = task.clone();
+        let system = GraphSystem {
+            states: n,
+            controls: m,
+            params: k,
+            varied: system.varied(k),
+            motion,
+            rate: None,
+            dt: 1.0,
+            tables: Arc::default(),
+            steps_per_value: 1,
+        };
+        Ok(Self {
+            observe: observe.transpose()?,
+            running: Some(running),
+            terminal: Some(terminal),
+            start: Arc::new(move |rng, start| own.start(rng, start)),
+            params: k,
+            horizon: task.horizon(),
+            control_bounds: task.control_bounds(),
+            substeps: 1,
+            system,
+        })
+    }
+
+    /// The time and the values of tables at a step of the task.
+    fn signals<T: Scalar>(&self, t: usize) -> Signals<T> {
+        self.system.signals(t * self.substeps)
+    }
+}
+
+fn branches(_: Branches) -> RecordError {
+    RecordError::Branches
+}
+
+/// Returns whether two graphs compute the same outputs. Operations that no output needs may differ.
+fn same(a: &Graph, of_a: &[u32], b: &Graph, of_b: &[u32]) -> bool {
+    let mut known = vec![u32::MAX; a.ops().len()];
+    let (needed_a, needed_b) =
+        (a.needed(of_a.iter().copied()), b.needed(of_b.iter().copied()));
+    let list = |graph: &Graph, needed: &[bool]| -> Vec<u32> {
+        (0..graph.ops().len() as u32).filter(|&id| needed[id as usize]).collect()
+    };
+    let (list_a, list_b) = (list(a, &needed_a), list(b, &needed_b));
+    if list_a.len() != list_b.len() || of_a.len() != of_b.len() {
+        return false;
+    }
+    list_a.iter().zip(&list_b).for_each(|(&i, &j)| known[i as usize] = j);
+    let equal = |(&i, &j): (&u32, &u32)| {
+        let (op, other) = (a.ops()[i as usize], b.ops()[j as usize]);
+        let is_input = op == super::op::Op::Input && i != j;
+        std::mem::discriminant(&op) == std::mem::discriminant(&other)
+            && op.args().map(|arg| known[arg as usize]).eq(other.args())
+            && (op.args().next().is_some() || op == other)
+            && !is_input
+    };
+    list_a.iter().zip(&list_b).all(equal)
+        && of_a.iter().zip(of_b).all(|(&i, &j)| known[i as usize] == j)
+}
+
+type Signals<T> = SmallVec<[T; 4]>;
+
+impl GraphSystem {
+    /// The time at the beginning of a step, and the values of tables.
+    #[inline(always)]
+    fn signals<T: Scalar>(&self, step: usize) -> Signals<T> {
+        self.signals_at(T::from(step as f64 * self.dt), step)
+    }
+
+    #[inline(always)]
+    fn signals_at<T: Scalar>(&self, time: T, step: usize) -> Signals<T> {
+        let row = step / self.steps_per_value;
+        let values = self.tables.iter().map(|table| T::from(table[row.min(table.len() - 1)]));
+        std::iter::once(time).chain(values).collect()
+    }
+
+    /// The rates at a step.
+    fn field(&self, step: usize) -> Field<'_> {
+        Field { system: self, step }
+    }
+
+    /// The parameters of the graph. A task may have further ones before them.
+    #[inline(always)]
+    fn own<'a, T>(&self, p: &'a [T]) -> &'a [T] {
+        &p[p.len() - self.params..]
+    }
+
+    #[inline(always)]
+    fn pull<R: Real, C: Cotangent<R>>(
+        &self,
+        Inputs { x, u, p, .. }: Inputs<'_, R, ()>,
+        signals: &[R],
+        output_bars: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
+        let skipped = p.len() - self.params;
+        let Cotangents { x: x_bar, u: u_bar, p: p_bar } = cotangents.skip_params(skipped);
+        let lists = [x, u, &p[skipped..], &[], signals];
+        self.motion.vjp(lists, output_bars, [x_bar, u_bar, p_bar, None]);
+    }
+}
+
+impl System for GraphSystem {
+    fn state_dim(&self) -> usize {
+        self.states
+    }
+
+    fn control_dim(&self) -> usize {
+        self.controls
+    }
+
+    fn param_dim(&self) -> usize {
+        self.params
+    }
+
+    fn varied(&self, params: usize) -> Vec<Varied> {
+        let first = params - self.params;
+        let shifted = |varied: &Varied| Varied { index: first + varied.index, ..varied.clone() };
+        self.varied.iter().map(shifted).collect()
+    }
+
+    fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
+        let Inputs { x, u, p, t } = inputs;
+        match &self.rate {
+            Some((method, _)) => method.advance(&self.field(t), self.dt, inputs, next),
+            None => self.motion.eval([x, u, self.own(p), &[], &self.signals(t)], next),
+        }
+    }
+
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
+        let Inputs { x, u, p, t } = inputs;
+        match &self.rate {
+            Some((method, _)) => {
+                method.vjp(&self.field(t), self.dt, inputs, next_bar, cotangents);
+            }
+            None => {
+                let inputs = Inputs { x, u, p, t: () };
+                self.pull(inputs, &self.signals(t), next_bar, cotangents);
+            }
+        }
+    }
+
+    fn diagnose<R: Real>(&self, inputs: Inputs<'_, R>) -> Option<Cause> {
+        let (method, _) = self.rate.as_ref()?;
+        method.unsolved(&self.field(inputs.t), self.dt, inputs).map(Cause::Unsolved)
+    }
+}
+
+/// Rates of a [`GraphSystem`] during one step.
+struct Field<'a> {
+    system: &'a GraphSystem,
+    /// Number of the step, for tables.
+    step: usize,
+}
+
+impl Ode for Field<'_> {
+    fn state_dim(&self) -> usize {
+        self.system.states
+    }
+
+    fn control_dim(&self) -> usize {
+        self.system.controls
+    }
+
+    fn param_dim(&self) -> usize {
+        self.system.params
+    }
+
+    fn rate<T: Scalar>(&self, OdeInputs { x, u, p, t }: OdeInputs<'_, T>, rate: &mut [T]) {
+        let signals = self.system.signals_at(t, self.step);
+        self.system.motion.eval([x, u, self.system.own(p), &[], &signals], rate);
+    }
+
+    fn rate_vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        OdeInputs { x, u, p, t }: OdeInputs<'_, R>,
+        rate_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
+        let signals = self.system.signals_at(t, self.step);
+        self.system.pull(Inputs { x, u, p, t: () }, &signals, rate_bar, cotangents);
+    }
+
+    fn velocity(&self, i: usize) -> Option<usize> {
+        self.system.rate.as_ref().and_then(|(_, velocities)| velocities[i])
+    }
+}
+
+impl Task for GraphTask {
+    type System = GraphSystem;
+
+    fn system(&self) -> &GraphSystem {
+        &self.system
+    }
+
+    fn horizon(&self) -> usize {
+        self.horizon
+    }
+
+    fn param_dim(&self) -> usize {
+        self.params
+    }
+
+    fn start(&self, rng: &mut Rng, start: Start<'_>) {
+        (self.start)(rng, start);
+    }
+
+    fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
+        self.control_bounds.clone()
+    }
+
+    fn observation_dim(&self) -> Option<usize> {
+        self.observe.as_ref().map(|function| function.len())
+    }
+
+    fn observe<T: Scalar>(&self, Inputs { x, p, t, .. }: Inputs<'_, T>, y: &mut [T]) {
+        match &self.observe {
+            Some(function) => function.eval([x, &[], p, &[], &self.signals(t)], y),
+            None => y.copy_from_slice(x),
+        }
+    }
+
+    fn observe_vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        Inputs { x, p, t, .. }: Inputs<'_, R>,
+        y_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
+        let function = self.observe.as_ref().expect("called only with an observation");
+        let lists = [x, &[], p, &[], &self.signals(t)];
+        function.vjp(lists, y_bar, [cotangents.x, None, cotangents.p, None]);
+    }
+
+    fn running_cost<T: Scalar>(&self, Inputs { x, u, p, t }: Inputs<'_, T>, next: &[T]) -> T {
+        let mut cost = [T::zero()];
+        if let Some(function) = &self.running {
+            function.eval([x, u, p, next, &self.signals(t)], &mut cost);
+        }
+        cost[0]
+    }
+
+    fn terminal_cost<T: Scalar>(&self, x: &[T], p: &[T]) -> T {
+        let mut cost = [T::zero()];
+        if let Some(function) = &self.terminal {
+            function.eval([x, &[], p, &[], &[]], &mut cost);
+        }
+        cost[0]
+    }
+
+    fn running_cost_gradient<R: Real>(
+        &self,
+        Inputs { x, u, p, t }: Inputs<'_, R>,
+        next: &[R],
+        cotangents: Cotangents<'_, R>,
+        next_bar: &mut [R],
+    ) {
+        if let Some(function) = &self.running {
+            let [x_bar, u_bar, p_bar] = cotangents.lists();
+            let lists = [x, u, p, next, &self.signals(t)];
+            function.vjp(lists, &[R::one()], [x_bar, u_bar, p_bar, Some(next_bar)]);
+        }
+    }
+
+    fn terminal_cost_gradient<R: Real>(
+        &self,
+        x: &[R],
+        p: &[R],
+        x_bar: &mut [R],
+        p_bar: Option<&mut [R]>,
+    ) {
+        if let Some(function) = &self.terminal {
+            let lists = [x, &[], p, &[], &[]];
+            function.vjp(lists, &[R::one()], [Some(x_bar), None, p_bar, None]);
+        }
+    }
+}

@@ -1,0 +1,4 @@
+//! Systems as data: recorded tasks, equations as text, and their derivatives.
+
+mod equations;
+mod recorded;
