@@ -269,7 +269,9 @@ fn grouped<Code: Copy + PartialEq>(steps: Vec<Step<Code>>, count: usize) -> Vec<
     }
     let kind = |at: usize| kinds.iter().position(|&kind| kind == steps[at].code).expect("listed");
     let mut ready = vec![BTreeSet::new(); kinds.len()];
-    (0..steps.len()).filter(|&at| waits[at] == 0).for_each(|at| drop(ready[kind(at)].insert(at)));
+    for at in (0..steps.len()).filter(|&at| waits[at] == 0) {
+        ready[kind(at)].insert(at);
+    }
     let (mut order, mut done) = (Vec::with_capacity(steps.len()), vec![false; steps.len()]);
     let (mut oldest, mut current) = (0, 0);
     while order.len() < steps.len() {

@@ -1,6 +1,8 @@
 //! [`Graph`]: scalar operations in the order of their evaluation.
 
 use std::collections::HashMap;
+use std::hash::{DefaultHasher, Hash as _, Hasher as _};
+use std::mem::discriminant;
 
 /// Index of a number of a graph.
 pub type Id = u32;
@@ -234,6 +236,26 @@ impl Graph {
             }
         }
         needed
+    }
+
+    /// A hash of what the `roots` compute, equal for graphs that differ only in the order of their
+    /// numbers.
+    pub(super) fn structure(&self, roots: &[Id]) -> Vec<u64> {
+        let mut hashes: Vec<u64> = Vec::with_capacity(self.ops.len());
+        for (i, op) in self.ops.iter().enumerate() {
+            let mut args: Vec<u64> = op.args().map(|arg| hashes[arg as usize]).collect();
+            if let Op::Add(..) | Op::Mul(..) = op {
+                args.sort_unstable();
+            }
+            let mut hasher = DefaultHasher::new();
+            match op {
+                Op::Input => i.hash(&mut hasher),
+                Op::Const(bits) => bits.hash(&mut hasher),
+                op => (discriminant(op), args).hash(&mut hasher),
+            }
+            hashes.push(hasher.finish());
+        }
+        roots.iter().map(|&id| hashes[id as usize]).collect()
     }
 
     /// Number of operations that the `roots` need, without inputs and constants.

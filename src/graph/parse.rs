@@ -119,8 +119,10 @@ const FUNCTIONS: [(&str, usize); 23] = [
     ("pow", 2),
 ];
 
-/// Words that cannot be names.
-const WORDS: [&str; 6] = ["pi", "t", "next", "and", "or", "not"];
+/// Words that cannot be names: those of expressions, and the keys of a number that varies.
+const WORDS: [&str; 11] = [
+    "pi", "t", "next", "and", "or", "not", "uniform", "normal", "log_uniform", "choice", "start",
+];
 
 /// Why a name cannot be that of a number, or None.
 pub(super) fn name_problem(name: &str) -> Option<&'static str> {
@@ -131,7 +133,7 @@ pub(super) fn name_problem(name: &str) -> Option<&'static str> {
     }
     let is_taken =
         WORDS.contains(&name) || FUNCTIONS.iter().any(|(function, _)| *function == name);
-    is_taken.then_some("has a meaning of its own in equations; choose another name")
+    is_taken.then_some("has a meaning of its own; choose another name")
 }
 
 /// Names in an expression, for the order of definitions. Invalid text has the names before the

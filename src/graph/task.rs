@@ -152,7 +152,7 @@ impl GraphTask {
             let [first, second] = functions;
             let ((graph, outputs), (other, other_outputs)) =
                 (first.map_err(branches)?, second.map_err(branches)?);
-            if !same(&graph, &outputs, &other, &other_outputs) {
+            if graph.structure(&outputs) != other.structure(&other_outputs) {
                 return Err(RecordError::DependsOnStep);
             }
             let function = Function::new(graph, outputs, lengths);
@@ -205,31 +205,6 @@ impl GraphTask {
 
 fn branches(_: Branches) -> RecordError {
     RecordError::Branches
-}
-
-/// Returns whether two graphs compute the same outputs. Operations that no output needs may differ.
-fn same(a: &Graph, of_a: &[u32], b: &Graph, of_b: &[u32]) -> bool {
-    let mut known = vec![u32::MAX; a.ops().len()];
-    let (needed_a, needed_b) =
-        (a.needed(of_a.iter().copied()), b.needed(of_b.iter().copied()));
-    let list = |graph: &Graph, needed: &[bool]| -> Vec<u32> {
-        (0..graph.ops().len() as u32).filter(|&id| needed[id as usize]).collect()
-    };
-    let (list_a, list_b) = (list(a, &needed_a), list(b, &needed_b));
-    if list_a.len() != list_b.len() || of_a.len() != of_b.len() {
-        return false;
-    }
-    list_a.iter().zip(&list_b).for_each(|(&i, &j)| known[i as usize] = j);
-    let equal = |(&i, &j): (&u32, &u32)| {
-        let (op, other) = (a.ops()[i as usize], b.ops()[j as usize]);
-        let is_input = op == super::op::Op::Input && i != j;
-        std::mem::discriminant(&op) == std::mem::discriminant(&other)
-            && op.args().map(|arg| known[arg as usize]).eq(other.args())
-            && (op.args().next().is_some() || op == other)
-            && !is_input
-    };
-    list_a.iter().zip(&list_b).all(equal)
-        && of_a.iter().zip(of_b).all(|(&i, &j)| known[i as usize] == j)
 }
 
 type Signals<T> = SmallVec<[T; 4]>;

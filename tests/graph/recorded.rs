@@ -6,7 +6,7 @@ use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::scalar::Single;
 use physgrad::tasks::{
     CartDamping, CartPole, CartPoleSystem, DryFriction, Guidance, Lqr,
-    MultiPendulum, PoleDamping, Slider, SteadyWind, Upright,
+    MultiPendulum, PoleDamping, SteadyWind, Upright,
 };
 use physgrad::{
     Cotangents, Forced, Inputs, Integrated, Number, Real, Scalar, Start, System, Task,
@@ -121,7 +121,59 @@ fn recorded_tasks_have_the_bits_of_the_tasks_and_their_derivatives_to_1e_13() {
     );
 }
 
+/// Halves its state until all samples are below 1.
+#[derive(Clone)]
+struct Halved;
+
+impl System for Halved {
+    fn state_dim(&self) -> usize {
+        1
+    }
+    fn control_dim(&self) -> usize {
+        0
+    }
+    fn step<T: Scalar>(&self, Inputs { x, .. }: Inputs<'_, T>, next: &mut [T]) {
+        next[0] = x[0];
+        while T::any_lt(T::one(), next[0]) {
+            next[0] = T::select_lt(T::one(), next[0], next[0] * 0.5, next[0]);
+        }
+    }
+}
+
+/// Adds the number of the step.
+#[derive(Clone)]
+struct Counting;
+
+impl System for Counting {
+    fn state_dim(&self) -> usize {
+        1
+    }
+    fn control_dim(&self) -> usize {
+        0
+    }
+    fn step<T: Scalar>(&self, Inputs { x, t, .. }: Inputs<'_, T>, next: &mut [T]) {
+        next[0] = x[0] + t as f64;
+    }
+}
+
+macro_rules! of_one_state {
+    ($($system:ident),+) => {$(
+        impl Task for $system {
+            type System = Self;
+            fn system(&self) -> &Self {
+                self
+            }
+            fn horizon(&self) -> usize {
+                10
+            }
+            fn start(&self, _: &mut Rng, _: Start<'_>) {}
+        }
+    )+};
+}
+of_one_state!(Halved, Counting);
+
 #[test]
-fn code_that_branches_on_values_is_refused() {
-    assert_eq!(GraphTask::of(&Slider::default()).map(drop), Err(RecordError::Branches));
+fn code_that_branches_on_values_or_depends_on_the_step_is_refused() {
+    assert_eq!(GraphTask::of(&Halved).map(drop), Err(RecordError::Branches));
+    assert_eq!(GraphTask::of(&Counting).map(drop), Err(RecordError::DependsOnStep));
 }

@@ -8,6 +8,7 @@
 
 mod cart_pole;
 mod effects;
+mod equations;
 mod guidance;
 mod hard;
 mod own;
@@ -151,7 +152,7 @@ impl Conserved {
 }
 
 /// Built-in tasks. Each has a [`TaskSpec`], an entry here, and a preset in `scenes/presets`.
-const BUILT_IN: [&dyn AnyTaskSpec; 10] = [
+const BUILT_IN: [&dyn AnyTaskSpec; 11] = [
     entry::<cart_pole::CartPole>(),
     entry::<guidance::Guidance>(),
     entry::<quantum::Quantum>(),
@@ -162,6 +163,7 @@ const BUILT_IN: [&dyn AnyTaskSpec; 10] = [
     entry::<hard::Slider>(),
     entry::<hard::Bounce>(),
     entry::<hard::Push>(),
+    entry::<equations::Equations>(),
 ];
 
 /// Tasks and effects of this process, set once by [`register`].

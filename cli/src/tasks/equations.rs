@@ -1,0 +1,107 @@
+//! A system of equations in the scene: settings, limits and animation.
+
+use crate::operations::trajectory::Trajectory;
+use crate::settings::config_error::ConfigError;
+use crate::settings::reading::overlay;
+use crate::settings::Method;
+use crate::tasks::hard::{Nothing, in_scene};
+use crate::tasks::{MlpSettings, Settings, TaskSpec};
+use physgrad::DynTask;
+use physgrad::graph::{self, Costs, EquationError, GraphTask};
+use physgrad::integrator::{AnyIntegrator, RungeKutta};
+use physgrad_plot::{Animation, Channel, channels_over_time};
+
+/// Task `equations`.
+#[derive(Clone, Debug)]
+pub struct Equations;
+
+/// The task of these settings.
+fn graph(settings: &Settings<Equations>) -> Result<GraphTask, ConfigError> {
+    let Settings { system, loss, integrator, precision, horizon, .. } = settings;
+    let method = integrator.integrator(*precision);
+    let method = method.unwrap_or(AnyIntegrator::RungeKutta(RungeKutta::RK4));
+    GraphTask::new(system, loss, method, integrator.count(), *horizon).map_err(
+        |EquationError { key, what }| {
+            let is_of_system = !key.starts_with("loss.");
+            ConfigError::new(if is_of_system { format!("system.{key}") } else { key }, what)
+        },
+    )
+}
+
+impl TaskSpec for Equations {
+    type System = graph::Equations;
+    type Effects = Nothing;
+    type Loss = Costs;
+    type PolicySpec = MlpSettings;
+
+    const NAME: &'static str = "equations";
+    const ABOUT: &'static str = "a system whose equations and costs are in the scene";
+    const EPOCHS: usize = 300;
+    const METHODS: &'static [Method] = &Method::ODE;
+
+    fn horizon() -> usize {
+        100
+    }
+
+    /// No equations: each scene has its own.
+    fn system() -> graph::Equations {
+        graph::Equations::default()
+    }
+
+    fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
+        graph(settings)?;
+        if let Some(method) = settings.integrator.method
+            && !settings.system.is_continuous()
+        {
+            let because = "`system.next` gives the state after a step; write `system.rate`";
+            return Err(ConfigError::unread("integrator.method", method.name(), because));
+        }
+        Ok(())
+    }
+
+    fn task(settings: &Settings<Self>) -> DynTask {
+        in_scene(settings, graph(settings).expect("validated settings"))
+    }
+
+    fn variants() -> Vec<(String, Settings<Self>)> {
+        let mut table = Settings::<Self>::defaults().table();
+        let preset = include_str!("../scenes/presets/equations.toml");
+        overlay(&mut table, &preset.parse().expect("presets are TOML"));
+        vec![("two tanks".into(), Settings::fill(table).expect("presets are valid"))]
+    }
+
+    fn dt(settings: &Settings<Self>) -> f64 {
+        settings.system.dt
+    }
+
+    fn state_names(settings: &Settings<Self>) -> Vec<String> {
+        settings.system.states.clone()
+    }
+
+    fn angles(settings: &Settings<Self>) -> Vec<usize> {
+        let graph::Equations { states, angles, .. } = &settings.system;
+        (0..states.len()).filter(|&i| angles.contains(&states[i])).collect()
+    }
+
+    fn control_names(settings: &Settings<Self>) -> Vec<String> {
+        settings.system.controls.clone()
+    }
+
+    fn animation(
+        settings: &Settings<Self>,
+        Trajectory { states, controls, .. }: &Trajectory,
+    ) -> Animation {
+        let graph::Equations { states: names, controls: inputs, units, .. } = &settings.system;
+        let labels = |names: &[String]| -> Vec<String> {
+            let label = |name: &String| match units.get(name) {
+                Some(unit) => format!("{name}, {unit}"),
+                None => name.clone(),
+            };
+            names.iter().map(label).collect()
+        };
+        let states: Vec<Vec<f64>> = states.iter().map(|x| x[..names.len()].to_vec()).collect();
+        let states = Channel::columns(labels(names), &states, "#0072B2");
+        let controls = Channel::columns(labels(inputs), controls, "#D55E00");
+        channels_over_time(Self::ABOUT, &[states, controls].concat(), Self::dt(settings))
+    }
+}
