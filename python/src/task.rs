@@ -121,6 +121,15 @@ impl Task {
         py.detach(|| Scene::open(name, settings)).map(Self::new).map_err(value_error)
     }
 
+    /// The task `equations` with these settings, which `physgrad.system` makes from functions.
+    #[staticmethod]
+    #[pyo3(name = "_of_equations", signature = (**settings))]
+    fn of_equations(py: Python<'_>, settings: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        let settings = keywords(settings, "system", &TOP)?;
+        let scene = py.detach(|| Scene::of_task("equations", settings));
+        scene.map(Self::new).map_err(value_error)
+    }
+
     /// Copy with other settings, given as in `physgrad.task`. A dict changes only its keys, and None
     /// removes an effect or a part of the actuator, as in `effects={"bumpers": None}`.
     #[pyo3(signature = (**settings))]

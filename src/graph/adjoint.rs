@@ -138,9 +138,7 @@ impl Backward {
             Some(sum) if sum.minus == bar.minus => {
                 Signed { bar: self.push(BarOp::MulAdd(sum.bar, bar.bar, slope)), ..sum }
             }
-            Some(sum) => {
-                Signed { bar: self.push(BarOp::MulSub(sum.bar, bar.bar, slope)), ..sum }
-            }
+            Some(sum) => Signed { bar: self.push(BarOp::MulSub(sum.bar, bar.bar, slope)), ..sum },
         });
     }
 
@@ -178,14 +176,17 @@ impl Backward {
             Op::Select(a, b, yes, no) => self.branches(graph, [yes, no], bar, |graph, yes, no| {
                 graph.add(Op::Select(a, b, yes, no))
             }),
-            Op::SelectLe(a, b, yes, no) => self
-                .branches(graph, [yes, no], bar, |graph, yes, no| {
+            Op::SelectLe(a, b, yes, no) => {
+                self.branches(graph, [yes, no], bar, |graph, yes, no| {
                     graph.add(Op::SelectLe(a, b, yes, no))
-                }),
-            Op::Min(a, b) => self
-                .branches(graph, [a, b], bar, |graph, yes, no| graph.add(Op::Select(a, b, yes, no))),
-            Op::Max(a, b) => self
-                .branches(graph, [a, b], bar, |graph, yes, no| graph.add(Op::Select(b, a, yes, no))),
+                })
+            }
+            Op::Min(a, b) => self.branches(graph, [a, b], bar, |graph, yes, no| {
+                graph.add(Op::Select(a, b, yes, no))
+            }),
+            Op::Max(a, b) => self.branches(graph, [a, b], bar, |graph, yes, no| {
+                graph.add(Op::Select(b, a, yes, no))
+            }),
             op => {
                 if let Some(a) = op.differentiable_args().next()
                     && self.active[a as usize]

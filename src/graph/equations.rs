@@ -141,7 +141,10 @@ impl Equations {
             .map(|state| {
                 let key = format!("{section}.{state}");
                 let Some(text) = motion.get(state) else {
-                    return Err(EquationError::new(key, "is missing; each state needs an equation"));
+                    return Err(EquationError::new(
+                        key,
+                        "is missing; each state needs an equation",
+                    ));
                 };
                 reader.expression(&key, text)
             })
@@ -152,10 +155,10 @@ impl Equations {
             .enumerate()
             .map(|(i, text)| reader.expression(&format!("observe[{i}]"), text))
             .collect::<Result<_, _>>()?;
-        let [running, terminal] = [("loss.running", &costs.running), ("loss.terminal", &costs.terminal)]
-            .map(|(key, text)| {
-                (!text.is_empty()).then(|| reader.expression(key, text)).transpose()
-            });
+        let [running, terminal] =
+            [("loss.running", &costs.running), ("loss.terminal", &costs.terminal)].map(
+                |(key, text)| (!text.is_empty()).then(|| reader.expression(key, text)).transpose(),
+            );
         let velocities = velocities(&motion, self.states.len());
         let function = |name: &str, outputs: Vec<Id>, allowed: &[usize]| {
             reader.function(name, outputs, allowed)
@@ -241,13 +244,20 @@ impl Equations {
 
     fn check_numbers(&self) -> Result<(), EquationError> {
         if !(self.dt.is_finite() && self.dt > 0.0) {
-            return Err(EquationError::new("dt", format!("is {}; allowed: a positive number", self.dt)));
+            return Err(EquationError::new(
+                "dt",
+                format!("is {}; allowed: a positive number", self.dt),
+            ));
         }
         for (section, numbers) in [("parameters", &self.parameters), ("start", &self.start)] {
             for (name, number) in numbers {
                 let key = format!("{section}.{name}");
-                if let Some(value) = number.extremes().into_iter().find(|value| !value.is_finite()) {
-                    return Err(EquationError::new(key, format!("is {value}; allowed: a finite number")));
+                if let Some(value) = number.extremes().into_iter().find(|value| !value.is_finite())
+                {
+                    return Err(EquationError::new(
+                        key,
+                        format!("is {value}; allowed: a finite number"),
+                    ));
                 }
                 if section == "start" && matches!(number, Number::Trained { .. }) {
                     let what = "is trained; allowed: a number or a distribution";
@@ -257,7 +267,8 @@ impl Equations {
         }
         for (name, values) in &self.tables {
             if values.is_empty() || values.iter().any(|value| !value.is_finite()) {
-                let what = "is empty or has a number that is not finite; allowed: one value per step";
+                let what =
+                    "is empty or has a number that is not finite; allowed: one value per step";
                 return Err(EquationError::new(format!("tables.{name}"), what));
             }
         }
@@ -335,7 +346,8 @@ impl<'a> Reader<'a> {
         let lengths = equations.lengths();
         let mut graph = Graph::new(lengths.iter().sum());
         let mut known = HashMap::new();
-        let next: Vec<String> = equations.states.iter().map(|name| format!("next.{name}")).collect();
+        let next: Vec<String> =
+            equations.states.iter().map(|name| format!("next.{name}")).collect();
         let inputs = equations
             .states
             .iter()
@@ -362,7 +374,9 @@ impl<'a> Reader<'a> {
             let what = format!("exceeds {OPERATIONS} operations in all equations; allowed: fewer");
             return Err(EquationError::new(key, what));
         }
-        term.map_err(|ParseError { column, what }| EquationError::new(key, located(text, column, &what)))
+        term.map_err(|ParseError { column, what }| {
+            EquationError::new(key, located(text, column, &what))
+        })
     }
 
     fn expression(&mut self, key: &str, text: &str) -> Result<Id, EquationError> {

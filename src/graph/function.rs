@@ -62,7 +62,8 @@ impl Function {
         let needed = graph.needed(outputs.iter().copied());
         let reads = ranges.clone().map(|range| needed[range].contains(&true));
         let forward = Compiled::new(numbers(&graph, &outputs)?);
-        let function = Self { graph, outputs, ranges, reads, forward, backward: Default::default() };
+        let function =
+            Self { graph, outputs, ranges, reads, forward, backward: Default::default() };
         // A derivative has more registers than the function.
         function.lowered(usize::MAX >> (usize::BITS as usize - WITH_BARS))?;
         Ok(function)
@@ -98,10 +99,14 @@ impl Function {
     #[inline(never)]
     pub(super) fn eval<T: Scalar>(&self, lists: Lists<'_, T>, outputs: &mut [T]) {
         let Compiled { id, program } = &self.forward;
-        with_frame::<T, ()>(*id, || (program.program.registers(), Vec::new()), |(frame, _)| {
-            let work = Eval { function: self, lists, outputs, frame };
-            if T::VECTORIZED { dispatch_lanes(work) } else { work.run::<false>() }
-        });
+        with_frame::<T, ()>(
+            *id,
+            || (program.program.registers(), Vec::new()),
+            |(frame, _)| {
+                let work = Eval { function: self, lists, outputs, frame };
+                if T::VECTORIZED { dispatch_lanes(work) } else { work.run::<false>() }
+            },
+        );
     }
 
     #[inline(always)]
@@ -131,7 +136,11 @@ impl Function {
         };
         with_frame(*id, new, |(numbers, bars)| {
             let work = Pull { function: self, program, lists, output_bars, numbers, bars };
-            if R::VECTORIZED { dispatch_lanes(work) } else { work.run::<false>() }
+            if R::VECTORIZED {
+                dispatch_lanes(work)
+            } else {
+                work.run::<false>()
+            }
             let product = |input: &Option<(u16, bool)>| {
                 input.map(|(register, minus)| (bars[usize::from(register)], minus))
             };
@@ -171,8 +180,13 @@ impl Function {
         let mut exact = lengths.map(|length| vec![C::null(); length]);
         let [x, u, p, next] = &mut exact;
         let list = |k: usize, list| cotangents[k].is_some().then_some(list);
-        let requested =
-            [list(0, &mut x[..]), list(1, &mut u[..]), list(2, &mut p[..]), list(3, &mut next[..]), None];
+        let requested = [
+            list(0, &mut x[..]),
+            list(1, &mut u[..]),
+            list(2, &mut p[..]),
+            list(3, &mut next[..]),
+            None,
+        ];
         // A list that no output depends on may be empty.
         default_vjp(&Singular(self), lists, output_bars, requested, Add::Sum);
         let lists = cotangents.iter_mut().flatten().flat_map(|list| list.iter_mut());
@@ -234,7 +248,10 @@ impl<R: Real, C: Cotangent<R>> Vectorized for Pull<'_, R, C> {
 }
 
 /// Registers of programs, by their numbers, with constants in place. The last used one is first.
-struct Frames<T, C>(Vec<(u64, (Vec<T>, Vec<C>))>);
+struct Frames<T, C>(Vec<(u64, Frame<T, C>)>);
+
+/// Registers of numbers and of cotangents.
+type Frame<T, C> = (Vec<T>, Vec<C>);
 
 impl<T, C> Default for Frames<T, C> {
     fn default() -> Self {
@@ -249,8 +266,8 @@ const KEPT: usize = 64;
 #[inline(always)]
 fn with_frame<T: 'static, C: 'static>(
     id: u64,
-    new: impl FnOnce() -> (Vec<T>, Vec<C>),
-    work: impl FnOnce(&mut (Vec<T>, Vec<C>)),
+    new: impl FnOnce() -> Frame<T, C>,
+    work: impl FnOnce(&mut Frame<T, C>),
 ) {
     lend(|Frames(frames): &mut Frames<T, C>| {
         let at = frames.iter().position(|(key, _)| *key == id).unwrap_or_else(|| {

@@ -26,9 +26,8 @@ pub(super) struct Numbers {
 /// Instructions that compute the `outputs`. The registers of the inputs follow the constants.
 pub(super) fn numbers(graph: &Graph, outputs: &[Id]) -> Result<Numbers, TooLarge> {
     let needed = graph.needed(outputs.iter().copied());
-    let of_constants = (0..graph.ops().len() as Id).filter(|&id| {
-        needed[id as usize] && matches!(graph.op(id), Op::Const(_))
-    });
+    let of_constants = (0..graph.ops().len() as Id)
+        .filter(|&id| needed[id as usize] && matches!(graph.op(id), Op::Const(_)));
     let constants: Vec<Id> = of_constants.collect();
     let mut emitter = Emitter::new(graph, &needed, outputs);
     for id in 0..graph.ops().len() as Id {
@@ -91,9 +90,10 @@ pub(super) fn bars(graph: &Graph, adjoint: &Adjoint) -> Result<Bars, TooLarge> {
     });
     let steps = grouped(steps.collect(), adjoint.ops.len());
     let allocated = allocate(&steps, adjoint.ops.len(), &outputs, &roots)?;
-    let inputs = adjoint.inputs.iter().map(|input| {
-        input.map(|Signed { bar, minus }| (allocated.of[bar as usize], minus))
-    });
+    let inputs = adjoint
+        .inputs
+        .iter()
+        .map(|input| input.map(|Signed { bar, minus }| (allocated.of[bar as usize], minus)));
     let count = numbers.program.registers::<f64>().len();
     Ok(Bars {
         inputs: inputs.collect(),
@@ -208,8 +208,9 @@ impl<'a> Emitter<'a> {
             stack.extend(args.iter().filter(missing).rev());
             if stack.len() == before {
                 let results = match self.graph.op(id) {
-                    Op::Sin(a) | Op::Cos(a) => [Op::Sin(a), Op::Cos(a)]
-                        .map(|op| self.graph.find(op).unwrap_or(UNREAD)),
+                    Op::Sin(a) | Op::Cos(a) => {
+                        [Op::Sin(a), Op::Cos(a)].map(|op| self.graph.find(op).unwrap_or(UNREAD))
+                    }
                     _ => [id, NONE],
                 };
                 let step = Step { code, args, results, fixed: 0 };

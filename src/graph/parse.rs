@@ -120,9 +120,8 @@ const FUNCTIONS: [(&str, usize); 23] = [
 ];
 
 /// Words that cannot be names: those of expressions, and the keys of a number that varies.
-const WORDS: [&str; 11] = [
-    "pi", "t", "next", "and", "or", "not", "uniform", "normal", "log_uniform", "choice", "start",
-];
+const WORDS: [&str; 11] =
+    ["pi", "t", "next", "and", "or", "not", "uniform", "normal", "log_uniform", "choice", "start"];
 
 /// Why a name cannot be that of a number, or None.
 pub(super) fn name_problem(name: &str) -> Option<&'static str> {
@@ -131,8 +130,7 @@ pub(super) fn name_problem(name: &str) -> Option<&'static str> {
     if !begins || !letters.all(|letter| letter.is_ascii_alphanumeric() || letter == '_') {
         return Some("is not a name; allowed: letters, digits and `_`, and no digit first");
     }
-    let is_taken =
-        WORDS.contains(&name) || FUNCTIONS.iter().any(|(function, _)| *function == name);
+    let is_taken = WORDS.contains(&name) || FUNCTIONS.iter().any(|(function, _)| *function == name);
     is_taken.then_some("has a meaning of its own; choose another name")
 }
 
@@ -198,7 +196,8 @@ impl<'a> Lexer<'a> {
 /// Length of the number at the start of the text: digits, a point, an exponent.
 fn number_length(text: &str) -> usize {
     let bytes = text.as_bytes();
-    let digits = |from: usize| bytes[from..].iter().take_while(|byte| byte.is_ascii_digit()).count();
+    let digits =
+        |from: usize| bytes[from..].iter().take_while(|byte| byte.is_ascii_digit()).count();
     let mut length = digits(0);
     if bytes.get(length) == Some(&b'.') {
         length += 1 + digits(length + 1);
@@ -314,9 +313,7 @@ impl<'a, 'g> Parser<'a, 'g> {
         loop {
             let (at, token) = self.next;
             let (operator, strength, right) = match token {
-                Token::Symbol(symbol @ ("+" | "-")) => {
-                    (symbol, strength::SUM, strength::SUM + 1)
-                }
+                Token::Symbol(symbol @ ("+" | "-")) => (symbol, strength::SUM, strength::SUM + 1),
                 Token::Symbol(symbol @ ("*" | "/")) => {
                     (symbol, strength::PRODUCT, strength::PRODUCT + 1)
                 }
@@ -350,8 +347,7 @@ impl<'a, 'g> Parser<'a, 'g> {
         at: usize,
     ) -> Result<Value, ParseError> {
         if let "and" | "or" = operator {
-            let both =
-                Box::new([self.condition(left, start)?, self.condition(right, second)?]);
+            let both = Box::new([self.condition(left, start)?, self.condition(right, second)?]);
             let joined = if operator == "and" { Condition::And(both) } else { Condition::Or(both) };
             return Ok(Value::Condition(joined));
         }
@@ -468,7 +464,9 @@ impl<'a, 'g> Parser<'a, 'g> {
         let Some((_, count)) = FUNCTIONS.iter().find(|(function, _)| *function == name) else {
             let known = FUNCTIONS.map(|(function, _)| function).join(", ");
             let what = if (self.resolve)(name).is_ok() {
-                format!("`{name}` is a number, not a function; write `{name} * (...)` for a product")
+                format!(
+                    "`{name}` is a number, not a function; write `{name} * (...)` for a product"
+                )
             } else {
                 format!("`{name}` is not a function; functions are {known}")
             };
@@ -486,7 +484,9 @@ impl<'a, 'g> Parser<'a, 'g> {
         }
         if arguments.len() < *count || self.next.1 == Token::Symbol(",") {
             let more = if arguments.len() < *count { "fewer" } else { "more" };
-            return Err(self.error(at, format!("`{name}` takes {count} arguments, here are {more}")));
+            return Err(
+                self.error(at, format!("`{name}` takes {count} arguments, here are {more}"))
+            );
         }
         self.expect(")")?;
         let condition = if name == "where" {

@@ -56,7 +56,9 @@ pub struct GraphSystem {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum RecordError {
     /// Code branches on values, as iterative solvers and adaptive integrators do.
-    #[error("the code branches on values (`any_lt`), which a graph cannot; use a fixed number of iterations")]
+    #[error(
+        "the code branches on values (`any_lt`), which a graph cannot; use a fixed number of iterations"
+    )]
     Branches,
     /// The step depends on the step number.
     #[error("the step, the observation or the cost depends on the step number `t`")]
@@ -85,7 +87,9 @@ impl GraphTask {
         let Functions { motion, velocities, observe, running, terminal } =
             equations.functions(costs)?;
         if substeps != 1 && !equations.is_continuous() {
-            let what = format!("gives the state after a whole step, but there are {substeps} substeps; write `rate`");
+            let what = format!(
+                "gives the state after a whole step, but there are {substeps} substeps; write `rate`"
+            );
             return Err(EquationError::new("next", what));
         }
         let start: Vec<Number> = equations
@@ -96,14 +100,17 @@ impl GraphTask {
         let varied = equations.parameters.iter().filter(|(_, number)| !number.is_fixed());
         let varied: Vec<Varied> = varied
             .enumerate()
-            .map(|(index, (name, &number))| {
-                Varied { index, name: format!("parameters.{name}"), number }
+            .map(|(index, (name, &number))| Varied {
+                index,
+                name: format!("parameters.{name}"),
+                number,
             })
             .collect();
         let unbounded = [f64::NEG_INFINITY, f64::INFINITY];
-        let bounds = equations.controls.iter().map(|control| {
-            equations.bounds.get(control).copied().unwrap_or(unbounded)
-        });
+        let bounds = equations
+            .controls
+            .iter()
+            .map(|control| equations.bounds.get(control).copied().unwrap_or(unbounded));
         let system = GraphSystem {
             states: equations.states.len(),
             controls: equations.controls.len(),
@@ -136,60 +143,43 @@ impl GraphTask {
     /// The code branches on values or depends on the step number.
     pub fn of<T: Task + Clone + 'static>(task: &T) -> Result<Self, RecordError> {
         let system = task.system();
-        let (n, m, k) = (system.state_dim(), system.control_dim(), task.param_dim());
-        let lengths = [n, m, k, n, 0];
-        let at = |work: &dyn Fn(Inputs<'_, Recorded>, &[Recorded]) -> Vec<Recorded>| {
-            let functions = [0, 1].map(|t| {
-                let mut graph = Graph::new(lengths.iter().sum());
-                let outputs = record(&mut graph, |all| {
-                    let (x, rest) = all.split_at(n);
-                    let (u, rest) = rest.split_at(m);
-                    let (p, next) = rest.split_at(k);
-                    work(Inputs { x, u, p, t }, next)
-                });
-                outputs.map(|outputs| (graph, outputs.iter().map(|number| number.0).collect::<Vec<_>>()))
-            });
-            let [first, second] = functions;
-            let ((graph, outputs), (other, other_outputs)) =
-                (first.map_err(branches)?, second.map_err(branches)?);
-            if graph.structure(&outputs) != other.structure(&other_outputs) {
-                return Err(RecordError::DependsOnStep);
-            }
-            let function = Function::new(graph, outputs, lengths);
-            function.map(Arc::new).map_err(|_| RecordError::TooLarge)
+        let recorder = Recorder {
+            dims: [system.state_dim(), system.control_dim(), task.param_dim(), system.state_dim()],
         };
-        let motion = at(&|inputs, _| {
+        let motion = recorder.function(|inputs, _| {
             let mut next = inputs.x.to_vec();
             system.step(inputs, &mut next);
             next
         })?;
         let observe = task.observation_dim().map(|dim| {
-            at(&|inputs, _| {
+            recorder.function(|inputs, _| {
                 let mut y = vec![Recorded::zero(); dim];
                 task.observe(Inputs { u: &[], ..inputs }, &mut y);
                 y
             })
         });
-        let running = at(&|inputs, next| vec![task.running_cost(inputs, next)])?;
-        let terminal = at(&|Inputs { x, p, .. }, _| vec![task.terminal_cost(x, p)])?;
-        let own = task.clone();
+        let running = recorder.function(|inputs, next| vec![task.running_cost(inputs, next)])?;
+        let terminal =
+            recorder.function(|Inputs { x, p, .. }, _| vec![task.terminal_cost(x, p)])?;
+        let [states, controls, params, _] = recorder.dims;
         let system = GraphSystem {
-            states: n,
-            controls: m,
-            params: k,
-            varied: system.varied(k),
+            states,
+            controls,
+            params,
+            varied: system.varied(params),
             motion,
             rate: None,
             dt: 1.0,
             tables: Arc::default(),
             steps_per_value: 1,
         };
+        let own = task.clone();
         Ok(Self {
             observe: observe.transpose()?,
             running: Some(running),
             terminal: Some(terminal),
             start: Arc::new(move |rng, start| own.start(rng, start)),
-            params: k,
+            params,
             horizon: task.horizon(),
             control_bounds: task.control_bounds(),
             substeps: 1,
@@ -203,8 +193,35 @@ impl GraphTask {
     }
 }
 
-fn branches(_: Branches) -> RecordError {
-    RecordError::Branches
+/// Records functions of state, control, parameters and next state, of these lengths.
+struct Recorder {
+    dims: [usize; 4],
+}
+
+impl Recorder {
+    fn function(
+        &self,
+        outputs: impl Fn(Inputs<'_, Recorded>, &[Recorded]) -> Vec<Recorded>,
+    ) -> Result<Arc<Function>, RecordError> {
+        let [n, m, k, _] = self.dims;
+        let at = |t: usize| {
+            let mut graph = Graph::new(self.dims.iter().sum());
+            let outputs = record(&mut graph, |all| {
+                let (x, rest) = all.split_at(n);
+                let (u, rest) = rest.split_at(m);
+                let (p, next) = rest.split_at(k);
+                outputs(Inputs { x, u, p, t }, next)
+            });
+            let ids = |outputs: Vec<Recorded>| outputs.iter().map(|number| number.0).collect();
+            outputs.map(|outputs| (graph, ids(outputs))).map_err(|Branches| RecordError::Branches)
+        };
+        let ((graph, outputs), (later, other)): ((_, Vec<_>), (Graph, Vec<_>)) = (at(0)?, at(1)?);
+        if graph.structure(&outputs) != later.structure(&other) {
+            return Err(RecordError::DependsOnStep);
+        }
+        let lengths = [n, m, k, n, 0];
+        Function::new(graph, outputs, lengths).map(Arc::new).map_err(|_| RecordError::TooLarge)
+    }
 }
 
 type Signals<T> = SmallVec<[T; 4]>;

@@ -5,12 +5,10 @@ use physgrad::integrator::RungeKutta;
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::scalar::Single;
 use physgrad::tasks::{
-    CartDamping, CartPole, CartPoleSystem, DryFriction, Guidance, Lqr,
-    MultiPendulum, PoleDamping, SteadyWind, Upright,
+    CartDamping, CartPole, CartPoleSystem, DryFriction, Guidance, Lqr, MultiPendulum, PoleDamping,
+    SteadyWind, Upright,
 };
-use physgrad::{
-    Cotangents, Forced, Inputs, Integrated, Number, Real, Scalar, Start, System, Task,
-};
+use physgrad::{Cotangents, Forced, Inputs, Integrated, Number, Real, Scalar, Start, System, Task};
 use rand::RngExt as _;
 
 /// Draws inputs of a task: x, u, p and the next state.
@@ -82,7 +80,8 @@ fn compare<T: Task + Clone + 'static>(name: &str, task: T) {
         };
         assert_eq!(of(values(&task, lists_f32)), of(values(&graph, lists_f32)), "{name}, f32");
         let bars: Vec<f64> = (0..x.len().max(64)).map(|_| rng.random_range(-1.0..1.0)).collect();
-        let (by_hand, recorded) = (cotangents(&task, lists, &bars), cotangents(&graph, lists, &bars));
+        let (by_hand, recorded) =
+            (cotangents(&task, lists, &bars), cotangents(&graph, lists, &bars));
         let size = by_hand.iter().fold(1.0, |size: f64, number| size.max(number.abs()));
         for (i, (a, b)) in by_hand.iter().zip(&recorded).enumerate() {
             assert!((a - b).abs() <= 1e-13 * size, "{name}, cotangent {i}: {a} and {b}");

@@ -7,7 +7,7 @@ use crate::operations::checks::Results;
 use crate::operations::identification::{MOST_BYTES, bytes_per_fitted_step, bytes_per_step};
 use crate::scenes::presets;
 use crate::scenes::source::{SceneSource, find};
-use crate::settings::{OPTIONAL, Precision};
+use crate::settings::{OPTIONAL, Precision, VERSION};
 use crate::tasks::{self, scene::INITIAL_POLICY};
 use anyhow::{Context, Result, bail};
 use physgrad::engine::append_starts;
@@ -41,6 +41,15 @@ impl Scene {
     /// table. An effect to remove is not present. A run does not fit in the memory of this machine.
     pub fn open(name: &str, changes: impl IntoIterator<Item = Change>) -> Result<Self> {
         Self::changed(presets::source(name)?, changes.into_iter().collect(), None)
+    }
+
+    /// A scene of the task with this name, with these settings and the defaults of the task.
+    ///
+    /// # Errors
+    /// Those of [`open`](Self::open).
+    pub fn of_task(task: &str, settings: impl IntoIterator<Item = Change>) -> Result<Self> {
+        let source = SceneSource::parse(task, &format!("scene = {VERSION}\ntask = {task:?}\n"))?;
+        Self::changed(source, settings.into_iter().collect(), None)
     }
 
     /// Copy with other values of some settings, as in [`open`](Self::open).

@@ -1,9 +1,9 @@
 //! A system of equations in the scene: settings, limits and animation.
 
 use crate::operations::trajectory::Trajectory;
+use crate::settings::Method;
 use crate::settings::config_error::ConfigError;
 use crate::settings::reading::overlay;
-use crate::settings::Method;
 use crate::tasks::hard::{Nothing, in_scene};
 use crate::tasks::{MlpSettings, Settings, TaskSpec};
 use physgrad::DynTask;

@@ -44,7 +44,10 @@ impl EffectsSection for Nothing {
 }
 
 /// Adds substeps and actuators of a scene to a task whose time step is [`small_step`].
-pub(in crate::tasks) fn in_scene<K: TaskSpec>(settings: &Settings<K>, task: impl Task + 'static) -> DynTask {
+pub(in crate::tasks) fn in_scene<K: TaskSpec>(
+    settings: &Settings<K>,
+    task: impl Task + 'static,
+) -> DynTask {
     let task = DynTask::new(task);
     let system = task.system().clone();
     settings.adapted(task, system)

@@ -102,11 +102,7 @@ impl NumberProgram {
     ///
     /// # Panics
     /// If an instruction has a register out of range.
-    pub fn new(
-        list: &[(NumberCode, Registers)],
-        constants: Vec<f64>,
-        registers: usize,
-    ) -> Self {
+    pub fn new(list: &[(NumberCode, Registers)], constants: Vec<f64>, registers: usize) -> Self {
         assert!(constants.len() <= registers);
         for (code, Registers { a, b, c, d, e }) in list {
             let mut all = [a, b, c, d, e].into_iter();
@@ -114,11 +110,6 @@ impl NumberProgram {
             assert!(*code != NumberCode::Powf || usize::from(*b) < constants.len());
         }
         Self { runs: Runs::new(list), constants, registers }
-    }
-
-    /// Number of instructions.
-    pub fn len(&self) -> usize {
-        self.runs.instructions.len()
     }
 
     /// Number of constants.
@@ -236,11 +227,6 @@ impl BarProgram {
             assert!(!has_slope || usize::from(*b) < numbers);
         }
         Self { runs: Runs::new(list), numbers, bars }
-    }
-
-    /// Number of instructions.
-    pub fn len(&self) -> usize {
-        self.runs.instructions.len()
     }
 
     /// Number of registers of cotangents.
