@@ -233,7 +233,8 @@ fn compare_derivatives(text: [&str; 2], numbers: [f64; 3], bars: [f64; 2]) {
         // Terms of very different size may cancel, and dual numbers may meet 0 times infinity on
         // a path that the graph does not have.
         let size = expected.abs().max(1.0);
-        let is_close = (found - expected).abs() <= 1e-9 * size || expected.is_nan() || expected.abs() > 1e12;
+        let is_close =
+            (found - expected).abs() <= 1e-9 * size || expected.is_nan() || expected.abs() > 1e12;
         assert!(
             is_close,
             "{text:?} at {numbers:?}, input {i}: {found}, by dual numbers {expected}"

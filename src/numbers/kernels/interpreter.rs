@@ -132,69 +132,96 @@ impl NumberProgram {
     pub fn run<T: Scalar>(&self, registers: &mut [T]) {
         assert!(registers.len() >= self.registers);
         let all = registers.as_mut_ptr();
-        // SAFETY: `new` compares all registers with their number, and the slice is not shorter.
-        let get = |register: u16| unsafe { *all.add(usize::from(register)) };
-        let put = |register: u16, value: T| unsafe { *all.add(usize::from(register)) = value };
+        // Macros and loops instead of closures, which might not be inlined into code for wide
+        // registers.
+        macro_rules! get {
+            ($register:expr) => {
+                // SAFETY: `new` compares all registers with their number, and the slice is not
+                // shorter.
+                unsafe { *all.add(usize::from($register)) }
+            };
+        }
+        macro_rules! put {
+            ($register:expr, $value:expr) => {{
+                let value = $value;
+                // SAFETY: as above.
+                unsafe { *all.add(usize::from($register)) = value }
+            }};
+        }
         let mut rest = &self.runs.instructions[..];
         for &(code, count) in &self.runs.runs {
             let (run, others) = rest.split_at(count);
             rest = others;
-            macro_rules! unary {
-                ($f:expr) => {
-                    run.iter().for_each(|i| put(i.d, $f(get(i.a))))
+            macro_rules! each {
+                (|$a:ident| $value:expr) => {
+                    for i in run {
+                        let $a = get!(i.a);
+                        put!(i.d, $value);
+                    }
                 };
-            }
-            macro_rules! binary {
-                ($f:expr) => {
-                    run.iter().for_each(|i| put(i.d, $f(get(i.a), get(i.b))))
+                (|$a:ident, $b:ident| $value:expr) => {
+                    for i in run {
+                        let ($a, $b) = (get!(i.a), get!(i.b));
+                        put!(i.d, $value);
+                    }
                 };
-            }
-            macro_rules! ternary {
-                ($f:expr) => {
-                    run.iter().for_each(|i| put(i.d, $f(get(i.a), get(i.b), get(i.c))))
+                (|$a:ident, $b:ident, $c:ident| $value:expr) => {
+                    for i in run {
+                        let ($a, $b, $c) = (get!(i.a), get!(i.b), get!(i.c));
+                        put!(i.d, $value);
+                    }
+                };
+                (|$a:ident, $b:ident, $c:ident, $e:ident| $value:expr) => {
+                    for i in run {
+                        let ($a, $b, $c, $e) = (get!(i.a), get!(i.b), get!(i.c), get!(i.e));
+                        put!(i.d, $value);
+                    }
                 };
             }
             match code {
-                NumberCode::Add => binary!(|a: T, b: T| a + b),
-                NumberCode::Sub => binary!(|a: T, b: T| a - b),
-                NumberCode::Mul => binary!(|a: T, b: T| a * b),
-                NumberCode::Div => binary!(|a: T, b: T| a / b),
-                NumberCode::MulAdd => ternary!(|a: T, b: T, c: T| a * b + c),
-                NumberCode::MulSub => ternary!(|a: T, b: T, c: T| a * b - c),
-                NumberCode::SubMul => ternary!(|a: T, b: T, c: T| c - a * b),
-                NumberCode::AddMul => ternary!(|a: T, b: T, c: T| (a + b) * c),
-                NumberCode::DiffMul => ternary!(|a: T, b: T, c: T| (a - b) * c),
-                NumberCode::Neg => unary!(|a: T| -a),
-                NumberCode::Abs => unary!(T::abs),
-                NumberCode::Sqrt => unary!(T::sqrt),
-                NumberCode::Exp => unary!(T::exp),
-                NumberCode::Ln => unary!(T::ln),
-                NumberCode::Tanh => unary!(T::tanh),
-                NumberCode::Asin => unary!(T::asin),
-                NumberCode::Acos => unary!(T::acos),
-                NumberCode::Detach => unary!(T::detach),
-                NumberCode::SinCos => run.iter().for_each(|i| {
-                    let (sin, cos) = get(i.a).sin_cos();
-                    put(i.d, sin);
-                    put(i.e, cos);
-                }),
-                NumberCode::Atan2 => binary!(T::atan2),
-                NumberCode::Hypot => binary!(T::hypot),
-                NumberCode::PerSquare => binary!(|a, b| Scaled::new(a, b).per_square()[0]),
-                NumberCode::Unit => binary!(|a, b| Scaled::new(a, b).direction()[0]),
-                NumberCode::Min => binary!(|a, b| ordered(a, T::select_lt(a, b, a, b), a)),
-                NumberCode::Max => binary!(|a, b| ordered(a, T::select_lt(b, a, a, b), a)),
-                NumberCode::Powf => run.iter().for_each(|i| {
-                    put(i.d, get(i.a).powf(self.constants[usize::from(i.b)]));
-                }),
-                NumberCode::Select => run.iter().for_each(|i| {
-                    put(i.d, T::select_lt(get(i.a), get(i.b), get(i.c), get(i.e)));
-                }),
-                NumberCode::SelectLe => run.iter().for_each(|i| {
-                    let (a, b, yes, no) = (get(i.a), get(i.b), get(i.c), get(i.e));
-                    let if_ordered = ordered(a, ordered(b, yes, no), no);
-                    put(i.d, T::select_lt(b, a, no, if_ordered));
-                }),
+                NumberCode::Add => each!(|a, b| a + b),
+                NumberCode::Sub => each!(|a, b| a - b),
+                NumberCode::Mul => each!(|a, b| a * b),
+                NumberCode::Div => each!(|a, b| a / b),
+                NumberCode::MulAdd => each!(|a, b, c| a * b + c),
+                NumberCode::MulSub => each!(|a, b, c| a * b - c),
+                NumberCode::SubMul => each!(|a, b, c| c - a * b),
+                NumberCode::AddMul => each!(|a, b, c| (a + b) * c),
+                NumberCode::DiffMul => each!(|a, b, c| (a - b) * c),
+                NumberCode::Neg => each!(|a| -a),
+                NumberCode::Abs => each!(|a| a.abs()),
+                NumberCode::Sqrt => each!(|a| a.sqrt()),
+                NumberCode::Exp => each!(|a| a.exp()),
+                NumberCode::Ln => each!(|a| a.ln()),
+                NumberCode::Tanh => each!(|a| a.tanh()),
+                NumberCode::Asin => each!(|a| a.asin()),
+                NumberCode::Acos => each!(|a| a.acos()),
+                NumberCode::Detach => each!(|a| a.detach()),
+                NumberCode::SinCos => {
+                    for i in run {
+                        let (sin, cos) = get!(i.a).sin_cos();
+                        put!(i.d, sin);
+                        put!(i.e, cos);
+                    }
+                }
+                NumberCode::Atan2 => each!(|a, b| a.atan2(b)),
+                NumberCode::Hypot => each!(|a, b| a.hypot(b)),
+                NumberCode::PerSquare => each!(|a, b| Scaled::new(a, b).per_square()[0]),
+                NumberCode::Unit => each!(|a, b| Scaled::new(a, b).direction()[0]),
+                NumberCode::Min => each!(|a, b| ordered(a, T::select_lt(a, b, a, b), a)),
+                NumberCode::Max => each!(|a, b| ordered(a, T::select_lt(b, a, a, b), a)),
+                NumberCode::Powf => {
+                    for i in run {
+                        put!(i.d, get!(i.a).powf(self.constants[usize::from(i.b)]));
+                    }
+                }
+                NumberCode::Select => each!(|a, b, c, e| T::select_lt(a, b, c, e)),
+                NumberCode::SelectLe => {
+                    each!(|a, b, yes, no| {
+                        let if_ordered = ordered(a, ordered(b, yes, no), no);
+                        T::select_lt(b, a, no, if_ordered)
+                    });
+                }
             }
         }
     }
@@ -242,24 +269,38 @@ impl BarProgram {
     pub fn run<T: Scalar, C: Cotangent<T>>(&self, numbers: &[T], bars: &mut [C]) {
         assert!(numbers.len() >= self.numbers && bars.len() >= self.bars);
         let (numbers, all) = (numbers.as_ptr(), bars.as_mut_ptr());
-        // SAFETY: `new` compares all registers with their numbers, and the slices are not shorter.
-        let slope = |register: u16| unsafe { *numbers.add(usize::from(register)) };
-        let get = |register: u16| unsafe { *all.add(usize::from(register)) };
-        let put = |register: u16, value: C| unsafe { *all.add(usize::from(register)) = value };
+        macro_rules! slope {
+            ($register:expr) => {
+                // SAFETY: `new` compares all registers with their numbers, and the slices are not
+                // shorter.
+                unsafe { *numbers.add(usize::from($register)) }
+            };
+        }
+        macro_rules! get {
+            ($register:expr) => {
+                // SAFETY: as above.
+                unsafe { *all.add(usize::from($register)) }
+            };
+        }
         let mut rest = &self.runs.instructions[..];
         for &(code, count) in &self.runs.runs {
             let (run, others) = rest.split_at(count);
             rest = others;
+            macro_rules! each {
+                (|$i:ident| $value:expr) => {
+                    for $i in run {
+                        let value: C = $value;
+                        // SAFETY: as above.
+                        unsafe { *all.add(usize::from($i.d)) = value }
+                    }
+                };
+            }
             match code {
-                BarCode::Add => run.iter().for_each(|i| put(i.d, get(i.a) + get(i.c))),
-                BarCode::Sub => run.iter().for_each(|i| put(i.d, get(i.a) - get(i.c))),
-                BarCode::Mul => run.iter().for_each(|i| put(i.d, get(i.a) * slope(i.b))),
-                BarCode::MulAdd => {
-                    run.iter().for_each(|i| put(i.d, get(i.c) + get(i.a) * slope(i.b)));
-                }
-                BarCode::MulSub => {
-                    run.iter().for_each(|i| put(i.d, get(i.c) - get(i.a) * slope(i.b)));
-                }
+                BarCode::Add => each!(|i| get!(i.a) + get!(i.c)),
+                BarCode::Sub => each!(|i| get!(i.a) - get!(i.c)),
+                BarCode::Mul => each!(|i| get!(i.a) * slope!(i.b)),
+                BarCode::MulAdd => each!(|i| get!(i.c) + get!(i.a) * slope!(i.b)),
+                BarCode::MulSub => each!(|i| get!(i.c) - get!(i.a) * slope!(i.b)),
             }
         }
     }
