@@ -16,9 +16,10 @@ thread_local! {
 /// calls receive different values.
 pub(crate) fn lend<T: Default + 'static, Out>(work: impl FnOnce(&mut T) -> Out) -> Out {
     let mut value: Box<T> = POOL.with_borrow_mut(|pool| {
-        let found = pool.iter().position(|value| value.is::<T>());
+        // From the end, where the last call left its value.
+        let found = pool.iter().rposition(|value| value.is::<T>());
         found.map_or_else(Box::default, |i| {
-            pool.swap_remove(i).downcast().expect("`position` found a value of this type")
+            pool.swap_remove(i).downcast().expect("`rposition` found a value of this type")
         })
     });
     let result = work(&mut value);

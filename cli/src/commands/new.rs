@@ -1,10 +1,12 @@
-//! `physgrad new`: a crate with a task of the user.
+//! `physgrad new`: a crate with a task of the user, or a scene with equations.
 
 use crate::platform::files;
 use crate::platform::terminal::print_result;
+use crate::scenes::presets;
 use crate::tasks;
 use anyhow::{Context, Result, bail};
 use std::fs;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 /// Source of the task that a new crate starts from.
@@ -29,12 +31,18 @@ const RESERVED: [(&str, &str); 3] = [
     ("physgrad rand schemars serde", "is a dependency of the new crate"),
 ];
 
-/// Write a crate with a task of your own: a commented system, a scene and a gradient check.
+/// Write a template of a task of your own: a crate, or a scene with equations.
+///
+/// A crate has a commented system in Rust, a scene and a gradient check. A scene with equations
+/// needs no compiler.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example:\n  physgrad new swing_boat")]
+#[command(after_help = "Examples:\n  physgrad new swing_boat\n  physgrad new --scene swing_boat")]
 pub struct New {
-    /// Name of the task and of its folder: lower case letters, digits and underscores
+    /// Name of the task and of its folder or scene: lower case letters, digits and underscores
     pub name: String,
+    /// Write the scene NAME.toml with commented equations instead of a crate
+    #[arg(long, conflicts_with = "path")]
+    pub scene: bool,
     /// Folder of the physgrad sources [default: this program's, otherwise the published version]
     #[arg(long, value_name = "DIR")]
     pub path: Option<PathBuf>,
@@ -48,6 +56,9 @@ pub fn new(args: &New) -> Result<()> {
         bail!(
             "`{name}` cannot be the name of a task; allowed: lower case letters, digits and underscores, a letter first"
         );
+    }
+    if args.scene {
+        return scene(name);
     }
     if let Some((_, reason)) =
         RESERVED.iter().find(|(names, _)| names.split_whitespace().any(|reserved| reserved == name))
@@ -85,6 +96,29 @@ pub fn new(args: &New) -> Result<()> {
          cargo run --release -- --help                   # all commands"
     ))
 }
+
+/// Writes a scene with equations.
+fn scene(name: &str) -> Result<()> {
+    let file = format!("{name}.toml");
+    let text = presets::text("equations")?;
+    // The first lines are about the preset.
+    let body = text.split_once("\n\n").map_or(&*text, |(_, body)| body);
+    let text = SCENE_HEADER.replace("NAME", name) + body;
+    // Overwrites nothing.
+    let written = fs::File::create_new(&file).and_then(|mut new| new.write_all(text.as_bytes()));
+    written.with_context(|| format!("cannot create {file}; choose another name"))?;
+    print_result(&format!(
+        "created {file}: two tanks in a row. Replace their names, numbers and equations with your own. Then:\n\n\
+         physgrad check {file}      # equations, derivatives, time step\n\
+         physgrad train {file}      # training; results in runs/{name}"
+    ))
+}
+
+const SCENE_HEADER: &str = "# NAME: equations of a system of your own, for now two tanks in a row.
+# `physgrad check NAME.toml` reads them, `physgrad train NAME.toml` trains a policy, and docs/equations.md
+# lists functions and operators.
+
+";
 
 fn manifest(name: &str, path: Option<&Path>) -> Result<String> {
     let sources = Path::new(env!("CARGO_MANIFEST_DIR")).parent();

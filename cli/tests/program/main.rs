@@ -10,6 +10,7 @@ mod accuracy;
 mod book;
 mod commands;
 mod docs;
+mod equations;
 mod eval;
 mod explain;
 mod export;

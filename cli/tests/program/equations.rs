@@ -1,0 +1,143 @@
+//! Scenes with equations: the template, errors with their lines, runs that stand alone.
+
+use crate::running::{error_of, physgrad};
+use std::fs;
+use std::path::Path;
+use tempfile::TempDir;
+
+/// Output of a command that succeeds in a folder.
+fn output(folder: &Path, args: &[&str]) -> String {
+    let output = physgrad(args).current_dir(folder).output().expect("the command runs");
+    assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).expect("text")
+}
+
+/// A pendulum in f64, whose mass may be drawn.
+const PENDULUM: &str = r#"scene = 1
+task = "equations"
+precision = "f64"
+horizon = 30
+epochs = 2
+[system]
+states = ["angle", "rate"]
+controls = ["torque"]
+angles = ["angle"]
+dt = 0.05
+observe = ["sin(angle)", "cos(angle)", "rate"]
+parameters = { mass = 1.0, length = 0.5 }
+start = { angle = { normal = [3.14, 0.2] } }
+[system.define]
+inertia = "mass * length ^ 2"
+[system.rate]
+angle = "rate"
+rate = "torque / inertia + 9.81 / length * sin(angle)"
+[loss]
+running = "1e-4 * torque ^ 2"
+terminal = "1 - cos(angle) + 0.05 * rate ^ 2"
+[policy]
+widths = [8]
+[training]
+train_samples = 16
+test_samples = 16
+"#;
+
+fn folder(scene: &str) -> TempDir {
+    let dir = TempDir::new().expect("a folder");
+    fs::write(dir.path().join("own.toml"), scene).expect("a scene");
+    dir
+}
+
+#[test]
+fn a_new_scene_with_equations_passes_its_check_and_overwrites_nothing() {
+    let dir = TempDir::new().expect("a folder");
+    output(dir.path(), &["new", "--scene", "my_tanks"]);
+    let checked = output(dir.path(), &["check", "my_tanks.toml"]);
+    assert!(checked.contains("my_tanks.toml: system") && !checked.contains("FAILED"), "{checked}");
+    let message = error_of(physgrad(&["new", "--scene", "my_tanks"]).current_dir(dir.path()));
+    assert!(message.contains("cannot create my_tanks.toml; choose another name"), "{message}");
+}
+
+#[test]
+fn every_command_takes_equations_and_a_run_stands_alone() {
+    let dir = folder(PENDULUM);
+    let at = dir.path();
+    assert!(output(at, &["explain", "own.toml"]).contains("state, 2 components: angle, rate"));
+    output(at, &["train", "own.toml", "--out", "run"]);
+    fs::remove_file(at.join("own.toml")).expect("the scene is not needed any more");
+    output(at, &["train", "--resume", "--out", "run", "--epochs", "3"]);
+    output(at, &["eval", "run"]);
+    output(at, &["report", "run", "-o", "page"]);
+    output(at, &["export", "run", "-o", "policy.onnx"]);
+    output(at, &["optimize", "run/run.toml", "--iterations", "3"]);
+    let drawn = "system.parameters.mass={ uniform = [0.8, 1.2] }";
+    output(at, &["train", "run/run.toml", "--epochs", "1", "--set", drawn, "--out", "drawn"]);
+    output(at, &["robust", "drawn", "--grid", "system.parameters.mass=0.5:2:3"]);
+    let header = fs::read_to_string(at.join("drawn/trajectory.csv")).expect("a table");
+    assert!(header.lines().next().expect("names").contains("system.parameters.mass"), "{header}");
+}
+
+#[test]
+fn an_identification_recovers_a_parameter_of_the_equations() {
+    let dir = folder(&PENDULUM.replace("epochs = 2", "epochs = 0"));
+    let at = dir.path();
+    output(at, &["train", "own.toml", "--out", "run", "--set", "system.parameters.mass=1.3"]);
+    let fit = "\n[fit]\n\"system.parameters.mass\" = { start = 1.0, min = 0.1 }\n";
+    // The policy of an untrained run pushes with its random weights.
+    let torque = PENDULUM.replace("torque / inertia", "(torque + sin(3 * t)) / inertia");
+    fs::write(at.join("own.toml"), torque.clone() + fit).expect("a scene");
+    fs::write(at.join("true.toml"), torque.replace("epochs = 2", "epochs = 0")).expect("a scene");
+    output(at, &["train", "true.toml", "--out", "data", "--set", "system.parameters.mass=1.3"]);
+    let found = output(at, &["identify", "own.toml", "data/trajectory.csv"]);
+    assert!(found.contains("1.30"), "{found}");
+}
+
+#[test]
+fn errors_in_equations_name_the_line_and_the_column() {
+    for (from, to, message) in [
+        (
+            "/ inertia +",
+            "/ inertial +",
+            "own.toml:17: `system.rate.rate` has an error in column 10",
+        ),
+        (
+            "angle = \"rate\"",
+            "angle = \"rate +\"",
+            "own.toml:16: `system.rate.angle` has an error in column 7",
+        ),
+        (
+            "1e-4 * torque ^ 2",
+            "1e-4 * torque ^ next",
+            "own.toml:19: `loss.running` has an error in column 17",
+        ),
+        (
+            "1 - cos(angle)",
+            "1 - cos(torque)",
+            "own.toml:20: `loss.terminal` depends on the control",
+        ),
+        (
+            "mass = 1.0",
+            "mass = \"heavy\"",
+            "own.toml:12: `system.parameters.mass` is string \"heavy\"; allowed: a number",
+        ),
+        ("dt = 0.05", "dt = 0", "own.toml:10: `system.dt` is 0; allowed: a positive number"),
+        ("rate = \"torque", "rat = \"torque", "`system.rate` has `rat`, which is not a state"),
+        ("[policy]", "[integrator]\nsubsteps = 0\n[policy]", "`integrator.substeps` is 0"),
+    ] {
+        let scene = PENDULUM.replace(from, to);
+        assert_ne!(scene, PENDULUM, "{from}");
+        let dir = folder(&scene);
+        let found = error_of(physgrad(&["check", "own.toml"]).current_dir(dir.path()));
+        assert!(found.contains(message), "{to}: {found}");
+    }
+    let discrete = PENDULUM.replace("[system.rate]", "[system.next]");
+    let dir = folder(&discrete);
+    assert!(output(dir.path(), &["check", "own.toml"]).contains("own.toml: system"));
+    for (setting, message) in [
+        ("integrator.method=rk4", "`integrator.method` is rk4, but has no effect"),
+        ("integrator.substeps=2", "`system.next` gives the state after a whole step"),
+    ] {
+        let mut command = physgrad(&["check", "own.toml", "--set", setting]);
+        let found = error_of(command.current_dir(dir.path()));
+        assert!(found.contains(message), "{setting}: {found}");
+    }
+}
