@@ -18,10 +18,10 @@ WHERE = "Write `np.where(condition, a, b)` in place of `if` and of `a if conditi
 # Hints for a branch, by the line of the user. The first that matches is given.
 BRANCHES = [
     (r"(?<![\w.])(max|min)\(", "Write `np.maximum(a, b)` or `np.minimum(a, b)` in place of Python's `max` and `min`"),
+    (r"\b(and|or|not)\b", "Write `(a < x) & (x < b)`, `|` and `~` in place of `and`, `or` and `not`"),
     (r"[<>]=?[^<>()&|,]+[<>]=?", "Write `(a < x) & (x < b)` in place of `a < x < b`"),
     (r"\bwhile\b", "A loop needs a fixed number of turns, as `for _ in range(10)`, with `np.where` inside"),
     (r"(?<![\w.])(sorted|any|all)\(", "Write `np.maximum`, `np.minimum`, `np.any` or `np.all` of an array"),
-    (r"\b(and|or|not)\b", "Write `(a < x) & (x < b)`, `|` and `~` in place of `and`, `or` and `not`"),
     (r"\bif\b", WHERE),
 ]
 LIST = "; NumPy needs `np.array([...])` in place of a list of traced numbers"

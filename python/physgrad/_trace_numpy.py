@@ -373,9 +373,9 @@ def norm(x: Any, ord: Any = None, axis: Any = None, keepdims: bool = False) -> A
 
 def interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None, period: Any = None) -> Any:
     """Linear interpolation between constant places: a tree of np.where."""
-    places, values = np.asarray(demote(xp)), plain(fp)
-    if is_traced(places) or period is not None:
+    if is_traced(xp) or period is not None:
         refuse(TypeError, "np.interp needs constant places `xp`, and no `period`")
+    places, values = np.asarray(demote(xp)), plain(fp)
     if places.ndim != 1 or places.shape != values.shape or len(places) == 0 or not np.all(np.diff(places) > 0):
         refuse(ValueError, "np.interp needs places `xp` that increase, and one value each")
 

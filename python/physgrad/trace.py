@@ -190,10 +190,9 @@ def flatten(role: str, where: str, result: Any) -> list:
         raise TypeError(f"{where} returned None, or a list with None; is a `return` missing?")
     if not is_traced(result) and not isinstance(result, (int, float, np.number, np.bool_, np.ndarray)):
         raise TypeError(f"{where} returned an object of type {type(result).__name__}; expected {EXPECTED[role]}")
-    try:
-        return [lift(result)]
-    except ValueError as error:
-        raise ValueError(f"{where} returned a number that is not finite: {result}") from error
+    if not is_traced(result) and not np.isfinite(result):
+        raise ValueError(f"{where} returned a number that is not finite: {result}")
+    return [lift(result)]
 
 
 EXPECTED = {
