@@ -70,6 +70,8 @@ def value_hint() -> str:
     """What to write in place of `float(x)` and its like, judged by the line of the user."""
     text = line()
     called = re.search(r"\bmath\.(\w+)", text)
+    if called and called[1] in ("floor", "ceil", "trunc", "fmod", "remainder"):
+        return f"`math.{called[1]}` jumps and has no useful derivative; leave it out, or write `np.where` with `<`"
     if called:
         name = {"pow": "power", "fabs": "abs", "dist": "linalg.norm", "asin": "arcsin", "acos": "arccos", "atan": "arctan",
                 "atan2": "arctan2"}.get(called[1], called[1])
@@ -83,10 +85,21 @@ def value_hint() -> str:
     return "Use functions of NumPy, and leave out `float`, `int` and `astype`"
 
 
-def near(name: str, names: Iterable[str]) -> str:
+def place_of(error: BaseException) -> str | None:
+    """The last place of an error in code of the user."""
+    found, step = None, error.__traceback__
+    while step is not None:
+        frame = step.tb_frame
+        if frame.f_globals.get("__name__", "").split(".")[0] not in PACKAGES:
+            found = f"{name_of(frame.f_code.co_filename)}:{step.tb_lineno}"
+        step = step.tb_next
+    return found
+
+
+def near(name: str, names: Iterable[str], likeness: float = 0.5) -> str:
     """`; did you mean ...?` for a wrong name, with all names if there are few."""
     names = [str(known) for known in names]
-    found = difflib.get_close_matches(str(name), names, 3, 0.5)
+    found = difflib.get_close_matches(str(name), names, 3, likeness)
     if found:
         return f"; did you mean {' or '.join(f'`{known}`' for known in found)}?"
     return f"; there are {', '.join(names)}" if 0 < len(names) <= 12 else ""

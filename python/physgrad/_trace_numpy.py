@@ -474,4 +474,4 @@ def array_function(function: Callable, args: tuple, kwargs: dict) -> Any:
 
 def unsupported(name: str) -> Any:
     known = sorted({*ELEMENTWISE, *FUNCTIONS, *OF_OBJECTS} - {"solve", "inv", "det", "norm"})
-    refuse(TypeError, f"np.{name} is not supported in a traced function{near(name, known) or '; write it with other functions'}")
+    refuse(TypeError, f"np.{name} is not supported in a traced function{near(name, known, 0.65) or '; write it with other functions'}")

@@ -18,7 +18,7 @@ import numpy as np
 from . import _trace_numbers as numbers
 from ._distributions import finite, table
 from ._trace_arrays import LOCK, constructors
-from ._trace_errors import begin, near
+from ._trace_errors import begin, near, place_of
 from ._trace_graph import FUNCTIONS, Graph, Text
 from ._trace_numbers import CALLS, Array, Call, Parameters, is_traced, lift, plain
 
@@ -33,7 +33,13 @@ ARGUMENTS = {
     "terminal_cost": ("x", "p"),
 }
 RESERVED = FUNCTIONS | {"t", "pi", "next", "and", "or", "not", "inf", "nan"}
-# Words of NumPy about arrays of objects, after which a hint helps.
+# Other words that name an argument.
+ALIASES = {
+    "state": "x", "states": "x", "control": "u", "controls": "u", "action": "u", "params": "p", "param": "p",
+    "parameters": "p", "time": "t", "next_state": "next", "next_x": "next", "x_next": "next",
+}  # fmt: skip
+HINT = ". NumPy cannot compute this with a list of traced numbers; write `np.array([...])` of it first"
+# Words of NumPy about arrays of objects, after which the hint helps.
 OF_OBJECTS = re.compile(r"dtype\('O'\)|object|loop of ufunc|not supported for the input types|only integers, slices")
 Names = Sequence[str] | int
 
@@ -162,16 +168,18 @@ def fit(role: str, function: Callable, given: dict[str, Any]) -> tuple[list, dic
         parameters = list(inspect.signature(function).parameters.values())
     except (TypeError, ValueError):
         raise TypeError(f"`{role}` is {function!r}; give a function of Python, with arguments among {', '.join(given)}") from None
+    role_of = {p.name: ALIASES.get(p.name, p.name) for p in parameters}
     variadic = [p for p in parameters if p.kind is p.VAR_POSITIONAL]
     wanted = [p for p in parameters if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)]
-    wanted = [p for p in wanted if p.default is p.empty or p.name in given]
-    if not variadic and all(p.name in given for p in wanted):
-        positional = [given[p.name] for p in wanted if p.kind is p.POSITIONAL_ONLY]
-        return positional, {p.name: given[p.name] for p in wanted if p.kind is not p.POSITIONAL_ONLY}
+    wanted = [p for p in wanted if p.default is p.empty or role_of[p.name] in given]
+    if not variadic and all(role_of[p.name] in given for p in wanted):
+        positional = [given[role_of[p.name]] for p in wanted if p.kind is p.POSITIONAL_ONLY]
+        return positional, {p.name: given[role_of[p.name]] for p in wanted if p.kind is not p.POSITIONAL_ONLY}
     order = list(given)
     every = {name for arguments in ARGUMENTS.values() for name in arguments}
     for place, p in enumerate(wanted):
-        if p.name in every and (place >= len(order) or order[place] != p.name) or p.kind is p.KEYWORD_ONLY:
+        found = role_of[p.name]
+        if found in every and order[place : place + 1] != [found] or p.kind is p.KEYWORD_ONLY:
             known = f"`{role}` receives {', '.join(order)}"
             raise TypeError(f"{where} has an argument `{p.name}` that does not fit: {known}, by these names or in this order")
     if len(wanted) > len(order):
@@ -239,8 +247,9 @@ def traced(graph: Graph, plan: Plan, role: str, function: Callable) -> list[int]
     except Exception as error:
         if call.refused is not None and call.refused is not error:
             raise call.refused from error
-        if call.refused is None and OF_OBJECTS.search(str(error)) and hasattr(error, "add_note"):
-            error.add_note("NumPy cannot compute this with a list of traced numbers; write `np.array([...])` of it first")
+        place = place_of(error)
+        if call.refused is None and place and place not in str(error) and hasattr(error, "add_note"):
+            error.add_note(f"{place}: raised in `{role}`, while it was traced" + (HINT if OF_OBJECTS.search(str(error)) else ""))
         raise
     finally:
         CALLS.pop()

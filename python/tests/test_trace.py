@@ -97,6 +97,8 @@ EXACT = {
     "by name": lambda x, u, p, t: [x.x1 * p.a, x["x2"] + p["b"], u.u2 * t],
     "in another order": lambda t, p, x: [x[-1] * t, x[-2] - p.a, x[0]],
     "positions": lambda state, action, numbers, time: [state[0] + action[0], numbers.a * time, state[1]],
+    "words": lambda state, params, time, action: [state[0] * params.a, time * action[0], state[1]],
+    "variadic": lambda *arguments: [arguments[0][0] * arguments[1][0], arguments[2].a, arguments[3]],
     "dict": lambda x: {"x3": x[0], "x1": x[1], "x2": x[2]},
     "nested": lambda x: [np.array([x[2], x[0]]), (x[1],)],
     "in place": in_place,
