@@ -247,7 +247,7 @@ def write(out: tuple, result: Any) -> Any:
         return target
     if np.shape(result) != target.shape and np.broadcast_shapes(np.shape(result), target.shape) != target.shape:
         refuse(ValueError, f"a result of shape {np.shape(result)} does not fit in shape {target.shape}")
-    finish(target)[...] = result
+    target.view(Array)[...] = result
     return target
 
 
@@ -256,8 +256,7 @@ def reduce(name: str, value: Any, axis: Any = None, keepdims: bool = False, init
     array = plain(value)
     if name in ("add", "multiply", "maximum", "minimum"):
         array = plain(elementwise(lambda a: lift(a) if isinstance(a, Condition) else a, array))
-    axes = range(array.ndim) if axis is None else [axis] if isinstance(axis, int) else axis
-    axes = sorted(a % array.ndim for a in axes)
+    axes = axes_of(axis, array.ndim)
     if not axes:
         return finish(array.copy())
     kept = [a for a in range(array.ndim) if a not in axes]
@@ -272,6 +271,17 @@ def reduce(name: str, value: Any, axis: Any = None, keepdims: bool = False, init
         parts = list(row) if initial is None or initial is np._NoValue else [initial, *row]
         out[i] = combine_all(name, parts, in_pairs)
     return finish(out.reshape(lead if shape is None else shape))
+
+
+def axes_of(axis: Any, dimensions: int) -> list[int]:
+    """The axes of a reduction, in order. A number without dimensions has none."""
+    axes = range(dimensions) if axis is None else axis if isinstance(axis, tuple) else (axis,)
+    if dimensions == 0 and axis in (None, 0, -1):
+        return []
+    found = sorted({int(a) % dimensions for a in axes if -dimensions <= a < dimensions})
+    if len(found) != len(axes):
+        refuse(ValueError, f"the axis {axis} is out of range or twice, for an array of {dimensions} dimensions")
+    return found
 
 
 def combine_all(name: str, parts: list, in_pairs: bool) -> Any:

@@ -185,6 +185,7 @@ WRONG = [
     ("constant changed", lambda x, p: p.A.fill(x[0]) or x, (TypeError, ValueError), "read-only|not known"),
     ("spectral norm", lambda x: x * np.linalg.norm(np.outer(x, x), 2), TypeError, "not supported"),
     ("dot option", lambda x: np.sum(x, where=[True, False]) * x, TypeError, "not supported"),
+    ("axis", lambda x: np.sum(x, axis=1) * x, ValueError, "axis 1 is out of range"),
     ("interp of traced places", lambda x: np.interp(0.5, x, [1.0, 2.0]) * x, TypeError, "constant places"),
     ("interp falls", lambda x: np.interp(x, [1.0, 0.0], [1.0, 2.0]), ValueError, "increase"),
     ("element of array", lambda x: [x.__setitem__(0, x), x][1], ValueError, "assigned an array of shape"),
