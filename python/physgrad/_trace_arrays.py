@@ -26,12 +26,13 @@ LOCK = threading.RLock()
 
 def converting(original: Callable) -> Callable:
     def convert(value: Any, dtype: Any = None, **options: Any) -> Any:
+        copies = original is ORIGINALS["array"] and options.get("copy", True)
         if not is_traced(value) and not isinstance(value, Array):
-            return original(value, dtype=dtype, **options)
+            result = original(value, dtype=dtype, **options)
+            return promote(result) if copies else result
         if dtype is not None:
             check_dtype(dtype)
-        copies = original is ORIGINALS["array"] and options.pop("copy", True)
-        if isinstance(value, Array) and not options:
+        if isinstance(value, Array) and options.keys() <= {"copy"}:
             return value.copy() if copies else value
         return finish(original(value, dtype=object, **options))
 

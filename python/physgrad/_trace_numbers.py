@@ -273,20 +273,22 @@ def element(value: Any) -> Any:
 
 
 def finish(array: Any, names: tuple[str, ...] | None = None) -> Any:
-    """The result of an operation on arrays of objects: an `Array`, or its only element without dimensions.
-
-    Conditions among numbers become numbers, as in arrays of NumPy.
-    """
+    """The result of an operation on arrays of objects: an `Array`, or its only element without dimensions."""
     if not isinstance(array, np.ndarray):
         return array
     array = array.view(np.ndarray)
     if array.ndim == 0:
         return array[()]
-    kinds = {is_bool(value) for value in array.flat}
-    if len(kinds) == 2:
+    # All conditions, or all numbers of float64, whose arithmetic is that of an array of float64. Lists that NumPy
+    # joins to arrays have elements without dimensions.
+    if not all(isinstance(value, (TracedNumber, np.float64)) for value in array.flat):
         mixed, array = array, np.empty(array.shape, dtype=object)
         for index in np.ndindex(array.shape):
-            array[index] = element(mixed[index])
+            value = mixed[index]
+            array[index] = value.item() if isinstance(value, np.ndarray) and value.ndim == 0 else value
+        if not all(map(is_bool, array.flat)):
+            for index in np.ndindex(array.shape):
+                array[index] = element(array[index])
     result = array.view(Array)
     if names is not None and result.shape == (len(names),):
         object.__setattr__(result, "_names", names)
