@@ -111,6 +111,8 @@ def einsum(subscripts: Any, *operands: Any, **_: Any) -> Any:
         refuse(ValueError, f"np.einsum: `{subscripts}` does not fit shapes {[array.shape for array in arrays]}")
     if not arrow:
         output = "".join(sorted(letter for letter in set(inputs) - {","} if inputs.count(letter) == 1))
+    if len(set(output)) != len(output) or not set(output) <= set(inputs) - {","}:
+        refuse(ValueError, f"np.einsum: the output of `{subscripts}` has an index twice, or one that no input has")
     sizes: dict[str, int] = {}
     for part, array in zip(letters, arrays, strict=True):
         for letter, size in zip(part, array.shape, strict=True):

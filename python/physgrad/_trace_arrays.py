@@ -33,7 +33,7 @@ def converting(original: Callable) -> Callable:
         if dtype is not None:
             check_dtype(dtype)
         if isinstance(value, Array) and options.keys() <= {"copy"}:
-            return value.copy() if copies else value
+            return Array.copy(value) if copies else value
         return finish(original(value, dtype=object, **options))
 
     return convert

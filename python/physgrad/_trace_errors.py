@@ -17,6 +17,7 @@ BRANCH = "The value of {what} is not known while the function is traced, so Pyth
 WHERE = "Write `np.where(condition, a, b)` in place of `if` and of `a if condition else b`"
 # Hints for a branch, by the line of the user. The first that matches is given.
 BRANCHES = [
+    (r"\bassert\b", "Leave the assertion out"),
     (r"(?<![\w.])(max|min)\(", "Write `np.maximum(a, b)` or `np.minimum(a, b)` in place of Python's `max` and `min`"),
     (r"\b(and|or|not)\b", "Write `(a < x) & (x < b)`, `|` and `~` in place of `and`, `or` and `not`"),
     (r"[<>]=?[^<>()&|,]+[<>]=?", "Write `(a < x) & (x < b)` in place of `a < x < b`"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numbers
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NoReturn
 
@@ -70,8 +71,8 @@ def check_call(value: Symbol) -> None:
 
 def lift(value: Any) -> TracedNumber:
     """A value as a traced number of the present call."""
-    if isinstance(value, np.ndarray) and value.ndim == 0:
-        value = value.item()
+    if isinstance(value, np.ndarray) and base(value).ndim == 0:
+        value = base(value).item()
     if isinstance(value, Symbol):
         check_call(value)
         return value if isinstance(value, TracedNumber) else choose(value, 1.0, 0.0)
@@ -210,6 +211,8 @@ class TracedNumber(Symbol):
     T = real = property(lambda self: self)
 
 
+# np.isscalar asks for this.
+numbers.Real.register(TracedNumber)
 # Loops of NumPy over arrays of objects call methods of the elements.
 for method in ("sqrt", "exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "sin", "cos", "tan", "arcsin", "arccos",
                "arctan", "sinh", "cosh", "tanh", "arctan2", "hypot", "cbrt", "deg2rad", "rad2deg", "radians", "degrees",
@@ -240,9 +243,15 @@ def check_dtype(dtype: Any, integers: bool = False) -> None:
         refuse(TypeError, f"a traced number is a float64, not a {kind}. Leave out the dtype: `precision` selects it")
 
 
+def base(array: np.ndarray) -> np.ndarray:
+    """An array of the class of NumPy. Attributes of an `Array` may be the names of states."""
+    return np.ndarray.view(array, np.ndarray)
+
+
 def is_traced(value: Any) -> bool:
     """Whether a value is or contains a traced number or a condition."""
     if isinstance(value, np.ndarray):
+        value = base(value)
         return value.dtype == object and any(isinstance(element, Symbol) for element in value.flat)
     if isinstance(value, (list, tuple)):
         return any(map(is_traced, value))
@@ -255,9 +264,7 @@ def plain(value: Any) -> np.ndarray:
         box = np.empty((), dtype=object)
         box[()] = value
         return box
-    if isinstance(value, np.ndarray) and value.dtype == object:
-        return value.view(np.ndarray)
-    array = ASARRAY(value)
+    array = base(value) if isinstance(value, np.ndarray) else ASARRAY(value)
     if array.dtype == object:
         return array
     # Elements keep the arithmetic of NumPy, as 1.0 / 0.0, which Python refuses.
@@ -276,7 +283,7 @@ def finish(array: Any, names: tuple[str, ...] | None = None) -> Any:
     """The result of an operation on arrays of objects: an `Array`, or its only element without dimensions."""
     if not isinstance(array, np.ndarray):
         return array
-    array = array.view(np.ndarray)
+    array = base(array)
     if array.ndim == 0:
         return array[()]
     # All conditions, or all numbers of float64, whose arithmetic is that of an array of float64. Lists that NumPy
@@ -298,13 +305,14 @@ def finish(array: Any, names: tuple[str, ...] | None = None) -> Any:
 def demote(value: Any) -> Any:
     """A value without traced numbers as NumPy has it outside of a traced function."""
     if isinstance(value, Array):
-        return ARRAY(value.view(np.ndarray).tolist(), dtype=bool if all(map(is_bool, value.flat)) and value.size else float)
+        array = base(value)
+        return ARRAY(array.tolist(), dtype=bool if all(map(is_bool, array.flat)) and array.size else float)
     return type(value)(map(demote, value)) if type(value) in (list, tuple) else value
 
 
 def promote(value: Any) -> Any:
     """A new array of float64 that can hold traced numbers."""
-    if isinstance(value, np.ndarray) and value.dtype == np.float64 and value.ndim > 0:
+    if isinstance(value, np.ndarray) and base(value).dtype == np.float64 and value.ndim > 0:
         return plain(value).view(Array)
     return value
 
@@ -360,11 +368,13 @@ class Array(Operators, np.ndarray):
         return finish(result, self._names) if whole else result
 
     def __setitem__(self, key: Any, value: Any) -> None:
-        index, values = self._index(key), plain(value)
+        index, values, target = self._index(key), plain(value), base(self)
+        of_conditions = target.size > 0 and all(map(is_bool, target.flat))
+        if of_conditions and not all(map(is_bool, values.flat)):
+            refuse(TypeError, "an array of conditions is assigned a number; assign a comparison")
         boxed = np.empty(values.shape, dtype=object)
         for place in np.ndindex(values.shape):
-            boxed[place] = element(values[place])
-        target = self.view(np.ndarray)
+            boxed[place] = values[place] if of_conditions else element(values[place])
         # An array in one place would become an element of its own.
         if np.ndim(target[index]) == 0 and boxed.ndim > 0:
             if boxed.size != 1:
@@ -386,29 +396,29 @@ class Array(Operators, np.ndarray):
         return np.sqrt(self) if half else np.power(self, exponent)
 
     def copy(self, order: str = "C") -> Array:
-        return finish(self.view(np.ndarray).copy(order), self._names)
+        return finish(base(self).copy(order), self._names)
 
     def __copy__(self) -> Array:
-        return self.copy()
+        return Array.copy(self)
 
     def __deepcopy__(self, _: Any) -> Array:
-        return self.copy()
+        return Array.copy(self)
 
     def astype(self, dtype: Any, **_: Any) -> Any:
         if not is_traced(self):
             return promote(demote(self).astype(dtype))
-        if all(map(is_bool, self.flat)) and np.dtype(dtype) != bool:
-            check_dtype(dtype, integers=True)
-            return self + np.zeros(self.shape)
-        if not all(map(is_bool, self.flat)):
+        if not all(map(is_bool, base(self).flat)):
             check_dtype(dtype)
-        return self.copy()
+        elif np.dtype(dtype) != bool:
+            check_dtype(dtype, integers=True)
+            return finish(plain([element(value) for value in base(self).flat])).reshape(base(self).shape)
+        return finish(base(self).copy(), self._names)
 
     def dot(self, other: Any) -> Any:
         return np.dot(self, other)
 
     def item(self, *index: Any) -> Any:
-        return self.view(np.ndarray).item(*index)
+        return base(self).item(*index)
 
 
 def vector(names: Iterable[str], prefix: str = "") -> Array:

@@ -17,6 +17,7 @@ from ._trace_numbers import (
     Condition,
     TracedNumber,
     apply,
+    base,
     check_dtype,
     choose,
     combine,
@@ -44,7 +45,9 @@ def constant(value: Any) -> float | None:
 
 
 def add(a: Any, b: Any) -> Any:
-    return combine("or", a, b) if is_bool(a) and is_bool(b) else apply("add", a, b)
+    if is_bool(a) and is_bool(b):
+        refuse(TypeError, "the sum of two conditions is `or` for NumPy and a count for Python. Write `|`, or np.sum(np.array([...]))")
+    return apply("add", a, b)
 
 
 def subtract(a: Any, b: Any) -> Any:
@@ -192,6 +195,8 @@ def ufunc(function: np.ufunc, method: str, args: tuple, options: dict) -> Any:
     name = function.__name__
     options = dict(options)
     out = options.pop("out", None)
+    if method == "at":
+        refuse(TypeError, f"np.{name}.at is not supported in a traced function; assign the elements")
     if not any(map(is_traced, args)):
         result = promote(getattr(function, method)(*map(demote, args), **demote_all(options)))
     elif name in REFUSED:
@@ -210,6 +215,8 @@ def check_options(name: str, options: dict) -> None:
     """Refuses options that would change numbers."""
     if options.get("dtype") is not None:
         check_dtype(options["dtype"])
+    if options.get("out") is not None:
+        refuse(TypeError, f"give the argument `out` of np.{name} by its name")
     if options.get("where", True) is not True:
         refuse(TypeError, f"the argument `where` of np.{name} is not supported; use np.where")
 
@@ -218,7 +225,9 @@ def traced_ufunc(function: np.ufunc, method: str, args: tuple, options: dict) ->
     name = function.__name__
     if name in ("matmul", "vecdot", "matvec", "vecmat"):
         return matmul(*args) if name == "matmul" else unsupported(name)
-    if name not in ELEMENTWISE:
+    # A function of another package may have the name of one of NumPy.
+    known = getattr(np, name, None)
+    if name not in ELEMENTWISE or isinstance(known, np.ufunc) and known is not function:
         unsupported(name)
     if method == "__call__":
         return elementwise(of_numbers(name), *args)
@@ -236,7 +245,8 @@ def traced_ufunc(function: np.ufunc, method: str, args: tuple, options: dict) ->
 def write(out: tuple, result: Any) -> Any:
     """Stores a result in an argument `out`, as `x += 1` does."""
     (target,) = out
-    if not isinstance(target, np.ndarray) or target.dtype != object:
+    held = base(target) if isinstance(target, np.ndarray) else np.empty(0)
+    if held.dtype != object:
         if is_traced(result):
             refuse(
                 TypeError,
@@ -245,9 +255,9 @@ def write(out: tuple, result: Any) -> Any:
             )
         target[...] = result
         return target
-    if np.shape(result) != target.shape and np.broadcast_shapes(np.shape(result), target.shape) != target.shape:
-        refuse(ValueError, f"a result of shape {np.shape(result)} does not fit in shape {target.shape}")
-    target.view(Array)[...] = result
+    if np.shape(result) != held.shape and np.broadcast_shapes(np.shape(result), held.shape) != held.shape:
+        refuse(ValueError, f"a result of shape {np.shape(result)} does not fit in shape {held.shape}")
+    held.view(Array)[...] = result
     return target
 
 
@@ -317,12 +327,7 @@ def matmul(a: Any, b: Any, out: Any = None) -> Any:
     a, b = plain(a), plain(b)
     if a.ndim == 0 or b.ndim == 0 or a.shape[-1] != b.shape[max(b.ndim - 2, 0)]:
         refuse(ValueError, f"a product of shapes {a.shape} and {b.shape}: the inner dimensions differ")
-    return finish(np.matmul(numbers(a), numbers(b)))
-
-
-def numbers(array: np.ndarray) -> np.ndarray:
-    """Conditions as numbers."""
-    return plain(elementwise(lambda a: lift(a) if isinstance(a, Condition) else a, array))
+    return finish(np.matmul(a, b))
 
 
 def dot(a: Any, b: Any) -> Any:
@@ -347,12 +352,12 @@ def select(conditions: Any, choices: Any, default: Any = 0.0) -> Any:
 
 
 def total(value: Any, axis: Any = None, dtype: Any = None, out: Any = None, keepdims: Any = False, initial: Any = None) -> Any:
-    check_options("sum", {"dtype": dtype})
+    check_options("sum", {"dtype": dtype, "out": out})
     return reduce("add", value, axis, keepdims is True, initial)
 
 
 def mean(value: Any, axis: Any = None, dtype: Any = None, out: Any = None, keepdims: Any = False) -> Any:
-    check_options("mean", {"dtype": dtype})
+    check_options("mean", {"dtype": dtype, "out": out})
     sums = reduce("add", value, axis, keepdims is True)
     return sums / float(np.size(value) / max(np.size(sums), 1))
 
@@ -365,6 +370,7 @@ def variance(value: Any, axis: Any = None, ddof: float = 0, keepdims: Any = Fals
 
 def reduction(name: str) -> Callable:
     def function(value: Any, axis: Any = None, out: Any = None, keepdims: Any = False, initial: Any = None) -> Any:
+        check_options(name, {"out": out})
         return reduce(name, value, axis, keepdims is True, initial)
 
     return function
@@ -425,6 +431,11 @@ def full_like(array: Any, value: Any, **_: Any) -> Any:
     return finish(np.broadcast_to(plain(value), np.shape(array)).copy())
 
 
+def limit(a: Any, a_min: Any = None, a_max: Any = None, out: Any = None, *, min: Any = None, max: Any = None) -> Any:
+    check_options("clip", {"out": out})
+    return elementwise(clip, a, a_min if min is None else min, a_max if max is None else max)
+
+
 def around(*_: Any, **__: Any) -> Any:
     refuse(TypeError, STEPS.format(name="round"))
 
@@ -435,8 +446,7 @@ FUNCTIONS: dict[str, Callable] = {
     "std": lambda *args, **options: np.sqrt(variance(*args, **options)), "norm": norm, "interp": interp, "polyval": polyval,
     "prod": reduction("multiply"), "max": reduction("maximum"), "min": reduction("minimum"), "amax": reduction("maximum"),
     "amin": reduction("minimum"), "any": reduction("logical_or"), "all": reduction("logical_and"),
-    "clip": lambda a, a_min=None, a_max=None, min=None, max=None, out=None: elementwise(
-        clip, a, a_min if min is None else min, a_max if max is None else max),
+    "clip": limit,
     "zeros_like": filled(0.0), "ones_like": filled(1.0), "empty_like": filled(math.nan), "full_like": full_like,
     "solve": algebra.solve, "inv": algebra.inverse, "det": algebra.determinant, "einsum": algebra.einsum,
     "around": around, "round": around, "copy": lambda a, order="K", subok=False: finish(plain(a).copy()),
@@ -450,6 +460,9 @@ OF_OBJECTS = frozenset(
     "moveaxis outer permute_dims ravel repeat reshape roll rollaxis rot90 split squeeze stack swapaxes take tensordot tile "
     "trace transpose tril triu vdot vsplit vstack matrix_transpose unstack convolve".split()
 )
+
+# Functions that change their first argument.
+IN_PLACE = frozenset("copyto put place putmask fill_diagonal put_along_axis".split())
 
 
 def strip(value: Any) -> Any:
@@ -465,10 +478,14 @@ def restore(value: Any) -> Any:
 
 def array_function(function: Callable, args: tuple, kwargs: dict) -> Any:
     """Evaluates a function of NumPy with at least one traced argument, or an array that could hold one."""
+    if kwargs.get("out") is not None:
+        return write((kwargs["out"],), array_function(function, args, {**kwargs, "out": None}))
     name = function.__name__
+    if name in IN_PLACE:
+        refuse(TypeError, f"np.{name} changes an array in place, which is not supported in a traced function; assign the elements")
     constants = not any(map(is_traced, args)) and not any(map(is_traced, kwargs.values()))
     if name in FUNCTIONS and not (constants and name in ("solve", "inv", "det", "norm", "interp")):
-        options = {key: value for key, value in kwargs.items() if value is not np._NoValue}
+        options = {key: value for key, value in kwargs.items() if value is not np._NoValue and (key, value) != ("out", None)}
         try:
             return FUNCTIONS[name](*args, **options)
         except TypeError as error:
@@ -483,5 +500,7 @@ def array_function(function: Callable, args: tuple, kwargs: dict) -> Any:
 
 
 def unsupported(name: str) -> Any:
+    if name.endswith("(vectorized)"):
+        refuse(TypeError, "np.vectorize and np.frompyfunc are not supported in a traced function; call the function for each element")
     known = sorted({*ELEMENTWISE, *FUNCTIONS, *OF_OBJECTS} - {"solve", "inv", "det", "norm"})
     refuse(TypeError, f"np.{name} is not supported in a traced function{near(name, known, 0.65) or '; write it with other functions'}")

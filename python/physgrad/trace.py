@@ -192,7 +192,7 @@ def flatten(role: str, where: str, result: Any) -> list:
     """The numbers of a result, of any nesting."""
     if isinstance(result, (list, tuple)):
         return [number for part in result for number in flatten(role, where, part)]
-    if isinstance(result, np.ndarray) and result.ndim > 0:
+    if isinstance(result, np.ndarray) and plain(result).ndim > 0:
         return [number for part in plain(result).flat for number in flatten(role, where, part)]
     if result is None:
         raise TypeError(f"{where} returned None, or a list with None; is a `return` missing?")
@@ -230,7 +230,7 @@ def components(role: str, where: str, result: Any, states: list[str]) -> list:
 def shape_of(result: Any) -> str:
     if isinstance(result, (list, tuple)):
         return f"a {type(result).__name__} of {len(result)} elements"
-    return f"an array of shape {result.shape}" if isinstance(result, np.ndarray) else "one number"
+    return f"an array of shape {plain(result).shape}" if isinstance(result, np.ndarray) else "one number"
 
 
 def traced(graph: Graph, plan: Plan, role: str, function: Callable) -> list[int]:

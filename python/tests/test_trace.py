@@ -80,6 +80,13 @@ def counts(x, u):
     return [np.sum(over) * 1.0, over[0] * x[1] + over[1] * over[2], np.mean(over)]
 
 
+def conditions_in_place(x):
+    over = x > 0
+    over &= x < 1
+    over[2] = x[0] > x[1]
+    return np.where(over, x, -x)
+
+
 EXACT = {
     "operators": lambda x, u: [x[0] + u[0] * x[1] - x[2] / u[1], -x[0] - -u[0], -(x[0] * x[1]) / (x[2] / u[0])],
     "order": lambda x, u: [x[0] - (x[1] - x[2]), x[0] / (x[1] / x[2]), (x[0] + x[1]) + (x[2] + u[0])],
@@ -106,6 +113,11 @@ EXACT = {
     "loop": loop,
     "logic": logic,
     "counts": counts,
+    "out": lambda x: [np.clip(x, -1, 1, out=x)[0], x[1], np.add(x, x, out=x)[2] + x[0]],
+    "views": lambda x: [x[:1].squeeze() * 2, x[1:2].item(), x.ravel()[::-1][0]],
+    "conditions in place": conditions_in_place,
+    "scalars": lambda x: x * 2 if np.isscalar(x[0]) and np.ndim(x[0]) == 0 and np.size(x) == 3 else -x,
+    "polynomial": lambda x: np.polynomial.Polynomial([1.0, 2.0, -3.0])(x[0]) + np.polynomial.polynomial.polyval(x, [1.0, 0.5]),
     "rk4": rk4_by_hand,
     "limits": lambda x: [np.minimum(x[0], x[1]) + 0, np.maximum(x[1], 0.3), np.clip(x[2], -1, 2)],
     "one limit": lambda x, u: [np.clip(x[0], None, 0.5), np.clip(x[1], u[0], np.inf), np.clip(x[2], a_min=0.1, a_max=None)],
@@ -178,6 +190,7 @@ PRODUCTS = {
     "norms": lambda x: [np.linalg.norm(x), np.linalg.norm(x, axis=0), np.linalg.norm([x[0], x[1]])],
     "other norms": lambda x: [np.linalg.norm(x, 1), np.linalg.norm(x, np.inf), np.linalg.norm(np.outer(x, x))],
     "rows": lambda x: np.linalg.norm(np.outer(x, x), axis=1),
+    "deviations": lambda x, u: [np.std(x), x.var() - np.var(x, ddof=1), np.outer(x, u).std(axis=1).sum() + x.std()],
     "inner": lambda x: np.inner(x, x) + np.vdot(x, x) + np.einsum("i,i", x, x) + np.einsum("ij,j->i", A, x),
     "einsum": lambda x: np.einsum("ij,jk,k->i", A, A, x) + np.einsum("ii->i", np.outer(x, x)) + np.einsum("ij->i", np.outer(x, x)),
     "kron": lambda x: np.kron(x, [1.0, 2.0])[:3] + np.tensordot(A, x, 1),
@@ -216,3 +229,103 @@ def test_products_agree_with_numpy(name):
     for _ in range(50):
         expected, found = case.both(rng.normal(size=3), rng.normal(size=2), rng.normal(size=3), 0.0, {"a": 1.0, "b": 1.0})
         assert np.allclose(found, expected, rtol=1e-12, atol=1e-13), case.texts()
+
+
+def test_names_of_attributes_of_arrays_are_names():
+    """A state `T` is not the transpose."""
+    labels = [name for name in dir(np.ndarray) if not name.startswith("_") and name not in trace.RESERVED]
+
+    def rate(x, p):
+        total = x + np.sin(x) * 2
+        total[0] += x.T * p.numbers
+        x *= 0.5
+        return total + x + getattr(total, "shape") - x["size"] + np.where(x > 0, x.dtype, x.view)
+
+    assert len(Case("rate", rate, labels, params={"numbers": 2.0}).texts()) == len(labels)
+    assert Case("rate", lambda x: [getattr(x, name) for name in labels], labels).texts() == labels
+
+
+def test_names_of_parameters_may_be_those_of_methods():
+    settings = trace.trace_settings(lambda x, p: x * p.values * p["keys"], states=1, params={"values": 1, "keys": 2}, dt=0.1)
+    assert settings["system"]["rate"]["x1"] == "x1 * values * keys"
+
+
+def tanks(x, u, p, t):
+    q = p.valve * np.sqrt(x.h1)
+    return [p.gain * np.clip(u.pump, 0, 5) - q, q - p.valve * np.sqrt(x.h2)] / p.area
+
+
+def test_the_settings_of_two_tanks():
+    found = trace.trace_settings(
+        tanks, states=["h1", "h2"], controls={"pump": (0, 5)}, dt=1.0, horizon=50, start={"h1": distributions.uniform(0.1, 0.5)},
+        params={"valve": distributions.trained(0.02, min=0), "gain": distributions.normal(0.01, 0.001), "area": 1.0},
+        running_cost=lambda x, u, next, p, t: (next.h2 - 0.3) ** 2 + 1e-3 * u.pump**2, terminal_cost=lambda x: x.h1 - x.h2,
+        observe=lambda x: [x.h1, x.h2 - 0.3], units={"h1": "m"}, substeps=2, epochs=3, training={"learning_rate": 1e-3},
+    )  # fmt: skip
+    assert found == {
+        "task": "equations",
+        "horizon": 50,
+        "system": {
+            "states": ["h1", "h2"],
+            "controls": ["pump"],
+            "dt": 1.0,
+            "bounds": {"pump": [0.0, 5.0]},
+            "units": {"h1": "m"},
+            "parameters": {"valve": {"start": 0.02, "min": 0.0}, "gain": {"normal": [0.01, 0.001]}, "area": 1.0},
+            "start": {"h1": {"uniform": [0.1, 0.5]}},
+            "define": {"v1": "valve * sqrt(h1)"},
+            "observe": ["h1", "h2 - 0.3"],
+            "rate": {"h1": "(gain * clip(pump, 0, 5) - v1) / area", "h2": "(v1 - valve * sqrt(h2)) / area"},
+        },
+        "loss": {"running": "(next.h2 - 0.3)^2 + 0.001 * pump^2", "terminal": "h1 - h2"},
+        "integrator": {"method": "rk4", "substeps": 2},
+        "epochs": 3,
+        "training": {"learning_rate": 1e-3},
+    }
+
+
+def test_tables_and_steps():
+    found = trace.trace_settings(
+        step=lambda x, p: x + p.wind, states=1, params={"wind": distributions.table([0.0, 0.5])}, dt=0.1, tables={"gust": [1, 2]}
+    )
+    assert found["system"]["tables"] == {"gust": [1.0, 2.0], "wind": [0.0, 0.5]}
+    assert found["system"]["next"] == {"x1": "x1 + wind"} and "integrator" not in found and "loss" not in found
+
+
+def test_generated_names_differ_from_all_names():
+    def rate(x, p):
+        twice = np.sin(x[0]) + p.v2
+        return [twice * twice, twice, twice * p.v4]
+
+    found = trace.trace_settings(rate, states=["v1", "y", "z"], params={"v2": 1.0, "v4": 1.0}, dt=0.1)["system"]
+    assert found["define"] == {"v3": "sin(v1) + v2"} and found["rate"]["z"] == "v3 * v4"
+
+
+def test_long_expressions_are_broken():
+    case = Case("rate", EXACT["long"], 3, 2)
+    texts = [*case.texts(), *case.system["define"].values()]
+    assert len(texts) > 5 and max(map(len, texts)) <= 100
+
+
+def test_only_needed_parentheses_are_written():
+    def rate(x):
+        a, b, c = x
+        return [a - (b - c) * -(a / b), (a * b) ** 2 * (a - b) - (-c) ** 2, -(a**2) / (b * c) + (a + b) + c]
+
+    assert Case("rate", rate, ["a", "b", "c"]).texts() == [
+        "a - (b - c) * -(a / b)", "(a * b)^2 * (a - b) - (-c)^2", "-a^2 / (b * c) + (a + b) + c"
+    ]  # fmt: skip
+
+
+def test_equal_operations_are_shared_among_functions():
+    found = trace.trace_settings(
+        lambda x: [np.sin(x[0] * 2), x[1]], states=2, dt=0.1, terminal_cost=lambda x: np.sin(x[0] * 2), observe=lambda x: x[0] * 2
+    )
+    assert found["system"]["define"] == {"v1": "2 * x1"} or found["system"]["define"].keys() == {"v1", "v2"}
+
+
+def test_arrays_of_parameters_are_constants():
+    gains = np.array([[1.0, 0.0], [0.0, 2.0]])
+    settings = trace.trace_settings(lambda x, p: p.K @ x, states=2, params={"K": gains}, dt=0.1)
+    assert "parameters" not in settings["system"] and settings["system"]["rate"]["x2"] == "0 * x1 + 2 * x2"
+    gains[0, 0] = 5.0

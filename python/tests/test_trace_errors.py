@@ -91,6 +91,23 @@ def generator(x):
     yield x[0]
 
 
+def conditions_of_numbers(x):
+    over = x > 0
+    over[0] = x[0]
+    return np.where(over, x, -x)
+
+
+def asserted(x):
+    assert x[0] > 0
+    return x
+
+
+def filled_integers(x):
+    out = np.array([0, 0])
+    out[0] = x[0]
+    return out
+
+
 def unknown_assignment(x):
     next = x.copy()
     next.x3 = 1.0
@@ -185,6 +202,19 @@ WRONG = [
     ("constant changed", lambda x, p: p.A.fill(x[0]) or x, (TypeError, ValueError), "read-only|not known"),
     ("spectral norm", lambda x: x * np.linalg.norm(np.outer(x, x), 2), TypeError, "not supported"),
     ("dot option", lambda x: np.sum(x, where=[True, False]) * x, TypeError, "not supported"),
+    ("sum of conditions", lambda x: ((x > 0) + (x > 1)) * x, TypeError, "a count for Python"),
+    ("sum of a list of conditions", lambda x: np.sum([x[0] > 0, x[1] > 0]) * x, TypeError, "a count for Python"),
+    ("condition and number", conditions_of_numbers, TypeError, "assign a comparison"),
+    ("copyto", lambda x: np.copyto(x, 1.0) or x, TypeError, "in place"),
+    ("fill_diagonal", lambda x: np.fill_diagonal(np.zeros((2, 2)), 1.0) or x, TypeError, "in place"),
+    ("at", lambda x: np.add.at(x, [0], 1.0) or x, TypeError, "np.add.at is not supported"),
+    ("out by position", lambda x: np.clip(x, 0, 1, x), TypeError, "by its name"),
+    ("function of another package", lambda x: np.frompyfunc(lambda a: a, 1, 1)(x), TypeError, "for each element"),
+    ("vectorize", lambda x: np.vectorize(lambda a: 2 * a)(x), TypeError, "for each element"),
+    ("einsum", lambda x: np.einsum("i->ii", x)[0], ValueError, "index twice"),
+    ("assertion", asserted, TypeError, "Leave the assertion out"),
+    ("filled integers", filled_integers, TypeError, "not known"),
+    ("buffer", lambda x: np.frombuffer(x) + x, (ValueError, TypeError, BufferError), "."),
     ("axis", lambda x: np.sum(x, axis=1) * x, ValueError, "axis 1 is out of range"),
     ("interp of traced places", lambda x: np.interp(0.5, x, [1.0, 2.0]) * x, TypeError, "constant places"),
     ("interp falls", lambda x: np.interp(x, [1.0, 0.0], [1.0, 2.0]), ValueError, "increase"),
