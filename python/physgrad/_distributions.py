@@ -11,7 +11,12 @@ import numpy as np
 def finite(what: str, *values: Any) -> list[float]:
     """Numbers as floats."""
     for value in values:
-        if isinstance(value, (bool, np.bool_, str)) or not np.isscalar(value) or np.iscomplexobj(value) or not np.isfinite(value):
+        if (
+            isinstance(value, (bool, np.bool_, str))
+            or not np.isscalar(value)
+            or np.iscomplexobj(value)
+            or not np.isfinite(value)
+        ):
             raise ValueError(f"{what}: {value!r} is not a finite number")
     return [float(value) for value in values]
 
@@ -50,7 +55,11 @@ def choice(values: Sequence[float]) -> dict[str, list[float]]:
 
 def trained(start: float, min: float | None = None, max: float | None = None) -> dict[str, float]:
     """A number that a training changes, from `start`, within bounds."""
-    bounds = {name: finite("pg.trained", value)[0] for name, value in (("min", min), ("max", max)) if value is not None}
+    bounds = {
+        name: finite("pg.trained", value)[0]
+        for name, value in (("min", min), ("max", max))
+        if value is not None
+    }
     (start,) = finite("pg.trained", start)
     if not bounds.get("min", start) <= start <= bounds.get("max", start):
         raise ValueError(f"pg.trained: the start {start} is outside of its bounds")

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ._trace_numbers import demote, finish, is_traced, plain, refuse
+from ._trace_numbers import is_traced, refuse
+from ._trace_vectors import demote, finish, plain
 
 # Cofactors of larger matrices take too many operations.
 LARGEST = 4
@@ -21,7 +22,8 @@ def square(matrix: Any, name: str) -> np.ndarray:
     if len(array) > LARGEST:
         refuse(
             TypeError,
-            f"np.linalg.{name} of a traced matrix is limited to {LARGEST} rows, not {len(array)}. Traced values cannot choose "
+            f"np.linalg.{name} of a traced matrix is limited to {LARGEST} rows, not {len(array)}. "
+            "Traced values cannot choose "
             "pivots: write the elimination that fits the structure of the matrix",
         )
     return array
@@ -63,7 +65,10 @@ def solve(a: Any, b: Any) -> Any:
     right = plain(b)
     rows = np.shape(a)[-1:]
     if right.ndim not in (1, 2) or right.shape[:1] != rows:
-        refuse(ValueError, f"np.linalg.solve of shapes {np.shape(a)} and {right.shape}: the numbers of rows differ")
+        refuse(
+            ValueError,
+            f"np.linalg.solve of shapes {np.shape(a)} and {right.shape}: the numbers of rows differ",
+        )
     if not is_traced(a):
         return finish(eliminate(np.array(demote(a), dtype=float), right))
     array = square(a, "solve")
@@ -108,16 +113,23 @@ def einsum(subscripts: Any, *operands: Any, **_: Any) -> Any:
     inputs, arrow, output = subscripts.replace(" ", "").partition("->")
     letters, arrays = inputs.split(","), [plain(operand) for operand in operands]
     if len(letters) != len(arrays) or any(len(part) != array.ndim for part, array in zip(letters, arrays)):
-        refuse(ValueError, f"np.einsum: `{subscripts}` does not fit shapes {[array.shape for array in arrays]}")
+        refuse(
+            ValueError, f"np.einsum: `{subscripts}` does not fit shapes {[array.shape for array in arrays]}"
+        )
     if not arrow:
         output = "".join(sorted(letter for letter in set(inputs) - {","} if inputs.count(letter) == 1))
     if len(set(output)) != len(output) or not set(output) <= set(inputs) - {","}:
-        refuse(ValueError, f"np.einsum: the output of `{subscripts}` has an index twice, or one that no input has")
+        refuse(
+            ValueError,
+            f"np.einsum: the output of `{subscripts}` has an index twice, or one that no input has",
+        )
     sizes: dict[str, int] = {}
     for part, array in zip(letters, arrays, strict=True):
         for letter, size in zip(part, array.shape, strict=True):
             if sizes.setdefault(letter, size) != size:
-                refuse(ValueError, f"np.einsum: the index `{letter}` has the sizes {sizes[letter]} and {size}")
+                refuse(
+                    ValueError, f"np.einsum: the index `{letter}` has the sizes {sizes[letter]} and {size}"
+                )
     summed = [letter for letter in sizes if letter not in output]
     out = np.empty(tuple(sizes[letter] for letter in output), dtype=object)
     for index in np.ndindex(out.shape):
@@ -125,8 +137,10 @@ def einsum(subscripts: Any, *operands: Any, **_: Any) -> Any:
         result = None
         for inner in itertools.product(*(range(sizes[letter]) for letter in summed)):
             at.update(zip(summed, inner, strict=True))
-            term = math.prod((array[tuple(at[k] for k in part)] for part, array in zip(letters[1:], arrays[1:])),
-                             start=arrays[0][tuple(at[k] for k in letters[0])])  # fmt: skip
+            term = math.prod(
+                (array[tuple(at[k] for k in part)] for part, array in zip(letters[1:], arrays[1:])),
+                start=arrays[0][tuple(at[k] for k in letters[0])],
+            )
             result = term if result is None else result + term
         out[index] = np.float64(0.0) if result is None else result
     return finish(out)

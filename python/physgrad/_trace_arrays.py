@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from ._trace_errors import PACKAGES
-from ._trace_numbers import Array, check_dtype, finish, is_traced, promote
+from ._trace_numbers import check_dtype, is_traced
+from ._trace_vectors import Array, finish, promote
 
 CONVERTED = ("array", "asarray", "asanyarray", "ascontiguousarray")
 FILLED = ("zeros", "ones", "empty", "full", "eye", "identity")
@@ -52,7 +53,9 @@ def filling(original: Callable) -> Callable:
 
 
 ORIGINALS = {name: getattr(np, name) for name in CONVERTED + FILLED}
-REPLACEMENTS = {name: (converting if name in CONVERTED else filling)(original) for name, original in ORIGINALS.items()}
+REPLACEMENTS = {
+    name: (converting if name in CONVERTED else filling)(original) for name, original in ORIGINALS.items()
+}
 
 
 def for_user(name: str, thread: int) -> Callable:

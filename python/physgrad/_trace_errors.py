@@ -13,18 +13,25 @@ from typing import NoReturn
 # Frames of these packages are not code of the user.
 PACKAGES = ("numpy", __name__.split(".")[0])
 
-BRANCH = "The value of {what} is not known while the function is traced, so Python cannot branch on it. {hint}"
+BRANCH = (
+    "The value of {what} is not known while the function is traced, so Python cannot branch on it. {hint}"
+)
 WHERE = "Write `np.where(condition, a, b)` in place of `if` and of `a if condition else b`"
 # Hints for a branch, by the line of the user. The first that matches is given.
 BRANCHES = [
     (r"\bassert\b", "Leave the assertion out"),
-    (r"(?<![\w.])(max|min)\(", "Write `np.maximum(a, b)` or `np.minimum(a, b)` in place of Python's `max` and `min`"),
+    (
+        r"(?<![\w.])(max|min)\(",
+        "Write `np.maximum(a, b)` or `np.minimum(a, b)` in place of Python's `max` and `min`",
+    ),
     (r"\b(and|or|not)\b", "Write `(a < x) & (x < b)`, `|` and `~` in place of `and`, `or` and `not`"),
     (r"[<>]=?[^<>()&|,]+[<>]=?", "Write `(a < x) & (x < b)` in place of `a < x < b`"),
     (r"\bwhile\b", "A loop needs a fixed number of turns, as `for _ in range(10)`, with `np.where` inside"),
     (r"(?<![\w.])(sorted|any|all)\(", "Write `np.maximum`, `np.minimum`, `np.any` or `np.all` of an array"),
     (r"\bif\b", WHERE),
 ]
+# Functions of the module `math` that have another name in NumPy.
+OF_MATH = {"pow": "power", "asin": "arcsin", "acos": "arccos", "atan": "arctan", "atan2": "arctan2"}
 LIST = "; NumPy needs `np.array([...])` in place of a list of traced numbers"
 
 
@@ -72,17 +79,15 @@ def value_hint() -> str:
     text = line()
     called = re.search(r"\bmath\.(\w+)", text)
     if called and called[1] in ("floor", "ceil", "trunc", "fmod", "remainder"):
-        return f"`math.{called[1]}` jumps and has no useful derivative; leave it out, or write `np.where` with `<`"
+        return f"`math.{called[1]}` jumps and has no useful derivative. Leave it out, or write `np.where`"
     if called:
-        name = {"pow": "power", "fabs": "abs", "dist": "linalg.norm", "asin": "arcsin", "acos": "arccos", "atan": "arctan",
-                "atan2": "arctan2"}.get(called[1], called[1])
-        return f"Write `np.{name}` in place of `math.{called[1]}`"
+        return f"Write `np.{OF_MATH.get(called[1], called[1])}` in place of `math.{called[1]}`"
     if re.search(r"(?<![\w.])round\(", text):
         return "Rounding has no useful derivative; leave it out"
     if "float32" in text or "float16" in text:
         return "Leave out the dtype: the setting `precision` selects it"
     if re.search(r"\][^=]*=[^=]", text):
-        return "Begin with `np.zeros(n)` inside of the function, or return `np.array([...])` or `np.stack([...])`"
+        return "Begin with `np.zeros(n)` inside of the function, or return `np.array([...])` or `np.stack`"
     return "Use functions of NumPy, and leave out `float`, `int` and `astype`"
 
 

@@ -17,7 +17,8 @@ COMPARISONS = {"lt": "<", "le": "<=", "gt": ">", "ge": ">="}
 # Precedence of the text: sums 1, products 2, negation 3, power 4, names, numbers and calls 5.
 NEGATION, POWER, ATOM = 3, 4, 5
 FUNCTIONS = frozenset(
-    "sin cos tan asin acos atan atan2 sinh cosh tanh exp log sqrt abs min max clip hypot sign where detach".split()
+    "sin cos tan asin acos atan atan2 sinh cosh tanh exp log sqrt abs "
+    "min max clip hypot sign where detach".split()
 )
 # An expression and a comparison that are longer are broken into definitions.
 LONGEST, LONGEST_COMPARISON = 100, 60
@@ -37,7 +38,10 @@ class Graph:
         """The number of a node."""
         if node not in self.ids:
             if len(self.nodes) == MOST_NODES:
-                fail(ValueError, f"the functions have more than {MOST_NODES} operations; loops of Python are unrolled")
+                fail(
+                    ValueError,
+                    f"the functions have more than {MOST_NODES} operations; loops of Python are unrolled",
+                )
             self.ids[node] = len(self.nodes)
             self.nodes.append(node)
         return self.ids[node]
@@ -65,7 +69,13 @@ class Graph:
     def rewrite(self, op: str, a: int, b: int, left: float | None, right: float | None) -> int | None:
         """A shorter node with the same value, or None."""
         if op == "neg":
-            return self.nodes[a][1] if self.nodes[a][0] == "neg" else None if left is None else self.constant(-left)
+            return (
+                self.nodes[a][1]
+                if self.nodes[a][0] == "neg"
+                else None
+                if left is None
+                else self.constant(-left)
+            )
         if op in ("add", "sub") and self.nodes[b][0] == "neg":
             return self.apply("sub" if op == "add" else "add", a, self.nodes[b][1])
         if op == "add" and right is not None and math.copysign(1.0, right) < 0:
@@ -124,7 +134,9 @@ class Text:
     def write(self, id: int) -> None:
         """Finds the text of a node whose arguments have theirs."""
         op, *args = self.graph.nodes[id]
-        if (op == "name" and args[0].startswith("next.")) or any(arg in self.of_next for arg in self.args(id)):
+        if (op == "name" and args[0].startswith("next.")) or any(
+            arg in self.of_next for arg in self.args(id)
+        ):
             self.of_next.add(id)
         limit = LONGEST_COMPARISON if op in COMPARISONS else LONGEST
         self.shown[id] = self.render(op, args)
@@ -135,13 +147,21 @@ class Text:
             self.set_name(max(parts, key=lambda arg: len(self.shown[arg][0])))
             self.shown[id] = self.render(op, args)
         # `next` belongs to the running cost alone, so short expressions of it are repeated.
-        if self.uses[id] > 1 and self.can_define(id) and (id not in self.of_next or len(self.shown[id][0]) > 40):
+        if (
+            self.uses[id] > 1
+            and self.can_define(id)
+            and (id not in self.of_next or len(self.shown[id][0]) > 40)
+        ):
             self.set_name(id)
 
     def can_define(self, id: int) -> bool:
         op, *args = self.graph.nodes[id]
         simple = op in ("number", "name", "and", "or", "not", *COMPARISONS)
-        return not simple and id not in self.names and not (op == "neg" and self.graph.nodes[args[0]][0] == "name")
+        return (
+            not simple
+            and id not in self.names
+            and not (op == "neg" and self.graph.nodes[args[0]][0] == "name")
+        )
 
     def set_name(self, id: int) -> None:
         """Makes a node a definition."""
@@ -165,7 +185,10 @@ class Text:
             return number_text(float(args[0]))
         if op in OPERATORS:
             sign, precedence = OPERATORS[op]
-            return f"{self.at_least(args[0], precedence)} {sign} {self.at_least(args[1], precedence + 1)}", precedence
+            return (
+                f"{self.at_least(args[0], precedence)} {sign} {self.at_least(args[1], precedence + 1)}",
+                precedence,
+            )
         if op == "neg":
             return f"-{self.at_least(args[0], NEGATION)}", NEGATION
         if op == "power":
@@ -180,12 +203,13 @@ class Text:
             precedence = 2 if op == "and" else 1
             return f" {op} ".join(self.at_least(arg, precedence) for arg in args), precedence
         if op == "mod":
-            raise ValueError(MOD.format(place=self.graph.places[self.graph.ids[op, *args]]))
+            raise ValueError(MOD.format(place=self.graph.places[self.graph.ids[(op, *args)]]))
         return f"{op}({', '.join(self.shown[arg][0] for arg in args)})", ATOM
 
 
 MOD = (
-    "{place}: a remainder (`%`, np.mod) is supported only as the angle `(a + np.pi) % (2 * np.pi) - np.pi`. Write "
+    "{place}: a remainder (`%`, np.mod) is supported only as the angle `(a + np.pi) % (2 * np.pi) - "
+    "np.pi`. Write "
     "`np.arctan2(np.sin(a), np.cos(a))` for an angle, `np.sin(2 * np.pi * t / period)` for a cycle, and "
     "`pg.table(values)` for other functions of time"
 )

@@ -13,7 +13,6 @@ from ._trace_errors import near
 from ._trace_graph import MOST_POWER
 from ._trace_numbers import (
     CALLS,
-    Array,
     Condition,
     TracedNumber,
     apply,
@@ -22,16 +21,13 @@ from ._trace_numbers import (
     choose,
     combine,
     compare,
-    demote,
-    finish,
     invert,
     is_bool,
     is_traced,
     lift,
-    plain,
-    promote,
     refuse,
 )
+from ._trace_vectors import Array, demote, finish, plain, promote
 
 
 def rule(op: str) -> Callable:
@@ -46,7 +42,11 @@ def constant(value: Any) -> float | None:
 
 def add(a: Any, b: Any) -> Any:
     if is_bool(a) and is_bool(b):
-        refuse(TypeError, "the sum of two conditions is `or` for NumPy and a count for Python. Write `|`, or np.sum(np.array([...]))")
+        refuse(
+            TypeError,
+            "the sum of two conditions is `or` for NumPy and a count for Python. Write `|`, or "
+            "np.sum(np.array([...]))",
+        )
     return apply("add", a, b)
 
 
@@ -117,45 +117,88 @@ def logaddexp(a: Any, b: Any) -> Any:
 
 # Functions of numbers, by the name of the function of NumPy.
 ELEMENTWISE: dict[str, Callable] = {
-    "add": add, "subtract": subtract, "multiply": multiply, "divide": rule("div"), "negative": rule("neg"),
-    "positive": lift, "conjugate": lift, "absolute": rule("abs"), "fabs": rule("abs"), "sign": rule("sign"),
-    "sqrt": rule("sqrt"), "exp": rule("exp"), "log": rule("log"), "sin": rule("sin"), "cos": rule("cos"),
-    "tan": rule("tan"), "arcsin": rule("asin"), "arccos": rule("acos"), "arctan": rule("atan"), "arctan2": rule("atan2"),
-    "sinh": rule("sinh"), "cosh": rule("cosh"), "tanh": rule("tanh"), "hypot": rule("hypot"),
-    "maximum": rule("max"), "minimum": rule("min"), "clip": clip, "power": power, "float_power": power,
+    "add": add,
+    "subtract": subtract,
+    "multiply": multiply,
+    "divide": rule("div"),
+    "negative": rule("neg"),
+    "positive": lift,
+    "conjugate": lift,
+    "absolute": rule("abs"),
+    "fabs": rule("abs"),
+    "sign": rule("sign"),
+    "sqrt": rule("sqrt"),
+    "exp": rule("exp"),
+    "log": rule("log"),
+    "sin": rule("sin"),
+    "cos": rule("cos"),
+    "tan": rule("tan"),
+    "arcsin": rule("asin"),
+    "arccos": rule("acos"),
+    "arctan": rule("atan"),
+    "arctan2": rule("atan2"),
+    "sinh": rule("sinh"),
+    "cosh": rule("cosh"),
+    "tanh": rule("tanh"),
+    "hypot": rule("hypot"),
+    "maximum": rule("max"),
+    "minimum": rule("min"),
+    "clip": clip,
+    "power": power,
+    "float_power": power,
     "fmax": lambda a, b: choose(combine("or", compare("ge", a, b), is_nan(b)), a, b),
     "fmin": lambda a, b: choose(combine("or", compare("le", a, b), is_nan(b)), a, b),
-    "square": lambda a: power(a, 2.0), "reciprocal": lambda a: apply("div", 1.0, a), "remainder": remainder,
-    "deg2rad": lambda a: a * (math.pi / 180.0), "radians": lambda a: a * (math.pi / 180.0),
-    "rad2deg": lambda a: a * (180.0 / math.pi), "degrees": lambda a: a * (180.0 / math.pi),
-    "exp2": lambda a: apply("pow", 2.0, a), "log2": lambda a: np.log(a) / math.log(2.0),
-    "log10": lambda a: np.log(a) / math.log(10.0), "log1p": log1p,
-    "expm1": lambda a: np.tanh(a / 2.0) * (np.exp(a) + 1.0), "cbrt": lambda a: np.sign(a) * power(abs(a), 1.0 / 3.0),
-    "arctanh": lambda a: 0.5 * log1p(2.0 * a / (1.0 - a)), "logaddexp": logaddexp, "heaviside": heaviside,
-    "less": lambda a, b: compare("lt", a, b), "less_equal": lambda a, b: compare("le", a, b),
-    "greater": lambda a, b: compare("gt", a, b), "greater_equal": lambda a, b: compare("ge", a, b),
-    "logical_and": lambda a, b: combine("and", a, b), "bitwise_and": lambda a, b: combine("and", a, b),
-    "logical_or": lambda a, b: combine("or", a, b), "bitwise_or": lambda a, b: combine("or", a, b),
+    "square": lambda a: power(a, 2.0),
+    "reciprocal": lambda a: apply("div", 1.0, a),
+    "remainder": remainder,
+    "deg2rad": lambda a: a * (math.pi / 180.0),
+    "radians": lambda a: a * (math.pi / 180.0),
+    "rad2deg": lambda a: a * (180.0 / math.pi),
+    "degrees": lambda a: a * (180.0 / math.pi),
+    "exp2": lambda a: apply("pow", 2.0, a),
+    "log2": lambda a: np.log(a) / math.log(2.0),
+    "log10": lambda a: np.log(a) / math.log(10.0),
+    "log1p": log1p,
+    "expm1": lambda a: np.tanh(a / 2.0) * (np.exp(a) + 1.0),
+    "cbrt": lambda a: np.sign(a) * power(abs(a), 1.0 / 3.0),
+    "arctanh": lambda a: 0.5 * log1p(2.0 * a / (1.0 - a)),
+    "logaddexp": logaddexp,
+    "heaviside": heaviside,
+    "less": lambda a, b: compare("lt", a, b),
+    "less_equal": lambda a, b: compare("le", a, b),
+    "greater": lambda a, b: compare("gt", a, b),
+    "greater_equal": lambda a, b: compare("ge", a, b),
+    "logical_and": lambda a, b: combine("and", a, b),
+    "bitwise_and": lambda a, b: combine("and", a, b),
+    "logical_or": lambda a, b: combine("or", a, b),
+    "bitwise_or": lambda a, b: combine("or", a, b),
     "logical_xor": lambda a, b: combine("and", combine("or", a, b), invert(combine("and", a, b))),
     "bitwise_xor": lambda a, b: combine("and", combine("or", a, b), invert(combine("and", a, b))),
-    "logical_not": invert, "invert": invert,
-}  # fmt: skip
+    "logical_not": invert,
+    "invert": invert,
+}
 # These treat conditions by rules of their own.
-OF_CONDITIONS = {"add", "subtract", "multiply"} | {name for name in ELEMENTWISE if name.startswith(("logical", "bitwise", "inv"))}
+OF_CONDITIONS = {"add", "subtract", "multiply"} | {
+    name for name in ELEMENTWISE if name.startswith(("logical", "bitwise", "inv"))
+}
 EQUAL = (
-    "a traced function cannot ask whether numbers are equal. Write `np.where(np.abs(a - b) < 1e-9, yes, no)`, or `<` and `>`"
+    "a traced function cannot ask whether numbers are equal. Write "
+    "`np.where(np.abs(a - b) < 1e-9, yes, no)`, or `<` and `>`"
 )
 STEPS = (
-    "np.{name} is constant between jumps, so its derivative says nothing, and it has no text. Leave the rounding out, or "
-    "write `np.where` with `<`"
+    "np.{name} is constant between jumps, so its derivative says nothing, and it has no text. Leave "
+    "the rounding out, or write `np.where` with `<`"
 )
+FINITE = "a rollout ends where a number is not finite, so a function need not ask. Leave np.{name} out"
 REFUSED = {
-    "equal": EQUAL, "not_equal": EQUAL,
-    **{name: STEPS.format(name=name) for name in ("floor", "ceil", "rint", "trunc", "floor_divide", "divmod", "fmod", "modf")},
-    "isnan": "a rollout ends where a number is not finite, so a function need not ask. Leave np.isnan out",
-    "isfinite": "a rollout ends where a number is not finite, so a function need not ask. Leave np.isfinite out",
-    "isinf": "a rollout ends where a number is not finite, so a function need not ask. Leave np.isinf out",
-}  # fmt: skip
+    "equal": EQUAL,
+    "not_equal": EQUAL,
+    **{
+        name: STEPS.format(name=name)
+        for name in ("floor", "ceil", "rint", "trunc", "floor_divide", "divmod", "fmod", "modf")
+    },
+    **{name: FINITE.format(name=name) for name in ("isnan", "isfinite", "isinf")},
+}
 
 
 def elementwise(function: Callable, *args: Any) -> Any:
@@ -250,7 +293,8 @@ def write(out: tuple, result: Any) -> Any:
         if is_traced(result):
             refuse(
                 TypeError,
-                "an array of fixed numbers cannot hold traced ones. Begin with `np.zeros(n)` inside of the function, or "
+                "an array of fixed numbers cannot hold traced ones. Begin with `np.zeros(n)` inside "
+                "of the function, or "
                 "write `a = a + b` in place of `a += b`",
             )
         target[...] = result
@@ -290,7 +334,9 @@ def axes_of(axis: Any, dimensions: int) -> list[int]:
         return []
     found = sorted({int(a) % dimensions for a in axes if -dimensions <= a < dimensions})
     if len(found) != len(axes):
-        refuse(ValueError, f"the axis {axis} is out of range or twice, for an array of {dimensions} dimensions")
+        refuse(
+            ValueError, f"the axis {axis} is out of range or twice, for an array of {dimensions} dimensions"
+        )
     return found
 
 
@@ -340,7 +386,10 @@ def dot(a: Any, b: Any) -> Any:
 
 def where(condition: Any, *branches: Any) -> Any:
     if len(branches) != 2:
-        refuse(TypeError, "the places where a condition holds are not known; give both values: `np.where(condition, a, b)`")
+        refuse(
+            TypeError,
+            "the places where a condition holds are not known; give both values: `np.where(condition, a, b)`",
+        )
     return elementwise(choose, condition, *branches)
 
 
@@ -351,7 +400,14 @@ def select(conditions: Any, choices: Any, default: Any = 0.0) -> Any:
     return result
 
 
-def total(value: Any, axis: Any = None, dtype: Any = None, out: Any = None, keepdims: Any = False, initial: Any = None) -> Any:
+def total(
+    value: Any,
+    axis: Any = None,
+    dtype: Any = None,
+    out: Any = None,
+    keepdims: Any = False,
+    initial: Any = None,
+) -> Any:
     check_options("sum", {"dtype": dtype, "out": out})
     return reduce("add", value, axis, keepdims is True, initial)
 
@@ -369,7 +425,9 @@ def variance(value: Any, axis: Any = None, ddof: float = 0, keepdims: Any = Fals
 
 
 def reduction(name: str) -> Callable:
-    def function(value: Any, axis: Any = None, out: Any = None, keepdims: Any = False, initial: Any = None) -> Any:
+    def function(
+        value: Any, axis: Any = None, out: Any = None, keepdims: Any = False, initial: Any = None
+    ) -> Any:
         check_options(name, {"out": out})
         return reduce(name, value, axis, keepdims is True, initial)
 
@@ -384,7 +442,10 @@ def norm(x: Any, ord: Any = None, axis: Any = None, keepdims: bool = False) -> A
         return np.sqrt(reduce("add", array * array, axis, keepdims))
     if axes == 1 and ord in (1, math.inf):
         return reduce("add" if ord == 1 else "maximum", abs(array), axis, keepdims)
-    refuse(TypeError, f"np.linalg.norm with ord={ord!r} is not supported; use 2, 1 or np.inf of a vector, or 'fro'")
+    refuse(
+        TypeError,
+        f"np.linalg.norm with ord={ord!r} is not supported; use 2, 1 or np.inf of a vector, or 'fro'",
+    )
 
 
 def interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None, period: Any = None) -> Any:
@@ -392,7 +453,12 @@ def interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None, period
     if is_traced(xp) or period is not None:
         refuse(TypeError, "np.interp needs constant places `xp`, and no `period`")
     places, values = np.asarray(demote(xp)), plain(fp)
-    if places.ndim != 1 or places.shape != values.shape or len(places) == 0 or not np.all(np.diff(places) > 0):
+    if (
+        places.ndim != 1
+        or places.shape != values.shape
+        or len(places) == 0
+        or not np.all(np.diff(places) > 0)
+    ):
         refuse(ValueError, "np.interp needs places `xp` that increase, and one value each")
 
     def between(x: Any, low: int, high: int) -> Any:
@@ -421,7 +487,9 @@ def polyval(p: Any, x: Any) -> Any:
 
 
 def filled(value: float) -> Callable:
-    def function(array: Any, dtype: Any = None, order: Any = None, subok: bool = True, shape: Any = None) -> Any:
+    def function(
+        array: Any, dtype: Any = None, order: Any = None, subok: bool = True, shape: Any = None
+    ) -> Any:
         return promote(np.full(np.shape(array) if shape is None else shape, value))[()]
 
     return function
@@ -431,7 +499,9 @@ def full_like(array: Any, value: Any, **_: Any) -> Any:
     return finish(np.broadcast_to(plain(value), np.shape(array)).copy())
 
 
-def limit(a: Any, a_min: Any = None, a_max: Any = None, out: Any = None, *, min: Any = None, max: Any = None) -> Any:
+def limit(
+    a: Any, a_min: Any = None, a_max: Any = None, out: Any = None, *, min: Any = None, max: Any = None
+) -> Any:
     check_options("clip", {"out": out})
     return elementwise(clip, a, a_min if min is None else min, a_max if max is None else max)
 
@@ -442,22 +512,48 @@ def around(*_: Any, **__: Any) -> Any:
 
 # Functions of arrays, by their name.
 FUNCTIONS: dict[str, Callable] = {
-    "where": where, "select": select, "dot": dot, "sum": total, "mean": mean, "var": variance,
-    "std": lambda *args, **options: np.sqrt(variance(*args, **options)), "norm": norm, "interp": interp, "polyval": polyval,
-    "prod": reduction("multiply"), "max": reduction("maximum"), "min": reduction("minimum"), "amax": reduction("maximum"),
-    "amin": reduction("minimum"), "any": reduction("logical_or"), "all": reduction("logical_and"),
+    "where": where,
+    "select": select,
+    "dot": dot,
+    "sum": total,
+    "mean": mean,
+    "var": variance,
+    "std": lambda *args, **options: np.sqrt(variance(*args, **options)),
+    "norm": norm,
+    "interp": interp,
+    "polyval": polyval,
+    "prod": reduction("multiply"),
+    "max": reduction("maximum"),
+    "min": reduction("minimum"),
+    "amax": reduction("maximum"),
+    "amin": reduction("minimum"),
+    "any": reduction("logical_or"),
+    "all": reduction("logical_and"),
     "clip": limit,
-    "zeros_like": filled(0.0), "ones_like": filled(1.0), "empty_like": filled(math.nan), "full_like": full_like,
-    "solve": algebra.solve, "inv": algebra.inverse, "det": algebra.determinant, "einsum": algebra.einsum,
-    "around": around, "round": around, "copy": lambda a, order="K", subok=False: finish(plain(a).copy()),
-    "real": lambda a: a, "shape": lambda a: plain(a).shape, "ndim": lambda a: plain(a).ndim,
+    "zeros_like": filled(0.0),
+    "ones_like": filled(1.0),
+    "empty_like": filled(math.nan),
+    "full_like": full_like,
+    "solve": algebra.solve,
+    "inv": algebra.inverse,
+    "det": algebra.determinant,
+    "einsum": algebra.einsum,
+    "around": around,
+    "round": around,
+    "copy": lambda a, order="K", subok=False: finish(plain(a).copy()),
+    "real": lambda a: a,
+    "shape": lambda a: plain(a).shape,
+    "ndim": lambda a: plain(a).ndim,
     "size": lambda a, axis=None: plain(a).size if axis is None else plain(a).shape[axis],
-}  # fmt: skip
+}
 # Functions that move elements, or add and multiply them: those of NumPy on arrays of objects.
 OF_OBJECTS = frozenset(
-    "append array_split atleast_1d atleast_2d atleast_3d block broadcast_arrays broadcast_to column_stack concatenate cross "
-    "cumprod cumsum delete diag diagonal diff dsplit dstack expand_dims flip fliplr flipud hsplit hstack inner insert kron "
-    "moveaxis outer permute_dims ravel repeat reshape roll rollaxis rot90 split squeeze stack swapaxes take tensordot tile "
+    "append array_split atleast_1d atleast_2d atleast_3d block broadcast_arrays broadcast_to "
+    "column_stack concatenate cross "
+    "cumprod cumsum delete diag diagonal diff dsplit dstack expand_dims flip fliplr flipud hsplit "
+    "hstack inner insert kron "
+    "moveaxis outer permute_dims ravel repeat reshape roll rollaxis rot90 split squeeze stack "
+    "swapaxes take tensordot tile "
     "trace transpose tril triu vdot vsplit vstack matrix_transpose unstack convolve".split()
 )
 
@@ -482,16 +578,26 @@ def array_function(function: Callable, args: tuple, kwargs: dict) -> Any:
         return write((kwargs["out"],), array_function(function, args, {**kwargs, "out": None}))
     name = function.__name__
     if name in IN_PLACE:
-        refuse(TypeError, f"np.{name} changes an array in place, which is not supported in a traced function; assign the elements")
+        refuse(
+            TypeError,
+            f"np.{name} changes an array in place, which is not supported in a traced function; assign "
+            "the elements",
+        )
     constants = not any(map(is_traced, args)) and not any(map(is_traced, kwargs.values()))
     if name in FUNCTIONS and not (constants and name in ("solve", "inv", "det", "norm", "interp")):
-        options = {key: value for key, value in kwargs.items() if value is not np._NoValue and (key, value) != ("out", None)}
+        options = {
+            key: value
+            for key, value in kwargs.items()
+            if value is not np._NoValue and (key, value) != ("out", None)
+        }
         try:
             return FUNCTIONS[name](*args, **options)
         except TypeError as error:
             if CALLS[-1].refused is not None or "argument" not in str(error):
                 raise
-            refuse(TypeError, f"np.{name} with these arguments is not supported in a traced function: {error}")
+            refuse(
+                TypeError, f"np.{name} with these arguments is not supported in a traced function: {error}"
+            )
     if name in OF_OBJECTS:
         return restore(function(*map(strip, args), **{key: strip(value) for key, value in kwargs.items()}))
     if constants:
@@ -501,6 +607,14 @@ def array_function(function: Callable, args: tuple, kwargs: dict) -> Any:
 
 def unsupported(name: str) -> Any:
     if name.endswith("(vectorized)"):
-        refuse(TypeError, "np.vectorize and np.frompyfunc are not supported in a traced function; call the function for each element")
+        refuse(
+            TypeError,
+            "np.vectorize and np.frompyfunc are not supported in a traced function; call the function "
+            "for each element",
+        )
     known = sorted({*ELEMENTWISE, *FUNCTIONS, *OF_OBJECTS} - {"solve", "inv", "det", "norm"})
-    refuse(TypeError, f"np.{name} is not supported in a traced function{near(name, known, 0.65) or '; write it with other functions'}")
+    refuse(
+        TypeError,
+        f"np.{name} is not supported in a traced "
+        f"function{near(name, known, 0.65) or '; write it with other functions'}",
+    )

@@ -20,7 +20,8 @@ from ._distributions import finite, table
 from ._trace_arrays import LOCK, constructors
 from ._trace_errors import begin, near, place_of
 from ._trace_graph import FUNCTIONS, Graph, Text
-from ._trace_numbers import CALLS, Array, Call, Parameters, is_traced, lift, plain
+from ._trace_numbers import CALLS, Call, is_traced, lift
+from ._trace_vectors import Parameters, plain, vector
 
 __all__ = ["detach", "system", "trace_settings"]
 
@@ -35,17 +36,29 @@ ARGUMENTS = {
 RESERVED = FUNCTIONS | {"t", "pi", "next", "and", "or", "not", "inf", "nan"}
 # Other words that name an argument.
 ALIASES = {
-    "state": "x", "states": "x", "control": "u", "controls": "u", "action": "u", "params": "p", "param": "p",
-    "parameters": "p", "time": "t", "next_state": "next", "next_x": "next", "x_next": "next",
-}  # fmt: skip
+    "state": "x",
+    "states": "x",
+    "control": "u",
+    "controls": "u",
+    "action": "u",
+    "params": "p",
+    "param": "p",
+    "parameters": "p",
+    "time": "t",
+    "next_state": "next",
+    "next_x": "next",
+    "x_next": "next",
+}
 HINT = ". NumPy cannot compute this with a list of traced numbers; write `np.array([...])` of it first"
 # Words of NumPy about arrays of objects, after which the hint helps.
-OF_OBJECTS = re.compile(r"dtype\('O'\)|object|loop of ufunc|not supported for the input types|only integers, slices")
+OF_OBJECTS = re.compile(
+    r"dtype\('O'\)|object|loop of ufunc|not supported for the input types|only integers, slices"
+)
 Names = Sequence[str] | int
 
 
 def detach(value: Any) -> Any:
-    """A number or an array whose derivative is 0, in a function of `system`. Other values stay as they are."""
+    """A number or an array whose derivative is 0, in a function of `system`."""
     if not is_traced(value):
         return value
     from ._trace_numpy import elementwise
@@ -58,7 +71,9 @@ def names(what: str, given: Names, prefix: str) -> list[str]:
     if isinstance(given, (int, np.integer)) and not isinstance(given, bool):
         return [f"{prefix}{i + 1}" for i in range(given)]
     if isinstance(given, str):
-        raise TypeError(f"`{what}` is the text {given!r}; give a list of names, as in {what}=[{given!r}], or a count")
+        raise TypeError(
+            f"`{what}` is the text {given!r}; give a list of names, as in {what}=[{given!r}], or a count"
+        )
     return list(given)
 
 
@@ -112,13 +127,18 @@ class Plan:
     def __init__(self, states: Names, controls: Any, params: Any, tables: Any) -> None:
         self.bounds = {}
         if hasattr(controls, "items"):
-            self.bounds = {name: self.bound(name, pair) for name, pair in controls.items() if pair is not None}
+            self.bounds = {
+                name: self.bound(name, pair) for name, pair in controls.items() if pair is not None
+            }
         self.states = names("states", states, "x")
         self.controls = names("controls", controls, "u")
         if not self.states:
             raise ValueError("`states` is empty; a system has at least one state")
         self.order = [*(params or {}), *(tables or {})]
-        self.tables = {name: (value if isinstance(value, table) else table(value)).values for name, value in (tables or {}).items()}
+        self.tables = {
+            name: (value if isinstance(value, table) else table(value)).values
+            for name, value in (tables or {}).items()
+        }
         self.parameters: dict[str, Any] = {}
         self.arrays: dict[str, np.ndarray] = {}
         for name, value in (params or {}).items():
@@ -128,7 +148,12 @@ class Plan:
                 self.arrays[name] = self.array(name, value)
             else:
                 self.parameters[name] = number_or_table(f"parameter `{name}`", value)
-        groups = {"states": self.states, "controls": self.controls, "params": params or {}, "tables": tables or {}}
+        groups = {
+            "states": self.states,
+            "controls": self.controls,
+            "params": params or {},
+            "tables": tables or {},
+        }
         check_names(groups)
         self.labels = [label for group in groups.values() for label in group]
 
@@ -138,26 +163,36 @@ class Plan:
             raise ValueError(f"the bounds of the control `{name}` are {pair!r}; expected (low, high) or None")
         low, high = finite(f"bounds of `{name}`", *pair)
         if not low < high:
-            raise ValueError(f"the bounds of the control `{name}` are {low} and {high}; low must be below high")
+            raise ValueError(
+                f"the bounds of the control `{name}` are {low} and {high}; low must be below high"
+            )
         return [low, high]
 
     @staticmethod
     def array(name: str, value: Any) -> np.ndarray:
         array = np.array(value)
         if array.dtype.kind not in "iuf":
-            raise TypeError(f"parameter `{name}` is an array of {array.dtype}; an array holds constant numbers")
+            raise TypeError(
+                f"parameter `{name}` is an array of {array.dtype}; an array holds constant numbers"
+            )
         array.setflags(write=False)
         return array
 
     def arguments(self, role: str) -> dict[str, Any]:
         """The traced arguments of a function. Names of tables have no value after the last step."""
         left_out = self.tables if role == "terminal_cost" else ()
-        values = {name: self.arrays[name] if name in self.arrays else numbers.name(name)
-                  for name in self.order if name not in left_out}  # fmt: skip
+        values = {
+            name: self.arrays[name] if name in self.arrays else numbers.name(name)
+            for name in self.order
+            if name not in left_out
+        }
         found = {
-            "x": numbers.vector(self.states), "u": numbers.vector(self.controls), "p": Parameters(values),
-            "next": numbers.vector(self.states, "next."), "t": numbers.name("t"),
-        }  # fmt: skip
+            "x": vector(self.states),
+            "u": vector(self.controls),
+            "p": Parameters(values),
+            "next": vector(self.states, "next."),
+            "t": numbers.name("t"),
+        }
         return {name: found[name] for name in ARGUMENTS[role]}
 
 
@@ -167,7 +202,9 @@ def fit(role: str, function: Callable, given: dict[str, Any]) -> tuple[list, dic
     try:
         parameters = list(inspect.signature(function).parameters.values())
     except (TypeError, ValueError):
-        raise TypeError(f"`{role}` is {function!r}; give a function of Python, with arguments among {', '.join(given)}") from None
+        raise TypeError(
+            f"`{role}` is {function!r}; give a function of Python, with arguments among {', '.join(given)}"
+        ) from None
     role_of = {p.name: ALIASES.get(p.name, p.name) for p in parameters}
     variadic = [p for p in parameters if p.kind is p.VAR_POSITIONAL]
     wanted = [p for p in parameters if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)]
@@ -181,10 +218,16 @@ def fit(role: str, function: Callable, given: dict[str, Any]) -> tuple[list, dic
         found = role_of[p.name]
         if found in every and order[place : place + 1] != [found] or p.kind is p.KEYWORD_ONLY:
             known = f"`{role}` receives {', '.join(order)}"
-            raise TypeError(f"{where} has an argument `{p.name}` that does not fit: {known}, by these names or in this order")
+            raise TypeError(
+                f"{where} has an argument `{p.name}` that does not fit: {known}, by these names or in "
+                "this order"
+            )
     if len(wanted) > len(order):
         found = ", ".join(p.name for p in wanted)
-        raise TypeError(f"{where} has the arguments {found}; `{role}` receives {', '.join(order)}, by these names or in order")
+        raise TypeError(
+            f"{where} has the arguments {found}; `{role}` receives {', '.join(order)}, by these names "
+            "or in order"
+        )
     return list(given.values())[: None if variadic else len(wanted)], {}
 
 
@@ -197,16 +240,21 @@ def flatten(role: str, where: str, result: Any) -> list:
     if result is None:
         raise TypeError(f"{where} returned None, or a list with None; is a `return` missing?")
     if not is_traced(result) and not isinstance(result, (int, float, np.number, np.bool_, np.ndarray)):
-        raise TypeError(f"{where} returned an object of type {type(result).__name__}; expected {EXPECTED[role]}")
+        raise TypeError(
+            f"{where} returned an object of type {type(result).__name__}; expected {EXPECTED[role]}"
+        )
     if not is_traced(result) and not np.isfinite(result):
         raise ValueError(f"{where} returned a number that is not finite: {result}")
     return [lift(result)]
 
 
 EXPECTED = {
-    "rate": "one number per state", "step": "one number per state", "observe": "a list of numbers",
-    "running_cost": "one number", "terminal_cost": "one number",
-}  # fmt: skip
+    "rate": "one number per state",
+    "step": "one number per state",
+    "observe": "a list of numbers",
+    "running_cost": "one number",
+    "terminal_cost": "one number",
+}
 
 
 def components(role: str, where: str, result: Any, states: list[str]) -> list:
@@ -214,7 +262,10 @@ def components(role: str, where: str, result: Any, states: list[str]) -> list:
     if isinstance(result, dict) and role != "observe":
         if role.endswith("cost") or sorted(map(str, result)) != sorted(states):
             expected = "one number" if role.endswith("cost") else f"the states {', '.join(states)}"
-            raise ValueError(f"{where} returned a dict with {', '.join(map(str, result)) or 'no keys'}; expected {expected}")
+            raise ValueError(
+                f"{where} returned a dict with {', '.join(map(str, result)) or 'no keys'}; expected "
+                f"{expected}"
+            )
         result = [result[name] for name in states]
     elif isinstance(result, dict):
         result = list(result.values())
@@ -236,7 +287,10 @@ def shape_of(result: Any) -> str:
 def traced(graph: Graph, plan: Plan, role: str, function: Callable) -> list[int]:
     """Calls a function of the user, and returns the nodes of its result."""
     if not callable(function):
-        raise TypeError(f"`{role}` is of type {type(function).__name__}; give a function with arguments {', '.join(ARGUMENTS[role])}")
+        raise TypeError(
+            f"`{role}` is of type {type(function).__name__}; give a function with arguments "
+            f"{', '.join(ARGUMENTS[role])}"
+        )
     call = Call(graph)
     CALLS.append(call)
     try:
@@ -249,7 +303,10 @@ def traced(graph: Graph, plan: Plan, role: str, function: Callable) -> list[int]
             raise call.refused from error
         place = place_of(error)
         if call.refused is None and place and place not in str(error) and hasattr(error, "add_note"):
-            error.add_note(f"{place}: raised in `{role}`, while it was traced" + (HINT if OF_OBJECTS.search(str(error)) else ""))
+            error.add_note(
+                f"{place}: raised in `{role}`, while it was traced"
+                + (HINT if OF_OBJECTS.search(str(error)) else "")
+            )
         raise
     finally:
         CALLS.pop()
@@ -263,7 +320,10 @@ def equations(plan: Plan, functions: dict[str, Callable]) -> dict[str, Any]:
     graph = Graph()
     outputs = {role: traced(graph, plan, role, function) for role, function in functions.items()}
     text = Text(graph, [id for ids in outputs.values() for id in ids], [*plan.labels, *RESERVED])
-    return {"define": text.define, **{role: [text.shown[id][0] for id in ids] for role, ids in outputs.items()}}
+    return {
+        "define": text.define,
+        **{role: [text.shown[id][0] for id in ids] for role, ids in outputs.items()},
+    }
 
 
 def trace_settings(
@@ -288,40 +348,67 @@ def trace_settings(
 ) -> dict[str, Any]:
     """The settings of the task `equations` for functions of NumPy, with the arguments of `system`."""
     if (rate is None) == (step is None):
-        raise TypeError("give either the rate, as first argument, or `step=`, a function that returns the next state")
+        raise TypeError(
+            "give either the rate, as first argument, or `step=`, a function that returns the next state"
+        )
     if step is not None and (method is not None or substeps is not None):
         raise TypeError("`method` and `substeps` belong to a rate; `step=` returns the next state itself")
     plan = Plan(states, controls, params, tables)
-    functions = {"rate": rate, "step": step, "observe": observe, "running_cost": running_cost, "terminal_cost": terminal_cost}
+    functions = {
+        "rate": rate,
+        "step": step,
+        "observe": observe,
+        "running_cost": running_cost,
+        "terminal_cost": terminal_cost,
+    }
     functions = {role: function for role, function in functions.items() if function is not None}
     with LOCK:
         found, again = equations(plan, functions), equations(plan, functions)
     for role, function in functions.items():
         if found != again and (found[role] != again[role] or len(functions) == 1):
             raise ValueError(
-                f"{begin(function)} gave other equations when it was called again. A function must not draw random numbers, "
-                "count its calls or change variables. Use pg.uniform and its like in `params`, and states for memory"
+                f"{begin(function)} gave other equations when it was called again. A function must not "
+                "draw random numbers, "
+                "count its calls or change variables. Use pg.uniform and its like in `params`, and "
+                "states for memory"
             )
     if found != again:
-        raise ValueError("the functions gave other equations when they were called again; they must not change variables")
+        raise ValueError(
+            "the functions gave other equations when they were called again; they must not change variables"
+        )
     starts = by_order("start", start, plan.states)
     check_keys("angles", names("angles", angles, ""), plan.states)
     check_keys("units", units or {}, plan.labels)
     system = {
-        "states": plan.states, "controls": plan.controls, "dt": finite("`dt`", dt)[0], "angles": list(angles),
-        "bounds": plan.bounds, "units": dict(units or {}), "parameters": plan.parameters,
+        "states": plan.states,
+        "controls": plan.controls,
+        "dt": finite("`dt`", dt)[0],
+        "angles": list(angles),
+        "bounds": plan.bounds,
+        "units": dict(units or {}),
+        "parameters": plan.parameters,
         "start": {name: number_or_table(f"start of `{name}`", value) for name, value in starts.items()},
-        "tables": plan.tables, "define": found["define"], "observe": found.get("observe", []),
-    }  # fmt: skip
+        "tables": plan.tables,
+        "define": found["define"],
+        "observe": found.get("observe", []),
+    }
     if system["dt"] <= 0:
         raise ValueError(f"`dt` is {system['dt']}; a time step is positive")
     kind, function = ("rate", "rate") if rate is not None else ("next", "step")
     result = {
         "task": "equations",
         "horizon": horizon,
-        "system": {key: value for key, value in system.items() if value or key in ("states", "controls", "dt")},
-        "loss": {key: found[role][0] for key, role in (("running", "running_cost"), ("terminal", "terminal_cost")) if role in found},
-        "integrator": {} if rate is None else {"method": method or "rk4", **({} if substeps is None else {"substeps": substeps})},
+        "system": {
+            key: value for key, value in system.items() if value or key in ("states", "controls", "dt")
+        },
+        "loss": {
+            key: found[role][0]
+            for key, role in (("running", "running_cost"), ("terminal", "terminal_cost"))
+            if role in found
+        },
+        "integrator": {}
+        if rate is None
+        else {"method": method or "rk4", **({} if substeps is None else {"substeps": substeps})},
     }
     result["system"][kind] = dict(zip(plan.states, found[function], strict=True))
     return merge(result, settings)
@@ -333,7 +420,9 @@ def merge(result: dict[str, Any], settings: dict[str, Any]) -> dict[str, Any]:
         if key in ("loss", "integrator", "system") and isinstance(value, dict):
             twice = sorted(result[key].keys() & value.keys())
             if twice:
-                raise ValueError(f"`{key}.{twice[0]}` is given twice: in `{key}`, and by an argument of `system`")
+                raise ValueError(
+                    f"`{key}.{twice[0]}` is given twice: in `{key}`, and by an argument of `system`"
+                )
             result[key].update(value)
         elif key in ("task", "loss", "integrator", "system"):
             raise TypeError(f"`{key}` is {value!r}; give a dict of the settings of its section")

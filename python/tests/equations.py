@@ -21,11 +21,27 @@ trace = importlib.import_module("physgrad.trace")
 distributions = importlib.import_module("physgrad._distributions")
 
 FUNCTIONS = {
-    "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan,
-    "atan2": np.arctan2, "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh, "exp": np.exp, "log": np.log,
-    "sqrt": np.sqrt, "abs": np.abs, "min": np.minimum, "max": np.maximum, "hypot": np.hypot, "sign": np.sign,
-    "clip": lambda x, low, high: np.minimum(np.maximum(x, low), high), "detach": lambda x: x,
-}  # fmt: skip
+    "sin": np.sin,
+    "cos": np.cos,
+    "tan": np.tan,
+    "asin": np.arcsin,
+    "acos": np.arccos,
+    "atan": np.arctan,
+    "atan2": np.arctan2,
+    "sinh": np.sinh,
+    "cosh": np.cosh,
+    "tanh": np.tanh,
+    "exp": np.exp,
+    "log": np.log,
+    "sqrt": np.sqrt,
+    "abs": np.abs,
+    "min": np.minimum,
+    "max": np.maximum,
+    "hypot": np.hypot,
+    "sign": np.sign,
+    "clip": lambda x, low, high: np.minimum(np.maximum(x, low), high),
+    "detach": lambda x: x,
+}
 ARITHMETIC = {ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.divide}
 COMPARISONS = {ast.Lt: np.less, ast.LtE: np.less_equal, ast.Gt: np.greater, ast.GtE: np.greater_equal}
 
@@ -144,7 +160,14 @@ class Case:
             rate, functions = function, {}
         self.role, self.function, self.params = role, function, dict(params or {})
         self.settings = trace.trace_settings(
-            rate, states=states, controls=controls, params=params, tables=tables, dt=0.1, **functions, **options
+            rate,
+            states=states,
+            controls=controls,
+            params=params,
+            tables=tables,
+            dt=0.1,
+            **functions,
+            **options,
         )
         self.system = self.settings["system"]
         self.states, self.controls = self.system["states"], self.system["controls"]
@@ -159,18 +182,26 @@ class Case:
         """Numbers of the function on plain arrays, and of the text."""
         scalars = {name: np.float64(value) for name, value in (params or {}).items()}
         given = {
-            "x": record(self.states, x), "u": record(self.controls, u), "next": record(self.states, next),
-            "p": Params(**{**self.params, **scalars}), "t": np.float64(t),
-        }  # fmt: skip
+            "x": record(self.states, x),
+            "u": record(self.controls, u),
+            "next": record(self.states, next),
+            "p": Params(**{**self.params, **scalars}),
+            "t": np.float64(t),
+        }
         known = {"t": given["t"], **scalars}
-        for group, names, values in (("", self.states, x), ("", self.controls, u), ("next.", self.states, next)):
+        for group, names, values in (
+            ("", self.states, x),
+            ("", self.controls, u),
+            ("next.", self.states, next),
+        ):
             known.update({group + name: np.float64(value) for name, value in zip(names, values, strict=True)})
         reader = Reader(self.system.get("define", {}), known)
         with np.errstate(all="ignore"):
             found = [reader.read(text) for text in self.texts()]
             order = trace.ARGUMENTS[self.role]
             positional, named = trace.fit(self.role, self.function, {name: given[name] for name in order})
-            return flat(self.function(*positional, **named), self.states), found
+            states = () if self.role == "observe" else self.states
+            return flat(self.function(*positional, **named), states), found
 
 
 def same(a, b):

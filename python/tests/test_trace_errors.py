@@ -120,12 +120,22 @@ WRONG = [
     ("if statement", branch_statement, TypeError, r"np\.where\(condition"),
     ("while", loop, TypeError, "fixed number of turns"),
     ("math.sin", lambda x: [math.sin(x[0]), x[1]], TypeError, r"`np\.sin` in place of `math\.sin`"),
-    ("math.atan2", lambda x: [math.atan2(x[0], 1), x[1]], TypeError, r"`np\.arctan2` in place of `math\.atan2`"),
+    (
+        "math.atan2",
+        lambda x: [math.atan2(x[0], 1), x[1]],
+        TypeError,
+        r"`np\.arctan2` in place of `math\.atan2`",
+    ),
     ("math.floor", lambda x: [math.floor(x[0]), x[1]], TypeError, "jumps and has no useful derivative"),
     ("array of another module", filled, TypeError, r"np\.zeros\(n\)"),
     ("array outside", outside, TypeError, r"inside of the function"),
     ("sum in an array outside", outside_sum, TypeError, r"a = a \+ b"),
-    ("shape", lambda x: [x[0]], ValueError, r"list of 1 elements; `rate` returns one number per state: x1, x2"),
+    (
+        "shape",
+        lambda x: [x[0]],
+        ValueError,
+        r"list of 1 elements; `rate` returns one number per state: x1, x2",
+    ),
     ("scalar", lambda x: x[0] * 2, ValueError, "returned one number; `rate`"),
     ("matrix", lambda x: np.outer(x, x), ValueError, r"shape \(2, 2\)"),
     ("empty", lambda x: [], ValueError, "list of 0 elements"),
@@ -139,7 +149,12 @@ WRONG = [
     ("not", lambda x: np.where(not x[0], x, -x), TypeError, "`~`"),
     ("eigenvalues", lambda x: np.linalg.eigvals(np.outer(x, x)), TypeError, r"np\.eigvals is not supported"),
     ("matmul", lambda x, u: MATRIX @ u, ValueError, r"product of shapes \(2, 2\) and \(1,\)"),
-    ("large matrix", lambda x: np.linalg.solve(np.outer(np.tile(x, 3), np.ones(6)), np.ones(6)), TypeError, "limited to 4 rows"),
+    (
+        "large matrix",
+        lambda x: np.linalg.solve(np.outer(np.tile(x, 3), np.ones(6)), np.ones(6)),
+        TypeError,
+        "limited to 4 rows",
+    ),
     ("not square", lambda x: np.linalg.inv(np.stack([x])), ValueError, "square matrix"),
     ("singular", lambda x: np.linalg.solve(np.ones((2, 2)), x), ValueError, "singular"),
     ("broadcast", lambda x: x + np.ones(3), ValueError, "do not broadcast"),
@@ -152,7 +167,12 @@ WRONG = [
     ("fmod", lambda x: np.fmod(x, 1.0), TypeError, "constant between jumps"),
     ("equal", lambda x: np.where(x[0] == 0, x, -x), TypeError, "whether numbers are equal"),
     ("unequal", lambda x: np.where(x != 0, x, -x), TypeError, "whether numbers are equal"),
-    ("array equal", lambda x: np.where(np.array_equal(x, [0, 0]), x, -x), TypeError, "whether numbers are equal|array_equal"),
+    (
+        "array equal",
+        lambda x: np.where(np.array_equal(x, [0, 0]), x, -x),
+        TypeError,
+        "whether numbers are equal|array_equal",
+    ),
     ("in", lambda x: x if 0.0 in list(x) else -x, TypeError, "whether numbers are equal"),
     ("python max", lambda x: [max(x[0], 0.0), x[1]], TypeError, r"np\.maximum\(a, b\)"),
     ("python min", lambda x: [min(x), x[1]], TypeError, r"np\.minimum\(a, b\)"),
@@ -197,19 +217,34 @@ WRONG = [
     ("caught", caught, TypeError, "not known"),
     ("stored", stored, RuntimeError, "of another call"),
     ("huge power", lambda x: x**5000, ValueError, "largest is 1024"),
-    ("endless", lambda x: x * sum(np.sin(x[0] * k) for k in range(10**6)), ValueError, "loops of Python are unrolled"),
+    (
+        "endless",
+        lambda x: x * sum(np.sin(x[0] * k) for k in range(10**6)),
+        ValueError,
+        "loops of Python are unrolled",
+    ),
     ("parameter changed", lambda x, p: setattr(p, "gain", 2.0) or x, AttributeError, "does not change"),
     ("constant changed", lambda x, p: p.A.fill(x[0]) or x, (TypeError, ValueError), "read-only|not known"),
     ("spectral norm", lambda x: x * np.linalg.norm(np.outer(x, x), 2), TypeError, "not supported"),
     ("dot option", lambda x: np.sum(x, where=[True, False]) * x, TypeError, "not supported"),
     ("sum of conditions", lambda x: ((x > 0) + (x > 1)) * x, TypeError, "a count for Python"),
-    ("sum of a list of conditions", lambda x: np.sum([x[0] > 0, x[1] > 0]) * x, TypeError, "a count for Python"),
+    (
+        "sum of a list of conditions",
+        lambda x: np.sum([x[0] > 0, x[1] > 0]) * x,
+        TypeError,
+        "a count for Python",
+    ),
     ("condition and number", conditions_of_numbers, TypeError, "assign a comparison"),
     ("copyto", lambda x: np.copyto(x, 1.0) or x, TypeError, "in place"),
     ("fill_diagonal", lambda x: np.fill_diagonal(np.zeros((2, 2)), 1.0) or x, TypeError, "in place"),
     ("at", lambda x: np.add.at(x, [0], 1.0) or x, TypeError, "np.add.at is not supported"),
     ("out by position", lambda x: np.clip(x, 0, 1, x), TypeError, "by its name"),
-    ("function of another package", lambda x: np.frompyfunc(lambda a: a, 1, 1)(x), TypeError, "for each element"),
+    (
+        "function of another package",
+        lambda x: np.frompyfunc(lambda a: a, 1, 1)(x),
+        TypeError,
+        "for each element",
+    ),
     ("vectorize", lambda x: np.vectorize(lambda a: 2 * a)(x), TypeError, "for each element"),
     ("einsum", lambda x: np.einsum("i->ii", x)[0], ValueError, "index twice"),
     ("assertion", asserted, TypeError, "Leave the assertion out"),
@@ -251,8 +286,14 @@ def test_wrong_functions_are_refused(function, error, words):
 
 def test_errors_name_the_file_and_the_line():
     lines = Path(__file__).read_text(encoding="utf-8").splitlines()
-    for function, text in [(branch, "x[0] > 0 else"), (loop, "while x[0]"), (filled, "out[0] = x[1]"), (masked, "x[x < 0]"),
-                           (caught, "gain = float"), (outside_sum, "total += x")]:  # fmt: skip
+    for function, text in [
+        (branch, "x[0] > 0 else"),
+        (loop, "while x[0]"),
+        (filled, "out[0] = x[1]"),
+        (masked, "x[x < 0]"),
+        (caught, "gain = float"),
+        (outside_sum, "total += x"),
+    ]:
         with pytest.raises(Exception) as caught_error:  # noqa: PT011
             opened(function)
         place = re.match(rf"\S*{Path(__file__).name}:(\d+): ", str(caught_error.value))
@@ -306,13 +347,21 @@ SETTINGS = [
     ("texts", {"params": {"a": ["b"]}}, "array of <U1"),
     ("dt", {"dt": 0.0}, "is positive"),
     ("both", {"step": lambda x: x}, "either the rate"),
-    ("cost twice", {"running_cost": lambda x: x[0], "loss": {"running": "x1"}}, "`loss.running` is given twice"),
+    (
+        "cost twice",
+        {"running_cost": lambda x: x[0], "loss": {"running": "x1"}},
+        "`loss.running` is given twice",
+    ),
     ("section", {"loss": 3}, "give a dict"),
     ("cost of two numbers", {"running_cost": lambda x: x}, "`running_cost` returns one number"),
     ("cost dict", {"running_cost": lambda x: {"a": x[0]}}, "expected one number"),
     ("control in observe", {"observe": lambda x, u: x}, "`u` that does not fit"),
     ("time in terminal", {"terminal_cost": lambda x, t: x[0]}, "`t` that does not fit"),
-    ("table in terminal", {"tables": {"wind": [1.0]}, "terminal_cost": lambda x, p: p.wind}, "no parameter `wind`"),
+    (
+        "table in terminal",
+        {"tables": {"wind": [1.0]}, "terminal_cost": lambda x, p: p.wind},
+        "no parameter `wind`",
+    ),
     ("table of tables", {"tables": {"wind": [[1.0]]}}, "needs a list of numbers"),
 ]
 

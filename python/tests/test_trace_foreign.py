@@ -9,7 +9,9 @@ def agrees(case, tolerance, scale=2.0, params=None):
     rng = np.random.default_rng(5)
     n, m = len(case.states), len(case.controls)
     for _ in range(50):
-        expected, found = case.both(rng.normal(0, scale, n), rng.normal(0, scale, m), rng.normal(0, scale, n), 0.3, params)
+        expected, found = case.both(
+            rng.normal(0, scale, n), rng.normal(0, scale, m), rng.normal(0, scale, n), 0.3, params
+        )
         assert len(found) == len(expected)
         for a, b in zip(expected, found, strict=True):
             assert close(a, b, tolerance) or abs(a - b) < tolerance, (a, b, case.texts())
@@ -17,7 +19,9 @@ def agrees(case, tolerance, scale=2.0, params=None):
 
 @pytest.mark.parametrize("variant", ["book", "nips"])
 def test_acrobot(variant):
-    acrobot = pytest.importorskip("gymnasium.envs.classic_control.acrobot", reason="Gymnasium is not installed")
+    acrobot = pytest.importorskip(
+        "gymnasium.envs.classic_control.acrobot", reason="Gymnasium is not installed"
+    )
     env = acrobot.AcrobotEnv()
     env.book_or_nips = variant
 
@@ -29,7 +33,9 @@ def test_acrobot(variant):
 
 
 def test_acrobot_advanced_by_its_own_integrator():
-    acrobot = pytest.importorskip("gymnasium.envs.classic_control.acrobot", reason="Gymnasium is not installed")
+    acrobot = pytest.importorskip(
+        "gymnasium.envs.classic_control.acrobot", reason="Gymnasium is not installed"
+    )
     env = acrobot.AcrobotEnv()
     try:
         acrobot.rk4(env._dsdt, np.zeros(5), [0, env.dt])
@@ -39,7 +45,9 @@ def test_acrobot_advanced_by_its_own_integrator():
 
 
 def test_pendulum():
-    pendulum = pytest.importorskip("gymnasium.envs.classic_control.pendulum", reason="Gymnasium is not installed")
+    pendulum = pytest.importorskip(
+        "gymnasium.envs.classic_control.pendulum", reason="Gymnasium is not installed"
+    )
 
     class Env(pendulum.PendulumEnv):
         def _get_obs(self):
@@ -64,13 +72,20 @@ def test_pendulum():
 
 def test_the_angle_of_a_remainder_is_wrapped():
     def wrapped(x):
-        return [(x[0] + np.pi) % (2 * np.pi) - np.pi, np.mod(np.pi + x[1], 2 * np.pi) - np.pi, np.mod(x[2] - np.pi, 2 * np.pi) - np.pi]
+        return [
+            (x[0] + np.pi) % (2 * np.pi) - np.pi,
+            np.mod(np.pi + x[1], 2 * np.pi) - np.pi,
+            np.mod(x[2] - np.pi, 2 * np.pi) - np.pi,
+        ]
 
     case = Case("rate", wrapped, 3)
     agrees(case, 1e-14, scale=5.0)
     assert case.texts()[0] == "atan2(sin(x1), cos(x1))"
-    for other in (lambda x: [(x[0] + 3) % (2 * np.pi) - np.pi], lambda x: [(x[0] + np.pi) % 6 - np.pi],
-                  lambda x: [(np.pi - x[0]) % (2 * np.pi) - np.pi]):  # fmt: skip
+    for other in (
+        lambda x: [(x[0] + 3) % (2 * np.pi) - np.pi],
+        lambda x: [(x[0] + np.pi) % 6 - np.pi],
+        lambda x: [(np.pi - x[0]) % (2 * np.pi) - np.pi],
+    ):
         with pytest.raises(ValueError, match="only as the angle"):
             trace.trace_settings(other, states=1, dt=0.1)
 

@@ -5,18 +5,72 @@ import pytest
 from equations import Case, same, trace
 
 N, M = 3, 2
-UNARY = [np.negative, np.abs, np.square, np.sqrt, np.sin, np.cos, np.tanh, np.exp, np.sign, np.arctan, np.reciprocal,
-         lambda a: a**2, lambda a: -a, abs, np.copy, np.flip, lambda a: np.roll(a, 1), lambda a: a[::-1] if np.ndim(a) else a,
-         lambda a: a[0] if np.ndim(a) else a, lambda a: a[..., -1] if np.ndim(a) else a, np.transpose, np.ravel, np.zeros_like,
-         lambda a: np.clip(a, -0.5, 2.0), lambda a: np.maximum(a, 0.0), lambda a: 2.0 * a, lambda a: 1 - a, lambda a: a / 3,
-         lambda a: np.where(a > 0.3, a, -1.0), lambda a: np.where((a > -1) & ~(a > 1), a, 2.0), lambda a: a * (a < 0.5),
-         np.diff, lambda a: np.max(a), np.atleast_1d, np.prod, np.cumsum, lambda a: np.stack([a, 2 * a]),
-         lambda a: np.reshape(a, -1), lambda a: np.sum(a, axis=0), lambda a: np.minimum.reduce(a)]  # fmt: skip
-BINARY = [np.add, np.subtract, np.multiply, np.divide, np.maximum, np.minimum, np.hypot, np.arctan2, lambda a, b: a + b,
-          lambda a, b: a - b, lambda a, b: a * b, lambda a, b: a / b, lambda a, b: np.where(a < b, a, b),
-          lambda a, b: np.where(a >= b, 1.0, b), np.outer, lambda a, b: np.array([a, b]), lambda a, b: np.concatenate([a, b]),
-          lambda a, b: np.append(a, b), lambda a, b: np.select([a > b, a > 0], [a, b], 0.5), lambda a, b: np.heaviside(a, b),
-          lambda a, b: np.fmax(a, b), lambda a, b: changed(a, b)]  # fmt: skip
+UNARY = [
+    np.negative,
+    np.abs,
+    np.square,
+    np.sqrt,
+    np.sin,
+    np.cos,
+    np.tanh,
+    np.exp,
+    np.sign,
+    np.arctan,
+    np.reciprocal,
+    lambda a: a**2,
+    lambda a: -a,
+    abs,
+    np.copy,
+    np.flip,
+    lambda a: np.roll(a, 1),
+    lambda a: a[::-1] if np.ndim(a) else a,
+    lambda a: a[0] if np.ndim(a) else a,
+    lambda a: a[..., -1] if np.ndim(a) else a,
+    np.transpose,
+    np.ravel,
+    np.zeros_like,
+    lambda a: np.clip(a, -0.5, 2.0),
+    lambda a: np.maximum(a, 0.0),
+    lambda a: 2.0 * a,
+    lambda a: 1 - a,
+    lambda a: a / 3,
+    lambda a: np.where(a > 0.3, a, -1.0),
+    lambda a: np.where((a > -1) & ~(a > 1), a, 2.0),
+    lambda a: a * (a < 0.5),
+    np.diff,
+    lambda a: np.max(a),
+    np.atleast_1d,
+    np.prod,
+    np.cumsum,
+    lambda a: np.stack([a, 2 * a]),
+    lambda a: np.reshape(a, -1),
+    lambda a: np.sum(a, axis=0),
+    lambda a: np.minimum.reduce(a),
+]
+BINARY = [
+    np.add,
+    np.subtract,
+    np.multiply,
+    np.divide,
+    np.maximum,
+    np.minimum,
+    np.hypot,
+    np.arctan2,
+    lambda a, b: a + b,
+    lambda a, b: a - b,
+    lambda a, b: a * b,
+    lambda a, b: a / b,
+    lambda a, b: np.where(a < b, a, b),
+    lambda a, b: np.where(a >= b, 1.0, b),
+    np.outer,
+    lambda a, b: np.array([a, b]),
+    lambda a, b: np.concatenate([a, b]),
+    lambda a, b: np.append(a, b),
+    lambda a, b: np.select([a > b, a > 0], [a, b], 0.5),
+    lambda a, b: np.heaviside(a, b),
+    lambda a, b: np.fmax(a, b),
+    lambda a, b: changed(a, b),
+]
 # NumPy 1 computes float32 arrays with float64 scalars in float32; the tracer follows NumPy 2.
 TENTH = np.float32(0.1) if np.lib.NumpyVersion(np.__version__) >= "2.0.0" else 0.1
 CONSTANTS = [0.0, 1.0, -2.5, 3, TENTH, np.array([1.0, -1.0, 0.5]), np.arange(2), np.eye(2), 1e-3]
@@ -71,7 +125,9 @@ def test_random_functions_have_the_bits_of_numpy(block):
     for seed in range(100 * block, 100 * block + 100):
         program = Program(seed)
         try:
-            case = Case("observe", lambda x, p, t, program=program: program(x, x[:2], p, t), N, params={"a": 1.0})
+            case = Case(
+                "observe", lambda x, p, t, program=program: program(x, x[:2], p, t), N, params={"a": 1.0}
+            )
         except ValueError as error:
             # Operations on constants alone may divide by zero.
             assert "finite" in str(error)
@@ -79,11 +135,17 @@ def test_random_functions_have_the_bits_of_numpy(block):
         traced += 1
         rng = np.random.default_rng(seed)
         for trial in range(6):
-            x = rng.normal(size=N) if trial % 2 else rng.choice([0.0, -0.0, 1.0, -1.0, 0.5, np.inf, np.nan, 1e300, 1e-310], N)
+            x = (
+                rng.normal(size=N)
+                if trial % 2
+                else rng.choice([0.0, -0.0, 1.0, -1.0, 0.5, np.inf, np.nan, 1e300, 1e-310], N)
+            )
             expected, found = case.both(x, [], x, rng.random(), {"a": rng.normal()})
             assert len(expected) == len(found)
             for i, (a, b) in enumerate(zip(expected, found, strict=True)):
-                assert same(a, b) or (a == b == 0.0), f"seed {seed}, component {i}: NumPy {a!r}, text {b!r}: {case.texts()[i]}"
+                assert same(a, b) or (a == b == 0.0), (
+                    f"seed {seed}, component {i}: NumPy {a!r}, text {b!r}: {case.texts()[i]}"
+                )
                 differing += not same(a, b)
     assert traced >= 70
     assert differing <= 40
