@@ -1,6 +1,7 @@
 """Differentiable physics: gradients of long simulations, and neural controllers trained with them.
 
-`task` opens a preset or a scene file. Methods of a `Task` evaluate steps, observations and costs on
+`task` opens a preset or a scene file, and `system` a system that is written as functions of NumPy.
+Methods of a `Task` evaluate steps, observations and costs on
 arrays, with their derivatives. `train` trains a policy. `rollout`, `losses` and `gradients`
 evaluate policies. `optimize` minimizes the loss over the controls from one initial state.
 `identify` fits physical numbers to measurements, `check` compares derivatives with dual numbers,
@@ -21,6 +22,8 @@ from ._core import (
     optimize,
     rollout,
 )
+from ._distributions import choice, log_uniform, normal, table, trained, uniform
+from .trace import detach, system
 
 __all__ = [
     "Divergence",
@@ -30,15 +33,23 @@ __all__ = [
     "Task",
     "accuracy",
     "check",
+    "choice",
+    "detach",
     "gradients",
     "identify",
     "load",
+    "log_uniform",
     "losses",
+    "normal",
     "optimize",
     "rollout",
     "scene",
+    "system",
+    "table",
     "task",
     "train",
+    "trained",
+    "uniform",
 ]
 
 

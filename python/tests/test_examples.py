@@ -14,6 +14,7 @@ NEEDS = {
     "first_hour": [],
     "which_field": ["matplotlib"],
     "own_network_torch": ["torch"],
+    "own_system": [],
     "ppo_beside_c": ["stable_baselines3", "gymnasium", "matplotlib"],
     "speed": [],
 }

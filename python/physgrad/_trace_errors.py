@@ -1,0 +1,116 @@
+"""Refusals of a traced function: each names the file and the line of the user and what to write."""
+
+from __future__ import annotations
+
+import difflib
+import linecache
+import os
+import re
+import sys
+from collections.abc import Iterable
+from typing import NoReturn
+
+# Frames of these packages are not code of the user.
+PACKAGES = ("numpy", __name__.split(".")[0])
+
+BRANCH = (
+    "The value of {what} is not known while the function is traced, so Python cannot branch on it. {hint}"
+)
+WHERE = "Write `np.where(condition, a, b)` in place of `if` and of `a if condition else b`"
+# Hints for a branch, by the line of the user. The first that matches is given.
+BRANCHES = [
+    (r"\bassert\b", "Leave the assertion out"),
+    (
+        r"(?<![\w.])(max|min)\(",
+        "Write `np.maximum(a, b)` or `np.minimum(a, b)` in place of Python's `max` and `min`",
+    ),
+    (r"\b(and|or|not)\b", "Write `(a < x) & (x < b)`, `|` and `~` in place of `and`, `or` and `not`"),
+    (r"[<>]=?[^<>()&|,]+[<>]=?", "Write `(a < x) & (x < b)` in place of `a < x < b`"),
+    (r"\bwhile\b", "A loop needs a fixed number of turns, as `for _ in range(10)`, with `np.where` inside"),
+    (r"(?<![\w.])(sorted|any|all)\(", "Write `np.maximum`, `np.minimum`, `np.any` or `np.all` of an array"),
+    (r"\bif\b", WHERE),
+]
+# Functions of the module `math` that have another name in NumPy.
+OF_MATH = {"pow": "power", "asin": "arcsin", "acos": "arccos", "atan": "arctan", "atan2": "arctan2"}
+LIST = "; NumPy needs `np.array([...])` in place of a list of traced numbers"
+
+
+def user_frame():
+    """The innermost frame that runs code of the user."""
+    frame = sys._getframe(1)
+    while frame.f_back and frame.f_globals.get("__name__", "").split(".")[0] in PACKAGES:
+        frame = frame.f_back
+    return frame
+
+
+def name_of(path: str) -> str:
+    """The path of a file, relative if it is below the working directory."""
+    below = os.path.join(os.getcwd(), "")
+    return path[len(below) :] if path.startswith(below) else path
+
+
+def place() -> str:
+    """File and line of the user that runs now, as `tanks.py:12`."""
+    frame = user_frame()
+    return f"{name_of(frame.f_code.co_filename)}:{frame.f_lineno}"
+
+
+def line() -> str:
+    """The text of the line of the user that runs now. Empty without a file."""
+    frame = user_frame()
+    return linecache.getline(frame.f_code.co_filename, frame.f_lineno, frame.f_globals)
+
+
+def begin(function) -> str:
+    """File and first line of a function, and its name."""
+    code = getattr(getattr(function, "__func__", function), "__code__", None)
+    name = getattr(function, "__name__", type(function).__name__)
+    return f"{name_of(code.co_filename)}:{code.co_firstlineno}: `{name}`" if code else f"`{name}`"
+
+
+def branch_hint() -> str:
+    """What to write in place of a branch, judged by the line of the user."""
+    text = line()
+    return next((hint for pattern, hint in BRANCHES if re.search(pattern, text)), WHERE) + LIST
+
+
+def value_hint() -> str:
+    """What to write in place of `float(x)` and its like, judged by the line of the user."""
+    text = line()
+    called = re.search(r"\bmath\.(\w+)", text)
+    if called and called[1] in ("floor", "ceil", "trunc", "fmod", "remainder"):
+        return f"`math.{called[1]}` jumps and has no useful derivative. Leave it out, or write `np.where`"
+    if called:
+        return f"Write `np.{OF_MATH.get(called[1], called[1])}` in place of `math.{called[1]}`"
+    if re.search(r"(?<![\w.])round\(", text):
+        return "Rounding has no useful derivative; leave it out"
+    if "float32" in text or "float16" in text:
+        return "Leave out the dtype: the setting `precision` selects it"
+    if re.search(r"\][^=]*=[^=]", text):
+        return "Begin with `np.zeros(n)` inside of the function, or return `np.array([...])` or `np.stack`"
+    return "Use functions of NumPy, and leave out `float`, `int` and `astype`"
+
+
+def place_of(error: BaseException) -> str | None:
+    """The last place of an error in code of the user."""
+    found, step = None, error.__traceback__
+    while step is not None:
+        frame = step.tb_frame
+        if frame.f_globals.get("__name__", "").split(".")[0] not in PACKAGES:
+            found = f"{name_of(frame.f_code.co_filename)}:{step.tb_lineno}"
+        step = step.tb_next
+    return found
+
+
+def near(name: str, names: Iterable[str], likeness: float = 0.5) -> str:
+    """`; did you mean ...?` for a wrong name, with all names if there are few."""
+    names = [str(known) for known in names]
+    found = difflib.get_close_matches(str(name), names, 3, likeness)
+    if found:
+        return f"; did you mean {' or '.join(f'`{known}`' for known in found)}?"
+    return f"; there are {', '.join(names)}" if 0 < len(names) <= 12 else ""
+
+
+def fail(kind: type[Exception], message: str) -> NoReturn:
+    """Raises an error with the file and the line of the user."""
+    raise kind(f"{place()}: {message}")

@@ -1,0 +1,256 @@
+"""Arrays of traced numbers, and the parameters: the arguments of a traced function."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any, NoReturn
+
+import numpy as np
+
+from ._trace_errors import BRANCH, branch_hint, fail, near
+from ._trace_numbers import (
+    Operators,
+    Symbol,
+    TracedNumber,
+    base,
+    check_dtype,
+    is_bool,
+    is_traced,
+    lift,
+    name,
+    refuse,
+)
+
+# The constructors of NumPy, which are replaced while a function is traced.
+ARRAY, ASARRAY = np.array, np.asarray
+
+
+def plain(value: Any) -> np.ndarray:
+    """A value as an array of objects, which shares the memory if the value is one."""
+    if isinstance(value, Symbol):
+        box = np.empty((), dtype=object)
+        box[()] = value
+        return box
+    array = base(value) if isinstance(value, np.ndarray) else ASARRAY(value)
+    if array.dtype == object:
+        return array
+    # Elements keep the arithmetic of NumPy, as 1.0 / 0.0, which Python refuses.
+    box = np.empty(array.shape, dtype=object)
+    for index in np.ndindex(array.shape):
+        box[index] = array[index]
+    return box
+
+
+def element(value: Any) -> Any:
+    """An element that is assigned to an array of float64."""
+    return lift(value) if isinstance(value, Symbol) else np.float64(value)
+
+
+def finish(array: Any, names: tuple[str, ...] | None = None) -> Any:
+    """The result of an operation on objects: an `Array`, or the only element without dimensions."""
+    if not isinstance(array, np.ndarray):
+        return array
+    array = base(array)
+    if array.ndim == 0:
+        return array[()]
+    # All conditions, or all numbers of float64, whose arithmetic is that of an array of float64.
+    # Lists that NumPy joins to arrays have elements without dimensions.
+    if not all(isinstance(value, (TracedNumber, np.float64)) for value in array.flat):
+        mixed, array = array, np.empty(array.shape, dtype=object)
+        for index in np.ndindex(array.shape):
+            value = mixed[index]
+            array[index] = value.item() if isinstance(value, np.ndarray) and value.ndim == 0 else value
+        if not all(map(is_bool, array.flat)):
+            for index in np.ndindex(array.shape):
+                array[index] = element(array[index])
+    result = array.view(Array)
+    if names is not None and result.shape == (len(names),):
+        object.__setattr__(result, "_names", names)
+    return result
+
+
+def demote(value: Any) -> Any:
+    """A value without traced numbers as NumPy has it outside of a traced function."""
+    if isinstance(value, Array):
+        array = base(value)
+        return ARRAY(array.tolist(), dtype=bool if all(map(is_bool, array.flat)) and array.size else float)
+    return type(value)(map(demote, value)) if type(value) in (list, tuple) else value
+
+
+def promote(value: Any) -> Any:
+    """A new array of float64 that can hold traced numbers."""
+    if isinstance(value, np.ndarray) and base(value).dtype == np.float64 and value.ndim > 0:
+        return plain(value).view(Array)
+    return value
+
+
+class Array(Operators, np.ndarray):
+    """An array of float64 numbers, of which some are traced. Components of a vector may have names."""
+
+    __array_priority__ = 1001.0
+    _names: tuple[str, ...] | None = None
+
+    def __getattribute__(self, name: str) -> Any:
+        names = object.__getattribute__(self, "_names")
+        if names is not None and name in names:
+            return np.ndarray.__getitem__(self, names.index(name))
+        return super().__getattribute__(name)
+
+    def __getattr__(self, name: str) -> NoReturn:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        fail(AttributeError, self._unknown(name))
+
+    def _unknown(self, name: str) -> str:
+        if self._names is None:
+            return f"this array has no `{name}`; names are those of x, u, next and their copies"
+        return f"there is no `{name}`{near(name, self._names)}"
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if self._names is not None and name in self._names:
+            self[self._names.index(name)] = value
+        elif hasattr(np.ndarray, name):
+            super().__setattr__(name, value)
+        else:
+            fail(AttributeError, self._unknown(name))
+
+    def _index(self, key: Any) -> Any:
+        if (
+            isinstance(key, str)
+            or isinstance(key, list)
+            and key
+            and all(isinstance(part, str) for part in key)
+        ):
+            for part in [key] if isinstance(key, str) else key:
+                if self._names is None or part not in self._names:
+                    refuse(LookupError, self._unknown(part))
+            return (
+                self._names.index(key) if isinstance(key, str) else [self._names.index(part) for part in key]
+            )
+        if is_traced(key):
+            refuse(
+                IndexError,
+                "an index depends on traced numbers, whose values are not known. Write "
+                "`np.where(condition, a, b)` in "
+                "place of a mask, and `pg.table(values)` or `np.interp` in place of an index into an array",
+            )
+        return demote(key)
+
+    def __getitem__(self, key: Any) -> Any:
+        index = self._index(key)
+        result = super().__getitem__(index)
+        whole = index is Ellipsis or isinstance(index, slice) and index == slice(None)
+        return finish(result, self._names) if whole else result
+
+    def __setitem__(self, key: Any, value: Any) -> None:
+        index, values, target = self._index(key), plain(value), base(self)
+        of_conditions = target.size > 0 and all(map(is_bool, target.flat))
+        if of_conditions and not all(map(is_bool, values.flat)):
+            refuse(TypeError, "an array of conditions is assigned a number; assign a comparison")
+        boxed = np.empty(values.shape, dtype=object)
+        for place in np.ndindex(values.shape):
+            boxed[place] = values[place] if of_conditions else element(values[place])
+        # An array in one place would become an element of its own.
+        if np.ndim(target[index]) == 0 and boxed.ndim > 0:
+            if boxed.size != 1:
+                refuse(ValueError, f"an element of an array is assigned an array of shape {boxed.shape}")
+            boxed = boxed.reshape(())
+        target[index] = boxed if boxed.ndim else boxed[()]
+
+    def __iter__(self) -> Iterator:
+        return iter([self[i] for i in range(len(self))])
+
+    def __bool__(self) -> bool:
+        if is_traced(self):
+            refuse(TypeError, BRANCH.format(what="an array of traced numbers", hint=branch_hint()))
+        return bool(demote(self))
+
+    def __pow__(self, exponent: Any) -> Any:
+        # The operator of arrays takes square roots where np.power takes powers.
+        half = isinstance(exponent, float) and exponent == 0.5
+        return np.sqrt(self) if half else np.power(self, exponent)
+
+    def fill(self, value: Any) -> None:
+        self[...] = value
+
+    def put(self, *_: Any, **__: Any) -> NoReturn:
+        refuse(TypeError, "`put` is not supported in a traced function; assign the elements")
+
+    def copy(self, order: str = "C") -> Array:
+        return finish(base(self).copy(order), self._names)
+
+    def __copy__(self) -> Array:
+        return Array.copy(self)
+
+    def __deepcopy__(self, _: Any) -> Array:
+        return Array.copy(self)
+
+    def astype(self, dtype: Any, **_: Any) -> Any:
+        if not is_traced(self):
+            return promote(demote(self).astype(dtype))
+        if not all(map(is_bool, base(self).flat)):
+            check_dtype(dtype)
+        elif np.dtype(dtype) != np.bool_:
+            check_dtype(dtype, integers=True)
+            return finish(plain([element(value) for value in base(self).flat])).reshape(base(self).shape)
+        return finish(base(self).copy(), self._names)
+
+    def dot(self, other: Any) -> Any:
+        return np.dot(self, other)
+
+    def item(self, *index: Any) -> Any:
+        return base(self).item(*index)
+
+
+def vector(names: Iterable[str], prefix: str = "") -> Array:
+    """An array of traced numbers with names."""
+    names = tuple(names)
+    box = np.empty(len(names), dtype=object)
+    box[:] = [name(prefix + label) for label in names]
+    return finish(box, names)
+
+
+class Parameters:
+    """The parameters of a function: traced numbers, and constant arrays, by name or in their order."""
+
+    def __init__(self, values: dict[str, Any]) -> None:
+        object.__setattr__(self, "_values", values)
+
+    def __getattribute__(self, name: str) -> Any:
+        values = object.__getattribute__(self, "_values")
+        return values[name] if name in values else object.__getattribute__(self, name)
+
+    def __getattr__(self, name: str) -> NoReturn:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        fail(AttributeError, f"there is no parameter `{name}`{near(name, self._values)}")
+
+    def __getitem__(self, key: Any) -> Any:
+        if isinstance(key, str):
+            if key not in self._values:
+                refuse(LookupError, f"there is no parameter `{key}`{near(key, self._values)}")
+            return self._values[key]
+        return list(self._values.values())[key]
+
+    def __setattr__(self, name: str, value: Any) -> NoReturn:
+        refuse(AttributeError, f"the parameter `{name}` does not change; use a variable of another name")
+
+    __setitem__ = __setattr__
+
+    def __iter__(self) -> Iterator:
+        return iter(self._values.values())
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._values
+
+    def keys(self) -> Iterable[str]:
+        return self._values.keys()
+
+    def values(self) -> Iterable[Any]:
+        return self._values.values()
+
+    def items(self) -> Iterable[tuple[str, Any]]:
+        return self._values.items()

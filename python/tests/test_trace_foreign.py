@@ -1,0 +1,107 @@
+"""Code of other packages, unmodified, through the tracer."""
+
+import numpy as np
+import pytest
+from equations import Case, close, trace
+
+
+def agrees(case, tolerance, scale=2.0, params=None):
+    rng = np.random.default_rng(5)
+    n, m = len(case.states), len(case.controls)
+    for _ in range(50):
+        expected, found = case.both(
+            rng.normal(0, scale, n), rng.normal(0, scale, m), rng.normal(0, scale, n), 0.3, params
+        )
+        assert len(found) == len(expected)
+        for a, b in zip(expected, found, strict=True):
+            assert close(a, b, tolerance) or abs(a - b) < tolerance, (a, b, case.texts())
+
+
+@pytest.mark.parametrize("variant", ["book", "nips"])
+def test_acrobot(variant):
+    acrobot = pytest.importorskip(
+        "gymnasium.envs.classic_control.acrobot", reason="Gymnasium is not installed"
+    )
+    env = acrobot.AcrobotEnv()
+    env.book_or_nips = variant
+
+    def rate(x, u):
+        return env._dsdt(np.append(x, u))[:4]
+
+    case = Case("rate", rate, ["theta1", "theta2", "rate1", "rate2"], ["torque"], angles=["theta1", "theta2"])
+    agrees(case, 1e-13)
+
+
+def test_acrobot_advanced_by_its_own_integrator():
+    acrobot = pytest.importorskip(
+        "gymnasium.envs.classic_control.acrobot", reason="Gymnasium is not installed"
+    )
+    env = acrobot.AcrobotEnv()
+    try:
+        acrobot.rk4(env._dsdt, np.zeros(5), [0, env.dt])
+    except AttributeError as error:
+        pytest.skip(f"this release of Gymnasium does not run with this release of NumPy: {error}")
+    agrees(Case("step", lambda x, u: acrobot.rk4(env._dsdt, np.append(x, u), [0, env.dt]), 4, 1), 1e-11)
+
+
+def test_pendulum():
+    pendulum = pytest.importorskip(
+        "gymnasium.envs.classic_control.pendulum", reason="Gymnasium is not installed"
+    )
+
+    class Env(pendulum.PendulumEnv):
+        def _get_obs(self):
+            """The observation is in float32, which traced numbers refuse."""
+
+    env = Env()
+
+    def step(x, u):
+        env.state = x
+        env.step(u)
+        return env.state
+
+    def cost(x, u):
+        env.state = x
+        return -env.step(u)[1]
+
+    case = Case("step", step, ["angle", "speed"], ["torque"])
+    agrees(case, 0.0)
+    assert "clip(torque, -2, 2)" in "".join(case.texts()) + str(case.system.get("define"))
+    agrees(Case("running_cost", cost, ["angle", "speed"], ["torque"]), 1e-13)
+
+
+def test_the_angle_of_a_remainder_is_wrapped():
+    def wrapped(x):
+        return [
+            (x[0] + np.pi) % (2 * np.pi) - np.pi,
+            np.mod(np.pi + x[1], 2 * np.pi) - np.pi,
+            np.mod(x[2] - np.pi, 2 * np.pi) - np.pi,
+        ]
+
+    case = Case("rate", wrapped, 3)
+    agrees(case, 1e-14, scale=5.0)
+    assert case.texts()[0] == "atan2(sin(x1), cos(x1))"
+    for other in (
+        lambda x: [(x[0] + 3) % (2 * np.pi) - np.pi],
+        lambda x: [(x[0] + np.pi) % 6 - np.pi],
+        lambda x: [(np.pi - x[0]) % (2 * np.pi) - np.pi],
+    ):
+        with pytest.raises(ValueError, match="only as the angle"):
+            trace.trace_settings(other, states=1, dt=0.1)
+
+
+def test_linear_plants_of_controlgym():
+    controlgym = pytest.importorskip("controlgym", reason="controlgym is not installed")
+    for name in ("toy", "ac1", "he1", "je1", "lah"):
+        env = controlgym.make(name)
+
+        def step(x, u, env=env):
+            env.state = x
+            return env.A @ env.state + env.B1 @ np.zeros(env.n_disturbance) + env.B2 @ u
+
+        def cost(x, u, env=env):
+            return x.T @ env.Q @ x + u.T @ env.R @ u + 2 * x.T @ env.S @ u
+
+        case = Case("step", step, env.n_state, env.n_action)
+        agrees(case, 1e-9)
+        agrees(Case("running_cost", cost, env.n_state, env.n_action), 1e-9)
