@@ -452,4 +452,5 @@ def system(rate: Callable | None = None, **arguments: Any) -> Any:
     from . import Task
 
     settings = trace_settings(rate, **arguments)
-    return Task(settings.pop("task"), **settings)
+    del settings["task"]
+    return Task._of_equations(**settings)
