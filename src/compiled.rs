@@ -17,7 +17,7 @@ use crate::engine::batch::Batch;
 use crate::engine::initial_states::append_starts;
 use crate::engine::rollout::Rollout;
 use crate::engine::rows;
-use crate::graph::GraphTask;
+use crate::graph::{GraphTask, Replaced};
 use crate::numbers::scalar::Float;
 use crate::policy::{AnyNetwork, Conv, Mlp, Policy, WithParams};
 use crate::tasks::*;
@@ -43,7 +43,7 @@ type Function = *const ();
 #[doc(hidden)]
 #[inline(never)]
 pub fn compiled() -> Vec<Function> {
-    let tasks: [fn() -> Vec<Function>; 13] = [
+    let tasks: [fn() -> Vec<Function>; 14] = [
         frequent::<CartPole<CartPoleSystem>>,
         frequent::<CartPole<Listed<CartPoleModel, CartPoleEffect>>>,
         frequent::<Guidance<Forced<GuidanceSystem, PaperEffects>>>,
@@ -57,6 +57,7 @@ pub fn compiled() -> Vec<Function> {
         frequent::<Bounce>,
         frequent::<Push>,
         frequent::<GraphTask>,
+        frequent::<Replaced>,
     ];
     let any_policy =
         [identify::identify::<DynSystem> as Function, optimize::optimize::<DynTask> as Function];

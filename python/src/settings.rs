@@ -12,8 +12,8 @@ use toml::{Table, Value};
 /// Sections whose values are sections.
 const NESTED: [&str; 2] = ["effects", "actuator"];
 /// Sections of a scene that keyword arguments may name.
-const SECTIONS: [&str; 7] =
-    ["system", "effects", "actuator", "integrator", "loss", "policy", "training"];
+const SECTIONS: [&str; 8] =
+    ["system", "effects", "actuator", "integrator", "loss", "equations", "policy", "training"];
 
 /// A list of dotted keys and values. None removes an effect or a part of the actuator.
 pub type Settings = Vec<Change>;

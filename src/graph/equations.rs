@@ -1,8 +1,9 @@
 //! [`Equations`]: a system as names, numbers and expressions, and its functions as graphs.
 
-use super::function::{Function, LISTS};
-use super::op::{Graph, Id};
-use super::parse::{ParseError, Parser, Term, name_problem, names};
+use super::function::Function;
+use super::op::Id;
+use super::parse::name_problem;
+use super::reader::{OPERATIONS, P, Reader, TIME, U, Vocabulary, X, listed};
 use crate::dynamics::number::Number;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
@@ -91,10 +92,8 @@ impl EquationError {
     }
 }
 
-/// Largest numbers of components, parameters and tables, and of operations. They bound the memory
-/// of equations that somebody else wrote.
+/// Largest number of names in a list, which bounds the memory of equations that somebody else wrote.
 const NAMES: usize = 4096;
-const OPERATIONS: usize = 200_000;
 
 /// Functions of the equations.
 #[derive(Debug)]
@@ -107,13 +106,6 @@ pub(super) struct Functions {
     pub(super) terminal: Option<Function>,
 }
 
-/// Lists of inputs: x, u, p, next state, and time followed by the tables.
-const X: usize = 0;
-const U: usize = 1;
-const P: usize = 2;
-const NEXT: usize = 3;
-const TIME: usize = 4;
-
 impl Equations {
     /// Returns whether the equations give rates, rather than next states.
     pub fn is_continuous(&self) -> bool {
@@ -124,8 +116,7 @@ impl Equations {
     pub(super) fn functions(&self, costs: &Costs) -> Result<Functions, EquationError> {
         self.check_names()?;
         self.check_numbers()?;
-        let mut reader = Reader::new(self);
-        self.define(&mut reader)?;
+        let mut reader = Reader::new(self.vocabulary())?;
         let (section, motion, other) = if self.is_continuous() {
             ("rate", &self.rate, &self.next)
         } else {
@@ -149,43 +140,33 @@ impl Equations {
                 reader.expression(&key, text)
             })
             .collect::<Result<_, _>>()?;
-        let observe: Vec<Id> = self
-            .observe
-            .iter()
-            .enumerate()
-            .map(|(i, text)| reader.expression(&format!("observe[{i}]"), text))
-            .collect::<Result<_, _>>()?;
-        let [running, terminal] =
-            [("loss.running", &costs.running), ("loss.terminal", &costs.terminal)].map(
-                |(key, text)| (!text.is_empty()).then(|| reader.expression(key, text)).transpose(),
-            );
-        let velocities = velocities(&motion, self.states.len());
-        let function = |name: &str, outputs: Vec<Id>, allowed: &[usize]| {
-            reader.function(name, outputs, allowed)
-        };
-        let one = |name: &str, id: Option<Id>, allowed: &[usize]| {
-            id.map(|id| function(name, vec![id], allowed)).transpose()
-        };
         Ok(Functions {
-            motion: function(section, motion, &[X, U, P, TIME])?,
-            velocities,
-            observe: (!observe.is_empty())
-                .then(|| function("observe", observe, &[X, P, TIME]))
-                .transpose()?,
-            running: one("loss.running", running?, &[X, U, P, NEXT, TIME])?,
-            terminal: one("loss.terminal", terminal?, &[X, P])?,
+            velocities: velocities(&motion, self.states.len()),
+            motion: reader.function(section, motion, &[X, U, P, TIME])?,
+            observe: reader.observation("observe", &self.observe)?,
+            running: reader.running_cost("loss.running", &costs.running)?,
+            terminal: reader.terminal_cost("loss.terminal", &costs.terminal)?,
         })
     }
 
-    /// Names of numbers that vary, in the order of `p`.
-    fn varied(&self) -> impl Iterator<Item = &String> {
-        self.parameters.iter().filter(|(_, number)| !number.is_fixed()).map(|(name, _)| name)
-    }
-
-    /// Lengths of the lists of inputs.
-    fn lengths(&self) -> [usize; LISTS] {
-        let (states, controls) = (self.states.len(), self.controls.len());
-        [states, controls, self.varied().count(), states, 1 + self.tables.len()]
+    /// Names of the numbers in the equations.
+    fn vocabulary(&self) -> Vocabulary<'_> {
+        let varied = self.parameters.iter().filter(|(_, number)| !number.is_fixed());
+        Vocabulary {
+            states: self.states.clone(),
+            controls: self.controls.clone(),
+            params: varied.map(|(name, _)| name.clone()).collect(),
+            tables: self.tables.keys().cloned().collect(),
+            constants: self
+                .parameters
+                .iter()
+                .filter_map(|(name, number)| match *number {
+                    Number::Fixed(value) => Some((name.clone(), value)),
+                    _ => None,
+                })
+                .collect(),
+            define: &self.define,
+        }
     }
 
     fn check_names(&self) -> Result<(), EquationError> {
@@ -280,49 +261,6 @@ impl Equations {
         }
         Ok(())
     }
-
-    /// Reads all definitions, each after those that it names.
-    fn define<'a>(&'a self, reader: &mut Reader<'a>) -> Result<(), EquationError> {
-        let mut waits: HashMap<&str, usize> = HashMap::new();
-        let mut followers: HashMap<&str, Vec<&str>> = HashMap::new();
-        for (name, text) in &self.define {
-            let mut before = names(text);
-            before.retain(|name| self.define.contains_key(*name));
-            before.sort_unstable();
-            before.dedup();
-            waits.insert(name, before.len());
-            before.into_iter().for_each(|before| followers.entry(before).or_default().push(name));
-        }
-        let names = self.define.keys().map(String::as_str);
-        let mut ready: Vec<&str> = names.filter(|name| waits[name] == 0).collect();
-        ready.reverse();
-        while let Some(name) = ready.pop() {
-            waits.remove(name);
-            let term = reader.term(&format!("define.{name}"), &self.define[name])?;
-            reader.known.insert(name.to_owned(), term);
-            for follower in followers.remove(name).unwrap_or_default() {
-                let count = waits.get_mut(follower).expect("a definition that waits");
-                *count -= 1;
-                if *count == 0 {
-                    ready.push(follower);
-                }
-            }
-        }
-        let Some(name) = waits.keys().min() else { return Ok(()) };
-        let what = "depends on itself, directly or through other definitions; allowed: no circle";
-        Err(EquationError::new(format!("define.{name}"), what))
-    }
-}
-
-/// Names in a message, at most a dozen.
-fn listed<'a>(names: impl Iterator<Item = &'a str>) -> String {
-    let names: Vec<&str> = names.collect();
-    let shown = names.iter().take(12).map(|name| format!("`{name}`")).collect::<Vec<_>>();
-    match names.len() {
-        0 => "nothing".into(),
-        count if count > 12 => format!("{} and {} more", shown.join(", "), count - 12),
-        _ => shown.join(", "),
-    }
 }
 
 /// Velocities of positions: the rate of a position is a state that is no position itself.
@@ -332,101 +270,4 @@ fn velocities(rates: &[Id], states: usize) -> Vec<Option<usize>> {
         (of < states && of != i).then_some(of)
     };
     (0..states).map(|i| state_of(i).filter(|&velocity| state_of(velocity).is_none())).collect()
-}
-
-/// A graph in which names have numbers.
-struct Reader<'a> {
-    equations: &'a Equations,
-    graph: Graph,
-    known: HashMap<String, Term>,
-}
-
-impl<'a> Reader<'a> {
-    fn new(equations: &'a Equations) -> Self {
-        let lengths = equations.lengths();
-        let mut graph = Graph::new(lengths.iter().sum());
-        let mut known = HashMap::new();
-        let next: Vec<String> =
-            equations.states.iter().map(|name| format!("next.{name}")).collect();
-        let inputs = equations
-            .states
-            .iter()
-            .chain(&equations.controls)
-            .chain(equations.varied())
-            .cloned()
-            .chain(next)
-            .chain(["t".to_owned()])
-            .chain(equations.tables.keys().cloned());
-        known.extend(inputs.zip((0..).map(Term::Number)));
-        for (name, number) in &equations.parameters {
-            if let Number::Fixed(value) = *number {
-                known.insert(name.clone(), Term::Number(graph.constant(value)));
-            }
-        }
-        Self { equations, graph, known }
-    }
-
-    fn term(&mut self, key: &str, text: &str) -> Result<Term, EquationError> {
-        let (known, equations) = (&self.known, self.equations);
-        let resolve = |name: &str| known.get(name).copied().ok_or_else(|| unknown(equations, name));
-        let term = Parser::read(text, &mut self.graph, &resolve);
-        if self.graph.ops().len() > OPERATIONS {
-            let what = format!("exceeds {OPERATIONS} operations in all equations; allowed: fewer");
-            return Err(EquationError::new(key, what));
-        }
-        term.map_err(|ParseError { column, what }| {
-            EquationError::new(key, located(text, column, &what))
-        })
-    }
-
-    fn expression(&mut self, key: &str, text: &str) -> Result<Id, EquationError> {
-        Ok(self.term(key, text)?.id(&mut self.graph))
-    }
-
-    /// Function of these outputs, which may depend on the `allowed` lists.
-    fn function(
-        &self,
-        name: &str,
-        outputs: Vec<Id>,
-        allowed: &[usize],
-    ) -> Result<Function, EquationError> {
-        let error = |what: String| EquationError::new(name, what);
-        let function = Function::new(self.graph.clone(), outputs, self.equations.lengths());
-        let function = function.map_err(|_| error("has too many numbers at once".into()))?;
-        for (list, what) in [
-            (U, "the control, which is not known there"),
-            (NEXT, "`next`, which only `loss.running` knows"),
-            (TIME, "the time or a table, which is not known there"),
-        ] {
-            if function.reads(list) && !allowed.contains(&list) {
-                return Err(error(format!("depends on {what}")));
-            }
-        }
-        Ok(function)
-    }
-}
-
-/// Message of an unknown name.
-fn unknown(equations: &Equations, name: &str) -> String {
-    let states = || equations.states.iter().map(String::as_str);
-    if let Some(state) = name.strip_prefix("next.") {
-        return format!("`{state}` is not a state; states are {}", listed(states()));
-    }
-    let all = states()
-        .chain(equations.controls.iter().map(String::as_str))
-        .chain(equations.parameters.keys().map(String::as_str))
-        .chain(equations.tables.keys().map(String::as_str))
-        .chain(equations.define.keys().map(String::as_str));
-    format!("`{name}` is unknown; known are {} and `t`, `pi`", listed(all))
-}
-
-/// A problem at a column of an expression, with the text around it.
-fn located(text: &str, column: usize, what: &str) -> String {
-    let around: String = text.chars().skip(column.saturating_sub(21)).take(41).collect();
-    let around = around.trim();
-    if text.chars().count() <= 41 {
-        format!("has an error in column {column} of `{text}`: {what}")
-    } else {
-        format!("has an error in column {column}, at `…{around}…`: {what}")
-    }
 }

@@ -11,7 +11,9 @@
 //!   executes.
 //! - `function`: a function of a graph, for any scalar, and its transposed Jacobian product.
 //! - `parse`: one expression as text.
+//! - `reader`: expressions as functions, with names for their inputs.
 //! - `equations`: the names, numbers and expressions of a system.
+//! - `replaced`: expressions in place of the observation and the costs of another task.
 //! - `task`: the system and the task.
 
 mod adjoint;
@@ -20,9 +22,12 @@ mod function;
 mod lower;
 mod op;
 mod parse;
+mod reader;
 mod record;
+mod replaced;
 mod task;
 
 pub use equations::{Costs, EquationError, Equations};
 pub use op::{Graph, Id, Op};
+pub use replaced::{Names, Replaced, Replacement};
 pub use task::{GraphSystem, GraphTask, RecordError};

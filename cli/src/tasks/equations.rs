@@ -7,7 +7,7 @@ use crate::settings::reading::overlay;
 use crate::tasks::hard::{Nothing, in_scene};
 use crate::tasks::{MlpSettings, Settings, TaskSpec};
 use physgrad::DynTask;
-use physgrad::graph::{self, Costs, EquationError, GraphTask};
+use physgrad::graph::{self, Costs, EquationError, GraphTask, Replacement};
 use physgrad::integrator::{AnyIntegrator, RungeKutta};
 use physgrad_plot::{Animation, Channel, channels_over_time};
 
@@ -50,6 +50,10 @@ impl TaskSpec for Equations {
 
     fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
         graph(settings)?;
+        if settings.equations != Replacement::default() {
+            let what = "is for other tasks; write `system.observe` and the expressions of `loss`";
+            return Err(ConfigError::new("equations", what));
+        }
         if let Some(method) = settings.integrator.method
             && !settings.system.is_continuous()
         {

@@ -82,7 +82,7 @@ trait AnySettings: Send + Sync {
     fn dt(&self) -> f64;
     fn state_names(&self) -> Vec<String>;
     fn angles(&self) -> Vec<usize>;
-    fn param_names(&self) -> Vec<String>;
+    fn param_names(&self, task: &DynTask) -> Vec<String>;
     fn control_names(&self) -> Vec<String>;
     fn conserved(&self) -> Option<Conserved>;
     fn animation(&self, rollout: &Trajectory) -> Animation;
@@ -105,8 +105,8 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
         K::angles(self)
     }
 
-    fn param_names(&self) -> Vec<String> {
-        K::param_names(self)
+    fn param_names(&self, task: &DynTask) -> Vec<String> {
+        Settings::param_names(self, task)
     }
 
     fn control_names(&self) -> Vec<String> {
@@ -134,7 +134,7 @@ fn held(controls: &[Vec<f64>], steps: f64) -> Vec<Vec<f64>> {
 impl Scene {
     /// Creates a scene from validated settings.
     pub fn new<K: TaskSpec>(task: &'static dyn AnyTaskSpec, settings: Settings<K>) -> Self {
-        let physics = K::task(&settings);
+        let physics = settings.physics().expect("validated settings");
         let system = physics.system();
         let network = settings
             .policy
@@ -324,16 +324,7 @@ impl Scene {
 
     /// Names of the parameters of a rollout.
     pub fn param_names(&self) -> Vec<String> {
-        let params = self.physics.param_dim();
-        let varied = self.physics.system().varied(params);
-        let mut own = self.settings.param_names().into_iter();
-        let name = |i: usize| match varied.iter().find(|varied| varied.index == i) {
-            // Names of numbers of effects start with the key of the effect's section.
-            Some(varied) if varied.name.starts_with("effects.") => varied.name.clone(),
-            Some(varied) => format!("system.{}", varied.name),
-            None => own.next().unwrap_or_else(|| format!("p_{}", i + 1)),
-        };
-        (0..params).map(name).collect()
+        self.settings.param_names(&self.physics)
     }
 
     /// Keys and values of the numbers that are not fixed.

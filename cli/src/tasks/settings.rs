@@ -8,7 +8,8 @@ use crate::settings::{
 use crate::tasks::effects::Present;
 use crate::tasks::{self, PolicySpec, SceneEffects, TaskSpec};
 use physgrad::effect::{DynEffect, Named};
-use physgrad::{DynSystem, DynTask, Field};
+use physgrad::graph::{EquationError, Names, Replaced, Replacement};
+use physgrad::{DynSystem, DynTask, Field, System as _, Task as _};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
@@ -60,10 +61,17 @@ pub struct Settings<K: TaskSpec> {
     pub integrator: IntegratorSettings,
     /// Settings of the cost function.
     pub loss: K::Loss,
+    /// Expressions in place of the observation and the costs of the task.
+    #[serde(default, skip_serializing_if = "is_absent")]
+    pub equations: Replacement,
     /// Network of the policy.
     pub policy: K::PolicySpec,
     /// Optimizer, data sets and memory.
     pub training: TrainingSettings,
+}
+
+fn is_absent(equations: &Replacement) -> bool {
+    *equations == Replacement::default()
 }
 
 impl<K: TaskSpec> Settings<K> {
@@ -87,6 +95,7 @@ impl<K: TaskSpec> Settings<K> {
             actuator: ActuatorSettings::default(),
             integrator: IntegratorSettings::default(),
             loss: K::Loss::default(),
+            equations: Replacement::default(),
             policy: K::PolicySpec::default(),
             training: TrainingSettings::default(),
         }
@@ -128,7 +137,41 @@ impl<K: TaskSpec> Settings<K> {
         self.actuator.validate()?;
         self.integrator.validate(self.precision, K::METHODS)?;
         K::validate(self)?;
-        K::validate_own_effects(&self.own_effects)
+        K::validate_own_effects(&self.own_effects)?;
+        self.physics().map(drop)
+    }
+
+    /// The task, with the observation and the costs of the section `equations`.
+    pub fn physics(&self) -> Result<DynTask, ConfigError> {
+        let task = K::task(self);
+        if is_absent(&self.equations) {
+            return Ok(task);
+        }
+        let controls = K::control_names(self);
+        let names = Names {
+            states: [K::state_names(self), self.actuator.state_names(&controls)].concat(),
+            params: self.param_names(&task),
+            controls,
+            dt: K::dt(self),
+        };
+        let replaced = Replaced::new(task, names, &self.equations);
+        let located =
+            |EquationError { key, what }| ConfigError::new(format!("equations.{key}"), what);
+        replaced.map(DynTask::new).map_err(located)
+    }
+
+    /// Names of the parameters of a rollout.
+    pub fn param_names(&self, task: &DynTask) -> Vec<String> {
+        let params = task.param_dim();
+        let varied = task.system().varied(params);
+        let mut own = K::param_names(self).into_iter();
+        let name = |i: usize| match varied.iter().find(|varied| varied.index == i) {
+            // Names of numbers of effects start with the key of the effect's section.
+            Some(varied) if varied.name.starts_with("effects.") => varied.name.clone(),
+            Some(varied) => format!("system.{}", varied.name),
+            None => own.next().unwrap_or_else(|| format!("p_{}", i + 1)),
+        };
+        (0..params).map(name).collect()
     }
 
     /// Effects that are present, in order of evaluation: first built-in effects, then effects of

@@ -141,3 +141,42 @@ fn errors_in_equations_name_the_line_and_the_column() {
         assert!(found.contains(message), "{setting}: {found}");
     }
 }
+
+#[test]
+fn equations_replace_the_costs_and_the_observation_of_a_built_in_task() {
+    let scene = r#"scene = 1
+task = "cart_pole"
+system.poles = 1
+system.cart_mass = { uniform = [0.8, 1.2] }
+horizon = 20
+[actuator.lag]
+time = 0.1
+[equations]
+observe = ["x", "x_dot", "sin(theta_1)", "cos(theta_1)", "omega_1", "force_before", "system.cart_mass"]
+running = "lean + 1e-3 * force ^ 2 + t * next.x ^ 2"
+terminal = "10 * lean"
+define = { lean = "1 - cos(theta_1)" }
+[policy]
+widths = [8]
+"#;
+    let dir = folder(scene);
+    let checked = output(dir.path(), &["check", "own.toml"]);
+    assert!(checked.contains("own.toml: costs") && !checked.contains("FAILED"), "{checked}");
+    output(dir.path(), &["train", "own.toml", "--epochs", "1", "--out", "run"]);
+    output(dir.path(), &["eval", "run"]);
+    for (from, to, message) in [
+        ("force ^ 2", "push ^ 2", "own.toml:10: `equations.running` has an error in column 15"),
+        ("sin(theta_1)", "sin(force)", "`equations.observe` depends on the control"),
+        (
+            "\"cart_pole\"\nsystem.poles = 1\nsystem.cart_mass = { uniform = [0.8, 1.2] }",
+            "\"equations\"",
+            "`system.states` is empty",
+        ),
+    ] {
+        let changed = scene.replace(from, to);
+        assert_ne!(changed, scene, "{from}");
+        let dir = folder(&changed);
+        let found = error_of(physgrad(&["check", "own.toml"]).current_dir(dir.path()));
+        assert!(found.contains(message), "{to}: {found}");
+    }
+}

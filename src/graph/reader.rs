@@ -1,0 +1,211 @@
+//! [`Reader`]: expressions as functions of a graph, with names for its inputs.
+
+use super::equations::EquationError;
+use super::function::{Function, LISTS};
+use super::op::{Graph, Id};
+use super::parse::{ParseError, Parser, Term, names};
+use std::collections::{BTreeMap, HashMap};
+
+/// Lists of inputs: state, control, parameters, next state, and time followed by the tables.
+pub(super) const X: usize = 0;
+pub(super) const U: usize = 1;
+pub(super) const P: usize = 2;
+const NEXT: usize = 3;
+pub(super) const TIME: usize = 4;
+
+/// Largest number of operations in all expressions together. It bounds the memory of equations that
+/// somebody else wrote.
+pub(super) const OPERATIONS: usize = 200_000;
+
+/// Names that expressions may use.
+pub(super) struct Vocabulary<'a> {
+    pub(super) states: Vec<String>,
+    pub(super) controls: Vec<String>,
+    /// Parameters of a sample.
+    pub(super) params: Vec<String>,
+    /// Values over time.
+    pub(super) tables: Vec<String>,
+    pub(super) constants: Vec<(String, f64)>,
+    /// Expressions by name.
+    pub(super) define: &'a BTreeMap<String, String>,
+}
+
+/// A graph in which names have numbers.
+pub(super) struct Reader<'a> {
+    names: Vocabulary<'a>,
+    graph: Graph,
+    lengths: [usize; LISTS],
+    known: HashMap<String, Term>,
+}
+
+impl<'a> Reader<'a> {
+    /// Reads the definitions.
+    pub(super) fn new(names: Vocabulary<'a>) -> Result<Self, EquationError> {
+        let Vocabulary { states, controls, params, tables, constants, .. } = &names;
+        let lengths = [states.len(), controls.len(), params.len(), states.len(), 1 + tables.len()];
+        let mut graph = Graph::new(lengths.iter().sum());
+        let next: Vec<String> = states.iter().map(|name| format!("next.{name}")).collect();
+        let time = ["t".to_owned()];
+        let lists = [states, controls, params, &next, &time[..], tables];
+        let inputs = lists.into_iter().flatten().cloned();
+        let mut known: HashMap<_, _> = inputs.zip((0..).map(Term::Number)).collect();
+        for (name, value) in constants {
+            known.insert(name.clone(), Term::Number(graph.constant(*value)));
+        }
+        let mut reader = Self { names, graph, lengths, known };
+        reader.define()?;
+        Ok(reader)
+    }
+
+    /// Reads all definitions, each after those that it names.
+    fn define(&mut self) -> Result<(), EquationError> {
+        let define = self.names.define;
+        let mut waits: HashMap<&str, usize> = HashMap::new();
+        let mut followers: HashMap<&str, Vec<&str>> = HashMap::new();
+        for (name, text) in define {
+            let mut before = names(text);
+            before.retain(|name| define.contains_key(*name));
+            before.sort_unstable();
+            before.dedup();
+            waits.insert(name, before.len());
+            before.into_iter().for_each(|before| followers.entry(before).or_default().push(name));
+        }
+        let mut ready: Vec<&str> =
+            define.keys().map(String::as_str).filter(|name| waits[name] == 0).collect();
+        ready.reverse();
+        while let Some(name) = ready.pop() {
+            waits.remove(name);
+            let term = self.term(&format!("define.{name}"), &define[name])?;
+            self.known.insert(name.to_owned(), term);
+            for follower in followers.remove(name).unwrap_or_default() {
+                let count = waits.get_mut(follower).expect("a definition that waits");
+                *count -= 1;
+                if *count == 0 {
+                    ready.push(follower);
+                }
+            }
+        }
+        let Some(name) = waits.keys().min() else { return Ok(()) };
+        let what = "depends on itself, directly or through other definitions; allowed: no circle";
+        Err(EquationError::new(format!("define.{name}"), what))
+    }
+
+    fn term(&mut self, key: &str, text: &str) -> Result<Term, EquationError> {
+        let (known, names) = (&self.known, &self.names);
+        let resolve = |name: &str| known.get(name).copied().ok_or_else(|| unknown(names, name));
+        let term = Parser::read(text, &mut self.graph, &resolve);
+        if self.graph.ops().len() > OPERATIONS {
+            let what = format!("exceeds {OPERATIONS} operations in all equations; allowed: fewer");
+            return Err(EquationError::new(key, what));
+        }
+        term.map_err(|ParseError { column, what }| {
+            EquationError::new(key, located(text, column, &what))
+        })
+    }
+
+    /// The number of an expression.
+    pub(super) fn expression(&mut self, key: &str, text: &str) -> Result<Id, EquationError> {
+        Ok(self.term(key, text)?.id(&mut self.graph))
+    }
+
+    /// Function of these outputs, which may depend on the `allowed` lists.
+    pub(super) fn function(
+        &self,
+        key: &str,
+        outputs: Vec<Id>,
+        allowed: &[usize],
+    ) -> Result<Function, EquationError> {
+        let error = |what: String| EquationError::new(key, what);
+        let function = Function::new(self.graph.clone(), outputs, self.lengths);
+        let function = function.map_err(|_| error("has too many numbers at once".into()))?;
+        for (list, what) in [
+            (U, "the control, which is not known there"),
+            (NEXT, "`next`, which only the running cost knows"),
+            (TIME, "the time or a table, which is not known there"),
+        ] {
+            if function.reads(list) && !allowed.contains(&list) {
+                return Err(error(format!("depends on {what}")));
+            }
+        }
+        Ok(function)
+    }
+
+    /// Function of these expressions. None without expressions.
+    pub(super) fn observation(
+        &mut self,
+        key: &str,
+        texts: &[String],
+    ) -> Result<Option<Function>, EquationError> {
+        let mut outputs = Vec::with_capacity(texts.len());
+        for (i, text) in texts.iter().enumerate() {
+            outputs.push(self.expression(&format!("{key}[{i}]"), text)?);
+        }
+        let some = !outputs.is_empty();
+        some.then(|| self.function(key, outputs, &[X, P, TIME])).transpose()
+    }
+
+    /// The running cost. None if the expression is empty.
+    pub(super) fn running_cost(
+        &mut self,
+        key: &str,
+        text: &str,
+    ) -> Result<Option<Function>, EquationError> {
+        self.cost(key, text, &[X, U, P, NEXT, TIME])
+    }
+
+    /// The terminal cost. None if the expression is empty.
+    pub(super) fn terminal_cost(
+        &mut self,
+        key: &str,
+        text: &str,
+    ) -> Result<Option<Function>, EquationError> {
+        self.cost(key, text, &[X, P])
+    }
+
+    fn cost(
+        &mut self,
+        key: &str,
+        text: &str,
+        allowed: &[usize],
+    ) -> Result<Option<Function>, EquationError> {
+        if text.is_empty() {
+            return Ok(None);
+        }
+        let output = self.expression(key, text)?;
+        self.function(key, vec![output], allowed).map(Some)
+    }
+}
+
+/// Names in a message, at most a dozen.
+pub(super) fn listed<'a>(names: impl Iterator<Item = &'a str>) -> String {
+    let names: Vec<&str> = names.collect();
+    let shown = names.iter().take(12).map(|name| format!("`{name}`")).collect::<Vec<_>>();
+    match names.len() {
+        0 => "nothing".into(),
+        count if count > 12 => format!("{} and {} more", shown.join(", "), count - 12),
+        _ => shown.join(", "),
+    }
+}
+
+/// Message of an unknown name.
+fn unknown(names: &Vocabulary<'_>, name: &str) -> String {
+    let Vocabulary { states, controls, params, tables, constants, define } = names;
+    if let Some(state) = name.strip_prefix("next.") {
+        let states = listed(states.iter().map(String::as_str));
+        return format!("`{state}` is not a state; states are {states}");
+    }
+    let lists = [states, controls, params, tables].into_iter().flatten();
+    let all = lists.chain(constants.iter().map(|(name, _)| name)).chain(define.keys());
+    format!("`{name}` is unknown; known are {} and `t`, `pi`", listed(all.map(String::as_str)))
+}
+
+/// A problem at a column of an expression, with the text around it.
+fn located(text: &str, column: usize, what: &str) -> String {
+    let around: String = text.chars().skip(column.saturating_sub(21)).take(41).collect();
+    let around = around.trim();
+    if text.chars().count() <= 41 {
+        format!("has an error in column {column} of `{text}`: {what}")
+    } else {
+        format!("has an error in column {column}, at `…{around}…`: {what}")
+    }
+}
