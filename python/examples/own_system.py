@@ -66,6 +66,5 @@ difference = np.abs(task.step(x, u) - built_in.step(x, u)).max()
 print(f"largest difference from the built-in task after one step: {difference:.1e}")
 
 run = pg.train(task, pg.Mlp(task, [64, 64], seed=1), field="C", epochs=2 if options.quick else 100, seed=1)
-print(
-    f"test loss {run.history['test_loss'][0]:.3f} after one epoch, {run.history['test_loss'][-1]:.4f} at the end"
-)
+losses = run.history["test_loss"]
+print(f"test loss {losses[0]:.3f} after one epoch, {losses[-1]:.4f} after {len(losses)}")

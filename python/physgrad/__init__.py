@@ -1,11 +1,10 @@
 """Differentiable physics: gradients of long simulations, and neural controllers trained with them.
 
 `task` opens a preset or a scene file, and `system` a system that is written as functions of NumPy.
-Methods of a `Task` evaluate steps, observations and costs on
-arrays, with their derivatives. `train` trains a policy. `rollout`, `losses` and `gradients`
-evaluate policies. `optimize` minimizes the loss over the controls from one initial state.
-`identify` fits physical numbers to measurements, `check` compares derivatives with dual numbers,
-and `accuracy` measures errors and costs of integrators.
+Methods of a `Task` evaluate steps, observations and costs on arrays, with their derivatives. `train`
+trains a policy. `rollout`, `losses` and `gradients` evaluate policies. `optimize` minimizes the loss
+over the controls from one initial state. `identify` fits physical numbers to measurements, `check`
+compares derivatives with dual numbers, and `accuracy` measures errors and costs of integrators.
 """
 
 from ._core import (

@@ -1,16 +1,19 @@
 """Constructors of NumPy for traced numbers.
 
 NumPy offers no hook for `np.array([a, b])` of objects, nor for filling `np.zeros(n)`. While a
-function is traced, the constructors below make arrays that hold traced numbers, for code of the
-user on the thread of the tracer. All other calls reach NumPy.
+function is traced, the global variables of Python modules that are NumPy, or one of its
+constructors, have replacements that make arrays of traced numbers. NumPy itself does not change:
+compiled modules write to the memory of the arrays that they construct.
 """
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import sys
 import threading
-from collections.abc import Callable, Iterator
+import types
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -21,13 +24,14 @@ from ._trace_vectors import Array, finish, promote
 
 CONVERTED = ("array", "asarray", "asanyarray", "ascontiguousarray")
 FILLED = ("zeros", "ones", "empty", "full", "eye", "identity")
-# Two tracers at once would restore each other's functions.
+# Two tracers at once would restore each other's variables.
 LOCK = threading.RLock()
+TRACING: list[int] = []
 
 
 def converting(original: Callable) -> Callable:
     def convert(value: Any, dtype: Any = None, **options: Any) -> Any:
-        copies = original is ORIGINALS["array"] and options.get("copy", True)
+        copies = original is np.array and options.get("copy", True)
         if not is_traced(value) and not isinstance(value, Array):
             result = original(value, dtype=dtype, **options)
             return promote(result) if copies else result
@@ -42,43 +46,78 @@ def converting(original: Callable) -> Callable:
 
 def filling(original: Callable) -> Callable:
     def fill(*args: Any, **options: Any) -> Any:
-        if original is ORIGINALS["full"] and is_traced(list(args[1:]) + [options.get("fill_value")]):
+        if original is np.full and is_traced([*args[1:], options.get("fill_value")]):
             return finish(original(*args, **{"dtype": object, **options}))
         result = original(*args, **options)
-        if result.dtype == object:
-            result = result.astype(float)
-        return promote(result)
+        return promote(result.astype(float) if result.dtype == object else result)
 
     return fill
 
 
-ORIGINALS = {name: getattr(np, name) for name in CONVERTED + FILLED}
-REPLACEMENTS = {
-    name: (converting if name in CONVERTED else filling)(original) for name, original in ORIGINALS.items()
-}
+def on_the_thread(original: Callable, replacement: Callable) -> Callable:
+    """The replacement on the thread of the tracer, and otherwise the function of NumPy."""
 
-
-def for_user(name: str, thread: int) -> Callable:
-    """The replacement for code of the user on one thread, and otherwise the function of NumPy."""
-    original, replacement = ORIGINALS[name], REPLACEMENTS[name]
-
+    @functools.wraps(original)
     def constructor(*args: Any, **options: Any) -> Any:
-        package = sys._getframe(1).f_globals.get("__name__", "").split(".")[0]
-        of_user = package not in (*PACKAGES, "scipy") and threading.get_ident() == thread
-        return (replacement if of_user else original)(*args, **options)
+        of_tracer = TRACING[-1:] == [threading.get_ident()]
+        return (replacement if of_tracer else original)(*args, **options)
 
     return constructor
 
 
+REPLACED = {
+    name: on_the_thread(original, (converting if name in CONVERTED else filling)(original))
+    for name, original in ((name, getattr(np, name)) for name in CONVERTED + FILLED)
+}
+BY_ORIGINAL = {id(getattr(np, name)): replacement for name, replacement in REPLACED.items()}
+
+
+class Numpy(types.ModuleType):
+    """NumPy with other constructors."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(np, name)
+
+
+NUMPY = Numpy("numpy")
+vars(NUMPY).update(REPLACED)
+BY_ORIGINAL[id(np)] = NUMPY
+
+
+def variables(functions: Iterable[Callable]) -> Iterator[dict[str, Any]]:
+    """Global variables of the functions, and of the Python modules besides NumPy and its like."""
+    for function in functions:
+        while isinstance(function, functools.partial):
+            function = function.func
+        code = getattr(function, "__func__", function)
+        code = code if hasattr(code, "__globals__") else getattr(type(function), "__call__", None)
+        if hasattr(code, "__globals__"):
+            yield code.__globals__
+    for name, module in list(sys.modules.items()):
+        compiled = str(getattr(module, "__file__", None)).endswith((".so", ".pyd"))
+        if (
+            type(module) is types.ModuleType
+            and not compiled
+            and name.split(".")[0] not in (*PACKAGES, "scipy")
+        ):
+            yield vars(module)
+
+
 @contextlib.contextmanager
-def constructors() -> Iterator[None]:
-    """Replaces the constructors of NumPy, and restores them."""
+def constructors(functions: Iterable[Callable]) -> Iterator[None]:
+    """Replaces NumPy in the code of the user, and restores it."""
     with LOCK:
-        before = {name: getattr(np, name) for name in ORIGINALS}
+        changed = []
+        TRACING.append(threading.get_ident())
         try:
-            for name in ORIGINALS:
-                setattr(np, name, for_user(name, threading.get_ident()))
+            for scope in variables(functions):
+                for name, value in list(scope.items()):
+                    replacement = BY_ORIGINAL.get(id(value))
+                    if replacement is not None:
+                        changed.append((scope, name, value))
+                        scope[name] = replacement
             yield
         finally:
-            for name, function in before.items():
-                setattr(np, name, function)
+            for scope, name, value in reversed(changed):
+                scope[name] = value
+            TRACING.pop()

@@ -87,7 +87,10 @@ def value_hint() -> str:
     if "float32" in text or "float16" in text:
         return "Leave out the dtype: the setting `precision` selects it"
     if re.search(r"\][^=]*=[^=]", text):
-        return "Begin with `np.zeros(n)` inside of the function, or return `np.array([...])` or `np.stack`"
+        return (
+            "Begin with `np.zeros(n)` inside of the function, with NumPy imported at the top of the file, or "
+            "return `np.array([...])`"
+        )
     return "Use functions of NumPy, and leave out `float`, `int` and `astype`"
 
 

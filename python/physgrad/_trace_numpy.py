@@ -203,6 +203,7 @@ REFUSED = {
 
 def elementwise(function: Callable, *args: Any) -> Any:
     """Broadcasts a function of numbers."""
+    check_small(args)
     arrays = [plain(arg) for arg in args]
     try:
         arrays = np.broadcast_arrays(*arrays)
@@ -213,6 +214,16 @@ def elementwise(function: Callable, *args: Any) -> Any:
     for index in np.ndindex(out.shape):
         out[index] = function(*(array[index] for array in arrays))
     return finish(out, names_of(args))
+
+
+def check_small(args: Any) -> None:
+    """Refuses constants of float32 among conditions, for which NumPy computes in float32."""
+    small = any(getattr(arg, "dtype", None) in (np.float16, np.float32) for arg in args if not is_traced(arg))
+    if small and not any(isinstance(value, TracedNumber) for arg in args for value in plain(arg).flat):
+        refuse(
+            TypeError,
+            "NumPy computes conditions and float32 constants in float32; make the constants float64",
+        )
 
 
 def names_of(args: Any) -> tuple[str, ...] | None:
@@ -256,7 +267,7 @@ def demote_all(options: dict) -> dict:
 
 def check_options(name: str, options: dict) -> None:
     """Refuses options that would change numbers."""
-    if options.get("dtype") is not None:
+    if options.get("dtype") is not None and not name.startswith("logical"):
         check_dtype(options["dtype"])
     if options.get("out") is not None:
         refuse(TypeError, f"give the argument `out` of np.{name} by its name")
@@ -370,6 +381,7 @@ def pairwise_sum(parts: list) -> Any:
 
 
 def matmul(a: Any, b: Any, out: Any = None) -> Any:
+    check_small((a, b))
     a, b = plain(a), plain(b)
     if a.ndim == 0 or b.ndim == 0 or a.shape[-1] != b.shape[max(b.ndim - 2, 0)]:
         refuse(ValueError, f"a product of shapes {a.shape} and {b.shape}: the inner dimensions differ")
@@ -540,6 +552,7 @@ FUNCTIONS: dict[str, Callable] = {
     "einsum": algebra.einsum,
     "around": around,
     "round": around,
+    "round_": around,
     "copy": lambda a, order="K", subok=False: finish(plain(a).copy()),
     "real": lambda a: a,
     "shape": lambda a: plain(a).shape,

@@ -21,9 +21,6 @@ from ._trace_numbers import (
     refuse,
 )
 
-# The constructors of NumPy, which are replaced while a function is traced.
-ARRAY, ASARRAY = np.array, np.asarray
-
 
 def plain(value: Any) -> np.ndarray:
     """A value as an array of objects, which shares the memory if the value is one."""
@@ -31,7 +28,7 @@ def plain(value: Any) -> np.ndarray:
         box = np.empty((), dtype=object)
         box[()] = value
         return box
-    array = base(value) if isinstance(value, np.ndarray) else ASARRAY(value)
+    array = base(value) if isinstance(value, np.ndarray) else np.asarray(value)
     if array.dtype == object:
         return array
     # Elements keep the arithmetic of NumPy, as 1.0 / 0.0, which Python refuses.
@@ -43,6 +40,11 @@ def plain(value: Any) -> np.ndarray:
 
 def element(value: Any) -> Any:
     """An element that is assigned to an array of float64."""
+    if isinstance(value, (np.ndarray, list, tuple)):
+        refuse(
+            ValueError,
+            "an array is made of rows of different lengths; join them by np.concatenate or np.hstack",
+        )
     return lift(value) if isinstance(value, Symbol) else np.float64(value)
 
 
@@ -73,7 +75,7 @@ def demote(value: Any) -> Any:
     """A value without traced numbers as NumPy has it outside of a traced function."""
     if isinstance(value, Array):
         array = base(value)
-        return ARRAY(array.tolist(), dtype=bool if all(map(is_bool, array.flat)) and array.size else float)
+        return np.array(array.tolist(), dtype=bool if all(map(is_bool, array.flat)) and array.size else float)
     return type(value)(map(demote, value)) if type(value) in (list, tuple) else value
 
 

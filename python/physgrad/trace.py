@@ -17,7 +17,7 @@ import numpy as np
 
 from . import _trace_numbers as numbers
 from ._distributions import finite, table
-from ._trace_arrays import LOCK, constructors
+from ._trace_arrays import constructors
 from ._trace_errors import begin, near, place_of
 from ._trace_graph import FUNCTIONS, Graph, Text
 from ._trace_numbers import CALLS, Call, is_traced, lift
@@ -51,9 +51,7 @@ ALIASES = {
 }
 HINT = ". NumPy cannot compute this with a list of traced numbers; write `np.array([...])` of it first"
 # Words of NumPy about arrays of objects, after which the hint helps.
-OF_OBJECTS = re.compile(
-    r"dtype\('O'\)|object|loop of ufunc|not supported for the input types|only integers, slices"
-)
+OF_OBJECTS = re.compile(r"dtype\('O'\)|loop of ufunc|not supported for the input types|only integers, slices")
 Names = Sequence[str] | int
 
 
@@ -295,9 +293,8 @@ def traced(graph: Graph, plan: Plan, role: str, function: Callable) -> list[int]
     CALLS.append(call)
     try:
         positional, named = fit(role, function, plan.arguments(role))
-        with constructors():
-            result = function(*positional, **named)
-            found = components(role, begin(function), result, plan.states)
+        result = function(*positional, **named)
+        found = components(role, begin(function), result, plan.states)
     except Exception as error:
         if call.refused is not None and call.refused is not error:
             raise call.refused from error
@@ -362,7 +359,7 @@ def trace_settings(
         "terminal_cost": terminal_cost,
     }
     functions = {role: function for role, function in functions.items() if function is not None}
-    with LOCK:
+    with constructors(functions.values()):
         found, again = equations(plan, functions), equations(plan, functions)
     for role, function in functions.items():
         if found != again and (found[role] != again[role] or len(functions) == 1):

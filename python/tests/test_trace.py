@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from equations import Case, close, distributions, same, trace
+from numpy import array, where, zeros
 
 A = np.array([[0.0, 1.0, 0.5], [-2.0, 0.1, 3.0], [1.0, -1.0, 4.0]])
 XP, FP = np.array([-1.0, 0.0, 0.5, 2.0]), np.array([3.0, -1.0, 4.0, 4.5])
@@ -37,6 +38,13 @@ def check(role, function, equal=same, states=3, controls=2, params=None, tables=
         for i, (a, b) in enumerate(zip(expected, found, strict=True)):
             assert equal(a, b), f"component {i} is {b!r}, NumPy has {a!r}, at {values}: {case.texts()[i]}"
     return case
+
+
+def imported(x):
+    """The functions that `from numpy import ...` names."""
+    out = zeros(3)
+    out[:] = array([x[2], x[0], 1.0])
+    return where(array([x[0], x[1], 0.5]) > 0, out, -out)
 
 
 def in_place(x, u, p):
@@ -125,12 +133,14 @@ EXACT = {
     "nested": lambda x: [np.array([x[2], x[0]]), (x[1],)],
     "in place": in_place,
     "filled": filled,
+    "imported": imported,
     "loop": loop,
     "logic": logic,
     "counts": counts,
     "out": lambda x: [np.clip(x, -1, 1, out=x)[0], x[1], np.add(x, x, out=x)[2] + x[0]],
     "views": lambda x: [x[:1].squeeze() * 2, x[1:2].item(), x.ravel()[::-1][0]],
     "conditions in place": conditions_in_place,
+    "any": lambda x: np.where((x > 0).any() & ~(x > 1).all(), x, np.where(np.any(x < 0, axis=0), 2 * x, -x)),
     "scalars": lambda x: x * 2 if np.isscalar(x[0]) and np.ndim(x[0]) == 0 and np.size(x) == 3 else -x,
     "polynomial": lambda x: (
         np.polynomial.Polynomial([1.0, 2.0, -3.0])(x[0]) + np.polynomial.polynomial.polyval(x, [1.0, 0.5])
@@ -139,7 +149,7 @@ EXACT = {
     "limits": lambda x: [np.minimum(x[0], x[1]) + 0, np.maximum(x[1], 0.3), np.clip(x[2], -1, 2)],
     "one limit": lambda x, u: [
         np.clip(x[0], None, 0.5),
-        np.clip(x[1], u[0], np.inf),
+        np.clip(x[1], -0.5, np.inf),
         np.clip(x[2], a_min=0.1, a_max=None),
     ],
     "limits of arrays": lambda x: np.clip(x, [-1, 0.1, -3], 2.5) + x.clip(-0.5, 0.5),
