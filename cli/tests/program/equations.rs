@@ -67,7 +67,7 @@ fn every_command_takes_equations_and_a_run_stands_alone() {
     output(at, &["train", "--resume", "--out", "run", "--epochs", "3"]);
     output(at, &["eval", "run"]);
     output(at, &["report", "run", "-o", "page"]);
-    output(at, &["export", "run", "-o", "policy.onnx"]);
+    output(at, &["export", "run", "--onnx", "policy.onnx"]);
     output(at, &["optimize", "run/run.toml", "--iterations", "3"]);
     let drawn = "system.parameters.mass={ uniform = [0.8, 1.2] }";
     output(at, &["train", "run/run.toml", "--epochs", "1", "--set", drawn, "--out", "drawn"]);
@@ -87,7 +87,7 @@ fn an_identification_recovers_a_parameter_of_the_equations() {
     fs::write(at.join("own.toml"), torque.clone() + fit).expect("a scene");
     fs::write(at.join("true.toml"), torque.replace("epochs = 2", "epochs = 0")).expect("a scene");
     output(at, &["train", "true.toml", "--out", "data", "--set", "system.parameters.mass=1.3"]);
-    let found = output(at, &["identify", "own.toml", "data/trajectory.csv"]);
+    let found = output(at, &["identify", "own.toml", "--data", "data/trajectory.csv"]);
     assert!(found.contains("1.30"), "{found}");
 }
 
@@ -97,22 +97,22 @@ fn errors_in_equations_name_the_line_and_the_column() {
         (
             "/ inertia +",
             "/ inertial +",
-            "own.toml:17: `system.rate.rate` has an error in column 10",
+            "own.toml:18: `system.rate.rate` has an error in column 10",
         ),
         (
             "angle = \"rate\"",
             "angle = \"rate +\"",
-            "own.toml:16: `system.rate.angle` has an error in column 7",
+            "own.toml:17: `system.rate.angle` has an error in column 7",
         ),
         (
             "1e-4 * torque ^ 2",
             "1e-4 * torque ^ next",
-            "own.toml:19: `loss.running` has an error in column 17",
+            "own.toml:20: `loss.running` has an error in column 17",
         ),
         (
             "1 - cos(angle)",
             "1 - cos(torque)",
-            "own.toml:20: `loss.terminal` depends on the control",
+            "own.toml:21: `loss.terminal` depends on the control",
         ),
         (
             "mass = 1.0",
