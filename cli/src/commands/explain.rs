@@ -154,7 +154,10 @@ fn operations(scene: &Scene) -> Result<Table> {
     let mut rows = |name: &str, numbers: [[i64; 8]; 3]| {
         add_rows(name, &["step", "VJP", "VJP to control"], &numbers)
     };
-    let mut bare = scene.table();
+    // Expressions of observation and costs may name components of actuators that are left out.
+    let mut all = scene.table();
+    all.remove("equations");
+    let mut bare = all.clone();
     OPTIONAL.iter().for_each(|section| drop(bare.remove(*section)));
     let alone = numbers(&scene.task.scene(bare)?.cost().system);
     rows("system alone", alone);
@@ -165,7 +168,7 @@ fn operations(scene: &Scene) -> Result<Table> {
         if !is_present(scene, section, info.name) {
             continue;
         }
-        let mut without = scene.table();
+        let mut without = all.clone();
         if let Some(section) = without.get_mut(section).and_then(toml::Value::as_table_mut) {
             section.remove(info.name);
         }

@@ -158,6 +158,7 @@ widths = [8]
     let dir = folder(scene);
     let checked = output(dir.path(), &["check", "own.toml"]);
     assert!(checked.contains("own.toml: costs") && !checked.contains("FAILED"), "{checked}");
+    assert!(output(dir.path(), &["explain", "own.toml"]).contains("actuator.lag"));
     output(dir.path(), &["train", "own.toml", "--epochs", "1", "--out", "run"]);
     output(dir.path(), &["eval", "run"]);
     for (from, to, message) in [
