@@ -91,6 +91,9 @@ fn compare<T: Task + Clone + 'static>(name: &str, task: T) {
 }
 
 fn main() {
+    if std::env::args().any(|argument| argument == "cart_pole") {
+        return compare("cart-pole of four poles", CartPole::new(4));
+    }
     compare("cart-pole of four poles", CartPole::new(4));
     compare("guidance", Guidance::new(2, 4));
     compare("double pendulum, RK4", Upright::double_pendulum());

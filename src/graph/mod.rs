@@ -4,6 +4,29 @@
 //! [`GraphTask`] makes it a [`System`](crate::System) and a [`Task`](crate::Task), so everything
 //! accepts it: rollouts, checks, trainings, identification.
 //!
+//! ```
+//! use physgrad::graph::{Costs, Equations, GraphTask};
+//! use physgrad::integrator::{AnyIntegrator, RungeKutta};
+//! use physgrad::{Trainer, check, policy::Mlp};
+//!
+//! // A mass on a spring, pushed by u.
+//! let equations = Equations {
+//!     states: vec!["x".into(), "v".into()],
+//!     controls: vec!["u".into()],
+//!     dt: 0.1,
+//!     parameters: [("stiffness".into(), 3.0.into())].into(),
+//!     start: [("x".into(), 1.0.into())].into(),
+//!     rate: [("x".into(), "v".into()), ("v".into(), "u - stiffness * x".into())].into(),
+//!     ..Equations::default()
+//! };
+//! let costs = Costs { running: "next.x^2 + 0.1 * u^2".into(), terminal: String::new() };
+//! let method = AnyIntegrator::RungeKutta(RungeKutta::RK4);
+//! let task = GraphTask::new(&equations, &costs, method, 1, 50)?;
+//! check::task(&task, &Mlp::new([2, 8, 1])).unwrap();
+//! Trainer::new(task, Mlp::new([2, 8, 1])).epochs(1).run()?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
 //! - `op`: the operations, shared and simplified without changing a bit.
 //! - `record`: a scalar that records.
 //! - `adjoint`: the reverse derivative, as a second list of operations on cotangents.

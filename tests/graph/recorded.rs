@@ -176,3 +176,22 @@ fn code_that_branches_on_values_or_depends_on_the_step_is_refused() {
     assert_eq!(GraphTask::of(&Halved).map(drop), Err(RecordError::Branches));
     assert_eq!(GraphTask::of(&Counting).map(drop), Err(RecordError::DependsOnStep));
 }
+
+#[test]
+fn trainings_of_recorded_tasks_print_the_digits_of_the_tasks() {
+    fn losses<F: Float>(task: impl Task) -> Vec<String> {
+        let training =
+            Training { epochs: 10, train_samples: 64, test_samples: 64, ..Training::default() };
+        let (n, m) = (task.system().state_dim(), task.system().control_dim());
+        let trainer = Trainer::new(task, Mlp::new([n, 16, m])).precision::<F>().training(training);
+        let records = trainer.run().expect("a training").records;
+        records.iter().map(|record| format!("{:.4}", record.test_loss)).collect()
+    }
+    fn compare<T: Task + Clone + 'static>(task: T) {
+        let graph = GraphTask::of(&task).expect("a task of straight lines");
+        assert_eq!(losses::<f64>(graph.clone()), losses::<f64>(task.clone()));
+        assert_eq!(losses::<f32>(graph), losses::<f32>(task));
+    }
+    compare(CartPole::new(2));
+    compare(Guidance::new(1, 2));
+}
