@@ -81,7 +81,7 @@ fn compare<T: Task + Clone + 'static>(name: &str, task: T) {
                 let training = Training { epochs: 2, workers: 1, ..Training::default() };
                 let trainer = Trainer::new(task.clone(), Mlp::new(widths)).training(training);
                 let start = Instant::now();
-                trainer.field(field.clone()).run().expect("a training");
+                trainer.field(field).run().expect("a training");
                 *best = best.min(start.elapsed().as_secs_f64() * 1e3);
             }
         }

@@ -34,23 +34,32 @@ from . import _core
 __all__ = ["TaskEnv", "TaskVectorEnv", "make", "make_vec"]
 
 
-def make(name: str, *, bound: float | Sequence[float] | None = None, **settings: Any) -> TaskEnv:
-    """Creates an environment over ``pg.task(name, **settings)``.
+def _opened(task: str | pg.Task, settings: dict[str, Any]) -> pg.Task:
+    """The task of this name or path, or this task, with other settings."""
+    if isinstance(task, pg.Task):
+        return task.replace(**settings) if settings else task
+    return pg.task(task, **settings)
+
+
+def make(
+    name: str | pg.Task, *, bound: float | Sequence[float] | None = None, **settings: Any
+) -> TaskEnv:
+    """Creates an environment over a task, or over ``pg.task(name, **settings)``.
 
     Controls range from ``-bound`` to ``bound``, one number or one per control, in units of the
     control. Default: ``task.control_bounds``. Raises ``ValueError`` if neither is finite.
     """
-    return TaskEnv(pg.task(name, **settings), bound)
+    return TaskEnv(_opened(name, settings), bound)
 
 
 def make_vec(
-    name: str, num_envs: int = 1, *, bound: float | Sequence[float] | None = None, **settings: Any
+    name: str | pg.Task, num_envs: int = 1, *, bound: float | Sequence[float] | None = None, **settings: Any
 ) -> TaskVectorEnv:
     """Creates ``num_envs`` environments with the mode ``NEXT_STEP``. Other arguments: see ``make``.
 
     ``TaskVectorEnv`` accepts other modes.
     """
-    return TaskVectorEnv(pg.task(name, **settings), num_envs, bound)
+    return TaskVectorEnv(_opened(name, settings), num_envs, bound)
 
 
 class _Fixed:

@@ -152,7 +152,7 @@ fn ordered(fit: Fit, keys: &[String]) -> Fit {
 fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
     if let Ok(starts) = params.cast::<PyDict>() {
         let unknown = |(key, value): (Bound<'_, PyAny>, Bound<'_, PyAny>)| {
-            let key: String = key.extract()?;
+            let key = task.scene.key(key.extract()?);
             let value = value_of(&key, &value)?;
             if value.as_table().is_some_and(|table| !table.contains_key("start")) {
                 return Err(invalid(format!(
@@ -173,7 +173,7 @@ fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
             "`{key}` is no single number in the task; give an initial value, as in params={{\"{key}\": 0.2}}"
         ))),
         None => Err(invalid(format!(
-            "`{key}` in `params` is no setting of the task; see `task.settings`"
+            "`{key}` in `params` is no setting of the task, and no parameter of its equations; see `task.settings`"
         ))),
     };
     let keys = List {
@@ -181,7 +181,7 @@ fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
         most: (leaves(&Value::Table(task.scene.settings())), "the number of settings of the task"),
         of: "keys, or a dict with initial values",
     };
-    keys.read(params, |key| unknown(key.extract()?))
+    keys.read(params, |key| unknown(task.scene.key(key.extract()?)))
 }
 
 /// Number of single values in a value.

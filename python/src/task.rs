@@ -135,6 +135,8 @@ impl Task {
     #[pyo3(signature = (**settings))]
     fn replace(&self, py: Python<'_>, settings: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         let settings = keywords(settings, "system", &TOP)?;
+        let settings: Vec<_> =
+            settings.into_iter().map(|(key, value)| (self.scene.key(key), value)).collect();
         py.detach(|| self.scene.with(settings)).map(Self::new).map_err(value_error)
     }
 

@@ -57,8 +57,8 @@ impl fmt::Display for Mismatch {
         if *allowed == ROLLOUT && (*error < ROUNDED || what == "loss") {
             write!(
                 f,
-                ". Rounding errors may cause this if the rollout amplifies them: repeat the check with shorter time steps or a \
-                 shorter horizon"
+                ". Rounding errors may cause this if the rollout amplifies them, or if two branches of a selection are nearly \
+                 equal where the state jumps: repeat the check with shorter time steps or a shorter horizon, and see the kinks"
             )?;
         }
         Ok(())

@@ -12,7 +12,7 @@ use std::collections::{BTreeMap, HashMap};
 ///
 /// # Expressions
 /// Numbers; names of states, controls, parameters, tables and definitions; `t`, the time in s;
-/// `pi`. Operators are `+ - * / ^`, where `**` is the same as `^`. Their order of evaluation is
+/// `dt`, the time step; `pi`. Operators are `+ - * / ^`, where `**` is the same as `^`. Their order of evaluation is
 /// that of Python. Functions are `sin cos tan asin acos atan atan2(y, x) sinh cosh tanh exp log
 /// sqrt abs sign min(a, b) max(a, b) clip(a, low, high) hypot(a, b) wrap(angle) pow(a, b)
 /// where(condition, a, b) detach(a)`. Conditions compare by `< <= > >=`, with `and`, `or` and `not`.
@@ -166,6 +166,7 @@ impl Equations {
                 })
                 .collect(),
             define: &self.define,
+            dt: self.dt,
         }
     }
 

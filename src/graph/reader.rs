@@ -26,6 +26,8 @@ pub(super) struct Vocabulary<'a> {
     /// Values over time.
     pub(super) tables: Vec<String>,
     pub(super) constants: Vec<(String, f64)>,
+    /// The time step, which has the name `dt` unless another number has it.
+    pub(super) dt: f64,
     /// Expressions by name.
     pub(super) define: &'a BTreeMap<String, String>,
 }
@@ -52,6 +54,8 @@ impl<'a> Reader<'a> {
         for (name, value) in constants {
             known.insert(name.clone(), Term::Number(graph.constant(*value)));
         }
+        let dt = graph.constant(names.dt);
+        known.entry("dt".to_owned()).or_insert(Term::Number(dt));
         let mut reader = Self { names, graph, lengths, known };
         reader.define()?;
         Ok(reader)
@@ -189,14 +193,17 @@ pub(super) fn listed<'a>(names: impl Iterator<Item = &'a str>) -> String {
 
 /// Message of an unknown name.
 fn unknown(names: &Vocabulary<'_>, name: &str) -> String {
-    let Vocabulary { states, controls, params, tables, constants, define } = names;
+    let Vocabulary { states, controls, params, tables, constants, define, dt: _ } = names;
     if let Some(state) = name.strip_prefix("next.") {
         let states = listed(states.iter().map(String::as_str));
         return format!("`{state}` is not a state; states are {states}");
     }
     let lists = [states, controls, params, tables].into_iter().flatten();
     let all = lists.chain(constants.iter().map(|(name, _)| name)).chain(define.keys());
-    format!("`{name}` is unknown; known are {} and `t`, `pi`", listed(all.map(String::as_str)))
+    format!(
+        "`{name}` is unknown; known are {} and `t`, `dt`, `pi`",
+        listed(all.map(String::as_str))
+    )
 }
 
 /// A problem at a column of an expression, with the text around it.

@@ -71,7 +71,7 @@ impl Replaced {
         let Names { states, controls, params, dt } = names;
         let define = &replacement.define;
         let vocabulary =
-            Vocabulary { states, controls, params, tables: vec![], constants: vec![], define };
+            Vocabulary { states, controls, params, tables: vec![], constants: vec![], dt, define };
         let mut reader = Reader::new(vocabulary)?;
         Ok(Self {
             observe: reader.observation("observe", &replacement.observe)?.map(Arc::new),

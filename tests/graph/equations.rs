@@ -51,6 +51,7 @@ fn expressions_have_the_order_of_operations_of_python() {
         ("1.5e-1 * a + .5", 0.15 * a + 0.5),
         ("pi / 3 * a", std::f64::consts::PI / 3.0 * a),
         ("t", 1.5),
+        ("dt * a", 0.5 * a),
         ("where(a < b, 1, 2)", 2.0),
         ("where(not a < b and u > 1, a, b)", a),
         ("where(a <= a and b >= b or a < b, a, b)", a),

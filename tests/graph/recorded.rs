@@ -2,13 +2,17 @@
 
 use physgrad::graph::{GraphTask, RecordError};
 use physgrad::integrator::RungeKutta;
+use physgrad::policy::Mlp;
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::scalar::Single;
 use physgrad::tasks::{
     CartDamping, CartPole, CartPoleSystem, DryFriction, Guidance, Lqr, MultiPendulum, PoleDamping,
     SteadyWind, Upright,
 };
-use physgrad::{Cotangents, Forced, Inputs, Integrated, Number, Real, Scalar, Start, System, Task};
+use physgrad::{
+    Cotangents, Float, Forced, Inputs, Integrated, Number, Real, Scalar, Start, System, Task,
+    Trainer, Training,
+};
 use rand::RngExt as _;
 
 /// Draws inputs of a task: x, u, p and the next state.

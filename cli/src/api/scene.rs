@@ -161,6 +161,15 @@ impl Scene {
         find(&self.scene.table(), key).cloned()
     }
 
+    /// The key of a setting, or of a parameter of the equations of a scene: `mu` is short for
+    /// `system.parameters.mu`, as is `system.mu`, unless there is such a setting.
+    pub fn key(&self, name: String) -> String {
+        let short = name.strip_prefix("system.").unwrap_or(&name);
+        let long = format!("system.parameters.{short}");
+        let is_short = self.setting(&name).is_none() && self.setting(&long).is_some();
+        if is_short { long } else { name }
+    }
+
     /// Returns true if the scene computes in f64, and false for f32.
     pub fn is_f64(&self) -> bool {
         self.scene.precision == Precision::F64

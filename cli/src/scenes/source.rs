@@ -180,11 +180,15 @@ impl SceneSource {
         self.put(key, Value::Float(value), &format!("{key} = {value}"))
     }
 
-    /// Replaces the value of a dotted key, even if the present value is a section. An empty table
-    /// keeps a section that is present.
+    /// Replaces the value of a dotted key, even if the present value is the table of a number. A
+    /// table changes only its keys of a section that is present.
     pub fn replace(&mut self, key: &str, value: Value, option: &str) -> Result<()> {
-        if value.as_table().is_some_and(Table::is_empty) {
-            return self.put(key, value, option);
+        let is_section = |value: &Value| value.as_table().is_some_and(|table| !is_number(table));
+        if is_section(&value) && self.get(key).is_some_and(is_section) {
+            let Value::Table(values) = value else { unreachable!("a section is a table") };
+            return values.into_iter().try_for_each(|(inner, value)| {
+                self.replace(&format!("{key}.{inner}"), value, option)
+            });
         }
         let (section, last) = key.rsplit_once('.').unwrap_or(("", key));
         let mut path = section.split('.').filter(|part| !part.is_empty());
