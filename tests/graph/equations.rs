@@ -130,7 +130,7 @@ fn errors_name_the_setting_the_column_and_the_replacement() {
         ("1 / 0 * a", "the result of these literals is inf"),
         ("1e999", "`1e999` is not a number"),
         ("a # b", "`#` has no meaning here"),
-        ("next.a", "depends on `next`, which only `loss.running` knows"),
+        ("next.a", "depends on `next`, which only the running cost knows"),
         ("next.c", "`c` is not a state; states are `a`, `b`"),
     ] {
         let error = next(text);
