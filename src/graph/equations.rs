@@ -2,11 +2,11 @@
 
 use super::function::Function;
 use super::op::Id;
-use super::parse::name_problem;
+use super::parse::{name_problem, names};
 use super::reader::{OPERATIONS, P, Reader, TIME, U, Vocabulary, X, listed};
 use crate::dynamics::number::Number;
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 /// A system of equations. Its fields are the settings of a scene.
 ///
@@ -84,11 +84,13 @@ pub struct EquationError {
     pub key: String,
     /// What is wrong, as text after the key.
     pub what: String,
+    /// A name that is unknown, and the known ones, for suggestions.
+    pub unknown: Option<(String, Vec<String>)>,
 }
 
 impl EquationError {
     pub(super) fn new(key: impl Into<String>, what: impl Into<String>) -> Self {
-        Self { key: key.into(), what: what.into() }
+        Self { key: key.into(), what: what.into(), unknown: None }
     }
 }
 
@@ -147,6 +149,40 @@ impl Equations {
             running: reader.running_cost("loss.running", &costs.running)?,
             terminal: reader.terminal_cost("loss.terminal", &costs.terminal)?,
         })
+    }
+
+    /// What is allowed but hardly meant: names that no expression uses, tables that end before the
+    /// `horizon`, and no costs.
+    pub fn remarks(&self, costs: &Costs, horizon: usize) -> Vec<String> {
+        let Self { define, rate, next, observe, .. } = self;
+        let texts = define.values().chain(rate.values()).chain(next.values()).chain(observe);
+        let texts = texts.chain([&costs.running, &costs.terminal]);
+        let used: HashSet<&str> = texts.flat_map(|text| names(text)).collect();
+        let lists = [
+            ("parameters", self.parameters.keys().collect::<Vec<_>>()),
+            ("tables", self.tables.keys().collect()),
+            ("define", define.keys().collect()),
+            ("controls", self.controls.iter().collect()),
+        ];
+        let mut remarks = Vec::new();
+        for (section, list) in lists {
+            let unused = list.into_iter().filter(|name| !used.contains(name.as_str()));
+            let unused: Vec<&str> = unused.map(String::as_str).collect();
+            if !unused.is_empty() {
+                let names = listed(unused.into_iter());
+                remarks.push(format!("no expression uses {names} of `{section}`"));
+            }
+        }
+        for (name, values) in self.tables.iter().filter(|(_, values)| values.len() < horizon) {
+            remarks.push(format!(
+                "the table `{name}` has {} values for {horizon} steps; its last value holds afterwards",
+                values.len()
+            ));
+        }
+        if *costs == Costs::default() {
+            remarks.push("there is no cost, so a training has nothing to minimize".into());
+        }
+        remarks
     }
 
     /// Names of the numbers in the equations.

@@ -186,7 +186,16 @@ impl<'a> Lexer<'a> {
         } else if let Some(symbol) = SYMBOLS.into_iter().find(|symbol| rest.starts_with(symbol)) {
             (symbol.len(), Token::Symbol(if symbol == "**" { "^" } else { symbol }))
         } else {
-            return Err(self.error(start, format!("`{first}` has no meaning here")));
+            let hint = match first {
+                '²' | '³' => "; write a power as `x^2`",
+                '·' | '×' => "; write a product as `a * b`",
+                '=' => "; compare by `<`, `<=`, `>` or `>=`",
+                '[' | ']' | '{' | '}' => "; write parentheses",
+                ';' => "; separate arguments by `,`",
+                first if !first.is_ascii() => "; names have the letters a to z",
+                _ => "",
+            };
+            return Err(self.error(start, format!("`{first}` has no meaning here{hint}")));
         };
         self.at = start + length;
         Ok((start, token))
@@ -223,6 +232,9 @@ mod strength {
     pub(super) const SIGN: u8 = 7;
     pub(super) const POWER: u8 = 8;
 }
+
+/// What an expression begins with, in messages.
+const OPERAND: &str = "a number, a name or `(`";
 
 /// Largest depth of parentheses, functions and signs.
 const DEPTH: usize = 100;
@@ -265,6 +277,11 @@ impl<'a, 'g> Parser<'a, 'g> {
     fn unexpected(&self, at: usize, token: Token<'_>, expected: &str) -> ParseError {
         let hint = match token {
             Token::Symbol("==" | "!=") => "; numbers are hardly ever equal, compare them with `<`",
+            Token::Symbol(",") => "; decimals have a point, as in 0.5",
+            Token::Name("if" | "else") => "; write `where(condition, a, b)`",
+            Token::Name(_) | Token::Number(_) | Token::Symbol("(") if expected != OPERAND => {
+                "; write a product as `a * b`"
+            }
             _ => "",
         };
         self.error(at, format!("{token} where {expected} is expected{hint}"))
@@ -455,7 +472,7 @@ impl<'a, 'g> Parser<'a, 'g> {
                 let term = (self.resolve)(name).map_err(|what| self.error(at, what))?;
                 Ok(Value::Term(term))
             }
-            token => Err(self.unexpected(at, token, "a number, a name or `(`")),
+            token => Err(self.unexpected(at, token, OPERAND)),
         }
     }
 
@@ -467,6 +484,8 @@ impl<'a, 'g> Parser<'a, 'g> {
                 format!(
                     "`{name}` is a number, not a function; write `{name} * (...)` for a product"
                 )
+            } else if name == "ln" {
+                "`ln` is not a function; write `log`, the natural logarithm".into()
             } else {
                 format!("`{name}` is not a function; functions are {known}")
             };
@@ -484,9 +503,9 @@ impl<'a, 'g> Parser<'a, 'g> {
         }
         if arguments.len() < *count || self.next.1 == Token::Symbol(",") {
             let more = if arguments.len() < *count { "fewer" } else { "more" };
-            return Err(
-                self.error(at, format!("`{name}` takes {count} arguments, here are {more}"))
-            );
+            let hint = if more == "more" { "; decimals have a point, as in 0.5" } else { "" };
+            let what = format!("`{name}` takes {count} arguments, here are {more}{hint}");
+            return Err(self.error(at, what));
         }
         self.expect(")")?;
         let condition = if name == "where" {

@@ -4,6 +4,7 @@ use super::equations::EquationError;
 use super::function::{Function, LISTS};
 use super::op::{Graph, Id};
 use super::parse::{ParseError, Parser, Term, names};
+use std::cell::RefCell;
 use std::collections::{BTreeMap, HashMap};
 
 /// Lists of inputs: state, control, parameters, next state, and time followed by the tables.
@@ -96,14 +97,21 @@ impl<'a> Reader<'a> {
 
     fn term(&mut self, key: &str, text: &str) -> Result<Term, EquationError> {
         let (known, names) = (&self.known, &self.names);
-        let resolve = |name: &str| known.get(name).copied().ok_or_else(|| unknown(names, name));
+        let missing = RefCell::new(None);
+        let resolve = |name: &str| {
+            known.get(name).copied().ok_or_else(|| {
+                missing.replace(Some(name.to_owned()));
+                unknown(names, name)
+            })
+        };
         let term = Parser::read(text, &mut self.graph, &resolve);
         if self.graph.ops().len() > OPERATIONS {
             let what = format!("exceeds {OPERATIONS} operations in all equations; allowed: fewer");
             return Err(EquationError::new(key, what));
         }
-        term.map_err(|ParseError { column, what }| {
-            EquationError::new(key, located(text, column, &what))
+        term.map_err(|ParseError { column, what }| EquationError {
+            unknown: missing.take().map(|name| (name, known.keys().cloned().collect())),
+            ..EquationError::new(key, located(text, column, &what))
         })
     }
 

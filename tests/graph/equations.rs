@@ -129,6 +129,11 @@ fn errors_name_the_setting_the_column_and_the_replacement() {
         ("sin(a, b)", "`sin` takes 1 arguments, here are more"),
         ("1 / 0 * a", "the result of these literals is inf"),
         ("1e999", "`1e999` is not a number"),
+        ("a * 0,5", "`,` where an operator is expected; decimals have a point, as in 0.5"),
+        ("2 a²", "`a` where an operator is expected; write a product as `a * b`"),
+        ("a²", "`²` has no meaning here; write a power as `x^2`"),
+        ("ln(a)", "`ln` is not a function; write `log`, the natural logarithm"),
+        ("a if b", "`if` where an operator is expected; write `where(condition, a, b)`"),
         ("a # b", "`#` has no meaning here"),
         ("next.a", "depends on `next`, which only the running cost knows"),
         ("next.c", "`c` is not a state; states are `a`, `b`"),
@@ -280,4 +285,26 @@ fn rates_are_integrated_and_checked_with_costs_and_varied_numbers() {
         let task = GraphTask::new(&equations, &costs, RK4, substeps, 20).expect("a task");
         check::task(&task, &physgrad::policy::Mlp::new([3, 8, 1])).expect("exact derivatives");
     }
+}
+
+#[test]
+fn names_that_nothing_uses_short_tables_and_no_costs_are_remarked() {
+    let mut equations = two_states(["a + k", "b + part"]);
+    let costs = Costs { running: "u^2".into(), terminal: String::new() };
+    equations.define = [("part".to_owned(), "a * b".to_owned())].into();
+    assert_eq!(equations.remarks(&costs, 10), [""; 0]);
+    equations.define.insert("prat".into(), "a".into());
+    equations.parameters.insert("spare".into(), 1.0.into());
+    equations.tables = [("wind".to_owned(), vec![1.0, 2.0])].into();
+    assert_eq!(
+        equations.remarks(&Costs::default(), 10),
+        [
+            "no expression uses `spare` of `parameters`",
+            "no expression uses `wind` of `tables`",
+            "no expression uses `prat` of `define`",
+            "no expression uses `u` of `controls`",
+            "the table `wind` has 2 values for 10 steps; its last value holds afterwards",
+            "there is no cost, so a training has nothing to minimize",
+        ]
+    );
 }

@@ -82,6 +82,7 @@ pub fn check(args: &Check) -> Result<()> {
         print_text("errors in f64 against dual numbers, relative to the largest component")?;
     }
     if let Some(source) = source {
+        source.scene()?.remarks().into_iter().try_for_each(&mut note)?;
         about_rollouts(source, &mut note)?;
     }
     if args.json {

@@ -65,6 +65,7 @@ pub fn explain(args: &Explain) -> Result<()> {
         counted(controls.len(), "component"),
         names(&controls)
     ))?;
+    scene.remarks().iter().try_for_each(|remark| print_text(remark))?;
     print_result(&effects(&scene).to_string())?;
     print_text(
         "\noperations per step and sample: of the step, of its VJP to state and control (R, M), of its VJP to the control (N, S)\n\

@@ -1,6 +1,7 @@
 //! A system of equations in the scene: settings, limits and animation.
 
 use crate::operations::trajectory::Trajectory;
+use crate::platform::terminal::did_you_mean;
 use crate::settings::Method;
 use crate::settings::config_error::ConfigError;
 use crate::settings::reading::overlay;
@@ -20,12 +21,20 @@ fn graph(settings: &Settings<Equations>) -> Result<GraphTask, ConfigError> {
     let Settings { system, loss, integrator, precision, horizon, .. } = settings;
     let method = integrator.integrator(*precision);
     let method = method.unwrap_or(AnyIntegrator::RungeKutta(RungeKutta::RK4));
-    GraphTask::new(system, loss, method, integrator.count(), *horizon).map_err(
-        |EquationError { key, what }| {
-            let is_of_system = !key.starts_with("loss.");
-            ConfigError::new(if is_of_system { format!("system.{key}") } else { key }, what)
-        },
-    )
+    GraphTask::new(system, loss, method, integrator.count(), *horizon).map_err(|error| {
+        let section = if error.key.starts_with("loss.") { "" } else { "system." };
+        located(section, error)
+    })
+}
+
+/// The error of a setting in this section, with a suggestion for an unknown name.
+pub fn located(section: &str, error: EquationError) -> ConfigError {
+    let EquationError { key, what, unknown } = error;
+    let hint = unknown.map_or_else(String::new, |(name, mut known)| {
+        known.sort_unstable();
+        did_you_mean(&name, known.iter().map(String::as_str))
+    });
+    ConfigError::new(format!("{section}{key}"), what + &hint)
 }
 
 impl TaskSpec for Equations {
@@ -89,6 +98,10 @@ impl TaskSpec for Equations {
 
     fn control_names(settings: &Settings<Self>) -> Vec<String> {
         settings.system.controls.clone()
+    }
+
+    fn remarks(settings: &Settings<Self>) -> Vec<String> {
+        settings.system.remarks(&settings.loss, settings.horizon)
     }
 
     fn animation(

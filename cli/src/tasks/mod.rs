@@ -117,6 +117,10 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     }
     /// Names of the control components.
     fn control_names(settings: &Settings<Self>) -> Vec<String>;
+    /// What is allowed in these settings but hardly meant. Nothing by default.
+    fn remarks(_settings: &Settings<Self>) -> Vec<String> {
+        Vec::new()
+    }
     /// A quantity that is conserved while the control is zero, or None.
     fn conserved(_settings: &Settings<Self>) -> Option<Conserved> {
         None

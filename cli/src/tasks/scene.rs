@@ -84,6 +84,7 @@ trait AnySettings: Send + Sync {
     fn angles(&self) -> Vec<usize>;
     fn param_names(&self, task: &DynTask) -> Vec<String>;
     fn control_names(&self) -> Vec<String>;
+    fn remarks(&self) -> Vec<String>;
     fn conserved(&self) -> Option<Conserved>;
     fn animation(&self, rollout: &Trajectory) -> Animation;
 }
@@ -111,6 +112,10 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
 
     fn control_names(&self) -> Vec<String> {
         K::control_names(self)
+    }
+
+    fn remarks(&self) -> Vec<String> {
+        K::remarks(self)
     }
 
     fn conserved(&self) -> Option<Conserved> {
@@ -518,8 +523,13 @@ impl Scene {
         Err(ConfigError::new("horizon", what))
     }
 
-    /// Notes about settings of the training that another setting limits: a mini-batch that is larger
-    /// than the training set, a warm-up that does not end.
+    /// Notes about settings of the task that are hardly meant.
+    pub fn remarks(&self) -> Vec<String> {
+        self.settings.remarks().into_iter().map(|remark| format!("note: {remark}")).collect()
+    }
+
+    /// The remarks, and notes about settings of the training that another setting limits: a
+    /// mini-batch that is larger than the training set, a warm-up that does not end.
     pub fn notes(&self) -> Vec<String> {
         let TrainingSettings { batch, train_samples: samples, warm_up, .. } = self.training;
         let large_batch = (batch > samples).then(|| {
@@ -535,7 +545,7 @@ impl Scene {
                  reaches `training.learning_rate`"
             )
         });
-        large_batch.into_iter().chain(endless).collect()
+        self.remarks().into_iter().chain(large_batch).chain(endless).collect()
     }
 
     /// Identity of a run: the settings that a resumed run must share, one per line.

@@ -6,9 +6,10 @@ use crate::settings::{
     TrainingSettings, VERSION, reading,
 };
 use crate::tasks::effects::Present;
+use crate::tasks::equations::located;
 use crate::tasks::{self, PolicySpec, SceneEffects, TaskSpec};
 use physgrad::effect::{DynEffect, Named};
-use physgrad::graph::{EquationError, Names, Replaced, Replacement};
+use physgrad::graph::{Names, Replaced, Replacement};
 use physgrad::{DynSystem, DynTask, Field, System as _, Task as _};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -155,9 +156,7 @@ impl<K: TaskSpec> Settings<K> {
             dt: K::dt(self),
         };
         let replaced = Replaced::new(task, names, &self.equations);
-        let located =
-            |EquationError { key, what }| ConfigError::new(format!("equations.{key}"), what);
-        replaced.map(DynTask::new).map_err(located)
+        replaced.map(DynTask::new).map_err(|error| located("equations.", error))
     }
 
     /// Names of the parameters of a rollout.
