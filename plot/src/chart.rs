@@ -48,8 +48,15 @@ pub struct Frame {
 
 impl Chart {
     /// Creates a chart with a logarithmic y axis. Omits points with a non-finite x, and points with
-    /// a y or a band edge outside 1e-100 to 1e100.
+    /// a y or a band edge outside 1e-100 to 1e100. The axis is linear if no y is positive.
     pub fn log(x_label: &'static str, y_label: &'static str, series: Vec<Series>) -> Self {
+        let all = series.iter().flat_map(|s| &s.line).map(|(_, y)| *y).filter(|y| y.is_finite());
+        let (low, high) = all
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), y| (low.min(y), high.max(y)));
+        if low <= high && high <= 0.0 {
+            let margin = 0.05 * (high - low).max(0.1 * low.abs()).max(1e-100);
+            return Self::linear(x_label, y_label, [low - margin, high + margin], series);
+        }
         let series = shown(series, drawable);
         Self {
             x_label,
@@ -286,6 +293,15 @@ mod tests {
                 assert!((found - expected).abs() < 0.02, "{corner:?} instead of {expected:?}");
             }
         }
+    }
+
+    #[test]
+    fn losses_that_are_all_negative_have_a_linear_axis() {
+        let line = vec![(1.0, -1.0), (2.0, -4.0)];
+        let series = Series::new("loss", "#123456", line);
+        let chart = Chart::log("epoch", "loss", vec![series]);
+        assert!(matches!(chart.y, Axis::Linear([low, high]) if low < -4.0 && high > -1.0));
+        assert_eq!(drawn(&chart).len(), 2);
     }
 
     #[test]

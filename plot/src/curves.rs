@@ -396,7 +396,9 @@ mod tests {
         let nothing = learning_curve("nothing", &[], &[]).to_svg();
         // The axis extends from 0.1 to 1.
         assert!(
-            nothing.contains("no data") && nothing.contains(">0.1<") && nothing.contains(">1<"),
+            nothing.contains("no positive data")
+                && nothing.contains(">0.1<")
+                && nothing.contains(">1<"),
             "{nothing}"
         );
     }

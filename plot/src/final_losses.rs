@@ -138,7 +138,10 @@ mod tests {
             );
             let picture = picture.to_svg();
             roxmltree::Document::parse(&picture).expect("an SVG is XML");
-            assert!(!picture.contains("NaN") && !picture.contains("no data"), "{tasks} tasks");
+            assert!(
+                !picture.contains("NaN") && !picture.contains("no positive data"),
+                "{tasks} tasks"
+            );
             assert_eq!(picture.matches(">task<").count(), tasks);
             let entries = [">1: A<", ">2: B<", ">untrained policy<"]
                 .map(|label| picture.matches(label).count());

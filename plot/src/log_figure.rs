@@ -235,8 +235,9 @@ pub fn panel_layout(panel: &Panel, axis: &LogAxis, shows: Shows) -> Layout {
         let middle = (axis.low * axis.high).sqrt();
         let x_middle =
             if x_axis.is_some() { (x_min * x_max).sqrt() } else { (x_min + x_max) / 2.0 };
-        layout = layout
-            .with_annotation(TextAnnotation::new("no data", x_middle, middle).with_color("#777"));
+        layout = layout.with_annotation(
+            TextAnnotation::new("no positive data", x_middle, middle).with_color("#777"),
+        );
     }
     layout
 }

@@ -247,11 +247,13 @@ pub fn interval_note(scenes: &[InScene]) -> String {
 }
 
 /// Ratio of the median loss of a method to that of the method of the lowest rank. None for that
-/// method itself.
+/// method itself, and if a loss is negative: a ratio then has no meaning.
 pub fn ratio(runs: &[Outcome], method: Method) -> Option<Ratio> {
     let (first, others) = reference(runs)?;
     let (_, own) = by_method(runs).find(|(other, _)| *other == method)?;
-    (first != method).then(|| median_ratio(&pairs(own, others)))
+    let pairs = pairs(own, others);
+    let has_meaning = !pairs.iter().any(|(own, other)| *own < 0.0 || *other < 0.0);
+    (first != method && has_meaning).then(|| median_ratio(&pairs))
 }
 
 /// Method to which ratios refer, with its runs.

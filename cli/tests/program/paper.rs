@@ -27,7 +27,7 @@ fn assert_figure(dir: &Path, name: &str) {
     };
     let svg = read(&file("svg"));
     roxmltree::Document::parse(&svg).expect("an SVG is XML");
-    assert!(!svg.contains("no data"), "a panel has no data");
+    assert!(!svg.contains("no positive data"), "a panel has no data");
     assert!(fs::read(file("png")).expect("a PNG").starts_with(b"\x89PNG"));
     assert!(read(&file("csv")).lines().count() > 1);
     assert!(read(&file("md")).starts_with('|'), "the table is not in Markdown");
