@@ -2,8 +2,8 @@
 
 use super::function::Function;
 use super::op::Id;
-use super::parse::{name_problem, names};
-use super::reader::{OPERATIONS, P, Reader, TIME, U, Vocabulary, X, listed};
+use super::parse::{OPERATIONS, name_problem, names, short};
+use super::reader::{P, Reader, TIME, U, Vocabulary, X, listed};
 use crate::dynamics::number::Number;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap, HashSet};
@@ -96,6 +96,8 @@ impl EquationError {
 
 /// Largest number of names in a list, which bounds the memory of equations that somebody else wrote.
 const NAMES: usize = 4096;
+/// Largest size of all equations and tables, in bytes.
+const TEXT: usize = 500_000;
 
 /// Functions of the equations.
 #[derive(Debug)]
@@ -118,6 +120,7 @@ impl Equations {
     pub(super) fn functions(&self, costs: &Costs) -> Result<Functions, EquationError> {
         self.check_names()?;
         self.check_numbers()?;
+        self.check_size(costs)?;
         let mut reader = Reader::new(self.vocabulary())?;
         let (section, motion, other) = if self.is_continuous() {
             ("rate", &self.rate, &self.next)
@@ -223,7 +226,8 @@ impl Equations {
             }
             for name in list {
                 if let Some(problem) = name_problem(name) {
-                    return Err(EquationError::new(key, format!("has `{name}`, which {problem}")));
+                    let what = format!("has `{}`, which {problem}", short(name));
+                    return Err(EquationError::new(key, what));
                 }
                 if let Some(other) = seen.insert(name, key) {
                     let what = format!("has `{name}`, which is also in `{other}`; rename one");
@@ -234,6 +238,10 @@ impl Equations {
         if self.states.is_empty() {
             return Err(EquationError::new("states", "is empty; name at least one state"));
         }
+        if self.controls.is_empty() {
+            let what = "is empty; name at least one control, which no equation has to use";
+            return Err(EquationError::new("controls", what));
+        }
         let numbers = [&self.states[..], &self.controls].concat();
         let tables = self.tables.keys().chain(self.parameters.keys()).cloned();
         let all: Vec<String> = numbers.into_iter().chain(tables).collect();
@@ -241,6 +249,23 @@ impl Equations {
         self.check_keys("bounds", self.bounds.keys(), &self.controls, "a control")?;
         self.check_keys("start", self.start.keys(), &self.states, "a state")?;
         self.check_keys("units", self.units.keys(), &all, "a state, control, parameter or table")
+    }
+
+    /// Bounds the text, because a run stores it in its settings.
+    fn check_size(&self, costs: &Costs) -> Result<(), EquationError> {
+        let Self { define, rate, next, observe, .. } = self;
+        let texts = [define, rate, next].into_iter().flatten();
+        let texts = texts.flat_map(|(name, text)| [name, text]).chain(observe);
+        let bytes: usize = texts.chain([&costs.running, &costs.terminal]).map(String::len).sum();
+        let tables: usize = self.tables.values().map(Vec::len).sum();
+        if bytes + 8 * tables > TEXT {
+            let what = format!(
+                "has {bytes} bytes of equations and {tables} values of tables; allowed: at most {TEXT} bytes, with 8 \
+                 for each value"
+            );
+            return Err(EquationError::new("define", what));
+        }
+        Ok(())
     }
 
     fn check_keys<'a>(

@@ -17,6 +17,9 @@ pub(super) const LISTS: usize = 5;
 /// Lists with cotangents: all but the last.
 const WITH_BARS: usize = LISTS - 1;
 
+/// The set of all lists with cotangents.
+const ALL: usize = (1 << WITH_BARS) - 1;
+
 /// Inputs of a function, in the order of the graph.
 pub(super) type Lists<'a, T> = [&'a [T]; LISTS];
 
@@ -65,7 +68,7 @@ impl Function {
         let function =
             Self { graph, outputs, ranges, reads, forward, backward: Default::default() };
         // A derivative has more registers than the function.
-        function.lowered(usize::MAX >> (usize::BITS as usize - WITH_BARS))?;
+        function.lowered(ALL)?;
         Ok(function)
     }
 
@@ -90,8 +93,17 @@ impl Function {
 
     fn backward(&self, requested: usize) -> &Compiled<Bars> {
         self.backward[requested].get_or_init(|| {
-            let lowered = self.lowered(requested);
-            Compiled::new(lowered.expect("`new` lowered the derivative of all lists"))
+            // Instructions that join others may keep more numbers at once than those of all lists.
+            Compiled::new(self.lowered(requested).unwrap_or_else(|_| {
+                let mut bars =
+                    self.lowered(ALL).expect("`new` lowered the derivative of all lists");
+                let lists = self.ranges[..WITH_BARS].iter().enumerate();
+                let mut is_requested = lists.flat_map(|(list, range)| {
+                    range.clone().map(move |_| requested >> list & 1 == 1)
+                });
+                bars.inputs.retain(|_| is_requested.next() == Some(true));
+                bars
+            }))
         })
     }
 

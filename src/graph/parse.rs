@@ -123,12 +123,26 @@ const FUNCTIONS: [(&str, usize); 23] = [
 const WORDS: [&str; 11] =
     ["pi", "t", "next", "and", "or", "not", "uniform", "normal", "log_uniform", "choice", "start"];
 
+/// Largest length of a name.
+const LONGEST: usize = 100;
+
+/// A name in a message, shortened.
+pub(super) fn short(name: &str) -> String {
+    if name.len() <= LONGEST {
+        return name.to_owned();
+    }
+    name.chars().take(20).chain("…".chars()).collect()
+}
+
 /// Why a name cannot be that of a number, or None.
 pub(super) fn name_problem(name: &str) -> Option<&'static str> {
     let mut letters = name.chars();
     let begins = letters.next().is_some_and(|first| first.is_ascii_alphabetic() || first == '_');
     if !begins || !letters.all(|letter| letter.is_ascii_alphanumeric() || letter == '_') {
         return Some("is not a name; allowed: letters, digits and `_`, and no digit first");
+    }
+    if name.len() > LONGEST {
+        return Some("is longer than 100 letters; choose a shorter name");
     }
     let is_taken = WORDS.contains(&name) || FUNCTIONS.iter().any(|(function, _)| *function == name);
     is_taken.then_some("has a meaning of its own; choose another name")
@@ -238,6 +252,11 @@ const OPERAND: &str = "a number, a name or `(`";
 
 /// Largest depth of parentheses, functions and signs.
 const DEPTH: usize = 100;
+/// Largest number of `and` and `or` in one expression, whose results are nested.
+const JOINED: usize = 1000;
+/// Largest number of operations in all expressions together. It bounds the memory of equations that
+/// somebody else wrote.
+pub(super) const OPERATIONS: usize = 200_000;
 /// Largest whole exponent that is repeated multiplication.
 const MULTIPLIED: f64 = 64.0;
 
@@ -247,6 +266,8 @@ pub(super) struct Parser<'a, 'g> {
     /// The next token and its place.
     next: (usize, Token<'a>),
     depth: usize,
+    /// Number of conditions joined by `and` and `or` so far.
+    joined: usize,
     graph: &'g mut Graph,
     /// The number with this name, or what is wrong with the name.
     resolve: &'g dyn Fn(&str) -> Result<Term, String>,
@@ -261,7 +282,7 @@ impl<'a, 'g> Parser<'a, 'g> {
     ) -> Result<Term, ParseError> {
         let mut lexer = Lexer { text, at: 0 };
         let next = lexer.token()?;
-        let mut parser = Self { lexer, next, depth: 0, graph, resolve };
+        let mut parser = Self { lexer, next, depth: 0, joined: 0, graph, resolve };
         let value = parser.expression(0)?;
         let term = parser.term(value, 0)?;
         match parser.next {
@@ -364,6 +385,12 @@ impl<'a, 'g> Parser<'a, 'g> {
         at: usize,
     ) -> Result<Value, ParseError> {
         if let "and" | "or" = operator {
+            self.joined += 1;
+            if self.joined > JOINED {
+                let what =
+                    format!("more than {JOINED} conditions; allowed: fewer in one expression");
+                return Err(self.error(at, what));
+            }
             let both = Box::new([self.condition(left, start)?, self.condition(right, second)?]);
             let joined = if operator == "and" { Condition::And(both) } else { Condition::Or(both) };
             return Ok(Value::Condition(joined));
@@ -422,10 +449,14 @@ impl<'a, 'g> Parser<'a, 'g> {
         }
     }
 
-    /// A power with a whole literal exponent is a product, as [`Scalar::powi`] is. Another literal
-    /// exponent is [`Scalar::powf`]; `a^b` is `exp(b log(a))`.
+    /// A power with a whole constant exponent is a product, as [`Scalar::powi`] is. Another constant
+    /// exponent is [`Scalar::powf`]; with an exponent that varies, `a^b` is `exp(b log(a))`.
     fn power(&mut self, base: Term, exponent: Term) -> Term {
-        let Term::Literal(power) = exponent else {
+        let constant = match exponent {
+            Term::Literal(power) => Some(power),
+            Term::Number(id) => self.graph.as_constant(id),
+        };
+        let Some(power) = constant else {
             let log = self.unary(base, Op::Ln, Scalar::ln);
             let product = self.binary(log, exponent, Op::Mul, |a, b| a * b);
             return self.unary(product, Op::Exp, Scalar::exp);
@@ -448,6 +479,10 @@ impl<'a, 'g> Parser<'a, 'g> {
     /// Reads a number, a name, a function, a sign or parentheses.
     fn operand(&mut self) -> Result<Value, ParseError> {
         let (at, token) = self.advance()?;
+        if self.graph.ops().len() > OPERATIONS {
+            let what = format!("exceeds {OPERATIONS} operations in all equations; allowed: fewer");
+            return Err(self.error(at, what));
+        }
         match token {
             Token::Number(value) => Ok(Value::Term(Term::Literal(value))),
             Token::Symbol("(") => {

@@ -3,7 +3,7 @@
 use super::equations::EquationError;
 use super::function::{Function, LISTS};
 use super::op::{Graph, Id};
-use super::parse::{ParseError, Parser, Term, names};
+use super::parse::{ParseError, Parser, Term, name_problem, names, short};
 use std::cell::RefCell;
 use std::collections::{BTreeMap, HashMap};
 
@@ -13,10 +13,6 @@ pub(super) const U: usize = 1;
 pub(super) const P: usize = 2;
 const NEXT: usize = 3;
 pub(super) const TIME: usize = 4;
-
-/// Largest number of operations in all expressions together. It bounds the memory of equations that
-/// somebody else wrote.
-pub(super) const OPERATIONS: usize = 200_000;
 
 /// Names that expressions may use.
 pub(super) struct Vocabulary<'a> {
@@ -65,6 +61,17 @@ impl<'a> Reader<'a> {
     /// Reads all definitions, each after those that it names.
     fn define(&mut self) -> Result<(), EquationError> {
         let define = self.names.define;
+        for name in define.keys() {
+            let problem = name_problem(name).map(|problem| format!("which {problem}"));
+            let is_known = self.known.contains_key(name) && name != "dt";
+            let known = || is_known.then(|| "which is the name of another number".to_owned());
+            if let Some(problem) = problem.or_else(known) {
+                return Err(EquationError::new(
+                    "define",
+                    format!("has `{}`, {problem}", short(name)),
+                ));
+            }
+        }
         let mut waits: HashMap<&str, usize> = HashMap::new();
         let mut followers: HashMap<&str, Vec<&str>> = HashMap::new();
         for (name, text) in define {
@@ -105,10 +112,6 @@ impl<'a> Reader<'a> {
             })
         };
         let term = Parser::read(text, &mut self.graph, &resolve);
-        if self.graph.ops().len() > OPERATIONS {
-            let what = format!("exceeds {OPERATIONS} operations in all equations; allowed: fewer");
-            return Err(EquationError::new(key, what));
-        }
         term.map_err(|ParseError { column, what }| EquationError {
             unknown: missing.take().map(|name| (name, known.keys().cloned().collect())),
             ..EquationError::new(key, located(text, column, &what))
@@ -129,7 +132,9 @@ impl<'a> Reader<'a> {
     ) -> Result<Function, EquationError> {
         let error = |what: String| EquationError::new(key, what);
         let function = Function::new(self.graph.clone(), outputs, self.lengths);
-        let function = function.map_err(|_| error("has too many numbers at once".into()))?;
+        let function = function.map_err(|_| {
+            error("needs more than 65,535 numbers at once, with its derivative; simplify it".into())
+        })?;
         for (list, what) in [
             (U, "the control, which is not known there"),
             (NEXT, "`next`, which only the running cost knows"),
@@ -202,6 +207,7 @@ pub(super) fn listed<'a>(names: impl Iterator<Item = &'a str>) -> String {
 /// Message of an unknown name.
 fn unknown(names: &Vocabulary<'_>, name: &str) -> String {
     let Vocabulary { states, controls, params, tables, constants, define, dt: _ } = names;
+    let name = &*short(name);
     if let Some(state) = name.strip_prefix("next.") {
         let states = listed(states.iter().map(String::as_str));
         return format!("`{state}` is not a state; states are {states}");

@@ -70,6 +70,10 @@ impl Replaced {
     ) -> Result<Self, EquationError> {
         let Names { states, controls, params, dt } = names;
         let define = &replacement.define;
+        if *replacement == (Replacement { define: define.clone(), ..Replacement::default() }) {
+            let what = "has no effect; write `observe`, `running` or `terminal` too";
+            return Err(EquationError::new("define", what));
+        }
         let vocabulary =
             Vocabulary { states, controls, params, tables: vec![], constants: vec![], dt, define };
         let mut reader = Reader::new(vocabulary)?;

@@ -29,6 +29,8 @@ pub struct GraphTask {
     params: usize,
     horizon: usize,
     control_bounds: Option<Vec<[f64; 2]>>,
+    /// Time of one step of the task, s.
+    dt: f64,
     /// Steps of the system per step of the task.
     substeps: usize,
 }
@@ -132,6 +134,7 @@ impl GraphTask {
             params: system.params,
             horizon,
             control_bounds: (!equations.bounds.is_empty()).then(|| bounds.collect()),
+            dt: equations.dt,
             substeps,
             system,
         })
@@ -182,6 +185,7 @@ impl GraphTask {
             params,
             horizon: task.horizon(),
             control_bounds: task.control_bounds(),
+            dt: 1.0,
             substeps: 1,
             system,
         })
@@ -189,7 +193,7 @@ impl GraphTask {
 
     /// The time and the values of tables at a step of the task.
     fn signals<T: Scalar>(&self, t: usize) -> Signals<T> {
-        self.system.signals(t * self.substeps)
+        self.system.signals_at(T::from(t as f64 * self.dt), t * self.substeps)
     }
 }
 

@@ -1,9 +1,10 @@
 //! Equations as text: values against formulas in Rust, derivatives against dual numbers, errors.
 
-use physgrad::graph::{Costs, Equations, GraphTask};
+use physgrad::graph::{Costs, Equations, GraphTask, Names, Replaced, Replacement};
 use physgrad::integrator::{AnyIntegrator, RungeKutta};
 use physgrad::rng::{Purpose, Rng, stream};
-use physgrad::{Cotangents, Inputs, Scalar, System, Task, check};
+use physgrad::tasks::CartPole;
+use physgrad::{Cotangents, DynTask, Inputs, Scalar, System, Task, check};
 use rand::RngExt as _;
 
 const RK4: AnyIntegrator = AnyIntegrator::RungeKutta(RungeKutta::RK4);
@@ -15,7 +16,7 @@ fn two_states(next: [&str; 2]) -> Equations {
         states: of(&["a", "b"]),
         controls: of(&["u"]),
         dt: 0.5,
-        parameters: [("k".to_owned(), 0.7.into())].into(),
+        parameters: [("k".to_owned(), 0.7.into()), ("two".to_owned(), 2.0.into())].into(),
         next: [("a".to_owned(), next[0].to_owned()), ("b".to_owned(), next[1].to_owned())].into(),
         ..Equations::default()
     }
@@ -59,6 +60,7 @@ fn expressions_have_the_order_of_operations_of_python() {
         ("sign(b) + abs(b) + sign(0 * a)", -1.0 + 1.7),
         ("hypot(a, b)", Scalar::hypot(a, b)),
         ("k * a", 0.7 * a),
+        ("b ^ two", b * b),
         ("detach(a) + wrap(a)", a + a.wrap_angle()),
     ] {
         assert_eq!(value(text, [a, b, u]), expected, "{text}");
@@ -111,7 +113,7 @@ fn errors_name_the_setting_the_column_and_the_replacement() {
     for (text, message) in [
         (
             "a + c",
-            "`next.a` has an error in column 5 of `a + c`: `c` is unknown; known are `a`, `b`, `u`, `k`",
+            "`next.a` has an error in column 5 of `a + c`: `c` is unknown; known are `a`, `b`, `u`, `k`, `two`",
         ),
         ("a + ", "column 5 of `a + `: the end where a number, a name or `(` is expected"),
         ("(a + b", "column 7"),
@@ -141,6 +143,8 @@ fn errors_name_the_setting_the_column_and_the_replacement() {
         let error = next(text);
         assert!(error.contains(message), "{text}: {error}");
     }
+    let joined = "where(".to_owned() + &"a < 1 or ".repeat(2000) + "b < 1, a, b)";
+    assert!(next(&joined).contains("more than 1000 conditions"));
     let deep = "(".repeat(5000) + "a";
     assert!(next(&deep).contains("more than 100 levels; name a part of it in `define`"));
     for (change, message) in [
@@ -149,6 +153,12 @@ fn errors_name_the_setting_the_column_and_the_replacement() {
             "`next.b` is missing; each state needs an equation",
         ),
         (&|e| e.controls.push("a".into()), "`controls` has `a`, which is also in `states`"),
+        (&|e| e.controls.clear(), "`controls` is empty; name at least one control"),
+        (&|e| e.states[0] = "a".repeat(101), "which is longer than 100 letters"),
+        (
+            &|e| e.define = (0..40_000).map(|i| (format!("d{i}"), "a + b * u".into())).collect(),
+            "allowed: at most 500000 bytes",
+        ),
         (&|e| e.states[0] = "pi".into(), "`states` has `pi`, which has a meaning of its own"),
         (&|e| e.states[0] = "1a".into(), "`states` has `1a`, which is not a name"),
         (&|e| e.dt = -1.0, "`dt` is -1; allowed: a positive number"),
@@ -289,7 +299,7 @@ fn rates_are_integrated_and_checked_with_costs_and_varied_numbers() {
 
 #[test]
 fn names_that_nothing_uses_short_tables_and_no_costs_are_remarked() {
-    let mut equations = two_states(["a + k", "b + part"]);
+    let mut equations = two_states(["a + k", "b + part * two"]);
     let costs = Costs { running: "u^2".into(), terminal: String::new() };
     equations.define = [("part".to_owned(), "a * b".to_owned())].into();
     assert_eq!(equations.remarks(&costs, 10), [""; 0]);
@@ -307,4 +317,33 @@ fn names_that_nothing_uses_short_tables_and_no_costs_are_remarked() {
             "there is no cost, so a training has nothing to minimize",
         ]
     );
+}
+
+#[test]
+fn expressions_for_another_task_may_not_hide_its_names() {
+    let replaced = |replacement: Replacement| {
+        let names = Names {
+            states: ["x", "x_dot", "theta_1", "omega_1"].map(str::to_owned).into(),
+            controls: vec!["force".into()],
+            params: vec![],
+            dt: 0.02,
+        };
+        let task = Replaced::new(DynTask::new(CartPole::new(1)), names, &replacement);
+        task.map(drop).map_err(|error| error.to_string())
+    };
+    let of = |name: &str, text: &str| Replacement {
+        running: "x^2".into(),
+        define: [(name.to_owned(), text.to_owned())].into(),
+        ..Replacement::default()
+    };
+    assert_eq!(replaced(of("lean", "1 - cos(theta_1)")), Ok(()));
+    for (replacement, message) in [
+        (of("x", "theta_1"), "`define` has `x`, which is the name of another number"),
+        (of("sin", "theta_1"), "`define` has `sin`, which has a meaning of its own"),
+        (of("a b", "theta_1"), "`define` has `a b`, which is not a name"),
+        (Replacement { running: String::new(), ..of("lean", "x") }, "`define` has no effect"),
+    ] {
+        let error = replaced(replacement).expect_err(message);
+        assert!(error.contains(message), "{error}");
+    }
 }
