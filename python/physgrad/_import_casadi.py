@@ -90,8 +90,8 @@ RULES: dict[str, Callable] = {
     "OP_IF_ELSE_ZERO": if_else_zero,
 }
 JUMPS = (
-    "{name} is constant between jumps, so its derivative says nothing, and equations do not have it. Leave the "
-    "rounding out, or write `if_else` with comparisons"
+    "{name} is constant between jumps, so its derivative says nothing, and equations do not have it. Leave "
+    "the rounding out, or write `if_else` with comparisons"
 )
 ANGLE = (
     "{name} jumps, and equations do not have it. Write `atan2(sin(a), cos(a))` or `remainder(a, 2*pi)` for "
@@ -110,8 +110,8 @@ CALLS_OTHER = (
     "table by `pg.table` or by `if_else`"
 )
 LINEAR_SOLVER = (
-    "CasADi cannot write `solve` and `inv` of MX as operations on numbers. Build the function with SX, or write "
-    "`inv_minor(A) @ b`"
+    "CasADi cannot write `solve` and `inv` of MX as operations on numbers. Build the function with SX, or "
+    "write `inv_minor(A) @ b`"
 )
 
 
@@ -127,7 +127,7 @@ class CasadiFunction:
         self.__signature__ = inspect.Signature([inspect.Parameter(name, kind) for name in self.names])
 
     def __call__(self, *args: Any, **named: Any) -> Any:
-        given = dict(zip(self.names, args)) | named
+        given = dict(zip(self.names, args, strict=False)) | named
         with of_numpy(), at_place(f"`{self.__name__}`"):
             function = self.one_output()
             values = {i: self.elements(i, given[name]) for name, i in self.names.items()}

@@ -19,7 +19,18 @@ from . import _import_numbers as more
 from . import _trace_algebra as algebra
 from ._trace_arrays import of_numpy
 from ._trace_errors import at_place, begin, name_of, place
-from ._trace_numbers import Condition, Symbol, apply, choose, combine, compare, invert, is_traced, lift, refuse
+from ._trace_numbers import (
+    Condition,
+    Symbol,
+    apply,
+    choose,
+    combine,
+    compare,
+    invert,
+    is_traced,
+    lift,
+    refuse,
+)
 from ._trace_numpy import ELEMENTWISE, log1p, power
 from ._trace_vectors import Parameters, finish, plain
 
@@ -65,7 +76,9 @@ class JaxFunction:
 
             def call(*values: Any) -> list:
                 given = rebuild(values)
-                result = self.function(*given[: len(args)], **dict(zip(named, given[len(args) :])))
+                result = self.function(
+                    *given[: len(args)], **dict(zip(named, given[len(args) :], strict=True))
+                )
                 flat, found = jax.tree_util.tree_flatten(result)
                 tree.append(found)
                 return flat
@@ -96,7 +109,8 @@ def numbers_of(arguments: tuple) -> tuple[list, Callable]:
     """Arrays of the numbers of the arguments, and a function that makes arguments of other arrays."""
     leaves: list = []
     for value in arguments:
-        leaves += [plain(v) for v in (value.values() if isinstance(value, Parameters) else [value])]
+        parts = value.values() if isinstance(value, Parameters) else [value]
+        leaves += [plain(part) if is_traced(part) else np.asarray(part, dtype=float) for part in parts]
 
     def rebuild(values: tuple) -> list:
         rest, given = iter(values), []
@@ -129,8 +143,15 @@ def evaluate(jaxpr: Any, consts: Any, args: Any) -> list:
     for eqn in jaxpr.eqns:
         with at_place(line_of(eqn)):
             results = operation(eqn, [read(atom) for atom in eqn.invars])
-        known.update(zip(eqn.outvars, results, strict=True))
+        known.update((var, settled(value, var)) for var, value in zip(eqn.outvars, results, strict=True))
     return [read(atom) for atom in jaxpr.outvars]
+
+
+def settled(value: Any, variable: Any) -> Any:
+    """A result without traced numbers as an array of constants."""
+    if isinstance(value, Missing) or is_traced(value) or getattr(value, "dtype", None) != object:
+        return value
+    return np.array(value.tolist(), dtype=variable.aval.dtype)
 
 
 def line_of(eqn: Any) -> str:
@@ -163,8 +184,8 @@ def operation(eqn: Any, values: list) -> list:
     if name.startswith("random_"):
         refuse(
             TypeError,
-            "a function must not draw random numbers. Use pg.uniform and its like in `params`, or draw constants "
-            "before",
+            "a function must not draw random numbers. Use pg.uniform and its like in `params`, or draw "
+            "constants before",
         )
     if "callback" in name:
         refuse(TypeError, f"`{name}` calls Python, whose result is not an operation. Write it with jax.numpy")
@@ -176,7 +197,9 @@ def operation(eqn: Any, values: list) -> list:
         return [elementwise(lambda *a: RULES[name](eqn, *a), values, eqn)]
     if name in ("lu", "cholesky", "qr", "eigh", "svd", "triangular_solve"):
         return [Missing(DECOMPOSED.format(name=name))] * len(eqn.outvars)
-    return refuse(TypeError, REFUSED.get(name, f"`{name}` of JAX is not supported; write it with other functions"))
+    return refuse(
+        TypeError, REFUSED.get(name, f"`{name}` of JAX is not supported; write it with other functions")
+    )
 
 
 def constants(eqn: Any, values: list) -> list:
@@ -290,9 +313,14 @@ def convert(eqn: Any, a: Any) -> Any:
     if new == np.bool_:
         return more.truth(a)
     if new.kind in "iu" and old.kind == "f":
-        refuse(TypeError, "a change to integers rounds, which equations do not have. Leave out `astype` and `int`")
+        refuse(
+            TypeError,
+            "a change to integers rounds, which equations do not have. Leave out `astype` and `int`",
+        )
     if new.kind not in "iu" and new != np.float64:
-        refuse(TypeError, f"a traced number is a float64, not {new}. Leave out the dtype: `precision` selects it")
+        refuse(
+            TypeError, f"a traced number is a float64, not {new}. Leave out the dtype: `precision` selects it"
+        )
     return a
 
 
@@ -425,8 +453,8 @@ def scattered(function: Callable, neutral: float, mark: float) -> Callable:
             marks = np.full(parts.shape, neutral)
             marks[index] = mark
             (found,) = constants(eqn, [np.full(out.shape, neutral), indices, marks])
-            for place in zip(*np.nonzero(found != neutral), strict=True):
-                out[place] = function(out[place], parts[index])
+            for hit in zip(*np.nonzero(found != neutral), strict=True):
+                out[hit] = function(out[hit], parts[index])
         return [out]
 
     return scatter
@@ -551,17 +579,19 @@ def linear_solve(params: dict, values: list) -> list:
     pool = [v for value in values[: lengths.matvec] for v in plain(value).flat]
     # Random numbers in place of the elements tell which element of the matrix is which.
     marks = np.random.default_rng(0).normal(size=len(pool))
-    given, place = [], 0
+    given, used = [], 0
     for value in values[: lengths.matvec]:
-        given.append(marks[place : place + np.size(value)].reshape(np.shape(value)))
-        place += np.size(value)
+        given.append(marks[used : used + np.size(value)].reshape(np.shape(value)))
+        used += np.size(value)
     found = {0.0: np.float64(0.0), **dict(zip(marks, pool, strict=True))}
     matrix = np.empty((np.size(right),) * 2, dtype=object)
     for j, unit in enumerate(np.eye(np.size(right))):
         (column,) = evaluate(matvec.jaxpr, matvec.consts, [*given, unit.reshape(np.shape(right))])
         for i, mark in enumerate(np.ravel(column)):
             if mark not in found:
-                refuse(TypeError, "a linear system is solved whose matrix is not an array; use jnp.linalg.solve")
+                refuse(
+                    TypeError, "a linear system is solved whose matrix is not an array; use jnp.linalg.solve"
+                )
             matrix[i, j] = found[mark]
     return [solve_blocks(matrix, plain(right).ravel()).reshape(np.shape(right))]
 
@@ -630,8 +660,8 @@ WHILE = (
     "`lax.fori_loop(0, 10, ...)`, with `jnp.where` inside"
 )
 JUMPS = (
-    "`{name}` jumps, so its derivative says nothing, and equations do not have it. Leave the rounding out, or "
-    "write `jnp.where` with `<`"
+    "`{name}` jumps, so its derivative says nothing, and equations do not have it. Leave the rounding out, "
+    "or write `jnp.where` with `<`"
 )
 DECOMPOSED = (
     "`{name}` of a traced matrix is not supported. Write `jnp.linalg.solve`, for at most 4 rows, or the "
@@ -639,7 +669,8 @@ DECOMPOSED = (
 )
 REFUSED = {
     **{name: JUMPS.format(name=name) for name in ("floor", "ceil", "round")},
-    "rem": "`rem` jumps, and equations do not have it. Write `jnp.arctan2(jnp.sin(a), jnp.cos(a))` for an angle",
+    "rem": "`rem` jumps, and equations do not have it. For an angle, write `jnp.arctan2(jnp.sin(a), "
+    "jnp.cos(a))`",
     "sort": "`sort` depends on values that are not known. Write `jnp.maximum` and `jnp.minimum`",
     "argmax": "`argmax` depends on values that are not known. Write `jnp.where`",
     "argmin": "`argmin` depends on values that are not known. Write `jnp.where`",

@@ -24,7 +24,11 @@ def infinite(a: Any) -> float:
 def equal(a: Any, b: Any) -> Any:
     for one, other in ((a, b), (b, a)):
         # A comparison that was made a number, and is compared with 0 or 1.
-        if isinstance(one, Condition) and not isinstance(other, (TracedNumber, Condition)) and other in (0, 1):
+        if (
+            isinstance(one, Condition)
+            and not isinstance(other, (TracedNumber, Condition))
+            and other in (0, 1)
+        ):
             return one if other == 1 else invert(one)
     a, b = lift(a), lift(b)
     return combine("and", compare("le", a, b), compare("ge", a, b))
