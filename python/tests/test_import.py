@@ -308,13 +308,14 @@ def derivatives_agree(function, vjp):
     """Whether derivatives of an observation by the state are those of `vjp(x, bars)`."""
     import physgrad as pg
 
-    task = pg.system(lambda x: x, states=3, dt=0.1, observe=function)
+    task = pg.system(lambda x: x, states=3, controls=1, dt=0.1, observe=function)
     for point in POINTS:
         x = np.array([[*point, 0.0]])
+        # Outside of a domain the value is NaN, and derivatives are arbitrary.
+        if not np.all(np.isfinite(task.observe(x))):
+            continue
         bars = np.random.default_rng(3).normal(size=(1, task.observation_dim))
-        found = task.observe_vjp(x, bars)
-        found = found[0] if isinstance(found, tuple) else found
-        agree(vjp(x[0], bars[0]), found, 1e-12, scale=1.0)
+        agree(vjp(x[0], bars[0]), task.observe_vjp(x, bars)[0], 1e-12, scale=1.0)
 
 
 @needs_casadi
@@ -640,7 +641,6 @@ def casadi_refusals():
             r"calls `table` \(LinearInterpolant\).*formula",
         ),
         "rootfinder": (ca.Function("f", [m], [m * root(m[0], m[1])]), r"`root` \(Newton\)"),
-        "direct": (root, r"`root` \(Newton\)|does not fit|has the arguments|numbers"),
         "solver": (ca.Function("f", [m], [ca.solve(ca.diag(m) + 1, m)]), "Build the function with SX"),
         "free": (ca.Function("f", [x], [x * y], {"allow_free": True}), "symbols y are not inputs"),
         "outputs": (ca.Function("f", [x], [x, y * 0], ["x"], ["xdot", "L"]), r"2 outputs: xdot, L.*f.slice"),
@@ -653,7 +653,7 @@ def casadi_refusals():
 
 
 CASADI_REFUSED = (
-    "floor ceil fmod remainder infinite interpolant rootfinder direct solver free outputs sizes place".split()
+    "floor ceil fmod remainder infinite interpolant rootfinder solver free outputs sizes place".split()
 )
 
 
