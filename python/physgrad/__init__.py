@@ -22,6 +22,7 @@ from ._core import (
     rollout,
 )
 from ._distributions import choice, log_uniform, normal, table, trained, uniform
+from ._import_jax import from_jax
 from .trace import detach, system
 
 __all__ = [
@@ -34,6 +35,7 @@ __all__ = [
     "check",
     "choice",
     "detach",
+    "from_jax",
     "gradients",
     "identify",
     "load",

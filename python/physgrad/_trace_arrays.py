@@ -104,6 +104,16 @@ def variables(functions: Iterable[Callable]) -> Iterator[dict[str, Any]]:
 
 
 @contextlib.contextmanager
+def of_numpy() -> Iterator[None]:
+    """Leaves NumPy as it is, for packages that run while a function is traced."""
+    TRACING.append(0)
+    try:
+        yield
+    finally:
+        TRACING.pop()
+
+
+@contextlib.contextmanager
 def constructors(functions: Iterable[Callable]) -> Iterator[None]:
     """Replaces NumPy in the code of the user, and restores it."""
     with LOCK:

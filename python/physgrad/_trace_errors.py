@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import linecache
 import os
 import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import NoReturn
 
 # Frames of these packages are not code of the user.
-PACKAGES = ("numpy", __name__.split(".")[0])
+PACKAGES = ("numpy", "jax", "jaxlib", "casadi", __name__.split(".")[0])
+# Places of operations in imported functions, which do not run as lines of Python. The last counts.
+PLACES: list[str] = []
 
 BRANCH = (
     "The value of {what} is not known while the function is traced, so Python cannot branch on it. {hint}"
@@ -51,8 +54,20 @@ def name_of(path: str) -> str:
 
 def place() -> str:
     """File and line of the user that runs now, as `tanks.py:12`."""
+    if PLACES:
+        return PLACES[-1]
     frame = user_frame()
     return f"{name_of(frame.f_code.co_filename)}:{frame.f_lineno}"
+
+
+@contextlib.contextmanager
+def at_place(text: str) -> Iterator[None]:
+    """Gives errors another place than the line that runs."""
+    PLACES.append(text)
+    try:
+        yield
+    finally:
+        PLACES.pop()
 
 
 def line() -> str:

@@ -17,6 +17,8 @@ import numpy as np
 
 from . import _trace_numbers as numbers
 from ._distributions import finite, table
+from ._import_casadi import CasadiFunction, is_casadi
+from ._import_jax import JaxFunction
 from ._trace_arrays import constructors
 from ._trace_errors import begin, near, place_of
 from ._trace_graph import FUNCTIONS, Graph, Text
@@ -52,6 +54,8 @@ ALIASES = {
 HINT = ". NumPy cannot compute this with a list of traced numbers; write `np.array([...])` of it first"
 # Words of NumPy about arrays of objects, after which the hint helps.
 OF_OBJECTS = re.compile(r"dtype\('O'\)|loop of ufunc|not supported for the input types|only integers, slices")
+# Words of JAX about values that are not its own.
+OF_JAX = re.compile(r"as an abstract array|JAX|np\.result_type")
 Names = Sequence[str] | int
 
 
@@ -298,6 +302,9 @@ def traced(graph: Graph, plan: Plan, role: str, function: Callable) -> list[int]
     except Exception as error:
         if call.refused is not None and call.refused is not error:
             raise call.refused from error
+        words = " ".join([str(error), *getattr(error, "__notes__", ())])
+        if OF_JAX.search(words) and not isinstance(function, JaxFunction) and hasattr(error, "add_note"):
+            error.add_note(f"If `{role}` is written with jax.numpy, give pg.from_jax(function)")
         place = place_of(error)
         if call.refused is None and place and place not in str(error) and hasattr(error, "add_note"):
             error.add_note(
@@ -358,7 +365,11 @@ def trace_settings(
         "running_cost": running_cost,
         "terminal_cost": terminal_cost,
     }
-    functions = {role: function for role, function in functions.items() if function is not None}
+    functions = {
+        role: CasadiFunction(function) if is_casadi(function) else function
+        for role, function in functions.items()
+        if function is not None
+    }
     with constructors(functions.values()):
         found, again = equations(plan, functions), equations(plan, functions)
     for role, function in functions.items():
