@@ -65,6 +65,14 @@ pub fn explain(args: &Explain) -> Result<()> {
         counted(controls.len(), "component"),
         names(&controls)
     ))?;
+    let equations = scene.equations();
+    if !equations.is_empty() {
+        let mut table = Table::new(["result", "equation"]);
+        for (name, text) in equations {
+            table.row([name, text]);
+        }
+        print_result(&table.to_string())?;
+    }
     scene.remarks().iter().try_for_each(|remark| print_text(remark))?;
     print_result(&effects(&scene).to_string())?;
     print_text(

@@ -11,6 +11,7 @@ use physgrad::DynTask;
 use physgrad::graph::{self, Costs, EquationError, GraphTask, Replacement};
 use physgrad::integrator::{AnyIntegrator, RungeKutta};
 use physgrad_plot::{Animation, Channel, channels_over_time};
+use std::collections::BTreeMap;
 
 /// Task `equations`.
 #[derive(Clone, Debug)]
@@ -98,6 +99,29 @@ impl TaskSpec for Equations {
 
     fn control_names(settings: &Settings<Self>) -> Vec<String> {
         settings.system.controls.clone()
+    }
+
+    fn equations(settings: &Settings<Self>) -> Vec<(String, String)> {
+        let graph::Equations { rate, next, define, observe, units, .. } = &settings.system;
+        let Costs { running, terminal } = &settings.loss;
+        let unit = |name: &str| units.get(name).map_or(String::new(), |unit| format!(", {unit}"));
+        let of_states = |list: &BTreeMap<String, String>, before: &str, after: &str| {
+            let named = list
+                .iter()
+                .map(|(name, text)| (format!("{before}{name}{after}{}", unit(name)), text.clone()));
+            named.collect::<Vec<_>>()
+        };
+        let observed = observe.iter().enumerate();
+        let costs = [("running cost", running), ("terminal cost", terminal)];
+        let costs = costs.into_iter().filter(|(_, text)| !text.is_empty());
+        [
+            of_states(define, "", ""),
+            of_states(rate, "d ", " / dt"),
+            of_states(next, "next ", ""),
+            observed.map(|(i, text)| (format!("y_{}", i + 1), text.clone())).collect(),
+            costs.map(|(name, text)| (name.to_owned(), text.clone())).collect(),
+        ]
+        .concat()
     }
 
     fn remarks(settings: &Settings<Self>) -> Vec<String> {

@@ -117,6 +117,10 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     }
     /// Names of the control components.
     fn control_names(settings: &Settings<Self>) -> Vec<String>;
+    /// Equations that the settings contain: what each gives, and its expression. None by default.
+    fn equations(_settings: &Settings<Self>) -> Vec<(String, String)> {
+        Vec::new()
+    }
     /// What is allowed in these settings but hardly meant. Nothing by default.
     fn remarks(_settings: &Settings<Self>) -> Vec<String> {
         Vec::new()

@@ -84,6 +84,7 @@ trait AnySettings: Send + Sync {
     fn angles(&self) -> Vec<usize>;
     fn param_names(&self, task: &DynTask) -> Vec<String>;
     fn control_names(&self) -> Vec<String>;
+    fn equations(&self) -> Vec<(String, String)>;
     fn remarks(&self) -> Vec<String>;
     fn conserved(&self) -> Option<Conserved>;
     fn animation(&self, rollout: &Trajectory) -> Animation;
@@ -112,6 +113,10 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
 
     fn control_names(&self) -> Vec<String> {
         K::control_names(self)
+    }
+
+    fn equations(&self) -> Vec<(String, String)> {
+        K::equations(self)
     }
 
     fn remarks(&self) -> Vec<String> {
@@ -521,6 +526,11 @@ impl Scene {
             most * 1e-9
         );
         Err(ConfigError::new("horizon", what))
+    }
+
+    /// Equations in the settings: what each gives, and its expression.
+    pub fn equations(&self) -> Vec<(String, String)> {
+        self.settings.equations()
     }
 
     /// Notes about settings of the task that are hardly meant.

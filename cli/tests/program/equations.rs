@@ -61,7 +61,9 @@ fn a_new_scene_with_equations_passes_its_check_and_overwrites_nothing() {
 fn every_command_takes_equations_and_a_run_stands_alone() {
     let dir = folder(PENDULUM);
     let at = dir.path();
-    assert!(output(at, &["explain", "own.toml"]).contains("state, 2 components: angle, rate"));
+    let explained = output(at, &["explain", "own.toml"]);
+    assert!(explained.contains("state, 2 components: angle, rate"), "{explained}");
+    assert!(explained.contains("d angle / dt") && explained.contains("mass * length ^ 2"));
     output(at, &["train", "own.toml", "--out", "run"]);
     fs::remove_file(at.join("own.toml")).expect("the scene is not needed any more");
     output(at, &["train", "--resume", "--out", "run", "--epochs", "3"]);
