@@ -1,5 +1,7 @@
 """Equations of traced functions agree with NumPy."""
 
+import time
+
 import numpy as np
 import pytest
 from equations import Case, close, distributions, same, trace
@@ -443,6 +445,48 @@ def test_long_expressions_are_broken():
     case = Case("rate", EXACT["long"], 3, 2)
     texts = [*case.texts(), *case.system["define"].values()]
     assert len(texts) > 5 and max(map(len, texts)) <= 100
+
+
+def by_xor(x):
+    c = x[0] > 0
+    for i in range(40):
+        c = c ^ (x[0] > 0.1 * i)
+    return np.where(c, x, -x)
+
+
+def by_where(x):
+    c = x[0] > 0
+    for i in range(40):
+        c = np.where(c, c & (x[0] > 0.1 * i), ~c)
+    return np.where(c, x, -x)
+
+
+def by_chains(x):
+    c, d = x[0] > 0, x[1] > 0
+    for i in range(40):
+        c, d = c | (x[1] > 3 + i), ~(d & (x[0] < 0.1 * i))
+    return np.where(c & d, x, np.where(~c, 2 * x, -x))
+
+
+@pytest.mark.parametrize("function", [by_xor, by_where, by_chains])
+def test_conditions_of_conditions_are_shared(function):
+    """Repeated at each use, 40 conditions would be 2^40 comparisons."""
+    begin = time.perf_counter()
+    case = Case("rate", function, 2)
+    assert time.perf_counter() - begin < 1.0
+    texts = [*case.texts(), *case.system["define"].values()]
+    assert max(map(len, texts)) <= 120 and sum(map(len, texts)) < 40 * 120
+    for a in [*np.linspace(-0.55, 5.05, 57), np.nan]:
+        for b in (-1.0, 3.5, np.nan):
+            expected, found = case.both([a, b], [], [0.0, 0.0], 0.0)
+            assert all(map(same, expected, found)), (a, b)
+
+
+def test_short_conditions_are_repeated():
+    case = Case("rate", lambda x: np.where((x[0] > 0) ^ (x[1] > 1), x, -x), ["a", "b"])
+    assert case.system["define"] == {"v1": "where((a > 0 or b > 1) and not (a > 0 and b > 1), 1, 0)"}
+    assert case.texts() == ["where(v1 > 0.5, a, -a)", "where(v1 > 0.5, b, -b)"]
+    assert "define" not in Case("rate", lambda x: np.where((x > 0).all(), x, -x), ["a", "b"]).system
 
 
 def test_only_needed_parentheses_are_written():
