@@ -20,6 +20,7 @@ BRANCH = (
     "The value of {what} is not known while the function is traced, so Python cannot branch on it. {hint}"
 )
 WHERE = "Write `np.where(condition, a, b)` in place of `if` and of `a if condition else b`"
+ORDER = "Of two numbers, `np.minimum(a, b)` is the first and `np.maximum(a, b)` the second"
 # Hints for a branch, by the line of the user. The first that matches is given.
 BRANCHES = [
     (r"\bassert\b", "Leave the assertion out"),
@@ -30,12 +31,13 @@ BRANCHES = [
     (r"\b(and|or|not)\b", "Write `(a < x) & (x < b)`, `|` and `~` in place of `and`, `or` and `not`"),
     (r"[<>]=?[^<>()&|,]+[<>]=?", "Write `(a < x) & (x < b)` in place of `a < x < b`"),
     (r"\bwhile\b", "A loop needs a fixed number of turns, as `for _ in range(10)`, with `np.where` inside"),
-    (r"(?<![\w.])(sorted|any|all)\(", "Write `np.maximum`, `np.minimum`, `np.any` or `np.all` of an array"),
+    (r"(?<![\w.])sorted\(|\.sort\(", f"Their order is not known either. {ORDER}"),
+    (r"(?<![\w.])(any|all)\(", "Write `np.any(np.array([...]))` or `np.all(np.array([...]))`"),
     (r"\bif\b", WHERE),
 ]
 # Functions of the module `math` that have another name in NumPy.
 OF_MATH = {"pow": "power", "asin": "arcsin", "acos": "arccos", "atan": "arctan", "atan2": "arctan2"}
-LIST = "; NumPy needs `np.array([...])` in place of a list of traced numbers"
+LIST = "; if there is no `if`, NumPy needs `np.array([...])` in place of a list of traced numbers"
 
 
 def user_frame():
@@ -86,7 +88,9 @@ def begin(function) -> str:
 def branch_hint() -> str:
     """What to write in place of a branch, judged by the line of the user."""
     text = line()
-    return next((hint for pattern, hint in BRANCHES if re.search(pattern, text)), WHERE) + LIST
+    # Functions of NumPy compare the elements of a list.
+    other = WHERE + LIST if re.search(r"\bn(p|umpy)\.", text) else WHERE
+    return next((hint for pattern, hint in BRANCHES if re.search(pattern, text)), other)
 
 
 def value_hint() -> str:

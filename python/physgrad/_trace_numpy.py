@@ -177,8 +177,8 @@ ELEMENTWISE: dict[str, Callable] = {
     "logical_not": invert,
     "invert": invert,
 }
-# These treat conditions by rules of their own.
-OF_CONDITIONS = {"add", "subtract", "multiply"} | {
+# These treat conditions, or infinite constants, by rules of their own.
+OF_ANY = {"add", "subtract", "multiply", "clip", "less", "less_equal", "greater", "greater_equal"} | {
     name for name in ELEMENTWISE if name.startswith(("logical", "bitwise", "inv"))
 }
 EQUAL = (
@@ -239,7 +239,7 @@ def of_numbers(name: str) -> Callable:
     def function(*args: Any) -> Any:
         if not any(map(is_traced, args)):
             return untraced(*args)
-        return traced(*(args if name in OF_CONDITIONS or name == "clip" else map(lift, args)))
+        return traced(*(args if name in OF_ANY else map(lift, args)))
 
     return function
 

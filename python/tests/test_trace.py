@@ -165,6 +165,12 @@ EXACT = {
         np.where(x[0] >= x[1], 1, 2),
         np.where(x[0] <= 0, 1, 2),
     ],
+    "infinite bounds": lambda x, u: [
+        sum(2.0**k * (x[0] < v) for k, v in enumerate([np.inf, -np.inf])) + 1.0 * (np.inf > u[0]),
+        sum(2.0**k * (x[1] <= v) for k, v in enumerate([np.inf, -np.inf])) + 4.0 * (-np.inf < x[0]),
+        sum(2.0**k * ((x[2] > v) | (u[1] >= v)) for k, v in enumerate([np.inf, -np.inf]))
+        + sum(4.0 * 2.0**k * (x[2] >= v) for k, v in enumerate([np.inf, -np.inf])),
+    ],
     "nested conditions": lambda x: np.where(
         x > 0, np.where(x > 1, 1, x), np.where((x < -1) | (x == x[:0].sum()), -1, 0) if False else -x
     ),

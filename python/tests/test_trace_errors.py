@@ -36,6 +36,14 @@ def loop(x):
     return x
 
 
+def nearest(x):
+    best = np.inf
+    for a in x:
+        if a < best:
+            best = a
+    return x * best
+
+
 def filled(x):
     import numpy
 
@@ -120,6 +128,7 @@ def unknown_assignment(x):
 WRONG = [
     ("if", branch, TypeError, r"np\.where"),
     ("if statement", branch_statement, TypeError, r"np\.where\(condition"),
+    ("if of an infinite bound", nearest, TypeError, "in place of `if`"),
     ("while", loop, TypeError, "fixed number of turns"),
     ("math.sin", lambda x: [math.sin(x[0]), x[1]], TypeError, r"`np\.sin` in place of `math\.sin`"),
     (
@@ -184,7 +193,8 @@ WRONG = [
     ("in", lambda x: x if 0.0 in list(x) else -x, TypeError, "whether numbers are equal"),
     ("python max", lambda x: [max(x[0], 0.0), x[1]], TypeError, r"np\.maximum\(a, b\)"),
     ("python min", lambda x: [min(x), x[1]], TypeError, r"np\.minimum\(a, b\)"),
-    ("sorted", lambda x: sorted(x), TypeError, "np.maximum"),
+    ("sorted", lambda x: sorted(x), TypeError, r"`np\.minimum\(a, b\)` is the first"),
+    ("any", lambda x: x if any(x > 0) else -x, TypeError, r"`np\.any\(np\.array\("),
     ("sort", lambda x: np.sort(x), TypeError, "np.sort is not supported"),
     ("argmax", lambda x: x * np.argmax(x), TypeError, "np.argmax is not supported"),
     ("method sort", lambda x: x.sort() or x, TypeError, "not known"),
@@ -309,6 +319,13 @@ def test_errors_name_the_file_and_the_line():
         assert text in lines[int(place[1]) - 1]
     with pytest.raises(TypeError, match=rf"{Path(__file__).name}:\d+: `missing_return`"):
         opened(missing_return)
+
+
+def test_only_lists_are_told_to_be_arrays():
+    for function in (branch, branch_statement, nearest, loop, lambda x: [max(x[0], 0.0), x[1]]):
+        with pytest.raises(TypeError) as error:
+            opened(function)
+        assert "list of traced numbers" not in str(error.value)
 
 
 def test_errors_of_other_packages_have_a_note_with_the_line():
