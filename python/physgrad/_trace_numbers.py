@@ -150,6 +150,8 @@ def invert(a: Any) -> Any:
 class Operators:
     """Operators and functions of NumPy, by the rules of `_trace_numpy`."""
 
+    __slots__ = ()
+
     def __array_ufunc__(self, function, method, *args, **options):
         from ._trace_numpy import ufunc
 
@@ -172,13 +174,16 @@ class Symbol(Operators):
     def __init__(self, call: Call, id: int) -> None:
         self.call, self.id = call, id
 
-    def _value(self, *_: Any) -> NoReturn:
+    def _value(self, *_: Any, index: bool = False) -> NoReturn:
         refuse(
             TypeError,
-            f"the value of a traced number is not known while the function is traced. {value_hint()}",
+            f"the value of a traced number is not known while the function is traced. {value_hint(index)}",
         )
 
-    __float__ = __int__ = __index__ = __complex__ = __round__ = __floor__ = __ceil__ = __trunc__ = _value
+    def __index__(self) -> NoReturn:
+        self._value(index=True)
+
+    __float__ = __int__ = __complex__ = __round__ = __floor__ = __ceil__ = __trunc__ = _value
 
     def _same(self, *_: Any, **__: Any) -> Any:
         return self

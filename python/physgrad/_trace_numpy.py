@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from . import _trace_algebra as algebra
-from ._trace_errors import near
+from ._trace_errors import ORDER, SEARCH, SELECT, near
 from ._trace_graph import MOST_POWER
 from ._trace_numbers import (
     CALLS,
@@ -618,7 +618,18 @@ def array_function(function: Callable, args: tuple, kwargs: dict) -> Any:
     return unsupported(name)
 
 
+SORTED = f"The order of traced numbers is not known. {ORDER}"
+# What to write in place of functions that compare values.
+OF_VALUES = {
+    **dict.fromkeys(("argmin", "argmax", "nanargmin", "nanargmax", "argwhere", "nonzero"), SELECT),
+    **dict.fromkeys(("searchsorted", "digitize"), SEARCH),
+    **dict.fromkeys(("sort", "argsort", "partition", "argpartition", "lexsort", "unique", "median"), SORTED),
+}
+
+
 def unsupported(name: str) -> Any:
+    if name in OF_VALUES:
+        refuse(TypeError, f"np.{name} is not supported in a traced function. {OF_VALUES[name]}")
     if name.endswith("(vectorized)"):
         refuse(
             TypeError,
