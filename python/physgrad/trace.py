@@ -11,7 +11,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from typing import Any, ParamSpec
 
 import numpy as np
 
@@ -59,6 +59,7 @@ OF_SHAPES = re.compile(r"shape|element|length|dimension|broadcast|scalar|returne
 # Words of JAX about values that are not its own.
 OF_JAX = re.compile(r"as an abstract array|JAX|np\.result_type")
 Names = Sequence[str] | int
+P = ParamSpec("P")
 
 
 def detach(value: Any) -> Any:
@@ -209,7 +210,7 @@ class Plan:
         found = {
             "x": vector(self.states),
             "u": vector(self.controls),
-            "p": Parameters(values, self.used),
+            "p": Parameters(values, self.used, None if "dt" in self.labels else numbers.name("dt")),
             "next": vector(self.states, "next."),
             "t": numbers.name("t"),
         }
@@ -464,13 +465,25 @@ def merge(result: dict[str, Any], settings: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in result.items() if value != {}}
 
 
-def system(rate: Callable | None = None, **arguments: Any) -> Any:
+def with_arguments_of(function: Callable[P, Any]) -> Callable[[Callable], Callable[P, Any]]:
+    """Gives a function the signature of another one, for `help` and for completion."""
+
+    def decorate(other: Callable) -> Callable[P, Any]:
+        other.__signature__ = inspect.signature(function).replace(return_annotation=Any)
+        return other
+
+    return decorate
+
+
+@with_arguments_of(trace_settings)
+def system(*arguments: Any, **settings: Any) -> Any:
     """Opens a task whose dynamics and costs are functions of NumPy.
 
     `rate` returns the derivative of the state by time; `step=` returns the next state instead.
     Functions take any of `x`, `u`, `p`, `t` (and `next`, in `running_cost`) by these names, or in
     this order: (x, u, p, t), observe (x, p, t), running_cost (x, u, next, p, t), terminal_cost (x,
     p). Components have the names of `states`, `controls` and `params`: `x.h1`, `x["h1"]`, `x[0]`.
+    `p.dt` is the time step.
 
     `states` is a list of names, or a count for x1, x2, ...; `controls` may also be a dict of
     bounds, (low, high) or None. `params` has numbers, constant arrays, `pg.uniform`, `pg.normal`,
@@ -482,8 +495,12 @@ def system(rate: Callable | None = None, **arguments: Any) -> Any:
     The functions are called when the system is made and never again, so values of global variables
     are those of that time. Write conditions as `np.where`.
     """
+    found = trace_settings(*arguments, **settings)
+    if not found["system"]["controls"]:
+        raise ValueError(
+            '`controls` is empty; name at least one, as in `controls=["u"]`, which no function has to use'
+        )
     from . import Task
 
-    settings = trace_settings(rate, **arguments)
-    del settings["task"]
-    return Task._of_equations(**settings)
+    del found["task"]
+    return Task._of_equations(**found)

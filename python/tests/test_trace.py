@@ -1,5 +1,6 @@
 """Equations of traced functions agree with NumPy."""
 
+import inspect
 import time
 
 import numpy as np
@@ -135,6 +136,7 @@ EXACT = {
     "nested": lambda x: [np.array([x[2], x[0]]), (x[1],)],
     "in place": in_place,
     "filled": filled,
+    "time step": lambda x, p: [x[0] + p.dt * x[1], x[1] * (1 - p["dt"]), x[2] / p.dt],
     "imported": imported,
     "loop": loop,
     "logic": logic,
@@ -434,6 +436,29 @@ def test_tables_and_steps():
     assert (
         found["system"]["next"] == {"x1": "x1 + wind"} and "integrator" not in found and "loss" not in found
     )
+
+
+def test_a_name_dt_of_the_system_is_not_the_time_step():
+    found = trace.trace_settings(step=lambda x, p: x * p.dt, states=1, params={"dt": 2.0}, dt=0.1)
+    assert found["system"]["parameters"] == {"dt": 2.0}
+    assert len(trace.trace_settings(step=lambda x, p: x * (1 + len(p)), states=1, dt=0.1)["system"]) == 4
+    for call in (lambda p: p.dt, lambda p: p["dt"], lambda p: p["_used"]):
+        with pytest.raises((AttributeError, LookupError), match="there is no parameter"):
+            trace.trace_settings(step=lambda x, p, call=call: x * call(p), states=["dt"], dt=0.1)
+
+
+def test_a_step_follows_a_change_of_dt():
+    pg = pytest.importorskip("physgrad", reason="needs the compiled module")
+    if not hasattr(pg, "Task"):
+        pytest.skip("needs the compiled module")
+    task = pg.system(step=lambda x, u, p: x + p.dt * u, states=1, controls=1, dt=0.5)
+    x, u = np.array([[1.0]]), np.array([[2.0]])
+    assert task.step(x, u) == 2.0 and task.replace(dt=0.25).step(x, u) == 1.5
+
+
+def test_system_has_the_arguments_of_its_settings():
+    found = list(inspect.signature(trace.system).parameters.values())
+    assert found == list(inspect.signature(trace.trace_settings).parameters.values())
 
 
 def test_generated_names_differ_from_all_names():

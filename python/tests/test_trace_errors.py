@@ -454,6 +454,12 @@ def test_an_unknown_argument_is_to_blame(cost):
         opened(running_cost=cost)
 
 
+def test_a_system_needs_a_control():
+    for controls in ({}, {"controls": []}, {"controls": 0}):
+        with pytest.raises(ValueError, match=r"`controls` is empty; .* `controls=\[\"u\"\]`"):
+            trace.system(lambda x: x, states=1, dt=0.1, **controls)
+
+
 def test_a_step_has_no_method():
     with pytest.raises(TypeError, match="belong to a rate"):
         trace.trace_settings(step=lambda x: x, states=1, dt=0.1, method="rk4")
