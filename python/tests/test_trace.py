@@ -167,12 +167,6 @@ EXACT = {
         np.where(x[0] >= x[1], 1, 2),
         np.where(x[0] <= 0, 1, 2),
     ],
-    "infinite bounds": lambda x, u: [
-        sum(2.0**k * (x[0] < v) for k, v in enumerate([np.inf, -np.inf])) + 1.0 * (np.inf > u[0]),
-        sum(2.0**k * (x[1] <= v) for k, v in enumerate([np.inf, -np.inf])) + 4.0 * (-np.inf < x[0]),
-        sum(2.0**k * ((x[2] > v) | (u[1] >= v)) for k, v in enumerate([np.inf, -np.inf]))
-        + sum(4.0 * 2.0**k * (x[2] >= v) for k, v in enumerate([np.inf, -np.inf])),
-    ],
     "nested conditions": lambda x: np.where(
         x > 0, np.where(x > 1, 1, x), np.where((x < -1) | (x == x[:0].sum()), -1, 0) if False else -x
     ),
@@ -323,6 +317,24 @@ def test_products_agree_with_numpy(name):
             rng.normal(size=3), rng.normal(size=2), rng.normal(size=3), 0.0, {"a": 1.0, "b": 1.0}
         )
         assert np.allclose(found, expected, rtol=1e-12, atol=1e-13), case.texts()
+
+
+def test_comparisons_with_infinity_have_the_truth_of_numpy():
+    operations = [np.less, np.less_equal, np.greater, np.greater_equal]
+
+    def observe(x):
+        return [
+            1.0 * operation(*pair)
+            for operation in operations
+            for bound in (np.inf, -np.inf)
+            for pair in ((x[0], bound), (bound, x[0]))
+        ]
+
+    case = Case("observe", observe, 1)
+    largest = np.finfo(float).max
+    for value in (0.0, largest, -largest, np.inf, -np.inf, np.nan):
+        expected, found = case.both([value], [], [0.0], 0.0)
+        assert expected == found, value
 
 
 COSTS = {

@@ -36,6 +36,10 @@ def loop(x):
     return x
 
 
+def truth(x):
+    return x * bool(x[0])
+
+
 def nearest(x):
     best = np.inf
     for a in x:
@@ -344,7 +348,8 @@ def test_errors_name_the_file_and_the_line():
 
 
 def test_only_lists_are_told_to_be_arrays():
-    for function in (branch, branch_statement, nearest, loop, lambda x: [max(x[0], 0.0), x[1]]):
+    functions = (branch, branch_statement, nearest, loop, truth, lambda x: [max(x[0], 0.0), x[1]])
+    for function in functions:
         with pytest.raises(TypeError) as error:
             opened(function)
         assert "list of traced numbers" not in str(error.value)
