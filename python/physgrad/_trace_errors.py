@@ -20,22 +20,30 @@ BRANCH = (
     "The value of {what} is not known while the function is traced, so Python cannot branch on it. {hint}"
 )
 WHERE = "Write `np.where(condition, a, b)` in place of `if` and of `a if condition else b`"
+INDEX = "An index that depends on values is not possible. "
+SELECT = INDEX + "Write `np.minimum`, `np.where` or `np.interp` for the number that it selects"
+SEARCH = INDEX + "Write `np.interp(x, places, values)` in place of the search and the lookup"
+ORDER = "Of two numbers, `np.minimum(a, b)` is the first and `np.maximum(a, b)` the second"
+LOOP = "A loop needs a fixed number of turns, as `for _ in range(10)`, with `np.where` inside"
 # Hints for a branch, by the line of the user. The first that matches is given.
 BRANCHES = [
     (r"\bassert\b", "Leave the assertion out"),
+    (r"\barg(min|max)\(", SELECT),
+    (r"\b(searchsorted|digitize|bisect\w*)\(", SEARCH),
+    (r"(?<![\w.])sorted\(|\.sort\(", f"Their order is not known either. {ORDER}"),
+    (r"(?<![\w.])(any|all)\(", "Write `np.any(np.array([...]))` or `np.all(np.array([...]))`"),
     (
         r"(?<![\w.])(max|min)\(",
         "Write `np.maximum(a, b)` or `np.minimum(a, b)` in place of Python's `max` and `min`",
     ),
     (r"\b(and|or|not)\b", "Write `(a < x) & (x < b)`, `|` and `~` in place of `and`, `or` and `not`"),
     (r"[<>]=?[^<>()&|,]+[<>]=?", "Write `(a < x) & (x < b)` in place of `a < x < b`"),
-    (r"\bwhile\b", "A loop needs a fixed number of turns, as `for _ in range(10)`, with `np.where` inside"),
-    (r"(?<![\w.])(sorted|any|all)\(", "Write `np.maximum`, `np.minimum`, `np.any` or `np.all` of an array"),
+    (r"\bwhile\b", LOOP),
     (r"\bif\b", WHERE),
 ]
 # Functions of the module `math` that have another name in NumPy.
 OF_MATH = {"pow": "power", "asin": "arcsin", "acos": "arccos", "atan": "arctan", "atan2": "arctan2"}
-LIST = "; NumPy needs `np.array([...])` in place of a list of traced numbers"
+LIST = "; if there is no `if`, NumPy needs `np.array([...])` in place of a list of traced numbers"
 
 
 def user_frame():
@@ -86,27 +94,47 @@ def begin(function) -> str:
 def branch_hint() -> str:
     """What to write in place of a branch, judged by the line of the user."""
     text = line()
-    return next((hint for pattern, hint in BRANCHES if re.search(pattern, text)), WHERE) + LIST
+    # Functions of NumPy compare the elements of a list.
+    other = WHERE + LIST if re.search(r"\bn(p|umpy)\.", text) else WHERE
+    return next((hint for pattern, hint in BRANCHES if re.search(pattern, text)), other)
 
 
-def value_hint() -> str:
+LOOKUP = (
+    f"{INDEX}Write `np.interp(a, places, values)` or `np.where(a < 1, b, c)` in place of a lookup, and "
+    "`pg.table(values)` for values over time"
+)
+# Hints for a value, by the line of the user. The first that matches is given.
+VALUES = [
+    (r"(?<![\w.])round\(", "Rounding has no useful derivative; leave it out"),
+    (r"float(32|16)", "Leave out the dtype: the setting `precision` selects it"),
+    (r"[\w\])]\[[^\]]*\bint\(", LOOKUP),
+    (r"(?<![\w.])int\(", "Rounding has no useful derivative; leave out `int`"),
+    (
+        r"(?<![\w.])float\(",
+        "Keep the number traced: leave out `float`, and compute with functions of NumPy",
+    ),
+    (
+        r"\][^=]*=[^=]",
+        "The array holds fixed numbers only, as those from outside of the function and those of integers do. "
+        "Create it by `np.zeros(n)` inside of the function, with NumPy imported at the top of the file",
+    ),
+]
+
+
+def value_hint(index: bool) -> str:
     """What to write in place of `float(x)` and its like, judged by the line of the user."""
     text = line()
+    if re.search(r"(?<![\w.])range\(", text):
+        return LOOP
     called = re.search(r"\bmath\.(\w+)", text)
     if called and called[1] in ("floor", "ceil", "trunc", "fmod", "remainder"):
         return f"`math.{called[1]}` jumps and has no useful derivative. Leave it out, or write `np.where`"
     if called:
         return f"Write `np.{OF_MATH.get(called[1], called[1])}` in place of `math.{called[1]}`"
-    if re.search(r"(?<![\w.])round\(", text):
-        return "Rounding has no useful derivative; leave it out"
-    if "float32" in text or "float16" in text:
-        return "Leave out the dtype: the setting `precision` selects it"
-    if re.search(r"\][^=]*=[^=]", text):
-        return (
-            "Begin with `np.zeros(n)` inside of the function, with NumPy imported at the top of the file, or "
-            "return `np.array([...])`"
-        )
-    return "Use functions of NumPy, and leave out `float`, `int` and `astype`"
+    if index:
+        return LOOKUP
+    other = "Use functions of NumPy, and leave out `float`, `int` and `astype`"
+    return next((hint for pattern, hint in VALUES if re.search(pattern, text)), other)
 
 
 def place_of(error: BaseException) -> str | None:

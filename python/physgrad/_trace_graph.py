@@ -14,14 +14,20 @@ from ._trace_errors import fail, place
 
 OPERATORS = {"add": ("+", 1), "sub": ("-", 1), "mul": ("*", 2), "div": ("/", 2)}
 COMPARISONS = {"lt": "<", "le": "<=", "gt": ">", "ge": ">="}
+# Conditions of other conditions. Those that are shared or long become numbers, 0 or 1.
+JOINED = ("and", "or", "not")
 # Precedence of the text: sums 1, products 2, negation 3, power 4, names, numbers and calls 5.
 NEGATION, POWER, ATOM = 3, 4, 5
+# Precedence of conditions: `or` 1, `and` 2, `not` 3, comparisons 4.
+COMPARISON = 4
 FUNCTIONS = frozenset(
     "sin cos tan asin acos atan atan2 sinh cosh tanh exp log sqrt abs "
     "min max clip hypot sign where detach".split()
 )
 # An expression and a comparison that are longer are broken into definitions.
 LONGEST, LONGEST_COMPARISON = 100, 60
+# Expressions of `next` and conditions that are shorter are repeated where they are used.
+REPEATED = 40
 # A loop in Python is unrolled, so a mistake in its count would fill the memory.
 MOST_NODES = 200_000
 MOST_POWER = 1024
@@ -141,22 +147,20 @@ class Text:
         limit = LONGEST_COMPARISON if op in COMPARISONS else LONGEST
         self.shown[id] = self.render(op, args)
         while len(self.shown[id][0]) > limit:
-            parts = [arg for arg in self.args(id) if self.can_define(arg)]
+            # The definition of the condition of `where` would be another `where` of the same length.
+            parts = [arg for arg in (args[1:] if op == "where" else self.args(id)) if self.can_define(arg)]
             if not parts:
                 break
             self.set_name(max(parts, key=lambda arg: len(self.shown[arg][0])))
             self.shown[id] = self.render(op, args)
-        # `next` belongs to the running cost alone, so short expressions of it are repeated.
-        if (
-            self.uses[id] > 1
-            and self.can_define(id)
-            and (id not in self.of_next or len(self.shown[id][0]) > 40)
-        ):
+        # `next` belongs to the running cost alone, and a condition is no number.
+        repeated = (id in self.of_next or op in JOINED) and len(self.shown[id][0]) <= REPEATED
+        if self.uses[id] > 1 and self.can_define(id) and not repeated:
             self.set_name(id)
 
     def can_define(self, id: int) -> bool:
         op, *args = self.graph.nodes[id]
-        simple = op in ("number", "name", "and", "or", "not", *COMPARISONS)
+        simple = op in ("number", "name", *COMPARISONS)
         return (
             not simple
             and id not in self.names
@@ -164,14 +168,16 @@ class Text:
         )
 
     def set_name(self, id: int) -> None:
-        """Makes a node a definition."""
+        """Makes a node a definition. That of a condition is 1 where it holds, and 0 elsewhere."""
         number = len(self.define) + 1
         while f"v{number}" in self.taken:
             number += 1
         name = f"v{number}"
         self.taken.add(name)
-        self.define[name] = self.shown[id][0]
-        self.names[id], self.shown[id] = name, (name, ATOM)
+        text, joined = self.shown[id][0], self.graph.nodes[id][0] in JOINED
+        self.define[name] = f"where({text}, 1, 0)" if joined else text
+        self.names[id] = name
+        self.shown[id] = (f"{name} > 0.5", COMPARISON) if joined else (name, ATOM)
 
     def at_least(self, id: int, precedence: int) -> str:
         text, found = self.shown[id]
@@ -196,7 +202,7 @@ class Text:
         if op == "pow":
             return f"{self.at_least(args[0], ATOM)}^{self.at_least(args[1], ATOM)}", POWER
         if op in COMPARISONS:
-            return f"{self.shown[args[0]][0]} {COMPARISONS[op]} {self.shown[args[1]][0]}", 4
+            return f"{self.shown[args[0]][0]} {COMPARISONS[op]} {self.shown[args[1]][0]}", COMPARISON
         if op == "not":
             return f"not ({self.shown[args[0]][0]})", 3
         if op in ("and", "or"):

@@ -42,10 +42,25 @@ def apply(op: str, *values: Any) -> TracedNumber:
     return TracedNumber(call, call.graph.apply(op, *ids))
 
 
-def compare(op: str, *values: Any) -> Condition:
-    """A comparison of two numbers."""
-    ids = [lift(value).id for value in values]
-    return Condition(CALLS[-1], CALLS[-1].graph.apply(op, *ids))
+MIRRORED = {"lt": "gt", "le": "ge", "gt": "lt", "ge": "le"}
+# `x < inf` holds where `x <= LARGEST` does, and so on by the sign of the infinite number.
+LARGEST = float(np.finfo(float).max)
+OF_INFINITE = {("lt", 1.0): "le", ("ge", 1.0): "gt", ("gt", -1.0): "ge", ("le", -1.0): "lt"}
+
+
+def compare(op: str, a: Any, b: Any) -> Condition:
+    """A comparison of two numbers, of which one may be infinite."""
+    if is_infinite(a):
+        op, a, b = MIRRORED[op], b, a
+    if is_infinite(b):
+        sign = float(np.sign(b))
+        # `x <= inf` holds unless x is NaN, as `x <= x` does, and `x > inf` never holds, as `x > x`.
+        op, b = (OF_INFINITE[op, sign], sign * LARGEST) if (op, sign) in OF_INFINITE else (op, a)
+    return Condition(CALLS[-1], CALLS[-1].graph.apply(op, lift(a).id, lift(b).id))
+
+
+def is_infinite(value: Any) -> bool:
+    return isinstance(value, (float, np.floating)) and bool(np.isinf(value))
 
 
 def name(text: str) -> TracedNumber:
@@ -135,6 +150,8 @@ def invert(a: Any) -> Any:
 class Operators:
     """Operators and functions of NumPy, by the rules of `_trace_numpy`."""
 
+    __slots__ = ()
+
     def __array_ufunc__(self, function, method, *args, **options):
         from ._trace_numpy import ufunc
 
@@ -157,13 +174,16 @@ class Symbol(Operators):
     def __init__(self, call: Call, id: int) -> None:
         self.call, self.id = call, id
 
-    def _value(self, *_: Any) -> NoReturn:
+    def _value(self, *_: Any, index: bool = False) -> NoReturn:
         refuse(
             TypeError,
-            f"the value of a traced number is not known while the function is traced. {value_hint()}",
+            f"the value of a traced number is not known while the function is traced. {value_hint(index)}",
         )
 
-    __float__ = __int__ = __index__ = __complex__ = __round__ = __floor__ = __ceil__ = __trunc__ = _value
+    def __index__(self) -> NoReturn:
+        self._value(index=True)
+
+    __float__ = __int__ = __complex__ = __round__ = __floor__ = __ceil__ = __trunc__ = _value
 
     def _same(self, *_: Any, **__: Any) -> Any:
         return self

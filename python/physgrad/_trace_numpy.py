@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from . import _trace_algebra as algebra
-from ._trace_errors import near
+from ._trace_errors import ORDER, SEARCH, SELECT, near
 from ._trace_graph import MOST_POWER
 from ._trace_numbers import (
     CALLS,
@@ -177,8 +177,8 @@ ELEMENTWISE: dict[str, Callable] = {
     "logical_not": invert,
     "invert": invert,
 }
-# These treat conditions by rules of their own.
-OF_CONDITIONS = {"add", "subtract", "multiply"} | {
+# These treat conditions, or infinite constants, by rules of their own.
+OF_ANY = {"add", "subtract", "multiply", "clip", "less", "less_equal", "greater", "greater_equal"} | {
     name for name in ELEMENTWISE if name.startswith(("logical", "bitwise", "inv"))
 }
 EQUAL = (
@@ -239,7 +239,7 @@ def of_numbers(name: str) -> Callable:
     def function(*args: Any) -> Any:
         if not any(map(is_traced, args)):
             return untraced(*args)
-        return traced(*(args if name in OF_CONDITIONS or name == "clip" else map(lift, args)))
+        return traced(*(args if name in OF_ANY else map(lift, args)))
 
     return function
 
@@ -618,7 +618,18 @@ def array_function(function: Callable, args: tuple, kwargs: dict) -> Any:
     return unsupported(name)
 
 
+SORTED = f"The order of traced numbers is not known. {ORDER}"
+# What to write in place of functions that compare values.
+OF_VALUES = {
+    **dict.fromkeys(("argmin", "argmax", "nanargmin", "nanargmax", "argwhere", "nonzero"), SELECT),
+    **dict.fromkeys(("searchsorted", "digitize"), SEARCH),
+    **dict.fromkeys(("sort", "argsort", "partition", "argpartition", "lexsort", "unique", "median"), SORTED),
+}
+
+
 def unsupported(name: str) -> Any:
+    if name in OF_VALUES:
+        refuse(TypeError, f"np.{name} is not supported in a traced function. {OF_VALUES[name]}")
     if name.endswith("(vectorized)"):
         refuse(
             TypeError,

@@ -91,6 +91,8 @@ class Array(Operators, np.ndarray):
 
     __array_priority__ = 1001.0
     _names: tuple[str, ...] | None = None
+    # Whether this is an argument of the function, and not a copy.
+    _given = False
 
     def __getattribute__(self, name: str) -> Any:
         names = object.__getattribute__(self, "_names")
@@ -109,12 +111,19 @@ class Array(Operators, np.ndarray):
         return f"there is no `{name}`{near(name, self._names)}"
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if self._names is not None and name in self._names:
-            self[self._names.index(name)] = value
+        names = object.__getattribute__(self, "_names")
+        if names is not None and name in names:
+            if object.__getattribute__(self, "_given"):
+                refuse(
+                    AttributeError,
+                    f"`{name}` is assigned in an argument of the function, which would not change the "
+                    f"system. Assign to a copy: `y = x.copy()`, then `y.{name} = ...`, and use `y`",
+                )
+            self[names.index(name)] = value
         elif hasattr(np.ndarray, name):
             super().__setattr__(name, value)
         else:
-            fail(AttributeError, self._unknown(name))
+            refuse(AttributeError, self._unknown(name))
 
     def _index(self, key: Any) -> Any:
         if (
@@ -200,6 +209,15 @@ class Array(Operators, np.ndarray):
     def dot(self, other: Any) -> Any:
         return np.dot(self, other)
 
+    def argmin(self, *args: Any, **options: Any) -> Any:
+        return np.argmin(self, *args, **options)
+
+    def argmax(self, *args: Any, **options: Any) -> Any:
+        return np.argmax(self, *args, **options)
+
+    def argsort(self, *args: Any, **options: Any) -> Any:
+        return np.argsort(self, *args, **options)
+
     def item(self, *index: Any) -> Any:
         return base(self).item(*index)
 
@@ -209,18 +227,28 @@ def vector(names: Iterable[str], prefix: str = "") -> Array:
     names = tuple(names)
     box = np.empty(len(names), dtype=object)
     box[:] = [name(prefix + label) for label in names]
-    return finish(box, names)
+    result = finish(box, names)
+    object.__setattr__(result, "_given", True)
+    return result
 
 
 class Parameters:
     """The parameters of a function: traced numbers, and constant arrays, by name or in their order."""
 
-    def __init__(self, values: dict[str, Any]) -> None:
+    def __init__(self, values: dict[str, Any], used: set[str] | None = None, dt: Any = None) -> None:
         object.__setattr__(self, "_values", values)
+        # Receives the names that the function reads.
+        object.__setattr__(self, "_used", set() if used is None else used)
+        # The time step is no parameter: it has a name, and no place in the order.
+        if dt is not None:
+            object.__setattr__(self, "dt", dt)
 
     def __getattribute__(self, name: str) -> Any:
         values = object.__getattribute__(self, "_values")
-        return values[name] if name in values else object.__getattribute__(self, name)
+        if name not in values:
+            return object.__getattribute__(self, name)
+        object.__getattribute__(self, "_used").add(name)
+        return values[name]
 
     def __getattr__(self, name: str) -> NoReturn:
         if name.startswith("__"):
@@ -229,9 +257,9 @@ class Parameters:
 
     def __getitem__(self, key: Any) -> Any:
         if isinstance(key, str):
-            if key not in self._values:
+            if key not in self._values and (key != "dt" or key not in vars(self)):
                 refuse(LookupError, f"there is no parameter `{key}`{near(key, self._values)}")
-            return self._values[key]
+            return getattr(self, key)
         return list(self._values.values())[key]
 
     def __setattr__(self, name: str, value: Any) -> NoReturn:

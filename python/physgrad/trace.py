@@ -11,7 +11,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from typing import Any, ParamSpec
 
 import numpy as np
 
@@ -54,9 +54,12 @@ ALIASES = {
 HINT = ". NumPy cannot compute this with a list of traced numbers; write `np.array([...])` of it first"
 # Words of NumPy about arrays of objects, after which the hint helps.
 OF_OBJECTS = re.compile(r"dtype\('O'\)|loop of ufunc|not supported for the input types|only integers, slices")
+# Words about the number of elements, after which a tuple in `params` may be meant as a distribution.
+OF_SHAPES = re.compile(r"shape|element|length|dimension|broadcast|scalar|returned a")
 # Words of JAX about values that are not its own.
 OF_JAX = re.compile(r"as an abstract array|JAX|np\.result_type")
 Names = Sequence[str] | int
+P = ParamSpec("P")
 
 
 def detach(value: Any) -> Any:
@@ -143,6 +146,13 @@ class Plan:
         }
         self.parameters: dict[str, Any] = {}
         self.arrays: dict[str, np.ndarray] = {}
+        # Names that functions have read, and tuples of two numbers.
+        self.used: set[str] = set()
+        self.pairs = {
+            name: value
+            for name, value in (params or {}).items()
+            if isinstance(value, tuple) and len(value) == 2
+        }
         for name, value in (params or {}).items():
             if isinstance(value, table):
                 self.tables[name] = value.values
@@ -170,6 +180,15 @@ class Plan:
             )
         return [low, high]
 
+    def tuples(self) -> str:
+        """What to write for the parameters that are pairs, if they are meant as distributions."""
+        return "".join(
+            f". The parameter `{name}` is a tuple, which is an array of constants; a number that is drawn "
+            f"in every rollout is `pg.uniform{self.pairs[name]}`"
+            for name in self.pairs
+            if name in self.used
+        )
+
     @staticmethod
     def array(name: str, value: Any) -> np.ndarray:
         array = np.array(value)
@@ -191,7 +210,7 @@ class Plan:
         found = {
             "x": vector(self.states),
             "u": vector(self.controls),
-            "p": Parameters(values),
+            "p": Parameters(values, self.used, None if "dt" in self.labels else numbers.name("dt")),
             "next": vector(self.states, "next."),
             "t": numbers.name("t"),
         }
@@ -215,20 +234,24 @@ def fit(role: str, function: Callable, given: dict[str, Any]) -> tuple[list, dic
         positional = [given[role_of[p.name]] for p in wanted if p.kind is p.POSITIONAL_ONLY]
         return positional, {p.name: given[role_of[p.name]] for p in wanted if p.kind is not p.POSITIONAL_ONLY}
     order = list(given)
+    receives = f"`{role}` receives {', '.join(order)}, by these names or in this order"
     every = {name for arguments in ARGUMENTS.values() for name in arguments}
     for place, p in enumerate(wanted):
         found = role_of[p.name]
         if found in every and order[place : place + 1] != [found] or p.kind is p.KEYWORD_ONLY:
-            known = f"`{role}` receives {', '.join(order)}"
-            raise TypeError(
-                f"{where} has an argument `{p.name}` that does not fit: {known}, by these names or in "
-                "this order"
-            )
+            unknown = [p.name for p in wanted if role_of[p.name] not in every]
+            missing = [name for name in order if name not in role_of.values()]
+            # A known name is out of place because of one that is not known.
+            if found in order and unknown and missing:
+                raise TypeError(
+                    f"{where} has an argument `{unknown[0]}` that does not fit; rename it `{missing[0]}`. "
+                    f"{receives}"
+                )
+            raise TypeError(f"{where} has an argument `{p.name}` that does not fit: {receives}")
     if len(wanted) > len(order):
         found = ", ".join(p.name for p in wanted)
         raise TypeError(
-            f"{where} has the arguments {found}; `{role}` receives {', '.join(order)}, by these names "
-            "or in order"
+            f"{where} has the arguments {found}; {receives}"
         )
     return list(given.values())[: None if variadic else len(wanted)], {}
 
@@ -300,8 +323,11 @@ def traced(graph: Graph, plan: Plan, role: str, function: Callable) -> list[int]
         result = function(*positional, **named)
         found = components(role, begin(function), result, plan.states)
     except Exception as error:
-        if call.refused is not None and call.refused is not error:
-            raise call.refused from error
+        reported = call.refused or error
+        if OF_SHAPES.search(str(reported)) and len(reported.args) == 1:
+            reported.args = (f"{reported}{plan.tuples()}",)
+        if reported is not error:
+            raise reported from error
         words = " ".join([str(error), *getattr(error, "__notes__", ())])
         if OF_JAX.search(words) and not isinstance(function, JaxFunction) and hasattr(error, "add_note"):
             error.add_note(f"If `{role}` is written with jax.numpy, give pg.from_jax(function)")
@@ -439,13 +465,25 @@ def merge(result: dict[str, Any], settings: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in result.items() if value != {}}
 
 
-def system(rate: Callable | None = None, **arguments: Any) -> Any:
+def with_arguments_of(function: Callable[P, Any]) -> Callable[[Callable], Callable[P, Any]]:
+    """Gives a function the signature of another one, for `help` and for completion."""
+
+    def decorate(other: Callable) -> Callable[P, Any]:
+        other.__signature__ = inspect.signature(function).replace(return_annotation=Any)
+        return other
+
+    return decorate
+
+
+@with_arguments_of(trace_settings)
+def system(*arguments: Any, **settings: Any) -> Any:
     """Opens a task whose dynamics and costs are functions of NumPy.
 
     `rate` returns the derivative of the state by time; `step=` returns the next state instead.
     Functions take any of `x`, `u`, `p`, `t` (and `next`, in `running_cost`) by these names, or in
     this order: (x, u, p, t), observe (x, p, t), running_cost (x, u, next, p, t), terminal_cost (x,
     p). Components have the names of `states`, `controls` and `params`: `x.h1`, `x["h1"]`, `x[0]`.
+    `p.dt` is the time step.
 
     `states` is a list of names, or a count for x1, x2, ...; `controls` may also be a dict of
     bounds, (low, high) or None. `params` has numbers, constant arrays, `pg.uniform`, `pg.normal`,
@@ -457,8 +495,12 @@ def system(rate: Callable | None = None, **arguments: Any) -> Any:
     The functions are called when the system is made and never again, so values of global variables
     are those of that time. Write conditions as `np.where`.
     """
+    found = trace_settings(*arguments, **settings)
+    if not found["system"]["controls"]:
+        raise ValueError(
+            '`controls` is empty; name at least one, as in `controls=["u"]`, which no function has to use'
+        )
     from . import Task
 
-    settings = trace_settings(rate, **arguments)
-    del settings["task"]
-    return Task._of_equations(**settings)
+    del found["task"]
+    return Task._of_equations(**found)

@@ -185,10 +185,10 @@ class Case:
             "x": record(self.states, x),
             "u": record(self.controls, u),
             "next": record(self.states, next),
-            "p": Params(**{**self.params, **scalars}),
+            "p": Params(**{"dt": np.float64(0.1), **self.params, **scalars}),
             "t": np.float64(t),
         }
-        known = {"t": given["t"], **scalars}
+        known = {"t": given["t"], "dt": np.float64(0.1), **scalars}
         for group, names, values in (
             ("", self.states, x),
             ("", self.controls, u),

@@ -648,7 +648,7 @@ def casadi_refusals():
             ca.Function("f", [ca.SX.sym("x", 3)], [x[0] * 0]),
             r"shape \(3, 1\), and its argument 2 numbers",
         ),
-        "place": (ca.Function("f", [y, x], [x], ["w", "x"], ["r"]), "argument `x` that does not fit"),
+        "place": (ca.Function("f", [y, x], [x], ["w", "x"], ["r"]), "argument `w` that does not fit"),
     }
 
 

@@ -1,5 +1,8 @@
 """Equations of traced functions agree with NumPy."""
 
+import inspect
+import time
+
 import numpy as np
 import pytest
 from equations import Case, close, distributions, same, trace
@@ -133,6 +136,7 @@ EXACT = {
     "nested": lambda x: [np.array([x[2], x[0]]), (x[1],)],
     "in place": in_place,
     "filled": filled,
+    "time step": lambda x, p: [x[0] + p.dt * x[1], x[1] * (1 - p["dt"]), x[2] / p.dt],
     "imported": imported,
     "loop": loop,
     "logic": logic,
@@ -315,6 +319,24 @@ def test_products_agree_with_numpy(name):
         assert np.allclose(found, expected, rtol=1e-12, atol=1e-13), case.texts()
 
 
+def test_comparisons_with_infinity_have_the_truth_of_numpy():
+    operations = [np.less, np.less_equal, np.greater, np.greater_equal]
+
+    def observe(x):
+        return [
+            1.0 * operation(*pair)
+            for operation in operations
+            for bound in (np.inf, -np.inf)
+            for pair in ((x[0], bound), (bound, x[0]))
+        ]
+
+    case = Case("observe", observe, 1)
+    largest = np.finfo(float).max
+    for value in (0.0, largest, -largest, np.inf, -np.inf, np.nan):
+        expected, found = case.both([value], [], [0.0], 0.0)
+        assert expected == found, value
+
+
 COSTS = {
     "distance": lambda x, u, next: np.sum((next - x) ** 2) + 0.1 * u[0] ** 2,
     "all": lambda x, u, next, p, t: [next.x1 * p.a - x.x2 * t],
@@ -428,6 +450,29 @@ def test_tables_and_steps():
     )
 
 
+def test_a_name_dt_of_the_system_is_not_the_time_step():
+    found = trace.trace_settings(step=lambda x, p: x * p.dt, states=1, params={"dt": 2.0}, dt=0.1)
+    assert found["system"]["parameters"] == {"dt": 2.0}
+    assert len(trace.trace_settings(step=lambda x, p: x * (1 + len(p)), states=1, dt=0.1)["system"]) == 4
+    for call in (lambda p: p.dt, lambda p: p["dt"], lambda p: p["_used"]):
+        with pytest.raises((AttributeError, LookupError), match="there is no parameter"):
+            trace.trace_settings(step=lambda x, p, call=call: x * call(p), states=["dt"], dt=0.1)
+
+
+def test_a_step_follows_a_change_of_dt():
+    pg = pytest.importorskip("physgrad", reason="needs the compiled module")
+    if not hasattr(pg, "Task"):
+        pytest.skip("needs the compiled module")
+    task = pg.system(step=lambda x, u, p: x + p.dt * u, states=1, controls=1, dt=0.5)
+    x, u = np.array([[1.0]]), np.array([[2.0]])
+    assert task.step(x, u) == 2.0 and task.replace(dt=0.25).step(x, u) == 1.5
+
+
+def test_system_has_the_arguments_of_its_settings():
+    found = list(inspect.signature(trace.system).parameters.values())
+    assert found == list(inspect.signature(trace.trace_settings).parameters.values())
+
+
 def test_generated_names_differ_from_all_names():
     def rate(x, p):
         twice = np.sin(x[0]) + p.v2
@@ -443,6 +488,48 @@ def test_long_expressions_are_broken():
     case = Case("rate", EXACT["long"], 3, 2)
     texts = [*case.texts(), *case.system["define"].values()]
     assert len(texts) > 5 and max(map(len, texts)) <= 100
+
+
+def by_xor(x):
+    c = x[0] > 0
+    for i in range(40):
+        c = c ^ (x[0] > 0.1 * i)
+    return np.where(c, x, -x)
+
+
+def by_where(x):
+    c = x[0] > 0
+    for i in range(40):
+        c = np.where(c, c & (x[0] > 0.1 * i), ~c)
+    return np.where(c, x, -x)
+
+
+def by_chains(x):
+    c, d = x[0] > 0, x[1] > 0
+    for i in range(40):
+        c, d = c | (x[1] > 3 + i), ~(d & (x[0] < 0.1 * i))
+    return np.where(c & d, x, np.where(~c, 2 * x, -x))
+
+
+@pytest.mark.parametrize("function", [by_xor, by_where, by_chains])
+def test_conditions_of_conditions_are_shared(function):
+    """Repeated at each use, 40 conditions would be 2^40 comparisons."""
+    begin = time.perf_counter()
+    case = Case("rate", function, 2)
+    assert time.perf_counter() - begin < 1.0
+    texts = [*case.texts(), *case.system["define"].values()]
+    assert max(map(len, texts)) <= 120 and sum(map(len, texts)) < 40 * 120
+    for a in [*np.linspace(-0.55, 5.05, 57), np.nan]:
+        for b in (-1.0, 3.5, np.nan):
+            expected, found = case.both([a, b], [], [0.0, 0.0], 0.0)
+            assert all(map(same, expected, found)), (a, b)
+
+
+def test_short_conditions_are_repeated():
+    case = Case("rate", lambda x: np.where((x[0] > 0) ^ (x[1] > 1), x, -x), ["a", "b"])
+    assert case.system["define"] == {"v1": "where((a > 0 or b > 1) and not (a > 0 and b > 1), 1, 0)"}
+    assert case.texts() == ["where(v1 > 0.5, a, -a)", "where(v1 > 0.5, b, -b)"]
+    assert "define" not in Case("rate", lambda x: np.where((x > 0).all(), x, -x), ["a", "b"]).system
 
 
 def test_only_needed_parentheses_are_written():

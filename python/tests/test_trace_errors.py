@@ -36,6 +36,18 @@ def loop(x):
     return x
 
 
+def truth(x):
+    return x * bool(x[0])
+
+
+def nearest(x):
+    best = np.inf
+    for a in x:
+        if a < best:
+            best = a
+    return x * best
+
+
 def filled(x):
     import numpy
 
@@ -116,10 +128,24 @@ def unknown_assignment(x):
     return next
 
 
+def assigned_argument(x):
+    x.x2 = 1.0
+    return x
+
+
+def caught_assignment(x):
+    try:
+        x.x3 = 1.0
+    except AttributeError:
+        pass
+    return x
+
+
 # Name, function, type of the error, words of the message.
 WRONG = [
     ("if", branch, TypeError, r"np\.where"),
     ("if statement", branch_statement, TypeError, r"np\.where\(condition"),
+    ("if of an infinite bound", nearest, TypeError, "in place of `if`"),
     ("while", loop, TypeError, "fixed number of turns"),
     ("math.sin", lambda x: [math.sin(x[0]), x[1]], TypeError, r"`np\.sin` in place of `math\.sin`"),
     (
@@ -136,7 +162,7 @@ WRONG = [
         "make the constants float64",
     ),
     ("array of a local import", filled, TypeError, r"np\.zeros\(n\)"),
-    ("array outside", outside, TypeError, r"inside of the function"),
+    ("array outside", outside, TypeError, r"fixed numbers only.*`np\.zeros\(n\)` inside of the function"),
     ("sum in an array outside", outside_sum, TypeError, r"a = a \+ b"),
     (
         "shape",
@@ -184,16 +210,23 @@ WRONG = [
     ("in", lambda x: x if 0.0 in list(x) else -x, TypeError, "whether numbers are equal"),
     ("python max", lambda x: [max(x[0], 0.0), x[1]], TypeError, r"np\.maximum\(a, b\)"),
     ("python min", lambda x: [min(x), x[1]], TypeError, r"np\.minimum\(a, b\)"),
-    ("sorted", lambda x: sorted(x), TypeError, "np.maximum"),
+    ("sorted", lambda x: sorted(x), TypeError, r"`np\.minimum\(a, b\)` is the first"),
+    ("any", lambda x: x if any(x > 0) else -x, TypeError, r"`np\.any\(np\.array\("),
     ("sort", lambda x: np.sort(x), TypeError, "np.sort is not supported"),
-    ("argmax", lambda x: x * np.argmax(x), TypeError, "np.argmax is not supported"),
+    ("argmax", lambda x: x * np.argmax(x), TypeError, "np.argmax is not.*`np.minimum`, `np.where`"),
+    ("method argmin", lambda x: x * x.argmin(), TypeError, "np.argmin is not.*index that depends on values"),
+    ("argmin of a list", lambda x: x * np.argmin([x[0], x[1]]), TypeError, "index that depends on values"),
+    ("argsort", lambda x: x[np.argsort(x)], TypeError, "order of traced numbers is not known"),
+    ("searchsorted", lambda x: x * np.searchsorted(BUFFER, x[0]), TypeError, r"`np\.interp\(x, places"),
+    ("method searchsorted", lambda x: x * BUFFER.searchsorted(x[0]), TypeError, r"`np\.interp\(x, places"),
     ("method sort", lambda x: x.sort() or x, TypeError, "not known"),
-    ("float", lambda x: [float(x[0]), x[1]], TypeError, "leave out `float`"),
-    ("int", lambda x: [int(x[0]), x[1]], TypeError, "leave out"),
-    ("range", lambda x: [sum(range(x[0])), x[1]], TypeError, "not known"),
+    ("float", lambda x: [float(x[0]), x[1]], TypeError, "Keep the number traced: leave out `float`"),
+    ("int", lambda x: [int(x[0]), x[1]], TypeError, "Rounding has no useful derivative; leave out `int`"),
+    ("index of int", lambda x: x * BUFFER[int(x[0])], TypeError, r"`np\.interp\(a, places, values\)` or"),
+    ("range", lambda x: [sum(range(x[0])), x[1]], TypeError, "fixed number of turns"),
     ("format", lambda x: [float(f"{x[0]:.3f}"), x[1]], ValueError, "could not convert"),
     ("list index", lambda x, t: [x[0] * [1, 2][t], x[1]], TypeError, "not known"),
-    ("array index", lambda x, t: [x[0] * np.arange(3.0)[t], x[1]], TypeError, "not known"),
+    ("array index", lambda x, t: [x[0] * np.arange(3.0)[t], x[1]], TypeError, r"`pg\.table"),
     ("vector index", lambda x, t: [x[t], x[1]], IndexError, r"pg\.table"),
     ("mask", masked, IndexError, r"np\.where\(condition, a, b\)"),
     ("where places", lambda x: np.where(x > 0), TypeError, "give both values"),
@@ -214,6 +247,9 @@ WRONG = [
     ("isnan", lambda x: np.where(np.isnan(x), 0.0, x), TypeError, "Leave np.isnan out"),
     ("attribute", lambda x: [x.x3, x.x1], AttributeError, "no `x3`; did you mean"),
     ("assigned attribute", unknown_assignment, AttributeError, "no `x3`; did you mean"),
+    ("assigned argument", assigned_argument, AttributeError, r"`x2` is assigned.*`y = x\.copy\(\)`"),
+    ("caught assignment", caught_assignment, AttributeError, "no `x3`"),
+    ("assigned number", lambda x: setattr(x[0], "x1", 1.0) or x, AttributeError, "x1"),
     ("key", lambda x: [x["y1"], x[0]], LookupError, "no `y1`"),
     ("parameter", lambda x, p: x * p.gian, AttributeError, "no parameter `gian`; did you mean `gain`"),
     ("parameter key", lambda x, p: x * p["mass"], LookupError, "no parameter `mass`"),
@@ -257,7 +293,7 @@ WRONG = [
     ("vectorize", lambda x: np.vectorize(lambda a: 2 * a)(x), TypeError, "for each element"),
     ("einsum", lambda x: np.einsum("i->ii", x)[0], ValueError, "index twice"),
     ("assertion", asserted, TypeError, "Leave the assertion out"),
-    ("filled integers", filled_integers, TypeError, "not known"),
+    ("filled integers", filled_integers, TypeError, "fixed numbers only"),
     ("buffer", lambda x: np.frombuffer(x) + x, (ValueError, TypeError, BufferError), "."),
     ("axis", lambda x: np.sum(x, axis=1) * x, ValueError, "axis 1 is out of range"),
     ("interp of traced places", lambda x: np.interp(0.5, x, [1.0, 2.0]) * x, TypeError, "constant places"),
@@ -267,8 +303,8 @@ WRONG = [
     ("unknown ufunc", lambda x: np.arcsinh(x), TypeError, "did you mean"),
     ("string", lambda x: np.linalg.norm(x, ord="nuc") * x, TypeError, "not supported"),
     ("builtin", min, TypeError, "arguments among"),
-    ("order of scipy", lambda t, y: y, TypeError, "an argument `t` that does not fit"),
-    ("words out of order", lambda y, params: y, TypeError, "`params` that does not fit"),
+    ("order of scipy", lambda t, y: y, TypeError, "an argument `y` that does not fit; rename it `x`"),
+    ("words out of order", lambda y, params: y, TypeError, "`y` that does not fit; rename it `x`"),
     ("too many arguments", lambda a, b, c, d, e: a, TypeError, "`rate` receives x, u, p, t"),
     ("next in the rate", lambda x, next: x, TypeError, "`next` that does not fit"),
     ("keyword", lambda x, *, gain: x, TypeError, "`gain` that does not fit"),
@@ -309,6 +345,14 @@ def test_errors_name_the_file_and_the_line():
         assert text in lines[int(place[1]) - 1]
     with pytest.raises(TypeError, match=rf"{Path(__file__).name}:\d+: `missing_return`"):
         opened(missing_return)
+
+
+def test_only_lists_are_told_to_be_arrays():
+    functions = (branch, branch_statement, nearest, loop, truth, lambda x: [max(x[0], 0.0), x[1]])
+    for function in functions:
+        with pytest.raises(TypeError) as error:
+            opened(function)
+        assert "list of traced numbers" not in str(error.value)
 
 
 def test_errors_of_other_packages_have_a_note_with_the_line():
@@ -378,6 +422,47 @@ SETTINGS = [
 def test_wrong_arguments_are_refused(options, words):
     with pytest.raises((ValueError, TypeError, AttributeError), match=words):
         opened(**options)
+
+
+def returned_pair(x, p):
+    return [x[0] * p.speed, x[1]]
+
+
+def broadcast_pair(x, p):
+    return np.append(x, x[0]) * p["speed"]
+
+
+def assigned_pair(x, p):
+    next = x.copy()
+    next[0] = p.speed
+    return next
+
+
+@pytest.mark.parametrize("function", [returned_pair, broadcast_pair, assigned_pair])
+def test_a_pair_is_told_from_a_distribution(function):
+    with pytest.raises(ValueError, match=r"`speed` is a tuple, .* `pg\.uniform\(8, 20\)`"):
+        opened(function, params={"speed": (8, 20)})
+
+
+def test_a_pair_that_is_not_read_is_not_mentioned():
+    with pytest.raises(ValueError, match="one number per state: x1, x2$"):
+        opened(lambda x: [x[0]], params={"speed": (8, 20)})
+    assert opened(lambda x, p: x * p.speed, params={"speed": (8, 20)})["system"]["rate"]["x2"] == "x2 * 20"
+
+
+@pytest.mark.parametrize(
+    "cost",
+    [lambda x, u, p, xn: xn[0], lambda x, xn, u: xn[0], lambda x, u, p, t, xn: xn[0], lambda p, xn: xn[0]],
+)
+def test_an_unknown_argument_is_to_blame(cost):
+    with pytest.raises(TypeError, match="`xn` that does not fit; rename it `(next|x)`"):
+        opened(running_cost=cost)
+
+
+def test_a_system_needs_a_control():
+    for controls in ({}, {"controls": []}, {"controls": 0}):
+        with pytest.raises(ValueError, match=r"`controls` is empty; .* `controls=\[\"u\"\]`"):
+            trace.system(lambda x: x, states=1, dt=0.1, **controls)
 
 
 def test_a_step_has_no_method():
