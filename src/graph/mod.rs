@@ -36,6 +36,7 @@
 //! - `parse`: one expression as text.
 //! - `reader`: expressions as functions, with names for their inputs.
 //! - `equations`: the names, numbers and expressions of a system.
+//! - `parts`: observation and costs as such functions.
 //! - `replaced`: expressions in place of the observation and the costs of another task.
 //! - `task`: the system and the task.
 
@@ -45,6 +46,7 @@ mod function;
 mod lower;
 mod op;
 mod parse;
+mod parts;
 mod reader;
 mod record;
 mod replaced;

@@ -1,7 +1,7 @@
 //! [`Replaced`]: a task whose observation or costs are expressions.
 
 use super::equations::EquationError;
-use super::function::Function;
+use super::parts::Parts;
 use super::reader::{Reader, Vocabulary};
 use crate::dynamics::dyn_task::{DynSystem, DynTask};
 use crate::dynamics::inputs::{Cotangents, Inputs, Start};
@@ -52,9 +52,7 @@ pub struct Names {
 #[derive(Clone)]
 pub struct Replaced {
     task: DynTask,
-    observe: Option<Arc<Function>>,
-    running: Option<Arc<Function>>,
-    terminal: Option<Arc<Function>>,
+    parts: Parts,
     dt: f64,
 }
 
@@ -77,17 +75,16 @@ impl Replaced {
         let vocabulary =
             Vocabulary { states, controls, params, tables: vec![], constants: vec![], dt, define };
         let mut reader = Reader::new(vocabulary)?;
-        Ok(Self {
+        let parts = Parts {
             observe: reader.observation("observe", &replacement.observe)?.map(Arc::new),
             running: reader.running_cost("running", &replacement.running)?.map(Arc::new),
             terminal: reader.terminal_cost("terminal", &replacement.terminal)?.map(Arc::new),
-            task,
-            dt,
-        })
+        };
+        Ok(Self { task, parts, dt })
     }
 
     fn keeps_costs(&self) -> bool {
-        self.running.is_none() && self.terminal.is_none()
+        self.parts.running.is_none() && self.parts.terminal.is_none()
     }
 
     #[inline(always)]
@@ -120,16 +117,12 @@ impl Task for Replaced {
     }
 
     fn observation_dim(&self) -> Option<usize> {
-        self.observe.as_ref().map_or_else(|| self.task.observation_dim(), |y| Some(y.len()))
+        self.parts.observations().or_else(|| self.task.observation_dim())
     }
 
     fn observe<T: Scalar>(&self, inputs: Inputs<'_, T>, y: &mut [T]) {
-        match &self.observe {
-            Some(function) => {
-                let Inputs { x, p, t, .. } = inputs;
-                function.eval([x, &[], p, &[], &self.time(t)], y);
-            }
-            None => self.task.observe(inputs, y),
+        if !self.parts.observe(inputs, &self.time(inputs.t), y) {
+            self.task.observe(inputs, y);
         }
     }
 
@@ -137,39 +130,27 @@ impl Task for Replaced {
         &self,
         inputs: Inputs<'_, R>,
         y_bar: &[C],
-        cotangents: Cotangents<'_, C>,
+        mut cotangents: Cotangents<'_, C>,
     ) {
-        match &self.observe {
-            Some(function) => {
-                let Inputs { x, p, t, .. } = inputs;
-                let lists = [x, &[], p, &[], &self.time(t)];
-                function.vjp(lists, y_bar, [cotangents.x, None, cotangents.p, None]);
-            }
-            None => self.task.observe_vjp(inputs, y_bar, cotangents),
+        if !self.parts.observe_vjp(inputs, &self.time(inputs.t), y_bar, &mut cotangents) {
+            self.task.observe_vjp(inputs, y_bar, cotangents);
         }
     }
 
     fn running_cost<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &[T]) -> T {
         if self.keeps_costs() {
-            return self.task.running_cost(inputs, next);
+            self.task.running_cost(inputs, next)
+        } else {
+            self.parts.running_cost(inputs, next, &self.time(inputs.t))
         }
-        let mut cost = [T::zero()];
-        if let Some(function) = &self.running {
-            let Inputs { x, u, p, t } = inputs;
-            function.eval([x, u, p, next, &self.time(t)], &mut cost);
-        }
-        cost[0]
     }
 
     fn terminal_cost<T: Scalar>(&self, x: &[T], p: &[T]) -> T {
         if self.keeps_costs() {
-            return self.task.terminal_cost(x, p);
+            self.task.terminal_cost(x, p)
+        } else {
+            self.parts.terminal_cost(x, p)
         }
-        let mut cost = [T::zero()];
-        if let Some(function) = &self.terminal {
-            function.eval([x, &[], p, &[], &[]], &mut cost);
-        }
-        cost[0]
     }
 
     fn running_cost_gradient<R: Real>(
@@ -180,13 +161,10 @@ impl Task for Replaced {
         next_bar: &mut [R],
     ) {
         if self.keeps_costs() {
-            return self.task.running_cost_gradient(inputs, next, cotangents, next_bar);
-        }
-        if let Some(function) = &self.running {
-            let Inputs { x, u, p, t } = inputs;
-            let [x_bar, u_bar, p_bar] = cotangents.lists();
-            let lists = [x, u, p, next, &self.time(t)];
-            function.vjp(lists, &[R::one()], [x_bar, u_bar, p_bar, Some(next_bar)]);
+            self.task.running_cost_gradient(inputs, next, cotangents, next_bar);
+        } else {
+            let time = self.time(inputs.t);
+            self.parts.running_cost_gradient(inputs, next, &time, cotangents, next_bar);
         }
     }
 
@@ -198,11 +176,9 @@ impl Task for Replaced {
         p_bar: Option<&mut [R]>,
     ) {
         if self.keeps_costs() {
-            return self.task.terminal_cost_gradient(x, p, x_bar, p_bar);
-        }
-        if let Some(function) = &self.terminal {
-            let lists = [x, &[], p, &[], &[]];
-            function.vjp(lists, &[R::one()], [Some(x_bar), None, p_bar, None]);
+            self.task.terminal_cost_gradient(x, p, x_bar, p_bar);
+        } else {
+            self.parts.terminal_cost_gradient(x, p, x_bar, p_bar);
         }
     }
 }

@@ -3,6 +3,7 @@
 use super::equations::{Costs, EquationError, Equations, Functions};
 use super::function::Function;
 use super::op::Graph;
+use super::parts::Parts;
 use super::record::{Branches, Recorded, record};
 use crate::dynamics::cause::Cause;
 use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs, Start};
@@ -22,9 +23,7 @@ type StartFn = dyn Fn(&mut Rng, Start<'_>) + Send + Sync;
 #[derive(Clone)]
 pub struct GraphTask {
     system: GraphSystem,
-    observe: Option<Arc<Function>>,
-    running: Option<Arc<Function>>,
-    terminal: Option<Arc<Function>>,
+    parts: Parts,
     start: Arc<StartFn>,
     params: usize,
     horizon: usize,
@@ -125,9 +124,11 @@ impl GraphTask {
             steps_per_value: substeps,
         };
         Ok(Self {
-            observe: observe.map(Arc::new),
-            running: running.map(Arc::new),
-            terminal: terminal.map(Arc::new),
+            parts: Parts {
+                observe: observe.map(Arc::new),
+                running: running.map(Arc::new),
+                terminal: terminal.map(Arc::new),
+            },
             start: Arc::new(move |rng, Start { x, .. }| {
                 x.iter_mut().zip(&start).for_each(|(x, number)| *x = number.draw(rng));
             }),
@@ -178,9 +179,11 @@ impl GraphTask {
         };
         let own = task.clone();
         Ok(Self {
-            observe: observe.transpose()?,
-            running: Some(running),
-            terminal: Some(terminal),
+            parts: Parts {
+                observe: observe.transpose()?,
+                running: Some(running),
+                terminal: Some(terminal),
+            },
             start: Arc::new(move |rng, start| own.start(rng, start)),
             params,
             horizon: task.horizon(),
@@ -385,55 +388,39 @@ impl Task for GraphTask {
     }
 
     fn observation_dim(&self) -> Option<usize> {
-        self.observe.as_ref().map(|function| function.len())
+        self.parts.observations()
     }
 
-    fn observe<T: Scalar>(&self, Inputs { x, p, t, .. }: Inputs<'_, T>, y: &mut [T]) {
-        match &self.observe {
-            Some(function) => function.eval([x, &[], p, &[], &self.signals(t)], y),
-            None => y.copy_from_slice(x),
-        }
+    fn observe<T: Scalar>(&self, inputs: Inputs<'_, T>, y: &mut [T]) {
+        self.parts.observe(inputs, &self.signals(inputs.t), y);
     }
 
     fn observe_vjp<R: Real, C: Cotangent<R>>(
         &self,
-        Inputs { x, p, t, .. }: Inputs<'_, R>,
+        inputs: Inputs<'_, R>,
         y_bar: &[C],
-        cotangents: Cotangents<'_, C>,
+        mut cotangents: Cotangents<'_, C>,
     ) {
-        let function = self.observe.as_ref().expect("called only with an observation");
-        let lists = [x, &[], p, &[], &self.signals(t)];
-        function.vjp(lists, y_bar, [cotangents.x, None, cotangents.p, None]);
+        self.parts.observe_vjp(inputs, &self.signals(inputs.t), y_bar, &mut cotangents);
     }
 
-    fn running_cost<T: Scalar>(&self, Inputs { x, u, p, t }: Inputs<'_, T>, next: &[T]) -> T {
-        let mut cost = [T::zero()];
-        if let Some(function) = &self.running {
-            function.eval([x, u, p, next, &self.signals(t)], &mut cost);
-        }
-        cost[0]
+    fn running_cost<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &[T]) -> T {
+        self.parts.running_cost(inputs, next, &self.signals(inputs.t))
     }
 
     fn terminal_cost<T: Scalar>(&self, x: &[T], p: &[T]) -> T {
-        let mut cost = [T::zero()];
-        if let Some(function) = &self.terminal {
-            function.eval([x, &[], p, &[], &[]], &mut cost);
-        }
-        cost[0]
+        self.parts.terminal_cost(x, p)
     }
 
     fn running_cost_gradient<R: Real>(
         &self,
-        Inputs { x, u, p, t }: Inputs<'_, R>,
+        inputs: Inputs<'_, R>,
         next: &[R],
         cotangents: Cotangents<'_, R>,
         next_bar: &mut [R],
     ) {
-        if let Some(function) = &self.running {
-            let [x_bar, u_bar, p_bar] = cotangents.lists();
-            let lists = [x, u, p, next, &self.signals(t)];
-            function.vjp(lists, &[R::one()], [x_bar, u_bar, p_bar, Some(next_bar)]);
-        }
+        let signals = self.signals(inputs.t);
+        self.parts.running_cost_gradient(inputs, next, &signals, cotangents, next_bar);
     }
 
     fn terminal_cost_gradient<R: Real>(
@@ -443,9 +430,6 @@ impl Task for GraphTask {
         x_bar: &mut [R],
         p_bar: Option<&mut [R]>,
     ) {
-        if let Some(function) = &self.terminal {
-            let lists = [x, &[], p, &[], &[]];
-            function.vjp(lists, &[R::one()], [Some(x_bar), None, p_bar, None]);
-        }
+        self.parts.terminal_cost_gradient(x, p, x_bar, p_bar);
     }
 }
