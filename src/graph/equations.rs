@@ -1,8 +1,9 @@
 //! [`Equations`]: a system as names, numbers and expressions, and its functions as graphs.
 
 use super::function::Function;
+use super::lexer::names;
 use super::op::Id;
-use super::parse::{OPERATIONS, name_problem, names, short};
+use super::parse::{OPERATIONS, name_problem, short};
 use super::reader::{P, Reader, TIME, U, Vocabulary, X, listed};
 use crate::dynamics::number::Number;
 use serde::{Deserialize, Serialize};

@@ -259,7 +259,7 @@ impl<R: Real, C: Cotangent<R>> Vectorized for Pull<'_, R, C> {
     }
 }
 
-/// Registers of programs, by their numbers, with constants in place. The last used one is first.
+/// Registers of programs, by their numbers, with constants in place. The newest is first.
 struct Frames<T, C>(Vec<(u64, Frame<T, C>)>);
 
 /// Registers of numbers and of cotangents.

@@ -1,4 +1,4 @@
-//! Systems as data: [`Graph`], a list of scalar operations with derivatives, without a compiler.
+//! Systems as data: graphs, lists of scalar operations with derivatives, without a compiler.
 //!
 //! A graph comes from equations as text ([`Equations`]) or from a task in Rust ([`GraphTask::of`]).
 //! [`GraphTask`] makes it a [`System`](crate::System) and a [`Task`](crate::Task), so everything
@@ -30,10 +30,9 @@
 //! - `op`: the operations, shared and simplified without changing a bit.
 //! - `record`: a scalar that records.
 //! - `adjoint`: the reverse derivative, as a second list of operations on cotangents.
-//! - `lower`: instructions on registers, which [`Program`](crate::numbers::kernels::interpreter)
-//!   executes.
+//! - `lower`: instructions on registers, which the kernel `interpreter` executes.
 //! - `function`: a function of a graph, for any scalar, and its transposed Jacobian product.
-//! - `parse`: one expression as text.
+//! - `lexer`, `parse`: one expression as text.
 //! - `reader`: expressions as functions, with names for their inputs.
 //! - `equations`: the names, numbers and expressions of a system.
 //! - `parts`: observation and costs as such functions.
@@ -43,6 +42,7 @@
 mod adjoint;
 mod equations;
 mod function;
+mod lexer;
 mod lower;
 mod op;
 mod parse;
@@ -53,6 +53,5 @@ mod replaced;
 mod task;
 
 pub use equations::{Costs, EquationError, Equations};
-pub use op::{Graph, Id, Op};
 pub use replaced::{Names, Replaced, Replacement};
 pub use task::{GraphSystem, GraphTask, RecordError};

@@ -5,14 +5,14 @@ use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use std::mem::discriminant;
 
 /// Index of a number of a graph.
-pub type Id = u32;
+pub(super) type Id = u32;
 
 /// One operation. Its arguments are earlier numbers.
 ///
 /// These are the methods of [`Scalar`](crate::Scalar), a few functions that equations need, and the
 /// derivatives of the functions of two arguments.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Op {
+pub(super) enum Op {
     /// An input of the graph.
     Input,
     /// A constant, as the bits of an `f64`.
@@ -107,7 +107,7 @@ impl Op {
 /// Equal operations are one number. Simplifications change no bit of a result, in f32 and in f64,
 /// except the payload of a NaN. They therefore neither reassociate nor compute with constants.
 #[derive(Clone, Debug, Default)]
-pub struct Graph {
+pub(super) struct Graph {
     ops: Vec<Op>,
     known: HashMap<Op, Id>,
     inputs: usize,
@@ -256,13 +256,6 @@ impl Graph {
             hashes.push(hasher.finish());
         }
         roots.iter().map(|&id| hashes[id as usize]).collect()
-    }
-
-    /// Number of operations that the `roots` need, without inputs and constants.
-    pub fn operations(&self, roots: &[Id]) -> usize {
-        let needed = self.needed(roots.iter().copied());
-        let counted = |(op, needed): (&Op, bool)| needed && !matches!(op, Op::Input | Op::Const(_));
-        self.ops.iter().zip(needed).filter(|&pair| counted(pair)).count()
     }
 }
 

@@ -2,8 +2,9 @@
 
 use super::equations::EquationError;
 use super::function::{Function, LISTS};
+use super::lexer::{ParseError, names};
 use super::op::{Graph, Id};
-use super::parse::{ParseError, Parser, Term, name_problem, names, short};
+use super::parse::{Parser, Term, name_problem, short};
 use std::cell::RefCell;
 use std::collections::{BTreeMap, HashMap};
 

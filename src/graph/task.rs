@@ -231,7 +231,8 @@ impl Recorder {
     }
 }
 
-type Signals<T> = SmallVec<[T; 4]>;
+/// A step of a system with more numbers allocates.
+type Signals<T> = SmallVec<[T; 16]>;
 
 impl GraphSystem {
     /// The time at the beginning of a step, and the values of tables.
