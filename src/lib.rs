@@ -158,7 +158,7 @@ pub mod integrator {
 
 /// Parts of a [`Number`] that varies between samples.
 pub mod number {
-    pub use crate::dynamics::number::{Choice, Varied};
+    pub use crate::dynamics::number::{Choice, Noise, NoiseNumbers, Varied};
 }
 
 /// Types that implement [`Scalar`] and [`Cotangent`].

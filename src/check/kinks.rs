@@ -350,7 +350,7 @@ fn of_any(functions: &dyn Functions, shape: Shape, samples: &[Sample]) -> Vec<Ki
     let mut found: Vec<(usize, usize, Kink)> = Vec::new();
     let mut search =
         |from: Vec<f64>, to: Vec<f64>, sample: usize, t: usize, outputs: std::ops::Range<usize>| {
-            let p = samples[sample].p.iter().map(|&p| Dual64::from_re(p)).collect();
+            let p = samples[sample].p_at(t).iter().map(|&p| Dual64::from_re(p)).collect();
             let (known, rounding) = (RefCell::default(), OnceCell::new());
             let segment = Segment { functions, from, to, p, sample, t, known, rounding };
             for (output, input, kink) in segment.kinks(shape, outputs) {

@@ -44,7 +44,6 @@ pub use reference::slope;
 pub use stability::{DENSE, HARMLESS, Stability, growth_along, jacobian_norm, stability};
 pub use visited::{cost_along, system_along};
 
-use crate::dynamics::inputs::Start;
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::engine::adjoint::Adjoint;
@@ -442,8 +441,7 @@ fn check_flow(
 fn draw_starts(task: &dyn AnyTask<f64>, samples: usize, rng: &mut Rng) -> Vec<f64> {
     let mut starts = vec![0.0; samples * task.start_dim()];
     for start in starts.chunks_exact_mut(task.start_dim()) {
-        let (x, p) = start.split_at_mut(task.state_dim());
-        task.start(rng, Start { x, p });
+        task.draw(rng, start);
     }
     starts
 }
@@ -477,7 +475,10 @@ fn start_gradients(
     rollout.run(task, policy, weights)?;
     let mut adjoint = Adjoint::new(task, policy, &rollout, &[flow]).keep_start_gradients();
     adjoint.run(task, policy, weights, &rollout, 1.0 / samples as f64)?;
-    Ok((0..samples).flat_map(|sample| adjoint.start_gradient(0, sample).to_vec()).collect())
+    // The loss has no derivative with respect to keys of noise.
+    let keys = vec![0.0; task.noise().key_dim()];
+    let of = |sample| [adjoint.start_gradient(0, sample).to_vec(), keys.clone()].concat();
+    Ok((0..samples).flat_map(of).collect())
 }
 
 /// Draws parameters with finite rollouts: `theta` or initial parameters, plus noise. Reduces the

@@ -4,6 +4,7 @@
 //! N is the policy. A column is one sample at one step.
 
 use crate::dynamics::inputs::Inputs;
+use crate::dynamics::number::NoiseNumbers;
 use crate::dynamics::outline::step;
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
@@ -42,18 +43,20 @@ pub fn weights(
 }
 
 /// Mean loss of rollouts from `starts`, initial states with parameters. Differentiable along the
-/// paths of `flow`.
+/// paths of `flow`. The values of the starts are `values`, which give the keys of noise.
 #[inline(never)]
 pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(
     task: &T,
     policy: &P,
     theta: &[S],
-    starts: &[S],
+    (starts, values): (&[S], &[f64]),
     flow: Flow,
 ) -> S {
     let system = task.system();
     let (n, m) = (system.state_dim(), system.control_dim());
-    let len = n + task.param_dim();
+    let params = task.param_dim();
+    let noise = NoiseNumbers::of(&system.varied(params));
+    let len = n + params + noise.key_dim();
     let (found, expected) = (theta.len(), policy.param_count());
     assert_eq!(
         found, expected,
@@ -62,12 +65,13 @@ pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(
     let (found, whole) = (starts.len(), !starts.is_empty() && starts.len().is_multiple_of(len));
     assert!(
         whole,
-        "`starts` has {found} numbers; expected one or more samples of {len}: the state, then the parameters"
+        "`starts` has {found} numbers; expected one or more samples of {len}: the state, then the parameters, then the key of noise"
     );
     let mut mean = S::zero();
-    for start in starts.chunks_exact(len) {
-        let mut x = start.to_vec();
+    for (start, values) in starts.chunks_exact(len).zip(values.chunks_exact(len)) {
+        let mut x = start[..n + params].to_vec();
         let mut p = x.split_off(n);
+        let key = values[len - 1];
         let trained = policy.trained_params();
         for (param, &r) in trained.iter().zip(&theta[theta.len() - trained.len()..]) {
             let p = &mut p[param.index()];
@@ -82,6 +86,7 @@ pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(
             |x: &[S], weight: f64| -> Vec<S> { x.iter().map(|&x| passed(x, weight)).collect() };
         for t in 0..task.horizon() {
             let flow = flow.at(t);
+            noise.at(key, t, |i, value| p[i] = S::from(value) + (p[i] - p[i].detach()));
             match task.observation_dim() {
                 None => y.copy_from_slice(&x),
                 Some(_) => task.observe(Inputs { x: &x, u: &[], p: &p, t }, &mut y),
@@ -118,7 +123,7 @@ fn passed<S: Scalar>(x: S, weight: f64) -> S {
 /// If the length of `theta` is not [`Policy::param_count`], or if `starts` is empty or not a whole
 /// number of samples.
 pub fn loss<T: Task, P: Policy>(task: &T, policy: &P, theta: &[f64], starts: &[f64]) -> f64 {
-    rollouts(task, policy, theta, starts, Flow::REGULAR)
+    rollouts(task, policy, theta, (starts, starts), Flow::REGULAR)
 }
 
 /// Directional derivative of the mean loss, by forward mode with num-dual.
@@ -138,7 +143,7 @@ pub fn slope_by_duals<T: Task, P: Policy>(
     flow: Flow,
     tangent: &dyn Fn(usize) -> f64,
 ) -> f64 {
-    rollouts(task, policy, &along(theta, tangent), &constants(starts), flow).eps
+    rollouts(task, policy, &along(theta, tangent), (&constants(starts), starts), flow).eps
 }
 
 /// Directional derivative as in [`slope_by_duals`], along a direction of the initial states with
@@ -151,7 +156,7 @@ pub(super) fn start_slope_by_duals<T: Task, P: Policy>(
     flow: Flow,
     tangent: &dyn Fn(usize) -> f64,
 ) -> f64 {
-    rollouts(task, policy, &constants(theta), &along(starts, tangent), flow).eps
+    rollouts(task, policy, &constants(theta), (&along(starts, tangent), starts), flow).eps
 }
 
 /// Directional derivative, as a function of the tangent of every parameter.

@@ -42,7 +42,8 @@ pub fn slope<T: Task, P: Policy>(
         tangents: [DoubleDouble::from(direction(i))],
     };
     let theta: Vec<_> = theta.iter().enumerate().map(seeded).collect();
-    let starts: Vec<_> = starts.iter().map(|&x| Dual::from(x)).collect();
-    let Dual { value, tangents: [slope] } = rollouts(task, policy, &theta, &starts, flow);
+    let constants: Vec<_> = starts.iter().map(|&x| Dual::from(x)).collect();
+    let starts = (&constants[..], starts);
+    let Dual { value, tangents: [slope] } = rollouts(task, policy, &theta, starts, flow);
     [value.to_f64(), slope.to_f64()]
 }

@@ -1,7 +1,7 @@
 //! States, controls and parameters of rollouts, at which a task is checked in its own units.
 
 use super::{Comparison, Failure, Finding, Passed, finite_weights, systems};
-use crate::dynamics::inputs::{Inputs, Start};
+use crate::dynamics::inputs::Inputs;
 use crate::dynamics::task::Task;
 use crate::engine::any::{AnySystem, AnyTask};
 use crate::engine::divergence::{Divergence, Variable};
@@ -24,7 +24,15 @@ pub(super) struct Sample {
     pub(super) x: Vec<Vec<f64>>,
     /// Controls `[step][component]`.
     pub(super) u: Vec<Vec<f64>>,
-    pub(super) p: Vec<f64>,
+    /// Parameters `[step][component]`, at least one step.
+    p: Vec<Vec<f64>>,
+}
+
+impl Sample {
+    /// Parameters of step `t`, or of the last step.
+    pub(super) fn p_at(&self, t: usize) -> &[f64] {
+        &self.p[t.min(self.p.len() - 1)]
+    }
 }
 
 /// One step of a rollout, or a step between two of them.
@@ -56,7 +64,7 @@ impl Visited {
         let sample = |i: usize| Sample {
             x: (0..=steps).map(|t| (0..n).map(|k| rollout.state(t, i, k)).collect()).collect(),
             u: (0..steps).map(|t| (0..m).map(|k| rollout.control(t, i, k)).collect()).collect(),
-            p: rollout.params_of_sample(i).collect(),
+            p: (0..steps.max(1)).map(|t| rollout.params_at_step(t, i).collect()).collect(),
         };
         Self { samples: (0..rollout.samples()).map(sample).collect() }
     }
@@ -71,8 +79,7 @@ impl Visited {
         let mut starts = vec![0.0; SAMPLES * task.start_dim()];
         let mut rng = stream(0, Purpose::Check, 4);
         for start in starts.chunks_exact_mut(task.start_dim()) {
-            let (x, p) = start.split_at_mut(task.state_dim());
-            task.start(&mut rng, Start { x, p });
+            task.draw(&mut rng, start);
         }
         let weights = finite_weights(task, policy, theta, &starts, 0)?;
         Ok(Self::of(task, policy, &weights, &starts))
@@ -92,7 +99,7 @@ impl Visited {
             x: mixed(&a.x[t], &b.x[other]),
             u: mixed(&a.u[t], &b.u[other]),
             next: mixed(&a.x[t + 1], &b.x[other + 1]),
-            p: a.p.clone(),
+            p: a.p_at(t).to_vec(),
             t,
         }
     }

@@ -1,8 +1,11 @@
-//! [`Number`]: a physical number that is fixed, drawn for each sample, or trained.
+//! [`Number`]: a physical number that is fixed, drawn for each sample or step, or trained.
 
+mod noise;
 mod settings;
 mod vjp;
 
+pub use noise::{Noise, NoiseNumbers};
+pub(crate) use noise::{draw_key, key_of_epoch};
 pub(crate) use vjp::{ParamDual, param_vjp};
 
 use crate::numbers::rng::Rng;
@@ -13,10 +16,10 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 
-/// A physical number of a system or effect: fixed, drawn for each sample, or trained.
+/// A physical number of a system or effect: fixed, drawn for each sample or step, or trained.
 ///
 /// A fixed number is a constant of the equations. Any other number varies: it is an entry of the
-/// parameters `p` of a sample. A scene contains a fixed number as such, and any other as a table:
+/// parameters `p` of a sample. The entry of [`Noise`] changes during a rollout. A scene contains a fixed number as such, and any other as a table:
 /// `cart_mass = { uniform = [0.8, 1.2] }`.
 ///
 /// ```
@@ -66,6 +69,8 @@ pub enum Number {
     },
     /// Drawn from a list, each entry with equal probability.
     Choice(Choice),
+    /// Drawn anew during a rollout.
+    Noise(Noise),
     /// Trained from an initial value, within bounds. An infinite bound is no restriction. A finite
     /// upper bound requires a finite lower bound.
     Trained {
@@ -112,14 +117,14 @@ impl Number {
         matches!(self, Self::Fixed(_))
     }
 
-    /// Returns a typical value: the constant, the median of a distribution, the initial value, or
+    /// Returns a typical value: the constant, the median of a distribution, the mean of noise, the initial value, or
     /// the middle entry of a choice. Among two middle entries, returns the second.
     #[inline(always)]
     pub fn nominal(&self) -> f64 {
         match *self {
             Self::Fixed(value) => value,
             Self::Uniform { low, high } => 0.5 * (low + high),
-            Self::Normal { mean, .. } => mean,
+            Self::Normal { mean, .. } | Self::Noise(Noise { mean, .. }) => mean,
             Self::LogUniform { low, high } => (low * high).sqrt(),
             Self::Choice(Choice(values)) => values[values.len() / 2],
             Self::Trained { start, .. } => start,
@@ -127,7 +132,8 @@ impl Number {
     }
 
     /// Returns values that include the smallest and the largest possible value, for validation.
-    /// Omits infinite bounds of a trained number.
+    /// Omits infinite bounds of a trained number. Noise leaves six standard deviations with
+    /// probability 2e-9.
     pub fn extremes(&self) -> Vec<f64> {
         match *self {
             Self::Fixed(value) => vec![value],
@@ -136,6 +142,9 @@ impl Number {
                 vec![mean - TRUNCATION * deviation, mean + TRUNCATION * deviation]
             }
             Self::Choice(Choice(values)) => values.to_vec(),
+            Self::Noise(Noise { mean, deviation, .. }) => {
+                vec![mean - EXTREME * deviation, mean + EXTREME * deviation]
+            }
             Self::Trained { start, min, max } => {
                 let bounds = [min, max].into_iter().filter(|value| !value.is_infinite());
                 [start].into_iter().chain(bounds).collect()
@@ -143,7 +152,8 @@ impl Number {
         }
     }
 
-    /// Draws a value. A fixed number yields its constant, a trained number its initial value.
+    /// Draws a value. A fixed number yields its constant, a trained number its initial value, and
+    /// noise its mean.
     ///
     /// # Panics
     /// If bounds are not in ascending order, or if those of [`LogUniform`](Self::LogUniform) are not
@@ -166,13 +176,18 @@ impl Number {
                 low * (high / low).powf(rng.random())
             }
             Self::Choice(Choice(values)) => values[rng.random_range(0..values.len())],
-            Self::Fixed(value) | Self::Trained { start: value, .. } => value,
+            Self::Fixed(value)
+            | Self::Trained { start: value, .. }
+            | Self::Noise(Noise { mean: value, .. }) => value,
         }
     }
 }
 
 /// Truncation of normal distributions, in standard deviations.
 const TRUNCATION: f64 = 3.0;
+
+/// Extremes of noise, in standard deviations.
+const EXTREME: f64 = 6.0;
 
 /// Named numbers of a system or effect, in order.
 ///

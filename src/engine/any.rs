@@ -6,6 +6,7 @@
 
 use crate::dynamics::cause::Cause;
 use crate::dynamics::inputs::{Cotangents, Inputs, Start, Tangents};
+use crate::dynamics::number::{NoiseNumbers, draw_key};
 use crate::dynamics::outline::{self, One};
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
@@ -37,6 +38,9 @@ pub trait AnyTask<F: Float>:
     fn param_dim(&self) -> usize;
     #[doc(hidden)]
     fn start(&self, rng: &mut Rng, start: Start<'_>);
+    /// Numbers that are drawn anew during a rollout.
+    #[doc(hidden)]
+    fn noise(&self) -> NoiseNumbers;
     #[doc(hidden)]
     fn terminal_cost(&self, x: &[Lane<F>], p: &[Lane<F>]) -> Lane<F>;
     #[doc(hidden)]
@@ -63,9 +67,19 @@ pub trait AnyTask<F: Float>:
         self.own_observation().unwrap_or(self.state_dim())
     }
 
-    /// Numbers per sample in a list of initial states: the state, then the parameters.
+    /// Numbers per sample in a list of initial states: the state, then the parameters, then the key
+    /// of the noise, if there is noise.
     fn start_dim(&self) -> usize {
-        self.state_dim() + self.param_dim()
+        self.state_dim() + self.param_dim() + self.noise().key_dim()
+    }
+
+    /// Draws one initial state into `start`, [`start_dim`](AnyTask::start_dim) zeros.
+    #[doc(hidden)]
+    fn draw(&self, rng: &mut Rng, start: &mut [f64]) {
+        let (x, rest) = start.split_at_mut(self.state_dim());
+        let (p, key) = rest.split_at_mut(self.param_dim());
+        self.start(rng, Start { x, p });
+        key.iter_mut().for_each(|key| *key = draw_key(rng));
     }
 }
 
@@ -92,6 +106,10 @@ impl<T: Task, F: Float> AnyTask<F> for T {
 
     fn start(&self, rng: &mut Rng, start: Start<'_>) {
         Task::draw_start(self, rng, start);
+    }
+
+    fn noise(&self) -> NoiseNumbers {
+        NoiseNumbers::of(&self.system().varied(Task::param_dim(self)))
     }
 
     #[inline(never)]

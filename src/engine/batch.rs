@@ -254,6 +254,11 @@ impl<F: Float> Batch<F> {
         Ok(Self { capacity: samples, shared: Some(Box::new(shared)), ..batch })
     }
 
+    /// Numbers per sample in a list of initial states.
+    fn start_dim(&self) -> usize {
+        self.workers[0].rollout.start_dim()
+    }
+
     /// Runs rollouts from `starts` (see [`initial_states`](crate::initial_states)) and their
     /// reverse passes.
     ///
@@ -273,7 +278,7 @@ impl<F: Float> Batch<F> {
         weights: &Weights<F>,
         starts: &[F],
     ) -> Result<f64, Divergence> {
-        let n = task.start_dim();
+        let n = self.start_dim();
         let samples = starts.len() / n;
         let capacity = self.capacity;
         assert!(
@@ -307,7 +312,7 @@ impl<F: Float> Batch<F> {
         shared: &mut Shared<F>,
     ) -> Result<f64, Divergence> {
         let ranks = shared.ranks.clone();
-        let n = mini_batch.closed.task.start_dim();
+        let n = self.start_dim();
         let samples = starts.len() / n;
         let own = |rank: usize| samples_of(samples, GROUP * mini_batch.block, rank, ranks.count());
         let Range { start, end } = own(ranks.rank());
@@ -342,7 +347,7 @@ impl<F: Float> Batch<F> {
         starts: &[F],
         mut shared: Option<&mut Shared<F>>,
     ) -> Result<f64, Divergence> {
-        let (n, block) = (mini_batch.closed.task.start_dim(), mini_batch.block);
+        let (n, block) = (self.start_dim(), mini_batch.block);
         let chunk = self.workers[0].rollout.capacity();
         let groups = (starts.len() / n).div_ceil(GROUP);
         let (mut loss, mut diverged) = (0.0, None);

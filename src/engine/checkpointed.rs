@@ -142,6 +142,11 @@ impl<F: Float> Checkpointed<F> {
         self.rollout.capacity()
     }
 
+    /// Numbers per sample in a list of initial states.
+    pub(crate) fn start_dim(&self) -> usize {
+        self.rollout.start_dim()
+    }
+
     /// Cost of one sample of the last run.
     ///
     /// # Panics
@@ -199,7 +204,7 @@ impl<F: Float> Checkpointed<F> {
         group: usize,
         gradients: &mut [Vec<Gradient<F>>],
     ) -> Result<(), Divergence> {
-        let samples = starts.len() / closed.task.start_dim();
+        let samples = starts.len() / self.start_dim();
         let groups = samples.div_ceil(group);
         assert!(
             groups <= gradients.len(),

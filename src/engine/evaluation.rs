@@ -70,7 +70,7 @@ impl<F: Float> Evaluation<F> {
         weights: &Weights<F>,
         starts: &[F],
     ) -> Result<f64, Divergence> {
-        let n = task.start_dim();
+        let n = self.workers[0].rollout.start_dim();
         let samples = starts.len() / n;
         assert!(
             samples > 0 && starts.len().is_multiple_of(n),
@@ -110,7 +110,7 @@ impl<F: Float> Evaluation<F> {
         weights: &Weights<F>,
         starts: &[F],
     ) -> Result<(), Divergence> {
-        let n = task.start_dim();
+        let n = self.workers[0].rollout.start_dim();
         let samples = starts.len() / n;
         let per_worker =
             samples.div_ceil(EVALUATED).div_ceil(self.workers.len()).max(1) * EVALUATED;

@@ -1,6 +1,5 @@
 //! [`initial_states`]: the initial states and parameters of a data set.
 
-use crate::dynamics::inputs::Start;
 use crate::engine::any::AnyTask;
 use crate::numbers::rng::{Purpose, Rng, stream};
 use crate::numbers::scalar::Float;
@@ -8,7 +7,8 @@ use std::ops::Range;
 
 /// Draws the initial states of samples `0 .. samples`: for each sample, `state_dim` numbers, then
 /// its `param_dim` parameters. The task draws both. Then each physical number that varies is drawn.
-/// The drawn value replaces the entry of this number in the parameters.
+/// The drawn value replaces the entry of this number in the parameters. A task with
+/// [`Noise`](crate::number::Noise) has one more number per sample, the key of its noise.
 ///
 /// Each sample has its own random stream, determined by `seed`, `purpose` and its index. A sample
 /// is therefore independent of the number of samples.
@@ -52,7 +52,6 @@ pub(crate) fn append_start<F: Float>(
     all: &mut Vec<F>,
 ) {
     one.fill(0.0);
-    let (x, p) = one.split_at_mut(task.state_dim());
-    task.start(rng, Start { x, p });
+    task.draw(rng, one);
     all.extend(one.iter().map(|&x| F::from_f64(x)));
 }

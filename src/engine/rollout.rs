@@ -6,6 +6,7 @@ mod unwritten;
 
 use crate::dynamics::cause::Cause;
 use crate::dynamics::inputs::Inputs;
+use crate::dynamics::number::NoiseNumbers;
 use crate::engine::any::AnyTask;
 use crate::engine::divergence::{Divergence, Variable};
 use crate::engine::pass::Closed;
@@ -62,8 +63,13 @@ pub struct Rollout<F: Float> {
     states: Vec<Lane<F>>,
     /// Controls, `[step][block][component]`, a ring buffer of `kept` steps.
     controls: Vec<Lane<F>>,
-    /// Parameters, `[block][component]`.
+    /// Parameters of the initial states, `[block][component]`. With noise, followed by those of each
+    /// step, a ring buffer of `kept` steps.
     params: Vec<Lane<F>>,
+    /// Numbers drawn anew during a rollout.
+    noise: NoiseNumbers,
+    /// Key of the noise of each sample. Empty without noise.
+    keys: Vec<F>,
     /// Observations of one step, `[block][component]`. Empty if the policy observes the state.
     observations: Vec<Lane<F>>,
     /// Policy inputs, observation and memory, as columns: `[unit][sample][step][component]`. The
@@ -152,6 +158,8 @@ impl<F: Float> Rollout<F> {
             states: lanes(sizes.states),
             controls: lanes(sizes.controls),
             params: lanes(sizes.params),
+            noise: task.noise(),
+            keys: zeros(sizes.keys),
             observations: lanes(sizes.observations),
             inputs: zeros(sizes.inputs),
             outputs: zeros(sizes.outputs),
@@ -183,8 +191,10 @@ impl<F: Float> Rollout<F> {
             &self.unit_costs,
         ];
         let lanes = lanes.map(|lanes| size_of_val(&lanes[..]));
-        let numbers = [&self.inputs, &self.outputs].map(|numbers| size_of_val(&numbers[..]));
-        lanes.into_iter().chain(numbers).sum::<usize>() + self.tape.stored_bytes()
+        let numbers = [&self.inputs, &self.outputs, &self.keys].map(|numbers| size_of_val(&numbers[..]));
+        lanes.into_iter().chain(numbers).sum::<usize>()
+            + self.noise.stored_bytes()
+            + self.tape.stored_bytes()
     }
 
     /// Returns the [`stored_bytes`](Rollout::stored_bytes) of a rollout that stores `kept` steps.
@@ -198,7 +208,13 @@ impl<F: Float> Rollout<F> {
         BufferSizes::new(task, policy, samples, kept).bytes::<F>()
     }
 
-    /// Sets initial states and parameters: for each sample, `state_dim` numbers, then `param_dim`.
+    /// Numbers per sample in a list of initial states.
+    pub(crate) fn start_dim(&self) -> usize {
+        self.state_dim + self.param_dim + self.noise.key_dim()
+    }
+
+    /// Sets initial states and parameters: for each sample, `state_dim` numbers, then `param_dim`,
+    /// then the key of its noise if the task has noise.
     /// The number of samples may be below the capacity.
     ///
     /// # Panics
@@ -207,7 +223,7 @@ impl<F: Float> Rollout<F> {
     #[inline(never)]
     pub fn start(&mut self, starts: &[F]) {
         let (n, params) = (self.state_dim, self.param_dim);
-        let each = n + params;
+        let each = self.start_dim();
         let samples = starts.len() / each;
         assert!(
             !starts.is_empty() && starts.len().is_multiple_of(each) && samples <= self.capacity,
@@ -216,6 +232,8 @@ impl<F: Float> Rollout<F> {
             starts.len()
         );
         self.samples = samples;
+        let starts_of = starts.chunks_exact(each);
+        self.keys.iter_mut().zip(starts_of).for_each(|(key, start)| *key = start[each - 1]);
         for block in 0..self.blocks() {
             let (x, p) =
                 (&mut self.states[block * n..][..n], &mut self.params[block * params..][..params]);
@@ -253,7 +271,8 @@ impl<F: Float> Rollout<F> {
     fn set_trained_params(&mut self, Closed { policy, weights, .. }: Closed<'_, F>) {
         for (param, r) in policy.trained_params().iter().zip(weights.trained(policy)) {
             let value = Lane::splat(F::from_f64(param.value(r.as_())));
-            self.params
+            let all = self.blocks() * self.param_dim;
+            self.params[..all]
                 .iter_mut()
                 .skip(param.index())
                 .step_by(self.param_dim)
@@ -333,11 +352,12 @@ impl<F: Float> Rollout<F> {
         self.add_unit_costs();
         let last = self.slot(self.horizon).start;
         let n_params = self.param_dim;
+        let params = self.param_slot(self.horizon - 1).start;
         for (block, x) in self.states[last..][..self.blocks() * self.state_dim]
             .chunks_exact(self.state_dim)
             .enumerate()
         {
-            let params = &self.params[block * n_params..][..n_params];
+            let params = &self.params[params + block * n_params..][..n_params];
             self.costs[block] += task.terminal_cost(x, params);
         }
         let bad = (0..self.samples).find(|&sample| !self.cost(sample).as_().is_finite());
@@ -350,6 +370,7 @@ impl<F: Float> Rollout<F> {
             self.set_trained_params(closed);
             self.check_params()?;
         }
+        self.draw_noise(t);
         self.observe(closed.task, t);
         self.act(closed, t);
         if !self.integrate(closed.task, t) {
@@ -361,16 +382,35 @@ impl<F: Float> Rollout<F> {
         Ok(())
     }
 
+    /// Writes the parameters of step `t`, if they differ between steps.
+    fn draw_noise(&mut self, t: usize) {
+        if self.noise.is_empty() {
+            return;
+        }
+        let (slot, params) = (self.param_slot(t), self.param_dim);
+        let (constant, steps) = self.params.split_at_mut(slot.len());
+        let now = &mut steps[slot.start - constant.len()..][..slot.len()];
+        now.copy_from_slice(constant);
+        for (block, now) in now.chunks_exact_mut(params).enumerate() {
+            for lane in 0..LANES {
+                let sample = (block * LANES + lane).min(self.samples - 1);
+                let set = |i: usize, value| now[i].set_lane(lane, F::from_f64(value));
+                self.noise.at(self.keys[sample].as_(), t, set);
+            }
+        }
+    }
+
     /// Writes the inputs of the policy at step `t`: the observations and the memories.
     fn observe(&mut self, task: &dyn AnyTask<F>, t: usize) {
         let (observed, memory_dim) = (self.observed_dim, self.memory_dim);
         let (at, blocks, now) = (self.columns(t), self.blocks(), self.slot(t));
+        let p = self.param_slot(t);
         let (x, memory) = self.states[now].split_at(blocks * self.state_dim);
         let seen = match task.own_observation() {
             None => x,
             Some(_) => {
                 let y = &mut self.observations[..blocks * observed];
-                task.observe(Inputs { x, u: &[], p: &self.params, t }, y);
+                task.observe(Inputs { x, u: &[], p: &self.params[p], t }, y);
                 &*y
             }
         };
@@ -395,7 +435,7 @@ impl<F: Float> Rollout<F> {
     /// Writes the states after step `t`, and adds its costs to those of the unit. Returns whether
     /// controls, states and memories are finite.
     fn integrate(&mut self, task: &dyn AnyTask<F>, t: usize) -> bool {
-        let (now, next) = (self.slot(t), self.slot(t + 1));
+        let (now, next, p) = (self.slot(t), self.slot(t + 1), self.param_slot(t));
         let (states, controls) = (self.blocks() * self.state_dim, self.blocks() * self.control_dim);
         // The two slots are adjacent, or the first and the last of the ring.
         let (now, next) = if now.start < next.start {
@@ -407,7 +447,7 @@ impl<F: Float> Rollout<F> {
         };
         let (next, next_memory) = next.split_at_mut(states);
         let u = &self.controls[controls * (t % self.kept)..][..controls];
-        let inputs = Inputs { x: &now[..states], u, p: &self.params, t };
+        let inputs = Inputs { x: &now[..states], u, p: &self.params[p], t };
         let finite = task.step_forward(inputs, next, &mut self.unit_costs);
         let (memory_dim, samples) = (self.memory_dim, self.samples);
         finite && find_non_finite(next_memory, memory_dim, samples, Real::lane).is_none()
@@ -531,26 +571,37 @@ impl<F: Float> Rollout<F> {
         &self.controls[len * (t % self.kept)..][..len]
     }
 
-    /// Parameters of block `block`.
-    pub(crate) fn params_of(&self, block: usize) -> &[Lane<F>] {
-        &self.params[block * self.param_dim..][..self.param_dim]
+    /// Range of the parameters of step `t` in `params`.
+    fn param_slot(&self, t: usize) -> Range<usize> {
+        let len = self.blocks() * self.param_dim;
+        let slot = if self.noise.is_empty() { 0 } else { 1 + t % self.kept };
+        slot * len..(slot + 1) * len
     }
 
-    /// Returns the parameters of a sample, with the values of trained entries.
-    pub fn params_of_sample(&self, sample: usize) -> impl Iterator<Item = F> {
-        self.params_of(sample / LANES).iter().map(move |p| p.0[sample % LANES])
+    /// Parameters of block `block` at step `t`.
+    pub(crate) fn params_at(&self, t: usize, block: usize) -> &[Lane<F>] {
+        &self.params[self.param_slot(t).start + block * self.param_dim..][..self.param_dim]
+    }
+
+    /// Returns the parameters of a sample at step `t`, with the values of trained entries and of
+    /// noise. Without noise, they are equal at all steps.
+    ///
+    /// # Panics
+    /// If that step is not stored, or there is no such sample.
+    pub fn params_at_step(&self, t: usize, sample: usize) -> impl Iterator<Item = F> {
+        self.params_at(t, sample / LANES).iter().map(move |p| p.0[sample % LANES])
     }
 
     /// Inputs of step `t` for block `block`.
     pub(crate) fn inputs_of(&self, t: usize, block: usize) -> Inputs<'_, Lane<F>> {
         let (n, m) = (self.state_dim, self.control_dim);
         let (x, u) = (&self.states_at(t)[block * n..][..n], &self.controls_at(t)[block * m..][..m]);
-        Inputs { x, u, p: self.params_of(block), t }
+        Inputs { x, u, p: self.params_at(t, block), t }
     }
 
     /// States, parameters and time of step `t` for all blocks, concatenated.
     pub(crate) fn observed_at(&self, t: usize) -> Inputs<'_, Lane<F>> {
-        Inputs { x: self.states_at(t), u: &[], p: &self.params, t }
+        Inputs { x: self.states_at(t), u: &[], p: &self.params[self.param_slot(t)], t }
     }
 
     /// Returns true if all steps are stored.

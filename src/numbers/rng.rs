@@ -24,6 +24,8 @@ pub enum Purpose {
     Bootstrap = 8,
     /// Perturbations of the parameters in updates with smoothing.
     Perturb = 9,
+    /// Noise in the steps of rollouts.
+    Noise = 10,
 }
 
 /// Returns the stream of one (seed, purpose, index).

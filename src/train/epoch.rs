@@ -6,6 +6,7 @@ use super::average::average_direction;
 use super::record::{Means, Record, Skip, Step};
 use super::smoothing::Estimates;
 use super::{TrainError, Training};
+use crate::dynamics::number::key_of_epoch;
 use crate::engine::any::AnyTask;
 use crate::engine::batch::Batch;
 use crate::engine::divergence::Divergence;
@@ -117,6 +118,8 @@ pub(super) struct State<F: Float> {
     evaluation: Evaluation<F>,
     /// Initial states of the mini-batch.
     starts: Vec<F>,
+    /// True if initial states end with a key of noise, which differs between epochs.
+    is_noisy: bool,
     /// Buffer for one drawn sample.
     drawn: Vec<f64>,
     pub(super) combined: Gradient<F>,
@@ -172,6 +175,7 @@ impl<F: Float> State<F> {
             optimizer,
             order: (0..train.len() / n).collect(),
             starts: Vec::with_capacity(samples * n),
+            is_noisy: !task.noise().is_empty(),
             drawn: vec![0.0; n],
             combined: Gradient::zeros(params),
             estimates: training.smoothing.map(|_| Estimates::new(params)),
@@ -460,7 +464,7 @@ impl<F: Float> State<F> {
 
     /// Copies the initial states of mini-batch `index`, or draws them if the training resamples.
     fn select_batch(&mut self, task: &dyn AnyTask<F>, index: usize) {
-        let n = task.start_dim();
+        let n = self.drawn.len();
         self.starts.clear();
         for &sample in self.order.chunks(self.training.batch).nth(index).unwrap_or(&[]) {
             if self.training.resample {
@@ -470,6 +474,9 @@ impl<F: Float> State<F> {
                 append_start(task, rng, &mut self.drawn, &mut self.starts);
             } else {
                 self.starts.extend_from_slice(&self.train[sample * n..][..n]);
+                if self.is_noisy && let Some(key) = self.starts.last_mut() {
+                    *key = F::from_f64(key_of_epoch(key.as_(), self.records.len() as u64));
+                }
             }
         }
     }

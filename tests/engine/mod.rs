@@ -9,6 +9,7 @@ mod determinism;
 mod divergence;
 mod empty;
 mod memory;
+mod noise;
 mod ranks;
 mod rows;
 mod schedule;

@@ -151,7 +151,7 @@ fn plans(
         let zeros = args.from.is_none();
         let controls = start.controls.concat();
         let initial = if zeros { Initial::Zeros } else { Initial::Controls(&controls) };
-        let plan = scene.optimize(&start.states[0], &start.params, initial, options);
+        let plan = scene.optimize(&start.states[0], &start.params[0], initial, options);
         let plan = plan.with_context(|| format!("initial state {i}"))?;
         if !args.quiet {
             print_message(&format!(
@@ -281,7 +281,7 @@ fn trajectory(plan: &Plan) -> Trajectory {
     Trajectory {
         states: (0..=plan.horizon()).map(|t| plan.state(t).to_vec()).collect(),
         controls: (0..plan.horizon()).map(|t| plan.control(t).to_vec()).collect(),
-        params: plan.p.clone(),
+        params: vec![plan.p.clone(); plan.horizon() + 1],
     }
 }
 

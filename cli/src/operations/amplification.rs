@@ -71,7 +71,7 @@ impl Between {
     ) -> Self {
         /// Halvings of the line.
         const HALVINGS: usize = 40;
-        let (u, p) = (controls[t].clone(), params.clone());
+        let (u, p) = (controls[t].clone(), params[t].clone());
         let at = |share: f64| -> Vec<f64> {
             let pairs = states[t].iter().zip(&states[t + 1]);
             pairs.map(|(a, b)| a + share * (b - a)).collect()
@@ -197,7 +197,7 @@ impl<'a> Visited<'a> {
         let of_rollout =
             |(sample, Trajectory { states, controls, params }): (_, &'a Trajectory)| {
                 let inputs =
-                    move |t: usize| Inputs { x: &states[t], u: &controls[t], p: params, t };
+                    move |t: usize| Inputs { x: &states[t], u: &controls[t], p: &params[t], t };
                 (0..controls.len()).map(move |t| (sample, inputs(t)))
             };
         Self { task, states: rollouts.iter().enumerate().flat_map(of_rollout).collect() }

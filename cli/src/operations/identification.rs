@@ -75,10 +75,10 @@ pub fn identified(
 /// pendulum may hang or stand, then initial states of test rollouts.
 fn guesses(task: &DynTask, angles: &[usize]) -> Vec<Vec<f64>> {
     const DRAWN: usize = 6;
-    let (states, params) = (task.system().state_dim(), task.param_dim());
+    let states = task.system().state_dim();
     let turned = (0..states).map(|i| if angles.contains(&i) { PI } else { 0.0 }).collect();
     let drawn = initial_states(task, 0, Purpose::Test, DRAWN);
-    let drawn = drawn.chunks(states + params).map(|start| start[..states].to_vec());
+    let drawn = drawn.chunks(drawn.len() / DRAWN).map(|start| start[..states].to_vec());
     let turned: Option<Vec<f64>> = (!angles.is_empty()).then_some(turned);
     turned.into_iter().chain(drawn).collect()
 }

@@ -160,11 +160,13 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
     }
 
     fn starts(&self, chosen: Range<usize>) -> Vec<Trajectory> {
-        let (n, len) = (AnyTask::<F>::state_dim(self.task()), AnyTask::<F>::start_dim(self.task()));
+        let task: &dyn AnyTask<F> = self.task();
+        let (n, params, len) = (task.state_dim(), task.param_dim(), task.start_dim());
         let start = |start: &[F]| {
             let numbers: Vec<f64> = start.iter().map(|number| number.as_()).collect();
-            let (x, p) = numbers.split_at(n);
-            Trajectory { states: vec![x.to_vec()], controls: Vec::new(), params: p.to_vec() }
+            let (x, rest) = numbers.split_at(n);
+            let params = vec![rest[..params].to_vec()];
+            Trajectory { states: vec![x.to_vec()], controls: Vec::new(), params }
         };
         let all = self.test_starts().chunks_exact(len);
         all.skip(chosen.start).take(chosen.len()).map(start).collect()

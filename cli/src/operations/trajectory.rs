@@ -16,8 +16,9 @@ pub struct Trajectory {
     pub states: Vec<Vec<f64>>,
     /// Controls `[step][component]`, one entry fewer than the states.
     pub controls: Vec<Vec<f64>>,
-    /// Parameters, constant during the rollout.
-    pub params: Vec<f64>,
+    /// Parameters `[step][component]`, as many as states. Only noise differs between steps. The last
+    /// entry repeats the one before.
+    pub params: Vec<Vec<f64>>,
 }
 
 /// Rollouts of the policy from a range of the initial states. Truncates the end of the range to the
@@ -62,7 +63,10 @@ pub fn until_divergence<F: Float>(
         controls: (0..steps)
             .map(|t| (0..m).map(|i| rollout.control(t, sample, i).as_()).collect())
             .collect(),
-        params: rollout.params_of_sample(sample).map(|p| p.as_()).collect(),
+        params: (0..=steps)
+            .map(|t| t.min(steps.saturating_sub(1)))
+            .map(|t| rollout.params_at_step(t, sample).map(|p| p.as_()).collect())
+            .collect(),
     };
     ((0..samples).map(trajectory).collect(), divergence)
 }

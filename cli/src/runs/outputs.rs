@@ -43,7 +43,7 @@ pub fn trajectories<'a>(
                 };
                 (0..columns).map(cell).collect()
             };
-            let state = state.iter().chain(&rollout.params).map(f64::to_string);
+            let state = state.iter().chain(&rollout.params[t]).map(f64::to_string);
             let controls =
                 cells(&rollout.controls, controls).into_iter().chain(cells(&applied_rows, applied));
             index.into_iter().chain(state).chain(controls).collect::<Vec<_>>()

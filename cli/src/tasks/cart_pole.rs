@@ -83,18 +83,22 @@ effects_section! {
 }
 
 impl CartPoleEffects {
-    /// Wind speed in m/s at these times in s. Empty without wind. `params` are the parameters of
-    /// the rollout.
-    fn wind(&self, mut params: &[f64], times: impl Iterator<Item = f64>) -> Vec<f64> {
+    /// Wind speed in m/s at each step. Empty without wind. `params` are the parameters of each step,
+    /// of duration `dt` in s.
+    fn wind(&self, params: &[Vec<f64>], dt: f64) -> Vec<f64> {
+        let mut first = 0;
         for Named { effect, .. } in Present::<CartPoleEffect>::present(self) {
             match effect {
                 CartPoleEffect::SteadyWind(wind) => {
-                    return times.map(|_| wind.speed_at(params)).collect();
+                    return params.iter().map(|p| wind.speed_at(&p[first..])).collect();
                 }
                 CartPoleEffect::GustyWind(wind) => {
-                    return times.map(|time| wind.speed_at(params, time)[0]).collect();
+                    let speed = |(t, p): (usize, &Vec<f64>)| {
+                        wind.speed_at(&p[first..], t as f64 * dt)[0]
+                    };
+                    return params.iter().enumerate().map(speed).collect();
                 }
-                effect => params = &params[Effect::<CartPoleSystem>::param_dim(&effect)..],
+                effect => first += Effect::<CartPoleSystem>::param_dim(&effect),
             }
         }
         Vec::new()
@@ -260,8 +264,7 @@ impl TaskSpec for CartPole {
         let dim = System::state_dim(&settings.system.1);
         let forces: Vec<f64> =
             settings.actuator.applied(dt, states, controls).iter().map(|u| u[0]).collect();
-        let times = (0..states.len()).map(|t| t as f64 * dt);
-        let wind = settings.effects.wind(params, times);
+        let wind = settings.effects.wind(params, dt);
         let rail =
             Rail { bumpers: settings.effects.bumpers.map(|bumpers| bumpers.half_travel), wind };
         let states: Vec<Vec<f64>> = states.iter().map(|x| x[..dim].to_vec()).collect();
@@ -282,9 +285,10 @@ mod tests {
         )
         .expect("settings");
         // The damping, then the start of the gusts and their amplitude.
-        let wind = effects.wind(&[1.5, 1.0, 1.25], [0.0, 0.5].into_iter());
+        let params = [vec![1.5, 1.0, 1.25], vec![1.5, 1.0, 1.25]];
+        let wind = effects.wind(&params, 0.5);
         assert_eq!(wind[0], 3.0 + 1.25);
         assert!((wind[1] - (3.0 + 1.25 * (0.75 * PI).sin())).abs() < 1e-15, "{wind:?}");
-        assert!(CartPoleEffects::default().wind(&[], [0.0].into_iter()).is_empty());
+        assert!(CartPoleEffects::default().wind(&params, 0.5).is_empty());
     }
 }

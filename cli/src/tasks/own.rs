@@ -70,7 +70,8 @@ pub trait ProgramTask: Task + Section + Default {
     fn param_names(&self) -> Vec<String> {
         numbered("p", self.param_dim())
     }
-    /// Animation of one rollout of T steps: T + 1 states, T controls and the parameters. Default:
+    /// Animation of one rollout of T steps: T + 1 states, T controls and the parameters, those
+    /// of the first step if there is noise. Default:
     /// states and controls over time. If `Animation::time` is positive and `channels` is empty, the
     /// program adds the controls as channels.
     fn animation(&self, states: &[Vec<f64>], controls: &[Vec<f64>], _params: &[f64]) -> Animation {
@@ -217,6 +218,6 @@ impl<T: ProgramTask> TaskSpec for T {
     ) -> Animation {
         let dim = settings.system.system().state_dim();
         let states: Vec<Vec<f64>> = states.iter().map(|x| x[..dim].to_vec()).collect();
-        settings.system.animation(&states, controls, params)
+        settings.system.animation(&states, controls, &params[0])
     }
 }

@@ -1,12 +1,23 @@
 //! A [`Number`] in a scene: a plain number, or a table with a distribution or an initial value.
 
-use super::{Choice, Number};
+use super::{Choice, Noise, Number};
 use serde::de::{Deserialize, Deserializer, Error, MapAccess, Visitor};
 use serde::ser::{Serialize, SerializeMap, Serializer};
 use std::fmt;
 
 /// Keys of the table of a number that is not fixed.
-const KEYS: [&str; 7] = ["uniform", "normal", "log_uniform", "choice", "start", "min", "max"];
+const KEYS: [&str; 10] = [
+    "uniform",
+    "normal",
+    "log_uniform",
+    "choice",
+    "noise",
+    "mean",
+    "hold",
+    "start",
+    "min",
+    "max",
+];
 
 impl Serialize for Number {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
@@ -22,6 +33,15 @@ impl Serialize for Number {
             }
             Self::LogUniform { low, high } => map.serialize_entry("log_uniform", &[low, high])?,
             Self::Choice(choice) => map.serialize_entry("choice", choice.values())?,
+            Self::Noise(Noise { mean, deviation, hold }) => {
+                map.serialize_entry("noise", deviation)?;
+                if *mean != 0.0 {
+                    map.serialize_entry("mean", mean)?;
+                }
+                if *hold != 1 {
+                    map.serialize_entry("hold", hold)?;
+                }
+            }
             Self::Trained { start, min, max } => {
                 map.serialize_entry("start", start)?;
                 for (key, bound) in [("min", min), ("max", max)] {
@@ -49,7 +69,7 @@ impl<'de> Visitor<'de> for NumberVisitor {
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(
             "a number, { uniform = [low, high] }, { normal = [mean, deviation] }, { log_uniform = [low, high] }, \
-             { choice = [...] } or { start = value, min = bound, max = bound }",
+             { choice = [...] }, { noise = deviation, mean = value, hold = steps } or { start = value, min = bound, max = bound }",
         )
     }
 
@@ -66,43 +86,67 @@ impl<'de> Visitor<'de> for NumberVisitor {
     }
 
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Number, A::Error> {
-        let mut drawn = None;
-        let [mut start, mut min, mut max] = [None; 3];
+        let mut drawn: Option<(String, Vec<f64>)> = None;
+        let [mut start, mut min, mut max, mut noise, mut mean] = [None; 5];
+        let mut hold = None;
         while let Some(key) = map.next_key::<String>()? {
             match key.as_str() {
                 "start" => start = Some(map.next_value()?),
                 "min" => min = Some(map.next_value()?),
                 "max" => max = Some(map.next_value()?),
-                key if KEYS.contains(&key) && drawn.is_none() => {
-                    drawn = Some(distribution(key, &map.next_value::<Vec<f64>>()?))
-                }
-                key if KEYS.contains(&key) => {
+                "noise" => noise = Some(map.next_value()?),
+                "mean" => mean = Some(map.next_value()?),
+                "hold" => hold = Some(map.next_value::<u32>()?),
+                _ if !KEYS.contains(&&*key) => return Err(A::Error::unknown_field(&key, &KEYS)),
+                _ if drawn.is_some() => {
                     return Err(A::Error::custom("two distributions; choose one"));
                 }
-                _ => return Err(A::Error::unknown_field(&key, &KEYS)),
+                _ => drawn = Some((key, map.next_value()?)),
             }
         }
-        match (drawn, start) {
-            (Some(number), None) if min.is_none() && max.is_none() => {
-                number.map_err(A::Error::custom)
+        let number = match (drawn, noise, start) {
+            (Some((key, values)), None, None)
+                if [min, max, mean] == [None; 3] && hold.is_none() =>
+            {
+                distribution(&key, &values)
             }
-            (None, Some(start)) => {
-                let (min, max) = (min.unwrap_or(f64::NEG_INFINITY), max.unwrap_or(f64::INFINITY));
-                if max.is_finite() && !min.is_finite() {
-                    return Err(A::Error::custom("`max` requires `min`"));
-                }
-                if !(min < start && start < max && start.is_finite()) {
-                    return Err(A::Error::custom(format!(
-                        "`start = {start}` is not strictly between its bounds"
-                    )));
-                }
-                Ok(Number::Trained { start, min, max })
+            (None, Some(deviation), None) if [min, max] == [None; 2] => {
+                noise_of(deviation, mean.unwrap_or(0.0), hold.unwrap_or(1))
             }
-            _ => Err(A::Error::custom(
-                "the table needs either one distribution, or `start` with optional `min` and `max`",
-            )),
-        }
+            (None, None, Some(start)) if mean.is_none() && hold.is_none() => {
+                trained(start, min.unwrap_or(f64::NEG_INFINITY), max.unwrap_or(f64::INFINITY))
+            }
+            _ => Err("the table needs one of: one distribution; `noise` with optional `mean` and \
+                      `hold`; `start` with optional `min` and `max`"
+                .into()),
+        };
+        number.map_err(A::Error::custom)
     }
+}
+
+/// Creates a number that is trained.
+fn trained(start: f64, min: f64, max: f64) -> Result<Number, String> {
+    if max.is_finite() && !min.is_finite() {
+        return Err("`max` requires `min`".into());
+    }
+    if !(min < start && start < max && start.is_finite()) {
+        return Err(format!("`start = {start}` is not strictly between its bounds"));
+    }
+    Ok(Number::Trained { start, min, max })
+}
+
+/// Creates noise.
+fn noise_of(deviation: f64, mean: f64, hold: u32) -> Result<Number, String> {
+    if !(deviation.is_finite() && deviation >= 0.0) {
+        return Err(format!("`noise = {deviation}`; allowed: a standard deviation of 0 or more"));
+    }
+    if !mean.is_finite() {
+        return Err(format!("`mean = {mean}`; allowed: a finite number"));
+    }
+    if hold == 0 {
+        return Err("`hold = 0`; allowed: a number of steps of 1 or more".into());
+    }
+    Ok(Number::Noise(Noise { mean, deviation, hold: hold as usize }))
 }
 
 /// Creates a number from the key of a distribution and its values.
@@ -152,6 +196,15 @@ impl schemars::JsonSchema for Number {
                     "type": "object",
                     "properties": { "choice": { "type": "array", "items": { "type": "number" }, "minItems": 1 } },
                     "required": ["choice"],
+                    "additionalProperties": false
+                },
+                {
+                    "type": "object",
+                    "properties": {
+                        "noise": { "type": "number" }, "mean": { "type": "number" },
+                        "hold": { "type": "integer", "minimum": 1 }
+                    },
+                    "required": ["noise"],
                     "additionalProperties": false
                 },
                 {

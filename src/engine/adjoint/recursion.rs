@@ -241,7 +241,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             let p_bar = (!self.cost.p.is_empty()).then_some(&mut self.cost.p[..]);
             closed.task.terminal_cost_gradient(
                 x,
-                rollout.params_of(block),
+                rollout.params_at(rollout.horizon - 1, block),
                 &mut self.cost.next,
                 p_bar,
             );

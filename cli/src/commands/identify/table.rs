@@ -3,6 +3,7 @@
 use crate::platform::terminal::listed;
 use crate::tasks::Scene;
 use anyhow::{Context, Result, anyhow, bail};
+use physgrad::Number;
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
@@ -76,7 +77,11 @@ impl Table {
             .headers()
             .with_context(|| format!("cannot read {}", table.name))?
             .clone();
-        let ignored = [scene.applied_names(), vec!["step".into()]].concat();
+        // Noise has no constant value; the fit uses its mean.
+        let varied = scene.varied().into_iter();
+        let noise = varied.filter(|(_, number)| matches!(number, Number::Noise(_)));
+        let noise = noise.map(|(name, _)| name).collect();
+        let ignored = [scene.applied_names(), vec!["step".into()], noise].concat();
         let columns = header.iter().map(|header| column(header, &names, &ignored));
         table.columns = columns
             .collect::<Option<_>>()
