@@ -135,6 +135,11 @@ pub mod actuator {
     };
 }
 
+/// Sensors between the observation of a task and the policy: lag, bias, noise, sampling, delay.
+pub mod sensor {
+    pub use crate::dynamics::sensor::{Sensed, Sensor, SensorError};
+}
+
 /// Exact counts of the operations of steps and derivatives.
 pub mod count {
     pub use crate::dynamics::op_count::{OpCount, TaskOpCount};

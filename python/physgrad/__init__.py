@@ -21,7 +21,7 @@ from ._core import (
     optimize,
     rollout,
 )
-from ._distributions import choice, log_uniform, normal, table, trained, uniform
+from ._distributions import choice, log_uniform, noise, normal, table, trained, uniform
 from ._import_jax import from_jax
 from .trace import detach, system
 
@@ -41,6 +41,7 @@ __all__ = [
     "load",
     "log_uniform",
     "losses",
+    "noise",
     "normal",
     "optimize",
     "rollout",

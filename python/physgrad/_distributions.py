@@ -53,6 +53,16 @@ def choice(values: Sequence[float]) -> dict[str, list[float]]:
     return {"choice": found}
 
 
+def noise(deviation: float, mean: float = 0.0, hold: int = 1) -> dict[str, float]:
+    """Normal noise: a number drawn anew every `hold` steps, for each sample."""
+    deviation, mean = finite("pg.noise", deviation, mean)
+    if deviation < 0:
+        raise ValueError(f"pg.noise: the deviation {deviation} is negative")
+    if isinstance(hold, bool) or not isinstance(hold, (int, np.integer)) or hold < 1:
+        raise ValueError(f"pg.noise: hold={hold!r} is not a number of steps, 1 or more")
+    return {"noise": deviation, "mean": mean, "hold": int(hold)}
+
+
 def trained(start: float, min: float | None = None, max: float | None = None) -> dict[str, float]:
     """A number that a training changes, from `start`, within bounds."""
     bounds = {

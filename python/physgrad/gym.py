@@ -255,6 +255,7 @@ class _Rows:
         self.middle, self.half = 0.5 * low + 0.5 * high, 0.5 * high - 0.5 * low
         self.x = np.zeros((count, task.state_dim), task.dtype)
         self.p = np.zeros((count, task.param_dim), task.dtype)
+        self.key = np.zeros((count, task.start_dim - task.state_dim - task.param_dim), task.dtype)
         self.t = np.full(count, task.horizon)
         self.begun = np.zeros(count, bool)
 
@@ -280,10 +281,19 @@ class _Rows:
         """Draws initial states of the rows in ``mask``. Those in ``given`` replace them."""
         starts = self.task.starts(int(mask.sum()), seed=int(rng.integers(2**63)))
         self.x[mask] = starts[:, : self.task.state_dim]
-        self.p[mask] = starts[:, self.task.state_dim :]
+        states, params = self.task.state_dim, self.task.param_dim
+        self.p[mask] = starts[:, states : states + params]
+        self.key[mask] = starts[:, states + params :]
         self.t[mask], self.begun[mask] = 0, True
         for name, array in (given or {}).items():
             {"state": self.x, "params": self.p}[name][mask] = array[mask]
+
+    def _params(self, rows: np.ndarray, t: int) -> np.ndarray:
+        """Parameters of these rows at step `t`, with the noise of this step."""
+        if not self.key.size:
+            return self.p[rows]
+        starts = np.concatenate([self.x[rows], self.p[rows], self.key[rows]], axis=1)
+        return self.task.params_at(starts, t)
 
     def step(self, actions: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Steps the rows in ``mask``. Returns rewards, 0 for other rows, and the rows that end."""
@@ -294,7 +304,7 @@ class _Rows:
         cost, after = np.zeros(len(self.x)), self.x.copy()
         for t in np.unique(self.t[mask]):
             rows = mask & (self.t == t)
-            x, controls, p = self.x[rows], u[rows], self.p[rows]
+            x, controls, p = self.x[rows], u[rows], self._params(rows, int(t))
             following = self.task.step(x, controls, p=p, t=int(t))
             cost[rows] = self.task.running_cost(x, controls, following, p=p, t=int(t))
             self._check(following, rows, t)
@@ -304,7 +314,8 @@ class _Rows:
         self.t[mask] += 1
         last = mask & (self.t == self.task.horizon)
         if last.any():
-            cost[last] += self.task.terminal_cost(self.x[last], p=self.p[last])
+            p = self._params(last, self.task.horizon - 1)
+            cost[last] += self.task.terminal_cost(self.x[last], p=p)
         return 0.0 - cost, last
 
     def _check(self, following: np.ndarray, rows: np.ndarray, t: int) -> None:
@@ -320,7 +331,7 @@ class _Rows:
         y = np.empty((len(self.x), self.task.observation_dim), self.x.dtype)
         for t in np.unique(self.t):
             rows = self.t == t
-            y[rows] = self.task.observe(self.x[rows], p=self.p[rows], t=int(t))
+            y[rows] = self.task.observe(self.x[rows], p=self._params(rows, int(t)), t=int(t))
         return y
 
 

@@ -402,9 +402,8 @@ def trace_settings(
         if found != again and (found[role] != again[role] or len(functions) == 1):
             raise ValueError(
                 f"{begin(function)} gave other equations when it was called again. A function must not "
-                "draw random numbers, "
-                "count its calls or change variables. Use pg.uniform and its like in `params`, and "
-                "states for memory"
+                "draw random numbers, count its calls or change variables. In `params`, pg.uniform is drawn "
+                "for each rollout and pg.noise in each step; states are memory"
             )
     if found != again:
         raise ValueError(
@@ -487,8 +486,8 @@ def system(*arguments: Any, **settings: Any) -> Any:
 
     `states` is a list of names, or a count for x1, x2, ...; `controls` may also be a dict of
     bounds, (low, high) or None. `params` has numbers, constant arrays, `pg.uniform`, `pg.normal`,
-    `pg.log_uniform`, `pg.choice`, `pg.trained` and `pg.table`. `start` has the same except arrays
-    and tables, by state; states without a start begin at 0. `dt` is the time step in s.
+    `pg.log_uniform`, `pg.choice`, `pg.noise`, `pg.trained` and `pg.table`. `start` has numbers and
+    those that are drawn for each sample, by state; states without a start begin at 0. `dt` is the time step in s.
     `method` is an integrator, "rk4" by default, with `substeps` per step. Other arguments are
     `tables`, `angles`, `units`, `horizon`, and those of `pg.task`.
 

@@ -53,7 +53,8 @@ pub fn identify<'py>(
 ) -> PyResult<Bound<'py, PyDict>> {
     let unknowns = params.map_or(Ok(Vec::new()), |params| unknowns(task, params))?;
     let order: Vec<String> = unknowns.iter().map(|(key, _)| key.clone()).collect();
-    let scene = task.scene.with(unknowns).map_err(value_error)?;
+    let scene = task.scene.with(unknowns).and_then(|scene| scene.without_sensor());
+    let scene = scene.map_err(value_error)?;
     let segments = List {
         name: "data",
         most: (scene.most_rows(), "which take 1 GB with one row each"),

@@ -14,7 +14,7 @@ use pyo3::types::PyDict;
 use std::ffi::CString;
 
 /// Optimizes the controls from one initial state `start`, (start_dim,), as `physgrad optimize`
-/// does, in f64.
+/// does, in f64. Noise has its mean.
 ///
 /// `bounds` has the low and high bound of each control, (m, 2). `iterations` is the largest number
 /// of iterations, 200 by default, up to 1,000,000. The search starts at controls of 0.
@@ -35,8 +35,8 @@ pub fn optimize<'py>(
     iterations: Option<usize>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let [n, m, params] = task.scene.dims();
-    let start = any_shape::<f64>("start", start, n + params)?;
-    task.check_params(start.slice(), n + params)?;
+    let start = any_shape::<f64>("start", start, task.width)?;
+    task.check_starts(start.slice())?;
     let pairs = List {
         name: "bounds",
         most: (m, "one pair of a low and a high bound for each control"),
@@ -49,8 +49,7 @@ pub fn optimize<'py>(
     let (problem, start) = (task.scene.task(), start.slice().to_vec());
     let plan = interruptible(py, move |stop| {
         let options = Options { stop: Some(stop.clone()), ..options };
-        let (x0, p) = start.split_at(n);
-        minimize(&problem, x0, p, Initial::Zeros, &options)
+        minimize(&problem, &start[..n], &start[n..n + params], Initial::Zeros, &options)
     })?;
     let plan = plan.map_err(|error| invalid(error.to_string()))?;
     let (horizon, result) = (plan.horizon(), PyDict::new(py));

@@ -169,10 +169,10 @@ pub fn rollout<'py>(
     starts: &Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyTuple>> {
     let policy = policy.lock().clone();
-    let [n, m, params] = task.scene.dims();
+    let [n, m, _] = task.scene.dims();
     with_precision!(is_f32([starts]), F => {
-        let (starts, b) = Argument::<F>::first("starts", starts, n + params)?;
-        task.check_params(starts.slice(), n + params)?;
+        let (starts, b) = Argument::<F>::first("starts", starts, task.width)?;
+        task.check_starts(starts.slice())?;
         let (starts, scene) = (starts.to_vec()?, task.scene.clone());
         let found = interruptible(py, move |stop| policy.rollouts::<F>(&scene, &starts, stop))?.map_err(value_error)?;
         let horizon = task.scene.horizon();
@@ -192,10 +192,9 @@ pub fn losses<'py>(
     starts: &Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let policy = policy.lock().clone();
-    let [n, _, params] = task.scene.dims();
     with_precision!(is_f32([starts]), F => {
-        let (starts, b) = Argument::<F>::first("starts", starts, n + params)?;
-        task.check_params(starts.slice(), n + params)?;
+        let (starts, b) = Argument::<F>::first("starts", starts, task.width)?;
+        task.check_starts(starts.slice())?;
         let (starts, scene) = (starts.to_vec()?, task.scene.clone());
         let losses = interruptible(py, move |stop| policy.losses::<F>(&scene, &starts, stop))?.map_err(value_error)?;
         Ok(array(py, losses, &[b])?.into_any())
@@ -219,7 +218,6 @@ pub fn gradients<'py>(
     fields: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let policy = policy.lock().clone();
-    let [n, _, params] = task.scene.dims();
     let names = List {
         name: "fields",
         most: (Field::ALL.len(), "the number of fields"),
@@ -232,8 +230,8 @@ pub fn gradients<'py>(
     let parse = |name: &String| name.parse::<Field>().map_err(|error| invalid(error.to_string()));
     let chosen = fields.iter().map(parse).collect::<PyResult<Vec<Field>>>()?;
     with_precision!(is_f32([starts]), F => {
-        let (starts, b) = Argument::<F>::first("starts", starts, n + params)?;
-        task.check_params(starts.slice(), n + params)?;
+        let (starts, b) = Argument::<F>::first("starts", starts, task.width)?;
+        task.check_starts(starts.slice())?;
         if b == 0 {
             return Err(invalid("`starts` has no rows; a mean loss needs at least one"));
         }

@@ -10,10 +10,19 @@ use std::collections::HashMap;
 use toml::{Table, Value};
 
 /// Sections whose values are sections.
-const NESTED: [&str; 2] = ["effects", "actuator"];
+const NESTED: [&str; 3] = ["effects", "actuator", "sensor"];
 /// Sections of a scene that keyword arguments may name.
-const SECTIONS: [&str; 8] =
-    ["system", "effects", "actuator", "integrator", "loss", "equations", "policy", "training"];
+const SECTIONS: [&str; 9] = [
+    "system",
+    "effects",
+    "actuator",
+    "sensor",
+    "integrator",
+    "loss",
+    "equations",
+    "policy",
+    "training",
+];
 
 /// A list of dotted keys and values. None removes an effect or a part of the actuator.
 pub type Settings = Vec<Change>;

@@ -6,8 +6,9 @@ use crate::interrupt::in_parts;
 use crate::rows::Rows;
 use crate::settings::{keywords, table_to_python};
 use physgrad::engine::rows;
+use physgrad::number::NoiseNumbers;
 use physgrad::rng::Purpose;
-use physgrad::{DynTask, Inputs, Tangents, Task as _};
+use physgrad::{DynTask, Float as _, Inputs, System as _, Tangents, Task as _};
 use physgrad_cli::api::Scene;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -32,6 +33,9 @@ pub struct Task {
     n: usize,
     m: usize,
     params: usize,
+    /// Length of a row of initial states.
+    pub width: usize,
+    noise: NoiseNumbers,
     /// Parameters without negative values, and whether each may be 0.
     ranges: OnceLock<Vec<(usize, bool)>>,
 }
@@ -39,12 +43,21 @@ pub struct Task {
 impl Task {
     pub fn new(scene: Scene) -> Self {
         let [n, m, params] = scene.dims();
-        Self { task: scene.task(), scene, n, m, params, ranges: OnceLock::new() }
+        let task = scene.task();
+        let noise = NoiseNumbers::of(&task.system().varied(params));
+        let width = n + params + noise.key_dim();
+        Self { task, scene, n, m, params, width, noise, ranges: OnceLock::new() }
     }
 
-    /// Refuses parameters outside of the ranges of their settings, such as a mass of 0. They are the
-    /// last numbers of the rows, which have this width.
-    pub fn check_params<F: Number>(&self, rows: &[F], width: usize) -> PyResult<()> {
+    /// Refuses initial states with parameters outside of the ranges of their settings, such as a mass
+    /// of 0.
+    pub fn check_starts<F: Number>(&self, starts: &[F]) -> PyResult<()> {
+        self.check_params(starts, self.width, self.n)
+    }
+
+    /// Refuses parameters outside of their ranges. They begin at the index `first` of each row, of
+    /// this width.
+    fn check_params<F: Number>(&self, rows: &[F], width: usize, first: usize) -> PyResult<()> {
         if self.params == 0 {
             return Ok(());
         }
@@ -53,7 +66,7 @@ impl Task {
             return Ok(());
         }
         for (row, numbers) in rows.chunks(width).enumerate() {
-            let p = &numbers[width - self.params..];
+            let p = &numbers[first..][..self.params];
             let is_bad = |&(i, allows_zero): &(usize, bool)| {
                 p[i] < F::zero() || (p[i] == F::zero() && !allows_zero)
             };
@@ -84,7 +97,7 @@ impl Task {
         let p = match p {
             Some(p) => {
                 let p = Argument::<F>::matrix("p", p, count, self.params)?;
-                self.check_params(p.slice(), self.params)?;
+                self.check_params(p.slice(), self.params, 0)?;
                 p
             }
             None if self.params == 0 => {
@@ -183,10 +196,10 @@ impl Task {
         Some(bounds.into_iter().map(|[low, high]| (low, high)).collect())
     }
 
-    /// Length of a row of `starts`: state_dim + param_dim.
+    /// Length of a row of `starts`: state_dim + param_dim, and 1 more if the task has noise.
     #[getter]
     fn start_dim(&self) -> usize {
-        self.n + self.params
+        self.width
     }
 
     /// Number T of steps of a rollout.
@@ -238,9 +251,10 @@ impl Task {
         table_to_python(py, &self.scene.settings())
     }
 
-    /// Draws initial states, (count, state_dim + param_dim).
+    /// Draws initial states, (count, start_dim).
     ///
-    /// A row has the state x, then the parameters p: `x, p = starts[:, :n], starts[:, n:]`. Row i
+    /// A row has the state x, then the parameters p: `x, p = starts[:, :n], starts[:, n:]`. If the
+    /// task has noise, the last number of a row is its key, and `params_at` gives p. Row i
     /// depends only on the task, `seed`, `split` and i. `split` selects the random streams: "new"
     /// for states that no training uses, "train" and "test" for the data sets of a training with
     /// this seed. `dtype` is "float32" or "float64", by default that of the task. Raises
@@ -284,10 +298,35 @@ impl Task {
             }
         };
         with_precision!(is_f32, F => {
-            fits("the initial states", &[count, self.n + self.params], size_of::<F>())?;
-            let mut starts = Vec::<F>::with_capacity(count * (self.n + self.params));
+            fits("the initial states", &[count, self.width], size_of::<F>())?;
+            let mut starts = Vec::<F>::with_capacity(count * self.width);
             in_parts(py, count, 1024, |samples| self.scene.append_starts(seed, purpose, samples, &mut starts))?;
-            Ok(array(py, starts, &[count, self.n + self.params])?.into_any())
+            Ok(array(py, starts, &[count, self.width])?.into_any())
+        })
+    }
+
+    /// Parameters, (B, param_dim), of the rollouts from initial states `starts`, (B, start_dim), at
+    /// step `t`, from 0.
+    ///
+    /// They are the columns of `starts` after the state. Only noise differs between steps: it has
+    /// the values that it has at this step of a rollout.
+    #[pyo3(signature = (starts, t=0))]
+    fn params_at<'py>(
+        &self,
+        py: Python<'py>,
+        starts: &Bound<'py, PyAny>,
+        t: usize,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        with_precision!(is_f32([starts]), F => {
+            let (starts, count) = Argument::<F>::first("starts", starts, self.width)?;
+            let mut params = Vec::with_capacity(count * self.params);
+            for start in starts.slice().chunks(self.width) {
+                let first = params.len();
+                params.extend_from_slice(&start[self.n..][..self.params]);
+                let key = start[self.width - 1].to_f64();
+                self.noise.at(key, t, |i, value| params[first + i] = F::from_f64(value));
+            }
+            Ok(array(py, params, &[count, self.params])?.into_any())
         })
     }
 

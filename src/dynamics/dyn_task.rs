@@ -7,13 +7,13 @@ use crate::dynamics::outline::outline;
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::numbers::instances::{
-    COST_SCALARS, COTANGENTS, CotangentFunction, DIAGNOSED, REALS, RealFunction, SCALARS,
-    ScalarFunction, cotangent_pointer, diagnosis_pointer, fill, real_pointer, scalar_pointer,
-    scalar_pointer_of_cost,
+    COST_SCALARS, COTANGENTS, CotangentFunction, DIAGNOSED, OBSERVED_COTANGENTS, REALS,
+    RealFunction, SCALARS, ScalarFunction, cotangent_pointer, diagnosis_pointer, fill,
+    real_pointer, scalar_pointer, scalar_pointer_of_cost,
 };
 use crate::numbers::kernels::Vectorized;
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Cotangent, CotangentPack, Counted, Lanes, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, Lanes, Real, Scalar};
 use std::any::{Any, type_name};
 use std::fmt;
 use std::marker::PhantomData;
@@ -145,14 +145,8 @@ impl<T: Task + 'static> Erased for T {
         scalar_pointer::<Observe<T>>(slot);
     }
     fn observe_vjp(&self, slot: &mut dyn Any) {
-        let _found =
-            fill(slot, ObserveVjp::<T>::pointer::<Lanes<f32, 8>, CotangentPack<Lanes<f32, 8>, 1>>)
-                || fill(
-                    slot,
-                    ObserveVjp::<T>::pointer::<Lanes<f64, 8>, CotangentPack<Lanes<f64, 8>, 1>>,
-                )
-                || fill(slot, ObserveVjp::<T>::pointer::<Counted, Counted>)
-                || fill(slot, ObserveVjp::<T>::pointer::<f64, f64>);
+        cotangent_pointer::<ObserveVjp<T>>(slot);
+        fill(slot, ObserveVjp::<T>::pointer::<f64, f64>);
     }
     fn running_cost(&self, slot: &mut dyn Any) {
         scalar_pointer_of_cost::<RunningCost<T>>(slot);
@@ -259,6 +253,8 @@ function!(
 /// the steps of checks. See `compiled.rs`.
 #[cfg(all(not(test), feature = "compiled"))]
 pub(crate) fn frequent<T: Task + 'static>() -> Vec<*const ()> {
+    use crate::numbers::scalar::CotangentPack;
+
     fn of_scalar<T: Task + 'static, R: Real>() -> [*const (); 7] {
         [
             Step::<T>::pointer::<R>() as *const (),
@@ -273,11 +269,12 @@ pub(crate) fn frequent<T: Task + 'static>() -> Vec<*const ()> {
     fn of_cotangent<T: Task + 'static, R: Real, const K: usize>() -> *const () {
         Vjp::<T>::pointer::<R, CotangentPack<R, K>>() as *const ()
     }
-    fn of_lanes<T: Task + 'static, R: Real>() -> [*const (); 3] {
+    fn of_lanes<T: Task + 'static, R: Real>() -> [*const (); 4] {
         [
             of_cotangent::<T, R, 1>(),
             of_cotangent::<T, R, 2>(),
             ObserveVjp::<T>::pointer::<R, CotangentPack<R, 1>>() as *const (),
+            ObserveVjp::<T>::pointer::<R, CotangentPack<R, 2>>() as *const (),
         ]
     }
     [
@@ -398,7 +395,7 @@ impl Task for DynTask {
         y_bar: &[C],
         cotangents: Cotangents<'_, C>,
     ) {
-        call!(self.0.0, observe_vjp: ObserveVjpOf<R, C> [(R, C)] in "`Lanes<F, 8>` with `CotangentPack<_, 1>`, `Counted` with `Counted`, and `f64` with `f64`", inputs, y_bar, cotangents);
+        call!(self.0.0, observe_vjp: ObserveVjpOf<R, C> [(R, C)] in OBSERVED_COTANGENTS, inputs, y_bar, cotangents);
     }
 
     fn running_cost<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &[T]) -> T {

@@ -9,6 +9,7 @@
 //! - [`Number`](number::Number)s of systems and effects are fixed, drawn or trained.
 //! - [`Actuator`](actuator::Actuator)s map the control of the policy to the control of the system.
 //! - [`Task`](task::Task) adds a horizon, initial states and costs.
+//! - [`Sensor`](sensor::Sensor)s map the observation of a task to what the policy sees.
 //! - [`DynTask`](dyn_task::DynTask) is any task behind a pointer.
 //! - [`OpCount`](op_count::OpCount) counts the operations of a system.
 //!
@@ -27,6 +28,7 @@ pub(crate) mod number;
 pub(crate) mod ode;
 pub(crate) mod op_count;
 pub(crate) mod outline;
+pub(crate) mod sensor;
 pub(crate) mod substeps;
 pub(crate) mod system;
 pub(crate) mod task;

@@ -191,7 +191,8 @@ impl<F: Float> Rollout<F> {
             &self.unit_costs,
         ];
         let lanes = lanes.map(|lanes| size_of_val(&lanes[..]));
-        let numbers = [&self.inputs, &self.outputs, &self.keys].map(|numbers| size_of_val(&numbers[..]));
+        let numbers =
+            [&self.inputs, &self.outputs, &self.keys].map(|numbers| size_of_val(&numbers[..]));
         lanes.into_iter().chain(numbers).sum::<usize>()
             + self.noise.stored_bytes()
             + self.tape.stored_bytes()

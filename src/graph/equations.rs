@@ -303,8 +303,7 @@ impl Equations {
                         format!("is {value}; allowed: a finite number"),
                     ));
                 }
-                if section == "start"
-                    && matches!(number, Number::Trained { .. } | Number::Noise(_))
+                if section == "start" && matches!(number, Number::Trained { .. } | Number::Noise(_))
                 {
                     let what = "is trained or noise; allowed: a number or a distribution";
                     return Err(EquationError::new(key, what));

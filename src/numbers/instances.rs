@@ -85,6 +85,9 @@ pub(crate) fn scalar_pointer_of_effect<G: ScalarFunction>(slot: &mut dyn Any) ->
 pub(crate) const COTANGENTS: &str = "`Lanes<F, 8>` with `CotangentPack<_, 1>` or `CotangentPack<_, 2>`, `f64` with \
                                      `CotangentPack<f64, 1>`, and `Counted` with `Counted`";
 
+/// [`COTANGENTS`] with those that `observe_vjp` adds, for messages.
+pub(crate) const OBSERVED_COTANGENTS: &str = "the types of `vjp`, and `f64` with `f64`";
+
 /// Writes the function pointer to `slot`, an `Option<G::Pointer<R, C>>` for the types `R` and `C`
 /// of the caller.
 ///

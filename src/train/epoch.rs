@@ -474,7 +474,9 @@ impl<F: Float> State<F> {
                 append_start(task, rng, &mut self.drawn, &mut self.starts);
             } else {
                 self.starts.extend_from_slice(&self.train[sample * n..][..n]);
-                if self.is_noisy && let Some(key) = self.starts.last_mut() {
+                if self.is_noisy
+                    && let Some(key) = self.starts.last_mut()
+                {
                     *key = F::from_f64(key_of_epoch(key.as_(), self.records.len() as u64));
                 }
             }

@@ -13,5 +13,6 @@ mod noise;
 mod ranks;
 mod rows;
 mod schedule;
+mod sensor;
 mod smoothing;
 mod training;

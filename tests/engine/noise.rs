@@ -8,8 +8,8 @@ use physgrad::policy::{Gru, Linear, Mlp};
 use physgrad::rng::{Purpose, stream};
 use physgrad::train::Session;
 use physgrad::{
-    Flow, Inputs, Number, Numbers, Rollout, Scalar, System, Task, Trainer, Training,
-    Weights, check, gradients, initial_states,
+    Flow, Inputs, Number, Numbers, Rollout, Scalar, System, Task, Trainer, Training, Weights,
+    check, gradients, initial_states,
 };
 
 const RK4: AnyIntegrator = AnyIntegrator::RungeKutta(RungeKutta::RK4);
@@ -18,7 +18,9 @@ fn noise(deviation: f64, hold: usize) -> Number {
     Number::Noise(Noise { mean: 0.0, deviation, hold })
 }
 
-fn map<V>(pairs: impl IntoIterator<Item = (&'static str, V)>) -> std::collections::BTreeMap<String, V> {
+fn map<V>(
+    pairs: impl IntoIterator<Item = (&'static str, V)>,
+) -> std::collections::BTreeMap<String, V> {
     pairs.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
 }
 
@@ -179,7 +181,10 @@ fn mean_losses_and_gradients_are_those_of_the_formula() {
         .collect();
     for (name, values, expected) in [("loss", losses, expected), ("gradient", slopes, slope)] {
         let [found, error] = mean(&values);
-        assert!((found - expected).abs() < 4.0 * error, "{name}: {found} ± {error}, not {expected}");
+        assert!(
+            (found - expected).abs() < 4.0 * error,
+            "{name}: {found} ± {error}, not {expected}"
+        );
         assert!(error < 0.05 * expected.abs(), "{name}: ± {error}");
     }
 }

@@ -74,6 +74,16 @@ impl Scene {
         self.with([("policy".to_owned(), Some(section))])
     }
 
+    /// Copy without its sensor, whose states no measurement contains.
+    ///
+    /// # Errors
+    /// An expression of the scene needs the sensor.
+    pub fn without_sensor(&self) -> Result<Self> {
+        let mut source = self.source.clone();
+        source.without_section("sensor");
+        Self::of(source, self.scene.initial_policy())
+    }
+
     /// Copy with another integrator, number of substeps and precision.
     ///
     /// # Errors

@@ -2,7 +2,7 @@
 
 use crate::platform::json::print_json;
 use crate::platform::terminal::{did_you_mean, print_result, wrapped};
-use crate::settings::{ACTUATORS, Info};
+use crate::settings::{ACTUATORS, Info, SENSORS};
 use crate::tasks::{self, AnyTaskSpec};
 use anyhow::{Result, bail};
 use physgrad::count::Ops;
@@ -44,7 +44,8 @@ jumps at a point and takes the value of one side there.
 
 /// Runs the command.
 pub fn effects(args: &Effects) -> Result<()> {
-    let infos = tasks::all().iter().flat_map(|task| task.effects()).chain(ACTUATORS);
+    let infos = tasks::all().iter().flat_map(|task| task.effects());
+    let infos = infos.chain(ACTUATORS).chain(SENSORS);
     let names: Vec<&str> = infos.map(|info| info.name).collect();
     if let Some(name) = args.effect.as_deref().filter(|name| !names.contains(name)) {
         let question = did_you_mean(name, names.iter().copied());
@@ -72,8 +73,11 @@ fn objects(name: Option<&str>) -> Result<Vec<Value>> {
         .iter()
         .flat_map(|&task| task.effects().into_iter().map(move |info| (task, "effects", info)));
     let actuators = ACTUATORS.iter().map(|&info| (tasks::all()[0], "actuator", info));
-    let chosen =
-        all.chain(actuators).filter(|(.., info)| name.is_none_or(|name| name == info.name));
+    let sensors = SENSORS.iter().map(|&info| (tasks::all()[0], "sensor", info));
+    let chosen = all
+        .chain(actuators)
+        .chain(sensors)
+        .filter(|(.., info)| name.is_none_or(|name| name == info.name));
     let object = |(task, section, info): (&'static dyn AnyTaskSpec, &str, Info)| {
         let [step, vjp] = cost(task, section, info.name)?.map(|ops| ops.total());
         let schema = task.schema()["properties"][section]["properties"][info.name].clone();
@@ -100,6 +104,14 @@ fn page() -> Result<String> {
     );
     let _ = writeln!(page, "\n## Actuators\n\n{actuators}\n");
     section(&mut page, tasks::all()[0], "actuator", &ACTUATORS)?;
+    let sensors = wrapped(
+        "Every task accepts sensors. They map the observation y to what the policy sees, y', in the order of the table; costs do \
+         not see them. The first measurement is that of the initial state. Costs are for cart_pole, whose policy observes the \
+         four components of the state.",
+        WIDTH,
+    );
+    let _ = writeln!(page, "\n## Sensors\n\n{sensors}\n");
+    section(&mut page, tasks::all()[0], "sensor", &SENSORS)?;
     Ok(page)
 }
 
@@ -140,7 +152,7 @@ fn section(
     Ok(())
 }
 
-/// Operations that an effect or actuator adds to a step and to its VJP, in a scene without others.
+/// Operations that an effect, actuator or sensor adds to a step and to its VJP, in a scene without others.
 fn cost(kind: &'static dyn AnyTaskSpec, section: &str, name: &str) -> Result<[Ops; 2]> {
     let mut settings = kind.defaults();
     let alone = kind.scene(settings.clone())?.cost().system;
@@ -205,13 +217,15 @@ fn parameters(page: &mut String, schema: &Value) {
     }
 }
 
-/// Values for the parameters of an actuator that have no default. Empty for other actuators, and
-/// for effects.
+/// Values for the parameters of actuators and sensors that have no default. Empty for effects.
 fn required(name: &str) -> Table {
     match name {
         "limit" => toml::toml! { bound = 10.0 },
         "delay" => toml::toml! { steps = 1 },
         "lag" => toml::toml! { time = 0.05 },
+        "bias" => toml::toml! { value = 0.1 },
+        "noise" => toml::toml! { deviation = 0.1 },
+        "sampling" => toml::toml! { steps = 2 },
         _ => Table::new(),
     }
 }

@@ -6,7 +6,7 @@ use crate::platform::table::Table;
 use crate::platform::terminal::{counted, print_result, print_text};
 use crate::scenes::overrides::{Overrides, hide, is_of_training};
 use crate::scenes::presets;
-use crate::settings::{ACTUATORS, Info, OPTIONAL};
+use crate::settings::{ACTUATORS, Info, OPTIONAL, SENSORS};
 use crate::tasks::Scene;
 use anyhow::Result;
 use physgrad::Field;
@@ -95,9 +95,9 @@ fn names(names: &[String]) -> String {
     }
 }
 
-/// Section and documentation of every effect and actuator available in a scene.
+/// Section and documentation of every effect, actuator and sensor available in a scene.
 fn parts(scene: &Scene) -> Vec<(&'static str, Info)> {
-    let sections = [scene.task.effects(), ACTUATORS.to_vec()];
+    let sections = [scene.task.effects(), ACTUATORS.to_vec(), SENSORS.to_vec()];
     OPTIONAL
         .into_iter()
         .zip(sections)

@@ -96,7 +96,8 @@ pub fn identify(args: &Identify) -> Result<()> {
     }
     // A fitted value can be outside of the range of its setting.
     let found = if fit.converged {
-        source.scene().map_err(|error| anyhow!("{error:#}; add bounds to [fit]"))
+        let scene = source.scene().and_then(|scene| Ok(scene.without_sensor()?));
+        scene.map_err(|error| anyhow!("{error:#}; add bounds to [fit]"))
     } else {
         Err(anyhow!("the fit has not converged"))
     };
@@ -137,7 +138,7 @@ fn is_of_costs(key: &str) -> bool {
     ["system.weighting", "system.target"].contains(&key)
 }
 
-/// Scene of the command, with its source.
+/// Scene of the command without its sensor, and its source.
 ///
 /// # Errors
 /// An option has no effect on an identification. The scene has no unknown numbers.
@@ -148,7 +149,7 @@ fn read(args: &Identify) -> Result<(SceneSource, Scene)> {
     )?;
     let mut source = presets::source(&args.scene)?;
     args.overrides.apply(&mut source)?;
-    let scene = source.scene()?;
+    let scene = source.scene()?.without_sensor()?;
     if !tasks::own().iter().any(|own| own.name() == scene.task.name()) {
         args.overrides.refuse(is_of_costs, "an identification, which has no cost")?;
     }

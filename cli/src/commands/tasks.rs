@@ -4,7 +4,7 @@ use crate::platform::json::print_json;
 use crate::platform::table::Table;
 use crate::platform::terminal::{did_you_mean, print_result, print_text};
 use crate::scenes::presets;
-use crate::settings::{ACTUATORS, Info};
+use crate::settings::{ACTUATORS, Info, SENSORS};
 use crate::tasks::{self, AnyTaskSpec};
 use anyhow::{Result, bail};
 use serde_json::{Value, json};
@@ -46,16 +46,18 @@ pub fn tasks(args: &Tasks) -> Result<()> {
             if task.effects().is_empty() { "none".into() } else { names(&task.effects()) };
         let table = settings(**task)?;
         return print_text(&format!(
-            "{}: {}\n{table}\neffects: {effects}\nactuators: {}\n`physgrad effects NAME` describes an effect or an actuator",
+            "{}: {}\n{table}\neffects: {effects}\nactuators: {}\nsensors: {}\n`physgrad effects NAME` describes an effect, an actuator or a sensor",
             task.name(),
             task.about(),
-            names(&ACTUATORS)
+            names(&ACTUATORS),
+            names(&SENSORS)
         ));
     }
     for task in all {
         describe(*task)?;
     }
-    print_text(&format!("actuators: {}; only limit for quantum\n", names(&ACTUATORS)))?;
+    print_text(&format!("actuators: {}; only limit for quantum", names(&ACTUATORS)))?;
+    print_text(&format!("sensors: {}\n", names(&SENSORS)))?;
     print_text(
         "Each task is also a preset. `physgrad scene` lists all presets; `physgrad scene cart_pole` prints one as a template.
 `physgrad explain cart_pole` prints equations, operation counts and memory of a scene; docs/effects.md describes all effects.

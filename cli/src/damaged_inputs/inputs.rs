@@ -9,7 +9,7 @@ use crate::runs::saved::resumed;
 use crate::scenes::overrides::Overrides;
 use crate::scenes::presets;
 use crate::scenes::source::SceneSource;
-use crate::settings::ACTUATORS;
+use crate::settings::{ACTUATORS, SENSORS};
 use crate::tasks::scene::flat;
 use crate::tasks::{self, Scene};
 use anyhow::Result;
@@ -157,6 +157,7 @@ fn assignment(rng: &mut Rng, preset: &Table) -> String {
         flat(&task.defaults()).into_iter().chain(flat(preset)).map(|(key, _)| key).collect();
     keys.extend(task.effects().iter().map(|info| format!("effects.{}", info.name)));
     keys.extend(ACTUATORS.iter().map(|info| format!("actuator.{}", info.name)));
+    keys.extend(SENSORS.iter().map(|info| format!("sensor.{}", info.name)));
     let mut key = one_of(rng, &keys).clone();
     match rng.random_range(0..16) {
         0 => key += ".a",

@@ -8,6 +8,7 @@ mod integrator;
 mod joined;
 mod names;
 pub mod reading;
+mod sensor;
 mod training;
 
 pub use actuator::{ACTUATORS, ActuatorSettings};
@@ -16,20 +17,22 @@ pub use joined::Joined;
 pub use names::{
     ClipName, DecayName, EstimatorName, FieldName, LogFormat, OptimizerName, Precision,
 };
+pub use sensor::{SENSORS, SensorSettings};
 pub use training::TrainingSettings;
 
 /// Version of the scene format.
 pub const VERSION: i64 = 1;
 
 /// Sections whose subsections may be absent.
-pub const OPTIONAL: [&str; 2] = ["effects", "actuator"];
+pub const OPTIONAL: [&str; 3] = ["effects", "actuator", "sensor"];
 
-/// Documentation of an effect or actuator.
+/// Documentation of an effect, or of a part of the actuator or the sensor.
 #[derive(Clone, Copy, Debug)]
 pub struct Info {
     /// Key in the section.
     pub name: &'static str,
-    /// Equation of the added term, or of the control that the actuator applies.
+    /// Equation of the added term, of the control that the actuator applies, or of what the policy
+    /// sees.
     pub equation: &'static str,
     /// Method of differentiation, and where it smooths or takes a one-sided derivative.
     pub derivative: &'static str,

@@ -93,9 +93,8 @@ impl CartPoleEffects {
                     return params.iter().map(|p| wind.speed_at(&p[first..])).collect();
                 }
                 CartPoleEffect::GustyWind(wind) => {
-                    let speed = |(t, p): (usize, &Vec<f64>)| {
-                        wind.speed_at(&p[first..], t as f64 * dt)[0]
-                    };
+                    let speed =
+                        |(t, p): (usize, &Vec<f64>)| wind.speed_at(&p[first..], t as f64 * dt)[0];
                     return params.iter().enumerate().map(speed).collect();
                 }
                 effect => first += Effect::<CartPoleSystem>::param_dim(&effect),

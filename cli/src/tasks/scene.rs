@@ -29,6 +29,7 @@ use physgrad::optimize::{self, Initial, OptimizeError, Plan};
 use physgrad::policy::WithParams;
 use physgrad::{Divergence, DynTask, Field, Number, System, Task};
 use physgrad_plot::{Animation, Channel};
+use std::borrow::Cow;
 use std::sync::Arc;
 use toml::{Table, Value};
 
@@ -80,7 +81,10 @@ const LOSSES: &str = "`training.estimator` is zeroth_order, which follows differ
 trait AnySettings: Send + Sync {
     fn table(&self) -> Table;
     fn dt(&self) -> f64;
-    fn state_names(&self) -> Vec<String>;
+    /// Names of the state components, and of the observed ones.
+    fn names(&self) -> [Vec<String>; 2];
+    /// Number of state components that the sensor adds.
+    fn sensor_states(&self) -> usize;
     fn angles(&self) -> Vec<usize>;
     fn param_names(&self, task: &DynTask) -> Vec<String>;
     fn control_names(&self) -> Vec<String>;
@@ -99,8 +103,12 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
         K::dt(self)
     }
 
-    fn state_names(&self) -> Vec<String> {
-        K::state_names(self)
+    fn names(&self) -> [Vec<String>; 2] {
+        Settings::names(self)
+    }
+
+    fn sensor_states(&self) -> usize {
+        self.sensor.state_names(&Settings::names(self)[1]).len()
     }
 
     fn angles(&self) -> Vec<usize> {
@@ -177,6 +185,18 @@ impl Scene {
         table.insert("field".into(), Value::String(self.field.into()));
         table.insert("seed".into(), Value::Integer(self.seed as i64));
         table
+    }
+
+    /// The scene without its sensor, for computations on measured states.
+    ///
+    /// # Errors
+    /// An expression of the scene needs the sensor.
+    pub fn without_sensor(self) -> Result<Self, ConfigError> {
+        let mut table = self.table();
+        if table.remove("sensor").is_none() {
+            return Ok(self);
+        }
+        self.task.scene(table)
     }
 
     /// Copy with another field and seed.
@@ -318,18 +338,15 @@ impl Scene {
 
     /// Names of the state components.
     pub fn state_names(&self) -> Vec<String> {
-        let mut names = self.settings.state_names();
-        names.extend(self.actuator.state_names(&self.control_names()));
-        names
+        let [states, _] = self.settings.names();
+        states
     }
 
     /// Names of the components that the policy observes: those of the state, or y_1, y_2, … if the
     /// task has an observation of its own.
     pub fn observation_names(&self) -> Vec<String> {
-        match self.physics.observation_dim() {
-            None => self.state_names(),
-            Some(observations) => (1..=observations).map(|i| format!("y_{i}")).collect(),
-        }
+        let [_, observed] = self.settings.names();
+        observed
     }
 
     /// Names of the parameters of a rollout.
@@ -361,19 +378,32 @@ impl Scene {
 
     /// Controls that the actuator applies, for these states and controls of the policy.
     pub fn applied(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Vec<Vec<f64>> {
-        self.actuator.applied(self.dt(), states, controls)
+        self.actuator.applied(self.dt(), &self.unsensed(states), controls)
+    }
+
+    /// States without the components that the sensor adds.
+    fn unsensed<'a>(&self, states: &'a [Vec<f64>]) -> Cow<'a, [Vec<f64>]> {
+        match self.settings.sensor_states() {
+            0 => Cow::Borrowed(states),
+            added => states.iter().map(|x| x[..x.len() - added].to_vec()).collect(),
+        }
     }
 
     /// A quantity that is conserved while the control is zero. None also if numbers are drawn or
     /// trained.
     pub fn conserved(&self) -> Option<Conserved> {
         // The quantity has fixed numbers, but the drawn or trained numbers of a sample may differ.
-        self.settings.conserved().filter(|_| self.varied().is_empty())
+        self.settings
+            .conserved()
+            .filter(|_| self.varied().is_empty() && self.settings.sensor_states() == 0)
     }
 
     /// Animation of one rollout, from its states, controls and parameters.
     pub fn animation(&self, rollout: &Trajectory) -> Animation {
-        let mut animation = self.settings.animation(rollout);
+        let Trajectory { states, controls, params } = rollout;
+        let states = self.unsensed(states).into_owned();
+        let unsensed = Trajectory { states, controls: controls.clone(), params: params.clone() };
+        let mut animation = self.settings.animation(&unsensed);
         if animation.time > 0.0 && animation.channels.is_empty() {
             let controls = held(&rollout.controls, animation.time / self.dt());
             animation.channels = Channel::columns(self.control_names(), &controls, CONTROL);

@@ -3,13 +3,14 @@
 use crate::settings::config_error::{ConfigError, count};
 use crate::settings::{
     ActuatorSettings, FieldName, IntegratorSettings, LogFormat, OPTIONAL, Precision,
-    TrainingSettings, VERSION, reading,
+    SensorSettings, TrainingSettings, VERSION, reading,
 };
 use crate::tasks::effects::Present;
 use crate::tasks::equations::located;
 use crate::tasks::{self, PolicySpec, SceneEffects, TaskSpec};
 use physgrad::effect::{DynEffect, Named};
 use physgrad::graph::{Names, Replaced, Replacement};
+use physgrad::sensor::Sensed;
 use physgrad::{DynSystem, DynTask, Field, System as _, Task as _};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -57,6 +58,9 @@ pub struct Settings<K: TaskSpec> {
     /// Actuators between policy and physics; actuators that are not listed are absent.
     #[serde(default)]
     pub actuator: ActuatorSettings,
+    /// Sensors between observation and policy; sensors that are not listed are absent.
+    #[serde(default)]
+    pub sensor: SensorSettings,
     /// Integrator of the physics.
     #[serde(default)]
     pub integrator: IntegratorSettings,
@@ -94,6 +98,7 @@ impl<K: TaskSpec> Settings<K> {
             effects: K::Effects::default(),
             own_effects: SceneEffects::default(),
             actuator: ActuatorSettings::default(),
+            sensor: SensorSettings::default(),
             integrator: IntegratorSettings::default(),
             loss: K::Loss::default(),
             equations: Replacement::default(),
@@ -136,23 +141,60 @@ impl<K: TaskSpec> Settings<K> {
         self.training.validate()?;
         self.policy.validate()?;
         self.actuator.validate()?;
+        self.sensor.validate()?;
         self.integrator.validate(self.precision, K::METHODS)?;
         K::validate(self)?;
         K::validate_own_effects(&self.own_effects)?;
         self.physics().map(drop)
     }
 
-    /// The task, with the observation and the costs of the section `equations`.
+    /// The task as the policy sees it: with the observation and the costs of the section `equations`,
+    /// and with the sensor.
     pub fn physics(&self) -> Result<DynTask, ConfigError> {
+        let task = self.unsensed()?;
+        if self.sensor.is_empty() {
+            return Ok(task);
+        }
+        let names = self.observation_names(&task);
+        let sensed = Sensed::new(task, self.sensor.sensor(names.len(), K::dt(self)));
+        sensed.map(DynTask::new).map_err(|error| {
+            let list = if error.list == "bias" { "bias.value" } else { "noise.deviation" };
+            ConfigError::new(format!("sensor.{list}"), format!("{error}: {}", names.join(", ")))
+        })
+    }
+
+    /// Names of the components that a policy observes of a task without the sensor: those of the
+    /// state, or y_1, y_2, … if the task has an observation of its own.
+    fn observation_names(&self, task: &DynTask) -> Vec<String> {
+        match task.observation_dim() {
+            None => self.unsensed_states(),
+            Some(observations) => (1..=observations).map(|i| format!("y_{i}")).collect(),
+        }
+    }
+
+    /// Names of the state components of the task and its actuators.
+    fn unsensed_states(&self) -> Vec<String> {
+        [K::state_names(self), self.actuator.state_names(&K::control_names(self))].concat()
+    }
+
+    /// Names of all state components, and of those that the policy observes.
+    pub fn names(&self) -> [Vec<String>; 2] {
+        let mut states = self.unsensed_states();
+        let observed = self.observation_names(&self.unsensed().expect("validated settings"));
+        states.extend(self.sensor.state_names(&observed));
+        [states, observed]
+    }
+
+    /// The task, with the observation and the costs of the section `equations`.
+    fn unsensed(&self) -> Result<DynTask, ConfigError> {
         let task = K::task(self);
         if is_absent(&self.equations) {
             return Ok(task);
         }
-        let controls = K::control_names(self);
         let names = Names {
-            states: [K::state_names(self), self.actuator.state_names(&controls)].concat(),
+            states: self.unsensed_states(),
             params: self.param_names(&task),
-            controls,
+            controls: K::control_names(self),
             dt: K::dt(self),
         };
         let replaced = Replaced::new(task, names, &self.equations);
@@ -165,8 +207,12 @@ impl<K: TaskSpec> Settings<K> {
         let varied = task.system().varied(params);
         let mut own = K::param_names(self).into_iter();
         let name = |i: usize| match varied.iter().find(|varied| varied.index == i) {
-            // Names of numbers of effects start with the key of the effect's section.
-            Some(varied) if varied.name.starts_with("effects.") => varied.name.clone(),
+            // Names of numbers of effects and sensors start with their section.
+            Some(varied)
+                if ["effects.", "sensor."].iter().any(|own| varied.name.starts_with(own)) =>
+            {
+                varied.name.clone()
+            }
             Some(varied) => format!("system.{}", varied.name),
             None => own.next().unwrap_or_else(|| format!("p_{}", i + 1)),
         };

@@ -6,18 +6,8 @@ use serde::ser::{Serialize, SerializeMap, Serializer};
 use std::fmt;
 
 /// Keys of the table of a number that is not fixed.
-const KEYS: [&str; 10] = [
-    "uniform",
-    "normal",
-    "log_uniform",
-    "choice",
-    "noise",
-    "mean",
-    "hold",
-    "start",
-    "min",
-    "max",
-];
+const KEYS: [&str; 10] =
+    ["uniform", "normal", "log_uniform", "choice", "noise", "mean", "hold", "start", "min", "max"];
 
 impl Serialize for Number {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
