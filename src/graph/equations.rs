@@ -109,6 +109,16 @@ pub(super) struct Functions {
     pub(super) observe: Option<Function>,
     pub(super) running: Option<Function>,
     pub(super) terminal: Option<Function>,
+    pub(super) operations: Operations,
+}
+
+/// Number of operations of equations. Those of a method that discretizes rates are not among them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Operations {
+    /// As written, each definition once.
+    pub written: usize,
+    /// Evaluated: without equal ones, those that constants simplify, and unused ones.
+    pub evaluated: usize,
 }
 
 impl Equations {
@@ -146,13 +156,15 @@ impl Equations {
                 reader.expression(&key, text)
             })
             .collect::<Result<_, _>>()?;
-        Ok(Functions {
-            velocities: velocities(&motion, self.states.len()),
-            motion: reader.function(section, motion, &[X, U, P, TIME])?,
-            observe: reader.observation("observe", &self.observe)?,
-            running: reader.running_cost("loss.running", &costs.running)?,
-            terminal: reader.terminal_cost("loss.terminal", &costs.terminal)?,
-        })
+        let velocities = velocities(&motion, self.states.len());
+        let motion = reader.function(section, motion, &[X, U, P, TIME])?;
+        let observe = reader.observation("observe", &self.observe)?;
+        let running = reader.running_cost("loss.running", &costs.running)?;
+        let terminal = reader.terminal_cost("loss.terminal", &costs.terminal)?;
+        let functions = [Some(&motion), observe.as_ref(), running.as_ref(), terminal.as_ref()];
+        let outputs = functions.into_iter().flatten().flat_map(Function::outputs);
+        let operations = reader.operations(outputs.copied());
+        Ok(Functions { motion, velocities, observe, running, terminal, operations })
     }
 
     /// What is allowed but hardly meant: names that no expression uses, tables that end before the

@@ -72,6 +72,11 @@ impl Function {
         Ok(function)
     }
 
+    /// Numbers of the graph that are the outputs.
+    pub(super) fn outputs(&self) -> &[Id] {
+        &self.outputs
+    }
+
     /// Number of outputs.
     pub(super) fn len(&self) -> usize {
         self.outputs.len()

@@ -52,6 +52,6 @@ mod record;
 mod replaced;
 mod task;
 
-pub use equations::{Costs, EquationError, Equations};
+pub use equations::{Costs, EquationError, Equations, Operations};
 pub use replaced::{Names, Replaced, Replacement};
 pub use task::{GraphSystem, GraphTask, RecordError};

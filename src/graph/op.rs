@@ -111,17 +111,24 @@ pub(super) struct Graph {
     ops: Vec<Op>,
     known: HashMap<Op, Id>,
     inputs: usize,
+    /// Number of calls of [`add`](Self::add).
+    added: usize,
 }
 
 impl Graph {
     /// A graph of inputs alone.
     pub fn new(inputs: usize) -> Self {
-        Self { ops: vec![Op::Input; inputs], known: HashMap::new(), inputs }
+        Self { ops: vec![Op::Input; inputs], known: HashMap::new(), inputs, added: 0 }
     }
 
     /// Number of inputs.
     pub fn inputs(&self) -> usize {
         self.inputs
+    }
+
+    /// Number of operations that were added, equal and simplified ones included.
+    pub(super) fn added(&self) -> usize {
+        self.added
     }
 
     /// All operations.
@@ -161,6 +168,7 @@ impl Graph {
     /// If an argument is not a number of the graph.
     pub fn add(&mut self, op: Op) -> Id {
         assert!(op.args().all(|arg| (arg as usize) < self.ops.len()), "arguments precede results");
+        self.added += 1;
         match self.simplified(op) {
             Simplified::Known(id) => id,
             // Sums and products commute.

@@ -1,9 +1,9 @@
 //! [`Reader`]: expressions as functions of a graph, with names for its inputs.
 
-use super::equations::EquationError;
+use super::equations::{EquationError, Operations};
 use super::function::{Function, LISTS};
 use super::lexer::{ParseError, names};
-use super::op::{Graph, Id};
+use super::op::{Graph, Id, Op};
 use super::parse::{Parser, Term, name_problem, short};
 use std::cell::RefCell;
 use std::collections::{BTreeMap, HashMap};
@@ -122,6 +122,14 @@ impl<'a> Reader<'a> {
     /// The number of an expression.
     pub(super) fn expression(&mut self, key: &str, text: &str) -> Result<Id, EquationError> {
         Ok(self.term(key, text)?.id(&mut self.graph))
+    }
+
+    /// Number of operations, as written and as the outputs need them.
+    pub(super) fn operations(&self, outputs: impl Iterator<Item = Id>) -> Operations {
+        let needed = self.graph.needed(outputs);
+        let ops = self.graph.ops().iter().zip(needed).filter(|(_, needed)| *needed);
+        let evaluated = ops.filter(|(op, _)| !matches!(op, Op::Input | Op::Const(_))).count();
+        Operations { written: self.graph.added(), evaluated }
     }
 
     /// Function of these outputs, which may depend on the `allowed` lists.

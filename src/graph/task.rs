@@ -1,6 +1,6 @@
 //! [`GraphTask`] and [`GraphSystem`]: equations, or a recorded task, as a task and its system.
 
-use super::equations::{Costs, EquationError, Equations, Functions};
+use super::equations::{Costs, EquationError, Equations, Functions, Operations};
 use super::function::Function;
 use super::op::Graph;
 use super::parts::Parts;
@@ -32,6 +32,8 @@ pub struct GraphTask {
     dt: f64,
     /// Steps of the system per step of the task.
     substeps: usize,
+    /// None for a recorded task.
+    operations: Option<Operations>,
 }
 
 /// System of a [`GraphTask`].
@@ -85,7 +87,7 @@ impl GraphTask {
         substeps: usize,
         horizon: usize,
     ) -> Result<Self, EquationError> {
-        let Functions { motion, velocities, observe, running, terminal } =
+        let Functions { motion, velocities, observe, running, terminal, operations } =
             equations.functions(costs)?;
         if substeps != 1 && !equations.is_continuous() {
             let what = format!(
@@ -137,6 +139,7 @@ impl GraphTask {
             control_bounds: (!equations.bounds.is_empty()).then(|| bounds.collect()),
             dt: equations.dt,
             substeps,
+            operations: Some(operations),
             system,
         })
     }
@@ -190,8 +193,14 @@ impl GraphTask {
             control_bounds: task.control_bounds(),
             dt: 1.0,
             substeps: 1,
+            operations: None,
             system,
         })
+    }
+
+    /// Number of operations of the equations. None for a recorded task.
+    pub fn operations(&self) -> Option<Operations> {
+        self.operations
     }
 
     /// The time and the values of tables at a step of the task.

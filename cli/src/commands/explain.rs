@@ -11,6 +11,7 @@ use crate::tasks::Scene;
 use anyhow::Result;
 use physgrad::Field;
 use physgrad::count::{OpCount, Ops};
+use physgrad::graph::Operations;
 use serde_json::{Value, json};
 
 /// List the present and absent effects of a scene, and count operations and stored bytes.
@@ -72,6 +73,12 @@ pub fn explain(args: &Explain) -> Result<()> {
             table.row([name, text]);
         }
         print_result(&table.to_string())?;
+    }
+    if let Some(Operations { written, evaluated }) = scene.operations() {
+        print_text(&format!(
+            "{} as written, {evaluated} to evaluate: equal ones are shared, and those with 0, 1 or constants simplified",
+            counted(written, "operation")
+        ))?;
     }
     scene.remarks().iter().try_for_each(|remark| print_text(remark))?;
     print_result(&effects(&scene).to_string())?;

@@ -124,6 +124,10 @@ impl TaskSpec for Equations {
         .concat()
     }
 
+    fn operations(settings: &Settings<Self>) -> Option<graph::Operations> {
+        graph(settings).ok()?.operations()
+    }
+
     fn remarks(settings: &Settings<Self>) -> Vec<String> {
         settings.system.remarks(&settings.loss, settings.horizon)
     }

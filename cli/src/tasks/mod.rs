@@ -33,6 +33,7 @@ use crate::settings::{Info, Method};
 use anyhow::{Result, anyhow, bail};
 use effects::EffectsSection;
 use physgrad::DynTask;
+use physgrad::graph::Operations;
 use physgrad_plot::Animation;
 use schemars::JsonSchema;
 use serde::{Serialize, de::DeserializeOwned};
@@ -120,6 +121,10 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     /// Equations that the settings contain: what each gives, and its expression. None by default.
     fn equations(_settings: &Settings<Self>) -> Vec<(String, String)> {
         Vec::new()
+    }
+    /// Number of operations of these equations. None by default.
+    fn operations(_settings: &Settings<Self>) -> Option<Operations> {
+        None
     }
     /// What is allowed in these settings but hardly meant. Nothing by default.
     fn remarks(_settings: &Settings<Self>) -> Vec<String> {

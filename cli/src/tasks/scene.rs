@@ -24,6 +24,7 @@ use anyhow::{Context, Result};
 use physgrad::actuator::Actuator;
 use physgrad::check::{Jumps, Kink, Plateau};
 use physgrad::count::TaskOpCount;
+use physgrad::graph::Operations;
 use physgrad::identify::{Fit, IdentifyError, Options, Segment};
 use physgrad::optimize::{self, Initial, OptimizeError, Plan};
 use physgrad::policy::WithParams;
@@ -89,6 +90,7 @@ trait AnySettings: Send + Sync {
     fn param_names(&self, task: &DynTask) -> Vec<String>;
     fn control_names(&self) -> Vec<String>;
     fn equations(&self) -> Vec<(String, String)>;
+    fn operations(&self) -> Option<Operations>;
     fn remarks(&self) -> Vec<String>;
     fn conserved(&self) -> Option<Conserved>;
     fn animation(&self, rollout: &Trajectory) -> Animation;
@@ -125,6 +127,10 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
 
     fn equations(&self) -> Vec<(String, String)> {
         K::equations(self)
+    }
+
+    fn operations(&self) -> Option<Operations> {
+        K::operations(self)
     }
 
     fn remarks(&self) -> Vec<String> {
@@ -561,6 +567,11 @@ impl Scene {
     /// Equations in the settings: what each gives, and its expression.
     pub fn equations(&self) -> Vec<(String, String)> {
         self.settings.equations()
+    }
+
+    /// Number of operations of these equations. None without equations.
+    pub fn operations(&self) -> Option<Operations> {
+        self.settings.operations()
     }
 
     /// Notes about settings of the task that are hardly meant.

@@ -21,6 +21,7 @@ mod limits;
 mod links;
 mod logs;
 mod markdown;
+mod noise;
 mod numbers;
 mod optimize;
 mod own;
