@@ -124,8 +124,11 @@ pub fn eval(args: &Eval) -> Result<()> {
     if args.json {
         return print_json(&json!({ "folder": folder.path(), "runs": rows(&summary)? }));
     }
-    let worst =
-        if args.worst > 0 { ", worst.csv and animations of the worst rollouts" } else { "" };
+    let worst = match results.len() {
+        _ if args.worst == 0 => "",
+        1 => ", worst.csv and animations of the worst rollouts",
+        _ => ", and a folder for each policy with worst.csv and animations of its worst rollouts",
+    };
     let files = format!("losses.svg, losses.csv, summary.csv{worst}");
     print_text(&format!(
         "{}\nresults in {}: {files}",
