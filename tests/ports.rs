@@ -23,7 +23,7 @@ fn in_f64(numbers: &[f64]) -> String {
 }
 
 fn in_f32(numbers: &[Single<f32>]) -> String {
-    numbers.iter().map(|number| format!("{:08x}", number.lane(0).to_bits())).collect()
+    numbers.iter().map(|number| format!("{:08x}", number.0[0].to_bits())).collect()
 }
 
 /// States and controls, the next states in both precisions, cotangents of the next states, and
@@ -63,7 +63,9 @@ fn losses<F: Float>() -> Vec<String> {
         clip: Clip::Norm(1.0),
         ..Training::default()
     };
-    let trainer = Trainer::new(TASK, Mlp::new([7, 32, 32, 2])).precision::<F>().training(training);
+    let trainer = Trainer::new(TASK, Mlp::new([7, 32, 32, 2]).zero_init_output(true))
+        .precision::<F>()
+        .training(training);
     let records = trainer.run().expect("a training").records;
     records.iter().map(|record| format!("{:.4}", record.test_loss)).collect()
 }
