@@ -30,6 +30,8 @@ def equal(a: Any, b: Any) -> Any:
             and other in (0, 1)
         ):
             return one if other == 1 else invert(one)
+        if infinite(one):
+            return compare("ge" if one > 0 else "le", other, one)
     a, b = lift(a), lift(b)
     return combine("and", compare("le", a, b), compare("ge", a, b))
 

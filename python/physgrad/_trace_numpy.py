@@ -549,6 +549,7 @@ FUNCTIONS: dict[str, Callable] = {
     "solve": algebra.solve,
     "inv": algebra.inverse,
     "det": algebra.determinant,
+    "cholesky": lambda a, upper=False: algebra.cholesky(a).T if upper else algebra.cholesky(a),
     "einsum": algebra.einsum,
     "around": around,
     "round": around,
@@ -597,7 +598,7 @@ def array_function(function: Callable, args: tuple, kwargs: dict) -> Any:
             "the elements",
         )
     constants = not any(map(is_traced, args)) and not any(map(is_traced, kwargs.values()))
-    if name in FUNCTIONS and not (constants and name in ("solve", "inv", "det", "norm", "interp")):
+    if name in FUNCTIONS and not (constants and name in ("solve", "inv", "det", "cholesky", "norm", "interp")):
         options = {
             key: value
             for key, value in kwargs.items()
@@ -636,7 +637,7 @@ def unsupported(name: str) -> Any:
             "np.vectorize and np.frompyfunc are not supported in a traced function; call the function "
             "for each element",
         )
-    known = sorted({*ELEMENTWISE, *FUNCTIONS, *OF_OBJECTS} - {"solve", "inv", "det", "norm"})
+    known = sorted({*ELEMENTWISE, *FUNCTIONS, *OF_OBJECTS} - {"solve", "inv", "det", "cholesky", "norm"})
     refuse(
         TypeError,
         f"np.{name} is not supported in a traced "

@@ -690,10 +690,13 @@ JAX_REFUSED = {
         "must not draw random",
     ),
     "callback": (lambda jnp, x: jax_of("pure_callback")(np.sin, x, x), "calls Python"),
-    "cholesky": (
-        lambda jnp, x: jnp.linalg.cholesky(jnp.outer(x, x) + jnp.eye(2)) @ x,
-        "`cholesky` of a traced matrix",
+    "qr": (lambda jnp, x: jnp.linalg.qr(jnp.outer(x, x))[0] @ x, "`qr` of a traced matrix"),
+    "six rows": (
+        lambda jnp, x: jnp.linalg.solve(jnp.outer(*[jnp.tile(x, 3)] * 2) + jnp.eye(6), jnp.ones(6))[:2],
+        "limited to 4 rows, not 6.*cho_solve of JAX",
     ),
+    "search": (lambda jnp, x: jnp.searchsorted(jnp.arange(3.0), x) * 1.0, "searchsorted is not.*np.interp"),
+    "argmax of numbers": (lambda jnp, x: jnp.argmax(x) * x, "`argmax` depends on values"),
     "unknown": (lambda jnp, x: jax_of("scipy").special.gammaln(x), r"test_import.py:\d+: `lgamma` of JAX"),
     "infinite": (lambda jnp, x: jnp.where(x > 0, x, jnp.inf), "a constant is inf"),
 }
