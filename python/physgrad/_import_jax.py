@@ -11,7 +11,7 @@ import numpy as np
 
 from . import _trace_algebra as algebra
 from ._import_jax_arrays import ARRAYS, MOVES, moved
-from ._import_jax_rules import OF_JAX, RULES, constants, elementwise, is_of_jax, select
+from ._import_jax_rules import RULES, constants, elementwise, rule_of_jax, select
 from ._trace_arrays import of_numpy
 from ._trace_errors import at_place, begin, name_of, place
 from ._trace_numbers import is_traced, refuse
@@ -74,6 +74,7 @@ class JaxFunction:
             shapes = [jax.ShapeDtypeStruct(np.shape(leaf), np.float64) for leaf in leaves]
             closed = jax.make_jaxpr(call)(*shapes)
             found = evaluate(closed.jaxpr, closed.consts, leaves)
+            check_missing(found)
             # The numbers of a result that do not depend on an argument are constants.
             results = [plain(value) if is_traced(value) else np.asarray(value) for value in found]
             return jax.tree_util.tree_unflatten(
@@ -119,6 +120,12 @@ class Missing:
         self.message = message
 
 
+def check_missing(values: list) -> None:
+    for value in values:
+        if isinstance(value, Missing):
+            refuse(TypeError, value.message)
+
+
 def evaluate(jaxpr: Any, consts: Any, args: Any) -> list:
     """The outputs of a list of operations: arrays of objects if traced, and else arrays of constants."""
     known: dict = {}
@@ -158,13 +165,11 @@ def operation(eqn: Any, values: list) -> list:
     name, params = eqn.primitive.name, eqn.params
     if name == "custom_linear_solve":
         return linear_solve(params, values)
-    missing = [value for value in values if isinstance(value, Missing)]
-    if missing:
-        refuse(TypeError, missing[0].message)
-    known = OF_JAX.get(params.get("name")) if name in INLINED and any(map(is_traced, values)) else None
-    if known is not None and is_of_jax(known[0], eqn):
-        return [known[1](*values)]
+    check_missing(values)
     if name in INLINED:
+        rule = rule_of_jax(eqn) if any(map(is_traced, values)) else None
+        if rule is not None:
+            return [rule(*values)]
         inner = next(params[key] for key in ("jaxpr", "call_jaxpr", "fun_jaxpr") if key in params)
         return evaluate(getattr(inner, "jaxpr", inner), getattr(inner, "consts", ()), values)
     if name in LOOPS:
@@ -283,8 +288,9 @@ JUMPS = (
     "or write `jnp.where` with `<`"
 )
 DECOMPOSED = (
-    "`{name}` of a traced matrix is not supported. Write `jnp.linalg.solve`, for at most 4 rows, or the "
-    "elimination that fits the structure of the matrix"
+    "`{name}` of a traced matrix is not supported, nor are functions that need it. Write `jnp.linalg.solve` or "
+    "`det`, for at most 4 rows, `cho_factor` and `cho_solve` for a positive definite matrix, or the elimination "
+    "that fits the structure of the matrix"
 )
 REFUSED = {
     **{name: JUMPS.format(name=name) for name in ("floor", "ceil", "round")},
@@ -293,5 +299,6 @@ REFUSED = {
     "sort": "`sort` depends on values that are not known. Write `jnp.maximum` and `jnp.minimum`",
     "argmin": "`argmin` depends on values that are not known. Write `jnp.where`",
     "conv_general_dilated": "a convolution is not supported; write it as a product with a matrix",
+    "debug_print": "values are not known when a function is traced; leave `jax.debug.print` out",
     "bitcast_convert_type": "the bits of a traced number are not known; compare it, as in `a < 0`",
 }

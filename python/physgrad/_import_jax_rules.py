@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import functools
+import operator
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from . import _import_numbers as more
+from . import _trace_algebra as algebra
 from ._trace_errors import SEARCH
 from ._trace_numbers import Condition, Symbol, apply, choose, combine, compare, invert, lift, refuse
-from ._trace_numpy import ELEMENTWISE, interp, log1p, power
+from ._trace_elements import ELEMENTWISE, log1p, power
+from ._trace_numpy import interp
 from ._trace_vectors import finish, plain
 
 
@@ -143,6 +146,7 @@ RULES: dict[str, Callable] = {
     "log1p": of(lambda a: log1p(lift(a))),
     "logistic": of(more.logistic),
     "erf": of(more.erf),
+    "erfc": of(more.erfc),
     **{name: rule(name) for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh")},
     "asin": rule("arcsin"),
     "acos": rule("arccos"),
@@ -168,47 +172,48 @@ RULES: dict[str, Callable] = {
 }
 
 
-def is_of_jax(reference: Callable, eqn: Any) -> bool:
-    """Whether a function inside is the one of JAX, and not another of the same name."""
+def is_of_jax(path: str, options: dict, eqn: Any) -> bool:
+    """Whether a function inside is the one of `jax.numpy`, and not another of the same name."""
     import jax
 
+    function = operator.attrgetter(path)(jax.numpy)
     try:
-        own = jax.make_jaxpr(reference())(*(v.aval for v in eqn.invars)).jaxpr.eqns
+        own = jax.make_jaxpr(functools.partial(function, **options))(*(v.aval for v in eqn.invars)).jaxpr.eqns
     except Exception:
         # The function of the same name takes other arguments, so it is another one.
         return False
     return len(own) == 1 and str(own[0].params.get("jaxpr")) == str(eqn.params.get("jaxpr"))
 
 
-def jnp_function(name: str) -> Callable:
-    def get() -> Callable:
-        import jax.numpy as jnp
-
-        return getattr(jnp, name)
-
-    return get
+def rule_of_jax(eqn: Any) -> Callable | None:
+    """The rule of a function of `jax.numpy`, if a function inside is one that has a rule."""
+    for path, options, found in OF_JAX.get(eqn.params.get("name"), ()):
+        if is_of_jax(path, options, eqn):
+            return found
+    return None
 
 
 def by_elements(function: Callable) -> Callable:
     return lambda *values: elementwise(function, list(values))
 
 
-def table(x: Any, places: Any, values: Any) -> np.ndarray:
+def table(x: Any, places: Any, values: Any, *ends: Any) -> np.ndarray:
     """`jnp.interp` between constant places."""
-    return plain(interp(finish(plain(x)), places, finish(plain(values))))
+    return plain(interp(finish(plain(x)), places, finish(plain(values)), *(plain(end)[()] for end in ends)))
 
 
 def search(*_: Any) -> Any:
     refuse(TypeError, f"jnp.searchsorted is not supported in a traced function. {SEARCH}")
 
 
-# Functions of JAX whose operations have no equations, and their rules. Infinite constants, bits of
-# numbers and searches occur in them.
-OF_JAX: dict[str, tuple[Callable, Callable]] = {
-    "remainder": (jnp_function("remainder"), by_elements(lambda a, b: apply("mod", a, b))),
-    "hypot": (jnp_function("hypot"), by_elements(lambda a, b: apply("hypot", a, b))),
-    "copysign": (jnp_function("copysign"), by_elements(more.copysign)),
-    "signbit": (jnp_function("signbit"), by_elements(more.negative)),
-    "_interp": (jnp_function("interp"), table),
-    "searchsorted": (jnp_function("searchsorted"), search),
+# Functions of `jax.numpy` whose operations have no equations, by their name inside: the path, options,
+# and the rule. Infinite constants, bits of numbers, searches and factors occur in them.
+OF_JAX: dict[str, list[tuple[str, dict, Callable]]] = {
+    "remainder": [("remainder", {}, by_elements(lambda a, b: apply("mod", a, b)))],
+    "hypot": [("hypot", {}, by_elements(lambda a, b: apply("hypot", a, b)))],
+    "copysign": [("copysign", {}, by_elements(more.copysign))],
+    "signbit": [("signbit", {}, by_elements(more.negative))],
+    "_interp": [("interp", {}, table)],
+    "searchsorted": [("searchsorted", {"side": side}, search) for side in ("left", "right")],
+    "det": [("linalg.det", {}, lambda a: plain(algebra.determinant(finish(plain(a)))))],
 }

@@ -245,6 +245,7 @@ JAX |= {
         jnp.stack([jnp.clip(x, -50, 50), jnp.clip(y, -50, 50), x * 0])
     ),
     "erf": lambda jnp, x, y: __import__("jax").scipy.special.erf(x),
+    "erfc": lambda jnp, x, y: __import__("jax").scipy.special.erfc(x),
     "powers": lambda jnp, x, y: jnp.stack([x**2, x**3, x**-2, x**0.5, jnp.abs(x) ** 1.7, x**0]),
     "logic": lambda jnp, x, y: jnp.where((x < y) & ~(y < 0) | (x > 1) ^ (y > 1), x, y) + (x < y) * 2.0,
     "clip": lambda jnp, x, y: jnp.clip(x, -1, y) + jnp.clip(x, max=0.5),
@@ -697,6 +698,9 @@ JAX_REFUSED = {
     ),
     "search": (lambda jnp, x: jnp.searchsorted(jnp.arange(3.0), x) * 1.0, "searchsorted is not.*np.interp"),
     "argmax of numbers": (lambda jnp, x: jnp.argmax(x) * x, "`argmax` depends on values"),
+    "digitize": (lambda jnp, x: jnp.digitize(x, jnp.arange(3.0)) * x, "searchsorted is not"),
+    "eigenvalues": (lambda jnp, x: jnp.linalg.eigvalsh(jnp.outer(x, x)), "`eigh` of a traced matrix"),
+    "print": (lambda jnp, x: (jax_of("debug").print("{}", x), x)[1], "leave `jax.debug.print` out"),
     "unknown": (lambda jnp, x: jax_of("scipy").special.gammaln(x), r"test_import.py:\d+: `lgamma` of JAX"),
     "infinite": (lambda jnp, x: jnp.where(x > 0, x, jnp.inf), "a constant is inf"),
 }

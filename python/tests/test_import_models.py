@@ -99,14 +99,16 @@ def jax_models():
         return jnp.concatenate([0.5 * turn @ q, jnp.linalg.inv(inertia) @ (u - jnp.cross(w, inertia @ w))])
 
     def tables(x, u):
-        return jnp.interp(x, PLACES, np.sin(PLACES)) + u[0] * jnp.interp(x[0], PLACES, PLACES**2)
+        ends = {"left": -1.0, "right": 2.0}
+        return jnp.interp(x, PLACES, np.sin(PLACES)) + u[0] * jnp.interp(x[0], PLACES, PLACES**2, **ends)
 
     def cases(x, u):
         parts = jnp.piecewise(x, [x < 0, x >= 1], [lambda v: -v, lambda v: v**2, lambda v: 0.5 * v])
         return parts + jnp.select([x < -1, x < 1], [0.2 * x, x * u[0]], x**2)
 
     def safe(x, u):
-        return jnp.nan_to_num(u[0] / (1 + x**2)) + jax.grad(lambda z: jax.nn.softplus(z).sum())(x)
+        tail = jax.scipy.special.erfc(x) + jnp.linalg.det(jnp.outer(x, x) + jnp.eye(2))
+        return tail + jnp.nan_to_num(u[0] / (1 + x**2)) + jax.grad(lambda z: jax.nn.softplus(z).sum())(x)
 
     def grid(x, u):
         padded = jnp.pad(x, 1, mode="edge")
