@@ -300,10 +300,13 @@ def array_function(function: Callable, args: tuple, kwargs: dict) -> Any:
 
 
 SORTED = f"The order of traced numbers is not known. {ORDER}"
-# What to write in place of functions that compare values.
+# What to write in place of functions that compare values, and of others.
 OF_VALUES = {
     **dict.fromkeys(("argmin", "argmax", "nanargmin", "nanargmax", "argwhere", "nonzero"), SELECT),
     **dict.fromkeys(("searchsorted", "digitize"), SEARCH),
+    **dict.fromkeys(
+        ("fft", "ifft", "rfft", "irfft"), "Write the transform as products with constant matrices of cosines and sines"
+    ),
     **dict.fromkeys(("sort", "argsort", "partition", "argpartition", "lexsort", "unique", "median"), SORTED),
 }
 

@@ -435,6 +435,9 @@ EXACT_JAX = [
     (lambda jnp, a, b: jnp.where(jnp.any(a > b), a, b), 2),
     (lambda jnp, a, b: jnp.diagonal(jnp.outer(a, b)), 2),
     (lambda jnp, a, b: jnp.clip(a, -1, b), 2),
+    (lambda jnp, a, b: jnp.select([a < b, b > 1], [a, -b], 0.5), 2),
+    (lambda jnp, a: jnp.piecewise(a, [a < 0, a > 1], [lambda v: -v, lambda v: 2 * v, 0.5]), 1),
+    (lambda jnp, a: jnp.nan_to_num(a), 1),
 ]
 SMOOTH_JAX = (
     EXACT_JAX[:3]
@@ -447,6 +450,9 @@ SMOOTH_JAX = (
         (lambda jnp, a: jnp.broadcast_to(jnp.sum(a), 3) + jnp.dot(a, a), 1),
         (lambda jnp, a: jnp.eye(3)[:, ::-1] @ a + jnp.einsum("i,j->j", a, a), 1),
         (lambda jnp, a, b: jnp.linalg.solve(jnp.outer(b, b) / (1 + b @ b) + 2 * jnp.eye(3), a), 2),
+        (lambda jnp, a, b: solve_by_factors(jnp, jnp.outer(a, a) / (1 + a @ a) + 2 * jnp.eye(3), b), 2),
+        (lambda jnp, a: jnp.interp(a, jnp.array([-1.0, 0.5, 2.0]), jnp.array([3.0, -1.0, 1.0])), 1),
+        (lambda jnp, a: jax_of("scipy").special.erfc(a), 1),
         (lambda jnp, a: lax().fori_loop(0, 3, lambda i, s: s * 0.5 + a[i], a), 1),
         (lambda jnp, a, b: lax().scan(lambda s, row: (s + row, s * row), 0.0, b)[1] + a, 2),
         (lambda jnp, a, b: lax().cond(a[0] > b[0], lambda v: v, lambda v: -v, b), 2),
@@ -465,6 +471,11 @@ def jax_of(name):
     import jax
 
     return getattr(jax, name)
+
+
+def solve_by_factors(jnp, matrix, right):
+    linalg = jax_of("scipy").linalg
+    return linalg.cho_solve(linalg.cho_factor(matrix), right)
 
 
 def random_jax(seed, operations):
