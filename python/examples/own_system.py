@@ -1,7 +1,7 @@
 """Trains a system that is written in NumPy, and compares it with the built-in task, if there is one.
 
-    python own_system.py                     # the cart with four poles, a minute
-    python own_system.py quadrotor --quick   # another file of the folder `systems`, two epochs
+python own_system.py                     # the cart with four poles, a minute
+python own_system.py quadrotor --quick   # another file of the folder `systems`, two epochs
 """
 
 import argparse
@@ -12,7 +12,9 @@ import physgrad as pg
 
 NAMES = ["cart_pole", "guidance", "multi_pendulum", "pole_chain", "quadrotor"]
 parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-parser.add_argument("name", nargs="?", default="cart_pole", choices=NAMES, help="file of the folder `systems`")
+parser.add_argument(
+    "name", nargs="?", default="cart_pole", choices=NAMES, help="file of the folder `systems`"
+)
 parser.add_argument("--quick", action="store_true", help="train for two epochs")
 options = parser.parse_args()
 

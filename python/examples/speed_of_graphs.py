@@ -140,7 +140,9 @@ def rollout_of_jax(system, task, policy, starts):
     widths, layers, rest = [task.observation_dim, 64, 64, task.control_dim], [], policy.theta
     for inputs, outputs in zip(widths, widths[1:]):
         kernel, bias, rest = np.split(rest, np.cumsum([inputs * outputs, outputs]))
-        layers.append((jnp.asarray(kernel.reshape(inputs, outputs).T, starts.dtype), jnp.asarray(bias, starts.dtype)))
+        layers.append(
+            (jnp.asarray(kernel.reshape(inputs, outputs).T, starts.dtype), jnp.asarray(bias, starts.dtype))
+        )
 
     def act(layers, y):
         for kernel, bias in layers[:-1]:
@@ -194,7 +196,10 @@ def report(what, calls, samples):
     cells = [what, f"{1e9 * np.median(times['physgrad']) / samples:.0f}"]
     for name in OTHERS:
         if name in times:
-            cells += [f"{1e9 * np.median(times[name]) / samples:.0f}", with_interval(times["physgrad"] / times[name])]
+            cells += [
+                f"{1e9 * np.median(times[name]) / samples:.0f}",
+                with_interval(times["physgrad"] / times[name]),
+            ]
         else:
             cells += ["", ""]
     print(f"| {' | '.join(cells)} |", flush=True)

@@ -288,9 +288,9 @@ JUMPS = (
     "or write `jnp.where` with `<`"
 )
 DECOMPOSED = (
-    "`{name}` of a traced matrix is not supported, nor are functions that need it. Write `jnp.linalg.solve` or "
-    "`det`, for at most 4 rows, `cho_factor` and `cho_solve` for a positive definite matrix, or the elimination "
-    "that fits the structure of the matrix"
+    "`{name}` of a traced matrix is not supported, nor are functions that need it. Write `jnp.linalg.solve` "
+    "or `det`, for at most 4 rows, `cho_factor` and `cho_solve` for a positive definite matrix, or the "
+    "elimination that fits the structure of the matrix"
 )
 REFUSED = {
     **{name: JUMPS.format(name=name) for name in ("floor", "ceil", "round")},

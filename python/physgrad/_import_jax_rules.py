@@ -11,9 +11,9 @@ import numpy as np
 
 from . import _import_numbers as more
 from . import _trace_algebra as algebra
+from ._trace_elements import ELEMENTWISE, log1p, power
 from ._trace_errors import SEARCH
 from ._trace_numbers import Condition, Symbol, apply, choose, combine, compare, invert, lift, refuse
-from ._trace_elements import ELEMENTWISE, log1p, power
 from ._trace_numpy import interp
 from ._trace_vectors import finish, plain
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ._trace_numbers import Condition, TracedNumber, apply, choose, combine, compare, invert, lift
 from ._trace_elements import log1p, power
+from ._trace_numbers import Condition, TracedNumber, apply, choose, combine, compare, invert, lift
 
 # The series of `erf` has so many terms that those left out are below the rounding at the bound.
 ERF_TERMS, ERF_BOUND = 110, 6.0

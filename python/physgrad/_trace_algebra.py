@@ -29,8 +29,8 @@ def check_size(array: np.ndarray, name: str, largest: float = LARGEST) -> None:
             TypeError,
             f"np.linalg.{name} of a traced matrix is limited to {largest} rows, not {len(array)}. "
             "Traced values cannot choose pivots. A positive definite matrix has factors of any size: "
-            "`L = np.linalg.cholesky(A)` and `np.linalg.solve(L.T, np.linalg.solve(L, b))`, or cho_factor and "
-            "cho_solve of JAX. Otherwise, write the elimination that fits the structure of the matrix",
+            "`L = np.linalg.cholesky(A)` and `np.linalg.solve(L.T, np.linalg.solve(L, b))`, or cho_factor "
+            "and cho_solve of JAX. Otherwise, write the elimination that fits the structure of the matrix",
         )
 
 

@@ -25,7 +25,6 @@ from ._trace_numbers import (
 from ._trace_reductions import mean, norm, reduce, reduction, total, variance
 from ._trace_vectors import Array, demote, finish, plain, promote
 
-
 EQUAL = (
     "a traced function cannot ask whether numbers are equal. Write "
     "`np.where(np.abs(a - b) < 1e-9, yes, no)`, or `<` and `>`"
@@ -229,7 +228,7 @@ FUNCTIONS: dict[str, Callable] = {
     "solve": algebra.solve,
     "inv": algebra.inverse,
     "det": algebra.determinant,
-    "cholesky": lambda a, upper=False: algebra.cholesky(a).T if upper else algebra.cholesky(a),
+    "cholesky": lambda a, upper=False: algebra.cholesky(np.transpose(a)).T if upper else algebra.cholesky(a),
     "einsum": algebra.einsum,
     "around": around,
     "round": around,
@@ -278,7 +277,9 @@ def array_function(function: Callable, args: tuple, kwargs: dict) -> Any:
             "the elements",
         )
     constants = not any(map(is_traced, args)) and not any(map(is_traced, kwargs.values()))
-    if name in FUNCTIONS and not (constants and name in ("solve", "inv", "det", "cholesky", "norm", "interp")):
+    if name in FUNCTIONS and not (
+        constants and name in ("solve", "inv", "det", "cholesky", "norm", "interp")
+    ):
         options = {
             key: value
             for key, value in kwargs.items()
@@ -305,7 +306,8 @@ OF_VALUES = {
     **dict.fromkeys(("argmin", "argmax", "nanargmin", "nanargmax", "argwhere", "nonzero"), SELECT),
     **dict.fromkeys(("searchsorted", "digitize"), SEARCH),
     **dict.fromkeys(
-        ("fft", "ifft", "rfft", "irfft"), "Write the transform as products with constant matrices of cosines and sines"
+        ("fft", "ifft", "rfft", "irfft"),
+        "Write the transform as products with constant matrices of cosines and sines",
     ),
     **dict.fromkeys(("sort", "argsort", "partition", "argpartition", "lexsort", "unique", "median"), SORTED),
 }

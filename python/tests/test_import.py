@@ -557,7 +557,7 @@ def test_random_functions_of_jax(operations, values, tolerance):
 
         compare_random(
             lambda seed: random_jax(seed, operations),
-            range(6 * MORE),
+            range(10, 10 + 6 * MORE),
             values,
             tolerance,
             from_jax,

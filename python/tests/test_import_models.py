@@ -6,6 +6,7 @@ import importlib.util
 
 import numpy as np
 import pytest
+
 from test_import import agree, needs_casadi, needs_jax, needs_module, trace_float64
 
 from_jax = importlib.import_module("physgrad._import_jax").from_jax
@@ -68,7 +69,9 @@ def jax_models():
         def residual(y):
             return y - x - 0.05 * jnp.array([y[1], (1 - y[0] ** 2) * y[1] - y[0] + u[0]])
 
-        return lax.fori_loop(0, 2, lambda _, y: y - jnp.linalg.solve(jax.jacobian(residual)(y), residual(y)), x)
+        return lax.fori_loop(
+            0, 2, lambda _, y: y - jnp.linalg.solve(jax.jacobian(residual)(y), residual(y)), x
+        )
 
     def bodies(x, u):
         place = x[:4].reshape(2, 2)
@@ -93,8 +96,9 @@ def jax_models():
 
     def attitude(x, u):
         q, w = x[:4] / jnp.linalg.norm(x[:4]), x[4:]
-        turn = jnp.array([[0, -w[0], -w[1], -w[2]], [w[0], 0, w[2], -w[1]], [w[1], -w[2], 0, w[0]],
-                          [w[2], w[1], -w[0], 0]])
+        turn = jnp.array(
+            [[0, -w[0], -w[1], -w[2]], [w[0], 0, w[2], -w[1]], [w[1], -w[2], 0, w[0]], [w[2], w[1], -w[0], 0]]
+        )
         inertia = jnp.diag(jnp.array([1.0, 2.0, 3.0]))
         return jnp.concatenate([0.5 * turn @ q, jnp.linalg.inv(inertia) @ (u - jnp.cross(w, inertia @ w))])
 
@@ -135,8 +139,8 @@ def jax_models():
 
 
 JAX_MODELS = (
-    "reactor arm six_masses triangular neural contact step_of_stages step_by_newton bodies tanks attitude tables "
-    "cases safe grid".split()
+    "reactor arm six_masses triangular neural contact step_of_stages step_by_newton bodies tanks attitude "
+    "tables cases safe grid".split()
 )
 
 
@@ -165,7 +169,9 @@ def test_models_of_jax_have_their_steps_and_derivatives(name):
     task, (x, u, bars) = task_of(name, from_jax(function), n, m), points(n, m)
 
     def of_jax(x, u, bar):
-        next, back = jax.vjp(function if name.startswith("step") else lambda x, u: x + 0.1 * function(x, u), x, u)
+        next, back = jax.vjp(
+            function if name.startswith("step") else lambda x, u: x + 0.1 * function(x, u), x, u
+        )
         return next, *back(bar)
 
     with trace_float64():

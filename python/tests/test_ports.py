@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from networks import relative
 
 pg = pytest.importorskip("physgrad", reason="needs the compiled module")

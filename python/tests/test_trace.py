@@ -275,7 +275,9 @@ PRODUCTS = {
         np.outer(x, u).std(axis=1).sum() + x.std(),
     ],
     "inner": lambda x: np.inner(x, x) + np.vdot(x, x) + np.einsum("i,i", x, x) + np.einsum("ij,j->i", A, x),
-    "einsum of one element": lambda x: np.einsum("i,i->i", x[:1], x) + np.einsum("ij,i->j", np.ones((1, 3)), x),
+    "einsum of one element": lambda x: (
+        np.einsum("i,i->i", x[:1], x) + np.einsum("ij,i->j", np.ones((1, 3)), x)
+    ),
     "einsum": lambda x: (
         np.einsum("ij,jk,k->i", A, A, x)
         + np.einsum("ii->i", np.outer(x, x))

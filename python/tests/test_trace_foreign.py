@@ -90,7 +90,7 @@ def test_the_angle_of_a_remainder_is_wrapped():
             trace.trace_settings(other, states=1, dt=0.1)
 
 
-# Plants of controlgym whose states are matrices times states: five of files, and three equations of waves and heat.
+# Plants of controlgym that multiply matrices: five of files, and three equations of waves and heat.
 PLANTS = ["toy", "ac1", "he1", "je1", "lah", "wave", "schrodinger", "convection_diffusion_reaction"]
 
 
