@@ -6,7 +6,6 @@ import importlib.util
 
 import numpy as np
 import pytest
-
 from test_import import agree, needs_casadi, needs_jax, needs_module, trace_float64
 
 from_jax = importlib.import_module("physgrad._import_jax").from_jax
