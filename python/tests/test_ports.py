@@ -72,8 +72,8 @@ def test_derivatives_agree_with_those_by_hand_to_1e_14(name):
     ]
     for call in calls:
         for found, expected in zip(call(port), call(task), strict=True):
-            # Of the cart-pole, the cotangent of the force is a sum of one term for each pole that may
-            # cancel, so a single row has larger relative errors, up to 4e-14.
+            # The cotangent of a single control is a sum that may cancel. A row may then have a larger
+            # relative error, up to 4e-14, so errors are relative to the largest component of all rows.
             if expected.size and np.any(expected):
                 assert relative(found, expected) <= 1e-14
             else:
