@@ -12,3 +12,4 @@ mod graph;
 mod identify;
 mod numbers;
 mod optimize;
+mod ports;

@@ -13,9 +13,9 @@ import numpy as np
 
 from . import _import_numbers as more
 from ._trace_arrays import of_numpy
+from ._trace_elements import ELEMENTWISE, log1p, power
 from ._trace_errors import at_place
 from ._trace_numbers import apply, choose, combine, compare, lift, refuse
-from ._trace_numpy import ELEMENTWISE, log1p, power
 from ._trace_vectors import Parameters, finish, plain
 
 

@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from ._trace_elements import log1p, power
 from ._trace_numbers import Condition, TracedNumber, apply, choose, combine, compare, invert, lift
-from ._trace_numpy import log1p, power
 
 # The series of `erf` has so many terms that those left out are below the rounding at the bound.
 ERF_TERMS, ERF_BOUND = 110, 6.0
+# Terms of the continued fraction of `erfc`, whose error at 2 is below the rounding.
+ERFC_TERMS = 60
 
 
 def infinite(a: Any) -> float:
@@ -30,6 +32,8 @@ def equal(a: Any, b: Any) -> Any:
             and other in (0, 1)
         ):
             return one if other == 1 else invert(one)
+        if infinite(one):
+            return compare("ge" if one > 0 else "le", other, one)
     a, b = lift(a), lift(b)
     return combine("and", compare("le", a, b), compare("ge", a, b))
 
@@ -136,3 +140,17 @@ def erf(x: Any) -> Any:
     for n in range(ERF_TERMS, 0, -1):
         total = 1.0 + total * (square * (2.0 / (2 * n + 1)))
     return 2.0 / math.sqrt(math.pi) * x * np.exp(-square) * total
+
+
+def erfc(x: Any) -> Any:
+    """1 - erf(x), above 2 by the continued fraction, which keeps small values.
+
+    Abramowitz and Stegun, 7.1.14. Beyond 27, the value is below the smallest number.
+    """
+    x = lift(x)
+    y = apply("clip", x, 2.0, 28.0)
+    fraction: Any = y
+    for n in range(ERFC_TERMS, 0, -1):
+        fraction = y + 0.5 * n / fraction
+    above = np.exp(-y * y) / (math.sqrt(math.pi) * fraction)
+    return choose(compare("gt", x, 2.0), above, 1.0 - erf(x))

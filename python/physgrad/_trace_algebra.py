@@ -8,25 +8,30 @@ from typing import Any
 
 import numpy as np
 
-from ._trace_numbers import is_traced, refuse
+from ._trace_numbers import Symbol, is_traced, refuse
 from ._trace_vectors import demote, finish, plain
 
 # Cofactors of larger matrices take too many operations.
 LARGEST = 4
 
 
-def square(matrix: Any, name: str) -> np.ndarray:
+def square(matrix: Any, name: str, largest: float = LARGEST) -> np.ndarray:
     array = plain(matrix)
     if array.ndim != 2 or array.shape[0] != array.shape[1] or len(array) == 0:
         refuse(ValueError, f"np.linalg.{name} needs a square matrix, not shape {array.shape}")
-    if len(array) > LARGEST:
+    check_size(array, name, largest)
+    return array
+
+
+def check_size(array: np.ndarray, name: str, largest: float = LARGEST) -> None:
+    if len(array) > largest:
         refuse(
             TypeError,
-            f"np.linalg.{name} of a traced matrix is limited to {LARGEST} rows, not {len(array)}. "
-            "Traced values cannot choose "
-            "pivots: write the elimination that fits the structure of the matrix",
+            f"np.linalg.{name} of a traced matrix is limited to {largest} rows, not {len(array)}. "
+            "Traced values cannot choose pivots. A positive definite matrix has factors of any size: "
+            "`L = np.linalg.cholesky(A)` and `np.linalg.solve(L.T, np.linalg.solve(L, b))`, or cho_factor "
+            "and cho_solve of JAX. Otherwise, write the elimination that fits the structure of the matrix",
         )
-    return array
 
 
 def minor(matrix: np.ndarray, rows: tuple[int, ...], columns: tuple[int, ...]) -> Any:
@@ -61,7 +66,7 @@ def inverse(a: Any) -> Any:
 
 
 def solve(a: Any, b: Any) -> Any:
-    """Solves by elimination if the matrix is constant, and otherwise by Cramer's rule."""
+    """Solves by elimination if the matrix is constant, and otherwise as zeros in it permit."""
     right = plain(b)
     rows = np.shape(a)[-1:]
     if right.ndim not in (1, 2) or right.shape[:1] != rows:
@@ -71,15 +76,69 @@ def solve(a: Any, b: Any) -> Any:
         )
     if not is_traced(a):
         return finish(eliminate(np.array(demote(a), dtype=float), right))
-    array = square(a, "solve")
-    det = determinant(array)
-    columns = right.reshape(len(array), -1)
-    out = np.empty(columns.shape, dtype=object)
+    array, columns = square(a, "solve", math.inf), right.reshape(len(right), -1)
+    return finish(solve_blocks(array, columns).reshape(right.shape))
+
+
+def solve_blocks(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solves the equations that constants of zero separate from others on their own."""
+    used = np.array([[is_used(value) for value in row] for row in matrix])
+    out, left = np.empty(right.shape, dtype=object), set(range(len(right)))
+    while left:
+        block, waiting = set(), [min(left)]
+        while waiting:
+            i = waiting.pop()
+            if i not in block:
+                block.add(i)
+                waiting += [j for j in left if used[i, j] or used[j, i]]
+        rows = sorted(block)
+        inner, inner_used = matrix[np.ix_(rows, rows)], used[np.ix_(rows, rows)]
+        if not np.triu(inner_used, 1).any() or not np.tril(inner_used, -1).any():
+            out[rows] = substitute(inner, right[rows], lower=not np.triu(inner_used, 1).any())
+        else:
+            out[rows] = by_determinants(inner, right[rows])
+        left -= block
+    return out
+
+
+def is_used(value: Any) -> bool:
+    return isinstance(value, Symbol) or value != 0.0
+
+
+def by_determinants(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Cramer's rule."""
+    check_size(matrix, "solve")
+    det = determinant(matrix)
+    out = np.empty(right.shape, dtype=object)
     for i, j in np.ndindex(out.shape):
-        replaced = array.copy()
-        replaced[:, i] = columns[:, j]
+        replaced = matrix.copy()
+        replaced[:, i] = right[:, j]
         out[i, j] = determinant(replaced) / det
-    return finish(out.reshape(right.shape))
+    return out
+
+
+def substitute(matrix: np.ndarray, right: np.ndarray, lower: bool) -> np.ndarray:
+    """Solves with one triangle of a matrix."""
+    x, n = right.copy(), len(matrix)
+    for i in range(n) if lower else reversed(range(n)):
+        for j in range(i) if lower else range(i + 1, n):
+            if is_used(matrix[i, j]):
+                x[i] = x[i] - matrix[i, j] * x[j]
+        x[i] = x[i] / matrix[i, i]
+    return x
+
+
+def cholesky(a: Any) -> Any:
+    """The lower factor of a positive definite matrix, of which it reads the lower triangle."""
+    matrix = square(a, "cholesky", math.inf)
+    out = np.full(matrix.shape, np.float64(0.0), dtype=object)
+    for j in range(len(matrix)):
+        for i in range(j, len(matrix)):
+            rest = matrix[i, j]
+            for k in range(j):
+                rest = rest - out[i, k] * out[j, k]
+            out[i, j] = np.sqrt(rest) if i == j else rest / out[j, j]
+    return finish(out)
 
 
 def eliminate(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -125,11 +184,13 @@ def einsum(subscripts: Any, *operands: Any, **_: Any) -> Any:
         )
     sizes: dict[str, int] = {}
     for part, array in zip(letters, arrays, strict=True):
+        if len(set(zip(part, array.shape))) > len(set(part)):
+            refuse(ValueError, f"np.einsum: an index of `{part}` has two sizes in the shape {array.shape}")
         for letter, size in zip(part, array.shape, strict=True):
-            if sizes.setdefault(letter, size) != size:
-                refuse(
-                    ValueError, f"np.einsum: the index `{letter}` has the sizes {sizes[letter]} and {size}"
-                )
+            known = sizes.get(letter, 1)
+            if known != size and 1 not in (known, size):
+                refuse(ValueError, f"np.einsum: the index `{letter}` has the sizes {known} and {size}")
+            sizes[letter] = size if known == 1 else known
     summed = [letter for letter in sizes if letter not in output]
     out = np.empty(tuple(sizes[letter] for letter in output), dtype=object)
     for index in np.ndindex(out.shape):
@@ -137,10 +198,12 @@ def einsum(subscripts: Any, *operands: Any, **_: Any) -> Any:
         result = None
         for inner in itertools.product(*(range(sizes[letter]) for letter in summed)):
             at.update(zip(summed, inner, strict=True))
-            term = math.prod(
-                (array[tuple(at[k] for k in part)] for part, array in zip(letters[1:], arrays[1:])),
-                start=arrays[0][tuple(at[k] for k in letters[0])],
-            )
+            # A dimension of size 1 is repeated.
+            terms = [
+                array[tuple(at[k] if n > 1 else 0 for k, n in zip(part, array.shape, strict=True))]
+                for part, array in zip(letters, arrays, strict=True)
+            ]
+            term = math.prod(terms[1:], start=terms[0])
             result = term if result is None else result + term
         out[index] = np.float64(0.0) if result is None else result
     return finish(out)

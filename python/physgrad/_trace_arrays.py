@@ -20,7 +20,7 @@ import numpy as np
 
 from ._trace_errors import PACKAGES
 from ._trace_numbers import check_dtype, is_traced
-from ._trace_vectors import Array, finish, promote
+from ._trace_vectors import Array, demote, finish, promote
 
 CONVERTED = ("array", "asarray", "asanyarray", "ascontiguousarray")
 FILLED = ("zeros", "ones", "empty", "full", "eye", "identity")
@@ -33,7 +33,7 @@ def converting(original: Callable) -> Callable:
     def convert(value: Any, dtype: Any = None, **options: Any) -> Any:
         copies = original is np.array and options.get("copy", True)
         if not is_traced(value) and not isinstance(value, Array):
-            result = original(value, dtype=dtype, **options)
+            result = original(demote(value), dtype=dtype, **options)
             return promote(result) if copies else result
         if dtype is not None:
             check_dtype(dtype)

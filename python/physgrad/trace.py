@@ -66,7 +66,7 @@ def detach(value: Any) -> Any:
     """A number or an array whose derivative is 0, in a function of `system`."""
     if not is_traced(value):
         return value
-    from ._trace_numpy import elementwise
+    from ._trace_elements import elementwise
 
     return elementwise(lambda a: numbers.apply("detach", a), value)
 

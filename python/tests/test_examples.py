@@ -17,6 +17,7 @@ NEEDS = {
     "own_system": [],
     "ppo_beside_c": ["stable_baselines3", "gymnasium", "matplotlib"],
     "speed": [],
+    "speed_of_graphs": [],
 }
 slow = pytest.mark.skipif(os.environ.get("PHYSGRAD_PYTHON_ALL") != "1", reason="takes minutes; set PHYSGRAD_PYTHON_ALL=1")
 
@@ -36,6 +37,14 @@ def test_examples_run(name, tmp_path):
     pictures = [line.split(": ")[1] for line in ran.stdout.splitlines() if line.startswith("picture: ")]
     assert all((tmp_path / picture).stat().st_size > 1000 for picture in pictures)
     assert ran.stdout
+
+
+@pytest.mark.parametrize("name", ["guidance", "multi_pendulum", "pole_chain", "quadrotor"])
+def test_own_systems_run(name, tmp_path):
+    command = [sys.executable, EXAMPLES / "own_system.py", name, "--quick"]
+    ran = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=600)
+    assert ran.returncode == 0, ran.stderr
+    assert name == "quadrotor" or "after one step: 0.0e+00" in ran.stdout
 
 
 @slow

@@ -245,6 +245,7 @@ JAX |= {
         jnp.stack([jnp.clip(x, -50, 50), jnp.clip(y, -50, 50), x * 0])
     ),
     "erf": lambda jnp, x, y: __import__("jax").scipy.special.erf(x),
+    "erfc": lambda jnp, x, y: __import__("jax").scipy.special.erfc(x),
     "powers": lambda jnp, x, y: jnp.stack([x**2, x**3, x**-2, x**0.5, jnp.abs(x) ** 1.7, x**0]),
     "logic": lambda jnp, x, y: jnp.where((x < y) & ~(y < 0) | (x > 1) ^ (y > 1), x, y) + (x < y) * 2.0,
     "clip": lambda jnp, x, y: jnp.clip(x, -1, y) + jnp.clip(x, max=0.5),
@@ -434,6 +435,9 @@ EXACT_JAX = [
     (lambda jnp, a, b: jnp.where(jnp.any(a > b), a, b), 2),
     (lambda jnp, a, b: jnp.diagonal(jnp.outer(a, b)), 2),
     (lambda jnp, a, b: jnp.clip(a, -1, b), 2),
+    (lambda jnp, a, b: jnp.select([a < b, b > 1], [a, -b], 0.5), 2),
+    (lambda jnp, a: jnp.piecewise(a, [a < 0, a > 1], [lambda v: -v, lambda v: 2 * v, 0.5]), 1),
+    (lambda jnp, a: jnp.nan_to_num(a), 1),
 ]
 SMOOTH_JAX = (
     EXACT_JAX[:3]
@@ -446,6 +450,9 @@ SMOOTH_JAX = (
         (lambda jnp, a: jnp.broadcast_to(jnp.sum(a), 3) + jnp.dot(a, a), 1),
         (lambda jnp, a: jnp.eye(3)[:, ::-1] @ a + jnp.einsum("i,j->j", a, a), 1),
         (lambda jnp, a, b: jnp.linalg.solve(jnp.outer(b, b) / (1 + b @ b) + 2 * jnp.eye(3), a), 2),
+        (lambda jnp, a, b: solve_by_factors(jnp, jnp.outer(a, a) / (1 + a @ a) + 2 * jnp.eye(3), b), 2),
+        (lambda jnp, a: jnp.interp(a, jnp.array([-1.0, 0.5, 2.0]), jnp.array([3.0, -1.0, 1.0])), 1),
+        (lambda jnp, a: jax_of("scipy").special.erfc(a), 1),
         (lambda jnp, a: lax().fori_loop(0, 3, lambda i, s: s * 0.5 + a[i], a), 1),
         (lambda jnp, a, b: lax().scan(lambda s, row: (s + row, s * row), 0.0, b)[1] + a, 2),
         (lambda jnp, a, b: lax().cond(a[0] > b[0], lambda v: v, lambda v: -v, b), 2),
@@ -464,6 +471,11 @@ def jax_of(name):
     import jax
 
     return getattr(jax, name)
+
+
+def solve_by_factors(jnp, matrix, right):
+    linalg = jax_of("scipy").linalg
+    return linalg.cho_solve(linalg.cho_factor(matrix), right)
 
 
 def random_jax(seed, operations):
@@ -545,7 +557,7 @@ def test_random_functions_of_jax(operations, values, tolerance):
 
         compare_random(
             lambda seed: random_jax(seed, operations),
-            range(6 * MORE),
+            range(10, 10 + 6 * MORE),
             values,
             tolerance,
             from_jax,
@@ -690,10 +702,16 @@ JAX_REFUSED = {
         "must not draw random",
     ),
     "callback": (lambda jnp, x: jax_of("pure_callback")(np.sin, x, x), "calls Python"),
-    "cholesky": (
-        lambda jnp, x: jnp.linalg.cholesky(jnp.outer(x, x) + jnp.eye(2)) @ x,
-        "`cholesky` of a traced matrix",
+    "qr": (lambda jnp, x: jnp.linalg.qr(jnp.outer(x, x))[0] @ x, "`qr` of a traced matrix"),
+    "six rows": (
+        lambda jnp, x: jnp.linalg.solve(jnp.outer(*[jnp.tile(x, 3)] * 2) + jnp.eye(6), jnp.ones(6))[:2],
+        "limited to 4 rows, not 6.*cho_solve of JAX",
     ),
+    "search": (lambda jnp, x: jnp.searchsorted(jnp.arange(3.0), x) * 1.0, "searchsorted is not.*np.interp"),
+    "argmax of numbers": (lambda jnp, x: jnp.argmax(x) * x, "`argmax` depends on values"),
+    "digitize": (lambda jnp, x: jnp.digitize(x, jnp.arange(3.0)) * x, "searchsorted is not"),
+    "eigenvalues": (lambda jnp, x: jnp.linalg.eigvalsh(jnp.outer(x, x)), "`eigh` of a traced matrix"),
+    "print": (lambda jnp, x: (jax_of("debug").print("{}", x), x)[1], "leave `jax.debug.print` out"),
     "unknown": (lambda jnp, x: jax_of("scipy").special.gammaln(x), r"test_import.py:\d+: `lgamma` of JAX"),
     "infinite": (lambda jnp, x: jnp.where(x > 0, x, jnp.inf), "a constant is inf"),
 }

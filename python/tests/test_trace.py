@@ -69,6 +69,15 @@ def filled(x, u):
     return out
 
 
+# Couples the first row with the last one, and so on.
+PAIRS = 0.5 * np.eye(6)[::-1]
+
+
+def solve_by_factors(matrix, x):
+    lower = np.linalg.cholesky(matrix)
+    return np.linalg.solve(lower.T, np.linalg.solve(lower, np.append(x, x)))
+
+
 def rk4_by_hand(x, u, p, t):
     def rate(x, t):
         return np.array([x.x2, -p.a * x.x1 + u[0], t])
@@ -183,6 +192,7 @@ EXACT = {
         np.roll(x, 1) - np.flip(x) + np.hstack([x[1:], x[0]]) + np.concatenate([[x[0]], x[:2]])
     ),
     "stacks": lambda x: np.stack([x, 2 * x])[1] + np.vstack((x, x))[0] + np.reshape(x, (3, 1)).T.ravel(),
+    "constants of constants": lambda x: np.tanh(np.array([np.log(np.ones(3)), np.zeros(3)])).sum(axis=0) + x,
     "like": lambda x: np.zeros_like(x) + np.ones_like(x) * x + np.full_like(x, 2.0),
     "cross": lambda x: np.cross(x, [1.0, x[0], 2.0]) + np.cross(A[0], x),
     "table": lambda x, p: [x[0] + p.wind, p.wind * 2, p["wind"] - x[1]],
@@ -265,6 +275,9 @@ PRODUCTS = {
         np.outer(x, u).std(axis=1).sum() + x.std(),
     ],
     "inner": lambda x: np.inner(x, x) + np.vdot(x, x) + np.einsum("i,i", x, x) + np.einsum("ij,j->i", A, x),
+    "einsum of one element": lambda x: (
+        np.einsum("i,i->i", x[:1], x) + np.einsum("ij,i->j", np.ones((1, 3)), x)
+    ),
     "einsum": lambda x: (
         np.einsum("ij,jk,k->i", A, A, x)
         + np.einsum("ii->i", np.outer(x, x))
@@ -285,6 +298,9 @@ PRODUCTS = {
     "traced 4": lambda x: np.linalg.solve(
         np.diag([1, 2, 3 + x[0] ** 2, 4]) + np.ones((4, 4)) * 0.1, np.append(x, 1.0)
     )[1:],
+    "cholesky": lambda x: np.linalg.cholesky(np.outer(x, x) + 2 * np.eye(3)) @ x,
+    "cholesky of six rows": lambda x: solve_by_factors(np.outer(*[np.tile(x, 2)] * 2) + 2 * np.eye(6), x)[:3],
+    "separate equations": lambda x: np.linalg.solve(np.diag(np.tile(2 + x**2, 2)) + PAIRS, np.ones(6))[2:5],
     "right sides": lambda x: np.linalg.solve(np.outer(x, x) + 2 * np.eye(3), np.eye(3))[2],
 }
 PARAMS = {"a": 1.5, "b": -0.5, "A": np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])}

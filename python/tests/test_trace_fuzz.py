@@ -1,5 +1,6 @@
 """Random functions of random operations of NumPy, against NumPy."""
 
+import importlib.util
 import os
 
 import numpy as np
@@ -89,14 +90,14 @@ def changed(a, b):
 class Program:
     """Operations on registers, of which the first are arguments and constants."""
 
-    def __init__(self, seed):
+    def __init__(self, seed, unary=UNARY, binary=BINARY):
         rng = np.random.default_rng(seed)
         self.steps, self.chosen = [], CONSTANTS
         registers = self.begin(rng.normal(size=N), rng.normal(size=M), rng.normal(), 0.3)
         while len(self.steps) < 12:
-            operations = UNARY if rng.random() < 0.5 else BINARY
+            operations = unary if rng.random() < 0.5 else binary
             operation = operations[rng.integers(len(operations))]
-            count = 1 if operations is UNARY else 2
+            count = 1 if operations is unary else 2
             # Later registers are more likely, so that operations nest.
             places = [int(len(registers) * rng.random() ** 0.5) for _ in range(count)]
             try:
@@ -159,8 +160,106 @@ def test_random_functions_have_the_bits_of_numpy(block):
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_the_comparison_notices_a_wrong_operation(monkeypatch):
-    from physgrad import _trace_numpy
+    from physgrad import _trace_elements
 
-    monkeypatch.setitem(_trace_numpy.ELEMENTWISE, "subtract", lambda a, b: trace.numbers.apply("add", a, b))
+    monkeypatch.setitem(
+        _trace_elements.ELEMENTWISE, "subtract", lambda a, b: trace.numbers.apply("add", a, b)
+    )
     with pytest.raises(AssertionError):
         test_random_functions_have_the_bits_of_numpy(0)
+
+
+# Functions that NumPy also has for complex numbers, except at kinks.
+SMOOTH_UNARY = [
+    *[
+        np.negative,
+        np.square,
+        np.sin,
+        np.cos,
+        np.tanh,
+        np.exp,
+        np.arctan,
+        np.sinh,
+        np.expm1,
+        np.cumsum,
+        np.prod,
+    ],
+    *[np.flip, np.ravel, np.diff],
+    lambda a: np.sqrt(1 + a * a),
+    lambda a: np.log(1 + a * a),
+    lambda a: 1 / (2 + np.sin(a)),
+    lambda a: a**3,
+    lambda a: (1 + a * a) ** 0.3,
+    lambda a: np.arcsin(0.5 * np.sin(a)),
+    lambda a: np.where((a > -1) & ~(a > 1), a, 2.0),
+    lambda a: a[::-1] if np.ndim(a) else a,
+    lambda a: a[0] if np.ndim(a) else a,
+    lambda a: np.mean(a),
+    lambda a: np.linalg.solve(np.outer(a, a) + 3 * np.eye(len(a)), a) if np.shape(a) in ((2,), (3,)) else a,
+]
+SMOOTH_BINARY = [
+    *[np.add, np.subtract, np.multiply, np.outer, np.append],
+    lambda a, b: a / (2 + np.sin(b)),
+    lambda a, b: np.where(a < b, a, b),
+    lambda a, b: np.array([a, b]),
+    lambda a, b: a @ b,
+    lambda a, b: np.einsum("i,i->i", a, b),
+]
+
+
+def random_derivatives(seeds):
+    """Compares derivatives of random functions with those of a step along the imaginary axis."""
+    import physgrad as pg
+
+    compared = 0
+    for seed in seeds:
+        program = Program(seed, SMOOTH_UNARY, SMOOTH_BINARY)
+        try:
+            task = pg.system(
+                lambda x: x,
+                states=N,
+                controls=1,
+                dt=0.1,
+                observe=lambda x, p, t: program(x, x[:2], p, t),
+                params={"a": 1.3},
+            )
+        except ValueError as error:
+            assert "finite" in str(error)
+            continue
+        params, rng = type("Params", (), {"a": 1.3}), np.random.default_rng(seed)
+        x = rng.normal(size=(4, N))
+        y = task.observe(x)
+        bars = rng.normal(size=y.shape)
+        found = task.observe_vjp(x, bars)[0]
+        for i in range(len(x)):
+            steps = [x[i] + 1e-200j * unit for unit in np.eye(N)]
+            slopes = np.array([program(z, z[:2], params, 0.0).imag * 1e200 for z in steps])
+            size = np.abs(slopes * bars[i]).sum(axis=1).max()
+            if np.isfinite(size) and size < 1e6:
+                assert np.abs(found[i] - slopes @ bars[i]).max() <= 1e-11 * max(size, 1.0), f"seed {seed}"
+                compared += 1
+    assert compared > 2 * len(seeds)
+
+
+needs_module = pytest.mark.skipif(
+    importlib.util.find_spec("physgrad._core") is None, reason="the compiled module is not installed"
+)
+
+
+@needs_module
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("block", range(10 if os.environ.get("PHYSGRAD_PYTHON_ALL") == "1" else 1))
+def test_random_functions_have_the_derivatives_of_complex_steps(block):
+    random_derivatives(range(100 * block, 100 * block + 100))
+
+
+@needs_module
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_the_comparison_of_derivatives_notices_a_constant(monkeypatch):
+    from physgrad import _trace_elements
+
+    monkeypatch.setitem(
+        _trace_elements.ELEMENTWISE, "sin", lambda a: trace.detach(trace.numbers.apply("sin", a))
+    )
+    with pytest.raises(AssertionError):
+        random_derivatives(range(100))
