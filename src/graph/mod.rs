@@ -55,6 +55,7 @@ mod replaced;
 mod task;
 
 pub use equations::{Costs, EquationError, Equations};
+pub use parse::is_name;
 pub use policy::{Controller, GraphPolicy};
 pub use replaced::{Names, Replaced, Replacement};
 pub use task::{GraphSystem, GraphTask, RecordError};

@@ -79,8 +79,9 @@ impl Controller {
         let unused = |(section, list): (&str, Vec<&String>)| {
             let unused: Vec<&str> =
                 list.into_iter().map(String::as_str).filter(|name| !used.contains(name)).collect();
-            (!unused.is_empty())
-                .then(|| format!("no expression uses {} of `{section}`", listed(unused.into_iter())))
+            (!unused.is_empty()).then(|| {
+                format!("no expression uses {} of `{section}`", listed(unused.into_iter()))
+            })
         };
         lists.into_iter().filter_map(unused).collect()
     }
@@ -97,17 +98,17 @@ impl Controller {
             return Err(EquationError::new(format!("control.{missing}"), what));
         }
         let mut seen: HashSet<&str> = observations.iter().map(String::as_str).collect();
-        for (section, list) in [
-            ("next", next.keys().collect::<Vec<_>>()),
-            ("parameters", parameters.keys().collect()),
-        ] {
+        for (section, list) in
+            [("next", next.keys().collect::<Vec<_>>()), ("parameters", parameters.keys().collect())]
+        {
             for name in list {
                 if let Some(problem) = name_problem(name) {
                     let what = format!("has `{}`, which {problem}", short(name));
                     return Err(EquationError::new(section, what));
                 }
                 if !seen.insert(name) {
-                    let what = format!("has `{name}`, which is the name of another number; rename it");
+                    let what =
+                        format!("has `{name}`, which is the name of another number; rename it");
                     return Err(EquationError::new(section, what));
                 }
             }

@@ -106,7 +106,8 @@ impl Place {
     fn take<F: Copy>(self, at: PolicyColumns, whole: &[F], own: &mut [F]) {
         for c in at.iter() {
             let from = &whole[c * self.whole..][..self.whole];
-            let (shared, memory) = own[c * self.width()..][..self.width()].split_at_mut(self.shared);
+            let (shared, memory) =
+                own[c * self.width()..][..self.width()].split_at_mut(self.shared);
             shared.copy_from_slice(&from[..self.shared]);
             memory.copy_from_slice(&from[self.shared + self.before..][..self.memory]);
         }

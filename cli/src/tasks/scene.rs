@@ -18,15 +18,15 @@ use crate::settings::{
     ActuatorSettings, DecayName, EstimatorName, FieldName, IntegratorSettings, LogFormat, OPTIONAL,
     Precision, TrainingSettings,
 };
-use crate::tasks::policy::{ScenePolicy, trained};
-use crate::tasks::{AnyTaskSpec, Conserved, PolicySpec, Settings, TaskSpec};
+use crate::tasks::policy::{PolicySettings, ScenePolicy, is_kind, trained};
+use crate::tasks::{AnyTaskSpec, Conserved, Settings, TaskSpec};
 use anyhow::{Context, Result};
 use physgrad::actuator::Actuator;
 use physgrad::check::{Jumps, Kink, Plateau};
 use physgrad::count::TaskOpCount;
 use physgrad::identify::{Fit, IdentifyError, Options, Segment};
 use physgrad::optimize::{self, Initial, OptimizeError, Plan};
-use physgrad::policy::WithParams;
+use physgrad::policy::{Policy as _, TrainedParam, WithParams};
 use physgrad::{Divergence, DynTask, Field, Number, System, Task};
 use physgrad_plot::{Animation, Channel};
 use std::sync::Arc;
@@ -66,6 +66,9 @@ pub struct Scene {
     actuator: ActuatorSettings,
     physics: DynTask,
     policy: ScenePolicy,
+    policy_settings: Arc<PolicySettings>,
+    /// Trained numbers of the policy: keys, indices in θ, and maps from θ.
+    policy_numbers: Arc<[(String, usize, TrainedParam)]>,
     /// Path of the policy file from which the training starts.
     initial_policy_file: Option<String>,
     /// Contents of this file.
@@ -145,19 +148,19 @@ impl Scene {
     /// Creates a scene from validated settings.
     pub fn new<K: TaskSpec>(task: &'static dyn AnyTaskSpec, settings: Settings<K>) -> Self {
         let physics = settings.physics().expect("validated settings");
-        let system = physics.system();
-        let network = settings
-            .policy
-            .build(physics.observation_dim().unwrap_or(system.state_dim()), system.control_dim());
-        let trained: Vec<_> =
-            system.varied(physics.param_dim()).iter().filter_map(trained).collect();
-        let policy = WithParams::new(network, trained);
+        let policy_settings = settings.policy().expect("validated settings");
+        let built = settings.built(&policy_settings, &physics).expect("validated settings");
+        let varied = physics.system().varied(physics.param_dim());
+        let trained: Vec<_> = varied.iter().filter_map(trained).collect();
+        let policy = WithParams::new(built.policy, trained);
+        // Without parameters, every further epoch would repeat the first.
+        let most_epochs = if policy.param_count() == 0 { 1 } else { usize::MAX };
         Self {
             task,
             field: settings.field,
             precision: settings.precision,
             seed: settings.seed,
-            epochs: settings.epochs,
+            epochs: settings.epochs.min(most_epochs),
             horizon: settings.horizon,
             logs: settings.log.clone(),
             training: settings.training.clone(),
@@ -165,6 +168,8 @@ impl Scene {
             actuator: settings.actuator.clone(),
             physics,
             policy,
+            policy_numbers: built.numbers.into(),
+            policy_settings: Arc::new(policy_settings),
             initial_policy_file: settings.initial_policy.clone(),
             initial_policy: None,
             settings: Arc::new(settings),
@@ -192,6 +197,17 @@ impl Scene {
     /// The policy, with the trained numbers of the system.
     pub fn policy(&self) -> &ScenePolicy {
         &self.policy
+    }
+
+    /// The kind of the policy, with its bounds and base.
+    pub fn policy_kind(&self) -> String {
+        self.policy_settings.description()
+    }
+
+    /// Names and values of the trained numbers of the policy with these parameters.
+    pub fn policy_numbers(&self, theta: &[f64]) -> Vec<(String, f64)> {
+        let numbers = self.policy_numbers.iter();
+        numbers.map(|(key, i, map)| (format!("policy.{key}"), map.value(theta[*i]))).collect()
     }
 
     /// Range of each control, None without bounds: the range to which the actuators limit all
@@ -400,6 +416,7 @@ impl Scene {
             observations: self.observation_names(),
             controls: self.control_names(),
             trained: self.varied().into_iter().filter_map(trained).collect(),
+            kind: self.policy_kind(),
         }
     }
 
@@ -530,12 +547,15 @@ impl Scene {
 
     /// Equations in the settings: what each gives, and its expression.
     pub fn equations(&self) -> Vec<(String, String)> {
-        self.settings.equations()
+        let policy = self.policy_settings.equations().into_iter();
+        let policy = policy.map(|(name, text)| (format!("policy: {name}"), text));
+        self.settings.equations().into_iter().chain(policy).collect()
     }
 
-    /// Notes about settings of the task that are hardly meant.
+    /// Notes about settings of the task and the policy that are hardly meant.
     pub fn remarks(&self) -> Vec<String> {
-        self.settings.remarks().into_iter().map(|remark| format!("note: {remark}")).collect()
+        let remarks = self.settings.remarks().into_iter().chain(self.policy_settings.remarks());
+        remarks.map(|remark| format!("note: {remark}")).collect()
     }
 
     /// The remarks, and notes about settings of the training that another setting limits: a
@@ -555,7 +575,12 @@ impl Scene {
                  reaches `training.learning_rate`"
             )
         });
-        self.remarks().into_iter().chain(large_batch).chain(endless).collect()
+        let untrained = (self.policy.param_count() == 0).then(|| {
+            "note: the policy has no trained numbers: one epoch evaluates its losses".to_owned()
+        });
+        let of_training =
+            [large_batch, endless].into_iter().flatten().filter(|_| untrained.is_none());
+        self.remarks().into_iter().chain(of_training).chain(untrained.clone()).collect()
     }
 
     /// Identity of a run: the settings that a resumed run must share, one per line.
@@ -587,7 +612,7 @@ impl Scene {
         let table = self.table();
         // Default settings with the same effects and parts of the actuator, each with its default
         // parameters.
-        let mut defaults = self.task.defaults();
+        let mut defaults = self.task.defaults(&table);
         for section in OPTIONAL {
             let mut bare = Table::new();
             let parts = table.get(section).and_then(Value::as_table);
@@ -597,7 +622,8 @@ impl Scene {
             }
             defaults.insert(section.into(), bare.into());
         }
-        let defaults = flat(&self.task.fill(defaults.clone()).unwrap_or(defaults));
+        let mut defaults = flat(&self.task.fill(defaults.clone()).unwrap_or(defaults));
+        defaults.retain(|(key, _)| !is_kind(key));
         let differences = flat(&table)
             .into_iter()
             .filter(|setting| !defaults.contains(setting) && !but.contains(&&*setting.0));
@@ -636,7 +662,7 @@ mod tests {
     }
 
     fn scene(settings: &str, epochs: i64) -> Scene {
-        let mut table = task().defaults();
+        let mut table = task().defaults(&Table::new());
         table.insert("epochs".into(), Value::Integer(epochs));
         table.extend(settings.parse::<Table>().expect("TOML"));
         task().scene(table).expect("settings")
