@@ -4,8 +4,8 @@
 use physgrad::graph::{Controller, Costs, Equations, GraphPolicy, GraphTask};
 use physgrad::integrator::{AnyIntegrator, RungeKutta};
 use physgrad::policy::{
-    Action, AnyPolicy, Bounded, Constant, Conv, DynPolicy, Elman, Gru, Linear, Mlp, Observed,
-    OpenLoop, Policy, PolicyPass, PolicyRecord, Sizes, Sum,
+    Action, Bounded, Constant, Conv, DynPolicy, Elman, Gru, Linear, Mlp, Observed, OpenLoop,
+    Policy, PolicyPass, PolicyRecord, Sizes, Sum,
 };
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::Lqr;
@@ -85,7 +85,11 @@ impl Policy for Loop {
 }
 
 /// Costs of rollouts from these initial states, with the initial parameters of the policy.
-fn costs(task: &impl Task, policy: &dyn AnyPolicy<f64>, starts: &[f64]) -> Vec<f64> {
+fn costs(
+    task: &impl Task,
+    policy: &dyn physgrad::policy::AnyPolicy<f64>,
+    starts: &[f64],
+) -> Vec<f64> {
     let weights = Weights::init(policy, &mut stream(0, Purpose::Policy, 0));
     let samples = starts.len() / task.system().state_dim();
     let mut rollout = Rollout::new(task, policy, samples);
@@ -107,7 +111,7 @@ fn a_pi_controller_equals_the_loop_written_by_hand() {
     let controller = pi(free(2.0), free(0.1));
     let task = tank();
     let starts: Vec<f64> = initial_states(&task, 0, Purpose::Test, 5);
-    let losses = |policy: &dyn AnyPolicy<f64>| costs(&task, policy, &starts);
+    let losses = |policy: &dyn physgrad::policy::AnyPolicy<f64>| costs(&task, policy, &starts);
     assert_eq!(losses(&controller), losses(&Loop));
     assert_eq!(losses(&controller), losses(&pi(2.0.into(), 0.1.into())), "given gains");
     assert_ne!(losses(&controller), losses(&pi(2.0.into(), 0.2.into())), "another gain");

@@ -89,6 +89,7 @@ pub trait AnyPolicyKind: Send + Sync {
 
 /// Object-safe [`PolicyKind`].
 pub trait AnyPolicySettings: Debug + Send + Sync {
+    fn table(&self) -> Table;
     fn validate(&self) -> Result<(), ConfigError>;
     fn build(&self, of: &Controlled) -> Result<DynPolicy, ConfigError>;
     fn numbers(&self) -> Vec<(String, TrainedParam)>;
@@ -97,6 +98,9 @@ pub trait AnyPolicySettings: Debug + Send + Sync {
 }
 
 impl<S: PolicyKind> AnyPolicySettings for S {
+    fn table(&self) -> Table {
+        Table::try_from(self).expect("settings are plain tables")
+    }
     fn validate(&self) -> Result<(), ConfigError> {
         PolicyKind::validate(self)
     }
@@ -132,7 +136,7 @@ impl<S: PolicyKind> AnyPolicyKind for Entry<S> {
         S::SATURATES
     }
     fn defaults(&self) -> Table {
-        Table::try_from(S::default()).expect("settings are plain tables")
+        S::default().table()
     }
     fn schema(&self) -> serde_json::Value {
         schema::of_section::<S>(&self.defaults())
@@ -286,6 +290,27 @@ impl PolicySettings {
         Ok(Self { name: kind.name(), saturates, own, bounds, base })
     }
 
+    /// The section with all settings, in one order. Omits a kind that is the `default`.
+    fn table(&self, default: Option<&str>) -> Table {
+        let mut table = Table::new();
+        if default != Some(self.name) {
+            table.insert("kind".into(), self.name.into());
+        }
+        table.extend(self.own.table());
+        match &self.bounds {
+            None => {}
+            Some(Bounds::OfTask) => drop(table.insert("bounds".into(), true.into())),
+            Some(Bounds::Given(ranges)) => {
+                let ranges = ranges.iter().map(|range| Value::from(range.to_vec()));
+                table.insert("bounds".into(), Value::Array(ranges.collect()));
+            }
+        }
+        if let Some(base) = &self.base {
+            table.insert("base".into(), base.table(None).into());
+        }
+        table
+    }
+
     /// The policy for a scene. Keys in errors are relative to the section.
     ///
     /// # Errors
@@ -348,17 +373,13 @@ impl PolicySettings {
     }
 }
 
-/// The `policy` section of a scene with all settings. Omits a kind that is the `default`.
+/// The `policy` section of a scene with all settings. Omits a kind that is the `default`. Leaves
+/// invalid settings as they are.
 pub fn completed(section: Table, default: &str) -> Table {
     let mut settings = defaults(Some(&section), default);
     overlay(&mut settings, &section);
-    if settings.get("kind").and_then(Value::as_str) == Some(default) {
-        settings.remove("kind");
-    }
-    if settings.get("bounds") == Some(&Value::Boolean(false)) {
-        settings.remove("bounds");
-    }
-    settings
+    let read = PolicySettings::read(settings.clone(), Some(default));
+    read.map_or(settings, |read| read.table(Some(default)))
 }
 
 /// JSON schema of the `policy` section of a task with this default kind.

@@ -575,12 +575,12 @@ impl Scene {
                  reaches `training.learning_rate`"
             )
         });
-        let untrained = (self.policy.param_count() == 0).then(|| {
-            "note: the policy has no trained numbers: one epoch evaluates its losses".to_owned()
-        });
-        let of_training =
-            [large_batch, endless].into_iter().flatten().filter(|_| untrained.is_none());
-        self.remarks().into_iter().chain(of_training).chain(untrained.clone()).collect()
+        let of_training: Vec<String> = if self.policy.param_count() == 0 {
+            vec!["note: the policy has no trained numbers: one epoch evaluates its losses".into()]
+        } else {
+            large_batch.into_iter().chain(endless).collect()
+        };
+        self.remarks().into_iter().chain(of_training).collect()
     }
 
     /// Identity of a run: the settings that a resumed run must share, one per line.
