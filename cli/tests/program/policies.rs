@@ -214,7 +214,6 @@ fn refusals_name_the_key_and_the_reason() {
         ("kind = \"open_loop\"\nunits = 3", "`policy.units` is unknown"),
         ("kind = \"conv\"", "`policy.kind` is conv, which reads pairs"),
         ("units = 3", "`policy.units` is unknown; allowed: `widths`"),
-        ("bounds = true", "`policy.bounds` is true, but the task has no bounds"),
         ("bounds = [[1, 0]]", "scene.toml:8: `policy.bounds` is [[1, 0]]; allowed: true"),
         ("bounds = [[0, 1], [0, 1]]", "`policy.bounds` has 2 pairs, but there are 1 controls"),
         ("base = 3", "`policy.base` is 3; allowed: a section with the `kind`"),
@@ -272,7 +271,11 @@ running = "(next.h - 0.3)^2"
     let equations = "kind = \"equations\"\ncontrol.pump = \"10 * y_1 + 0 * h\"";
     assert!(largest("free", equations) > 1.9);
     let bounded = largest("bounded", &format!("{equations}\nbounds = true"));
-    assert!((0.399..=0.4).contains(&bounded), "{bounded}");
+    assert!((0.399..0.400001).contains(&bounded), "{bounded}");
     assert_eq!(largest("network", "bounds = true") as f32, 0.2, "0 is the middle of the range");
+    let without = scene("bounds = true").replace("bounds = { pump = [0.0, 0.4] }\n", "");
+    write(at, "scene.toml", &without);
+    let error = fail(at, &["explain", "scene.toml"]);
+    assert!(error.contains("`policy.bounds` is true, but the task has no bounds"), "{error}");
     assert_eq!(largest("limited", "bounds = [[0.1, 0.2]]") as f32, 0.15);
 }
