@@ -3,7 +3,7 @@
 //!
 //! Run: `cargo run --release --example own_policy -- train pendulum --set policy.kind=fourier`
 
-use physgrad::policy::{Action, Observed};
+use physgrad::policy::{Action, Observed, Policy};
 use physgrad::prelude::*;
 use physgrad_cli::{Controlled, ProgramPolicy};
 use schemars::JsonSchema;
