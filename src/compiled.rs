@@ -17,16 +17,17 @@ use crate::engine::batch::Batch;
 use crate::engine::initial_states::append_starts;
 use crate::engine::rollout::Rollout;
 use crate::engine::rows;
-use crate::graph::{GraphTask, Replaced};
+use crate::graph::{GraphPolicy, GraphTask, Replaced};
 use crate::numbers::scalar::Float;
-use crate::policy::{AnyNetwork, Conv, Mlp, Policy, WithParams};
+use crate::policy::{
+    Bounded, Conv, DynPolicy, Elman, Gru, Linear, Mlp, OpenLoop, Policy, Sum, WithParams,
+};
 use crate::tasks::*;
 use crate::train::calls;
 use crate::train::combination::Combination;
 use crate::train::field::Field;
 use crate::train::{Session, Trainer};
 use crate::{identify, optimize};
-use num_dual::Dual64;
 
 /// A system with the integrator, the substeps and the actuator of a scene.
 type Adjusted<S> = Actuated<Substeps<S>, Vec<AnyActuator>>;
@@ -63,9 +64,8 @@ pub fn compiled() -> Vec<Function> {
         [identify::identify::<DynSystem> as Function, optimize::optimize::<DynTask> as Function];
     let others = [
         &any_policy[..],
-        &of_policy::<WithParams<AnyNetwork>>(),
-        &of_network::<Mlp>(),
-        &of_network::<Conv>(),
+        &of_policy::<WithParams<DynPolicy>>(),
+        &policies(),
         &of_precision::<f32>(),
         &of_precision::<f64>(),
     ];
@@ -98,9 +98,18 @@ fn of_precision<F: Float>() -> [Function; 21] {
     ]
 }
 
-/// Most of the time of a check passes in networks of dual numbers.
-fn of_network<P: Policy>() -> [Function; 2] {
-    [P::act::<f64> as Function, P::act::<Dual64> as Function]
+fn policies() -> [Function; 9] {
+    [
+        DynPolicy::new::<Mlp> as Function,
+        DynPolicy::new::<Conv> as Function,
+        DynPolicy::new::<Linear> as Function,
+        DynPolicy::new::<Gru> as Function,
+        DynPolicy::new::<Elman> as Function,
+        DynPolicy::new::<OpenLoop> as Function,
+        DynPolicy::new::<GraphPolicy> as Function,
+        DynPolicy::new::<Bounded<DynPolicy>> as Function,
+        DynPolicy::new::<Sum<DynPolicy, DynPolicy>> as Function,
+    ]
 }
 
 fn of_policy<P: Policy + 'static>() -> Vec<Function> {

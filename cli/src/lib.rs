@@ -43,9 +43,10 @@ use scenes::overrides::Overrides;
 use std::any::TypeId;
 use std::process::ExitCode;
 use std::str::FromStr;
+use tasks::policy::AnyPolicyKind;
 use tasks::{AnyEffectSpec, AnyTaskSpec, OwnEffect};
 
-pub use tasks::{ProgramEffect, ProgramTask, SceneEffects};
+pub use tasks::{Controlled, ProgramEffect, ProgramPolicy, ProgramTask, SceneEffects};
 
 /// Train neural controllers through long rollouts of differentiable physics; choose the vector
 /// field that the optimizer follows.
@@ -144,13 +145,14 @@ const NO_UPDATE: u8 = 3;
 /// a run of `slide`. Without a command, the program trains the first task of the user.
 #[must_use = "call `main` to run the program"]
 pub fn program() -> Program {
-    Program { own: Vec::new(), effects: Vec::new() }
+    Program { own: Vec::new(), effects: Vec::new(), policies: Vec::new() }
 }
 
-/// The program, with tasks and effects of the user; see [`program`].
+/// The program, with tasks, effects and policies of the user; see [`program`].
 pub struct Program {
     own: Vec<&'static dyn AnyTaskSpec>,
     effects: Vec<&'static dyn AnyEffectSpec>,
+    policies: Vec<&'static dyn AnyPolicyKind>,
 }
 
 impl Program {
@@ -168,6 +170,13 @@ impl Program {
         self
     }
 
+    /// Adds a policy of the user to the kinds that `policy.kind` may name.
+    #[must_use = "call `main` to run the program"]
+    pub fn policy<P: ProgramPolicy>(mut self) -> Self {
+        self.policies.push(tasks::policy::kind::<P>());
+        self
+    }
+
     /// Runs the command of the process arguments and returns its exit status. Invalid arguments,
     /// `--help` and `--version` end the process immediately.
     pub fn main(self) -> ExitCode {
@@ -175,7 +184,7 @@ impl Program {
         signals::ignore_file_limits();
         let outcome = physgrad::engine::kernels::check_processor()
             .map_err(anyhow::Error::msg)
-            .and_then(|()| tasks::register(self.own, self.effects))
+            .and_then(|()| tasks::register(self.own, self.effects, self.policies))
             .and_then(|()| execute(&parsed().command.unwrap_or_else(default_run)));
         let failure = outcome.err().map(|error| {
             print_message(&format!("error: {error:#}"));

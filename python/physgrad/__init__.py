@@ -83,7 +83,7 @@ def Mlp(task, widths=(100, 100), seed=0, **settings):
 
     Other keyword arguments are settings of the section `policy`, as in `activation="relu"`.
     """
-    return Policy(task, seed=seed, widths=widths, **settings)
+    return Policy(task, seed=seed, kind="mlp", widths=widths, **settings)
 
 
 def train(task, policy=None, *, callback=None, out=None, threads=None, **settings):

@@ -100,6 +100,24 @@ def test_runs_are_saved_loaded_continued_and_reported(tmp_path):
     assert np.array_equal(fresh.theta, run.policy.theta)
 
 
+@pytest.mark.parametrize("section", [
+    {"kind": "linear", "bias": False},
+    {"kind": "gru", "units": 3},
+    {"kind": "open_loop", "bounds": [[-2.0, 2.0]]},
+    {"kind": "equations", "control.force": "k * x", "parameters.k": {"start": 0.5}},
+    {"widths": [4], "base": {"kind": "elman", "units": 2}},
+])
+def test_every_kind_of_policy_is_trained_saved_and_loaded(section, tmp_path):
+    task = small()
+    policy = pg.Policy(task, seed=1, **section)
+    run = pg.train(task, policy, epochs=2, out=tmp_path / "run", learning_rate=0.1, **FAST)
+    assert not np.array_equal(run.policy.theta, policy.theta)
+    assert np.array_equal(pg.load(tmp_path / "run").policy.theta, run.policy.theta)
+    pg.check(task, run.policy)
+    # Another kind drops the settings of the first.
+    assert pg.Policy(task.replace(policy=section), kind="gru", units=2).theta.size > 0
+
+
 def page(path):
     """Page of a report without the numbers of clip paths, which count all charts of a process."""
     return re.sub(r"kuva-clip-\d+", "kuva-clip", path.read_text())

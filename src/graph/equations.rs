@@ -96,9 +96,9 @@ impl EquationError {
 }
 
 /// Largest number of names in a list, which bounds the memory of equations that somebody else wrote.
-const NAMES: usize = 4096;
+pub(super) const NAMES: usize = 4096;
 /// Largest size of all equations and tables, in bytes.
-const TEXT: usize = 500_000;
+pub(super) const TEXT: usize = 500_000;
 
 /// Functions of the equations.
 #[derive(Debug)]

@@ -38,6 +38,7 @@
 //! - `parts`: observation and costs as such functions.
 //! - `replaced`: expressions in place of the observation and the costs of another task.
 //! - `task`: the system and the task.
+//! - `policy`: a controller.
 
 mod adjoint;
 mod equations;
@@ -47,11 +48,14 @@ mod lower;
 mod op;
 mod parse;
 mod parts;
+mod policy;
 mod reader;
 mod record;
 mod replaced;
 mod task;
 
 pub use equations::{Costs, EquationError, Equations, Operations};
+pub use parse::is_name;
+pub use policy::{Controller, GraphPolicy};
 pub use replaced::{Names, Replaced, Replacement};
 pub use task::{GraphSystem, GraphTask, RecordError};

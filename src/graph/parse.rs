@@ -116,6 +116,11 @@ pub(super) fn name_problem(name: &str) -> Option<&'static str> {
     is_taken.then_some("has a meaning of its own; choose another name")
 }
 
+/// Returns whether a text can be the name of a number in expressions.
+pub fn is_name(text: &str) -> bool {
+    name_problem(text).is_none()
+}
+
 /// Strengths of operators: a higher one binds first.
 mod strength {
     pub(super) const OR: u8 = 1;

@@ -19,7 +19,7 @@ pub(super) fn gathered<F: Float>(
 }
 
 /// Replaces `block` by the [`gathered`] numbers of the columns `at`.
-pub(super) fn gather<F: Float>(
+pub(crate) fn gather<F: Float>(
     columns: &[F],
     n: usize,
     at: PolicyColumns,
@@ -30,7 +30,7 @@ pub(super) fn gather<F: Float>(
 }
 
 /// Copies the numbers of a block to its columns `at`.
-pub(super) fn scatter<F: Float>(block: &[Lane<F>], at: PolicyColumns, columns: &mut [F]) {
+pub(crate) fn scatter<F: Float>(block: &[Lane<F>], at: PolicyColumns, columns: &mut [F]) {
     for (lane, c) in at.iter().enumerate() {
         for (number, lanes) in zip(columns[c * block.len()..][..block.len()].iter_mut(), block) {
             *number = lanes.lane(lane);

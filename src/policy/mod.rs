@@ -5,7 +5,7 @@
 //! - Open loop: a control sequence, [`OpenLoop`], or one control for all steps, [`Constant`].
 //! - Combinations: [`Bounded`] controls, the [`Sum`] of two policies, and [`WithParams`] for
 //!   trained parameters of the system.
-//! - [`AnyNetwork`]: a network whose kind is chosen at run time.
+//! - [`DynPolicy`]: any policy, chosen at run time.
 //! - [`AnyPolicy`]: object-safe [`Policy`] for one precision.
 //! - [`NetworkLayer`]: layers of a policy, for files that other programs read.
 //! - [`Weights`]: parameters together with their packed form.
@@ -14,12 +14,12 @@
 
 mod activation;
 mod any;
-mod any_network;
-mod blocks;
+pub(crate) mod blocks;
 mod bounded;
 mod by_act;
 mod controls;
 mod conv;
+mod dyn_policy;
 mod linear;
 mod mlp;
 mod network;
@@ -31,10 +31,10 @@ mod two_params;
 
 pub use activation::Activation;
 pub use any::AnyPolicy;
-pub use any_network::AnyNetwork;
 pub use bounded::Bounded;
 pub use controls::controls;
 pub use conv::Conv;
+pub use dyn_policy::DynPolicy;
 pub use linear::Linear;
 pub use mlp::Mlp;
 pub use network::{LayerKind, NetworkLayer};
@@ -255,7 +255,7 @@ impl<'a, F> PolicyPass<'a, F> {
     }
 
     /// Iterates over blocks of at most [`LANES`] samples at one step, each with its step.
-    fn blocks(&self) -> impl Iterator<Item = (usize, PolicyColumns)> + use<F> {
+    pub(crate) fn blocks(&self) -> impl Iterator<Item = (usize, PolicyColumns)> + use<F> {
         self.each_step().flat_map(|(t, columns)| columns.blocks(LANES).map(move |block| (t, block)))
     }
 }

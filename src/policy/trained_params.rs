@@ -74,13 +74,29 @@ impl TrainedParam {
         Self { index, initial, scale: Scale::Bounded { low, high } }
     }
 
+    /// Trains `p[index]` from an initial value within bounds, which may be infinite. A finite upper
+    /// bound requires a finite lower bound.
+    ///
+    /// # Panics
+    /// As [`above`](Self::above) and [`bounded`](Self::bounded).
+    #[track_caller]
+    pub fn within(index: usize, initial: f64, [low, high]: [f64; 2]) -> Self {
+        if high.is_finite() {
+            Self::bounded(index, initial, low, high)
+        } else if low.is_finite() {
+            Self::above(index, initial, low)
+        } else {
+            Self::linear(index, initial)
+        }
+    }
+
     /// Index in `p`.
     pub fn index(&self) -> usize {
         self.index
     }
 
     /// Returns the number r that maps to the initial value.
-    fn initial(&self) -> f64 {
+    pub(crate) fn initial(&self) -> f64 {
         match self.scale {
             Scale::Linear => self.initial,
             Scale::Above { low } => (self.initial - low).ln(),

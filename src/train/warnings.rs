@@ -80,7 +80,12 @@ impl<F: Float> State<F> {
         let loss = |set, divergence: Divergence| {
             format!("the {set} loss is not finite ({})", InTraining(&divergence))
         };
-        let [regular, modified, zero] = record.gradient_warnings(horizon, F::EPSILON);
+        // Without parameters, there is no gradient to warn of.
+        let [regular, modified, zero] = if self.weights.theta().is_empty() {
+            [None, None, None]
+        } else {
+            record.gradient_warnings(horizon, F::EPSILON)
+        };
         let causes: [Option<String>; KINDS.len()] = [
             some_skipped,
             all_skipped,

@@ -3,7 +3,7 @@
 
 use physgrad::check::Failure;
 use physgrad::engine::{Batch, Checkpointed, Schedule};
-use physgrad::policy::{AnyNetwork, Constant, Conv, Gru, Linear, Mlp, TrainedParam, WithParams};
+use physgrad::policy::{Constant, Conv, DynPolicy, Gru, Linear, Mlp, TrainedParam, WithParams};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::Quantum;
 use physgrad::{
@@ -319,12 +319,12 @@ fn observing_the_whole_state_gives_the_bits_of_no_observation() {
 #[test]
 fn a_network_chosen_at_run_time_has_the_bits_of_the_network() {
     let mlp = Mlp::new([3, 7, 1]);
-    let chosen = AnyNetwork::Mlp(mlp.clone());
+    let chosen = DynPolicy::new(mlp.clone());
     assert_eq!(gradients(&tracking::<1>(), &chosen, 1), gradients(&tracking::<1>(), &mlp, 1));
     let (task, conv) = (Quantum { horizon: 5, ..Quantum::new(3) }, Conv::new(32, 4));
-    let chosen = AnyNetwork::Conv(conv.clone());
+    let chosen = DynPolicy::new(conv.clone());
     assert_eq!(gradients(&task, &chosen, 1), gradients(&task, &conv, 1));
-    check::policy(&AnyNetwork::Mlp(mlp)).unwrap();
+    check::policy(&DynPolicy::new(mlp)).unwrap();
 }
 
 #[test]

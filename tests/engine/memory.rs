@@ -2,7 +2,7 @@
 //! budget.
 
 use physgrad::engine::{Batch, Checkpointed, Schedule};
-use physgrad::policy::{Action, AnyNetwork, Conv, Gru, Mlp, Observed, WithParams};
+use physgrad::policy::{Action, Conv, DynPolicy, Gru, Mlp, Observed, WithParams};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{CartPole, Guidance, LossMode, Quantum};
 use physgrad::{
@@ -126,8 +126,8 @@ fn assert_bits_of_store_all<F: Float, T: Task, P: Policy>(task: &T, policy: &P, 
 }
 
 /// Returns a network of the type whose passes the library compiles.
-fn network(mlp: Mlp) -> WithParams<AnyNetwork> {
-    WithParams::new(AnyNetwork::Mlp(mlp), [])
+fn network(mlp: Mlp) -> WithParams<DynPolicy> {
+    WithParams::new(DynPolicy::new(mlp), [])
 }
 
 fn cart_pole(horizon: usize) -> DynTask {

@@ -1,4 +1,5 @@
 //! Systems as data: recorded tasks, equations as text, and their derivatives.
 
 mod equations;
+mod policy;
 mod recorded;

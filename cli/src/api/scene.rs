@@ -71,7 +71,11 @@ impl Scene {
     pub fn with_policy(&self, policy: &Policy) -> Result<Self> {
         let section = policy.scene().settings().remove("policy");
         let section = section.context("the scene has no section `policy`")?;
-        self.with([("policy".to_owned(), Some(section))])
+        let mut source = self.source.clone();
+        // Another kind of policy has other settings.
+        source.without_section("policy");
+        let settings = [("policy".to_owned(), Some(section))].into();
+        Self::changed(source, settings, self.scene.initial_policy())
     }
 
     /// Copy without its sensor, whose states no measurement contains.

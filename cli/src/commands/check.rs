@@ -141,6 +141,9 @@ fn about_rollouts(source: SceneSource, note: &mut dyn FnMut(String) -> Result<()
         )?,
         more => note(format!("kinks: {more} more, in other functions or arguments"))?,
     }
+    if theta.is_empty() {
+        return note("loss: without a slope, because the policy has no trained numbers".into());
+    }
     let plateau = scene
         .plateau(&theta)
         .map_or_else(|divergence| divergence.to_string(), |plateau| plateau.to_string());

@@ -154,7 +154,7 @@ fn section(
 
 /// Operations that an effect, actuator or sensor adds to a step and to its VJP, in a scene without others.
 fn cost(kind: &'static dyn AnyTaskSpec, section: &str, name: &str) -> Result<[Ops; 2]> {
-    let mut settings = kind.defaults();
+    let mut settings = kind.defaults(&Table::new());
     let alone = kind.scene(settings.clone())?.cost().system;
     let part: Table = [(name.to_owned(), toml::Value::Table(required(name)))].into_iter().collect();
     settings.insert(section.into(), toml::Value::Table(part));

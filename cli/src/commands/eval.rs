@@ -170,6 +170,8 @@ fn scene(args: &Eval, policy: &Trained) -> Result<Scene> {
         None => policy.source.clone(),
     };
     if args.scene.is_some() {
+        // Another kind of policy has other settings.
+        source.without_section("policy");
         for key in ["policy", "precision"] {
             if let Some(value) = policy.source.table().get(key) {
                 source.replace(key, value.clone(), policy.source.name())?;

@@ -9,9 +9,9 @@ use crate::scenes::presets;
 use crate::settings::{ACTUATORS, Info, OPTIONAL, SENSORS};
 use crate::tasks::Scene;
 use anyhow::Result;
-use physgrad::Field;
 use physgrad::count::{OpCount, Ops};
 use physgrad::graph::Operations;
+use physgrad::{Field, Policy as _};
 use serde_json::{Value, json};
 
 /// List the present and absent effects of a scene, and count operations and stored bytes.
@@ -52,6 +52,7 @@ pub fn explain(args: &Explain) -> Result<()> {
             "task": scene.task.name(),
             "states": scene.state_names(),
             "controls": scene.control_names(),
+            "policy": scene.policy_kind(),
             "effects": effects(&scene).objects(),
             "operations": with_parts(operations(&scene)?.objects()),
             "memory": bytes(&scene)?.objects(),
@@ -62,10 +63,11 @@ pub fn explain(args: &Explain) -> Result<()> {
     print_text(&format!("state, {}: {}", counted(states.len(), "component"), names(&states)))?;
     let controls = scene.control_names();
     print_text(&format!(
-        "control, {}: {}\n",
+        "control, {}: {}",
         counted(controls.len(), "component"),
         names(&controls)
     ))?;
+    print_text(&format!("{}\n", policy(&scene)))?;
     let equations = scene.equations();
     if !equations.is_empty() {
         let mut table = Table::new(["result", "equation"]);
@@ -90,6 +92,17 @@ pub fn explain(args: &Explain) -> Result<()> {
     print_text(&format!("\nmemory per sample in {}", scene.precision.name()))?;
     print_result(&bytes(&scene)?.to_string())?;
     Ok(())
+}
+
+/// Kind of the policy, and numbers of its parameters and of its memory.
+fn policy(scene: &Scene) -> String {
+    let policy = scene.policy();
+    let trained = counted(policy.param_count(), "trained number");
+    let memory = match policy.memory_dim() {
+        0 => String::new(),
+        count => format!(", {} of memory", counted(count, "component")),
+    };
+    format!("policy, {trained}{memory}: {}", scene.policy_kind())
 }
 
 /// Joins the names. Abbreviates a list of more than 12 names.

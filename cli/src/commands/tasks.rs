@@ -5,6 +5,7 @@ use crate::platform::table::Table;
 use crate::platform::terminal::{did_you_mean, print_result, print_text};
 use crate::scenes::presets;
 use crate::settings::{ACTUATORS, Info, SENSORS};
+use crate::tasks::policy::COMMON;
 use crate::tasks::{self, AnyTaskSpec};
 use anyhow::{Result, bail};
 use serde_json::{Value, json};
@@ -99,13 +100,13 @@ fn add_settings(
             continue;
         }
         let default = defaults.and_then(|defaults| defaults.get(key));
+        let inner = default.and_then(toml::Value::as_table);
         if property["properties"].is_object() {
-            add_settings(
-                table,
-                &name,
-                &property["properties"],
-                default.and_then(toml::Value::as_table),
-            );
+            add_settings(table, &name, &property["properties"], inner);
+            continue;
+        }
+        if key == "policy" {
+            add_kinds(table, property["oneOf"].as_array().into_iter().flatten(), inner);
             continue;
         }
         let choices =
@@ -121,6 +122,34 @@ fn add_settings(
             format!("{} ({choices})", meaning.trim_end_matches('.'))
         };
         table.row([name, default.map_or_else(String::new, ToString::to_string), meaning]);
+    }
+}
+
+/// Adds the kinds of policies with their settings, the default kind first.
+fn add_kinds<'a>(
+    table: &mut Table,
+    kinds: impl Iterator<Item = &'a Value> + Clone,
+    defaults: Option<&toml::Table>,
+) {
+    let name = |kind: &Value| kind["title"].as_str().unwrap_or_default().to_owned();
+    let names: Vec<String> = kinds.clone().map(name).collect();
+    let meaning = format!("Kind of the policy ({})", names.join(", "));
+    table.row(["policy.kind".to_owned(), format!("{:?}", names[0]), meaning]);
+    for (i, kind) in kinds.enumerate() {
+        for (key, property) in kind["properties"].as_object().into_iter().flatten() {
+            let is_common = COMMON.contains(&key.as_str());
+            if key == "kind" || is_common && i > 0 {
+                continue;
+            }
+            let own = defaults.filter(|_| i == 0).and_then(|defaults| defaults.get(key));
+            let default = own.map_or_else(
+                || property.get("default").map_or_else(String::new, Value::to_string),
+                ToString::to_string,
+            );
+            let meaning = property["description"].as_str().unwrap_or_default().replace('\n', " ");
+            let meaning = if is_common { meaning } else { format!("{}: {meaning}", names[i]) };
+            table.row([format!("policy.{key}"), default, meaning]);
+        }
     }
 }
 

@@ -153,8 +153,11 @@ fn assignment(rng: &mut Rng, preset: &Table) -> String {
         .find(|kind| preset.get("task").and_then(Value::as_str) == Some(kind.name()));
     let task =
         matching.filter(|_| rng.random_range(0..8) > 0).unwrap_or(*one_of(rng, tasks::all()));
-    let mut keys: Vec<String> =
-        flat(&task.defaults()).into_iter().chain(flat(preset)).map(|(key, _)| key).collect();
+    let mut keys: Vec<String> = flat(&task.defaults(&Table::new()))
+        .into_iter()
+        .chain(flat(preset))
+        .map(|(key, _)| key)
+        .collect();
     keys.extend(task.effects().iter().map(|info| format!("effects.{}", info.name)));
     keys.extend(ACTUATORS.iter().map(|info| format!("actuator.{}", info.name)));
     keys.extend(SENSORS.iter().map(|info| format!("sensor.{}", info.name)));

@@ -32,9 +32,13 @@ const FORMAT: i64 = 7;
 /// # Errors
 /// The policy is not a sequence of layers.
 pub fn write<F: Float>(about: &About, policy: &dyn AnyPolicy<F>, theta: &[F]) -> Result<Vec<u8>> {
-    let layers = policy
-        .network()
-        .context("the policy is not a sequence of layers, so it has no ONNX model")?;
+    let layers = policy.network().with_context(|| {
+        format!(
+            "the policy is of the kind {}, which is not a sequence of layers, so it has no ONNX model; those of the kinds mlp \
+             and conv, without `bounds` and `base`, have one",
+            about.kind
+        )
+    })?;
     let mut builder = Builder {
         theta,
         tensors: policy.tensors(),

@@ -28,6 +28,9 @@ pub struct About {
     /// that depends on the bounds.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub trained: Vec<TrainedNumber>,
+    /// Kind of the policy, for messages.
+    #[serde(skip)]
+    pub kind: String,
 }
 
 /// Number that a scene trains. An infinite bound is None.

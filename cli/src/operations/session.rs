@@ -31,8 +31,9 @@ pub trait AnyRun: Send {
     /// Returns the record of the epoch, or None if paused.
     fn advance(&mut self, pause: &(dyn Fn() -> bool + Sync))
     -> Result<Option<&Record>, TrainError>;
-    /// Loss of the test set with the current parameters. NaN if a rollout diverges.
-    fn test_loss(&mut self) -> f64;
+    /// Loss of the test set with the current parameters, before the first update. NaN if a rollout
+    /// diverges, and without parameters: such a policy is never untrained.
+    fn untrained_loss(&mut self) -> f64;
     /// Lowest recorded test loss and the loss of its parameters now, if they differ; see
     /// [`Session::changed_test_loss`].
     fn changed_test_loss(&mut self) -> Option<[f64; 2]>;
@@ -84,8 +85,8 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
         Session::advance(self, pause)
     }
 
-    fn test_loss(&mut self) -> f64 {
-        Session::test_loss(self)
+    fn untrained_loss(&mut self) -> f64 {
+        if self.policy().param_count() == 0 { f64::NAN } else { Session::test_loss(self) }
     }
 
     fn changed_test_loss(&mut self) -> Option<[f64; 2]> {

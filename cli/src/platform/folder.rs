@@ -101,7 +101,12 @@ impl Folder {
         if path.is_dir() {
             Ok(Self::at(path))
         } else {
-            bail!("there is no folder {}", path.display())
+            let hint = if path.is_file() {
+                ", only a file of this name; `train SCENE` writes the folder of a run, also for a policy without trained numbers"
+            } else {
+                ""
+            };
+            bail!("there is no folder {}{hint}", path.display())
         }
     }
 

@@ -162,7 +162,7 @@ impl Run {
             field: self.field,
             seed: self.seed,
             records: &self.records,
-            untrained: saved::scene(&self.folder)?.open(1)?.test_loss(),
+            untrained: saved::scene(&self.folder)?.open(1)?.untrained_loss(),
             diverged: end.error.is_some(),
         }))
     }

@@ -222,10 +222,12 @@ fn finished(scene: &Scene, run: &dyn AnyRun, failure: Option<TrainError>) -> Fin
     Finished { records, numbers: numbers(scene, run), end }
 }
 
-/// Names and values of the trained numbers.
+/// Names and values of the trained numbers, of the system and of the policy.
 fn numbers(scene: &Scene, run: &dyn AnyRun) -> Vec<(String, f64)> {
     let names = scene.param_names();
-    run.trained(Epoch::Last).into_iter().map(|(i, value)| (names[i].clone(), value)).collect()
+    let of_system = run.trained(Epoch::Last).into_iter();
+    let of_system = of_system.map(|(i, value)| (names[i].clone(), value));
+    of_system.chain(scene.policy_numbers(&run.theta(Epoch::Last))).collect()
 }
 
 /// Writes checkpoints and metrics of a run.

@@ -57,7 +57,7 @@ pub struct Outcome<'a> {
     pub field: Field,
     pub seed: u64,
     pub records: &'a [Record],
-    /// Test loss of the initial policy.
+    /// Test loss of the initial policy. NaN if it has no trained numbers.
     pub untrained: f64,
     /// True if a non-finite number ended the training. Such a run has no final losses.
     pub diverged: bool,

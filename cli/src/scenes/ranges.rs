@@ -45,7 +45,7 @@ pub fn with_numbers(
     };
     let settings = settings();
     let value = find(&settings, &error.key).and_then(Value::as_table);
-    let defaults = spec.defaults();
+    let defaults = spec.defaults(&settings);
     let default = find(&defaults, &error.key).filter(|value| !value.is_table());
     let (true, Some(_), Some(default)) =
         (found == "a section", value.filter(|value| is_number(value)), default)

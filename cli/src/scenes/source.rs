@@ -11,6 +11,7 @@ use crate::scenes::ranges::{with_methods, with_numbers, with_range};
 use crate::settings::config_error::{ConfigError, Problem};
 use crate::settings::reading::{is_drawn, is_number, overlay};
 use crate::settings::{OPTIONAL, VERSION};
+use crate::tasks::policy::{COMMON, is_kind};
 use crate::tasks::scene::{INITIAL_POLICY, flat};
 use crate::tasks::{self, AnyTaskSpec, Scene};
 use anyhow::{Context, Result, anyhow, bail};
@@ -126,6 +127,9 @@ impl SceneSource {
         if last.is_empty() {
             bail!("{option}: the key is empty; write KEY=VALUE, for example system.poles=4");
         }
+        if is_kind(key) {
+            self.leave_kind(sections, &value);
+        }
         let mut inner = &mut self.table;
         let mut path = String::new();
         for part in sections.split('.').filter(|part| !part.is_empty()) {
@@ -165,6 +169,25 @@ impl SceneSource {
         Ok(())
     }
 
+    /// Removes the settings of the present kind of policy in this section, if `kind` is another one.
+    /// Keeps what every kind has, and what options have set.
+    fn leave_kind(&mut self, section: &str, kind: &Value) {
+        let Self { table, options, .. } = self;
+        let default = table.get("task").and_then(Value::as_str).and_then(|task| {
+            let spec = tasks::all().iter().find(|spec| spec.name() == task)?;
+            (section == "policy").then(|| Value::from(spec.policy()))
+        });
+        let found = section
+            .split('.')
+            .try_fold(table, |table, part| table.get_mut(part).and_then(Value::as_table_mut));
+        let Some(settings) = found else { return };
+        if settings.get("kind").or(default.as_ref()) != Some(kind) {
+            settings.retain(|key, _| {
+                COMMON.contains(&key) || options.contains_key(&join(section, key))
+            });
+        }
+    }
+
     /// Name in messages.
     pub fn name(&self) -> &str {
         &self.name
@@ -196,7 +219,9 @@ impl SceneSource {
             Some((list, index)) => table.get_mut(list)?.get_mut(index)?.as_table_mut(),
             None => table.get_mut(part)?.as_table_mut(),
         });
-        if let Some(section) = section {
+        if let Some(section) =
+            section.filter(|section| section.get(last).is_some_and(Value::is_table))
+        {
             section.remove(last);
         }
         self.put(key, value, option)
@@ -336,7 +361,7 @@ impl SceneSource {
             )
         })?;
         let settings = || {
-            let mut settings = spec.defaults();
+            let mut settings = spec.defaults(&self.table);
             overlay(&mut settings, &self.table);
             if settings.get("physgrad").is_some_and(Value::is_str) {
                 // Replaces the version in the settings of a saved run: this version creates the
@@ -345,7 +370,7 @@ impl SceneSource {
             }
             settings
         };
-        let explained = |error| suggest(spec, explain_foreign_effect(spec, error));
+        let explained = |error| suggest(spec, &self.table, explain_foreign_effect(spec, error));
         let scene = spec.scene(settings());
         scene.map_err(|error| {
             let error =
@@ -436,11 +461,11 @@ fn explain_foreign_effect(spec: &dyn AnyTaskSpec, error: ConfigError) -> ConfigE
 }
 
 /// Adds the most similar key to the error of an unknown key.
-fn suggest(spec: &dyn AnyTaskSpec, mut error: ConfigError) -> ConfigError {
+fn suggest(spec: &dyn AnyTaskSpec, table: &Table, mut error: ConfigError) -> ConfigError {
     if let Problem::Unknown { allowed, hint } = &mut error.problem {
         let (section, name) = error.key.rsplit_once('.').unwrap_or(("", &error.key));
         let siblings = allowed.iter().map(|sibling| join(section, sibling));
-        let settings = flat(&spec.defaults()).into_iter().map(|(key, _)| key);
+        let settings = flat(&spec.defaults(table)).into_iter().map(|(key, _)| key);
         let effects = spec.effects().into_iter().map(|info| format!("effects.{}", info.name));
         let is_other = |key: &String| !error.key.starts_with(&format!("{key}."));
         let keys: Vec<String> = siblings.chain(settings).chain(effects).filter(is_other).collect();

@@ -123,7 +123,8 @@ impl ConfigError {
         section: &str,
         names: impl Iterator<Item = &'static str>,
     ) -> Self {
-        let is_of_section = self.key.rsplit_once('.').is_some_and(|(parent, _)| parent == section);
+        let parent = self.key.rsplit_once('.').map_or("", |(parent, _)| parent);
+        let is_of_section = parent == section;
         if let Problem::Unknown { allowed, .. } = &mut self.problem
             && is_of_section
         {

@@ -6,7 +6,7 @@ use crate::settings::config_error::{
 };
 use crate::settings::{Joined, Method};
 use crate::tasks::effects::{EffectsSection, Present, effects_section};
-use crate::tasks::{Conserved, MlpSettings, SceneEffects, Settings, TaskSpec};
+use crate::tasks::{Conserved, SceneEffects, Settings, TaskSpec};
 use physgrad::effect::{HasModel, Named};
 use physgrad::tasks::{
     self, Bumpers, CartDamping, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole,
@@ -153,7 +153,6 @@ impl TaskSpec for CartPole {
     type System = Joined<Equations, CartPoleSystem>;
     type Effects = CartPoleEffects;
     type Loss = CartPoleLoss;
-    type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "cart_pole";
     const ABOUT: &'static str = "swing up 1 to 64 poles on one cart";

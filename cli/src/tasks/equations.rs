@@ -6,7 +6,7 @@ use crate::settings::Method;
 use crate::settings::config_error::ConfigError;
 use crate::settings::reading::overlay;
 use crate::tasks::hard::{Nothing, in_scene};
-use crate::tasks::{MlpSettings, Settings, TaskSpec};
+use crate::tasks::{Settings, TaskSpec};
 use physgrad::DynTask;
 use physgrad::graph::{self, Costs, EquationError, GraphTask, Replacement};
 use physgrad::integrator::{AnyIntegrator, RungeKutta};
@@ -42,7 +42,6 @@ impl TaskSpec for Equations {
     type System = graph::Equations;
     type Effects = Nothing;
     type Loss = Costs;
-    type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "equations";
     const ABOUT: &'static str = "a system whose equations and costs are in the scene";
@@ -126,6 +125,10 @@ impl TaskSpec for Equations {
 
     fn operations(settings: &Settings<Self>) -> Option<graph::Operations> {
         graph(settings).ok()?.operations()
+    }
+
+    fn observe(settings: &Settings<Self>) -> &[String] {
+        &settings.system.observe
     }
 
     fn remarks(settings: &Settings<Self>) -> Vec<String> {

@@ -4,7 +4,7 @@ use crate::operations::trajectory::Trajectory;
 use crate::settings::Method;
 use crate::settings::config_error::{ConfigError, allowed, count, finite, not_negative, positive};
 use crate::tasks::effects::{EffectsSection, effects_section, named};
-use crate::tasks::{MlpSettings, SceneEffects, Settings, TaskSpec};
+use crate::tasks::{SceneEffects, Settings, TaskSpec};
 use physgrad::effect::{HasModel, Named};
 use physgrad::tasks::{
     self, Drive, Evade, Flock, Friction, GuidanceEffect, GuidanceSystem, LossMode, Obstacles,
@@ -148,7 +148,6 @@ impl TaskSpec for Guidance {
     type System = GuidanceSystem;
     type Effects = GuidanceEffects;
     type Loss = GuidanceLoss;
-    type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "guidance";
     const ABOUT: &'static str = "drivers herd evaders, which flee from them, to the origin";

@@ -14,7 +14,7 @@ mod hard;
 mod own;
 mod own_effect;
 mod own_numbers;
-mod policy;
+pub mod policy;
 mod quantum;
 pub mod scene;
 mod schema;
@@ -22,7 +22,7 @@ mod settings;
 
 pub use own::ProgramTask;
 pub use own_effect::{AnyEffectSpec, OwnEffect, ProgramEffect, SceneEffects};
-pub use policy::{MlpSettings, PolicySpec, ScenePolicy};
+pub use policy::{Controlled, ProgramPolicy, ScenePolicy};
 pub use scene::Scene;
 pub use schema::schema;
 pub use settings::Settings;
@@ -35,12 +35,13 @@ use effects::EffectsSection;
 use physgrad::DynTask;
 use physgrad::graph::Operations;
 use physgrad_plot::Animation;
+use policy::AnyPolicyKind;
 use schemars::JsonSchema;
 use serde::{Serialize, de::DeserializeOwned};
 use std::fmt::Debug;
 use std::marker::PhantomData;
 use std::sync::OnceLock;
-use toml::Table;
+use toml::{Table, Value};
 
 /// A section of a scene's settings.
 pub trait Section:
@@ -61,8 +62,6 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     type Effects: Section + Default + EffectsSection;
     /// The `loss` section: settings of the cost function.
     type Loss: Section + Default;
-    /// The `policy` section: settings of the network.
-    type PolicySpec: PolicySpec;
 
     /// The task's name.
     const NAME: &'static str;
@@ -72,6 +71,8 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     const EPOCHS: usize;
     /// Default number of time steps.
     fn horizon() -> usize;
+    /// Default kind of the policy.
+    const POLICY: &'static str = policy::MLP;
     /// Integrators that can replace the task's native scheme.
     const METHODS: &'static [Method] = &[];
 
@@ -125,6 +126,10 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     /// Number of operations of these equations. None by default.
     fn operations(_settings: &Settings<Self>) -> Option<Operations> {
         None
+    }
+    /// Expressions that the settings of the system observe. None by default.
+    fn observe(_settings: &Settings<Self>) -> &[String] {
+        &[]
     }
     /// What is allowed in these settings but hardly meant. Nothing by default.
     fn remarks(_settings: &Settings<Self>) -> Vec<String> {
@@ -186,6 +191,7 @@ struct Registered {
     tasks: Vec<&'static dyn AnyTaskSpec>,
     /// Effects of the user with their keys in scenes.
     effects: Vec<(&'static str, &'static dyn AnyEffectSpec)>,
+    policies: Vec<&'static dyn AnyPolicyKind>,
 }
 
 /// All tasks: first the built-in tasks, then the tasks of the user.
@@ -212,15 +218,21 @@ fn own_effects(task: &str) -> Vec<(&'static str, &'static dyn AnyEffectSpec)> {
     effects.iter().copied().filter(|(_, effect)| effect.task() == task).collect()
 }
 
-/// Adds tasks and effects of the user to the built-in tasks and effects.
+/// Kinds of policies of the user.
+fn own_policies() -> &'static [&'static dyn AnyPolicyKind] {
+    REGISTERED.get().map_or(&[], |registered| &registered.policies)
+}
+
+/// Adds tasks, effects and policies of the user to the built-in ones.
 ///
 /// # Errors
 /// A name is empty, or has characters other than lower case letters, digits and underscores. Two
-/// tasks, or two effects of a task, have the same name. An effect names an unknown task. The
-/// process has called this function before.
+/// tasks, two policies, or two effects of a task, have the same name. An effect names an unknown
+/// task. The process has called this function before.
 pub fn register(
     own: Vec<&'static dyn AnyTaskSpec>,
     own_effects: Vec<&'static dyn AnyEffectSpec>,
+    policies: Vec<&'static dyn AnyPolicyKind>,
 ) -> Result<()> {
     let is_name = |name: &str| {
         !name.is_empty()
@@ -231,7 +243,8 @@ pub fn register(
     let names = own
         .iter()
         .map(|task| task.name())
-        .chain(own_effects.iter().map(|effect| effect.info().name));
+        .chain(own_effects.iter().map(|effect| effect.info().name))
+        .chain(policies.iter().map(|policy| policy.name()));
     if let Some(name) = names.into_iter().find(|name| !is_name(name)) {
         bail!("`NAME` is {name:?}; allowed: lower case letters, digits and underscores");
     }
@@ -255,12 +268,18 @@ pub fn register(
             bail!("two effects of {of} have the name `{name}`; choose another `NAME`");
         }
     }
+    let kinds: Vec<_> = policy::all().into_iter().chain(policies.iter().copied()).collect();
+    for (i, kind) in kinds.iter().enumerate() {
+        if kinds[..i].iter().any(|other| other.name() == kind.name()) {
+            bail!("two policies have the name `{}`; choose another `NAME`", kind.name());
+        }
+    }
     // Leaks the keys, because names of effects are static. A process registers once.
     let key =
         |name: &str| -> &'static str { Box::leak(format!("effects.{name}").into_boxed_str()) };
     let effects = own_effects.into_iter().map(|effect| (key(effect.info().name), effect)).collect();
-    REGISTERED.set(Registered { tasks, effects }).map_err(|_| {
-        anyhow!("this process has already registered tasks and effects; call `main` once")
+    REGISTERED.set(Registered { tasks, effects, policies }).map_err(|_| {
+        anyhow!("this process has already registered tasks, effects and policies; call `main` once")
     })
 }
 
@@ -279,8 +298,10 @@ pub trait AnyTaskSpec: Send + Sync {
     /// Integrator of the reference solution, and its number of substeps per control step. The
     /// native scheme if the task has no integrator of high order.
     fn reference(&self) -> (&'static str, usize);
-    /// The default settings.
-    fn defaults(&self) -> Table;
+    /// Default kind of the policy.
+    fn policy(&self) -> &'static str;
+    /// The default settings, with those of the kind of policy that a scene names.
+    fn defaults(&self, scene: &Table) -> Table;
     /// Fills in missing settings that have a default.
     fn fill(&self, settings: Table) -> Result<Table, ConfigError>;
     /// Creates a scene. Missing settings that have a default get it.
@@ -326,8 +347,15 @@ impl<K: TaskSpec> AnyTaskSpec for Entry<K> {
         (best.map_or("native", Method::name), 128)
     }
 
-    fn defaults(&self) -> Table {
-        Settings::<K>::defaults().table()
+    fn policy(&self) -> &'static str {
+        K::POLICY
+    }
+
+    fn defaults(&self, scene: &Table) -> Table {
+        let mut defaults = Settings::<K>::defaults().table();
+        let section = scene.get("policy").and_then(Value::as_table);
+        defaults.insert("policy".into(), policy::defaults(section, K::POLICY).into());
+        defaults
     }
 
     fn fill(&self, settings: Table) -> Result<Table, ConfigError> {

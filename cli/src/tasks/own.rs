@@ -4,7 +4,7 @@ use crate::operations::trajectory::Trajectory;
 use crate::settings::config_error::{ConfigError, allowed};
 use crate::tasks::hard::Nothing;
 use crate::tasks::own_numbers::Owner;
-use crate::tasks::{MlpSettings, SceneEffects, Section, Settings, TaskSpec};
+use crate::tasks::{SceneEffects, Section, Settings, TaskSpec};
 use physgrad::{DynSystem, DynTask, System, Task};
 use physgrad_plot::{Animation, Channel, channels_over_time};
 use toml::Table;
@@ -111,7 +111,6 @@ impl<T: ProgramTask> TaskSpec for T {
     type System = T;
     type Effects = Nothing;
     type Loss = Nothing;
-    type PolicySpec = MlpSettings;
 
     const NAME: &'static str = <T as ProgramTask>::NAME;
     const ABOUT: &'static str = <T as ProgramTask>::ABOUT;

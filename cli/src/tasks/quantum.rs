@@ -6,9 +6,8 @@ use crate::settings::config_error::{
 };
 use crate::settings::{Joined, Method};
 use crate::tasks::effects::{EffectsSection, effects_section, named};
-use crate::tasks::{Conserved, PolicySpec, SceneEffects, Settings, TaskSpec};
+use crate::tasks::{Conserved, SceneEffects, Settings, TaskSpec, policy};
 use physgrad::effect::Named;
-use physgrad::policy::{AnyNetwork, Conv};
 use physgrad::tasks::{
     self, Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, LossMode,
     Pade, QuantumEffect, QuantumScheme, QuantumSystem, Strang, Tabulated,
@@ -140,42 +139,15 @@ impl Default for QuantumLoss {
     }
 }
 
-/// The `policy` section of quantum control: a convolutional network.
-#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct ConvSettings {
-    /// Number of filters of each convolution.
-    width: usize,
-    /// Initializes the weights of the output layer with zeros.
-    zero_init_output: bool,
-}
-
-impl Default for ConvSettings {
-    fn default() -> Self {
-        Self { width: 60, zero_init_output: false }
-    }
-}
-
-impl PolicySpec for ConvSettings {
-    fn validate(&self) -> Result<(), ConfigError> {
-        count("policy.width", self.width, 1..=10_000)
-    }
-
-    fn build(&self, state_dim: usize, _control_dim: usize) -> AnyNetwork {
-        let network = Conv::new(state_dim / 2, self.width);
-        AnyNetwork::Conv(network.zero_init_output(self.zero_init_output))
-    }
-}
-
 impl TaskSpec for Quantum {
     type System = Joined<QuantumSystem, States>;
     type Effects = QuantumEffects;
     type Loss = QuantumLoss;
-    type PolicySpec = ConvSettings;
 
     const NAME: &'static str = "quantum";
     const ABOUT: &'static str = "bring a particle in a box into an eigenstate by tilting the floor";
     const EPOCHS: usize = 200;
+    const POLICY: &'static str = policy::CONV;
     fn horizon() -> usize {
         128
     }

@@ -18,8 +18,8 @@ use crate::settings::{
     ActuatorSettings, DecayName, EstimatorName, FieldName, IntegratorSettings, LogFormat, OPTIONAL,
     Precision, TrainingSettings,
 };
-use crate::tasks::policy::{ScenePolicy, trained};
-use crate::tasks::{AnyTaskSpec, Conserved, PolicySpec, Settings, TaskSpec};
+use crate::tasks::policy::{PolicySettings, ScenePolicy, is_kind, trained};
+use crate::tasks::{AnyTaskSpec, Conserved, Settings, TaskSpec};
 use anyhow::{Context, Result};
 use physgrad::actuator::Actuator;
 use physgrad::check::{Jumps, Kink, Plateau};
@@ -27,7 +27,7 @@ use physgrad::count::TaskOpCount;
 use physgrad::graph::Operations;
 use physgrad::identify::{Fit, IdentifyError, Options, Segment};
 use physgrad::optimize::{self, Initial, OptimizeError, Plan};
-use physgrad::policy::WithParams;
+use physgrad::policy::{Policy as _, TrainedParam, WithParams};
 use physgrad::{Divergence, DynTask, Field, Number, System, Task};
 use physgrad_plot::{Animation, Channel};
 use std::borrow::Cow;
@@ -68,6 +68,9 @@ pub struct Scene {
     actuator: ActuatorSettings,
     physics: DynTask,
     policy: ScenePolicy,
+    policy_settings: Arc<PolicySettings>,
+    /// Trained numbers of the policy: keys, indices in θ, and maps from θ.
+    policy_numbers: Arc<[(String, usize, TrainedParam)]>,
     /// Path of the policy file from which the training starts.
     initial_policy_file: Option<String>,
     /// Contents of this file.
@@ -159,19 +162,19 @@ impl Scene {
     /// Creates a scene from validated settings.
     pub fn new<K: TaskSpec>(task: &'static dyn AnyTaskSpec, settings: Settings<K>) -> Self {
         let physics = settings.physics().expect("validated settings");
-        let system = physics.system();
-        let network = settings
-            .policy
-            .build(physics.observation_dim().unwrap_or(system.state_dim()), system.control_dim());
-        let trained: Vec<_> =
-            system.varied(physics.param_dim()).iter().filter_map(trained).collect();
-        let policy = WithParams::new(network, trained);
+        let policy_settings = settings.policy().expect("validated settings");
+        let built = settings.built(&policy_settings, &physics).expect("validated settings");
+        let varied = physics.system().varied(physics.param_dim());
+        let trained: Vec<_> = varied.iter().filter_map(trained).collect();
+        let policy = WithParams::new(built.policy, trained);
+        // Without parameters, every further epoch would repeat the first.
+        let most_epochs = if policy.param_count() == 0 { 1 } else { usize::MAX };
         Self {
             task,
             field: settings.field,
             precision: settings.precision,
             seed: settings.seed,
-            epochs: settings.epochs,
+            epochs: settings.epochs.min(most_epochs),
             horizon: settings.horizon,
             logs: settings.log.clone(),
             training: settings.training.clone(),
@@ -179,6 +182,8 @@ impl Scene {
             actuator: settings.actuator.clone(),
             physics,
             policy,
+            policy_numbers: built.numbers.into(),
+            policy_settings: Arc::new(policy_settings),
             initial_policy_file: settings.initial_policy.clone(),
             initial_policy: None,
             settings: Arc::new(settings),
@@ -218,6 +223,17 @@ impl Scene {
     /// The policy, with the trained numbers of the system.
     pub fn policy(&self) -> &ScenePolicy {
         &self.policy
+    }
+
+    /// The kind of the policy, with its bounds and base.
+    pub fn policy_kind(&self) -> String {
+        self.policy_settings.description()
+    }
+
+    /// Names and values of the trained numbers of the policy with these parameters.
+    pub fn policy_numbers(&self, theta: &[f64]) -> Vec<(String, f64)> {
+        let numbers = self.policy_numbers.iter();
+        numbers.map(|(key, i, map)| (format!("policy.{key}"), map.value(theta[*i]))).collect()
     }
 
     /// Range of each control, None without bounds: the range to which the actuators limit all
@@ -436,6 +452,7 @@ impl Scene {
             observations: self.observation_names(),
             controls: self.control_names(),
             trained: self.varied().into_iter().filter_map(trained).collect(),
+            kind: self.policy_kind(),
         }
     }
 
@@ -566,7 +583,9 @@ impl Scene {
 
     /// Equations in the settings: what each gives, and its expression.
     pub fn equations(&self) -> Vec<(String, String)> {
-        self.settings.equations()
+        let policy = self.policy_settings.equations().into_iter();
+        let policy = policy.map(|(name, text)| (format!("policy: {name}"), text));
+        self.settings.equations().into_iter().chain(policy).collect()
     }
 
     /// Number of operations of these equations. None without equations.
@@ -574,9 +593,10 @@ impl Scene {
         self.settings.operations()
     }
 
-    /// Notes about settings of the task that are hardly meant.
+    /// Notes about settings of the task and the policy that are hardly meant.
     pub fn remarks(&self) -> Vec<String> {
-        self.settings.remarks().into_iter().map(|remark| format!("note: {remark}")).collect()
+        let remarks = self.settings.remarks().into_iter().chain(self.policy_settings.remarks());
+        remarks.map(|remark| format!("note: {remark}")).collect()
     }
 
     /// The remarks, and notes about settings of the training that another setting limits: a
@@ -596,7 +616,12 @@ impl Scene {
                  reaches `training.learning_rate`"
             )
         });
-        self.remarks().into_iter().chain(large_batch).chain(endless).collect()
+        let of_training: Vec<String> = if self.policy.param_count() == 0 {
+            vec!["note: the policy has no trained numbers: one epoch evaluates its losses".into()]
+        } else {
+            large_batch.into_iter().chain(endless).collect()
+        };
+        self.remarks().into_iter().chain(of_training).collect()
     }
 
     /// Identity of a run: the settings that a resumed run must share, one per line.
@@ -628,7 +653,7 @@ impl Scene {
         let table = self.table();
         // Default settings with the same effects and parts of the actuator, each with its default
         // parameters.
-        let mut defaults = self.task.defaults();
+        let mut defaults = self.task.defaults(&table);
         for section in OPTIONAL {
             let mut bare = Table::new();
             let parts = table.get(section).and_then(Value::as_table);
@@ -638,7 +663,8 @@ impl Scene {
             }
             defaults.insert(section.into(), bare.into());
         }
-        let defaults = flat(&self.task.fill(defaults.clone()).unwrap_or(defaults));
+        let mut defaults = flat(&self.task.fill(defaults.clone()).unwrap_or(defaults));
+        defaults.retain(|(key, _)| !is_kind(key));
         let differences = flat(&table)
             .into_iter()
             .filter(|setting| !defaults.contains(setting) && !but.contains(&&*setting.0));
@@ -677,7 +703,7 @@ mod tests {
     }
 
     fn scene(settings: &str, epochs: i64) -> Scene {
-        let mut table = task().defaults();
+        let mut table = task().defaults(&Table::new());
         table.insert("epochs".into(), Value::Integer(epochs));
         table.extend(settings.parse::<Table>().expect("TOML"));
         task().scene(table).expect("settings")

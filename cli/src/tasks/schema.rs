@@ -1,7 +1,7 @@
 //! JSON schema of scenes, with one branch per task.
 
 use crate::settings::VERSION;
-use crate::tasks::{self, AnyEffectSpec, AnyTaskSpec};
+use crate::tasks::{self, AnyEffectSpec, AnyTaskSpec, policy};
 use schemars::generate::SchemaSettings;
 use schemars::{JsonSchema, SchemaGenerator};
 use serde_json::{Map, Value, json};
@@ -55,7 +55,8 @@ pub fn of<S: JsonSchema>(
     task: &dyn AnyTaskSpec,
     own_effects: &[(&str, &dyn AnyEffectSpec)],
 ) -> Value {
-    let mut schema = with_defaults::<S>(&task.defaults());
+    let mut schema = with_defaults::<S>(&task.defaults(&Table::new()));
+    schema["properties"]["policy"] = policy::section_schema(task.policy());
     for (_, effect) in own_effects {
         schema["properties"]["effects"]["properties"][effect.info().name] = effect.schema();
     }

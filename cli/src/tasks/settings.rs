@@ -7,9 +7,11 @@ use crate::settings::{
 };
 use crate::tasks::effects::Present;
 use crate::tasks::equations::located;
-use crate::tasks::{self, PolicySpec, SceneEffects, TaskSpec};
+use crate::tasks::policy::{self, Built, PolicySettings};
+use crate::tasks::{self, Controlled, SceneEffects, TaskSpec};
+use physgrad::actuator::Actuator as _;
 use physgrad::effect::{DynEffect, Named};
-use physgrad::graph::{Names, Replaced, Replacement};
+use physgrad::graph::{Names, Replaced, Replacement, is_name};
 use physgrad::sensor::Sensed;
 use physgrad::{DynSystem, DynTask, Field, System as _, Task as _};
 use schemars::JsonSchema;
@@ -69,8 +71,9 @@ pub struct Settings<K: TaskSpec> {
     /// Expressions in place of the observation and the costs of the task.
     #[serde(default, skip_serializing_if = "is_absent")]
     pub equations: Replacement,
-    /// Network of the policy.
-    pub policy: K::PolicySpec,
+    /// Settings of the policy, by its kind.
+    #[schemars(with = "std::collections::BTreeMap<String, String>")]
+    pub policy: Table,
     /// Optimizer, data sets and memory.
     pub training: TrainingSettings,
 }
@@ -102,7 +105,7 @@ impl<K: TaskSpec> Settings<K> {
             integrator: IntegratorSettings::default(),
             loss: K::Loss::default(),
             equations: Replacement::default(),
-            policy: K::PolicySpec::default(),
+            policy: policy::defaults(None, K::POLICY),
             training: TrainingSettings::default(),
         }
     }
@@ -129,7 +132,8 @@ impl<K: TaskSpec> Settings<K> {
         let names = registered.iter().map(|(_, effect)| effect.info().name);
         let settings: Self =
             reading::read(table).map_err(|error| error.also_allowed("effects", names))?;
-        let mut settings = Self { own_effects, ..settings };
+        let policy = policy::completed(settings.policy, K::POLICY);
+        let mut settings = Self { own_effects, policy, ..settings };
         settings.training.complete();
         Ok(settings)
     }
@@ -139,13 +143,49 @@ impl<K: TaskSpec> Settings<K> {
         count("horizon", self.horizon, 1..=100_000_000)?;
         count("epochs", self.epochs, 0..=1_000_000_000)?;
         self.training.validate()?;
-        self.policy.validate()?;
+        let policy = self.policy()?;
         self.actuator.validate()?;
         self.sensor.validate()?;
         self.integrator.validate(self.precision, K::METHODS)?;
         K::validate(self)?;
         K::validate_own_effects(&self.own_effects)?;
-        self.physics().map(drop)
+        self.built(&policy, &self.physics()?).map(drop)
+    }
+
+    /// The settings of the policy.
+    pub fn policy(&self) -> Result<PolicySettings, ConfigError> {
+        let settings = PolicySettings::read(self.policy.clone(), Some(K::POLICY));
+        settings.map_err(|error| error.within("policy"))
+    }
+
+    /// The policy of these settings for this task.
+    pub fn built(&self, policy: &PolicySettings, physics: &DynTask) -> Result<Built, ConfigError> {
+        let limited = || {
+            let range = self.actuator.chain(K::dt(self)).range()?;
+            Some(vec![range; physics.system().control_dim()])
+        };
+        let controlled = Controlled {
+            observations: self.observed_names(&self.unsensed()?),
+            controls: K::control_names(self),
+            bounds: physics.control_bounds().or_else(limited),
+            horizon: self.horizon,
+            dt: K::dt(self),
+        };
+        policy.build(&controlled).map_err(|error| error.within("policy"))
+    }
+
+    /// Names by which expressions of a policy know the components of the observation: those of the
+    /// state, or, of an observation of its own, the name that it consists of, or else y_1, y_2, …
+    fn observed_names(&self, unsensed: &DynTask) -> Vec<String> {
+        let Some(count) = unsensed.observation_dim() else { return self.unsensed_states() };
+        let replaced = &self.equations.observe;
+        let texts = if replaced.is_empty() { K::observe(self) } else { replaced };
+        let name = |i: usize| {
+            let own = texts.get(i).map(|text| text.trim()).filter(|text| is_name(text));
+            let is_first = own.is_some_and(|own| !texts[..i].iter().any(|text| text.trim() == own));
+            own.filter(|_| is_first).map_or_else(|| format!("y_{}", i + 1), str::to_owned)
+        };
+        (0..count).map(name).collect()
     }
 
     /// The task as the policy sees it: with the observation and the costs of the section `equations`,

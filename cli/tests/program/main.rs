@@ -28,6 +28,7 @@ mod own;
 mod pages;
 mod paper;
 mod plans;
+mod policies;
 mod report;
 mod runs;
 mod scenes;

@@ -398,3 +398,24 @@ fn a_new_crate_passes_its_test_and_trains() {
         "--quiet",
     ]);
 }
+
+#[test]
+fn a_policy_of_the_user_is_chosen_checked_trained_and_evaluated_in_any_task() {
+    let program = example("own_policy");
+    let dir = TempDir::new().expect("a folder");
+    let chosen = ["--set", "policy.kind=fourier", "--set", "policy.frequencies=2"];
+    let run = |args: &[&str]| output_of(&program, &[args, &chosen].concat(), dir.path());
+    for task in ["pendulum", "cart_pole_1"] {
+        let checked = run(&["check", task]);
+        assert!(!checked.contains("FAILED"), "{checked}");
+        let small = ["--set", "training.train_samples=8", "--set", "training.test_samples=8"];
+        run(&[&["train", task, "--epochs", "1", "--quiet", "--out", task][..], &small].concat());
+        output_of(&program, &["eval", task, "--samples", "8"], dir.path());
+    }
+    let listed = output_of(&program, &["tasks", "pendulum"], dir.path());
+    assert!(listed.contains("fourier") && listed.contains("policy.frequencies"), "{listed}");
+    let wrong = ["explain", "pendulum", "--set", "policy.kind=fourier"];
+    let many = ["--set", "policy.frequencies=1001"];
+    let error = error_of(&program, &[&wrong[..], &many].concat(), dir.path());
+    assert!(error.contains("`policy.frequencies` is 1001; allowed: 0 to 1000"), "{error}");
+}

@@ -645,8 +645,11 @@ fn without_wind_is_refused_if_the_scene_has_no_effect() {
 }
 
 /// Checks that each key of a table is a property of the schema, with a description. All keys except
-/// sections, `scene` and `task` need a default. The schema must refuse other keys.
+/// sections, `scene` and `task` need a default. The schema must refuse other keys. The first kind of
+/// a policy is the default.
 fn assert_described(schema: &Value, table: &Table, path: &str) {
+    let kinds = &schema["oneOf"];
+    let schema = if kinds.is_array() { &kinds[0] } else { schema };
     for (key, value) in table {
         let property = &schema["properties"][key];
         assert!(property.is_object(), "{path}.{key} is missing: {schema}");

@@ -169,7 +169,7 @@ fn inspected(
 ) -> Result<Inspected> {
     let mut run = scene.open(1)?;
     let before = with_rollouts.then(|| run.adjoint_norms());
-    let untrained = run.test_loss();
+    let untrained = run.untrained_loss();
     restore(&mut *run)?;
     let animation = || scene.animation(&run.rollouts(0..1)[0]);
     let rollouts = before.map(|before| RolloutData {

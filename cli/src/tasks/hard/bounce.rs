@@ -4,7 +4,7 @@ use crate::operations::trajectory::Trajectory;
 use crate::settings::config_error::{ConfigError, finite, positive};
 use crate::tasks::hard::contact::ContactSettings;
 use crate::tasks::hard::{Nothing, in_scene, names, small_step};
-use crate::tasks::{MlpSettings, Settings, TaskSpec};
+use crate::tasks::{Settings, TaskSpec};
 use physgrad::DynTask;
 use physgrad::tasks::{self, BouncingBall};
 use physgrad_plot::{Animation, Posture, Stage, mechanics};
@@ -47,7 +47,6 @@ impl TaskSpec for Bounce {
     type System = BounceSettings;
     type Effects = Nothing;
     type Loss = BounceLoss;
-    type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "bounce";
     const ABOUT: &'static str =

@@ -6,7 +6,7 @@ use crate::settings::{Joined, Method};
 use crate::tasks::hard::{
     Nothing, Start, Swing, UprightLoss, in_scene, names, upright, validate_upright,
 };
-use crate::tasks::{Conserved, MlpSettings, Settings, TaskSpec};
+use crate::tasks::{Conserved, Settings, TaskSpec};
 use physgrad::DynTask;
 use physgrad::tasks;
 use physgrad_plot::{Animation, Posture, Stage, mechanics};
@@ -19,7 +19,6 @@ impl TaskSpec for DoublePendulum {
     type System = Joined<tasks::DoublePendulum, Swing>;
     type Effects = Nothing;
     type Loss = UprightLoss;
-    type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "double_pendulum";
     const ABOUT: &'static str =

@@ -3,7 +3,7 @@
 use crate::operations::trajectory::Trajectory;
 use crate::settings::config_error::{ConfigError, allowed, positive};
 use crate::tasks::hard::{Nothing, in_scene, names};
-use crate::tasks::{MlpSettings, Settings, TaskSpec};
+use crate::tasks::{Settings, TaskSpec};
 use physgrad::DynTask;
 use physgrad::tasks::{self, CartPoleSystem};
 use physgrad_plot::{Animation, Posture, Stage, mechanics};
@@ -38,7 +38,6 @@ impl TaskSpec for Lqr {
     type System = LqrSettings;
     type Effects = Nothing;
     type Loss = Nothing;
-    type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "lqr";
     const ABOUT: &'static str =

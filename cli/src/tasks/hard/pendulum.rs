@@ -4,7 +4,7 @@ use crate::operations::trajectory::Trajectory;
 use crate::settings::config_error::{ConfigError, count, finite, not_negative, positive};
 use crate::settings::{Joined, Method};
 use crate::tasks::hard::{Nothing, Swing, UprightLoss, in_scene, names, upright, validate_upright};
-use crate::tasks::{Conserved, MlpSettings, Settings, TaskSpec};
+use crate::tasks::{Conserved, Settings, TaskSpec};
 use physgrad::DynTask;
 use physgrad::Number;
 use physgrad::tasks::{self, MultiPendulum};
@@ -18,7 +18,6 @@ impl TaskSpec for Pendulum {
     type System = Joined<MultiPendulum, Swing>;
     type Effects = Nothing;
     type Loss = UprightLoss;
-    type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "pendulum";
     const ABOUT: &'static str =

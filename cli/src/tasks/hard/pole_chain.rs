@@ -4,7 +4,7 @@ use crate::operations::trajectory::Trajectory;
 use crate::settings::config_error::{ConfigError, allowed, count, finite, positive};
 use crate::settings::{Joined, Method};
 use crate::tasks::hard::{Nothing, Start, UprightLoss, in_scene, upright, validate_upright};
-use crate::tasks::{Conserved, MlpSettings, Settings, TaskSpec};
+use crate::tasks::{Conserved, Settings, TaskSpec};
 use physgrad::DynTask;
 use physgrad::Number;
 use physgrad::tasks::{self, CartPoleSystem};
@@ -34,7 +34,6 @@ impl TaskSpec for PoleChain {
     type System = Joined<CartPoleSystem, InitialStates>;
     type Effects = Nothing;
     type Loss = UprightLoss;
-    type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "pole_chain";
     const ABOUT: &'static str = "swing up a chain of poles, hinged end to end, on a cart";

@@ -4,7 +4,7 @@ use crate::operations::trajectory::Trajectory;
 use crate::settings::config_error::{ConfigError, positive};
 use crate::tasks::hard::contact::ContactSettings;
 use crate::tasks::hard::{Nothing, in_scene, names, small_step};
-use crate::tasks::{MlpSettings, Settings, TaskSpec};
+use crate::tasks::{Settings, TaskSpec};
 use physgrad::DynTask;
 use physgrad::tasks::{self, TwoBodies};
 use physgrad_plot::{Animation, Posture, Stage, mechanics};
@@ -33,7 +33,6 @@ impl TaskSpec for Push {
     type System = PushSettings;
     type Effects = Nothing;
     type Loss = Nothing;
-    type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "push";
     const ABOUT: &'static str = "push a box to a target position, by contact only";

@@ -3,7 +3,7 @@
 use crate::operations::trajectory::Trajectory;
 use crate::settings::config_error::{ConfigError, not_negative, positive};
 use crate::tasks::hard::{Nothing, in_scene, names, small_step};
-use crate::tasks::{MlpSettings, Settings, TaskSpec};
+use crate::tasks::{Settings, TaskSpec};
 use physgrad::DynTask;
 use physgrad::tasks::{self, FrictionScheme, SliderSystem};
 use physgrad_plot::{Animation, Posture, Stage, mechanics};
@@ -32,7 +32,6 @@ impl TaskSpec for Slider {
     type System = SliderSystem;
     type Effects = Nothing;
     type Loss = SliderLoss;
-    type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "slider";
     const ABOUT: &'static str = "stop a block with stiff dry friction at a target position";
