@@ -59,13 +59,13 @@ def task(name, **settings):
     """Opens a preset by name, for example "cart_pole", or a scene file by its path.
 
     The arguments `horizon`, `precision`, `field`, `epochs`, `seed`, `tags` and `log` are settings
-    outside of sections. `effects`, `actuator`, `integrator`, `loss`, `policy`, `training` and
+    outside of sections. `effects`, `actuator`, `sensor`, `integrator`, `loss`, `policy`, `training` and
     `system` accept a dict of the settings of the section. `settings` accepts a dict of dotted keys,
     as in `settings={"system.poles": 4}`. Other keyword arguments are settings of the section
     `system`, as in `poles=4`.
 
-    A dict changes only its keys. `{}` adds an effect or a part of the actuator with its default
-    values, and None removes one, as in `effects={"bumpers": None}` or
+    A dict changes only its keys. `{}` adds an effect or a part of the actuator or the sensor with its
+    default values, and None removes one, as in `effects={"bumpers": None}` or
     `**{"effects.bumpers": None}`. A section that is an empty dict is refused.
 
     Raises `ValueError` with the key and its allowed values if a setting is invalid.

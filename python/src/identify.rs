@@ -334,7 +334,10 @@ fn rows(
         [steps, found] if found == width => Err(format!(
             "the {name} have {steps} rows; expected as many as the states, or one less"
         )),
-        _ => Err(format!("the {name} have the shape {}; expected (steps, {width})", tuple(shape))),
+        _ => Err(format!(
+            "the {name} have the shape {}; expected (steps, {width}), without components of a sensor",
+            tuple(shape)
+        )),
     })?;
     // A matrix without columns has rows too.
     let row = |i: usize| array.slice()[i * width..(i + 1) * width].to_vec();

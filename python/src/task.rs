@@ -52,7 +52,18 @@ impl Task {
     /// Refuses initial states with parameters outside of the ranges of their settings, such as a mass
     /// of 0.
     pub fn check_starts<F: Number>(&self, starts: &[F]) -> PyResult<()> {
-        self.check_params(starts, self.width, self.n)
+        self.check_params(starts, self.width, self.n)?;
+        if self.noise.is_empty() {
+            return Ok(());
+        }
+        let keys = starts.chunks(self.width).map(|start| start[self.width - 1].to_f64());
+        let is_key = |key: f64| (0.0..16_777_216.0).contains(&key) && key.fract() == 0.0;
+        match keys.enumerate().find(|(_, key)| !is_key(*key)) {
+            Some((row, key)) => Err(invalid(format!(
+                "row {row} ends with {key}; expected the key of its noise, a whole number below 2^24, as in `task.starts`"
+            ))),
+            None => Ok(()),
+        }
     }
 
     /// Refuses parameters outside of their ranges. They begin at the index `first` of each row, of
@@ -319,6 +330,7 @@ impl Task {
     ) -> PyResult<Bound<'py, PyAny>> {
         with_precision!(is_f32([starts]), F => {
             let (starts, count) = Argument::<F>::first("starts", starts, self.width)?;
+            self.check_starts(starts.slice())?;
             let mut params = Vec::with_capacity(count * self.params);
             for start in starts.slice().chunks(self.width) {
                 let first = params.len();

@@ -25,7 +25,8 @@ type Observed<T> = SmallVec<[T; STACK]>;
 /// begins at its value, and a delay repeats it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sensor {
-    /// Time constant of a first-order lag, in units of time steps. 0 for none.
+    /// Time constant of a first-order lag, in units of time steps. 0 for none. The lag is exact for an
+    /// observation that is linear between two steps.
     pub lag: f64,
     /// Constant error of each component. Empty for none.
     pub bias: Vec<Number>,
@@ -51,8 +52,9 @@ impl Default for Sensor {
 pub struct Sensed {
     task: DynTask,
     sensor: Sensor,
-    /// Share of the distance that the lag covers in a step; 1 without lag.
-    share: f64,
+    /// Weight of a measurement in the lagged value of its step, and in the memory for the next step.
+    /// Both are 1 without lag.
+    shares: [f64; 2],
     /// Bias of every component, then noise of every component.
     numbers: Vec<(Cow<'static, str>, Number)>,
     /// Sizes of the inner task: state, observation, parameters.
@@ -99,7 +101,7 @@ impl Sensed {
         let biases = (0..observed).map(|i| (format!("sensor.bias[{i}]").into(), bias(i)));
         let noises = (0..observed).map(|i| (format!("sensor.noise[{i}]").into(), noise(i)));
         Ok(Self {
-            share: if lag > 0.0 { -(-1.0 / lag).exp_m1() } else { 1.0 },
+            shares: lag_shares(lag),
             numbers: biases.chain(noises).collect(),
             params: task.param_dim(),
             task,
@@ -160,7 +162,7 @@ impl Sensed {
         let [lagged, held, line] = self.split(memory.len());
         let mut errors: SmallVec<[T; 2 * STACK]> = smallvec![T::zero(); 2 * self.observed];
         Numbers::all(&self.numbers).write(&p[self.params..], &mut errors);
-        let share = T::from(self.share);
+        let [share, rest] = self.shares.map(T::from);
         for (i, &y) in y.iter().enumerate() {
             let is_lagged = !lagged.is_empty() && t > 0;
             let lag = if is_lagged { memory[i] + (y - memory[i]) * share } else { y };
@@ -173,7 +175,7 @@ impl Sensed {
                 continue;
             }
             if !lagged.is_empty() {
-                next[i] = lag;
+                next[i] = lag + (y - lag) * rest;
             }
             if !held.is_empty() {
                 next[held.start + i] = now;
@@ -198,7 +200,8 @@ impl Sensed {
         let [lagged, held, line] = self.split(self.memory());
         let mut memory_bar = cotangents.x.as_deref_mut().map(|x_bar| &mut x_bar[self.states..]);
         let mut p_bar = cotangents.p.as_deref_mut().map(|p_bar| &mut p_bar[self.params..]);
-        let (share, rest) = (R::from(self.share), R::from(1.0 - self.share));
+        let [share, next_share] = self.shares.map(R::from);
+        let [kept, next_kept] = self.shares.map(|share| R::from(1.0 - share));
         let mut add = |place: usize, bar: C| {
             if let Some(memory_bar) = &mut memory_bar {
                 memory_bar[place] += bar;
@@ -236,14 +239,15 @@ impl Sensed {
                 *entry += 1;
             }
             let mut lag = measured;
-            if !lagged.is_empty() {
-                next(i).into_iter().for_each(|bar| lag += bar);
+            if let Some(bar) = next(i).filter(|_| !lagged.is_empty()) {
+                lag += bar * next_kept;
+                *y_bar += bar * next_share;
             }
             if !lagged.is_empty() && t > 0 {
-                add(i, lag * rest);
-                *y_bar = lag * share;
+                add(i, lag * kept);
+                *y_bar += lag * share;
             } else {
-                *y_bar = lag;
+                *y_bar += lag;
             }
         }
         y_bar
@@ -271,6 +275,17 @@ impl Sensed {
             }
         }
     }
+}
+
+/// Weights of a lag with this time constant in steps. With `a = exp(-1/lag)`, the exact solution for a
+/// linear observation is `f' = a f + (k - a) y + (1 - k) y'` with `k = (1 - a) lag`. The memory between
+/// the steps is `(a f + (k - a) y) / k`.
+fn lag_shares(lag: f64) -> [f64; 2] {
+    if lag == 0.0 {
+        return [1.0; 2];
+    }
+    let step = 1.0 / lag;
+    [1.0 + (-step).exp_m1() / step, 1.0 - step / step.exp_m1()]
 }
 
 impl System for Sensed {

@@ -100,14 +100,17 @@ fn measurements_are_those_of_a_loop() {
     let mut rollout = Rollout::new(&task, &policy, 5);
     rollout.start(&starts);
     rollout.run(&task, &policy, &weights).expect("finite");
-    let share = 1.0 - (-1.0 / sensor.lag).exp();
+    // The exact solution for an observation that is linear between the steps.
+    let a = (-1.0 / sensor.lag).exp();
+    let k = (1.0 - a) * sensor.lag;
     for sample in 0..5 {
-        let (mut lag, mut held, mut line) = (0.0, 0.0, Vec::new());
+        let (mut lag, mut before, mut held, mut line) = (0.0, 0.0, 0.0, Vec::new());
         for t in 0..14 {
             // p: the bias of the first component, then the noise of both.
             let p: Vec<f64> = rollout.params_at_step(t, sample).collect();
             let y = rollout.state(t, sample, 0);
-            lag = if t == 0 { y } else { lag + share * (y - lag) };
+            lag = if t == 0 { y } else { a * lag + (k - a) * before + (1.0 - k) * y };
+            before = y;
             if t % 3 == 0 {
                 held = lag + p[0] + p[1];
             }
@@ -117,6 +120,58 @@ fn measurements_are_those_of_a_loop() {
             assert!((found - seen).abs() < 1e-14, "sample {sample}, step {t}: {found}, not {seen}");
         }
         assert_eq!(rollout.state(0, sample, 2), 0.0, "memory of the sensor");
+    }
+}
+
+/// A ramp of 1 per step: the lagged value is behind by `lag (1 - exp(-t / lag))` steps.
+#[test]
+fn a_lag_follows_a_ramp_exactly() {
+    for lag in [0.05, 0.7, 30.0] {
+        let cart = Ramp;
+        let sensor = Sensor { lag, ..Sensor::default() };
+        let task = Sensed::new(DynTask::new(cart), sensor).expect("it fits");
+        let policy = Linear::new(1, 1);
+        let weights = Weights::<f64>::new(&policy, vec![1.0]);
+        let mut rollout = Rollout::new(&task, &policy, 1);
+        rollout.start(&[0.0, 0.0]);
+        rollout.run(&task, &policy, &weights).expect("finite");
+        for t in 0..20 {
+            let time = f64::from(t);
+            let expected = time - lag * (1.0 - (-time / lag).exp());
+            let found = rollout.control(t as usize, 0, 0);
+            assert!(
+                (found - expected).abs() < 1e-13 * (1.0 + time),
+                "{lag} {t}: {found}, not {expected}"
+            );
+        }
+    }
+}
+
+/// `x' = x + 1`, whatever the control.
+struct Ramp;
+
+impl System for Ramp {
+    fn state_dim(&self) -> usize {
+        1
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn step<T: Scalar>(&self, Inputs { x, .. }: Inputs<'_, T>, next: &mut [T]) {
+        next[0] = x[0] + 1.0;
+    }
+}
+
+impl Task for Ramp {
+    type System = Self;
+    fn system(&self) -> &Self {
+        self
+    }
+    fn horizon(&self) -> usize {
+        20
+    }
+    fn start(&self, _: &mut Rng, start: Start<'_>) {
+        start.x[0] = 0.0;
     }
 }
 

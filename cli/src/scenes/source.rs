@@ -86,7 +86,7 @@ impl SceneSource {
                 ),
                 _ => (
                     table.is_some_and(is_drawn),
-                    "{ uniform = [low, high] }, or another distribution",
+                    "{ uniform = [low, high] }, another distribution, or { noise = deviation }",
                 ),
             };
             if !suits {
@@ -260,11 +260,20 @@ impl SceneSource {
         if !chosen.iter().flat_map(parts).any(|key| key == part) {
             let present = if present.is_empty() { "none".into() } else { present.join(", ") };
             bail!(
-                "{option}: {} has no such effect or part of the actuator; it has {present}",
+                "{option}: {} has no such effect or part of the actuator or the sensor; it has {present}",
                 self.name
             );
         }
-        for section in chosen {
+        let having: Vec<&str> = { chosen.iter().copied() }
+            .filter(|section| parts(section).any(|key| key == part))
+            .collect();
+        if let [first, second, ..] = having[..] {
+            bail!(
+                "{option}: {} has {first}.{part} and {second}.{part}; write one of these",
+                self.name
+            );
+        }
+        for section in having {
             if let Some(section) = self.table.get_mut(section).and_then(Value::as_table_mut) {
                 section.remove(part);
             }

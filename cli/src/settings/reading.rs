@@ -35,19 +35,24 @@ pub fn overlay(lower: &mut Table, upper: &Table) {
 }
 
 /// Keys of the table of a drawn or trained [`Number`](physgrad::Number).
-pub const NUMBER_KEYS: [&str; 7] =
-    ["uniform", "normal", "log_uniform", "choice", "start", "min", "max"];
+pub const NUMBER_KEYS: [&str; 10] =
+    ["uniform", "normal", "log_uniform", "choice", "noise", "mean", "hold", "start", "min", "max"];
 
-/// Returns whether the table is a drawn [`Number`](physgrad::Number).
+/// Returns whether the table is a drawn [`Number`](physgrad::Number), noise included.
 pub fn is_drawn(table: &Table) -> bool {
-    table.len() == 1
-        && table.iter().all(|(key, value)| NUMBER_KEYS[..4].contains(&&**key) && value.is_array())
+    let is_distribution =
+        |(key, value): (&String, &Value)| NUMBER_KEYS[..4].contains(&&**key) && value.is_array();
+    let is_noise = |(key, value): (&String, &Value)| {
+        NUMBER_KEYS[4..7].contains(&&**key) && (value.is_float() || value.is_integer())
+    };
+    table.len() == 1 && table.iter().all(is_distribution)
+        || table.contains_key("noise") && table.iter().all(is_noise)
 }
 
 /// Returns whether the table is a drawn or trained [`Number`](physgrad::Number).
 pub fn is_number(table: &Table) -> bool {
     let is_trained = table.get("start").is_some_and(|start| start.is_float() || start.is_integer());
-    is_drawn(table) || is_trained && table.keys().all(|key| NUMBER_KEYS[4..].contains(&&**key))
+    is_drawn(table) || is_trained && table.keys().all(|key| NUMBER_KEYS[7..].contains(&&**key))
 }
 
 /// Implements the methods on the left by the method on the right. The visitor checks the range.

@@ -28,7 +28,7 @@ pub struct SensorSettings {
     /// Delay of every observed component by a number of steps. The first measurement is that of the
     /// initial state.
     #[serde(skip_serializing_if = "Option::is_none")]
-    delay: Option<Steps>,
+    delay: Option<Delay>,
 }
 
 /// First-order lag.
@@ -60,6 +60,14 @@ struct NoiseSettings {
 #[serde(deny_unknown_fields)]
 struct Steps {
     /// Number of steps, at least 1.
+    steps: usize,
+}
+
+/// A delay.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Delay {
+    /// Number of steps, 0 for none.
     steps: usize,
 }
 
@@ -106,7 +114,7 @@ impl<T: Clone> PerComponent<T> {
 pub const SENSORS: [Info; 5] = [
     Info {
         name: "lag",
-        equation: "df/dt = (y - f) / time, y' = f; the state contains f, the lagged observation",
+        equation: "df/dt = (y - f) / time, y' = f; exact for an observation that is linear between two steps",
         derivative: "analytic",
     },
     Info { name: "bias", equation: "y' = y + value", derivative: "analytic" },
@@ -135,10 +143,28 @@ impl SensorSettings {
             positive("sensor.lag.time", lag.time)?;
         }
         for value in bias.iter().flat_map(|bias| bias.value.values()) {
+            let what = match value {
+                Number::Trained { .. } => "is trained; allowed: a number or a distribution",
+                Number::Noise(_) => {
+                    "is noise; allowed: a number or a distribution, and sensor.noise"
+                }
+                _ => "",
+            };
+            if !what.is_empty() {
+                return Err(ConfigError::new("sensor.bias.value", what));
+            }
             if value.extremes().iter().any(|value| !value.is_finite()) {
                 let what = "is not finite; allowed: a finite number";
                 return Err(ConfigError::new("sensor.bias.value", what));
             }
+        }
+        let lists = [
+            ("bias.value", bias.as_ref().map(|bias| bias.value.values().len())),
+            ("noise.deviation", noise.as_ref().map(|noise| noise.deviation.values().len())),
+        ];
+        if let Some((list, _)) = lists.into_iter().find(|(_, len)| *len == Some(0)) {
+            let what = "is empty; allowed: one value, or one for each observed component";
+            return Err(ConfigError::new(format!("sensor.{list}"), what));
         }
         for &deviation in noise.iter().flat_map(|noise| noise.deviation.values()) {
             not_negative("sensor.noise.deviation", deviation)?;
@@ -146,7 +172,7 @@ impl SensorSettings {
         if let Some(Steps { steps }) = *sampling {
             count("sensor.sampling.steps", steps, 1..=1_000_000)?;
         }
-        delay.map_or(Ok(()), |delay| count("sensor.delay.steps", delay.steps, 1..=1000))
+        delay.map_or(Ok(()), |delay| count("sensor.delay.steps", delay.steps, 0..=1000))
     }
 
     /// Returns whether all parts are absent.
@@ -170,11 +196,12 @@ impl SensorSettings {
     /// Names of the components that the sensor adds to the state, for the names of the observed
     /// components.
     pub fn state_names(&self, observed: &[String]) -> Vec<String> {
-        let steps = |part: Option<Steps>| part.map_or(0, |part| part.steps);
         let lagged = self.lag.map(|_| "lagged".to_owned());
-        let held = (steps(self.sampling) > 1).then(|| "held".to_owned());
+        let is_held = self.sampling.is_some_and(|sampling| sampling.steps > 1);
+        let held = is_held.then(|| "held".to_owned());
         // The oldest observation comes first and is seen next.
-        let late = (1..=steps(self.delay)).rev().map(|age| format!("{age}_ago"));
+        let delay = self.delay.map_or(0, |delay| delay.steps);
+        let late = (1..=delay).rev().map(|age| format!("{age}_ago"));
         let kinds = lagged.into_iter().chain(held).chain(late);
         kinds.flat_map(|kind| observed.iter().map(move |name| format!("{name}_{kind}"))).collect()
     }

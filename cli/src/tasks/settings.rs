@@ -16,6 +16,7 @@ use physgrad::sensor::Sensed;
 use physgrad::{DynSystem, DynTask, Field, System as _, Task as _};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::collections::HashSet;
 use toml::{Table, Value};
 
 /// All settings of a run.
@@ -149,7 +150,23 @@ impl<K: TaskSpec> Settings<K> {
         self.integrator.validate(self.precision, K::METHODS)?;
         K::validate(self)?;
         K::validate_own_effects(&self.own_effects)?;
-        self.built(&policy, &self.physics()?).map(drop)
+        self.built(&policy, &self.physics()?)?;
+        self.check_names()
+    }
+
+    /// Refuses a name that two columns of a trajectory would have.
+    fn check_names(&self) -> Result<(), ConfigError> {
+        let [states, _] = self.names();
+        let controls = K::control_names(self);
+        let mut seen = HashSet::new();
+        match states.iter().chain(&controls).find(|name| !seen.insert(*name)) {
+            Some(name) => {
+                let what = "is also the name of a component that the actuator or the sensor adds to \
+                            the state; choose another name";
+                Err(ConfigError::new(name.clone(), what))
+            }
+            None => Ok(()),
+        }
     }
 
     /// The settings of the policy.

@@ -95,6 +95,24 @@ fn identification_leaves_out_the_sensor_and_noise_has_its_mean() {
 }
 
 #[test]
+fn noise_varies_by_key_and_parts_of_one_name_are_told_apart() {
+    let dir = folder();
+    let scene = CART.replace("effects.steady_wind.speed = { noise = 2.0, hold = 2 }\n", "");
+    let scene =
+        scene.replace("[vary]\n", "[vary]\n\"effects.steady_wind.speed\" = { noise = 2.0 }\n");
+    fs::write(dir.path().join("vary.toml"), scene).expect("a scene");
+    let shown = output(dir.path(), &["explain", "vary.toml"]);
+    assert!(shown.contains("effects.steady_wind"), "{shown}");
+    let args = ["explain", "vary.toml", "--without", "delay"];
+    let error = error_of(physgrad(&args).current_dir(dir.path()));
+    assert!(error.contains("has actuator.delay and sensor.delay; write one of these"), "{error}");
+    let without = output(dir.path(), &["explain", "vary.toml", "--without", "sensor.delay"]);
+    assert!(without.contains("present ┆ actuator.delay"), "{without}");
+    let wind = ["explain", "vary.toml", "--set", "effects.steady_wind.speed=0.5"];
+    output(dir.path(), &wind);
+}
+
+#[test]
 fn wrong_noise_and_sensors_are_refused_with_their_key() {
     let dir = folder();
     for (setting, message) in [
@@ -103,7 +121,10 @@ fn wrong_noise_and_sensors_are_refused_with_their_key() {
             "`sensor.noise.deviation` has 2 numbers, but the task has 5 observed components: x, x_dot",
         ),
         ("sensor.noise.deviation=-1", "`sensor.noise.deviation` is -1; allowed: 0 or more"),
-        ("sensor.delay.steps=0", "`sensor.delay.steps` is 0; allowed: 1 to 1000"),
+        ("sensor.delay.steps=1001", "`sensor.delay.steps` is 1001; allowed: 0 to 1000"),
+        ("sensor.noise.deviation=[]", "`sensor.noise.deviation` is empty"),
+        ("sensor.bias.value={start=0.1}", "is trained; allowed: a number or a distribution"),
+        ("sensor.bias.value={noise=0.1}", "is noise; allowed: a number or a distribution"),
         ("sensor.sampling.steps=0", "`sensor.sampling.steps` is 0; allowed: 1 to 1000000"),
         ("sensor.lag.time=0", "`sensor.lag.time` is 0"),
         ("sensor.bias.value={normal=[1]}", "allowed: [mean, deviation]"),

@@ -99,7 +99,11 @@ impl Measured {
     /// 1 GB, or all rows are 1000 or more steps apart. A segment begins between two steps, or before
     /// the time 0, and the physics depends on time.
     pub fn read(path: &Path, scene: &Scene, source: &SceneSource) -> Result<Self> {
-        let table = Table::read(path, scene)?;
+        // Components that the sensor adds to the state are in the trajectories of a run.
+        let measured = scene.state_names();
+        let mut added = source.scene()?.state_names();
+        added.retain(|name| !measured.contains(name));
+        let table = Table::read(path, scene, &added)?;
         let (name, dt, unit) = (table.name.clone(), scene.dt(), table.unit());
         // Both times of a distance are wrong by up to half a unit.
         let grid = Grid { dt, rounding: if unit <= COARSEST * dt { unit } else { 0.0 } };

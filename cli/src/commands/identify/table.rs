@@ -57,7 +57,7 @@ impl Table {
     /// or `time`, or an unknown, repeated or unnamed one, or an applied control without its control.
     /// A line after the header is a comment.
     /// Columns are separated by semicolons or tabs.
-    pub fn read(path: &Path, scene: &Scene) -> Result<Self> {
+    pub fn read(path: &Path, scene: &Scene, ignored: &[String]) -> Result<Self> {
         let name = path.display().to_string();
         let bytes = read(path).with_context(|| format!("cannot read {name}"))?;
         if bytes.len() as u64 > MOST_BYTES {
@@ -81,7 +81,8 @@ impl Table {
         let varied = scene.varied().into_iter();
         let noise = varied.filter(|(_, number)| matches!(number, Number::Noise(_)));
         let noise = noise.map(|(name, _)| name).collect();
-        let ignored = [scene.applied_names(), vec!["step".into()], noise].concat();
+        let ignored =
+            [scene.applied_names(), vec!["step".into()], noise, ignored.to_vec()].concat();
         let columns = header.iter().map(|header| column(header, &names, &ignored));
         table.columns = columns
             .collect::<Option<_>>()
@@ -172,8 +173,11 @@ impl Table {
                 unknown + 1
             );
         }
+        let known = names.iter().map(|names| {
+            names.iter().filter(|name| !ignored.contains(name)).cloned().collect::<Vec<_>>()
+        });
         let known: Vec<String> =
-            names.iter().filter(|names| !names.is_empty()).map(|names| listed(names)).collect();
+            known.filter(|names| !names.is_empty()).map(|names| listed(&names)).collect();
         anyhow!(
             "{name}: unknown column `{}`; allowed: segment, t, {}",
             quoted(&header[unknown]),
