@@ -210,6 +210,26 @@ fn held_values_are_equal_and_others_are_independent() {
     }
 }
 
+#[test]
+fn noises_of_one_step_are_independent_of_each_other() {
+    let (task, policy) = (pendulum(), Linear::new(2, 1));
+    let names: Vec<String> =
+        task.system().varied(Task::param_dim(&task)).into_iter().map(|v| v.name).collect();
+    let entry = |name: &str| names.iter().position(|known| known.ends_with(name)).expect("noise");
+    let (motor, encoder) = (entry("motor"), entry("encoder"));
+    let weights = Weights::<f64>::new(&policy, vec![0.0; 2]);
+    let mut rollout = Rollout::new(&task, &policy, 200);
+    rollout.start(&initial_states::<f64>(&task, 0, Purpose::Test, 200));
+    rollout.run(&task, &policy, &weights).expect("finite");
+    let product = |(sample, t): (usize, usize)| {
+        let p: Vec<f64> = rollout.params_at_step(t, sample).collect();
+        p[motor] / 0.2 * p[encoder] / 0.05
+    };
+    let all = (0..200).flat_map(|sample| (0..20).map(move |t| (sample, t)));
+    let [correlation, error] = mean(&all.map(product).collect::<Vec<_>>());
+    assert!(correlation.abs() < 4.0 * error, "{correlation} ± {error}");
+}
+
 fn session(epochs: usize) -> Session<GraphTask, Mlp, f32> {
     let training =
         Training { epochs, batch: 4, train_samples: 8, test_samples: 2, ..Training::default() };

@@ -28,7 +28,7 @@ use std::path::PathBuf;
     after_help = "Examples:\n  physgrad eval runs/one --samples 4096\n  physgrad eval runs/one runs/two --scene cart_pole_windy"
 )]
 pub struct Eval {
-    /// Folders of trained runs of one task
+    /// Folders of trained runs of one task, or scenes whose policy has no trained numbers
     #[arg(required = true, value_name = "RUN")]
     pub runs: Vec<PathBuf>,
     /// Scene of the evaluation: a task, a preset, or the path of a scene [default: that of each

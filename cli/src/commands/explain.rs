@@ -193,11 +193,18 @@ fn operations(scene: &Scene) -> Result<Table> {
     let counts = scene.cost();
     let whole = numbers(&counts.system);
     let mut shared = difference(alone, whole);
+    // Lists of a sensor have one number for each observed component, also for those of actuators.
+    let mut unsensed = all.clone();
+    unsensed.remove("sensor");
+    let whole_unsensed = numbers(&scene.task.scene(unsensed.clone())?.cost().system);
     for (section, info) in parts(scene) {
         if !is_present(scene, section, info.name) {
             continue;
         }
-        let mut without = all.clone();
+        let (mut without, whole) = match section {
+            "sensor" => (all.clone(), whole),
+            _ => (unsensed.clone(), whole_unsensed),
+        };
         if let Some(section) = without.get_mut(section).and_then(toml::Value::as_table_mut) {
             section.remove(info.name);
         }

@@ -25,7 +25,7 @@ use toml::Value;
     after_help = "Examples:\n  physgrad robust runs/one --grid system.cart_mass=0.5:2:7\n  physgrad robust runs/one runs/two --grid system.cart_mass=0.5:2:4 --grid system.gravity=8:11:4"
 )]
 pub struct Robust {
-    /// Folders of trained runs of one task
+    /// Folders of trained runs of one task, or scenes whose policy has no trained numbers
     #[arg(required = true)]
     pub runs: Vec<PathBuf>,
     /// Setting and its values, as in system.cart_mass=0.5:2:7 (7 values from 0.5 to 2); one or two

@@ -3,13 +3,14 @@
 use crate::operations::evaluation::AnyEvaluation;
 use crate::operations::session::Epoch;
 use crate::platform::folder::{Folder, SETTINGS};
+use crate::platform::terminal::counted;
 use crate::runs::saved;
 use crate::scenes::source::SceneSource;
 use crate::tasks::Scene;
 use anyhow::{Result, bail};
 use physgrad::Policy;
 use std::collections::HashSet;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Policy of a saved run.
 pub struct Trained {
@@ -24,22 +25,26 @@ pub struct Trained {
 }
 
 impl Trained {
-    /// Loads the policies of the runs in these folders, after the last or the best epoch.
+    /// Loads the policies of the runs in these folders, after the last or the best epoch. The path of
+    /// a scene stands for its policy, which needs no training.
     ///
     /// # Errors
-    /// A folder has no run, or a run that cannot be restored. The runs have different tasks.
+    /// A folder has no run, or a run that cannot be restored. The policy of a scene has trained
+    /// numbers. The runs have different tasks.
     pub fn load_all(paths: &[PathBuf], epoch: Epoch) -> Result<Vec<Self>> {
-        let folders =
-            paths.iter().map(|path| Folder::existing(path)).collect::<Result<Vec<_>>>()?;
-        let names: HashSet<String> = folders.iter().map(Folder::name).collect();
-        let are_distinct = names.len() == folders.len();
-        let name = |folder: &Folder| {
-            if are_distinct { folder.name() } else { folder.path().display().to_string() }
+        let load = |path: &PathBuf| {
+            if path.is_file() {
+                return Self::of_scene(path);
+            }
+            let folder = Folder::existing(path)?;
+            Self::load(folder.name(), &folder, epoch)
         };
-        let runs = folders
-            .iter()
-            .map(|folder| Self::load(name(folder), folder, epoch))
-            .collect::<Result<Vec<_>>>()?;
+        let mut runs = paths.iter().map(load).collect::<Result<Vec<_>>>()?;
+        let names: HashSet<&String> = runs.iter().map(|run| &run.name).collect();
+        if names.len() < runs.len() {
+            let pairs = runs.iter_mut().zip(paths);
+            pairs.for_each(|(run, path)| run.name = path.display().to_string());
+        }
         if let Some(other) =
             runs.iter().find(|run| run.scene.task.name() != runs[0].scene.task.name())
         {
@@ -74,6 +79,20 @@ impl Trained {
             );
         }
         scene.evaluation(&self.theta, seed)
+    }
+
+    fn of_scene(path: &Path) -> Result<Self> {
+        let source = SceneSource::read(path)?;
+        let scene = source.scene()?;
+        let (count, shown) = (scene.policy().param_count(), path.display());
+        if count > 0 {
+            bail!(
+                "the policy of {shown} has {} to train; run `physgrad train {shown}` and give the folder of the run",
+                counted(count, "number")
+            );
+        }
+        let name = path.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into());
+        Ok(Self { name, source, scene, theta: Vec::new() })
     }
 
     fn load(name: String, folder: &Folder, epoch: Epoch) -> Result<Self> {

@@ -279,3 +279,23 @@ running = "(next.h - 0.3)^2"
     assert!(error.contains("`policy.bounds` is true, but the task has no bounds"), "{error}");
     assert_eq!(largest("limited", "bounds = [[0.1, 0.2]]") as f32, 0.15);
 }
+
+#[test]
+fn a_scene_without_trained_numbers_is_evaluated_like_its_run() {
+    let dir = TempDir::new().expect("a folder");
+    let at = dir.path();
+    let fixed = "kind = \"equations\"\ncontrol.force = \"-2 * x - x_dot\"\n";
+    write(at, "fixed.toml", &cart_pole(fixed));
+    write(at, "trained.toml", &cart_pole(CONTROLLER));
+    succeed(at, &["train", "fixed.toml", "--out", "run", "--quiet"]);
+    let losses = |path: &str, out: &str| {
+        succeed(at, &["eval", path, "--samples", "32", "--out", out, "--worst", "0"]);
+        let rows = fs::read_to_string(at.join(out).join("losses.csv")).expect("losses");
+        let row = |line: &str| line.split_once(',').map(|(_, loss)| loss.to_owned());
+        rows.lines().filter_map(row).collect::<Vec<_>>()
+    };
+    assert_eq!(losses("fixed.toml", "of_scene"), losses("run", "of_run"));
+    succeed(at, &["robust", "fixed.toml", "--grid", "system.gravity=9:10:2", "--samples", "8"]);
+    let error = fail(at, &["eval", "trained.toml"]);
+    assert!(error.contains("1 number to train; run `physgrad train trained.toml`"), "{error}");
+}
