@@ -141,7 +141,8 @@ impl Policy {
     fn __repr__(&self) -> String {
         let policy = self.lock();
         format!(
-            "<physgrad.Policy of {}: {} parameters>",
+            "<physgrad.Policy {} for {}: {} parameters>",
+            policy.kind(),
             policy.scene().name(),
             policy.theta().len()
         )

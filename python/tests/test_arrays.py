@@ -450,9 +450,9 @@ def test_none_removes_effects_and_parts_of_the_actuator():
 @pytest.mark.parametrize(
     "change, message",
     [
-        ({"effects": {"rain": None}}, "`effects.rain` is None: .* has no such effect or part of the actuator; it has .*gusty_wind"),
+        ({"effects": {"rain": None}}, "`effects.rain` is None: .* has no such effect or part of the actuator or the sensor; it has .*gusty_wind"),
         ({"effects": None}, "`effects` is None, which removes single effects and parts of the actuator only; give a value"),
-        ({"actuator": {"delay": None}}, "`actuator.delay` is None: .* has no such effect or part of the actuator; it has "),
+        ({"actuator": {"delay": None}}, "`actuator.delay` is None: .* has no such effect or part of the actuator or the sensor; it has "),
         ({"actuator": {"gusty_wind": None}}, "`actuator.gusty_wind` is None: .* has no such effect"),
         ({"effects": {"gusty_wind": {"gust": None}}}, "`effects.gusty_wind.gust` is None, which removes single effects"),
         ({"poles": None}, "`system.poles` is None, which removes single effects"),

@@ -353,3 +353,39 @@ def test_only_a_training_advises_on_the_learning_rate():
     assert "learning rate" not in str(failed.value)
     with pytest.raises(pg.Divergence, match=r"Reduce the time step or the learning rate\)"):
         pg.train(task, policy, epochs=1)
+
+
+def test_parameters_keep_their_meaning_in_other_tasks(tmp_path):
+    task = pg.task("cart_pole", poles=1, horizon=10, precision="f64")
+    integral = {
+        "control": {"force": "-k * sum"},
+        "next": {"sum": "sum + dt * x"},
+        "parameters": {"k": {"start": 1.5, "max": 9.0, "min": 0.0}},
+    }
+    policy = pg.Policy(task, kind="equations", **integral)
+    starts = task.starts(5)
+    # The time step of a controller is that of the task in which it runs.
+    slow = task.replace(dt=0.2)
+    again = pg.Policy(slow, kind="equations", **integral)
+    np.testing.assert_array_equal(pg.losses(slow, policy, starts), pg.losses(slow, again, starts))
+    assert (pg.losses(slow, policy, starts) != pg.losses(task, policy, starts)).all()
+    # Other bounds of a trained gain would change its value.
+    policy.save(tmp_path / "policy.safetensors")
+    integral["parameters"]["k"]["max"] = 50.0
+    other = pg.Policy(task, kind="equations", **integral)
+    with pytest.raises(ValueError, match="`parameters.k.max` is 9.0, but 50.0 in the scene"):
+        other.load(tmp_path / "policy.safetensors")
+    # A sequence of controls has the horizon of its task.
+    sequence = pg.Policy(task, kind="open_loop")
+    with pytest.raises(ValueError, match="10 parameters, but needs 30"):
+        pg.losses(task.replace(horizon=30), sequence, starts)
+    # Another kind drops the settings of the kind before it.
+    gru = task.replace(policy={"kind": "gru", "units": 3})
+    assert "linear" in repr(pg.Policy(gru, kind="linear"))
+
+
+def test_gradients_that_are_not_finite_are_an_error():
+    task = pg.task("cart_pole", poles=1, horizon=5)
+    policy = pg.Policy(task, kind="equations", control={"force": "sqrt(a) * x"}, parameters={"a": {"start": 0.0}})
+    with pytest.raises(pg.Divergence):
+        pg.gradients(task, policy, task.starts(3), ["R"])

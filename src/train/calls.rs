@@ -208,6 +208,11 @@ pub fn gradients_until<F: Float>(
         }
     }
     sums.iter_mut().for_each(Gradient::normalize);
+    for (&flow, sum) in flows.iter().zip(&sums) {
+        if let Some(parameter) = sum.values().iter().position(|value| !value.as_().is_finite()) {
+            return Err(Divergence::Gradient { flow, parameter });
+        }
+    }
     Ok(Some(fields.iter().map(|field| vector(field, &flows, &sums)).collect()))
 }
 

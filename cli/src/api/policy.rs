@@ -51,6 +51,11 @@ impl Policy {
         &self.scene
     }
 
+    /// Kind of the policy, with the parts that it has.
+    pub fn kind(&self) -> String {
+        self.scene.scene.policy_kind()
+    }
+
     /// The parameters.
     pub fn theta(&self) -> &[f64] {
         &self.theta
@@ -142,8 +147,8 @@ impl Policy {
         Ok(physgrad::policy::controls(policy, &weights, y))
     }
 
-    /// Returns the task of a scene, after a check that the policy fits it.
-    pub(super) fn check(&self, task: &Scene) -> Result<DynTask> {
+    /// Returns the task of a scene, and the policy in it, after a check that the policy fits it.
+    pub(super) fn check(&self, task: &Scene) -> Result<(DynTask, ScenePolicy)> {
         let (policy, dyn_task) = (&self.policy as &dyn AnyPolicy<f64>, task.task());
         let any: &dyn AnyTask<f64> = &dyn_task;
         let [found, expected] = [
@@ -181,7 +186,21 @@ impl Policy {
             );
         }
         self.check_meaning(task)?;
-        Ok(dyn_task)
+        let (own, other) = (&self.scene.scene, &task.scene);
+        if own.controlled() == other.controlled() {
+            return Ok((dyn_task, self.policy.clone()));
+        }
+        // Time steps, bounds and horizons of the tasks differ.
+        let fits = "the policy does not fit the task";
+        policy_file::check_settings(&own.meaning_of(own), &other.meaning_of(own)).context(fits)?;
+        let policy = other.policy_of(own).context(fits)?;
+        let [found, expected] = [self.theta.len(), AnyPolicy::<f64>::param_count(&policy)];
+        if found != expected {
+            bail!(
+                "the policy has {found} parameters, but needs {expected} for this task; create a policy for this task"
+            );
+        }
+        Ok((dyn_task, policy))
     }
 
     /// Rollouts from `starts`, see [`Scene::append_starts`]. Reads `stop` before each block of
@@ -199,7 +218,8 @@ impl Policy {
         starts: &[F],
         stop: &AtomicBool,
     ) -> Result<Trajectories<F>> {
-        let (dyn_task, policy) = (self.check(task)?, &self.policy as &dyn AnyPolicy<F>);
+        let (dyn_task, policy) = self.check(task)?;
+        let policy: &dyn AnyPolicy<F> = &policy;
         let any: &dyn AnyTask<F> = &dyn_task;
         let (horizon, count) = (any.horizon(), starts.len() / any.start_dim());
         fits(
@@ -230,7 +250,8 @@ impl Policy {
         starts: &[F],
         stop: &AtomicBool,
     ) -> Result<Vec<F>> {
-        let (dyn_task, policy) = (self.check(task)?, &self.policy as &dyn AnyPolicy<F>);
+        let (dyn_task, policy) = self.check(task)?;
+        let policy: &dyn AnyPolicy<F> = &policy;
         let weights = Weights::new(policy, self.rounded());
         calls::losses_until(&dyn_task, policy, &weights, starts, &|| is_set(stop))?
             .ok_or_else(interrupted)
@@ -252,7 +273,8 @@ impl Policy {
         chosen: &[Field],
         stop: &AtomicBool,
     ) -> Result<Vec<Vec<F>>> {
-        let (dyn_task, policy) = (self.check(task)?, &self.policy as &dyn AnyPolicy<F>);
+        let (dyn_task, policy) = self.check(task)?;
+        let policy: &dyn AnyPolicy<F> = &policy;
         let any: &dyn AnyTask<F> = &dyn_task;
         if starts.is_empty() {
             bail!("`starts` has no rows; pass at least one initial state");

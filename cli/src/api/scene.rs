@@ -102,6 +102,7 @@ impl Scene {
         changes: Vec<Change>,
         policy: Option<&[u8]>,
     ) -> Result<Self> {
+        source.begin_changes();
         for (key, _) in changes.iter().filter(|(_, value)| value.is_none()) {
             let option = format!("{OPTION}: `{key}` is None");
             let is_part = |section: &&str| {

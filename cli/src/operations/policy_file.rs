@@ -1,6 +1,7 @@
 //! Policy files: parameters of a policy as named tensors in the safetensors format.
 
 use crate::platform::terminal::listed;
+use crate::tasks::scene::flat;
 use anyhow::{Context, Result, bail};
 use physgrad::Float;
 use physgrad::policy::{AnyPolicy, NetworkLayer};
@@ -9,6 +10,8 @@ use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
+use std::collections::{BTreeMap, BTreeSet};
+use toml::Table;
 
 /// Key of the description in the metadata of policy files and ONNX models.
 pub const METADATA: &str = "physgrad";
@@ -31,6 +34,9 @@ pub struct About {
     /// Kind of the policy, for messages.
     #[serde(skip)]
     pub kind: String,
+    /// What the parameters mean: the settings of the policy, without those of initial parameters and
+    /// fixed numbers.
+    pub policy: Table,
 }
 
 /// Number that a scene trains. An infinite bound is None.
@@ -82,6 +88,7 @@ struct Described {
     #[serde(default)]
     trained: Vec<TrainedNumber>,
     layers: Option<Vec<Map<String, Value>>>,
+    policy: Option<Table>,
 }
 
 impl Described {
@@ -101,7 +108,8 @@ impl Described {
 /// # Errors
 /// One of them differs.
 fn check_meaning(bytes: &[u8], about: &About, policy: &dyn AnyPolicy<f64>) -> Result<()> {
-    let Described { task, observations, controls, layers, .. } = Described::read(bytes);
+    let Described { task, observations, controls, layers, policy: settings, .. } =
+        Described::read(bytes);
     check_names(task, observations, controls, about)?;
     let own = serde_json::to_value(policy.network())?;
     for (i, (found, own)) in
@@ -116,7 +124,28 @@ fn check_meaning(bytes: &[u8], about: &About, policy: &dyn AnyPolicy<f64>) -> Re
             );
         }
     }
-    Ok(())
+    settings.map_or(Ok(()), |found| check_settings(&found, &about.policy))
+}
+
+/// Checks that parameters have one meaning with two settings of a policy, those of the parameters
+/// first.
+///
+/// # Errors
+/// The settings differ.
+pub fn check_settings(found: &Table, own: &Table) -> Result<()> {
+    let [found, own] = [found, own].map(|table| BTreeMap::from_iter(flat(table)));
+    let keys: BTreeSet<&String> = found.keys().chain(own.keys()).collect();
+    let Some(key) = keys.into_iter().find(|key| found.get(*key) != own.get(*key)) else {
+        return Ok(());
+    };
+    let shown = |table: &BTreeMap<String, toml::Value>| {
+        table.get(key).map_or("absent".to_owned(), toml::Value::to_string)
+    };
+    bail!(
+        "its parameters belong to a policy whose `{key}` is {}, but {} in the scene; use the `policy` section of its run",
+        shown(&found),
+        shown(&own)
+    )
 }
 
 /// Checks that a policy and a scene have one task, and one meaning of observations and controls.
@@ -214,7 +243,7 @@ fn tensors(bytes: &[u8], policy: &dyn AnyPolicy<f64>, seed: u64) -> Result<Vec<f
         let own: Vec<&str> = tensors.iter().map(|own| &*own.name).collect();
         bail!(
             "it has the tensor {name}, but the policy of the scene has {}; use the `policy` section of its run",
-            own.join(", ")
+            if own.is_empty() { "none".to_owned() } else { own.join(", ") }
         );
     }
     let mut theta = random(policy, seed);

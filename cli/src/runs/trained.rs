@@ -1,6 +1,7 @@
 //! [`Trained`]: the policy of a saved run, with the scene in which it is evaluated.
 
 use crate::operations::evaluation::AnyEvaluation;
+use crate::operations::policy_file::check_settings;
 use crate::operations::session::Epoch;
 use crate::platform::folder::{Folder, SETTINGS};
 use crate::platform::terminal::counted;
@@ -77,6 +78,9 @@ impl Trained {
                 other[0],
                 other[1]
             );
+        }
+        if !self.theta.is_empty() {
+            check_settings(&self.scene.meaning_of(&self.scene), &scene.meaning_of(scene))?;
         }
         scene.evaluation(&self.theta, seed)
     }

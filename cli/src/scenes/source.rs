@@ -16,7 +16,7 @@ use crate::tasks::scene::{INITIAL_POLICY, flat};
 use crate::tasks::{self, AnyTaskSpec, Scene};
 use anyhow::{Context, Result, anyhow, bail};
 use serde::Deserialize;
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 use toml::de::{DeTable, DeValue, Deserializer};
 use toml::{Table, Value};
@@ -37,6 +37,8 @@ pub struct SceneSource {
     text: String,
     /// Option that set a key or created a section, by the dotted name of the key or section.
     options: HashMap<String, String>,
+    /// Keys of the last changes, which another kind of policy keeps.
+    recent: HashSet<String>,
 }
 
 impl SceneSource {
@@ -64,6 +66,7 @@ impl SceneSource {
             folder: None,
             text: text.to_owned(),
             options: HashMap::new(),
+            recent: HashSet::new(),
         };
         source.place("vary")?;
         source.place("fit")?;
@@ -117,6 +120,11 @@ impl SceneSource {
         self.table.get(key)?.as_str()
     }
 
+    /// Begins further changes of the scene, after which a kind of policy keeps no earlier ones.
+    pub fn begin_changes(&mut self) {
+        self.recent.clear();
+    }
+
     /// Sets the value of a dotted key. Messages name `option` as the source of the value.
     pub fn put(&mut self, key: &str, value: Value, option: &str) -> Result<()> {
         let (sections, last) = key.rsplit_once('.').unwrap_or(("", key));
@@ -166,13 +174,14 @@ impl SceneSource {
         }
         inner.insert(last.into(), value);
         self.options.insert(key.to_owned(), option.to_owned());
+        self.recent.insert(key.to_owned());
         Ok(())
     }
 
     /// Removes the settings of the present kind of policy in this section, if `kind` is another one.
     /// Keeps what every kind has, and what options have set.
     fn leave_kind(&mut self, section: &str, kind: &Value) {
-        let Self { table, options, .. } = self;
+        let Self { table, recent, .. } = self;
         let default = table.get("task").and_then(Value::as_str).and_then(|task| {
             let spec = tasks::all().iter().find(|spec| spec.name() == task)?;
             (section == "policy").then(|| Value::from(spec.policy()))
@@ -182,9 +191,7 @@ impl SceneSource {
             .try_fold(table, |table, part| table.get_mut(part).and_then(Value::as_table_mut));
         let Some(settings) = found else { return };
         if settings.get("kind").or(default.as_ref()) != Some(kind) {
-            settings.retain(|key, _| {
-                COMMON.contains(&key) || options.contains_key(&join(section, key))
-            });
+            settings.retain(|key, _| COMMON.contains(&key) || recent.contains(&join(section, key)));
         }
     }
 

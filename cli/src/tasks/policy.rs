@@ -25,7 +25,7 @@ use toml::{Table, Value};
 pub type ScenePolicy = WithParams<DynPolicy>;
 
 /// What a policy observes and controls.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Controlled {
     /// Names of the components of the observation.
@@ -307,6 +307,27 @@ impl PolicySettings {
         }
         if let Some(base) = &self.base {
             table.insert("base".into(), base.table(None).into());
+        }
+        table
+    }
+
+    /// What the parameters of the policy mean in a scene: its settings with bounds as numbers, without
+    /// those of initial parameters and fixed numbers.
+    pub fn meaning(&self, of: &Controlled) -> Table {
+        let mut table = self.table(None);
+        table.remove("zero_init_output");
+        if let Some(Value::Table(numbers)) = table.get_mut("parameters") {
+            numbers.retain(|_, number| number.get("start").is_some());
+            for number in numbers.iter_mut().filter_map(|(_, number)| number.as_table_mut()) {
+                number.remove("start");
+            }
+        }
+        if let Some(Ok(ranges)) = self.bounds.as_ref().map(|bounds| bounds.ranges(of)) {
+            let ranges = ranges.iter().map(|range| Value::from(range.to_vec()));
+            table.insert("bounds".into(), Value::Array(ranges.collect()));
+        }
+        if let Some(base) = &self.base {
+            table.insert("base".into(), base.meaning(of).into());
         }
         table
     }

@@ -18,7 +18,7 @@ use crate::settings::{
     ActuatorSettings, DecayName, EstimatorName, FieldName, IntegratorSettings, LogFormat, OPTIONAL,
     Precision, TrainingSettings,
 };
-use crate::tasks::policy::{PolicySettings, ScenePolicy, is_kind, trained};
+use crate::tasks::policy::{Controlled, PolicySettings, ScenePolicy, is_kind, trained};
 use crate::tasks::{AnyTaskSpec, Conserved, Settings, TaskSpec};
 use anyhow::{Context, Result};
 use physgrad::actuator::Actuator;
@@ -89,6 +89,7 @@ trait AnySettings: Send + Sync {
     fn names(&self) -> [Vec<String>; 2];
     /// Number of state components that the sensor adds.
     fn sensor_states(&self) -> usize;
+    fn controlled(&self, physics: &DynTask) -> Controlled;
     fn angles(&self) -> Vec<usize>;
     fn param_names(&self, task: &DynTask) -> Vec<String>;
     fn control_names(&self) -> Vec<String>;
@@ -114,6 +115,10 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
 
     fn sensor_states(&self) -> usize {
         self.sensor.state_names(&Settings::names(self)[1]).len()
+    }
+
+    fn controlled(&self, physics: &DynTask) -> Controlled {
+        Settings::controlled(self, physics).expect("validated settings")
     }
 
     fn angles(&self) -> Vec<usize> {
@@ -158,15 +163,18 @@ fn held(controls: &[Vec<f64>], steps: f64) -> Vec<Vec<f64>> {
     [shown, shown.last().map_or(&[], std::slice::from_ref)].concat()
 }
 
+/// Numbers that a task trains with its policy.
+fn trained_of(physics: &DynTask) -> Vec<TrainedParam> {
+    physics.system().varied(physics.param_dim()).iter().filter_map(trained).collect()
+}
+
 impl Scene {
     /// Creates a scene from validated settings.
     pub fn new<K: TaskSpec>(task: &'static dyn AnyTaskSpec, settings: Settings<K>) -> Self {
         let physics = settings.physics().expect("validated settings");
         let policy_settings = settings.policy().expect("validated settings");
         let built = settings.built(&policy_settings, &physics).expect("validated settings");
-        let varied = physics.system().varied(physics.param_dim());
-        let trained: Vec<_> = varied.iter().filter_map(trained).collect();
-        let policy = WithParams::new(built.policy, trained);
+        let policy = WithParams::new(built.policy, trained_of(&physics));
         // Without parameters, every further epoch would repeat the first.
         let most_epochs = if policy.param_count() == 0 { 1 } else { usize::MAX };
         Self {
@@ -437,6 +445,26 @@ impl Scene {
         animation
     }
 
+    /// What the policy observes and controls.
+    pub fn controlled(&self) -> Controlled {
+        self.settings.controlled(&self.physics)
+    }
+
+    /// What the parameters of the policy of `other` mean in this scene.
+    pub fn meaning_of(&self, other: &Self) -> Table {
+        other.policy_settings.meaning(&self.controlled())
+    }
+
+    /// The policy of `other` in this scene.
+    ///
+    /// # Errors
+    /// It does not suit the scene.
+    pub fn policy_of(&self, other: &Self) -> Result<ScenePolicy, ConfigError> {
+        let built = other.policy_settings.build(&self.controlled());
+        let built = built.map_err(|error| error.within("policy"))?;
+        Ok(WithParams::new(built.policy, trained_of(&other.physics)))
+    }
+
     /// Description of the policy, for other programs.
     pub fn about(&self) -> About {
         let finite = |bound: f64| Some(bound).filter(|bound| bound.is_finite());
@@ -453,6 +481,7 @@ impl Scene {
             controls: self.control_names(),
             trained: self.varied().into_iter().filter_map(trained).collect(),
             kind: self.policy_kind(),
+            policy: self.meaning_of(self),
         }
     }
 

@@ -177,18 +177,22 @@ impl<K: TaskSpec> Settings<K> {
 
     /// The policy of these settings for this task.
     pub fn built(&self, policy: &PolicySettings, physics: &DynTask) -> Result<Built, ConfigError> {
+        policy.build(&self.controlled(physics)?).map_err(|error| error.within("policy"))
+    }
+
+    /// What a policy observes and controls in this task.
+    pub fn controlled(&self, physics: &DynTask) -> Result<Controlled, ConfigError> {
         let limited = || {
             let range = self.actuator.chain(K::dt(self)).range()?;
             Some(vec![range; physics.system().control_dim()])
         };
-        let controlled = Controlled {
+        Ok(Controlled {
             observations: self.observed_names(&self.unsensed()?),
             controls: K::control_names(self),
             bounds: physics.control_bounds().or_else(limited),
             horizon: self.horizon,
             dt: K::dt(self),
-        };
-        policy.build(&controlled).map_err(|error| error.within("policy"))
+        })
     }
 
     /// Names by which expressions of a policy know the components of the observation: those of the
@@ -198,7 +202,12 @@ impl<K: TaskSpec> Settings<K> {
         let replaced = &self.equations.observe;
         let texts = if replaced.is_empty() { K::observe(self) } else { replaced };
         let name = |i: usize| {
-            let own = texts.get(i).map(|text| text.trim()).filter(|text| is_name(text));
+            // Not the name of another component without a name.
+            let is_number = |text: &str| {
+                text.strip_prefix("y_").is_some_and(|rest| rest.parse::<usize>().is_ok())
+            };
+            let own = texts.get(i).map(|text| text.trim());
+            let own = own.filter(|text| is_name(text) && !is_number(text));
             let is_first = own.is_some_and(|own| !texts[..i].iter().any(|text| text.trim() == own));
             own.filter(|_| is_first).map_or_else(|| format!("y_{}", i + 1), str::to_owned)
         };

@@ -74,6 +74,7 @@ fn a_policy_file_describes_its_network() {
         "observations": ["x", "x_dot", "theta_1", "omega_1", "force_before"],
         "controls": ["force"],
         "layers": [layer(dense.clone(), 1, json!("gelu")), layer(dense.clone(), 2, Value::Null)],
+        "policy": { "kind": "mlp", "widths": [5], "activation": "gelu", "bias": true },
     });
     assert_eq!(about(&run.join("policy.safetensors")), expected);
     let run = trained(&dir, "conv", "quantum --set policy.width=3");

@@ -299,3 +299,23 @@ fn a_scene_without_trained_numbers_is_evaluated_like_its_run() {
     let error = fail(at, &["eval", "trained.toml"]);
     assert!(error.contains("1 number to train; run `physgrad train trained.toml`"), "{error}");
 }
+
+/// Other bounds of a trained gain, and other bounds of the controls, would change what the same
+/// parameters mean. Fixed gains may differ.
+#[test]
+fn trained_parameters_keep_their_meaning() {
+    let dir = TempDir::new().expect("a folder");
+    let at = dir.path();
+    write(at, "scene.toml", &cart_pole(CONTROLLER));
+    succeed(at, &["train", "scene.toml", "--epochs", "1", "--out", "run", "--quiet"]);
+    let other = "policy.parameters.k={start=1.0,min=0.0,max=50.0}";
+    let expected = "its parameters belong to a policy whose `parameters.k.max` is absent, but 50.0";
+    let refused = fail(at, &["eval", "run", "--set", other]);
+    assert!(refused.contains(expected), "{refused}");
+    let refused = fail(at, &["train", "scene.toml", "--policy", "run", "--set", other]);
+    assert!(refused.contains(expected), "{refused}");
+    let refused = fail(at, &["eval", "run", "--set", "policy.bounds=[[-9,9]]"]);
+    assert!(refused.contains("`bounds` is absent, but [[-9.0, 9.0]]"), "{refused}");
+    succeed(at, &["eval", "run", "--set", "policy.parameters.lag=0.7", "--samples", "8"]);
+    succeed(at, &["eval", "run", "--set", "system.gravity=9", "--samples", "8"]);
+}

@@ -639,7 +639,7 @@ fn without_wind_is_refused_if_the_scene_has_no_effect() {
     let dir = TempDir::new().expect("a folder");
     let error = error_of(&mut train(dir.path(), &["--without", "wind"]));
     assert!(
-        error.contains("--without wind: preset cart_pole has no such effect or part of the actuator; it has none"),
+        error.contains("--without wind: preset cart_pole has no such effect or part of the actuator or the sensor; it has none"),
         "{error}"
     );
 }
