@@ -32,8 +32,10 @@ use crate::dynamics::outline::One;
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::engine::parallel::for_each;
-use crate::numbers::scalar::{CotangentPack, Float, LANES, Lane, Real, Scalar};
+use crate::numbers::scalar::{CotangentPack, Float, LANES, Lane, Scalar};
+use crate::numbers::zip::zip;
 use smallvec::SmallVec;
+use std::ops::Range;
 
 /// Number of rows in one unit of parallel work. Calls with at most as many rows use no other thread.
 // A multiple of `LANES`, large enough to outweigh waking a thread.
@@ -287,11 +289,16 @@ fn requested<T>(buffer: &mut [T]) -> Option<&mut [T]> {
 type Packs<F> = SmallVec<[One<Lane<F>>; 32]>;
 
 fn pack<F: Float>(values: &[Lane<F>]) -> Packs<F> {
-    values.iter().map(|&value| CotangentPack([value])).collect()
+    let mut packs = Packs::<F>::new();
+    packs.resize(values.len(), CotangentPack([Lane::zero()]));
+    for (pack, &value) in zip(packs.iter_mut(), values) {
+        *pack = CotangentPack([value]);
+    }
+    packs
 }
 
 fn unpack<F: Float>(packs: &Packs<F>, values: &mut [Lane<F>]) {
-    for (value, CotangentPack([pack])) in values.iter_mut().zip(packs) {
+    for (value, CotangentPack([pack])) in zip(values.iter_mut(), packs.iter()) {
         *value = *pack;
     }
 }
@@ -345,28 +352,41 @@ fn blocks<F: Float, const I: usize, const O: usize>(
     let mut input_lanes = inputs.map(|array| lanes(array.len()));
     let mut output_lanes = outputs.each_ref().map(|array| lanes(array.len()));
     for first in (0..rows).step_by(LANES) {
-        for (array, lanes) in inputs.iter().zip(&mut input_lanes) {
-            let width = lanes.len();
-            for lane in 0..LANES {
-                // Unused lanes repeat the last row, so they add no non-finite numbers.
-                let row = (first + lane).min(rows - 1);
-                for (number, &value) in lanes.iter_mut().zip(&array[row * width..]) {
-                    number.set_lane(lane, value);
-                }
-            }
+        for i in 0..I {
+            // Unused lanes repeat the last row, so they add no non-finite numbers.
+            let row = |lane: usize| (first + lane).min(rows - 1);
+            gather(inputs[i], row, &mut input_lanes[i]);
         }
         output_lanes.iter_mut().for_each(|lanes| lanes.fill(Lane::zero()));
         work(
             input_lanes.each_ref().map(Vec::as_slice),
             output_lanes.each_mut().map(Vec::as_mut_slice),
         );
-        for (array, lanes) in outputs.iter_mut().zip(&output_lanes) {
-            let width = lanes.len();
-            for lane in 0..LANES.min(rows - first) {
-                for (value, number) in array[(first + lane) * width..].iter_mut().zip(lanes) {
-                    *value = number.lane(lane);
-                }
-            }
+        for i in 0..O {
+            scatter(&output_lanes[i], first..rows.min(first + LANES), outputs[i]);
+        }
+    }
+}
+
+/// Copies rows of an array to lanes. `row` is the index of the row of a lane.
+#[inline(always)]
+fn gather<F: Float>(array: &[F], row: impl Fn(usize) -> usize, lanes: &mut [Lane<F>]) {
+    let width = lanes.len();
+    for lane in 0..LANES {
+        for (number, &value) in zip(lanes.iter_mut(), &array[row(lane) * width..][..width]) {
+            number.0[lane] = value;
+        }
+    }
+}
+
+/// Copies lanes to rows of an array.
+#[inline(always)]
+fn scatter<F: Float>(lanes: &[Lane<F>], rows: Range<usize>, array: &mut [F]) {
+    let width = lanes.len();
+    for lane in 0..rows.len() {
+        let row = &mut array[(rows.start + lane) * width..][..width];
+        for (value, number) in zip(row.iter_mut(), lanes) {
+            *value = number.0[lane];
         }
     }
 }
