@@ -134,6 +134,25 @@ impl Policy {
         Self::new(self.lock().clone())
     }
 
+    /// The policy of a pickle.
+    #[staticmethod]
+    #[pyo3(name = "_of_theta")]
+    fn of_theta(task: &Task, theta: Vec<f64>, of_run: bool) -> PyResult<Self> {
+        let mut policy = api::Policy::new(&task.scene, 0);
+        policy.set_theta(theta).map_err(value_error)?;
+        Ok(Self { of_run, ..Self::new(policy) })
+    }
+
+    /// Pickles and copies are made from the settings and the parameters.
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let policy = self.lock().clone();
+        let restore = py.get_type::<Self>().getattr("_of_theta")?;
+        let task = Task::new(policy.scene().clone());
+        let theta = policy.theta().to_vec();
+        let arguments = (task, theta, self.of_run).into_pyobject(py)?;
+        PyTuple::new(py, [restore, arguments.into_any()])
+    }
+
     fn __len__(&self) -> usize {
         self.lock().theta().len()
     }

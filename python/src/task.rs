@@ -11,7 +11,8 @@ use physgrad::rng::Purpose;
 use physgrad::{DynTask, Float as _, Inputs, System as _, Tangents, Task as _};
 use physgrad_cli::api::Scene;
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyTuple};
+use pyo3::types::{PyBytes, PyDict, PyString, PyTuple};
+use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use std::path::Path;
 use std::sync::OnceLock;
 
@@ -90,6 +91,10 @@ impl Task {
         Ok(())
     }
 
+    fn identity(&self) -> (String, Option<&[u8]>) {
+        (self.scene.text(), self.scene.initial_policy())
+    }
+
     fn observed(&self) -> usize {
         self.task.observation_dim().unwrap_or(self.n)
     }
@@ -162,6 +167,39 @@ impl Task {
         let settings: Vec<_> =
             settings.into_iter().map(|(key, value)| (self.scene.key(key), value)).collect();
         py.detach(|| self.scene.with(settings)).map(Self::new).map_err(value_error)
+    }
+
+    /// The task of a pickle.
+    #[staticmethod]
+    #[pyo3(name = "_of_text", signature = (text, initial_policy=None))]
+    fn of_text(py: Python<'_>, text: &str, initial_policy: Option<Vec<u8>>) -> PyResult<Self> {
+        let scene = py.detach(|| Scene::of_text(text, initial_policy.as_deref()));
+        scene.map(Self::new).map_err(value_error)
+    }
+
+    /// Pickles and copies are made from the settings.
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let restore = py.get_type::<Self>().getattr("_of_text")?;
+        let policy = self.scene.initial_policy().map(|policy| PyBytes::new(py, policy));
+        let arguments = PyTuple::new(
+            py,
+            [
+                PyString::new(py, &self.scene.text()).into_any(),
+                policy.into_pyobject(py)?.into_any(),
+            ],
+        )?;
+        PyTuple::new(py, [restore, arguments.into_any()])
+    }
+
+    /// Tasks are equal if their settings are.
+    fn __eq__(&self, other: &Self) -> bool {
+        self.identity() == other.identity()
+    }
+
+    fn __hash__(&self) -> u64 {
+        let mut hasher = DefaultHasher::new();
+        self.identity().hash(&mut hasher);
+        hasher.finish()
     }
 
     fn __repr__(&self) -> String {

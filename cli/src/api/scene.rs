@@ -52,6 +52,24 @@ impl Scene {
         Self::changed(source, settings.into_iter().collect(), None)
     }
 
+    /// The scene of a [`text`](Self::text), with the contents of its initial policy.
+    ///
+    /// # Errors
+    /// Those of [`open`](Self::open).
+    pub fn of_text(text: &str, initial_policy: Option<&[u8]>) -> Result<Self> {
+        Self::of(SceneSource::parse("the scene", text)?, initial_policy)
+    }
+
+    /// All settings as TOML. Equal scenes have equal texts and initial policies.
+    pub fn text(&self) -> String {
+        self.scene.table().to_string()
+    }
+
+    /// Contents of the policy file from which a training starts.
+    pub fn initial_policy(&self) -> Option<&[u8]> {
+        self.scene.initial_policy()
+    }
+
     /// Copy with other values of some settings, as in [`open`](Self::open).
     ///
     /// # Errors
