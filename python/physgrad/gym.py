@@ -41,14 +41,25 @@ def _opened(task: str | pg.Task, settings: dict[str, Any]) -> pg.Task:
     return pg.task(task, **settings)
 
 
+def _refuse_rendering(mode: str | None) -> None:
+    # `make_vec_env` of Stable-Baselines3 falls back to no rendering after a TypeError.
+    if mode is not None:
+        raise TypeError(f"`render_mode` is {mode!r}, but environments are not rendered; use `physgrad animate`")
+
+
 def make(
-    name: str | pg.Task, *, bound: float | Sequence[float] | None = None, **settings: Any
+    name: str | pg.Task,
+    *,
+    bound: float | Sequence[float] | None = None,
+    render_mode: str | None = None,
+    **settings: Any,
 ) -> TaskEnv:
     """Creates an environment over a task, or over ``pg.task(name, **settings)``.
 
     Controls range from ``-bound`` to ``bound``, one number or one per control, in units of the
     control. Default: ``task.control_bounds``. Raises ``ValueError`` if neither is finite.
     """
+    _refuse_rendering(render_mode)
     return TaskEnv(_opened(name, settings), bound)
 
 

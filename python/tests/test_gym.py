@@ -265,3 +265,9 @@ def test_an_error_in_one_environment_leaves_all_at_their_steps():
             before = env._rows.x.copy(), env._rows.t.copy()
             env.step(np.array([[0.0], [1.0]], np.float32))
     assert np.array_equal(env._rows.x, before[0]) and np.array_equal(env._rows.t, before[1])
+
+
+def test_a_render_mode_is_a_type_error_after_which_stable_baselines3_omits_it():
+    with pytest.raises(TypeError, match="environments are not rendered"):
+        gymnasium.make("physgrad/cart_pole-v0", poles=1, render_mode="rgb_array")
+    assert gymnasium.make("physgrad/cart_pole-v0", poles=1, render_mode=None).unwrapped.render_mode is None
