@@ -38,7 +38,7 @@ pub struct Eval {
     /// Change or add a setting of the scene, for example system.cart_mass=2
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
-    /// Remove an effect or a part of the actuator from the scene
+    /// Remove an effect, or a part of the actuator or the sensor, from the scene
     #[arg(long, value_name = "NAME")]
     pub without: Vec<String>,
     /// Epoch of the policies

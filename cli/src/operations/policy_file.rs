@@ -1,7 +1,7 @@
 //! Policy files: parameters of a policy as named tensors in the safetensors format.
 
 use crate::platform::terminal::listed;
-use crate::tasks::scene::flat;
+use crate::settings::reading::flat;
 use anyhow::{Context, Result, bail};
 use physgrad::Float;
 use physgrad::policy::{AnyPolicy, NetworkLayer};

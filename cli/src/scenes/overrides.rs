@@ -39,7 +39,7 @@ pub struct Overrides {
     /// Change or add a setting, for example system.poles=4; `physgrad tasks TASK` lists them
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
-    /// Remove an effect or a part of the actuator
+    /// Remove an effect, or a part of the actuator or the sensor
     #[arg(long, value_name = "NAME")]
     pub without: Vec<String>,
 }

@@ -3,9 +3,9 @@
 
 use crate::scenes::source::find;
 use crate::settings::config_error::{ConfigError, Problem};
+use crate::settings::reading::flat;
 use crate::settings::reading::is_number;
 use crate::settings::{Method, OPTIONAL};
-use crate::tasks::scene::flat;
 use crate::tasks::{self, AnyTaskSpec, is_read_by_user};
 use toml::{Table, Value};
 

@@ -9,10 +9,10 @@ use crate::platform::folder::{Folder, MAX_SETTINGS};
 use crate::platform::terminal::did_you_mean;
 use crate::scenes::ranges::{with_methods, with_numbers, with_range};
 use crate::settings::config_error::{ConfigError, Problem};
-use crate::settings::reading::{is_drawn, is_number, overlay};
+use crate::settings::reading::{flat, is_drawn, is_number, overlay};
 use crate::settings::{OPTIONAL, VERSION};
 use crate::tasks::policy::{COMMON, is_kind};
-use crate::tasks::scene::{INITIAL_POLICY, flat};
+use crate::tasks::scene::INITIAL_POLICY;
 use crate::tasks::{self, AnyTaskSpec, Scene};
 use anyhow::{Context, Result, anyhow, bail};
 use serde::Deserialize;
@@ -239,7 +239,7 @@ impl SceneSource {
         self.table.remove(name);
     }
 
-    /// Returns whether the scene has this effect or part of the actuator.
+    /// Returns whether the scene has this effect or part of the actuator or the sensor.
     pub fn has(&self, name: &str) -> bool {
         let part = part_name(name);
         sections_of(name).any(|section| {
@@ -247,7 +247,7 @@ impl SceneSource {
         })
     }
 
-    /// Removes an effect or a part of the actuator. A name may begin with the section, as in
+    /// Removes an effect or a part of the actuator or the sensor. A name may begin with the section, as in
     /// `actuator.lag`.
     ///
     /// # Errors

@@ -34,6 +34,19 @@ pub fn overlay(lower: &mut Table, upper: &Table) {
     }
 }
 
+/// All settings by dotted key. An empty section counts as a setting: it is an effect without
+/// parameters.
+pub fn flat(table: &Table) -> Vec<(String, Value)> {
+    let inner = |(key, value): (&String, &Value)| match value {
+        Value::Table(section) if !section.is_empty() => flat(section)
+            .into_iter()
+            .map(|(rest, value)| (format!("{key}.{rest}"), value))
+            .collect(),
+        value => vec![(key.clone(), value.clone())],
+    };
+    table.iter().flat_map(inner).collect()
+}
+
 /// Keys of the table of a drawn or trained [`Number`](physgrad::Number).
 pub const NUMBER_KEYS: [&str; 10] =
     ["uniform", "normal", "log_uniform", "choice", "noise", "mean", "hold", "start", "min", "max"];

@@ -14,6 +14,7 @@ use crate::operations::{
 };
 use crate::platform::memory::of_this_machine;
 use crate::settings::config_error::ConfigError;
+use crate::settings::reading::flat;
 use crate::settings::{
     ActuatorSettings, DecayName, EstimatorName, FieldName, IntegratorSettings, LogFormat, OPTIONAL,
     Precision, TrainingSettings,
@@ -707,19 +708,6 @@ impl Scene {
         );
         lines.join("\n")
     }
-}
-
-/// All settings by dotted key. An empty section counts as a setting: it is an effect without
-/// parameters.
-pub fn flat(table: &Table) -> Vec<(String, Value)> {
-    let inner = |(key, value): (&String, &Value)| match value {
-        Value::Table(section) if !section.is_empty() => flat(section)
-            .into_iter()
-            .map(|(rest, value)| (format!("{key}.{rest}"), value))
-            .collect(),
-        value => vec![(key.clone(), value.clone())],
-    };
-    table.iter().flat_map(inner).collect()
 }
 
 #[cfg(test)]

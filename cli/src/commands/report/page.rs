@@ -6,7 +6,7 @@ use crate::commands::report::{diagnostics, learning};
 use crate::operations::adjoint_norms::SAMPLES;
 use crate::platform::terminal::counted;
 use crate::runs::statistics::{self, InScene, best, field_label, position};
-use crate::tasks::scene::flat;
+use crate::settings::reading::flat;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use physgrad::text::short;
 use toml::Value;
