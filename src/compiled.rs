@@ -16,7 +16,7 @@ use crate::engine::adjoint::Adjoint;
 use crate::engine::batch::Batch;
 use crate::engine::initial_states::append_starts;
 use crate::engine::rollout::Rollout;
-use crate::engine::rows;
+use crate::engine::{open_loop, rows};
 use crate::graph::{GraphPolicy, GraphTask, Replaced};
 use crate::numbers::scalar::Float;
 use crate::policy::{
@@ -72,7 +72,7 @@ pub fn compiled() -> Vec<Function> {
     tasks.iter().flat_map(|frequent| frequent()).chain(others.concat()).collect()
 }
 
-fn of_precision<F: Float>() -> [Function; 21] {
+fn of_precision<F: Float>() -> [Function; 26] {
     [
         Rollout::<F>::with_steps as Function,
         Rollout::<F>::bytes_of as Function,
@@ -86,6 +86,11 @@ fn of_precision<F: Float>() -> [Function; 21] {
         Field::<Combination>::combine::<F> as Function,
         append_starts::<F> as Function,
         calls::gradients_until::<F> as Function,
+        calls::rollout_vjp::<F> as Function,
+        open_loop::states::<F, DynTask> as Function,
+        open_loop::states_vjp::<F, DynTask> as Function,
+        rows::transition::<F, DynTask> as Function,
+        rows::transition_vjp::<F, DynTask> as Function,
         rows::step::<F, DynTask> as Function,
         rows::step_vjp::<F, DynTask> as Function,
         rows::step_jvp::<F, DynTask> as Function,

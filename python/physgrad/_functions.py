@@ -6,6 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from . import _core
+
 
 class Function(NamedTuple):
     """One function of a task, for rows of a batch.
@@ -75,6 +77,26 @@ class Function(NamedTuple):
             terms = [(bar * tan).sum(-1) for bar, tan in zip(bars, tangents, strict=True) if tan is not None]
             output[(..., *component)] = sum(terms)
         return output
+
+
+class TaskFunction:
+    """A function of a task, and of a policy. It is equal to, and pickled as, that of an equal task."""
+
+    def __init__(self, task: Any, policy: Any = None, flow: str = "R") -> None:
+        self.task, self.policy, self.flow = task, policy, flow
+        self.handle: int = _core.handle(task, policy, flow)
+
+    def __reduce__(self) -> tuple:
+        return type(self), (self.task, self.policy, self.flow)[: 3 if self.policy is not None else 1]
+
+    def __eq__(self, other: object) -> bool:
+        return type(other) is type(self) and other.handle == self.handle
+
+    def __hash__(self) -> int:
+        return hash((type(self), self.handle))
+
+    def __repr__(self) -> str:
+        return f"{type(self).__module__}.{type(self).__qualname__}({self.task!r})"
 
 
 STEP = Function("step", ("x", "u"), "next", has_step=True)

@@ -5,161 +5,219 @@ Each function of this module takes a task and returns a function of arrays::
     step = pg.jax.step(task)
     x = step(x, u, t=t)            # (..., n), (..., m) -> (..., n)
 
-The functions work under ``jit``, ``vmap``, ``grad``, ``vjp`` and ``lax.scan``, on the CPU. ``vmap``
-calls the physics once for all samples with equal ``t``. Arrays are all float32, or all float64
-after ``jax.config.update("jax_enable_x64", True)``. The context manager ``jax.enable_x64`` has no
-effect in other threads, which may call the physics. Leading dimensions are batch dimensions and
-broadcast. ``p`` are the parameters of the rows, shape (..., np), and ``t`` is the step number, an
-int or an integer array, which broadcasts to the batch dimensions as NumPy arrays do: t of shape (4,)
-has one number for each column of a batch (2, 4), and t of shape (2, 1) one for each row. Gradients
-are the exact derivatives of the task (reverse mode, once differentiable). Errors: ``ValueError``
-for a shape, ``TypeError`` for a dtype.
+The functions work under ``jit``, ``vmap``, ``grad``, ``vjp`` and ``lax.scan``, on the CPU. XLA calls
+the physics itself, without Python. Arrays are all float32, or all float64 after
+``jax.config.update("jax_enable_x64", True)``. Leading dimensions are batch dimensions and broadcast.
+``p`` are the parameters of the rows, shape (..., np), and ``t`` is the step number, an int or an
+integer array, which broadcasts to the batch dimensions as NumPy arrays do: t of shape (4,) has one
+number for each column of a batch (2, 4), and t of shape (2, 1) one for each row. Rows with equal
+numbers in a row are one call of the physics. Gradients are the exact derivatives of the task (reverse
+mode, once differentiable). Functions of equal tasks are equal, and can be pickled. Errors:
+``ValueError`` for a shape, ``TypeError`` for a dtype.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import ctypes
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ._functions import OBSERVE, RUNNING_COST, STEP, TERMINAL_COST, Function, lead
+from . import _core
+from ._functions import TaskFunction, lead
 
-__all__ = ["observe", "running_cost", "step", "terminal_cost"]
+__all__ = ["observe", "rollout", "running_cost", "step", "terminal_cost", "transition"]
+
+if not hasattr(jax, "ffi"):
+    raise ImportError(f"physgrad.jax needs JAX 0.5 or newer, not {jax.__version__}")
+jax.ffi.register_ffi_target("physgrad", jax.ffi.pycapsule(ctypes.c_void_p(_core.xla_handler)), platform="cpu")
+
+_CODES = {name: np.int64(code) for code, name in enumerate(_core.operation_names())}
+# Outputs of a call that its derivative needs, instead of computing them again.
+_SAVED = {"transition": 1, "states": 1}
 
 
-def step(task: Any) -> Callable[..., jax.Array]:
-    """Returns ``step(x, u, p=None, t=0)``, the next states.
+class _Call(NamedTuple):
+    """An operation of the task of this handle. Shapes of outputs follow the leading dimensions."""
+
+    operation: str
+    handle: int
+    outputs: tuple[tuple[int, ...], ...]
+
+
+def _ffi(of: _Call, operation: str, shapes: list[tuple[int, ...]], t: jax.Array, arrays: Any) -> list[jax.Array]:
+    outputs = [jax.ShapeDtypeStruct(shape, arrays[0].dtype) for shape in shapes]
+    call = jax.ffi.ffi_call("physgrad", outputs, vmap_method="broadcast_all")
+    return list(call(t, *arrays, handle=np.int64(of.handle), operation=_CODES[operation]))
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(0,))
+def _call(of: _Call, arrays: tuple, t: jax.Array) -> tuple:
+    batch = arrays[-1].shape[:-1]
+    return tuple(_ffi(of, of.operation, [batch + shape for shape in of.outputs], t, arrays))
+
+
+def _forward(of: _Call, arrays: tuple, t: jax.Array) -> tuple:
+    outputs = _call(of, arrays, t)
+    return outputs, (arrays, outputs[: _SAVED.get(of.operation, 0)], t)
+
+
+def _backward(of: _Call, saved: tuple, bars: tuple) -> tuple:
+    arrays, outputs, t = saved
+    shapes = [array.shape for array in arrays]
+    return tuple(_ffi(of, f"{of.operation}_vjp", shapes, t, (*arrays, *outputs, *bars))), None
+
+
+_call.defvjp(_forward, _backward)
+
+
+class _Rows(TaskFunction):
+    """A function of rows: inputs, then parameters, and a step number."""
+
+    def _rows(self, inputs: dict[str, Any], p: Any, t: Any) -> tuple:
+        task, name = self.task, self.name
+        sizes = {"x": task.state_dim, "u": task.control_dim, "next": task.state_dim, "p": task.param_dim}
+        inputs = {label: jnp.asarray(array) for label, array in inputs.items()}
+        if p is None:
+            if task.param_dim:
+                names = ", ".join(task.param_names)
+                raise ValueError(f"`{name}`: {task.name} has {task.param_dim} parameters ({names}); pass `p`")
+            p = jnp.zeros((0,), inputs["x"].dtype)
+        inputs["p"] = jnp.asarray(p)
+        _check(name, {label: (sizes[label],) for label in inputs}, inputs)
+        batch, t = lead(name, {label: array.shape for label, array in inputs.items()}), _steps(name, t)
+        # All dimensions, so that those which `vmap` inserts in front stay aligned with those of the arrays.
+        aligned = (1,) * (len(batch) - t.ndim) + t.shape
+        if len(aligned) > len(batch) or any(size not in (1, whole) for size, whole in zip(aligned, batch)):
+            raise ValueError(f"`{name}`: `t` has shape {t.shape}, which does not broadcast to the batch dimensions {batch}")
+        arrays = tuple(jnp.broadcast_to(array, (*batch, array.shape[-1])) for array in inputs.values())
+        widths = {"next": (task.state_dim,), "y": (task.observation_dim,), "cost": ()}
+        of = _Call(name, self.handle, tuple(widths[output] for output in self.outputs))
+        return _call(of, arrays, t.reshape(aligned))
+
+
+class step(_Rows):
+    """``step(task)(x, u, p=None, t=0)``, the next states.
 
     Shapes: x (..., n), u (..., m), p (..., np); result (..., n).
     """
-    call = _function(STEP, task)
-    return lambda x, u, p=None, t=0: call((x, u), p, t)
+
+    name, outputs = "step", ("next",)
+
+    def __call__(self, x: Any, u: Any, p: Any = None, t: Any = 0) -> jax.Array:
+        """Returns the next states, (..., n)."""
+        return self._rows({"x": x, "u": u}, p, t)[0]
 
 
-def observe(task: Any) -> Callable[..., jax.Array]:
-    """Returns ``observe(x, p=None, t=0)``, the observations of a policy.
+class observe(_Rows):
+    """``observe(task)(x, p=None, t=0)``, the observations of a policy.
 
     Shapes: x (..., n), p (..., np); result (..., observation_dim).
     """
-    call = _function(OBSERVE, task)
-    return lambda x, p=None, t=0: call((x,), p, t)
+
+    name, outputs = "observe", ("y",)
+
+    def __call__(self, x: Any, p: Any = None, t: Any = 0) -> jax.Array:
+        """Returns the observations, (..., observation_dim)."""
+        return self._rows({"x": x}, p, t)[0]
 
 
-def running_cost(task: Any) -> Callable[..., jax.Array]:
-    """Returns ``running_cost(x, u, next, p=None, t=0)``, the costs of a step.
+class running_cost(_Rows):
+    """``running_cost(task)(x, u, next, p=None, t=0)``, the costs of a step.
 
     Shapes: x and next (..., n), u (..., m), p (..., np); result (...).
     """
-    call = _function(RUNNING_COST, task)
-    return lambda x, u, next, p=None, t=0: call((x, u, next), p, t)
+
+    name, outputs = "running_cost", ("cost",)
+
+    def __call__(self, x: Any, u: Any, next: Any, p: Any = None, t: Any = 0) -> jax.Array:
+        """Returns the costs, (...)."""
+        return self._rows({"x": x, "u": u, "next": next}, p, t)[0]
 
 
-def terminal_cost(task: Any) -> Callable[..., jax.Array]:
-    """Returns ``terminal_cost(x, p=None)``, the costs of last states.
+class terminal_cost(_Rows):
+    """``terminal_cost(task)(x, p=None)``, the costs of last states.
 
     Shapes: x (..., n), p (..., np); result (...).
     """
-    call = _function(TERMINAL_COST, task)
-    return lambda x, p=None: call((x,), p, 0)
+
+    name, outputs = "terminal_cost", ("cost",)
+
+    def __call__(self, x: Any, p: Any = None) -> jax.Array:
+        """Returns the costs, (...)."""
+        return self._rows({"x": x}, p, 0)[0]
 
 
-def _function(function: Function, task: Any) -> Callable[..., jax.Array]:
-    count, components = len(function.inputs), function.output_shape(task)
+class transition(_Rows):
+    """``transition(task)(x, u, p=None, t=0)``: next states, their observations and the costs of the step.
 
-    def host_call(dtype: np.dtype, t: Any, *arrays: Any) -> np.ndarray:
-        t, shape, arrays = _host(dtype, t, arrays, ())
-        output = np.empty(shape + components, dtype)
-        for now, rows in _steps(t, shape):
-            inputs = [array[rows] for array in arrays]
-            output[rows] = function.call(task, inputs[:count], *(inputs[count:] or [None]), now)
-        return output
-
-    def host_vjp(dtype: np.dtype, t: Any, output_bar: Any, *arrays: Any) -> list[np.ndarray]:
-        output_bar = np.asarray(output_bar)
-        t, shape, arrays = _host(dtype, t, arrays, output_bar.shape[: output_bar.ndim - len(components)])
-        output_bar = np.broadcast_to(output_bar, shape + components)
-        bars = [np.empty(size, dtype) for size in function.shapes(task, shape)]
-        for now, rows in _steps(t, shape):
-            inputs = [array[rows] for array in arrays]
-            found = function.vjp(task, inputs[:count], *(inputs[count:] or [None]), now, output_bar[rows])
-            for bar, part in zip(bars, found):
-                bar[rows] = part
-        return bars
-
-    @jax.custom_vjp
-    def call(arrays: tuple, t: Any) -> jax.Array:
-        dtype = arrays[0].dtype
-        output = jax.ShapeDtypeStruct(arrays[0].shape[:-1] + components, dtype)
-        return jax.pure_callback(partial(host_call, dtype), output, t, *arrays, vmap_method="expand_dims")
-
-    def forward(arrays: tuple, t: Any) -> tuple:
-        return call(arrays, t), (arrays, t)
-
-    def backward(saved: tuple, output_bar: jax.Array) -> tuple:
-        arrays, t = saved
-        dtype = arrays[0].dtype
-        outputs = [jax.ShapeDtypeStruct(shape, dtype) for shape in function.shapes(task, arrays[0].shape[:-1])]
-        bars = jax.pure_callback(partial(host_vjp, dtype), outputs, t, output_bar, *arrays, vmap_method="expand_dims")
-        return tuple(bars[: len(arrays)]), None
-
-    call.defvjp(forward, backward)
-    dims = function.dims(task) | {"p": task.param_dim}
-
-    def checked(inputs: tuple, p: Any, t: Any) -> jax.Array:
-        arrays = [jnp.asarray(array) for array in (inputs if p is None else (*inputs, p))]
-        _check(function.name, dims, arrays)
-        shape, t = lead(function.name, {label: array.shape for label, array in zip(dims, arrays)}), jnp.asarray(t)
-        if not jnp.issubdtype(t.dtype, jnp.integer):
-            raise TypeError(f"`{function.name}`: `t` has the dtype {t.dtype}. Use an int or an integer array")
-        # All dimensions, so that those which `vmap` inserts in front stay aligned with those of the arrays.
-        aligned = (1,) * (len(shape) - t.ndim) + t.shape
-        if len(aligned) > len(shape) or any(size not in (1, batch) for size, batch in zip(aligned, shape)):
-            raise ValueError(
-                f"`{function.name}`: `t` has shape {t.shape}, which does not broadcast to the batch dimensions {shape}"
-            )
-        t = t.reshape(aligned)
-        return call(tuple(jnp.broadcast_to(array, (*shape, array.shape[-1])) for array in arrays), t)
-
-    return checked
-
-
-def _check(name: str, dims: dict[str, int], arrays: list[jax.Array]) -> None:
-    first = arrays[0].dtype
-    for (label, size), array in zip(dims.items(), arrays):
-        if array.dtype not in (jnp.float32, jnp.float64) or array.dtype != first:
-            dtypes = ", ".join(f"`{label}` {array.dtype}" for label, array in zip(dims, arrays))
-            raise TypeError(f"`{name}`: dtypes are {dtypes}. Use float32, or float64, for all of them")
-        if array.ndim == 0 or array.shape[-1] != size:
-            raise ValueError(f"`{name}`: `{label}` has shape {array.shape}, but its last dimension must be {size}")
-
-
-def _host(
-    dtype: np.dtype, t: Any, arrays: tuple, output_lead: tuple[int, ...]
-) -> tuple[np.ndarray, tuple[int, ...], list[np.ndarray]]:
-    """Broadcasts arrays of a callback: ``vmap`` inserts dimensions of length 1.
-
-    If ``vmap`` maps only ``t``, or only the cotangent, all ``arrays`` have length 1 in the mapped
-    dimension. ``output_lead`` are the batch dimensions of the cotangent, ``()`` without one.
+    One call in place of those of ``step``, ``observe`` and ``running_cost``. The observation is that of
+    step t + 1, with the parameters of this step. Shapes: x (..., n), u (..., m), p (..., np); results
+    (..., n), (..., observation_dim) and (...).
     """
-    t, arrays = np.asarray(t), [np.asarray(array) for array in arrays]
-    if any(array.dtype != dtype for array in arrays):
-        # Callbacks run in threads of JAX, in which a context manager has no effect.
-        raise TypeError(
-            f"JAX rounded {dtype} to {arrays[0].dtype}. Call `jax.config.update('jax_enable_x64', True)` at the start"
-        )
-    shape = np.broadcast_shapes(t.shape, output_lead, *(array.shape[:-1] for array in arrays))
-    return t, shape, [np.broadcast_to(array, (*shape, array.shape[-1])) for array in arrays]
+
+    name, outputs = "transition", ("next", "y", "cost")
+
+    def __call__(self, x: Any, u: Any, p: Any = None, t: Any = 0) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Returns ``(next, y, cost)``."""
+        return self._rows({"x": x, "u": u}, p, t)
 
 
-def _steps(t: np.ndarray, lead: tuple[int, ...]) -> Any:
-    """Step numbers, each with the index of its rows."""
-    if t.size == 1:
-        yield int(t.reshape(())), ...
-        return
-    t = np.broadcast_to(t, lead)
-    for now in np.unique(t):
-        yield int(now), t == now
+class rollout(TaskFunction):
+    """A whole rollout as one function, with its derivative.
+
+    - ``rollout(task)(u, starts)`` returns the states, (..., T + 1, n), for the controls u, (..., T, m), of
+      each sample.
+    - ``rollout(task, policy)(theta, starts)`` returns the states and the controls, (..., T, m), of the
+      policy with the parameters theta, (P,), instead of its own.
+
+    ``starts``, (..., start_dim), are initial states as of ``task.starts``. The derivative follows the
+    paths of ``flow``: "R", the chain rule; "M" without the observation; "N" without the state of the
+    physics; "S" without both. A number that is not finite in a rollout of a policy is an error.
+    """
+
+    def __init__(self, task: Any, policy: Any = None, flow: str = "R") -> None:
+        super().__init__(task, policy, flow)
+        if policy is None and flow != "R":
+            raise ValueError(f"`flow` is {flow!r}, but controls without a policy have no other paths than those of R")
+
+    def __call__(self, first: Any, starts: Any) -> Any:
+        """Returns the states, or states and controls of a policy."""
+        task = self.task
+        n, m, label = task.state_dim, task.control_dim, "u" if self.policy is None else "theta"
+        arrays = {label: jnp.asarray(first), "starts": jnp.asarray(starts)}
+        shape = (..., m) if self.policy is None else (len(self.policy),)
+        _check("rollout", {label: shape, "starts": (task.start_dim,)}, arrays)
+        first, starts = arrays.values()
+        if self.policy is not None:
+            steps = task.horizon
+            of = _Call("rollout", self.handle, ((steps + 1, n), (steps, m)))
+            return _call(of, (first, starts), jnp.asarray(0))
+        if first.shape[:-2] != starts.shape[:-1]:
+            batch = lead("rollout", {label: first.shape[:-1], "starts": starts.shape})
+            first = jnp.broadcast_to(first, (*batch, *first.shape[-2:]))
+            starts = jnp.broadcast_to(starts, (*batch, starts.shape[-1]))
+        of = _Call("states", self.handle, ((first.shape[-2] + 1, n),))
+        return _call(of, (first, starts), jnp.asarray(0))[0]
+
+
+def _check(name: str, shapes: dict[str, tuple], arrays: dict[str, jax.Array]) -> None:
+    first = next(iter(arrays.values())).dtype
+    for label, array in arrays.items():
+        if array.dtype not in (jnp.float32, jnp.float64) or array.dtype != first:
+            dtypes = ", ".join(f"`{label}` {array.dtype}" for label, array in arrays.items())
+            raise TypeError(f"`{name}`: dtypes are {dtypes}. Use float32, or float64, for all of them")
+        size, least = shapes[label][-1], len(shapes[label])
+        if array.ndim < least or array.shape[-1] != size:
+            dims = "its last dimension must be" if least == 1 else "its last dimensions must be steps and"
+            raise ValueError(f"`{name}`: `{label}` has shape {array.shape}, but {dims} {size}")
+
+
+def _steps(name: str, t: Any) -> jax.Array:
+    t = jnp.asarray(t)
+    if not jnp.issubdtype(t.dtype, jnp.integer):
+        raise TypeError(f"`{name}`: `t` has the dtype {t.dtype}. Use an int or an integer array")
+    return t if t.dtype in (jnp.int32, jnp.int64) else t.astype(jnp.int32)

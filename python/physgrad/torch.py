@@ -16,75 +16,154 @@ int that all rows share. Derivatives are the exact ones of the task, of first or
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from ._functions import OBSERVE, RUNNING_COST, STEP, TERMINAL_COST, Function, lead
+from . import _core
+from ._functions import OBSERVE, RUNNING_COST, STEP, TERMINAL_COST, Function, TaskFunction, lead
 
-__all__ = ["observe", "running_cost", "step", "terminal_cost"]
+__all__ = ["observe", "rollout", "running_cost", "step", "terminal_cost", "transition"]
 
-# Operators take integers, not objects: the index of the task in this list. Tasks stay in memory,
-# because graphs that contain their index may outlive every other reference.
-_TASKS: list[Any] = []
-
-
-def step(task: Any) -> Callable[..., Tensor]:
-    """Returns ``step(x, u, p=None, t=0)``, the next states.
-
-    Shapes: x (..., n), u (..., m), p (..., np); result (..., n).
-    """
-    return _function(STEP, task)
+# Operators take integers, not objects: the handle of a task. Tasks stay in memory, because graphs that
+# contain their handle may outlive every other reference.
+_TASKS: dict[int, Any] = {}
 
 
-def observe(task: Any) -> Callable[..., Tensor]:
-    """Returns ``observe(x, p=None, t=0)``, the observations of a policy.
+class _Rows(TaskFunction):
+    """A function of rows: inputs, then parameters, and a step number."""
 
-    Shapes: x (..., n), p (..., np); result (..., observation_dim).
-    """
-    return _function(OBSERVE, task)
+    function: Function
 
+    def __init__(self, task: Any) -> None:
+        super().__init__(task)
+        _TASKS.setdefault(self.handle, task)
 
-def running_cost(task: Any) -> Callable[..., Tensor]:
-    """Returns ``running_cost(x, u, next, p=None, t=0)``, the costs of a step.
-
-    Shapes: x and next (..., n), u (..., m), p (..., np); result (...).
-    """
-    return _function(RUNNING_COST, task)
-
-
-def terminal_cost(task: Any) -> Callable[..., Tensor]:
-    """Returns ``terminal_cost(x, p=None)``, the costs of last states.
-
-    Shapes: x (..., n), p (..., np); result (...).
-    """
-    return _function(TERMINAL_COST, task)
-
-
-def _function(function: Function, task: Any) -> Callable[..., Tensor]:
-    operators, handle = _OPERATORS[function.name], _handle(task)
-    dims = function.dims(task) | {"p": task.param_dim}
-
-    def call(*tensors: Tensor, p: Tensor | None = None, t: int = 0) -> Tensor:
+    def _call(self, *tensors: Tensor, p: Tensor | None, t: int = 0) -> Any:
+        function, task = self.function, self.task
+        dims = function.dims(task) | {"p": task.param_dim}
         if p is not None:
             tensors = (*tensors, p)
         _check(function.name, dims, tensors)
         shape = lead(function.name, {label: tensor.shape for label, tensor in zip(dims, tensors)})
         tensors = [tensor.expand(*shape, tensor.shape[-1]) for tensor in tensors]
         count = len(function.inputs)
-        # `torch.compile` traces operators, but not functions with a rule of forward mode.
-        call = operators.call if torch.compiler.is_compiling() else operators.differentiable
-        return call(*tensors[:count], tensors[count] if p is not None else None, t, handle)
+        return self._operator()(*tensors[:count], tensors[count] if p is not None else None, t, self.handle)
 
-    # One signature per function, so that arguments may be positional or named.
-    if function is STEP:
-        return lambda x, u, p=None, t=0: call(x, u, p=p, t=t)
-    if function is OBSERVE:
-        return lambda x, p=None, t=0: call(x, p=p, t=t)
-    if function is RUNNING_COST:
-        return lambda x, u, next, p=None, t=0: call(x, u, next, p=p, t=t)
-    return lambda x, p=None: call(x, p=p)
+    def _operator(self) -> Callable[..., Any]:
+        # `torch.compile` traces operators, but not functions with a rule of forward mode.
+        operators = _OPERATORS[self.function.name]
+        return operators.call if torch.compiler.is_compiling() else operators.differentiable
+
+
+class step(_Rows):
+    """``step(task)(x, u, p=None, t=0)``, the next states.
+
+    Shapes: x (..., n), u (..., m), p (..., np); result (..., n).
+    """
+
+    function = STEP
+
+    def __call__(self, x: Tensor, u: Tensor, p: Tensor | None = None, t: int = 0) -> Tensor:
+        """Returns the next states, (..., n)."""
+        return self._call(x, u, p=p, t=t)
+
+
+class observe(_Rows):
+    """``observe(task)(x, p=None, t=0)``, the observations of a policy.
+
+    Shapes: x (..., n), p (..., np); result (..., observation_dim).
+    """
+
+    function = OBSERVE
+
+    def __call__(self, x: Tensor, p: Tensor | None = None, t: int = 0) -> Tensor:
+        """Returns the observations, (..., observation_dim)."""
+        return self._call(x, p=p, t=t)
+
+
+class running_cost(_Rows):
+    """``running_cost(task)(x, u, next, p=None, t=0)``, the costs of a step.
+
+    Shapes: x and next (..., n), u (..., m), p (..., np); result (...).
+    """
+
+    function = RUNNING_COST
+
+    def __call__(self, x: Tensor, u: Tensor, next: Tensor, p: Tensor | None = None, t: int = 0) -> Tensor:
+        """Returns the costs, (...)."""
+        return self._call(x, u, next, p=p, t=t)
+
+
+class terminal_cost(_Rows):
+    """``terminal_cost(task)(x, p=None)``, the costs of last states.
+
+    Shapes: x (..., n), p (..., np); result (...).
+    """
+
+    function = TERMINAL_COST
+
+    def __call__(self, x: Tensor, p: Tensor | None = None) -> Tensor:
+        """Returns the costs, (...)."""
+        return self._call(x, p=p)
+
+
+class transition(_Rows):
+    """``transition(task)(x, u, p=None, t=0)``: next states, their observations and the costs of the step.
+
+    One call in place of those of ``step``, ``observe`` and ``running_cost``, in reverse mode only. The
+    observation is that of step t + 1, with the parameters of this step. Shapes: x (..., n), u (..., m),
+    p (..., np); results (..., n), (..., observation_dim) and (...).
+    """
+
+    function = STEP
+
+    def __call__(self, x: Tensor, u: Tensor, p: Tensor | None = None, t: int = 0) -> tuple[Tensor, Tensor, Tensor]:
+        """Returns ``(next, y, cost)``."""
+        if p is None and self.task.param_dim:
+            names = ", ".join(self.task.param_names)
+            raise ValueError(f"`transition`: {self.task.name} has {self.task.param_dim} parameters ({names}); pass `p`")
+        return self._call(x, u, p=x.new_zeros(0) if p is None else p, t=t)
+
+    def _operator(self) -> Callable[..., Any]:
+        return _TRANSITION
+
+
+class rollout(TaskFunction):
+    """A whole rollout as one function, with its derivative, in reverse mode.
+
+    - ``rollout(task)(u, starts)`` returns the states, (..., T + 1, n), for the controls u, (..., T, m), of
+      each sample.
+    - ``rollout(task, policy)(theta, starts)`` returns the states and the controls, (..., T, m), of the
+      policy with the parameters theta, (P,), instead of its own.
+
+    ``starts``, (..., start_dim), are initial states as of ``task.starts``. The derivative follows the
+    paths of ``flow``: "R", the chain rule; "M" without the observation; "N" without the state of the
+    physics; "S" without both. A number that is not finite in a rollout of a policy raises
+    ``Divergence``.
+    """
+
+    def __init__(self, task: Any, policy: Any = None, flow: str = "R") -> None:
+        super().__init__(task, policy, flow)
+        if policy is None and flow != "R":
+            raise ValueError(f"`flow` is {flow!r}, but controls without a policy have no other paths than those of R")
+        _TASKS.setdefault(self.handle, task)
+
+    def __call__(self, first: Tensor, starts: Tensor) -> Any:
+        """Returns the states, or states and controls of a policy."""
+        task = self.task
+        if self.policy is not None:
+            _check("rollout", {"theta": len(self.policy), "starts": task.start_dim}, (first, starts))
+            return _ROLLOUT(first, starts, self.handle)
+        _check("rollout", {"u": task.control_dim, "starts": task.start_dim}, (first, starts))
+        if first.dim() < 2:
+            raise ValueError(f"`rollout`: `u` has shape {tuple(first.shape)}, but its last dimensions must be steps and {task.control_dim}")
+        batch = lead("rollout", {"u": first.shape[:-1], "starts": starts.shape})
+        first, starts = first.expand(*batch, *first.shape[-2:]), starts.expand(*batch, starts.shape[-1])
+        return _STATES(first, starts, self.handle)
 
 
 def _check(name: str, dims: dict[str, int], tensors: tuple[Tensor, ...]) -> None:
@@ -99,14 +178,6 @@ def _check(name: str, dims: dict[str, int], tensors: tuple[Tensor, ...]) -> None
             raise TypeError(f"`{name}`: dtypes are {dtypes}. Use float32, or float64, for all of them")
         if tensor.dim() == 0 or tensor.shape[-1] != size:
             raise ValueError(f"`{name}`: `{label}` has shape {tuple(tensor.shape)}, but its last dimension must be {size}")
-
-
-def _handle(task: Any) -> int:
-    for handle, known in enumerate(_TASKS):
-        if known is task:
-            return handle
-    _TASKS.append(task)
-    return len(_TASKS) - 1
 
 
 class _Operators(NamedTuple):
@@ -295,3 +366,82 @@ def _operators(function: Function) -> _Operators:
 
 
 _OPERATORS = {function.name: _operators(function) for function in (STEP, OBSERVE, RUNNING_COST, TERMINAL_COST)}
+
+
+def _operation(
+    name: str, count: int, made: int, shapes_of: Callable[..., list], *, saved: int, has_step: bool = False
+) -> Callable[..., Any]:
+    """Registers the operators ``physgrad::NAME`` and ``physgrad::NAME_vjp`` of an operation in reverse mode.
+
+    Their arguments are ``count`` tensors, then the step number, if the operation has one, and the handle
+    of the task. ``shapes_of`` returns the shapes of the outputs, of which there are ``made``. The
+    derivative needs the first ``saved`` of them.
+    """
+    tensors = ", ".join(f"Tensor input_{i}" for i in range(count))
+    others = "SymInt t, int task" if has_step else "int task"
+
+    def run(operation: str, tensors: Iterable[Tensor], shapes: list, t: int, handle: int) -> tuple[Tensor, ...]:
+        arrays = [tensor.detach().contiguous().numpy() for tensor in tensors]
+        found = [np.empty(shape, arrays[0].dtype) for shape in shapes]
+        _core.operation(handle, operation, t, arrays, found)
+        return tuple(map(torch.from_numpy, found))
+
+    def unpacked(arguments: tuple) -> tuple:
+        return (*arguments[:-2], arguments[-2], arguments[-1]) if has_step else (*arguments[:-1], 0, arguments[-1])
+
+    def forward(*arguments: Any) -> tuple[Tensor, ...]:
+        *inputs, t, handle = unpacked(arguments)
+        return run(name, inputs, shapes_of(_TASKS[handle], *inputs), t, handle)
+
+    def backward(*arguments: Any) -> tuple[Tensor, ...]:
+        *inputs, t, handle = unpacked(arguments)
+        return run(f"{name}_vjp", inputs, [tensor.shape for tensor in inputs[:count]], t, handle)
+
+    bars = ", ".join(f"Tensor bar_{i}" for i in range(saved + made))
+    returned = "Tensor" if made == 1 else f"({', '.join(['Tensor'] * made)})"
+    first = forward if made > 1 else lambda *arguments: forward(*arguments)[0]
+    operator = partial(torch.library.custom_op, mutates_args=())
+    call = operator(f"physgrad::{name}", first, schema=f"({tensors}, {others}) -> {returned}")
+    vjp = operator(
+        f"physgrad::{name}_vjp", backward, schema=f"({tensors}, {bars}, {others}) -> ({', '.join(['Tensor'] * count)})"
+    )
+
+    def like(*arguments: Any) -> Any:
+        *inputs, _, handle = unpacked(arguments)
+        found = tuple(inputs[0].new_empty(shape) for shape in shapes_of(_TASKS[handle], *inputs))
+        return found if made > 1 else found[0]
+
+    call.register_fake(like)
+    vjp.register_fake(lambda *arguments: tuple(tensor.new_empty(tensor.shape) for tensor in arguments[:count]))
+
+    def save(ctx: Any, inputs: tuple, output: Any) -> None:
+        found = output if made > 1 else (output,)
+        ctx.save_for_backward(*inputs[:count], *found[:saved])
+        ctx.others, ctx.shapes = inputs[count:], [tensor.shape for tensor in found]
+
+    def differentiate(ctx: Any, *bars: Tensor) -> tuple:
+        like = ctx.saved_tensors[0]
+        bars = [like.new_zeros(shape) if bar is None else bar for bar, shape in zip(bars, ctx.shapes)]
+        return (*vjp(*ctx.saved_tensors, *bars, *ctx.others), *[None] * len(ctx.others))
+
+    call.register_autograd(differentiate, setup_context=save)
+    return call
+
+
+def _of_transition(task: Any, x: Tensor, *others: Tensor) -> list:
+    batch = x.shape[:-1]
+    return [(*batch, task.state_dim), (*batch, task.observation_dim), batch]
+
+
+def _of_states(task: Any, u: Tensor, starts: Tensor) -> list:
+    return [(*starts.shape[:-1], u.shape[-2] + 1, task.state_dim)]
+
+
+def _of_rollout(task: Any, theta: Tensor, starts: Tensor) -> list:
+    batch, steps = starts.shape[:-1], task.horizon
+    return [(*batch, steps + 1, task.state_dim), (*batch, steps, task.control_dim)]
+
+
+_TRANSITION = _operation("transition", 3, 3, _of_transition, saved=1, has_step=True)
+_STATES = _operation("states", 2, 1, _of_states, saved=1)
+_ROLLOUT = _operation("rollout", 2, 2, _of_rollout, saved=0)

@@ -9,6 +9,7 @@ mod errors;
 mod identify;
 mod interrupt;
 mod lists;
+mod operations;
 mod optimize;
 mod policy;
 mod rows;
@@ -17,6 +18,7 @@ mod settings;
 mod task;
 mod threads;
 mod timing;
+mod xla;
 
 use physgrad::engine::kernels;
 use pyo3::exceptions::PyImportError;
@@ -38,7 +40,10 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(policy::rollout, module)?)?;
     module.add_function(wrap_pyfunction!(policy::losses, module)?)?;
     module.add_function(wrap_pyfunction!(policy::gradients, module)?)?;
-
+    module.add_function(wrap_pyfunction!(operations::handle, module)?)?;
+    module.add_function(wrap_pyfunction!(operations::operation, module)?)?;
+    module.add_function(wrap_pyfunction!(operations::operation_names, module)?)?;
+    module.add("xla_handler", xla::address())?;
     module.add_function(wrap_pyfunction!(timing::step_seconds, module)?)?;
     Ok(())
 }

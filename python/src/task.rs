@@ -5,6 +5,7 @@ use crate::errors::{check_regular, fits, invalid, value_error};
 use crate::interrupt::in_parts;
 use crate::rows::Rows;
 use crate::settings::{keywords, table_to_python};
+use anyhow::{Context as _, bail};
 use physgrad::engine::rows;
 use physgrad::number::NoiseNumbers;
 use physgrad::rng::Purpose;
@@ -53,23 +54,38 @@ impl Task {
     /// Refuses initial states with parameters outside of the ranges of their settings, such as a mass
     /// of 0.
     pub fn check_starts<F: Number>(&self, starts: &[F]) -> PyResult<()> {
-        self.check_params(starts, self.width, self.n)?;
+        self.checked_starts(starts).map_err(value_error)
+    }
+
+    /// [`check_starts`](Self::check_starts) without the GIL.
+    pub fn checked_starts<F: Number>(&self, starts: &[F]) -> anyhow::Result<()> {
+        self.checked_params(starts, self.width, self.n)?;
         if self.noise.is_empty() {
             return Ok(());
         }
         let keys = starts.chunks(self.width).map(|start| start[self.width - 1].to_f64());
         let is_key = |key: f64| (0.0..16_777_216.0).contains(&key) && key.fract() == 0.0;
         match keys.enumerate().find(|(_, key)| !is_key(*key)) {
-            Some((row, key)) => Err(invalid(format!(
+            Some((row, key)) => bail!(
                 "row {row} ends with {key}; expected the key of its noise, a whole number below 2^24, as in `task.starts`"
-            ))),
+            ),
             None => Ok(()),
         }
     }
 
+    /// Refuses rows of parameters outside of their ranges.
+    pub fn checked_rows<F: Number>(&self, p: &[F]) -> anyhow::Result<()> {
+        self.checked_params(p, self.params, 0)
+    }
+
     /// Refuses parameters outside of their ranges. They begin at the index `first` of each row, of
     /// this width.
-    fn check_params<F: Number>(&self, rows: &[F], width: usize, first: usize) -> PyResult<()> {
+    fn checked_params<F: Number>(
+        &self,
+        rows: &[F],
+        width: usize,
+        first: usize,
+    ) -> anyhow::Result<()> {
         if self.params == 0 {
             return Ok(());
         }
@@ -84,18 +100,23 @@ impl Task {
             };
             if ranges.iter().any(is_bad) {
                 let p: Vec<f64> = p.iter().map(|p| p.to_f64()).collect();
-                let named = |error: anyhow::Error| value_error(error.context(format!("row {row}")));
-                self.scene.check_params(&p).map_err(named)?;
+                self.scene.check_params(&p).with_context(|| format!("row {row}"))?;
             }
         }
         Ok(())
+    }
+
+    /// The task of the library.
+    pub fn dyn_task(&self) -> &DynTask {
+        &self.task
     }
 
     fn identity(&self) -> (String, Option<&[u8]>) {
         (self.scene.text(), self.scene.initial_policy())
     }
 
-    fn observed(&self) -> usize {
+    /// Number of components that a policy observes.
+    pub fn observed(&self) -> usize {
         self.task.observation_dim().unwrap_or(self.n)
     }
 
@@ -113,7 +134,7 @@ impl Task {
         let p = match p {
             Some(p) => {
                 let p = Argument::<F>::matrix("p", p, count, self.params)?;
-                self.check_params(p.slice(), self.params, 0)?;
+                self.checked_rows(p.slice()).map_err(value_error)?;
                 p
             }
             None if self.params == 0 => {
@@ -560,6 +581,62 @@ impl Task {
             let cost_bar = cost_bar.per_row();
             given.matrices(py, [self.n, self.params], |Inputs { x, p, .. }, rows, bars| {
                 rows::terminal_cost_vjp(&self.task, x, p, cost_bar.of(rows), bars);
+            })
+        })
+    }
+
+    /// Next states, their observations and the running costs, of states `x`, (B, n), and controls
+    /// `u`, (B, m): `step`, `observe` and `running_cost` in one call.
+    ///
+    /// Returns `(next, y, cost)`, of shapes (B, n), (B, observation_dim) and (B,). The observation
+    /// is that of step t + 1, with the parameters `p` of this step.
+    #[pyo3(signature = (x, u, p=None, t=0))]
+    fn transition<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        u: &Bound<'py, PyAny>,
+        p: Option<&Bound<'py, PyAny>>,
+        t: usize,
+    ) -> PyResult<Bound<'py, PyTuple>> {
+        with_precision!(is_f32([x, u].into_iter().chain(p)), F => {
+            let given = self.rows::<F>(py, x, Some(u), p, t)?;
+            let found = given.matrices(py, [self.n, self.observed(), 1], |inputs, _, outputs| {
+                rows::transition(&self.task, inputs, outputs);
+            })?;
+            let cost = found.get_item(2)?.call_method1("reshape", (given.count,))?;
+            PyTuple::new(py, [found.get_item(0)?, found.get_item(1)?, cost])
+        })
+    }
+
+    /// The products of `next_bar`, (B, n), `y_bar`, (B, observation_dim), and `cost_bar`, (B,), with
+    /// the transposed Jacobian of `transition`. `next` are its next states.
+    ///
+    /// Returns `(x_bar, u_bar, p_bar)`, of the shapes of x, u and p.
+    #[pyo3(signature = (x, u, next, next_bar, y_bar, cost_bar, p=None, t=0))]
+    fn transition_vjp<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        u: &Bound<'py, PyAny>,
+        next: &Bound<'py, PyAny>,
+        next_bar: &Bound<'py, PyAny>,
+        y_bar: &Bound<'py, PyAny>,
+        cost_bar: &Bound<'py, PyAny>,
+        p: Option<&Bound<'py, PyAny>>,
+        t: usize,
+    ) -> PyResult<Bound<'py, PyTuple>> {
+        with_precision!(is_f32([x, u, next, next_bar, y_bar, cost_bar].into_iter().chain(p)), F => {
+            let given = self.rows::<F>(py, x, Some(u), p, t)?;
+            let next = Argument::<F>::matrix("next", next, given.count, self.n)?;
+            let next_bar = Argument::<F>::matrix("next_bar", next_bar, given.count, self.n)?;
+            let y_bar = Argument::<F>::matrix("y_bar", y_bar, given.count, self.observed())?;
+            let cost_bar = Argument::<F>::vector("cost_bar", cost_bar, given.count)?;
+            let next = next.per_row();
+            let outputs = [next_bar.per_row(), y_bar.per_row(), cost_bar.per_row()];
+            given.matrices(py, [self.n, self.m, self.params], |inputs, rows, bars| {
+                let outputs = outputs.map(|bar| bar.of(rows));
+                rows::transition_vjp(&self.task, inputs, next.of(rows), outputs, bars);
             })
         })
     }

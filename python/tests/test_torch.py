@@ -127,7 +127,7 @@ def test_operators_follow_the_rules_of_torch():
     for scene in ("params", "terminal"):
         of = task(scene)
         x, u, p = batch(of)
-        p, handle = p if of.param_dim else None, pg.torch._handle(of)
+        p, handle = p if of.param_dim else None, pg.torch.step(of).handle
         torch.library.opcheck(torch.ops.physgrad.step.default, (x, u, p, 1, handle))
         torch.library.opcheck(torch.ops.physgrad.terminal_cost.default, (x, p, 0, handle))
         one = (x[0], None if p is None else p[0], 0, handle)

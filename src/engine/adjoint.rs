@@ -20,6 +20,7 @@
 //! numbers.
 
 mod exponents;
+mod given;
 mod measure;
 mod policy;
 mod recursion;
@@ -36,6 +37,7 @@ use crate::engine::rollout::Rollout;
 use crate::numbers::scalar::Float;
 use crate::policy::AnyPolicy;
 use crate::policy::{PolicyPass, Weights};
+use given::Given;
 use policy::{PolicyAdjoint, PolicyBufferSizes, nested_bytes};
 use recursion::Recursion;
 use std::ops::Range;
@@ -197,6 +199,38 @@ impl<F: Float> Adjoint<F> {
             }
         }
         self
+    }
+
+    /// Makes later runs differentiate `Σ states_bar · states + Σ controls_bar · controls` in place of
+    /// the costs, so that any function of a trajectory has a gradient.
+    ///
+    /// The layout is `[sample][step][component]`, with T + 1 states and T controls for each sample
+    /// of a rollout. The next run must have as many samples.
+    ///
+    /// # Panics
+    /// If the lengths are not those of a number of samples between 1 and the capacity.
+    #[track_caller]
+    pub fn give(&mut self, states_bar: &[F], controls_bar: &[F]) {
+        let horizon = self.horizon;
+        let [n, m] = match &self.carried {
+            Carried::One(_, recursion) => recursion.dims(),
+            Carried::Two(_, recursion) => recursion.dims(),
+        };
+        let samples = states_bar.len() / ((horizon + 1) * n);
+        assert!(
+            (1..=self.samples).contains(&samples)
+                && states_bar.len() == samples * (horizon + 1) * n
+                && controls_bar.len() == samples * horizon * m,
+            "{} and {} cotangents are not those of {horizon} steps of up to {} samples with {n} states and {m} controls",
+            states_bar.len(),
+            controls_bar.len(),
+            self.samples
+        );
+        let given = Given::new(states_bar, controls_bar, samples, horizon);
+        match &mut self.carried {
+            Carried::One(_, recursion) => recursion.given = Some(given),
+            Carried::Two(_, recursion) => recursion.given = Some(given),
+        }
     }
 
     /// Gradient of the cost of `sample` with respect to its initial state and parameters p, along

@@ -9,7 +9,8 @@
 //! - [`Schedule`], [`Checkpointed`]: recomputation of steps from checkpoints.
 //! - [`Batch`], [`Evaluation`]: mini-batches and data sets, split over threads and [`ranks`].
 //! - `gradient.rs`, [`Growth`], `divergence.rs`: results and errors of the passes.
-//! - [`rows`]: steps and costs of many samples as arrays, outside of rollouts.
+//! - [`rows`]: steps and costs of many samples as arrays, outside of rollouts. [`open_loop`]:
+//!   rollouts with given controls.
 //! - [`any`]: object-safe tasks and systems.
 //!
 //! Imports `numbers`, `dynamics` and `policy`, but no concrete task.
@@ -25,6 +26,7 @@ pub(crate) mod gradient;
 pub(crate) mod growth;
 pub(crate) mod initial_states;
 pub(crate) mod observe;
+pub mod open_loop;
 pub(crate) mod parallel;
 pub(crate) mod pass;
 pub mod ranks;

@@ -234,6 +234,100 @@ pub fn terminal_cost_vjp<F: Float, T: Task>(
     });
 }
 
+/// Writes the next states, their observations, and the running costs of the steps: [`step`],
+/// [`observe`] and [`running_cost`] in one call. The observation is that of step t + 1, with the
+/// parameters `p` of this step.
+#[inline(never)]
+pub fn transition<F: Float, T: Task>(
+    task: &T,
+    inputs: Inputs<'_, F>,
+    [next, y, cost]: [&mut [F]; 3],
+) {
+    let rows = rows(task, &inputs);
+    check_transition(task, rows, [&*next, y, cost]);
+    for_blocks(
+        rows,
+        [inputs.x, inputs.u, inputs.p],
+        [next, y, cost],
+        |[x, u, p], [next, y, cost]| {
+            let inputs = Inputs { x, u, p, t: inputs.t };
+            task.system().step(inputs, next);
+            cost[0] = task.running_cost(inputs, next);
+            match task.observation_dim() {
+                None => y.copy_from_slice(next),
+                Some(_) => task.observe(Inputs { x: next, u: &[], p, t: inputs.t + 1 }, y),
+            }
+        },
+    );
+}
+
+/// Writes the products of the cotangents of [`transition`], those of the next states, the
+/// observations and the costs, with its transposed Jacobian: cotangents of `[x, u, p]`. `next` are
+/// the next states of these inputs.
+#[inline(never)]
+pub fn transition_vjp<F: Float, T: Task>(
+    task: &T,
+    inputs: Inputs<'_, F>,
+    next: &[F],
+    [next_bar, y_bar, cost_bar]: [&[F]; 3],
+    cotangents: [&mut [F]; 3],
+) {
+    let rows = rows(task, &inputs);
+    check("next", next, rows, task.system().state_dim());
+    check_transition(task, rows, [next_bar, y_bar, cost_bar]);
+    check_cotangents(task, rows, &cotangents);
+    for_blocks(
+        rows,
+        [inputs.x, inputs.u, inputs.p, next, next_bar, y_bar, cost_bar],
+        cotangents,
+        |[x, u, p, next, next_bar, y_bar, cost_bar], mut bars| {
+            let inputs = Inputs { x, u, p, t: inputs.t };
+            let mut by_cost: SmallVec<[Lane<F>; 32]> = SmallVec::new();
+            by_cost.resize(next.len(), Lane::zero());
+            let [x_bar, u_bar, p_bar] = bars.each_mut().map(|bar| requested(bar));
+            let cotangents = Cotangents { x: x_bar, u: u_bar, p: p_bar };
+            task.running_cost_gradient(inputs, next, cotangents, &mut by_cost);
+            bars.iter_mut().for_each(|bar| scale(bar, cost_bar[0]));
+            scale(&mut by_cost, cost_bar[0]);
+            by_cost.iter_mut().zip(next_bar).for_each(|(sum, &bar)| *sum += bar);
+            let mut next_bar = pack(&by_cost);
+            let mut packs = bars.each_ref().map(|bar| pack(bar));
+            let [x_bar, u_bar, p_bar] = packs.each_mut().map(|pack| requested(pack));
+            let seen = Inputs { x: next, u: &[], p, t: inputs.t + 1 };
+            let p_bar = add_observed(task, seen, y_bar, &mut next_bar, p_bar);
+            let cotangents = Cotangents { x: x_bar, u: u_bar, p: p_bar };
+            task.system().vjp(inputs, &next_bar, cotangents);
+            for (bar, pack) in bars.into_iter().zip(&packs) {
+                unpack(pack, bar);
+            }
+        },
+    );
+}
+
+/// Adds the products of `y_bar` with the transposed Jacobians of the observation. Returns `p_bar`.
+fn add_observed<'a, F: Float>(
+    task: &impl Task,
+    inputs: Inputs<'_, Lane<F>>,
+    y_bar: &[Lane<F>],
+    x_bar: &mut [One<Lane<F>>],
+    mut p_bar: Option<&'a mut [One<Lane<F>>]>,
+) -> Option<&'a mut [One<Lane<F>>]> {
+    if task.observation_dim().is_some() {
+        let cotangents = Cotangents { x: Some(x_bar), u: None, p: p_bar.as_deref_mut() };
+        task.observe_vjp(inputs, &pack(y_bar), cotangents);
+    } else {
+        zip(x_bar.iter_mut(), y_bar).for_each(|(sum, &bar)| sum.0[0] += bar);
+    }
+    p_bar
+}
+
+#[track_caller]
+fn check_transition<F>(task: &impl Task, rows: usize, [next, y, cost]: [impl AsRef<[F]>; 3]) {
+    check("the array of next states", next.as_ref(), rows, task.system().state_dim());
+    check("the array of observations", y.as_ref(), rows, observed_dim(task));
+    check("the array of costs", cost.as_ref(), rows, 1);
+}
+
 /// Number of rows of the inputs.
 #[track_caller]
 fn rows<F>(task: &impl Task, inputs: &Inputs<'_, F>) -> usize {

@@ -216,6 +216,78 @@ pub fn gradients_until<F: Float>(
     Ok(Some(fields.iter().map(|field| vector(field, &flows, &sums)).collect()))
 }
 
+/// The products of the transposed Jacobian of [`rollout`] with the cotangents `bars` of its states
+/// and controls: cotangents of the parameters θ, and of `starts`. The derivative follows `flow`: for
+/// the chain rule it is [`Flow::REGULAR`]. Keys of noise have the cotangent 0.
+///
+/// ```
+/// use physgrad::{Flow, Weights, initial_states, policy::Mlp, rng, tasks::CartPole};
+/// use physgrad::train::calls::{rollout, rollout_vjp};
+///
+/// // The gradient of the mean position of the cart at the end.
+/// let (task, policy) = (CartPole::new(1), Mlp::new([4, 16, 1]));
+/// let weights = Weights::<f64>::init(&policy, &mut rng::stream(0, rng::Purpose::Policy, 0));
+/// let starts = initial_states(&task, 0, rng::Purpose::Train, 8);
+/// let mut bars = rollout(&task, &policy, &weights, &starts)?;
+/// bars.states.fill(0.0);
+/// bars.controls.fill(0.0);
+/// let steps = bars.states.len() / (8 * 4);
+/// bars.states.chunks_mut(steps * 4).for_each(|sample| sample[(steps - 1) * 4] = 1.0 / 8.0);
+/// let (theta_bar, starts_bar) = rollout_vjp(&task, &policy, &weights, &starts, &bars, Flow::REGULAR)?;
+/// assert_eq!([theta_bar.len(), starts_bar.len()], [weights.theta().len(), starts.len()]);
+/// # Ok::<(), physgrad::Divergence>(())
+/// ```
+///
+/// # Errors
+/// The first [`Divergence`].
+///
+/// # Panics
+/// If `starts` is not a whole number of initial states, `bars` are not those of its rollouts, or
+/// `weights` are those of a policy with other sizes.
+#[inline(never)]
+pub fn rollout_vjp<F: Float>(
+    task: &dyn AnyTask<F>,
+    policy: &dyn AnyPolicy<F>,
+    weights: &Weights<F>,
+    starts: &[F],
+    bars: &Trajectories<F>,
+    flow: Flow,
+) -> Result<(Vec<F>, Vec<F>), Divergence> {
+    weights.assert_fits(policy);
+    let (width, horizon) = (task.start_dim(), task.horizon());
+    let (n, m) = ((horizon + 1) * task.state_dim(), horizon * task.control_dim());
+    let trained: Vec<usize> =
+        policy.trained_params().iter().map(|param| task.state_dim() + param.index()).collect();
+    let zeros = || Gradient::<F>::zeros(weights.theta().len());
+    let (mut theta_bar, mut one, mut starts_bar) = (zeros(), zeros(), Vec::new());
+    for (block, starts) in starts.chunks(BLOCK * width).enumerate() {
+        let (first, count) = (block * BLOCK, starts.len() / width);
+        let offset = |divergence: Divergence| divergence.offset(first);
+        let mut rollout = Rollout::new(task, policy, count);
+        rollout.start(starts);
+        rollout.run(task, policy, weights).map_err(offset)?;
+        let mut adjoint = Adjoint::new(task, policy, &rollout, &[flow]).keep_start_gradients();
+        adjoint
+            .give(&bars.states[first * n..][..count * n], &bars.controls[first * m..][..count * m]);
+        adjoint.run(task, policy, weights, &rollout, F::one()).map_err(offset)?;
+        adjoint.param_gradient(0, policy, weights, &rollout, 0..count, &mut one);
+        theta_bar.add(&one);
+        for sample in 0..count {
+            let end = starts_bar.len() + width;
+            starts_bar.extend(adjoint.start_gradient(0, sample).to_vec());
+            // The policy replaces numbers that it trains.
+            trained.iter().for_each(|i| starts_bar[end - width + i] = F::zero());
+            starts_bar.resize(end, F::zero());
+        }
+    }
+    theta_bar.normalize();
+    let theta_bar = theta_bar.to_vec();
+    match theta_bar.iter().position(|value| !value.as_().is_finite()) {
+        Some(parameter) => Err(Divergence::Gradient { flow, parameter }),
+        None => Ok((theta_bar, starts_bar)),
+    }
+}
+
 /// Flows of all fields, each once, in the order of their first field.
 fn distinct_flows(fields: &[Field]) -> Vec<Flow> {
     let mut flows: Vec<Flow> = Vec::new();

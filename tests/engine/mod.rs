@@ -16,3 +16,4 @@ mod schedule;
 mod sensor;
 mod smoothing;
 mod training;
+mod trajectories;

@@ -30,7 +30,7 @@ fn texts(pairs: &[(&'static str, &str)]) -> std::collections::BTreeMap<String, S
 
 /// A pendulum with noise of the torque, of the motor, of two sensors, and in the costs, beside
 /// numbers that are drawn, and noise that is held.
-fn pendulum() -> GraphTask {
+pub(super) fn pendulum() -> GraphTask {
     let equations = Equations {
         states: vec!["angle".into(), "rate".into()],
         controls: vec!["torque".into()],

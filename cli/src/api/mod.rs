@@ -24,7 +24,7 @@ pub use crate::settings::Precision;
 pub use memory::{TooLarge, fits};
 pub use physgrad::engine::threads;
 pub use physgrad::train::Trajectories;
-pub use policy::Policy;
+pub use policy::{ClosedLoop, Policy};
 pub use run::Run;
 pub use scene::{Change, Scene};
 

@@ -7,7 +7,7 @@ use anyhow::{Context, Result, anyhow, bail};
 use physgrad::engine::any::AnyTask;
 use physgrad::policy::AnyPolicy;
 use physgrad::train::{Trajectories, calls};
-use physgrad::{DynTask, Field, Float, Rollout, Weights};
+use physgrad::{DynTask, Field, Float, Flow, Rollout, Weights};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Largest number of samples in one rollout.
@@ -203,6 +203,15 @@ impl Policy {
         Ok((dyn_task, policy))
     }
 
+    /// The policy in the task of a scene, without its parameters.
+    ///
+    /// # Errors
+    /// The policy does not fit the task.
+    pub fn closed(&self, task: &Scene) -> Result<ClosedLoop> {
+        let (task, policy) = self.check(task)?;
+        Ok(ClosedLoop { task, policy })
+    }
+
     /// Rollouts from `starts`, see [`Scene::append_starts`]. Reads `stop` before each block of
     /// samples.
     ///
@@ -284,6 +293,51 @@ impl Policy {
         let weights = Weights::new(policy, self.rounded());
         calls::gradients_until(any, policy, &weights, starts, chosen, &|| is_set(stop))?
             .ok_or_else(interrupted)
+    }
+}
+
+/// A task and a policy that acts in it, without its parameters. See [`Policy::closed`].
+pub struct ClosedLoop {
+    task: DynTask,
+    policy: ScenePolicy,
+}
+
+impl ClosedLoop {
+    /// Number of parameters θ.
+    pub fn param_count(&self) -> usize {
+        AnyPolicy::<f64>::param_count(&self.policy)
+    }
+
+    /// Rollouts with the parameters θ from `starts`.
+    ///
+    /// # Errors
+    /// A [`Divergence`](physgrad::Divergence).
+    ///
+    /// # Panics
+    /// If `theta` has another number of parameters, or `starts` is not a whole number of initial
+    /// states.
+    pub fn rollout<F: Float>(&self, theta: Vec<F>, starts: &[F]) -> Result<Trajectories<F>> {
+        let weights = Weights::new(&self.policy as &dyn AnyPolicy<F>, theta);
+        Ok(calls::rollout(&self.task, &self.policy, &weights, starts)?)
+    }
+
+    /// The cotangents of θ and `starts`, for those of the states and controls. See
+    /// [`calls::rollout_vjp`].
+    ///
+    /// # Errors
+    /// A [`Divergence`](physgrad::Divergence).
+    ///
+    /// # Panics
+    /// As [`rollout`](Self::rollout), or if `bars` are not those of its rollouts.
+    pub fn rollout_vjp<F: Float>(
+        &self,
+        theta: Vec<F>,
+        starts: &[F],
+        bars: &Trajectories<F>,
+        flow: Flow,
+    ) -> Result<(Vec<F>, Vec<F>)> {
+        let weights = Weights::new(&self.policy as &dyn AnyPolicy<F>, theta);
+        Ok(calls::rollout_vjp(&self.task, &self.policy, &weights, starts, bars, flow)?)
     }
 }
 

@@ -11,6 +11,7 @@
 //! parameters p. `measure` records norms and growth.
 
 use super::exponents::Exponents;
+use super::given::Given;
 use super::measure::{GrowthMeters, record_norms};
 use super::policy::PolicyAdjoint;
 use super::restart::Place;
@@ -43,8 +44,10 @@ pub(super) struct Step<'a, R, const K: usize> {
     pub(super) p_bar: Option<&'a mut [CotangentPack<R, K>]>,
     /// μ, the cotangent of the memory after the step.
     pub(super) memory_bar: &'a [CotangentPack<R, K>],
-    /// Gradients of the running cost, written.
+    /// Gradients of the running cost, written unless given.
     pub(super) cost: &'a mut CostGradient<R>,
+    /// True if `cost` is given.
+    pub(super) is_given: bool,
     /// Factor of the cost gradients; see [`Exponents`].
     pub(super) inject: CotangentPack<R, K>,
 }
@@ -117,12 +120,15 @@ pub(super) fn reverse_step<T: Task, R: Real, const K: usize>(
     flows: [Flow; K],
     step: Step<'_, R, K>,
 ) -> CotangentPack<R, K> {
-    let Step { inputs, next, lambda, x_bar, u_bar, mut p_bar, memory_bar, cost, inject } = step;
+    let Step { inputs, next, lambda, x_bar, u_bar, mut p_bar, memory_bar, cost, is_given, inject } =
+        step;
     let mut size = CotangentPack([R::zero(); K]);
 
-    cost.clear();
-    let (cotangents, next_bar) = cost.requests();
-    task.running_cost_gradient(inputs, next, cotangents, next_bar);
+    if !is_given {
+        cost.clear();
+        let (cotangents, next_bar) = cost.requests();
+        task.running_cost_gradient(inputs, next, cotangents, next_bar);
+    }
     for (lambda, &cost) in zip(lambda.iter_mut(), &cost.next) {
         *lambda += inject * cost;
     }
@@ -176,6 +182,8 @@ pub struct Recursion<F: Float, const K: usize> {
     growth: GrowthMeters<K>,
     /// Gradients with respect to initial states and parameters, if recorded.
     pub(super) starts: Option<StartGradients<F, K>>,
+    /// Cotangents in place of those of the costs.
+    pub(super) given: Option<Given<F>>,
 }
 
 impl<F: Float, const K: usize> Recursion<F, K> {
@@ -191,7 +199,13 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             exponents: Exponents::new(blocks),
             growth: GrowthMeters::new(rollout.capacity()),
             starts: None,
+            given: None,
         }
+    }
+
+    /// Numbers of components of state and control.
+    pub(super) fn dims(&self) -> [usize; 2] {
+        [self.cost.x.len(), self.cost.u.len()]
     }
 
     /// Records the gradients with respect to initial states and parameters of up to `samples`
@@ -239,12 +253,14 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         for (block, x) in rollout.states_at(rollout.horizon).chunks_exact(n).enumerate() {
             self.cost.clear();
             let p_bar = (!self.cost.p.is_empty()).then_some(&mut self.cost.p[..]);
-            closed.task.terminal_cost_gradient(
-                x,
-                rollout.params_at(rollout.horizon - 1, block),
-                &mut self.cost.next,
-                p_bar,
-            );
+            if self.given.is_none() {
+                closed.task.terminal_cost_gradient(
+                    x,
+                    rollout.params_at(rollout.horizon - 1, block),
+                    &mut self.cost.next,
+                    p_bar,
+                );
+            }
             if let Some(starts) = &mut self.starts {
                 starts.set_cost(block, &self.cost.p);
             }
@@ -310,6 +326,9 @@ impl<F: Float, const K: usize> Recursion<F, K> {
 
     /// Evaluates the gradients of the running cost of one step and block.
     pub(super) fn evaluate_cost(&mut self, pass: &Pass<'_, F>, t: usize, block: usize) {
+        if let Some(given) = &self.given {
+            return given.write(t, block, &mut self.cost);
+        }
         let (rollout, n) = (pass.rollout, pass.rollout.state_dim);
         self.cost.clear();
         let (cotangents, next_bar) = self.cost.requests();

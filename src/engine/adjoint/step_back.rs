@@ -56,6 +56,9 @@ impl<T: Task, F: Float, const K: usize> Vectorized for Back<'_, T, F, K> {
         for block in 0..next.len() / n {
             let of_state = block * n..(block + 1) * n;
             let (u_bar, memory_bar) = r.u_bar[block * outputs..][..outputs].split_at_mut(m);
+            if let Some(given) = &r.given {
+                given.write(t, block, &mut r.cost);
+            }
             let step = Step {
                 inputs: rollout.inputs_of(t, block),
                 next: &next[of_state.clone()],
@@ -65,6 +68,7 @@ impl<T: Task, F: Float, const K: usize> Vectorized for Back<'_, T, F, K> {
                 p_bar: r.starts.as_mut().map(|starts| starts.of_block(block)),
                 memory_bar,
                 cost: &mut r.cost,
+                is_given: r.given.is_some(),
                 inject: r.exponents.blocks[block].inject,
             };
             let size = reverse_step(task, flows, step);
