@@ -90,8 +90,27 @@ class Task:
     def terminal_cost_vjp(
         self, x: ArrayLike, cost_bar: ArrayLike, p: ArrayLike | None = None
     ) -> tuple[Array, Array]: ...
+    def transition(
+        self, x: ArrayLike, u: ArrayLike, p: ArrayLike | None = None, t: int = 0
+    ) -> tuple[Array, Array, Array]: ...
+    def transition_vjp(
+        self,
+        x: ArrayLike,
+        u: ArrayLike,
+        next: ArrayLike,
+        next_bar: ArrayLike,
+        y_bar: ArrayLike,
+        cost_bar: ArrayLike,
+        p: ArrayLike | None = None,
+        t: int = 0,
+    ) -> tuple[Array, Array, Array]: ...
 
 def task_names() -> list[str]: ...
+def operation_names() -> list[str]: ...
+def handle(task: Task, policy: Policy | None = None, flow: str = "R") -> int: ...
+def operation(handle: int, name: str, t: int, inputs: list[Array], outputs: list[Array]) -> None: ...
+
+xla_handler: int
 
 class Policy:
     theta: NDArray[np.float64]

@@ -130,20 +130,20 @@ pub fn operation_names() -> Vec<&'static str> {
 /// Runs the operation of this name on arrays of one dtype. Writes to the arrays `outputs`. `t` is the
 /// step number of all rows.
 #[pyfunction]
-pub fn operation(
-    py: Python<'_>,
+pub fn operation<'py>(
+    py: Python<'py>,
     handle: usize,
     name: &str,
     t: i64,
-    inputs: Vec<Bound<'_, PyAny>>,
-    outputs: Vec<Bound<'_, PyAny>>,
+    inputs: Vec<Bound<'py, PyAny>>,
+    outputs: Vec<Bound<'py, PyAny>>,
 ) -> PyResult<()> {
     let operation = Operation::ALL.iter().find(|(_, known)| *known == name);
     let (Some((operation, _)), Some(called)) = (operation, called(handle)) else {
         return Err(invalid(format!("`{name}` of {handle} is no operation of this process")));
     };
     with_precision!(is_f32(&inputs), F => {
-        let read = |array: &Bound<'_, PyAny>| Argument::<F>::read("an input", array, &|_| Ok(()));
+        let read = |array: &Bound<'py, PyAny>| Argument::<F>::read("an input", array, &|_| Ok(()));
         let inputs = inputs.iter().map(read).collect::<PyResult<Vec<_>>>()?;
         let mut outputs = outputs
             .iter()
@@ -151,7 +151,7 @@ pub fn operation(
             .collect::<PyResult<Vec<_>>>()?;
         let inputs: Vec<Array<'_, F>> = inputs
             .iter()
-            .map(|input| Array { dims: input.shape().to_vec(), numbers: input.slice() })
+            .map(|input: &Argument<'_, F>| Array { dims: input.shape().to_vec(), numbers: input.slice() })
             .collect();
         let mut outputs = outputs
             .iter_mut()

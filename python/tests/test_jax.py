@@ -53,7 +53,7 @@ def calls(f, *arrays):
     def visit(jaxpr):
         for equation in jaxpr.eqns:
             if equation.primitive.name == "ffi_call":
-                found.append((int(equation.params["attributes"]["operation"]), equation.outvars[0].aval.shape))
+                found.append((int(dict(equation.params["attributes"])["operation"]), equation.outvars[0].aval.shape))
             for value in equation.params.values():
                 for inner in value if isinstance(value, (tuple, list)) else (value,):
                     if hasattr(inner, "jaxpr"):

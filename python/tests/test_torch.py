@@ -261,7 +261,7 @@ def test_compiled_functions_refuse_forward_mode():
     x, u, _ = (tensor.detach() for tensor in batch(of))
     step = pg.torch.step(of)
     compiled = torch.compile(lambda u: torch.func.jvp(lambda u: step(x, u), (u,), (u,))[1], backend="eager")
-    with pytest.raises(Exception, match="does not support forward mode"):
+    with pytest.raises(Exception, match="not support forward mode"):
         compiled(u)
 
 
