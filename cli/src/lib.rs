@@ -177,6 +177,15 @@ impl Program {
         self
     }
 
+    /// Adds the tasks, effects and policies of the user to those that [`api`] knows in this process,
+    /// without running a command.
+    ///
+    /// # Errors
+    /// Two have equal names, or this process has registered others.
+    pub fn register(self) -> Result<()> {
+        tasks::register(self.own, self.effects, self.policies)
+    }
+
     /// Runs the command of the process arguments and returns its exit status. Invalid arguments,
     /// `--help` and `--version` end the process immediately.
     pub fn main(self) -> ExitCode {

@@ -1,4 +1,4 @@
-//! Python bindings of physgrad: the module `physgrad._core`.
+//! Python bindings of physgrad: the module `physgrad._core`, also with tasks of a user.
 //!
 //! Classes and functions convert arguments and call `physgrad_cli::api`, `physgrad::engine::rows`,
 //! `physgrad::optimize` and `physgrad::identify`. `physgrad/__init__.py` names the public ones.
@@ -21,11 +21,53 @@ mod timing;
 mod xla;
 
 use physgrad::engine::kernels;
+use physgrad_cli::Program;
 use pyo3::exceptions::PyImportError;
 use pyo3::prelude::*;
 
+#[doc(hidden)]
+pub use pyo3;
+
+/// Defines the module `physgrad._core` with the tasks, effects and policies of a program:
+///
+/// ```ignore
+/// physgrad_python::module!(physgrad_cli::program().task::<Slide>());
+/// ```
+///
+/// `physgrad new --python NAME` writes a crate that builds a wheel of the package `physgrad` with this
+/// module.
+#[macro_export]
+macro_rules! module {
+    ($program:expr) => {
+        #[$crate::pyo3::pymodule(crate = "::physgrad_python::pyo3")]
+        fn _core(
+            module: &$crate::pyo3::Bound<'_, $crate::pyo3::types::PyModule>,
+        ) -> $crate::pyo3::PyResult<()> {
+            $crate::register($program)?;
+            $crate::add_to(module)
+        }
+    };
+}
+
+#[cfg(feature = "module")]
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    add_to(module)
+}
+
+/// Adds the tasks, effects and policies of a program to the built-in ones. Part of [`module!`].
+///
+/// # Errors
+/// `ImportError`: two have equal names, or this process has registered others.
+pub fn register(program: Program) -> PyResult<()> {
+    program.register().map_err(|error| PyImportError::new_err(error.to_string()))
+}
+
+/// Adds all classes and functions to the module. Part of [`module!`].
+///
+/// # Errors
+/// `ImportError`: the processor lacks instructions.
+pub fn add_to(module: &Bound<'_, PyModule>) -> PyResult<()> {
     kernels::check_processor().map_err(PyImportError::new_err)?;
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add("Divergence", module.py().get_type::<errors::Divergence>())?;

@@ -17,6 +17,7 @@ NEEDS = {
     "own_system": [],
     "ppo_beside_c": ["stable_baselines3", "gymnasium", "matplotlib"],
     "speed": [],
+    "speed_of_frameworks": [],
     "speed_of_graphs": [],
 }
 slow = pytest.mark.skipif(os.environ.get("PHYSGRAD_PYTHON_ALL") != "1", reason="takes minutes; set PHYSGRAD_PYTHON_ALL=1")

@@ -1,4 +1,4 @@
-//! `physgrad new`: a crate with a task of the user, or a scene with equations.
+//! `physgrad new`: a crate with a task of the user, also for Python, or a scene with equations.
 
 use crate::platform::files;
 use crate::platform::terminal::print_result;
@@ -36,13 +36,18 @@ const RESERVED: [(&str, &str); 3] = [
 /// A crate has a commented system in Rust, a scene and a gradient check. A scene with equations
 /// needs no compiler.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  physgrad new swing_boat\n  physgrad new --scene swing_boat")]
+#[command(
+    after_help = "Examples:\n  physgrad new swing_boat\n  physgrad new --python swing_boat\n  physgrad new --scene swing_boat"
+)]
 pub struct New {
     /// Name of the task and of its folder or scene: lower case letters, digits and underscores
     pub name: String,
     /// Write the scene NAME.toml with commented equations instead of a crate
-    #[arg(long, conflicts_with = "path")]
+    #[arg(long, conflicts_with_all = ["path", "python"])]
     pub scene: bool,
+    /// Write a crate that also builds the Python package `physgrad` with its task
+    #[arg(long)]
+    pub python: bool,
     /// Folder of the physgrad sources [default: this program's, otherwise the published version]
     #[arg(long, value_name = "DIR")]
     pub path: Option<PathBuf>,
@@ -80,22 +85,136 @@ pub fn new(args: &New) -> Result<()> {
     if fs::symlink_metadata(name).is_ok() {
         bail!("cannot create the folder {name}: it exists; choose another name");
     }
-    let files = [
-        ("Cargo.toml", manifest(name, args.path.as_deref())?),
+    let sources = sources(args.path.as_deref());
+    let mut files = vec![
+        ("Cargo.toml", manifest(name, sources)?),
         ("src/main.rs", source(name)),
         ("scene.toml", SCENE.replace("NAME", name)),
         (".gitignore", "/target\n/runs\n".into()),
     ];
+    if args.python {
+        let sources = sources.context(
+            "a Python package needs the sources of physgrad; give their folder by --path DIR",
+        )?;
+        add_python(name, sources, &mut files)?;
+    }
     files::create_tree(Path::new(name), &files)
         .with_context(|| format!("cannot write the folder {name}"))?;
+    let equations = if args.python { "src/task.rs" } else { "src/main.rs" };
+    let python = match args.python {
+        true => {
+            "\npip install .                                   # physgrad with this task, for Python"
+        }
+        false => "",
+    };
     print_result(&format!(
-        "created {name}: Cargo.toml, src/main.rs, scene.toml. Replace the equations in src/main.rs with your own. Then:\n\n\
+        "created {name}: Cargo.toml, {equations}, scene.toml. Replace the equations in {equations} with your own. Then:\n\n\
          cd {name}\n\
          cargo test --release                            # gradient check\n\
          cargo run --release -- train scene.toml         # training\n\
-         cargo run --release -- --help                   # all commands"
+         cargo run --release -- --help                   # all commands{python}"
     ))
 }
+
+/// Folder of the sources of physgrad: the given one, or that of this program, if it still exists.
+fn sources(path: Option<&Path>) -> Option<&Path> {
+    let own = Path::new(env!("CARGO_MANIFEST_DIR")).parent();
+    path.or(own.filter(|sources| sources.join("cli/Cargo.toml").exists()))
+}
+
+/// Divides the crate into the task, the program and the extension module of Python, and adds the
+/// description of the Python package.
+fn add_python(name: &str, sources: &Path, files: &mut Vec<(&str, String)>) -> Result<()> {
+    let type_name = type_name(name);
+    for (file, text) in &mut *files {
+        match *file {
+            "Cargo.toml" => {
+                let package = dependency(Some(sources), "python")?;
+                let package = package.trim_end_matches(" }");
+                let package = format!("{package}, default-features = false, optional = true }}");
+                let own = PYTHON_MANIFEST.replace("NAME", name).replace("SOURCES", &package);
+                *text = text.replacen("[dependencies]\n", &own, 1);
+            }
+            "src/main.rs" => {
+                let task = text
+                    .replace(
+                        &format!("struct {type_name} {{"),
+                        &format!("pub struct {type_name} {{"),
+                    )
+                    .replace("use std::process::ExitCode;\n", "");
+                let main = task.find("\nfn main()").context("the example has a program")?;
+                let after = task[main..].find("\n}\n").context("the program ends")? + main + 3;
+                let parts = [&task[..main], &task[after..]].concat();
+                *file = "src/task.rs";
+                *text = parts;
+            }
+            _ => {}
+        }
+    }
+    let program = format!("physgrad_cli::program().task::<task::{type_name}>()");
+    files.extend([
+        ("src/main.rs", MAIN.replace("NAME", name).replace("PROGRAM", &program)),
+        ("src/lib.rs", MODULE.replace("NAME", name).replace("PROGRAM", &program)),
+        (
+            "pyproject.toml",
+            PYPROJECT
+                .replace("NAME", name)
+                .replace("SOURCES", &toml::Value::from(utf8(&sources.join("python"))?).to_string()),
+        ),
+    ]);
+    Ok(())
+}
+
+const PYTHON_MANIFEST: &str = r#"# The extension module of the Python package.
+[lib]
+name = "NAME_python"
+path = "src/lib.rs"
+crate-type = ["cdylib"]
+test = false
+doc = false
+
+[features]
+python = ["dep:physgrad-python"]
+
+[dependencies]
+physgrad-python = SOURCES
+"#;
+
+const MAIN: &str = "//! The program with the task `NAME`: `cargo run --release -- train NAME`.
+
+mod task;
+
+fn main() -> std::process::ExitCode {
+    PROGRAM.main()
+}
+";
+
+const MODULE: &str =
+    "//! The Python package `physgrad` with the task `NAME`, which `pip install .` builds.
+#![cfg(feature = \"python\")]
+
+mod task;
+
+physgrad_python::module!(PROGRAM);
+";
+
+const PYPROJECT: &str = r#"# Replaces an installed package `physgrad` by one that also has the task `NAME`.
+[build-system]
+requires = ["maturin>=1.9,<2"]
+build-backend = "maturin"
+
+[project]
+name = "physgrad"
+requires-python = ">=3.10"
+dependencies = ["numpy>=1.23"]
+dynamic = ["version"]
+
+[tool.maturin]
+features = ["python"]
+python-source = SOURCES
+python-packages = ["physgrad"]
+module-name = "physgrad._core"
+"#;
 
 /// Writes a scene with equations.
 fn scene(name: &str) -> Result<()> {
@@ -120,23 +239,25 @@ const SCENE_HEADER: &str = "# NAME: equations of a system of your own, for now t
 
 ";
 
-fn manifest(name: &str, path: Option<&Path>) -> Result<String> {
-    let sources = Path::new(env!("CARGO_MANIFEST_DIR")).parent();
-    let path = path.or(sources.filter(|sources| sources.join("cli/Cargo.toml").exists()));
-    let package = |folder: &str| {
-        let Some(path) = path else { return Ok(format!("{:?}", env!("CARGO_PKG_VERSION"))) };
-        let path = path.join(folder);
-        let path = path.canonicalize().unwrap_or(path);
-        let text = path
-            .to_str()
-            .with_context(|| format!("--path {}: it is not UTF-8 text", path.display()))?;
-        anyhow::Ok(format!("{{ path = {} }}", toml::Value::from(text)))
-    };
+fn manifest(name: &str, sources: Option<&Path>) -> Result<String> {
     let mut text = MANIFEST.replace("NAME", name);
     for (key, folder) in [("PHYSGRAD_CLI", "cli"), ("PHYSGRAD_PLOT", "plot"), ("PHYSGRAD", "")] {
-        text = text.replace(key, &package(folder)?);
+        text = text.replace(key, &dependency(sources, folder)?);
     }
     Ok(text)
+}
+
+/// A package of these sources, otherwise of this version, as a dependency.
+fn dependency(sources: Option<&Path>, folder: &str) -> Result<String> {
+    let Some(sources) = sources else { return Ok(format!("{:?}", env!("CARGO_PKG_VERSION"))) };
+    Ok(format!("{{ path = {} }}", toml::Value::from(utf8(&sources.join(folder))?)))
+}
+
+/// The absolute path as text.
+fn utf8(path: &Path) -> Result<String> {
+    let absolute = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    let text = absolute.to_str().map(str::to_owned);
+    text.with_context(|| format!("--path {}: it is not UTF-8 text", path.display()))
 }
 
 const MANIFEST: &str = r#"[package]

@@ -25,6 +25,7 @@ mod noise;
 mod numbers;
 mod optimize;
 mod own;
+mod packages;
 mod pages;
 mod paper;
 mod plans;
