@@ -11,6 +11,7 @@ use physgrad::Field;
 use physgrad_cli::api;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
+use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard};
 
@@ -151,6 +152,20 @@ impl Policy {
         let theta = policy.theta().to_vec();
         let arguments = (task, theta, self.of_run).into_pyobject(py)?;
         PyTuple::new(py, [restore, arguments.into_any()])
+    }
+
+    /// Policies are equal if their settings and parameters are.
+    fn __eq__(&self, other: &Self) -> bool {
+        // Copies, so that no two locks are held at once.
+        let (own, other) = (self.lock().clone(), other.lock().clone());
+        own.scene().text() == other.scene().text() && own.theta() == other.theta()
+    }
+
+    /// A policy whose parameters change keeps its hash.
+    fn __hash__(&self) -> u64 {
+        let mut hasher = DefaultHasher::new();
+        self.lock().scene().text().hash(&mut hasher);
+        hasher.finish()
     }
 
     fn __len__(&self) -> usize {

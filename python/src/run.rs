@@ -11,7 +11,8 @@ use physgrad::train::{Record, Warning};
 use physgrad_cli::api::{self, EpochEvent, Observer};
 use pyo3::exceptions::{PyRuntimeError, PyRuntimeWarning};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyBytes, PyDict, PyTuple};
+use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
@@ -94,6 +95,42 @@ impl Run {
     fn load(py: Python<'_>, folder: PathBuf) -> PyResult<Self> {
         let threads = threads::number()?;
         Self::of(interruptible(py, move |_| api::Run::load(&folder, threads))?)
+    }
+
+    /// The run of a pickle.
+    #[staticmethod]
+    #[pyo3(name = "_of_checkpoint")]
+    fn of_checkpoint(py: Python<'_>, task: &Task, checkpoint: Vec<u8>) -> PyResult<Self> {
+        let (scene, threads) = (task.scene.clone(), threads::number()?);
+        Self::of(interruptible(py, move |_| api::Run::restored(&scene, &checkpoint, threads))?)
+    }
+
+    /// Pickles and copies are made from the settings and the checkpoint. They have no folder.
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let run = self.lock()?;
+        let restore = py.get_type::<Self>().getattr("_of_checkpoint")?;
+        let checkpoint = PyBytes::new(py, &run.checkpoint());
+        let arguments = (Task::new(run.scene().clone()), checkpoint).into_pyobject(py)?;
+        PyTuple::new(py, [restore, arguments.into_any()])
+    }
+
+    /// Runs are equal if their settings and checkpoints are.
+    fn __eq__(&self, other: &Self) -> PyResult<bool> {
+        if Arc::ptr_eq(&self.0, &other.0) {
+            return Ok(true);
+        }
+        let (own, other) = (self.lock()?, other.lock()?);
+        let is_same = |a: &api::Run, b: &api::Run| {
+            a.scene().text() == b.scene().text() && a.checkpoint() == b.checkpoint()
+        };
+        Ok(is_same(&own, &other))
+    }
+
+    /// A run that trains keeps its hash.
+    fn __hash__(&self) -> PyResult<u64> {
+        let mut hasher = DefaultHasher::new();
+        self.lock()?.scene().text().hash(&mut hasher);
+        Ok(hasher.finish())
     }
 
     /// Trains up to the last epoch.

@@ -93,3 +93,25 @@ def test_other_processes_compute_the_same():
         for future, policy in zip(found, policies, strict=True):
             for field, vector in pg.gradients(task, policy, starts, ["R", "C"]).items():
                 assert future.result()[field].tobytes() == vector.tobytes()
+
+
+def test_copies_of_a_run_continue_with_its_bits():
+    task = own()
+    run = pg.train(task, pg.Mlp(task, [8], seed=1), epochs=2, train_samples=8, test_samples=8, seed=3)
+    for other in copies(run):
+        assert other == run and hash(other) == hash(run) and other.folder is None
+        assert other.policy == run.policy and other.best_policy == run.best_policy
+        np.testing.assert_array_equal(other.history["test_loss"], run.history["test_loss"])
+        other.train(epochs=4)
+        assert other != run and other.policy != run.policy
+    run.train(epochs=4)
+    np.testing.assert_array_equal(other.policy.theta, run.policy.theta)
+
+
+def test_policies_are_compared_by_settings_and_parameters():
+    task = own()
+    policy = pg.Mlp(task, [4], seed=1)
+    assert policy == pg.Mlp(task, [4], seed=1) and policy != pg.Mlp(task, [4], seed=2) and policy != pg.Mlp(task, [5], seed=1)
+    changed, before = policy.copy(), hash(policy)
+    changed.theta = changed.theta + 1.0
+    assert changed != policy and hash(changed) == before

@@ -64,6 +64,21 @@ impl Run {
         Ok(Self { scene, run, threads, folder: Some(std::path::absolute(folder)?) })
     }
 
+    /// The run of a [`checkpoint`](Self::checkpoint), with the settings of its scene. It has no folder.
+    ///
+    /// # Errors
+    /// The checkpoint is that of other settings or of another version of physgrad, or is damaged.
+    pub fn restored(scene: &Scene, checkpoint: &[u8], threads: usize) -> Result<Self> {
+        let mut run = scene.scene.open(threads)?;
+        run.restore(checkpoint, &scene.scene.identity())?;
+        Ok(Self { run, scene: scene.clone(), threads, folder: None })
+    }
+
+    /// The complete state of the training, without its settings.
+    pub fn checkpoint(&self) -> Vec<u8> {
+        self.run.checkpoint(&self.scene.scene.identity())
+    }
+
     /// The scene.
     pub fn scene(&self) -> &Scene {
         &self.scene
