@@ -241,7 +241,8 @@ pub fn losses<'py>(
 ///
 /// Returns a dict from the names in `fields` to vectors over the parameters. Fields are "R", "M",
 /// "N", "S", "C", "P", "F", "MR" and "RM"; by default R, M, S and C. R is the gradient of the mean
-/// loss. Raises `Divergence` if a number is not finite, and `MemoryError` if a block of 32 rollouts does not fit into memory.
+/// loss. Raises `Divergence` if a number is not finite, and `MemoryError` if the blocks of 32 rollouts of all threads do not
+/// fit into memory.
 /// Ctrl-C raises `KeyboardInterrupt`.
 #[pyfunction]
 #[pyo3(signature = (task, policy, starts, fields=None))]

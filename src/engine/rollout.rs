@@ -624,6 +624,27 @@ impl<F: Float> Rollout<F> {
         self.costs[sample / LANES].lane(sample % LANES)
     }
 
+    /// Appends all states and controls, `[sample][step][component]`, of a rollout with a tape.
+    pub(crate) fn append(&self, states: &mut Vec<F>, controls: &mut Vec<F>) {
+        let copy =
+            |numbers: &mut Vec<F>, width: usize, steps, at: fn(&Self, usize) -> &[Lane<F>]| {
+                let (first, each) = (numbers.len(), steps * width);
+                numbers.resize(first + self.samples * each, F::zero());
+                for t in 0..steps {
+                    let lanes = at(self, t);
+                    let samples = numbers[first..].chunks_exact_mut(each.max(1));
+                    for (sample, numbers) in samples.enumerate() {
+                        let block = &lanes[sample / LANES * width..][..width];
+                        for (number, lanes) in numbers[t * width..][..width].iter_mut().zip(block) {
+                            *number = lanes.lane(sample % LANES);
+                        }
+                    }
+                }
+            };
+        copy(states, self.state_dim, self.horizon + 1, Self::states_at);
+        copy(controls, self.control_dim, self.horizon, Self::controls_at);
+    }
+
     /// Component `i` of the state of `sample` at step `t`, from 0 (initial state) to `horizon`.
     ///
     /// # Panics

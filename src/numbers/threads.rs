@@ -40,6 +40,14 @@ pub fn prepare(threads: usize) -> Result<(), ThreadPoolBuildError> {
     Ok(())
 }
 
+/// Number of threads that share the work of a parallel call.
+pub fn number() -> usize {
+    match own().as_ref().filter(|own| own.process == std::process::id()) {
+        Some(own) => own.pool.map_or(1, ThreadPool::current_num_threads),
+        None => rayon::current_num_threads(),
+    }
+}
+
 /// Runs `work` on one of the threads, so that calls of Rayon within it share them. Returns false,
 /// without a call of `work`, if the calling thread is the only one.
 pub fn run(work: &mut (dyn FnMut() + Send)) -> bool {

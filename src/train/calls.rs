@@ -1,8 +1,8 @@
 //! Rollouts, losses and gradients of many samples in one call each: [`rollout`], [`losses`] and
 //! [`gradients`].
 //!
-//! Each has a variant that ends early, with `None`, once a condition holds. The condition is read
-//! before every block of 32 samples.
+//! Threads share the samples in blocks of 32. Each function has a variant that ends early, with `None`,
+//! once a condition holds, which is read before every block.
 
 use crate::engine::adjoint::Adjoint;
 use crate::engine::any::AnyTask;
@@ -10,6 +10,7 @@ use crate::engine::batch::GROUP;
 use crate::engine::divergence::Divergence;
 use crate::engine::flow::Flow;
 use crate::engine::gradient::Gradient;
+use crate::engine::parallel::for_each;
 use crate::engine::rollout::Rollout;
 use crate::numbers::scalar::Float;
 use crate::policy::{AnyPolicy, Weights};
@@ -17,6 +18,10 @@ use crate::train::field::Field;
 
 /// Largest number of samples in one rollout.
 const BLOCK: usize = 8 * GROUP;
+
+/// Number of blocks whose results are in memory at once. Sums do not depend on the number of
+/// threads.
+const WAVE: usize = 32;
 
 /// A call that nobody stops.
 const WHOLE: &str = "the call runs to its end";
@@ -57,31 +62,61 @@ pub fn rollout_until<F: Float>(
     policy: &dyn AnyPolicy<F>,
     weights: &Weights<F>,
     starts: &[F],
-    is_stopped: &dyn Fn() -> bool,
+    is_stopped: &(dyn Fn() -> bool + Sync),
 ) -> Result<Option<Trajectories<F>>, Divergence> {
     weights.assert_fits(policy);
-    let (n, m, width, horizon) =
-        (task.state_dim(), task.control_dim(), task.start_dim(), task.horizon());
-    let (mut states, mut controls) = (Vec::new(), Vec::new());
-    for (block, starts) in starts.chunks(BLOCK * width).enumerate() {
-        if is_stopped() {
-            return Ok(None);
-        }
-        let samples = starts.len() / width;
-        let mut rollout = Rollout::new(task, policy, samples);
-        rollout.start(starts);
-        rollout
-            .run(task, policy, weights)
-            .map_err(|divergence| divergence.offset(block * BLOCK))?;
-        for sample in 0..samples {
-            let each = |steps, components| {
-                (0..steps).flat_map(move |t| (0..components).map(move |i| (t, i)))
-            };
-            states.extend(each(horizon + 1, n).map(|(t, i)| rollout.state(t, sample, i)));
-            controls.extend(each(horizon, m).map(|(t, i)| rollout.control(t, sample, i)));
+    let mut all = Trajectories { states: Vec::new(), controls: Vec::new() };
+    let one = |_: usize, starts: &[F]| {
+        let mut found = Trajectories { states: Vec::new(), controls: Vec::new() };
+        simulated(task, policy, weights, starts)?.append(&mut found.states, &mut found.controls);
+        Ok(found)
+    };
+    let is_done = in_blocks(starts, task.start_dim(), is_stopped, one, &mut |mut found| {
+        all.states.append(&mut found.states);
+        all.controls.append(&mut found.controls);
+    })?;
+    Ok(is_done.then_some(all))
+}
+
+/// A rollout with a tape.
+fn simulated<F: Float>(
+    task: &dyn AnyTask<F>,
+    policy: &dyn AnyPolicy<F>,
+    weights: &Weights<F>,
+    starts: &[F],
+) -> Result<Rollout<F>, Divergence> {
+    let mut rollout = Rollout::new(task, policy, starts.len() / task.start_dim());
+    rollout.start(starts);
+    rollout.run(task, policy, weights)?;
+    Ok(rollout)
+}
+
+/// Calls `work` with the index of the first sample and the initial states of each block of samples,
+/// on several threads, and `take` with the results in order. Returns false if `is_stopped` ends it.
+fn in_blocks<F: Float, R: Send>(
+    starts: &[F],
+    width: usize,
+    is_stopped: &(dyn Fn() -> bool + Sync),
+    work: impl Fn(usize, &[F]) -> Result<R, Divergence> + Sync,
+    take: &mut dyn FnMut(R),
+) -> Result<bool, Divergence> {
+    for (wave, starts) in starts.chunks(WAVE * BLOCK * width).enumerate() {
+        let mut blocks: Vec<_> =
+            starts.chunks(BLOCK * width).map(|starts| (starts, None)).collect();
+        for_each(&mut blocks, &|i, (starts, found)| {
+            if !is_stopped() {
+                let first = (wave * WAVE + i) * BLOCK;
+                *found = Some(work(first, starts).map_err(|divergence| divergence.offset(first)));
+            }
+        });
+        for (_, found) in blocks {
+            match found {
+                Some(found) => take(found?),
+                None => return Ok(false),
+            }
         }
     }
-    Ok(Some(Trajectories { states, controls }))
+    Ok(true)
 }
 
 /// Losses of rollouts from `starts`, one per sample.
@@ -111,22 +146,20 @@ pub fn losses_until<F: Float>(
     policy: &dyn AnyPolicy<F>,
     weights: &Weights<F>,
     starts: &[F],
-    is_stopped: &dyn Fn() -> bool,
+    is_stopped: &(dyn Fn() -> bool + Sync),
 ) -> Result<Option<Vec<F>>, Divergence> {
     weights.assert_fits(policy);
-    let mut rollout = Rollout::for_evaluation(task, policy, BLOCK);
     let mut losses = Vec::new();
-    for (block, starts) in starts.chunks(BLOCK * task.start_dim()).enumerate() {
-        if is_stopped() {
-            return Ok(None);
-        }
+    let one = |_: usize, starts: &[F]| {
+        let samples = starts.len() / task.start_dim();
+        let mut rollout = Rollout::for_evaluation(task, policy, samples);
         rollout.start(starts);
-        rollout
-            .run(task, policy, weights)
-            .map_err(|divergence| divergence.offset(block * BLOCK))?;
-        losses.extend((0..rollout.samples()).map(|sample| rollout.cost(sample)));
-    }
-    Ok(Some(losses))
+        rollout.run(task, policy, weights)?;
+        Ok((0..samples).map(|sample| rollout.cost(sample)).collect::<Vec<F>>())
+    };
+    let take = &mut |mut found| losses.append(&mut found);
+    let is_done = in_blocks(starts, task.start_dim(), is_stopped, one, take)?;
+    Ok(is_done.then_some(losses))
 }
 
 /// Vectors of the fields for the mean loss of rollouts from `starts`, `[field][parameter]`. All
@@ -171,41 +204,46 @@ pub fn gradients_until<F: Float>(
     weights: &Weights<F>,
     starts: &[F],
     fields: &[Field],
-    is_stopped: &dyn Fn() -> bool,
+    is_stopped: &(dyn Fn() -> bool + Sync),
 ) -> Result<Option<Vec<Vec<F>>>, Divergence> {
     weights.assert_fits(policy);
     let flows = distinct_flows(fields);
     let zeros = || Gradient::<F>::zeros(weights.theta().len());
-    let mut sums: Vec<Gradient<F>> = flows.iter().map(|_| zeros()).collect();
-    let mut one = zeros();
-    let (width, samples) = (task.start_dim(), starts.len() / task.start_dim());
+    let samples = starts.len() / task.start_dim();
     assert!(samples > 0, "gradients need at least one initial state");
     let scale = F::from_f64(1.0 / samples as f64);
-    for (block, starts) in starts.chunks(BLOCK * width).enumerate() {
-        if is_stopped() {
-            return Ok(None);
-        }
-        let count = starts.len() / width;
-        let offset = |divergence: Divergence| divergence.offset(block * BLOCK);
-        let mut rollout = Rollout::new(task, policy, count);
-        rollout.start(starts);
-        rollout.run(task, policy, weights).map_err(offset)?;
+    let of_block = |_: usize, starts: &[F]| {
+        let rollout = simulated(task, policy, weights, starts)?;
+        let (mut sums, mut one) = (Vec::new(), zeros());
         // One reverse pass carries up to two flows.
-        for (flows, sums) in flows.chunks(2).zip(sums.chunks_mut(2)) {
+        for flows in flows.chunks(2) {
             let mut adjoint = Adjoint::new(task, policy, &rollout, flows);
-            adjoint.run(task, policy, weights, &rollout, scale).map_err(offset)?;
-            for (k, sum) in sums.iter_mut().enumerate() {
-                for first in (0..count).step_by(GROUP) {
-                    let group = first..count.min(first + GROUP);
+            adjoint.run(task, policy, weights, &rollout, scale)?;
+            for k in 0..flows.len() {
+                let mut sum = zeros();
+                for first in (0..rollout.samples()).step_by(GROUP) {
+                    let group = first..rollout.samples().min(first + GROUP);
                     adjoint.param_gradient(k, policy, weights, &rollout, group, &mut one);
-                    if block == 0 && first == 0 {
-                        sum.copy_from(&one);
-                    } else {
-                        sum.add(&one);
-                    }
+                    sum.set_or_add(&one, first == 0);
                 }
+                sums.push(sum);
             }
         }
+        Ok(sums)
+    };
+    let mut sums: Vec<Gradient<F>> = Vec::new();
+    let is_done = in_blocks(
+        starts,
+        task.start_dim(),
+        is_stopped,
+        of_block,
+        &mut |found| match sums.is_empty() {
+            true => sums = found,
+            false => sums.iter_mut().zip(&found).for_each(|(sum, more)| sum.add(more)),
+        },
+    )?;
+    if !is_done {
+        return Ok(None);
     }
     sums.iter_mut().for_each(Gradient::normalize);
     for (&flow, sum) in flows.iter().zip(&sums) {
@@ -259,27 +297,28 @@ pub fn rollout_vjp<F: Float>(
     let trained: Vec<usize> =
         policy.trained_params().iter().map(|param| task.state_dim() + param.index()).collect();
     let zeros = || Gradient::<F>::zeros(weights.theta().len());
-    let (mut theta_bar, mut one, mut starts_bar) = (zeros(), zeros(), Vec::new());
-    for (block, starts) in starts.chunks(BLOCK * width).enumerate() {
-        let (first, count) = (block * BLOCK, starts.len() / width);
-        let offset = |divergence: Divergence| divergence.offset(first);
-        let mut rollout = Rollout::new(task, policy, count);
-        rollout.start(starts);
-        rollout.run(task, policy, weights).map_err(offset)?;
+    let of_block = |first: usize, starts: &[F]| {
+        let count = starts.len() / width;
+        let rollout = simulated(task, policy, weights, starts)?;
         let mut adjoint = Adjoint::new(task, policy, &rollout, &[flow]).keep_start_gradients();
         adjoint
             .give(&bars.states[first * n..][..count * n], &bars.controls[first * m..][..count * m]);
-        adjoint.run(task, policy, weights, &rollout, F::one()).map_err(offset)?;
-        adjoint.param_gradient(0, policy, weights, &rollout, 0..count, &mut one);
-        theta_bar.add(&one);
+        adjoint.run(task, policy, weights, &rollout, F::one())?;
+        let (mut theta_bar, mut starts_bar) = (zeros(), Vec::with_capacity(starts.len()));
+        adjoint.param_gradient(0, policy, weights, &rollout, 0..count, &mut theta_bar);
         for sample in 0..count {
-            let end = starts_bar.len() + width;
             starts_bar.extend(adjoint.start_gradient(0, sample).to_vec());
+            starts_bar.resize((sample + 1) * width, F::zero());
             // The policy replaces numbers that it trains.
-            trained.iter().for_each(|i| starts_bar[end - width + i] = F::zero());
-            starts_bar.resize(end, F::zero());
+            trained.iter().for_each(|i| starts_bar[sample * width + i] = F::zero());
         }
-    }
+        Ok((theta_bar, starts_bar))
+    };
+    let (mut theta_bar, mut starts_bar) = (zeros(), Vec::with_capacity(starts.len()));
+    in_blocks(starts, width, &|| false, of_block, &mut |(by_theta, mut by_starts)| {
+        theta_bar.add(&by_theta);
+        starts_bar.append(&mut by_starts);
+    })?;
     theta_bar.normalize();
     let theta_bar = theta_bar.to_vec();
     match theta_bar.iter().position(|value| !value.as_().is_finite()) {

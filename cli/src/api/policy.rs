@@ -1,6 +1,6 @@
 //! [`Policy`]: the policy of a scene with its parameters.
 
-use super::{Scene, fits};
+use super::{Scene, TooLarge, fits, threads};
 use crate::operations::policy_file::{self, About};
 use crate::tasks::ScenePolicy;
 use anyhow::{Context, Result, anyhow, bail};
@@ -236,11 +236,7 @@ impl Policy {
             &[count, horizon + 1, any.state_dim() + any.control_dim()],
             size_of::<F>(),
         )?;
-        fits(
-            "a block of rollouts",
-            &[Rollout::bytes_of(any, policy, count.clamp(1, BLOCK), horizon)],
-            1,
-        )?;
+        fits_blocks(any, policy, count)?;
         let weights = Weights::new(policy, self.rounded());
         calls::rollout_until(any, policy, &weights, starts, &|| is_set(stop))?
             .ok_or_else(interrupted)
@@ -288,8 +284,7 @@ impl Policy {
         if starts.is_empty() {
             bail!("`starts` has no rows; pass at least one initial state");
         }
-        let samples = (starts.len() / any.start_dim()).clamp(1, BLOCK);
-        fits("a block of rollouts", &[Rollout::bytes_of(any, policy, samples, any.horizon())], 1)?;
+        fits_blocks(any, policy, starts.len() / any.start_dim())?;
         let weights = Weights::new(policy, self.rounded());
         calls::gradients_until(any, policy, &weights, starts, chosen, &|| is_set(stop))?
             .ok_or_else(interrupted)
@@ -339,6 +334,17 @@ impl ClosedLoop {
         let weights = Weights::new(&self.policy as &dyn AnyPolicy<F>, theta);
         Ok(calls::rollout_vjp(&self.task, &self.policy, &weights, starts, bars, flow)?)
     }
+}
+
+/// Checks that the blocks of rollouts of all threads fit into memory.
+fn fits_blocks<F: Float>(
+    task: &dyn AnyTask<F>,
+    policy: &dyn AnyPolicy<F>,
+    count: usize,
+) -> Result<(), TooLarge> {
+    let bytes = Rollout::bytes_of(task, policy, count.clamp(1, BLOCK), task.horizon());
+    let blocks = threads::number().min(count.div_ceil(BLOCK));
+    fits("the blocks of rollouts of all threads", &[blocks, bytes], 1)
 }
 
 fn is_set(stop: &AtomicBool) -> bool {

@@ -362,6 +362,31 @@ fn a_new_crate_is_complete_or_absent_and_its_manifest_has_any_path() {
     assert_eq!(Path::new(written), sources.canonicalize().expect("a folder"));
 }
 
+#[test]
+fn a_new_crate_for_python_has_one_task_in_program_and_module() {
+    let dir = TempDir::new().expect("a folder");
+    let output =
+        new(&["swing_boat", "--python"], dir.path()).assert().success().get_output().clone();
+    let text = String::from_utf8(output.stdout).expect("text");
+    assert!(text.contains("src/task.rs") && text.contains("pip install ."), "{text}");
+    let read =
+        |file: &str| std::fs::read_to_string(dir.path().join("swing_boat").join(file)).expect(file);
+    let (task, main, module) = (read("src/task.rs"), read("src/main.rs"), read("src/lib.rs"));
+    assert!(task.contains("pub struct SwingBoat {") && task.contains("fn gradients_are_exact"));
+    assert!(!task.contains("fn main") && !task.contains("ExitCode"), "{task}");
+    for source in [&main, &module] {
+        assert!(source.contains("physgrad_cli::program().task::<task::SwingBoat>()"), "{source}");
+    }
+    let manifest: toml::Table = read("Cargo.toml").parse().expect("TOML");
+    let bindings = &manifest["dependencies"]["physgrad-python"];
+    assert!(Path::new(bindings["path"].as_str().expect("a path")).join("Cargo.toml").exists());
+    assert_eq!(bindings["optional"].as_bool(), Some(true));
+    let project: toml::Table = read("pyproject.toml").parse().expect("TOML");
+    let package = project["tool"]["maturin"]["python-source"].as_str().expect("a path");
+    assert!(Path::new(package).join("physgrad/__init__.py").exists(), "{package}");
+    new(&["other", "--python", "--scene"], dir.path()).assert().failure();
+}
+
 /// Builds all dependencies, which takes minutes. To run the test:
 /// `cargo test --release -p physgrad-cli --test program -- --ignored`.
 #[test]
