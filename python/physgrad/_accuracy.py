@@ -46,13 +46,17 @@ class Accuracy(Result):
     "operations" of a step and its vector-Jacobian product, per sample; "bytes" of a rollout and its
     adjoints, and the medians "forward_seconds" and "gradient_seconds", per step and sample."""
     reference: dict[str, float]
-    """Estimated errors of the reference: "trajectory", "loss", "R" and "M". Smaller errors of a setting are below
-    its resolution."""
+    """Estimated errors of the reference: "trajectory", "loss", "R" and "M". Smaller errors of a setting
+    are below its resolution."""
     cheapest: Setting | None
-    """The cheapest setting with an error of at most the target: the one with the fewest operations among those whose
-    times overlap with the fastest one's. None without a target, or if no setting reaches it."""
+    """The cheapest setting with an error of at most the target: the one with the fewest operations among
+    those whose times overlap with the fastest one's. None without a target, or if no setting reaches
+    it."""
 
-    _HEADER = ("method", "substeps", "precision", "trajectory", "loss", "R", "M", "forward_seconds", "gradient_seconds")
+    _HEADER = (
+        *("method", "substeps", "precision", "trajectory", "loss", "R", "M"),
+        *("forward_seconds", "gradient_seconds"),
+    )
 
     def _cells(self) -> list[list[str]]:
         columns = [self.settings[name] for name in self._HEADER]

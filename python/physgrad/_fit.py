@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import html
+import itertools
 import math
 from collections.abc import Sequence
-from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from . import _core
-from ._recordings import bare, is_table, read
+from ._recordings import bare, read
 from ._results import Result, html_table, number, table
 
 if TYPE_CHECKING:
@@ -38,7 +38,8 @@ class Fit(Result):
     errors: dict[str, float]
     """Standard errors by key. NaN at a bound, and infinite without an estimate."""
     robust_errors: dict[str, float]
-    """Standard errors by key that allow for correlated residuals in a segment. Infinite with few segments."""
+    """Standard errors by key that allow for correlated residuals in a segment. Infinite with few
+    segments."""
     statuses: dict[str, str]
     """What the fit knows about each number: "estimated", "at bound", "undetermined", "ran away",
     "non-finite derivative", "zero derivative" or "not converged". Only estimated numbers are results."""
@@ -63,14 +64,16 @@ class Fit(Result):
     unknowns: int
     """Number k of combinations of numbers and initial states that the data determine."""
     noise: NDArray[np.float64] | None
-    """Standard deviation of the noise of each state, (n,), in the units of the task. None if it was not given."""
+    """Standard deviation of the noise of each state, (n,), in the units of the task. None without
+    `noise`."""
     window: int
     """Steps of the windows of multiple shooting in this fit. 0 if whole segments had the lower χ²."""
     iterations: int
     states: list[NDArray[np.float64]]
     """Simulated states of each segment, (steps, n). Angles are continuous."""
     measured: list[NDArray[np.float64]]
-    """Measured states of each segment, (steps, n), NaN where missing. Angles that wrap are continuous."""
+    """Measured states of each segment, (steps, n), NaN where missing. Angles that wrap are
+    continuous."""
     times: list[NDArray[np.float64]]
     """Times of the steps of each segment, (steps,), in s."""
     notes: list[str]
@@ -105,7 +108,8 @@ class Fit(Result):
 
     @property
     def reduced_chi_squared(self) -> float:
-        """χ² per degree of freedom, near 1 if `noise` is right. Without `noise`, the variance of the residuals."""
+        """χ² per degree of freedom, near 1 if `noise` is right. Without `noise`, the variance of the
+        residuals."""
         return self.chi_squared / self.freedom if self.freedom else math.nan
 
     @property
@@ -119,7 +123,8 @@ class Fit(Result):
 
     @property
     def bic(self) -> float:
-        """The Bayesian information criterion up to a constant, N ln(χ²/N) + k ln N, for noise of unknown size.
+        """The Bayesian information criterion up to a constant, N ln(χ²/N) + k ln N, for noise of unknown
+        size.
 
         Compares models of the same data: lower is better. G. Schwarz 1978, doi:10.1214/aos/1176344136.
         """
@@ -132,7 +137,10 @@ class Fit(Result):
 
     @property
     def fitted_task(self) -> Task:
-        """The task with the fitted numbers. Raises `ValueError` if one is outside of the range of its setting."""
+        """The task with the fitted numbers.
+
+        Raises `ValueError` if one of them is outside of the range of its setting.
+        """
         return self.task.replace(settings=dict(self.values))
 
     def _cells(self, name: str) -> list[str]:
@@ -145,8 +153,9 @@ class Fit(Result):
         robust = self.robust_errors[name]
         low, high = self.bounds[name]
         bounds = f"{number(low)} to {number(high)}" if math.isfinite(low) or math.isfinite(high) else "none"
-        return [name, number(value), shown, relative, f"± {number(robust, 2)}" if math.isfinite(robust) else "",
-                number(self.starts[name]), bounds, self.statuses[name]]
+        spread = f"± {number(robust, 2)}" if math.isfinite(robust) else ""
+        start, status = number(self.starts[name]), self.statuses[name]
+        return [name, number(value), shown, relative, spread, start, bounds, status]
 
     _HEADER = ("number", "value", "error", "relative", "robust", "start", "bounds", "status")
 
@@ -161,7 +170,7 @@ class Fit(Result):
             ("χ² per degree of freedom", number(self.reduced_chi_squared)),
             ("AIC", f"{self.aic:.1f}"),
             ("BIC", f"{self.bic:.1f}"),
-            ("noise", "given" if self.noise is not None else "unknown: equal for all states, from the residuals"),
+            ("noise", "unknown: equal for all states" if self.noise is None else "given"),
             ("windows", f"{self.window} steps" if self.window else "whole segments"),
             ("iterations", str(self.iterations)),
         ]
@@ -169,14 +178,15 @@ class Fit(Result):
     def _correlated(self, above: float) -> list[tuple[str, str, float]]:
         """Pairs of numbers with a correlation above a size, the largest first."""
         names = list(self.values)
-        pairs = [(names[i], names[j], float(self.correlations[i, j])) for i in range(len(names)) for j in range(i)]
-        pairs = [(b, a, value) for a, b, value in pairs if abs(value) > above]
-        return sorted(pairs, key=lambda pair: -abs(pair[2]))
+        pairs = itertools.combinations(range(len(names)), 2)
+        found = [(names[i], names[j], float(self.correlations[i, j])) for i, j in pairs]
+        return sorted((pair for pair in found if abs(pair[2]) > above), key=lambda pair: -abs(pair[2]))
 
     def summary(self, min_correlation: float = 0.1) -> str:
-        """The fit as text: numbers with errors, sizes, correlations above `min_correlation`, and warnings."""
+        """The fit as text: sizes, numbers with errors, correlations above `min_correlation`, warnings."""
         width = max(len(name) for name, _ in self._facts())
-        lines = [f"Fit of {self.task.name}", *(f"  {name.ljust(width)}  {text}" for name, text in self._facts())]
+        lines = [f"Fit of {self.task.name}"]
+        lines += [f"  {name.ljust(width)}  {text}" for name, text in self._facts()]
         if self.values:
             # A column without any cell, as that of robust errors of few segments, is left out.
             rows = [self._cells(name) for name in self.values]
@@ -186,15 +196,20 @@ class Fit(Result):
         pairs = self._correlated(min_correlation)
         if pairs:
             lines.append(f"Correlations above {number(min_correlation)}")
-            lines += [f"  {line}" for line in table(("", "", ""), ((a, b, f"{c:+.3f}") for a, b, c in pairs))[1:]]
-        lines.append("Root mean square of the residuals")
-        width = max(map(len, self.rms), default=0)
-        lines += [f"  {name.ljust(width)}  {number(value, 4)}" for name, value in self.rms.items()]
+            cells = table(("", "", ""), ((a, b, f"{value:+.3f}") for a, b, value in pairs))
+            lines += [f"  {line}" for line in cells[1:]]
+        lines += ["Root mean square of the residuals", *self._residual_sizes()]
         if self.validation is not None:
-            lines.append(f"Validation with {len(self.validation.states)} other segments: root mean square of the residuals")
-            lines += [f"  {name.ljust(width)}  {number(value, 4)}" for name, value in self.validation.rms.items()]
-        lines += [f"note: {note}" for note in self.notes] + [f"warning: {warning}" for warning in self.warnings]
-        return "\n".join(lines)
+            lines.append(f"Validation: residuals of {len(self.validation.states)} other segments")
+            lines += self.validation._residual_sizes()
+        return "\n".join([*lines, *self._remarks()])
+
+    def _residual_sizes(self) -> list[str]:
+        width = max(map(len, self.rms), default=0)
+        return [f"  {name.ljust(width)}  {number(value, 4)}" for name, value in self.rms.items()]
+
+    def _remarks(self) -> list[str]:
+        return [*(f"note: {note}" for note in self.notes), *(f"warning: {text}" for text in self.warnings)]
 
     def __str__(self) -> str:
         return self.summary()
@@ -207,23 +222,22 @@ class Fit(Result):
     def _repr_html_(self) -> str:
         rows = [self._cells(name) for name in self.values]
         facts = html_table("", ("fit", ""), self._facts())
-        texts = [f"note: {note}" for note in self.notes] + [f"warning: {warning}" for warning in self.warnings]
-        lines = "".join(f"<p>{html.escape(text)}</p>" for text in texts)
+        lines = "".join(f"<p>{html.escape(text)}</p>" for text in self._remarks())
         return html_table(f"Fit of {self.task.name}", self._HEADER, rows) + facts + lines
 
     def plot(self, segments: Sequence[int] | None = None) -> Figure:
         """Draws measured and simulated states, and below each the residuals. Needs matplotlib.
 
-        Has one column for each of `segments`, by default of the first three, and rows for each measured
-        state. Returns the figure: `fit.plot().savefig("fit.png")`.
+        Has one column for each of `segments`, by default of the first three, and two rows for each
+        measured state. Returns the figure: `fit.plot().savefig("fit.png")`.
         """
-        from matplotlib.figure import Figure
+        from matplotlib import pyplot
 
         chosen = list(range(min(3, len(self.states))) if segments is None else segments)
         names = list(bare(self.task).state_names)
         shown = [i for i, name in enumerate(names) if name in self.rms]
         size = (1.0 + 4.0 * len(chosen), 0.6 + 2.4 * len(shown))
-        figure = Figure(figsize=size, layout="constrained")
+        figure = pyplot.figure(figsize=size, layout="constrained")
         axes = figure.subplots(
             2 * len(shown), len(chosen), squeeze=False, sharex="col", height_ratios=[2, 1] * len(shown)
         )
@@ -240,7 +254,7 @@ class Fit(Result):
                 if column == 0:
                     above.set_ylabel(names[i])
                     below.set_ylabel("residual")
-        axes[0, 0].legend(fontsize="small")
+        figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
         return figure
 
 
@@ -258,7 +272,7 @@ def identify(
 ) -> Fit:
     """Fits physical numbers to measured trajectories, as `physgrad identify` does, in f64.
 
-    `data` is a data frame, the path of a CSV file, a pair, a dict, or a list of them.
+    `data` is a data frame, the path of a CSV file, a dict, or a list of these and of pairs.
 
     - A data frame or a file has a column `t` or `time`, or with the name `time`, in s, and columns with
       the names of states, controls and parameters. A column `segment` separates recordings. NaN and
@@ -290,8 +304,9 @@ def identify(
     simulation with the initial values diverges, and `MemoryError` if all segments together need more
     than 1 GB, or the fit more than the memory. Ctrl-C raises `KeyboardInterrupt`.
     """
-    if not isinstance(every, int) or every < 1:
-        raise ValueError(f"`every` is {every!r}; allowed: an integer of at least 1")
+    for name, value, least in (("every", every, 1), ("window", window, 0)):
+        if not isinstance(value, int) or value < least:
+            raise ValueError(f"`{name}` is {value!r}; allowed: an integer of at least {least}")
     keys = params if isinstance(params, (list, tuple, dict)) else ()
     recordings = read(task, data, [key for key in keys if isinstance(key, str)], time, units)
     segments, others = recordings.segments, []
@@ -311,7 +326,8 @@ def identify(
         try:
             # The first rows of these segments are not exact, and all numbers are known.
             fixed = fit.fitted_task
-            raw = _core.identify(fixed, others, None, **options | {"exact_starts": False, "only_starts": True})
+            options |= {"exact_starts": False, "only_starts": True}
+            raw = _core.identify(fixed, others, None, **options)
             validation = _fit(fixed, others, raw, deviations, [])
         except ValueError as error:
             warnings = [*warnings, f"there is no validation: {error}"]
@@ -335,7 +351,9 @@ def _noise(task: Task, noise: Any, data: Any, scales: dict[str, float]) -> Any:
     for i, name in enumerate(names):
         if math.isnan(deviations[i]):
             if any(np.isfinite(np.asarray(_states(part), float)[:, i]).any() for part in data):
-                raise ValueError(f"`noise` has no number for {name}, which the data measure; give a positive number")
+                raise ValueError(
+                    f"`noise` has no number for {name}, which the data measure; give a positive number"
+                )
             deviations[i] = 1.0
     return deviations
 

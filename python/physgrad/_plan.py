@@ -56,7 +56,8 @@ class Plan(Result):
 
     def __repr__(self) -> str:
         state = "converged" if self.converged else "not converged"
-        return f"<physgrad.Plan of {self.task.name}: cost {number(self.cost)}, {self.iterations} iterations, {state}>"
+        steps = f"{self.iterations} iterations"
+        return f"<physgrad.Plan of {self.task.name}: cost {number(self.cost)}, {steps}, {state}>"
 
     def __str__(self) -> str:
         lines = table((f"Plan of {self.task.name}", ""), self._facts())
@@ -73,10 +74,10 @@ def optimize(
     iterations: int | None = None,
     initial: ArrayLike | Plan | Policy | Controller | None = None,
 ) -> Plan:
-    """Optimizes the controls from one initial state `start`, (start_dim,), as `physgrad optimize` does, in f64.
+    """Optimizes the controls from one initial state `start`, (start_dim,), as `physgrad optimize` does.
 
-    `bounds` has the low and high bound of each control, (m, 2). `iterations` is the largest number of
-    iterations, 200 by default, up to 1,000,000. Noise has its mean.
+    Computes in f64. `bounds` has the low and high bound of each control, (m, 2). `iterations` is the
+    largest number of iterations, 200 by default, up to 1,000,000. Noise has its mean.
 
     The search begins at `initial`: controls, (T, m); another `Plan`, whose controls it takes; or a
     policy or function as in `rollout`, which acts from `start`. By default, all controls are 0.

@@ -21,9 +21,9 @@ _COARSEST = 0.2
 _SPARSE = 1000
 """Smallest number of steps between all rows that shows times in another unit than s."""
 _ASTRAY = 100
-"""Smallest distance of two rows that shows a wrong time, relative to the median times the number of rows."""
+"""Smallest distance of two rows that shows a wrong time, in medians times the number of rows."""
 _MOST_BYTES = 1e9
-_FAR_APART = "give the time in s, not in ms, or its unit, as in units={\"t\": \"ms\"}; or set the time step `dt`"
+_FAR_APART = "give the time in s, or its unit, as in units={\"t\": \"ms\"}; or set the time step `dt`"
 
 _SEGMENT, _TIME = ("segment", "sample"), ("t", "time")
 
@@ -87,7 +87,8 @@ class _Names:
         self.states, self.controls = list(measured.state_names), list(measured.control_names)
         own = [name for name in measured.param_names if not _is(setting(measured, name), "noise")]
         # The fit replaces numbers in `params` and in the section `fit`.
-        self.params = [name for name in own if name not in unknown and not _is(setting(measured, name), "start")]
+        fixed = [name for name in own if not _is(setting(measured, name), "start")]
+        self.params = [name for name in fixed if name not in unknown]
         applied = [f"{name}_applied" for name in self.controls] if measured.settings.get("actuator") else []
         self.applied = dict(zip(applied, self.controls))
         sensed = [name for name in task.state_names if name not in self.states]
@@ -99,13 +100,15 @@ def _is(value: Any, kind: str) -> bool:
     return isinstance(value, dict) and kind in value
 
 
-def read(task: Any, data: Any, unknown: list[str], time: str | None, units: dict[str, Any] | None) -> Recordings:
+def read(
+    task: Any, data: Any, unknown: list[str], time: str | None, units: dict[str, Any] | None
+) -> Recordings:
     """Reads the data of `identify`. Pairs and dicts remain as they are.
 
     `unknown` are the keys in `params`, `time` is the name of the time column, and `units` has the
     units of columns.
     """
-    if is_table(data):
+    if is_table(data) or isinstance(data, dict):
         data = [data]
     has_tables = isinstance(data, (list, tuple)) and any(map(is_table, data))
     if not has_tables:
@@ -115,18 +118,18 @@ def read(task: Any, data: Any, unknown: list[str], time: str | None, units: dict
         return Recordings(data, [], {})
     names = _Names(task, unknown)
     scales = _scales(names, units or {}, time)
+    labels = ["the data frame"] if len(data) == 1 else [f"data[{place}]" for place in range(len(data))]
+    parts = [_open(part, label, names, time) if is_table(part) else part for part, label in zip(data, labels)]
+    seen = {column for part in parts if isinstance(part, _Table) for column in part.columns}
+    for column in sorted(set(scales) - seen):
+        raise ValueError(f"`units`: there is no column `{column}`; columns: {', '.join(sorted(seen))}")
     segments: list[Any] = []
     notes: list[str] = []
-    seen: set[str] = set()
-    for place, part in enumerate(data):
-        if not is_table(part):
+    for part in parts:
+        if isinstance(part, _Table):
+            segments.extend(_segments(part, names, scales, time, notes))
+        else:
             segments.append(part)
-            continue
-        table = _open(part, "the data frame" if len(data) == 1 else f"data[{place}]", names, time)
-        seen.update(table.columns)
-        segments.extend(_segments(table, names, scales, time, notes))
-    for column in sorted(set(units or {}) - seen):
-        raise ValueError(f"`units`: there is no column `{column}`; columns: {', '.join(sorted(seen))}")
     return Recordings(segments, list(dict.fromkeys(notes)), scales)
 
 
@@ -135,7 +138,8 @@ def _scales(names: _Names, units: dict[str, Any], time: str | None) -> dict[str,
     if not isinstance(units, dict):
         raise TypeError(f"`units` is of type {type(units).__name__}; allowed: a dict from columns to units")
     times = (time,) if time else _TIME
-    return {name: factor(name, unit, "s" if name in times else names.units.get(name)) for name, unit in units.items()}
+    own = names.units | dict.fromkeys(times, "s")
+    return {name: factor(name, unit, own.get(name)) for name, unit in units.items()}
 
 
 def _open(part: Any, name: str, names: _Names, time: str | None) -> _Table:
@@ -176,11 +180,13 @@ def _check_header(name: str, header: list[str], names: _Names, time: str | None)
             if ";" in column or "\t" in column:
                 raise ValueError(f"{name}: the columns are separated by semicolons or tabs; allowed: commas")
             shown = f"unknown column `{column}`" if column else "a column without a name"
-            raise ValueError(f"{name}: {shown}; leave it out; allowed: segment, {time or 't'}, {', '.join(known)}")
+            listed = ", ".join(["segment", time or "t", *known])
+            raise ValueError(f"{name}: {shown}; leave it out; allowed: {listed}")
     for group in ([column] for column in known), [_SEGMENT, (time,) if time else _TIME]:
         for same in group:
             if sum(column in same for column in header) > 1:
-                raise ValueError(f"{name}: several columns are `{'` or `'.join(same)}`; leave out all but one")
+                listed = "` or `".join(same)
+                raise ValueError(f"{name}: several columns are `{listed}`; leave out all but one")
     if _time(header, time) is None:
         raise ValueError(f"{name}: there is no column `{time or 't'}` with the time in s")
     if not set(header) & set(names.states):
@@ -188,8 +194,8 @@ def _check_header(name: str, header: list[str], names: _Names, time: str | None)
     for applied, control in names.applied.items():
         if applied in header and control not in header:
             raise ValueError(
-                f"{name}: the column `{control}` is missing; `{applied}` is the output of the actuator, which the "
-                f"simulation computes from `{control}`. Add this column, or remove the actuator from the task"
+                f"{name}: the column `{control}` is missing; `{applied}` is the output of the actuator, "
+                f"which the simulation computes from `{control}`. Add this column, or remove the actuator"
             )
 
 
@@ -203,10 +209,11 @@ def _cells(path: str) -> tuple[list[str], list[list[str]], list[int]]:
             for cells in reader:
                 if not cells or (not rows and cells[0].lstrip().startswith("#")):
                     continue
-                if rows and len(cells) != len(rows[0]):
-                    raise ValueError(f"{path}:{reader.line_num}: the row has {len(cells)} cells; expected {len(rows[0])}")
+                place = f"{path}:{reader.line_num}"
                 if cells[0].lstrip().startswith("#"):
-                    raise ValueError(f"{path}:{reader.line_num}: comments are allowed before the header only")
+                    raise ValueError(f"{place}: comments are allowed before the header only")
+                if rows and len(cells) != len(rows[0]):
+                    raise ValueError(f"{place}: the row has {len(cells)} cells; expected {len(rows[0])}")
                 rows.append([cell.strip() for cell in cells])
                 lines.append(reader.line_num)
         except (UnicodeDecodeError, csv.Error) as error:
@@ -221,7 +228,8 @@ def _series(frame: Any, name: str, time: str | None) -> tuple[list[str], list[An
     header = list(frame.columns)
     for column in header:
         if not isinstance(column, str):
-            raise TypeError(f"{name}: the column {column!r} is of type {type(column).__name__}; allowed: names as texts")
+            kind = type(column).__name__
+            raise TypeError(f"{name}: the column {column!r} is of type {kind}; allowed: names as texts")
     cells = [frame[column] for column in header]
     index = getattr(frame, "index", None)
     for level, label in enumerate(getattr(index, "names", ())):
@@ -246,11 +254,12 @@ def _numbers(table: _Table, column: str, values: Any) -> np.ndarray:
         try:
             # Data frames of pandas have own values for missing numbers.
             numbers = values.to_numpy(dtype=float, na_value=np.nan)
-        except (TypeError, ValueError):
+        except (AttributeError, TypeError, ValueError):
             try:
                 numbers = np.asarray(values, dtype=float)
             except (TypeError, ValueError):
-                raise TypeError(f"{table.name}: the column `{column}` has values that are no numbers") from None
+                message = f"{table.name}: the column `{column}` has values that are no numbers"
+                raise TypeError(message) from None
     if np.isinf(numbers).any():
         place = table.row(int(np.isinf(numbers).argmax()))
         raise ValueError(f"{place}: `{column}` is infinite; leave the cell of a missing sample empty")
@@ -269,7 +278,8 @@ def _decimal(number: str) -> float:
     digits, _, exponent = number.lower().partition("e")
     decimals = digits.partition(".")[2]
     # Floats of data frames show a digit that tables omit: 1.0 is 1.
-    return 10.0 ** (int(exponent or 0) - len(decimals if decimals != "0" else "")) if digits[-1:].isdigit() else math.inf
+    places = len(decimals) if decimals != "0" else 0
+    return 10.0 ** (int(exponent or 0) - places) if digits[-1:].isdigit() else math.inf
 
 
 def _segments(
@@ -290,7 +300,8 @@ def _segments(
 
     times = scale * table.columns[column]
     if np.isnan(times).any():
-        raise ValueError(f"{table.row(int(np.isnan(times).argmax()))}: the time is missing; give every row a time in s")
+        row = table.row(int(np.isnan(times).argmax()))
+        raise ValueError(f"{row}: the time is missing; give every row a time in s")
     x, u = matrix(names.states), matrix(names.controls)
     _check_controls(table, names, u, notes)
     begins = [i for i in range(rows) if i == 0 or table.segments[i] != table.segments[i - 1]]
@@ -298,7 +309,9 @@ def _segments(
     for i in begins:
         key = table.segments[i]
         if key in seen:
-            raise ValueError(f"{table.row(i)}: the rows of segment {key} are not contiguous; sort the rows by segment")
+            raise ValueError(
+                f"{table.row(i)}: the rows of segment {key} are not contiguous; sort the rows by segment"
+            )
         seen.add(key)
     parts = [slice(a, b) for a, b in zip(begins, [*begins[1:], rows])]
     steps = [_steps(table, part, times, grid) for part in parts]
@@ -316,12 +329,17 @@ def _segments(
             if a > 0:
                 gaps.append(part.start + a)
             first = part.start + a
-            yield {"x": _spread(step[a:b], x[part][a:b]), "u": np.repeat(held[a:b], _lengths(step[a:b]), axis=0),
-                   "t": grid.snapped(times[first]), "p": p}
+            yield {
+                "x": _spread(step[a:b], x[part][a:b]),
+                "u": np.repeat(held[a:b], _lengths(step[a:b]), axis=0),
+                "t": grid.snapped(times[first]),
+                "p": p,
+            }
     if gaps:
         which = "1 row" if len(gaps) == 1 else f"{len(gaps)} rows"
         notes.append(
-            f"a new segment begins at {which} after a gap in which a control changes (first: {table.row(gaps[0])})"
+            f"a new segment begins at {which} after a gap in which a control changes "
+            f"(first: {table.row(gaps[0])})"
         )
 
 
@@ -352,13 +370,15 @@ def _steps(table: _Table, part: slice, times: np.ndarray, grid: _Grid) -> np.nda
     if off.any():
         row = part.start + int(off.argmax())
         raise ValueError(
-            f"{table.row(row)}: the time {times[row]:.12g} s is not a later step of {grid.dt} s; resample, or set `dt`"
+            f"{table.row(row)}: the time {times[row]:.12g} s is not a later step of {grid.dt} s; "
+            "resample, or set `dt`"
         )
     early = np.diff(steps) < 1
     if early.any():
         row = part.start + 1 + int(early.argmax())
         raise ValueError(
-            f"{table.row(row)}: the time {times[row]:.12g} s is not later than in the row before; sort the rows by time"
+            f"{table.row(row)}: the time {times[row]:.12g} s is not later than in the row before; "
+            "sort the rows by time"
         )
     return steps
 
@@ -373,14 +393,16 @@ def _check_distances(table: _Table, parts: list[slice], steps: list[np.ndarray],
     distances = [np.diff(step) for step in steps]
     least = min((int(distance.min()) for distance in distances if len(distance)), default=0)
     if least >= _SPARSE:
-        raise ValueError(f"{table.name}: all rows are {least} or more steps of {names.dt} s apart; {_FAR_APART}")
+        apart = f"{least} or more steps of {names.dt} s apart"
+        raise ValueError(f"{table.name}: all rows are {apart}; {_FAR_APART}")
     for part, distance in zip(parts, distances):
         far = distance > _ASTRAY * (len(distance) + 1) * _median(distance)
         if far.any():
             place = int(far.argmax())
+            row = table.row(part.start + 1 + place)
             raise ValueError(
-                f"{table.row(part.start + 1 + place)}: the row is {int(distance[place])} steps of {names.dt} s after the row "
-                "before, far more than the median of its segment; correct its time, or begin another segment there"
+                f"{row}: the row is {int(distance[place])} steps of {names.dt} s after the row before, far more "
+                "than the median of its segment; correct its time, or begin another segment there"
             )
     total = sum(step[-1] + 1 for step in steps)
     if total * 8 * (len(names.states) + len(names.controls)) > _MOST_BYTES:
@@ -395,7 +417,10 @@ def _check_controls(table: _Table, names: _Names, u: np.ndarray, notes: list[str
         notes.append(f"there is no {what} {', '.join(missing)}, which {are} taken as 0 in all rows")
     for i, name in enumerate(names.controls):
         if name in table.columns and len(u) > 1 and np.isnan(u[:, i]).all():
-            raise ValueError(f"{table.name}: the column `{name}` is empty; give the control of every row, or zeros if it was 0")
+            raise ValueError(
+                f"{table.name}: the column `{name}` is empty; give the control of every row, or zeros if it "
+                "was 0"
+            )
 
 
 def _constant(table: _Table, name: str, part: slice) -> float:
@@ -404,11 +429,13 @@ def _constant(table: _Table, name: str, part: slice) -> float:
     values = values[~np.isnan(values)]
     if not len(values):
         raise ValueError(
-            f"{table.row(part.start)}: the column `{name}` has no value in this segment; give it in every segment, or leave "
-            "out the column, so that all segments have the nominal value"
+            f"{table.row(part.start)}: the column `{name}` has no value in this segment; give it in every "
+            "segment, or leave out the column, so that all segments have the nominal value"
         )
     if (values != values[0]).any():
-        raise ValueError(f"{table.row(part.start)}: `{name}` changes in this segment; a parameter is constant in a segment")
+        raise ValueError(
+            f"{table.row(part.start)}: `{name}` changes in this segment; a parameter is constant in a segment"
+        )
     return float(values[0])
 
 
@@ -426,8 +453,8 @@ def _pieces(steps: np.ndarray, held: np.ndarray, notes: list[str]) -> list[tuple
     changes = (held[1:] != held[:-1]).any(axis=1)
     if median > 1 and (changes & (distances > 1)).any():
         notes.append(
-            f"the rows are {median} steps apart, and the fit holds each control over these steps; this is right only if the "
-            "experiment held it too, and not if rows were left out"
+            f"the rows are {median} steps apart, and the fit holds each control over these steps; this is "
+            "right only if the experiment held it too, and not if rows were left out"
         )
     cuts = (np.flatnonzero(changes & (distances >= 2 * median)) + 1).tolist()
     return list(zip([0, *cuts], [*cuts, len(steps)]))

@@ -62,7 +62,8 @@ def _simulated(task: Task, policy: Controller, starts: ArrayLike) -> tuple[Array
     for t in range(horizon):
         x, p = states[:, t], task.params_at(starts, t)
         found = np.asarray(act(task.observe(x, p=p, t=t), t))
-        if found.shape != (count, m) and not (m == 1 and found.shape == (count,)) or found.dtype.kind not in "fiub":
+        has_shape = found.shape == (count, m) or (m == 1 and found.shape == (count,))
+        if not has_shape or found.dtype.kind not in "fiub":
             raise ValueError(
                 f"`policy` returned an array of shape {found.shape} and dtype {found.dtype} at step {t}; "
                 f"expected controls of shape ({count}, {m})"
@@ -71,7 +72,8 @@ def _simulated(task: Task, policy: Controller, starts: ArrayLike) -> tuple[Array
         u = _finite(controls[:, t], "control", t)
         states[:, t + 1] = _finite(task.step(x, u, p=p, t=t), "state", t + 1)
         losses += _finite(task.running_cost(x, u, states[:, t + 1], p=p, t=t), "cost", t)
-    losses += _finite(task.terminal_cost(states[:, -1], p=task.params_at(starts, horizon - 1)), "cost", horizon)
+    p = task.params_at(starts, horizon - 1)
+    losses += _finite(task.terminal_cost(states[:, -1], p=p), "cost", horizon)
     return states, controls, losses
 
 
@@ -86,7 +88,8 @@ def _controller(policy: Any) -> Callable[[Array, int], Any]:
         return lambda y, t: policy(y)
     positional = [p for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
     # An optional second argument other than `t` is a setting of the function.
-    has_step = len(positional) > 1 and (positional[1].default is inspect.Parameter.empty or positional[1].name == "t")
+    second = positional[1:2]
+    has_step = any(parameter.default is parameter.empty or parameter.name == "t" for parameter in second)
     return policy if has_step else lambda y, t: policy(y)
 
 

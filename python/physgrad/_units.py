@@ -72,10 +72,13 @@ def factor(column: str, unit: Any, own: str | None) -> float:
     """
     if isinstance(unit, (int, float)) and not isinstance(unit, bool):
         if not (math.isfinite(unit) and unit != 0):
-            raise ValueError(f"`units`: the factor of `{column}` is {unit}; allowed: a finite number other than 0")
+            raise ValueError(
+                f"`units`: the factor of `{column}` is {unit}; allowed: a finite number other than 0"
+            )
         return float(unit)
     if not isinstance(unit, str):
-        raise TypeError(f"`units`: `{column}` is of type {type(unit).__name__}; allowed: a text as \"deg/s\", or a factor")
+        kind = type(unit).__name__
+        raise TypeError(f"`units`: `{column}` is of type {kind}; allowed: a text, as \"deg/s\", or a factor")
     if unit == own:
         return 1.0
     found = parse(unit)

@@ -119,8 +119,10 @@ def test_whole_segments_and_exact_starts(data, fit):
         exact = pg.identify(task(), data, params, NOISE, exact_starts=True)
     np.testing.assert_array_equal(exact.initial_states, [x[0] for x, _ in data])
     assert exact.unknowns == 2 and exact.measurements == 3 * 29 * 4
+    with pytest.raises(ValueError, match="`window` is -1; allowed: an integer of at least 0"):
+        pg.identify(task(), data, params, NOISE, window=-1)
     missing = [(np.where(np.arange(30)[:, None] == 0, [1.0, np.nan, 1.0, 1.0], x), u) for x, u in data]
-    with pytest.raises(ValueError, match="segment 0: the first row lacks v, but `exact_starts` takes it as"):
+    with pytest.raises(ValueError, match="segment 0: the first row lacks x_dot, but `exact_starts` takes it as"):
         pg.identify(task(), missing, params, NOISE, exact_starts=True)
 
 
@@ -135,10 +137,11 @@ def test_other_segments_validate_a_fit():
     assert 0.5 < other.reduced_chi_squared < 2
     np.testing.assert_array_equal(other.measured[1], data[3][0])
     np.testing.assert_allclose(fit.fitted_task.step(other.states[0][:-1], data[1][1][:29]), other.states[0][1:], atol=1e-7)
-    assert "Validation with 2 other segments" in fit.summary()
-    for every, message in [(0, "`every` is 0; allowed: an integer of at least 1"), (9, "no segment remains for validation")]:
-        with pytest.raises(ValueError, match=message):
-            pg.identify(task(), data, params, NOISE, every=every)
+    assert "Validation: residuals of 2 other segments" in fit.summary()
+    with pytest.raises(ValueError, match="`every` is 0; allowed: an integer of at least 1"):
+        pg.identify(task(), data, params, NOISE, every=0)
+    with pytest.raises(ValueError, match="`every` is 2, and no segment remains for validation"):
+        pg.identify(task(), data[:1], params, NOISE, every=2)
 
 
 def test_a_state_without_a_measurement_needs_no_noise(data):
@@ -149,7 +152,7 @@ def test_a_state_without_a_measurement_needs_no_noise(data):
         assert pg.identify(task(), unseen, params, noise).values == by_one.values
         with pytest.raises(ValueError, match="`noise` has no number for omega_1, which the data measure"):
             pg.identify(task(), data, params, noise)
-    with pytest.raises(ValueError, match="`noise`: 'theta' is no state; states: x, v, theta_1, omega_1"):
+    with pytest.raises(ValueError, match="`noise`: 'theta' is no state; states: x, x_dot, theta_1, omega_1"):
         pg.identify(task(), data, params, {"theta": 0.1})
 
 
@@ -176,16 +179,15 @@ def test_the_summary_has_numbers_errors_bounds_and_correlations(fit):
     text = fit.summary()
     assert text == str(fit)
     lines = text.splitlines()
-    rows = {line.split()[0]: line.split() for line in lines if line.lstrip().startswith("system.")}
+    rows = {line.split()[0]: line.split() for line in lines if line.endswith("estimated")}
     value, error = fit.values["system.pole_mass"], fit.errors["system.pole_mass"]
     expected = [f"{value:.6g}", "±", f"{error:.2g}", f"{100 * error / value:.2g}", "%"]
-    assert rows["system.pole_mass"][1:6] == expected or "system.pole_mass" in text
-    line = next(line for line in lines if line.strip().startswith("system.pole_mass") and "estimated" in line)
-    assert [word in line for word in (*expected, "0.13", "0.01 to inf")] == [True] * 7, line
+    assert rows["system.pole_mass"] == ["system.pole_mass", *expected, *rows["system.pole_mass"][6:]]
+    assert rows["system.pole_mass"][-5:] == ["0.13", "0.01", "to", "inf", "estimated"]
     pair = f"{fit.correlations[0, 1]:+.3f}"
     assert abs(fit.correlations[0, 1]) > 0.1 and pair in text and "Correlations above 0.1" in text
     assert pair not in fit.summary(min_correlation=0.999)
-    assert repr(fit).startswith("<physgrad.Fit of cart_pole: system.cart_mass 1.") and repr(fit).endswith("; converged>")
+    assert repr(fit).startswith("<physgrad.Fit of cart_pole: system.cart_mass 0.9") and repr(fit).endswith("; converged>")
 
 
 def test_bounds_and_open_numbers_show_in_the_summary(data):
@@ -209,7 +211,7 @@ def test_a_fit_is_a_dict_a_pickle_and_a_table_in_notebooks(fit):
 
 
 def test_a_plot_has_measured_and_fitted_states_with_residuals(fit, data, tmp_path):
-    pytest.importorskip("matplotlib")
+    pytest.importorskip("matplotlib").use("Agg")
     figure = fit.plot([2])
     assert len(figure.axes) == 8
     above, below = figure.axes[4], figure.axes[5]
