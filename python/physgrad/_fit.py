@@ -97,7 +97,7 @@ class Fit(Result):
     def rms(self) -> dict[str, float]:
         """Root mean square of the residuals of each measured state, in the units of the task."""
         residuals = np.concatenate(self.residuals)
-        seen = ~np.isnan(residuals).all(axis=0)
+        seen = [bool(np.isfinite(column).any()) for column in residuals.T]
         names = bare(self.task).state_names
         return {name: math.sqrt(np.nanmean(residuals[:, i] ** 2)) for i, name in enumerate(names) if seen[i]}
 
@@ -347,7 +347,10 @@ def _noise(task: Task, noise: Any, data: Any, scales: dict[str, float]) -> Any:
         noise = [noise.get(name, math.nan) for name in names]
     if not isinstance(noise, (list, tuple, np.ndarray)) or len(noise) != len(names):
         return noise
-    deviations = [float(value) * scales.get(name, 1.0) for name, value in zip(names, noise)]
+    try:
+        deviations = [float(value) * scales.get(name, 1.0) for name, value in zip(names, noise)]
+    except (TypeError, ValueError):
+        raise TypeError(f"`noise` is {noise!r}; allowed: numbers, and NaN for an unmeasured state") from None
     for i, name in enumerate(names):
         if math.isnan(deviations[i]):
             if any(np.isfinite(np.asarray(_states(part), float)[:, i]).any() for part in data):
@@ -388,7 +391,7 @@ def _fit(task: Task, data: Any, raw: dict[str, Any], noise: Any, notes: list[str
         iterations=raw["iterations"],
         states=raw["states"],
         measured=raw["measured"],
-        times=[begin + task.dt * np.arange(len(x)) for begin, x in zip(begins, raw["states"])],
+        times=[begin + task.dt * np.arange(len(x), dtype=np.float64) for begin, x in zip(begins, raw["states"])],
         notes=[*notes, *raw["notes"]],
         warnings=raw["warnings"],
         validation=None,

@@ -110,6 +110,13 @@ def read(
     """
     if is_table(data) or isinstance(data, dict):
         data = [data]
+    if isinstance(data, (list, tuple)):
+        for place, part in enumerate(data):
+            if not (is_table(part) or isinstance(part, (dict, tuple))):
+                raise TypeError(
+                    f"`data[{place}]` is of type {type(part).__name__}; allowed: a data frame, the path of a CSV "
+                    "file, a dict, or a pair, as in [(x, u)]"
+                )
     has_tables = isinstance(data, (list, tuple)) and any(map(is_table, data))
     if not has_tables:
         for name, value in (("time", time), ("units", units)):
@@ -231,7 +238,7 @@ def _series(frame: Any, name: str, time: str | None) -> tuple[list[str], list[An
             kind = type(column).__name__
             raise TypeError(f"{name}: the column {column!r} is of type {kind}; allowed: names as texts")
     cells = [frame[column] for column in header]
-    index = getattr(frame, "index", None)
+    index: Any = getattr(frame, "index", None)
     for level, label in enumerate(getattr(index, "names", ())):
         if label in ((time,) if time else _TIME) or label in _SEGMENT:
             header.append(label)
@@ -244,7 +251,11 @@ def _series(frame: Any, name: str, time: str | None) -> tuple[list[str], list[An
 def _numbers(table: _Table, column: str, values: Any) -> np.ndarray:
     """A column as numbers. Empty cells are NaN."""
     if isinstance(values, list):
-        numbers = np.array([_number(table, column, i, cell) for i, cell in enumerate(values)])
+        try:
+            numbers = np.array([cell or "nan" for cell in values]).astype(float)
+        except ValueError:
+            row, cell = next((i, cell) for i, cell in enumerate(values) if cell and not _is_number(cell))
+            raise ValueError(f"{table.row(row)}: `{cell[:40]}` in column `{column}` is not a number") from None
     else:
         if getattr(getattr(values, "dtype", None), "kind", "") in "mM":
             raise TypeError(
@@ -266,11 +277,12 @@ def _numbers(table: _Table, column: str, values: Any) -> np.ndarray:
     return numbers
 
 
-def _number(table: _Table, column: str, row: int, cell: str) -> float:
+def _is_number(cell: str) -> bool:
     try:
-        return float(cell) if cell else math.nan
+        float(cell)
     except ValueError:
-        raise ValueError(f"{table.row(row)}: `{cell[:40]}` in column `{column}` is not a number") from None
+        return False
+    return True
 
 
 def _decimal(number: str) -> float:
@@ -391,9 +403,9 @@ def _median(distances: np.ndarray) -> int:
 def _check_distances(table: _Table, parts: list[slice], steps: list[np.ndarray], names: _Names) -> None:
     """Refuses times in another unit than s, wrong times, and segments that are too long."""
     distances = [np.diff(step) for step in steps]
-    least = min((int(distance.min()) for distance in distances if len(distance)), default=0)
+    least = min((float(distance.min()) for distance in distances if len(distance)), default=0.0)
     if least >= _SPARSE:
-        apart = f"{least} or more steps of {names.dt} s apart"
+        apart = f"{least:.6g} or more steps of {names.dt} s apart"
         raise ValueError(f"{table.name}: all rows are {apart}; {_FAR_APART}")
     for part, distance in zip(parts, distances):
         far = distance > _ASTRAY * (len(distance) + 1) * _median(distance)

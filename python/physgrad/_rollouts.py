@@ -44,23 +44,30 @@ def losses(task: Task, policy: Policy | Controller, starts: ArrayLike) -> Array:
     """
     if isinstance(policy, Policy):
         return _core.losses(task, policy, starts)
-    return _simulated(task, policy, starts)[2]
+    states, controls, starts = _simulated(task, policy, starts)
+    found: Array = np.zeros(len(states), states.dtype)
+    for t in range(task.horizon):
+        x, u, next = states[:, t], controls[:, t], states[:, t + 1]
+        p = task.params_at(starts, t)
+        found = found + _finite(task.running_cost(x, u, next, p=p, t=t), "cost", t)
+    # Noise keeps its last value.
+    p = task.params_at(starts, task.horizon - 1)
+    return found + _finite(task.terminal_cost(states[:, -1], p=p), "cost", task.horizon)
 
 
 def _simulated(task: Task, policy: Controller, starts: ArrayLike) -> tuple[Array, Array, Array]:
-    """States, controls and losses of rollouts of a function."""
+    """States and controls of rollouts of a function, and the initial states as an array."""
     act = _controller(policy)
-    starts = np.asarray(starts)
-    dtype = np.float32 if starts.dtype == np.float32 else np.float64
-    starts = np.ascontiguousarray(starts, dtype)
-    if starts.ndim != 2 or starts.shape[1] != task.start_dim:
-        raise ValueError(f"`starts` has the shape {starts.shape}; expected (B, {task.start_dim})")
-    count, horizon, n, m = len(starts), task.horizon, task.state_dim, task.control_dim
-    states, controls = np.empty((count, horizon + 1, n), dtype), np.empty((count, horizon, m), dtype)
-    losses = np.zeros(count, dtype)
-    states[:, 0] = _finite(starts[:, :n], "state", 0)
+    rows: Array = np.asarray(starts)
+    rows = np.ascontiguousarray(rows, np.float32 if rows.dtype == np.float32 else np.float64)
+    if rows.ndim != 2 or rows.shape[1] != task.start_dim:
+        raise ValueError(f"`starts` has the shape {rows.shape}; expected (B, {task.start_dim})")
+    count, horizon, n, m = len(rows), task.horizon, task.state_dim, task.control_dim
+    states: Array = np.empty((count, horizon + 1, n), rows.dtype)
+    controls: Array = np.empty((count, horizon, m), rows.dtype)
+    states[:, 0] = _finite(rows[:, :n], "state", 0)
     for t in range(horizon):
-        x, p = states[:, t], task.params_at(starts, t)
+        x, p = states[:, t], task.params_at(rows, t)
         found = np.asarray(act(task.observe(x, p=p, t=t), t))
         has_shape = found.shape == (count, m) or (m == 1 and found.shape == (count,))
         if not has_shape or found.dtype.kind not in "fiub":
@@ -71,10 +78,7 @@ def _simulated(task: Task, policy: Controller, starts: ArrayLike) -> tuple[Array
         controls[:, t] = found.reshape(count, m)
         u = _finite(controls[:, t], "control", t)
         states[:, t + 1] = _finite(task.step(x, u, p=p, t=t), "state", t + 1)
-        losses += _finite(task.running_cost(x, u, states[:, t + 1], p=p, t=t), "cost", t)
-    p = task.params_at(starts, horizon - 1)
-    losses += _finite(task.terminal_cost(states[:, -1], p=p), "cost", horizon)
-    return states, controls, losses
+    return states, controls, rows
 
 
 def _controller(policy: Any) -> Callable[[Array, int], Any]:

@@ -285,6 +285,9 @@ def test_files_that_are_no_tables_are_refused(tmp_path):
         path.write_bytes(text if isinstance(text, bytes) else text.encode())
         with pytest.raises(ValueError, match=re.escape(message)):
             pg.identify(task(), path, MASS)
+    x, u = recordings(1)[0][0]
+    with pytest.raises(TypeError, match=r"`data\[0\]` is of type ndarray; allowed: a data frame, .* or a pair, as in \[\(x, u\)\]"):
+        pg.identify(task(), (x, u), MASS)
     with pytest.raises(FileNotFoundError):
         pg.identify(task(), tmp_path / "missing.csv", MASS)
     with pytest.raises(ValueError, match="`units` is about columns; the data have no data frame and no CSV file"):

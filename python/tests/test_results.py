@@ -74,6 +74,15 @@ def test_functions_without_controls_are_refused():
         pg.rollout(of, lambda y, t: np.where((np.arange(4) == 2) & (t == 3), np.nan, 0.0), of.starts(4))
     error = raised.value
     assert (error.variable, error.step, error.sample, error.component) == ("control", 3, 2, 0)
+    policy = pg.Mlp(of, [8], seed=1, zero_init_output=False)
+    policy.theta = policy.theta * 1e155
+    for call in (pg.rollout, pg.losses):
+        places = []
+        for act in (policy, lambda y: policy(y)):
+            with pytest.raises(pg.Divergence) as raised:
+                call(of, act, of.starts(4, seed=1))
+            places.append([getattr(raised.value, name) for name in ("variable", "step", "sample", "component")])
+        assert places[0] == places[1]
 
 
 def test_a_plan_has_attributes():
