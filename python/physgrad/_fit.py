@@ -32,7 +32,7 @@ class Fit(Result):
     """
 
     task: Task
-    """The task with the initial values."""
+    """The task of the call. `fitted_task` has the fitted numbers."""
     values: dict[str, float]
     """Fitted numbers by dotted key, in the units of the task."""
     errors: dict[str, float]

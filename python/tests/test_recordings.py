@@ -302,7 +302,11 @@ def test_columns_of_parameters_hold_for_a_segment():
     same(fit, pg.identify(drawn, [{"x": x, "u": u, "p": {"system.cart_mass": 1.0}} for x, u in pairs], MASS))
     assert fit.values["system.pole_mass"] == pytest.approx(0.17, rel=1e-6)
     # A column of a number that the fit replaces is ignored, as by the program.
-    same(pg.identify(drawn, Frame(table | {"system.pole_mass": np.full(80, 3.0)}), MASS), fit)
+    for values in (np.full(80, 3.0), np.full(80, np.nan)):
+        frame = Frame(table | {"system.pole_mass": values})
+        same(pg.identify(drawn, frame, MASS), fit)
+        same(pg.identify(drawn.replace(pole_mass={"start": 0.1}), frame), fit)
+        same(pg.identify(drawn.replace(pole_mass={"uniform": [0.1, 0.2]}), frame, MASS), fit)
     for values, message in [
         (np.r_[np.ones(79), 2.0], "row 40: `system.cart_mass` changes in this segment"),
         (np.r_[np.full(40, np.nan), np.ones(40)], "row 0: the column `system.cart_mass` has no value in this segment"),
