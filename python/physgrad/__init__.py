@@ -1,10 +1,11 @@
 """Differentiable physics: gradients of long simulations, and neural controllers trained with them.
 
 `task` opens a preset or a scene file, and `system` a system that is written as functions of NumPy.
-Methods of a `Task` evaluate steps, observations and costs on arrays, with their derivatives. `train`
-trains a policy. `rollout`, `losses` and `gradients` evaluate policies. `optimize` minimizes the loss
-over the controls from one initial state. `identify` fits physical numbers to measurements, `check`
-compares derivatives with dual numbers, and `accuracy` measures errors and costs of integrators.
+`presets` lists the presets. Methods of a `Task` evaluate steps, observations and costs on arrays,
+with their derivatives. `train` trains a policy. `rollout` and `losses` evaluate policies and functions,
+and `gradients` evaluates policies. `optimize` minimizes the loss over the controls from one initial
+state. `identify` fits physical numbers to measurements, `check` compares derivatives with dual
+numbers, and `accuracy` measures errors and costs of integrators.
 """
 
 from ._core import (
@@ -13,21 +14,24 @@ from ._core import (
     Run,
     Task,
     __version__,
-    accuracy,
     check,
     gradients,
-    identify,
-    losses,
-    optimize,
-    rollout,
+    presets,
 )
+from ._accuracy import Accuracy, accuracy
 from ._distributions import choice, log_uniform, noise, normal, table, trained, uniform
+from ._fit import Fit, identify
 from ._import_jax import from_jax
+from ._plan import Plan, optimize
+from ._rollouts import losses, rollout
 from .trace import detach, system
 
 __all__ = [
+    "Accuracy",
     "Divergence",
+    "Fit",
     "Mlp",
+    "Plan",
     "Policy",
     "Run",
     "Task",
@@ -44,6 +48,7 @@ __all__ = [
     "noise",
     "normal",
     "optimize",
+    "presets",
     "rollout",
     "scene",
     "system",

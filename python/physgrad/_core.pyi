@@ -1,8 +1,11 @@
-"""Types of the compiled module. Shapes: n states, m controls, T steps."""
+"""Types of the compiled module. Shapes: n states, m controls, T steps.
 
-from collections.abc import Callable, Sequence
+`identify`, `optimize` and `accuracy` return the attributes of the public results as dicts.
+"""
+
+from collections.abc import Callable
 from os import PathLike
-from typing import Any, Literal, TypedDict, type_check_only
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -111,9 +114,14 @@ def handle(task: Task, policy: Policy | None = None, flow: str = "R") -> int: ..
 def operation(handle: int, name: str, t: int, inputs: list[Array], outputs: list[Array]) -> None: ...
 
 xla_handler: int
+def presets() -> dict[str, str]:
+    """Names of the presets that `task` opens, each with a line about it."""
 
 class Policy:
     theta: NDArray[np.float64]
+    @property
+    def task(self) -> Task:
+        """The task of the policy, with its settings in the section `policy`."""
     def __init__(self, task: Task, seed: int = 0, **settings: Any) -> None: ...
     def __call__(self, y: ArrayLike) -> Array: ...
     def __len__(self) -> int: ...
@@ -146,168 +154,25 @@ class Run:
     def report(self, path: str | PathLike[str]) -> None:
         """Writes the page of `physgrad report` to an HTML file. The run needs no folder."""
 
-@type_check_only
-class _Fit(TypedDict):
-    """Result of `identify`, for K unknown numbers. A dict.
-
-    All dicts, lists and arrays have the numbers in the order of `params`. Without `params`, and for
-    further numbers in the section `fit`, the order is that of the task.
-    """
-
-    values: dict[str, float]
-    """Fitted numbers by dotted key, in the units of the task."""
-    errors: dict[str, float]
-    """Standard errors by dotted key. NaN at a bound, and infinite without an estimate."""
-    statuses: dict[str, str]
-    """What the fit knows about each number, such as "estimated" or "ran away"."""
-    robust_errors: NDArray[np.float64]
-    """Standard errors that allow for correlated residuals, (K,)."""
-    correlations: NDArray[np.float64]
-    """Correlations of the values, (K, K)."""
-    chi_squared: float
-    """Sum of squared residuals, in units of `noise` if given."""
-    converged: bool
-    undetermined: list[list[str]]
-    """Combinations of numbers that the data do not determine."""
-    at_bound: list[str]
-    """Numbers with the status "at bound": the sum of squares decreases beyond a bound."""
-    notes: list[str]
-    """What the fit assumes of the data, such as full turns that it removes."""
-    warnings: list[str]
-    """What limits the result. Each sentence is also a `UserWarning`."""
-
-@type_check_only
-class _Rows(TypedDict):
-    x: ArrayLike
-    u: ArrayLike
-
-@type_check_only
-class _Segment(_Rows, total=False):
-    """A measured segment for `identify`."""
-
-    t: float
-    p: dict[str, float]
-
-@type_check_only
-class _Plan(TypedDict):
-    """Result of `optimize`. A dict."""
-
-    u: NDArray[np.float64]
-    """Controls, (T, m)."""
-    x: NDArray[np.float64]
-    """States, (T+1, n)."""
-    gains: NDArray[np.float64]
-    """Gains of the feedback u_t + K_t (x - x_t), (T, m, n)."""
-    cost: float
-    """Running costs plus terminal cost, in the units of the task."""
-    costs: NDArray[np.float64]
-    """Initial cost, then the cost after each iteration, (iterations + 1,)."""
-    iterations: int
-    gradient_norm: float
-    """Largest absolute component of the projected gradient, cost per unit of control."""
-    converged: bool
-    stop: str
-    warnings: list[str]
-    """Sentences about a search that may have ended far from a minimum."""
-    """Reason for the termination."""
-
-@type_check_only
-class _Settings(TypedDict):
-    """Columns with one entry per setting, S settings."""
-
-    method: list[str]
-    """Integrators; "native" for the scheme of the task."""
-    precision: list[str]
-    """Names of precisions in scenes: "f32" or "f64"."""
-    substeps: NDArray[np.int64]
-    """Physics steps per time step, (S,)."""
-    trajectory: NDArray[np.float64]
-    """Largest error of the states, relative to the largest state, (S,). NaN after a divergence."""
-    loss: NDArray[np.float64]
-    """Relative errors of the mean loss, (S,)."""
-    R: NDArray[np.float64]
-    """Relative errors of the gradient R in the Euclidean norm, (S,)."""
-    M: NDArray[np.float64]
-    """Relative errors of the field M in the Euclidean norm, (S,)."""
-    operations: NDArray[np.int64]
-    """Operations of one step and its vector-Jacobian product, per sample, (S,)."""
-    bytes: NDArray[np.float64]
-    """Bytes of a rollout and its adjoints, per step and sample, (S,)."""
-    forward_seconds: NDArray[np.float64]
-    """Median time of a forward pass, s per step and sample, (S,). NaN after a divergence."""
-    gradient_seconds: NDArray[np.float64]
-    """Median time of a forward pass with R and M, s per step and sample, (S,). NaN after a
-    divergence."""
-
-@type_check_only
-class _Cheapest(TypedDict):
-    """The fastest setting that reaches a target."""
-
-    method: str
-    substeps: int
-    precision: str
-    error: float
-    """Relative error by the metric."""
-    seconds: float
-    """Time per step and sample, s: forward, or with gradients for the metrics "R" and "M"."""
-    task: Task
-    """The task with this setting."""
-
-@type_check_only
-class _Accuracy(TypedDict):
-    """Result of `accuracy`. A dict."""
-
-    settings: _Settings
-    reference: dict[str, float]
-    """Estimated errors of the reference: "trajectory", "loss", "R" and "M"."""
-    cheapest: _Cheapest | None
-    """None without a target, or if no setting reaches it."""
-
 def rollout(task: Task, policy: Policy, starts: ArrayLike) -> tuple[Array, Array]: ...
 def losses(task: Task, policy: Policy, starts: ArrayLike) -> Array: ...
 def gradients(task: Task, policy: Policy, starts: ArrayLike, fields: list[str] | None = None) -> dict[str, Array]: ...
 def identify(
     task: Task,
-    data: Sequence[tuple[ArrayLike, ArrayLike] | _Segment],
-    params: list[str] | dict[str, float | dict[str, float]] | None = None,
-    noise: list[float] | None = None,
-) -> _Fit:
-    """Fits physical numbers to measured trajectories.
-
-    `data` is a list of pairs: measured states, (steps, n), NaN where missing, and controls,
-    (steps, m); that of the last state may be absent. A dict in place of a pair has "x", "u", and optionally "t", the time of the first
-    row in s, and "p", a dict of parameters of the task. `params` is a list of dotted keys, a dict with initial values, or a dict of dicts
-    with "start", "min" and "max". `noise` has the standard deviation of the measurement noise of
-    each state, (n,). Results have the numbers in the order of `params`.
-    """
-
+    data: Any,
+    params: Any = None,
+    noise: Any = None,
+    window: int = 10,
+    exact_starts: bool = False,
+    only_starts: bool = False,
+) -> dict[str, Any]: ...
 def check(task: Task, policy: Policy | None = None) -> str:
     """Checks derivatives against dual numbers, at the parameters of `policy` or random ones.
 
     Returns a table. Raises `AssertionError` with all failures.
     """
 
-def accuracy(
-    task: Task,
-    target: float | None = None,
-    metric: Literal["trajectory", "loss", "R", "M"] = "trajectory",
-    rounds: int = 5,
-) -> _Accuracy:
-    """Measures errors and costs of all integrators, substeps and precisions of a task.
-
-    Errors are relative to a reference in f64 with small steps. `target` is the largest error of
-    the cheapest setting, measured by `metric`. With fewer `rounds` of timing the call ends sooner,
-    and times are less certain.
-    """
-
+def accuracy(task: Task, target: float | None = None, metric: str = "trajectory", rounds: int = 5) -> dict[str, Any]: ...
 def optimize(
-    task: Task,
-    start: ArrayLike,
-    bounds: list[list[float]] | None = None,
-    iterations: int | None = None,
-) -> _Plan:
-    """Optimizes the controls from one initial state `start`, (start_dim,).
-
-    `bounds` has the low and high bound of each control, (m, 2). `iterations` is the largest number
-    of iterations, 200 by default, up to 1,000,000.
-    """
+    task: Task, start: Any, bounds: Any = None, iterations: int | None = None, initial: Any = None
+) -> dict[str, Any]: ...

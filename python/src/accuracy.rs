@@ -17,31 +17,8 @@ const METRICS: [(&str, Metric); 4] = [
     ("M", Metric::M),
 ];
 
-/// Errors and costs of all integrators, substeps and precisions, as `physgrad accuracy` measures
-/// them.
-///
-/// Simulates the task with the S settings of the program, and times each `rounds` times on one
-/// thread, in 5 to 30 s. With fewer rounds it ends sooner, and times are less certain. Errors are relative to a reference in f64 with small steps. The policy has the initial
-/// parameters of the task, with a nonzero output layer.
-///
-/// Returns a dict:
-///
-/// - "settings": a dict of columns with one entry per setting. "method" and "precision" are lists
-///   of str. The others are arrays, (S,). "substeps" is per time step. "trajectory", "loss", "R"
-///   and "M" are errors, NaN if the rollout diverges. "operations" counts a step and its
-///   vector-Jacobian product, per sample. "bytes" and the medians "forward_seconds" and
-///   "gradient_seconds" are per step and sample.
-/// - "reference": estimates of the errors of the reference, a dict with "trajectory", "loss", "R"
-///   and "M". Smaller errors of a setting are below the resolution of the reference.
-/// - "cheapest": the cheapest setting with an error of at most `target`, or None: the one with the
-///   fewest operations among those whose times overlap with the fastest one's. A dict with
-///   "method", "substeps", "precision", "error", "seconds" and "task", the task with this setting.
-///   "seconds" is "gradient_seconds" for the metrics "R" and "M", otherwise "forward_seconds".
-///
-/// `metric` is the error that `target` refers to: "trajectory", "loss", "R" or "M". Raises
-/// `ValueError` if an argument is invalid, if the reference diverges, or if the task does not
-/// support other time steps. Ctrl-C raises `KeyboardInterrupt`. A simulation that has begun still
-/// runs to its end, on another thread.
+/// Errors and costs of all settings. `physgrad.accuracy` documents arguments and result, of which
+/// this dict has the attributes.
 #[pyfunction]
 #[pyo3(signature = (task, target=None, metric="trajectory", rounds=5))]
 pub fn accuracy<'py>(

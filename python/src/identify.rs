@@ -9,47 +9,28 @@ use crate::settings::{Settings, value_of};
 use crate::task::Task;
 use numpy::IntoPyArray;
 use physgrad::identify::{Fit, IdentifyError, Options, Segment};
-use physgrad_cli::api::{self, Scene};
+use physgrad_cli::api::{self, Remarks, Scene};
 use pyo3::exceptions::{PyAssertionError, PyMemoryError, PyUserWarning};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyList};
 use std::collections::HashMap;
 use std::ffi::CString;
 use toml::{Table, Value};
 
-/// Fits physical numbers to measured trajectories, as `physgrad identify` does, in f64.
-///
-/// `data` is a list of pairs: measured states, (steps, n), and controls, (steps, m), one per state;
-/// that of the last state has no effect and may be absent. NaN marks a missing measurement. A dict in place of a pair has the states "x", the controls "u", and
-/// optionally "t", the time of the first row in s since the start of a rollout (default: 0), and
-/// "p", a dict of parameters of the task by name. `t` matters if the physics depends on time, as
-/// with gusts. Angles may wrap as those of an encoder do. `params` names the unknown numbers by dotted keys. With a list, as in
-/// `["system.pole_mass"]`, the fit starts from their values in the task. A dict has initial values,
-/// as in `{"system.pole_mass": 0.2}`, or dicts with "start", "min" and "max". Without `params`, the
-/// scene names the numbers in its section `fit`. `noise` has the standard deviation of the
-/// measurement noise of each state, (n,). Without `noise`, one standard deviation holds for all
-/// states, estimated from the residuals.
-///
-/// Returns a dict: "values", "errors" (standard errors) and "statuses" by name, "chi_squared",
-/// "converged", "undetermined" and "at_bound". A status is "estimated", "at bound",
-/// "undetermined", "ran away", "non-finite derivative", "zero derivative" or "not converged". Only
-/// estimated numbers have errors; that of a number at a bound is NaN, and others are infinite.
-/// "robust_errors", (K,), and "correlations", (K, K), refer to the K unknown numbers. All dicts,
-/// lists and arrays have the numbers in the order of `params`; without `params`, and for further
-/// numbers in the section `fit`, in the order of the task. "notes" has sentences about what the fit
-/// assumes of the data, such as full turns that it removes. "warnings" has sentences about what limits the result, such as a χ² that the
-/// noise does not explain; each is also a `UserWarning`. Raises `ValueError` if no number is
-/// unknown, if an argument does not fit the task, or if the simulation with the initial values
-/// diverges, and `MemoryError` if all segments together need more than 1 GB, or the fit more than
-/// the memory. Ctrl-C raises `KeyboardInterrupt`.
+/// Fits physical numbers to measured segments: pairs, or dicts with "x", "u", "t" and "p".
+/// `physgrad.identify` documents arguments and result, of which this dict has the attributes. With
+/// `only_starts`, fits only the initial states.
 #[pyfunction]
-#[pyo3(signature = (task, data, params=None, noise=None))]
+#[pyo3(signature = (task, data, params=None, noise=None, window=10, exact_starts=false, only_starts=false))]
 pub fn identify<'py>(
     py: Python<'py>,
     task: &Task,
     data: &Bound<'py, PyAny>,
     params: Option<&Bound<'py, PyAny>>,
     noise: Option<&Bound<'py, PyAny>>,
+    window: usize,
+    exact_starts: bool,
+    only_starts: bool,
 ) -> PyResult<Bound<'py, PyDict>> {
     let unknowns = params.map_or(Ok(Vec::new()), |params| unknowns(task, params))?;
     let order: Vec<String> = unknowns.iter().map(|(key, _)| key.clone()).collect();
@@ -74,51 +55,120 @@ pub fn identify<'py>(
         .enumerate()
         .map(|(i, data)| segment(&scene, i, data))
         .collect::<PyResult<Vec<_>>>()?;
+    let problem = scene.clone();
     let fit = interruptible(py, move |stop| {
-        let options = Options { noise, stop: Some(stop.clone()), ..Options::default() };
-        scene.identify(&segments, &options).map(|fit| {
+        let options = Options {
+            noise,
+            free_starts: !exact_starts,
+            window: (window > 0).then_some(window),
+            stop: Some(stop.clone()),
+            ..Options::default()
+        };
+        let fit = match only_starts {
+            true => scene.fit_starts(&segments, &options),
+            false => scene.identify(&segments, &options),
+        };
+        fit.map(|fit| {
             let fit = ordered(fit, &order);
             let remarks = scene.remarks(&fit, &segments, options.noise.is_some());
-            (fit, remarks)
+            (fit, remarks, segments)
         })
     })?;
-    let (fit, remarks) = fit.map_err(|error| {
-        invalid(match error {
-            IdentifyError::NothingUnknown => {
-                "the task has no unknown numbers; name them in `params`, as in {\"system.pole_mass\": 0.2}".to_owned()
-            }
-            IdentifyError::MissingParam { name, .. } => {
-                format!(
-                    "the task has the parameter `{name}`, which has no value; give a dict for each segment, as in \
-                     {{\"x\": x, \"u\": u, \"p\": {{\"{name}\": 0.0}}}}"
-                )
-            }
-            error => error.to_string(),
-        })
-    })?;
-    let (values, errors, statuses) = (PyDict::new(py), PyDict::new(py), PyDict::new(py));
+    let (fit, remarks, segments) = fit.map_err(|error| refusal(&problem, error))?;
+    for warning in &remarks.warnings {
+        let text = CString::new(&*api::plain(warning)).unwrap_or_default();
+        // The place of the warning is the call of the Python function.
+        PyErr::warn(py, &py.get_type::<PyUserWarning>(), &text, 2)?;
+    }
+    dict_of(py, &problem, fit, remarks, &segments)
+}
+
+/// The exception for an error of a fit, in terms of the arguments.
+fn refusal(scene: &Scene, error: IdentifyError) -> PyErr {
+    invalid(match error {
+        IdentifyError::NothingUnknown => {
+            "the task has no unknown numbers; name them in `params`, as in {\"system.pole_mass\": 0.2}".to_owned()
+        }
+        IdentifyError::MissingParam { name, .. } => {
+            format!(
+                "the task has the parameter `{name}`, which has no value; give a dict for each segment, as in \
+                 {{\"x\": x, \"u\": u, \"p\": {{\"{name}\": 0.0}}}}, or a column `{name}`"
+            )
+        }
+        IdentifyError::MissingStart { segment, component } => format!(
+            "segment {segment}: the first row lacks {}, but `exact_starts` takes it as the exact initial state; begin at a \
+             complete row, or omit `exact_starts`",
+            scene.state_names()[component]
+        ),
+        error => error.to_string(),
+    })
+}
+
+/// The attributes of the result.
+fn dict_of<'py>(
+    py: Python<'py>,
+    scene: &Scene,
+    fit: Fit,
+    remarks: Remarks,
+    segments: &[Segment],
+) -> PyResult<Bound<'py, PyDict>> {
+    let result = of_numbers(py, scene, &fit)?;
+    let measured = |segment: &Segment| {
+        let columns: Vec<Vec<f64>> =
+            (0..scene.dims()[0]).map(|i| fit.measured(i, segment)).collect();
+        (0..segment.x.len()).map(|row| columns.iter().map(|column| column[row]).collect()).collect()
+    };
+    let measured: Vec<Vec<Vec<f64>>> = segments.iter().map(measured).collect();
+    result.set_item("measured", matrices(py, measured)?)?;
+    result.set_item("states", matrices(py, fit.states)?)?;
+    result.set_item("chi_squared", fit.chi_squared)?;
+    result.set_item("measurements", fit.measurements)?;
+    result.set_item("unknowns", fit.unknowns)?;
+    result.set_item("window", fit.window.unwrap_or(0))?;
+    result.set_item("iterations", fit.iterations)?;
+    result.set_item("converged", fit.converged)?;
+    result.set_item("undetermined", fit.undetermined)?;
+    result.set_item("undetermined_starts", fit.undetermined_starts)?;
+    result.set_item("at_bound", fit.at_bound)?;
+    result.set_item("notes", remarks.notes)?;
+    result.set_item("warnings", remarks.warnings)?;
+    Ok(result)
+}
+
+/// What a fit knows about its numbers, by name.
+fn of_numbers<'py>(py: Python<'py>, scene: &Scene, fit: &Fit) -> PyResult<Bound<'py, PyDict>> {
+    let [values, errors, statuses, starts, bounds] = [(); 5].map(|()| PyDict::new(py));
     for (i, name) in fit.names.iter().enumerate() {
         values.set_item(name, fit.values[i])?;
         errors.set_item(name, fit.errors[i])?;
         statuses.set_item(name, fit.statuses[i].name())?;
+        let setting = scene.setting(name);
+        let of = |key: &str, absent: f64| {
+            let value = setting.as_ref().and_then(|setting| setting.get(key));
+            let integer = || value.and_then(Value::as_integer).map(|value| value as f64);
+            value.and_then(Value::as_float).or_else(integer).unwrap_or(absent)
+        };
+        starts.set_item(name, of("start", f64::NAN))?;
+        bounds.set_item(name, (of("min", f64::NEG_INFINITY), of("max", f64::INFINITY)))?;
     }
     let (count, result) = (fit.names.len(), PyDict::new(py));
     result.set_item("values", values)?;
     result.set_item("errors", errors)?;
     result.set_item("statuses", statuses)?;
+    result.set_item("starts", starts)?;
+    result.set_item("bounds", bounds)?;
     result.set_item("correlations", array(py, fit.correlations.concat(), &[count, count])?)?;
-    result.set_item("robust_errors", fit.robust_errors.into_pyarray(py))?;
-    result.set_item("chi_squared", fit.chi_squared)?;
-    result.set_item("converged", fit.converged)?;
-    result.set_item("undetermined", fit.undetermined)?;
-    result.set_item("at_bound", fit.at_bound)?;
-    for warning in &remarks.warnings {
-        let text = CString::new(&*api::plain(warning)).unwrap_or_default();
-        PyErr::warn(py, &py.get_type::<PyUserWarning>(), &text, 1)?;
-    }
-    result.set_item("notes", remarks.notes)?;
-    result.set_item("warnings", remarks.warnings)?;
+    result.set_item("robust_errors", fit.robust_errors.clone().into_pyarray(py))?;
     Ok(result)
+}
+
+/// A list of matrices from their rows.
+fn matrices(py: Python<'_>, all: Vec<Vec<Vec<f64>>>) -> PyResult<Bound<'_, PyList>> {
+    let matrix = |rows: Vec<Vec<f64>>| {
+        let shape = [rows.len(), rows.first().map_or(0, Vec::len)];
+        array(py, rows.concat(), &shape)
+    };
+    PyList::new(py, all.into_iter().map(matrix).collect::<PyResult<Vec<_>>>()?)
 }
 
 /// The fit with its numbers in the order of these keys. Numbers without a key follow in the order

@@ -73,6 +73,7 @@ pub fn add_to(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("Divergence", module.py().get_type::<errors::Divergence>())?;
     module.add_class::<task::Task>()?;
     module.add_function(wrap_pyfunction!(task::task_names, module)?)?;
+    module.add_function(wrap_pyfunction!(task::presets, module)?)?;
     module.add_class::<policy::Policy>()?;
     module.add_class::<run::Run>()?;
     module.add_function(wrap_pyfunction!(identify::identify, module)?)?;

@@ -1,6 +1,6 @@
 //! `optimize`: controls that minimize the loss from one initial state.
 
-use crate::arrays::{any_shape, array};
+use crate::arrays::{Argument, any_shape, array};
 use crate::errors::invalid;
 use crate::interrupt::interruptible;
 use crate::lists::List;
@@ -13,26 +13,17 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::ffi::CString;
 
-/// Optimizes the controls from one initial state `start`, (start_dim,), as `physgrad optimize`
-/// does, in f64. Noise has its mean.
-///
-/// `bounds` has the low and high bound of each control, (m, 2). `iterations` is the largest number
-/// of iterations, 200 by default, up to 1,000,000. The search starts at controls of 0.
-///
-/// Returns a dict: controls "u", (T, m), states "x", (T+1, n), "cost", "iterations",
-/// "gradient_norm", "converged" and "stop". "gains", (T, m, n), are those of the feedback
-/// u_t + K_t (x - x_t). "costs" holds the initial cost, then the cost after each iteration.
-/// "warnings" has sentences about a search that may have ended far from a minimum, each also a
-/// `UserWarning`. Raises `ValueError` if an argument is invalid, or if the initial trajectory, the initial cost or a
-/// derivative is not finite. Ctrl-C raises `KeyboardInterrupt`.
+/// Optimizes the controls. `physgrad.optimize` documents arguments and result, of which this dict
+/// has the attributes.
 #[pyfunction]
-#[pyo3(signature = (task, start, bounds=None, iterations=None))]
+#[pyo3(signature = (task, start, bounds=None, iterations=None, initial=None))]
 pub fn optimize<'py>(
     py: Python<'py>,
     task: &Task,
     start: &Bound<'py, PyAny>,
     bounds: Option<&Bound<'py, PyAny>>,
     iterations: Option<usize>,
+    initial: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let [n, m, params] = task.scene.dims();
     let start = any_shape::<f64>("start", start, task.width)?;
@@ -46,13 +37,17 @@ pub fn optimize<'py>(
     let bounds = bounds.map(|bounds| pairs.read(bounds, pair)).transpose()?;
     let mut options = Options { bounds, ..Options::default() };
     options.max_iterations = iterations.unwrap_or(options.max_iterations);
+    let horizon = task.scene.horizon();
+    let controls = |u| Argument::<f64>::matrix("initial", u, horizon, m)?.to_vec();
+    let initial = initial.map(controls).transpose()?;
     let (problem, start) = (task.scene.task(), start.slice().to_vec());
     let plan = interruptible(py, move |stop| {
         let options = Options { stop: Some(stop.clone()), ..options };
-        minimize(&problem, &start[..n], &start[n..n + params], Initial::Zeros, &options)
+        let initial = initial.as_deref().map_or(Initial::Zeros, Initial::Controls);
+        minimize(&problem, &start[..n], &start[n..n + params], initial, &options)
     })?;
     let plan = plan.map_err(|error| invalid(error.to_string()))?;
-    let (horizon, result) = (plan.horizon(), PyDict::new(py));
+    let result = PyDict::new(py);
     result.set_item("cost", plan.cost)?;
     result.set_item("iterations", plan.iterations())?;
     result.set_item("gradient_norm", plan.gradient_norm())?;
@@ -60,7 +55,8 @@ pub fn optimize<'py>(
     result.set_item("stop", plan.stop.to_string())?;
     for warning in plan.warnings() {
         let text = CString::new(&*api::plain(warning)).unwrap_or_default();
-        PyErr::warn(py, &py.get_type::<PyUserWarning>(), &text, 1)?;
+        // The place of the warning is the call of the Python function.
+        PyErr::warn(py, &py.get_type::<PyUserWarning>(), &text, 2)?;
     }
     result.set_item("warnings", plan.warnings())?;
     result.set_item("costs", plan.costs.into_pyarray(py))?;

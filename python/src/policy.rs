@@ -77,6 +77,12 @@ impl Policy {
         self.lock().set_theta(theta).map_err(value_error)
     }
 
+    /// The task of the policy, with its settings in the section `policy`.
+    #[getter]
+    fn task(&self) -> Task {
+        Task::new(self.lock().scene().clone())
+    }
+
     /// Controls, (B, m), for observations `y`, (B, observation_dim). Only for policies without a
     /// memory.
     fn __call__<'py>(&self, py: Python<'py>, y: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
@@ -148,7 +154,7 @@ impl Policy {
     fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
         let policy = self.lock().clone();
         let restore = py.get_type::<Self>().getattr("_of_theta")?;
-        let task = Task::new(policy.scene().clone());
+        let task = self.task();
         let theta = policy.theta().to_vec();
         let arguments = (task, theta, self.of_run).into_pyobject(py)?;
         PyTuple::new(py, [restore, arguments.into_any()])

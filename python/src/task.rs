@@ -12,7 +12,7 @@ use physgrad::rng::Purpose;
 use physgrad::{DynTask, Float as _, Inputs, System as _, Tangents, Task as _};
 use physgrad_cli::api::Scene;
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyDict, PyString, PyTuple};
+use pyo3::types::{IntoPyDict as _, PyBytes, PyDict, PyString, PyTuple};
 use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use std::path::Path;
 use std::sync::OnceLock;
@@ -156,6 +156,12 @@ impl Task {
 #[pyfunction]
 pub fn task_names() -> Vec<&'static str> {
     physgrad_cli::api::task_names()
+}
+
+/// Names of the presets that `task` opens, each with a line about it, as a dict.
+#[pyfunction]
+pub fn presets(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
+    physgrad_cli::api::presets().into_py_dict(py)
 }
 
 #[pymethods]

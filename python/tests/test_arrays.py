@@ -416,7 +416,7 @@ def test_numbers_of_iterations_have_a_limit(iterations):
     task = pg.task("lqr", horizon=5)
     with pytest.raises(ValueError, match=f"the largest number of iterations is {iterations}; allowed: 0 to 1000000$"):
         pg.optimize(task, task.starts(1)[0], iterations=iterations)
-    assert pg.optimize(task, task.starts(1)[0], iterations=1_000_000)["converged"]
+    assert pg.optimize(task, task.starts(1)[0], iterations=1_000_000).converged
     run = pg.Run(task, epochs=1, train_samples=4, test_samples=4)
     for epochs in (10**10, 10**18, 2**64 - 1):
         with pytest.raises(ValueError, match="`epochs` is .*; allowed: 0 to 1000000000"):

@@ -28,7 +28,7 @@ except KeyboardInterrupt:
             print("idle")
             break
     plan = pg.optimize(pg.task("cart_pole", poles=1, horizon=5), [0.0, 0.0, 3.0, 0.0], iterations=1)
-    print(plan["u"].shape)
+    print(plan.u.shape)
 """
 
 LONG = """

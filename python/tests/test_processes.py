@@ -30,8 +30,8 @@ def results(folder):
         "losses": pg.losses(task, policy, starts),
         "gradients": pg.gradients(task, policy, starts, fields=["R"])["R"],
         "train": pg.load(folder).policy.theta,
-        "identify": np.array(list(fit["values"].values())),
-        "optimize": pg.optimize(task, starts[0], iterations=2)["u"],
+        "identify": np.array(list(fit.values.values())),
+        "optimize": pg.optimize(task, starts[0], iterations=2).u,
     }
 
 

@@ -326,8 +326,8 @@ def test_divergence_has_its_place():
 def test_plans_lower_the_cost_and_respect_bounds():
     task = pg.task("cart_pole", poles=1, horizon=30)
     plan = pg.optimize(task, task.starts(1, seed=2)[0], bounds=[[-5, 5]], iterations=30)
-    assert plan["cost"] < plan["costs"][0] and abs(plan["u"]).max() <= 5
-    assert plan["x"].shape == (31, 4) and plan["u"].shape == (30, 1) and plan["gains"].shape == (30, 1, 4)
+    assert plan.cost < plan.costs[0] and abs(plan.u).max() <= 5
+    assert plan.x.shape == (31, 4) and plan.u.shape == (30, 1) and plan.gains.shape == (30, 1, 4)
 
 
 def test_memory_does_not_grow():

@@ -33,6 +33,11 @@ pub fn task_names() -> Vec<&'static str> {
     crate::tasks::all().iter().map(|task| task.name()).collect()
 }
 
+/// Names of all presets, each with a line about it.
+pub fn presets() -> Vec<(&'static str, &'static str)> {
+    crate::scenes::presets::all().collect()
+}
+
 /// Contents of a file of up to `most` bytes. None if it has more.
 ///
 /// # Errors

@@ -272,6 +272,19 @@ impl Scene {
         self.scene.identify(segments, options)
     }
 
+    /// Fits only the initial states of measured segments, as the validation of `physgrad identify`
+    /// does.
+    ///
+    /// # Errors
+    /// Those of [`identify`](Self::identify), without that of a scene that trains no number.
+    pub fn fit_starts(
+        &self,
+        segments: &[Segment],
+        options: &Options,
+    ) -> Result<Fit, IdentifyError> {
+        self.scene.identify(segments, &Options { free_starts: true, ..options.clone() })
+    }
+
     /// Largest number of rows of all segments of [`identify`](Self::identify), which then take 1 GB.
     pub fn most_rows(&self) -> usize {
         let [states, controls, _] = self.dims();

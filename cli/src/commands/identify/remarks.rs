@@ -32,7 +32,11 @@ pub const COMMAND: Words = Words {
 };
 
 /// The arguments of a call from another program, for example Python.
-pub const CALL: Words = Words { noise: "`noise`", starts: "", window: "" };
+pub const CALL: Words = Words {
+    noise: "`noise`",
+    starts: ", use `exact_starts=True` with complete first rows, or choose a longer `window`",
+    window: " or another `window`",
+};
 
 /// Rows of the fitted segments as they were given.
 pub trait Rows {
