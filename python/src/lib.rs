@@ -17,6 +17,7 @@ mod settings;
 mod task;
 mod threads;
 mod timing;
+mod whole;
 
 use physgrad::engine::kernels;
 use pyo3::exceptions::PyImportError;
