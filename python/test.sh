@@ -2,8 +2,8 @@
 # Builds the wheel, installs it in a new virtual environment and runs the tests. Skips with a
 # message if Python 3.10 or newer, its module venv or a package index is missing.
 # PHYSGRAD_MODULE, the path of a compiled module, is installed in place of a wheel.
-# PHYSGRAD_PYTHON_ALL=1 also installs PyTorch, Stable-Baselines3, pandas, matplotlib and lmfit, and
-# runs slow tests.
+# PHYSGRAD_PYTHON_ALL=1 also installs PyTorch, Stable-Baselines3, pandas, checkers of types and others,
+# and runs slow tests.
 set -euo pipefail
 cd "$(dirname "$0")"
 
@@ -23,6 +23,7 @@ pip install numpy pytest || skip "pip cannot install packages"
 pip install gymnasium jax casadi || echo "gymnasium, jax or casadi is missing: their tests are skipped"
 if [ "${PHYSGRAD_PYTHON_ALL:-0}" = 1 ]; then
     pip install torch stable-baselines3 pandas matplotlib lmfit
+    pip install mypy pyright ipython tqdm joblib 'dask[distributed]' ray
 fi
 
 if [ -n "${PHYSGRAD_MODULE:-}" ]; then

@@ -1,14 +1,18 @@
 """Types of the compiled module. Shapes: n states, m controls, T steps.
 
+
 `identify`, `optimize` and `accuracy` return the attributes of the public results as dicts.
 """
 
-from collections.abc import Callable
-from os import PathLike
-from typing import Any
+import pathlib
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+from typing_extensions import Unpack
+
+from ._types import FieldName, LongFieldName, Path, Precision, RunSettings, Section, TrainingSettings
 
 __version__: str
 
@@ -24,8 +28,63 @@ class Divergence(ArithmeticError):
     run: Run
 
 class Task:
-    def __init__(self, name: str, **settings: Any) -> None: ...
-    def replace(self, **settings: Any) -> Task: ...
+    """A task: system, horizon, costs and the distribution of initial states.
+
+    Array methods accept B samples at once, one per row: states `x`, (B, n), controls `u`, (B, m), and
+    parameters `p`, (B, param_dim). They compute in float32 if all arguments are arrays of float32, and
+    otherwise in float64. `t` is the number of the step.
+    """
+
+    def __init__(
+        self,
+        name: Path,
+        *,
+        horizon: int = ...,
+        precision: Precision = ...,
+        field: FieldName | LongFieldName = ...,
+        epochs: int = ...,
+        seed: int = ...,
+        tags: Sequence[str] = ...,
+        log: Sequence[Literal["jsonl", "tensorboard"]] = ...,
+        effects: Section = ...,
+        actuator: Section = ...,
+        sensor: Section = ...,
+        integrator: Section = ...,
+        loss: Section = ...,
+        equations: Section = ...,
+        policy: Section = ...,
+        training: TrainingSettings = ...,
+        system: Section = ...,
+        vary: Section = ...,
+        fit: Mapping[str, float | Mapping[str, float]] = ...,
+        settings: Section = ...,
+        **system_settings: Any,
+    ) -> None: ...
+    def replace(
+        self,
+        *,
+        horizon: int = ...,
+        precision: Precision = ...,
+        field: FieldName | LongFieldName = ...,
+        epochs: int = ...,
+        seed: int = ...,
+        tags: Sequence[str] = ...,
+        log: Sequence[Literal["jsonl", "tensorboard"]] = ...,
+        effects: Section = ...,
+        actuator: Section = ...,
+        sensor: Section = ...,
+        integrator: Section = ...,
+        loss: Section = ...,
+        equations: Section = ...,
+        policy: Section = ...,
+        training: TrainingSettings = ...,
+        system: Section = ...,
+        vary: Section = ...,
+        fit: Mapping[str, float | Mapping[str, float]] = ...,
+        settings: Section = ...,
+        **system_settings: Any,
+    ) -> Task:
+        """Copy with other settings, given as in `physgrad.task`. A dict changes only its keys."""
     @property
     def name(self) -> str: ...
     @property
@@ -57,12 +116,22 @@ class Task:
     @property
     def settings(self) -> dict[str, Any]:
         """All settings, a dict that refuses changes."""
-    def starts(self, count: int, seed: int = 0, split: str = "new", dtype: Any = None) -> Array: ...
-    def params_at(self, starts: ArrayLike, t: int = 0) -> Array: ...
-    def step(self, x: ArrayLike, u: ArrayLike, p: ArrayLike | None = None, t: int = 0) -> Array: ...
+    def starts(
+        self,
+        count: int,
+        seed: int = 0,
+        split: Literal["new", "train", "test"] = "new",
+        dtype: DTypeLike | None = None,
+    ) -> Array:
+        """Draws initial states, (count, start_dim): the state, parameters, and a key of noise if any."""
+    def params_at(self, starts: ArrayLike, t: int = 0) -> Array:
+        """Parameters, (B, param_dim), of the rollouts from `starts`, (B, start_dim), at step `t`."""
+    def step(self, x: ArrayLike, u: ArrayLike, p: ArrayLike | None = None, t: int = 0) -> Array:
+        """Next states, (B, n), of states `x`, (B, n), and controls `u`, (B, m)."""
     def step_vjp(
         self, x: ArrayLike, u: ArrayLike, next_bar: ArrayLike, p: ArrayLike | None = None, t: int = 0
-    ) -> tuple[Array, Array, Array]: ...
+    ) -> tuple[Array, Array, Array]:
+        """Products of `next_bar`, (B, n), with the transposed Jacobians of `step`: (x_bar, u_bar, p_bar)."""
     def step_jvp(
         self,
         x: ArrayLike,
@@ -72,14 +141,18 @@ class Task:
         p: ArrayLike | None = None,
         p_tan: ArrayLike | None = None,
         t: int = 0,
-    ) -> Array: ...
-    def observe(self, x: ArrayLike, p: ArrayLike | None = None, t: int = 0) -> Array: ...
+    ) -> Array:
+        """Products of the Jacobians of `step` with tangents of the shapes of x, u and p: (B, n)."""
+    def observe(self, x: ArrayLike, p: ArrayLike | None = None, t: int = 0) -> Array:
+        """Observations, (B, observation_dim), of states `x`, (B, n)."""
     def observe_vjp(
         self, x: ArrayLike, y_bar: ArrayLike, p: ArrayLike | None = None, t: int = 0
-    ) -> tuple[Array, Array]: ...
+    ) -> tuple[Array, Array]:
+        """Products of `y_bar`, (B, observation_dim), with the transposed Jacobians of `observe`: (x_bar, p_bar)."""
     def running_cost(
         self, x: ArrayLike, u: ArrayLike, next: ArrayLike, p: ArrayLike | None = None, t: int = 0
-    ) -> Array: ...
+    ) -> Array:
+        """Costs, (B,), of steps from `x`, (B, n), with `u`, (B, m), to `next`, (B, n)."""
     def running_cost_vjp(
         self,
         x: ArrayLike,
@@ -88,11 +161,14 @@ class Task:
         cost_bar: ArrayLike,
         p: ArrayLike | None = None,
         t: int = 0,
-    ) -> tuple[Array, Array, Array, Array]: ...
-    def terminal_cost(self, x: ArrayLike, p: ArrayLike | None = None) -> Array: ...
+    ) -> tuple[Array, Array, Array, Array]:
+        """Gradients of the running costs times `cost_bar`, (B,): (x_bar, u_bar, next_bar, p_bar)."""
+    def terminal_cost(self, x: ArrayLike, p: ArrayLike | None = None) -> Array:
+        """Costs, (B,), of last states `x`, (B, n)."""
     def terminal_cost_vjp(
         self, x: ArrayLike, cost_bar: ArrayLike, p: ArrayLike | None = None
-    ) -> tuple[Array, Array]: ...
+    ) -> tuple[Array, Array]:
+        """Gradients of the terminal costs times `cost_bar`, (B,): (x_bar, p_bar)."""
     def transition(
         self, x: ArrayLike, u: ArrayLike, p: ArrayLike | None = None, t: int = 0
     ) -> tuple[Array, Array, Array]: ...
@@ -107,6 +183,9 @@ class Task:
         p: ArrayLike | None = None,
         t: int = 0,
     ) -> tuple[Array, Array, Array]: ...
+    def _repr_html_(self) -> str: ...
+    @staticmethod
+    def _of_equations(**settings: Any) -> Task: ...
 
 def task_names() -> list[str]: ...
 def operation_names() -> list[str]: ...
@@ -118,28 +197,54 @@ def presets() -> dict[str, str]:
     """Names of the presets that `task` opens, each with a line about it."""
 
 class Policy:
-    theta: NDArray[np.float64]
+    """The policy of a task, with its parameters θ."""
+
+    def __init__(
+        self,
+        task: Task,
+        seed: int = 0,
+        *,
+        kind: str = ...,
+        bounds: bool | Sequence[Sequence[float]] = ...,
+        base: Section = ...,
+        **policy_settings: Any,
+    ) -> None: ...
     @property
-    def task(self) -> Task:
-        """The task of the policy, with its settings in the section `policy`."""
-    def __init__(self, task: Task, seed: int = 0, **settings: Any) -> None: ...
-    def __call__(self, y: ArrayLike) -> Array: ...
+    def theta(self) -> NDArray[np.float64]:
+        """The parameters, (len(policy),). An assignment replaces all of them; elements refuse changes."""
+    @theta.setter
+    def theta(self, theta: ArrayLike) -> None: ...
+    @property
+    def task(self) -> Task: ...
+    def __call__(self, y: ArrayLike) -> Array:
+        """Controls, (B, m), for observations `y`, (B, observation_dim)."""
     def __len__(self) -> int: ...
-    def save(self, path: str | PathLike[str]) -> None: ...
-    def load(self, path: str | PathLike[str]) -> None: ...
+    def save(self, path: Path) -> None:
+        """Writes a policy file in the safetensors format."""
+    def load(self, path: Path) -> None:
+        """Replaces the parameters by those of a policy file."""
     def copy(self) -> Policy: ...
+    def _repr_html_(self) -> str: ...
 
 class Run:
+    """A training of a policy."""
+
     def __init__(
-        self, task: Task, policy: Policy | None = None, threads: int | None = None, **settings: Any
+        self,
+        task: Task,
+        policy: Policy | None = None,
+        threads: int | None = None,
+        **settings: Unpack[RunSettings],
     ) -> None: ...
     @staticmethod
-    def load(folder: str | PathLike[str]) -> Run: ...
+    def load(folder: Path) -> Run: ...
     def train(
-        self, callback: Callable[[dict[str, Any]], Any] | None = None, epochs: int | None = None
-    ) -> None: ...
+        self, callback: Callable[[dict[str, float]], object] | None = None, epochs: int | None = None
+    ) -> None:
+        """Trains up to the last epoch. A callback that returns False stops after its epoch."""
     @property
-    def history(self) -> dict[str, NDArray[np.float64]]: ...
+    def history(self) -> dict[str, NDArray[np.float64]]:
+        """Numbers of every epoch, (epochs,): "epoch", "loss", "train_loss", "test_loss" and others."""
     @property
     def policy(self) -> Policy: ...
     @property
@@ -149,14 +254,21 @@ class Run:
     @property
     def is_done(self) -> bool: ...
     @property
-    def folder(self) -> Any: ...
-    def save(self, folder: str | PathLike[str]) -> None: ...
-    def report(self, path: str | PathLike[str]) -> None:
+    def folder(self) -> pathlib.Path | None: ...
+    def save(self, folder: Path) -> None: ...
+    def report(self, path: Path) -> None:
         """Writes the page of `physgrad report` to an HTML file. The run needs no folder."""
+    def _losses(self) -> str: ...
+    def _repr_html_(self) -> str: ...
 
 def rollout(task: Task, policy: Policy, starts: ArrayLike) -> tuple[Array, Array]: ...
 def losses(task: Task, policy: Policy, starts: ArrayLike) -> Array: ...
-def gradients(task: Task, policy: Policy, starts: ArrayLike, fields: list[str] | None = None) -> dict[str, Array]: ...
+def gradients(
+    task: Task,
+    policy: Policy,
+    starts: ArrayLike,
+    fields: Sequence[FieldName | LongFieldName] | None = None,
+) -> dict[str, Array]: ...
 def identify(
     task: Task,
     data: Any,

@@ -47,6 +47,9 @@ def log_uniform(low: float, high: float) -> dict[str, list[float]]:
 
 def choice(values: Sequence[float]) -> dict[str, list[float]]:
     """One of these numbers, drawn for each sample."""
+    if isinstance(values, str) or not isinstance(values, (Sequence, np.ndarray)):
+        kind = type(values).__name__
+        raise TypeError(f"pg.choice: {values!r} is of type {kind}; allowed: a list of numbers")
     found = finite("pg.choice", *values)
     if not found:
         raise ValueError("pg.choice: there are no values")
@@ -80,6 +83,8 @@ class table:
     """A value over time, one number per step. A function receives the number of its step."""
 
     def __init__(self, values: Sequence[float]) -> None:
+        if isinstance(values, str):
+            raise TypeError(f"pg.table: {values!r} is text; allowed: a list of numbers, one per step")
         array = np.asarray(values)
         if array.ndim != 1 or len(array) == 0:
             raise ValueError(f"pg.table: needs a list of numbers, one per step, not shape {array.shape}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, NoReturn
 
 
-class Settings(dict):
+class Settings(dict[str, Any]):
     """A dict that refuses changes: a task does not change. Copies are ordinary dicts."""
 
     def _refuse(self, *_: Any, **__: Any) -> NoReturn:
@@ -13,5 +13,5 @@ class Settings(dict):
 
     __setitem__ = __delitem__ = __ior__ = clear = pop = popitem = setdefault = update = _refuse
 
-    def __reduce__(self) -> tuple:
+    def __reduce__(self) -> tuple[type, tuple[dict[str, Any]]]:
         return dict, (dict(self),)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, ParamSpec
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -58,8 +58,13 @@ OF_OBJECTS = re.compile(r"dtype\('O'\)|loop of ufunc|not supported for the input
 OF_SHAPES = re.compile(r"shape|element|length|dimension|broadcast|scalar|returned a")
 # Words of JAX about values that are not its own.
 OF_JAX = re.compile(r"as an abstract array|JAX|np\.result_type")
+if TYPE_CHECKING:
+    from ._core import Task
+
 Names = Sequence[str] | int
 P = ParamSpec("P")
+R = TypeVar("R")
+Function = Callable[..., Any]
 
 
 def detach(value: Any) -> Any:
@@ -74,12 +79,25 @@ def detach(value: Any) -> Any:
 def names(what: str, given: Names, prefix: str) -> list[str]:
     """A list of names, or as many names as a count says."""
     if isinstance(given, (int, np.integer)) and not isinstance(given, bool):
+        if given < 0:
+            raise ValueError(f"`{what}` is {given}; allowed: 0 or more, or a list of names")
         return [f"{prefix}{i + 1}" for i in range(given)]
     if isinstance(given, str):
         raise TypeError(
             f"`{what}` is the text {given!r}; give a list of names, as in {what}=[{given!r}], or a count"
         )
+    if isinstance(given, bool) or not isinstance(given, Iterable):
+        raise TypeError(f"`{what}` is of type {type(given).__name__}; allowed: a list of names, or a count")
     return list(given)
+
+
+def check_dict(what: str, given: Any) -> dict[str, Any]:
+    """The items of an argument that is a dict or None."""
+    if given is None:
+        return {}
+    if not hasattr(given, "items"):
+        raise TypeError(f"`{what}` is of type {type(given).__name__}; allowed: a dict, by name")
+    return dict(given)
 
 
 def check_names(groups: dict[str, Iterable[str]]) -> None:
@@ -109,6 +127,9 @@ def by_order(what: str, given: Any, labels: list[str]) -> dict[str, Any]:
     if given is None:
         return {}
     if not hasattr(given, "items"):
+        if isinstance(given, str) or not isinstance(given, Iterable):
+            kind = type(given).__name__
+            raise TypeError(f"`{what}` is of type {kind}; allowed: a dict or a list of numbers")
         given = list(given)
         if len(given) != len(labels):
             raise ValueError(f"`{what}` has {len(given)} values; expected {len(labels)}: {', '.join(labels)}")
@@ -130,6 +151,7 @@ class Plan:
     """What the functions receive: names, constants and bounds."""
 
     def __init__(self, states: Names, controls: Any, params: Any, tables: Any) -> None:
+        params, tables = check_dict("params", params), check_dict("tables", tables)
         self.bounds = {}
         if hasattr(controls, "items"):
             self.bounds = {
@@ -139,10 +161,10 @@ class Plan:
         self.controls = names("controls", controls, "u")
         if not self.states:
             raise ValueError("`states` is empty; a system has at least one state")
-        self.order = [*(params or {}), *(tables or {})]
+        self.order = [*params, *tables]
         self.tables = {
             name: (value if isinstance(value, table) else table(value)).values
-            for name, value in (tables or {}).items()
+            for name, value in tables.items()
         }
         self.parameters: dict[str, Any] = {}
         self.arrays: dict[str, np.ndarray] = {}
@@ -150,10 +172,10 @@ class Plan:
         self.used: set[str] = set()
         self.pairs = {
             name: value
-            for name, value in (params or {}).items()
+            for name, value in params.items()
             if isinstance(value, tuple) and len(value) == 2
         }
-        for name, value in (params or {}).items():
+        for name, value in params.items():
             if isinstance(value, table):
                 self.tables[name] = value.values
             elif isinstance(value, (list, tuple)) or isinstance(value, np.ndarray) and value.ndim > 0:
@@ -163,8 +185,8 @@ class Plan:
         groups = {
             "states": self.states,
             "controls": self.controls,
-            "params": params or {},
-            "tables": tables or {},
+            "params": params,
+            "tables": tables,
         }
         check_names(groups)
         self.labels = [label for group in groups.values() for label in group]
@@ -217,7 +239,7 @@ class Plan:
         return {name: found[name] for name in ARGUMENTS[role]}
 
 
-def fit(role: str, function: Callable, given: dict[str, Any]) -> tuple[list, dict[str, Any]]:
+def fit(role: str, function: Function, given: dict[str, Any]) -> tuple[list[Any], dict[str, Any]]:
     """The arguments of a function: by name if all its names are known, and otherwise in their order."""
     where = begin(function)
     try:
@@ -256,7 +278,7 @@ def fit(role: str, function: Callable, given: dict[str, Any]) -> tuple[list, dic
     return list(given.values())[: None if variadic else len(wanted)], {}
 
 
-def flatten(role: str, where: str, result: Any) -> list:
+def flatten(role: str, where: str, result: Any) -> list[Any]:
     """The numbers of a result, of any nesting."""
     if isinstance(result, (list, tuple)):
         return [number for part in result for number in flatten(role, where, part)]
@@ -282,7 +304,7 @@ EXPECTED = {
 }
 
 
-def components(role: str, where: str, result: Any, states: list[str]) -> list:
+def components(role: str, where: str, result: Any, states: list[str]) -> list[Any]:
     """The numbers of a result, in the order of the states."""
     if isinstance(result, dict) and role != "observe":
         if role.endswith("cost") or sorted(map(str, result)) != sorted(states):
@@ -296,8 +318,8 @@ def components(role: str, where: str, result: Any, states: list[str]) -> list:
         result = list(result.values())
     shape = shape_of(result)
     found = flatten(role, where, result)
-    expected = {"observe": len(found), "running_cost": 1, "terminal_cost": 1}.get(role, len(states))
-    if len(found) != expected or not found:
+    count = {"observe": len(found), "running_cost": 1, "terminal_cost": 1}.get(role, len(states))
+    if len(found) != count or not found:
         order = f": {', '.join(states)}" if role in ("rate", "step") else ""
         raise ValueError(f"{where} returned {shape}; `{role}` returns {EXPECTED[role]}{order}")
     return found
@@ -309,7 +331,7 @@ def shape_of(result: Any) -> str:
     return f"an array of shape {plain(result).shape}" if isinstance(result, np.ndarray) else "one number"
 
 
-def traced(graph: Graph, plan: Plan, role: str, function: Callable) -> list[int]:
+def traced(graph: Graph, plan: Plan, role: str, function: Function) -> list[int]:
     """Calls a function of the user, and returns the nodes of its result."""
     if not callable(function):
         raise TypeError(
@@ -345,7 +367,7 @@ def traced(graph: Graph, plan: Plan, role: str, function: Callable) -> list[int]
     return [number.id for number in found]
 
 
-def equations(plan: Plan, functions: dict[str, Callable]) -> dict[str, Any]:
+def equations(plan: Plan, functions: dict[str, Function]) -> dict[str, Any]:
     """Definitions, and expressions by function."""
     graph = Graph()
     outputs = {role: traced(graph, plan, role, function) for role, function in functions.items()}
@@ -357,9 +379,9 @@ def equations(plan: Plan, functions: dict[str, Callable]) -> dict[str, Any]:
 
 
 def trace_settings(
-    rate: Callable | None = None,
+    rate: Function | None = None,
     *,
-    step: Callable | None = None,
+    step: Function | None = None,
     states: Names,
     controls: Any = (),
     params: dict[str, Any] | None = None,
@@ -369,9 +391,9 @@ def trace_settings(
     substeps: int | None = None,
     horizon: int = 100,
     start: Any = None,
-    observe: Callable | None = None,
-    running_cost: Callable | None = None,
-    terminal_cost: Callable | None = None,
+    observe: Function | None = None,
+    running_cost: Function | None = None,
+    terminal_cost: Function | None = None,
     angles: Sequence[str] = (),
     units: dict[str, str] | None = None,
     **settings: Any,
@@ -384,16 +406,16 @@ def trace_settings(
     if step is not None and (method is not None or substeps is not None):
         raise TypeError("`method` and `substeps` belong to a rate; `step=` returns the next state itself")
     plan = Plan(states, controls, params, tables)
-    functions = {
+    given = {
         "rate": rate,
         "step": step,
         "observe": observe,
         "running_cost": running_cost,
         "terminal_cost": terminal_cost,
     }
-    functions = {
+    functions: dict[str, Function] = {
         role: CasadiFunction(function) if is_casadi(function) else function
-        for role, function in functions.items()
+        for role, function in given.items()
         if function is not None
     }
     with constructors(functions.values()):
@@ -410,15 +432,18 @@ def trace_settings(
             "the functions gave other equations when they were called again; they must not change variables"
         )
     starts = by_order("start", start, plan.states)
+    if isinstance(angles, (int, np.integer)):
+        raise TypeError(f"`angles` is {angles!r}; allowed: a list of names of states")
     check_keys("angles", names("angles", angles, ""), plan.states)
-    check_keys("units", units or {}, plan.labels)
-    system = {
+    units = check_dict("units", units)
+    check_keys("units", units, plan.labels)
+    system: dict[str, Any] = {
         "states": plan.states,
         "controls": plan.controls,
         "dt": finite("`dt`", dt)[0],
         "angles": list(angles),
         "bounds": plan.bounds,
-        "units": dict(units or {}),
+        "units": units,
         "parameters": plan.parameters,
         "start": {name: number_or_table(f"start of `{name}`", value) for name, value in starts.items()},
         "tables": plan.tables,
@@ -427,8 +452,8 @@ def trace_settings(
     }
     if system["dt"] <= 0:
         raise ValueError(f"`dt` is {system['dt']}; a time step is positive")
-    kind, function = ("rate", "rate") if rate is not None else ("next", "step")
-    result = {
+    kind, role = ("rate", "rate") if rate is not None else ("next", "step")
+    result: dict[str, Any] = {
         "task": "equations",
         "horizon": horizon,
         "system": {
@@ -443,7 +468,7 @@ def trace_settings(
         if rate is None
         else {"method": method or "rk4", **({} if substeps is None else {"substeps": substeps})},
     }
-    result["system"][kind] = dict(zip(plan.states, found[function], strict=True))
+    result["system"][kind] = dict(zip(plan.states, found[role], strict=True))
     return merge(result, settings)
 
 
@@ -464,18 +489,23 @@ def merge(result: dict[str, Any], settings: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in result.items() if value != {}}
 
 
-def with_arguments_of(function: Callable[P, Any]) -> Callable[[Callable], Callable[P, Any]]:
-    """Gives a function the signature of another one, for `help` and for completion."""
+# Errors in the arguments of `system` are raised by the call of this function.
+trace_settings.__qualname__ = "system"
 
-    def decorate(other: Callable) -> Callable[P, Any]:
-        other.__signature__ = inspect.signature(function).replace(return_annotation=Any)
+
+def with_arguments_of(function: Callable[P, Any]) -> Callable[[Callable[..., R]], Callable[P, R]]:
+    """Gives a function the signature of another one, for `help`, completion and checkers of types."""
+
+    def decorate(other: Callable[..., R]) -> Callable[P, R]:
+        result = inspect.signature(other).return_annotation
+        setattr(other, "__signature__", inspect.signature(function).replace(return_annotation=result))
         return other
 
     return decorate
 
 
 @with_arguments_of(trace_settings)
-def system(*arguments: Any, **settings: Any) -> Any:
+def system(*arguments: Any, **settings: Any) -> Task:
     """Opens a task whose dynamics and costs are functions of NumPy.
 
     `rate` returns the derivative of the state by time; `step=` returns the next state instead.

@@ -3,6 +3,7 @@
 use crate::errors::{invalid, value_error};
 use crate::interrupt::interruptible;
 use crate::task::Task;
+use crate::whole;
 use numpy::IntoPyArray;
 use physgrad_cli::api::{Cheapest, Errors, Measured, Metric, Row};
 use pyo3::prelude::*;
@@ -26,7 +27,7 @@ pub fn accuracy<'py>(
     task: &Task,
     target: Option<f64>,
     metric: &str,
-    rounds: usize,
+    #[pyo3(from_py_with = whole::rounds)] rounds: usize,
 ) -> PyResult<Bound<'py, PyDict>> {
     let Some(&(_, measure)) = METRICS.iter().find(|(name, _)| *name == metric) else {
         let names = METRICS.map(|(name, _)| format!("\"{name}\"")).join(", ");

@@ -88,6 +88,36 @@ fn check_kind(name: &str, object: &Bound<'_, PyAny>) -> PyResult<()> {
     Ok(())
 }
 
+/// Refuses complex numbers, whose imaginary part a conversion drops, text, dates and masks.
+fn check_numbers(name: &str, array: &Bound<'_, PyUntypedArray>) -> PyResult<()> {
+    let dtype = array.dtype();
+    if matches!(dtype.kind(), b'b' | b'c' | b'S' | b'U' | b'M' | b'm') {
+        return Err(wrong_type(format!("`{name}` is an array of {dtype}; allowed: real numbers")));
+    }
+    Ok(())
+}
+
+/// Refuses tensors of PyTorch and traced arrays of JAX, whose derivatives a conversion loses.
+fn check_library(name: &str, object: &Bound<'_, PyAny>) -> PyResult<()> {
+    if object.cast::<PyUntypedArray>().is_ok() {
+        return Ok(());
+    }
+    let kind = object.get_type();
+    let module = kind.module()?.to_string();
+    match module.split('.').next() {
+        Some("torch") => Err(wrong_type(format!(
+            "`{name}` is a tensor of PyTorch; `physgrad.torch` has differentiable functions of tensors, and \
+             `{name}.detach().cpu().numpy()` is an array"
+        ))),
+        Some("jax" | "jaxlib") if kind.name()?.to_string().ends_with("Tracer") => {
+            Err(wrong_type(format!(
+                "`{name}` is traced by JAX; use the functions of `physgrad.jax` inside of `jit`, `grad`, `vmap` and `scan`"
+            )))
+        }
+        _ => Ok(()),
+    }
+}
+
 /// Contiguous argument of the number type `F`. Copies the given array only if its layout or type
 /// differs.
 pub struct Argument<'py, F: Number>(PyReadonlyArrayDyn<'py, F>);
@@ -105,6 +135,7 @@ impl<'py, F: Number> Argument<'py, F> {
                 "`{name}` is a masked array; fill it, as in `{name}.filled(numpy.nan)`"
             )));
         }
+        check_library(name, object)?;
         check_list(name, object)?;
         let numpy = py.import("numpy")?;
         let given = match object.cast::<PyUntypedArray>() {
@@ -115,6 +146,7 @@ impl<'py, F: Number> Argument<'py, F> {
                 converted.map_err(|error| named(py, name, error))?.cast_into::<PyUntypedArray>()?
             }
         };
+        check_numbers(name, &given)?;
         check(given.shape()).map_err(invalid)?;
         let array = match given.cast::<PyArrayDyn<F>>() {
             Ok(array) if array.is_c_contiguous() && array.is_aligned() => array.clone(),

@@ -5,9 +5,10 @@ use physgrad::engine::Variable;
 use physgrad_cli::api;
 use pyo3::create_exception;
 use pyo3::exceptions::{
-    PyArithmeticError, PyMemoryError, PyOSError, PyRuntimeError, PyTypeError, PyValueError,
+    PyArithmeticError, PyMemoryError, PyRuntimeError, PyTypeError, PyValueError,
 };
 use pyo3::prelude::*;
+use std::io;
 use std::path::Path;
 
 create_exception!(
@@ -81,8 +82,9 @@ fn convert(error: anyhow::Error, other: fn(String) -> PyErr) -> PyErr {
     if error.chain().any(|cause| cause.is::<api::TooLarge>()) {
         return PyMemoryError::new_err(text);
     }
-    if error.chain().any(|cause| cause.is::<std::io::Error>()) {
-        return PyOSError::new_err(text);
+    // An error of the file system has the class of its kind, such as `FileNotFoundError`.
+    if let Some(cause) = error.chain().find_map(|cause| cause.downcast_ref::<io::Error>()) {
+        return io::Error::new(cause.kind(), text).into();
     }
     other(text)
 }

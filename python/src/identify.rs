@@ -5,7 +5,7 @@ use crate::errors::{invalid, value_error};
 use crate::interrupt::interruptible;
 use crate::lists::List;
 use crate::policy::Policy;
-use crate::settings::{Settings, value_of};
+use crate::settings::{Settings, starting_at, value_of};
 use crate::task::Task;
 use numpy::IntoPyArray;
 use physgrad::identify::{Fit, IdentifyError, Options, Segment};
@@ -15,7 +15,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use std::collections::HashMap;
 use std::ffi::CString;
-use toml::{Table, Value};
+use toml::Value;
 
 /// Fits physical numbers to measured segments: pairs, or dicts with "x", "u", "t" and "p".
 /// `physgrad.identify` documents arguments and result, of which this dict has the attributes. With
@@ -242,11 +242,6 @@ fn leaves(value: &Value) -> usize {
         Value::Array(list) => list.iter().map(leaves).sum(),
         _ => 1,
     }
-}
-
-/// Value of a setting that makes its number unknown, with this initial value.
-fn starting_at(start: Value) -> Value {
-    Value::Table(Table::from_iter([("start".to_owned(), start)]))
 }
 
 /// A table with an initial value, and with the bounds of the setting if it has none of its own.

@@ -18,6 +18,7 @@ mod settings;
 mod task;
 mod threads;
 mod timing;
+mod whole;
 mod xla;
 
 use physgrad::engine::kernels;

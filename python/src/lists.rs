@@ -1,7 +1,7 @@
 //! Lists of a known largest length, and mappings, as arguments.
 
 use crate::errors::{invalid, wrong_type};
-use pyo3::exceptions::PyOverflowError;
+use pyo3::exceptions::{PyOverflowError, PyTypeError};
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyBytes, PyDict, PyMapping, PyString};
@@ -53,11 +53,20 @@ impl List<'_> {
             if elements.len() == *most {
                 return Err(too_long(&format!("more than {most}")));
             }
-            elements.push(read(element?)?);
+            let place = elements.len();
+            elements.push(read(element?).map_err(|error| element_error(name, place, error))?);
             py.check_signals()?;
         }
         Ok(elements)
     }
+}
+
+/// A `TypeError` of the conversion of an element, with its place.
+fn element_error(name: &str, place: usize, error: PyErr) -> PyErr {
+    Python::attach(|py| match error.is_instance_of::<PyTypeError>(py) {
+        true => wrong_type(format!("`{name}[{place}]`: {}", error.value(py))),
+        false => error,
+    })
 }
 
 /// Refuses a set as a list: its order depends on the process. Keys of a dict have an order.

@@ -5,6 +5,7 @@ use crate::errors::invalid;
 use crate::interrupt::interruptible;
 use crate::lists::List;
 use crate::task::Task;
+use crate::whole;
 use numpy::IntoPyArray;
 use physgrad::optimize::{Initial, Options, optimize as minimize};
 use physgrad_cli::api;
@@ -22,7 +23,7 @@ pub fn optimize<'py>(
     task: &Task,
     start: &Bound<'py, PyAny>,
     bounds: Option<&Bound<'py, PyAny>>,
-    iterations: Option<usize>,
+    #[pyo3(from_py_with = whole::iterations)] iterations: Option<usize>,
     initial: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let [n, m, params] = task.scene.dims();

@@ -6,6 +6,7 @@ use crate::interrupt::{in_parts, interruptible};
 use crate::lists::List;
 use crate::settings::keywords;
 use crate::task::{TOP, Task};
+use crate::whole;
 use numpy::{IntoPyArray, PyArray1};
 use physgrad::Field;
 use physgrad_cli::api;
@@ -56,7 +57,11 @@ impl Policy {
 impl Policy {
     #[new]
     #[pyo3(signature = (task, seed=0, **settings))]
-    fn random(task: &Task, seed: u64, settings: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+    fn random(
+        task: &Task,
+        #[pyo3(from_py_with = whole::seed)] seed: u64,
+        settings: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Self> {
         let scene = task.scene.with(keywords(settings, "policy", &TOP)?).map_err(value_error)?;
         Ok(Self::new(api::Policy::new(&scene, seed)))
     }
@@ -290,10 +295,5 @@ pub fn gradients<'py>(
 
 /// Replaces a file as a whole, by a temporary file beside it. Refuses a link, a device and a folder.
 pub fn replace_file(path: &Path, bytes: &[u8]) -> PyResult<()> {
-    api::write_file(path, bytes).map_err(|error| {
-        let kind = error
-            .downcast_ref::<std::io::Error>()
-            .map_or(std::io::ErrorKind::Other, std::io::Error::kind);
-        PyErr::from(std::io::Error::new(kind, api::plain(&format!("{error:#}")).into_owned()))
-    })
+    api::write_file(path, bytes).map_err(value_error)
 }

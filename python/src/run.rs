@@ -1,12 +1,13 @@
 //! [`Run`]: a training.
 
 use crate::arrays::dict_of_vectors;
-use crate::errors::{caught, invalid, runtime_error, value_error};
+use crate::errors::{caught, invalid, runtime_error, value_error, wrong_type};
 use crate::interrupt::{POLL, interruptible};
 use crate::policy::{Policy, replace_file};
 use crate::settings::{Settings, is_same, keywords};
 use crate::task::{TOP, Task};
 use crate::threads;
+use crate::whole;
 use physgrad::train::{Record, Warning};
 use physgrad_cli::api::{self, EpochEvent, Observer};
 use pyo3::exceptions::{PyRuntimeError, PyRuntimeWarning};
@@ -76,7 +77,7 @@ impl Run {
         py: Python<'_>,
         task: &Task,
         policy: Option<&Policy>,
-        threads: Option<usize>,
+        #[pyo3(from_py_with = whole::threads)] threads: Option<usize>,
         settings: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
         let threads = threads
@@ -135,7 +136,8 @@ impl Run {
 
     /// Trains up to the last epoch.
     ///
-    /// Calls `callback` with the record of every epoch, a dict. `epochs` changes the total number
+    /// Calls `callback` with the record of every epoch, a dict; if it returns False, the training stops
+    /// after this epoch. `epochs` changes the total number
     /// of epochs. Ctrl-C raises `KeyboardInterrupt` after the current update. The next call of
     /// `train` continues, with the bits of an uninterrupted training. A run with a folder saves
     /// there every few seconds and at the end. Raises `Divergence` after more than `max_skipped`
@@ -144,16 +146,23 @@ impl Run {
     fn train(
         &self,
         py: Python<'_>,
-        callback: Option<Py<PyAny>>,
-        epochs: Option<u64>,
+        callback: Option<Bound<'_, PyAny>>,
+        #[pyo3(from_py_with = whole::epochs)] epochs: Option<u64>,
     ) -> PyResult<()> {
+        if let Some(callback) = callback.as_ref().filter(|callback| !callback.is_callable()) {
+            let kind = callback.get_type().name()?;
+            return Err(wrong_type(format!(
+                "`callback` is of type {kind}; allowed: a function of the record of an epoch"
+            )));
+        }
+        let callback = callback.map(Bound::unbind);
         threads::ready()?;
         let mut run = self.lock()?;
         let run = &mut *run;
         if let Some(epochs) = epochs {
             py.detach(|| caught(|| run.set_epochs(epochs)))?.map_err(value_error)?;
         }
-        let mut watcher = Watcher { callback, error: None, warned: Vec::new() };
+        let mut watcher = Watcher { callback, error: None, is_done: false, warned: Vec::new() };
         let observer = &mut watcher;
         let outcome = py.detach(|| caught(move || run.train(observer)))?;
         match watcher.error {
@@ -224,6 +233,11 @@ impl Run {
         py.detach(|| replace_file(&path, html.as_bytes()))
     }
 
+    /// Chart of the losses by epoch, as SVG, for notebooks.
+    fn _losses(&self) -> PyResult<String> {
+        Ok(self.lock()?.losses())
+    }
+
     fn __repr__(&self) -> PyResult<String> {
         let run = self.lock()?;
         Ok(format!("<physgrad.Run of {}: {} epochs>", run.scene().name(), run.records().len()))
@@ -270,10 +284,13 @@ fn row(record: &Record) -> [f64; 12] {
     ]
 }
 
-/// Calls the callback and checks for signals. Stops the run after an exception.
+/// Calls the callback and checks for signals. Stops the run after an exception, or if the callback
+/// returns False.
 struct Watcher {
     callback: Option<Py<PyAny>>,
     error: Option<PyErr>,
+    /// The callback has returned False.
+    is_done: bool,
     /// Kinds of warnings that were reported, with the number of a kind that has one warning per
     /// number.
     warned: Vec<(&'static str, Option<String>)>,
@@ -301,7 +318,9 @@ impl Watcher {
                 _ => record.set_item(name, value)?,
             }
         }
-        callback.call1(py, (record,)).map(drop)
+        let result = callback.call1(py, (record,))?;
+        self.is_done = result.extract::<bool>(py).is_ok_and(|goes_on| !goes_on);
+        Ok(())
     }
 }
 
@@ -319,6 +338,6 @@ impl Observer for Watcher {
         if self.error.is_none() {
             self.error = Python::attach(|py| py.check_signals()).err();
         }
-        self.error.is_some()
+        self.is_done || self.error.is_some()
     }
 }

@@ -4,6 +4,7 @@ use crate::errors::{invalid, wrong_type};
 use crate::lists::{check_order, mapping};
 use physgrad_cli::api::Change;
 use pyo3::IntoPyObjectExt;
+use pyo3::exceptions::PyOverflowError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 use std::collections::HashMap;
@@ -28,8 +29,8 @@ const SECTIONS: [&str; 9] = [
 pub type Settings = Vec<Change>;
 
 /// Settings from keyword arguments. The argument `settings` is a dict. Each key of this dict is
-/// dotted, or names a setting outside of sections, or names a section whose value is a dict. Other
-/// arguments are sections, dotted keys in sections, settings in `top`, or settings of `section`.
+/// dotted, or names a setting outside of sections, or names a section whose value is a dict. `vary` and
+/// `fit` are dicts of numbers that are drawn or trained. Other arguments are sections, dotted keys in sections, settings in `top`, or settings of `section`.
 ///
 /// # Errors
 /// `ValueError` if a setting has two different values.
@@ -42,11 +43,13 @@ pub fn keywords(
     for (key, value) in kwargs.into_iter().flatten() {
         let key: String = key.extract()?;
         if key == "settings" {
-            for (key, value) in mapping(&key, &value, MAX_ELEMENTS)?
-                .ok_or_else(|| wrong_type("`settings` is no dict"))?
+            for (key, value) in
+                mapping(&key, &value, MAX_ELEMENTS)?.ok_or_else(|| no_dict(&key, &value))?
             {
-                add(&mut settings, key.extract()?, &value)?;
+                add(&mut settings, name("settings", &key)?, &value)?;
             }
+        } else if key == "vary" || key == "fit" {
+            numbers(&mut settings, &key, &value)?;
         } else if SECTIONS.contains(&key.split('.').next().unwrap_or_default())
             || top.contains(&&*key)
         {
@@ -71,6 +74,56 @@ pub fn keywords(
     Ok(settings)
 }
 
+fn no_dict(key: &str, value: &Bound<'_, PyAny>) -> PyErr {
+    match value.get_type().name() {
+        Ok(kind) => wrong_type(format!("`{key}` is of type {kind}; allowed: a dict")),
+        Err(error) => error,
+    }
+}
+
+/// A key of the dict `of`.
+fn name(of: &str, key: &Bound<'_, PyAny>) -> PyResult<String> {
+    let Ok(name) = key.extract() else {
+        let kind = key.get_type().name()?;
+        return Err(wrong_type(format!("`{of}` has a key of type {kind}, {key}; allowed: text")));
+    };
+    Ok(name)
+}
+
+/// Adds the numbers of the section `vary` or `fit`: distributions, or initial values and bounds, by
+/// key. Keys without a dot are those of the section `system`.
+fn numbers(settings: &mut Settings, section: &str, value: &Bound<'_, PyAny>) -> PyResult<()> {
+    let numbers = mapping(section, value, MAX_ELEMENTS)?.ok_or_else(|| no_dict(section, value))?;
+    for (key, value) in numbers {
+        let name = name(section, &key)?;
+        let key = if name.contains('.') { name } else { format!("system.{name}") };
+        check_key(&key)?;
+        let is_initial = |table: &Table| table.contains_key("start");
+        let value = value_of(&key, &value)?;
+        let number = match (section, value) {
+            ("fit", Value::Table(table)) if is_initial(&table) => Value::Table(table),
+            ("fit", start @ (Value::Integer(_) | Value::Float(_))) => starting_at(start),
+            ("vary", Value::Table(table)) if !is_initial(&table) => Value::Table(table),
+            (_, value) => {
+                let allowed = match section {
+                    "fit" => "an initial value, or a dict with \"start\", \"min\" and \"max\"",
+                    _ => "a distribution, as in `physgrad.uniform(1, 2)`",
+                };
+                return Err(invalid(format!(
+                    "`{section}`: `{key}` is {value}; allowed: {allowed}"
+                )));
+            }
+        };
+        settings.push((key, Some(number)));
+    }
+    Ok(())
+}
+
+/// Value of a setting that makes its number unknown, with this initial value.
+pub fn starting_at(start: Value) -> Value {
+    Value::Table(Table::from_iter([("start".to_owned(), start)]))
+}
+
 /// Returns whether two values of a setting are equal. Integers are also numbers, as 1 and 1.0.
 pub fn is_same(a: &Value, b: &Value) -> bool {
     let number = |value: &Value| value.as_float().or(value.as_integer().map(|value| value as f64));
@@ -82,18 +135,13 @@ pub fn is_same(a: &Value, b: &Value) -> bool {
 
 /// Adds one setting, or all settings of a section.
 fn add(settings: &mut Settings, key: String, value: &Bound<'_, PyAny>) -> PyResult<()> {
-    if key.len() > MAX_KEY {
-        let begin: String = key.chars().take(40).collect();
-        return Err(invalid(format!(
-            "the key that begins with `{begin}` has more than {MAX_KEY} bytes"
-        )));
-    }
+    check_key(&key)?;
     let is_section = SECTIONS.contains(&&*key)
         || NESTED.iter().any(|section| key.strip_prefix(section).is_some_and(is_part));
     match mapping(&key, value, MAX_ELEMENTS)? {
         Some(section) if is_section && !section.is_empty() => {
             for (inner, value) in section {
-                add(settings, format!("{key}.{}", inner.extract::<String>()?), &value)?;
+                add(settings, format!("{key}.{}", name(&key, &inner)?), &value)?;
             }
             Ok(())
         }
@@ -103,6 +151,20 @@ fn add(settings: &mut Settings, key: String, value: &Bound<'_, PyAny>) -> PyResu
             Ok(())
         }
     }
+}
+
+/// Refuses a key that is too long or has an empty part.
+fn check_key(key: &str) -> PyResult<()> {
+    if key.len() > MAX_KEY {
+        let begin: String = key.chars().take(40).collect();
+        return Err(invalid(format!(
+            "the key that begins with `{begin}` has more than {MAX_KEY} bytes"
+        )));
+    }
+    if key.split('.').any(str::is_empty) {
+        return Err(invalid(format!("`{key}` is no key; a key is text such as `system.poles`")));
+    }
+    Ok(())
 }
 
 /// Returns whether the rest of a key names one effect or one part of an actuator.
@@ -150,7 +212,7 @@ impl Reader<'_> {
         }
         if let Some(table) = mapping(key, value, MAX_ELEMENTS)? {
             let mut entry = |(inner, value): (Bound<'_, PyAny>, Bound<'_, PyAny>)| {
-                Ok((inner.extract::<String>()?, self.value(&value, depth + 1)?))
+                Ok((name(key, &inner)?, self.value(&value, depth + 1)?))
             };
             return Ok(Value::Table(table.iter().map(&mut entry).collect::<PyResult<Table>>()?));
         }
@@ -160,8 +222,12 @@ impl Reader<'_> {
         if let Ok(number) = value.extract::<i64>() {
             return Ok(Value::Integer(number));
         }
-        if let Ok(number) = value.extract::<f64>() {
-            return Ok(Value::Float(number));
+        match value.extract::<f64>() {
+            Ok(number) => return Ok(Value::Float(number)),
+            Err(error) if error.is_instance_of::<PyOverflowError>(value.py()) => {
+                return Err(invalid(format!("`{key}` is too large an integer")));
+            }
+            Err(_) => {}
         }
         check_order(key, value)?;
         if let Ok(elements) = value.try_iter() {

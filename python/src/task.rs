@@ -5,6 +5,7 @@ use crate::errors::{check_regular, fits, invalid, value_error};
 use crate::interrupt::in_parts;
 use crate::rows::Rows;
 use crate::settings::{keywords, table_to_python};
+use crate::whole;
 use anyhow::{Context as _, bail};
 use physgrad::engine::rows;
 use physgrad::number::NoiseNumbers;
@@ -339,8 +340,8 @@ impl Task {
     fn starts<'py>(
         &self,
         py: Python<'py>,
-        count: usize,
-        seed: u64,
+        #[pyo3(from_py_with = whole::count)] count: usize,
+        #[pyo3(from_py_with = whole::seed)] seed: u64,
         split: &str,
         dtype: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
@@ -357,17 +358,15 @@ impl Task {
         let is_f32 = match dtype {
             None => !self.scene.is_f64(),
             Some(dtype) => {
-                let name = py
-                    .import("numpy")?
-                    .call_method1("dtype", (dtype,))?
-                    .getattr("name")?
-                    .extract::<String>()?;
-                match &*name {
-                    "float32" => true,
-                    "float64" => false,
+                let found = py.import("numpy")?.call_method1("dtype", (dtype,));
+                let name = found.and_then(|found| found.getattr("name")?.extract::<String>());
+                match name.as_deref() {
+                    Ok("float32") => true,
+                    Ok("float64") => false,
                     _ => {
+                        let given = name.unwrap_or_else(|_| dtype.to_string());
                         return Err(invalid(format!(
-                            "`dtype` is {name}; allowed: float32, float64"
+                            "`dtype` is {given}; allowed: float32, float64"
                         )));
                     }
                 }
@@ -391,7 +390,7 @@ impl Task {
         &self,
         py: Python<'py>,
         starts: &Bound<'py, PyAny>,
-        t: usize,
+        #[pyo3(from_py_with = whole::t)] t: usize,
     ) -> PyResult<Bound<'py, PyAny>> {
         with_precision!(is_f32([starts]), F => {
             let (starts, count) = Argument::<F>::first("starts", starts, self.width)?;
@@ -415,7 +414,7 @@ impl Task {
         x: &Bound<'py, PyAny>,
         u: &Bound<'py, PyAny>,
         p: Option<&Bound<'py, PyAny>>,
-        t: usize,
+        #[pyo3(from_py_with = whole::t)] t: usize,
     ) -> PyResult<Bound<'py, PyAny>> {
         with_precision!(is_f32([x, u].into_iter().chain(p)), F => {
             let given = self.rows::<F>(py, x, Some(u), p, t)?;
@@ -434,7 +433,7 @@ impl Task {
         u: &Bound<'py, PyAny>,
         next_bar: &Bound<'py, PyAny>,
         p: Option<&Bound<'py, PyAny>>,
-        t: usize,
+        #[pyo3(from_py_with = whole::t)] t: usize,
     ) -> PyResult<Bound<'py, PyTuple>> {
         with_precision!(is_f32([x, u, next_bar].into_iter().chain(p)), F => {
             let given = self.rows::<F>(py, x, Some(u), p, t)?;
@@ -459,7 +458,7 @@ impl Task {
         u_tan: Option<&Bound<'py, PyAny>>,
         p: Option<&Bound<'py, PyAny>>,
         p_tan: Option<&Bound<'py, PyAny>>,
-        t: usize,
+        #[pyo3(from_py_with = whole::t)] t: usize,
     ) -> PyResult<Bound<'py, PyAny>> {
         with_precision!(is_f32([Some(x), Some(u), p, x_tan, u_tan, p_tan].into_iter().flatten()), F => {
             let given = self.rows::<F>(py, x, Some(u), p, t)?;
@@ -482,7 +481,7 @@ impl Task {
         py: Python<'py>,
         x: &Bound<'py, PyAny>,
         p: Option<&Bound<'py, PyAny>>,
-        t: usize,
+        #[pyo3(from_py_with = whole::t)] t: usize,
     ) -> PyResult<Bound<'py, PyAny>> {
         with_precision!(is_f32([x].into_iter().chain(p)), F => {
             let given = self.rows::<F>(py, x, None, p, t)?;
@@ -500,7 +499,7 @@ impl Task {
         x: &Bound<'py, PyAny>,
         y_bar: &Bound<'py, PyAny>,
         p: Option<&Bound<'py, PyAny>>,
-        t: usize,
+        #[pyo3(from_py_with = whole::t)] t: usize,
     ) -> PyResult<Bound<'py, PyTuple>> {
         with_precision!(is_f32([x, y_bar].into_iter().chain(p)), F => {
             let given = self.rows::<F>(py, x, None, p, t)?;
@@ -521,7 +520,7 @@ impl Task {
         u: &Bound<'py, PyAny>,
         next: &Bound<'py, PyAny>,
         p: Option<&Bound<'py, PyAny>>,
-        t: usize,
+        #[pyo3(from_py_with = whole::t)] t: usize,
     ) -> PyResult<Bound<'py, PyAny>> {
         with_precision!(is_f32([x, u, next].into_iter().chain(p)), F => {
             let given = self.rows::<F>(py, x, Some(u), p, t)?;
@@ -543,7 +542,7 @@ impl Task {
         next: &Bound<'py, PyAny>,
         cost_bar: &Bound<'py, PyAny>,
         p: Option<&Bound<'py, PyAny>>,
-        t: usize,
+        #[pyo3(from_py_with = whole::t)] t: usize,
     ) -> PyResult<Bound<'py, PyTuple>> {
         with_precision!(is_f32([x, u, next, cost_bar].into_iter().chain(p)), F => {
             let given = self.rows::<F>(py, x, Some(u), p, t)?;

@@ -235,8 +235,8 @@ def test_mappings_are_settings_and_long_keys_are_refused_at_once():
     [
         (10**12, MemoryError, "the initial states would take 32000.0 GB"),
         (10**18, MemoryError, "the initial states would take"),
-        (-1, OverflowError, "negative"),
-        (10**30, OverflowError, "too big"),
+        (-1, ValueError, "`count` is -1; allowed: a whole number that is not negative"),
+        (10**30, ValueError, r"`count` is 1000000000000000000000000000000; allowed: a whole number below 2\^64"),
     ],
 )
 def test_too_many_rows_are_refused(count, error, message):

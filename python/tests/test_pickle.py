@@ -1,4 +1,4 @@
-"""Copies and pickles of tasks, policies and environments."""
+"""Copies and pickles of tasks, policies, runs and environments, and trainings in other processes."""
 
 import copy
 import pickle
@@ -95,17 +95,69 @@ def test_other_processes_compute_the_same():
                 assert future.result()[field].tobytes() == vector.tobytes()
 
 
-def test_copies_of_a_run_continue_with_its_bits():
+FAST = {"train_samples": 16, "test_samples": 16, "epochs": 2}
+
+
+def test_copies_of_runs_continue_with_the_same_bits(tmp_path):
     task = own()
-    run = pg.train(task, pg.Mlp(task, [8], seed=1), epochs=2, train_samples=8, test_samples=8, seed=3)
-    for other in copies(run):
-        assert other == run and hash(other) == hash(run) and other.folder is None
-        assert other.policy == run.policy and other.best_policy == run.best_policy
+    run = pg.Run(task, pg.Mlp(task, [4], seed=3), seed=3, **{**FAST, "epochs": 4})
+    run.train(lambda record: record["epoch"] < 2)
+    run.save(tmp_path / "run")
+    others = copies(run)
+    run.train()
+    for other in others:
+        assert len(other.history["epoch"]) == 2 and other.folder is None and other.task == run.task
+        other.train()
+        assert other.policy.theta.tobytes() == run.policy.theta.tobytes()
+        assert other.best_policy.theta.tobytes() == run.best_policy.theta.tobytes()
         np.testing.assert_array_equal(other.history["test_loss"], run.history["test_loss"])
-        other.train(epochs=4)
-        assert other != run and other.policy != run.policy
-    run.train(epochs=4)
-    np.testing.assert_array_equal(other.policy.theta, run.policy.theta)
+
+
+def check_equal(runs, others):
+    assert len(runs) == len(others)
+    for run, other in zip(runs, others, strict=True):
+        assert run.policy.theta.tobytes() == other.policy.theta.tobytes()
+        assert run.history["test_loss"].tobytes() == other.history["test_loss"].tobytes()
+
+
+@pytest.mark.parametrize("backend", ["loky", "threading", "multiprocessing"])
+def test_joblib_trains_many_seeds_with_the_bytes_of_a_loop(backend):
+    joblib = pytest.importorskip("joblib", reason="joblib is not installed")
+    task = own()
+    call = joblib.delayed(pg.train)
+    found = joblib.Parallel(2, backend=backend)(call(task, seed=seed, **FAST) for seed in range(6))
+    check_equal([pg.train(task, seed=seed, **FAST) for seed in range(6)], found)
+
+
+def test_dask_runs_trainings_in_a_local_cluster():
+    distributed = pytest.importorskip("distributed", reason="dask[distributed] is not installed")
+    task, policy = own(), pg.Mlp(own(), [4], seed=2)
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        with distributed.Client(cluster) as client:
+            futures = [client.submit(pg.train, task, policy, seed=seed, pure=False, **FAST) for seed in range(3)]
+            check_equal([pg.train(task, policy, seed=seed, **FAST) for seed in range(3)], client.gather(futures))
+            x = task.starts(5)
+            np.testing.assert_array_equal(client.submit(pg.losses, task, policy, x).result(), pg.losses(task, policy, x))
+
+
+def test_ray_runs_trainings_in_a_local_cluster():
+    ray = pytest.importorskip("ray", reason="Ray is not installed")
+    task, policy = own(), pg.Mlp(own(), [4], seed=2)
+    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
+    try:
+        remote = ray.remote(pg.train)
+        futures = [remote.remote(task, policy, seed=seed, **FAST) for seed in range(3)]
+        check_equal([pg.train(task, policy, seed=seed, **FAST) for seed in range(3)], ray.get(futures))
+    finally:
+        ray.shutdown()
+
+
+def test_a_divergence_in_another_process_has_its_place_and_its_run():
+    task = pg.task("cart_pole", poles=1, dt=5.0, horizon=60, effects={"bumpers": {}})
+    policy = pg.Policy(task, seed=1, zero_init_output=False)
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        error = pool.submit(pg.train, task, policy, max_skipped=0, **FAST).exception()
+    assert type(error) is pg.Divergence and error.variable == "state" and error.run.task.horizon == 60
 
 
 def test_policies_are_compared_by_settings_and_parameters():

@@ -109,7 +109,7 @@ impl Run {
         let epochs = i64::try_from(epochs).unwrap_or(i64::MAX);
         let scene = self.scene.with([("epochs".to_owned(), Some(Value::Integer(epochs)))])?;
         let mut run = scene.scene.open(self.threads)?;
-        run.restore(&self.run.checkpoint(&self.scene.scene.identity()), &scene.scene.identity())?;
+        run.restore(&self.state(), &scene.scene.identity())?;
         (self.scene, self.run) = (scene, run);
         Ok(())
     }
@@ -125,8 +125,7 @@ impl Run {
     pub fn save(&mut self, folder: &Path) -> Result<()> {
         let locked = Folder::at(folder).lock()?;
         let saved = || locked.read(CHECKPOINT).ok();
-        let is_own =
-            saved().is_some_and(|saved| saved == self.run.checkpoint(&self.scene.scene.identity()));
+        let is_own = saved().is_some_and(|saved| saved == self.state());
         let locked = if is_own { locked } else { locked.without_run()? };
         run::save(&locked, &self.scene.scene, &*self.run)?;
         self.folder = Some(std::path::absolute(folder)?);
@@ -174,6 +173,11 @@ impl Run {
     pub fn policy(&self, best: bool) -> Result<Policy> {
         let epoch = if best { Epoch::Best } else { Epoch::Last };
         Policy::read(&self.scene, &self.run.safetensors(epoch, &self.scene.scene.about())?)
+    }
+
+    /// Chart of training and test loss by epoch, as SVG.
+    pub fn losses(&self) -> String {
+        report::losses(&self.scene.scene, &*self.run)
     }
 
     /// The page of `physgrad report`, as HTML.

@@ -11,6 +11,7 @@ use crate::operations::session::AnyRun;
 use crate::platform::folder::{Folder, REPORT};
 use crate::platform::terminal::print_result;
 use crate::runs::saved;
+use crate::runs::statistics::{Method, Outcome};
 use crate::tasks::Scene;
 use anyhow::Result;
 use inspected::{Inspected, InspectedScene};
@@ -59,6 +60,15 @@ pub fn html(folder: &Folder) -> Result<String> {
 /// The page about a run in memory. `folder` is the name of its folder, if it has one.
 pub fn of_run(folder: Option<&str>, scene: &Scene, run: &dyn AnyRun) -> Result<String> {
     Ok(page::run(folder, &Inspected::of(scene, run)?))
+}
+
+/// The chart of the losses of a run in memory, as SVG.
+pub fn losses(scene: &Scene, run: &dyn AnyRun) -> String {
+    let (field, records) = (scene.field.0, run.records());
+    let method = Method::Field(field);
+    let seed = scene.seed;
+    let outcome = Outcome { method, field, seed, records, untrained: f64::NAN, diverged: false };
+    learning::by_epoch(&outcome).drawing().to_svg()
 }
 
 /// The page about the run or the comparison in the folder.

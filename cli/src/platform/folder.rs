@@ -4,6 +4,7 @@
 use super::files;
 use super::lock::Locked;
 use super::memory::of_this_machine;
+use super::terminal::{is_program, with_option};
 use anyhow::{Context, Result, bail};
 use std::ffi::OsStr;
 use std::fs::{self, File};
@@ -101,12 +102,16 @@ impl Folder {
         if path.is_dir() {
             Ok(Self::at(path))
         } else {
-            let hint = if path.is_file() {
-                ", only a file of this name; `train SCENE` writes the folder of a run, also for a policy without trained numbers"
-            } else {
-                ""
+            let (kind, hint) = match path.is_file() {
+                true if is_program() => (
+                    ErrorKind::NotADirectory,
+                    ", only a file of this name; `train SCENE` writes the folder of a run, also for a policy without trained numbers",
+                ),
+                true => (ErrorKind::NotADirectory, ", only a file of this name"),
+                false => (ErrorKind::NotFound, ""),
             };
-            bail!("there is no folder {}{hint}", path.display())
+            let text = format!("there is no folder {}{hint}", path.display());
+            Err(io::Error::new(kind, text).into())
         }
     }
 
@@ -164,7 +169,11 @@ impl Folder {
         let Some(folder) = path.map(Self::at) else { return Ok(None) };
         let trainings = [(SETTINGS, "run"), (COMPARISON, "comparison")];
         if let Some((_, training)) = trainings.into_iter().find(|(file, _)| folder.has(file)) {
-            bail!("{} holds a {training}; choose another folder with --out", folder.path.display());
+            bail!(
+                "{} holds a {training}; choose another folder{}",
+                folder.path.display(),
+                with_option("--out")
+            );
         }
         folder.lock().map(Some)
     }
@@ -186,8 +195,9 @@ impl Folder {
             .find(|input| fs::canonicalize(input).is_ok_and(|input| written.contains(&input)))
         {
             Some(input) => bail!(
-                "the results would replace {}; choose another folder with --out",
-                input.display()
+                "the results would replace {}; choose another folder{}",
+                input.display(),
+                with_option("--out")
             ),
             None => Ok(()),
         }
@@ -329,7 +339,8 @@ pub fn is_name(name: &str) -> bool {
 }
 
 pub(super) fn unwritable(path: &Path) -> String {
-    format!("the output folder {} cannot be written to; choose another with --out", path.display())
+    let (path, option) = (path.display(), with_option("--out"));
+    format!("the output folder {path} cannot be written to; choose another{option}")
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use super::folder::{
     COMPARISON, Folder, INITIAL_POLICY, LOCK, LOCKED_FILES, PREVIOUS, RUN_FILES, RUNS, SETTINGS,
     unwritable,
 };
-use super::terminal::{print_message, program};
+use super::terminal::{is_program, print_message, program, with_option};
 use super::{files, signals};
 use anyhow::{Context, Result, bail};
 use std::fs::{self, File, Metadata, OpenOptions, TryLockError};
@@ -46,9 +46,9 @@ impl Folder {
     }
 
     fn in_use(&self) -> String {
-        let (path, holder) = (self.path().display(), self.holder());
+        let (path, holder, option) = (self.path().display(), self.holder(), with_option("--out"));
         format!(
-            "the folder {path} is in use by {holder}; wait until it ends, or choose another folder with --out"
+            "the folder {path} is in use by {holder}; wait until it ends, or choose another folder{option}"
         )
     }
 
@@ -250,8 +250,9 @@ impl Locked {
             .partition(|name| RUN_FILES.contains(&files::replaced_by(name).unwrap_or(name)));
         if let Some(name) = other.iter().find(|name| [RUNS, COMPARISON].contains(&name.as_str())) {
             bail!(
-                "{} holds a comparison ({name}); choose another folder with --out",
-                path.display()
+                "{} holds a comparison ({name}); choose another folder{}",
+                path.display(),
+                with_option("--out")
             );
         }
         if !run.iter().any(|name| name == SETTINGS) {
@@ -262,24 +263,27 @@ impl Locked {
                 .find(|name| *name != INITIAL_POLICY && files::replaced_by(name).is_none());
             return match foreign {
                 Some(name) => bail!(
-                    "{} holds {name} but no {SETTINGS}, so it is not a run; remove the file, or choose another folder with --out",
-                    path.display()
+                    "{} holds {name} but no {SETTINGS}, so it is not a run; remove the file, or choose another folder{}",
+                    path.display(),
+                    with_option("--out")
                 ),
                 None => Ok(self),
             };
         }
         if let Some(name) = other.first() {
             bail!(
-                "{} holds a run and {name}, which is not part of the run; resume the run with --resume, or choose another folder with \
-                 --out",
-                path.display()
+                "{} holds a run and {name}, which is not part of the run; resume the run{}, or choose another folder{}",
+                path.display(),
+                with_option("--resume"),
+                with_option("--out")
             );
         }
         let whole = fs::canonicalize(&path).with_context(|| unwritable(&path))?;
         if std::env::current_dir().is_ok_and(|here| here.starts_with(&whole)) {
             bail!(
-                "{} holds a run and is the current folder, which cannot be moved; choose another folder with --out",
-                path.display()
+                "{} holds a run and is the current folder, which cannot be moved; choose another folder{}",
+                path.display(),
+                with_option("--out")
             );
         }
         move_aside(&path, &whole)?;
@@ -298,16 +302,18 @@ fn move_aside(path: &Path, whole: &Path) -> Result<()> {
     let aside = aside(whole)?;
     let cannot = || {
         format!(
-            "cannot rename the folder {} of the earlier run; choose another folder with --out",
-            path.display()
+            "cannot rename the folder {} of the earlier run; choose another folder{}",
+            path.display(),
+            with_option("--out")
         )
     };
     files::rename(whole, &aside).with_context(cannot)?;
     let (from, aside) = (path.display(), aside.display());
-    print_message(&format!(
-        "moved the earlier run in {from} to {aside}; to resume it: {} train --resume --out {aside}",
-        program()
-    ));
+    let hint = match is_program() {
+        true => format!("; to resume it: {} train --resume --out {aside}", program()),
+        false => String::new(),
+    };
+    print_message(&format!("moved the earlier run in {from} to {aside}{hint}"));
     Ok(())
 }
 

@@ -243,6 +243,17 @@ pub fn program() -> &'static str {
     PROGRAM.get().map_or("physgrad", String::as_str)
 }
 
+/// Returns whether this process is the program. Messages in another process, for example Python,
+/// name no options and commands.
+pub fn is_program() -> bool {
+    PROGRAM.get().is_some()
+}
+
+/// How the program does something, as in " with --out". Empty within another process.
+pub fn with_option(option: &str) -> String {
+    if is_program() { format!(" with {option}") } else { String::new() }
+}
+
 /// Sets the name of the [`program`] to that of its executable file.
 pub fn set_program() {
     let path = std::env::args_os().next().map(PathBuf::from);

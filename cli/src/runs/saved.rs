@@ -12,6 +12,7 @@ use crate::tasks::{Scene, scene};
 use anyhow::{Context, Result, bail};
 use physgrad::text::digits;
 use physgrad::train::differences;
+use std::io;
 use std::path::PathBuf;
 
 /// Returns whether the folder contains a run.
@@ -99,7 +100,8 @@ pub fn folders(folder: &Folder) -> Result<Vec<Folder>> {
 /// be read.
 pub fn scene(folder: &Folder) -> Result<Scene> {
     if !has_run(folder) {
-        bail!("there is no run in {}: it has no {SETTINGS}", folder.path().display());
+        let text = format!("there is no run in {}: it has no {SETTINGS}", folder.path().display());
+        return Err(io::Error::new(io::ErrorKind::NotFound, text).into());
     }
     let source = SceneSource::read(&folder.readable(SETTINGS)?)?;
     let this = env!("CARGO_PKG_VERSION");

@@ -15,22 +15,33 @@ const SECONDS: &str = "wall time (s)";
 /// Charts of training and test loss of one run.
 pub fn of_run(run: &Inspected) -> Vec<Figure> {
     let outcome = run.outcome();
-    let series = |x: fn(&Point) -> f64| {
-        let line = |loss| outcome.points(loss).iter().map(|p| (x(p), p.value)).collect();
-        vec![
-            Series::new("training", "#0072B2", line(|r| r.train_loss)),
-            Series::new("test", "#D55E00", line(|r| r.test_loss)),
-        ]
-    };
     vec![
         Figure::new(
             "Loss by epoch",
-            Chart::log(EPOCH, "loss", series(|p| p.epoch)),
+            by_epoch(&outcome),
             "Loss of the whole training and test set after every epoch. A test loss that stays high while the training loss \
              falls shows overfitting. Jumps show steps that are too large.",
         )
         .notes(left_out(&[outcome], &[|r| r.train_loss, |r| r.test_loss])),
-        Figure::new("Loss by time", Chart::log(SECONDS, "loss", series(|p| p.seconds)), "Both losses against training time."),
+        Figure::new(
+            "Loss by time",
+            Chart::log(SECONDS, "loss", series(&outcome, |p| p.seconds)),
+            "Both losses against training time.",
+        ),
+    ]
+}
+
+/// Chart of training and test loss of one run by epoch.
+pub fn by_epoch(run: &Outcome) -> Chart {
+    Chart::log(EPOCH, "loss", series(run, |p| p.epoch))
+}
+
+/// Training and test loss of one run.
+fn series(run: &Outcome, x: fn(&Point) -> f64) -> Vec<Series> {
+    let line = |loss| run.points(loss).iter().map(|p| (x(p), p.value)).collect();
+    vec![
+        Series::new("training", "#0072B2", line(|r| r.train_loss)),
+        Series::new("test", "#D55E00", line(|r| r.test_loss)),
     ]
 }
 
