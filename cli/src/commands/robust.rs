@@ -106,6 +106,17 @@ pub fn robust(args: &Robust) -> Result<()> {
         bail!("--grid {key}: an evaluation does not use this setting; choose a number of the task");
     }
     let runs = Trained::load_all(&args.runs, args.epoch)?;
+    for Axis { key, .. } in &args.grid {
+        let is_trained = |run: &&Trained| {
+            run.scene.policy_numbers(&run.theta).iter().any(|(name, _)| name == key)
+        };
+        if let Some(run) = runs.iter().find(is_trained) {
+            bail!(
+                "--grid {key}: the training of {} has determined this number; choose another one",
+                run.name
+            );
+        }
+    }
     let mut points = Vec::new();
     for run in 0..runs.len() {
         for &first in &args.grid[0].values {

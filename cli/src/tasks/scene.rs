@@ -5,7 +5,7 @@ use crate::operations::checks::Results;
 use crate::operations::evaluation::AnyEvaluation;
 use crate::operations::gradients::{Derived, GradientMethod};
 use crate::operations::memory::{self, Needs};
-use crate::operations::policy_file::{self, About, TrainedNumber};
+use crate::operations::policy_file::{self, About};
 use crate::operations::session::AnyRun;
 use crate::operations::simulation::Job;
 use crate::operations::trajectory::Trajectory;
@@ -25,10 +25,12 @@ use anyhow::{Context, Result};
 use physgrad::actuator::Actuator;
 use physgrad::check::{Jumps, Kink, Plateau};
 use physgrad::count::TaskOpCount;
+use physgrad::engine::{Cause, Variable};
 use physgrad::graph::Operations;
 use physgrad::identify::{Fit, IdentifyError, Options, Segment};
 use physgrad::optimize::{self, Initial, OptimizeError, Plan};
 use physgrad::policy::{Policy as _, TrainedParam, WithParams};
+use physgrad::train::TrainedNumber;
 use physgrad::{Divergence, DynTask, Field, Number, System, Task};
 use physgrad_plot::{Animation, Channel};
 use std::borrow::Cow;
@@ -70,8 +72,8 @@ pub struct Scene {
     physics: DynTask,
     policy: ScenePolicy,
     policy_settings: Arc<PolicySettings>,
-    /// Trained numbers of the policy: keys, indices in θ, and maps from θ.
-    policy_numbers: Arc<[(String, usize, TrainedParam)]>,
+    /// Trained numbers of the policy, by their keys.
+    policy_numbers: Arc<[TrainedNumber]>,
     /// Path of the policy file from which the training starts.
     initial_policy_file: Option<String>,
     /// Contents of this file.
@@ -97,6 +99,8 @@ trait AnySettings: Send + Sync {
     fn equations(&self) -> Vec<(String, String)>;
     fn operations(&self) -> Option<Operations>;
     fn remarks(&self) -> Vec<String>;
+    fn unused(&self) -> Vec<String>;
+    fn expression_of(&self, component: usize, cause: Option<Cause>) -> Option<String>;
     fn conserved(&self) -> Option<Conserved>;
     fn animation(&self, rollout: &Trajectory) -> Animation;
 }
@@ -144,6 +148,14 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
 
     fn remarks(&self) -> Vec<String> {
         K::remarks(self)
+    }
+
+    fn unused(&self) -> Vec<String> {
+        K::unused(self)
+    }
+
+    fn expression_of(&self, component: usize, cause: Option<Cause>) -> Option<String> {
+        K::expression_of(self, component, cause)
     }
 
     fn conserved(&self) -> Option<Conserved> {
@@ -239,10 +251,48 @@ impl Scene {
         self.policy_settings.description()
     }
 
+    /// The trained numbers, by their keys: those of the system, then those of the policy.
+    pub fn trained_numbers(&self) -> Vec<TrainedNumber> {
+        let (names, params) = (self.param_names(), self.policy.trained_params());
+        let first = self.policy.param_count() - params.len();
+        let of_system = params.iter().enumerate().map(|(i, &map)| TrainedNumber {
+            name: names[map.index()].clone(),
+            index: first + i,
+            map,
+        });
+        of_system.chain(self.policy_numbers.iter().cloned()).collect()
+    }
+
+    /// Values of the [`trained_numbers`](Self::trained_numbers) before the first epoch.
+    ///
+    /// # Errors
+    /// Those of [`initial_theta`](Self::initial_theta).
+    pub fn starts_of_numbers(&self) -> Result<Vec<f64>> {
+        let theta = self.initial_theta()?;
+        Ok(self.trained_numbers().iter().map(|n| n.map.value(theta[n.index])).collect())
+    }
+
     /// Names and values of the trained numbers of the policy with these parameters.
     pub fn policy_numbers(&self, theta: &[f64]) -> Vec<(String, f64)> {
         let numbers = self.policy_numbers.iter();
-        numbers.map(|(key, i, map)| (format!("policy.{key}"), map.value(theta[*i]))).collect()
+        numbers.map(|number| (number.name.clone(), number.map.value(theta[number.index]))).collect()
+    }
+
+    /// The expression of the scene that gave a number of a forward pass that is not finite, if the
+    /// pass tells: its key, and that it is not finite.
+    pub fn expression_at(&self, divergence: &Divergence) -> Option<ConfigError> {
+        let Divergence::Forward { variable, component, cause, .. } = *divergence else {
+            return None;
+        };
+        let controls = self.control_names();
+        let keys = self.policy_settings.expressions(&controls);
+        let key = match variable {
+            Variable::Control => format!("policy.{}", keys.get(component)?),
+            Variable::Memory => format!("policy.{}", keys.get(controls.len() + component)?),
+            Variable::State => self.settings.expression_of(component, cause)?,
+            Variable::Parameter => return None,
+        };
+        Some(ConfigError::new(key, "is not finite"))
     }
 
     /// Range of each control, None without bounds: the range to which the actuators limit all
@@ -471,7 +521,7 @@ impl Scene {
         let finite = |bound: f64| Some(bound).filter(|bound| bound.is_finite());
         let trained = |(name, number)| match number {
             Number::Trained { min, max, .. } => {
-                Some(TrainedNumber { name, min: finite(min), max: finite(max) })
+                Some(policy_file::TrainedNumber { name, min: finite(min), max: finite(max) })
             }
             _ => None,
         };
@@ -627,6 +677,13 @@ impl Scene {
     pub fn remarks(&self) -> Vec<String> {
         let remarks = self.settings.remarks().into_iter().chain(self.policy_settings.remarks());
         remarks.map(|remark| format!("note: {remark}")).collect()
+    }
+
+    /// Keys of names that no expression of the task or the policy uses.
+    pub fn unused(&self) -> Vec<String> {
+        let of_system = self.settings.unused().into_iter().map(|key| format!("system.{key}"));
+        let of_policy = self.policy_settings.unused().into_iter();
+        of_system.chain(of_policy.map(|key| format!("policy.{key}"))).collect()
     }
 
     /// The remarks, and notes about settings of the training that another setting limits: a

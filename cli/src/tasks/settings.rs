@@ -177,7 +177,8 @@ impl<K: TaskSpec> Settings<K> {
 
     /// The policy of these settings for this task.
     pub fn built(&self, policy: &PolicySettings, physics: &DynTask) -> Result<Built, ConfigError> {
-        policy.build(&self.controlled(physics)?).map_err(|error| error.within("policy"))
+        let built = policy.build(&self.controlled(physics)?);
+        Ok(built.map_err(|error| error.within("policy"))?.within("policy.", 0))
     }
 
     /// What a policy observes and controls in this task.
