@@ -16,7 +16,7 @@ use crate::tasks::Scene;
 use anyhow::{Context, Result, bail};
 use physgrad::text::{rough, short};
 use physgrad_plot::quantile::{quantile, sorted};
-use physgrad_plot::{Animation, PALETTE, distribution};
+use physgrad_plot::{Animation, distribution};
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -222,6 +222,25 @@ impl Evaluated {
         [mean, (variance / count).sqrt()]
     }
 
+    /// Number of rollouts with more than 90 % of the sum of the losses, if they are at most 1 % of the
+    /// rollouts or a single one of at least ten, and the mean of the others. Diverged rollouts do not
+    /// count.
+    fn outliers(&self) -> Option<(usize, f64)> {
+        let losses = sorted(self.finite());
+        // Begins with the smallest loss, which a sum that begins with 1e150 would lose.
+        let sums: Vec<f64> = { losses.iter() }
+            .scan(0.0, |sum, loss| {
+                *sum += loss;
+                Some(*sum)
+            })
+            .collect();
+        let count = losses.len();
+        let others = sums.iter().take_while(|sum| **sum < 0.1 * sums[count - 1]).count();
+        let are_few = others < count && count - others <= (count / 100).max(1);
+        (count >= 10 && others > 0 && are_few)
+            .then(|| (count - others, sums[others - 1] / others as f64))
+    }
+
     /// Quantiles over all rollouts. Losses of diverged rollouts are infinite.
     fn quantiles(&self) -> [f64; 5] {
         let sorted = sorted(self.losses.iter().copied());
@@ -288,10 +307,8 @@ fn title(args: &Eval, policies: &[Trained]) -> String {
 }
 
 fn picture(title: &str, results: &[Evaluated]) -> String {
-    let line = |(i, result): (usize, &Evaluated)| {
-        (result.name.clone(), PALETTE[i % PALETTE.len()], sorted(result.losses.iter().copied()))
-    };
-    distribution(title, results.iter().enumerate().map(line).collect()).to_svg()
+    let line = |result: &Evaluated| (result.name.clone(), sorted(result.losses.iter().copied()));
+    distribution(title, results.iter().map(line).collect()).to_svg()
 }
 
 fn table(args: &Eval, results: &[Evaluated]) -> String {
@@ -311,8 +328,37 @@ fn table(args: &Eval, results: &[Evaluated]) -> String {
         table.row(first.into_iter().chain(row).chain([result.diverged().to_string()]));
     }
     let rollouts = counted(args.samples, "rollout");
+    let note = |result: &Evaluated| {
+        let (few, mean) = result.outliers()?;
+        let (few, name) = (counted(few, "rollout"), &result.name);
+        Some(format!(
+            "\nthe mean of {name} is that of {few} with more than 90 % of the sum; without, the mean is {}",
+            short(mean)
+        ))
+    };
     format!(
-        "{table}\nlosses of {rollouts}, seed {}; mean ± standard error, without diverged rollouts",
-        args.seed
+        "{table}\nlosses of {rollouts}, seed {}; mean ± standard error, without diverged rollouts{}",
+        args.seed,
+        results.iter().filter_map(note).collect::<String>()
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_few_losses_with_almost_the_whole_sum_are_outliers() {
+        let outliers = |large: &[f64], small: usize| {
+            let losses = [large, &vec![0.5; small], &[f64::INFINITY]].concat();
+            Evaluated { name: String::new(), losses }.outliers()
+        };
+        assert_eq!(outliers(&[1e153], 9), Some((1, 0.5)));
+        assert_eq!(outliers(&[1e153, 1e90], 198), Some((2, 0.5)));
+        assert_eq!(outliers(&[], 200), None);
+        assert_eq!(outliers(&[1e153], 8), None, "fewer than ten rollouts");
+        assert_eq!(outliers(&[1e153, 1e152], 98), Some((1, (1e152 + 49.0) / 99.0)));
+        assert_eq!(outliers(&[1e153, 9e152], 98), None, "two of 100 rollouts");
+        assert_eq!(outliers(&[40.0], 9), None, "less than 90 % of the sum");
+    }
 }

@@ -15,6 +15,7 @@ use crate::scenes::presets;
 use crate::scenes::source::SceneSource;
 use crate::tasks::Scene;
 use anyhow::{Context, Result, anyhow, bail};
+use physgrad::Policy as _;
 use physgrad::engine::{Ranks, ranks};
 use physgrad::text::{digits, short};
 use physgrad::train::{Record, differences};
@@ -280,7 +281,10 @@ fn summary(
         }
     }
     if records.is_empty() {
-        text += "no epoch: the policy is untrained\n";
+        text += match scene.policy().param_count() {
+            0 => "no epoch: the losses of the policy, which has nothing to train, are unknown\n",
+            _ => "no epoch: the policy is untrained\n",
+        };
     }
     let ranges = scene.trained_numbers().into_iter().map(|number| number.map.bounds());
     let known = scene.starts_of_numbers()?.into_iter().zip(ranges);

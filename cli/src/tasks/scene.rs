@@ -423,8 +423,8 @@ impl Scene {
         states
     }
 
-    /// Names of the components that the policy observes: those of the state, or y_1, y_2, … if the
-    /// task has an observation of its own.
+    /// Names of the components that the policy observes: those of the state. A component of another
+    /// observation has the name that its expression consists of, or else y_1, y_2, …
     pub fn observation_names(&self) -> Vec<String> {
         let [_, observed] = self.settings.names();
         observed
@@ -704,7 +704,14 @@ impl Scene {
             )
         });
         let of_training: Vec<String> = if self.policy.param_count() == 0 {
-            vec!["note: the policy has no trained numbers: one epoch evaluates its losses".into()]
+            vec![format!(
+                "note: the policy has no trained numbers: {}",
+                if self.epochs == 0 {
+                    "there is nothing to train, and `epochs = 1` evaluates its losses"
+                } else {
+                    "one epoch evaluates its losses"
+                }
+            )]
         } else {
             large_batch.into_iter().chain(endless).collect()
         };
