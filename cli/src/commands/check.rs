@@ -135,8 +135,8 @@ fn about_rollouts(source: SceneSource, note: &mut dyn FnMut(String) -> Result<()
     }
     if scene.field.0.letter() == "C" && (1..=FEW).contains(&theta.len()) && is_harmless(&found) {
         note(format!(
-            "field: {} without growth of perturbations do not need C, which is 0 for a parameter where R and M disagree. \
-             Choose the gradient: `field = \"R\"`",
+            "field: with {} and without growth of perturbations, C has no advantage, and it is 0 for a parameter where R and M \
+             disagree. Choose the gradient: `field = \"R\"`",
             counted(theta.len(), "parameter")
         ))?;
     }

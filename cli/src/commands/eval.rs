@@ -222,23 +222,16 @@ impl Evaluated {
         [mean, (variance / count).sqrt()]
     }
 
-    /// Number of rollouts with more than 90 % of the sum of the losses, if they are at most 1 % of the
-    /// rollouts or a single one of at least ten, and the mean of the others. Diverged rollouts do not
+    /// Number of rollouts with more than a thousand times the median loss, and the mean of the
+    /// others, if there are at most 5 % of such rollouts or a single one. Diverged rollouts do not
     /// count.
     fn outliers(&self) -> Option<(usize, f64)> {
         let losses = sorted(self.finite());
-        // Begins with the smallest loss, which a sum that begins with 1e150 would lose.
-        let sums: Vec<f64> = { losses.iter() }
-            .scan(0.0, |sum, loss| {
-                *sum += loss;
-                Some(*sum)
-            })
-            .collect();
-        let count = losses.len();
-        let others = sums.iter().take_while(|sum| **sum < 0.1 * sums[count - 1]).count();
-        let are_few = others < count && count - others <= (count / 100).max(1);
-        (count >= 10 && others > 0 && are_few)
-            .then(|| (count - others, sums[others - 1] / others as f64))
+        let median = quantile(&losses, 0.5);
+        let others = losses.partition_point(|loss| *loss <= 1e3 * median);
+        let few = losses.len() - others;
+        let is_some = median > 0.0 && (1..=(losses.len() / 20).max(1)).contains(&few);
+        is_some.then(|| (few, losses[..others].iter().sum::<f64>() / others as f64))
     }
 
     /// Quantiles over all rollouts. Losses of diverged rollouts are infinite.
@@ -332,7 +325,7 @@ fn table(args: &Eval, results: &[Evaluated]) -> String {
         let (few, mean) = result.outliers()?;
         let (few, name) = (counted(few, "rollout"), &result.name);
         Some(format!(
-            "\nthe mean of {name} is that of {few} with more than 90 % of the sum; without, the mean is {}",
+            "\n{name}: {few} with more than a thousand times the median loss; the mean of the others is {}",
             short(mean)
         ))
     };
@@ -355,10 +348,8 @@ mod tests {
         };
         assert_eq!(outliers(&[1e153], 9), Some((1, 0.5)));
         assert_eq!(outliers(&[1e153, 1e90], 198), Some((2, 0.5)));
-        assert_eq!(outliers(&[], 200), None);
-        assert_eq!(outliers(&[1e153], 8), None, "fewer than ten rollouts");
-        assert_eq!(outliers(&[1e153, 1e152], 98), Some((1, (1e152 + 49.0) / 99.0)));
-        assert_eq!(outliers(&[1e153, 9e152], 98), None, "two of 100 rollouts");
-        assert_eq!(outliers(&[40.0], 9), None, "less than 90 % of the sum");
+        assert_eq!(outliers(&[1e153, 1e90], 18), None, "10 % of the rollouts");
+        assert_eq!([outliers(&[], 200), outliers(&[], 0), outliers(&[1.0], 0)], [None; 3]);
+        assert_eq!([outliers(&[499.0], 9), outliers(&[501.0], 9)], [None, Some((1, 0.5))]);
     }
 }

@@ -11,7 +11,7 @@ task = "equations"
 precision = "f64"
 field = "R"
 horizon = 4
-epochs = 60
+epochs = 200
 [system]
 states = ["level", "flow"]
 controls = ["pump"]
@@ -61,7 +61,7 @@ fn a_misspelt_name_of_an_option_is_refused_with_the_known_names() {
     let dir = folder("", "");
     let at = dir.path();
     output(at, &["train", "tank.toml", "--epochs", "1", "--out", "run"]);
-    let leek = "`system.parameters.leek` is a name that no expression uses; known: `area` or `leak`; \
+    let leek = "`system.parameters.leek` is a name that no expression uses; known: `leak` or `area`; \
                 did you mean `leak`?";
     for command in ["train", "check", "explain", "optimize", "compare"] {
         let refused = format!("--set system.parameters.leek=1: {leek}");
@@ -126,7 +126,7 @@ fn a_training_warns_of_a_gain_at_its_bound_or_far_away() {
 #[test]
 fn a_check_advises_the_gradient_for_a_few_parameters() {
     let dir = folder("", "");
-    let advice = "field: 1 parameter";
+    let advice = "field: with 1 parameter";
     assert!(!output(dir.path(), &["check", "tank.toml"])[0].contains(advice));
     let dir = folder("field = \"R\"\n", "");
     let [combined, _] = output(dir.path(), &["check", "tank.toml"]);
