@@ -128,7 +128,7 @@ fn sessions<P: Policy + 'static, F: Float>() -> [Function; 8] {
         Session::<DynTask, P, F>::advance as Function,
         Session::<DynTask, P, F>::test_loss as Function,
         Session::<DynTask, P, F>::changed_test_loss as Function,
-        Session::<DynTask, P, F>::epoch_warnings_with as Function,
+        Session::<DynTask, P, F>::epoch_warnings_about as Function,
         Session::<DynTask, P, F>::checkpoint as Function,
         Session::<DynTask, P, F>::restore as Function,
     ]

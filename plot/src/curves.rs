@@ -39,6 +39,11 @@ pub struct Point {
 pub const PALETTE: [&str; 7] =
     ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000"];
 
+/// Colour and dash of line number `i`: the dash differs where colours of [`PALETTE`] repeat.
+pub fn line_style(i: usize) -> (&'static str, Dash) {
+    (PALETTE[i % PALETTE.len()], Dash::ALL[i / PALETTE.len() % Dash::ALL.len()])
+}
+
 /// Colour of a vector field by its letters; grey for unknown letters.
 ///
 /// The colours of R, M, S, C, N and P are from [`PALETTE`], which is safe for colour-blind readers.
@@ -369,6 +374,13 @@ mod tests {
         let series = curve(runs).summary(Abscissa::Epoch);
         assert!(series.band.is_empty());
         assert_eq!((&*series.label, &*series.note), ("a", "1 of 2 seeds"));
+    }
+
+    #[test]
+    fn lines_differ_in_colour_or_dash() {
+        let styles: Vec<_> = (0..28).map(line_style).collect();
+        assert!((0..28).all(|i| !styles[..i].contains(&styles[i])), "{styles:?}");
+        assert!((0..7).all(|i| styles[i] == (PALETTE[i], Dash::Solid)));
     }
 
     #[test]

@@ -2,17 +2,18 @@
 
 use super::log_figure::{Panel, XScale, log_figure};
 use super::series::{drawable, thinned_to};
-use super::{Drawing, Series};
+use super::{Drawing, Series, line_style};
 
 /// Draws each loss against the share of rollouts, in %, that have at most this loss. Each policy
-/// has a label, a CSS colour and its losses in ascending order.
+/// has a label and its losses in ascending order.
 ///
 /// Omits losses that a logarithmic axis cannot show, for example those of diverged rollouts. A line
 /// with diverged rollouts therefore ends before 100 %.
-pub fn distribution(title: &str, policies: Vec<(String, &'static str, Vec<f64>)>) -> Drawing {
+pub fn distribution(title: &str, policies: Vec<(String, Vec<f64>)>) -> Drawing {
     /// Largest number of points of a line.
     const POINTS: usize = 250;
-    let series = |(label, color, sorted): (String, &'static str, Vec<f64>)| {
+    let series = |(i, (label, sorted)): (usize, (String, Vec<f64>))| {
+        let (color, dash) = line_style(i);
         let total = sorted.len() as f64;
         let points =
             sorted.into_iter().enumerate().map(|(i, loss)| ((i + 1) as f64 / total * 100.0, loss));
@@ -21,6 +22,7 @@ pub fn distribution(title: &str, policies: Vec<(String, &'static str, Vec<f64>)>
             color,
             thinned_to(POINTS, points.filter(|&(_, loss)| drawable(loss)).collect()),
         )
+        .dash(dash)
     };
     let panel = Panel {
         title: String::new(),
@@ -28,7 +30,7 @@ pub fn distribution(title: &str, policies: Vec<(String, &'static str, Vec<f64>)>
         x_scale: XScale::Linear,
         y_label: "loss".into(),
         y_axis: 0,
-        series: policies.into_iter().map(series).collect(),
+        series: policies.into_iter().enumerate().map(series).collect(),
     };
     log_figure(title, &[vec![panel]])
 }

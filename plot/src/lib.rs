@@ -41,8 +41,8 @@ pub use cart_pole::{Rail, cart_pole, cart_pole_on};
 pub use channels::{Channel, channels_over_time};
 pub use chart::{Chart, Frame};
 pub use curves::{
-    Abscissa, Case, Curve, PALETTE, Point, comparison, field_color, learning_curve, statistic,
-    study,
+    Abscissa, Case, Curve, PALETTE, Point, comparison, field_color, learning_curve, line_style,
+    statistic, study,
 };
 pub use distribution::distribution;
 pub use drawing::Drawing;

@@ -35,7 +35,7 @@ ARGUMENTS = {
     "running_cost": ("x", "u", "next", "p", "t"),
     "terminal_cost": ("x", "p"),
 }
-RESERVED = FUNCTIONS | {"t", "pi", "next", "and", "or", "not", "inf", "nan"}
+RESERVED = FUNCTIONS | {"t", "dt", "pi", "next", "and", "or", "not", "inf", "nan"}
 # Other words that name an argument.
 ALIASES = {
     "state": "x",
@@ -232,7 +232,7 @@ class Plan:
         found = {
             "x": vector(self.states),
             "u": vector(self.controls),
-            "p": Parameters(values, self.used, None if "dt" in self.labels else numbers.name("dt")),
+            "p": Parameters(values, self.used, numbers.name("dt")),
             "next": vector(self.states, "next."),
             "t": numbers.name("t"),
         }

@@ -79,7 +79,7 @@ def test_trainings_differ_by_their_seed_only():
 
 def test_a_sensor_delays_what_the_policy_sees():
     task = cart(sensor={"delay": {"steps": 2}, "noise": {"deviation": [0.1, 0.0]}})
-    assert task.state_names[2:] == ["y_1_2_ago", "y_2_2_ago", "y_1_1_ago", "y_2_1_ago"]
+    assert task.state_names[2:] == ["y_1_2_ago", "speed_2_ago", "y_1_1_ago", "speed_1_ago"]
     assert "sensor.noise[0]" in task.param_names
     pg.check(task)
     policy = pg.Mlp(task, [])

@@ -466,13 +466,14 @@ def test_tables_and_steps():
     )
 
 
-def test_a_name_dt_of_the_system_is_not_the_time_step():
-    found = trace.trace_settings(step=lambda x, p: x * p.dt, states=1, params={"dt": 2.0}, dt=0.1)
-    assert found["system"]["parameters"] == {"dt": 2.0}
+def test_the_name_dt_is_that_of_the_time_step():
+    for given in ({"states": ["dt"]}, {"params": {"dt": 2.0}}, {"tables": {"dt": [1.0]}}, {"controls": ["dt"]}):
+        with pytest.raises(ValueError, match="`dt` in `.*` has a meaning in expressions"):
+            trace.trace_settings(**{"step": lambda x, p: x * p.dt, "states": 1, "dt": 0.1} | given)
+    # It is no parameter in the order.
     assert len(trace.trace_settings(step=lambda x, p: x * (1 + len(p)), states=1, dt=0.1)["system"]) == 4
-    for call in (lambda p: p.dt, lambda p: p["dt"], lambda p: p["_used"]):
-        with pytest.raises((AttributeError, LookupError), match="there is no parameter"):
-            trace.trace_settings(step=lambda x, p, call=call: x * call(p), states=["dt"], dt=0.1)
+    with pytest.raises((AttributeError, LookupError), match="there is no parameter"):
+        trace.trace_settings(step=lambda x, p: x * p["_used"], states=1, dt=0.1)
 
 
 def test_a_step_follows_a_change_of_dt():

@@ -9,10 +9,12 @@ pub enum Cause {
     /// The forces of the named effect, or their derivatives, are non-finite at the state before the
     /// step.
     Effect(&'static str),
+    /// The rate of the state component with this index is non-finite at the state before the step.
+    Rate(usize),
     /// The parameter `p` with this index is 0, and the step is finite with 1 in its place.
     ZeroParam(usize),
     /// The state before the step is so large that the fourth power of a component overflows. Holds
     /// the largest magnitude of a component, in its unit. The rollout has grown before, so an
-    /// [`Effect`](Self::Effect) whose forces overflow there is not the cause.
+    /// [`Effect`](Self::Effect) or [`Rate`](Self::Rate) that overflows there is not the cause.
     Grown(f64),
 }

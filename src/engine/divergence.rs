@@ -230,6 +230,12 @@ fn advice(cause: &Option<Cause>, general: &str, or_rate: &str) -> String {
                 ". At the state before the step, the forces of {name} or their derivatives are not finite. Reduce the values of {name}"
             )
         }
+        Some(Cause::Rate(component)) => {
+            format!(
+                ". At the state before the step, the rate of component {component} is not finite. Check it for division by 0, and \
+                 for roots and logarithms of negative numbers"
+            )
+        }
         Some(Cause::ZeroParam(index)) => {
             format!(
                 ". The parameter p[{index}] of this sample is 0, and with 1 in its place the step is finite. Write p[{index}] in `start`, \

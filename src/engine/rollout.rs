@@ -506,7 +506,7 @@ impl<F: Float> Rollout<F> {
         let cause = task.diagnose(Inputs { x: &x, u: &u, p: &p, t })?;
         let largest: f64 = x.iter().map(|x| x.lane(0).to_f64().abs()).fold(0.0, f64::max);
         let overflows = largest.powi(4) > F::MAX;
-        let grown = overflows && matches!(cause, Cause::Effect(_));
+        let grown = overflows && matches!(cause, Cause::Effect(_) | Cause::Rate(_));
         Some(if grown { Cause::Grown(largest) } else { cause })
     }
 

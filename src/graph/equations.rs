@@ -100,6 +100,27 @@ pub(super) const NAMES: usize = 4096;
 /// Largest size of all equations and tables, in bytes.
 pub(super) const TEXT: usize = 500_000;
 
+/// Names of the lists that no text uses. Omits lists without such names.
+pub(super) fn unused<'a, const N: usize>(
+    texts: impl Iterator<Item = &'a String>,
+    lists: [(&'static str, Vec<&'a String>); N],
+) -> Vec<(&'static str, Vec<&'a str>)> {
+    let used: HashSet<&str> = texts.flat_map(|text| names(text)).collect();
+    let unused = lists.map(|(section, list)| {
+        let names = list.into_iter().map(String::as_str);
+        (section, names.filter(|name| !used.contains(name)).collect::<Vec<_>>())
+    });
+    unused.into_iter().filter(|(_, names)| !names.is_empty()).collect()
+}
+
+/// Sentences about [`unused`] names.
+pub(super) fn unused_remarks(unused: &[(&str, Vec<&str>)]) -> Vec<String> {
+    let remark = |(section, names): &(&str, Vec<&str>)| {
+        format!("no expression uses {} of `{section}`", listed(names.iter().copied()))
+    };
+    unused.iter().map(remark).collect()
+}
+
 /// Functions of the equations.
 #[derive(Debug)]
 pub(super) struct Functions {
@@ -167,28 +188,23 @@ impl Equations {
         Ok(Functions { motion, velocities, observe, running, terminal, operations })
     }
 
-    /// What is allowed but hardly meant: names that no expression uses, tables that end before the
-    /// `horizon`, and no costs.
-    pub fn remarks(&self, costs: &Costs, horizon: usize) -> Vec<String> {
+    /// Names that no expression uses, with their sections.
+    pub fn unused<'a>(&'a self, costs: &'a Costs) -> Vec<(&'static str, Vec<&'a str>)> {
         let Self { define, rate, next, observe, .. } = self;
         let texts = define.values().chain(rate.values()).chain(next.values()).chain(observe);
-        let texts = texts.chain([&costs.running, &costs.terminal]);
-        let used: HashSet<&str> = texts.flat_map(|text| names(text)).collect();
         let lists = [
             ("parameters", self.parameters.keys().collect::<Vec<_>>()),
             ("tables", self.tables.keys().collect()),
             ("define", define.keys().collect()),
             ("controls", self.controls.iter().collect()),
         ];
-        let mut remarks = Vec::new();
-        for (section, list) in lists {
-            let unused = list.into_iter().filter(|name| !used.contains(name.as_str()));
-            let unused: Vec<&str> = unused.map(String::as_str).collect();
-            if !unused.is_empty() {
-                let names = listed(unused.into_iter());
-                remarks.push(format!("no expression uses {names} of `{section}`"));
-            }
-        }
+        unused(texts.chain([&costs.running, &costs.terminal]), lists)
+    }
+
+    /// What is allowed but hardly meant: names that no expression uses, tables that end before the
+    /// `horizon`, and no costs.
+    pub fn remarks(&self, costs: &Costs, horizon: usize) -> Vec<String> {
+        let mut remarks = unused_remarks(&self.unused(costs));
         for (name, values) in self.tables.iter().filter(|(_, values)| values.len() < horizon) {
             remarks.push(format!(
                 "the table `{name}` has {} values for {horizon} steps; its last value holds afterwards",

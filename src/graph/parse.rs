@@ -88,8 +88,20 @@ const FUNCTIONS: [(&str, usize); 23] = [
 ];
 
 /// Words that cannot be names: those of expressions, and the keys of a number that varies.
-const WORDS: [&str; 11] =
-    ["pi", "t", "next", "and", "or", "not", "uniform", "normal", "log_uniform", "choice", "start"];
+const WORDS: [&str; 12] = [
+    "pi",
+    "t",
+    "dt",
+    "next",
+    "and",
+    "or",
+    "not",
+    "uniform",
+    "normal",
+    "log_uniform",
+    "choice",
+    "start",
+];
 
 /// Largest length of a name.
 const LONGEST: usize = 100;

@@ -1,8 +1,7 @@
 //! [`GraphPolicy`]: a controller as expressions.
 
-use super::equations::{EquationError, NAMES, TEXT};
+use super::equations::{EquationError, NAMES, TEXT, unused, unused_remarks};
 use super::function::{Function, LISTS, Lists};
-use super::lexer::names;
 use super::parse::{name_problem, short};
 use super::reader::{P, Reader, TIME, Vocabulary, X, listed};
 use crate::dynamics::number::Number;
@@ -66,24 +65,20 @@ impl Controller {
         Ok(trained)
     }
 
-    /// Names that no expression uses.
-    pub fn remarks(&self) -> Vec<String> {
+    /// Names that no expression uses, with their sections.
+    pub fn unused(&self) -> Vec<(&'static str, Vec<&str>)> {
         let Self { control, next, parameters, define } = self;
-        let texts = control.values().chain(next.values()).chain(define.values());
-        let used: HashSet<&str> = texts.flat_map(|text| names(text)).collect();
-        let lists: [(&str, Vec<&String>); 3] = [
+        let lists = [
             ("parameters", parameters.keys().collect()),
             ("next", next.keys().collect()),
             ("define", define.keys().collect()),
         ];
-        let unused = |(section, list): (&str, Vec<&String>)| {
-            let unused: Vec<&str> =
-                list.into_iter().map(String::as_str).filter(|name| !used.contains(name)).collect();
-            (!unused.is_empty()).then(|| {
-                format!("no expression uses {} of `{section}`", listed(unused.into_iter()))
-            })
-        };
-        lists.into_iter().filter_map(unused).collect()
+        unused(control.values().chain(next.values()).chain(define.values()), lists)
+    }
+
+    /// Sentences about the names that no expression uses.
+    pub fn remarks(&self) -> Vec<String> {
+        unused_remarks(&self.unused())
     }
 
     fn check(&self, observations: &[String], controls: &[String]) -> Result<(), EquationError> {

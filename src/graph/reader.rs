@@ -24,7 +24,7 @@ pub(super) struct Vocabulary<'a> {
     /// Values over time.
     pub(super) tables: Vec<String>,
     pub(super) constants: Vec<(String, f64)>,
-    /// The time step, which has the name `dt` unless another number has it.
+    /// The time step, which has the name `dt`.
     pub(super) dt: f64,
     /// Expressions by name.
     pub(super) define: &'a BTreeMap<String, String>,
@@ -53,7 +53,7 @@ impl<'a> Reader<'a> {
             known.insert(name.clone(), Term::Number(graph.constant(*value)));
         }
         let dt = graph.constant(names.dt);
-        known.entry("dt".to_owned()).or_insert(Term::Number(dt));
+        known.insert("dt".to_owned(), Term::Number(dt));
         let mut reader = Self { names, graph, lengths, known };
         reader.define()?;
         Ok(reader)
@@ -64,7 +64,7 @@ impl<'a> Reader<'a> {
         let define = self.names.define;
         for name in define.keys() {
             let problem = name_problem(name).map(|problem| format!("which {problem}"));
-            let is_known = self.known.contains_key(name) && name != "dt";
+            let is_known = self.known.contains_key(name);
             let known = || is_known.then(|| "which is the name of another number".to_owned());
             if let Some(problem) = problem.or_else(known) {
                 return Err(EquationError::new(

@@ -330,7 +330,11 @@ impl System for GraphSystem {
 
     fn diagnose<R: Real>(&self, inputs: Inputs<'_, R>) -> Option<Cause> {
         let (method, _) = self.rate.as_ref()?;
-        method.unsolved(&self.field(inputs.t), self.dt, inputs).map(Cause::Unsolved)
+        let field = self.field(inputs.t);
+        let mut rate = vec![R::zero(); self.states];
+        field.rate(inputs.continuous(self.dt), &mut rate);
+        let singular = rate.iter().position(|rate| !rate.all_finite()).map(Cause::Rate);
+        singular.or_else(|| method.unsolved(&field, self.dt, inputs).map(Cause::Unsolved))
     }
 }
 

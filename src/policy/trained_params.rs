@@ -95,6 +95,15 @@ impl TrainedParam {
         self.index
     }
 
+    /// Bounds of the entry, infinite where it has none.
+    pub fn bounds(&self) -> [f64; 2] {
+        match self.scale {
+            Scale::Linear => [f64::NEG_INFINITY, f64::INFINITY],
+            Scale::Above { low } => [low, f64::INFINITY],
+            Scale::Bounded { low, high } => [low, high],
+        }
+    }
+
     /// Returns the number r that maps to the initial value.
     pub(crate) fn initial(&self) -> f64 {
         match self.scale {
@@ -134,14 +143,23 @@ impl TrainedParam {
     /// Returns whether the distance of the entry to a bound is below a millionth of the distance at
     /// its start, and of half the distance of both bounds. The slope of the entry is then almost 0.
     pub(crate) fn is_at_bound(&self, r: f64) -> bool {
-        let start = self.initial();
+        self.is_within(FACTOR, r)
+    }
+
+    /// Returns whether the distance to a bound has become smaller by this factor.
+    fn is_within(&self, factor: f64, r: f64) -> bool {
+        let (start, far) = (self.initial(), factor.ln());
         match self.scale {
             Scale::Linear => false,
-            Scale::Above { .. } => r < start - FACTOR.ln(),
-            Scale::Bounded { .. } => {
-                r < start.min(0.0) - FACTOR.ln() || r > start.max(0.0) + FACTOR.ln()
-            }
+            Scale::Above { .. } => r < start - far,
+            Scale::Bounded { .. } => r < start.min(0.0) - far || r > start.max(0.0) + far,
         }
+    }
+
+    /// Returns whether the distance of the entry to a bound is below 1 % of the distance at its
+    /// start, and of half the distance of both bounds.
+    pub(crate) fn is_near_bound(&self, r: f64) -> bool {
+        self.is_within(100.0, r)
     }
 
     /// Returns the derivative of [`value`](Self::value).

@@ -417,7 +417,7 @@ impl<F: Float> State<F> {
                     .run(task, policy, &moved, &self.train)
                     .map_or(!loss.is_nan(), |moved| moved != loss)
             });
-            self.without_slope.push((number, changes));
+            self.without_slope.push((first + number, changes));
         }
     }
 

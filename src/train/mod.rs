@@ -36,7 +36,7 @@ pub use optim::OptimizerKind;
 pub use record::{Record, Skip};
 pub use session::Session;
 pub use smoothing::{Estimator, Smoothing};
-pub use warnings::Warning;
+pub use warnings::{TrainedNumber, Warning};
 
 use crate::dynamics::task::Task;
 use crate::engine::divergence::{Divergence, InTraining};

@@ -120,7 +120,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     /// Empty within an epoch. [`Trainer::run`](crate::Trainer::run) prints them.
     pub fn warnings(&mut self) -> Vec<String> {
         self.state
-            .new_warnings(self.task.horizon(), &self.numbers(&[]))
+            .new_warnings(self.task.horizon(), &self.numbers())
             .iter()
             .map(Warning::to_string)
             .collect()
@@ -129,27 +129,28 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     /// All warnings about the last epoch, including kinds that [`warnings`](Self::warnings) has
     /// already returned.
     pub fn epoch_warnings(&self) -> Vec<Warning> {
-        self.epoch_warnings_with(&[])
+        self.epoch_warnings_about(&self.numbers())
     }
 
-    /// [`epoch_warnings`](Self::epoch_warnings) with these names of the parameters `p`. Further
-    /// parameters have the names that the system gives them.
-    pub fn epoch_warnings_with(&self, names: &[String]) -> Vec<Warning> {
-        self.state.warnings(self.task.horizon(), &self.numbers(names))
+    /// [`epoch_warnings`](Self::epoch_warnings) about these trained numbers, of the policy too,
+    /// instead of those of the system.
+    pub fn epoch_warnings_about(&self, numbers: &[TrainedNumber]) -> Vec<Warning> {
+        self.state.warnings(self.task.horizon(), numbers)
     }
 
-    /// The numbers that are trained with the policy.
-    fn numbers(&self, names: &[String]) -> Vec<TrainedNumber> {
+    /// The numbers of the system that are trained with the policy.
+    fn numbers(&self) -> Vec<TrainedNumber> {
         let varied = self.task.system().varied(self.task.param_dim());
-        let of_system = |index: usize| {
+        let name = |index: usize| {
             varied.iter().find(|varied| varied.index == index).map(|varied| varied.name.clone())
         };
-        let name = |index: usize| names.get(index).cloned().or_else(|| of_system(index));
-        let number = |&param: &TrainedParam| {
-            let name = name(param.index()).unwrap_or_else(|| format!("p[{}]", param.index()));
-            TrainedNumber { name, param }
+        let params = self.policy.trained_params();
+        let first = self.state.weights.theta().len() - params.len();
+        let number = |(i, &map): (usize, &TrainedParam)| {
+            let name = name(map.index()).unwrap_or_else(|| format!("p[{}]", map.index()));
+            TrainedNumber { name, index: first + i, map }
         };
-        self.policy.trained_params().iter().map(number).collect()
+        params.iter().enumerate().map(number).collect()
     }
 
     /// Loss of the whole test set with the current parameters; NaN if it diverges.

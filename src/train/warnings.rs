@@ -10,7 +10,7 @@ use crate::policy::TrainedParam;
 use std::fmt;
 
 /// Warning about an epoch. The text consists of the epoch and the cause.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Warning {
     /// Number of the epoch, from 1.
     pub epoch: usize,
@@ -20,6 +20,8 @@ pub struct Warning {
     pub number: Option<String>,
     /// Cause, and remedy if known.
     pub cause: String,
+    /// Place of the number that is not finite, if there is one.
+    pub divergence: Option<Divergence>,
 }
 
 impl fmt::Display for Warning {
@@ -44,11 +46,15 @@ const KINDS: [&str; 12] = [
     "number without effect",
 ];
 
-/// A number that is trained with the policy.
-pub(super) struct TrainedNumber {
-    /// Name of the number, or `p[index]`.
-    pub(super) name: String,
-    pub(super) param: TrainedParam,
+/// A trained number with a meaning of its own: of the system, or of the policy, for example a gain.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrainedNumber {
+    /// Name in warnings.
+    pub name: String,
+    /// Index in `θ`.
+    pub index: usize,
+    /// Map from the entry of `θ` to the number. Its own index has no meaning here.
+    pub map: TrainedParam,
 }
 
 impl<F: Float> State<F> {
@@ -77,6 +83,7 @@ impl<F: Float> State<F> {
             self.number_at(divergence, numbers)
         });
         let [train, test] = self.diverged;
+        let skip = first.map(|skip| skip.divergence);
         let loss = |set, divergence: Divergence| {
             format!("the {set} loss is not finite ({})", InTraining(&divergence))
         };
@@ -111,10 +118,11 @@ impl<F: Float> State<F> {
                 )
             }),
         ];
-        let warning = |(kind, cause): (&'static str, Option<String>)| {
-            Some(Warning { epoch: record.epoch, kind, number: None, cause: cause? })
+        let places = [skip, skip, train, test].into_iter().chain(std::iter::repeat(None));
+        let warning = |((kind, cause), divergence): ((&'static str, Option<String>), _)| {
+            Some(Warning { epoch: record.epoch, kind, number: None, cause: cause?, divergence })
         };
-        KINDS.into_iter().zip(causes).filter_map(warning).collect()
+        KINDS.into_iter().zip(causes).zip(places).filter_map(warning).collect()
     }
 
     /// Warning about numbers that are far from their start, or not finite.
@@ -128,10 +136,10 @@ impl<F: Float> State<F> {
 
     /// Warning about numbers at a bound.
     fn at_bound(&self, numbers: &[TrainedNumber]) -> Option<String> {
-        let bounded = self.values_of(numbers, TrainedParam::is_at_bound)?;
+        let bounded = self.values_of(numbers, TrainedParam::is_near_bound)?;
         Some(format!(
-            "a trained number is at its bound: {bounded}. The loss may be lower beyond the bound, or the learning rate too \
-             large. Check the bounds, reduce the learning rate, or use a fixed value"
+            "a trained number is at its bound, or within 1 % of it: {bounded}. The loss may be lower beyond the bound, or the \
+             learning rate too large. Check the bounds, reduce the learning rate, or use a fixed value"
         ))
     }
 
@@ -143,25 +151,23 @@ impl<F: Float> State<F> {
         selected: fn(&TrainedParam, f64) -> bool,
     ) -> Option<String> {
         let theta = self.weights.theta();
-        let values = numbers.iter().zip(&theta[theta.len() - numbers.len()..]);
-        let chosen = values.filter(|(number, r)| selected(&number.param, r.as_()));
-        let chosen = chosen.map(|(TrainedNumber { name, param }, r)| {
-            format!("{name} = {:.3e}", param.value::<f64>(r.as_()))
-        });
-        list(chosen.collect())
+        let value = |TrainedNumber { name, index, map }: &TrainedNumber| {
+            let r: f64 = theta[*index].as_();
+            selected(map, r).then(|| format!("{name} = {:.3e}", map.value(r)))
+        };
+        list(numbers.iter().filter_map(value).collect())
     }
 
     /// Names of the numbers without a slope in all updates of the last epoch. `changes` selects those
     /// that change the loss nevertheless, or those that do not. Omits numbers at a bound, where the
     /// slope rounds to 0.
     fn without_slope(&self, numbers: &[TrainedNumber], changes: bool) -> Option<String> {
-        let values = &self.weights.theta()[self.weights.theta().len() - numbers.len()..];
-        let is_free = |number: usize| !numbers[number].param.is_at_bound(values[number].as_());
-        let selected = self
-            .without_slope
-            .iter()
-            .filter(|&&(number, found)| found == changes && is_free(number));
-        list(selected.map(|&(number, _)| numbers[number].name.clone()).collect())
+        let theta = self.weights.theta();
+        let is_selected = |TrainedNumber { index, map, .. }: &&TrainedNumber| {
+            self.without_slope.contains(&(*index, changes)) && !map.is_at_bound(theta[*index].as_())
+        };
+        let selected = numbers.iter().filter(is_selected);
+        list(selected.map(|number| number.name.clone()).collect())
     }
 
     /// Text that names the trained number of a gradient that is not finite, or "".
@@ -171,9 +177,7 @@ impl<F: Float> State<F> {
         else {
             return String::new();
         };
-        let number = (parameter + numbers.len())
-            .checked_sub(self.weights.theta().len())
-            .and_then(|i| numbers.get(i));
+        let number = numbers.iter().find(|number| number.index == *parameter);
         number
             .map(|number| format!("; component {parameter} is the trained number {}", number.name))
             .unwrap_or_default()

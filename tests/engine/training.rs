@@ -375,9 +375,9 @@ fn trained_numbers_that_training_cannot_determine_are_named_once_with_a_remedy()
             "Use a fixed value",
         ),
         (free, Role::Linear(1.0), 1e6, "training runs away: off = -1.000e7", "Give it bounds"),
-        (above, Role::Linear(1.0), 1e3, "at its bound: off = 5.000e-1", "Check the bounds"),
-        (bounded, Role::Linear(1.0), 1e3, "at its bound: off = 5.000e-1", "Check the bounds"),
-        (bounded, Role::Linear(-1.0), 1e3, "at its bound: off = 7.000e-1", "Check the bounds"),
+        (above, Role::Linear(1.0), 1e3, "of it: off = 5.000e-1", "Check the bounds"),
+        (bounded, Role::Linear(1.0), 1e3, "of it: off = 5.000e-1", "Check the bounds"),
+        (bounded, Role::Linear(-1.0), 1e3, "of it: off = 7.000e-1", "Check the bounds"),
         (
             free,
             Role::Linear(1e200),

@@ -7,8 +7,7 @@ use crate::platform::folder::{CHECKPOINT, Folder, SETTINGS};
 use crate::runs::run::{self, End, NoUpdate, Observer, SAVE_EVERY};
 use crate::runs::saved;
 use crate::scenes::source::SceneSource;
-use anyhow::{Context, Result};
-use physgrad::TrainError;
+use anyhow::Result;
 use physgrad::train::Record;
 use std::path::{Path, PathBuf};
 use toml::Value;
@@ -155,12 +154,9 @@ impl Run {
         match finished.end {
             End::Complete => Ok(true),
             End::Interrupted => Ok(false),
-            End::Failed(error) => Err(error.into()),
+            End::Failed(error) => Err(error),
             End::NoUpdate(None) => Err(NoUpdate(name()).into()),
-            End::NoUpdate(Some(error)) => {
-                let error: TrainError = error;
-                Err(error).context(NoUpdate(name()).to_string())
-            }
+            End::NoUpdate(Some(error)) => Err(error.context(NoUpdate(name()).to_string())),
         }
     }
 

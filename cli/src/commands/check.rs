@@ -12,10 +12,11 @@ use crate::scenes::source::SceneSource;
 use crate::tasks::scene::INITIAL_POLICY;
 use crate::tasks::{self, Scene};
 use anyhow::{Result, bail};
+use physgrad::Divergence;
 use physgrad::check::{Kink, KinkInput, Stability};
 use serde_json::json;
 use std::path::PathBuf;
-use time_step::stability;
+use time_step::{is_harmless, stability};
 
 /// Check the gradients of systems, policies and whole rollouts against dual numbers.
 ///
@@ -97,22 +98,29 @@ pub fn check(args: &Check) -> Result<()> {
 /// Largest number of kinks in the notes.
 const MAX_KINKS: usize = 8;
 
+/// Largest number of parameters for which the exact gradient is advised in place of C.
+const FEW: usize = 10;
+
 /// Makes a note about each property of the test rollouts.
 fn about_rollouts(source: SceneSource, note: &mut dyn FnMut(String) -> Result<()>) -> Result<()> {
     let scene = source.scene()?;
     let theta = scene.initial_theta()?;
+    let diverged = |divergence: &Divergence| {
+        let place = scene.expression_at(divergence).map(|error| source.located(&error));
+        let place = place.map_or_else(String::new, |place| format!("{place}: "));
+        format!("test rollouts: {place}{divergence}")
+    };
     let found = match scene.amplification(&theta, None) {
         Ok(found) => found,
         Err(divergence) => {
             return note(format!(
-                "test rollouts: {divergence}. Time step, kinks, loss and jumps are therefore not checked"
+                "{}. Time step, kinks, loss and jumps are therefore not checked",
+                diverged(&divergence)
             ));
         }
     };
     if let Some(divergence) = &found.divergence {
-        note(format!(
-            "test rollouts: {divergence}. Kinks, loss and jumps are therefore not checked"
-        ))?;
+        note(format!("{}. Kinks, loss and jumps are therefore not checked", diverged(divergence)))?;
     }
     let names = scene.state_names();
     note(stability(&scene, source, &theta, &found))?;
@@ -123,6 +131,13 @@ fn about_rollouts(source: SceneSource, note: &mut dyn FnMut(String) -> Result<()
              every step (multiplier about {lowest:.3}). The step does not resolve this motion. Shorten it, or use an \
              integrator that damps fast motion",
             names[lowest_component]
+        ))?;
+    }
+    if scene.field.0.letter() == "C" && (1..=FEW).contains(&theta.len()) && is_harmless(&found) {
+        note(format!(
+            "field: with {} and without growth of perturbations, C has no advantage, and it is 0 for a parameter where R and M \
+             disagree. Choose the gradient: `field = \"R\"`",
+            counted(theta.len(), "parameter")
         ))?;
     }
     if found.divergence.is_some() {

@@ -16,7 +16,7 @@ use crate::tasks::Scene;
 use anyhow::{Context, Result, bail};
 use physgrad::text::{rough, short};
 use physgrad_plot::quantile::{quantile, sorted};
-use physgrad_plot::{Animation, PALETTE, distribution};
+use physgrad_plot::{Animation, distribution};
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -222,6 +222,18 @@ impl Evaluated {
         [mean, (variance / count).sqrt()]
     }
 
+    /// Number of rollouts with more than a thousand times the median loss, and the mean of the
+    /// others, if there are at most 5 % of such rollouts or a single one. Diverged rollouts do not
+    /// count.
+    fn outliers(&self) -> Option<(usize, f64)> {
+        let losses = sorted(self.finite());
+        let median = quantile(&losses, 0.5);
+        let others = losses.partition_point(|loss| *loss <= 1e3 * median);
+        let few = losses.len() - others;
+        let is_some = median > 0.0 && (1..=(losses.len() / 20).max(1)).contains(&few);
+        is_some.then(|| (few, losses[..others].iter().sum::<f64>() / others as f64))
+    }
+
     /// Quantiles over all rollouts. Losses of diverged rollouts are infinite.
     fn quantiles(&self) -> [f64; 5] {
         let sorted = sorted(self.losses.iter().copied());
@@ -288,10 +300,8 @@ fn title(args: &Eval, policies: &[Trained]) -> String {
 }
 
 fn picture(title: &str, results: &[Evaluated]) -> String {
-    let line = |(i, result): (usize, &Evaluated)| {
-        (result.name.clone(), PALETTE[i % PALETTE.len()], sorted(result.losses.iter().copied()))
-    };
-    distribution(title, results.iter().enumerate().map(line).collect()).to_svg()
+    let line = |result: &Evaluated| (result.name.clone(), sorted(result.losses.iter().copied()));
+    distribution(title, results.iter().map(line).collect()).to_svg()
 }
 
 fn table(args: &Eval, results: &[Evaluated]) -> String {
@@ -311,8 +321,35 @@ fn table(args: &Eval, results: &[Evaluated]) -> String {
         table.row(first.into_iter().chain(row).chain([result.diverged().to_string()]));
     }
     let rollouts = counted(args.samples, "rollout");
+    let note = |result: &Evaluated| {
+        let (few, mean) = result.outliers()?;
+        let (few, name) = (counted(few, "rollout"), &result.name);
+        Some(format!(
+            "\n{name}: {few} with more than a thousand times the median loss; the mean of the others is {}",
+            short(mean)
+        ))
+    };
     format!(
-        "{table}\nlosses of {rollouts}, seed {}; mean ± standard error, without diverged rollouts",
-        args.seed
+        "{table}\nlosses of {rollouts}, seed {}; mean ± standard error, without diverged rollouts{}",
+        args.seed,
+        results.iter().filter_map(note).collect::<String>()
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_few_losses_with_almost_the_whole_sum_are_outliers() {
+        let outliers = |large: &[f64], small: usize| {
+            let losses = [large, &vec![0.5; small], &[f64::INFINITY]].concat();
+            Evaluated { name: String::new(), losses }.outliers()
+        };
+        assert_eq!(outliers(&[1e153], 9), Some((1, 0.5)));
+        assert_eq!(outliers(&[1e153, 1e90], 198), Some((2, 0.5)));
+        assert_eq!(outliers(&[1e153, 1e90], 18), None, "10 % of the rollouts");
+        assert_eq!([outliers(&[], 200), outliers(&[], 0), outliers(&[1.0], 0)], [None; 3]);
+        assert_eq!([outliers(&[499.0], 9), outliers(&[501.0], 9)], [None, Some((1, 0.5))]);
+    }
 }

@@ -14,7 +14,7 @@ use crate::tasks::Scene;
 use anyhow::{Context, Result, bail};
 use physgrad::text::short;
 use physgrad_plot::quantile::{quantile, sorted};
-use physgrad_plot::{PALETTE, Series, robustness};
+use physgrad_plot::{Series, line_style, robustness};
 use serde_json::json;
 use std::path::PathBuf;
 use toml::Value;
@@ -106,6 +106,17 @@ pub fn robust(args: &Robust) -> Result<()> {
         bail!("--grid {key}: an evaluation does not use this setting; choose a number of the task");
     }
     let runs = Trained::load_all(&args.runs, args.epoch)?;
+    for Axis { key, .. } in &args.grid {
+        let is_trained = |run: &&Trained| {
+            run.scene.policy_numbers(&run.theta).iter().any(|(name, _)| name == key)
+        };
+        if let Some(run) = runs.iter().find(is_trained) {
+            bail!(
+                "--grid {key}: the training of {} has determined this number; choose another one",
+                run.name
+            );
+        }
+    }
     let mut points = Vec::new();
     for run in 0..runs.len() {
         for &first in &args.grid[0].values {
@@ -221,7 +232,8 @@ fn picture(args: &Robust, runs: &[Trained], cells: &[Cell]) -> String {
                 .collect();
             let line = own.iter().map(|cell| (cell.at[0], cell.quantiles[1])).collect();
             let band = own.iter().map(|cell| (cell.quantiles[0], cell.quantiles[2])).collect();
-            Series { band, ..Series::new(&*run.name, PALETTE[i % PALETTE.len()], line) }
+            let (color, dash) = line_style(i);
+            Series { band, ..Series::new(&*run.name, color, line).dash(dash) }
         };
         let title = second
             .map_or_else(String::new, |value| format!("{} = {}", args.grid[1].key, short(value)));

@@ -8,7 +8,7 @@ use crate::platform::terminal::{counted, print_message, print_note, print_text};
 use crate::runs::listed::{Listed, below};
 use anyhow::Result;
 use physgrad::text::short;
-use physgrad_plot::{Curve, Dash, PALETTE, comparison};
+use physgrad_plot::{Curve, comparison, line_style};
 use serde_json::json;
 use std::collections::HashSet;
 use std::fs;
@@ -93,11 +93,10 @@ pub fn runs(args: &Runs) -> Result<()> {
 
 /// One curve per run.
 fn curves(runs: Vec<Listed>) -> Vec<Curve> {
-    let curve = |(i, run): (usize, Listed)| Curve {
-        label: run.folder.path().display().to_string(),
-        color: PALETTE[i % PALETTE.len()],
-        dash: Dash::ALL[i / PALETTE.len() % Dash::ALL.len()],
-        runs: vec![run.losses],
+    let curve = |(i, run): (usize, Listed)| {
+        let (color, dash) = line_style(i);
+        let label = run.folder.path().display().to_string();
+        Curve { label, color, dash, runs: vec![run.losses] }
     };
     runs.into_iter().enumerate().map(curve).collect()
 }

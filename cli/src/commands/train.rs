@@ -15,6 +15,7 @@ use crate::scenes::presets;
 use crate::scenes::source::SceneSource;
 use crate::tasks::Scene;
 use anyhow::{Context, Result, anyhow, bail};
+use physgrad::Policy as _;
 use physgrad::engine::{Ranks, ranks};
 use physgrad::text::{digits, short};
 use physgrad::train::{Record, differences};
@@ -90,7 +91,7 @@ pub fn train(args: &Train) -> Result<()> {
     let printed = match (args.json, args.quiet) {
         (true, _) => print_json(&object(&folder, &scene, &finished)),
         (false, true) => Ok(()),
-        (false, false) => print_text(&summary(&folder, &scene, &finished)),
+        (false, false) => print_text(&summary(&folder, &scene, &finished)?),
     };
     let results = folder.path().display();
     match finished.end {
@@ -100,7 +101,7 @@ pub fn train(args: &Train) -> Result<()> {
             Ok(())
         }
         End::NoUpdate(error) => {
-            let reason = error.map_or_else(String::new, |error| format!(" ({error})"));
+            let reason = error.map_or_else(String::new, |error| format!(" ({error:#})"));
             bail!(NoUpdate(format!("{results}{reason}")))
         }
         End::Failed(error) => Err(error)
@@ -258,7 +259,11 @@ fn object(
     })
 }
 
-fn summary(folder: &Folder, scene: &Scene, Finished { records, numbers, .. }: &Finished) -> String {
+fn summary(
+    folder: &Folder,
+    scene: &Scene,
+    Finished { records, numbers, .. }: &Finished,
+) -> Result<String> {
     let mut text = String::new();
     if let Some(last) = records.last() {
         let seconds: f64 = records.iter().map(|r| r.seconds).sum();
@@ -276,10 +281,21 @@ fn summary(folder: &Folder, scene: &Scene, Finished { records, numbers, .. }: &F
         }
     }
     if records.is_empty() {
-        text += "no epoch: the policy is untrained\n";
+        text += match scene.policy().param_count() {
+            0 => "no epoch: the losses of the policy, which has nothing to train, are unknown\n",
+            _ => "no epoch: the policy is untrained\n",
+        };
     }
-    for (name, value) in numbers {
-        text += &format!("trained: {name} = {}\n", digits(*value, 6));
+    let ranges = scene.trained_numbers().into_iter().map(|number| number.map.bounds());
+    let known = scene.starts_of_numbers()?.into_iter().zip(ranges);
+    for ((name, value), (start, [low, high])) in numbers.iter().zip(known) {
+        let bounds = match [low, high].map(f64::is_finite) {
+            [true, true] => format!(", between {low} and {high}"),
+            [true, false] => format!(", above {low}"),
+            _ => String::new(),
+        };
+        let [value, start] = [*value, start].map(|value| digits(value, 6));
+        text += &format!("trained: {name} = {value} (start {start}{bounds})\n");
     }
     text += &format!("results in {}:\n", folder.path().display());
     text += "  learning_curve.svg, animation.svg   pictures\n";
@@ -293,5 +309,5 @@ fn summary(folder: &Folder, scene: &Scene, Finished { records, numbers, .. }: &F
         text += "  numbers.csv                         the trained numbers\n";
     }
     text += "  run.toml, checkpoint.bin            settings and state, to resume";
-    text
+    Ok(text)
 }

@@ -8,7 +8,7 @@ use crate::settings::Precision;
 use anyhow::Result;
 use physgrad::engine::Ranks;
 use physgrad::engine::any::AnyTask;
-use physgrad::train::{CheckpointError, Record, Session, Warning};
+use physgrad::train::{CheckpointError, Record, Session, TrainedNumber, Warning};
 use physgrad::{DynTask, Field, Float, Policy, Task, TrainError, Trainer, Training, Weights};
 use std::ops::Range;
 use std::sync::Arc;
@@ -43,9 +43,8 @@ pub trait AnyRun: Send {
     fn is_done(&self) -> bool;
     /// Records of the completed epochs.
     fn records(&self) -> &[Record];
-    /// Warnings about the last epoch, with these names of the parameters of a rollout. Empty within
-    /// an epoch.
-    fn warnings(&self, names: &[String]) -> Vec<Warning>;
+    /// Warnings about the last epoch and these trained numbers. Empty within an epoch.
+    fn warnings(&self, numbers: &[TrainedNumber]) -> Vec<Warning>;
     /// Serializes the run. [`restore`](Self::restore) requires an equal label.
     fn checkpoint(&self, label: &str) -> Vec<u8>;
     /// Restores a checkpoint with an equal label. On an error, the session is unchanged.
@@ -105,8 +104,8 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
         Session::records(self)
     }
 
-    fn warnings(&self, names: &[String]) -> Vec<Warning> {
-        Session::epoch_warnings_with(self, names)
+    fn warnings(&self, numbers: &[TrainedNumber]) -> Vec<Warning> {
+        Session::epoch_warnings_about(self, numbers)
     }
 
     fn checkpoint(&self, label: &str) -> Vec<u8> {

@@ -64,7 +64,7 @@ impl Ending {
             End::Failed(error) => (false, Some(error)),
             End::NoUpdate(error) => (true, error.as_ref()),
         };
-        Some(Self { epochs, no_update, error: error.map(ToString::to_string) })
+        Some(Self { epochs, no_update, error: error.map(|error| format!("{error:#}")) })
     }
 }
 

@@ -60,7 +60,8 @@ impl Limits {
         let warning = |number: &mut Limited| {
             let (_, value) = values.iter().find(|(index, _)| *index == number.index)?;
             let cause = number.refused(source, *value)?;
-            Some(Warning { epoch, kind: KIND, number: Some(number.name.clone()), cause })
+            let number = Some(number.name.clone());
+            Some(Warning { epoch, kind: KIND, number, cause, divergence: None })
         };
         numbers.iter_mut().filter_map(warning).collect()
     }

@@ -14,7 +14,7 @@ use crate::runs::outputs;
 use crate::runs::saved;
 use crate::settings::LogFormat;
 use crate::tasks::Scene;
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Error, Result, bail};
 use physgrad::TrainError;
 use physgrad::engine::{Ranks, ranks};
 use physgrad::train::{Record, Warning};
@@ -72,10 +72,10 @@ pub enum End {
     Complete,
     /// A signal or the observer ended the run.
     Interrupted,
-    /// Training failed. The run has the state after the last complete epoch.
-    Failed(TrainError),
+    /// Training failed with a [`TrainError`]. The run has the state after the last complete epoch.
+    Failed(Error),
     /// No update was applied, up to the end or the failure of the run.
-    NoUpdate(Option<TrainError>),
+    NoUpdate(Option<Error>),
 }
 
 /// Error of training that applied no update. Contains the names of the runs, or the folder of a
@@ -173,6 +173,7 @@ fn train(
     let on_any_rank = |value| ranks.map_or(value, |ranks| ranks::any(&**ranks, value));
     let names = scene.param_names();
     let mut limits = Limits::new(scene, &names);
+    let numbers = scene.trained_numbers();
     let mut within_epoch = false;
     while !run.is_done() {
         let stops = observer.is_stopped() || (!within_epoch && signals::received().is_some());
@@ -196,7 +197,11 @@ fn train(
             Err(error) => return Ok(Some(error)),
         }
         if let Some(record) = run.records().last().filter(|_| !within_epoch) {
-            let mut warnings = run.warnings(&names);
+            let mut warnings = run.warnings(&numbers);
+            for warning in &mut warnings {
+                let key = warning.divergence.and_then(|place| scene.expression_at(&place));
+                warning.cause += &key.map_or_else(String::new, |key| format!("; {key}"));
+            }
             if !limits.is_empty() {
                 warnings.extend(limits.warnings(record.epoch, &run.trained(Epoch::Last)));
             }
@@ -212,22 +217,32 @@ fn train(
 /// Records and end of a run.
 fn finished(scene: &Scene, run: &dyn AnyRun, failure: Option<TrainError>) -> Finished {
     let records = run.records().to_vec();
-    let end = match failure {
+    let end = match failure.map(|error| located(scene, error)) {
         None if !run.is_done() => End::Interrupted,
         None if run.updates() == 0 && !records.is_empty() => End::NoUpdate(None),
         None => End::Complete,
         Some(error) if run.updates() == 0 => End::NoUpdate(Some(error)),
         Some(error) => End::Failed(error),
     };
-    Finished { records, numbers: numbers(scene, run), end }
+    Finished { records, numbers: numbers(scene, run, Epoch::Last), end }
 }
 
-/// Names and values of the trained numbers, of the system and of the policy.
-fn numbers(scene: &Scene, run: &dyn AnyRun) -> Vec<(String, f64)> {
+/// The error, after the expression of the scene that gave the number that is not finite.
+pub fn located(scene: &Scene, error: TrainError) -> Error {
+    let key = match &error {
+        TrainError::Diverged { last, .. } => scene.expression_at(&last.divergence),
+        _ => None,
+    };
+    let error = Error::new(error);
+    key.into_iter().fold(error, Error::context)
+}
+
+/// Names and values of the trained numbers after the epoch, of the system and of the policy.
+pub fn numbers(scene: &Scene, run: &dyn AnyRun, epoch: Epoch) -> Vec<(String, f64)> {
     let names = scene.param_names();
-    let of_system = run.trained(Epoch::Last).into_iter();
+    let of_system = run.trained(epoch).into_iter();
     let of_system = of_system.map(|(i, value)| (names[i].clone(), value));
-    of_system.chain(scene.policy_numbers(&run.theta(Epoch::Last))).collect()
+    of_system.chain(scene.policy_numbers(&run.theta(epoch))).collect()
 }
 
 /// Writes checkpoints and metrics of a run.
@@ -264,7 +279,7 @@ impl<'a> Saver<'a> {
     fn end(&mut self, scene: &Scene, run: &dyn AnyRun) -> Result<()> {
         self.save(run)?;
         write_outputs(self.folder, scene, run)?;
-        let numbers = numbers(scene, run);
+        let numbers = numbers(scene, run, Epoch::Last);
         if !numbers.is_empty() {
             self.folder.write(NUMBERS, outputs::numbers(&numbers)?)?;
         }

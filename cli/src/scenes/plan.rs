@@ -531,7 +531,11 @@ mod tests {
             ("grid.x = [1, 2, 1]", "`grid.x[2]` is 1; allowed: distinct values"),
             ("grid.x = [1]\nbest.x = [2]", "plan:3: `best.x` is also in `grid`"),
             ("grid.x = [1]\n[[list]]\nx = 2", "`list[0].x` is also in `grid`"),
-            ("[[list]]\nx = 1\n[[list]]\ny = 1", "`list[1]` has other keys than the first entry"),
+            ("[[list]]\nx = 1\n[[list]]\ny = 1", "`list[1]` has `y`, which the first entry lacks"),
+            (
+                "[[list]]\nx = 1\ny = 2\n[[list]]\ny = 1",
+                "`list[1]` lacks `x`, which the first entry has",
+            ),
             ("grid.field = [\"R\"]", "`grid.field` cannot be varied"),
             ("grid.seed = [1]", "`grid.seed` cannot be set"),
             ("[figure]\nmean = 0", "`figure.mean` is 0; allowed: 1 or more"),

@@ -8,7 +8,7 @@ use crate::platform::files;
 use crate::platform::folder::{Folder, MAX_SETTINGS};
 use crate::platform::terminal::did_you_mean;
 use crate::scenes::ranges::{with_methods, with_numbers, with_range};
-use crate::settings::config_error::{ConfigError, Problem};
+use crate::settings::config_error::{ConfigError, Problem, one_of};
 use crate::settings::reading::{flat, is_drawn, is_number, overlay};
 use crate::settings::{OPTIONAL, VERSION};
 use crate::tasks::policy::{COMMON, is_kind};
@@ -39,6 +39,8 @@ pub struct SceneSource {
     options: HashMap<String, String>,
     /// Keys of the last changes, which another kind of policy keeps.
     recent: HashSet<String>,
+    /// Keys that changes have added, in order.
+    added: Vec<String>,
 }
 
 impl SceneSource {
@@ -67,6 +69,7 @@ impl SceneSource {
             text: text.to_owned(),
             options: HashMap::new(),
             recent: HashSet::new(),
+            added: Vec::new(),
         };
         source.place("vary")?;
         source.place("fit")?;
@@ -172,7 +175,9 @@ impl SceneSource {
             let keys: Vec<String> = section.keys().map(|inner| format!("{key}.{inner}")).collect();
             bail!("{option}: `{key}` is a section; set one of its keys: {}", keys.join(", "));
         }
-        inner.insert(last.into(), value);
+        if inner.insert(last.into(), value).is_none() {
+            self.added.push(key.to_owned());
+        }
         self.options.insert(key.to_owned(), option.to_owned());
         self.recent.insert(key.to_owned());
         Ok(())
@@ -226,10 +231,11 @@ impl SceneSource {
             Some((list, index)) => table.get_mut(list)?.get_mut(index)?.as_table_mut(),
             None => table.get_mut(part)?.as_table_mut(),
         });
-        if let Some(section) =
-            section.filter(|section| section.get(last).is_some_and(Value::is_table))
+        if let Some(before) = section.and_then(|section| section.get_mut(last))
+            && before.is_table()
         {
-            section.remove(last);
+            // `put` would change single keys of a table.
+            *before = Value::Boolean(false);
         }
         self.put(key, value, option)
     }
@@ -387,12 +393,28 @@ impl SceneSource {
             settings
         };
         let explained = |error| suggest(spec, &self.table, explain_foreign_effect(spec, error));
-        let scene = spec.scene(settings());
-        scene.map_err(|error| {
+        let scene = spec.scene(settings()).map_err(|error| {
             let error =
                 with_methods(spec, settings, with_numbers(spec, settings, explained(error)));
             self.with_distribution(with_range(spec, settings, error))
-        })
+        })?;
+        self.refuse_unused(&scene)?;
+        Ok(scene)
+    }
+
+    /// Refuses a name that a change has added and no expression uses: it is misspelt, and the
+    /// change would have no effect.
+    fn refuse_unused(&self, scene: &Scene) -> Result<(), ConfigError> {
+        let unused = scene.unused();
+        let Some(key) = self.added.iter().find(|key| unused.contains(key)) else { return Ok(()) };
+        let (section, name) = key.rsplit_once('.').unwrap_or(("", key));
+        let names = self.get(section).and_then(Value::as_table).into_iter().flat_map(Table::keys);
+        let known: Vec<&str> = { names.map(String::as_str) }
+            .filter(|name| !self.added.contains(&join(section, name)))
+            .collect();
+        let hint = did_you_mean(name, known.iter().copied());
+        let what = format!("is a name that no expression uses; known: {}{hint}", one_of(&known));
+        Err(ConfigError::new(key, what))
     }
 
     /// Adds the distribution of a number that varies to an error of one of its values.

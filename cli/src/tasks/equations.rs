@@ -8,6 +8,7 @@ use crate::settings::reading::overlay;
 use crate::tasks::hard::{Nothing, in_scene};
 use crate::tasks::{Settings, TaskSpec};
 use physgrad::DynTask;
+use physgrad::engine::Cause;
 use physgrad::graph::{self, Costs, EquationError, GraphTask, Replacement};
 use physgrad::integrator::{AnyIntegrator, RungeKutta};
 use physgrad_plot::{Animation, Channel, channels_over_time};
@@ -36,6 +37,14 @@ pub fn located(section: &str, error: EquationError) -> ConfigError {
         did_you_mean(&name, known.iter().map(String::as_str))
     });
     ConfigError::new(format!("{section}{key}"), what + &hint)
+}
+
+/// Dotted keys of names, which are given by their sections.
+pub fn keys_of(sections: Vec<(&str, Vec<&str>)>) -> Vec<String> {
+    let keys = |(section, names): (&str, Vec<&str>)| -> Vec<String> {
+        names.into_iter().map(|name| format!("{section}.{name}")).collect()
+    };
+    sections.into_iter().flat_map(keys).collect()
 }
 
 impl TaskSpec for Equations {
@@ -133,6 +142,24 @@ impl TaskSpec for Equations {
 
     fn remarks(settings: &Settings<Self>) -> Vec<String> {
         settings.system.remarks(&settings.loss, settings.horizon)
+    }
+
+    fn unused(settings: &Settings<Self>) -> Vec<String> {
+        keys_of(settings.system.unused(&settings.loss))
+    }
+
+    fn expression_of(
+        settings: &Settings<Self>,
+        component: usize,
+        cause: Option<Cause>,
+    ) -> Option<String> {
+        // After a step of rates, the first component that is not finite may be due to another one.
+        let (section, i) = match cause {
+            Some(Cause::Rate(i)) => ("rate", i),
+            None if !settings.system.is_continuous() => ("next", component),
+            _ => return None,
+        };
+        Some(format!("system.{section}.{}", settings.system.states.get(i)?))
     }
 
     fn animation(

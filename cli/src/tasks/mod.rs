@@ -33,6 +33,7 @@ use crate::settings::{Info, Method};
 use anyhow::{Result, anyhow, bail};
 use effects::EffectsSection;
 use physgrad::DynTask;
+use physgrad::engine::Cause;
 use physgrad::graph::Operations;
 use physgrad_plot::Animation;
 use policy::AnyPolicyKind;
@@ -134,6 +135,19 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     /// What is allowed in these settings but hardly meant. Nothing by default.
     fn remarks(_settings: &Settings<Self>) -> Vec<String> {
         Vec::new()
+    }
+    /// Keys of the section `system` with names that no expression uses. None by default.
+    fn unused(_settings: &Settings<Self>) -> Vec<String> {
+        Vec::new()
+    }
+    /// Key of the expression that gives a state component that is not finite after a step, if it is
+    /// known. None by default.
+    fn expression_of(
+        _settings: &Settings<Self>,
+        _component: usize,
+        _cause: Option<Cause>,
+    ) -> Option<String> {
+        None
     }
     /// A quantity that is conserved while the control is zero, or None.
     fn conserved(_settings: &Settings<Self>) -> Option<Conserved> {

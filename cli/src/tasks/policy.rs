@@ -16,6 +16,7 @@ use crate::tasks::{Section, schema};
 use physgrad::Number;
 use physgrad::number::Varied;
 use physgrad::policy::{Bounded, DynPolicy, Policy as _, Sum, TrainedParam, WithParams};
+use physgrad::train::TrainedNumber;
 use serde_json::json;
 use std::fmt::Debug;
 use std::marker::PhantomData;
@@ -70,6 +71,15 @@ pub trait PolicyKind: Section + Default {
     fn remarks(&self) -> Vec<String> {
         Vec::new()
     }
+    /// Keys of names that no expression of the policy uses.
+    fn unused(&self) -> Vec<String> {
+        Vec::new()
+    }
+    /// Keys of the expressions that give these controls and the next memory, in this order. None by
+    /// default.
+    fn expressions(&self, _controls: &[String]) -> Vec<String> {
+        Vec::new()
+    }
     /// Expressions of the policy: what each gives, and the expression.
     fn equations(&self) -> Vec<(String, String)> {
         Vec::new()
@@ -94,6 +104,8 @@ pub trait AnyPolicySettings: Debug + Send + Sync {
     fn build(&self, of: &Controlled) -> Result<DynPolicy, ConfigError>;
     fn numbers(&self) -> Vec<(String, TrainedParam)>;
     fn remarks(&self) -> Vec<String>;
+    fn unused(&self) -> Vec<String>;
+    fn expressions(&self, controls: &[String]) -> Vec<String>;
     fn equations(&self) -> Vec<(String, String)>;
 }
 
@@ -112,6 +124,12 @@ impl<S: PolicyKind> AnyPolicySettings for S {
     }
     fn remarks(&self) -> Vec<String> {
         PolicyKind::remarks(self)
+    }
+    fn unused(&self) -> Vec<String> {
+        PolicyKind::unused(self)
+    }
+    fn expressions(&self, controls: &[String]) -> Vec<String> {
+        PolicyKind::expressions(self, controls)
     }
     fn equations(&self) -> Vec<(String, String)> {
         PolicyKind::equations(self)
@@ -252,11 +270,21 @@ pub struct PolicySettings {
     base: Option<Box<PolicySettings>>,
 }
 
-/// A policy, and its trained numbers with a meaning of their own: keys, indices in θ, and maps from
-/// θ.
+/// A policy, and its trained numbers with a meaning of their own, by their keys.
 pub struct Built {
     pub policy: DynPolicy,
-    pub numbers: Vec<(String, usize, TrainedParam)>,
+    pub numbers: Vec<TrainedNumber>,
+}
+
+impl Built {
+    /// The policy with its numbers as those of a section, after a number of other parameters.
+    pub fn within(mut self, section: &str, shift: usize) -> Self {
+        for TrainedNumber { name, index, .. } in &mut self.numbers {
+            *name = format!("{section}{name}");
+            *index += shift;
+        }
+        self
+    }
 }
 
 impl PolicySettings {
@@ -351,16 +379,15 @@ impl PolicySettings {
             }
         }
         let numbers = self.own.numbers().into_iter().enumerate();
-        let mut built =
-            Built { policy: own, numbers: numbers.map(|(i, (key, map))| (key, i, map)).collect() };
+        let number = |(index, (name, map))| TrainedNumber { name, index, map };
+        let mut built = Built { policy: own, numbers: numbers.map(number).collect() };
         if let Some(base) = &self.base {
-            let base = base.build(of).map_err(|error| error.within("base"))?;
-            let shift = base.policy.param_count();
-            let of_base = base.numbers.into_iter();
-            let of_base = of_base.map(|(key, i, map)| (format!("base.{key}"), i, map));
-            let own = built.numbers.into_iter().map(|(key, i, map)| (key, i + shift, map));
-            built.numbers = of_base.chain(own).collect();
-            built.policy = DynPolicy::new(Sum::new(base.policy, built.policy));
+            let base = base.build(of).map_err(|error| error.within("base"))?.within("base.", 0);
+            let own = built.within("", base.policy.param_count());
+            built = Built {
+                policy: DynPolicy::new(Sum::new(base.policy, own.policy)),
+                numbers: [base.numbers, own.numbers].concat(),
+            };
         }
         if let Some(bounds) = &self.bounds {
             let ranges = bounds.ranges(of)?;
@@ -384,6 +411,19 @@ impl PolicySettings {
     pub fn remarks(&self) -> Vec<String> {
         let base = self.base.iter().flat_map(|base| base.remarks());
         self.own.remarks().into_iter().chain(base).collect()
+    }
+
+    /// Keys of names that no expression of the policy or its base uses.
+    pub fn unused(&self) -> Vec<String> {
+        let base = self.base.iter().flat_map(|base| base.unused());
+        let base = base.map(|key| format!("base.{key}"));
+        self.own.unused().into_iter().chain(base).collect()
+    }
+
+    /// Keys of the expressions that give these controls and the next memory, in this order. None if a
+    /// base adds to them.
+    pub fn expressions(&self, controls: &[String]) -> Vec<String> {
+        if self.base.is_some() { Vec::new() } else { self.own.expressions(controls) }
     }
 
     /// Expressions of the policy and its base.

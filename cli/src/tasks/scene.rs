@@ -1,11 +1,12 @@
 //! Scenes: validated settings with their task and policy, independent of the type of the task.
 
+mod policy;
+
 use crate::operations::amplification::{self, Amplification, Between};
 use crate::operations::checks::Results;
 use crate::operations::evaluation::AnyEvaluation;
 use crate::operations::gradients::{Derived, GradientMethod};
 use crate::operations::memory::{self, Needs};
-use crate::operations::policy_file::{self, About, TrainedNumber};
 use crate::operations::session::AnyRun;
 use crate::operations::simulation::Job;
 use crate::operations::trajectory::Trajectory;
@@ -19,18 +20,21 @@ use crate::settings::{
     ActuatorSettings, DecayName, EstimatorName, FieldName, IntegratorSettings, LogFormat, OPTIONAL,
     Precision, TrainingSettings,
 };
-use crate::tasks::policy::{Controlled, PolicySettings, ScenePolicy, is_kind, trained};
+use crate::tasks::policy::{Controlled, PolicySettings, ScenePolicy, is_kind};
 use crate::tasks::{AnyTaskSpec, Conserved, Settings, TaskSpec};
-use anyhow::{Context, Result};
+use anyhow::Result;
 use physgrad::actuator::Actuator;
 use physgrad::check::{Jumps, Kink, Plateau};
 use physgrad::count::TaskOpCount;
+use physgrad::engine::Cause;
 use physgrad::graph::Operations;
 use physgrad::identify::{Fit, IdentifyError, Options, Segment};
 use physgrad::optimize::{self, Initial, OptimizeError, Plan};
-use physgrad::policy::{Policy as _, TrainedParam, WithParams};
+use physgrad::policy::{Policy as _, WithParams};
+use physgrad::train::TrainedNumber;
 use physgrad::{Divergence, DynTask, Field, Number, System, Task};
 use physgrad_plot::{Animation, Channel};
+use policy::trained_of;
 use std::borrow::Cow;
 use std::sync::Arc;
 use toml::{Table, Value};
@@ -70,8 +74,8 @@ pub struct Scene {
     physics: DynTask,
     policy: ScenePolicy,
     policy_settings: Arc<PolicySettings>,
-    /// Trained numbers of the policy: keys, indices in θ, and maps from θ.
-    policy_numbers: Arc<[(String, usize, TrainedParam)]>,
+    /// Trained numbers of the policy, by their keys.
+    policy_numbers: Arc<[TrainedNumber]>,
     /// Path of the policy file from which the training starts.
     initial_policy_file: Option<String>,
     /// Contents of this file.
@@ -97,6 +101,8 @@ trait AnySettings: Send + Sync {
     fn equations(&self) -> Vec<(String, String)>;
     fn operations(&self) -> Option<Operations>;
     fn remarks(&self) -> Vec<String>;
+    fn unused(&self) -> Vec<String>;
+    fn expression_of(&self, component: usize, cause: Option<Cause>) -> Option<String>;
     fn conserved(&self) -> Option<Conserved>;
     fn animation(&self, rollout: &Trajectory) -> Animation;
 }
@@ -146,6 +152,14 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
         K::remarks(self)
     }
 
+    fn unused(&self) -> Vec<String> {
+        K::unused(self)
+    }
+
+    fn expression_of(&self, component: usize, cause: Option<Cause>) -> Option<String> {
+        K::expression_of(self, component, cause)
+    }
+
     fn conserved(&self) -> Option<Conserved> {
         K::conserved(self)
     }
@@ -162,11 +176,6 @@ const CONTROL: &str = "#D55E00";
 fn held(controls: &[Vec<f64>], steps: f64) -> Vec<Vec<f64>> {
     let shown = &controls[..controls.len().min(steps.round() as usize)];
     [shown, shown.last().map_or(&[], std::slice::from_ref)].concat()
-}
-
-/// Numbers that a task trains with its policy.
-fn trained_of(physics: &DynTask) -> Vec<TrainedParam> {
-    physics.system().varied(physics.param_dim()).iter().filter_map(trained).collect()
 }
 
 impl Scene {
@@ -229,22 +238,6 @@ impl Scene {
         &self.physics
     }
 
-    /// The policy, with the trained numbers of the system.
-    pub fn policy(&self) -> &ScenePolicy {
-        &self.policy
-    }
-
-    /// The kind of the policy, with its bounds and base.
-    pub fn policy_kind(&self) -> String {
-        self.policy_settings.description()
-    }
-
-    /// Names and values of the trained numbers of the policy with these parameters.
-    pub fn policy_numbers(&self, theta: &[f64]) -> Vec<(String, f64)> {
-        let numbers = self.policy_numbers.iter();
-        numbers.map(|(key, i, map)| (format!("policy.{key}"), map.value(theta[*i]))).collect()
-    }
-
     /// Range of each control, None without bounds: the range to which the actuators limit all
     /// controls, otherwise the bounds of the task.
     pub fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
@@ -252,21 +245,6 @@ impl Scene {
         limited
             .map(|range| vec![range; self.physics.system().control_dim()])
             .or_else(|| self.physics.control_bounds())
-    }
-
-    /// Starts the training from the policy file with these contents.
-    pub fn starting_from(self, policy: Vec<u8>) -> Self {
-        Self { initial_policy: Some(policy.into()), ..self }
-    }
-
-    /// CRC-32C of the policy file from which the training starts.
-    pub fn initial_policy_checksum(&self) -> Option<u32> {
-        self.initial_policy.as_deref().map(checksum)
-    }
-
-    /// Contents of the policy file from which the training starts.
-    pub fn initial_policy(&self) -> Option<&[u8]> {
-        self.initial_policy.as_deref()
     }
 
     /// Checks the gradients of system, policy and rollout. In rollouts, the policy has the
@@ -373,8 +351,8 @@ impl Scene {
         states
     }
 
-    /// Names of the components that the policy observes: those of the state, or y_1, y_2, … if the
-    /// task has an observation of its own.
+    /// Names of the components that the policy observes: those of the state. A component of another
+    /// observation has the name that its expression consists of, or else y_1, y_2, …
     pub fn observation_names(&self) -> Vec<String> {
         let [_, observed] = self.settings.names();
         observed
@@ -444,46 +422,6 @@ impl Scene {
             }
         }
         animation
-    }
-
-    /// What the policy observes and controls.
-    pub fn controlled(&self) -> Controlled {
-        self.settings.controlled(&self.physics)
-    }
-
-    /// What the parameters of the policy of `other` mean in this scene.
-    pub fn meaning_of(&self, other: &Self) -> Table {
-        other.policy_settings.meaning(&self.controlled())
-    }
-
-    /// The policy of `other` in this scene.
-    ///
-    /// # Errors
-    /// It does not suit the scene.
-    pub fn policy_of(&self, other: &Self) -> Result<ScenePolicy, ConfigError> {
-        let built = other.policy_settings.build(&self.controlled());
-        let built = built.map_err(|error| error.within("policy"))?;
-        Ok(WithParams::new(built.policy, trained_of(&other.physics)))
-    }
-
-    /// Description of the policy, for other programs.
-    pub fn about(&self) -> About {
-        let finite = |bound: f64| Some(bound).filter(|bound| bound.is_finite());
-        let trained = |(name, number)| match number {
-            Number::Trained { min, max, .. } => {
-                Some(TrainedNumber { name, min: finite(min), max: finite(max) })
-            }
-            _ => None,
-        };
-        About {
-            physgrad: env!("CARGO_PKG_VERSION"),
-            task: self.task.name().into(),
-            observations: self.observation_names(),
-            controls: self.control_names(),
-            trained: self.varied().into_iter().filter_map(trained).collect(),
-            kind: self.policy_kind(),
-            policy: self.meaning_of(self),
-        }
     }
 
     /// Refuses settings of the training that its field does not read.
@@ -567,21 +505,6 @@ impl Scene {
         session::open(task, policy, self.precision, field, training, theta)
     }
 
-    /// Parameters before the first epoch: those of the initial policy, or random ones.
-    ///
-    /// # Errors
-    /// A run does not fit in the memory of this machine. The initial policy does not fit the scene.
-    pub fn initial_theta(&self) -> Result<Vec<f64>> {
-        self.check_memory()?;
-        let Some(bytes) = self.initial_policy() else {
-            return Ok(policy_file::random(&self.policy, self.seed));
-        };
-        policy_file::read(bytes, &self.about(), &self.policy, self.seed).with_context(|| {
-            let file = self.initial_policy_file.as_deref().unwrap_or_default();
-            format!("`{INITIAL_POLICY}` {file:?}")
-        })
-    }
-
     /// Checks that a run fits in the memory of this machine.
     ///
     /// # Errors
@@ -629,6 +552,13 @@ impl Scene {
         remarks.map(|remark| format!("note: {remark}")).collect()
     }
 
+    /// Keys of names that no expression of the task or the policy uses.
+    pub fn unused(&self) -> Vec<String> {
+        let of_system = self.settings.unused().into_iter().map(|key| format!("system.{key}"));
+        let of_policy = self.policy_settings.unused().into_iter();
+        of_system.chain(of_policy.map(|key| format!("policy.{key}"))).collect()
+    }
+
     /// The remarks, and notes about settings of the training that another setting limits: a
     /// mini-batch that is larger than the training set, a warm-up that does not end.
     pub fn notes(&self) -> Vec<String> {
@@ -647,7 +577,14 @@ impl Scene {
             )
         });
         let of_training: Vec<String> = if self.policy.param_count() == 0 {
-            vec!["note: the policy has no trained numbers: one epoch evaluates its losses".into()]
+            vec![format!(
+                "note: the policy has no trained numbers: {}",
+                if self.epochs == 0 {
+                    "there is nothing to train, and `epochs = 1` evaluates its losses"
+                } else {
+                    "one epoch evaluates its losses"
+                }
+            )]
         } else {
             large_batch.into_iter().chain(endless).collect()
         };

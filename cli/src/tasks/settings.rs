@@ -177,7 +177,8 @@ impl<K: TaskSpec> Settings<K> {
 
     /// The policy of these settings for this task.
     pub fn built(&self, policy: &PolicySettings, physics: &DynTask) -> Result<Built, ConfigError> {
-        policy.build(&self.controlled(physics)?).map_err(|error| error.within("policy"))
+        let built = policy.build(&self.controlled(physics)?);
+        Ok(built.map_err(|error| error.within("policy"))?.within("policy.", 0))
     }
 
     /// What a policy observes and controls in this task.
@@ -187,7 +188,7 @@ impl<K: TaskSpec> Settings<K> {
             Some(vec![range; physics.system().control_dim()])
         };
         Ok(Controlled {
-            observations: self.observed_names(&self.unsensed()?),
+            observations: self.observation_names(&self.unsensed()?),
             controls: K::control_names(self),
             bounds: physics.control_bounds().or_else(limited),
             horizon: self.horizon,
@@ -195,9 +196,10 @@ impl<K: TaskSpec> Settings<K> {
         })
     }
 
-    /// Names by which expressions of a policy know the components of the observation: those of the
-    /// state, or, of an observation of its own, the name that it consists of, or else y_1, y_2, …
-    fn observed_names(&self, unsensed: &DynTask) -> Vec<String> {
+    /// Names of the components that a policy observes of a task without the sensor: those of the
+    /// state. A component of another observation has the name that its expression consists of, or
+    /// else y_1, y_2, …
+    fn observation_names(&self, unsensed: &DynTask) -> Vec<String> {
         let Some(count) = unsensed.observation_dim() else { return self.unsensed_states() };
         let replaced = &self.equations.observe;
         let texts = if replaced.is_empty() { K::observe(self) } else { replaced };
@@ -227,15 +229,6 @@ impl<K: TaskSpec> Settings<K> {
             let list = if error.list == "bias" { "bias.value" } else { "noise.deviation" };
             ConfigError::new(format!("sensor.{list}"), format!("{error}: {}", names.join(", ")))
         })
-    }
-
-    /// Names of the components that a policy observes of a task without the sensor: those of the
-    /// state, or y_1, y_2, … if the task has an observation of its own.
-    fn observation_names(&self, task: &DynTask) -> Vec<String> {
-        match task.observation_dim() {
-            None => self.unsensed_states(),
-            Some(observations) => (1..=observations).map(|i| format!("y_{i}")).collect(),
-        }
     }
 
     /// Names of the state components of the task and its actuators.

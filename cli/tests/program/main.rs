@@ -9,6 +9,7 @@ mod python;
 mod accuracy;
 mod book;
 mod commands;
+mod controllers;
 mod docs;
 mod equations;
 mod eval;

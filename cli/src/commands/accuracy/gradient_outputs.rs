@@ -16,15 +16,17 @@ fn small(x: f64) -> String {
     if x.is_nan() { "-".into() } else { rough(x) }
 }
 
-fn percent(share: Option<f64>) -> String {
-    share.map_or_else(|| "-".into(), |share| format!("{:.1} %", 100.0 * share))
+pub fn percent(share: Option<f64>) -> String {
+    share
+        .filter(|share| !share.is_nan())
+        .map_or_else(|| "-".into(), |share| format!("{:.1} %", 100.0 * share))
 }
 
-fn time([low, median, high]: [f64; 3]) -> String {
-    if median.is_nan() {
-        "-".into()
-    } else {
-        format!("{:.3} ±{:.0} %", median * 1e3, 50.0 * (high - low) / median)
+/// A median time in s, in a unit of which a second has `units`, with half the spread in percent.
+pub fn time([low, median, high]: [f64; 3], units: f64) -> String {
+    match (high - low) / median {
+        spread if spread.is_nan() => "-".into(),
+        spread => format!("{:.3} ±{:.0} %", median * units, 50.0 * spread),
     }
 }
 
@@ -53,7 +55,7 @@ fn tables(methods: &[Derivative], checkpoints: &[Checkpoint], along: &[Horizon])
     let one = |found: Option<&Derivative>| {
         found.map_or_else(
             || ["-"; 4].map(String::from),
-            |row| [error(row), percent(row.signs), time(row.seconds), megabytes(row.bytes)],
+            |row| [error(row), percent(row.signs), time(row.seconds, 1e3), megabytes(row.bytes)],
         )
     };
     let mut names: Vec<GradientMethod> = methods.iter().map(|row| row.method).collect();
@@ -84,7 +86,7 @@ fn tables(methods: &[Derivative], checkpoints: &[Checkpoint], along: &[Horizon])
             Err(_) if diverged => "diverged".into(),
             Err(_) => "budget too small".into(),
         };
-        vec![megabytes(row.budget as usize), megabytes(row.bytes), time(row.seconds), same]
+        vec![megabytes(row.budget as usize), megabytes(row.bytes), time(row.seconds, 1e3), same]
     };
     let horizon = |row: &Horizon| {
         let cells = |found: &Result<(f64, f64), String>| match found {
@@ -296,4 +298,16 @@ fn diagrams(name: &str, methods: &[Derivative], along: &[Horizon]) -> physgrad_p
             },
         ],
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cells_without_a_value_have_a_dash() {
+        assert_eq!([None, Some(f64::NAN), Some(0.5)].map(percent), ["-", "-", "50.0 %"]);
+        let times = [[0.0; 3], [f64::NAN; 3], [1e-3, 2e-3, 3e-3]];
+        assert_eq!(times.map(|seconds| time(seconds, 1e3)), ["-", "-", "2.000 ±50 %"]);
+    }
 }

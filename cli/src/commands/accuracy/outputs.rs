@@ -1,5 +1,6 @@
 //! Output files of `physgrad accuracy`: CSV, charts and a table.
 
+use crate::commands::accuracy::gradient_outputs::{percent, time};
 use crate::commands::accuracy::row::{Errors, Row};
 use crate::commands::accuracy::study::Measured;
 use crate::platform::csv::csv;
@@ -130,14 +131,10 @@ fn table(conserved: Option<&str>, rows: &mut dyn Iterator<Item = &Row>) -> Table
     let mut table = Table::new(header).optional(&most_important);
     let error = |error: f64| if error.is_nan() { "-".to_owned() } else { rough(error) };
     for row in rows {
-        let time = |[low, median, high]: [f64; 3]| match (high - low) / median {
-            spread if spread.is_nan() => "-".to_owned(),
-            spread => format!("{:.3} ±{:.0} %", median * 1e6, 50.0 * spread),
-        };
         let mut cells = vec![row.setting.name()];
         match &row.errors {
             Ok(Errors { trajectory, loss, gradients: [r, m], signs: [r_signs, m_signs] }) => {
-                let share = |share: f64| format!("{:.1} %", 100.0 * share);
+                let share = |share: f64| percent(Some(share));
                 cells.extend([
                     error(*trajectory),
                     error(*loss),
@@ -150,7 +147,11 @@ fn table(conserved: Option<&str>, rows: &mut dyn Iterator<Item = &Row>) -> Table
             Err(_) => cells.extend(["diverged"; 6].map(String::from)),
         }
         cells.extend(conserved.map(|_| error(row.drift)));
-        cells.extend([row.operations.to_string(), time(row.seconds[0]), time(row.seconds[1])]);
+        cells.extend([
+            row.operations.to_string(),
+            time(row.seconds[0], 1e6),
+            time(row.seconds[1], 1e6),
+        ]);
         table.row(cells);
     }
     table

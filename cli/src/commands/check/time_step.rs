@@ -70,7 +70,7 @@ pub fn stability(
 }
 
 /// Returns whether no perturbation grows noticeably over a rollout.
-fn is_harmless(found: &Amplification) -> bool {
+pub fn is_harmless(found: &Amplification) -> bool {
     found.divergence.is_none() && found.growth <= HARMLESS
 }
 

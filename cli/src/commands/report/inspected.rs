@@ -1,17 +1,18 @@
 //! Data of a run for the page, from its folder or from memory.
 
 use crate::operations::adjoint_norms::AdjointNorms;
-use crate::operations::session::AnyRun;
+use crate::operations::session::{AnyRun, Epoch};
 use crate::platform::folder::Folder;
 use crate::platform::parallel;
 use crate::platform::terminal::counted;
+use crate::runs::run::{located, numbers};
 use crate::runs::saved;
 use crate::runs::saved::SceneRuns;
 use crate::runs::statistics::{InScene, Method, Outcome, position};
 use crate::tasks::Scene;
 use anyhow::{Result, bail};
 use physgrad::Field;
-use physgrad::train::{Record, differences};
+use physgrad::train::{Record, TrainedNumber, differences};
 use physgrad_plot::Animation;
 use toml::Table;
 
@@ -31,8 +32,17 @@ pub struct Inspected {
     /// Test loss of the initial policy.
     pub untrained: f64,
     pub end: End,
+    pub numbers: Vec<ReportedNumber>,
     /// Present only for the first run of each field.
     pub rollouts: Option<RolloutData>,
+}
+
+/// A trained number of a run.
+pub struct ReportedNumber {
+    pub name: String,
+    pub bounds: [f64; 2],
+    /// Values before the first epoch, after the last one, and after that with the lowest test loss.
+    pub values: [f64; 3],
 }
 
 /// Runs of one scene.
@@ -171,6 +181,7 @@ fn inspected(
     let before = with_rollouts.then(|| run.adjoint_norms());
     let untrained = run.untrained_loss();
     restore(&mut *run)?;
+    let numbers = reported(scene, &*run)?;
     let animation = || scene.animation(&run.rollouts(0..1)[0]);
     let rollouts = before.map(|before| RolloutData {
         before,
@@ -188,18 +199,33 @@ fn inspected(
         records: run.records().to_vec(),
         untrained,
         rollouts,
-        end: end(&mut *run, scene.epochs),
+        end: end(&mut *run, scene),
+        numbers,
     })
+}
+
+/// The trained numbers of a run.
+fn reported(scene: &Scene, run: &dyn AnyRun) -> Result<Vec<ReportedNumber>> {
+    let starts = scene.starts_of_numbers()?;
+    let [last, best] = [Epoch::Last, Epoch::Best].map(|epoch| numbers(scene, run, epoch));
+    let values = starts.into_iter().zip(last).zip(best);
+    let numbers = scene.trained_numbers().into_iter().zip(values);
+    let number = |(number, ((start, (_, last)), (_, best))): (TrainedNumber, _)| ReportedNumber {
+        name: number.name,
+        bounds: number.map.bounds(),
+        values: [start, last, best],
+    };
+    Ok(numbers.map(number).collect())
 }
 
 /// Determines the end of the run. A checkpoint does not record an error, so this function trains
 /// the next epoch: training is deterministic, and a failed run fails again.
-fn end(run: &mut dyn AnyRun, epochs: usize) -> End {
-    if run.records().len() >= epochs {
+fn end(run: &mut dyn AnyRun, scene: &Scene) -> End {
+    if run.records().len() >= scene.epochs {
         return End::Done;
     }
     match run.advance(&|| false) {
         Ok(_) => End::Interrupted,
-        Err(error) => End::Failed(error.to_string()),
+        Err(error) => End::Failed(format!("{:#}", located(scene, error))),
     }
 }

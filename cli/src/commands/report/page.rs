@@ -1,14 +1,14 @@
 //! HTML page: a single document that embeds style, script, charts and animations.
 
 use crate::commands::report::figure::Figure;
-use crate::commands::report::inspected::{Inspected, InspectedScene};
+use crate::commands::report::inspected::{Inspected, InspectedScene, ReportedNumber};
 use crate::commands::report::{diagnostics, learning};
 use crate::operations::adjoint_norms::SAMPLES;
 use crate::platform::terminal::counted;
 use crate::runs::statistics::{self, InScene, best, field_label, position};
 use crate::settings::reading::flat;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
-use physgrad::text::short;
+use physgrad::text::{digits, short};
 use toml::Value;
 
 /// Explanation of the letters of the fields.
@@ -24,7 +24,10 @@ pub fn run(folder: Option<&str>, run: &Inspected) -> String {
     let alone = std::slice::from_ref(run);
     let content = html! {
         (section("Result", result(run)))
-        (section("Learning", figures(learning::of_run(run))))
+        (section("Learning", html! {
+            (figures(learning::of_run(run)))
+            (trained_numbers(alone))
+        }))
         (section("Animation", animations(&[run])))
         (section("Gradients", html! {
             (figures(diagnostics::of_epochs(alone).into_iter().chain(run.rollouts.as_ref().map(diagnostics::of_run))))
@@ -69,6 +72,9 @@ pub fn comparison(folder: &str, scenes: &[InspectedScene]) -> String {
         }))
         (section("Learning", figures(learning::of_comparison(scenes))))
         @for scene in scenes {
+            @if scene.runs.iter().any(|run| !run.numbers.is_empty()) {
+                (section(&scene.title("Trained numbers"), trained_numbers(&scene.runs)))
+            }
             @let firsts: Vec<&Inspected> = scene.runs.iter().filter(|run| run.rollouts.is_some()).collect();
             (section(&scene.title("Animation"), animations(&firsts)))
             (section(&scene.title("Gradients"), html! {
@@ -204,6 +210,21 @@ fn result(run: &Inspected) -> Markup {
         (table(&header, &[row]))
         @if skipped > 0 { p.note { "An update is skipped if it contains a non-finite number." } }
     }
+}
+
+/// Table of the trained numbers of these runs. Nothing without such numbers.
+fn trained_numbers(runs: &[Inspected]) -> Markup {
+    let several = runs.len() > 1;
+    let bound = |bound: f64| if bound.is_finite() { short(bound) } else { "none".into() };
+    let row = |run: &Inspected, number: &ReportedNumber| -> Vec<String> {
+        let ReportedNumber { name, bounds, values } = number;
+        let first = several.then(|| run.name()).into_iter().chain([name.clone()]);
+        first.chain(values.map(|value| digits(value, 6))).chain(bounds.map(bound)).collect()
+    };
+    let rows: Vec<Vec<String>> =
+        runs.iter().flat_map(|run| run.numbers.iter().map(|number| row(run, number))).collect();
+    let header = ["run", "trained number", "start", "final", "at best test loss", "min", "max"];
+    html! { @if !rows.is_empty() { (table(&header[usize::from(!several)..], &rows)) } }
 }
 
 /// Animations of these runs.

@@ -221,12 +221,15 @@ impl Contents {
             }
         }
         for (i, entry) in self.list.iter().enumerate() {
-            let is_same = entry.len() == self.list[0].len()
-                && entry.keys().all(|key| self.list[0].contains_key(key));
-            if !is_same {
-                let what = "has other keys than the first entry; give every entry the same keys";
-                return Err(ConfigError::new(format!("list[{i}]"), what));
-            }
+            let first = &self.list[0];
+            let only = |a: &Table, b: &Table| a.keys().find(|key| !b.contains_key(*key)).cloned();
+            let what = match (only(entry, first), only(first, entry)) {
+                (Some(key), _) => format!("has `{key}`, which the first entry lacks"),
+                (None, Some(key)) => format!("lacks `{key}`, which the first entry has"),
+                (None, None) => continue,
+            };
+            let what = format!("{what}; give every entry the same keys");
+            return Err(ConfigError::new(format!("list[{i}]"), what));
         }
         let first = self.list.first().map(|entry| ("list[0]", "list", entry));
         for (path, section, table) in

@@ -2,7 +2,7 @@
 
 use super::{AnyPolicyKind, Controlled, PolicyKind, kind};
 use crate::settings::config_error::{ConfigError, allowed, count};
-use crate::tasks::equations::located;
+use crate::tasks::equations::{keys_of, located};
 use physgrad::graph::{Controller, GraphPolicy};
 use physgrad::policy::{
     Activation, Conv, DynPolicy, Elman, Gru, Linear, Mlp, OpenLoop, TrainedParam,
@@ -237,6 +237,15 @@ impl PolicyKind for Controller {
     fn remarks(&self) -> Vec<String> {
         let remarks = Controller::remarks(self).into_iter();
         remarks.map(|remark| format!("{remark} in the policy")).collect()
+    }
+
+    fn unused(&self) -> Vec<String> {
+        keys_of(Controller::unused(self))
+    }
+
+    fn expressions(&self, controls: &[String]) -> Vec<String> {
+        let controls = controls.iter().map(|name| format!("control.{name}"));
+        controls.chain(self.next.keys().map(|name| format!("next.{name}"))).collect()
     }
 
     fn equations(&self) -> Vec<(String, String)> {
