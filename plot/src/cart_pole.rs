@@ -24,6 +24,10 @@ const FAR: f64 = 1e6;
 const RAIL_BEYOND: f64 = 20.0;
 /// Longest rail that is shown whole, in pole lengths.
 const WHOLE: f64 = 10.0;
+/// Half-width of the view of an unfinished motion, in pole lengths.
+const UNFINISHED: f64 = 3.0;
+/// Least distance of the cart from the edge of this view, in pole lengths. A lying pole fits.
+const EDGE: f64 = 1.15;
 
 /// Animates a trajectory on a bare rail.
 ///
@@ -66,11 +70,14 @@ pub fn cart_pole_on(
     };
     let bumpers = rail.bumpers.and_then(|half_travel| Bumpers::new(half_travel, &states, length));
     let wind = Wind::new(&rail.wind);
-    let stage = Stage::covering(&states, length, bumpers, wind.is_some());
+    let unfinished = rail.unfinished.is_some();
+    let stage = Stage::covering(&states, length, bumpers, wind.is_some(), unfinished);
     let shown = states.len().min(MAX_FRAMES);
+    let largest = rail.unfinished.unwrap_or_else(|| largest(controls));
     let frames = (0..shown).map(|frame| {
         let step = frame * (states.len() - 1) / (shown - 1).max(1);
-        let mut shapes = stage.frame(states[step], relative_force(controls, step));
+        let force = relative_force(controls, largest, step);
+        let mut shapes = stage.frame(states[step], stage.cameras[step], force);
         shapes.extend(wind.iter().flat_map(|wind| wind.shapes(&stage, step)));
         shapes
     });
@@ -87,15 +94,15 @@ pub fn cart_pole_on(
     }
 }
 
+/// Largest absolute value of the finite forces.
+fn largest(forces: &[f64]) -> f64 {
+    forces.iter().map(|force| force.abs()).filter(|force| force.is_finite()).fold(0.0, f64::max)
+}
+
 /// Force at a step, relative to the largest force. The last state has the force of the last step.
-fn relative_force(controls: &[f64], step: usize) -> f64 {
-    let largest = controls
-        .iter()
-        .map(|force| force.abs())
-        .filter(|force| force.is_finite())
-        .fold(0.0, f64::max);
+fn relative_force(controls: &[f64], largest: f64, step: usize) -> f64 {
     match controls.get(step.min(controls.len().saturating_sub(1))) {
-        Some(force) if force.is_finite() && largest > 0.0 => force / largest,
+        Some(force) if force.is_finite() && largest > 0.0 => (force / largest).clamp(-1.0, 1.0),
         _ => 0.0,
     }
 }
@@ -108,8 +115,8 @@ struct Stage {
     low: [f64; 2],
     /// Upper right corner of the view, m.
     high: [f64; 2],
-    /// True if the camera follows the cart.
-    follow: bool,
+    /// Position of the camera at every state, m.
+    cameras: Vec<f64>,
     /// Positions of the rail marks, m.
     marks: Vec<f64>,
     bumpers: Option<Bumpers>,
@@ -117,7 +124,13 @@ struct Stage {
 
 impl Stage {
     /// Creates a stage that shows the whole trajectory, or a stage whose camera follows the cart.
-    fn covering(states: &[&Vec<f64>], length: f64, bumpers: Option<Bumpers>, windy: bool) -> Self {
+    fn covering(
+        states: &[&Vec<f64>],
+        length: f64,
+        bumpers: Option<Bumpers>,
+        windy: bool,
+        unfinished: bool,
+    ) -> Self {
         let (mut left, mut right) = (f64::INFINITY, f64::NEG_INFINITY);
         for state in states {
             (left, right) = (left.min(state[0]), right.max(state[0]));
@@ -132,18 +145,31 @@ impl Stage {
             let cart = end - 0.85 * length;
             (left, right) = (left.min(-cart), right.max(cart));
         }
-        let follow = !whole && right - left > 6.0 * length;
-        let middle = if follow { 0.0 } else { (left + right) / 2.0 };
-        let half_width = if follow {
-            2.5 * length
-        } else {
-            ((right - left) / 2.0 + 1.15 * length).max(2.2 * length)
+        let pans = unfinished && !whole;
+        let follow = !whole && !unfinished && right - left > 6.0 * length;
+        let middle = if follow || pans { 0.0 } else { (left + right) / 2.0 };
+        let half_width = match (pans, follow) {
+            (true, _) => UNFINISHED * length,
+            (_, true) => 2.5 * length,
+            _ => ((right - left) / 2.0 + EDGE * length).max(2.2 * length),
         };
+        let mut pan = 0.0_f64;
+        let slack = (UNFINISHED - EDGE) * length;
+        let cameras: Vec<f64> = states
+            .iter()
+            .map(|state| {
+                pan = pan.clamp(state[0] - slack, state[0] + slack);
+                [0.0, state[0], pan][if pans { 2 } else { usize::from(follow) }]
+            })
+            .collect();
+        if let (true, Some(&last)) = (pans, cameras.last()) {
+            (left, right) = (last, last);
+        }
         let lowest = states
             .iter()
             .flat_map(|state| state[2..].iter().step_by(2))
             .map(|angle| angle.cos())
-            .fold(0.0, f64::min);
+            .fold(if unfinished { -1.0 } else { 0.0 }, f64::min);
         // Space below the rail for its marks, and for poles that hang down.
         let bottom = length * (lowest * 1.1).min(-0.45) - 0.2 * length;
         // Marks over the range of the camera, at round distances of at least one pole length and at
@@ -160,15 +186,14 @@ impl Stage {
             length,
             low: [middle - half_width, bottom],
             high: [middle + half_width, top],
-            follow,
+            cameras,
             marks,
             bumpers,
         }
     }
 
-    fn frame(&self, state: &[f64], force: f64) -> Vec<Shape> {
+    fn frame(&self, state: &[f64], camera: f64, force: f64) -> Vec<Shape> {
         let unit = self.length;
-        let camera = if self.follow { state[0] } else { 0.0 };
         let x = state[0] - camera;
         let mut shapes = self.rail(camera);
         shapes.extend(self.bumpers.iter().flat_map(|bumpers| bumpers.shapes(state[0], camera)));

@@ -67,6 +67,14 @@ pub fn mechanics(stage: &Stage, postures: &[Posture], dt: f64) -> Animation {
         }
     }
 
+    // The disc of a chain that turns about its first joint.
+    let reach = shown.first().and_then(|posture| {
+        let rods = posture.chain.windows(2);
+        let radius = margin
+            + rods.map(|rod| (rod[1][0] - rod[0][0]).hypot(rod[1][1] - rod[0][1])).sum::<f64>();
+        let first = posture.chain.first()?;
+        Some((first.map(|x| x - radius), first.map(|x| x + radius)))
+    });
     let thin = 0.12 * stage.size;
     let ground = stage.floor.map(|height| {
         // Extends beyond the view, which `Animation::share_scale` may enlarge.
@@ -84,6 +92,7 @@ pub fn mechanics(stage: &Stage, postures: &[Posture], dt: f64) -> Animation {
         title: format!("{}: {time:.1} s {speed}", stage.title),
         seconds: time * slowness,
         view: (low, high),
+        reach: reach.map(|reach| Animation::union(reach, (low, high))),
         still: ground.into_iter().chain(mark).collect(),
         frames: frames.collect(),
         legend: stage.mark.map(|_| ("target".to_owned(), MARK)).into_iter().collect(),

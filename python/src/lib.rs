@@ -10,6 +10,7 @@ mod identify;
 mod interrupt;
 mod lists;
 mod optimize;
+mod picture;
 mod policy;
 mod rows;
 mod run;
@@ -35,6 +36,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(accuracy::accuracy, module)?)?;
     module.add_function(wrap_pyfunction!(identify::check, module)?)?;
     module.add_function(wrap_pyfunction!(optimize::optimize, module)?)?;
+    module.add_function(wrap_pyfunction!(picture::picture, module)?)?;
     module.add_function(wrap_pyfunction!(policy::rollout, module)?)?;
     module.add_function(wrap_pyfunction!(policy::losses, module)?)?;
     module.add_function(wrap_pyfunction!(policy::gradients, module)?)?;

@@ -17,6 +17,9 @@ pub struct Landscape {
     /// Width of the absorbing edge at each of the two walls, in units of length. `None` for no
     /// edges.
     pub absorbing: Option<f64>,
+    /// Number of steps of the whole motion, if it is unfinished: the axes of time show them all. 0
+    /// for a finished motion.
+    pub steps: usize,
 }
 
 impl Landscape {
@@ -27,7 +30,7 @@ impl Landscape {
         let potential = if finite { averaged(&self.potential, MAX_ROWS) } else { Vec::new() };
         let absorbing =
             self.absorbing.filter(|width| *width >= 0.0).map(|width| width.min(length / 2.0));
-        Self { potential, absorbing }
+        Self { potential, absorbing, steps: self.steps }
     }
 
     /// True if there is a potential.
@@ -173,7 +176,8 @@ mod tests {
     fn extreme_and_non_finite_numbers_give_a_picture() {
         for wild in [f64::NAN, f64::INFINITY, -1e300, -1.0, 0.0, 1e300] {
             for potential in [vec![wild], vec![wild; 7], vec![1e300, wild, 2.0]] {
-                let landscape = Landscape { potential, absorbing: Some(wild) };
+                let landscape =
+                    Landscape { potential, absorbing: Some(wild), ..Landscape::default() };
                 for states in [vec![], states()] {
                     let svg = quantum_in(&landscape, &states, &[], &[0.3; 7], 2.0, 0.1).to_svg();
                     roxmltree::Document::parse(&svg).expect("an SVG is XML");
