@@ -2,7 +2,7 @@
 # Builds the wheel, installs it in a new virtual environment and runs the tests. Skips with a
 # message if Python 3.10 or newer, its module venv or a package index is missing.
 # PHYSGRAD_MODULE, the path of a compiled module, is installed in place of a wheel.
-# PHYSGRAD_PYTHON_ALL=1 also installs PyTorch and Stable-Baselines3, and runs slow tests.
+# PHYSGRAD_PYTHON_ALL=1 also installs PyTorch, Stable-Baselines3 and MoviePy, and runs slow tests.
 set -euo pipefail
 cd "$(dirname "$0")"
 
@@ -19,9 +19,9 @@ rm -rf "$venv"
 pip() { "$venv/bin/python" -m pip --quiet --disable-pip-version-check --retries 1 "$@"; }
 pip install numpy pytest || skip "pip cannot install packages"
 # Tests of missing packages skip with a reason.
-pip install gymnasium jax casadi || echo "gymnasium, jax or casadi is missing: their tests are skipped"
+pip install gymnasium pygame jax casadi || echo "gymnasium, pygame, jax or casadi is missing: their tests are skipped"
 if [ "${PHYSGRAD_PYTHON_ALL:-0}" = 1 ]; then
-    pip install torch stable-baselines3
+    pip install torch stable-baselines3 moviepy
 fi
 
 if [ -n "${PHYSGRAD_MODULE:-}" ]; then

@@ -86,12 +86,19 @@ class Task:
         p: ArrayLike | None = None,
         t: int = 0,
     ) -> tuple[Array, Array, Array, Array]: ...
+    def _advance(self, x: ArrayLike, u: ArrayLike, p: ArrayLike, t: int) -> tuple[Array, Array, Array]: ...
     def terminal_cost(self, x: ArrayLike, p: ArrayLike | None = None) -> Array: ...
     def terminal_cost_vjp(
         self, x: ArrayLike, cost_bar: ArrayLike, p: ArrayLike | None = None
     ) -> tuple[Array, Array]: ...
 
 def task_names() -> list[str]: ...
+
+_View = tuple[tuple[float, float], tuple[float, float]]
+
+def picture(
+    task: Task, states: ArrayLike, controls: ArrayLike, params: ArrayLike, view: _View | None = None
+) -> tuple[NDArray[np.uint8], _View]: ...
 
 class Policy:
     theta: NDArray[np.float64]

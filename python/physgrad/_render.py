@@ -47,17 +47,18 @@ class Window:
 
     def __init__(self, title: str, fps: int) -> None:
         try:
-            import pygame
+            import pygame  # noqa: F401
         except ImportError as error:
             from gymnasium.error import DependencyNotInstalled
 
             message = "`render_mode='human'` shows a window by pygame: run `pip install pygame`"
             raise DependencyNotInstalled(message) from error
-        self._pygame, self._title, self._fps, self._screen = pygame, title, fps, None
+        self._title, self._fps, self._screen = title, fps, None
 
     def show(self, picture: np.ndarray) -> None:
         """Shows a picture, and waits so that pictures follow each other in real time."""
-        pygame = self._pygame
+        import pygame
+
         if self._screen is None:
             pygame.display.init()
             self._screen = pygame.display.set_mode((picture.shape[1], picture.shape[0]))
@@ -71,5 +72,7 @@ class Window:
     def close(self) -> None:
         """Closes the window. The next picture opens another one."""
         if self._screen is not None:
-            self._pygame.display.quit()
+            import pygame
+
+            pygame.display.quit()
             self._screen = None

@@ -21,6 +21,7 @@ ids ``physgrad/NAME-v0`` work with ``gymnasium.make`` and ``gymnasium.make_vec``
 from __future__ import annotations
 
 import dataclasses
+import math
 import operator
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -195,10 +196,10 @@ class TaskEnv(_Shared, gymnasium.Env):
             raise RuntimeError(f"step {rows.horizon}: the episode has ended or not begun. Call `reset` first")
         action = _array("action", action)
         _check_shape("action", action, rows.high.shape)
-        reward, truncated = rows.step(action[None])
+        reward = rows.step(action[None])
         if self._window is not None:
             self._show()
-        return rows.observe()[0], float(reward[0]), False, bool(truncated[0]), {}
+        return rows.observe()[0], float(reward[0]), False, rows.together == rows.horizon, {}
 
     def _show(self) -> None:
         if self._window is not None:
@@ -321,7 +322,8 @@ class TaskVectorEnv(_Shared, gymnasium.vector.VectorEnv):
             raise RuntimeError(f"environments {which}: the episode has ended. Call `reset` first")
         actions = _array("actions", actions)
         _check_shape("actions", actions, (self.num_envs, len(rows.high)))
-        reward, truncated = rows.step(actions, ~ended if ended.any() else None)
+        reward = rows.step(actions, ~ended if ended.any() else None)
+        truncated = (rows.t == rows.horizon) & ~ended
         if mode == AutoresetMode.SAME_STEP and truncated.any():
             final, y = np.full(self.num_envs, None, object), rows.observe()
             for row in np.flatnonzero(truncated):
@@ -343,8 +345,8 @@ def _check_mode(mode: str | None, allowed: Sequence[str]) -> None:
 
 
 def _fps(task: pg.Task) -> int:
-    """Pictures per second in real time, within the limits of screens."""
-    return int(min(max(round(1.0 / task.dt), 1), 60))
+    """Pictures per second in real time."""
+    return max(round(1.0 / task.dt), 1)
 
 
 def _check_names(options: dict[str, Any] | None, allowed: set[str]) -> None:
@@ -386,11 +388,22 @@ class _Rows:
         self.x = np.zeros((count, task.state_dim), task.dtype)
         self.p = np.zeros((count, task.param_dim), task.dtype)
         self.key = np.zeros((count, task.start_dim - task.state_dim - task.param_dim), task.dtype)
-        self.t = np.full(count, task.horizon)
         # The step number of all rows, or None if they differ.
         self.together: int | None = task.horizon
+        self._t = np.full(count, task.horizon)
+        # Observations of the states, if `step` has computed them.
+        self._observed: np.ndarray | None = None
         self.begun = np.zeros(count, bool)
         self.films = [] if render_mode is None else [_render.Film(task) for _ in range(count)]
+
+    @property
+    def t(self) -> np.ndarray:
+        """Step numbers of the rows. A copy."""
+        return self._t.copy() if self.together is None else np.full(len(self.x), self.together)
+
+    @t.setter
+    def t(self, t: np.ndarray) -> None:
+        self._t, self.together = t, int(t[0]) if (t == t[0]).all() else None
 
     def given(self, arrays: dict[str, Any], mask: np.ndarray) -> dict[str, np.ndarray]:
         """Checks states, parameters and keys that a caller gives for the rows in ``mask``."""
@@ -415,7 +428,7 @@ class _Rows:
     def _checked_key(self, key: np.ndarray, mask: np.ndarray) -> np.ndarray:
         if not self.key.size:
             raise ValueError(f"`key` is the key of noise, but the task {self.task.name} has no noise")
-        _check_shape("key", key, self.t.shape)
+        _check_shape("key", key, self.begun.shape)
         for value in key[mask]:
             if not 0 <= value < 2**24 or value != np.floor(value):
                 raise ValueError(f"`key` is {value}; allowed: a whole number from 0 to {2**24 - 1}")
@@ -439,8 +452,7 @@ class _Rows:
         self.x[mask] = starts[:, :states]
         self.p[mask] = starts[:, states : states + params]
         self.key[mask] = starts[:, states + params :]
-        self.t[mask], self.begun[mask] = 0, True
-        self.together = 0 if mask.all() else None
+        self.t, self.begun[mask], self._observed = np.where(mask, 0, self.t), True, None
         for name, array in (given or {}).items():
             {"state": self.x, "params": self.p, "key": self.key}[name][mask] = array[mask]
         if self.films:
@@ -458,64 +470,65 @@ class _Rows:
         starts = np.concatenate([self.x[rows], self.p[rows], self.key[rows]], axis=1)
         return self.task.params_at(starts, t)
 
-    def step(self, actions: np.ndarray, mask: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Steps the rows in ``mask``, or all. Returns rewards, 0 for other rows, and the rows that end."""
+    def step(self, actions: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
+        """Steps the rows in ``mask``, or all. Returns rewards, 0 for other rows."""
         u = self._controls(actions, mask)
         if mask is None and self.together is not None:
-            # All rows are at one step, as those of a single environment are.
-            t, p = self.together, self._params(_ALL, self.together)
-            following, cost = self._advanced(_ALL, u, p, t)
-            cost = cost.astype(float)
-            self.x, self.together = following, t + 1
-            self.t += 1
+            # All rows are at one step, as the row of a single environment is.
+            p = self._params(_ALL, self.together)
+            self.x, cost, y = self._advanced(_ALL, u, p, self.together)
+            self.together += 1
+            # Noise has other values at the next step, which an observation may contain.
+            self._observed = None if self.key.size else y
         else:
             mask = np.ones(len(self.x), bool) if mask is None else mask
-            cost, after, p = np.zeros(len(self.x)), self.x.copy(), self.p.copy()
-            for t in np.unique(self.t[mask]):
-                rows = mask & (self.t == t)
-                p[rows] = self._params(rows, int(t))
-                after[rows], cost[rows] = self._advanced(rows, u[rows], p[rows], int(t))
+            t, cost, after, p = self.t, np.zeros(len(self.x)), self.x.copy(), self.p.copy()
+            for number in np.unique(t[mask]):
+                rows = mask & (t == number)
+                p[rows] = self._params(rows, int(number))
+                after[rows], cost[rows], _ = self._advanced(rows, u[rows], p[rows], int(number))
             # An error above leaves the states and step numbers of all rows unchanged.
-            self.x = after
-            self.t[mask] += 1
-            self.together = int(self.t[0]) if (self.t == self.t[0]).all() else None
+            self.x, self.t, self._observed = after, t + mask, None
         for row, film in enumerate(self.films):
             if mask is None or mask[row]:
                 film.add(u[row], self.x[row].copy(), p[row].copy())
-        last = self.t == self.horizon if mask is None else mask & (self.t == self.horizon)
         if self.together is None or self.together == self.horizon:
+            last = (self.t == self.horizon) & (True if mask is None else mask)
             if last.any():
-                cost[last] += self.task.terminal_cost(self.x[last], p=self._params(last, self.horizon - 1))
-        return 0.0 - cost, last
+                p = self._params(last, self.horizon - 1)
+                cost[last] += self.task.terminal_cost(self.x[last], p=p)
+        return 0.0 - cost
 
     def _controls(self, actions: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
-        finite = np.isfinite(actions)
-        if not _all(finite):
-            bad = ~finite if mask is None else mask[:, None] & ~finite
+        if not _is_finite(actions):
+            bad = ~np.isfinite(actions) & (True if mask is None else mask[:, None])
             if bad.any():
                 raise ValueError(f"environment {np.argwhere(bad)[0][0]}: the action is not finite")
-        return (self.middle + self.half * np.minimum(np.maximum(actions, -1.0), 1.0)).astype(self.x.dtype)
+        clipped = np.minimum(np.maximum(actions, -1.0), 1.0)
+        return (self.middle + self.half * clipped).astype(self.x.dtype)
 
-    def _advanced(self, rows: np.ndarray | slice, u: np.ndarray, p: np.ndarray, t: int) -> tuple[np.ndarray, np.ndarray]:
-        """States after step `t` of these rows, and costs of the step."""
-        x = self.x[rows]
-        following = self.task.step(x, u, p, t)
-        cost = self.task.running_cost(x, u, following, p, t)
-        if not _all(np.isfinite(following)):
+    def _advanced(
+        self, rows: np.ndarray | slice, u: np.ndarray, p: np.ndarray, t: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """States after step `t` of these rows, costs of the step, and observations of the states."""
+        following, cost, y = self.task._advance(self.x[rows], u, p, t)
+        if not _is_finite(following):
             row, component = np.argwhere(~np.isfinite(following))[0]
             raise FloatingPointError(
                 f"environment {np.arange(len(self.x))[rows][row]}, step {t}: `{self.task.state_names[component]}` is "
                 "not finite. Use a smaller `bound`, or more substeps"
             )
-        return following, cost
+        return following, cost[:, 0].astype(float), y
 
     def observe(self) -> np.ndarray:
         """Observations, shape (rows, observation_dim)."""
+        if self._observed is not None:
+            return self._observed
         if self.together is not None:
             return self.task.observe(self.x, self._params(_ALL, self.together), self.together)
         y = np.empty((len(self.x), self.task.observation_dim), self.x.dtype)
-        for t in np.unique(self.t):
-            rows = self.t == t
+        for t in np.unique(self._t):
+            rows = self._t == t
             y[rows] = self.task.observe(self.x[rows], p=self._params(rows, int(t)), t=int(t))
         return y
 
@@ -529,9 +542,11 @@ class _Rows:
 _ALL = slice(None)
 
 
-def _all(truths: np.ndarray) -> bool:
-    # The method `all` takes several times as long for few elements.
-    return bool(np.logical_and.reduce(truths, axis=None))
+def _is_finite(array: np.ndarray) -> bool:
+    # NumPy takes several times as long for few elements.
+    if array.size <= 32:
+        return all(map(math.isfinite, array.ravel().tolist()))
+    return bool(np.isfinite(array).all())
 
 
 def _spaces(task: pg.Task) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:

@@ -504,6 +504,28 @@ impl Task {
         })
     }
 
+    /// Next states, (B, n), running costs, (B, 1), and observations of the next states, (B,
+    /// observation_dim), for environments: in one call, because a call takes longer than one step.
+    /// The observations have the parameters of this step.
+    #[pyo3(name = "_advance")]
+    fn advance<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        u: &Bound<'py, PyAny>,
+        p: &Bound<'py, PyAny>,
+        t: usize,
+    ) -> PyResult<Bound<'py, PyTuple>> {
+        with_precision!(is_f32([x, u, p]), F => {
+            let given = self.rows::<F>(py, x, Some(u), Some(p), t)?;
+            given.matrices(py, [self.n, 1, self.observed()], |inputs, _, [next, cost, y]| {
+                rows::step(&self.task, inputs, next);
+                rows::running_cost(&self.task, inputs, next, cost);
+                rows::observe(&self.task, Inputs { x: next, u: &[], p: inputs.p, t: t + 1 }, y);
+            })
+        })
+    }
+
     /// Gradients of the running costs, multiplied by `cost_bar`, (B,).
     ///
     /// Returns `(x_bar, u_bar, next_bar, p_bar)`, of the shapes of x, u, next and p.
