@@ -302,6 +302,31 @@ mod tests {
     }
 
     #[test]
+    fn pictures_of_an_unfinished_motion_do_not_depend_on_later_states() {
+        let rail = Rail { unfinished: Some(2.0), ..Rail::default() };
+        let (states, forces) = (trajectory(30.0), vec![1.0; 99]);
+        let mut before: Option<[f64; 2]> = None;
+        for count in 1..=states.len() {
+            let part = cart_pole_on(&rail, &states[..count], &forces[..count - 1], 0.5, 0.01);
+            assert_eq!(part.view, ([-3.0, -1.3], [3.0, 1.2]));
+            let cart = |shape: &Shape| match shape {
+                Shape::Rect { center, color, .. } if *color == CART => Some(*center),
+                _ => None,
+            };
+            let places: Vec<[f64; 2]> =
+                part.frames.iter().filter_map(|frame| frame.iter().find_map(cart)).collect();
+            // The frame of a state stays the same, and the cart moves 0.3 m at most.
+            assert!(
+                before.is_none() || places[count - 2..count - 1] == [before.unwrap_or_default()]
+            );
+            let last = places[count - 1];
+            assert!(before.is_none_or(|before| (last[0] - before[0]).abs() < 0.3 + 1e-9));
+            assert!(last[0].abs() <= 1.85 + 1e-9);
+            before = Some(last);
+        }
+    }
+
+    #[test]
     fn empty_and_invalid_inputs_give_a_picture() {
         for states in [vec![], vec![vec![]], vec![vec![f64::NAN; 4]], vec![vec![0.0]]] {
             roxmltree::Document::parse(&cart_pole(&states, &[], 0.5, 0.02).to_svg())

@@ -120,7 +120,8 @@ impl<'py, F: Number> Argument<'py, F> {
             Ok(array) if array.is_c_contiguous() && array.is_aligned() => array.clone(),
             _ => {
                 fits("the copy of an argument", given.shape(), size_of::<F>())?;
-                let converted = numpy()?.call_method1("require", (&given, dtype::<F>(py), ["C", "A"]));
+                let converted =
+                    numpy()?.call_method1("require", (&given, dtype::<F>(py), ["C", "A"]));
                 converted.map_err(|error| named(py, name, error))?.cast_into::<PyArrayDyn<F>>()?
             }
         };

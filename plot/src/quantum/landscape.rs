@@ -121,6 +121,31 @@ mod tests {
     }
 
     #[test]
+    fn an_unfinished_motion_has_the_axes_of_the_whole() {
+        let whole = quantum(&states(), &[1.0; 19], &[0.3; 7], 2.0, 0.1);
+        let landscape = Landscape { steps: 19, ..Landscape::default() };
+        let part = quantum_in(&landscape, &states()[..8], &[1.0; 7], &[0.3; 7], 2.0, 0.1);
+        // The cursor, which has the place of its time.
+        let cursor = |shape: &Shape| match shape {
+            Shape::Line { from, to, .. } if from[0] == to[0] => Some(from[0]),
+            _ => None,
+        };
+        for (whole, part) in whole.frames.iter().zip(&part.frames) {
+            let places = [whole, part].map(|frame| frame.iter().find_map(cursor));
+            assert_eq!(places[0], places[1]);
+            assert!(places[0].is_some());
+        }
+        let width = |animation: &crate::Animation| {
+            let images = animation.still.iter().filter_map(|shape| match shape {
+                Shape::Image { size, .. } => Some(size[0]),
+                _ => None,
+            });
+            images.last().expect("the map of the density")
+        };
+        assert!((width(&part) / width(&whole) - 8.0 / 20.0).abs() < 1e-9);
+    }
+
+    #[test]
     fn an_empty_landscape_does_not_change_the_animation() {
         let bare = quantum(&states(), &[1.0; 19], &[0.3; 7], 2.0, 0.1).to_svg();
         assert!(
