@@ -100,8 +100,8 @@ pub struct Animation {
     pub seconds: f64,
     /// Visible rectangle of the world. Clips all shapes.
     pub view: View,
-    /// Rectangle that later states of a motion from the first state are likely to need. `None` if
-    /// that is the view.
+    /// View with what later states are likely to need, for pictures of an unfinished motion. `None`
+    /// if that is the view.
     pub reach: Option<View>,
     /// Static background.
     pub still: Vec<Shape>,
@@ -144,7 +144,7 @@ impl Animation {
     }
 
     /// Smallest rectangle that contains both.
-    pub fn union(a: View, b: View) -> View {
+    pub(super) fn union(a: View, b: View) -> View {
         let pick = |i: usize| (a.0[i].min(b.0[i]), a.1[i].max(b.1[i]));
         let (x, y) = (pick(0), pick(1));
         ([x.0, y.0], [x.1, y.1])

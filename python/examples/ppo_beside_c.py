@@ -90,7 +90,7 @@ def main() -> None:
     losses = run.history["test_loss"]
     seconds = np.cumsum(run.history["seconds"])
     print(f"C: test loss {losses[-1]:.4f} after {seconds[-1]:.1f} s")
-    curve = train_ppo(task, 5.0 if options.quick else options.seconds, 12_800 if options.quick else 5_000_000)
+    curve = train_ppo(task, options.seconds, 12_800 if options.quick else 5_000_000)
     print(f"PPO: test loss {curve[-1][1]:.4f} after {curve[-1][0]:.1f} s, best {min(loss for _, loss in curve):.4f}")
 
     figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")

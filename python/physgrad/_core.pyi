@@ -94,11 +94,9 @@ class Task:
 
 def task_names() -> list[str]: ...
 
-_View = tuple[tuple[float, float], tuple[float, float]]
-
 def picture(
-    task: Task, states: ArrayLike, controls: ArrayLike, params: ArrayLike, view: _View | None = None
-) -> tuple[NDArray[np.uint8], _View]: ...
+    task: Task, states: ArrayLike, controls: ArrayLike, params: ArrayLike
+) -> NDArray[np.uint8]: ...
 
 class Policy:
     theta: NDArray[np.float64]

@@ -14,8 +14,8 @@ MODES = ("rgb_array", "human")
 class Film:
     """The episode so far of one environment, and the picture of its last state.
 
-    A picture depends on this episode alone. Its view contains all states so far, so it may grow, and
-    never moves back. The camera of a cart moves when the cart comes near an edge.
+    A picture depends on this episode alone. Its view contains all states so far, so it may grow. The
+    camera of a cart moves when the cart comes near an edge.
     """
 
     def __init__(self, task: pg.Task) -> None:
@@ -24,7 +24,7 @@ class Film:
     def begin(self, x: np.ndarray, p: np.ndarray) -> None:
         """Forgets the episode before. `p` has the parameters of the first step."""
         self._x, self._u, self._p = [x], [], [p]
-        self._view = self._picture = None
+        self._picture = None
 
     def add(self, u: np.ndarray, x: np.ndarray, p: np.ndarray) -> None:
         """Adds the control and the parameters of a step, and the state after it."""
@@ -38,7 +38,7 @@ class Film:
         """Red, green and blue of every pixel, uint8 of shape (height, width, 3)."""
         if self._picture is None:
             u = np.reshape(self._u, (len(self._u), self._task.control_dim))
-            self._picture, self._view = _core.picture(self._task, self._x, u, self._p, self._view)
+            self._picture = _core.picture(self._task, self._x, u, self._p)
         return self._picture.copy()
 
 

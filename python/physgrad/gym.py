@@ -46,7 +46,8 @@ def _opened(task: str | pg.Task, steps: int | None, settings: dict[str, Any]) ->
     """The task of this name or path, or this task, with other settings and a number of steps."""
     if steps is not None:
         if settings.setdefault("horizon", steps) != steps:
-            raise ValueError(f"`max_episode_steps` is {steps}, but `horizon` is {settings['horizon']}; use one of them")
+            other = settings["horizon"]
+            raise ValueError(f"`max_episode_steps` is {steps}, but `horizon` is {other}; use one of them")
     if isinstance(task, pg.Task):
         return task.replace(**settings) if settings else task
     return pg.task(task, **settings)
@@ -179,9 +180,9 @@ class TaskEnv(_Shared, gymnasium.Env):
         """
         _check_names(options, {"state", "params", "key"})
         given = {name: _array(name, value) for name, value in (options or {}).items()}
-        for name, shape in (("state", (self.task.state_dim,)), ("params", (self.task.param_dim,)), ("key", ())):
-            if name in given:
-                _check_shape(name, given[name], shape)
+        shapes = {"state": (self.task.state_dim,), "params": (self.task.param_dim,), "key": ()}
+        for name, array in given.items():
+            _check_shape(name, array, shapes[name])
         everything = np.ones(1, bool)
         given = self._rows.given({name: value[None] for name, value in given.items()}, everything)
         super().reset(seed=seed)
@@ -211,7 +212,8 @@ class TaskEnv(_Shared, gymnasium.Env):
         In the mode "human", ``reset`` and ``step`` show it in a window.
         """
         if self.render_mode is None:
-            gymnasium.logger.warn(f"{self.task.name} has no render mode; create it with `render_mode='rgb_array'`")
+            message = "has no render mode; create it with `render_mode='rgb_array'`"
+            gymnasium.logger.warn(f"{self.task.name} {message}")
         return self._rows.pictures()[0] if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
@@ -305,10 +307,12 @@ class TaskVectorEnv(_Shared, gymnasium.vector.VectorEnv):
             return
         seeds = list(seed)
         if len(seeds) != self.num_envs:
-            raise ValueError(f"`seed` has {len(seeds)} numbers; expected one, or one for each of {self.num_envs} environments")
+            expected = f"one, or one for each of {self.num_envs} environments"
+            raise ValueError(f"`seed` has {len(seeds)} numbers; expected {expected}")
         made = [seeding.np_random(None if seed is None else operator.index(seed))[0] for seed in seeds]
-        old = self._generators or made
-        self._generators = [new if new_seed and seed is not None else kept for new, kept, new_seed, seed in zip(made, old, mask, seeds)]
+        kept = self._generators or made
+        seeded = [selected and seed is not None for selected, seed in zip(mask, seeds)]
+        self._generators = [new if own else old for own, new, old in zip(seeded, made, kept)]
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
         """Applies actions, shape (num_envs, control_dim)."""
@@ -382,7 +386,9 @@ def _check_shape(name: str, array: np.ndarray, expected: tuple[int, ...]) -> Non
 class _Rows:
     """States of several rollouts, which may be at different steps."""
 
-    def __init__(self, task: pg.Task, low: np.ndarray, high: np.ndarray, count: int, render_mode: str | None) -> None:
+    def __init__(
+        self, task: pg.Task, low: np.ndarray, high: np.ndarray, count: int, render_mode: str | None
+    ) -> None:
         self.task, self.low, self.high, self.horizon = task, low, high, task.horizon
         self.middle, self.half = 0.5 * low + 0.5 * high, 0.5 * high - 0.5 * low
         self.x = np.zeros((count, task.state_dim), task.dtype)
@@ -515,8 +521,8 @@ class _Rows:
         if not _is_finite(following):
             row, component = np.argwhere(~np.isfinite(following))[0]
             raise FloatingPointError(
-                f"environment {np.arange(len(self.x))[rows][row]}, step {t}: `{self.task.state_names[component]}` is "
-                "not finite. Use a smaller `bound`, or more substeps"
+                f"environment {np.arange(len(self.x))[rows][row]}, step {t}: "
+                f"`{self.task.state_names[component]}` is not finite. Use a smaller `bound`, or more substeps"
             )
         return following, cost[:, 0].astype(float), y
 

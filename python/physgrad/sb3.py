@@ -31,7 +31,7 @@ class TaskVecEnv(VecEnv):
         )
 
     def reset(self) -> np.ndarray:
-        """Begins an episode in each environment, with the seed of ``seed`` and the options of ``set_options``."""
+        """Begins episodes, with the seed of ``seed`` and the options of ``set_options``."""
         y, _ = self.environments.reset(seed=self._seeds[0], options=_joined(self._options))
         self._reset_seeds()
         self._reset_options()
@@ -68,9 +68,11 @@ class TaskVecEnv(VecEnv):
         """Raises an error: attributes do not change."""
         raise AttributeError(f"`{attr_name}` does not change; create other environments with `pg.gym.make_sb3`")
 
-    def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
+    ) -> list[Any]:
         """Raises an error: the environments share their methods."""
-        raise AttributeError(f"`{method_name}`: the environments have no methods of their own; see `environments`")
+        raise AttributeError(f"`{method_name}`: the environments have no methods of their own")
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
         """False for each environment."""

@@ -6,24 +6,18 @@ use crate::task::Task;
 use numpy::{IntoPyArray, PyArrayMethods};
 use pyo3::prelude::*;
 
-/// Lower left and upper right corner of a view.
-type View = ([f64; 2], [f64; 2]);
-
 /// Draws the last of the states, (k+1, n), of an unfinished rollout with these controls, (k, m), and
 /// parameters, (k+1, param_dim).
 ///
-/// Returns the picture, a uint8 array of shape (height, width, 3), and its view. Pass this to the
-/// next call: views only grow, and pictures of one task have one size.
+/// Returns a uint8 array of shape (height, width, 3), which is the same for all pictures of a task.
 #[pyfunction]
-#[pyo3(signature = (task, states, controls, params, view=None))]
 pub fn picture<'py>(
     py: Python<'py>,
     task: &Task,
     states: &Bound<'py, PyAny>,
     controls: &Bound<'py, PyAny>,
     params: &Bound<'py, PyAny>,
-    view: Option<View>,
-) -> PyResult<(Bound<'py, PyAny>, View)> {
+) -> PyResult<Bound<'py, PyAny>> {
     let [n, m, width] = task.scene.dims();
     let (states, count) = Argument::<f64>::first("states", states, n)?;
     if count == 0 {
@@ -38,7 +32,7 @@ pub fn picture<'py>(
     let (states, controls) = (rows(&states, count), rows(&controls, count - 1));
     let params = rows(&params, count);
     let scene = &task.scene;
-    let (picture, view) = py.detach(|| scene.picture(states, controls, params, view));
+    let picture = py.detach(|| scene.picture(states, controls, params));
     let shape = [picture.height, picture.width, 3];
-    Ok((picture.rgb.into_pyarray(py).reshape(shape)?.into_any(), view))
+    Ok(picture.rgb.into_pyarray(py).reshape(shape)?.into_any())
 }

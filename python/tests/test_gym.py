@@ -15,7 +15,9 @@ gymnasium = pytest.importorskip("gymnasium", reason="Gymnasium is not installed"
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 from gymnasium.vector import AutoresetMode  # noqa: E402
 
-slow = pytest.mark.skipif(os.environ.get("PHYSGRAD_PYTHON_ALL") != "1", reason="measures times; set PHYSGRAD_PYTHON_ALL=1")
+slow = pytest.mark.skipif(
+    os.environ.get("PHYSGRAD_PYTHON_ALL") != "1", reason="measures times; set PHYSGRAD_PYTHON_ALL=1"
+)
 
 
 @pytest.fixture(autouse=True)
@@ -275,7 +277,8 @@ def test_an_error_in_one_environment_leaves_all_at_their_steps():
 
 def test_ids_need_no_import_with_the_name_of_the_module():
     program = (
-        "import gymnasium, sys; env = gymnasium.make('physgrad.gym:physgrad/cart_pole-v0', poles=1); env.reset(seed=0); "
+        "import gymnasium; env = gymnasium.make('physgrad.gym:physgrad/cart_pole-v0', poles=1); "
+        "env.reset(seed=0); "
         "print(env.unwrapped.task.name, gymnasium.make_vec('physgrad.gym:physgrad/guidance-v0', 2).num_envs)"
     )
     ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300)
@@ -338,8 +341,24 @@ def test_environments_with_a_list_of_seeds_are_single_environments_with_these_se
     np.testing.assert_array_equal(y, [*envs.reset(seed=[4, 5, 0])[0][:2], second.reset()[0]])
     first = envs.reset(seed=3)[0]
     np.testing.assert_array_equal(pg.gym.make_vec("cart_pole", 3, **settings).reset(seed=3)[0], first)
-    with pytest.raises(ValueError, match="`seed` has 2 numbers; expected one, or one for each of 3 environments"):
+    with pytest.raises(ValueError, match="`seed` has 2 numbers; expected one, or one for each of 3 env"):
         envs.reset(seed=[1, 2])
+
+
+def test_observations_have_the_time_of_their_step():
+    task = pg.system(
+        lambda x, u: [u.force], states=["speed"], controls={"force": (-1, 1)}, dt=0.1, horizon=4,
+        observe=lambda x, t: [x.speed, t], running_cost=lambda x, u, next: next.speed**2,
+    )  # fmt: skip
+    env, envs = pg.gym.make(task), pg.gym.make_vec(task, 2)
+    ys = [env.reset(seed=0)[0]] + [env.step(np.ones(1, np.float32))[0] for _ in range(task.horizon)]
+    np.testing.assert_allclose([y[1] for y in ys], 0.1 * np.arange(5), rtol=1e-6)
+    envs.reset(seed=0)
+    envs.step(np.ones((2, 1), np.float32))
+    # At different steps.
+    envs.reset(options={"reset_mask": np.array([True, False])})
+    y = envs.step(np.ones((2, 1), np.float32))[0]
+    np.testing.assert_allclose(y[:, 1], [0.1, 0.2], rtol=1e-6)
 
 
 def noisy():
@@ -412,22 +431,25 @@ def test_pictures_of_all_tasks(name):
     assert height % 2 == width % 2 == 0 and colours == 3
 
 
-def test_a_picture_depends_on_the_episode_alone():
-    env = pg.gym.make("cart_pole", poles=1, render_mode="rgb_array")
+@pytest.mark.parametrize("name", ["cart_pole", "guidance", "pole_chain"])
+def test_a_picture_depends_on_the_episode_alone(name):
+    env = pg.gym.make(name, render_mode="rgb_array")
+    size = env.action_space.shape
 
     def pictures(each):
         env.reset(seed=5)
         found = [env.render()]
         for action in np.linspace(-1, 1, 20):
-            env.step(np.array([action], np.float32))
+            env.step(np.full(size, action, np.float32))
             found += [env.render()] if each else []
         return found[-1] if each else env.render()
 
     first = pictures(each=True)
     assert np.array_equal(pictures(each=False), first), "skipped pictures change nothing"
     env.reset(seed=6)
-    for _ in range(100):
-        env.step(np.ones(1, np.float32))
+    for _ in range(env.task.horizon):
+        env.step(np.ones(size, np.float32))
+        env.render()
     assert np.array_equal(pictures(each=True), first), "nor do episodes before"
 
 
@@ -459,14 +481,16 @@ def test_render_modes():
     env.reset(seed=0)
     with pytest.warns(UserWarning, match="has no render mode; create it with"):
         assert env.render() is None
-    env, envs = (make("cart_pole", poles=1, render_mode="rgb_array") for make in (pg.gym.make, pg.gym.make_vec))
+    settings = {"poles": 1, "render_mode": "rgb_array"}
+    env, envs = pg.gym.make("cart_pole", **settings), pg.gym.make_vec("cart_pole", **settings)
     assert env.metadata["render_fps"] == round(1 / env.task.dt)
     for environment in (env, envs):
         with pytest.raises(RuntimeError, match="the episode has not begun. Call `reset` first"):
             environment.render()
-    for make, allowed in [(pg.gym.make, "'rgb_array', 'human', None"), (pg.gym.make_vec, "'rgb_array', None")]:
-        with pytest.raises(ValueError, match=f"`render_mode` is 'ansi'; allowed: {allowed}"):
-            make("cart_pole", render_mode="ansi")
+    with pytest.raises(ValueError, match="`render_mode` is 'ansi'; allowed: 'rgb_array', 'human', None"):
+        pg.gym.make("cart_pole", render_mode="ansi")
+    with pytest.raises(ValueError, match="`render_mode` is 'human'; allowed: 'rgb_array', None"):
+        pg.gym.make_vec("cart_pole", render_mode="human")
     y, _ = env.reset(seed=0)
     envs = pg.gym.make_vec("cart_pole", 2, poles=1, render_mode="rgb_array")
     envs.reset(seed=0, options={"state": np.stack([env.state, env.state + 1])})

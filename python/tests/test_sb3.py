@@ -13,12 +13,15 @@ from gymnasium.vector import AutoresetMode  # noqa: E402
 from stable_baselines3.common.env_util import make_vec_env  # noqa: E402
 from stable_baselines3.common.vec_env import VecMonitor  # noqa: E402
 
-slow = pytest.mark.skipif(os.environ.get("PHYSGRAD_PYTHON_ALL") != "1", reason="takes minutes; set PHYSGRAD_PYTHON_ALL=1")
+slow = pytest.mark.skipif(
+    os.environ.get("PHYSGRAD_PYTHON_ALL") != "1", reason="takes minutes; set PHYSGRAD_PYTHON_ALL=1"
+)
 
 
 def test_the_adapter_has_the_episodes_of_the_vector_environment():
     task = pg.task("cart_pole", poles=1, horizon=4, effects={"gusty_wind": {}})
-    envs, own = pg.gym.make_sb3(task, 3, bound=5.0), pg.gym.TaskVectorEnv(task, 3, 5.0, AutoresetMode.SAME_STEP)
+    envs = pg.gym.make_sb3(task, 3, bound=5.0)
+    own = pg.gym.TaskVectorEnv(task, 3, 5.0, AutoresetMode.SAME_STEP)
     envs.seed(7)
     np.testing.assert_array_equal(envs.reset(), own.reset(seed=7)[0])
     rng = np.random.default_rng(0)

@@ -15,7 +15,7 @@ use physgrad::engine::append_starts;
 use physgrad::identify::{Fit, IdentifyError, Options, Segment};
 use physgrad::rng::Purpose;
 use physgrad::{DynTask, Float, Number, System, Task};
-use physgrad_plot::{Animation, Picture, View};
+use physgrad_plot::Picture;
 use std::ops::Range;
 use toml::{Table, Value};
 
@@ -263,21 +263,17 @@ impl Scene {
     }
 
     /// Draws the last of these states of an unfinished rollout. `states` and `params` have a row per
-    /// state, and `controls` one less; `params` has the noise of each step. Returns the picture and
-    /// its view, which contains `view`, that of the picture before.
+    /// state, and `controls` one less; `params` has the noise of each step.
     pub fn picture(
         &self,
         states: Vec<Vec<f64>>,
         controls: Vec<Vec<f64>>,
         params: Vec<Vec<f64>>,
-        view: Option<View>,
-    ) -> (Picture, View) {
+    ) -> Picture {
         let time = controls.len() as f64 * self.dt();
         let mut animation = self.scene.unfinished(&Trajectory { states, controls, params });
-        let least = view.or(animation.reach).unwrap_or(animation.view);
-        animation.view = Animation::union(animation.view, least);
-        let shapes = animation.frames.last().map_or(&[][..], Vec::as_slice);
-        (animation.picture(shapes, time), animation.view)
+        animation.view = animation.reach.unwrap_or(animation.view);
+        animation.picture(animation.frames.last().map_or(&[], Vec::as_slice), time)
     }
 
     /// Fits the trained numbers of the scene to measured segments, as `physgrad identify` does.

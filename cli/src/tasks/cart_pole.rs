@@ -269,6 +269,7 @@ impl TaskSpec for CartPole {
         let last = params.last().cloned().unwrap_or_default();
         params.resize(settings.horizon + 1, last);
         let wind = settings.effects.wind(&params, settings.system.1.dt);
+        // Without bounds, an infinite force leaves no arrow.
         let strongest = |[low, high]: &[f64; 2]| low.abs().max(high.abs());
         let unfinished = Some(bounds.map_or(f64::INFINITY, |bounds| strongest(&bounds[0])));
         drawn(settings, rollout, Rail { wind, unfinished, ..Rail::default() })
