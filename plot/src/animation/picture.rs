@@ -263,7 +263,7 @@ mod tests {
     fn numbers_that_are_not_finite_give_a_picture() {
         for x in [f64::NAN, f64::INFINITY, 1e300] {
             let (mut animation, shape) = square([x, 0.5]);
-            animation.picture(&[shape.clone()], x);
+            animation.picture(std::slice::from_ref(&shape), x);
             animation.view.1[0] = x;
             animation.time = 1.0;
             animation.picture(&[shape], x);

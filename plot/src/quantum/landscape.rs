@@ -136,11 +136,11 @@ mod tests {
             assert!(places[0].is_some());
         }
         let width = |animation: &crate::Animation| {
-            let images = animation.still.iter().filter_map(|shape| match shape {
+            let mut images = animation.still.iter().filter_map(|shape| match shape {
                 Shape::Image { size, .. } => Some(size[0]),
                 _ => None,
             });
-            images.last().expect("the map of the density")
+            images.next_back().expect("the map of the density")
         };
         assert!((width(&part) / width(&whole) - 8.0 / 20.0).abs() < 1e-9);
     }
