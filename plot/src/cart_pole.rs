@@ -107,6 +107,32 @@ fn relative_force(controls: &[f64], largest: f64, step: usize) -> f64 {
     }
 }
 
+/// Motion of the camera.
+enum Camera {
+    /// Rests at the origin.
+    Fixed,
+    /// Is at the cart.
+    Follows,
+    /// Moves as little as the cart allows, which keeps its distance from the edge.
+    Pans,
+}
+
+impl Camera {
+    /// Position at every state, m. It depends on this state and those before.
+    fn positions(&self, states: &[&Vec<f64>], length: f64) -> Vec<f64> {
+        let (mut pan, slack) = (0.0_f64, (UNFINISHED - EDGE) * length);
+        let position = |state: &&Vec<f64>| match self {
+            Self::Fixed => 0.0,
+            Self::Follows => state[0],
+            Self::Pans => {
+                pan = pan.clamp(state[0] - slack, state[0] + slack);
+                pan
+            }
+        };
+        states.iter().map(position).collect()
+    }
+}
+
 /// Data shared by all frames: view, rail marks and bumpers.
 struct Stage {
     /// Length of a pole, m.
@@ -145,26 +171,23 @@ impl Stage {
             let cart = end - 0.85 * length;
             (left, right) = (left.min(-cart), right.max(cart));
         }
-        let pans = unfinished && !whole;
-        let follow = !whole && !unfinished && right - left > 6.0 * length;
-        let middle = if follow || pans { 0.0 } else { (left + right) / 2.0 };
-        let half_width = match (pans, follow) {
-            (true, _) => UNFINISHED * length,
-            (_, true) => 2.5 * length,
-            _ => ((right - left) / 2.0 + EDGE * length).max(2.2 * length),
+        let camera = match (whole, unfinished) {
+            (false, true) => Camera::Pans,
+            (false, false) if right - left > 6.0 * length => Camera::Follows,
+            _ => Camera::Fixed,
         };
-        let mut pan = 0.0_f64;
-        let slack = (UNFINISHED - EDGE) * length;
-        let cameras: Vec<f64> = states
-            .iter()
-            .map(|state| {
-                pan = pan.clamp(state[0] - slack, state[0] + slack);
-                [0.0, state[0], pan][if pans { 2 } else { usize::from(follow) }]
-            })
-            .collect();
-        if let (true, Some(&last)) = (pans, cameras.last()) {
+        let cameras = camera.positions(states, length);
+        if let (Camera::Pans, Some(&last)) = (&camera, cameras.last()) {
             (left, right) = (last, last);
         }
+        let (middle, half_width) = match camera {
+            Camera::Fixed => {
+                let half = (right - left) / 2.0 + EDGE * length;
+                ((left + right) / 2.0, half.max(2.2 * length))
+            }
+            Camera::Follows => (0.0, 2.5 * length),
+            Camera::Pans => (0.0, UNFINISHED * length),
+        };
         let lowest = states
             .iter()
             .flat_map(|state| state[2..].iter().step_by(2))
@@ -174,8 +197,10 @@ impl Stage {
         let bottom = length * (lowest * 1.1).min(-0.45) - 0.2 * length;
         // Marks over the range of the camera, at round distances of at least one pole length and at
         // most 21 in number. A fixed camera omits marks whose labels would be clipped.
-        let extent =
-            if follow { (right - left) / 2.0 + half_width } else { half_width - 0.3 * length };
+        let extent = match camera {
+            Camera::Follows => (right - left) / 2.0 + half_width,
+            _ => half_width - 0.3 * length,
+        };
         let (from, to) = ((left + right) / 2.0 - extent, (left + right) / 2.0 + extent);
         let step = round_up(length.max((to - from) / 20.0));
         let marks =
