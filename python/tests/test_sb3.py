@@ -85,12 +85,16 @@ def mean_loss(agent, task, starts):
     return total.mean()
 
 
+MISSED = "measured: SAC has a loss of 1.40 after 40,000 steps, beside 1.97 without control"
+
+
 @slow
-@pytest.mark.parametrize("name", ["PPO", "SAC"])
+@pytest.mark.parametrize("name", ["PPO", pytest.param("SAC", marks=pytest.mark.xfail(reason=MISSED))])
 def test_agents_learn_one_pole(name):
     """The loss falls to a quarter of that without control, within a fixed number of steps.
 
-    The criterion and the budgets were declared before the first measurement.
+    The criterion and the budgets were declared before the first measurement, which PPO passes
+    (0.44, beside 1.97 without control) and SAC does not.
     """
     task = pg.task("cart_pole", poles=1, loss={"mode": "running"})
     if name == "PPO":
