@@ -20,9 +20,9 @@ rm -rf "$venv"
 pip() { "$venv/bin/python" -m pip --quiet --disable-pip-version-check --retries 1 "$@"; }
 pip install numpy pytest || skip "pip cannot install packages"
 # Tests of missing packages skip with a reason.
-pip install gymnasium jax casadi || echo "gymnasium, jax or casadi is missing: their tests are skipped"
+pip install gymnasium pygame jax casadi || echo "gymnasium, pygame, jax or casadi is missing: their tests are skipped"
 if [ "${PHYSGRAD_PYTHON_ALL:-0}" = 1 ]; then
-    pip install torch stable-baselines3 pandas matplotlib lmfit
+    pip install torch stable-baselines3 moviepy pandas matplotlib lmfit
     pip install mypy pyright ipython tqdm joblib 'dask[distributed]' ray
 fi
 

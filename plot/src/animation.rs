@@ -1,7 +1,11 @@
-//! Animated SVG pictures by SMIL. They contain no scripts, so they also play inside an `<img>` tag.
+//! Animated SVG pictures by SMIL, and pixels of single frames. The SVG contains no scripts, so it
+//! also plays inside an `<img>` tag.
 
 mod below;
 mod element;
+mod picture;
+
+pub use picture::Picture;
 
 use super::drawing::valid;
 use super::{Channel, Raster};
@@ -82,6 +86,9 @@ pub enum Shape {
     },
 }
 
+/// Rectangle of the world: lower left and upper right corner.
+pub type View = ([f64; 2], [f64; 2]);
+
 /// Looping animation with evenly spaced frames and a short hold on the last one.
 ///
 /// From top to bottom: title, legend, view, scale of lengths, channels, and the time axis.
@@ -91,8 +98,11 @@ pub struct Animation {
     pub title: String,
     /// Duration from the first frame to the last, s.
     pub seconds: f64,
-    /// Visible rectangle of the world: lower left and upper right corner. Clips all shapes.
-    pub view: ([f64; 2], [f64; 2]),
+    /// Visible rectangle of the world. Clips all shapes.
+    pub view: View,
+    /// View with what later states are likely to need, for pictures of an unfinished motion. `None`
+    /// if that is the view.
+    pub reach: Option<View>,
     /// Static background.
     pub still: Vec<Shape>,
     /// Shapes of each frame: the same kinds in the same order. Colours and texts keep their values
@@ -112,13 +122,7 @@ impl Animation {
     /// Gives animations of one system the same scale. The view is the union of their views. The
     /// range of a channel is the union of the ranges of all channels with this name.
     pub fn share_scale(animations: &mut [&mut Self]) {
-        let corner = |pick: fn(f64, f64) -> f64, of: fn(&Self) -> [f64; 2]| {
-            animations
-                .iter()
-                .map(|animation| of(animation))
-                .reduce(|a, b| [pick(a[0], b[0]), pick(a[1], b[1])])
-        };
-        let Some((low, high)) = corner(f64::min, |a| a.view.0).zip(corner(f64::max, |a| a.view.1))
+        let Some(view) = animations.iter().map(|animation| animation.view).reduce(Self::union)
         else {
             return;
         };
@@ -128,7 +132,7 @@ impl Animation {
             .map(|c| (c.name.clone(), c.range()))
             .collect();
         for animation in animations {
-            animation.view = (low, high);
+            animation.view = view;
             for channel in &mut animation.channels {
                 let same = ranges
                     .iter()
@@ -139,6 +143,34 @@ impl Animation {
         }
     }
 
+    /// Smallest rectangle that contains both.
+    pub(super) fn union(a: View, b: View) -> View {
+        let pick = |i: usize| (a.0[i].min(b.0[i]), a.1[i].max(b.1[i]));
+        let (x, y) = (pick(0), pick(1));
+        ([x.0, y.0], [x.1, y.1])
+    }
+
+    /// Width and height of the view, with 1 in place of a degenerate size.
+    fn world(&self) -> [f64; 2] {
+        let (low, high) = self.view;
+        [high[0] - low[0], high[1] - low[1]]
+            .map(|size| if size.is_normal() && size > 0.0 { size } else { 1.0 })
+    }
+
+    /// Largest width and height of the view, in pixels.
+    fn largest(&self) -> [f64; 2] {
+        if self.channels.is_empty() {
+            MAX_SIZE
+        } else {
+            [CHANNELS_WIDTH, MAX_SIZE[1] - below::TAKEN]
+        }
+    }
+
+    /// False for channels alone.
+    fn has_view(&self) -> bool {
+        !self.frames.is_empty() || !self.still.is_empty() || self.channels.is_empty()
+    }
+
     /// Renders to SVG. Writes static shapes once. Viewers interpolate moving shapes linearly
     /// between frames.
     ///
@@ -146,19 +178,10 @@ impl Animation {
     /// Panics if the frames differ in the kinds or order of their shapes.
     pub fn to_svg(&self) -> String {
         let (low, high) = self.view;
-        let world = [high[0] - low[0], high[1] - low[1]]
-            .map(|size| if size.is_normal() && size > 0.0 { size } else { 1.0 });
-        let below = below::Below::of(self);
-        let largest = if self.channels.is_empty() {
-            MAX_SIZE
-        } else {
-            [CHANNELS_WIDTH, MAX_SIZE[1] - below::TAKEN]
-        };
+        let (world, largest, below) = (self.world(), self.largest(), below::Below::of(self));
         let scale = (largest[0] / world[0]).min(largest[1] / world[1]);
-        let has_view =
-            !self.frames.is_empty() || !self.still.is_empty() || self.channels.is_empty();
         let (width, height) =
-            if has_view { (world[0] * scale, world[1] * scale) } else { (0.0, 0.0) };
+            if self.has_view() { (world[0] * scale, world[1] * scale) } else { (0.0, 0.0) };
         // Reserves width for the title above a narrow view, and for channels below it.
         let full_width =
             width.max(if self.channels.is_empty() { MAX_SIZE[0] / 2.0 } else { CHANNELS_WIDTH });

@@ -24,6 +24,10 @@ const FAR: f64 = 1e6;
 const RAIL_BEYOND: f64 = 20.0;
 /// Longest rail that is shown whole, in pole lengths.
 const WHOLE: f64 = 10.0;
+/// Half-width of the view of an unfinished motion, in pole lengths.
+const UNFINISHED: f64 = 3.0;
+/// Least distance of the cart from the edge of this view, in pole lengths. A lying pole fits.
+const EDGE: f64 = 1.15;
 
 /// Animates a trajectory on a bare rail.
 ///
@@ -66,11 +70,14 @@ pub fn cart_pole_on(
     };
     let bumpers = rail.bumpers.and_then(|half_travel| Bumpers::new(half_travel, &states, length));
     let wind = Wind::new(&rail.wind);
-    let stage = Stage::covering(&states, length, bumpers, wind.is_some());
+    let unfinished = rail.unfinished.is_some();
+    let stage = Stage::covering(&states, length, bumpers, wind.is_some(), unfinished);
     let shown = states.len().min(MAX_FRAMES);
+    let largest = rail.unfinished.unwrap_or_else(|| largest(controls));
     let frames = (0..shown).map(|frame| {
         let step = frame * (states.len() - 1) / (shown - 1).max(1);
-        let mut shapes = stage.frame(states[step], relative_force(controls, step));
+        let force = relative_force(controls, largest, step);
+        let mut shapes = stage.frame(states[step], stage.cameras[step], force);
         shapes.extend(wind.iter().flat_map(|wind| wind.shapes(&stage, step)));
         shapes
     });
@@ -87,16 +94,42 @@ pub fn cart_pole_on(
     }
 }
 
+/// Largest absolute value of the finite forces.
+fn largest(forces: &[f64]) -> f64 {
+    forces.iter().map(|force| force.abs()).filter(|force| force.is_finite()).fold(0.0, f64::max)
+}
+
 /// Force at a step, relative to the largest force. The last state has the force of the last step.
-fn relative_force(controls: &[f64], step: usize) -> f64 {
-    let largest = controls
-        .iter()
-        .map(|force| force.abs())
-        .filter(|force| force.is_finite())
-        .fold(0.0, f64::max);
+fn relative_force(controls: &[f64], largest: f64, step: usize) -> f64 {
     match controls.get(step.min(controls.len().saturating_sub(1))) {
-        Some(force) if force.is_finite() && largest > 0.0 => force / largest,
+        Some(force) if force.is_finite() && largest > 0.0 => (force / largest).clamp(-1.0, 1.0),
         _ => 0.0,
+    }
+}
+
+/// Motion of the camera.
+enum Camera {
+    /// Rests at the origin.
+    Fixed,
+    /// Is at the cart.
+    Follows,
+    /// Moves as little as the cart allows, which keeps its distance from the edge.
+    Pans,
+}
+
+impl Camera {
+    /// Position at every state, m. It depends on this state and those before.
+    fn positions(&self, states: &[&Vec<f64>], length: f64) -> Vec<f64> {
+        let (mut pan, slack) = (0.0_f64, (UNFINISHED - EDGE) * length);
+        let position = |state: &&Vec<f64>| match self {
+            Self::Fixed => 0.0,
+            Self::Follows => state[0],
+            Self::Pans => {
+                pan = pan.clamp(state[0] - slack, state[0] + slack);
+                pan
+            }
+        };
+        states.iter().map(position).collect()
     }
 }
 
@@ -108,8 +141,8 @@ struct Stage {
     low: [f64; 2],
     /// Upper right corner of the view, m.
     high: [f64; 2],
-    /// True if the camera follows the cart.
-    follow: bool,
+    /// Position of the camera at every state, m.
+    cameras: Vec<f64>,
     /// Positions of the rail marks, m.
     marks: Vec<f64>,
     bumpers: Option<Bumpers>,
@@ -117,7 +150,13 @@ struct Stage {
 
 impl Stage {
     /// Creates a stage that shows the whole trajectory, or a stage whose camera follows the cart.
-    fn covering(states: &[&Vec<f64>], length: f64, bumpers: Option<Bumpers>, windy: bool) -> Self {
+    fn covering(
+        states: &[&Vec<f64>],
+        length: f64,
+        bumpers: Option<Bumpers>,
+        windy: bool,
+        unfinished: bool,
+    ) -> Self {
         let (mut left, mut right) = (f64::INFINITY, f64::NEG_INFINITY);
         for state in states {
             (left, right) = (left.min(state[0]), right.max(state[0]));
@@ -132,24 +171,36 @@ impl Stage {
             let cart = end - 0.85 * length;
             (left, right) = (left.min(-cart), right.max(cart));
         }
-        let follow = !whole && right - left > 6.0 * length;
-        let middle = if follow { 0.0 } else { (left + right) / 2.0 };
-        let half_width = if follow {
-            2.5 * length
-        } else {
-            ((right - left) / 2.0 + 1.15 * length).max(2.2 * length)
+        let camera = match (whole, unfinished) {
+            (false, true) => Camera::Pans,
+            (false, false) if right - left > 6.0 * length => Camera::Follows,
+            _ => Camera::Fixed,
+        };
+        let cameras = camera.positions(states, length);
+        if let (Camera::Pans, Some(&last)) = (&camera, cameras.last()) {
+            (left, right) = (last, last);
+        }
+        let (middle, half_width) = match camera {
+            Camera::Fixed => {
+                let half = (right - left) / 2.0 + EDGE * length;
+                ((left + right) / 2.0, half.max(2.2 * length))
+            }
+            Camera::Follows => (0.0, 2.5 * length),
+            Camera::Pans => (0.0, UNFINISHED * length),
         };
         let lowest = states
             .iter()
             .flat_map(|state| state[2..].iter().step_by(2))
             .map(|angle| angle.cos())
-            .fold(0.0, f64::min);
+            .fold(if unfinished { -1.0 } else { 0.0 }, f64::min);
         // Space below the rail for its marks, and for poles that hang down.
         let bottom = length * (lowest * 1.1).min(-0.45) - 0.2 * length;
         // Marks over the range of the camera, at round distances of at least one pole length and at
         // most 21 in number. A fixed camera omits marks whose labels would be clipped.
-        let extent =
-            if follow { (right - left) / 2.0 + half_width } else { half_width - 0.3 * length };
+        let extent = match camera {
+            Camera::Follows => (right - left) / 2.0 + half_width,
+            _ => half_width - 0.3 * length,
+        };
         let (from, to) = ((left + right) / 2.0 - extent, (left + right) / 2.0 + extent);
         let step = round_up(length.max((to - from) / 20.0));
         let marks =
@@ -160,15 +211,14 @@ impl Stage {
             length,
             low: [middle - half_width, bottom],
             high: [middle + half_width, top],
-            follow,
+            cameras,
             marks,
             bumpers,
         }
     }
 
-    fn frame(&self, state: &[f64], force: f64) -> Vec<Shape> {
+    fn frame(&self, state: &[f64], camera: f64, force: f64) -> Vec<Shape> {
         let unit = self.length;
-        let camera = if self.follow { state[0] } else { 0.0 };
         let x = state[0] - camera;
         let mut shapes = self.rail(camera);
         shapes.extend(self.bumpers.iter().flat_map(|bumpers| bumpers.shapes(state[0], camera)));
@@ -274,6 +324,31 @@ mod tests {
         assert!(animation.view.1[0] - animation.view.0[0] < 6.0);
         let svg = animation.to_svg();
         assert!(svg.len() < 200_000, "{} bytes", svg.len());
+    }
+
+    #[test]
+    fn pictures_of_an_unfinished_motion_do_not_depend_on_later_states() {
+        let rail = Rail { unfinished: Some(2.0), ..Rail::default() };
+        let (states, forces) = (trajectory(30.0), vec![1.0; 99]);
+        let mut before: Option<[f64; 2]> = None;
+        for count in 1..=states.len() {
+            let part = cart_pole_on(&rail, &states[..count], &forces[..count - 1], 0.5, 0.01);
+            assert_eq!(part.view, ([-3.0, -1.3], [3.0, 1.2]));
+            let cart = |shape: &Shape| match shape {
+                Shape::Rect { center, color, .. } if *color == CART => Some(*center),
+                _ => None,
+            };
+            let places: Vec<[f64; 2]> =
+                part.frames.iter().filter_map(|frame| frame.iter().find_map(cart)).collect();
+            // The frame of a state stays the same, and the cart moves 0.3 m at most.
+            assert!(
+                before.is_none() || places[count - 2..count - 1] == [before.unwrap_or_default()]
+            );
+            let last = places[count - 1];
+            assert!(before.is_none_or(|before| (last[0] - before[0]).abs() < 0.3 + 1e-9));
+            assert!(last[0].abs() <= 1.85 + 1e-9);
+            before = Some(last);
+        }
     }
 
     #[test]

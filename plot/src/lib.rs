@@ -36,7 +36,7 @@ mod series;
 mod settings;
 mod work_precision;
 
-pub use animation::{Animation, Shape};
+pub use animation::{Animation, Picture, Shape, View};
 pub use cart_pole::{Rail, cart_pole, cart_pole_on};
 pub use channels::{Channel, channels_over_time};
 pub use chart::{Chart, Frame};

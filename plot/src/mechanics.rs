@@ -1,6 +1,6 @@
 //! Animation of rods and boxes, for small planar mechanical systems.
 
-use super::animation::{Animation, Shape};
+use super::animation::{Animation, Shape, View};
 
 const ROD: &str = "#0072B2";
 const JOINT: &str = "#4A4F57";
@@ -84,6 +84,10 @@ pub fn mechanics(stage: &Stage, postures: &[Posture], dt: f64) -> Animation {
         title: format!("{}: {time:.1} s {speed}", stage.title),
         seconds: time * slowness,
         view: (low, high),
+        reach: shown
+            .first()
+            .and_then(|posture| disc(posture, margin))
+            .map(|disc| Animation::union(disc, (low, high))),
         still: ground.into_iter().chain(mark).collect(),
         frames: frames.collect(),
         legend: stage.mark.map(|_| ("target".to_owned(), MARK)).into_iter().collect(),
@@ -91,6 +95,14 @@ pub fn mechanics(stage: &Stage, postures: &[Posture], dt: f64) -> Animation {
         time,
         ..Animation::default()
     }
+}
+
+/// The square around all places of a chain that turns about its first joint.
+fn disc(posture: &Posture, margin: f64) -> Option<View> {
+    let rods = posture.chain.windows(2);
+    let lengths = rods.map(|rod| (rod[1][0] - rod[0][0]).hypot(rod[1][1] - rod[0][1]));
+    let (radius, first) = (lengths.sum::<f64>() + margin, posture.chain.first()?);
+    Some((first.map(|x| x - radius), first.map(|x| x + radius)))
 }
 
 fn shapes(posture: &Posture, size: f64) -> Vec<Shape> {
@@ -133,5 +145,9 @@ mod tests {
         roxmltree::Document::parse(&picture).expect("an SVG is XML");
         assert!(picture.contains("A test: 0.5 s at ⅓ speed"));
         mechanics(&stage, &[], 0.5).to_svg();
+        // The chain of length 1 turns about (0, 0), and the margin is 1.5 times 0.2 m.
+        let reach = animation.reach.expect("a chain");
+        assert!((reach.0[0] + 1.3).abs() < 1e-12 && (reach.0[1] + 1.3).abs() < 1e-12);
+        assert!(reach.1[0] == high[0] && reach.1[1] == high[1], "{reach:?} contains the view");
     }
 }

@@ -105,6 +105,8 @@ struct Layout {
     /// Final Σ |ψ_j|².
     norm: f64,
     landscape: Landscape,
+    /// Time at the right edge of the last state's column.
+    end: f64,
     /// Control by step.
     controls: Vec<f64>,
     /// Half the spacing of the map rows; the walls are one spacing beyond the outermost rows.
@@ -158,12 +160,14 @@ impl Layout {
             controls.iter().fold((0.0f64, 0.0f64), |(least, most), &c| (least.min(c), most.max(c)));
         let (room, middle) = (0.55 * positive(most - least), 0.5 * (least + most));
         // Each column of the map is centered at the time of its state.
-        let time = [-0.5 * dt, (states.len().max(1) as f64 - 0.5) * dt];
+        let end = |states: usize| (states.max(1) as f64 - 0.5) * dt;
+        let time = [-0.5 * dt, end(states.len().max(landscape.steps + 1))];
         let panel = |left, right, bottom, top, x, y| Axes { left, right, bottom, top, x, y };
         Self {
             fidelities: states.iter().map(fidelity).collect(),
             norm: states.last().map_or(0.0, |s| s.iter().map(|part| part * part).sum()),
             landscape: landscape.drawn(length),
+            end: end(states.len()),
             half_row: 0.5 * length / (densities.first().map_or(0, Vec::len) + 1) as f64,
             dt,
             map: panel(100.0, 530.0, 236.0, 452.0, time, [0.0, length]),
@@ -247,7 +251,7 @@ impl Layout {
             (0..self.densities.first().map_or(0, Vec::len)).rev().map(row).collect();
         if !rows.is_empty() {
             shapes.push(image(
-                map.area([map.x[0], *half_row], [map.x[1], map.y[1] - half_row]),
+                map.area([map.x[0], *half_row], [self.end, map.y[1] - half_row]),
                 &rows,
             ));
         }
@@ -266,7 +270,7 @@ impl Layout {
 
     /// Time at the middle of a column.
     fn time(&self, column: usize, columns: usize) -> f64 {
-        let [from, to] = self.map.x;
+        let (from, to) = (self.map.x[0], self.end);
         from + (to - from) * (column as f64 + 0.5) / columns as f64
     }
 
@@ -274,6 +278,7 @@ impl Layout {
     fn legend(&self) -> Vec<Shape> {
         let (x, middle) =
             (self.profile.left + 14.0, (self.profile.left + self.profile.right) / 2.0);
+        let end = if self.landscape.steps > 0 { "now" } else { "at the end" };
         let ends =
             [self.fidelities.first(), self.fidelities.last()].map(|f| f.copied().unwrap_or(0.0));
         vec![
@@ -288,7 +293,7 @@ impl Layout {
             },
             text([x + 56.0, 138.0], "|φ|² target"),
             text([middle, 84.0], format!("fidelity {:.3} at the start", ends[0])),
-            text([middle, 66.0], format!("{:.3} at the end", ends[1])),
+            text([middle, 66.0], format!("{:.3} {end}", ends[1])),
         ]
     }
 

@@ -29,6 +29,11 @@ impl Raster {
         Self { columns, rgb: rows.iter().flatten().flat_map(color).collect() }
     }
 
+    /// Number of columns, and red, green and blue of every cell, upper row first.
+    pub(super) fn cells(&self) -> (usize, &[u8]) {
+        (self.columns, &self.rgb)
+    }
+
     /// Encodes as PNG, one pixel per cell.
     fn png(&self) -> Vec<u8> {
         let mut file = Vec::new();

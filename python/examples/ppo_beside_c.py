@@ -10,55 +10,31 @@ hidden layers of 64. Each test loss is a mean over 256 states, which differ betw
 import argparse
 import time
 from pathlib import Path
-from typing import Any
 
 import matplotlib
 import numpy as np
 import physgrad as pg
 import physgrad.gym
 from gymnasium.vector import AutoresetMode
+from physgrad.sb3 import TaskVecEnv
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.vec_env import VecEnv
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
 
-class Batched(VecEnv):
-    """Environments of stable-baselines3 over one vector environment of physgrad."""
+class Finite(TaskVecEnv):
+    """Environments whose rewards end with the episode, as the loss does.
 
-    def __init__(self, envs: pg.gym.TaskVectorEnv) -> None:
-        self.envs, self.actions = envs, None
-        super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
-
-    def reset(self) -> np.ndarray:
-        return self.envs.reset(seed=self._seeds[0])[0]
-
-    def step_async(self, actions: np.ndarray) -> None:
-        self.actions = actions
+    Without "TimeLimit.truncated", PPO adds no value estimate of later steps.
+    """
 
     def step_wait(self) -> tuple:
-        y, reward, _, truncated, info = self.envs.step(self.actions)
-        # Without "TimeLimit.truncated", PPO adds no value estimate of later steps. The loss
-        # contains no costs of later steps either.
-        infos = [{"terminal_observation": info["final_obs"][row]} if truncated[row] else {} for row in range(self.num_envs)]
-        return y, reward, truncated, infos
-
-    def close(self) -> None:
-        self.envs.close()
-
-    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        return [False] * self.num_envs
-
-    def env_method(self, *args: Any, **kwargs: Any) -> list:
-        raise NotImplementedError("environments of a batch have no methods of their own")
-
-    def get_attr(self, attr_name: str, indices: Any = None) -> list:
-        return [getattr(self.envs, attr_name, None)] * self.num_envs
-
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        raise NotImplementedError("environments of a batch share their attributes")
+        y, reward, done, infos = super().step_wait()
+        for info in infos:
+            info.pop("TimeLimit.truncated", None)
+        return y, reward, done, infos
 
 
 def ppo_loss(agent: PPO, task: pg.Task, starts: np.ndarray, bound: float) -> float:
@@ -79,7 +55,7 @@ def train_ppo(task: pg.Task, seconds: float, steps: int, seed: int = 0, bound: f
     """Trains by PPO. Returns pairs (seconds of training without the tests, test loss)."""
     envs = pg.gym.TaskVectorEnv(task, 64, bound, AutoresetMode.SAME_STEP)
     agent = PPO(
-        "MlpPolicy", Batched(envs), n_steps=task.horizon, batch_size=800, n_epochs=10, gamma=1.0, gae_lambda=0.95,
+        "MlpPolicy", Finite(envs), n_steps=task.horizon, batch_size=800, n_epochs=10, gamma=1.0, gae_lambda=0.95,
         learning_rate=3e-4, policy_kwargs={"net_arch": [64, 64]}, device="cpu", seed=seed,
     )  # fmt: skip
     starts, curve = task.starts(256, seed=seed + 1000), []
@@ -114,7 +90,7 @@ def main() -> None:
     losses = run.history["test_loss"]
     seconds = np.cumsum(run.history["seconds"])
     print(f"C: test loss {losses[-1]:.4f} after {seconds[-1]:.1f} s")
-    curve = train_ppo(task, 5.0 if options.quick else options.seconds, 12_800 if options.quick else 5_000_000)
+    curve = train_ppo(task, options.seconds, 12_800 if options.quick else 5_000_000)
     print(f"PPO: test loss {curve[-1][1]:.4f} after {curve[-1][0]:.1f} s, best {min(loss for _, loss in curve):.4f}")
 
     figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")

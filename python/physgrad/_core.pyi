@@ -196,6 +196,10 @@ xla_handler: int
 def presets() -> dict[str, str]:
     """Names of the presets that `task` opens, each with a line about it."""
 
+def picture(
+    task: Task, states: ArrayLike, controls: ArrayLike, params: ArrayLike
+) -> NDArray[np.uint8]: ...
+
 class Policy:
     """The policy of a task, with its parameters θ."""
 

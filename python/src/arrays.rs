@@ -137,12 +137,12 @@ impl<'py, F: Number> Argument<'py, F> {
         }
         check_library(name, object)?;
         check_list(name, object)?;
-        let numpy = py.import("numpy")?;
+        let numpy = || py.import("numpy");
         let given = match object.cast::<PyUntypedArray>() {
             Ok(array) => array.clone(),
             Err(_) => {
                 check_elements(name, object)?;
-                let converted = numpy.call_method1("asarray", (object,));
+                let converted = numpy()?.call_method1("asarray", (object,));
                 converted.map_err(|error| named(py, name, error))?.cast_into::<PyUntypedArray>()?
             }
         };
@@ -152,7 +152,8 @@ impl<'py, F: Number> Argument<'py, F> {
             Ok(array) if array.is_c_contiguous() && array.is_aligned() => array.clone(),
             _ => {
                 fits("the copy of an argument", given.shape(), size_of::<F>())?;
-                let converted = numpy.call_method1("require", (&given, dtype::<F>(py), ["C", "A"]));
+                let converted =
+                    numpy()?.call_method1("require", (&given, dtype::<F>(py), ["C", "A"]));
                 converted.map_err(|error| named(py, name, error))?.cast_into::<PyArrayDyn<F>>()?
             }
         };

@@ -11,6 +11,7 @@ mod interrupt;
 mod lists;
 mod operations;
 mod optimize;
+mod picture;
 mod policy;
 mod rows;
 mod run;
@@ -81,6 +82,7 @@ pub fn add_to(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(accuracy::accuracy, module)?)?;
     module.add_function(wrap_pyfunction!(identify::check, module)?)?;
     module.add_function(wrap_pyfunction!(optimize::optimize, module)?)?;
+    module.add_function(wrap_pyfunction!(picture::picture, module)?)?;
     module.add_function(wrap_pyfunction!(policy::rollout, module)?)?;
     module.add_function(wrap_pyfunction!(policy::losses, module)?)?;
     module.add_function(wrap_pyfunction!(policy::gradients, module)?)?;

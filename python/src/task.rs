@@ -7,6 +7,7 @@ use crate::rows::Rows;
 use crate::settings::{keywords, table_to_python};
 use crate::whole;
 use anyhow::{Context as _, bail};
+use numpy::{PyArrayDyn, PyArrayMethods as _};
 use physgrad::engine::rows;
 use physgrad::number::NoiseNumbers;
 use physgrad::rng::Purpose;
@@ -602,15 +603,15 @@ impl Task {
         x: &Bound<'py, PyAny>,
         u: &Bound<'py, PyAny>,
         p: Option<&Bound<'py, PyAny>>,
-        t: usize,
+        #[pyo3(from_py_with = whole::t)] t: usize,
     ) -> PyResult<Bound<'py, PyTuple>> {
         with_precision!(is_f32([x, u].into_iter().chain(p)), F => {
             let given = self.rows::<F>(py, x, Some(u), p, t)?;
             let found = given.matrices(py, [self.n, self.observed(), 1], |inputs, _, outputs| {
                 rows::transition(&self.task, inputs, outputs);
             })?;
-            let cost = found.get_item(2)?.call_method1("reshape", (given.count,))?;
-            PyTuple::new(py, [found.get_item(0)?, found.get_item(1)?, cost])
+            let cost = found.get_item(2)?.cast::<PyArrayDyn<F>>()?.reshape([given.count])?;
+            PyTuple::new(py, [found.get_item(0)?, found.get_item(1)?, cost.into_any()])
         })
     }
 
@@ -629,7 +630,7 @@ impl Task {
         y_bar: &Bound<'py, PyAny>,
         cost_bar: &Bound<'py, PyAny>,
         p: Option<&Bound<'py, PyAny>>,
-        t: usize,
+        #[pyo3(from_py_with = whole::t)] t: usize,
     ) -> PyResult<Bound<'py, PyTuple>> {
         with_precision!(is_f32([x, u, next, next_bar, y_bar, cost_bar].into_iter().chain(p)), F => {
             let given = self.rows::<F>(py, x, Some(u), p, t)?;

@@ -30,8 +30,9 @@ def test_code_of_the_guide_runs(tmp_path, monkeypatch):
     assert os.path.exists("report.html") and os.path.exists("policy.safetensors")
 
 
-def test_code_of_the_frameworks_runs():
-    for package in ("torch", "jax", "gymnasium"):
+def test_code_of_the_frameworks_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for package in ("torch", "jax", "gymnasium", "moviepy", "stable_baselines3"):
         pytest.importorskip(package, reason=f"{package} is not installed")
     names = run(1)
     assert [loss.grad is not None for loss in names["network"].parameters()] == [True] * 4

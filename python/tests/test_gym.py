@@ -1,5 +1,9 @@
 """Gymnasium environments."""
 
+import os
+import subprocess
+import sys
+import time
 import warnings
 
 import numpy as np
@@ -10,6 +14,10 @@ gymnasium = pytest.importorskip("gymnasium", reason="Gymnasium is not installed"
 
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 from gymnasium.vector import AutoresetMode  # noqa: E402
+
+slow = pytest.mark.skipif(
+    os.environ.get("PHYSGRAD_PYTHON_ALL") != "1", reason="measures times; set PHYSGRAD_PYTHON_ALL=1"
+)
 
 
 @pytest.fixture(autouse=True)
@@ -267,7 +275,298 @@ def test_an_error_in_one_environment_leaves_all_at_their_steps():
     assert np.array_equal(env._rows.x, before[0]) and np.array_equal(env._rows.t, before[1])
 
 
-def test_a_render_mode_is_a_type_error_after_which_stable_baselines3_omits_it():
-    with pytest.raises(TypeError, match="environments are not rendered"):
-        gymnasium.make("physgrad/cart_pole-v0", poles=1, render_mode="rgb_array")
-    assert gymnasium.make("physgrad/cart_pole-v0", poles=1, render_mode=None).unwrapped.render_mode is None
+def test_ids_need_no_import_with_the_name_of_the_module():
+    program = (
+        "import gymnasium; env = gymnasium.make('physgrad.gym:physgrad/cart_pole-v0', poles=1); "
+        "env.reset(seed=0); "
+        "print(env.unwrapped.task.name, gymnasium.make_vec('physgrad.gym:physgrad/guidance-v0', 2).num_envs)"
+    )
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300)
+    assert ran.stdout == "cart_pole 2\n", ran.stderr
+
+
+def length(env):
+    """Number of steps of an episode, and the last reward."""
+    env.reset(seed=0)
+    zero = np.zeros(env.action_space.shape, np.float32)
+    for count in range(1, 1000):
+        _, reward, _, truncated, _ = env.step(zero)
+        if np.all(truncated):
+            return count, np.ravel(reward)[0]
+
+
+def test_the_number_of_steps_is_a_setting_with_two_names():
+    id, made = "physgrad/cart_pole-v0", pg.gym.make("cart_pole", horizon=7)
+    # The last reward contains the terminal cost.
+    assert length(made) == length(pg.gym.make("cart_pole", max_episode_steps=7)) and length(made)[0] == 7
+    assert length(made)[1] < 0
+    assert length(pg.gym.make_vec("cart_pole", 2, max_episode_steps=7))[0] == 7
+    assert length(gymnasium.make_vec(id, 2, max_episode_steps=7))[0] == 7
+    assert length(gymnasium.make(id, horizon=7)) == length(made)
+    # Longer than the preset too.
+    assert length(gymnasium.make(id, horizon=150))[0] == 150
+    # The wrapper of Gymnasium only ends the episode.
+    assert length(gymnasium.make(id, max_episode_steps=7)) == (7, 0.0)
+    with pytest.raises(ValueError, match="`max_episode_steps` is 7, but `horizon` is 8; use one of them"):
+        pg.gym.make("cart_pole", max_episode_steps=7, horizon=8)
+    for spec in (gymnasium.make(id, horizon=7).spec, gymnasium.make_vec(id, 2, horizon=7).unwrapped.spec):
+        assert spec.max_episode_steps == 7
+    again = gymnasium.make(gymnasium.make(id, horizon=7).spec)
+    assert length(again) == length(made)
+
+
+def test_environments_with_a_list_of_seeds_are_single_environments_with_these_seeds():
+    settings = {"poles": 1, "horizon": 3, "effects": {"gusty_wind": {}}}
+    envs = pg.gym.make_vec("cart_pole", 3, **settings)
+    y, _ = envs.reset(seed=[4, 5, 6])
+    singles = [pg.gym.make("cart_pole", **settings) for _ in range(3)]
+    np.testing.assert_array_equal(y, [env.reset(seed=seed)[0] for env, seed in zip(singles, [4, 5, 6])])
+    rng = np.random.default_rng(0)
+    for count in range(1, 10):
+        actions = rng.uniform(-1, 1, (3, 1)).astype(np.float32)
+        y, reward, _, truncated, _ = envs.step(actions)
+        if count % 4 == 0:
+            expected = [env.reset()[0] for env in singles]
+        else:
+            steps = [env.step(action) for env, action in zip(singles, actions)]
+            expected = [step[0] for step in steps]
+            np.testing.assert_array_equal(reward, [step[1] for step in steps])
+            assert truncated.tolist() == [step[3] for step in steps]
+        np.testing.assert_array_equal(y, expected)
+    # None, and seeds outside of the mask, leave the generators; one number seeds all.
+    envs.reset(seed=[4, 5, 6])
+    y, _ = envs.reset(seed=[4, 4, None], options={"reset_mask": np.array([True, False, True])})
+    second = pg.gym.make("cart_pole", **settings)
+    second.reset(seed=6)
+    np.testing.assert_array_equal(y, [*envs.reset(seed=[4, 5, 0])[0][:2], second.reset()[0]])
+    first = envs.reset(seed=3)[0]
+    np.testing.assert_array_equal(pg.gym.make_vec("cart_pole", 3, **settings).reset(seed=3)[0], first)
+    with pytest.raises(ValueError, match="`seed` has 2 numbers; expected one, or one for each of 3 env"):
+        envs.reset(seed=[1, 2])
+
+
+def test_observations_have_the_time_of_their_step():
+    task = pg.system(
+        lambda x, u: [u.force], states=["speed"], controls={"force": (-1, 1)}, dt=0.1, horizon=4,
+        observe=lambda x, t: [x.speed, t], running_cost=lambda x, u, next: next.speed**2,
+    )  # fmt: skip
+    env, envs = pg.gym.make(task), pg.gym.make_vec(task, 2)
+    ys = [env.reset(seed=0)[0]] + [env.step(np.ones(1, np.float32))[0] for _ in range(task.horizon)]
+    np.testing.assert_allclose([y[1] for y in ys], 0.1 * np.arange(5), rtol=1e-6)
+    envs.reset(seed=0)
+    envs.step(np.ones((2, 1), np.float32))
+    # At different steps.
+    envs.reset(options={"reset_mask": np.array([True, False])})
+    y = envs.step(np.ones((2, 1), np.float32))[0]
+    np.testing.assert_allclose(y[:, 1], [0.1, 0.2], rtol=1e-6)
+
+
+def noisy():
+    """A cart that is pushed at random, and a sensor with noise."""
+    return pg.system(
+        lambda x, u, p: [x.speed, u.force + p.gust],
+        states=["position", "speed"],
+        controls={"force": (-5, 5)},
+        params={"gust": pg.noise(0.5), "encoder": pg.noise(0.05)},
+        observe=lambda x, p: [x.position + p.encoder, x.speed],
+        running_cost=lambda x, u, next: next.position**2,
+        dt=0.1,
+        horizon=6,
+    )
+
+
+def test_the_key_of_the_noise_is_an_option():
+    task = noisy()
+    env, envs = pg.gym.make(task), pg.gym.make_vec(task, 2)
+
+    def episode(key):
+        y, _ = env.reset(seed=1, options={} if key is None else {"key": key})
+        return env.key, [y] + [env.step(np.zeros(1, np.float32))[0] for _ in range(task.horizon)]
+
+    drawn, first = episode(None)
+    assert episode(drawn)[0] == drawn
+    np.testing.assert_array_equal(episode(drawn)[1], first)
+    assert episode(np.int64(5))[0] == 5 and not np.array_equal(episode(5)[1], first)
+    # The noise of a rollout with this key.
+    starts = np.array([[0.0, 0.0, 0.0, 0.0, drawn]], np.float32)
+    x = np.zeros((1, 2), np.float32)
+    for t, y in enumerate(first[:-1]):
+        p = task.params_at(starts, t)
+        np.testing.assert_array_equal(task.observe(x, p=p, t=t)[0], y)
+        x = task.step(x, np.zeros((1, 1), np.float32), p=p, t=t)
+    envs.reset(seed=0, options={"key": [drawn, 5]})
+    assert envs.key.tolist() == [drawn, 5]
+    ys = [envs.step(np.zeros((2, 1), np.float32))[0] for _ in range(task.horizon)]
+    np.testing.assert_array_equal([y[0] for y in ys], first[1:])
+    for key in (-1, 2**24, 0.5, np.nan):
+        with pytest.raises(ValueError, match="`key` is .*; allowed: a whole number from 0 to 16777215"):
+            env.reset(options={"key": key})
+        with pytest.raises(ValueError, match="`key` is .*; allowed: a whole number"):
+            envs.reset(options={"key": [1, key]})
+    with pytest.raises(ValueError, match="`key` has the shape"):
+        env.reset(options={"key": [1]})
+    assert pg.gym.make("cart_pole").key is None
+    with pytest.raises(ValueError, match="the task cart_pole has no noise"):
+        pg.gym.make("cart_pole").reset(options={"key": 1})
+
+
+@pytest.mark.parametrize("name", sorted(pg._core.task_names()))
+def test_pictures_of_all_tasks(name):
+    env = pg.gym.make(name, render_mode="rgb_array")
+    shapes = set()
+    for seed in range(2):
+        env.reset(seed=seed)
+        before = env.render()
+        for count in range(1, env.task.horizon + 1):
+            env.step(env.action_space.sample())
+            if count in (7, env.task.horizon):
+                picture = env.render()
+                shapes |= {before.shape, picture.shape}
+                assert picture.dtype == np.uint8 and not np.array_equal(picture, before)
+                assert np.array_equal(env.render(), picture)
+                # Between a hundredth and half of the pixels are not white, but in dark maps more.
+                assert 0.002 < (picture < 255).any(axis=2).mean() < (0.5 if name != "quantum" else 0.8)
+                before = picture
+    [(height, width, colours)] = shapes
+    assert height % 2 == width % 2 == 0 and colours == 3
+
+
+@pytest.mark.parametrize("name", ["cart_pole", "guidance", "pole_chain"])
+def test_a_picture_depends_on_the_episode_alone(name):
+    env = pg.gym.make(name, render_mode="rgb_array")
+    size = env.action_space.shape
+
+    def pictures(each):
+        env.reset(seed=5)
+        found = [env.render()]
+        for action in np.linspace(-1, 1, 20):
+            env.step(np.full(size, action, np.float32))
+            found += [env.render()] if each else []
+        return found[-1] if each else env.render()
+
+    first = pictures(each=True)
+    assert np.array_equal(pictures(each=False), first), "skipped pictures change nothing"
+    env.reset(seed=6)
+    for _ in range(env.task.horizon):
+        env.step(np.ones(size, np.float32))
+        env.render()
+    assert np.array_equal(pictures(each=True), first), "nor do episodes before"
+
+
+@pytest.mark.parametrize("action", [1.0, -1.0])
+def test_the_cart_does_not_jump_between_pictures(action):
+    """The cart moves at most as many pixels as its distance, also when it leaves the first view."""
+    env = pg.gym.make("cart_pole", poles=1, bound=30.0, render_mode="rgb_array")
+    env.reset(options={"state": [0.0, 0.0, 0.0, 0.0]})
+
+    def place():
+        rows, columns = np.nonzero((env.render() == [0xC9, 0xCE, 0xD6]).all(axis=2))
+        return np.array([columns.mean(), rows.mean()])
+
+    before, x, places = place(), env.state[0], []
+    assert np.abs(before[0] - 360) < 2, "the cart begins in the middle"
+    for count in range(env.task.horizon):
+        env.step(np.array([action if count < 60 else -action], np.float32))
+        at, position = place(), env.state[0]
+        # 720 pixels show 6 pole lengths of 1 m. Arrow and pole cover parts of the cart.
+        assert np.abs(at[0] - before[0]) <= 120 * np.abs(position - x) + 25, count
+        assert np.abs(at[1] - before[1]) <= 8 and 100 < at[0] < 620
+        places.append(at[0])
+        before, x = at, position
+    assert np.abs(x) > 6 and np.ptp(places) > 150, "the cart has left the first view"
+
+
+def test_render_modes():
+    env = pg.gym.make("cart_pole", poles=1)
+    env.reset(seed=0)
+    with pytest.warns(UserWarning, match="has no render mode; create it with"):
+        assert env.render() is None
+    settings = {"poles": 1, "render_mode": "rgb_array"}
+    env, envs = pg.gym.make("cart_pole", **settings), pg.gym.make_vec("cart_pole", **settings)
+    assert env.metadata["render_fps"] == round(1 / env.task.dt)
+    for environment in (env, envs):
+        with pytest.raises(RuntimeError, match="the episode has not begun. Call `reset` first"):
+            environment.render()
+    with pytest.raises(ValueError, match="`render_mode` is 'ansi'; allowed: 'rgb_array', 'human', None"):
+        pg.gym.make("cart_pole", render_mode="ansi")
+    with pytest.raises(ValueError, match="`render_mode` is 'human'; allowed: 'rgb_array', None"):
+        pg.gym.make_vec("cart_pole", render_mode="human")
+    y, _ = env.reset(seed=0)
+    envs = pg.gym.make_vec("cart_pole", 2, poles=1, render_mode="rgb_array")
+    envs.reset(seed=0, options={"state": np.stack([env.state, env.state + 1])})
+    pictures = envs.render()
+    assert len(pictures) == 2 and np.array_equal(pictures[0], env.render())
+    assert not np.array_equal(*pictures)
+    # Gymnasium collects the pictures of an episode.
+    env = gymnasium.make("physgrad/cart_pole-v0", poles=1, render_mode="rgb_array_list")
+    env.reset(seed=0)
+    env.step(np.zeros(1, np.float32))
+    assert [picture.shape for picture in env.render()] == [pictures[0].shape] * 2
+
+
+def test_a_system_of_functions_is_shown_as_curves():
+    env = pg.gym.make(noisy(), render_mode="rgb_array")
+    env.reset(seed=0)
+    assert env.render().shape == (216, 540, 3)
+    for _ in range(6):
+        env.step(np.ones(1, np.float32))
+    # The colours of states and controls.
+    for colour in ([0x00, 0x72, 0xB2], [0xD5, 0x5E, 0x00]):
+        columns = np.nonzero((env.render() == colour).all(axis=2))[1]
+        assert columns.min() < 170 and columns.max() > 500
+
+
+def test_a_window_shows_the_picture(monkeypatch):
+    pygame = pytest.importorskip("pygame", reason="pygame is not installed")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    env = pg.gym.make("cart_pole", poles=1, render_mode="human")
+    same = pg.gym.make("cart_pole", poles=1, render_mode="rgb_array")
+    env.reset(seed=0), same.reset(seed=0)
+    for _ in range(3):
+        shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
+        assert np.array_equal(shown, same.render())
+        env.step(np.ones(1, np.float32)), same.step(np.ones(1, np.float32))
+    assert env.render() is None
+    env.close()
+    assert pygame.display.get_surface() is None
+    env.close()
+    env.reset(seed=0)
+    assert pygame.display.get_surface() is not None
+    env.close()
+
+
+def test_a_window_without_pygame_is_refused_with_the_command(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(gymnasium.error.DependencyNotInstalled, match="run `pip install pygame`"):
+        pg.gym.make("cart_pole", render_mode="human")
+
+
+def test_record_video_makes_a_film(tmp_path):
+    warnings.simplefilter("ignore")  # those of MoviePy
+    moviepy = pytest.importorskip("moviepy", reason="moviepy is not installed")
+    env = gymnasium.make("physgrad/cart_pole-v0", poles=1, horizon=10, render_mode="rgb_array")
+    env = gymnasium.wrappers.RecordVideo(env, str(tmp_path / "films"), episode_trigger=lambda episode: True)
+    env.reset(seed=0)
+    for _ in range(10):
+        env.step(env.action_space.sample())
+    env.close()
+    [film] = tmp_path.glob("films/*.mp4")
+    with moviepy.VideoFileClip(str(film)) as clip:
+        assert clip.size == [720, 502] and clip.fps == env.metadata["render_fps"]
+        # MoviePy may drop the last picture.
+        assert round(clip.duration * clip.fps) in (10, 11)
+
+
+@slow
+def test_a_step_takes_at_most_one_and_a_half_times_that_of_the_pendulum_of_gymnasium():
+    pendulum, env = gymnasium.make("Pendulum-v1").unwrapped, pg.gym.make("cart_pole", poles=1)
+    action, least = np.array([0.3], np.float32), {}
+    for _ in range(100):
+        for each in (pendulum, env):
+            each.reset(seed=0)
+            begin = time.perf_counter()
+            for _ in range(50):
+                each.step(action)
+            least[each] = min(time.perf_counter() - begin, least.get(each, np.inf))
+    print(f"a step: {1e6 * least[env] / 50:.1f} µs, Pendulum-v1: {1e6 * least[pendulum] / 50:.1f} µs")
+    assert least[env] < 1.5 * least[pendulum]

@@ -108,7 +108,7 @@ impl Run {
         let epochs = i64::try_from(epochs).unwrap_or(i64::MAX);
         let scene = self.scene.with([("epochs".to_owned(), Some(Value::Integer(epochs)))])?;
         let mut run = scene.scene.open(self.threads)?;
-        run.restore(&self.state(), &scene.scene.identity())?;
+        run.restore(&self.checkpoint(), &scene.scene.identity())?;
         (self.scene, self.run) = (scene, run);
         Ok(())
     }
@@ -124,7 +124,7 @@ impl Run {
     pub fn save(&mut self, folder: &Path) -> Result<()> {
         let locked = Folder::at(folder).lock()?;
         let saved = || locked.read(CHECKPOINT).ok();
-        let is_own = saved().is_some_and(|saved| saved == self.state());
+        let is_own = saved().is_some_and(|saved| saved == self.checkpoint());
         let locked = if is_own { locked } else { locked.without_run()? };
         run::save(&locked, &self.scene.scene, &*self.run)?;
         self.folder = Some(std::path::absolute(folder)?);

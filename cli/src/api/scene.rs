@@ -5,6 +5,7 @@ use crate::commands::accuracy::{Measured, Setting, Study};
 use crate::commands::identify::remarks::{CALL, Remarks, remarks};
 use crate::operations::checks::Results;
 use crate::operations::identification::{MOST_BYTES, bytes_per_fitted_step, bytes_per_step};
+use crate::operations::trajectory::Trajectory;
 use crate::scenes::presets;
 use crate::scenes::source::{SceneSource, find};
 use crate::settings::{OPTIONAL, Precision, VERSION};
@@ -14,6 +15,7 @@ use physgrad::engine::append_starts;
 use physgrad::identify::{Fit, IdentifyError, Options, Segment};
 use physgrad::rng::Purpose;
 use physgrad::{DynTask, Float, Number, System, Task};
+use physgrad_plot::Picture;
 use std::ops::Range;
 use toml::{Table, Value};
 
@@ -258,6 +260,20 @@ impl Scene {
         starts: &mut Vec<F>,
     ) {
         append_starts(&self.task(), seed, purpose, samples, starts);
+    }
+
+    /// Draws the last of these states of an unfinished rollout. `states` and `params` have a row per
+    /// state, and `controls` one less; `params` has the noise of each step.
+    pub fn picture(
+        &self,
+        states: Vec<Vec<f64>>,
+        controls: Vec<Vec<f64>>,
+        params: Vec<Vec<f64>>,
+    ) -> Picture {
+        let time = controls.len() as f64 * self.dt();
+        let mut animation = self.scene.unfinished(&Trajectory { states, controls, params });
+        animation.view = animation.reach.unwrap_or(animation.view);
+        animation.picture(animation.frames.last().map_or(&[], Vec::as_slice), time)
     }
 
     /// Fits the trained numbers of the scene to measured segments, as `physgrad identify` does.

@@ -254,20 +254,42 @@ impl TaskSpec for CartPole {
             .then(|| Conserved { name: "energy", value: Box::new(move |x| system.energy(x)) })
     }
 
-    fn animation(
-        settings: &Settings<Self>,
-        Trajectory { states, controls, params }: &Trajectory,
-    ) -> Animation {
-        let CartPoleSystem { half_length, dt, .. } = settings.system.1;
-        let dim = System::state_dim(&settings.system.1);
-        let forces: Vec<f64> =
-            settings.actuator.applied(dt, states, controls).iter().map(|u| u[0]).collect();
-        let wind = settings.effects.wind(params, dt);
-        let rail =
-            Rail { bumpers: settings.effects.bumpers.map(|bumpers| bumpers.half_travel), wind };
-        let states: Vec<Vec<f64>> = states.iter().map(|x| x[..dim].to_vec()).collect();
-        physgrad_plot::cart_pole_on(&rail, &states, &forces, half_length.nominal(), dt)
+    fn animation(settings: &Settings<Self>, rollout: &Trajectory) -> Animation {
+        let wind = settings.effects.wind(&rollout.params, settings.system.1.dt);
+        drawn(settings, rollout, Rail { wind, ..Rail::default() })
     }
+
+    fn unfinished(
+        settings: &Settings<Self>,
+        rollout: &Trajectory,
+        bounds: Option<&[[f64; 2]]>,
+    ) -> Animation {
+        // The label names the strongest wind of the whole rollout.
+        let mut params = rollout.params.clone();
+        let last = params.last().cloned().unwrap_or_default();
+        params.resize(settings.horizon + 1, last);
+        let wind = settings.effects.wind(&params, settings.system.1.dt);
+        // Without bounds, an infinite force leaves no arrow.
+        let strongest = |[low, high]: &[f64; 2]| low.abs().max(high.abs());
+        let unfinished = Some(bounds.map_or(f64::INFINITY, |bounds| strongest(&bounds[0])));
+        drawn(settings, rollout, Rail { wind, unfinished, ..Rail::default() })
+    }
+}
+
+/// Animation of a rollout on a rail, to which it adds the bumpers.
+fn drawn(
+    settings: &Settings<CartPole>,
+    Trajectory { states, controls, .. }: &Trajectory,
+    rail: Rail,
+) -> Animation {
+    let CartPoleSystem { half_length, dt, .. } = settings.system.1;
+    let dim = System::state_dim(&settings.system.1);
+    let forces: Vec<f64> =
+        settings.actuator.applied(dt, states, controls).iter().map(|u| u[0]).collect();
+    let bumpers = settings.effects.bumpers.map(|bumpers| bumpers.half_travel);
+    let states: Vec<Vec<f64>> = states.iter().map(|x| x[..dim].to_vec()).collect();
+    let rail = Rail { bumpers, ..rail };
+    physgrad_plot::cart_pole_on(&rail, &states, &forces, half_length.nominal(), dt)
 }
 
 #[cfg(test)]

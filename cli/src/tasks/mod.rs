@@ -155,6 +155,15 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     }
     /// Animation of one rollout, from its states, controls and parameters.
     fn animation(settings: &Settings<Self>, rollout: &Trajectory) -> Animation;
+    /// Animation of the states so far of an unfinished rollout, whose last frame must not move by
+    /// later states. `bounds` has the range of each control, if any.
+    fn unfinished(
+        settings: &Settings<Self>,
+        rollout: &Trajectory,
+        _bounds: Option<&[[f64; 2]]>,
+    ) -> Animation {
+        Self::animation(settings, rollout)
+    }
 }
 
 /// A function of the state that is conserved in continuous time.

@@ -90,7 +90,8 @@ impl QuantumEffects {
     fn landscape(&self, system: &QuantumSystem) -> Landscape {
         let potential =
             self.potential(system).map_or(Vec::new(), |potential| potential.effect.values);
-        Landscape { potential, absorbing: self.absorbing_edges.map(|edges| edges.width) }
+        let absorbing = self.absorbing_edges.map(|edges| edges.width);
+        Landscape { potential, absorbing, ..Landscape::default() }
     }
 
     fn validate(&self, length: f64) -> Result<(), ConfigError> {
@@ -264,15 +265,29 @@ impl TaskSpec for Quantum {
             .then(|| Conserved { name: "squared norm", value: Box::new(square) })
     }
 
-    fn animation(
-        settings: &Settings<Self>,
-        Trajectory { states, controls, .. }: &Trajectory,
-    ) -> Animation {
-        let system = settings.system.0;
-        let tilts: Vec<f64> =
-            settings.actuator.applied(system.dt, states, controls).iter().map(|u| u[0]).collect();
-        let landscape = settings.effects.landscape(&system);
-        let target: Vec<f64> = system.eigenstate(settings.system.1.target).collect();
-        physgrad_plot::quantum_in(&landscape, states, &tilts, &target, system.length, system.dt)
+    fn animation(settings: &Settings<Self>, rollout: &Trajectory) -> Animation {
+        drawn(settings, rollout, 0)
     }
+
+    fn unfinished(
+        settings: &Settings<Self>,
+        rollout: &Trajectory,
+        _bounds: Option<&[[f64; 2]]>,
+    ) -> Animation {
+        drawn(settings, rollout, settings.horizon)
+    }
+}
+
+/// Animation of a rollout; `steps` is that of [`Landscape`].
+fn drawn(
+    settings: &Settings<Quantum>,
+    Trajectory { states, controls, .. }: &Trajectory,
+    steps: usize,
+) -> Animation {
+    let system = settings.system.0;
+    let tilts: Vec<f64> =
+        settings.actuator.applied(system.dt, states, controls).iter().map(|u| u[0]).collect();
+    let landscape = Landscape { steps, ..settings.effects.landscape(&system) };
+    let target: Vec<f64> = system.eigenstate(settings.system.1.target).collect();
+    physgrad_plot::quantum_in(&landscape, states, &tilts, &target, system.length, system.dt)
 }

@@ -105,6 +105,7 @@ trait AnySettings: Send + Sync {
     fn expression_of(&self, component: usize, cause: Option<Cause>) -> Option<String>;
     fn conserved(&self) -> Option<Conserved>;
     fn animation(&self, rollout: &Trajectory) -> Animation;
+    fn unfinished(&self, rollout: &Trajectory, bounds: Option<&[[f64; 2]]>) -> Animation;
 }
 
 impl<K: TaskSpec> AnySettings for Settings<K> {
@@ -166,6 +167,10 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
 
     fn animation(&self, rollout: &Trajectory) -> Animation {
         K::animation(self, rollout)
+    }
+
+    fn unfinished(&self, rollout: &Trajectory, bounds: Option<&[[f64; 2]]>) -> Animation {
+        K::unfinished(self, rollout, bounds)
     }
 }
 
@@ -409,10 +414,7 @@ impl Scene {
 
     /// Animation of one rollout, from its states, controls and parameters.
     pub fn animation(&self, rollout: &Trajectory) -> Animation {
-        let Trajectory { states, controls, params } = rollout;
-        let states = self.unsensed(states).into_owned();
-        let unsensed = Trajectory { states, controls: controls.clone(), params: params.clone() };
-        let mut animation = self.settings.animation(&unsensed);
+        let mut animation = self.settings.animation(&self.unsensed_rollout(rollout));
         if animation.time > 0.0 && animation.channels.is_empty() {
             let controls = held(&rollout.controls, animation.time / self.dt());
             animation.channels = Channel::columns(self.control_names(), &controls, CONTROL);
@@ -422,6 +424,29 @@ impl Scene {
             }
         }
         animation
+    }
+
+    /// Animation of the states so far of an unfinished rollout, whose last frame shows the last
+    /// state. Channels have the time of a whole rollout, of which the rest is NaN.
+    pub fn unfinished(&self, rollout: &Trajectory) -> Animation {
+        let bounds = self.control_bounds();
+        let rollout = self.unsensed_rollout(rollout);
+        let mut animation = self.settings.unfinished(&rollout, bounds.as_deref());
+        // A view has no axis of time: one that grows would change its size.
+        animation.time = 0.0;
+        if !animation.channels.is_empty() {
+            animation.time = self.horizon as f64 * self.dt();
+        }
+        for channel in &mut animation.channels {
+            // The last control, which holds until the time of the last state, ends the curve.
+            channel.values.resize(self.horizon + 1, f64::NAN);
+        }
+        animation
+    }
+
+    fn unsensed_rollout(&self, Trajectory { states, controls, params }: &Trajectory) -> Trajectory {
+        let states = self.unsensed(states).into_owned();
+        Trajectory { states, controls: controls.clone(), params: params.clone() }
     }
 
     /// Refuses settings of the training that its field does not read.

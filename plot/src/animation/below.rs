@@ -133,27 +133,28 @@ impl<'a> Below<'a> {
         let steps =
             channels.iter().map(|channel| channel.values.len()).max().unwrap_or(2).max(2) - 1;
         let count = if channels.is_empty() { 2 } else { (steps + 1).min(MAX_FRAMES) };
-        let axis = self.time_axis(width);
+        (0..count).map(|i| self.frame(width, i as f64 / (count - 1) as f64)).collect()
+    }
+
+    /// Cursor and dots at a share of the time, from 0 to 1.
+    pub fn frame(&self, width: f64, share: f64) -> Vec<Shape> {
+        let (channels, axis) = (&self.0.channels, self.time_axis(width));
         let top = self.bottom() + self.band() * channels.len() as f64 + 4.0;
-        let frame = |i: usize| {
-            let share = i as f64 / (count - 1) as f64;
-            let [x, y] = axis.at(share * self.0.time, 0.0);
-            let cursor = Shape::Line { from: [x, y], to: [x, top], width: 2.0, color: CURSOR };
-            let dot = |(i, channel): (usize, &Channel)| {
-                let values = channel.finite();
-                let at = (share * (channel.values.len().max(1) - 1) as f64).round() as usize;
-                let [_, y] = self
-                    .axes(i, width)
-                    .at(0.0, values.get(at.min(values.len().max(1) - 1)).copied().unwrap_or(0.0));
-                Shape::Circle {
-                    center: [x, y],
-                    radius: if values.is_empty() { 0.0 } else { 4.0 },
-                    color: channel.color,
-                }
-            };
-            std::iter::once(cursor).chain(channels.iter().enumerate().map(dot)).collect()
+        let [x, y] = axis.at(share * self.0.time, 0.0);
+        let cursor = Shape::Line { from: [x, y], to: [x, top], width: 2.0, color: CURSOR };
+        let dot = |(i, channel): (usize, &Channel)| {
+            let values = channel.finite();
+            let at = (share * (channel.values.len().max(1) - 1) as f64).round() as usize;
+            let [_, y] = self
+                .axes(i, width)
+                .at(0.0, values.get(at.min(values.len().max(1) - 1)).copied().unwrap_or(0.0));
+            Shape::Circle {
+                center: [x, y],
+                radius: if values.is_empty() { 0.0 } else { 4.0 },
+                color: channel.color,
+            }
         };
-        (0..count).map(frame).collect()
+        std::iter::once(cursor).chain(channels.iter().enumerate().map(dot)).collect()
     }
 }
 

@@ -24,6 +24,10 @@ pub struct Rail {
     /// Wind speed along the rail at every state, m/s, positive towards positive x. Empty for no
     /// arrow. Non-finite speeds count as 0. States after the end of the list have the last speed.
     pub wind: Vec<f64>,
+    /// The strongest force, N, if the motion is unfinished. Its pictures do not depend on later
+    /// states: the view has a constant size, and the camera moves when the cart comes near an edge.
+    /// The arrow of the force is relative to this one.
+    pub unfinished: Option<f64>,
 }
 
 /// Two bumpers sized for a trajectory.
@@ -227,7 +231,7 @@ mod tests {
     fn extreme_and_non_finite_numbers_give_a_picture() {
         for bumpers in [f64::NAN, f64::INFINITY, -1.0, 0.0, 1e-3, 1e9] {
             for wind in [vec![], vec![0.0], vec![f64::INFINITY]] {
-                let rail = Rail { bumpers: Some(bumpers), wind };
+                let rail = Rail { bumpers: Some(bumpers), wind, ..Rail::default() };
                 for xs in [&[][..], &[0.3, 1.0], &[0.0, 20.0, -500.0]] {
                     let svg = animation(&rail, xs).to_svg();
                     roxmltree::Document::parse(&svg).expect("an SVG is XML");

@@ -17,6 +17,9 @@ pub struct Landscape {
     /// Width of the absorbing edge at each of the two walls, in units of length. `None` for no
     /// edges.
     pub absorbing: Option<f64>,
+    /// Number of steps of the whole motion, if it is unfinished: the axes of time show them all. 0
+    /// for a finished motion.
+    pub steps: usize,
 }
 
 impl Landscape {
@@ -27,7 +30,7 @@ impl Landscape {
         let potential = if finite { averaged(&self.potential, MAX_ROWS) } else { Vec::new() };
         let absorbing =
             self.absorbing.filter(|width| *width >= 0.0).map(|width| width.min(length / 2.0));
-        Self { potential, absorbing }
+        Self { potential, absorbing, steps: self.steps }
     }
 
     /// True if there is a potential.
@@ -118,6 +121,31 @@ mod tests {
     }
 
     #[test]
+    fn an_unfinished_motion_has_the_axes_of_the_whole() {
+        let whole = quantum(&states(), &[1.0; 19], &[0.3; 7], 2.0, 0.1);
+        let landscape = Landscape { steps: 19, ..Landscape::default() };
+        let part = quantum_in(&landscape, &states()[..8], &[1.0; 7], &[0.3; 7], 2.0, 0.1);
+        // The cursor, which has the place of its time.
+        let cursor = |shape: &Shape| match shape {
+            Shape::Line { from, to, .. } if from[0] == to[0] => Some(from[0]),
+            _ => None,
+        };
+        for (whole, part) in whole.frames.iter().zip(&part.frames) {
+            let places = [whole, part].map(|frame| frame.iter().find_map(cursor));
+            assert_eq!(places[0], places[1]);
+            assert!(places[0].is_some());
+        }
+        let width = |animation: &crate::Animation| {
+            let mut images = animation.still.iter().filter_map(|shape| match shape {
+                Shape::Image { size, .. } => Some(size[0]),
+                _ => None,
+            });
+            images.next_back().expect("the map of the density")
+        };
+        assert!((width(&part) / width(&whole) - 8.0 / 20.0).abs() < 1e-9);
+    }
+
+    #[test]
     fn an_empty_landscape_does_not_change_the_animation() {
         let bare = quantum(&states(), &[1.0; 19], &[0.3; 7], 2.0, 0.1).to_svg();
         assert!(
@@ -173,7 +201,8 @@ mod tests {
     fn extreme_and_non_finite_numbers_give_a_picture() {
         for wild in [f64::NAN, f64::INFINITY, -1e300, -1.0, 0.0, 1e300] {
             for potential in [vec![wild], vec![wild; 7], vec![1e300, wild, 2.0]] {
-                let landscape = Landscape { potential, absorbing: Some(wild) };
+                let landscape =
+                    Landscape { potential, absorbing: Some(wild), ..Landscape::default() };
                 for states in [vec![], states()] {
                     let svg = quantum_in(&landscape, &states, &[], &[0.3; 7], 2.0, 0.1).to_svg();
                     roxmltree::Document::parse(&svg).expect("an SVG is XML");

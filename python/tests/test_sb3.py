@@ -1,0 +1,110 @@
+"""Environments of Stable-Baselines3."""
+
+import os
+
+import numpy as np
+import physgrad as pg
+import pytest
+
+pytest.importorskip("gymnasium", reason="Gymnasium is not installed")
+sb3 = pytest.importorskip("stable_baselines3", reason="stable-baselines3 is not installed")
+
+from gymnasium.vector import AutoresetMode  # noqa: E402
+from stable_baselines3.common.env_util import make_vec_env  # noqa: E402
+from stable_baselines3.common.vec_env import VecMonitor  # noqa: E402
+
+slow = pytest.mark.skipif(
+    os.environ.get("PHYSGRAD_PYTHON_ALL") != "1", reason="takes minutes; set PHYSGRAD_PYTHON_ALL=1"
+)
+
+
+def test_the_adapter_has_the_episodes_of_the_vector_environment():
+    task = pg.task("cart_pole", poles=1, horizon=4, effects={"gusty_wind": {}})
+    envs = pg.gym.make_sb3(task, 3, bound=5.0)
+    own = pg.gym.TaskVectorEnv(task, 3, 5.0, AutoresetMode.SAME_STEP)
+    envs.seed(7)
+    np.testing.assert_array_equal(envs.reset(), own.reset(seed=7)[0])
+    rng = np.random.default_rng(0)
+    for step in range(1, 10):
+        actions = rng.uniform(-1, 1, (3, 1)).astype(np.float32)
+        y, reward, done, infos = envs.step(actions)
+        expected, rewards, _, truncated, info = own.step(actions)
+        np.testing.assert_array_equal(y, expected)
+        np.testing.assert_array_equal(reward, rewards.astype(np.float32))
+        assert done.tolist() == truncated.tolist() == [step % 4 == 0] * 3
+        for row in range(3):
+            if step % 4 == 0:
+                np.testing.assert_array_equal(infos[row].pop("terminal_observation"), info["final_obs"][row])
+                assert infos[row].pop("TimeLimit.truncated") is True
+            assert infos[row] == {}
+
+
+def test_the_adapter_takes_options_seeds_and_settings():
+    envs = pg.gym.make_sb3("cart_pole", 2, poles=1, max_episode_steps=3, render_mode="rgb_array")
+    assert envs.num_envs == 2 and envs.environments.task.horizon == 3
+    x = np.array([0.1, -0.2, 3.0, 0.4], np.float32)
+    envs.set_options({"state": x})
+    envs.reset()
+    np.testing.assert_array_equal(envs.get_attr("state", 1), [x])
+    envs.set_options([{"state": x}, {}])
+    with pytest.raises(ValueError, match="options of the environments have different names"):
+        envs.reset()
+    envs.set_options()
+    envs.seed(3)
+    first = envs.reset()
+    assert not np.array_equal(first, envs.reset())
+    envs.seed(3)
+    np.testing.assert_array_equal(envs.reset(), first)
+    assert envs.get_attr("render_mode") == ["rgb_array"] * 2 and len(envs.get_images()) == 2
+    assert envs.env_is_wrapped(VecMonitor) == [False, False]
+    with pytest.raises(AttributeError, match="`task` does not change"):
+        envs.set_attr("task", None)
+    with pytest.raises(AttributeError, match="no methods of their own"):
+        envs.env_method("reset")
+    envs.close()
+
+
+def test_make_vec_env_creates_environments_by_their_ids():
+    envs = make_vec_env("physgrad/cart_pole-v0", n_envs=2, seed=0, env_kwargs={"poles": 1, "horizon": 3})
+    envs.reset()
+    for _ in range(3):
+        _, _, done, infos = envs.step(np.zeros((2, 1), np.float32))
+    assert done.all() and all(info["TimeLimit.truncated"] for info in infos)
+    assert envs.get_images()[0].dtype == np.uint8
+
+
+def mean_loss(agent, task, starts):
+    """Mean loss of rollouts from ``starts``, by an agent without exploration, or without control."""
+    env = pg.gym.TaskVectorEnv(task, len(starts))
+    y, _ = env.reset(options={"state": starts[:, : task.state_dim]})
+    total = np.zeros(len(starts))
+    for _ in range(task.horizon):
+        actions = np.zeros((len(starts), 1)) if agent is None else agent.predict(y, deterministic=True)[0]
+        y, reward, *_ = env.step(actions)
+        total -= reward
+    return total.mean()
+
+
+MISSED = "measured: SAC has a loss of 1.40 after 40,000 steps, beside 1.97 without control"
+
+
+@slow
+@pytest.mark.parametrize("name", ["PPO", pytest.param("SAC", marks=pytest.mark.xfail(reason=MISSED))])
+def test_agents_learn_one_pole(name):
+    """The loss falls to a quarter of that without control, within a fixed number of steps.
+
+    The criterion and the budgets were declared before the first measurement, which PPO passes
+    (0.44, beside 1.97 without control) and SAC does not.
+    """
+    task = pg.task("cart_pole", poles=1, loss={"mode": "running"})
+    if name == "PPO":
+        envs, steps = VecMonitor(pg.gym.make_sb3(task, 32)), 500_000
+        agent = sb3.PPO("MlpPolicy", envs, n_steps=100, batch_size=800, gamma=0.98, seed=0, device="cpu")
+    else:
+        envs, steps = VecMonitor(pg.gym.make_sb3(task, 8)), 40_000
+        agent = sb3.SAC("MlpPolicy", envs, train_freq=1, gradient_steps=2, gamma=0.98, seed=0, device="cpu")
+    agent.learn(steps)
+    starts = task.starts(128, seed=1)
+    without, learned = (mean_loss(agent, task, starts) for agent in (None, agent))
+    print(f"{name}: loss {learned:.3f}, without control {without:.3f}")
+    assert learned < 0.25 * without
