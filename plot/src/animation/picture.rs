@@ -227,7 +227,9 @@ mod tests {
         }
         animation.unit = "m";
         let scale = animation.picture(&[], 0.0);
-        let (_, outside) = square([1.0, -0.6]);
+        let below = &scale.rgb[3 * 480 * scale.width..];
+        assert!(below.iter().any(|&byte| byte != 255), "the scale is below the view");
+        let (_, outside) = square([1.0, -0.45]);
         assert!(animation.picture(&[outside], 0.0) == scale, "shapes end at the scale");
     }
 
