@@ -23,7 +23,7 @@ pip install numpy pytest || skip "pip cannot install packages"
 pip install gymnasium pygame jax casadi || echo "gymnasium, pygame, jax or casadi is missing: their tests are skipped"
 if [ "${PHYSGRAD_PYTHON_ALL:-0}" = 1 ]; then
     pip install torch stable-baselines3 moviepy pandas matplotlib lmfit
-    pip install mypy pyright ipython tqdm joblib 'dask[distributed]' ray
+    pip install mypy pyright ipython tqdm joblib 'dask[distributed]' ray nbclient ipykernel
 fi
 
 if [ -n "${PHYSGRAD_MODULE:-}" ]; then
