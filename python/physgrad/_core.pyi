@@ -219,7 +219,11 @@ class Policy:
     @theta.setter
     def theta(self, theta: ArrayLike) -> None: ...
     @property
-    def task(self) -> Task: ...
+    def numbers(self) -> dict[str, float]:
+        """Values of the trained numbers, such as gains, by their keys, in their units."""
+    @property
+    def task(self) -> Task:
+        """The task of the policy, with its settings in the section `policy`."""
     def __call__(self, y: ArrayLike) -> Array:
         """Controls, (B, m), for observations `y`, (B, observation_dim)."""
     def __len__(self) -> int: ...

@@ -79,6 +79,7 @@ def policy(self: Policy) -> str:
             "parameters": len(self),
             "observes": counted(self.task.observation_names),
             "controls": counted(self.task.control_names),
+            "trained numbers": ", ".join(f"{name} = {value:.5g}" for name, value in self.numbers.items()),
             **{name: value_of(value) for name, value in settings.items()},
         },
     )

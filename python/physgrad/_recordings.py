@@ -62,10 +62,23 @@ class _Table(NamedTuple):
     """Smallest decimal unit of the times in the table."""
     lines: list[int] | None
     """Line of each row of a file."""
+    numbers: list[int] | None = None
+    """Number of each row of a frame, if some are left out."""
 
     def row(self, i: int) -> str:
         """Place of a row, for messages."""
-        return f"{self.name}:{self.lines[i]}" if self.lines else f"{self.name}, row {i}"
+        if self.lines:
+            return f"{self.name}:{self.lines[i]}"
+        return f"{self.name}, row {self.numbers[i] if self.numbers else i}"
+
+    def only(self, rows: np.ndarray) -> _Table:
+        """The table with these rows."""
+        return self._replace(
+            columns={name: column[rows] if len(column) else column for name, column in self.columns.items()},
+            segments=[self.segments[i] for i in rows],
+            lines=[self.lines[i] for i in rows] if self.lines else None,
+            numbers=rows.tolist(),
+        )
 
 
 class Recordings(NamedTuple):
@@ -303,13 +316,17 @@ def _segments(
     scale = scales.get(column, 1.0)
     rounding = scale * table.decimals
     grid = _Grid(names.dt, rounding if rounding <= _COARSEST * names.dt else 0.0)
-    rows = len(table.segments)
 
     def matrix(of: list[str]) -> np.ndarray:
-        missing = np.full(rows, np.nan)
+        missing = np.full(len(table.segments), np.nan)
         parts = [scales.get(name, 1.0) * table.columns.get(name, missing) for name in of]
         return np.stack(parts, axis=-1) if parts else np.empty((rows, 0))
 
+    # A row without states and controls, as a frame has after `reindex`, is a missing row.
+    told = np.flatnonzero(~np.isnan(matrix([*names.states, *names.controls])).all(axis=1))
+    if 0 < len(told) < len(table.segments):
+        table = table.only(told)
+    rows = len(table.segments)
     times = scale * table.columns[column]
     if np.isnan(times).any():
         row = table.row(int(np.isnan(times).argmax()))

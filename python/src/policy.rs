@@ -74,6 +74,16 @@ impl Policy {
         read_only(self.lock().theta().to_vec().into_pyarray(py))
     }
 
+    /// Values of the trained numbers by their keys, a dict: gains of a controller of equations, and
+    /// numbers of the task, in their units. Empty for networks.
+    #[getter]
+    fn numbers<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let dict = PyDict::new(py);
+        let numbers = self.lock().numbers();
+        numbers.into_iter().try_for_each(|(name, value)| dict.set_item(name, value))?;
+        Ok(dict)
+    }
+
     #[setter]
     fn set_theta(&self, theta: &Bound<'_, PyAny>) -> PyResult<()> {
         self.check_changeable()?;

@@ -206,7 +206,7 @@ TABLE = [
     ("pg.train('cart_pole', epochs=1)", T, "'str' object", "'Task'", "'task'"),
     ("pg.train(task, 'mlp', epochs=1)", T, "'str' object", "'Policy'", "'policy'"),
     ("pg.Mlp([32])", T, "'list' object", "'Task'", "'task'"),
-    ("pg.losses(policy, task, starts)", T, "'Policy' object", "'Task'", "'task'"),
+    ("pg.losses(policy, task, starts)", T, "`policy` is of type Task", "a `Policy`"),
     ("pg.check(task, 3)", T, "'int' object", "'Policy'", "'policy'"),
     ("pg.train(task, callback='print', epochs=1)", T, "`callback` is of type str", "a function"),
     ("run.train(3)", T, "`callback` is of type int", "a function"),

@@ -516,23 +516,30 @@ def test_a_system_of_functions_is_shown_as_curves():
         assert columns.min() < 170 and columns.max() > 500
 
 
-def test_a_window_shows_the_picture(monkeypatch):
-    pygame = pytest.importorskip("pygame", reason="pygame is not installed")
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    env = pg.gym.make("cart_pole", poles=1, render_mode="human")
-    same = pg.gym.make("cart_pole", poles=1, render_mode="rgb_array")
-    env.reset(seed=0), same.reset(seed=0)
-    for _ in range(3):
-        shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
-        assert np.array_equal(shown, same.render())
-        env.step(np.ones(1, np.float32)), same.step(np.ones(1, np.float32))
-    assert env.render() is None
-    env.close()
-    assert pygame.display.get_surface() is None
-    env.close()
-    env.reset(seed=0)
-    assert pygame.display.get_surface() is not None
-    env.close()
+WINDOW = """
+import numpy as np, physgrad as pg, pygame
+env = pg.gym.make("cart_pole", poles=1, render_mode="human")
+same = pg.gym.make("cart_pole", poles=1, render_mode="rgb_array")
+env.reset(seed=0), same.reset(seed=0)
+for _ in range(3):
+    shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
+    assert np.array_equal(shown, same.render())
+    env.step(np.ones(1, np.float32)), same.step(np.ones(1, np.float32))
+assert env.render() is None
+env.close()
+assert pygame.display.get_surface() is None
+env.close()
+env.reset(seed=0)
+assert pygame.display.get_surface() is not None
+env.close()
+"""
+
+
+def test_a_window_shows_the_picture():
+    pytest.importorskip("pygame", reason="pygame is not installed")
+    # In a process of its own: drivers of graphics may load a version of LLVM beside that of PyTorch.
+    environment = {**os.environ, "SDL_VIDEODRIVER": "dummy"}
+    subprocess.run([sys.executable, "-c", WINDOW], env=environment, check=True, timeout=120)
 
 
 def test_a_window_without_pygame_is_refused_with_the_command(monkeypatch):

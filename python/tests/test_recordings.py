@@ -152,6 +152,14 @@ def test_a_gap_in_which_a_control_changes_begins_a_new_segment():
         "a new segment begins at 1 row after a gap in which a control changes (first: the data frame, row 20)"
     ]
     assert fit.values["system.pole_mass"] == pytest.approx(0.17, rel=1e-6)
+    # Empty rows are missing rows.
+    table["force"][[20, 21]] = np.nan
+    for name in COLUMNS[1:5]:
+        table[name][[20, 21]] = np.nan
+    empty = pg.identify(task(), Frame(table), MASS)
+    same(empty, fit)
+    assert empty.notes == [fit.notes[0].replace("row 20", "row 22")]
+    table = recordings(1)[1]
     # Rows that are all several steps apart have no gap: the fit holds the controls, and says so.
     every_second = Frame({name: column[::2] for name, column in table.items()})
     with warnings.catch_warnings():

@@ -389,3 +389,16 @@ def test_gradients_that_are_not_finite_are_an_error():
     policy = pg.Policy(task, kind="equations", control={"force": "sqrt(a) * x"}, parameters={"a": {"start": 0.0}})
     with pytest.raises(pg.Divergence):
         pg.gradients(task, policy, task.starts(3), ["R"])
+
+
+def test_a_policy_has_the_values_of_its_trained_numbers():
+    task = pg.task("cart_pole", poles=1, horizon=20, fit={"pole_mass": pg.trained(0.2, 0.1, 0.5)})
+    gains = {"kp": {"start": 2.0, "min": 0.0, "max": 10.0}, "kd": {"start": -1.0}, "fixed": 3.0}
+    policy = pg.Policy(task, kind="equations", control={"force": "kp * theta_1 + kd * omega_1 + fixed"}, parameters=gains)
+    expected = {"system.pole_mass": 0.2, "policy.parameters.kd": -1.0, "policy.parameters.kp": 2.0}
+    assert policy.numbers.keys() == expected.keys()
+    assert policy.numbers == pytest.approx(expected, rel=1e-6)
+    policy.theta = policy.theta + 100.0
+    assert policy.numbers["policy.parameters.kp"] == pytest.approx(10.0)
+    assert policy.numbers["system.pole_mass"] == pytest.approx(0.5)
+    assert pg.Mlp(pg.task("cart_pole"), [4]).numbers == {}

@@ -61,6 +61,12 @@ impl Policy {
         &self.theta
     }
 
+    /// Names and values of the trained numbers: those of the system, then those of the policy.
+    pub fn numbers(&self) -> Vec<(String, f64)> {
+        let numbers = self.scene.scene.trained_numbers();
+        numbers.into_iter().map(|n| (n.name, n.map.value(self.theta[n.index]))).collect()
+    }
+
     /// Largest size of a file of this policy, bytes: its numbers in f64, those of trained numbers in
     /// another scene, and descriptions.
     pub fn most_bytes(&self) -> usize {
