@@ -348,7 +348,7 @@ def _noise(task: Task, noise: Any, data: Any, scales: dict[str, float]) -> Any:
     if not isinstance(noise, (list, tuple, np.ndarray)) or len(noise) != len(names):
         return noise
     try:
-        deviations = [float(value) * scales.get(name, 1.0) for name, value in zip(names, noise)]
+        deviations = [float(value) * abs(scales.get(name, 1.0)) for name, value in zip(names, noise)]
     except (TypeError, ValueError):
         raise TypeError(f"`noise` is {noise!r}; allowed: numbers, and NaN for an unmeasured state") from None
     for i, name in enumerate(names):

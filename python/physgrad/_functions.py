@@ -99,6 +99,15 @@ class TaskFunction:
         return f"{type(self).__module__}.{type(self).__qualname__}({self.task!r})"
 
 
+def refuse_noise(task: Any) -> None:
+    """Refuses a task with noise for `transition`, whose observation would have that of the step before."""
+    if task.start_dim > task.state_dim + task.param_dim:
+        raise ValueError(
+            f"`transition`: {task.name} has noise, of which an observation has the values of its own step. Use `step`, "
+            "`observe` and `running_cost` with `task.params_at`, or `rollout`"
+        )
+
+
 STEP = Function("step", ("x", "u"), "next", has_step=True)
 OBSERVE = Function("observe", ("x",), "y", has_step=True)
 RUNNING_COST = Function("running_cost", ("x", "u", "next"), "cost", has_step=True)

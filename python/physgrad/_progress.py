@@ -20,8 +20,13 @@ def is_watched() -> bool:
     if threading.current_thread() is not threading.main_thread() or multiprocessing.parent_process():
         return False
     shell = sys.modules.get("IPython")
-    notebook = shell is not None and getattr(shell.get_ipython(), "kernel", None) is not None
-    return notebook or (sys.stderr is not None and sys.stderr.isatty())
+    if shell is not None and getattr(shell.get_ipython(), "kernel", None) is not None:
+        return True
+    try:
+        return sys.stderr.isatty()
+    except (AttributeError, OSError, ValueError):
+        # None, another object, or a closed stream.
+        return False
 
 
 class Line:
@@ -68,12 +73,23 @@ class Progress:
     """A callback of a training that shows its progress, before it calls another callback."""
 
     def __init__(self, total: int, callback: Callable[[Record], object] | None) -> None:
-        self.callback, self.bar = callback, bar(total)
+        self.callback: Callable[[Record], object] | None = callback
+        self.bar: Any = None
+        self.show(lambda: setattr(self, "bar", bar(total)))
 
     def __call__(self, record: Record) -> object:
-        self.bar.set_postfix_str(f"test loss {record['test_loss']:.4g}", refresh=False)
-        self.bar.update()
+        if self.bar is not None:
+            self.bar.set_postfix_str(f"test loss {record['test_loss']:.4g}", refresh=False)
+            self.show(self.bar.update)
         return None if self.callback is None else self.callback(record)
 
     def close(self) -> None:
-        self.bar.close()
+        if self.bar is not None:
+            self.show(self.bar.close)
+
+    def show(self, draw: Callable[[], object]) -> None:
+        """Draws, and never again after an error: a stream that is closed or full ends no training."""
+        try:
+            draw()
+        except (AttributeError, OSError, ValueError):
+            self.bar = None

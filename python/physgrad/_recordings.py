@@ -265,12 +265,17 @@ def _numbers(table: _Table, column: str, values: Any) -> np.ndarray:
     """A column as numbers. Empty cells are NaN."""
     if isinstance(values, list):
         try:
+            if any("_" in cell for cell in values):
+                raise ValueError
             numbers = np.array([cell or "nan" for cell in values]).astype(float)
         except ValueError:
             row, cell = next((i, cell) for i, cell in enumerate(values) if cell and not _is_number(cell))
             raise ValueError(f"{table.row(row)}: `{cell[:40]}` in column `{column}` is not a number") from None
     else:
-        if getattr(getattr(values, "dtype", None), "kind", "") in "mM":
+        kind = getattr(getattr(values, "dtype", None), "kind", "")
+        if kind == "c":
+            raise TypeError(f"{table.name}: the column `{column}` has complex numbers; allowed: real numbers")
+        if kind and kind in "mM":
             raise TypeError(
                 f"{table.name}: the column `{column}` has dates or durations; allowed: numbers, as of "
                 f"`(frame[\"{column}\"] - begin).dt.total_seconds()`"
@@ -291,6 +296,9 @@ def _numbers(table: _Table, column: str, values: Any) -> np.ndarray:
 
 
 def _is_number(cell: str) -> bool:
+    # Python reads 1_0 as 10.
+    if "_" in cell:
+        return False
     try:
         float(cell)
     except ValueError:

@@ -506,6 +506,8 @@ class _Rows:
         return 0.0 - cost
 
     def _controls(self, actions: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
+        if actions.dtype.kind not in "biuf":
+            raise TypeError(f"the action is an array of {actions.dtype}; expected numbers")
         if not _is_finite(actions):
             bad = ~np.isfinite(actions) & (True if mask is None else mask[:, None])
             if bad.any():

@@ -27,7 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from . import _core
-from ._functions import TaskFunction, lead
+from ._functions import TaskFunction, lead, refuse_noise
 
 __all__ = ["observe", "rollout", "running_cost", "step", "terminal_cost", "transition"]
 
@@ -161,6 +161,10 @@ class transition(_Rows):
 
     name, outputs = "transition", ("next", "y", "cost")
 
+    def __init__(self, task: Any) -> None:
+        refuse_noise(task)
+        super().__init__(task)
+
     def __call__(self, x: Any, u: Any, p: Any = None, t: Any = 0) -> tuple[jax.Array, jax.Array, jax.Array]:
         """Returns ``(next, y, cost)``."""
         return self._rows({"x": x, "u": u}, p, t)
@@ -218,6 +222,6 @@ def _check(name: str, shapes: dict[str, tuple], arrays: dict[str, jax.Array]) ->
 
 def _steps(name: str, t: Any) -> jax.Array:
     t = jnp.asarray(t)
-    if not jnp.issubdtype(t.dtype, jnp.integer):
-        raise TypeError(f"`{name}`: `t` has the dtype {t.dtype}. Use an int or an integer array")
+    if not jnp.issubdtype(t.dtype, jnp.integer) or t.dtype in (jnp.uint32, jnp.uint64):
+        raise TypeError(f"`{name}`: `t` has the dtype {t.dtype}. Use an int or an integer array with a sign")
     return t if t.dtype in (jnp.int32, jnp.int64) else t.astype(jnp.int32)

@@ -24,7 +24,7 @@ import torch
 from torch import Tensor
 
 from . import _core
-from ._functions import OBSERVE, RUNNING_COST, STEP, TERMINAL_COST, Function, TaskFunction, lead
+from ._functions import OBSERVE, RUNNING_COST, STEP, TERMINAL_COST, Function, TaskFunction, lead, refuse_noise
 
 __all__ = ["observe", "rollout", "running_cost", "step", "terminal_cost", "transition"]
 
@@ -48,6 +48,8 @@ class _Rows(TaskFunction):
         if p is not None:
             tensors = (*tensors, p)
         _check(function.name, dims, tensors)
+        if isinstance(t, Tensor) or isinstance(t, bool) or not hasattr(t, "__index__"):
+            raise TypeError(f"`{function.name}`: `t` is of type {type(t).__name__}; allowed: an int, which all rows share")
         shape = lead(function.name, {label: tensor.shape for label, tensor in zip(dims, tensors)})
         tensors = [tensor.expand(*shape, tensor.shape[-1]) for tensor in tensors]
         count = len(function.inputs)
@@ -121,6 +123,10 @@ class transition(_Rows):
 
     function = STEP
 
+    def __init__(self, task: Any) -> None:
+        refuse_noise(task)
+        super().__init__(task)
+
     def __call__(self, x: Tensor, u: Tensor, p: Tensor | None = None, t: int = 0) -> tuple[Tensor, Tensor, Tensor]:
         """Returns ``(next, y, cost)``."""
         if p is None and self.task.param_dim:
@@ -129,7 +135,7 @@ class transition(_Rows):
         return self._call(x, u, p=x.new_zeros(0) if p is None else p, t=t)
 
     def _operator(self) -> Callable[..., Any]:
-        return _TRANSITION
+        return partial(_run, _TRANSITION)
 
 
 class rollout(TaskFunction):
@@ -148,6 +154,7 @@ class rollout(TaskFunction):
 
     def __init__(self, task: Any, policy: Any = None, flow: str = "R") -> None:
         super().__init__(task, policy, flow)
+        self._params = 0 if policy is None else len(policy)
         if policy is None and flow != "R":
             raise ValueError(f"`flow` is {flow!r}, but controls without a policy have no other paths than those of R")
         _TASKS.setdefault(self.handle, task)
@@ -156,19 +163,22 @@ class rollout(TaskFunction):
         """Returns the states, or states and controls of a policy."""
         task = self.task
         if self.policy is not None:
-            _check("rollout", {"theta": len(self.policy), "starts": task.start_dim}, (first, starts))
-            return _ROLLOUT(first, starts, self.handle)
+            _check("rollout", {"theta": self._params, "starts": task.start_dim}, (first, starts))
+            return _run(_ROLLOUT, first, starts, self.handle)
         _check("rollout", {"u": task.control_dim, "starts": task.start_dim}, (first, starts))
         if first.dim() < 2:
             raise ValueError(f"`rollout`: `u` has shape {tuple(first.shape)}, but its last dimensions must be steps and {task.control_dim}")
         batch = lead("rollout", {"u": first.shape[:-1], "starts": starts.shape})
         first, starts = first.expand(*batch, *first.shape[-2:]), starts.expand(*batch, starts.shape[-1])
-        return _STATES(first, starts, self.handle)
+        return _run(_STATES, first, starts, self.handle)
 
 
 def _check(name: str, dims: dict[str, int], tensors: tuple[Tensor, ...]) -> None:
     first = tensors[0]
     for (label, size), tensor in zip(dims.items(), tensors):
+        if not isinstance(tensor, Tensor):
+            hint = f". Use `torch.from_numpy({label})`" if isinstance(tensor, np.ndarray) else ""
+            raise TypeError(f"`{name}`: `{label}` is of type {type(tensor).__name__}; allowed: a tensor{hint}")
         if tensor.device.type != "cpu":
             raise TypeError(
                 f"`{name}`: `{label}` is on {tensor.device}, but the physics runs on the CPU. Use `{label}.cpu()`"
@@ -199,7 +209,21 @@ def _refuse_second(function: Function, tangents: Iterable[Any]) -> None:
         )
 
 
-def _refuse_tangents(function: Function, call: Any) -> None:
+def _of_handle(handle: int) -> Any:
+    """The task of this handle, which may be that of a graph of another process."""
+    if handle not in _TASKS:
+        raise RuntimeError(
+            "the graph is one of a task that this process does not know. Create the function first, as in `pg.torch.step(task)`"
+        )
+    return _TASKS[handle]
+
+
+def _run(operators: _Operators, *arguments: Any) -> Any:
+    """Calls the operator in a graph, and otherwise the differentiable function."""
+    return (operators.call if torch.compiler.is_compiling() else operators.differentiable)(*arguments)
+
+
+def _refuse_tangents(name: str, call: Any) -> None:
     """Makes an operator raise for tensors with a tangent, which reach it from a graph only.
 
     Operators have no rule of forward mode. Without the error, exported and traced graphs would lose
@@ -212,7 +236,7 @@ def _refuse_tangents(function: Function, call: Any) -> None:
         tensors = (argument for argument in (*arguments, *named.values()) if isinstance(argument, Tensor))
         if level >= 0 and any(torch._unpack_dual(tensor, level=level).tangent is not None for tensor in tensors):
             raise RuntimeError(
-                f"`{function.name}`: exported and traced graphs do not support forward mode through the physics. Call "
+                f"`{name}`: exported and traced graphs do not support forward mode through the physics. Call "
                 "`torch.func.jvp` and `forward_ad` on the function itself"
             )
         return autograd(keyset, *arguments, **named)
@@ -235,18 +259,18 @@ def _operators(function: Function) -> _Operators:
     def forward(*arguments: Any) -> Tensor:
         *tensors, t, handle = arguments
         *arrays, p = _arrays(tensors)
-        return torch.from_numpy(function.call(_TASKS[handle], arrays, p, t))
+        return torch.from_numpy(function.call(_of_handle(handle), arrays, p, t))
 
     def backward(*arguments: Any) -> tuple[Tensor, ...]:
         *tensors, output_bar, t, handle = arguments
         *arrays, p, bar = _arrays((*tensors, output_bar))
-        return tuple(map(torch.from_numpy, function.vjp(_TASKS[handle], arrays, p, t, bar)))
+        return tuple(map(torch.from_numpy, function.vjp(_of_handle(handle), arrays, p, t, bar)))
 
     def push(*arguments: Any) -> Tensor:
         *tensors, t, handle = arguments
         arrays = _arrays(tensors)
         p = arrays[count - 1]
-        return torch.from_numpy(function.jvp(_TASKS[handle], arrays[: count - 1], p, t, arrays[count:]))
+        return torch.from_numpy(function.jvp(_of_handle(handle), arrays[: count - 1], p, t, arrays[count:]))
 
     def operator(suffix: str, work: Callable, tensors: str, outputs: str) -> Any:
         schema = f"({tensors}, SymInt t, int task) -> {outputs}"
@@ -257,11 +281,11 @@ def _operators(function: Function) -> _Operators:
     jvp = operator("_jvp", push, f"{inputs}, {tangents}", "Tensor")
 
     def output_like(*arguments: Any) -> Tensor:
-        x, task = arguments[0], _TASKS[arguments[-1]]
+        x, task = arguments[0], _of_handle(arguments[-1])
         return x.new_empty((*x.shape[:-1], *function.output_shape(task)))
 
     def inputs_like(*arguments: Any) -> tuple[Tensor, ...]:
-        x, task = arguments[0], _TASKS[arguments[-1]]
+        x, task = arguments[0], _of_handle(arguments[-1])
         return tuple(x.new_empty(shape) for shape in function.shapes(task, tuple(x.shape[:-1])))
 
     def traced(*arguments: Any) -> Tensor:
@@ -358,7 +382,7 @@ def _operators(function: Function) -> _Operators:
 
         return rule
 
-    _refuse_tangents(function, call)
+    _refuse_tangents(function.name, call)
     call.register_vmap(batched(call, 1))
     vjp.register_vmap(batched(vjp, count))
     jvp.register_vmap(batched(jvp, 1))
@@ -370,7 +394,7 @@ _OPERATORS = {function.name: _operators(function) for function in (STEP, OBSERVE
 
 def _operation(
     name: str, count: int, made: int, shapes_of: Callable[..., list], *, saved: int, has_step: bool = False
-) -> Callable[..., Any]:
+) -> _Operators:
     """Registers the operators ``physgrad::NAME`` and ``physgrad::NAME_vjp`` of an operation in reverse mode.
 
     Their arguments are ``count`` tensors, then the step number, if the operation has one, and the handle
@@ -391,7 +415,7 @@ def _operation(
 
     def forward(*arguments: Any) -> tuple[Tensor, ...]:
         *inputs, t, handle = unpacked(arguments)
-        return run(name, inputs, shapes_of(_TASKS[handle], *inputs), t, handle)
+        return run(name, inputs, shapes_of(_of_handle(handle), *inputs), t, handle)
 
     def backward(*arguments: Any) -> tuple[Tensor, ...]:
         *inputs, t, handle = unpacked(arguments)
@@ -408,7 +432,7 @@ def _operation(
 
     def like(*arguments: Any) -> Any:
         *inputs, _, handle = unpacked(arguments)
-        found = tuple(inputs[0].new_empty(shape) for shape in shapes_of(_TASKS[handle], *inputs))
+        found = tuple(inputs[0].new_empty(shape) for shape in shapes_of(_of_handle(handle), *inputs))
         return found if made > 1 else found[0]
 
     call.register_fake(like)
@@ -419,13 +443,36 @@ def _operation(
         ctx.save_for_backward(*inputs[:count], *found[:saved])
         ctx.others, ctx.shapes = inputs[count:], [tensor.shape for tensor in found]
 
-    def differentiate(ctx: Any, *bars: Tensor) -> tuple:
-        like = ctx.saved_tensors[0]
-        bars = [like.new_zeros(shape) if bar is None else bar for bar, shape in zip(bars, ctx.shapes)]
-        return (*vjp(*ctx.saved_tensors, *bars, *ctx.others), *[None] * len(ctx.others))
+    def differentiate(ctx: Any, bars: tuple, vjp: Callable) -> tuple:
+        tensors = ctx.saved_tensors
+        given = [tensors[0].new_zeros(shape) if bar is None else bar for bar, shape in zip(bars, ctx.shapes)]
+        return (*vjp(*tensors, *given, *ctx.others), *[None] * len(ctx.others))
 
-    call.register_autograd(differentiate, setup_context=save)
-    return call
+    def refuse(order: str) -> Callable:
+        def refused(*_: Any) -> Any:
+            raise RuntimeError(f"`{name}` has no {order}: it is differentiable once, in reverse mode")
+
+        return refused
+
+    class Vjp(torch.autograd.Function):
+        generate_vmap_rule = True
+        forward = staticmethod(lambda *arguments: vjp(*arguments))
+        setup_context = staticmethod(lambda ctx, inputs, output: None)
+        backward = staticmethod(refuse("second derivatives"))
+        jvp = staticmethod(refuse("second derivatives"))
+
+    class Call(torch.autograd.Function):
+        generate_vmap_rule = True
+        forward = staticmethod(lambda *arguments: call(*arguments))
+        setup_context = staticmethod(save)
+        backward = staticmethod(lambda ctx, *bars: differentiate(ctx, bars, Vjp.apply))
+        jvp = staticmethod(refuse("forward mode"))
+
+    # The rules of graphs.
+    call.register_autograd(lambda ctx, *bars: differentiate(ctx, bars, vjp), setup_context=save)
+    vjp.register_autograd(refuse("second derivatives"), setup_context=lambda ctx, inputs, output: None)
+    _refuse_tangents(name, call)
+    return _Operators(call, Call.apply)
 
 
 def _of_transition(task: Any, x: Tensor, *others: Tensor) -> list:

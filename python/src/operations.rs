@@ -1,6 +1,6 @@
 //! [`Operation`]: functions of a task, and their derivatives, on arrays of another framework.
 //!
-//! Frameworks whose compiled functions contain no Python objects refer to a task by the index of
+//! Frameworks whose compiled functions contain no Python objects refer to a task by a number, its
 //! [`handle`]. Tasks stay in memory, because a compiled function may outlive all other references.
 
 use crate::arrays::{Argument, Number, is_f32, with_precision};
@@ -8,12 +8,14 @@ use crate::errors::{caught, invalid, value_error};
 use crate::policy::Policy;
 use crate::task::Task;
 use anyhow::{Result, anyhow, bail, ensure};
-use numpy::{PyArrayDyn, PyArrayMethods};
+use numpy::{PyArrayDyn, PyArrayMethods, PyUntypedArrayMethods};
 use physgrad::engine::{open_loop, rows};
 use physgrad::train::Trajectories;
 use physgrad::{Flow, Inputs};
 use physgrad_cli::api::ClosedLoop;
 use pyo3::prelude::*;
+use std::collections::BTreeMap;
+use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use std::sync::{Arc, PoisonError, RwLock};
 
 /// A task, and a policy that acts in it.
@@ -22,22 +24,20 @@ pub struct Called {
     closed: Option<ClosedLoop>,
     /// Paths of the derivatives of a rollout.
     flow: Flow,
-    /// Task, policy and flow of equal functions.
-    identity: String,
 }
 
-static CALLED: RwLock<Vec<Arc<Called>>> = RwLock::new(Vec::new());
+static CALLED: RwLock<BTreeMap<u64, Arc<Called>>> = RwLock::new(BTreeMap::new());
 
-/// The entry with this index.
-pub fn called(handle: usize) -> Option<Arc<Called>> {
-    CALLED.read().unwrap_or_else(PoisonError::into_inner).get(handle).cloned()
+/// The task with this handle.
+pub fn called(handle: u64) -> Option<Arc<Called>> {
+    CALLED.read().unwrap_or_else(PoisonError::into_inner).get(&handle).cloned()
 }
 
-/// Index of this task, and of the rollouts of this policy along a flow, "R", "M", "N" or "S". Equal
-/// tasks have equal indices.
+/// Handle of this task, and of the rollouts of this policy along a flow, "R", "M", "N" or "S": a hash
+/// of their settings, so that a graph of another process never computes another task.
 #[pyfunction]
 #[pyo3(signature = (task, policy=None, flow="R"))]
-pub fn handle(task: &Task, policy: Option<&Policy>, flow: &str) -> PyResult<usize> {
+pub fn handle(task: &Task, policy: Option<&Policy>, flow: &str) -> PyResult<u64> {
     let paths = match flow {
         "R" => Flow::REGULAR,
         "M" => Flow::MODIFIED,
@@ -51,23 +51,19 @@ pub fn handle(task: &Task, policy: Option<&Policy>, flow: &str) -> PyResult<usiz
     };
     crate::threads::ready()?;
     let policy = policy.map(|policy| policy.lock().clone());
-    let mut identity = format!("{flow}\n{}", task.scene.text());
-    if let Some(policy) = &policy {
-        identity.extend(["\n", &policy.scene().text()]);
-    }
-    let mut all = CALLED.write().unwrap_or_else(PoisonError::into_inner);
-    if let Some(known) = all.iter().position(|called| called.identity == identity) {
-        return Ok(known);
+    let mut hasher = DefaultHasher::new();
+    (flow, task.scene.text()).hash(&mut hasher);
+    policy.as_ref().map(|policy| policy.scene().text()).hash(&mut hasher);
+    // A nonnegative integer of 64 bits with a sign.
+    let handle = hasher.finish() >> 1;
+    if called(handle).is_some() {
+        return Ok(handle);
     }
     let closed = policy.map(|policy| policy.closed(&task.scene)).transpose();
     let closed = closed.map_err(value_error)?;
-    all.push(Arc::new(Called {
-        task: Task::new(task.scene.clone()),
-        closed,
-        flow: paths,
-        identity,
-    }));
-    Ok(all.len() - 1)
+    let new = Called { task: Task::new(task.scene.clone()), closed, flow: paths };
+    CALLED.write().unwrap_or_else(PoisonError::into_inner).insert(handle, Arc::new(new));
+    Ok(handle)
 }
 
 /// An operation. Its inputs and outputs are those of the function of this name of `Task`, with `p` at
@@ -132,7 +128,7 @@ pub fn operation_names() -> Vec<&'static str> {
 #[pyfunction]
 pub fn operation<'py>(
     py: Python<'py>,
-    handle: usize,
+    handle: u64,
     name: &str,
     t: i64,
     inputs: Vec<Bound<'py, PyAny>>,
@@ -140,14 +136,23 @@ pub fn operation<'py>(
 ) -> PyResult<()> {
     let operation = Operation::ALL.iter().find(|(_, known)| *known == name);
     let (Some((operation, _)), Some(called)) = (operation, called(handle)) else {
-        return Err(invalid(format!("`{name}` of {handle} is no operation of this process")));
+        return Err(invalid(format!(
+            "this process does not know the task of `{name}`; create the function from the task before a graph of another process \
+             runs"
+        )));
     };
     with_precision!(is_f32(&inputs), F => {
         let read = |array: &Bound<'py, PyAny>| Argument::<F>::read("an input", array, &|_| Ok(()));
         let inputs = inputs.iter().map(read).collect::<PyResult<Vec<_>>>()?;
         let mut outputs = outputs
             .iter()
-            .map(|array| Ok(array.cast::<PyArrayDyn<F>>()?.try_readwrite()?))
+            .map(|array| {
+                let array = array.cast::<PyArrayDyn<F>>()?;
+                if !array.is_c_contiguous() {
+                    return Err(invalid("an output is not contiguous in the order of C"));
+                }
+                Ok(array.try_readwrite()?)
+            })
             .collect::<PyResult<Vec<_>>>()?;
         let inputs: Vec<Array<'_, F>> = inputs
             .iter()

@@ -177,8 +177,9 @@ impl Policy {
 
     /// Policies are equal if their settings and parameters are.
     fn __eq__(&self, other: &Self) -> bool {
-        // Copies, so that no two locks are held at once.
-        let (own, other) = (self.lock().clone(), other.lock().clone());
+        // One lock at a time, since both may be the same policy.
+        let own = self.lock().clone();
+        let other = other.lock().clone();
         own.scene().text() == other.scene().text() && own.theta() == other.theta()
     }
 

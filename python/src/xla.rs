@@ -129,7 +129,7 @@ pub fn address() -> usize {
     handler as *const () as usize
 }
 
-/// Runs an operation. Its attributes are `operation`, a code of [`Operation`], and `handle`, an index
+/// Runs an operation. Its attributes are `operation`, a code of [`Operation`], and `handle`, that
 /// of [`called`]. The first argument has the step numbers, and the others are those of the operation.
 unsafe extern "C" fn handler(frame: *mut Frame) -> *mut Error {
     // SAFETY: XLA passes a valid frame, whose arrays have the lengths that it states.
@@ -190,9 +190,9 @@ unsafe fn execute(frame: &Frame) -> Result<(), String> {
         let number = |name: &str| attribute(&frame.attributes, name);
         let operation = number("operation").and_then(Operation::of_code);
         let operation = operation.ok_or("physgrad: the call has no known operation")?;
-        let called = number("handle").and_then(|handle| called(handle as usize));
+        let called = number("handle").and_then(|handle| called(handle as u64));
         let called = called.ok_or(
-            "physgrad: the call has no known task; create the function anew in this process",
+            "physgrad: this process does not know the task of the call; create the function from the task before a graph of another process runs",
         )?;
         let arguments = buffers(&frame.arguments);
         let (t, inputs) = arguments.split_first().ok_or("physgrad: the call has no arguments")?;

@@ -164,6 +164,7 @@ def test_policies_are_compared_by_settings_and_parameters():
     task = own()
     policy = pg.Mlp(task, [4], seed=1)
     assert policy == pg.Mlp(task, [4], seed=1) and policy != pg.Mlp(task, [4], seed=2) and policy != pg.Mlp(task, [5], seed=1)
+    assert policy == policy and policy in [policy]
     changed, before = policy.copy(), hash(policy)
     changed.theta = changed.theta + 1.0
     assert changed != policy and hash(changed) == before

@@ -286,6 +286,7 @@ def test_files_that_are_no_tables_are_refused(tmp_path):
         ("t;x\n0;1\n", "the columns are separated by semicolons or tabs; allowed: commas"),
         ("t,x\n0,1,2\n", "measured.csv:2: the row has 3 cells; expected 2"),
         ("# by a sensor\nt,x\n0,one\n", "measured.csv:3: `one` in column `x` is not a number"),
+        ("t,x\n0,1_0\n", "measured.csv:2: `1_0` in column `x` is not a number"),
         ("t,x\n0,1\n# end,\n", "measured.csv:3: comments are allowed before the header only"),
         ("t,x,\n0,1,\n", "a column without a name"),
         (b"\xff\xfet,x", "is no CSV file in UTF-8"),

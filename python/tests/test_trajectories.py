@@ -2,6 +2,8 @@
 
 import copy
 import pickle
+import subprocess
+import sys
 
 import numpy as np
 import physgrad as pg
@@ -164,6 +166,120 @@ def test_wrong_rollouts_are_named(framework):
     with pytest.raises(Exception, match="is not finite|diverge|non-finite"):
         result = closed(arrays(np.full(len(network), 1e300)), arrays(starts))
         np.asarray(result[0])
+
+
+def noisy():
+    return pg.system(
+        lambda x, u, p: [u.force + p.gust - x.q],
+        states=["q"],
+        controls=["force"],
+        params={"gust": pg.noise(0.5), "late": 2.0},
+        dt=0.1,
+        horizon=5,
+        settings={"precision": "f64"},
+    )
+
+
+def test_noise_has_no_gradient_in_the_starts(framework):
+    of = noisy()
+    starts, (u,) = of.starts(3), random((3, 5, 1))
+    (states,), (_, bar) = framework(framework.module.rollout(of), (u, starts), [np.ones((3, 6, 1))])
+    moved = starts + np.array([0.0, 1.0, 0.0])
+    np.testing.assert_array_equal(framework(framework.module.rollout(of), (u, moved), [np.ones((3, 6, 1))])[0][0], states)
+    assert np.abs(bar[:, 0]).min() > 1 and not bar[:, 1:].any()
+    with pytest.raises(ValueError, match="`transition`: equations has noise"):
+        framework.module.transition(of)
+
+
+def transition_of(of):
+    call, x = pg.torch.transition(of), start(of)[:, : of.state_dim]
+    return lambda u: call(x, u[:, 0])[0], controls(of)
+
+
+def states_of(of):
+    call, starts = pg.torch.rollout(of), start(of)
+    return lambda u: call(u, starts), controls(of)
+
+
+def policy_of(of):
+    call, starts = pg.torch.rollout(of, policy(of)), start(of)
+    return lambda theta: call(theta, starts)[0], parameters(of)
+
+
+def start(of):
+    return pg.torch.torch.tensor(of.starts(3, dtype="float64"))
+
+
+def controls(of):
+    return pg.torch.torch.tensor(random((3, 4, of.control_dim))[0])
+
+
+def parameters(of):
+    return pg.torch.torch.tensor(np.asarray(policy(of).theta))
+
+
+@pytest.mark.parametrize("function", [transition_of, states_of, policy_of])
+def test_torch_transforms_of_reverse_mode_agree_and_others_are_refused(function):
+    torch = pytest.importorskip("torch", reason="PyTorch is not installed")
+    f, x = function(task("terminal"))
+    leaf = x.clone().requires_grad_()
+    expected = torch.autograd.grad(f(leaf).sin().sum(), leaf)[0]
+    torch.testing.assert_close(torch.func.grad(lambda x: f(x).sin().sum())(x), expected)
+    (once,) = torch.autograd.grad(torch.utils.checkpoint.checkpoint(f, leaf, use_reentrant=False).sin().sum(), leaf)
+    torch.testing.assert_close(once, expected)
+    compiled = torch.compile(lambda x: f(x).sin().sum(), backend="aot_eager", fullgraph=True)
+    torch.testing.assert_close(torch.autograd.grad(compiled(leaf), leaf)[0], expected)
+    with pytest.raises(RuntimeError, match="has no forward mode"):
+        torch.func.jvp(f, (x,), (x,))
+    with pytest.raises(RuntimeError, match="has no second derivatives"):
+        (first,) = torch.autograd.grad(f(leaf).sin().sum(), leaf, create_graph=True)
+        first.sum().backward()
+
+
+SAVED = """
+import sys
+import torch
+import physgrad as pg
+
+of = pg.task("cart_pole", poles=1, settings={"precision": "f64"})
+x, u = torch.full((1, 4), 0.5, dtype=torch.float64), torch.ones(1, 1, dtype=torch.float64)
+
+
+class Step(torch.nn.Module):
+    def forward(self, x, u):
+        return pg.torch.step(of)(x, u)
+
+
+if sys.argv[1] == "save":
+    torch.export.save(torch.export.export(Step(), (x, u)), "step.pt2")
+else:
+    pg.torch.step(pg.task("cart_pole", poles=1, gravity=1.0))
+    loaded = torch.export.load("step.pt2").module()
+    try:
+        loaded(x, u)
+    except RuntimeError as error:
+        assert "is one of a task that this process does not know" in str(error), error
+    else:
+        raise AssertionError("the graph of another task is not refused")
+    expected = pg.torch.step(of)(x, u)
+    assert torch.equal(loaded(x, u), expected)
+"""
+
+
+def test_a_graph_of_another_process_computes_its_own_task(tmp_path):
+    pytest.importorskip("torch", reason="PyTorch is not installed")
+    for part in ("save", "load"):
+        subprocess.run([sys.executable, "-c", SAVED, part], cwd=tmp_path, check=True, timeout=300)
+
+
+def test_torch_names_arguments_that_are_no_tensors():
+    pytest.importorskip("torch", reason="PyTorch is not installed")
+    of = task("terminal")
+    x = of.starts(2, dtype="float64")
+    with pytest.raises(TypeError, match="`x` is of type ndarray; allowed: a tensor. Use `torch.from_numpy"):
+        pg.torch.step(of)(x, controls(of)[:2, 0])
+    with pytest.raises(TypeError, match="`t` is of type float; allowed: an int"):
+        pg.torch.step(of)(start(of), controls(of)[:, 0], t=1.5)
 
 
 def test_jax_maps_rollouts_over_parameters_and_starts():

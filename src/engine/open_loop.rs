@@ -52,8 +52,8 @@ pub fn states<F: Float, T: Task>(task: &T, starts: &[F], controls: &[F], steps: 
 }
 
 /// The products of `states_bar` with the transposed Jacobian of [`states`]: cotangents of `starts`
-/// and of `controls`. `states` is the result of these arguments. Keys of noise have the cotangent
-/// 0.
+/// and of `controls`. `states` is the result of these arguments. Noise and its keys have
+/// the cotangent 0.
 ///
 /// # Panics
 /// As [`states`], or if `states` and `states_bar` are not those of its samples.
@@ -95,6 +95,8 @@ pub fn states_vjp<F: Float, T: Task>(
     for (sample, start) in starts_bar.chunks_exact_mut(width).enumerate() {
         start[..n].copy_from_slice(&lambda[sample * n..][..n]);
         start[n..][..params].copy_from_slice(&p_sum[sample * params..][..params]);
+        // The rollout replaces these numbers.
+        sizes.noise.at(0.0, 0, |i, _| start[n + i] = F::zero());
     }
     [starts_bar, controls_bar]
 }

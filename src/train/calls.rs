@@ -256,7 +256,7 @@ pub fn gradients_until<F: Float>(
 
 /// The products of the transposed Jacobian of [`rollout`] with the cotangents `bars` of its states
 /// and controls: cotangents of the parameters θ, and of `starts`. The derivative follows `flow`: for
-/// the chain rule it is [`Flow::REGULAR`]. Keys of noise have the cotangent 0.
+/// the chain rule it is [`Flow::REGULAR`]. Noise and its keys have the cotangent 0.
 ///
 /// ```
 /// use physgrad::{Flow, Weights, initial_states, policy::Mlp, rng, tasks::CartPole};
@@ -294,8 +294,10 @@ pub fn rollout_vjp<F: Float>(
     weights.assert_fits(policy);
     let (width, horizon) = (task.start_dim(), task.horizon());
     let (n, m) = ((horizon + 1) * task.state_dim(), horizon * task.control_dim());
-    let trained: Vec<usize> =
-        policy.trained_params().iter().map(|param| task.state_dim() + param.index()).collect();
+    // The policy replaces numbers that it trains, and the rollout those that are noise.
+    let mut replaced: Vec<usize> =
+        policy.trained_params().iter().map(|param| param.index()).collect();
+    task.noise().at(0.0, 0, |i, _| replaced.push(i));
     let zeros = || Gradient::<F>::zeros(weights.theta().len());
     let of_block = |first: usize, starts: &[F]| {
         let count = starts.len() / width;
@@ -309,8 +311,8 @@ pub fn rollout_vjp<F: Float>(
         for sample in 0..count {
             starts_bar.extend(adjoint.start_gradient(0, sample).to_vec());
             starts_bar.resize((sample + 1) * width, F::zero());
-            // The policy replaces numbers that it trains.
-            trained.iter().for_each(|i| starts_bar[sample * width + i] = F::zero());
+            let first = sample * width + task.state_dim();
+            replaced.iter().for_each(|i| starts_bar[first + i] = F::zero());
         }
         Ok((theta_bar, starts_bar))
     };

@@ -131,6 +131,8 @@ fn derivatives_of_a_trajectory_are_those_of_differences() {
             let error = (starts_bar[at] - expected).abs();
             assert!(error <= 1e-6 * expected.abs().max(1.0), "{at}: {} {expected}", starts_bar[at]);
         }
+        let noise = NoiseNumbers::of(&task.system().varied(task.param_dim()));
+        noise.at(0.0, 0, |i, _| assert_eq!(starts_bar[sample * width + 2 + i], 0.0, "noise {i}"));
         assert_eq!(starts_bar[sample * width + width - 1], 0.0, "the key of the noise");
     }
 }
