@@ -130,15 +130,20 @@ pub(super) fn number(value: f64) -> String {
         size if !(1e-3..1e5).contains(&size) => format!("{value:.1e}"),
         size => {
             let decimals = (2 - size.log10().floor() as i32).max(0) as usize;
-            let text = format!("{value:.decimals$}");
-            if text.contains('.') {
-                text.trim_end_matches('0').trim_end_matches('.').into()
-            } else {
-                text
-            }
+            return decimal(value, decimals);
         }
     };
     text.replace('-', "−")
+}
+
+/// Formats a number with a typographic minus and at most this many decimals, without trailing
+/// zeros.
+pub(super) fn decimal(value: f64, decimals: usize) -> String {
+    let text = format!("{value:.decimals$}").replace('-', "−");
+    match text.contains('.') {
+        true => text.trim_end_matches('0').trim_end_matches('.').into(),
+        false => text,
+    }
 }
 
 #[cfg(test)]

@@ -1,10 +1,10 @@
 //! [`Chart`]: a chart with its axis geometry, so that a page can locate the data.
 
-use super::log_axis::LogAxis;
 use super::log_figure::{plain, theme};
 use super::marks::widths;
-use super::series::{cleaned, drawable, thinned, tick_step, x_range};
-use super::{Drawing, Series};
+use super::series::{cleaned, thinned, tick_step, x_range};
+use super::y_axis::YAxis;
+use super::{Drawing, Series, YScale};
 use kuva::prelude::{Layout, LinePlot, render_multiple};
 use kuva::render::color::Color;
 use kuva::render::render::{PathData, Primitive};
@@ -20,13 +20,8 @@ pub struct Chart {
     x_label: &'static str,
     y_label: &'static str,
     x: [f64; 2],
-    y: Axis,
+    y: YAxis,
     series: Vec<Series>,
-}
-
-enum Axis {
-    Log(LogAxis),
-    Linear([f64; 2]),
 }
 
 /// Axis geometry of a [`Chart`], linear between the ends.
@@ -48,23 +43,26 @@ pub struct Frame {
 
 impl Chart {
     /// Creates a chart with a logarithmic y axis. Omits points with a non-finite x, and points with
-    /// a y or a band edge outside 1e-100 to 1e100. The axis is linear if no y is positive.
+    /// a y or a band edge outside 1e-100 to 1e100.
     pub fn log(x_label: &'static str, y_label: &'static str, series: Vec<Series>) -> Self {
-        let all = series.iter().flat_map(|s| &s.line).map(|(_, y)| *y).filter(|y| y.is_finite());
-        let (low, high) = all
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), y| (low.min(y), high.max(y)));
-        if low <= high && high <= 0.0 {
-            let margin = 0.05 * (high - low).max(0.1 * low.abs()).max(1e-100);
-            return Self::linear(x_label, y_label, [low - margin, high + margin], series);
-        }
-        let series = shown(series, drawable);
-        Self {
-            x_label,
-            y_label,
-            x: x_range(&series),
-            y: Axis::Log(LogAxis::of(series.iter())),
-            series,
-        }
+        Self::scaled(x_label, y_label, YScale::Log, series)
+    }
+
+    /// Creates a chart whose y axis is linear if a loss is 0 or negative, otherwise logarithmic.
+    /// Omits points with a non-finite x, and points that the axis cannot show.
+    pub fn losses(x_label: &'static str, y_label: &'static str, series: Vec<Series>) -> Self {
+        let scale = YScale::of(series.iter().flat_map(Series::values));
+        Self::scaled(x_label, y_label, scale, series)
+    }
+
+    fn scaled(
+        x_label: &'static str,
+        y_label: &'static str,
+        scale: YScale,
+        series: Vec<Series>,
+    ) -> Self {
+        let series = shown(series, |y| scale.shows(y));
+        Self { x_label, y_label, x: x_range(&series), y: YAxis::of(series.iter()), series }
     }
 
     /// Creates a chart with a y axis from `range[0]` to `range[1]`. Omits points with a non-finite
@@ -78,7 +76,7 @@ impl Chart {
         // Tolerates rounding errors, for instance a cosine slightly above 1.
         let slack = 1e-9 * (range[1] - range[0]);
         let series = shown(series, |y| range[0] - slack <= y && y <= range[1] + slack);
-        Self { x_label, y_label, x: x_range(&series), y: Axis::Linear(range), series }
+        Self { x_label, y_label, x: x_range(&series), y: YAxis::Linear(range), series }
     }
 
     /// Label of the x axis.
@@ -101,10 +99,10 @@ impl Chart {
     pub fn frame(&self) -> Frame {
         let ([width, height], [left, top, right, bottom]) = (SIZE, MARGINS);
         let (y, log) = match &self.y {
-            Axis::Log(axis) => {
+            YAxis::Log(axis) => {
                 ([axis.low, axis.high].map(|y| y.log10() + f64::from(axis.exponent)), true)
             }
-            Axis::Linear(range) => (*range, false),
+            YAxis::Linear(range) => (*range, false),
         };
         Frame {
             size: SIZE,
@@ -119,31 +117,21 @@ impl Chart {
     /// Renders the picture.
     pub fn drawing(&self) -> Drawing {
         let [left, top, right, bottom] = MARGINS;
-        let (low, high) = match &self.y {
-            Axis::Log(axis) => (axis.low, axis.high),
-            Axis::Linear([low, high]) => (*low, *high),
-        };
-        let mut layout = Layout::new((self.x[0], self.x[1]), (low, high))
+        let layout = Layout::new(self.x.into(), self.y.ends().into())
             .with_width(SIZE[0])
             .with_height(SIZE[1])
             .with_force_margins(left, right)
             .with_force_margins_y(top, bottom)
             .with_x_axis_min(self.x[0])
             .with_x_axis_max(self.x[1])
-            .with_y_axis_min(low)
-            .with_y_axis_max(high)
             .with_x_label(self.x_label)
             .with_x_tick_step(tick_step(self.x, &self.series))
             .with_x_tick_format(plain())
             .with_tick_size(12)
             .with_label_size(13)
             .with_theme(theme());
-        layout = match &self.y {
-            Axis::Log(axis) => layout.with_log_y().with_y_tick_format(axis.tick_format()),
-            Axis::Linear(_) => layout.with_y_tick_format(plain()),
-        };
         // kuva draws the axes. The series follow in groups, by which a page can hide or move them.
-        let mut scene = render_multiple(vec![LinePlot::new().into()], layout);
+        let mut scene = render_multiple(vec![LinePlot::new().into()], self.y.on(layout));
         // Removes the clip paths, because their identifiers would be equal in all charts of a page.
         // Series need no clipping.
         scene
@@ -296,12 +284,13 @@ mod tests {
     }
 
     #[test]
-    fn losses_that_are_all_negative_have_a_linear_axis() {
-        let line = vec![(1.0, -1.0), (2.0, -4.0)];
-        let series = Series::new("loss", "#123456", line);
-        let chart = Chart::log("epoch", "loss", vec![series]);
-        assert!(matches!(chart.y, Axis::Linear([low, high]) if low < -4.0 && high > -1.0));
-        assert_eq!(drawn(&chart).len(), 2);
+    fn losses_of_both_signs_have_a_linear_axis() {
+        let points = [(1.0, 1.0), (2.0, 0.0), (4.0, -4.0)];
+        let series = || vec![Series::new("loss", "#123456", points.to_vec())];
+        let chart = Chart::losses("epoch", "loss", series());
+        assert!(!chart.frame().log);
+        check(&chart, &points);
+        assert!(Chart::log("epoch", "norm", series()).frame().log);
     }
 
     #[test]

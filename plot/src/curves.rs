@@ -2,8 +2,8 @@
 
 use super::log_figure::{Panel, XScale, log_figure};
 use super::quantile::{quantile, sorted};
-use super::series::{cleaned, drawable, thinned};
-use super::{Dash, Drawing, Series};
+use super::series::{cleaned, thinned};
+use super::{Dash, Drawing, Series, YScale};
 
 /// Summaries exclude runs that end before this share of the epochs of the longest run.
 const MIN_SHARE: f64 = 0.95;
@@ -31,7 +31,7 @@ pub struct Point {
     pub epoch: f64,
     /// Wall time since the start of training, s.
     pub seconds: f64,
-    /// Loss or any other positive quantity.
+    /// Loss or another quantity.
     pub value: f64,
 }
 
@@ -64,10 +64,13 @@ pub fn field_color(letter: &str) -> &'static str {
 
 /// Draws the training and test loss of one run as lines through points (epoch, loss).
 ///
-/// Omits losses outside 1e-100 to 1e100, and non-finite ones. An empty list yields no line.
+/// The axis is linear if a loss is 0 or negative, otherwise logarithmic. Omits losses that the axis
+/// cannot show: see [`YScale`]. An empty list yields no line.
 pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) -> Drawing {
+    let scale = YScale::of(train.iter().chain(test).map(|&(_, loss)| loss));
     let series = |label, color, points: &[(f64, f64)]| {
-        Series::new(label, color, thinned(cleaned(points.to_vec(), &drawable), |p| p.1))
+        let shown = cleaned(points.to_vec(), &|y| scale.shows(y));
+        Series::new(label, color, thinned(shown, |p| p.1))
     };
     let series = vec![series("train", "#0072B2", train), series("test", "#D55E00", test)];
     let panel = Panel {
@@ -87,15 +90,16 @@ pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) ->
 /// - Band: first to third quartile of four or more seeds, or the range of two or three seeds.
 /// - Thin lines: single seeds. One seed has a bold line only.
 ///
-/// Valid losses are between 1e-100 and 1e100. Medians and bands exclude runs without valid losses.
+/// The axis is linear if a loss is 0 or negative, otherwise logarithmic. Valid losses are those that
+/// the axis can show: see [`YScale`]. Medians and bands exclude runs without valid losses.
 /// They also exclude runs whose valid losses end before 95 % of the epochs of the longest run, for
 /// instance after divergence. The figure then states how many of the seeds remain. The choice
 /// between quartiles and range depends on the number of all seeds. A single remaining seed has no
 /// band.
 ///
 /// Medians and bands use all epochs of the remaining runs, within the range that all of them cover.
-/// Between the points of a run, the wall time and the logarithm of the loss are linear functions of
-/// the epoch. The wall time of an epoch is the median over the remaining seeds. With several seeds,
+/// Between the points of a run, the wall time and the loss on its axis are linear functions of the
+/// epoch. The wall time of an epoch is the median over the remaining seeds. With several seeds,
 /// the title ends with the name of the statistic.
 pub fn comparison(title: &str, curves: &[Curve]) -> Drawing {
     let case = |x| Case {
@@ -151,13 +155,17 @@ pub struct Case {
 
 /// Draws a grid of cases, one panel each. Lines, bands and title are as in [`comparison`].
 pub fn study(title: &str, rows: &[Vec<Case>]) -> Drawing {
+    let scale = |y_axis: usize| {
+        let cases = rows.iter().flatten().filter(|case| case.y_axis == y_axis);
+        YScale::of(cases.flat_map(|case| &case.curves).flat_map(Curve::values))
+    };
     let panel = |case: &Case| Panel {
         title: case.title.clone(),
         x_label: case.x.label().into(),
         x_scale: XScale::Linear,
         y_label: case.y_label.clone(),
         y_axis: case.y_axis,
-        series: case.curves.iter().flat_map(|c| c.series(case.x)).collect(),
+        series: case.curves.iter().flat_map(|c| c.series(case.x, scale(case.y_axis))).collect(),
     };
     let statistic = statistic(
         rows.iter().flatten().flat_map(|case| &case.curves).map(|curve| curve.runs.len()),
@@ -183,10 +191,16 @@ pub fn statistic(seeds: impl Iterator<Item = usize>) -> &'static str {
 }
 
 impl Curve {
+    /// Values of all points of all runs.
+    pub fn values(&self) -> impl Iterator<Item = f64> {
+        self.runs.iter().flatten().map(|point| point.value)
+    }
+
     /// Lines of the single seeds, if there are several, and the [`summary`](Curve::summary).
-    pub fn series(&self, x: Abscissa) -> Vec<Series> {
+    pub fn series(&self, x: Abscissa, scale: YScale) -> Vec<Series> {
+        let shown = |y: f64| scale.shows(y);
         let seed = |(i, run): (usize, &Vec<Point>)| {
-            let line = cleaned(run.iter().map(|p| (x.of(p), p.value)).collect(), &drawable);
+            let line = cleaned(run.iter().map(|p| (x.of(p), p.value)).collect(), &shown);
             let label = format!("{}, run {}", self.label, i + 1);
             Series {
                 thin: true,
@@ -194,13 +208,14 @@ impl Curve {
             }
         };
         let seeds = self.runs.iter().enumerate().map(seed).filter(|_| self.runs.len() > 1);
-        seeds.chain([self.summary(x)]).collect()
+        seeds.chain([self.summary(x, scale)]).collect()
     }
 
-    /// Median and band of the runs against `x`, as in [`comparison`].
-    pub fn summary(&self, x: Abscissa) -> Series {
+    /// Median and band of the runs against `x`, as in [`comparison`], on an axis of this scale.
+    pub fn summary(&self, x: Abscissa, scale: YScale) -> Series {
+        let shown = |y: f64| scale.shows(y);
         let points_of =
-            |run: &Vec<Point>| cleaned(run.iter().map(|p| (p.epoch, p.value)).collect(), &drawable);
+            |run: &Vec<Point>| cleaned(run.iter().map(|p| (p.epoch, p.value)).collect(), &shown);
         let all: Vec<_> = self
             .runs
             .iter()
@@ -224,8 +239,8 @@ impl Curve {
         // Points of the line, with the edges of the band.
         let mut summaries = Vec::new();
         for epoch in common_grid(&runs) {
-            let losses = sorted(runs.iter().map(|run| interpolated(run, epoch, log_between)));
-            let xs = sorted(xs.iter().map(|run| interpolated(run, epoch, between)));
+            let losses = sorted(runs.iter().map(|run| interpolated(run, epoch, scale)));
+            let xs = sorted(xs.iter().map(|run| interpolated(run, epoch, YScale::Linear)));
             let point = (quantile(&xs, 0.5), quantile(&losses, 0.5));
             summaries.push((point, (quantile(&losses, low), quantile(&losses, high))));
         }
@@ -249,22 +264,12 @@ fn common_grid(runs: &[Vec<(f64, f64)>]) -> Vec<f64> {
     grid
 }
 
-/// Value of a run at x, interpolated with `between` from the neighbouring points on both sides.
-/// Constant beyond the ends of the run.
-fn interpolated(run: &[(f64, f64)], x: f64, between: fn(f64, f64, f64) -> f64) -> f64 {
+/// Value of a run at x, on the straight line between the neighbouring points on an axis of this
+/// scale. Constant beyond the ends of the run.
+fn interpolated(run: &[(f64, f64)], x: f64, scale: YScale) -> f64 {
     let right = run.partition_point(|&(at, _)| at < x).min(run.len() - 1);
     let ((x0, y0), (x1, y1)) = (run[right.saturating_sub(1)], run[right]);
-    if x >= x1 || x1 <= x0 { y1 } else { between(y0, y1, (x - x0) / (x1 - x0)) }
-}
-
-/// Linear interpolation.
-fn between(a: f64, b: f64, share: f64) -> f64 {
-    a + (b - a) * share
-}
-
-/// Linear interpolation on a log axis.
-fn log_between(a: f64, b: f64, share: f64) -> f64 {
-    a * (b / a).powf(share)
+    if x >= x1 || x1 <= x0 { y1 } else { scale.between(y0, y1, (x - x0) / (x1 - x0)) }
 }
 
 #[cfg(test)]
@@ -300,12 +305,12 @@ mod tests {
     #[test]
     fn four_seeds_have_a_median_and_a_band_of_quartiles() {
         let curve = at_epoch_1(&[(10.0, 1.0), (5.0, 2.0), (7.0, 4.0), (8.0, 1e9), (9.0, 3.0)]);
-        let by_epoch = curve.summary(Abscissa::Epoch);
+        let by_epoch = curve.summary(Abscissa::Epoch, YScale::Log);
         assert_eq!(
             (by_epoch.line[1], by_epoch.band[1], &*by_epoch.note),
             ((1.0, 3.0), (2.0, 4.0), "")
         );
-        let by_time = curve.summary(Abscissa::Seconds);
+        let by_time = curve.summary(Abscissa::Seconds, YScale::Log);
         assert_eq!(
             (by_time.line[1], &by_time.band),
             ((8.0, 3.0), &by_epoch.band),
@@ -315,20 +320,21 @@ mod tests {
 
     #[test]
     fn three_seeds_have_a_band_of_their_range_and_one_seed_has_none() {
-        let three = at_epoch_1(&[(1.0, 1.0), (1.0, 5.0), (1.0, 2.0)]).summary(Abscissa::Epoch);
+        let three =
+            at_epoch_1(&[(1.0, 1.0), (1.0, 5.0), (1.0, 2.0)]).summary(Abscissa::Epoch, YScale::Log);
         assert_eq!((three.line[1].1, three.band[1]), (2.0, (1.0, 5.0)));
-        assert!(at_epoch_1(&[(1.0, 1.0)]).summary(Abscissa::Epoch).band.is_empty());
+        assert!(at_epoch_1(&[(1.0, 1.0)]).summary(Abscissa::Epoch, YScale::Log).band.is_empty());
     }
 
     #[test]
     fn single_seeds_are_thin_lines_with_the_pattern_of_the_median() {
-        let series = at_epoch_1(&[(1.0, 1.0), (3.0, 5.0)]).series(Abscissa::Seconds);
+        let series = at_epoch_1(&[(1.0, 1.0), (3.0, 5.0)]).series(Abscissa::Seconds, YScale::Log);
         assert_eq!(
             series.iter().map(|s| (s.thin, s.dash)).collect::<Vec<_>>(),
             [true, true, false].map(|t| (t, Dash::Dotted))
         );
         assert_eq!(series[1].line, [(0.0, 1.0), (3.0, 5.0)]);
-        assert_eq!(at_epoch_1(&[(1.0, 1.0)]).series(Abscissa::Epoch).len(), 1);
+        assert_eq!(at_epoch_1(&[(1.0, 1.0)]).series(Abscissa::Epoch, YScale::Log).len(), 1);
     }
 
     #[test]
@@ -350,7 +356,7 @@ mod tests {
     fn seeds_are_summarized_at_equal_epochs_not_equal_times() {
         let fast = run(&[(1.0, 0.1, 1.0), (3.0, 0.3, 1e-2)]);
         let slow = run(&[(1.0, 1.0, 1.0), (2.0, 2.0, 1.0), (3.0, 3.0, 1.0)]);
-        let by_time = curve(vec![fast, slow]).summary(Abscissa::Seconds);
+        let by_time = curve(vec![fast, slow]).summary(Abscissa::Seconds, YScale::Log);
         assert_eq!(by_time.line.len(), 3);
         assert!(
             (by_time.line[1].0 - 1.1).abs() < 1e-12,
@@ -367,11 +373,11 @@ mod tests {
         let long = run(&[(0.0, 0.0, 1.0), (99.0, 9.0, 0.5), (100.0, 10.0, f64::NAN)]);
         let failed = run(&[(0.0, 0.0, 1.0), (5.0, 0.5, 1e9)]);
         let runs = vec![long, run(&[(0.0, 0.0, 1.0), (100.0, 12.0, 1e-4)]), failed];
-        let series = curve(runs).summary(Abscissa::Epoch);
+        let series = curve(runs).summary(Abscissa::Epoch, YScale::Log);
         assert_eq!((&*series.note, series.line.last().expect("a line").0), ("2 of 3 seeds", 99.0));
 
         let runs = vec![run(&[(0.0, 0.0, 1.0)]), run(&[(0.0, 0.0, f64::NAN)])];
-        let series = curve(runs).summary(Abscissa::Epoch);
+        let series = curve(runs).summary(Abscissa::Epoch, YScale::Log);
         assert!(series.band.is_empty());
         assert_eq!((&*series.label, &*series.note), ("a", "1 of 2 seeds"));
     }

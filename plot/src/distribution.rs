@@ -1,17 +1,19 @@
 //! Distributions of losses.
 
 use super::log_figure::{Panel, XScale, log_figure};
-use super::series::{drawable, thinned_to};
-use super::{Drawing, Series, line_style};
+use super::series::thinned_to;
+use super::{Drawing, Series, YScale, line_style};
 
 /// Draws each loss against the share of rollouts, in %, that have at most this loss. Each policy
 /// has a label and its losses in ascending order.
 ///
-/// Omits losses that a logarithmic axis cannot show, for example those of diverged rollouts. A line
-/// with diverged rollouts therefore ends before 100 %.
+/// Omits losses that the axis cannot show, for example those of diverged rollouts. A line with
+/// diverged rollouts therefore ends before 100 %. The axis is linear if a loss is 0 or negative,
+/// otherwise logarithmic.
 pub fn distribution(title: &str, policies: Vec<(String, Vec<f64>)>) -> Drawing {
     /// Largest number of points of a line.
     const POINTS: usize = 250;
+    let scale = YScale::of(policies.iter().flat_map(|(_, losses)| losses).copied());
     let series = |(i, (label, sorted)): (usize, (String, Vec<f64>))| {
         let (color, dash) = line_style(i);
         let total = sorted.len() as f64;
@@ -20,7 +22,7 @@ pub fn distribution(title: &str, policies: Vec<(String, Vec<f64>)>) -> Drawing {
         Series::new(
             label,
             color,
-            thinned_to(POINTS, points.filter(|&(_, loss)| drawable(loss)).collect()),
+            thinned_to(POINTS, points.filter(|&(_, loss)| scale.shows(loss)).collect()),
         )
         .dash(dash)
     };

@@ -2,8 +2,7 @@
 
 use super::log_figure::{Panel, XScale, entry, log_figure_with};
 use super::quantile::{quantile, sorted};
-use super::series::drawable;
-use super::{Dash, Drawing, PALETTE, Series};
+use super::{Dash, Drawing, PALETTE, Series, YScale};
 
 /// Final losses on one task: one panel of [`final_losses`].
 pub struct TaskLosses {
@@ -15,6 +14,14 @@ pub struct TaskLosses {
     pub untrained: f64,
 }
 
+impl TaskLosses {
+    /// Scale of the axis.
+    fn scale(&self) -> YScale {
+        let losses = self.methods.iter().flat_map(|(_, losses)| losses);
+        YScale::of(losses.copied().chain([self.untrained]))
+    }
+}
+
 /// Largest number of panels in a row.
 const COLUMNS: usize = 4;
 /// Distance of the outermost dots of a method from its number on the x axis.
@@ -23,8 +30,8 @@ const HALF_WIDTH: f64 = 0.25;
 /// Draws one panel per task, with one dot per seed and a line at the median of each method.
 ///
 /// Methods have numbers along the x axis, and names in the legend. All tasks have the same methods.
-/// Omits dots and lines that a logarithmic axis cannot show, and states how many of the seeds
-/// remain. Medians include all seeds; NaN ranks above every number.
+/// The axis of a task is linear if a loss is 0 or negative, otherwise logarithmic. Omits dots and
+/// lines that the axis cannot show, and states how many of the seeds remain. Medians include all seeds; NaN ranks above every number.
 pub fn final_losses(title: &str, tasks: Vec<TaskLosses>) -> Drawing {
     let names = tasks.first().map_or(&[][..], |task| &task.methods);
     let mut legend: Vec<_> = names
@@ -32,7 +39,7 @@ pub fn final_losses(title: &str, tasks: Vec<TaskLosses>) -> Drawing {
         .enumerate()
         .map(|(i, (name, _))| entry(&Series::new(label(i, name), color(i), Vec::new())))
         .collect();
-    if tasks.iter().any(|task| drawable(task.untrained)) {
+    if tasks.iter().any(|task| task.scale().shows(task.untrained)) {
         legend.push(entry(&untrained(Vec::new())));
     }
     let columns = tasks.len().div_ceil(tasks.len().div_ceil(COLUMNS).max(1)).max(1);
@@ -64,12 +71,14 @@ fn untrained(line: Vec<(f64, f64)>) -> Series {
 }
 
 fn panel(y_axis: usize, task: TaskLosses) -> Panel {
+    let scale = task.scale();
     let TaskLosses { task, methods, untrained: level } = task;
     let line = [0.5, methods.len() as f64 + 0.5]
         .map(|x| (x, level))
         .into_iter()
-        .filter(|(_, y)| drawable(*y));
-    let marks = methods.iter().enumerate().flat_map(|(i, (name, losses))| marks(i, name, losses));
+        .filter(|(_, y)| scale.shows(*y));
+    let marks =
+        methods.iter().enumerate().flat_map(|(i, (name, losses))| marks(i, name, losses, scale));
     Panel {
         title: task,
         x_label: "method".into(),
@@ -81,19 +90,19 @@ fn panel(y_axis: usize, task: TaskLosses) -> Panel {
 }
 
 /// Line at the median of method `i`, and one dot per seed.
-fn marks(i: usize, name: &str, losses: &[f64]) -> Vec<Series> {
+fn marks(i: usize, name: &str, losses: &[f64], scale: YScale) -> Vec<Series> {
     let (label, color, x) = (label(i, name), color(i), i as f64 + 1.0);
     // Spreads the seeds evenly, so equal losses do not cover each other.
     let step = if losses.len() > 1 { 2.0 * HALF_WIDTH / (losses.len() - 1) as f64 } else { 0.0 };
     let first = if losses.len() > 1 { x - HALF_WIDTH } else { x };
-    let dots = losses.iter().enumerate().filter(|(_, loss)| drawable(**loss));
+    let dots = losses.iter().enumerate().filter(|(_, loss)| scale.shows(**loss));
     let dots: Vec<Series> = dots
         .map(|(seed, &loss)| Series::new(&*label, color, vec![(first + step * seed as f64, loss)]))
         .collect();
     // NaN ranks above every number, as in tables.
     let median = quantile(&sorted(losses.iter().copied()), 0.5);
     let line =
-        if drawable(median) { vec![(x - 0.35, median), (x + 0.35, median)] } else { Vec::new() };
+        if scale.shows(median) { vec![(x - 0.35, median), (x + 0.35, median)] } else { Vec::new() };
     let note = if dots.len() < losses.len() {
         format!("{} of {} seeds", dots.len(), losses.len())
     } else {

@@ -35,6 +35,7 @@ mod robustness;
 mod series;
 mod settings;
 mod work_precision;
+mod y_axis;
 
 pub use animation::{Animation, Picture, Shape, View};
 pub use cart_pole::{Rail, cart_pole, cart_pole_on};
@@ -57,3 +58,4 @@ pub use robustness::robustness;
 pub use series::{Dash, Series};
 pub use settings::settings;
 pub use work_precision::{Work, work_precision};
+pub use y_axis::YScale;

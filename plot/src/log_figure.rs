@@ -1,9 +1,10 @@
-//! Grids of panels with logarithmic y axes.
+//! Grids of panels with logarithmic or linear y axes.
 
 use super::axes::number;
 use super::log_axis::LogAxis;
 use super::marks::marks;
 use super::series::{tick_step, x_range};
+use super::y_axis::YAxis;
 use super::{Drawing, Series};
 use kuva::prelude::*;
 
@@ -77,11 +78,9 @@ pub fn log_figure(title: &str, rows: &[Vec<Panel>]) -> Drawing {
 pub fn log_figure_with(title: &str, rows: &[Vec<Panel>], legend: Vec<LegendEntry>) -> Drawing {
     let panels = || rows.iter().flatten();
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0).max(1);
-    let axes: Vec<LogAxis> = (0..=panels().map(|panel| panel.y_axis).max().unwrap_or(0))
+    let axes: Vec<YAxis> = (0..=panels().map(|panel| panel.y_axis).max().unwrap_or(0))
         .map(|axis| {
-            LogAxis::of(
-                panels().filter(|panel| panel.y_axis == axis).flat_map(|panel| &panel.series),
-            )
+            YAxis::of(panels().filter(|panel| panel.y_axis == axis).flat_map(|panel| &panel.series))
         })
         .collect();
     // Determines the visible elements of each panel. Panels of a column reserve the same width for
@@ -172,7 +171,7 @@ pub struct Shows {
 }
 
 /// Layout of one panel with its axes.
-pub fn panel_layout(panel: &Panel, axis: &LogAxis, shows: Shows) -> Layout {
+pub fn panel_layout(panel: &Panel, axis: &YAxis, shows: Shows) -> Layout {
     let x_axis = panel.x_axis();
     let (x_min, x_max) = match (&x_axis, panel.x_scale) {
         (Some(axis), _) => (axis.low, axis.high),
@@ -192,13 +191,10 @@ pub fn panel_layout(panel: &Panel, axis: &LogAxis, shows: Shows) -> Layout {
             (x_min - margin, x_max + margin)
         }
     };
-    let mut layout = Layout::new((x_min, x_max), (axis.low, axis.high))
-        .with_log_y()
+    let mut layout = axis
+        .on(Layout::new((x_min, x_max), axis.ends().into()))
         .with_x_axis_min(x_min)
         .with_x_axis_max(x_max)
-        .with_y_axis_min(axis.low)
-        .with_y_axis_max(axis.high)
-        .with_y_tick_format(axis.tick_format())
         .with_tick_size(11)
         .with_label_size(13)
         .with_title_size(14)
@@ -224,20 +220,21 @@ pub fn panel_layout(panel: &Panel, axis: &LogAxis, shows: Shows) -> Layout {
     layout.suppress_y_ticks = !shows.y_numbers;
     for (i, s) in panel.series.iter().filter(|s| !s.note.is_empty()).enumerate() {
         // Stacks notes upwards from the lower left corner. Texts are centered.
-        let share = |share: f64, from: f64, to: f64| from + share * (to - from);
-        let y = share(0.04 + 0.07 * i as f64, axis.low.ln(), axis.high.ln()).exp();
+        let y = axis.at(0.04 + 0.07 * i as f64);
         let text = format!("{}: {}", s.label, s.note);
         let middle = (8.0 + 0.5 * LETTER * text.chars().count() as f64) / SIZES[1][0];
-        let note = TextAnnotation::new(text, share(middle.min(0.5), x_min, x_max), y);
+        let note = TextAnnotation::new(text, x_min + middle.min(0.5) * (x_max - x_min), y);
         layout = layout.with_annotation(note.with_color(s.color).with_font_size(11));
     }
     if panel.series.iter().all(|s| s.line.is_empty()) {
-        let middle = (axis.low * axis.high).sqrt();
+        let text = match axis {
+            YAxis::Log(_) => "no positive data",
+            YAxis::Linear(_) => "no finite data",
+        };
         let x_middle =
             if x_axis.is_some() { (x_min * x_max).sqrt() } else { (x_min + x_max) / 2.0 };
-        layout = layout.with_annotation(
-            TextAnnotation::new("no positive data", x_middle, middle).with_color("#777"),
-        );
+        layout = layout
+            .with_annotation(TextAnnotation::new(text, x_middle, axis.at(0.5)).with_color("#777"));
     }
     layout
 }

@@ -1,9 +1,10 @@
 //! Maps of a plane: values as colours on a logarithmic scale, with arrows, lines and paths.
 
-use super::log_axis::{LogAxis, superscript};
+use super::log_axis::superscript;
 use super::log_figure::{Panel, Shows, XScale, legend, panel_layout};
 use super::marks::marks;
 use super::series::{cleaned, drawable, thinned, thinned_to};
+use super::y_axis::YAxis;
 use super::{Drawing, Series};
 use kuva::plot::QuiverPivot;
 use kuva::prelude::*;
@@ -95,7 +96,7 @@ pub fn maps(plane: &Plane, maps: &[Map], runs: &[(&str, &'static str, Vec<f64>)]
             y_axis: 0,
             series,
         };
-        let axis = LogAxis::of(panel.series.iter());
+        let axis = YAxis::of(panel.series.iter());
         let layout =
             panel_layout(&panel, &axis, Shows { y_numbers: true, y_name: true, x_name: true })
                 .with_y_label_offset(10.0, 0.0)

@@ -1,18 +1,20 @@
 //! Losses over the values of a setting.
 
 use super::log_figure::{Panel, XScale, log_figure};
-use super::{Drawing, Series};
+use super::{Drawing, Series, YScale};
 
 /// Draws losses against a setting: one panel per title, one line with a band per policy. Omits
-/// points without a band, and points that a logarithmic axis cannot show.
+/// points without a band, and points that the axis cannot show. The axis is linear if a loss is 0
+/// or negative, otherwise logarithmic.
 pub fn robustness(title: &str, setting: &str, panels: Vec<(String, Vec<Series>)>) -> Drawing {
+    let scale = YScale::of(panels.iter().flat_map(|(_, series)| series).flat_map(Series::values));
     let panel = |(title, series): (String, Vec<Series>)| Panel {
         title,
         x_label: setting.into(),
         x_scale: XScale::FromSmallest,
         y_label: "loss".into(),
         y_axis: 0,
-        series: series.into_iter().map(Series::with_drawable_band).collect(),
+        series: series.into_iter().map(|series| series.with_drawable_band(scale)).collect(),
     };
     log_figure(title, &[panels.into_iter().map(panel).collect()])
 }

@@ -1,5 +1,6 @@
 //! [`Series`]: a line in a chart, cleaned and thinned for drawing.
 
+use super::YScale;
 use super::axes::round_up;
 
 /// Number of points beyond which a line is thinned, which keeps files small.
@@ -36,7 +37,7 @@ impl Dash {
 
 /// Line with an optional band around it and optional horizontal bars.
 ///
-/// On a log axis every y must be positive; [`Chart`](super::Chart) omits other points.
+/// On a log axis every y must be positive; charts omit other points.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Series {
     /// Legend label.
@@ -70,11 +71,18 @@ impl Series {
         Self { dash, ..self }
     }
 
-    /// Omits points without a band, and points that a logarithmic axis cannot show.
-    pub(super) fn with_drawable_band(mut self) -> Self {
+    /// Every y of the line and of the edges of the band.
+    pub(super) fn values(&self) -> impl Iterator<Item = f64> {
+        let edges = self.band.iter().flat_map(|&(low, high)| [low, high]);
+        self.line.iter().map(|&(_, y)| y).chain(edges)
+    }
+
+    /// Omits points without a band, and points that an axis of this scale cannot show.
+    pub(super) fn with_drawable_band(mut self, scale: YScale) -> Self {
         let points = self.line.into_iter().zip(self.band);
+        let is_shown = |y: f64| scale.shows(y);
         let points =
-            points.filter(|((_, y), (low, high))| [*y, *low, *high].into_iter().all(drawable));
+            points.filter(|((_, y), (low, high))| [*y, *low, *high].into_iter().all(is_shown));
         (self.line, self.band) = points.unzip();
         self
     }

@@ -1,15 +1,17 @@
 //! Final losses over settings.
 
 use super::log_figure::{Panel, XScale, log_figure};
-use super::{Drawing, Series};
+use super::{Drawing, Series, YScale};
 
 /// Smallest ratio of the largest to the smallest value of a setting with a logarithmic axis.
 const LOG_RATIO: f64 = 10.0;
 
 /// Draws final losses against settings: one panel per setting, one line with a band per method.
-/// Omits points without a band, and points that a logarithmic axis cannot show. The axis of a
+/// Omits points without a band, and points that the axis of losses cannot show. This axis is linear
+/// if a loss is 0 or negative, otherwise logarithmic. The axis of a
 /// setting is logarithmic if its values are positive and span at least a factor of ten.
 pub fn settings(title: &str, panels: Vec<(String, Vec<Series>)>) -> Drawing {
+    let scale = YScale::of(panels.iter().flat_map(|(_, series)| series).flat_map(Series::values));
     let panel = |(setting, series): (String, Vec<Series>)| {
         let values = || series.iter().flat_map(|series| &series.line).map(|&(x, _)| x);
         let (low, high) = (values().fold(f64::INFINITY, f64::min), values().fold(0.0, f64::max));
@@ -23,7 +25,7 @@ pub fn settings(title: &str, panels: Vec<(String, Vec<Series>)>) -> Drawing {
             },
             y_label: "final test loss".into(),
             y_axis: 0,
-            series: series.into_iter().map(Series::with_drawable_band).collect(),
+            series: series.into_iter().map(|series| series.with_drawable_band(scale)).collect(),
         }
     };
     log_figure(title, &[panels.into_iter().map(panel).collect()])

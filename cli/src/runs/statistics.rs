@@ -193,16 +193,12 @@ pub fn table_of_scenes(scenes: &[InScene]) -> Vec<Vec<String>> {
             // settings.
             let case = (scenes.len() > 1).then(|| scene.name.replace('+', " "));
             let chosen = scene.chosen.get(i).into_iter().flatten().cloned();
-            let ratio = match ratio(&scene.runs, method) {
-                Some(ratio) => ratio.to_string(),
-                None => "1".into(),
-            };
             let last = losses(runs);
             let numbers = [
                 runs.len().to_string(),
                 runs.iter().filter(|run| run.has_failed()).count().to_string(),
                 short(quantile(&last, 0.5)),
-                ratio,
+                relation(&scene.runs, method).to_string(),
                 short(last[0]),
                 short(last[last.len() - 1]),
                 short(median(runs, |run| best(run.records))),
@@ -237,23 +233,31 @@ pub fn interval_note(scenes: &[InScene]) -> String {
         let methods = by_method(&scene.runs).filter(|(method, _)| *method != first);
         methods.map(|(_, runs)| pairs(runs, others).len()).min()
     };
-    match scenes.iter().filter_map(seeds).min() {
+    let has_difference = scenes.iter().any(|scene| {
+        let mut relations = by_method(&scene.runs).map(|(method, _)| relation(&scene.runs, method));
+        relations.any(|relation| matches!(relation, Relation::Difference(_)))
+    });
+    let interval = match scenes.iter().filter_map(seeds).min() {
         Some(seeds) if seeds < SEEDS_OF_INTERVAL => format!(
             "a bootstrap interval over the seeds. It is no confidence interval and decides nothing, because fewer than \
              {SEEDS_OF_INTERVAL} seeds do not support 95 %"
         ),
         _ => "a 95 % interval (bootstrap over the seeds); undecided if it contains 1".into(),
-    }
+    };
+    if has_difference { interval + "; negative losses have no ratio" } else { interval }
 }
 
-/// Ratio of the median loss of a method to that of the method of the lowest rank. None for that
-/// method itself, and if a loss is negative: a ratio then has no meaning.
-pub fn ratio(runs: &[Outcome], method: Method) -> Option<Ratio> {
-    let (first, others) = reference(runs)?;
-    let (_, own) = by_method(runs).find(|(other, _)| *other == method)?;
-    let pairs = pairs(own, others);
-    let has_meaning = !pairs.iter().any(|(own, other)| *own < 0.0 || *other < 0.0);
-    (first != method && has_meaning).then(|| median_ratio(&pairs))
+/// Relation of the median loss of a method to that of the method of the lowest rank.
+pub fn relation(runs: &[Outcome], method: Method) -> Relation {
+    let Some((_, others)) = reference(runs).filter(|(first, _)| *first != method) else {
+        return Relation::Reference;
+    };
+    let own = by_method(runs).find(|(other, _)| *other == method);
+    let pairs = pairs(own.map_or(&[], |(_, runs)| runs), others);
+    if pairs.iter().any(|(own, other)| *own < 0.0 || *other < 0.0) {
+        return Relation::Difference(of_medians(&pairs, |own, other| own - other));
+    }
+    Relation::Ratio(of_medians(&pairs, |own, other| own / other))
 }
 
 /// Method to which ratios refer, with its runs.
@@ -291,10 +295,54 @@ const RESAMPLES: u64 = 10_000;
 /// the highest one covers a median with 95 %.
 const SEEDS_OF_INTERVAL: usize = 6;
 
-/// Ratio of two medians with its bootstrap interval.
+/// How the losses of a method relate to those of the reference.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Ratio {
-    /// Median of the first numbers divided by the median of the second ones.
+pub enum Relation {
+    /// The method is the reference.
+    Reference,
+    /// Ratio of the medians.
+    Ratio(Estimate),
+    /// Difference of the medians, if a loss is negative: a ratio then has no meaning.
+    Difference(Estimate),
+}
+
+impl Relation {
+    /// Ratio and the ends of its interval. None for a difference.
+    pub fn ratio(&self) -> Option<[f64; 3]> {
+        match self {
+            Self::Reference => Some([1.0; 3]),
+            Self::Ratio(Estimate { value, interval: [low, high], .. }) => {
+                Some([*value, *low, *high])
+            }
+            Self::Difference(_) => None,
+        }
+    }
+
+    /// What the interval decides about the method.
+    pub fn verdict(&self) -> String {
+        match self {
+            Self::Reference => "reference".into(),
+            Self::Ratio(ratio) => ratio.verdict(1.0),
+            Self::Difference(difference) => difference.verdict(0.0),
+        }
+    }
+}
+
+/// The ratio, and nothing for a difference.
+impl fmt::Display for Relation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Reference => f.write_str("1"),
+            Self::Ratio(ratio) => ratio.fmt(f),
+            Self::Difference(_) => Ok(()),
+        }
+    }
+}
+
+/// Ratio or difference of two medians with its bootstrap interval.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Estimate {
+    /// Median of the first numbers divided by the median of the second ones, or their difference.
     pub value: f64,
     /// Lower and upper end of the 95 % interval. NaN for fewer than two pairs.
     pub interval: [f64; 2],
@@ -302,20 +350,20 @@ pub struct Ratio {
     pub seeds: usize,
 }
 
-impl Ratio {
-    /// What the interval decides about the first numbers.
-    pub fn verdict(&self) -> String {
+impl Estimate {
+    /// What the interval decides about the first numbers. Equal medians have the value `equal`.
+    fn verdict(&self, equal: f64) -> String {
         let [low, high] = self.interval;
         match () {
             () if self.seeds < SEEDS_OF_INTERVAL => format!("fewer than {SEEDS_OF_INTERVAL} seeds"),
-            () if high < 1.0 => "lower".into(),
-            () if low > 1.0 => "higher".into(),
+            () if high < equal => "lower".into(),
+            () if low > equal => "higher".into(),
             () => "undecided".into(),
         }
     }
 }
 
-impl fmt::Display for Ratio {
+impl fmt::Display for Estimate {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [low, high] = self.interval;
         f.write_str(&short(self.value))?;
@@ -336,30 +384,30 @@ fn pairs(runs: &[Outcome], others: &[Outcome]) -> Vec<(f64, f64)> {
     runs.iter().filter_map(pair).collect()
 }
 
-/// Ratio of the medians of pairs of losses, one pair per seed. NaN stands for the loss of a failed
-/// run and counts as infinite. The ratio of two infinite medians is NaN, which ranks above every
-/// number.
+/// Function of the medians of pairs of losses, one pair per seed: their ratio or difference. NaN
+/// stands for the loss of a failed run and counts as infinite. The ratio and the difference of two
+/// infinite medians are NaN, which ranks above every number.
 ///
-/// The interval extends from the 2.5 % to the 97.5 % quantile of the ratio over 10,000 resamples of
-/// the pairs with replacement. Source: percentile bootstrap, Efron and Tibshirani 1993, section
+/// The interval extends from the 2.5 % to the 97.5 % quantile of the function over 10,000 resamples
+/// of the pairs with replacement. Source: percentile bootstrap, Efron and Tibshirani 1993, section
 /// 13.3.
-fn median_ratio(pairs: &[(f64, f64)]) -> Ratio {
-    let ratio = |pairs: &mut dyn Iterator<Item = (f64, f64)>| {
+fn of_medians(pairs: &[(f64, f64)], function: fn(f64, f64) -> f64) -> Estimate {
+    let value = |pairs: &mut dyn Iterator<Item = (f64, f64)>| {
         let worst = |loss: f64| if loss.is_nan() { f64::INFINITY } else { loss };
         let (first, second): (Vec<f64>, Vec<f64>) =
             pairs.map(|(a, b)| (worst(a), worst(b))).unzip();
         let [first, second] =
             [first, second].map(|losses| quantile(&sorted(losses.into_iter()), 0.5));
-        first / second
+        function(first, second)
     };
     let resample = |i: u64| {
         let mut rng = stream(0, Purpose::Bootstrap, i);
-        ratio(&mut (0..pairs.len()).map(|_| pairs[rng.random_range(0..pairs.len())]))
+        value(&mut (0..pairs.len()).map(|_| pairs[rng.random_range(0..pairs.len())]))
     };
-    let ratios = if pairs.len() < 2 { Vec::new() } else { sorted((0..RESAMPLES).map(resample)) };
-    Ratio {
-        value: ratio(&mut pairs.iter().copied()),
-        interval: [0.025, 0.975].map(|q| quantile(&ratios, q)),
+    let values = if pairs.len() < 2 { Vec::new() } else { sorted((0..RESAMPLES).map(resample)) };
+    Estimate {
+        value: value(&mut pairs.iter().copied()),
+        interval: [0.025, 0.975].map(|q| quantile(&values, q)),
         seeds: pairs.len(),
     }
 }
@@ -400,6 +448,10 @@ mod tests {
         Outcome { method: Method::Field(field), field, seed, records, untrained, diverged: false }
     }
 
+    fn median_ratio(pairs: &[(f64, f64)]) -> Estimate {
+        of_medians(pairs, |a, b| a / b)
+    }
+
     #[test]
     fn a_run_fails_unless_it_ends_below_the_untrained_policy() {
         let failed = |test_loss: f64, untrained: f64| {
@@ -417,29 +469,31 @@ mod tests {
     fn the_ratio_of_medians_has_an_interval_that_covers_the_resamples() {
         // Medians 2 and 8. Each pair has the ratio 1/4, and so has every resample.
         let ratio = median_ratio(&[(1.0, 4.0), (2.0, 8.0), (3.0, 12.0)]);
-        assert_eq!(ratio, Ratio { value: 0.25, interval: [0.25; 2], seeds: 3 });
+        assert_eq!(ratio, Estimate { value: 0.25, interval: [0.25; 2], seeds: 3 });
         // A resample of two seeds is the first one twice, the second one twice, or both. The
         // probabilities are 1/4, 1/4 and 1/2, the ratios 1, 9 and 5.
         let ratio = median_ratio(&[(1.0, 1.0), (9.0, 1.0)]);
-        assert_eq!(ratio, Ratio { value: 5.0, interval: [1.0, 9.0], seeds: 2 });
+        assert_eq!(ratio, Estimate { value: 5.0, interval: [1.0, 9.0], seeds: 2 });
         // One of 9 seeds has the ratio 100. It is the median only if at least 5 of 9 draws choose
         // this seed. The probability is 0.0014.
         let mut pairs = [(2.0, 1.0); 9];
         pairs[4].0 = 100.0;
-        assert_eq!(median_ratio(&pairs), Ratio { value: 2.0, interval: [2.0; 2], seeds: 9 });
+        assert_eq!(median_ratio(&pairs), Estimate { value: 2.0, interval: [2.0; 2], seeds: 9 });
     }
 
     #[test]
     fn an_interval_decides_with_six_seeds_but_not_with_five() {
-        for (ratio, seeds, verdict, note) in [
+        for (loss, seeds, verdict, note) in [
             (2.0, 6, "higher", "a 95 % interval"),
+            (-2.0, 6, "lower", "; negative losses have no ratio"),
+            (-2.0, 5, "fewer than 6 seeds", "; negative losses have no ratio"),
             (0.5, 6, "lower", "a 95 % interval"),
             (1.0, 6, "undecided", "a 95 % interval"),
             (2.0, 5, "fewer than 6 seeds", "is no confidence interval and decides nothing"),
             (0.5, 2, "fewer than 6 seeds", "is no confidence interval and decides nothing"),
         ] {
             let of = |loss| [Record { epoch: 1, test_loss: loss, ..Record::default() }];
-            let (first, second) = (of(1.0), of(ratio));
+            let (first, second) = (of(1.0), of(loss));
             let run = |field, seed, records| {
                 let method = Method::Field(field);
                 Outcome { method, field, ..outcome(seed, records) }
@@ -449,10 +503,12 @@ mod tests {
                 .map(|seed| run(Field::regular(), seed, &first))
                 .chain((0..seeds).map(|seed| run(Field::modified(), seed, &second)))
                 .collect();
-            let found = super::ratio(&runs, modified).expect("a ratio").verdict();
-            assert_eq!(found, verdict, "{ratio}, {seeds} seeds");
+            let relation = relation(&runs, modified);
+            assert_eq!(relation.verdict(), verdict, "{loss}, {seeds} seeds");
+            assert_eq!(relation.ratio().map(|[value, ..]| value), (loss > 0.0).then_some(loss));
+            assert_eq!(relation.to_string().is_empty(), loss < 0.0, "{relation}");
             let found = table_note(&[InScene { name: "", runs, chosen: Vec::new() }], false);
-            assert!(found.contains(note), "{ratio}, {seeds} seeds: {found}");
+            assert!(found.contains(note), "{loss}, {seeds} seeds: {found}");
         }
     }
 

@@ -7,7 +7,7 @@ use crate::operations::adjoint_norms::AdjointNorms;
 use crate::runs::statistics::{Outcome, curves};
 use physgrad::Flow;
 use physgrad::train::Record;
-use physgrad_plot::{Abscissa, Chart, Dash, Series, field_color};
+use physgrad_plot::{Abscissa, Chart, Dash, Series, YScale, field_color};
 
 const EPOCH: &str = "epoch";
 const STEP: &str = "step of the rollout";
@@ -23,7 +23,7 @@ pub fn of_epochs(runs: &[Inspected]) -> Vec<Figure> {
     let outcomes: Vec<Outcome> = runs.iter().map(Inspected::outcome).collect();
     let norms = curves(&outcomes, |r| r.grad_norm.get())
         .iter()
-        .flat_map(|curve| curve.series(Abscissa::Epoch))
+        .flat_map(|curve| curve.series(Abscissa::Epoch, YScale::Log))
         .collect();
     let mut figures = vec![Figure::new(
         "Norm of the field",

@@ -7,7 +7,7 @@ use crate::runs::statistics::{
     InScene, MAX_DASHED, Outcome, by_method, curves_of_scenes, field_label,
 };
 use physgrad::train::Record;
-use physgrad_plot::{Abscissa, Chart, Dash, Point, Series, field_color, statistic};
+use physgrad_plot::{Abscissa, Chart, Curve, Dash, Point, Series, YScale, field_color, statistic};
 
 const EPOCH: &str = "epoch";
 const SECONDS: &str = "wall time (s)";
@@ -25,7 +25,7 @@ pub fn of_run(run: &Inspected) -> Vec<Figure> {
         .notes(left_out(&[outcome], &[|r| r.train_loss, |r| r.test_loss])),
         Figure::new(
             "Loss by time",
-            Chart::log(SECONDS, "loss", series(&outcome, |p| p.seconds)),
+            Chart::losses(SECONDS, "loss", series(&outcome, |p| p.seconds)),
             "Both losses against training time.",
         ),
     ]
@@ -33,7 +33,7 @@ pub fn of_run(run: &Inspected) -> Vec<Figure> {
 
 /// Chart of training and test loss of one run by epoch.
 pub fn by_epoch(run: &Outcome) -> Chart {
-    Chart::log(EPOCH, "loss", series(run, |p| p.epoch))
+    Chart::losses(EPOCH, "loss", series(run, |p| p.epoch))
 }
 
 /// Training and test loss of one run.
@@ -61,7 +61,7 @@ pub fn of_comparison(scenes: &[InspectedScene]) -> Vec<Figure> {
             figures.push(
                 Figure::new(
                     scene.title("Every run"),
-                    Chart::log(EPOCH, "test loss", lines(&scene.runs, line)),
+                    Chart::losses(EPOCH, "test loss", lines(&scene.runs, line)),
                     "Test loss of every seed. Shows single seeds that fail where others of the same field succeed.",
                 )
                 .keys(field_keys(&scene.runs)),
@@ -74,7 +74,8 @@ pub fn of_comparison(scenes: &[InspectedScene]) -> Vec<Figure> {
 /// Test losses of these scenes against epochs and time.
 fn medians(scenes: &[InScene], titled: bool) -> [Figure; 2] {
     let curves = curves_of_scenes(scenes, |r| r.test_loss);
-    let series = |x| curves.iter().flat_map(|curve| curve.series(x)).collect();
+    let scale = YScale::of(curves.iter().flat_map(Curve::values));
+    let series = |x| curves.iter().flat_map(|curve| curve.series(x, scale)).collect();
     let title =
         |title: &str| if titled { format!("{}: {title}", scenes[0].name) } else { title.into() };
     let outcomes: Vec<Outcome> =
@@ -89,13 +90,13 @@ fn medians(scenes: &[InScene], titled: bool) -> [Figure; 2] {
     [
         Figure::new(
             title("Test loss by epoch"),
-            Chart::log(EPOCH, "test loss", series(Abscissa::Epoch)),
+            Chart::losses(EPOCH, "test loss", series(Abscissa::Epoch)),
             caption,
         )
         .notes(left_out(&outcomes, &[|r| r.test_loss])),
         Figure::new(
             title("Test loss by time"),
-            Chart::log(SECONDS, "test loss", series(Abscissa::Seconds)),
+            Chart::losses(SECONDS, "test loss", series(Abscissa::Seconds)),
             "Test loss against training time. A field of two gradients takes longer per epoch, so the order of the fields may \
              differ from the order by epoch.",
         ),
@@ -122,17 +123,15 @@ pub fn field_keys<'a>(runs: impl IntoIterator<Item = &'a Inspected>) -> Vec<Key>
     keys
 }
 
-/// Notes on values that a logarithmic axis cannot show.
+/// Notes on losses that the chart omits.
 fn left_out(runs: &[Outcome], losses: &[fn(&Record) -> f64]) -> Vec<String> {
-    let epochs = |hidden: fn(f64) -> bool| {
-        let records = runs.iter().flat_map(|run| run.records);
-        records.filter(|record| losses.iter().any(|loss| hidden(loss(record)))).count()
-    };
-    let reasons = [
-        (epochs(|loss| !loss.is_finite()), "because a rollout diverged"),
-        (epochs(|loss| loss <= 0.0), "because a logarithmic axis has no zero"),
-    ];
-    let note =
-        |(count, why)| format!("The chart omits losses of {}, {why}.", counted(count, "epoch"));
-    reasons.into_iter().filter(|&(count, _)| count > 0).map(note).collect()
+    let records = runs.iter().flat_map(|run| run.records);
+    let is_hidden = |record: &&Record| losses.iter().any(|loss| !loss(record).is_finite());
+    match records.filter(is_hidden).count() {
+        0 => Vec::new(),
+        count => {
+            let epochs = counted(count, "epoch");
+            vec![format!("The chart omits losses of {epochs}, because a rollout diverged.")]
+        }
+    }
 }

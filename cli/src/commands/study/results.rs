@@ -5,7 +5,7 @@ use crate::platform::parallel;
 use crate::platform::table::Table;
 use crate::runs::comparison::Comparison;
 use crate::runs::statistics::{
-    InScene, Method, OPTIONAL, Outcome, best, losses, mean_log_loss, median, median_loss, ratio,
+    InScene, Method, OPTIONAL, Outcome, best, losses, mean_log_loss, median, median_loss, relation,
     table_header, table_note, table_of_scenes,
 };
 use crate::scenes::grid::{Point, last_part, number, text};
@@ -244,19 +244,19 @@ impl<'a> Results<'a> {
         let rows = self.best().filter(|group| !group.runs.is_empty()).map(|group| {
             let (runs, losses) = (&group.runs, losses(&group.runs));
             let failed = runs.iter().filter(|run| run.has_failed()).count();
-            let ratio = ratio(&scenes[group.case].runs, group.method);
-            let verdict = ratio.map_or_else(|| "reference".into(), |ratio| ratio.verdict());
-            let [value, low, high] =
-                ratio.map_or([1.0; 3], |r| [r.value, r.interval[0], r.interval[1]]);
+            let relation = relation(&scenes[group.case].runs, group.method);
+            // A method without a ratio has empty cells.
+            let ratio = relation.ratio().map(|numbers| numbers.map(|x| x.to_string()));
             let [median_loss, first, third] = [0.5, 0.25, 0.75].map(|q| quantile(&losses, q));
             let (lowest, highest) = (losses[0], losses[losses.len() - 1]);
             let best = median(runs, |run| best(run.records));
-            let numbers = [median_loss, first, third, lowest, highest, value, low, high];
+            let numbers = [median_loss, first, third, lowest, highest];
             self.names(group)
                 .into_iter()
                 .chain([runs.len().to_string(), failed.to_string()])
                 .chain(numbers.map(|x| x.to_string()))
-                .chain([verdict, best.to_string()])
+                .chain(ratio.unwrap_or_default())
+                .chain([relation.verdict(), best.to_string()])
                 .collect::<Vec<_>>()
         });
         csv(header, rows)
