@@ -288,6 +288,14 @@ mod tests {
         assert!(svg.len() < 100_000, "{} bytes", svg.len());
     }
 
+    /// Number of points of the longest line.
+    fn corners(drawing: &Drawing) -> usize {
+        let svg = drawing.to_svg();
+        let document = roxmltree::Document::parse(&svg).expect("an SVG is XML");
+        let paths = document.descendants().filter_map(|node| node.attribute("d"));
+        paths.map(|path| path.matches(['M', 'L']).count()).max().expect("a line")
+    }
+
     fn curve(runs: Vec<Vec<Point>>) -> Curve {
         Curve { label: "a".into(), color: "red", dash: Dash::Dotted, runs }
     }
@@ -380,6 +388,55 @@ mod tests {
         let series = curve(runs).summary(Abscissa::Epoch, YScale::Log);
         assert!(series.band.is_empty());
         assert_eq!((&*series.label, &*series.note), ("a", "1 of 2 seeds"));
+    }
+
+    #[test]
+    fn negative_losses_are_valid_and_linear_between_epochs() {
+        let fast = run(&[(1.0, 0.1, 1.0), (3.0, 0.3, -3.0)]);
+        let slow = run(&[(1.0, 1.0, -5.0), (2.0, 2.0, -5.0), (3.0, 3.0, 0.0)]);
+        let curve = curve(vec![fast, slow]);
+        let scale = YScale::of(curve.values());
+        let summary = curve.summary(Abscissa::Epoch, scale);
+        assert_eq!(&*summary.note, "", "both seeds remain");
+        assert_eq!(summary.band, [(-5.0, 1.0), (-5.0, -1.0), (-3.0, 0.0)]);
+        assert_eq!(summary.line, [(1.0, -2.0), (2.0, -3.0), (3.0, -1.5)]);
+        check(&comparison("negative", &[curve]));
+    }
+
+    #[test]
+    fn a_learning_curve_shows_all_finite_losses_of_either_sign() {
+        let loss = |i: i32| (f64::from(i), 0.5 - f64::from(i) / 10.0);
+        let picture = learning_curve("a", &(0..60).map(loss).collect::<Vec<_>>(), &[]);
+        check(&picture);
+        assert_eq!(corners(&picture), 60);
+        // The losses -5.4 to 0.5 have ticks of both signs.
+        let picture = picture.to_svg();
+        assert!([">−4<", ">0<"].into_iter().all(|tick| picture.contains(tick)), "{picture}");
+    }
+
+    #[test]
+    fn negative_losses_do_not_change_panels_of_other_axes() {
+        let fast = run(&[(0.0, 0.0, 1.0), (2.0, 1.0, 1e-4)]);
+        let slow = run(&[(0.0, 0.0, 1.0), (1.0, 1.0, 1.0), (2.0, 2.0, 1.0)]);
+        let positive = Curve { color: "#123456", ..curve(vec![fast, slow]) };
+        let lines = |other: f64| {
+            let runs = vec![run(&[(0.0, 0.0, other), (2.0, 1.0, 2.0 * other)])];
+            let other = curve(runs);
+            let case = |y_axis, curve: &Curve| Case {
+                title: String::new(),
+                y_label: "loss".into(),
+                y_axis,
+                x: Abscissa::Epoch,
+                curves: vec![curve.clone()],
+            };
+            let svg = study("a", &[vec![case(0, &positive), case(1, &other)]]).to_svg();
+            let document = roxmltree::Document::parse(&svg).expect("an SVG is XML");
+            let paths =
+                document.descendants().filter(|node| node.attribute("stroke") == Some("#123456"));
+            paths.filter_map(|node| node.attribute("d").map(String::from)).collect::<Vec<_>>()
+        };
+        assert_eq!(lines(-1.0), lines(1.0));
+        assert!(!lines(1.0).is_empty());
     }
 
     #[test]

@@ -36,3 +36,14 @@ pub fn distribution(title: &str, policies: Vec<(String, Vec<f64>)>) -> Drawing {
     };
     log_figure(title, &[vec![panel]])
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn negative_losses_are_drawn() {
+        let picture = distribution("a", vec![("b".into(), vec![-9.0, -1.0, 2.0])]).to_svg();
+        assert!(!picture.contains("no positive data") && picture.contains(">−5<"), "{picture}");
+    }
+}

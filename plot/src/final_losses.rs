@@ -31,7 +31,8 @@ const HALF_WIDTH: f64 = 0.25;
 ///
 /// Methods have numbers along the x axis, and names in the legend. All tasks have the same methods.
 /// The axis of a task is linear if a loss is 0 or negative, otherwise logarithmic. Omits dots and
-/// lines that the axis cannot show, and states how many of the seeds remain. Medians include all seeds; NaN ranks above every number.
+/// lines that the axis cannot show, and states how many of the seeds remain. Medians include all
+/// seeds; NaN ranks above every number.
 pub fn final_losses(title: &str, tasks: Vec<TaskLosses>) -> Drawing {
     let names = tasks.first().map_or(&[][..], |task| &task.methods);
     let mut legend: Vec<_> = names
@@ -136,6 +137,14 @@ mod tests {
         ];
         assert_eq!(lines, expected);
         assert_eq!((&*panel.series[0].note, &*panel.series[2].note), ("", "2 of 3 seeds"));
+    }
+
+    #[test]
+    fn negative_losses_have_dots_and_a_median() {
+        let panel = panel(0, losses(&[("A", &[-1.0, 0.0, 3.0])]));
+        let dots: Vec<f64> = panel.series[1..4].iter().map(|series| series.line[0].1).collect();
+        assert_eq!((dots, &*panel.series[0].note), (vec![-1.0, 0.0, 3.0], ""));
+        assert_eq!(panel.series[0].line[0].1, 0.0);
     }
 
     #[test]

@@ -18,3 +18,19 @@ pub fn robustness(title: &str, setting: &str, panels: Vec<(String, Vec<Series>)>
     };
     log_figure(title, &[panels.into_iter().map(panel).collect()])
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bands_of_negative_losses_are_drawn() {
+        let series = Series {
+            band: vec![(-2.0, 1.0), (-9.0, -4.0)],
+            ..Series::new("a", "#123456", vec![(1.0, -1.0), (2.0, -5.0)])
+        };
+        let panels = vec![("b".to_owned(), vec![series])];
+        let picture = robustness("a", "mass", panels).to_svg();
+        assert!(!picture.contains("no positive data") && picture.contains(">−4<"), "{picture}");
+    }
+}

@@ -8,8 +8,8 @@ const LOG_RATIO: f64 = 10.0;
 
 /// Draws final losses against settings: one panel per setting, one line with a band per method.
 /// Omits points without a band, and points that the axis of losses cannot show. This axis is linear
-/// if a loss is 0 or negative, otherwise logarithmic. The axis of a
-/// setting is logarithmic if its values are positive and span at least a factor of ten.
+/// if a loss is 0 or negative, otherwise logarithmic. The axis of a setting is logarithmic if its
+/// values are positive and span at least a factor of ten.
 pub fn settings(title: &str, panels: Vec<(String, Vec<Series>)>) -> Drawing {
     let scale = YScale::of(panels.iter().flat_map(|(_, series)| series).flat_map(Series::values));
     let panel = |(setting, series): (String, Vec<Series>)| {
@@ -29,4 +29,20 @@ pub fn settings(title: &str, panels: Vec<(String, Vec<Series>)>) -> Drawing {
         }
     };
     log_figure(title, &[panels.into_iter().map(panel).collect()])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bands_of_negative_losses_are_drawn() {
+        let series = Series {
+            band: vec![(-2.0, 1.0), (-9.0, -4.0)],
+            ..Series::new("a", "#123456", vec![(1.0, -1.0), (2.0, -5.0)])
+        };
+        let panels = vec![("b".to_owned(), vec![series])];
+        let picture = settings("a", panels).to_svg();
+        assert!(!picture.contains("no positive data") && picture.contains(">−4<"), "{picture}");
+    }
 }
