@@ -137,7 +137,7 @@ impl Run {
     /// # Errors
     /// A file cannot be written, the checkpoint cannot be restored, or the folder is in use. A run
     /// in a folder has completed more epochs than its setting `epochs`. Training diverged, with a
-    /// [`TrainError`], or the run ended without an applied update.
+    /// [`TrainError`](physgrad::TrainError), or the run ended without an applied update.
     pub fn train(&mut self, observer: &mut dyn Observer) -> Result<bool> {
         let (scene, run) = (&self.scene.scene, &mut *self.run);
         let finished = match &self.folder {
