@@ -13,8 +13,10 @@ venv=$target/python-wheels
 [ -x "$venv/bin/python" ] || "$python" -m venv "$venv"
 "$venv/bin/python" -m pip --quiet --disable-pip-version-check install 'maturin[zig]>=1.9,<2' auditwheel
 
+# Maturin finds Zig, a package of Python, by this path.
+export PATH=$venv/bin:$PATH PYO3_PYTHON=$venv/bin/python
 options=""
 if [ "$(uname -s)" = Linux ]; then options="--zig --compatibility manylinux_2_28"; fi
-PYO3_PYTHON=$venv/bin/python "$venv/bin/maturin" build --release $options --out "$out"
-"$venv/bin/maturin" sdist --out "$out"
-if [ "$(uname -s)" = Linux ]; then "$venv/bin/auditwheel" show "$out"/physgrad-*.whl; fi
+maturin build --release $options --out "$out"
+maturin sdist --out "$out"
+if [ "$(uname -s)" = Linux ]; then auditwheel show "$out"/physgrad-*.whl; fi
