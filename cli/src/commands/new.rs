@@ -86,6 +86,7 @@ pub fn new(args: &New) -> Result<()> {
         bail!("cannot create the folder {name}: it exists; choose another name");
     }
     let sources = sources(args.path.as_deref());
+    let mut package = Vec::new();
     let mut files = vec![
         ("Cargo.toml", manifest(name, sources)?),
         ("src/main.rs", source(name)),
@@ -97,7 +98,9 @@ pub fn new(args: &New) -> Result<()> {
             "a Python package needs the sources of physgrad; give their folder by --path DIR",
         )?;
         add_python(name, sources, &mut files)?;
+        package = python_files(&sources.join("python/physgrad"))?;
     }
+    files.extend(package.iter().map(|(file, text)| (&**file, text.clone())));
     files::create_tree(Path::new(name), &files)
         .with_context(|| format!("cannot write the folder {name}"))?;
     let equations = if args.python { "src/task.rs" } else { "src/main.rs" };
@@ -155,14 +158,25 @@ fn add_python(name: &str, sources: &Path, files: &mut Vec<(&str, String)>) -> Re
     files.extend([
         ("src/main.rs", MAIN.replace("NAME", name).replace("PROGRAM", &program)),
         ("src/lib.rs", MODULE.replace("NAME", name).replace("PROGRAM", &program)),
-        (
-            "pyproject.toml",
-            PYPROJECT
-                .replace("NAME", name)
-                .replace("SOURCES", &toml::Value::from(utf8(&sources.join("python"))?).to_string()),
-        ),
+        ("pyproject.toml", PYPROJECT.replace("NAME", name)),
     ]);
     Ok(())
+}
+
+/// Files of the Python package in this folder, with their places in a new crate.
+fn python_files(folder: &Path) -> Result<Vec<(String, String)>> {
+    let read = || -> std::io::Result<Vec<(String, String)>> {
+        let mut files = Vec::new();
+        for entry in fs::read_dir(folder)? {
+            let path = entry?.path();
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            if [".py", ".pyi", ".typed"].iter().any(|end| name.ends_with(end)) {
+                files.push((format!("python/physgrad/{name}"), fs::read_to_string(path)?));
+            }
+        }
+        Ok(files)
+    };
+    read().with_context(|| format!("cannot read the Python package in {}", folder.display()))
 }
 
 const PYTHON_MANIFEST: &str = r#"# The extension module of the Python package.
@@ -211,7 +225,8 @@ dynamic = ["version"]
 
 [tool.maturin]
 features = ["python"]
-python-source = SOURCES
+# A copy of the Python files of physgrad.
+python-source = "python"
 python-packages = ["physgrad"]
 module-name = "physgrad._core"
 "#;

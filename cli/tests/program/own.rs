@@ -382,8 +382,14 @@ fn a_new_crate_for_python_has_one_task_in_program_and_module() {
     assert!(Path::new(bindings["path"].as_str().expect("a path")).join("Cargo.toml").exists());
     assert_eq!(bindings["optional"].as_bool(), Some(true));
     let project: toml::Table = read("pyproject.toml").parse().expect("TOML");
-    let package = project["tool"]["maturin"]["python-source"].as_str().expect("a path");
-    assert!(Path::new(package).join("physgrad/__init__.py").exists(), "{package}");
+    assert_eq!(project["tool"]["maturin"]["python-source"].as_str(), Some("python"));
+    for file in ["__init__.py", "_core.pyi", "py.typed"] {
+        let own = Path::new("../python/physgrad").join(file);
+        assert_eq!(
+            read(&format!("python/physgrad/{file}")),
+            std::fs::read_to_string(own).expect(file)
+        );
+    }
     new(&["other", "--python", "--scene"], dir.path()).assert().failure();
 }
 
