@@ -78,7 +78,7 @@ impl Series {
     }
 
     /// Omits points without a band, and points that an axis of this scale cannot show.
-    pub(super) fn with_drawable_band(mut self, scale: YScale) -> Self {
+    fn with_drawable_band(mut self, scale: YScale) -> Self {
         let points = self.line.into_iter().zip(self.band);
         let is_shown = |y: f64| scale.shows(y);
         let points =
@@ -97,6 +97,15 @@ impl Series {
         let points = self.line.len().min(other.line.len());
         points > 1 && 2 * equal >= points
     }
+}
+
+/// Panels of series with bands, without points that their common axis cannot show.
+pub fn drawable_bands(panels: Vec<(String, Vec<Series>)>) -> Vec<(String, Vec<Series>)> {
+    let scale = YScale::of(panels.iter().flat_map(|(_, series)| series).flat_map(Series::values));
+    let shown = |series: Vec<Series>| {
+        series.into_iter().map(|series| series.with_drawable_band(scale)).collect()
+    };
+    panels.into_iter().map(|(title, series)| (title, shown(series))).collect()
 }
 
 /// True for values between 1e-100 and 1e100, which a log axis can show.

@@ -1,7 +1,8 @@
 //! Final losses over settings.
 
 use super::log_figure::{Panel, XScale, log_figure};
-use super::{Drawing, Series, YScale};
+use super::series::drawable_bands;
+use super::{Drawing, Series};
 
 /// Smallest ratio of the largest to the smallest value of a setting with a logarithmic axis.
 const LOG_RATIO: f64 = 10.0;
@@ -11,7 +12,6 @@ const LOG_RATIO: f64 = 10.0;
 /// if a loss is 0 or negative, otherwise logarithmic. The axis of a setting is logarithmic if its
 /// values are positive and span at least a factor of ten.
 pub fn settings(title: &str, panels: Vec<(String, Vec<Series>)>) -> Drawing {
-    let scale = YScale::of(panels.iter().flat_map(|(_, series)| series).flat_map(Series::values));
     let panel = |(setting, series): (String, Vec<Series>)| {
         let values = || series.iter().flat_map(|series| &series.line).map(|&(x, _)| x);
         let (low, high) = (values().fold(f64::INFINITY, f64::min), values().fold(0.0, f64::max));
@@ -25,24 +25,8 @@ pub fn settings(title: &str, panels: Vec<(String, Vec<Series>)>) -> Drawing {
             },
             y_label: "final test loss".into(),
             y_axis: 0,
-            series: series.into_iter().map(|series| series.with_drawable_band(scale)).collect(),
+            series,
         }
     };
-    log_figure(title, &[panels.into_iter().map(panel).collect()])
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn bands_of_negative_losses_are_drawn() {
-        let series = Series {
-            band: vec![(-2.0, 1.0), (-9.0, -4.0)],
-            ..Series::new("a", "#123456", vec![(1.0, -1.0), (2.0, -5.0)])
-        };
-        let panels = vec![("b".to_owned(), vec![series])];
-        let picture = settings("a", panels).to_svg();
-        assert!(!picture.contains("no positive data") && picture.contains(">−4<"), "{picture}");
-    }
+    log_figure(title, &[drawable_bands(panels).into_iter().map(panel).collect()])
 }

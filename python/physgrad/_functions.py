@@ -99,6 +99,33 @@ class TaskFunction:
         return f"{type(self).__module__}.{type(self).__qualname__}({self.task!r})"
 
 
+class RolloutFunction(TaskFunction):
+    """A whole rollout as one function, with its derivative, in reverse mode.
+
+    - ``rollout(task)(u, starts)`` returns the states, (..., T + 1, n), for the controls u, (..., T, m), of
+      each sample.
+    - ``rollout(task, policy)(theta, starts)`` returns the states and the controls, (..., T, m), of the
+      policy with the parameters theta, (P,), instead of its own.
+
+    ``starts``, (..., start_dim), are initial states as of ``task.starts``. The derivative follows the
+    paths of ``flow``: "R", the chain rule; "M" without the observation; "N" without the state of the
+    physics; "S" without both. A number that is not finite in a rollout of a policy is an error.
+    """
+
+    def __init__(self, task: Any, policy: Any = None, flow: str = "R") -> None:
+        if policy is None and flow != "R":
+            raise ValueError(f"`flow` is {flow!r}, but controls without a policy have no other paths than those of R")
+        super().__init__(task, policy, flow)
+        # Not `len(policy)` in each call, which PyTorch does not compile.
+        self.parameters = 0 if policy is None else len(policy)
+
+
+def missing_parameters(name: str, task: Any) -> ValueError:
+    """The error of a call without the parameters of a task."""
+    names = ", ".join(task.param_names)
+    return ValueError(f"`{name}`: {task.name} has {task.param_dim} parameters ({names}); pass `p`")
+
+
 def refuse_noise(task: Any) -> None:
     """Refuses a task with noise for `transition`, whose observation would have that of the step before."""
     if task.start_dim > task.state_dim + task.param_dim:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from ._results import html_table
 
 if TYPE_CHECKING:
     from ._core import Policy, Run, Task
@@ -18,13 +19,7 @@ CURVES = {"training": "#0072b2", "test": "#d55e00"}
 
 def table(title: str, rows: Mapping[str, Any]) -> str:
     """A table of names and values. Rows without a value are left out."""
-    left = "style='text-align:left'"
-    cells = "".join(
-        f"<tr><th {left}>{escape(name)}</th><td {left}>{escape(str(value))}</td></tr>"
-        for name, value in rows.items()
-        if value not in (None, "")
-    )
-    return f"<table><caption {left}><b>{escape(title)}</b></caption>{cells}</table>"
+    return html_table(title, (), [(name, str(value)) for name, value in rows.items() if value not in (None, "")])
 
 
 def value_of(value: Any) -> str:

@@ -64,7 +64,7 @@ class Plan(Result):
         return "\n".join([*lines, *(f"warning: {warning}" for warning in self.warnings)])
 
     def _repr_html_(self) -> str:
-        return html_table(f"Plan of {self.task.name}", ("", ""), self._facts())
+        return html_table(f"Plan of {self.task.name}", (), self._facts())
 
 
 def optimize(

@@ -52,10 +52,13 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
 
 
 def html_table(caption: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table for notebooks."""
+    """A table for notebooks, with names in the first column. An empty header has no line."""
+    left = "style='text-align:left'"
 
     def line(tag: str, cells: Sequence[str]) -> str:
-        return "<tr>" + "".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in cells) + "</tr>"
+        first = f"<th {left}>{html.escape(cells[0])}</th>"
+        return f"<tr>{first}{''.join(f'<{tag} {left}>{html.escape(cell)}</{tag}>' for cell in cells[1:])}</tr>"
 
+    top = line("th", header) if header else ""
     body = "".join(line("td", cells) for cells in rows)
-    return f"<table><caption>{html.escape(caption)}</caption>{line('th', header)}{body}</table>"
+    return f"<table><caption {left}><b>{html.escape(caption)}</b></caption>{top}{body}</table>"

@@ -27,7 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from . import _core
-from ._functions import TaskFunction, lead, refuse_noise
+from ._functions import RolloutFunction, TaskFunction, lead, missing_parameters, refuse_noise
 
 __all__ = ["observe", "rollout", "running_cost", "step", "terminal_cost", "transition"]
 
@@ -83,8 +83,7 @@ class _Rows(TaskFunction):
         inputs = {label: jnp.asarray(array) for label, array in inputs.items()}
         if p is None:
             if task.param_dim:
-                names = ", ".join(task.param_names)
-                raise ValueError(f"`{name}`: {task.name} has {task.param_dim} parameters ({names}); pass `p`")
+                raise missing_parameters(name, task)
             p = jnp.zeros((0,), inputs["x"].dtype)
         inputs["p"] = jnp.asarray(p)
         _check(name, {label: (sizes[label],) for label in inputs}, inputs)
@@ -170,30 +169,15 @@ class transition(_Rows):
         return self._rows({"x": x, "u": u}, p, t)
 
 
-class rollout(TaskFunction):
-    """A whole rollout as one function, with its derivative.
-
-    - ``rollout(task)(u, starts)`` returns the states, (..., T + 1, n), for the controls u, (..., T, m), of
-      each sample.
-    - ``rollout(task, policy)(theta, starts)`` returns the states and the controls, (..., T, m), of the
-      policy with the parameters theta, (P,), instead of its own.
-
-    ``starts``, (..., start_dim), are initial states as of ``task.starts``. The derivative follows the
-    paths of ``flow``: "R", the chain rule; "M" without the observation; "N" without the state of the
-    physics; "S" without both. A number that is not finite in a rollout of a policy is an error.
-    """
-
-    def __init__(self, task: Any, policy: Any = None, flow: str = "R") -> None:
-        super().__init__(task, policy, flow)
-        if policy is None and flow != "R":
-            raise ValueError(f"`flow` is {flow!r}, but controls without a policy have no other paths than those of R")
+class rollout(RolloutFunction):
+    __doc__ = RolloutFunction.__doc__
 
     def __call__(self, first: Any, starts: Any) -> Any:
         """Returns the states, or states and controls of a policy."""
         task = self.task
         n, m, label = task.state_dim, task.control_dim, "u" if self.policy is None else "theta"
         arrays = {label: jnp.asarray(first), "starts": jnp.asarray(starts)}
-        shape = (..., m) if self.policy is None else (len(self.policy),)
+        shape = (..., m) if self.policy is None else (self.parameters,)
         _check("rollout", {label: shape, "starts": (task.start_dim,)}, arrays)
         first, starts = arrays.values()
         if self.policy is not None:

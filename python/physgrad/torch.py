@@ -24,7 +24,18 @@ import torch
 from torch import Tensor
 
 from . import _core
-from ._functions import OBSERVE, RUNNING_COST, STEP, TERMINAL_COST, Function, TaskFunction, lead, refuse_noise
+from ._functions import (
+    OBSERVE,
+    RUNNING_COST,
+    STEP,
+    TERMINAL_COST,
+    Function,
+    RolloutFunction,
+    TaskFunction,
+    lead,
+    missing_parameters,
+    refuse_noise,
+)
 
 __all__ = ["observe", "rollout", "running_cost", "step", "terminal_cost", "transition"]
 
@@ -130,40 +141,25 @@ class transition(_Rows):
     def __call__(self, x: Tensor, u: Tensor, p: Tensor | None = None, t: int = 0) -> tuple[Tensor, Tensor, Tensor]:
         """Returns ``(next, y, cost)``."""
         if p is None and self.task.param_dim:
-            names = ", ".join(self.task.param_names)
-            raise ValueError(f"`transition`: {self.task.name} has {self.task.param_dim} parameters ({names}); pass `p`")
+            raise missing_parameters("transition", self.task)
         return self._call(x, u, p=x.new_zeros(0) if p is None else p, t=t)
 
     def _operator(self) -> Callable[..., Any]:
         return partial(_run, _TRANSITION)
 
 
-class rollout(TaskFunction):
-    """A whole rollout as one function, with its derivative, in reverse mode.
-
-    - ``rollout(task)(u, starts)`` returns the states, (..., T + 1, n), for the controls u, (..., T, m), of
-      each sample.
-    - ``rollout(task, policy)(theta, starts)`` returns the states and the controls, (..., T, m), of the
-      policy with the parameters theta, (P,), instead of its own.
-
-    ``starts``, (..., start_dim), are initial states as of ``task.starts``. The derivative follows the
-    paths of ``flow``: "R", the chain rule; "M" without the observation; "N" without the state of the
-    physics; "S" without both. A number that is not finite in a rollout of a policy raises
-    ``Divergence``.
-    """
+class rollout(RolloutFunction):
+    __doc__ = RolloutFunction.__doc__
 
     def __init__(self, task: Any, policy: Any = None, flow: str = "R") -> None:
         super().__init__(task, policy, flow)
-        self._params = 0 if policy is None else len(policy)
-        if policy is None and flow != "R":
-            raise ValueError(f"`flow` is {flow!r}, but controls without a policy have no other paths than those of R")
         _TASKS.setdefault(self.handle, task)
 
     def __call__(self, first: Tensor, starts: Tensor) -> Any:
         """Returns the states, or states and controls of a policy."""
         task = self.task
         if self.policy is not None:
-            _check("rollout", {"theta": self._params, "starts": task.start_dim}, (first, starts))
+            _check("rollout", {"theta": self.parameters, "starts": task.start_dim}, (first, starts))
             return _run(_ROLLOUT, first, starts, self.handle)
         _check("rollout", {"u": task.control_dim, "starts": task.start_dim}, (first, starts))
         if first.dim() < 2:

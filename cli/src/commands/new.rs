@@ -1,5 +1,7 @@
 //! `physgrad new`: a crate with a task of the user, also for Python, or a scene with equations.
 
+mod python;
+
 use crate::platform::files;
 use crate::platform::terminal::print_result;
 use crate::scenes::presets;
@@ -97,8 +99,8 @@ pub fn new(args: &New) -> Result<()> {
         let sources = sources.context(
             "a Python package needs the sources of physgrad; give their folder by --path DIR",
         )?;
-        add_python(name, sources, &mut files)?;
-        package = python_files(&sources.join("python/physgrad"))?;
+        python::add(name, sources, &mut files)?;
+        package = python::package(&sources.join("python/physgrad"))?;
     }
     files.extend(package.iter().map(|(file, text)| (&**file, text.clone())));
     files::create_tree(Path::new(name), &files)
@@ -124,112 +126,6 @@ fn sources(path: Option<&Path>) -> Option<&Path> {
     let own = Path::new(env!("CARGO_MANIFEST_DIR")).parent();
     path.or(own.filter(|sources| sources.join("cli/Cargo.toml").exists()))
 }
-
-/// Divides the crate into the task, the program and the extension module of Python, and adds the
-/// description of the Python package.
-fn add_python(name: &str, sources: &Path, files: &mut Vec<(&str, String)>) -> Result<()> {
-    let type_name = type_name(name);
-    for (file, text) in &mut *files {
-        match *file {
-            "Cargo.toml" => {
-                let package = dependency(Some(sources), "python")?;
-                let package = package.trim_end_matches(" }");
-                let package = format!("{package}, default-features = false, optional = true }}");
-                let own = PYTHON_MANIFEST.replace("NAME", name).replace("SOURCES", &package);
-                *text = text.replacen("[dependencies]\n", &own, 1);
-            }
-            "src/main.rs" => {
-                let task = text
-                    .replace(
-                        &format!("struct {type_name} {{"),
-                        &format!("pub struct {type_name} {{"),
-                    )
-                    .replace("use std::process::ExitCode;\n", "");
-                let main = task.find("\nfn main()").context("the example has a program")?;
-                let after = task[main..].find("\n}\n").context("the program ends")? + main + 3;
-                let parts = [&task[..main], &task[after..]].concat();
-                *file = "src/task.rs";
-                *text = parts;
-            }
-            _ => {}
-        }
-    }
-    let program = format!("physgrad_cli::program().task::<task::{type_name}>()");
-    files.extend([
-        ("src/main.rs", MAIN.replace("NAME", name).replace("PROGRAM", &program)),
-        ("src/lib.rs", MODULE.replace("NAME", name).replace("PROGRAM", &program)),
-        ("pyproject.toml", PYPROJECT.replace("NAME", name)),
-    ]);
-    Ok(())
-}
-
-/// Files of the Python package in this folder, with their places in a new crate.
-fn python_files(folder: &Path) -> Result<Vec<(String, String)>> {
-    let read = || -> std::io::Result<Vec<(String, String)>> {
-        let mut files = Vec::new();
-        for entry in fs::read_dir(folder)? {
-            let path = entry?.path();
-            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            if [".py", ".pyi", ".typed"].iter().any(|end| name.ends_with(end)) {
-                files.push((format!("python/physgrad/{name}"), fs::read_to_string(path)?));
-            }
-        }
-        Ok(files)
-    };
-    read().with_context(|| format!("cannot read the Python package in {}", folder.display()))
-}
-
-const PYTHON_MANIFEST: &str = r#"# The extension module of the Python package.
-[lib]
-name = "NAME_python"
-path = "src/lib.rs"
-crate-type = ["cdylib"]
-test = false
-doc = false
-
-[features]
-python = ["dep:physgrad-python"]
-
-[dependencies]
-physgrad-python = SOURCES
-"#;
-
-const MAIN: &str = "//! The program with the task `NAME`: `cargo run --release -- train NAME`.
-
-mod task;
-
-fn main() -> std::process::ExitCode {
-    PROGRAM.main()
-}
-";
-
-const MODULE: &str =
-    "//! The Python package `physgrad` with the task `NAME`, which `pip install .` builds.
-#![cfg(feature = \"python\")]
-
-mod task;
-
-physgrad_python::module!(PROGRAM);
-";
-
-const PYPROJECT: &str = r#"# Replaces an installed package `physgrad` by one that also has the task `NAME`.
-[build-system]
-requires = ["maturin>=1.9,<2"]
-build-backend = "maturin"
-
-[project]
-name = "physgrad"
-requires-python = ">=3.10"
-dependencies = ["numpy>=1.23"]
-dynamic = ["version"]
-
-[tool.maturin]
-features = ["python"]
-# A copy of the Python files of physgrad.
-python-source = "python"
-python-packages = ["physgrad"]
-module-name = "physgrad._core"
-"#;
 
 /// Writes a scene with equations.
 fn scene(name: &str) -> Result<()> {

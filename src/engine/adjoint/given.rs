@@ -20,6 +20,10 @@ impl<F: Float> Given<F> {
         Self { states: lanes(states, samples), controls: lanes(controls, samples), horizon }
     }
 
+    pub(super) fn stored_bytes(&self) -> usize {
+        size_of_val(&self.states[..]) + size_of_val(&self.controls[..])
+    }
+
     /// Writes the cotangents that step `t` adds. That of the initial state belongs to step 0.
     pub(super) fn write(&self, t: usize, block: usize, cost: &mut CostGradient<Lane<F>>) {
         let (n, m) = (cost.next.len(), cost.u.len());

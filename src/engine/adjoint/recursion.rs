@@ -238,7 +238,9 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         let costs = CostGradient::<Lane<F>>::bytes_of(self.cost.x.len(), self.cost.u.len());
         let starts = self.starts.as_ref().map_or(0, StartGradients::stored_bytes)
             + size_of_val(&self.cost.p[..]);
-        let others = [costs, self.exponents.stored_bytes(), self.growth.stored_bytes(), starts];
+        let given = self.given.as_ref().map_or(0, Given::stored_bytes);
+        let others =
+            [costs, self.exponents.stored_bytes(), self.growth.stored_bytes(), starts, given];
         columns.into_iter().chain(others).sum()
     }
 
