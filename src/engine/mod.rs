@@ -38,6 +38,8 @@ pub(crate) mod step_forward;
 pub use crate::dynamics::cause::Cause;
 #[doc(hidden)]
 pub use crate::numbers::kernels;
+#[doc(hidden)]
+pub use crate::numbers::pool::lend;
 #[cfg(feature = "parallel")]
 pub use crate::numbers::threads;
 pub use batch::Batch;

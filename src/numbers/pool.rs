@@ -14,7 +14,7 @@ thread_local! {
 ///
 /// A call receives a value that an earlier call left, or the default value if there is none. Nested
 /// calls receive different values.
-pub(crate) fn lend<T: Default + 'static, Out>(work: impl FnOnce(&mut T) -> Out) -> Out {
+pub fn lend<T: Default + 'static, Out>(work: impl FnOnce(&mut T) -> Out) -> Out {
     let mut value: Box<T> = POOL.with_borrow_mut(|pool| {
         // From the end, where the last call left its value.
         let found = pool.iter().rposition(|value| value.is::<T>());

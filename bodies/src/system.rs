@@ -1,0 +1,159 @@
+//! [`Bodies`]: a model as a system.
+
+use crate::model::Model;
+use crate::step::{Bar, Buffers};
+use crate::tree::{Coefficient, Tree, numbers};
+use physgrad::engine::lend;
+use physgrad::{Cotangent, Cotangents, Inputs, Number, Numbers, Real, Scalar, System};
+use std::borrow::Cow;
+use std::sync::Arc;
+
+/// Articulated bodies with contact.
+///
+/// The state is `[q, v]`: one position per degree of freedom, or 4 per ball joint and 7 per free
+/// joint, and one velocity per degree of freedom. The controls are those of the actuators. A step
+/// has the time step of the model.
+#[derive(Clone, Debug)]
+pub struct Bodies {
+    model: Arc<Model>,
+    tree: Arc<Tree>,
+    numbers: Arc<[(Cow<'static, str>, Number)]>,
+    varied: usize,
+}
+
+/// Why a model cannot be simulated.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum BodiesError {
+    /// A part of the model has no equations here.
+    #[error("{0}")]
+    Unsupported(String),
+    /// A number is not one of the model.
+    #[error("`{name}` is not a number of the model")]
+    UnknownNumber {
+        /// The name.
+        name: String,
+        /// The names of all numbers.
+        known: Vec<String>,
+    },
+}
+
+impl Bodies {
+    /// Compiles a model with its own numbers.
+    ///
+    /// # Errors
+    /// The model has joints or contacts that are not simulated.
+    pub fn new(model: Model) -> Result<Self, BodiesError> {
+        Self::with_numbers(model, Vec::new())
+    }
+
+    /// Compiles a model with some of its numbers set, drawn for each sample, or trained:
+    /// `body.NAME.mass`, `joint.NAME.damping`, `.armature`, `.stiffness`, `.friction_loss`,
+    /// `actuator.NAME.gear`, `shape.NAME.friction`.
+    ///
+    /// A mass scales the moments of inertia of its body. Softness of constraints keeps the inverse
+    /// masses of the file.
+    ///
+    /// # Errors
+    /// The model has joints or contacts that are not simulated, or no number with a name.
+    pub fn with_numbers(
+        model: Model,
+        set: Vec<(String, Number)>,
+    ) -> Result<Self, BodiesError> {
+        let known = numbers(&model);
+        if let Some((name, _)) = set.iter().find(|(name, _)| !known.iter().any(|known| known.name == *name)) {
+            let known = known.into_iter().map(|number| number.name).collect();
+            return Err(BodiesError::UnknownNumber { name: name.clone(), known });
+        }
+        let varied: Vec<&String> =
+            set.iter().filter(|(_, number)| !number.is_fixed()).map(|(name, _)| name).collect();
+        let coefficient = |name: &str, value: f64| {
+            let given = set.iter().find(|(given, _)| given == name);
+            Coefficient {
+                value: given.map_or(value, |(_, number)| number.nominal()),
+                entry: varied.iter().position(|varied| *varied == name),
+            }
+        };
+        let tree = Tree::new(&model, &coefficient).map_err(BodiesError::Unsupported)?;
+        let varied = varied.len();
+        let numbers = set.into_iter().map(|(name, number)| (Cow::Owned(name), number)).collect();
+        Ok(Self { model: Arc::new(model), tree: Arc::new(tree), numbers, varied })
+    }
+
+    /// The model.
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// Names and values of the numbers that may be set, drawn or trained.
+    pub fn known_numbers(model: &Model) -> Vec<(String, f64)> {
+        numbers(model).into_iter().map(|number| (number.name, number.value)).collect()
+    }
+
+    /// Number of positions.
+    pub fn positions(&self) -> usize {
+        self.tree.nq
+    }
+
+    /// Number of velocities.
+    pub fn velocities(&self) -> usize {
+        self.tree.nv()
+    }
+
+    /// Positions in the reference pose.
+    pub fn reference(&self) -> &[f64] {
+        &self.tree.reference
+    }
+
+    /// Accelerations under all constraints, and iterations of their solver.
+    pub fn accelerations(&self, Inputs { x, u, p, .. }: Inputs<'_, f64>) -> (Vec<f64>, usize) {
+        let (q, v) = x.split_at(self.tree.nq);
+        lend(|buffers: &mut Buffers<f64>| {
+            let (a, iterations) = buffers.acceleration(&self.tree, [q, v, u, self.own(p)]);
+            (a.to_vec(), iterations)
+        })
+    }
+
+    /// The parameters of the model, the last of a task.
+    #[inline(always)]
+    fn own<'a, T>(&self, p: &'a [T]) -> &'a [T] {
+        &p[p.len() - self.varied..]
+    }
+}
+
+impl System for Bodies {
+    fn state_dim(&self) -> usize {
+        self.tree.nq + self.tree.nv()
+    }
+
+    fn control_dim(&self) -> usize {
+        self.tree.motors.len()
+    }
+
+    fn param_dim(&self) -> usize {
+        self.varied
+    }
+
+    fn numbers(&self) -> Numbers<'_> {
+        Numbers::all(&self.numbers)
+    }
+
+    fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
+        let inputs = Inputs { p: self.own(inputs.p), ..inputs };
+        lend(|buffers: &mut Buffers<T>| buffers.step(&self.tree, inputs, next));
+    }
+
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
+        let skipped = inputs.p.len() - self.varied;
+        let inputs = Inputs { p: self.own(inputs.p), ..inputs };
+        lend(|buffers: &mut Buffers<R>| {
+            lend(|bar: &mut Bar<R, C>| {
+                bar.vjp(buffers, &self.tree, inputs, next_bar, cotangents.skip_params(skipped));
+            });
+        });
+    }
+}
