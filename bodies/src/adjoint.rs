@@ -224,7 +224,7 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
             } else if let (Some(entry), Some(p_bar)) = (dof.friction_loss.entry, &mut bars.p) {
                 // At the bound, the force is the bound with a sign.
                 let o = R::zero();
-                let sign = R::select_lt(row.f, o, -R::one(), R::one());
+                let sign = R::select_lt(row.s, o, R::one(), -R::one());
                 let at_bound = R::select_lt(o, row.w, o, sign);
                 p_bar[entry] += -(power * at_bound);
             }

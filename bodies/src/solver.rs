@@ -164,7 +164,9 @@ impl<T: Scalar> Work<T> {
         for row in &mut self.rows {
             row.s += row.sign * self.direction[row.dof] * length;
             let (f, w) = row.force(row.s);
-            changed += (w - row.w).abs();
+            // Dry friction may change its direction without a change of stiffness.
+            let constant = |f: T, w: T| T::select_lt(T::zero(), w, T::zero(), f);
+            changed += (w - row.w).abs() + (constant(f, w) - constant(row.f, row.w)).abs();
             (row.f, row.w) = (f, w);
         }
         for (contact, &by) in self.contacts.iter_mut().zip(along) {

@@ -246,6 +246,7 @@ pub(crate) struct Bar<R, C> {
     /// Cotangents of the stages of the Runge-Kutta method.
     stage: [Vec<C>; 2],
     velocity: Vec<C>,
+    speed: Vec<C>,
 }
 
 impl<R, C> Default for Bar<R, C> {
@@ -257,6 +258,7 @@ impl<R, C> Default for Bar<R, C> {
             a: Vec::new(),
             stage: [Vec::new(), Vec::new()],
             velocity: Vec::new(),
+            speed: Vec::new(),
         }
     }
 }
@@ -344,21 +346,22 @@ impl<R: Real, C: Cotangent<R>> Bar<R, C> {
             for k in 0..n {
                 self.a[k] = v_next_bar[k] * (weight * dt);
             }
-            let mut speed: Vec<C> = self.velocity.iter().map(|&bar| bar * weight).collect();
+            self.speed.clear();
+            self.speed.extend(self.velocity.iter().map(|&bar| bar * weight));
             if let Some(h) = from_later {
                 let [stage_q, stage_v] = &self.stage;
                 for k in 0..n {
                     self.a[k] += stage_v[k] * R::from(h);
                     self.v[k] += stage_v[k];
                 }
-                advance_vjp(tree, q, &buffers.stages[i].v, h, stage_q, (&mut self.q, &mut speed));
+                advance_vjp(tree, q, &buffers.stages[i].v, h, stage_q, (&mut self.q, &mut self.speed));
             }
             let Stage { q: at, v: speed_at, work } = &mut buffers.stages[i];
             let [stage_q, stage_v] = &mut self.stage;
             stage_q.clear();
             stage_q.resize(q.len(), C::null());
             stage_v.clear();
-            stage_v.extend_from_slice(&speed);
+            stage_v.extend_from_slice(&self.speed);
             let mut bars = Bars {
                 q: stage_q,
                 v: stage_v,

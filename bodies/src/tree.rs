@@ -459,7 +459,9 @@ impl Tree {
             }
         };
         for dof in &self.dofs {
-            [&dof.armature, &dof.damping, &dof.stiffness, &dof.friction_loss].map(&mut set);
+            for number in [&dof.armature, &dof.damping, &dof.stiffness, &dof.friction_loss] {
+                set(number);
+            }
             dof.varied.iter().for_each(|(mass, _)| set(mass));
         }
         self.motors.iter().for_each(|motor| set(&motor.gear));
