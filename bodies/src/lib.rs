@@ -2,4 +2,10 @@
 
 #![deny(missing_docs, unsafe_op_in_unsafe_fn)]
 
+pub mod files;
+mod mass;
+pub mod mjcf;
 pub mod model;
+mod rotation;
+pub mod urdf;
+mod xml;
