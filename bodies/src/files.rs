@@ -1,0 +1,50 @@
+//! Model files: reading by the kind of the file, and errors with file and line.
+
+use crate::model::Model;
+use crate::{mjcf, urdf, xml};
+use std::fmt;
+use std::path::Path;
+
+/// Reads a model from an MJCF or URDF file, which its outermost element tells apart.
+///
+/// # Errors
+///
+/// If the file cannot be read, is malformed, or has something that the physics here lacks.
+pub fn read(path: &Path) -> Result<Model, FileError> {
+    let document = xml::read(path)?;
+    match document.name.as_str() {
+        "mujoco" => mjcf::read(path),
+        "robot" => urdf::read(path),
+        other => Err(document.error(format!(
+            "`{other}` is not a model; MJCF files begin with `mujoco`, URDF files with `robot`"
+        ))),
+    }
+}
+
+/// What is wrong with a model file, and where.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FileError {
+    /// Name of the file.
+    pub file: String,
+    /// Line from 1; 0 if the whole file is concerned.
+    pub line: u32,
+    /// Element as in the file, with the attributes that identify it; empty without one.
+    pub element: String,
+    /// What is wrong and what to do.
+    pub what: String,
+}
+
+impl fmt::Display for FileError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.file)?;
+        if self.line > 0 {
+            write!(f, ", line {}", self.line)?;
+        }
+        if !self.element.is_empty() {
+            write!(f, ", {}", self.element)?;
+        }
+        write!(f, ": {}", self.what)
+    }
+}
+
+impl std::error::Error for FileError {}
