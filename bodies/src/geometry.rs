@@ -28,12 +28,15 @@ pub(crate) struct Near<T> {
     /// Whether each is inside its axis rather than at an end: 1 or 0.
     inside: [T; 2],
     between: V<T>,
-    length: T,
+    /// Reciprocal of the distance of the axes, 0 where they meet.
+    per_length: T,
 }
 
 /// Axes with a squared sine below this are parallel: the first capsule touches at its centre, or
 /// at the end of an axis.
 const PARALLEL: f64 = 1e-12;
+/// Square of the distance below which axes meet, m².
+const MEETING: f64 = 1e-30;
 
 #[inline(always)]
 pub(crate) fn nearest<T: Scalar>(a: &Capsule<T>, b: &Capsule<T>) -> Near<T> {
@@ -57,9 +60,13 @@ pub(crate) fn nearest<T: Scalar>(a: &Capsule<T>, b: &Capsule<T>) -> Near<T> {
         t = clamp(-ub / bb);
     }
     let between = sub(add(apart, scale(b.half, t)), scale(a.half, s));
-    let length = dot(between, between).max(1e-30).sqrt();
+    let (square, least) = (dot(between, between), T::from(MEETING));
+    let length = square.max(least).sqrt();
+    let per_length = T::select_lt(least, square, length.recip(), o);
     let normal = scale(between, length.recip());
-    let gap = length - (a.radius + b.radius);
+    let crossed = crossed(a, b);
+    let normal = [0, 1, 2].map(|i| T::select_lt(least, square, normal[i], crossed[i]));
+    let gap = T::select_lt(least, square, length, o) - (a.radius + b.radius);
     let inside = |x: T, ball: bool| {
         if ball { o } else { T::select_lt(x.abs(), one, one, o) }
     };
@@ -70,8 +77,19 @@ pub(crate) fn nearest<T: Scalar>(a: &Capsule<T>, b: &Capsule<T>) -> Near<T> {
         along: [s, t],
         inside: [inside(s, a.is_ball), inside(t, b.is_ball)],
         between,
-        length,
+        per_length,
     }
+}
+
+/// Normal where axes meet: across both. It is constant there.
+#[inline(always)]
+fn crossed<T: Scalar>(a: &Capsule<T>, b: &Capsule<T>) -> V<T> {
+    let (o, one) = (T::zero(), T::one());
+    let across = cross(a.half, b.half).map(T::detach);
+    let (square, least) = (dot(across, across), T::from(MEETING));
+    let unit = scale(across, square.max(least).sqrt().recip());
+    let otherwise = [one, o, o];
+    [0, 1, 2].map(|i| T::select_lt(least, square, unit[i], otherwise[i]))
 }
 
 #[inline(always)]
@@ -96,7 +114,7 @@ pub(crate) fn nearest_vjp<R: Real, C: Cotangent<R>>(
     let offset = near.gap * 0.5 + a.radius;
     normal_bar = add(normal_bar, scale(point_bar, offset));
     let across = sub(normal_bar, spread(dot(normal_bar, n), n));
-    let mut second = add(scale(across, near.length.recip()), spread(gap_bar, n));
+    let mut second = add(scale(across, near.per_length), spread(gap_bar, n));
     let mut first = sub(point_bar, second);
     let [s, t] = near.along;
     // Positions inside their axes solve `between · half = 0`.

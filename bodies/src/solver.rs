@@ -145,14 +145,14 @@ impl<T: Scalar> Work<T> {
         }
     }
 
-    /// `Δᵀ M Δ` and `aᵀ M a` at the end of the step Δ.
+    /// `Δᵀ M Δ` of the step Δ, and `aᵀ D a` with the diagonal D of M, before the step.
     #[inline(always)]
     fn decrement(&mut self, tree: &Tree) -> (T, T) {
         self.mass.times(&tree.parent, &self.direction, &mut self.product);
         let (mut step, mut whole) = (T::zero(), T::zero());
         for k in 0..self.a.len() {
             step += self.product[k] * self.direction[k];
-            whole += self.product[k].abs() * self.a[k].abs();
+            whole += self.mass.at(k, k) * self.a[k] * self.a[k];
         }
         (step, whole + step)
     }
@@ -234,10 +234,10 @@ impl<T: Scalar> Work<T> {
 /// the minimum fulfils it.
 const SLOPE: f64 = 0.01;
 
-/// Square of the relative Newton step after which the iteration ends.
+/// Square of the relative Newton step after which the iteration ends. Rounding of the step is smaller.
 #[inline(always)]
 fn tolerance<T: Scalar>() -> f64 {
-    <T::Real as physgrad::Float>::EPSILON.powi(2) * 100.0
+    <T::Real as physgrad::Float>::EPSILON.powi(2) * 1e6
 }
 
 pub(crate) fn chains(is_coupled: bool, tree: &Tree) -> Chains<'_> {
