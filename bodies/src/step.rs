@@ -8,7 +8,7 @@ use crate::dynamics::{Arguments, Work};
 use crate::model::Integrator;
 use crate::rows::rows;
 use crate::spatial::*;
-use crate::tree::{Kind, Tree};
+use crate::tree::{Kind, NONE, Placed, Tree};
 use physgrad::engine::kernels::{Vectorized, dispatch_lanes};
 use physgrad::{Cotangent, Cotangents, Inputs, Real, Scalar};
 
@@ -226,6 +226,23 @@ impl<T: Scalar> Buffers<T> {
                 self.mean[1][k] += stage.work.stepped[k] * weight;
             }
         }
+    }
+
+    /// Position and orientation of each body.
+    pub(crate) fn poses(&mut self, tree: &Tree, q: &[T], p: &[T]) -> Vec<(V<T>, M<T>)> {
+        let work = &mut self.stages[0].work;
+        work.resize(tree);
+        let rest = vec![T::zero(); tree.nv()];
+        work.kinematics(tree, [q, &rest, &[], p]);
+        let pose = |body: &Placed| {
+            let at = work.point(body.dof, body.position);
+            let turn = match body.dof {
+                NONE => body.rotation.map(|row| row.map(T::from)),
+                dof => product_with(&work.r[dof], &body.rotation),
+            };
+            (add(at, work.origin), turn)
+        };
+        tree.bodies.iter().map(pose).collect()
     }
 
     /// Acceleration at a state, and iterations of the solver.

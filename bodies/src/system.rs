@@ -113,6 +113,12 @@ impl Bodies {
         })
     }
 
+    /// Position and orientation of each body in axes of the world, at the positions with which
+    /// `q` begins.
+    pub fn poses<T: Scalar>(&self, q: &[T], p: &[T]) -> Vec<([T; 3], [[T; 3]; 3])> {
+        lend(|buffers: &mut Buffers<T>| buffers.poses(&self.tree, &q[..self.tree.nq], self.own(p)))
+    }
+
     /// The parameters of the model, the last of a task.
     #[inline(always)]
     fn own<'a, T>(&self, p: &'a [T]) -> &'a [T] {
