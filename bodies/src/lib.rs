@@ -13,14 +13,17 @@ mod mass;
 mod matrix;
 pub mod mjcf;
 pub mod model;
+pub mod components;
 mod rotation;
 mod rows;
 mod solver;
 mod spatial;
 mod step;
 mod system;
+mod task;
 mod tree;
 pub mod urdf;
 mod xml;
 
 pub use system::{Bodies, BodiesError};
+pub use task::BodiesTask;

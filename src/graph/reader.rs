@@ -5,6 +5,8 @@ use super::function::{Function, LISTS};
 use super::lexer::{ParseError, names};
 use super::op::{Graph, Id, Op};
 use super::parse::{Parser, Term, name_problem, short};
+use super::quantities::RecordedQuantities;
+use super::record::record;
 use std::cell::RefCell;
 use std::collections::{BTreeMap, HashMap};
 
@@ -28,6 +30,8 @@ pub(super) struct Vocabulary<'a> {
     pub(super) dt: f64,
     /// Expressions by name.
     pub(super) define: &'a BTreeMap<String, String>,
+    /// Numbers that a task computes from a state.
+    pub(super) quantities: &'a dyn RecordedQuantities,
 }
 
 /// A graph in which names have numbers.
@@ -55,8 +59,29 @@ impl<'a> Reader<'a> {
         let dt = graph.constant(names.dt);
         known.insert("dt".to_owned(), Term::Number(dt));
         let mut reader = Self { names, graph, lengths, known };
+        reader.compute();
         reader.define()?;
         Ok(reader)
+    }
+
+    /// Records the quantities of the state and of the next state.
+    fn compute(&mut self) {
+        let quantities = self.names.quantities;
+        let names = quantities.all_names();
+        if names.is_empty() {
+            return;
+        }
+        let [n, m, k, ..] = self.lengths;
+        let recorded = record(&mut self.graph, |inputs| {
+            let p = &inputs[n + m..n + m + k];
+            let next = &inputs[n + m + k..][..n];
+            [quantities.record(&inputs[..n], p), quantities.record(next, p)]
+        });
+        let [now, next] = recorded.expect("quantities do not branch on values");
+        for ((name, now), next) in names.into_iter().zip(now).zip(next) {
+            self.known.insert(format!("next.{name}"), Term::Number(next.0));
+            self.known.insert(name, Term::Number(now.0));
+        }
     }
 
     /// Reads all definitions, each after those that it names.
@@ -215,14 +240,15 @@ pub(super) fn listed<'a>(names: impl Iterator<Item = &'a str>) -> String {
 
 /// Message of an unknown name.
 fn unknown(names: &Vocabulary<'_>, name: &str) -> String {
-    let Vocabulary { states, controls, params, tables, constants, define, dt: _ } = names;
+    let Vocabulary { states, controls, params, tables, constants, define, dt: _, quantities } = names;
     let name = &*short(name);
     if let Some(state) = name.strip_prefix("next.") {
         let states = listed(states.iter().map(String::as_str));
         return format!("`{state}` is not a state; states are {states}");
     }
     let lists = [states, controls, params, tables].into_iter().flatten();
-    let all = lists.chain(constants.iter().map(|(name, _)| name)).chain(define.keys());
+    let computed = quantities.all_names();
+    let all = lists.chain(constants.iter().map(|(name, _)| name)).chain(define.keys()).chain(&computed);
     format!(
         "`{name}` is unknown; known are {} and `t`, `dt`, `pi`",
         listed(all.map(String::as_str))
