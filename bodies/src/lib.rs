@@ -6,6 +6,7 @@ pub mod files;
 mod mass;
 pub mod mjcf;
 pub mod model;
+mod names;
 mod rotation;
 pub mod urdf;
 mod xml;
