@@ -3,6 +3,7 @@
 #![deny(missing_docs, unsafe_op_in_unsafe_fn)]
 
 mod adjoint;
+pub mod components;
 mod cone;
 mod contact;
 mod drag;
@@ -13,7 +14,7 @@ mod mass;
 mod matrix;
 pub mod mjcf;
 pub mod model;
-pub mod components;
+mod names;
 mod rotation;
 mod rows;
 mod solver;

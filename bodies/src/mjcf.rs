@@ -19,6 +19,7 @@ mod view;
 
 use crate::files::FileError;
 use crate::model::{Joint, Model};
+use crate::names;
 use crate::xml::{self, Element};
 use settings::Switches;
 use std::path::Path;
@@ -82,7 +83,7 @@ fn model(root: &Element, name: &str) -> Result<Model, FileError> {
     sections::excluded(root, &mut model)?;
     pose::poses(root, &mut model)?;
     sections::remarks(root, &tree, &mut model);
-    sections::name_all(&mut model);
+    names::fill(&mut model);
     Ok(model)
 }
 

@@ -85,6 +85,8 @@ struct Drive<'a> {
     gain: [f64; 10],
     bias: [f64; 3],
     biased: bool,
+    /// Whether the dynamics are those of a position actuator with a time constant.
+    filtered: bool,
     /// The layers whose gain, bias or dynamics are not supported, with the reason.
     unsupported: [Option<(&'a Element, String)>; 3],
 }
@@ -95,6 +97,7 @@ impl<'a> Drive<'a> {
         gain: [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
         bias: [0.0; 3],
         biased: false,
+        filtered: false,
         unsupported: [None, None, None],
     };
 
@@ -109,34 +112,13 @@ impl<'a> Drive<'a> {
         }
     }
 
-    /// A shortcut begins anew, unless the law is of its own kind or of the general kind. Then it
-    /// keeps what it does not set.
+    /// Applies an element of a class or the actuator itself.
     fn apply(&mut self, layer: &'a Element) -> Result<(), FileError> {
         let view = View::new(vec![layer]);
         match layer.name.as_str() {
             "general" => return self.general(&view),
             "motor" => *self = Self { kind: "motor", ..Self::NEW },
-            "position" => {
-                self.begin("position");
-                let kp = view.number("kp", self.gain[0])?;
-                let kv = view.natural("kv", (-self.bias[2]).max(0.0))?;
-                // A damping ratio is a positive number in the place of the velocity.
-                let ratio = view.number("dampratio", 0.0)?;
-                let inherited = view.text("kv").is_none() && self.bias[2] > 0.0;
-                self.set(kp, [0.0, -kp, -kv]);
-                if ratio != 0.0 || inherited {
-                    self.bias[2] = ratio.max(1.0);
-                    self.refuse(
-                        1,
-                        layer,
-                        "`dampratio` is not supported; write the damping as `kv`",
-                    );
-                }
-                if view.number("timeconst", 0.0)? != 0.0 {
-                    let what = "`timeconst` is not supported; remove it, controls act at once";
-                    self.refuse(2, layer, what);
-                }
-            }
+            "position" => self.position(&view)?,
             "velocity" => {
                 self.begin("velocity");
                 let kv = view.natural("kv", self.gain[0])?;
@@ -150,8 +132,37 @@ impl<'a> Drive<'a> {
         Ok(())
     }
 
+    /// The proportional and damping gains are those of the layers before, unless this layer has
+    /// them.
+    fn position(&mut self, view: &View<'a>) -> Result<(), FileError> {
+        let layer = view.element();
+        self.begin("position");
+        let filter = self.unsupported[2].take().filter(|_| self.filtered);
+        let kp = view.number("kp", self.gain[0])?;
+        let kv = view.natural("kv", (-self.bias[2]).max(0.0))?;
+        // A damping ratio stands as a positive number in the place of the damping.
+        let inherited = view.text("kv").is_none() && self.bias[2] > 0.0;
+        let ratio = view.natural("dampratio", f64::from(inherited))?;
+        self.set(kp, [0.0, -kp, -kv]);
+        if ratio != 0.0 {
+            self.bias[2] = ratio;
+            self.refuse(1, layer, "`dampratio` is not supported; write the damping as `kv`");
+        }
+        if view.number("timeconst", 0.0)? != 0.0 {
+            let what = "`timeconst` is not supported; remove it, controls act at once";
+            self.refuse(2, layer, what);
+        } else if view.text("timeconst").is_none() {
+            self.unsupported[2] = filter;
+        }
+        self.filtered = self.unsupported[2].is_some();
+        Ok(())
+    }
+
+    /// Begins the law of a shortcut. Only a law of the same kind, or a general law with a fixed
+    /// gain, hands its numbers on.
     fn begin(&mut self, kind: &'static str) {
-        if self.kind != kind && self.kind != "general" {
+        let same = self.kind == kind || self.kind == "general";
+        if !same || self.unsupported[0].is_some() {
             *self = Self::NEW;
         }
         self.kind = kind;
@@ -193,8 +204,11 @@ impl<'a> Drive<'a> {
                 let advice = words[..supported].join(" or ");
                 let what = format!("`{name}` {text} is not supported; it can be {advice}");
                 self.refuse(part, layer, &what);
-            } else if name == "biastype" {
-                self.biased = word == 1;
+            }
+            match name {
+                "biastype" => self.biased = word == 1,
+                "dyntype" => self.filtered = text == "filterexact",
+                _ => {}
             }
         }
         Ok(())

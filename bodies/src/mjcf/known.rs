@@ -163,7 +163,6 @@ pub(crate) const JOINT: Known = Known {
         "axis",
         "ref",
         "springref",
-        "springdamper",
         "stiffness",
         "damping",
         "armature",
@@ -179,7 +178,10 @@ pub(crate) const JOINT: Known = Known {
         "actuatorfrcrange",
     ],
     ignored: &["group", "user", "actuatorgravcomp"],
-    refused: &[("springyield", "0", "remove it; springs are elastic")],
+    refused: &[
+        ("springyield", "0", "remove it; springs are elastic"),
+        ("springdamper", "0", "write `stiffness` and `damping`"),
+    ],
 };
 
 pub(crate) const FREE_JOINT: Known = Known {
