@@ -10,7 +10,7 @@ use std::borrow::Cow;
 use std::path::Path;
 
 /// Name and text of every file in `presets/`.
-const PRESETS: [(&str, &str); 25] = [
+const PRESETS: [(&str, &str); 26] = [
     ("cart_pole", include_str!("presets/cart_pole.toml")),
     ("cart_pole_1", include_str!("presets/cart_pole_1.toml")),
     ("cart_pole_2", include_str!("presets/cart_pole_2.toml")),
@@ -36,6 +36,7 @@ const PRESETS: [(&str, &str); 25] = [
     ("bounce", include_str!("presets/bounce.toml")),
     ("push", include_str!("presets/push.toml")),
     ("equations", include_str!("presets/equations.toml")),
+    ("half_cheetah", include_str!("presets/half_cheetah.toml")),
 ];
 
 /// Presets with more effects than in the paper, one per task of the paper.
