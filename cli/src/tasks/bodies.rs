@@ -25,7 +25,7 @@ fn task(settings: &Settings<Bodies>) -> Result<DynTask, ConfigError> {
     let bodies = task.bodies().clone();
     let erased = task.erased();
     let replacement = Replacement {
-        observe: system.observe.clone(),
+        observe: system.observed(bodies.model())?,
         running: settings.loss.running.clone(),
         terminal: settings.loss.terminal.clone(),
         define: system.define.clone(),
@@ -106,8 +106,8 @@ impl TaskSpec for Bodies {
         components::controls(&settings.system.known())
     }
 
-    fn observe(settings: &Settings<Self>) -> &[String] {
-        &settings.system.observe
+    fn observe(settings: &Settings<Self>) -> Vec<String> {
+        settings.system.observed(&settings.system.known()).unwrap_or_default()
     }
 
     fn remarks(settings: &Settings<Self>) -> Vec<String> {

@@ -134,8 +134,8 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
         None
     }
     /// Expressions that the settings of the system observe. None by default.
-    fn observe(_settings: &Settings<Self>) -> &[String] {
-        &[]
+    fn observe(_settings: &Settings<Self>) -> Vec<String> {
+        Vec::new()
     }
     /// What is allowed in these settings but hardly meant. Nothing by default.
     fn remarks(_settings: &Settings<Self>) -> Vec<String> {

@@ -52,9 +52,12 @@ pub struct BodiesSettings {
     /// Numbers of shapes: `shape.NAME.friction`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     shape: Parts,
-    /// What the policy observes. Default: the state.
+    /// What the policy observes. Default: the state without `hidden`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub observe: Vec<String>,
+    /// Components of the state that the policy does not observe.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    hidden: Vec<String>,
     /// Expressions by name, for use in all other expressions.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub define: BTreeMap<String, String>,
@@ -111,13 +114,14 @@ impl Default for BodiesSettings {
             actuator: Parts::new(),
             shape: Parts::new(),
             observe: Vec::new(),
+            hidden: Vec::new(),
             define: BTreeMap::new(),
         }
     }
 }
 
 /// Models of the program.
-const MODELS: [(&str, &str); 8] = [
+const MODELS: [(&str, &str); 9] = [
     ("hopper", include_str!("../../../../bodies/models/hopper.xml")),
     ("half_cheetah", include_str!("../../../../bodies/models/half_cheetah.xml")),
     ("walker2d", include_str!("../../../../bodies/models/walker2d.xml")),
@@ -125,6 +129,7 @@ const MODELS: [(&str, &str); 8] = [
     ("swimmer", include_str!("../../../../bodies/models/swimmer.xml")),
     ("reacher", include_str!("../../../../bodies/models/reacher.xml")),
     ("inverted_double_pendulum", include_str!("../../../../bodies/models/inverted_double_pendulum.xml")),
+    ("arm", include_str!("../../../../bodies/models/arm.urdf")),
     ("humanoid", include_str!("../../../../bodies/models/humanoid.xml")),
 ];
 
@@ -212,6 +217,25 @@ impl BodiesSettings {
             error => ConfigError::new("system.model", format!("cannot be simulated: {error}")),
         })?;
         Ok(BodiesTask::new(bodies, self.frames, start, horizon))
+    }
+
+    /// Expressions that the policy observes. Empty: the state.
+    pub fn observed(&self, model: &Model) -> Result<Vec<String>, ConfigError> {
+        if self.hidden.is_empty() {
+            return Ok(self.observe.clone());
+        }
+        if !self.observe.is_empty() {
+            let what = "has no effect: `system.observe` lists what the policy observes";
+            return Err(ConfigError::new("system.hidden", what));
+        }
+        let states = components::states(model);
+        if let Some(name) = self.hidden.iter().find(|name| !states.contains(name)) {
+            let hint = did_you_mean(name, states.iter().map(String::as_str));
+            let states: Vec<&str> = states.iter().map(String::as_str).collect();
+            let what = format!("has `{name}`, which is no state; states: {}{hint}", one_of(&states));
+            return Err(ConfigError::new("system.hidden", what));
+        }
+        Ok(states.into_iter().filter(|name| !self.hidden.contains(name)).collect())
     }
 
     /// Numbers that the scene sets, with their names in the model.
