@@ -3,6 +3,8 @@
 #![deny(missing_docs, unsafe_op_in_unsafe_fn)]
 
 pub mod files;
+#[cfg(test)]
+mod fuzz;
 mod mass;
 pub mod mjcf;
 pub mod model;

@@ -14,6 +14,8 @@ mod pose;
 mod sections;
 mod settings;
 mod softness;
+#[cfg(test)]
+mod tests;
 mod tree;
 mod view;
 

@@ -6,6 +6,8 @@
 
 mod joint;
 mod link;
+#[cfg(test)]
+mod tests;
 
 use crate::files::FileError;
 use crate::mass::immovable;
