@@ -21,11 +21,13 @@ const MJCF: &str = "<mujoco model='m'>
 <geom type='mesh' mesh='m' contype='0' conaffinity='0' mass='0'/>
 <body name='c' xyaxes='1 0 0 0 1 0'><joint type='ball' limited='false'/>
 <inertial pos='0 0 1' mass='1' fullinertia='1 1 1 .1 .1 .1'/></body></body></frame></body>
-<body name='d' zaxis='0 1 1'><geom class='leg' type='box' size='.1 .1 .1' gap='.1'/></body></worldbody>
+<body name='d' zaxis='0 1 1'><geom class='leg' type='box' size='.1 .1 .1' gap='.1'/></body>
+</worldbody>
 <contact><exclude body1='a' body2='d'/></contact>
 <tendon><fixed name='t'><joint joint='j' coef='1'/></fixed></tendon>
 <actuator><motor joint='j' gear='2' ctrllimited='true'/><position joint='k' kp='3' kv='1'/>
-<velocity joint='j' kv='2'/><general joint='k' biastype='affine' gainprm='1' biasprm='1 2 3'/></actuator>
+<velocity joint='j' kv='2'/><general joint='k' biastype='affine' gainprm='1' biasprm='1 2 3'/>
+</actuator>
 <sensor><jointpos joint='j'/></sensor>
 <keyframe><key name='up' qpos='0 0 1 1 0 0 0 0 0 1 0 0 0'/><key/></keyframe></mujoco>";
 
@@ -66,8 +68,8 @@ fn value(text: &str, random: &mut Random) -> Option<(usize, usize)> {
     Some((start, start + text[start..].find('\'')?))
 }
 
-/// One change: of bytes, of an attribute, of a value, or of elements.
-fn mutate(text: &str, random: &mut Random) -> String {
+/// One change: of a byte, of an attribute, of a value, or of elements.
+fn mutate(text: &str, random: &mut Random) -> Option<String> {
     const VALUES: [&str; 20] = [
         "",
         "nan",
@@ -90,44 +92,39 @@ fn mutate(text: &str, random: &mut Random) -> String {
         "&#0;",
         "0 0 0 0",
     ];
-    let mut text = text.to_string();
-    let Some((start, end)) = value(&text, random) else { return text };
-    match random.below(8) {
-        0 => {
-            let mut bytes = text.into_bytes();
-            let at = random.below(bytes.len());
-            bytes[at] = random.next() as u8;
-            text = String::from_utf8_lossy(&bytes).into_owned();
-        }
-        1 => {
-            // The attribute with its name and quotes.
-            let name = text[..start].rfind(' ').unwrap_or(0);
-            text.replace_range(name..(end + 1).min(text.len()), "");
-        }
-        2 => {
-            let Some((a, b)) = value(&text, random) else { return text };
-            let other = text[a..b].to_string();
-            text.replace_range(start..end, &other);
-        }
+    let (start, end) = value(text, random)?;
+    let (a, b) = value(text, random)?;
+    let name = |at: usize| text[..at - 2].rfind(' ').map(|n| (n + 1, at - 2));
+    let (from, to, new) = match random.below(8) {
+        0 => return Some(byte(text, random)),
+        1 => (name(start)?.0, end + 1, String::new()),
+        2 => (start, end, text[a..b].to_string()),
         3 => {
-            // The name of another attribute.
-            let Some((a, _)) = value(&text, random) else { return text };
-            let name = |at: usize| text[..at - 2].rfind(' ').map(|n| (n + 1, at - 2));
-            let (Some((a, b)), Some((c, d))) = (name(a), name(start)) else { return text };
-            let other = text[a..b].to_string();
-            text.replace_range(c..d, &other);
+            let ((c, d), (e, f)) = (name(start)?, name(a)?);
+            (c, d, text[e..f].to_string())
         }
-        4 => {
-            let tags: Vec<usize> = text.match_indices('<').map(|(i, _)| i).collect();
-            let (a, b) = (random.below(tags.len()), 1 + random.below(6));
-            let (from, to) = (tags[a], *tags.get(a + b).unwrap_or(&text.len()));
-            let part = if random.below(2) == 0 { "" } else { &text[from..to].repeat(2) };
-            let part = part.to_string();
-            text.replace_range(from..to, &part);
-        }
-        _ => text.replace_range(start..end, VALUES[random.below(VALUES.len())]),
-    }
-    text
+        4 => elements(text, random),
+        _ => (start, end, VALUES[random.below(VALUES.len())].to_string()),
+    };
+    let mut text = text.to_string();
+    text.replace_range(from..to, &new);
+    Some(text)
+}
+
+fn byte(text: &str, random: &mut Random) -> String {
+    let mut bytes = text.as_bytes().to_vec();
+    let at = random.below(bytes.len());
+    bytes[at] = random.next() as u8;
+    String::from_utf8_lossy(&bytes).into_owned()
+}
+
+/// Some tags in a row, to be removed or doubled.
+fn elements(text: &str, random: &mut Random) -> (usize, usize, String) {
+    let tags: Vec<usize> = text.match_indices('<').map(|(i, _)| i).collect();
+    let (first, count) = (random.below(tags.len()), 1 + random.below(6));
+    let (from, to) = (tags[first], *tags.get(first + count).unwrap_or(&text.len()));
+    let times = 2 * random.below(2);
+    (from, to, text[from..to].repeat(times))
 }
 
 /// All numbers of a model.
@@ -215,7 +212,7 @@ fn mutated_files_give_sound_models_or_errors() {
         for _ in 0..count / 2 {
             let mut text = original.to_string();
             for _ in 0..1 + random.below(3) {
-                text = mutate(&text, &mut random);
+                text = mutate(&text, &mut random).unwrap_or(text);
             }
             match parse(&text, "m.xml") {
                 Ok(model) => {

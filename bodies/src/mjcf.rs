@@ -5,6 +5,7 @@
 
 mod actuator;
 mod classes;
+mod drive;
 mod finish;
 mod geom;
 mod include;

@@ -270,7 +270,9 @@ macro_rules! actuator {
                 "name", "class", "joint", "jointinparent", "gear", "ctrllimited", "ctrlrange",
                 "forcelimited", "forcerange", $($read),*
             ],
-            ignored: &["group", "user", "lengthrange", "nsample", "interp", "cranklength", $($ignored),*],
+            ignored: &[
+                "group", "user", "lengthrange", "nsample", "interp", "cranklength", $($ignored),*
+            ],
             refused: &[
                 ("tendon", "", "let the actuator act on a hinge or slide joint"),
                 ("site", "", "let the actuator act on a hinge or slide joint"),

@@ -81,6 +81,12 @@ const REFUSED: &[(&str, &str, &str, &str)] = &[
         "</worldbody>",
         "a principal moment of inertia is negative",
     ),
+    (
+        "<compiler boundmass=\"1\"/><worldbody>",
+        "<body/>",
+        "</worldbody>",
+        "`boundmass` cannot give mass to a body without a centre of mass",
+    ),
     // Joints.
     (IN, "<joint type=\"ball\" range=\"0 1\"/>", OUT, "limits of ball joints are not supported"),
     (IN, "<freejoint/>", OUT, "a body with a free joint has no other joint; remove one"),
@@ -271,6 +277,20 @@ fn actuators_share_defaults() {
     assert_eq!(model.actuators[3].control_range, None);
 }
 
+/// A shortcut takes its numbers from the innermost class with a law of its kind.
+#[test]
+fn laws_skip_those_of_other_kinds() {
+    let model = model(
+        "<default><position kp='5' kv='2'/><default class='v'><velocity kv='7'/></default></default>
+         <worldbody><body><joint name='j'/><geom size='1'/></body></worldbody>
+         <actuator><position joint='j' class='v' kp='3'/><velocity joint='j' class='v'/>
+           <general joint='j' class='v'/></actuator>",
+    );
+    let laws: Vec<_> = model.actuators.iter().map(|a| (a.gain, a.bias)).collect();
+    let velocity = (7.0, [0.0, 0.0, -7.0]);
+    assert_eq!(laws, [(3.0, [0.0, -3.0, -2.0]), velocity, velocity]);
+}
+
 /// Each form with its mass: by density, and given.
 #[test]
 fn forms_give_bodies_their_mass() {
@@ -297,20 +317,22 @@ fn forms_give_bodies_their_mass() {
 #[test]
 fn compiler_corrects_masses() {
     let text = "<worldbody><body><joint/><geom size='.1' group='3'/><geom size='.2'/></body>
-                <body><geom size='.1'/></body></worldbody>";
+                <body><geom size='.1' group='3'/></body></worldbody>";
     let part = model(&format!("<compiler inertiagrouprange='3 3' boundmass='9'/>{text}"));
     assert_eq!(part.bodies[1].mass, 9.0);
     let total = model(&format!("<compiler settotalmass='14'/>{text}"));
     assert!(close(total.bodies.iter().map(|b| b.mass).sum(), 14.0));
     let given = "<inertial pos='0 0 0' mass='1' diaginertia='1 1 1'/><geom size='.1' mass='3'/>";
     assert_eq!(body(given).bodies[1].mass, 1.0);
-    let always =
-        format!("<compiler inertiafromgeom='true'/><worldbody><body>{given}</body></worldbody>");
-    assert_eq!(model(&always).bodies[1].mass, 3.0);
+    let with = |compiler: &str, content: &str| {
+        model(&format!("<compiler {compiler}/><worldbody><body>{content}</body></worldbody>"))
+    };
+    assert_eq!(with("inertiafromgeom='true'", given).bodies[1].mass, 3.0);
     let flat = "<inertial pos='0 0 0' mass='1' diaginertia='1 1 4'/>";
-    let balanced =
-        format!("<compiler balanceinertia='true'/><worldbody><body>{flat}</body></worldbody>");
-    assert_eq!(model(&balanced).bodies[1].inertia, [2.0, 2.0, 2.0, 0.0, 0.0, 0.0]);
+    assert_eq!(
+        with("balanceinertia='true'", flat).bodies[1].inertia,
+        [2.0, 2.0, 2.0, 0.0, 0.0, 0.0]
+    );
 }
 
 /// The same quarter turn about y in every notation.
@@ -376,7 +398,8 @@ fn joints_convert_degrees() {
 fn options_and_flags() {
     let options = model(
         "<option timestep='.01' integrator='RK4' cone='elliptic' impratio='3' density='2'/>
-         <option timestep='.02' wind='1 2 3'><flag constraint='disable' gravity='disable'/></option>",
+         <option timestep='.02' wind='1 2 3'>
+           <flag constraint='disable' gravity='disable'/></option>",
     )
     .options;
     assert_eq!((options.dt, options.gravity, options.wind), (0.02, [0.0; 3], [1.0, 2.0, 3.0]));
@@ -475,7 +498,8 @@ fn includes_are_read_and_expanded() {
         &[
             (
                 "main.xml",
-                "<mujoco><worldbody><body>\n<include file='./parts/leg.xml'/></body></worldbody>\n<include file='parts/rest.xml'/></mujoco>",
+                "<mujoco><worldbody><body><include file='./parts/leg.xml'/></body></worldbody>
+                 <include file='parts/rest.xml'/></mujoco>",
             ),
             ("parts/leg.xml", "<mujoco>\n<joint name='a&lt;&quot;'/>\n<geom size='.1'/></mujoco>"),
             ("parts/rest.xml", "<mujoco>\n\n<option timestep='.5'/></mujoco>"),

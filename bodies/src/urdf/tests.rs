@@ -112,17 +112,19 @@ fn fixed_links_belong_to_the_link_that_moves() {
     );
 }
 
+/// Each content is refused, with this beginning of the message.
+fn refused(cases: &[(String, &str)]) {
+    for (content, message) in cases {
+        let error = parse(&format!("<robot>{content}</robot>"), "r.urdf").expect_err(content);
+        assert!(error.what.starts_with(message), "{content}: {error}");
+    }
+}
+
 #[test]
-fn refusals_name_the_reason() {
+fn refusals_of_joints_name_the_reason() {
     let two = link("base", "") + &link("arm", INERTIAL);
     let with = |content: &str| arm("revolute", &format!("{LIMIT}{content}"));
-    let solid = |inertia: &str| {
-        let inertial = format!("<inertial><mass value='1'/>{inertia}</inertial>");
-        link("base", "") + &link("arm", &inertial) + &joint("j", "continuous", "base", "arm", "")
-    };
-    let shape =
-        |form: &str| link("base", &format!("<collision><geometry>{form}</geometry></collision>"));
-    for (content, message) in [
+    refused(&[
         (String::new(), "no link is outermost"),
         (two.clone(), "no joint leads to this link, and none leads to `base`"),
         (link("a", "") + &link("a", ""), "another link has the same name"),
@@ -157,6 +159,18 @@ fn refusals_name_the_reason() {
             link("base", "") + &link("world", "") + &joint("j", "fixed", "base", "world", ""),
             "only the outermost link can be `world`",
         ),
+    ]);
+}
+
+#[test]
+fn refusals_of_links_name_the_reason() {
+    let solid = |inertia: &str| {
+        let inertial = format!("<inertial><mass value='1'/>{inertia}</inertial>");
+        link("base", "") + &link("arm", &inertial) + &joint("j", "continuous", "base", "arm", "")
+    };
+    let shape =
+        |form: &str| link("base", &format!("<collision><geometry>{form}</geometry></collision>"));
+    refused(&[
         (solid(""), "has no moments of inertia; add `inertia`"),
         (solid("<inertia ixx='1' iyy='1' izz='3'/>"), "a principal moment of its inertia"),
         (solid("<inertia ixx='1' iyy='1' izz='1' ixy='2'/>"), "a principal moment of its inertia"),
@@ -169,10 +183,7 @@ fn refusals_name_the_reason() {
         (shape("<cone/>"), "unknown form; "),
         ("<lnk/>".into(), "unknown element; did you mean `link`?"),
         ("<x:macro xmlns:x='x'/>".into(), "macros are not expanded; run xacro first"),
-    ] {
-        let error = parse(&format!("<robot>{content}</robot>"), "r.urdf").expect_err(&content);
-        assert!(error.what.starts_with(message), "{content}: {error}");
-    }
+    ]);
 }
 
 /// Long chains do not use the stack.
