@@ -19,6 +19,8 @@ pub(crate) const OTHER_ACTUATORS: [&str; 10] = [
     "user",
 ];
 
+pub(crate) const ROOT: Known = Known { read: &["model"], ignored: &[], refused: &[] };
+
 pub(crate) const COMPILER: Known = Known {
     read: &[
         "angle",

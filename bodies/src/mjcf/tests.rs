@@ -90,6 +90,18 @@ const REFUSED: &[(&str, &str, &str, &str)] = &[
     // Joints.
     (IN, "<joint type=\"ball\" range=\"0 1\"/>", OUT, "limits of ball joints are not supported"),
     (IN, "<freejoint/>", OUT, "a body with a free joint has no other joint; remove one"),
+    (
+        "<worldbody><body><joint type=\"ball\"/><geom size=\"1\"/>",
+        "<joint/>",
+        OUT,
+        "a ball joint already turns the body; remove one joint",
+    ),
+    (
+        IN,
+        "<joint/><joint/><joint/><joint/><joint/><joint/>",
+        OUT,
+        "the joints of the body have more than 6 degrees of freedom",
+    ),
     (IN, "<joint axis=\"0 0 0\"/>", OUT, "`axis` has no direction; its length is 0"),
     (IN, "<joint range=\"1 0\"/>", OUT, "`range` must have a lower and a higher number"),
     (IN, "<joint limited=\"true\"/>", OUT, "`range` must have a lower and a higher number"),
@@ -224,6 +236,8 @@ fn messages_say_where() {
     let start =
         "hopper.xml, line 2, <geom name=\"foot\" type=\"mesh\">: meshes are not supported; ";
     assert!(error.starts_with(start), "{error}");
+    let root = parse("<mujoco modle='a'/>", "a.xml").unwrap_err();
+    assert_eq!(root.what, "unknown attribute `modle`; did you mean `model`?");
     let whole = parse("<robot/>", "a.xml").unwrap_err().to_string();
     assert!(whole.starts_with("a.xml, line 1, <robot>: is not MJCF"), "{whole}");
 }
@@ -281,14 +295,15 @@ fn actuators_share_defaults() {
 #[test]
 fn laws_skip_those_of_other_kinds() {
     let model = model(
-        "<default><position kp='5' kv='2'/><default class='v'><velocity kv='7'/></default></default>
+        "<default><position kp='5' kv='2'/><default class='p'><position kp='6'/>
+           <default class='v'><velocity kv='7'/></default></default></default>
          <worldbody><body><joint name='j'/><geom size='1'/></body></worldbody>
-         <actuator><position joint='j' class='v' kp='3'/><velocity joint='j' class='v'/>
+         <actuator><position joint='j' class='v'/><velocity joint='j' class='v'/>
            <general joint='j' class='v'/></actuator>",
     );
     let laws: Vec<_> = model.actuators.iter().map(|a| (a.gain, a.bias)).collect();
     let velocity = (7.0, [0.0, 0.0, -7.0]);
-    assert_eq!(laws, [(3.0, [0.0, -3.0, -2.0]), velocity, velocity]);
+    assert_eq!(laws, [(6.0, [0.0, -6.0, -2.0]), velocity, velocity]);
 }
 
 /// Each form with its mass: by density, and given.
@@ -322,6 +337,9 @@ fn compiler_corrects_masses() {
     assert_eq!(part.bodies[1].mass, 9.0);
     let total = model(&format!("<compiler settotalmass='14'/>{text}"));
     assert!(close(total.bodies.iter().map(|b| b.mass).sum(), 14.0));
+    let plain = &model(text).bodies[1];
+    let ratio = total.bodies[1].mass / plain.mass;
+    assert!(close(total.bodies[1].inertia[0], ratio * plain.inertia[0]));
     let given = "<inertial pos='0 0 0' mass='1' diaginertia='1 1 1'/><geom size='.1' mass='3'/>";
     assert_eq!(body(given).bodies[1].mass, 1.0);
     let with = |compiler: &str, content: &str| {
@@ -588,6 +606,16 @@ fn bombs_are_refused() {
         format!("<mujoco><worldbody>{bodies}</worldbody><keyframe>{keys}</keyframe></mujoco>");
     let error = parse(&text, "m.xml").unwrap_err();
     assert!(error.what.starts_with("the keys have more than 1000000 numbers"), "{error}");
+}
+
+/// Models as deep as documents may be do not use up the stack.
+#[test]
+fn bodies_can_be_deep() {
+    let depth = 290;
+    let open = "<body><joint/><geom size='.1'/><frame>".repeat(depth / 2);
+    let close = "</frame></body>".repeat(depth / 2);
+    let deep = model(&format!("<worldbody>{open}{close}</worldbody>"));
+    assert_eq!(deep.bodies.len(), 1 + depth / 2);
 }
 
 /// A quaternion in a file need not be a unit quaternion.
