@@ -71,3 +71,22 @@ impl fmt::Display for FileError {
 }
 
 impl std::error::Error for FileError {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_outermost_element_tells_the_kind() {
+        let path = std::env::temp_dir().join(format!("bodies-kind-{}", std::process::id()));
+        let read_text = |text: &str| {
+            std::fs::write(&path, text).unwrap();
+            read(&path)
+        };
+        assert_eq!(read_text("<mujoco model='m'/>").unwrap().name, "m");
+        assert_eq!(read_text("<robot name='r'><link name='a'/></robot>").unwrap().name, "r");
+        let error = read_text("<sdf/>").unwrap_err();
+        assert!(error.what.starts_with("`sdf` is not a model"), "{error}");
+        std::fs::remove_file(&path).unwrap();
+    }
+}

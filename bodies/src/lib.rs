@@ -9,6 +9,8 @@ mod contact;
 mod drag;
 mod dynamics;
 pub mod files;
+#[cfg(test)]
+mod fuzz;
 mod geometry;
 mod mass;
 mod matrix;

@@ -5,6 +5,7 @@
 
 mod actuator;
 mod classes;
+mod drive;
 mod finish;
 mod geom;
 mod include;
@@ -14,6 +15,8 @@ mod pose;
 mod sections;
 mod settings;
 mod softness;
+#[cfg(test)]
+mod tests;
 mod tree;
 mod view;
 

@@ -1,11 +1,13 @@
 //! Reader of URDF, the robot descriptions of ROS.
 //!
 //! Links become bodies, also those of fixed joints. The outermost link is fixed in the world, or is
-//! the world if its name is `world`. Every hinge and slide has a motor of its name, whose control is
-//! the torque or force. Lengths are in m, angles in rad.
+//! the world if its name is `world`. Every hinge and slide has a motor of its name, whose control
+//! is the torque or force. Lengths are in m, angles in rad.
 
 mod joint;
 mod link;
+#[cfg(test)]
+mod tests;
 
 use crate::files::FileError;
 use crate::mass::immovable;

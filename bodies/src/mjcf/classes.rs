@@ -92,15 +92,26 @@ impl<'a> Classes<'a> {
         inherited: usize,
         names: &[&str],
     ) -> Result<View<'a>, FileError> {
-        let mut chain = vec![self.named(element, "class", inherited)?];
-        while let Some(parent) = self.classes[chain[chain.len() - 1]].parent {
-            chain.push(parent);
+        Ok(View::new(self.groups(element, inherited, names)?.concat()))
+    }
+
+    /// The elements of these names of each class, the outermost class first, and the element
+    /// itself.
+    pub fn groups(
+        &self,
+        element: &'a Element,
+        inherited: usize,
+        names: &[&str],
+    ) -> Result<Vec<Vec<&'a Element>>, FileError> {
+        let mut groups = vec![vec![element]];
+        let mut next = Some(self.named(element, "class", inherited)?);
+        while let Some(class) = next {
+            let elements = self.classes[class].elements.iter().copied();
+            groups.push(elements.filter(|e| names.contains(&e.name.as_str())).collect());
+            next = self.classes[class].parent;
         }
-        let layers = chain.iter().rev().flat_map(|c| &self.classes[*c].elements);
-        let mut layers: Vec<&Element> =
-            layers.filter(|e| names.contains(&e.name.as_str())).copied().collect();
-        layers.push(element);
-        Ok(View::new(layers))
+        groups.reverse();
+        Ok(groups)
     }
 }
 

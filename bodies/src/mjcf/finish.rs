@@ -28,6 +28,13 @@ pub(crate) fn finish(tree: &mut Tree) -> Result<(), FileError> {
 
 /// Lower bounds of mass and principal moments, and the triangle inequality of moments.
 fn correct(body: &mut Body, compiler: &Compiler) -> Result<(), &'static str> {
+    if body.mass == 0.0 && compiler.least_mass > 0.0 {
+        // MuJoCo would put the mass at the position of the body in its parent.
+        return Err(
+            "`boundmass` cannot give mass to a body without a centre of mass; add a geom or \
+                    `inertial`",
+        );
+    }
     body.mass = body.mass.max(compiler.least_mass);
     let (moments, axes) = principal(&matrix(body.inertia));
     if negative(moments) {

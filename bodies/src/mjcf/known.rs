@@ -19,6 +19,8 @@ pub(crate) const OTHER_ACTUATORS: [&str; 10] = [
     "user",
 ];
 
+pub(crate) const ROOT: Known = Known { read: &["model"], ignored: &[], refused: &[] };
+
 pub(crate) const COMPILER: Known = Known {
     read: &[
         "angle",
@@ -270,7 +272,9 @@ macro_rules! actuator {
                 "name", "class", "joint", "jointinparent", "gear", "ctrllimited", "ctrlrange",
                 "forcelimited", "forcerange", $($read),*
             ],
-            ignored: &["group", "user", "lengthrange", "nsample", "interp", "cranklength", $($ignored),*],
+            ignored: &[
+                "group", "user", "lengthrange", "nsample", "interp", "cranklength", $($ignored),*
+            ],
             refused: &[
                 ("tendon", "", "let the actuator act on a hinge or slide joint"),
                 ("site", "", "let the actuator act on a hinge or slide joint"),

@@ -49,6 +49,7 @@ pub(crate) fn check(root: &Element) -> Result<(), FileError> {
     if root.name != "mujoco" {
         return Err(root.error("is not MJCF; its outermost element must be `mujoco`"));
     }
+    known::ROOT.check(root)?;
     for section in &root.children {
         let first = section.children.first().unwrap_or(section);
         match section.name.as_str() {

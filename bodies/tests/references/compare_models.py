@@ -207,7 +207,15 @@ def compare_rest(differences, ours, model):
     differences.same("keys", len(ours["poses"]) <= model.nkey, True)
     for i in range(model.nkey):
         name, positions = (ours["poses"] + [("none", model.qpos0)] * model.nkey)[i]
-        differences.close(f"key {name}", positions, model.key_qpos[i])
+        theirs = model.key_qpos[i].copy()
+        for joint in range(model.njnt):
+            # Quaternions of both signs are one rotation.
+            start = model.jnt_qposadr[joint] + 3 * (KINDS[model.jnt_type[joint]] == "Free")
+            part = slice(start, start + 4)
+            turns = KINDS[model.jnt_type[joint]] in ("Free", "Ball")
+            if turns and np.dot(positions[part], theirs[part]) < 0:
+                theirs[part] *= -1
+        differences.close(f"key {name}", positions, theirs)
 
 
 def compare_motors(differences, ours, model):
