@@ -286,6 +286,9 @@ def identify(
     exact_starts: bool = False,
     only_starts: bool = False,
 ) -> dict[str, Any]: ...
+def read_table(
+    task: Task, params: Any, table: Any, time: str | None, factors: dict[str, float]
+) -> tuple[list[dict[str, Any]], list[str], list[str]]: ...
 def check(task: Task, policy: Policy | None = None) -> str:
     """Checks derivatives against dual numbers, at the parameters of `policy` or random ones.
 

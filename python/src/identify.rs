@@ -200,7 +200,7 @@ fn ordered(fit: Fit, keys: &[String]) -> Fit {
 }
 
 /// Settings that make numbers of the task unknown.
-fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
+pub fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
     if let Ok(starts) = params.cast::<PyDict>() {
         let unknown = |(key, value): (Bound<'_, PyAny>, Bound<'_, PyAny>)| {
             let key = task.scene.key(key.extract()?);

@@ -13,11 +13,14 @@
 
 mod memory;
 mod policy;
+mod recordings;
 mod run;
 mod scene;
 
 pub use crate::commands::accuracy::{Cheapest, Errors, Measured, Metric, Row, Setting};
+pub use crate::commands::identify::data::TooLong;
 pub use crate::commands::identify::remarks::Remarks;
+pub use crate::commands::identify::table::{Cells, Columns, Kind, Reading};
 pub use crate::platform::terminal::plain;
 pub use crate::runs::run::{EpochEvent, Observer};
 pub use crate::settings::Precision;
@@ -25,6 +28,7 @@ pub use memory::{TooLarge, fits};
 pub use physgrad::engine::threads;
 pub use physgrad::train::Trajectories;
 pub use policy::{ClosedLoop, Policy};
+pub use recordings::Recordings;
 pub use run::Run;
 pub use scene::{Change, Scene};
 
