@@ -292,7 +292,7 @@ def read_table(
 def check(task: Task, policy: Policy | None = None) -> str:
     """Checks derivatives against dual numbers, at the parameters of `policy` or random ones.
 
-    Returns a table. Raises `AssertionError` with all failures.
+    Returns a table and notes. Raises `AssertionError` with all failures and the notes.
     """
 
 def accuracy(task: Task, target: float | None = None, metric: str = "trajectory", rounds: int = 5) -> dict[str, Any]: ...
