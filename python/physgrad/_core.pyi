@@ -286,10 +286,13 @@ def identify(
     exact_starts: bool = False,
     only_starts: bool = False,
 ) -> dict[str, Any]: ...
+def read_table(
+    task: Task, params: Any, table: Any, time: str | None, factors: dict[str, float]
+) -> tuple[list[dict[str, Any]], list[str], list[str]]: ...
 def check(task: Task, policy: Policy | None = None) -> str:
     """Checks derivatives against dual numbers, at the parameters of `policy` or random ones.
 
-    Returns a table. Raises `AssertionError` with all failures.
+    Returns a table and notes. Raises `AssertionError` with all failures and the notes.
     """
 
 def accuracy(task: Task, target: float | None = None, metric: str = "trajectory", rounds: int = 5) -> dict[str, Any]: ...

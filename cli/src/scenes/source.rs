@@ -527,10 +527,25 @@ fn suggest(spec: &dyn AnyTaskSpec, table: &Table, mut error: ConfigError) -> Con
         // Prefers a key of this name in another section, as in `training.learning_rate` for
         // `learning_rate`, to a key with a similar name.
         let same = keys.iter().find(|key| key.rsplit('.').next() == Some(name));
+        let parameters = find(table, "system.parameters").and_then(Value::as_table);
+        let parameters: Vec<&str> = parameters
+            .filter(|_| section == "system")
+            .into_iter()
+            .flat_map(Table::keys)
+            .map(String::as_str)
+            .collect();
+        let similar = did_you_mean(name, parameters.iter().copied());
         *hint = match same {
             Some(key) => format!("; did you mean `{key}`?"),
+            None if !similar.is_empty() => {
+                let what = format!("is unknown; parameters: {}{similar}", one_of(&parameters));
+                return ConfigError::new(error.key, what);
+            }
             None => did_you_mean(&error.key, keys.iter().map(String::as_str)),
         };
+        if !parameters.is_empty() {
+            *hint = format!("; parameters: {}{hint}", one_of(&parameters));
+        }
     }
     error
 }
