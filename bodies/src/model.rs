@@ -235,7 +235,7 @@ pub struct Shape {
     pub priority: i32,
     /// Distance at which contacts are found, m.
     pub margin: f64,
-    /// Part of the margin in which contacts do not push, m.
+    /// Distance beyond the margin within which the file wants contacts to be listed, m. No force depends on it.
     pub gap: f64,
     /// Colour: red, green, blue, opacity.
     pub colour: [f64; 4],

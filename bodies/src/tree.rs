@@ -232,6 +232,7 @@ impl Tree {
             damps: false,
             friction: Vec::new(),
         };
+        check_joints(model)?;
         for index in 0..model.bodies.len() {
             tree.add_body(model, index, coefficient);
         }
@@ -467,6 +468,25 @@ impl Tree {
         self.friction.iter().for_each(set);
         all
     }
+}
+
+/// Refuses springs and limits of joints that rotate freely.
+fn check_joints(model: &Model) -> Result<(), String> {
+    let turns = |joint: &&Joint| matches!(joint.kind, JointKind::Ball | JointKind::Free);
+    for joint in model.joints.iter().filter(turns) {
+        let what = if joint.stiffness != 0.0 {
+            "a spring"
+        } else if joint.limit.is_some() {
+            "a limit"
+        } else {
+            continue;
+        };
+        return Err(format!(
+            "the joint `{}` is a ball or free joint with {what}, which is not simulated; remove it, or use three hinges",
+            joint.name
+        ));
+    }
+    Ok(())
 }
 
 impl Inertial {
