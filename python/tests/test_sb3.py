@@ -103,7 +103,7 @@ def trained(name, seed):
     return agent.learn(steps)
 
 
-MISSED = "measured: after 80,000 steps, SAC has losses of 0.45 and 1.04 with the seeds 0 and 1; allowed: 0.49"
+MISSED = "measured: after 80,000 steps, losses of 0.45, 1.04, 0.95 with the seeds 0, 1, 2; allowed: 0.49"
 
 
 @slow
@@ -112,8 +112,8 @@ def test_agents_learn_one_pole(name):
     """The loss falls to a quarter of that without control, within a fixed number of steps.
 
     The criterion and the budgets were declared before their first measurement. PPO passes (0.44,
-    beside 1.97 without control). SAC missed its first budget, and with the seed 1 the second, here,
-    which counts as passed if the seeds 0, 1 and 2 all pass. The seed 0 alone, which runs here, passed.
+    beside 1.97 without control). SAC missed its first budget. The second, here, counts as passed if
+    the seeds 0, 1 and 2 all pass; 1 and 2 did not. The seed 0 alone, which runs here, passed.
     """
     agent, task = trained(name, seed=0), one_pole()
     starts = task.starts(128, seed=1)
