@@ -16,6 +16,7 @@ mod mass;
 mod matrix;
 pub mod mjcf;
 pub mod model;
+pub mod models;
 mod names;
 mod rotation;
 mod rows;

@@ -10,7 +10,7 @@ use std::borrow::Cow;
 use std::path::Path;
 
 /// Name and text of every file in `presets/`.
-const PRESETS: [(&str, &str); 33] = [
+const PRESETS: [(&str, &str); 34] = [
     ("cart_pole", include_str!("presets/cart_pole.toml")),
     ("cart_pole_1", include_str!("presets/cart_pole_1.toml")),
     ("cart_pole_2", include_str!("presets/cart_pole_2.toml")),
@@ -36,6 +36,7 @@ const PRESETS: [(&str, &str); 33] = [
     ("bounce", include_str!("presets/bounce.toml")),
     ("push", include_str!("presets/push.toml")),
     ("equations", include_str!("presets/equations.toml")),
+    ("bodies", include_str!("presets/bodies.toml")),
     ("half_cheetah", include_str!("presets/half_cheetah.toml")),
     ("hopper", include_str!("presets/hopper.toml")),
     ("walker2d", include_str!("presets/walker2d.toml")),

@@ -5,7 +5,7 @@ use crate::settings::config_error::{ConfigError, one_of};
 use physgrad::Number;
 use physgrad_bodies::files::FileError;
 use physgrad_bodies::model::{Integrator, Model};
-use physgrad_bodies::{BodiesError, BodiesTask, components, files};
+use physgrad_bodies::{BodiesError, BodiesTask, components, files, models};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -120,33 +120,15 @@ impl Default for BodiesSettings {
     }
 }
 
-/// Models of the program.
-const MODELS: [(&str, &str); 9] = [
-    ("hopper", include_str!("../../../../bodies/models/hopper.xml")),
-    ("half_cheetah", include_str!("../../../../bodies/models/half_cheetah.xml")),
-    ("walker2d", include_str!("../../../../bodies/models/walker2d.xml")),
-    ("ant", include_str!("../../../../bodies/models/ant.xml")),
-    ("swimmer", include_str!("../../../../bodies/models/swimmer.xml")),
-    ("reacher", include_str!("../../../../bodies/models/reacher.xml")),
-    ("inverted_double_pendulum", include_str!("../../../../bodies/models/inverted_double_pendulum.xml")),
-    ("arm", include_str!("../../../../bodies/models/arm.urdf")),
-    ("humanoid", include_str!("../../../../bodies/models/humanoid.xml")),
-];
-
-/// Text of a model of the program.
-fn built_in(name: &str) -> Option<&'static str> {
-    MODELS.iter().find(|(model, _)| *model == name).map(|(_, text)| *text)
-}
-
 /// The text that a scene keeps for its setting `model`. A name of a model of the program, and text,
 /// stay as they are.
 pub fn read_text(model: &str, folder: &Path) -> Result<String, String> {
-    if model.trim_start().starts_with('<') || built_in(model).is_some() {
+    if model.trim_start().starts_with('<') || models::text(model).is_some() {
         return Ok(model.to_owned());
     }
     let path = folder.join(model);
     if !path.exists() {
-        let names: Vec<&str> = MODELS.iter().map(|(name, _)| *name).collect();
+        let names: Vec<&str> = models::names().collect();
         let hint = did_you_mean(model, names.iter().copied());
         return Err(format!(
             "is `{model}`, which is no file in the folder of the scene; models of the program: {}{hint}",
@@ -159,8 +141,9 @@ pub fn read_text(model: &str, folder: &Path) -> Result<String, String> {
 impl BodiesSettings {
     /// The model of the text, with the method and the contacts of these settings.
     fn model(&self) -> Result<Model, ConfigError> {
-        let text = built_in(&self.model).unwrap_or(&self.model);
-        let name = if built_in(&self.model).is_some() { &self.model } else { "the model" };
+        let known = models::text(&self.model);
+        let text = known.unwrap_or(&self.model);
+        let name = if known.is_some() { &self.model } else { "the model" };
         let model = files::parse(text, name);
         let mut model =
             model.map_err(|error| ConfigError::new("system.model", format!("cannot be read: {error}")))?;
