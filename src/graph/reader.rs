@@ -2,7 +2,7 @@
 
 use super::equations::{EquationError, Operations};
 use super::function::{Function, LISTS};
-use super::lexer::{ParseError, names};
+use super::lexer::{ParseError, names as words};
 use super::op::{Graph, Id, Op};
 use super::parse::{Parser, Term, name_problem, short};
 use super::quantities::RecordedQuantities;
@@ -34,12 +34,23 @@ pub(super) struct Vocabulary<'a> {
     pub(super) quantities: &'a dyn RecordedQuantities,
 }
 
+impl Vocabulary<'_> {
+    /// All names, for suggestions.
+    fn all(&self, known: &HashMap<String, Term>) -> Vec<String> {
+        let quantities = self.quantities.all_names();
+        let next: Vec<String> = quantities.iter().map(|name| format!("next.{name}")).collect();
+        known.keys().cloned().chain(quantities).chain(next).collect()
+    }
+}
+
 /// A graph in which names have numbers.
 pub(super) struct Reader<'a> {
     names: Vocabulary<'a>,
     graph: Graph,
     lengths: [usize; LISTS],
     known: HashMap<String, Term>,
+    /// Whether the quantities are in the graph.
+    is_computed: bool,
 }
 
 impl<'a> Reader<'a> {
@@ -58,19 +69,23 @@ impl<'a> Reader<'a> {
         }
         let dt = graph.constant(names.dt);
         known.insert("dt".to_owned(), Term::Number(dt));
-        let mut reader = Self { names, graph, lengths, known };
-        reader.compute();
+        let mut reader = Self { names, graph, lengths, known, is_computed: false };
         reader.define()?;
         Ok(reader)
     }
 
-    /// Records the quantities of the state and of the next state.
-    fn compute(&mut self) {
+    /// Records the quantities of the state and of the next state, once an expression names one.
+    fn compute(&mut self, text: &str) {
         let quantities = self.names.quantities;
         let names = quantities.all_names();
-        if names.is_empty() {
+        let is_quantity = |name: &str| {
+            let name = name.strip_prefix("next.").unwrap_or(name);
+            names.iter().any(|known| known == name)
+        };
+        if self.is_computed || !words(text).into_iter().any(is_quantity) {
             return;
         }
+        self.is_computed = true;
         let [n, m, k, ..] = self.lengths;
         let recorded = record(&mut self.graph, |inputs| {
             let p = &inputs[n + m..n + m + k];
@@ -101,7 +116,7 @@ impl<'a> Reader<'a> {
         let mut waits: HashMap<&str, usize> = HashMap::new();
         let mut followers: HashMap<&str, Vec<&str>> = HashMap::new();
         for (name, text) in define {
-            let mut before = names(text);
+            let mut before = words(text);
             before.retain(|name| define.contains_key(*name));
             before.sort_unstable();
             before.dedup();
@@ -129,6 +144,7 @@ impl<'a> Reader<'a> {
     }
 
     fn term(&mut self, key: &str, text: &str) -> Result<Term, EquationError> {
+        self.compute(text);
         let (known, names) = (&self.known, &self.names);
         let missing = RefCell::new(None);
         let resolve = |name: &str| {
@@ -139,7 +155,7 @@ impl<'a> Reader<'a> {
         };
         let term = Parser::read(text, &mut self.graph, &resolve);
         term.map_err(|ParseError { column, what }| EquationError {
-            unknown: missing.take().map(|name| (name, known.keys().cloned().collect())),
+            unknown: missing.take().map(|name| (name, names.all(known))),
             ..EquationError::new(key, located(text, column, &what))
         })
     }
