@@ -328,12 +328,43 @@ mod tests {
         };
         // 360 pixels per unit. The first place shows the first disc until it is at 1, then the other.
         let at = |x: i32| format!("{x},180 {x},180");
-        let path = [0, 180, 360, 540, 540].map(at).join(";");
-        assert_eq!(animated("points", "values")[0], path);
-        assert_eq!(animated("points", "keyTimes")[0], "0;0.3704;0.7407;0.7407;1");
+        let path = |xs: [i32; 4]| xs.map(at).join(";");
+        let paths = [path([0, 360, 540, 540]), path([180, 540, 360, 360])];
+        assert_eq!(animated("points", "values"), paths, "states in the middle are not needed");
         assert_eq!(animated("color", "values"), ["red;red;green;green", "green;green;red;red"]);
-        assert_eq!(animated("color", "keyTimes")[0], "0;0.7407;0.7407;1");
+        for what in ["points", "color"] {
+            assert_eq!(animated(what, "keyTimes"), ["0;0.7407;0.7407;1"; 2]);
+        }
         assert!(animated("stroke-width", "values").is_empty(), "widths are constant");
+    }
+
+    #[test]
+    fn paths_of_solids_are_exact_to_a_fraction_of_a_pixel() {
+        let mut animation = moving_dot(&[]);
+        let height = |frame: usize| (0.03 * frame as f64).sin();
+        let disc = |frame: usize| {
+            let points = vec![[1.0, height(frame)]];
+            vec![Shape::Solid { id: 0, points, width: 0.1, color: "red".into() }]
+        };
+        animation.view = ([0.0, -1.0], [2.0, 1.0]);
+        animation.frames = (0..61).map(disc).collect();
+        let svg = animation.to_svg();
+        let document = roxmltree::Document::parse(&svg).expect("an SVG is XML");
+        let path = document.descendants().find(|n| n.has_tag_name("animate")).expect("it moves");
+        let list = |name: &str| path.attribute(name).unwrap_or("").split(';').collect::<Vec<_>>();
+        let share = 2.0 / (2.0 + HOLD) / 60.0;
+        let frames: Vec<f64> = list("keyTimes").iter().flat_map(|t| t.parse()).collect();
+        let frames: Vec<f64> = frames.iter().map(|time| (time / share).round()).collect();
+        let number = |text: &str| text.split([' ', ',']).nth(1).and_then(|y| y.parse().ok());
+        let values: Vec<f64> = list("values").into_iter().flat_map(number).collect();
+        assert!(values.len() < 40 && values.len() == frames.len(), "{} states", values.len());
+        for frame in 0..61 {
+            let to = frames.iter().position(|&f| f > frame as f64).expect("the end");
+            let share = (frame as f64 - frames[to - 1]) / (frames[to] - frames[to - 1]);
+            let y = values[to - 1] + share * (values[to] - values[to - 1]);
+            let exact = 240.0 * (1.0 - height(frame));
+            assert!((y - exact).abs() < 0.21, "frame {frame}: {y}, not {exact}");
+        }
     }
 
     #[test]

@@ -9,6 +9,9 @@ const ROUND: &str = "stroke-linecap=\"round\" stroke-linejoin=\"round\"";
 /// `optimizeSpeed`.
 const SHARP: &str = "preserveAspectRatio=\"none\" style=\"image-rendering:optimizeSpeed;image-rendering:pixelated\"";
 
+/// Largest error of a coordinate of a solid between the states that are written, in pixels.
+const TOLERANCE: f64 = 0.15;
+
 /// SVG element of a shape, in pixels.
 struct Element {
     tag: &'static str,
@@ -96,11 +99,11 @@ fn solid_numbers(
     [left, top]: [f64; 2],
     scale: f64,
 ) -> Vec<(&'static str, String)> {
-    // A line needs a second point to have round ends.
-    let second = points.first().filter(|_| points.len() == 1);
+    // A disc needs a second point to have round ends, and the edge of a polygon is closed.
+    let last = points.first().filter(|_| points.len() != 2);
     let points: Vec<String> = points
         .iter()
-        .chain(second)
+        .chain(last)
         .map(|[x, y]| format!("{},{}", tenths((x - left) * scale), tenths((top - y) * scale)))
         .collect();
     vec![
@@ -199,10 +202,10 @@ impl Times {
             let mut states: Vec<(usize, &str)> =
                 history.iter().map(|(time, e)| (*time, e.numbers[i].1.as_str())).collect();
             if states.iter().any(|(_, value)| value != start) {
-                states.push((self.shares.len() - 1, states[states.len() - 1].1));
                 if solid.is_some() {
-                    states = without_repetitions(&states);
+                    states = thinned(&states);
                 }
+                states.push((self.shares.len() - 1, states[states.len() - 1].1));
                 let (times, values): (Vec<_>, Vec<_>) = states
                     .iter()
                     .map(|(time, value)| (self.shares[*time].as_str(), *value))
@@ -220,13 +223,28 @@ impl Times {
     }
 }
 
-/// States without those that equal both neighbours.
-fn without_repetitions<'a>(states: &[(usize, &'a str)]) -> Vec<(usize, &'a str)> {
-    let differs = |i: usize, j: usize| states.get(j).is_none_or(|state| state.1 != states[i].1);
-    (0..states.len())
-        .filter(|&i| i == 0 || differs(i, i - 1) || differs(i, i + 1))
-        .map(|i| states[i])
-        .collect()
+/// States without those that interpolation of the others reproduces to [`TOLERANCE`].
+fn thinned<'a>(states: &[(usize, &'a str)]) -> Vec<(usize, &'a str)> {
+    let numbers: Vec<Vec<Option<f64>>> = states
+        .iter()
+        .map(|(_, text)| text.split([' ', ',']).map(|number| number.parse().ok()).collect())
+        .collect();
+    let reproduced = |[from, i, to]: [usize; 3]| {
+        let [start, time, end] = [from, i, to].map(|state| states[state].0 as f64);
+        let share = (time - start) / (end - start);
+        let near = |k: usize| match [from, i, to].map(|state| numbers[state][k]) {
+            [Some(a), Some(x), Some(b)] => (a + share * (b - a) - x).abs() <= TOLERANCE,
+            _ => states[from].1 == states[i].1 && states[i].1 == states[to].1,
+        };
+        let [counts @ .., count] = [from, to, i].map(|state| numbers[state].len());
+        counts == [count; 2] && (0..count).all(near)
+    };
+    let mut kept = vec![0];
+    while let Some(&from) = kept.last().filter(|&&last| last + 1 < states.len()) {
+        let far_enough = |&to: &usize| (from + 1..to).all(|i| reproduced([from, i, to]));
+        kept.push((from + 2..states.len()).take_while(far_enough).last().unwrap_or(from + 1));
+    }
+    kept.into_iter().map(|i| states[i]).collect()
 }
 
 /// Formats a length in pixels with at most two decimals.
