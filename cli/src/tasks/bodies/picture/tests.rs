@@ -58,8 +58,10 @@ fn planar_models_are_seen_along_the_axis_of_their_hinges() {
         let last = seen.iter().find(|(id, _)| *id == 3).expect("the second ball");
         assert!(near(last.1, at), "{axis}: {last:?}");
     }
-    let tilted = pendulum("0 1 1");
-    assert_eq!(film(&tilted, &[reference(&tilted)], 0.1, "").unit, "", "in perspective");
+    let across = model(&ball("", "<joint type='slide' axis='0 1 0'/><joint axis='0 1 0'/>"));
+    for model in [pendulum("0 1 1"), across, model(&ball("", FREE))] {
+        assert_eq!(film(&model, &[reference(&model)], 0.1, "").unit, "", "in perspective");
+    }
 }
 
 #[test]
@@ -98,6 +100,11 @@ fn marks_return_on_the_other_side() {
     let film = film(&model, &run, 0.1, "");
     // The reach is 0.1 m: marks every 5 cm, over 1.99 m. The ball has an edge.
     assert_eq!(count(&film), 2 + 17 + 40);
+    for pair in film.frames.windows(2) {
+        let [before, after] = [&pair[0], &pair[1]].map(|frame| points(frame));
+        let new = before.iter().zip(&after).filter(|(a, b)| a.0 != b.0).count();
+        assert!(new <= 1, "the others keep their places in the order");
+    }
     for frame in &film.frames {
         let mut places: Vec<f64> =
             points(frame).iter().filter(|(id, _)| *id > 100).map(|(_, point)| point[0]).collect();
@@ -131,8 +138,10 @@ fn lines_end_in_front_of_the_eye() {
     let model = model(&ball("", FREE));
     let camera = Camera::of(&model);
     let along = |distance: f64| space::times(distance * camera.reach, camera.forward);
-    let aside = [0.85, -0.35, 0.0].map(|x| 0.1 * camera.reach * x);
-    let at = |distance: f64| add(along(distance), aside);
+    // Lines that pass the eye at a distance.
+    let aside =
+        |distance: f64| [0.85, -0.35, 0.0].map(|x| 0.1 * camera.reach * x * (distance + 5.0));
+    let at = |distance: f64| add(along(distance), aside(distance));
     // The eye is 4 reaches away, so the nearest visible point is 1 reach in front of it.
     let exact = camera.see([0.0; 3], at(-3.0)).at;
     for ends in [[at(-30.0), at(2.0)], [at(-3.0), at(2.0)]] {
