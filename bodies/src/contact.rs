@@ -173,7 +173,7 @@ fn add_pair(
             law,
             ratio: model.options.impedance_ratio,
             soft: Soft::new(&softness(a, b), model.options.dt),
-            margin: a.margin + b.margin - (a.gap + b.gap),
+            margin: a.margin + b.margin,
             friction: tree.friction[friction],
             weight: tree.bodies[a.body].weight + tree.bodies[b.body].weight,
             path: path.clone(),

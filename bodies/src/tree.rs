@@ -1,5 +1,6 @@
 //! [`Tree`]: a model as chains of degrees of freedom, with the constants that steps read.
 
+use crate::components::word;
 use crate::contact::candidates;
 use crate::dynamics::Work;
 use crate::model::*;
@@ -20,10 +21,6 @@ pub(crate) struct Coefficient {
 }
 
 impl Coefficient {
-    pub(crate) fn new(value: f64) -> Self {
-        Self { value, entry: None }
-    }
-
     /// Whether the number is the constant 0, so that its term is absent.
     #[inline(always)]
     pub(crate) fn is_absent(&self) -> bool {
@@ -190,23 +187,24 @@ pub(crate) fn numbers(model: &Model) -> Vec<Numbered> {
     let mut all = Vec::new();
     let mut push = |name: String, value: f64| all.push(Numbered { name, value });
     for body in model.bodies.iter().skip(1).filter(|body| body.mass > 0.0) {
-        push(format!("body.{}.mass", body.name), body.mass);
+        push(format!("body.{}.mass", word(&body.name)), body.mass);
     }
     for joint in model.joints.iter() {
-        push(format!("joint.{}.armature", joint.name), joint.armature);
-        push(format!("joint.{}.damping", joint.name), joint.damping);
+        let name = word(&joint.name);
+        push(format!("joint.{name}.armature"), joint.armature);
+        push(format!("joint.{name}.damping"), joint.damping);
         if matches!(joint.kind, JointKind::Hinge | JointKind::Slide) {
-            push(format!("joint.{}.stiffness", joint.name), joint.stiffness);
+            push(format!("joint.{name}.stiffness"), joint.stiffness);
         }
         if joint.friction_loss > 0.0 {
-            push(format!("joint.{}.friction_loss", joint.name), joint.friction_loss);
+            push(format!("joint.{name}.friction_loss"), joint.friction_loss);
         }
     }
     for actuator in &model.actuators {
-        push(format!("actuator.{}.gear", actuator.name), actuator.gear);
+        push(format!("actuator.{}.gear", word(&actuator.name)), actuator.gear);
     }
     for shape in &model.shapes {
-        push(format!("shape.{}.friction", shape.name), shape.friction[0]);
+        push(format!("shape.{}.friction", word(&shape.name)), shape.friction[0]);
     }
     all
 }
@@ -234,6 +232,7 @@ impl Tree {
             damps: false,
             friction: Vec::new(),
         };
+        check_joints(model)?;
         for index in 0..model.bodies.len() {
             tree.add_body(model, index, coefficient);
         }
@@ -250,7 +249,7 @@ impl Tree {
         tree.friction = model
             .shapes
             .iter()
-            .map(|shape| coefficient(&format!("shape.{}.friction", shape.name), shape.friction[0]))
+            .map(|shape| coefficient(&format!("shape.{}.friction", word(&shape.name)), shape.friction[0]))
             .collect();
         tree.weigh(model);
         if model.options.contacts {
@@ -310,7 +309,7 @@ impl Tree {
                 centre: add(at, rotate(&turn, body.centre)),
                 moments: congruence(&turn, &body.inertia),
             };
-            let mass = coefficient(&format!("body.{}.mass", body.name), body.mass);
+            let mass = coefficient(&format!("body.{}.mass", word(&body.name)), body.mass);
             let scaled = part.scaled(mass.value);
             if mass.entry.is_some() {
                 self.dofs[dof].varied.push((mass, part.scaled(1.0)));
@@ -329,7 +328,8 @@ impl Tree {
         coefficient: &dyn Fn(&str, f64) -> Coefficient,
     ) -> usize {
         let dt = model.options.dt;
-        let number = |key: &str, value: f64| coefficient(&format!("joint.{}.{key}", joint.name), value);
+        let name = word(&joint.name);
+        let number = |key: &str, value: f64| coefficient(&format!("joint.{name}.{key}"), value);
         let limit = joint.limit.filter(|_| model.options.limits);
         let dof = Dof {
             kind: Kind::Slide,
@@ -392,7 +392,7 @@ impl Tree {
     fn motor(&self, a: &Actuator, coefficient: &dyn Fn(&str, f64) -> Coefficient) -> Motor {
         Motor {
             dof: self.joints[a.joint],
-            gear: coefficient(&format!("actuator.{}.gear", a.name), a.gear),
+            gear: coefficient(&format!("actuator.{}.gear", word(&a.name)), a.gear),
             gain: a.gain,
             bias: a.bias,
             control_range: a.control_range,
@@ -468,6 +468,25 @@ impl Tree {
         self.friction.iter().for_each(set);
         all
     }
+}
+
+/// Refuses springs and limits of joints that rotate freely.
+fn check_joints(model: &Model) -> Result<(), String> {
+    let turns = |joint: &&Joint| matches!(joint.kind, JointKind::Ball | JointKind::Free);
+    for joint in model.joints.iter().filter(turns) {
+        let what = if joint.stiffness != 0.0 {
+            "a spring"
+        } else if joint.limit.is_some() {
+            "a limit"
+        } else {
+            continue;
+        };
+        return Err(format!(
+            "the joint `{}` is a ball or free joint with {what}, which is not simulated; remove it, or use three hinges",
+            joint.name
+        ));
+    }
+    Ok(())
 }
 
 impl Inertial {
