@@ -1,5 +1,6 @@
 //! Articulated bodies from a file: settings, expressions and animation.
 
+mod picture;
 mod settings;
 
 use crate::operations::trajectory::Trajectory;
@@ -11,7 +12,8 @@ use crate::tasks::{FileSetting, Settings, TaskSpec};
 use physgrad::graph::{Costs, Names, Replaced, Replacement};
 use physgrad::{DynTask, System as _};
 use physgrad_bodies::components;
-use physgrad_plot::{Animation, Channel, channels_over_time};
+use physgrad_plot::Animation;
+use picture::film;
 use settings::{BodiesSettings, read_text};
 
 /// Task `bodies`.
@@ -120,12 +122,13 @@ impl TaskSpec for Bodies {
 
     fn animation(
         settings: &Settings<Self>,
-        Trajectory { states, controls, .. }: &Trajectory,
+        Trajectory { states, params, .. }: &Trajectory,
     ) -> Animation {
-        let names = Self::state_names(settings);
-        let states: Vec<Vec<f64>> = states.iter().map(|x| x[..names.len()].to_vec()).collect();
-        let states = Channel::columns(names, &states, "#0072B2");
-        let controls = Channel::columns(Self::control_names(settings), controls, "#D55E00");
-        channels_over_time(Self::ABOUT, &[states, controls].concat(), Self::dt(settings))
+        let task = settings.system.task(1, settings.horizon).expect("validated settings");
+        let bodies = task.bodies();
+        let poses = |x: &Vec<f64>| bodies.poses(x, &params[0]);
+        let poses: Vec<_> = states.iter().map(poses).collect();
+        let model = bodies.model();
+        film(model, &poses, Self::dt(settings), &model.name)
     }
 }
