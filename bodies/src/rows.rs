@@ -41,11 +41,6 @@ impl Soft {
         Self { k, b, low, high, width: width.max(0.0), middle, power }
     }
 
-    /// Softness without a jump at the onset of a contact.
-    pub(crate) fn without_jump(self) -> Self {
-        Self { low: 0.0, ..self }
-    }
-
     /// Impedance at a distance, and its derivative with respect to the absolute distance.
     #[inline(always)]
     pub(crate) fn impedance<T: Scalar>(&self, distance: T) -> (T, T) {

@@ -20,10 +20,6 @@ pub(crate) struct Coefficient {
 }
 
 impl Coefficient {
-    pub(crate) fn new(value: f64) -> Self {
-        Self { value, entry: None }
-    }
-
     /// Whether the number is the constant 0, so that its term is absent.
     #[inline(always)]
     pub(crate) fn is_absent(&self) -> bool {
@@ -247,6 +243,11 @@ impl Tree {
             _ => tree.dofs.iter().any(|dof| !dof.damping.is_absent())
                 || tree.implicit_feedback() && tree.motors.iter().any(|motor| motor.bias[2] != 0.0),
         };
+        if tree.implicit_feedback() && !tree.drags.is_empty() {
+            return Err("`implicitfast` makes the drag of a medium implicit, which is not simulated; set \
+                        `integrator` to `Euler`"
+                .into());
+        }
         tree.friction = model
             .shapes
             .iter()
