@@ -12,7 +12,7 @@
 
 use crate::contact::{CapsuleOf, Contact, Pair, UPRIGHT};
 use crate::drag;
-use crate::dynamics::{Arguments, Work};
+use crate::dynamics::{Arguments, Work, inside};
 use crate::geometry::{nearest, nearest_vjp, tangents_vjp};
 use crate::solver::{block_times, chains};
 use crate::spatial::*;
@@ -471,7 +471,7 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
             let whole = work.actuation[motor.dof];
             let passes = dof.force_range.map_or(one, |range| inside(whole, range));
             let out = -(self.lambda[motor.dof] * passes);
-            let inner = motor.force_range.map_or(one, |range| inside(force, range));
+            let inner = motor.passes(force);
             let force = motor.limited(force);
             let force_bar = out * (gear * inner);
             if let Some(u_bar) = &mut bars.u {
@@ -489,19 +489,12 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
                 let slope = (q[dof.q] * position + v[motor.dof] * velocity) * inner;
                 p_bar[entry] += out * (force + slope * gear);
                 if tree.implicit_feedback() && velocity != 0.0 {
-                    let by = work.stepped[motor.dof] * gear * (-2.0 * velocity * tree.options.dt);
+                    let by = work.stepped[motor.dof] * gear * inner * (-2.0 * velocity * tree.options.dt);
                     p_bar[entry] += self.mu[motor.dof] * by;
                 }
             }
         }
     }
-}
-
-/// 1 inside of a range, 0 outside.
-#[inline(always)]
-fn inside<R: Real>(x: R, [low, high]: [f64; 2]) -> R {
-    let (o, one) = (R::zero(), R::one());
-    R::select_lt(x, R::from(high), R::select_lt(R::from(low), x, one, o), o)
 }
 
 /// Links of the two bodies of a contact.

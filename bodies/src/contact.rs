@@ -15,8 +15,6 @@ use physgrad::Scalar;
 /// Two shapes that may touch in one point.
 #[derive(Clone, Debug)]
 pub(crate) struct Candidate {
-    /// Indices of the shapes.
-    pub(crate) shapes: [usize; 2],
     pub(crate) pair: Pair,
     pub(crate) law: Law,
     pub(crate) ratio: f64,
@@ -168,11 +166,11 @@ fn add_pair(
     };
     for pair in pairs {
         all.push(Candidate {
-            shapes,
             pair,
             law,
             ratio: model.options.impedance_ratio,
             soft: Soft::new(&softness(a, b), model.options.dt),
+            // A gap only lists contacts that do not push yet.
             margin: a.margin + b.margin,
             friction: tree.friction[friction],
             weight: tree.bodies[a.body].weight + tree.bodies[b.body].weight,

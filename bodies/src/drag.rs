@@ -4,9 +4,9 @@
 //! mass, force and moment are `-linear velocity - square |velocity| velocity` per component.
 //! Source: MuJoCo documentation, chapter Fluid forces, section Inertia model.
 
-use crate::model::Options;
+use crate::model::{Mat3, Options, Vec3};
 use crate::spatial::*;
-use crate::tree::{Drag, Inertial};
+use crate::tree::{Drag, IDENTITY, Inertial};
 use nalgebra::{Matrix3, SymmetricEigen};
 use physgrad::{Cotangent, Real, Scalar};
 use std::f64::consts::PI;
@@ -17,11 +17,9 @@ pub(crate) fn of(options: &Options, dof: usize, body: &Inertial) -> Option<Drag>
         return None;
     }
     let j = body.moments;
-    let eigen =
-        SymmetricEigen::new(Matrix3::new(j[0], j[3], j[4], j[3], j[1], j[5], j[4], j[5], j[2]));
-    let moments = eigen.eigenvalues;
+    let (moments, axes) = principal(j);
     let edge = |i: usize| {
-        let others = moments.sum() - 2.0 * moments[i];
+        let others = moments.iter().sum::<f64>() - 2.0 * moments[i];
         (others.max(1e-15) / body.mass * 6.0).sqrt()
     };
     let [x, y, z] = [edge(0), edge(1), edge(2)];
@@ -32,7 +30,7 @@ pub(crate) fn of(options: &Options, dof: usize, body: &Inertial) -> Option<Drag>
     Some(Drag {
         dof,
         centre: body.centre,
-        axes: std::array::from_fn(|i| std::array::from_fn(|j| eigen.eigenvectors[(i, j)])),
+        axes,
         linear: [slow, slow, slow, fast, fast, fast],
         square: [
             turn(x, y, z),
@@ -43,6 +41,33 @@ pub(crate) fn of(options: &Options, dof: usize, body: &Inertial) -> Option<Drag>
             0.5 * rho * x * y,
         ],
     })
+}
+
+/// Principal moments and axes in columns.
+///
+/// Drag depends on the axes of a box also if moments are equal. The axes are then those of a shape
+/// along the third axis, which is turned from z on the shortest way, and those of the body if all
+/// moments are equal.
+fn principal(j: [f64; 6]) -> (Vec3, Mat3) {
+    let eigen =
+        SymmetricEigen::new(Matrix3::new(j[0], j[3], j[4], j[3], j[1], j[5], j[4], j[5], j[2]));
+    let m = eigen.eigenvalues;
+    let equal = |a: usize, b: usize| (m[a] - m[b]).abs() <= 1e-9 * m.amax();
+    let column = |k: usize| [0, 1, 2].map(|i| eigen.eigenvectors[(i, k)]);
+    if equal(0, 1) && equal(1, 2) {
+        return ([m[0]; 3], IDENTITY);
+    }
+    for (a, b, single) in [(0, 1, 2), (0, 2, 1), (1, 2, 0)] {
+        if equal(a, b) {
+            let [x, y, z] = column(single);
+            let [x, y, z] = if z < 0.0 { [-x, -y, -z] } else { [x, y, z] };
+            let by = 1.0 / (1.0 + z);
+            let turn = [[1.0 - x * x * by, -x * y * by, x], [-x * y * by, 1.0 - y * y * by, y], [-x, -y, z]];
+            return ([m[a], m[b], m[single]], turn);
+        }
+    }
+    let [x, y, z] = [0, 1, 2].map(column);
+    ([m[0], m[1], m[2]], [0, 1, 2].map(|i| [x[i], y[i], z[i]]))
 }
 
 /// Principal axes and centre of mass of a body at a pose of its link.

@@ -110,6 +110,15 @@ impl<T: Scalar> Work<T> {
         for matrix in [&mut self.mass, &mut self.hessian, &mut self.damped] {
             matrix.resize(n);
         }
+        // Later steps do not allocate, however many rows and contacts they have.
+        if self.contacts.capacity() < tree.contacts.len() {
+            self.contacts = Vec::with_capacity(tree.contacts.len());
+            self.along = Vec::with_capacity(tree.contacts.len());
+            self.columns = Vec::with_capacity(tree.contacts.iter().map(|c| c.path.len()).sum());
+        }
+        if tree.has_rows && self.rows.capacity() < 3 * n {
+            self.rows = Vec::with_capacity(3 * n);
+        }
     }
 
     /// Poses, axes, velocities and inertias of the links.
@@ -246,7 +255,7 @@ impl<T: Scalar> Work<T> {
 
     /// Writes the acceleration of a step with implicit damping: `(M + dt B) a' = M a`.
     #[inline(always)]
-    pub(crate) fn damp(&mut self, tree: &Tree, params: &[T]) {
+    pub(crate) fn damp(&mut self, tree: &Tree, [q, v, u, params]: Arguments<'_, T>) {
         if !tree.damps {
             self.stepped.copy_from_slice(&self.a);
             return;
@@ -258,9 +267,11 @@ impl<T: Scalar> Work<T> {
             *self.damped.at_mut(k, k) += dof.damping.of(params) * dt;
         }
         if tree.implicit_feedback() {
-            for motor in tree.motors.iter().filter(|motor| motor.bias[2] != 0.0) {
+            for (motor, &u) in tree.motors.iter().zip(u).filter(|(motor, _)| motor.bias[2] != 0.0) {
                 let gear = motor.gear.of(params);
-                *self.damped.at_mut(motor.dof, motor.dof) -= gear * gear * (motor.bias[2] * dt);
+                let force = motor.force(q[tree.dofs[motor.dof].q], v[motor.dof], u, params);
+                let feedback = gear * gear * motor.passes(force) * (motor.bias[2] * dt);
+                *self.damped.at_mut(motor.dof, motor.dof) -= feedback;
             }
         }
         self.damped.factor(&tree.parent);
@@ -281,11 +292,24 @@ impl Motor {
         force
     }
 
+    /// 1 if the force is inside its range, else 0.
+    #[inline(always)]
+    pub(crate) fn passes<T: Scalar>(&self, force: T) -> T {
+        self.force_range.map_or(T::one(), |range| inside(force, range))
+    }
+
     /// The force within its range.
     #[inline(always)]
     pub(crate) fn limited<T: Scalar>(&self, force: T) -> T {
         self.force_range.map_or(force, |[low, high]| force.clamp(low, high))
     }
+}
+
+/// 1 inside of a range, 0 outside.
+#[inline(always)]
+pub(crate) fn inside<T: Scalar>(x: T, [low, high]: [f64; 2]) -> T {
+    let (o, one) = (T::zero(), T::one());
+    T::select_lt(x, T::from(high), T::select_lt(T::from(low), x, one, o), o)
 }
 
 /// Inertia about the origin of a link at this pose.

@@ -11,7 +11,7 @@ use crate::tree::Tree;
 use physgrad::Scalar;
 
 /// Most iterations. In 10⁶ random states of the tested models, at most a third were needed.
-const ITERATIONS: usize = 40;
+pub(crate) const ITERATIONS: usize = 40;
 /// Most evaluations of a line search.
 const SEARCH: usize = 16;
 
@@ -193,15 +193,20 @@ impl<T: Scalar> Work<T> {
         let (mut low, mut high, mut length) = (o, T::from(1e9), one);
         let (start, _) = self.slope(along, o);
         let scale = (start + linear).abs();
+        let mut last = T::from(f64::INFINITY);
         for _ in 0..SEARCH {
             let (slope, curve) = self.slope(along, length);
             let (slope, curve) = (slope + linear + square * length, curve + square);
             low = T::select_lt(slope, o, length, low);
             high = T::select_lt(slope, o, high, length);
-            let next = length - slope / T::select_lt(o, curve, curve, one);
-            let middle = (low + high) * 0.5;
+            let change = slope / T::select_lt(o, curve, curve, one);
+            let next = length - change;
+            // Bisection where Newton's method leaves the bracket, or jumps to and fro across a kink.
+            let middle = ((low + high) * 0.5).min((length * 2.0).max(1.0));
             let next =
                 T::select_lt(next, low, middle, T::select_lt(high, next, middle, next));
+            let next = T::select_lt(last, change.abs() * 2.0, middle, next);
+            last = (next - length).abs();
             let open = slope.abs() - scale * SLOPE;
             length = T::select_lt(o, open, next, length);
             if !T::any_lt(o, open) {

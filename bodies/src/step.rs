@@ -3,6 +3,9 @@
 //! Euler's method computes one acceleration, the Runge-Kutta method four. A phase is compiled once
 //! per scalar and called, since a whole step that is inlined takes minutes to compile.
 
+#[cfg(test)]
+mod stress;
+
 use crate::adjoint::{Back, Bars};
 use crate::dynamics::{Arguments, Work};
 use crate::model::Integrator;
@@ -64,7 +67,7 @@ impl<T: Scalar, const PART: usize> Vectorized for Phase<'_, T, PART> {
                 work.assemble(tree);
                 work.newton_step(tree);
             }
-            _ => work.damp(tree, params),
+            _ => work.damp(tree, arguments),
         }
     }
 }
@@ -152,12 +155,19 @@ pub(crate) struct Buffers<T> {
 struct Stage<T> {
     q: Vec<T>,
     v: Vec<T>,
+    /// Rates of the coordinates whose motion from the first stage gives `q`, see [`rates`].
+    rate: Vec<T>,
     work: Work<T>,
 }
 
 impl<T: Scalar> Default for Buffers<T> {
     fn default() -> Self {
-        let stage = || Stage { q: Vec::new(), v: Vec::new(), work: Work::default() };
+        let stage = || Stage {
+            q: Vec::new(),
+            v: Vec::new(),
+            rate: Vec::new(),
+            work: Work::default(),
+        };
         Self { stages: std::array::from_fn(|_| stage()), mean: [Vec::new(), Vec::new()] }
     }
 }
@@ -198,17 +208,20 @@ impl<T: Scalar> Buffers<T> {
             let stage = &mut rest[0];
             stage.q.resize(q.len(), T::zero());
             stage.v.resize(v.len(), T::zero());
+            stage.rate.resize(v.len(), T::zero());
             match before.last() {
                 None => {
                     stage.q.copy_from_slice(q);
                     stage.v.copy_from_slice(v);
+                    stage.rate.copy_from_slice(v);
                 }
                 Some(last) => {
                     let h = NODES[i - 1] * tree.options.dt;
                     for k in 0..v.len() {
                         stage.v[k] = v[k] + last.work.stepped[k] * h;
                     }
-                    advance(tree, q, &last.v, h, &mut stage.q);
+                    advance(tree, q, &last.rate, h, &mut stage.q);
+                    rates(tree, &last.rate, h, &stage.v, &mut stage.rate);
                 }
             }
             accelerate(&mut stage.work, tree, [&stage.q, &stage.v, u, p]);
@@ -222,7 +235,7 @@ impl<T: Scalar> Buffers<T> {
         }
         for (stage, weight) in self.stages.iter().zip(WEIGHTS) {
             for k in 0..n {
-                self.mean[0][k] += stage.v[k] * weight;
+                self.mean[0][k] += stage.rate[k] * weight;
                 self.mean[1][k] += stage.work.stepped[k] * weight;
             }
         }
@@ -263,7 +276,9 @@ pub(crate) struct Bar<R, C> {
     /// Cotangents of the stages of the Runge-Kutta method.
     stage: [Vec<C>; 2],
     velocity: Vec<C>,
-    speed: Vec<C>,
+    /// Cotangents of the rates of a stage, and of the stage before from those.
+    rate: Vec<C>,
+    before: Vec<C>,
 }
 
 impl<R, C> Default for Bar<R, C> {
@@ -275,7 +290,8 @@ impl<R, C> Default for Bar<R, C> {
             a: Vec::new(),
             stage: [Vec::new(), Vec::new()],
             velocity: Vec::new(),
-            speed: Vec::new(),
+            rate: Vec::new(),
+            before: Vec::new(),
         }
     }
 }
@@ -353,32 +369,40 @@ impl<R: Real, C: Cotangent<R>> Bar<R, C> {
         buffers.stage_states(tree, inputs);
         buffers.average(n);
         self.v.copy_from_slice(v_next_bar);
-        // Cotangent of the mean velocity, which each stage shares.
+        // Cotangent of the mean rate, which each stage shares.
         advance_vjp(tree, q, &buffers.mean[0], dt, q_next_bar, (&mut self.q, &mut self.velocity));
         let mut from_later: Option<f64> = None;
         for i in (0..4).rev() {
             let weight = R::from(WEIGHTS[i]);
-            // Cotangents of velocity and acceleration of this stage: from the means, and from the
-            // state of the next stage, in `stage`.
+            // Cotangents of rate and acceleration of this stage: from the means, and from the
+            // state of the next stage, in `stage` and `before`.
             for k in 0..n {
                 self.a[k] = v_next_bar[k] * (weight * dt);
             }
-            self.speed.clear();
-            self.speed.extend(self.velocity.iter().map(|&bar| bar * weight));
+            self.rate.clear();
+            self.rate.extend(self.velocity.iter().map(|&bar| bar * weight));
             if let Some(h) = from_later {
                 let [stage_q, stage_v] = &self.stage;
                 for k in 0..n {
                     self.a[k] += stage_v[k] * R::from(h);
                     self.v[k] += stage_v[k];
+                    self.rate[k] += self.before[k];
                 }
-                advance_vjp(tree, q, &buffers.stages[i].v, h, stage_q, (&mut self.q, &mut self.speed));
+                advance_vjp(tree, q, &buffers.stages[i].rate, h, stage_q, (&mut self.q, &mut self.rate));
             }
-            let Stage { q: at, v: speed_at, work } = &mut buffers.stages[i];
+            from_later = (i > 0).then(|| NODES[i - 1] * dt);
+            if let Some(h) = from_later {
+                self.before.clear();
+                self.before.resize(n, C::null());
+                let [last, stage] = [&buffers.stages[i - 1], &buffers.stages[i]];
+                rates_vjp(tree, &last.rate, h, &stage.v, (&mut self.rate, &mut self.before));
+            }
+            let Stage { q: at, v: speed_at, work, .. } = &mut buffers.stages[i];
             let [stage_q, stage_v] = &mut self.stage;
             stage_q.clear();
             stage_q.resize(q.len(), C::null());
             stage_v.clear();
-            stage_v.extend_from_slice(&self.speed);
+            stage_v.extend_from_slice(&self.rate);
             let mut bars = Bars {
                 q: stage_q,
                 v: stage_v,
@@ -386,7 +410,6 @@ impl<R: Real, C: Cotangent<R>> Bar<R, C> {
                 p: p_bar.as_deref_mut(),
             };
             pull(&mut self.back, work, tree, [at, speed_at, u, p], &self.a, &mut bars);
-            from_later = (i > 0).then(|| NODES[i - 1] * dt);
         }
         // The first stage is the state itself.
         let [stage_q, stage_v] = &self.stage;
@@ -463,6 +486,69 @@ fn advance_vjp<R: Real, C: Cotangent<R>>(
             Kind::Turn(_) => {}
         }
     }
+}
+
+/// Rates of the coordinates of a stage at the velocities `v`, where `last` are those of the stage
+/// before, whose motion for the time `h` leads to this stage.
+///
+/// Slides and hinges have their velocities. A turn has the rate of the rotation vector θ from the
+/// first stage, `w + ½ θ × w + g θ × (θ × w)` with `g = (1 - ½|θ| cot(½|θ|)) / |θ|²`. Source:
+/// H. Munthe-Kaas, High order Runge-Kutta methods on manifolds, Applied Numerical Mathematics 29,
+/// 1999. The sign is that of velocities in axes of the body.
+#[inline(always)]
+fn rates<T: Scalar>(tree: &Tree, last: &[T], h: f64, v: &[T], rates: &mut [T]) {
+    rates.copy_from_slice(v);
+    for (k, _) in tree.dofs.iter().enumerate().filter(|(_, dof)| dof.kind == Kind::Turn(0)) {
+        let (theta, w) = ([0, 1, 2].map(|i| last[k + i] * h), [v[k], v[k + 1], v[k + 2]]);
+        let (g, _) = curvature(dot(theta, theta));
+        let across = cross(theta, w);
+        let rate = add(w, add(scale(across, T::from(0.5)), scale(cross(theta, across), g)));
+        rates[k..k + 3].copy_from_slice(&rate);
+    }
+}
+
+/// Replaces the cotangents of the rates in [`rates`] by those of the velocities, and adds those of
+/// the rates before.
+#[inline(always)]
+fn rates_vjp<R: Real, C: Cotangent<R>>(
+    tree: &Tree,
+    last: &[R],
+    h: f64,
+    v: &[R],
+    (bars, last_bar): (&mut [C], &mut [C]),
+) {
+    let half = R::from(0.5);
+    for (k, _) in tree.dofs.iter().enumerate().filter(|(_, dof)| dof.kind == Kind::Turn(0)) {
+        let (theta, w) = ([0, 1, 2].map(|i| last[k + i] * h), [v[k], v[k + 1], v[k + 2]]);
+        let bar = [bars[k], bars[k + 1], bars[k + 2]];
+        let (g, slope) = curvature(dot(theta, theta));
+        let across = cross(bar, theta);
+        let w_bar = add(bar, add(scale(across, half), scale(cross(across, theta), g)));
+        bars[k..k + 3].copy_from_slice(&w_bar);
+        // θ × (θ × w) = θ (θ · w) - w (θ · θ).
+        let (along, with) = (dot(bar, theta), dot(bar, w));
+        let by_vector = add(scale(bar, dot(theta, w)), sub(spread(along, w), spread(with + with, theta)));
+        let by_g = along * dot(theta, w) - with * dot(theta, theta);
+        let theta_bar = add(
+            sub(scale(cross(bar, w), -half), spread(by_g * (-slope - slope), theta)),
+            scale(by_vector, g),
+        );
+        for i in 0..3 {
+            last_bar[k + i] += theta_bar[i] * R::from(h);
+        }
+    }
+}
+
+/// g of [`rates`] and its derivative, as functions of |θ|².
+#[inline(always)]
+fn curvature<T: Scalar>(square: T) -> (T, T) {
+    let quarter = square * 0.25;
+    let Sinc { s, e, .. } = Sinc::of(quarter);
+    let slope_far = -(s + e * 3.0) / (quarter * 2.0).max(1e-8);
+    let series = (quarter * (1.0 / 15120.0) - 1.0 / 420.0) * quarter + 1.0 / 30.0;
+    let slope = T::select_lt(quarter, T::from(1e-3), series, slope_far);
+    let g = -e / (s * 4.0);
+    (g, (e * e * 0.5 - slope * s) / (s * s * 16.0))
 }
 
 /// Functions of x²: sin(x)/x, cos(x), and (cos(x) - sin(x)/x)/x².

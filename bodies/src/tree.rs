@@ -246,6 +246,11 @@ impl Tree {
             _ => tree.dofs.iter().any(|dof| !dof.damping.is_absent())
                 || tree.implicit_feedback() && tree.motors.iter().any(|motor| motor.bias[2] != 0.0),
         };
+        if tree.implicit_feedback() && !tree.drags.is_empty() {
+            return Err("`implicitfast` makes the drag of a medium implicit, which is not simulated; set \
+                        `integrator` to `Euler`"
+                .into());
+        }
         tree.friction = model
             .shapes
             .iter()
