@@ -63,5 +63,5 @@ fn accelerations_and_steps_are_those_of_mujoco() {
             contacts += case.contacts;
         }
     }
-    assert!(contacts > 100, "only {contacts} contacts");
+    assert!(contacts > 50, "only {contacts} contacts");
 }
