@@ -72,7 +72,9 @@ pub fn angles(model: &Model) -> Vec<usize> {
 impl Quantities for Bodies {
     fn names(&self) -> Vec<String> {
         let model = self.model();
-        let axes = |kind: &str, name: &str| ["x", "y", "z"].map(|axis| format!("{kind}.{}.{axis}", word(name)));
+        let axes = |kind: &str, name: &str| {
+            ["x", "y", "z"].map(|axis| format!("{kind}.{}.{axis}", word(name)))
+        };
         let mut names = Vec::new();
         for body in &model.bodies[1..] {
             names.extend(axes("body", &body.name));

@@ -87,9 +87,8 @@ impl<T: Scalar> Cone<T> {
         );
         let side = d * self.ratio;
         let holds = ([-(d * s[0]), -(side * s[1]), -(side * s[2])], [d, side, side, o, o, o]);
-        let choose = |hold: T, slide: T| {
-            T::select_lt(over, o, T::select_lt(o, sticks, slide, hold), o)
-        };
+        let choose =
+            |hold: T, slide: T| T::select_lt(over, o, T::select_lt(o, sticks, slide, hold), o);
         (
             [0, 1, 2].map(|i| choose(holds.0[i], slides.0[i])),
             [0, 1, 2, 3, 4, 5].map(|i| choose(holds.1[i], slides.1[i])),
@@ -134,8 +133,7 @@ impl<T: Scalar> Cone<T> {
                 let slope = -(soft * mu * (2.0 / self.ratio)) / (regular + 1.0);
                 let change = slope * over - soft * speed;
                 let side = change * mu + soft * over;
-                let zone =
-                    |x: T| T::select_lt(over, o, T::select_lt(o, sticks, x, o), o);
+                let zone = |x: T| T::select_lt(over, o, T::select_lt(o, sticks, x, o), o);
                 f = [zone(-change), zone(side * along[0]), zone(side * along[1])];
             }
         }

@@ -201,7 +201,13 @@ impl<T: Scalar> Work<T> {
             }
         }
         for part in &tree.drags {
-            let push = drag::force(part, &tree.options, &self.r[part.dof], self.p[part.dof], self.v[part.dof]);
+            let push = drag::force(
+                part,
+                &tree.options,
+                &self.r[part.dof],
+                self.p[part.dof],
+                self.v[part.dof],
+            );
             self.force[part.dof] = self.force[part.dof] - push;
         }
         for k in (0..n).rev() {

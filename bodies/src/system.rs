@@ -58,12 +58,11 @@ impl Bodies {
     ///
     /// # Errors
     /// The model has joints or contacts that are not simulated, or no number with a name.
-    pub fn with_numbers(
-        model: Model,
-        set: Vec<(String, Number)>,
-    ) -> Result<Self, BodiesError> {
+    pub fn with_numbers(model: Model, set: Vec<(String, Number)>) -> Result<Self, BodiesError> {
         let known = numbers(&model);
-        if let Some((name, _)) = set.iter().find(|(name, _)| !known.iter().any(|known| known.name == *name)) {
+        if let Some((name, _)) =
+            set.iter().find(|(name, _)| !known.iter().any(|known| known.name == *name))
+        {
             let known = known.into_iter().map(|number| number.name).collect();
             return Err(BodiesError::UnknownNumber { name: name.clone(), known });
         }

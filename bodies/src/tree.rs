@@ -97,13 +97,15 @@ impl Inertial {
         if mass == 0.0 {
             return *self;
         }
-        let centre = [0, 1, 2]
-            .map(|i| (self.mass * self.centre[i] + other.mass * other.centre[i]) / mass);
+        let centre =
+            [0, 1, 2].map(|i| (self.mass * self.centre[i] + other.mass * other.centre[i]) / mass);
         let mut moments = [0.0; 6];
         for part in [self, other] {
             let e = sub(part.centre, centre);
             let square = e[0] * e[0] + e[1] * e[1] + e[2] * e[2];
-            for (k, (i, j)) in [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
+            for (k, (i, j)) in
+                [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)].into_iter().enumerate()
+            {
                 let diagonal = if i == j { square } else { 0.0 };
                 moments[k] += part.moments[k] + part.mass * (diagonal - e[i] * e[j]);
             }
@@ -240,21 +242,29 @@ impl Tree {
         if tree.parent.iter().filter(|&&parent| parent == NONE).count() == 1 {
             tree.root = tree.dofs.iter().take_while(|dof| dof.kind == Kind::Slide).count();
         }
-        tree.has_rows = tree.dofs.iter().any(|dof| dof.limit.is_some() || !dof.friction_loss.is_absent());
+        tree.has_rows =
+            tree.dofs.iter().any(|dof| dof.limit.is_some() || !dof.friction_loss.is_absent());
         tree.damps = match tree.options.integrator {
             Integrator::Rk4 => false,
-            _ => tree.dofs.iter().any(|dof| !dof.damping.is_absent())
-                || tree.implicit_feedback() && tree.motors.iter().any(|motor| motor.bias[2] != 0.0),
+            _ => {
+                tree.dofs.iter().any(|dof| !dof.damping.is_absent())
+                    || tree.implicit_feedback()
+                        && tree.motors.iter().any(|motor| motor.bias[2] != 0.0)
+            }
         };
         if tree.implicit_feedback() && !tree.drags.is_empty() {
-            return Err("`implicitfast` makes the drag of a medium implicit, which is not simulated; set \
+            return Err(
+                "`implicitfast` makes the drag of a medium implicit, which is not simulated; set \
                         `integrator` to `Euler`"
-                .into());
+                    .into(),
+            );
         }
         tree.friction = model
             .shapes
             .iter()
-            .map(|shape| coefficient(&format!("shape.{}.friction", word(&shape.name)), shape.friction[0]))
+            .map(|shape| {
+                coefficient(&format!("shape.{}.friction", word(&shape.name)), shape.friction[0])
+            })
             .collect();
         tree.weigh(model);
         if model.options.contacts {
@@ -297,7 +307,8 @@ impl Tree {
         if self.dofs.len() > first {
             if self.dofs[first].frame.is_none() {
                 let turned = (turn != IDENTITY).then_some(turn);
-                let free = model.joints.iter().any(|j| j.body == index && j.kind == JointKind::Free);
+                let free =
+                    model.joints.iter().any(|j| j.body == index && j.kind == JointKind::Free);
                 self.dofs[first].frame = (!free).then_some((at, turned));
             }
             (at, turn) = ([0.0; 3], IDENTITY);
@@ -424,14 +435,17 @@ impl Tree {
             .map(|k| inverse(&(0..n).map(|i| f64::from(i == k)).collect::<Vec<_>>()))
             .collect();
         for (joint, &first) in model.joints.iter().zip(&self.joints) {
-            let groups = match joint.kind {
-                JointKind::Slide | JointKind::Hinge => vec![first..first + 1],
-                JointKind::Ball => vec![first..first + 3],
-                JointKind::Free => vec![first..first + 3, first + 3..first + 6],
+            let lengths: &[usize] = match joint.kind {
+                JointKind::Slide | JointKind::Hinge => &[1],
+                JointKind::Ball => &[3],
+                JointKind::Free => &[3, 3],
             };
-            for group in groups {
-                let mean = unit[group.clone()].iter().sum::<f64>() / group.len() as f64;
+            let mut first = first;
+            for &length in lengths {
+                let group = first..first + length;
+                let mean = unit[group.clone()].iter().sum::<f64>() / length as f64;
                 group.for_each(|k| self.dofs[k].weight = mean);
+                first += length;
             }
         }
         for (index, body) in model.bodies.iter().enumerate() {

@@ -183,11 +183,7 @@ impl Task {
     /// functions, or `bodies`.
     #[staticmethod]
     #[pyo3(name = "_of", signature = (task, **settings))]
-    fn of(
-        py: Python<'_>,
-        task: &str,
-        settings: Option<&Bound<'_, PyDict>>,
-    ) -> PyResult<Self> {
+    fn of(py: Python<'_>, task: &str, settings: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         let settings = keywords(settings, "system", &TOP)?;
         let scene = py.detach(|| Scene::of_task(task, settings));
         scene.map(Self::new).map_err(value_error)

@@ -256,7 +256,8 @@ pub(super) fn listed<'a>(names: impl Iterator<Item = &'a str>) -> String {
 
 /// Message of an unknown name.
 fn unknown(names: &Vocabulary<'_>, name: &str) -> String {
-    let Vocabulary { states, controls, params, tables, constants, define, dt: _, quantities } = names;
+    let Vocabulary { states, controls, params, tables, constants, define, dt: _, quantities } =
+        names;
     let name = &*short(name);
     if let Some(state) = name.strip_prefix("next.") {
         let states = listed(states.iter().map(String::as_str));
@@ -264,7 +265,8 @@ fn unknown(names: &Vocabulary<'_>, name: &str) -> String {
     }
     let lists = [states, controls, params, tables].into_iter().flatten();
     let computed = quantities.all_names();
-    let all = lists.chain(constants.iter().map(|(name, _)| name)).chain(define.keys()).chain(&computed);
+    let all =
+        lists.chain(constants.iter().map(|(name, _)| name)).chain(define.keys()).chain(&computed);
     format!(
         "`{name}` is unknown; known are {} and `t`, `dt`, `pi`",
         listed(all.map(String::as_str))

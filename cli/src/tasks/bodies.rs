@@ -45,7 +45,8 @@ fn task(settings: &Settings<Bodies>) -> Result<DynTask, ConfigError> {
     };
     let replaced = Replaced::with_quantities(erased, names, &replacement, &bodies);
     replaced.map(DynTask::new).map_err(|error| {
-        let section = if ["running", "terminal"].contains(&error.key.as_str()) { "loss." } else { "system." };
+        let section =
+            if ["running", "terminal"].contains(&error.key.as_str()) { "loss." } else { "system." };
         located(section, error)
     })
 }

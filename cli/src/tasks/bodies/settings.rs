@@ -12,6 +12,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
+/// Settings that determine a model.
+type Source = (String, Method, Contacts);
 /// Numbers by the name of a part of the model, and by their own names.
 type Parts = BTreeMap<String, BTreeMap<String, Number>>;
 
@@ -147,8 +149,9 @@ impl BodiesSettings {
         let text = known.unwrap_or(&self.model);
         let name = if known.is_some() { &self.model } else { "the model" };
         let model = files::parse(text, name);
-        let mut model =
-            model.map_err(|error| ConfigError::new("system.model", format!("cannot be read: {error}")))?;
+        let mut model = model.map_err(|error| {
+            ConfigError::new("system.model", format!("cannot be read: {error}"))
+        })?;
         match self.method {
             Method::File => {}
             Method::Euler => model.options.integrator = Integrator::Euler,
@@ -165,20 +168,15 @@ impl BodiesSettings {
 
     /// The model of validated settings. The last one is kept.
     pub fn known(&self) -> Arc<Model> {
-        static LAST: Mutex<Option<(String, Method, Contacts, Arc<Model>)>> = Mutex::new(None);
+        static LAST: Mutex<Option<(Source, Arc<Model>)>> = Mutex::new(None);
         let mut last = LAST.lock().unwrap_or_else(PoisonError::into_inner);
-        match &*last {
-            Some((text, method, contacts, model))
-                if *text == self.model && *method == self.method && *contacts == self.contacts =>
-            {
-                model.clone()
-            }
-            _ => {
-                let model = Arc::new(self.model().expect("validated settings"));
-                *last = Some((self.model.clone(), self.method, self.contacts, model.clone()));
-                model
-            }
+        let source = (self.model.clone(), self.method, self.contacts);
+        if let Some((_, model)) = last.as_ref().filter(|(last, _)| *last == source) {
+            return model.clone();
         }
+        let model = Arc::new(self.model().expect("validated settings"));
+        *last = Some((source, model.clone()));
+        model
     }
 
     /// The task with a step of the model divided into `substeps`.
@@ -191,12 +189,22 @@ impl BodiesSettings {
             BodiesError::UnknownNumber { name, known } => {
                 let hint = did_you_mean(&name, known.iter().map(String::as_str));
                 let (part, _) = name.rsplit_once('.').unwrap_or(("", &name));
-                let of_part: Vec<&str> =
-                    known.iter().map(String::as_str).filter(|known| known.starts_with(part)).collect();
+                let of_part: Vec<&str> = known
+                    .iter()
+                    .map(String::as_str)
+                    .filter(|known| known.starts_with(part))
+                    .collect();
                 let kind = part.split('.').next().unwrap_or_default();
-                let of_kind = || known.iter().map(String::as_str).filter(|known| known.starts_with(kind)).collect();
+                let of_kind = || {
+                    known
+                        .iter()
+                        .map(String::as_str)
+                        .filter(|known| known.starts_with(kind))
+                        .collect()
+                };
                 let shown = if of_part.is_empty() { of_kind() } else { of_part };
-                let what = format!("is not a number of the model; allowed: {}{hint}", one_of(&shown));
+                let what =
+                    format!("is not a number of the model; allowed: {}{hint}", one_of(&shown));
                 ConfigError::new(format!("system.{name}"), what)
             }
             error => ConfigError::new("system.model", format!("cannot be simulated: {error}")),
@@ -217,7 +225,8 @@ impl BodiesSettings {
         if let Some(name) = self.hidden.iter().find(|name| !states.contains(name)) {
             let hint = did_you_mean(name, states.iter().map(String::as_str));
             let states: Vec<&str> = states.iter().map(String::as_str).collect();
-            let what = format!("has `{name}`, which is no state; states: {}{hint}", one_of(&states));
+            let what =
+                format!("has `{name}`, which is no state; states: {}{hint}", one_of(&states));
             return Err(ConfigError::new("system.hidden", what));
         }
         Ok(states.into_iter().filter(|name| !self.hidden.contains(name)).collect())
@@ -225,12 +234,18 @@ impl BodiesSettings {
 
     /// Numbers that the scene sets, with their names in the model.
     fn numbers(&self) -> Vec<(String, Number)> {
-        let kinds =
-            [("body", &self.body), ("joint", &self.joint), ("actuator", &self.actuator), ("shape", &self.shape)];
+        let kinds = [
+            ("body", &self.body),
+            ("joint", &self.joint),
+            ("actuator", &self.actuator),
+            ("shape", &self.shape),
+        ];
         let mut all = Vec::new();
         for (kind, parts) in kinds {
             for (part, numbers) in parts {
-                all.extend(numbers.iter().map(|(name, &number)| (format!("{kind}.{part}.{name}"), number)));
+                all.extend(
+                    numbers.iter().map(|(name, &number)| (format!("{kind}.{part}.{name}"), number)),
+                );
             }
         }
         all
@@ -238,8 +253,9 @@ impl BodiesSettings {
 
     /// Initial numbers of the state components.
     fn starts(&self, model: &Model) -> Result<Vec<Number>, ConfigError> {
-        let reference = physgrad_bodies::Bodies::new(model.clone())
-            .map_err(|error| ConfigError::new("system.model", format!("cannot be simulated: {error}")))?;
+        let reference = physgrad_bodies::Bodies::new(model.clone()).map_err(|error| {
+            ConfigError::new("system.model", format!("cannot be simulated: {error}"))
+        })?;
         let pose = match &self.pose {
             None => reference.reference().to_vec(),
             Some(name) => {
