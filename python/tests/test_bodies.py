@@ -100,7 +100,7 @@ def test_files_that_cannot_be_simulated_are_refused_with_their_line(tmp_path):
     with pytest.raises(ValueError, match="models of the program: `ant`"):
         pg.bodies("anty")
     (tmp_path / "a.xml").write_text(SWING.replace("capsule", "mesh"))
-    with pytest.raises(ValueError, match="line 6"):
+    with pytest.raises(ValueError, match="a.xml, line 7"):
         pg.bodies(tmp_path / "a.xml")
 
 
