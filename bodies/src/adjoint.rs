@@ -463,19 +463,17 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
         [q, v, u, params]: Arguments<'_, R>,
         bars: &mut Bars<'_, C>,
     ) {
-        let one = R::one();
         for (i, (motor, &u)) in tree.motors.iter().zip(u).enumerate() {
             let dof = &tree.dofs[motor.dof];
             let gear = motor.gear.of(params);
             let force = motor.force(q[dof.q], v[motor.dof], u, params);
-            let whole = work.actuation[motor.dof];
-            let passes = dof.force_range.map_or(one, |range| inside(whole, range));
+            let passes = dof.passes(work.actuation[motor.dof]);
             let out = -(self.lambda[motor.dof] * passes);
             let inner = motor.passes(force);
             let force = motor.limited(force);
             let force_bar = out * (gear * inner);
             if let Some(u_bar) = &mut bars.u {
-                let slope = motor.control_range.map_or(one, |range| inside(u, range));
+                let slope = motor.control_range.map_or(R::one(), |range| inside(u, range));
                 u_bar[i] += force_bar * (slope * motor.gain);
             }
             let [_, position, velocity] = motor.bias;
@@ -489,7 +487,7 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
                 let slope = (q[dof.q] * position + v[motor.dof] * velocity) * inner;
                 p_bar[entry] += out * (force + slope * gear);
                 if tree.implicit_feedback() && velocity != 0.0 {
-                    let by = work.stepped[motor.dof] * gear * inner * (-2.0 * velocity * tree.options.dt);
+                    let by = work.stepped[motor.dof] * gear * inner * passes * (-2.0 * velocity * tree.options.dt);
                     p_bar[entry] += self.mu[motor.dof] * by;
                 }
             }

@@ -269,13 +269,23 @@ impl<T: Scalar> Work<T> {
         if tree.implicit_feedback() {
             for (motor, &u) in tree.motors.iter().zip(u).filter(|(motor, _)| motor.bias[2] != 0.0) {
                 let gear = motor.gear.of(params);
-                let force = motor.force(q[tree.dofs[motor.dof].q], v[motor.dof], u, params);
-                let feedback = gear * gear * motor.passes(force) * (motor.bias[2] * dt);
+                let dof = &tree.dofs[motor.dof];
+                let force = motor.force(q[dof.q], v[motor.dof], u, params);
+                let passes = motor.passes(force) * dof.passes(self.actuation[motor.dof]);
+                let feedback = gear * gear * passes * (motor.bias[2] * dt);
                 *self.damped.at_mut(motor.dof, motor.dof) -= feedback;
             }
         }
         self.damped.factor(&tree.parent);
         self.damped.solve(&tree.parent, &mut self.stepped);
+    }
+}
+
+impl Dof {
+    /// 1 if the sum of the forces of actuators is inside its range, else 0.
+    #[inline(always)]
+    pub(crate) fn passes<T: Scalar>(&self, force: T) -> T {
+        self.force_range.map_or(T::one(), |range| inside(force, range))
     }
 }
 
