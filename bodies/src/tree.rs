@@ -162,6 +162,8 @@ pub(crate) struct Tree {
     pub(crate) bodies: Vec<Placed>,
     pub(crate) motors: Vec<Motor>,
     pub(crate) contacts: Vec<crate::contact::Candidate>,
+    /// Number of columns of all contacts, one per degree of freedom that moves it.
+    pub(crate) columns: usize,
     pub(crate) drags: Vec<Drag>,
     /// Positions in the reference pose.
     pub(crate) reference: Vec<f64>,
@@ -223,6 +225,7 @@ impl Tree {
             bodies: Vec::new(),
             motors: Vec::new(),
             contacts: Vec::new(),
+            columns: 0,
             drags: Vec::new(),
             reference: Vec::new(),
             joints: vec![0; model.joints.len()],
@@ -256,6 +259,7 @@ impl Tree {
         tree.weigh(model);
         if model.options.contacts {
             tree.contacts = candidates(model, &tree)?;
+            tree.columns = tree.contacts.iter().map(|contact| contact.path.len()).sum();
         }
         Ok(tree)
     }
