@@ -10,7 +10,7 @@ use crate::spatial::*;
 use crate::tree::Tree;
 use physgrad::Scalar;
 
-/// Most iterations. In 10⁶ random states of the tested models, at most a third were needed.
+/// Most iterations. Of 10⁶ random states of each tested model, also wild ones, none needed more than 33.
 pub(crate) const ITERATIONS: usize = 40;
 /// Most evaluations of a line search.
 const SEARCH: usize = 16;
