@@ -61,8 +61,10 @@ fn typical(bodies: &Bodies) -> States<Lanes<f64, 8>> {
 
 /// Iterations of the solver, mean over lanes.
 fn iterations(bodies: &Bodies, x: &[Lanes<f64, 8>], u: &[Lanes<f64, 8>]) -> f64 {
-    let one = |all: &[Lanes<f64, 8>], lane: usize| all.iter().map(|x| x.lane(lane)).collect::<Vec<_>>();
-    let count = |lane: usize| bodies.accelerations(Inputs::new(&one(x, lane), &one(u, lane))).1 as f64;
+    let one =
+        |all: &[Lanes<f64, 8>], lane: usize| all.iter().map(|x| x.lane(lane)).collect::<Vec<_>>();
+    let count =
+        |lane: usize| bodies.accelerations(Inputs::new(&one(x, lane), &one(u, lane))).1 as f64;
     (0..8).map(count).sum::<f64>() / 8.0
 }
 
@@ -71,7 +73,8 @@ fn time<F: Float>(bodies: &Bodies, states: &States<Lanes<f64, 8>>) -> [String; 2
 where
     Lanes<F, 8>: Real<Real = F>,
 {
-    let cast = |all: &[Lanes<f64, 8>]| all.iter().map(|x| Lanes(x.0.map(F::from_f64))).collect::<Vec<_>>();
+    let cast =
+        |all: &[Lanes<f64, 8>]| all.iter().map(|x| Lanes(x.0.map(F::from_f64))).collect::<Vec<_>>();
     let states: States<Lanes<F, 8>> = states.iter().map(|(x, u)| (cast(x), cast(u))).collect();
     let mut next = states[0].0.clone();
     let bar = vec![Lanes::<F, 8>::one(); next.len()];

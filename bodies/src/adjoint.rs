@@ -159,12 +159,7 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
 
     /// Cotangents of the motions of the links from inertia, damping and drag.
     #[inline(always)]
-    pub(crate) fn inertial(
-        &mut self,
-        tree: &Tree,
-        work: &Work<R>,
-        bars: &mut Bars<'_, C>,
-    ) {
+    pub(crate) fn inertial(&mut self, tree: &Tree, work: &Work<R>, bars: &mut Bars<'_, C>) {
         let (o, null) = (Spatial::fill(R::zero()), Spatial::fill(C::null()));
         for (k, dof) in tree.dofs.iter().enumerate() {
             self.z_bar[k] = null;
@@ -179,7 +174,8 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
             let (w_bar, a_bar) = (i.times(a) + v.cross_force(momentum), i.times(w));
             // w · (v ×* I v), by the velocity: as operand of the product, and in the momentum.
             let v_bar = i.times(w.cross_motion(v)) - w.cross_force(momentum);
-            let mut all = w.cross_force(w_bar) + cross_force_left(a, a_bar) + cross_force_left(v, v_bar);
+            let mut all =
+                w.cross_force(w_bar) + cross_force_left(a, a_bar) + cross_force_left(v, v_bar);
             (self.w_bar[k], self.a_bar[k], self.v_bar[k]) = (w_bar, a_bar, v_bar);
             if tree.damps {
                 let (y, e) = (self.y[k], self.change[k]);
@@ -217,7 +213,11 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
     pub(crate) fn rows(&mut self, tree: &Tree, work: &Work<R>, bars: &mut Bars<'_, C>) {
         for row in &work.rows {
             let dof = &tree.dofs[row.dof];
-            let soft = dof.limit.as_ref().filter(|_| row.is_limit).map_or(&dof.loss_soft, |(_, soft)| soft);
+            let soft = dof
+                .limit
+                .as_ref()
+                .filter(|_| row.is_limit)
+                .map_or(&dof.loss_soft, |(_, soft)| soft);
             // Power -λ sign f, with the slope -w of f by s.
             let power = self.lambda[row.dof] * row.sign;
             let s_bar = power * row.w;
@@ -277,10 +277,8 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
         let (z_force, v_force) = (world(s_bar), world(v_part));
         self.push(dofs, (w_force, z_force, v_force), x);
         // The contact point moves: a velocity changes by its angular part.
-        let point_bar = add(
-            add(cross_left(w_force, w.a), cross(z_force, z.a)),
-            cross(v_force, v.a),
-        );
+        let point_bar =
+            add(add(cross_left(w_force, w.a), cross(z_force, z.a)), cross(v_force, v.a));
         let turns = |i: usize| {
             let by = add(scale(w.at(x), w_part[i]), spread(s_bar[i], z.at(x)));
             add(by, spread(v_part[i], v.at(x)))
@@ -297,7 +295,12 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
                     let flat = sub(axis, scale(n, dot(axis, n)));
                     let square = dot(flat, flat);
                     let upright = R::from(UPRIGHT);
-                    let per = R::select_lt(square, upright, R::zero(), square.max(upright).sqrt().recip());
+                    let per = R::select_lt(
+                        square,
+                        upright,
+                        R::zero(),
+                        square.max(upright).sqrt().recip(),
+                    );
                     let turn = (dot(turns(1), frame[2]) - dot(turns(2), frame[1])) * per;
                     let axis_bar = spread(turn, frame[2]);
                     let moment = cross_left(axis, axis_bar);
@@ -492,7 +495,11 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
                 let slope = (q[dof.q] * position + v[motor.dof] * velocity) * inner;
                 p_bar[entry] += out * (force + slope * gear);
                 if tree.implicit_feedback() && velocity != 0.0 {
-                    let by = work.stepped[motor.dof] * gear * inner * passes * (-2.0 * velocity * tree.options.dt);
+                    let by = work.stepped[motor.dof]
+                        * gear
+                        * inner
+                        * passes
+                        * (-2.0 * velocity * tree.options.dt);
                     p_bar[entry] += self.mu[motor.dof] * by;
                 }
             }

@@ -75,9 +75,8 @@ impl<T: Scalar> Cone<T> {
         let cross = -(soft * mu);
         let (outer, ring) = (soft * mu * mu, -(soft * over * mu) / speed);
         let side = d * self.ratio;
-        let choose = |hold: T, slide: T| {
-            T::select_lt(over, o, T::select_lt(o, sticks, slide, hold), o)
-        };
+        let choose =
+            |hold: T, slide: T| T::select_lt(over, o, T::select_lt(o, sticks, slide, hold), o);
         (
             [
                 choose(-(d * s[0]), normal),
@@ -133,8 +132,7 @@ impl<T: Scalar> Cone<T> {
                 let slope = -(soft * mu * (2.0 / self.ratio)) / (regular + 1.0);
                 let change = slope * over - soft * speed;
                 let side = change * mu + soft * over;
-                let zone =
-                    |x: T| T::select_lt(over, o, T::select_lt(o, sticks, x, o), o);
+                let zone = |x: T| T::select_lt(over, o, T::select_lt(o, sticks, x, o), o);
                 f = [zone(-change), zone(side * along[0]), zone(side * along[1])];
             }
         }

@@ -109,7 +109,9 @@ fn may_touch(model: &Model, tree: &Tree, first: usize, second: usize) -> bool {
     }
     let welded = |body: usize| tree.bodies[body].welded;
     let (i, j) = (welded(a.body), welded(b.body));
-    if i == j || model.excluded.iter().any(|pair| [[a.body, b.body], [b.body, a.body]].contains(pair)) {
+    if i == j
+        || model.excluded.iter().any(|pair| [[a.body, b.body], [b.body, a.body]].contains(pair))
+    {
         return false;
     }
     let above = |body: usize| welded(model.bodies[body].parent);
@@ -344,7 +346,8 @@ impl<T: Scalar> Work<T> {
 
     #[inline(always)]
     fn on_plane(&self, pair: &Pair, margin: f64) -> Option<(T, V<T>, M<T>)> {
-        let Pair::Plane { normal, point, tangents, dof, centre, radius, axis, middle } = pair else {
+        let Pair::Plane { normal, point, tangents, dof, centre, radius, axis, middle } = pair
+        else {
             unreachable!("a contact with a plane")
         };
         let (n, at) = (constant(*normal), self.point(*dof, *centre));
@@ -370,7 +373,8 @@ impl<T: Scalar> Work<T> {
             let flat = sub(axis, scale(n, dot(axis, n)));
             let length = dot(flat, flat).max(UPRIGHT).sqrt();
             let aligned = scale(flat, length.recip());
-            let keeps = |i: usize| T::select_lt(dot(flat, flat), T::from(UPRIGHT), frame[1][i], aligned[i]);
+            let keeps =
+                |i: usize| T::select_lt(dot(flat, flat), T::from(UPRIGHT), frame[1][i], aligned[i]);
             frame[1] = [keeps(0), keeps(1), keeps(2)];
             frame[2] = cross(n, frame[1]);
         }

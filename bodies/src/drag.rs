@@ -62,7 +62,11 @@ fn principal(j: [f64; 6]) -> (Vec3, Mat3) {
             let [x, y, z] = column(single);
             let [x, y, z] = if z < 0.0 { [-x, -y, -z] } else { [x, y, z] };
             let by = 1.0 / (1.0 + z);
-            let turn = [[1.0 - x * x * by, -x * y * by, x], [-x * y * by, 1.0 - y * y * by, y], [-x, -y, z]];
+            let turn = [
+                [1.0 - x * x * by, -x * y * by, x],
+                [-x * y * by, 1.0 - y * y * by, y],
+                [-x, -y, z],
+            ];
             return ([m[a], m[b], m[single]], turn);
         }
     }
@@ -92,7 +96,11 @@ fn local<T: Scalar, X: Linear<T>>(axes: &M<T>, centre: V<T>, m: Spatial<X>) -> [
 
 /// The force with these components.
 #[inline(always)]
-fn global<T: Scalar, X: Linear<T>>(axes: &M<T>, centre: V<T>, [moment, force]: [V<X>; 2]) -> Spatial<X> {
+fn global<T: Scalar, X: Linear<T>>(
+    axes: &M<T>,
+    centre: V<T>,
+    [moment, force]: [V<X>; 2],
+) -> Spatial<X> {
     let out = |x: V<X>| three!(|i| x[0] * axes[i][0] + x[1] * axes[i][1] + x[2] * axes[i][2]);
     let force = out(force);
     let at = Spatial::force(force, centre);

@@ -97,7 +97,8 @@ impl<T: Scalar> Work<T> {
     #[inline(always)]
     pub(crate) fn fit(&mut self, tree: &Tree) {
         let limits = if tree.has_rows { 3 * tree.nv() } else { 0 };
-        let fits = self.contacts.capacity() >= tree.contacts.len() && self.rows.capacity() >= limits;
+        let fits =
+            self.contacts.capacity() >= tree.contacts.len() && self.rows.capacity() >= limits;
         if self.tau.len() != tree.nv() || !fits || self.columns.capacity() < tree.columns {
             self.resize(tree);
             self.rows = Vec::with_capacity(limits);
@@ -213,7 +214,13 @@ impl<T: Scalar> Work<T> {
             }
         }
         for part in &tree.drags {
-            let push = drag::force(part, &tree.options, &self.r[part.dof], self.p[part.dof], self.v[part.dof]);
+            let push = drag::force(
+                part,
+                &tree.options,
+                &self.r[part.dof],
+                self.p[part.dof],
+                self.v[part.dof],
+            );
             self.force[part.dof] = self.force[part.dof] - push;
         }
         for k in (0..n).rev() {

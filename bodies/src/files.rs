@@ -21,6 +21,29 @@ pub fn read(path: &Path) -> Result<Model, FileError> {
     }
 }
 
+/// Reads a model from the text of an MJCF or URDF file without includes. `name` is that of the file
+/// in messages.
+///
+/// # Errors
+///
+/// If the text is malformed, or has something that the physics here lacks.
+pub fn parse(text: &str, name: &str) -> Result<Model, FileError> {
+    let document = xml::parse(text, name)?;
+    match document.name.as_str() {
+        "robot" => urdf::parse(text, name),
+        _ => mjcf::parse(text, name),
+    }
+}
+
+/// The text of a file with all that it includes.
+///
+/// # Errors
+///
+/// If a file cannot be read or is malformed.
+pub fn expand(path: &Path) -> Result<String, FileError> {
+    mjcf::expand(path)
+}
+
 /// What is wrong with a model file, and where.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FileError {
@@ -48,3 +71,22 @@ impl fmt::Display for FileError {
 }
 
 impl std::error::Error for FileError {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_outermost_element_tells_the_kind() {
+        let path = std::env::temp_dir().join(format!("bodies-kind-{}", std::process::id()));
+        let read_text = |text: &str| {
+            std::fs::write(&path, text).unwrap();
+            read(&path)
+        };
+        assert_eq!(read_text("<mujoco model='m'/>").unwrap().name, "m");
+        assert_eq!(read_text("<robot name='r'><link name='a'/></robot>").unwrap().name, "r");
+        let error = read_text("<sdf/>").unwrap_err();
+        assert!(error.what.starts_with("`sdf` is not a model"), "{error}");
+        std::fs::remove_file(&path).unwrap();
+    }
+}

@@ -5,6 +5,7 @@
 
 mod actuator;
 mod classes;
+mod drive;
 mod finish;
 mod geom;
 mod include;
@@ -14,11 +15,14 @@ mod pose;
 mod sections;
 mod settings;
 mod softness;
+#[cfg(test)]
+mod tests;
 mod tree;
 mod view;
 
 use crate::files::FileError;
 use crate::model::{Joint, Model};
+use crate::names;
 use crate::xml::{self, Element};
 use settings::Switches;
 use std::path::Path;
@@ -82,7 +86,7 @@ fn model(root: &Element, name: &str) -> Result<Model, FileError> {
     sections::excluded(root, &mut model)?;
     pose::poses(root, &mut model)?;
     sections::remarks(root, &tree, &mut model);
-    sections::name_all(&mut model);
+    names::fill(&mut model);
     Ok(model)
 }
 

@@ -33,6 +33,19 @@ pub struct Model {
     pub remarks: Vec<String>,
 }
 
+impl Model {
+    /// Makes all contacts softer, and wider before they reach their full stiffness, so that forces
+    /// begin without a jump: gradients then describe what happens near a first touch. `width` in m,
+    /// `time` in s.
+    pub fn soften_contacts(&mut self, width: f64, time: f64) {
+        for shape in &mut self.shapes {
+            let [_, high, _, middle, power] = shape.softness.impedance;
+            shape.softness.impedance = [0.0, high, width, middle, power];
+            shape.softness.reference = [time, 1.0];
+        }
+    }
+}
+
 /// Settings of the whole model.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
@@ -222,7 +235,7 @@ pub struct Shape {
     pub priority: i32,
     /// Distance at which contacts are found, m.
     pub margin: f64,
-    /// Part of the margin in which contacts do not push, m.
+    /// Distance beyond the margin within which the file wants contacts to be listed, m. No force depends on it.
     pub gap: f64,
     /// Colour: red, green, blue, opacity.
     pub colour: [f64; 4],

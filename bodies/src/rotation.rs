@@ -4,8 +4,8 @@ use crate::model::{Mat3, Vec3};
 
 pub(crate) const IDENTITY: Mat3 = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
-/// Lengths below this have no direction.
-const SHORT: f64 = 1e-14;
+/// Lengths up to this have no direction, as in MuJoCo 4.0.
+const SHORT: f64 = 1e-7;
 
 pub(crate) fn dot(a: Vec3, b: Vec3) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
@@ -74,8 +74,10 @@ pub(crate) fn from_z(v: Vec3) -> Option<Mat3> {
     let v = unit(v)?;
     let axis = cross([0.0, 0.0, 1.0], v);
     let sine = dot(axis, axis).sqrt();
-    // The threshold of MuJoCo.
-    let axis = if sine < 1e-10 { [1.0, 0.0, 0.0] } else { axis.map(|x| x / sine) };
+    let (axis, sine) = match unit(axis) {
+        Some(axis) => (axis, sine),
+        None => ([1.0, 0.0, 0.0], 0.0),
+    };
     Some(about(axis, sine.atan2(v[2])))
 }
 

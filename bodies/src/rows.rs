@@ -32,7 +32,8 @@ impl Soft {
     pub(crate) fn new(softness: &Softness, dt: f64) -> Self {
         let [time, ratio] = softness.reference;
         let [low, high, width, middle, power] = softness.impedance;
-        let (low, high) = (low.clamp(IMPEDANCE[0], IMPEDANCE[1]), high.clamp(IMPEDANCE[0], IMPEDANCE[1]));
+        let (low, high) =
+            (low.clamp(IMPEDANCE[0], IMPEDANCE[1]), high.clamp(IMPEDANCE[0], IMPEDANCE[1]));
         let (k, b) = if time > 0.0 {
             let time = time.max(2.0 * dt);
             ((high * time * ratio).powi(-2), 2.0 / (high * time))
@@ -56,7 +57,8 @@ impl Soft {
         let (y, slope) = if power == 1.0 {
             (x, one)
         } else {
-            let (x, rest) = if power == 2.0 { (x, -x + 1.0) } else { (x.max(TINY), (-x + 1.0).max(TINY)) };
+            let (x, rest) =
+                if power == 2.0 { (x, -x + 1.0) } else { (x.max(TINY), (-x + 1.0).max(TINY)) };
             let raised = |x: T| if power == 2.0 { x } else { x.powf(power - 1.0) };
             let (up, down) = (raised(x), raised(rest));
             (
@@ -121,7 +123,10 @@ impl<T: Scalar> Row<T> {
             return (T::select_lt(s, o, f, o), T::select_lt(s, o, self.weight, o));
         }
         let inside = T::select_lt(f.abs(), self.bound, self.weight, o);
-        (T::select_lt(self.bound, f, self.bound, T::select_lt(f, -self.bound, -self.bound, f)), inside)
+        (
+            T::select_lt(self.bound, f, self.bound, T::select_lt(f, -self.bound, -self.bound, f)),
+            inside,
+        )
     }
 }
 

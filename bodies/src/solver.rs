@@ -141,7 +141,7 @@ impl<T: Scalar> Work<T> {
             let small = square - (whole + square) * tolerance::<T>();
             let exact = T::select_lt(o, changed, one, T::select_lt(length, one, one, o));
             let still = T::select_lt(o, small, one, o) * exact;
-            running = running * still;
+            running *= still;
             if !T::any_lt(o, running) {
                 self.is_exact = !T::any_lt(o, changed);
                 if T::DIFFERENTIATES && !self.is_exact {
@@ -224,8 +224,7 @@ impl<T: Scalar> Work<T> {
             let next = length - change;
             // Bisection where Newton's method leaves the bracket, or jumps to and fro across a kink.
             let middle = ((low + high) * 0.5).min((length * 2.0).max(1.0));
-            let next =
-                T::select_lt(next, low, middle, T::select_lt(high, next, middle, next));
+            let next = T::select_lt(next, low, middle, T::select_lt(high, next, middle, next));
             let next = T::select_lt(last, change.abs() * 2.0, middle, next);
             last = (next - length).abs();
             let open = slope.abs() - self.descent * SLOPE;

@@ -19,12 +19,7 @@ pub(crate) trait Linear<T>:
 {
 }
 impl<T, X> Linear<T> for X where
-    X: Copy
-        + Add<Output = X>
-        + Sub<Output = X>
-        + Neg<Output = X>
-        + Mul<T, Output = X>
-        + AddAssign
+    X: Copy + Add<Output = X> + Sub<Output = X> + Neg<Output = X> + Mul<T, Output = X> + AddAssign
 {
 }
 
@@ -248,7 +243,10 @@ impl<T: Scalar> Inertia<T> {
             w[0] * j[3] + w[1] * j[1] + w[2] * j[5],
             w[0] * j[4] + w[1] * j[5] + w[2] * j[2],
         ];
-        Spatial { a: add(jw, cross_left(self.h, m.l)), l: add(scale(m.l, self.m), cross(w, self.h)) }
+        Spatial {
+            a: add(jw, cross_left(self.h, m.l)),
+            l: add(scale(m.l, self.m), cross(w, self.h)),
+        }
     }
 
     #[inline(always)]
@@ -286,7 +284,6 @@ pub(crate) fn product_with<T: Scalar>(a: &M<T>, b: &Mat3) -> M<T> {
 pub(crate) fn congruence<T: Scalar>(r: &M<T>, s: &[f64; 6]) -> [T; 6] {
     let full = [[s[0], s[3], s[4]], [s[3], s[1], s[5]], [s[4], s[5], s[2]]];
     let rs = product_with(r, &full);
-    let entry =
-        |i: usize, j: usize| rs[i][0] * r[j][0] + rs[i][1] * r[j][1] + rs[i][2] * r[j][2];
+    let entry = |i: usize, j: usize| rs[i][0] * r[j][0] + rs[i][1] * r[j][1] + rs[i][2] * r[j][2];
     [entry(0, 0), entry(1, 1), entry(2, 2), entry(0, 1), entry(0, 2), entry(1, 2)]
 }

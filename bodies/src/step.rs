@@ -162,12 +162,8 @@ struct Stage<T> {
 
 impl<T: Scalar> Default for Buffers<T> {
     fn default() -> Self {
-        let stage = || Stage {
-            q: Vec::new(),
-            v: Vec::new(),
-            rate: Vec::new(),
-            work: Work::default(),
-        };
+        let stage =
+            || Stage { q: Vec::new(), v: Vec::new(), rate: Vec::new(), work: Work::default() };
         Self { stages: std::array::from_fn(|_| stage()), mean: [Vec::new(), Vec::new()] }
     }
 }
@@ -259,7 +255,11 @@ impl<T: Scalar> Buffers<T> {
     }
 
     /// Acceleration at a state, and iterations of the solver.
-    pub(crate) fn acceleration(&mut self, tree: &Tree, arguments: Arguments<'_, T>) -> (&[T], usize) {
+    pub(crate) fn acceleration(
+        &mut self,
+        tree: &Tree,
+        arguments: Arguments<'_, T>,
+    ) -> (&[T], usize) {
         let work = &mut self.stages[0].work;
         accelerate(work, tree, arguments);
         (&work.a, work.iterations)
@@ -307,7 +307,9 @@ impl<R: Real, C: Cotangent<R>> Bar<R, C> {
         cotangents: Cotangents<'_, C>,
     ) {
         let n = tree.nv();
-        for (list, length) in [(&mut self.q, tree.nq), (&mut self.v, n), (&mut self.a, n), (&mut self.velocity, n)] {
+        for (list, length) in
+            [(&mut self.q, tree.nq), (&mut self.v, n), (&mut self.a, n), (&mut self.velocity, n)]
+        {
             list.clear();
             list.resize(length, C::null());
         }
@@ -388,7 +390,14 @@ impl<R: Real, C: Cotangent<R>> Bar<R, C> {
                     self.v[k] += stage_v[k];
                     self.rate[k] += self.before[k];
                 }
-                advance_vjp(tree, q, &buffers.stages[i].rate, h, stage_q, (&mut self.q, &mut self.rate));
+                advance_vjp(
+                    tree,
+                    q,
+                    &buffers.stages[i].rate,
+                    h,
+                    stage_q,
+                    (&mut self.q, &mut self.rate),
+                );
             }
             from_later = (i > 0).then(|| NODES[i - 1] * dt);
             if let Some(h) = from_later {
@@ -403,12 +412,8 @@ impl<R: Real, C: Cotangent<R>> Bar<R, C> {
             stage_q.resize(q.len(), C::null());
             stage_v.clear();
             stage_v.extend_from_slice(&self.rate);
-            let mut bars = Bars {
-                q: stage_q,
-                v: stage_v,
-                u: u_bar.as_deref_mut(),
-                p: p_bar.as_deref_mut(),
-            };
+            let mut bars =
+                Bars { q: stage_q, v: stage_v, u: u_bar.as_deref_mut(), p: p_bar.as_deref_mut() };
             pull(&mut self.back, work, tree, [at, speed_at, u, p], &self.a, &mut bars);
         }
         // The first stage is the state itself.
@@ -462,7 +467,12 @@ fn advance_vjp<R: Real, C: Cotangent<R>>(
             }
             Kind::Turn(0) => {
                 let w = [v[k], v[k + 1], v[k + 2]];
-                let bar: [C; 4] = [next_bar[dof.q], next_bar[dof.q + 1], next_bar[dof.q + 2], next_bar[dof.q + 3]];
+                let bar: [C; 4] = [
+                    next_bar[dof.q],
+                    next_bar[dof.q + 1],
+                    next_bar[dof.q + 2],
+                    next_bar[dof.q + 3],
+                ];
                 let half = 0.5 * h;
                 let Sinc { s, c, e } = Sinc::of(dot(w, w) * (half * half));
                 let sh = s * half;
@@ -527,7 +537,8 @@ fn rates_vjp<R: Real, C: Cotangent<R>>(
         bars[k..k + 3].copy_from_slice(&w_bar);
         // θ × (θ × w) = θ (θ · w) - w (θ · θ).
         let (along, with) = (dot(bar, theta), dot(bar, w));
-        let by_vector = add(scale(bar, dot(theta, w)), sub(spread(along, w), spread(with + with, theta)));
+        let by_vector =
+            add(scale(bar, dot(theta, w)), sub(spread(along, w), spread(with + with, theta)));
         let by_g = along * dot(theta, w) - with * dot(theta, theta);
         let theta_bar = add(
             sub(scale(cross(bar, w), -half), spread(by_g * (-slope - slope), theta)),
@@ -565,9 +576,7 @@ impl<T: Scalar> Sinc<T> {
         let (sin, cos) = x.sin_cos();
         let small = T::from(1e-3);
         let near = |near: T, far: T| T::select_lt(square, small, near, far);
-        let series = |a: f64, b: f64, c: f64, d: f64| {
-            ((square * d + c) * square + b) * square + a
-        };
+        let series = |a: f64, b: f64, c: f64, d: f64| ((square * d + c) * square + b) * square + a;
         Self {
             s: near(series(1.0, -1.0 / 6.0, 1.0 / 120.0, -1.0 / 5040.0), sin / x),
             c: near(series(1.0, -0.5, 1.0 / 24.0, -1.0 / 720.0), cos),

@@ -4,7 +4,10 @@ use crate::model::Model;
 use crate::step::{Bar, Buffers};
 use crate::tree::{Coefficient, Tree, numbers};
 use physgrad::engine::lend;
-use physgrad::{Cotangent, Cotangents, Inputs, Number, Numbers, Real, Scalar, System};
+use physgrad::scalar::Dual;
+use physgrad::{
+    Cotangent, Cotangents, Float as _, Inputs, Number, Numbers, Real, Scalar, System, Tangents,
+};
 use std::borrow::Cow;
 use std::sync::Arc;
 
@@ -55,12 +58,11 @@ impl Bodies {
     ///
     /// # Errors
     /// The model has joints or contacts that are not simulated, or no number with a name.
-    pub fn with_numbers(
-        model: Model,
-        set: Vec<(String, Number)>,
-    ) -> Result<Self, BodiesError> {
+    pub fn with_numbers(model: Model, set: Vec<(String, Number)>) -> Result<Self, BodiesError> {
         let known = numbers(&model);
-        if let Some((name, _)) = set.iter().find(|(name, _)| !known.iter().any(|known| known.name == *name)) {
+        if let Some((name, _)) =
+            set.iter().find(|(name, _)| !known.iter().any(|known| known.name == *name))
+        {
             let known = known.into_iter().map(|number| number.name).collect();
             return Err(BodiesError::UnknownNumber { name: name.clone(), known });
         }
@@ -162,4 +164,29 @@ impl System for Bodies {
             });
         });
     }
+
+    /// One lane at a time, in f64: no further scalar is compiled.
+    fn jvp<R: Real>(&self, inputs: Inputs<'_, R>, tangents: Tangents<'_, R>, next_tan: &mut [R]) {
+        let mut next = vec![Dual::<f64, TANGENTS>::constant(0.0); self.state_dim()];
+        for lane in 0..R::LANES {
+            let along = |values: &[R], tangents: Option<&[R]>| -> Vec<Dual<f64, TANGENTS>> {
+                let number = |x: &R| x.lane(lane).to_f64();
+                let dual = |(i, value): (usize, &R)| {
+                    let mut dual = Dual::constant(number(value));
+                    dual.tangents[0] = tangents.map_or(0.0, |tangents| number(&tangents[i]));
+                    dual
+                };
+                values.iter().enumerate().map(dual).collect()
+            };
+            let x = along(inputs.x, tangents.x);
+            let (u, p) = (along(inputs.u, tangents.u), along(inputs.p, tangents.p));
+            self.step(Inputs { x: &x, u: &u, p: &p, t: inputs.t }, &mut next);
+            for (tan, next) in next_tan.iter_mut().zip(&next) {
+                tan.set_lane(lane, R::Real::from_f64(next.tangents[0]));
+            }
+        }
+    }
 }
+
+/// Directions of the dual numbers of the library, of which a step uses one.
+const TANGENTS: usize = 4;

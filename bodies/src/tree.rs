@@ -1,5 +1,6 @@
 //! [`Tree`]: a model as chains of degrees of freedom, with the constants that steps read.
 
+use crate::components::word;
 use crate::contact::candidates;
 use crate::dynamics::Work;
 use crate::model::*;
@@ -96,13 +97,15 @@ impl Inertial {
         if mass == 0.0 {
             return *self;
         }
-        let centre = [0, 1, 2]
-            .map(|i| (self.mass * self.centre[i] + other.mass * other.centre[i]) / mass);
+        let centre =
+            [0, 1, 2].map(|i| (self.mass * self.centre[i] + other.mass * other.centre[i]) / mass);
         let mut moments = [0.0; 6];
         for part in [self, other] {
             let e = sub(part.centre, centre);
             let square = e[0] * e[0] + e[1] * e[1] + e[2] * e[2];
-            for (k, (i, j)) in [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
+            for (k, (i, j)) in
+                [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)].into_iter().enumerate()
+            {
                 let diagonal = if i == j { square } else { 0.0 };
                 moments[k] += part.moments[k] + part.mass * (diagonal - e[i] * e[j]);
             }
@@ -188,23 +191,24 @@ pub(crate) fn numbers(model: &Model) -> Vec<Numbered> {
     let mut all = Vec::new();
     let mut push = |name: String, value: f64| all.push(Numbered { name, value });
     for body in model.bodies.iter().skip(1).filter(|body| body.mass > 0.0) {
-        push(format!("body.{}.mass", body.name), body.mass);
+        push(format!("body.{}.mass", word(&body.name)), body.mass);
     }
     for joint in model.joints.iter() {
-        push(format!("joint.{}.armature", joint.name), joint.armature);
-        push(format!("joint.{}.damping", joint.name), joint.damping);
+        let name = word(&joint.name);
+        push(format!("joint.{name}.armature"), joint.armature);
+        push(format!("joint.{name}.damping"), joint.damping);
         if matches!(joint.kind, JointKind::Hinge | JointKind::Slide) {
-            push(format!("joint.{}.stiffness", joint.name), joint.stiffness);
+            push(format!("joint.{name}.stiffness"), joint.stiffness);
         }
         if joint.friction_loss > 0.0 {
-            push(format!("joint.{}.friction_loss", joint.name), joint.friction_loss);
+            push(format!("joint.{name}.friction_loss"), joint.friction_loss);
         }
     }
     for actuator in &model.actuators {
-        push(format!("actuator.{}.gear", actuator.name), actuator.gear);
+        push(format!("actuator.{}.gear", word(&actuator.name)), actuator.gear);
     }
     for shape in &model.shapes {
-        push(format!("shape.{}.friction", shape.name), shape.friction[0]);
+        push(format!("shape.{}.friction", word(&shape.name)), shape.friction[0]);
     }
     all
 }
@@ -233,6 +237,7 @@ impl Tree {
             damps: false,
             friction: Vec::new(),
         };
+        check_joints(model)?;
         for index in 0..model.bodies.len() {
             tree.add_body(model, index, coefficient);
         }
@@ -240,21 +245,29 @@ impl Tree {
         if tree.parent.iter().filter(|&&parent| parent == NONE).count() == 1 {
             tree.root = tree.dofs.iter().take_while(|dof| dof.kind == Kind::Slide).count();
         }
-        tree.has_rows = tree.dofs.iter().any(|dof| dof.limit.is_some() || !dof.friction_loss.is_absent());
+        tree.has_rows =
+            tree.dofs.iter().any(|dof| dof.limit.is_some() || !dof.friction_loss.is_absent());
         tree.damps = match tree.options.integrator {
             Integrator::Rk4 => false,
-            _ => tree.dofs.iter().any(|dof| !dof.damping.is_absent())
-                || tree.implicit_feedback() && tree.motors.iter().any(|motor| motor.bias[2] != 0.0),
+            _ => {
+                tree.dofs.iter().any(|dof| !dof.damping.is_absent())
+                    || tree.implicit_feedback()
+                        && tree.motors.iter().any(|motor| motor.bias[2] != 0.0)
+            }
         };
         if tree.implicit_feedback() && !tree.drags.is_empty() {
-            return Err("`implicitfast` makes the drag of a medium implicit, which is not simulated; set \
+            return Err(
+                "`implicitfast` makes the drag of a medium implicit, which is not simulated; set \
                         `integrator` to `Euler`"
-                .into());
+                    .into(),
+            );
         }
         tree.friction = model
             .shapes
             .iter()
-            .map(|shape| coefficient(&format!("shape.{}.friction", shape.name), shape.friction[0]))
+            .map(|shape| {
+                coefficient(&format!("shape.{}.friction", word(&shape.name)), shape.friction[0])
+            })
             .collect();
         tree.weigh(model);
         if model.options.contacts {
@@ -298,7 +311,8 @@ impl Tree {
         if self.dofs.len() > first {
             if self.dofs[first].frame.is_none() {
                 let turned = (turn != IDENTITY).then_some(turn);
-                let free = model.joints.iter().any(|j| j.body == index && j.kind == JointKind::Free);
+                let free =
+                    model.joints.iter().any(|j| j.body == index && j.kind == JointKind::Free);
                 self.dofs[first].frame = (!free).then_some((at, turned));
             }
             (at, turn) = ([0.0; 3], IDENTITY);
@@ -315,7 +329,7 @@ impl Tree {
                 centre: add(at, rotate(&turn, body.centre)),
                 moments: congruence(&turn, &body.inertia),
             };
-            let mass = coefficient(&format!("body.{}.mass", body.name), body.mass);
+            let mass = coefficient(&format!("body.{}.mass", word(&body.name)), body.mass);
             let scaled = part.scaled(mass.value);
             if mass.entry.is_some() {
                 self.dofs[dof].varied.push((mass, part.scaled(1.0)));
@@ -334,7 +348,8 @@ impl Tree {
         coefficient: &dyn Fn(&str, f64) -> Coefficient,
     ) -> usize {
         let dt = model.options.dt;
-        let number = |key: &str, value: f64| coefficient(&format!("joint.{}.{key}", joint.name), value);
+        let name = word(&joint.name);
+        let number = |key: &str, value: f64| coefficient(&format!("joint.{name}.{key}"), value);
         let limit = joint.limit.filter(|_| model.options.limits);
         let dof = Dof {
             kind: Kind::Slide,
@@ -397,7 +412,7 @@ impl Tree {
     fn motor(&self, a: &Actuator, coefficient: &dyn Fn(&str, f64) -> Coefficient) -> Motor {
         Motor {
             dof: self.joints[a.joint],
-            gear: coefficient(&format!("actuator.{}.gear", a.name), a.gear),
+            gear: coefficient(&format!("actuator.{}.gear", word(&a.name)), a.gear),
             gain: a.gain,
             bias: a.bias,
             control_range: a.control_range,
@@ -424,14 +439,17 @@ impl Tree {
             .map(|k| inverse(&(0..n).map(|i| f64::from(i == k)).collect::<Vec<_>>()))
             .collect();
         for (joint, &first) in model.joints.iter().zip(&self.joints) {
-            let groups = match joint.kind {
-                JointKind::Slide | JointKind::Hinge => vec![first..first + 1],
-                JointKind::Ball => vec![first..first + 3],
-                JointKind::Free => vec![first..first + 3, first + 3..first + 6],
+            let lengths: &[usize] = match joint.kind {
+                JointKind::Slide | JointKind::Hinge => &[1],
+                JointKind::Ball => &[3],
+                JointKind::Free => &[3, 3],
             };
-            for group in groups {
-                let mean = unit[group.clone()].iter().sum::<f64>() / group.len() as f64;
+            let mut first = first;
+            for &length in lengths {
+                let group = first..first + length;
+                let mean = unit[group.clone()].iter().sum::<f64>() / length as f64;
                 group.for_each(|k| self.dofs[k].weight = mean);
+                first += length;
             }
         }
         for (index, body) in model.bodies.iter().enumerate() {
@@ -473,6 +491,25 @@ impl Tree {
         self.friction.iter().for_each(set);
         all
     }
+}
+
+/// Refuses springs and limits of joints that rotate freely.
+fn check_joints(model: &Model) -> Result<(), String> {
+    let turns = |joint: &&Joint| matches!(joint.kind, JointKind::Ball | JointKind::Free);
+    for joint in model.joints.iter().filter(turns) {
+        let what = if joint.stiffness != 0.0 {
+            "a spring"
+        } else if joint.limit.is_some() {
+            "a limit"
+        } else {
+            continue;
+        };
+        return Err(format!(
+            "the joint `{}` is a ball or free joint with {what}, which is not simulated; remove it, or use three hinges",
+            joint.name
+        ));
+    }
+    Ok(())
 }
 
 impl Inertial {

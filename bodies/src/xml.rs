@@ -17,7 +17,7 @@ pub(crate) const DEPTH: usize = 300;
 /// Largest number of attributes of an element.
 const ATTRIBUTES: usize = 200;
 /// Largest magnitude of a number, which keeps products of numbers finite.
-const LARGEST: f64 = 1e15;
+const LARGEST: f64 = 1e20;
 
 /// An element with its attributes and children. Text between elements is left out.
 #[derive(Clone, Debug)]
@@ -33,6 +33,11 @@ impl Element {
     /// The text of an attribute.
     pub fn get(&self, name: &str) -> Option<&str> {
         self.attributes.iter().find(|(key, _)| key == name).map(|(_, value)| value.as_str())
+    }
+
+    /// The first child with this name.
+    pub fn child(&self, name: &str) -> Option<&Element> {
+        self.children.iter().find(|c| c.name == name)
     }
 
     /// An error at this element.

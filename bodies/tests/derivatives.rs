@@ -85,7 +85,11 @@ fn robot() -> Model {
         joints: vec![
             Joint { point: [0.0; 3], ..joint("root", 1, JointKind::Free) },
             Joint { stiffness: 2.0, limit: Some(limit), ..hinge.clone() },
-            Joint { friction_loss: 0.3, axis: [0.0, 1.0, 0.0], ..joint("hip", 3, JointKind::Hinge) },
+            Joint {
+                friction_loss: 0.3,
+                axis: [0.0, 1.0, 0.0],
+                ..joint("hip", 3, JointKind::Hinge)
+            },
             Joint { axis: [1.0, 0.0, 0.0], ..joint("rail", 3, JointKind::Slide) },
             joint("wrist", 4, JointKind::Ball),
         ],

@@ -14,7 +14,8 @@ fn robot() -> Model {
 /// A random state around the reference pose with the root at a random height: about half of the
 /// states have contacts.
 fn state(bodies: &Bodies, rng: &mut SmallRng) -> Vec<f64> {
-    let mut x: Vec<f64> = bodies.reference().iter().map(|q| q + rng.random_range(-0.5..0.5)).collect();
+    let mut x: Vec<f64> =
+        bodies.reference().iter().map(|q| q + rng.random_range(-0.5..0.5)).collect();
     x[2] = rng.random_range(0.1..1.2);
     x.extend((0..bodies.velocities()).map(|_| rng.random_range(-3.0..3.0)));
     x
@@ -46,7 +47,8 @@ where
     let all = results(bodies, &x, &u);
     let mut touching = 0;
     for lane in 0..8 {
-        let single = |all: &[Lanes<F, 8>]| all.iter().map(|x| S::splat(x.lane(lane))).collect::<Vec<S>>();
+        let single =
+            |all: &[Lanes<F, 8>]| all.iter().map(|x| S::splat(x.lane(lane))).collect::<Vec<S>>();
         let (x, u) = (single(&x), single(&u));
         let alone = results(bodies, &x, &u);
         for (i, (a, b)) in all.iter().zip(&alone).enumerate() {
@@ -54,7 +56,8 @@ where
             assert_eq!(a.to_bits(), b.to_bits(), "entry {i} of lane {lane}: {a} and {b}");
         }
         let without = results(free, &x, &u);
-        touching += usize::from(alone[..n].iter().zip(&without).any(|(a, b)| a.lane(0) != b.lane(0)));
+        touching +=
+            usize::from(alone[..n].iter().zip(&without).any(|(a, b)| a.lane(0) != b.lane(0)));
     }
     (1..8).contains(&touching)
 }
@@ -84,20 +87,24 @@ fn lanes_have_the_bits_of_single_numbers() {
 #[test]
 fn results_do_not_depend_on_earlier_calls_or_the_thread() {
     // All share the buffers of a thread. Two have as many degrees of freedom as the first.
-    let models = [(true, Cone::Pyramidal), (false, Cone::Pyramidal), (true, Cone::Elliptic)].map(|(damps, cone)| {
-        let mut model = robot();
-        model.options.cone = cone;
-        if !damps {
-            model.joints.iter_mut().for_each(|joint| joint.damping = 0.0);
-        }
-        Bodies::new(model).unwrap()
-    });
+    let models = [(true, Cone::Pyramidal), (false, Cone::Pyramidal), (true, Cone::Elliptic)].map(
+        |(damps, cone)| {
+            let mut model = robot();
+            model.options.cone = cone;
+            if !damps {
+                model.joints.iter_mut().for_each(|joint| joint.damping = 0.0);
+            }
+            Bodies::new(model).unwrap()
+        },
+    );
     let mut rng = SmallRng::seed_from_u64(2);
     for i in 0..300 {
         let bodies = &models[i % 3];
         let (x, u) = (state(bodies, &mut rng), vec![0.5; bodies.control_dim()]);
         let here = results::<f64>(bodies, &x, &u);
-        let there = std::thread::scope(|scope| scope.spawn(|| results::<f64>(bodies, &x, &u)).join().unwrap());
+        let there = std::thread::scope(|scope| {
+            scope.spawn(|| results::<f64>(bodies, &x, &u)).join().unwrap()
+        });
         assert_eq!(here, there, "state {i}");
     }
 }

@@ -64,6 +64,19 @@ pub enum Shape {
         /// CSS colour.
         color: &'static str,
     },
+    /// Filled polyline with round joins and ends: a disc for one point, a capsule for two, a convex
+    /// polygon for more. Solids of a frame are painted in their order, which may change: a solid
+    /// has the same `id` in all frames.
+    Solid {
+        /// Which solid this is.
+        id: usize,
+        /// Vertices.
+        points: Vec<[f64; 2]>,
+        /// Thickness of the edge: the diameter of a disc or capsule.
+        width: f64,
+        /// CSS colour.
+        color: String,
+    },
     /// Image in an axis-aligned rectangle. It may move, but its cells are constant.
     Image {
         /// Center.
@@ -105,8 +118,8 @@ pub struct Animation {
     pub reach: Option<View>,
     /// Static background.
     pub still: Vec<Shape>,
-    /// Shapes of each frame: the same kinds in the same order. Colours and texts keep their values
-    /// of the first frame.
+    /// Shapes of each frame: the same kinds in the same order. Texts and, except those of solids,
+    /// colours keep their values of the first frame.
     pub frames: Vec<Vec<Shape>>,
     /// Legend: names and CSS colours.
     pub legend: Vec<(String, &'static str)>,
@@ -288,6 +301,88 @@ mod tests {
         animation.frames[1].clear();
         animation.to_svg();
     }
+
+    #[test]
+    fn solids_exchange_their_places_at_once() {
+        // Two discs move to the right; the second one overtakes the first one in the third frame.
+        let disc = |id: usize, x: f64| Shape::Solid {
+            id,
+            points: vec![[x, 0.5]],
+            width: 0.1,
+            color: ["red", "green"][id].into(),
+        };
+        let mut animation = moving_dot(&[]);
+        animation.frames = vec![
+            vec![disc(0, 0.0), disc(1, 0.5)],
+            vec![disc(0, 0.5), disc(1, 1.0)],
+            vec![disc(1, 1.5), disc(0, 1.0)],
+        ];
+        let svg = animation.to_svg();
+        let document = roxmltree::Document::parse(&svg).expect("an SVG is XML");
+        let animated = |name: &str, what: &str| -> Vec<String> {
+            document
+                .descendants()
+                .filter(|n| n.attribute("attributeName") == Some(name))
+                .filter_map(|n| Some(n.attribute(what)?.to_owned()))
+                .collect()
+        };
+        // 360 pixels per unit. The first place shows the first disc until it is at 1, then the other.
+        let at = |x: i32| format!("{x},180 {x},180");
+        let path = |xs: [i32; 4]| xs.map(at).join(";");
+        let paths = [path([0, 360, 540, 540]), path([180, 540, 360, 360])];
+        assert_eq!(animated("points", "values"), paths, "states in the middle are not needed");
+        assert_eq!(animated("color", "values"), ["red;red;green;green", "green;green;red;red"]);
+        for what in ["points", "color"] {
+            assert_eq!(animated(what, "keyTimes"), ["0;0.7407;0.7407;1"; 2]);
+        }
+        assert!(animated("stroke-width", "values").is_empty(), "widths are constant");
+    }
+
+    #[test]
+    fn paths_of_solids_are_exact_to_a_fraction_of_a_pixel() {
+        let mut animation = moving_dot(&[]);
+        let height = |frame: usize| (0.03 * frame as f64).sin();
+        let disc = |frame: usize| {
+            let points = vec![[1.0, height(frame)]];
+            vec![Shape::Solid { id: 0, points, width: 0.1, color: "red".into() }]
+        };
+        animation.view = ([0.0, -1.0], [2.0, 1.0]);
+        animation.frames = (0..61).map(disc).collect();
+        let svg = animation.to_svg();
+        let document = roxmltree::Document::parse(&svg).expect("an SVG is XML");
+        let path = document.descendants().find(|n| n.has_tag_name("animate")).expect("it moves");
+        let list = |name: &str| path.attribute(name).unwrap_or("").split(';').collect::<Vec<_>>();
+        let share = 2.0 / (2.0 + HOLD) / 60.0;
+        let frames: Vec<f64> = list("keyTimes").iter().flat_map(|t| t.parse()).collect();
+        let frames: Vec<f64> = frames.iter().map(|time| (time / share).round()).collect();
+        let number = |text: &str| text.split([' ', ',']).nth(1).and_then(|y| y.parse().ok());
+        let values: Vec<f64> = list("values").into_iter().flat_map(number).collect();
+        assert!(values.len() < 40 && values.len() == frames.len(), "{} states", values.len());
+        for frame in 0..61 {
+            let to = frames.iter().position(|&f| f > frame as f64).expect("the end");
+            let share = (frame as f64 - frames[to - 1]) / (frames[to] - frames[to - 1]);
+            let y = values[to - 1] + share * (values[to] - values[to - 1]);
+            let exact = 240.0 * (1.0 - height(frame));
+            assert!((y - exact).abs() < 0.21, "frame {frame}: {y}, not {exact}");
+        }
+    }
+
+    #[test]
+    fn a_solid_may_be_replaced_by_a_new_one() {
+        let line = |id: usize, x: f64| {
+            let points = vec![[x, 0.0], [x, 1.0]];
+            vec![Shape::Solid { id, points, width: 0.1, color: "red".into() }]
+        };
+        let mut animation = moving_dot(&[]);
+        animation.frames = vec![line(0, 0.5), line(1, 1.0)];
+        let svg = animation.to_svg();
+        let values = "values=\"180,360 180,0;180,360 180,0;360,360 360,0;360,360 360,0\"";
+        assert!(
+            svg.contains(values),
+            "the line keeps its place, then the other one appears: {svg}"
+        );
+    }
+
     #[test]
     fn animations_that_share_a_scale_have_equal_views_and_ranges() {
         let channel = |values: &[f64]| Channel {

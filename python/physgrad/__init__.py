@@ -1,6 +1,7 @@
 """Differentiable physics: gradients of long simulations, and neural controllers trained with them.
 
-`task` opens a preset or a scene file, and `system` a system that is written as functions of NumPy.
+`task` opens a preset or a scene file, `bodies` a robot from a model file, and `system` a system that is
+written as functions of NumPy.
 `presets` lists the presets. Methods of a `Task` evaluate steps, observations and costs on arrays,
 with their derivatives. `train` trains a policy. `rollout` and `losses` evaluate policies and functions,
 and `gradients` evaluates policies. `optimize` minimizes the loss over the controls from one initial
@@ -52,6 +53,7 @@ __all__ = [
     "Run",
     "Task",
     "accuracy",
+    "bodies",
     "check",
     "choice",
     "detach",
@@ -108,6 +110,29 @@ def task(name: Path, **settings: Any) -> Task:
 def scene(name: Path, **settings: Any) -> Task:
     """Opens a scene file, for example "windy.toml". Arguments are those of `task`."""
     return Task(_text("name", name), **settings)
+
+
+@with_arguments_of(Task)
+def bodies(model: Path, **settings: Any) -> Task:
+    """A robot from an MJCF or URDF file, or one that comes with physgrad, as in `pg.bodies("ant")`.
+
+    The state is `[qpos, qvel]`, with the names in `task.state_names`. Keyword arguments are those of
+    `task`. Settings of the section `system` are, among others:
+
+    - `frames`: steps of the model per control, and `method`: "file", "euler", "implicit_fast", "rk4".
+    - `contacts`: "file", "smooth" for trainings, or "none".
+    - `spread`: half widths of the noise on initial positions and velocities; `start`: initial values by
+      name, as in `start={"qpos": {"rootz": 1.2}}`; `pose`: a named pose of the file.
+    - `observe`: expressions that the policy observes, or `hidden`: states that it does not observe.
+    - `body`, `joint`, `actuator`, `shape`: numbers of the model, as in
+      `body={"torso": {"mass": pg.uniform(3, 4)}}`.
+
+    Costs are expressions, as in `loss={"running": "qvel.hinge^2 - next.body.torso.z"}`. The scene keeps the
+    text of the file.
+
+    Raises `ValueError` with file, line and element if the file has something that is not simulated.
+    """
+    return Task._of("bodies", model=_text("model", model), **settings)
 
 
 def _text(argument: str, path: Path) -> str:

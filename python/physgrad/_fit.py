@@ -307,8 +307,7 @@ def identify(
     for name, value, least in (("every", every, 1), ("window", window, 0)):
         if not isinstance(value, int) or value < least:
             raise ValueError(f"`{name}` is {value!r}; allowed: an integer of at least {least}")
-    keys = params if isinstance(params, (list, tuple, dict)) else ()
-    recordings = read(task, data, [key for key in keys if isinstance(key, str)], time, units)
+    recordings = read(task, data, params, time, units)
     segments, others = recordings.segments, []
     if every > 1:
         segments, others = segments[::every], [part for i, part in enumerate(segments) if i % every]

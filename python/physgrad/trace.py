@@ -532,4 +532,4 @@ def system(*arguments: Any, **settings: Any) -> Task:
     from . import Task
 
     del found["task"]
-    return Task._of_equations(**found)
+    return Task._of("equations", **found)

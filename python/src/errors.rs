@@ -79,7 +79,7 @@ fn convert(error: anyhow::Error, other: fn(String) -> PyErr) -> PyErr {
     if let Some(diverged) = diverged {
         return divergence(diverged, text);
     }
-    if error.chain().any(|cause| cause.is::<api::TooLarge>()) {
+    if error.chain().any(|cause| cause.is::<api::TooLarge>() || cause.is::<api::TooLong>()) {
         return PyMemoryError::new_err(text);
     }
     // An error of the file system has the class of its kind, such as `FileNotFoundError`.

@@ -9,7 +9,7 @@ use crate::settings::{Settings, starting_at, value_of};
 use crate::task::Task;
 use numpy::IntoPyArray;
 use physgrad::identify::{Fit, IdentifyError, Options, Segment};
-use physgrad_cli::api::{self, Remarks, Scene};
+use physgrad_cli::api::{self, Checked, Remarks, Scene};
 use pyo3::exceptions::{PyAssertionError, PyMemoryError, PyUserWarning};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -200,11 +200,14 @@ fn ordered(fit: Fit, keys: &[String]) -> Fit {
 }
 
 /// Settings that make numbers of the task unknown.
-fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
+pub fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
     if let Ok(starts) = params.cast::<PyDict>() {
         let unknown = |(key, value): (Bound<'_, PyAny>, Bound<'_, PyAny>)| {
             let key = task.scene.key(key.extract()?);
             let value = value_of(&key, &value)?;
+            if !key.contains('.') && task.scene.setting(&key).is_none() {
+                return Err(no_number(&task.scene, &key));
+            }
             if value.as_table().is_some_and(|table| !table.contains_key("start")) {
                 return Err(invalid(format!(
                     "`params`: the dict of `{key}` has no \"start\", the initial value"
@@ -223,9 +226,7 @@ fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
         Some(_) => Err(invalid(format!(
             "`{key}` is no single number in the task; give an initial value, as in params={{\"{key}\": 0.2}}"
         ))),
-        None => Err(invalid(format!(
-            "`{key}` in `params` is no setting of the task, and no parameter of its equations; see `task.settings`"
-        ))),
+        None => Err(no_number(&task.scene, &key)),
     };
     let keys = List {
         name: "params",
@@ -233,6 +234,16 @@ fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
         of: "keys, or a dict with initial values",
     };
     keys.read(params, |key| unknown(task.scene.key(key.extract()?)))
+}
+
+/// The error of a key in `params` that the task does not have.
+fn no_number(scene: &Scene, key: &str) -> PyErr {
+    let names = scene.number_names();
+    let hint = api::did_you_mean(key, names.iter().map(String::as_str));
+    invalid(format!(
+        "`params`: the task has no number `{key}`; numbers of its system: {}{hint}",
+        names.join(", ")
+    ))
 }
 
 /// Number of single values in a value.
@@ -396,19 +407,21 @@ fn rows(
 /// task, with random parameters. Rollouts that amplify rounding errors by about 1e6 fail, although
 /// all derivatives are exact.
 ///
-/// Returns a table. If checks fail, raises `AssertionError` with all failures. Raises `ValueError`
-/// if the policy does not fit the task. Ctrl-C raises `KeyboardInterrupt`; the checks then run to
-/// their end on another thread.
+/// Returns a table, and below it the notes of `physgrad check`: stability of the time step, kinks,
+/// slope of the loss and jumps. If checks fail, raises `AssertionError` with all failures and the
+/// notes. Raises `ValueError`
+/// if the policy does not fit the task. Ctrl-C raises `KeyboardInterrupt`; the checks then run
+/// until the next note on another thread.
 #[pyfunction]
 #[pyo3(signature = (task, policy=None))]
 pub fn check(py: Python<'_>, task: &Task, policy: Option<&Policy>) -> PyResult<String> {
     let policy = policy.map(|policy| policy.lock().clone());
     let scene = task.scene.clone();
-    let (table, failures) =
-        interruptible(py, move |_| scene.check(policy.as_ref()))?.map_err(value_error)?;
-    if failures.is_empty() {
-        Ok(table)
-    } else {
-        Err(PyAssertionError::new_err(failures.join("\n")))
-    }
+    let Checked { table, notes, failures } =
+        interruptible(py, move |stop| scene.check(policy.as_ref(), stop))?.map_err(value_error)?;
+    let is_ok = failures.is_empty();
+    let first = if is_ok { vec![table] } else { failures };
+    let text = first.into_iter().chain(notes).collect::<Vec<_>>().join("\n");
+    let text = api::plain(&text).into_owned();
+    if is_ok { Ok(text) } else { Err(PyAssertionError::new_err(text)) }
 }

@@ -13,6 +13,7 @@ mod operations;
 mod optimize;
 mod picture;
 mod policy;
+mod recordings;
 mod rows;
 mod run;
 mod settings;
@@ -79,6 +80,7 @@ pub fn add_to(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<policy::Policy>()?;
     module.add_class::<run::Run>()?;
     module.add_function(wrap_pyfunction!(identify::identify, module)?)?;
+    module.add_function(wrap_pyfunction!(recordings::read_table, module)?)?;
     module.add_function(wrap_pyfunction!(accuracy::accuracy, module)?)?;
     module.add_function(wrap_pyfunction!(identify::check, module)?)?;
     module.add_function(wrap_pyfunction!(optimize::optimize, module)?)?;

@@ -179,12 +179,13 @@ impl Task {
         py.detach(|| Scene::open(name, settings)).map(Self::new).map_err(value_error)
     }
 
-    /// The task `equations` with these settings, which `physgrad.system` makes from functions.
+    /// The task with this name and these settings: `equations`, which `physgrad.system` makes from
+    /// functions, or `bodies`.
     #[staticmethod]
-    #[pyo3(name = "_of_equations", signature = (**settings))]
-    fn of_equations(py: Python<'_>, settings: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+    #[pyo3(name = "_of", signature = (task, **settings))]
+    fn of(py: Python<'_>, task: &str, settings: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         let settings = keywords(settings, "system", &TOP)?;
-        let scene = py.detach(|| Scene::of_task("equations", settings));
+        let scene = py.detach(|| Scene::of_task(task, settings));
         scene.map(Self::new).map_err(value_error)
     }
 

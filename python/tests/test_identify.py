@@ -1,6 +1,9 @@
 """Identification and checks of derivatives."""
 
+import json
+import os
 import re
+import shutil
 import subprocess
 import sys
 import warnings
@@ -237,7 +240,8 @@ def test_names_without_a_value_are_refused():
     drawn = task.replace(pole_mass={"uniform": [0.1, 0.2]})
     with pytest.raises(ValueError, match="`system.pole_mass` is no single number in the task; give an initial value"):
         pg.identify(drawn, data, params=["system.pole_mass"])
-    with pytest.raises(ValueError, match="`system.pole_weight` in `params` is no setting of the task"):
+    listed = "no number `system.pole_weight`; numbers of its system: .*system.pole_mass, "
+    with pytest.raises(ValueError, match=listed):
         pg.identify(task, data, params=["system.pole_weight"])
     with pytest.raises(TypeError, match="`params` is of type str; allowed: a list or tuple of keys, or a dict"):
         pg.identify(task, data, params="system.pole_mass")
@@ -276,6 +280,42 @@ def test_parameters_out_of_their_range_are_refused():
 def test_checks_return_a_table():
     table = pg.check(pg.task("pendulum", horizon=10))
     assert "rollout" in table and "FAILED" not in table
+
+
+def test_checks_have_the_notes_of_the_program(tmp_path):
+    few = pg.system(
+        lambda x, u, p: [u.push - x.place - abs(x.place - 0.5)],
+        states=["place"], controls=["push"], dt=0.1, horizon=20,
+        start={"place": pg.uniform(0, 1)}, loss={"running": "place^2"}, policy={"kind": "linear"}, field="C",
+    )
+    notes = pg.check(few).split("\n")
+    assert any(note.startswith("time step") for note in notes)
+    assert any(note.startswith("kink: ") for note in notes)
+    assert any(note.startswith("mean loss and R: ") for note in notes)
+    assert any('C has no advantage' in note and note.endswith('`field = "R"`') for note in notes)
+    scene = tmp_path / "scene.toml"
+    scene.write_text('scene = 1\ntask = "cart_pole"\nhorizon = 20\n[system]\npoles = 1\n')
+    program = os.environ.get("PHYSGRAD", shutil.which("physgrad"))
+    if program is None:
+        pytest.skip("set PHYSGRAD to the program")
+    command = [program, "check", str(scene), "--json"]
+    expected = json.loads(subprocess.run(command, check=True, capture_output=True).stdout)["notes"]
+    assert len(expected) > 3 and pg.check(pg.scene(scene)).split("\n")[-len(expected) :] == expected
+
+
+def test_an_unknown_number_lists_parameters():
+    own = pg.system(
+        lambda x, u, p: [p.gain * u.push], states=["place"], controls=["push"], params={"gain": 1.0}, dt=0.1
+    )
+    data = [(np.zeros((2, 1)), np.zeros((1, 1)))]
+    for params in (["gian"], {"gian": 1.0}):
+        listed = "no number `gian`; numbers of its system: gain; did you mean `gain`"
+        with pytest.raises(ValueError, match=listed):
+            pg.identify(own, data, params)
+    with pytest.raises(ValueError, match="`system.gian` is unknown; parameters: `gain`; did you mean `gain`"):
+        own.replace(gian=2.0)
+    with pytest.raises(ValueError, match="`system.mass` is unknown; allowed: `states`, .*; parameters: `gain`"):
+        own.replace(mass=2.0)
 
 
 def test_checks_are_at_the_parameters_of_the_policy():

@@ -64,8 +64,8 @@ SETUPS = {
 @pytest.mark.parametrize("name", SETUPS)
 def test_ctrl_c_raises_within_a_second_and_stops_the_threads(name):
     setup, call = SETUPS[name]
-    # `accuracy` reads the stop flag only between simulations, and `check` never. One simulation takes
-    # seconds in a debug build.
+    # `accuracy` reads the stop flag only between simulations, and `check` between its notes. One simulation
+    # takes seconds in a debug build.
     code = SCRIPT.format(setup=setup, call=call, limit=20.0 if name in ("accuracy", "check") else 1.5)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     elapsed, after = done.stdout.split("\n", 1)

@@ -121,6 +121,62 @@ def test_a_file_gives_the_numbers_of_the_program(tmp_path):
     np.testing.assert_array_equal(np.concatenate(seen), simulated)
 
 
+SCENE_OF_ONE_POLE = """scene = 1
+task = "cart_pole"
+precision = "f64"
+[system]
+poles = 1
+[fit]
+"system.pole_mass" = { start = 0.1 }
+"""
+
+
+def test_the_program_and_python_read_one_table(tmp_path, monkeypatch):
+    program = os.environ.get("PHYSGRAD", shutil.which("physgrad"))
+    if program is None:
+        pytest.skip("set PHYSGRAD to the program")
+    scene, path = tmp_path / "scene.toml", tmp_path / "measured.csv"
+    scene.write_text(SCENE_OF_ONE_POLE)
+    task = pg.scene(scene)
+
+    def both():
+        command = [program, "identify", "scene.toml", "--data", "measured.csv", "--json", "-o", "out"]
+        done = subprocess.run(command, capture_output=True, text=True)
+        try:
+            fit = pg.identify(task, "measured.csv")
+        except ValueError as error:
+            assert done.returncode == 1 and str(error).split() == done.stderr.split()[1:]
+            return str(error)
+        found = json.loads(done.stdout)
+        assert found["notes"] == fit.notes and found["fit"]["segments"] == len(fit.states)
+        assert [row["value"] for row in found["numbers"]] == list(fit.values.values())
+        return fit
+
+    table = recordings()[1]
+    # A gap, empty rows over which the control changes, and empty cells of a state and of a control.
+    for name in COLUMNS[1:]:
+        table[name][50:53] = np.nan
+    table["theta_1"][7] = table["force"][100] = np.nan
+    keep = np.delete(np.arange(120), [20, 21])
+    monkeypatch.chdir(tmp_path)
+    write(path, {name: column[keep] for name, column in table.items()})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        fit = both()
+    assert [len(x) for x in fit.states] == [20, 18, 10, 27, 40]
+    gaps = "a new segment begins at 2 rows after a gap in which a control changes (first: measured.csv:22)"
+    assert fit.notes[0].startswith(gaps)
+    lines = path.read_text().splitlines()
+    for text, message in [
+        ("\n".join([*lines[:3], lines[3] + ","]), "measured.csv:4: the line ends in a comma, but"),
+        ("\n".join([*lines[:3], *lines[60:62], lines[3]]), "measured.csv:6: the rows of segment run 0 are not"),
+        ("t;x;force\n0;1,5;0\n", "the columns are separated by semicolons, and numbers have decimal commas"),
+        ("t,x,force\n0,1,0\n0.01,1,\n0.01,1,0\n", "measured.csv:4: the time 0.01 s is not later"),
+    ]:
+        path.write_text(text)
+        assert message in both()
+
+
 def test_missing_rows_and_cells_are_missing_states():
     pairs, table = recordings(1)
     x, u = pairs[0]
@@ -149,7 +205,8 @@ def test_a_gap_in_which_a_control_changes_begins_a_new_segment():
     fit = pg.identify(task(), frame, MASS)
     assert [len(x) for x in fit.states] == [20, 18] and fit.times[1][0] == pytest.approx(0.22)
     assert fit.notes == [
-        "a new segment begins at 1 row after a gap in which a control changes (first: the data frame, row 20)"
+        "a new segment begins at 1 row after a gap in which a control changes (first: the data frame, "
+        "row 20); add rows with the control to join them"
     ]
     assert fit.values["system.pole_mass"] == pytest.approx(0.17, rel=1e-6)
     # Empty rows are missing rows.
@@ -202,7 +259,7 @@ def test_units_convert_columns_and_noise(tmp_path):
         np.testing.assert_allclose(fit.measured[1], expected.measured[1], atol=1e-12)
     for units, message in [
         ({"theta_1": "degrees"}, "the unit 'degrees' of `theta_1` is unknown; allowed: products and quotients"),
-        ({"theta": "deg"}, "`units`: there is no column `theta`; columns: "),
+        ({"theta": "deg", "t": "ms"}, "`units`: there is no column `theta`; columns: "),
         ({"t": "mm"}, "`units`: 'mm' of `t` does not convert to 's', the unit of the task"),
         ({"x": 0}, "the factor of `x` is 0; allowed: a finite number other than 0"),
     ]:
@@ -250,8 +307,8 @@ REFUSED = [
     ({"angle": 0.0}, "unknown column `angle`; leave it out; allowed: segment, t, x, x_dot, theta_1, omega_1, force"),
     ({"t": None}, "there is no column `t` with the time in s"),
     ({"x": None, "x_dot": None, "theta_1": None, "omega_1": None}, "there is no column of a state; states: x, x_dot"),
-    ({"time": 0.0}, "several columns are `t` or `time`"),
-    ({"t": [0.0, 0.01, 0.015, 0.02]}, "row 2: the time 0.015 s is not a later step of 0.01 s; resample, or set `dt`"),
+    ({"time": 0.0}, "the columns `t` and `time` have one meaning; remove one of them"),
+    ({"t": [0.0, 0.01, 0.015, 0.02]}, "row 2: the time 0.015 s is not a later step of 0.01 s; resample, or"),
     ({"t": [0.0, 0.02, 0.01, 0.03]}, "row 2: the time 0.01 s is not later than in the row before; sort the rows"),
     ({"t": [0.0, np.nan, 0.02, 0.03]}, "row 1: the time is missing"),
     ({"t": [0, 10, 20, 30]}, "all rows are 1000 or more steps of 0.01 s apart; give the time in s, or its unit"),
@@ -283,13 +340,17 @@ def test_files_that_are_no_tables_are_refused(tmp_path):
     path = tmp_path / "measured.csv"
     for text, message in [
         ("", "has no samples"),
-        ("t;x\n0;1\n", "the columns are separated by semicolons or tabs; allowed: commas"),
+        ("t;x\n0;1\n", "the columns are separated by semicolons; allowed: commas, and points in numbers"),
+        ("t;x\n0;1,5\n", "semicolons, and numbers have decimal commas; allowed: commas, and points"),
+        ("t;x\n0;1,5\n", "replace commas by points first, and then semicolons by commas"),
+        ("t\tx\n0\t1,5\n", 'measured.csv", sep="\\t", decimal=",").to_csv('),
+        ("t,x\n\n0,1\n\n\n0.01,one\n", "measured.csv:6: `one` in column `x` is not a number"),
         ("t,x\n0,1,2\n", "measured.csv:2: the row has 3 cells; expected 2"),
         ("# by a sensor\nt,x\n0,one\n", "measured.csv:3: `one` in column `x` is not a number"),
         ("t,x\n0,1_0\n", "measured.csv:2: `1_0` in column `x` is not a number"),
-        ("t,x\n0,1\n# end,\n", "measured.csv:3: comments are allowed before the header only"),
-        ("t,x,\n0,1,\n", "a column without a name"),
-        (b"\xff\xfet,x", "is no CSV file in UTF-8"),
+        ("t,x\n0,1\n# end,\n", "measured.csv:3: the line begins with `#`; comments are allowed"),
+        ("t,x,\n0,1,\n", "column 3 has no name; remove the column"),
+        (b"\xff\xfet,x", "is in UTF-16 or is no text; save it as text in UTF-8"),
     ]:
         path.write_bytes(text if isinstance(text, bytes) else text.encode())
         with pytest.raises(ValueError, match=re.escape(message)):
@@ -317,8 +378,11 @@ def test_columns_of_parameters_hold_for_a_segment():
         same(pg.identify(drawn.replace(pole_mass={"start": 0.1}), frame), fit)
         same(pg.identify(drawn.replace(pole_mass={"uniform": [0.1, 0.2]}), frame, MASS), fit)
     for values, message in [
-        (np.r_[np.ones(79), 2.0], "row 40: `system.cart_mass` changes in this segment"),
-        (np.r_[np.full(40, np.nan), np.ones(40)], "row 0: the column `system.cart_mass` has no value in this segment"),
+        (np.r_[np.ones(79), 2.0], "row 79: `system.cart_mass` differs from an earlier row"),
+        (
+            np.r_[np.full(40, np.nan), np.ones(40)],
+            "row 0: segment run 0: the column `system.cart_mass` has no value; give it in every segment",
+        ),
     ]:
         with pytest.raises(ValueError, match=re.escape(message)):
             pg.identify(drawn, Frame(table | {"system.cart_mass": values}), MASS)

@@ -85,7 +85,25 @@ def mean_loss(agent, task, starts):
     return total.mean()
 
 
-MISSED = "measured: SAC has a loss of 1.40 after 40,000 steps, beside 1.97 without control"
+def one_pole():
+    return pg.task("cart_pole", poles=1, loss={"mode": "running"})
+
+
+def trained(name, seed):
+    """An agent after its declared budget."""
+    if name == "PPO":
+        envs, steps = VecMonitor(pg.gym.make_sb3(one_pole(), 32)), 500_000
+        settings = {"n_steps": 100, "batch_size": 800}
+    else:
+        # One update per step: each call steps 8 environments, and 8 updates follow.
+        envs, steps = VecMonitor(pg.gym.make_sb3(one_pole(), 8)), 80_000
+        settings = {"train_freq": 1, "gradient_steps": 8, "learning_rate": 1e-3}
+        settings["policy_kwargs"] = {"net_arch": [64, 64]}
+    agent = getattr(sb3, name)("MlpPolicy", envs, gamma=0.98, seed=seed, device="cpu", **settings)
+    return agent.learn(steps)
+
+
+MISSED = "measured: after 80,000 steps, losses of 0.45, 1.04, 0.95 with the seeds 0, 1, 2; allowed: 0.49"
 
 
 @slow
@@ -93,17 +111,11 @@ MISSED = "measured: SAC has a loss of 1.40 after 40,000 steps, beside 1.97 witho
 def test_agents_learn_one_pole(name):
     """The loss falls to a quarter of that without control, within a fixed number of steps.
 
-    The criterion and the budgets were declared before the first measurement, which PPO passes
-    (0.44, beside 1.97 without control) and SAC does not.
+    The criterion and the budgets were declared before their first measurement. PPO passes (0.44,
+    beside 1.97 without control). SAC missed its first budget. The second, here, counts as passed if
+    the seeds 0, 1 and 2 all pass; 1 and 2 did not. The seed 0 alone, which runs here, passed.
     """
-    task = pg.task("cart_pole", poles=1, loss={"mode": "running"})
-    if name == "PPO":
-        envs, steps = VecMonitor(pg.gym.make_sb3(task, 32)), 500_000
-        agent = sb3.PPO("MlpPolicy", envs, n_steps=100, batch_size=800, gamma=0.98, seed=0, device="cpu")
-    else:
-        envs, steps = VecMonitor(pg.gym.make_sb3(task, 8)), 40_000
-        agent = sb3.SAC("MlpPolicy", envs, train_freq=1, gradient_steps=2, gamma=0.98, seed=0, device="cpu")
-    agent.learn(steps)
+    agent, task = trained(name, seed=0), one_pole()
     starts = task.starts(128, seed=1)
     without, learned = (mean_loss(agent, task, starts) for agent in (None, agent))
     print(f"{name}: loss {learned:.3f}, without control {without:.3f}")

@@ -235,6 +235,7 @@ impl Equations {
                 .collect(),
             define: &self.define,
             dt: self.dt,
+            quantities: &(),
         }
     }
 

@@ -89,7 +89,7 @@ impl<'a> Lexer<'a> {
             let hint = match first {
                 '²' | '³' => "; write a power as `x^2`",
                 '·' | '×' => "; write a product as `a * b`",
-                '=' => "; compare by `<`, `<=`, `>` or `>=`",
+                '=' => "; compare by `<`, `<=`, `>` or `>=`, as in `abs(a - b) < width`",
                 '[' | ']' | '{' | '}' => "; write parentheses",
                 ';' => "; separate arguments by `,`",
                 first if !first.is_ascii() => "; names have the letters a to z",

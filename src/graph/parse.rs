@@ -195,7 +195,6 @@ impl<'a, 'g> Parser<'a, 'g> {
 
     fn unexpected(&self, at: usize, token: Token<'_>, expected: &str) -> ParseError {
         let hint = match token {
-            Token::Symbol("==" | "!=") => "; numbers are hardly ever equal, compare them with `<`",
             Token::Symbol(",") => "; decimals have a point, as in 0.5",
             Token::Name("if" | "else") => "; write `where(condition, a, b)`",
             Token::Name(_) | Token::Number(_) | Token::Symbol("(") if expected != OPERAND => {
@@ -260,6 +259,13 @@ impl<'a, 'g> Parser<'a, 'g> {
                 }
                 Token::Name("and") => ("and", strength::AND, strength::AND + 1),
                 Token::Name("or") => ("or", strength::OR, strength::OR + 1),
+                Token::Symbol(symbol @ ("==" | "!=")) => {
+                    let what = format!(
+                        "`{symbol}` in an expression; numbers are hardly ever equal, and no derivative tells where they are; \
+                         write `abs(a - b) < width`, or a smooth function as `exp(-((a - b) / width)^2)`"
+                    );
+                    return Err(self.error(at, what));
+                }
                 _ => break,
             };
             if strength < least {

@@ -180,6 +180,7 @@ impl GraphPolicy {
             constants: fixed.collect(),
             dt,
             define,
+            quantities: &(),
         })?;
         let mut outputs = Vec::with_capacity(controls.len() + next.len());
         for name in controls {

@@ -2,9 +2,11 @@
 
 use super::equations::{EquationError, Operations};
 use super::function::{Function, LISTS};
-use super::lexer::{ParseError, names};
+use super::lexer::{ParseError, names as words};
 use super::op::{Graph, Id, Op};
 use super::parse::{Parser, Term, name_problem, short};
+use super::quantities::RecordedQuantities;
+use super::record::record;
 use std::cell::RefCell;
 use std::collections::{BTreeMap, HashMap};
 
@@ -28,6 +30,17 @@ pub(super) struct Vocabulary<'a> {
     pub(super) dt: f64,
     /// Expressions by name.
     pub(super) define: &'a BTreeMap<String, String>,
+    /// Numbers that a task computes from a state.
+    pub(super) quantities: &'a dyn RecordedQuantities,
+}
+
+impl Vocabulary<'_> {
+    /// All names, for suggestions.
+    fn all(&self, known: &HashMap<String, Term>) -> Vec<String> {
+        let quantities = self.quantities.all_names();
+        let next: Vec<String> = quantities.iter().map(|name| format!("next.{name}")).collect();
+        known.keys().cloned().chain(quantities).chain(next).collect()
+    }
 }
 
 /// A graph in which names have numbers.
@@ -36,6 +49,8 @@ pub(super) struct Reader<'a> {
     graph: Graph,
     lengths: [usize; LISTS],
     known: HashMap<String, Term>,
+    /// Whether the quantities are in the graph.
+    is_computed: bool,
 }
 
 impl<'a> Reader<'a> {
@@ -54,9 +69,34 @@ impl<'a> Reader<'a> {
         }
         let dt = graph.constant(names.dt);
         known.insert("dt".to_owned(), Term::Number(dt));
-        let mut reader = Self { names, graph, lengths, known };
+        let mut reader = Self { names, graph, lengths, known, is_computed: false };
         reader.define()?;
         Ok(reader)
+    }
+
+    /// Records the quantities of the state and of the next state, once an expression names one.
+    fn compute(&mut self, text: &str) {
+        let quantities = self.names.quantities;
+        let names = quantities.all_names();
+        let is_quantity = |name: &str| {
+            let name = name.strip_prefix("next.").unwrap_or(name);
+            names.iter().any(|known| known == name)
+        };
+        if self.is_computed || !words(text).into_iter().any(is_quantity) {
+            return;
+        }
+        self.is_computed = true;
+        let [n, m, k, ..] = self.lengths;
+        let recorded = record(&mut self.graph, |inputs| {
+            let p = &inputs[n + m..n + m + k];
+            let next = &inputs[n + m + k..][..n];
+            [quantities.record(&inputs[..n], p), quantities.record(next, p)]
+        });
+        let [now, next] = recorded.expect("quantities do not branch on values");
+        for ((name, now), next) in names.into_iter().zip(now).zip(next) {
+            self.known.insert(format!("next.{name}"), Term::Number(next.0));
+            self.known.insert(name, Term::Number(now.0));
+        }
     }
 
     /// Reads all definitions, each after those that it names.
@@ -76,7 +116,7 @@ impl<'a> Reader<'a> {
         let mut waits: HashMap<&str, usize> = HashMap::new();
         let mut followers: HashMap<&str, Vec<&str>> = HashMap::new();
         for (name, text) in define {
-            let mut before = names(text);
+            let mut before = words(text);
             before.retain(|name| define.contains_key(*name));
             before.sort_unstable();
             before.dedup();
@@ -104,6 +144,7 @@ impl<'a> Reader<'a> {
     }
 
     fn term(&mut self, key: &str, text: &str) -> Result<Term, EquationError> {
+        self.compute(text);
         let (known, names) = (&self.known, &self.names);
         let missing = RefCell::new(None);
         let resolve = |name: &str| {
@@ -114,7 +155,7 @@ impl<'a> Reader<'a> {
         };
         let term = Parser::read(text, &mut self.graph, &resolve);
         term.map_err(|ParseError { column, what }| EquationError {
-            unknown: missing.take().map(|name| (name, known.keys().cloned().collect())),
+            unknown: missing.take().map(|name| (name, names.all(known))),
             ..EquationError::new(key, located(text, column, &what))
         })
     }
@@ -215,14 +256,17 @@ pub(super) fn listed<'a>(names: impl Iterator<Item = &'a str>) -> String {
 
 /// Message of an unknown name.
 fn unknown(names: &Vocabulary<'_>, name: &str) -> String {
-    let Vocabulary { states, controls, params, tables, constants, define, dt: _ } = names;
+    let Vocabulary { states, controls, params, tables, constants, define, dt: _, quantities } =
+        names;
     let name = &*short(name);
     if let Some(state) = name.strip_prefix("next.") {
         let states = listed(states.iter().map(String::as_str));
         return format!("`{state}` is not a state; states are {states}");
     }
     let lists = [states, controls, params, tables].into_iter().flatten();
-    let all = lists.chain(constants.iter().map(|(name, _)| name)).chain(define.keys());
+    let computed = quantities.all_names();
+    let all =
+        lists.chain(constants.iter().map(|(name, _)| name)).chain(define.keys()).chain(&computed);
     format!(
         "`{name}` is unknown; known are {} and `t`, `dt`, `pi`",
         listed(all.map(String::as_str))

@@ -2,6 +2,7 @@
 
 use super::equations::EquationError;
 use super::parts::Parts;
+use super::quantities::{Quantities, RecordedQuantities};
 use super::reader::{Reader, Vocabulary};
 use crate::dynamics::dyn_task::{DynSystem, DynTask};
 use crate::dynamics::inputs::{Cotangents, Inputs, Start};
@@ -66,14 +67,44 @@ impl Replaced {
         names: Names,
         replacement: &Replacement,
     ) -> Result<Self, EquationError> {
+        Self::read(task, names, replacement, &())
+    }
+
+    /// As [`new`](Self::new), with further names for numbers that the task computes from a state.
+    ///
+    /// # Errors
+    /// An expression does not fit.
+    pub fn with_quantities(
+        task: DynTask,
+        names: Names,
+        replacement: &Replacement,
+        quantities: &impl Quantities,
+    ) -> Result<Self, EquationError> {
+        Self::read(task, names, replacement, quantities)
+    }
+
+    fn read(
+        task: DynTask,
+        names: Names,
+        replacement: &Replacement,
+        quantities: &dyn RecordedQuantities,
+    ) -> Result<Self, EquationError> {
         let Names { states, controls, params, dt } = names;
         let define = &replacement.define;
         if *replacement == (Replacement { define: define.clone(), ..Replacement::default() }) {
             let what = "has no effect; write `observe`, `running` or `terminal` too";
             return Err(EquationError::new("define", what));
         }
-        let vocabulary =
-            Vocabulary { states, controls, params, tables: vec![], constants: vec![], dt, define };
+        let vocabulary = Vocabulary {
+            states,
+            controls,
+            params,
+            tables: vec![],
+            constants: vec![],
+            dt,
+            define,
+            quantities,
+        };
         let mut reader = Reader::new(vocabulary)?;
         let parts = Parts {
             observe: reader.observation("observe", &replacement.observe)?.map(Arc::new),

@@ -118,9 +118,16 @@ fn errors_name_the_setting_the_column_and_the_replacement() {
         ("a + ", "column 5 of `a + `: the end where a number, a name or `(` is expected"),
         ("(a + b", "column 7"),
         ("2 a", "column 3 of `2 a`: `a` where an operator is expected"),
+        ("a == b", "column 3 of `a == b`: `==` in an expression; numbers are hardly ever equal"),
         (
-            "a == b",
-            "column 3 of `a == b`: `==` where an operator is expected; numbers are hardly ever equal",
+            "where(a == b, a, b)",
+            "column 9 of `where(a == b, a, b)`: `==` in an expression; numbers are hardly ever equal, and no derivative tells \
+             where they are; write `abs(a - b) < width`, or a smooth function as `exp(-((a - b) / width)^2)`",
+        ),
+        ("where(a != b, a, b)", "column 9 of `where(a != b, a, b)`: `!=` in an expression"),
+        (
+            "where(a = b, a, b)",
+            "`=` has no meaning here; compare by `<`, `<=`, `>` or `>=`, as in `abs(a - b) < width`",
         ),
         ("a < b", "a condition where a number is expected; write `where(condition, a, b)`"),
         ("where(a, a, b)", "column 7 of `where(a, a, b)`: a number where a condition is expected"),

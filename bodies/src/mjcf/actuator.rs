@@ -1,6 +1,7 @@
 //! Actuators of hinges and slides.
 
 use super::classes::Classes;
+use super::drive::Drive;
 use super::known;
 use super::view::View;
 use crate::files::FileError;
@@ -24,10 +25,11 @@ pub(crate) fn actuator<'a>(
         other => return Err(element.error(refusal(other))),
     };
     let names: Vec<&str> = known::ACTUATORS.into_iter().chain(known::OTHER_ACTUATORS).collect();
-    let view = classes.view(element, 0, &names)?;
+    let groups = classes.groups(element, 0, &names)?;
+    let view = View::new(groups.concat());
     view.check(&known)?;
     let joint = joint(&view, joints, by_name)?;
-    let drive = Drive::of(&view)?;
+    let drive = Drive::of(&groups)?;
     let [gear, ..] = view.fill::<6>("gear", [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])?;
     Ok(Actuator {
         name: element.get("name").unwrap_or("").to_string(),
@@ -40,7 +42,8 @@ pub(crate) fn actuator<'a>(
     })
 }
 
-fn refusal(name: &str) -> String {
+/// Why an element is not an actuator that is read.
+pub(crate) fn refusal(name: &str) -> String {
     if known::OTHER_ACTUATORS.contains(&name) {
         let list = known::ACTUATORS.join(", ");
         format!("this actuator is not supported; those that are supported are {list}")
@@ -76,127 +79,4 @@ fn joint(
         ));
     }
     Ok(*index)
-}
-
-/// The law of force, while the layers of an actuator apply in sequence.
-struct Drive<'a> {
-    /// The kind of the last layer that set the law.
-    kind: &'static str,
-    gain: [f64; 10],
-    bias: [f64; 3],
-    biased: bool,
-    /// The layers whose gain, bias or dynamics are not supported, with the reason.
-    unsupported: [Option<(&'a Element, String)>; 3],
-}
-
-impl<'a> Drive<'a> {
-    const NEW: Self = Self {
-        kind: "general",
-        gain: [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-        bias: [0.0; 3],
-        biased: false,
-        unsupported: [None, None, None],
-    };
-
-    fn of(view: &View<'a>) -> Result<Self, FileError> {
-        let mut drive = Self::NEW;
-        for layer in view.layers() {
-            drive.apply(layer)?;
-        }
-        match drive.unsupported.iter().flatten().next() {
-            Some((element, what)) => Err(element.error(what)),
-            None => Ok(drive),
-        }
-    }
-
-    /// A shortcut begins anew, unless the law is of its own kind or of the general kind. Then it
-    /// keeps what it does not set.
-    fn apply(&mut self, layer: &'a Element) -> Result<(), FileError> {
-        let view = View::new(vec![layer]);
-        match layer.name.as_str() {
-            "general" => return self.general(&view),
-            "motor" => *self = Self { kind: "motor", ..Self::NEW },
-            "position" => {
-                self.begin("position");
-                let kp = view.number("kp", self.gain[0])?;
-                let kv = view.natural("kv", (-self.bias[2]).max(0.0))?;
-                // A damping ratio is a positive number in the place of the velocity.
-                let ratio = view.number("dampratio", 0.0)?;
-                let inherited = view.text("kv").is_none() && self.bias[2] > 0.0;
-                self.set(kp, [0.0, -kp, -kv]);
-                if ratio != 0.0 || inherited {
-                    self.bias[2] = ratio.max(1.0);
-                    self.refuse(
-                        1,
-                        layer,
-                        "`dampratio` is not supported; write the damping as `kv`",
-                    );
-                }
-                if view.number("timeconst", 0.0)? != 0.0 {
-                    let what = "`timeconst` is not supported; remove it, controls act at once";
-                    self.refuse(2, layer, what);
-                }
-            }
-            "velocity" => {
-                self.begin("velocity");
-                let kv = view.natural("kv", self.gain[0])?;
-                self.set(kv, [0.0, 0.0, -kv]);
-            }
-            other => {
-                *self = Self { kind: "other", ..Self::NEW };
-                self.refuse(0, layer, &refusal(other));
-            }
-        }
-        Ok(())
-    }
-
-    fn begin(&mut self, kind: &'static str) {
-        if self.kind != kind && self.kind != "general" {
-            *self = Self::NEW;
-        }
-        self.kind = kind;
-    }
-
-    /// A law without state.
-    fn set(&mut self, gain: f64, bias: [f64; 3]) {
-        let mut all = [0.0; 10];
-        all[0] = gain;
-        *self = Self { kind: self.kind, gain: all, bias, biased: true, ..Self::NEW };
-    }
-
-    /// Refuses the gain (0), the bias (1) or the dynamics (2), unless a later layer replaces it.
-    fn refuse(&mut self, part: usize, layer: &'a Element, what: &str) {
-        self.unsupported[part] = Some((layer, what.to_string()));
-    }
-
-    fn general(&mut self, view: &View<'a>) -> Result<(), FileError> {
-        let layer = view.element();
-        self.gain = view.fill("gainprm", self.gain)?;
-        let mut bias = [0.0; 10];
-        bias[..3].copy_from_slice(&self.bias);
-        bias = view.fill("biasprm", bias)?;
-        self.bias.copy_from_slice(&bias[..3]);
-        let biases = ["none", "affine", "muscle", "dcmotor", "so3", "user"];
-        let gains = ["fixed", "affine", "muscle", "dcmotor", "pid", "so3", "user"];
-        let dynamics =
-            ["none", "integrator", "filter", "filterexact", "pid", "dcmotor", "muscle", "user"];
-        self.kind = "general";
-        for (part, name, words, supported) in [
-            (0, "gaintype", &gains[..], 1),
-            (1, "biastype", &biases[..], 2),
-            (2, "dyntype", &dynamics[..], 1),
-        ] {
-            let Some(text) = view.text(name) else { continue };
-            let word = view.word(name, words, 0)?;
-            self.unsupported[part] = None;
-            if word >= supported {
-                let advice = words[..supported].join(" or ");
-                let what = format!("`{name}` {text} is not supported; it can be {advice}");
-                self.refuse(part, layer, &what);
-            } else if name == "biastype" {
-                self.biased = word == 1;
-            }
-        }
-        Ok(())
-    }
 }

@@ -4,12 +4,15 @@ use super::known;
 use super::view::View;
 use crate::files::FileError;
 use crate::xml::{Element, hint, shorten};
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 /// Kinds of elements that have defaults without physics that is read here.
 const IRRELEVANT: [&str; 8] =
     ["mesh", "texture", "camera", "light", "pair", "equality", "skin", "hfield"];
 const READ: [&str; 5] = ["joint", "geom", "site", "material", "tendon"];
+
+/// Largest depth of nested classes. Reading an attribute passes through all of them.
+const DEPTH: usize = 20;
 
 /// All classes. The first is `main`, for elements that name none.
 pub(crate) struct Classes<'a> {
@@ -31,13 +34,17 @@ impl<'a> Classes<'a> {
             if section.get("class").is_some_and(|name| name != "main") {
                 return Err(section.error("the outermost class must be `main`; remove its name"));
             }
-            classes.fill(0, section)?;
+            classes.fill(0, section, 0)?;
         }
         Ok(classes)
     }
 
-    /// Reads the elements of a class. The depth of documents has a bound.
-    fn fill(&mut self, class: usize, section: &'a Element) -> Result<(), FileError> {
+    /// Reads the elements of a class.
+    fn fill(&mut self, class: usize, section: &'a Element, depth: usize) -> Result<(), FileError> {
+        if depth > DEPTH {
+            return Err(section.error(format!("classes are nested deeper than {DEPTH}; flatten")));
+        }
+        let mut seen = HashSet::new();
         for child in &section.children {
             if child.name == "default" {
                 let name = match child.get("class") {
@@ -49,9 +56,14 @@ impl<'a> Classes<'a> {
                     return Err(child.error("a class of this name exists; rename one of them"));
                 }
                 self.classes.push(Class { parent: Some(class), elements: Vec::new() });
-                self.fill(index, child)?;
+                self.fill(index, child, depth + 1)?;
             } else {
                 check(child)?;
+                if !seen.insert(&child.name) {
+                    return Err(
+                        child.error("the class has another element of this kind; merge them")
+                    );
+                }
                 self.classes[class].elements.push(child);
             }
         }
@@ -80,15 +92,26 @@ impl<'a> Classes<'a> {
         inherited: usize,
         names: &[&str],
     ) -> Result<View<'a>, FileError> {
-        let mut chain = vec![self.named(element, "class", inherited)?];
-        while let Some(parent) = self.classes[chain[chain.len() - 1]].parent {
-            chain.push(parent);
+        Ok(View::new(self.groups(element, inherited, names)?.concat()))
+    }
+
+    /// The elements of these names of each class, the outermost class first, and the element
+    /// itself.
+    pub fn groups(
+        &self,
+        element: &'a Element,
+        inherited: usize,
+        names: &[&str],
+    ) -> Result<Vec<Vec<&'a Element>>, FileError> {
+        let mut groups = vec![vec![element]];
+        let mut next = Some(self.named(element, "class", inherited)?);
+        while let Some(class) = next {
+            let elements = self.classes[class].elements.iter().copied();
+            groups.push(elements.filter(|e| names.contains(&e.name.as_str())).collect());
+            next = self.classes[class].parent;
         }
-        let layers = chain.iter().rev().flat_map(|c| &self.classes[*c].elements);
-        let mut layers: Vec<&Element> =
-            layers.filter(|e| names.contains(&e.name.as_str())).copied().collect();
-        layers.push(element);
-        Ok(View::new(layers))
+        groups.reverse();
+        Ok(groups)
     }
 }
 

@@ -133,11 +133,11 @@ fn between(view: &View, kind: &str, ends: [f64; 6]) -> Result<(Pose, f64), FileE
     let d: Vec3 = [0, 1, 2].map(|i| ends[i] - ends[i + 3]);
     let half = 0.5 * d.iter().map(|x| x * x).sum::<f64>().sqrt();
     match from_z(d) {
-        Some(rotation) if half > 1e-12 => {
+        Some(rotation) => {
             let position = [0, 1, 2].map(|i| 0.5 * (ends[i] + ends[i + 3]));
             Ok((Pose { position, rotation }, half))
         }
-        _ => Err(view.error_at("fromto", "the two points of `fromto` coincide; move one")),
+        None => Err(view.error_at("fromto", "the two points of `fromto` coincide; move one")),
     }
 }
 
@@ -174,7 +174,7 @@ fn friction(view: &View) -> Result<Vec3, FileError> {
 /// The colour of the geom, or of its material if that of the geom is the default.
 fn colour(view: &View, colours: &Colours) -> Result<[f64; 4], FileError> {
     const DEFAULT: [f64; 4] = [0.5, 0.5, 0.5, 1.0];
-    let own = view.fill("rgba", DEFAULT)?;
+    let own = view.exact("rgba")?.unwrap_or(DEFAULT);
     match view.text("material") {
         Some(name) => match colours.get(name) {
             None => {

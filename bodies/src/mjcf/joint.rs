@@ -96,9 +96,3 @@ fn limit(
     }
     Ok(Some(Limit { range: range.map(|r| angle * r), margin, softness }))
 }
-
-/// Stiffness and damping that give the joint this time constant and damping ratio with its
-/// inertia in the reference pose.
-pub(crate) fn spring_damper(inertia: f64, [time, ratio]: [f64; 2]) -> (f64, f64) {
-    (inertia / (time * time * ratio * ratio), 2.0 * inertia / time)
-}

@@ -19,6 +19,8 @@ pub(crate) const OTHER_ACTUATORS: [&str; 10] = [
     "user",
 ];
 
+pub(crate) const ROOT: Known = Known { read: &["model"], ignored: &[], refused: &[] };
+
 pub(crate) const COMPILER: Known = Known {
     read: &[
         "angle",
@@ -163,7 +165,6 @@ pub(crate) const JOINT: Known = Known {
         "axis",
         "ref",
         "springref",
-        "springdamper",
         "stiffness",
         "damping",
         "armature",
@@ -179,7 +180,10 @@ pub(crate) const JOINT: Known = Known {
         "actuatorfrcrange",
     ],
     ignored: &["group", "user", "actuatorgravcomp"],
-    refused: &[("springyield", "0", "remove it; springs are elastic")],
+    refused: &[
+        ("springyield", "0", "remove it; springs are elastic"),
+        ("springdamper", "0", "write `stiffness` and `damping`"),
+    ],
 };
 
 pub(crate) const FREE_JOINT: Known = Known {
@@ -268,7 +272,9 @@ macro_rules! actuator {
                 "name", "class", "joint", "jointinparent", "gear", "ctrllimited", "ctrlrange",
                 "forcelimited", "forcerange", $($read),*
             ],
-            ignored: &["group", "user", "lengthrange", "nsample", "interp", "cranklength", $($ignored),*],
+            ignored: &[
+                "group", "user", "lengthrange", "nsample", "interp", "cranklength", $($ignored),*
+            ],
             refused: &[
                 ("tendon", "", "let the actuator act on a hinge or slide joint"),
                 ("site", "", "let the actuator act on a hinge or slide joint"),

@@ -5,10 +5,15 @@ use super::view::View;
 use crate::files::FileError;
 use crate::model::{JointKind, Model};
 use crate::rotation::{to_quaternion, unit};
+use std::collections::HashSet;
+
+/// Largest count of numbers of all poses. A key without numbers has as many as the model.
+const NUMBERS: usize = 1_000_000;
 
 /// Reads the positions of all keyframes.
 pub(crate) fn poses(root: &crate::xml::Element, model: &mut Model) -> Result<(), FileError> {
     let start = reference(model);
+    let mut names = HashSet::new();
     let sections = root.children.iter().filter(|c| c.name == "keyframe");
     for key in sections.flat_map(|s| &s.children) {
         if key.name != "key" {
@@ -20,8 +25,13 @@ pub(crate) fn poses(root: &crate::xml::Element, model: &mut Model) -> Result<(),
             Some(name) if !name.is_empty() => name.to_string(),
             _ => format!("key{}", model.poses.len()),
         };
-        if model.poses.iter().any(|(other, _)| *other == name) {
+        if !names.insert(name.clone()) {
             return Err(key.error("another key has the same name; rename one of them"));
+        }
+        if (model.poses.len() + 1) * start.len() > NUMBERS {
+            return Err(
+                key.error(format!("the keys have more than {NUMBERS} numbers; remove some"))
+            );
         }
         let positions = match view.text("qpos") {
             None => start.clone(),

@@ -49,6 +49,7 @@ pub(crate) fn check(root: &Element) -> Result<(), FileError> {
     if root.name != "mujoco" {
         return Err(root.error("is not MJCF; its outermost element must be `mujoco`"));
     }
+    known::ROOT.check(root)?;
     for section in &root.children {
         let first = section.children.first().unwrap_or(section);
         match section.name.as_str() {
@@ -101,7 +102,7 @@ pub(crate) fn colours<'a>(
             // MuJoCo names a material after the file of its texture.
             return Err(material.error("has no name; add `name`"));
         };
-        if colours.insert(name, view.fill("rgba", [1.0; 4])?).is_some() {
+        if colours.insert(name, view.exact("rgba")?.unwrap_or([1.0; 4])).is_some() {
             return Err(material.error("another material has the same name; rename one of them"));
         }
     }
@@ -201,23 +202,4 @@ pub(crate) fn remarks(root: &Element, tree: &Tree, model: &mut Model) {
              left out, the first {label} in line {line}."
         ));
     }
-}
-
-/// Gives names to what has none: the kind and the index.
-pub(crate) fn name_all(model: &mut Model) {
-    fn fill<'m>(kind: &str, names: impl Iterator<Item = &'m mut String>) {
-        let mut names: Vec<&mut String> = names.collect();
-        let used: HashSet<String> = names.iter().map(|n| n.to_string()).collect();
-        for (i, name) in names.iter_mut().enumerate().filter(|(_, n)| n.is_empty()) {
-            **name = format!("{kind}{i}");
-            while used.contains(name.as_str()) {
-                name.push('_');
-            }
-        }
-    }
-    fill("body", model.bodies.iter_mut().map(|b| &mut b.name));
-    fill("joint", model.joints.iter_mut().map(|j| &mut j.name));
-    fill("geom", model.shapes.iter_mut().map(|s| &mut s.name));
-    fill("site", model.sites.iter_mut().map(|s| &mut s.name));
-    fill("actuator", model.actuators.iter_mut().map(|a| &mut a.name));
 }

@@ -7,9 +7,9 @@ use super::known;
 use super::settings::{Compiler, FromGeoms};
 use super::view::{Known, View};
 use crate::files::FileError;
-use crate::mass::{Part, together, turned};
-use crate::model::{Body, Joint, JointKind, Mat3, Shape, Site};
-use crate::rotation::{self, Pose};
+use crate::mass::{Part, flat, matrix, together, turned};
+use crate::model::{Body, Joint, JointKind, Shape, Site};
+use crate::rotation::{IDENTITY, Pose};
 use crate::xml::{Element, hint};
 use std::collections::HashMap;
 
@@ -24,8 +24,6 @@ pub(crate) struct Tree<'a> {
     /// Whether each body is fixed in the world.
     pub fixed: Vec<bool>,
     pub joints: Vec<Joint>,
-    /// Time constant and damping ratio of springs, with the element of the joint.
-    pub springs: Vec<Option<([f64; 2], &'a Element)>>,
     pub shapes: Vec<Shape>,
     pub sites: Vec<Site>,
     pub cameras: usize,
@@ -57,7 +55,6 @@ impl<'a> Tree<'a> {
             elements: Vec::new(),
             fixed: Vec::new(),
             joints: Vec::new(),
-            springs: Vec::new(),
             shapes: Vec::new(),
             sites: Vec::new(),
             cameras: 0,
@@ -198,7 +195,6 @@ impl<'a> Tree<'a> {
             let joint = joint(&view, self.compiler, body, frame)?;
             self.name("joint", element)?;
             self.permit(&joint, first, element)?;
-            self.springs.push(spring(&view, &joint)?);
             self.joints.push(joint);
             self.fixed[body] = false;
         }
@@ -283,10 +279,8 @@ impl<'a> Tree<'a> {
             (Some(item), []) => inertial(item, self.compiler)?,
             _ => together(parts),
         };
-        let i = part.inertia;
         let own = &mut self.bodies[body];
-        (own.mass, own.centre) = (part.mass, part.centre);
-        own.inertia = [i[0][0], i[1][1], i[2][2], i[0][1], i[0][2], i[1][2]];
+        (own.mass, own.centre, own.inertia) = (part.mass, part.centre, flat(&part.inertia));
         Ok(())
     }
 }
@@ -324,28 +318,6 @@ pub(crate) fn freedom(kind: JointKind) -> usize {
     }
 }
 
-/// The attribute `springdamper`, if it applies.
-fn spring<'a>(
-    view: &View<'a>,
-    joint: &Joint,
-) -> Result<Option<([f64; 2], &'a Element)>, FileError> {
-    let values = view.fill("springdamper", [0.0; 2])?;
-    if values == [0.0; 2] || view.element().name == "freejoint" {
-        return Ok(None);
-    }
-    if values.iter().any(|v| *v <= 0.0) {
-        let what = "`springdamper` must have two positive numbers";
-        return Err(view.error_at("springdamper", what));
-    }
-    if freedom(joint.kind) > 1 {
-        return Err(view.error_at(
-            "springdamper",
-            "`springdamper` of ball and free joints is not supported; set stiffness and damping",
-        ));
-    }
-    Ok(Some((values, view.element())))
-}
-
 /// The mass that an `inertial` gives.
 fn inertial(item: &Item, compiler: &Compiler) -> Result<Part, FileError> {
     let (element, _, frame) = item;
@@ -362,16 +334,12 @@ fn inertial(item: &Item, compiler: &Compiler) -> Result<Part, FileError> {
     }
     let pose = Pose {
         position: view.exact("pos")?.unwrap_or([0.0; 3]),
-        rotation: turn.unwrap_or(rotation::IDENTITY),
+        rotation: turn.unwrap_or(IDENTITY),
     };
-    let pose = frame.then(&pose);
     let inertia = match full {
-        Some([xx, yy, zz, xy, xz, yz]) => {
-            let own: Mat3 = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]];
-            let turned = rotation::product(&pose.rotation, &own);
-            rotation::product(&turned, &rotation::transposed(&pose.rotation))
-        }
-        None => turned(diagonal.unwrap_or([0.0; 3]), &pose.rotation),
+        Some(full) => matrix(full),
+        None => turned(diagonal.unwrap_or([0.0; 3]), &IDENTITY),
     };
-    Ok(Part { mass: view.natural("mass", 0.0)?, centre: pose.position, inertia })
+    let own = Part { mass: view.natural("mass", 0.0)?, centre: [0.0; 3], inertia };
+    Ok(own.placed(&frame.then(&pose)))
 }

@@ -122,10 +122,10 @@ impl<'a> View<'a> {
         Ok(self.exact::<1>(name)?.map_or(default, |[value]| value))
     }
 
-    /// A number of at least zero.
+    /// A number of at least zero, or the default.
     pub fn natural(&self, name: &str, default: f64) -> Result<f64, FileError> {
         let value = self.number(name, default)?;
-        if value < 0.0 {
+        if value < 0.0 && self.holder(name).is_some() {
             return Err(self.error_at(name, format!("`{name}` is negative; it must be at least 0")));
         }
         Ok(value)

@@ -59,7 +59,9 @@ where
         buffers.step(tree, Inputs::new(x, u), &mut next);
         let inputs = Inputs::new(x, u);
         bars.vjp(&mut buffers, tree, inputs, bar, Cotangents::of(&mut x_bar, &mut u_bar));
-        for (what, list) in [("step", &next), ("vjp by states", &x_bar), ("vjp by controls", &u_bar)] {
+        for (what, list) in
+            [("step", &next), ("vjp by states", &x_bar), ("vjp by controls", &u_bar)]
+        {
             assert!(list.iter().all(Real::is_finite), "{what} {list:?} at {x:?}, {u:?}");
         }
         let iterations = buffers.stages[0].work.iterations;
@@ -89,13 +91,19 @@ fn random_states_have_finite_results() {
     for model in models {
         let name = format!("{}, {:?}", model.name, model.options.cone);
         let tree = Tree::new(&model, &|_, value| Coefficient { value, entry: None }).unwrap();
-        for (precision, count) in [("f32", run::<f32>(&tree, packs)), ("f64", run::<f64>(&tree, packs))] {
+        for (precision, count) in
+            [("f32", run::<f32>(&tree, packs)), ("f64", run::<f64>(&tree, packs))]
+        {
             let mean = count.sum as f64 / packs as f64;
             println!(
                 "{name}, {precision}: {packs} packs of 8, iterations {mean:.2}, most {}, at the limit {}",
                 count.most, count.limited
             );
-            assert!(count.limited * 1000 <= packs, "{name}, {precision}: {} of {packs} packs", count.limited);
+            assert!(
+                count.limited * 1000 <= packs,
+                "{name}, {precision}: {} of {packs} packs",
+                count.limited
+            );
         }
     }
 }

@@ -9,6 +9,11 @@ Without files, those of Gymnasium and of the dm_control suite are compared. Ever
 1e-12 of the scale of each quantity, or refused. The exit code is 1 if a file differs, or if the program
 reads a file that MuJoCo refuses. `--refused N` also demands the number of refused files.
 
+URDF files are compared with MuJoCo's own import, from which the settings make what URDF says: fixed links
+stay bodies, links without `inertial` have no mass, and meshes are left out. MuJoCo then checks the inertia
+also of links that are fixed to others and refuses some files that have good sums. It makes no actuators from
+URDF, so that the motors are compared with the limits of the joints.
+
 Needs mujoco 4.0; gymnasium and dm_control for their files.
 """
 
@@ -18,6 +23,7 @@ import json
 import pathlib
 import subprocess
 import sys
+import xml.etree.ElementTree as ElementTree
 
 import mujoco
 import numpy as np
@@ -90,6 +96,8 @@ def compare_bodies(differences, ours, model):
         differences.close(f"{name} pos", body["pos"], model.body_pos[i])
         differences.close(f"{name} rotation", body["rotation"], rotation(model.body_quat[i]))
         differences.close(f"{name} mass", body["mass"], model.body_mass[i])
+        if body["mass"] == 0.0:
+            continue
         # The scale of a centre is the size of the body, which can exceed the distance of its centre.
         size = np.sqrt(model.body_inertia[i].max() / max(model.body_mass[i], 1e-300))
         scale = max(np.abs(model.body_ipos[i]).max(), size)
@@ -199,18 +207,56 @@ def compare_rest(differences, ours, model):
     differences.same("keys", len(ours["poses"]) <= model.nkey, True)
     for i in range(model.nkey):
         name, positions = (ours["poses"] + [("none", model.qpos0)] * model.nkey)[i]
-        differences.close(f"key {name}", positions, model.key_qpos[i])
+        theirs = model.key_qpos[i].copy()
+        for joint in range(model.njnt):
+            # Quaternions of both signs are one rotation.
+            start = model.jnt_qposadr[joint] + 3 * (KINDS[model.jnt_type[joint]] == "Free")
+            part = slice(start, start + 4)
+            turns = KINDS[model.jnt_type[joint]] in ("Free", "Ball")
+            if turns and np.dot(positions[part], theirs[part]) < 0:
+                theirs[part] *= -1
+        differences.close(f"key {name}", positions, theirs)
 
 
-def compare(ours, model):
+def compare_motors(differences, ours, model):
+    """Compare the motors of a URDF file with the limits of its joints."""
+    scalar = [i for i in range(model.njnt) if KINDS[model.jnt_type[i]] in ("Hinge", "Slide")]
+    differences.same("motors", [a["joint"] for a in ours], scalar)
+    for actuator, i in zip(ours, scalar):
+        name = f"motor {actuator['name']}"
+        differences.same(f"{name} name", actuator["name"], model.joint(i).name)
+        law = [actuator["gear"], actuator["gain"], actuator["bias"], actuator["forcerange"]]
+        differences.same(f"{name} law", law, [1.0, 1.0, [0.0] * 3, None])
+        limited = bool(model.jnt_actfrclimited[i])
+        theirs = list(model.jnt_actfrcrange[i]) if limited else None
+        differences.same(f"{name} range", actuator["ctrlrange"], theirs)
+
+
+def compare(ours, model, urdf=False):
     differences = Differences()
     compare_options(differences, ours, model)
     compare_bodies(differences, ours["bodies"], model)
     compare_joints(differences, ours["joints"], model)
     compare_shapes(differences, ours["shapes"], model)
-    compare_actuators(differences, ours["actuators"], model)
+    (compare_motors if urdf else compare_actuators)(differences, ours["actuators"], model)
     compare_rest(differences, ours, model)
     return differences
+
+
+def compiled(file):
+    """The model that MuJoCo compiles."""
+    if file.suffix != ".urdf":
+        return mujoco.MjModel.from_xml_path(str(file))
+    robot = ElementTree.parse(file).getroot()
+    for element in robot.findall("mujoco") + robot.findall("gazebo"):
+        robot.remove(element)
+    for link in robot.findall("link"):
+        for shape in link.findall("collision") + link.findall("visual"):
+            if shape.tag == "visual" or shape.find("geometry/mesh") is not None:
+                link.remove(shape)
+    settings = {"fusestatic": "false", "inertiafromgeom": "false"}
+    ElementTree.SubElement(ElementTree.SubElement(robot, "mujoco"), "compiler", settings)
+    return mujoco.MjModel.from_xml_string(ElementTree.tostring(robot, encoding="unicode"))
 
 
 def suites():
@@ -229,7 +275,7 @@ def main():
     arguments = parser.parse_args()
     files = arguments.files or list(suites())
     run = subprocess.run([arguments.program, *files], capture_output=True, text=True, check=True)
-    failed = refused = 0
+    failed = refused = alone = 0
     for file, line in zip(files, run.stdout.splitlines(), strict=True):
         ours = json.loads(line)
         if "error" in ours:
@@ -237,10 +283,12 @@ def main():
             print(f"refused  {ours['error']}")
             continue
         try:
-            differences = compare(ours, mujoco.MjModel.from_xml_path(str(file)))
+            differences = compare(ours, compiled(file), file.suffix == ".urdf")
         except ValueError as error:
-            failed += 1
-            print(f"FAILED   {file.name}: MuJoCo refuses it: {error}")
+            urdf = file.suffix == ".urdf"
+            failed, alone = failed + (not urdf), alone + urdf
+            reason = " ".join(str(error).split())
+            print(f"{'alone   ' if urdf else 'FAILED  '} {file.name}: MuJoCo refuses it: {reason}")
             continue
         if differences.found:
             failed += 1
@@ -250,8 +298,8 @@ def main():
         else:
             remarks = " ".join(ours["remarks"])
             print(f"equal    {file.name}, to {differences.largest:.0e}. {remarks}")
-    equal = len(files) - failed - refused
-    print(f"{equal} of {len(files)} files equal, {refused} refused, {failed} failed")
+    equal = len(files) - failed - refused - alone
+    print(f"{equal} of {len(files)} files equal, {refused} refused, {alone} alone, {failed} failed")
     wrong = arguments.refused is not None and arguments.refused != refused
     sys.exit(1 if failed or wrong else 0)
 

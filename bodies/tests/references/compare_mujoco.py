@@ -332,7 +332,8 @@ def compare(program, path):
     own = {int(value): key for key, value in INTEGRATORS.items()}[compiled(path).opt.integrator]
     smooth, *_ = accelerations(program, path, ["smooth"])
     constrained, iterations, touching = accelerations(program, path)
-    print(f" smooth {smooth:.0e} constrained {constrained:.0e} ({iterations:.0f}), {touching:4.0%} touch", end="")
+    print(f" smooth {smooth:.0e} constrained {constrained:.0e} ({iterations:.0f})", end="")
+    print(f", {touching:4.0%} touch", end="")
     states, count = smooth_states(path)
     print(f", {len(states)} of {count} smooth", end="")
     good = smooth <= SMOOTH and constrained <= CONSTRAINED
@@ -341,7 +342,8 @@ def compare(program, path):
             print(f"\n    {integrator:12} refused", end="")
             continue
         single, errors, growth = trajectories(program, path, integrator)
-        print(f"\n    {integrator:12} one step {single:.0e}, {len(errors)} trajectories of 100 steps", end=" ")
+        print(f"\n    {integrator:12} one step {single:.0e}", end="")
+        print(f", {len(errors)} trajectories of 100 steps", end=" ")
         if len(errors):
             print(f"{np.median(errors):.0e} to {errors.max():.0e}, growth {growth.max():.0e}", end="")
         good &= single <= STEP and (errors <= np.maximum(TRAJECTORY, 1e-12 * growth)).all()

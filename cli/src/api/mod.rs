@@ -13,20 +13,24 @@
 
 mod memory;
 mod policy;
+mod recordings;
 mod run;
 mod scene;
 
 pub use crate::commands::accuracy::{Cheapest, Errors, Measured, Metric, Row, Setting};
+pub use crate::commands::identify::data::TooLong;
 pub use crate::commands::identify::remarks::Remarks;
-pub use crate::platform::terminal::plain;
+pub use crate::commands::identify::table::{Cells, Columns, Kind, Reading};
+pub use crate::platform::terminal::{did_you_mean, plain};
 pub use crate::runs::run::{EpochEvent, Observer};
 pub use crate::settings::Precision;
 pub use memory::{TooLarge, fits};
 pub use physgrad::engine::threads;
 pub use physgrad::train::Trajectories;
 pub use policy::{ClosedLoop, Policy};
+pub use recordings::Recordings;
 pub use run::Run;
-pub use scene::{Change, Scene};
+pub use scene::{Change, Checked, Scene};
 
 /// Names of all tasks, each of which is also the name of a preset.
 pub fn task_names() -> Vec<&'static str> {

@@ -2,12 +2,14 @@
 
 use super::{Policy, TooLarge, fits};
 use crate::commands::accuracy::{Measured, Setting, Study};
+use crate::commands::check::about;
 use crate::commands::identify::remarks::{CALL, Remarks, remarks};
 use crate::operations::checks::Results;
 use crate::operations::identification::{MOST_BYTES, bytes_per_fitted_step, bytes_per_step};
 use crate::operations::trajectory::Trajectory;
 use crate::scenes::presets;
 use crate::scenes::source::{SceneSource, find};
+use crate::settings::reading::is_drawn;
 use crate::settings::{OPTIONAL, Precision, VERSION};
 use crate::tasks::{self, scene::INITIAL_POLICY};
 use anyhow::{Context, Result, bail};
@@ -17,6 +19,7 @@ use physgrad::rng::Purpose;
 use physgrad::{DynTask, Float, Number, System, Task};
 use physgrad_plot::Picture;
 use std::ops::Range;
+use std::sync::atomic::{AtomicBool, Ordering};
 use toml::{Table, Value};
 
 /// Source of settings in messages.
@@ -26,6 +29,16 @@ const OPTION: &str = "settings";
 /// keys. An empty table adds an effect with its default parameters, and is refused for a whole
 /// section. None removes an effect or a part of the actuator, as in `effects.bumpers`.
 pub type Change = (String, Option<Value>);
+
+/// Results of [`Scene::check`].
+pub struct Checked {
+    /// All checks.
+    pub table: String,
+    /// Properties of the scene and its test rollouts, as `physgrad check` prints them.
+    pub notes: Vec<String>,
+    /// A message per failure.
+    pub failures: Vec<String>,
+}
 
 /// A validated scene: task, physics, loss, policy and training.
 #[derive(Clone)]
@@ -388,14 +401,22 @@ impl Scene {
     }
 
     /// Checks the derivatives of system, policy and rollout against dual numbers, as `physgrad
-    /// check` does. With a policy, rollouts have its parameters; otherwise random ones. Returns a
-    /// table of all checks, and one message per failure.
+    /// check` does. With a policy, rollouts have its parameters; otherwise random ones, and those of
+    /// the notes the initial parameters.
     ///
     /// # Errors
-    /// The policy does not fit the scene.
-    pub fn check(&self, policy: Option<&Policy>) -> Result<(String, Vec<String>)> {
+    /// The policy does not fit the scene. `stop` becomes true, which is read before each note.
+    pub fn check(&self, policy: Option<&Policy>, stop: &AtomicBool) -> Result<Checked> {
         let mut results = Results::new(false);
         results.begin(self.name());
+        let mut notes = Vec::new();
+        let mut note = |note: String| {
+            if stop.load(Ordering::Relaxed) {
+                bail!("the checks were stopped");
+            }
+            notes.push(note);
+            Ok(())
+        };
         match policy {
             Some(policy) => {
                 policy.check(self)?;
@@ -409,16 +430,51 @@ impl Scene {
                     );
                 }
                 scene.scene.check("scene", Some(policy.theta()), &mut results);
+                about(&scene.scene, scene.source, policy.theta(), &mut note)?;
             }
-            None => self.scene.check("scene", None, &mut results),
+            None => {
+                self.scene.check("scene", None, &mut results);
+                let theta = self.scene.initial_theta()?;
+                about(&self.scene, self.source.clone(), &theta, &mut note)?;
+            }
         }
         let (table, failures) = results.finish();
-        Ok((table.to_string(), failures))
+        Ok(Checked { table: table.to_string(), notes, failures })
+    }
+
+    /// Names of the single numbers of the section `system`, which a fit may find. Parameters of
+    /// equations have their short names.
+    pub fn number_names(&self) -> Vec<String> {
+        let names =
+            self.settings().get("system").map_or_else(Vec::new, |system| numbers("system", system));
+        let own: Vec<String> = names
+            .iter()
+            .filter_map(|key| key.strip_prefix("system.parameters.").map(str::to_owned))
+            .collect();
+        if own.is_empty() { names } else { own }
     }
 
     /// Numbers of state components, control components and parameters of a sample.
     pub fn dims(&self) -> [usize; 3] {
         let task = self.task();
         [task.system().state_dim(), task.system().control_dim(), task.param_dim()]
+    }
+}
+
+/// Keys of the single numbers in a value with this key.
+fn numbers(key: &str, value: &Value) -> Vec<String> {
+    match value {
+        Value::Integer(_) | Value::Float(_) => vec![key.to_owned()],
+        Value::Table(table) if table.contains_key("start") => vec![key.to_owned()],
+        Value::Table(table) if is_drawn(table) => Vec::new(),
+        Value::Table(table) => table
+            .iter()
+            .flat_map(|(name, value)| numbers(&format!("{key}.{name}"), value))
+            .collect(),
+        Value::Array(list) => {
+            let tables = list.iter().enumerate().filter(|(_, value)| value.is_table());
+            tables.flat_map(|(i, value)| numbers(&format!("{key}[{i}]"), value)).collect()
+        }
+        _ => Vec::new(),
     }
 }

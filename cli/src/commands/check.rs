@@ -83,8 +83,9 @@ pub fn check(args: &Check) -> Result<()> {
         print_text("errors in f64 against dual numbers, relative to the largest component")?;
     }
     if let Some(source) = source {
-        source.scene()?.remarks().into_iter().try_for_each(&mut note)?;
-        about_rollouts(source, &mut note)?;
+        let scene = source.scene()?;
+        let theta = scene.initial_theta()?;
+        about(&scene, source, &theta, &mut note)?;
     }
     if args.json {
         print_json(&json!({ "checks": table.objects(), "notes": notes, "failures": failures }))?;
@@ -101,16 +102,30 @@ const MAX_KINKS: usize = 8;
 /// Largest number of parameters for which the exact gradient is advised in place of C.
 const FEW: usize = 10;
 
-/// Makes a note about each property of the test rollouts.
-fn about_rollouts(source: SceneSource, note: &mut dyn FnMut(String) -> Result<()>) -> Result<()> {
-    let scene = source.scene()?;
-    let theta = scene.initial_theta()?;
+/// Makes a note about each property of the scene, and of its test rollouts with the parameters
+/// `theta`. `source` is that of the scene.
+pub fn about(
+    scene: &Scene,
+    source: SceneSource,
+    theta: &[f64],
+    note: &mut dyn FnMut(String) -> Result<()>,
+) -> Result<()> {
+    scene.remarks().into_iter().try_for_each(&mut *note)?;
+    about_rollouts(scene, source, theta, note)
+}
+
+fn about_rollouts(
+    scene: &Scene,
+    source: SceneSource,
+    theta: &[f64],
+    note: &mut dyn FnMut(String) -> Result<()>,
+) -> Result<()> {
     let diverged = |divergence: &Divergence| {
         let place = scene.expression_at(divergence).map(|error| source.located(&error));
         let place = place.map_or_else(String::new, |place| format!("{place}: "));
         format!("test rollouts: {place}{divergence}")
     };
-    let found = match scene.amplification(&theta, None) {
+    let found = match scene.amplification(theta, None) {
         Ok(found) => found,
         Err(divergence) => {
             return note(format!(
@@ -123,7 +138,7 @@ fn about_rollouts(source: SceneSource, note: &mut dyn FnMut(String) -> Result<()
         note(format!("{}. Kinks, loss and jumps are therefore not checked", diverged(divergence)))?;
     }
     let names = scene.state_names();
-    note(stability(&scene, source, &theta, &found))?;
+    note(stability(scene, source, theta, &found))?;
     if let Some(ringing) = found.ringing {
         let Place { sample, step, stability: Stability { lowest, lowest_component, .. } } = ringing;
         note(format!(
@@ -143,7 +158,7 @@ fn about_rollouts(source: SceneSource, note: &mut dyn FnMut(String) -> Result<()
     if found.divergence.is_some() {
         return Ok(());
     }
-    let kinks = scene.kinks(&theta);
+    let kinks = scene.kinks(theta);
     for kink in kinks.iter().take(MAX_KINKS) {
         note(described(kink, &names, &scene.control_names()))?;
     }
@@ -160,10 +175,10 @@ fn about_rollouts(source: SceneSource, note: &mut dyn FnMut(String) -> Result<()
         return note("loss: without a slope, because the policy has no trained numbers".into());
     }
     let plateau = scene
-        .plateau(&theta)
+        .plateau(theta)
         .map_or_else(|divergence| divergence.to_string(), |plateau| plateau.to_string());
     note(format!("loss at the initial parameters: {plateau}"))?;
-    let compared = scene.jumps(&theta);
+    let compared = scene.jumps(theta);
     let jumps = compared.map(|jumps| {
         jumps.map_or_else(|divergence| divergence.to_string(), |jumps| jumps.to_string())
     });

@@ -1,9 +1,9 @@
 //! `physgrad identify`: fits the trained numbers of a scene to measured trajectories.
 
-mod data;
+pub mod data;
 mod picture;
 pub mod remarks;
-mod table;
+pub mod table;
 
 use crate::commands::report::identification::{
     self, ASSUMED, FIT, IDENTIFIED, TRAJECTORIES, VALIDATION, WARNING,
@@ -27,6 +27,7 @@ use remarks::{COMMAND, Remarks, Rows, measured_components, rms, starts};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
+use table::Reading;
 
 /// File of the picture.
 const PICTURE: &str = "identified.svg";
@@ -76,7 +77,8 @@ pub struct Identify {
 /// Runs the command.
 pub fn identify(args: &Identify) -> Result<()> {
     let (mut source, scene) = read(args)?;
-    let measured = Measured::read(&args.data, &scene, &source)?;
+    let table = table::Table::read(&args.data, [&scene, &source.scene()?], &Reading::default())?;
+    let measured = Measured::read(&table, &scene, &source, &COMMAND)?;
     let options = options(args, &scene, &measured)?;
     let [fitted, others] = measured.split(args.every);
     if args.every > 1 && others.is_empty() {
@@ -211,11 +213,10 @@ impl Outcome<'_> {
         let Self { scene, measured, fitted, others, segments, fit, .. } = self;
         let of = |fit: &Fit, scene: &Scene, segments: &[Segment], numbers: &[usize]| {
             let given = Fitted { measured, numbers };
-            let Remarks { notes: turns, mut warnings } =
+            let Remarks { notes: turns, warnings } =
                 remarks::remarks(fit, scene, segments, &given, noise_is_known, &COMMAND);
             let mut notes = measured.notes(numbers);
             notes.extend(turns);
-            warnings.extend(measured.warnings(numbers));
             Remarks { notes, warnings }
         };
         let mut all = of(fit, scene, segments, fitted);

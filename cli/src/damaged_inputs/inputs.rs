@@ -140,9 +140,15 @@ fn scene(number: u64, outcomes: &mut Outcomes) {
         damage_text(rng, &mut text);
     }
     let text = String::from_utf8_lossy(&text).into_owned();
-    outcomes.record(number, 1_000_000 + 200 * text.len(), || {
+    outcomes.record(number, 1_000_000 + 200 * (text.len() + model_size(&text)), || {
         is_scene(SceneSource::parse("a scene", &text).and_then(|source| source.scene()))
     });
+}
+
+/// Bytes of the largest model of the program that a scene names.
+fn model_size(text: &str) -> usize {
+    let named = physgrad_bodies::models::names().filter(|name| text.contains(name));
+    named.filter_map(physgrad_bodies::models::text).map(str::len).max().unwrap_or(0)
 }
 
 /// Random assignment for `--set`, mostly to a key of this preset or its task.
@@ -192,7 +198,7 @@ fn assignments(number: u64, outcomes: &mut Outcomes) {
     let text = preset(rng);
     let table: Table = text.parse().expect("TOML");
     let set: Vec<String> = (0..rng.random_range(1..4)).map(|_| assignment(rng, &table)).collect();
-    let size = text.len() + set.iter().map(String::len).sum::<usize>();
+    let size = text.len() + model_size(&text) + set.iter().map(String::len).sum::<usize>();
     let overrides = Overrides { set, ..Overrides::default() };
     outcomes.record(number, 1_000_000 + 200 * size, || {
         is_scene(SceneSource::parse("a preset", &text).and_then(|mut source| {

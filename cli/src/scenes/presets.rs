@@ -10,7 +10,7 @@ use std::borrow::Cow;
 use std::path::Path;
 
 /// Name and text of every file in `presets/`.
-const PRESETS: [(&str, &str); 25] = [
+const PRESETS: [(&str, &str); 34] = [
     ("cart_pole", include_str!("presets/cart_pole.toml")),
     ("cart_pole_1", include_str!("presets/cart_pole_1.toml")),
     ("cart_pole_2", include_str!("presets/cart_pole_2.toml")),
@@ -36,6 +36,15 @@ const PRESETS: [(&str, &str); 25] = [
     ("bounce", include_str!("presets/bounce.toml")),
     ("push", include_str!("presets/push.toml")),
     ("equations", include_str!("presets/equations.toml")),
+    ("bodies", include_str!("presets/bodies.toml")),
+    ("half_cheetah", include_str!("presets/half_cheetah.toml")),
+    ("hopper", include_str!("presets/hopper.toml")),
+    ("walker2d", include_str!("presets/walker2d.toml")),
+    ("ant", include_str!("presets/ant.toml")),
+    ("arm", include_str!("presets/arm.toml")),
+    ("swimmer", include_str!("presets/swimmer.toml")),
+    ("reacher", include_str!("presets/reacher.toml")),
+    ("inverted_double_pendulum", include_str!("presets/inverted_double_pendulum.toml")),
 ];
 
 /// Presets with more effects than in the paper, one per task of the paper.

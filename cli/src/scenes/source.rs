@@ -13,7 +13,7 @@ use crate::settings::reading::{flat, is_drawn, is_number, overlay};
 use crate::settings::{OPTIONAL, VERSION};
 use crate::tasks::policy::{COMMON, is_kind};
 use crate::tasks::scene::INITIAL_POLICY;
-use crate::tasks::{self, AnyTaskSpec, Scene};
+use crate::tasks::{self, AnyTaskSpec, FileSetting, Scene};
 use anyhow::{Context, Result, anyhow, bail};
 use serde::Deserialize;
 use std::collections::{HashMap, HashSet};
@@ -322,10 +322,7 @@ impl SceneSource {
     /// The file cannot be read.
     pub fn initial_policy(&self) -> Result<Option<Vec<u8>>> {
         let Some(file) = self.text(INITIAL_POLICY) else { return Ok(None) };
-        // The path in an option is relative to the working folder.
-        let is_option = self.options.contains_key(INITIAL_POLICY);
-        let folder = self.folder.as_deref().filter(|_| !is_option).unwrap_or(Path::new(""));
-        let bytes = Folder::at(folder).read(file);
+        let bytes = Folder::at(self.folder_of(INITIAL_POLICY)).read(file);
         bytes
             .map(Some)
             .with_context(|| format!("{}: `{INITIAL_POLICY}`", self.origin(INITIAL_POLICY)))
@@ -382,9 +379,10 @@ impl SceneSource {
                 format!("is {task}; allowed: {}, or a task of your own in its program", names()),
             )
         })?;
+        let table = self.with_file(spec)?;
         let settings = || {
-            let mut settings = spec.defaults(&self.table);
-            overlay(&mut settings, &self.table);
+            let mut settings = spec.defaults(&table);
+            overlay(&mut settings, &table);
             if settings.get("physgrad").is_some_and(Value::is_str) {
                 // Replaces the version in the settings of a saved run: this version creates the
                 // scene.
@@ -400,6 +398,25 @@ impl SceneSource {
         })?;
         self.refuse_unused(&scene)?;
         Ok(scene)
+    }
+
+    /// The table with the contents of the file that a setting of the task names.
+    fn with_file(&self, spec: &dyn AnyTaskSpec) -> Result<Table, ConfigError> {
+        let mut table = self.table.clone();
+        let Some(FileSetting { key, read }) = spec.file() else { return Ok(table) };
+        let (section, name) = key.rsplit_once('.').unwrap_or(("", key));
+        let value = table.get_mut(section).and_then(|section| section.get_mut(name));
+        if let Some(Value::String(text)) = value {
+            *text = read(text, self.folder_of(key)).map_err(|what| ConfigError::new(key, what))?;
+        }
+        Ok(table)
+    }
+
+    /// Folder to which the path in a setting is relative: that of the file, or the working folder
+    /// for an option.
+    fn folder_of(&self, key: &str) -> &Path {
+        let is_option = self.options.contains_key(key);
+        self.folder.as_deref().filter(|_| !is_option).unwrap_or(Path::new(""))
     }
 
     /// Refuses a name that a change has added and no expression uses: it is misspelt, and the
@@ -510,10 +527,25 @@ fn suggest(spec: &dyn AnyTaskSpec, table: &Table, mut error: ConfigError) -> Con
         // Prefers a key of this name in another section, as in `training.learning_rate` for
         // `learning_rate`, to a key with a similar name.
         let same = keys.iter().find(|key| key.rsplit('.').next() == Some(name));
+        let parameters = find(table, "system.parameters").and_then(Value::as_table);
+        let parameters: Vec<&str> = parameters
+            .filter(|_| section == "system")
+            .into_iter()
+            .flat_map(Table::keys)
+            .map(String::as_str)
+            .collect();
+        let similar = did_you_mean(name, parameters.iter().copied());
         *hint = match same {
             Some(key) => format!("; did you mean `{key}`?"),
+            None if !similar.is_empty() => {
+                let what = format!("is unknown; parameters: {}{similar}", one_of(&parameters));
+                return ConfigError::new(error.key, what);
+            }
             None => did_you_mean(&error.key, keys.iter().map(String::as_str)),
         };
+        if !parameters.is_empty() {
+            *hint = format!("; parameters: {}{hint}", one_of(&parameters));
+        }
     }
     error
 }

@@ -136,8 +136,8 @@ impl TaskSpec for Equations {
         graph(settings).ok()?.operations()
     }
 
-    fn observe(settings: &Settings<Self>) -> &[String] {
-        &settings.system.observe
+    fn observe(settings: &Settings<Self>) -> Vec<String> {
+        settings.system.observe.clone()
     }
 
     fn remarks(settings: &Settings<Self>) -> Vec<String> {

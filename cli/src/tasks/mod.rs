@@ -6,6 +6,7 @@
 //!
 //! Imports `settings` and `operations`. Start with `cart_pole`.
 
+mod bodies;
 mod cart_pole;
 mod effects;
 mod equations;
@@ -41,6 +42,7 @@ use schemars::JsonSchema;
 use serde::{Serialize, de::DeserializeOwned};
 use std::fmt::Debug;
 use std::marker::PhantomData;
+use std::path::Path;
 use std::sync::OnceLock;
 use toml::{Table, Value};
 
@@ -76,6 +78,9 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     const POLICY: &'static str = policy::MLP;
     /// Integrators that can replace the task's native scheme.
     const METHODS: &'static [Method] = &[];
+
+    /// A setting that names a file, whose contents the scene keeps. None by default.
+    const FILE: Option<FileSetting> = None;
 
     /// Sentences that define the symbols in the equations of the effects, and state the size of the
     /// system whose operations the documentation counts.
@@ -129,8 +134,8 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
         None
     }
     /// Expressions that the settings of the system observe. None by default.
-    fn observe(_settings: &Settings<Self>) -> &[String] {
-        &[]
+    fn observe(_settings: &Settings<Self>) -> Vec<String> {
+        Vec::new()
     }
     /// What is allowed in these settings but hardly meant. Nothing by default.
     fn remarks(_settings: &Settings<Self>) -> Vec<String> {
@@ -166,6 +171,16 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     }
 }
 
+/// A setting whose value may be the path of a file.
+#[derive(Clone, Copy, Debug)]
+pub struct FileSetting {
+    /// Dotted key of the setting.
+    pub key: &'static str,
+    /// Returns what the scene keeps for a value, from a file in a folder: the contents, or the value
+    /// itself if it is no path.
+    pub read: fn(&str, &Path) -> Result<String, String>,
+}
+
 /// A function of the state that is conserved in continuous time.
 pub struct Conserved {
     /// Name of the quantity.
@@ -193,7 +208,7 @@ impl Conserved {
 }
 
 /// Built-in tasks. Each has a [`TaskSpec`], an entry here, and a preset in `scenes/presets`.
-const BUILT_IN: [&dyn AnyTaskSpec; 11] = [
+const BUILT_IN: [&dyn AnyTaskSpec; 12] = [
     entry::<cart_pole::CartPole>(),
     entry::<guidance::Guidance>(),
     entry::<quantum::Quantum>(),
@@ -205,6 +220,7 @@ const BUILT_IN: [&dyn AnyTaskSpec; 11] = [
     entry::<hard::Bounce>(),
     entry::<hard::Push>(),
     entry::<equations::Equations>(),
+    entry::<bodies::Bodies>(),
 ];
 
 /// Tasks and effects of this process, set once by [`register`].
@@ -321,6 +337,8 @@ pub trait AnyTaskSpec: Send + Sync {
     /// Integrator of the reference solution, and its number of substeps per control step. The
     /// native scheme if the task has no integrator of high order.
     fn reference(&self) -> (&'static str, usize);
+    /// A setting that names a file.
+    fn file(&self) -> Option<FileSetting>;
     /// Default kind of the policy.
     fn policy(&self) -> &'static str;
     /// The default settings, with those of the kind of policy that a scene names.
@@ -368,6 +386,10 @@ impl<K: TaskSpec> AnyTaskSpec for Entry<K> {
         let best =
             [Method::Tsit5, Method::Pade].into_iter().find(|method| K::METHODS.contains(method));
         (best.map_or("native", Method::name), 128)
+    }
+
+    fn file(&self) -> Option<FileSetting> {
+        K::FILE
     }
 
     fn policy(&self) -> &'static str {

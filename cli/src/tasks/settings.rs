@@ -202,14 +202,14 @@ impl<K: TaskSpec> Settings<K> {
     fn observation_names(&self, unsensed: &DynTask) -> Vec<String> {
         let Some(count) = unsensed.observation_dim() else { return self.unsensed_states() };
         let replaced = &self.equations.observe;
-        let texts = if replaced.is_empty() { K::observe(self) } else { replaced };
+        let texts = if replaced.is_empty() { K::observe(self) } else { replaced.clone() };
         let name = |i: usize| {
             // Not the name of another component without a name.
             let is_number = |text: &str| {
                 text.strip_prefix("y_").is_some_and(|rest| rest.parse::<usize>().is_ok())
             };
             let own = texts.get(i).map(|text| text.trim());
-            let own = own.filter(|text| is_name(text) && !is_number(text));
+            let own = own.filter(|text| text.split('.').all(is_name) && !is_number(text));
             let is_first = own.is_some_and(|own| !texts[..i].iter().any(|text| text.trim() == own));
             own.filter(|_| is_first).map_or_else(|| format!("y_{}", i + 1), str::to_owned)
         };

@@ -570,8 +570,9 @@ fn missing_rows_and_turns_are_named() {
         .stdout
         .clone();
     let output = String::from_utf8(output).expect("text");
-    let missing = "warning: rows are missing before 1 row of data.csv, where the control changes (at most 11 steps, before line 17)";
+    let missing = "note: a new segment begins at 1 row after a gap in which a control changes (first: data.csv:17)";
     assert!(output.contains(missing), "{output}");
+    assert!(output.contains("segments 2, "), "{output}");
     assert!(
         output.contains(
             "warning: data.csv:22: x jumps by -6.000 from the row before; if it is an angle"
@@ -719,23 +720,33 @@ fn unusable_measurements_are_refused_with_place_and_advice() {
         ),
         (
             "t,theta_1\n0,1\n0.005,-inf",
-            "data.csv:3: `-inf` is infinite; leave the cell of a missing sample empty",
+            "data.csv:3: `theta_1` is infinite; leave the cell of a missing sample empty",
         ),
-        ("t,theta_1\n0,1\n0.005,x", "data.csv:3: `x` is not a number"),
+        ("t,theta_1\n0,1\n0.005,x", "data.csv:3: `x` in column `theta_1` is not a number"),
         (
             "# made by a sensor\nsegment,t,theta_1\n0,0,1\n#1,0,1",
             "data.csv:4: the line begins with `#`; comments are allowed before the header only",
         ),
-        (long, "data.csv:3: `0000000000000000000000000000000000000000…` is not a number"),
+        (
+            long,
+            "data.csv:3: `0000000000000000000000000000000000000000…` in column `theta_1` is not a number",
+        ),
         (
             long_name,
-            "unknown column `tttttttttttttttttttttttttttttttttttttttt…`; allowed: segment, t, theta_1",
+            "unknown column `tttttttttttttttttttttttttttttttttttttttt…`; leave it out; allowed: segment, t, theta_1",
         ),
         (
             "t;theta_1\n0;1",
             "data.csv: the columns are separated by semicolons; allowed: commas, and points in numbers",
         ),
+        (
+            "t;theta_1\n0;1,5",
+            "data.csv: the columns are separated by semicolons, and numbers have decimal commas; allowed: commas, and points in \
+             numbers; replace commas by points first, and then semicolons by commas",
+        ),
         ("t\ttheta_1\n0\t1", "data.csv: the columns are separated by tabs"),
+        ("t,torque\n0,1", "data.csv: there is no column of a state; states: theta_1"),
+        ("t,theta_1\r\n0,1\r\n\r\n0.005,x", "data.csv:4: `x` in column `theta_1` is not a number"),
         (
             "t,theta_1,\n0,1,",
             "data.csv: column 3 has no name; remove the column, or the comma at the end of each line",
@@ -765,7 +776,7 @@ fn unusable_measurements_are_refused_with_place_and_advice() {
             "data.csv:5: the time 0.042 s is not a later step",
         ),
         (
-            "segment,t\na,0\nb,0\na,0.005",
+            "segment,t,theta_1\na,0,1\nb,0,1\na,0.005,1",
             "data.csv:4: the rows of segment a are not contiguous; sort the rows by segment",
         ),
         (

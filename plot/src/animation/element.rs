@@ -1,11 +1,22 @@
 //! SVG elements of shapes, animated by SMIL.
 
 use super::{HOLD, Shape};
+use std::collections::HashMap;
 use std::fmt::Write;
+
+const ROUND: &str = "stroke-linecap=\"round\" stroke-linejoin=\"round\"";
+/// Both rules keep the edges of cells sharp. Viewers that do not support `pixelated` use
+/// `optimizeSpeed`.
+const SHARP: &str = "preserveAspectRatio=\"none\" style=\"image-rendering:optimizeSpeed;image-rendering:pixelated\"";
+
+/// Largest error of a coordinate of a solid between the states that are written, in pixels.
+const TOLERANCE: f64 = 0.15;
 
 /// SVG element of a shape, in pixels.
 struct Element {
     tag: &'static str,
+    /// Which solid it shows, if it is one.
+    solid: Option<usize>,
     /// Attributes that may change between frames.
     numbers: Vec<(&'static str, String)>,
     /// Attributes that keep their values of the first frame.
@@ -51,25 +62,22 @@ impl Element {
             Shape::Curve { points, width, color } => {
                 let points: Vec<String> =
                     points.iter().map(|point| format!("{},{}", x(point[0]), y(point[1]))).collect();
-                let style = format!(
-                    "fill=\"none\" stroke=\"{color}\" stroke-linecap=\"round\" stroke-linejoin=\"round\""
-                );
                 (
                     "polyline",
                     vec![("points", points.join(" ")), ("stroke-width", length(*width))],
-                    style,
+                    format!("fill=\"none\" stroke=\"{color}\" {ROUND}"),
                 )
             }
-            Shape::Image { center, size, raster } => {
-                // Both rules keep cell edges sharp. Viewers that do not support `pixelated` use
-                // `optimizeSpeed`.
-                let style = "preserveAspectRatio=\"none\" style=\"image-rendering:optimizeSpeed;image-rendering:pixelated\"";
-                (
-                    "image",
-                    rectangle(*center, *size),
-                    format!("{style} href=\"{}\"", raster.data_uri()),
-                )
-            }
+            Shape::Solid { points, width, color, .. } => (
+                "polyline",
+                solid_numbers(points, *width, color, [left, top], scale),
+                format!("fill=\"currentColor\" stroke=\"currentColor\" {ROUND}"),
+            ),
+            Shape::Image { center, size, raster } => (
+                "image",
+                rectangle(*center, *size),
+                format!("{SHARP} href=\"{}\"", raster.data_uri()),
+            ),
             Shape::Text { at, size, color, .. } => (
                 "text",
                 vec![("x", x(at[0])), ("y", y(at[1])), ("font-size", length(*size))],
@@ -78,8 +86,31 @@ impl Element {
         };
         let content =
             if let Shape::Text { text, .. } = shape { escaped(text) } else { String::new() };
-        Self { tag, numbers, style, content }
+        let solid = if let Shape::Solid { id, .. } = shape { Some(*id) } else { None };
+        Self { tag, solid, numbers, style, content }
     }
+}
+
+/// Attributes of a solid, whose colour is one of them.
+fn solid_numbers(
+    points: &[[f64; 2]],
+    width: f64,
+    color: &str,
+    [left, top]: [f64; 2],
+    scale: f64,
+) -> Vec<(&'static str, String)> {
+    // A disc needs a second point to have round ends, and the edge of a polygon is closed.
+    let last = points.first().filter(|_| points.len() != 2);
+    let points: Vec<String> = points
+        .iter()
+        .chain(last)
+        .map(|[x, y]| format!("{},{}", tenths((x - left) * scale), tenths((top - y) * scale)))
+        .collect();
+    vec![
+        ("points", points.join(" ")),
+        ("stroke-width", tenths(width.max(0.0) * scale)),
+        ("color", color.to_owned()),
+    ]
 }
 
 /// Writes static shapes, and the shapes of all frames, in a picture whose upper left corner has the
@@ -101,26 +132,52 @@ pub fn write(
     let frames: Vec<Vec<Element>> = frames.iter().map(|shapes| elements(shapes)).collect();
     let times = Times::new(frames.len(), seconds);
     for element in elements(still) {
-        times.write_element(svg, &[&element]);
+        times.write_element(svg, &[(0, &element)]);
     }
     let Some(first) = frames.first() else { return };
     for frame in &frames {
-        let kinds =
-            |elements: &[Element]| elements.iter().map(|element| element.tag).collect::<Vec<_>>();
+        let kinds = |elements: &[Element]| -> Vec<_> {
+            elements.iter().map(|element| (element.tag, element.solid.is_some())).collect()
+        };
         assert!(
             kinds(frame) == kinds(first),
             "every frame of an animation needs the same shapes in the same order"
         );
     }
+    let solids: Vec<HashMap<usize, &Element>> = frames
+        .iter()
+        .map(|frame| frame.iter().filter_map(|e| Some((e.solid?, e))).collect())
+        .collect();
     for i in 0..first.len() {
-        let history: Vec<&Element> = frames.iter().map(|frame| &frame[i]).collect();
-        times.write_element(svg, &history);
+        times.write_element(svg, &history(&frames, &solids, i));
     }
+}
+
+/// States of the element at one place of the painting order, with the frames of their times.
+///
+/// Between two frames, it shows the solid of the first one on the way to the place that this has in
+/// the second one. Then it jumps: it has two states at this time.
+fn history<'a>(
+    frames: &'a [Vec<Element>],
+    solids: &[HashMap<usize, &'a Element>],
+    place: usize,
+) -> Vec<(usize, &'a Element)> {
+    let mut history: Vec<(usize, &Element)> = Vec::with_capacity(frames.len());
+    for (time, frame) in frames.iter().enumerate() {
+        if let Some((_, before)) = history.last()
+            && let Some(id) = before.solid.filter(|_| before.solid != frame[place].solid)
+        {
+            history.push((time, solids[time].get(&id).unwrap_or(before)));
+        }
+        history.push((time, &frame[place]));
+    }
+    history
 }
 
 /// Timing of an animation, as SMIL attributes.
 struct Times {
-    key_times: String,
+    /// Times of the frames, and of the end, as shares of the duration.
+    shares: Vec<String>,
     duration: String,
 }
 
@@ -130,28 +187,34 @@ impl Times {
     fn new(frames: usize, seconds: f64) -> Self {
         let seconds = if seconds.is_finite() { seconds.max(0.1) } else { 0.1 };
         let share = seconds / (seconds + HOLD) / frames.saturating_sub(1).max(1) as f64;
-        let mut key_times: Vec<String> =
-            (0..frames).map(|i| trimmed(i as f64 * share, 4)).collect();
-        key_times.push("1".into());
-        Self { key_times: key_times.join(";"), duration: trimmed(seconds + HOLD, 2) }
+        let mut shares: Vec<String> = (0..frames).map(|i| trimmed(i as f64 * share, 4)).collect();
+        shares.push("1".into());
+        Self { shares, duration: trimmed(seconds + HOLD, 2) }
     }
 
-    /// Writes an element from its states in all frames.
-    fn write_element(&self, svg: &mut String, history: &[&Element]) {
-        let Element { tag, numbers, style, content } = history[0];
+    /// Writes an element from its states and their frames.
+    fn write_element(&self, svg: &mut String, history: &[(usize, &Element)]) {
+        let Element { tag, solid, numbers, style, content } = history[0].1;
         let _ = write!(svg, "<{tag} {style}");
         let mut animations = String::new();
         for (i, (name, start)) in numbers.iter().enumerate() {
             let _ = write!(svg, " {name}=\"{start}\"");
-            let mut values: Vec<&str> =
-                history.iter().map(|element| element.numbers[i].1.as_str()).collect();
-            if values.iter().any(|value| value != start) {
-                values.push(values[values.len() - 1]);
+            let mut states: Vec<(usize, &str)> =
+                history.iter().map(|(time, e)| (*time, e.numbers[i].1.as_str())).collect();
+            if states.iter().any(|(_, value)| value != start) {
+                if solid.is_some() {
+                    states = thinned(&states);
+                }
+                states.push((self.shares.len() - 1, states[states.len() - 1].1));
+                let (times, values): (Vec<_>, Vec<_>) = states
+                    .iter()
+                    .map(|(time, value)| (self.shares[*time].as_str(), *value))
+                    .unzip();
                 let _ = write!(
                     animations,
                     "<animate attributeName=\"{name}\" values=\"{}\" keyTimes=\"{}\" dur=\"{}s\" repeatCount=\"indefinite\"/>",
                     values.join(";"),
-                    self.key_times,
+                    times.join(";"),
                     self.duration
                 );
             }
@@ -160,10 +223,44 @@ impl Times {
     }
 }
 
-/// Formats a length in pixels with at most two decimals. Non-finite values become 0. Clamps other
-/// values to ±1e5, because browsers reject an animation with an out-of-range number.
+/// States without those that interpolation of the others reproduces to [`TOLERANCE`].
+fn thinned<'a>(states: &[(usize, &'a str)]) -> Vec<(usize, &'a str)> {
+    let numbers: Vec<Vec<Option<f64>>> = states
+        .iter()
+        .map(|(_, text)| text.split([' ', ',']).map(|number| number.parse().ok()).collect())
+        .collect();
+    let reproduced = |[from, i, to]: [usize; 3]| {
+        let [start, time, end] = [from, i, to].map(|state| states[state].0 as f64);
+        let share = (time - start) / (end - start);
+        let near = |k: usize| match [from, i, to].map(|state| numbers[state][k]) {
+            [Some(a), Some(x), Some(b)] => (a + share * (b - a) - x).abs() <= TOLERANCE,
+            _ => states[from].1 == states[i].1 && states[i].1 == states[to].1,
+        };
+        let [counts @ .., count] = [from, to, i].map(|state| numbers[state].len());
+        counts == [count; 2] && (0..count).all(near)
+    };
+    let mut kept = vec![0];
+    while let Some(&from) = kept.last().filter(|&&last| last + 1 < states.len()) {
+        let far_enough = |&to: &usize| (from + 1..to).all(|i| reproduced([from, i, to]));
+        kept.push((from + 2..states.len()).take_while(far_enough).last().unwrap_or(from + 1));
+    }
+    kept.into_iter().map(|i| states[i]).collect()
+}
+
+/// Formats a length in pixels with at most two decimals.
 pub fn px(value: f64) -> String {
-    trimmed(if value.is_finite() { value.clamp(-1e5, 1e5) } else { 0.0 }, 2)
+    trimmed(writable(value), 2)
+}
+
+/// As [`px`], with at most one decimal.
+fn tenths(value: f64) -> String {
+    trimmed(writable(value), 1)
+}
+
+/// Turns non-finite values into 0. Clamps other values to ±1e5, because browsers reject an animation
+/// with an out-of-range number.
+fn writable(value: f64) -> f64 {
+    if value.is_finite() { value.clamp(-1e5, 1e5) } else { 0.0 }
 }
 
 /// Formats with at most `decimals` decimals, without trailing zeros.

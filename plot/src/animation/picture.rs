@@ -4,7 +4,7 @@ use super::below::{self, Below};
 use super::{Animation, LEGEND_HEIGHT, Shape};
 use kuva::backend::raster::RasterBackend;
 use kuva::render::color::Color;
-use kuva::render::render::{Primitive, Scene, TextAnchor};
+use kuva::render::render::{PathData, Primitive, Scene, TextAnchor};
 
 /// Largest absolute value of a coordinate, in pixels. Farther ones are outside of every picture.
 const FAR: f64 = 1e5;
@@ -107,6 +107,11 @@ impl Place {
         match shape {
             Shape::Line { from, to, width, color } => curve(&[*from, *to], *width, color),
             Shape::Curve { points, width, color } => curve(points, *width, color),
+            Shape::Solid { points, width, color, .. } => match points[..] {
+                [point] => curve(&[point; 2], *width, color),
+                [_, _] => curve(points, *width, color),
+                _ => self.polygon(points, *width, color),
+            },
             Shape::Circle { center, radius, color } => {
                 let ((cx, cy), r) = (self.point(*center), self.length(*radius));
                 let fill = Color::from(*color);
@@ -150,6 +155,23 @@ impl Place {
                 }
             }
         }
+    }
+
+    /// A filled polygon with an edge of this width.
+    fn polygon(&self, points: &[[f64; 2]], width: f64, color: &str) -> Primitive {
+        let corners: Vec<String> = points
+            .iter()
+            .map(|&point| self.point(point))
+            .map(|(x, y)| format!("{x} {y}"))
+            .collect();
+        Primitive::Path(Box::new(PathData {
+            d: if corners.is_empty() { String::new() } else { format!("M{}Z", corners.join("L")) },
+            fill: Some(Color::from(color)),
+            stroke: Color::from(color),
+            stroke_width: self.length(width),
+            opacity: None,
+            stroke_dasharray: None,
+        }))
     }
 
     /// The cells of a raster, in rows of `columns`, as rectangles.
@@ -212,11 +234,20 @@ mod tests {
     fn a_picture_contains_every_kind_of_shape_and_clips_it() {
         let (red, at) = ("#ff0000", [1.0, 0.5]);
         let raster = Raster::new(&[vec![0.0, 1.0]]);
+        let solid = |points: &[[f64; 2]]| Shape::Solid {
+            id: 0,
+            points: points.to_vec(),
+            width: 0.1,
+            color: red.into(),
+        };
         let shapes = [
             Shape::Line { from: at, to: at, width: 0.2, color: red },
             Shape::Circle { center: at, radius: 0.2, color: red },
             Shape::Rect { center: at, size: [0.2; 2], color: "rgba(255, 0, 0, 0.5)" },
             Shape::Curve { points: vec![[0.0, 0.5], [2.0, 0.5]], width: 0.2, color: red },
+            solid(&[at]),
+            solid(&[at, [1.5, 0.5]]),
+            solid(&[[0.5, 0.2], [1.5, 0.2], [1.0, 0.8]]),
             Shape::Image { center: at, size: [0.2; 2], raster },
             Shape::Text { at, size: 0.2, text: "M".into(), color: red },
         ];

@@ -1,6 +1,7 @@
 //! Measured trajectories on the time grid of a scene.
 
-use crate::commands::identify::table::{Row, Table, quoted};
+use crate::commands::identify::remarks::Words;
+use crate::commands::identify::table::{Origin, Row, Table, quoted};
 use crate::operations::identification::{MOST_BYTES, bytes_per_step};
 use crate::platform::csv::csv;
 use crate::platform::terminal::{counted, listed};
@@ -10,7 +11,6 @@ use anyhow::{Context, Result, bail};
 use physgrad::Number;
 use physgrad::identify::{Fit, Segment};
 use std::collections::HashSet;
-use std::path::Path;
 
 /// Largest distance in time of a sample from the nearest step of the scene, relative to the time
 /// step.
@@ -29,14 +29,14 @@ const LARGEST_ANGLE: f64 = 1e9;
 /// distance of the segment times its number of rows.
 const ASTRAY: usize = 100;
 
-/// Advice on times that are too far apart.
-const FAR_APART: &str =
-    "give `t` in s, not in ms; or set system.dt near the sampling time, with integrator.substeps";
+/// Segments that need more than 1 GB.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct TooLong(String);
 
 /// Measured trajectories on the time grid of a scene.
 pub struct Measured {
-    /// Path of the file, for messages.
-    name: String,
+    origin: Origin,
     segments: Vec<Recording>,
     /// Names of the parameters of the segments.
     params: Vec<String>,
@@ -54,11 +54,14 @@ struct Recording {
     has_control: Vec<bool>,
     /// Number of the step at the first row. None between two steps, and before the time 0.
     first_step: Option<usize>,
+    /// Whether it begins after missing rows over which a control changes.
+    follows_gap: bool,
 }
 
-/// A row of the file.
+/// A row of the table.
 struct Sample {
-    line: u64,
+    /// Line of the file, or number of the row in memory.
+    number: u64,
     /// Number of steps after the first row.
     step: usize,
     /// Time in the file, s.
@@ -84,73 +87,90 @@ impl Grid {
         let tolerance = self.rounding.max(OFF_GRID * self.dt) + doubles;
         ((steps - steps.round()).abs() * self.dt < tolerance).then_some(steps.round())
     }
+
+    /// Number of the step at this time. None between two steps, and before the time 0.
+    fn first_step(&self, time: f64) -> Option<usize> {
+        // Numbers of steps beyond the exact integers of f64 have no meaning.
+        let step = self.steps(0.0, time).filter(|step| (0.0..9e15).contains(step));
+        step.map(|step| step as usize)
+    }
 }
 
 impl Measured {
-    /// Reads a file, for example `trajectory.csv` of a run. States of steps without a sample are
-    /// NaN. A control stays constant until its next value, and is 0 before the first. Parameters
-    /// without a column are NaN. `source` is that of the scene.
+    /// Reads a table, for example `trajectory.csv` of a run. States of steps without a sample are
+    /// NaN, and so are those of rows without states and controls, which count as missing. A control
+    /// stays constant until its next value, and is 0 before the first. If it changes over missing
+    /// rows, its values there are unknown, and a new segment begins. Parameters without a column are
+    /// NaN. `source` is that of the scene.
     ///
     /// # Errors
-    /// See [`Table::read`] and [`Table::rows`]. There are no rows. The rows of a segment are not
-    /// contiguous, a parameter changes within a segment, or a time is not a later step on the time
-    /// grid of the scene. A column of a control is empty. A column of a parameter has no value in a
-    /// segment, or one outside of the range of its setting. The steps of all segments need more than
-    /// 1 GB, or all rows are 1000 or more steps apart. A segment begins between two steps, or before
-    /// the time 0, and the physics depends on time.
-    pub fn read(path: &Path, scene: &Scene, source: &SceneSource) -> Result<Self> {
-        // Components that the sensor adds to the state are in the trajectories of a run.
-        let measured = scene.state_names();
-        let mut added = source.scene()?.state_names();
-        added.retain(|name| !measured.contains(name));
-        let table = Table::read(path, scene, &added)?;
-        let (name, dt, unit) = (table.name.clone(), scene.dt(), table.unit());
+    /// See [`Table::rows`]. There are no rows. The rows of a segment are not contiguous, a parameter
+    /// changes within a segment, or a time is missing or not a later step on the time grid of the
+    /// scene. A column of a control is empty. A column of a parameter has no value in a segment, or
+    /// one outside of the range of its setting. The steps of all segments need more than 1 GB
+    /// ([`TooLong`]), or all rows are 1000 or more steps apart. A segment begins between two steps,
+    /// or before the time 0, and the physics depends on time.
+    pub fn read(table: &Table, scene: &Scene, source: &SceneSource, words: &Words) -> Result<Self> {
+        let (dt, unit) = (scene.dt(), table.unit());
         // Both times of a distance are wrong by up to half a unit.
         let grid = Grid { dt, rounding: if unit <= COARSEST * dt { unit } else { 0.0 } };
         let controls = scene.control_names().into_iter().enumerate();
-        let controls = controls.map(|(i, name)| (name, table.has_control(i))).collect();
-        let params = scene.param_names();
-        let mut measured = Self { name, segments: Vec::new(), params, controls };
+        let controls = controls.map(|(i, name)| (name, table.columns.has_control(i))).collect();
+        let (origin, params) = (table.origin.clone(), scene.param_names());
+        let mut measured = Self { origin, segments: Vec::new(), params, controls };
+        measured.read_rows(table, scene, &grid, words)?;
+        measured.check(scene, words)?;
+        measured.check_controls()?;
+        let given: Vec<usize> =
+            (0..measured.params.len()).filter(|&i| table.columns.has_param(i)).collect();
+        measured.check_params(&given, &scene.varied(), source)?;
+        let origin = &measured.origin;
+        let pieces = |segment: Recording| segment.pieces(&grid, origin);
+        measured.segments = measured.segments.into_iter().flat_map(pieces).collect();
+        Ok(measured)
+    }
+
+    fn read_rows(
+        &mut self,
+        table: &Table,
+        scene: &Scene,
+        grid: &Grid,
+        words: &Words,
+    ) -> Result<()> {
         let [states, controls] = [scene.state_names().len(), scene.control_names().len()];
         let most = (MOST_BYTES / bytes_per_step(states, controls)) as usize;
         let (mut seen, mut before) = (HashSet::new(), 0);
         for row in table.rows() {
             let row = row?;
-            let (name, line) = (&measured.name, row.line);
-            if measured.segments.last().is_none_or(|last| last.key != row.key) {
+            if row.is_empty() {
+                continue;
+            }
+            let place = table.origin.place(row.number);
+            if row.time.is_nan() {
+                bail!("{place}: the time is missing; give every row a time in s");
+            }
+            if self.segments.last().is_none_or(|last| last.key != row.key) {
                 if !seen.insert(row.key.clone()) {
                     let key = quoted(&row.key);
                     bail!(
-                        "{name}:{line}: the rows of segment {key} are not contiguous; sort the rows by segment"
+                        "{place}: the rows of segment {key} are not contiguous; sort the rows by segment"
                     );
                 }
-                before += measured.segments.last().map_or(0, Recording::steps);
-                measured.segments.push(Recording::new(&row, &grid));
+                before += self.segments.last().map_or(0, Recording::steps);
+                self.segments.push(Recording::new(&row, grid));
             }
             let recording =
-                measured.segments.last_mut().context("a segment begins with its first sample")?;
-            recording
-                .push(row, &grid, &measured.params)
-                .with_context(|| format!("{name}:{line}"))?;
+                self.segments.last_mut().context("a segment begins with its first sample")?;
+            recording.push(row, grid, &self.params).with_context(|| place.clone())?;
             let steps = before + recording.steps();
             if steps > most {
-                bail!(
-                    "{name}:{line}: the segments have {steps} steps of {dt} s up to here; allowed: {most}; {FAR_APART}"
-                );
+                bail!(TooLong(format!(
+                    "{place}: the segments have {steps} steps of {} s up to here; allowed: {most}; {}",
+                    grid.dt, words.far_apart
+                )));
             }
         }
-        measured.check(scene)?;
-        measured.check_controls()?;
-        let varied = scene.varied();
-        let is_trained = |name: &String| {
-            let number = varied.iter().find(|(known, _)| known == name).map(|(_, number)| number);
-            matches!(number, Some(Number::Trained { .. }))
-        };
-        let given: Vec<usize> = (0..measured.params.len())
-            .filter(|&i| table.has_param(i) && !is_trained(&measured.params[i]))
-            .collect();
-        measured.check_params(&given, &varied, source)?;
-        Ok(measured)
+        Ok(())
     }
 
     /// Refuses a column of a control without a value.
@@ -165,7 +185,7 @@ impl Measured {
             if *has_column && !moving.iter().any(|segment| segment.has_control[i]) {
                 bail!(
                     "{}: the column `{control}` is empty; give the control of every row, or zeros if it was 0",
-                    self.name
+                    self.origin.name
                 );
             }
         }
@@ -183,8 +203,8 @@ impl Measured {
         let mut seen = HashSet::new();
         for (number, segment) in self.segments.iter().enumerate() {
             let place = || {
-                let (name, line) = (&self.name, segment.rows[0].line);
-                format!("{name}:{line}: segment {}", self.label(number))
+                let place = self.origin.place(segment.rows[0].number);
+                format!("{place}: segment {}", self.label(number))
             };
             for &i in given {
                 let name = &self.params[i];
@@ -217,7 +237,8 @@ impl Measured {
         }
     }
 
-    /// Sentences about what the fit assumes of these segments: controls without a value.
+    /// Sentences about what the fit assumes of these segments: controls without a value, and missing
+    /// rows.
     pub fn notes(&self, numbers: &[usize]) -> Vec<String> {
         let mut notes = Vec::new();
         let missing: Vec<String> = self
@@ -249,11 +270,20 @@ impl Measured {
             }
         }
         notes.extend(self.held(numbers));
+        let gaps = || numbers.iter().filter(|&&number| self.segments[number].follows_gap);
+        if let Some(&first) = gaps().next() {
+            notes.push(format!(
+                "a new segment begins at {} after a gap in which a control changes (first: {}); add rows with the control to join \
+                 them",
+                counted(gaps().count(), "row"),
+                self.origin.place(self.segments[first].rows[0].number)
+            ));
+        }
         notes
     }
 
     /// A sentence about controls that change between rows that are all several steps apart. Rows
-    /// further apart than others have a warning.
+    /// further apart than others begin a new segment.
     fn held(&self, numbers: &[usize]) -> Option<String> {
         let most = |&i: &usize| {
             let segment = &self.segments[i];
@@ -269,19 +299,20 @@ impl Measured {
         ))
     }
 
-    fn check(&self, scene: &Scene) -> Result<()> {
-        let (name, dt) = (&self.name, scene.dt());
+    fn check(&self, scene: &Scene, words: &Words) -> Result<()> {
+        let (origin, dt) = (&self.origin, scene.dt());
         if self.segments.is_empty() {
-            bail!("{name} has no samples");
+            bail!("{} has no samples", origin.name);
         }
         let names = scene.state_names();
         for i in scene.angles() {
             let rows = self.segments.iter().flat_map(|segment| &segment.rows);
-            if let Some(Sample { line, x, .. }) =
+            if let Some(Sample { number, x, .. }) =
                 { rows }.find(|row| row.x[i].abs() > LARGEST_ANGLE)
             {
                 bail!(
-                    "{name}:{line}: {} is {:e}; allowed: angles in rad up to {LARGEST_ANGLE:e}, or an empty cell",
+                    "{}: {} is {:e}; allowed: angles in rad up to {LARGEST_ANGLE:e}, or an empty cell",
+                    origin.place(*number),
                     names[i],
                     x[i]
                 );
@@ -289,17 +320,22 @@ impl Measured {
         }
         let distances = self.segments.iter().flat_map(Recording::distances);
         if let Some(distance) = distances.map(|(steps, _)| steps).min().filter(|&d| d >= SPARSE) {
-            bail!("{name}: all rows are {distance} or more steps of {dt} s apart; {FAR_APART}");
+            bail!(
+                "{}: all rows are {distance} or more steps of {dt} s apart; {}",
+                origin.name,
+                words.far_apart
+            );
         }
         for segment in &self.segments {
             let (median, rows) = (segment.median(), segment.rows.len());
             let most = ASTRAY * rows * median;
-            if let Some((steps, [_, Sample { line, .. }])) =
+            if let Some((steps, [_, Sample { number, .. }])) =
                 segment.distances().find(|(steps, _)| *steps > most)
             {
                 bail!(
-                    "{name}:{line}: the row is {steps} steps of {dt} s after the row before, but the median of the {rows} rows of \
-                     its segment is {median}; correct its time, or begin another segment there"
+                    "{}: the row is {steps} steps of {dt} s after the row before, but the median of the {rows} rows of its segment \
+                     is {median}; correct its time, or begin another segment there",
+                    origin.place(*number)
                 );
             }
         }
@@ -307,10 +343,11 @@ impl Measured {
             self.segments.iter().enumerate().filter(|(_, segment)| segment.first_step.is_none())
         {
             if scene.depends_on_time(&self.chosen(&[i], scene)[0]) {
-                let Sample { line, time, .. } = segment.rows[0];
+                let Sample { number, time, .. } = segment.rows[0];
                 bail!(
-                    "{name}:{line}: the segment begins at {time:?} s, but the physics depends on time and has steps of {dt} s from 0; \
-                     begin at a step, shift the times, or set system.dt"
+                    "{}: the segment begins at {time:?} s, but the physics depends on time and has steps of {dt} s from 0; begin \
+                     at a step, shift the times, or set system.dt",
+                    origin.place(number)
                 );
             }
         }
@@ -332,6 +369,12 @@ impl Measured {
     /// Time of the first row of a segment, s.
     pub fn begin(&self, segment: usize) -> f64 {
         self.segments[segment].rows[0].time
+    }
+
+    /// Time of the first row of a segment, s: that of its step, or the time itself between two steps.
+    pub fn begin_at_step(&self, segment: usize, scene: &Scene) -> f64 {
+        let first_step = self.segments[segment].first_step;
+        first_step.map_or(self.begin(segment), |step| step as f64 * scene.dt())
     }
 
     /// Indices of the fitted segments, `0, every, 2 every, …`, and indices of the other segments.
@@ -370,26 +413,15 @@ impl Measured {
         self.segments[segment].rows.iter().map(|row| row.x[component]).collect()
     }
 
-    /// The line of a row, and the same with the name of the file.
-    pub fn place(&self, segment: usize, row: usize) -> [String; 2] {
-        let line = self.segments[segment].rows[row].line;
-        [format!("line {line}"), format!("{}:{line}", self.name)]
+    /// Number of segments.
+    pub fn count(&self) -> usize {
+        self.segments.len()
     }
 
-    /// Sentences about missing rows of the chosen segments while a control changes.
-    pub fn warnings(&self, numbers: &[usize]) -> Vec<String> {
-        let chosen = || numbers.iter().map(|&i| &self.segments[i]);
-        let mut warnings = Vec::new();
-        let gaps: Vec<(usize, &Sample)> = chosen().flat_map(Recording::gaps).collect();
-        if let Some((steps, Sample { line, .. })) = gaps.iter().max_by_key(|(steps, _)| steps) {
-            warnings.push(format!(
-                "rows are missing before {} of {}, where the control changes (at most {steps} steps, before line {line}); the fit \
-                 holds the control of the row before; add rows with the control, or split the segment there",
-                counted(gaps.len(), "row"),
-                self.name
-            ));
-        }
-        warnings
+    /// The line of a row, and the same with the name of the file.
+    pub fn place(&self, segment: usize, row: usize) -> [String; 2] {
+        let number = self.segments[segment].rows[row].number;
+        [self.origin.row(number), self.origin.place(number)]
     }
 
     /// CSV of measured and simulated states of the segments with these indices. One row per row of
@@ -426,14 +458,13 @@ impl Measured {
 impl Recording {
     /// Without the first row itself.
     fn new(row: &Row, grid: &Grid) -> Self {
-        // Numbers of steps beyond the exact integers of f64 have no meaning.
-        let first_step = grid.steps(0.0, row.time).filter(|step| (0.0..9e15).contains(step));
         Self {
             key: row.key.clone(),
             rows: Vec::new(),
             p: row.p.clone(),
             has_control: vec![false; row.u.len()],
-            first_step: first_step.map(|step| step as usize),
+            first_step: grid.first_step(row.time),
+            follows_gap: false,
         }
     }
 
@@ -444,7 +475,7 @@ impl Recording {
 
     fn push(
         &mut self,
-        Row { line, time, x, mut u, p, .. }: Row,
+        Row { number, time, x, mut u, p, .. }: Row,
         grid: &Grid,
         params: &[String],
     ) -> Result<()> {
@@ -475,7 +506,7 @@ impl Recording {
             *u = held.map_or(0.0, |held| held[i]);
         }
         // A larger number saturates, and exceeds the limit on the steps.
-        self.rows.push(Sample { line, step: (step as usize).min(usize::MAX / 4), time, x, u });
+        self.rows.push(Sample { number, step: (step as usize).min(usize::MAX / 4), time, x, u });
         Ok(())
     }
 
@@ -491,13 +522,29 @@ impl Recording {
         distances.get(distances.len() / 2).copied().unwrap_or(1)
     }
 
-    /// Distances of at least twice the median between rows with different controls, each with its
-    /// second row.
-    fn gaps(&self) -> Vec<(usize, &Sample)> {
+    /// The parts between distances of at least twice the median over which a control changes.
+    fn pieces(mut self, grid: &Grid, origin: &Origin) -> Vec<Self> {
         let median = self.median();
-        let gaps = self
-            .distances()
-            .filter(|(steps, [before, after])| *steps >= 2 * median && before.u != after.u);
-        gaps.map(|(steps, [_, after])| (steps, after)).collect()
+        let is_gap = |(steps, [before, after]): (usize, [&Sample; 2])| {
+            steps >= 2 * median && before.u != after.u
+        };
+        let gaps = self.distances().enumerate().filter(|(_, distance)| is_gap(*distance));
+        let begins: Vec<usize> = gaps.map(|(i, _)| i + 1).collect();
+        let mut pieces = Vec::new();
+        for begin in begins.into_iter().rev() {
+            let mut rows = self.rows.split_off(begin);
+            let Sample { number, step, time, .. } = rows[0];
+            rows.iter_mut().for_each(|row| row.step -= step);
+            let key = match &*self.key {
+                "" => String::new(),
+                key => format!("{key} from {}", origin.row(number)),
+            };
+            let (p, has_control) = (self.p.clone(), self.has_control.clone());
+            let first_step = grid.first_step(time);
+            pieces.push(Self { key, rows, p, has_control, first_step, follows_gap: true });
+        }
+        pieces.push(self);
+        pieces.reverse();
+        pieces
     }
 }

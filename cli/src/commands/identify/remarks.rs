@@ -22,6 +22,8 @@ pub struct Words {
     noise: &'static str,
     starts: &'static str,
     window: &'static str,
+    /// Advice on times that are too far apart.
+    pub far_apart: &'static str,
 }
 
 /// The options of `physgrad identify`.
@@ -29,6 +31,7 @@ pub const COMMAND: Words = Words {
     noise: "--noise",
     starts: ", use --exact-starts with complete first rows, or choose a longer --window",
     window: " or another --window",
+    far_apart: "give `t` in s, not in ms; or set system.dt near the sampling time, with integrator.substeps",
 };
 
 /// The arguments of a call from another program, for example Python.
@@ -36,6 +39,8 @@ pub const CALL: Words = Words {
     noise: "`noise`",
     starts: ", use `exact_starts=True` with complete first rows, or choose a longer `window`",
     window: " or another `window`",
+    far_apart: "give the time in s, or its unit, as in units={\"t\": \"ms\"}; or set system.dt near the sampling time, with \
+                integrator.substeps",
 };
 
 /// Rows of the fitted segments as they were given.

@@ -1,0 +1,67 @@
+//! Accelerations and steps against stored numbers of MuJoCo. `references/make.py` writes them.
+
+use physgrad::{Inputs, System};
+use physgrad_bodies::model::{Cone, Model};
+use physgrad_bodies::{Bodies, files, models};
+use serde::Deserialize;
+
+#[derive(Deserialize)]
+struct File {
+    references: Vec<Reference>,
+}
+
+#[derive(Deserialize)]
+struct Reference {
+    model: String,
+    cone: String,
+    cases: Vec<Case>,
+}
+
+#[derive(Deserialize)]
+struct Case {
+    x: Vec<f64>,
+    u: Vec<f64>,
+    acceleration: Vec<f64>,
+    next: Vec<f64>,
+    contacts: usize,
+}
+
+fn references() -> Vec<(Model, Reference)> {
+    let file: File = serde_json::from_str(include_str!("references/mujoco.json")).unwrap();
+    let with_model = |reference: Reference| {
+        let mut model = files::parse(models::text(&reference.model).unwrap(), "model").unwrap();
+        if reference.cone == "elliptic" {
+            (model.options.cone, model.options.impedance_ratio) = (Cone::Elliptic, 2.0);
+        }
+        (model, reference)
+    };
+    file.references.into_iter().map(with_model).collect()
+}
+
+/// Largest error, relative to the largest number.
+fn error(found: &[f64], expected: &[f64]) -> f64 {
+    assert_eq!(found.len(), expected.len());
+    let largest = expected.iter().fold(1e-9_f64, |most, x| most.max(x.abs()));
+    let worst = found.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    worst / largest
+}
+
+#[test]
+fn accelerations_and_steps_are_those_of_mujoco() {
+    let mut contacts = 0;
+    for (model, Reference { model: name, cone, cases }) in references() {
+        let bodies = Bodies::new(model).unwrap();
+        for (i, case) in cases.iter().enumerate() {
+            let inputs = Inputs::new(&case.x, &case.u);
+            let (acceleration, _) = bodies.accelerations(inputs);
+            let found = error(&acceleration, &case.acceleration);
+            assert!(found <= 1e-8, "{name}, {cone}, case {i}: acceleration, error {found:e}");
+            let mut next = vec![0.0; bodies.state_dim()];
+            bodies.step(inputs, &mut next);
+            let found = error(&next, &case.next);
+            assert!(found <= 1e-8, "{name}, {cone}, case {i}: step, error {found:e}");
+            contacts += case.contacts;
+        }
+    }
+    assert!(contacts > 50, "only {contacts} contacts");
+}

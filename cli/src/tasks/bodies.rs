@@ -1,0 +1,135 @@
+//! Articulated bodies from a file: settings, expressions and animation.
+
+mod picture;
+mod settings;
+
+use crate::operations::trajectory::Trajectory;
+use crate::settings::config_error::{ConfigError, allowed, count};
+use crate::settings::reading::overlay;
+use crate::tasks::equations::located;
+use crate::tasks::hard::{Nothing, in_scene};
+use crate::tasks::{FileSetting, Settings, TaskSpec};
+use physgrad::graph::{Costs, Names, Replaced, Replacement};
+use physgrad::{DynTask, System as _};
+use physgrad_bodies::components;
+use physgrad_plot::Animation;
+use picture::film;
+use settings::{BodiesSettings, read_text};
+
+/// Task `bodies`.
+#[derive(Clone, Debug)]
+pub struct Bodies;
+
+/// The task of these settings, with its expressions.
+fn task(settings: &Settings<Bodies>) -> Result<DynTask, ConfigError> {
+    let system = &settings.system;
+    let task = system.task(settings.integrator.count(), settings.horizon)?;
+    let bodies = task.bodies().clone();
+    let erased = task.erased();
+    let replacement = Replacement {
+        observe: system.observed(bodies.model())?,
+        running: settings.loss.running.clone(),
+        terminal: settings.loss.terminal.clone(),
+        define: system.define.clone(),
+    };
+    if replacement == Replacement::default() {
+        return Ok(erased);
+    }
+    let model = bodies.model();
+    let varied = bodies.numbers().placed(0);
+    let names = Names {
+        states: components::states(model),
+        controls: components::controls(model),
+        params: varied.into_iter().map(|varied| format!("system.{}", varied.name)).collect(),
+        dt: Bodies::dt(settings),
+    };
+    let replaced = Replaced::with_quantities(erased, names, &replacement, &bodies);
+    replaced.map(DynTask::new).map_err(|error| {
+        let section =
+            if ["running", "terminal"].contains(&error.key.as_str()) { "loss." } else { "system." };
+        located(section, error)
+    })
+}
+
+impl TaskSpec for Bodies {
+    type System = BodiesSettings;
+    type Effects = Nothing;
+    type Loss = Costs;
+
+    const NAME: &'static str = "bodies";
+    const ABOUT: &'static str = "articulated bodies with contact, from an MJCF or URDF file";
+    const EPOCHS: usize = 60;
+    const FILE: Option<FileSetting> = Some(FileSetting { key: "system.model", read: read_text });
+
+    fn horizon() -> usize {
+        32
+    }
+
+    fn system() -> BodiesSettings {
+        BodiesSettings::default()
+    }
+
+    fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
+        count("system.frames", settings.system.frames, 1..=1000)?;
+        for (i, half) in settings.system.spread.into_iter().enumerate() {
+            let key = format!("system.spread[{i}]");
+            allowed(&key, half, half.is_finite() && half >= 0.0, "a number of 0 or more")?;
+        }
+        if settings.equations != Replacement::default() {
+            let what = "is for other tasks; write `system.observe` and the expressions of `loss`";
+            return Err(ConfigError::new("equations", what));
+        }
+        task(settings).map(drop)
+    }
+
+    fn task(settings: &Settings<Self>) -> DynTask {
+        in_scene(settings, task(settings).expect("validated settings"))
+    }
+
+    fn variants() -> Vec<(String, Settings<Self>)> {
+        let mut table = Settings::<Self>::defaults().table();
+        let preset = include_str!("../scenes/presets/half_cheetah.toml");
+        overlay(&mut table, &preset.parse().expect("presets are TOML"));
+        vec![("half cheetah".into(), Settings::fill(table).expect("presets are valid"))]
+    }
+
+    fn dt(settings: &Settings<Self>) -> f64 {
+        settings.system.frames as f64 * settings.system.known().options.dt
+    }
+
+    fn state_names(settings: &Settings<Self>) -> Vec<String> {
+        components::states(&settings.system.known())
+    }
+
+    fn angles(settings: &Settings<Self>) -> Vec<usize> {
+        components::angles(&settings.system.known())
+    }
+
+    fn control_names(settings: &Settings<Self>) -> Vec<String> {
+        components::controls(&settings.system.known())
+    }
+
+    fn observe(settings: &Settings<Self>) -> Vec<String> {
+        settings.system.observed(&settings.system.known()).unwrap_or_default()
+    }
+
+    fn remarks(settings: &Settings<Self>) -> Vec<String> {
+        let mut remarks = settings.system.known().remarks.clone();
+        if settings.loss == Costs::default() {
+            remarks.push("there is no cost, so a training has nothing to minimize".into());
+        }
+        remarks
+    }
+
+    fn animation(
+        settings: &Settings<Self>,
+        Trajectory { states, params, .. }: &Trajectory,
+    ) -> Animation {
+        let task = settings.system.task(1, settings.horizon).expect("validated settings");
+        let bodies = task.bodies();
+        let poses = |x: &Vec<f64>| bodies.poses(x, &params[0]);
+        let poses: Vec<_> = states.iter().map(poses).collect();
+        let model = bodies.model();
+        film(model, &poses, Self::dt(settings), &model.name)
+    }
+}
