@@ -74,10 +74,9 @@ pub(crate) struct Bars<'a, C> {
 }
 
 impl<R: Real, C: Cotangent<R>> Back<R, C> {
-    fn clear(&mut self, n: usize) {
+    fn resize(&mut self, n: usize) {
         let (o, null) = (Spatial::fill(R::zero()), Spatial::fill(C::null()));
         for list in [&mut self.lambda, &mut self.mu] {
-            list.clear();
             list.resize(n, C::null());
         }
         for list in [
@@ -87,7 +86,6 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
             &mut self.w_bar,
             &mut self.y_bar,
         ] {
-            list.clear();
             list.resize(n, o);
         }
         for list in [
@@ -99,10 +97,8 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
             &mut self.e_bar,
             &mut self.twist,
         ] {
-            list.clear();
             list.resize(n, null);
         }
-        self.differences.clear();
         self.differences.resize(n, R::zero());
     }
 
@@ -110,7 +106,9 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
     /// be those at its acceleration.
     #[inline(always)]
     pub(crate) fn solve(&mut self, tree: &Tree, work: &Work<R>, bar: &[C]) {
-        self.clear(tree.nv());
+        if self.lambda.len() != tree.nv() {
+            self.resize(tree.nv());
+        }
         for (lambda, &bar) in self.lambda.iter_mut().zip(bar) {
             *lambda = -bar;
         }
@@ -121,6 +119,9 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
             for k in 0..tree.nv() {
                 self.differences[k] = work.stepped[k] - work.a[k];
             }
+        } else {
+            self.mu.fill(C::null());
+            self.differences.fill(R::zero());
         }
         work.hessian.solve_along(chains(work.is_coupled, tree), &mut self.lambda);
     }
@@ -130,7 +131,7 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
     pub(crate) fn move_links(&mut self, tree: &Tree, work: &Work<R>, v: &[R]) {
         let o = R::zero();
         let g = tree.options.gravity;
-        let lift = Spatial { a: [o; 3], l: g.map(|g| R::from(-g)) };
+        let lift = Spatial { a: [o; 3], l: constant(g.map(|g| -g)) };
         for (k, dof) in tree.dofs.iter().enumerate() {
             let above = tree.parent[k];
             let s = work.s[k];
@@ -159,8 +160,12 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
     /// Cotangents of the motions of the links from inertia, damping and drag.
     #[inline(always)]
     pub(crate) fn inertial(&mut self, tree: &Tree, work: &Work<R>, bars: &mut Bars<'_, C>) {
+        let (o, null) = (Spatial::fill(R::zero()), Spatial::fill(C::null()));
         for (k, dof) in tree.dofs.iter().enumerate() {
+            self.z_bar[k] = null;
             if !dof.has_mass() {
+                (self.w_bar[k], self.a_bar[k], self.v_bar[k]) = (o, null, null);
+                (self.y_bar[k], self.e_bar[k], self.twist[k]) = (o, null, null);
                 continue;
             }
             let i = &work.inertia[k];
@@ -251,10 +256,10 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
             [a, b] => self.w[b] - self.w[a],
         };
         let (x, frame) = (contact.x, &contact.frame);
-        let in_frame = |at: V<C>| [0, 1, 2].map(|i| dot(at, frame[i]));
+        let in_frame = |at: V<C>| three!(|i| dot(at, frame[i]));
         let virtual_speed = in_frame(w.at(x));
         // Power -(J λ) · f. Cotangents of J λ (scalars) and of s, and of J v through the reference.
-        let w_part = contact.f.map(|f| -f);
+        let w_part = neg(contact.f);
         let s_bar = block_times(&contact.w, virtual_speed);
         let v_part = scale(s_bar, R::from(candidate.soft.b));
         let (relative_slope, pull) = candidate.soft.slopes(contact.distance);
@@ -434,7 +439,7 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
             match dof.kind {
                 Kind::Slide | Kind::Hinge => bars.q[dof.q] += self.twist[k].dot(work.s[k]),
                 Kind::Turn(0) => {
-                    let turn = [0, 1, 2].map(|i| self.twist[k].dot(work.s[k + i]));
+                    let turn = three!(|i| self.twist[k].dot(work.s[k + i]));
                     let by = turn_to_quaternion(turn, &q[dof.q..dof.q + 4]);
                     for i in 0..4 {
                         bars.q[dof.q + i] += by[i];
@@ -466,19 +471,17 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
         [q, v, u, params]: Arguments<'_, R>,
         bars: &mut Bars<'_, C>,
     ) {
-        let one = R::one();
         for (i, (motor, &u)) in tree.motors.iter().zip(u).enumerate() {
             let dof = &tree.dofs[motor.dof];
             let gear = motor.gear.of(params);
             let force = motor.force(q[dof.q], v[motor.dof], u, params);
-            let whole = work.actuation[motor.dof];
-            let passes = dof.force_range.map_or(one, |range| inside(whole, range));
+            let passes = dof.passes(work.actuation[motor.dof]);
             let out = -(self.lambda[motor.dof] * passes);
             let inner = motor.passes(force);
             let force = motor.limited(force);
             let force_bar = out * (gear * inner);
             if let Some(u_bar) = &mut bars.u {
-                let slope = motor.control_range.map_or(one, |range| inside(u, range));
+                let slope = motor.control_range.map_or(R::one(), |range| inside(u, range));
                 u_bar[i] += force_bar * (slope * motor.gain);
             }
             let [_, position, velocity] = motor.bias;
@@ -495,6 +498,7 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
                     let by = work.stepped[motor.dof]
                         * gear
                         * inner
+                        * passes
                         * (-2.0 * velocity * tree.options.dt);
                     p_bar[entry] += self.mu[motor.dof] * by;
                 }
@@ -514,7 +518,7 @@ fn ends(pair: &Pair) -> [usize; 2] {
 /// The vector with these components in a frame.
 #[inline(always)]
 fn combine<T: Copy, X: Linear<T>>(parts: V<X>, frame: &M<T>) -> V<X> {
-    let rows = [0, 1, 2].map(|i| spread(parts[i], frame[i]));
+    let rows = three!(|i| spread(parts[i], frame[i]));
     add(add(rows[0], rows[1]), rows[2])
 }
 
@@ -530,10 +534,9 @@ fn turn_to_quaternion<R: Real, C: Cotangent<R>>(g: V<C>, q: &[R]) -> [C; 4] {
     let [w, x, y, z] = [q[0], q[1], q[2], q[3]];
     let c = R::from(2.0) / (w * w + x * x + y * y + z * z);
     [
-        -(g[0] * x + g[1] * y + g[2] * z),
-        g[0] * w - g[1] * z + g[2] * y,
-        g[0] * z + g[1] * w - g[2] * x,
-        -(g[0] * y) + g[1] * x + g[2] * w,
+        -(g[0] * x + g[1] * y + g[2] * z) * c,
+        (g[0] * w - g[1] * z + g[2] * y) * c,
+        (g[0] * z + g[1] * w - g[2] * x) * c,
+        (-(g[0] * y) + g[1] * x + g[2] * w) * c,
     ]
-    .map(|bar| bar * c)
 }

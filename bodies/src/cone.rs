@@ -74,24 +74,23 @@ impl<T: Scalar> Cone<T> {
         let tangent = soft * over * mu;
         let cross = -(soft * mu);
         let (outer, ring) = (soft * mu * mu, -(soft * over * mu) / speed);
-        let slides = (
-            [normal, tangent * c1, tangent * c2],
-            [
-                soft,
-                outer * c1 * c1 + ring * c2 * c2,
-                outer * c2 * c2 + ring * c1 * c1,
-                cross * c1,
-                cross * c2,
-                (outer - ring) * c1 * c2,
-            ],
-        );
         let side = d * self.ratio;
-        let holds = ([-(d * s[0]), -(side * s[1]), -(side * s[2])], [d, side, side, o, o, o]);
         let choose =
             |hold: T, slide: T| T::select_lt(over, o, T::select_lt(o, sticks, slide, hold), o);
         (
-            [0, 1, 2].map(|i| choose(holds.0[i], slides.0[i])),
-            [0, 1, 2, 3, 4, 5].map(|i| choose(holds.1[i], slides.1[i])),
+            [
+                choose(-(d * s[0]), normal),
+                choose(-(side * s[1]), tangent * c1),
+                choose(-(side * s[2]), tangent * c2),
+            ],
+            [
+                choose(d, soft),
+                choose(side, outer * c1 * c1 + ring * c2 * c2),
+                choose(side, outer * c2 * c2 + ring * c1 * c1),
+                choose(o, cross * c1),
+                choose(o, cross * c2),
+                choose(o, (outer - ring) * c1 * c2),
+            ],
         )
     }
 

@@ -306,7 +306,7 @@ impl<T: Scalar> Work<T> {
     #[inline(always)]
     pub(crate) fn point(&self, dof: usize, at: Vec3) -> V<T> {
         if dof == NONE {
-            return [0, 1, 2].map(|i| -self.origin[i] + at[i]);
+            return three!(|i| -self.origin[i] + at[i]);
         }
         add(self.p[dof], rotate(&self.r[dof], at))
     }
@@ -314,7 +314,7 @@ impl<T: Scalar> Work<T> {
     /// Vector of a link in axes of the world.
     #[inline(always)]
     pub(crate) fn vector(&self, dof: usize, by: Vec3) -> V<T> {
-        if dof == NONE { by.map(T::from) } else { rotate(&self.r[dof], by) }
+        if dof == NONE { constant(by) } else { rotate(&self.r[dof], by) }
     }
 
     #[inline(always)]
@@ -350,9 +350,9 @@ impl<T: Scalar> Work<T> {
         else {
             unreachable!("a contact with a plane")
         };
-        let (n, at) = (normal.map(T::from), self.point(*dof, *centre));
+        let (n, at) = (constant(*normal), self.point(*dof, *centre));
         let height = |x: V<T>| {
-            let above = [0, 1, 2].map(|i| x[i] + self.origin[i] - point[i]);
+            let above = three!(|i| x[i] + self.origin[i] - point[i]);
             dot(above, n)
         };
         let mut gap = height(at) - *radius;
@@ -367,7 +367,7 @@ impl<T: Scalar> Work<T> {
         }
         let gap = T::select_lt(distance, T::zero(), gap, T::from(margin));
         let x = sub(at, scale(n, gap * 0.5 + *radius));
-        let mut frame = [n, tangents[0].map(T::from), tangents[1].map(T::from)];
+        let mut frame = [n, constant(tangents[0]), constant(tangents[1])];
         if let Some(axis) = axis {
             let axis = self.vector(*dof, *axis);
             let flat = sub(axis, scale(n, dot(axis, n)));
@@ -412,9 +412,9 @@ impl<T: Scalar> Work<T> {
         let mut speed = [o; 3];
         for &(k, second) in &candidate.path {
             let at = self.s[k].at(x);
-            let mut column = [0, 1, 2].map(|i| dot(at, frame[i]));
+            let mut column = three!(|i| dot(at, frame[i]));
             if !second {
-                column = column.map(|x| -x);
+                column = neg(column);
             }
             for i in 0..3 {
                 speed[i] += column[i] * v[k];

@@ -83,15 +83,14 @@ fn frame<T: Scalar>(drag: &Drag, r: &M<T>, p: V<T>) -> (M<T>, V<T>) {
 /// Velocity of the link relative to the medium.
 #[inline(always)]
 fn relative<T: Scalar>(options: &Options, v: Spatial<T>) -> Spatial<T> {
-    Spatial { a: v.a, l: [0, 1, 2].map(|i| v.l[i] - options.wind[i]) }
+    Spatial { a: v.a, l: three!(|i| v.l[i] - options.wind[i]) }
 }
 
 /// Components of a motion in the principal axes at the centre of mass.
 #[inline(always)]
 fn local<T: Scalar, X: Linear<T>>(axes: &M<T>, centre: V<T>, m: Spatial<X>) -> [V<X>; 2] {
     let at = m.at(centre);
-    let in_axes =
-        |x: V<X>| [0, 1, 2].map(|j| x[0] * axes[0][j] + x[1] * axes[1][j] + x[2] * axes[2][j]);
+    let in_axes = |x: V<X>| three!(|j| x[0] * axes[0][j] + x[1] * axes[1][j] + x[2] * axes[2][j]);
     [in_axes(m.a), in_axes(at)]
 }
 
@@ -102,8 +101,7 @@ fn global<T: Scalar, X: Linear<T>>(
     centre: V<T>,
     [moment, force]: [V<X>; 2],
 ) -> Spatial<X> {
-    let out =
-        |x: V<X>| [0, 1, 2].map(|i| x[0] * axes[i][0] + x[1] * axes[i][1] + x[2] * axes[i][2]);
+    let out = |x: V<X>| three!(|i| x[0] * axes[i][0] + x[1] * axes[i][1] + x[2] * axes[i][2]);
     let force = out(force);
     let at = Spatial::force(force, centre);
     Spatial { a: add(out(moment), at.a), l: at.l }
@@ -145,7 +143,7 @@ pub(crate) fn vjp<R: Real, C: Cotangent<R>>(
     let v = relative(options, v);
     let speeds = local(&axes, centre, v);
     let push = push(drag, &axes, centre, speeds);
-    let w_bar = Spatial { a: push.a.map(|x| -x), l: push.l.map(|x| -x) };
+    let w_bar = Spatial { a: neg(push.a), l: neg(push.l) };
     let mut parts = local(&axes, centre, w);
     for (k, (x, speed)) in parts.iter_mut().flatten().zip(speeds.iter().flatten()).enumerate() {
         *x = *x * (speed.abs() * (2.0 * drag.square[k]) + drag.linear[k]);

@@ -51,7 +51,11 @@ pub(crate) struct Work<T> {
     /// Accelerations of the contacts along a Newton step.
     pub(crate) along: Vec<V<T>>,
     pub(crate) direction: Vec<T>,
+    /// `M a`, and `M` times the Newton step.
+    pub(crate) momentum: Vec<T>,
     pub(crate) product: Vec<T>,
+    /// Descent of the cost per length of the Newton step.
+    pub(crate) descent: T,
 }
 
 impl<T: Scalar> Default for Work<T> {
@@ -81,12 +85,29 @@ impl<T: Scalar> Default for Work<T> {
             actuation: Vec::new(),
             along: Vec::new(),
             direction: Vec::new(),
+            momentum: Vec::new(),
             product: Vec::new(),
+            descent: T::zero(),
         }
     }
 }
 
 impl<T: Scalar> Work<T> {
+    /// Makes room for a tree: later steps do not allocate, however many constraints they have.
+    #[inline(always)]
+    pub(crate) fn fit(&mut self, tree: &Tree) {
+        let limits = if tree.has_rows { 3 * tree.nv() } else { 0 };
+        let fits =
+            self.contacts.capacity() >= tree.contacts.len() && self.rows.capacity() >= limits;
+        if self.tau.len() != tree.nv() || !fits || self.columns.capacity() < tree.columns {
+            self.resize(tree);
+            self.rows = Vec::with_capacity(limits);
+            self.contacts = Vec::with_capacity(tree.contacts.len());
+            self.along = Vec::with_capacity(tree.contacts.len());
+            self.columns = Vec::with_capacity(tree.columns);
+        }
+    }
+
     pub(crate) fn resize(&mut self, tree: &Tree) {
         let n = tree.nv();
         let zero = Spatial::fill(T::zero());
@@ -103,21 +124,13 @@ impl<T: Scalar> Work<T> {
             &mut self.stepped,
             &mut self.actuation,
             &mut self.direction,
+            &mut self.momentum,
             &mut self.product,
         ] {
             list.resize(n, T::zero());
         }
         for matrix in [&mut self.mass, &mut self.hessian, &mut self.damped] {
             matrix.resize(n);
-        }
-        // Later steps do not allocate, however many rows and contacts they have.
-        if self.contacts.capacity() < tree.contacts.len() {
-            self.contacts = Vec::with_capacity(tree.contacts.len());
-            self.along = Vec::with_capacity(tree.contacts.len());
-            self.columns = Vec::with_capacity(tree.contacts.iter().map(|c| c.path.len()).sum());
-        }
-        if tree.has_rows && self.rows.capacity() < 3 * n {
-            self.rows = Vec::with_capacity(3 * n);
         }
     }
 
@@ -126,7 +139,7 @@ impl<T: Scalar> Work<T> {
     pub(crate) fn kinematics(&mut self, tree: &Tree, [q, v, _, params]: Arguments<'_, T>) {
         let o = T::zero();
         self.origin = [o; 3];
-        let upright: M<T> = [0, 1, 2].map(|i| [0, 1, 2].map(|j| T::from(IDENTITY[i][j])));
+        let upright: M<T> = three!(|i| three!(|j| T::from(IDENTITY[i][j])));
         for (k, dof) in tree.dofs.iter().enumerate() {
             let above = tree.parent[k];
             let (mut turn, mut at) =
@@ -182,7 +195,7 @@ impl<T: Scalar> Work<T> {
         let o = T::zero();
         let n = tree.nv();
         let g = tree.options.gravity;
-        let lift = Spatial { a: [o; 3], l: g.map(|g| T::from(-g)) };
+        let lift = Spatial { a: [o; 3], l: constant(g.map(|g| -g)) };
         for (k, dof) in tree.dofs.iter().enumerate() {
             let above = tree.parent[k];
             let before = if above == NONE { lift } else { self.bias[above] };
@@ -259,14 +272,15 @@ impl<T: Scalar> Work<T> {
         self.forces(tree, arguments);
     }
 
-    /// Writes the acceleration of a step with implicit damping: `(M + dt B) a' = M a`.
+    /// Writes the acceleration of a step with implicit damping: `(M + dt B) a' = M a = τ + Jᵀ f`.
     #[inline(always)]
     pub(crate) fn damp(&mut self, tree: &Tree, [q, v, u, params]: Arguments<'_, T>) {
         if !tree.damps {
             self.stepped.copy_from_slice(&self.a);
             return;
         }
-        self.mass.times(&tree.parent, &self.a, &mut self.stepped);
+        let mut stepped = std::mem::take(&mut self.stepped);
+        self.constrained(tree, &mut stepped);
         self.damped.copy(&self.mass, &tree.parent, crate::matrix::Chains::Tree(&tree.parent));
         let dt = tree.options.dt;
         for (k, dof) in tree.dofs.iter().enumerate() {
@@ -275,13 +289,24 @@ impl<T: Scalar> Work<T> {
         if tree.implicit_feedback() {
             for (motor, &u) in tree.motors.iter().zip(u).filter(|(motor, _)| motor.bias[2] != 0.0) {
                 let gear = motor.gear.of(params);
-                let force = motor.force(q[tree.dofs[motor.dof].q], v[motor.dof], u, params);
-                let feedback = gear * gear * motor.passes(force) * (motor.bias[2] * dt);
+                let dof = &tree.dofs[motor.dof];
+                let force = motor.force(q[dof.q], v[motor.dof], u, params);
+                let passes = motor.passes(force) * dof.passes(self.actuation[motor.dof]);
+                let feedback = gear * gear * passes * (motor.bias[2] * dt);
                 *self.damped.at_mut(motor.dof, motor.dof) -= feedback;
             }
         }
         self.damped.factor(&tree.parent);
-        self.damped.solve(&tree.parent, &mut self.stepped);
+        self.damped.solve(&tree.parent, &mut stepped);
+        self.stepped = stepped;
+    }
+}
+
+impl Dof {
+    /// 1 if the sum of the forces of actuators is inside its range, else 0.
+    #[inline(always)]
+    pub(crate) fn passes<T: Scalar>(&self, force: T) -> T {
+        self.force_range.map_or(T::one(), |range| inside(force, range))
     }
 }
 
@@ -332,7 +357,9 @@ fn link_inertia<T: Scalar>(dof: &Dof, turn: &M<T>, at: V<T>, params: &[T]) -> In
     };
     for (mass, part) in &dof.varied {
         let mass = mass.of(params);
-        all.add(&placed(part, mass, congruence(turn, &part.moments).map(|j| j * mass)));
+        let mut moments = congruence(turn, &part.moments);
+        moments.iter_mut().for_each(|moment| *moment *= mass);
+        all.add(&placed(part, mass, moments));
     }
     all
 }

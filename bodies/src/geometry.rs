@@ -65,7 +65,7 @@ pub(crate) fn nearest<T: Scalar>(a: &Capsule<T>, b: &Capsule<T>) -> Near<T> {
     let per_length = T::select_lt(least, square, length.recip(), o);
     let normal = scale(between, length.recip());
     let crossed = crossed(a, b);
-    let normal = [0, 1, 2].map(|i| T::select_lt(least, square, normal[i], crossed[i]));
+    let normal = three!(|i| T::select_lt(least, square, normal[i], crossed[i]));
     let gap = T::select_lt(least, square, length, o) - (a.radius + b.radius);
     let inside = |x: T, ball: bool| {
         if ball { o } else { T::select_lt(x.abs(), one, one, o) }
@@ -85,11 +85,12 @@ pub(crate) fn nearest<T: Scalar>(a: &Capsule<T>, b: &Capsule<T>) -> Near<T> {
 #[inline(always)]
 fn crossed<T: Scalar>(a: &Capsule<T>, b: &Capsule<T>) -> V<T> {
     let (o, one) = (T::zero(), T::one());
-    let across = cross(a.half, b.half).map(T::detach);
+    let across = cross(a.half, b.half);
+    let across = three!(|i| across[i].detach());
     let (square, least) = (dot(across, across), T::from(MEETING));
     let unit = scale(across, square.max(least).sqrt().recip());
     let otherwise = [one, o, o];
-    [0, 1, 2].map(|i| T::select_lt(least, square, unit[i], otherwise[i]))
+    three!(|i| T::select_lt(least, square, unit[i], otherwise[i]))
 }
 
 #[inline(always)]

@@ -23,6 +23,8 @@ pub(crate) struct Soft {
     width: f64,
     middle: f64,
     power: f64,
+    /// Factors of the two branches.
+    factors: [f64; 2],
 }
 
 impl Soft {
@@ -39,13 +41,14 @@ impl Soft {
             (-time / (high * high), -ratio / high)
         };
         let (middle, power) = (middle.clamp(IMPEDANCE[0], IMPEDANCE[1]), power.max(1.0));
-        Self { k, b, low, high, width: width.max(0.0), middle, power }
+        let factors = [middle.powf(1.0 - power), (1.0 - middle).powf(1.0 - power)];
+        Self { k, b, low, high, width: width.max(0.0), middle, power, factors }
     }
 
     /// Impedance at a distance, and its derivative with respect to the absolute distance.
     #[inline(always)]
     pub(crate) fn impedance<T: Scalar>(&self, distance: T) -> (T, T) {
-        let Self { low, high, width, middle, power, .. } = *self;
+        let Self { low, high, width, middle, power, factors: [a, b], .. } = *self;
         if low == high || width <= TINY {
             return (T::from(0.5 * (low + high)), T::zero());
         }
@@ -54,7 +57,6 @@ impl Soft {
         let (y, slope) = if power == 1.0 {
             (x, one)
         } else {
-            let (a, b) = (middle.powf(1.0 - power), (1.0 - middle).powf(1.0 - power));
             let (x, rest) =
                 if power == 2.0 { (x, -x + 1.0) } else { (x.max(TINY), (-x + 1.0).max(TINY)) };
             let raised = |x: T| if power == 2.0 { x } else { x.powf(power - 1.0) };

@@ -10,7 +10,7 @@ use crate::spatial::*;
 use crate::tree::Tree;
 use physgrad::Scalar;
 
-/// Most iterations. In 10⁶ random states of the tested models, at most a third were needed.
+/// Most iterations. Of 10⁶ random states of each tested model, also wild ones, none needed more than 33.
 pub(crate) const ITERATIONS: usize = 40;
 /// Most evaluations of a line search.
 const SEARCH: usize = 16;
@@ -31,12 +31,13 @@ impl<T: Scalar> Work<T> {
     pub(crate) fn prepare_solver(&mut self) {
         let o = T::zero();
         self.a.fill(o);
+        self.momentum.fill(o);
         for row in &mut self.rows {
             row.s = -row.reference;
             (row.f, row.w) = row.force(row.s);
         }
         for contact in &mut self.contacts {
-            contact.s = contact.reference.map(|x| -x);
+            contact.s = neg(contact.reference);
             (contact.f, contact.w) = contact.cone.force(contact.s);
         }
     }
@@ -66,23 +67,40 @@ impl<T: Scalar> Work<T> {
         self.hessian.factor_along(chains);
     }
 
-    /// Writes the Newton step to `direction`: `-H⁻¹ (M a - τ - Jᵀ f)`.
+    /// Writes the force of each degree of freedom with constraints: `τ + Jᵀ f`.
     #[inline(always)]
-    pub(crate) fn newton_step(&mut self, tree: &Tree) {
-        self.mass.times(&tree.parent, &self.a, &mut self.product);
-        for (k, x) in self.direction.iter_mut().enumerate() {
-            *x = self.tau[k] - self.product[k];
-        }
+    pub(crate) fn constrained(&self, tree: &Tree, out: &mut [T]) {
+        out.copy_from_slice(&self.tau);
         for row in &self.rows {
-            self.direction[row.dof] += row.sign * row.f;
+            out[row.dof] += row.sign * row.f;
         }
         for contact in &self.contacts {
             let path = &tree.contacts[contact.index].path;
             for (i, &(k, _)) in path.iter().enumerate() {
-                self.direction[k] += dot(self.columns[contact.first + i], contact.f);
+                out[k] += dot(self.columns[contact.first + i], contact.f);
             }
         }
-        self.hessian.solve_along(chains(self.is_coupled, tree), &mut self.direction);
+    }
+
+    /// Writes the Newton step to `direction`: `-H⁻¹ (M a - τ - Jᵀ f)`.
+    #[inline(always)]
+    pub(crate) fn newton_step(&mut self, tree: &Tree) {
+        let mut direction = std::mem::take(&mut self.direction);
+        self.constrained(tree, &mut direction);
+        if self.is_free() {
+            self.hessian.solve(&tree.parent, &mut direction);
+            self.direction = direction;
+            return;
+        }
+        for (k, x) in direction.iter_mut().enumerate() {
+            *x -= self.momentum[k];
+            self.product[k] = *x;
+        }
+        self.hessian.solve_along(chains(self.is_coupled, tree), &mut direction);
+        let falls = self.product.iter().zip(&direction);
+        self.descent = falls.fold(T::zero(), |sum, (&x, &by)| sum + x * by);
+        self.mass.times(&tree.parent, &direction, &mut self.product);
+        self.direction = direction;
     }
 
     /// Accelerations of a contact along `direction`.
@@ -113,17 +131,14 @@ impl<T: Scalar> Work<T> {
                 self.is_exact = true;
                 return;
             }
-            along.clear();
-            for i in 0..self.contacts.len() {
-                along.push(self.along(tree, i));
-            }
-            let length = if iteration == 0 { one } else { self.search(tree, along) * running };
-            let decrement = self.decrement(tree);
+            self.list_along(tree, along);
+            let (square, whole) = self.decrement();
+            let length = if iteration == 0 { one } else { self.search(along, square) * running };
             self.advance(length);
             let changed = self.update(along, length, running);
             // A full step that changes no active set is exact for piecewise quadratic costs. Near
             // the minimum of a smooth cost, the next error is the square of the last step.
-            let small = decrement.0 - decrement.1 * tolerance::<T>();
+            let small = square - (whole + square) * tolerance::<T>();
             let exact = T::select_lt(o, changed, one, T::select_lt(length, one, one, o));
             let still = T::select_lt(o, small, one, o) * exact;
             running *= still;
@@ -131,7 +146,9 @@ impl<T: Scalar> Work<T> {
                 self.is_exact = !T::any_lt(o, changed);
                 if T::DIFFERENTIATES && !self.is_exact {
                     step(self, tree);
+                    self.list_along(tree, along);
                     self.advance(one);
+                    self.update(along, one, one);
                 }
                 return;
             }
@@ -139,22 +156,30 @@ impl<T: Scalar> Work<T> {
     }
 
     #[inline(always)]
+    fn list_along(&self, tree: &Tree, along: &mut Vec<V<T>>) {
+        along.clear();
+        for i in 0..self.contacts.len() {
+            along.push(self.along(tree, i));
+        }
+    }
+
+    #[inline(always)]
     fn advance(&mut self, length: T) {
-        for (a, &by) in self.a.iter_mut().zip(&self.direction) {
-            *a += by * length;
+        for k in 0..self.a.len() {
+            self.a[k] += self.direction[k] * length;
+            self.momentum[k] += self.product[k] * length;
         }
     }
 
     /// `Δᵀ M Δ` of the step Δ, and `aᵀ D a` with the diagonal D of M, before the step.
     #[inline(always)]
-    fn decrement(&mut self, tree: &Tree) -> (T, T) {
-        self.mass.times(&tree.parent, &self.direction, &mut self.product);
+    fn decrement(&self) -> (T, T) {
         let (mut step, mut whole) = (T::zero(), T::zero());
         for k in 0..self.a.len() {
             step += self.product[k] * self.direction[k];
             whole += self.mass.at(k, k) * self.a[k] * self.a[k];
         }
-        (step, whole + step)
+        (step, whole)
     }
 
     /// Moves rows and contacts by the step; returns how much stiffnesses change in running lanes.
@@ -180,19 +205,15 @@ impl<T: Scalar> Work<T> {
         changed * running
     }
 
-    /// Length of the step that minimizes the cost along `direction`.
+    /// Length of the step Δ that minimizes the cost along it, for `square = Δᵀ M Δ`.
     #[inline(always)]
-    fn search(&mut self, tree: &Tree, along: &[V<T>]) -> T {
+    fn search(&self, along: &[V<T>], square: T) -> T {
         let (o, one) = (T::zero(), T::one());
-        self.mass.times(&tree.parent, &self.direction, &mut self.product);
-        let (mut linear, mut square) = (o, o);
+        let mut linear = o;
         for k in 0..self.a.len() {
-            linear += self.product[k] * self.a[k] - self.direction[k] * self.tau[k];
-            square += self.product[k] * self.direction[k];
+            linear += self.direction[k] * (self.momentum[k] - self.tau[k]);
         }
         let (mut low, mut high, mut length) = (o, T::from(1e9), one);
-        let (start, _) = self.slope(along, o);
-        let scale = (start + linear).abs();
         let mut last = T::from(f64::INFINITY);
         for _ in 0..SEARCH {
             let (slope, curve) = self.slope(along, length);
@@ -206,7 +227,7 @@ impl<T: Scalar> Work<T> {
             let next = T::select_lt(next, low, middle, T::select_lt(high, next, middle, next));
             let next = T::select_lt(last, change.abs() * 2.0, middle, next);
             last = (next - length).abs();
-            let open = slope.abs() - scale * SLOPE;
+            let open = slope.abs() - self.descent * SLOPE;
             length = T::select_lt(o, open, next, length);
             if !T::any_lt(o, open) {
                 break;

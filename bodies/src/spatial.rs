@@ -28,6 +28,39 @@ pub(crate) type V<X> = [X; 3];
 /// A matrix, in rows.
 pub(crate) type M<T> = [[T; 3]; 3];
 
+/// `[x(0), x(1), x(2)]`, unrolled. The compiler does not inline `array::map` over lanes, which then
+/// lacks their instructions.
+macro_rules! three {
+    (|$i:ident| $x:expr) => {
+        [
+            {
+                let $i = 0;
+                $x
+            },
+            {
+                let $i = 1;
+                $x
+            },
+            {
+                let $i = 2;
+                $x
+            },
+        ]
+    };
+}
+pub(crate) use three;
+
+/// A constant vector.
+#[inline(always)]
+pub(crate) fn constant<T: From<f64>>(a: Vec3) -> V<T> {
+    [a[0].into(), a[1].into(), a[2].into()]
+}
+
+#[inline(always)]
+pub(crate) fn neg<X: Copy + Neg<Output = X>>(a: V<X>) -> V<X> {
+    [-a[0], -a[1], -a[2]]
+}
+
 #[inline(always)]
 pub(crate) fn add<X: Copy + Add<Output = X>>(a: V<X>, b: V<X>) -> V<X> {
     [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
@@ -231,19 +264,19 @@ impl<T: Scalar> Inertia<T> {
 /// `R v` of a constant vector.
 #[inline(always)]
 pub(crate) fn rotate<T: Scalar>(r: &M<T>, v: Vec3) -> V<T> {
-    [0, 1, 2].map(|i| r[i][0] * v[0] + r[i][1] * v[1] + r[i][2] * v[2])
+    three!(|i| r[i][0] * v[0] + r[i][1] * v[1] + r[i][2] * v[2])
 }
 
 /// Product of rotations.
 #[inline(always)]
 pub(crate) fn product<T: Scalar>(a: &M<T>, b: &M<T>) -> M<T> {
-    [0, 1, 2].map(|i| [0, 1, 2].map(|j| a[i][0] * b[0][j] + a[i][1] * b[1][j] + a[i][2] * b[2][j]))
+    three!(|i| three!(|j| a[i][0] * b[0][j] + a[i][1] * b[1][j] + a[i][2] * b[2][j]))
 }
 
 /// Product with a constant rotation.
 #[inline(always)]
 pub(crate) fn product_with<T: Scalar>(a: &M<T>, b: &Mat3) -> M<T> {
-    [0, 1, 2].map(|i| [0, 1, 2].map(|j| a[i][0] * b[0][j] + a[i][1] * b[1][j] + a[i][2] * b[2][j]))
+    three!(|i| three!(|j| a[i][0] * b[0][j] + a[i][1] * b[1][j] + a[i][2] * b[2][j]))
 }
 
 /// `R S Rᵀ` for a constant symmetric matrix: xx, yy, zz, xy, xz, yz.

@@ -78,7 +78,7 @@ fn newton<T: Scalar>(work: &mut Work<T>, tree: &Tree) {
 
 /// Computes the acceleration of a step.
 pub(crate) fn accelerate<T: Scalar>(work: &mut Work<T>, tree: &Tree, arguments: Arguments<'_, T>) {
-    work.resize(tree);
+    work.fit(tree);
     outline::<T>(Phase::<T, KINEMATICS> { work, tree, arguments });
     outline::<T>(Phase::<T, FORCES> { work, tree, arguments });
     outline::<T>(Phase::<T, CONSTRAINTS> { work, tree, arguments });
@@ -246,7 +246,7 @@ impl<T: Scalar> Buffers<T> {
         let pose = |body: &Placed| {
             let at = work.point(body.dof, body.position);
             let turn = match body.dof {
-                NONE => body.rotation.map(|row| row.map(T::from)),
+                NONE => body.rotation.map(constant),
                 dof => product_with(&work.r[dof], &body.rotation),
             };
             (add(at, work.origin), turn)
@@ -467,7 +467,12 @@ fn advance_vjp<R: Real, C: Cotangent<R>>(
             }
             Kind::Turn(0) => {
                 let w = [v[k], v[k + 1], v[k + 2]];
-                let bar: [C; 4] = std::array::from_fn(|i| next_bar[dof.q + i]);
+                let bar: [C; 4] = [
+                    next_bar[dof.q],
+                    next_bar[dof.q + 1],
+                    next_bar[dof.q + 2],
+                    next_bar[dof.q + 3],
+                ];
                 let half = 0.5 * h;
                 let Sinc { s, c, e } = Sinc::of(dot(w, w) * (half * half));
                 let sh = s * half;
@@ -504,7 +509,7 @@ fn advance_vjp<R: Real, C: Cotangent<R>>(
 fn rates<T: Scalar>(tree: &Tree, last: &[T], h: f64, v: &[T], rates: &mut [T]) {
     rates.copy_from_slice(v);
     for (k, _) in tree.dofs.iter().enumerate().filter(|(_, dof)| dof.kind == Kind::Turn(0)) {
-        let (theta, w) = ([0, 1, 2].map(|i| last[k + i] * h), [v[k], v[k + 1], v[k + 2]]);
+        let (theta, w) = (three!(|i| last[k + i] * h), [v[k], v[k + 1], v[k + 2]]);
         let (g, _) = curvature(dot(theta, theta));
         let across = cross(theta, w);
         let rate = add(w, add(scale(across, T::from(0.5)), scale(cross(theta, across), g)));
@@ -524,7 +529,7 @@ fn rates_vjp<R: Real, C: Cotangent<R>>(
 ) {
     let half = R::from(0.5);
     for (k, _) in tree.dofs.iter().enumerate().filter(|(_, dof)| dof.kind == Kind::Turn(0)) {
-        let (theta, w) = ([0, 1, 2].map(|i| last[k + i] * h), [v[k], v[k + 1], v[k + 2]]);
+        let (theta, w) = (three!(|i| last[k + i] * h), [v[k], v[k + 1], v[k + 2]]);
         let bar = [bars[k], bars[k + 1], bars[k + 2]];
         let (g, slope) = curvature(dot(theta, theta));
         let across = cross(bar, theta);

@@ -165,6 +165,8 @@ pub(crate) struct Tree {
     pub(crate) bodies: Vec<Placed>,
     pub(crate) motors: Vec<Motor>,
     pub(crate) contacts: Vec<crate::contact::Candidate>,
+    /// Number of columns of all contacts, one per degree of freedom that moves it.
+    pub(crate) columns: usize,
     pub(crate) drags: Vec<Drag>,
     /// Positions in the reference pose.
     pub(crate) reference: Vec<f64>,
@@ -227,6 +229,7 @@ impl Tree {
             bodies: Vec::new(),
             motors: Vec::new(),
             contacts: Vec::new(),
+            columns: 0,
             drags: Vec::new(),
             reference: Vec::new(),
             joints: vec![0; model.joints.len()],
@@ -269,6 +272,7 @@ impl Tree {
         tree.weigh(model);
         if model.options.contacts {
             tree.contacts = candidates(model, &tree)?;
+            tree.columns = tree.contacts.iter().map(|contact| contact.path.len()).sum();
         }
         Ok(tree)
     }

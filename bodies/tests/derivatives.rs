@@ -123,6 +123,8 @@ fn variants() -> Vec<(&'static str, Model)> {
         ("free", with(&|o| (o.contacts, o.limits) = (false, false))),
         ("implicit", with(&|o| o.integrator = Integrator::ImplicitFast)),
         ("runge-kutta", with(&|o| o.integrator = Integrator::Rk4)),
+        // Turns of the stages are not small.
+        ("long steps", with(&|o| (o.integrator, o.dt) = (Integrator::Rk4, 0.3))),
         ("medium", with(&|o| (o.density, o.viscosity, o.wind) = (300.0, 0.5, [0.3, 0.1, -0.2]))),
     ]
 }

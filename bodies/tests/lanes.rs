@@ -85,6 +85,31 @@ fn lanes_have_the_bits_of_single_numbers() {
 }
 
 #[test]
+fn results_do_not_depend_on_earlier_calls_or_the_thread() {
+    // All share the buffers of a thread. Two have as many degrees of freedom as the first.
+    let models = [(true, Cone::Pyramidal), (false, Cone::Pyramidal), (true, Cone::Elliptic)].map(
+        |(damps, cone)| {
+            let mut model = robot();
+            model.options.cone = cone;
+            if !damps {
+                model.joints.iter_mut().for_each(|joint| joint.damping = 0.0);
+            }
+            Bodies::new(model).unwrap()
+        },
+    );
+    let mut rng = SmallRng::seed_from_u64(2);
+    for i in 0..300 {
+        let bodies = &models[i % 3];
+        let (x, u) = (state(bodies, &mut rng), vec![0.5; bodies.control_dim()]);
+        let here = results::<f64>(bodies, &x, &u);
+        let there = std::thread::scope(|scope| {
+            scope.spawn(|| results::<f64>(bodies, &x, &u)).join().unwrap()
+        });
+        assert_eq!(here, there, "state {i}");
+    }
+}
+
+#[test]
 fn steps_do_not_allocate_after_the_first() {
     let bodies = Bodies::new(robot()).unwrap();
     let mut rng = SmallRng::seed_from_u64(1);

@@ -59,6 +59,9 @@ def replaced(*pairs):
 
 
 ELLIPTIC = ("<option ", '<option cone="elliptic" ')
+JOINT_RANGES = replaced(
+    ('<joint armature="1"', '<joint actuatorfrclimited="true" actuatorfrcrange="-30 30" armature="1"')
+)
 # Name, file of Gymnasium, and change of its text.
 VARIANTS = [
     ("ant, elliptic", "ant", replaced(ELLIPTIC)),
@@ -68,8 +71,7 @@ VARIANTS = [
     ("ant, no friction", "ant", replaced(('condim="3"', 'condim="1"'))),
     ("ant, dry joints", "ant", replaced(("<joint armature=", '<joint frictionloss="0.4" armature='))),
     ("ant, position", "ant", position_actuators),
-    ("ant, position, joint ranges", "ant", lambda text: position_actuators(
-        text.replace('<joint armature="1"', '<joint actuatorfrclimited="true" actuatorfrcrange="-30 30" armature="1"'))),
+    ("ant, position, joint ranges", "ant", lambda text: position_actuators(JOINT_RANGES(text))),
     ("half_cheetah, position", "half_cheetah", position_actuators),
     ("ant, boxes", "ant", replaced(('size="0.25" type="sphere"', 'size="0.2 0.25 0.3" type="box"'))),
     ("ant, touching itself", "ant", replaced(('conaffinity="0"', 'conaffinity="1"'))),
@@ -250,12 +252,11 @@ class Kinks:
         contacts = data.contact
         if grazes(data):
             return None, np.zeros(0)
-        ranges = [np.digitize(x, r) for x, r, on in zip(u, model.actuator_ctrlrange, model.actuator_ctrllimited) if on]
-        ranges += [
-            np.digitize(f, r)
-            for f, r, on in zip(data.actuator_force, model.actuator_forcerange, model.actuator_forcelimited)
-            if on
+        limited = [
+            (u, model.actuator_ctrlrange, model.actuator_ctrllimited),
+            (data.actuator_force, model.actuator_forcerange, model.actuator_forcelimited),
         ]
+        ranges = [np.digitize(x, r) for group in limited for x, r, on in zip(*group) if on]
         active = (contacts.geom.tolist(), data.efc_state.tolist(), data.efc_id.tolist(), ranges)
         return active, np.concatenate([contacts.pos, contacts.frame], 1).copy()
 
@@ -331,7 +332,8 @@ def compare(program, path):
     own = {int(value): key for key, value in INTEGRATORS.items()}[compiled(path).opt.integrator]
     smooth, *_ = accelerations(program, path, ["smooth"])
     constrained, iterations, touching = accelerations(program, path)
-    print(f" smooth {smooth:.0e} constrained {constrained:.0e} ({iterations:.0f}), {touching:4.0%} touch", end="")
+    print(f" smooth {smooth:.0e} constrained {constrained:.0e} ({iterations:.0f})", end="")
+    print(f", {touching:4.0%} touch", end="")
     states, count = smooth_states(path)
     print(f", {len(states)} of {count} smooth", end="")
     good = smooth <= SMOOTH and constrained <= CONSTRAINED
@@ -340,7 +342,8 @@ def compare(program, path):
             print(f"\n    {integrator:12} refused", end="")
             continue
         single, errors, growth = trajectories(program, path, integrator)
-        print(f"\n    {integrator:12} one step {single:.0e}, {len(errors)} trajectories of 100 steps", end=" ")
+        print(f"\n    {integrator:12} one step {single:.0e}", end="")
+        print(f", {len(errors)} trajectories of 100 steps", end=" ")
         if len(errors):
             print(f"{np.median(errors):.0e} to {errors.max():.0e}, growth {growth.max():.0e}", end="")
         good &= single <= STEP and (errors <= np.maximum(TRAJECTORY, 1e-12 * growth)).all()
@@ -359,7 +362,9 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         # MuJoCo writes its log to the working directory.
         os.chdir(folder)
-        paths = paths or sorted(glob.glob(ASSETS + "*.xml")) + sorted(glob.glob(SUITE + "*.xml")) + write_variants(folder)
+        if not paths:
+            paths = sorted(glob.glob(ASSETS + "*.xml")) + sorted(glob.glob(SUITE + "*.xml"))
+            paths += write_variants(folder)
         for path in paths:
             if reason := refusal(program, path):
                 print(f"{os.path.basename(path)[:-4]:26} refused: {reason}")
