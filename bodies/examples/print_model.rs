@@ -118,7 +118,6 @@ fn shape(shape: &Shape) -> String {
         ("solmix", format!("{:?}", shape.mix)),
         ("priority", shape.priority.to_string()),
         ("margin", format!("{:?}", shape.margin)),
-        ("gap", format!("{:?}", shape.gap)),
         ("rgba", numbers(&shape.colour)),
     ])
 }

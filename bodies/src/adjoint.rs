@@ -243,6 +243,7 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
         tree: &Tree,
         work: &Work<R>,
         contact: &Contact<R>,
+        params: &[R],
         bars: &mut Bars<'_, C>,
     ) {
         let candidate = &tree.contacts[contact.index];
@@ -262,14 +263,19 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
         let w_part = neg(contact.f);
         let s_bar = block_times(&contact.w, virtual_speed);
         let v_part = scale(s_bar, R::from(candidate.soft.b));
-        let (relative_slope, pull) = candidate.soft.slopes(contact.distance);
+        let (relative_slope, pull) = candidate.slopes(contact.distance);
         let power = dot(virtual_speed, contact.f);
         let is_active = R::select_lt(contact.distance, R::zero(), R::one(), R::zero());
         let distance_bar = (s_bar[0] * pull - power * relative_slope) * is_active;
-        if let (Some(entry), Some(p_bar)) = (candidate.friction.entry, &mut bars.p) {
+        if let Some(p_bar) = &mut bars.p {
             let by = contact.cone.by_friction(contact.s);
             let weight = candidate.weight_by_friction(contact.cone.friction);
-            p_bar[entry] += -(dot(virtual_speed, by) + power * weight);
+            let bar = -(dot(virtual_speed, by) + power * weight);
+            for (friction, counts) in candidate.friction.iter().zip(candidate.counts(params)) {
+                if let Some(entry) = friction.entry {
+                    p_bar[entry] += bar * counts;
+                }
+            }
         }
         // Forces at the contact point in axes of the world, on the second body.
         let world = |part: V<C>| combine(part, frame);

@@ -104,15 +104,16 @@ impl Quantities for Bodies {
         for site in &model.sites {
             all.extend(point(site.body, site.position));
         }
-        let moving = model.bodies.iter().enumerate().skip(1);
-        let total: f64 = moving.clone().map(|(_, body)| body.mass).sum();
-        let mut centre = [T::zero(); 3];
-        for (index, body) in moving.filter(|(_, body)| body.mass > 0.0) {
-            let at = point(index, body.centre);
+        let masses = self.masses(p);
+        let (mut total, mut centre) = (T::zero(), [T::zero(); 3]);
+        for (index, &mass) in masses.iter().enumerate().skip(1) {
+            let at = point(index, model.bodies[index].centre);
+            total += mass;
             for i in 0..3 {
-                centre[i] += at[i] * (body.mass / total);
+                centre[i] += at[i] * mass;
             }
         }
+        let centre = centre.map(|moment| moment / total);
         all.extend(centre);
         all
     }

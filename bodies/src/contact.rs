@@ -21,7 +21,8 @@ pub(crate) struct Candidate {
     pub(crate) soft: Soft,
     /// Distance at which the contact begins to push, m.
     pub(crate) margin: f64,
-    pub(crate) friction: Coefficient,
+    /// Coefficients of friction, of which the larger counts.
+    pub(crate) friction: [Coefficient; 2],
     /// Inverse mass of the contact in the reference pose.
     weight: f64,
     /// Degrees of freedom that move the bodies relative to each other, in increasing order, and
@@ -161,10 +162,9 @@ fn add_pair(
     let path = path(tree, a.body, b.body);
     let branches = path.iter().any(|end| end.1) && path.iter().any(|end| !end.1);
     let friction = match a.priority.cmp(&b.priority) {
-        std::cmp::Ordering::Greater => shapes[0],
-        std::cmp::Ordering::Less => shapes[1],
-        std::cmp::Ordering::Equal if a.friction[0] >= b.friction[0] => shapes[0],
-        std::cmp::Ordering::Equal => shapes[1],
+        std::cmp::Ordering::Greater => [shapes[0]; 2],
+        std::cmp::Ordering::Less => [shapes[1]; 2],
+        std::cmp::Ordering::Equal => shapes,
     };
     for pair in pairs {
         all.push(Candidate {
@@ -174,7 +174,7 @@ fn add_pair(
             soft: Soft::new(&softness(a, b), model.options.dt),
             // A gap only lists contacts that do not push yet.
             margin: a.margin + b.margin,
-            friction: tree.friction[friction],
+            friction: friction.map(|shape| tree.friction[shape]),
             weight: tree.bodies[a.body].weight + tree.bodies[b.body].weight,
             path: path.clone(),
             branches,
@@ -404,10 +404,16 @@ impl<T: Scalar> Work<T> {
     ) {
         let candidate = &tree.contacts[index];
         let o = T::zero();
-        let friction = candidate.friction.of(params);
+        let [a, b] = candidate.friction.map(|friction| friction.of::<T>(params));
+        let friction = b.max(a).max(LEAST_FRICTION);
         let (weight, pull) = candidate.soft.row(distance);
         let scale = candidate.inverse(friction);
-        let weight = T::select_lt(distance, o, weight / scale, o);
+        let weight = if candidate.weight < LEAST_WEIGHT {
+            T::from(1.0 / LEAST_WEIGHT) / scale
+        } else {
+            weight / scale
+        };
+        let weight = T::select_lt(distance, o, weight, o);
         let first = self.columns.len();
         let mut speed = [o; 3];
         for &(k, second) in &candidate.path {
@@ -444,16 +450,44 @@ impl<T: Scalar> Work<T> {
 /// the plane.
 pub(crate) const UPRIGHT: f64 = 1e-20;
 
+/// Bounds of MuJoCo for inverse masses of contacts, below which a contact has the largest weight,
+/// and for friction.
+const LEAST_WEIGHT: f64 = 1e-15;
+const LEAST_FRICTION: f64 = 1e-5;
+
 impl Candidate {
+    /// The inverse mass, or 1 where the weight has its bound.
+    fn inverse_mass(&self) -> f64 {
+        if self.weight < LEAST_WEIGHT { 1.0 } else { self.weight }
+    }
+
+    /// Derivatives of the logarithm of the weight and of the pull with respect to the distance.
+    #[inline(always)]
+    pub(crate) fn slopes<T: Scalar>(&self, distance: T) -> (T, T) {
+        let (relative, pull) = self.soft.slopes(distance);
+        (if self.weight < LEAST_WEIGHT { T::zero() } else { relative }, pull)
+    }
+
+    /// Derivative of the friction with respect to each coefficient: 1 for the larger one.
+    #[inline(always)]
+    pub(crate) fn counts<T: Scalar>(&self, params: &[T]) -> [T; 2] {
+        let (o, one) = (T::zero(), T::one());
+        let [a, b] = self.friction.map(|friction| friction.of::<T>(params));
+        let least = T::from(LEAST_FRICTION);
+        let second = T::select_lt(a, b, one, o);
+        let [a, b] = [a, b].map(|mu| T::select_lt(least, mu, one, o));
+        [a * (-second + 1.0), b * second]
+    }
+
     /// Inverse mass of the normal row.
     #[inline(always)]
     fn inverse<T: Scalar>(&self, friction: T) -> T {
         match self.law {
             Law::Pyramidal => {
                 let square = friction * friction;
-                square * (square + 1.0) * (2.0 * self.weight / self.ratio)
+                square * (square + 1.0) * (2.0 * self.inverse_mass() / self.ratio)
             }
-            _ => T::from(self.weight),
+            _ => T::from(self.inverse_mass()),
         }
     }
 

@@ -6,18 +6,22 @@
 
 use crate::model::{Mat3, Options, Vec3};
 use crate::spatial::*;
-use crate::tree::{Drag, IDENTITY, Inertial};
+use crate::tree::{Drag, Inertial};
 use nalgebra::{Matrix3, SymmetricEigen};
 use physgrad::{Cotangent, Real, Scalar};
 use std::f64::consts::PI;
 
-/// Drag of a body with these moments, if there is a medium.
-pub(crate) fn of(options: &Options, dof: usize, body: &Inertial) -> Option<Drag> {
+/// Drag of a body with these principal axes, if there is a medium.
+pub(crate) fn of(
+    options: &Options,
+    dof: usize,
+    body: &Inertial,
+    axes: Option<Mat3>,
+) -> Option<Drag> {
     if options.density == 0.0 && options.viscosity == 0.0 {
         return None;
     }
-    let j = body.moments;
-    let (moments, axes) = principal(j);
+    let (moments, axes) = principal(body.moments, axes);
     let edge = |i: usize| {
         let others = moments.iter().sum::<f64>() - 2.0 * moments[i];
         (others.max(1e-15) / body.mass * 6.0).sqrt()
@@ -43,35 +47,19 @@ pub(crate) fn of(options: &Options, dof: usize, body: &Inertial) -> Option<Drag>
     })
 }
 
-/// Principal moments and axes in columns.
+/// Principal moments and axes in columns: along the given axes, or any.
 ///
-/// Drag depends on the axes of a box also if moments are equal. The axes are then those of a shape
-/// along the third axis, which is turned from z on the shortest way, and those of the body if all
-/// moments are equal.
-fn principal(j: [f64; 6]) -> (Vec3, Mat3) {
-    let eigen =
-        SymmetricEigen::new(Matrix3::new(j[0], j[3], j[4], j[3], j[1], j[5], j[4], j[5], j[2]));
-    let m = eigen.eigenvalues;
-    let equal = |a: usize, b: usize| (m[a] - m[b]).abs() <= 1e-9 * m.amax();
-    let column = |k: usize| [0, 1, 2].map(|i| eigen.eigenvectors[(i, k)]);
-    if equal(0, 1) && equal(1, 2) {
-        return ([m[0]; 3], IDENTITY);
+/// Drag depends on the axes of the box also if moments are equal.
+fn principal(j: [f64; 6], axes: Option<Mat3>) -> (Vec3, Mat3) {
+    let matrix = Matrix3::new(j[0], j[3], j[4], j[3], j[1], j[5], j[4], j[5], j[2]);
+    if let Some(axes) = axes {
+        let turn = Matrix3::from_fn(|i, k| axes[i][k]);
+        let moments = turn.transpose() * matrix * turn;
+        return ([0, 1, 2].map(|k| moments[(k, k)]), axes);
     }
-    for (a, b, single) in [(0, 1, 2), (0, 2, 1), (1, 2, 0)] {
-        if equal(a, b) {
-            let [x, y, z] = column(single);
-            let [x, y, z] = if z < 0.0 { [-x, -y, -z] } else { [x, y, z] };
-            let by = 1.0 / (1.0 + z);
-            let turn = [
-                [1.0 - x * x * by, -x * y * by, x],
-                [-x * y * by, 1.0 - y * y * by, y],
-                [-x, -y, z],
-            ];
-            return ([m[a], m[b], m[single]], turn);
-        }
-    }
-    let [x, y, z] = [0, 1, 2].map(column);
-    ([m[0], m[1], m[2]], [0, 1, 2].map(|i| [x[i], y[i], z[i]]))
+    let eigen = SymmetricEigen::new(matrix);
+    let axes = [0, 1, 2].map(|i| [0, 1, 2].map(|k| eigen.eigenvectors[(i, k)]));
+    ([0, 1, 2].map(|k| eigen.eigenvalues[k]), axes)
 }
 
 /// Principal axes and centre of mass of a body at a pose of its link.

@@ -149,7 +149,7 @@ fn numbers(model: &Model) -> Vec<f64> {
         }
     }
     for s in &model.shapes {
-        all.extend([s.mix, s.margin, s.gap]);
+        all.extend([s.mix, s.margin]);
         all.extend(s.position.iter().chain(&s.friction).chain(&soft(&s.softness)));
         all.extend(s.rotation.as_flattened().iter().chain(&s.colour));
     }

@@ -10,6 +10,8 @@ pub(crate) struct Part {
     pub mass: f64,
     pub centre: Vec3,
     pub inertia: Mat3,
+    /// Principal axes in columns, if the file gives them.
+    pub axes: Option<Mat3>,
 }
 
 impl Part {
@@ -20,6 +22,7 @@ impl Part {
             mass: self.mass,
             centre: pose.point(self.centre),
             inertia: product(&turned, &transposed(&pose.rotation)),
+            axes: self.axes.map(|axes| product(&pose.rotation, &axes)),
         }
     }
 }
@@ -90,7 +93,7 @@ pub(crate) fn together(parts: &[Part]) -> Part {
             }
         }
     }
-    Part { mass, centre, inertia }
+    Part { mass, centre, inertia, axes: None }
 }
 
 /// Principal moments of a symmetric matrix and their axes as columns: Jacobi's method.
@@ -147,7 +150,7 @@ pub(crate) fn immovable(bodies: &[Body], joints: &[Joint]) -> Option<(usize, &'s
     joints.iter().for_each(|j| moves[j.body] = true);
     let mut parts: Vec<Part> = bodies
         .iter()
-        .map(|b| Part { mass: b.mass, centre: b.centre, inertia: matrix(b.inertia) })
+        .map(|b| Part { mass: b.mass, centre: b.centre, inertia: matrix(b.inertia), axes: None })
         .collect();
     let mut found = None;
     // Children follow their parents.
@@ -222,6 +225,7 @@ mod tests {
             mass: 2.0,
             centre: [x, 1.0, -1.0],
             inertia: turned(moments(half).map(|m| 2.0 * m), &IDENTITY),
+            axes: None,
         };
         let both = together(&[part(0.1), part(-0.1)]);
         let whole = moments(Form::Box([0.2, 0.2, 0.3]));

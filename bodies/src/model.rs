@@ -127,6 +127,17 @@ pub struct Body {
     /// Moments of inertia about the centre of mass, in the axes of the body: xx, yy, zz, xy, xz,
     /// yz. Unit kg m².
     pub inertia: [f64; 6],
+    /// Principal axes in columns, in the axes of the body, if the file gives them: those of the only
+    /// shape with mass, or of its inertia. None: any principal axes.
+    pub axes: Option<Mat3>,
+}
+
+impl Body {
+    /// A body without mass at a pose in its parent.
+    pub fn new(name: &str, parent: usize, position: Vec3, rotation: Mat3) -> Self {
+        let (mass, centre, inertia, axes) = (0.0, [0.0; 3], [0.0; 6], None);
+        Self { name: name.to_owned(), parent, position, rotation, mass, centre, inertia, axes }
+    }
 }
 
 /// A joint between a body and its parent.
@@ -160,6 +171,28 @@ pub struct Joint {
     pub limit: Option<Limit>,
     /// Range of the sum of actuator forces, N m or N.
     pub force_range: Option<[f64; 2]>,
+}
+
+impl Joint {
+    /// A joint about the z axis through the origin of a body, without forces.
+    pub fn new(name: &str, body: usize, kind: JointKind) -> Self {
+        Self {
+            name: name.to_owned(),
+            body,
+            kind,
+            point: [0.0; 3],
+            axis: [0.0, 0.0, 1.0],
+            reference: 0.0,
+            spring_reference: 0.0,
+            stiffness: 0.0,
+            damping: 0.0,
+            armature: 0.0,
+            friction_loss: 0.0,
+            friction_softness: Softness::default(),
+            limit: None,
+            force_range: None,
+        }
+    }
 }
 
 /// Motion that a joint permits.
@@ -235,8 +268,6 @@ pub struct Shape {
     pub priority: i32,
     /// Distance at which contacts are found, m.
     pub margin: f64,
-    /// Distance beyond the margin within which the file wants contacts to be listed, m. No force depends on it.
-    pub gap: f64,
     /// Colour: red, green, blue, opacity.
     pub colour: [f64; 4],
 }

@@ -12,22 +12,9 @@ use crate::model::Integrator;
 use crate::rows::rows;
 use crate::spatial::*;
 use crate::tree::{Kind, NONE, Placed, Tree};
-use physgrad::engine::kernels::{Vectorized, dispatch_lanes};
+use physgrad::engine::kernels::Vectorized;
+use physgrad::engine::outline;
 use physgrad::{Cotangent, Cotangents, Inputs, Real, Scalar};
-
-/// Runs work outlined, on lanes with the instructions of this processor.
-#[inline(always)]
-fn outline<T: Scalar>(work: impl Vectorized) {
-    #[inline(never)]
-    fn best(work: impl Vectorized) {
-        dispatch_lanes(work);
-    }
-    #[inline(never)]
-    fn portable(work: impl Vectorized) {
-        work.run::<false>();
-    }
-    if T::VECTORIZED { best(work) } else { portable(work) }
-}
 
 /// Parts of an acceleration.
 const KINEMATICS: usize = 0;
@@ -104,7 +91,7 @@ impl<R: Real, C: Cotangent<R>, const PART: usize> Vectorized for Reverse<'_, '_,
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         let Self { back, work, tree, arguments, bar, bars } = self;
-        let [_, v, _, _] = arguments;
+        let [_, v, _, params] = arguments;
         match PART {
             ADJOINT => {
                 back.solve(tree, work, bar);
@@ -114,7 +101,7 @@ impl<R: Real, C: Cotangent<R>, const PART: usize> Vectorized for Reverse<'_, '_,
             }
             CONTACTS => {
                 for contact in &work.contacts {
-                    back.contact(tree, work, contact, bars);
+                    back.contact(tree, work, contact, params, bars);
                 }
             }
             _ => back.sweep(tree, work, arguments, bars),

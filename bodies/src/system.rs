@@ -51,7 +51,7 @@ impl Bodies {
 
     /// Compiles a model with some of its numbers set, drawn for each sample, or trained:
     /// `body.NAME.mass`, `joint.NAME.damping`, `.armature`, `.stiffness`, `.friction_loss`,
-    /// `actuator.NAME.gear`, `shape.NAME.friction`.
+    /// `motor.NAME.gear`, `shape.NAME.friction`.
     ///
     /// A mass scales the moments of inertia of its body. Softness of constraints keeps the inverse
     /// masses of the file.
@@ -113,6 +113,11 @@ impl Bodies {
             let (a, iterations) = buffers.acceleration(&self.tree, [q, v, u, self.own(p)]);
             (a.to_vec(), iterations)
         })
+    }
+
+    /// Masses of all bodies, with the parameters `p`.
+    pub fn masses<T: Scalar>(&self, p: &[T]) -> Vec<T> {
+        self.tree.masses.iter().map(|mass| mass.of(self.own(p))).collect()
     }
 
     /// Position and orientation of each body in axes of the world, at the positions with which

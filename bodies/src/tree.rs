@@ -172,6 +172,8 @@ pub(crate) struct Tree {
     pub(crate) reference: Vec<f64>,
     /// First degree of freedom of each joint.
     pub(crate) joints: Vec<usize>,
+    /// Mass of each body.
+    pub(crate) masses: Vec<Coefficient>,
     /// Whether limits or dry friction exist.
     pub(crate) has_rows: bool,
     /// Whether damping is implicit and exists.
@@ -205,7 +207,7 @@ pub(crate) fn numbers(model: &Model) -> Vec<Numbered> {
         }
     }
     for actuator in &model.actuators {
-        push(format!("actuator.{}.gear", word(&actuator.name)), actuator.gear);
+        push(format!("motor.{}.gear", word(&actuator.name)), actuator.gear);
     }
     for shape in &model.shapes {
         push(format!("shape.{}.friction", word(&shape.name)), shape.friction[0]);
@@ -233,6 +235,11 @@ impl Tree {
             drags: Vec::new(),
             reference: Vec::new(),
             joints: vec![0; model.joints.len()],
+            masses: model
+                .bodies
+                .iter()
+                .map(|body| Coefficient { value: body.mass, entry: None })
+                .collect(),
             has_rows: false,
             damps: false,
             friction: Vec::new(),
@@ -243,7 +250,14 @@ impl Tree {
         }
         tree.motors = model.actuators.iter().map(|a| tree.motor(a, coefficient)).collect();
         if tree.parent.iter().filter(|&&parent| parent == NONE).count() == 1 {
-            tree.root = tree.dofs.iter().take_while(|dof| dof.kind == Kind::Slide).count();
+            // Slides of one body: a body above those of another stays behind.
+            let slides = |joint: &&Joint| {
+                joint.body == model.joints[0].body
+                    && matches!(joint.kind, JointKind::Slide | JointKind::Free)
+            };
+            let first = model.joints.iter().take_while(slides).count();
+            let all = tree.dofs.iter().take_while(|dof| dof.kind == Kind::Slide).count();
+            tree.root = tree.joints.get(first).map_or(all, |&dof| dof.min(all));
         }
         tree.has_rows =
             tree.dofs.iter().any(|dof| dof.limit.is_some() || !dof.friction_loss.is_absent());
@@ -330,13 +344,15 @@ impl Tree {
                 moments: congruence(&turn, &body.inertia),
             };
             let mass = coefficient(&format!("body.{}.mass", word(&body.name)), body.mass);
+            self.masses[index] = mass;
             let scaled = part.scaled(mass.value);
             if mass.entry.is_some() {
                 self.dofs[dof].varied.push((mass, part.scaled(1.0)));
             } else {
                 self.dofs[dof].fixed = self.dofs[dof].fixed.with(&scaled);
             }
-            self.drags.extend(crate::drag::of(&model.options, dof, &scaled));
+            let axes = body.axes.map(|axes| product(&turn, &axes));
+            self.drags.extend(crate::drag::of(&model.options, dof, &scaled, axes));
         }
     }
 
@@ -412,7 +428,7 @@ impl Tree {
     fn motor(&self, a: &Actuator, coefficient: &dyn Fn(&str, f64) -> Coefficient) -> Motor {
         Motor {
             dof: self.joints[a.joint],
-            gear: coefficient(&format!("actuator.{}.gear", word(&a.name)), a.gear),
+            gear: coefficient(&format!("motor.{}.gear", word(&a.name)), a.gear),
             gain: a.gain,
             bias: a.bias,
             control_range: a.control_range,
@@ -420,7 +436,7 @@ impl Tree {
         }
     }
 
-    /// Weights of rows: inverse masses in the reference pose, with the masses of the file.
+    /// Weights of rows: inverse masses in the reference pose, with typical values of numbers that vary.
     fn weigh(&mut self, model: &Model) {
         let n = self.nv();
         let params: Vec<f64> = self.nominal();
@@ -469,6 +485,14 @@ impl Tree {
                 (0..n).map(|k| if moves[k] { work.s[k].at(x)[i] } else { 0.0 }).collect()
             };
             self.bodies[index].weight = (0..3).map(|i| inverse(&row(i))).sum::<f64>() / 3.0;
+            if is_plain_slider(model, index) && self.bodies[body.parent].dof == NONE {
+                let weight = self.masses[index].value.recip();
+                self.bodies[index].weight = weight;
+                let own = model.joints.iter().zip(&self.joints);
+                for (_, &dof) in own.filter(|(joint, _)| joint.body == index) {
+                    self.dofs[dof].weight = weight;
+                }
+            }
         }
     }
 
@@ -491,6 +515,25 @@ impl Tree {
         self.friction.iter().for_each(set);
         all
     }
+}
+
+/// Whether a body without children only slides along its own axes, which are principal axes through
+/// its centre of mass. Its weights are its inverse mass, without armature, as in MuJoCo.
+fn is_plain_slider(model: &Model, index: usize) -> bool {
+    let body = &model.bodies[index];
+    let [_, _, _, xy, xz, yz] = body.inertia;
+    let along = |joint: &Joint| {
+        joint.kind == JointKind::Slide
+            && joint.point == [0.0; 3]
+            && joint.axis.iter().filter(|x| **x != 0.0).count() == 1
+    };
+    let mut own = model.joints.iter().filter(|joint| joint.body == index).peekable();
+    own.peek().is_some()
+        && own.all(along)
+        && body.centre == [0.0; 3]
+        && [xy, xz, yz] == [0.0; 3]
+        && body.axes.is_none_or(|axes| axes == IDENTITY)
+        && model.bodies.iter().skip(1).all(|other| other.parent != index)
 }
 
 /// Refuses springs and limits of joints that rotate freely.

@@ -13,7 +13,7 @@ use crate::files::FileError;
 use crate::mass::immovable;
 use crate::model::{Actuator, Body, JointKind, Model, Options};
 use crate::names;
-use crate::rotation::Pose;
+use crate::rotation::{IDENTITY, Pose};
 use crate::xml::{self, Element, hint, shorten};
 use joint::Hinged;
 use std::collections::HashMap;
@@ -181,7 +181,7 @@ fn build(
     order: &[(usize, Option<usize>)],
     model: &mut Model,
 ) -> Result<(), FileError> {
-    model.bodies.push(body("world", 0, &Pose::IDENTITY));
+    model.bodies.push(Body::new("world", 0, [0.0; 3], IDENTITY));
     let mut index = vec![0; parts.links.len()];
     let mut meshes = Vec::new();
     for (link, joint) in order {
@@ -197,7 +197,7 @@ fn build(
                 Some(joint) => (index[joint.parent], joint.pose()?),
                 None => (0, Pose::IDENTITY),
             };
-            let mut body = body(name, parent, &pose);
+            let mut body = Body::new(name, parent, pose.position, pose.rotation);
             link::weigh(element, &mut body)?;
             model.bodies.push(body);
         }
@@ -213,18 +213,6 @@ fn build(
         ));
     }
     Ok(())
-}
-
-fn body(name: &str, parent: usize, pose: &Pose) -> Body {
-    Body {
-        name: name.to_string(),
-        parent,
-        position: pose.position,
-        rotation: pose.rotation,
-        mass: 0.0,
-        centre: [0.0; 3],
-        inertia: [0.0; 6],
-    }
 }
 
 /// Adds the joint and its motor.

@@ -15,6 +15,7 @@ fn body(name: &str, parent: usize, position: Vec3) -> Body {
         mass: 1.3,
         centre: [0.02, -0.01, 0.03],
         inertia: [0.02, 0.03, 0.025, 0.001, -0.002, 0.0015],
+        axes: None,
     }
 }
 
@@ -52,7 +53,6 @@ fn shape(name: &str, body: usize, form: Form) -> Shape {
         mix: 1.0,
         priority: 0,
         margin: 0.01,
-        gap: 0.0,
         colour: [0.5, 0.5, 0.5, 1.0],
     }
 }

@@ -4,6 +4,7 @@ use physgrad::{Inputs, System};
 use physgrad_bodies::model::{Cone, Model};
 use physgrad_bodies::{Bodies, files, models};
 use serde::Deserialize;
+use std::path::Path;
 
 #[derive(Deserialize)]
 struct File {
@@ -29,7 +30,13 @@ struct Case {
 fn references() -> Vec<(Model, Reference)> {
     let file: File = serde_json::from_str(include_str!("references/mujoco.json")).unwrap();
     let with_model = |reference: Reference| {
-        let mut model = files::parse(models::text(&reference.model).unwrap(), "model").unwrap();
+        let mut model = match models::text(&reference.model) {
+            Some(text) => files::parse(text, "model").unwrap(),
+            None => {
+                let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/references/small");
+                files::read(&folder.join(format!("{}.xml", reference.model))).unwrap()
+            }
+        };
         if reference.cone == "elliptic" {
             (model.options.cone, model.options.impedance_ratio) = (Cone::Elliptic, 2.0);
         }
@@ -50,16 +57,19 @@ fn error(found: &[f64], expected: &[f64]) -> f64 {
 fn accelerations_and_steps_are_those_of_mujoco() {
     let mut contacts = 0;
     for (model, Reference { model: name, cone, cases }) in references() {
+        // Edges of a pyramid with the least friction, 1e-5, have weights of 1 / (2 mu²) = 5e9, which
+        // magnify rounding by as much, in both programs.
+        let allowed = if name == "ice" && cone == "pyramidal" { 1e-5 } else { 1e-8 };
         let bodies = Bodies::new(model).unwrap();
         for (i, case) in cases.iter().enumerate() {
             let inputs = Inputs::new(&case.x, &case.u);
             let (acceleration, _) = bodies.accelerations(inputs);
             let found = error(&acceleration, &case.acceleration);
-            assert!(found <= 1e-8, "{name}, {cone}, case {i}: acceleration, error {found:e}");
+            assert!(found <= allowed, "{name}, {cone}, case {i}: acceleration, error {found:e}");
             let mut next = vec![0.0; bodies.state_dim()];
             bodies.step(inputs, &mut next);
             let found = error(&next, &case.next);
-            assert!(found <= 1e-8, "{name}, {cone}, case {i}: step, error {found:e}");
+            assert!(found <= allowed, "{name}, {cone}, case {i}: step, error {found:e}");
             contacts += case.contacts;
         }
     }

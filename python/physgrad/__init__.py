@@ -124,7 +124,7 @@ def bodies(model: Path, **settings: Any) -> Task:
     - `spread`: half widths of the noise on initial positions and velocities; `start`: initial values by
       name, as in `start={"qpos": {"rootz": 1.2}}`; `pose`: a named pose of the file.
     - `observe`: expressions that the policy observes, or `hidden`: states that it does not observe.
-    - `body`, `joint`, `actuator`, `shape`: numbers of the model, as in
+    - `body`, `joint`, `motor`, `shape`: numbers of the model, as in
       `body={"torso": {"mass": pg.uniform(3, 4)}}`.
 
     Costs are expressions, as in `loss={"running": "qvel.hinge^2 - next.body.torso.z"}`. The scene keeps the

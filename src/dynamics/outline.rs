@@ -13,7 +13,7 @@ use crate::numbers::scalar::{Cotangent, CotangentPack, Real, Scalar};
 /// Scalar types other than the lanes of rollouts (`T::VECTORIZED` is false) take the portable path.
 /// Work on such types is not performance-critical.
 #[inline(always)]
-pub(crate) fn outline<T: Scalar>(work: impl Vectorized) {
+pub fn outline<T: Scalar>(work: impl Vectorized) {
     #[inline(never)]
     fn best(work: impl Vectorized) {
         dispatch_lanes(work);

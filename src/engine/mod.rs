@@ -37,6 +37,8 @@ pub(crate) mod step_forward;
 
 pub use crate::dynamics::cause::Cause;
 #[doc(hidden)]
+pub use crate::dynamics::outline::outline;
+#[doc(hidden)]
 pub use crate::numbers::kernels;
 #[doc(hidden)]
 pub use crate::numbers::pool::lend;

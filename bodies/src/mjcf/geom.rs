@@ -62,7 +62,6 @@ pub(crate) fn geom(
         mix: view.natural("solmix", 1.0)?,
         priority: view.integer("priority", 0)?,
         margin: view.natural("margin", 0.0)?,
-        gap: view.natural("gap", 0.0)?,
         colour: colour(view, colours)?,
     };
     Ok(Geom::Shape(Box::new(shape), part))
@@ -151,7 +150,12 @@ fn mass(view: &View, form: Form, pose: &Pose) -> Result<Option<Part>, FileError>
     };
     let inertia = turned(moments(form).map(|m| mass * m), &pose.rotation);
     // MuJoCo's smallest mass.
-    Ok((mass >= 1e-15).then_some(Part { mass, centre: pose.position, inertia }))
+    Ok((mass >= 1e-15).then_some(Part {
+        mass,
+        centre: pose.position,
+        inertia,
+        axes: Some(pose.rotation),
+    }))
 }
 
 fn dimension(view: &View) -> Result<usize, FileError> {

@@ -5,7 +5,7 @@ use super::settings::Compiler;
 use super::softness::softness;
 use super::view::View;
 use crate::files::FileError;
-use crate::model::{Joint, JointKind, Limit, Softness};
+use crate::model::{Joint, JointKind, Limit};
 use crate::rotation::{Pose, apply, unit};
 
 /// Reads a joint in a frame of its body. The name is empty if it has none.
@@ -15,9 +15,10 @@ pub(crate) fn joint(
     body: usize,
     frame: &Pose,
 ) -> Result<Joint, FileError> {
+    let name = view.element().get("name").unwrap_or("");
     if view.element().name == "freejoint" {
         view.check(&known::FREE_JOINT)?;
-        return Ok(Joint { kind: JointKind::Free, body, ..still(view) });
+        return Ok(Joint::new(name, body, JointKind::Free));
     }
     view.check(&known::JOINT)?;
     let kind = match view.word("type", &["hinge", "slide", "ball", "free"], 0)? {
@@ -29,14 +30,12 @@ pub(crate) fn joint(
     let scalar = matches!(kind, JointKind::Hinge | JointKind::Slide);
     let angle = if kind == JointKind::Hinge { compiler.angles.unit } else { 1.0 };
     let mut joint = Joint {
-        kind,
-        body,
         stiffness: view.linear("stiffness")?,
         damping: view.linear("damping")?,
         armature: view.natural("armature", 0.0)?,
         friction_loss: view.natural("frictionloss", 0.0)?,
         friction_softness: softness(view, "solreffriction", "solimpfriction")?,
-        ..still(view)
+        ..Joint::new(name, body, kind)
     };
     if joint.damping < 0.0 {
         return Err(view.error_at("damping", "`damping` is negative; it must be at least 0"));
@@ -55,26 +54,6 @@ pub(crate) fn joint(
         joint.force_range = view.range(range, limited, compiler.auto_limits)?;
     }
     Ok(joint)
-}
-
-/// A joint with a name and without forces.
-fn still(view: &View) -> Joint {
-    Joint {
-        name: view.element().get("name").unwrap_or("").to_string(),
-        body: 0,
-        kind: JointKind::Hinge,
-        point: [0.0; 3],
-        axis: [0.0, 0.0, 1.0],
-        reference: 0.0,
-        spring_reference: 0.0,
-        stiffness: 0.0,
-        damping: 0.0,
-        armature: 0.0,
-        friction_loss: 0.0,
-        friction_softness: Softness::default(),
-        limit: None,
-        force_range: None,
-    }
 }
 
 fn limit(

@@ -90,15 +90,7 @@ impl<'a> Tree<'a> {
         element: &'a Element,
         fixed: bool,
     ) -> usize {
-        self.bodies.push(Body {
-            name: name.to_string(),
-            parent,
-            position: pose.position,
-            rotation: pose.rotation,
-            mass: 0.0,
-            centre: [0.0; 3],
-            inertia: [0.0; 6],
-        });
+        self.bodies.push(Body::new(name, parent, pose.position, pose.rotation));
         self.elements.push(element);
         self.fixed.push(fixed);
         self.bodies.len() - 1
@@ -281,6 +273,7 @@ impl<'a> Tree<'a> {
         };
         let own = &mut self.bodies[body];
         (own.mass, own.centre, own.inertia) = (part.mass, part.centre, flat(&part.inertia));
+        own.axes = part.axes;
         Ok(())
     }
 }
@@ -340,6 +333,7 @@ fn inertial(item: &Item, compiler: &Compiler) -> Result<Part, FileError> {
         Some(full) => matrix(full),
         None => turned(diagonal.unwrap_or([0.0; 3]), &IDENTITY),
     };
-    let own = Part { mass: view.natural("mass", 0.0)?, centre: [0.0; 3], inertia };
+    let axes = full.is_none().then_some(IDENTITY);
+    let own = Part { mass: view.natural("mass", 0.0)?, centre: [0.0; 3], inertia, axes };
     Ok(own.placed(&frame.then(&pose)))
 }

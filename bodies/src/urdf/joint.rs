@@ -64,7 +64,7 @@ impl<'a> Hinged<'a> {
                 return Err(element.error(format!("unknown type `{other}`; {hint}")));
             }
         };
-        let mut joint = self.still(body, kind);
+        let mut joint = Joint::new(self.element.get("name").unwrap_or(""), body, kind);
         if kind == JointKind::Free {
             return Ok(Some(joint));
         }
@@ -80,25 +80,6 @@ impl<'a> Hinged<'a> {
         }
         (joint.limit, joint.force_range) = self.limits()?;
         Ok(Some(joint))
-    }
-
-    fn still(&self, body: usize, kind: JointKind) -> Joint {
-        Joint {
-            name: self.element.get("name").unwrap_or("").to_string(),
-            body,
-            kind,
-            point: [0.0; 3],
-            axis: [0.0, 0.0, 1.0],
-            reference: 0.0,
-            spring_reference: 0.0,
-            stiffness: 0.0,
-            damping: 0.0,
-            armature: 0.0,
-            friction_loss: 0.0,
-            friction_softness: Softness::default(),
-            limit: None,
-            force_range: None,
-        }
     }
 
     /// Ranges of position and of force or torque.

@@ -22,7 +22,8 @@ pub(crate) fn weigh(link: &Element, body: &mut Body) -> Result<(), FileError> {
     for (moment, name) in moments.iter_mut().zip(["ixx", "iyy", "izz", "ixy", "ixz", "iyz"]) {
         *moment = number(inertia, name)?.unwrap_or(0.0);
     }
-    let own = Part { mass: body.mass, centre: [0.0; 3], inertia: matrix(moments) }.placed(&pose);
+    let own = Part { mass: body.mass, centre: [0.0; 3], inertia: matrix(moments), axes: None }
+        .placed(&pose);
     body.inertia = flat(&own.inertia);
     Ok(())
 }
@@ -78,7 +79,6 @@ pub(crate) fn shapes(
             mix: 1.0,
             priority: 0,
             margin: 0.0,
-            gap: 0.0,
             colour: [0.5, 0.5, 0.5, 1.0],
         });
     }

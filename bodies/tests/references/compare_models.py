@@ -165,7 +165,7 @@ def compare_shapes(differences, ours, model):
             differences.same(f"{name} {key}", shape[key], bits)
         for key in ("condim", "priority"):
             differences.same(f"{name} {key}", shape[key], getattr(model, f"geom_{key}")[i])
-        for key in ("friction", "solmix", "margin", "gap"):
+        for key in ("friction", "solmix", "margin"):
             differences.close(f"{name} {key}", shape[key], getattr(model, f"geom_{key}")[i])
         softness = [*model.geom_solref[i], *model.geom_solimp[i]]
         differences.close(f"{name} softness", shape["softness"], softness)

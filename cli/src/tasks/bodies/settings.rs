@@ -1,14 +1,14 @@
 //! [`BodiesSettings`]: the section `system` of articulated bodies.
 
 use crate::platform::terminal::did_you_mean;
-use crate::settings::config_error::{ConfigError, one_of};
+use crate::settings::config_error::{ConfigError, finite, not_negative, one_of, positive};
 use physgrad::Number;
 use physgrad_bodies::files::FileError;
 use physgrad_bodies::model::{Integrator, Model};
 use physgrad_bodies::{BodiesError, BodiesTask, components, files, models};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -48,9 +48,9 @@ pub struct BodiesSettings {
     /// Numbers of joints: `joint.NAME.damping`, `armature`, `stiffness`, `friction_loss`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     joint: Parts,
-    /// Numbers of actuators: `actuator.NAME.gear`.
+    /// Numbers of actuators: `motor.NAME.gear`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
-    actuator: Parts,
+    motor: Parts,
     /// Numbers of shapes: `shape.NAME.friction`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     shape: Parts,
@@ -113,7 +113,7 @@ impl Default for BodiesSettings {
             start: Parts::new(),
             body: Parts::new(),
             joint: Parts::new(),
-            actuator: Parts::new(),
+            motor: Parts::new(),
             shape: Parts::new(),
             observe: Vec::new(),
             hidden: Vec::new(),
@@ -183,6 +183,8 @@ impl BodiesSettings {
     pub fn task(&self, substeps: usize, horizon: usize) -> Result<BodiesTask, ConfigError> {
         let mut model = self.model()?;
         model.options.dt /= substeps as f64;
+        check_model(&model)?;
+        self.check_numbers()?;
         let start = self.starts(&model)?;
         let bodies = physgrad_bodies::Bodies::with_numbers(model, self.numbers());
         let bodies = bodies.map_err(|error| match error {
@@ -232,12 +234,25 @@ impl BodiesSettings {
         Ok(states.into_iter().filter(|name| !self.hidden.contains(name)).collect())
     }
 
+    /// Refuses numbers that no body has.
+    fn check_numbers(&self) -> Result<(), ConfigError> {
+        for (name, number) in self.numbers() {
+            let key = format!("system.{name}");
+            match name.rsplit('.').next() {
+                Some("mass") => positive(&key, number)?,
+                Some("gear") => finite(&key, number)?,
+                _ => not_negative(&key, number)?,
+            }
+        }
+        Ok(())
+    }
+
     /// Numbers that the scene sets, with their names in the model.
     fn numbers(&self) -> Vec<(String, Number)> {
         let kinds = [
             ("body", &self.body),
             ("joint", &self.joint),
-            ("actuator", &self.actuator),
+            ("motor", &self.motor),
             ("shape", &self.shape),
         ];
         let mut all = Vec::new();
@@ -291,4 +306,24 @@ impl BodiesSettings {
         }
         Ok(all)
     }
+}
+
+/// Refuses models without controls, and names that expressions cannot tell apart.
+fn check_model(model: &Model) -> Result<(), ConfigError> {
+    let controls = components::controls(model);
+    if controls.is_empty() {
+        let what =
+            "has no actuator, but a policy needs one; add a motor, which may have the gear 0";
+        return Err(ConfigError::new("system.model", what));
+    }
+    let mut seen = HashSet::new();
+    let names = components::states(model).into_iter().chain(controls);
+    if let Some(name) = names.into_iter().find(|name| !seen.insert(name.clone())) {
+        let what = format!(
+            "has two parts with the name `{name}` in expressions, where other characters than letters, digits \
+             and `_` become `_`; rename one"
+        );
+        return Err(ConfigError::new("system.model", what));
+    }
+    Ok(())
 }
