@@ -16,6 +16,7 @@ NEEDS = {
     "own_network_torch": ["torch"],
     "own_system": [],
     "ppo_beside_c": ["stable_baselines3", "gymnasium", "matplotlib"],
+    "sim_to_sim": ["gymnasium", "mujoco"],
     "speed": [],
     "speed_of_frameworks": [],
     "speed_of_graphs": [],
