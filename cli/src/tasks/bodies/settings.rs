@@ -5,7 +5,7 @@ use crate::settings::config_error::{ConfigError, finite, not_negative, one_of, p
 use physgrad::Number;
 use physgrad_bodies::files::FileError;
 use physgrad_bodies::model::{Integrator, Model};
-use physgrad_bodies::{BodiesError, BodiesTask, components, files, models};
+use physgrad_bodies::{Bodies, BodiesError, BodiesTask, components, files, models};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashSet};
@@ -185,8 +185,7 @@ impl BodiesSettings {
         model.options.dt /= substeps as f64;
         check_model(&model)?;
         self.check_numbers()?;
-        let start = self.starts(&model)?;
-        let bodies = physgrad_bodies::Bodies::with_numbers(model, self.numbers());
+        let bodies = Bodies::with_numbers(model, self.numbers());
         let bodies = bodies.map_err(|error| match error {
             BodiesError::UnknownNumber { name, known } => {
                 let hint = did_you_mean(&name, known.iter().map(String::as_str));
@@ -211,6 +210,7 @@ impl BodiesSettings {
             }
             error => ConfigError::new("system.model", format!("cannot be simulated: {error}")),
         })?;
+        let start = self.starts(&bodies)?;
         Ok(BodiesTask::new(bodies, self.frames, start, horizon))
     }
 
@@ -267,12 +267,10 @@ impl BodiesSettings {
     }
 
     /// Initial numbers of the state components.
-    fn starts(&self, model: &Model) -> Result<Vec<Number>, ConfigError> {
-        let reference = physgrad_bodies::Bodies::new(model.clone()).map_err(|error| {
-            ConfigError::new("system.model", format!("cannot be simulated: {error}"))
-        })?;
+    fn starts(&self, bodies: &Bodies) -> Result<Vec<Number>, ConfigError> {
+        let model = bodies.model();
         let pose = match &self.pose {
-            None => reference.reference().to_vec(),
+            None => bodies.reference().to_vec(),
             Some(name) => {
                 let found = model.poses.iter().find(|(pose, _)| pose == name);
                 let names: Vec<&str> = model.poses.iter().map(|(name, _)| name.as_str()).collect();
@@ -286,7 +284,7 @@ impl BodiesSettings {
         };
         let [of_positions, of_velocities] = self.spread;
         let mut all: Vec<Number> = pose.iter().map(|&q| around(q, of_positions)).collect();
-        all.resize(pose.len() + reference.velocities(), around(0.0, of_velocities));
+        all.resize(pose.len() + bodies.velocities(), around(0.0, of_velocities));
         let names = components::states(model);
         for (list, numbers) in &self.start {
             for (name, &number) in numbers {
