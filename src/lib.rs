@@ -140,6 +140,13 @@ pub mod sensor {
     pub use crate::dynamics::sensor::{Sensed, Sensor, SensorError};
 }
 
+/// Episodes: tasks that end before their horizon, and trainings by windows of an episode.
+pub mod episode {
+    pub use crate::dynamics::ending::Ending;
+    pub use crate::train::critic::ValueSettings;
+    pub use crate::train::episodes::Windows;
+}
+
 /// Exact counts of the operations of steps and derivatives.
 pub mod count {
     pub use crate::dynamics::op_count::{OpCount, TaskOpCount};

@@ -68,6 +68,7 @@ class RunSettings(TrainingSettings, total=False):
     sensor: Section
     integrator: Section
     loss: Section
+    window: Section
     equations: Section
     training: TrainingSettings
     vary: Section

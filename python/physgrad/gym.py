@@ -7,7 +7,8 @@ ids ``physgrad/NAME-v0`` work with ``gymnasium.make`` and ``gymnasium.make_vec``
 ``physgrad.gym:physgrad/NAME-v0`` does.
 
 - An episode has ``horizon`` steps. The last step returns ``truncated``: observations contain no
-  clock, so the end is no property of the last state.
+  clock, so the end is no property of the last state. A task with a condition ``loss.end`` returns
+  ``terminated`` in the step after which the condition holds.
 - The reward is minus the running cost; the last one also subtracts the terminal cost. The sum of
   the rewards of an episode is therefore minus the loss of its rollout.
 - The observation is that of a policy, without normalization.
@@ -193,14 +194,16 @@ class TaskEnv(_Shared, gymnasium.Env):
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
         """Applies an action, shape (control_dim,)."""
         rows = self._rows
-        if rows.together == rows.horizon:
-            raise RuntimeError(f"step {rows.horizon}: the episode has ended or not begun. Call `reset` first")
+        if rows.over[0]:
+            raise RuntimeError(f"step {rows.t[0]}: the episode has ended or not begun. Call `reset` first")
         action = _array("action", action)
         _check_shape("action", action, rows.high.shape)
         reward = rows.step(action[None])
         if self._window is not None:
             self._show()
-        return rows.observe()[0], float(reward[0]), False, rows.together == rows.horizon, {}
+        terminated = bool(rows.terminated[0])
+        truncated = rows.together == rows.horizon and not terminated
+        return rows.observe()[0], float(reward[0]), terminated, truncated, {}
 
     def _show(self) -> None:
         if self._window is not None:
@@ -320,23 +323,25 @@ class TaskVectorEnv(_Shared, gymnasium.vector.VectorEnv):
         if not rows.begun.all():
             which = np.flatnonzero(~rows.begun)
             raise RuntimeError(f"environments {which}: the episode has not begun. Call `reset` first")
-        ended = rows.t >= rows.horizon
+        ended = rows.over
         if ended.any() and mode != AutoresetMode.NEXT_STEP:
             which = np.flatnonzero(ended)
             raise RuntimeError(f"environments {which}: the episode has ended. Call `reset` first")
         actions = _array("actions", actions)
         _check_shape("actions", actions, (self.num_envs, len(rows.high)))
         reward = rows.step(actions, ~ended if ended.any() else None)
-        truncated = (rows.t == rows.horizon) & ~ended
-        if mode == AutoresetMode.SAME_STEP and truncated.any():
+        terminated = rows.terminated & ~ended
+        truncated = (rows.t == rows.horizon) & ~ended & ~terminated
+        last = terminated | truncated
+        if mode == AutoresetMode.SAME_STEP and last.any():
             final, y = np.full(self.num_envs, None, object), rows.observe()
-            for row in np.flatnonzero(truncated):
+            for row in np.flatnonzero(last):
                 final[row] = y[row]
-            infos = {"final_obs": final, "_final_obs": truncated, "final_info": {}, "_final_info": truncated}
-            ended = truncated
+            infos = {"final_obs": final, "_final_obs": last, "final_info": {}, "_final_info": last}
+            ended = last
         if ended.any():
             rows.start(ended, self._generators or self.np_random)
-        return rows.observe(), reward, np.zeros(self.num_envs, bool), truncated, infos
+        return rows.observe(), reward, terminated, truncated, infos
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Pictures of all states, uint8 of shape (height, width, 3) each. None without a render mode."""
@@ -410,6 +415,17 @@ class _Rows:
     @t.setter
     def t(self, t: np.ndarray) -> None:
         self._t, self.together = t, int(t[0]) if (t == t[0]).all() else None
+
+    @property
+    def terminated(self) -> np.ndarray:
+        """Whether the condition of the task has ended the episode of each row."""
+        ended = self.task.ended
+        return np.zeros(len(self.x), bool) if ended is None else self.x[:, ended] != 0
+
+    @property
+    def over(self) -> np.ndarray:
+        """Whether the episode of each row has ended, at the horizon or before."""
+        return (self.t >= self.horizon) | self.terminated
 
     def given(self, arrays: dict[str, Any], mask: np.ndarray) -> dict[str, np.ndarray]:
         """Checks states, parameters and keys that a caller gives for the rows in ``mask``."""

@@ -20,8 +20,9 @@ class TaskVecEnv(VecEnv):
     """The environments of a ``TaskVectorEnv`` with the mode ``SAME_STEP``.
 
     The last step of an episode has the ``infos`` "terminal_observation", and
-    "TimeLimit.truncated", which is True: algorithms then add their estimate of later rewards. The
-    environments have neither attributes to assign nor methods of their own.
+    "TimeLimit.truncated", which is True unless the condition of the task ended the episode: algorithms
+    then add their estimate of later rewards. The environments have neither attributes to assign nor
+    methods of their own.
     """
 
     def __init__(self, environments: TaskVectorEnv) -> None:
@@ -44,11 +45,12 @@ class TaskVecEnv(VecEnv):
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
         """Applies the actions. Returns observations, rewards, ends of episodes, and infos."""
-        y, reward, _, truncated, info = self.environments.step(self._actions)
+        y, reward, terminated, truncated, info = self.environments.step(self._actions)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        for row in np.flatnonzero(truncated):
-            infos[row] = {"terminal_observation": info["final_obs"][row], "TimeLimit.truncated": True}
-        return y, reward.astype(np.float32), truncated, infos
+        for row in np.flatnonzero(terminated | truncated):
+            final = info["final_obs"][row]
+            infos[row] = {"terminal_observation": final, "TimeLimit.truncated": bool(truncated[row])}
+        return y, reward.astype(np.float32), terminated | truncated, infos
 
     def get_images(self) -> Sequence[np.ndarray | None]:
         """Pictures of all environments."""

@@ -173,7 +173,8 @@ impl Run {
 
     /// Numbers of every epoch, a dict of float64 arrays that refuse assignments. The keys are "epoch", "loss",
     /// "train_loss", "test_loss", "grad_norm", "cosine", "kept", "first_order", "skipped",
-    /// "seconds", "growth_R" and "growth_M" (decades over a rollout). Missing numbers are NaN.
+    /// "seconds", "growth_R" and "growth_M" (decades over a rollout), "length" (mean steps of the episodes
+    /// of the test set), "value_error" and "explained" (of a value function). Missing numbers are NaN.
     #[getter]
     fn history<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let run = self.lock()?;
@@ -245,7 +246,7 @@ impl Run {
 }
 
 /// Names of the numbers of a record.
-const COLUMNS: [&str; 12] = [
+const COLUMNS: [&str; 15] = [
     "epoch",
     "loss",
     "train_loss",
@@ -258,14 +259,19 @@ const COLUMNS: [&str; 12] = [
     "seconds",
     "growth_R",
     "growth_M",
+    "length",
+    "value_error",
+    "explained",
 ];
 
 /// Numbers of a record, in the order of [`COLUMNS`].
-fn row(record: &Record) -> [f64; 12] {
+fn row(record: &Record) -> [f64; 15] {
     let [growth_r, growth_m] = [record.regular_growth, record.modified_growth]
         .map(|growth| growth.map_or(f64::NAN, |growth| growth.along));
     let [cosine, kept, first_order] =
         [record.cosine, record.kept, record.first_order].map(|mean| mean.unwrap_or(f64::NAN));
+    let [length, value_error, explained] =
+        [record.length, record.value_error, record.explained].map(|mean| mean.unwrap_or(f64::NAN));
     let (epoch, skipped, norm) =
         (record.epoch as f64, record.skipped as f64, record.grad_norm.get());
     [
@@ -281,6 +287,9 @@ fn row(record: &Record) -> [f64; 12] {
         record.seconds,
         growth_r,
         growth_m,
+        length,
+        value_error,
+        explained,
     ]
 }
 

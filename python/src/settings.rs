@@ -13,13 +13,14 @@ use toml::{Table, Value};
 /// Sections whose values are sections.
 const NESTED: [&str; 3] = ["effects", "actuator", "sensor"];
 /// Sections of a scene that keyword arguments may name.
-const SECTIONS: [&str; 9] = [
+const SECTIONS: [&str; 10] = [
     "system",
     "effects",
     "actuator",
     "sensor",
     "integrator",
     "loss",
+    "window",
     "equations",
     "policy",
     "training",

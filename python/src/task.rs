@@ -249,6 +249,13 @@ impl Task {
         self.n
     }
 
+    /// Index of the state component that is not 0 after the end of an episode, by the condition
+    /// `loss.end`; it then has the number of steps. None if episodes end at the horizon only.
+    #[getter]
+    fn ended(&self) -> Option<usize> {
+        physgrad::Task::ended(&self.task)
+    }
+
     /// Number m of components of the control.
     #[getter]
     fn control_dim(&self) -> usize {

@@ -78,6 +78,14 @@ impl Task for Adapted {
         limited.or_else(|| self.task.control_bounds())
     }
 
+    fn can_end(&self) -> bool {
+        self.task.can_end()
+    }
+
+    fn margin<R: Scalar>(&self, x: &[R], p: &[R]) -> R {
+        self.task.margin(&x[..self.states], p)
+    }
+
     fn observation_dim(&self) -> Option<usize> {
         self.task.observation_dim()
     }

@@ -72,6 +72,8 @@ trait Erased: Send + Sync {
     fn horizon(&self) -> usize;
     fn param_dim(&self) -> usize;
     fn control_bounds(&self) -> Option<Vec<[f64; 2]>>;
+    fn can_end(&self) -> bool;
+    fn ended(&self) -> Option<usize>;
     fn observation_dim(&self) -> Option<usize>;
     fn start(&self, rng: &mut Rng, start: Start<'_>);
     fn draw_start(&self, rng: &mut Rng, start: Start<'_>);
@@ -85,6 +87,7 @@ trait Erased: Send + Sync {
     fn running_cost_gradient(&self, slot: &mut dyn Any);
     fn terminal_cost(&self, slot: &mut dyn Any);
     fn terminal_cost_gradient(&self, slot: &mut dyn Any);
+    fn margin(&self, slot: &mut dyn Any);
 }
 
 impl<T: Task + 'static> Erased for T {
@@ -117,6 +120,12 @@ impl<T: Task + 'static> Erased for T {
     }
     fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
         Task::control_bounds(self)
+    }
+    fn can_end(&self) -> bool {
+        Task::can_end(self)
+    }
+    fn ended(&self) -> Option<usize> {
+        Task::ended(self)
     }
     fn observation_dim(&self) -> Option<usize> {
         Task::observation_dim(self)
@@ -159,6 +168,9 @@ impl<T: Task + 'static> Erased for T {
     }
     fn terminal_cost_gradient(&self, slot: &mut dyn Any) {
         real_pointer::<TerminalCostGradient<T>>(slot);
+    }
+    fn margin(&self, slot: &mut dyn Any) {
+        scalar_pointer::<Margin<T>>(slot);
     }
 }
 
@@ -240,6 +252,12 @@ function!(
     TerminalCost, TerminalCostOf: ScalarFunction[R: Scalar][R],
     |task: T, x: &'a [R], p: &'a [R], cost: &'a mut R| {
         *cost = task.terminal_cost(x, p);
+    }
+);
+function!(
+    Margin, MarginOf: ScalarFunction[R: Scalar][R],
+    |task: T, x: &'a [R], p: &'a [R], margin: &'a mut R| {
+        *margin = task.margin(x, p);
     }
 );
 function!(
@@ -379,6 +397,20 @@ impl Task for DynTask {
 
     fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
         self.0.0.control_bounds()
+    }
+
+    fn can_end(&self) -> bool {
+        self.0.0.can_end()
+    }
+
+    fn margin<T: Scalar>(&self, x: &[T], p: &[T]) -> T {
+        let mut margin = T::zero();
+        call!(self.0.0, margin: MarginOf<T> [T] in SCALARS, x, p, &mut margin);
+        margin
+    }
+
+    fn ended(&self) -> Option<usize> {
+        self.0.0.ended()
     }
 
     fn observation_dim(&self) -> Option<usize> {

@@ -10,6 +10,7 @@
 //! - [`Actuator`](actuator::Actuator)s map the control of the policy to the control of the system.
 //! - [`Task`](task::Task) adds a horizon, initial states and costs.
 //! - [`Sensor`](sensor::Sensor)s map the observation of a task to what the policy sees.
+//! - [`Ending`](ending::Ending) ends the episodes of a task before its horizon.
 //! - [`DynTask`](dyn_task::DynTask) is any task behind a pointer.
 //! - [`OpCount`](op_count::OpCount) counts the operations of a system.
 //!
@@ -21,6 +22,7 @@ pub(crate) mod cause;
 pub(crate) mod default_vjp;
 pub(crate) mod dyn_task;
 pub(crate) mod effect;
+pub(crate) mod ending;
 pub(crate) mod forward;
 pub(crate) mod inputs;
 pub(crate) mod integrator;

@@ -390,6 +390,10 @@ impl Task for Sensed {
         self.task.start(rng, Start { x: &mut x[..self.states], p: &mut p[..self.params] });
     }
 
+    fn ended(&self) -> Option<usize> {
+        self.task.ended()
+    }
+
     fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
         self.task.control_bounds()
     }

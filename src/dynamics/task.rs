@@ -71,6 +71,23 @@ pub trait Task: Send + Sync {
         None
     }
 
+    /// Returns whether episodes can end before the horizon, where [`margin`](Task::margin) is
+    /// negative. Default: no. [`Ending`](crate::episode::Ending) ends them.
+    fn can_end(&self) -> bool {
+        false
+    }
+    /// Negative in a state that ends an episode, for example the height above which a robot has not
+    /// fallen. Only its sign matters. Read only if [`can_end`](Task::can_end).
+    #[inline(always)]
+    fn margin<T: Scalar>(&self, _x: &[T], _p: &[T]) -> T {
+        T::one()
+    }
+    /// Index of the state component that is 0 while an episode runs, and afterwards the number of
+    /// steps that it lasted. Default: `None`; [`Ending`](crate::episode::Ending) adds it.
+    fn ended(&self) -> Option<usize> {
+        None
+    }
+
     /// Number of components of [`observe`](Task::observe). Default: `None`, the policy observes the
     /// state.
     fn observation_dim(&self) -> Option<usize> {

@@ -29,6 +29,8 @@ pub trait AnyTask<F: Float>:
     fn state_dim(&self) -> usize;
     #[doc(hidden)]
     fn control_dim(&self) -> usize;
+    #[doc(hidden)]
+    fn ended(&self) -> Option<usize>;
     /// Number of components of the observation. `None` if the policy observes the state.
     #[doc(hidden)]
     fn own_observation(&self) -> Option<usize>;
@@ -51,6 +53,8 @@ pub trait AnyTask<F: Float>:
         x_bar: &mut [Lane<F>],
         p_bar: Option<&mut [Lane<F>]>,
     );
+    #[doc(hidden)]
+    fn running_cost(&self, inputs: Inputs<'_, Lane<F>>, next: &[Lane<F>]) -> Lane<F>;
     #[doc(hidden)]
     fn running_cost_gradient(
         &self,
@@ -92,6 +96,10 @@ impl<T: Task, F: Float> AnyTask<F> for T {
         System::control_dim(self.system())
     }
 
+    fn ended(&self) -> Option<usize> {
+        Task::ended(self)
+    }
+
     fn own_observation(&self) -> Option<usize> {
         Task::observation_dim(self)
     }
@@ -126,6 +134,11 @@ impl<T: Task, F: Float> AnyTask<F> for T {
         p_bar: Option<&mut [Lane<F>]>,
     ) {
         Task::terminal_cost_gradient(self, x, p, x_bar, p_bar);
+    }
+
+    #[inline(never)]
+    fn running_cost(&self, inputs: Inputs<'_, Lane<F>>, next: &[Lane<F>]) -> Lane<F> {
+        Task::running_cost(self, inputs, next)
     }
 
     #[inline(never)]

@@ -14,6 +14,7 @@ use crate::engine::parallel::for_each;
 use crate::engine::pass::Closed;
 use crate::engine::ranks::{Ranks, add_blocks, gather, gather_f64, samples_of};
 use crate::engine::schedule::{MemoryError, Schedule};
+use crate::engine::visited::Visited;
 use crate::numbers::scalar::Float;
 use crate::policy::AnyPolicy;
 use crate::policy::Weights;
@@ -45,6 +46,8 @@ pub struct Batch<F: Float> {
     growth: Vec<GrowthStats>,
     /// True if runs measure the growth of the adjoints.
     measured: bool,
+    /// What the samples of the last run visited, if kept.
+    visited: Option<Visited<F>>,
     /// Processes that share the samples, and the results of this process.
     shared: Option<Box<Shared<F>>>,
 }
@@ -80,6 +83,8 @@ struct Worker<F: Float> {
     rollout: Checkpointed<F>,
     /// Gradients, `[group][flow][parameter]`.
     groups: Vec<Vec<Gradient<F>>>,
+    /// What the samples of the last run visited, if kept.
+    visited: Option<Visited<F>>,
     outcome: Result<(), Divergence>,
 }
 
@@ -150,7 +155,12 @@ impl<F: Float> Batch<F> {
         all.extend((0..workers).map(|_| {
             let groups = chunk.div_ceil(GROUP);
             let rollout = Checkpointed::new(task, policy, chunk, flows, schedule);
-            Worker { rollout, groups: (0..groups).map(|_| zeros()).collect(), outcome: Ok(()) }
+            Worker {
+                rollout,
+                groups: (0..groups).map(|_| zeros()).collect(),
+                visited: None,
+                outcome: Ok(()),
+            }
         }));
         let growth = vec![GrowthStats::default(); flows.len()];
         let block = if block_of(samples) > 1 { zeros() } else { Vec::new() };
@@ -161,6 +171,7 @@ impl<F: Float> Batch<F> {
             block,
             growth,
             measured: false,
+            visited: None,
             shared: None,
         }
     }
@@ -292,6 +303,7 @@ impl<F: Float> Batch<F> {
             block: block_of(samples),
         };
         self.growth.fill(GrowthStats::default());
+        self.visited.iter_mut().for_each(Visited::clear);
         let loss = match self.shared.take() {
             None => self.run_samples(mini_batch, starts, None)?,
             Some(mut shared) => {
@@ -387,6 +399,10 @@ impl<F: Float> Batch<F> {
         block: usize,
         loss: f64,
     ) -> f64 {
+        if let Some(visited) = &mut self.visited {
+            let of_workers = self.workers[..active].iter_mut();
+            of_workers.filter_map(|w| w.visited.as_mut()).for_each(|own| visited.take(own));
+        }
         let workers = &self.workers[..active];
         for (k, total) in self.gradients.iter_mut().enumerate() {
             for (g, group) in (first..).zip(workers.iter().flat_map(Worker::sums)) {
@@ -428,6 +444,17 @@ impl<F: Float> Batch<F> {
     pub fn measure(&mut self, measured: bool) {
         self.measured = measured;
         self.workers.iter_mut().for_each(|worker| worker.rollout.measure(measured));
+    }
+
+    /// Keeps what the samples visit in later runs. Requires a schedule that stores all steps.
+    pub(crate) fn keep_visited(&mut self) {
+        self.visited = Some(Visited::default());
+        self.workers.iter_mut().for_each(|worker| worker.visited = Some(Visited::default()));
+    }
+
+    /// What the samples of the last run visited, in their order.
+    pub(crate) fn visited(&self) -> Option<&Visited<F>> {
+        self.visited.as_ref()
     }
 
     /// Growth of the adjoint of flow `k` in the last run, if measured.
@@ -498,7 +525,12 @@ impl<F: Float> Worker<F> {
         if starts.is_empty() {
             return Ok(());
         }
-        self.rollout.run_unnormalized(closed, starts, scale, GROUP, &mut self.groups)
+        self.rollout.run_unnormalized(closed, starts, scale, GROUP, &mut self.groups)?;
+        if let Some(visited) = &mut self.visited {
+            visited.clear();
+            visited.append(closed.task, self.rollout.rollout());
+        }
+        Ok(())
     }
 }
 

@@ -142,6 +142,11 @@ impl<F: Float> Checkpointed<F> {
         self.rollout.capacity()
     }
 
+    /// The rollout, which stores the last segment.
+    pub(crate) fn rollout(&self) -> &Rollout<F> {
+        &self.rollout
+    }
+
     /// Numbers per sample in a list of initial states.
     pub(crate) fn start_dim(&self) -> usize {
         self.rollout.start_dim()

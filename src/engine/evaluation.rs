@@ -29,6 +29,8 @@ pub struct Evaluation<F: Float> {
 struct Evaluator<F: Float> {
     rollout: Rollout<F>,
     costs: Vec<f64>,
+    /// Steps of the episodes, if they can end.
+    lengths: Vec<f64>,
     outcome: Result<(), Divergence>,
 }
 
@@ -42,6 +44,7 @@ impl<F: Float> Evaluation<F> {
         let evaluator = || Evaluator {
             rollout: Rollout::for_evaluation(task, policy, EVALUATED),
             costs: Vec::new(),
+            lengths: Vec::new(),
             outcome: Ok(()),
         };
         Self { workers: (0..workers.max(1)).map(|_| evaluator()).collect(), ranks: None }
@@ -96,6 +99,13 @@ impl<F: Float> Evaluation<F> {
         Ok(gather_f64(&*ranks, &costs).iter().sum::<f64>() / samples as f64)
     }
 
+    /// Mean number of steps of the episodes of the last run, of this rank. None if they cannot end.
+    pub(crate) fn mean_length(&self) -> Option<f64> {
+        let lengths = || self.workers.iter().flat_map(|worker| &worker.lengths);
+        let count = lengths().count();
+        (count > 0).then(|| lengths().sum::<f64>() / count as f64)
+    }
+
     /// Costs of the samples of the last run.
     fn costs(&self) -> impl Iterator<Item = f64> {
         self.workers.iter().flat_map(|worker| worker.costs.iter().copied())
@@ -116,6 +126,7 @@ impl<F: Float> Evaluation<F> {
             samples.div_ceil(EVALUATED).div_ceil(self.workers.len()).max(1) * EVALUATED;
         for_each(&mut self.workers, &|index, worker| {
             worker.costs.clear();
+            worker.lengths.clear();
             let own = starts.chunks(per_worker * n).nth(index).unwrap_or(&[]);
             worker.outcome = own.chunks(EVALUATED * n).enumerate().try_for_each(|(i, starts)| {
                 worker.rollout.start(starts);
@@ -123,6 +134,13 @@ impl<F: Float> Evaluation<F> {
                 worker
                     .costs
                     .extend((0..worker.rollout.samples()).map(|s| worker.rollout.cost(s).as_()));
+                if let Some(ended) = task.ended() {
+                    let Evaluator { rollout, lengths, .. } = &mut *worker;
+                    let horizon = rollout.horizon;
+                    let steps = |s: usize| -> f64 { rollout.state(horizon, s, ended).as_() };
+                    let whole = |steps: f64| if steps == 0.0 { horizon as f64 } else { steps };
+                    lengths.extend((0..rollout.samples()).map(|s| whole(steps(s))));
+                }
                 outcome.map_err(|d| d.offset(index * per_worker + i * EVALUATED))
             });
         });

@@ -34,6 +34,7 @@ pub(crate) mod rollout;
 pub mod rows;
 pub(crate) mod schedule;
 pub(crate) mod step_forward;
+pub(crate) mod visited;
 
 pub use crate::dynamics::cause::Cause;
 #[doc(hidden)]

@@ -75,6 +75,9 @@ pub struct Costs {
     /// Cost of the final state.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub terminal: String,
+    /// Condition of the state that ends an episode, for example `z < 0.7`. Later costs are 0.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub end: String,
 }
 
 /// Why equations are not a system.
@@ -130,6 +133,7 @@ pub(super) struct Functions {
     pub(super) observe: Option<Function>,
     pub(super) running: Option<Function>,
     pub(super) terminal: Option<Function>,
+    pub(super) margin: Option<Function>,
     pub(super) operations: Operations,
 }
 
@@ -182,10 +186,11 @@ impl Equations {
         let observe = reader.observation("observe", &self.observe)?;
         let running = reader.running_cost("loss.running", &costs.running)?;
         let terminal = reader.terminal_cost("loss.terminal", &costs.terminal)?;
-        let functions = [Some(&motion), observe.as_ref(), running.as_ref(), terminal.as_ref()];
-        let outputs = functions.into_iter().flatten().flat_map(Function::outputs);
+        let margin = reader.margin("loss.end", &costs.end)?;
+        let others = [&observe, &running, &terminal, &margin].into_iter().flatten();
+        let outputs = [&motion].into_iter().chain(others).flat_map(Function::outputs);
         let operations = reader.operations(outputs.copied());
-        Ok(Functions { motion, velocities, observe, running, terminal, operations })
+        Ok(Functions { motion, velocities, observe, running, terminal, margin, operations })
     }
 
     /// Names that no expression uses, with their sections.
@@ -198,7 +203,7 @@ impl Equations {
             ("define", define.keys().collect()),
             ("controls", self.controls.iter().collect()),
         ];
-        unused(texts.chain([&costs.running, &costs.terminal]), lists)
+        unused(texts.chain([&costs.running, &costs.terminal, &costs.end]), lists)
     }
 
     /// What is allowed but hardly meant: names that no expression uses, tables that end before the
@@ -286,7 +291,8 @@ impl Equations {
         let Self { define, rate, next, observe, .. } = self;
         let texts = [define, rate, next].into_iter().flatten();
         let texts = texts.flat_map(|(name, text)| [name, text]).chain(observe);
-        let bytes: usize = texts.chain([&costs.running, &costs.terminal]).map(String::len).sum();
+        let costs = [&costs.running, &costs.terminal, &costs.end];
+        let bytes: usize = texts.chain(costs).map(String::len).sum();
         let tables: usize = self.tables.values().map(Vec::len).sum();
         if bytes + 8 * tables > TEXT {
             let what = format!(

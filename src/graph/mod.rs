@@ -19,7 +19,7 @@
 //!     rate: [("x".into(), "v".into()), ("v".into(), "u - stiffness * x".into())].into(),
 //!     ..Equations::default()
 //! };
-//! let costs = Costs { running: "next.x^2 + 0.1 * u^2".into(), terminal: String::new() };
+//! let costs = Costs { running: "next.x^2 + 0.1 * u^2".into(), ..Costs::default() };
 //! let method = AnyIntegrator::RungeKutta(RungeKutta::RK4);
 //! let task = GraphTask::new(&equations, &costs, method, 1, 50)?;
 //! check::task(&task, &Mlp::new([2, 8, 1])).unwrap();

@@ -178,14 +178,42 @@ impl<'a, 'g> Parser<'a, 'g> {
         graph: &'g mut Graph,
         resolve: &'g dyn Fn(&str) -> Result<Term, String>,
     ) -> Result<Term, ParseError> {
-        let mut lexer = Lexer { text, at: 0 };
-        let next = lexer.token()?;
-        let mut parser = Self { lexer, next, depth: 0, joined: 0, graph, resolve };
+        let mut parser = Self::new(text, graph, resolve)?;
         let value = parser.expression(0)?;
         let term = parser.term(value, 0)?;
-        match parser.next {
-            (_, Token::End) => Ok(term),
-            (at, token) => Err(parser.unexpected(at, token, "an operator")),
+        parser.end()?;
+        Ok(term)
+    }
+
+    /// Appends a number to the graph that is -1 where the condition holds, else 1.
+    pub(super) fn read_condition(
+        text: &'a str,
+        graph: &'g mut Graph,
+        resolve: &'g dyn Fn(&str) -> Result<Term, String>,
+    ) -> Result<Term, ParseError> {
+        let mut parser = Self::new(text, graph, resolve)?;
+        let value = parser.expression(0)?;
+        let condition = parser.condition(value, 0)?;
+        parser.end()?;
+        let [yes, no] = [-1.0, 1.0].map(|value| parser.graph.constant(value));
+        Ok(Term::Number(condition.select(parser.graph, yes, no)))
+    }
+
+    fn new(
+        text: &'a str,
+        graph: &'g mut Graph,
+        resolve: &'g dyn Fn(&str) -> Result<Term, String>,
+    ) -> Result<Self, ParseError> {
+        let mut lexer = Lexer { text, at: 0 };
+        let next = lexer.token()?;
+        Ok(Self { lexer, next, depth: 0, joined: 0, graph, resolve })
+    }
+
+    /// Refuses what follows the expression.
+    fn end(&self) -> Result<(), ParseError> {
+        match self.next {
+            (_, Token::End) => Ok(()),
+            (at, token) => Err(self.unexpected(at, token, "an operator")),
         }
     }
 

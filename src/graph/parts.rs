@@ -11,6 +11,8 @@ pub(super) struct Parts {
     pub(super) observe: Option<Arc<Function>>,
     pub(super) running: Option<Arc<Function>>,
     pub(super) terminal: Option<Arc<Function>>,
+    /// Negative where an episode ends.
+    pub(super) margin: Option<Arc<Function>>,
 }
 
 impl Parts {
@@ -95,5 +97,14 @@ impl Parts {
         if let Some(function) = &self.terminal {
             function.vjp([x, &[], p, &[], &[]], &[R::one()], [Some(x_bar), None, p_bar, None]);
         }
+    }
+
+    /// Negative where an episode ends; 1 if none does.
+    pub(super) fn margin<T: Scalar>(&self, x: &[T], p: &[T]) -> T {
+        let mut margin = [T::one()];
+        if let Some(function) = &self.margin {
+            function.eval([x, &[], p, &[], &[]], &mut margin);
+        }
+        margin[0]
     }
 }

@@ -43,6 +43,9 @@ impl Vocabulary<'_> {
     }
 }
 
+/// Reads a text into a graph in which names have numbers.
+type Read = fn(&str, &mut Graph, &dyn Fn(&str) -> Result<Term, String>) -> Result<Term, ParseError>;
+
 /// A graph in which names have numbers.
 pub(super) struct Reader<'a> {
     names: Vocabulary<'a>,
@@ -145,6 +148,10 @@ impl<'a> Reader<'a> {
 
     fn term(&mut self, key: &str, text: &str) -> Result<Term, EquationError> {
         self.compute(text);
+        self.read(key, text, |text, graph, resolve| Parser::read(text, graph, resolve))
+    }
+
+    fn read(&mut self, key: &str, text: &str, read: Read) -> Result<Term, EquationError> {
         let (known, names) = (&self.known, &self.names);
         let missing = RefCell::new(None);
         let resolve = |name: &str| {
@@ -153,7 +160,7 @@ impl<'a> Reader<'a> {
                 unknown(names, name)
             })
         };
-        let term = Parser::read(text, &mut self.graph, &resolve);
+        let term = read(text, &mut self.graph, &resolve);
         term.map_err(|ParseError { column, what }| EquationError {
             unknown: missing.take().map(|name| (name, names.all(known))),
             ..EquationError::new(key, located(text, column, &what))
@@ -227,6 +234,22 @@ impl<'a> Reader<'a> {
         text: &str,
     ) -> Result<Option<Function>, EquationError> {
         self.cost(key, text, &[X, P])
+    }
+
+    /// Function that is negative where a condition holds. None if the condition is empty.
+    pub(super) fn margin(
+        &mut self,
+        key: &str,
+        text: &str,
+    ) -> Result<Option<Function>, EquationError> {
+        if text.is_empty() {
+            return Ok(None);
+        }
+        self.compute(text);
+        let read: Read = |text, graph, resolve| Parser::read_condition(text, graph, resolve);
+        let term = self.read(key, text, read)?;
+        let output = term.id(&mut self.graph);
+        self.function(key, vec![output], &[X, P]).map(Some)
     }
 
     fn cost(

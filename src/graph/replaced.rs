@@ -30,6 +30,9 @@ pub struct Replacement {
     /// Cost of the final state.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub terminal: String,
+    /// Condition of the state that ends an episode, for example `z < 0.7`. Later costs are 0.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub end: String,
     /// Expressions by name, for use in the others.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub define: BTreeMap<String, String>,
@@ -92,7 +95,7 @@ impl Replaced {
         let Names { states, controls, params, dt } = names;
         let define = &replacement.define;
         if *replacement == (Replacement { define: define.clone(), ..Replacement::default() }) {
-            let what = "has no effect; write `observe`, `running` or `terminal` too";
+            let what = "has no effect; write `observe`, `running`, `terminal` or `end` too";
             return Err(EquationError::new("define", what));
         }
         let vocabulary = Vocabulary {
@@ -110,6 +113,7 @@ impl Replaced {
             observe: reader.observation("observe", &replacement.observe)?.map(Arc::new),
             running: reader.running_cost("running", &replacement.running)?.map(Arc::new),
             terminal: reader.terminal_cost("terminal", &replacement.terminal)?.map(Arc::new),
+            margin: reader.margin("end", &replacement.end)?.map(Arc::new),
         };
         Ok(Self { task, parts, dt })
     }
@@ -145,6 +149,17 @@ impl Task for Replaced {
 
     fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
         self.task.control_bounds()
+    }
+
+    fn can_end(&self) -> bool {
+        self.parts.margin.is_some() || self.task.can_end()
+    }
+
+    fn margin<T: Scalar>(&self, x: &[T], p: &[T]) -> T {
+        match self.parts.margin {
+            Some(_) => self.parts.margin(x, p),
+            None => self.task.margin(x, p),
+        }
     }
 
     fn observation_dim(&self) -> Option<usize> {

@@ -87,7 +87,7 @@ impl GraphTask {
         substeps: usize,
         horizon: usize,
     ) -> Result<Self, EquationError> {
-        let Functions { motion, velocities, observe, running, terminal, operations } =
+        let Functions { motion, velocities, observe, running, terminal, margin, operations } =
             equations.functions(costs)?;
         if substeps != 1 && !equations.is_continuous() {
             let what = format!(
@@ -130,6 +130,7 @@ impl GraphTask {
                 observe: observe.map(Arc::new),
                 running: running.map(Arc::new),
                 terminal: terminal.map(Arc::new),
+                margin: margin.map(Arc::new),
             },
             start: Arc::new(move |rng, Start { x, .. }| {
                 x.iter_mut().zip(&start).for_each(|(x, number)| *x = number.draw(rng));
@@ -168,6 +169,10 @@ impl GraphTask {
         let running = recorder.function(|inputs, next| vec![task.running_cost(inputs, next)])?;
         let terminal =
             recorder.function(|Inputs { x, p, .. }, _| vec![task.terminal_cost(x, p)])?;
+        let margin = task
+            .can_end()
+            .then(|| recorder.function(|Inputs { x, p, .. }, _| vec![task.margin(x, p)]));
+        let margin = margin.transpose()?;
         let [states, controls, params, _] = recorder.dims;
         let system = GraphSystem {
             states,
@@ -186,6 +191,7 @@ impl GraphTask {
                 observe: observe.transpose()?,
                 running: Some(running),
                 terminal: Some(terminal),
+                margin,
             },
             start: Arc::new(move |rng, start| own.start(rng, start)),
             params,
@@ -399,6 +405,14 @@ impl Task for GraphTask {
 
     fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
         self.control_bounds.clone()
+    }
+
+    fn can_end(&self) -> bool {
+        self.parts.margin.is_some()
+    }
+
+    fn margin<T: Scalar>(&self, x: &[T], p: &[T]) -> T {
+        self.parts.margin(x, p)
     }
 
     fn observation_dim(&self) -> Option<usize> {

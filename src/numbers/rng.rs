@@ -26,6 +26,8 @@ pub enum Purpose {
     Perturb = 9,
     /// Noise in the steps of rollouts.
     Noise = 10,
+    /// Initial parameters of a value function, and the order of its samples.
+    Value = 11,
 }
 
 /// Returns the stream of one (seed, purpose, index).

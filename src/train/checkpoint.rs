@@ -5,6 +5,7 @@
 //! restore a checkpoint, the caller passes an equal label.
 
 use super::Record;
+use super::episodes::{Episodes, EpisodesState};
 use super::epoch::{Best, Epoch, Snapshot, State};
 use crate::numbers::scalar::Float;
 use crate::policy::AnyPolicy;
@@ -15,7 +16,7 @@ use std::borrow::Cow;
 /// First bytes of every checkpoint.
 const MAGIC: &[u8; 8] = b"physgrad";
 /// Incremented whenever the layout of [`Body`] changes.
-const FORMAT: u16 = 5;
+const FORMAT: u16 = 6;
 
 /// Start of the contents. Decoded before the body, so that a mismatch yields a specific error.
 #[derive(Serialize, Deserialize)]
@@ -36,6 +37,8 @@ struct Body<'a, F: Clone> {
     best: Cow<'a, Best<F>>,
     /// Unfinished epoch, and the state before it.
     epoch: Option<(Epoch, Cow<'a, Snapshot<F>>)>,
+    /// Episodes and value function of a training by windows.
+    episodes: Option<EpisodesState<F>>,
 }
 
 /// Error of [`Session::restore`](crate::train::Session::restore). The session is unchanged.
@@ -139,6 +142,7 @@ impl<F: Float> State<F> {
             skipped_in_a_row: self.skipped_in_a_row,
             best: Cow::Borrowed(&self.best),
             epoch: self.epoch.clone().map(|epoch| (epoch, Cow::Borrowed(&self.before))),
+            episodes: self.episodes.as_ref().map(Episodes::state),
         };
         let contents = postcard::to_stdvec(&(header, body))
             .expect("postcard serializes numbers and text without errors");
@@ -202,6 +206,9 @@ impl<F: Float> State<F> {
             self.before = before.into_owned();
             epoch
         });
+        if let (Some(episodes), Some(state)) = (&mut self.episodes, &body.episodes) {
+            episodes.set_state(state);
+        }
         self.order_samples();
         if self.records.len() >= self.training.epochs && self.epoch.take().is_some() {
             self.restore_start_of_epoch(policy);
@@ -227,6 +234,7 @@ impl<F: Float> State<F> {
             if !(*seconds >= 0.0 && seconds.is_finite()) {
                 return Err(format!("its unfinished epoch has a time of {seconds} s"));
             }
+            self.validate_episodes(&before.episodes)?;
             self.validate_state(
                 &before.theta,
                 &before.optimizer,
@@ -236,6 +244,7 @@ impl<F: Float> State<F> {
             )?;
             steps += means.updates() as u64;
         }
+        self.validate_episodes(&body.episodes)?;
         self.validate_theta(&body.best.theta)?;
         self.validate_state(
             &body.theta,
@@ -244,6 +253,17 @@ impl<F: Float> State<F> {
             body.skipped_in_a_row,
             steps,
         )
+    }
+
+    /// Checks episodes and value function.
+    fn validate_episodes(&self, state: &Option<EpisodesState<F>>) -> Result<(), String> {
+        match (&self.episodes, state) {
+            (None, None) => Ok(()),
+            (Some(episodes), Some(state)) => episodes.validate(state),
+            _ => {
+                Err("it is of a training by windows, or of whole rollouts, unlike this run".into())
+            }
+        }
     }
 
     /// Checks the state after `steps` applied updates.

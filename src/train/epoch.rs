@@ -3,6 +3,7 @@
 //! [`State::advance`] runs an epoch: an update per mini-batch, then the losses of both data sets.
 
 use super::average::average_direction;
+use super::episodes::{Episodes, EpisodesState, Windows};
 use super::record::{Means, Record, Skip, Step};
 use super::smoothing::Estimates;
 use super::{TrainError, Training};
@@ -29,6 +30,7 @@ use crate::train::field::AnyField;
 use crate::train::optim::Optimizer;
 use rand::seq::SliceRandom;
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -47,6 +49,8 @@ pub(super) struct Snapshot<F> {
     pub(super) optimizer: Optimizer<F>,
     pub(super) direction: Vec<F>,
     pub(super) skipped_in_a_row: usize,
+    /// Episodes and value function of a training by windows.
+    pub(super) episodes: Option<EpisodesState<F>>,
 }
 
 /// Parameters after the epoch with the lowest test loss.
@@ -116,6 +120,8 @@ pub(super) struct State<F: Float> {
     flows: Vec<Flow>,
     pub(super) batch: Batch<F>,
     evaluation: Evaluation<F>,
+    /// Episodes of a training by windows.
+    pub(super) episodes: Option<Episodes<F>>,
     /// Initial states of the mini-batch.
     starts: Vec<F>,
     /// True if initial states end with a key of noise, which differs between epochs.
@@ -134,6 +140,7 @@ impl<F: Float> State<F> {
         policy: &dyn AnyPolicy<F>,
         flows: Vec<Flow>,
         training: Training,
+        windows: Option<Windows>,
         weights: Weights<F>,
         train: Vec<F>,
         test: Vec<F>,
@@ -145,10 +152,29 @@ impl<F: Float> State<F> {
         check_starts("test_samples", &test, n)?;
         let samples = training.batch.min(train.len() / n);
         let derived = training.derived(samples);
-        let batch = match training.memory {
-            None => Batch::new(task, policy, derived, &flows, training.workers),
-            Some(budget) => Batch::within(task, policy, derived, &flows, training.workers, budget)?,
+        let episodes = match windows {
+            None => None,
+            Some(windows) => {
+                windows
+                    .validate(&training, [task.state_dim(), task.param_dim(), task.horizon()])?;
+                Some(Episodes::new(windows, &training, &train))
+            }
         };
+        let stepped: &dyn AnyTask<F> = episodes.as_ref().map_or(task, |episodes| &episodes.window);
+        let mut batch = match training.memory {
+            None => Batch::new(stepped, policy, derived, &flows, training.workers),
+            Some(budget) => {
+                Batch::within(stepped, policy, derived, &flows, training.workers, budget)?
+            }
+        };
+        if episodes.is_some() {
+            if batch.schedule().segments() > 1 {
+                let problem =
+                    "is too small for the steps of a window; allow more, or shorten the window";
+                return Err(TrainError::Setting { setting: "memory", problem: problem.into() });
+            }
+            batch.keep_visited();
+        }
         check_written(task, policy, &weights, &train)?;
         let optimizer = Optimizer::new(training.rule, training.learning_rate, params);
         let averaged = training.average > 0.0 && flows.len() > 1;
@@ -163,7 +189,9 @@ impl<F: Float> State<F> {
                 optimizer: optimizer.clone(),
                 direction: direction.clone(),
                 skipped_in_a_row: 0,
+                episodes: episodes.as_ref().map(Episodes::state),
             },
+            episodes,
             previous_direction: direction.clone(),
             direction,
             epoch: None,
@@ -198,6 +226,10 @@ impl<F: Float> State<F> {
         policy: &dyn AnyPolicy<F>,
         ranks: &Arc<dyn Ranks>,
     ) -> Result<(), TrainError> {
+        if self.episodes.is_some() {
+            let problem = "are not shared among ranks; use threads, or run without windows".into();
+            return Err(TrainError::Setting { setting: "windows", problem });
+        }
         let Training { batch, workers, memory, .. } = self.training;
         let samples = self.training.derived(batch.min(self.order.len()));
         // Frees the workspace of a single process before the allocation of the shared one.
@@ -257,13 +289,11 @@ impl<F: Float> State<F> {
         self.best.update(self.weights.theta(), test_loss);
         let seconds = epoch.seconds + begin.elapsed().as_secs_f64();
         let number = self.records.len() + 1;
-        self.records.push(epoch.means.record(
-            number,
-            train_loss,
-            test_loss,
-            epoch.skipped,
-            seconds,
-        ));
+        let record = epoch.means.record(number, train_loss, test_loss, epoch.skipped, seconds);
+        let [value_error, explained] =
+            self.episodes.as_ref().and_then(Episodes::fit).map_or([None; 2], |fit| fit.map(Some));
+        let length = self.evaluation.mean_length();
+        self.records.push(Record { length, value_error, explained, ..record });
         Ok(true)
     }
 
@@ -275,6 +305,10 @@ impl<F: Float> State<F> {
         self.before.optimizer.copy_from(&self.optimizer);
         self.before.direction.copy_from_slice(&self.direction);
         self.before.skipped_in_a_row = self.skipped_in_a_row;
+        if let Some(episodes) = &mut self.episodes {
+            episodes.begin(self.records.len());
+            self.before.episodes = Some(episodes.state());
+        }
         self.order_samples();
         Epoch::default()
     }
@@ -319,6 +353,9 @@ impl<F: Float> State<F> {
         self.optimizer.copy_from(&self.before.optimizer);
         self.direction.copy_from_slice(&self.before.direction);
         self.skipped_in_a_row = self.before.skipped_in_a_row;
+        if let (Some(episodes), Some(state)) = (&mut self.episodes, &self.before.episodes) {
+            episodes.set_state(state);
+        }
     }
 
     /// Loss of the test set. A diverged loss is NaN.
@@ -347,8 +384,12 @@ impl<F: Float> State<F> {
 
     /// Evaluates the losses of the training and the test set. A diverged loss is NaN.
     fn evaluate(&mut self, Problem { task, policy, .. }: Problem<'_, F>) -> [f64; 2] {
-        let losses = [&self.train, &self.test]
-            .map(|starts| self.evaluation.run(task, policy, &self.weights, starts));
+        let mut loss_of = |starts| self.evaluation.run(task, policy, &self.weights, starts);
+        // The test set comes last, for the lengths of its episodes.
+        let losses = match &self.episodes {
+            None => [loss_of(&self.train), loss_of(&self.test)],
+            Some(episodes) => [Ok(episodes.loss()), loss_of(&self.test)],
+        };
         self.diverged = losses.map(Result::err);
         losses.map(|loss| loss.unwrap_or(f64::NAN))
     }
@@ -364,7 +405,18 @@ impl<F: Float> State<F> {
     }
 
     pub(super) fn updates_per_epoch(&self) -> usize {
+        self.batches() * self.episodes.as_ref().map_or(1, |episodes| episodes.windows)
+    }
+
+    /// Number of mini-batches that together have all samples.
+    fn batches(&self) -> usize {
         self.order.len().div_ceil(self.training.batch)
+    }
+
+    /// Samples of mini-batch `index` of the epoch.
+    fn chosen(&self, index: usize) -> Range<usize> {
+        let first = index % self.batches() * self.training.batch;
+        first..self.order.len().min(first + self.training.batch)
     }
 
     /// Performs one update with mini-batch `index` of the epoch.
@@ -373,8 +425,13 @@ impl<F: Float> State<F> {
         let update = self.records.len() * self.updates_per_epoch() + index;
         self.previous_direction.copy_from_slice(&self.direction);
         let step = self.vector(problem, update);
+        let step = step.and_then(|step| self.continue_episodes(index).map(|()| step));
         if step.is_err() {
             self.direction.copy_from_slice(&self.previous_direction);
+            let (chosen, window) = (self.chosen(index), index / self.batches());
+            if let Some(episodes) = &mut self.episodes {
+                episodes.abandon(&self.order[chosen], self.records.len(), window);
+            }
         }
         let step = step?;
         self.note_slopes();
@@ -383,6 +440,18 @@ impl<F: Float> State<F> {
         self.weights
             .update(problem.policy, |theta| self.optimizer.step_at(rate, theta, &self.combined));
         Ok(step)
+    }
+
+    /// In a training by windows, continues the episodes of a mini-batch where its windows ended, and
+    /// trains the value function.
+    fn continue_episodes(&mut self, index: usize) -> Result<(), Divergence> {
+        let (chosen, window) = (self.chosen(index), index / self.batches());
+        match (&mut self.episodes, self.batch.visited()) {
+            (Some(episodes), Some(visited)) => {
+                episodes.finish(&self.order[chosen], self.records.len(), window, visited)
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Notes which trained numbers have a slope other than 0 in this update.
@@ -440,6 +509,7 @@ impl<F: Float> State<F> {
         &mut self,
         Problem { task, policy, field }: Problem<'_, F>,
     ) -> Result<Step, Divergence> {
+        let task = self.episodes.as_ref().map_or(task, |episodes| &episodes.window);
         let loss = self.batch.run(task, policy, &self.weights, &self.starts)?;
         self.combine(field, loss)
     }
@@ -466,7 +536,14 @@ impl<F: Float> State<F> {
     fn select_batch(&mut self, task: &dyn AnyTask<F>, index: usize) {
         let n = self.drawn.len();
         self.starts.clear();
-        for &sample in self.order.chunks(self.training.batch).nth(index).unwrap_or(&[]) {
+        let (chosen, batches) = (self.chosen(index), self.batches());
+        if let Some(episodes) = &mut self.episodes {
+            let (window, epoch) = (index / batches, self.records.len());
+            let update = epoch * batches * episodes.windows + index;
+            episodes.select(&self.order[chosen], window, update, &mut self.starts);
+            return;
+        }
+        for &sample in &self.order[chosen] {
             if self.training.resample {
                 // One stream per epoch and sample, so a resumed run draws the same numbers.
                 let drawn = self.records.len() as u64 * self.order.len() as u64 + sample as u64;

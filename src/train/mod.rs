@@ -6,6 +6,7 @@
 //! - [`Field`] and [`GradientCombiner`]: the vector field that the optimizer follows.
 //! - [`Combination`]: rules that combine M and R.
 //! - [`Smoothing`]: estimates from perturbed parameters.
+//! - [`Windows`]: episodes that updates see a window at a time, with a value function of its end.
 //! - [`OptimizerKind`] and [`Clip`]: update rules, and clipping of the field.
 //! - [`vector_field`]: the two-parameter examples of the paper.
 //!
@@ -17,7 +18,9 @@ mod average;
 pub mod calls;
 mod checkpoint;
 pub(crate) mod combination;
+pub(crate) mod critic;
 mod decay;
+pub(crate) mod episodes;
 mod epoch;
 pub(crate) mod field;
 pub(crate) mod optim;
@@ -26,6 +29,7 @@ mod session;
 mod smoothing;
 pub mod vector_field;
 mod warnings;
+mod window;
 
 pub use calls::Trajectories;
 pub use checkpoint::{CheckpointError, differences};
@@ -45,6 +49,7 @@ use crate::engine::schedule::MemoryError;
 use crate::numbers::rng::{Purpose, stream};
 use crate::numbers::scalar::Float;
 use crate::policy::{Policy, Weights};
+use crate::train::episodes::Windows;
 use crate::train::field::Field;
 use crate::train::optim::Clip;
 use std::io::Write as _;
@@ -245,6 +250,7 @@ pub struct Trainer<T, P, F = f32, C = Combination> {
     seed: Option<u64>,
     /// Parameters at the start of the training. None for those of [`Policy::init`].
     theta: Option<Vec<f64>>,
+    windows: Option<Windows>,
     precision: PhantomData<F>,
 }
 
@@ -259,6 +265,7 @@ impl<T: Task, P: Policy> Trainer<T, P> {
             epochs: None,
             seed: None,
             theta: None,
+            windows: None,
             precision: PhantomData,
         }
     }
@@ -267,14 +274,24 @@ impl<T: Task, P: Policy> Trainer<T, P> {
 impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// Sets the vector field.
     pub fn field<D: GradientCombiner>(self, field: Field<D>) -> Trainer<T, P, F, D> {
-        let Self { task, policy, training, epochs, seed, theta, precision, .. } = self;
-        Trainer { task, policy, field, training, epochs, seed, theta, precision }
+        let Self { task, policy, training, epochs, seed, theta, windows, precision, .. } = self;
+        Trainer { task, policy, field, training, epochs, seed, theta, windows, precision }
     }
 
     /// Sets the precision, `f32` or `f64`.
     pub fn precision<G: Float>(self) -> Trainer<T, P, G, C> {
-        let Self { task, policy, field, training, epochs, seed, theta, .. } = self;
-        Trainer { task, policy, field, training, epochs, seed, theta, precision: PhantomData }
+        let Self { task, policy, field, training, epochs, seed, theta, windows, .. } = self;
+        Trainer {
+            task,
+            policy,
+            field,
+            training,
+            epochs,
+            seed,
+            theta,
+            windows,
+            precision: PhantomData,
+        }
     }
 
     /// Sets the number of epochs. It replaces [`Training::epochs`], also if
@@ -294,6 +311,12 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// Starts from these parameters of the policy, rather than from those of [`Policy::init`].
     pub fn start_from(mut self, theta: Vec<f64>) -> Self {
         self.theta = Some(theta);
+        self
+    }
+
+    /// Trains by windows of an episode rather than by whole rollouts.
+    pub fn windows(mut self, windows: Windows) -> Self {
+        self.windows = Some(windows);
         self
     }
 
@@ -357,7 +380,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// differs from the policy's `param_count`.
     pub fn session(self) -> Result<Session<T, P, F, C>, TrainError> {
         let training = self.settings();
-        let Self { task, policy, field, theta, .. } = self;
+        let Self { task, policy, field, theta, windows, .. } = self;
         training.validate()?;
         let starts = |purpose, samples| initial_states(&task, training.seed, purpose, samples);
         let (train, test) = (
@@ -370,7 +393,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
             }
             None => Weights::init(&policy, &mut stream(training.seed, Purpose::Policy, 0)),
         };
-        Session::new(task, policy, field, training, weights, train, test)
+        Session::new(task, policy, field, training, windows, weights, train, test)
     }
 
     /// Creates a session from given parameters and initial states; see
@@ -395,9 +418,9 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
         test: Vec<F>,
     ) -> Result<Session<T, P, F, C>, TrainError> {
         let training = self.settings();
-        let Self { task, policy, field, .. } = self;
+        let Self { task, policy, field, windows, .. } = self;
         let weights = Weights::new(&policy, finite(theta)?);
-        Session::new(task, policy, field, training, weights, train, test)
+        Session::new(task, policy, field, training, windows, weights, train, test)
     }
 
     /// All settings, with the number of epochs and the seed of the builder.

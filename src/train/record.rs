@@ -15,7 +15,8 @@ pub struct Record {
     /// [`Training::smoothing`](crate::Training::smoothing), this is the mean loss at the perturbed
     /// parameters.
     pub loss: f64,
-    /// Loss of the whole training set after the epoch; NaN if it diverged.
+    /// Loss of the whole training set after the epoch; NaN if it diverged. In a training by
+    /// [windows](crate::episode::Windows), the mean costs of the episodes during the epoch.
     pub train_loss: f64,
     /// Loss of the whole test set after the epoch; NaN if it diverged.
     pub test_loss: f64,
@@ -30,6 +31,13 @@ pub struct Record {
     /// Mean over the applied updates of the weight of the first-order estimate, with
     /// [`Training::smoothing`](crate::Training::smoothing).
     pub first_order: Option<f64>,
+    /// Mean number of steps of the episodes of the test set, if they can end.
+    pub length: Option<f64>,
+    /// Error of the value function before it learned from a window: root of the mean square over the
+    /// visited states and the windows, in the unit of the costs.
+    pub value_error: Option<f64>,
+    /// Part of the variance of its targets that the value function explained, mean over the windows.
+    pub explained: Option<f64>,
     /// Number of updates skipped because of a [`Divergence`].
     pub skipped: usize,
     /// Growth of the adjoint of R in the first applied update, if the field contains R.
@@ -168,6 +176,9 @@ impl Means {
             cosine,
             kept,
             first_order,
+            length: None,
+            value_error: None,
+            explained: None,
             skipped,
             regular_growth: self.growths[0],
             modified_growth: self.growths[1],

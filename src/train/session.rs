@@ -1,6 +1,7 @@
 //! [`Session`]: a training in progress, one epoch at a time.
 
 use super::checkpoint;
+use super::episodes::Windows;
 use super::epoch::{Problem, State};
 use super::warnings::{TrainedNumber, Warning};
 use super::{CheckpointError, Record, Report, Skip, TrainError, Training};
@@ -31,11 +32,13 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
         policy: P,
         field: Field<C>,
         training: Training,
+        windows: Option<Windows>,
         weights: Weights<F>,
         train: Vec<F>,
         test: Vec<F>,
     ) -> Result<Self, TrainError> {
-        let state = State::new(&task, &policy, field.flows(), training, weights, train, test)?;
+        let state =
+            State::new(&task, &policy, field.flows(), training, windows, weights, train, test)?;
         Ok(Self { task, policy, field, state })
     }
 
@@ -120,7 +123,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     /// Empty within an epoch. [`Trainer::run`](crate::Trainer::run) prints them.
     pub fn warnings(&mut self) -> Vec<String> {
         self.state
-            .new_warnings(self.task.horizon(), &self.numbers())
+            .new_warnings(self.steps(), &self.numbers())
             .iter()
             .map(Warning::to_string)
             .collect()
@@ -135,7 +138,13 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     /// [`epoch_warnings`](Self::epoch_warnings) about these trained numbers, of the policy too,
     /// instead of those of the system.
     pub fn epoch_warnings_about(&self, numbers: &[TrainedNumber]) -> Vec<Warning> {
-        self.state.warnings(self.task.horizon(), numbers)
+        self.state.warnings(self.steps(), numbers)
+    }
+
+    /// Steps that an update sees.
+    fn steps(&self) -> usize {
+        let windows = self.state.episodes.as_ref();
+        windows.map_or(self.task.horizon(), |episodes| Task::horizon(&episodes.window))
     }
 
     /// The numbers of the system that are trained with the policy.
@@ -151,6 +160,14 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
             TrainedNumber { name, index: first + i, map }
         };
         params.iter().enumerate().map(number).collect()
+    }
+
+    /// Values of these observations by the value function of a training by windows. `None` without.
+    ///
+    /// # Panics
+    /// If the length is not a multiple of the number of observed components.
+    pub fn values(&self, observations: &[F]) -> Option<Vec<f64>> {
+        self.state.episodes.as_ref()?.values(observations)
     }
 
     /// Loss of the whole test set with the current parameters; NaN if it diverges.

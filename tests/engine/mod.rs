@@ -8,6 +8,7 @@ mod checkpoints;
 mod determinism;
 mod divergence;
 mod empty;
+mod episodes;
 mod memory;
 mod noise;
 mod ranks;

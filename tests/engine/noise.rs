@@ -54,6 +54,7 @@ pub(super) fn pendulum() -> GraphTask {
     let costs = Costs {
         running: "(next.angle - goal)^2 + 0.01 * torque^2 * gyro".into(),
         terminal: "(rate - goal)^2".into(),
+        ..Costs::default()
     };
     GraphTask::new(&equations, &costs, RK4, 2, 20).expect("valid equations")
 }
@@ -68,7 +69,7 @@ fn plant(a: f64, deviation: f64, hold: usize, horizon: usize) -> GraphTask {
         next: texts(&[("x", "a * x + u + w")]),
         ..Equations::default()
     };
-    let costs = Costs { running: "next.x^2".into(), terminal: String::new() };
+    let costs = Costs { running: "next.x^2".into(), ..Costs::default() };
     GraphTask::new(&equations, &costs, RK4, 1, horizon).expect("valid equations")
 }
 

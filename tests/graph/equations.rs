@@ -105,7 +105,7 @@ fn errors_name_the_setting_the_column_and_the_replacement() {
     let with = |change: &dyn Fn(&mut Equations)| {
         let mut equations = two_states(["a", "b"]);
         change(&mut equations);
-        let costs = Costs { running: String::new(), terminal: String::new() };
+        let costs = Costs::default();
         let task = GraphTask::new(&equations, &costs, RK4, 1, 10);
         task.map(drop).expect_err("an error").to_string()
     };
@@ -297,6 +297,7 @@ fn rates_are_integrated_and_checked_with_costs_and_varied_numbers() {
     let costs = Costs {
         running: "(next.h2 - 0.3)^2 + 1e-3 * pump^2 + 1e-2 * t * h1".into(),
         terminal: "100 * (h2 - 0.3)^2 / area".into(),
+        ..Costs::default()
     };
     for substeps in [1, 3] {
         let task = GraphTask::new(&equations, &costs, RK4, substeps, 20).expect("a task");
@@ -307,7 +308,7 @@ fn rates_are_integrated_and_checked_with_costs_and_varied_numbers() {
 #[test]
 fn names_that_nothing_uses_short_tables_and_no_costs_are_remarked() {
     let mut equations = two_states(["a + k", "b + part * two"]);
-    let costs = Costs { running: "u^2".into(), terminal: String::new() };
+    let costs = Costs { running: "u^2".into(), ..Costs::default() };
     equations.define = [("part".to_owned(), "a * b".to_owned())].into();
     assert_eq!(equations.remarks(&costs, 10), [""; 0]);
     equations.define.insert("prat".into(), "a".into());

@@ -46,8 +46,7 @@ fn tank() -> GraphTask {
         rate: texts([("h", "pump - 0.2 * sqrt(abs(h) + 0.01)")]),
         ..Equations::default()
     };
-    let costs =
-        Costs { running: "(next.h - 0.3)^2 + 0.001 * pump^2".into(), terminal: String::new() };
+    let costs = Costs { running: "(next.h - 0.3)^2 + 0.001 * pump^2".into(), ..Costs::default() };
     let method = AnyIntegrator::RungeKutta(RungeKutta::RK4);
     GraphTask::new(&equations, &costs, method, 1, 200).expect("a task")
 }

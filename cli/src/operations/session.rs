@@ -8,6 +8,7 @@ use crate::settings::Precision;
 use anyhow::Result;
 use physgrad::engine::Ranks;
 use physgrad::engine::any::AnyTask;
+use physgrad::episode::Windows;
 use physgrad::train::{CheckpointError, Record, Session, TrainedNumber, Warning};
 use physgrad::{DynTask, Field, Float, Policy, Task, TrainError, Trainer, Training, Weights};
 use std::ops::Range;
@@ -193,9 +194,13 @@ pub fn open<P: Policy + 'static>(
     precision: Precision,
     field: Field,
     training: Training,
+    windows: Option<Windows>,
     theta: Vec<f64>,
 ) -> Result<Box<dyn AnyRun>> {
-    let trainer = Trainer::new(task, policy).field(field).training(training).start_from(theta);
+    let mut trainer = Trainer::new(task, policy).field(field).training(training).start_from(theta);
+    if let Some(windows) = windows {
+        trainer = trainer.windows(windows);
+    }
     Ok(match precision {
         Precision::F32 => Box::new(trainer.precision::<f32>().session()?),
         Precision::F64 => Box::new(trainer.precision::<f64>().session()?),

@@ -145,7 +145,7 @@ fn json(cells: &[String; COLUMNS.len()]) -> Vec<u8> {
 }
 
 /// Names of the values.
-const COLUMNS: [&str; 14] = [
+const COLUMNS: [&str; 17] = [
     "epoch",
     "loss",
     "train_loss",
@@ -160,10 +160,13 @@ const COLUMNS: [&str; 14] = [
     "growth_M",
     "worst_window_M",
     "first_order",
+    "length",
+    "value_error",
+    "explained",
 ];
 
 /// Values of an epoch, in the order of [`COLUMNS`]. Absent values are empty.
-fn cells(record: &Record) -> [String; 14] {
+fn cells(record: &Record) -> [String; 17] {
     let Record {
         epoch,
         loss,
@@ -173,6 +176,9 @@ fn cells(record: &Record) -> [String; 14] {
         cosine,
         kept,
         first_order,
+        length,
+        value_error,
+        explained,
         skipped,
         seconds,
         ..
@@ -201,5 +207,8 @@ fn cells(record: &Record) -> [String; 14] {
         growth_m,
         worst_m,
         optional(first_order),
+        optional(length),
+        optional(value_error),
+        optional(explained),
     ]
 }

@@ -58,7 +58,9 @@ impl Observer for Progress {
             format!("train {}", short(record.train_loss)),
             format!("test {}", short(record.test_loss)),
         ];
-        self.advance(losses.into_iter().chain(growths.into_iter().filter_map(growth)).collect());
+        let length = record.length.map(|steps| format!("length {}", short(steps)));
+        let growths = growths.into_iter().filter_map(growth);
+        self.advance(losses.into_iter().chain(length).chain(growths).collect());
         self.warn("", event);
     }
 }

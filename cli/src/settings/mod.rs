@@ -10,6 +10,7 @@ mod names;
 pub mod reading;
 mod sensor;
 mod training;
+mod window;
 
 pub use actuator::{ACTUATORS, ActuatorSettings};
 pub use integrator::{IntegratorSettings, Method};
@@ -19,6 +20,7 @@ pub use names::{
 };
 pub use sensor::{SENSORS, SensorSettings};
 pub use training::TrainingSettings;
+pub use window::WindowSettings;
 
 /// Version of the scene format.
 pub const VERSION: i64 = 1;

@@ -35,6 +35,7 @@ pub struct TrainingSettings {
     /// Updates at the start in which the learning rate rises linearly to its full value.
     pub warm_up: usize,
     /// Weight of all paths of the adjoint, per step. Below 1, it discounts effects on later costs.
+    /// With the section `window`, weight of the costs of the next step.
     pub discount: f64,
     /// Factor of the path through the observation. Interpolates field R between M (0) and R (1).
     pub control: f64,
@@ -246,6 +247,13 @@ impl TrainingSettings {
     /// Bound on the bytes of a mini-batch. None without a bound.
     pub fn budget(&self) -> Option<u64> {
         self.memory.as_deref().and_then(bytes)
+    }
+
+    /// The field, with control, truncation and cut applied to all its flows, and the discount unless
+    /// the training is by windows, which apply it.
+    pub fn weighted_in(&self, field: Field, by_windows: bool) -> Field {
+        let discount = if by_windows { 1.0 } else { self.discount };
+        Self { discount, ..self.clone() }.weighted(field)
     }
 
     /// The field, with discount, control, truncation and cut applied to all its flows.

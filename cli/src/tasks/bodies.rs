@@ -30,6 +30,7 @@ fn task(settings: &Settings<Bodies>) -> Result<DynTask, ConfigError> {
         observe: system.observed(bodies.model())?,
         running: settings.loss.running.clone(),
         terminal: settings.loss.terminal.clone(),
+        end: settings.loss.end.clone(),
         define: system.define.clone(),
     };
     if replacement == Replacement::default() {
@@ -45,8 +46,11 @@ fn task(settings: &Settings<Bodies>) -> Result<DynTask, ConfigError> {
     };
     let replaced = Replaced::with_quantities(erased, names, &replacement, &bodies);
     replaced.map(DynTask::new).map_err(|error| {
-        let section =
-            if ["running", "terminal"].contains(&error.key.as_str()) { "loss." } else { "system." };
+        let section = if ["running", "terminal", "end"].contains(&error.key.as_str()) {
+            "loss."
+        } else {
+            "system."
+        };
         located(section, error)
     })
 }

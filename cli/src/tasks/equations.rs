@@ -111,7 +111,7 @@ impl TaskSpec for Equations {
 
     fn equations(settings: &Settings<Self>) -> Vec<(String, String)> {
         let graph::Equations { rate, next, define, observe, units, .. } = &settings.system;
-        let Costs { running, terminal } = &settings.loss;
+        let Costs { running, terminal, end } = &settings.loss;
         let unit = |name: &str| units.get(name).map_or(String::new(), |unit| format!(", {unit}"));
         let of_states = |list: &BTreeMap<String, String>, before: &str, after: &str| {
             let named = list
@@ -120,7 +120,7 @@ impl TaskSpec for Equations {
             named.collect::<Vec<_>>()
         };
         let observed = observe.iter().enumerate();
-        let costs = [("running cost", running), ("terminal cost", terminal)];
+        let costs = [("running cost", running), ("terminal cost", terminal), ("end", end)];
         let costs = costs.into_iter().filter(|(_, text)| !text.is_empty());
         [
             of_states(define, "", ""),

@@ -18,7 +18,7 @@ use crate::settings::config_error::ConfigError;
 use crate::settings::reading::flat;
 use crate::settings::{
     ActuatorSettings, DecayName, EstimatorName, FieldName, IntegratorSettings, LogFormat, OPTIONAL,
-    Precision, TrainingSettings,
+    Precision, TrainingSettings, WindowSettings,
 };
 use crate::tasks::policy::{Controlled, PolicySettings, ScenePolicy, is_kind};
 use crate::tasks::{AnyTaskSpec, Conserved, Settings, TaskSpec};
@@ -27,6 +27,7 @@ use physgrad::actuator::Actuator;
 use physgrad::check::{Jumps, Kink, Plateau};
 use physgrad::count::TaskOpCount;
 use physgrad::engine::Cause;
+use physgrad::episode::Windows;
 use physgrad::graph::Operations;
 use physgrad::identify::{Fit, IdentifyError, Options, Segment};
 use physgrad::optimize::{self, Initial, OptimizeError, Plan};
@@ -80,6 +81,7 @@ pub struct Scene {
     initial_policy_file: Option<String>,
     /// Contents of this file.
     initial_policy: Option<Arc<[u8]>>,
+    window: Option<WindowSettings>,
     settings: Arc<dyn AnySettings>,
 }
 
@@ -92,8 +94,8 @@ trait AnySettings: Send + Sync {
     fn dt(&self) -> f64;
     /// Names of the state components, and of the observed ones.
     fn names(&self) -> [Vec<String>; 2];
-    /// Number of state components that the sensor adds.
-    fn sensor_states(&self) -> usize;
+    /// Number of state components that the end of episodes and the sensor add.
+    fn added_states(&self) -> usize;
     fn controlled(&self, physics: &DynTask) -> Controlled;
     fn angles(&self) -> Vec<usize>;
     fn param_names(&self, task: &DynTask) -> Vec<String>;
@@ -121,8 +123,8 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
         Settings::names(self)
     }
 
-    fn sensor_states(&self) -> usize {
-        self.sensor.state_names(&Settings::names(self)[1]).len()
+    fn added_states(&self) -> usize {
+        Settings::added_states(self)
     }
 
     fn controlled(&self, physics: &DynTask) -> Controlled {
@@ -209,6 +211,7 @@ impl Scene {
             policy_settings: Arc::new(policy_settings),
             initial_policy_file: settings.initial_policy.clone(),
             initial_policy: None,
+            window: settings.window.clone(),
             settings: Arc::new(settings),
         }
     }
@@ -252,10 +255,10 @@ impl Scene {
             .or_else(|| self.physics.control_bounds())
     }
 
-    /// Checks the gradients of system, policy and rollout. In rollouts, the policy has the
-    /// parameters `theta`, or random ones. Results carry the name `variant`.
+    /// Checks the gradients of system, policy and rollout, or of a window with a random value function.
+    /// In rollouts, the policy has the parameters `theta`, or random ones. Results carry the name `variant`.
     pub fn check(&self, variant: &str, theta: Option<&[f64]>, results: &mut Results) {
-        checks::check(&self.physics, &self.policy, theta, variant, results);
+        checks::check(&self.stepped(), &self.policy, theta, variant, results);
     }
 
     /// Stability of the steps of test rollouts, and at a state between two that alternate with
@@ -268,23 +271,23 @@ impl Scene {
         theta: &[f64],
         known: Option<&Between>,
     ) -> Result<Amplification, Divergence> {
-        amplification::amplification(&self.physics, &self.policy, theta, self.seed, known)
+        amplification::amplification(&self.stepped(), &self.policy, theta, self.seed, known)
     }
 
     /// Kinks and jumps of the step, the observation and the costs along test rollouts.
     pub fn kinks(&self, theta: &[f64]) -> Vec<Kink> {
-        checks::kinks(&self.physics, &self.policy, theta, self.seed)
+        checks::kinks(&self.stepped(), &self.policy, theta, self.seed)
     }
 
     /// Loss and gradient at the parameters `theta` and at parameters nearby.
     pub fn plateau(&self, theta: &[f64]) -> Result<Plateau, Divergence> {
-        checks::plateau(&self.physics, &self.policy, theta, self.seed)
+        checks::plateau(&self.stepped(), &self.policy, theta, self.seed)
     }
 
     /// Compares R with differences of the mean loss over finite distances. None for horizons above
     /// 10,000 steps.
     pub fn jumps(&self, theta: &[f64]) -> Option<Result<Jumps, Divergence>> {
-        checks::jumps(&self.physics, &self.policy, theta, self.seed)
+        checks::jumps(&self.stepped(), &self.policy, theta, self.seed)
     }
 
     /// Runs a rollout and its adjoints, and prepares them for timing.
@@ -395,9 +398,9 @@ impl Scene {
         self.actuator.applied(self.dt(), &self.unsensed(states), controls)
     }
 
-    /// States without the components that the sensor adds.
+    /// States without the components that the end of episodes and the sensor add.
     fn unsensed<'a>(&self, states: &'a [Vec<f64>]) -> Cow<'a, [Vec<f64>]> {
-        match self.settings.sensor_states() {
+        match self.settings.added_states() {
             0 => Cow::Borrowed(states),
             added => states.iter().map(|x| x[..x.len() - added].to_vec()).collect(),
         }
@@ -409,7 +412,7 @@ impl Scene {
         // The quantity has fixed numbers, but the drawn or trained numbers of a sample may differ.
         self.settings
             .conserved()
-            .filter(|_| self.varied().is_empty() && self.settings.sensor_states() == 0)
+            .filter(|_| self.varied().is_empty() && self.settings.added_states() == 0)
     }
 
     /// Animation of one rollout, from its states, controls and parameters.
@@ -525,9 +528,22 @@ impl Scene {
     pub fn open(&self, workers: usize) -> Result<Box<dyn AnyRun>> {
         let theta = self.initial_theta()?;
         let training = self.training.training(self.epochs, self.seed, workers);
-        let field = self.training.weighted(self.field.0);
+        let windows = self.windows();
+        let field = self.training.weighted_in(self.field.0, windows.is_some());
         let (task, policy) = (self.physics.clone(), self.policy.clone());
-        session::open(task, policy, self.precision, field, training, theta)
+        session::open(task, policy, self.precision, field, training, windows, theta)
+    }
+
+    /// The windows of the training. None if updates see whole rollouts.
+    fn windows(&self) -> Option<Windows> {
+        let window = self.window.as_ref()?;
+        Some(window.windows(self.physics.clone(), self.training.discount))
+    }
+
+    /// The task whose gradients an update sees: the first window without noise, or the whole task.
+    fn stepped(&self) -> DynTask {
+        let windows = self.windows().map(|windows| Windows { noise: 0.0, ..windows });
+        windows.map_or_else(|| self.physics.clone(), |windows| windows.checked(self.seed))
     }
 
     /// Checks that a run fits in the memory of this machine.
@@ -540,7 +556,7 @@ impl Scene {
             self.training.training(self.epochs, self.seed, 1).derived(batch.min(train_samples));
         let starts = train_samples + test_samples;
         let Needs { batch: whole, rest } =
-            memory::needs(&self.physics, &self.policy, self.precision, samples, starts);
+            memory::needs(&self.stepped(), &self.policy, self.precision, samples, starts);
         // With a budget, the reverse pass recomputes the steps that exceed the budget.
         let batch = self.training.budget().map_or(whole, |budget| whole.min(budget as f64));
         let (needed, most) = (batch + rest, of_this_machine());
@@ -594,7 +610,8 @@ impl Scene {
                  all samples"
             )
         });
-        let updates = samples.div_ceil(batch).saturating_mul(self.epochs);
+        let windows = self.window.as_ref().map_or(1, |window| self.horizon / window.steps);
+        let updates = samples.div_ceil(batch).saturating_mul(windows).saturating_mul(self.epochs);
         let endless = (warm_up >= updates && updates > 0).then(|| {
             format!(
                 "note: `training.warm_up` is {warm_up} updates, but the run has {updates}: the learning rate never \

@@ -3,7 +3,7 @@
 use crate::settings::config_error::{ConfigError, count};
 use crate::settings::{
     ActuatorSettings, FieldName, IntegratorSettings, LogFormat, OPTIONAL, Precision,
-    SensorSettings, TrainingSettings, VERSION, reading,
+    SensorSettings, TrainingSettings, VERSION, WindowSettings, reading,
 };
 use crate::tasks::effects::Present;
 use crate::tasks::equations::located;
@@ -11,6 +11,7 @@ use crate::tasks::policy::{self, Built, PolicySettings};
 use crate::tasks::{self, Controlled, SceneEffects, TaskSpec};
 use physgrad::actuator::Actuator as _;
 use physgrad::effect::{DynEffect, Named};
+use physgrad::episode::Ending;
 use physgrad::graph::{Names, Replaced, Replacement, is_name};
 use physgrad::sensor::Sensed;
 use physgrad::{DynSystem, DynTask, Field, System as _, Task as _};
@@ -77,6 +78,9 @@ pub struct Settings<K: TaskSpec> {
     pub policy: Table,
     /// Optimizer, data sets and memory.
     pub training: TrainingSettings,
+    /// Training by windows of an episode. By default, updates see whole rollouts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub window: Option<WindowSettings>,
 }
 
 fn is_absent(equations: &Replacement) -> bool {
@@ -108,6 +112,7 @@ impl<K: TaskSpec> Settings<K> {
             equations: Replacement::default(),
             policy: policy::defaults(None, K::POLICY),
             training: TrainingSettings::default(),
+            window: None,
         }
     }
 
@@ -144,6 +149,9 @@ impl<K: TaskSpec> Settings<K> {
         count("horizon", self.horizon, 1..=100_000_000)?;
         count("epochs", self.epochs, 0..=1_000_000_000)?;
         self.training.validate()?;
+        if let Some(window) = &self.window {
+            window.validate(self.horizon, self.training.discount)?;
+        }
         let policy = self.policy()?;
         self.actuator.validate()?;
         self.sensor.validate()?;
@@ -217,13 +225,14 @@ impl<K: TaskSpec> Settings<K> {
     }
 
     /// The task as the policy sees it: with the observation and the costs of the section `equations`,
-    /// and with the sensor.
+    /// with the end of episodes, and with the sensor.
     pub fn physics(&self) -> Result<DynTask, ConfigError> {
         let task = self.unsensed()?;
+        let names = self.observation_names(&task);
+        let task = if task.can_end() { DynTask::new(Ending::new(task)) } else { task };
         if self.sensor.is_empty() {
             return Ok(task);
         }
-        let names = self.observation_names(&task);
         let sensed = Sensed::new(task, self.sensor.sensor(names.len(), K::dt(self)));
         sensed.map(DynTask::new).map_err(|error| {
             let list = if error.list == "bias" { "bias.value" } else { "noise.deviation" };
@@ -239,9 +248,17 @@ impl<K: TaskSpec> Settings<K> {
     /// Names of all state components, and of those that the policy observes.
     pub fn names(&self) -> [Vec<String>; 2] {
         let mut states = self.unsensed_states();
-        let observed = self.observation_names(&self.unsensed().expect("validated settings"));
+        let task = self.unsensed().expect("validated settings");
+        let observed = self.observation_names(&task);
+        states.extend(task.can_end().then(|| "ended".to_owned()));
         states.extend(self.sensor.state_names(&observed));
         [states, observed]
+    }
+
+    /// Number of state components that the end of episodes and the sensor add.
+    pub fn added_states(&self) -> usize {
+        let [states, _] = self.names();
+        states.len() - self.unsensed_states().len()
     }
 
     /// The task, with the observation and the costs of the section `equations`.

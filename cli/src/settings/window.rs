@@ -1,0 +1,79 @@
+//! The `window` section.
+
+use crate::settings::config_error::{ConfigError, allowed, count, not_negative, positive};
+use physgrad::DynTask;
+use physgrad::episode::{ValueSettings, Windows};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Training by windows of an episode: each update sees some steps, and the next one continues where
+/// they ended. Without this section, an update sees whole rollouts.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct WindowSettings {
+    /// Steps of a window.
+    pub steps: usize,
+    /// Standard deviation of normal noise on each control, in its unit, during training.
+    #[serde(default)]
+    noise: f64,
+    /// Value function of the last state of a window; absent if not listed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    value: Option<ValueFunction>,
+}
+
+/// A network of the observation, trained on TD(λ) targets of the visited states.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+struct ValueFunction {
+    /// Widths of the hidden layers, with tanh.
+    widths: Vec<usize>,
+    /// Learning rate of Adam.
+    learning_rate: f64,
+    /// Passes over the visited states after each window.
+    passes: usize,
+    /// Updates per pass, each with an equal part of the episodes.
+    parts: usize,
+    /// λ of the targets: 0 for one step, 1 for the whole window.
+    lambda: f64,
+    /// Part of the way that the slow copy, which ends windows, moves to the network after each window.
+    follow: f64,
+}
+
+impl Default for ValueFunction {
+    fn default() -> Self {
+        let ValueSettings { widths, learning_rate, passes, parts, lambda, follow } =
+            ValueSettings::default();
+        Self { widths, learning_rate, passes, parts, lambda, follow }
+    }
+}
+
+impl WindowSettings {
+    /// Checks all ranges. `horizon` and `discount` are those of the scene.
+    pub fn validate(&self, horizon: usize, discount: f64) -> Result<(), ConfigError> {
+        positive("training.discount", discount)?;
+        count("window.steps", self.steps, 1..=horizon)?;
+        not_negative("window.noise", self.noise)?;
+        let Some(value) = &self.value else { return Ok(()) };
+        let ValueFunction { widths, learning_rate, passes, parts, lambda, follow } = value;
+        for (i, &width) in widths.iter().enumerate() {
+            count(&format!("window.value.widths[{i}]"), width, 1..=100_000)?;
+        }
+        positive("window.value.learning_rate", *learning_rate)?;
+        count("window.value.passes", *passes, 1..=10_000)?;
+        count("window.value.parts", *parts, 1..=1_000_000)?;
+        allowed("window.value.lambda", lambda, (0.0..=1.0).contains(lambda), "0 to 1")?;
+        let follows = *follow > 0.0 && *follow <= 1.0;
+        allowed("window.value.follow", follow, follows, "a positive number up to 1")?;
+        let what = "below 1 with `window.value`, for example 0.99";
+        allowed("training.discount", discount, discount < 1.0, what)
+    }
+
+    /// Settings of the library, for this task.
+    pub fn windows(&self, task: DynTask, discount: f64) -> Windows {
+        let value = self.value.clone().map(|value| {
+            let ValueFunction { widths, learning_rate, passes, parts, lambda, follow } = value;
+            ValueSettings { widths, learning_rate, passes, parts, lambda, follow }
+        });
+        Windows { task, steps: self.steps, discount, noise: self.noise, value }
+    }
+}

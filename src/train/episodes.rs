@@ -1,0 +1,333 @@
+//! [`Windows`]: training by windows of an episode. [`Episodes`]: episodes in progress.
+
+use super::TrainError;
+use super::critic::{Critic, CriticState, ValueSettings};
+use super::window::Window;
+use crate::dynamics::dyn_task::DynTask;
+use crate::dynamics::number::{draw_key, key_of_epoch};
+use crate::dynamics::system::System as _;
+use crate::dynamics::task::Task;
+use crate::engine::any::AnyTask;
+use crate::engine::divergence::Divergence;
+use crate::engine::visited::Visited;
+use crate::numbers::rng::{Purpose, stream};
+use crate::numbers::scalar::Float;
+use crate::train::Training;
+use serde::{Deserialize, Serialize};
+
+/// Settings of a training by windows: each update sees `steps` steps of its episodes, and the next one
+/// continues where they ended.
+///
+/// The training set consists of episodes in progress, one per sample. They begin together at step 0,
+/// continue from update to update, and begin anew after the horizon of the task, or when an episode has
+/// [ended](crate::episode::Ending), from the same initial states or, with
+/// [`Training::resample`](crate::Training::resample), from new ones. An epoch is one horizon: each mini-batch has one update
+/// per window. A last window that does not fit into the horizon is left out. The losses of the test set
+/// are those of whole episodes.
+///
+/// Without a value function, the gradient of a window knows nothing of later costs.
+/// SHAC (Xu et al. 2022, arXiv:2204.07137) is such a training along R.
+///
+/// ```
+/// use physgrad::episode::Windows;
+/// use physgrad::{DynTask, Trainer, Training, policy::Mlp, tasks::CartPole};
+///
+/// let task = CartPole { horizon: 500, ..CartPole::new(1) };
+/// let training = Training { batch: 16, train_samples: 16, test_samples: 16, ..Training::default() };
+/// let report = Trainer::new(task, Mlp::new([4, 16, 1]))
+///     .training(training)
+///     .windows(Windows::new(DynTask::new(task), 25))
+///     .epochs(1)
+///     .run()?;
+/// assert!(report.records[0].test_loss.is_finite());
+/// # Ok::<(), physgrad::TrainError>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct Windows {
+    /// The task of the training.
+    pub task: DynTask,
+    /// Steps of a window.
+    pub steps: usize,
+    /// Weight γ of the next step relative to this one: costs of step t of a window have the factor
+    /// γ^t, and its value the factor γ^`steps`. Positive.
+    pub discount: f64,
+    /// Standard deviation of normal noise on each control, in its unit, during training.
+    pub noise: f64,
+    /// The value function of the last state of a window. `None` for no value.
+    pub value: Option<ValueSettings>,
+}
+
+impl Windows {
+    /// Windows of this many steps, with a discount of 0.99 and a value function with default
+    /// settings.
+    pub fn new(task: DynTask, steps: usize) -> Self {
+        Self { task, steps, discount: 0.99, noise: 0.0, value: Some(ValueSettings::default()) }
+    }
+
+    /// The first window as a task, with a random value function, for checks of its derivatives.
+    #[doc(hidden)]
+    pub fn checked(&self, seed: u64) -> DynTask {
+        let value = self.value.as_ref().map(|settings| {
+            let observed = AnyTask::<f64>::observed_dim(&self.task);
+            Critic::<f64>::new(self, settings, observed, 1, seed, 1).random_value()
+        });
+        DynTask::new(Window::new(self, value))
+    }
+
+    /// Checks the settings for a task with this state and horizon.
+    ///
+    /// # Errors
+    /// [`TrainError::Setting`] for the first invalid setting.
+    pub(super) fn validate(&self, training: &Training, dims: [usize; 3]) -> Result<(), TrainError> {
+        let Self { steps, discount, noise, .. } = *self;
+        let invalid = |setting, problem| Err(TrainError::Setting { setting, problem });
+        let horizon = Task::horizon(&self.task);
+        let params = Task::param_dim(&self.task);
+        let own = [self.task.system().state_dim(), params, horizon];
+        if own != dims {
+            let problem = "have another task than the training; pass the same task".into();
+            return invalid("windows", problem);
+        }
+        if steps == 0 || steps > horizon {
+            let problem = format!("is {steps}; allowed: 1 to {horizon}, the horizon");
+            return invalid("window.steps", problem);
+        }
+        let allowed = discount > 0.0 && discount <= 1.0;
+        if !allowed || (self.value.is_some() && discount == 1.0) {
+            let below =
+                if self.value.is_some() { "below 1, with a value function" } else { "up to 1" };
+            let problem = format!("is {discount}; allowed: a positive number {below}");
+            return invalid("discount", problem);
+        }
+        if !(noise >= 0.0 && noise.is_finite()) {
+            return invalid("window.noise", format!("is {noise}; allowed: a number of 0 or more"));
+        }
+        if training.smoothing.is_some() {
+            return invalid("estimator", "is for whole rollouts; remove it, or the windows".into());
+        }
+        match self.value.as_ref().and_then(ValueSettings::problem) {
+            Some((setting, problem)) => invalid(setting, problem),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Episodes in progress, one per training sample.
+#[derive(Debug)]
+pub(super) struct Episodes<F: Float> {
+    pub(super) window: Window,
+    /// Windows per epoch.
+    pub(super) windows: usize,
+    steps: usize,
+    discount: f64,
+    critic: Option<Critic<F>>,
+    /// Initial states of the training set, for windows. Empty if episodes draw new ones.
+    given: Vec<F>,
+    /// Where the next window of each episode begins.
+    carried: Vec<F>,
+    tally: Tally,
+    samples: usize,
+    /// Numbers per sample in a list of initial states, and in a state.
+    each: usize,
+    states: usize,
+    is_noisy: bool,
+    seed: u64,
+}
+
+/// What a checkpoint holds of [`Episodes`].
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct EpisodesState<F> {
+    carried: Vec<F>,
+    tally: Tally,
+    critic: Option<CriticState<F>>,
+}
+
+/// Sums over the windows of an epoch.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct Tally {
+    /// Running costs of all episodes.
+    cost: f64,
+    /// Windows from which the value function learned.
+    learned: usize,
+    error: f64,
+    explained: f64,
+}
+
+impl<F: Float> Episodes<F> {
+    /// Episodes from the initial states `train` of the task.
+    pub(super) fn new(settings: Windows, training: &Training, train: &[F]) -> Self {
+        let task: &dyn AnyTask<F> = &settings.task;
+        let samples = train.len() / task.start_dim();
+        let critic = settings.value.as_ref().map(|value| {
+            let batch = training.batch.min(samples);
+            let observed = task.observed_dim();
+            Critic::new(&settings, value, observed, batch, training.seed, training.workers)
+        });
+        let (steps, inner) = (settings.steps, task.start_dim());
+        let numbers = task.state_dim() + task.param_dim();
+        let windows = task.horizon() / steps;
+        let value = critic.as_ref().map(Critic::value);
+        let window = Window::new(&settings, value);
+        let task: &dyn AnyTask<F> = &window;
+        let (each, is_noisy) = (task.start_dim(), !task.noise().is_empty());
+        let mut given = Vec::new();
+        for (sample, start) in train.chunks_exact(inner).enumerate().filter(|_| !training.resample)
+        {
+            let first = given.len();
+            given.extend_from_slice(&start[..numbers]);
+            given.resize(first + each, F::zero());
+            if is_noisy {
+                let own = start.get(numbers).map(|key| key.as_());
+                let drawn = || draw_key(&mut stream(training.seed, Purpose::Noise, sample as u64));
+                given[first + each - 1] = F::from_f64(own.unwrap_or_else(drawn));
+            }
+        }
+        Self {
+            states: task.state_dim(),
+            carried: vec![F::zero(); samples * each],
+            tally: Tally::default(),
+            window,
+            windows,
+            steps,
+            discount: settings.discount,
+            critic,
+            given,
+            samples,
+            each,
+            is_noisy,
+            seed: training.seed,
+        }
+    }
+
+    /// All episodes begin anew, in this epoch, counted from 0.
+    pub(super) fn begin(&mut self, epoch: usize) {
+        self.tally = Tally::default();
+        (0..self.samples).for_each(|sample| self.restart(sample, epoch, 0));
+    }
+
+    /// One episode begins anew before this window of this epoch.
+    fn restart(&mut self, sample: usize, epoch: usize, window: usize) {
+        let place = sample * self.each..(sample + 1) * self.each;
+        if !self.given.is_empty() {
+            self.carried[place.clone()].copy_from_slice(&self.given[place]);
+            return;
+        }
+        let begun = (epoch as u64 * self.windows as u64 + window as u64) * self.samples as u64;
+        let mut start = vec![0.0; self.each];
+        let mut rng = stream(self.seed, Purpose::Train, begun + sample as u64);
+        AnyTask::<F>::draw(&self.window, &mut rng, &mut start);
+        self.carried[place].iter_mut().zip(start).for_each(|(own, x)| *own = F::from_f64(x));
+    }
+
+    /// Writes where the windows of a mini-batch begin. `update` counts from 0 over the training.
+    pub(super) fn select(
+        &mut self,
+        chosen: &[usize],
+        window: usize,
+        update: usize,
+        starts: &mut Vec<F>,
+    ) {
+        self.window.origin = window * self.steps;
+        for &sample in chosen {
+            starts.extend_from_slice(&self.carried[sample * self.each..][..self.each]);
+            if self.is_noisy
+                && let Some(key) = starts.last_mut()
+            {
+                *key = F::from_f64(key_of_epoch(key.as_(), update as u64));
+            }
+        }
+    }
+
+    /// Continues the episodes of a mini-batch after a window, and trains the value function.
+    ///
+    /// # Errors
+    /// [`Divergence`] in the training of the value function.
+    pub(super) fn finish(
+        &mut self,
+        chosen: &[usize],
+        epoch: usize,
+        window: usize,
+        visited: &Visited<F>,
+    ) -> Result<(), Divergence> {
+        let ended = Task::ended(&self.window);
+        if let Some(critic) = &mut self.critic {
+            let fit = critic.learn(visited, ended)?;
+            self.tally.learned += 1;
+            self.tally.error += fit.error;
+            self.tally.explained += fit.explained;
+            self.window.value = Some(critic.value());
+        }
+        // The costs of a window are discounted.
+        let costs = visited.costs.iter().enumerate();
+        let cost =
+            |(i, cost): (usize, &F)| cost.as_() / self.discount.powi((i % self.steps) as i32);
+        self.tally.cost += costs.map(cost).sum::<f64>();
+        let stored = (self.steps + 1) * self.states;
+        for (&sample, states) in chosen.iter().zip(visited.states.chunks_exact(stored)) {
+            let last = &states[self.steps * self.states..];
+            if ended.is_some_and(|ended| last[ended] != F::zero()) {
+                self.restart(sample, epoch, window + 1);
+            } else {
+                self.carried[sample * self.each..][..self.states].copy_from_slice(last);
+            }
+        }
+        Ok(())
+    }
+
+    /// Begins the episodes of a mini-batch anew after a window that diverged.
+    pub(super) fn abandon(&mut self, chosen: &[usize], epoch: usize, window: usize) {
+        chosen.iter().for_each(|&sample| self.restart(sample, epoch, window + 1));
+    }
+
+    /// Mean running costs of an episode of this epoch, with its noise.
+    pub(super) fn loss(&self) -> f64 {
+        self.tally.cost / self.samples as f64
+    }
+
+    /// Mean of the root mean square errors of the value function, and of the explained variance.
+    pub(super) fn fit(&self) -> Option<[f64; 2]> {
+        let Tally { learned, error, explained, .. } = self.tally;
+        let mean = |sum: f64| sum / learned as f64;
+        (learned > 0).then(|| [mean(error).sqrt(), mean(explained)])
+    }
+
+    /// Values of these observations.
+    pub(super) fn values(&self, observations: &[F]) -> Option<Vec<f64>> {
+        self.critic.as_ref().map(|critic| critic.values(observations))
+    }
+
+    pub(super) fn state(&self) -> EpisodesState<F> {
+        EpisodesState {
+            carried: self.carried.clone(),
+            tally: self.tally,
+            critic: self.critic.as_ref().map(|critic| critic.state.clone()),
+        }
+    }
+
+    pub(super) fn set_state(&mut self, state: &EpisodesState<F>) {
+        self.carried.copy_from_slice(&state.carried);
+        self.tally = state.tally;
+        if let (Some(critic), Some(state)) = (&mut self.critic, &state.critic) {
+            critic.state = state.clone();
+            self.window.value = Some(critic.value());
+        }
+    }
+
+    /// Checks that these episodes can reach this state.
+    pub(super) fn validate(&self, state: &EpisodesState<F>) -> Result<(), String> {
+        let (found, expected) = (state.carried.len(), self.carried.len());
+        if found != expected {
+            return Err(format!(
+                "its episodes have {found} numbers, but those of this run {expected}"
+            ));
+        }
+        if let Some(number) = state.carried.iter().find(|number| !number.as_().is_finite()) {
+            return Err(format!("a number of its episodes is {number}"));
+        }
+        match (&self.critic, &state.critic) {
+            (None, None) => Ok(()),
+            (Some(critic), Some(state)) => critic.state.validate(state),
+            _ => Err("it has a value function, or lacks one, unlike this run".into()),
+        }
+    }
+}

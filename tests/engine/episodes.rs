@@ -1,0 +1,276 @@
+//! Episodes that end, and trainings by windows of them.
+
+use physgrad::episode::{Ending, ValueSettings, Windows};
+use physgrad::graph::{Costs, Equations, GraphTask};
+use physgrad::integrator::{AnyIntegrator, RungeKutta};
+use physgrad::policy::{Linear, Mlp};
+use physgrad::prelude::*;
+use physgrad::train::Session;
+use physgrad::{Clip, DynTask, Rollout, Training, Weights, check, losses};
+
+/// A pendulum that falls over, with costs and an end.
+fn pendulum(end: &str, horizon: usize) -> DynTask {
+    let equations = serde_json::json!({
+        "states": ["angle", "rate"],
+        "controls": ["torque"],
+        "dt": 0.1,
+        "start": { "angle": { "uniform": [-0.5, 0.5] }, "rate": { "uniform": [-0.5, 0.5] } },
+        "rate": { "angle": "rate", "rate": "sin(angle) + torque" },
+    });
+    let equations: Equations = serde_json::from_value(equations).expect("equations");
+    let costs = Costs {
+        running: "next.angle^2 + 0.1 * torque^2 - 1".into(),
+        terminal: "3 + rate^2".into(),
+        end: end.into(),
+    };
+    let rk4 = AnyIntegrator::RungeKutta(RungeKutta::RK4);
+    DynTask::new(GraphTask::new(&equations, &costs, rk4, 1, horizon).expect("a task"))
+}
+
+fn falling(horizon: usize) -> DynTask {
+    DynTask::new(Ending::new(pendulum("abs(angle) > 0.8 or rate > 2", horizon)))
+}
+
+#[test]
+fn derivatives_of_episodes_that_end_agree_with_dual_numbers() {
+    let task = falling(30);
+    let policy = Mlp::new([2, 6, 1]);
+    check::task(&task, &policy).unwrap();
+    let ended = (0..20).filter(|&seed| {
+        let mut rollout = Rollout::<f64>::new(&task, &policy, 1);
+        let weights = Weights::init(
+            &policy,
+            &mut physgrad::rng::stream(seed, physgrad::rng::Purpose::Policy, 0),
+        );
+        rollout.start(&physgrad::initial_states(&task, seed, physgrad::rng::Purpose::Test, 1));
+        rollout.run(&task, &policy, &weights).unwrap();
+        rollout.state(30, 0, 2) > 0.0
+    });
+    let ended = ended.count();
+    assert!((3..=20).contains(&ended), "{ended} of 20 episodes end");
+}
+
+#[test]
+fn an_ended_episode_costs_what_the_shorter_one_costs() {
+    let policy = Linear::new(2, 1);
+    let theta = Weights::new(&policy, vec![0.3, -0.1]);
+    let starts: Vec<f64> =
+        physgrad::initial_states(&falling(30), 1, physgrad::rng::Purpose::Test, 16);
+    let found = losses(&falling(30), &policy, &theta, &starts).unwrap();
+    let mut lengths = Vec::new();
+    for (start, found) in starts.chunks_exact(3).zip(found) {
+        // The first rollout with a state beyond the limit has its terminal cost there.
+        let ends = |steps: &usize| {
+            let plain = pendulum("", *steps);
+            let mut rollout = Rollout::<f64>::new(&plain, &policy, 1);
+            rollout.start(&start[..2]);
+            rollout.run(&plain, &policy, &theta).unwrap();
+            rollout.state(*steps, 0, 0).abs() > 0.8 || rollout.state(*steps, 0, 1) > 2.0
+        };
+        let steps = (1..30).find(ends).unwrap_or(30);
+        let expected = losses(&pendulum("", steps), &policy, &theta, &start[..2]).unwrap()[0];
+        approx::assert_relative_eq!(found, expected, max_relative = 1e-13);
+        lengths.push(steps);
+    }
+    assert!(lengths.iter().any(|&steps| steps < 30), "{lengths:?}");
+}
+
+#[test]
+fn an_end_is_a_condition() {
+    let end = |end: &str| {
+        let costs = Costs { end: end.into(), ..Costs::default() };
+        let text = r#"{"states": ["x"], "controls": ["u"], "dt": 1, "next": {"x": "x + u"}}"#;
+        let equations: Equations = serde_json::from_str(text).expect("equations");
+        let rk4 = AnyIntegrator::RungeKutta(RungeKutta::RK4);
+        GraphTask::new(&equations, &costs, rk4, 1, 3).map(drop).expect_err("an error").to_string()
+    };
+    assert_eq!(
+        end("x + 1"),
+        "`loss.end` has an error in column 1 of `x + 1`: a number where a condition is expected, such as `a < b`"
+    );
+    assert_eq!(end("u > 1"), "`loss.end` depends on the control, which is not known there");
+    assert!(end("x >").contains("column 4"), "{}", end("x >"));
+}
+
+#[test]
+fn derivatives_of_a_window_agree_with_dual_numbers() {
+    for (task, value, noise) in [
+        (falling(30), true, 0.3),
+        (falling(30), true, 0.0),
+        (falling(6), false, 0.1),
+        (pendulum("", 30), true, 0.0),
+    ] {
+        let mut windows = Windows { noise, ..Windows::new(task, 6) };
+        if !value {
+            windows.value = None;
+        }
+        check::task(&windows.checked(3), &Mlp::new([2, 5, 1])).unwrap();
+    }
+}
+
+/// x_{t+1} = 1.05 x + 0.5 u with the costs x² + u²/2.
+struct Plant;
+const GAIN: [f64; 4] = [1.05, 0.5, 1.0, 0.5];
+const DISCOUNT: f64 = 0.95;
+
+impl System for Plant {
+    fn state_dim(&self) -> usize {
+        1
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
+        next[0] = x[0] * GAIN[0] + u[0] * GAIN[1];
+    }
+}
+
+impl Task for Plant {
+    type System = Self;
+    fn system(&self) -> &Self {
+        self
+    }
+    fn horizon(&self) -> usize {
+        20
+    }
+    fn start(&self, rng: &mut Rng, Start { x, .. }: Start<'_>) {
+        x[0] = rng.random_range(-1.0..1.0);
+    }
+    fn running_cost<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, _: &[T]) -> T {
+        x[0] * x[0] * GAIN[2] + u[0] * u[0] * GAIN[3]
+    }
+}
+
+/// Value x² of the discounted problem, and the optimal feedback.
+fn riccati() -> [f64; 2] {
+    let [a, b, q, r] = GAIN;
+    let mut p = q;
+    for _ in 0..1000 {
+        p = q + DISCOUNT * a * a * p - (DISCOUNT * a * b * p).powi(2) / (r + DISCOUNT * b * b * p);
+    }
+    [p, -DISCOUNT * a * b * p / (r + DISCOUNT * b * b * p)]
+}
+
+fn session(
+    value: Option<ValueSettings>,
+    workers: usize,
+    epochs: usize,
+) -> Session<Plant, Linear, f64> {
+    let training = Training {
+        batch: 16,
+        train_samples: 32,
+        test_samples: 8,
+        epochs,
+        resample: true,
+        learning_rate: 3e-3,
+        clip: Clip::Norm(1.0),
+        workers,
+        ..Training::default()
+    };
+    let windows =
+        Windows { discount: DISCOUNT, noise: 0.3, value, ..Windows::new(DynTask::new(Plant), 2) };
+    Trainer::new(Plant, Linear::new(1, 1))
+        .field(Field::regular())
+        .precision::<f64>()
+        .training(training)
+        .windows(windows)
+        .session()
+        .unwrap()
+}
+
+#[test]
+fn windows_with_a_value_function_reach_the_solution_of_riccati() {
+    let [p, optimum] = riccati();
+    let value = ValueSettings { widths: vec![32], learning_rate: 2e-3, ..ValueSettings::default() };
+    let mut session = session(Some(value), 2, 150);
+    let (mut gain, mut slope) = (0.0, 0.0);
+    while !session.is_done() {
+        session.epoch().unwrap();
+        // Means over the last 50 epochs, because noise moves both.
+        if session.records().len() > 100 {
+            gain += session.weights().theta()[0] / 50.0;
+            let values = session.values(&[-0.4, -0.1, 0.1, 0.4]).unwrap();
+            slope += (values[3] - values[2] + values[0] - values[1]) / 0.6 / 50.0;
+        }
+    }
+    assert!((gain / optimum - 1.0).abs() < 0.03, "{gain} is not {optimum}");
+    // Of p x², between 0.1 and 0.4.
+    assert!((slope / (p * 0.5) - 1.0).abs() < 0.1, "{slope} is not {}", p * 0.5);
+}
+
+#[test]
+fn windows_without_a_value_function_are_short_sighted() {
+    let [_, optimum] = riccati();
+    let mut session = session(None, 1, 60);
+    while !session.is_done() {
+        session.epoch().unwrap();
+    }
+    // Two steps: the second control has only its own cost, so the best feedback is weaker.
+    let gain = session.weights().theta()[0];
+    assert!(gain / optimum < 0.9, "{gain} is too close to {optimum}");
+}
+
+#[test]
+fn threads_and_interruptions_do_not_change_a_training_by_windows() {
+    let value = || Some(ValueSettings { passes: 2, ..ValueSettings::default() });
+    let mut whole = session(value(), 1, 3);
+    while !whole.is_done() {
+        whole.epoch().unwrap();
+    }
+    let mut threaded = session(value(), 4, 3);
+    while !threaded.is_done() {
+        threaded.epoch().unwrap();
+    }
+    assert_eq!(whole.weights().theta(), threaded.weights().theta());
+    // Interrupted after every update.
+    let mut bytes = session(value(), 1, 3).checkpoint("run");
+    let mut updates = 0;
+    let theta = loop {
+        let mut part = session(value(), 2, 3);
+        part.restore(&bytes, "run").unwrap();
+        if part.is_done() {
+            break part.weights().theta().to_vec();
+        }
+        part.advance(&|| true).unwrap();
+        bytes = part.checkpoint("run");
+        updates += 1;
+    };
+    assert_eq!((whole.weights().theta(), updates), (&theta[..], 3 * 2 * 10));
+}
+
+#[test]
+fn the_length_of_episodes_is_recorded() {
+    let task = falling(30);
+    let training = Training { batch: 8, train_samples: 8, test_samples: 8, ..Training::default() };
+    let trainer = Trainer::new(task.clone(), Mlp::new([2, 4, 1])).training(training).epochs(1);
+    let plain = trainer.clone().run().unwrap();
+    let windows = trainer.windows(Windows::new(task, 5)).run().unwrap();
+    for report in [plain, windows] {
+        let length = report.records[0].length.unwrap();
+        assert!((1.0..=30.0).contains(&length), "{length}");
+    }
+}
+
+#[test]
+fn settings_that_do_not_fit_are_refused() {
+    let refused = |change: fn(&mut Windows)| {
+        let task = falling(30);
+        let mut windows = Windows::new(task.clone(), 5);
+        change(&mut windows);
+        let trainer = Trainer::new(task, Mlp::new([2, 4, 1])).windows(windows);
+        trainer.session().map(drop).expect_err("an error").to_string()
+    };
+    assert_eq!(
+        refused(|windows| windows.steps = 31),
+        "training.window.steps: is 31; allowed: 1 to 30, the horizon"
+    );
+    assert_eq!(
+        refused(|windows| windows.discount = 1.0),
+        "training.discount: is 1; allowed: a positive number below 1, with a value function"
+    );
+    assert!(refused(|windows| windows.noise = f64::NAN).contains("window.noise"));
+    let lambda = |windows: &mut Windows| {
+        windows.value = Some(ValueSettings { lambda: 2.0, ..ValueSettings::default() });
+    };
+    assert!(refused(lambda).contains("value.lambda: is 2; allowed: 0 to 1"));
+}
