@@ -11,7 +11,7 @@ use crate::tasks::hard::{Nothing, in_scene};
 use crate::tasks::{FileSetting, Settings, TaskSpec};
 use physgrad::graph::{Costs, Names, Replaced, Replacement};
 use physgrad::{DynTask, System as _};
-use physgrad_bodies::components;
+use physgrad_bodies::{self as bodies, components};
 use physgrad_plot::Animation;
 use picture::film;
 use settings::{BodiesSettings, read_text};
@@ -111,6 +111,11 @@ impl TaskSpec for Bodies {
 
     fn observe(settings: &Settings<Self>) -> Vec<String> {
         settings.system.observed(&settings.system.known()).unwrap_or_default()
+    }
+
+    fn model_numbers(settings: &Settings<Self>) -> Vec<(String, f64)> {
+        let numbers = bodies::Bodies::known_numbers(&settings.system.known());
+        numbers.into_iter().map(|(name, value)| (format!("system.{name}"), value)).collect()
     }
 
     fn remarks(settings: &Settings<Self>) -> Vec<String> {

@@ -100,6 +100,7 @@ trait AnySettings: Send + Sync {
     fn control_names(&self) -> Vec<String>;
     fn equations(&self) -> Vec<(String, String)>;
     fn operations(&self) -> Option<Operations>;
+    fn model_numbers(&self) -> Vec<(String, f64)>;
     fn remarks(&self) -> Vec<String>;
     fn unused(&self) -> Vec<String>;
     fn expression_of(&self, component: usize, cause: Option<Cause>) -> Option<String>;
@@ -147,6 +148,10 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
 
     fn operations(&self) -> Option<Operations> {
         K::operations(self)
+    }
+
+    fn model_numbers(&self) -> Vec<(String, f64)> {
+        K::model_numbers(self)
     }
 
     fn remarks(&self) -> Vec<String> {
@@ -378,6 +383,11 @@ impl Scene {
     /// Indices of the state components that are angles in rad.
     pub fn angles(&self) -> Vec<usize> {
         self.settings.angles()
+    }
+
+    /// Keys and values of the numbers of a model in a file, whether or not the scene sets them.
+    pub fn model_numbers(&self) -> Vec<(String, f64)> {
+        self.settings.model_numbers()
     }
 
     /// Names of the control components.

@@ -42,13 +42,14 @@ pub struct BodiesSettings {
     /// Initial values by name: `qpos.NAME` and `qvel.NAME`. Default: the pose with its spread.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub start: Parts,
-    /// Numbers of bodies: `body.NAME.mass`, kg.
+    /// Numbers of bodies: `body.NAME.mass` in kg, `centre_x` to `centre_z` in m, `stretch_x` to
+    /// `stretch_z`, `shear_xy`, `shear_xz`, `shear_yz`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     body: Parts,
     /// Numbers of joints: `joint.NAME.damping`, `armature`, `stiffness`, `friction_loss`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     joint: Parts,
-    /// Numbers of actuators: `motor.NAME.gear`.
+    /// Numbers of actuators: `motor.NAME.gear`, `kp`, `kv`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     motor: Parts,
     /// Numbers of shapes: `shape.NAME.friction`.
@@ -239,8 +240,9 @@ impl BodiesSettings {
         for (name, number) in self.numbers() {
             let key = format!("system.{name}");
             match name.rsplit('.').next() {
-                Some("mass") => positive(&key, number)?,
-                Some("gear") => finite(&key, number)?,
+                Some("mass" | "stretch_x" | "stretch_y" | "stretch_z") => positive(&key, number)?,
+                Some("gear" | "centre_x" | "centre_y" | "centre_z") => finite(&key, number)?,
+                Some("shear_xy" | "shear_xz" | "shear_yz") => finite(&key, number)?,
                 _ => not_negative(&key, number)?,
             }
         }
