@@ -126,6 +126,8 @@ fn dict_of<'py>(
     result.set_item("unknowns", fit.unknowns)?;
     result.set_item("window", fit.window.unwrap_or(0))?;
     result.set_item("iterations", fit.iterations)?;
+    result.set_item("simulations", fit.simulations)?;
+    result.set_item("jacobians", fit.jacobians)?;
     result.set_item("converged", fit.converged)?;
     result.set_item("undetermined", fit.undetermined)?;
     result.set_item("undetermined_starts", fit.undetermined_starts)?;
