@@ -71,6 +71,7 @@ class Problem:
                  velocities=True, **settings):
         self.numbers, self.push, self.frames, self.steps = numbers, push, frames, steps
         self.segments, self.spread, self.velocities, self.settings = segments, spread, velocities, settings
+        self.touches = settings.get("contacts") != "none" and model is not DOUBLE_PENDULUM
         self.path = model if isinstance(model, Path) else None
         self.text = None if self.path else model
 
@@ -198,6 +199,13 @@ def by_sysid(problem, xs, us, noise, starts):
     return dict(zip(starts, found.as_vector())), count, time.process_time() - begin
 
 
+def in_two_fits(task, xs, us, noise, starts):
+    """As `by_physgrad`, from the result with smooth contacts."""
+    rough, *effort = by_physgrad(task.replace(contacts="smooth"), xs, us, noise, starts)
+    values, counts, seconds = by_physgrad(task, xs, us, noise, rough)
+    return values, tuple(np.add(effort[0], counts)), effort[1] + seconds
+
+
 def by_physgrad(task, xs, us, noise, starts):
     """Numbers, simulations and Jacobians, and seconds of `pg.identify`."""
     keys = {f"system.{key}": {"start": v, "min": v / 10, "max": v * 10} for key, v in starts.items()}
@@ -270,13 +278,16 @@ def main():
         if not problem.velocities:
             for x in noisy:
                 x[1:, n // 2 :] = np.nan
-        results = {"mujoco.sysid": [], "physgrad": []}
+        programs = {"mujoco.sysid": lambda _, *data: by_sysid(problem, *data), "physgrad": by_physgrad}
+        if problem.touches:
+            programs["physgrad, smooth first"] = in_two_fits
+        results = {program: [] for program in programs}
         with tempfile.TemporaryDirectory() as folder:
             task = problem.task(Path(folder))
             for _ in range(arguments.starts):
                 starts = {key: true * np.exp(rng.uniform(-0.5, 0.5)) for key, true in problem.numbers.items()}
-                results["mujoco.sysid"].append(by_sysid(problem, noisy, us, noise, starts))
-                results["physgrad"].append(by_physgrad(task, noisy, us, noise, starts))
+                for program, fit in programs.items():
+                    results[program].append(fit(task, noisy, us, noise, starts))
         for program, found in results.items():
             print(row(f"{name}, {program}", found, problem.numbers), flush=True)
 
