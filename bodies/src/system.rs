@@ -94,6 +94,12 @@ impl Bodies {
         numbers(model).into_iter().map(|number| (number.name, number.value)).collect()
     }
 
+    /// Whether the model has contacts, limits or dry friction, whose softness depends on typical
+    /// values of the numbers.
+    pub fn has_constraints(&self) -> bool {
+        self.tree.has_rows || !self.tree.contacts.is_empty()
+    }
+
     /// Number of positions.
     pub fn positions(&self) -> usize {
         self.tree.nq

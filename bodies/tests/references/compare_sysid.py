@@ -228,6 +228,7 @@ HOPPER_NUMBERS = {
     "body.torso.mass": 4.4, "body.leg.mass": 2.3,
     "joint.thigh_joint.damping": 1.3, "joint.foot_joint.damping": 0.7,
 }
+HOPPER = {"steps": 20, "segments": 15, "spread": (0.02, 0.1), "method": "euler"}
 PROBLEMS = {
     "double pendulum": Problem(
         DOUBLE_PENDULUM,
@@ -243,10 +244,8 @@ PROBLEMS = {
     ),
     "box": Problem(BOX, BOX_NUMBERS, held(12.0), spread=(0.0, 0.3)),
     "box, positions": Problem(BOX, BOX_NUMBERS, held(12.0), spread=(0.0, 0.3), velocities=False),
-    "hopper": Problem(MODELS / "hopper.xml", HOPPER_NUMBERS, held(0.4), spread=(0.02, 0.1), method="euler"),
-    "hopper, positions": Problem(
-        MODELS / "hopper.xml", HOPPER_NUMBERS, held(0.4), spread=(0.02, 0.1), velocities=False, method="euler"
-    ),
+    "hopper": Problem(MODELS / "hopper.xml", HOPPER_NUMBERS, held(0.4), **HOPPER),
+    "hopper, positions": Problem(MODELS / "hopper.xml", HOPPER_NUMBERS, held(0.4), velocities=False, **HOPPER),
 }
 
 

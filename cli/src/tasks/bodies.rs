@@ -118,6 +118,16 @@ impl TaskSpec for Bodies {
         numbers.into_iter().map(|(name, value)| (format!("system.{name}"), value)).collect()
     }
 
+    /// The softness of contacts, limits and dry friction depends on typical inertias.
+    fn with_typical(settings: &Settings<Self>, values: &[(String, f64)]) -> Option<Settings<Self>> {
+        let is_inertia = |key: &str| key.starts_with("system.body.") || key.ends_with(".armature");
+        let task = settings.system.task(1, settings.horizon).ok()?;
+        let depends =
+            values.iter().any(|(key, _)| is_inertia(key)) && task.bodies().has_constraints();
+        depends
+            .then(|| Settings { system: settings.system.with_typical(values), ..settings.clone() })
+    }
+
     fn remarks(settings: &Settings<Self>) -> Vec<String> {
         let mut remarks = settings.system.known().remarks.clone();
         if settings.loss == Costs::default() {

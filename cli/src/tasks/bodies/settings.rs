@@ -268,6 +268,29 @@ impl BodiesSettings {
         all
     }
 
+    /// Copy whose trained numbers begin at these values, by key.
+    pub fn with_typical(&self, values: &[(String, f64)]) -> Self {
+        let mut copy = self.clone();
+        let kinds = [
+            ("body", &mut copy.body),
+            ("joint", &mut copy.joint),
+            ("motor", &mut copy.motor),
+            ("shape", &mut copy.shape),
+        ];
+        for (kind, parts) in kinds {
+            for (part, numbers) in parts {
+                for (name, number) in numbers {
+                    let key = format!("system.{kind}.{part}.{name}");
+                    let value = values.iter().find(|(known, _)| *known == key);
+                    if let (Number::Trained { start, .. }, Some((_, value))) = (number, value) {
+                        *start = *value;
+                    }
+                }
+            }
+        }
+        copy
+    }
+
     /// Initial numbers of the state components.
     fn starts(&self, bodies: &Bodies) -> Result<Vec<Number>, ConfigError> {
         let model = bodies.model();
