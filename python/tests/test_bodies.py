@@ -127,6 +127,18 @@ def test_numbers_of_a_model_are_identified_from_their_values_in_the_file(swing):
     assert np.allclose(list(fit.values.values()), [-0.25, 0.1], rtol=1e-5)
 
 
+def test_a_fit_through_constraints_has_the_softness_of_its_result(tmp_path):
+    # The softness of the limit depends on the inertia of the fitted number, not on that of the start.
+    (tmp_path / "limited.xml").write_text(SWING.replace("damping=", 'range="-30 30" limited="true" damping='))
+    task = pg.bodies(tmp_path / "limited.xml", frames=2, horizon=20)
+    data = recordings(task.replace(body={"arm": {"mass": 1.5}}))
+    fit = pg.identify(task, data, ["system.body.arm.mass", "system.joint.hinge.damping"], exact_starts=True)
+    assert max(np.abs(x[:, 0]).max() for x, _ in data) > np.radians(30)
+    assert np.allclose(list(fit.values.values()), [1.5, 0.1], rtol=5e-4)
+    again = [fit.fitted_task.step(x[:-1], u) for x, u in data]
+    assert np.allclose(again[0], data[0][0][1:], atol=1e-4)
+
+
 @pytest.mark.parametrize("key", ["system.body.arm.mas", "system.body.leg.mass", "system.arm.mass"])
 def test_a_misspelt_number_of_a_model_is_refused_with_the_names(swing, key):
     for params in ([key], {key: 1.0}):
