@@ -159,7 +159,13 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
 
     /// Cotangents of the motions of the links from inertia, damping and drag.
     #[inline(always)]
-    pub(crate) fn inertial(&mut self, tree: &Tree, work: &Work<R>, bars: &mut Bars<'_, C>) {
+    pub(crate) fn inertial(
+        &mut self,
+        tree: &Tree,
+        work: &Work<R>,
+        params: &[R],
+        bars: &mut Bars<'_, C>,
+    ) {
         let (o, null) = (Spatial::fill(R::zero()), Spatial::fill(C::null()));
         for (k, dof) in tree.dofs.iter().enumerate() {
             self.z_bar[k] = null;
@@ -195,6 +201,11 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
                         }
                         p_bar[entry] += bar;
                     }
+                }
+                let pairs = [(w, a), (w.cross_motion(v), v), (self.y[k], self.change[k])];
+                let pairs = if tree.damps { &pairs[..] } else { &pairs[..2] };
+                for part in &dof.shaped {
+                    part.pull((&work.r[k], work.p[k]), pairs, params, p_bar);
                 }
             }
         }
@@ -488,25 +499,41 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
             let force_bar = out * (gear * inner);
             if let Some(u_bar) = &mut bars.u {
                 let slope = motor.control_range.map_or(R::one(), |range| inside(u, range));
-                u_bar[i] += force_bar * (slope * motor.gain);
+                u_bar[i] += force_bar * (slope * motor.gain.of(params));
             }
-            let [_, position, velocity] = motor.bias;
-            if position != 0.0 {
-                bars.q[dof.q] += force_bar * (gear * position);
+            if !motor.position.is_absent() {
+                bars.q[dof.q] += -(force_bar * (gear * motor.position.of(params)));
             }
-            if velocity != 0.0 {
-                bars.v[motor.dof] += force_bar * (gear * velocity);
+            if !motor.velocity.is_absent() {
+                bars.v[motor.dof] += -(force_bar * (gear * motor.velocity.of(params)));
             }
-            if let (Some(entry), Some(p_bar)) = (motor.gear.entry, &mut bars.p) {
+            let Some(p_bar) = &mut bars.p else { continue };
+            let (position, velocity) = (motor.position.of(params), motor.velocity.of(params));
+            // Implicit feedback is `gear² velocity dt` in the damped matrix.
+            let feedback = if tree.implicit_feedback() && !motor.velocity.is_absent() {
+                let by = work.stepped[motor.dof] * gear * inner * passes * tree.options.dt;
+                Some(self.mu[motor.dof] * by)
+            } else {
+                None
+            };
+            if let Some(entry) = motor.gear.entry {
                 let slope = (q[dof.q] * position + v[motor.dof] * velocity) * inner;
-                p_bar[entry] += out * (force + slope * gear);
-                if tree.implicit_feedback() && velocity != 0.0 {
-                    let by = work.stepped[motor.dof]
-                        * gear
-                        * inner
-                        * passes
-                        * (-2.0 * velocity * tree.options.dt);
-                    p_bar[entry] += self.mu[motor.dof] * by;
+                p_bar[entry] += out * (force - slope * gear);
+                if let Some(feedback) = feedback {
+                    p_bar[entry] += feedback * (velocity * 2.0);
+                }
+            }
+            if let Some(entry) = motor.gain.entry {
+                let u = motor.control_range.map_or(u, |[low, high]| u.clamp(low, high));
+                p_bar[entry] += force_bar * u;
+            }
+            if let Some(entry) = motor.position.entry {
+                p_bar[entry] += -(force_bar * (gear * q[dof.q]));
+            }
+            if let Some(entry) = motor.velocity.entry {
+                p_bar[entry] += -(force_bar * (gear * v[motor.dof]));
+                if let Some(feedback) = feedback {
+                    p_bar[entry] += feedback * gear;
                 }
             }
         }

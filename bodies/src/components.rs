@@ -90,7 +90,7 @@ impl Quantities for Bodies {
     fn of<T: Scalar>(&self, x: &[T], p: &[T]) -> Vec<T> {
         let model = self.model();
         let poses = self.poses(x, p);
-        let point = |body: usize, at: [f64; 3]| -> [T; 3] {
+        let point = |body: usize, at: [T; 3]| -> [T; 3] {
             let (position, turn) = &poses[body];
             std::array::from_fn(|i| {
                 position[i] + turn[i][0] * at[0] + turn[i][1] * at[1] + turn[i][2] * at[2]
@@ -102,12 +102,12 @@ impl Quantities for Bodies {
             all.push(turn[2][2]);
         }
         for site in &model.sites {
-            all.extend(point(site.body, site.position));
+            all.extend(point(site.body, site.position.map(T::from)));
         }
         let masses = self.masses(p);
         let (mut total, mut centre) = (T::zero(), [T::zero(); 3]);
-        for (index, &mass) in masses.iter().enumerate().skip(1) {
-            let at = point(index, model.bodies[index].centre);
+        for (index, &(mass, at)) in masses.iter().enumerate().skip(1) {
+            let at = point(index, at);
             total += mass;
             for i in 0..3 {
                 centre[i] += at[i] * mass;

@@ -287,13 +287,14 @@ impl<T: Scalar> Work<T> {
             *self.damped.at_mut(k, k) += dof.damping.of(params) * dt;
         }
         if tree.implicit_feedback() {
-            for (motor, &u) in tree.motors.iter().zip(u).filter(|(motor, _)| motor.bias[2] != 0.0) {
+            let damps = |(motor, _): &(&Motor, _)| !motor.velocity.is_absent();
+            for (motor, &u) in tree.motors.iter().zip(u).filter(damps) {
                 let gear = motor.gear.of(params);
                 let dof = &tree.dofs[motor.dof];
                 let force = motor.force(q[dof.q], v[motor.dof], u, params);
                 let passes = motor.passes(force) * dof.passes(self.actuation[motor.dof]);
-                let feedback = gear * gear * passes * (motor.bias[2] * dt);
-                *self.damped.at_mut(motor.dof, motor.dof) -= feedback;
+                let feedback = gear * gear * passes * (motor.velocity.of(params) * dt);
+                *self.damped.at_mut(motor.dof, motor.dof) += feedback;
             }
         }
         self.damped.factor(&tree.parent);
@@ -315,10 +316,10 @@ impl Motor {
     #[inline(always)]
     pub(crate) fn force<T: Scalar>(&self, q: T, v: T, u: T, params: &[T]) -> T {
         let u = self.control_range.map_or(u, |[low, high]| u.clamp(low, high));
-        let mut force = u * self.gain;
-        let [constant, position, velocity] = self.bias;
-        if self.bias != [0.0; 3] {
-            force += (q * position + v * velocity) * self.gear.of(params) + constant;
+        let mut force = u * self.gain.of(params);
+        if !self.position.is_absent() || !self.velocity.is_absent() || self.constant != 0.0 {
+            let against = q * self.position.of(params) + v * self.velocity.of(params);
+            force += -(against * self.gear.of(params)) + self.constant;
         }
         force
     }
@@ -360,6 +361,9 @@ fn link_inertia<T: Scalar>(dof: &Dof, turn: &M<T>, at: V<T>, params: &[T]) -> In
         let mut moments = congruence(turn, &part.moments);
         moments.iter_mut().for_each(|moment| *moment *= mass);
         all.add(&placed(part, mass, moments));
+    }
+    for part in &dof.shaped {
+        all.add(&part.inertia(turn, at, params));
     }
     all
 }

@@ -6,6 +6,7 @@ mod adjoint;
 pub mod components;
 mod cone;
 mod contact;
+mod distribution;
 mod drag;
 mod dynamics;
 pub mod files;

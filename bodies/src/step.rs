@@ -96,7 +96,7 @@ impl<R: Real, C: Cotangent<R>, const PART: usize> Vectorized for Reverse<'_, '_,
             ADJOINT => {
                 back.solve(tree, work, bar);
                 back.move_links(tree, work, v);
-                back.inertial(tree, work, bars);
+                back.inertial(tree, work, params, bars);
                 back.rows(tree, work, bars);
             }
             CONTACTS => {

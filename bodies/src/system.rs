@@ -1,5 +1,6 @@
 //! [`Bodies`]: a model as a system.
 
+use crate::distribution::Distribution;
 use crate::model::Model;
 use crate::step::{Bar, Buffers};
 use crate::tree::{Coefficient, Tree, numbers};
@@ -50,11 +51,13 @@ impl Bodies {
     }
 
     /// Compiles a model with some of its numbers set, drawn for each sample, or trained:
-    /// `body.NAME.mass`, `joint.NAME.damping`, `.armature`, `.stiffness`, `.friction_loss`,
-    /// `motor.NAME.gear`, `shape.NAME.friction`.
+    /// `body.NAME.mass`, `.centre_x` to `.centre_z`, `.stretch_x` to `.stretch_z`, `.shear_xy`,
+    /// `.shear_xz`, `.shear_yz`; `joint.NAME.damping`, `.armature`, `.stiffness`, `.friction_loss`;
+    /// `motor.NAME.gear`, `.kp`, `.kv`; `shape.NAME.friction`.
     ///
-    /// A mass scales the moments of inertia of its body. Softness of constraints keeps the inverse
-    /// masses of the file.
+    /// A mass scales the moments of inertia of its body. Stretches and shears map the distribution of
+    /// its mass about the centre of mass, x first: a stretch of 1 and a shear of 0 are those of the
+    /// file. Softness of constraints has the inverse masses of typical values.
     ///
     /// # Errors
     /// The model has joints or contacts that are not simulated, or no number with a name.
@@ -91,6 +94,12 @@ impl Bodies {
         numbers(model).into_iter().map(|number| (number.name, number.value)).collect()
     }
 
+    /// Whether the model has contacts, limits or dry friction, whose softness depends on typical
+    /// values of the numbers.
+    pub fn has_constraints(&self) -> bool {
+        self.tree.has_rows || !self.tree.contacts.is_empty()
+    }
+
     /// Number of positions.
     pub fn positions(&self) -> usize {
         self.tree.nq
@@ -115,9 +124,16 @@ impl Bodies {
         })
     }
 
-    /// Masses of all bodies, with the parameters `p`.
-    pub fn masses<T: Scalar>(&self, p: &[T]) -> Vec<T> {
-        self.tree.masses.iter().map(|mass| mass.of(self.own(p))).collect()
+    /// Mass and centre of mass of each body in its axes, with the parameters `p`.
+    pub fn masses<T: Scalar>(&self, p: &[T]) -> Vec<(T, [T; 3])> {
+        let p = self.own(p);
+        let of = |distribution: &Option<Distribution>| match distribution {
+            Some(distribution) => {
+                (distribution.mass.of(p), distribution.centre.map(|component| component.of(p)))
+            }
+            None => (T::zero(), [T::zero(); 3]),
+        };
+        self.tree.distributions.iter().map(of).collect()
     }
 
     /// Position and orientation of each body in axes of the world, at the positions with which

@@ -2,6 +2,7 @@
 
 use crate::components::word;
 use crate::contact::candidates;
+use crate::distribution::{self, Distribution};
 use crate::dynamics::Work;
 use crate::model::*;
 use crate::rows::Soft;
@@ -72,13 +73,15 @@ pub(crate) struct Dof {
     pub(crate) fixed: Inertial,
     /// Parts of the link whose mass is a parameter.
     pub(crate) varied: Vec<(Coefficient, Inertial)>,
+    /// Parts of the link whose centre or moments are parameters.
+    pub(crate) shaped: Vec<Distribution>,
 }
 
 impl Dof {
     /// Whether the link has mass.
     #[inline(always)]
     pub(crate) fn has_mass(&self) -> bool {
-        self.fixed.mass > 0.0 || !self.varied.is_empty()
+        self.fixed.mass > 0.0 || !self.varied.is_empty() || !self.shaped.is_empty()
     }
 }
 
@@ -133,8 +136,11 @@ pub(crate) struct Placed {
 pub(crate) struct Motor {
     pub(crate) dof: usize,
     pub(crate) gear: Coefficient,
-    pub(crate) gain: f64,
-    pub(crate) bias: Vec3,
+    /// Force per control, constant force, and force against position and velocity.
+    pub(crate) gain: Coefficient,
+    pub(crate) constant: f64,
+    pub(crate) position: Coefficient,
+    pub(crate) velocity: Coefficient,
     pub(crate) control_range: Option<[f64; 2]>,
     pub(crate) force_range: Option<[f64; 2]>,
 }
@@ -172,8 +178,8 @@ pub(crate) struct Tree {
     pub(crate) reference: Vec<f64>,
     /// First degree of freedom of each joint.
     pub(crate) joints: Vec<usize>,
-    /// Mass of each body.
-    pub(crate) masses: Vec<Coefficient>,
+    /// Distribution of the mass of each body that has mass.
+    pub(crate) distributions: Vec<Option<Distribution>>,
     /// Whether limits or dry friction exist.
     pub(crate) has_rows: bool,
     /// Whether damping is implicit and exists.
@@ -187,13 +193,17 @@ pub(crate) struct Numbered {
     pub(crate) value: f64,
 }
 
-/// Physical numbers of a model that may be set, drawn or trained: masses of bodies, constants of
-/// joints, gears of actuators, coefficients of friction.
+/// Physical numbers of a model that may be set, drawn or trained: masses of bodies and their
+/// distributions, constants of joints, gears and gains of actuators, coefficients of friction.
 pub(crate) fn numbers(model: &Model) -> Vec<Numbered> {
     let mut all = Vec::new();
     let mut push = |name: String, value: f64| all.push(Numbered { name, value });
     for body in model.bodies.iter().skip(1).filter(|body| body.mass > 0.0) {
-        push(format!("body.{}.mass", word(&body.name)), body.mass);
+        let name = word(&body.name);
+        push(format!("body.{name}.mass"), body.mass);
+        for (key, value) in distribution::numbers(body, &model.options) {
+            push(format!("body.{name}.{key}"), value);
+        }
     }
     for joint in model.joints.iter() {
         let name = word(&joint.name);
@@ -207,12 +217,28 @@ pub(crate) fn numbers(model: &Model) -> Vec<Numbered> {
         }
     }
     for actuator in &model.actuators {
-        push(format!("motor.{}.gear", word(&actuator.name)), actuator.gear);
+        let name = word(&actuator.name);
+        push(format!("motor.{name}.gear"), actuator.gear);
+        for (key, value) in gains(actuator) {
+            push(format!("motor.{name}.{key}"), value);
+        }
     }
     for shape in &model.shapes {
         push(format!("shape.{}.friction", word(&shape.name)), shape.friction[0]);
     }
     all
+}
+
+/// Gains of an actuator that follows its control: `kp` and `kv` of a position, or `kv` of a velocity.
+fn gains(actuator: &Actuator) -> Vec<(&'static str, f64)> {
+    let Actuator { gain, bias: [_, position, velocity], .. } = *actuator;
+    if gain != 0.0 && position == -gain {
+        vec![("kp", gain), ("kv", -velocity)]
+    } else if gain != 0.0 && position == 0.0 && velocity == -gain {
+        vec![("kv", gain)]
+    } else {
+        Vec::new()
+    }
 }
 
 impl Tree {
@@ -235,16 +261,21 @@ impl Tree {
             drags: Vec::new(),
             reference: Vec::new(),
             joints: vec![0; model.joints.len()],
-            masses: model
+            distributions: model
                 .bodies
                 .iter()
-                .map(|body| Coefficient { value: body.mass, entry: None })
+                .map(|body| (body.mass > 0.0).then(|| Distribution::new(body, coefficient)))
                 .collect(),
             has_rows: false,
             damps: false,
             friction: Vec::new(),
         };
         check_joints(model)?;
+        let mut typical = model.clone();
+        for (body, distribution) in typical.bodies.iter_mut().zip(&tree.distributions) {
+            distribution.iter().for_each(|distribution| distribution.apply(body));
+        }
+        let model = &typical;
         for index in 0..model.bodies.len() {
             tree.add_body(model, index, coefficient);
         }
@@ -266,7 +297,7 @@ impl Tree {
             _ => {
                 tree.dofs.iter().any(|dof| !dof.damping.is_absent())
                     || tree.implicit_feedback()
-                        && tree.motors.iter().any(|motor| motor.bias[2] != 0.0)
+                        && tree.motors.iter().any(|motor| !motor.velocity.is_absent())
             }
         };
         if tree.implicit_feedback() && !tree.drags.is_empty() {
@@ -336,17 +367,18 @@ impl Tree {
         } else {
             self.bodies[body.parent].welded
         };
-        self.bodies.push(Placed { dof, position: at, rotation: turn, welded, weight: 0.0 });
-        if dof != NONE && body.mass > 0.0 {
+        let placed = Placed { dof, position: at, rotation: turn, welded, weight: 0.0 };
+        if let Some(distribution) = self.distributions[index].as_ref().filter(|_| dof != NONE) {
             let part = Inertial {
                 mass: body.mass,
                 centre: add(at, rotate(&turn, body.centre)),
                 moments: congruence(&turn, &body.inertia),
             };
-            let mass = coefficient(&format!("body.{}.mass", word(&body.name)), body.mass);
-            self.masses[index] = mass;
+            let mass = distribution.mass;
             let scaled = part.scaled(mass.value);
-            if mass.entry.is_some() {
+            if distribution.varies() {
+                self.dofs[dof].shaped.push(distribution.placed(&placed));
+            } else if mass.entry.is_some() {
                 self.dofs[dof].varied.push((mass, part.scaled(1.0)));
             } else {
                 self.dofs[dof].fixed = self.dofs[dof].fixed.with(&scaled);
@@ -354,6 +386,7 @@ impl Tree {
             let axes = body.axes.map(|axes| product(&turn, &axes));
             self.drags.extend(crate::drag::of(&model.options, dof, &scaled, axes));
         }
+        self.bodies.push(placed);
     }
 
     fn add_joint(
@@ -386,6 +419,7 @@ impl Tree {
             weight: 0.0,
             fixed: Inertial::default(),
             varied: Vec::new(),
+            shaped: Vec::new(),
         };
         let body = &model.bodies[joint.body];
         let mut last = before;
@@ -426,11 +460,24 @@ impl Tree {
     }
 
     fn motor(&self, a: &Actuator, coefficient: &dyn Fn(&str, f64) -> Coefficient) -> Motor {
+        let name = word(&a.name);
+        let number = |key: &str, value: f64| coefficient(&format!("motor.{name}.{key}"), value);
+        let constant = |value: f64| Coefficient { value, entry: None };
+        let [bias, position, velocity] = a.bias;
+        let (gain, position, velocity) = match gains(a)[..] {
+            [(kp, gain), (kv, damping)] => {
+                (number(kp, gain), number(kp, gain), number(kv, damping))
+            }
+            [(kv, gain)] => (number(kv, gain), constant(-position), number(kv, gain)),
+            _ => (constant(a.gain), constant(-position), constant(-velocity)),
+        };
         Motor {
             dof: self.joints[a.joint],
-            gear: coefficient(&format!("motor.{}.gear", word(&a.name)), a.gear),
-            gain: a.gain,
-            bias: a.bias,
+            gear: number("gear", a.gear),
+            gain,
+            constant: bias,
+            position,
+            velocity,
             control_range: a.control_range,
             force_range: a.force_range,
         }
@@ -486,7 +533,8 @@ impl Tree {
             };
             self.bodies[index].weight = (0..3).map(|i| inverse(&row(i))).sum::<f64>() / 3.0;
             if is_plain_slider(model, index) && self.bodies[body.parent].dof == NONE {
-                let weight = self.masses[index].value.recip();
+                let mass = self.distributions[index].as_ref().map_or(0.0, |d| d.mass.value);
+                let weight = mass.recip();
                 self.bodies[index].weight = weight;
                 let own = model.joints.iter().zip(&self.joints);
                 for (_, &dof) in own.filter(|(joint, _)| joint.body == index) {
@@ -509,9 +557,13 @@ impl Tree {
             for number in [&dof.armature, &dof.damping, &dof.stiffness, &dof.friction_loss] {
                 set(number);
             }
-            dof.varied.iter().for_each(|(mass, _)| set(mass));
         }
-        self.motors.iter().for_each(|motor| set(&motor.gear));
+        self.distributions.iter().flatten().flat_map(Distribution::coefficients).for_each(&mut set);
+        for motor in &self.motors {
+            [&motor.gear, &motor.gain, &motor.position, &motor.velocity]
+                .into_iter()
+                .for_each(&mut set);
+        }
         self.friction.iter().for_each(set);
         all
     }

@@ -1,6 +1,6 @@
 //! Derivatives of steps against dual numbers, and lanes against single numbers.
 
-use physgrad::{Number, check};
+use physgrad::{Inputs, Number, System as _, check};
 use physgrad_bodies::Bodies;
 use physgrad_bodies::model::*;
 
@@ -108,6 +108,26 @@ fn robot() -> Model {
     }
 }
 
+/// Actuators that follow a position and a velocity, one of them at its bound.
+fn servos(integrator: Integrator) -> Model {
+    let mut model = robot();
+    model.options.integrator = integrator;
+    model.options.contacts = false;
+    let servo = |name: &str, gain: f64, bias: Vec3, force_range| Actuator {
+        name: name.into(),
+        gain,
+        bias,
+        force_range,
+        ..model.actuators[0].clone()
+    };
+    let bounded = servo("bounded", 20.0, [0.0, -20.0, 0.0], Some([-0.5, 0.5]));
+    let follower = servo("follower", 5.0, [0.0, -5.0, -0.4], None);
+    let mut speed = servo("speed", 2.0, [0.0, 0.0, -2.0], None);
+    speed.joint = 3;
+    model.actuators = vec![bounded, follower, speed];
+    model
+}
+
 fn variants() -> Vec<(&'static str, Model)> {
     let with = |change: &dyn Fn(&mut Options)| {
         let mut model = robot();
@@ -125,6 +145,8 @@ fn variants() -> Vec<(&'static str, Model)> {
         ("runge-kutta", with(&|o| o.integrator = Integrator::Rk4)),
         // Turns of the stages are not small.
         ("long steps", with(&|o| (o.integrator, o.dt) = (Integrator::Rk4, 0.3))),
+        ("servos", servos(Integrator::Euler)),
+        ("implicit servos", servos(Integrator::ImplicitFast)),
         ("medium", with(&|o| (o.density, o.viscosity, o.wind) = (300.0, 0.5, [0.3, 0.1, -0.2]))),
     ]
 }
@@ -140,11 +162,47 @@ fn derivatives_of_steps_are_those_of_dual_numbers() {
 #[test]
 fn derivatives_by_numbers_are_those_of_dual_numbers() {
     for (name, model) in variants() {
-        let numbers = Bodies::known_numbers(&model).into_iter().filter(|(_, value)| *value > 0.0);
+        let numbers = Bodies::known_numbers(&model).into_iter();
         let numbers: Vec<(String, Number)> = numbers
-            .map(|(name, value)| (name, Number::Uniform { low: 0.9 * value, high: 1.1 * value }))
+            .filter(|(name, value)| *value != 0.0 || name.contains("shear") || name.contains("kv"))
+            .map(|(name, value)| {
+                let half = if value == 0.0 { 0.2 } else { 0.1 * value.abs() };
+                (name, Number::Uniform { low: value - half, high: value + half })
+            })
             .collect();
         let bodies = Bodies::with_numbers(model, numbers).unwrap();
         check::system(&bodies).unwrap_or_else(|e| panic!("{name}: {e}"));
+    }
+}
+
+/// Numbers of the distribution of mass and of gains, away from those of the model.
+fn shifted(model: &Model) -> Vec<(String, f64)> {
+    let is_chosen = |name: &String| name.starts_with("body.") || name.contains(".k");
+    let all = Bodies::known_numbers(model).into_iter().filter(|(name, _)| is_chosen(name));
+    all.enumerate().map(|(i, (name, value))| (name, value * 1.1 + 0.01 * (i % 5) as f64)).collect()
+}
+
+#[test]
+fn a_number_of_a_sample_acts_as_the_same_number_in_the_model() {
+    for (name, model) in variants() {
+        let values = shifted(&model);
+        let fixed = values.iter().map(|(name, value)| (name.clone(), Number::Fixed(*value)));
+        let drawn = values.iter().map(|(name, value)| {
+            (name.clone(), Number::Uniform { low: value - 1e-9, high: value + 1e-9 })
+        });
+        let fixed = Bodies::with_numbers(model.clone(), fixed.collect()).unwrap();
+        let drawn = Bodies::with_numbers(model.clone(), drawn.collect()).unwrap();
+        let mut x = fixed.reference().to_vec();
+        x.extend((0..fixed.velocities()).map(|i| 0.3 - 0.1 * i as f64));
+        let (u, p) =
+            (vec![0.4; fixed.control_dim()], values.iter().map(|v| v.1).collect::<Vec<_>>());
+        let of =
+            |bodies: &Bodies, p: &[f64]| bodies.accelerations(Inputs { x: &x, u: &u, p, t: 0 }).0;
+        let (a, b, unchanged) =
+            (of(&fixed, &[]), of(&drawn, &p), of(&Bodies::new(model).unwrap(), &[]));
+        for ((a, b), unchanged) in a.iter().zip(&b).zip(&unchanged) {
+            assert!((a - b).abs() < 1e-9 * (1.0 + a.abs()), "{name}: {a} and {b}");
+            assert!((a - unchanged).abs() > 1e-6, "{name}: the numbers change nothing");
+        }
     }
 }

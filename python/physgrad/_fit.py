@@ -69,6 +69,10 @@ class Fit(Result):
     window: int
     """Steps of the windows of multiple shooting in this fit. 0 if whole segments had the lower χ²."""
     iterations: int
+    simulations: int
+    """Simulations of all segments, without those of the Jacobians."""
+    jacobians: int
+    """Evaluations of the derivatives of all segments."""
     states: list[NDArray[np.float64]]
     """Simulated states of each segment, (steps, n). Angles are continuous."""
     measured: list[NDArray[np.float64]]
@@ -388,6 +392,8 @@ def _fit(task: Task, data: Any, raw: dict[str, Any], noise: Any, notes: list[str
         noise=None if noise is None else np.array(noise, float),
         window=raw["window"],
         iterations=raw["iterations"],
+        simulations=raw["simulations"],
+        jacobians=raw["jacobians"],
         states=raw["states"],
         measured=raw["measured"],
         times=[begin + task.dt * np.arange(len(x), dtype=np.float64) for begin, x in zip(begins, raw["states"])],

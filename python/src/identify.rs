@@ -126,6 +126,8 @@ fn dict_of<'py>(
     result.set_item("unknowns", fit.unknowns)?;
     result.set_item("window", fit.window.unwrap_or(0))?;
     result.set_item("iterations", fit.iterations)?;
+    result.set_item("simulations", fit.simulations)?;
+    result.set_item("jacobians", fit.jacobians)?;
     result.set_item("converged", fit.converged)?;
     result.set_item("undetermined", fit.undetermined)?;
     result.set_item("undetermined_starts", fit.undetermined_starts)?;
@@ -205,7 +207,8 @@ pub fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
         let unknown = |(key, value): (Bound<'_, PyAny>, Bound<'_, PyAny>)| {
             let key = task.scene.key(key.extract()?);
             let value = value_of(&key, &value)?;
-            if !key.contains('.') && task.scene.setting(&key).is_none() {
+            let is_of_model = task.scene.has_model_numbers() && key.starts_with("system.");
+            if (is_of_model || !key.contains('.')) && task.scene.number(&key).is_none() {
                 return Err(no_number(&task.scene, &key));
             }
             if value.as_table().is_some_and(|table| !table.contains_key("start")) {
@@ -218,7 +221,7 @@ pub fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
         };
         return starts.iter().map(unknown).collect();
     }
-    let unknown = |key: String| match task.scene.setting(&key) {
+    let unknown = |key: String| match task.scene.number(&key) {
         Some(value @ (Value::Float(_) | Value::Integer(_))) => Ok((key, Some(starting_at(value)))),
         Some(Value::Table(table)) if table.contains_key("start") => {
             Ok((key, Some(Value::Table(table))))
@@ -230,7 +233,10 @@ pub fn unknowns(task: &Task, params: &Bound<'_, PyAny>) -> PyResult<Settings> {
     };
     let keys = List {
         name: "params",
-        most: (leaves(&Value::Table(task.scene.settings())), "the number of settings of the task"),
+        most: (
+            leaves(&Value::Table(task.scene.settings())) + task.scene.number_names().len(),
+            "the number of settings of the task",
+        ),
         of: "keys, or a dict with initial values",
     };
     keys.read(params, |key| unknown(task.scene.key(key.extract()?)))
@@ -242,8 +248,23 @@ fn no_number(scene: &Scene, key: &str) -> PyErr {
     let hint = api::did_you_mean(key, names.iter().map(String::as_str));
     invalid(format!(
         "`params`: the task has no number `{key}`; numbers of its system: {}{hint}",
-        names.join(", ")
+        nearest(key, &names).join(", ")
     ))
+}
+
+/// The names that a misspelt key may mean: all, unless they are many, as those of a robot. Then those
+/// of the same body, joint or actuator, or else those with the same last word.
+fn nearest(key: &str, names: &[String]) -> Vec<String> {
+    const MANY: usize = 20;
+    let (part, last) = key.rsplit_once('.').unwrap_or(("", key));
+    let of_part = |name: &&String| name.rsplit_once('.').is_some_and(|(of, _)| of == part);
+    let of_kind = |name: &&String| name.rsplit_once('.').is_some_and(|(_, word)| word == last);
+    let chosen = |keep: &dyn Fn(&&String) -> bool| -> Vec<String> {
+        names.iter().filter(|name| keep(name)).cloned().collect()
+    };
+    let lists = [chosen(&of_part), chosen(&of_kind)];
+    let list = lists.into_iter().find(|list| names.len() > MANY && !list.is_empty());
+    list.unwrap_or_else(|| names.to_vec())
 }
 
 /// Number of single values in a value.

@@ -104,6 +104,66 @@ def test_files_that_cannot_be_simulated_are_refused_with_their_line(tmp_path):
         pg.bodies(tmp_path / "a.xml")
 
 
+def recordings(task, count=4, steps=40):
+    """Exact states and random torques."""
+    rng, data = np.random.default_rng(0), []
+    for start in rng.uniform(-1, 1, (count, 2)):
+        u, x = rng.uniform(-2, 2, (steps, 1)), [start]
+        for torque in u:
+            x.append(task.step(x[-1][None], torque[None])[0])
+        data.append((np.array(x), u))
+    return data
+
+
+def test_numbers_of_a_model_are_identified_from_their_values_in_the_file(swing):
+    true = {"body": {"arm": {"mass": 1.3, "stretch_z": 1.2}}, "joint": {"hinge": {"damping": 0.15}}}
+    names = ["system.body.arm.mass", "system.joint.hinge.damping", "system.body.arm.stretch_z"]
+    fit = pg.identify(swing, recordings(swing.replace(**true)), names)
+    assert list(fit.starts.values()) == [1.0, 0.1, 1.0]
+    assert np.allclose(list(fit.values.values()), [1.3, 0.15, 1.2], rtol=1e-5) and fit.converged
+    assert fit.simulations > fit.jacobians > 0
+    with_centre = {"system.body.arm.centre_z": -0.2, "system.joint.hinge.damping": 0.2}
+    fit = pg.identify(swing, recordings(swing), with_centre)
+    assert np.allclose(list(fit.values.values()), [-0.25, 0.1], rtol=1e-5)
+
+
+def test_a_fit_through_constraints_has_the_softness_of_its_result(tmp_path):
+    # The softness of the limit depends on the inertia of the fitted number, not on that of the start.
+    (tmp_path / "limited.xml").write_text(SWING.replace("damping=", 'range="-30 30" limited="true" damping='))
+    task = pg.bodies(tmp_path / "limited.xml", frames=2, horizon=20)
+    data = recordings(task.replace(body={"arm": {"mass": 1.5}}))
+    fit = pg.identify(task, data, ["system.body.arm.mass", "system.joint.hinge.damping"], exact_starts=True)
+    assert max(np.abs(x[:, 0]).max() for x, _ in data) > np.radians(30)
+    assert np.allclose(list(fit.values.values()), [1.5, 0.1], rtol=5e-4)
+    again = [fit.fitted_task.step(x[:-1], u) for x, u in data]
+    assert np.allclose(again[0], data[0][0][1:], atol=1e-4)
+
+
+@pytest.mark.parametrize("key", ["system.body.arm.mas", "system.body.leg.mass", "system.arm.mass"])
+def test_a_misspelt_number_of_a_model_is_refused_with_the_names(swing, key):
+    for params in ([key], {key: 1.0}):
+        with pytest.raises(ValueError, match=r"no number `.*: .*system.body.arm.mass.*did you mean `system.body"):
+            pg.identify(swing, recordings(swing, 1), params)
+
+
+def test_a_large_model_lists_the_numbers_of_the_same_part():
+    task = pg.bodies("humanoid")
+    with pytest.raises(ValueError) as error:
+        pg.identify(task, [], ["system.joint.right_knee.dampin"])
+    assert "right_knee.stiffness" in str(error.value) and "right_elbow" not in str(error.value)
+
+
+def test_gains_of_servos_are_numbers(tmp_path):
+    servo = SWING.replace("<motor ", '<position kp="8" kv="0.5" ')
+    (tmp_path / "servo.xml").write_text(servo)
+    task = pg.bodies(tmp_path / "servo.xml", frames=2, horizon=20)
+    true = task.replace(motor={"torque": {"kp": 11.0, "kv": 0.3}})
+    fit = pg.identify(task, recordings(true), ["system.motor.torque.kp", "system.motor.torque.kv"])
+    assert np.allclose(list(fit.values.values()), [11.0, 0.3], rtol=1e-5)
+    with pytest.raises(ValueError, match="`system.motor.leg_joint.kp` is not a number of the model"):
+        pg.bodies("hopper", motor={"leg_joint": {"kp": 1.0}})
+
+
 def test_every_command_of_python_accepts_bodies(swing):
     swing = swing.replace(spread=[0.5, 0.5])
     run = pg.train(swing, epochs=2, progress=False)

@@ -209,6 +209,17 @@ impl Scene {
         find(&self.scene.table(), key).cloned()
     }
 
+    /// Value of the number with this dotted key: its setting, or that of the model in a file.
+    pub fn number(&self, key: &str) -> Option<Value> {
+        let of_model = || self.scene.model_numbers().into_iter().find(|(name, _)| name == key);
+        self.setting(key).or_else(|| of_model().map(|(_, value)| Value::Float(value)))
+    }
+
+    /// Whether the task has a model in a file, whose numbers may be set.
+    pub fn has_model_numbers(&self) -> bool {
+        !self.scene.model_numbers().is_empty()
+    }
+
     /// The key of a setting, or of a parameter of the equations of a scene: `mu` is short for
     /// `system.parameters.mu`, as is `system.mu`, unless there is such a setting.
     pub fn key(&self, name: String) -> String {
@@ -442,11 +453,16 @@ impl Scene {
         Ok(Checked { table: table.to_string(), notes, failures })
     }
 
-    /// Names of the single numbers of the section `system`, which a fit may find. Parameters of
-    /// equations have their short names.
+    /// Names of the single numbers of the section `system` and of its model, which a fit may find.
+    /// Parameters of equations have their short names.
     pub fn number_names(&self) -> Vec<String> {
-        let names =
+        let mut names =
             self.settings().get("system").map_or_else(Vec::new, |system| numbers("system", system));
+        for (name, _) in self.scene.model_numbers() {
+            if !names.contains(&name) {
+                names.push(name);
+            }
+        }
         let own: Vec<String> = names
             .iter()
             .filter_map(|key| key.strip_prefix("system.parameters.").map(str::to_owned))

@@ -11,7 +11,7 @@ use crate::tasks::hard::{Nothing, in_scene};
 use crate::tasks::{FileSetting, Settings, TaskSpec};
 use physgrad::graph::{Costs, Names, Replaced, Replacement};
 use physgrad::{DynTask, System as _};
-use physgrad_bodies::components;
+use physgrad_bodies::{self as bodies, components};
 use physgrad_plot::Animation;
 use picture::film;
 use settings::{BodiesSettings, read_text};
@@ -115,6 +115,21 @@ impl TaskSpec for Bodies {
 
     fn observe(settings: &Settings<Self>) -> Vec<String> {
         settings.system.observed(&settings.system.known()).unwrap_or_default()
+    }
+
+    fn model_numbers(settings: &Settings<Self>) -> Vec<(String, f64)> {
+        let numbers = bodies::Bodies::known_numbers(&settings.system.known());
+        numbers.into_iter().map(|(name, value)| (format!("system.{name}"), value)).collect()
+    }
+
+    /// The softness of contacts, limits and dry friction depends on typical inertias.
+    fn with_typical(settings: &Settings<Self>, values: &[(String, f64)]) -> Option<Settings<Self>> {
+        let is_inertia = |key: &str| key.starts_with("system.body.") || key.ends_with(".armature");
+        let task = settings.system.task(1, settings.horizon).ok()?;
+        let depends =
+            values.iter().any(|(key, _)| is_inertia(key)) && task.bodies().has_constraints();
+        depends
+            .then(|| Settings { system: settings.system.with_typical(values), ..settings.clone() })
     }
 
     fn remarks(settings: &Settings<Self>) -> Vec<String> {

@@ -137,6 +137,19 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     fn observe(_settings: &Settings<Self>) -> Vec<String> {
         Vec::new()
     }
+    /// Keys and values of physical numbers that a scene may set, and that have a value without it:
+    /// those of a model in a file. None by default.
+    fn model_numbers(_settings: &Settings<Self>) -> Vec<(String, f64)> {
+        Vec::new()
+    }
+    /// Settings whose trained numbers have these typical values, by key, if the physics depends on
+    /// typical values besides the parameters of a sample. None by default.
+    fn with_typical(
+        _settings: &Settings<Self>,
+        _values: &[(String, f64)],
+    ) -> Option<Settings<Self>> {
+        None
+    }
     /// What is allowed in these settings but hardly meant. Nothing by default.
     fn remarks(_settings: &Settings<Self>) -> Vec<String> {
         Vec::new()

@@ -102,6 +102,9 @@ trait AnySettings: Send + Sync {
     fn control_names(&self) -> Vec<String>;
     fn equations(&self) -> Vec<(String, String)>;
     fn operations(&self) -> Option<Operations>;
+    fn model_numbers(&self) -> Vec<(String, f64)>;
+    /// The physics with these typical values of trained numbers, if it depends on them.
+    fn typical_physics(&self, values: &[(String, f64)]) -> Option<DynTask>;
     fn remarks(&self) -> Vec<String>;
     fn unused(&self) -> Vec<String>;
     fn expression_of(&self, component: usize, cause: Option<Cause>) -> Option<String>;
@@ -149,6 +152,14 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
 
     fn operations(&self) -> Option<Operations> {
         K::operations(self)
+    }
+
+    fn model_numbers(&self) -> Vec<(String, f64)> {
+        K::model_numbers(self)
+    }
+
+    fn typical_physics(&self, values: &[(String, f64)]) -> Option<DynTask> {
+        K::with_typical(self, values)?.physics().ok()
     }
 
     fn remarks(&self) -> Vec<String> {
@@ -327,9 +338,42 @@ impl Scene {
     }
 
     /// Fits the trained numbers to measured segments.
+    ///
+    /// If the physics also depends on typical values of these numbers, which are the initial ones,
+    /// repeats the fit from its result until both agree.
     pub fn identify(&self, segments: &[Segment], options: &Options) -> Result<Fit, IdentifyError> {
+        const REPETITIONS: usize = 4;
         let (names, angles) = (self.param_names(), self.angles());
-        identification::identified(&self.physics, &names, &angles, segments, options)
+        let of = |physics: &DynTask| {
+            identification::identified(physics, &names, &angles, segments, options)
+        };
+        let mut fit = of(&self.physics)?;
+        for _ in 0..REPETITIONS {
+            let values: Vec<_> =
+                fit.names.iter().cloned().zip(fit.values.iter().copied()).collect();
+            let Some(physics) = self.settings.typical_physics(&values) else { break };
+            let next = match of(&physics) {
+                Err(IdentifyError::Diverged { .. }) => break,
+                next => next?,
+            };
+            let is_close = |i: usize| {
+                let error = next.errors[i];
+                let width =
+                    if error.is_finite() { 0.1 * error } else { 1e-3 * next.values[i].abs() };
+                (next.values[i] - fit.values[i]).abs() <= width
+            };
+            let is_settled = (0..next.values.len()).all(is_close);
+            fit = Fit {
+                iterations: fit.iterations + next.iterations,
+                simulations: fit.simulations + next.simulations,
+                jacobians: fit.jacobians + next.jacobians,
+                ..next
+            };
+            if is_settled {
+                break;
+            }
+        }
+        Ok(fit)
     }
 
     /// Returns whether the physics depends on the time of the segment, at its measured states.
@@ -381,6 +425,11 @@ impl Scene {
     /// Indices of the state components that are angles in rad.
     pub fn angles(&self) -> Vec<usize> {
         self.settings.angles()
+    }
+
+    /// Keys and values of the numbers of a model in a file, whether or not the scene sets them.
+    pub fn model_numbers(&self) -> Vec<(String, f64)> {
+        self.settings.model_numbers()
     }
 
     /// Names of the control components.

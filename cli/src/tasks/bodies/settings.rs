@@ -42,13 +42,14 @@ pub struct BodiesSettings {
     /// Initial values by name: `qpos.NAME` and `qvel.NAME`. Default: the pose with its spread.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub start: Parts,
-    /// Numbers of bodies: `body.NAME.mass`, kg.
+    /// Numbers of bodies: `body.NAME.mass` in kg, `centre_x` to `centre_z` in m, `stretch_x` to
+    /// `stretch_z`, `shear_xy`, `shear_xz`, `shear_yz`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     body: Parts,
     /// Numbers of joints: `joint.NAME.damping`, `armature`, `stiffness`, `friction_loss`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     joint: Parts,
-    /// Numbers of actuators: `motor.NAME.gear`.
+    /// Numbers of actuators: `motor.NAME.gear`, `kp`, `kv`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     motor: Parts,
     /// Numbers of shapes: `shape.NAME.friction`.
@@ -239,8 +240,9 @@ impl BodiesSettings {
         for (name, number) in self.numbers() {
             let key = format!("system.{name}");
             match name.rsplit('.').next() {
-                Some("mass") => positive(&key, number)?,
-                Some("gear") => finite(&key, number)?,
+                Some("mass" | "stretch_x" | "stretch_y" | "stretch_z") => positive(&key, number)?,
+                Some("gear" | "centre_x" | "centre_y" | "centre_z") => finite(&key, number)?,
+                Some("shear_xy" | "shear_xz" | "shear_yz") => finite(&key, number)?,
                 _ => not_negative(&key, number)?,
             }
         }
@@ -264,6 +266,29 @@ impl BodiesSettings {
             }
         }
         all
+    }
+
+    /// Copy whose trained numbers begin at these values, by key.
+    pub fn with_typical(&self, values: &[(String, f64)]) -> Self {
+        let mut copy = self.clone();
+        let kinds = [
+            ("body", &mut copy.body),
+            ("joint", &mut copy.joint),
+            ("motor", &mut copy.motor),
+            ("shape", &mut copy.shape),
+        ];
+        for (kind, parts) in kinds {
+            for (part, numbers) in parts {
+                for (name, number) in numbers {
+                    let key = format!("system.{kind}.{part}.{name}");
+                    let value = values.iter().find(|(known, _)| *known == key);
+                    if let (Number::Trained { start, .. }, Some((_, value))) = (number, value) {
+                        *start = *value;
+                    }
+                }
+            }
+        }
+        copy
     }
 
     /// Initial numbers of the state components.
