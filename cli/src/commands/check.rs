@@ -13,16 +13,18 @@ use crate::tasks::scene::INITIAL_POLICY;
 use crate::tasks::{self, Scene};
 use anyhow::{Result, bail};
 use physgrad::Divergence;
-use physgrad::check::{Kink, KinkInput, Stability};
+use physgrad::check::{Jumps, Kink, KinkInput, Stability};
+use physgrad::text::rough;
 use serde_json::json;
 use std::path::PathBuf;
 use time_step::{is_harmless, stability};
+use toml::Value;
 
 /// Check the gradients of systems, policies and whole rollouts against dual numbers.
 ///
 /// For a named task or scene, also check the stability of the time step in states of test rollouts,
-/// the slope of the loss, and kinks of the step and of the costs. Also compare R with differences of
-/// the mean loss. These checks use the policy of `--policy`, otherwise the initial parameters of the
+/// the slope of the loss, and kinks of the step and of the costs. Also compare R with the derivative of
+/// the mean loss over a small ball of parameters. These checks use the policy of `--policy`, otherwise the initial parameters of the
 /// scene.
 #[derive(Debug, clap::Args)]
 #[command(
@@ -138,7 +140,7 @@ fn about_rollouts(
         note(format!("{}. Kinks, loss and jumps are therefore not checked", diverged(divergence)))?;
     }
     let names = scene.state_names();
-    note(stability(scene, source, theta, &found))?;
+    note(stability(scene, source.clone(), theta, &found))?;
     if let Some(ringing) = found.ringing {
         let Place { sample, step, stability: Stability { lowest, lowest_component, .. } } = ringing;
         note(format!(
@@ -178,14 +180,48 @@ fn about_rollouts(
         .plateau(theta)
         .map_or_else(|divergence| divergence.to_string(), |plateau| plateau.to_string());
     note(format!("loss at the initial parameters: {plateau}"))?;
-    let compared = scene.jumps(theta);
-    let jumps = compared.map(|jumps| {
-        jumps.map_or_else(|divergence| divergence.to_string(), |jumps| jumps.to_string())
-    });
-    note(format!(
-        "mean loss and R: {}",
-        jumps.as_deref().unwrap_or("not compared beyond 10,000 steps")
-    ))
+    about_jumps(scene, source, theta, note)
+}
+
+/// Makes a note about the error of R against the derivative of the mean loss, and about a setting that
+/// reduces it.
+fn about_jumps(
+    scene: &Scene,
+    source: SceneSource,
+    theta: &[f64],
+    note: &mut dyn FnMut(String) -> Result<()>,
+) -> Result<()> {
+    let found = match scene.jumps(theta) {
+        None => return note("mean loss and R: not compared, because it would take long".into()),
+        Some(Err(divergence)) => return note(format!("mean loss and R: {divergence}")),
+        Some(Ok(found)) => found,
+    };
+    note(format!("mean loss and R: {found}"))?;
+    match found.is_biased().then(|| smoother(scene, source, theta, &found)).flatten() {
+        Some(advice) => note(advice),
+        None => Ok(()),
+    }
+}
+
+/// Advises smooth contacts if R is biased less with them.
+fn smoother(
+    scene: &Scene,
+    mut source: SceneSource,
+    theta: &[f64],
+    found: &Jumps,
+) -> Option<String> {
+    /// Largest share of the error that remains.
+    const LESS: f64 = 0.5;
+    let (key, value) = scene.smoother()?;
+    source.put(key, Value::String(value.into()), "smooth contacts").ok()?;
+    let smooth = source.scene().ok()?.jumps(theta)?.ok()?;
+    let [share, now] = [smooth.error, found.error].map(|error| rough(100.0 * error));
+    (smooth.error < LESS * found.error).then(|| {
+        format!(
+            "contacts: with `{key} = \"{value}\"`, R differs from the derivative of the mean loss by {share} % in place of \
+             {now} %. Train with it, and evaluate with the contacts of the file (docs/bodies.md)"
+        )
+    })
 }
 
 /// Describes a kink with the names of states and controls.

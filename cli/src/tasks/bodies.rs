@@ -14,7 +14,7 @@ use physgrad::{DynTask, System as _};
 use physgrad_bodies::components;
 use physgrad_plot::Animation;
 use picture::film;
-use settings::{BodiesSettings, read_text};
+use settings::{BodiesSettings, Contacts, read_text};
 
 /// Task `bodies`.
 #[derive(Clone, Debug)]
@@ -119,6 +119,10 @@ impl TaskSpec for Bodies {
             remarks.push("there is no cost, so a training has nothing to minimize".into());
         }
         remarks
+    }
+
+    fn smoother(settings: &Settings<Self>) -> Option<(&'static str, &'static str)> {
+        (settings.system.contacts == Contacts::File).then_some(("system.contacts", "smooth"))
     }
 
     fn animation(
