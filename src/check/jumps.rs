@@ -28,8 +28,7 @@ const NODES: [(f64, f64); 3] = [
 /// Number of samples of the first comparison of [`jumps`]. Each later one has twice as many.
 pub const FEWEST: usize = 16;
 /// Largest numbers of forward and reverse passes of a sample in [`jumps`] that finds no bias.
-pub const JUMP_PASSES: [usize; 2] =
-    [DIRECTIONS * (2 + NODES.len()), DIRECTIONS * NODES.len()];
+pub const JUMP_PASSES: [usize; 2] = [DIRECTIONS * (2 + NODES.len()), DIRECTIONS * NODES.len()];
 /// Half width of the interval of the error, in standard errors.
 const ERRORS: f64 = 3.0;
 /// Relative error of R that counts as a bias.
@@ -84,6 +83,9 @@ impl fmt::Display for Jumps {
                 () => "no jumps",
             }
         )?;
+        if self.is_undecided() {
+            write!(f, ". Shorter time steps or a shorter horizon may decide")?;
+        }
         if self.is_biased() {
             write!(
                 f,
@@ -155,19 +157,19 @@ fn of_any(
         for direction in &mut directions {
             direction.add(task, policy, weights, &starts[from * len..to * len])?;
         }
-        let found = compare(&directions, |direction| &direction.predicted);
+        let mut found = compare(&directions, |direction| &direction.predicted);
         if found.is_biased() {
-            break;
+            for direction in &mut directions {
+                let known = direction.finer.len();
+                direction.refine(task, policy, weights, &starts[known * len..to * len])?;
+            }
+            found = compare(&directions, |direction| &direction.finer);
         }
-        if to == all {
+        if found.is_biased() || to == all {
             return Ok(found);
         }
         (from, to) = (to, all.min(2 * to));
     }
-    for direction in &mut directions {
-        direction.refine(task, policy, weights, &starts[..to * len])?;
-    }
-    Ok(compare(&directions, |direction| &direction.finer))
 }
 
 /// A diameter of the ball, and what the samples have along it.
@@ -205,15 +207,17 @@ impl Diameter {
     ) -> Result<(), Divergence> {
         let [before, after] =
             [-1.0, 1.0].map(|share| losses(task, policy, &self.at(policy, weights, share), starts));
-        let slopes =
-            after?.into_iter().zip(before?).map(|(after, before)| (after - before) / (2.0 * RADIUS));
+        let slopes = after?
+            .into_iter()
+            .zip(before?)
+            .map(|(after, before)| (after - before) / (2.0 * RADIUS));
         self.differences.extend(slopes.collect::<Vec<_>>());
         let predicted = self.integral(task, policy, weights, starts, &[[-1.0, 1.0]])?;
         self.predicted.extend(predicted);
         Ok(())
     }
 
-    /// Computes `finer` for all samples.
+    /// Adds samples to `finer`.
     fn refine(
         &mut self,
         task: &dyn AnyTask<f64>,
@@ -221,7 +225,8 @@ impl Diameter {
         weights: &Weights<f64>,
         starts: &[f64],
     ) -> Result<(), Divergence> {
-        self.finer = self.integral(task, policy, weights, starts, &[[-1.0, 0.0], [0.0, 1.0]])?;
+        let finer = self.integral(task, policy, weights, starts, &[[-1.0, 0.0], [0.0, 1.0]])?;
+        self.finer.extend(finer);
         Ok(())
     }
 

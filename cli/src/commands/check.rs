@@ -197,13 +197,14 @@ fn about_jumps(
         Some(Ok(found)) => found,
     };
     note(format!("mean loss and R: {found}"))?;
-    match found.is_biased().then(|| smoother(scene, source, theta, &found)).flatten() {
+    let is_bad = found.is_biased() || found.is_undecided();
+    match is_bad.then(|| smoother(scene, source, theta, &found)).flatten() {
         Some(advice) => note(advice),
         None => Ok(()),
     }
 }
 
-/// Advises smooth contacts if R is biased less with them.
+/// Advises smooth contacts if R is not biased with them, or less.
 fn smoother(
     scene: &Scene,
     mut source: SceneSource,
@@ -216,7 +217,7 @@ fn smoother(
     source.put(key, Value::String(value.into()), "smooth contacts").ok()?;
     let smooth = source.scene().ok()?.jumps(theta)?.ok()?;
     let [share, now] = [smooth.error, found.error].map(|error| rough(100.0 * error));
-    (smooth.error < LESS * found.error).then(|| {
+    (smooth.error < LESS * found.error && !smooth.is_undecided()).then(|| {
         format!(
             "contacts: with `{key} = \"{value}\"`, R differs from the derivative of the mean loss by {share} % in place of \
              {now} %. Train with it, and evaluate with the contacts of the file (docs/bodies.md)"
@@ -246,5 +247,45 @@ fn scenes(name: Option<&str>) -> Result<Vec<(String, Scene)>> {
         Some(name) if variants.is_empty() => Ok(vec![preset(name)?]),
         Some(_) => Ok(variants),
         None => variants.into_iter().map(Ok).chain(presets::RICH.into_iter().map(preset)).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Half cheetah over 16 steps with controls between -0.7 and 0.7.
+    fn half_cheetah(contacts: &str) -> (Scene, SceneSource, Vec<f64>) {
+        let mut source = presets::source("half_cheetah").expect("a preset");
+        let mut put = |key: &str, value: Value| source.put(key, value, "test").expect("a setting");
+        put("horizon", Value::Integer(16));
+        put("system.contacts", Value::String(contacts.into()));
+        put("policy.kind", Value::String("open_loop".into()));
+        put("policy.bounds", Value::Boolean(false));
+        let scene = source.scene().expect("a valid scene");
+        let theta = (0..16 * 6).map(|i| 0.7 * (1.7 * f64::from(i * i)).sin()).collect();
+        (scene, source, theta)
+    }
+
+    #[test]
+    fn stiff_contact_biases_r_and_smooth_contact_does_not() {
+        let notes = |contacts: &str| {
+            let (scene, source, theta) = half_cheetah(contacts);
+            let found = scene.jumps(&theta).expect("short rollouts").expect("finite rollouts");
+            let mut notes = Vec::new();
+            let mut note = |text: String| {
+                notes.push(text);
+                Ok(())
+            };
+            about_jumps(&scene, source, &theta, &mut note).expect("notes");
+            (found, notes)
+        };
+        let (smooth, said) = notes("smooth");
+        assert!(smooth.error < 0.02 && !smooth.is_biased() && !smooth.is_undecided(), "{smooth:?}");
+        assert!(said.len() == 1 && said[0].starts_with("mean loss and R: no jumps"), "{said:?}");
+        let (stiff, said) = notes("file");
+        assert!(stiff.is_biased() && stiff.interval[0] > 5.0 * smooth.interval[1], "{stiff:?}");
+        assert!(said[0].starts_with("mean loss and R: biased"), "{said:?}");
+        assert!(said[1].contains("`system.contacts = \"smooth\"`"), "{said:?}");
     }
 }
