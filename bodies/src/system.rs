@@ -115,6 +115,11 @@ impl Bodies {
         })
     }
 
+    /// Whether some shapes may touch.
+    pub fn can_touch(&self) -> bool {
+        !self.tree.contacts.is_empty()
+    }
+
     /// Contacts at a state, with their forces under a control. In the first step of the model from
     /// there, or in its first stage. Shapes that touch in several points have one force in each.
     /// ```

@@ -84,7 +84,11 @@ impl fmt::Display for Jumps {
             }
         )?;
         if self.is_undecided() {
-            write!(f, ". Shorter time steps or a shorter horizon may decide")?;
+            write!(
+                f,
+                ". R or the loss varies too strongly between rollouts, as with stiff contact or in chaos. Use softer forces, \
+                 shorter time steps or a shorter horizon"
+            )?;
         }
         if self.is_biased() {
             write!(

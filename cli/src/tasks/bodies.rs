@@ -122,7 +122,9 @@ impl TaskSpec for Bodies {
     }
 
     fn smoother(settings: &Settings<Self>) -> Option<(&'static str, &'static str)> {
-        (settings.system.contacts == Contacts::File).then_some(("system.contacts", "smooth"))
+        let task = settings.system.task(1, settings.horizon).expect("validated settings");
+        let is_stiff = settings.system.contacts == Contacts::File && task.bodies().can_touch();
+        is_stiff.then_some(("system.contacts", "smooth"))
     }
 
     fn animation(
