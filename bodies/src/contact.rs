@@ -16,6 +16,8 @@ use physgrad::Scalar;
 #[derive(Clone, Debug)]
 pub(crate) struct Candidate {
     pub(crate) pair: Pair,
+    /// Body of the second shape.
+    pub(crate) body: usize,
     pub(crate) law: Law,
     pub(crate) ratio: f64,
     pub(crate) soft: Soft,
@@ -169,6 +171,7 @@ fn add_pair(
     for pair in pairs {
         all.push(Candidate {
             pair,
+            body: b.body,
             law,
             ratio: model.options.impedance_ratio,
             soft: Soft::new(&softness(a, b), model.options.dt),

@@ -30,5 +30,6 @@ mod tree;
 pub mod urdf;
 mod xml;
 
+pub use step::ContactForce;
 pub use system::{Bodies, BodiesError};
 pub use task::BodiesTask;

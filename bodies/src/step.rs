@@ -7,6 +7,7 @@
 mod stress;
 
 use crate::adjoint::{Back, Bars};
+use crate::contact::Contact;
 use crate::dynamics::{Arguments, Work};
 use crate::model::Integrator;
 use crate::rows::rows;
@@ -130,6 +131,19 @@ fn pull<R: Real, C: Cotangent<R>>(
     outline::<R>(Reverse::<_, _, SWEEP> { back, work, tree, arguments, bar, bars });
 }
 
+/// Force of a contact on the body of its second shape.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ContactForce<T> {
+    /// Which point of the shapes of the model touches.
+    pub contact: usize,
+    /// The body.
+    pub body: usize,
+    /// Where the force acts, m, in axes of the world.
+    pub point: [T; 3],
+    /// The force, N, in axes of the world.
+    pub force: [T; 3],
+}
+
 /// Buffers of a step: those of each acceleration, and the states between them.
 #[derive(Debug)]
 pub(crate) struct Buffers<T> {
@@ -239,6 +253,27 @@ impl<T: Scalar> Buffers<T> {
             (add(at, work.origin), turn)
         };
         tree.bodies.iter().map(pose).collect()
+    }
+
+    /// Contacts that push at a state.
+    pub(crate) fn contact_forces(
+        &mut self,
+        tree: &Tree,
+        arguments: Arguments<'_, T>,
+    ) -> Vec<ContactForce<T>> {
+        let work = &mut self.stages[0].work;
+        accelerate(work, tree, arguments);
+        let contacts = work.contacts.iter().map(|contact| {
+            let Contact { index, frame, f, .. } = *contact;
+            let along = |i: usize| scale(frame[i], f[i]);
+            ContactForce {
+                contact: index,
+                body: tree.contacts[index].body,
+                point: add(contact.x, work.origin),
+                force: add(along(0), add(along(1), along(2))),
+            }
+        });
+        contacts.collect()
     }
 
     /// Acceleration at a state, and iterations of the solver.

@@ -2,7 +2,7 @@
 
 use crate::distribution::Distribution;
 use crate::model::Model;
-use crate::step::{Bar, Buffers};
+use crate::step::{Bar, Buffers, ContactForce};
 use crate::tree::{Coefficient, Tree, numbers};
 use physgrad::engine::lend;
 use physgrad::scalar::Dual;
@@ -121,6 +121,34 @@ impl Bodies {
         lend(|buffers: &mut Buffers<f64>| {
             let (a, iterations) = buffers.acceleration(&self.tree, [q, v, u, self.own(p)]);
             (a.to_vec(), iterations)
+        })
+    }
+
+    /// Whether some shapes may touch.
+    pub fn can_touch(&self) -> bool {
+        !self.tree.contacts.is_empty()
+    }
+
+    /// Contacts at a state, with their forces under a control. In the first step of the model from
+    /// there, or in its first stage. Shapes that touch in several points have one force in each.
+    /// ```
+    /// use physgrad::Inputs;
+    /// use physgrad_bodies::{Bodies, files};
+    ///
+    /// let text = "<mujoco><worldbody><geom type='plane' size='1 1 1'/>
+    ///     <body pos='0 0 0.1'><freejoint/><geom size='0.1' mass='2'/></body></worldbody></mujoco>";
+    /// let ball = Bodies::new(files::parse(text, "ball").unwrap()).unwrap();
+    /// let x = [0.0, 0.0, 0.0999, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+    /// let forces = ball.contact_forces(Inputs::new(&x, &[]));
+    /// assert!(forces.len() == 1 && forces[0].body == 1 && forces[0].force[2] > 0.0);
+    /// ```
+    pub fn contact_forces(
+        &self,
+        Inputs { x, u, p, .. }: Inputs<'_, f64>,
+    ) -> Vec<ContactForce<f64>> {
+        let (q, v) = x[..System::state_dim(self)].split_at(self.tree.nq);
+        lend(|buffers: &mut Buffers<f64>| {
+            buffers.contact_forces(&self.tree, [q, v, u, self.own(p)])
         })
     }
 

@@ -75,3 +75,36 @@ fn accelerations_and_steps_are_those_of_mujoco() {
     }
     assert!(contacts > 50, "only {contacts} contacts");
 }
+
+#[test]
+fn contact_forces_are_those_of_newtons_law() {
+    let ball = |x: f64, z: f64, mass: f64| {
+        format!(
+            "<body pos='{x} 0 {z}'><freejoint/><geom size='0.1' mass='{mass}' condim='3'/></body>"
+        )
+    };
+    let text = format!(
+        "<mujoco><worldbody><geom type='plane' size='1 1 1' condim='3'/>{}{}</worldbody></mujoco>",
+        ball(0.0, 0.0995, 2.0),
+        ball(0.15, 0.2314, 0.5)
+    );
+    let bodies = Bodies::new(files::parse(&text, "balls").unwrap()).unwrap();
+    let mut x = bodies.reference().to_vec();
+    x.extend([0.1, 0.0, 0.2, 0.0, 0.0, 0.0, -0.2, 0.3, -0.1, 0.5, 0.0, 0.0]);
+    let inputs = Inputs::new(&x, &[]);
+    let (a, _) = bodies.accelerations(inputs);
+    let forces = bodies.contact_forces(inputs);
+    assert_eq!(forces.iter().map(|force| force.body).collect::<Vec<_>>(), [1, 2], "{forces:?}");
+    let [floor, upper] = [forces[0].force, forces[1].force];
+    for (i, gravity) in [0.0, 0.0, 9.81].into_iter().enumerate() {
+        // The lower ball pushes the upper one, and is pushed as much.
+        let on_lower = 2.0 * (a[i] + gravity);
+        let on_upper = 0.5 * (a[6 + i] + gravity);
+        assert!((on_lower - floor[i] + upper[i]).abs() < 1e-9, "{i}: {on_lower}, {forces:?}");
+        assert!((on_upper - upper[i]).abs() < 1e-9, "{i}: {on_upper}, {forces:?}");
+    }
+    assert!(floor[2] > 1.0 && upper[2] > 0.1 && upper[1] < 0.0, "friction brakes: {forces:?}");
+    let between = forces[1].point;
+    let expected = [0.075, 0.0, 0.5 * (0.0995 + 0.2314)];
+    assert!(between.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9), "{between:?}");
+}

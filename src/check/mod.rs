@@ -34,7 +34,7 @@ mod visited;
 
 pub use costs::cost;
 pub use failure::{Failure, Finding, Mismatch};
-pub use jumps::{Jumps, jumps};
+pub use jumps::{FEWEST, JUMP_PASSES, Jumps, jumps};
 pub use kinks::{Kink, KinkInput, kinks};
 pub use oracle::slope_by_duals;
 pub use plateau::{Plateau, plateau};
@@ -334,8 +334,9 @@ pub fn task<T: Task, P: Policy>(task: &T, policy: &P) -> Result<Passed, Failure>
     // First the checks that name the method to correct.
     add(system_along(task, policy, None)?);
     add(cost_along(task, policy, None)?);
+    let flows = Flows::new(task, policy, None);
     for flow in Flow::ALL {
-        add(self::flow(task, policy, flow, None)?);
+        add(flows.check(flow)?);
     }
     Ok(sum)
 }
@@ -362,20 +363,53 @@ pub fn flow<T: Task, P: Policy>(
     flow: Flow,
     theta: Option<&[f64]>,
 ) -> Result<Passed, Failure> {
-    assert!(flow.cut.is_none(), "dual numbers cannot check `cut`: set `cut` to `None`");
-    assert!(
-        theta.is_none_or(|theta| theta.len() == policy.param_count()),
-        "`theta` needs one number per parameter of the policy"
-    );
-    let slope = |theta: &[f64], starts: &[f64], tangent: &dyn Fn(usize) -> f64| {
-        oracle::slope_by_duals(task, policy, theta, starts, flow, tangent)
-    };
-    let start_slope = |theta: &[f64], starts: &[f64], tangent: &dyn Fn(usize) -> f64| {
-        oracle::start_slope_by_duals(task, policy, theta, starts, flow, tangent)
-    };
-    let loss = |theta: &[f64], starts: &[f64]| oracle::loss(task, policy, theta, starts);
-    check_flow(task, policy, theta, flow, &loss, [&slope, &start_slope])
-        .map_err(|finding| Failure::of_flow(finding, flow))
+    Flows::new(task, policy, theta).check(flow)
+}
+
+/// The checks of [`flow`] for several flows. They share the derivatives of steps in dual numbers.
+pub struct Flows<'a, T, P> {
+    task: &'a T,
+    policy: &'a P,
+    theta: Option<&'a [f64]>,
+    steps: oracle::Steps,
+}
+
+impl<'a, T: Task, P: Policy> Flows<'a, T, P> {
+    /// Checks with the parameters `theta`, or random ones.
+    ///
+    /// # Panics
+    /// Panics if the length of `theta` is not [`Policy::param_count`].
+    #[track_caller]
+    pub fn new(task: &'a T, policy: &'a P, theta: Option<&'a [f64]>) -> Self {
+        assert!(
+            theta.is_none_or(|theta| theta.len() == policy.param_count()),
+            "`theta` needs one number per parameter of the policy"
+        );
+        Self { task, policy, theta, steps: oracle::Steps::default() }
+    }
+
+    /// Checks the gradients for one flow.
+    ///
+    /// # Errors
+    /// As [`flow`].
+    ///
+    /// # Panics
+    /// Panics if the flow has a [`cut`](Flow::cut), as [`flow`].
+    #[track_caller]
+    #[inline(never)]
+    pub fn check(&self, flow: Flow) -> Result<Passed, Failure> {
+        assert!(flow.cut.is_none(), "dual numbers cannot check `cut`: set `cut` to `None`");
+        let Self { task, policy, theta, ref steps } = *self;
+        let slope = |theta: &[f64], starts: &[f64], tangent: &dyn Fn(usize) -> f64| {
+            steps.slope((task, policy), theta, starts, flow, tangent)
+        };
+        let start_slope = |theta: &[f64], starts: &[f64], tangent: &dyn Fn(usize) -> f64| {
+            steps.start_slope((task, policy), theta, starts, flow, tangent)
+        };
+        let loss = |theta: &[f64], starts: &[f64]| oracle::loss(task, policy, theta, starts);
+        check_flow(task, policy, theta, flow, &loss, [&slope, &start_slope])
+            .map_err(|finding| Failure::of_flow(finding, flow))
+    }
 }
 
 /// Mean loss for parameters and initial states.

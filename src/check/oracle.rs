@@ -16,6 +16,8 @@ use crate::policy::{Action, Observed, Policy, Weights};
 use num_dual::Dual64;
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
+use std::cell::RefCell;
+use std::collections::HashMap;
 
 /// Number of random directions per check of a gradient.
 const DIRECTIONS: usize = 4;
@@ -44,13 +46,27 @@ pub fn weights(
 
 /// Mean loss of rollouts from `starts`, initial states with parameters. Differentiable along the
 /// paths of `flow`. The values of the starts are `values`, which give the keys of noise.
-#[inline(never)]
 pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(
+    task: &T,
+    policy: &P,
+    theta: &[S],
+    starts: (&[S], &[f64]),
+    flow: Flow,
+) -> S {
+    rollouts_by(task, policy, theta, starts, flow, &|inputs, next| {
+        step(task.system(), inputs, next)
+    })
+}
+
+/// [`rollouts`] with steps by `step`.
+#[inline(never)]
+fn rollouts_by<T: Task, P: Policy, S: Scalar>(
     task: &T,
     policy: &P,
     theta: &[S],
     (starts, values): (&[S], &[f64]),
     flow: Flow,
+    step: &dyn Fn(Inputs<'_, S>, &mut [S]),
 ) -> S {
     let system = task.system();
     let (n, m) = (system.state_dim(), system.control_dim());
@@ -98,7 +114,7 @@ pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(
                 Action { u: &mut u, memory: &mut next_memory },
             );
             let inputs = Inputs { x: &x, u: &u, p: &p, t };
-            step(system, inputs.with_x(&seen(&x, flow.physics)), &mut next);
+            step(inputs.with_x(&seen(&x, flow.physics)), &mut next);
             mean += task.running_cost(inputs, &next);
             std::mem::swap(&mut x, &mut next);
             std::mem::swap(&mut memory, &mut next_memory);
@@ -146,17 +162,112 @@ pub fn slope_by_duals<T: Task, P: Policy>(
     rollouts(task, policy, &along(theta, tangent), (&constants(starts), starts), flow).eps
 }
 
-/// Directional derivative as in [`slope_by_duals`], along a direction of the initial states with
-/// their parameters.
-pub(super) fn start_slope_by_duals<T: Task, P: Policy>(
-    task: &T,
-    policy: &P,
-    theta: &[f64],
-    starts: &[f64],
-    flow: Flow,
-    tangent: &dyn Fn(usize) -> f64,
-) -> f64 {
-    rollouts(task, policy, &constants(theta), (&along(starts, tangent), starts), flow).eps
+/// Largest number of inputs of a step whose Jacobian [`Steps`] keeps.
+const KEPT_INPUTS: usize = 64;
+
+/// Largest number of derivatives that [`Steps`] keeps.
+const KEPT: usize = 8_000_000;
+
+/// Steps in dual numbers. Keeps their Jacobians, column by column from dual numbers: all flows,
+/// components and directions of a check have the same states and controls.
+#[derive(Default)]
+pub(super) struct Steps {
+    /// The next state and the columns, by the bits of step, state, control and parameters.
+    known: RefCell<HashMap<Vec<u64>, Option<Linear>>>,
+}
+
+/// Next state, and its derivatives `[input][component]`.
+type Linear = (Vec<f64>, Vec<Vec<f64>>);
+
+impl Steps {
+    fn step(
+        &self,
+        inputs: Inputs<'_, Dual64>,
+        next: &mut [Dual64],
+        direct: &dyn Fn(Inputs<'_, Dual64>, &mut [Dual64]),
+    ) {
+        let all = || inputs.x.iter().chain(inputs.u).chain(inputs.p);
+        let count = all().count();
+        let mut known = self.known.borrow_mut();
+        if count > KEPT_INPUTS || known.len() * count * next.len() > KEPT {
+            return direct(inputs, next);
+        }
+        let bits = all().map(|input| input.re.to_bits());
+        let key: Vec<u64> = bits.chain([inputs.t as u64]).collect();
+        let linear = known.entry(key).or_insert_with(|| linear(inputs, next.len(), direct));
+        let Some((values, columns)) = linear else {
+            return direct(inputs, next);
+        };
+        next.iter_mut().zip(values).for_each(|(next, &mut value)| *next = Dual64::from_re(value));
+        for (input, column) in all().zip(columns).filter(|(input, _)| input.eps != 0.0) {
+            next.iter_mut().zip(column).for_each(|(next, slope)| next.eps += input.eps * *slope);
+        }
+    }
+
+    /// [`slope_by_duals`] with these steps.
+    pub(super) fn slope<T: Task, P: Policy>(
+        &self,
+        (task, policy): (&T, &P),
+        theta: &[f64],
+        starts: &[f64],
+        flow: Flow,
+        tangent: &dyn Fn(usize) -> f64,
+    ) -> f64 {
+        let seeded = (&constants(starts)[..], starts);
+        self.rollouts(task, policy, &along(theta, tangent), seeded, flow).eps
+    }
+
+    /// [`slope`](Self::slope) along a direction of the initial states with their parameters.
+    pub(super) fn start_slope<T: Task, P: Policy>(
+        &self,
+        (task, policy): (&T, &P),
+        theta: &[f64],
+        starts: &[f64],
+        flow: Flow,
+        tangent: &dyn Fn(usize) -> f64,
+    ) -> f64 {
+        let seeded = (&along(starts, tangent)[..], starts);
+        self.rollouts(task, policy, &constants(theta), seeded, flow).eps
+    }
+
+    fn rollouts<T: Task, P: Policy>(
+        &self,
+        task: &T,
+        policy: &P,
+        theta: &[Dual64],
+        starts: (&[Dual64], &[f64]),
+        flow: Flow,
+    ) -> Dual64 {
+        let direct = |inputs: Inputs<'_, Dual64>, next: &mut [Dual64]| {
+            step(task.system(), inputs, next);
+        };
+        let step = |inputs: Inputs<'_, Dual64>, next: &mut [Dual64]| {
+            self.step(inputs, next, &direct);
+        };
+        rollouts_by(task, policy, theta, starts, flow, &step)
+    }
+}
+
+/// The step as a linear function of tangents. None if a number is not finite.
+fn linear(
+    inputs: Inputs<'_, Dual64>,
+    components: usize,
+    direct: &dyn Fn(Inputs<'_, Dual64>, &mut [Dual64]),
+) -> Option<Linear> {
+    let mut all = [inputs.x, inputs.u, inputs.p].concat();
+    all.iter_mut().for_each(|input| input.eps = 0.0);
+    let (n, m) = (inputs.x.len(), inputs.x.len() + inputs.u.len());
+    let mut next = constants(&vec![0.0; components]);
+    let mut columns = Vec::new();
+    for i in 0..all.len() {
+        all[i].eps = 1.0;
+        direct(Inputs { x: &all[..n], u: &all[n..m], p: &all[m..], t: inputs.t }, &mut next);
+        all[i].eps = 0.0;
+        columns.push(next.iter().map(|next| next.eps).collect::<Vec<_>>());
+    }
+    let values: Vec<f64> = next.iter().map(|next| next.re).collect();
+    let is_finite = values.iter().chain(columns.iter().flatten()).all(|number| number.is_finite());
+    is_finite.then_some((values, columns))
 }
 
 /// Directional derivative, as a function of the tangent of every parameter.

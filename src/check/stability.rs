@@ -1,10 +1,12 @@
 //! Linear stability of a time step: spectral radius of its state Jacobian.
 
 use super::normal;
-use crate::dynamics::inputs::{Inputs, Tangents};
+use crate::dynamics::inputs::{Cotangents, Inputs, Tangents};
+use crate::dynamics::outline::One;
 use crate::dynamics::system::System;
 use crate::engine::any::AnySystem;
 use crate::numbers::rng::{Purpose, stream};
+use crate::numbers::scalar::{Cotangent, CotangentPack, LANES, Lane, Real, Scalar};
 use crate::numbers::text;
 use nalgebra::{DMatrix, Matrix3, Vector3};
 use std::fmt;
@@ -139,8 +141,8 @@ impl fmt::Display for Stability {
 /// the Jacobian. Unlike power iteration, the formula handles complex eigenvalue pairs and defective
 /// matrices. Powers may underflow to 0 for long cascades of equal cells, in which each cell drives
 /// the next. The last estimate is then an upper bound. In this case, the multiplier is the smaller
-/// of this bound and the spectral radius from an eigenvalue solver. The cost is `state_dim`
-/// forward-mode derivatives and at most 40 matrix products. After underflow, it includes the
+/// of this bound and the spectral radius from an eigenvalue solver. The cost is a reverse derivative of
+/// eight samples per eight components, and at most 40 matrix products. After underflow, it includes the
 /// eigenvalues. The spectral radius of `J - 1` yields [`Stability::lowest`].
 ///
 /// Beyond 200 state components, the function does not store the Jacobian. It multiplies a random
@@ -162,10 +164,31 @@ pub fn stability<S: System>(system: &S, inputs: Inputs<'_, f64>) -> Stability {
     of_any(system, inputs)
 }
 
+/// Object-safe system whose Jacobian is computed in lanes.
+trait Linear: AnySystem<f64> {
+    fn vjp_in_lanes(
+        &self,
+        inputs: Inputs<'_, Lane<f64>>,
+        next_bar: &[One<Lane<f64>>],
+        cotangents: Cotangents<'_, One<Lane<f64>>>,
+    );
+}
+
+impl<S: System> Linear for S {
+    fn vjp_in_lanes(
+        &self,
+        inputs: Inputs<'_, Lane<f64>>,
+        next_bar: &[One<Lane<f64>>],
+        cotangents: Cotangents<'_, One<Lane<f64>>>,
+    ) {
+        AnySystem::<Lane<f64>>::vjp(self, inputs, next_bar, cotangents);
+    }
+}
+
 /// Spectral radius of a matrix, and the component in which its fastest growing vector is largest.
 type Radius = (f64, usize);
 
-fn of_any(system: &dyn AnySystem<f64>, inputs: Inputs<'_, f64>) -> Stability {
+fn of_any(system: &dyn Linear, inputs: Inputs<'_, f64>) -> Stability {
     let n = inputs.x.len();
     let [own, shifted]: [Radius; 2] = if n <= DENSE {
         let mut jacobian = jacobian(system, inputs);
@@ -213,7 +236,7 @@ pub fn growth_along<S: System>(system: &S, steps: &[Inputs<'_, f64>]) -> f64 {
     along(system, steps)
 }
 
-fn along(system: &dyn AnySystem<f64>, steps: &[Inputs<'_, f64>]) -> f64 {
+fn along(system: &dyn Linear, steps: &[Inputs<'_, f64>]) -> f64 {
     let n = steps.first().map_or(0, |inputs| inputs.x.len());
     let mut product: Option<Vec<f64>> = None;
     let (mut scale, mut growth, mut due) = (0.0, 0.0_f64, 1);
@@ -252,7 +275,7 @@ fn along(system: &dyn AnySystem<f64>, steps: &[Inputs<'_, f64>]) -> f64 {
 }
 
 /// Spectral radius of the product of the Jacobians of consecutive steps, by power iteration.
-fn by_rounds(system: &dyn AnySystem<f64>, steps: &[Inputs<'_, f64>]) -> f64 {
+fn by_rounds(system: &dyn Linear, steps: &[Inputs<'_, f64>]) -> f64 {
     /// Rounds before those that count, and all rounds.
     const ROUNDS: [u32; 2] = [4, 8];
     let n = steps[0].x.len();
@@ -366,16 +389,27 @@ pub fn jacobian_norm<S: System>(system: &S, inputs: Inputs<'_, f64>) -> f64 {
     if norm.is_nan() { f64::INFINITY } else { norm }
 }
 
-/// ∂S/∂x in row-major order.
-fn jacobian(system: &dyn AnySystem<f64>, inputs: Inputs<'_, f64>) -> Vec<f64> {
+/// ∂S/∂x in row-major order. Each lane of a reverse derivative computes one row.
+fn jacobian(system: &dyn Linear, inputs: Inputs<'_, f64>) -> Vec<f64> {
     let n = inputs.x.len();
-    let (mut matrix, mut x_tan, mut column) = (vec![0.0; n * n], vec![0.0; n], vec![0.0; n]);
-    for j in 0..n {
-        x_tan[j] = 1.0;
-        system.jvp(inputs, Tangents { x: Some(&x_tan), ..Tangents::default() }, &mut column);
-        x_tan[j] = 0.0;
-        for i in 0..n {
-            matrix[i * n + j] = column[i];
+    let in_lanes = |values: &[f64]| -> Vec<Lane<f64>> {
+        values.iter().map(|&value| Lane::from(value)).collect()
+    };
+    let [x, u, p] = [inputs.x, inputs.u, inputs.p].map(in_lanes);
+    let inputs = Inputs { x: &x, u: &u, p: &p, t: inputs.t };
+    let mut matrix = vec![0.0; n * n];
+    for first in (0..n).step_by(LANES) {
+        let rows = LANES.min(n - first);
+        let mut next_bar = vec![CotangentPack([Lane::<f64>::zero()]); n];
+        for lane in 0..rows {
+            next_bar[first + lane].0[0].set_lane(lane, 1.0);
+        }
+        let mut x_bar = vec![One::<Lane<f64>>::null(); n];
+        let wanted = Cotangents { x: Some(&mut x_bar), u: None, p: None };
+        system.vjp_in_lanes(inputs, &next_bar, wanted);
+        for lane in 0..rows {
+            let row = &mut matrix[(first + lane) * n..][..n];
+            row.iter_mut().zip(&x_bar).for_each(|(slope, bar)| *slope = bar.0[0].lane(lane));
         }
     }
     matrix

@@ -13,16 +13,18 @@ use crate::tasks::scene::INITIAL_POLICY;
 use crate::tasks::{self, Scene};
 use anyhow::{Result, bail};
 use physgrad::Divergence;
-use physgrad::check::{Kink, KinkInput, Stability};
+use physgrad::check::{Jumps, Kink, KinkInput, Stability};
+use physgrad::text::rough;
 use serde_json::json;
 use std::path::PathBuf;
 use time_step::{is_harmless, stability};
+use toml::Value;
 
 /// Check the gradients of systems, policies and whole rollouts against dual numbers.
 ///
 /// For a named task or scene, also check the stability of the time step in states of test rollouts,
-/// the slope of the loss, and kinks of the step and of the costs. Also compare R with differences of
-/// the mean loss. These checks use the policy of `--policy`, otherwise the initial parameters of the
+/// the slope of the loss, and kinks of the step and of the costs. Also compare R with the derivative of
+/// the mean loss over a small ball of parameters. These checks use the policy of `--policy`, otherwise the initial parameters of the
 /// scene.
 #[derive(Debug, clap::Args)]
 #[command(
@@ -138,7 +140,7 @@ fn about_rollouts(
         note(format!("{}. Kinks, loss and jumps are therefore not checked", diverged(divergence)))?;
     }
     let names = scene.state_names();
-    note(stability(scene, source, theta, &found))?;
+    note(stability(scene, source.clone(), theta, &found))?;
     if let Some(ringing) = found.ringing {
         let Place { sample, step, stability: Stability { lowest, lowest_component, .. } } = ringing;
         note(format!(
@@ -178,14 +180,49 @@ fn about_rollouts(
         .plateau(theta)
         .map_or_else(|divergence| divergence.to_string(), |plateau| plateau.to_string());
     note(format!("loss at the initial parameters: {plateau}"))?;
-    let compared = scene.jumps(theta);
-    let jumps = compared.map(|jumps| {
-        jumps.map_or_else(|divergence| divergence.to_string(), |jumps| jumps.to_string())
-    });
-    note(format!(
-        "mean loss and R: {}",
-        jumps.as_deref().unwrap_or("not compared beyond 10,000 steps")
-    ))
+    about_jumps(scene, source, theta, note)
+}
+
+/// Makes a note about the error of R against the derivative of the mean loss, and about a setting that
+/// reduces it.
+fn about_jumps(
+    scene: &Scene,
+    source: SceneSource,
+    theta: &[f64],
+    note: &mut dyn FnMut(String) -> Result<()>,
+) -> Result<()> {
+    let found = match scene.jumps(theta) {
+        None => return note("mean loss and R: not compared, because it would take long".into()),
+        Some(Err(divergence)) => return note(format!("mean loss and R: {divergence}")),
+        Some(Ok(found)) => found,
+    };
+    note(format!("mean loss and R: {found}"))?;
+    let is_bad = found.is_biased() || found.is_undecided();
+    match is_bad.then(|| smoother(scene, source, theta, &found)).flatten() {
+        Some(advice) => note(advice),
+        None => Ok(()),
+    }
+}
+
+/// Advises smooth contacts if R is not biased with them, or less.
+fn smoother(
+    scene: &Scene,
+    mut source: SceneSource,
+    theta: &[f64],
+    found: &Jumps,
+) -> Option<String> {
+    /// Largest share of the error that remains.
+    const LESS: f64 = 0.5;
+    let (key, value) = scene.smoother()?;
+    source.put(key, Value::String(value.into()), "smooth contacts").ok()?;
+    let smooth = source.scene().ok()?.jumps(theta)?.ok()?;
+    let [share, now] = [smooth.error, found.error].map(|error| rough(100.0 * error));
+    (smooth.error < LESS * found.error && !smooth.is_undecided()).then(|| {
+        format!(
+            "contacts: with `{key} = \"{value}\"`, R differs from the derivative of the mean loss by {share} % in place of \
+             {now} %. Train with it, and evaluate with the contacts of the file (docs/bodies.md)"
+        )
+    })
 }
 
 /// Describes a kink with the names of states and controls.
@@ -210,5 +247,45 @@ fn scenes(name: Option<&str>) -> Result<Vec<(String, Scene)>> {
         Some(name) if variants.is_empty() => Ok(vec![preset(name)?]),
         Some(_) => Ok(variants),
         None => variants.into_iter().map(Ok).chain(presets::RICH.into_iter().map(preset)).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Half cheetah over 16 steps with controls between -0.7 and 0.7.
+    fn half_cheetah(contacts: &str) -> (Scene, SceneSource, Vec<f64>) {
+        let mut source = presets::source("half_cheetah").expect("a preset");
+        let mut put = |key: &str, value: Value| source.put(key, value, "test").expect("a setting");
+        put("horizon", Value::Integer(16));
+        put("system.contacts", Value::String(contacts.into()));
+        put("policy.kind", Value::String("open_loop".into()));
+        put("policy.bounds", Value::Boolean(false));
+        let scene = source.scene().expect("a valid scene");
+        let theta = (0..16 * 6).map(|i| 0.7 * (1.7 * f64::from(i * i)).sin()).collect();
+        (scene, source, theta)
+    }
+
+    #[test]
+    fn stiff_contact_biases_r_and_smooth_contact_does_not() {
+        let notes = |contacts: &str| {
+            let (scene, source, theta) = half_cheetah(contacts);
+            let found = scene.jumps(&theta).expect("short rollouts").expect("finite rollouts");
+            let mut notes = Vec::new();
+            let mut note = |text: String| {
+                notes.push(text);
+                Ok(())
+            };
+            about_jumps(&scene, source, &theta, &mut note).expect("notes");
+            (found, notes)
+        };
+        let (smooth, said) = notes("smooth");
+        assert!(smooth.error < 0.02 && !smooth.is_biased() && !smooth.is_undecided(), "{smooth:?}");
+        assert!(said.len() == 1 && said[0].starts_with("mean loss and R: no jumps"), "{said:?}");
+        let (stiff, said) = notes("file");
+        assert!(stiff.error > 0.1 && stiff.error > 10.0 * smooth.interval[1], "{stiff:?}");
+        assert!(stiff.is_biased() || stiff.is_undecided(), "{stiff:?}");
+        assert!(said[1].contains("`system.contacts = \"smooth\"`"), "{said:?}");
     }
 }

@@ -5,6 +5,7 @@ use crate::platform::table::Table;
 use crate::platform::terminal::{print_text, progress_bar};
 use indicatif::ProgressBar;
 use physgrad::check::{self, Failure, Finding, Jumps, Kink, Passed, Plateau};
+use physgrad::count::TaskOpCount;
 use physgrad::rng::Purpose;
 use physgrad::text::rough;
 use physgrad::{Divergence, DynTask, Flow, Policy, System, Task, Weights, initial_states};
@@ -38,13 +39,14 @@ pub fn check(
         results.add(&format!("{variant}: network"), || check::policy(policy));
     }
     let mut first: Option<usize> = None;
+    let flows = check::Flows::new(task, policy, theta);
     for flow in Flow::ALL {
         let name = format!("{variant}: rollout, {flow}");
         if first.is_none() && results.failures.len() > before {
             results.skip(&name);
             continue;
         }
-        let failed = results.add(&name, || check::flow(task, policy, flow, theta));
+        let failed = results.add(&name, || flows.check(flow));
         match (failed, first) {
             (Some(_), Some(index)) => {
                 results.failures.pop();
@@ -73,20 +75,25 @@ pub fn plateau(
     check::plateau(task, policy, &weights, &initial_states(task, seed, Purpose::Test, ROLLOUTS))
 }
 
-/// Compares R with differences of the mean loss over finite distances, at the parameters `theta`.
-/// `None` for horizons above 10,000 steps.
+/// Compares R with the derivative of the mean loss, at the parameters `theta`. `None` if rollouts are
+/// so long that some seconds do not suffice.
 pub fn jumps(
     task: &DynTask,
     policy: &impl Policy,
     theta: &[f64],
     seed: u64,
 ) -> Option<Result<Jumps, Divergence>> {
-    /// Bound on the number of samples times steps.
-    const STEPS: usize = 400_000;
-    let horizon = Task::horizon(task).max(1);
-    let samples = (STEPS / horizon).min(512);
+    /// Bound on the operations. A core makes about 2e9 per second in lanes.
+    const OPERATIONS: f64 = 8e9;
+    const SAMPLES: usize = 512;
+    let operations = TaskOpCount::of(task);
+    let forward = operations.system.step.total() as f64 + 2.0 * theta.len() as f64;
+    let reverse = operations.system.vjp.total() as f64 + 4.0 * theta.len() as f64;
+    let step = check::JUMP_PASSES[0] as f64 * forward + check::JUMP_PASSES[1] as f64 * reverse;
+    let most = OPERATIONS / (step * Task::horizon(task).max(1) as f64);
+    let samples = (most as usize).min(SAMPLES);
     let starts = || initial_states(task, seed, Purpose::Test, samples);
-    (samples >= 40)
+    (samples >= check::FEWEST)
         .then(|| check::jumps(task, policy, &Weights::new(policy, theta.to_vec()), &starts()))
 }
 

@@ -10,11 +10,11 @@ use crate::tasks::equations::located;
 use crate::tasks::hard::{Nothing, in_scene};
 use crate::tasks::{FileSetting, Settings, TaskSpec};
 use physgrad::graph::{Costs, Names, Replaced, Replacement};
-use physgrad::{DynTask, System as _};
+use physgrad::{DynTask, Inputs, System as _};
 use physgrad_bodies::{self as bodies, components};
 use physgrad_plot::Animation;
 use picture::film;
-use settings::{BodiesSettings, read_text};
+use settings::{BodiesSettings, Contacts, read_text};
 
 /// Task `bodies`.
 #[derive(Clone, Debug)]
@@ -140,15 +140,28 @@ impl TaskSpec for Bodies {
         remarks
     }
 
+    fn smoother(settings: &Settings<Self>) -> Option<(&'static str, &'static str)> {
+        let task = settings.system.task(1, settings.horizon).expect("validated settings");
+        let is_stiff = settings.system.contacts == Contacts::File && task.bodies().can_touch();
+        is_stiff.then_some(("system.contacts", "smooth"))
+    }
+
     fn animation(
         settings: &Settings<Self>,
-        Trajectory { states, params, .. }: &Trajectory,
+        Trajectory { states, controls, params }: &Trajectory,
     ) -> Animation {
         let task = settings.system.task(1, settings.horizon).expect("validated settings");
         let bodies = task.bodies();
         let poses = |x: &Vec<f64>| bodies.poses(x, &params[0]);
         let poses: Vec<_> = states.iter().map(poses).collect();
+        let rest = vec![0.0; bodies.control_dim()];
+        let touching: Vec<_> = { states.iter().zip(params).enumerate() }
+            .map(|(t, (x, p))| {
+                let u = controls.get(t).or(controls.last()).unwrap_or(&rest);
+                bodies.contact_forces(Inputs { x, u, p, t })
+            })
+            .collect();
         let model = bodies.model();
-        film(model, &poses, Self::dt(settings), &model.name)
+        film(model, &poses, &touching, Self::dt(settings), &model.name)
     }
 }

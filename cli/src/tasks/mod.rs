@@ -154,6 +154,11 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     fn remarks(_settings: &Settings<Self>) -> Vec<String> {
         Vec::new()
     }
+    /// Key and value of a setting of the system with which forces at contact begin without a jump, if
+    /// the settings have another value. None by default.
+    fn smoother(_settings: &Settings<Self>) -> Option<(&'static str, &'static str)> {
+        None
+    }
     /// Keys of the section `system` with names that no expression uses. None by default.
     fn unused(_settings: &Settings<Self>) -> Vec<String> {
         Vec::new()

@@ -106,6 +106,7 @@ trait AnySettings: Send + Sync {
     /// The physics with these typical values of trained numbers, if it depends on them.
     fn typical_physics(&self, values: &[(String, f64)]) -> Option<DynTask>;
     fn remarks(&self) -> Vec<String>;
+    fn smoother(&self) -> Option<(&'static str, &'static str)>;
     fn unused(&self) -> Vec<String>;
     fn expression_of(&self, component: usize, cause: Option<Cause>) -> Option<String>;
     fn conserved(&self) -> Option<Conserved>;
@@ -164,6 +165,10 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
 
     fn remarks(&self) -> Vec<String> {
         K::remarks(self)
+    }
+
+    fn smoother(&self) -> Option<(&'static str, &'static str)> {
+        K::smoother(self)
     }
 
     fn unused(&self) -> Vec<String> {
@@ -295,10 +300,15 @@ impl Scene {
         checks::plateau(&self.stepped(), &self.policy, theta, self.seed)
     }
 
-    /// Compares R with differences of the mean loss over finite distances. None for horizons above
-    /// 10,000 steps.
+    /// Compares R with the derivative of the mean loss. None if that would take long.
     pub fn jumps(&self, theta: &[f64]) -> Option<Result<Jumps, Divergence>> {
         checks::jumps(&self.stepped(), &self.policy, theta, self.seed)
+    }
+
+    /// Key and value of a setting with which forces at contact begin without a jump, if the scene has
+    /// another value.
+    pub fn smoother(&self) -> Option<(&'static str, &'static str)> {
+        self.settings.smoother()
     }
 
     /// Runs a rollout and its adjoints, and prepares them for timing.

@@ -5,11 +5,14 @@
 
 mod camera;
 mod colour;
+mod force;
 mod ground;
 mod solid;
 mod space;
 
 use camera::Camera;
+use force::Forces;
+pub use force::Touching;
 use physgrad_bodies::model::{Form, Model};
 use physgrad_plot::{Animation, Shape, View};
 use solid::{Outline, Solid};
@@ -26,24 +29,35 @@ const WIDTH: [f64; 2] = [1.2, 1.5];
 /// Smallest height of a view, in widths.
 const HEIGHT: f64 = 1.0 / 3.0;
 
-/// Animates a motion. `poses` has the positions and orientations of all bodies, `dt` seconds apart.
+/// Animates a motion. `poses` has the positions and orientations of all bodies, `dt` seconds apart, and
+/// `touching` the contact forces at the same times.
 ///
 /// Planar models are drawn from the side or from above, others in perspective. The camera follows
 /// bodies that move freely. Motions shorter than 2 s play at one third of real time. The animation
 /// ends before the first pose that is non-finite or beyond 1e6 m.
-pub fn film(model: &Model, poses: &[Vec<Pose>], dt: f64, title: &str) -> Animation {
-    let near = |bodies: &&Vec<Pose>| bodies.iter().all(|(at, _)| at.iter().all(|x| x.abs() < FAR));
-    let shown: Vec<&Vec<Pose>> = poses.iter().take_while(near).collect();
+pub fn film(
+    model: &Model,
+    poses: &[Vec<Pose>],
+    touching: &[Touching],
+    dt: f64,
+    title: &str,
+) -> Animation {
+    let near = |(bodies, _): &(&Vec<Pose>, &Touching)| {
+        bodies.iter().all(|(at, _)| at.iter().all(|x| x.abs() < FAR))
+    };
+    let shown: Vec<(&Vec<Pose>, &Touching)> = poses.iter().zip(touching).take_while(near).collect();
     let time = shown.len().saturating_sub(1) as f64 * dt;
     let (slowness, speed) = if time < 2.0 { (3.0, "at ⅓ speed") } else { (1.0, "in real time") };
 
     let camera = Camera::of(model);
     let solids = solid::of(model);
     let count = shown.len().min(MAX_FRAMES);
-    let frames: Vec<Frame> = (0..count)
-        .map(|frame| shown[frame * (shown.len() - 1) / (count - 1).max(1)])
-        .map(|poses| Frame::new(model, &camera, &solids, poses))
-        .collect();
+    let motion: Vec<(&Vec<Pose>, &Touching)> =
+        (0..count).map(|frame| shown[frame * (shown.len() - 1) / (count - 1).max(1)]).collect();
+    let frames: Vec<Frame> =
+        motion.iter().map(|(poses, _)| Frame::new(model, &camera, &solids, poses)).collect();
+    let mut forces = Forces::new(model, &camera, &motion);
+    let legend = vec![("contact force".to_owned(), colour::FORCE)];
     let view = view(&camera, frames.iter().flat_map(|frame| &frame.outlines));
     let reach = [-1.0, 1.0].map(|sign| [sign * camera.reach; 2]);
     Animation {
@@ -51,7 +65,14 @@ pub fn film(model: &Model, poses: &[Vec<Pose>], dt: f64, title: &str) -> Animati
         seconds: time * slowness,
         view,
         reach: Some(union(view, (reach[0], reach[1]))),
-        frames: frames.into_iter().map(|frame| frame.shapes(&camera, &solids)).collect(),
+        legend: if forces.is_empty() { Vec::new() } else { legend },
+        frames: { frames.into_iter().zip(motion) }
+            .map(|(frame, (poses, touching))| {
+                // Beyond the identifiers of solids and their shadows.
+                let arrows = forces.at(poses, touching, 3 * solids.len());
+                [frame.shapes(&camera, &solids), arrows].concat()
+            })
+            .collect(),
         // In perspective, lengths depend on the distance.
         unit: if camera.is_planar() { "m" } else { "" },
         time,

@@ -5,6 +5,8 @@ use physgrad_plot::PALETTE;
 
 /// Shadows on the floor.
 pub const SHADOW: &str = "#E4E6EA";
+/// Arrows of contact forces.
+pub const FORCE: &str = "#CC3311";
 /// Lines on the floor.
 pub const GRID: &str = "#D5D8DC";
 /// The floor from the side.

@@ -2,12 +2,17 @@
 
 use super::space::{AXES, add, reference};
 use super::*;
-use physgrad_bodies::mjcf;
+use physgrad_bodies::{ContactForce, mjcf};
 
 fn model(bodies: &str) -> Model {
     let floor = "<geom type='plane' size='1 1 1'/>";
     let text = format!("<mujoco><worldbody>{floor}{bodies}</worldbody></mujoco>");
     mjcf::parse(&text, "test.xml").expect("a model")
+}
+
+/// A film without contacts.
+fn still_film(model: &Model, poses: &[Vec<Pose>], dt: f64, title: &str) -> Animation {
+    film(model, poses, &vec![Vec::new(); poses.len()], dt, title)
 }
 
 /// A ball of radius 0.1 m with these attributes and joints.
@@ -52,7 +57,7 @@ fn planar_models_are_seen_along_the_axis_of_their_hinges() {
         ("1 0 0", [0.2, 0.1]),
     ] {
         let model = pendulum(axis);
-        let film = film(&model, &[reference(&model)], 0.1, "");
+        let film = still_film(&model, &[reference(&model)], 0.1, "");
         assert_eq!(film.unit, "m");
         let seen = points(&film.frames[0]);
         let last = seen.iter().find(|(id, _)| *id == 3).expect("the second ball");
@@ -60,7 +65,7 @@ fn planar_models_are_seen_along_the_axis_of_their_hinges() {
     }
     let across = model(&ball("", "<joint type='slide' axis='0 1 0'/><joint axis='0 1 0'/>"));
     for model in [pendulum("0 1 1"), across, model(&ball("", FREE))] {
-        assert_eq!(film(&model, &[reference(&model)], 0.1, "").unit, "", "in perspective");
+        assert_eq!(still_film(&model, &[reference(&model)], 0.1, "").unit, "", "in perspective");
     }
 }
 
@@ -68,7 +73,8 @@ fn planar_models_are_seen_along_the_axis_of_their_hinges() {
 fn the_camera_follows_bodies_without_limits_and_the_floor_stays() {
     for joints in [SIDE, ABOVE, FREE] {
         let model = model(&ball("pos='0 0 1'", joints));
-        let film = film(&model, &[[0.0; 3], [0.02, 0.0, 0.0]].map(|by| moved(&model, by)), 1.0, "");
+        let film =
+            still_film(&model, &[[0.0; 3], [0.02, 0.0, 0.0]].map(|by| moved(&model, by)), 1.0, "");
         let [before, after] = [0, 1].map(|frame| points(&film.frames[frame]));
         assert!(near(before[before.len() - 1].1, after[after.len() - 1].1), "{joints}: the ball");
         let mut marks = 0;
@@ -81,7 +87,8 @@ fn the_camera_follows_bodies_without_limits_and_the_floor_stays() {
         assert!(marks >= 15, "{joints}: {marks} marks move backwards");
     }
     let bounded = model(&ball("", "<joint type='slide' axis='1 0 0' range='-1 1'/>"));
-    let film = film(&bounded, &[[0.0; 3], [0.5, 0.0, 0.0]].map(|by| moved(&bounded, by)), 1.0, "");
+    let film =
+        still_film(&bounded, &[[0.0; 3], [0.5, 0.0, 0.0]].map(|by| moved(&bounded, by)), 1.0, "");
     let ball = |frame: usize| points(&film.frames[frame]).last().map(|(_, point)| point[0]);
     assert_eq!((ball(0), ball(1)), (Some(0.0), Some(0.5)), "the camera stands");
     assert!(film.view.0[0] < -0.1 && film.view.1[0] > 0.6, "{:?}", film.view);
@@ -97,7 +104,7 @@ fn marks_return_on_the_other_side() {
     };
     let run: Vec<Vec<Pose>> =
         (0..200).map(|i| moved(&model, [0.01 * f64::from(i), 0.0, 0.0])).collect();
-    let film = film(&model, &run, 0.1, "");
+    let film = still_film(&model, &run, 0.1, "");
     // The reach is 0.1 m: marks every 5 cm, over 1.99 m. The ball has an edge.
     assert_eq!(count(&film), 2 + 17 + 40);
     for pair in film.frames.windows(2) {
@@ -119,7 +126,7 @@ fn nearer_solids_are_larger_and_painted_later() {
     let model = model(&(ball("pos='0 0 1'", FREE) + &ball("pos='0 0 1'", FREE)));
     let [mut far, mut close] = [0, 1].map(|_| reference(&model));
     (far[2].0, close[2].0) = ([0.0, 1.0, 1.0], [0.0, -1.0, 1.0]);
-    let film = film(&model, &[far, close], 0.1, "");
+    let film = still_film(&model, &[far, close], 0.1, "");
     let bodies = |frame: usize| -> Vec<(usize, f64)> {
         let widths = film.frames[frame].iter().filter_map(|shape| match shape {
             Shape::Solid { id, width, .. } if *id < 4 && id % 2 == 1 => Some((*id, *width)),
@@ -156,7 +163,7 @@ fn outlines_enclose_their_forms() {
     for (form, size) in sizes {
         let text = format!("<body>{ABOVE}<geom type='{form}' size='{size}'/></body>");
         let model = model(&text);
-        let film = film(&model, &[reference(&model)], 0.1, "");
+        let film = still_film(&model, &[reference(&model)], 0.1, "");
         let outline = film.frames[0].iter().rev().find_map(|shape| match shape {
             Shape::Solid { points, .. } => Some(points.clone()),
             _ => None,
@@ -193,16 +200,49 @@ fn a_film_ends_before_a_nan_and_may_be_empty() {
     for joints in [SIDE, ABOVE, FREE] {
         let model = model(&ball("pos='0 0 1'", joints));
         let run = [0.0, 0.1, f64::NAN, 0.2].map(|x| moved(&model, [x, 0.0, 0.0]));
-        let film = film(&model, &run, 0.5, "A <ball>");
+        let film = still_film(&model, &run, 0.5, "A <ball>");
         assert_eq!((film.frames.len(), film.time), (2, 0.5));
         assert_eq!(film.title, "A <ball>: 0.5 s at ⅓ speed");
         let frames = [&film.frames[0][..], &film.frames[1]].concat();
         assert!(points(&frames).iter().flat_map(|(_, point)| point).all(|x| x.is_finite()));
-        for animation in [film, super::film(&model, &[], 0.5, "")] {
+        for animation in [film, still_film(&model, &[], 0.5, "")] {
             roxmltree::Document::parse(&animation.to_svg()).expect("an SVG is XML");
             animation.picture(animation.frames.last().map_or(&[], Vec::as_slice), 0.0);
         }
     }
     let nothing = model("");
-    film(&nothing, &[vec![([0.0; 3], AXES)]], 0.1, "").to_svg();
+    still_film(&nothing, &[vec![([0.0; 3], AXES)]], 0.1, "").to_svg();
+}
+
+#[test]
+fn contact_forces_are_arrows_from_the_point_of_contact() {
+    let model = model(&ball("pos='0 0 0.1'", SIDE));
+    let weight = model.bodies.iter().map(|body| body.mass).sum::<f64>() * 9.81;
+    let touching = |force: Vec3| vec![ContactForce { contact: 0, body: 1, point: [0.0; 3], force }];
+    let poses = vec![reference(&model); 4];
+    let up = |weights: f64| touching([0.0, 0.0, weights * weight]);
+    let forces = [up(1.0), up(0.5), vec![], up(100.0)];
+    let film = film(&model, &poses, &forces, 0.1, "");
+    assert_eq!(film.legend.len(), 1);
+    film.to_svg();
+    // The picture has its origin at the centre of the ball. Identifiers 3 and 4 are those of the arrow.
+    let arrow = |frame: usize| {
+        let part = |wanted: usize| {
+            film.frames[frame].iter().find_map(|shape| match shape {
+                Shape::Solid { id, points, width, .. } if *id == wanted => {
+                    Some((points.clone(), *width))
+                }
+                _ => None,
+            })
+        };
+        let ((shaft, width), (head, _)) = (part(3).expect("a shaft"), part(4).expect("a head"));
+        assert!(near(shaft[0], [0.0, -0.1]), "{frame}: {shaft:?}");
+        (head[0][1] + 0.1, width)
+    };
+    let ((whole, _), (half, _), (none, width), (most, _)) =
+        (arrow(0), arrow(1), arrow(2), arrow(3));
+    assert!(whole > 0.01 && (half - 0.5 * whole).abs() < 1e-9, "{whole} and {half}");
+    assert!(none.abs() < 1e-9 && width == 0.0, "no force: {none}");
+    assert!(most > whole && most < 5.0 * whole, "the largest force: {most}");
+    assert!(still_film(&model, &poses, 0.1, "").legend.is_empty());
 }
