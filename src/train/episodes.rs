@@ -18,14 +18,17 @@ use serde::{Deserialize, Serialize};
 /// Settings of a training by windows: each update sees `steps` steps of its episodes, and the next one
 /// continues where they ended.
 ///
-/// The training set consists of episodes in progress, one per sample. They begin together at step 0,
-/// continue from update to update, and begin anew after the horizon of the task, or when an episode has
+/// The training set consists of episodes in progress, one per sample. They continue from update to
+/// update, and begin anew after the horizon of the task, or when an episode has
 /// [ended](crate::episode::Ending), from the same initial states or, with
 /// [`Training::resample`](crate::Training::resample), from new ones. An epoch is one horizon: each mini-batch has one update
 /// per window. A last window that does not fit into the horizon is left out. The losses of the test set
 /// are those of whole episodes.
 ///
-/// Without a value function, the gradient of a window knows nothing of later costs.
+/// With a value function, episodes begin anew in turn, an equal number before each window, so that an
+/// update sees all phases of an episode. The step number of tasks that depend on it is that of the epoch.
+/// Without a value function, they begin together, and the gradient of a window knows nothing of later
+/// costs.
 /// SHAC (Xu et al. 2022, arXiv:2204.07137) is such a training along R.
 ///
 /// ```
@@ -199,10 +202,18 @@ impl<F: Float> Episodes<F> {
         }
     }
 
-    /// All episodes begin anew, in this epoch, counted from 0.
+    /// Begins an epoch, counted from 0. In the first one, and without a value function in each, all
+    /// episodes begin.
     pub(super) fn begin(&mut self, epoch: usize) {
         self.tally = Tally::default();
-        (0..self.samples).for_each(|sample| self.restart(sample, epoch, 0));
+        if epoch == 0 || self.critic.is_none() {
+            (0..self.samples).for_each(|sample| self.restart(sample, epoch, 0));
+        }
+    }
+
+    /// Returns whether an episode begins anew before the window with this number, by its length.
+    fn is_over(&self, sample: usize, window: usize) -> bool {
+        self.critic.is_some() && sample * self.windows / self.samples == window % self.windows
     }
 
     /// One episode begins anew before this window of this epoch.
@@ -265,7 +276,8 @@ impl<F: Float> Episodes<F> {
         let stored = (self.steps + 1) * self.states;
         for (&sample, states) in chosen.iter().zip(visited.states.chunks_exact(stored)) {
             let last = &states[self.steps * self.states..];
-            if ended.is_some_and(|ended| last[ended] != F::zero()) {
+            let has_ended = ended.is_some_and(|ended| last[ended] != F::zero());
+            if has_ended || self.is_over(sample, window + 1) {
                 self.restart(sample, epoch, window + 1);
             } else {
                 self.carried[sample * self.each..][..self.states].copy_from_slice(last);
