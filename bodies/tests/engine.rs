@@ -90,7 +90,7 @@ fn contact_forces_are_those_of_newtons_law() {
     );
     let bodies = Bodies::new(files::parse(&text, "balls").unwrap()).unwrap();
     let mut x = bodies.reference().to_vec();
-    x.extend([0.1, 0.0, 0.2, 0.0, 0.0, 0.0, -0.2, 0.3, -0.1, 0.5, 0.0, 0.0]);
+    x.extend([0.1, 0.0, -0.2, 0.0, 0.0, 0.0, -0.2, 0.3, -0.1, 0.5, 0.0, 0.0]);
     let inputs = Inputs::new(&x, &[]);
     let (a, _) = bodies.accelerations(inputs);
     let forces = bodies.contact_forces(inputs);

@@ -45,7 +45,7 @@ pub struct Jumps {
     pub predicted: f64,
     /// Error of the predicted slopes in the random directions, as a vector, relative to the slopes.
     pub error: f64,
-    /// Interval of `error`: three standard errors for these rollouts as a sample of all.
+    /// Interval of `error`: three standard errors of the difference, relative to the same slopes.
     pub interval: [f64; 2],
 }
 
@@ -86,7 +86,7 @@ impl fmt::Display for Jumps {
         if self.is_undecided() {
             write!(
                 f,
-                ". R or the loss varies too strongly between rollouts, as with stiff contact or in chaos. Use softer forces, \
+                ". R varies too strongly between rollouts, as with stiff contact or in chaos. Use softer forces, \
                  shorter time steps or a shorter horizon"
             )?;
         }
@@ -272,7 +272,7 @@ fn compare(directions: &[Diameter], predicted: impl Fn(&Diameter) -> &Vec<f64>) 
         let squares = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>();
         squares / (samples as f64 - 1.0).max(1.0) / samples as f64
     };
-    let [mut bias, mut slope, mut size, mut of_bias, mut of_slope, mut of_rule] = [0.0; 6];
+    let [mut bias, mut slope, mut size, mut of_bias, mut of_rule] = [0.0; 5];
     for direction in directions {
         let found = predicted(direction);
         let errors: Vec<f64> =
@@ -280,24 +280,19 @@ fn compare(directions: &[Diameter], predicted: impl Fn(&Diameter) -> &Vec<f64>) 
         bias += mean(&errors).powi(2);
         of_bias += noise(&errors);
         slope += mean(&direction.differences).powi(2);
-        of_slope += noise(&direction.differences);
         size += mean(found).powi(2);
         of_rule += (mean(found) - mean(&direction.predicted)).powi(2);
     }
-    let [bias, slope, size, of_bias, of_slope, of_rule] =
-        [bias, slope, size, of_bias, of_slope, of_rule].map(f64::sqrt);
+    let [bias, slope, size, of_bias, of_rule] =
+        [bias, slope, size, of_bias, of_rule].map(f64::sqrt);
     let root = (directions.len() as f64).sqrt();
-    let (of_bias, of_slope) = (ERRORS * (of_bias + of_rule), ERRORS * of_slope);
+    let half = ERRORS * (of_bias + of_rule);
     Jumps {
         samples,
         slope: slope / root,
         predicted: size / root,
         error: bias / slope,
-        interval: [
-            (bias - of_bias).max(0.0) / (slope + of_slope),
-            // Infinite if the slope may be 0.
-            (bias + of_bias) / (slope - of_slope).max(0.0),
-        ],
+        interval: [(bias - half).max(0.0), bias + half].map(|bound| bound / slope),
     }
 }
 
