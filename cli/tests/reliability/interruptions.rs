@@ -30,7 +30,7 @@ fn metrics(out: &Path) -> Vec<String> {
     let text = fs::read_to_string(out.join("metrics.csv")).expect("metrics");
     let row = |line: &str| {
         let mut fields: Vec<&str> = line.split(',').collect();
-        assert_eq!(fields.len(), 14, "{line}");
+        assert_eq!(fields.len(), 17, "{line}");
         fields.remove(6);
         fields.join(",")
     };
