@@ -142,8 +142,7 @@ impl<F: Float> State<F> {
         training: Training,
         windows: Option<Windows>,
         weights: Weights<F>,
-        train: Vec<F>,
-        test: Vec<F>,
+        [train, test]: [Vec<F>; 2],
     ) -> Result<Self, TrainError> {
         let params = policy.param_count();
         let n = task.start_dim();

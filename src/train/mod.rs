@@ -393,7 +393,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
             }
             None => Weights::init(&policy, &mut stream(training.seed, Purpose::Policy, 0)),
         };
-        Session::new(task, policy, field, training, windows, weights, train, test)
+        Session::new(task, policy, field, training, windows, weights, [train, test])
     }
 
     /// Creates a session from given parameters and initial states; see
@@ -420,7 +420,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
         let training = self.settings();
         let Self { task, policy, field, windows, .. } = self;
         let weights = Weights::new(&policy, finite(theta)?);
-        Session::new(task, policy, field, training, windows, weights, train, test)
+        Session::new(task, policy, field, training, windows, weights, [train, test])
     }
 
     /// All settings, with the number of epochs and the seed of the builder.

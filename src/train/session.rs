@@ -34,11 +34,9 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
         training: Training,
         windows: Option<Windows>,
         weights: Weights<F>,
-        train: Vec<F>,
-        test: Vec<F>,
+        sets: [Vec<F>; 2],
     ) -> Result<Self, TrainError> {
-        let state =
-            State::new(&task, &policy, field.flows(), training, windows, weights, train, test)?;
+        let state = State::new(&task, &policy, field.flows(), training, windows, weights, sets)?;
         Ok(Self { task, policy, field, state })
     }
 
