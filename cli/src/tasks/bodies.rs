@@ -13,7 +13,7 @@ use physgrad::graph::{Costs, Names, Replaced, Replacement};
 use physgrad::{DynTask, Inputs, System as _};
 use physgrad_bodies::{self as bodies, components};
 use physgrad_plot::Animation;
-use picture::film;
+use picture::{film, legend};
 use settings::{BodiesSettings, Contacts, read_text};
 
 /// Task `bodies`.
@@ -163,5 +163,16 @@ impl TaskSpec for Bodies {
             .collect();
         let model = bodies.model();
         film(model, &poses, &touching, Self::dt(settings), &model.name)
+    }
+
+    fn unfinished(
+        settings: &Settings<Self>,
+        rollout: &Trajectory,
+        _bounds: Option<&[[f64; 2]]>,
+    ) -> Animation {
+        let task = settings.system.task(1, settings.horizon).expect("validated settings");
+        // A legend from the first force on would change the size of the picture.
+        let legend = legend(task.bodies().can_touch());
+        Animation { legend, ..Self::animation(settings, rollout) }
     }
 }

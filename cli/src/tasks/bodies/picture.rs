@@ -57,7 +57,6 @@ pub fn film(
     let frames: Vec<Frame> =
         motion.iter().map(|(poses, _)| Frame::new(model, &camera, &solids, poses)).collect();
     let mut forces = Forces::new(model, &camera, &motion);
-    let legend = vec![("contact force".to_owned(), colour::FORCE)];
     let view = view(&camera, frames.iter().flat_map(|frame| &frame.outlines));
     let reach = [-1.0, 1.0].map(|sign| [sign * camera.reach; 2]);
     Animation {
@@ -65,7 +64,7 @@ pub fn film(
         seconds: time * slowness,
         view,
         reach: Some(union(view, (reach[0], reach[1]))),
-        legend: if forces.is_empty() { Vec::new() } else { legend },
+        legend: legend(!forces.is_empty()),
         frames: { frames.into_iter().zip(motion) }
             .map(|(frame, (poses, touching))| {
                 // Beyond the identifiers of solids and their shadows.
@@ -78,6 +77,11 @@ pub fn film(
         time,
         ..Animation::default()
     }
+}
+
+/// The legend of a film with or without contact forces.
+pub fn legend(has_forces: bool) -> Vec<(String, &'static str)> {
+    has_forces.then(|| ("contact force".to_owned(), colour::FORCE)).into_iter().collect()
 }
 
 /// What the camera sees at one time.
