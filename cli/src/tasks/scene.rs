@@ -302,7 +302,7 @@ impl Scene {
 
     /// Compares R with the derivative of the mean loss. None if that would take long.
     pub fn jumps(&self, theta: &[f64]) -> Option<Result<Jumps, Divergence>> {
-        checks::jumps(&self.stepped(), &self.policy, theta, self.seed)
+        checks::jumps(&self.physics, &self.policy, theta, self.seed)
     }
 
     /// Key and value of a setting with which forces at contact begin without a jump, if the scene has
