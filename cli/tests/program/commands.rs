@@ -544,6 +544,14 @@ fn the_gradient_checks_of_cart_pole_pass() {
 }
 
 #[test]
+fn a_check_of_windows_passes_with_their_value_function() {
+    let args = ["check", "half_cheetah_run", "--set", "horizon=40", "--set", "window.steps=8"];
+    let output = physgrad(&args).assert().success();
+    let text = String::from_utf8(output.get_output().stdout.clone()).expect("text");
+    assert!(text.contains("rollout") && !text.contains("FAILED"), "{text}");
+}
+
+#[test]
 fn a_check_distinguishes_long_steps_from_unstable_physics() {
     let dir = TempDir::new().expect("a folder");
     let checked = |scene: &str| {
