@@ -18,7 +18,7 @@ venv=$target/python-venv
 rm -rf "$venv"
 "$python" -m venv "$venv"
 pip() { "$venv/bin/python" -m pip --quiet --disable-pip-version-check --retries 1 "$@"; }
-pip install numpy pytest || skip "pip cannot install packages"
+pip install numpy pytest pytest-xdist || skip "pip cannot install packages"
 # Tests of missing packages skip with a reason.
 pip install gymnasium pygame jax casadi || echo "gymnasium, pygame, jax or casadi is missing: their tests are skipped"
 if [ "${PHYSGRAD_PYTHON_ALL:-0}" = 1 ]; then
@@ -44,4 +44,7 @@ fi
 # Runs in the folder of the tests, so that Python and its child processes import the installed
 # package, not the folder `physgrad`, which has no compiled module. The tests share `networks.py`.
 cd tests
-PYTHONPATH=$PWD "$venv/bin/pytest" -q --import-mode=importlib --rootdir . -c ../pyproject.toml .
+tests() { PYTHONPATH=$PWD "$venv/bin/pytest" -q --import-mode=importlib --rootdir . -c ../pyproject.toml "$@"; }
+# Tests of times run alone.
+tests test_interrupt.py
+tests --numprocesses auto --dist worksteal --ignore test_interrupt.py .

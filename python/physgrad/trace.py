@@ -22,7 +22,7 @@ from ._import_jax import JaxFunction
 from ._trace_arrays import constructors
 from ._trace_errors import begin, near, place_of
 from ._trace_graph import FUNCTIONS, Graph, Text
-from ._trace_numbers import CALLS, Call, is_traced, lift
+from ._trace_numbers import CALLS, Call, Condition, compare, is_traced, lift
 from ._trace_vectors import Parameters, plain, vector
 
 __all__ = ["detach", "system", "trace_settings"]
@@ -34,6 +34,7 @@ ARGUMENTS = {
     "observe": ("x", "p", "t"),
     "running_cost": ("x", "u", "next", "p", "t"),
     "terminal_cost": ("x", "p"),
+    "end": ("x", "p"),
 }
 RESERVED = FUNCTIONS | {"t", "dt", "pi", "next", "and", "or", "not", "inf", "nan"}
 # Other words that name an argument.
@@ -223,7 +224,7 @@ class Plan:
 
     def arguments(self, role: str) -> dict[str, Any]:
         """The traced arguments of a function. Names of tables have no value after the last step."""
-        left_out = self.tables if role == "terminal_cost" else ()
+        left_out = self.tables if role in ("terminal_cost", "end") else ()
         values = {
             name: self.arrays[name] if name in self.arrays else numbers.name(name)
             for name in self.order
@@ -301,6 +302,7 @@ EXPECTED = {
     "observe": "a list of numbers",
     "running_cost": "one number",
     "terminal_cost": "one number",
+    "end": "one condition on the state, such as `x.height < 0.7`",
 }
 
 
@@ -325,6 +327,18 @@ def components(role: str, where: str, result: Any, states: list[str]) -> list[An
     return found
 
 
+def condition(function: Function, result: Any) -> Condition:
+    """The condition that a function returned. In CasADi, conditions are numbers, 0 or 1."""
+    while isinstance(result, (list, tuple, np.ndarray)) and np.size(result) == 1:
+        result = result[0] if isinstance(result, (list, tuple)) else plain(result).item()
+    if isinstance(function, CasadiFunction) and is_traced(result):
+        result = compare("gt", result, 0.5)
+    if isinstance(result, Condition):
+        return result
+    found = shape_of(result) if is_traced(result) or np.size(result) > 1 else repr(result)
+    raise TypeError(f"{begin(function)} returned {found}; `end` returns {EXPECTED['end']}")
+
+
 def shape_of(result: Any) -> str:
     if isinstance(result, (list, tuple)):
         return f"a {type(result).__name__} of {len(result)} elements"
@@ -343,7 +357,10 @@ def traced(graph: Graph, plan: Plan, role: str, function: Function) -> list[int]
     try:
         positional, named = fit(role, function, plan.arguments(role))
         result = function(*positional, **named)
-        found = components(role, begin(function), result, plan.states)
+        if role == "end":
+            found = [condition(function, result)]
+        else:
+            found = components(role, begin(function), result, plan.states)
     except Exception as error:
         reported = call.refused or error
         if OF_SHAPES.search(str(reported)) and len(reported.args) == 1:
@@ -394,6 +411,7 @@ def trace_settings(
     observe: Function | None = None,
     running_cost: Function | None = None,
     terminal_cost: Function | None = None,
+    end: Function | None = None,
     angles: Sequence[str] = (),
     units: dict[str, str] | None = None,
     **settings: Any,
@@ -412,6 +430,7 @@ def trace_settings(
         "observe": observe,
         "running_cost": running_cost,
         "terminal_cost": terminal_cost,
+        "end": end,
     }
     functions: dict[str, Function] = {
         role: CasadiFunction(function) if is_casadi(function) else function
@@ -461,7 +480,7 @@ def trace_settings(
         },
         "loss": {
             key: found[role][0]
-            for key, role in (("running", "running_cost"), ("terminal", "terminal_cost"))
+            for key, role in (("running", "running_cost"), ("terminal", "terminal_cost"), ("end", "end"))
             if role in found
         },
         "integrator": {}
@@ -510,9 +529,10 @@ def system(*arguments: Any, **settings: Any) -> Task:
 
     `rate` returns the derivative of the state by time; `step=` returns the next state instead.
     Functions take any of `x`, `u`, `p`, `t` (and `next`, in `running_cost`) by these names, or in
-    this order: (x, u, p, t), observe (x, p, t), running_cost (x, u, next, p, t), terminal_cost (x,
-    p). Components have the names of `states`, `controls` and `params`: `x.h1`, `x["h1"]`, `x[0]`.
-    `p.dt` is the time step.
+    this order: (x, u, p, t), observe (x, p, t), running_cost (x, u, next, p, t), terminal_cost and
+    end (x, p). Components have the names of `states`, `controls` and `params`: `x.h1`, `x["h1"]`, `x[0]`.
+    `p.dt` is the time step. `end` returns a condition; an episode ends at the first state in which it
+    holds.
 
     `states` is a list of names, or a count for x1, x2, ...; `controls` may also be a dict of
     bounds, (low, high) or None. `params` has numbers, constant arrays, `pg.uniform`, `pg.normal`,

@@ -6,7 +6,7 @@ import pytest
 import physgrad as pg
 
 
-def fall(**settings):
+def fall(end=lambda x: abs(x.angle) > 0.8, **settings):
     """A pendulum that falls, whose episodes end at an angle of 0.8 rad."""
 
     def rate(x, u):
@@ -20,8 +20,9 @@ def fall(**settings):
         horizon=40,
         start=dict(angle=pg.uniform(-0.3, 0.3), speed=pg.uniform(-0.3, 0.3)),
         running_cost=lambda x, u, next: next.angle**2 - 1,
+        end=end,
     )
-    return task.replace(loss={"end": "abs(angle) > 0.8"}, **settings)
+    return task.replace(**settings)
 
 
 def test_a_condition_ends_episodes_in_rollouts_and_environments():
@@ -45,6 +46,44 @@ def test_a_condition_ends_episodes_in_rollouts_and_environments():
         assert total == pytest.approx(-loss, rel=1e-12)
         lengths.append(steps)
     assert min(lengths) < 40, lengths
+
+
+def test_an_end_is_a_condition_of_the_state():
+    starts = fall(end=None).starts(8, dtype="float64", seed=3)
+    assert fall(end=None).ended is None
+
+    def losses(task):
+        return pg.losses(task, lambda y: np.zeros((len(y), 1)), np.pad(starts, ((0, 0), (0, 1))))
+
+    expected = losses(fall(end=None, precision="f64", loss={"end": "abs(angle) > 0.8"}))
+
+    def far(x):
+        return np.any(np.abs(np.array([x.angle, x.angle / 2])) > np.array([0.8, 5.0]))
+
+    casadi = pytest.importorskip("casadi")
+    x = casadi.SX.sym("x", 2)
+    for end in (
+        lambda x: abs(x.angle) > 0.8,
+        lambda x, p: [(x.angle > 0.8) | (x.angle < -0.8)],
+        far,
+        casadi.Function("end", [x], [casadi.fabs(x[0]) > 0.8]),
+    ):
+        assert (losses(fall(end=end, precision="f64")) == expected).all()
+    with pytest.raises(TypeError, match=r"returned one number; `end` returns one condition on the state"):
+        fall(end=lambda x: x.angle)
+    with pytest.raises(TypeError, match=r"returned True; `end` returns one condition"):
+        fall(end=lambda x: True)
+    with pytest.raises(TypeError, match=r"argument `u` that does not fit: `end` receives x, p"):
+        fall(end=lambda x, u: x.angle > u.torque)
+    with pytest.raises(ValueError, match=r"`loss.end` is given twice"):
+        pg.system(
+            lambda x, u: [u.a],
+            states=["q"],
+            controls=["a"],
+            dt=0.1,
+            end=lambda x: x.q > 1,
+            loss={"end": "q > 2"},
+        )
 
 
 def test_vector_environments_begin_anew_after_an_end():

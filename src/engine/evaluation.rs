@@ -134,13 +134,9 @@ impl<F: Float> Evaluation<F> {
                 worker
                     .costs
                     .extend((0..worker.rollout.samples()).map(|s| worker.rollout.cost(s).as_()));
-                if let Some(ended) = task.ended() {
-                    let Evaluator { rollout, lengths, .. } = &mut *worker;
-                    let horizon = rollout.horizon;
-                    let steps = |s: usize| -> f64 { rollout.state(horizon, s, ended).as_() };
-                    let whole = |steps: f64| if steps == 0.0 { horizon as f64 } else { steps };
-                    lengths.extend((0..rollout.samples()).map(|s| whole(steps(s))));
-                }
+                let Evaluator { rollout, lengths, .. } = &mut *worker;
+                let length = |sample| rollout.length(task, sample).map(|steps| steps as f64);
+                lengths.extend((0..rollout.samples()).filter_map(length));
                 outcome.map_err(|d| d.offset(index * per_worker + i * EVALUATED))
             });
         });

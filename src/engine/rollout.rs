@@ -624,6 +624,17 @@ impl<F: Float> Rollout<F> {
         self.costs[sample / LANES].lane(sample % LANES)
     }
 
+    /// Number of steps of the episode of a sample after a run. None if the episodes of the task cannot
+    /// end.
+    ///
+    /// # Panics
+    /// If there is no such sample.
+    #[track_caller]
+    pub fn length(&self, task: &dyn AnyTask<F>, sample: usize) -> Option<usize> {
+        let steps = self.state(self.horizon, sample, task.ended()?).as_();
+        Some(if steps == 0.0 { self.horizon } else { steps as usize })
+    }
+
     /// Appends all states and controls, `[sample][step][component]`, of a rollout with a tape.
     pub(crate) fn append(&self, states: &mut Vec<F>, controls: &mut Vec<F>) {
         let copy =

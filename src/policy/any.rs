@@ -1,6 +1,6 @@
 //! [`AnyPolicy`]: an object-safe [`Policy`] for one precision.
 
-use super::{NetworkLayer, Policy, PolicyPass, PolicyRecord, Sizes, Tensor, TrainedParam};
+use super::{InputLayer, NetworkLayer, Policy, PolicyPass, PolicyRecord, Sizes, Tensor, TrainedParam};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::Float;
 
@@ -26,6 +26,8 @@ pub trait AnyPolicy<F: Float>: Send + Sync {
     fn tensors(&self) -> Vec<Tensor>;
     #[doc(hidden)]
     fn network(&self) -> Option<Vec<NetworkLayer>>;
+    #[doc(hidden)]
+    fn input_layer(&self) -> Option<InputLayer>;
     #[doc(hidden)]
     fn sizes(&self, columns: usize) -> Sizes;
     #[doc(hidden)]
@@ -94,6 +96,11 @@ impl<P: Policy, F: Float> AnyPolicy<F> for P {
     #[inline(never)]
     fn network(&self) -> Option<Vec<NetworkLayer>> {
         Policy::network(self)
+    }
+
+    #[inline(never)]
+    fn input_layer(&self) -> Option<InputLayer> {
+        Policy::input_layer(self)
     }
 
     fn sizes(&self, columns: usize) -> Sizes {

@@ -1,6 +1,6 @@
 //! [`Bounded`]: a policy with bounded controls.
 
-use super::{Action, Observed, Policy, PolicyPass, PolicyRecord, Sizes, Tensor, TrainedParam};
+use super::{Action, InputLayer, Observed, Policy, PolicyPass, PolicyRecord, Sizes, Tensor, TrainedParam};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Float, Scalar};
 
@@ -166,6 +166,10 @@ impl<P: Policy> Policy for Bounded<P> {
 
     fn tensors(&self) -> Vec<Tensor> {
         self.policy.tensors()
+    }
+
+    fn input_layer(&self) -> Option<InputLayer> {
+        self.policy.input_layer()
     }
 
     fn sizes<F: Float>(&self, columns: usize) -> Sizes {

@@ -1,7 +1,7 @@
 //! [`DynPolicy`]: any policy behind a pointer.
 
 use super::{
-    Action, AnyPolicy, NetworkLayer, Observed, Policy, PolicyPass, PolicyRecord, Sizes, Tensor,
+    Action, AnyPolicy, InputLayer, NetworkLayer, Observed, Policy, PolicyPass, PolicyRecord, Sizes, Tensor,
     TrainedParam,
 };
 use crate::numbers::instances::{SCALARS, ScalarFunction, fill, scalar_pointer};
@@ -143,6 +143,10 @@ impl Policy for DynPolicy {
 
     fn network(&self) -> Option<Vec<NetworkLayer>> {
         self.double().network()
+    }
+
+    fn input_layer(&self) -> Option<InputLayer> {
+        self.double().input_layer()
     }
 
     fn sizes<F: Float>(&self, columns: usize) -> Sizes {

@@ -8,7 +8,7 @@
 
 use super::activation::activate;
 use super::{
-    Action, Activation, LayerKind, NetworkLayer, Observed, Policy, PolicyColumns, PolicyPass,
+    Action, Activation, InputLayer, LayerKind, NetworkLayer, Observed, Policy, PolicyColumns, PolicyPass,
     PolicyRecord, Sizes, Tensor,
 };
 use crate::numbers::kernels::SimdLevel;
@@ -249,6 +249,12 @@ impl Policy for Mlp {
             activation: (i < last).then_some(self.activation),
         };
         Some((1..=last).map(layer).collect())
+    }
+
+    fn input_layer(&self) -> Option<InputLayer> {
+        let Layer { inputs, outputs, .. } = self.layer::<f64>(0);
+        let end = inputs * outputs;
+        Some(InputLayer { inputs, kernel: 0..end, bias: self.bias.then_some(end..end + outputs) })
     }
 
     fn sizes<F: Float>(&self, columns: usize) -> Sizes {

@@ -37,7 +37,7 @@ pub use conv::Conv;
 pub use dyn_policy::DynPolicy;
 pub use linear::Linear;
 pub use mlp::Mlp;
-pub use network::{LayerKind, NetworkLayer};
+pub use network::{InputLayer, LayerKind, NetworkLayer};
 pub use open_loop::OpenLoop;
 pub use recurrent::{Elman, Gru};
 pub use sum::Sum;
@@ -123,6 +123,12 @@ pub trait Policy: Send + Sync {
     /// Layers of the policy, for export to other programs. Default: `None`, for policies that are
     /// not a sequence of layers.
     fn network(&self) -> Option<Vec<NetworkLayer>> {
+        None
+    }
+
+    /// The layer through which alone the policy depends on the observation, for training in units of
+    /// the observation. Default: `None`, for policies without such a layer.
+    fn input_layer(&self) -> Option<InputLayer> {
         None
     }
 

@@ -1,7 +1,36 @@
-//! [`NetworkLayer`]: layers of a policy, for files that other programs read.
+//! [`NetworkLayer`]: layers of a policy, for files that other programs read. [`InputLayer`]: the place
+//! of the first layer.
 
 use super::Activation;
 use serde::Serialize;
+use std::ops::Range;
+
+/// Place in `θ` of a first layer `z[o] = b[o] + Σ_i y[i] W[i, o]` through which alone a policy depends
+/// on the observation y.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct InputLayer {
+    /// Components of the observation.
+    pub inputs: usize,
+    /// Entries of W, row-major.
+    pub kernel: Range<usize>,
+    /// Entries of b, after those of W.
+    pub bias: Option<Range<usize>>,
+}
+
+impl InputLayer {
+    /// The rows of W, and b, within parameters or their derivatives.
+    pub(crate) fn parts<'a, F>(
+        &self,
+        theta: &'a mut [F],
+    ) -> (impl Iterator<Item = &'a mut [F]>, Option<&'a mut [F]>) {
+        let (before, after) = theta.split_at_mut(self.kernel.end);
+        let outputs = self.kernel.len() / self.inputs.max(1);
+        let bias = self.bias.clone().map(|bias| {
+            &mut after[bias.start - self.kernel.end..bias.end - self.kernel.end]
+        });
+        (before[self.kernel.start..].chunks_exact_mut(outputs.max(1)), bias)
+    }
+}
 
 /// A layer of a feedforward policy. The observation is the input of the first layer, and the
 /// control is the output of the last one.

@@ -1,6 +1,6 @@
 //! [`WithParams`]: a policy and parameters of the system, trained together.
 
-use super::{Action, NetworkLayer, Observed, Policy, PolicyPass, PolicyRecord, Sizes, Tensor};
+use super::{Action, InputLayer, NetworkLayer, Observed, Policy, PolicyPass, PolicyRecord, Sizes, Tensor};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Float, Scalar};
 
@@ -320,6 +320,10 @@ impl<P: Policy> Policy for WithParams<P> {
 
     fn network(&self) -> Option<Vec<NetworkLayer>> {
         self.policy.network()
+    }
+
+    fn input_layer(&self) -> Option<InputLayer> {
+        self.policy.input_layer()
     }
 
     fn sizes<F: Float>(&self, columns: usize) -> Sizes {

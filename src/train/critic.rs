@@ -1,6 +1,7 @@
 //! [`Critic`]: a value function, trained on the windows that the actor visits.
 
 use super::episodes::Windows;
+use super::units::Units;
 use super::window::Value;
 use crate::dynamics::inputs::{Cotangents, Inputs, Start, add};
 use crate::dynamics::system::System;
@@ -12,7 +13,7 @@ use crate::engine::visited::Visited;
 use crate::numbers::aligned::Aligned;
 use crate::numbers::rng::{Purpose, Rng, stream};
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
-use crate::policy::{AnyPolicy, Mlp, Policy, PolicyColumns, PolicyPass, Weights};
+use crate::policy::{AnyPolicy, InputLayer, Mlp, Policy, PolicyColumns, PolicyPass, Weights};
 use crate::train::optim::{Clip, Optimizer, OptimizerKind};
 use rand::RngExt as _;
 use rand::seq::SliceRandom;
@@ -90,6 +91,8 @@ pub(super) struct Critic<F: Float> {
     pub(super) state: CriticState<F>,
     weights: Weights<F>,
     starts: Vec<F>,
+    /// First layer of the network, whose stored parameters are those of observations in units.
+    layer: InputLayer,
 }
 
 /// What a checkpoint holds of a [`Critic`].
@@ -183,6 +186,7 @@ impl<F: Float> Critic<F> {
             discount: windows.discount,
             seed,
             settings: settings.clone(),
+            layer: Policy::input_layer(&network).expect("a network has a first layer"),
             network,
             regression,
             weights,
@@ -191,10 +195,12 @@ impl<F: Float> Critic<F> {
     }
 
     /// The value function by which windows end: the slow copy.
-    pub(super) fn value(&self) -> Value {
+    pub(super) fn value(&self, units: &Units) -> Value {
+        let mut theta: Vec<f64> = self.state.slow.iter().map(|theta| theta.as_()).collect();
+        units.leave(&self.layer, &mut theta);
         Value {
             network: self.network.clone(),
-            theta: self.state.slow.iter().map(|theta| theta.as_()).collect(),
+            theta,
             units: self.state.units,
         }
     }
@@ -215,11 +221,12 @@ impl<F: Float> Critic<F> {
         &mut self,
         visited: &Visited<F>,
         ended: Option<usize>,
+        units: &Units,
     ) -> Result<Fit, Divergence> {
         let (steps, k) = (self.regression.steps, self.regression.observed);
         let samples = visited.costs.len() / steps;
         let n = visited.states.len() / (samples * (steps + 1));
-        let values = self.values(&visited.observations);
+        let values = self.values(&visited.observations, units);
         let each = self.regression.params() + 1;
         let mut starts = std::mem::take(&mut self.starts);
         starts.clear();
@@ -255,7 +262,7 @@ impl<F: Float> Critic<F> {
                 *target = F::from_f64((target.as_() - mean) / deviation);
             }
         }
-        let outcome = self.regress(&starts, each);
+        let outcome = self.regress(&starts, each, units);
         self.starts = starts;
         outcome?;
         let follow = F::from_f64(self.settings.follow);
@@ -266,10 +273,12 @@ impl<F: Float> Critic<F> {
     }
 
     /// Values of these observations by the slow copy.
-    pub(super) fn values(&self, observations: &[F]) -> Vec<f64> {
+    pub(super) fn values(&self, observations: &[F], units: &Units) -> Vec<f64> {
         let policy: &dyn AnyPolicy<F> = &self.network;
         let count = observations.len() / self.regression.observed;
-        let slow = Weights::new(policy, self.state.slow.clone());
+        let mut slow = self.state.slow.clone();
+        units.leave(&self.layer, &mut slow);
+        let slow = Weights::new(policy, slow);
         let mut tape = Aligned::zeros(policy.sizes(count).tape);
         let mut values = vec![F::zero(); count];
         let at = PolicyColumns::range(0..count);
@@ -279,7 +288,7 @@ impl<F: Float> Critic<F> {
     }
 
     /// All updates of a window.
-    fn regress(&mut self, starts: &[F], each: usize) -> Result<(), Divergence> {
+    fn regress(&mut self, starts: &[F], each: usize, units: &Units) -> Result<(), Divergence> {
         let samples = starts.len() / each;
         let mut order: Vec<usize> = (0..samples).collect();
         let mut rng = stream(self.seed, Purpose::Value, 1 + self.state.windows);
@@ -293,9 +302,14 @@ impl<F: Float> Critic<F> {
                     chosen.extend_from_slice(&starts[sample * each..][..each]);
                 }
                 let policy: &dyn AnyPolicy<F> = &self.network;
-                self.weights.update(policy, |theta| theta.copy_from_slice(&self.state.theta));
+                self.weights.update(policy, |theta| {
+                    theta.copy_from_slice(&self.state.theta);
+                    units.leave(&self.layer, theta);
+                });
                 self.batch.run(&self.regression, policy, &self.weights, &chosen)?;
                 let gradient = &mut self.batch.gradients_mut()[0];
+                let exponent = gradient.exponent();
+                units.enter_gradient(&self.layer, gradient.values_mut(exponent));
                 Clip::Norm(1.0).apply(gradient);
                 let CriticState { theta, optimizer, .. } = &mut self.state;
                 optimizer.step(theta, gradient);

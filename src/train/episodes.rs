@@ -2,6 +2,7 @@
 
 use super::TrainError;
 use super::critic::{Critic, CriticState, ValueSettings};
+use super::units::{Moments, Units};
 use super::window::Window;
 use crate::dynamics::dyn_task::DynTask;
 use crate::dynamics::number::{draw_key, key_of_epoch};
@@ -9,9 +10,11 @@ use crate::dynamics::system::System as _;
 use crate::dynamics::task::Task;
 use crate::engine::any::AnyTask;
 use crate::engine::divergence::Divergence;
+use crate::engine::gradient::Gradient;
 use crate::engine::visited::Visited;
 use crate::numbers::rng::{Purpose, stream};
 use crate::numbers::scalar::Float;
+use crate::policy::InputLayer;
 use crate::train::Training;
 use serde::{Deserialize, Serialize};
 
@@ -56,6 +59,9 @@ pub struct Windows {
     pub discount: f64,
     /// Standard deviation of normal noise on each control, in its unit, during training.
     pub noise: f64,
+    /// Whether policy and value function are trained as networks of the observation in units of its
+    /// running mean and standard deviation.
+    pub normalize: bool,
     /// The value function of the last state of a window. `None` for no value.
     pub value: Option<ValueSettings>,
 }
@@ -64,7 +70,7 @@ impl Windows {
     /// Windows of this many steps, with a discount of 0.99 and a value function with default
     /// settings.
     pub fn new(task: DynTask, steps: usize) -> Self {
-        Self { task, steps, discount: 0.99, noise: 0.0, value: Some(ValueSettings::default()) }
+        Self { task, steps, discount: 0.99, noise: 0.0, normalize: false, value: Some(ValueSettings::default()) }
     }
 
     /// The first window as a task, with a random value function, for checks of its derivatives.
@@ -81,7 +87,12 @@ impl Windows {
     ///
     /// # Errors
     /// [`TrainError::Setting`] for the first invalid setting.
-    pub(super) fn validate(&self, training: &Training, dims: [usize; 3]) -> Result<(), TrainError> {
+    pub(super) fn validate(
+        &self,
+        training: &Training,
+        layer: Option<&InputLayer>,
+        dims: [usize; 3],
+    ) -> Result<(), TrainError> {
         let Self { steps, discount, noise, .. } = *self;
         let invalid = |setting, problem| Err(TrainError::Setting { setting, problem });
         let horizon = Task::horizon(&self.task);
@@ -108,6 +119,10 @@ impl Windows {
         if training.smoothing.is_some() {
             return invalid("estimator", "is for whole rollouts; remove it, or the windows".into());
         }
+        if self.normalize && layer.is_none() {
+            let problem = "needs a policy with a layer of the whole observation; use an MLP, or remove the setting";
+            return invalid("window.normalize", problem.into());
+        }
         match self.value.as_ref().and_then(ValueSettings::problem) {
             Some((setting, problem)) => invalid(setting, problem),
             None => Ok(()),
@@ -124,6 +139,10 @@ pub(super) struct Episodes<F: Float> {
     steps: usize,
     discount: f64,
     critic: Option<Critic<F>>,
+    /// First layer of the policy, if the observations are normalized.
+    layer: Option<InputLayer>,
+    moments: Moments,
+    units: Units,
     /// Initial states of the training set, for windows. Empty if episodes draw new ones.
     given: Vec<F>,
     /// Where the next window of each episode begins.
@@ -142,6 +161,7 @@ pub(super) struct Episodes<F: Float> {
 pub(super) struct EpisodesState<F> {
     carried: Vec<F>,
     tally: Tally,
+    moments: Moments,
     critic: Option<CriticState<F>>,
 }
 
@@ -158,7 +178,12 @@ struct Tally {
 
 impl<F: Float> Episodes<F> {
     /// Episodes from the initial states `train` of the task.
-    pub(super) fn new(settings: Windows, training: &Training, train: &[F]) -> Self {
+    pub(super) fn new(
+        settings: Windows,
+        training: &Training,
+        layer: Option<InputLayer>,
+        train: &[F],
+    ) -> Self {
         let task: &dyn AnyTask<F> = &settings.task;
         let samples = train.len() / task.start_dim();
         let critic = settings.value.as_ref().map(|value| {
@@ -169,7 +194,8 @@ impl<F: Float> Episodes<F> {
         let (steps, inner) = (settings.steps, task.start_dim());
         let numbers = task.state_dim() + task.param_dim();
         let windows = task.horizon() / steps;
-        let value = critic.as_ref().map(Critic::value);
+        let units = Units::default();
+        let value = critic.as_ref().map(|critic| critic.value(&units));
         let window = Window::new(&settings, value);
         let task: &dyn AnyTask<F> = &window;
         let (each, is_noisy) = (task.start_dim(), !task.noise().is_empty());
@@ -189,6 +215,9 @@ impl<F: Float> Episodes<F> {
             states: task.state_dim(),
             carried: vec![F::zero(); samples * each],
             tally: Tally::default(),
+            layer: layer.filter(|_| settings.normalize),
+            moments: Moments::default(),
+            units,
             window,
             windows,
             steps,
@@ -262,11 +291,14 @@ impl<F: Float> Episodes<F> {
     ) -> Result<(), Divergence> {
         let ended = Task::ended(&self.window);
         if let Some(critic) = &mut self.critic {
-            let fit = critic.learn(visited, ended)?;
+            let fit = critic.learn(visited, ended, &self.units)?;
             self.tally.learned += 1;
             self.tally.error += fit.error;
             self.tally.explained += fit.explained;
-            self.window.value = Some(critic.value());
+            self.window.value = Some(critic.value(&self.units));
+        }
+        if self.layer.is_some() {
+            self.observe(visited, ended);
         }
         // The costs of a window are discounted.
         let costs = visited.costs.iter().enumerate();
@@ -284,6 +316,42 @@ impl<F: Float> Episodes<F> {
             }
         }
         Ok(())
+    }
+
+    /// Adds the observations of a window, up to the end of an episode.
+    fn observe(&mut self, visited: &Visited<F>, ended: Option<usize>) {
+        let observed = visited.observations.len() / (visited.states.len() / self.states);
+        let states = visited.states.chunks_exact(self.states);
+        for (x, y) in states.zip(visited.observations.chunks_exact(observed)) {
+            if ended.is_none_or(|ended| x[ended] == F::zero()) {
+                self.moments.add(y);
+            }
+        }
+    }
+
+    /// Changes a gradient of the policy to one in units of the observations.
+    pub(super) fn enter_gradient(&self, gradient: &mut Gradient<F>) {
+        if let Some(layer) = &self.layer {
+            let exponent = gradient.exponent();
+            self.units.enter_gradient(layer, gradient.values_mut(exponent));
+        }
+    }
+
+    /// Changes the policy by a step in units of the observations, whose mean and deviation then become
+    /// those of all observations.
+    pub(super) fn step(&mut self, theta: &mut [F], step: impl FnOnce(&mut [F])) {
+        let Some(layer) = &self.layer else { return step(theta) };
+        self.units.enter(layer, theta);
+        step(theta);
+        // The policy stays as it is when its units become known.
+        let is_known = self.units != Units::default();
+        self.units = self.moments.units(layer.bias.is_some());
+        if is_known {
+            self.units.leave(layer, theta);
+        }
+        if let Some(critic) = &self.critic {
+            self.window.value = Some(critic.value(&self.units));
+        }
     }
 
     /// Begins the episodes of a mini-batch anew after a window that diverged.
@@ -305,13 +373,14 @@ impl<F: Float> Episodes<F> {
 
     /// Values of these observations.
     pub(super) fn values(&self, observations: &[F]) -> Option<Vec<f64>> {
-        self.critic.as_ref().map(|critic| critic.values(observations))
+        self.critic.as_ref().map(|critic| critic.values(observations, &self.units))
     }
 
     pub(super) fn state(&self) -> EpisodesState<F> {
         EpisodesState {
             carried: self.carried.clone(),
             tally: self.tally,
+            moments: self.moments.clone(),
             critic: self.critic.as_ref().map(|critic| critic.state.clone()),
         }
     }
@@ -319,9 +388,12 @@ impl<F: Float> Episodes<F> {
     pub(super) fn set_state(&mut self, state: &EpisodesState<F>) {
         self.carried.copy_from_slice(&state.carried);
         self.tally = state.tally;
+        self.moments = state.moments.clone();
+        let shifted = self.layer.as_ref().is_some_and(|layer| layer.bias.is_some());
+        self.units = self.moments.units(shifted);
         if let (Some(critic), Some(state)) = (&mut self.critic, &state.critic) {
             critic.state = state.clone();
-            self.window.value = Some(critic.value());
+            self.window.value = Some(critic.value(&self.units));
         }
     }
 
@@ -335,6 +407,9 @@ impl<F: Float> Episodes<F> {
         }
         if let Some(number) = state.carried.iter().find(|number| !number.as_().is_finite()) {
             return Err(format!("a number of its episodes is {number}"));
+        }
+        if !state.moments.is_valid(self.layer.as_ref().map_or(0, |layer| layer.inputs)) {
+            return Err("its mean observation has another size, or is not finite".into());
         }
         match (&self.critic, &state.critic) {
             (None, None) => Ok(()),

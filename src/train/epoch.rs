@@ -154,9 +154,10 @@ impl<F: Float> State<F> {
         let episodes = match windows {
             None => None,
             Some(windows) => {
-                windows
-                    .validate(&training, [task.state_dim(), task.param_dim(), task.horizon()])?;
-                Some(Episodes::new(windows, &training, &train))
+                let dims = [task.state_dim(), task.param_dim(), task.horizon()];
+                let layer = policy.input_layer();
+                windows.validate(&training, layer.as_ref(), dims)?;
+                Some(Episodes::new(windows, &training, layer, &train))
             }
         };
         let stepped: &dyn AnyTask<F> = episodes.as_ref().map_or(task, |episodes| &episodes.window);
@@ -432,13 +433,17 @@ impl<F: Float> State<F> {
                 episodes.abandon(&self.order[chosen], self.records.len(), window);
             }
         }
-        let step = step?;
+        let applied = step?;
         self.note_slopes();
-        self.training.clip.apply_knowing(&mut self.combined, step.norm);
+        self.training.clip.apply_knowing(&mut self.combined, applied.norm);
         let rate = self.learning_rate(update);
-        self.weights
-            .update(problem.policy, |theta| self.optimizer.step_at(rate, theta, &self.combined));
-        Ok(step)
+        let (optimizer, combined) = (&mut self.optimizer, &self.combined);
+        let mut step = |theta: &mut [F]| optimizer.step_at(rate, theta, combined);
+        self.weights.update(problem.policy, |theta| match &mut self.episodes {
+            Some(episodes) => episodes.step(theta, step),
+            None => step(theta),
+        });
+        Ok(applied)
     }
 
     /// In a training by windows, continues the episodes of a mini-batch where its windows ended, and
@@ -510,6 +515,11 @@ impl<F: Float> State<F> {
     ) -> Result<Step, Divergence> {
         let task = self.episodes.as_ref().map_or(task, |episodes| &episodes.window);
         let loss = self.batch.run(task, policy, &self.weights, &self.starts)?;
+        if let Some(episodes) = &self.episodes {
+            for gradient in self.batch.gradients_mut() {
+                episodes.enter_gradient(gradient);
+            }
+        }
         self.combine(field, loss)
     }
 

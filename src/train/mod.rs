@@ -28,6 +28,7 @@ mod record;
 mod session;
 mod smoothing;
 pub mod vector_field;
+mod units;
 mod warnings;
 mod window;
 

@@ -3,7 +3,7 @@
 use physgrad::episode::{Ending, ValueSettings, Windows};
 use physgrad::graph::{Costs, Equations, GraphTask};
 use physgrad::integrator::{AnyIntegrator, RungeKutta};
-use physgrad::policy::{Linear, Mlp};
+use physgrad::policy::{Gru, Linear, Mlp};
 use physgrad::prelude::*;
 use physgrad::train::Session;
 use physgrad::{Clip, DynTask, Rollout, Training, Weights, check, losses};
@@ -155,7 +155,16 @@ fn session(
     value: Option<ValueSettings>,
     workers: usize,
     epochs: usize,
-) -> Session<Plant, Linear, f64> {
+) -> Session<Plant, Mlp, f64> {
+    session_of(workers, epochs, |windows| windows.value = value)
+}
+
+/// A training of the feedback by windows of two steps.
+fn session_of(
+    workers: usize,
+    epochs: usize,
+    change: impl FnOnce(&mut Windows),
+) -> Session<Plant, Mlp, f64> {
     let training = Training {
         batch: 16,
         train_samples: 32,
@@ -167,9 +176,10 @@ fn session(
         workers,
         ..Training::default()
     };
-    let windows =
-        Windows { discount: DISCOUNT, noise: 0.3, value, ..Windows::new(DynTask::new(Plant), 2) };
-    Trainer::new(Plant, Linear::new(1, 1))
+    let mut windows =
+        Windows { discount: DISCOUNT, noise: 0.3, ..Windows::new(DynTask::new(Plant), 2) };
+    change(&mut windows);
+    Trainer::new(Plant, Mlp::new([1, 1]).bias(false).zero_init_output(true))
         .field(Field::regular())
         .precision::<f64>()
         .training(training)
@@ -212,30 +222,50 @@ fn windows_without_a_value_function_are_short_sighted() {
 
 #[test]
 fn threads_and_interruptions_do_not_change_a_training_by_windows() {
-    let value = || Some(ValueSettings { passes: 2, ..ValueSettings::default() });
-    let mut whole = session(value(), 1, 3);
-    while !whole.is_done() {
-        whole.epoch().unwrap();
+    for normalize in [false, true] {
+        let session = |workers| {
+            session_of(workers, 3, |windows| {
+                windows.value = Some(ValueSettings { passes: 2, ..ValueSettings::default() });
+                windows.normalize = normalize;
+            })
+        };
+        let [whole, threaded] = [1, 4].map(|workers| {
+            let mut session = session(workers);
+            while !session.is_done() {
+                session.epoch().unwrap();
+            }
+            session.weights().theta().to_vec()
+        });
+        assert_eq!(whole, threaded);
+        // Interrupted after every update.
+        let mut bytes = session(1).checkpoint("run");
+        let mut updates = 0;
+        let theta = loop {
+            let mut part = session(2);
+            part.restore(&bytes, "run").unwrap();
+            if part.is_done() {
+                break part.weights().theta().to_vec();
+            }
+            part.advance(&|| true).unwrap();
+            bytes = part.checkpoint("run");
+            updates += 1;
+        };
+        assert_eq!((whole, updates), (theta, 3 * 2 * 10), "normalized: {normalize}");
     }
-    let mut threaded = session(value(), 4, 3);
-    while !threaded.is_done() {
-        threaded.epoch().unwrap();
-    }
-    assert_eq!(whole.weights().theta(), threaded.weights().theta());
-    // Interrupted after every update.
-    let mut bytes = session(value(), 1, 3).checkpoint("run");
-    let mut updates = 0;
-    let theta = loop {
-        let mut part = session(value(), 2, 3);
-        part.restore(&bytes, "run").unwrap();
-        if part.is_done() {
-            break part.weights().theta().to_vec();
-        }
-        part.advance(&|| true).unwrap();
-        bytes = part.checkpoint("run");
-        updates += 1;
-    };
-    assert_eq!((whole.weights().theta(), updates), (&theta[..], 3 * 2 * 10));
+}
+
+#[test]
+fn normalized_observations_are_those_of_units_that_change() {
+    // The first update and the one after it, in which the units are known.
+    let [plain, normalized] = [false, true].map(|normalize| {
+        let mut session = session_of(1, 1, |windows| windows.normalize = normalize);
+        [(); 2].map(|()| {
+            session.advance(&|| true).unwrap();
+            session.weights().theta().to_vec()
+        })
+    });
+    assert_eq!(plain[0], normalized[0]);
+    assert_ne!(plain[1], normalized[1]);
 }
 
 #[test]
@@ -269,6 +299,10 @@ fn settings_that_do_not_fit_are_refused() {
         "training.discount: is 1; allowed: a positive number below 1, with a value function"
     );
     assert!(refused(|windows| windows.noise = f64::NAN).contains("window.noise"));
+    let windows = Windows { normalize: true, ..Windows::new(falling(30), 5) };
+    let trainer = Trainer::new(falling(30), Gru::new(2, 4, 1)).windows(windows);
+    let error = trainer.session().map(drop).expect_err("an error").to_string();
+    assert!(error.contains("window.normalize: needs a policy with a layer"), "{error}");
     let lambda = |windows: &mut Windows| {
         windows.value = Some(ValueSettings { lambda: 2.0, ..ValueSettings::default() });
     };

@@ -1,6 +1,6 @@
 //! `physgrad eval`: losses of trained policies from new initial states, with their worst rollouts.
 
-use crate::operations::evaluation::AnyEvaluation;
+use crate::operations::evaluation::{AnyEvaluation, Evaluated};
 use crate::operations::session::Epoch;
 use crate::platform::csv::csv;
 use crate::platform::folder::Folder;
@@ -62,11 +62,10 @@ pub struct Eval {
     pub json: bool,
 }
 
-/// Losses of one policy.
-struct Evaluated {
+/// Results of one policy.
+struct OfPolicy {
     name: String,
-    /// Losses of the rollouts; infinite for those that diverge.
-    losses: Vec<f64>,
+    results: Vec<Evaluated>,
 }
 
 /// Probabilities of the quantiles.
@@ -91,17 +90,17 @@ pub fn eval(args: &Eval) -> Result<()> {
             .evaluation(scene, args.seed)
             .with_context(|| format!("cannot evaluate {}", policy.name))
     };
-    let losses = parallel::map(&pairs, |pair| Ok(evaluation(pair)?.losses(args.samples)));
-    let losses = losses.into_iter().collect::<Result<Vec<_>>>()?;
-    let results: Vec<Evaluated> = policies
+    let results = parallel::map(&pairs, |pair| Ok(evaluation(pair)?.results(args.samples)));
+    let results = results.into_iter().collect::<Result<Vec<_>>>()?;
+    let results: Vec<OfPolicy> = policies
         .iter()
-        .zip(losses)
-        .map(|(policy, losses)| Evaluated { name: policy.name.clone(), losses })
+        .zip(results)
+        .map(|(policy, results)| OfPolicy { name: policy.name.clone(), results })
         .collect();
 
     let folder = Folder::or_fresh(reserved, "eval")?;
     folder.write("losses.csv", losses_csv(&results)?)?;
-    let summary = csv(SUMMARY, results.iter().map(Evaluated::summary))?;
+    let summary = csv(SUMMARY, results.iter().map(OfPolicy::summary))?;
     folder.write("summary.csv", &summary)?;
     folder.write("losses.svg", picture(&title(args, &policies), &results))?;
     let is_separator = |c: char| matches!(c, '/' | '\\') || c.is_control();
@@ -190,7 +189,7 @@ fn scene(args: &Eval, policy: &Trained) -> Result<Scene> {
     Ok(scene)
 }
 
-const SUMMARY: [&str; 12] = [
+const SUMMARY: [&str; 13] = [
     "run",
     "samples",
     "diverged",
@@ -203,15 +202,20 @@ const SUMMARY: [&str; 12] = [
     "quantile_95",
     "worst",
     "worst_sample",
+    "mean_length",
 ];
 
-impl Evaluated {
+impl OfPolicy {
+    fn losses(&self) -> impl Iterator<Item = f64> {
+        self.results.iter().map(|result| result.loss)
+    }
+
     fn finite(&self) -> impl Iterator<Item = f64> {
-        self.losses.iter().copied().filter(|loss| loss.is_finite())
+        self.losses().filter(|loss| loss.is_finite())
     }
 
     fn diverged(&self) -> usize {
-        self.losses.len() - self.finite().count()
+        self.results.len() - self.finite().count()
     }
 
     /// Mean and its standard error, over the rollouts that do not diverge.
@@ -236,36 +240,48 @@ impl Evaluated {
 
     /// Quantiles over all rollouts. Losses of diverged rollouts are infinite.
     fn quantiles(&self) -> [f64; 5] {
-        let sorted = sorted(self.losses.iter().copied());
+        let sorted = sorted(self.losses());
         SHARES.map(|share| quantile(&sorted, share))
     }
 
     /// Indices of the `count` largest losses, the largest first.
     fn worst(&self, count: usize) -> Vec<usize> {
-        let mut samples: Vec<usize> = (0..self.losses.len()).collect();
-        samples.sort_by(|&a, &b| self.losses[b].total_cmp(&self.losses[a]));
+        let mut samples: Vec<usize> = (0..self.results.len()).collect();
+        let loss = |sample: usize| self.results[sample].loss;
+        samples.sort_by(|&a, &b| loss(b).total_cmp(&loss(a)));
         samples.truncate(count);
         samples
+    }
+
+    /// Mean steps of the episodes that did not diverge, if episodes can end.
+    fn length(&self) -> Option<f64> {
+        let lengths = || self.results.iter().filter_map(|result| result.length);
+        let count = lengths().count();
+        (count > 0).then(|| lengths().sum::<usize>() as f64 / count as f64)
     }
 
     /// Row of `summary.csv`.
     fn summary(&self) -> Vec<String> {
         let worst = self.worst(1)[0];
-        let numbers = self.mean().into_iter().chain(self.quantiles()).chain([self.losses[worst]]);
-        let row = [self.name.clone(), self.losses.len().to_string(), self.diverged().to_string()];
-        row.into_iter().chain(numbers.map(|x| x.to_string())).chain([worst.to_string()]).collect()
+        let numbers =
+            self.mean().into_iter().chain(self.quantiles()).chain([self.results[worst].loss]);
+        let row = [self.name.clone(), self.results.len().to_string(), self.diverged().to_string()];
+        let length = self.length().map(|length| length.to_string()).unwrap_or_default();
+        let last = [worst.to_string(), length];
+        row.into_iter().chain(numbers.map(|x| x.to_string())).chain(last).collect()
     }
 }
 
-/// `losses.csv`: one row per policy and initial state.
-fn losses_csv(results: &[Evaluated]) -> Result<Vec<u8>> {
-    let rows = results.iter().flat_map(|result| {
-        let row = |(sample, loss): (usize, &f64)| {
-            [result.name.clone(), sample.to_string(), loss.to_string()]
+/// `losses.csv`: one row per policy and initial state. The length is empty if episodes cannot end.
+fn losses_csv(policies: &[OfPolicy]) -> Result<Vec<u8>> {
+    let rows = policies.iter().flat_map(|policy| {
+        let row = |(sample, result): (usize, &Evaluated)| {
+            let length = result.length.map(|length| length.to_string()).unwrap_or_default();
+            [policy.name.clone(), sample.to_string(), result.loss.to_string(), length]
         };
-        result.losses.iter().enumerate().map(row)
+        policy.results.iter().enumerate().map(row)
     });
-    csv(["run", "sample", "loss"], rows)
+    csv(["run", "sample", "loss", "length"], rows)
 }
 
 /// Writes `worst.csv` with the trajectories of the samples, and an animation of each sample.
@@ -299,17 +315,19 @@ fn title(args: &Eval, policies: &[Trained]) -> String {
     format!("{scene}: losses of {}", counted(args.samples, "rollout"))
 }
 
-fn picture(title: &str, results: &[Evaluated]) -> String {
-    let line = |result: &Evaluated| (result.name.clone(), sorted(result.losses.iter().copied()));
+fn picture(title: &str, results: &[OfPolicy]) -> String {
+    let line = |result: &OfPolicy| (result.name.clone(), sorted(result.losses()));
     distribution(title, results.iter().map(line).collect()).to_svg()
 }
 
-fn table(args: &Eval, results: &[Evaluated]) -> String {
+fn table(args: &Eval, results: &[OfPolicy]) -> String {
+    let can_end = results.iter().any(|result| result.length().is_some());
     let header = ["run", "mean", "5 %", "median", "95 %", "worst", "diverged"];
+    let header = header.into_iter().chain(can_end.then_some("mean steps"));
     let mut table = Table::new(header).optional(&["diverged", "95 %", "5 %"]);
     for result in results {
         let ([mean, error], quantiles) = (result.mean(), result.quantiles());
-        let worst = result.losses[result.worst(1)[0]];
+        let worst = result.results[result.worst(1)[0]].loss;
         let row = [quantiles[0], quantiles[2], quantiles[4], worst].map(short);
         // One rollout has no standard error.
         let mean = if error.is_nan() {
@@ -318,10 +336,11 @@ fn table(args: &Eval, results: &[Evaluated]) -> String {
             format!("{} ± {}", short(mean), rough(error))
         };
         let first = [result.name.clone(), mean];
-        table.row(first.into_iter().chain(row).chain([result.diverged().to_string()]));
+        let length = can_end.then(|| result.length().map_or("-".into(), short));
+        table.row(first.into_iter().chain(row).chain([result.diverged().to_string()]).chain(length));
     }
     let rollouts = counted(args.samples, "rollout");
-    let note = |result: &Evaluated| {
+    let note = |result: &OfPolicy| {
         let (few, mean) = result.outliers()?;
         let (few, name) = (counted(few, "rollout"), &result.name);
         Some(format!(
@@ -344,7 +363,9 @@ mod tests {
     fn a_few_losses_with_almost_the_whole_sum_are_outliers() {
         let outliers = |large: &[f64], small: usize| {
             let losses = [large, &vec![0.5; small], &[f64::INFINITY]].concat();
-            Evaluated { name: String::new(), losses }.outliers()
+            let result = |loss| Evaluated { loss, length: None };
+            let results = losses.into_iter().map(result).collect();
+            OfPolicy { name: String::new(), results }.outliers()
         };
         assert_eq!(outliers(&[1e153], 9), Some((1, 0.5)));
         assert_eq!(outliers(&[1e153, 1e90], 198), Some((2, 0.5)));

@@ -252,13 +252,16 @@ fn difference(a: [[i64; 8]; 3], b: [[i64; 8]; 3]) -> [[i64; 8]; 3] {
 }
 
 /// Table of the memory of a rollout: in evaluation mode, and with the adjoint of each field of the
-/// paper. Columns per sample: bytes per step, constant bytes, and bytes of the whole rollout.
+/// paper. Columns per sample: bytes per step, constant bytes, and bytes of the whole rollout, or with
+/// an adjoint of the window if the scene has one.
 fn bytes(scene: &Scene) -> Result<Table> {
-    let mut table = Table::new(["field", "bytes per step", "constant", "whole rollout"]);
-    let steps = scene.horizon;
+    let whole =
+        if scene.steps() < scene.horizon { "rollout or window" } else { "whole rollout" };
+    let mut table = Table::new(["field", "bytes per step", "constant", whole]);
     let with_horizon = |horizon: usize| {
         let mut table = scene.table();
         table.insert("horizon".into(), toml::Value::Integer(horizon as i64));
+        table.remove("window");
         scene.task.scene(table)
     };
     // Measures two horizons to separate the bytes per step from the constant bytes.
@@ -267,6 +270,7 @@ fn bytes(scene: &Scene) -> Result<Table> {
         let [short, long] = [&short, &long].map(|scene| scene.stored(field));
         let per_step = (long - short) / (FEW_STEPS * SAMPLES);
         let constant = short / SAMPLES - per_step * FEW_STEPS;
+        let steps = if field.is_some() { scene.steps() } else { scene.horizon };
         table.row([
             name.to_owned(),
             per_step.to_string(),

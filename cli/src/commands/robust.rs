@@ -163,7 +163,9 @@ fn scene(policy: &Trained, at: &[f64], args: &Robust) -> Result<Scene> {
 
 /// Evaluates a policy at one grid point.
 fn evaluate(policy: &Trained, run: usize, at: &[f64], args: &Robust) -> Result<Cell> {
-    let losses = policy.evaluation(&scene(policy, at, args)?, args.seed)?.losses(args.samples);
+    let evaluation = policy.evaluation(&scene(policy, at, args)?, args.seed)?;
+    let losses: Vec<f64> =
+        evaluation.results(args.samples).into_iter().map(|result| result.loss).collect();
     let diverged = losses.iter().filter(|loss| !loss.is_finite()).count();
     let losses = sorted(losses.into_iter());
     Ok(Cell {

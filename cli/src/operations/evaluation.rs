@@ -10,10 +10,19 @@ use physgrad::{DynTask, Float, Policy, Rollout, Weights, initial_states};
 
 /// A policy with its parameters, and a seed of initial states.
 pub trait AnyEvaluation {
-    /// Losses from the initial states `0 .. samples`; infinite for rollouts that diverge.
-    fn losses(&self, samples: usize) -> Vec<f64>;
+    /// Results from the initial states `0 .. samples`.
+    fn results(&self, samples: usize) -> Vec<Evaluated>;
     /// Rollout from the initial state `sample`.
     fn rollout(&self, sample: usize) -> Trajectory;
+}
+
+/// Result of one rollout.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Evaluated {
+    /// Infinite if the rollout diverges.
+    pub loss: f64,
+    /// Steps of the episode. None if episodes of the task cannot end, or the rollout diverges.
+    pub length: Option<usize>,
 }
 
 struct Evaluation<P, F> {
@@ -60,8 +69,8 @@ fn weights<F: Float>(policy: &dyn AnyPolicy<F>, theta: &[f64]) -> Weights<F> {
 }
 
 impl<P: Policy, F: Float> AnyEvaluation for Evaluation<P, F> {
-    fn losses(&self, samples: usize) -> Vec<f64> {
-        losses(
+    fn results(&self, samples: usize) -> Vec<Evaluated> {
+        results(
             &self.task,
             &self.policy,
             &self.weights,
@@ -76,40 +85,37 @@ impl<P: Policy, F: Float> AnyEvaluation for Evaluation<P, F> {
     }
 }
 
-fn losses<F: Float>(
+fn results<F: Float>(
     task: &dyn AnyTask<F>,
     policy: &dyn AnyPolicy<F>,
     weights: &Weights<F>,
     starts: &[F],
-) -> Vec<f64> {
+) -> Vec<Evaluated> {
     /// Largest number of samples in a rollout.
     const BLOCK: usize = 32;
+    const DIVERGED: Evaluated = Evaluated { loss: f64::INFINITY, length: None };
     let samples = starts.len() / task.start_dim();
     let mut rollout = Rollout::for_evaluation(task, policy, BLOCK.min(samples));
     let mut run = |starts: &[F]| {
         rollout.start(starts);
-        let outcome = rollout.run(task, policy, weights);
-        outcome.map(|()| {
-            (0..rollout.samples()).map(|sample| rollout.cost(sample).as_()).collect::<Vec<f64>>()
-        })
+        rollout.run(task, policy, weights).ok()?;
+        let result = |sample| Evaluated {
+            loss: rollout.cost(sample).as_(),
+            length: rollout.length(task, sample),
+        };
+        Some((0..rollout.samples()).map(result).collect::<Vec<_>>())
     };
-    let each = |start: &[F], run: &mut dyn FnMut(&[F]) -> Option<Vec<f64>>| {
-        run(start).map_or(f64::INFINITY, |cost| cost[0])
-    };
-    let mut losses = Vec::with_capacity(samples);
+    let mut results = Vec::with_capacity(samples);
     for starts in starts.chunks(BLOCK * task.start_dim()) {
         match run(starts) {
-            Ok(costs) => losses.extend(costs),
+            Some(block) => results.extend(block),
             // Repeats the rollout sample by sample, because a divergence ends the rollout of a
             // block.
-            Err(_) => {
-                losses.extend(
-                    starts
-                        .chunks(task.start_dim())
-                        .map(|start| each(start, &mut |start| run(start).ok())),
-                );
+            None => {
+                let alone = |start| run(start).map_or(DIVERGED, |block| block[0]);
+                results.extend(starts.chunks(task.start_dim()).map(alone));
             }
         }
     }
-    losses
+    results
 }

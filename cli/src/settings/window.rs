@@ -16,6 +16,10 @@ pub struct WindowSettings {
     /// Standard deviation of normal noise on each control, in its unit, during training.
     #[serde(default)]
     noise: f64,
+    /// Whether policy and value function are trained as networks of the observation in units of its
+    /// running mean and standard deviation.
+    #[serde(default)]
+    normalize: bool,
     /// Value function of the last state of a window; absent if not listed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     value: Option<ValueFunction>,
@@ -74,6 +78,6 @@ impl WindowSettings {
             let ValueFunction { widths, learning_rate, passes, parts, lambda, follow } = value;
             ValueSettings { widths, learning_rate, passes, parts, lambda, follow }
         });
-        Windows { task, steps: self.steps, discount, noise: self.noise, value }
+        Windows { task, steps: self.steps, discount, noise: self.noise, normalize: self.normalize, value }
     }
 }

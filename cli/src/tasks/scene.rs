@@ -593,6 +593,11 @@ impl Scene {
         session::open(task, policy, self.precision, field, training, windows, theta)
     }
 
+    /// Steps that an update sees: those of a window, or all.
+    pub fn steps(&self) -> usize {
+        self.window.as_ref().map_or(self.horizon, |window| window.steps)
+    }
+
     /// The windows of the training. None if updates see whole rollouts.
     fn windows(&self) -> Option<Windows> {
         let window = self.window.as_ref()?;

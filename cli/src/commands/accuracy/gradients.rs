@@ -159,6 +159,7 @@ fn times(derived: &mut [Derived], rounds: usize, bar: &ProgressBar) -> Vec<Vec<f
 fn with_horizon(study: &Study, horizon: usize) -> Result<Scene> {
     let mut source = study.source.clone();
     source.put("horizon", Value::Integer(horizon as i64), "accuracy --gradients")?;
+    source.without_section("window");
     // Sets a memory budget. Without one, validation rejects a horizon whose mini-batch does not
     // fit into memory.
     source.put("training.memory", Value::String("1GB".into()), "accuracy --gradients")?;

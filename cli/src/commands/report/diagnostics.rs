@@ -55,7 +55,46 @@ pub fn of_epochs(runs: &[Inspected]) -> Vec<Figure> {
         );
     }
     figures.push(growth_by_epoch(runs));
+    figures.extend(episodes(runs));
     figures
+}
+
+/// Charts of episodes that can end, and of value functions, for the runs that have them.
+fn episodes(runs: &[Inspected]) -> Vec<Figure> {
+    let chart = |title, label, range, value: fn(&Record) -> Option<f64>, caption| {
+        let has = |run: &&Inspected| run.records.iter().any(|record| value(record).is_some());
+        let line = |run: &Outcome| {
+            run.records.iter().filter_map(|r| Some((r.epoch as f64, value(r)?))).collect()
+        };
+        let series = lines(runs, line).into_iter().filter(|series| !series.line.is_empty());
+        runs.iter().any(|run| has(&run)).then(|| {
+            Figure::new(title, Chart::linear(EPOCH, label, range, series.collect()), caption)
+                .keys(field_keys(runs.iter().filter(has)))
+        })
+    };
+    let steps = runs.iter().map(|run| run.horizon).max().unwrap_or(1) as f64;
+    [
+        chart(
+            "Length of episodes",
+            "steps",
+            [0.0, steps],
+            |r| r.length,
+            "Mean number of steps of the episodes of the test set. An episode lasts for the whole horizon unless its end \
+             condition holds before.",
+        ),
+        chart(
+            "Explained variance of the value function",
+            "explained variance",
+            [-1.0, 1.0],
+            |r| r.explained.map(|explained| explained.max(-1.0)),
+            "1 minus the mean square of the error of the value function over the variance of its targets, before it learned \
+             from them. 1 is a perfect fit, 0 that of a constant; values below -1 are drawn as -1. While it is near 0, the ends \
+             of windows tell the policy nothing.",
+        ),
+    ]
+    .into_iter()
+    .flatten()
+    .collect()
 }
 
 /// Chart of the growth of adjoints over epochs.
