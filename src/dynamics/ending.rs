@@ -131,16 +131,34 @@ impl System for Ending {
         mut cotangents: Cotangents<'_, C>,
     ) {
         let running = self.running(inputs.x);
-        let moved = next_bar[..self.states].iter().map(|&bar| bar * running);
-        let moved: SmallVec<[C; STACK]> = moved.collect();
-        if let Some(x_bar) = &mut cotangents.x {
+        let n = self.states;
+        let moved: SmallVec<[C; STACK]> = next_bar[..n].iter().map(|&bar| bar * running).collect();
+        let lengths = [n, inputs.u.len(), inputs.p.len()];
+        let mut bars: SmallVec<[C; 4 * STACK]> = smallvec![C::null(); lengths.iter().sum()];
+        let (x, rest) = bars.split_at_mut(n);
+        let (u, p) = rest.split_at_mut(lengths[1]);
+        let Cotangents { x: x_bar, u: u_bar, p: p_bar } = self.inner_cotangents(&mut cotangents);
+        let own = Cotangents {
+            x: x_bar.is_some().then_some(&mut *x),
+            u: u_bar.is_some().then_some(&mut *u),
+            p: p_bar.is_some().then_some(&mut *p),
+        };
+        self.task.system().vjp(self.inner(inputs), &moved, own);
+        // The derivatives of a step that is not taken may be infinite.
+        bars.iter_mut().for_each(|bar| *bar = bar.along(running, R::one()));
+        if let Some(x_bar) = x_bar {
             let stays = -running + 1.0;
-            for (x_bar, &bar) in x_bar.iter_mut().zip(&next_bar[..self.states]) {
+            for ((x_bar, &bar), &own) in x_bar.iter_mut().zip(next_bar).zip(&bars[..n]) {
+                *x_bar += own;
                 *x_bar += bar * stays;
             }
         }
-        let inner = self.inner_cotangents(&mut cotangents);
-        self.task.system().vjp(self.inner(inputs), &moved, inner);
+        if let Some(u_bar) = u_bar {
+            add(u_bar, &bars[n..n + lengths[1]]);
+        }
+        if let Some(p_bar) = p_bar {
+            add(p_bar, &bars[n + lengths[1]..]);
+        }
     }
 
     fn jvp<R: Real>(&self, inputs: Inputs<'_, R>, tangents: Tangents<'_, R>, next_tan: &mut [R]) {
@@ -237,7 +255,7 @@ impl Task for Ending {
         let ends = running * (-self.running(next) + 1.0);
         // The terminal cost of a step that ends the episode, then the running cost.
         self.task.terminal_cost_gradient(&next[..n], inputs.p, after, Some(&mut *p));
-        after.iter_mut().chain(&mut *p).for_each(|bar| *bar *= ends);
+        after.iter_mut().chain(&mut *p).for_each(|bar| *bar = bar.along(ends, R::one()));
         let mut own: SmallVec<[R; 4 * STACK]> = smallvec![R::null(); 2 * n + m + params];
         let (own_x, rest) = own.split_at_mut(n);
         let (own_next, rest) = rest.split_at_mut(n);
@@ -253,7 +271,7 @@ impl Task for Ending {
                 .into_iter()
                 .flat_map(|(bars, own)| bars.iter_mut().zip(own))
         {
-            *bar += own * running;
+            *bar += own.along(running, R::one());
         }
         let Cotangents { x: x_bar, u: u_bar, p: p_bar } = self.inner_cotangents(&mut cotangents);
         for (out, bars) in [x_bar, u_bar, p_bar].into_iter().zip([&*x, &*u, &*p]) {
@@ -280,7 +298,7 @@ impl Task for Ending {
         let of_params = (!own_p.is_empty()).then_some(&mut *own_p);
         self.task.terminal_cost_gradient(&x[..self.states], p, own_x, of_params);
         let running = self.running(x);
-        own_x.iter_mut().chain(&mut *own_p).for_each(|bar| *bar *= running);
+        own_x.iter_mut().chain(&mut *own_p).for_each(|bar| *bar = bar.along(running, R::one()));
         add(&mut x_bar[..self.states], own_x);
         if let Some(p_bar) = p_bar {
             add(p_bar, own_p);

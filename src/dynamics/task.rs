@@ -87,6 +87,11 @@ pub trait Task: Send + Sync {
     fn ended(&self) -> Option<usize> {
         None
     }
+    /// Steps before the first one of a rollout, for its noise. Default: 0.
+    #[doc(hidden)]
+    fn first_step(&self) -> usize {
+        0
+    }
 
     /// Number of components of [`observe`](Task::observe). Default: `None`, the policy observes the
     /// state.

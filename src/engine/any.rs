@@ -31,6 +31,8 @@ pub trait AnyTask<F: Float>:
     fn control_dim(&self) -> usize;
     #[doc(hidden)]
     fn ended(&self) -> Option<usize>;
+    #[doc(hidden)]
+    fn first_step(&self) -> usize;
     /// Number of components of the observation. `None` if the policy observes the state.
     #[doc(hidden)]
     fn own_observation(&self) -> Option<usize>;
@@ -98,6 +100,10 @@ impl<T: Task, F: Float> AnyTask<F> for T {
 
     fn ended(&self) -> Option<usize> {
         Task::ended(self)
+    }
+
+    fn first_step(&self) -> usize {
+        Task::first_step(self)
     }
 
     fn own_observation(&self) -> Option<usize> {

@@ -371,7 +371,7 @@ impl<F: Float> Rollout<F> {
             self.set_trained_params(closed);
             self.check_params()?;
         }
-        self.draw_noise(t);
+        self.draw_noise(closed.task, t);
         self.observe(closed.task, t);
         self.act(closed, t);
         if !self.integrate(closed.task, t) {
@@ -384,7 +384,7 @@ impl<F: Float> Rollout<F> {
     }
 
     /// Writes the parameters of step `t`, if they differ between steps.
-    fn draw_noise(&mut self, t: usize) {
+    fn draw_noise(&mut self, task: &dyn AnyTask<F>, t: usize) {
         if self.noise.is_empty() {
             return;
         }
@@ -396,7 +396,7 @@ impl<F: Float> Rollout<F> {
             for lane in 0..LANES {
                 let sample = (block * LANES + lane).min(self.samples - 1);
                 let set = |i: usize, value| now[i].set_lane(lane, F::from_f64(value));
-                self.noise.at(self.keys[sample].as_(), t, set);
+                self.noise.at(self.keys[sample].as_(), task.first_step() + t, set);
             }
         }
     }

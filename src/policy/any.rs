@@ -1,6 +1,8 @@
 //! [`AnyPolicy`]: an object-safe [`Policy`] for one precision.
 
-use super::{InputLayer, NetworkLayer, Policy, PolicyPass, PolicyRecord, Sizes, Tensor, TrainedParam};
+use super::{
+    InputLayer, NetworkLayer, Policy, PolicyPass, PolicyRecord, Sizes, Tensor, TrainedParam,
+};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::Float;
 

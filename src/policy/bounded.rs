@@ -1,6 +1,8 @@
 //! [`Bounded`]: a policy with bounded controls.
 
-use super::{Action, InputLayer, Observed, Policy, PolicyPass, PolicyRecord, Sizes, Tensor, TrainedParam};
+use super::{
+    Action, InputLayer, Observed, Policy, PolicyPass, PolicyRecord, Sizes, Tensor, TrainedParam,
+};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Float, Scalar};
 

@@ -1,8 +1,8 @@
 //! [`DynPolicy`]: any policy behind a pointer.
 
 use super::{
-    Action, AnyPolicy, InputLayer, NetworkLayer, Observed, Policy, PolicyPass, PolicyRecord, Sizes, Tensor,
-    TrainedParam,
+    Action, AnyPolicy, InputLayer, NetworkLayer, Observed, Policy, PolicyPass, PolicyRecord, Sizes,
+    Tensor, TrainedParam,
 };
 use crate::numbers::instances::{SCALARS, ScalarFunction, fill, scalar_pointer};
 use crate::numbers::rng::Rng;

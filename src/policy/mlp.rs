@@ -8,8 +8,8 @@
 
 use super::activation::activate;
 use super::{
-    Action, Activation, InputLayer, LayerKind, NetworkLayer, Observed, Policy, PolicyColumns, PolicyPass,
-    PolicyRecord, Sizes, Tensor,
+    Action, Activation, InputLayer, LayerKind, NetworkLayer, Observed, Policy, PolicyColumns,
+    PolicyPass, PolicyRecord, Sizes, Tensor,
 };
 use crate::numbers::kernels::SimdLevel;
 use crate::numbers::kernels::elementwise::{self, Strided};

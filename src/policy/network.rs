@@ -25,9 +25,10 @@ impl InputLayer {
     ) -> (impl Iterator<Item = &'a mut [F]>, Option<&'a mut [F]>) {
         let (before, after) = theta.split_at_mut(self.kernel.end);
         let outputs = self.kernel.len() / self.inputs.max(1);
-        let bias = self.bias.clone().map(|bias| {
-            &mut after[bias.start - self.kernel.end..bias.end - self.kernel.end]
-        });
+        let bias = self
+            .bias
+            .clone()
+            .map(|bias| &mut after[bias.start - self.kernel.end..bias.end - self.kernel.end]);
         (before[self.kernel.start..].chunks_exact_mut(outputs.max(1)), bias)
     }
 }

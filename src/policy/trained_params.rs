@@ -1,6 +1,8 @@
 //! [`WithParams`]: a policy and parameters of the system, trained together.
 
-use super::{Action, InputLayer, NetworkLayer, Observed, Policy, PolicyPass, PolicyRecord, Sizes, Tensor};
+use super::{
+    Action, InputLayer, NetworkLayer, Observed, Policy, PolicyPass, PolicyRecord, Sizes, Tensor,
+};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Float, Scalar};
 

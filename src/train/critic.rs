@@ -198,11 +198,7 @@ impl<F: Float> Critic<F> {
     pub(super) fn value(&self, units: &Units) -> Value {
         let mut theta: Vec<f64> = self.state.slow.iter().map(|theta| theta.as_()).collect();
         units.leave(&self.layer, &mut theta);
-        Value {
-            network: self.network.clone(),
-            theta,
-            units: self.state.units,
-        }
+        Value { network: self.network.clone(), theta, units: self.state.units }
     }
 
     /// A value function with random output weights, whose derivatives are not 0.

@@ -12,9 +12,10 @@ use crate::engine::any::AnyTask;
 use crate::engine::divergence::Divergence;
 use crate::engine::gradient::Gradient;
 use crate::engine::visited::Visited;
+use crate::numbers::aligned::Aligned;
 use crate::numbers::rng::{Purpose, stream};
 use crate::numbers::scalar::Float;
-use crate::policy::InputLayer;
+use crate::policy::{AnyPolicy, InputLayer, PolicyColumns, PolicyPass, Weights};
 use crate::train::Training;
 use serde::{Deserialize, Serialize};
 
@@ -28,10 +29,10 @@ use serde::{Deserialize, Serialize};
 /// per window. A last window that does not fit into the horizon is left out. The losses of the test set
 /// are those of whole episodes.
 ///
-/// With a value function, episodes begin anew in turn, an equal number before each window, so that an
-/// update sees all phases of an episode. The step number of tasks that depend on it is that of the epoch.
-/// Without a value function, they begin together, and the gradient of a window knows nothing of later
-/// costs.
+/// With a value function, the first episodes are shortened so that an equal number begins anew before
+/// each window, and an update sees all phases of an episode. Without a value function, they begin
+/// together, and the gradient of a window knows nothing of later costs. In tasks that depend on the
+/// number of the step, this number is that of the epoch, not of the episode.
 /// SHAC (Xu et al. 2022, arXiv:2204.07137) is such a training along R.
 ///
 /// ```
@@ -60,17 +61,29 @@ pub struct Windows {
     /// Standard deviation of normal noise on each control, in its unit, during training.
     pub noise: f64,
     /// Whether policy and value function are trained as networks of the observation in units of its
-    /// running mean and standard deviation.
+    /// running mean and standard deviation. A drawn policy is drawn in these units; parameters that
+    /// are given keep their function. The stored policy is one of the observation itself.
     pub normalize: bool,
     /// The value function of the last state of a window. `None` for no value.
     pub value: Option<ValueSettings>,
 }
 
+/// Smallest factor of the value at the end of a window: the costs of the last steps have to be exact in
+/// f32.
+const SMALLEST: f64 = 1e-30;
+
 impl Windows {
     /// Windows of this many steps, with a discount of 0.99 and a value function with default
     /// settings.
     pub fn new(task: DynTask, steps: usize) -> Self {
-        Self { task, steps, discount: 0.99, noise: 0.0, normalize: false, value: Some(ValueSettings::default()) }
+        Self {
+            task,
+            steps,
+            discount: 0.99,
+            noise: 0.0,
+            normalize: false,
+            value: Some(ValueSettings::default()),
+        }
     }
 
     /// The first window as a task, with a random value function, for checks of its derivatives.
@@ -83,14 +96,39 @@ impl Windows {
         DynTask::new(Window::new(self, value))
     }
 
+    /// What a policy has that windows do not carry on. `None` if it has nothing of the kind.
+    pub fn problem_of<F: Float>(policy: &dyn AnyPolicy<F>) -> Option<&'static str> {
+        if policy.memory_dim() > 0 {
+            return Some(
+                "has a memory, which begins anew in each window; use one without, or whole rollouts",
+            );
+        }
+        let number = |x: f64| F::from_f64(x);
+        let theta = (0..policy.param_count()).map(|i| number((i as f64 + 1.0).sin())).collect();
+        let weights = Weights::new(policy, theta);
+        let x: Vec<F> = (0..policy.observation_dim()).map(|i| number((i as f64).cos())).collect();
+        let control = |t: usize| {
+            let pass = PolicyPass::new(weights.packed(), PolicyColumns::range(0..1), &x);
+            let mut u = vec![F::zero(); policy.control_dim()];
+            let mut tape = Aligned::zeros(policy.sizes(1).tape);
+            policy.forward(pass.at_steps(t..t + 1), &mut tape, &mut u);
+            u
+        };
+        let first = control(0);
+        let differs = |t: usize| control(t).iter().zip(&first).any(|(a, b)| a != b);
+        (1..4).any(differs).then_some(
+            "depends on the number of the step, which begins anew in each window; use feedback, or whole rollouts",
+        )
+    }
+
     /// Checks the settings for a task with this state and horizon.
     ///
     /// # Errors
     /// [`TrainError::Setting`] for the first invalid setting.
-    pub(super) fn validate(
+    pub(super) fn validate<F: Float>(
         &self,
         training: &Training,
-        layer: Option<&InputLayer>,
+        policy: &dyn AnyPolicy<F>,
         dims: [usize; 3],
     ) -> Result<(), TrainError> {
         let Self { steps, discount, noise, .. } = *self;
@@ -119,7 +157,16 @@ impl Windows {
         if training.smoothing.is_some() {
             return invalid("estimator", "is for whole rollouts; remove it, or the windows".into());
         }
-        if self.normalize && layer.is_none() {
+        if let Some(problem) = Self::problem_of(policy) {
+            return invalid("policy", problem.into());
+        }
+        if discount.powi(steps as i32) < SMALLEST {
+            let problem = format!(
+                "is {discount}, and {SMALLEST:e} or less after the {steps} steps of a window; use shorter windows, or a number nearer to 1"
+            );
+            return invalid("discount", problem);
+        }
+        if self.normalize && policy.input_layer().is_none() {
             let problem = "needs a policy with a layer of the whole observation; use an MLP, or remove the setting";
             return invalid("window.normalize", problem.into());
         }
@@ -139,14 +186,15 @@ pub(super) struct Episodes<F: Float> {
     steps: usize,
     discount: f64,
     critic: Option<Critic<F>>,
-    /// First layer of the policy, if the observations are normalized.
-    layer: Option<InputLayer>,
+    /// First layer of the policy, if the observations are normalized, and whether the policy was drawn.
+    layer: Option<(InputLayer, bool)>,
     moments: Moments,
     units: Units,
     /// Initial states of the training set, for windows. Empty if episodes draw new ones.
     given: Vec<F>,
     /// Where the next window of each episode begins.
     carried: Vec<F>,
+    progress: Vec<Progress>,
     tally: Tally,
     samples: usize,
     /// Numbers per sample in a list of initial states, and in a state.
@@ -160,16 +208,31 @@ pub(super) struct Episodes<F: Float> {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct EpisodesState<F> {
     carried: Vec<F>,
+    progress: Vec<Progress>,
     tally: Tally,
     moments: Moments,
     critic: Option<CriticState<F>>,
 }
 
-/// Sums over the windows of an epoch.
+/// Progress of one episode.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct Progress {
+    /// Windows since its start, or those that it counts as at the start of the training.
+    windows: usize,
+    /// Running costs so far.
+    cost: f64,
+    /// Whether it began in the middle, so that its costs are not those of an episode.
+    is_part: bool,
+}
+
+/// Sums over an epoch.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 struct Tally {
-    /// Running costs of all episodes.
+    /// Running costs of all windows.
     cost: f64,
+    /// Episodes that came to an end, and their running costs.
+    whole: usize,
+    cost_of_whole: f64,
     /// Windows from which the value function learned.
     learned: usize,
     error: f64,
@@ -181,7 +244,7 @@ impl<F: Float> Episodes<F> {
     pub(super) fn new(
         settings: Windows,
         training: &Training,
-        layer: Option<InputLayer>,
+        layer: Option<(InputLayer, bool)>,
         train: &[F],
     ) -> Self {
         let task: &dyn AnyTask<F> = &settings.task;
@@ -214,6 +277,7 @@ impl<F: Float> Episodes<F> {
         Self {
             states: task.state_dim(),
             carried: vec![F::zero(); samples * each],
+            progress: vec![Progress::default(); samples],
             tally: Tally::default(),
             layer: layer.filter(|_| settings.normalize),
             moments: Moments::default(),
@@ -232,24 +296,34 @@ impl<F: Float> Episodes<F> {
     }
 
     /// Begins an epoch, counted from 0. In the first one, and without a value function in each, all
-    /// episodes begin.
+    /// episodes begin. With a value function, the first ones count as if they had begun in turn.
     pub(super) fn begin(&mut self, epoch: usize) {
         self.tally = Tally::default();
-        if epoch == 0 || self.critic.is_none() {
-            (0..self.samples).for_each(|sample| self.restart(sample, epoch, 0));
+        if epoch > 0 && self.critic.is_some() {
+            return;
         }
-    }
-
-    /// Returns whether an episode begins anew before the window with this number, by its length.
-    fn is_over(&self, sample: usize, window: usize) -> bool {
-        self.critic.is_some() && sample * self.windows / self.samples == window % self.windows
+        for sample in 0..self.samples {
+            self.restart(sample, epoch, 0);
+            if self.critic.is_some() {
+                let turn = sample * self.windows / self.samples;
+                let windows = (self.windows - turn) % self.windows;
+                self.progress[sample] = Progress { windows, cost: 0.0, is_part: windows > 0 };
+            }
+        }
     }
 
     /// One episode begins anew before this window of this epoch.
     fn restart(&mut self, sample: usize, epoch: usize, window: usize) {
+        self.progress[sample] = Progress::default();
         let place = sample * self.each..(sample + 1) * self.each;
         if !self.given.is_empty() {
-            self.carried[place.clone()].copy_from_slice(&self.given[place]);
+            self.carried[place.clone()].copy_from_slice(&self.given[place.clone()]);
+            if self.is_noisy
+                && let Some(key) = self.carried[place].last_mut()
+            {
+                let number = (epoch * self.windows + window) as u64;
+                *key = F::from_f64(key_of_epoch(key.as_(), number));
+            }
             return;
         }
         let begun = (epoch as u64 * self.windows as u64 + window as u64) * self.samples as u64;
@@ -259,22 +333,11 @@ impl<F: Float> Episodes<F> {
         self.carried[place].iter_mut().zip(start).for_each(|(own, x)| *own = F::from_f64(x));
     }
 
-    /// Writes where the windows of a mini-batch begin. `update` counts from 0 over the training.
-    pub(super) fn select(
-        &mut self,
-        chosen: &[usize],
-        window: usize,
-        update: usize,
-        starts: &mut Vec<F>,
-    ) {
+    /// Writes where the windows of a mini-batch begin.
+    pub(super) fn select(&mut self, chosen: &[usize], window: usize, starts: &mut Vec<F>) {
         self.window.origin = window * self.steps;
         for &sample in chosen {
             starts.extend_from_slice(&self.carried[sample * self.each..][..self.each]);
-            if self.is_noisy
-                && let Some(key) = starts.last_mut()
-            {
-                *key = F::from_f64(key_of_epoch(key.as_(), update as u64));
-            }
         }
     }
 
@@ -300,16 +363,24 @@ impl<F: Float> Episodes<F> {
         if self.layer.is_some() {
             self.observe(visited, ended);
         }
-        // The costs of a window are discounted.
-        let costs = visited.costs.iter().enumerate();
-        let cost =
-            |(i, cost): (usize, &F)| cost.as_() / self.discount.powi((i % self.steps) as i32);
-        self.tally.cost += costs.map(cost).sum::<f64>();
         let stored = (self.steps + 1) * self.states;
-        for (&sample, states) in chosen.iter().zip(visited.states.chunks_exact(stored)) {
+        let states = visited.states.chunks_exact(stored);
+        let costs = visited.costs.chunks_exact(self.steps);
+        for ((&sample, states), costs) in chosen.iter().zip(states).zip(costs) {
+            // The costs of a window are discounted.
+            let cost = |(t, cost): (usize, &F)| cost.as_() / self.discount.powi(t as i32);
+            let cost: f64 = costs.iter().enumerate().map(cost).sum();
+            self.tally.cost += cost;
+            let progress = &mut self.progress[sample];
+            progress.cost += cost;
+            progress.windows += 1;
             let last = &states[self.steps * self.states..];
             let has_ended = ended.is_some_and(|ended| last[ended] != F::zero());
-            if has_ended || self.is_over(sample, window + 1) {
+            if has_ended || progress.windows >= self.windows {
+                if !progress.is_part {
+                    self.tally.whole += 1;
+                    self.tally.cost_of_whole += progress.cost;
+                }
                 self.restart(sample, epoch, window + 1);
             } else {
                 self.carried[sample * self.each..][..self.states].copy_from_slice(last);
@@ -331,24 +402,22 @@ impl<F: Float> Episodes<F> {
 
     /// Changes a gradient of the policy to one in units of the observations.
     pub(super) fn enter_gradient(&self, gradient: &mut Gradient<F>) {
-        if let Some(layer) = &self.layer {
+        if let Some((layer, _)) = &self.layer {
             let exponent = gradient.exponent();
             self.units.enter_gradient(layer, gradient.values_mut(exponent));
         }
     }
 
     /// Changes the policy by a step in units of the observations, whose mean and deviation then become
-    /// those of all observations.
+    /// those of all observations. A drawn policy remains the same function of the normalized
+    /// observations, and another one the same function of the observations.
     pub(super) fn step(&mut self, theta: &mut [F], step: impl FnOnce(&mut [F])) {
-        let Some(layer) = &self.layer else { return step(theta) };
+        let Some((layer, is_drawn)) = &self.layer else { return step(theta) };
         self.units.enter(layer, theta);
         step(theta);
-        // The policy stays as it is when its units become known.
-        let is_known = self.units != Units::default();
-        self.units = self.moments.units(layer.bias.is_some());
-        if is_known {
-            self.units.leave(layer, theta);
-        }
+        let units = self.moments.units(layer.bias.is_some());
+        let before = std::mem::replace(&mut self.units, units);
+        if *is_drawn { &self.units } else { &before }.leave(layer, theta);
         if let Some(critic) = &self.critic {
             self.window.value = Some(critic.value(&self.units));
         }
@@ -359,9 +428,11 @@ impl<F: Float> Episodes<F> {
         chosen.iter().for_each(|&sample| self.restart(sample, epoch, window + 1));
     }
 
-    /// Mean running costs of an episode of this epoch, with its noise.
+    /// Mean running costs, with the noise, of the episodes that came to an end in this epoch. If there is
+    /// none, of the windows of the epoch.
     pub(super) fn loss(&self) -> f64 {
-        self.tally.cost / self.samples as f64
+        let Tally { cost, whole, cost_of_whole, .. } = self.tally;
+        if whole > 0 { cost_of_whole / whole as f64 } else { cost / self.samples as f64 }
     }
 
     /// Mean of the root mean square errors of the value function, and of the explained variance.
@@ -379,6 +450,7 @@ impl<F: Float> Episodes<F> {
     pub(super) fn state(&self) -> EpisodesState<F> {
         EpisodesState {
             carried: self.carried.clone(),
+            progress: self.progress.clone(),
             tally: self.tally,
             moments: self.moments.clone(),
             critic: self.critic.as_ref().map(|critic| critic.state.clone()),
@@ -387,9 +459,10 @@ impl<F: Float> Episodes<F> {
 
     pub(super) fn set_state(&mut self, state: &EpisodesState<F>) {
         self.carried.copy_from_slice(&state.carried);
+        self.progress.copy_from_slice(&state.progress);
         self.tally = state.tally;
         self.moments = state.moments.clone();
-        let shifted = self.layer.as_ref().is_some_and(|layer| layer.bias.is_some());
+        let shifted = self.layer.as_ref().is_some_and(|(layer, _)| layer.bias.is_some());
         self.units = self.moments.units(shifted);
         if let (Some(critic), Some(state)) = (&mut self.critic, &state.critic) {
             critic.state = state.clone();
@@ -400,7 +473,7 @@ impl<F: Float> Episodes<F> {
     /// Checks that these episodes can reach this state.
     pub(super) fn validate(&self, state: &EpisodesState<F>) -> Result<(), String> {
         let (found, expected) = (state.carried.len(), self.carried.len());
-        if found != expected {
+        if found != expected || state.progress.len() != self.progress.len() {
             return Err(format!(
                 "its episodes have {found} numbers, but those of this run {expected}"
             ));
@@ -408,7 +481,7 @@ impl<F: Float> Episodes<F> {
         if let Some(number) = state.carried.iter().find(|number| !number.as_().is_finite()) {
             return Err(format!("a number of its episodes is {number}"));
         }
-        if !state.moments.is_valid(self.layer.as_ref().map_or(0, |layer| layer.inputs)) {
+        if !state.moments.is_valid(self.layer.as_ref().map_or(0, |(layer, _)| layer.inputs)) {
             return Err("its mean observation has another size, or is not finite".into());
         }
         match (&self.critic, &state.critic) {

@@ -6,7 +6,7 @@ use super::average::average_direction;
 use super::episodes::{Episodes, EpisodesState, Windows};
 use super::record::{Means, Record, Skip, Step};
 use super::smoothing::Estimates;
-use super::{TrainError, Training};
+use super::{Begin, TrainError, Training};
 use crate::dynamics::number::key_of_epoch;
 use crate::engine::any::AnyTask;
 use crate::engine::batch::Batch;
@@ -141,7 +141,7 @@ impl<F: Float> State<F> {
         flows: Vec<Flow>,
         training: Training,
         windows: Option<Windows>,
-        weights: Weights<F>,
+        Begin { weights, is_drawn }: Begin<F>,
         [train, test]: [Vec<F>; 2],
     ) -> Result<Self, TrainError> {
         let params = policy.param_count();
@@ -155,8 +155,8 @@ impl<F: Float> State<F> {
             None => None,
             Some(windows) => {
                 let dims = [task.state_dim(), task.param_dim(), task.horizon()];
-                let layer = policy.input_layer();
-                windows.validate(&training, layer.as_ref(), dims)?;
+                windows.validate(&training, policy, dims)?;
+                let layer = policy.input_layer().map(|layer| (layer, is_drawn));
                 Some(Episodes::new(windows, &training, layer, &train))
             }
         };
@@ -547,9 +547,7 @@ impl<F: Float> State<F> {
         self.starts.clear();
         let (chosen, batches) = (self.chosen(index), self.batches());
         if let Some(episodes) = &mut self.episodes {
-            let (window, epoch) = (index / batches, self.records.len());
-            let update = epoch * batches * episodes.windows + index;
-            episodes.select(&self.order[chosen], window, update, &mut self.starts);
+            episodes.select(&self.order[chosen], index / batches, &mut self.starts);
             return;
         }
         for &sample in &self.order[chosen] {

@@ -27,8 +27,8 @@ pub(crate) mod optim;
 mod record;
 mod session;
 mod smoothing;
-pub mod vector_field;
 mod units;
+pub mod vector_field;
 mod warnings;
 mod window;
 
@@ -388,13 +388,17 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
             starts(Purpose::Train, training.train_samples),
             starts(Purpose::Test, training.test_samples),
         );
-        let weights = match theta {
+        let begin = match theta {
             Some(theta) => {
-                Weights::new(&policy, finite(theta.into_iter().map(F::from_f64).collect())?)
+                let theta = finite(theta.into_iter().map(F::from_f64).collect())?;
+                Begin { weights: Weights::new(&policy, theta), is_drawn: false }
             }
-            None => Weights::init(&policy, &mut stream(training.seed, Purpose::Policy, 0)),
+            None => {
+                let rng = &mut stream(training.seed, Purpose::Policy, 0);
+                Begin { weights: Weights::init(&policy, rng), is_drawn: true }
+            }
         };
-        Session::new(task, policy, field, training, windows, weights, [train, test])
+        Session::new(task, policy, field, training, windows, begin, [train, test])
     }
 
     /// Creates a session from given parameters and initial states; see
@@ -420,8 +424,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     ) -> Result<Session<T, P, F, C>, TrainError> {
         let training = self.settings();
         let Self { task, policy, field, windows, .. } = self;
-        let weights = Weights::new(&policy, finite(theta)?);
-        Session::new(task, policy, field, training, windows, weights, [train, test])
+        let begin = Begin { weights: Weights::new(&policy, finite(theta)?), is_drawn: false };
+        Session::new(task, policy, field, training, windows, begin, [train, test])
     }
 
     /// All settings, with the number of epochs and the seed of the builder.
@@ -433,6 +437,13 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
             ..self.training.clone()
         }
     }
+}
+
+/// Parameters at the start of a training.
+struct Begin<F> {
+    weights: Weights<F>,
+    /// Whether they are those of [`Policy::init`].
+    is_drawn: bool,
 }
 
 /// Returns the parameters, or an error if one is non-finite.

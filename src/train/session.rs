@@ -4,7 +4,7 @@ use super::checkpoint;
 use super::episodes::Windows;
 use super::epoch::{Problem, State};
 use super::warnings::{TrainedNumber, Warning};
-use super::{CheckpointError, Record, Report, Skip, TrainError, Training};
+use super::{Begin, CheckpointError, Record, Report, Skip, TrainError, Training};
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::engine::divergence::Divergence;
@@ -33,10 +33,10 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
         field: Field<C>,
         training: Training,
         windows: Option<Windows>,
-        weights: Weights<F>,
+        begin: Begin<F>,
         sets: [Vec<F>; 2],
     ) -> Result<Self, TrainError> {
-        let state = State::new(&task, &policy, field.flows(), training, windows, weights, sets)?;
+        let state = State::new(&task, &policy, field.flows(), training, windows, begin, sets)?;
         Ok(Self { task, policy, field, state })
     }
 

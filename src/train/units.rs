@@ -100,8 +100,8 @@ impl Moments {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::policy::{Bounded, Mlp, Policy, PolicyColumns, PolicyPass, Weights};
     use crate::policy::{AnyPolicy, PolicyRecord};
+    use crate::policy::{Bounded, Mlp, Policy, PolicyColumns, PolicyPass, Weights};
 
     const OBSERVATIONS: [[f64; 3]; 4] =
         [[1.0, -20.0, 5.0], [1.5, 30.0, 5.0], [0.2, 10.0, 5.0], [-0.4, 2.0, 5.0]];
@@ -135,7 +135,8 @@ mod tests {
             OBSERVATIONS.iter().for_each(|y| moments.add(y));
             let units = moments.units(bias);
             let [mean, deviation] = units.0[0];
-            let variance = [1.0, 1.5, 0.2, -0.4].map(|y: f64| (y - 0.575).powi(2)).iter().sum::<f64>() / 4.0;
+            let variance =
+                [1.0, 1.5, 0.2, -0.4].map(|y: f64| (y - 0.575).powi(2)).iter().sum::<f64>() / 4.0;
             assert!((deviation - variance.sqrt()).abs() < 1e-15);
             assert!((mean - if bias { 0.575 } else { 0.0 }).abs() < 1e-15);
             assert_eq!(units.0[2][1], LEAST, "the third component is constant");
@@ -143,9 +144,8 @@ mod tests {
                 (0..Policy::param_count(&policy)).map(|i| (0.7 * i as f64).sin()).collect();
             let mut inside = theta.clone();
             units.enter(&layer, &mut inside);
-            let normalized = OBSERVATIONS.map(|y| {
-                std::array::from_fn(|i| (y[i] - units.0[i][0]) / units.0[i][1])
-            });
+            let normalized = OBSERVATIONS
+                .map(|y| std::array::from_fn(|i| (y[i] - units.0[i][0]) / units.0[i][1]));
             let [u, mut gradient] = evaluate(&policy, &theta, &OBSERVATIONS);
             let [u_inside, gradient_inside] = evaluate(&policy, &inside, &normalized);
             units.enter_gradient(&layer, &mut gradient);

@@ -225,6 +225,10 @@ impl Task for Window {
         self.task.ended()
     }
 
+    fn first_step(&self) -> usize {
+        self.origin
+    }
+
     fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
         self.task.control_bounds()
     }

@@ -254,18 +254,134 @@ fn threads_and_interruptions_do_not_change_a_training_by_windows() {
     }
 }
 
+/// A given policy keeps its function while the units of the observations change.
 #[test]
-fn normalized_observations_are_those_of_units_that_change() {
-    // The first update and the one after it, in which the units are known.
-    let [plain, normalized] = [false, true].map(|normalize| {
-        let mut session = session_of(1, 1, |windows| windows.normalize = normalize);
-        [(); 2].map(|()| {
-            session.advance(&|| true).unwrap();
-            session.weights().theta().to_vec()
-        })
+fn normalization_does_not_change_a_policy_from_which_a_training_starts() {
+    let task = falling(200);
+    let theta: Vec<f64> = (0..17).map(|i| (0.9 * f64::from(i)).sin()).collect();
+    let training = Training {
+        batch: 8,
+        train_samples: 8,
+        test_samples: 8,
+        learning_rate: 1e-12,
+        ..Training::default()
+    };
+    let trainer = |normalize| {
+        Trainer::new(task.clone(), Mlp::new([2, 4, 1]))
+            .precision::<f64>()
+            .training(training.clone())
+            .windows(Windows { normalize, ..Windows::new(task.clone(), 5) })
+            .epochs(2)
+    };
+    let given = trainer(true).start_from(theta.clone()).run().unwrap();
+    for (after, before) in given.weights.theta().iter().zip(&theta) {
+        assert!((after - before).abs() < 1e-9, "{after} is not {before}");
+    }
+    // A drawn policy is drawn in units: its first layer differs from that of the raw observation.
+    let [plain, drawn] = [false, true].map(|normalize| trainer(normalize).run().unwrap());
+    let [plain, drawn] = [&plain, &drawn].map(|report| report.weights.theta()[0]);
+    assert!((drawn / plain - 1.0).abs() > 0.1, "{drawn} is {plain}");
+}
+
+/// A task of one state with these costs and this end, from 0.
+fn counted(rate: &str, costs: Costs, horizon: usize) -> DynTask {
+    let equations = serde_json::json!({
+        "states": ["q"], "controls": ["v"], "dt": 0.1, "next": { "q": rate },
     });
-    assert_eq!(plain[0], normalized[0]);
-    assert_ne!(plain[1], normalized[1]);
+    let equations: Equations = serde_json::from_value(equations).expect("equations");
+    let rk4 = AnyIntegrator::RungeKutta(RungeKutta::RK4);
+    let task = GraphTask::new(&equations, &costs, rk4, 1, horizon).expect("a task");
+    DynTask::new(Ending::new(DynTask::new(task)))
+}
+
+/// Nearly fixed policies: the loss of the training is that of whole episodes.
+#[test]
+fn the_training_loss_is_that_of_whole_episodes() {
+    let costs = Costs { running: "1 + 0 * v".into(), terminal: "5".into(), end: "q > 9.5".into() };
+    let training = Training {
+        batch: 8,
+        train_samples: 8,
+        test_samples: 8,
+        learning_rate: 1e-12,
+        ..Training::default()
+    };
+    let task = counted("q + 1 + 0 * v", costs, 60);
+    let report = Trainer::new(task.clone(), Mlp::new([1, 1]))
+        .training(training)
+        .windows(Windows::new(task, 6))
+        .epochs(3)
+        .run()
+        .unwrap();
+    for record in &report.records[1..] {
+        // Ten steps, and the cost of the end.
+        assert!((record.train_loss - 15.0).abs() < 1e-5, "{}", record.train_loss);
+        assert_eq!(record.test_loss, 15.0);
+        assert_eq!(record.length, Some(10.0));
+    }
+}
+
+/// Derivatives of steps and costs that an ended episode does not take may be infinite.
+#[test]
+fn an_end_guards_what_lies_behind_it() {
+    let costs = Costs {
+        running: "1 - sqrt(q) + 0.1 * v^2".into(),
+        terminal: "where(q > 0.2, 3 * sqrt(q - 0.2), 2)".into(),
+        end: "q < 0.01".into(),
+    };
+    let equations = serde_json::json!({
+        "states": ["q"], "controls": ["v"], "dt": 0.1, "start": { "q": { "uniform": [0.4, 1.0] } },
+        "next": { "q": "where(sqrt(q) > 0.5, q - 0.1 + 0.01 * v, 0)" },
+    });
+    let equations: Equations = serde_json::from_value(equations).expect("equations");
+    let rk4 = AnyIntegrator::RungeKutta(RungeKutta::RK4);
+    let task = GraphTask::new(&equations, &costs, rk4, 1, 20).expect("a task");
+    let task = DynTask::new(Ending::new(DynTask::new(task)));
+    let policy = Mlp::new([1, 3, 1]);
+    let report = Trainer::new(task, policy).epochs(2).run().unwrap();
+    assert_eq!(report.records[1].skipped, 0);
+    assert!(report.records[1].length.is_some_and(|length| length < 10.0));
+}
+
+/// Noise that is held for more steps than a window has is that of whole rollouts.
+#[test]
+fn held_noise_continues_over_windows() {
+    let equations = serde_json::json!({
+        "states": ["q"], "controls": ["v"], "dt": 1.0, "next": { "q": "q + w + 0 * v" },
+        "parameters": { "w": { "noise": 1.0, "hold": 20 } },
+    });
+    let equations: Equations = serde_json::from_value(equations).expect("equations");
+    let costs = Costs { running: "next.q^2".into(), ..Costs::default() };
+    let rk4 = AnyIntegrator::RungeKutta(RungeKutta::RK4);
+    let task = DynTask::new(GraphTask::new(&equations, &costs, rk4, 1, 20).expect("a task"));
+    let training = Training {
+        batch: 512,
+        train_samples: 512,
+        test_samples: 512,
+        learning_rate: 1e-12,
+        resample: true,
+        ..Training::default()
+    };
+    let report = Trainer::new(task.clone(), Mlp::new([1, 1]))
+        .training(training)
+        .windows(Windows { value: None, ..Windows::new(task, 5) })
+        .epochs(2)
+        .run()
+        .unwrap();
+    // The mean of Σ (t w)², t = 1 .. 20, is 2870; with new noise in each window it is 1000 or less.
+    let found = report.records[1].train_loss;
+    assert!((found / 2870.0 - 1.0).abs() < 0.25, "{found}");
+}
+
+#[test]
+fn policies_that_windows_do_not_carry_on_are_refused() {
+    use physgrad::policy::OpenLoop;
+    assert!(
+        Windows::problem_of::<f64>(&Gru::new(2, 4, 1)).is_some_and(|text| text.contains("memory"))
+    );
+    let timed = Windows::problem_of::<f32>(&OpenLoop::new(2, 1, 30));
+    assert!(timed.is_some_and(|text| text.contains("number of the step")));
+    assert_eq!(Windows::problem_of::<f64>(&Mlp::new([2, 1])), None);
+    assert_eq!(Windows::problem_of::<f64>(&Linear::with_bias(2, 1)), None);
 }
 
 #[test]
@@ -300,9 +416,13 @@ fn settings_that_do_not_fit_are_refused() {
     );
     assert!(refused(|windows| windows.noise = f64::NAN).contains("window.noise"));
     let windows = Windows { normalize: true, ..Windows::new(falling(30), 5) };
-    let trainer = Trainer::new(falling(30), Gru::new(2, 4, 1)).windows(windows);
+    let trainer = Trainer::new(falling(30), Linear::new(2, 1)).windows(windows);
     let error = trainer.session().map(drop).expect_err("an error").to_string();
     assert!(error.contains("window.normalize: needs a policy with a layer"), "{error}");
+    let trainer =
+        Trainer::new(falling(30), Gru::new(2, 4, 1)).windows(Windows::new(falling(30), 5));
+    let error = trainer.session().map(drop).expect_err("an error").to_string();
+    assert!(error.contains("policy: has a memory"), "{error}");
     let lambda = |windows: &mut Windows| {
         windows.value = Some(ValueSettings { lambda: 2.0, ..ValueSettings::default() });
     };

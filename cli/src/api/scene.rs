@@ -117,7 +117,7 @@ impl Scene {
     /// An expression of the scene needs the sensor.
     pub fn without_sensor(&self) -> Result<Self> {
         let mut source = self.source.clone();
-        source.without_section("sensor");
+        source.make_bare();
         Self::of(source, self.scene.initial_policy())
     }
 

@@ -178,6 +178,8 @@ fn scene(args: &Eval, policy: &Trained) -> Result<Scene> {
         }
     }
     overrides.apply(&mut source)?;
+    // Windows have no effect on an evaluation, whose horizon may be shorter.
+    source.without_section("window");
     let scene = source.scene()?;
     let [of_scene, of_run] = [&scene, &policy.scene].map(|scene| scene.task.name());
     if of_scene != of_run {
@@ -337,7 +339,8 @@ fn table(args: &Eval, results: &[OfPolicy]) -> String {
         };
         let first = [result.name.clone(), mean];
         let length = can_end.then(|| result.length().map_or("-".into(), short));
-        table.row(first.into_iter().chain(row).chain([result.diverged().to_string()]).chain(length));
+        table
+            .row(first.into_iter().chain(row).chain([result.diverged().to_string()]).chain(length));
     }
     let rollouts = counted(args.samples, "rollout");
     let note = |result: &OfPolicy| {

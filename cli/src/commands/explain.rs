@@ -255,8 +255,7 @@ fn difference(a: [[i64; 8]; 3], b: [[i64; 8]; 3]) -> [[i64; 8]; 3] {
 /// paper. Columns per sample: bytes per step, constant bytes, and bytes of the whole rollout, or with
 /// an adjoint of the window if the scene has one.
 fn bytes(scene: &Scene) -> Result<Table> {
-    let whole =
-        if scene.steps() < scene.horizon { "rollout or window" } else { "whole rollout" };
+    let whole = if scene.steps() < scene.horizon { "rollout or window" } else { "whole rollout" };
     let mut table = Table::new(["field", "bytes per step", "constant", whole]);
     let with_horizon = |horizon: usize| {
         let mut table = scene.table();

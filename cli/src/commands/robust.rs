@@ -158,6 +158,8 @@ fn scene(policy: &Trained, at: &[f64], args: &Robust) -> Result<Scene> {
             if integer as f64 == value { Value::Integer(integer) } else { Value::Float(value) };
         source.replace(&axis.key, number, &format!("{} = {value}", axis.key))?;
     }
+    // Windows have no effect on an evaluation, whose horizon may be shorter.
+    source.without_section("window");
     source.scene().context("--grid")
 }
 

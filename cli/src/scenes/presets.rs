@@ -10,7 +10,7 @@ use std::borrow::Cow;
 use std::path::Path;
 
 /// Name and text of every file in `presets/`.
-const PRESETS: [(&str, &str); 35] = [
+const PRESETS: [(&str, &str); 38] = [
     ("cart_pole", include_str!("presets/cart_pole.toml")),
     ("cart_pole_1", include_str!("presets/cart_pole_1.toml")),
     ("cart_pole_2", include_str!("presets/cart_pole_2.toml")),
@@ -36,10 +36,13 @@ const PRESETS: [(&str, &str); 35] = [
     ("bounce", include_str!("presets/bounce.toml")),
     ("push", include_str!("presets/push.toml")),
     ("equations", include_str!("presets/equations.toml")),
+    ("cart_pole_balance", include_str!("presets/cart_pole_balance.toml")),
+    ("bioreactor", include_str!("presets/bioreactor.toml")),
     ("bodies", include_str!("presets/bodies.toml")),
     ("half_cheetah", include_str!("presets/half_cheetah.toml")),
     ("half_cheetah_run", include_str!("presets/half_cheetah_run.toml")),
     ("hopper", include_str!("presets/hopper.toml")),
+    ("hopper_run", include_str!("presets/hopper_run.toml")),
     ("walker2d", include_str!("presets/walker2d.toml")),
     ("ant", include_str!("presets/ant.toml")),
     ("arm", include_str!("presets/arm.toml")),

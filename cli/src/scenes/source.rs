@@ -12,7 +12,7 @@ use crate::settings::config_error::{ConfigError, Problem, one_of};
 use crate::settings::reading::{flat, is_drawn, is_number, overlay};
 use crate::settings::{OPTIONAL, VERSION};
 use crate::tasks::policy::{COMMON, is_kind};
-use crate::tasks::scene::INITIAL_POLICY;
+use crate::tasks::scene::{INITIAL_POLICY, make_bare};
 use crate::tasks::{self, AnyTaskSpec, FileSetting, Scene};
 use anyhow::{Context, Result, anyhow, bail};
 use serde::Deserialize;
@@ -173,7 +173,8 @@ impl SceneSource {
                 });
             }
             let keys: Vec<String> = section.keys().map(|inner| format!("{key}.{inner}")).collect();
-            bail!("{option}: `{key}` is a section; set one of its keys: {}", keys.join(", "));
+            let keys = if keys.is_empty() { format!("`{key}.KEY=VALUE`") } else { keys.join(", ") };
+            bail!("{option}: `{key}` is a section; set one of its keys: {keys}");
         }
         if inner.insert(last.into(), value).is_none() {
             self.added.push(key.to_owned());
@@ -243,6 +244,11 @@ impl SceneSource {
     /// Removes a section if it is present.
     pub fn without_section(&mut self, name: &str) {
         self.table.remove(name);
+    }
+
+    /// Removes the sensor and the end of episodes.
+    pub fn make_bare(&mut self) {
+        make_bare(&mut self.table);
     }
 
     /// Returns whether the scene has this effect or part of the actuator or the sensor.

@@ -136,6 +136,16 @@ pub const SENSORS: [Info; 5] = [
 ];
 
 impl SensorSettings {
+    /// The first part whose output depends on earlier steps.
+    pub fn remembers(&self) -> Option<&'static str> {
+        let parts = [
+            ("lag", self.lag.is_some()),
+            ("sampling", self.sampling.is_some()),
+            ("delay", self.delay.is_some()),
+        ];
+        parts.into_iter().find_map(|(name, is_present)| is_present.then_some(name))
+    }
+
     /// Checks the ranges of all parameters.
     pub fn validate(&self) -> Result<(), ConfigError> {
         let Self { lag, bias, noise, sampling, delay } = self;

@@ -3,6 +3,7 @@
 use crate::settings::config_error::{ConfigError, allowed, count, not_negative, positive};
 use physgrad::DynTask;
 use physgrad::episode::{ValueSettings, Windows};
+use physgrad::policy::AnyPolicy;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -60,7 +61,7 @@ impl WindowSettings {
         let Some(value) = &self.value else { return Ok(()) };
         let ValueFunction { widths, learning_rate, passes, parts, lambda, follow } = value;
         for (i, &width) in widths.iter().enumerate() {
-            count(&format!("window.value.widths[{i}]"), width, 1..=100_000)?;
+            count(&format!("window.value.widths[{i}]"), width, 1..=10_000)?;
         }
         positive("window.value.learning_rate", *learning_rate)?;
         count("window.value.passes", *passes, 1..=10_000)?;
@@ -72,12 +73,40 @@ impl WindowSettings {
         allowed("training.discount", discount, discount < 1.0, what)
     }
 
+    /// Whether episodes begin anew at any window of an epoch.
+    pub fn restarts(&self) -> bool {
+        self.value.is_some()
+    }
+
+    /// Refuses policies that windows do not train.
+    pub fn check_policy(&self, policy: &dyn AnyPolicy<f64>) -> Result<(), ConfigError> {
+        if let Some(problem) = Windows::problem_of(policy) {
+            return Err(ConfigError::new(
+                "policy.kind",
+                format!("with `window`: the policy {problem}"),
+            ));
+        }
+        if self.normalize && policy.input_layer().is_none() {
+            let what = "needs a policy of the kind `mlp`, with or without bounds; without hidden layers, \
+                        `widths = []`, it is linear";
+            return Err(ConfigError::new("window.normalize", what));
+        }
+        Ok(())
+    }
+
     /// Settings of the library, for this task.
     pub fn windows(&self, task: DynTask, discount: f64) -> Windows {
         let value = self.value.clone().map(|value| {
             let ValueFunction { widths, learning_rate, passes, parts, lambda, follow } = value;
             ValueSettings { widths, learning_rate, passes, parts, lambda, follow }
         });
-        Windows { task, steps: self.steps, discount, noise: self.noise, normalize: self.normalize, value }
+        Windows {
+            task,
+            steps: self.steps,
+            discount,
+            noise: self.noise,
+            normalize: self.normalize,
+            value,
+        }
     }
 }

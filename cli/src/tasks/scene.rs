@@ -246,7 +246,7 @@ impl Scene {
     /// An expression of the scene needs the sensor.
     pub fn without_sensor(self) -> Result<Self, ConfigError> {
         let mut table = self.table();
-        if table.remove("sensor").is_none() {
+        if !make_bare(&mut table) {
             return Ok(self);
         }
         self.task.scene(table)
@@ -566,7 +566,12 @@ impl Scene {
         let settings = [
             ("average", Some(average).filter(|&x| x != 0.0), has_second, &*second),
             ("control", Some(control).filter(|&x| x != 1.0), sees, &*observation),
-            ("discount", Some(discount).filter(|&x| x != 1.0), has_path, &*paths),
+            (
+                "discount",
+                Some(discount).filter(|&x| x != 1.0 && self.window.is_none()),
+                has_path,
+                &*paths,
+            ),
             ("truncation", truncation.map(|steps| steps as f64), has_path, &*paths),
             ("cut", cut, has_path, &*paths),
         ];
@@ -808,4 +813,20 @@ mod tests {
         assert_eq!(effect["properties"]["damping"]["default"].as_f64(), default);
         assert!(!schema.to_string().contains("null"), "{schema}");
     }
+}
+
+/// Removes the sensor and the end of episodes from the table of a scene. Returns whether it had one.
+pub fn make_bare(table: &mut Table) -> bool {
+    let mut found = table.remove("sensor").is_some();
+    for name in ["loss", "equations"] {
+        let Some(section) = table.get_mut(name).and_then(toml::Value::as_table_mut) else {
+            continue;
+        };
+        found |= section.remove("end").is_some();
+        // Definitions alone have no effect.
+        if section.keys().all(|key| key == "define") && name == "equations" {
+            table.remove(name);
+        }
+    }
+    found
 }

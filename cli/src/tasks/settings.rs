@@ -158,7 +158,18 @@ impl<K: TaskSpec> Settings<K> {
         self.integrator.validate(self.precision, K::METHODS)?;
         K::validate(self)?;
         K::validate_own_effects(&self.own_effects)?;
-        self.built(&policy, &self.physics()?)?;
+        let physics = self.physics()?;
+        let built = self.built(&policy, &physics)?;
+        if let Some(window) = &self.window {
+            let restarts = window.restarts() || physics.ended().is_some();
+            if let Some(part) = self.sensor.remembers().filter(|_| restarts) {
+                let what = "is not supported with a value function or the end of episodes: the sensor begins \
+                            at step 0, but these episodes begin at other steps of the epoch. Remove it, or \
+                            train on whole rollouts";
+                return Err(ConfigError::new(format!("sensor.{part}"), what));
+            }
+            window.check_policy(&built.policy)?;
+        }
         self.check_names()
     }
 

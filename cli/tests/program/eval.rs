@@ -257,3 +257,28 @@ fn a_training_starts_from_a_policy_and_resumes_without_its_file() {
     assert!(message.contains("it is not a file in the safetensors format"), "{message}");
     assert!(error(&dir, "train cart_pole_1 --policy absent").contains("--policy absent"));
 }
+
+#[test]
+fn an_evaluation_reports_the_lengths_of_episodes_that_can_end() {
+    let dir = TempDir::new().expect("a folder");
+    let scene = "scene = 1\ntask = \"equations\"\nhorizon = 40\n[system]\nstates = [\"q\"]\n\
+        controls = [\"v\"]\ndt = 0.1\nrate.q = \"1 + 0 * v\"\nstart.q = { uniform = [0, 1] }\n\
+        [loss]\nrunning = \"1\"\nend = \"q > 1.25\"\n[policy]\nwidths = []\n";
+    fs::write(dir.path().join("scene.toml"), scene).expect("a scene");
+    succeed(&dir, "train scene.toml --epochs 1 --quiet --out a");
+    succeed(&dir, "eval a --samples 20 --worst 0 --out found");
+    let rows = read(&dir, "found/losses.csv");
+    let [losses, lengths] = ["loss", "length"].map(|name| column(&rows, name));
+    // Each step of an episode costs 1.
+    assert_eq!(losses, lengths);
+    assert!(lengths.iter().all(|length| (2.0..=13.0).contains(length)), "{lengths:?}");
+    let mean = lengths.iter().sum::<f64>() / 20.0;
+    assert_eq!(column(&read(&dir, "found/summary.csv"), "mean_length"), [mean]);
+    let output = physgrad("eval a --samples 20 --worst 0 --out again", dir.path()).assert();
+    let text = String::from_utf8(output.get_output().stdout.clone()).expect("text");
+    assert!(text.contains("mean steps"), "{text}");
+    succeed(&dir, "report a --quiet");
+    let report = fs::read_to_string(dir.path().join("a/report.html")).expect("a report");
+    assert!(report.contains("Length of episodes"));
+    assert!(!report.contains("Explained variance"), "the run has no value function");
+}

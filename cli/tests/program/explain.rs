@@ -212,3 +212,18 @@ fn the_presets_with_more_effects_than_the_paper_pass_the_gradient_checks() {
         );
     }
 }
+
+#[test]
+fn the_memory_of_a_training_by_windows_is_that_of_a_window() {
+    let last = |rows: &[Vec<String>], name: &str| -> [f64; 3] {
+        let cells = &row(rows, name)[1..];
+        std::array::from_fn(|i| cells[i].parse().expect("a number"))
+    };
+    let scene = SCENE.replace("horizon = 40", "horizon = 100");
+    let plain = explained(&scene, &[]);
+    let windows = explained(&format!("{scene}\n[window]\nsteps = 25\n"), &[]);
+    assert_eq!(last(&plain, "evaluation"), last(&windows, "evaluation"));
+    let [per_step, constant, whole] = last(&windows, "combined");
+    assert_eq!(last(&plain, "combined")[..2], [per_step, constant]);
+    assert_eq!(whole, constant + 25.0 * per_step);
+}

@@ -155,8 +155,12 @@ fn cases(dir: &Path) -> Vec<Case> {
     let names = presets();
     assert!(names.len() >= 23, "{names:?}");
     // A window is at most as long as the horizon.
+    let has_windows = |name: &str| {
+        let text = physgrad(&["scene", name]).output().expect("the command runs").stdout;
+        String::from_utf8_lossy(&text).contains("\n[window]\n")
+    };
     let short =
-        |name: &str| -> &[&str] { if name.ends_with("_run") { &["window.steps=3"] } else { &[] } };
+        |name: &str| -> &[&str] { if has_windows(name) { &["window.steps=3"] } else { &[] } };
     let plain = names.iter().map(|name| (name.as_str(), short(name)));
     let mut cases = Vec::new();
     for (i, (preset, changes)) in plain.chain(MORE).enumerate() {

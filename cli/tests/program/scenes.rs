@@ -63,10 +63,11 @@ fn every_preset_has_the_task_and_the_number_in_its_name() {
         train_scene(Path::new(name), &out, &options).assert().success();
         let settings = settings(&out);
         let task = settings["task"].as_str().expect("a task");
-        // Names of presets of bodies begin with those of their models.
+        // Names of presets of bodies begin with those of their models, and those of equations are free.
         let model = settings["system"].get("model").and_then(toml::Value::as_str);
         let is_of_model = model.is_some_and(|model| name.starts_with(model));
-        let is_named = name.starts_with(task) || task == "bodies" && is_of_model;
+        let is_named =
+            name.starts_with(task) || task == "equations" || task == "bodies" && is_of_model;
         assert!(is_named, "{name}");
         let number = name.rsplit('_').next().and_then(|number| number.parse::<f64>().ok());
         let value = match settings["task"].as_str() {

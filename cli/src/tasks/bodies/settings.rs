@@ -34,7 +34,7 @@ pub struct BodiesSettings {
     #[serde(default)]
     pub contacts: Contacts,
     /// Depth in m at which smooth contacts have their full stiffness, and their time constant in s.
-    /// Default: 0.05.
+    /// Other contacts do not read it. Default: 0.05.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     softness: Option<f64>,
     /// Named pose of the file from which rollouts start. Default: the reference pose.
@@ -192,10 +192,6 @@ impl BodiesSettings {
     pub fn task(&self, substeps: usize, horizon: usize) -> Result<BodiesTask, ConfigError> {
         if let Some(softness) = self.softness {
             positive("system.softness", softness)?;
-            if self.contacts != Contacts::Smooth {
-                let what = "has no effect: write `contacts = \"smooth\"` too";
-                return Err(ConfigError::new("system.softness", what));
-            }
         }
         let mut model = self.model()?;
         model.options.dt /= substeps as f64;
