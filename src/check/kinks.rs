@@ -173,11 +173,18 @@ trait Functions {
 impl<T: Task> Functions for T {
     fn eval(&self, z: &[Dual64], p: &[Dual64], t: usize) -> Vec<Dual64> {
         let (n, m) = (self.system().state_dim(), self.system().control_dim());
-        let ((x, rest), zero) = (z.split_at(n), Dual64::from_re(0.0));
+        let zero = Dual64::from_re(0.0);
+        let mut z = z.to_vec();
+        // The functions of a running episode: its end has no derivative anyway.
+        if let Some(ended) = self.ended() {
+            (z[ended], z[n + m + ended]) = (zero, zero);
+        }
+        let (x, rest) = z.split_at(n);
         let (u, next) = rest.split_at(m);
         let inputs = Inputs { x, u, p, t };
         let mut values = vec![zero; n];
         step(self.system(), inputs, &mut values);
+        self.ended().into_iter().for_each(|ended| values[ended] = zero);
         if let Some(observed) = self.observation_dim() {
             let mut y = vec![zero; observed];
             self.observe(inputs.with_u(&[]), &mut y);

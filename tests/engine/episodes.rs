@@ -5,6 +5,7 @@ use physgrad::graph::{Costs, Equations, GraphTask};
 use physgrad::integrator::{AnyIntegrator, RungeKutta};
 use physgrad::policy::{Gru, Linear, Mlp};
 use physgrad::prelude::*;
+use physgrad::rng::Purpose;
 use physgrad::train::Session;
 use physgrad::{Clip, DynTask, Rollout, Training, Weights, check, losses};
 
@@ -38,11 +39,8 @@ fn derivatives_of_episodes_that_end_agree_with_dual_numbers() {
     check::task(&task, &policy).unwrap();
     let ended = (0..20).filter(|&seed| {
         let mut rollout = Rollout::<f64>::new(&task, &policy, 1);
-        let weights = Weights::init(
-            &policy,
-            &mut physgrad::rng::stream(seed, physgrad::rng::Purpose::Policy, 0),
-        );
-        rollout.start(&physgrad::initial_states(&task, seed, physgrad::rng::Purpose::Test, 1));
+        let weights = Weights::init(&policy, &mut physgrad::rng::stream(seed, Purpose::Policy, 0));
+        rollout.start(&physgrad::initial_states(&task, seed, Purpose::Test, 1));
         rollout.run(&task, &policy, &weights).unwrap();
         rollout.state(30, 0, 2) > 0.0
     });
@@ -54,8 +52,7 @@ fn derivatives_of_episodes_that_end_agree_with_dual_numbers() {
 fn an_ended_episode_costs_what_the_shorter_one_costs() {
     let policy = Linear::new(2, 1);
     let theta = Weights::new(&policy, vec![0.3, -0.1]);
-    let starts: Vec<f64> =
-        physgrad::initial_states(&falling(30), 1, physgrad::rng::Purpose::Test, 16);
+    let starts: Vec<f64> = physgrad::initial_states(&falling(30), 1, Purpose::Test, 16);
     let found = losses(&falling(30), &policy, &theta, &starts).unwrap();
     let mut lengths = Vec::new();
     for (start, found) in starts.chunks_exact(3).zip(found) {
@@ -382,6 +379,14 @@ fn policies_that_windows_do_not_carry_on_are_refused() {
     assert!(timed.is_some_and(|text| text.contains("number of the step")));
     assert_eq!(Windows::problem_of::<f64>(&Mlp::new([2, 1])), None);
     assert_eq!(Windows::problem_of::<f64>(&Linear::with_bias(2, 1)), None);
+}
+
+#[test]
+fn the_end_of_an_episode_is_no_kink() {
+    let (task, policy) = (falling(30), Mlp::new([2, 4, 1]));
+    let weights = Weights::init(&policy, &mut physgrad::rng::stream(0, Purpose::Policy, 0));
+    let starts = physgrad::initial_states(&task, 1, Purpose::Test, 4);
+    assert_eq!(check::kinks(&task, &policy, &weights, &starts).len(), 0);
 }
 
 #[test]

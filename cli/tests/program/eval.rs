@@ -282,3 +282,37 @@ fn an_evaluation_reports_the_lengths_of_episodes_that_can_end() {
     assert!(report.contains("Length of episodes"));
     assert!(!report.contains("Explained variance"), "the run has no value function");
 }
+
+#[test]
+fn an_identification_ignores_the_end_of_episodes() {
+    let dir = TempDir::new().expect("a folder");
+    let scene = "scene = 1\ntask = \"equations\"\nhorizon = 20\n[system]\nstates = [\"x\"]\n\
+        controls = [\"u\"]\ndt = 0.1\nrate.x = \"u - g * x\"\n\
+        parameters.g = { start = 1.0 }\n[loss]\nrunning = \"next.x^2\"\n";
+    fs::write(dir.path().join("plain.toml"), scene).expect("a scene");
+    fs::write(dir.path().join("ends.toml"), format!("{scene}end = \"x < 0.5\"\n"))
+        .expect("a scene");
+    let row = |i: i32| format!("{},{},0\n", 0.1 * f64::from(i), (-0.2 * f64::from(i)).exp());
+    let data: String = (0..=20).map(row).collect();
+    fs::write(dir.path().join("data.csv"), format!("t,x,u\n{data}")).expect("data");
+    let fit = |scene: &str| {
+        succeed(&dir, &format!("identify {scene}.toml --data data.csv --out {scene} --quiet"));
+        read(&dir, &format!("{scene}/fit.csv"))
+    };
+    assert_eq!(fit("plain"), fit("ends"));
+}
+
+#[test]
+fn windows_refuse_policies_and_sensors_that_they_do_not_carry_on() {
+    let dir = TempDir::new().expect("a folder");
+    let windows = "--set window={steps=10,value={}} --set training.discount=0.9";
+    for (change, message) in [
+        ("policy.kind=gru", "`policy.kind` with `window`: the policy has a memory"),
+        ("policy.kind=open_loop", "depends on the number of the step"),
+        ("sensor.delay={steps=2}", "`sensor.delay` is not supported with a value function"),
+        ("window.normalize=true --set policy.kind=linear", "`window.normalize` needs a policy"),
+    ] {
+        let text = error(&dir, &format!("train lqr {windows} --set {change} --out a"));
+        assert!(text.contains(message), "{change}: {text}");
+    }
+}
