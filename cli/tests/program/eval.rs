@@ -296,7 +296,7 @@ fn an_identification_ignores_the_end_of_episodes() {
     let data: String = (0..=20).map(row).collect();
     fs::write(dir.path().join("data.csv"), format!("t,x,u\n{data}")).expect("data");
     let fit = |scene: &str| {
-        succeed(&dir, &format!("identify {scene}.toml --data data.csv --out {scene} --quiet"));
+        succeed(&dir, &format!("identify {scene}.toml --data data.csv --out {scene}"));
         read(&dir, &format!("{scene}/fit.csv"))
     };
     assert_eq!(fit("plain"), fit("ends"));
@@ -305,14 +305,16 @@ fn an_identification_ignores_the_end_of_episodes() {
 #[test]
 fn windows_refuse_policies_and_sensors_that_they_do_not_carry_on() {
     let dir = TempDir::new().expect("a folder");
-    let windows = "--set window={steps=10,value={}} --set training.discount=0.9";
+    let scene = "scene = 1\ntask = \"cart_pole\"\n[training]\ndiscount = 0.9\n\
+        [window]\nsteps = 10\n[window.value]\n";
+    fs::write(dir.path().join("scene.toml"), scene).expect("a scene");
     for (change, message) in [
         ("policy.kind=gru", "`policy.kind` with `window`: the policy has a memory"),
         ("policy.kind=open_loop", "depends on the number of the step"),
         ("sensor.delay={steps=2}", "`sensor.delay` is not supported with a value function"),
         ("window.normalize=true --set policy.kind=linear", "`window.normalize` needs a policy"),
     ] {
-        let text = error(&dir, &format!("train lqr {windows} --set {change} --out a"));
+        let text = error(&dir, &format!("train scene.toml --set {change} --out a"));
         assert!(text.contains(message), "{change}: {text}");
     }
 }
