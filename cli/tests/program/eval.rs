@@ -297,7 +297,7 @@ fn an_identification_ignores_the_end_of_episodes() {
     fs::write(dir.path().join("data.csv"), format!("t,x,u\n{data}")).expect("data");
     let fit = |scene: &str| {
         succeed(&dir, &format!("identify {scene}.toml --data data.csv --out {scene}"));
-        read(&dir, &format!("{scene}/fit.csv"))
+        read(&dir, &format!("{scene}/identified.csv"))
     };
     assert_eq!(fit("plain"), fit("ends"));
 }
