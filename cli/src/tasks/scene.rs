@@ -758,6 +758,22 @@ impl Scene {
     }
 }
 
+/// Removes the sensor and the end of episodes from the table of a scene. Returns whether it had one.
+pub fn make_bare(table: &mut Table) -> bool {
+    let mut found = table.remove("sensor").is_some();
+    for name in ["loss", "equations"] {
+        let Some(section) = table.get_mut(name).and_then(toml::Value::as_table_mut) else {
+            continue;
+        };
+        found |= section.remove("end").is_some();
+        // Definitions alone have no effect.
+        if section.keys().all(|key| key == "define") && name == "equations" {
+            table.remove(name);
+        }
+    }
+    found
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -813,20 +829,4 @@ mod tests {
         assert_eq!(effect["properties"]["damping"]["default"].as_f64(), default);
         assert!(!schema.to_string().contains("null"), "{schema}");
     }
-}
-
-/// Removes the sensor and the end of episodes from the table of a scene. Returns whether it had one.
-pub fn make_bare(table: &mut Table) -> bool {
-    let mut found = table.remove("sensor").is_some();
-    for name in ["loss", "equations"] {
-        let Some(section) = table.get_mut(name).and_then(toml::Value::as_table_mut) else {
-            continue;
-        };
-        found |= section.remove("end").is_some();
-        // Definitions alone have no effect.
-        if section.keys().all(|key| key == "define") && name == "equations" {
-            table.remove(name);
-        }
-    }
-    found
 }
