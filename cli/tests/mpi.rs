@@ -20,7 +20,8 @@ fn available() -> bool {
         );
         return false;
     }
-    match launcher(2).arg("true").output() {
+    let dir = TempDir::new().expect("a folder");
+    match launcher(2, dir.path()).arg("true").output() {
         Ok(output) if output.status.success() => true,
         Ok(output) => {
             println!("skipped: mpirun cannot start two processes: {}", text(&output));
@@ -33,9 +34,11 @@ fn available() -> bool {
     }
 }
 
-/// Returns the `mpirun` command that starts `ranks` ranks on this machine.
-fn launcher(ranks: usize) -> Command {
+/// Returns the `mpirun` command that starts `ranks` ranks on this machine, with its files in `dir`: in
+/// a common folder, launches at the same moment disturb one another.
+fn launcher(ranks: usize, dir: &Path) -> Command {
     let mut command = Command::new("mpirun");
+    command.env("TMPDIR", dir);
     command.args([
         "--oversubscribe",
         "--allow-run-as-root",
@@ -62,7 +65,8 @@ const SETTINGS: [&str; 6] = [
 
 /// Starts `train cart_pole` on several ranks.
 fn start(ranks: usize, out: &Path, args: &[&str]) -> Child {
-    let mut command = launcher(ranks);
+    let dir = out.parent().expect("a folder inside another");
+    let mut command = launcher(ranks, dir);
     command.arg(assert_cmd::cargo::cargo_bin!("physgrad")).args([
         "train",
         "cart_pole",
@@ -220,7 +224,7 @@ fn an_error_is_printed_once_and_other_settings_of_a_rank_are_refused() {
     assert_eq!(text(&output).matches("error:").count(), 1, "{}", text(&output));
 
     // Rank 1 has more epochs. The identity of a run does not contain the number of epochs.
-    let mut ranks = launcher(1);
+    let mut ranks = launcher(1, dir.path());
     for (rank, epochs) in ["2", "3"].into_iter().enumerate() {
         if rank > 0 {
             ranks.args([":", "-n", "1"]);
