@@ -178,11 +178,7 @@ impl<'a, 'g> Parser<'a, 'g> {
         graph: &'g mut Graph,
         resolve: &'g dyn Fn(&str) -> Result<Term, String>,
     ) -> Result<Term, ParseError> {
-        let mut parser = Self::new(text, graph, resolve)?;
-        let value = parser.expression(0)?;
-        let term = parser.term(value, 0)?;
-        parser.end()?;
-        Ok(term)
+        Self::whole(text, graph, resolve, |parser, value| parser.term(value, 0))
     }
 
     /// Appends a number to the graph that is -1 where the condition holds, else 1.
@@ -191,12 +187,25 @@ impl<'a, 'g> Parser<'a, 'g> {
         graph: &'g mut Graph,
         resolve: &'g dyn Fn(&str) -> Result<Term, String>,
     ) -> Result<Term, ParseError> {
+        Self::whole(text, graph, resolve, |parser, value| {
+            let condition = parser.condition(value, 0)?;
+            let [yes, no] = [-1.0, 1.0].map(|value| parser.graph.constant(value));
+            Ok(Term::Number(condition.select(parser.graph, yes, no)))
+        })
+    }
+
+    /// Reads the whole text, and converts its value.
+    fn whole(
+        text: &'a str,
+        graph: &'g mut Graph,
+        resolve: &'g dyn Fn(&str) -> Result<Term, String>,
+        convert: impl FnOnce(&mut Self, Value) -> Result<Term, ParseError>,
+    ) -> Result<Term, ParseError> {
         let mut parser = Self::new(text, graph, resolve)?;
         let value = parser.expression(0)?;
-        let condition = parser.condition(value, 0)?;
+        let term = convert(&mut parser, value)?;
         parser.end()?;
-        let [yes, no] = [-1.0, 1.0].map(|value| parser.graph.constant(value));
-        Ok(Term::Number(condition.select(parser.graph, yes, no)))
+        Ok(term)
     }
 
     fn new(

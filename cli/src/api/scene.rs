@@ -111,7 +111,7 @@ impl Scene {
         Self::changed(source, settings, self.scene.initial_policy())
     }
 
-    /// Copy without its sensor, whose states no measurement contains.
+    /// Copy without its sensor and the end of its episodes, whose states no measurement contains.
     ///
     /// # Errors
     /// An expression of the scene needs the sensor.

@@ -240,7 +240,7 @@ impl Scene {
         table
     }
 
-    /// The scene without its sensor, for computations on measured states.
+    /// The scene without its sensor and the end of its episodes, for computations on measured states.
     ///
     /// # Errors
     /// An expression of the scene needs the sensor.
