@@ -151,13 +151,8 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
         let double =
             |numbers: &[F]| numbers.iter().map(|number| number.as_()).collect::<Vec<f64>>();
         let weights = Weights::new(self.policy(), double(self.weights().theta()));
-        trajectory::rollouts(
-            self.task(),
-            self.policy(),
-            &weights,
-            &double(self.test_starts()),
-            chosen,
-        )
+        let starts = double(self.test_starts());
+        trajectory::until_divergence(self.task(), self.policy(), &weights, &starts, chosen).0
     }
 
     fn starts(&self, chosen: Range<usize>) -> Vec<Trajectory> {
@@ -187,7 +182,7 @@ fn theta<T: Task, P: Policy, F: Float>(session: &Session<T, P, F>, epoch: Epoch)
     }
 }
 
-/// Opens a session before its first epoch, with the parameters `theta`.
+/// Opens a session before its first epoch, with the parameters `theta`. Without, they are drawn.
 pub fn open<P: Policy + 'static>(
     task: DynTask,
     policy: P,
@@ -195,9 +190,12 @@ pub fn open<P: Policy + 'static>(
     field: Field,
     training: Training,
     windows: Option<Windows>,
-    theta: Vec<f64>,
+    theta: Option<Vec<f64>>,
 ) -> Result<Box<dyn AnyRun>> {
-    let mut trainer = Trainer::new(task, policy).field(field).training(training).start_from(theta);
+    let mut trainer = Trainer::new(task, policy).field(field).training(training);
+    if let Some(theta) = theta {
+        trainer = trainer.start_from(theta);
+    }
     if let Some(windows) = windows {
         trainer = trainer.windows(windows);
     }

@@ -300,9 +300,17 @@ impl Scene {
         checks::plateau(&self.stepped(), &self.policy, theta, self.seed)
     }
 
-    /// Compares R with the derivative of the mean loss. None if that would take long.
-    pub fn jumps(&self, theta: &[f64]) -> Option<Result<Jumps, Divergence>> {
-        checks::jumps(&self.physics, &self.policy, theta, self.seed)
+    /// Steps of a window. None if updates see whole rollouts.
+    pub fn window_steps(&self) -> Option<usize> {
+        self.window.as_ref().map(|window| window.steps)
+    }
+
+    /// Compares R with the derivative of the mean loss over the first steps. None if that would take
+    /// long.
+    pub fn jumps(&self, theta: &[f64], steps: usize) -> Option<Result<Jumps, Divergence>> {
+        let system = self.physics.system().clone();
+        let shortened = self.physics.clone().adapted(system, 1, Vec::new(), steps);
+        checks::jumps(&shortened, &self.policy, theta, self.seed)
     }
 
     /// Key and value of a setting with which forces at contact begin without a jump, if the scene has
@@ -591,11 +599,12 @@ impl Scene {
     /// scene.
     pub fn open(&self, workers: usize) -> Result<Box<dyn AnyRun>> {
         let theta = self.initial_theta()?;
+        let given = self.initial_policy().map(|_| theta);
         let training = self.training.training(self.epochs, self.seed, workers);
         let windows = self.windows();
         let field = self.training.weighted_in(self.field.0, windows.is_some());
         let (task, policy) = (self.physics.clone(), self.policy.clone());
-        session::open(task, policy, self.precision, field, training, windows, theta)
+        session::open(task, policy, self.precision, field, training, windows, given)
     }
 
     /// Steps that an update sees: those of a window, or all.
