@@ -185,8 +185,8 @@ impl Equations {
         let motion = reader.function(section, motion, &[X, U, P, TIME])?;
         let observe = reader.observation("observe", &self.observe)?;
         let running = reader.running_cost("loss.running", &costs.running)?;
-        let terminal = reader.terminal_cost("loss.terminal", &costs.terminal)?;
         let margin = reader.margin("loss.end", &costs.end)?;
+        let terminal = reader.terminal_cost("loss.terminal", &costs.terminal)?;
         let others = [&observe, &running, &terminal, &margin].into_iter().flatten();
         let outputs = [&motion].into_iter().chain(others).flat_map(Function::outputs);
         let operations = reader.operations(outputs.copied());

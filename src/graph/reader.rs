@@ -236,7 +236,8 @@ impl<'a> Reader<'a> {
         self.cost(key, text, &[X, P])
     }
 
-    /// Function that is negative where a condition holds. None if the condition is empty.
+    /// Function that is negative where the condition of the end holds. None if the condition is
+    /// empty. Expressions that follow may use the name `ended`: 1 where it holds, else 0.
     pub(super) fn margin(
         &mut self,
         key: &str,
@@ -249,6 +250,8 @@ impl<'a> Reader<'a> {
         let read: Read = |text, graph, resolve| Parser::read_condition(text, graph, resolve);
         let term = self.read(key, text, read)?;
         let output = term.id(&mut self.graph);
+        let ended = self.term(key, &format!("where({text}, 1, 0)"))?;
+        self.known.entry("ended".to_owned()).or_insert(ended);
         self.function(key, vec![output], &[X, P]).map(Some)
     }
 

@@ -112,8 +112,8 @@ impl Replaced {
         let parts = Parts {
             observe: reader.observation("observe", &replacement.observe)?.map(Arc::new),
             running: reader.running_cost("running", &replacement.running)?.map(Arc::new),
-            terminal: reader.terminal_cost("terminal", &replacement.terminal)?.map(Arc::new),
             margin: reader.margin("end", &replacement.end)?.map(Arc::new),
+            terminal: reader.terminal_cost("terminal", &replacement.terminal)?.map(Arc::new),
         };
         Ok(Self { task, parts, dt })
     }

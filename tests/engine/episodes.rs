@@ -317,6 +317,23 @@ fn the_training_loss_is_that_of_whole_episodes() {
     }
 }
 
+#[test]
+fn the_terminal_cost_knows_whether_an_episode_ended() {
+    let loss = |horizon: usize| {
+        let costs = Costs {
+            running: "1 + 0 * v".into(),
+            terminal: "20 * ended".into(),
+            end: "q > 9.5 or q < -1".into(),
+        };
+        let task = counted("q + 1 + 0 * v", costs, horizon);
+        let policy = Mlp::new([1, 1]);
+        let theta = Weights::new(&policy, vec![0.0, 0.0]);
+        losses(&task, &policy, &theta, &[0.0, 0.0]).unwrap()[0]
+    };
+    // Ten steps lead to the end. The last step of a horizon of ten is the end, too.
+    assert_eq!([loss(60), loss(10), loss(9)], [30.0, 30.0, 9.0]);
+}
+
 /// Derivatives of steps and costs that an ended episode does not take may be infinite.
 #[test]
 fn an_end_guards_what_lies_behind_it() {
