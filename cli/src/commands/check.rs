@@ -184,24 +184,51 @@ fn about_rollouts(
 }
 
 /// Makes a note about the error of R against the derivative of the mean loss, and about a setting that
-/// reduces it.
+/// reduces it, over the steps that an update differentiates.
 fn about_jumps(
     scene: &Scene,
     source: SceneSource,
     theta: &[f64],
     note: &mut dyn FnMut(String) -> Result<()>,
 ) -> Result<()> {
-    let found = match scene.jumps(theta) {
-        None => return note("mean loss and R: not compared, because it would take long".into()),
-        Some(Err(divergence)) => return note(format!("mean loss and R: {divergence}")),
+    let window = scene.window_steps();
+    let over = window.map(|steps| format!(" over a window of {}", counted(steps, "step")));
+    let (over, steps) = (over.unwrap_or_default(), window.unwrap_or(scene.horizon));
+    let found = match scene.jumps(theta, steps) {
+        None => {
+            return note(format!(
+                "mean loss and R{over}: not compared, because it would take long"
+            ));
+        }
+        Some(Err(divergence)) => return note(format!("mean loss and R{over}: {divergence}")),
         Some(Ok(found)) => found,
     };
-    note(format!("mean loss and R: {found}"))?;
-    let is_bad = found.is_biased() || found.is_undecided();
-    match is_bad.then(|| smoother(scene, source, theta, &found)).flatten() {
-        Some(advice) => note(advice),
-        None => Ok(()),
+    note(format!("mean loss and R{over}: {found}"))?;
+    if !is_bad(&found) {
+        return Ok(());
     }
+    if window.is_some() {
+        shorter(scene, theta, steps).map_or(Ok(()), &mut *note)?;
+    }
+    smoother(scene, source, theta, steps, &found).map_or(Ok(()), note)
+}
+
+fn is_bad(found: &Jumps) -> bool {
+    found.is_biased() || found.is_undecided()
+}
+
+/// Advises the longest of some shorter windows over which R is not biased.
+fn shorter(scene: &Scene, theta: &[f64], steps: usize) -> Option<String> {
+    let halves = std::iter::successors(Some(steps / 2), |steps| Some(steps / 2));
+    let (steps, found) = halves.take_while(|&steps| steps > 0).find_map(|steps| {
+        let found = scene.jumps(theta, steps)?.ok()?;
+        (!is_bad(&found)).then_some((steps, found))
+    })?;
+    Some(format!(
+        "window: with `window.steps = {steps}`, R differs from the derivative of the mean loss by {} %. Train with it: the \
+         value function stands for the steps that follow (docs/episodes.md)",
+        rough(100.0 * found.error)
+    ))
 }
 
 /// Advises smooth contacts if R is not biased with them, or less.
@@ -209,13 +236,14 @@ fn smoother(
     scene: &Scene,
     mut source: SceneSource,
     theta: &[f64],
+    steps: usize,
     found: &Jumps,
 ) -> Option<String> {
     /// Largest share of the error that remains.
     const LESS: f64 = 0.5;
     let (key, value) = scene.smoother()?;
     source.put(key, Value::String(value.into()), "smooth contacts").ok()?;
-    let smooth = source.scene().ok()?.jumps(theta)?.ok()?;
+    let smooth = source.scene().ok()?.jumps(theta, steps)?.ok()?;
     let [share, now] = [smooth.error, found.error].map(|error| rough(100.0 * error));
     (smooth.error < LESS * found.error && !smooth.is_undecided()).then(|| {
         format!(
@@ -271,7 +299,10 @@ mod tests {
     fn stiff_contact_biases_r_and_smooth_contact_does_not() {
         let notes = |contacts: &str| {
             let (scene, source, theta) = half_cheetah(contacts);
-            let found = scene.jumps(&theta).expect("short rollouts").expect("finite rollouts");
+            let found = scene
+                .jumps(&theta, scene.horizon)
+                .expect("short rollouts")
+                .expect("finite rollouts");
             let mut notes = Vec::new();
             let mut note = |text: String| {
                 notes.push(text);
