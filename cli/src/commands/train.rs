@@ -252,6 +252,7 @@ fn object(
         "train_loss": last(|record| record.train_loss),
         "test_loss": last(|record| record.test_loss),
         "best_test_loss": best(records),
+        "length": records.last().and_then(|record| record.length),
         // A sum of no numbers would be -0.
         "seconds": records.iter().fold(0.0, |sum, record| sum + record.seconds),
         "skipped": records.iter().map(|record| record.skipped).sum::<usize>(),
@@ -269,8 +270,10 @@ fn summary(
         let seconds: f64 = records.iter().map(|r| r.seconds).sum();
         let [train, test, best] = [last.train_loss, last.test_loss, best(records)].map(short);
         let epochs = counted(records.len(), "epoch");
+        let length = |length| format!(", {} of {} steps on average", short(length), scene.horizon);
+        let length = last.length.map_or_else(String::new, length);
         text += &format!(
-            "{epochs} in {seconds:.1} s: training loss {train}, test loss {test} (best {best})\n"
+            "{epochs} in {seconds:.1} s: training loss {train}, test loss {test} (best {best}){length}\n"
         );
         let skipped: usize = records.iter().map(|r| r.skipped).sum();
         if skipped > 0 {

@@ -21,8 +21,19 @@ pub struct Trajectory {
     pub params: Vec<Vec<f64>>,
 }
 
-/// Rollouts of the policy from a range of the initial states. Truncates the end of the range to the
-/// available states.
+impl Trajectory {
+    /// Removes what follows the first state in which the component `ended` is not 0.
+    fn cut(&mut self, ended: usize) {
+        if let Some(last) = self.states.iter().position(|state| state[ended] > 0.0) {
+            self.states.truncate(last + 1);
+            self.controls.truncate(last);
+            self.params.truncate(last + 1);
+        }
+    }
+}
+
+/// Rollouts of the policy from a range of the initial states, each up to the end of its episode.
+/// Truncates the end of the range to the available states.
 pub fn rollouts<F: Float>(
     task: &dyn AnyTask<F>,
     policy: &dyn AnyPolicy<F>,
@@ -30,10 +41,14 @@ pub fn rollouts<F: Float>(
     starts: &[F],
     chosen: Range<usize>,
 ) -> Vec<Trajectory> {
-    until_divergence(task, policy, weights, starts, chosen).0
+    let mut rollouts = until_divergence(task, policy, weights, starts, chosen).0;
+    if let Some(ended) = task.ended() {
+        rollouts.iter_mut().for_each(|rollout| rollout.cut(ended));
+    }
+    rollouts
 }
 
-/// [`rollouts`], and the first non-finite number.
+/// Rollouts over the whole horizon, and the first non-finite number.
 pub fn until_divergence<F: Float>(
     task: &dyn AnyTask<F>,
     policy: &dyn AnyPolicy<F>,

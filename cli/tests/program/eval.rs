@@ -274,6 +274,13 @@ fn an_evaluation_reports_the_lengths_of_episodes_that_can_end() {
     assert!(lengths.iter().all(|length| (2.0..=13.0).contains(length)), "{lengths:?}");
     let mean = lengths.iter().sum::<f64>() / 20.0;
     assert_eq!(column(&read(&dir, "found/summary.csv"), "mean_length"), [mean]);
+    // A trajectory ends with the state in which the episode ended.
+    let rows = read(&dir, "a/trajectory.csv");
+    let [steps, ended] = ["step", "ended"].map(|name| column(&rows, name));
+    for (i, (step, ended)) in std::iter::zip(&steps, &ended).enumerate() {
+        let is_last = steps.get(i + 1).is_none_or(|&next| next == 0.0);
+        assert_eq!(*ended, if is_last { *step } else { 0.0 }, "row {i}");
+    }
     let output = physgrad("eval a --samples 20 --worst 0 --out again", dir.path()).assert();
     let text = String::from_utf8(output.get_output().stdout.clone()).expect("text");
     assert!(text.contains("mean steps"), "{text}");
