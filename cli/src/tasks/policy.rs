@@ -256,6 +256,15 @@ impl Bounds {
             );
             return Err(ConfigError::new("bounds", what));
         }
+        let is_extreme =
+            |[low, high]: &[f64; 2]| high - low < 2e-37 || low.abs().max(high.abs()) > 1e37;
+        if let Some(i) = ranges.iter().position(is_extreme) {
+            let ([low, high], name) = (ranges[i], &of.controls[i]);
+            let what = format!(
+                "has [{low:e}, {high:e}] for `{name}`; allowed: bounds within ±1e37, the smaller first and 2e-37 apart"
+            );
+            return Err(ConfigError::new("bounds", what));
+        }
         Ok(ranges)
     }
 }
