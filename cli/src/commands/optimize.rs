@@ -17,6 +17,7 @@ use physgrad::text::{digits, rough, short};
 use physgrad_plot::{Dash, Series, fitted};
 use serde_json::json;
 use std::collections::HashSet;
+use std::iter::zip;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -219,8 +220,15 @@ fn starts(args: &Optimize, scene: &Scene) -> Result<Vec<Trajectory>> {
     }
     let chosen = 0..args.starts;
     // Plans have double precision. An unstable plant amplifies the rounding errors of f32 controls.
-    let rollouts =
-        if args.from.is_some() { run.double_rollouts(chosen) } else { run.starts(chosen) };
+    let mut rollouts = run.starts(chosen.clone());
+    if args.from.is_some() {
+        // The rollouts draw noise, of which a plan has the mean.
+        let with_mean = |(rollout, start): (Trajectory, Trajectory)| Trajectory {
+            params: start.params,
+            ..rollout
+        };
+        rollouts = zip(run.double_rollouts(chosen), rollouts).map(with_mean).collect();
+    }
     match &args.from {
         Some(path) if rollouts.iter().any(|rollout| rollout.controls.len() < scene.horizon) => {
             bail!("the policy of {} diverges; name a scene instead of --from {0}", path.display())
