@@ -8,6 +8,10 @@ use serde::{Deserialize, Serialize};
 /// enlarged.
 const LEAST: f64 = 1e-3;
 
+/// The same relative to the mean: the weights of y and the bias cancel where the deviation is small
+/// against the mean, with an error of ε mean / deviation times the weight of a normalized component.
+const LEAST_OF_MEAN: f64 = 1e-4;
+
 /// Mean and standard deviation of each component of the observation.
 ///
 /// A layer `z = W y + b` equals a layer `z = Ŵ (y - mean) / deviation + b̂`. An optimizer that works
@@ -83,7 +87,8 @@ impl Moments {
     /// The units of these observations. `shifted` is false for a layer without a bias.
     pub(super) fn units(&self, shifted: bool) -> Units {
         let unit = |&[mean, squares]: &[f64; 2]| {
-            let deviation = (squares / self.count).sqrt().max(LEAST);
+            let least = LEAST.max(LEAST_OF_MEAN * mean.abs());
+            let deviation = (squares / self.count).sqrt().max(least);
             [if shifted { mean } else { 0.0 }, deviation]
         };
         Units(self.sums.iter().map(unit).collect())
@@ -105,6 +110,14 @@ mod tests {
 
     const OBSERVATIONS: [[f64; 3]; 4] =
         [[1.0, -20.0, 5.0], [1.5, 30.0, 5.0], [0.2, 10.0, 5.0], [-0.4, 2.0, 5.0]];
+
+    #[test]
+    fn a_constant_of_a_large_number_does_not_cancel_in_f32() {
+        let mut moments = Moments::default();
+        moments.add(&[101_325.0, 350.0]);
+        moments.add(&[101_325.0, 352.0]);
+        assert_eq!(moments.units(true).0, [[101_325.0, 10.1325], [351.0, 1.0]]);
+    }
 
     /// Outputs of a policy for the observations, and the gradient of their sum.
     fn evaluate(policy: &dyn AnyPolicy<f64>, theta: &[f64], y: &[[f64; 3]]) -> [Vec<f64>; 2] {
