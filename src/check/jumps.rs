@@ -86,8 +86,8 @@ impl fmt::Display for Jumps {
         if self.is_undecided() {
             write!(
                 f,
-                ". R varies too strongly between rollouts, as with stiff contact or in chaos. Use softer forces, \
-                 shorter time steps or a shorter horizon"
+                ". R varies too strongly between rollouts, as with stiff contact, in chaos, or where some episodes end. Use \
+                 softer forces, shorter time steps, or a shorter horizon or window"
             )?;
         }
         if self.is_biased() {

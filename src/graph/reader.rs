@@ -251,7 +251,11 @@ impl<'a> Reader<'a> {
         let term = self.read(key, text, read)?;
         let output = term.id(&mut self.graph);
         let ended = self.term(key, &format!("where({text}, 1, 0)"))?;
-        self.known.entry("ended".to_owned()).or_insert(ended);
+        if self.known.insert("ended".to_owned(), ended).is_some() {
+            let what = "tells whether an episode `ended`, which is the name of another number too; \
+                        rename that one";
+            return Err(EquationError::new(key, what));
+        }
         self.function(key, vec![output], &[X, P]).map(Some)
     }
 

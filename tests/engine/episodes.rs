@@ -74,19 +74,23 @@ fn an_ended_episode_costs_what_the_shorter_one_costs() {
 
 #[test]
 fn an_end_is_a_condition() {
-    let end = |end: &str| {
+    let error = |text: &str, end: &str| {
         let costs = Costs { end: end.into(), ..Costs::default() };
-        let text = r#"{"states": ["x"], "controls": ["u"], "dt": 1, "next": {"x": "x + u"}}"#;
         let equations: Equations = serde_json::from_str(text).expect("equations");
         let rk4 = AnyIntegrator::RungeKutta(RungeKutta::RK4);
         GraphTask::new(&equations, &costs, rk4, 1, 3).map(drop).expect_err("an error").to_string()
     };
+    let plain = r#"{"states": ["x"], "controls": ["u"], "dt": 1, "next": {"x": "x + u"}}"#;
+    let end = |condition: &str| error(plain, condition);
     assert_eq!(
         end("x + 1"),
         "`loss.end` has an error in column 1 of `x + 1`: a number where a condition is expected, such as `a < b`"
     );
     assert_eq!(end("u > 1"), "`loss.end` depends on the control, which is not known there");
     assert!(end("x >").contains("column 4"), "{}", end("x >"));
+    let named = r#"{"states": ["x"], "controls": ["u"], "dt": 1, "next": {"x": "x + u"}, "define": {"ended": "x"}}"#;
+    let message = error(named, "x > 1");
+    assert!(message.contains("the name of another number"), "{message}");
 }
 
 #[test]

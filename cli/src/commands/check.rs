@@ -225,8 +225,8 @@ fn shorter(scene: &Scene, theta: &[f64], steps: usize) -> Option<String> {
         (!is_bad(&found)).then_some((steps, found))
     })?;
     Some(format!(
-        "window: with `window.steps = {steps}`, R differs from the derivative of the mean loss by {} %. Train with it: the \
-         value function stands for the steps that follow (docs/episodes.md)",
+        "window: with `window.steps = {steps}`, R differs from the derivative of the mean loss by {} %. It may train \
+         better: the value function stands for the steps that follow (docs/episodes.md)",
         rough(100.0 * found.error)
     ))
 }
