@@ -706,9 +706,22 @@ impl Scene {
                 }
             )]
         } else {
-            large_batch.into_iter().chain(endless).collect()
+            large_batch.into_iter().chain(endless).chain(self.left_out()).collect()
         };
         self.remarks().into_iter().chain(of_training).collect()
+    }
+
+    /// A note about steps at the end of the horizon that no window without a value function sees.
+    fn left_out(&self) -> Option<String> {
+        let window = self.window.as_ref().filter(|window| !window.restarts())?;
+        let steps = self.horizon % window.steps;
+        (steps > 0).then(|| {
+            format!(
+                "note: `window.steps` is {}, which does not divide the horizon of {}: no window sees the last {steps} steps and \
+                 the terminal cost there",
+                window.steps, self.horizon
+            )
+        })
     }
 
     /// Identity of a run: the settings that a resumed run must share, one per line.
@@ -767,14 +780,19 @@ impl Scene {
     }
 }
 
-/// Removes the sensor and the end of episodes from the table of a scene. Returns whether it had one.
+/// Removes the sensor and the end of episodes, with its cost, from the table of a scene. Returns
+/// whether it had one.
 pub fn make_bare(table: &mut Table) -> bool {
     let mut found = table.remove("sensor").is_some();
     for name in ["loss", "equations"] {
         let Some(section) = table.get_mut(name).and_then(toml::Value::as_table_mut) else {
             continue;
         };
-        found |= section.remove("end").is_some();
+        if section.remove("end").is_some() {
+            // It may name the end.
+            section.remove("terminal");
+            found = true;
+        }
         // Definitions alone have no effect.
         if section.keys().all(|key| key == "define") && name == "equations" {
             table.remove(name);
