@@ -193,7 +193,7 @@ fn about_jumps(
 ) -> Result<()> {
     let window = scene.window_steps();
     let over = window.map(|steps| format!(" over a window of {}", counted(steps, "step")));
-    let (over, steps) = (over.unwrap_or_default(), window.unwrap_or(scene.horizon));
+    let (over, steps) = (over.unwrap_or_default(), scene.steps());
     let found = match scene.jumps(theta, steps) {
         None => {
             return note(format!(

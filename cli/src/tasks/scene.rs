@@ -300,11 +300,6 @@ impl Scene {
         checks::plateau(&self.stepped(), &self.policy, theta, self.seed)
     }
 
-    /// Steps of a window. None if updates see whole rollouts.
-    pub fn window_steps(&self) -> Option<usize> {
-        self.window.as_ref().map(|window| window.steps)
-    }
-
     /// Compares R with the derivative of the mean loss over the first steps. None if that would take
     /// long.
     pub fn jumps(&self, theta: &[f64], steps: usize) -> Option<Result<Jumps, Divergence>> {
@@ -607,9 +602,14 @@ impl Scene {
         session::open(task, policy, self.precision, field, training, windows, given)
     }
 
+    /// Steps of a window. None if updates see whole rollouts.
+    pub fn window_steps(&self) -> Option<usize> {
+        self.window.as_ref().map(|window| window.steps)
+    }
+
     /// Steps that an update sees: those of a window, or all.
     pub fn steps(&self) -> usize {
-        self.window.as_ref().map_or(self.horizon, |window| window.steps)
+        self.window_steps().unwrap_or(self.horizon)
     }
 
     /// The windows of the training. None if updates see whole rollouts.
@@ -688,7 +688,7 @@ impl Scene {
                  all samples"
             )
         });
-        let windows = self.window.as_ref().map_or(1, |window| self.horizon / window.steps);
+        let windows = self.horizon / self.steps();
         let updates = samples.div_ceil(batch).saturating_mul(windows).saturating_mul(self.epochs);
         let endless = (warm_up >= updates && updates > 0).then(|| {
             format!(
