@@ -202,6 +202,11 @@ pub fn defaults(section: Option<&Table>, default: &str) -> Table {
     settings
 }
 
+/// Whether a policy can keep a control between these bounds, also in f32.
+fn is_range([low, high]: &[f64; 2]) -> bool {
+    low.abs().max(high.abs()) <= 1e30 && high - low >= 1e-30
+}
+
 /// Bounds of the controls of a policy.
 #[derive(Clone, Debug)]
 enum Bounds {
@@ -216,9 +221,7 @@ impl Bounds {
         let range = |value: &Value| {
             let number = |value: &Value| value.as_float().or(value.as_integer().map(|x| x as f64));
             let [low, high] = value.as_array()?.as_slice() else { return None };
-            let range = [number(low)?, number(high)?];
-            let is_range = range[0] < range[1] && range.iter().all(|x| x.abs() <= 1e30);
-            (is_range && range[1] - range[0] >= 1e-30).then_some(range)
+            Some([number(low)?, number(high)?]).filter(is_range)
         };
         let given = |list: &Vec<Value>| list.iter().map(range).collect::<Option<Vec<_>>>();
         match value {
@@ -256,12 +259,10 @@ impl Bounds {
             );
             return Err(ConfigError::new("bounds", what));
         }
-        let is_extreme =
-            |[low, high]: &[f64; 2]| high - low < 2e-37 || low.abs().max(high.abs()) > 1e37;
-        if let Some(i) = ranges.iter().position(is_extreme) {
+        if let Some(i) = ranges.iter().position(|range| !is_range(range)) {
             let ([low, high], name) = (ranges[i], &of.controls[i]);
             let what = format!(
-                "has [{low:e}, {high:e}] for `{name}`; allowed: bounds within ±1e37, the smaller first and 2e-37 apart"
+                "has [{low:e}, {high:e}] for `{name}`; allowed: bounds within ±1e30, the smaller first and 1e-30 apart"
             );
             return Err(ConfigError::new("bounds", what));
         }
