@@ -142,7 +142,25 @@ pub fn jumps<T: Task, P: Policy>(
     weights: &Weights<f64>,
     starts: &[f64],
 ) -> Result<Jumps, Divergence> {
-    of_any(task, policy, weights, starts)
+    of_any(task, policy, weights, starts, &|_| {})
+}
+
+/// [`jumps`] over a ball in other coordinates of the parameters. `coordinates` changes a vector from these
+/// coordinates to the parameters, and is linear.
+///
+/// # Errors
+/// As [`jumps`].
+///
+/// # Panics
+/// As [`jumps`].
+pub fn jumps_in_coordinates<T: Task, P: Policy>(
+    task: &T,
+    policy: &P,
+    weights: &Weights<f64>,
+    starts: &[f64],
+    coordinates: &dyn Fn(&mut [f64]),
+) -> Result<Jumps, Divergence> {
+    of_any(task, policy, weights, starts, coordinates)
 }
 
 fn of_any(
@@ -150,12 +168,14 @@ fn of_any(
     policy: &dyn AnyPolicy<f64>,
     weights: &Weights<f64>,
     starts: &[f64],
+    coordinates: &dyn Fn(&mut [f64]),
 ) -> Result<Jumps, Divergence> {
     let len = task.start_dim();
     let all = starts.len() / len;
     let params = weights.theta().len();
     let count = DIRECTIONS.min(params).max(1);
     let mut directions: Vec<_> = (0..count).map(|index| Diameter::random(params, index)).collect();
+    directions.iter_mut().for_each(|direction| coordinates(&mut direction.along));
     let (mut from, mut to) = (0, FEWEST.min(all));
     loop {
         for direction in &mut directions {
@@ -178,7 +198,7 @@ fn of_any(
 
 /// A diameter of the ball, and what the samples have along it.
 struct Diameter {
-    /// A vector with a root mean square of 1.
+    /// A vector whose coordinates have a root mean square of 1.
     along: Vec<f64>,
     /// Changes of the loss by its length, per sample.
     differences: Vec<f64>,

@@ -34,7 +34,7 @@ mod visited;
 
 pub use costs::cost;
 pub use failure::{Failure, Finding, Mismatch};
-pub use jumps::{FEWEST, JUMP_PASSES, Jumps, jumps};
+pub use jumps::{FEWEST, JUMP_PASSES, Jumps, jumps, jumps_in_coordinates};
 pub use kinks::{Kink, KinkInput, kinks};
 pub use oracle::slope_by_duals;
 pub use plateau::{Plateau, plateau};

@@ -11,6 +11,8 @@ use crate::dynamics::task::Task;
 use crate::engine::any::AnyTask;
 use crate::engine::divergence::Divergence;
 use crate::engine::gradient::Gradient;
+use crate::engine::initial_states::initial_states;
+use crate::engine::rollout::Rollout;
 use crate::engine::visited::Visited;
 use crate::numbers::aligned::Aligned;
 use crate::numbers::rng::{Purpose, stream};
@@ -94,6 +96,38 @@ impl Windows {
             Critic::<f64>::new(self, settings, observed, 1, seed, 1).random_value()
         });
         DynTask::new(Window::new(self, value))
+    }
+
+    /// The map from parameters of a network of normalized observations to those of the policy, in units
+    /// of the observations of episodes with the parameters `theta`. It is linear, and the identity
+    /// without [`normalize`](Self::normalize).
+    ///
+    /// # Errors
+    /// [`Divergence`] in these episodes.
+    pub fn coordinates(
+        &self,
+        policy: &dyn AnyPolicy<f64>,
+        theta: &[f64],
+        seed: u64,
+    ) -> Result<impl Fn(&mut [f64]) + use<>, Divergence> {
+        /// Number of episodes.
+        const SAMPLES: usize = 16;
+        let layer = policy.input_layer().filter(|_| self.normalize);
+        let mut moments = Moments::default();
+        if layer.is_some() {
+            let mut rollout = Rollout::new(&self.task, policy, SAMPLES);
+            rollout.start(&initial_states(&self.task, seed, Purpose::Train, SAMPLES));
+            rollout.run(&self.task, policy, &Weights::new(policy, theta.to_vec()))?;
+            let mut visited = Visited::default();
+            visited.append(&self.task, &rollout);
+            let states = AnyTask::<f64>::state_dim(&self.task);
+            moments.add_running(&visited, Task::ended(&self.task), states);
+        }
+        Ok(move |theta: &mut [f64]| {
+            if let Some(layer) = &layer {
+                moments.units(layer.bias.is_some()).leave(layer, theta);
+            }
+        })
     }
 
     /// What a policy has that windows do not carry on. `None` if it has nothing of the kind.
@@ -233,8 +267,8 @@ struct Tally {
     /// Episodes that came to an end, and their running costs.
     whole: usize,
     cost_of_whole: f64,
-    /// Windows from which the value function learned.
-    learned: usize,
+    /// Windows that did not diverge.
+    finished: usize,
     error: f64,
     explained: f64,
 }
@@ -355,13 +389,13 @@ impl<F: Float> Episodes<F> {
         let ended = Task::ended(&self.window);
         if let Some(critic) = &mut self.critic {
             let fit = critic.learn(visited, ended, &self.units)?;
-            self.tally.learned += 1;
             self.tally.error += fit.error;
             self.tally.explained += fit.explained;
             self.window.value = Some(critic.value(&self.units));
         }
+        self.tally.finished += 1;
         if self.layer.is_some() {
-            self.observe(visited, ended);
+            self.moments.add_running(visited, ended, self.states);
         }
         let stored = (self.steps + 1) * self.states;
         let states = visited.states.chunks_exact(stored);
@@ -387,17 +421,6 @@ impl<F: Float> Episodes<F> {
             }
         }
         Ok(())
-    }
-
-    /// Adds the observations of a window, up to the end of an episode.
-    fn observe(&mut self, visited: &Visited<F>, ended: Option<usize>) {
-        let observed = visited.observations.len() / (visited.states.len() / self.states);
-        let states = visited.states.chunks_exact(self.states);
-        for (x, y) in states.zip(visited.observations.chunks_exact(observed)) {
-            if ended.is_none_or(|ended| x[ended] == F::zero()) {
-                self.moments.add(y);
-            }
-        }
     }
 
     /// Changes a gradient of the policy to one in units of the observations.
@@ -429,17 +452,20 @@ impl<F: Float> Episodes<F> {
     }
 
     /// Mean running costs, with the noise, of the episodes that came to an end in this epoch. If there is
-    /// none, of the windows of the epoch.
+    /// none, of the windows of the epoch. NaN if all of them diverged.
     pub(super) fn loss(&self) -> f64 {
-        let Tally { cost, whole, cost_of_whole, .. } = self.tally;
-        if whole > 0 { cost_of_whole / whole as f64 } else { cost / self.samples as f64 }
+        match self.tally {
+            Tally { whole, cost_of_whole, .. } if whole > 0 => cost_of_whole / whole as f64,
+            Tally { finished: 0, .. } => f64::NAN,
+            Tally { cost, .. } => cost / self.samples as f64,
+        }
     }
 
     /// Mean of the root mean square errors of the value function, and of the explained variance.
     pub(super) fn fit(&self) -> Option<[f64; 2]> {
-        let Tally { learned, error, explained, .. } = self.tally;
-        let mean = |sum: f64| sum / learned as f64;
-        (learned > 0).then(|| [mean(error).sqrt(), mean(explained)])
+        let Tally { finished, error, explained, .. } = self.tally;
+        let mean = |sum: f64| sum / finished as f64;
+        (self.critic.is_some() && finished > 0).then(|| [mean(error).sqrt(), mean(explained)])
     }
 
     /// Values of these observations.

@@ -1,5 +1,6 @@
 //! [`Units`]: running mean and standard deviation of the observations, as coordinates of a first layer.
 
+use crate::engine::visited::Visited;
 use crate::numbers::scalar::Float;
 use crate::policy::InputLayer;
 use serde::{Deserialize, Serialize};
@@ -81,6 +82,22 @@ impl Moments {
             let difference = y.as_() - *mean;
             *mean += difference / self.count;
             *squares += difference * (y.as_() - *mean);
+        }
+    }
+
+    /// Adds the observations of windows, up to the ends of episodes. States have `states` components.
+    pub(super) fn add_running<F: Float>(
+        &mut self,
+        visited: &Visited<F>,
+        ended: Option<usize>,
+        states: usize,
+    ) {
+        let observed = visited.observations.len() / (visited.states.len() / states);
+        let all = visited.states.chunks_exact(states);
+        for (x, y) in all.zip(visited.observations.chunks_exact(observed)) {
+            if ended.is_none_or(|ended| x[ended] == F::zero()) {
+                self.add(y);
+            }
         }
     }
 

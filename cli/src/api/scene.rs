@@ -445,7 +445,7 @@ impl Scene {
             }
             None => {
                 self.scene.check("scene", None, &mut results);
-                let theta = self.scene.initial_theta()?;
+                let theta = self.scene.checked_theta()?;
                 about(&self.scene, self.source.clone(), &theta, &mut note)?;
             }
         }

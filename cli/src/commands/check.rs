@@ -86,7 +86,7 @@ pub fn check(args: &Check) -> Result<()> {
     }
     if let Some(source) = source {
         let scene = source.scene()?;
-        let theta = scene.initial_theta()?;
+        let theta = scene.checked_theta()?;
         about(&scene, source, &theta, &mut note)?;
     }
     if args.json {

@@ -75,13 +75,14 @@ pub fn plateau(
     check::plateau(task, policy, &weights, &initial_states(task, seed, Purpose::Test, ROLLOUTS))
 }
 
-/// Compares R with the derivative of the mean loss, at the parameters `theta`. `None` if rollouts are
-/// so long that some seconds do not suffice.
+/// Compares R with the derivative of the mean loss over a ball of these coordinates around the
+/// parameters `theta`. `None` if rollouts are so long that some seconds do not suffice.
 pub fn jumps(
     task: &DynTask,
     policy: &impl Policy,
     theta: &[f64],
     seed: u64,
+    coordinates: &dyn Fn(&mut [f64]),
 ) -> Option<Result<Jumps, Divergence>> {
     /// Bound on the operations. A core makes about 2e9 per second in lanes.
     const OPERATIONS: f64 = 8e9;
@@ -93,8 +94,10 @@ pub fn jumps(
     let most = OPERATIONS / (step * Task::horizon(task).max(1) as f64);
     let samples = (most as usize).min(SAMPLES);
     let starts = || initial_states(task, seed, Purpose::Test, samples);
-    (samples >= check::FEWEST)
-        .then(|| check::jumps(task, policy, &Weights::new(policy, theta.to_vec()), &starts()))
+    (samples >= check::FEWEST).then(|| {
+        let weights = Weights::new(policy, theta.to_vec());
+        check::jumps_in_coordinates(task, policy, &weights, &starts(), coordinates)
+    })
 }
 
 /// Results of the checks so far.

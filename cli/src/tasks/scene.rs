@@ -300,12 +300,16 @@ impl Scene {
         checks::plateau(&self.stepped(), &self.policy, theta, self.seed)
     }
 
-    /// Compares R with the derivative of the mean loss over the first steps. None if that would take
-    /// long.
+    /// Compares R with the derivative of the mean loss over the first steps, and over a ball of parameters
+    /// in the units of the training. None if that would take long.
     pub fn jumps(&self, theta: &[f64], steps: usize) -> Option<Result<Jumps, Divergence>> {
         let system = self.physics.system().clone();
         let shortened = self.physics.clone().adapted(system, 1, Vec::new(), steps);
-        checks::jumps(&shortened, &self.policy, theta, self.seed)
+        let coordinates = match self.coordinates(theta) {
+            Ok(coordinates) => coordinates,
+            Err(divergence) => return Some(Err(divergence)),
+        };
+        checks::jumps(&shortened, &self.policy, theta, self.seed, &coordinates)
     }
 
     /// Key and value of a setting with which forces at contact begin without a jump, if the scene has
@@ -408,6 +412,11 @@ impl Scene {
     /// Time step, in the unit of time of the task: s, except for `quantum`.
     pub fn dt(&self) -> f64 {
         self.settings.dt()
+    }
+
+    /// Index of the state component that tells the end of an episode, if episodes can end.
+    pub fn ended(&self) -> Option<usize> {
+        Task::ended(&self.physics)
     }
 
     /// Names of the state components.
@@ -517,8 +526,8 @@ impl Scene {
     /// Refuses settings of the training that its field does not read.
     ///
     /// # Errors
-    /// As [`check_fields`](Self::check_fields). Also if `training.truncation` exceeds the horizon, or
-    /// if an estimator that reads losses only has a field other than C, the default, and R.
+    /// As [`check_fields`](Self::check_fields). Also if `training.truncation` exceeds the steps of an
+    /// update, or if an estimator that reads losses only has a field other than C, the default, and R.
     pub fn check_field(&self) -> Result<(), ConfigError> {
         let field = self.field.0.name();
         if self.reads_losses_only() && !["combined", "regular"].contains(&field) {
@@ -528,14 +537,15 @@ impl Scene {
         self.check_fields(&[self.field.0])
     }
 
-    /// Refuses a truncation that no rollout reaches. The horizon itself is the neutral value.
+    /// Refuses a truncation that no update reaches. The number of its steps is the neutral value.
     ///
     /// # Errors
-    /// `training.truncation` exceeds the horizon.
+    /// `training.truncation` exceeds the horizon, or the steps of a window.
     pub fn check_truncation(&self) -> Result<(), ConfigError> {
-        match self.training.truncation.filter(|&steps| steps > self.horizon) {
+        match self.training.truncation.filter(|&steps| steps > self.steps()) {
             Some(steps) => {
-                let because = format!("`horizon` is {}", self.horizon);
+                let key = if self.window.is_some() { "window.steps" } else { "horizon" };
+                let because = format!("`{key}` is {}", self.steps());
                 Err(ConfigError::unread("training.truncation", steps, &because))
             }
             None => Ok(()),
@@ -600,6 +610,33 @@ impl Scene {
         let field = self.training.weighted_in(self.field.0, windows.is_some());
         let (task, policy) = (self.physics.clone(), self.policy.clone());
         session::open(task, policy, self.precision, field, training, windows, given)
+    }
+
+    /// Parameters of the policy for checks: those of the initial policy, or random ones, which are those
+    /// of a network of normalized observations where the training normalizes them.
+    ///
+    /// # Errors
+    /// Those of [`initial_theta`](Self::initial_theta).
+    pub fn checked_theta(&self) -> Result<Vec<f64>> {
+        let mut theta = self.initial_theta()?;
+        // The notes of the checks tell where a rollout diverges.
+        if self.initial_policy().is_none()
+            && let Ok(coordinates) = self.coordinates(&theta)
+        {
+            coordinates(&mut theta);
+        }
+        Ok(theta)
+    }
+
+    /// The map from parameters in the units in which the training works to those of the policy.
+    ///
+    /// # Errors
+    /// [`Divergence`] in the episodes that give the units.
+    fn coordinates(&self, theta: &[f64]) -> Result<impl Fn(&mut [f64]) + use<>, Divergence> {
+        let windows = self.windows();
+        let map = windows.map(|windows| windows.coordinates(&self.policy, theta, self.seed));
+        let map = map.transpose()?;
+        Ok(move |theta: &mut [f64]| map.iter().for_each(|map| map(theta)))
     }
 
     /// Steps of a window. None if updates see whole rollouts.
