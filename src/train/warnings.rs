@@ -31,7 +31,7 @@ impl fmt::Display for Warning {
 }
 
 /// Kinds of warnings, in the order of their reports.
-const KINDS: [&str; 12] = [
+const KINDS: [&str; 13] = [
     "some skipped",
     "all skipped",
     "training loss",
@@ -44,6 +44,7 @@ const KINDS: [&str; 12] = [
     "number at its bound",
     "number acts by comparison",
     "number without effect",
+    "short episodes",
 ];
 
 /// A trained number with a meaning of its own: of the system, or of the policy, for example a gain.
@@ -117,6 +118,7 @@ impl<F: Float> State<F> {
                      states that depend on it"
                 )
             }),
+            self.short_episodes(record),
         ];
         let places = [skip, skip, train, test].into_iter().chain(std::iter::repeat(None));
         let warning = |((kind, cause), divergence): ((&'static str, Option<String>), _)| {
@@ -141,6 +143,26 @@ impl<F: Float> State<F> {
             "a trained number is at its bound, or within 1 % of it: {bounded}. The loss may be lower beyond the bound, or the \
              learning rate too large. Check the bounds, reduce the learning rate, or use a fixed value"
         ))
+    }
+
+    /// Warning about test episodes that end at once, or that the policy learned to end.
+    fn short_episodes(&self, record: &Record) -> Option<String> {
+        let first = &self.records[0];
+        let (now, before) = (record.length?, first.length?);
+        if now <= 1.0 {
+            return Some(
+                "all test episodes end in their first step. Check whether the condition of the end holds in the initial states"
+                    .into(),
+            );
+        }
+        (2.0 * now < before && record.test_loss < first.test_loss).then(|| {
+            format!(
+                "test episodes last {} steps, and lasted {} after the first epoch, while the loss fell: the policy learns to end \
+                 them. Make an end expensive, for example by `ended` in the terminal cost, or reward each step",
+                now.round(),
+                before.round()
+            )
+        })
     }
 
     /// Names and values of the numbers whose entry r of `θ` is `selected`. `None` without such

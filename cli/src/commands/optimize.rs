@@ -183,7 +183,7 @@ fn write(
     initial: &[Trajectory],
 ) -> Result<Vec<u8>> {
     let optimized: Vec<(usize, Trajectory)> =
-        plans.iter().map(|(i, plan)| (*i, trajectory(plan))).collect();
+        plans.iter().map(|(i, plan)| (*i, trajectory(plan).until_end(scene.ended()))).collect();
     saved::write_scene(folder, SCENE, scene)?;
     let costs = summary(plans)?;
     folder.write("optimized.csv", &costs)?;

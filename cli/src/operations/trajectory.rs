@@ -22,13 +22,15 @@ pub struct Trajectory {
 }
 
 impl Trajectory {
-    /// Removes what follows the first state in which the component `ended` is not 0.
-    fn cut(&mut self, ended: usize) {
-        if let Some(last) = self.states.iter().position(|state| state[ended] > 0.0) {
+    /// The trajectory up to the first state in which the component `ended` is not 0.
+    pub fn until_end(mut self, ended: Option<usize>) -> Self {
+        let last = ended.and_then(|i| self.states.iter().position(|state| state[i] > 0.0));
+        if let Some(last) = last {
             self.states.truncate(last + 1);
             self.controls.truncate(last);
             self.params.truncate(last + 1);
         }
+        self
     }
 }
 
@@ -41,11 +43,8 @@ pub fn rollouts<F: Float>(
     starts: &[F],
     chosen: Range<usize>,
 ) -> Vec<Trajectory> {
-    let mut rollouts = until_divergence(task, policy, weights, starts, chosen).0;
-    if let Some(ended) = task.ended() {
-        rollouts.iter_mut().for_each(|rollout| rollout.cut(ended));
-    }
-    rollouts
+    let rollouts = until_divergence(task, policy, weights, starts, chosen).0;
+    rollouts.into_iter().map(|rollout| rollout.until_end(task.ended())).collect()
 }
 
 /// Rollouts over the whole horizon, and the first non-finite number.

@@ -291,6 +291,29 @@ fn an_evaluation_reports_the_lengths_of_episodes_that_can_end() {
 }
 
 #[test]
+fn a_training_warns_of_ends_at_once_and_of_a_policy_that_learns_to_end() {
+    let dir = TempDir::new().expect("a folder");
+    // A faster motion costs less, and ends earlier.
+    let scene = "scene = 1\ntask = \"equations\"\nhorizon = 100\nepochs = 6\nfield = \"regular\"\n\
+        [system]\nstates = [\"q\"]\ncontrols = [\"v\"]\ndt = 0.1\nrate.q = \"0.2 + v\"\n\
+        start.q = { uniform = [0, 1] }\n[loss]\nrunning = \"1 - 0.5 * v\"\nend = \"q > 1.25\"\n\
+        [policy]\nwidths = []\n[training]\nlearning_rate = 0.02\n";
+    fs::write(dir.path().join("scene.toml"), scene).expect("a scene");
+    let warnings = |change: &str| {
+        let arguments = format!("train scene.toml --quiet --out a{change}");
+        let output = physgrad(&arguments, dir.path()).assert().success();
+        String::from_utf8(output.get_output().stderr.clone()).expect("text")
+    };
+    let learned = "the policy learns to end them";
+    let text = warnings("");
+    assert!(text.contains("lasted 7 after the first epoch") && text.contains(learned), "{text}");
+    let text = warnings(" --set loss.end=q>-1");
+    assert!(text.contains("all test episodes end in their first step"), "{text}");
+    let text = warnings(" --set loss.running=1+v^2");
+    assert!(!text.contains("episodes"), "{text}");
+}
+
+#[test]
 fn an_identification_ignores_the_end_of_episodes() {
     let dir = TempDir::new().expect("a folder");
     let scene = "scene = 1\ntask = \"equations\"\nhorizon = 20\n[system]\nstates = [\"x\"]\n\
@@ -318,6 +341,7 @@ fn windows_refuse_policies_and_sensors_that_they_do_not_carry_on() {
     for (change, message) in [
         ("policy.kind=gru", "`policy.kind` with `window`: the policy has a memory"),
         ("policy.kind=open_loop", "depends on the number of the step"),
+        ("training.truncation=11", "has no effect: `window.steps` is 10"),
         ("sensor.delay={steps=2}", "`sensor.delay` is not supported with a value function"),
         ("window.normalize=true --set policy.kind=linear", "`window.normalize` needs a policy"),
     ] {
