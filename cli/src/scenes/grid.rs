@@ -89,7 +89,14 @@ pub fn several(text: &str) -> Option<Vec<Value>> {
     }
     let value =
         |part: &str| part.trim().parse().unwrap_or_else(|_| Value::String(part.trim().into()));
-    Some(text.split(',').map(value).collect())
+    // Arguments of functions in expressions have commas too.
+    let mut depth = 0;
+    let separates = |c: char| {
+        depth += i32::from("([{".contains(c)) - i32::from(")]}".contains(c));
+        c == ',' && depth == 0
+    };
+    let values: Vec<_> = text.split(separates).map(value).collect();
+    (values.len() > 1).then_some(values)
 }
 
 #[cfg(test)]
@@ -128,6 +135,8 @@ mod tests {
         assert_eq!(strings("0.1,0.01"), Some(vec!["0.1".to_owned(), "0.01".to_owned()]));
         assert_eq!(strings("none, norm"), Some(vec!["\"none\"".to_owned(), "\"norm\"".to_owned()]));
         assert_eq!(strings("[8, 8],[4]").map(|values| values.len()), Some(2));
+        assert_eq!(strings("where(x < 1, 1, 0)"), None);
+        assert_eq!(strings("max(0, x), abs(x)").map(|values| values.len()), Some(2));
         assert_eq!(
             [strings("[8, 8]"), strings("0.1"), strings("norm"), strings("\"a,b\"")],
             [const { None }; 4]
