@@ -93,8 +93,8 @@ impl fmt::Display for Jumps {
         if self.is_biased() {
             write!(
                 f,
-                ". Forces or costs may jump, for example at contact, and R omits jumps. Let them start from 0, or use another \
-                 `training.estimator`. In chaos, use a shorter horizon"
+                ". Forces or costs may jump, for example at contact, and R omits jumps. Let them start from 0. In chaos, use a \
+                 shorter horizon or window. Over whole rollouts, another `training.estimator` may help"
             )?;
         }
         Ok(())

@@ -1,7 +1,8 @@
 //! [`AnyPolicy`]: an object-safe [`Policy`] for one precision.
 
 use super::{
-    InputLayer, NetworkLayer, Policy, PolicyPass, PolicyRecord, Sizes, Tensor, TrainedParam,
+    InputLayer, NetworkLayer, OutputLayer, Policy, PolicyPass, PolicyRecord, Sizes, Tensor,
+    TrainedParam,
 };
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::Float;
@@ -30,6 +31,8 @@ pub trait AnyPolicy<F: Float>: Send + Sync {
     fn network(&self) -> Option<Vec<NetworkLayer>>;
     #[doc(hidden)]
     fn input_layer(&self) -> Option<InputLayer>;
+    #[doc(hidden)]
+    fn output_layer(&self) -> Option<OutputLayer>;
     #[doc(hidden)]
     fn sizes(&self, columns: usize) -> Sizes;
     #[doc(hidden)]
@@ -103,6 +106,10 @@ impl<P: Policy, F: Float> AnyPolicy<F> for P {
     #[inline(never)]
     fn input_layer(&self) -> Option<InputLayer> {
         Policy::input_layer(self)
+    }
+
+    fn output_layer(&self) -> Option<OutputLayer> {
+        Policy::output_layer(self)
     }
 
     fn sizes(&self, columns: usize) -> Sizes {

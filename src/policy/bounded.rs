@@ -1,7 +1,8 @@
 //! [`Bounded`]: a policy with bounded controls.
 
 use super::{
-    Action, InputLayer, Observed, Policy, PolicyPass, PolicyRecord, Sizes, Tensor, TrainedParam,
+    Action, Bound, InputLayer, NetworkLayer, Observed, OutputLayer, Policy, PolicyPass,
+    PolicyRecord, Sizes, Tensor, TrainedParam,
 };
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Float, Scalar};
@@ -172,6 +173,24 @@ impl<P: Policy> Policy for Bounded<P> {
 
     fn input_layer(&self) -> Option<InputLayer> {
         self.policy.input_layer()
+    }
+
+    fn output_layer(&self) -> Option<OutputLayer> {
+        let half_widths = self.ranges.iter().map(|range| range.half_width).collect();
+        Some(OutputLayer { half_widths, ..self.policy.output_layer()? })
+    }
+
+    fn network(&self) -> Option<Vec<NetworkLayer>> {
+        let mut layers = self.policy.network()?;
+        let last = layers.last_mut().filter(|last| last.bounds.is_none())?;
+        let bound = |&Range { half_width, middle, origin }: &Range| Bound {
+            // Without the sign of -0.0, the neutral element.
+            middle: middle + 0.0,
+            half_width,
+            origin,
+        };
+        last.bounds = Some(self.ranges.iter().map(bound).collect());
+        Some(layers)
     }
 
     fn sizes<F: Float>(&self, columns: usize) -> Sizes {

@@ -173,6 +173,7 @@ impl Policy for Conv {
             kernel: format!("layer{i}.kernel"),
             bias: Some(format!("layer{i}.bias")),
             activation,
+            bounds: None,
         };
         Some(layers.map(layer).collect())
     }

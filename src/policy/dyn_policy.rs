@@ -1,8 +1,8 @@
 //! [`DynPolicy`]: any policy behind a pointer.
 
 use super::{
-    Action, AnyPolicy, InputLayer, NetworkLayer, Observed, Policy, PolicyPass, PolicyRecord, Sizes,
-    Tensor, TrainedParam,
+    Action, AnyPolicy, InputLayer, NetworkLayer, Observed, OutputLayer, Policy, PolicyPass,
+    PolicyRecord, Sizes, Tensor, TrainedParam,
 };
 use crate::numbers::instances::{SCALARS, ScalarFunction, fill, scalar_pointer};
 use crate::numbers::rng::Rng;
@@ -147,6 +147,10 @@ impl Policy for DynPolicy {
 
     fn input_layer(&self) -> Option<InputLayer> {
         self.double().input_layer()
+    }
+
+    fn output_layer(&self) -> Option<OutputLayer> {
+        self.double().output_layer()
     }
 
     fn sizes<F: Float>(&self, columns: usize) -> Sizes {

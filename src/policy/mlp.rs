@@ -8,8 +8,8 @@
 
 use super::activation::activate;
 use super::{
-    Action, Activation, InputLayer, LayerKind, NetworkLayer, Observed, Policy, PolicyColumns,
-    PolicyPass, PolicyRecord, Sizes, Tensor,
+    Action, Activation, InputLayer, LayerKind, NetworkLayer, Observed, OutputLayer, Policy,
+    PolicyColumns, PolicyPass, PolicyRecord, Sizes, Tensor,
 };
 use crate::numbers::kernels::SimdLevel;
 use crate::numbers::kernels::elementwise::{self, Strided};
@@ -247,6 +247,7 @@ impl Policy for Mlp {
             kernel: format!("layer{i}.kernel"),
             bias: self.bias.then(|| format!("layer{i}.bias")),
             activation: (i < last).then_some(self.activation),
+            bounds: None,
         };
         Some((1..=last).map(layer).collect())
     }
@@ -255,6 +256,11 @@ impl Policy for Mlp {
         let Layer { inputs, outputs, .. } = self.layer::<f64>(0);
         let end = inputs * outputs;
         Some(InputLayer { inputs, kernel: 0..end, bias: self.bias.then_some(end..end + outputs) })
+    }
+
+    fn output_layer(&self) -> Option<OutputLayer> {
+        let entries = self.layers::<f64>().last()?.theta..self.param_count();
+        Some(OutputLayer { entries, half_widths: vec![1.0; self.control_dim()] })
     }
 
     fn sizes<F: Float>(&self, columns: usize) -> Sizes {

@@ -37,7 +37,7 @@ pub use conv::Conv;
 pub use dyn_policy::DynPolicy;
 pub use linear::Linear;
 pub use mlp::Mlp;
-pub use network::{InputLayer, LayerKind, NetworkLayer};
+pub use network::{Bound, InputLayer, LayerKind, NetworkLayer, OutputLayer};
 pub use open_loop::OpenLoop;
 pub use recurrent::{Elman, Gru};
 pub use sum::Sum;
@@ -129,6 +129,12 @@ pub trait Policy: Send + Sync {
     /// The layer through which alone the policy depends on the observation, for training in units of
     /// the observation. Default: `None`, for policies without such a layer.
     fn input_layer(&self) -> Option<InputLayer> {
+        None
+    }
+
+    /// The last layer, for training in units of the ranges of the controls. Default: `None`, for policies
+    /// without such a layer.
+    fn output_layer(&self) -> Option<OutputLayer> {
         None
     }
 

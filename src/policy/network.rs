@@ -1,5 +1,5 @@
-//! [`NetworkLayer`]: layers of a policy, for files that other programs read. [`InputLayer`]: the place
-//! of the first layer.
+//! [`NetworkLayer`]: layers of a policy, for files that other programs read. [`InputLayer`] and
+//! [`OutputLayer`]: the places of the first and the last layer.
 
 use super::Activation;
 use serde::Serialize;
@@ -15,6 +15,26 @@ pub struct InputLayer {
     pub kernel: Range<usize>,
     /// Entries of b, after those of W.
     pub bias: Option<Range<usize>>,
+}
+
+/// Place in `θ` of a last layer whose outputs v become the controls `c + b tanh((v - o) / b)`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OutputLayer {
+    /// Entries of the weights, row-major, with one column per control, and of the biases after them.
+    pub entries: Range<usize>,
+    /// Half the width b of the range of each control. 1 for a control without a range.
+    pub half_widths: Vec<f64>,
+}
+
+/// Range of a control: `u = middle + half_width tanh((v - origin) / half_width)`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Bound {
+    /// Middle of the range.
+    pub middle: f64,
+    /// Half the width of the range.
+    pub half_width: f64,
+    /// The v that becomes the middle.
+    pub origin: f64,
 }
 
 impl InputLayer {
@@ -38,7 +58,7 @@ impl InputLayer {
 ///
 /// The output of every layer is one vector. A convolution reads its input position by position,
 /// with the channels of a position adjacent, and writes its output in the same order.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct NetworkLayer {
     /// Operation on the input.
     #[serde(flatten)]
@@ -49,6 +69,9 @@ pub struct NetworkLayer {
     pub bias: Option<String>,
     /// Function of every output. `None` for a linear layer.
     pub activation: Option<Activation>,
+    /// Range of every output after the activation, of a last layer with bounds.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bounds: Option<Vec<Bound>>,
 }
 
 /// Operation of a [`NetworkLayer`] before its activation.

@@ -1,7 +1,8 @@
 //! [`WithParams`]: a policy and parameters of the system, trained together.
 
 use super::{
-    Action, InputLayer, NetworkLayer, Observed, Policy, PolicyPass, PolicyRecord, Sizes, Tensor,
+    Action, InputLayer, NetworkLayer, Observed, OutputLayer, Policy, PolicyPass, PolicyRecord,
+    Sizes, Tensor,
 };
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Float, Scalar};
@@ -326,6 +327,10 @@ impl<P: Policy> Policy for WithParams<P> {
 
     fn input_layer(&self) -> Option<InputLayer> {
         self.policy.input_layer()
+    }
+
+    fn output_layer(&self) -> Option<OutputLayer> {
+        self.policy.output_layer()
     }
 
     fn sizes<F: Float>(&self, columns: usize) -> Sizes {

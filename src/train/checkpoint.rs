@@ -16,7 +16,7 @@ use std::borrow::Cow;
 /// First bytes of every checkpoint.
 const MAGIC: &[u8; 8] = b"physgrad";
 /// Incremented whenever the layout of [`Body`] changes.
-const FORMAT: u16 = 7;
+const FORMAT: u16 = 8;
 
 /// Start of the contents. Decoded before the body, so that a mismatch yields a specific error.
 #[derive(Serialize, Deserialize)]

@@ -151,8 +151,8 @@ impl<F: Float> CriticState<F> {
 pub(super) struct Fit {
     /// Mean square of value minus target.
     pub(super) error: f64,
-    /// 1 minus the variance of the error over that of the targets.
-    pub(super) explained: f64,
+    /// Variances of the error and of the targets.
+    pub(super) variances: [f64; 2],
 }
 
 impl<F: Float> Critic<F> {
@@ -363,11 +363,12 @@ impl Moments {
     }
 
     fn fit(&self) -> Fit {
-        let variance = |[sum, square]: [f64; 2]| square / self.count - (sum / self.count).powi(2);
-        Fit {
-            error: self.error[1] / self.count,
-            explained: 1.0 - variance(self.error) / variance(self.target),
-        }
+        let variance = |[sum, square]: [f64; 2]| {
+            let rounded = square / self.count - (sum / self.count).powi(2);
+            if rounded > f64::EPSILON * square / self.count { rounded } else { 0.0 }
+        };
+        let variances = [self.error, self.target].map(variance);
+        Fit { error: self.error[1] / self.count, variances }
     }
 }
 

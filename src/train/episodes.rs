@@ -2,7 +2,7 @@
 
 use super::TrainError;
 use super::critic::{Critic, CriticState, ValueSettings};
-use super::units::{Moments, Units};
+use super::units::{Coordinates, Moments, Units};
 use super::window::Window;
 use crate::dynamics::dyn_task::DynTask;
 use crate::dynamics::number::{draw_key, key_of_epoch};
@@ -17,7 +17,7 @@ use crate::engine::visited::Visited;
 use crate::numbers::aligned::Aligned;
 use crate::numbers::rng::{Purpose, stream};
 use crate::numbers::scalar::Float;
-use crate::policy::{AnyPolicy, InputLayer, PolicyColumns, PolicyPass, Weights};
+use crate::policy::{AnyPolicy, PolicyColumns, PolicyPass, Weights};
 use crate::train::Training;
 use serde::{Deserialize, Serialize};
 
@@ -60,11 +60,13 @@ pub struct Windows {
     /// Weight γ of the next step relative to this one: costs of step t of a window have the factor
     /// γ^t, and its value the factor γ^`steps`. Positive.
     pub discount: f64,
-    /// Standard deviation of normal noise on each control, in its unit, during training.
-    pub noise: f64,
+    /// Standard deviation of normal noise on each control, in its unit, during training: one number per
+    /// control, or none. The noise may exceed the bounds of a control.
+    pub noise: Vec<f64>,
     /// Whether policy and value function are trained as networks of the observation in units of its
-    /// running mean and standard deviation. A drawn policy is drawn in these units; parameters that
-    /// are given keep their function. The stored policy is one of the observation itself.
+    /// running mean and standard deviation, and bounded controls in units of half their range. A drawn
+    /// policy is drawn in these units; parameters that are given keep their function. The stored policy
+    /// is one of the observation and the control themselves.
     pub normalize: bool,
     /// The value function of the last state of a window. `None` for no value.
     pub value: Option<ValueSettings>,
@@ -82,7 +84,7 @@ impl Windows {
             task,
             steps,
             discount: 0.99,
-            noise: 0.0,
+            noise: Vec::new(),
             normalize: false,
             value: Some(ValueSettings::default()),
         }
@@ -98,36 +100,53 @@ impl Windows {
         DynTask::new(Window::new(self, value))
     }
 
-    /// The map from parameters of a network of normalized observations to those of the policy, in units
-    /// of the observations of episodes with the parameters `theta`. It is linear, and the identity
-    /// without [`normalize`](Self::normalize).
-    ///
-    /// # Errors
-    /// [`Divergence`] in these episodes.
+    /// The first window as a task without noise and without a value function.
+    pub fn first(&self) -> DynTask {
+        DynTask::new(Window::new(&Self { noise: Vec::new(), ..self.clone() }, None))
+    }
+
+    /// The map from parameters of a network in the units of a training to those of the policy. The units
+    /// are those of episodes with the parameters `theta`, up to `steps` steps or a divergence. The map is
+    /// linear, and the identity without [`normalize`](Self::normalize).
     pub fn coordinates(
         &self,
         policy: &dyn AnyPolicy<f64>,
         theta: &[f64],
         seed: u64,
-    ) -> Result<impl Fn(&mut [f64]) + use<>, Divergence> {
+        steps: usize,
+    ) -> impl Fn(&mut [f64]) + use<> {
         /// Number of episodes.
         const SAMPLES: usize = 16;
-        let layer = policy.input_layer().filter(|_| self.normalize);
+        let coordinates = Coordinates::of(policy).filter(|_| self.normalize);
         let mut moments = Moments::default();
-        if layer.is_some() {
-            let mut rollout = Rollout::new(&self.task, policy, SAMPLES);
-            rollout.start(&initial_states(&self.task, seed, Purpose::Train, SAMPLES));
-            rollout.run(&self.task, policy, &Weights::new(policy, theta.to_vec()))?;
+        if coordinates.is_some() {
+            let mut window = Window::new(&Self { noise: Vec::new(), ..self.clone() }, None);
+            let weights = Weights::new(policy, theta.to_vec());
+            let mut rollout = Rollout::new(&window, policy, SAMPLES);
+            let mut starts = initial_states(&window, seed, Purpose::Train, SAMPLES);
+            let (ended, states) = (Task::ended(&window), AnyTask::<f64>::state_dim(&window));
+            let each = AnyTask::<f64>::start_dim(&window);
             let mut visited = Visited::default();
-            visited.append(&self.task, &rollout);
-            let states = AnyTask::<f64>::state_dim(&self.task);
-            moments.add_running(&visited, Task::ended(&self.task), states);
-        }
-        Ok(move |theta: &mut [f64]| {
-            if let Some(layer) = &layer {
-                moments.units(layer.bias.is_some()).leave(layer, theta);
+            while window.origin < steps.min(Task::horizon(&self.task)) {
+                rollout.start(&starts);
+                if rollout.run(&window, policy, &weights).is_err() {
+                    break;
+                }
+                visited.clear();
+                visited.append(&window, &rollout);
+                moments.add_running(&visited, ended, states);
+                let stored = visited.states.chunks_exact((self.steps + 1) * states);
+                for (start, stored) in starts.chunks_exact_mut(each).zip(stored) {
+                    start[..states].copy_from_slice(&stored[self.steps * states..]);
+                }
+                window.origin += self.steps;
             }
-        })
+        }
+        move |theta: &mut [f64]| {
+            if let Some(coordinates) = coordinates.as_ref().filter(|_| !moments.is_empty()) {
+                coordinates.leave(&moments.units(coordinates.is_shifted()), theta);
+            }
+        }
     }
 
     /// What a policy has that windows do not carry on. `None` if it has nothing of the kind.
@@ -150,7 +169,9 @@ impl Windows {
         };
         let first = control(0);
         let differs = |t: usize| control(t).iter().zip(&first).any(|(a, b)| a != b);
-        (1..4).any(differs).then_some(
+        // A controller may depend on t from some step on.
+        let steps = [1, 2, 3, 5, 10, 30, 100, 300, 1_000, 3_000, 10_000, 100_000];
+        steps.into_iter().any(differs).then_some(
             "depends on the number of the step, which begins anew in each window; use feedback, or whole rollouts",
         )
     }
@@ -165,7 +186,7 @@ impl Windows {
         policy: &dyn AnyPolicy<F>,
         dims: [usize; 3],
     ) -> Result<(), TrainError> {
-        let Self { steps, discount, noise, .. } = *self;
+        let Self { steps, discount, ref noise, .. } = *self;
         let invalid = |setting, problem| Err(TrainError::Setting { setting, problem });
         let horizon = Task::horizon(&self.task);
         let params = Task::param_dim(&self.task);
@@ -185,8 +206,14 @@ impl Windows {
             let problem = format!("is {discount}; allowed: a positive number {below}");
             return invalid("discount", problem);
         }
-        if !(noise >= 0.0 && noise.is_finite()) {
-            return invalid("window.noise", format!("is {noise}; allowed: a number of 0 or more"));
+        if let Some(deviation) = noise.iter().find(|noise| !(**noise >= 0.0 && noise.is_finite())) {
+            let problem = format!("is {deviation}; allowed: a number of 0 or more");
+            return invalid("window.noise", problem);
+        }
+        let controls = self.task.system().control_dim();
+        if !noise.is_empty() && noise.len() != controls {
+            let problem = format!("has {} numbers for {controls} controls", noise.len());
+            return invalid("window.noise", problem);
         }
         if training.smoothing.is_some() {
             return invalid("estimator", "is for whole rollouts; remove it, or the windows".into());
@@ -220,8 +247,8 @@ pub(super) struct Episodes<F: Float> {
     steps: usize,
     discount: f64,
     critic: Option<Critic<F>>,
-    /// First layer of the policy, if the observations are normalized, and whether the policy was drawn.
-    layer: Option<(InputLayer, bool)>,
+    /// Layers of the policy that are trained in other units, if so, and whether the policy was drawn.
+    coordinates: Option<(Coordinates, bool)>,
     moments: Moments,
     units: Units,
     /// Initial states of the training set, for windows. Empty if episodes draw new ones.
@@ -270,7 +297,10 @@ struct Tally {
     /// Windows that did not diverge.
     finished: usize,
     error: f64,
-    explained: f64,
+    /// Variances of the error of the value function, and of its targets.
+    variances: [f64; 2],
+    /// Episodes that took part in windows that did not diverge, counted once per window.
+    parts: usize,
 }
 
 impl<F: Float> Episodes<F> {
@@ -278,7 +308,7 @@ impl<F: Float> Episodes<F> {
     pub(super) fn new(
         settings: Windows,
         training: &Training,
-        layer: Option<(InputLayer, bool)>,
+        coordinates: Option<(Coordinates, bool)>,
         train: &[F],
     ) -> Self {
         let task: &dyn AnyTask<F> = &settings.task;
@@ -313,7 +343,7 @@ impl<F: Float> Episodes<F> {
             carried: vec![F::zero(); samples * each],
             progress: vec![Progress::default(); samples],
             tally: Tally::default(),
-            layer: layer.filter(|_| settings.normalize),
+            coordinates: coordinates.filter(|_| settings.normalize),
             moments: Moments::default(),
             units,
             window,
@@ -390,11 +420,12 @@ impl<F: Float> Episodes<F> {
         if let Some(critic) = &mut self.critic {
             let fit = critic.learn(visited, ended, &self.units)?;
             self.tally.error += fit.error;
-            self.tally.explained += fit.explained;
+            self.tally.variances.iter_mut().zip(fit.variances).for_each(|(sum, own)| *sum += own);
             self.window.value = Some(critic.value(&self.units));
         }
         self.tally.finished += 1;
-        if self.layer.is_some() {
+        self.tally.parts += chosen.len();
+        if self.coordinates.is_some() {
             self.moments.add_running(visited, ended, self.states);
         }
         let stored = (self.steps + 1) * self.states;
@@ -425,22 +456,32 @@ impl<F: Float> Episodes<F> {
 
     /// Changes a gradient of the policy to one in units of the observations.
     pub(super) fn enter_gradient(&self, gradient: &mut Gradient<F>) {
-        if let Some((layer, _)) = &self.layer {
+        if let Some((coordinates, _)) = self.coordinates.as_ref().filter(|_| self.has_units()) {
             let exponent = gradient.exponent();
-            self.units.enter_gradient(layer, gradient.values_mut(exponent));
+            coordinates.enter_gradient(&self.units, gradient.values_mut(exponent));
         }
+    }
+
+    /// Whether the parameters of the policy are those of units. Before the first step, a drawn policy
+    /// has none.
+    fn has_units(&self) -> bool {
+        let is_drawn = self.coordinates.as_ref().is_some_and(|(_, is_drawn)| *is_drawn);
+        !is_drawn || !self.units.is_empty()
     }
 
     /// Changes the policy by a step in units of the observations, whose mean and deviation then become
     /// those of all observations. A drawn policy remains the same function of the normalized
     /// observations, and another one the same function of the observations.
     pub(super) fn step(&mut self, theta: &mut [F], step: impl FnOnce(&mut [F])) {
-        let Some((layer, is_drawn)) = &self.layer else { return step(theta) };
-        self.units.enter(layer, theta);
+        let has_units = self.has_units();
+        let Some((coordinates, is_drawn)) = &self.coordinates else { return step(theta) };
+        if has_units {
+            coordinates.enter(&self.units, theta);
+        }
         step(theta);
-        let units = self.moments.units(layer.bias.is_some());
+        let units = self.moments.units(coordinates.is_shifted());
         let before = std::mem::replace(&mut self.units, units);
-        if *is_drawn { &self.units } else { &before }.leave(layer, theta);
+        coordinates.leave(if *is_drawn { &self.units } else { &before }, theta);
         if let Some(critic) = &self.critic {
             self.window.value = Some(critic.value(&self.units));
         }
@@ -452,20 +493,23 @@ impl<F: Float> Episodes<F> {
     }
 
     /// Mean running costs, with the noise, of the episodes that came to an end in this epoch. If there is
-    /// none, of the windows of the epoch. NaN if all of them diverged.
+    /// none, of as many windows as an epoch has. NaN if all of them diverged.
     pub(super) fn loss(&self) -> f64 {
         match self.tally {
             Tally { whole, cost_of_whole, .. } if whole > 0 => cost_of_whole / whole as f64,
-            Tally { finished: 0, .. } => f64::NAN,
-            Tally { cost, .. } => cost / self.samples as f64,
+            Tally { cost, parts, .. } => cost / parts as f64 * self.windows as f64,
         }
     }
 
-    /// Mean of the root mean square errors of the value function, and of the explained variance.
-    pub(super) fn fit(&self) -> Option<[f64; 2]> {
-        let Tally { finished, error, explained, .. } = self.tally;
-        let mean = |sum: f64| sum / finished as f64;
-        (self.critic.is_some() && finished > 0).then(|| [mean(error).sqrt(), mean(explained)])
+    /// Root mean square error of the value function, and the part of the variance of its targets that
+    /// it explained. The latter is absent if the targets did not vary within any window.
+    pub(super) fn fit(&self) -> [Option<f64>; 2] {
+        let Tally { finished, error, variances: [of_error, of_targets], .. } = self.tally;
+        if self.critic.is_none() || finished == 0 {
+            return [None; 2];
+        }
+        let explained = (of_targets > 0.0).then(|| 1.0 - of_error / of_targets);
+        [Some((error / finished as f64).sqrt()), explained]
     }
 
     /// Values of these observations.
@@ -488,7 +532,7 @@ impl<F: Float> Episodes<F> {
         self.progress.copy_from_slice(&state.progress);
         self.tally = state.tally;
         self.moments = state.moments.clone();
-        let shifted = self.layer.as_ref().is_some_and(|(layer, _)| layer.bias.is_some());
+        let shifted = self.coordinates.as_ref().is_some_and(|(own, _)| own.is_shifted());
         self.units = self.moments.units(shifted);
         if let (Some(critic), Some(state)) = (&mut self.critic, &state.critic) {
             critic.state = state.clone();
@@ -507,7 +551,7 @@ impl<F: Float> Episodes<F> {
         if let Some(number) = state.carried.iter().find(|number| !number.as_().is_finite()) {
             return Err(format!("a number of its episodes is {number}"));
         }
-        if !state.moments.is_valid(self.layer.as_ref().map_or(0, |(layer, _)| layer.inputs)) {
+        if !state.moments.is_valid(self.coordinates.as_ref().map_or(0, |(own, _)| own.inputs())) {
             return Err("its mean observation has another size, or is not finite".into());
         }
         match (&self.critic, &state.critic) {

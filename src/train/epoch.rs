@@ -6,6 +6,7 @@ use super::average::average_direction;
 use super::episodes::{Episodes, EpisodesState, Windows};
 use super::record::{Means, Record, Skip, Step};
 use super::smoothing::Estimates;
+use super::units::Coordinates;
 use super::{Begin, TrainError, Training};
 use crate::dynamics::number::key_of_epoch;
 use crate::engine::any::AnyTask;
@@ -122,6 +123,9 @@ pub(super) struct State<F: Float> {
     evaluation: Evaluation<F>,
     /// Episodes of a training by windows.
     pub(super) episodes: Option<Episodes<F>>,
+    /// Mean length of the test episodes before the first update, if they can end and if this process
+    /// began the training.
+    pub(super) untrained_length: Option<f64>,
     /// Initial states of the mini-batch.
     starts: Vec<F>,
     /// True if initial states end with a key of noise, which differs between epochs.
@@ -156,8 +160,8 @@ impl<F: Float> State<F> {
             Some(windows) => {
                 let dims = [task.state_dim(), task.param_dim(), task.horizon()];
                 windows.validate(&training, policy, dims)?;
-                let layer = policy.input_layer().map(|layer| (layer, is_drawn));
-                Some(Episodes::new(windows, &training, layer, &train))
+                let coordinates = Coordinates::of(policy).map(|own| (own, is_drawn));
+                Some(Episodes::new(windows, &training, coordinates, &train))
             }
         };
         let stepped: &dyn AnyTask<F> = episodes.as_ref().map_or(task, |episodes| &episodes.window);
@@ -201,6 +205,7 @@ impl<F: Float> State<F> {
             without_slope: Vec::new(),
             warned: Vec::new(),
             optimizer,
+            untrained_length: None,
             order: (0..train.len() / n).collect(),
             starts: Vec::with_capacity(samples * n),
             is_noisy: !task.noise().is_empty(),
@@ -266,6 +271,10 @@ impl<F: Float> State<F> {
         pause: &dyn Fn() -> bool,
     ) -> Result<bool, TrainError> {
         let begin = Instant::now();
+        if self.records.is_empty() && self.epoch.is_none() && problem.task.ended().is_some() {
+            self.test_loss(problem.task, problem.policy);
+            self.untrained_length = self.evaluation.mean_length();
+        }
         let mut epoch = self.epoch.take().unwrap_or_else(|| self.begin_epoch());
         while epoch.updates < self.updates_per_epoch() {
             // Measures growth up to the first applied update.
@@ -282,17 +291,16 @@ impl<F: Float> State<F> {
             }
         }
         let [train_loss, test_loss] = self.evaluate(problem);
+        let length = self.evaluation.mean_length();
         self.without_slope.clear();
         if !epoch.means.is_empty() {
-            self.test_numbers_without_slope(problem, train_loss);
+            self.test_numbers_without_slope(problem);
         }
         self.best.update(self.weights.theta(), test_loss);
         let seconds = epoch.seconds + begin.elapsed().as_secs_f64();
         let number = self.records.len() + 1;
         let record = epoch.means.record(number, train_loss, test_loss, epoch.skipped, seconds);
-        let [value_error, explained] =
-            self.episodes.as_ref().and_then(Episodes::fit).map_or([None; 2], |fit| fit.map(Some));
-        let length = self.evaluation.mean_length();
+        let [value_error, explained] = self.episodes.as_ref().map_or([None; 2], Episodes::fit);
         self.records.push(Record { length, value_error, explained, ..record });
         Ok(true)
     }
@@ -470,12 +478,15 @@ impl<F: Float> State<F> {
 
     /// Determines, for each number without a slope in all updates of the epoch, whether the loss of
     /// the training set depends on it nevertheless: changes it by about a tenth in both directions.
-    fn test_numbers_without_slope(
-        &mut self,
-        Problem { task, policy, .. }: Problem<'_, F>,
-        loss: f64,
-    ) {
+    fn test_numbers_without_slope(&mut self, Problem { task, policy, .. }: Problem<'_, F>) {
         let first = self.weights.theta().len() - self.flat.len();
+        if !self.flat.contains(&true) {
+            return;
+        }
+        let mut loss_of = |weights: &Weights<F>| {
+            self.evaluation.run(task, policy, weights, &self.train).unwrap_or(f64::NAN)
+        };
+        let loss = loss_of(&self.weights);
         for number in 0..self.flat.len() {
             if !self.flat[number] {
                 continue;
@@ -486,9 +497,8 @@ impl<F: Float> State<F> {
                 theta[first + number] = F::from_f64(r + by * r.abs().max(1.0));
                 let moved = Weights::new(policy, theta);
                 // A loss that diverges differs from any other.
-                self.evaluation
-                    .run(task, policy, &moved, &self.train)
-                    .map_or(!loss.is_nan(), |moved| moved != loss)
+                let moved = loss_of(&moved);
+                moved != loss && !(moved.is_nan() && loss.is_nan())
             });
             self.without_slope.push((first + number, changes));
         }

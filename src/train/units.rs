@@ -2,7 +2,7 @@
 
 use crate::engine::visited::Visited;
 use crate::numbers::scalar::Float;
-use crate::policy::InputLayer;
+use crate::policy::{AnyPolicy, InputLayer, OutputLayer};
 use serde::{Deserialize, Serialize};
 
 /// Deviations below this one count as this one, so that the noise of a component at rest is not
@@ -21,7 +21,64 @@ const LEAST_OF_MEAN: f64 = 1e-4;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Units(Vec<[f64; 2]>);
 
+/// The layers of a policy that are trained in other units: the first one in those of the observation,
+/// the last one, of bounded controls, in those of half their ranges.
+#[derive(Clone, Debug)]
+pub(super) struct Coordinates {
+    first: InputLayer,
+    last: Option<OutputLayer>,
+}
+
+impl Coordinates {
+    /// None for a policy without such a first layer.
+    pub(super) fn of<F: Float>(policy: &dyn AnyPolicy<F>) -> Option<Self> {
+        Some(Self { first: policy.input_layer()?, last: policy.output_layer() })
+    }
+
+    /// Number of components of the observation.
+    pub(super) fn inputs(&self) -> usize {
+        self.first.inputs
+    }
+
+    /// Whether a bias can shift the observations.
+    pub(super) fn is_shifted(&self) -> bool {
+        self.first.bias.is_some()
+    }
+
+    /// Changes parameters of the policy to those in units.
+    pub(super) fn enter<F: Float>(&self, units: &Units, theta: &mut [F]) {
+        units.enter(&self.first, theta);
+        self.scale(theta, |half_width| 1.0 / half_width);
+    }
+
+    /// Changes parameters in units to those of the policy.
+    pub(super) fn leave<F: Float>(&self, units: &Units, theta: &mut [F]) {
+        units.leave(&self.first, theta);
+        self.scale(theta, |half_width| half_width);
+    }
+
+    /// Changes the derivatives by parameters of the policy to those by parameters in units.
+    pub(super) fn enter_gradient<F: Float>(&self, units: &Units, gradient: &mut [F]) {
+        units.enter_gradient(&self.first, gradient);
+        self.scale(gradient, |half_width| half_width);
+    }
+
+    fn scale<F: Float>(&self, theta: &mut [F], by: impl Fn(f64) -> f64) {
+        let Some(OutputLayer { entries, half_widths }) = &self.last else { return };
+        for row in theta[entries.clone()].chunks_exact_mut(half_widths.len()) {
+            for (weight, &half_width) in row.iter_mut().zip(half_widths) {
+                *weight = F::from_f64(by(half_width) * weight.as_());
+            }
+        }
+    }
+}
+
 impl Units {
+    /// Whether no observation has given units yet.
+    pub(super) fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
     /// Changes W and b to Ŵ and b̂.
     pub(super) fn enter<F: Float>(&self, layer: &InputLayer, theta: &mut [F]) {
         self.convert(layer, theta, |_, deviation| deviation, |mean, _| mean);
@@ -74,6 +131,11 @@ pub(super) struct Moments {
 }
 
 impl Moments {
+    /// Whether there are no observations.
+    pub(super) fn is_empty(&self) -> bool {
+        self.sums.is_empty()
+    }
+
     /// Adds an observation (Welford 1962, doi:10.1080/00401706.1962.10490022).
     pub(super) fn add<F: Float>(&mut self, y: &[F]) {
         self.sums.resize(y.len(), [0.0; 2]);
@@ -122,7 +184,7 @@ impl Moments {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::policy::{AnyPolicy, PolicyRecord};
+    use crate::policy::PolicyRecord;
     use crate::policy::{Bounded, Mlp, Policy, PolicyColumns, PolicyPass, Weights};
 
     const OBSERVATIONS: [[f64; 3]; 4] =

@@ -118,7 +118,7 @@ impl<F: Float> State<F> {
                      states that depend on it"
                 )
             }),
-            self.short_episodes(record),
+            self.short_episodes(record, horizon),
         ];
         let places = [skip, skip, train, test].into_iter().chain(std::iter::repeat(None));
         let warning = |((kind, cause), divergence): ((&'static str, Option<String>), _)| {
@@ -146,21 +146,24 @@ impl<F: Float> State<F> {
     }
 
     /// Warning about test episodes that end at once, or that the policy learned to end.
-    fn short_episodes(&self, record: &Record) -> Option<String> {
+    fn short_episodes(&self, record: &Record, horizon: usize) -> Option<String> {
         let first = &self.records[0];
-        let (now, before) = (record.length?, first.length?);
-        if now <= 1.0 {
+        let (now, before) = (record.length?, self.untrained_length.or(first.length)?);
+        let is_new = self.untrained_length.is_some();
+        if now <= 1.0 && horizon > 1 {
             return Some(
                 "all test episodes end in their first step. Check whether the condition of the end holds in the initial states"
                     .into(),
             );
         }
-        (2.0 * now < before && record.test_loss < first.test_loss).then(|| {
+        let is_better = is_new || record.test_loss < first.test_loss;
+        (2.0 * now < before && is_better).then(|| {
             format!(
-                "test episodes last {} steps, and lasted {} after the first epoch, while the loss fell: the policy learns to end \
-                 them. Make an end expensive, for example by `ended` in the terminal cost, or reward each step",
+                "test episodes last {} steps, and lasted {} {}: the policy learns to end them. If the end is not the goal, make \
+                 it expensive, for example by `ended` in the terminal cost, or reward each step",
                 now.round(),
-                before.round()
+                before.round(),
+                if is_new { "before the training" } else { "after the first epoch, with a higher loss" }
             )
         })
     }

@@ -27,8 +27,8 @@ pub(crate) struct Window {
     steps: usize,
     pub(super) origin: usize,
     discount: f64,
-    /// Standard deviation of the noise on each control. 0 for none.
-    noise: f64,
+    /// Standard deviation of the noise on each control. Empty for none.
+    noise: Vec<f64>,
     /// Number of parameters of the task.
     params: usize,
     pub(super) value: Option<Value>,
@@ -65,7 +65,8 @@ impl<R> Function<R, 1> for Value {
 impl Window {
     /// The first `steps` steps of a task.
     pub(super) fn new(settings: &Windows, value: Option<Value>) -> Self {
-        let Windows { ref task, steps, discount, noise, .. } = *settings;
+        let Windows { ref task, steps, discount, ref noise, .. } = *settings;
+        let noise = if noise.iter().any(|&noise| noise > 0.0) { noise.clone() } else { Vec::new() };
         let (task, params) = (task.clone(), task.param_dim());
         Self { steps, origin: 0, discount, noise, params, value, task }
     }
@@ -77,7 +78,7 @@ impl Window {
 
     /// Number of noise entries at the end of the parameters.
     fn noises(&self) -> usize {
-        if self.noise > 0.0 { self.control_dim() } else { 0 }
+        self.noise.len()
     }
 
     /// Calls a function with the inputs of the task: the control with its noise.
@@ -159,10 +160,12 @@ impl System for Window {
 
     fn varied(&self, _params: usize) -> Vec<Varied> {
         let mut varied = self.task.system().varied(self.params);
-        let number = Number::Noise(Noise { mean: 0.0, deviation: self.noise, hold: 1 });
-        let noise =
-            |i| Varied { index: self.params + i, name: format!("window.noise[{i}]"), number };
-        varied.extend((0..self.noises()).map(noise));
+        let noise = |(i, &deviation): (usize, &f64)| Varied {
+            index: self.params + i,
+            name: format!("window.noise[{i}]"),
+            number: Number::Noise(Noise { mean: 0.0, deviation, hold: 1 }),
+        };
+        varied.extend(self.noise.iter().enumerate().map(noise));
         varied
     }
 

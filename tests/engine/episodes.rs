@@ -101,7 +101,7 @@ fn derivatives_of_a_window_agree_with_dual_numbers() {
         (falling(6), false, 0.1),
         (pendulum("", 30), true, 0.0),
     ] {
-        let mut windows = Windows { noise, ..Windows::new(task, 6) };
+        let mut windows = Windows { noise: vec![noise], ..Windows::new(task, 6) };
         if !value {
             windows.value = None;
         }
@@ -178,7 +178,7 @@ fn session_of(
         ..Training::default()
     };
     let mut windows =
-        Windows { discount: DISCOUNT, noise: 0.3, ..Windows::new(DynTask::new(Plant), 2) };
+        Windows { discount: DISCOUNT, noise: vec![0.3], ..Windows::new(DynTask::new(Plant), 2) };
     change(&mut windows);
     Trainer::new(Plant, Mlp::new([1, 1]).bias(false).zero_init_output(true))
         .field(Field::regular())
@@ -440,7 +440,7 @@ fn settings_that_do_not_fit_are_refused() {
         refused(|windows| windows.discount = 1.0),
         "training.discount: is 1; allowed: a positive number below 1, with a value function"
     );
-    assert!(refused(|windows| windows.noise = f64::NAN).contains("window.noise"));
+    assert!(refused(|windows| windows.noise = vec![f64::NAN]).contains("window.noise"));
     let windows = Windows { normalize: true, ..Windows::new(falling(30), 5) };
     let trainer = Trainer::new(falling(30), Linear::new(2, 1)).windows(windows);
     let error = trainer.session().map(drop).expect_err("an error").to_string();

@@ -14,7 +14,7 @@ use crate::platform::folder::Folder;
 use crate::platform::json::{self, print_json};
 use crate::platform::terminal::{counted, print_message, print_result, print_text, progress_bar};
 use crate::runs::saved;
-use crate::scenes::overrides::{Overrides, hide, is_of_training};
+use crate::scenes::overrides::{Overrides, hide, is_of_training, is_of_windows};
 use crate::scenes::presets;
 use crate::settings::Precision;
 use crate::tasks::Scene;
@@ -75,7 +75,7 @@ pub struct Accuracy {
 /// Whether the command does not read the setting with this key. It draws all parameters itself, and
 /// tries both precisions.
 fn is_unread(key: &str) -> bool {
-    let of_parameters = is_of_training(key) && key != INITIAL_POLICY;
+    let of_parameters = is_of_training(key) && !is_of_windows(key) && key != INITIAL_POLICY;
     of_parameters || ["policy.zero_init_output", "precision"].contains(&key)
 }
 

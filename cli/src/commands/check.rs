@@ -6,7 +6,7 @@ use crate::operations::amplification::Place;
 use crate::operations::checks::Results;
 use crate::platform::json::print_json;
 use crate::platform::terminal::{counted, print_text};
-use crate::scenes::overrides::{Overrides, is_of_training};
+use crate::scenes::overrides::{Overrides, is_of_training, is_of_windows};
 use crate::scenes::presets;
 use crate::scenes::source::SceneSource;
 use crate::tasks::scene::INITIAL_POLICY;
@@ -50,7 +50,16 @@ pub fn check(args: &Check) -> Result<()> {
     let mut results = Results::new(!args.json);
     let overrides =
         Overrides { set: args.set.clone(), policy: args.policy.clone(), ..Overrides::default() };
-    let is_unread = |key: &str| is_of_training(key) && key != INITIAL_POLICY || key == "precision";
+    let named = args.scene.as_deref().map(presets::source).transpose()?;
+    let of_scene = named.is_some_and(|source| source.table().contains_key("window"));
+    let has_windows = of_scene || args.set.iter().any(|set| set.starts_with("window"));
+    let is_unread = |key: &str| match key {
+        "precision" => true,
+        INITIAL_POLICY => false,
+        // The costs of a window are discounted.
+        "training.discount" => !has_windows,
+        _ => is_of_training(key) && !is_of_windows(key),
+    };
     overrides.refuse(is_unread, "the checks, which train nothing and compute in f64")?;
     let is_changed = args.policy.is_some() || !args.set.is_empty();
     let changed = |name: &str| -> Result<SceneSource> {
@@ -173,6 +182,9 @@ fn about_rollouts(
         )?,
         more => note(format!("kinks: {more} more, in other functions or arguments"))?,
     }
+    if let Some(lengths) = scene.lengths(theta) {
+        note(about_lengths(&lengths, scene.horizon))?;
+    }
     if theta.is_empty() {
         return note("loss: without a slope, because the policy has no trained numbers".into());
     }
@@ -181,6 +193,18 @@ fn about_rollouts(
         .map_or_else(|divergence| divergence.to_string(), |plateau| plateau.to_string());
     note(format!("loss at the initial parameters: {plateau}"))?;
     about_jumps(scene, source, theta, note)
+}
+
+fn about_lengths(lengths: &[usize], horizon: usize) -> String {
+    let [least, most] =
+        [lengths.iter().min(), lengths.iter().max()].map(|n| n.copied().unwrap_or(0));
+    if most == 1 && horizon > 1 {
+        return "episodes: all test episodes end in their first step. Check whether the condition of the end holds in the \
+                initial states"
+            .into();
+    }
+    let range = if least == most { most.to_string() } else { format!("{least} to {most}") };
+    format!("episodes: test episodes with these parameters last {range} of {horizon} steps")
 }
 
 /// Makes a note about the error of R against the derivative of the mean loss, and about a setting that

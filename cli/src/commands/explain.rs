@@ -4,7 +4,7 @@ use crate::operations::costs::SAMPLES;
 use crate::platform::json::print_json;
 use crate::platform::table::Table;
 use crate::platform::terminal::{counted, print_result, print_text};
-use crate::scenes::overrides::{Overrides, hide, is_of_training};
+use crate::scenes::overrides::{Overrides, hide, is_of_training, is_of_windows};
 use crate::scenes::presets;
 use crate::settings::{ACTUATORS, Info, OPTIONAL, SENSORS};
 use crate::tasks::Scene;
@@ -34,7 +34,7 @@ pub struct Explain {
 
 /// Whether the command does not read the setting with this key.
 fn is_unread(key: &str) -> bool {
-    is_of_training(key) || ["seed", "training.memory"].contains(&key)
+    is_of_training(key) && !is_of_windows(key) || ["seed", "training.memory"].contains(&key)
 }
 
 /// Time steps of the shorter of the two rollouts for the table of memory.

@@ -109,6 +109,9 @@ pub fn optimize(args: &Optimize) -> Result<()> {
     let initial = if args.from.is_some() { &starts[..] } else { &[] };
     let costs = write(&folder, &scene, &plans, initial)?;
     warnings(&plans).iter().for_each(|warning| print_message(warning));
+    if !args.quiet {
+        ends(&plans, &scene).iter().for_each(|note| print_message(note));
+    }
     if args.bound.is_empty() && !args.quiet {
         outside(&plans, &scene).iter().for_each(|note| print_message(note));
     }
@@ -320,7 +323,8 @@ fn gains(plans: &[(usize, Plan)], scene: &Scene) -> Result<Vec<u8>> {
         .flat_map(|control| states.iter().map(move |state| format!("{control} by {state}")));
     let header = ["sample", "step"].map(String::from).into_iter().chain(columns);
     let rows = plans.iter().flat_map(|(i, plan)| {
-        let gains = plan.gains.chunks(states.len() * controls.len()).enumerate();
+        let steps = trajectory(plan).until_end(scene.ended()).controls.len();
+        let gains = plan.gains.chunks(states.len() * controls.len()).take(steps).enumerate();
         gains.map(move |(t, gains)| {
             let numbers = gains.iter().map(f64::to_string);
             [i.to_string(), t.to_string()].into_iter().chain(numbers).collect::<Vec<_>>()
@@ -355,6 +359,23 @@ fn warnings(plans: &[(usize, Plan)]) -> Vec<String> {
         format!("warning: {text} (initial states: {})", starts.join(", "))
     };
     warnings.into_iter().map(line).collect()
+}
+
+/// A note about plans whose episodes end before the horizon, if any.
+fn ends(plans: &[(usize, Plan)], scene: &Scene) -> Option<String> {
+    let steps = |plan: &Plan| trajectory(plan).until_end(scene.ended()).controls.len();
+    let ended = plans.iter().map(|(i, plan)| (i, steps(plan)));
+    let list: Vec<_> = ended
+        .filter(|(_, steps)| *steps < scene.horizon)
+        .map(|(i, steps)| format!("initial state {i} after {}", counted(steps, "step")))
+        .collect();
+    (!list.is_empty()).then(|| {
+        format!(
+            "note: episodes end early: {}. The search has no derivative of the end, so it may stop beside one: compare other \
+             starts, such as --from, or remove `loss.end`",
+            list.join(", ")
+        )
+    })
 }
 
 /// A note about controls outside of the range for which the task is meant, if any.

@@ -8,7 +8,7 @@ use physgrad::check::{self, Failure, Finding, Jumps, Kink, Passed, Plateau};
 use physgrad::count::TaskOpCount;
 use physgrad::rng::Purpose;
 use physgrad::text::rough;
-use physgrad::{Divergence, DynTask, Flow, Policy, System, Task, Weights, initial_states};
+use physgrad::{Divergence, DynTask, Flow, Policy, Rollout, System, Task, Weights, initial_states};
 
 /// Adds the checks of one task and policy to the results. Rollouts have the parameters `theta`, or
 /// random ones. The system and the costs are checked in states of rollouts, so that states have the
@@ -62,6 +62,20 @@ pub fn check(
 pub fn kinks(task: &DynTask, policy: &impl Policy, theta: &[f64], seed: u64) -> Vec<Kink> {
     let weights = Weights::new(policy, theta.to_vec());
     check::kinks(task, policy, &weights, &initial_states(task, seed, Purpose::Test, ROLLOUTS))
+}
+
+/// Numbers of steps of test episodes. `None` if episodes cannot end, or if a rollout diverges.
+pub fn lengths(
+    task: &DynTask,
+    policy: &impl Policy,
+    theta: &[f64],
+    seed: u64,
+) -> Option<Vec<usize>> {
+    Task::ended(task)?;
+    let mut rollout = Rollout::for_evaluation(task, policy, ROLLOUTS);
+    rollout.start(&initial_states(task, seed, Purpose::Test, ROLLOUTS));
+    rollout.run(task, policy, &Weights::new(policy, theta.to_vec())).ok()?;
+    (0..ROLLOUTS).map(|sample| rollout.length(task, sample)).collect()
 }
 
 /// Loss and gradient at the parameters `theta` and at parameters nearby.

@@ -13,7 +13,7 @@ use messages::{
     OperatorSet, Shape, TensorType, Type, ValueInfo,
 };
 use physgrad::Float;
-use physgrad::policy::{Activation, AnyPolicy, LayerKind, NetworkLayer, Tensor};
+use physgrad::policy::{Activation, AnyPolicy, Bound, LayerKind, NetworkLayer, Tensor};
 use prost::Message;
 
 /// Name of the input of a model.
@@ -35,7 +35,7 @@ pub fn write<F: Float>(about: &About, policy: &dyn AnyPolicy<F>, theta: &[F]) ->
     let layers = policy.network().with_context(|| {
         format!(
             "the policy is of the kind {}, which is not a sequence of layers, so it has no ONNX model; those of the kinds mlp \
-             and conv, without `bounds` and `base`, have one",
+             and conv, without `base`, have one",
             about.kind
         )
     })?;
@@ -127,9 +127,29 @@ impl<F: Float> Builder<'_, F> {
             }
         };
         *width = positions * outputs;
-        Ok(match layer.activation {
+        let value = match layer.activation {
             Some(activation) => self.activate(activation, value),
             None => value,
+        };
+        Ok(match &layer.bounds {
+            Some(bounds) => self.bound(bounds, value),
+            None => value,
+        })
+    }
+
+    /// `middle + half_width tanh((v - origin) / half_width)` of each output.
+    fn bound(&mut self, bounds: &[Bound], value: String) -> String {
+        let row = |number: fn(&Bound) -> f64| bounds.iter().map(number).collect::<Vec<_>>();
+        let steps = [
+            ("Sub", "origin", row(|bound| bound.origin)),
+            ("Mul", "inverse_half_width", row(|bound| 1.0 / bound.half_width)),
+            ("Tanh", "", Vec::new()),
+            ("Mul", "half_width", row(|bound| bound.half_width)),
+            ("Add", "middle", row(|bound| bound.middle)),
+        ];
+        steps.into_iter().fold(value, |value, (op, name, numbers)| {
+            let constant = (!numbers.is_empty()).then(|| self.numbers(name, &numbers));
+            self.node(op, [value].into_iter().chain(constant).collect(), None)
         })
     }
 
@@ -194,12 +214,16 @@ impl<F: Float> Builder<'_, F> {
     }
 
     fn number(&mut self, name: &str, value: f64) -> String {
-        self.constant(
-            name.into(),
-            Vec::new(),
-            data_type::<F>(),
-            F::from_f64(value).to_le_bytes().as_ref().to_vec(),
-        )
+        self.floats(name, Vec::new(), &[value])
+    }
+
+    fn numbers(&mut self, name: &str, values: &[f64]) -> String {
+        self.floats(name, vec![values.len()], values)
+    }
+
+    fn floats(&mut self, name: &str, shape: Vec<usize>, values: &[f64]) -> String {
+        let bytes = values.iter().flat_map(|&x| F::from_f64(x).to_le_bytes().as_ref().to_vec());
+        self.constant(name.into(), shape, data_type::<F>(), bytes.collect())
     }
 
     fn integers(&mut self, name: &str, shape: Vec<usize>, values: Vec<i64>) -> String {

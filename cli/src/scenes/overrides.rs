@@ -128,7 +128,13 @@ impl Overrides {
 /// rollouts.
 pub fn is_of_training(key: &str) -> bool {
     key.starts_with("training.") && key != "training.memory"
+        || is_of_windows(key)
         || ["epochs", "field", "tags", "log", INITIAL_POLICY].contains(&key)
+}
+
+/// Whether the setting with this key is one of windows, whose length also checks and the memory need.
+pub fn is_of_windows(key: &str) -> bool {
+    key == "window" || key.starts_with("window.")
 }
 
 /// Hides the options that a command refuses in its help. `is_unread` as in [`Overrides::refuse`].

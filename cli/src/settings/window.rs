@@ -1,9 +1,9 @@
 //! The `window` section.
 
 use crate::settings::config_error::{ConfigError, allowed, count, not_negative, positive};
-use physgrad::DynTask;
 use physgrad::episode::{ValueSettings, Windows};
 use physgrad::policy::AnyPolicy;
+use physgrad::{DynTask, System as _, Task as _};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -14,16 +14,31 @@ use serde::{Deserialize, Serialize};
 pub struct WindowSettings {
     /// Steps of a window.
     pub steps: usize,
-    /// Standard deviation of normal noise on each control, in its unit, during training.
+    /// Standard deviation of normal noise on the controls, in their units, during training: one number
+    /// for all, or a list with one per control. The noise may exceed bounds.
     #[serde(default)]
-    noise: f64,
+    noise: Noise,
     /// Whether policy and value function are trained as networks of the observation in units of its
-    /// running mean and standard deviation.
+    /// running mean and standard deviation, and bounded controls in units of half their range.
     #[serde(default)]
     normalize: bool,
     /// Value function of the last state of a window; absent if not listed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     value: Option<ValueFunction>,
+}
+
+/// One number for all controls, or one per control.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+enum Noise {
+    All(f64),
+    Each(Vec<f64>),
+}
+
+impl Default for Noise {
+    fn default() -> Self {
+        Self::All(0.0)
+    }
 }
 
 /// A network of the observation, trained on TD(λ) targets of the visited states.
@@ -57,7 +72,13 @@ impl WindowSettings {
     pub fn validate(&self, horizon: usize, discount: f64) -> Result<(), ConfigError> {
         positive("training.discount", discount)?;
         count("window.steps", self.steps, 1..=horizon)?;
-        not_negative("window.noise", self.noise)?;
+        match &self.noise {
+            Noise::All(noise) => not_negative("window.noise", *noise)?,
+            Noise::Each(noise) => noise
+                .iter()
+                .enumerate()
+                .try_for_each(|(i, &noise)| not_negative(&format!("window.noise[{i}]"), noise))?,
+        }
         let Some(value) = &self.value else { return Ok(()) };
         let ValueFunction { widths, learning_rate, passes, parts, lambda, follow } = value;
         for (i, &width) in widths.iter().enumerate() {
@@ -78,8 +99,13 @@ impl WindowSettings {
         self.value.is_some()
     }
 
-    /// Refuses policies that windows do not train.
+    /// Refuses policies that windows do not train, and noise of another number of controls.
     pub fn check_policy(&self, policy: &dyn AnyPolicy<f64>) -> Result<(), ConfigError> {
+        if let Noise::Each(noise) = &self.noise {
+            let controls = policy.control_dim();
+            let what = format!("{controls} numbers, one per control, or one number for all");
+            allowed("window.noise", format!("{noise:?}"), noise.len() == controls, what)?;
+        }
         if let Some(problem) = Windows::problem_of(policy) {
             return Err(ConfigError::new(
                 "policy.kind",
@@ -100,11 +126,15 @@ impl WindowSettings {
             let ValueFunction { widths, learning_rate, passes, parts, lambda, follow } = value;
             ValueSettings { widths, learning_rate, passes, parts, lambda, follow }
         });
+        let controls = task.system().control_dim();
         Windows {
             task,
             steps: self.steps,
             discount,
-            noise: self.noise,
+            noise: match &self.noise {
+                Noise::All(noise) => vec![*noise; controls],
+                Noise::Each(noise) => noise.clone(),
+            },
             normalize: self.normalize,
             value,
         }

@@ -295,21 +295,30 @@ impl Scene {
         checks::kinks(&self.stepped(), &self.policy, theta, self.seed)
     }
 
-    /// Loss and gradient at the parameters `theta` and at parameters nearby.
+    /// Numbers of steps of test episodes. None if they cannot end, or if a rollout diverges.
+    pub fn lengths(&self, theta: &[f64]) -> Option<Vec<usize>> {
+        checks::lengths(&self.physics, &self.policy, theta, self.seed)
+    }
+
+    /// Loss and gradient at the parameters `theta` and at parameters nearby, of a window without its value
+    /// function if updates see windows.
     pub fn plateau(&self, theta: &[f64]) -> Result<Plateau, Divergence> {
-        checks::plateau(&self.stepped(), &self.policy, theta, self.seed)
+        let window = self.windows().map(|windows| windows.first());
+        let task = window.unwrap_or_else(|| self.physics.clone());
+        checks::plateau(&task, &self.policy, theta, self.seed)
     }
 
     /// Compares R with the derivative of the mean loss over the first steps, and over a ball of parameters
     /// in the units of the training. None if that would take long.
     pub fn jumps(&self, theta: &[f64], steps: usize) -> Option<Result<Jumps, Divergence>> {
-        let system = self.physics.system().clone();
-        let shortened = self.physics.clone().adapted(system, 1, Vec::new(), steps);
-        let coordinates = match self.coordinates(theta) {
-            Ok(coordinates) => coordinates,
-            Err(divergence) => return Some(Err(divergence)),
+        let task = match self.windows() {
+            Some(windows) => Windows { steps, ..windows }.first(),
+            None => {
+                let system = self.physics.system().clone();
+                self.physics.clone().adapted(system, 1, Vec::new(), steps)
+            }
         };
-        checks::jumps(&shortened, &self.policy, theta, self.seed, &coordinates)
+        checks::jumps(&task, &self.policy, theta, self.seed, &self.coordinates(theta))
     }
 
     /// Key and value of a setting with which forces at contact begin without a jump, if the scene has
@@ -619,24 +628,20 @@ impl Scene {
     /// Those of [`initial_theta`](Self::initial_theta).
     pub fn checked_theta(&self) -> Result<Vec<f64>> {
         let mut theta = self.initial_theta()?;
-        // The notes of the checks tell where a rollout diverges.
-        if self.initial_policy().is_none()
-            && let Ok(coordinates) = self.coordinates(&theta)
-        {
-            coordinates(&mut theta);
+        if self.initial_policy().is_none() {
+            self.coordinates(&theta)(&mut theta);
         }
         Ok(theta)
     }
 
     /// The map from parameters in the units in which the training works to those of the policy.
-    ///
-    /// # Errors
-    /// [`Divergence`] in the episodes that give the units.
-    fn coordinates(&self, theta: &[f64]) -> Result<impl Fn(&mut [f64]) + use<>, Divergence> {
-        let windows = self.windows();
-        let map = windows.map(|windows| windows.coordinates(&self.policy, theta, self.seed));
-        let map = map.transpose()?;
-        Ok(move |theta: &mut [f64]| map.iter().for_each(|map| map(theta)))
+    fn coordinates(&self, theta: &[f64]) -> impl Fn(&mut [f64]) + use<> {
+        /// Steps of the episodes that give the units.
+        const STEPS: usize = 1000;
+        let map = self
+            .windows()
+            .map(|windows| windows.coordinates(&self.policy, theta, self.seed, STEPS));
+        move |theta: &mut [f64]| map.iter().for_each(|map| map(theta))
     }
 
     /// Steps of a window. None if updates see whole rollouts.
@@ -657,7 +662,7 @@ impl Scene {
 
     /// The task whose gradients an update sees: the first window without noise, or the whole task.
     fn stepped(&self) -> DynTask {
-        let windows = self.windows().map(|windows| Windows { noise: 0.0, ..windows });
+        let windows = self.windows().map(|windows| Windows { noise: Vec::new(), ..windows });
         windows.map_or_else(|| self.physics.clone(), |windows| windows.checked(self.seed))
     }
 

@@ -306,7 +306,7 @@ fn a_training_warns_of_ends_at_once_and_of_a_policy_that_learns_to_end() {
     };
     let learned = "the policy learns to end them";
     let text = warnings("");
-    assert!(text.contains("lasted 7 after the first epoch") && text.contains(learned), "{text}");
+    assert!(text.contains("before the training: ") && text.contains(learned), "{text}");
     let text = warnings(" --set loss.end=q>-1");
     assert!(text.contains("all test episodes end in their first step"), "{text}");
     let text = warnings(" --set loss.running=1+v^2");

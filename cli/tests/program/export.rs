@@ -42,6 +42,8 @@ fn other_programs_compute_the_controls_of_a_rollout() {
         ("gelu", format!("cart_pole {mlp} --set policy.activation=gelu --precision f64")),
         ("without_bias", format!("guidance {mlp} --set policy.bias=false")),
         ("linear", "cart_pole --set policy.zero_init_output=false --set policy.widths=[]".into()),
+        ("bounded", format!("cart_pole {mlp} --set policy.bounds=[[-2.0,3.0]]")),
+        ("bounded_conv", "quantum --set policy.width=9 --set policy.bounds=[[-0.5,0.5]]".into()),
         ("with_actuator", format!("cart_pole_1 {mlp} --set actuator.delay.steps=2")),
         ("quantum", "quantum --set policy.width=20".into()),
         ("quantum_f64", "quantum --set policy.width=9 --set system.grid=17 --precision f64".into()),

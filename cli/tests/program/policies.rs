@@ -52,7 +52,7 @@ fn kinds() -> Vec<(&'static str, String, bool)> {
         ("elman", of("kind = \"elman\"\nunits = 5"), false),
         ("open loop", of("kind = \"open_loop\""), false),
         ("equations", of(CONTROLLER), false),
-        ("bounded", of("widths = [6]\nbounds = [[-2.0, 3.0]]"), false),
+        ("bounded", of("widths = [6]\nbounds = [[-2.0, 3.0]]"), true),
         ("residual", format!("widths = [6]\n[policy.base]\n{CONTROLLER}"), false),
         (
             "feedback around a sequence",

@@ -18,4 +18,7 @@ def controls(file, x):
                 x = np.stack([x[:, q : q + w.shape[0]].reshape(len(x), -1) for q in starts], axis=1)
             z = x @ w.reshape(-1, w.shape[-1]) + b
             x = FUNCTIONS[layer["activation"]](z).reshape(len(z), -1)
+            for z, bound in zip(x.T, layer.get("bounds", [])):
+                width = bound["half_width"]
+                z[:] = bound["middle"] + width * np.tanh((z - bound["origin"]) / width)
     return x

@@ -28,7 +28,9 @@ pub fn stability(
     found: &Amplification,
 ) -> String {
     let Amplification { worst: Place { sample, step, stability }, evaluated, states, .. } = *found;
-    let (names, horizon) = (scene.state_names(), scene.horizon);
+    let names = scene.state_names();
+    let steps = scene.steps();
+    let of = if scene.window_steps().is_some() { "window" } else { "rollout" };
     let Stability { multiplier, component, .. } = stability;
     let name = &names[component];
     let all = if evaluated == states { String::new() } else { format!(" of {states}") };
@@ -44,8 +46,8 @@ pub fn stability(
             stability.to_string()
         } else {
             format!(
-                "harmless: a perturbation grows by {} per step, at most by {:.2} over the {horizon} steps of a \
-                 rollout",
+                "harmless: a perturbation grows by {} per step, at most by {:.2} over the {steps} steps of a \
+                 {of}",
                 growth(multiplier),
                 found.growth
             )

@@ -87,7 +87,7 @@ fn episodes(runs: &[Inspected]) -> Vec<Figure> {
             "explained variance",
             [-1.0, 1.0],
             |r| r.explained.map(|explained| explained.max(-1.0)),
-            "1 minus the mean square of the error of the value function over the variance of its targets, before it learned \
+            "1 minus the variance of the error of the value function over that of its targets, within the windows, before it learned \
              from them. 1 is a perfect fit, 0 that of a constant; values below -1 are drawn as -1. While it is near 0, the ends \
              of windows tell the policy nothing.",
         ),

@@ -20,7 +20,8 @@ pub fn of_run(run: &Inspected) -> Vec<Figure> {
             "Loss by epoch",
             by_epoch(&outcome),
             "Loss of the whole training and test set after every epoch. A test loss that stays high while the training loss \
-             falls shows overfitting. Jumps show steps that are too large.",
+             falls shows overfitting. Jumps show steps that are too large. In a training by windows, the training loss is the \
+             mean cost of the episodes that came to an end during the epoch, with the noise of the training.",
         )
         .notes(left_out(&[outcome], &[|r| r.train_loss, |r| r.test_loss])),
         Figure::new(
