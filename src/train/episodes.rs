@@ -456,28 +456,26 @@ impl<F: Float> Episodes<F> {
 
     /// Changes a gradient of the policy to one in units of the observations.
     pub(super) fn enter_gradient(&self, gradient: &mut Gradient<F>) {
-        if let Some((coordinates, _)) = self.coordinates.as_ref().filter(|_| self.has_units()) {
+        if let Some((coordinates, _)) = &self.coordinates {
             let exponent = gradient.exponent();
             coordinates.enter_gradient(&self.units, gradient.values_mut(exponent));
         }
     }
 
-    /// Whether the parameters of the policy are those of units. Before the first step, a drawn policy
-    /// has none.
-    fn has_units(&self) -> bool {
-        let is_drawn = self.coordinates.as_ref().is_some_and(|(_, is_drawn)| *is_drawn);
-        !is_drawn || !self.units.is_empty()
+    /// Changes drawn parameters, which are those in units, to those of the policy. There are no
+    /// observations yet.
+    pub(super) fn begin_drawn(&self, theta: &mut [F]) {
+        if let Some((coordinates, true)) = &self.coordinates {
+            coordinates.leave(&self.units, theta);
+        }
     }
 
     /// Changes the policy by a step in units of the observations, whose mean and deviation then become
     /// those of all observations. A drawn policy remains the same function of the normalized
     /// observations, and another one the same function of the observations.
     pub(super) fn step(&mut self, theta: &mut [F], step: impl FnOnce(&mut [F])) {
-        let has_units = self.has_units();
         let Some((coordinates, is_drawn)) = &self.coordinates else { return step(theta) };
-        if has_units {
-            coordinates.enter(&self.units, theta);
-        }
+        coordinates.enter(&self.units, theta);
         step(theta);
         let units = self.moments.units(coordinates.is_shifted());
         let before = std::mem::replace(&mut self.units, units);

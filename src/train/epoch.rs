@@ -145,7 +145,7 @@ impl<F: Float> State<F> {
         flows: Vec<Flow>,
         training: Training,
         windows: Option<Windows>,
-        Begin { weights, is_drawn }: Begin<F>,
+        Begin { mut weights, is_drawn }: Begin<F>,
         [train, test]: [Vec<F>; 2],
     ) -> Result<Self, TrainError> {
         let params = policy.param_count();
@@ -164,6 +164,9 @@ impl<F: Float> State<F> {
                 Some(Episodes::new(windows, &training, coordinates, &train))
             }
         };
+        if let Some(episodes) = &episodes {
+            weights.update(policy, |theta| episodes.begin_drawn(theta));
+        }
         let stepped: &dyn AnyTask<F> = episodes.as_ref().map_or(task, |episodes| &episodes.window);
         let mut batch = match training.memory {
             None => Batch::new(stepped, policy, derived, &flows, training.workers),

@@ -74,11 +74,6 @@ impl Coordinates {
 }
 
 impl Units {
-    /// Whether no observation has given units yet.
-    pub(super) fn is_empty(&self) -> bool {
-        self.0.is_empty()
-    }
-
     /// Changes W and b to Ŵ and b̂.
     pub(super) fn enter<F: Float>(&self, layer: &InputLayer, theta: &mut [F]) {
         self.convert(layer, theta, |_, deviation| deviation, |mean, _| mean);

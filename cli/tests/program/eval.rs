@@ -313,6 +313,45 @@ fn a_training_warns_of_ends_at_once_and_of_a_policy_that_learns_to_end() {
     assert!(!text.contains("episodes"), "{text}");
 }
 
+/// A plant that is heated by `q` in a unit that is a part `k` of the natural one.
+fn heated(k: f64) -> String {
+    format!(
+        "scene = 1\ntask = \"equations\"\nprecision = \"f64\"\nhorizon = 60\nepochs = 3\nfield = \"regular\"\n\
+         [system]\nstates = [\"T\"]\ncontrols = [\"q\", \"vent\"]\ndt = 0.1\n\
+         rate.T = \"q / k - (0.1 + vent) * (T - 300)\"\nstart.T = {{ uniform = [290, 330] }}\n\
+         parameters.k = {k}\nbounds = {{ q = [0.0, {}], vent = [0.0, 0.5] }}\n\
+         [loss]\nrunning = \"((next.T - 310) / 10)^2\"\nend = \"abs(T - 310) < 0.02\"\n\
+         [policy]\nwidths = [8]\nbounds = true\n\
+         [training]\nbatch = 16\ntrain_samples = 16\ntest_samples = 8\ndiscount = 0.9\n\
+         [window]\nsteps = 5\nnormalize = true\nnoise = [{}, 0.01]\n[window.value]\n",
+        30.0 * k,
+        2.0 * k
+    )
+}
+
+#[test]
+fn the_unit_of_a_bounded_control_does_not_change_a_training() {
+    let dir = TempDir::new().expect("a folder");
+    let metrics = |k: f64, more: &str| {
+        fs::write(dir.path().join("scene.toml"), heated(k)).expect("a scene");
+        succeed(&dir, &format!("train scene.toml --quiet --out run{more}"));
+        let rows = read(&dir, "run/metrics.csv");
+        // Rounding differs only if the factor is no power of two.
+        ["train_loss", "test_loss", "explained"].map(|name| column(&rows, name))
+    };
+    let natural = metrics(1.0, "");
+    assert_eq!(natural, metrics(1024.0, ""));
+    assert!(natural[1][2] < 0.8 * natural[1][0], "{natural:?}");
+    let [_, fixed, _] = metrics(1.0, " --set window.normalize=false");
+    let [_, other, _] = metrics(1024.0, " --set window.normalize=false");
+    assert_ne!(fixed, other);
+    // Every episode ends at once, so all targets of a window are one number.
+    let [_, _, explained] = metrics(1.0, " --set loss.end=T>0");
+    assert!(explained.iter().all(|share| *share <= 1.0), "{explained:?}");
+    let message = error(&dir, "train scene.toml --set window.noise=[1.0] --out a");
+    assert!(message.contains("`window.noise` is [1.0]; allowed: 2 numbers"), "{message}");
+}
+
 #[test]
 fn an_identification_ignores_the_end_of_episodes() {
     let dir = TempDir::new().expect("a folder");
