@@ -562,6 +562,10 @@ fn a_check_measures_in_the_units_of_the_training() {
         let percent = text.split("mean loss by ").nth(1).and_then(|rest| rest.split(' ').next());
         percent.and_then(|number| number.parse().ok()).unwrap_or_else(|| panic!("{text}"))
     };
+    let args = ["check", file, "--set", "loss.end=T > 0"];
+    let output = physgrad(&args).assert().success();
+    let text = String::from_utf8(output.get_output().stdout.clone()).expect("text");
+    assert!(text.contains("episodes: all test episodes end in their first step"), "{text}");
     assert!(error(false) > 0.1, "{}", error(false));
     assert!(error(true) < 1e-4, "{}", error(true));
 }

@@ -33,6 +33,21 @@ fn a_search_that_ends_at_a_cost_of_0_has_no_warning() {
     assert!(!messages.contains("warning"), "{messages}");
 }
 
+/// The plan is stuck beside the end: all files end with the episode, and a note says so.
+#[test]
+fn a_plan_ends_with_its_episode() {
+    let dir = TempDir::new().expect("a folder");
+    let scene = "scene = 1\ntask = \"equations\"\nhorizon = 30\n[system]\nstates = [\"x\"]\ncontrols = [\"u\"]\n\
+        dt = 0.1\nrate.x = \"1 + u\"\n[loss]\nrunning = \"next.x^2 + u^2\"\nend = \"x > 0.55\"\n";
+    fs::write(dir.path().join("scene.toml"), scene).expect("a scene");
+    let output =
+        physgrad("optimize scene.toml --starts 1 --out plan", dir.path()).assert().success();
+    let messages = String::from_utf8_lossy(&output.get_output().stderr).into_owned();
+    assert!(messages.contains("end early: initial state 0 after 6 steps"), "{messages}");
+    assert_eq!(columns(&dir, "plan/trajectory.csv", &["step"]).len(), 7);
+    assert_eq!(columns(&dir, "plan/gains.csv", &["step"]).len(), 6);
+}
+
 /// The task is meant for forces of up to 50 N.
 #[test]
 fn a_note_names_controls_beyond_those_that_the_task_is_meant_for() {
