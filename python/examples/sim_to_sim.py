@@ -19,14 +19,13 @@ ENVIRONMENTS = {
     "hopper_run": "Hopper-v5",
     "walker2d_run": "Walker2d-v5",
     "ant_run": "Ant-v5",
-    "humanoid_run": "Humanoid-v5",
 }
 
 
 def evaluate(policy: pg.Policy, name: str, inputs: int, steps: int, episodes: int) -> tuple[np.ndarray, np.ndarray]:
     """Returns and distances of episodes in the unmodified environment.
 
-    The policy observes the first `inputs` numbers; in Ant-v5 and Humanoid-v5, contact forces and others follow them.
+    The policy observes the first `inputs` numbers; in Ant-v5, contact forces follow them.
     """
     import gymnasium
 

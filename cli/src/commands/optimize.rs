@@ -17,7 +17,6 @@ use physgrad::text::{digits, rough, short};
 use physgrad_plot::{Dash, Series, fitted};
 use serde_json::json;
 use std::collections::HashSet;
-use std::iter::zip;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -225,12 +224,8 @@ fn starts(args: &Optimize, scene: &Scene) -> Result<Vec<Trajectory>> {
     // Plans have double precision. An unstable plant amplifies the rounding errors of f32 controls.
     let mut rollouts = run.starts(chosen.clone());
     if args.from.is_some() {
-        // The rollouts draw noise, of which a plan has the mean.
-        let with_mean = |(rollout, start): (Trajectory, Trajectory)| Trajectory {
-            params: start.params,
-            ..rollout
-        };
-        rollouts = zip(run.double_rollouts(chosen), rollouts).map(with_mean).collect();
+        // A plan has the mean of noise.
+        rollouts = run.mean_rollouts(chosen);
     }
     match &args.from {
         Some(path) if rollouts.iter().any(|rollout| rollout.controls.len() < scene.horizon) => {
@@ -371,8 +366,8 @@ fn ends(plans: &[(usize, Plan)], scene: &Scene) -> Option<String> {
         .collect();
     (!list.is_empty()).then(|| {
         format!(
-            "note: episodes end early: {}. The search has no derivative of the end, so it may stop beside one: compare other \
-             starts, such as --from, or remove `loss.end`",
+            "note: episodes end early: {}. The search has no derivative of the end, so it may stop beside one: compare plans \
+             from other controls, or without `loss.end`",
             list.join(", ")
         )
     })

@@ -10,7 +10,7 @@ use physgrad::engine::Ranks;
 use physgrad::engine::any::AnyTask;
 use physgrad::episode::Windows;
 use physgrad::train::{CheckpointError, Record, Session, TrainedNumber, Warning};
-use physgrad::{DynTask, Field, Float, Policy, Task, TrainError, Trainer, Training, Weights};
+use physgrad::{DynTask, Field, Float, Policy, Task, TrainError, Trainer, Training};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -64,8 +64,9 @@ pub trait AnyRun: Send {
     /// Rollouts with the current parameters, from a range of test initial states. Truncates the end
     /// of the range to the test set.
     fn rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory>;
-    /// [`rollouts`](AnyRun::rollouts) in double precision, from the rounded parameters and states.
-    fn double_rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory>;
+    /// [`rollouts`](AnyRun::rollouts) in double precision, from the rounded parameters and states, with
+    /// noise at its mean.
+    fn mean_rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory>;
     /// Initial states and parameters of a range of the test set, as rollouts without steps.
     fn starts(&self, chosen: Range<usize>) -> Vec<Trajectory>;
     /// Norms of the adjoints of R and M along rollouts with the current parameters. Uses at most
@@ -147,12 +148,10 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
         trajectory::rollouts(self.task(), self.policy(), self.weights(), self.test_starts(), chosen)
     }
 
-    fn double_rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory> {
-        let double =
-            |numbers: &[F]| numbers.iter().map(|number| number.as_()).collect::<Vec<f64>>();
-        let weights = Weights::new(self.policy(), double(self.weights().theta()));
-        let starts = double(self.test_starts());
-        trajectory::until_divergence(self.task(), self.policy(), &weights, &starts, chosen).0
+    fn mean_rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory> {
+        let theta: Vec<f64> = self.weights().theta().iter().map(|theta| theta.as_()).collect();
+        let starts = self.starts(chosen).into_iter();
+        starts.map(|start| trajectory::follow(self.task(), self.policy(), &theta, start)).collect()
     }
 
     fn starts(&self, chosen: Range<usize>) -> Vec<Trajectory> {

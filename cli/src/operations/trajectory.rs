@@ -2,8 +2,8 @@
 
 use physgrad::engine::Variable;
 use physgrad::engine::any::AnyTask;
-use physgrad::policy::AnyPolicy;
-use physgrad::{Divergence, Float, Rollout, Weights};
+use physgrad::policy::{Action, AnyPolicy, Observed};
+use physgrad::{Divergence, Float, Inputs, Policy, Rollout, System, Task, Weights};
 use std::ops::Range;
 
 /// Largest number of test rollouts in the `trajectory.csv` of a run.
@@ -45,6 +45,42 @@ pub fn rollouts<F: Float>(
 ) -> Vec<Trajectory> {
     let rollouts = until_divergence(task, policy, weights, starts, chosen).0;
     rollouts.into_iter().map(|rollout| rollout.until_end(task.ended())).collect()
+}
+
+/// The rollout of a policy from a start whose noise stays at its mean, up to the first state that is not
+/// finite.
+pub fn follow<T: Task, P: Policy>(
+    task: &T,
+    policy: &P,
+    theta: &[f64],
+    start: Trajectory,
+) -> Trajectory {
+    let Trajectory { mut states, params, .. } = start;
+    let (system, observed) = (task.system(), task.observation_dim());
+    let (mut x, p) = (states[0].clone(), &params[0]);
+    let mut memory = vec![0.0; policy.memory_dim()];
+    let mut controls = Vec::new();
+    for t in 0..task.horizon() {
+        let mut y = x.clone();
+        if let Some(observed) = observed {
+            y = vec![0.0; observed];
+            task.observe(Inputs { x: &x, u: &[], p, t }, &mut y);
+        }
+        let mut u = vec![0.0; policy.control_dim()];
+        let mut next_memory = memory.clone();
+        let action = Action { u: &mut u, memory: &mut next_memory };
+        policy.act(theta, Observed { y: &y, memory: &memory, t }, action);
+        let mut next = x.clone();
+        system.step(Inputs { x: &x, u: &u, p, t }, &mut next);
+        if next.iter().chain(&u).any(|number| !number.is_finite()) {
+            break;
+        }
+        (x, memory) = (next, next_memory);
+        states.push(x.clone());
+        controls.push(u);
+    }
+    let params = vec![params[0].clone(); states.len()];
+    Trajectory { states, controls, params }
 }
 
 /// Rollouts over the whole horizon, and the first non-finite number.

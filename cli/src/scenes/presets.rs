@@ -10,7 +10,7 @@ use std::borrow::Cow;
 use std::path::Path;
 
 /// Name and text of every file in `presets/`.
-const PRESETS: [(&str, &str); 41] = [
+const PRESETS: [(&str, &str); 40] = [
     ("cart_pole", include_str!("presets/cart_pole.toml")),
     ("cart_pole_1", include_str!("presets/cart_pole_1.toml")),
     ("cart_pole_2", include_str!("presets/cart_pole_2.toml")),
@@ -47,7 +47,6 @@ const PRESETS: [(&str, &str); 41] = [
     ("walker2d_run", include_str!("presets/walker2d_run.toml")),
     ("ant", include_str!("presets/ant.toml")),
     ("ant_run", include_str!("presets/ant_run.toml")),
-    ("humanoid_run", include_str!("presets/humanoid_run.toml")),
     ("arm", include_str!("presets/arm.toml")),
     ("swimmer", include_str!("presets/swimmer.toml")),
     ("reacher", include_str!("presets/reacher.toml")),

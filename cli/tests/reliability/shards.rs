@@ -254,10 +254,10 @@ fn interrupted_killed_and_shared_plans_give_the_bytes_of_one_process() {
         // A signal, and then a kill, after some runs.
         let child = start(&options, &resumed, &[]);
         wait_until("a run ends", || ended(&resumed) >= 1);
-        let signal = Command::new("kill").args(["-INT", &child.id().to_string()]).status();
+        let signal = Command::new("kill").args(["-TERM", &child.id().to_string()]).status();
         assert!(signal.expect("kill runs").success());
         let output = child.wait_with_output().expect("the process ends");
-        assert_eq!(output.status.code(), Some(130), "{name}");
+        assert_eq!(output.status.code(), Some(143), "{name}");
         let text = String::from_utf8_lossy(&output.stdout).into_owned();
         assert!(text.contains("interrupted; to resume, repeat the command with --out"), "{text}");
         let begun = ended(&resumed);
