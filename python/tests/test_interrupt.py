@@ -51,7 +51,7 @@ SETUPS = {
     ),
     # A block of 32 samples takes less than a second.
     "rollout": (LONG, "pg.rollout(task, policy, starts)"),
-    "losses": (LONG, "pg.losses(task, policy, starts)"),
+    "losses": (LONG, "pg.losses(task, policy, np.tile(starts, (20, 1)))"),
     "gradients": (LONG, "pg.gradients(task, policy, starts)"),
     "policy": (LONG, "[policy(np.zeros((10**7, 4))) for _ in range(100)]"),
     "starts": (LONG, "task.starts(10**8)"),

@@ -127,7 +127,9 @@ impl Windows {
             let (ended, states) = (Task::ended(&window), AnyTask::<f64>::state_dim(&window));
             let each = AnyTask::<f64>::start_dim(&window);
             let mut visited = Visited::default();
-            while window.origin < steps.min(Task::horizon(&self.task)) {
+            // Tables of the task end at its horizon.
+            let last = steps.min(Task::horizon(&self.task)).max(self.steps) - self.steps;
+            while window.origin <= last {
                 rollout.start(&starts);
                 if rollout.run(&window, policy, &weights).is_err() {
                     break;
