@@ -185,7 +185,7 @@ fn write(
     initial: &[Trajectory],
 ) -> Result<Vec<u8>> {
     let optimized: Vec<(usize, Trajectory)> =
-        plans.iter().map(|(i, plan)| (*i, trajectory(plan).until_end(scene.ended()))).collect();
+        plans.iter().map(|(i, plan)| (*i, trajectory(plan, scene))).collect();
     saved::write_scene(folder, SCENE, scene)?;
     let costs = summary(plans)?;
     folder.write("optimized.csv", &costs)?;
@@ -222,11 +222,8 @@ fn starts(args: &Optimize, scene: &Scene) -> Result<Vec<Trajectory>> {
     }
     let chosen = 0..args.starts;
     // Plans have double precision. An unstable plant amplifies the rounding errors of f32 controls.
-    let mut rollouts = run.starts(chosen.clone());
-    if args.from.is_some() {
-        // A plan has the mean of noise.
-        rollouts = run.mean_rollouts(chosen);
-    }
+    // A plan has the mean of noise.
+    let rollouts = if args.from.is_some() { run.mean_rollouts(chosen) } else { run.starts(chosen) };
     match &args.from {
         Some(path) if rollouts.iter().any(|rollout| rollout.controls.len() < scene.horizon) => {
             bail!("the policy of {} diverges; name a scene instead of --from {0}", path.display())
@@ -283,12 +280,14 @@ fn unused(arguments: &[String], controls: usize) -> Option<&String> {
     general.first().copied().filter(|_| named.len() == controls)
 }
 
-fn trajectory(plan: &Plan) -> Trajectory {
-    Trajectory {
+/// The trajectory of a plan, up to the end of its episode.
+fn trajectory(plan: &Plan, scene: &Scene) -> Trajectory {
+    let whole = Trajectory {
         states: (0..=plan.horizon()).map(|t| plan.state(t).to_vec()).collect(),
         controls: (0..plan.horizon()).map(|t| plan.control(t).to_vec()).collect(),
         params: vec![plan.p.clone(); plan.horizon() + 1],
-    }
+    };
+    whole.until_end(scene.ended())
 }
 
 /// `optimized.csv`: one row per initial state.
@@ -318,7 +317,7 @@ fn gains(plans: &[(usize, Plan)], scene: &Scene) -> Result<Vec<u8>> {
         .flat_map(|control| states.iter().map(move |state| format!("{control} by {state}")));
     let header = ["sample", "step"].map(String::from).into_iter().chain(columns);
     let rows = plans.iter().flat_map(|(i, plan)| {
-        let steps = trajectory(plan).until_end(scene.ended()).controls.len();
+        let steps = trajectory(plan, scene).controls.len();
         let gains = plan.gains.chunks(states.len() * controls.len()).take(steps).enumerate();
         gains.map(move |(t, gains)| {
             let numbers = gains.iter().map(f64::to_string);
@@ -358,7 +357,7 @@ fn warnings(plans: &[(usize, Plan)]) -> Vec<String> {
 
 /// A note about plans whose episodes end before the horizon, if any.
 fn ends(plans: &[(usize, Plan)], scene: &Scene) -> Option<String> {
-    let steps = |plan: &Plan| trajectory(plan).until_end(scene.ended()).controls.len();
+    let steps = |plan: &Plan| trajectory(plan, scene).controls.len();
     let ended = plans.iter().map(|(i, plan)| (i, steps(plan)));
     let list: Vec<_> = ended
         .filter(|(_, steps)| *steps < scene.horizon)
