@@ -1,11 +1,11 @@
 //! [`AnyPolicy`]: an object-safe [`Policy`] for one precision.
 
 use super::{
-    InputLayer, NetworkLayer, OutputLayer, Policy, PolicyPass, PolicyRecord, Sizes, Tensor,
-    TrainedParam,
+    InputLayer, NetworkLayer, Policy, PolicyPass, PolicyRecord, Sizes, Tensor, TrainedParam,
 };
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::Float;
+use std::ops::Range;
 
 /// Object-safe [`Policy`] for one precision.
 ///
@@ -32,7 +32,9 @@ pub trait AnyPolicy<F: Float>: Send + Sync {
     #[doc(hidden)]
     fn input_layer(&self) -> Option<InputLayer>;
     #[doc(hidden)]
-    fn output_layer(&self) -> Option<OutputLayer>;
+    fn output_layer(&self) -> Option<Range<usize>>;
+    #[doc(hidden)]
+    fn control_bounds(&self) -> Option<Vec<[f64; 2]>>;
     #[doc(hidden)]
     fn sizes(&self, columns: usize) -> Sizes;
     #[doc(hidden)]
@@ -108,8 +110,12 @@ impl<P: Policy, F: Float> AnyPolicy<F> for P {
         Policy::input_layer(self)
     }
 
-    fn output_layer(&self) -> Option<OutputLayer> {
+    fn output_layer(&self) -> Option<Range<usize>> {
         Policy::output_layer(self)
+    }
+
+    fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
+        Policy::control_bounds(self)
     }
 
     fn sizes(&self, columns: usize) -> Sizes {

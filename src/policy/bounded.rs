@@ -1,8 +1,8 @@
 //! [`Bounded`]: a policy with bounded controls.
 
 use super::{
-    Action, Bound, InputLayer, NetworkLayer, Observed, OutputLayer, Policy, PolicyPass,
-    PolicyRecord, Sizes, Tensor, TrainedParam,
+    Action, Bound, InputLayer, NetworkLayer, Observed, Policy, PolicyPass, PolicyRecord, Sizes,
+    Tensor, TrainedParam,
 };
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Float, Scalar};
@@ -26,6 +26,7 @@ pub struct Bounded<P> {
 /// Range of one control.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Range {
+    bounds: [f64; 2],
     half_width: f64,
     /// Middle of the range; -0.0, the neutral element of addition, in place of 0.
     middle: f64,
@@ -38,7 +39,7 @@ impl Range {
     fn new([low, high]: [f64; 2]) -> Self {
         let middle = 0.5 * low + 0.5 * high;
         let middle = if middle == 0.0 { -0.0 } else { middle };
-        Self { half_width: 0.5 * high - 0.5 * low, middle, origin: 0.0 }
+        Self { bounds: [low, high], half_width: 0.5 * high - 0.5 * low, middle, origin: 0.0 }
     }
 
     /// The tanh of a control of the policy.
@@ -62,7 +63,7 @@ impl<P: Policy> Bounded<P> {
             is_valid,
             "bounds of controls are positive numbers from 1e-37 to 1e37, not {bounds:?}"
         );
-        let range = |&half_width: &f64| Range { half_width, middle: -0.0, origin: 0.0 };
+        let range = |&bound: &f64| Range::new([-bound, bound]);
         Self::with_ranges(policy, bounds.iter().map(range).collect())
     }
 
@@ -175,15 +176,18 @@ impl<P: Policy> Policy for Bounded<P> {
         self.policy.input_layer()
     }
 
-    fn output_layer(&self) -> Option<OutputLayer> {
-        let half_widths = self.ranges.iter().map(|range| range.half_width).collect();
-        Some(OutputLayer { half_widths, ..self.policy.output_layer()? })
+    fn output_layer(&self) -> Option<std::ops::Range<usize>> {
+        self.policy.output_layer()
+    }
+
+    fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
+        Some(self.ranges.iter().map(|range| range.bounds).collect())
     }
 
     fn network(&self) -> Option<Vec<NetworkLayer>> {
         let mut layers = self.policy.network()?;
         let last = layers.last_mut().filter(|last| last.bounds.is_none())?;
-        let bound = |&Range { half_width, middle, origin }: &Range| Bound {
+        let bound = |&Range { half_width, middle, origin, .. }: &Range| Bound {
             // Without the sign of -0.0, the neutral element.
             middle: middle + 0.0,
             half_width,
@@ -210,7 +214,7 @@ impl<P: Policy> Policy for Bounded<P> {
         for c in pass.at.iter() {
             let (u, slopes) = (&mut u[c * outputs..][..m], &mut slopes[c * m..][..m]);
             for i in 0..m {
-                let Range { half_width, middle, origin } = self.ranges[i];
+                let Range { half_width, middle, origin, .. } = self.ranges[i];
                 let h = ((u[i] - F::from_f64(origin)) * F::from_f64(1.0 / half_width)).tanh();
                 u[i] = h * F::from_f64(half_width) + F::from_f64(middle);
                 slopes[i] = F::one() - h * h;

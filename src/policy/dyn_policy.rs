@@ -1,8 +1,8 @@
 //! [`DynPolicy`]: any policy behind a pointer.
 
 use super::{
-    Action, AnyPolicy, InputLayer, NetworkLayer, Observed, OutputLayer, Policy, PolicyPass,
-    PolicyRecord, Sizes, Tensor, TrainedParam,
+    Action, AnyPolicy, InputLayer, NetworkLayer, Observed, Policy, PolicyPass, PolicyRecord, Sizes,
+    Tensor, TrainedParam,
 };
 use crate::numbers::instances::{SCALARS, ScalarFunction, fill, scalar_pointer};
 use crate::numbers::rng::Rng;
@@ -10,6 +10,7 @@ use crate::numbers::scalar::{Float, Scalar};
 use std::any::{Any, type_name};
 use std::fmt;
 use std::marker::PhantomData;
+use std::ops::Range;
 use std::sync::Arc;
 
 /// Any [`Policy`], chosen at run time. Results are bitwise equal to those of the policy.
@@ -149,8 +150,12 @@ impl Policy for DynPolicy {
         self.double().input_layer()
     }
 
-    fn output_layer(&self) -> Option<OutputLayer> {
+    fn output_layer(&self) -> Option<Range<usize>> {
         self.double().output_layer()
+    }
+
+    fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
+        self.double().control_bounds()
     }
 
     fn sizes<F: Float>(&self, columns: usize) -> Sizes {

@@ -8,8 +8,8 @@
 
 use super::activation::activate;
 use super::{
-    Action, Activation, InputLayer, LayerKind, NetworkLayer, Observed, OutputLayer, Policy,
-    PolicyColumns, PolicyPass, PolicyRecord, Sizes, Tensor,
+    Action, Activation, InputLayer, LayerKind, NetworkLayer, Observed, Policy, PolicyColumns,
+    PolicyPass, PolicyRecord, Sizes, Tensor,
 };
 use crate::numbers::kernels::SimdLevel;
 use crate::numbers::kernels::elementwise::{self, Strided};
@@ -18,6 +18,7 @@ use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Float, Scalar};
 use crate::numbers::zip::zip;
 use rand::RngExt;
+use std::ops::Range;
 
 /// Columns per block. A block passes all layers while its activations stay in the L1 cache.
 const BLOCK: usize = 32;
@@ -258,9 +259,8 @@ impl Policy for Mlp {
         Some(InputLayer { inputs, kernel: 0..end, bias: self.bias.then_some(end..end + outputs) })
     }
 
-    fn output_layer(&self) -> Option<OutputLayer> {
-        let entries = self.layers::<f64>().last()?.theta..self.param_count();
-        Some(OutputLayer { entries, half_widths: vec![1.0; self.control_dim()] })
+    fn output_layer(&self) -> Option<Range<usize>> {
+        Some(self.layers::<f64>().last()?.theta..self.param_count())
     }
 
     fn sizes<F: Float>(&self, columns: usize) -> Sizes {

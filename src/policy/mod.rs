@@ -37,7 +37,7 @@ pub use conv::Conv;
 pub use dyn_policy::DynPolicy;
 pub use linear::Linear;
 pub use mlp::Mlp;
-pub use network::{Bound, InputLayer, LayerKind, NetworkLayer, OutputLayer};
+pub use network::{Bound, InputLayer, LayerKind, NetworkLayer};
 pub use open_loop::OpenLoop;
 pub use recurrent::{Elman, Gru};
 pub use sum::Sum;
@@ -132,9 +132,16 @@ pub trait Policy: Send + Sync {
         None
     }
 
-    /// The last layer, for training in units of the ranges of the controls. Default: `None`, for policies
-    /// without such a layer.
-    fn output_layer(&self) -> Option<OutputLayer> {
+    /// Entries of `θ` of a last layer: the weights, row-major, with one column per control, and the
+    /// biases after them. It serves for training in units of the ranges of the controls. Default:
+    /// `None`, for policies without such a layer.
+    fn output_layer(&self) -> Option<Range<usize>> {
+        None
+    }
+
+    /// Bounds `[low, high]` of each control, which no control of the policy exceeds by more than its
+    /// rounding. Default: `None`, for policies without bounds.
+    fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
         None
     }
 

@@ -1,5 +1,5 @@
-//! [`NetworkLayer`]: layers of a policy, for files that other programs read. [`InputLayer`] and
-//! [`OutputLayer`]: the places of the first and the last layer.
+//! [`NetworkLayer`]: layers of a policy, for files that other programs read. [`InputLayer`]: the
+//! place of the first one.
 
 use super::Activation;
 use serde::Serialize;
@@ -15,15 +15,6 @@ pub struct InputLayer {
     pub kernel: Range<usize>,
     /// Entries of b, after those of W.
     pub bias: Option<Range<usize>>,
-}
-
-/// Place in `θ` of a last layer whose outputs v become the controls `c + b tanh((v - o) / b)`.
-#[derive(Clone, Debug, PartialEq)]
-pub struct OutputLayer {
-    /// Entries of the weights, row-major, with one column per control, and of the biases after them.
-    pub entries: Range<usize>,
-    /// Half the width b of the range of each control. 1 for a control without a range.
-    pub half_widths: Vec<f64>,
 }
 
 /// Range of a control: `u = middle + half_width tanh((v - origin) / half_width)`.

@@ -1,11 +1,11 @@
 //! [`WithParams`]: a policy and parameters of the system, trained together.
 
 use super::{
-    Action, InputLayer, NetworkLayer, Observed, OutputLayer, Policy, PolicyPass, PolicyRecord,
-    Sizes, Tensor,
+    Action, InputLayer, NetworkLayer, Observed, Policy, PolicyPass, PolicyRecord, Sizes, Tensor,
 };
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Float, Scalar};
+use std::ops::Range;
 
 /// Trained entry of the parameters `p`. All samples share its value.
 ///
@@ -329,8 +329,12 @@ impl<P: Policy> Policy for WithParams<P> {
         self.policy.input_layer()
     }
 
-    fn output_layer(&self) -> Option<OutputLayer> {
+    fn output_layer(&self) -> Option<Range<usize>> {
         self.policy.output_layer()
+    }
+
+    fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
+        self.policy.control_bounds()
     }
 
     fn sizes<F: Float>(&self, columns: usize) -> Sizes {

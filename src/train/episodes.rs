@@ -61,7 +61,7 @@ pub struct Windows {
     /// γ^t, and its value the factor γ^`steps`. Positive.
     pub discount: f64,
     /// Standard deviation of normal noise on each control, in its unit, during training: one number per
-    /// control, or none. The noise may exceed the bounds of a control.
+    /// control, or none. Where the policy has bounds, a control with its noise is clipped at them.
     pub noise: Vec<f64>,
     /// Whether policy and value function are trained as networks of the observation in units of its
     /// running mean and standard deviation, and bounded controls in units of half their range. A drawn
@@ -92,17 +92,17 @@ impl Windows {
 
     /// The first window as a task, with a random value function, for checks of its derivatives.
     #[doc(hidden)]
-    pub fn checked(&self, seed: u64) -> DynTask {
+    pub fn checked(&self, bounds: Option<Vec<[f64; 2]>>, seed: u64) -> DynTask {
         let value = self.value.as_ref().map(|settings| {
             let observed = AnyTask::<f64>::observed_dim(&self.task);
             Critic::<f64>::new(self, settings, observed, 1, seed, 1).random_value()
         });
-        DynTask::new(Window::new(self, value))
+        DynTask::new(Window::new(self, bounds, value))
     }
 
     /// The first window as a task without noise and without a value function.
     pub fn first(&self) -> DynTask {
-        DynTask::new(Window::new(&Self { noise: Vec::new(), ..self.clone() }, None))
+        DynTask::new(Window::new(&Self { noise: Vec::new(), ..self.clone() }, None, None))
     }
 
     /// The map from parameters of a network in the units of a training to those of the policy. The units
@@ -120,7 +120,7 @@ impl Windows {
         let coordinates = Coordinates::of(policy).filter(|_| self.normalize);
         let mut moments = Moments::default();
         if coordinates.is_some() {
-            let mut window = Window::new(&Self { noise: Vec::new(), ..self.clone() }, None);
+            let mut window = Window::new(&Self { noise: Vec::new(), ..self.clone() }, None, None);
             let weights = Weights::new(policy, theta.to_vec());
             let mut rollout = Rollout::new(&window, policy, SAMPLES);
             let mut starts = initial_states(&window, seed, Purpose::Train, SAMPLES);
@@ -310,7 +310,8 @@ impl<F: Float> Episodes<F> {
     pub(super) fn new(
         settings: Windows,
         training: &Training,
-        coordinates: Option<(Coordinates, bool)>,
+        policy: &dyn AnyPolicy<F>,
+        is_drawn: bool,
         train: &[F],
     ) -> Self {
         let task: &dyn AnyTask<F> = &settings.task;
@@ -323,9 +324,10 @@ impl<F: Float> Episodes<F> {
         let (steps, inner) = (settings.steps, task.start_dim());
         let numbers = task.state_dim() + task.param_dim();
         let windows = task.horizon() / steps;
+        let coordinates = Coordinates::of(policy);
         let units = Units::default();
         let value = critic.as_ref().map(|critic| critic.value(&units));
-        let window = Window::new(&settings, value);
+        let window = Window::new(&settings, policy.control_bounds(), value);
         let task: &dyn AnyTask<F> = &window;
         let (each, is_noisy) = (task.start_dim(), !task.noise().is_empty());
         let mut given = Vec::new();
@@ -345,7 +347,7 @@ impl<F: Float> Episodes<F> {
             carried: vec![F::zero(); samples * each],
             progress: vec![Progress::default(); samples],
             tally: Tally::default(),
-            coordinates: coordinates.filter(|_| settings.normalize),
+            coordinates: coordinates.filter(|_| settings.normalize).map(|own| (own, is_drawn)),
             moments: Moments::default(),
             units,
             window,

@@ -6,7 +6,6 @@ use super::average::average_direction;
 use super::episodes::{Episodes, EpisodesState, Windows};
 use super::record::{Means, Record, Skip, Step};
 use super::smoothing::Estimates;
-use super::units::Coordinates;
 use super::{Begin, TrainError, Training};
 use crate::dynamics::number::key_of_epoch;
 use crate::engine::any::AnyTask;
@@ -126,6 +125,8 @@ pub(super) struct State<F: Float> {
     /// Mean length of the test episodes before the first update, if they can end and if this process
     /// began the training.
     pub(super) untrained_length: Option<f64>,
+    /// Share of the controls of the test set that are at a bound, if the policy has bounds.
+    pub(super) saturated: Option<f64>,
     /// Initial states of the mini-batch.
     starts: Vec<F>,
     /// True if initial states end with a key of noise, which differs between epochs.
@@ -160,8 +161,7 @@ impl<F: Float> State<F> {
             Some(windows) => {
                 let dims = [task.state_dim(), task.param_dim(), task.horizon()];
                 windows.validate(&training, policy, dims)?;
-                let coordinates = Coordinates::of(policy).map(|own| (own, is_drawn));
-                Some(Episodes::new(windows, &training, coordinates, &train))
+                Some(Episodes::new(windows, &training, policy, is_drawn, &train))
             }
         };
         if let Some(episodes) = &episodes {
@@ -209,6 +209,7 @@ impl<F: Float> State<F> {
             warned: Vec::new(),
             optimizer,
             untrained_length: None,
+            saturated: None,
             order: (0..train.len() / n).collect(),
             starts: Vec::with_capacity(samples * n),
             is_noisy: !task.noise().is_empty(),
@@ -295,6 +296,7 @@ impl<F: Float> State<F> {
         }
         let [train_loss, test_loss] = self.evaluate(problem);
         let length = self.evaluation.mean_length();
+        self.saturated = self.evaluation.saturated();
         self.without_slope.clear();
         if !epoch.means.is_empty() {
             self.test_numbers_without_slope(problem);

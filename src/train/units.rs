@@ -2,8 +2,9 @@
 
 use crate::engine::visited::Visited;
 use crate::numbers::scalar::Float;
-use crate::policy::{AnyPolicy, InputLayer, OutputLayer};
+use crate::policy::{AnyPolicy, InputLayer};
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 
 /// Deviations below this one count as this one, so that the noise of a component at rest is not
 /// enlarged.
@@ -26,13 +27,26 @@ pub(super) struct Units(Vec<[f64; 2]>);
 #[derive(Clone, Debug)]
 pub(super) struct Coordinates {
     first: InputLayer,
-    last: Option<OutputLayer>,
+    last: Option<Outputs>,
+}
+
+/// The last layer of a policy with bounds.
+#[derive(Clone, Debug)]
+struct Outputs {
+    /// Entries of the weights, row-major, with one column per control, and of the biases after them.
+    entries: Range<usize>,
+    /// Half the width of the range of each control.
+    half_widths: Vec<f64>,
 }
 
 impl Coordinates {
     /// None for a policy without such a first layer.
     pub(super) fn of<F: Float>(policy: &dyn AnyPolicy<F>) -> Option<Self> {
-        Some(Self { first: policy.input_layer()?, last: policy.output_layer() })
+        let last = policy.output_layer().zip(policy.control_bounds()).map(|(entries, bounds)| {
+            let half_width = |&[low, high]: &[f64; 2]| 0.5 * high - 0.5 * low;
+            Outputs { entries, half_widths: bounds.iter().map(half_width).collect() }
+        });
+        Some(Self { first: policy.input_layer()?, last })
     }
 
     /// Number of components of the observation.
@@ -64,7 +78,7 @@ impl Coordinates {
     }
 
     fn scale<F: Float>(&self, theta: &mut [F], by: impl Fn(f64) -> f64) {
-        let Some(OutputLayer { entries, half_widths }) = &self.last else { return };
+        let Some(Outputs { entries, half_widths }) = &self.last else { return };
         for row in theta[entries.clone()].chunks_exact_mut(half_widths.len()) {
             for (weight, &half_width) in row.iter_mut().zip(half_widths) {
                 *weight = F::from_f64(by(half_width) * weight.as_());

@@ -31,7 +31,7 @@ impl fmt::Display for Warning {
 }
 
 /// Kinds of warnings, in the order of their reports.
-const KINDS: [&str; 13] = [
+const KINDS: [&str; 14] = [
     "some skipped",
     "all skipped",
     "training loss",
@@ -45,7 +45,11 @@ const KINDS: [&str; 13] = [
     "number acts by comparison",
     "number without effect",
     "short episodes",
+    "saturated controls",
 ];
+
+/// Share of controls at a bound above which training can hardly change the policy.
+const SATURATED: f64 = 0.95;
 
 /// A trained number with a meaning of its own: of the system, or of the policy, for example a gain.
 #[derive(Clone, Debug, PartialEq)]
@@ -119,6 +123,7 @@ impl<F: Float> State<F> {
                 )
             }),
             self.short_episodes(record, horizon),
+            self.saturated_controls(),
         ];
         let places = [skip, skip, train, test].into_iter().chain(std::iter::repeat(None));
         let warning = |((kind, cause), divergence): ((&'static str, Option<String>), _)| {
@@ -166,6 +171,17 @@ impl<F: Float> State<F> {
                 if is_new { "before the training" } else { "after the first epoch, with a higher loss" }
             )
         })
+    }
+
+    /// Warning about controls that training can hardly change.
+    fn saturated_controls(&self) -> Option<String> {
+        let share = self.saturated.filter(|&share| share >= SATURATED)?;
+        Some(format!(
+            "{:.0} % of the controls of the test set are at their bounds, where the slope of the bound is less than a hundredth, \
+             so training can hardly change them. If the task does not call for this, begin anew with a smaller learning rate, a \
+             cost of the controls, wider bounds, or observations and costs of size 1",
+            100.0 * share
+        ))
     }
 
     /// Names and values of the numbers whose entry r of `θ` is `selected`. `None` without such

@@ -29,6 +29,8 @@ pub(crate) struct Window {
     discount: f64,
     /// Standard deviation of the noise on each control. Empty for none.
     noise: Vec<f64>,
+    /// Bounds of each control, which the noise keeps. Empty for none.
+    bounds: Vec<[f64; 2]>,
     /// Number of parameters of the task.
     params: usize,
     pub(super) value: Option<Value>,
@@ -63,12 +65,17 @@ impl<R> Function<R, 1> for Value {
 }
 
 impl Window {
-    /// The first `steps` steps of a task.
-    pub(super) fn new(settings: &Windows, value: Option<Value>) -> Self {
+    /// The first `steps` steps of a task, for a policy with these bounds.
+    pub(super) fn new(
+        settings: &Windows,
+        bounds: Option<Vec<[f64; 2]>>,
+        value: Option<Value>,
+    ) -> Self {
         let Windows { ref task, steps, discount, ref noise, .. } = *settings;
         let noise = if noise.iter().any(|&noise| noise > 0.0) { noise.clone() } else { Vec::new() };
         let (task, params) = (task.clone(), task.param_dim());
-        Self { steps, origin: 0, discount, noise, params, value, task }
+        let bounds = bounds.unwrap_or_default();
+        Self { steps, origin: 0, discount, noise, bounds, params, value, task }
     }
 
     /// Factor of the costs of step t of the window.
@@ -93,15 +100,29 @@ impl Window {
         if noise.is_empty() || u.is_empty() {
             return call(Inputs { x, u, p, t });
         }
-        let u: SmallVec<[T; STACK]> = u.iter().zip(noise).map(|(&u, &noise)| u + noise).collect();
+        let mut u: SmallVec<[T; STACK]> =
+            u.iter().zip(noise).map(|(&u, &noise)| u + noise).collect();
+        for (u, &[low, high]) in u.iter_mut().zip(&self.bounds) {
+            *u = u.clamp(low, high);
+        }
         call(Inputs { x, u: &u, p, t })
     }
 
-    /// Calls a function with the cotangents of the inputs of the task, and adds that of the control to
-    /// the cotangents of the noise.
+    /// Derivatives of the controls `u` of the task by those of the policy: 0 at a bound, else 1.
+    fn slopes<R: Real>(&self, u: &[R]) -> impl Iterator<Item = R> {
+        let slope = |(&u, &[low, high]): (&R, &[f64; 2])| {
+            let below = R::select_lt(u, R::from(high), R::one(), R::zero());
+            R::select_lt(R::from(low), u, below, R::zero())
+        };
+        u.iter().zip(&self.bounds).map(slope)
+    }
+
+    /// Calls a function with the cotangents of the inputs of the task, whose control is `bounded`, and
+    /// adds that of the control to the cotangents of the noise.
     #[inline(always)]
-    fn inside_bars<R, C: Cotangent<R>>(
+    fn inside_bars<R: Real, C: Cotangent<R>>(
         &self,
+        bounded: &[R],
         Cotangents { x, u, p }: Cotangents<'_, C>,
         call: impl FnOnce(Cotangents<'_, C>),
     ) {
@@ -112,6 +133,9 @@ impl Window {
         }
         let mut own: SmallVec<[C; STACK]> = smallvec![C::null(); noise.len()];
         call(Cotangents { x, u: Some(&mut own), p: Some(p) });
+        for (own, slope) in own.iter_mut().zip(self.slopes(bounded)) {
+            *own = own.along(slope, R::one());
+        }
         add(noise, &own);
         if let Some(u) = u {
             add(u, &own);
@@ -180,7 +204,9 @@ impl System for Window {
         cotangents: Cotangents<'_, C>,
     ) {
         self.inside(inputs, |inputs| {
-            self.inside_bars(cotangents, |bars| self.task.system().vjp(inputs, next_bar, bars));
+            self.inside_bars(inputs.u, cotangents, |bars| {
+                self.task.system().vjp(inputs, next_bar, bars);
+            });
         });
     }
 
@@ -196,8 +222,13 @@ impl System for Window {
         for tangents in [u, Some(noise)].into_iter().flatten() {
             tangent.iter_mut().zip(tangents).for_each(|(sum, &u)| *sum += u);
         }
-        let tangents = Tangents { x, u: Some(&tangent), p: own };
-        self.inside(inputs, |inputs| self.task.system().jvp(inputs, tangents, next_tan));
+        self.inside(inputs, |inputs| {
+            if !self.noise.is_empty() {
+                tangent.iter_mut().zip(self.slopes(inputs.u)).for_each(|(u, slope)| *u *= slope);
+            }
+            let tangents = Tangents { x, u: Some(&tangent), p: own };
+            self.task.system().jvp(inputs, tangents, next_tan);
+        });
     }
 
     fn diagnose<R: Real>(&self, inputs: Inputs<'_, R>) -> Option<Cause> {
@@ -278,7 +309,7 @@ impl Task for Window {
             p: p.is_some().then_some(&mut *of_p),
         };
         self.inside(inputs, |inputs| {
-            self.inside_bars(own, |own| {
+            self.inside_bars(inputs.u, own, |own| {
                 self.task.running_cost_gradient(inputs, next, own, of_next);
             });
         });

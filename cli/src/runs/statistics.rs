@@ -267,7 +267,13 @@ fn reference<'a, 'r>(runs: &'a [Outcome<'r>]) -> Option<(Method<'r>, &'a [Outcom
 
 /// Lowest test loss. NaN if no loss is a number.
 pub fn best(records: &[Record]) -> f64 {
-    records.iter().map(|r| r.test_loss).fold(f64::NAN, f64::min)
+    best_record(records).map_or(f64::NAN, |record| record.test_loss)
+}
+
+/// The first epoch with the lowest test loss. None if no loss is a number.
+pub fn best_record(records: &[Record]) -> Option<&Record> {
+    let known = records.iter().filter(|record| !record.test_loss.is_nan());
+    known.min_by(|a, b| a.test_loss.total_cmp(&b.test_loss))
 }
 
 /// Mean over each value and up to `window - 1` values before it.

@@ -4,12 +4,15 @@ use crate::operations::evaluation::AnyEvaluation;
 use crate::operations::policy_file::check_settings;
 use crate::operations::session::Epoch;
 use crate::platform::folder::{Folder, SETTINGS};
-use crate::platform::terminal::counted;
+use crate::platform::terminal::{counted, print_message};
 use crate::runs::saved;
+use crate::runs::statistics::best_record;
 use crate::scenes::source::SceneSource;
 use crate::tasks::Scene;
 use anyhow::{Result, bail};
 use physgrad::Policy;
+use physgrad::text::short;
+use physgrad::train::Record;
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
@@ -108,6 +111,42 @@ impl Trained {
         for (index, value) in run.trained(epoch) {
             source.fix(&names[index], value)?;
         }
+        if let Some(note) = better_epoch(&name, run.records()).filter(|_| epoch == Epoch::Last) {
+            print_message(&note);
+        }
         Ok(Self { name, source, scene, theta: run.theta(epoch) })
+    }
+}
+
+/// Tells that an epoch before the last had a test loss that is lower by more than a twentieth.
+fn better_epoch(name: &str, records: &[Record]) -> Option<String> {
+    let (last, best) = (records.last()?, best_record(records)?);
+    let is_close = last.test_loss - best.test_loss <= 0.05 * best.test_loss.abs();
+    (!is_close).then(|| {
+        format!(
+            "note: {name} has the policy of its last epoch, {}, with a test loss of {}. That of epoch {} had {}: --epoch best",
+            last.epoch,
+            short(last.test_loss),
+            best.epoch,
+            short(best.test_loss)
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_last_epoch_that_is_worse_by_more_than_a_twentieth_is_told() {
+        let note = |losses: &[f64]| {
+            let record = |(i, &test_loss)| Record { epoch: i + 1, test_loss, ..Record::default() };
+            better_epoch("one", &losses.iter().enumerate().map(record).collect::<Vec<_>>())
+        };
+        assert_eq!([note(&[]), note(&[f64::NAN]), note(&[3.0, 1.0, 1.04])], [None, None, None]);
+        assert_eq!([note(&[-3.0, -100.0, -96.0]), note(&[2.0, 1.0])], [None, None]);
+        for losses in [[3.0, 1.0, 1.06], [1.0, -2.0, -1.0], [f64::NAN, 2.0, f64::NAN]] {
+            assert!(note(&losses).expect("a note").contains("That of epoch 2 had "));
+        }
     }
 }

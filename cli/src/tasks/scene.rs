@@ -663,7 +663,7 @@ impl Scene {
     /// The task whose gradients an update sees: the first window without noise, or the whole task.
     fn stepped(&self) -> DynTask {
         let windows = self.windows().map(|windows| Windows { noise: Vec::new(), ..windows });
-        windows.map_or_else(|| self.physics.clone(), |windows| windows.checked(self.seed))
+        windows.map_or_else(|| self.physics.clone(), |windows| windows.checked(None, self.seed))
     }
 
     /// Checks that a run fits in the memory of this machine.

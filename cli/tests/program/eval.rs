@@ -313,6 +313,27 @@ fn a_training_warns_of_ends_at_once_and_of_a_policy_that_learns_to_end() {
     assert!(!text.contains("episodes"), "{text}");
 }
 
+#[test]
+fn noise_keeps_bounds_and_controls_that_stay_at_them_are_told() {
+    let dir = TempDir::new().expect("a folder");
+    // Beyond the bounds of the control, the cost is no number.
+    let scene = "scene = 1\ntask = \"equations\"\nhorizon = 40\nepochs = 4\nfield = \"regular\"\n\
+        [system]\nstates = [\"q\"]\ncontrols = [\"v\"]\ndt = 0.1\nrate.q = \"v\"\nbounds.v = [-1.0, 1.0]\n\
+        start.q = { uniform = [0, 1] }\n[loss]\nrunning = \"(next.q - goal)^2 - sqrt(1.01 - v^2)\"\n\
+        [policy]\nwidths = [8]\nbounds = true\n[training]\nbatch = 16\ntrain_samples = 16\nlearning_rate = 0.1\n\
+        discount = 0.9\n[window]\nsteps = 5\nnoise = 0.5\n[window.value]\n";
+    for (goal, is_told) in [("0.5", false), ("100", true)] {
+        let scene = scene.replace("goal", goal);
+        fs::write(dir.path().join("scene.toml"), scene).expect("a scene");
+        let arguments = format!("train scene.toml --quiet --out to_{goal}");
+        let output = physgrad(&arguments, dir.path()).assert().success();
+        let text = String::from_utf8(output.get_output().stderr.clone()).expect("text");
+        assert!(!text.contains("skipped"), "{text}");
+        let told = "of the controls of the test set are at their bounds";
+        assert_eq!(text.contains(told), is_told, "goal {goal}: {text}");
+    }
+}
+
 /// A plant that is heated by `q` in a unit that is a part `k` of the natural one.
 fn heated(k: f64) -> String {
     format!(
