@@ -12,8 +12,9 @@ use crate::dynamics::number::{Number, Varied};
 use crate::dynamics::ode::Ode;
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
-use crate::numbers::rng::Rng;
+use crate::numbers::rng::{Purpose, Rng, stream};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
+use rand_distr::{Distribution as _, StandardNormal};
 use smallvec::SmallVec;
 use std::sync::Arc;
 
@@ -63,9 +64,15 @@ pub enum RecordError {
         "the code branches on values (`any_lt`), which a graph cannot; use a fixed number of iterations"
     )]
     Branches,
-    /// The step depends on the step number.
-    #[error("the step, the observation or the cost depends on the step number `t`")]
-    DependsOnStep,
+    /// The step, the observation or the cost depends on the step number.
+    #[error(
+        "the step, the observation or the cost depends on the step number `t`: at t = {step} it differs from t = 0. Write the \
+         equations as `Equations` with tables, or use the task itself"
+    )]
+    DependsOnStep {
+        /// A step at which it differs from step 0.
+        step: usize,
+    },
     /// There are too many numbers at once.
     #[error("there are more than 65,535 numbers at once")]
     TooLarge,
@@ -186,7 +193,7 @@ impl GraphTask {
             steps_per_value: 1,
         };
         let own = task.clone();
-        Ok(Self {
+        let graph = Self {
             parts: Parts {
                 observe: observe.transpose()?,
                 running: Some(running),
@@ -201,7 +208,39 @@ impl GraphTask {
             substeps: 1,
             operations: None,
             system,
-        })
+        };
+        match graph.first_difference(task) {
+            Some(step) => Err(RecordError::DependsOnStep { step }),
+            None => Ok(graph),
+        }
+    }
+
+    /// First step up to the horizon at which the recorded task has other values than the graph. Each
+    /// step has the same states and controls, near initial states of the task.
+    fn first_difference<T: Task>(&self, task: &T) -> Option<usize> {
+        const CASES: u64 = 4;
+        let [n, m] = [self.system.states, self.system.controls];
+        let case = |case: u64| {
+            let mut rng = stream(case, Purpose::Check, 0);
+            let mut normal = |len: usize| {
+                (0..len).map(|_| StandardNormal.sample(&mut rng)).collect::<Vec<f64>>()
+            };
+            let [u, noise, next, trained] = [m, n, n, self.params].map(&mut normal);
+            let (mut x, mut p) = (vec![0.0; n], vec![0.0; self.params]);
+            task.draw_start(&mut rng, Start { x: &mut x, p: &mut p });
+            x.iter_mut().zip(noise).for_each(|(x, noise)| *x += case as f64 * noise);
+            p.iter_mut().zip(trained).filter(|(p, _)| p.is_nan()).for_each(|(p, drawn)| *p = drawn);
+            [x, u, p, next]
+        };
+        let cases = Vec::from_iter((0..CASES).map(case));
+        let differs = |t: usize| {
+            cases.iter().any(|[x, u, p, next]| {
+                let inputs = Inputs { x, u, p, t };
+                let (own, other) = (values(self, inputs, next), values(task, inputs, next));
+                own.iter().zip(&other).any(|(a, b)| a != b && !(a.is_nan() && b.is_nan()))
+            })
+        };
+        (0..=self.horizon).find(|&t| differs(t))
     }
 
     /// Number of operations of the equations. None for a recorded task.
@@ -213,6 +252,19 @@ impl GraphTask {
     fn signals<T: Scalar>(&self, t: usize) -> Signals<T> {
         self.system.signals_at(T::from(t as f64 * self.dt), t * self.substeps)
     }
+}
+
+/// Next state, observation and running cost.
+fn values<T: Task>(task: &T, inputs: Inputs<'_, f64>, next: &[f64]) -> Vec<f64> {
+    let (n, observed) = (inputs.x.len(), task.observation_dim().unwrap_or(0));
+    let mut values = vec![0.0; n + observed];
+    let (after, y) = values.split_at_mut(n);
+    task.system().step(inputs, after);
+    if observed > 0 {
+        task.observe(Inputs { u: &[], ..inputs }, y);
+    }
+    values.push(task.running_cost(inputs, next));
+    values
 }
 
 /// Records functions of state, control, parameters and next state, of these lengths.
@@ -239,7 +291,7 @@ impl Recorder {
         };
         let ((graph, outputs), (later, other)): ((_, Vec<_>), (Graph, Vec<_>)) = (at(0)?, at(1)?);
         if graph.structure(&outputs) != later.structure(&other) {
-            return Err(RecordError::DependsOnStep);
+            return Err(RecordError::DependsOnStep { step: 1 });
         }
         let lengths = [n, m, k, n, 0];
         Function::new(graph, outputs, lengths).map(Arc::new).map_err(|_| RecordError::TooLarge)
